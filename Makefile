@@ -1,0 +1,45 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+#
+# Each target does all of its own set-up: scripts/with-fenicsx finds FEniCSx or makes it. Variables:
+#   NP=2           processes for demo and bench (default 1)
+#   ARGS="…"       further arguments of the demo, the benchmark, or pytest
+#   FENICSX_SUITE=sid make …   the newest dolfinx
+
+NP ?= 1
+ARGS ?=
+
+with := scripts/with-fenicsx
+python := $(if $(filter-out 1,$(NP)),env OMP_NUM_THREADS=1 mpirun -n $(NP) )python3
+shell_scripts := scripts/with-fenicsx scripts/debian-tree scripts/run-tests .ci/run
+
+.PHONY: help demo test bench lint docs clean
+
+help: ## what can be made
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-7s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@echo '  with NP=2 (processes), ARGS="…" (further arguments), FENICSX_SUITE=sid (newest dolfinx)'
+
+demo: ## inflate the artery's wall, next to a direct solver; pictures in output/artery/
+	$(with) $(python) demos/demo_artery.py $(ARGS)
+
+test: ## the whole suite on 1, 2 and 3 processes
+	$(with) scripts/run-tests $(ARGS)
+
+bench: ## FETI, MUMPS and GAMG on the same Newton step; records in build/compare.json
+	@mkdir -p build
+	$(with) $(python) benchmarks/compare.py --json build/compare.json $(ARGS)
+
+lint: ## style, types, spelling
+	$(with) ruff check .
+	$(with) ruff format --check .
+	$(with) mypy dolfinx_feti
+	$(with) codespell
+	$(with) shellcheck $(shell_scripts)
+
+docs: ## the documentation as HTML in build/docs/
+	$(with) python3 -m sphinx -W -q docs build/docs
+
+clean: ## remove results and caches, not the Debian trees
+	rm -rf build output dist *.egg-info .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

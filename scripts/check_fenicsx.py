@@ -1,0 +1,28 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Say, by exit status and one line on stderr, whether this Python has the FEniCSx that is needed.
+
+Read by `scripts/with-fenicsx` and `scripts/debian-tree`.
+"""
+
+import sys
+from importlib.util import find_spec
+
+for name in "dolfinx", "petsc4py", "mpi4py":
+    if find_spec(name) is None:
+        sys.exit(f"it has no {name}")
+
+try:
+    from petsc4py import PETSc
+
+    import numpy as np
+
+    import dolfinx
+except Exception as error:
+    sys.exit(f"its dolfinx cannot be imported ({error})")
+
+if tuple(int(part) for part in dolfinx.__version__.split(".")[:2]) < (0, 9):
+    sys.exit(f"its dolfinx is {dolfinx.__version__}")
+if PETSc.ScalarType is not np.float64:
+    sys.exit(f"its petsc4py computes with {np.dtype(PETSc.ScalarType).name}")
