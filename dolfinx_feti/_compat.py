@@ -1,0 +1,59 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Differences between dolfinx 0.9, 0.10 and 0.11 and their PETSc, in one place."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+
+__all__ = ["adjacency", "create_function_space", "interpolation_points", "residual_is_nan"]
+
+
+def adjacency(
+    data: npt.NDArray[np.integer], offsets: npt.NDArray[np.int32] | None = None
+) -> object:
+    """Create dolfinx's C++ adjacency list; from 0.10 the Python function wraps it."""
+    links = dolfinx.graph.adjacencylist(data, offsets)
+    return getattr(links, "_cpp_object", links)
+
+
+def create_function_space(
+    V: dolfinx.fem.FunctionSpace, table: npt.NDArray[np.int32], n_blocks: int
+) -> dolfinx.fem.FunctionSpace:
+    """Create a space like V with another dof map, living on this process alone.
+
+    Args:
+        V: Space whose mesh and element are shared.
+        table: Dof (block) of each cell, (cells, dofs a cell).
+        n_blocks: Number of dof blocks.
+    """
+    old = V.dofmap
+    index_map = dolfinx.cpp.common.IndexMap(MPI.COMM_SELF, n_blocks)
+    links = adjacency(table)
+    dofmap = dolfinx.cpp.fem.DofMap(old.dof_layout, index_map, old.index_map_bs, links, old.bs)
+    arguments = [V.mesh._cpp_object, V._cpp_object.element, dofmap]
+    try:  # until 0.9 the value shape is an argument
+        space = dolfinx.cpp.fem.FunctionSpace_float64(*arguments, V.value_shape)
+    except TypeError:
+        space = dolfinx.cpp.fem.FunctionSpace_float64(*arguments)
+    return dolfinx.fem.FunctionSpace(V.mesh, V.ufl_element(), space)
+
+
+def interpolation_points(V: dolfinx.fem.FunctionSpace) -> npt.NDArray[np.float64]:
+    """Return the element's interpolation points; a method until 0.9, an attribute from 0.10."""
+    points = V.element.interpolation_points
+    return np.asarray(points() if callable(points) else points)
+
+
+def residual_is_nan() -> int:
+    """Return SNES's reason for a residual that is no number; PETSc 3.25 renamed it."""
+    reasons = PETSc.SNES.ConvergedReason
+    name = "DIVERGED_FNORM_NAN"
+    return getattr(reasons, name if hasattr(reasons, name) else "DIVERGED_FUNCTION_NANORINF")

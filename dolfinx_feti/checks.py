@@ -1,0 +1,136 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Checks of the user's input, made before any work; they raise on all processes or on none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+
+import basix
+import dolfinx
+import ufl
+
+__all__ = [
+    "check_bcs",
+    "check_linear_forms",
+    "check_nonlinear_forms",
+    "check_pressure_space",
+    "check_scalar_type",
+    "check_space",
+]
+
+
+def check_scalar_type() -> None:
+    """Require a PETSc with real numbers in double precision.
+
+    Raises:
+        TypeError: PETSc is complex or in single precision.
+    """
+    if np.dtype(PETSc.ScalarType) != np.float64:
+        raise TypeError(
+            f"PETSc's scalars are {np.dtype(PETSc.ScalarType)}, but dolfinx_feti needs real double "
+            "precision (float64): set PETSC_ARCH or PETSC_DIR to such a build."
+        )
+
+
+def check_space(V: dolfinx.fem.FunctionSpace) -> None:
+    """Require a continuous, possibly blocked Lagrange element on a mesh in double precision.
+
+    Raises:
+        TypeError: Another element or mesh.
+    """
+    if V.mesh.geometry.x.dtype != np.float64:
+        raise TypeError(
+            f"The mesh has coordinates of type {V.mesh.geometry.x.dtype}, but dolfinx_feti needs "
+            "float64: create it with dtype=numpy.float64."
+        )
+    element = V.ufl_element()
+    family = getattr(element, "element_family", None)
+    if element.discontinuous or family != basix.ElementFamily.P:
+        raise TypeError(
+            f"The space has the element {element}, but tearing needs a continuous Lagrange "
+            "element, scalar or blocked: use ('Lagrange', k) or ('Lagrange', k, (dim,))."
+        )
+
+
+def check_linear_forms(a: ufl.Form, L: ufl.Form, u: dolfinx.fem.Function | None) -> None:
+    """Require a bilinear a and a linear L on one space, and u, if given, in it.
+
+    Raises:
+        ValueError: Another number of arguments, or more than one space.
+    """
+    for name, form, rank in (("a", a, 2), ("L", L, 1)):
+        if len(form.arguments()) != rank:
+            raise ValueError(
+                f"{name} has {len(form.arguments())} test and trial functions, but takes {rank}: "
+                "a(u, v) is bilinear, L(v) linear."
+            )
+    V = a.arguments()[0].ufl_function_space()
+    named = {
+        "a has test and trial functions": a.arguments()[1].ufl_function_space(),
+        "L has a test function": L.arguments()[0].ufl_function_space(),
+        "u lives": V if u is None else u.function_space,
+    }
+    for what, space in named.items():
+        if space._cpp_object != V._cpp_object:
+            raise ValueError(
+                f"{what} on another function space than the test function of a: use one space V."
+            )
+
+
+def check_nonlinear_forms(F: ufl.Form, J: ufl.Form, u: dolfinx.fem.Function) -> None:
+    """Require a residual F(u; v) and a bilinear J on the space of u.
+
+    Raises:
+        ValueError: Another number of arguments, another space, or an F without u.
+    """
+    for name, form, rank in (("F", F, 1), ("J", J, 2)):
+        arguments = form.arguments()
+        if len(arguments) != rank:
+            raise ValueError(
+                f"{name} has {len(arguments)} test and trial functions, but takes {rank}: the "
+                "residual F(u; v) is linear in v, its tangent J bilinear."
+            )
+        if any(a.ufl_function_space() != u.function_space for a in arguments):
+            raise ValueError(
+                f"{name} has a test or trial function on another function space than u: take it "
+                "from u.function_space."
+            )
+    if u not in F.coefficients():
+        raise ValueError(
+            f"The unknown '{u.name}' does not occur in F: pass the Function that F is written in."
+        )
+
+
+def check_pressure_space(Q: dolfinx.fem.FunctionSpace) -> None:
+    """Require scalar piecewise constants, the space of a pressure that can be condensed.
+
+    Raises:
+        TypeError: Another element.
+    """
+    element = Q.ufl_element()
+    if not element.discontinuous or element.embedded_superdegree != 0 or Q.dofmap.bs != 1:
+        raise TypeError(
+            f"condense is a function with the element {element}, but only scalar piecewise "
+            "constants can be eliminated cell by cell: use ('DG', 0)."
+        )
+
+
+def check_bcs(V: dolfinx.fem.FunctionSpace, bcs: Sequence[dolfinx.fem.DirichletBC]) -> None:
+    """Require boundary conditions on V or on its components.
+
+    Raises:
+        ValueError: A condition lives on another space.
+    """
+    for i, bc in enumerate(bcs):
+        space = bc._cpp_object.function_space
+        if space != V._cpp_object and not V._cpp_object.contains(space):
+            raise ValueError(
+                f"bcs[{i}] lives on another function space than the unknown: make it with the "
+                "unknown's own space V, or with V.sub(i) for one component."
+            )

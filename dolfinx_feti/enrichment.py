@@ -1,0 +1,116 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Enrichment: elastic modes of a subdomain that join its rigid body modes.
+
+The algebra of ``pseudoinverse`` is exact for any columns R. Two kinds of eigenvectors pay for their
+coarse unknown:
+
+- *soft* modes, :math:`K y = μ\, k_Γ\, y` with μ below :data:`SOFT`, where :math:`k_Γ` is the
+  stiffness of the interface dofs. A wall is a shell: its subdomains bend at a small fraction of the
+  energy that the same jump costs the neighbour, and a Krylov method pays for each such mode. For a
+  compact subdomain of size H with elements of size h, μ is about h/H, and none is soft.
+- *buckling* modes, :math:`K_ρ y = μ y` with μ < 0: a compressed subdomain gives way without its
+  neighbours, although the assembled matrix is positive definite.
+
+A rough approximation of the eigenvectors is enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse.linalg
+
+__all__ = ["append_orthonormal", "buckling_modes", "soft_modes"]
+
+Array = npt.NDArray[np.float64]
+Solve = Callable[[Array], Array]
+
+#: A mode is soft if its energy is below this share of its interface stiffness.
+SOFT = 5e-3
+
+#: Subdomains up to this size have their eigenvectors computed densely.
+DENSE = 200
+
+#: Lanczos vectors that decide whether there is a soft mode at all.
+LOOK = 8
+
+
+def soft_modes(solve: Solve, weight: Array, most: int) -> Array:
+    """Find the softest modes of a subdomain.
+
+    Args:
+        solve: Applies :math:`K_ρ^{-1}` to columns, (n, r) → (n, r).
+        weight: Stiffness of the interface dofs, zero on the others, (n,).
+        most: Most modes to return.
+
+    Returns:
+        Modes with μ < :data:`SOFT`, (n, up to ``most``).
+    """
+    n, root = len(weight), np.sqrt(weight)
+    most = min(most, np.count_nonzero(weight) // 10)
+    if most == 0:
+        return np.zeros((n, 0))
+
+    def flexible(X: Array) -> Array:
+        return root[:, None] * solve(root[:, None] * X)  # k^½ K_ρ⁻¹ k^½, eigenvalues 1/μ
+
+    if n <= DENSE:
+        inverse = flexible(np.eye(n))
+        values, vectors = np.linalg.eigh(0.5 * (inverse + inverse.T))
+    else:
+        values, _ = _lanczos(flexible, n, 1, "LA", krylov=LOOK, restarts=1)
+        if values.max(initial=0.0) * SOFT < 1.0:
+            return np.zeros((n, 0))
+        values, vectors = _lanczos(flexible, n, most, "LA", krylov=2 * most + 8, restarts=20)
+    soft = np.flatnonzero(values * SOFT > 1.0)[-most:]
+    return solve(root[:, None] * vectors[:, soft])  # y = K_ρ⁻¹ k^½ z
+
+
+def buckling_modes(solve: Solve, n: int, count: int) -> Array:
+    """Approximate the eigenvectors of the negative eigenvalues of :math:`K_ρ`.
+
+    Args:
+        solve: Applies :math:`K_ρ^{-1}` to columns, (n, r) → (n, r).
+        n: Size of the subdomain.
+        count: Number of its negative eigenvalues.
+
+    Returns:
+        Eigenvectors, (n, count): those of the inverse at the lower end of its spectrum.
+    """
+    if n <= max(DENSE, 2 * count + 2):
+        inverse = solve(np.eye(n))
+        return np.linalg.eigh(0.5 * (inverse + inverse.T))[1][:, :count]
+    return _lanczos(solve, n, count, "SA", krylov=max(2 * count + 8, 20), restarts=50)[1]
+
+
+def append_orthonormal(R: Array, Y: Array) -> Array:
+    """Append the columns Y to the orthonormal R, orthonormalised; near repetitions are dropped."""
+    size = np.linalg.norm(Y, axis=0)
+    Y = Y / np.where(size > 0.0, size, 1.0)
+    for _ in range(2):
+        Y = Y - R @ (R.T @ Y)
+    U, sigma, _ = np.linalg.svd(Y, full_matrices=False)
+    return np.hstack([R, U[:, sigma > 1e-6]])
+
+
+def _lanczos(
+    apply: Solve, n: int, count: int, end: str, *, krylov: int, restarts: int
+) -> tuple[Array, Array]:
+    """Return eigenvalues, ascending, and eigenvectors at one end of the spectrum, roughly."""
+    operator = scipy.sparse.linalg.LinearOperator(
+        (n, n), matvec=lambda x: apply(x.reshape(-1, 1)).ravel(), dtype=np.float64
+    )
+    start = np.random.default_rng(n).standard_normal(n)
+    try:
+        values, vectors = scipy.sparse.linalg.eigsh(
+            operator, k=count, which=end, v0=start, ncv=min(n - 1, krylov), tol=1e-2,
+            maxiter=restarts,
+        )  # fmt: skip
+    except scipy.sparse.linalg.ArpackNoConvergence as rough:
+        values, vectors = rough.eigenvalues, rough.eigenvectors
+    order = np.argsort(values)
+    return values[order], vectors[:, order]

@@ -1,0 +1,24 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Log events: the phases of the method as they stand in ``-log_view``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from petsc4py import PETSc
+
+__all__ = ["event"]
+
+
+@contextmanager
+def event(name: str) -> Iterator[None]:
+    """Time a phase under a name, for example ``FETIFactor``."""
+    log = PETSc.Log.Event(name)
+    log.begin()
+    try:
+        yield
+    finally:
+        log.end()

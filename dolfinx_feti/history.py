@@ -1,0 +1,65 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The history of a solve: what each Newton step cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from petsc4py import PETSc
+
+__all__ = ["NewtonStep", "record_step"]
+
+
+@dataclass(frozen=True, slots=True)
+class NewtonStep:
+    """What one Newton step cost.
+
+    Attributes:
+        residual: ‖r‖ before the step.
+        step_length: α.
+        linear_method: Krylov method of the dual system.
+        linear_iterations: Its iterations.
+        linear_residual: ‖K ΔU + r‖/‖r‖ of the assembled system.
+        condition_number: Of the preconditioned dual operator; nan if not known.
+        negative: Negative eigenvalues of the regularised subdomains.
+        seconds_assembly: Time for residual and tangent.
+        seconds_linear: Time for factors and Krylov method.
+    """
+
+    residual: float
+    step_length: float
+    linear_method: str
+    linear_iterations: int
+    linear_residual: float
+    condition_number: float
+    negative: int
+    seconds_assembly: float
+    seconds_linear: float
+
+
+def record_step(
+    ksp: PETSc.KSP, residual: float, alpha: float, *, assembly: float, linear: float
+) -> NewtonStep:
+    """Take down what a FETI solve cost.
+
+    Args:
+        ksp: The solver.
+        residual: ‖r‖ before the step.
+        alpha: Step length.
+        assembly: Seconds of assembly.
+        linear: Seconds of the solve.
+    """
+    feti = ksp.getPythonContext()
+    return NewtonStep(
+        residual=residual,
+        step_length=alpha,
+        linear_method=feti.method,
+        linear_iterations=feti.iterations,
+        linear_residual=feti.residual,
+        condition_number=feti.condition_number,
+        negative=feti.negative,
+        seconds_assembly=assembly,
+        seconds_linear=linear,
+    )

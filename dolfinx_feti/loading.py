@@ -1,0 +1,271 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Load steps: from equilibrium to equilibrium, up (or down) to the wanted loads.
+
+The first steps begin with the tangent of the last equilibrium and the residual of the new load,
+
+.. math:: K'(U_n; t_n)\, ΔU = -r(U_n; t_{n+1}), \qquad t_{n+1} = t_n + Δt,
+
+a prediction along the path: a tangent with the new load and the old stress can be indefinite
+although every equilibrium on the way is stable. Once three equilibria are known, a parabola through
+them predicts the next one, and saves half of the Newton steps.
+
+The increment Δt grows after a quick step, and is halved after a failure, with the last equilibrium
+restored. The wanted loads are met exactly: what is left to the next one is divided into equal
+increments that are not longer than the current one. On the way equilibrium is met roughly, at the
+wanted loads to the solver's own tolerance.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+
+from dolfinx_feti.history import NewtonStep
+from dolfinx_feti.problem import ConvergenceError
+from dolfinx_feti.progress import Progress
+
+__all__ = ["LoadStep", "Steps", "follow_load"]
+
+Array = npt.NDArray[np.float64]
+
+#: Degree of the polynomial through the last equilibria that predicts the next one.
+ORDER = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """How to choose the increments of the load, in the unit of the load.
+
+    Attributes:
+        first: The first increment.
+        least: The increment below which there is no further halving.
+        growth: Factor of the increment after a quick step.
+        quick: Newton steps that count as quick.
+        rtol: Newton's relative tolerance at the loads on the way.
+
+    Raises:
+        ValueError: A number is out of its range.
+    """
+
+    first: float
+    least: float
+    growth: float = 1.15
+    quick: int = 4
+    rtol: float = 1e-3
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if not 0.0 < self.least <= self.first < math.inf:
+            raise ValueError(
+                f"first={self.first} and least={self.least}: increments are positive numbers, and "
+                "the least is not above the first."
+            )
+        if not 1.0 <= self.growth < math.inf:
+            raise ValueError(f"growth={self.growth} is not a number of 1 or more.")
+        if not 0.0 < self.rtol < 1.0:
+            raise ValueError(f"rtol={self.rtol} is not a number between 0 and 1.")
+
+
+@dataclass(frozen=True, slots=True)
+class LoadStep:
+    """An accepted load step.
+
+    Attributes:
+        load: The load that was reached.
+        increment: By how much it grew.
+        history: What each Newton step cost.
+        failures: Attempts with longer increments that failed before.
+        seconds: Time, failures included.
+    """
+
+    load: float
+    increment: float
+    history: tuple[NewtonStep, ...]
+    failures: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Equilibrium:
+    """A load and the values of all functions there."""
+
+    load: float
+    values: list[Array]
+
+
+class Problem(Protocol):
+    """What is asked of a problem; :class:`~dolfinx_feti.NonlinearProblem` has it."""
+
+    u: dolfinx.fem.Function
+    solver: PETSc.SNES
+
+    @property
+    def history(self) -> list[NewtonStep]:
+        """What each Newton step of the last solve cost."""
+
+    def linearise(self) -> None:
+        """Assemble the tangent for the first step of the next solve."""
+
+    def solve(self) -> object:
+        """Solve, or raise ConvergenceError."""
+
+
+def follow_load(
+    problem: Problem,
+    set_load: Callable[[float], object],
+    targets: Sequence[float],
+    steps: Steps,
+    *,
+    state: Sequence[dolfinx.fem.Function],
+    start: float = 0.0,
+    on_step: Callable[[LoadStep], object] | None = None,
+    unit: str = "",
+) -> list[LoadStep]:
+    """Follow the equilibrium from one load through others to the last.
+
+    Args:
+        problem: The nonlinear problem, in equilibrium at the load ``start``.
+        set_load: Sets the load in the user's forms.
+        targets: Loads to be met exactly, one after the other.
+        steps: How to choose the increments.
+        state: All functions that a solve changes, u and a condensed pressure: they are restored
+            after a failure.
+        start: The present load.
+        on_step: Called in each new equilibrium on all processes, for output.
+        unit: Name of the load's unit, for the bar that shows the progress on a terminal.
+
+    Returns:
+        The accepted steps.
+
+    Raises:
+        ValueError: A load is not a finite number.
+        ConvergenceError: No step of the least increment leads on; state and load are those of the
+            last equilibrium.
+
+    Note:
+        Collective.
+    """
+    if not all(math.isfinite(load) for load in (start, *targets)):
+        raise ValueError(f"start={start}, targets={list(targets)}: loads are finite numbers.")
+    path = _Path(problem, set_load, steps, state=state, load=float(start))
+    comm = problem.u.function_space.mesh.comm
+    accepted = []
+    end = [start, *targets][-1]
+    with Progress(problem.solver, comm, start=start, end=end, unit=unit) as bar:
+        for step in path.follow(targets, bar):
+            accepted.append(step)
+            bar.clear()
+            if on_step is not None:
+                on_step(step)
+    return accepted
+
+
+class _Path:
+    """The last equilibria and the increment to the next one."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        set_load: Callable[[float], object],
+        steps: Steps,
+        *,
+        state: Sequence[dolfinx.fem.Function],
+        load: float,
+    ) -> None:
+        self._problem = problem
+        self._set_load = set_load
+        self._steps = steps
+        self._state = list(state)
+        self._increment = steps.first
+        self._past = [_Equilibrium(load, self._values())]
+
+    def follow(self, targets: Sequence[float], bar: Progress) -> Iterator[LoadStep]:
+        """Yield the equilibria on the way."""
+        for target in map(float, targets):
+            while self._past[-1].load != target:
+                yield self._advance(target, bar)
+
+    def _advance(self, target: float, bar: Progress) -> LoadStep:
+        """Find the next equilibrium."""
+        started, failures, before = time.perf_counter(), 0, self._past[-1].load
+        while True:
+            load = self._next(target)
+            bar.attempt(before, load)
+            try:
+                self._attempt(load, rough=load != target)
+                break
+            except ConvergenceError as error:
+                failures += 1
+                self._shorten(abs(load - before), error)
+        others = [known for known in self._past[-ORDER:] if known.load != load]
+        self._past = [*others, _Equilibrium(load, self._values())]
+        history = tuple(self._problem.history)
+        if failures == 0 and len(history) <= self._steps.quick:
+            grown = self._steps.growth * abs(load - before)
+            self._increment = max(self._increment, grown)
+        return LoadStep(load, load - before, history, failures, time.perf_counter() - started)
+
+    def _next(self, target: float) -> float:
+        """Return the load of the next attempt, the target itself at the end."""
+        load = self._past[-1].load
+        count = math.ceil(abs(target - load) / self._increment * (1.0 - 1e-12))
+        return target if count <= 1 else load + (target - load) / count
+
+    def _attempt(self, load: float, *, rough: bool) -> None:
+        """Solve at a new load; on failure restore load and state."""
+        snes = self._problem.solver
+        tolerances = snes.getTolerances()
+        if rough:
+            snes.setTolerances(rtol=max(self._steps.rtol, tolerances[0]))
+        if len(self._past) > ORDER:
+            self._set_values(extrapolate(self._past, load))
+        else:
+            self._problem.linearise()
+        self._set_load(load)
+        try:
+            self._problem.solve()
+        except ConvergenceError:
+            self._set_values(self._past[-1].values)
+            self._set_load(self._past[-1].load)
+            raise
+        finally:
+            snes.setTolerances(*tolerances)
+
+    def _shorten(self, increment: float, error: ConvergenceError) -> None:
+        """Halve the increment, down to the least."""
+        if increment <= self._steps.least:
+            raise ConvergenceError(
+                f"No equilibrium was found beyond a load of {self._past[-1].load:g}: an increment "
+                f"of {increment:g} failed too, and {self._steps.least:g} is the least allowed. "
+                f"{error} Allow smaller increments, or refine the mesh."
+            ) from error
+        self._increment = max(increment / 2, self._steps.least)
+
+    def _values(self) -> list[Array]:
+        return [f.x.array.copy() for f in self._state]
+
+    def _set_values(self, values: list[Array]) -> None:
+        for f, array in zip(self._state, values):
+            f.x.array[:] = array
+
+
+def extrapolate(past: Sequence[_Equilibrium], load: float) -> list[Array]:
+    """Extend the polynomial through equilibria to another load."""
+    weights = []
+    for i, here in enumerate(past):
+        others = [other.load for j, other in enumerate(past) if j != i]
+        weights.append(math.prod((load - t) / (here.load - t) for t in others))
+    columns = zip(*(equilibrium.values for equilibrium in past))
+    return [sum(w * array for w, array in zip(weights, arrays)) for arrays in columns]

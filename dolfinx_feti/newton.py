@@ -1,0 +1,164 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Newton's method as a PETSc SNES, every step solved by FETI.
+
+.. math:: K'(U^k)\, ΔU = \mathcal F - K(U^k), \qquad U^{k+1} = U^k + α\, ΔU
+
+(Augustin_eq:NewtonRecursion_h). The step length α is one unless the trial state turns a cell inside
+out, meets a NaN, or overshoots: with :math:`g(α) = ΔU·r(U + α ΔU)` a step is taken once
+:math:`-η ≤ g(α)/g(0) ≤ 1 + η`, a search for the critical point of the energy along the step. With a
+condensed pressure, g(α) holds :math:`r_u(U + α ΔU, p + α Δp)` and not the condensed residual: what
+condensation adds grows with κ, though it is linear in Δp and the next step removes it.
+"""
+
+from __future__ import annotations
+
+import time
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti._compat import residual_is_nan
+from dolfinx_feti.events import event
+from dolfinx_feti.history import NewtonStep, record_step
+from dolfinx_feti.system import System
+
+__all__ = ["Newton"]
+
+Array = npt.NDArray[np.float64]
+Reason = PETSc.SNES.ConvergedReason
+
+#: By how much g(α)/g(0) of an accepted step may leave the interval from zero to one.
+ETA = 0.8
+
+#: Shortest step that is tried.
+SHORTEST = 1.0 / 64
+
+
+class Newton:
+    """Context of a SNES that drives a :class:`~dolfinx_feti.system.System` with a FETI KSP.
+
+    Attributes:
+        history: A record for each step of the last solve.
+        message: What went wrong and what helps, or an empty string.
+        has_tangent: Whether the matrix already holds the tangent for the first step.
+    """
+
+    def __init__(self, system: System) -> None:
+        """Take the system; the state stays in the user's functions."""
+        self._system = system
+        self.history: list[NewtonStep] = []
+        self.message = ""
+        self.has_tangent = False
+
+    def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
+        """Iterate from the state of the user's functions until the residual is small."""
+        system = self._system
+        comm = snes.comm.tompi4py()
+        self.history, self.message = [], ""
+        has_tangent, self.has_tangent = self.has_tangent, False
+        started = time.perf_counter()
+        r = system.residual()
+        norm = first = _norm(r, comm)
+        if system.least_volume_ratio() <= 0.0:
+            self._stop(snes, Reason.DIVERGED_FUNCTION_DOMAIN, _INVERTED)
+            return
+        reason = self._judge(snes, 0, norm, first)
+        while reason == Reason.ITERATING:
+            if not has_tangent:
+                with event("FETITangent"):
+                    system.linearise()
+            has_tangent = False
+            seconds = time.perf_counter() - started
+            du, linear = self._step(snes, r)
+            if linear.getConvergedReason() < 0:
+                message = linear.getPythonContext().message
+                self._stop(snes, Reason.DIVERGED_LINEAR_SOLVE, f"the linear solver: {message}")
+                break
+            seconds_linear = time.perf_counter() - started - seconds
+            started = time.perf_counter()
+            alpha, r = self._search(system, r, du, comm)
+            self.history.append(
+                record_step(linear, norm, alpha, assembly=seconds, linear=seconds_linear)
+            )
+            if alpha == 0.0:
+                self._stop(snes, Reason.DIVERGED_LINE_SEARCH, _NO_STEP)
+                break
+            norm = _norm(r, comm)
+            reason = self._judge(snes, len(self.history), norm, first)
+        x.array[:] = system.state()[0]
+
+    def _step(self, snes: PETSc.SNES, r: Array) -> tuple[Array, PETSc.KSP]:
+        """Solve K ΔU = −r."""
+        ksp = snes.getKSP()
+        rhs, du = self._system.A.createVecs()
+        rhs.array[:] = -r
+        ksp.setOperators(self._system.A)
+        ksp.solve(rhs, du)
+        step = du.array_r.copy()
+        rhs.destroy()
+        du.destroy()
+        return step, ksp
+
+    def _search(self, system: System, r: Array, du: Array, comm: MPI.Comm) -> tuple[float, Array]:
+        """Find a step length and move there; without one, stay and return zero."""
+        start, step = system.state(), system.increment(du)
+        slope = _dot(du, r, comm)  # g(0) < 0
+        alpha = 1.0
+        while alpha >= SHORTEST:
+            system.set_state((start[0] + alpha * step[0], start[1] + alpha * step[1]))
+            ratio = np.nan
+            if system.least_volume_ratio() > 0.0:
+                trial = system.residual()
+                ratio = _dot(du, system.force, comm) / slope if slope else 0.0
+                if -ETA <= ratio <= 1.0 + ETA:
+                    return alpha, trial
+            secant = 1.0 / (1.0 - ratio) if ratio < 0.0 else 0.5  # zero of the line through g
+            alpha *= min(max(secant, 0.1), 0.5)
+        system.set_state(start)
+        return 0.0, r
+
+    def _judge(self, snes: PETSc.SNES, its: int, norm: float, first: float) -> int:
+        """Monitor and decide whether to go on."""
+        rtol, atol, _, max_it = snes.getTolerances()
+        snes.setIterationNumber(its)
+        snes.setFunctionNorm(norm)
+        snes.logConvergenceHistory(norm, snes.getKSP().getIterationNumber())
+        snes.monitor(its, norm)
+        reason = Reason.ITERATING
+        if not np.isfinite(norm):
+            reason, self.message = residual_is_nan(), _NOT_A_NUMBER
+        elif norm <= atol:
+            reason = Reason.CONVERGED_FNORM_ABS
+        elif norm <= rtol * first:
+            reason = Reason.CONVERGED_FNORM_RELATIVE
+        elif its >= max_it:
+            reason, self.message = Reason.DIVERGED_MAX_IT, _TOO_MANY.format(max_it)
+        snes.setConvergedReason(reason)
+        return reason
+
+    def _stop(self, snes: PETSc.SNES, reason: int, message: str) -> None:
+        self.message = message
+        snes.setConvergedReason(reason)
+
+
+_INVERTED = (
+    "the volume ratio det F is not positive at the start: begin with u = 0 or an admissible state"
+)
+_NO_STEP = "no admissible step length was found: load in smaller steps"
+_NOT_A_NUMBER = (
+    "the residual is NaN or Inf: begin with an admissible state, or load in smaller steps"
+)
+_TOO_MANY = "no convergence within {0} steps: load in smaller steps or raise snes_max_it"
+
+
+def _dot(a: Array, b: Array, comm: MPI.Comm) -> float:
+    return float(comm.allreduce(a @ b))
+
+
+def _norm(r: Array, comm: MPI.Comm) -> float:
+    return float(np.sqrt(_dot(r, r, comm)))

@@ -1,0 +1,170 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Options, read in one place from PETSc's database under the solver's prefix.
+
+========================= ============================================ =========================
+``-feti_type``            ``all_floating``, ``classical``              Dirichlet dofs as rows of B
+``-feti_pc_type``         ``dirichlet``, ``lumped``, ``identity``,     preconditioner M
+                          ``none``
+``-feti_scaling``         ``stiffness``, ``multiplicity``              weights of B_D
+``-feti_coarse_q``        ``preconditioner``, ``diagonal``,            weight Q of the projection
+                          ``identity``
+``-feti_gluing``          ``full``, ``nonred``                         redundancy of B
+``-feti_indefinite``      ``enrich``, ``gmres``, ``error``             subdomains with a negative
+                                                                       eigenvalue: enrich R, leave
+                                                                       it to GMRES, or refuse
+``-feti_coarse_modes``    12                                           soft modes of a subdomain in
+                                                                       the coarse space, at most
+``-feti_stagnation``      200                                          iterations without gain
+``-feti_refine``          10                                           restarts on the residual of
+                                                                       the assembled system
+``-feti_dual_…``          ``ksp_type cg|gmres|fgmres|…``               Krylov method for (λ, s)
+``-feti_local_…``         ``pc_factor_mat_solver_type …``              factors of K_ρ
+``-feti_dirichlet_…``     ``pc_factor_mat_solver_type …``              factors of K_II
+``-feti_coarse_…``        ``ksp_type``, ``pc_type``, …                 solver of N
+========================= ============================================ =========================
+
+The first value is the default.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from petsc4py import PETSc
+
+__all__ = ["FETIOptions", "inserted", "read_options", "reject_other_solvers", "require_prefix"]
+
+CHOICES = {
+    "type": ("all_floating", "classical"),
+    "pc_type": ("dirichlet", "lumped", "identity", "none"),
+    "scaling": ("stiffness", "multiplicity"),
+    "coarse_q": ("preconditioner", "diagonal", "identity"),
+    "gluing": ("full", "nonred"),
+    "indefinite": ("enrich", "gmres", "error"),
+}
+NUMBERS = {"coarse_modes": 12, "stagnation": 200, "refine": 10}
+SUBSOLVERS = {
+    "dual_": ("ksp_",),
+    "local_": ("pc_", "mat_"),
+    "dirichlet_": ("pc_", "mat_"),
+    "coarse_": ("ksp_", "pc_", "mat_"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class FETIOptions:
+    """Choices of one FETI solver; see the table of this module."""
+
+    type: str = "all_floating"
+    pc_type: str = "dirichlet"
+    scaling: str = "stiffness"
+    coarse_q: str = "preconditioner"
+    gluing: str = "full"
+    indefinite: str = "enrich"
+    coarse_modes: int = 12
+    stagnation: int = 200
+    refine: int = 10
+
+    @property
+    def all_floating(self) -> bool:
+        """Whether Dirichlet dofs are rows of B."""
+        return self.type == "all_floating"
+
+
+def read_options(prefix: str) -> FETIOptions:
+    """Read the options ``-<prefix>feti_…``.
+
+    Args:
+        prefix: Prefix of the KSP, possibly empty.
+
+    Raises:
+        ValueError: A value is not among the choices, or an option does not exist.
+    """
+    options = PETSc.Options(prefix + "feti_")
+    values: dict[str, str | int] = {}
+    for name, choices in CHOICES.items():
+        value = options.getString(name, choices[0])
+        if value not in choices:
+            raise ValueError(
+                f"Option -{prefix}feti_{name} is '{value}'; it takes one of: {', '.join(choices)}."
+            )
+        values[name] = value
+    for name, default in NUMBERS.items():
+        number = options.getInt(name, default)
+        if number < 0:
+            raise ValueError(f"Option -{prefix}feti_{name} is {number}; it takes a number ≥ 0.")
+        values[name] = number
+    _reject_unknown(prefix)
+    return FETIOptions(**values)  # type: ignore[arg-type]
+
+
+def _reject_unknown(prefix: str) -> None:
+    """Refuse an option that begins like ours and is none."""
+    known = [*CHOICES, *NUMBERS]
+    passed_on = tuple(solver + part for solver, parts in SUBSOLVERS.items() for part in parts)
+    for key in PETSc.Options().getAll():
+        name = key.removeprefix(prefix + "feti_")
+        if name == key or name in known or name.startswith(passed_on):
+            continue
+        close = difflib.get_close_matches(name, [*known, *passed_on], n=1)
+        hint = f"did you mean -{prefix}feti_{close[0]}" if close else "see docs/options.md"
+        raise ValueError(f"Option -{key} does not exist; {hint}?")
+
+
+def require_prefix(prefix: object) -> str:
+    """Check a ``petsc_options_prefix``.
+
+    Raises:
+        ValueError: It is no string or empty.
+    """
+    if not isinstance(prefix, str) or not prefix:
+        raise ValueError(
+            f"petsc_options_prefix is {prefix!r}; give a non-empty string, the same on all "
+            "processes, for example 'artery_'."
+        )
+    return prefix
+
+
+def reject_other_solvers(prefix: str) -> None:
+    """Refuse options that would put another solver in the place of FETI or of Newton's method.
+
+    Args:
+        prefix: Prefix of the solver.
+
+    Raises:
+        ValueError: ``ksp_type`` or ``snes_type`` is set, and not to ``python``.
+    """
+    for name in ("ksp_type", "snes_type"):
+        value = PETSc.Options(prefix).getString(name, "python")
+        if value != "python":
+            raise ValueError(
+                f"Option -{prefix}{name} is '{value}', but only FETI solves a torn system: leave "
+                f"it out. -{prefix}feti_dual_ksp_type chooses the Krylov method of the dual system."
+            )
+
+
+@contextmanager
+def inserted(prefix: str, petsc_options: Mapping[str, object] | None) -> Iterator[None]:
+    """Put options under a prefix for a while and leave the database as it was.
+
+    Args:
+        prefix: Prefix of each key.
+        petsc_options: Keys without prefix; None or True as a value sets a flag.
+    """
+    database = PETSc.Options()
+    before = database.getAll()
+    keys = {prefix + key: value for key, value in (petsc_options or {}).items()}
+    for key, value in keys.items():
+        database.setValue(key, "" if value is None else value)
+    try:
+        yield
+    finally:
+        for key in keys:
+            database.delValue(key)
+            if key in before:
+                database.setValue(key, before[key])

@@ -1,0 +1,245 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""From a torn matrix to a dual system, in the order of the method.
+
+torn matrix → gluing → generalised inverse (kernels) → preconditioner → coarse problem → dual
+system.
+
+What depends on the pattern only (gluing, symbolic factors) is built once; what depends
+on the values is refreshed when the matrix changes.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_feti.coarse import Coarse
+from dolfinx_feti.dual import ConstraintPreconditioner, DualOperator, DualVector
+from dolfinx_feti.events import event
+from dolfinx_feti.factors import FactorError
+from dolfinx_feti.gluing import create_gluing
+from dolfinx_feti.krylov import Krylov
+from dolfinx_feti.options import FETIOptions
+from dolfinx_feti.preconditioner import PRECONDITIONERS
+from dolfinx_feti.pseudoinverse import PseudoInverse
+from dolfinx_feti.torn import Torn
+
+__all__ = ["Parts", "SetUpError", "is_symmetric"]
+
+#: Krylov methods for symmetric systems.
+SYMMETRIC_METHODS = ("cg", "fcg", "pipecg", "minres", "symmlq")
+
+
+class _Destroyable(Protocol):
+    def destroy(self) -> None: ...
+
+
+class SetUpError(ArithmeticError):
+    """The FETI system cannot be set up; raised on all processes, with the remedy."""
+
+
+class Parts:
+    """All that one torn matrix is turned into.
+
+    Attributes:
+        torn: Blocks and copies.
+        symmetric: Whether K is symmetric.
+        gluing: B and B_D.
+        inverse: K⁺, E and D.
+        preconditioner: M.
+        negative: Negative eigenvalues of K_ρ and D over all subdomains; CG is safe without any.
+        coarse: G and N; after :meth:`update`.
+        operator: The dual system; after :meth:`update`.
+        constraint: Its constraint preconditioner; after :meth:`update`.
+        krylov: Its Krylov method; after :meth:`update`.
+    """
+
+    negative: int
+    coarse: Coarse
+    operator: DualOperator
+    constraint: ConstraintPreconditioner
+    krylov: Krylov
+
+    def __init__(self, A: PETSc.Mat, options: FETIOptions, prefix: str) -> None:
+        """Build what depends on the pattern.
+
+        Args:
+            A: Torn matrix.
+            options: Choices.
+            prefix: Prefix of the KSP, to which ``feti_`` and the sub-solver's name are added.
+
+        Note:
+            Collective.
+        """
+        self.options = options
+        self.prefix = prefix + "feti_"
+        self.torn = Torn(A)
+        require_finite(self.torn)
+        self.symmetric = is_symmetric(self.torn)
+        floating = options.all_floating
+        with event("FETIGluing"):
+            self.gluing = create_gluing(
+                self.torn,
+                all_floating=floating,
+                redundant=options.gluing == "full",
+                stiffness=self.torn.stiffness() if options.scaling == "stiffness" else None,
+            )
+        glued_stiffness = np.zeros(self.torn.n)
+        glued_stiffness[self.gluing.glued] = np.abs(self.torn.stiffness()[self.gluing.glued])
+        self.inverse = PseudoInverse(
+            self.torn,
+            all_floating=floating,
+            symmetric=self.symmetric,
+            buckling=options.indefinite == "enrich",
+            soft=options.coarse_modes,
+            weight=glued_stiffness,
+            prefix=self.prefix + "local_",
+        )
+        self.preconditioner = PRECONDITIONERS[options.pc_type](
+            self.torn,
+            self.gluing,
+            self.inverse.dofs,
+            symmetric=self.symmetric,
+            prefix=self.prefix + "dirichlet_",
+        )
+        self._dual: list[
+            Coarse | DualVector | DualOperator | ConstraintPreconditioner | Krylov
+        ] = []
+
+    def update(self) -> None:
+        """Refresh what depends on the values.
+
+        Raises:
+            SetUpError: A factorisation failed, a kernel is larger than its candidates, or the
+                assembled problem is singular.
+
+        Note:
+            Collective.
+        """
+        require_finite(self.torn)
+        with event("FETIFactor"):
+            self._factor()
+        with event("FETICoarse"):
+            self._destroy_dual()
+            self.coarse = Coarse(
+                self.torn,
+                self.gluing,
+                self.inverse,
+                self.preconditioner,
+                q=self.options.coarse_q,
+                symmetric=self.symmetric,
+                prefix=self.prefix + "coarse_",
+            )
+            self._dual.append(self.coarse)
+            self._check_coarse()
+        local = abs(self.inverse.negative_local())  # −1, not known, counts as negative
+        self.negative = self.torn.comm.allreduce(local + self.inverse.negative_defects())
+        if self.negative and self.symmetric and self.options.indefinite == "error":
+            raise SetUpError(
+                f"{self.negative} local eigenvalues are negative and -{self.prefix}indefinite is "
+                "error: let it be enrich or gmres."
+            )
+        vector = DualVector(self.gluing, self.coarse)
+        self.constraint = ConstraintPreconditioner(
+            self.preconditioner,
+            self.coarse,
+            vector,
+            q_has_m=self.options.coarse_q == "preconditioner",
+        )
+        self.operator = DualOperator(self.gluing, self.inverse, self.coarse, vector)
+        self.krylov = Krylov(
+            self.operator,
+            self.constraint,
+            vector,
+            definite=self.symmetric and self.negative == 0,
+            prefix=self.prefix + "dual_",
+            stagnation=self.options.stagnation,
+        )
+        self._dual += [vector, self.constraint, self.operator, self.krylov]
+        self._check_method()
+
+    def _factor(self) -> None:
+        """Factor K_ρ and K_II; a failure on one process is a failure on all."""
+        cause, zero = "", 0
+        try:
+            self.inverse.update()
+            self.preconditioner.update()
+            zero = int(self.inverse.factors.inertia()[:, 1].clip(min=0).sum())
+        except (FactorError, PETSc.Error) as error:
+            cause = str(error)
+        cause = next((text for text in self.torn.comm.allgather(cause) if text), "")
+        if cause:
+            raise SetUpError(
+                f"A local factorisation failed ({cause}): look for a process that is out of memory."
+            )
+        zero = self.torn.comm.allreduce(zero)
+        if zero:
+            raise SetUpError(
+                f"{zero} zero pivots are left in the regularised subdomains: their kernel is "
+                "larger than the near kernel of the matrix. Attach all rigid body modes with "
+                "dolfinx_feti.set_near_kernel."
+            )
+
+    def _check_coarse(self) -> None:
+        _, zero = self.coarse.solver.inertia()
+        if zero > 0:
+            raise SetUpError(
+                f"The assembled problem is singular, with a kernel of dimension {zero}: the "
+                "Dirichlet conditions leave rigid body motions (or constants) free, in all of the "
+                "body or in a part that is not connected to the rest. Add Dirichlet conditions."
+            )
+
+    def _check_method(self) -> None:
+        method = self.krylov.ksp.getType()
+        if not self.symmetric and method in SYMMETRIC_METHODS:
+            raise SetUpError(
+                f"The matrix is not symmetric, but -{self.prefix}dual_ksp_type is {method}, which "
+                f"takes it to be: use -{self.prefix}dual_ksp_type gmres."
+            )
+
+    def _destroy_dual(self) -> None:
+        for part in reversed(self._dual):
+            part.destroy()
+        self._dual = []
+
+    def destroy(self) -> None:
+        """Free everything, in reverse order."""
+        self._destroy_dual()
+        for part in (self.preconditioner, self.inverse, self.gluing, self.torn):
+            part.destroy()
+
+
+def require_finite(torn: Torn) -> None:
+    """Look for NaN and Inf in the matrix.
+
+    Raises:
+        SetUpError: There are some.
+
+    Note:
+        Collective.
+    """
+    if torn.comm.allreduce(not np.isfinite(torn.K.norm()), op=MPI.LOR):
+        raise SetUpError(
+            "The matrix has entries that are NaN or Inf: look at the coefficients of the form and, "
+            "in a nonlinear problem, at the last step."
+        )
+
+
+def is_symmetric(torn: Torn) -> bool:
+    """Test xᵀ K y = yᵀ K x for one pair of random vectors, up to rounding.
+
+    Note:
+        Collective.
+    """
+    x, y = np.random.default_rng(20140715).standard_normal((2, torn.n))
+    Kx, Ky = torn.multiply(x), torn.multiply(y)
+    local = np.array([y @ Kx - x @ Ky, Kx @ Kx, Ky @ Ky, x @ x, y @ y])
+    skew, *squares = torn.comm.allreduce(local)
+    Kx2, Ky2, x2, y2 = squares
+    return bool(abs(skew) <= 1e-10 * np.sqrt(max(Kx2 * y2, Ky2 * x2)) + 1e-300)

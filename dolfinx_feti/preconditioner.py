@@ -1,0 +1,287 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Preconditioners of the dual operator: none, identity, lumped, Dirichlet.
+
+.. math:: M = \sum_i B_{D,i}\, Y_i\, B_{D,i}^⊤, \qquad
+          Y_i = θ I,\; K_i,\; \begin{pmatrix} 0 & 0 \\ 0 & S_i \end{pmatrix}, \qquad
+          S_i = K_{ΓΓ} - K_{ΓI} K_{II}^{-1} K_{IΓ}
+
+(Augustin_eq:feti_preconditioner, Augustin_eq:LumpedVK, Augustin_eq:DirichletVK); the paper writes
+:math:`M^{-1}` for this matrix and has θ = 1. Here θ is the mean stiffness of an interface dof; it
+puts the spectrum of M F around one: the constraint preconditioner (``dual``) has eigenvalues one
+besides, and where they lie far outside, rounding errors grow without bound.
+
+With the jump r = B u − c, the force :math:`t = Y B_D^⊤ r` is what the averaged displacement
+:math:`u - E_Γ B_D^⊤ r` leaves out of balance, so that :math:`\|T^⊤ t\|` is the residual of the
+*assembled* system (:math:`E_Γ` extends an interface displacement to the interior: harmonically for
+the Dirichlet preconditioner, by zero otherwise).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+
+from dolfinx_feti.factors import BlockFactors
+from dolfinx_feti.gluing import Gluing
+from dolfinx_feti.torn import Torn
+
+__all__ = ["PRECONDITIONERS", "Preconditioner"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+
+
+class Preconditioner(ABC):
+    """M = B_D Y B_Dᵀ; a subclass says what Y does on the torn interface.
+
+    Attributes:
+        interface: Glued free dofs Γ of each subdomain.
+        interior: The other free dofs I of each subdomain.
+        factors: Interior factors, if the preconditioner has any.
+    """
+
+    factors: BlockFactors | None = None
+
+    def __init__(
+        self, torn: Torn, gluing: Gluing, dofs: list[Indices], *, symmetric: bool, prefix: str
+    ) -> None:
+        """Prepare the work vectors.
+
+        Args:
+            torn: The torn matrix.
+            gluing: Its jump operators.
+            dofs: Free torn dofs of each subdomain.
+            symmetric: Whether K is symmetric.
+            prefix: Options prefix of the interior factorisations.
+        """
+        self.torn = torn
+        self.B_D = gluing.B_D
+        glued = np.zeros(torn.n, dtype=bool)
+        glued[gluing.glued] = True
+        self.interface = [rows[glued[rows]] for rows in dofs]
+        self.interior = [rows[~glued[rows]] for rows in dofs]
+        self.symmetric = symmetric
+        self.prefix = prefix
+        self._w = self.B_D.createVecRight()
+        self._t = self.B_D.createVecRight()
+
+    def update(self) -> None:  # noqa: B027  # nothing to take over unless a subclass says so
+        """Take over the current K.
+
+        Raises:
+            FactorError: A factorisation failed. Not collective: the caller reduces.
+        """
+
+    def mult(self, r: PETSc.Vec, z: PETSc.Vec) -> None:
+        """Apply the preconditioner to a jump r, z = M r, and keep the force t = Y B_Dᵀ r."""
+        self.B_D.multTranspose(r, self._w)  # w = B_Dᵀ r
+        t = np.zeros(self.torn.n)
+        self.apply(self._w.array_r, t)
+        self._t.array[:] = t
+        self.B_D.mult(self._t, z)  # z = B_D Y w
+
+    def product(self, G: PETSc.Mat) -> PETSc.Mat:
+        """Form the sparse product M G, (m, K); the caller destroys it."""
+        W = self.B_D.transposeMatMult(G)  # W = B_Dᵀ G
+        indptr, indices, data = W.getValuesCSR()
+        shape = (self.torn.n, G.getSize()[1])
+        columns = scipy.sparse.csr_array((data, indices, indptr), shape=shape)
+        blocks = [self._image(i, columns[rows]) for i, rows in enumerate(self.interface)]
+        YW = block_columns(self.torn, self.interface, blocks, G.getSizes()[1])
+        MG = self.B_D.matMult(YW)  # M G = B_D Y B_Dᵀ G
+        W.destroy()
+        YW.destroy()
+        return MG
+
+    def _image(self, i: int, W: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
+        """Apply Y_i to the non-zero columns of W, (n_Γ, K)."""
+        support = np.unique(W.indices)
+        image = self.apply_many(i, W[:, support].toarray())
+        indptr = np.arange(len(image) + 1) * len(support)
+        return scipy.sparse.csr_array(
+            (image.ravel(), np.tile(support, len(image)), indptr), shape=W.shape
+        )
+
+    @abstractmethod
+    def apply(self, w: Array, t: Array) -> None:
+        """Apply t = Y w, both (n,), w zero off the interface, t zero on entry."""
+
+    @abstractmethod
+    def apply_many(self, i: int, W: Array) -> Array:
+        """Apply Y_i to the columns W on the interface of subdomain i, (n_Γ, r) → (n_Γ, r)."""
+
+    def extend(self, w: Array) -> Array:
+        """Extend an interface displacement to the interior, E_Γ w, (n,)."""
+        return w
+
+    def imbalance(self, r: PETSc.Vec) -> Array:
+        """Return the torn force K E_Γ B_Dᵀ r, (n,): the last t if r is the last argument."""
+        return self._t.array_r
+
+    def destroy(self) -> None:
+        """Free the work vectors and factors."""
+        self._w.destroy()
+        self._t.destroy()
+        if self.factors is not None:
+            self.factors.destroy()
+
+
+class Identity(Preconditioner):
+    """Y = θ I (Augustin_eq:feti_preconditioner)."""
+
+    def __init__(
+        self, torn: Torn, gluing: Gluing, dofs: list[Indices], *, symmetric: bool, prefix: str
+    ) -> None:
+        """Find θ; see the base class. Collective."""
+        super().__init__(torn, gluing, dofs, symmetric=symmetric, prefix=prefix)
+        k = np.abs(torn.K.getDiagonal().array_r[gluing.glued])
+        total, count = torn.comm.allreduce(np.array([k.sum(), len(k)]))
+        self.theta = total / count if total > 0.0 else 1.0
+
+    def apply(self, w: Array, t: Array) -> None:
+        t[:] = self.theta * w
+
+    def apply_many(self, i: int, W: Array) -> Array:
+        return self.theta * W
+
+    def imbalance(self, r: PETSc.Vec) -> Array:
+        self.B_D.multTranspose(r, self._w)
+        return self.torn.multiply(self._w.array_r)  # K B_Dᵀ r
+
+
+class Unpreconditioned(Identity):
+    """M = θ I, without scaled jumps."""
+
+    def mult(self, r: PETSc.Vec, z: PETSc.Vec) -> None:
+        r.copy(z)
+        z.scale(self.theta)
+
+    def product(self, G: PETSc.Mat) -> PETSc.Mat:
+        MG = G.copy()
+        MG.scale(self.theta)
+        return MG
+
+
+class Lumped(Preconditioner):
+    """Y = K (Augustin_eq:LumpedVK): no factor, one product with the local matrix."""
+
+    def apply(self, w: Array, t: Array) -> None:
+        t[:] = self.torn.multiply(w)  # t = K w
+
+    def apply_many(self, i: int, W: Array) -> Array:
+        Γ = self.interface[i]
+        return product_many(self.torn.K, Γ, Γ, W)  # K_ΓΓ W
+
+
+class Dirichlet(Preconditioner):
+    """Y = S, the Schur complement on the interface (Augustin_eq:DirichletVK).
+
+    Besides one interior factor a subdomain it keeps the interface rows of K, (n_Γ, n).
+    """
+
+    factors: BlockFactors
+
+    def __init__(
+        self, torn: Torn, gluing: Gluing, dofs: list[Indices], *, symmetric: bool, prefix: str
+    ) -> None:
+        """Prepare the interior factorisations; see the base class."""
+        super().__init__(torn, gluing, dofs, symmetric=symmetric, prefix=prefix)
+        self.factors = BlockFactors(torn.K, self.interior, prefix=prefix, symmetric=symmetric)
+        self._Γ = _index_set(np.concatenate([*self.interface, np.zeros(0, dtype=np.int32)]))
+        self._all = _index_set(np.arange(torn.n, dtype=np.int32))
+        self._rows: PETSc.Mat | None = None
+        self._columns: PETSc.Mat | None = None
+
+    def update(self) -> None:
+        self.factors.update()
+        self._rows = self.torn.K.createSubMatrix(self._Γ, self._all, self._rows)  # K_Γ
+        if not self.symmetric:
+            self._columns = self.torn.K.createSubMatrix(self._all, self._Γ, self._columns)
+
+    def apply(self, w: Array, t: Array) -> None:
+        Γ = self._Γ.getIndices()
+        y = self._interface_columns(w[Γ])  # y = K w
+        x = np.zeros_like(y)
+        self.factors.solve(y, x)  # x = K_II⁻¹ K_IΓ w
+        t[Γ] = y[Γ] - _mult(self._rows, x)  # S w = K_ΓΓ w − K_ΓI x
+
+    def apply_many(self, i: int, W: Array) -> Array:
+        Γ, I = self.interface[i], self.interior[i]  # noqa: E741
+        K = self.torn.K
+        X = self.factors.solve_many(i, product_many(K, I, Γ, W))  # K_II⁻¹ K_IΓ W
+        return product_many(K, Γ, Γ, W) - product_many(K, Γ, I, X)
+
+    def extend(self, w: Array) -> Array:
+        x = np.zeros_like(w)
+        self.factors.solve(self._interface_columns(w[self._Γ.getIndices()]), x)
+        return w - x  # harmonic: −K_II⁻¹ K_IΓ w inside
+
+    def _interface_columns(self, w: Array) -> Array:
+        if self.symmetric:
+            return _mult(self._rows, w, transpose=True)
+        return _mult(self._columns, w)
+
+    def destroy(self) -> None:
+        super().destroy()
+        for owned in (self._Γ, self._all, self._rows, self._columns):
+            if owned is not None:
+                owned.destroy()
+
+
+PRECONDITIONERS: dict[str, type[Preconditioner]] = {
+    "dirichlet": Dirichlet,
+    "identity": Identity,
+    "lumped": Lumped,
+    "none": Unpreconditioned,
+}
+
+
+def product_many(K: PETSc.Mat, rows: Indices, columns: Indices, X: Array) -> Array:
+    """Return ``K[rows, columns] X`` for a dense X, (len(columns), r)."""
+    if 0 in (len(rows), len(columns), X.shape[1]):
+        return np.zeros((len(rows), X.shape[1]))
+    row_set, column_set = _index_set(rows), _index_set(columns)
+    block = K.createSubMatrix(row_set, column_set)
+    dense = PETSc.Mat().createDense(X.shape, array=np.asfortranarray(X), comm=PETSc.COMM_SELF)
+    dense.assemble()
+    image = block.matMult(dense)
+    Y = image.getDenseArray().copy()
+    for owned in (row_set, column_set, block, dense, image):
+        owned.destroy()
+    return Y
+
+
+def block_columns(
+    torn: Torn, rows: list[Indices], blocks: list[scipy.sparse.csr_array], sizes: tuple[int, int]
+) -> PETSc.Mat:
+    """Put row blocks into one distributed matrix, (n_torn, K); rows not named are empty."""
+    stacked = scipy.sparse.vstack([*blocks, scipy.sparse.csr_array((0, sizes[1]))], format="csr")
+    source = np.concatenate([*rows, np.zeros(0, dtype=np.int32)])
+    select = scipy.sparse.csr_array(
+        (np.ones(len(source)), (source, np.arange(len(source)))), shape=(torn.n, len(source))
+    )
+    placed = scipy.sparse.csr_array(select @ stacked)
+    placed.sort_indices()
+    csr = (placed.indptr.astype(PETSc.IntType), placed.indices.astype(PETSc.IntType), placed.data)
+    return PETSc.Mat().createAIJ(((torn.n, None), sizes), csr=csr, comm=torn.A.comm)
+
+
+def _mult(K: PETSc.Mat, x: Array, *, transpose: bool = False) -> Array:
+    y = np.zeros(K.getSize()[1 if transpose else 0])
+    x_vec = PETSc.Vec().createWithArray(np.ascontiguousarray(x), comm=PETSc.COMM_SELF)
+    y_vec = PETSc.Vec().createWithArray(y, comm=PETSc.COMM_SELF)
+    (K.multTranspose if transpose else K.mult)(x_vec, y_vec)
+    x_vec.destroy()
+    y_vec.destroy()
+    return y
+
+
+def _index_set(rows: Indices) -> PETSc.IS:
+    return PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=PETSc.COMM_SELF)

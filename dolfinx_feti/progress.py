@@ -1,0 +1,91 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A bar that shows the progress of a load on a terminal, and nothing elsewhere."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from types import TracebackType
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+__all__ = ["Progress"]
+
+#: Characters of the bar itself.
+WIDTH = 24
+
+
+class Progress:
+    """Shows on the first process, if its stderr is a terminal, how far the load has come.
+
+    The line says which load is attempted from where, and the Newton step and residual that the
+    SNES's monitor last reported. As a context manager it leaves the terminal as it was.
+    """
+
+    def __init__(
+        self, snes: PETSc.SNES, comm: MPI.Comm, *, start: float, end: float, unit: str = ""
+    ) -> None:
+        """Hook into the monitor of a SNES.
+
+        Args:
+            snes: The solver of the load steps.
+            comm: Its communicator.
+            start: Load at the beginning.
+            end: Load at the end.
+            unit: Name of the load's unit.
+        """
+        self._start, self._end = start, end
+        self._unit = f" {unit}" if unit else ""
+        self._text = ""
+        self._done = 0.0
+        self._shown = comm.rank == 0 and sys.stderr.isatty()
+        if self._shown:
+            snes.setMonitor(self._newton)
+
+    def attempt(self, load: float, to: float) -> None:
+        """Say that a step from one load to another begins.
+
+        Args:
+            load: The present load.
+            to: The attempted load.
+        """
+        span = self._end - self._start
+        self._done = (load - self._start) / span if span else 1.0
+        self._text = f"{load:.4g} → {to:.4g} of {self._end:g}{self._unit}"
+        self._show("")
+
+    def _newton(self, _snes: PETSc.SNES, its: int, norm: float) -> None:
+        self._show(f"  Newton {its}  ‖r‖ = {norm:.1e}")
+
+    def _show(self, more: str) -> None:
+        if not self._shown:
+            return
+        filled = round(WIDTH * min(max(self._done, 0.0), 1.0))
+        bar = "█" * filled + "░" * (WIDTH - filled)
+        columns = shutil.get_terminal_size().columns - 1
+        line = f"{bar} {100 * self._done:3.0f} %  {self._text}{more}"[:columns]
+        sys.stderr.write(f"\r\x1b[K{line}")
+        sys.stderr.flush()
+
+    def clear(self) -> None:
+        """Clear the line, for other output."""
+        if self._shown:
+            sys.stderr.write("\r\x1b[K")
+            sys.stderr.flush()
+
+    def __enter__(self) -> Progress:
+        """Begin."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Clear the line and fall silent."""
+        self.clear()
+        self._shown = False

@@ -1,0 +1,221 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The generalised inverse K⁺, exact under prestress.
+
+With the orthonormal modes R of a subdomain, (n_i, k), and a stiffness ρ > 0, the regularised
+
+.. math:: K_ρ = K + ρ\, R R^⊤, \qquad K^+ = K_ρ^{-1},
+
+is regular and :math:`K K^+ K = K` as long as :math:`K R = 0`. Under prestress the rotations leave
+the kernel. For *any* K, put :math:`s = R^⊤ u` and
+
+.. math:: E = ρ\, K_ρ^{-1} R, \qquad D = ρ\, (I - R^⊤ E), \qquad
+          u = K^+(f - B^⊤ λ) + E s, \qquad E^⊤(f - B^⊤ λ) = D s.
+
+With :math:`K R = 0` these are :math:`E = R`, :math:`D = 0` and the paper's equations
+(Augustin_eq:localSolutions). The factor carries R as a border (``factors``), and one solve with the
+border yields E and D at once, without cancellation:
+
+.. math:: \begin{pmatrix} K & ρ R \\ ρ R^⊤ & -ρ I \end{pmatrix}
+          \begin{pmatrix} E \\ -D/ρ \end{pmatrix} =
+          \begin{pmatrix} 0 \\ ρ I \end{pmatrix}.
+
+A few elastic modes may join R (``enrichment``): soft ones, for speed, and those that buckle, which
+makes K_ρ positive definite and leaves the negative curvature to D. They stay in R for later
+matrices.
+
+Fixing dofs (Brzobohatý et al. 2011) keep the sparsity as well, but are too weak a support: held in
+a few points, a compressed subdomain still gives way, and K_ρ gets more negative eigenvalues.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.enrichment import append_orthonormal, buckling_modes, soft_modes
+from dolfinx_feti.factors import BlockFactors
+from dolfinx_feti.kernel import kernel_basis
+from dolfinx_feti.torn import Torn
+
+__all__ = ["PseudoInverse"]
+
+Array = npt.NDArray[np.float64]
+
+#: ‖K R‖ below this multiple of ‖K‖‖R‖ counts as zero: rounding of the assembly.
+KERNEL_TOLERANCE = 1e-12
+
+#: Rounds of enrichment of one subdomain for one matrix.
+ENRICHMENTS = 3
+
+#: An eigenvalue of D above this multiple of −ρ counts as zero: rounding of the local solves.
+DEFECT_TOLERANCE = 1e-13
+
+
+class PseudoInverse:
+    """K⁺ of every subdomain, with its kernel.
+
+    Attributes:
+        fixed: Mask of the torn dofs that are fixed in the local matrices (classical), (n,).
+        dofs: Free torn dofs of each subdomain.
+        factors: The bordered factors.
+        rigid: Number of rigid body modes of each subdomain.
+        E: For each subdomain the kernel or its regularised stand-in, (n_i, k_i).
+        E_left: The same for :math:`K^⊤`; the identical list if K is symmetric.
+        D: For each subdomain the defect of the kernel, (k_i, k_i); zero while K R = 0.
+        exact: Whether K R = 0 holds, for each subdomain.
+        rho: The stiffness ρ of each subdomain.
+    """
+
+    def __init__(
+        self,
+        torn: Torn,
+        *,
+        all_floating: bool,
+        symmetric: bool,
+        buckling: bool,
+        soft: int,
+        weight: Array,
+        prefix: str,
+    ) -> None:
+        """Prepare the factorisations.
+
+        Args:
+            torn: The torn matrix.
+            all_floating: Leave the Dirichlet dofs free; otherwise they are fixed here.
+            symmetric: Whether K is symmetric.
+            buckling: Let modes with a negative eigenvalue join R.
+            soft: Most soft modes of a subdomain that join R.
+            weight: Stiffness of the interface dofs, zero on the others, (n,).
+            prefix: Options prefix of the factorisations.
+        """
+        self._torn = torn
+        self._symmetric = symmetric
+        self.fixed = torn.dirichlet & (not all_floating)
+        self.dofs = [dofs[~self.fixed[dofs]] for dofs in torn.subdomains]
+        self.factors = BlockFactors(torn.K, self.dofs, prefix=prefix, symmetric=symmetric)
+        self._buckling = buckling and symmetric
+        self._soft = [soft] * len(self.dofs)  # modes still to be looked for
+        self._weight = weight
+        self._elastic: list[Array] = [np.zeros((len(dofs), 0)) for dofs in self.dofs]
+        self.rigid: npt.NDArray[np.int64] = np.zeros(len(self.dofs), dtype=np.int64)
+        self._dimensions: npt.NDArray[np.int64] = np.zeros(len(self.dofs), dtype=np.int64)
+        self.E: list[Array] = []
+        self.E_left: list[Array] = []
+        self.D: list[Array] = []
+        self.exact: list[bool] = []
+        self.rho: Array = np.zeros(0)
+
+    def update(self) -> None:
+        """Find the kernels of the current K and factor.
+
+        Raises:
+            FactorError: A factorisation failed. Not collective: the caller reduces.
+        """
+        modes = self._torn.near_kernel()
+        R = [kernel_basis(modes[dofs], self.fixed[dofs]) for dofs in self._torn.subdomains]
+        self.rigid = np.array([R_i.shape[1] for R_i in R], dtype=np.int64)
+        self.rho = self.factors.norms()
+        self.exact = self._test(R)
+        R = [append_orthonormal(R_i, Y) for R_i, Y in zip(R, self._elastic, strict=True)]
+        self.factors.update(R, self.rho)
+        R = [self._enriched(i, R_i) for i, R_i in enumerate(R)]
+        self._dimensions = np.array([R_i.shape[1] for R_i in R], dtype=np.int64)
+        self.E, self.D = self._stand_ins(R, transpose=False)
+        self.E_left = self.E
+        if not self._symmetric:
+            self.E_left, _ = self._stand_ins(R, transpose=True)
+
+    def solve(self, y: Array, x: Array) -> None:
+        """Apply the generalised inverse, x = K⁺ y, both (n,); zero on fixed dofs."""
+        x[self.fixed] = 0.0
+        self.factors.solve(y, x)
+
+    def kernel_dimensions(self) -> npt.NDArray[np.int64]:
+        """Return k_i for each subdomain: rigid body modes and elastic modes that joined them."""
+        return self._dimensions
+
+    def negative_local(self) -> int:
+        """Count the negative eigenvalues of all K_ρ of this process; −1 if it is not known."""
+        inertia = self.factors.inertia()[:, 0]
+        if np.any(inertia < 0):
+            return -1
+        return int(inertia.sum())
+
+    def negative_defects(self) -> int:
+        """Count the negative eigenvalues of D on this process, above rounding."""
+        return sum(
+            int(np.count_nonzero(np.linalg.eigvalsh(0.5 * (D + D.T)) < -DEFECT_TOLERANCE * ρ))
+            for D, ρ in zip(self.D, self.rho, strict=True)
+        )
+
+    def _enriched(self, i: int, R: Array) -> Array:
+        """Let soft modes join R, once, and buckling modes until K_ρ has none left."""
+        if self._soft[i]:
+            weight = self._weight[self.dofs[i]]
+            R = self._joined(i, R, soft_modes(self._solver(i), weight, self._soft[i]))
+            self._soft[i] = 0
+        for _ in range(ENRICHMENTS if self._buckling else 0):
+            count = self.factors.inertia_of(i)[0]
+            if count <= 0:
+                break
+            R = self._joined(i, R, buckling_modes(self._solver(i), len(R), count))
+        return R
+
+    def _joined(self, i: int, R: Array, Y: Array) -> Array:
+        """Append the modes Y to R and factor with the wider border."""
+        wider = append_orthonormal(R, Y)
+        if wider.shape[1] == R.shape[1]:
+            return R
+        self.factors.update_block(i, wider, self.rho[i])
+        if self.factors.inertia_of(i)[1] > 0:  # a border that the factor cannot tell from zero
+            self.factors.update_block(i, R, self.rho[i])
+            return R
+        self._elastic[i] = np.hstack([self._elastic[i], wider[:, R.shape[1] :]])
+        self.exact[i] = False
+        return wider
+
+    def _solver(self, i: int) -> Callable[[Array], Array]:
+        return lambda X: self.factors.solve_many(i, X)
+
+    def _test(self, R: Sequence[Array]) -> list[bool]:
+        """Decide for each subdomain whether K R = 0 up to rounding."""
+        defects = zip(self._multiply(R), self._multiply(R, transpose=True), self.rho, strict=True)
+        return [
+            bool(max(float(np.linalg.norm(KR)), float(np.linalg.norm(KtR))) <= KERNEL_TOLERANCE * ρ)
+            and Y.shape[1] == 0
+            for (KR, KtR, ρ), Y in zip(defects, self._elastic, strict=True)
+        ]
+
+    def _stand_ins(self, R: Sequence[Array], *, transpose: bool) -> tuple[list[Array], list[Array]]:
+        """Return E and D of every subdomain; R and 0 where K R = 0."""
+        E, D = [], []
+        for i, R_i in enumerate(R):
+            E_i, defect = R_i, np.zeros((R_i.shape[1], R_i.shape[1]))
+            if not self.exact[i]:
+                x, mu = self.factors.solve_border(i, transpose=transpose)
+                E_i, defect = self.rho[i] * x, -(self.rho[i] ** 2) * mu
+            E.append(E_i)
+            D.append(0.5 * (defect + defect.T) if self._symmetric else defect)
+        return E, D
+
+    def _multiply(self, X: Sequence[Array], *, transpose: bool = False) -> list[Array]:
+        """Return K_i X_i for every subdomain."""
+        image = [np.zeros_like(X_i) for X_i in X]
+        for j in range(max((X_i.shape[1] for X_i in X), default=0)):
+            column = np.zeros(self._torn.n)
+            for dofs, X_i in zip(self.dofs, X, strict=True):
+                if j < X_i.shape[1]:
+                    column[dofs] = X_i[:, j]
+            product = self._torn.multiply(column, transpose=transpose)
+            for dofs, Y in zip(self.dofs, image, strict=True):
+                if j < Y.shape[1]:
+                    Y[:, j] = product[dofs]
+        return image
+
+    def destroy(self) -> None:
+        """Free the factors."""
+        self.factors.destroy()

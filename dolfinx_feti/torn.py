@@ -1,0 +1,268 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The torn matrix: the seam between the finite elements and the dual method.
+
+Tearing (Augustin_eq:reordered) replaces the assembled matrix by
+
+.. math:: A = T^\top K\, T, \qquad K = \operatorname{diag}(K_1, …, K_p),
+
+where the boolean :math:`T` copies a dof to every subdomain that holds it. PETSc's name for this
+pair is MATIS: a block-diagonal local matrix on each process and the map *torn dof → dof*. What
+else the dual method has to know travels on the matrix itself, as PETSc objects:
+
+===================== ======================== ====================================================
+what                  where                    shape
+===================== ======================== ====================================================
+near kernel           ``setNearNullSpace``     vectors of the assembled problem (rigid body modes
+                                               of the *deformed* body; constants for a scalar)
+Dirichlet dofs        ``compose("dirichlet")`` index set of global dofs, any process may name any
+scaling stiffness     ``compose("stiffness")`` sequential vector, one entry a torn dof
+===================== ======================== ====================================================
+
+A subdomain is a connected component of the graph of the local matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+import scipy.sparse.csgraph
+
+__all__ = ["Torn", "create_torn_matrix", "set_near_kernel"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+
+
+def create_torn_matrix(
+    K: PETSc.Mat,
+    torn_to_global: npt.NDArray[np.integer],
+    sizes: tuple[int, int],
+    *,
+    comm: MPI.Comm,
+    dirichlet: npt.NDArray[np.integer] | None = None,
+    stiffness: Array | None = None,
+) -> PETSc.Mat:
+    """Wrap a block-diagonal local matrix as the MATIS :math:`A = T^⊤ K T`.
+
+    Args:
+        K: Sequential matrix of this process's subdomains, (n_torn, n_torn). Not copied.
+        torn_to_global: Global *block* index of each torn block, (n_torn / bs,).
+        sizes: Owned and global number of dofs of the assembled problem.
+        comm: Communicator of the assembled problem.
+        dirichlet: Global dofs with a prescribed value; in ``K`` they are left free.
+        stiffness: Weight of each torn dof for the stiffness scaling, (n_torn,); the diagonal of
+            ``K`` if not given.
+
+    Returns:
+        The torn matrix; the caller destroys it.
+
+    Note:
+        Collective on ``comm``.
+    """
+    bs = K.getBlockSize()
+    lgmap = PETSc.LGMap().create(
+        np.asarray(torn_to_global, dtype=PETSc.IntType), bsize=bs, comm=comm
+    )
+    A = PETSc.Mat().create(comm)
+    A.setSizes((sizes, sizes), bsize=bs)
+    A.setType(PETSc.Mat.Type.IS)
+    A.setISAllowRepeated(True)
+    A.setLGMap(lgmap, lgmap)
+    A.setISLocalMat(K)
+    A.assemble()
+    lgmap.destroy()
+    if dirichlet is not None:
+        dofs = np.asarray(dirichlet, dtype=PETSc.IntType)
+        A.compose("dirichlet", PETSc.IS().createGeneral(dofs, comm=comm))
+    if stiffness is not None:
+        weight = PETSc.Vec().createWithArray(stiffness.copy(), comm=PETSc.COMM_SELF)
+        A.compose("stiffness", weight)
+    return A
+
+
+def set_near_kernel(A: PETSc.Mat, modes: Sequence[PETSc.Vec]) -> None:
+    """Attach the near kernel (rigid body modes, constants) of the assembled problem to ``A``.
+
+    Args:
+        A: Torn matrix.
+        modes: Linearly independent vectors; orthonormalised in place by Gram–Schmidt.
+    """
+    for j, mode in enumerate(modes):
+        for _ in range(2):  # once more: the first pass leaves rounding of the size of the mode
+            for other in modes[:j]:
+                mode.axpy(-mode.dot(other), other)
+            mode.normalize()
+    space = PETSc.NullSpace().create(vectors=list(modes), comm=A.comm)
+    A.setNearNullSpace(space)
+    space.destroy()
+
+
+class Torn:
+    """What the dual method reads of a torn matrix: blocks, copies, near kernel, Dirichlet dofs.
+
+    Attributes:
+        A: The MATIS.
+        K: Its local block-diagonal matrix, (n, n) on this process.
+        n: Number of torn dofs of this process.
+        start: First torn dof of this process in the numbering over all processes.
+        subdomains: For each subdomain its torn dofs, ascending.
+        dirichlet: Mask of the torn dofs with a prescribed value, (n,).
+        owned: Number of dofs of the assembled problem that this process owns.
+    """
+
+    def __init__(self, A: PETSc.Mat) -> None:
+        """Read the pattern of ``A``.
+
+        Args:
+            A: Torn matrix, see :func:`create_torn_matrix`.
+
+        Raises:
+            TypeError: ``A`` is no MATIS.
+            ValueError: Its local matrices are not square or not SeqAIJ.
+        """
+        if A.getType() != PETSc.Mat.Type.IS:
+            raise TypeError(
+                f"The matrix has type '{A.getType()}', but FETI needs the torn matrix (MATIS): "
+                "make it with dolfinx_feti.create_torn_matrix, or use dolfinx_feti.LinearProblem."
+            )
+        self.A = A
+        self.comm = A.comm.tompi4py()
+        self.K = A.getISLocalMat()
+        self.n = self.K.getSize()[0]
+        bad = self.K.getSize()[0] != self.K.getSize()[1] or "aij" not in self.K.getType()
+        if self.comm.allreduce(bad, op=MPI.LOR):
+            raise ValueError(
+                f"The local matrix has type '{self.K.getType()}' and size {self.K.getSize()}; "
+                "FETI needs square AIJ matrices, one block a subdomain."
+            )
+        self.start = self.comm.scan(self.n) - self.n
+        self.owned = A.getLocalSize()[0]
+        self.subdomains = connected_blocks(self.K)
+        self._sf = copy_forest(A)
+        self.dirichlet = self._dirichlet_mask()
+
+    def multiply(self, t: Array, *, transpose: bool = False) -> Array:
+        """Return K t, or Kᵀ t, (n,)."""
+        y = np.zeros(self.n)
+        t_vec = PETSc.Vec().createWithArray(np.ascontiguousarray(t), comm=PETSc.COMM_SELF)
+        y_vec = PETSc.Vec().createWithArray(y, comm=PETSc.COMM_SELF)
+        (self.K.multTranspose if transpose else self.K.mult)(t_vec, y_vec)
+        t_vec.destroy()
+        y_vec.destroy()
+        return y
+
+    def tear(self, x: PETSc.Vec) -> Array:
+        """Copy an assembled vector to the subdomains, :math:`T x`, (n,)."""
+        torn = np.zeros(self.n)
+        root = np.ascontiguousarray(x.array_r)
+        self._sf.bcastBegin(MPI.DOUBLE, root, torn, MPI.REPLACE)
+        self._sf.bcastEnd(MPI.DOUBLE, root, torn, MPI.REPLACE)
+        return torn  # T x
+
+    def assemble(self, torn: Array) -> Array:
+        """Sum the copies of each owned dof, :math:`T^⊤ t`, (owned,)."""
+        root = np.zeros(self.owned)
+        leaf = np.ascontiguousarray(torn)
+        self._sf.reduceBegin(MPI.DOUBLE, leaf, root, MPI.SUM)
+        self._sf.reduceEnd(MPI.DOUBLE, leaf, root, MPI.SUM)
+        return root  # Tᵀ t
+
+    def multiplicity(self) -> Indices:
+        """Count the copies of each owned dof, (owned,)."""
+        degree = self._sf.computeDegree()
+        return np.asarray(degree, dtype=np.int32)
+
+    def gather(self, torn: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+        """Bring all copies' values to the dof's owner, one after the other in order of dofs."""
+        copies = np.zeros(int(self.multiplicity().sum()), dtype=torn.dtype)
+        unit = MPI._typedict[torn.dtype.char]
+        leaf = np.ascontiguousarray(torn)
+        self._sf.gatherBegin(unit, leaf, copies)
+        self._sf.gatherEnd(unit, leaf, copies)
+        return copies
+
+    def near_kernel(self) -> Array:
+        """Return the near kernel on the torn dofs, (n, number of modes).
+
+        Raises:
+            ValueError: None is attached and the matrix is blocked.
+        """
+        modes = self.A.getNearNullSpace().getVecs() if self.A.getNearNullSpace().handle else []
+        if not modes and self.A.getBlockSize() > 1:
+            raise ValueError(
+                "The torn matrix carries no near kernel, and with a block size of "
+                f"{self.A.getBlockSize()} none can be guessed: attach the rigid body modes with "
+                "dolfinx_feti.set_near_kernel."
+            )
+        if not modes:
+            return np.ones((self.n, 1))
+        return np.column_stack([self.tear(mode) for mode in modes])
+
+    def stiffness(self) -> Array:
+        """Return the stiffness of each torn dof for the scaling, (n,)."""
+        weight = self.A.query("stiffness")
+        if weight is None:
+            weight = self.K.getDiagonal()
+        return np.array(weight.array_r)
+
+    def _dirichlet_mask(self) -> npt.NDArray[np.bool_]:
+        dofs = self.A.query("dirichlet")
+        mark = self.A.createVecRight()
+        if dofs is not None:
+            indices = dofs.getIndices()
+            mark.setValues(indices, np.ones(len(indices)))
+        mark.assemble()
+        mask = self.tear(mark) > 0.5
+        mark.destroy()
+        return mask
+
+    def destroy(self) -> None:
+        """Free the star forest; the matrix stays its owner's."""
+        self._sf.destroy()
+
+
+def connected_blocks(K: PETSc.Mat) -> list[Indices]:
+    """Find the connected components of a block-diagonal matrix.
+
+    Args:
+        K: Sequential AIJ matrix with a symmetric pattern, (n, n).
+
+    Returns:
+        For each component its rows, ascending; components in the order of their first row.
+    """
+    n, bs = K.getSize()[0], K.getBlockSize()
+    if n == 0:
+        return []
+    indptr, indices = K.getRowIJ()
+    graph = scipy.sparse.csr_array((n // bs, n // bs), dtype=bool)
+    for first in range(bs):  # one row of every block at a time, for the sake of memory
+        start, end = indptr[:-1][first::bs], indptr[1:][first::bs]
+        gap = start - np.concatenate(([0], np.cumsum(end - start)[:-1]))
+        entries = np.repeat(gap, end - start) + np.arange((end - start).sum())
+        rows = np.repeat(np.arange(n // bs, dtype=np.int32), end - start)
+        ones = np.ones(len(rows), dtype=bool)
+        graph += scipy.sparse.csr_array((ones, (rows, indices[entries] // bs)), shape=graph.shape)
+    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    label = np.repeat(label, bs)
+    order = np.argsort(label, kind="stable").astype(np.int32)
+    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+
+
+def copy_forest(A: PETSc.Mat) -> PETSc.SF:
+    """Build the star forest with the dofs as roots and their torn copies as leaves."""
+    lgmap = A.getLGMap()[0]
+    dofs = lgmap.getIndices()
+    ranges = A.getOwnershipRanges()
+    rank = np.searchsorted(ranges, dofs, side="right") - 1
+    remote = np.column_stack([rank, dofs - ranges[rank]]).astype(PETSc.IntType)
+    forest = PETSc.SF().create(A.comm)
+    forest.setGraph(A.getLocalSize()[0], None, remote)
+    return forest
