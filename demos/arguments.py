@@ -1,0 +1,91 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The command line of `demo_artery.py`: its own options with two dashes, PETSc's with one."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+__all__ = ["parse"]
+
+#: Options of the solver, which may be given without its prefix.
+SOLVER = ("feti_", "ksp_", "snes_")
+
+EPILOG = """Options with a single dash are PETSc's. Those of the solver, -feti_… -ksp_… -snes_…,
+need no prefix (-feti_type classical, -ksp_monitor); all others (-log_view) go to PETSc."""
+
+
+def parse(
+    arguments: Sequence[str],
+) -> tuple[argparse.Namespace, dict[str, str | None], list[str]]:
+    """Read the command line.
+
+    Args:
+        arguments: The command line without the program's name.
+
+    Returns:
+        The demo's own options, the solver's without dash (None for a flag), and the rest for
+        `petsc4py.init`.
+    """
+    own, solver, rest = _split(arguments)
+    parser = argparse.ArgumentParser(
+        "demo_artery.py",
+        description="Inflate the wall of an artery with all-floating FETI.",
+        epilog=EPILOG,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--geometry", choices=("vessel", "tube"), default="vessel")
+    parser.add_argument("--mesh", type=Path, metavar="FILE", help="a wall of your own, in mm")
+    parser.add_argument("--size", type=_positive, help="length of the elements' edges [mm]")
+    parser.add_argument("--pressure", type=_positive, default=10.0, help="[mmHg], 10")
+    parser.add_argument("--steps", type=_count, default=10, help="the first load step is a … of it")
+    parser.add_argument("--subdomains", type=_count, default=64, help="over all processes, 64")
+    parser.add_argument("--kappa", type=_positive, default=1000.0, help="penalty κ [kPa], 1000")
+    parser.add_argument("--c", type=_positive, default=3.0, help="stiffness c [kPa], 3")
+    parser.add_argument("--degree", type=int, choices=(1, 2), default=2, help="of displacements, 2")
+    parser.add_argument("--output", type=Path, default=Path("output/artery"), metavar="FOLDER")
+    return parser.parse_args(own), solver, rest
+
+
+def _split(arguments: Sequence[str]) -> tuple[list[str], dict[str, str | None], list[str]]:
+    """Tell PETSc's options, a dash and a letter with or without a value, from the demo's."""
+    own: list[str] = []
+    solver: dict[str, str | None] = {}
+    rest: list[str] = []
+    waiting = list(arguments)
+    while waiting:
+        word = waiting.pop(0)
+        if not _is_petsc(word):
+            own.append(word)
+            continue
+        has_value = waiting and not waiting[0].startswith("--") and not _is_petsc(waiting[0])
+        value = waiting.pop(0) if has_value else None
+        if word[1:].startswith(SOLVER):
+            solver[word[1:]] = value
+        else:
+            rest += [word] if value is None else [word, value]
+    return own, solver, rest
+
+
+def _is_petsc(word: str) -> bool:
+    return len(word) > 2 and word[0] == "-" and word[1].isalpha()
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    return value
+
+
+def _count(text: str) -> int:
+    if not (text.isdecimal() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number 1, 2, 3, …")
+    return int(text)

@@ -1,0 +1,194 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The wall of a real vessel, grown on the surface of Gmsh's own example.
+
+The lumen is `aneurysm_data.stl`, a cerebral artery with a sac and three openings, in millimetres.
+It comes with Debian's package gmsh-doc and with the Python wheel of gmsh, and is read from there.
+
+    python3 -m meshes.vessel vessel.msh --size 1.2 --thickness 1.0
+
+1. remesh the surface to triangles of one size (:mod:`meshes.remesh`),
+2. grow the media (two thirds) and the adventitia (one third) outwards along averaged normals,
+3. move the tops of the columns that degenerate in the crotches (:mod:`meshes.layers`),
+4. tag: the first sheet is the lumen, the last one the outer wall, and what stands on the rims are
+   the cut faces of the openings, the longest rim first.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import logging
+import site
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse
+import scipy.sparse.csgraph
+
+from .layers import grow, improve_tops, sheets
+from .remesh import remesh
+from .surface import Indices, Points, edge_lengths, find_edges, read_stl, unit, vertex_normals
+from .wall_mesh import TAGS, Quality, measure_quality, write_msh
+
+__all__ = ["create_vessel", "find_surface"]
+
+SURFACE = "aneurysm_data.stl"
+FOLDERS = ("share/doc/gmsh/examples/api", "share/doc/gmsh-doc/doc/gmsh/examples/api")
+LEAST_QUALITY = 0.1
+
+log = logging.getLogger(__name__)
+
+
+def create_vessel(
+    path: Path | str,
+    *,
+    size: float = 1.2,
+    thickness: float = 1.0,
+    media: float = 2 / 3,
+    through: tuple[int, int] = (1, 1),
+    surface: Path | str | None = None,
+) -> Quality:
+    """Write the wall of a vessel as a Gmsh file with named layers and surfaces.
+
+    Args:
+        path: The file, `*.msh`.
+        size: Length of the triangles' edges on the lumen [mm]; 1.2 gives 40 000 tetrahedra.
+        thickness: Thickness of the wall [mm].
+        media: The media's share of it.
+        through: Elements through the media and through the adventitia.
+        surface: An STL file of a lumen with open ends, in mm; None for Gmsh's example.
+
+    Returns:
+        Numbers and the histogram of the quality.
+
+    Raises:
+        FileNotFoundError: If there is no surface.
+        ValueError: If an argument is out of its range, or an element is worse than 0.1.
+
+    Note:
+        Serial: call it on one process.
+    """
+    path = Path(path)
+    _check(size=size, thickness=thickness, media=media, through=through)
+    source = find_surface() if surface is None else Path(surface)
+    log.info("remeshing %s with edges of %g mm", source, size)
+    x, t = remesh(*_outward(*read_stl(source)), size=size)
+    rim = _rims(x, t)
+    log.info("growing a wall of %g mm on %d triangles", thickness, len(t))
+    heights, layers = sheets(media, through)
+    y = x + thickness * _directions(x, t, rim)
+    y = improve_tops(x, y, t, heights=heights)
+    mesh = grow(x, y, t, through=(heights, layers), rim=rim)
+    quality = measure_quality(mesh)
+    log.info("%s", quality)
+    if quality.minimum < LEAST_QUALITY:
+        raise ValueError(
+            f"With size={size:g} and thickness={thickness:g} the worst of {quality.cells} "
+            f"tetrahedra has a quality of {quality.minimum:.3f}, less than {LEAST_QUALITY}: take a "
+            "size of one to two times the thickness, or a thinner wall"
+        )
+    write_msh(path, mesh)
+    return quality
+
+
+def find_surface(folders: Sequence[Path] | None = None) -> Path:
+    """Return the path of Gmsh's example surface.
+
+    Args:
+        folders: Where to look; None for where Debian's gmsh-doc and the gmsh wheel put it.
+
+    Raises:
+        FileNotFoundError: If it is in none of them.
+    """
+    if folders is None:
+        spec = importlib.util.find_spec("gmsh")
+        above = list(Path(spec.origin).resolve().parents)[:5] if spec and spec.origin else []
+        bases = [sys.prefix, sys.base_prefix, site.getuserbase(), "/usr", "/usr/local"]
+        roots = [*above, *(Path(base) for base in bases)]
+        folders = [root / folder for root in roots for folder in FOLDERS]
+    for folder in folders:
+        for name in (SURFACE, SURFACE + ".gz"):
+            if (folder / name).is_file():
+                return folder / name
+    raise FileNotFoundError(
+        f"Gmsh's example surface {SURFACE} is not on this machine. Install it with `apt install "
+        "gmsh-doc` (Debian, Ubuntu) or `pip install gmsh`, or name an STL file of your own with "
+        "surface= (--surface)."
+    )
+
+
+def _check(*, size: float, thickness: float, media: float, through: tuple[int, int]) -> None:
+    for name, value in (("size", size), ("thickness", thickness)):
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f"{name}={value} is not a positive number of millimetres")
+    if not 0 < media < 1:
+        raise ValueError(f"media={media} is not a share of the thickness between 0 and 1")
+    if min(through) < 1:
+        raise ValueError(f"through={through}: each layer needs an element or more")
+
+
+def _outward(x: Points, t: Indices) -> tuple[Points, Indices]:
+    """Turn all triangles if the surface, its rims closed with cones, encloses less than nothing."""
+    half = t[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    key, reverse = half @ [len(x), 1], half[:, ::-1] @ [len(x), 1]
+    if len(np.unique(key)) < len(key):
+        raise ValueError("The triangles of the surface do not face one way: repair the surface")
+    rim = half[~np.isin(key, reverse)]
+    if not len(rim):
+        raise ValueError("The surface is closed: a vessel needs open ends")
+    loop = _loops(rim, len(x))
+    sums = np.column_stack([np.bincount(loop, x[rim[:, 0], k]) for k in range(3)])
+    tips = (sums / np.bincount(loop)[:, None])[loop]
+    a, b, c = np.moveaxis(x[t], 1, 0)
+    volume = np.sum(a * np.cross(b, c)) + np.sum(x[rim[:, 1]] * np.cross(x[rim[:, 0]], tips))
+    return (x, t) if volume > 0 else (x, t[:, ::-1])
+
+
+def _loops(rim: Indices, n: int) -> Indices:
+    """Return the number of the loop on which each edge of the rim lies; n vertices in all."""
+    graph = scipy.sparse.coo_matrix((np.ones(len(rim)), tuple(rim.T)), shape=(n, n))
+    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    return np.asarray(np.unique(label[rim[:, 0]], return_inverse=True)[1])
+
+
+def _rims(x: Points, t: Indices) -> tuple[Indices, Indices]:
+    """Return the edges of the rims and the tags of their openings, the longest rim first."""
+    rim = find_edges(t).rim
+    loop = _loops(rim, len(x))
+    length = np.bincount(loop, edge_lengths(x, rim))
+    rank = np.argsort(np.argsort(-length))
+    return rim, TAGS["opening_1"] + rank[loop]
+
+
+def _directions(x: Points, t: Indices, rim: tuple[Indices, Indices]) -> Points:
+    """Return the directions to grow: the normals, on a rim within its plane, so cuts are flat."""
+    direction = vertex_normals(x, t)
+    edges, tags = rim
+    for tag in np.unique(tags):
+        loop = np.unique(edges[tags == tag])
+        axis = np.linalg.svd(x[loop] - x[loop].mean(axis=0), full_matrices=False)[2][2]
+        flat = direction[loop] - (direction[loop] @ axis)[:, None] * axis
+        direction[loop] = unit(flat)
+    return direction
+
+
+def main() -> None:
+    """Write a vessel from the command line."""
+    parser = argparse.ArgumentParser("python3 -m meshes.vessel", description="A vessel's wall.")
+    parser.add_argument("file", type=Path, help="the Gmsh file to write")
+    parser.add_argument("--size", type=float, default=1.2, help="edges on the lumen [mm]")
+    parser.add_argument("--thickness", type=float, default=1.0, help="of the wall [mm]")
+    parser.add_argument("--media", type=float, default=2 / 3, help="the media's share of it")
+    parser.add_argument("--through", type=int, nargs=2, default=(1, 1), help="elements in a layer")
+    parser.add_argument("--surface", type=Path, help="an STL file of a lumen with open ends [mm]")
+    options = vars(parser.parse_args())
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    create_vessel(options.pop("file"), **options | {"through": tuple(options["through"])})
+
+
+if __name__ == "__main__":
+    main()
