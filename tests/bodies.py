@@ -1,0 +1,108 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Blocks of materials that a user writes in UFL: an energy, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from collective import COMM, norm
+from problems import cube, dirichlet, left, owned
+
+import dolfinx
+import ufl
+
+from dolfinx_feti import NonlinearProblem
+
+PREFIX = "newton_"
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """A block, clamped on the left, under a force per volume.
+
+    Attributes:
+        energy: Π(u), the load's potential included.
+        u: Displacement.
+        load: The force.
+        bcs: The clamping.
+    """
+
+    energy: ufl.Form
+    u: dolfinx.fem.Function
+    load: dolfinx.fem.Constant
+    bcs: list[dolfinx.fem.DirichletBC]
+
+    def problem(self, options: dict[str, object] | None = None, **arguments: object):
+        """Tear the block into four."""
+        return NonlinearProblem(
+            self.energy,
+            self.u,
+            bcs=self.bcs,
+            subdomains=4,
+            petsc_options_prefix=PREFIX,
+            petsc_options=options,
+            **arguments,
+        )
+
+    def residual(self) -> float:
+        """Return the norm of the residual on the free dofs, assembled without the package."""
+        V = self.u.function_space
+        F = ufl.derivative(self.energy, self.u, ufl.TestFunction(V))
+        r = dolfinx.fem.assemble_vector(dolfinx.fem.form(F))
+        r.scatter_reverse(dolfinx.la.InsertMode.add)
+        for bc in self.bcs:
+            bc.set(r.array, None, 0.0)
+        return norm(r.array[: len(owned(self.u))])
+
+
+def yeoh(F: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
+    """Yeoh's rubber, in plane strain for d = 2, with a volumetric part; nothing but UFL."""
+    d = F.ufl_shape[0]
+    J = ufl.det(F)
+    x = J ** (-2 / 3) * (ufl.inner(F, F) + (3 - d)) - 3
+    return 1.0 * x + 0.2 * x**2 + 0.1 * x**3 + 5.0 * (J - 1) ** 2
+
+
+def logarithmic(F: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
+    """A neo-Hookean energy that is NaN once a cell turns inside out."""
+    J = ufl.det(F)
+    return (ufl.inner(F, F) - F.ufl_shape[0]) / 2 - ufl.ln(J) + 0.5 * ufl.ln(J) ** 2
+
+
+def gent(F: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
+    """Chains of limited length: NaN where they would be overstretched."""
+    x = (ufl.inner(F, F) - F.ufl_shape[0] - 2 * ufl.ln(ufl.det(F))) / 2.0
+    return -ufl.ln(1 - x) + (ufl.det(F) - 1) ** 2
+
+
+def block(
+    density: Callable[[ufl.core.expr.Expr], ufl.core.expr.Expr],
+    force: tuple[float, ...],
+    *,
+    degree: int = 1,
+) -> Body:
+    """Set up a unit square or cube of a material."""
+    d = len(force)
+    mesh = cube(d, 3)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (d,)))
+    u = dolfinx.fem.Function(V)
+    load = dolfinx.fem.Constant(mesh, np.array(force))
+    degrees = {"quadrature_degree": 2 * degree}
+    energy = density(ufl.Identity(d) + ufl.grad(u)) * ufl.dx(metadata=degrees)
+    energy -= ufl.inner(load, u) * ufl.dx(metadata=degrees)
+    return Body(energy, u, load, [dirichlet(V, left)])
+
+
+def least_ratio(u: dolfinx.fem.Function) -> float:
+    """Return the least det F over the cells' midpoints."""
+    mesh = u.function_space.mesh
+    Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
+    J = ufl.det(ufl.Identity(mesh.geometry.dim) + ufl.grad(u)) * ufl.TestFunction(Q) * ufl.dx
+    size = ufl.TestFunction(Q) * ufl.dx(mesh)
+    n = Q.dofmap.index_map.size_local
+    values = [dolfinx.fem.assemble_vector(dolfinx.fem.form(form)).array[:n] for form in (J, size)]
+    return min(COMM.allgather((values[0] / values[1]).min(initial=np.inf)))

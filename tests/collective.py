@@ -1,0 +1,84 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What tests on several processes need: asserts that fail on all of them, and whole matrices."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+COMM = MPI.COMM_WORLD
+
+
+def agree(ok: object, what: object = "") -> None:
+    """Assert on all processes that ``ok`` holds on each: no process goes on alone."""
+    said = COMM.allgather(None if ok else str(what))
+    wrong = {rank: text for rank, text in enumerate(said) if text is not None}
+    assert not wrong, wrong
+
+
+def small(error: float, tolerance: float) -> None:
+    """Assert on all processes that an error is below a tolerance on each; NaN is not."""
+    agree(abs(error) <= tolerance, f"{error} > {tolerance}")
+
+
+def equal(actual: npt.ArrayLike, expected: npt.ArrayLike, tolerance: float = 0.0) -> None:
+    """Assert on all processes that arrays agree to a tolerance relative to the largest entry."""
+    actual, expected = np.asarray(actual, dtype=float), np.asarray(expected, dtype=float)
+    agree(actual.shape == expected.shape, f"shapes {actual.shape} and {expected.shape}")
+    scale = np.abs(expected).max(initial=0.0) if tolerance else 1.0
+    error = np.abs(actual - expected).max(initial=0.0)
+    agree(error <= tolerance * max(scale, 1e-300), f"{error} with a scale of {scale}")
+
+
+@contextmanager
+def raises(kind: type[Exception], match: str) -> Iterator[None]:
+    """Assert that every process raises this error with a message that fits."""
+    caught: Exception | None = None
+    try:
+        yield
+    except Exception as error:  # another kind is reported, and not on one process alone
+        caught = error
+    agree(
+        isinstance(caught, kind) and re.search(match, str(caught)),
+        f"{caught!r} instead of {kind.__name__} with '{match}'",
+    )
+
+
+def norm(local: Array) -> float:
+    """Norm of a vector of which each process has a part."""
+    return float(np.sqrt(COMM.allreduce(float(local.ravel() @ local.ravel()))))
+
+
+def whole(local: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    """Join the parts of all processes, on all of them."""
+    return np.concatenate(COMM.allgather(local))
+
+
+def dense(M: PETSc.Mat) -> Array:
+    """Bring a distributed matrix to all processes."""
+    indptr, indices, values = M.getValuesCSR()
+    rows = np.zeros((len(indptr) - 1, M.getSize()[1]))
+    np.add.at(rows, (np.repeat(np.arange(len(rows)), np.diff(indptr)), indices), values)
+    return whole(rows)
+
+
+def matrix_of(apply: Callable[[PETSc.Vec, PETSc.Vec], object], x: PETSc.Vec, y: PETSc.Vec) -> Array:
+    """Bring the matrix of a linear map to all processes, column by column."""
+    first, last = x.getOwnershipRange()
+    columns = np.zeros((y.getLocalSize(), x.getSize()))
+    for j in range(x.getSize()):
+        x.array[:] = np.arange(first, last) == j
+        apply(x, y)
+        columns[:, j] = y.array_r
+    return whole(columns)

@@ -1,0 +1,125 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What holds around every test, and factories that clean up after themselves."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import hand_torn
+import pytest
+from collective import agree
+from problems import Problem
+
+import dolfinx_feti
+from dolfinx_feti.options import FETIOptions, inserted
+from dolfinx_feti.parts import Parts
+
+COMM = MPI.COMM_WORLD
+PREFIX = "test_"
+
+
+def pytest_collection_finish() -> None:
+    """Spare the collector what the imports have made."""
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.fixture(autouse=True)
+def clean() -> Iterator[None]:
+    """Collect garbage together, and find the options database as it was before the test."""
+    before = PETSc.Options().getAll()
+    yield
+    gc.collect()
+    PETSc.garbage_cleanup()
+    COMM.Barrier()
+    assert PETSc.Options().getAll() == before
+
+
+@pytest.fixture
+def tmp_path(tmp_path: Path) -> Path:
+    """Give all processes the folder of the first one."""
+    return COMM.bcast(tmp_path)
+
+
+@pytest.fixture
+def torn_grid() -> Iterator[Callable[..., hand_torn.HandTorn]]:
+    """Tear a brick by hand, see :func:`hand_torn.grid`."""
+    made: list[hand_torn.HandTorn] = []
+
+    def create(*args: object, **kwargs: object) -> hand_torn.HandTorn:
+        made.append(hand_torn.grid(*args, **kwargs))
+        return made[-1]
+
+    yield create
+    for problem in made:
+        problem.destroy()
+
+
+@pytest.fixture
+def parts() -> Iterator[Callable[..., Parts]]:
+    """Turn a torn matrix into a FETI system, with options as keywords."""
+    made: list[Parts] = []
+
+    def create(A: PETSc.Mat, **options: object) -> Parts:
+        made.append(Parts(A, FETIOptions(**options), PREFIX))
+        made[-1].update()
+        return made[-1]
+
+    yield create
+    for system in made:
+        system.destroy()
+
+
+@pytest.fixture
+def feti() -> Iterator[Callable[..., PETSc.KSP]]:
+    """Make a KSP with a FETI context for a torn matrix, options without prefix as keywords."""
+    made: list[PETSc.KSP] = []
+    database = ExitStack()
+
+    def create(A: PETSc.Mat, **options: object) -> PETSc.KSP:
+        prefix = f"test{len(made)}_" if made else PREFIX
+        database.enter_context(inserted(prefix, options))
+        ksp = PETSc.KSP().create(A.comm)
+        made.append(ksp)
+        ksp.setOptionsPrefix(prefix)
+        ksp.setOperators(A)
+        ksp.setType(PETSc.KSP.Type.PYTHON)
+        ksp.setPythonContext(dolfinx_feti.FETI())
+        ksp.setFromOptions()
+        ksp.setUp()
+        return ksp
+
+    with database:
+        yield create
+    for ksp in made:
+        ksp.destroy()
+
+
+@pytest.fixture
+def solve() -> Callable[..., dolfinx_feti.LinearProblem]:
+    """Solve a problem with LinearProblem; the values of ``options`` are without prefix."""
+
+    def run(
+        problem: Problem, subdomains: object, options: Mapping[str, object] | None = None
+    ) -> dolfinx_feti.LinearProblem:
+        linear = dolfinx_feti.LinearProblem(
+            problem.a,
+            problem.L,
+            bcs=problem.bcs,
+            subdomains=subdomains,
+            petsc_options_prefix=PREFIX,
+            petsc_options=options,
+        )
+        linear.solve()
+        agree(linear.solver.getConvergedReason() > 0)
+        return linear
+
+    return run

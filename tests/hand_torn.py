@@ -1,0 +1,235 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Problems torn by hand: bricks of bilinear elements, known in full on every process.
+
+They come without dolfinx and have the same subdomains on any number of processes; a process may
+have none.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+
+import dolfinx_feti
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+COMM = MPI.COMM_WORLD
+YOUNG, POISSON = 210.0, 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class HandTorn:
+    """A torn problem.
+
+    Attributes:
+        A: The torn matrix; each process has its share of the subdomains, in order.
+        K: Local matrices of all subdomains, dense, (n_i, n_i) each.
+        dofs: Global dof of each of their rows.
+        x: Coordinates of the nodes, (nodes, dim).
+        modes: Kernel of the problem without Dirichlet conditions, (dofs, n_modes).
+        dirichlet: Mask of the dofs with a prescribed value, (dofs,).
+        local: Matrix of this process, in ``A``.
+    """
+
+    A: PETSc.Mat
+    K: list[Array]
+    dofs: list[npt.NDArray[np.int64]]
+    x: Array
+    modes: Array
+    dirichlet: Mask
+    local: PETSc.Mat
+
+    @property
+    def K_torn(self) -> Array:
+        """Block-diagonal K, (n, n)."""
+        return scipy.sparse.block_diag(self.K).toarray()
+
+    @property
+    def to_global(self) -> npt.NDArray[np.int64]:
+        """Dof of each torn one, (n,)."""
+        return np.concatenate(self.dofs)
+
+    @property
+    def T(self) -> Array:
+        """Copies of each dof, (n, dofs)."""
+        return np.eye(len(self.dirichlet))[self.to_global]
+
+    def solve(self, b: Array) -> Array:
+        """Solve the assembled problem, the values of Dirichlet dofs being in ``b``."""
+        K = self.T.T @ self.K_torn @ self.T
+        x, free = np.where(self.dirichlet, b, 0.0), ~self.dirichlet
+        x[free] = np.linalg.solve(K[np.ix_(free, free)], (b - K @ x)[free])
+        return x
+
+    def vector(self, values: Array) -> PETSc.Vec:
+        """Distribute a vector of all dofs."""
+        b = self.A.createVecLeft()
+        b.array[:] = values[slice(*b.getOwnershipRange())]
+        return b
+
+    def destroy(self) -> None:
+        """Free the matrices."""
+        self.A.destroy()
+        self.local.destroy()
+
+
+def grid(
+    subdomains: Sequence[int],
+    cells: Sequence[int],
+    *,
+    components: int = 1,
+    fixed: Callable[[Array], Mask] | None = None,
+    change: Callable[[list[Array], list[npt.NDArray[np.int64]]], None] | None = None,
+    stiffness: Callable[[int], float] = lambda i: 1.0,
+    modes: int | None = None,
+) -> HandTorn:
+    """Tear a brick of subdomains, each of some cells, in one to three dimensions.
+
+    Args:
+        subdomains: Their number in each direction.
+        cells: Cells of a subdomain in each direction.
+        components: One for the Laplace equation, the dimension for elasticity.
+        fixed: Marks the dofs with a Dirichlet condition from the nodes, (nodes, dim) →
+            (nodes,) or (nodes, components); the nodes with x₀ = 0 if not given.
+        change: Alters the local matrices in place.
+        stiffness: Factor of the matrix of a subdomain.
+        modes: Attach only so many of the kernel's modes.
+    """
+    shape = [s * n + 1 for s, n in zip(subdomains, cells, strict=True)]
+    x = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
+    x = x.reshape(-1, len(shape)).astype(np.float64)
+    pattern, K_0 = brick(cells, components)
+    K, dofs = [], []
+    for i, corner in enumerate(itertools.product(*map(range, subdomains))):
+        inside = np.ix_(*[c * n + np.arange(n + 1) for c, n in zip(corner, cells, strict=True)])
+        nodes = np.arange(len(x)).reshape(shape)[inside].ravel()
+        dofs.append((nodes[:, None] * components + np.arange(components)).ravel())
+        K.append(stiffness(i) * K_0)
+    if change is not None:
+        change(K, dofs)
+    mark = (x[:, 0] == 0.0) if fixed is None else fixed(x)
+    mask = np.broadcast_to(mark.reshape(len(x), -1), (len(x), components)).ravel()
+    return tear(K, dofs, x, kernel(x, components), mask, pattern=pattern, n_modes=modes)
+
+
+def tear(
+    K: list[Array],
+    dofs: list[npt.NDArray[np.int64]],
+    x: Array,
+    modes: Array,
+    dirichlet: Mask,
+    *,
+    pattern: Array | None = None,
+    n_modes: int | None = None,
+) -> HandTorn:
+    """Distribute subdomains over the processes and wrap them as a torn matrix."""
+    bs, n = len(dirichlet) // len(x), len(dirichlet)
+    mine = [i for i in range(len(K)) if i * COMM.size // len(K) == COMM.rank]
+    local = block_matrix(
+        [(K[i], np.ones_like(K[i]) if pattern is None else pattern) for i in mine], bs
+    )
+    blocks = [dofs[i][::bs] // bs for i in mine]
+    ends = [len(x) * (COMM.rank + j) // COMM.size * bs for j in (0, 1)]
+    A = dolfinx_feti.create_torn_matrix(
+        local,
+        np.concatenate([*blocks, np.zeros(0, dtype=np.int64)]),
+        (ends[1] - ends[0], n),
+        comm=COMM,
+        dirichlet=np.flatnonzero(dirichlet[slice(*ends)]) + ends[0],
+    )
+    vectors = []
+    for mode in modes.T[:n_modes]:
+        vector = A.createVecRight()
+        vector.array[:] = mode[slice(*ends)]
+        vectors.append(vector)
+    dolfinx_feti.set_near_kernel(A, vectors)
+    for vector in vectors:
+        vector.destroy()
+    return HandTorn(A, K, dofs, x, modes, dirichlet, local)
+
+
+def brick(cells: Sequence[int], components: int) -> tuple[Array, Array]:
+    """Assemble a brick of unit cells: the pattern of its matrix and the matrix."""
+    shape = [n + 1 for n in cells]
+    number = np.arange(np.prod(shape)).reshape(shape)
+    K_e = element(len(cells), components)
+    size = number.size * components
+    K, pattern = np.zeros((size, size)), np.zeros((size, size))
+    for cell in itertools.product(*map(range, cells)):
+        nodes = number[tuple(slice(c, c + 2) for c in cell)].ravel()
+        rows = (nodes[:, None] * components + np.arange(components)).ravel()
+        K[np.ix_(rows, rows)] += K_e
+        pattern[np.ix_(rows, rows)] = 1.0
+    return pattern, K
+
+
+def element(dim: int, components: int) -> Array:
+    """Stiffness of a unit cell with multilinear shape functions, by 2-point Gauss quadrature."""
+    corners = np.array(list(itertools.product((0, 1), repeat=dim)))
+    points = itertools.product((0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3)), repeat=dim)
+    return sum(stiffness_at(gradients(corners, np.array(p)), components) for p in points) / 2**dim
+
+
+def gradients(corners: npt.NDArray[np.int64], point: Array) -> Array:
+    """Gradients of the multilinear shape functions, (nodes, dim)."""
+    factor = np.where(corners == 1, point, 1 - point)
+    slope = np.where(corners == 1, 1.0, -1.0)
+    dim = len(point)
+    swap = [np.where(np.arange(dim) == j, slope, factor).prod(axis=1) for j in range(dim)]
+    return np.stack(swap, axis=-1)
+
+
+def stiffness_at(g: Array, components: int) -> Array:
+    """Integrand of the stiffness: ∇φ·∇φ, or 2μ ε:ε + λ div div for as many components as axes."""
+    if components == 1:
+        return g @ g.T
+    n, dim = g.shape
+    mu = YOUNG / (2 * (1 + POISSON))
+    lmbda = YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
+    grad = np.einsum("ad,ij->aidj", g, np.eye(dim)).transpose(0, 3, 1, 2).reshape(n * dim, dim, dim)
+    eps = 0.5 * (grad + grad.transpose(0, 2, 1))
+    div = np.trace(grad, axis1=1, axis2=2)
+    return 2 * mu * np.einsum("aij,bij->ab", eps, eps) + lmbda * np.outer(div, div)
+
+
+def kernel(x: Array, components: int) -> Array:
+    """Constants and, for elasticity, rotations at the nodes, (dofs, modes)."""
+    modes = [np.tile(unit, len(x)) for unit in np.eye(components)]
+    if components > 1:
+        for i, j in itertools.combinations(range(components), 2):
+            spin = np.zeros((components, components))
+            spin[i, j], spin[j, i] = 1.0, -1.0
+            modes.append((x @ spin.T).ravel())
+    return np.column_stack(modes)
+
+
+def block_matrix(blocks: list[tuple[Array, Array]], bs: int) -> PETSc.Mat:
+    """Make a sequential matrix of diagonal blocks (values, pattern)."""
+    n = sum(len(values) for values, _ in blocks)
+    counts, columns, data, first = [], [], [], 0
+    for values, pattern in blocks:
+        rows, cols = np.nonzero(pattern)
+        counts.append(np.bincount(rows, minlength=len(values)))
+        columns.append(cols + first)
+        data.append(values[rows, cols])
+        first += len(values)
+    empty = np.zeros(0)
+    indptr = np.concatenate(([0], np.cumsum(np.concatenate([*counts, empty]))))
+    csr = (
+        indptr.astype(PETSc.IntType),
+        np.concatenate([*columns, empty]).astype(PETSc.IntType),
+        np.concatenate([*data, empty]),
+    )
+    return PETSc.Mat().createAIJ((n, n), bsize=bs, csr=csr, comm=PETSc.COMM_SELF)

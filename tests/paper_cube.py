@@ -1,0 +1,81 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The cube of the paper: subcubes of cells of 24 tetrahedra, linear elements, clamped all round."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+from hand_torn import Array, HandTorn, kernel, tear
+
+YOUNG, POISSON = 210.0, 0.45
+
+
+def cube(subdomains: int, cells: int, components: int = 3) -> HandTorn:
+    """Tear a cube of subdomains³ subcubes of cells³ cells each.
+
+    Args:
+        subdomains: Their number along an edge, 8 in the paper.
+        cells: Cells along the edge of a subcube, 1, 2, 4, … in the paper.
+        components: Three for linear elasticity, one for the Laplace equation.
+    """
+    nodes, tetrahedra = subcube(cells)
+    K_0, pattern = assemble(nodes, tetrahedra, components)
+    corners = cells * np.array(list(itertools.product(range(subdomains), repeat=3)))
+    places = np.concatenate([nodes + corner for corner in corners])
+    x, number = np.unique(np.round(2 * places).astype(int), axis=0, return_inverse=True)
+    x = x / 2
+    boundary = np.any((x == 0.0) | (x == subdomains * cells), axis=1)
+    dofs = number.reshape(-1, 1) * components + np.arange(components)
+    return tear(
+        [K_0] * subdomains**3,
+        list(dofs.reshape(subdomains**3, -1)),
+        x,
+        kernel(x, components),
+        np.repeat(boundary, components),
+        pattern=pattern,
+    )
+
+
+def subcube(cells: int) -> tuple[Array, npt.NDArray[np.int64]]:
+    """Mesh a subcube: its nodes, and its tetrahedra from cell centre, face centre and an edge."""
+    tetrahedra = []
+    for cell in itertools.product(range(cells), repeat=3):
+        centre = np.array(cell) + 0.5
+        for axis, side in itertools.product(range(3), (-0.5, 0.5)):
+            face = centre + side * np.eye(3)[axis]
+            a, b = 0.5 * np.delete(np.eye(3), axis, 0)
+            ring = [face + a + b, face + a - b, face - a - b, face - a + b]
+            tetrahedra += [[centre, face, ring[j], ring[j - 1]] for j in range(4)]
+    corners = np.array(tetrahedra).reshape(-1, 3)
+    nodes, number = np.unique(np.round(2 * corners).astype(int), axis=0, return_inverse=True)
+    return nodes / 2, number.reshape(-1, 4)
+
+
+def assemble(
+    nodes: Array, tetrahedra: npt.NDArray[np.int64], components: int
+) -> tuple[Array, Array]:
+    """Assemble the matrix of a subcube and its pattern."""
+    n = len(nodes) * components
+    K, pattern = np.zeros((n, n)), np.zeros((n, n))
+    for tetrahedron in tetrahedra:
+        rows = (tetrahedron[:, None] * components + np.arange(components)).ravel()
+        K[np.ix_(rows, rows)] += element(nodes[tetrahedron], components)
+        pattern[np.ix_(rows, rows)] = 1.0
+    return K, pattern
+
+
+def element(corners: Array, components: int) -> Array:
+    """Stiffness of a tetrahedron with linear shape functions."""
+    edges = corners[1:] - corners[0]
+    volume = abs(np.linalg.det(edges)) / 6
+    g = np.linalg.solve(edges, np.eye(4)[1:] - np.eye(4)[0]).T  # ∇φ, (4, 3)
+    if components == 1:
+        return volume * g @ g.T
+    mu = YOUNG / (2 * (1 + POISSON))
+    lmbda = YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
+    blocks = mu * (np.einsum("ak,bk,ij->aibj", g, g, np.eye(3)) + np.einsum("aj,bi->aibj", g, g))
+    return volume * (blocks + lmbda * np.einsum("ai,bj->aibj", g, g)).reshape(12, 12)

@@ -1,0 +1,181 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Problems as a dolfinx user writes them, and their solution by a direct solver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+import dolfinx.fem.petsc
+import ufl
+
+Array = npt.NDArray[np.float64]
+Marker = Callable[[Array], npt.NDArray[np.bool_]]
+Cell = dolfinx.mesh.CellType
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Forms and boundary conditions.
+
+    Attributes:
+        V: Space of the unknown.
+        a: Bilinear form.
+        L: Linear form.
+        bcs: Dirichlet conditions.
+    """
+
+    V: dolfinx.fem.FunctionSpace
+    a: ufl.Form
+    L: ufl.Form
+    bcs: list[dolfinx.fem.DirichletBC]
+
+    @property
+    def cells(self) -> int:
+        """Number of cells that this process owns."""
+        topology = self.V.mesh.topology
+        return topology.index_map(topology.dim).size_local
+
+    def solve_directly(self) -> Array:
+        """Solve with MUMPS's LU; return the owned values."""
+        a, L = dolfinx.fem.form(self.a), dolfinx.fem.form(self.L)
+        A = dolfinx.fem.petsc.assemble_matrix(a, bcs=self.bcs)
+        A.assemble()
+        b = dolfinx.fem.petsc.assemble_vector(L)
+        dolfinx.fem.petsc.apply_lifting(b, [a], [self.bcs])
+        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        dolfinx.fem.petsc.set_bc(b, self.bcs)
+        ksp = PETSc.KSP().create(A.comm)
+        ksp.setOperators(A)
+        ksp.setType(PETSc.KSP.Type.PREONLY)
+        ksp.getPC().setType(PETSc.PC.Type.LU)
+        ksp.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+        x = A.createVecRight()
+        ksp.solve(b, x)
+        values = x.array_r.copy()
+        for owned in (ksp, A, b, x):
+            owned.destroy()
+        return values
+
+
+def owned(u: dolfinx.fem.Function) -> Array:
+    """Return the owned values of a function."""
+    V = u.function_space
+    return u.x.array[: V.dofmap.index_map.size_local * V.dofmap.index_map_bs].copy()
+
+
+def cube(
+    dim: int, n: int, cell: Cell | None = None, comm: MPI.Comm = MPI.COMM_WORLD
+) -> dolfinx.mesh.Mesh:
+    """Mesh the unit square or cube with n cells (cut into simplices) along an edge."""
+    if dim == 2:
+        return dolfinx.mesh.create_unit_square(comm, n, n, cell or Cell.triangle)
+    return dolfinx.mesh.create_unit_cube(comm, n, n, n, cell or Cell.tetrahedron)
+
+
+def dirichlet(
+    V: dolfinx.fem.FunctionSpace,
+    where: Marker,
+    value: Callable[[Array], Array] | None = None,
+    component: int | None = None,
+) -> dolfinx.fem.DirichletBC:
+    """Prescribe a function (zero if not given), or one of its components, on the boundary."""
+    mesh = V.mesh
+    facets = dolfinx.mesh.locate_entities_boundary(mesh, mesh.topology.dim - 1, where)
+    part = V if component is None else V.sub(component)
+    collapsed = V if component is None else part.collapse()[0]
+    g = dolfinx.fem.Function(collapsed)
+    if value is not None:
+        g.interpolate(value)
+    if component is None:
+        dofs = dolfinx.fem.locate_dofs_topological(V, mesh.topology.dim - 1, facets)
+        return dolfinx.fem.dirichletbc(g, dofs)
+    dofs = dolfinx.fem.locate_dofs_topological((part, collapsed), mesh.topology.dim - 1, facets)
+    return dolfinx.fem.dirichletbc(g, dofs, part)
+
+
+def left(x: Array) -> npt.NDArray[np.bool_]:
+    """Mark x₀ = 0."""
+    return np.isclose(x[0], 0.0)
+
+
+def right(x: Array) -> npt.NDArray[np.bool_]:
+    """Mark x₀ = 1."""
+    return np.isclose(x[0], 1.0)
+
+
+def everywhere(x: Array) -> npt.NDArray[np.bool_]:
+    """Mark all of the boundary."""
+    return np.full(x.shape[1], True)
+
+
+def elasticity(
+    mesh: dolfinx.mesh.Mesh,
+    *,
+    degree: int = 1,
+    nu: float = 0.3,
+    stretched: bool = False,
+    clamped: Marker | None = left,
+) -> Problem:
+    """Set up linear elasticity with a body force.
+
+    Args:
+        mesh: The body.
+        degree: Degree of the Lagrange space.
+        nu: Poisson's ratio, with Young's modulus 210.
+        stretched: Prescribe also an inhomogeneous u on the clamped part, one component on x₀ = 1,
+            and put springs and a traction on the whole boundary.
+        clamped: Where u is prescribed; None for nowhere.
+    """
+    dim = mesh.geometry.dim
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    mu, lmbda = 210.0 / (2 * (1 + nu)), 210.0 * nu / ((1 + nu) * (1 - 2 * nu))
+    eps = ufl.sym(ufl.grad(u))
+    stress = 2 * mu * eps + lmbda * ufl.tr(eps) * ufl.Identity(dim)
+    a = ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx
+    force = ufl.as_vector([1.0, -2.0, 3.0][:dim])
+    L = ufl.inner(force, v) * ufl.dx
+    bcs = []
+    if clamped is not None:
+        value = (
+            (lambda x: np.stack([0.1 * x[1], x[0], 0.2 * x[1] - 0.1][:dim])) if stretched else None
+        )
+        bcs.append(dirichlet(V, clamped, value))
+    if stretched:
+        normal = ufl.FacetNormal(mesh)
+        bcs.append(dirichlet(V, right, lambda x: 0.3 + x[1] ** 2, component=1))
+        a += 7.0 * ufl.inner(u, v) * ufl.ds
+        L += ufl.inner(2.0 * normal, v) * ufl.ds
+    return Problem(V, a, L, bcs)
+
+
+def poisson(
+    mesh: dolfinx.mesh.Mesh,
+    *,
+    degree: int = 1,
+    stretched: bool = False,
+    clamped: Marker | None = left,
+) -> Problem:
+    """Set up the Poisson equation; the arguments are those of :func:`elasticity`."""
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    x = ufl.SpatialCoordinate(mesh)
+    a = (1.0 + x[0] ** 2) * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
+    L = ufl.inner(1.0 + x[1], v) * ufl.dx
+    bcs = []
+    if clamped is not None:
+        bcs.append(dirichlet(V, clamped, (lambda x: x[1] - 0.3) if stretched else None))
+    if stretched:
+        a += 3.0 * ufl.inner(u, v) * ufl.ds
+        L += ufl.inner(2.0, v) * ufl.ds
+    return Problem(V, a, L, bcs)

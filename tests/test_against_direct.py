@@ -1,0 +1,216 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""FETI against a direct solver on the undecomposed problem."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from collective import agree, norm, small, whole
+from problems import Cell, Problem, cube, dirichlet, elasticity, everywhere, left, owned, poisson
+
+import dolfinx
+import ufl
+
+import dolfinx_feti
+
+every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+
+TOLERANCE = 1e-7  # for a residual of 1e-10 and condition numbers up to 1e3
+
+
+def difference(u, expected):
+    return norm(u - expected) / norm(expected)
+
+
+@every_type
+@pytest.mark.parametrize(
+    ("degree", "pc_type"),
+    [
+        (1, "dirichlet"),
+        (1, "lumped"),
+        (1, "identity"),
+        (1, "none"),
+        (2, "dirichlet"),
+        (2, "lumped"),
+    ],
+)
+def test_all_options(kind, degree, pc_type, feti):
+    """Elasticity on tetrahedra with every scaling, gluing and weight of the projection."""
+    problem = elasticity(cube(3, 2), degree=degree, stretched=True)
+    linear = dolfinx_feti.LinearProblem(
+        problem.a, problem.L, bcs=problem.bcs, subdomains=6, petsc_options_prefix="set_up_"
+    )
+    expected = problem.solve_directly()
+    linear.solve()
+    x = linear.A.createVecRight()
+    for scaling, gluing, q in itertools.product(
+        ("stiffness", "multiplicity"),
+        ("full", "nonred"),
+        ("preconditioner", "diagonal", "identity"),
+    ):
+        options = {"type": kind, "pc_type": pc_type, "scaling": scaling}
+        options |= {"gluing": gluing, "coarse_q": q}
+        names = {f"feti_{name}": value for name, value in options.items()}
+        ksp = feti(linear.A, ksp_rtol=1e-10, **names)
+        ksp.solve(linear.b, x)
+        agree(ksp.getConvergedReason() > 0, (options, ksp.getPythonContext().message))
+        agree(difference(x.array_r, expected) < TOLERANCE, options)
+    x.destroy()
+
+
+PROBLEMS = {
+    "Poisson, triangles": lambda: poisson(cube(2, 8), stretched=True),
+    "Poisson, cubic triangles": lambda: poisson(cube(2, 4), degree=3, stretched=True),
+    "Poisson, quadrilaterals": lambda: poisson(cube(2, 7, Cell.quadrilateral), degree=2),
+    "Poisson, tetrahedra": lambda: poisson(cube(3, 4), stretched=True),
+    "Poisson, hexahedra": lambda: poisson(cube(3, 3, Cell.hexahedron), degree=2, stretched=True),
+    "elasticity, triangles": lambda: elasticity(cube(2, 8), stretched=True),
+    "elasticity, quadratic triangles": lambda: elasticity(cube(2, 5), degree=2),
+    "elasticity, quadrilaterals": lambda: elasticity(cube(2, 6, Cell.quadrilateral)),
+    "elasticity, tetrahedra": lambda: elasticity(cube(3, 4), stretched=True),
+    "elasticity, quadratic tetrahedra": lambda: elasticity(cube(3, 2), degree=2, stretched=True),
+    "elasticity, hexahedra": lambda: elasticity(cube(3, 4, Cell.hexahedron), stretched=True),
+    "clamped all round": lambda: elasticity(cube(3, 3), clamped=everywhere, degree=2),
+    "nearly incompressible": lambda: elasticity(cube(2, 6), degree=2, nu=0.49),
+}
+
+
+@every_type
+@pytest.mark.parametrize("create", PROBLEMS.values(), ids=PROBLEMS)
+def test_problems(create, kind, solve):
+    problem = create()
+    linear = solve(problem, 7, {"feti_type": kind, "ksp_rtol": 1e-10})
+    small(difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
+    small(linear.solver.getPythonContext().residual, 1e-10)
+
+
+@every_type
+def test_symmetry_conditions_of_a_quarter(kind, solve):
+    """One component on each of three faces: no subdomain is clamped, the body is."""
+    mesh = cube(3, 3)
+    V = elasticity(mesh).V
+    free = elasticity(mesh, clamped=None)
+    bcs = [
+        dirichlet(free.V, lambda x, j=j: np.isclose(x[j], 0.0), lambda x: 0.1 * x[0], component=j)
+        for j in range(3)
+    ]
+    problem = Problem(free.V, free.a, free.L, bcs)
+    linear = solve(problem, 12, {"feti_type": kind, "ksp_rtol": 1e-10})
+    small(difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
+    agree(V.mesh is mesh)
+
+
+@every_type
+def test_body_held_in_single_vertices(kind, solve):
+    """Statically determinate: a corner, a corner in two components, a corner in one."""
+    free = elasticity(cube(3, 3), clamped=None)
+    mesh = free.V.mesh
+
+    def corner(*place):
+        return lambda x: np.all(np.isclose(x.T, place), axis=1)
+
+    def hold(where, component):
+        part = free.V.sub(component)
+        collapsed = part.collapse()[0]
+        vertices = dolfinx.mesh.locate_entities_boundary(mesh, 0, where)
+        mesh.topology.create_connectivity(0, 3)
+        dofs = dolfinx.fem.locate_dofs_topological((part, collapsed), 0, vertices)
+        return dolfinx.fem.dirichletbc(dolfinx.fem.Function(collapsed), dofs, part)
+
+    bcs = [hold(corner(0, 0, 0), j) for j in range(3)]
+    bcs += [hold(corner(1, 0, 0), j) for j in (1, 2)] + [hold(corner(0, 1, 0), 2)]
+    problem = Problem(free.V, free.a, free.L, bcs)
+    linear = solve(problem, 9, {"feti_type": kind, "ksp_rtol": 1e-11})
+    small(difference(owned(linear.u), problem.solve_directly()), 1e-6)
+
+
+@every_type
+def test_springs_instead_of_dirichlet_conditions(kind, solve):
+    """Robin conditions alone: kernels leave the subdomains that touch the boundary."""
+    problem = elasticity(cube(3, 3), clamped=None)
+    u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
+    held = Problem(problem.V, problem.a + 10.0 * ufl.inner(u, v) * ufl.ds, problem.L, [])
+    linear = solve(held, 10, {"feti_type": kind, "ksp_rtol": 1e-10})
+    small(difference(owned(linear.u), held.solve_directly()), TOLERANCE)
+    report = linear.solver.getPythonContext().report()
+    agree(report.exact < report.subdomains)
+
+
+@every_type
+def test_coefficients_that_jump(kind, solve):
+    """Stiffness 10⁴ in a checkerboard of cells."""
+    problem = poisson(cube(2, 8, Cell.quadrilateral))
+    mesh = problem.V.mesh
+    Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
+    k = dolfinx.fem.Function(Q)
+    k.interpolate(lambda x: 10.0 ** (4 * ((np.floor(8 * x[0]) + np.floor(8 * x[1])) % 2)))
+    u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
+    jumping = Problem(
+        problem.V, k * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, problem.L, problem.bcs
+    )
+    linear = solve(jumping, 8, {"feti_type": kind, "ksp_rtol": 1e-11})
+    small(difference(owned(linear.u), jumping.solve_directly()), 1e-6)
+
+
+@every_type
+def test_unsymmetric_form(kind, solve):
+    """Advection and diffusion, by GMRES."""
+    problem = poisson(cube(2, 8))
+    u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
+    wind = ufl.as_vector([5.0, -3.0])
+    carried = Problem(
+        problem.V, problem.a + ufl.dot(wind, ufl.grad(u)) * v * ufl.dx, problem.L, problem.bcs
+    )
+    linear = solve(carried, 6, {"feti_type": kind, "ksp_rtol": 1e-10})
+    small(difference(owned(linear.u), carried.solve_directly()), TOLERANCE)
+    agree(linear.solver.getPythonContext().method == "gmres")
+
+
+def test_solution_is_written_into_the_users_function(solve):
+    problem = poisson(cube(2, 4), stretched=True)
+    u = dolfinx.fem.Function(problem.V)
+    linear = dolfinx_feti.LinearProblem(
+        problem.a,
+        problem.L,
+        bcs=problem.bcs,
+        u=u,
+        subdomains=4,
+        petsc_options_prefix="test_",
+        petsc_options={"ksp_rtol": 1e-11},
+    )
+    agree(linear.u is u and linear.solve() is u)
+    small(difference(owned(u), problem.solve_directly()), TOLERANCE)
+    ghosts = u.x.array.copy()
+    u.x.scatter_forward()
+    agree(np.array_equal(ghosts, u.x.array))
+    boundary = dolfinx.fem.locate_dofs_geometrical(problem.V, left)
+    x = problem.V.tabulate_dof_coordinates()
+    agree(np.allclose(u.x.array[boundary], x[boundary, 1] - 0.3, atol=1e-9))
+
+
+def test_second_solve_sees_new_coefficients_and_values(solve):
+    """Load, matrix and boundary values change between two solves."""
+    problem = poisson(cube(2, 5))
+    mesh = problem.V.mesh
+    k, load = dolfinx.fem.Constant(mesh, 1.0), dolfinx.fem.Constant(mesh, 1.0)
+    g = dolfinx.fem.Constant(mesh, 0.0)
+    facets = dolfinx.mesh.locate_entities_boundary(mesh, 1, left)
+    dofs = dolfinx.fem.locate_dofs_topological(problem.V, 1, facets)
+    bc = dolfinx.fem.dirichletbc(g, dofs, problem.V)
+    changing = Problem(problem.V, k * problem.a, load * problem.L, [bc])
+    linear = dolfinx_feti.LinearProblem(
+        changing.a,
+        changing.L,
+        bcs=changing.bcs,
+        subdomains=5,
+        petsc_options_prefix="test_",
+        petsc_options={"ksp_rtol": 1e-11},
+    )
+    for k.value, load.value, g.value in ((1.0, 1.0, 0.0), (1.0, -2.0, 0.5), (30.0, 3.0, -1.0)):
+        linear.solve()
+        small(difference(owned(linear.u), changing.solve_directly()), TOLERANCE)
+    agree(len(whole(owned(linear.u))) > 0)

@@ -1,0 +1,136 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The dual operator and the constraint preconditioner against dense formulas."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from collective import agree, dense, equal, matrix_of, small
+
+SEED = 744
+
+GRIDS = {
+    "Laplace": {"subdomains": (2, 2), "cells": (2, 2)},
+    "elasticity": {"subdomains": (2, 2), "cells": (1, 2), "components": 2},
+}
+CHANGES = {
+    "no prestress": None,
+    "prestress": lambda K, dofs: [np.fill_diagonal(k, 1.01 * k.diagonal()) for k in K],
+    "compression": lambda K, dofs: [np.fill_diagonal(k, 0.99 * k.diagonal()) for k in K],
+}
+every_grid = pytest.mark.parametrize("grid", GRIDS.values(), ids=GRIDS)
+every_change = pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+every_q = pytest.mark.parametrize("q", ["identity", "diagonal", "preconditioner"])
+
+
+def flexibility(system):
+    lam = system.gluing.B.createVecLeft
+    return matrix_of(system.operator.flexibility, lam(), lam())
+
+
+def constraint(system):
+    """Constraint preconditioner from jumps to (λ, s), two matrices."""
+    x = system.operator.vector.create()
+    lam, s = system.gluing.B.createVecLeft(), system.coarse.N.createVecRight()
+    vector = system.operator.vector
+
+    def apply(r, part):
+        r.copy(vector.lam)
+        vector.s.set(0.0)
+        vector.write(x)
+        system.constraint.apply(None, x, x)
+        vector.read(x)
+        (vector.lam if part.getSize() == lam.getSize() else vector.s).copy(part)
+
+    return matrix_of(apply, lam, lam.duplicate()), matrix_of(apply, lam, s)
+
+
+@every_grid
+@every_type
+@every_change
+def test_flexibility_is_symmetric_and_that_of_the_definition(grid, kind, change, torn_grid, parts):
+    """F = B K⁺ Bᵀ is symmetric, and on balanced λ that of the Moore–Penrose inverse."""
+    problem = torn_grid(change=change, **grid)
+    system = parts(problem.A, type=kind)
+    F = flexibility(system)
+    equal(F, F.T, 1e-12)
+    if change is None:
+        small(min(np.linalg.eigvalsh(F)[0], 0.0), 1e-14 * np.abs(F).max())
+        B, G = dense(system.gluing.B), dense(system.coarse.G)
+        free = np.flatnonzero(np.any(B != 0, axis=0) | ~problem.dirichlet[problem.to_global])
+        K = problem.K_torn[np.ix_(free, free)]
+        expected = B[:, free] @ np.linalg.pinv(K, rcond=1e-10, hermitian=True) @ B[:, free].T
+        P = np.eye(len(F)) - G @ np.linalg.solve(G.T @ G, G.T)
+        equal(P @ F @ P, P @ expected @ P, 1e-10)
+        x = np.random.default_rng(SEED).standard_normal((len(F), 20))
+        agree(np.einsum("ij,ij->j", x, F @ x).min() >= 0.0)
+
+
+@every_grid
+@every_q
+@every_change
+@pytest.mark.parametrize("pc_type", ["dirichlet", "identity"])
+def test_constraint_preconditioner_is_the_inverse_it_stands_for(
+    grid, q, change, pc_type, torn_grid, parts
+):
+    """Its image is balanced, Gᵀz_λ + D z_s = 0, and P M Pᵀ r for D = 0."""
+    system = parts(torn_grid(change=change, **grid).A, pc_type=pc_type, coarse_q=q)
+    lam = system.gluing.B.createVecLeft
+    M = matrix_of(system.preconditioner.mult, lam(), lam())
+    G, QG, N, D = (dense(getattr(system.coarse, key)) for key in ("G", "QG", "N", "D"))
+    z_lam, z_s = constraint(system)
+    scale = np.abs(z_lam).max()
+    small(np.abs(G.T @ z_lam + D @ z_s).max(), 1e-10 * max(scale, np.abs(D @ z_s).max()))
+    equal(z_lam, z_lam.T, 1e-10)
+    w = np.linalg.solve(N, QG.T)
+    y = M - M @ G @ w
+    v = np.linalg.solve(N, G.T @ y - D @ w)
+    equal(z_lam, y - QG @ v, 1e-10)
+    if change is None:
+        P = np.eye(len(G)) - QG @ np.linalg.solve(N, G.T)
+        equal(z_lam, P @ M @ P.T, 1e-10)
+        agree(system.constraint.exact and system.constraint.frozen)
+        equal(z_s, np.zeros_like(z_s))
+    else:
+        agree(not system.constraint.exact and not system.constraint.frozen)
+        equal(z_s, -w - v, 1e-10)
+
+
+def test_eigenvalues_of_the_unfrozen_system_are_one_besides(torn_grid, parts):
+    """Besides those of P M Pᵀ F there is a one for each coarse unknown."""
+    system = parts(torn_grid((2, 2), (2, 2)).A, pc_type="identity")
+    system.constraint.frozen = False
+    z_lam, z_s = constraint(system)
+    F, G = flexibility(system), dense(system.coarse.G)
+    operator = np.hstack([F, -G])
+    preconditioned = np.vstack([z_lam @ operator, z_s @ operator])
+    values = np.sort(np.linalg.eigvals(preconditioned).real)
+    projected = np.sort(np.linalg.eigvals(z_lam @ F).real)
+    k = system.coarse.total
+    nonzero = projected[np.abs(projected) > 1e-10]
+    equal(values[np.abs(values) > 1e-10], np.sort(np.concatenate([nonzero, np.ones(k)])), 1e-7)
+
+
+@every_change
+def test_operator_is_the_jump_of_a_balanced_pair(change, torn_grid, parts):
+    """(F λ − G s, 0)."""
+    system = parts(torn_grid((2, 2), (2, 2), components=2, change=change).A)
+    x, y = system.operator.vector.create(), system.operator.vector.create()
+    lam, s, vector = (
+        system.gluing.B.createVecLeft(),
+        system.coarse.N.createVecRight(),
+        system.operator.vector,
+    )
+    rng = np.random.default_rng(SEED + 1)
+    values = rng.standard_normal(lam.getSize()), rng.standard_normal(s.getSize())
+    vector.lam.array[:] = values[0][slice(*lam.getOwnershipRange())]
+    vector.s.array[:] = values[1][slice(*s.getOwnershipRange())]
+    vector.write(x)
+    system.operator.mult(None, x, y)
+    vector.read(y)
+    vector.lam.copy(lam)
+    expected = flexibility(system) @ values[0] - dense(system.coarse.G) @ values[1]
+    equal(lam.array_r, expected[slice(*lam.getOwnershipRange())], 1e-12)

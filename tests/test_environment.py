@@ -1,0 +1,276 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""`scripts/with-fenicsx` and its helpers on a played machine, one for each process."""
+
+from __future__ import annotations
+
+import re
+import signal
+import tempfile
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from fake_machine import CHECKOUT, PLAYED, Machine, wait_for
+
+import dolfinx_feti
+
+OWN_FAILURE = 125
+
+
+@pytest.fixture
+def machine() -> Iterator[Machine]:
+    with tempfile.TemporaryDirectory(prefix="dolfinx_feti-") as folder:
+        yield Machine.create(Path(folder).resolve())
+
+
+# ---- the machine's own Python ---------------------------------------------------------------
+
+
+def test_own_python_is_used_and_nothing_installed(machine: Machine) -> None:
+    machine.play("python3", "exit 0")
+    machine.play("id", "echo 1000")
+    result = machine.run("sh", "-c", "pwd; echo $PYTHONPATH", PYTHONPATH="/mine")
+    assert result.returncode == 0
+    assert result.stdout == f"{machine.checkout}\n{machine.checkout}:/mine\n"
+    assert result.stderr == ""
+    assert {line.split()[0] for line in (machine.folder / "calls").read_text().splitlines()} == {
+        "python3",
+        "id",
+    }
+    assert not machine.trees.exists()
+
+
+def test_status_arguments_and_input_pass_through(machine: Machine) -> None:
+    machine.play("python3", "exit 0")
+    script = 'printf "[%s]" "$@"; cat; exit 7'
+    result = machine.run("sh", "-c", script, "sh", "two words", "", "'\"$HOME", text="typed")
+    assert result.returncode == 7
+    assert result.stdout == "[two words][]['\"$HOME]typed"
+
+
+@pytest.mark.parametrize(("user", "allowed"), [("0", "1"), ("1000", "")])
+def test_only_root_is_allowed_to_run_as_root(machine: Machine, user: str, allowed: str) -> None:
+    machine.play("python3", "exit 0")
+    machine.play("id", f"echo {user}")
+    result = machine.run("sh", "-c", "echo $OMPI_ALLOW_RUN_AS_ROOT,$PRTE_ALLOW_RUN_AS_ROOT")
+    assert result.stdout == f"{allowed},{allowed}\n"
+
+
+# ---- when FEniCSx cannot be had -------------------------------------------------------------
+
+IN_TREE = 'case "$*" in *"{}"*) echo "{}"; exit 1 ;; esac; ' + PLAYED["chroot"]
+FAILURES = {
+    "not root": ({"id": "echo 1000"}, {}, "this is not root"),
+    "mounts forbidden": ({"unshare": "exit 1"}, {}, "mounting is not allowed"),
+    "no space": ({"df": "echo Avail; echo 2097152"}, {}, "2048 MiB free, 5120 are needed"),
+    "no network": (
+        {"apt-helper": "echo \"E: Failed to fetch x  Could not resolve 'mirror'\"; exit 100"},
+        {},
+        "no network, or .* out of reach:\n.*Could not resolve 'mirror'",
+    ),
+    "unknown suite": (
+        {"apt-helper": "echo 'E: Failed to fetch x  404  Not Found'; exit 100"},
+        {"FENICSX_SUITE": "nosuch"},
+        "no suite 'nosuch'",
+    ),
+    "no name of a suite": ({}, {"FENICSX_SUITE": "../sid"}, "'../sid' is not the name"),
+    "no folder": ({}, {"DOLFINX_FETI_ENV": "/dev/null/x"}, "cannot write to /dev/null/x"),
+    "wrong signature": (
+        {"debootstrap": "echo 'E: Release signed by unknown key'; exit 1"},
+        {},
+        "debootstrap cannot .*:\n.*signed by unknown key",
+    ),
+    "lists": ({"chroot": IN_TREE.format("update", "E: x.invalid")}, {}, "update fails.*:\n.*E: x"),
+    "packages": ({"chroot": IN_TREE.format("g++", "E: no such")}, {}, "cannot install.*:\n.*E: no"),
+    "useless tree": (
+        {"chroot": IN_TREE.format("python3 -", "its dolfinx is 0.5")},
+        {},
+        "does not serve:\n.*dolfinx is 0.5",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", FAILURES)
+def test_one_message_names_the_cause_and_the_ways_out(machine: Machine, case: str) -> None:
+    played, variables, cause = FAILURES[case]
+    for tool, body in played.items():
+        machine.play(tool, body)
+    result = machine.run("echo", "must not run", **variables)
+    assert result.returncode == OWN_FAILURE
+    assert result.stdout == ""
+    message = result.stderr[result.stderr.rindex("with-fenicsx: ") :]
+    assert re.search(cause, message, re.DOTALL)
+    for way in "conda create", "docker run", "apt install python3-dolfinx", "as root":
+        assert result.stderr.count(way) == 1
+    assert machine.left() == set()
+
+
+def test_neither_debootstrap_nor_apt(machine: Machine) -> None:
+    for tool in "debootstrap", "apt-get":
+        (machine.bin / tool).unlink()
+    result = machine.run("true")
+    assert result.returncode == OWN_FAILURE
+    assert "neither debootstrap nor apt-get" in result.stderr
+    assert machine.left() == set()
+
+
+def test_missing_debootstrap_is_installed(machine: Machine) -> None:
+    (machine.bin / "debootstrap").rename(machine.folder / "debootstrap")
+    install = (
+        f'case "$*" in *"install "*) mv "{machine.folder}/debootstrap" "{machine.bin}" ;; esac'
+    )
+    machine.play("apt-get", PLAYED["apt-get"] + install)
+    result = machine.run("true")
+    assert result.returncode == 0
+    assert "installing it with apt-get" in result.stderr
+    assert machine.left() == {"trixie"}
+
+
+# ---- the Debian tree ------------------------------------------------------------------------
+
+
+def test_tree_is_made_once_from_the_machines_mirror(machine: Machine) -> None:
+    first = machine.run("sh", "-c", "exit 7")
+    assert first.returncode == 7
+    assert "base system" in first.stderr
+    assert machine.left() == {"trixie"}
+    (call,) = machine.calls("debootstrap")
+    assert "http://mirror.invalid/debian" in call.split()
+    assert "--force-check-gpg" in call.split()
+
+    second = machine.run("pwd")
+    assert (second.returncode, second.stderr) == (0, "")
+    assert second.stdout == f"{machine.checkout}\n"
+    assert len(machine.calls("debootstrap")) == 1
+
+
+def test_what_the_tree_gets_from_outside(machine: Machine) -> None:
+    kept = {"OMP_NUM_THREADS": "2", "PETSC_OPTIONS": "-a -b", "TERM": "dumb"}
+    dropped = {"PETSC_DIR": "/host", "PYTHONPATH": "/host", "LD_PRELOAD": ""}
+    result = machine.run("env", **kept, **dropped)
+    inside = dict(line.split("=", 1) for line in result.stdout.splitlines())
+    assert {
+        "OMP_NUM_THREADS": "2",
+        "PETSC_OPTIONS": "-a -b",
+        "TERM": "dumb",
+    }.items() <= inside.items()
+    assert inside["PYTHONPATH"] == str(machine.checkout)
+    assert inside["MPLBACKEND"] == "Agg"
+    assert inside["HOME"] != str(machine.folder)
+    assert not {"PETSC_DIR", "LD_PRELOAD", "CALLS"} & inside.keys()
+
+
+def test_mpi_parameters_replace_those_of_the_distribution(machine: Machine) -> None:
+    machine.run("true")
+    parameters = machine.trees / "trixie/etc/openmpi/openmpi-mca-params.conf"
+    assert parameters.read_text().split("\n") == ["osc = old", "", "btl = self,sm", ""]
+
+
+def test_inside_a_tree_its_own_python_is_used(machine: Machine) -> None:
+    machine.play("python3", "exit 0")
+    result = machine.run("echo", "here", FENICSX_SUITE="sid", DOLFINX_FETI_INSIDE="sid")
+    assert (result.returncode, result.stdout) == (0, "here\n")
+    assert not machine.calls("debootstrap")
+
+
+def test_asking_for_a_suite_asks_for_a_tree(machine: Machine) -> None:
+    machine.play("python3", "exit 0")
+    assert machine.run("true", FENICSX_SUITE="trixie").returncode == 0
+    assert len(machine.calls("debootstrap")) == 1
+
+
+def test_a_change_of_the_package_list_makes_the_tree_anew(machine: Machine) -> None:
+    machine.run("true")
+    with (machine.checkout / "scripts/debian-packages").open("a") as packages:
+        packages.write("apt another\n")
+    assert machine.run("true").returncode == 0
+    assert len(machine.calls("debootstrap")) == 2
+    assert any(call.endswith("another") or " another" in call for call in machine.calls("chroot"))
+    assert machine.left() == {"trixie"}
+
+
+# ---- two at once, and interruptions ---------------------------------------------------------
+
+
+@pytest.fixture
+def slow(machine: Machine) -> Machine:
+    """A machine on which debootstrap begins, and goes on when the file `go` appears."""
+    hold = f'while [ ! -e "{machine.folder}/go" ]; do sleep 0.05; done'
+    machine.play("debootstrap", PLAYED["debootstrap"] + hold)
+    return machine
+
+
+def half_made(machine: Machine) -> bool:
+    return bool(machine.calls("debootstrap")) and "trixie.partial" in machine.left()
+
+
+def test_two_at_once_make_one_tree(slow: Machine) -> None:
+    first = slow.start("echo", "first")
+    wait_for(lambda: half_made(slow))
+    second = slow.start("echo", "second")
+    assert second.stderr is not None
+    assert "another run is setting up" in second.stderr.readline()
+    (slow.folder / "go").touch()
+    assert first.communicate(timeout=60)[0] == "first\n"
+    assert second.communicate(timeout=60)[0] == "second\n"
+    assert len(slow.calls("debootstrap")) == 1
+    assert slow.left() == {"trixie"}
+
+
+def test_a_tree_in_use_is_not_replaced(machine: Machine) -> None:
+    user = machine.start("sh", "-c", "echo inside; cat")
+    assert user.stdout is not None
+    assert user.stdout.readline() == "inside\n"
+    (machine.trees / "trixie/etc/dolfinx_feti").write_text("of an older checkout\n")
+    other = machine.start("true")
+    assert other.stderr is not None
+    assert "other runs still use" in other.stderr.readline()
+    assert len(machine.calls("debootstrap")) == 1
+    assert user.communicate("typed", timeout=60)[0] == "typed"
+    other.communicate(timeout=60)
+    assert other.returncode == 0
+    assert len(machine.calls("debootstrap")) == 2
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_an_interrupted_set_up_leaves_nothing(slow: Machine, name: str) -> None:
+    process = slow.start("true")
+    wait_for(lambda: half_made(slow))
+    process.send_signal(signal.Signals[name])
+    _, messages = process.communicate(timeout=60)
+    assert process.returncode == OWN_FAILURE
+    assert "interrupted" in messages
+    assert slow.left() == set()
+
+
+def test_a_killed_set_up_is_cleared_by_the_next(slow: Machine) -> None:
+    process = slow.start("true")
+    wait_for(lambda: half_made(slow))
+    process.kill()
+    process.communicate(timeout=60)
+    assert "trixie" not in slow.left()
+    (slow.trees / "trixie.partial/left-over").touch()
+    (slow.folder / "go").touch()
+    assert slow.run("true").returncode == 0
+    assert slow.left() == {"trixie"}
+    assert not (slow.trees / "trixie/left-over").exists()
+
+
+# ---- what has to agree ----------------------------------------------------------------------
+
+
+def test_one_version_of_ruff_and_of_the_package() -> None:
+    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]
+    (ruff,) = (
+        need for need in project["optional-dependencies"]["lint"] if need.startswith("ruff==")
+    )
+    assert ruff in (CHECKOUT / "scripts/debian-packages").read_text().split()
+    assert f"\nversion: {dolfinx_feti.__version__}\n" in (CHECKOUT / "CITATION.cff").read_text()
+
+
+def test_no_host_name_in_the_scripts() -> None:
+    for script in (CHECKOUT / "scripts").iterdir():
+        assert not re.search(r"(https?|ftp)://[a-z]", script.read_text()), script.name

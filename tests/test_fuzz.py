@@ -1,0 +1,118 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Random decompositions and random Dirichlet conditions, against a direct solver."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from collective import COMM, agree, norm, small
+from problems import Cell, Problem, cube, elasticity, left, owned, poisson
+
+import dolfinx
+
+SEEDS = (83, 1291, 40099)
+
+MESHES = {
+    "triangles": (2, 4, Cell.triangle),
+    "quadrilaterals": (2, 5, Cell.quadrilateral),
+    "tetrahedra": (3, 2, Cell.tetrahedron),
+    "hexahedra": (3, 3, Cell.hexahedron),
+}
+every_mesh = pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+
+
+def check(problem, part, kind, solve, **options):
+    linear = solve(problem, part, {"feti_type": kind, "ksp_rtol": 1e-11, **options})
+    expected = problem.solve_directly()
+    small(norm(owned(linear.u) - expected) / norm(expected), 1e-7)
+    return linear.solver.getPythonContext().report()
+
+
+@every_mesh
+@every_type
+@pytest.mark.parametrize("create", [poisson, elasticity])
+@pytest.mark.parametrize("seed", SEEDS[:2])
+def test_random_cells_to_random_parts(mesh, kind, create, seed, solve):
+    """Ragged subdomains, most of them in pieces that touch in edges and vertices."""
+    problem = create(cube(*mesh))
+    rng = np.random.default_rng(seed + COMM.rank)
+    part = rng.integers(0, rng.integers(2, 9), problem.cells)
+    report = check(problem, part, kind, solve)
+    agree(report.subdomains >= 2)
+
+
+@every_mesh
+@every_type
+@pytest.mark.parametrize("create", [poisson, elasticity])
+def test_every_cell_its_own(mesh, kind, create, solve):
+    problem = create(cube(*mesh))
+    report = check(problem, np.arange(problem.cells), kind, solve)
+    agree(report.subdomains == COMM.allreduce(problem.cells))
+
+
+@every_type
+@pytest.mark.parametrize("degree", [1, 2])
+def test_one_large_subdomain_and_some_single_cells(kind, degree, solve):
+    problem = elasticity(cube(3, 2), degree=degree)
+    part = np.zeros(problem.cells, dtype=np.int64)
+    part[::5] = 1 + np.arange(len(part[::5]))
+    check(problem, part, kind, solve)
+
+
+@every_mesh
+@every_type
+@pytest.mark.parametrize("seed", SEEDS)
+def test_random_dirichlet_conditions(mesh, kind, seed, solve):
+    """Single components of single nodes with random values, on top of one that holds the body."""
+    problem = elasticity(cube(*mesh))
+    V, dim = problem.V, problem.V.mesh.geometry.dim
+    x = V.tabulate_dof_coordinates()
+    bcs = list(problem.bcs)
+    for j in range(dim):
+        # by coordinates, so that all processes agree on shared nodes
+        lottery = np.sin(1e4 * (x @ np.array([1.7, 2.9, 4.1])) + seed * (j + 1))
+        nodes = np.flatnonzero((lottery > 0.8) & ~left(x.T)).astype(np.int32)
+        part = V.sub(j)
+        collapsed, sub_map = part.collapse()
+        inverse = np.full(len(x), -1, dtype=np.int32)
+        sub_map = np.ravel(sub_map)
+        inverse[sub_map // dim] = np.arange(len(sub_map), dtype=np.int32)
+        g = dolfinx.fem.Function(collapsed)
+        g.interpolate(lambda x, j=j: np.cos(5.0 * x[0] + j) * x[1])
+        dofs = [nodes * dim + j, inverse[nodes]]
+        bcs.append(dolfinx.fem.dirichletbc(g, dofs, part))
+    many = Problem(V, problem.a, problem.L, bcs)
+    rng = np.random.default_rng(seed + 7 * COMM.rank)
+    check(many, rng.integers(0, 5, problem.cells), kind, solve)
+
+
+@every_type
+@pytest.mark.parametrize("pc_type", ["lumped", "identity", "none"])
+@pytest.mark.parametrize("gluing", ["full", "nonred"])
+def test_random_parts_with_other_options(kind, pc_type, gluing, solve):
+    problem = elasticity(cube(2, 5), stretched=True)
+    rng = np.random.default_rng(SEEDS[2] + COMM.rank)
+    options = {"feti_pc_type": pc_type, "feti_gluing": gluing, "feti_coarse_q": "diagonal"}
+    check(problem, rng.integers(0, 7, problem.cells), kind, solve, **options)
+
+
+@every_type
+def test_parts_with_holes_and_islands(kind, solve):
+    """Rings around a cell: subdomains that enclose others."""
+    problem = elasticity(cube(2, 7, Cell.quadrilateral))
+    mesh = problem.V.mesh
+    centre = dolfinx.mesh.compute_midpoints(mesh, 2, np.arange(problem.cells, dtype=np.int32))
+    ring = np.round(7 * np.abs(centre[:, :2] - 0.5).max(axis=1)).astype(np.int32)
+    check(problem, ring, kind, solve)
+
+
+@every_type
+def test_subdomain_that_touches_the_clamped_side_in_a_vertex(kind, solve):
+    """Triangles whose only node on the Dirichlet boundary is a vertex: kernels of dimension one."""
+    problem = elasticity(cube(2, 4))
+    report = check(problem, np.arange(problem.cells), kind, solve)
+    if kind == "classical":
+        agree(len(report.kernels) == 4 and report.kernels[1] > 0, report.kernels)

@@ -1,0 +1,109 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from ufl_values import scalar, value, variable
+
+import dolfinx
+import ufl
+
+from dolfinx_feti import kinematics as kin
+
+F_ANY = np.array([[1.2, 0.3, -0.1], [0.05, 0.9, 0.2], [-0.2, 0.1, 1.1]])
+
+
+def test_deformation_gradient_of_an_affine_displacement():
+    mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_WORLD, 2, 2, 2)
+    u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,))))
+    u.interpolate(lambda x: (F_ANY - np.eye(3)) @ x)
+    F = kin.deformation_gradient(u)
+    for i, j in ((0, 0), (0, 1), (1, 0), (2, 1)):
+        assert scalar(F[i, j] * ufl.dx) == pytest.approx(F_ANY[i, j], abs=1e-13)
+
+
+def test_every_deformation_gradient_gives_the_same_form():
+    """Variables are numbered anew in each form, so that the compiler's cache serves again."""
+    mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
+    u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,))))
+    first, second = (
+        ufl.derivative(ufl.det(kin.deformation_gradient(u)) * ufl.dx, u) for _ in range(2)
+    )
+    assert first.signature() == second.signature()
+
+
+def test_strains_in_simple_shear():
+    gamma = 0.4
+    F = variable([[1, gamma, 0], [0, 1, 0], [0, 0, 1]])
+    C = [[1, gamma, 0], [gamma, 1 + gamma**2, 0], [0, 0, 1]]
+    np.testing.assert_allclose(value(kin.right_cauchy_green(F)), C, atol=1e-15)
+    np.testing.assert_allclose(value(kin.green_lagrange(F)), (C - np.eye(3)) / 2, atol=1e-15)
+    assert value(kin.jacobian(F)) == pytest.approx(1, abs=1e-15)
+
+
+def test_isochoric_split():
+    J, F_bar = (value(part) for part in kin.isochoric_split(variable(F_ANY)))
+    assert J == pytest.approx(np.linalg.det(F_ANY))
+    assert np.linalg.det(F_bar) == pytest.approx(1)
+    np.testing.assert_allclose(J ** (1 / 3) * F_bar, F_ANY, rtol=1e-14)
+
+
+@pytest.mark.parametrize("with_jacobian", [True, False])
+def test_isochoric_invariants(with_jacobian):
+    F = variable(F_ANY)
+    C, J = kin.right_cauchy_green(F), kin.jacobian(F) if with_jacobian else None
+    a = np.array([0.6, 0.0, 0.8])
+    C_bar = F_ANY.T @ F_ANY / np.linalg.det(F_ANY) ** (2 / 3)
+    assert value(kin.isochoric_invariant_1(C, J)) == pytest.approx(np.trace(C_bar), rel=1e-14)
+    I4 = kin.isochoric_invariant_4(C, ufl.as_vector(a.tolist()), J)
+    assert value(I4) == pytest.approx(a @ C_bar @ a, rel=1e-14)
+
+
+def test_isochoric_invariants_do_not_see_a_change_of_volume():
+    a = ufl.as_vector([0.6, 0.0, 0.8])
+    C, swollen = (kin.right_cauchy_green(variable(s * F_ANY)) for s in (1.0, 1.7))
+    for invariant in (kin.isochoric_invariant_1, lambda C: kin.isochoric_invariant_4(C, a)):
+        assert value(invariant(C)) == pytest.approx(value(invariant(swollen)), rel=1e-14)
+
+
+def test_two_dimensions_are_plane_strain():
+    plane = F_ANY[:2, :2]
+    solid = np.eye(3)
+    solid[:2, :2] = plane
+    C2, C3 = (kin.right_cauchy_green(variable(F)) for F in (plane, solid))
+    assert value(kin.isochoric_invariant_1(C2)) == pytest.approx(
+        value(kin.isochoric_invariant_1(C3)), rel=1e-14
+    )
+
+
+def test_cauchy_stress_of_a_pressure_is_hydrostatic():
+    F = variable(F_ANY)
+    sigma = kin.cauchy_stress(-2.5 * (kin.jacobian(F) - 1), F)
+    np.testing.assert_allclose(value(sigma), -2.5 * np.eye(3), atol=1e-14)
+
+
+def test_cauchy_stress_by_hand():
+    """Ψ = μ/2 (tr C − 3) has σ = μ F Fᵀ / J."""
+    F = variable(F_ANY)
+    sigma = value(kin.cauchy_stress(0.5 * 4.0 * (ufl.tr(kin.right_cauchy_green(F)) - 3), F))
+    np.testing.assert_allclose(sigma, 4.0 * F_ANY @ F_ANY.T / np.linalg.det(F_ANY), rtol=1e-13)
+    np.testing.assert_allclose(sigma, sigma.T, rtol=1e-13)
+
+
+def test_cauchy_stress_refuses_a_foreign_variable():
+    F, other = variable(F_ANY), variable(F_ANY)
+    psi = kin.jacobian(F)
+    with pytest.raises(ValueError, match="psi does not depend"):
+        kin.cauchy_stress(psi, other)
+    with pytest.raises(ValueError, match="psi does not depend"):
+        kin.cauchy_stress(psi, ufl.as_matrix(F_ANY.tolist()))
+
+
+def test_stress_magnitude():
+    sigma = np.array([[1.0, 2.0, -1.0], [2.0, 3.0, 0.5], [-1.0, 0.5, -2.0]])
+    by_hand = np.sqrt(1 + 9 + 4 + 2 * (4 + 1 + 0.25))
+    assert value(kin.stress_magnitude(variable(sigma))) == pytest.approx(by_hand)

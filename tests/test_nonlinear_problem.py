@@ -1,0 +1,178 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""NonlinearProblem as its user meets it: one wall for all decompositions, and its options."""
+
+from __future__ import annotations
+
+import gc
+import time
+import weakref
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, norm, small
+from mixed import Mixed, by_place
+from problems import cube, dirichlet, left, owned, right
+from walls import PREFIX, Wall, tube, wall
+
+import dolfinx
+import dolfinx.jit
+import ufl
+
+from dolfinx_feti import NonlinearProblem, loads
+
+TIGHT = {"snes_rtol": 1e-11}
+PRESSURE = 5.0
+
+
+@pytest.fixture(scope="module")
+def references() -> dict[int, Wall]:
+    """Walls of degree 1 and 2, solved by each process for itself without the package."""
+    solved = {}
+    for degree in (1, 2):
+        body = wall(tube(MPI.COMM_SELF), degree=degree)
+        reference = Mixed(body)
+        body.load.value = loads.mmhg(PRESSURE)
+        reference.solve()
+        solved[degree] = body
+    return solved
+
+
+@pytest.mark.parametrize("subdomains", [1, 4, 16])
+@pytest.mark.parametrize("degree", [1, 2])
+def test_same_wall_for_all_decompositions(degree, subdomains, references):
+    """On any number of processes and subdomains u and p are those of the mixed problem."""
+    body, expected = wall(tube(), degree=degree), references[degree]
+    body.inflate(body.problem(subdomains, TIGHT), [PRESSURE])
+    equal(by_place(body.u), by_place(expected.u), 1e-8)
+    equal(by_place(body.p), by_place(expected.p), 1e-7)
+    agree(np.abs(by_place(expected.u)).max() > 2e-3)
+
+
+def test_one_subdomain_a_cell():
+    """The finest decomposition there is."""
+    few, many = wall(tube(around=6, along=1), degree=1), wall(tube(around=6, along=1), degree=1)
+    few.inflate(few.problem(2, TIGHT), [2.0])
+    cells = COMM.allreduce(few.p.function_space.dofmap.index_map.size_local)
+    problem = many.problem(cells, {**TIGHT, "feti_stagnation": 1000})
+    many.inflate(problem, [2.0])
+    agree(COMM.allreduce(problem.decomposition.count) == cells)
+    equal(by_place(many.u), by_place(few.u), 1e-8)
+
+
+def test_what_a_problem_offers():
+    body = wall(tube(), degree=1)
+    problem = body.problem(4)
+    agree(problem.history == [] and problem.u is body.u)
+    body.load.value = loads.mmhg(5.0)
+    agree(problem.solve() is body.u)
+    snes = problem.solver
+    agree(snes.getType() == "python" and snes.getKSP().getType() == "python")
+    agree(snes.getOptionsPrefix() == PREFIX and snes.getKSP().getOptionsPrefix() == PREFIX)
+    agree(snes.getConvergedReason() > 0 and snes.getIterationNumber() == len(problem.history))
+    agree(problem.A.getType() == "is" and problem.A.getSize()[0] == snes.getSolution().getSize())
+    equal(snes.getSolution().array_r, owned(body.u))
+    n_cells = body.p.function_space.dofmap.index_map.size_local
+    agree(problem.decomposition.subdomain.shape == (n_cells,))
+    for step in problem.history:
+        agree(0.0 < step.step_length <= 1.0 and step.residual > 0.0)
+        agree(step.linear_iterations > 0 and step.linear_method in ("cg", "gmres"))
+        agree(step.seconds_assembly > 0.0 and step.seconds_linear > 0.0)
+
+
+def test_loading_and_unloading_leaves_nothing():
+    """Elastic: back at no pressure the wall is where it was, and no step is needed to see it."""
+    body = wall(tube(), degree=1)
+    problem = body.problem(4)
+    body.inflate(problem, [5.0, 10.0])
+    loaded = norm(owned(body.u))
+    body.inflate(problem, [5.0, 0.0])
+    small(norm(owned(body.u)), 1e-7 * loaded)
+    body.u.x.array[:] = 0.0
+    body.p.x.array[:] = 0.0
+    problem.solve()
+    agree(problem.history == [] and problem.solver.getConvergedReason() > 0)
+
+
+def test_tangent_of_the_last_equilibrium_predicts():
+    """``linearise`` before the load grows changes the way, not the goal."""
+    fields = []
+    for ahead in (False, True):
+        body = wall(tube(), degree=1)
+        problem = body.problem(4, TIGHT)
+        body.inflate(problem, [5.0])
+        if ahead:
+            problem.linearise()
+        body.inflate(problem, [10.0])
+        fields.append(by_place(body.u))
+    equal(fields[1], fields[0], 1e-8)
+
+
+def exponential(mesh: dolfinx.mesh.Mesh, degree: int, **metadata: object) -> tuple:
+    """An energy whose degree UFL estimates far too high."""
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+    u = dolfinx.fem.Function(V)
+    C = ufl.Identity(2) + ufl.grad(u) + ufl.grad(u).T + ufl.grad(u).T * ufl.grad(u)
+    energy = (ufl.exp(ufl.tr(C) - 2) - ufl.ln(ufl.det(C))) * ufl.dx(metadata=metadata or None)
+    return (
+        energy,
+        u,
+        [dirichlet(V, left), dirichlet(V, right, lambda x: 0.3 * np.stack([x[1], x[0]]))],
+    )
+
+
+def stretched(degree: int, *, given: int | None = None, **metadata: object) -> np.ndarray:
+    """Solve with the package's quadrature, the problem's or the measure's."""
+    energy, u, bcs = exponential(cube(2, 3), degree, **metadata)
+    problem = NonlinearProblem(
+        energy,
+        u,
+        bcs=bcs,
+        subdomains=3,
+        petsc_options_prefix="quadrature_",
+        petsc_options={"snes_rtol": 1e-12},
+        quadrature_degree=given,
+    )
+    problem.solve()
+    return by_place(u)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_quadrature(degree):
+    """Twice the degree of u, unless the argument or the measure says otherwise."""
+    default = stretched(degree)
+    equal(stretched(degree, quadrature_degree=2 * degree), default, 1e-9)
+    other = stretched(degree, quadrature_degree=2 * degree - 1)
+    equal(stretched(degree, given=2 * degree - 1), other, 1e-9)
+    equal(stretched(degree, given=9, quadrature_degree=2 * degree - 1), other, 1e-9)
+    if degree == 2:  # of degree 1 the strain is constant, and every rule is exact
+        agree(1e-2 > np.abs(other - default).max() > 1e-6)
+
+
+def test_forms_compile_quickly(tmp_path, monkeypatch):
+    """All forms of a P2–P0 problem of two layers of HGO, on an empty cache."""
+    default = dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS
+    monkeypatch.setitem(default, "cache_dir", (str(tmp_path / "fenics"), "an empty cache"))
+    body = wall(tube(), degree=2)
+    COMM.Barrier()
+    start = time.perf_counter()
+    body.problem(4)
+    seconds = time.perf_counter() - start
+    agree(any((tmp_path / "fenics").iterdir()), "the cache is not the one that was measured")
+    small(seconds, 60.0)
+
+
+def test_nothing_is_left_behind():
+    """A problem goes when its last name goes, with all that it made."""
+    body = wall(tube(), degree=1)
+    problem = body.problem(3)
+    body.inflate(problem, [1.0])
+    A = problem.A
+    gone = weakref.ref(problem)
+    del problem
+    gc.collect()
+    agree(gone() is None)
+    agree(not A, "the torn tangent is still there")

@@ -1,0 +1,156 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Preconditioners against their dense definition."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from collective import agree, dense, equal, matrix_of, small, whole
+
+SEED = 90210
+
+PROBLEMS = {
+    "elasticity": {"subdomains": (2, 2), "cells": (2, 3), "components": 2},
+    "one cell each": {"subdomains": (2, 2, 2), "cells": (1, 1, 1), "components": 3},
+    "Laplace": {"subdomains": (3,), "cells": (4,)},
+}
+every_problem = pytest.mark.parametrize("grid", PROBLEMS.values(), ids=PROBLEMS)
+every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+
+
+def unsymmetric(K, dofs):
+    rng = np.random.default_rng(SEED)
+    for K_i in K:
+        K_i += 0.05 * np.abs(K_i).max() * rng.standard_normal(K_i.shape) * (K_i != 0.0)
+
+
+def schur_complement(K, Γ):
+    """Block-diagonal S on Γ, zero elsewhere; ``Γ`` is a mask of the rows."""
+    S = np.zeros_like(K)
+    inside = ~Γ
+    S[np.ix_(Γ, Γ)] = K[np.ix_(Γ, Γ)] - K[np.ix_(Γ, inside)] @ np.linalg.solve(
+        K[np.ix_(inside, inside)], K[np.ix_(inside, Γ)]
+    )
+    return S
+
+
+def weight_of(problem, system, pc_type):
+    """Y of the definition on all torn dofs."""
+    K = problem.K_torn
+    fixed = whole(system.inverse.fixed)
+    free = ~fixed
+    glued = np.any(dense(system.gluing.B) != 0.0, axis=0)
+    if pc_type in ("identity", "none"):
+        return np.abs(np.diag(K)[glued]).mean() * np.eye(len(K))
+    if pc_type == "lumped":
+        return K
+    S = np.zeros_like(K)
+    S[np.ix_(free, free)] = schur_complement(K[np.ix_(free, free)], glued[free])
+    return S
+
+
+def matrix(system):
+    lam = system.gluing.B.createVecLeft
+    return matrix_of(system.preconditioner.mult, lam(), lam())
+
+
+@every_problem
+@every_type
+@pytest.mark.parametrize("pc_type", ["identity", "lumped", "dirichlet"])
+@pytest.mark.parametrize("change", [None, unsymmetric], ids=["symmetric", "unsymmetric"])
+def test_preconditioner_is_the_weighted_one(grid, kind, pc_type, change, torn_grid, parts):
+    """M = B_D Y B_Dᵀ."""
+    problem = torn_grid(change=change, **grid)
+    system = parts(problem.A, type=kind, pc_type=pc_type)
+    B_D = dense(system.gluing.B_D)
+    M = matrix(system)
+    equal(M, B_D @ weight_of(problem, system, pc_type) @ B_D.T, 1e-11)
+    if change is None:
+        equal(M, M.T, 1e-12)
+        agree(np.linalg.eigvalsh(M)[0] > -1e-12 * np.abs(M).max())
+
+
+def test_none_is_a_multiple_of_the_identity(torn_grid, parts):
+    system = parts(torn_grid((2, 2), (2, 2)).A, pc_type="none")
+    M = matrix(system)
+    equal(M, M[0, 0] * np.eye(len(M)))
+    agree(M[0, 0] > 0.0)
+
+
+@every_problem
+@every_type
+@pytest.mark.parametrize("pc_type", ["none", "identity", "lumped", "dirichlet"])
+def test_product_is_the_preconditioner_column_by_column(grid, kind, pc_type, torn_grid, parts):
+    """The sparse M G against M applied to each column of G."""
+    system = parts(torn_grid(**grid).A, type=kind, pc_type=pc_type)
+    MG = system.preconditioner.product(system.coarse.G)
+    equal(dense(MG), matrix(system) @ dense(system.coarse.G), 1e-12)
+    MG.destroy()
+
+
+@every_type
+@pytest.mark.parametrize("pc_type", ["none", "identity", "lumped", "dirichlet"])
+@pytest.mark.parametrize("scaling", ["multiplicity", "stiffness"])
+def test_force_of_a_jump_is_the_residual_of_the_averaged_displacement(
+    kind, pc_type, scaling, torn_grid, parts
+):
+    """‖Tᵀ t‖ = ‖b − A x‖ where T x = u − E_Γ B_Dᵀ B u and u solves the torn equations."""
+    problem = torn_grid((2, 2), (3, 2), components=2, stiffness=lambda i: 7.0**i)
+    system = parts(problem.A, type=kind, pc_type=pc_type, scaling=scaling)
+    torn, inverse, gluing = system.torn, system.inverse, system.gluing
+    rng = np.random.default_rng(SEED + 1)
+    lam = gluing.B.createVecLeft()
+    lam.array[:] = rng.standard_normal(gluing.B.getSize()[0])[slice(*lam.getOwnershipRange())]
+    reaction = gluing.B.createVecRight()
+    gluing.B.multTranspose(lam, reaction)
+    u = np.zeros(torn.n)
+    force = np.where(inverse.fixed, 0.0, reaction.array_r)
+    for dofs, E in zip(inverse.dofs, inverse.E, strict=True):  # balanced: Eᵀ f = 0
+        force[dofs] -= E @ np.linalg.solve(E.T @ E, E.T @ force[dofs]) if E.size else 0.0
+    inverse.solve(force, u)
+    reaction.array[:] = u
+    jump, z = gluing.B.createVecLeft(), gluing.B.createVecLeft()
+    gluing.B.mult(reaction, jump)
+    gluing.B_D.multTranspose(jump, reaction)
+    averaged = u - system.preconditioner.extend(reaction.array_r.copy())
+    system.preconditioner.mult(jump, z)
+    t = system.preconditioner.imbalance(jump).copy()
+    free = torn.assemble(torn.dirichlet.astype(float)) == 0.0
+    expected = torn.assemble(force - torn.multiply(averaged))
+    equal(whole(np.where(free, torn.assemble(t), 0.0)), whole(np.where(free, expected, 0.0)), 1e-9)
+
+
+def test_extension_is_harmonic(torn_grid, parts):
+    """The extension of a rigid motion of the interface is that motion, without a force inside."""
+    problem = torn_grid((2, 2), (3, 3), components=2)
+    system = parts(problem.A)
+    pc, torn = system.preconditioner, system.torn
+    motion = torn.near_kernel() @ np.array([0.3, -1.1, 0.7])
+    w = np.zeros(torn.n)
+    w[system.gluing.glued] = motion[system.gluing.glued]
+    equal(whole(pc.extend(w)), whole(motion), 1e-12)
+    noise = np.random.default_rng(SEED + 2).standard_normal(torn.n)
+    w[system.gluing.glued] = noise[system.gluing.glued]
+    force = torn.multiply(pc.extend(w))
+    force[system.gluing.glued] = 0.0
+    small(np.abs(force).max(initial=0.0), 1e-11 * np.abs(problem.K_torn).max())
+
+
+def test_values_are_refreshed(torn_grid, parts):
+    problem = torn_grid((2, 2), (2, 2), components=2)
+    system = parts(problem.A)
+    before = matrix(system)
+    problem.local.scale(3.0)
+    system.update()
+    equal(matrix(system), 3.0 * before, 1e-12)
+
+
+def test_subdomains_may_have_no_interior(torn_grid, parts):
+    """Single cells in a row, held at both ends: the Schur complement is the matrix."""
+    ends = lambda x: (x[:, 0] == 0.0) | (x[:, 0] == 3.0)  # noqa: E731
+    problem = torn_grid((3, 1), (1, 1), components=2, fixed=ends)
+    system = parts(problem.A)
+    agree(all(len(rows) == 0 for rows in system.preconditioner.interior))
+    equal(matrix(system), matrix(parts(problem.A, pc_type="lumped")), 1e-14)

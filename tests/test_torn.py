@@ -1,0 +1,177 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The seam: a torn matrix is the assembled operator, and what travels on it."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from collective import COMM, agree, dense, equal, raises, whole
+
+import dolfinx_feti
+from dolfinx_feti.parts import is_symmetric
+from dolfinx_feti.torn import Torn, connected_blocks
+
+SEED = 60914
+
+
+@pytest.mark.parametrize(
+    ("subdomains", "cells", "components"), [((3,), (4,), 1), ((2, 2), (2, 3), 2)]
+)
+def test_torn_matrix_acts_as_the_assembled_one(torn_grid, subdomains, cells, components):
+    problem = torn_grid(subdomains, cells, components=components)
+    x = np.random.default_rng(SEED).standard_normal(len(problem.dirichlet))
+    x_vec, y_vec = problem.vector(x), problem.A.createVecLeft()
+    problem.A.mult(x_vec, y_vec)
+    expected = problem.T.T @ problem.K_torn @ problem.T @ x
+    equal(whole(y_vec.array_r), expected, 1e-13)
+    assembled = PETSc.Mat()
+    problem.A.convert("aij", assembled)
+    equal(dense(assembled), problem.T.T @ problem.K_torn @ problem.T, 1e-13)
+
+
+def test_tear_and_assemble_are_transposed(torn_grid):
+    problem = torn_grid((2, 2), (2, 2), components=2)
+    torn = Torn(problem.A)
+    rng = np.random.default_rng(SEED + 1)
+    x, t = rng.standard_normal(len(problem.dirichlet)), rng.standard_normal(len(problem.to_global))
+    mine = slice(torn.start, torn.start + torn.n)
+    equal(whole(torn.tear(problem.vector(x))), problem.T @ x)
+    equal(whole(torn.assemble(t[mine])), problem.T.T @ t, 1e-14)
+    equal(whole(torn.multiplicity()), problem.T.sum(axis=0).astype(int))
+    equal(whole(torn.multiply(t[mine])), problem.K_torn @ t, 1e-13)
+    equal(whole(torn.dirichlet), problem.dirichlet[problem.to_global])
+    torn.destroy()
+
+
+def test_gather_brings_copies_in_the_order_of_dofs(torn_grid):
+    problem = torn_grid((2, 2), (2, 2))
+    torn = Torn(problem.A)
+    gathered = whole(torn.gather(torn.start + np.arange(torn.n, dtype=np.float64)))
+    copies = np.split(gathered.astype(int), np.cumsum(problem.T.sum(axis=0).astype(int))[:-1])
+    agree(
+        all(sorted(c) == list(np.flatnonzero(problem.T[:, j])) for j, c in enumerate(copies)),
+        gathered,
+    )
+    torn.destroy()
+
+
+def test_subdomains_are_the_blocks(torn_grid):
+    problem = torn_grid((3, 2), (2, 1), components=2)
+    torn = Torn(problem.A)
+    sizes = COMM.allreduce([len(rows) for rows in torn.subdomains])
+    equal(sizes, [len(K) for K in problem.K])
+    agree(all(np.all(np.diff(rows) > 0) for rows in torn.subdomains))
+    torn.destroy()
+
+
+def test_blocks_are_found_in_any_order():
+    """Interleaved subdomains, one of them a single dof without an entry off its diagonal."""
+    csr = ([0, 2, 4, 6, 8, 9], [0, 2, 1, 3, 0, 2, 1, 3, 4], np.ones(9))
+    K = PETSc.Mat().createAIJ((5, 5), csr=csr, comm=PETSc.COMM_SELF)
+    agree([list(rows) for rows in connected_blocks(K)] == [[0, 2], [1, 3], [4]])
+    K.destroy()
+
+
+def test_blocks_are_found_when_a_first_row_does_not_couple():
+    """Two nodes that are coupled by their second components only."""
+    csr = ([0, 1, 3, 4, 6], [0, 1, 3, 2, 1, 3], np.ones(6))
+    K = PETSc.Mat().createAIJ((4, 4), bsize=2, csr=csr, comm=PETSc.COMM_SELF)
+    agree([list(rows) for rows in connected_blocks(K)] == [[0, 1, 2, 3]])
+    K.destroy()
+
+
+def test_dirichlet_dofs_may_be_named_by_any_process(torn_grid):
+    problem = torn_grid((2, 2), (2, 2))
+    dofs = np.flatnonzero(problem.dirichlet)
+    named = dofs if COMM.rank == COMM.size - 1 else dofs[:1]
+    problem.A.compose("dirichlet", PETSc.IS().createGeneral(named.astype(PETSc.IntType), comm=COMM))
+    torn = Torn(problem.A)
+    equal(whole(torn.dirichlet), problem.dirichlet[problem.to_global])
+    torn.destroy()
+
+
+def test_near_kernel_is_orthonormal_and_spans_the_modes(torn_grid):
+    problem = torn_grid((2, 1, 1), (2, 2, 1), components=3)
+    modes = np.column_stack([whole(v.array_r) for v in problem.A.getNearNullSpace().getVecs()])
+    equal(modes.T @ modes, np.eye(6), 1e-14)
+    coefficients = np.linalg.lstsq(modes, problem.modes)[0]
+    equal(modes @ coefficients, problem.modes, 1e-13)
+    torn = Torn(problem.A)
+    equal(whole(torn.near_kernel()), modes[problem.to_global])
+    torn.destroy()
+
+
+def test_scalar_problem_needs_no_near_kernel(torn_grid):
+    problem = torn_grid((3,), (2,), modes=0)
+    torn = Torn(problem.A)
+    equal(torn.near_kernel(), np.ones((torn.n, 1)))
+    torn.destroy()
+
+
+def test_stiffness_is_the_diagonal_or_what_is_attached(torn_grid):
+    problem = torn_grid((2, 2), (2, 2), stiffness=lambda i: 10.0**i)
+    torn = Torn(problem.A)
+    mine = slice(torn.start, torn.start + torn.n)
+    equal(torn.stiffness(), np.diag(problem.K_torn)[mine])
+    weight = 1.0 + np.arange(torn.n)
+    A = dolfinx_feti.create_torn_matrix(
+        problem.local,
+        problem.to_global[mine],
+        problem.A.getSizes()[0],
+        comm=COMM,
+        stiffness=weight,
+    )
+    other = Torn(A)
+    weight[:] = -1.0  # the matrix has taken a copy
+    equal(other.stiffness(), 1.0 + np.arange(torn.n))
+    for owner in (torn, other, A):
+        owner.destroy()
+
+
+def test_symmetry_is_tested(torn_grid):
+    def skew(K, dofs):
+        K[-1][0, 1] += 1e-6
+
+    for change, expected in ((None, True), (skew, False)):
+        torn = Torn(torn_grid((2, 2), (2, 2), change=change).A)
+        agree(is_symmetric(torn) == expected)
+        torn.destroy()
+
+
+def test_blocked_matrix_without_near_kernel_is_refused(torn_grid):
+    torn = Torn(torn_grid((2, 1), (1, 1), components=2, modes=0).A)
+    with raises(ValueError, "set_near_kernel"):
+        torn.near_kernel()
+    torn.destroy()
+
+
+def test_other_matrix_types_are_refused():
+    A = PETSc.Mat().createAIJ((4, 4), comm=COMM)
+    A.setUp()
+    A.assemble()
+    with raises(TypeError, "create_torn_matrix"):
+        Torn(A)
+    A.destroy()
+
+
+def test_dense_local_matrix_is_refused():
+    K = PETSc.Mat().createDense((1, 1), array=np.ones((1, 1)), comm=PETSc.COMM_SELF)
+    K.assemble()
+    A = dolfinx_feti.create_torn_matrix(K, np.array([COMM.rank]), (1, COMM.size), comm=COMM)
+    with raises(ValueError, "AIJ"):
+        Torn(A)
+    A.destroy()
+    K.destroy()
+
+
+def test_torn_dofs_are_numbered_from_process_to_process(torn_grid):
+    problem = torn_grid((3,), (2,))
+    torn = Torn(problem.A)
+    sizes = COMM.allgather(torn.n)
+    agree(torn.start == sum(sizes[: COMM.rank]))
+    agree(sum(sizes) == len(problem.to_global))
+    torn.destroy()

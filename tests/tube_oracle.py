@@ -1,0 +1,227 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Semi-analytical solution of the inflated two-layer tube: no finite elements, no UFL.
+
+A tube with axial stretch 1 moves by R ↦ r(R), with principal stretches λ_r = r', λ_θ = r/R, λ_z = 1
+and J = λ_r λ_θ. Both fibre families lie at ±α from the circumference, hence have the same
+
+    Ī₄ = J^{-2/3} (λ_θ² cos²α + sin²α),
+
+and the energy per unit reference volume is
+
+    W = κ/2 (J − 1)² + c/2 (J^{-2/3} (λ_r² + λ_θ² + 1) − 3) + k₁/k₂ (exp(k₂ ⟨Ī₄ − 1⟩²) − 1).
+
+With P_rR = ∂W/∂λ_r and P_θΘ = ∂W/∂λ_θ equilibrium is d(R P_rR)/dR = P_θΘ; r and R P_rR are
+continuous between the layers, P_rR = −p r/R on the inner surface and 0 on the outer one.
+:func:`compressible` shoots on the inner radius. For κ → ∞ the tube is isochoric,
+r² = r_i² + R² − R_i², and :func:`incompressible` needs one quadrature of p = ∫ (σ_θθ − σ_rr) dr/r.
+
+Millimetres and kPa.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.integrate import quad, solve_ivp
+from scipy.optimize import brentq
+
+KPA_PER_MMHG = 0.1333223684
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """One layer of the wall: reference radii [mm] and the fibres' angle [degrees]."""
+
+    inner: float
+    outer: float
+    angle: float
+
+
+LAYERS = (Layer(0.71, 0.97, 29.0), Layer(0.97, 1.10, 62.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Wall:
+    """Parameters of W [kPa, kPa, -, kPa]; κ = ∞ is the incompressible tube."""
+
+    c: float = 3.0
+    k1: float = 2.3632
+    k2: float = 0.8393
+    kappa: float = np.inf
+    layers: tuple[Layer, ...] = LAYERS
+
+
+@dataclass(frozen=True, slots=True)
+class Tube:
+    """An inflated tube; ``radius`` and ``stress`` are functions of the reference radius R [mm].
+
+    Attributes:
+        wall: Parameters.
+        pressure: Inner pressure [kPa].
+        radius: r(R) [mm].
+        jacobian: J(R).
+        stress: Cauchy stress (σ_rr, σ_θθ) at R [kPa]; at an interface that of the inner layer.
+    """
+
+    wall: Wall
+    pressure: float
+    radius: Callable[[float], float]
+    jacobian: Callable[[float], float]
+    stress: Callable[[float], tuple[float, float]]
+
+    @property
+    def inner_displacement(self) -> float:
+        """u_r on the inner surface [mm]."""
+        inner = self.wall.layers[0].inner
+        return self.radius(inner) - inner
+
+    @property
+    def thickness(self) -> float:
+        """Deformed thickness [mm]."""
+        return self.radius(self.wall.layers[-1].outer) - self.radius(self.wall.layers[0].inner)
+
+    @property
+    def mean_jacobian(self) -> float:
+        """Deformed over reference volume of the wall."""
+        inner, outer = self.wall.layers[0].inner, self.wall.layers[-1].outer
+        return (self.radius(outer) ** 2 - self.radius(inner) ** 2) / (outer**2 - inner**2)
+
+
+def inflate(pressure: float, wall: Wall) -> Tube:
+    """The tube under an inner pressure [kPa], for any κ."""
+    return (
+        compressible(pressure, wall) if np.isfinite(wall.kappa) else incompressible(pressure, wall)
+    )
+
+
+def stresses(wall: Wall, angle: float, stretch_r: float, stretch_t: float) -> tuple[float, float]:
+    """First Piola stresses P_rR = ∂W/∂λ_r and P_θΘ = ∂W/∂λ_θ [kPa], without κ if it is infinite."""
+    cosine2 = np.cos(np.radians(angle)) ** 2
+    J = stretch_r * stretch_t
+    scale = J ** (-2.0 / 3.0)
+    I1 = stretch_r**2 + stretch_t**2 + 1.0
+    I4 = scale * (stretch_t**2 * cosine2 + 1.0 - cosine2)
+    E = max(I4 - 1.0, 0.0)
+    fibre = 2.0 * wall.k1 * E * np.exp(wall.k2 * E * E)  # dW/dĪ₄, both families
+    P_r = wall.c * scale * (stretch_r - I1 / (3.0 * stretch_r)) - fibre * 2.0 * I4 / (
+        3.0 * stretch_r
+    )
+    P_t = wall.c * scale * (stretch_t - I1 / (3.0 * stretch_t))
+    P_t += fibre * (2.0 * scale * stretch_t * cosine2 - 2.0 * I4 / (3.0 * stretch_t))
+    if np.isfinite(wall.kappa):
+        P_r += wall.kappa * (J - 1.0) * stretch_t
+        P_t += wall.kappa * (J - 1.0) * stretch_r
+    return P_r, P_t
+
+
+def energy(wall: Wall, angle: float, stretch_r: float, stretch_t: float) -> float:
+    """W [kPa], without its volumetric part if κ is infinite."""
+    cosine2 = np.cos(np.radians(angle)) ** 2
+    J = stretch_r * stretch_t
+    scale = J ** (-2.0 / 3.0)
+    E = max(scale * (stretch_t**2 * cosine2 + 1.0 - cosine2) - 1.0, 0.0)
+    W = wall.c / 2.0 * (scale * (stretch_r**2 + stretch_t**2 + 1.0) - 3.0)
+    W += wall.k1 / wall.k2 * np.expm1(wall.k2 * E * E)
+    return W + wall.kappa / 2.0 * (J - 1.0) ** 2 if np.isfinite(wall.kappa) else W
+
+
+def incompressible(pressure: float, wall: Wall) -> Tube:
+    """The limit κ → ∞ in closed form."""
+    R_i, R_o = wall.layers[0].inner, wall.layers[-1].outer
+    breaks = [layer.outer for layer in wall.layers[:-1]]
+
+    def difference(R: float, r_i: float) -> float:
+        """(σ_θθ − σ_rr)/r · dr/dR with σ_θθ − σ_rr = λ dW/dλ on λ_r = 1/λ_θ."""
+        r = np.sqrt(r_i**2 + R**2 - R_i**2)
+        P_r, P_t = stresses(wall, wall.layers[_layer_at(wall, R)].angle, R / r, r / R)
+        return (P_t * r / R - P_r * R / r) * R / r**2
+
+    def carried(r_i: float, R: float) -> float:
+        inside = [b for b in breaks if b < R]
+        return quad(
+            difference, R_i, R, args=(r_i,), points=inside or None, epsabs=1e-13, epsrel=1e-12
+        )[0]
+
+    r_i = _root(lambda r: carried(r, R_o) - pressure, R_i)
+
+    def stress(R: float) -> tuple[float, float]:
+        r = np.sqrt(r_i**2 + R**2 - R_i**2)
+        radial = carried(r_i, R) - pressure
+        return radial, radial + difference(R, r_i) * r**2 / R
+
+    return Tube(wall, pressure, lambda R: np.sqrt(r_i**2 + R**2 - R_i**2), lambda R: 1.0, stress)
+
+
+def compressible(pressure: float, wall: Wall) -> Tube:
+    """The two-point problem at a finite κ by shooting on the inner radius."""
+    start = incompressible(pressure, replace(wall, kappa=np.inf)).radius(wall.layers[0].inner)
+    r_i = _root(lambda r: _integrate(pressure, wall, r)[-1].y[1, -1], start)
+    solutions = _integrate(pressure, wall, r_i, dense=True)
+
+    def at(R: float) -> tuple[float, float, float, float]:
+        """λ_r, λ_θ, P_rR, P_θΘ."""
+        i = _layer_at(wall, R)
+        r, RP = solutions[i].sol(R)
+        stretch_r = _radial_stretch(wall, wall.layers[i].angle, r / R, RP / R)
+        return stretch_r, r / R, *stresses(wall, wall.layers[i].angle, stretch_r, r / R)
+
+    def stress(R: float) -> tuple[float, float]:
+        stretch_r, stretch_t, P_r, P_t = at(R)
+        return P_r / stretch_t, P_t / stretch_r  # σ = P Fᵀ / J
+
+    return Tube(wall, pressure, lambda R: at(R)[1] * R, lambda R: at(R)[0] * at(R)[1], stress)
+
+
+def _integrate(pressure: float, wall: Wall, r_i: float, dense: bool = False) -> list[Any]:
+    """Integrate (r, R P_rR) outwards, layer by layer, from P_rR = −p r/R inside."""
+    state: Floats = np.array([r_i, -pressure * r_i])
+    solutions: list[Any] = []
+    for layer in wall.layers:
+
+        def slope(R: float, y: Floats, angle: float = layer.angle) -> list[float]:
+            stretch_r = _radial_stretch(wall, angle, y[0] / R, y[1] / R)
+            return [stretch_r, stresses(wall, angle, stretch_r, y[0] / R)[1]]
+
+        ends = (layer.inner, layer.outer)
+        tolerances = {"rtol": 1e-10, "atol": 1e-12}
+        solutions.append(solve_ivp(slope, ends, state, "DOP853", dense_output=dense, **tolerances))
+        state = solutions[-1].y[:, -1]
+    return solutions
+
+
+def _layer_at(wall: Wall, R: float) -> int:
+    """Index of the layer around R; the nearest one outside the wall."""
+    interfaces = [layer.outer for layer in wall.layers[:-1]]
+    return int(np.searchsorted(interfaces, R))
+
+
+def _radial_stretch(wall: Wall, angle: float, stretch_t: float, P: float) -> float:
+    """The λ_r at which P_rR has a given value, near J = 1."""
+
+    def residual(stretch_r: float) -> float:
+        return stresses(wall, angle, stretch_r, stretch_t)[0] - P
+
+    low, high = 0.9 / stretch_t, 1.1 / stretch_t
+    while residual(low) > 0:
+        low *= 0.8
+    while residual(high) < 0:
+        high *= 1.25
+    return brentq(residual, low, high, xtol=1e-15, rtol=4 * np.finfo(float).eps)
+
+
+def _root(function: Callable[[float], float], start: float) -> float:
+    """The first root at or above ``start`` of an increasing function."""
+    if function(start) >= 0:
+        return start
+    step, high = 0.05 * start, 1.05 * start
+    while function(high) < 0:
+        start, high = high, high + step
+    return brentq(function, start, high, xtol=1e-13, rtol=1e-13)
