@@ -12,7 +12,7 @@ cell data stand in one file and nothing is smoothed. Elsewhere it is XDMF, `name
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
@@ -49,18 +49,7 @@ def writable_folder(path: Path | str, comm: MPI.Comm) -> Path:
     Note:
         Collective; the first process tries, all raise or none.
     """
-    path, reason = Path(path), None
-    if comm.rank == 0:
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=path) as file:
-                file.write(b"\0" * 4096)
-        except OSError as error:
-            reason = error.strerror or str(error)
-    reason = comm.bcast(reason, root=0)
-    if reason is not None:
-        raise OSError(f"The output folder {path} cannot be written ({reason}): name another one.")
-    return path
+    return _try_on_first(_write_in_folder, Path(path), "folder", comm)
 
 
 class FieldWriter:
@@ -110,8 +99,7 @@ class FieldWriter:
                 f"The fields are named {names}: give a function or more, and each its own name."
             )
         mesh = functions[0].function_space.mesh
-        folder = writable_folder(Path(path).parent, mesh.comm)
-        self.path = folder / (Path(path).name + SUFFIXES[kind])
+        self.path = _writable_place(Path(path), kind, mesh.comm)
         self._sources: list[dolfinx.fem.Function | dolfinx.fem.Expression] = list(functions)
         self._copies = [_output_function(f, kind) for f in functions]
         for name, expression in expressions.items():
@@ -180,6 +168,45 @@ def cell_values(expression: Expr, mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.flo
     owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
     values = dolfinx.fem.Expression(expression, centroid).eval(mesh, owned)
     return np.asarray(values).reshape(len(owned), *expression.ufl_shape)
+
+
+def _writable_place(path: Path, kind: str, comm: MPI.Comm) -> Path:
+    """Return the path with its suffix, once everything there can be written.
+
+    A folder where a file should be, or a file where a folder should be, would make one process
+    raise alone in the libraries below, or nothing be written without a word.
+    """
+    folder = writable_folder(path.parent, comm)
+    place = folder / (path.name + SUFFIXES[kind])
+    if kind == "vtx":
+        return writable_folder(place, comm)
+    for file in (place, folder / (path.name + ".h5")):
+        _try_on_first(_append_nothing, file, "file", comm)
+    return place
+
+
+def _try_on_first(attempt: Callable[[Path], object], path: Path, what: str, comm: MPI.Comm) -> Path:
+    """Let the first process try; raise on all if it meets an OSError."""
+    reason = None
+    if comm.rank == 0:
+        try:
+            attempt(path)
+        except OSError as error:
+            reason = error.strerror or str(error)
+    reason = comm.bcast(reason, root=0)
+    if reason is not None:
+        raise OSError(f"The output {what} {path} cannot be written ({reason}): name another one.")
+    return path
+
+
+def _write_in_folder(path: Path) -> None:
+    path.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=path) as file:
+        file.write(b"\0" * 4096)
+
+
+def _append_nothing(path: Path) -> None:
+    path.open("ab").close()
 
 
 def _output_function(f: dolfinx.fem.Function, kind: str) -> dolfinx.fem.Function:
