@@ -13,6 +13,11 @@ falls in a proportion to the force that changes slowly: it measures the force wh
 last seen promises convergence, and every few iterations. Where subdomains are nearly singular
 the residual that GMRES updates parts from the true one; it then ends, for a fresh start on what is
 left (``feti_refine``).
+
+The coefficients of CG are those of Lanczos' method. Rounding makes its vectors lose their
+orthogonality to the eigenvectors that have converged: copies of these appear (ghosts), and
+iterations are spent on them. ``feti_dual_reorthogonalize`` takes PETSc's flexible CG instead, which
+makes each direction F-orthogonal to all earlier ones, and so needs two vectors an iteration.
 """
 
 from __future__ import annotations
@@ -24,6 +29,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.dual import ConstraintPreconditioner, DualOperator, DualVector
+from dolfinx_feti.options import inserted
 
 __all__ = ["Krylov"]
 
@@ -38,6 +44,9 @@ INTERVAL = 10
 
 #: Quotient of true and updated residual at which GMRES has lost its way.
 PARTED = 2.0
+
+#: Iterations for which there is room: PETSc allocates Lanczos' coefficients once, at set-up.
+ROOM = 100_000
 
 
 class Krylov:
@@ -59,6 +68,7 @@ class Krylov:
         definite: bool,
         prefix: str,
         stagnation: int,
+        reorthogonalize: bool,
     ) -> None:
         """Create the solver; nothing is solved yet.
 
@@ -69,6 +79,7 @@ class Krylov:
             definite: Whether CG is safe.
             prefix: Options prefix.
             stagnation: Iterations without a new least residual that end the solve.
+            reorthogonalize: Keep CG's directions orthogonal to all earlier ones.
         """
         self._preconditioner = preconditioner
         self.x = vector.create()
@@ -81,16 +92,20 @@ class Krylov:
         self.ksp.setOperators(self._mat)
         self.ksp.setType(PETSc.KSP.Type.CG if definite else PETSc.KSP.Type.GMRES)
         self.ksp.setGMRESRestart(200)
+        own = PETSc.Options(prefix)
+        full = reorthogonalize and own.getString("ksp_type", self.ksp.getType()) == "cg"
         pc = self.ksp.getPC()
         pc.setType(PETSc.PC.Type.PYTHON)
         pc.setPythonContext(preconditioner)
         self.ksp.setComputeSingularValues(True)
-        self.ksp.setFromOptions()
+        with inserted(prefix, {"ksp_type": "fcg", "ksp_fcg_mmax": ROOM} if full else {}):
+            self.ksp.setFromOptions()
         if self.ksp.getType() in ("gmres", "fgmres"):
             self.ksp.setPCSide(PETSc.PC.Side.RIGHT)  # its residual then is the jump
         preconditioner.frozen = preconditioner.exact and self.is_cg
-        own = PETSc.Options(prefix)
         self.users_test = any(own.hasName(f"ksp_{key}") for key in ("rtol", "atol"))
+        if not self.users_test:
+            self.ksp.setTolerances(max_it=ROOM)
         self._stagnation = stagnation
         self.eigenvalues = (np.nan, np.nan)
 
@@ -110,21 +125,34 @@ class Krylov:
         Returns:
             The converged reason.
         """
-        test = _Test(self._preconditioner, target, self._stagnation, cg=self.is_cg, monitor=monitor)
+        test = _Test(
+            self._preconditioner,
+            target,
+            self._stagnation,
+            max_it,
+            cg=self.is_cg,
+            monitor=monitor,
+        )
         if self.users_test:
             self.ksp.setMonitor(lambda ksp, its, rnorm: test.measure(its, rnorm))
         else:
             self.ksp.setConvergenceTest(test)
-            self.ksp.setTolerances(max_it=max_it)
         self.ksp.solve(self.b, self.x)
         if self.users_test:
             self.ksp.monitorCancel()
         else:
             self.ksp.setConvergenceTest(None)  # it refers to the outer solver, which owns this one
         if self.is_cg and self.ksp.getIterationNumber() > 0:
-            high, low = self.ksp.computeExtremeSingularValues()
-            self.eigenvalues = (low, high)
+            self.eigenvalues = self._ritz_values()
         return self.ksp.getConvergedReason()
+
+    def _ritz_values(self) -> tuple[float, float]:
+        """Return the extreme Ritz values; nan if CG has met a NaN."""
+        try:
+            high, low = self.ksp.computeExtremeSingularValues()
+        except PETSc.Error:  # LAPACK does not accept the coefficients
+            return np.nan, np.nan
+        return low, high
 
     def destroy(self) -> None:
         """Free solver and vectors."""
@@ -140,6 +168,7 @@ class _Test:
         preconditioner: ConstraintPreconditioner,
         target: float,
         stagnation: int,
+        max_it: int,
         *,
         cg: bool,
         monitor: Monitor,
@@ -147,6 +176,7 @@ class _Test:
         self._preconditioner = preconditioner
         self._target = target
         self._stagnation = stagnation
+        self._max_it = max_it
         self._cg = cg
         self._monitor = monitor
         self._proportion = 1.0 if cg else np.nan
@@ -178,7 +208,7 @@ class _Test:
             self._best = (norm, its)
         if self._stagnation and its - self._best[1] >= self._stagnation:
             return Reason.DIVERGED_BREAKDOWN
-        if its >= ksp.getTolerances()[3]:
+        if its >= self._max_it:
             return Reason.DIVERGED_MAX_IT
         return Reason.ITERATING
 

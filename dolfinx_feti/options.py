@@ -3,27 +3,29 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Options, read in one place from PETSc's database under the solver's prefix.
 
-========================= ============================================ =========================
-``-feti_type``            ``all_floating``, ``classical``              Dirichlet dofs as rows of B
-``-feti_pc_type``         ``dirichlet``, ``lumped``, ``identity``,     preconditioner M
-                          ``none``
-``-feti_scaling``         ``stiffness``, ``multiplicity``              weights of B_D
-``-feti_coarse_q``        ``preconditioner``, ``diagonal``,            weight Q of the projection
-                          ``identity``
-``-feti_gluing``          ``full``, ``nonred``                         redundancy of B
-``-feti_indefinite``      ``enrich``, ``gmres``, ``error``             subdomains with a negative
-                                                                       eigenvalue: enrich R, leave
-                                                                       it to GMRES, or refuse
-``-feti_coarse_modes``    12                                           soft modes of a subdomain in
-                                                                       the coarse space, at most
-``-feti_stagnation``      200                                          iterations without gain
-``-feti_refine``          10                                           restarts on the residual of
-                                                                       the assembled system
-``-feti_dual_…``          ``ksp_type cg|gmres|fgmres|…``               Krylov method for (λ, s)
-``-feti_local_…``         ``pc_factor_mat_solver_type …``              factors of K_ρ
-``-feti_dirichlet_…``     ``pc_factor_mat_solver_type …``              factors of K_II
-``-feti_coarse_…``        ``ksp_type``, ``pc_type``, …                 solver of N
-========================= ============================================ =========================
+============================== ======================================== ============================
+``-feti_type``                 ``all_floating``, ``classical``          Dirichlet dofs as rows of B
+``-feti_pc_type``              ``dirichlet``, ``lumped``, ``identity``, preconditioner M
+                               ``none``
+``-feti_scaling``              ``stiffness``, ``multiplicity``          weights of B_D
+``-feti_coarse_q``             ``preconditioner``, ``diagonal``,        weight Q of the projection
+                               ``identity``
+``-feti_gluing``               ``full``, ``nonred``                     redundancy of B
+``-feti_indefinite``           ``enrich``, ``gmres``, ``error``         subdomains with a negative
+                                                                        eigenvalue: enrich R, leave
+                                                                        it to GMRES, or refuse
+``-feti_coarse_modes``         12                                       soft modes of a subdomain in
+                                                                        the coarse space, at most
+``-feti_stagnation``           200                                      iterations without gain
+``-feti_refine``               10                                       restarts on the residual of
+                                                                        the assembled system
+``-feti_dual_…``               ``ksp_type cg|gmres|fgmres|…``           Krylov method for (λ, s)
+``-feti_dual_reorthogonalize`` ``false``, ``true``                      directions of CG orthogonal
+                                                                        to all earlier ones
+``-feti_local_…``              ``pc_factor_mat_solver_type …``          factors of K_ρ
+``-feti_dirichlet_…``          ``pc_factor_mat_solver_type …``          factors of K_II
+``-feti_coarse_…``             ``ksp_type``, ``pc_type``, …             solver of N
+============================== ======================================== ============================
 
 The first value is the default.
 """
@@ -48,6 +50,7 @@ CHOICES = {
     "indefinite": ("enrich", "gmres", "error"),
 }
 NUMBERS = {"coarse_modes": 12, "stagnation": 200, "refine": 10}
+FLAGS = {"dual_reorthogonalize": False}
 SUBSOLVERS = {
     "dual_": ("ksp_",),
     "local_": ("pc_", "mat_"),
@@ -69,6 +72,7 @@ class FETIOptions:
     coarse_modes: int = 12
     stagnation: int = 200
     refine: int = 10
+    dual_reorthogonalize: bool = False
 
     @property
     def all_floating(self) -> bool:
@@ -86,7 +90,7 @@ def read_options(prefix: str) -> FETIOptions:
         ValueError: A value is not among the choices, or an option does not exist.
     """
     options = PETSc.Options(prefix + "feti_")
-    values: dict[str, str | int] = {}
+    values: dict[str, str | int | bool] = {}
     for name, choices in CHOICES.items():
         value = options.getString(name, choices[0])
         if value not in choices:
@@ -99,13 +103,21 @@ def read_options(prefix: str) -> FETIOptions:
         if number < 0:
             raise ValueError(f"Option -{prefix}feti_{name} is {number}; it takes a number ≥ 0.")
         values[name] = number
+    for name, default in FLAGS.items():
+        try:
+            values[name] = options.getBool(name, default)
+        except PETSc.Error:
+            raise ValueError(
+                f"Option -{prefix}feti_{name} is '{options.getString(name)}'; it takes true or "
+                "false."
+            ) from None
     _reject_unknown(prefix)
     return FETIOptions(**values)  # type: ignore[arg-type]
 
 
 def _reject_unknown(prefix: str) -> None:
     """Refuse an option that begins like ours and is none."""
-    known = [*CHOICES, *NUMBERS]
+    known = [*CHOICES, *NUMBERS, *FLAGS]
     passed_on = tuple(solver + part for solver, parts in SUBSOLVERS.items() for part in parts)
     for key in PETSc.Options().getAll():
         name = key.removeprefix(prefix + "feti_")

@@ -160,6 +160,7 @@ class Parts:
             definite=self.symmetric and self.negative == 0,
             prefix=self.prefix + "dual_",
             stagnation=self.options.stagnation,
+            reorthogonalize=self.options.dual_reorthogonalize,
         )
         self._dual += [vector, self.constraint, self.operator, self.krylov]
         self._check_method()

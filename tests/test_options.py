@@ -17,6 +17,7 @@ from problems import cube, elasticity, owned, poisson
 import dolfinx_feti
 from dolfinx_feti.options import (
     CHOICES,
+    FLAGS,
     NUMBERS,
     FETIOptions,
     inserted,
@@ -33,7 +34,7 @@ def read(prefix="o_", **options):
 def test_defaults_are_those_of_the_class():
     agree(read() == FETIOptions())
     fields = {field.name: field.default for field in dataclasses.fields(FETIOptions)}
-    expected = {name: choices[0] for name, choices in CHOICES.items()} | NUMBERS
+    expected = {name: choices[0] for name, choices in CHOICES.items()} | NUMBERS | FLAGS
     agree(fields == expected)
 
 
@@ -53,6 +54,14 @@ def test_numbers_are_read(name):
         read(**{f"feti_{name}": -1})
 
 
+@pytest.mark.parametrize("name", FLAGS)
+def test_flags_are_read(name):
+    agree(getattr(read(**{f"feti_{name}": None}), name) is True)
+    agree(getattr(read(**{f"feti_{name}": "false"}), name) is False)
+    with raises(ValueError, f"-o_feti_{name} is 'perhaps'; it takes true or false"):
+        read(**{f"feti_{name}": "perhaps"})
+
+
 @pytest.mark.parametrize("name", CHOICES)
 def test_other_values_are_refused(name):
     with raises(ValueError, f"-o_feti_{name} is 'other'.*{CHOICES[name][-1]}"):
@@ -69,6 +78,7 @@ def test_other_values_are_refused(name):
         ("feti_glueing", "-o_feti_gluing"),
         ("feti_dul_ksp_type", "-o_feti_dual_ksp"),
         ("feti_stagnations", "-o_feti_stagnation"),
+        ("feti_dual_reorthogonalise", "-o_feti_dual_reorthogonalize"),
     ],
 )
 def test_misspelt_options_are_refused_with_a_guess(wrong, meant):
