@@ -40,6 +40,9 @@ __all__ = ["LoadStep", "Steps", "follow_load"]
 
 Array = npt.NDArray[np.float64]
 
+#: What a load's last digits are worth, relative to the load.
+ROUNDING = 1e-14
+
 #: Degree of the polynomial through the last equilibria that predicts the next one.
 ORDER = 2
 
@@ -162,8 +165,7 @@ def follow_load(
     path = _Path(problem, set_load, steps, state=state, load=float(start))
     comm = problem.u.function_space.mesh.comm
     accepted = []
-    end = [start, *targets][-1]
-    with Progress(problem.solver, comm, start=start, end=end, unit=unit) as bar:
+    with Progress(problem.solver, comm, loads=[start, *targets], unit=unit) as bar:
         for step in path.follow(targets, bar):
             accepted.append(step)
             bar.clear()
@@ -227,13 +229,13 @@ class _Path:
         """Solve at a new load; on failure restore load and state."""
         snes = self._problem.solver
         tolerances = snes.getTolerances()
-        if rough:
-            snes.setTolerances(rtol=max(self._steps.rtol, tolerances[0]))
         if len(self._past) > ORDER:
             self._set_values(extrapolate(self._past, load))
         else:
             self._problem.linearise()
         self._set_load(load)
+        if rough:
+            snes.setTolerances(rtol=max(self._steps.rtol, tolerances[0]))
         try:
             self._problem.solve()
         except ConvergenceError:
@@ -245,9 +247,10 @@ class _Path:
 
     def _shorten(self, increment: float, error: ConvergenceError) -> None:
         """Halve the increment, down to the least."""
-        if increment <= self._steps.least:
+        load = self._past[-1].load
+        if increment <= self._steps.least + ROUNDING * abs(load):
             raise ConvergenceError(
-                f"No equilibrium was found beyond a load of {self._past[-1].load:g}: an increment "
+                f"No equilibrium was found beyond a load of {load:g}: an increment "
                 f"of {increment:g} failed too, and {self._steps.least:g} is the least allowed. "
                 f"{error} Allow smaller increments, or refine the mesh."
             ) from error
@@ -257,7 +260,7 @@ class _Path:
         return [f.x.array.copy() for f in self._state]
 
     def _set_values(self, values: list[Array]) -> None:
-        for f, array in zip(self._state, values):
+        for f, array in zip(self._state, values, strict=True):
             f.x.array[:] = array
 
 
@@ -267,5 +270,5 @@ def extrapolate(past: Sequence[_Equilibrium], load: float) -> list[Array]:
     for i, here in enumerate(past):
         others = [other.load for j, other in enumerate(past) if j != i]
         weights.append(math.prod((load - t) / (here.load - t) for t in others))
-    columns = zip(*(equilibrium.values for equilibrium in past))
-    return [sum(w * array for w, array in zip(weights, arrays)) for arrays in columns]
+    columns = zip(*(equilibrium.values for equilibrium in past), strict=True)
+    return [sum(w * array for w, array in zip(weights, arrays, strict=True)) for arrays in columns]

@@ -5,8 +5,11 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import shutil
 import sys
+from collections.abc import Sequence
 from types import TracebackType
 
 from mpi4py import MPI
@@ -26,21 +29,20 @@ class Progress:
     """
 
     def __init__(
-        self, snes: PETSc.SNES, comm: MPI.Comm, *, start: float, end: float, unit: str = ""
+        self, snes: PETSc.SNES, comm: MPI.Comm, *, loads: Sequence[float], unit: str = ""
     ) -> None:
         """Hook into the monitor of a SNES.
 
         Args:
             snes: The solver of the load steps.
             comm: Its communicator.
-            start: Load at the beginning.
-            end: Load at the end.
+            loads: Load at the beginning, and those to be met one after the other, up or down.
             unit: Name of the load's unit.
         """
-        self._start, self._end = start, end
-        self._unit = f" {unit}" if unit else ""
+        self._length = math.fsum(abs(b - a) for a, b in itertools.pairwise(loads))
+        self._covered, self._load = 0.0, loads[0]
+        self._goal = f"{loads[-1]:g} {unit}".rstrip()
         self._text = ""
-        self._done = 0.0
         self._shown = comm.rank == 0 and sys.stderr.isatty()
         if self._shown:
             snes.setMonitor(self._newton)
@@ -52,9 +54,9 @@ class Progress:
             load: The present load.
             to: The attempted load.
         """
-        span = self._end - self._start
-        self._done = (load - self._start) / span if span else 1.0
-        self._text = f"{load:.4g} → {to:.4g} of {self._end:g}{self._unit}"
+        self._covered += abs(load - self._load)
+        self._load = load
+        self._text = f"{load:.4g} → {to:.4g} of {self._goal}"
         self._show("")
 
     def _newton(self, _snes: PETSc.SNES, its: int, norm: float) -> None:
@@ -63,10 +65,11 @@ class Progress:
     def _show(self, more: str) -> None:
         if not self._shown:
             return
-        filled = round(WIDTH * min(max(self._done, 0.0), 1.0))
+        done = self._covered / self._length
+        filled = round(WIDTH * min(done, 1.0))
         bar = "█" * filled + "░" * (WIDTH - filled)
         columns = shutil.get_terminal_size().columns - 1
-        line = f"{bar} {100 * self._done:3.0f} %  {self._text}{more}"[:columns]
+        line = f"{bar} {100 * done:3.0f} %  {self._text}{more}"[:columns]
         sys.stderr.write(f"\r\x1b[K{line}")
         sys.stderr.flush()
 
