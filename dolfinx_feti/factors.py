@@ -18,7 +18,8 @@ and their number, the inertia, is read off Δ; the border contributes k.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from petsc4py import PETSc
 
@@ -26,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
-__all__ = ["BlockFactors", "FactorError"]
+__all__ = ["BlockFactors", "Choice", "FactorError", "create_factor"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -50,7 +51,13 @@ class BlockFactors:
     """
 
     def __init__(
-        self, K: PETSc.Mat, blocks: Sequence[Indices], *, prefix: str, symmetric: bool
+        self,
+        K: PETSc.Mat,
+        blocks: Sequence[Indices],
+        *,
+        prefix: str,
+        symmetric: bool,
+        right_hand_sides: int = 32,
     ) -> None:
         """Prepare one factorisation a block; nothing is factored yet.
 
@@ -59,6 +66,7 @@ class BlockFactors:
             blocks: Rows of each block; may be empty.
             prefix: Options prefix of the factorisations.
             symmetric: Whether K is symmetric.
+            right_hand_sides: How many of them MUMPS treats at once.
         """
         self._K = K
         self.rows = [_as_slice(rows) for rows in blocks]
@@ -67,7 +75,7 @@ class BlockFactors:
             PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
             for rows in blocks
         ]
-        self._prefix, self._symmetric = prefix, symmetric
+        self._choice = Choice(prefix, symmetric, right_hand_sides)
         self._blocks: list[_Block | None] = [None] * len(blocks)
 
     def update(self, borders: Sequence[Array] | None = None, rho: Array | None = None) -> None:
@@ -94,7 +102,7 @@ class BlockFactors:
             block.destroy()
             block = None
         if block is None:
-            block = _Block(csr, R.shape[1], self._prefix, self._symmetric)
+            block = _Block(csr, R.shape[1], self._choice)
             self._blocks[i] = block
         block.factor(csr[2])
 
@@ -109,6 +117,8 @@ class BlockFactors:
         block = self._blocks[i]
         if block is None or Y.shape[1] == 0:
             return np.zeros(Y.shape)
+        if block.border == 0:
+            return block.solve_many(Y)
         return block.solve_many(np.vstack([Y, np.zeros((block.border, Y.shape[1]))]))[: len(Y)]
 
     def solve_border(self, i: int, *, transpose: bool = False) -> tuple[Array, Array]:
@@ -137,13 +147,6 @@ class BlockFactors:
         """Return the memory of all factors of this process in MiB."""
         return sum(block.memory() for block in self._blocks if block is not None)
 
-    def norms(self) -> Array:
-        """Return the mean of the absolute diagonal of K on each block."""
-        diagonal = np.abs(self._K.getDiagonal().array_r)
-        return np.array(
-            [diagonal[r].mean() if n else 1.0 for r, n in zip(self.rows, self._sizes, strict=True)]
-        )
-
     def destroy(self) -> None:
         """Free factors and blocks."""
         for index in self._is:
@@ -153,12 +156,25 @@ class BlockFactors:
                 block.destroy()
 
 
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What all factorisations have in common.
+
+    Attributes:
+        prefix: Options prefix.
+        symmetric: Whether the matrices are symmetric.
+        right_hand_sides: How many of them MUMPS treats at once.
+    """
+
+    prefix: str
+    symmetric: bool
+    right_hand_sides: int
+
+
 class _Block:
     """One factored matrix, (n + k, n + k), with the work vectors of its solves."""
 
-    def __init__(
-        self, csr: tuple[Indices, Indices, Array], border: int, prefix: str, symmetric: bool
-    ) -> None:
+    def __init__(self, csr: tuple[Indices, Indices, Array], border: int, choice: Choice) -> None:
         indptr, indices, values = csr
         n = len(indptr) - 1
         self.border = border
@@ -167,25 +183,23 @@ class _Block:
         self._matrix = PETSc.Mat().createAIJWithArrays(
             (n, n), (indptr, indices, self._values), comm=PETSc.COMM_SELF
         )
-        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, choice.symmetric)
         self._b, self._x = self._matrix.createVecs()
         self._b.set(0.0)
-        self._prefix, self._symmetric = prefix, symmetric
-        self._pc = _create_pc(self._matrix, prefix, symmetric, ROOM[0])
+        self._choice = choice
+        self._pc: PETSc.PC | None = None
         self._F = PETSc.Mat()
 
     def factor(self, values: Array) -> None:
         self._values[:] = values
         self._matrix.stateIncrease()
-        self._pc.setUp()
-        for room in ROOM[1:]:
-            if self._pc.getFailedReason() != PETSc.PC.FailedReason.FACTOR_OUTMEMORY:
-                break
-            self._pc.destroy()  # PETSc does not call MUMPS again with a factor that has failed
-            self._pc = _create_pc(self._matrix, self._prefix, self._symmetric, room)
+        if self._pc is not None:
             self._pc.setUp()
-        if self._pc.getFailedReason():
-            raise FactorError(f"PETSc reports failed reason {self._pc.getFailedReason()}")
+            if self._pc.getFailedReason():
+                self._pc.destroy()
+                self._pc = None
+        if self._pc is None:
+            self._pc = create_factor(self._matrix, self._choice)
         self._F = self._pc.getFactorMatrix()
 
     def solve(self, y: Array) -> Array:
@@ -216,7 +230,7 @@ class _Block:
     def inertia(self) -> tuple[int, int]:
         if not self._F.handle or self._F.getType() != "mumps":
             return -1, -1
-        if self._pc.getType() != "cholesky":
+        if self._pc is None or self._pc.getType() != "cholesky":
             return -1, self._F.getMumpsInfog(28)
         return self._F.getMumpsInfog(12) - self.border, self._F.getMumpsInfog(28)
 
@@ -229,19 +243,48 @@ class _Block:
 
     def destroy(self) -> None:
         for owned in (self._pc, self._matrix, self._b, self._x):
-            owned.destroy()
+            if owned is not None:
+                owned.destroy()
 
 
-def _create_pc(matrix: PETSc.Mat, prefix: str, symmetric: bool, room: int) -> PETSc.PC:
+def create_factor(
+    matrix: PETSc.Mat, choice: Choice, prepare: Callable[[PETSc.Mat], object] | None = None
+) -> PETSc.PC:
+    """Factor a sequential matrix, with more work space for MUMPS if it asks for it.
+
+    Args:
+        matrix: The matrix, (n, n).
+        choice: How to factor.
+        prepare: Called with the factor before the work begins.
+
+    Raises:
+        FactorError: The factorisation failed.
+    """
+    for room in ROOM:
+        pc = _create_pc(matrix, choice, room)
+        if prepare is not None:
+            prepare(pc.getFactorMatrix())
+        pc.setUp()
+        failed = pc.getFailedReason()
+        if not failed:
+            return pc
+        pc.destroy()  # PETSc does not call MUMPS again with a factor that has failed
+        if failed != PETSc.PC.FailedReason.FACTOR_OUTMEMORY:
+            break
+    raise FactorError(f"PETSc reports failed reason {failed}")
+
+
+def _create_pc(matrix: PETSc.Mat, choice: Choice, room: int) -> PETSc.PC:
     pc = PETSc.PC().create(PETSc.COMM_SELF)
-    pc.setOptionsPrefix(prefix)
+    pc.setOptionsPrefix(choice.prefix)
     pc.setOperators(matrix)
-    pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
+    pc.setType(PETSc.PC.Type.CHOLESKY if choice.symmetric else PETSc.PC.Type.LU)
     pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
     pc.setFromOptions()
     if pc.getFactorSolverType() == "mumps":
         pc.setFactorSetUpSolverType()
         pc.getFactorMatrix().setMumpsIcntl(14, room)
+        pc.getFactorMatrix().setMumpsIcntl(27, choice.right_hand_sides)
         pc.getFactorMatrix().setMumpsIcntl(24, 1)  # count zero pivots instead of dividing by them
     return pc
 

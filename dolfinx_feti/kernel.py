@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-__all__ = ["kernel_basis"]
+__all__ = ["kernel_basis", "orthonormal"]
 
 Array = npt.NDArray[np.float64]
 
@@ -53,3 +53,11 @@ def kernel_basis(modes: Array, fixed: npt.NDArray[np.bool_]) -> Array:
         rank = np.count_nonzero(sigma > TOLERANCE)
         U = U @ Vt[rank:].T  # U_D c = 0
     return np.ascontiguousarray(U[~fixed])
+
+
+def orthonormal(R: Array) -> Array:
+    """Return an orthonormal basis of the columns of R, (n, k), without those that depend."""
+    if R.size == 0:
+        return R[:, :0]
+    U, sigma, _ = scipy.linalg.svd(R, full_matrices=False)
+    return np.ascontiguousarray(U[:, sigma > TOLERANCE * sigma[0]])

@@ -11,6 +11,8 @@
 ``-feti_coarse_q``             ``preconditioner``, ``diagonal``,        weight Q of the projection
                                ``identity``
 ``-feti_gluing``               ``full``, ``nonred``                     redundancy of B
+``-feti_interior``             ``auto``, ``keep``, ``eliminate``        sparse factors of K or dense
+                                                                        Schur complements
 ``-feti_indefinite``           ``enrich``, ``gmres``, ``error``         subdomains with a negative
                                                                         eigenvalue: enrich R, leave
                                                                         it to GMRES, or refuse
@@ -47,6 +49,7 @@ CHOICES = {
     "scaling": ("stiffness", "multiplicity"),
     "coarse_q": ("preconditioner", "diagonal", "identity"),
     "gluing": ("full", "nonred"),
+    "interior": ("auto", "keep", "eliminate"),
     "indefinite": ("enrich", "gmres", "error"),
 }
 NUMBERS = {"coarse_modes": 12, "stagnation": 200, "refine": 10}
@@ -68,6 +71,7 @@ class FETIOptions:
     scaling: str = "stiffness"
     coarse_q: str = "preconditioner"
     gluing: str = "full"
+    interior: str = "auto"
     indefinite: str = "enrich"
     coarse_modes: int = 12
     stagnation: int = 200

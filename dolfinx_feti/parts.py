@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """From a torn matrix to a dual system, in the order of the method.
 
-torn matrix → gluing → generalised inverse (kernels) → preconditioner → coarse problem → dual
-system.
+torn matrix → gluing → interior → generalised inverse (kernels) → preconditioner → coarse
+problem → dual system.
 
 What depends on the pattern only (gluing, symbolic factors) is built once; what depends
 on the values is refreshed when the matrix changes.
@@ -24,9 +24,10 @@ from dolfinx_feti.dual import ConstraintPreconditioner, DualOperator, DualVector
 from dolfinx_feti.events import event
 from dolfinx_feti.factors import FactorError
 from dolfinx_feti.gluing import create_gluing
+from dolfinx_feti.interior import create_interior
 from dolfinx_feti.krylov import Krylov
 from dolfinx_feti.options import FETIOptions
-from dolfinx_feti.preconditioner import PRECONDITIONERS
+from dolfinx_feti.preconditioner import create_preconditioner
 from dolfinx_feti.pseudoinverse import PseudoInverse
 from dolfinx_feti.torn import Torn
 
@@ -51,6 +52,7 @@ class Parts:
         torn: Blocks and copies.
         symmetric: Whether K is symmetric.
         gluing: B and B_D.
+        interior: The matrix of each subdomain, K or S.
         inverse: K⁺, E and D.
         preconditioner: M.
         negative: Negative eigenvalues of K_ρ and D over all subdomains; CG is safe without any.
@@ -92,19 +94,34 @@ class Parts:
             )
         glued_stiffness = np.zeros(self.torn.n)
         glued_stiffness[self.gluing.glued] = np.abs(self.torn.stiffness()[self.gluing.glued])
+        fixed = self.torn.dirichlet & (not floating)
+        if options.interior == "eliminate" and not self.symmetric:
+            raise SetUpError(
+                f"The matrix is not symmetric, but -{self.prefix}interior is eliminate, which "
+                "takes it to be: let it be keep or auto."
+            )
+        self.interior = create_interior(
+            options.interior,
+            self.torn,
+            [rows[~fixed[rows]] for rows in self.torn.subdomains],
+            self.gluing.glued,
+            symmetric=self.symmetric,
+            prefix=self.prefix,
+        )
         self.inverse = PseudoInverse(
             self.torn,
-            all_floating=floating,
+            self.interior,
+            fixed,
             symmetric=self.symmetric,
             buckling=options.indefinite == "enrich",
             soft=options.coarse_modes,
             weight=glued_stiffness,
-            prefix=self.prefix + "local_",
         )
-        self.preconditioner = PRECONDITIONERS[options.pc_type](
+        self.preconditioner = create_preconditioner(
+            options.pc_type,
             self.torn,
             self.gluing,
-            self.inverse.dofs,
+            self.interior,
             symmetric=self.symmetric,
             prefix=self.prefix + "dirichlet_",
         )
@@ -212,7 +229,7 @@ class Parts:
     def destroy(self) -> None:
         """Free everything, in reverse order."""
         self._destroy_dual()
-        for part in (self.preconditioner, self.inverse, self.gluing, self.torn):
+        for part in (self.preconditioner, self.interior, self.gluing, self.torn):
             part.destroy()
 
 

@@ -15,7 +15,7 @@ besides, and where they lie far outside, rounding errors grow without bound.
 With the jump r = B u − c, the force :math:`t = Y B_D^⊤ r` is what the averaged displacement
 :math:`u - E_Γ B_D^⊤ r` leaves out of balance, so that :math:`\|T^⊤ t\|` is the residual of the
 *assembled* system (:math:`E_Γ` extends an interface displacement to the interior: harmonically for
-the Dirichlet preconditioner, by zero otherwise).
+the Dirichlet preconditioner and wherever the interior is eliminated, by zero otherwise).
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ import scipy.sparse
 
 from dolfinx_feti.factors import BlockFactors
 from dolfinx_feti.gluing import Gluing
+from dolfinx_feti.interior import Interior
 from dolfinx_feti.torn import Torn
 
-__all__ = ["PRECONDITIONERS", "Preconditioner"]
+__all__ = ["PRECONDITIONERS", "Preconditioner", "create_preconditioner"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -50,23 +51,24 @@ class Preconditioner(ABC):
     factors: BlockFactors | None = None
 
     def __init__(
-        self, torn: Torn, gluing: Gluing, dofs: list[Indices], *, symmetric: bool, prefix: str
+        self, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
     ) -> None:
         """Prepare the work vectors.
 
         Args:
             torn: The torn matrix.
             gluing: Its jump operators.
-            dofs: Free torn dofs of each subdomain.
+            matrices: The matrix of each subdomain, K on its free dofs or S on the interface.
             symmetric: Whether K is symmetric.
             prefix: Options prefix of the interior factorisations.
         """
         self.torn = torn
+        self.matrices = matrices
         self.B_D = gluing.B_D
         glued = np.zeros(torn.n, dtype=bool)
         glued[gluing.glued] = True
-        self.interface = [rows[glued[rows]] for rows in dofs]
-        self.interior = [rows[~glued[rows]] for rows in dofs]
+        self.interface = [rows[glued[rows]] for rows in matrices.dofs]
+        self.interior = [rows[~glued[rows]] for rows in matrices.dofs]
         self.symmetric = symmetric
         self.prefix = prefix
         self._w = self.B_D.createVecRight()
@@ -122,8 +124,9 @@ class Preconditioner(ABC):
         return w
 
     def imbalance(self, r: PETSc.Vec) -> Array:
-        """Return the torn force K E_Γ B_Dᵀ r, (n,): the last t if r is the last argument."""
-        return self._t.array_r
+        """Return the torn force K E_Γ B_Dᵀ r, (n,), for the jump r that was last preconditioned."""
+        self.B_D.multTranspose(r, self._w)
+        return self.matrices.multiply(self._w.array_r)
 
     def destroy(self) -> None:
         """Free the work vectors and factors."""
@@ -137,10 +140,10 @@ class Identity(Preconditioner):
     """Y = θ I (Augustin_eq:feti_preconditioner)."""
 
     def __init__(
-        self, torn: Torn, gluing: Gluing, dofs: list[Indices], *, symmetric: bool, prefix: str
+        self, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
     ) -> None:
         """Find θ; see the base class. Collective."""
-        super().__init__(torn, gluing, dofs, symmetric=symmetric, prefix=prefix)
+        super().__init__(torn, gluing, matrices, symmetric=symmetric, prefix=prefix)
         k = np.abs(torn.K.getDiagonal().array_r[gluing.glued])
         total, count = torn.comm.allreduce(np.array([k.sum(), len(k)]))
         self.theta = total / count if total > 0.0 else 1.0
@@ -150,10 +153,6 @@ class Identity(Preconditioner):
 
     def apply_many(self, i: int, W: Array) -> Array:
         return self.theta * W
-
-    def imbalance(self, r: PETSc.Vec) -> Array:
-        self.B_D.multTranspose(r, self._w)
-        return self.torn.multiply(self._w.array_r)  # K B_Dᵀ r
 
 
 class Unpreconditioned(Identity):
@@ -181,7 +180,20 @@ class Lumped(Preconditioner):
 
 
 class Dirichlet(Preconditioner):
-    """Y = S, the Schur complement on the interface (Augustin_eq:DirichletVK).
+    """Y = S, the Schur complement on the interface (Augustin_eq:DirichletVK), formed already."""
+
+    def apply(self, w: Array, t: Array) -> None:
+        t[:] = self.matrices.multiply(w)  # t = S w
+
+    def apply_many(self, i: int, W: Array) -> Array:
+        return self.matrices.multiply_many(i, W)
+
+    def imbalance(self, r: PETSc.Vec) -> Array:
+        return self._t.array_r
+
+
+class ImplicitDirichlet(Dirichlet):
+    """Y = S, applied with a factor of K_II.
 
     Besides one interior factor a subdomain it keeps the interface rows of K, (n_Γ, n).
     """
@@ -189,10 +201,10 @@ class Dirichlet(Preconditioner):
     factors: BlockFactors
 
     def __init__(
-        self, torn: Torn, gluing: Gluing, dofs: list[Indices], *, symmetric: bool, prefix: str
+        self, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
     ) -> None:
         """Prepare the interior factorisations; see the base class."""
-        super().__init__(torn, gluing, dofs, symmetric=symmetric, prefix=prefix)
+        super().__init__(torn, gluing, matrices, symmetric=symmetric, prefix=prefix)
         self.factors = BlockFactors(torn.K, self.interior, prefix=prefix, symmetric=symmetric)
         self._Γ = _index_set(np.concatenate([*self.interface, np.zeros(0, dtype=np.int32)]))
         self._all = _index_set(np.arange(torn.n, dtype=np.int32))
@@ -236,11 +248,21 @@ class Dirichlet(Preconditioner):
 
 
 PRECONDITIONERS: dict[str, type[Preconditioner]] = {
-    "dirichlet": Dirichlet,
+    "dirichlet": ImplicitDirichlet,
     "identity": Identity,
     "lumped": Lumped,
     "none": Unpreconditioned,
 }
+
+
+def create_preconditioner(
+    kind: str, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
+) -> Preconditioner:
+    """Choose the preconditioner, and for S the way it is applied; see :class:`Preconditioner`."""
+    choice = PRECONDITIONERS[kind]
+    if kind == "dirichlet" and matrices.eliminated is not None:
+        choice = Dirichlet
+    return choice(torn, gluing, matrices, symmetric=symmetric, prefix=prefix)
 
 
 def product_many(K: PETSc.Mat, rows: Indices, columns: Indices, X: Array) -> Array:

@@ -37,7 +37,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.enrichment import append_orthonormal, buckling_modes, soft_modes
-from dolfinx_feti.factors import BlockFactors
+from dolfinx_feti.interior import Interior
 from dolfinx_feti.kernel import kernel_basis
 from dolfinx_feti.torn import Torn
 
@@ -56,12 +56,12 @@ DEFECT_TOLERANCE = 1e-13
 
 
 class PseudoInverse:
-    """K⁺ of every subdomain, with its kernel.
+    """K⁺ of every subdomain, with its kernel; S⁺ where the interior is eliminated.
 
     Attributes:
         fixed: Mask of the torn dofs that are fixed in the local matrices (classical), (n,).
-        dofs: Free torn dofs of each subdomain.
-        factors: The bordered factors.
+        dofs: Torn dofs of each subdomain on which K⁺ lives: all free ones, or Γ.
+        factors: The factors of K_ρ.
         rigid: Number of rigid body modes of each subdomain.
         E: For each subdomain the kernel or its regularised stand-in, (n_i, k_i).
         E_left: The same for :math:`K^⊤`; the identical list if K is symmetric.
@@ -73,30 +73,31 @@ class PseudoInverse:
     def __init__(
         self,
         torn: Torn,
+        interior: Interior,
+        fixed: npt.NDArray[np.bool_],
         *,
-        all_floating: bool,
         symmetric: bool,
         buckling: bool,
         soft: int,
         weight: Array,
-        prefix: str,
     ) -> None:
-        """Prepare the factorisations.
+        """Take the matrices of the subdomains; nothing is factored yet.
 
         Args:
             torn: The torn matrix.
-            all_floating: Leave the Dirichlet dofs free; otherwise they are fixed here.
+            interior: The matrix of each subdomain, K or S.
+            fixed: Mask of the torn dofs that are fixed in the local matrices, (n,).
             symmetric: Whether K is symmetric.
             buckling: Let modes with a negative eigenvalue join R.
             soft: Most soft modes of a subdomain that join R.
             weight: Stiffness of the interface dofs, zero on the others, (n,).
-            prefix: Options prefix of the factorisations.
         """
         self._torn = torn
         self._symmetric = symmetric
-        self.fixed = torn.dirichlet & (not all_floating)
-        self.dofs = [dofs[~self.fixed[dofs]] for dofs in torn.subdomains]
-        self.factors = BlockFactors(torn.K, self.dofs, prefix=prefix, symmetric=symmetric)
+        self._interior = interior
+        self.fixed = fixed
+        self.dofs = interior.dofs
+        self.factors = interior.factors
         self._buckling = buckling and symmetric
         self._soft = [soft] * len(self.dofs)  # modes still to be looked for
         self._weight = weight
@@ -118,8 +119,10 @@ class PseudoInverse:
         modes = self._torn.near_kernel()
         R = [kernel_basis(modes[dofs], self.fixed[dofs]) for dofs in self._torn.subdomains]
         self.rigid = np.array([R_i.shape[1] for R_i in R], dtype=np.int64)
-        self.rho = self.factors.norms()
+        self._interior.update()
+        self.rho = self._interior.norms()
         self.exact = self._test(R)
+        R = [self._interior.restrict(i, R_i) for i, R_i in enumerate(R)]
         R = [append_orthonormal(R_i, Y) for R_i, Y in zip(R, self._elastic, strict=True)]
         self.factors.update(R, self.rho)
         R = [self._enriched(i, R_i) for i, R_i in enumerate(R)]
@@ -203,19 +206,16 @@ class PseudoInverse:
         return E, D
 
     def _multiply(self, X: Sequence[Array], *, transpose: bool = False) -> list[Array]:
-        """Return K_i X_i for every subdomain."""
+        """Return K_i X_i on the free dofs of every subdomain."""
+        free = [dofs[~self.fixed[dofs]] for dofs in self._torn.subdomains]
         image = [np.zeros_like(X_i) for X_i in X]
         for j in range(max((X_i.shape[1] for X_i in X), default=0)):
             column = np.zeros(self._torn.n)
-            for dofs, X_i in zip(self.dofs, X, strict=True):
+            for dofs, X_i in zip(free, X, strict=True):
                 if j < X_i.shape[1]:
                     column[dofs] = X_i[:, j]
             product = self._torn.multiply(column, transpose=transpose)
-            for dofs, Y in zip(self.dofs, image, strict=True):
+            for dofs, Y in zip(free, image, strict=True):
                 if j < Y.shape[1]:
                     Y[:, j] = product[dofs]
         return image
-
-    def destroy(self) -> None:
-        """Free the factors."""
-        self.factors.destroy()

@@ -5,8 +5,9 @@ r"""From loads to the dual right-hand side, and from (λ, s) back to the displac
 
 .. math:: d = B K^+ f - c, \quad e = E^⊤ f, \qquad u = K^+(f - B^⊤ λ) + E s
 
-(Augustin_eq:localSolutions). The copies that the Krylov method leaves apart are averaged,
-:math:`u ← u - E_Γ B_D^⊤ (B u - c)`, and then one vector of the assembled problem holds u.
+(Augustin_eq:localSolutions), on the interface alone where the interior is eliminated. The copies
+that the Krylov method leaves apart are averaged, :math:`u ← u - E_Γ B_D^⊤ (B u - c)`, and then one
+vector of the assembled problem holds u.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def start(parts: Parts, f: Array, c: PETSc.Vec) -> tuple[PETSc.Vec, PETSc.Vec]:
 
     Args:
         parts: The FETI system.
-        f: Torn load, (n,).
+        f: Torn load on the dofs of the dual method, (n,).
         c: Gap, (m,).
 
     Returns:
@@ -83,6 +84,7 @@ def recover(parts: Parts, pair: tuple[PETSc.Vec, PETSc.Vec], f: Array, u_D: Arra
     Returns:
         u with single-valued copies, (n,).
     """
+    condensed = parts.interior.condense(f)
     v, B = parts.operator.vector, parts.gluing.B
     v.read(parts.krylov.x)
     for part, first in zip((v.lam, v.s), pair, strict=True):
@@ -91,9 +93,8 @@ def recover(parts: Parts, pair: tuple[PETSc.Vec, PETSc.Vec], f: Array, u_D: Arra
     t = B.createVecRight()
     B.multTranspose(v.lam, t)
     u = np.zeros_like(f)
-    parts.inverse.solve(f - t.array_r, u)
+    parts.inverse.solve(condensed - t.array_r, u)
     u += parts.coarse.prolong(v.s)  # u = K⁺ (f − Bᵀ λ) + E s
-    u[parts.inverse.fixed] = u_D[parts.inverse.fixed]
     t.array[:] = u
     jump = parts.gluing.gap(u_D)
     jump.scale(-1.0)
@@ -102,6 +103,8 @@ def recover(parts: Parts, pair: tuple[PETSc.Vec, PETSc.Vec], f: Array, u_D: Arra
         u += parts.coarse.prolong(parts.constraint.project(jump))  # s, at last
     parts.gluing.B_D.multTranspose(jump, t)
     u -= parts.preconditioner.extend(t.array_r)  # u ← u − E_Γ B_Dᵀ (B u − c)
+    u = parts.interior.extend(u, f)
+    u[parts.inverse.fixed] = u_D[parts.inverse.fixed]
     t.destroy()
     jump.destroy()
     return u

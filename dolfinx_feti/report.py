@@ -34,6 +34,7 @@ class Report:
         negative_local: Negative eigenvalues of the regularised subdomains.
         negative_defect: Negative eigenvalues of the defect D.
         negative_interior: Negative eigenvalues of the interior blocks.
+        interior: Whether the interior dofs are ``kept`` or ``eliminated``.
         coarse_size: Coarse unknowns.
         coarse_inertia: Negative and zero eigenvalues of the coarse matrix; −1 unknown.
         factor_mib: Memory of all local factors in MiB.
@@ -52,6 +53,7 @@ class Report:
     negative_local: int
     negative_defect: int
     negative_interior: int
+    interior: str
     coarse_size: int
     coarse_inertia: tuple[int, int]
     factor_mib: float
@@ -70,8 +72,8 @@ def collect(parts: Parts) -> Report:
     k = inverse.rigid
     widest = comm.allreduce(int(k.max(initial=0)), op=MPI.MAX)
     kernels = comm.allreduce(np.bincount(k, minlength=widest + 1))
-    interior = parts.preconditioner.factors
-    factors = [inverse.factors, *([interior] if interior is not None else [])]
+    interior = parts.preconditioner.factors or parts.interior.eliminated
+    applied = parts.preconditioner.factors.memory() if parts.preconditioner.factors else 0.0
     return Report(
         options=parts.options,
         subdomains=comm.allreduce(len(sizes)),
@@ -90,9 +92,10 @@ def collect(parts: Parts) -> Report:
         negative_interior=comm.allreduce(
             0 if interior is None else int(interior.inertia()[:, 0].sum())
         ),
+        interior="kept" if parts.interior.eliminated is None else "eliminated",
         coarse_size=coarse.total,
         coarse_inertia=coarse.solver.inertia(),
-        factor_mib=comm.allreduce(sum(F.memory() for F in factors)),
+        factor_mib=comm.allreduce(parts.interior.memory() + applied),
         eigenvalues=parts.krylov.eigenvalues,
     )
 
@@ -118,7 +121,7 @@ def table(report: Report) -> str:
             f"{r.negative_local} in K_ρ, {r.negative_defect} in D, "
             f"{r.negative_interior} in K_II, {r.coarse_inertia[0]} in N",
         ),
-        ("factors", f"{r.factor_mib:.0f} MiB"),
+        ("factors", f"{r.factor_mib:.0f} MiB, interior {r.interior}"),
         ("condition number", condition),
     ]
     return "".join(f"  {name:<22}{value}\n" for name, value in rows)

@@ -69,6 +69,7 @@ def parts() -> Iterator[Callable[..., Parts]]:
     made: list[Parts] = []
 
     def create(A: PETSc.Mat, **options: object) -> Parts:
+        options = {"interior": "keep", **options}
         made.append(Parts(A, FETIOptions(**options), PREFIX))
         made[-1].update()
         return made[-1]

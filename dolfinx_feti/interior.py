@@ -1,0 +1,290 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The interior of the subdomains: kept, or eliminated once and for all iterations.
+
+Gluing and multipliers touch the interface Γ only. With the Schur complement
+
+.. math:: S = K_{ΓΓ} - K_{ΓI} K_{II}^{-1} K_{IΓ}, \qquad
+          \hat f_Γ = f_Γ - K_{ΓI} K_{II}^{-1} f_I, \qquad
+          u_I = K_{II}^{-1}(f_I - K_{IΓ} u_Γ)
+
+(Augustin_eq:DirichletVK) the whole method can be written for :math:`S, \hat f_Γ, u_Γ` in the place
+of K, f, u: the generalised inverse is that of S, and the Dirichlet preconditioner applies S itself.
+
+- *Kept*: the sparse K on all free dofs, factored; S is applied with another factor, of
+  :math:`K_{II}`. An iteration runs through both factors, forth and back.
+- *Eliminated*: S is formed, a dense block of the size of Γ (``schur``), and one factor of
+  :math:`K_{II}` is kept for :math:`\hat f_Γ` and :math:`u_I`. An iteration reads half of two dense
+  blocks: several times less than the factors of the subdomains of a thin wall, or of small ones.
+
+``auto`` eliminates if S takes about the memory of the factors; see :data:`DENSITY`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+
+from dolfinx_feti.dense import DenseFactors
+from dolfinx_feti.factors import BlockFactors, Choice
+from dolfinx_feti.kernel import orthonormal
+from dolfinx_feti.schur import partial_factorisation_is_there, schur_complement
+from dolfinx_feti.torn import Torn
+
+__all__ = ["Interior", "create_interior", "worth_eliminating"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+
+#: Entries of S for each :math:`n^{4/3}`, which is how a sparse factor in three dimensions grows.
+DENSITY = 24.0
+
+#: Largest interface of a subdomain that is eliminated: 32 MiB.
+LARGEST = 2048
+
+#: Right-hand sides of K_II that MUMPS treats at once.
+BLOCK = 256
+
+
+class Interior(ABC):
+    """The matrix of each subdomain as the dual method sees it: K on all free dofs, or S on Γ.
+
+    Attributes:
+        torn: The torn matrix.
+        dofs: Torn dofs on which that matrix lives, a subdomain each.
+        factors: Its regularised inverse.
+        eliminated: Factors of K_II, if the interior is eliminated.
+    """
+
+    torn: Torn
+    dofs: list[Indices]
+    factors: BlockFactors | DenseFactors
+    eliminated: BlockFactors | None = None
+
+    @abstractmethod
+    def update(self) -> None:
+        """Take over the current K.
+
+        Raises:
+            FactorError: A factorisation failed. Not collective: the caller reduces.
+        """
+
+    @abstractmethod
+    def restrict(self, i: int, R: Array) -> Array:
+        """Restrict orthonormal columns on the free dofs of subdomain i to its ``dofs``."""
+
+    @abstractmethod
+    def multiply(self, t: Array) -> Array:
+        """Apply the matrix of every subdomain, (n,) → (n,)."""
+
+    @abstractmethod
+    def multiply_many(self, i: int, X: Array) -> Array:
+        """Apply the matrix of subdomain i to columns on its ``dofs``, (n_i, r) → (n_i, r)."""
+
+    @abstractmethod
+    def condense(self, f: Array) -> Array:
+        """Move the load of the interior to the interface, (n,) → (n,)."""
+
+    @abstractmethod
+    def extend(self, u: Array, f: Array) -> Array:
+        """Complete u, (n,), on the interior, where the load is f."""
+
+    def norms(self) -> Array:
+        """Return the mean of the absolute diagonal of K on the ``dofs`` of each subdomain."""
+        diagonal = np.abs(self.torn.K.getDiagonal().array_r)
+        return np.array([diagonal[dofs].mean() if len(dofs) else 1.0 for dofs in self.dofs])
+
+    def memory(self) -> float:
+        """Return the memory of all factors of this process in MiB."""
+        return self.factors.memory() + (self.eliminated.memory() if self.eliminated else 0.0)
+
+    def destroy(self) -> None:
+        """Free the factors."""
+        self.factors.destroy()
+        if self.eliminated is not None:
+            self.eliminated.destroy()
+
+
+class Kept(Interior):
+    """K on all free dofs."""
+
+    factors: BlockFactors
+
+    def __init__(self, torn: Torn, free: list[Indices], *, symmetric: bool, prefix: str) -> None:
+        """Prepare the factorisations of K.
+
+        Args:
+            torn: The torn matrix.
+            free: Free torn dofs of each subdomain.
+            symmetric: Whether K is symmetric.
+            prefix: Options prefix of the factorisations.
+        """
+        self.torn = torn
+        self.dofs = free
+        self.factors = BlockFactors(torn.K, free, prefix=prefix, symmetric=symmetric)
+
+    def update(self) -> None:
+        """Nothing to do before the kernels are known."""
+
+    def restrict(self, i: int, R: Array) -> Array:
+        return R
+
+    def multiply(self, t: Array) -> Array:
+        return self.torn.multiply(t)  # K t
+
+    def multiply_many(self, i: int, X: Array) -> Array:
+        return sparse_block(self.torn.K, self.dofs[i], self.dofs[i]) @ X
+
+    def condense(self, f: Array) -> Array:
+        return f
+
+    def extend(self, u: Array, f: Array) -> Array:
+        return u
+
+
+class Eliminated(Interior):
+    """S on the interface."""
+
+    factors: DenseFactors
+    eliminated: BlockFactors
+
+    def __init__(
+        self, torn: Torn, free: list[Indices], glued: npt.NDArray[np.bool_], *, prefix: str
+    ) -> None:
+        """Prepare the factorisations of K_II.
+
+        Args:
+            torn: The torn matrix, symmetric.
+            free: Free torn dofs of each subdomain.
+            glued: Mask of the interface, (n,).
+            prefix: Options prefix of the factorisations.
+        """
+        self.torn = torn
+        self._free = free
+        self._choice = Choice(prefix, symmetric=True, right_hand_sides=BLOCK)
+        self._partial = partial_factorisation_is_there(self._choice)
+        self._on_interface = [np.flatnonzero(glued[rows]).astype(np.int32) for rows in free]
+        self.dofs = [rows[glued[rows]] for rows in free]
+        self._interior = [rows[~glued[rows]] for rows in free]
+        self._glued = np.zeros(torn.n, dtype=bool)
+        self._glued[np.concatenate([*self.dofs, np.zeros(0, dtype=np.int32)])] = True
+        self.eliminated = BlockFactors(
+            torn.K, self._interior, prefix=prefix, symmetric=True, right_hand_sides=BLOCK
+        )
+        self.factors = DenseFactors(self.dofs)
+
+    def update(self) -> None:
+        self.eliminated.update()
+        for i in range(len(self.dofs)):
+            self.factors.set_block(i, self._schur_complement(i))
+
+    def restrict(self, i: int, R: Array) -> Array:
+        return orthonormal(R[self._on_interface[i]])
+
+    def multiply(self, t: Array) -> Array:
+        y = np.zeros_like(t)
+        self.factors.multiply(t, y)
+        return y  # S t
+
+    def multiply_many(self, i: int, X: Array) -> Array:
+        return self.factors.multiply_many(i, X)
+
+    def condense(self, f: Array) -> Array:
+        x = np.zeros_like(f)
+        self.eliminated.solve(f, x)
+        return np.where(self._glued, f - self.torn.multiply(x), 0.0)  # f_Γ − K_ΓI K_II⁻¹ f_I
+
+    def extend(self, u: Array, f: Array) -> Array:
+        u = np.where(self._glued, u, 0.0)
+        self.eliminated.solve(f - self.torn.multiply(u), u)  # u_I = K_II⁻¹ (f_I − K_IΓ u_Γ)
+        return u
+
+    def _schur_complement(self, i: int) -> Array:
+        Γ, I = self.dofs[i], self._interior[i]  # noqa: E741
+        if self._partial and len(I) and len(Γ):
+            rows = PETSc.IS().createGeneral(
+                self._free[i].astype(PETSc.IntType), comm=PETSc.COMM_SELF
+            )
+            K = self.torn.K.createSubMatrix(rows, rows)
+            K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            S = schur_complement(K, self._on_interface[i], self._choice)
+            K.destroy()
+            rows.destroy()
+            return S
+        S = sparse_block(self.torn.K, Γ, Γ).toarray(order="F")
+        if len(I) and len(Γ):
+            K_IΓ = sparse_block(self.torn.K, I, Γ)
+            X = self.eliminated.solve_many(i, K_IΓ.toarray(order="F"))  # X = K_II⁻¹ K_IΓ
+            S -= K_IΓ.T.tocsr() @ X  # S = K_ΓΓ − K_ΓI X
+        return S
+
+
+def create_interior(
+    choice: str,
+    torn: Torn,
+    free: list[Indices],
+    glued: Indices,
+    *,
+    symmetric: bool,
+    prefix: str,
+) -> Interior:
+    """Keep or eliminate the interior dofs.
+
+    Args:
+        choice: ``keep``, ``eliminate`` or ``auto``.
+        torn: The torn matrix.
+        free: Free torn dofs of each subdomain.
+        glued: Torn dofs of the interface.
+        symmetric: Whether K is symmetric; otherwise ``auto`` keeps.
+        prefix: Options prefix, to which ``local_`` (K) or ``dirichlet_`` (K_II) is added.
+
+    Note:
+        Collective.
+    """
+    on_interface = np.zeros(torn.n, dtype=bool)
+    on_interface[glued] = True
+    if choice == "auto":
+        worth = symmetric and worth_eliminating(torn, free, on_interface)
+        choice = "eliminate" if worth else "keep"
+    if choice == "eliminate":
+        return Eliminated(torn, free, on_interface, prefix=prefix + "dirichlet_")
+    return Kept(torn, free, symmetric=symmetric, prefix=prefix + "local_")
+
+
+def worth_eliminating(torn: Torn, free: Sequence[Indices], glued: npt.NDArray[np.bool_]) -> bool:
+    """Decide whether dense Schur complements take no more memory than sparse factors.
+
+    Args:
+        torn: The torn matrix.
+        free: Free torn dofs of each subdomain.
+        glued: Mask of the interface, (n,).
+
+    Note:
+        Collective.
+    """
+    n = np.array([len(rows) for rows in free], dtype=np.float64)
+    glued_n = np.array([np.count_nonzero(glued[rows]) for rows in free], dtype=np.float64)
+    dense, sparse = torn.comm.allreduce(np.array([(glued_n**2).sum(), (n ** (4 / 3)).sum()]))
+    largest = torn.comm.allreduce(glued_n.max(initial=0.0), op=MPI.MAX)
+    return bool(dense <= DENSITY * sparse and largest <= LARGEST)
+
+
+def sparse_block(K: PETSc.Mat, rows: Indices, columns: Indices) -> scipy.sparse.csr_array:
+    """Copy the block ``K[rows, columns]``."""
+    sets = [
+        PETSc.IS().createGeneral(dofs.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
+        for dofs in (rows, columns)
+    ]
+    block = K.createSubMatrix(*sets)
+    indptr, indices, values = block.getValuesCSR()
+    for owned in (block, *sets):
+        owned.destroy()
+    return scipy.sparse.csr_array((values, indices, indptr), shape=(len(rows), len(columns)))
