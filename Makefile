@@ -3,11 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 #
 # Each target does all of its own set-up: scripts/with-fenicsx finds FEniCSx or makes it. Variables:
-#   NP=2           processes for demo and bench (default 1)
+#   NP=2           processes for demo and bench (default: 2, or 1 on a single core)
 #   ARGS="…"       further arguments of the demo, the benchmark, or pytest
 #   FENICSX_SUITE=sid make …   the newest dolfinx
 
-NP ?= 1
+NP ?= $(shell [ "$$(nproc 2>/dev/null || echo 1)" -gt 1 ] && echo 2 || echo 1)
 ARGS ?=
 
 with := scripts/with-fenicsx
