@@ -1,0 +1,74 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A JSON file of records that is written as a study goes on, and read when it is resumed."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+from mpi4py import MPI
+
+__all__ = ["Record", "Records"]
+
+Record = dict[str, object]
+
+
+class Records:
+    """Records of a study, in a file if there is one; equal on all processes."""
+
+    def __init__(self, path: Path | None, comm: MPI.Comm) -> None:
+        """Read the file, or find out that it can be written.
+
+        Args:
+            path: The file; its folder is made. None keeps the records in memory.
+            comm: The first of its processes reads and writes.
+
+        Raises:
+            ValueError: The file cannot be written, or holds something else. On all processes.
+
+        Note:
+            Collective.
+        """
+        self._path, self._comm = path, comm
+        error, records = None, []
+        if path is not None and comm.rank == 0:
+            try:
+                records = _read(path)
+            except (OSError, ValueError) as caught:
+                error = f"--json is '{path}', which will not do: {caught}. Name another file."
+        error, self._records = comm.bcast((error, records))
+        if error is not None:
+            raise ValueError(error)
+
+    def find(self, key: Record) -> Record | None:
+        """Return the record that has these values, if there is one."""
+        for record in self._records:
+            if all(record.get(name, ...) == value for name, value in key.items()):
+                return record
+        return None
+
+    def put(self, key: Record, record: Record) -> None:
+        """Put a record in the place of the one that has the same key, and write the file."""
+        old = self.find(key)
+        if old is None:
+            self._records.append(record)
+        else:
+            self._records[self._records.index(old)] = record
+        if self._path is not None and self._comm.rank == 0:
+            whole = self._path.with_name(self._path.name + ".part")
+            whole.write_text(json.dumps(self._records, indent=1, ensure_ascii=False) + "\n")
+            os.replace(whole, self._path)  # a run that is ended here leaves the old file
+
+
+def _read(path: Path) -> list[Record]:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a"):
+        pass
+    text = path.read_text()
+    records = json.loads(text) if text.strip() else []
+    if not isinstance(records, list) or not all(isinstance(record, dict) for record in records):
+        raise ValueError("it holds something else than a list of records")
+    return records

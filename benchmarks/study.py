@@ -1,0 +1,144 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A study: cases run one after the other, each with a record, if the memory allows it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import IO
+
+from mpi4py import MPI
+
+from benchmarks.bar import Bar
+from benchmarks.cube_case import Case, run
+from benchmarks.cube_problem import CubeProblem
+from benchmarks.machine import available_mib, bandwidth, describe, resident_mib
+from benchmarks.records import Record, Records
+from dolfinx_feti import ConvergenceError
+
+__all__ = ["Study"]
+
+HEAD = f"{'':<52}{'it.':>5}{'κ':>9}{'L2 error':>10}{'set-up':>10}{'solve':>10}{'MiB':>7}"
+
+#: Parameters of the mesh and the form; cases that agree in them share a problem.
+SHARED = ("degree", "level", "subdomains_per_edge", "jump", "pattern", "source")
+
+
+class NoRoomError(MemoryError):
+    """A case does not fit into the memory; the message says how much it needs."""
+
+
+class Study:
+    """Cases to be run one after the other.
+
+    Attributes:
+        refused: How many cases did not fit.
+        failed: How many did not converge.
+    """
+
+    def __init__(
+        self, cases: Sequence[Case], records: Records, comm: MPI.Comm, *, limit: float, again: bool
+    ) -> None:
+        """Plan the study.
+
+        Args:
+            cases: All cases; those next to each other share a mesh, if they can.
+            records: What has been run, and what is to be.
+            comm: Communicator of the meshes.
+            limit: Most memory that may be taken [MiB]; never more than there is.
+            again: Run a case though it stands in the records.
+        """
+        self._records, self._comm, self._limit = records, comm, limit
+        self._cases = [case for case in cases if again or records.find(case.key()) is None]
+        self._known = len(cases) - len(self._cases)
+        self._bar = Bar(len(self._cases), comm)
+        self._problem: tuple[object, CubeProblem] | None = None
+        self.refused = self.failed = 0
+
+    def run(self) -> None:
+        """Run the cases; the records are written after each. Collective."""
+        if self._known:
+            self._say(f"{self._known} case(s) stand in the records already")
+        if not self._cases:
+            return
+        self._say(HEAD)
+        speed = bandwidth(self._comm)
+        for case in self._cases:
+            try:
+                record = self._measure(case, speed)
+            except NoRoomError as refusal:
+                self.refused += 1
+                self._report(f"refused: {refusal}", sys.stderr)
+            except ConvergenceError as failure:
+                self.failed += 1
+                self._report(f"failed: {case}: {failure}", sys.stderr)
+            else:
+                self._records.put(case.key(), record)
+                self._report(_row(case, record))
+
+    def _measure(self, case: Case, speed: float) -> Record:
+        """Estimate a case and solve it."""
+        self._bar.begin(f"{case}: estimate")
+        estimated = case.estimate(self._comm.size)
+        self._reserve(case, estimated.mib)
+        self._bar.begin(f"{case}: mesh")
+        problem = self._shared_problem(case)
+        self._bar.begin(f"{case}: set-up")
+        monitor = self._bar.monitor if self._bar.shown else None
+        record = run(case, problem, self._comm, monitor)
+        return record | {
+            "estimated_mib": estimated.mib,
+            "seconds_streaming": 2.0 * estimated.factor_bytes / speed,  # twice an iteration
+            "bandwidth_gb_s": speed / 1e9,
+            "machine": describe(),
+            "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        }
+
+    def _reserve(self, case: Case, mib: float) -> None:
+        """Refuse a case that needs more than there is.
+
+        Raises:
+            NoRoomError: On all processes.
+        """
+        there = min(resident_mib(self._comm) + available_mib(self._comm), self._limit)
+        if mib > there:
+            raise NoRoomError(
+                f"{case} needs about {_gib(mib)}, and {_gib(there)} are available: choose a lower "
+                "--level, fewer --subdomains-per-edge, or --pc lumped or identity."
+            )
+
+    def _shared_problem(self, case: Case) -> CubeProblem:
+        """Return the last problem if the case can share it, or a new one."""
+        key = tuple(getattr(case, name) for name in SHARED)
+        if self._problem is None or self._problem[0] != key:
+            self._problem = None  # its memory goes first
+            self._problem = (key, case.problem(self._comm))
+        return self._problem[1]
+
+    def _report(self, text: str, file: IO[str] | None = None) -> None:
+        self._bar.end()
+        self._say(text, file)
+
+    def _say(self, text: str, file: IO[str] | None = None) -> None:
+        if self._comm.rank == 0:
+            print(text, file=file, flush=True)
+
+
+def _row(case: Case, record: Record) -> str:
+    """Format a record as a line below :data:`HEAD`."""
+    condition = _format(record["condition_number"], ".4g", 9)
+    error = _format(record["l2_error"], ".2e", 10)
+    times = "".join(f"{record[f'seconds_{phase}']:>8.2f} s" for phase in ("setup", "solve"))
+    peak = _format(record["peak_mib"], ".0f", 7)
+    return f"{case!s:<52}{record['iterations']:>5}{condition}{error}{times}{peak}"
+
+
+def _format(value: object, form: str, width: int) -> str:
+    return ("–" if value is None else format(value, form)).rjust(width)
+
+
+def _gib(mib: float) -> str:
+    return f"{mib / 2**10:.1f} GiB"
