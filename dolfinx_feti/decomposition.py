@@ -9,8 +9,9 @@ r"""Decomposition of the mesh into subdomains, and the torn function space.
 same mesh and element: its dofs are the pairs (subdomain, dof) that occur, numbered subdomain by
 subdomain, so that a form on the torn space assembles the block-diagonal K of all subdomains.
 
-A subdomain is connected through facets: a part that is not falls into its components, each with a
-kernel of its own.
+A subdomain is connected through facets. Where a number of subdomains is asked for, the splinters of
+a part join their neighbours, so that their number comes out as long as the cells of each process
+are connected; a part that the user gave falls into its components, each with a kernel of its own.
 """
 
 from __future__ import annotations
@@ -31,6 +32,9 @@ from dolfinx_feti import _compat
 __all__ = ["Decomposition", "TornSpace", "decompose", "tear"]
 
 Indices = npt.NDArray[np.int32]
+
+#: Rounds in which splinters of parts join their neighbours; one is enough nearly always.
+ROUNDS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +80,8 @@ def decompose(mesh: dolfinx.mesh.Mesh, subdomains: int | npt.NDArray[np.integer]
             one), or the part of each owned cell, (n_cells,), of an integer type.
 
     Returns:
-        The decomposition; parts that are not connected through facets count as several.
+        The decomposition. Given parts that are not connected through facets count as several, and
+        so do the cells of a process that are not.
 
     Raises:
         ValueError: More subdomains than cells, fewer than one, or an array of the wrong length.
@@ -91,6 +96,7 @@ def decompose(mesh: dolfinx.mesh.Mesh, subdomains: int | npt.NDArray[np.integer]
     if isinstance(subdomains, (int, np.integer)):
         _check_number(int(subdomains), comm.allreduce(n_cells))
         part = _partition(graph, _share(int(subdomains), n_cells, comm))
+        part = _join_splinters(graph, part)
     else:
         part = _check_parts(np.asarray(subdomains), n_cells, comm)
     subdomain = _facet_components(graph, part)
@@ -175,6 +181,36 @@ def _partition(graph: scipy.sparse.csr_array, parts: int) -> Indices:
     links = _compat.adjacency(graph.indices.astype(np.int64), graph.indptr.astype(np.int32))
     part = dolfinx.graph.partitioner()(MPI.COMM_SELF, parts, links, False).array
     return np.unique(part, return_inverse=True)[1].astype(np.int32).reshape(-1)
+
+
+def _join_splinters(graph: scipy.sparse.csr_array, part: Indices) -> Indices:
+    """Hand all components of a part but the largest to the neighbour behind most of their facets.
+
+    Args:
+        graph: Cells that share a facet, (n_cells, n_cells).
+        part: Part of each cell, (n_cells,).
+    """
+    links = graph.tocoo()
+    for _ in range(ROUNDS):
+        piece = _facet_components(graph, part)
+        size, owner = np.bincount(piece), np.zeros(piece.max(initial=-1) + 1, dtype=np.int32)
+        owner[piece] = part
+        order = np.lexsort((-size, owner))
+        splinter = np.ones(len(size), dtype=bool)
+        splinter[order[np.unique(owner[order], return_index=True)[1]]] = False  # the largest stay
+        a, b = piece[links.row], piece[links.col]
+        across = (a != b) & splinter[a]
+        if not np.any(across):
+            break
+        border = scipy.sparse.csr_array(
+            (np.ones(np.count_nonzero(across)), (a[across], part[links.col[across]])),
+            shape=(len(size), len(size)),
+        )
+        touching = np.flatnonzero(np.diff(border.indptr))
+        target = owner.copy()
+        target[touching] = border[touching].argmax(axis=1).ravel()
+        part = target[piece]
+    return part
 
 
 def _facet_components(graph: scipy.sparse.csr_array, part: Indices) -> Indices:

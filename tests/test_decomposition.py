@@ -11,10 +11,12 @@ import scipy.sparse
 import scipy.sparse.csgraph
 from collective import COMM, agree, equal, raises, small, whole
 from problems import Cell, cube
+from walls import tube
 
 import dolfinx
 import ufl
 
+from dolfinx_feti import decomposition
 from dolfinx_feti.decomposition import decompose, tear
 
 SEED = 31415
@@ -183,3 +185,43 @@ def test_torn_space_shares_mesh_and_element():
     V_torn = tear(V, decompose(mesh, 4)).V_torn
     agree(V_torn.mesh is mesh and V_torn.ufl_element() == V.ufl_element())
     agree(ufl.TestFunction(V_torn).ufl_shape == (2,))
+
+
+def path_graph(n):
+    a = np.arange(n - 1)
+    ones = np.ones(2 * n - 2, dtype=np.int8)
+    entries = np.concatenate([a, a + 1]), np.concatenate([a + 1, a])
+    return scipy.sparse.csr_array((ones, entries), shape=(n, n))
+
+
+@pytest.mark.parametrize(
+    ("part", "expected"),
+    [
+        ([0, 0, 1, 0, 1, 1], [0, 0, 0, 1, 1, 1]),  # the lone 1 and the lone 0 change sides
+        ([0, 0, 0, 1, 0, 0, 1, 1], [0, 0, 0, 0, 1, 1, 1, 1]),
+        ([0, 1, 2], [0, 1, 2]),
+        ([0, 1, 0, 1], None),  # as large as each other: any result with two connected parts
+    ],
+)
+def test_splinters_join_their_neighbours(part, expected):
+    graph = path_graph(len(part))
+    joined = decomposition._join_splinters(graph, np.array(part, dtype=np.int32))
+    agree(expected is None or list(joined) == expected, joined)
+    agree(len(np.unique(decomposition._facet_components(graph, joined))) == len(np.unique(part)))
+
+
+def test_splinters_without_a_neighbour_stay():
+    """Two paths that nothing connects, in one part."""
+    graph = scipy.sparse.csr_array(scipy.sparse.block_diag([path_graph(3), path_graph(2)]))
+    part = np.zeros(5, dtype=np.int32)
+    equal(decomposition._join_splinters(graph, part), part)
+
+
+@pytest.mark.parametrize("subdomains", [5, 8, 17, 40])
+def test_number_of_subdomains_is_as_asked(subdomains):
+    """On a ring, which the partitioner likes to cut into parts of several pieces."""
+    mesh = tube(around=60)
+    alone = mesh.comm.size == 1
+    made = whole(np.array([decompose(mesh, subdomains).count]))
+    agree(made.sum() == subdomains or not alone, made)
+    agree(made.sum() >= subdomains)
