@@ -37,7 +37,7 @@ __all__ = ["main"]
 #: Options that take several values.
 SEVERAL = (
     *("degree", "level", "subdomains_per_edge", "jump"),
-    *("type", "pc", "scaling", "coarse_q", "gluing"),
+    *("type", "pc", "scaling", "coarse_q", "gluing", "interior"),
 )
 
 
@@ -116,6 +116,7 @@ def _create_parser(comm: MPI.Comm) -> argparse.ArgumentParser:
         ("scaling", "multiplicity"),
         ("coarse_q", "identity"),
         ("gluing", "full"),
+        ("interior", "auto"),
     ):
         choices = CHOICES["pc_type" if name == "pc" else name]
         kind = {"type": _several(_one_of(choices)), "default": default.split(",")}

@@ -45,6 +45,7 @@ class Case:
         scaling: ``-feti_scaling``.
         coarse_q: ``-feti_coarse_q``.
         gluing: ``-feti_gluing``.
+        interior: ``-feti_interior``.
         coarse_modes: ``-feti_coarse_modes``.
         reorthogonalize: ``-feti_dual_reorthogonalize``.
         jump: Young's modulus of the stiff subcubes in units of the others'.
@@ -60,6 +61,7 @@ class Case:
     scaling: str = "multiplicity"
     coarse_q: str = "identity"
     gluing: str = "full"
+    interior: str = "auto"
     coarse_modes: int = 0
     reorthogonalize: bool = False
     jump: float = 1.0
@@ -76,7 +78,7 @@ class Case:
         words = [f"P{self.degree}, level {self.level}", f"{self.subdomains_per_edge}³ subdomains"]
         words += [self.type, self.pc]
         usual = asdict(Case())
-        kept = ("scaling", "coarse_q", "gluing", "coarse_modes")
+        kept = ("scaling", "coarse_q", "gluing", "interior", "coarse_modes")
         words += [str(getattr(self, name)) for name in kept if getattr(self, name) != usual[name]]
         words += [f"{self.pattern} of {self.jump:g}"] * (self.pattern != "none")
         words += ["reorthogonalized"] * self.reorthogonalize
@@ -106,6 +108,7 @@ class Case:
             subdomains=self.subdomains_per_edge,
             all_floating=self.type == "all_floating",
             pc_type=self.pc,
+            interior=self.interior,
             processes=processes,
         )
 
@@ -117,6 +120,7 @@ class Case:
             "feti_scaling": self.scaling,
             "feti_coarse_q": self.coarse_q,
             "feti_gluing": self.gluing,
+            "feti_interior": self.interior,
             "feti_coarse_modes": self.coarse_modes,
             "feti_dual_reorthogonalize": self.reorthogonalize,
             "feti_dual_ksp_rtol": RTOL,
@@ -169,6 +173,8 @@ def run(case: Case, problem: CubeProblem, comm: MPI.Comm, monitor: Monitor | Non
             "multipliers": report.multipliers,
             "coarse_size": report.coarse_size,
             "kernels": list(report.kernels),
+            "interior_is": report.interior,
+            "factor_mib": report.factor_mib,
             "iterations": feti.iterations,
             "condition_number": _number(feti.condition_number),
             "lambda_min": _number(low),

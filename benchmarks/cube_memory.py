@@ -5,8 +5,9 @@
 
 The factors are by far the most of it. A decomposed cube has at most four kinds of subdomains, told
 apart by how many of their faces lie on its surface; one of each kind is analysed symbolically by
-MUMPS, and its figures are multiplied. What grows with the cells, the non-zeros and the glued dofs
-was measured once and stands below as bytes for each.
+MUMPS, and its figures are multiplied. Where the solver eliminates the interior dofs, the dense
+Schur complements take the place of the factors of K. What grows with the cells, the non-zeros and
+the glued dofs was measured once and stands below as bytes for each.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import dolfinx
 import dolfinx.fem.petsc
 
 from benchmarks.cube_problem import create_problem
+from dolfinx_feti.interior import DENSITY, LARGEST
 
 __all__ = ["Estimate", "estimate"]
 
@@ -50,26 +52,32 @@ FACTOR = 0.35e6
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Estimated memory of a case.
+    """Estimate of a case.
 
     Attributes:
-        mib: All of it [MiB].
-        factor_bytes: Entries of all factors, which an iteration reads twice.
+        mib: Memory [MiB].
+        streamed: What an iteration has to read of factors and dense blocks [bytes].
     """
 
     mib: float
-    factor_bytes: float
+    streamed: float
 
 
 @dataclass(frozen=True, slots=True)
 class _Factor:
-    """Figures of a symbolic factorisation: entries, and MUMPS' own estimate of its memory."""
+    """Figures of a symbolic factorisation: entries, and what it all takes [bytes]."""
 
     entries: float
-    work: float
+    bytes: float
 
-    def bytes(self, nonzeros: float) -> float:
-        return max(self.work, 8.0 * self.entries) + BLOCK_ENTRY * nonzeros + FACTOR
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Kind:
+    """Subdomains of one kind: how many, the mask of their free dofs, modes in the kernel."""
+
+    number: int
+    free: Mask
+    border: int
 
 
 @cache
@@ -80,6 +88,7 @@ def estimate(
     subdomains: int,
     all_floating: bool,
     pc_type: str,
+    interior: str,
     processes: int,
 ) -> Estimate:
     """Estimate a case from one subdomain of each kind, on this process alone.
@@ -90,27 +99,44 @@ def estimate(
         subdomains: Subcubes along an edge of the cube.
         all_floating: Whether Dirichlet dofs stay in the local matrices.
         pc_type: Preconditioner.
+        interior: Whether the interior dofs are kept or eliminated, as in the options.
         processes: Number of processes.
     """
     K, x = _subcube(degree, cells)
     surface = np.any((x == 0.0) | (x == 1.0), axis=1)
     count = subdomains**3
+    kinds = [
+        _Kind(number, ~_on_faces(x, fixed), 0 if any(fixed) else 6)
+        for fixed, number in _kinds(subdomains, all_floating).items()
+    ]
+    glued = {kind: np.count_nonzero(kind.free & surface) for kind in kinds}
+    eliminated = _is_eliminated(interior, kinds, glued)
     total = processes * PROCESS + count * (24 * cells**3 * TETRAHEDRON + K.nnz * ENTRY)
-    factor_bytes = 0.0
-    for fixed, number in _kinds(subdomains, all_floating).items():
-        free = ~_on_faces(x, fixed)
-        border = 0 if any(fixed) else 6
-        block = K[free][:, free]
-        factor = _analyse(block, border)
-        total += number * factor.bytes(block.nnz + 2 * border * block.shape[0])
-        total += number * GLUED * np.count_nonzero(free & surface)
-        factor_bytes += number * 8.0 * factor.entries
-    if pc_type == "dirichlet":
-        block = K[~surface][:, ~surface]
-        factor = _analyse(block, 0)
-        total += count * (factor.bytes(block.nnz) + ROW_ENTRY * K[surface].nnz)
-        factor_bytes += count * 8.0 * factor.entries
-    return Estimate(total / 2**20, factor_bytes)
+    total += GLUED * sum(kind.number * glued[kind] for kind in kinds)
+    streamed = 0.0
+    inside = _analyse(K[~surface][:, ~surface], 0)
+    for kind in kinds:
+        if eliminated:
+            dense = 8.0 * glued[kind] ** 2
+            total += kind.number * (dense + inside.bytes)
+            streamed += kind.number * dense * (1.0 if pc_type == "dirichlet" else 0.5)
+        else:
+            factor = _analyse(K[kind.free][:, kind.free], kind.border)
+            total += kind.number * factor.bytes
+            streamed += kind.number * 2 * 8.0 * factor.entries  # forth and back
+    if pc_type == "dirichlet" and not eliminated:
+        total += count * (inside.bytes + ROW_ENTRY * K[surface].nnz)
+        streamed += count * 2 * 8.0 * inside.entries
+    return Estimate(total / 2**20, streamed)
+
+
+def _is_eliminated(interior: str, kinds: list[_Kind], glued: dict[_Kind, int]) -> bool:
+    """Decide as the solver does."""
+    if interior != "auto":
+        return interior == "eliminate"
+    dense = sum(kind.number * glued[kind] ** 2 for kind in kinds)
+    sparse = sum(kind.number * np.count_nonzero(kind.free) ** (4 / 3) for kind in kinds)
+    return bool(dense <= DENSITY * sparse and max(glued.values()) <= LARGEST)
 
 
 def _kinds(subdomains: int, all_floating: bool) -> Counter[tuple[int, ...]]:
@@ -177,4 +203,6 @@ def _analyse(K: scipy.sparse.csr_array, border: int) -> _Factor:
     entries, megabytes = F.getMumpsInfog(3), F.getMumpsInfog(16)
     pc.destroy()
     A.destroy()
-    return _Factor(float(entries if entries >= 0 else -1e6 * entries), 1e6 * megabytes)
+    entries = float(entries if entries >= 0 else -1e6 * entries)  # MUMPS counts millions, then
+    work = max(1e6 * megabytes, 8.0 * entries)
+    return _Factor(entries, work + BLOCK_ENTRY * bordered.nnz + FACTOR)
