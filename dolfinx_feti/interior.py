@@ -97,6 +97,12 @@ class Interior(ABC):
     def extend(self, u: Array, f: Array) -> Array:
         """Complete u, (n,), on the interior, where the load is f."""
 
+    def zero_inside(self) -> int:
+        """Count zero eigenvalues of K_II: motions of the body that the interface does not feel."""
+        if self.eliminated is None:
+            return 0
+        return int(self.eliminated.inertia()[:, 1].clip(min=0).sum())
+
     def norms(self) -> Array:
         """Return the mean of the absolute diagonal of K on the ``dofs`` of each subdomain."""
         diagonal = np.abs(self.torn.K.getDiagonal().array_r)

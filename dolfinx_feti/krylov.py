@@ -125,12 +125,14 @@ class Krylov:
         Returns:
             The converged reason.
         """
+        jump = self.b.norm()
         test = _Test(
             self._preconditioner,
             target,
             self._stagnation,
             max_it,
             cg=self.is_cg,
+            first=self._preconditioner.force(self.b) / jump if jump and not self.is_cg else 0.0,
             monitor=monitor,
         )
         if self.users_test:
@@ -171,6 +173,7 @@ class _Test:
         max_it: int,
         *,
         cg: bool,
+        first: float,
         monitor: Monitor,
     ) -> None:
         self._preconditioner = preconditioner
@@ -179,7 +182,7 @@ class _Test:
         self._max_it = max_it
         self._cg = cg
         self._monitor = monitor
-        self._proportion = 1.0 if cg else np.nan
+        self._proportion = 1.0 if cg else first
         self._best = (np.inf, 0)
         self._next = np.inf if cg else INTERVAL
 

@@ -36,6 +36,12 @@ __all__ = ["Parts", "SetUpError", "is_symmetric"]
 #: Krylov methods for symmetric systems.
 SYMMETRIC_METHODS = ("cg", "fcg", "pipecg", "minres", "symmlq")
 
+SINGULAR = (
+    "The assembled problem is singular, with a kernel of dimension {}: the Dirichlet conditions "
+    "leave rigid body motions (or constants) free, in all of the body or in a part that is not "
+    "connected to the rest. Add Dirichlet conditions."
+)
+
 
 class _Destroyable(Protocol):
     def destroy(self) -> None: ...
@@ -203,15 +209,14 @@ class Parts:
                 "larger than the near kernel of the matrix. Attach all rigid body modes with "
                 "dolfinx_feti.set_near_kernel."
             )
+        inside = self.torn.comm.allreduce(self.interior.zero_inside())
+        if inside:
+            raise SetUpError(SINGULAR.format(inside))
 
     def _check_coarse(self) -> None:
         _, zero = self.coarse.solver.inertia()
         if zero > 0:
-            raise SetUpError(
-                f"The assembled problem is singular, with a kernel of dimension {zero}: the "
-                "Dirichlet conditions leave rigid body motions (or constants) free, in all of the "
-                "body or in a part that is not connected to the rest. Add Dirichlet conditions."
-            )
+            raise SetUpError(SINGULAR.format(zero))
 
     def _check_method(self) -> None:
         method = self.krylov.ksp.getType()

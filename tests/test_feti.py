@@ -246,6 +246,20 @@ def test_monitor_and_history(torn_grid, feti):
     agree(seen[-1][1] < 1e-7 * seen[0][1])
 
 
+def test_monitor_of_gmres_knows_the_start(torn_grid, feti):
+    """GMRES estimates the assembled residual; at the start it is measured."""
+    problem = torn_grid((3, 2), (3, 3), components=2)
+    first = []
+    for method in ("cg", "gmres"):
+        ksp = feti(problem.A, feti_dual_ksp_type=method, feti_interior="keep")
+        seen = []
+        ksp.setMonitor(lambda ksp, its, rnorm, seen=seen: seen.append(rnorm))
+        solve(ksp, problem, random_values(problem))
+        agree(np.all(np.isfinite(seen)), seen)
+        first.append(seen[0])
+    small(first[1] / first[0] - 1.0, 1e-6)
+
+
 def test_view(torn_grid, feti, tmp_path):
     problem = torn_grid((2, 2), (3, 3), components=2)
     path = tmp_path / "view"

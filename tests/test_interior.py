@@ -230,6 +230,19 @@ def test_unsymmetric_matrices_are_kept(torn_grid, feti):
     x.destroy()
 
 
+def test_part_without_an_interface_is_singular(torn_grid, feti):
+    """A subdomain that nothing glues or holds has its kernel inside."""
+    problem = torn_grid((1, 1), (3, 3), components=2, fixed=lambda x: x[:, 0] < -1.0)
+    b, x = problem.A.createVecs()
+    b.set(1.0)
+    ksp = feti(problem.A, feti_interior="eliminate")
+    ksp.solve(b, x)
+    agree(ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED)
+    agree("kernel of dimension 3" in ksp.getPythonContext().message)
+    b.destroy()
+    x.destroy()
+
+
 @pytest.mark.parametrize(
     ("n", "on_interface", "worth"),
     [(45, 42, True), (3300, 950, True), (8900, 2300, False), (1300, 600, False)],
