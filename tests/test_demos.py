@@ -101,7 +101,11 @@ def test_every_demo_has_its_test():
     """Whoever adds one adds a test here."""
     agree(
         {path.name for path in DEMOS.glob("demo_*.py")}
-        == {"demo_artery.py", "demo_linear_elasticity.py"}
+        == {
+            "demo_artery.py",
+            "demo_classical_vs_all_floating.py",
+            "demo_linear_elasticity.py",
+        }
     )
 
 
@@ -123,6 +127,20 @@ def test_linear_elasticity(run):
 def test_linear_elasticity_from_the_command_line():
     status, said = run_alone("demos/demo_linear_elasticity.py")
     agree(status == 0 and "difference to MUMPS" in said, said)
+
+
+def test_classical_vs_all_floating(run, tmp_path):
+    """Its own assertions, the numbers of one process, and a picture."""
+    from matplotlib.image import imread
+
+    demo = run("demo_classical_vs_all_floating.py", tmp_path)
+    expected = {("all_floating", 3): 9.27, ("classical", 3): 21.1, ("classical", 1): 9.11}
+    for (kind, n), condition in expected.items():
+        small(demo["condition"][kind, "dirichlet", n] / condition - 1.0, 0.01)
+    agree(demo["solvers"]["all_floating", "lumped", 1][-1].multipliers == 3876)
+    small(demo["order"] - 2.0, 0.05)
+    height, width, _ = on_first(lambda: imread(tmp_path / "cube.png")).shape
+    agree(height > 500 and width > 800, (height, width))
 
 
 def test_artery(run, tmp_path):
