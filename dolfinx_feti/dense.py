@@ -1,16 +1,16 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Dense symmetric blocks, one a subdomain, and the inverses of their regularised companions.
+r"""Dense symmetric blocks, one a subdomain, and the factors of their regularised companions.
 
 The Schur complement S of a subdomain (``interior``) is dense, and so is
 
-.. math:: S_ρ^{-1} = (S + ρ\, R R^⊤)^{-1}.
+.. math:: S_ρ = S + ρ\, R R^⊤ = U^⊤ U.
 
-A Krylov method applies both in every iteration, and reads either triangle of *one* array: the lower
-one holds S, the upper one and the diagonal hold :math:`S_ρ^{-1}`; the diagonal of S stands apart.
-The inverse comes from a Cholesky factorisation, or, where that meets a pivot that is not positive,
-from all eigenvalues, which then tell the inertia. With W = S R, and without cancellation,
+A Krylov method needs both in every iteration, and reads either triangle of *one* array: the lower
+one holds S, the upper one and the diagonal hold U; the diagonal of S stands apart. Where the
+Cholesky factorisation meets a pivot that is not positive, all eigenvalues tell the inertia, and
+:math:`S_ρ^{-1}` itself takes the place of U. With W = S R, and without cancellation,
 
 .. math:: E = ρ\, S_ρ^{-1} R = R - S_ρ^{-1} W, \qquad D = ρ\, (I - R^⊤ E) = E^⊤ W.
 """
@@ -36,7 +36,7 @@ ZERO = 1e-14
 
 
 class DenseFactors:
-    """Symmetric blocks ``S_i`` on the dofs ``rows_i`` and the inverses of ``S_i + ρ R Rᵀ``.
+    """Symmetric blocks ``S_i`` on the dofs ``rows_i`` and the factors of ``S_i + ρ R Rᵀ``.
 
     The methods are those of :class:`~dolfinx_feti.factors.BlockFactors`, with R in the place of its
     border; :meth:`multiply` and :meth:`multiply_many` apply S itself.
@@ -59,7 +59,7 @@ class DenseFactors:
         self._blocks[i] = _Block(np.asfortranarray(S))
 
     def update(self, R: Sequence[Array], rho: Array) -> None:
-        """Invert every regularised block.
+        """Factor every regularised block.
 
         Args:
             R: For each block its columns R, (n_i, k), orthonormal.
@@ -72,8 +72,8 @@ class DenseFactors:
             self.update_block(i, R_i, float(rho[i]))
 
     def update_block(self, i: int, R: Array, rho: float) -> None:
-        """Invert block i with the columns R, see :meth:`update`."""
-        self._blocks[i].invert(R, rho)
+        """Factor block i with the columns R, see :meth:`update`."""
+        self._blocks[i].factor(R, rho)
 
     def multiply(self, t: Array, y: Array) -> None:
         """Apply every block: ``y[rows_i] = S_i t[rows_i]``, other entries untouched."""
@@ -116,16 +116,17 @@ class DenseFactors:
 
 
 class _Block:
-    """S in the lower triangle, its regularised inverse in the upper one and on the diagonal."""
+    """S in the lower triangle, U or the inverse in the upper one and on the diagonal."""
 
     def __init__(self, S: Array) -> None:
         self.S = S
         self.diagonal = S.diagonal().copy()
         self.inertia = (0, 0)
+        self._definite = False
         self._R: Array = np.zeros((len(S), 0))
         self._rho = 1.0
 
-    def invert(self, R: Array, rho: float) -> None:
+    def factor(self, R: Array, rho: float) -> None:
         self._R, self._rho = R, rho
         if len(self.S) == 0:
             return
@@ -134,11 +135,10 @@ class _Block:
         X = self._regularised()
         X, failed = lapack.dpotrf(X, lower=0, overwrite_a=1, clean=0)  # Uᵀ U = S + ρ R Rᵀ
         pivots = X.diagonal() ** 2
-        if failed or pivots.min() <= ZERO * pivots.max():
+        self._definite = not failed and pivots.min() > ZERO * pivots.max()
+        self.inertia = (0, 0)
+        if not self._definite:
             X = self._invert_indefinite()
-        else:
-            self.inertia = (0, 0)
-            X, _ = lapack.dpotri(X, lower=0, overwrite_c=1)
         np.copyto(X, self.S, where=np.tri(len(X), k=-1, dtype=bool))
         self.S = X
 
@@ -173,12 +173,22 @@ class _Block:
         return Y  # S X
 
     def solve(self, y: Array) -> Array:
-        return blas.dsymv(1.0, self.S, y, lower=0) if len(y) else y
+        if len(y) == 0:
+            return y
+        if not self._definite:
+            return blas.dsymv(1.0, self.S, y, lower=0)
+        x = blas.dtrsv(self.S, y, lower=0, trans=1)
+        return blas.dtrsv(self.S, x, lower=0, overwrite_x=1)  # U⁻¹ U⁻ᵀ y
 
     def solve_many(self, Y: Array) -> Array:
         if Y.size == 0:
             return np.zeros(Y.shape)
-        return blas.dsymm(1.0, self.S, np.asfortranarray(Y), lower=0)
+        if Y.shape[1] == 1:
+            return self.solve(Y[:, 0])[:, None]
+        if not self._definite:
+            return blas.dsymm(1.0, self.S, np.asfortranarray(Y), lower=0)
+        X = blas.dtrsm(1.0, self.S, np.asfortranarray(Y), lower=0, trans_a=1)
+        return blas.dtrsm(1.0, self.S, X, lower=0, overwrite_b=1)
 
     def solve_border(self) -> tuple[Array, Array]:
         W = self.multiply_many(self._R)  # W = S R

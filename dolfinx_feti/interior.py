@@ -15,8 +15,8 @@ of K, f, u: the generalised inverse is that of S, and the Dirichlet precondition
 - *Kept*: the sparse K on all free dofs, factored; S is applied with another factor, of
   :math:`K_{II}`. An iteration runs through both factors, forth and back.
 - *Eliminated*: S is formed, a dense block of the size of Γ (``schur``), and one factor of
-  :math:`K_{II}` is kept for :math:`\hat f_Γ` and :math:`u_I`. An iteration reads half of two dense
-  blocks: several times less than the factors of the subdomains of a thin wall, or of small ones.
+  :math:`K_{II}` is kept for :math:`\hat f_Γ` and :math:`u_I`. An iteration reads triangles of
+  a dense block: several times less than the factors of a piece of a thin wall, or of a small one.
 
 ``auto`` eliminates if S takes about the memory of the factors; see :data:`DENSITY`.
 """
