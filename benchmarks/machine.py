@@ -23,7 +23,7 @@ PROC = Path("/proc")
 CGROUP = Path("/sys/fs/cgroup")
 
 #: Size of the array that is read to measure the bandwidth, larger than a cache [bytes].
-STREAM = 2**28
+STREAM = 2**27
 
 
 def available_mib(comm: MPI.Comm) -> float:

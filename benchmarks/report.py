@@ -77,7 +77,8 @@ def _read(path: Path) -> list[Record]:
         raise ValueError(
             f"{path} holds no JSON ({error}): give a file of benchmarks.cube."
         ) from error
-    if not isinstance(records, list) or not records or "condition_number" not in records[0]:
+    fine = isinstance(records, list) and all(isinstance(record, dict) for record in records)
+    if not fine or not records or any("condition_number" not in record for record in records):
         raise ValueError(f"{path} holds no records: give a file that benchmarks.cube has written.")
     return records
 

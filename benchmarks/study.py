@@ -21,7 +21,7 @@ from dolfinx_feti import ConvergenceError
 
 __all__ = ["Study"]
 
-HEAD = f"{'':<52}{'it.':>5}{'κ':>9}{'L2 error':>10}{'set-up':>10}{'solve':>10}{'MiB':>7}"
+HEAD = f"{'':<52}{'it.':>5}{'κ':>10}{'L2 error':>10}{'set-up':>10}{'solve':>10}{'MiB':>7}"
 
 #: Parameters of the mesh and the form; cases that agree in them share a problem.
 SHARED = ("degree", "level", "subdomains_per_edge", "jump", "pattern", "source")
@@ -82,7 +82,8 @@ class Study:
     def _measure(self, case: Case, speed: float) -> Record:
         """Estimate a case and solve it."""
         self._bar.begin(f"{case}: estimate")
-        estimated = case.estimate(self._comm.size)
+        alone = case.estimate(self._comm.size) if self._comm.rank == 0 else None
+        estimated = self._comm.bcast(alone)
         self._reserve(case, estimated.mib)
         self._bar.begin(f"{case}: mesh")
         problem = self._shared_problem(case)
@@ -129,7 +130,7 @@ class Study:
 
 def _row(case: Case, record: Record) -> str:
     """Format a record as a line below :data:`HEAD`."""
-    condition = _format(record["condition_number"], ".4g", 9)
+    condition = _format(record["condition_number"], ".4g", 10)
     error = _format(record["l2_error"], ".2e", 10)
     times = "".join(f"{record[f'seconds_{phase}']:>8.2f} s" for phase in ("setup", "solve"))
     peak = _format(record["peak_mib"], ".0f", 7)
