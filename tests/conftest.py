@@ -26,6 +26,14 @@ COMM = MPI.COMM_WORLD
 PREFIX = "test_"
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out, on several processes, what is the work of the first one alone."""
+    if COMM.size > 1:
+        serial = [item for item in items if item.get_closest_marker("serial")]
+        config.hook.pytest_deselected(items=serial)
+        items[:] = [item for item in items if not item.get_closest_marker("serial")]
+
+
 def pytest_collection_finish() -> None:
     """Spare the collector what the imports have made."""
     gc.collect()

@@ -17,6 +17,8 @@ from fake_machine import CHECKOUT, PLAYED, Machine, wait_for
 
 import dolfinx_feti
 
+pytestmark = pytest.mark.serial
+
 OWN_FAILURE = 125
 
 

@@ -296,6 +296,7 @@ def all_forms(w, pressure, ds):
     }
 
 
+@pytest.mark.serial
 def test_all_forms_compile_within_30_seconds():
     comm = MPI.COMM_WORLD
     w = wall(comm, metadata={"quadrature_degree": 4})

@@ -22,6 +22,8 @@ from meshes.remesh import remesh
 from meshes.surface import Guide, find_edges, read_stl, triangle_angles
 from meshes.wall_mesh import TAGS, WallMesh, measure_quality, write_msh
 
+pytestmark = pytest.mark.serial
+
 THICKNESS, MEDIA = 1.0, 2 / 3
 
 

@@ -152,6 +152,7 @@ def test_quadrature(degree):
         agree(1e-2 > np.abs(other - default).max() > 1e-6)
 
 
+@pytest.mark.serial
 def test_forms_compile_quickly(tmp_path, monkeypatch):
     """All forms of a P2–P0 problem of two layers of HGO, on an empty cache."""
     default = dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from fake_machine import Machine
 
+pytestmark = pytest.mark.serial
+
 # Two processes; like the real one, it ends the first as soon as the second leaves with a failure.
 MPIRUN = """
     [ "$1" != --version ] || exit 0
