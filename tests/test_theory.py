@@ -14,7 +14,7 @@ import itertools
 import numpy as np
 import paper_cube
 import pytest
-from collective import COMM, agree, dense, equal, matrix_of, whole
+from collective import agree, dense, equal, matrix_of, whole
 
 ROUNDING = 1e-6
 
@@ -51,12 +51,14 @@ def eigenvalues(system):
 @every_type
 @pytest.mark.parametrize(
     ("pc_type", "all_floating", "classical"),
-    [("identity", 53.6, 98.2), ("lumped", 10.3, 14.1), ("dirichlet", 7.6, 10.0)],
+    [
+        pytest.param("identity", 53.6, 98.2, marks=pytest.mark.serial),  # one is enough on several
+        pytest.param("lumped", 10.3, 14.1, marks=pytest.mark.serial),
+        ("dirichlet", 7.6, 10.0),
+    ],
 )
 def test_condition_numbers_of_the_paper(kind, pc_type, all_floating, classical, feti):
     """Its cube on the coarsest level: 512 subdomains, multiplicity scaling, Q = I."""
-    if COMM.size > 1 and pc_type != "dirichlet":
-        pytest.skip("one of the three is enough on several processes")
     problem = paper_cube.cube(8, 1)
     options = {"type": kind, "pc_type": pc_type, "scaling": "multiplicity"}
     low, high = spectrum(feti, problem, load=0.0, coarse_q="identity", **options)
