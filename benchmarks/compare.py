@@ -7,109 +7,126 @@ The two-layer tube, P2–P0, first Newton step at 1 mmHg:
 
     python3 -m benchmarks.compare --kappa 1000 --dofs 180000 --json build/compare.json
 
-Under ``mpirun`` the memory is the sum over the processes. FETI gets the torn matrix; MUMPS
-(Cholesky) and GAMG (CG, six rigid body modes) the assembled one that PETSc converts from it.
+FETI gets the torn matrix; MUMPS (Cholesky) and GAMG (CG, six rigid body modes) the assembled one
+that PETSc converts from it. Both are there before a solver begins. `peak_mib` is the most memory
+that a solver took above that, from its creation to its solution, summed over the processes.
+
+The file keeps the records of other κ, sizes and numbers of processes. Options with a single dash
+are PETSc's, with the prefixes `tube_` (FETI), `mumps_` and `gamg_`.
 """
 
 from __future__ import annotations
 
 import argparse
-import ctypes
 import json
+import math
 import sys
-import threading
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import petsc4py
 
-petsc4py.init(sys.argv)
+petsc4py.init([word for word in sys.argv if not word.startswith("--")])
 
 from mpi4py import MPI  # noqa: E402
 from petsc4py import PETSc  # noqa: E402
 
+from benchmarks.records import Record, Records  # noqa: E402
 from benchmarks.tube_problem import TubeProblem, create_tube_problem  # noqa: E402
 from dolfinx_feti import loads  # noqa: E402
+from dolfinx_feti.comparison import (  # noqa: E402
+    assembled_system,
+    create_mumps,
+    measure,
+    relative_residual,
+)
 
 RTOL = 1e-8
+SOLVERS = ("feti", "mumps", "gamg")
 
 
-class PeakMemory:
-    """Sample the resident memory of this process; ``mib`` is the largest value seen."""
+def main(argv: Sequence[str] | None = None) -> list[Record]:
+    """Run the comparison.
 
-    def __enter__(self) -> PeakMemory:
-        """Give free memory back and begin."""
-        ctypes.CDLL(None).malloc_trim(0)
-        self.mib = 0.0
-        self._done = threading.Event()
-        self._thread = threading.Thread(target=self._sample, daemon=True)
-        self._thread.start()
-        return self
+    Args:
+        argv: The command line without the program's name; None for that of the process.
 
-    def _sample(self) -> None:
-        while not self._done.wait(0.02):
-            pages = int(Path("/proc/self/statm").read_text().split()[1])
-            self.mib = max(self.mib, pages * 4096 / 2**20)
+    Returns:
+        A record for each solver.
 
-    def __exit__(self, *_: object) -> None:
-        """Stop sampling."""
-        self._done.set()
-        self._thread.join()
+    Raises:
+        SystemExit: A word of the command line is wrong, or the file cannot be written.
+    """
+    comm = MPI.COMM_WORLD
+    parser = create_parser()
+    args, petsc = parser.parse_known_args(argv)
+    unknown = [word for word in petsc if word.startswith("--")]
+    if unknown:
+        parser.error(f"unrecognized arguments: {' '.join(unknown)}")
+    try:
+        file = Records(args.json, comm)
+    except ValueError as error:
+        parser.error(str(error))
+    tube = create_tube_problem(
+        comm,
+        dofs=args.dofs,
+        kappa=args.kappa,
+        subdomains=args.subdomains,
+        options={"ksp_rtol": RTOL},
+    )
+    records = compare(tube, args.solvers, kappa=args.kappa)
+    for record in records:
+        file.put({key: record[key] for key in ("solver", "kappa", "dofs", "processes")}, record)
+        if comm.rank == 0:
+            print(json.dumps(record))
+    return records
 
 
-def measure(
-    name: str, tube: TubeProblem, create: Callable[[], PETSc.KSP], r: PETSc.Vec
-) -> tuple[dict[str, object], PETSc.Vec]:
-    """Time set-up and solve of one solver for K ΔU = −r."""
-    comm = r.comm.tompi4py()
-    comm.Barrier()
-    with PeakMemory() as peak:
-        started = time.perf_counter()
-        ksp = create()
-        ksp.setUp()
-        comm.Barrier()
-        set_up = time.perf_counter() - started
-        x = r.duplicate()
-        started = time.perf_counter()
-        ksp.solve(r, x)
-        comm.Barrier()
-        solved = time.perf_counter() - started
-    record: dict[str, object] = {
-        "solver": name,
-        "iterations": ksp.getIterationNumber(),
-        "seconds_setup": set_up,
-        "seconds_solve": solved,
-        "peak_mib": comm.allreduce(peak.mib),
-        "converged_reason": ksp.getConvergedReason(),
+def compare(tube: TubeProblem, solvers: Sequence[str], *, kappa: float) -> list[Record]:
+    """Solve the first Newton step at 1 mmHg with each solver, FETI first.
+
+    Args:
+        tube: The tube at rest.
+        solvers: Names out of ``SOLVERS``.
+        kappa: κ [kPa], for the records.
+    """
+    b = first_step(tube)
+    K, f = assembled_system(tube.problem.A, b)
+    K.setOption(PETSc.Mat.Option.SPD, True)
+    create: dict[str, tuple[Callable[[], PETSc.KSP], PETSc.Vec]] = {
+        "feti": (lambda: share_feti(tube), b),
+        "mumps": (lambda: create_mumps(K), f),
+        "gamg": (lambda: create_gamg(K), f),
     }
-    if name == "feti":
-        ksp.view()
-    ksp.destroy()
-    return record, x
+    records, solutions = [], {}
+    for name in (name for name in SOLVERS if name in solvers):
+        cost, solutions[name] = measure(*create[name])
+        record = {"solver": name, "kappa": kappa, "dofs": f.getSize(), "processes": f.comm.size}
+        records.append(record | asdict(cost))
+    if "feti" in solvers:
+        tube.problem.solver.getKSP().view()
+    for record in records:
+        x = solutions[record["solver"]]
+        record["relative_residual"] = relative_residual(K, f, x)
+        record["difference_to_mumps"] = difference(x, solutions.get("mumps"))
+    return records
 
 
-def create_feti(tube: TubeProblem) -> PETSc.KSP:
-    """Return the KSP of the problem."""
+def first_step(tube: TubeProblem) -> PETSc.Vec:
+    """Assemble the torn tangent at 1 mmHg and return the right-hand side −r."""
+    tube.pressure.value = loads.mmhg(1.0)
+    b = tube.problem.A.createVecLeft()
+    b.array[:] = -tube.problem._system.residual()
+    tube.problem._system.linearise()
+    return b
+
+
+def share_feti(tube: TubeProblem) -> PETSc.KSP:
+    """Return the KSP of the problem; who destroys it lets the problem keep it."""
     ksp = tube.problem.solver.getKSP()
     ksp.setOperators(tube.problem.A)
     ksp.incRef()
-    return ksp
-
-
-def create_mumps(K: PETSc.Mat) -> PETSc.KSP:
-    """Return a Cholesky factorisation by MUMPS."""
-    ksp = PETSc.KSP().create(K.comm)
-    ksp.setOptionsPrefix("mumps_")
-    ksp.setOperators(K)
-    ksp.setType("preonly")
-    ksp.getPC().setType("cholesky")
-    ksp.getPC().setFactorSolverType("mumps")
-    ksp.getPC().setFactorSetUpSolverType()
-    ksp.getPC().getFactorMatrix().setMumpsIcntl(
-        14, 50
-    )  # more work space, or it fails on 2 processes
-    ksp.setFromOptions()
     return ksp
 
 
@@ -118,73 +135,59 @@ def create_gamg(K: PETSc.Mat) -> PETSc.KSP:
     ksp = PETSc.KSP().create(K.comm)
     ksp.setOptionsPrefix("gamg_")
     ksp.setOperators(K)
-    ksp.setType("cg")
+    ksp.setType(PETSc.KSP.Type.CG)
     ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
     ksp.setTolerances(rtol=RTOL, max_it=2000)
-    ksp.getPC().setType("gamg")
+    ksp.getPC().setType(PETSc.PC.Type.GAMG)
     ksp.setFromOptions()
     return ksp
 
 
-def assembled(tube: TubeProblem) -> PETSc.Mat:
-    """Convert the torn matrix to the assembled one, with the Dirichlet rows and columns of I."""
-    A = tube.problem.A
-    K = PETSc.Mat()
-    A.convert("aij", K)
-    K.setBlockSize(3)
-    K.setOption(PETSc.Mat.Option.SPD, True)
-    K.zeroRowsColumns(A.query("dirichlet").getIndices(), 1.0)
-    K.setNearNullSpace(A.getNearNullSpace())
-    return K
+def difference(x: PETSc.Vec, reference: PETSc.Vec | None) -> float | None:
+    """Return ‖x − reference‖/‖reference‖, or None without a reference."""
+    if reference is None:
+        return None
+    y = x.copy()
+    y.axpy(-1.0, reference)
+    norm = y.norm()
+    y.destroy()
+    return norm / reference.norm()
 
 
-def main() -> None:
-    """Run the comparison."""
-    parser = argparse.ArgumentParser("compare", description=__doc__.splitlines()[0])
-    parser.add_argument("--kappa", type=float, default=1000.0, help="[kPa]")
-    parser.add_argument("--dofs", type=int, default=180_000)
-    parser.add_argument("--subdomains", type=int, default=96)
-    parser.add_argument("--solvers", default="feti,mumps,gamg")
-    parser.add_argument("--json", type=Path)
-    args, _ = parser.parse_known_args()
-    comm = MPI.COMM_WORLD
-    if args.json is not None and comm.rank == 0:
-        args.json.parent.mkdir(parents=True, exist_ok=True)
-        args.json.touch()
-    options: dict[str, object] = {"ksp_rtol": RTOL}
-    tube = create_tube_problem(
-        comm, dofs=args.dofs, kappa=args.kappa, subdomains=args.subdomains, options=options
+def create_parser() -> argparse.ArgumentParser:
+    """Create a parser of the options with two dashes."""
+    parser = argparse.ArgumentParser(
+        "compare", description=__doc__.splitlines()[0], allow_abbrev=False
     )
-    tube.pressure.value = loads.mmhg(1.0)
-    system = tube.problem._system
-    r = tube.problem.A.createVecLeft()
-    r.array[:] = -system.residual()
-    system.linearise()
-    records, solutions = [], {}
-    names = args.solvers.split(",")
-    if "feti" in names:
-        record, solutions["feti"] = measure("feti", tube, lambda: create_feti(tube), r)
-        records.append(record)
-    K = assembled(tube)
-    for name, create in (("mumps", create_mumps), ("gamg", create_gamg)):
-        if name in names:
-            record, solutions[name] = measure(name, tube, lambda make=create: make(K), r)
-            records.append(record)
-    y = r.duplicate()
-    for record in records:
-        x = solutions[record["solver"]]
-        K.mult(x, y)
-        y.axpy(-1.0, r)
-        record["relative_residual"] = y.norm() / r.norm()
-        if "mumps" in solutions:
-            solutions["mumps"].copy(y)
-            y.axpy(-1.0, x)
-            record["difference_to_mumps"] = y.norm() / solutions["mumps"].norm()
-        record |= {"kappa": args.kappa, "dofs": r.getSize(), "processes": comm.size}
-        if comm.rank == 0:
-            print(json.dumps(record))
-    if comm.rank == 0 and args.json is not None:
-        args.json.write_text(json.dumps(records, indent=1))
+    parser.add_argument("--kappa", type=_positive, default=1000.0, help="[kPa], 1000")
+    parser.add_argument("--dofs", type=_count, default=180_000, help="about so many, 180000")
+    parser.add_argument("--subdomains", type=_count, default=96, help="over all processes, 96")
+    parser.add_argument("--solvers", type=_solvers, default=list(SOLVERS), help=",".join(SOLVERS))
+    parser.add_argument("--json", type=Path, metavar="FILE", help="where the records are kept")
+    return parser
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    return value
+
+
+def _count(text: str) -> int:
+    if not (text.isdecimal() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number 1, 2, 3, …")
+    return int(text)
+
+
+def _solvers(text: str) -> list[str]:
+    names = text.split(",")
+    if not set(names) <= set(SOLVERS):
+        raise argparse.ArgumentTypeError(f"{text!r}: name some of {', '.join(SOLVERS)}")
+    return names
 
 
 if __name__ == "__main__":

@@ -17,6 +17,8 @@ import numpy as np
 
 import dolfinx
 
+from dolfinx_feti.comparison import PeakMemory
+
 __all__ = ["PeakMemory", "available_mib", "bandwidth", "describe", "resident_mib"]
 
 PROC = Path("/proc")
@@ -60,27 +62,6 @@ def resident_mib(comm: MPI.Comm) -> float:
     _trim()
     rss = _field(PROC / "self/status", "VmRSS")
     return comm.allreduce(rss if np.isfinite(rss) else 0.0)
-
-
-class PeakMemory:
-    """The most memory that the processes had at a time each, from the kernel's own mark."""
-
-    def __init__(self) -> None:
-        """Give free memory back and put the mark down."""
-        _trim()
-        try:
-            (PROC / "self/clear_refs").write_text("5")
-        except OSError:
-            pass  # the mark stays, and the peak is that of the whole run
-
-    def mib(self, comm: MPI.Comm) -> float:
-        """Return the sum over all processes [MiB]; nan where the system does not tell.
-
-        Note:
-            Collective.
-        """
-        peak = _field(PROC / "self/status", "VmHWM")
-        return comm.allreduce(peak if np.isfinite(peak) else np.nan)
 
 
 def bandwidth(comm: MPI.Comm) -> float:

@@ -77,7 +77,7 @@ def create_tube_problem(
     artery = materials.ArteryParameters()
     psi = materials.holzapfel_gasser_ogden(
         C, a1, a2, c=artery.c, k1=artery.k1, k2=artery.k2, J=J
-    ) + materials.perturbed_lagrangian(J, p, kappa)
+    ) + materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(wall.mesh, kappa))
     energy = psi * ufl.dx(metadata={"quadrature_degree": 4})
     pressure = dolfinx.fem.Constant(wall.mesh, 0.0)
     ds = ufl.Measure("ds", wall.mesh, subdomain_data=wall.facet_tags)(

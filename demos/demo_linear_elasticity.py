@@ -19,7 +19,6 @@
 
 # +
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 
@@ -27,6 +26,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import LinearProblem
+from dolfinx_feti.comparison import assembled_system, create_mumps
 
 # -
 
@@ -64,19 +64,13 @@ uh = problem.solve()
 
 # ## Beside a direct solver
 #
-# The torn matrix knows the assembled one: PETSc converts it, and MUMPS factors it.
+# The torn matrix knows the assembled one, and MUMPS factors that.
 
 # +
-A = PETSc.Mat()
-problem.A.convert("aij", A)
-A.zeroRowsColumns(problem.A.query("dirichlet").getIndices(), 1.0)
-mumps = PETSc.KSP().create(comm)
-mumps.setOperators(A)
-mumps.setType("preonly")
-mumps.getPC().setType("lu")
-mumps.getPC().setFactorSolverType("mumps")
-x = problem.b.duplicate()
-mumps.solve(problem.b, x)
+K, f = assembled_system(problem.A, problem.b)
+mumps = create_mumps(K)
+x = f.duplicate()
+mumps.solve(f, x)
 scale = x.norm()
 x.array[:] -= uh.x.array[: x.getLocalSize()]
 difference = x.norm() / scale
