@@ -193,7 +193,7 @@ class Parts:
         cause, zero = "", 0
         try:
             self.inverse.update()
-            self.preconditioner.update()
+            self.preconditioner.update(self.inverse.props)
             zero = int(self.inverse.factors.inertia()[:, 1].clip(min=0).sum())
         except (FactorError, PETSc.Error) as error:
             cause = str(error)

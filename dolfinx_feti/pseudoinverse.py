@@ -23,7 +23,13 @@ border yields E and D at once, without cancellation:
 
 A few elastic modes may join R (``enrichment``): soft ones, for speed, and those that buckle, which
 makes K_ρ positive definite and leaves the negative curvature to D. They stay in R for later
-matrices.
+matrices. With the eigenvalues :math:`δ < 0` and eigenvectors y of D,
+
+.. math:: K_+ = K + Z Z^⊤, \qquad Z = 2 R y \sqrt{-δ},
+
+is positive definite: these *props* hold a subdomain that would buckle alone, and the preconditioner
+is built on them. (:math:`K + R y (-δ) y^⊤ R^⊤` would just do; the work hardly depends on how much
+more there is.)
 
 Fixing dofs (Brzobohatý et al. 2011) keep the sparsity as well, but are too weak a support: held in
 a few points, a compressed subdomain still gives way, and K_ρ gets more negative eigenvalues.
@@ -66,6 +72,7 @@ class PseudoInverse:
         E: For each subdomain the kernel or its regularised stand-in, (n_i, k_i).
         E_left: The same for :math:`K^⊤`; the identical list if K is symmetric.
         D: For each subdomain the defect of the kernel, (k_i, k_i); zero while K R = 0.
+        props: For each subdomain the columns Z of K₊ = K + Z Zᵀ, (n_i, negative eigenvalues of D).
         exact: Whether K R = 0 holds, for each subdomain.
         rho: The stiffness ρ of each subdomain.
     """
@@ -107,6 +114,7 @@ class PseudoInverse:
         self.E: list[Array] = []
         self.E_left: list[Array] = []
         self.D: list[Array] = []
+        self.props: list[Array] = []
         self.exact: list[bool] = []
         self.rho: Array = np.zeros(0)
 
@@ -128,6 +136,7 @@ class PseudoInverse:
         R = [self._enriched(i, R_i) for i, R_i in enumerate(R)]
         self._dimensions = np.array([R_i.shape[1] for R_i in R], dtype=np.int64)
         self.E, self.D = self._stand_ins(R, transpose=False)
+        self.props = [R_i @ Y for R_i, Y in zip(R, self._negative_directions(), strict=True)]
         self.E_left = self.E
         if not self._symmetric:
             self.E_left, _ = self._stand_ins(R, transpose=True)
@@ -150,10 +159,7 @@ class PseudoInverse:
 
     def negative_defects(self) -> int:
         """Count the negative eigenvalues of D on this process, above rounding."""
-        return sum(
-            int(np.count_nonzero(np.linalg.eigvalsh(0.5 * (D + D.T)) < -DEFECT_TOLERANCE * ρ))
-            for D, ρ in zip(self.D, self.rho, strict=True)
-        )
+        return sum(Z.shape[1] for Z in self.props)
 
     def _enriched(self, i: int, R: Array) -> Array:
         """Let soft modes join R, once, and buckling modes until K_ρ has none left."""
@@ -204,6 +210,15 @@ class PseudoInverse:
             E.append(E_i)
             D.append(0.5 * (defect + defect.T) if self._symmetric else defect)
         return E, D
+
+    def _negative_directions(self) -> list[Array]:
+        """Return 2 y √−δ for the eigenvalues δ < 0 of every D, above rounding."""
+        directions = []
+        for D, ρ in zip(self.D, self.rho, strict=True):
+            δ, y = np.linalg.eigh(0.5 * (D + D.T))
+            negative = δ < -DEFECT_TOLERANCE * ρ
+            directions.append(2.0 * y[:, negative] * np.sqrt(-δ[negative]))
+        return directions
 
     def _multiply(self, X: Sequence[Array], *, transpose: bool = False) -> list[Array]:
         """Return K_i X_i on the free dofs of every subdomain."""

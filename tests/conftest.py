@@ -36,6 +36,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def pytest_collection_finish() -> None:
     """Spare the collector what the imports have made."""
+    collect()
+
+
+def collect() -> None:
+    """Collect garbage, and spare the next collection what is left of this one."""
     gc.collect()
     gc.freeze()
 
@@ -45,7 +50,7 @@ def clean() -> Iterator[None]:
     """Collect garbage together, and find the options database as it was before the test."""
     before = PETSc.Options().getAll()
     yield
-    gc.collect()
+    collect()
     PETSc.garbage_cleanup()
     COMM.Barrier()
     assert PETSc.Options().getAll() == before

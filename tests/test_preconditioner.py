@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from collective import agree, dense, equal, matrix_of, small, whole
+import scipy.sparse
+from collective import COMM, agree, dense, equal, matrix_of, small, whole
 
 SEED = 90210
 
@@ -36,18 +37,40 @@ def schur_complement(K, Γ):
     return S
 
 
+def buckling(K, dofs):
+    """Take from each subdomain a share of its stiffness: its kernel becomes negative."""
+    for K_i in K:
+        K_i -= 0.02 * np.diag(np.diag(K_i))
+
+
+CHANGES = {"symmetric": None, "buckling": buckling, "unsymmetric": unsymmetric}
+
+
+def props_of(system):
+    """Z Zᵀ on all torn dofs."""
+    torn = system.torn
+    square = np.zeros((torn.n, torn.n))
+    for dofs, Z in zip(system.inverse.dofs, system.inverse.props, strict=True):
+        square[np.ix_(dofs, dofs)] = Z @ Z.T
+    return scipy.sparse.block_diag(COMM.allgather(square)).toarray()
+
+
 def weight_of(problem, system, pc_type):
     """Y of the definition on all torn dofs."""
-    K = problem.K_torn
+    K, ZZ = problem.K_torn, props_of(system)
     fixed = whole(system.inverse.fixed)
     free = ~fixed
     glued = np.any(dense(system.gluing.B) != 0.0, axis=0)
-    if pc_type in ("identity", "none"):
-        return np.abs(np.diag(K)[glued]).mean() * np.eye(len(K))
+    if pc_type == "identity":
+        return np.abs(np.diag(K)[glued]).mean() * np.eye(len(K)) + ZZ
     if pc_type == "lumped":
-        return K
+        return K + ZZ
     S = np.zeros_like(K)
+    if system.symmetric:
+        S[np.ix_(free, free)] = schur_complement((K + ZZ)[np.ix_(free, free)], glued[free])
+        return S
     S[np.ix_(free, free)] = schur_complement(K[np.ix_(free, free)], glued[free])
+    S[np.ix_(glued, glued)] += ZZ[np.ix_(glued, glued)]
     return S
 
 
@@ -59,15 +82,15 @@ def matrix(system):
 @every_problem
 @every_type
 @pytest.mark.parametrize("pc_type", ["identity", "lumped", "dirichlet"])
-@pytest.mark.parametrize("change", [None, unsymmetric], ids=["symmetric", "unsymmetric"])
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_preconditioner_is_the_weighted_one(grid, kind, pc_type, change, torn_grid, parts):
-    """M = B_D Y B_Dᵀ."""
+    """M = B_D Y B_Dᵀ, and no negative eigenvalue of a symmetric K shows."""
     problem = torn_grid(change=change, **grid)
     system = parts(problem.A, type=kind, pc_type=pc_type)
     B_D = dense(system.gluing.B_D)
     M = matrix(system)
     equal(M, B_D @ weight_of(problem, system, pc_type) @ B_D.T, 1e-11)
-    if change is None:
+    if system.symmetric:
         equal(M, M.T, 1e-12)
         agree(np.linalg.eigvalsh(M)[0] > -1e-12 * np.abs(M).max())
 
@@ -82,9 +105,12 @@ def test_none_is_a_multiple_of_the_identity(torn_grid, parts):
 @every_problem
 @every_type
 @pytest.mark.parametrize("pc_type", ["none", "identity", "lumped", "dirichlet"])
-def test_product_is_the_preconditioner_column_by_column(grid, kind, pc_type, torn_grid, parts):
+@pytest.mark.parametrize("change", [None, buckling], ids=["free of stress", "buckling"])
+def test_product_is_the_preconditioner_column_by_column(
+    grid, kind, pc_type, change, torn_grid, parts
+):
     """The sparse M G against M applied to each column of G."""
-    system = parts(torn_grid(**grid).A, type=kind, pc_type=pc_type)
+    system = parts(torn_grid(change=change, **grid).A, type=kind, pc_type=pc_type)
     MG = system.preconditioner.product(system.coarse.G)
     equal(dense(MG), matrix(system) @ dense(system.coarse.G), 1e-12)
     MG.destroy()
@@ -120,6 +146,24 @@ def test_force_of_a_jump_is_the_residual_of_the_averaged_displacement(
     free = torn.assemble(torn.dirichlet.astype(float)) == 0.0
     expected = torn.assemble(force - torn.multiply(averaged))
     equal(whole(np.where(free, torn.assemble(t), 0.0)), whole(np.where(free, expected, 0.0)), 1e-9)
+
+
+@every_type
+@pytest.mark.parametrize("pc_type", ["identity", "lumped", "dirichlet"])
+def test_props_bear_no_force(kind, pc_type, torn_grid, parts):
+    """The force of a jump is that of K itself, not of the propped subdomains."""
+    problem = torn_grid((2, 2), (3, 2), components=2, change=buckling)
+    system = parts(problem.A, type=kind, pc_type=pc_type)
+    agree(system.negative > 0)
+    jump, z = system.gluing.B.createVecLeft(), system.gluing.B.createVecLeft()
+    jump.array[:] = np.random.default_rng(SEED + 3).standard_normal(jump.getLocalSize())
+    w = system.gluing.B.createVecRight()
+    system.gluing.B_D.multTranspose(jump, w)
+    system.preconditioner.mult(jump, z)
+    t = system.preconditioner.imbalance(jump)
+    free = ~system.inverse.fixed
+    expected = system.torn.multiply(system.preconditioner.extend(w.array_r.copy()))
+    equal(whole(t[free]), whole(expected[free]), 1e-11)
 
 
 def test_extension_is_harmonic(torn_grid, parts):

@@ -178,6 +178,22 @@ def test_negative_defects_are_counted(torn_grid, parts):
     agree(counted == 12, counted)  # the three modes of each subdomain
 
 
+@pytest.mark.parametrize("kind", ["all_floating", "classical"])
+@pytest.mark.parametrize("change", ["softening", "random"])
+def test_props_hold_what_buckles(change, kind, torn_grid, parts):
+    """K + Z Zᵀ has no negative eigenvalue, K has."""
+    problem = torn_grid((2, 2), (2, 2), components=2, change=CHANGES[change])
+    system = parts(problem.A, type=kind)
+    agree(system.torn.comm.allreduce(system.inverse.negative_defects()) > 0)
+    lowest = {1.0: np.inf, 0.0: np.inf}
+    for K, Z in zip(blocks(problem, system), system.inverse.props, strict=True):
+        for share in lowest:
+            value = np.linalg.eigvalsh(K + share * Z @ Z.T)[0] / np.abs(K).max()
+            lowest[share] = min(lowest[share], value)
+    agree(lowest[1.0] > -1e-13, lowest)
+    agree(system.torn.comm.allreduce(lowest[0.0], op=min) < -1e-3, lowest)
+
+
 def test_unsymmetric_matrices_have_two_kernels(torn_grid, parts):
     """K E = R D and Kᵀ E_left = R Dᵀ."""
     problem = torn_grid((2, 2), (2, 2), components=2, change=unsymmetric)
