@@ -14,10 +14,10 @@ with := scripts/with-fenicsx
 python := $(if $(filter-out 1,$(NP)),env OMP_NUM_THREADS=1 mpirun -n $(NP) )python3
 shell_scripts := scripts/with-fenicsx scripts/debian-tree scripts/run-tests .ci/run
 
-.PHONY: help demo test bench lint docs clean
+.PHONY: help demo test bench bench-compare bench-linear lint docs clean
 
 help: ## what can be made
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-7s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+( build.*)?:.*## / { sub(/ build.*/, "", $$1); printf "  make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo '  with NP=2 (processes), ARGS="…" (further arguments), FENICSX_SUITE=sid (newest dolfinx)'
 
 demo: ## inflate the artery's wall, next to a direct solver; pictures in output/artery/
@@ -26,9 +26,15 @@ demo: ## inflate the artery's wall, next to a direct solver; pictures in output/
 test: ## the whole suite on 1, 2 and 3 processes
 	$(with) scripts/run-tests $(ARGS)
 
-bench: ## FETI, MUMPS and GAMG on the same Newton step; records in build/compare.json
-	@mkdir -p build
-	$(with) $(python) benchmarks/compare.py --json build/compare.json $(ARGS)
+bench: bench-linear build/compare.json ## all benchmarks; what is finished is not run again
+
+bench-linear: ## the paper's linear study and what goes beyond it; report in build/results/
+	$(with) $(python) -m benchmarks.linear --json build/linear.json $(ARGS)
+	$(with) $(python) -m benchmarks.cube_solvers --level 2,3 --json build/solvers.json
+	$(with) python3 -m benchmarks.report build/linear.json build/solvers.json --output build/results
+
+bench-compare build/compare.json: ## FETI, MUMPS and GAMG on a Newton step; build/compare.json
+	$(with) $(python) -m benchmarks.compare --json build/compare.json $(ARGS)
 
 lint: ## style, types, spelling
 	$(with) ruff check .

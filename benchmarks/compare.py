@@ -32,6 +32,7 @@ petsc4py.init([word for word in sys.argv if not word.startswith("--")])
 from mpi4py import MPI  # noqa: E402
 from petsc4py import PETSc  # noqa: E402
 
+from benchmarks.gamg import create_gamg, difference  # noqa: E402
 from benchmarks.records import Record, Records  # noqa: E402
 from benchmarks.tube_problem import TubeProblem, create_tube_problem  # noqa: E402
 from dolfinx_feti import loads  # noqa: E402
@@ -97,7 +98,7 @@ def compare(tube: TubeProblem, solvers: Sequence[str], *, kappa: float) -> list[
     create: dict[str, tuple[Callable[[], PETSc.KSP], PETSc.Vec]] = {
         "feti": (lambda: share_feti(tube), b),
         "mumps": (lambda: create_mumps(K), f),
-        "gamg": (lambda: create_gamg(K), f),
+        "gamg": (lambda: create_gamg(K, rtol=RTOL), f),
     }
     records, solutions = [], {}
     for name in (name for name in SOLVERS if name in solvers):
@@ -128,30 +129,6 @@ def share_feti(tube: TubeProblem) -> PETSc.KSP:
     ksp.setOperators(tube.problem.A)
     ksp.incRef()
     return ksp
-
-
-def create_gamg(K: PETSc.Mat) -> PETSc.KSP:
-    """Return CG with smoothed aggregation and the rigid body modes."""
-    ksp = PETSc.KSP().create(K.comm)
-    ksp.setOptionsPrefix("gamg_")
-    ksp.setOperators(K)
-    ksp.setType(PETSc.KSP.Type.CG)
-    ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
-    ksp.setTolerances(rtol=RTOL, max_it=2000)
-    ksp.getPC().setType(PETSc.PC.Type.GAMG)
-    ksp.setFromOptions()
-    return ksp
-
-
-def difference(x: PETSc.Vec, reference: PETSc.Vec | None) -> float | None:
-    """Return ‖x − reference‖/‖reference‖, or None without a reference."""
-    if reference is None:
-        return None
-    y = x.copy()
-    y.axpy(-1.0, reference)
-    norm = y.norm()
-    y.destroy()
-    return norm / reference.norm()
 
 
 def create_parser() -> argparse.ArgumentParser:

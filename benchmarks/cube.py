@@ -20,15 +20,23 @@ import argparse
 import itertools
 import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 from mpi4py import MPI
 
+from benchmarks.arguments import (
+    add_records,
+    count,
+    count_or_none,
+    create_parser,
+    names,
+    one_of,
+    open_records,
+    positive,
+    several,
+)
 from benchmarks.cube_case import LEVELS, Case
 from benchmarks.cube_problem import PATTERNS
-from benchmarks.records import Records
 from benchmarks.study import Study
 from dolfinx_feti.options import CHOICES
 
@@ -70,10 +78,7 @@ def main(arguments: Sequence[str] | None = None, comm: MPI.Comm = MPI.COMM_WORLD
             f"--jump {args.jump} and --pattern {args.pattern}: give both, how stiff and which "
             "subdomains, or none of them"
         )
-    try:
-        records = Records(args.json, comm)
-    except ValueError as error:
-        parser.error(str(error))
+    records = open_records(args.json, parser, comm)
     study = Study(list(_cases(args)), records, comm, limit=args.memory, again=args.again)
     study.run()
     return int(study.refused + study.failed > 0)
@@ -81,34 +86,18 @@ def main(arguments: Sequence[str] | None = None, comm: MPI.Comm = MPI.COMM_WORLD
 
 def _cases(args: argparse.Namespace) -> Iterator[Case]:
     """Combine the values of all options."""
-    names = ("coarse_modes", "reorthogonalize", "pattern", "source")
-    rest = {name: getattr(args, name) for name in names}
+    rest = ("coarse_modes", "reorthogonalize", "pattern", "source")
+    single = {name: getattr(args, name) for name in rest}
     for values in itertools.product(*(getattr(args, name) for name in SEVERAL)):
-        yield Case(**dict(zip(SEVERAL, values, strict=True)), **rest)
-
-
-class _Parser(argparse.ArgumentParser):
-    """A parser of which only the first process speaks."""
-
-    rank = 0
-
-    def _print_message(self, message: str, file: Any = None) -> None:
-        if self.rank == 0:
-            super()._print_message(message, file)
+        yield Case(**dict(zip(SEVERAL, values, strict=True)), **single)
 
 
 def _create_parser(comm: MPI.Comm) -> argparse.ArgumentParser:
-    parser = _Parser(
-        "cube",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-    parser.rank = comm.rank
+    parser = create_parser("cube", __doc__, comm)
     add = parser.add_argument
-    add("--degree", type=_several(_one_of((1, 2))), default=[1], help="of displacements; 1")
-    add("--level", type=_several(_level), default=[1], help="of the mesh, 1 to 5; 1")
-    edge = {"type": _several(_count), "default": [8], "metavar": "M"}
+    add("--degree", type=several(one_of((1, 2))), default=[1], help="of displacements; 1")
+    add("--level", type=several(_level), default=[1], help="of the mesh, 1 to 5; 1")
+    edge = {"type": several(count), "default": [8], "metavar": "M"}
     add("--subdomains-per-edge", **edge, help="M³ subdomains; 8")
     for name, default in (
         ("type", "all_floating,classical"),
@@ -119,63 +108,24 @@ def _create_parser(comm: MPI.Comm) -> argparse.ArgumentParser:
         ("interior", "auto"),
     ):
         choices = CHOICES["pc_type" if name == "pc" else name]
-        kind = {"type": _several(_one_of(choices)), "default": default.split(",")}
+        kind = {"type": several(one_of(choices)), "default": default.split(",")}
         add("--" + name.replace("_", "-"), **kind, help=f"{', '.join(choices)}; {default}")
-    add("--coarse-modes", type=_count_or_none, default=0, help="soft modes in the coarse space; 0")
+    add("--coarse-modes", type=count_or_none, default=0, help="soft modes in the coarse space; 0")
     add("--reorthogonalize", action="store_true", help="CG with full reorthogonalisation")
-    add("--jump", type=_several(_positive), default=[1.0], help="factor of the stiff subdomains; 1")
+    add("--jump", type=several(positive), default=[1.0], help="factor of the stiff subdomains; 1")
     add("--pattern", choices=tuple(PATTERNS), default="none", help="which subdomains are stiff")
     point = {"type": _outside, "default": Case().source, "metavar": "X,Y,Z"}
     add("--source", **point, help="source point of the fundamental solution; 2,2,2")
-    add("--json", type=Path, metavar="FILE", help="records, added to what the file holds")
-    add("--again", action="store_true", help="run cases that stand in the file as well")
-    add("--memory", type=_positive, default=math.inf, metavar="MIB", help="take no more than this")
+    add_records(parser)
     return parser
-
-
-def _several(single: Callable[[str], object]) -> Callable[[str], list[object]]:
-    """Return a reader of values with commas between them."""
-    return lambda text: list(dict.fromkeys(single(word.strip()) for word in text.split(",")))
-
-
-def _one_of(choices: Sequence[object]) -> Callable[[str], object]:
-    def read(text: str) -> object:
-        for choice in choices:
-            if text == str(choice):
-                return choice
-        raise argparse.ArgumentTypeError(f"{text!r} is none of: {_names(choices)}")
-
-    return read
 
 
 def _level(text: str) -> object:
     if text.lstrip("-").isdecimal() and int(text) < LEVELS[0]:
         raise argparse.ArgumentTypeError(
-            f"{text!r} would make more subdomains than cells: choose one of {_names(LEVELS)}"
+            f"{text!r} would make more subdomains than cells: choose one of {names(LEVELS)}"
         )
-    return _one_of(LEVELS)(text)
-
-
-def _count(text: str) -> int:
-    if _count_or_none(text) == 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number 1, 2, 3, …")
-    return int(text)
-
-
-def _count_or_none(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number 0, 1, 2, …")
-    return int(text)
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
-    return value
+    return one_of(LEVELS)(text)
 
 
 def _outside(text: str) -> tuple[float, ...]:
@@ -191,10 +141,6 @@ def _outside(text: str) -> tuple[float, ...]:
             "point outside, for example 2,2,2"
         )
     return point
-
-
-def _names(choices: Sequence[object]) -> str:
-    return ", ".join(map(str, choices))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
@@ -14,6 +13,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from benchmarks.clock import Clock
 from benchmarks.cube_memory import Estimate, estimate
 from benchmarks.cube_problem import CubeProblem, create_problem
 from benchmarks.fundamental import l2_error
@@ -146,7 +146,7 @@ def run(case: Case, problem: CubeProblem, comm: MPI.Comm, monitor: Monitor | Non
         Collective.
     """
     peak = PeakMemory()
-    clock = _Clock(comm)
+    clock = Clock(comm)
     linear = LinearProblem(
         problem.a,
         problem.L,
@@ -172,6 +172,7 @@ def run(case: Case, problem: CubeProblem, comm: MPI.Comm, monitor: Monitor | Non
             "dofs_torn": report.torn_dofs,
             "multipliers": report.multipliers,
             "coarse_size": report.coarse_size,
+            "coarse_mib": _number(report.coarse_mib),
             "kernels": list(report.kernels),
             "interior_is": report.interior,
             "factor_mib": report.factor_mib,
@@ -191,37 +192,3 @@ def run(case: Case, problem: CubeProblem, comm: MPI.Comm, monitor: Monitor | Non
 def _number(value: float) -> float | None:
     """JSON has no nan."""
     return float(value) if np.isfinite(value) else None
-
-
-class _Clock:
-    """Wall-clock and processor time before set-up, between set-up and solution, and after it."""
-
-    def __init__(self, comm: MPI.Comm) -> None:
-        self._comm = comm
-        self._times = [self._now()]
-
-    def watch(self, ksp: PETSc.KSP) -> None:
-        """Hook into a solver; it is set up before its first solution."""
-
-        def before(ksp: PETSc.KSP, _b: PETSc.Vec, _x: PETSc.Vec) -> None:
-            self._times.append(self._now())
-            ksp.setUp()
-            self._times.append(self._now())
-
-        def after(_ksp: PETSc.KSP, _b: PETSc.Vec, _x: PETSc.Vec) -> None:
-            self._times.append(self._now())
-
-        ksp.setPreSolve(before)
-        ksp.setPostSolve(after)
-
-    def record(self) -> dict[str, object]:
-        """Return the seconds of assembly, set-up and solution. Collective."""
-        wall, processor = np.diff(np.array(self._times), axis=0).T
-        phases = ("assembly", "setup", "solve")
-        names = [f"{kind}_{phase}" for kind in ("seconds", "cpu_seconds") for phase in phases]
-        values = [*wall, *self._comm.allreduce(processor)]
-        return dict(zip(names, map(float, values), strict=True))
-
-    def _now(self) -> tuple[float, float]:
-        self._comm.Barrier()
-        return time.perf_counter(), time.process_time()

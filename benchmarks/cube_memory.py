@@ -6,8 +6,9 @@
 The factors are by far the most of it. A decomposed cube has at most four kinds of subdomains, told
 apart by how many of their faces lie on its surface; one of each kind is analysed symbolically by
 MUMPS, and its figures are multiplied. Where the solver eliminates the interior dofs, the dense
-Schur complements take the place of the factors of K. What grows with the cells, the non-zeros and
-the glued dofs was measured once and stands below as bytes for each.
+Schur complements take the place of the factors of K. The coarse matrix couples a subdomain with the
+26 around it; its factor is analysed with one dof in the place of six modes. What grows with the
+cells, the non-zeros and the glued dofs was measured once and stands below as bytes for each.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ Mask = npt.NDArray[np.bool_]
 #: Bytes of a process with everything imported.
 PROCESS = 140e6
 
-#: Bytes of a tetrahedron in the mesh, the spaces and the functions.
-TETRAHEDRON = 180.0
+#: Bytes of a tetrahedron in the mesh, the spaces and the functions, by degree.
+TETRAHEDRON = {1: 180.0, 2: 3800.0}
 
 #: Bytes of an entry in the torn matrix, in the interface rows, and in a block that is factored.
 ENTRY, ROW_ENTRY, BLOCK_ENTRY = 16.0, 12.0, 20.0
@@ -47,7 +48,13 @@ ENTRY, ROW_ENTRY, BLOCK_ENTRY = 16.0, 12.0, 20.0
 GLUED = 1500.0
 
 #: Bytes that a factor takes besides its entries.
-FACTOR = 0.35e6
+FACTOR = 0.15e6
+
+#: Bytes of an entry in the factor of the coarse matrix, and of one in the copies of that matrix.
+COARSE_FACTOR, COARSE_ENTRY = 12.0, 36.0
+
+#: Modes of a subdomain in the coarse space.
+MODES = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,12 +113,13 @@ def estimate(
     surface = np.any((x == 0.0) | (x == 1.0), axis=1)
     count = subdomains**3
     kinds = [
-        _Kind(number, ~_on_faces(x, fixed), 0 if any(fixed) else 6)
+        _Kind(number, ~_on_faces(x, fixed), 0 if any(fixed) else MODES)
         for fixed, number in _kinds(subdomains, all_floating).items()
     ]
     glued = {kind: np.count_nonzero(kind.free & surface) for kind in kinds}
     eliminated = _is_eliminated(interior, kinds, glued)
-    total = processes * PROCESS + count * (24 * cells**3 * TETRAHEDRON + K.nnz * ENTRY)
+    total = processes * PROCESS + count * (24 * cells**3 * TETRAHEDRON[degree] + K.nnz * ENTRY)
+    total += _coarse(subdomains if all_floating else subdomains - 2)
     total += GLUED * sum(kind.number * glued[kind] for kind in kinds)
     streamed = 0.0
     inside = _analyse(K[~surface][:, ~surface], 0)
@@ -128,6 +136,16 @@ def estimate(
         total += count * (inside.bytes + ROW_ENTRY * K[surface].nnz)
         streamed += count * 2 * 8.0 * inside.entries
     return Estimate(total / 2**20, streamed)
+
+
+def _coarse(edge: int) -> float:
+    """Return the bytes of the coarse problem of edge³ floating subdomains."""
+    if edge < 1:
+        return 0.0
+    line = scipy.sparse.diags_array([1.0, 4.0, 1.0], offsets=[-1, 0, 1], shape=(edge, edge))
+    neighbours = scipy.sparse.csr_array(scipy.sparse.kron(scipy.sparse.kron(line, line), line))
+    entries = _analyse(neighbours, 0).entries
+    return MODES**2 * (COARSE_FACTOR * entries + COARSE_ENTRY * neighbours.nnz)
 
 
 def _is_eliminated(interior: str, kinds: list[_Kind], glued: dict[_Kind, int]) -> bool:

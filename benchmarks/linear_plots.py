@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from benchmarks import paper
-from benchmarks.linear_tables import PRECONDITIONERS, TYPES, is_papers
+from benchmarks.linear_records import PRECONDITIONERS, TYPES, is_papers
 from benchmarks.records import Record
 
 __all__ = ["draw_levels"]

@@ -59,7 +59,8 @@ class Records:
             self._records[self._records.index(old)] = record
         if self._path is not None and self._comm.rank == 0:
             whole = self._path.with_name(self._path.name + ".part")
-            whole.write_text(json.dumps(self._records, indent=1, ensure_ascii=False) + "\n")
+            lines = (json.dumps(each, ensure_ascii=False) for each in self._records)
+            whole.write_text("[\n" + ",\n".join(lines) + "\n]\n")
             os.replace(whole, self._path)  # a run that is ended here leaves the old file
 
 

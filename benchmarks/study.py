@@ -19,7 +19,7 @@ from benchmarks.machine import available_mib, bandwidth, describe, resident_mib
 from benchmarks.records import Record, Records
 from dolfinx_feti import ConvergenceError
 
-__all__ = ["Study"]
+__all__ = ["Study", "is_solved"]
 
 HEAD = f"{'':<52}{'it.':>5}{'κ':>10}{'L2 error':>10}{'set-up':>10}{'solve':>10}{'MiB':>7}"
 
@@ -28,7 +28,19 @@ SHARED = ("degree", "level", "subdomains_per_edge", "jump", "pattern", "source")
 
 
 class NoRoomError(MemoryError):
-    """A case does not fit into the memory; the message says how much it needs."""
+    """A case does not fit into the memory; the message says how much it needs.
+
+    Attributes:
+        mib: What it needs [MiB].
+        there: What there is [MiB].
+    """
+
+    def __init__(self, case: Case, mib: float, there: float) -> None:
+        self.mib, self.there = mib, there
+        super().__init__(
+            f"{case} needs about {_gib(mib)}, and {_gib(there)} are available: choose a lower "
+            "--level, fewer --subdomains-per-edge, or --pc lumped or identity."
+        )
 
 
 class Study:
@@ -46,13 +58,14 @@ class Study:
 
         Args:
             cases: All cases; those next to each other share a mesh, if they can.
-            records: What has been run, and what is to be.
+            records: What has been run, and what is to be. A case that was refused or has failed
+                is there, too, without results, and tried again.
             comm: Communicator of the meshes.
             limit: Most memory that may be taken [MiB]; never more than there is.
             again: Run a case though it stands in the records.
         """
         self._records, self._comm, self._limit = records, comm, limit
-        self._cases = [case for case in cases if again or records.find(case.key()) is None]
+        self._cases = [case for case in cases if again or not is_solved(records.find(case.key()))]
         self._known = len(cases) - len(self._cases)
         self._bar = Bar(len(self._cases), comm)
         self._problem: tuple[object, CubeProblem] | None = None
@@ -71,12 +84,15 @@ class Study:
                 record = self._measure(case, speed)
             except NoRoomError as refusal:
                 self.refused += 1
+                room = {"estimated_mib": refusal.mib, "available_mib": refusal.there}
+                self._keep(case, room | {"processes": self._comm.size})
                 self._report(f"refused: {refusal}", sys.stderr)
             except ConvergenceError as failure:
                 self.failed += 1
+                self._keep(case, {"failure": str(failure), "processes": self._comm.size})
                 self._report(f"failed: {case}: {failure}", sys.stderr)
             else:
-                self._records.put(case.key(), record)
+                self._keep(case, record)
                 self._report(_row(case, record))
 
     def _measure(self, case: Case, speed: float) -> Record:
@@ -94,9 +110,12 @@ class Study:
             "estimated_mib": estimated.mib,
             "seconds_streaming": estimated.streamed / speed,
             "bandwidth_gb_s": speed / 1e9,
-            "machine": describe(),
-            "date": datetime.now(UTC).isoformat(timespec="seconds"),
         }
+
+    def _keep(self, case: Case, found: Record) -> None:
+        """Add what came of a case to the records."""
+        when = datetime.now(UTC).isoformat(timespec="seconds")
+        self._records.put(case.key(), case.key() | found | {"machine": describe(), "date": when})
 
     def _reserve(self, case: Case, mib: float) -> None:
         """Refuse a case that needs more than there is.
@@ -106,10 +125,7 @@ class Study:
         """
         there = min(resident_mib(self._comm) + available_mib(self._comm), self._limit)
         if mib > there:
-            raise NoRoomError(
-                f"{case} needs about {_gib(mib)}, and {_gib(there)} are available: choose a lower "
-                "--level, fewer --subdomains-per-edge, or --pc lumped or identity."
-            )
+            raise NoRoomError(case, mib, there)
 
     def _shared_problem(self, case: Case) -> CubeProblem:
         """Return the last problem if the case can share it, or a new one."""
@@ -126,6 +142,11 @@ class Study:
     def _say(self, text: str, file: IO[str] | None = None) -> None:
         if self._comm.rank == 0:
             print(text, file=file, flush=True)
+
+
+def is_solved(record: Record | None) -> bool:
+    """Tell whether a record holds results, and no refusal or failure."""
+    return record is not None and "iterations" in record
 
 
 def _row(case: Case, record: Record) -> str:

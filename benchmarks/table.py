@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-__all__ = ["Table"]
+__all__ = ["Table", "count", "number", "percent"]
 
 #: What LaTeX writes otherwise.
 LATEX = {
@@ -33,17 +33,20 @@ class Table:
         title: What it shows.
         head: Names of the columns.
         rows: Cells, as many as columns.
+        note: What is to be said about it.
     """
 
     title: str
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
+    note: str = ""
 
     def markdown(self) -> str:
-        """Write it in Markdown, the title in front; numbers to the right."""
+        """Write it in Markdown, title and note in front; numbers to the right."""
         lines = [list(self.head), ["--:"] * len(self.head), *map(list, self.rows)]
         body = "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
-        return f"**{self.title}**\n\n{body}\n"
+        note = f"{self.note}\n\n" if self.note else ""
+        return f"## {self.title}\n\n{note}{body}\n"
 
     def latex(self) -> str:
         """Write it in LaTeX, for the package booktabs."""
@@ -64,6 +67,21 @@ class Table:
                 "",
             ]
         )
+
+
+def number(value: float | None) -> str:
+    """Return four digits, or a dash for nothing."""
+    return "–" if value is None else f"{value:.4g}"
+
+
+def count(value: float | None) -> str:
+    """Return a whole number in groups of three digits, or a dash for nothing."""
+    return "–" if value is None else f"{value:,.0f}".replace(",", " ")
+
+
+def percent(quotient: float) -> str:
+    """Return a deviation in per cent."""
+    return f"{100 * (quotient - 1.0):+.1f} %".replace("-", "−")
 
 
 def _latex(text: str) -> str:

@@ -12,6 +12,8 @@ from __future__ import annotations
 from mpi4py import MPI
 from petsc4py import PETSc
 
+import numpy as np
+
 __all__ = ["GatheredSolver"]
 
 #: Rows that are worth a process.
@@ -71,6 +73,18 @@ class GatheredSolver:
             self._x.array[:] = self._sub_x.array_r
         self._scatter.scatter(self._x, x, mode=backward)
 
+    def memory(self) -> float:
+        """Return the memory of the factor in MiB; nan where the solver does not tell.
+
+        Note:
+            Collective.
+        """
+        megabytes = 0.0
+        if self.ksp is not None:
+            F = _mumps_factor(self.ksp)
+            megabytes = np.nan if F is None else F.getMumpsInfog(22)
+        return float(self._gathered.comm.tompi4py().bcast(megabytes)) * 1e6 / 2**20
+
     def inertia(self) -> tuple[int, int]:
         """Return the number of negative and zero pivots; −1 where the solver does not tell.
 
@@ -79,11 +93,8 @@ class GatheredSolver:
         """
         counts = (0, 0)
         if self.ksp is not None:
-            counts = (-1, -1)
-            pc = self.ksp.getPC()
-            if pc.getType() in ("cholesky", "lu") and pc.getFactorSolverType() == "mumps":
-                F = pc.getFactorMatrix()
-                counts = F.getMumpsInfog(12), F.getMumpsInfog(28)
+            F = _mumps_factor(self.ksp)
+            counts = (-1, -1) if F is None else (F.getMumpsInfog(12), F.getMumpsInfog(28))
         return self._gathered.comm.tompi4py().bcast(counts)
 
     def destroy(self) -> None:
@@ -106,8 +117,18 @@ def _create_ksp(N: PETSc.Mat, prefix: str, symmetric: bool) -> PETSc.KSP:
     pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
     pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
     ksp.setFromOptions()
-    if pc.getType() in ("cholesky", "lu") and pc.getFactorSolverType() == "mumps":
+    if _is_mumps(pc):
         pc.setFactorSetUpSolverType()
         pc.getFactorMatrix().setMumpsIcntl(24, 1)  # report zero pivots: the global kernel
         pc.getFactorMatrix().setMumpsCntl(3, ZERO)
     return ksp
+
+
+def _is_mumps(pc: PETSc.PC) -> bool:
+    return pc.getType() in ("cholesky", "lu") and pc.getFactorSolverType() == "mumps"
+
+
+def _mumps_factor(ksp: PETSc.KSP) -> PETSc.Mat | None:
+    """Return the factor if it is MUMPS's."""
+    pc = ksp.getPC()
+    return pc.getFactorMatrix() if _is_mumps(pc) else None

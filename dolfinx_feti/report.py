@@ -36,6 +36,7 @@ class Report:
         negative_interior: Negative eigenvalues of the interior blocks.
         interior: Whether the interior dofs are ``kept`` or ``eliminated``.
         coarse_size: Coarse unknowns.
+        coarse_mib: Memory of the factor of the coarse matrix in MiB; nan if not known.
         coarse_inertia: Negative and zero eigenvalues of the coarse matrix; −1 unknown.
         factor_mib: Memory of all local factors in MiB.
         eigenvalues: (λ_min, λ_max) of the preconditioned dual operator.
@@ -55,6 +56,7 @@ class Report:
     negative_interior: int
     interior: str
     coarse_size: int
+    coarse_mib: float
     coarse_inertia: tuple[int, int]
     factor_mib: float
     eigenvalues: tuple[float, float]
@@ -94,6 +96,7 @@ def collect(parts: Parts) -> Report:
         ),
         interior="kept" if parts.interior.eliminated is None else "eliminated",
         coarse_size=coarse.total,
+        coarse_mib=coarse.solver.memory(),
         coarse_inertia=coarse.solver.inertia(),
         factor_mib=comm.allreduce(parts.interior.memory() + applied),
         eigenvalues=parts.krylov.eigenvalues,

@@ -21,11 +21,13 @@ import ufl
 
 sys.path.append(str(ROOT))
 
-from benchmarks import bar, cube, cube_memory, machine, paper, report, study
+from benchmarks import bar, cube, cube_memory, cube_solvers, linear, machine, paper, report, study
 from benchmarks.cube_case import Case
 from benchmarks.cube_mesh import create_cube
 from benchmarks.cube_problem import PATTERNS
-from benchmarks.linear_tables import deviations, error_scale, tables
+from benchmarks.linear_checks import checks, error_scale, speed_checks
+from benchmarks.linear_growth import fit_growth
+from benchmarks.linear_tables import deviations, tables
 
 #: What a record has to hold, whatever else it holds.
 KEYS = (
@@ -181,12 +183,16 @@ def test_estimate_decides_on_the_interior_as_the_solver_does(study_of):
 def test_case_that_does_not_fit_is_refused(study_of, capsys):
     status, records = study_of(*SMALL, "--level", "2", "--memory", "50")
     said = COMM.bcast(capsys.readouterr().err)
-    agree(status == 1 and records == [])
+    agree(status == 1 and len(records) == 1)
+    agree(records[0]["available_mib"] == 50.0 < records[0]["estimated_mib"], records)
     agree("refused: P1, level 2, 2³ subdomains" in said and "needs about 0." in said, said)
     agree("GiB, and 0.0 GiB are available: choose a lower --level" in said, said)
+    status, records = study_of(*SMALL, "--level", "2")
+    agree(status == 0 and len(records) == 1 and "available_mib" not in records[0])
     enough = 150.0 + COMM.size * cube_memory.PROCESS / 2**20
     status, records = study_of(*SMALL, "--level", "2,4", "--memory", enough)
-    agree(status == 1 and [r["level"] for r in records] == [2])  # the other case is run
+    agree(status == 1)  # and the other case is run
+    agree([(r["level"], "iterations" in r) for r in records] == [(2, True), (4, False)])
 
 
 def test_available_memory_is_what_the_kernel_and_the_container_leave(tmp_path, monkeypatch):
@@ -238,6 +244,67 @@ def test_records_are_written_after_each_case(study_of, monkeypatch):
         study_of(*SMALL, "--level", "1,2")
     _, records = study_of(*SMALL, "--level", "1")
     agree(len(records) == 1)
+
+
+# -- the whole study, and other solvers
+
+
+def test_plan_holds_the_papers_table_first_and_no_case_twice():
+    plan = linear.plan()
+    agree(len(plan) == len(set(plan)) > 100)
+    agree(set(plan[:18]) == {Case(type=kind, pc=pc, level=level)
+                             for kind, pc, level in paper.SOLVES if level < 4})  # fmt: skip
+    agree({case.jump for case in plan} == {1.0, 1e2, 1e4, 1e6})
+    agree({case.subdomains_per_edge for case in plan} == {2, 4, 8, 16, 32})
+    agree({case.gluing for case in plan} == {"full", "nonred"})
+
+
+def test_whole_study_is_resumed(tmp_path, monkeypatch, capsys):
+    cases = [Case(subdomains_per_edge=2, level=level) for level in (1, 2)]
+    monkeypatch.setattr(linear, "plan", lambda sets: cases if sets == ["jumps"] else [])
+    arguments = ["--sets", "jumps", "--json", str(tmp_path / "study.json")]
+    agree(linear.main(arguments, COMM) == 0)
+    records = on_first(lambda: json.loads((tmp_path / "study.json").read_text()))
+    agree([r["level"] for r in records] == [1, 2])
+    agree(all(0.0 < r["seconds_coarse"] < r["seconds_setup"] for r in records), records)
+    agree(all(r["coarse_size"] == 48 and r["coarse_mib"] >= 0.0 for r in records))
+    agree(linear.main(arguments, COMM) == 0)
+    said = COMM.bcast(capsys.readouterr().out)
+    agree("2 case(s) stand in the records already" in said, said)
+
+
+def test_solvers_of_the_assembled_matrix_agree_with_feti(tmp_path):
+    path = tmp_path / "solvers.json"
+    arguments = ["--level", "2", "--subdomains-per-edge", "2", "--json", str(path)]
+    agree(cube_solvers.main(arguments, COMM) == 0)
+    records = on_first(lambda: json.loads(path.read_text()))
+    agree([r["solver"] for r in records] == list(cube_solvers.SOLVERS))
+    for record in records:
+        agree(record["converged_reason"] > 0 and record["dofs"] == 1287, record)
+        small(record["relative_residual"], 1e-8)
+        small(record.get("difference_to_feti", 0.0), 1e-6)
+        agree(record["seconds_setup"] > 0.0 and record["seconds_solve"] > 0.0)
+    before = on_first(path.read_text)
+    agree(cube_solvers.main(arguments, COMM) == 0)
+    agree(on_first(path.read_text) == before, "nothing is run again")
+
+
+@pytest.mark.parametrize(
+    ("program", "arguments", "match"),
+    [
+        (linear, "--sets jump", "argument --sets: 'jump' is none of: papers, choices, jumps"),
+        (linear, "--memory 0", "argument --memory: '0' is not a positive number"),
+        (cube_solvers, "--level 0", "argument --level: '0' is none of: 1, 2, 3, 4, 5"),
+        (cube_solvers, "--solvers lu", "argument --solvers: 'lu' is none of: feti_all_floating"),
+    ],
+)
+def test_bad_input_of_the_whole_study(program, arguments, match, capsys, monkeypatch):
+    monkeypatch.setattr(Case, "problem", lambda *_: pytest.fail("work was done"))
+    with pytest.raises(SystemExit) as caught:
+        program.main(arguments.split(), COMM)
+    agree(caught.value.code == 2)
+    said = COMM.bcast(capsys.readouterr().err)
+    agree(match in said, said)
 
 
 # -- bad input
@@ -330,7 +397,9 @@ def record_of(kind: str, pc: str, level: int, **changes: object) -> dict:
     values = {"iterations": its, "condition_number": condition, "lambda_min": 1.0}
     values |= {"lambda_max": condition, "l2_error": 0.5 * paper.L2_ERRORS[kind, level]}
     values |= {"dofs": 1, "dofs_torn": 2, "multipliers": 38052, "coarse_size": 3072}
-    values |= dict.fromkeys(("seconds_setup", "seconds_solve", "seconds_streaming"), 1.0)
+    times = ("seconds_setup", "seconds_solve", "seconds_coarse", "seconds_streaming")
+    values |= dict.fromkeys((*times, "cpu_seconds_setup", "cpu_seconds_solve"), 1.0)
+    values |= {"coarse_mib": 12.0}
     values |= {"interior_is": "kept", "peak_mib": 1234.0, "estimated_mib": 1300.0}
     values |= {"machine": machine.describe(), "processes": 1, "bandwidth_gb_s": 10.0}
     values |= {"date": "2026-01-02T03:04:05+00:00"}
@@ -356,11 +425,12 @@ def test_tables_hold_the_papers_values_against_ours():
 
 
 def test_tables_are_made_of_what_is_there():
-    """A jump, another number of subdomains, another scaling: each in its own table."""
+    """A jump, another number of subdomains or level, another scaling: each in its own table."""
     usual = record_of("all_floating", "dirichlet", 2)
     names = {
         "Young's modulus jumps": {"jump": 1e3, "pattern": "layer"},
         "More subdomains": {"subdomains_per_edge": 4},
+        "Larger subdomains": {"level": 1},
         "Other choices": {"gluing": "nonred"},
     }
     for title, change in names.items():
@@ -368,6 +438,62 @@ def test_tables_are_made_of_what_is_there():
         found = {name for name in names if any(t.startswith(name) for t in titles)}
         agree(found == {title}, titles)
     agree(tables([]) == [])
+
+
+def test_refusals_have_a_table_of_their_own():
+    case = Case(level=4).key() | {"estimated_mib": 27940.0, "available_mib": 15360.0}
+    failed = Case(level=1).key() | {"failure": "stagnation"}
+    (table,) = tables([case, failed])
+    agree(table.title == "Cases without results")
+    agree([row[5:] for row in table.rows] == [["did not converge", "–", "–"],
+                                              ["does not fit", "27 940", "15 360"]])  # fmt: skip
+
+
+def test_growth_is_fitted_to_the_square_of_a_logarithm():
+    levels = np.arange(1, 5)
+    values = (2.0 + 0.7 * np.log(2.0 ** (levels - 1))) ** 2
+    records = [
+        record_of("classical", "dirichlet", int(level), condition_number=float(value))
+        for level, value in zip(levels, values, strict=True)
+    ]
+    a, b, worst = fit_growth(records)
+    small(a - 2.0, 1e-13)
+    small(b - 0.7, 1e-13)
+    small(worst, 1e-13)
+    records[-1]["condition_number"] *= 2.0
+    agree(fit_growth(records).worst > 0.1)
+
+
+def test_checks_see_what_does_not_hold():
+    agree(all(check.holds for check in checks(EVERYTHING)), list(checks(EVERYTHING)))
+    usual = ("classical", "dirichlet", 2)
+    jump = {"jump": 1e6, "pattern": "layer", "coarse_q": "preconditioner"}
+    for changes, what in (
+        ({"condition_number": 20.0}, "κ, P1, off the paper's"),
+        ({"iterations": 44}, "iterations, P1, off the paper's"),
+        ({"l2_error": 3e-5}, "L2 errors, P1, off the paper's after one factor"),
+        ({"lambda_min": 0.99}, "λ_min with the Dirichlet preconditioner"),
+        (jump | {"scaling": "stiffness", "iterations": 61}, "iterations over jumps to 1e6, stiff"),
+    ):
+        worse = [*EVERYTHING, record_of(*usual, **changes)]
+        wrong = [check.what for check in checks(worse) if not check.holds]
+        agree(any(each.startswith(what) for each in wrong), (what, wrong))
+    sizes = [record_of(*usual, subdomains_per_edge=edge, iterations=30) for edge in (4, 16)]
+    agree([c.holds for c in checks(sizes) if "from 4³" in c.what] == [])
+    flat = [*sizes, record_of(*usual, iterations=34)]
+    agree([c.holds for c in checks(flat) if "from 4³" in c.what] == [True])
+    growing = [*sizes, record_of(*usual, iterations=35)]
+    agree([c.holds for c in checks(growing) if "from 4³" in c.what] == [False])
+
+
+def test_speed_is_held_against_streaming():
+    record = {"solver": "feti_classical", "level": 3, "subdomains": 512, "processes": 2}
+    record |= {"seconds_setup": 8.0, "seconds_coarse": 0.7, "iterations": 40}
+    record |= {"seconds_solve": 6.0, "seconds_streaming": 0.11}
+    agree([check.holds for check in speed_checks([record])] == [True] * 3)
+    slow = record | {"seconds_setup": 8.1, "seconds_coarse": 0.9, "seconds_streaming": 0.09}
+    agree([check.holds for check in speed_checks([slow])] == [False] * 3)
+    agree(list(speed_checks([record | {"level": 2}, record | {"solver": "gamg"}])) == [])
 
 
 def test_report_of_a_study(study_of, tmp_path, capsys):

@@ -1,0 +1,113 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Command lines of the linear study: a parser of which one process speaks, and readers of words."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+from benchmarks.records import Records
+
+__all__ = [
+    "add_records",
+    "count",
+    "count_or_none",
+    "create_parser",
+    "names",
+    "one_of",
+    "open_records",
+    "positive",
+    "several",
+]
+
+
+def create_parser(name: str, description: str, comm: MPI.Comm) -> argparse.ArgumentParser:
+    """Create a parser; only the first process prints."""
+    parser = _Parser(
+        name,
+        description=description,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.rank = comm.rank
+    return parser
+
+
+def add_records(parser: argparse.ArgumentParser) -> None:
+    """Add the options that tell where records are kept, and what is run."""
+    add = parser.add_argument
+    add("--json", type=Path, metavar="FILE", help="records, added to what the file holds")
+    add("--again", action="store_true", help="run cases that stand in the file as well")
+    add("--memory", type=positive, default=math.inf, metavar="MIB", help="take no more than this")
+
+
+def open_records(path: Path | None, parser: argparse.ArgumentParser, comm: MPI.Comm) -> Records:
+    """Open the file of ``--json``, or end with the parser's error. Collective."""
+    try:
+        return Records(path, comm)
+    except ValueError as error:
+        parser.error(str(error))
+
+
+def several(single: Callable[[str], object]) -> Callable[[str], list[object]]:
+    """Return a reader of values with commas between them."""
+    return lambda text: list(dict.fromkeys(single(word.strip()) for word in text.split(",")))
+
+
+def one_of(choices: Sequence[object]) -> Callable[[str], object]:
+    """Return a reader of one of some values."""
+
+    def read(text: str) -> object:
+        for choice in choices:
+            if text == str(choice):
+                return choice
+        raise argparse.ArgumentTypeError(f"{text!r} is none of: {names(choices)}")
+
+    return read
+
+
+def count(text: str) -> int:
+    """Read a number 1, 2, 3, …."""
+    if count_or_none(text) == 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number 1, 2, 3, …")
+    return int(text)
+
+
+def count_or_none(text: str) -> int:
+    """Read a number 0, 1, 2, …."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number 0, 1, 2, …")
+    return int(text)
+
+
+def positive(text: str) -> float:
+    """Read a positive number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    return value
+
+
+def names(choices: Sequence[object]) -> str:
+    """List some values."""
+    return ", ".join(map(str, choices))
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser of which only the first process speaks."""
+
+    rank = 0
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        if self.rank == 0:
+            super()._print_message(message, file)
