@@ -156,6 +156,7 @@ problem = NonlinearProblem(
     bcs=[bc],
     J=K,
     condense=p,
+    energy=energy + loads.pressure_potential(pressure, u, lumen),
     subdomains=args.subdomains,
     petsc_options_prefix="artery_",
     petsc_options=petsc_options,

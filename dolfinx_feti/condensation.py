@@ -119,6 +119,14 @@ class Condensation:
         cell = -self.k_up * (self.r_p / self.k_pp)[:, None]
         return np.bincount(self._columns.ravel(), cell.ravel(), minlength=n_torn).astype(np.float64)
 
+    def relaxed(self) -> Array:
+        """Return the pressure that obeys its equation for the present u, p − K_pp⁻¹ r_p."""
+        r_p = np.zeros(len(self.k_pp))
+        dolfinx.fem.assemble_vector(r_p, self._r_p)
+        p = self.p.x.array.copy()
+        p[self._pressure_dof] -= r_p / self.k_pp
+        return p
+
     def increment(self, du: Array) -> Array:
         """Return Δp = −K_pp⁻¹ (r_p + K_pu Δu) at the dofs of Q.
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from petsc4py import PETSc
@@ -20,10 +21,12 @@ class NewtonStep:
         residual: ‖r‖ before the step.
         step_length: α.
         linear_method: Krylov method of the dual system.
-        linear_iterations: Its iterations.
+        linear_iterations: Its iterations, those of all linear solves of the step.
         linear_residual: ‖K ΔU + r‖/‖r‖ of the assembled system.
         condition_number: Of the preconditioned dual operator; nan if not known.
-        negative: Negative eigenvalues of the regularised subdomains.
+        negative: Negative eigenvalues of the regularised subdomains and of D.
+        shift: σ of the tangent K + σ diag|k| that ΔU solves; zero for the true one.
+        solves: Linear solves; all but the last led along a direction of negative curvature.
         seconds_assembly: Time for residual and tangent.
         seconds_linear: Time for factors and Krylov method.
     """
@@ -35,19 +38,30 @@ class NewtonStep:
     linear_residual: float
     condition_number: float
     negative: int
+    shift: float
+    solves: int
     seconds_assembly: float
     seconds_linear: float
 
 
 def record_step(
-    ksp: PETSc.KSP, residual: float, alpha: float, *, assembly: float, linear: float
+    ksp: PETSc.KSP,
+    residual: float,
+    alpha: float,
+    *,
+    shift: float,
+    iterations: Sequence[int],
+    assembly: float,
+    linear: float,
 ) -> NewtonStep:
-    """Take down what a FETI solve cost.
+    """Take down what a Newton step cost.
 
     Args:
         ksp: The solver.
         residual: ‖r‖ before the step.
         alpha: Step length.
+        shift: σ of the last solve.
+        iterations: Those of each linear solve.
         assembly: Seconds of assembly.
         linear: Seconds of the solve.
     """
@@ -56,10 +70,12 @@ def record_step(
         residual=residual,
         step_length=alpha,
         linear_method=feti.method,
-        linear_iterations=feti.iterations,
+        linear_iterations=sum(iterations),
         linear_residual=feti.residual,
         condition_number=feti.condition_number,
         negative=feti.negative,
+        shift=shift,
+        solves=len(iterations),
         seconds_assembly=assembly,
         seconds_linear=linear,
     )

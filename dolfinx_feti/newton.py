@@ -10,6 +10,19 @@ out, meets a NaN, or overshoots: with :math:`g(α) = ΔU·r(U + α ΔU)` a step 
 :math:`-η ≤ g(α)/g(0) ≤ 1 + η`, a search for the critical point of the energy along the step. With a
 condensed pressure, g(α) holds :math:`r_u(U + α ΔU, p + α Δp)` and not the condensed residual: what
 condensation adds grows with κ, though it is linear in Δp and the next step removes it.
+
+If the problem has a potential Π (Augustin_eq:strain_energy, with the load's part), Newton's method
+is kept on the way down. The step is also taken if it lowers Π enough (Armijo),
+
+.. math:: Π(U + α ΔU) ≤ Π(U) + 10^{-4}\, α\, ΔU·r,
+
+with the condensed pressure that its own equation demands for either state. And where the tangent
+has negative curvature, so that ΔU·r ≥ 0, it leads to a saddle or a maximum: then
+
+.. math:: (K' + σ \operatorname{diag}|k|)\, ΔU = -r
+
+is solved with the stiffness k of the dofs and σ growing from 1e-4 until ΔU leads downhill. In the
+next steps σ falls, to zero at the end.
 """
 
 from __future__ import annotations
@@ -38,6 +51,12 @@ ETA = 0.8
 #: Shortest step that is tried.
 SHORTEST = 1.0 / 64
 
+#: Share of the slope by which a step has to lower the potential (Armijo).
+DESCENT = 1e-4
+
+#: The first shift of an indefinite tangent, its growth, and the one that is given up at.
+LEAST_SHIFT, GROWTH, MOST_SHIFT = 1e-4, 4.0, 1.0
+
 
 class Newton:
     """Context of a SNES that drives a :class:`~dolfinx_feti.system.System` with a FETI KSP.
@@ -54,6 +73,7 @@ class Newton:
         self.history: list[NewtonStep] = []
         self.message = ""
         self.has_tangent = False
+        self._shift = 0.0
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
         """Iterate from the state of the user's functions until the residual is small."""
@@ -74,7 +94,8 @@ class Newton:
                     system.linearise()
             has_tangent = False
             seconds = time.perf_counter() - started
-            du, linear = self._step(snes, r)
+            du, iterations = self._direction(snes, r)
+            linear = snes.getKSP()
             if linear.getConvergedReason() < 0:
                 message = linear.getPythonContext().message
                 self._stop(snes, Reason.DIVERGED_LINEAR_SOLVE, f"the linear solver: {message}")
@@ -82,9 +103,16 @@ class Newton:
             seconds_linear = time.perf_counter() - started - seconds
             started = time.perf_counter()
             alpha, r = self._search(system, r, du, comm)
-            self.history.append(
-                record_step(linear, norm, alpha, assembly=seconds, linear=seconds_linear)
+            step = record_step(
+                linear,
+                norm,
+                alpha,
+                shift=self._shift,
+                iterations=iterations,
+                assembly=seconds,
+                linear=seconds_linear,
             )
+            self.history.append(step)
             if alpha == 0.0:
                 self._stop(snes, Reason.DIVERGED_LINE_SEARCH, _NO_STEP)
                 break
@@ -92,7 +120,26 @@ class Newton:
             reason = self._judge(snes, len(self.history), norm, first)
         x.array[:] = system.state()[0]
 
-    def _step(self, snes: PETSc.SNES, r: Array) -> tuple[Array, PETSc.KSP]:
+    def _direction(self, snes: PETSc.SNES, r: Array) -> tuple[Array, list[int]]:
+        """Solve (K + σ diag|k|) ΔU = −r with the least σ that leads downhill; σ = 0 comes first.
+
+        Returns:
+            ΔU, and the iterations of each solve.
+        """
+        feti, iterations = snes.getKSP().getPythonContext(), []
+        comm = snes.comm.tompi4py()
+        self._shift = 0.0 if self._shift <= LEAST_SHIFT else self._shift / GROWTH**2
+        while True:
+            if self._shift > 0.0:
+                self._system.shift(self._shift)
+            du = self._step(snes, r)
+            iterations.append(feti.iterations)
+            downhill = snes.getKSP().getConvergedReason() > 0 and _dot(du, r, comm) < 0.0
+            if downhill or self._shift >= MOST_SHIFT or not self._system.has_potential:
+                return du, iterations
+            self._shift = max(LEAST_SHIFT, GROWTH * self._shift)
+
+    def _step(self, snes: PETSc.SNES, r: Array) -> Array:
         """Solve K ΔU = −r."""
         ksp = snes.getKSP()
         rhs, du = self._system.A.createVecs()
@@ -102,12 +149,13 @@ class Newton:
         step = du.array_r.copy()
         rhs.destroy()
         du.destroy()
-        return step, ksp
+        return step
 
     def _search(self, system: System, r: Array, du: Array, comm: MPI.Comm) -> tuple[float, Array]:
         """Find a step length and move there; without one, stay and return zero."""
         start, step = system.state(), system.increment(du)
         slope = _dot(du, r, comm)  # g(0) < 0
+        height = system.potential() if system.has_potential else np.nan
         alpha = 1.0
         while alpha >= SHORTEST:
             system.set_state((start[0] + alpha * step[0], start[1] + alpha * step[1]))
@@ -115,7 +163,10 @@ class Newton:
             if system.least_volume_ratio() > 0.0:
                 trial = system.residual()
                 ratio = _dot(du, system.force, comm) / slope if slope else 0.0
-                if -ETA <= ratio <= 1.0 + ETA:
+                lowest = height + DESCENT * alpha * slope
+                if -ETA <= ratio <= 1.0 + ETA or (
+                    system.has_potential and system.potential() <= lowest
+                ):
                     return alpha, trial
             secant = 1.0 / (1.0 - ratio) if ratio < 0.0 else 0.5  # zero of the line through g
             alpha *= min(max(secant, 0.1), 0.5)

@@ -60,6 +60,7 @@ class NonlinearProblem:
         bcs: Sequence[dolfinx.fem.DirichletBC] = (),
         J: ufl.Form | None = None,
         condense: dolfinx.fem.Function | None = None,
+        energy: ufl.Form | None = None,
         subdomains: int | npt.NDArray[np.integer],
         petsc_options_prefix: str,
         petsc_options: Mapping[str, object] | None = None,
@@ -76,6 +77,8 @@ class NonlinearProblem:
             J: Tangent of the residual tested with v, in u; derived from it if not given. A
                 symmetric one lets the dual method be CG.
             condense: Piecewise constant pressure that is eliminated cell by cell.
+            energy: Potential Π(u) or Π(u, p) whose derivatives are the residuals F, if they have
+                one: F itself if that is an energy. It keeps Newton's method on the way down.
             subdomains: Their number over all processes, or a part per owned cell.
             petsc_options_prefix: Non-empty prefix of all options, equal on all processes.
             petsc_options: Options without prefix: ``snes_…``, ``feti_…``, see ``docs/options.md``.
@@ -101,6 +104,8 @@ class NonlinearProblem:
             check_pressure_space(condense.function_space)
         degree = 2 * V.ufl_element().embedded_superdegree
         degree = degree if quadrature_degree is None else quadrature_degree
+        if isinstance(F, ufl.Form) and not F.arguments():
+            energy = F
         F_u, F_p = residuals(F, u, condense)
         F_u = limit_quadrature_degree(F_u, degree)
         F_p = None if F_p is None else limit_quadrature_degree(F_p, degree)
@@ -118,6 +123,7 @@ class NonlinearProblem:
             bcs=bcs,
             J=J,
             pressure=pressure,
+            energy=None if energy is None else limit_quadrature_degree(energy, degree),
             volume_ratio=default_volume_ratio(u) if volume_ratio is None else volume_ratio,
             quadrature_degree=degree,
             decomposition=self.decomposition,

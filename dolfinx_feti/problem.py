@@ -127,6 +127,8 @@ class LinearProblem:
                 self.solver,
                 self.b.norm(),
                 1.0,
+                shift=0.0,
+                iterations=[self.solver.getPythonContext().iterations],
                 assembly=assembled - started,
                 linear=solved - assembled,
             )

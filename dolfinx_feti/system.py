@@ -50,6 +50,7 @@ class System:
         bcs: Sequence[dolfinx.fem.DirichletBC],
         J: ufl.Form,
         pressure: tuple[ufl.Form, dolfinx.fem.Function] | None,
+        energy: ufl.Form | None,
         volume_ratio: ufl.core.expr.Expr | None,
         quadrature_degree: int,
         decomposition: Decomposition,
@@ -62,6 +63,7 @@ class System:
             bcs: Dirichlet conditions on V.
             J: Tangent of F_u in u.
             pressure: Residual tested in Q and the pressure to be condensed.
+            energy: Potential Π(u) or Π(u, p), if there is one.
             volume_ratio: Expression that has to be positive at every quadrature point.
             quadrature_degree: Degree of those points.
             decomposition: Subdomain of each owned cell.
@@ -88,6 +90,8 @@ class System:
         self._K = assembly.create_local_matrix(self._space, self._space, self._n_cells)
         self._stiffness = np.zeros(self._K.getSize()[0])
         self.A = assembly.create_matis(self._space, self._K, self.bcs, self._stiffness)
+        self._energy = None if energy is None else dolfinx.fem.form(energy)
+        self._shift = 0.0
         self._volume_ratio = _at_quadrature(V, volume_ratio, quadrature_degree)
         bs = V.dofmap.index_map_bs
         torn = self._space.dof[:, None] * bs + np.arange(bs)
@@ -134,6 +138,28 @@ class System:
             least = float(values.min()) if np.all(np.isfinite(values)) else -np.inf
         return self.u.function_space.mesh.comm.allreduce(least, op=MPI.MIN)
 
+    @property
+    def has_potential(self) -> bool:
+        """Whether there is a potential."""
+        return self._energy is not None
+
+    def potential(self) -> float:
+        """Return the potential of u, Π(u) or Π(u, p) with the p that its own equation demands.
+
+        Note:
+            Collective.
+        """
+        assert self._energy is not None
+        if self.condensation is None:
+            value = dolfinx.fem.assemble_scalar(self._energy)
+        else:
+            p = self.condensation.p.x
+            before = p.array.copy()
+            p.array[:] = self.condensation.relaxed()
+            value = dolfinx.fem.assemble_scalar(self._energy)
+            p.array[:] = before
+        return self.u.function_space.mesh.comm.allreduce(value)
+
     # -- equations --------------------------------------------------------------------------------
 
     def residual(self) -> Array:
@@ -164,6 +190,7 @@ class System:
         κ-term on the diagonal says nothing about the interface.
         """
         assembly.assemble(self._K, self._tangent)
+        self._shift = 0.0
         self._stiffness[:] = self._K.getDiagonal().array_r
         self.A.query("stiffness").array[:] = self._stiffness
         if self.condensation is not None:
@@ -172,6 +199,18 @@ class System:
         assembly.attach_near_kernel(
             self.A, self.u.function_space, self.u.x.array[: self.owned].reshape(-1, bs)
         )
+
+    def shift(self, sigma: float) -> None:
+        """Let the tangent be K + σ diag|k|, with the stiffness k of its own dofs.
+
+        Args:
+            sigma: σ, from zero on; it takes the place of an earlier one.
+        """
+        diagonal = self._K.getDiagonal()
+        diagonal.array[:] += (sigma - self._shift) * np.abs(self._stiffness)
+        self._K.setDiagonal(diagonal)
+        diagonal.destroy()
+        self._shift = sigma
 
     def destroy(self) -> None:
         """Free the matrices."""

@@ -40,6 +40,7 @@ def torn_system() -> Iterator[Callable[..., System]]:
                 bcs=body.bcs,
                 J=body.J,
                 pressure=(body.F_p, body.p),
+                energy=body.energy,
                 volume_ratio=None,
                 quadrature_degree=2,
                 decomposition=decomposition,
