@@ -13,7 +13,13 @@ import numpy.typing as npt
 
 import dolfinx
 
-__all__ = ["adjacency", "create_function_space", "interpolation_points", "residual_is_nan"]
+__all__ = [
+    "adjacency",
+    "create_function_space",
+    "geometry_dofmap",
+    "interpolation_points",
+    "residual_is_nan",
+]
 
 
 def adjacency(
@@ -44,6 +50,12 @@ def create_function_space(
     except TypeError:
         space = dolfinx.cpp.fem.FunctionSpace_float64(*arguments)
     return dolfinx.fem.FunctionSpace(V.mesh, V.ufl_element(), space)
+
+
+def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int32]:
+    """Return the nodes of each cell; with several types of cells, from 0.10, those of the first."""
+    geometry = mesh.geometry
+    return np.asarray(geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap)
 
 
 def interpolation_points(V: dolfinx.fem.FunctionSpace) -> npt.NDArray[np.float64]:

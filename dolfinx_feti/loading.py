@@ -21,9 +21,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
 
 from petsc4py import PETSc
 
@@ -32,6 +32,7 @@ import numpy.typing as npt
 
 import dolfinx
 
+from dolfinx_feti.checkpoint import Checkpoint
 from dolfinx_feti.history import NewtonStep
 from dolfinx_feti.problem import ConvergenceError
 from dolfinx_feti.progress import Progress
@@ -134,6 +135,7 @@ def follow_load(
     state: Sequence[dolfinx.fem.Function],
     start: float = 0.0,
     on_step: Callable[[LoadStep], object] | None = None,
+    checkpoint: Checkpoint | None = None,
     unit: str = "",
 ) -> list[LoadStep]:
     """Follow the equilibrium from one load through others to the last.
@@ -147,13 +149,17 @@ def follow_load(
             after a failure.
         start: The present load.
         on_step: Called in each new equilibrium on all processes, for output.
+        checkpoint: Where each new equilibrium is kept, before ``on_step`` is called. If it was
+            opened to restart, the state in it takes the place of the present one and of
+            ``start``, and the targets it has met before are left out.
         unit: Name of the load's unit, for the bar that shows the progress on a terminal.
 
     Returns:
-        The accepted steps.
+        The accepted steps, those before a restart included.
 
     Raises:
-        ValueError: A load is not a finite number.
+        ValueError: A load is not a finite number, or a checkpoint is one of another problem.
+        OSError: A checkpoint cannot be written; state and load are those of the last equilibrium.
         ConvergenceError: No step of the least increment leads on; state and load are those of the
             last equilibrium.
 
@@ -164,11 +170,16 @@ def follow_load(
         raise ValueError(f"start={start}, targets={list(targets)}: loads are finite numbers.")
     path = _Path(problem, set_load, steps, state=state, load=float(start))
     comm = problem.u.function_space.mesh.comm
-    accepted = []
+    accepted: list[LoadStep] = []
+    if checkpoint is not None and checkpoint.restart:
+        accepted = path.restore(checkpoint)
+        start, targets = path.load, path.unmet(targets)
     with Progress(problem.solver, comm, loads=[start, *targets], unit=unit) as bar:
         for step in path.follow(targets, bar):
             accepted.append(step)
             bar.clear()
+            if checkpoint is not None:
+                path.keep(checkpoint, accepted)
             if on_step is not None:
                 on_step(step)
     return accepted
@@ -192,12 +203,54 @@ class _Path:
         self._state = list(state)
         self._increment = steps.first
         self._past = [_Equilibrium(load, self._values())]
+        self._met = [load]
+
+    @property
+    def load(self) -> float:
+        """The present load."""
+        return self._past[-1].load
+
+    def unmet(self, targets: Sequence[float]) -> list[float]:
+        """Return the targets without those that were met, in their order, before a restart."""
+        left = list(targets)
+        for load in self._met:
+            if left[:1] == [load]:
+                del left[0]
+        return left
 
     def follow(self, targets: Sequence[float], bar: Progress) -> Iterator[LoadStep]:
         """Yield the equilibria on the way."""
         for target in map(float, targets):
-            while self._past[-1].load != target:
+            while self._met[-1] != target or self.load != target:
                 yield self._advance(target, bar)
+
+    def keep(self, checkpoint: Checkpoint, accepted: Sequence[LoadStep]) -> None:
+        """Write the last equilibria, the present one at the end, and how they were found."""
+        record = {
+            "loads": [known.load for known in self._past],
+            "increment": self._increment,
+            "met": self._met,
+            "steps": [asdict(step) for step in accepted],
+        }
+        checkpoint.write(self._state, record, [known.values for known in self._past[:-1]])
+
+    def restore(self, checkpoint: Checkpoint) -> list[LoadStep]:
+        """Go where a checkpoint was written; return the steps that led there."""
+        record: dict[str, Any] = checkpoint.record or {}
+        try:
+            accepted = [load_step(step) for step in record["steps"]]
+            loads, increment, met = record["loads"], record["increment"], record["met"]
+        except (KeyError, TypeError) as error:
+            raise ValueError(
+                f"The checkpoint in {checkpoint.folder} was not written by follow_load of this "
+                "version: name another folder."
+            ) from error
+        past = checkpoint.read(self._state)
+        values = [*past, self._values()]
+        self._past = [_Equilibrium(*known) for known in zip(loads, values, strict=True)]
+        self._increment, self._met = increment, met
+        self._set_load(self.load)
+        return accepted
 
     def _advance(self, target: float, bar: Progress) -> LoadStep:
         """Find the next equilibrium."""
@@ -213,6 +266,7 @@ class _Path:
                 self._shorten(abs(load - before), error)
         others = [known for known in self._past[-ORDER:] if known.load != load]
         self._past = [*others, _Equilibrium(load, self._values())]
+        self._met += [load] if load == target else []
         history = tuple(self._problem.history)
         if failures == 0 and len(history) <= self._steps.quick:
             grown = self._steps.growth * abs(load - before)
@@ -262,6 +316,12 @@ class _Path:
     def _set_values(self, values: list[Array]) -> None:
         for f, array in zip(self._state, values, strict=True):
             f.x.array[:] = array
+
+
+def load_step(record: Mapping[str, Any]) -> LoadStep:
+    """Return a load step from what ``asdict`` made of it."""
+    history = tuple(NewtonStep(**step) for step in record["history"])
+    return LoadStep(**{**record, "history": history})
 
 
 def extrapolate(past: Sequence[_Equilibrium], load: float) -> list[Array]:
