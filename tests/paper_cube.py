@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -14,13 +15,20 @@ from hand_torn import Array, HandTorn, kernel, tear
 YOUNG, POISSON = 210.0, 0.45
 
 
-def cube(subdomains: int, cells: int, components: int = 3) -> HandTorn:
+def cube(
+    subdomains: int,
+    cells: int,
+    components: int = 3,
+    fixed: Callable[[Array], npt.NDArray[np.bool_]] | None = None,
+) -> HandTorn:
     """Tear a cube of subdomains³ subcubes of cells³ cells each.
 
     Args:
         subdomains: Their number along an edge, 8 in the paper.
         cells: Cells along the edge of a subcube, 1, 2, 4, … in the paper.
         components: Three for linear elasticity, one for the Laplace equation.
+        fixed: Marks the Dirichlet dofs, (nodes, components), of nodes at x, (nodes, 3), in units of
+            cells; if not given the whole surface, as in the paper.
     """
     nodes, tetrahedra = subcube(cells)
     K_0, pattern = assemble(nodes, tetrahedra, components)
@@ -28,14 +36,15 @@ def cube(subdomains: int, cells: int, components: int = 3) -> HandTorn:
     places = np.concatenate([nodes + corner for corner in corners])
     x, number = np.unique(np.round(2 * places).astype(int), axis=0, return_inverse=True)
     x = x / 2
-    boundary = np.any((x == 0.0) | (x == subdomains * cells), axis=1)
+    surface = np.any((x == 0.0) | (x == subdomains * cells), axis=1)
+    mark = np.repeat(surface[:, None], components, axis=1) if fixed is None else fixed(x)
     dofs = number.reshape(-1, 1) * components + np.arange(components)
     return tear(
         [K_0] * subdomains**3,
         list(dofs.reshape(subdomains**3, -1)),
         x,
         kernel(x, components),
-        np.repeat(boundary, components),
+        mark.ravel(),
         pattern=pattern,
     )
 
