@@ -106,6 +106,7 @@ def test_every_demo_has_its_test():
             "demo_artery.py",
             "demo_classical_vs_all_floating.py",
             "demo_linear_elasticity.py",
+            "demo_own_material.py",
         }
     )
 
@@ -143,6 +144,18 @@ def test_classical_vs_all_floating(run, tmp_path):
     small(demo["order"] - 2.0, 0.05)
     height, width, _ = on_first(lambda: imread(tmp_path / "cube.png")).shape
     agree(height > 500 and width > 800, (height, width))
+
+
+def test_own_material(run, tmp_path):
+    """Its own assertions, on a coarse tube; the plaque holds the wall back."""
+    from matplotlib.image import imread
+
+    demo = run("demo_own_material.py", "--size", "1", "--output", tmp_path)
+    for result in demo["results"].values():
+        agree(result["load_steps"] >= 4 and result["newton_steps"] <= 40, result)
+        agree(0.0 < result["difference_to_mumps"] <= 1e-6, result)
+    shapes = on_first(lambda: [imread(tmp_path / f"{name}.png").shape for name in demo["results"]])
+    agree(all(height > 500 and width > 800 for height, width, _ in shapes), shapes)
 
 
 def test_artery(run, tmp_path):
