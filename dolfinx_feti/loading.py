@@ -91,6 +91,7 @@ class LoadStep:
         increment: By how much it grew.
         history: What each Newton step cost.
         failures: Attempts with longer increments that failed before.
+        lost: What each Newton step of the failed attempts cost.
         seconds: Time, failures included.
     """
 
@@ -98,7 +99,13 @@ class LoadStep:
     increment: float
     history: tuple[NewtonStep, ...]
     failures: int
+    lost: tuple[NewtonStep, ...]
     seconds: float
+
+    @property
+    def all_steps(self) -> tuple[NewtonStep, ...]:
+        """All Newton steps, those of failed attempts included."""
+        return self.lost + self.history
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,7 +261,8 @@ class _Path:
 
     def _advance(self, target: float, bar: Progress) -> LoadStep:
         """Find the next equilibrium."""
-        started, failures, before = time.perf_counter(), 0, self._past[-1].load
+        started, before = time.perf_counter(), self._past[-1].load
+        failures, lost = 0, []
         while True:
             load = self._next(target)
             bar.attempt(before, load)
@@ -263,6 +271,7 @@ class _Path:
                 break
             except ConvergenceError as error:
                 failures += 1
+                lost += self._problem.history
                 self._shorten(abs(load - before), error)
         others = [known for known in self._past[-ORDER:] if known.load != load]
         self._past = [*others, _Equilibrium(load, self._values())]
@@ -271,7 +280,8 @@ class _Path:
         if failures == 0 and len(history) <= self._steps.quick:
             grown = self._steps.growth * abs(load - before)
             self._increment = max(self._increment, grown)
-        return LoadStep(load, load - before, history, failures, time.perf_counter() - started)
+        seconds = time.perf_counter() - started
+        return LoadStep(load, load - before, history, failures, tuple(lost), seconds)
 
     def _next(self, target: float) -> float:
         """Return the load of the next attempt, the target itself at the end."""
@@ -320,8 +330,10 @@ class _Path:
 
 def load_step(record: Mapping[str, Any]) -> LoadStep:
     """Return a load step from what ``asdict`` made of it."""
-    history = tuple(NewtonStep(**step) for step in record["history"])
-    return LoadStep(**{**record, "history": history})
+    steps = {
+        name: tuple(NewtonStep(**step) for step in record[name]) for name in ("history", "lost")
+    }
+    return LoadStep(**{**record, **steps})
 
 
 def extrapolate(past: Sequence[_Equilibrium], load: float) -> list[Array]:

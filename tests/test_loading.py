@@ -233,6 +233,8 @@ def test_increment_is_halved_until_it_succeeds(played):
     steps = problem.follow([4.0], Steps(first=1.0, least=0.01, quick=3))
     equal([a.load for a in problem.attempts[:4]], [1.0, 0.5, 0.25, 0.5], ROUNDING)
     agree([step.failures for step in steps] == [2] + 15 * [0])
+    agree([len(step.lost) for step in steps] == [18] + 15 * [0])
+    agree([len(step.all_steps) for step in steps] == [27] + 15 * [9])
     for attempt in problem.attempts[:3]:
         equal(attempt.linearised, (0.0, *truth(0.0)), ROUNDING)
     equal(problem.state(), truth(4.0), ROUNDING)
