@@ -38,33 +38,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("records", type=Path, nargs="+", metavar="JSON", help="files of records")
     parser.add_argument("--output", type=Path, required=True, metavar="FOLDER")
+    parser.add_argument("--remark", default="", help="what is to be said about the runs")
     args = parser.parse_args(arguments)
     try:
         records = [record for path in args.records for record in _read(path)]
         args.output.mkdir(parents=True, exist_ok=True)
-        write(args.output, records)
+        write(args.output, records, args.remark)
     except (OSError, ValueError) as error:
         parser.error(str(error))
     return 0
 
 
-def write(folder: Path, records: Sequence[Record]) -> None:
+def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
     """Write the files of a report.
 
     Args:
         folder: Where they go.
         records: What they are about.
+        remark: What is to be said about the runs.
     """
+    solvers = [record for record in records if "solver" in record]
+    cases = [record for record in records if "solver" not in record]
     pictures = [
         f"linear_p{degree}.png"
         for degree in (1, 2)
-        if draw_levels(folder / f"linear_p{degree}.png", records, degree)
+        if draw_levels(folder / f"linear_p{degree}.png", cases, degree)
     ]
-    solvers = [record for record in records if "solver" in record]
-    cases = [record for record in records if "solver" not in record]
     extra = [table for table in (check_table(cases, solvers), solver_table(solvers)) if table.rows]
     found = [*extra, *tables(cases)]
-    parts = [_introduction(cases, solvers)]
+    parts = [_introduction(cases, solvers, remark)]
     parts += [f"![Iterations and condition numbers over the levels]({name})\n" for name in pictures]
     parts += [table.markdown() for table in found]
     (folder / "linear.md").write_text("\n".join(parts))
@@ -97,7 +99,7 @@ def _is_known(record: Record) -> bool:
     return "machine" in record and any(name in record for name in names)
 
 
-def _introduction(cases: Sequence[Record], solvers: Sequence[Record]) -> str:
+def _introduction(cases: Sequence[Record], solvers: Sequence[Record], remark: str) -> str:
     """Say what was run where, and how far it is from the paper."""
     condition, iterations = deviations(cases)
     lines = [
@@ -115,6 +117,7 @@ def _introduction(cases: Sequence[Record], solvers: Sequence[Record]) -> str:
         "",
         *_machines([*cases, *solvers]),
     ]
+    lines += ["", remark] if remark else []
     if not math.isnan(condition):
         lines += [
             "",
