@@ -14,7 +14,7 @@ with := scripts/with-fenicsx
 python := $(if $(filter-out 1,$(NP)),env OMP_NUM_THREADS=1 mpirun -n $(NP) )python3
 shell_scripts := scripts/with-fenicsx scripts/debian-tree scripts/run-tests .ci/run
 
-.PHONY: help demo test bench bench-compare bench-linear lint docs clean
+.PHONY: help demo test figures bench bench-compare bench-linear lint docs clean
 
 help: ## what can be made
 	@awk -F ':.*## ' '/^[a-z-]+( build.*)?:.*## / { sub(/ build.*/, "", $$1); printf "  make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -35,6 +35,11 @@ bench-linear: ## the paper's linear study and what goes beyond it; report in bui
 
 bench-compare build/compare.json: ## FETI, MUMPS and GAMG on a Newton step; build/compare.json
 	$(with) $(python) -m benchmarks.compare --json build/compare.json $(ARGS)
+
+figures: ## both variants up to 300 mmHg on tube and vessel, and the paper's figures of it; build/results/
+	$(with) $(python) -m benchmarks.load_stepping --geometry tube --size 0.3 --degree 2 --json build/loading.json --checkpoint build/loading
+	$(with) $(python) -m benchmarks.load_stepping --geometry vessel --json build/loading.json --checkpoint build/loading $(ARGS)
+	$(with) python3 -m benchmarks.load_figures build/loading.json --output build/results
 
 lint: ## style, types, spelling
 	$(with) ruff check .

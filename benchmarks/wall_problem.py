@@ -1,0 +1,91 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A two-layer wall under pressure, P_k–P_0 with fibres, as the paper's load stepping has it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import dolfinx
+import ufl
+
+import dolfinx_feti
+from dolfinx_feti import kinematics, loads, materials
+from dolfinx_feti.fibres import fibre_families, fibre_frame
+from dolfinx_feti.wall import Wall, facets, openings, surface_measure
+
+__all__ = ["WallProblem", "create_wall_problem"]
+
+
+@dataclass(frozen=True, slots=True)
+class WallProblem:
+    """The nonlinear problem, its unknowns, its load and its stress.
+
+    Attributes:
+        problem: The FETI problem.
+        u: Displacement [mm].
+        p: Pressure of the element-wise volume constraint [kPa].
+        pressure: Pressure in the lumen [kPa].
+        stress: σ_mag = √(σ : σ) (stressmag) [kPa].
+    """
+
+    problem: dolfinx_feti.NonlinearProblem
+    u: dolfinx.fem.Function
+    p: dolfinx.fem.Function
+    pressure: dolfinx.fem.Constant
+    stress: ufl.core.expr.Expr
+
+
+def create_wall_problem(
+    wall: Wall,
+    *,
+    degree: int,
+    c: float,
+    kappa: float,
+    subdomains: int,
+    options: dict[str, object],
+) -> WallProblem:
+    """Build the wall with clamped openings.
+
+    Args:
+        wall: Mesh, layers and surfaces.
+        degree: k.
+        c: Stiffness of the matrix material [kPa].
+        kappa: κ [kPa].
+        subdomains: Number of subdomains.
+        options: PETSc options of the problem, prefix ``wall_``.
+    """
+    V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", degree, (3,)))
+    Q = dolfinx.fem.functionspace(wall.mesh, ("DG", 0))
+    u, p = dolfinx.fem.Function(V, name="u"), dolfinx.fem.Function(Q, name="p")
+    v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
+    a1, a2 = fibre_families(wall, fibre_frame(wall))
+    F = kinematics.deformation_gradient(u)
+    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+    artery = materials.ArteryParameters(c=c)
+    psi = materials.holzapfel_gasser_ogden(C, a1, a2, c=artery.c, k1=artery.k1, k2=artery.k2, J=J)
+    psi += materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(wall.mesh, kappa))
+    energy = psi * ufl.dx
+    lumen = surface_measure(wall)(wall.surfaces["lumen"])
+    pressure = dolfinx.fem.Constant(wall.mesh, 0.0)
+    F_u = ufl.derivative(energy, u, v) + loads.follower_pressure(pressure, u, v, lumen)
+    K = ufl.derivative(ufl.derivative(energy, u, v), u, du)
+    K += loads.follower_pressure_tangent(pressure, u, v, du, lumen, "symmetric")
+    rims = np.concatenate([facets(wall, name) for name in openings(wall)])
+    dofs = dolfinx.fem.locate_dofs_topological(V, 2, rims)
+    problem = dolfinx_feti.NonlinearProblem(
+        [F_u, ufl.derivative(energy, p, q)],
+        u,
+        bcs=[dolfinx.fem.dirichletbc(np.zeros(3), dofs, V)],
+        J=K,
+        condense=p,
+        energy=energy + loads.pressure_potential(pressure, u, lumen),
+        subdomains=subdomains,
+        petsc_options_prefix="wall_",
+        petsc_options=options,
+    )
+    stress = kinematics.stress_magnitude(kinematics.cauchy_stress(psi, F))
+    return WallProblem(problem, u, p, pressure, stress)

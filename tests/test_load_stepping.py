@@ -1,0 +1,93 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The benchmark of the load stepping: its records, its points, its figures, what it refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, small, whole
+from wall_files import on_first
+from walls import tube
+
+import dolfinx
+
+from benchmarks import load_figures, load_stepping
+
+pytest.importorskip("gmsh")
+pytest.importorskip("matplotlib")
+
+SMALL = "--geometry tube --size 1 --degree 2 --pressure 8 --subdomains 4".split()
+
+
+def run(tmp_path: Path, *words: str) -> list[dict[str, object]]:
+    """Run the benchmark; return all records in its file."""
+    place = ["--json", str(tmp_path / "loading.json"), "--folder", str(tmp_path / "walls")]
+    agree(load_stepping.main([*SMALL, *place, *words]) == 0)
+    return on_first(lambda: json.loads((tmp_path / "loading.json").read_text()))
+
+
+def test_both_variants_and_their_figures(tmp_path):
+    records = run(tmp_path)
+    ends = {}
+    for kind in ("all_floating", "classical"):
+        steps = [record for record in records if record["type"] == kind]
+        agree(steps[-1]["pressure_mmhg"] == 8.0 and len(steps) == steps[-1]["steps"] >= 2)
+        agree(all(0 < step["max_linear_residual"] <= 1e-8 for step in steps))
+        agree(all(step["newton_iterations"] >= 1 for step in steps))
+        norm = np.array([list(step["u_norm"].values()) for step in steps])
+        agree(np.all(np.diff(norm, axis=0).max(axis=1) > 0) and norm.shape[1] == 5)
+        ends[kind] = [*norm[-1], *steps[-1]["stress_magnitude"].values()]
+    equal(ends["classical"], ends["all_floating"], 1e-6)
+
+    on_first(lambda: load_figures.main([str(tmp_path / "loading.json"), "--output", str(tmp_path)]))
+    page = on_first(lambda: (tmp_path / "loading.md").read_text())
+    agree("| tube | P2–P0 | 4 | all-floating | 8 |" in page and "loading_tube.png" in page, page)
+    agree(on_first(lambda: (tmp_path / "loading_tube.png").stat().st_size) > 20_000)
+
+
+def test_what_is_there_is_not_run_again(tmp_path, capsys):
+    first = run(tmp_path, "--type", "classical")
+    capsys.readouterr()
+    agree(run(tmp_path, "--type", "classical") == first)
+    said = COMM.bcast(capsys.readouterr().out)
+    agree("stand in the records already" in said and "Newton" not in said, said)
+
+
+def test_points_do_not_depend_on_the_processes():
+    """Five places far from each other, the same cells on any number of processes."""
+    mesh = tube()
+    points = load_stepping.five_points(mesh)
+    n = mesh.topology.index_map(3).size_local
+    X = dolfinx.mesh.compute_midpoints(mesh, 3, np.arange(n, dtype=np.int32))
+    places = [whole(X[cell]) for cell in points]
+    agree(all(place.shape == (1, 3) for place in places))
+    x = np.concatenate(places)
+    apart = np.linalg.norm(x[:, None] - x, axis=-1)[~np.eye(5, dtype=bool)]
+    agree(apart.min() > 0.5, apart)
+    everything = whole(X)
+    nearest = np.linalg.norm(everything - everything.mean(axis=0), axis=1)
+    small(np.linalg.norm(x[0] - everything.mean(axis=0)) / nearest.max() - 1.0, 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--pressure", "nan"], "not a positive number"),
+        (["--type", "floating"], "none of"),
+        (["--subdomains", "0"], "not a number 1"),
+        (["--degree", "3"], "none of"),
+        (["--json", "/dev/null/x.json"], "will not do"),
+        (["--colour", "red"], "unrecognized arguments"),
+    ],
+)
+def test_bad_words(words, said, capsys):
+    with pytest.raises(SystemExit) as caught:
+        load_stepping.main(words)
+    agree(caught.value.code == 2)
+    text = COMM.bcast(capsys.readouterr().err)
+    agree(said in text, text)
