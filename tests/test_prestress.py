@@ -16,9 +16,10 @@ from walls import PREFIX, tube, wall
 import dolfinx
 import ufl
 
-from dolfinx_feti import ConvergenceError, NonlinearProblem
+from dolfinx_feti import ConvergenceError, NonlinearProblem, loads
 from dolfinx_feti.assembly import torn_form
 from dolfinx_feti.decomposition import decompose, tear
+from dolfinx_feti.loading import Steps, follow_load
 from dolfinx_feti.torn import Torn
 
 MILD, PHYSIOLOGICAL = (2.0, 10.0), (2.0, 10.0, 30.0)
@@ -76,6 +77,31 @@ def test_p1(subdomains):
     """Subdomains buckle by the dozen, and the props keep the iterations down."""
     iterations = check_every_step(1, subdomains, PHYSIOLOGICAL)
     small(max(iterations) / max(iterations[0], 1), 2.0)
+
+
+@pytest.mark.parametrize(("kind", "kappa"), [("all_floating", 1000.0), ("classical", 1e5)])
+def test_up_to_300_mmhg(kind, kappa):
+    """In few load steps, each linear system exact, and the iterations as at rest."""
+    body = wall(tube(), kappa=kappa)
+    problem = body.problem(6, {"feti_type": kind})
+
+    def set_load(mmhg: float) -> None:
+        body.load.value = loads.mmhg(mmhg)
+
+    steps = follow_load(
+        problem,
+        set_load,
+        [100.0, 300.0],
+        Steps(first=10.0, least=0.5, growth=2.0, quick=6),
+        state=[body.u, body.p],
+    )
+    newton = [step for each in steps for step in each.all_steps]
+    iterations = [step.linear_iterations for step in newton]
+    agree(steps[-1].load == 300.0 and len(steps) <= 15, [step.load for step in steps])
+    agree(len(newton) <= 80 and sum(iterations) <= 5000, (len(newton), sum(iterations)))
+    agree(np.median(iterations) <= 2 * iterations[0], iterations)
+    small(max(step.linear_residual for each in steps for step in each.history), 1e-8)
+    agree(newton[-1].negative > newton[0].negative)
 
 
 @pytest.mark.parametrize("tangent", ["none", "full"])
