@@ -108,6 +108,7 @@ class Case:
             subdomains=self.subdomains_per_edge,
             all_floating=self.type == "all_floating",
             pc_type=self.pc,
+            coarse_q=self.coarse_q,
             interior=self.interior,
             processes=processes,
         )

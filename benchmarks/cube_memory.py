@@ -7,8 +7,9 @@ The factors are by far the most of it. A decomposed cube has at most four kinds 
 apart by how many of their faces lie on its surface; one of each kind is analysed symbolically by
 MUMPS, and its figures are multiplied. Where the solver eliminates the interior dofs, the dense
 Schur complements take the place of the factors of K. The coarse matrix couples a subdomain with the
-26 around it; its factor is analysed with one dof in the place of six modes. What grows with the
-cells, the non-zeros and the glued dofs was measured once and stands below as bytes for each.
+26 around it, or with 124 if Q is the preconditioner; its factor is analysed with one dof in the
+place of six modes. What grows with the cells, the non-zeros and the glued dofs was measured once
+and stands below as bytes for each.
 """
 
 from __future__ import annotations
@@ -46,6 +47,9 @@ ENTRY, ROW_ENTRY, BLOCK_ENTRY = 16.0, 12.0, 20.0
 
 #: Bytes of a glued dof in the jump operators and the coarse problem.
 GLUED = 1500.0
+
+#: Bytes of a glued dof in the product of the preconditioner with G, for Q = preconditioner.
+PRODUCT = 14000.0
 
 #: Bytes that a factor takes besides its entries.
 FACTOR = 0.15e6
@@ -98,6 +102,7 @@ def estimate(
     subdomains: int,
     all_floating: bool,
     pc_type: str,
+    coarse_q: str,
     interior: str,
     processes: int,
 ) -> Estimate:
@@ -109,6 +114,7 @@ def estimate(
         subdomains: Subcubes along an edge of the cube.
         all_floating: Whether Dirichlet dofs stay in the local matrices.
         pc_type: Preconditioner.
+        coarse_q: Weight of the projection.
         interior: Whether the interior dofs are kept or eliminated, as in the options.
         processes: Number of processes.
     """
@@ -122,15 +128,17 @@ def estimate(
     glued = {kind: np.count_nonzero(kind.free & surface) for kind in kinds}
     eliminated = _is_eliminated(interior, kinds, glued)
     total = processes * PROCESS + count * (24 * cells**3 * TETRAHEDRON[degree] + K.nnz * ENTRY)
-    total += _coarse(subdomains if all_floating else subdomains - 2)
-    total += GLUED * sum(kind.number * glued[kind] for kind in kinds)
+    far = coarse_q == "preconditioner"
+    total += _coarse(subdomains if all_floating else subdomains - 2, 2 if far else 1)
+    each = GLUED + PRODUCT * far
+    total += each * sum(kind.number * glued[kind] for kind in kinds)
     streamed = 0.0
     inside = _analyse(K[~surface][:, ~surface], 0)
     for kind in kinds:
-        if eliminated:
+        if eliminated:  # a triangle forth and back, another one to apply S
             dense = 8.0 * glued[kind] ** 2
             total += kind.number * (dense + inside.bytes)
-            streamed += kind.number * dense * (1.0 if pc_type == "dirichlet" else 0.5)
+            streamed += kind.number * dense * (1.5 if pc_type == "dirichlet" else 1.0)
         else:
             factor = _analyse(K[kind.free][:, kind.free], kind.border)
             total += kind.number * factor.bytes
@@ -141,11 +149,14 @@ def estimate(
     return Estimate(MARGIN * total / 2**20, streamed)
 
 
-def _coarse(edge: int) -> float:
-    """Return the bytes of the coarse problem of edge³ floating subdomains."""
+def _coarse(edge: int, reach: int) -> float:
+    """Return the bytes of the coarse problem of edge³ subdomains that couple so far."""
     if edge < 1:
         return 0.0
-    line = scipy.sparse.diags_array([1.0, 4.0, 1.0], offsets=[-1, 0, 1], shape=(edge, edge))
+    near = np.arange(-reach, reach + 1)
+    near = near[np.abs(near) < edge]
+    values = np.where(near == 0, 8.0, 1.0)
+    line = scipy.sparse.diags_array(values, offsets=near, shape=(edge, edge))
     neighbours = scipy.sparse.csr_array(scipy.sparse.kron(scipy.sparse.kron(line, line), line))
     entries = _analyse(neighbours, 0).entries
     return MODES**2 * (COARSE_FACTOR * entries + COARSE_ENTRY * neighbours.nnz)

@@ -151,7 +151,11 @@ def _feti(
     report = feti.report()
     kinds = {"all_floating": report.options.all_floating, "pc_type": report.options.pc_type}
     size = {"degree": case.degree, "cells": case.cells, "subdomains": case.subdomains_per_edge}
-    kinds |= {"interior": report.options.interior, "processes": comm.size}
+    kinds |= {
+        "coarse_q": report.options.coarse_q,
+        "interior": report.options.interior,
+        "processes": comm.size,
+    }
     alone = estimate(**size, **kinds).streamed if comm.rank == 0 else None
     return linear, clock.record() | {
         "dofs": report.dofs,
