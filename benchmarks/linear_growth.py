@@ -78,9 +78,8 @@ def growing(records: Sequence[Record]) -> list[list[Record]]:
 
 def number_table(records: Sequence[Record]) -> Table:
     """Number of subdomains at a fixed size of them."""
-    mine = [
-        r for r in records if differs_in(r, ("subdomains_per_edge",)) and r["pc"] == "dirichlet"
-    ]
+    names = ("subdomains_per_edge", "coarse_q")
+    mine = [r for r in records if differs_in(r, names) and r["pc"] == "dirichlet"]
     several = {group(r, "subdomains_per_edge") for r in mine if r["subdomains_per_edge"] != 8}
     mine = [r for r in mine if group(r, "subdomains_per_edge") in several]
     rows = [
