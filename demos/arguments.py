@@ -48,7 +48,12 @@ def parse(
     parser.add_argument("--c", type=_positive, default=3.0, help="stiffness c [kPa], 3")
     parser.add_argument("--degree", type=int, choices=(1, 2), default=2, help="of displacements, 2")
     parser.add_argument("--output", type=Path, default=Path("output/artery"), metavar="FOLDER")
-    return parser.parse_args(own), solver, rest
+    parser.add_argument("--checkpoint", type=Path, metavar="FOLDER", help="keep each load step")
+    parser.add_argument("--restart", action="store_true", help="go on from the checkpoint")
+    args = parser.parse_args(own)
+    if args.restart and args.checkpoint is None:
+        parser.error("argument --restart: say by --checkpoint FOLDER from where")
+    return args, solver, rest
 
 
 def _split(arguments: Sequence[str]) -> tuple[list[str], dict[str, str | None], list[str]]:

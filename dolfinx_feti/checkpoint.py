@@ -19,6 +19,7 @@ import re
 import shutil
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
@@ -113,6 +114,7 @@ class Checkpoint:
 
         Raises:
             OSError: It cannot be written; the last state stays.
+            ValueError: A process has no cell.
 
         Note:
             Collective; raises on all processes.
@@ -128,11 +130,10 @@ class Checkpoint:
         size = (1 + len(past)) * sum(map(_size, functions))
         try:
             _on_first(lambda: _prepare(part, size), self._comm)
-            _on_all(lambda: self._write_state(part / STATE, functions, past), self._comm)
+            self._write_state(part / STATE, functions, past)
             latest = _on_first(lambda: _publish(part, json.loads(text)), self._comm)
         except Exception as error:
-            if self._comm.rank == 0:
-                shutil.rmtree(part, ignore_errors=True)
+            _on_first(lambda: shutil.rmtree(part, ignore_errors=True), self._comm)
             said = f"The checkpoint {part} cannot be written ({_reason(error)}): "
             kept = "there is none yet." if self._latest is None else "the one before it is kept."
             raise OSError(said + kept) from error
@@ -148,8 +149,8 @@ class Checkpoint:
             The earlier values.
 
         Raises:
-            ValueError: The state is of another mesh or other elements, damaged, or there is none.
-                The functions are left as they were.
+            ValueError: The state is of another mesh or other elements, damaged, or there is none,
+                or a process has no cell. The functions are left as they were.
 
         Note:
             Collective; raises on all processes.
@@ -160,7 +161,7 @@ class Checkpoint:
         self._refuse(self._comm.bcast(_other_problem(latest, present), root=0))
         path = self.folder / latest["state"] / STATE
         try:
-            values = _on_all(lambda: self._read_state(path, functions), self._comm)
+            values = self._read_state(path, functions)
         except Exception as error:
             raise ValueError(f"{path} cannot be read ({_reason(error)}).") from error
         for f, array in zip(functions, values.pop(), strict=True):
@@ -207,19 +208,20 @@ class Checkpoint:
             for i, (f, array) in enumerate(zip(functions, values, strict=True)):
                 copy = dolfinx.fem.Function(f.function_space)
                 copy.x.array[:] = array
-                write(path, copy, time=float(t), name=f"state{i}")
+                _on_all(partial(write, path, copy, time=float(t), name=f"state{i}"), self._comm)
 
     def _read_state(
         self, path: Path, functions: Sequence[dolfinx.fem.Function]
     ) -> list[list[Array]]:
         """Read all instants, the present one at the end."""
+        read = self._adios4dolfinx.read_function
         found: list[list[Array]] = []
         assert self._latest is not None
         for t in range(self._latest["past"] + 1):
             found.append([])
             for i, f in enumerate(functions):
                 copy = dolfinx.fem.Function(f.function_space)
-                self._adios4dolfinx.read_function(path, copy, time=float(t), name=f"state{i}")
+                _on_all(partial(read, path, copy, time=float(t), name=f"state{i}"), self._comm)
                 found[-1].append(copy.x.array)
         return found
 
@@ -235,12 +237,19 @@ def describe(functions: Sequence[dolfinx.fem.Function]) -> dict[str, Any]:
         number that follows from its place in the input, so that it depends on their order;
         the extent of the mesh, and the elements.
 
+    Raises:
+        ValueError: A process has no cell, which adios4dolfinx does not know how to handle.
+
     Note:
         Collective.
     """
     mesh = functions[0].function_space.mesh
-    tdim = mesh.topology.dim
-    cells = mesh.topology.index_map(tdim)
+    cells = mesh.topology.index_map(mesh.topology.dim)
+    if mesh.comm.allreduce(cells.size_local, op=MPI.MIN) == 0:
+        raise ValueError(
+            f"{cells.size_global} cells on {mesh.comm.size} processes leave one without a cell: "
+            "checkpoints need fewer processes or a finer mesh."
+        )
     nodes = geometry_dofmap(mesh)[: cells.size_local]
     place = np.asarray(mesh.topology.original_cell_index)[: cells.size_local, None]
     place = place * nodes.shape[1] + np.arange(nodes.shape[1])
