@@ -57,6 +57,11 @@ REMEDIES = {
     Reason.DIVERGED_MAX_IT: "no convergence within -{0}ksp_max_it iterations; raise it",
 }
 
+INDEFINITE = (
+    "the assembled matrix seems to be indefinite: N has {0} negative eigenvalue(s) "
+    "(‖b − A x‖/‖b‖ = {1:.2e})."
+)
+
 
 class FETI:
     """Context of a KSP that solves with a classical or all-floating FETI method.
@@ -70,6 +75,8 @@ class FETI:
         residual: ‖b − A x‖/‖b‖ of the last solve.
         method: Krylov method of the dual system.
         negative: Negative eigenvalues of the regularised subdomains and of the defect D.
+        negative_coarse: Negative eigenvalues of the coarse matrix N: with the Dirichlet
+            preconditioner, those of the assembled matrix (see ``coarse``); −1 if not known.
         eigenvalues: (λ_min, λ_max) of the preconditioned dual operator, by Lanczos from the CG
             coefficients; nan before a CG solve.
     """
@@ -79,7 +86,7 @@ class FETI:
         self.iterations = 0
         self.residual = np.nan
         self.method = ""
-        self.negative = 0
+        self.negative = self.negative_coarse = 0
         self.eigenvalues = (np.nan, np.nan)
         self._options: FETIOptions | None = None
         self._parts: Parts | None = None
@@ -113,7 +120,7 @@ class FETI:
         try:
             self._refresh(ksp.getOperators()[0])
         except SetUpError as error:
-            self._state = None
+            self._state, self.negative_coarse = None, -1
             self.message = str(error)
 
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
@@ -178,6 +185,7 @@ class FETI:
             self._parts.update()
             self.method = self._parts.krylov.ksp.getType()
             self.negative = self._parts.negative
+            self.negative_coarse = self._parts.coarse.solver.inertia()[0]
         self._state = state
 
     def _solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> int:
@@ -231,7 +239,9 @@ class FETI:
             reason = Reason.DIVERGED_NANORINF
         elif reason > 0 and norm > target and not self._parts.krylov.users_test:
             reason = Reason.DIVERGED_BREAKDOWN
-        if reason < 0:
+        if reason < 0 and self.negative_coarse > 0:
+            self.message = INDEFINITE.format(self.negative_coarse, self.residual)
+        elif reason < 0:
             remedy = REMEDIES.get(reason, f"the dual Krylov method ended with reason {reason}")
             remedy = remedy.format(self._prefix)
             self.message = f"{remedy} (‖b − A x‖/‖b‖ = {self.residual:.2e})."

@@ -25,8 +25,10 @@ class NewtonStep:
         linear_residual: ‖K ΔU + r‖/‖r‖ of the assembled system.
         condition_number: Of the preconditioned dual operator; nan if not known.
         negative: Negative eigenvalues of the regularised subdomains and of D.
+        indefinite: Negative eigenvalues of the coarse matrix for the true tangent, see ``coarse``;
+            −1 if not known.
         shift: σ of the tangent K + σ diag|k| that ΔU solves; zero for the true one.
-        solves: Linear solves; all but the last led along a direction of negative curvature.
+        solves: Linear solves; all but the last failed or led uphill.
         seconds_assembly: Time for residual and tangent.
         seconds_linear: Time for factors and Krylov method.
     """
@@ -38,6 +40,7 @@ class NewtonStep:
     linear_residual: float
     condition_number: float
     negative: int
+    indefinite: int
     shift: float
     solves: int
     seconds_assembly: float
@@ -49,6 +52,7 @@ def record_step(
     residual: float,
     alpha: float,
     *,
+    indefinite: int,
     shift: float,
     iterations: Sequence[int],
     assembly: float,
@@ -60,6 +64,9 @@ def record_step(
         ksp: The solver.
         residual: ‖r‖ before the step.
         alpha: Step length.
+        indefinite: Negative eigenvalues of the coarse matrix for the true tangent, see ``coarse``;
+            −1 if not known.
+        indefinite: Negative eigenvalues of the coarse matrix without shift.
         shift: σ of the last solve.
         iterations: Those of each linear solve.
         assembly: Seconds of assembly.
@@ -74,6 +81,7 @@ def record_step(
         linear_residual=feti.residual,
         condition_number=feti.condition_number,
         negative=feti.negative,
+        indefinite=indefinite,
         shift=shift,
         solves=len(iterations),
         seconds_assembly=assembly,

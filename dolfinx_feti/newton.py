@@ -16,13 +16,14 @@ is kept on the way down. The step is also taken if it lowers Π enough (Armijo),
 
 .. math:: Π(U + α ΔU) ≤ Π(U) + 10^{-4}\, α\, ΔU·r,
 
-with the condensed pressure that its own equation demands for either state. And where the tangent
-has negative curvature, so that ΔU·r ≥ 0, it leads to a saddle or a maximum: then
+with the condensed pressure that its own equation demands for either state. And an indefinite
+tangent leads to a saddle or a maximum: then
 
 .. math:: (K' + σ \operatorname{diag}|k|)\, ΔU = -r
 
-is solved with the stiffness k of the dofs and σ growing from 1e-4 until ΔU leads downhill. In the
-next steps σ falls, to zero at the end.
+is solved with the stiffness k of the dofs, with σ growing from 1e-3 until the coarse matrix has no
+negative eigenvalue left (``coarse``), which is known before the first iteration, and ΔU leads
+downhill, ΔU·r < 0. In the next steps σ falls, to zero at the end.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ SHORTEST = 1.0 / 64
 DESCENT = 1e-4
 
 #: The first shift of an indefinite tangent, its growth, and the one that is given up at.
-LEAST_SHIFT, GROWTH, MOST_SHIFT = 1e-4, 4.0, 1.0
+LEAST_SHIFT, GROWTH, MOST_SHIFT = 1e-3, 4.0, 0.064
 
 
 class Newton:
@@ -74,6 +75,7 @@ class Newton:
         self.message = ""
         self.has_tangent = False
         self._shift = 0.0
+        self._indefinite = 0
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
         """Iterate from the state of the user's functions until the residual is small."""
@@ -96,9 +98,10 @@ class Newton:
             seconds = time.perf_counter() - started
             du, iterations = self._direction(snes, r)
             linear = snes.getKSP()
-            if linear.getConvergedReason() < 0:
-                message = linear.getPythonContext().message
-                self._stop(snes, Reason.DIVERGED_LINEAR_SOLVE, f"the linear solver: {message}")
+            if du is None:
+                feti = linear.getPythonContext()
+                message = f"the linear solver: {feti.message}" if feti.message else _INDEFINITE
+                self._stop(snes, Reason.DIVERGED_LINEAR_SOLVE, message)
                 break
             seconds_linear = time.perf_counter() - started - seconds
             started = time.perf_counter()
@@ -107,12 +110,16 @@ class Newton:
                 linear,
                 norm,
                 alpha,
+                indefinite=self._indefinite,
                 shift=self._shift,
                 iterations=iterations,
                 assembly=seconds,
                 linear=seconds_linear,
             )
             self.history.append(step)
+            if alpha == 0.0 and self._shift_more():
+                has_tangent = True  # once more from here
+                continue
             if alpha == 0.0:
                 self._stop(snes, Reason.DIVERGED_LINE_SEARCH, _NO_STEP)
                 break
@@ -120,31 +127,46 @@ class Newton:
             reason = self._judge(snes, len(self.history), norm, first)
         x.array[:] = system.state()[0]
 
-    def _direction(self, snes: PETSc.SNES, r: Array) -> tuple[Array, list[int]]:
-        """Solve (K + σ diag|k|) ΔU = −r with the least σ that leads downhill; σ = 0 comes first.
+    def _direction(self, snes: PETSc.SNES, r: Array) -> tuple[Array | None, list[int]]:
+        """Solve (K + σ diag|k|) ΔU = −r with the least σ that leads downhill.
 
         Returns:
-            ΔU, and the iterations of each solve.
+            ΔU, or None if there is none, and the iterations of each solve.
         """
-        feti, iterations = snes.getKSP().getPythonContext(), []
-        comm = snes.comm.tompi4py()
+        ksp, system, iterations = snes.getKSP(), self._system, []
+        feti, comm = ksp.getPythonContext(), snes.comm.tompi4py()
         self._shift = 0.0 if self._shift <= LEAST_SHIFT else self._shift / GROWTH**2
-        while True:
+        ksp.setOperators(system.A)
+        while self._shift <= MOST_SHIFT:
             if self._shift > 0.0:
-                self._system.shift(self._shift)
-            du = self._step(snes, r)
-            iterations.append(feti.iterations)
-            downhill = snes.getKSP().getConvergedReason() > 0 and _dot(du, r, comm) < 0.0
-            if downhill or self._shift >= MOST_SHIFT or not self._system.has_potential:
-                return du, iterations
+                system.shift(self._shift)
+            feti.setUp(ksp)
+            if self._shift == 0.0:
+                self._indefinite = feti.negative_coarse
+            if feti.negative_coarse <= 0 or not system.has_potential:
+                du = self._step(ksp, r)
+                iterations.append(feti.iterations)
+                if ksp.getConvergedReason() > 0 and (
+                    _dot(du, r, comm) < 0.0 or not system.has_potential
+                ):
+                    return du, iterations
+            if not system.has_potential:
+                break
             self._shift = max(LEAST_SHIFT, GROWTH * self._shift)
+        self._shift = 0.0
+        return None, iterations
 
-    def _step(self, snes: PETSc.SNES, r: Array) -> Array:
+    def _shift_more(self) -> bool:
+        """Let the next direction begin with a larger shift; tell whether there is one."""
+        if not self._system.has_potential or self._shift >= MOST_SHIFT:
+            return False
+        self._shift = max(LEAST_SHIFT, GROWTH * self._shift) * GROWTH**2
+        return True
+
+    def _step(self, ksp: PETSc.KSP, r: Array) -> Array:
         """Solve K ΔU = −r."""
-        ksp = snes.getKSP()
         rhs, du = self._system.A.createVecs()
         rhs.array[:] = -r
-        ksp.setOperators(self._system.A)
         ksp.solve(rhs, du)
         step = du.array_r.copy()
         rhs.destroy()
@@ -171,7 +193,7 @@ class Newton:
             secant = 1.0 / (1.0 - ratio) if ratio < 0.0 else 0.5  # zero of the line through g
             alpha *= min(max(secant, 0.1), 0.5)
         system.set_state(start)
-        return 0.0, r
+        return 0.0, system.residual()
 
     def _judge(self, snes: PETSc.SNES, its: int, norm: float, first: float) -> int:
         """Monitor and decide whether to go on."""
@@ -200,6 +222,7 @@ class Newton:
 _INVERTED = (
     "the volume ratio det F is not positive at the start: begin with u = 0 or an admissible state"
 )
+_INDEFINITE = "the tangent is indefinite and a shift does not help: load in smaller steps"
 _NO_STEP = "no admissible step length was found: load in smaller steps"
 _NOT_A_NUMBER = (
     "the residual is NaN or Inf: begin with an admissible state, or load in smaller steps"

@@ -122,13 +122,15 @@ class LinearProblem:
         with inserted(self._prefix, self._petsc_options):
             self.solver.solve(self.b, x)
         solved = time.perf_counter()
+        feti = self.solver.getPythonContext()
         self.history = [
             record_step(
                 self.solver,
                 self.b.norm(),
                 1.0,
+                indefinite=feti.negative_coarse,
                 shift=0.0,
-                iterations=[self.solver.getPythonContext().iterations],
+                iterations=[feti.iterations],
                 assembly=assembled - started,
                 linear=solved - assembled,
             )

@@ -38,6 +38,7 @@ STEP = NewtonStep(
     linear_residual=1e-9,
     condition_number=3.0,
     negative=0,
+    indefinite=0,
     shift=0.0,
     solves=1,
     seconds_assembly=0.1,

@@ -89,7 +89,7 @@ def two_wells() -> tuple[dolfinx.fem.Function, ufl.Form, list[dolfinx.fem.Dirich
     mesh = cube(2, 8)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     u = dolfinx.fem.Function(V)
-    energy = 1e-2 * ufl.inner(ufl.grad(u), ufl.grad(u)) / 2 * ufl.dx + (u**2 - 1) ** 2 / 4 * ufl.dx
+    energy = 0.1 * ufl.inner(ufl.grad(u), ufl.grad(u)) / 2 * ufl.dx + (u**2 - 1) ** 2 / 4 * ufl.dx
     edge = dirichlet(V, lambda x: np.isclose(x[0], 0.0), lambda x: 0.0 * x[0])
     u.interpolate(lambda x: 0.2 * np.sin(np.pi * x[0] / 2) * (1.0 + 0.3 * np.cos(3 * x[1])))
     return u, energy, [edge]
