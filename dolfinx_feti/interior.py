@@ -45,7 +45,7 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
 #: Entries of S for each :math:`n^{4/3}`, which is how a sparse factor in three dimensions grows.
-DENSITY = 24.0
+DENSITY = 30.0
 
 #: Largest interface of a subdomain that is eliminated: 32 MiB.
 LARGEST = 2048
