@@ -207,6 +207,31 @@ def test_wall_of_ones_own_and_options_of_the_solver(run, tmp_path):
     agree(summary["pressure_mmhg"] == 0.5 and summary["max_linear_residual"] <= 1e-8)
 
 
+def test_artery_goes_on_from_a_checkpoint(run, tmp_path):
+    """To a higher pressure; the steps before count, and what was written then stays."""
+    pytest.importorskip("adios4dolfinx")
+    words = [*LEAST, "--output", tmp_path, "--checkpoint", tmp_path / "run"]
+    run("demo_artery.py", *words)
+    first = read_summary(tmp_path)
+    run("demo_artery.py", *words, "--pressure", "1", "--restart")
+    summary = read_summary(tmp_path)
+    agree(summary["load_steps"][: len(first["load_steps"])] == first["load_steps"])
+    agree(
+        summary["pressure_mmhg"] == 1.0 and summary["first_step"] == {"feti": None, "mumps": None}
+    )
+    agree(summary["newton_iterations"] > first["newton_iterations"])
+    names = {path.stem for path in tmp_path.glob("wall*.[bx]*")}
+    agree(names == {"wall", "wall_from_0.5_mmHg"}, names)
+    for other, match in (
+        (["--kappa", "10"], "κ .kPa. is 1000.0 there and 10.0 here"),
+        (["--degree", "2"], "elements are"),
+    ):
+        with raises(ValueError, f"is one of another problem: {match}"):
+            run("demo_artery.py", *words, *other, "--restart")
+    with raises(FileExistsError, "holds the checkpoint of an earlier run"):
+        run("demo_artery.py", *words)
+
+
 # -- what they refuse
 
 
@@ -242,6 +267,7 @@ def test_counts_that_are_none(run, capsys, value):
         (["--degree", "3"], "invalid choice: "),
         (["--presure", "10"], "unrecognized arguments: --presure 10"),
         (["ten"], "unrecognized arguments: ten"),
+        (["--restart"], "--restart: say by --checkpoint FOLDER from where"),
     ],
 )
 def test_unknown_words(run, capsys, arguments, match):
