@@ -57,10 +57,7 @@ REMEDIES = {
     Reason.DIVERGED_MAX_IT: "no convergence within -{0}ksp_max_it iterations; raise it",
 }
 
-INDEFINITE = (
-    "the assembled matrix seems to be indefinite: N has {0} negative eigenvalue(s) "
-    "(‖b − A x‖/‖b‖ = {1:.2e})."
-)
+INDEFINITE = "; the assembled matrix seems to be indefinite: N has {0} negative eigenvalue(s)"
 
 
 class FETI:
@@ -239,11 +236,11 @@ class FETI:
             reason = Reason.DIVERGED_NANORINF
         elif reason > 0 and norm > target and not self._parts.krylov.users_test:
             reason = Reason.DIVERGED_BREAKDOWN
-        if reason < 0 and self.negative_coarse > 0:
-            self.message = INDEFINITE.format(self.negative_coarse, self.residual)
-        elif reason < 0:
+        if reason < 0:
             remedy = REMEDIES.get(reason, f"the dual Krylov method ended with reason {reason}")
             remedy = remedy.format(self._prefix)
+            if self.negative_coarse > 0:
+                remedy += INDEFINITE.format(self.negative_coarse)
             self.message = f"{remedy} (‖b − A x‖/‖b‖ = {self.residual:.2e})."
         return reason
 

@@ -141,6 +141,8 @@ class Newton:
             if self._shift > 0.0:
                 system.shift(self._shift)
             feti.setUp(ksp)
+            if feti.message:
+                break
             if self._shift == 0.0:
                 self._indefinite = feti.negative_coarse
             if feti.negative_coarse <= 0 or not system.has_potential:
