@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 from collective import COMM, agree, small
 from mixed import by_place
-from tube_oracle import KPA_PER_MMHG, inflate
-from tube_oracle import Wall as Oracle
 from walls import INNER, Wall, tube, wall
 
 import dolfinx
 
+from benchmarks.tube_oracle import KPA_PER_MMHG, inflate
+from benchmarks.tube_oracle import Wall as Oracle
 from dolfinx_feti import NonlinearProblem
 
 PRESSURES = (1.0, 10.0, 25.0, 50.0)

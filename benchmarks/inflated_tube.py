@@ -1,0 +1,256 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The two-layer tube in plane strain, whole or a quarter of it, and how far it is from the truth.
+
+Nothing moves along the axis at the ends, where the tube may slide; the planes of a quarter, or two
+lines on the inner surface of the whole tube, hold it in place. So it stays a tube, and
+:mod:`benchmarks.tube_oracle` knows its radius, volume and stress.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+import dolfinx
+import ufl
+
+import dolfinx_feti
+from benchmarks.tube_oracle import Tube
+from dolfinx_feti import kinematics, loads, materials
+from dolfinx_feti._compat import geometry_dofmap
+from dolfinx_feti.wall import Wall, facets, read_wall, surface_measure
+from meshes.tube import ADVENTITIA, INNER_RADIUS, MEDIA, create_tube
+
+__all__ = ["ANGLES", "TANGENTS", "InflatedTube", "create_inflated_tube", "create_slice"]
+
+Array = npt.NDArray[np.float64]
+
+TANGENTS = ("symmetric", "full", "none")
+ANGLES = (29.0, 62.0)
+INTERFACE = INNER_RADIUS + MEDIA
+OUTER_RADIUS = INTERFACE + ADVENTITIA
+
+
+@dataclass(frozen=True, slots=True)
+class InflatedTube:
+    """The nonlinear problem, its unknowns and its load, and what is compared.
+
+    Attributes:
+        problem: The FETI problem.
+        u: Displacement [mm].
+        p: Pressure of the element-wise volume constraint [kPa].
+        pressure: Pressure in the lumen [kPa].
+        samples: σ_rr, σ_θθ [kPa], J, and x, y [mm] in the reference, of each owned cell at the
+            quadrature points.
+        weights: Volume [mm³] that each of these points stands for, (cells, points).
+    """
+
+    problem: dolfinx_feti.NonlinearProblem
+    u: dolfinx.fem.Function
+    p: dolfinx.fem.Function
+    pressure: dolfinx.fem.Constant
+    samples: dolfinx.fem.Expression
+    weights: Array
+
+    @property
+    def dofs(self) -> int:
+        """Displacement dofs."""
+        dofmap = self.u.function_space.dofmap
+        return dofmap.index_map.size_global * dofmap.index_map_bs
+
+    def compare(self, truth: Tube) -> dict[str, float]:
+        """Hold radius, thickness, volume and stress against the truth.
+
+        Args:
+            truth: The tube under the same pressure, with the same parameters.
+
+        Returns:
+            Displacements and thickness [mm]; least, greatest and mean J; of the stresses the error
+            in the L2 norm over the wall, relative to that of the truth.
+
+        Note:
+            Collective.
+        """
+        inner, outer = (self._radial(radius) for radius in (INNER_RADIUS, OUTER_RADIUS))
+        comm = self.u.function_space.mesh.comm
+        rr, tt, J, x, y = np.moveaxis(self._values(), -1, 0)
+        exact = _stresses(truth, np.hypot(x, y))
+
+        def integral(values: Array) -> float:
+            return comm.allreduce(float((self.weights * values).sum()))
+
+        def error(values: Array, exact: Array) -> float:
+            return float(np.sqrt(integral((values - exact) ** 2) / integral(exact**2)))
+
+        return {
+            "u_r_inner": float(inner.mean()),
+            "u_r_inner_exact": float(truth.inner_displacement),
+            "u_r_inner_error": float(np.abs(inner / truth.inner_displacement - 1.0).max()),
+            "thickness": float(OUTER_RADIUS - INNER_RADIUS + outer.mean() - inner.mean()),
+            "thickness_exact": float(truth.thickness),
+            "min_J": comm.allreduce(float(J.min(initial=np.inf)), op=MPI.MIN),
+            "max_J": comm.allreduce(float(J.max(initial=-np.inf)), op=MPI.MAX),
+            "mean_J": integral(J) / integral(np.ones_like(J)),
+            "mean_J_exact": float(truth.mean_jacobian),
+            "stress_rr_error": error(rr, exact[0]),
+            "stress_tt_error": error(tt, exact[1]),
+        }
+
+    def _radial(self, radius: float) -> Array:
+        """Return u_r at the nodes at a radius, none of them on a chord; on all processes."""
+        V = self.u.function_space
+        n = V.dofmap.index_map.size_local
+        x, u = V.tabulate_dof_coordinates()[:n], self.u.x.array.reshape(-1, 3)[:n]
+        r = np.hypot(x[:, 0], x[:, 1])
+        outwards = np.einsum("ij,ij->i", x[:, :2], u[:, :2]) / r
+        parts = V.mesh.comm.allgather(outwards[np.isclose(r, radius, rtol=1e-9)])
+        return np.concatenate(parts)
+
+    def _values(self) -> Array:
+        """Evaluate the samples, (cells, points, 5)."""
+        owned = np.arange(len(self.weights), dtype=np.int32)
+        values = self.samples.eval(self.u.function_space.mesh, owned)
+        return np.asarray(values).reshape(*self.weights.shape, 5)
+
+
+def create_slice(comm: MPI.Comm, *, size: float, quarter: bool) -> Wall:
+    """Mesh a tube, as long as its elements.
+
+    Args:
+        comm: Communicator of the mesh.
+        size: Length of the elements' edges [mm].
+        quarter: Only a quarter.
+
+    Note:
+        Collective.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = comm.bcast(Path(folder) / "tube.msh")
+        if comm.rank == 0:
+            create_tube(path, length=size, size=size, quarter=quarter)
+        comm.Barrier()
+        wall = read_wall(path, comm)
+        comm.Barrier()
+    return wall
+
+
+def create_inflated_tube(
+    wall: Wall,
+    *,
+    degree: int,
+    c: float,
+    kappa: float,
+    subdomains: int,
+    tangent: str = "symmetric",
+    options: dict[str, object] | None = None,
+) -> InflatedTube:
+    """Build the tube.
+
+    Args:
+        wall: Made by :func:`create_slice`.
+        degree: Degree of the displacements.
+        c: Stiffness of the matrix material [kPa].
+        kappa: κ [kPa].
+        subdomains: Number of subdomains.
+        tangent: Of the follower pressure; one of ``TANGENTS``.
+        options: PETSc options of the problem, prefix ``tube_``.
+    """
+    mesh = wall.mesh
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+    Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
+    u, p = dolfinx.fem.Function(V, name="u"), dolfinx.fem.Function(Q, name="p")
+    v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
+    F = kinematics.deformation_gradient(u)
+    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+    artery = materials.ArteryParameters(c=c)
+    psi = materials.holzapfel_gasser_ogden(
+        C, *_fibres(mesh), c=artery.c, k1=artery.k1, k2=artery.k2, J=J
+    )
+    psi += materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(mesh, kappa))
+    energy = psi * ufl.dx
+    lumen = surface_measure(wall)(wall.surfaces["lumen"])
+    pressure = dolfinx.fem.Constant(mesh, 0.0)
+    F_u = ufl.derivative(energy, u, v) + loads.follower_pressure(pressure, u, v, lumen)
+    K = ufl.derivative(ufl.derivative(energy, u, v), u, du)
+    K += loads.follower_pressure_tangent(pressure, u, v, du, lumen, tangent)
+    problem = dolfinx_feti.NonlinearProblem(
+        [F_u, ufl.derivative(energy, p, q)],
+        u,
+        bcs=_sliding(wall, V),
+        J=K,
+        condense=p,
+        energy=energy + loads.pressure_potential(pressure, u, lumen, axis=(0.0, 0.0, 1.0)),
+        subdomains=subdomains,
+        petsc_options_prefix="tube_",
+        petsc_options=options,
+    )
+    x = ufl.SpatialCoordinate(mesh)
+    e_r = ufl.as_vector([x[0], x[1], 0.0]) / ufl.sqrt(x[0] ** 2 + x[1] ** 2)
+    e_t = ufl.as_vector([-e_r[1], e_r[0], 0.0])
+    stress = kinematics.cauchy_stress(psi, F)
+    rr, tt = (ufl.dot(e, stress * e) for e in (e_r, e_t))
+    points, weights = basix.make_quadrature(basix.CellType.tetrahedron, 2 * degree)
+    samples = dolfinx.fem.Expression(ufl.as_vector([rr, tt, J, x[0], x[1]]), points)
+    return InflatedTube(problem, u, p, pressure, samples, _volumes(mesh)[:, None] * 6.0 * weights)
+
+
+def _fibres(mesh: dolfinx.mesh.Mesh) -> list[dolfinx.fem.Function]:
+    """Return the two families, constant in each cell."""
+    space = dolfinx.fem.functionspace(mesh, ("DG", 0, (3,)))
+    families = []
+    for sign in (1.0, -1.0):
+
+        def direction(x: Array, sign: float = sign) -> Array:
+            r = np.hypot(x[0], x[1])
+            α = np.deg2rad(np.where(r < INTERFACE, *ANGLES))
+            return np.array([-x[1] / r * np.cos(α), x[0] / r * np.cos(α), sign * np.sin(α)])
+
+        families.append(dolfinx.fem.Function(space))
+        families[-1].interpolate(direction)
+    return families
+
+
+def _sliding(wall: Wall, V: dolfinx.fem.FunctionSpace) -> list[dolfinx.fem.DirichletBC]:
+    """Hold one component on each plane of symmetry, and u_z at the ends."""
+    ends = np.concatenate([facets(wall, name) for name in ("opening_1", "opening_2")])
+    held = [(2, dolfinx.fem.locate_dofs_topological((V.sub(2)), 2, ends))]
+    for component, name in enumerate(("symmetry_x", "symmetry_y")):
+        part = V.sub(component)
+        if name in wall.surfaces:
+            dofs = dolfinx.fem.locate_dofs_topological(part, 2, facets(wall, name))
+        else:  # in the whole tube the planes are the same, but no surfaces
+            space, to_V = part.collapse()
+            plane = dolfinx.fem.locate_dofs_geometrical(
+                space, lambda x, i=component: np.isclose(x[i], 0.0, atol=1e-9)
+            )
+            dofs = np.asarray(to_V, dtype=np.int32)[plane]
+        held.append((component, dofs))
+    return [dolfinx.fem.dirichletbc(0.0, dofs, V.sub(component)) for component, dofs in held]
+
+
+def _volumes(mesh: dolfinx.mesh.Mesh) -> Array:
+    """Return the volumes of the owned cells [mm³]."""
+    n = mesh.topology.index_map(3).size_local
+    a, b, c, d = np.moveaxis(mesh.geometry.x[geometry_dofmap(mesh)[:n]], 1, 0)
+    return np.abs(np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))) / 6.0
+
+
+def _stresses(truth: Tube, r: Array) -> tuple[Array, Array]:
+    """Return the true σ_rr and σ_θθ at reference radii, from tables of each layer."""
+    rr, tt = np.zeros_like(r), np.zeros_like(r)
+    for layer in truth.wall.layers:
+        table = np.linspace(layer.inner, layer.outer, 60)
+        table[0] += 1e-9  # at an interface the oracle takes the inner layer
+        values = np.array([truth.stress(R) for R in table])
+        here = (r > layer.inner) | (layer.inner == INNER_RADIUS)
+        rr[here], tt[here] = (np.interp(r[here], table, column) for column in values.T)
+    return rr, tt

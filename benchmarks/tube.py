@@ -1,0 +1,196 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The inflated tube against its semi-analytical solution at the same κ.
+
+    python3 -m benchmarks.tube --pressures 10,100,300 --c 3 --kappa 1000 --quarter \
+        --subdomains 8 --json build/tube.json
+
+A record for each pressure: radius, thickness, volume and stress beside the truth, and what it took
+to get there from rest, failed attempts included. A run that does not arrive leaves a record of
+where it ended. With --checkpoint FOLDER a run that was killed goes on with --restart.
+
+Options with a single dash are PETSc's, with the prefix `tube_`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import petsc4py
+
+petsc4py.init([word for word in sys.argv if not word.startswith("--")])
+
+from mpi4py import MPI  # noqa: E402
+
+from benchmarks.arguments import (  # noqa: E402
+    count,
+    create_parser,
+    one_of,
+    open_records,
+    positive,
+    several,
+)
+from benchmarks.inflated_tube import (  # noqa: E402
+    TANGENTS,
+    InflatedTube,
+    create_inflated_tube,
+    create_slice,
+)
+from benchmarks.records import Record  # noqa: E402
+from benchmarks.tube_oracle import KPA_PER_MMHG, Wall, inflate  # noqa: E402
+from dolfinx_feti import ConvergenceError, loads  # noqa: E402
+from dolfinx_feti.checkpoint import Checkpoint  # noqa: E402
+from dolfinx_feti.loading import LoadStep, Steps, follow_load, load_step  # noqa: E402
+
+STEPS = Steps(first=10.0, least=0.5, growth=2.0, quick=6, rtol=1e-3)
+
+
+def main(argv: Sequence[str] | None = None) -> list[Record]:
+    """Inflate a tube.
+
+    Args:
+        argv: The command line without the program's name; None for that of the process.
+
+    Returns:
+        A record for each pressure that was reached, and one of the failure if there was one.
+
+    Raises:
+        SystemExit: A word of the command line is wrong, or a file cannot be written.
+    """
+    comm = MPI.COMM_WORLD
+    parser = create_parser("tube", __doc__, comm)
+    add = parser.add_argument
+    add("--pressures", type=several(positive), default=[10.0, 100.0, 300.0], help="[mmHg], rising")
+    add("--c", type=positive, default=3.0, help="[kPa], 3")
+    add("--kappa", type=positive, default=1000.0, help="[kPa], 1000")
+    add("--size", type=positive, default=0.09, help="length of the elements' edges [mm], 0.09")
+    add("--degree", type=one_of((1, 2)), default=2, help="of the displacements, 2")
+    add("--quarter", action="store_true", help="only a quarter, between planes of symmetry")
+    add("--tangent", choices=TANGENTS, default="symmetric", help="of the follower pressure")
+    add("--subdomains", type=count, default=8, help="over all processes, 8")
+    add("--checkpoint", type=Path, metavar="FOLDER", help="keep each load step")
+    add("--restart", action="store_true", help="go on from the checkpoint")
+    add("--json", type=Path, metavar="FILE", help="records, added to what the file holds")
+    args, petsc = parser.parse_known_args(argv)
+    unknown = [word for word in petsc if word.startswith("--")]
+    if unknown:
+        parser.error(f"unrecognized arguments: {' '.join(unknown)}")
+    if args.pressures != sorted(args.pressures):
+        parser.error(f"argument --pressures: {args.pressures} do not rise")
+    if args.restart and args.checkpoint is None:
+        parser.error("argument --restart: say by --checkpoint FOLDER from where")
+    names = ("c", "kappa", "size", "degree", "quarter", "subdomains", "tangent")
+    case: Record = {name: getattr(args, name) for name in names} | {"processes": comm.size}
+    file = open_records(args.json, parser, comm)
+    checkpoint = None
+    if args.checkpoint is not None:
+        parameters = {name: case[name] for name in ("c", "kappa", "degree")}
+        try:
+            checkpoint = Checkpoint(
+                args.checkpoint, comm, parameters=parameters, restart=args.restart
+            )
+        except (OSError, ValueError) as error:
+            parser.error(str(error))
+    tube = create_inflated_tube(
+        create_slice(comm, size=args.size, quarter=args.quarter),
+        degree=args.degree,
+        c=args.c,
+        kappa=args.kappa,
+        subdomains=args.subdomains,
+        tangent=args.tangent,
+    )
+    records = []
+
+    def put(record: Record) -> None:
+        key = case | {"pressure_mmhg": record["pressure_mmhg"]}
+        records.append(key | record)
+        file.put(key, records[-1])
+        if comm.rank == 0:
+            print(_line(records[-1]), flush=True)
+
+    run(tube, args.pressures, Wall(c=args.c, kappa=args.kappa), put, checkpoint)
+    return records
+
+
+def run(
+    tube: InflatedTube,
+    pressures: Sequence[float],
+    wall: Wall,
+    put: Callable[[Record], object],
+    checkpoint: Checkpoint | None = None,
+) -> None:
+    """Inflate a tube from one pressure to the next.
+
+    Args:
+        tube: The tube at rest.
+        pressures: Where to compare it with the truth [mmHg].
+        wall: Parameters of the truth.
+        put: Called with a record for each pressure.
+        checkpoint: Where load steps are kept.
+    """
+    steps: list[LoadStep] = []
+    if checkpoint is not None and checkpoint.record is not None:
+        steps = [load_step(step) for step in checkpoint.record["steps"]]
+
+    def set_load(mmhg: float) -> None:
+        tube.pressure.value = loads.mmhg(mmhg)
+
+    def report(step: LoadStep) -> None:
+        steps.append(step)
+        if step.load in pressures:
+            truth = inflate(step.load * KPA_PER_MMHG, wall)
+            put({"pressure_mmhg": step.load, **cost(steps), **tube.compare(truth)})
+
+    try:
+        follow_load(
+            tube.problem,
+            set_load,
+            pressures,
+            STEPS,
+            state=[tube.u, tube.p],
+            on_step=report,
+            checkpoint=checkpoint,
+            unit="mmHg",
+        )
+    except ConvergenceError as error:
+        reached = steps[-1].load if steps else 0.0
+        missed = next(pressure for pressure in pressures if pressure > reached)
+        said = str(error)
+        put({"pressure_mmhg": missed, "reached_mmhg": reached, **cost(steps), "error": said})
+
+
+def cost(steps: Sequence[LoadStep]) -> Record:
+    """Count what load steps took, their failed attempts included."""
+    newton = [s for step in steps for s in step.all_steps]
+    return {
+        "steps": len(steps),
+        "failures": sum(step.failures for step in steps),
+        "newton_iterations": len(newton),
+        "linear_iterations": sum(s.linear_iterations for s in newton),
+        "max_linear_residual": max((s.linear_residual for s in newton), default=0.0),
+        "linear_methods": sorted({s.linear_method for s in newton}),
+        "seconds": sum(step.seconds for step in steps),
+    }
+
+
+def _line(record: Record) -> str:
+    """Say a record in one line."""
+    cost = (
+        f"{record['steps']:3d} steps {record['newton_iterations']:4d} Newton "
+        f"{record['linear_iterations']:6d} FETI"
+    )
+    if "error" in record:
+        return f"{record['reached_mmhg']:7.1f} mmHg {cost}, and no further: {record['error']}"
+    error = record["u_r_inner"] / record["u_r_inner_exact"] - 1.0
+    return (
+        f"{record['pressure_mmhg']:7.1f} mmHg {cost}  u_r {record['u_r_inner']:.5f} mm "
+        f"({100 * error:+.2f} %)  J {record['min_J']:.3f} … {record['max_J']:.3f}"
+    )
+
+
+if __name__ == "__main__":
+    if any("error" in record for record in main()):
+        raise SystemExit(1)
