@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from bodies import PREFIX, block, gent, least_ratio, logarithmic, yeoh
 from collective import COMM, agree, equal, norm, raises, small
+from mixed import by_place
 from problems import cube, dirichlet, owned
 from walls import tube, wall
 
@@ -173,6 +174,21 @@ def test_load_far_too_big_for_one_step():
     body.p.x.array[:] = 0.0
     body.inflate(problem, [5.0])
     agree(problem.solver.getConvergedReason() > 0)
+
+
+def test_inexact_newton():
+    """Eisenstat and Walker's tolerances save linear iterations and end in the same state."""
+    choices = {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": 0.01, "snes_ksp_ew_rtolmax": 0.01}
+    states, costs = [], []
+    for options in ({}, choices):
+        body = wall(tube())
+        steps = body.inflate(body.problem(4, {"snes_rtol": 1e-9, **options}), [2.0, 10.0])
+        states.append(by_place(body.u))
+        costs.append([step.linear_iterations for step in steps])
+        loosest = max(step.linear_residual for step in steps)
+        agree((loosest <= 1e-8) == (options == {}) and loosest <= 0.01, loosest)
+    equal(states[1], states[0], 1e-7)
+    agree(sum(costs[1]) <= 0.7 * sum(costs[0]) and len(costs[1]) <= len(costs[0]) + 2, costs)
 
 
 def test_inverted_start():
