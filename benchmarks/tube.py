@@ -106,7 +106,7 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
 
     def put(record: Record) -> None:
         key = case | {"pressure_mmhg": record["pressure_mmhg"]}
-        records.append(key | record)
+        records.append(comm.bcast(key | record))  # seconds of the first process
         file.put(key, records[-1])
         if comm.rank == 0:
             print(_line(records[-1]), flush=True)
