@@ -41,6 +41,7 @@ class GatheredSolver:
         Note:
             Collective.
         """
+        self._symmetric = symmetric
         comm = N.comm.tompi4py()
         total = N.getSize()[0]
         active = min(comm.size, max(1, -(-total // ROWS)))
@@ -86,7 +87,7 @@ class GatheredSolver:
         return float(self._gathered.comm.tompi4py().bcast(megabytes)) * 1e6 / 2**20
 
     def inertia(self) -> tuple[int, int]:
-        """Return the number of negative and zero pivots; −1 where the solver does not tell.
+        """Return the number of negative and zero pivots; −1 where the factor does not tell.
 
         Note:
             Collective.
@@ -94,7 +95,10 @@ class GatheredSolver:
         counts = (0, 0)
         if self.ksp is not None:
             F = _mumps_factor(self.ksp)
-            counts = (-1, -1) if F is None else (F.getMumpsInfog(12), F.getMumpsInfog(28))
+            if F is None:
+                counts = (-1, -1)
+            else:
+                counts = (F.getMumpsInfog(12) if self._symmetric else -1, F.getMumpsInfog(28))
         return self._gathered.comm.tompi4py().bcast(counts)
 
     def destroy(self) -> None:

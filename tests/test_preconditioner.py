@@ -27,16 +27,6 @@ def unsymmetric(K, dofs):
         K_i += 0.05 * np.abs(K_i).max() * rng.standard_normal(K_i.shape) * (K_i != 0.0)
 
 
-def schur_complement(K, Γ):
-    """Block-diagonal S on Γ, zero elsewhere; ``Γ`` is a mask of the rows."""
-    S = np.zeros_like(K)
-    inside = ~Γ
-    S[np.ix_(Γ, Γ)] = K[np.ix_(Γ, Γ)] - K[np.ix_(Γ, inside)] @ np.linalg.solve(
-        K[np.ix_(inside, inside)], K[np.ix_(inside, Γ)]
-    )
-    return S
-
-
 def buckling(K, dofs):
     """Take from each subdomain a share of its stiffness: its kernel becomes negative."""
     for K_i in K:
@@ -47,31 +37,32 @@ CHANGES = {"symmetric": None, "buckling": buckling, "unsymmetric": unsymmetric}
 
 
 def props_of(system):
-    """Z Zᵀ on all torn dofs."""
+    """Z of all subdomains on all torn dofs, (n, q)."""
     torn = system.torn
-    square = np.zeros((torn.n, torn.n))
+    columns = [np.zeros((torn.n, 0))]
     for dofs, Z in zip(system.inverse.dofs, system.inverse.props, strict=True):
-        square[np.ix_(dofs, dofs)] = Z @ Z.T
-    return scipy.sparse.block_diag(COMM.allgather(square)).toarray()
+        columns.append(np.zeros((torn.n, Z.shape[1])))
+        columns[-1][dofs] = Z
+    return scipy.sparse.block_diag(COMM.allgather(np.hstack(columns))).toarray()
 
 
 def weight_of(problem, system, pc_type):
     """Y of the definition on all torn dofs."""
-    K, ZZ = problem.K_torn, props_of(system)
+    K, Z = problem.K_torn, props_of(system)
     fixed = whole(system.inverse.fixed)
-    free = ~fixed
     glued = np.any(dense(system.gluing.B) != 0.0, axis=0)
     if pc_type == "identity":
-        return np.abs(np.diag(K)[glued]).mean() * np.eye(len(K)) + ZZ
+        return np.abs(np.diag(K)[glued]).mean() * np.eye(len(K)) + Z @ Z.T
     if pc_type == "lumped":
-        return K + ZZ
-    S = np.zeros_like(K)
-    if system.symmetric:
-        S[np.ix_(free, free)] = schur_complement((K + ZZ)[np.ix_(free, free)], glued[free])
-        return S
-    S[np.ix_(free, free)] = schur_complement(K[np.ix_(free, free)], glued[free])
-    S[np.ix_(glued, glued)] += ZZ[np.ix_(glued, glued)]
-    return S
+        return K + Z @ Z.T
+    Y, inside = np.zeros_like(K), ~fixed & ~glued
+    glued &= ~fixed
+    K_II, K_ΓI = K[np.ix_(inside, inside)], K[np.ix_(glued, inside)]
+    X = np.linalg.solve(K_II, np.hstack([K[np.ix_(inside, glued)], Z[inside]]))
+    S, Y_Z = np.split(np.hstack([K[np.ix_(glued, glued)], Z[glued]]) - K_ΓI @ X, [glued.sum()], 1)
+    C2 = np.eye(Z.shape[1]) + Z[inside].T @ X[:, glued.sum() :]
+    Y[np.ix_(glued, glued)] = S + Y_Z @ np.linalg.solve((C2 + C2.T) / 2, Y_Z.T)
+    return Y
 
 
 def matrix(system):
