@@ -21,8 +21,8 @@ one. So all but the plain ``none`` take the propped subdomain :math:`K_+ = K + Z
           Y_Z = (Z_Γ - K_{ΓI} X)\, C^{-⊤}, \quad X = K_{II}^{-1} Z_I, \quad
           C C^⊤ = I + Z_I^⊤ X
 
-(the first one also where K_II is indefinite, which it never was; C Cᵀ made symmetric if K is not). A
-wall at 30 mmHg takes a quarter to a half of the iterations for it.
+(the first one also where K_II is indefinite, which it never was; C Cᵀ made symmetric if K is not).
+A wall at 30 mmHg takes a quarter to a half of the iterations for it.
 
 With the jump r = B u − c, the force :math:`t = Y B_D^⊤ r` is what the averaged displacement
 :math:`u - E_Γ B_D^⊤ r` leaves out of balance, so that :math:`\|T^⊤ t\|` is the residual of the
