@@ -74,6 +74,8 @@ class FETI:
         negative: Negative eigenvalues of the regularised subdomains and of the defect D.
         negative_coarse: Negative eigenvalues of the coarse matrix N: with the Dirichlet
             preconditioner, those of the assembled matrix (see ``coarse``); −1 if not known.
+        refuse_indefinite: Whether a solve ends before its first iteration, with the reason
+            ``DIVERGED_INDEFINITE_MAT``, if N has negative eigenvalues.
         eigenvalues: (λ_min, λ_max) of the preconditioned dual operator, by Lanczos from the CG
             coefficients; nan before a CG solve.
     """
@@ -84,6 +86,7 @@ class FETI:
         self.residual = np.nan
         self.method = ""
         self.negative = self.negative_coarse = 0
+        self.refuse_indefinite = False
         self.eigenvalues = (np.nan, np.nan)
         self._options: FETIOptions | None = None
         self._parts: Parts | None = None
@@ -127,6 +130,11 @@ class FETI:
             x.set(0.0)
             self.iterations, self.residual = 0, np.nan
             reason = Reason.DIVERGED_PCSETUP_FAILED
+        elif self.refuse_indefinite and self.negative_coarse > 0:
+            x.set(0.0)
+            self.iterations, self.residual = 0, np.nan
+            ksp.setConvergedReason(Reason.DIVERGED_INDEFINITE_MAT)
+            return
         else:
             with event("FETISolve"):
                 reason = self._solve(ksp, b, x)

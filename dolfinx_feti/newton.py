@@ -44,7 +44,7 @@ from dolfinx_feti.system import System
 __all__ = ["Newton"]
 
 Array = npt.NDArray[np.float64]
-Reason = PETSc.SNES.ConvergedReason
+Reason, LinearReason = PETSc.SNES.ConvergedReason, PETSc.KSP.ConvergedReason
 
 #: By how much g(α)/g(0) of an accepted step may leave the interval from zero to one.
 ETA = 0.8
@@ -136,23 +136,20 @@ class Newton:
         ksp, system, iterations = snes.getKSP(), self._system, []
         feti, comm = ksp.getPythonContext(), snes.comm.tompi4py()
         self._shift = 0.0 if self._shift <= LEAST_SHIFT else self._shift / GROWTH**2
-        ksp.setOperators(system.A)
+        feti.refuse_indefinite = system.has_potential
         while self._shift <= MOST_SHIFT:
             if self._shift > 0.0:
                 system.shift(self._shift)
-            feti.setUp(ksp)
-            if feti.message:
-                break
+            du = self._step(ksp, r)
             if self._shift == 0.0:
                 self._indefinite = feti.negative_coarse
-            if feti.negative_coarse <= 0 or not system.has_potential:
-                du = self._step(ksp, r)
+            reason = ksp.getConvergedReason()
+            if reason != LinearReason.DIVERGED_INDEFINITE_MAT:
                 iterations.append(feti.iterations)
-                if ksp.getConvergedReason() > 0 and (
-                    _dot(du, r, comm) < 0.0 or not system.has_potential
-                ):
-                    return du, iterations
-            if not system.has_potential:
+            uphill = system.has_potential and _dot(du, r, comm) >= 0.0
+            if reason > 0 and not uphill:
+                return du, iterations
+            if not system.has_potential or reason == LinearReason.DIVERGED_PCSETUP_FAILED:
                 break
             self._shift = max(LEAST_SHIFT, GROWTH * self._shift)
         self._shift = 0.0
@@ -169,6 +166,7 @@ class Newton:
         """Solve K ΔU = −r."""
         rhs, du = self._system.A.createVecs()
         rhs.array[:] = -r
+        ksp.setOperators(self._system.A)
         ksp.solve(rhs, du)
         step = du.array_r.copy()
         rhs.destroy()
