@@ -17,11 +17,12 @@ sparse, distributed matrix of the size of all kernels together. Q weighs the pro
   averaged jumps are again rigid motions. Under prestress M has negative eigenvalues, and a small ε
   would leave N nearly singular.
 
-N tells the inertia of the assembled matrix. Let all K_ρ be positive definite. Then the dual system
-has m positive eigenvalues, and its K others have the signs of :math:`-(G^⊤ F^{-1} G + D)`: all are
-negative if and only if the assembled matrix is positive definite. As :math:`M ≥ F^{-1}` with the
-Dirichlet preconditioner of the propped subdomains, N is the larger one: each negative eigenvalue of
-N is one of the assembled matrix. In the measurements there were no others.
+N is a sign of the assembled matrix's inertia, no proof. Let all K_ρ be positive definite. Then the
+dual system has m positive eigenvalues, and its K others have the signs of :math:`-(G^⊤ F^{-1} G
++ D)`: all are negative if and only if the assembled matrix is positive definite. N has M in the
+place of :math:`F^{-1}`, which theory puts above :math:`(B K_+^{-1} B^⊤)^{-1}` for the propped
+subdomains, and so not above :math:`F^{-1}` itself. Measured, N had no negative eigenvalue wherever
+the assembled matrix was positive definite; the numbers differ, and N can miss some or all of them.
 
 With D = 0, P is the projection onto :math:`G^⊤ λ = 0`. Under prestress D ≠ 0 and the pair (λ, s)
 obeys :math:`G^⊤ λ + D s = e` instead (``pseudoinverse``); N carries D.

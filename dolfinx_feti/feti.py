@@ -72,8 +72,8 @@ class FETI:
         residual: ‖b − A x‖/‖b‖ of the last solve.
         method: Krylov method of the dual system.
         negative: Negative eigenvalues of the regularised subdomains and of the defect D.
-        negative_coarse: Negative eigenvalues of the coarse matrix N: with the Dirichlet
-            preconditioner, those of the assembled matrix (see ``coarse``); −1 if not known.
+        negative_coarse: Negative eigenvalues of the coarse matrix N, a sign that the assembled
+            matrix has some (see ``coarse``); −1 if not known.
         refuse_indefinite: Whether a solve ends before its first iteration, with the reason
             ``DIVERGED_INDEFINITE_MAT``, if N has negative eigenvalues.
         eigenvalues: (λ_min, λ_max) of the preconditioned dual operator, by Lanczos from the CG

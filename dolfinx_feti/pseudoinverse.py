@@ -27,9 +27,9 @@ matrices. With the eigenvalues :math:`δ < 0` and eigenvectors y of D,
 
 .. math:: K_+ = K + Z Z^⊤, \qquad Z = 2 R y \sqrt{-δ},
 
-is positive definite: these *props* hold a subdomain that would buckle alone, and the preconditioner
-is built on them. (:math:`K + R y (-δ) y^⊤ R^⊤` would just do; the work hardly depends on how much
-more there is.)
+is positive semi-definite: these *props* hold a subdomain that would buckle alone, and the
+preconditioner is built on them. (:math:`K + R y (-δ) y^⊤ R^⊤` would just do; the work hardly
+depends on how much more there is.)
 
 Fixing dofs (Brzobohatý et al. 2011) keep the sparsity as well, but are too weak a support: held in
 a few points, a compressed subdomain still gives way, and K_ρ gets more negative eigenvalues.

@@ -158,6 +158,27 @@ def test_negative_curvature_in_cg(kind, torn_grid, feti):
     equal(x, problem.solve(values), 1e-7)
 
 
+@pytest.mark.parametrize("kind", ["all_floating", "classical"])
+@pytest.mark.parametrize(("share", "expected"), [(0.0, 0), (0.002, 0), (0.01, 1)])
+def test_coarse_matrix_shows_what_is_indefinite(kind, share, expected, torn_grid, feti):
+    """Not the subdomains that buckle alone; a solve may then be refused before it begins."""
+
+    def soften(K, dofs):
+        for K_i in K:
+            K_i -= share * np.abs(K_i).max() * np.eye(len(K_i))
+
+    problem = torn_grid(change=soften, **GRID)
+    K, free = problem.T.T @ problem.K_torn @ problem.T, ~problem.dirichlet
+    agree(np.count_nonzero(np.linalg.eigvalsh(K[np.ix_(free, free)]) < 0.0) == expected)
+    ksp = feti(problem.A, feti_type=kind)
+    context = ksp.getPythonContext()
+    agree((context.negative > 0) == (share > 0.0) and context.negative_coarse == expected)
+    context.refuse_indefinite = True
+    attempt(ksp, problem)
+    refused = ksp.getConvergedReason() == Reason.DIVERGED_INDEFINITE_MAT
+    agree(refused == (expected > 0) and (context.iterations == 0) == refused)
+
+
 def test_indefinite_is_an_error_if_wanted(torn_grid, feti):
     ksp = feti(torn_grid(change=indefinite, **GRID).A, feti_indefinite="error")
     agree("-test_feti_indefinite" in ksp.getPythonContext().message)
