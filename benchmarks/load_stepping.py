@@ -102,20 +102,30 @@ def main(argv: Sequence[str] | None = None) -> int:
             _say(f"{kind}: {args.pressure:g} mmHg stand in the records already", comm)
             continue
         folder = args.checkpoint and args.checkpoint / f"{args.geometry}-{kind}"
-        lost += not _Run(case, wall, records, folder).inflate(args.pressure)
+        checkpoint = None
+        if folder is not None:
+            there = comm.bcast((folder / "latest.json").exists())
+            if there and args.again:
+                parser.error(f"--again begins anew, but {folder} holds a run: name another folder")
+            physics = {key: case[key] for key in ("geometry", "size", "degree", "c", "kappa")}
+            try:
+                checkpoint = Checkpoint(
+                    folder, comm, parameters=physics | {"type": kind}, restart=there
+                )
+            except (OSError, ValueError) as error:
+                parser.error(str(error))
+        lost += not _Run(case, wall, records, checkpoint).inflate(args.pressure)
     return lost
 
 
 class _Run:
     """One variant on its way."""
 
-    def __init__(self, case: Record, wall: Wall, records: Records, folder: Path | None) -> None:
-        self._case, self._records = case, records
+    def __init__(
+        self, case: Record, wall: Wall, records: Records, checkpoint: Checkpoint | None
+    ) -> None:
+        self._case, self._records, self._checkpoint = case, records, checkpoint
         self._comm = wall.mesh.comm
-        self._checkpoint = None
-        if folder is not None:
-            there = self._comm.bcast((folder / "latest.json").exists())
-            self._checkpoint = Checkpoint(folder, self._comm, parameters=case, restart=there)
         self._body = create_wall_problem(
             wall,
             degree=case["degree"],
@@ -125,7 +135,8 @@ class _Run:
             options={"feti_type": case["type"]},
         )
         self._points = five_points(wall.mesh)
-        self._newton = self._linear = self._steps = 0
+        restarted = checkpoint is not None and checkpoint.restart
+        self._steps = len(checkpoint.record["steps"]) if restarted else 0
 
     def inflate(self, pressure: float) -> bool:
         """Go up to a pressure [mmHg]; return whether it was reached."""
@@ -154,8 +165,6 @@ class _Run:
         """Write a record of an accepted step, and say it."""
         solved = step.all_steps
         self._steps += 1
-        self._newton += len(solved)
-        self._linear += sum(s.linear_iterations for s in solved)
         norm, stress = at_points(self._body, self._points)
         record = self._case | {
             "pressure_mmhg": step.load,

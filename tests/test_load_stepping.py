@@ -58,6 +58,22 @@ def test_what_is_there_is_not_run_again(tmp_path, capsys):
     agree("stand in the records already" in said and "Newton" not in said, said)
 
 
+def test_run_goes_on_from_its_checkpoint(tmp_path, capsys):
+    """Steps are counted from rest; to begin anew needs another folder."""
+    pytest.importorskip("adios4dolfinx")
+    words = ["--type", "classical", "--checkpoint", str(tmp_path / "kept")]
+    first = run(tmp_path, *words, "--pressure", "5")
+    whole_way = run(tmp_path, *words, "--pressure", "8", "--subdomains", "3")
+    loads = [record["pressure_mmhg"] for record in whole_way]
+    agree(whole_way[: len(first)] == first and loads == sorted(set(loads)) and loads[-1] == 8.0)
+    agree([record["steps"] for record in whole_way] == list(range(1, len(loads) + 1)))
+    capsys.readouterr()
+    with pytest.raises(SystemExit):
+        load_stepping.main([*SMALL, *words, "--again", "--folder", str(tmp_path / "walls")])
+    said = COMM.bcast(capsys.readouterr().err)
+    agree("--again begins anew" in said, said)
+
+
 def test_points_do_not_depend_on_the_processes():
     """Five places far from each other, the same cells on any number of processes."""
     mesh = tube()
