@@ -44,20 +44,18 @@ from benchmarks.arguments import (  # noqa: E402
 from benchmarks.machine import describe  # noqa: E402
 from benchmarks.records import Record, Records  # noqa: E402
 from benchmarks.wall_problem import WallProblem, create_wall_problem  # noqa: E402
+from benchmarks.walls import CREATE, create_wall  # noqa: E402
 from dolfinx_feti import ConvergenceError, loads  # noqa: E402
 from dolfinx_feti.checkpoint import Checkpoint  # noqa: E402
 from dolfinx_feti.io import cell_values, writable_folder  # noqa: E402
 from dolfinx_feti.loading import LoadStep, Steps, follow_load  # noqa: E402
-from dolfinx_feti.wall import Wall, read_wall  # noqa: E402
-from meshes.tube import create_tube  # noqa: E402
-from meshes.vessel import create_vessel  # noqa: E402
+from dolfinx_feti.wall import Wall  # noqa: E402
 
 __all__ = ["main"]
 
 Array = npt.NDArray[np.float64]
 
 TYPES = ("all_floating", "classical")
-CREATE = {"vessel": create_vessel, "tube": create_tube}
 NAMES = "ABCDE"
 FIRST, LEAST = 5.0, 0.05  # mmHg
 
@@ -93,7 +91,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if unknown:
         parser.error(f"unrecognized arguments: {' '.join(unknown)}")
     records = open_records(args.json, parser, comm)
-    wall = _wall(args.geometry, args.size, writable_folder(args.folder, comm), comm)
+    folder = writable_folder(args.folder, comm)
+    wall, _ = create_wall(args.geometry, comm, size=args.size, folder=folder)
     lost = 0
     for kind in args.type:
         case = {key: getattr(args, key) for key in ("geometry", "size", "degree", "c", "kappa")}
@@ -219,14 +218,6 @@ def at_points(body: WallProblem, points: Sequence[Array]) -> tuple[Array, Array]
     stress = cell_values(body.stress, mesh)
     own = np.array([[norm[cell].sum(), stress[cell].sum()] for cell in points])
     return tuple(mesh.comm.allreduce(own).T)
-
-
-def _wall(geometry: str, size: float | None, folder: Path, comm: MPI.Comm) -> Wall:
-    path = folder / (f"{geometry}.msh" if size is None else f"{geometry}_{size:g}.msh")
-    if comm.rank == 0 and not path.is_file():
-        CREATE[geometry](path, **({} if size is None else {"size": size}))
-    comm.Barrier()
-    return read_wall(path, comm)
 
 
 def _say(text: str, comm: MPI.Comm) -> None:

@@ -1,64 +1,17 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Where the walls of `demo_artery.py` come from."""
+"""Where the walls of the demos come from: `benchmarks/walls.py`, beside this folder."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
 
-from mpi4py import MPI
-
-from dolfinx_feti.wall import Wall, read_wall
-from dolfinx_feti.wallfile import read_raw_wall
-
 ROOT = Path(__file__).resolve().parent.parent
 if str(ROOT) not in sys.path:
     sys.path.append(str(ROOT))
 
-from meshes.tube import create_tube
-from meshes.vessel import create_vessel
-from meshes.wall_mesh import Quality, WallMesh, measure_quality
+from benchmarks.walls import create_wall
 
 __all__ = ["create_wall"]
-
-CREATE = {"vessel": create_vessel, "tube": create_tube}
-
-
-def create_wall(
-    source: str | Path, comm: MPI.Comm, *, size: float | None, folder: Path
-) -> tuple[Wall, Quality]:
-    """Read a wall; generate it first if its file is not there yet.
-
-    Args:
-        source: `vessel` or `tube`, or the path of a file.
-        comm: Communicator of the mesh.
-        size: Length of the elements' edges [mm]; None for the generator's default.
-        folder: Where generated walls are kept.
-
-    Returns:
-        The wall, and the quality of its elements.
-
-    Raises:
-        Exception: Whatever the generator or the reader finds wrong, on all processes.
-
-    Note:
-        Collective.
-    """
-    error, quality, path = None, None, Path(source)
-    if comm.rank == 0:
-        try:
-            if source in CREATE:
-                path = folder / (f"{source}.msh" if size is None else f"{source}_{size:g}.msh")
-                if not path.is_file():
-                    CREATE[source](path, **({} if size is None else {"size": size}))
-            raw = read_raw_wall(path)
-            mesh = WallMesh(raw.points, raw.cells, raw.layers, raw.facets, raw.surfaces)
-            quality = measure_quality(mesh)
-        except Exception as caught:
-            error = caught
-    error, quality, path = comm.bcast((error, quality, path))
-    if error is not None:
-        raise error
-    return read_wall(path, comm), quality
