@@ -23,6 +23,7 @@ __all__ = [
     "names",
     "one_of",
     "open_records",
+    "parse_words",
     "positive",
     "several",
 ]
@@ -46,6 +47,15 @@ def add_records(parser: argparse.ArgumentParser) -> None:
     add("--json", type=Path, metavar="FILE", help="records, added to what the file holds")
     add("--again", action="store_true", help="run cases that stand in the file as well")
     add("--memory", type=positive, default=math.inf, metavar="MIB", help="take no more than this")
+
+
+def parse_words(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
+    """Parse the command line; words with a single dash are left to PETSc."""
+    args, petsc = parser.parse_known_args(argv)
+    unknown = [word for word in petsc if word.startswith("--")]
+    if unknown:
+        parser.error(f"unrecognized arguments: {' '.join(unknown)}")
+    return args
 
 
 def open_records(path: Path | None, parser: argparse.ArgumentParser, comm: MPI.Comm) -> Records:
@@ -75,7 +85,7 @@ def one_of(choices: Sequence[object]) -> Callable[[str], object]:
 
 def count(text: str) -> int:
     """Read a number 1, 2, 3, …."""
-    if count_or_none(text) == 0:
+    if not (text.isdecimal() and int(text) > 0):
         raise argparse.ArgumentTypeError(f"{text!r} is not a number 1, 2, 3, …")
     return int(text)
 

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -32,8 +31,9 @@ petsc4py.init([word for word in sys.argv if not word.startswith("--")])
 from mpi4py import MPI  # noqa: E402
 from petsc4py import PETSc  # noqa: E402
 
+from benchmarks.arguments import count, open_records, parse_words, positive  # noqa: E402
 from benchmarks.gamg import create_gamg, difference  # noqa: E402
-from benchmarks.records import Record, Records  # noqa: E402
+from benchmarks.records import Record  # noqa: E402
 from benchmarks.tube_problem import TubeProblem, create_tube_problem  # noqa: E402
 from dolfinx_feti import loads  # noqa: E402
 from dolfinx_feti.comparison import (  # noqa: E402
@@ -61,14 +61,8 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
     """
     comm = MPI.COMM_WORLD
     parser = create_parser()
-    args, petsc = parser.parse_known_args(argv)
-    unknown = [word for word in petsc if word.startswith("--")]
-    if unknown:
-        parser.error(f"unrecognized arguments: {' '.join(unknown)}")
-    try:
-        file = Records(args.json, comm)
-    except ValueError as error:
-        parser.error(str(error))
+    args = parse_words(parser, argv)
+    file = open_records(args.json, parser, comm)
     tube = create_tube_problem(
         comm,
         dofs=args.dofs,
@@ -136,28 +130,12 @@ def create_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         "compare", description=__doc__.splitlines()[0], allow_abbrev=False
     )
-    parser.add_argument("--kappa", type=_positive, default=1000.0, help="[kPa], 1000")
-    parser.add_argument("--dofs", type=_count, default=180_000, help="about so many, 180000")
-    parser.add_argument("--subdomains", type=_count, default=96, help="over all processes, 96")
+    parser.add_argument("--kappa", type=positive, default=1000.0, help="[kPa], 1000")
+    parser.add_argument("--dofs", type=count, default=180_000, help="about so many, 180000")
+    parser.add_argument("--subdomains", type=count, default=96, help="over all processes, 96")
     parser.add_argument("--solvers", type=_solvers, default=list(SOLVERS), help=",".join(SOLVERS))
     parser.add_argument("--json", type=Path, metavar="FILE", help="where the records are kept")
     return parser
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
-    return value
-
-
-def _count(text: str) -> int:
-    if not (text.isdecimal() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number 1, 2, 3, …")
-    return int(text)
 
 
 def _solvers(text: str) -> list[str]:

@@ -38,6 +38,7 @@ from benchmarks.arguments import (  # noqa: E402
     create_parser,
     one_of,
     open_records,
+    parse_words,
     positive,
     several,
 )
@@ -86,10 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--checkpoint", type=Path, metavar="FOLDER", help="where the last states are kept")
     add("--folder", type=Path, default=Path("build/walls"), help="where meshes are kept")
     add_records(parser)
-    args, petsc = parser.parse_known_args(argv)
-    unknown = [word for word in petsc if word.startswith("--")]
-    if unknown:
-        parser.error(f"unrecognized arguments: {' '.join(unknown)}")
+    args = parse_words(parser, argv)
     records = open_records(args.json, parser, comm)
     folder = writable_folder(args.folder, comm)
     wall, _ = create_wall(args.geometry, comm, size=args.size, folder=folder)

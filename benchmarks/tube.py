@@ -30,6 +30,7 @@ from benchmarks.arguments import (  # noqa: E402
     create_parser,
     one_of,
     open_records,
+    parse_words,
     positive,
     several,
 )
@@ -74,10 +75,7 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
     add("--checkpoint", type=Path, metavar="FOLDER", help="keep each load step")
     add("--restart", action="store_true", help="go on from the checkpoint")
     add("--json", type=Path, metavar="FILE", help="records, added to what the file holds")
-    args, petsc = parser.parse_known_args(argv)
-    unknown = [word for word in petsc if word.startswith("--")]
-    if unknown:
-        parser.error(f"unrecognized arguments: {' '.join(unknown)}")
+    args = parse_words(parser, argv)
     if args.pressures != sorted(args.pressures):
         parser.error(f"argument --pressures: {args.pressures} do not rise")
     if args.restart and args.checkpoint is None:
