@@ -46,6 +46,7 @@ from dolfinx_feti.torn import Torn
 __all__ = ["Coarse"]
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
 
 #: Share of the diagonal weight in Q = M + ε diag(q).
 EPSILON = 0.1
@@ -134,19 +135,14 @@ class Coarse:
             first += E.shape[1]
         return u
 
-    def _columns(self) -> list[npt.NDArray[np.int64]]:
+    def _columns(self) -> list[Indices]:
         k = self._inverse.kernel_dimensions()
         first = self.start + np.cumsum(k) - k
-        return [np.arange(a, a + b) for a, b in zip(first, k, strict=True)]
+        return [np.arange(a, a + b, dtype=np.int32) for a, b in zip(first, k, strict=True)]
 
     def _jump_of(self, B: PETSc.Mat, E: list[Array]) -> PETSc.Mat:
         """Form B E from the kernels of all subdomains."""
-        blocks = []
-        for E_i, columns in zip(E, self._columns(), strict=True):
-            indptr = np.arange(len(E_i) + 1) * len(columns)
-            indices = np.tile(columns, len(E_i))
-            shape = (len(E_i), self.total)
-            blocks.append(scipy.sparse.csr_array((E_i.ravel(), indices, indptr), shape=shape))
+        blocks = list(zip(E, self._columns(), strict=True))
         E_all = block_columns(self._torn, self._inverse.dofs, blocks, (self.size, self.total))
         G = B.matMult(E_all)  # G = B E
         E_all.destroy()

@@ -52,7 +52,7 @@ class DenseFactors:
             rows: Dofs of each block.
         """
         self.rows = list(rows)
-        self._blocks = [_Block(np.zeros((len(r), len(r)), order="F")) for r in self.rows]
+        self._blocks = [_Block(np.zeros((0, 0), order="F")) for _ in self.rows]
 
     def set_block(self, i: int, S: Array) -> None:
         """Take over the block S, (n_i, n_i), of which the lower triangle is read."""

@@ -124,16 +124,13 @@ class Preconditioner(ABC):
         YW.destroy()
         return MG
 
-    def _image(self, i: int, W: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
-        """Apply Y_i to the non-zero columns of W, (n_Γ, K)."""
+    def _image(self, i: int, W: scipy.sparse.csr_array) -> tuple[Array, Indices]:
+        """Apply Y_i to the non-zero columns of W, (n_Γ, K); return them and their numbers."""
         support = np.unique(W.indices)
         columns = W[:, support].toarray()
         image = self.apply_many(i, columns)
         image += self._props[i] @ (self._props[i].T @ columns)
-        indptr = np.arange(len(image) + 1) * len(support)
-        return scipy.sparse.csr_array(
-            (image.ravel(), np.tile(support, len(image)), indptr), shape=W.shape
-        )
+        return image, support
 
     @abstractmethod
     def apply(self, w: Array, t: Array) -> None:
@@ -335,17 +332,28 @@ def product_many(K: PETSc.Mat, rows: Indices, columns: Indices, X: Array) -> Arr
 
 
 def block_columns(
-    torn: Torn, rows: list[Indices], blocks: list[scipy.sparse.csr_array], sizes: tuple[int, int]
+    torn: Torn, rows: list[Indices], blocks: list[tuple[Array, Indices]], sizes: tuple[int, int]
 ) -> PETSc.Mat:
-    """Put row blocks into one distributed matrix, (n_torn, K); rows not named are empty."""
-    stacked = scipy.sparse.vstack([*blocks, scipy.sparse.csr_array((0, sizes[1]))], format="csr")
-    source = np.concatenate([*rows, np.zeros(0, dtype=np.int32)])
-    select = scipy.sparse.csr_array(
-        (np.ones(len(source)), (source, np.arange(len(source)))), shape=(torn.n, len(source))
-    )
-    placed = scipy.sparse.csr_array(select @ stacked)
-    placed.sort_indices()
-    csr = (placed.indptr.astype(PETSc.IntType), placed.indices.astype(PETSc.IntType), placed.data)
+    """Put dense blocks into one distributed matrix, (n_torn, K); rows not named are empty.
+
+    Args:
+        torn: The torn matrix.
+        rows: Torn dofs of each block, no dof twice.
+        blocks: For each block its values, (rows, columns), and its columns, ascending.
+        sizes: Number of columns of this process and of all.
+
+    Note:
+        Collective.
+    """
+    width = np.zeros(torn.n, dtype=np.int64)
+    for dofs, (_, columns) in zip(rows, blocks, strict=True):
+        width[dofs] = len(columns)
+    first = np.concatenate(([0], np.cumsum(width)))
+    values, column = np.empty(first[-1]), np.empty(first[-1], dtype=PETSc.IntType)
+    for dofs, (block, columns) in zip(rows, blocks, strict=True):
+        at = first[dofs][:, None] + np.arange(len(columns))
+        values[at], column[at] = block, columns
+    csr = (first.astype(PETSc.IntType), column, values)
     return PETSc.Mat().createAIJ(((torn.n, None), sizes), csr=csr, comm=torn.A.comm)
 
 

@@ -244,12 +244,14 @@ def connected_blocks(K: PETSc.Mat) -> list[Indices]:
     indptr, indices = K.getRowIJ()
     graph = scipy.sparse.csr_array((n // bs, n // bs), dtype=bool)
     for first in range(bs):  # one row of every block at a time, for the sake of memory
-        start, end = indptr[:-1][first::bs], indptr[1:][first::bs]
-        gap = start - np.concatenate(([0], np.cumsum(end - start)[:-1]))
-        entries = np.repeat(gap, end - start) + np.arange((end - start).sum())
-        rows = np.repeat(np.arange(n // bs, dtype=np.int32), end - start)
-        ones = np.ones(len(rows), dtype=bool)
-        graph += scipy.sparse.csr_array((ones, (rows, indices[entries] // bs)), shape=graph.shape)
+        start, length = indptr[:-1][first::bs], np.diff(indptr)[first::bs]
+        end = np.cumsum(length)
+        entries = np.repeat(start - end + length, length) + np.arange(length.sum())
+        pattern = (indices[entries] // bs, np.concatenate(([0], end)))
+        if first and all(map(np.array_equal, pattern, (graph.indices, graph.indptr))):
+            continue  # the rows of a block are alike
+        more = scipy.sparse.csr_array((np.ones(len(entries), dtype=bool), *pattern), graph.shape)
+        graph = graph + more if first else more
     _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
     label = np.repeat(label, bs)
     order = np.argsort(label, kind="stable").astype(np.int32)
