@@ -34,7 +34,8 @@ from petsc4py import PETSc  # noqa: E402
 from benchmarks.arguments import count, open_records, parse_words, positive  # noqa: E402
 from benchmarks.gamg import create_gamg, difference  # noqa: E402
 from benchmarks.records import Record  # noqa: E402
-from benchmarks.tube_problem import TubeProblem, create_tube_problem  # noqa: E402
+from benchmarks.tube_problem import create_tube_problem  # noqa: E402
+from benchmarks.wall_problem import WallProblem  # noqa: E402
 from dolfinx_feti import loads  # noqa: E402
 from dolfinx_feti.comparison import (  # noqa: E402
     assembled_system,
@@ -78,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
     return records
 
 
-def compare(tube: TubeProblem, solvers: Sequence[str], *, kappa: float) -> list[Record]:
+def compare(tube: WallProblem, solvers: Sequence[str], *, kappa: float) -> list[Record]:
     """Solve the first Newton step at 1 mmHg with each solver, FETI first.
 
     Args:
@@ -108,7 +109,7 @@ def compare(tube: TubeProblem, solvers: Sequence[str], *, kappa: float) -> list[
     return records
 
 
-def first_step(tube: TubeProblem) -> PETSc.Vec:
+def first_step(tube: WallProblem) -> PETSc.Vec:
     """Assemble the torn tangent at 1 mmHg and return the right-hand side −r."""
     tube.pressure.value = loads.mmhg(1.0)
     b = tube.problem.A.createVecLeft()
@@ -117,7 +118,7 @@ def first_step(tube: TubeProblem) -> PETSc.Vec:
     return b
 
 
-def share_feti(tube: TubeProblem) -> PETSc.KSP:
+def share_feti(tube: WallProblem) -> PETSc.KSP:
     """Return the KSP of the problem; who destroys it lets the problem keep it."""
     ksp = tube.problem.solver.getKSP()
     ksp.setOperators(tube.problem.A)

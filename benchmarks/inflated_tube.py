@@ -10,9 +10,7 @@ lines on the inner surface of the whole tube, hold it in place. So it stays a tu
 
 from __future__ import annotations
 
-import tempfile
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, fields
 
 from mpi4py import MPI
 
@@ -23,49 +21,34 @@ import basix
 import dolfinx
 import ufl
 
-import dolfinx_feti
 from benchmarks.tube_oracle import Tube
-from dolfinx_feti import kinematics, loads, materials
+from benchmarks.tube_problem import INTERFACE, create_tube_wall, tube_fibres
+from benchmarks.wall_problem import WallProblem, create_wall_problem
+from dolfinx_feti import kinematics
 from dolfinx_feti._compat import geometry_dofmap
-from dolfinx_feti.wall import Wall, facets, read_wall, surface_measure
-from meshes.tube import ADVENTITIA, INNER_RADIUS, MEDIA, create_tube
+from dolfinx_feti.wall import Wall, facets
+from meshes.tube import ADVENTITIA, INNER_RADIUS
 
-__all__ = ["ANGLES", "TANGENTS", "InflatedTube", "create_inflated_tube", "create_slice"]
+__all__ = ["TANGENTS", "InflatedTube", "create_inflated_tube", "create_slice"]
 
 Array = npt.NDArray[np.float64]
 
 TANGENTS = ("symmetric", "full", "none")
-ANGLES = (29.0, 62.0)
-INTERFACE = INNER_RADIUS + MEDIA
 OUTER_RADIUS = INTERFACE + ADVENTITIA
 
 
 @dataclass(frozen=True, slots=True)
-class InflatedTube:
-    """The nonlinear problem, its unknowns and its load, and what is compared.
+class InflatedTube(WallProblem):
+    """The problem of a tube, and what is compared.
 
     Attributes:
-        problem: The FETI problem.
-        u: Displacement [mm].
-        p: Pressure of the element-wise volume constraint [kPa].
-        pressure: Pressure in the lumen [kPa].
         samples: σ_rr, σ_θθ [kPa], J, and x, y [mm] in the reference, of each owned cell at the
             quadrature points.
         weights: Volume [mm³] that each of these points stands for, (cells, points).
     """
 
-    problem: dolfinx_feti.NonlinearProblem
-    u: dolfinx.fem.Function
-    p: dolfinx.fem.Function
-    pressure: dolfinx.fem.Constant
     samples: dolfinx.fem.Expression
     weights: Array
-
-    @property
-    def dofs(self) -> int:
-        """Displacement dofs."""
-        dofmap = self.u.function_space.dofmap
-        return dofmap.index_map.size_global * dofmap.index_map_bs
 
     def compare(self, truth: Tube) -> dict[str, float]:
         """Hold radius, thickness, volume and stress against the truth.
@@ -133,14 +116,7 @@ def create_slice(comm: MPI.Comm, *, size: float, quarter: bool) -> Wall:
     Note:
         Collective.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        path = comm.bcast(Path(folder) / "tube.msh")
-        if comm.rank == 0:
-            create_tube(path, length=size, size=size, quarter=quarter)
-        comm.Barrier()
-        wall = read_wall(path, comm)
-        comm.Barrier()
-    return wall
+    return create_tube_wall(comm, length=size, size=size, quarter=quarter)
 
 
 def create_inflated_tube(
@@ -165,58 +141,28 @@ def create_inflated_tube(
         options: PETSc options of the problem, prefix ``tube_``.
     """
     mesh = wall.mesh
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (3,)))
-    Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
-    u, p = dolfinx.fem.Function(V, name="u"), dolfinx.fem.Function(Q, name="p")
-    v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
-    F = kinematics.deformation_gradient(u)
-    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
-    artery = materials.ArteryParameters(c=c)
-    psi = materials.holzapfel_gasser_ogden(
-        C, *_fibres(mesh), c=artery.c, k1=artery.k1, k2=artery.k2, J=J
-    )
-    psi += materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(mesh, kappa))
-    energy = psi * ufl.dx
-    lumen = surface_measure(wall)(wall.surfaces["lumen"])
-    pressure = dolfinx.fem.Constant(mesh, 0.0)
-    F_u = ufl.derivative(energy, u, v) + loads.follower_pressure(pressure, u, v, lumen)
-    K = ufl.derivative(ufl.derivative(energy, u, v), u, du)
-    K += loads.follower_pressure_tangent(pressure, u, v, du, lumen, tangent)
-    problem = dolfinx_feti.NonlinearProblem(
-        [F_u, ufl.derivative(energy, p, q)],
-        u,
-        bcs=_sliding(wall, V),
-        J=K,
-        condense=p,
-        energy=energy + loads.pressure_potential(pressure, u, lumen, axis=(0.0, 0.0, 1.0)),
+    body = create_wall_problem(
+        wall,
+        degree=degree,
+        c=c,
+        kappa=kappa,
         subdomains=subdomains,
-        petsc_options_prefix="tube_",
-        petsc_options=options,
+        options=options or {},
+        prefix="tube_",
+        fibres=tube_fibres(mesh),
+        hold=_sliding,
+        tangent=tangent,
+        axis=(0.0, 0.0, 1.0),
     )
     x = ufl.SpatialCoordinate(mesh)
     e_r = ufl.as_vector([x[0], x[1], 0.0]) / ufl.sqrt(x[0] ** 2 + x[1] ** 2)
     e_t = ufl.as_vector([-e_r[1], e_r[0], 0.0])
-    stress = kinematics.cauchy_stress(psi, F)
-    rr, tt = (ufl.dot(e, stress * e) for e in (e_r, e_t))
+    rr, tt = (ufl.dot(e, body.stress * e) for e in (e_r, e_t))
+    J = kinematics.jacobian(kinematics.deformation_gradient(body.u))
     points, weights = basix.make_quadrature(basix.CellType.tetrahedron, 2 * degree)
     samples = dolfinx.fem.Expression(ufl.as_vector([rr, tt, J, x[0], x[1]]), points)
-    return InflatedTube(problem, u, p, pressure, samples, _volumes(mesh)[:, None] * 6.0 * weights)
-
-
-def _fibres(mesh: dolfinx.mesh.Mesh) -> list[dolfinx.fem.Function]:
-    """Return the two families, constant in each cell."""
-    space = dolfinx.fem.functionspace(mesh, ("DG", 0, (3,)))
-    families = []
-    for sign in (1.0, -1.0):
-
-        def direction(x: Array, sign: float = sign) -> Array:
-            r = np.hypot(x[0], x[1])
-            α = np.deg2rad(np.where(r < INTERFACE, *ANGLES))
-            return np.array([-x[1] / r * np.cos(α), x[0] / r * np.cos(α), sign * np.sin(α)])
-
-        families.append(dolfinx.fem.Function(space))
-        families[-1].interpolate(direction)
-    return families
+    known = {field.name: getattr(body, field.name) for field in fields(body)}
+    return InflatedTube(**known, samples=samples, weights=_volumes(mesh)[:, None] * 6.0 * weights)
 
 
 def _sliding(wall: Wall, V: dolfinx.fem.FunctionSpace) -> list[dolfinx.fem.DirichletBC]:

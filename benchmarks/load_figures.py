@@ -13,7 +13,6 @@ iterations of a Newton step and the seconds of a load step; and writes ``loading
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,7 +24,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
-from benchmarks.records import Record
+from benchmarks.records import Record, read_records
 from benchmarks.table import Table, count, number
 
 __all__ = ["main", "write"]
@@ -51,12 +50,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--remark", default="", help="what is to be said about the runs")
     args = parser.parse_args(arguments)
     try:
-        records = json.loads(args.records.read_text())
-        if not records or not all("u_norm" in record for record in records):
-            raise ValueError(f"{args.records} holds no records of benchmarks.load_stepping.")
+        records = read_records(
+            args.records, lambda record: "u_norm" in record, "benchmarks.load_stepping"
+        )
         args.output.mkdir(parents=True, exist_ok=True)
         write(args.output, records, args.remark)
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError) as error:
         parser.error(str(error))
     return 0
 

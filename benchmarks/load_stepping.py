@@ -46,7 +46,7 @@ from benchmarks.machine import describe  # noqa: E402
 from benchmarks.records import Record, Records  # noqa: E402
 from benchmarks.wall_problem import WallProblem, create_wall_problem  # noqa: E402
 from benchmarks.walls import CREATE, create_wall  # noqa: E402
-from dolfinx_feti import ConvergenceError, loads  # noqa: E402
+from dolfinx_feti import ConvergenceError, kinematics, loads  # noqa: E402
 from dolfinx_feti.checkpoint import Checkpoint  # noqa: E402
 from dolfinx_feti.io import cell_values, writable_folder  # noqa: E402
 from dolfinx_feti.loading import LoadStep, Steps, follow_load  # noqa: E402
@@ -213,7 +213,7 @@ def at_points(body: WallProblem, points: Sequence[Array]) -> tuple[Array, Array]
     """Return u_norm [mm] and σ_mag [kPa] at the points, on all processes."""
     mesh = body.u.function_space.mesh
     norm = np.linalg.norm(cell_values(body.u, mesh), axis=1)
-    stress = cell_values(body.stress, mesh)
+    stress = cell_values(kinematics.stress_magnitude(body.stress), mesh)
     own = np.array([[norm[cell].sum(), stress[cell].sum()] for cell in points])
     return tuple(mesh.comm.allreduce(own).T)
 

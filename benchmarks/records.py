@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 from mpi4py import MPI
 
-__all__ = ["Record", "Records"]
+__all__ = ["Record", "Records", "read_records"]
 
 Record = dict[str, object]
 
@@ -36,7 +37,7 @@ class Records:
         error, records = None, []
         if path is not None and comm.rank == 0:
             try:
-                records = _read(path)
+                records = _read_or_create(path)
             except (OSError, ValueError) as caught:
                 error = f"--json is '{path}', which will not do: {caught}. Name another file."
         error, self._records = comm.bcast((error, records))
@@ -64,12 +65,38 @@ class Records:
             os.replace(whole, self._path)  # a run that is ended here leaves the old file
 
 
-def _read(path: Path) -> list[Record]:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a"):
-        pass
+def read_records(path: Path, known: Callable[[Record], bool], writer: str) -> list[Record]:
+    """Read the records that a benchmark has written.
+
+    Args:
+        path: The file.
+        known: Tells whether a record is one of that benchmark.
+        writer: The benchmark.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: It holds something else, or nothing.
+    """
+    try:
+        records = _parse(path)
+        cause = "" if records and all(map(known, records)) else "none, or others"
+    except ValueError as error:
+        cause = str(error)
+    if cause:
+        raise ValueError(f"{path} holds no records of {writer}: {cause}. Name a file of it.")
+    return records
+
+
+def _parse(path: Path) -> list[Record]:
     text = path.read_text()
     records = json.loads(text) if text.strip() else []
     if not isinstance(records, list) or not all(isinstance(record, dict) for record in records):
         raise ValueError("it holds something else than a list of records")
     return records
+
+
+def _read_or_create(path: Path) -> list[Record]:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a"):
+        pass
+    return _parse(path)

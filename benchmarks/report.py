@@ -13,7 +13,6 @@ and ``linear_p2.png``: iterations and condition numbers over the levels. The fil
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from collections.abc import Sequence
@@ -22,7 +21,7 @@ from pathlib import Path
 from benchmarks.linear_checks import check_table, error_scale
 from benchmarks.linear_plots import draw_levels
 from benchmarks.linear_tables import deviations, solver_table, tables
-from benchmarks.records import Record
+from benchmarks.records import Record, read_records
 
 __all__ = ["main"]
 
@@ -41,7 +40,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--remark", default="", help="what is to be said about the runs")
     args = parser.parse_args(arguments)
     try:
-        records = [record for path in args.records for record in _read(path)]
+        records = [
+            record
+            for path in args.records
+            for record in read_records(path, _is_known, "benchmarks.linear")
+        ]
         args.output.mkdir(parents=True, exist_ok=True)
         write(args.output, records, args.remark)
     except (OSError, ValueError) as error:
@@ -71,26 +74,6 @@ def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
     parts += [table.markdown() for table in found]
     (folder / "linear.md").write_text("\n".join(parts))
     (folder / "linear.tex").write_text("\n".join(table.latex() for table in found))
-
-
-def _read(path: Path) -> list[Record]:
-    """Read a file of records.
-
-    Raises:
-        ValueError: It holds something else, or nothing.
-    """
-    try:
-        records = json.loads(path.read_text())
-    except json.JSONDecodeError as error:
-        raise ValueError(
-            f"{path} holds no JSON ({error}): give a file of benchmarks.linear."
-        ) from error
-    fine = isinstance(records, list) and all(isinstance(record, dict) for record in records)
-    if not fine or not records or not all(map(_is_known, records)):
-        raise ValueError(
-            f"{path} holds no records: give a file that benchmarks.linear has written."
-        )
-    return records
 
 
 def _is_known(record: Record) -> bool:

@@ -1,12 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The two-layer tube under pressure, P2–P0, as the benchmarks use it."""
+"""The two-layer tube, P2–P0, clamped at its ends, of about as many dofs as one asks for."""
 
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 
 from mpi4py import MPI
@@ -15,42 +15,23 @@ import numpy as np
 import numpy.typing as npt
 
 import dolfinx
-import ufl
 
-import dolfinx_feti
-from dolfinx_feti import kinematics, loads, materials
-from dolfinx_feti.wall import read_wall
+from benchmarks.wall_problem import WallProblem, create_wall_problem
+from dolfinx_feti import materials
+from dolfinx_feti.fibres import ANGLES
+from dolfinx_feti.wall import Wall, read_wall
 from meshes.tube import INNER_RADIUS, MEDIA, create_tube
 
-__all__ = ["TubeProblem", "create_tube_problem"]
+__all__ = ["INTERFACE", "create_tube_problem", "create_tube_wall", "tube_fibres"]
 
-LENGTH = 3.0
-ANGLES = (np.deg2rad(29.0), np.deg2rad(62.0))
-
-
-@dataclass(frozen=True, slots=True)
-class TubeProblem:
-    """The nonlinear problem, its unknowns and its load.
-
-    Attributes:
-        problem: The FETI problem.
-        u: Displacement [mm].
-        p: Pressure of the element-wise volume constraint [kPa].
-        pressure: Pressure on the lumen [kPa].
-        bcs: Clamped ends.
-    """
-
-    problem: dolfinx_feti.NonlinearProblem
-    u: dolfinx.fem.Function
-    p: dolfinx.fem.Function
-    pressure: dolfinx.fem.Constant
-    bcs: list[dolfinx.fem.DirichletBC]
+LENGTH = 3.0  # mm
+INTERFACE = INNER_RADIUS + MEDIA  # mm
 
 
 def create_tube_problem(
     comm: MPI.Comm, *, dofs: int, kappa: float, subdomains: int, options: dict[str, object]
-) -> TubeProblem:
-    """Build the tube with clamped ends.
+) -> WallProblem:
+    """Build the tube at rest.
 
     Args:
         comm: Communicator of the mesh.
@@ -60,60 +41,52 @@ def create_tube_problem(
         options: PETSc options of the problem, prefix ``tube_``.
     """
     along = max(2, round(np.sqrt(dofs / 125.0)))
+    wall = create_tube_wall(comm, length=LENGTH, through=(2, 1), around=3 * along // 2, along=along)
+    return create_wall_problem(
+        wall,
+        degree=2,
+        c=materials.ArteryParameters().c,
+        kappa=kappa,
+        subdomains=subdomains,
+        options=options,
+        prefix="tube_",
+        fibres=tube_fibres(wall.mesh),
+    )
+
+
+def create_tube_wall(comm: MPI.Comm, **geometry: object) -> Wall:
+    """Mesh a tube on the first process and read it on all.
+
+    Args:
+        comm: Communicator of the mesh.
+        geometry: See ``meshes.tube.create_tube``.
+
+    Note:
+        Collective.
+    """
     with tempfile.TemporaryDirectory() as folder:
         path = comm.bcast(Path(folder) / "tube.msh")
         if comm.rank == 0:
-            create_tube(path, length=LENGTH, through=(2, 1), around=3 * along // 2, along=along)
+            create_tube(path, **geometry)
         comm.Barrier()
         wall = read_wall(path, comm)
         comm.Barrier()
-    V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 2, (3,)))
-    Q = dolfinx.fem.functionspace(wall.mesh, ("DG", 0))
-    u, p = dolfinx.fem.Function(V, name="u"), dolfinx.fem.Function(Q, name="p")
-    v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
-    a1, a2 = (_fibres(wall.mesh, sign) for sign in (1.0, -1.0))
-    F = kinematics.deformation_gradient(u)
-    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
-    artery = materials.ArteryParameters()
-    psi = materials.holzapfel_gasser_ogden(
-        C, a1, a2, c=artery.c, k1=artery.k1, k2=artery.k2, J=J
-    ) + materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(wall.mesh, kappa))
-    energy = psi * ufl.dx(metadata={"quadrature_degree": 4})
-    pressure = dolfinx.fem.Constant(wall.mesh, 0.0)
-    ds = ufl.Measure("ds", wall.mesh, subdomain_data=wall.facet_tags)(
-        wall.names["lumen"], metadata={"quadrature_degree": 4}
-    )
-    F_u = ufl.derivative(energy, u, v)
-    K = ufl.derivative(F_u, u, du) + loads.follower_pressure_tangent(pressure, u, v, du, ds)
-    F_u += loads.follower_pressure(pressure, u, v, ds)
-    bcs = [_clamped(wall, V)]
-    problem = dolfinx_feti.NonlinearProblem(
-        [F_u, ufl.derivative(energy, p, q)],
-        u,
-        bcs=bcs,
-        J=K,
-        condense=p,
-        subdomains=subdomains,
-        petsc_options_prefix="tube_",
-        petsc_options=options,
-    )
-    return TubeProblem(problem, u, p, pressure, bcs)
+    return wall
 
 
-def _fibres(mesh: dolfinx.mesh.Mesh, sign: float) -> dolfinx.fem.Function:
+def tube_fibres(mesh: dolfinx.mesh.Mesh) -> tuple[dolfinx.fem.Function, dolfinx.fem.Function]:
+    """Return the two families of helices, constant in each cell."""
+    space = dolfinx.fem.functionspace(mesh, ("DG", 0, (3,)))
+    a1, a2 = dolfinx.fem.Function(space), dolfinx.fem.Function(space)
+    a1.interpolate(_helix(1.0))
+    a2.interpolate(_helix(-1.0))
+    return a1, a2
+
+
+def _helix(sign: float) -> Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]:
     def direction(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         r = np.hypot(x[0], x[1])
-        alpha = np.where(r < INNER_RADIUS + MEDIA, *ANGLES)
-        return np.array([-x[1] / r * np.cos(alpha), x[0] / r * np.cos(alpha), sign * np.sin(alpha)])
+        α = np.deg2rad(np.where(r < INTERFACE, ANGLES["media"], ANGLES["adventitia"]))
+        return np.array([-x[1] / r * np.cos(α), x[0] / r * np.cos(α), sign * np.sin(α)])
 
-    fibre = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0, (3,))))
-    fibre.interpolate(direction)
-    return fibre
-
-
-def _clamped(wall: object, V: dolfinx.fem.FunctionSpace) -> dolfinx.fem.DirichletBC:
-    ends = np.concatenate(
-        [wall.facet_tags.find(wall.names[name]) for name in ("opening_1", "opening_2")]
-    )
-    dofs = dolfinx.fem.locate_dofs_topological(V, 2, ends)
-    return dolfinx.fem.dirichletbc(np.zeros(3), dofs, V)
+    return direction

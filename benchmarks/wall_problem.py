@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,9 @@ from dolfinx_feti import kinematics, loads, materials
 from dolfinx_feti.fibres import fibre_families, fibre_frame
 from dolfinx_feti.wall import Wall, facets, openings, surface_measure
 
-__all__ = ["WallProblem", "create_wall_problem"]
+__all__ = ["Hold", "WallProblem", "clamp_openings", "create_wall_problem"]
+
+Hold = Callable[[Wall, dolfinx.fem.FunctionSpace], list[dolfinx.fem.DirichletBC]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,14 +32,29 @@ class WallProblem:
         u: Displacement [mm].
         p: Pressure of the element-wise volume constraint [kPa].
         pressure: Pressure in the lumen [kPa].
-        stress: σ_mag = √(σ : σ) (stressmag) [kPa].
+        bcs: How the wall is held.
+        stress: Cauchy stress σ [kPa].
     """
 
     problem: dolfinx_feti.NonlinearProblem
     u: dolfinx.fem.Function
     p: dolfinx.fem.Function
     pressure: dolfinx.fem.Constant
+    bcs: list[dolfinx.fem.DirichletBC]
     stress: ufl.core.expr.Expr
+
+    @property
+    def dofs(self) -> int:
+        """Displacement dofs."""
+        dofmap = self.u.function_space.dofmap
+        return dofmap.index_map.size_global * dofmap.index_map_bs
+
+
+def clamp_openings(wall: Wall, V: dolfinx.fem.FunctionSpace) -> list[dolfinx.fem.DirichletBC]:
+    """Hold the rims of all openings."""
+    rims = np.concatenate([facets(wall, name) for name in openings(wall)])
+    dofs = dolfinx.fem.locate_dofs_topological(V, 2, rims)
+    return [dolfinx.fem.dirichletbc(np.zeros(3), dofs, V)]
 
 
 def create_wall_problem(
@@ -47,8 +65,13 @@ def create_wall_problem(
     kappa: float,
     subdomains: int,
     options: dict[str, object],
+    prefix: str = "wall_",
+    fibres: tuple[dolfinx.fem.Function, dolfinx.fem.Function] | None = None,
+    hold: Hold = clamp_openings,
+    tangent: str = "symmetric",
+    axis: tuple[float, float, float] | None = None,
 ) -> WallProblem:
-    """Build the wall with clamped openings.
+    """Tear a wall at rest.
 
     Args:
         wall: Mesh, layers and surfaces.
@@ -56,13 +79,18 @@ def create_wall_problem(
         c: Stiffness of the matrix material [kPa].
         kappa: κ [kPa].
         subdomains: Number of subdomains.
-        options: PETSc options of the problem, prefix ``wall_``.
+        options: PETSc options of the problem.
+        prefix: Their prefix.
+        fibres: The two families of directions; from Laplace problems if not given.
+        hold: Makes the Dirichlet conditions.
+        tangent: Of the follower pressure, ``symmetric``, ``full`` or ``none``.
+        axis: Direction along which the ends slide, see ``loads.pressure_potential``.
     """
     V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", degree, (3,)))
     Q = dolfinx.fem.functionspace(wall.mesh, ("DG", 0))
     u, p = dolfinx.fem.Function(V, name="u"), dolfinx.fem.Function(Q, name="p")
     v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
-    a1, a2 = fibre_families(wall, fibre_frame(wall))
+    a1, a2 = fibres or fibre_families(wall, fibre_frame(wall))
     F = kinematics.deformation_gradient(u)
     C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
     artery = materials.ArteryParameters(c=c)
@@ -73,19 +101,17 @@ def create_wall_problem(
     pressure = dolfinx.fem.Constant(wall.mesh, 0.0)
     F_u = ufl.derivative(energy, u, v) + loads.follower_pressure(pressure, u, v, lumen)
     K = ufl.derivative(ufl.derivative(energy, u, v), u, du)
-    K += loads.follower_pressure_tangent(pressure, u, v, du, lumen, "symmetric")
-    rims = np.concatenate([facets(wall, name) for name in openings(wall)])
-    dofs = dolfinx.fem.locate_dofs_topological(V, 2, rims)
+    K += loads.follower_pressure_tangent(pressure, u, v, du, lumen, tangent)
+    bcs = hold(wall, V)
     problem = dolfinx_feti.NonlinearProblem(
         [F_u, ufl.derivative(energy, p, q)],
         u,
-        bcs=[dolfinx.fem.dirichletbc(np.zeros(3), dofs, V)],
+        bcs=bcs,
         J=K,
         condense=p,
-        energy=energy + loads.pressure_potential(pressure, u, lumen),
+        energy=energy + loads.pressure_potential(pressure, u, lumen, axis=axis),
         subdomains=subdomains,
-        petsc_options_prefix="wall_",
+        petsc_options_prefix=prefix,
         petsc_options=options,
     )
-    stress = kinematics.stress_magnitude(kinematics.cauchy_stress(psi, F))
-    return WallProblem(problem, u, p, pressure, stress)
+    return WallProblem(problem, u, p, pressure, bcs, kinematics.cauchy_stress(psi, F))
