@@ -12,6 +12,8 @@ from pathlib import Path
 
 from mpi4py import MPI
 
+from dolfinx_feti.collective import on_first
+
 __all__ = ["Record", "Records", "read_records"]
 
 Record = dict[str, object]
@@ -34,15 +36,14 @@ class Records:
             Collective.
         """
         self._path, self._comm = path, comm
-        error, records = None, []
-        if path is not None and comm.rank == 0:
+        self._records: list[Record] = []
+        if path is not None:
             try:
-                records = _read_or_create(path)
-            except (OSError, ValueError) as caught:
-                error = f"--json is '{path}', which will not do: {caught}. Name another file."
-        error, self._records = comm.bcast((error, records))
-        if error is not None:
-            raise ValueError(error)
+                self._records = on_first(lambda: _read_or_create(path), comm)
+            except (OSError, ValueError) as error:
+                raise ValueError(
+                    f"--json is '{path}', which will not do: {error}. Name another file."
+                ) from error
 
     def find(self, key: Record) -> Record | None:
         """Return the record that has these values, if there is one."""

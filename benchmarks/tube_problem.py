@@ -18,6 +18,7 @@ import dolfinx
 
 from benchmarks.wall_problem import WallProblem, create_wall_problem
 from dolfinx_feti import materials
+from dolfinx_feti.collective import on_first
 from dolfinx_feti.fibres import ANGLES
 from dolfinx_feti.wall import Wall, read_wall
 from meshes.tube import INNER_RADIUS, MEDIA, create_tube
@@ -66,9 +67,7 @@ def create_tube_wall(comm: MPI.Comm, **geometry: object) -> Wall:
     """
     with tempfile.TemporaryDirectory() as folder:
         path = comm.bcast(Path(folder) / "tube.msh")
-        if comm.rank == 0:
-            create_tube(path, **geometry)
-        comm.Barrier()
+        on_first(lambda: create_tube(path, **geometry), comm)
         wall = read_wall(path, comm)
         comm.Barrier()
     return wall

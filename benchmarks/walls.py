@@ -9,6 +9,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
+from dolfinx_feti.collective import on_first
 from dolfinx_feti.wall import Wall, read_wall
 from dolfinx_feti.wallfile import read_raw_wall
 from meshes.tube import create_tube
@@ -40,19 +41,17 @@ def create_wall(
     Note:
         Collective.
     """
-    error, quality, path = None, None, Path(source)
-    if comm.rank == 0:
-        try:
-            if source in CREATE:
-                path = folder / (f"{source}.msh" if size is None else f"{source}_{size:g}.msh")
-                if not path.is_file():
-                    CREATE[source](path, **({} if size is None else {"size": size}))
-            raw = read_raw_wall(path)
-            mesh = WallMesh(raw.points, raw.cells, raw.layers, raw.facets, raw.surfaces)
-            quality = measure_quality(mesh)
-        except Exception as caught:
-            error = caught
-    error, quality, path = comm.bcast((error, quality, path))
-    if error is not None:
-        raise error
+    path, quality = on_first(lambda: _prepare(source, size, folder), comm)
     return read_wall(path, comm), quality
+
+
+def _prepare(source: str | Path, size: float | None, folder: Path) -> tuple[Path, Quality]:
+    """Return the wall's file, generated if it is not there yet, and its elements' quality."""
+    path = Path(source)
+    if source in CREATE:
+        path = folder / (f"{source}.msh" if size is None else f"{source}_{size:g}.msh")
+        if not path.is_file():
+            CREATE[source](path, **({} if size is None else {"size": size}))
+    raw = read_raw_wall(path)
+    mesh = WallMesh(raw.points, raw.cells, raw.layers, raw.facets, raw.surfaces)
+    return path, measure_quality(mesh)

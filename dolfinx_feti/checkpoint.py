@@ -18,7 +18,7 @@ import os
 import re
 import shutil
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -32,6 +32,7 @@ import numpy.typing as npt
 import dolfinx
 
 from dolfinx_feti._compat import geometry_dofmap
+from dolfinx_feti.collective import on_all, on_first, reason
 from dolfinx_feti.io import writable_folder
 
 __all__ = ["Checkpoint"]
@@ -94,8 +95,8 @@ class Checkpoint:
         self.restart = restart
         self._parameters = _plain(parameters or {})
         self.folder = Path(folder)
-        self._latest: dict[str, Any] | None = _on_first(self._open, comm)
-        self._count: int = _on_first(lambda: _last_number(self.folder), comm)
+        self._latest: dict[str, Any] | None = on_first(self._open, comm)
+        self._count: int = on_first(lambda: _last_number(self.folder), comm)
         self.record: dict[str, Any] | None = self._latest and self._latest["record"]
         writable_folder(self.folder, comm)
 
@@ -129,12 +130,12 @@ class Checkpoint:
         )
         size = (1 + len(past)) * sum(map(_size, functions))
         try:
-            _on_first(lambda: _prepare(part, size), self._comm)
+            on_first(lambda: _prepare(part, size), self._comm)
             self._write_state(part / STATE, functions, past)
-            latest = _on_first(lambda: _publish(part, json.loads(text)), self._comm)
+            latest = on_first(lambda: _publish(part, json.loads(text)), self._comm)
         except Exception as error:
-            _on_first(lambda: shutil.rmtree(part, ignore_errors=True), self._comm)
-            said = f"The checkpoint {part} cannot be written ({_reason(error)}): "
+            on_first(lambda: shutil.rmtree(part, ignore_errors=True), self._comm)
+            said = f"The checkpoint {part} cannot be written ({reason(error)}): "
             kept = "there is none yet." if self._latest is None else "the one before it is kept."
             raise OSError(said + kept) from error
         self._latest, self.record = latest, latest["record"]
@@ -163,7 +164,7 @@ class Checkpoint:
         try:
             values = self._read_state(path, functions)
         except Exception as error:
-            raise ValueError(f"{path} cannot be read ({_reason(error)}).") from error
+            raise ValueError(f"{path} cannot be read ({reason(error)}).") from error
         for f, array in zip(functions, values.pop(), strict=True):
             f.x.array[:] = array
         return values
@@ -208,7 +209,7 @@ class Checkpoint:
             for i, (f, array) in enumerate(zip(functions, values, strict=True)):
                 copy = dolfinx.fem.Function(f.function_space)
                 copy.x.array[:] = array
-                _on_all(partial(write, path, copy, time=float(t), name=f"state{i}"), self._comm)
+                on_all(partial(write, path, copy, time=float(t), name=f"state{i}"), self._comm)
 
     def _read_state(
         self, path: Path, functions: Sequence[dolfinx.fem.Function]
@@ -221,7 +222,7 @@ class Checkpoint:
             found.append([])
             for i, f in enumerate(functions):
                 copy = dolfinx.fem.Function(f.function_space)
-                _on_all(partial(read, path, copy, time=float(t), name=f"state{i}"), self._comm)
+                on_all(partial(read, path, copy, time=float(t), name=f"state{i}"), self._comm)
                 found[-1].append(copy.x.array)
         return found
 
@@ -392,38 +393,6 @@ def _size(f: dolfinx.fem.Function) -> int:
     return 8 * values + cells * (8 * V.dofmap.list.shape[1] * V.dofmap.bs + 12)
 
 
-# -- errors on all processes or on none
-
-
-def _on_first(work: Callable[[], T], comm: MPI.Comm) -> T:
-    """Do something on the first process; all have the result, or raise the error."""
-    result: Any = None
-    error: Exception | None = None
-    if comm.rank == 0:
-        try:
-            result = work()
-        except Exception as caught:
-            error = caught
-    result, error = comm.bcast((result, error), root=0)
-    if error is not None:
-        raise error
-    return result
-
-
-def _on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
-    """Do something on all processes; all raise the error of the first one that met one."""
-    result: Any = None
-    error: Exception | None = None
-    try:
-        result = work()
-    except Exception as caught:
-        error = RuntimeError(_reason(caught))
-    errors = [each for each in comm.allgather(error) if each is not None]
-    if errors:
-        raise errors[0]
-    return result
-
-
 def _import_adios4dolfinx(comm: MPI.Comm) -> ModuleType:
     """Import adios4dolfinx.
 
@@ -431,19 +400,13 @@ def _import_adios4dolfinx(comm: MPI.Comm) -> ModuleType:
         ModuleNotFoundError: It is not there for one of the processes.
     """
     try:
-        return _on_all(lambda: importlib.import_module("adios4dolfinx"), comm)
+        return on_all(lambda: importlib.import_module("adios4dolfinx"), comm)
     except RuntimeError as error:
         raise ModuleNotFoundError(
             f"Checkpoints need adios4dolfinx, which cannot be imported ({error}): install Debian's "
             "python3-adios4dolfinx or PyPI's adios4dolfinx, with a dolfinx that has ADIOS2.",
             name="adios4dolfinx",
         ) from error
-
-
-def _reason(error: Exception) -> str:
-    """Say what went wrong, in one line."""
-    text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    return " ".join(text.split()) or type(error).__name__
 
 
 def _plain(parameters: Mapping[str, object]) -> dict[str, Any]:

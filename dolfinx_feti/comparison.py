@@ -29,6 +29,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_feti.torn import is_symmetric
+
 __all__ = [
     "Cost",
     "PeakMemory",
@@ -122,7 +124,7 @@ def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
     dirichlet = A.query("dirichlet")
     if dirichlet is not None:
         K.zeroRowsColumns(dirichlet.getIndices(), 1.0, b, f)
-    K.setOption(PETSc.Mat.Option.SYMMETRIC, _is_symmetric(K))
+    K.setOption(PETSc.Mat.Option.SYMMETRIC, is_symmetric(K))
     near_kernel = A.getNearNullSpace()
     if near_kernel.handle:
         K.setNearNullSpace(near_kernel)
@@ -213,20 +215,6 @@ def relative_residual(K: PETSc.Mat, f: PETSc.Vec, x: PETSc.Vec) -> float:
     norm = r.norm()
     r.destroy()
     return norm / f.norm()
-
-
-def _is_symmetric(K: PETSc.Mat) -> bool:
-    """Test xᵀ K y = yᵀ K x for one pair of random vectors, up to rounding."""
-    x, y = K.createVecs()
-    Kx, Ky = x.duplicate(), x.duplicate()
-    x.array[:], y.array[:] = np.random.default_rng(7041).standard_normal((2, x.getLocalSize()))
-    K.mult(x, Kx)
-    K.mult(y, Ky)
-    skew = abs(y.dot(Kx) - x.dot(Ky))
-    scale = max(Kx.norm() * y.norm(), Ky.norm() * x.norm())
-    for v in (x, y, Kx, Ky):
-        v.destroy()
-    return bool(skew <= 1e-10 * scale)
 
 
 def _status(name: str) -> float:

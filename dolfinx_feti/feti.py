@@ -24,7 +24,7 @@ import numpy as np
 
 from dolfinx_feti.events import event
 from dolfinx_feti.options import FETIOptions, read_options
-from dolfinx_feti.parts import Parts, SetUpError, is_symmetric
+from dolfinx_feti.parts import Parts, SetUpError
 from dolfinx_feti.recovery import load, recover, residual, start
 from dolfinx_feti.report import Report, collect, table
 
@@ -184,7 +184,7 @@ class FETI:
             self._parts = Parts(A, self._options, self._prefix)
         state = (A.stateGet(), A.getISLocalMat().stateGet())
         if state != self._state:
-            if is_symmetric(self._parts.torn) != self._parts.symmetric:
+            if self._parts.torn.is_symmetric() != self._parts.symmetric:
                 self.destroy()
                 self._parts = Parts(A, self._options, self._prefix)
             self._parts.update()

@@ -27,6 +27,7 @@ import dolfinx.io
 from ufl.core.expr import Expr
 
 from dolfinx_feti._compat import interpolation_points
+from dolfinx_feti.collective import on_first, reason
 
 __all__ = ["FieldWriter", "cell_values", "writable_folder"]
 
@@ -49,7 +50,7 @@ def writable_folder(path: Path | str, comm: MPI.Comm) -> Path:
     Note:
         Collective; the first process tries, all raise or none.
     """
-    return _try_on_first(_write_in_folder, Path(path), "folder", comm)
+    return _try(_write_in_folder, Path(path), "folder", comm)
 
 
 class FieldWriter:
@@ -181,21 +182,18 @@ def _writable_place(path: Path, kind: str, comm: MPI.Comm) -> Path:
     if kind == "vtx":
         return writable_folder(place, comm)
     for file in (place, folder / (path.name + ".h5")):
-        _try_on_first(_append_nothing, file, "file", comm)
+        _try(_append_nothing, file, "file", comm)
     return place
 
 
-def _try_on_first(attempt: Callable[[Path], object], path: Path, what: str, comm: MPI.Comm) -> Path:
-    """Let the first process try; raise on all if it meets an OSError."""
-    reason = None
-    if comm.rank == 0:
-        try:
-            attempt(path)
-        except OSError as error:
-            reason = error.strerror or str(error)
-    reason = comm.bcast(reason, root=0)
-    if reason is not None:
-        raise OSError(f"The output {what} {path} cannot be written ({reason}): name another one.")
+def _try(attempt: Callable[[Path], object], path: Path, what: str, comm: MPI.Comm) -> Path:
+    """Let the first process try to write."""
+    try:
+        on_first(lambda: attempt(path), comm)
+    except OSError as error:
+        raise OSError(
+            f"The output {what} {path} cannot be written ({reason(error)}): name another one."
+        ) from error
     return path
 
 

@@ -31,7 +31,7 @@ from dolfinx_feti.preconditioner import create_preconditioner
 from dolfinx_feti.pseudoinverse import PseudoInverse
 from dolfinx_feti.torn import Torn
 
-__all__ = ["Parts", "SetUpError", "is_symmetric"]
+__all__ = ["Parts", "SetUpError"]
 
 #: Krylov methods for symmetric systems.
 SYMMETRIC_METHODS = ("cg", "fcg", "pipecg", "minres", "symmlq")
@@ -89,7 +89,7 @@ class Parts:
         self.prefix = prefix + "feti_"
         self.torn = Torn(A)
         require_finite(self.torn)
-        self.symmetric = is_symmetric(self.torn)
+        self.symmetric = self.torn.is_symmetric()
         floating = options.all_floating
         with event("FETIGluing"):
             self.gluing = create_gluing(
@@ -252,17 +252,3 @@ def require_finite(torn: Torn) -> None:
             "The matrix has entries that are NaN or Inf: look at the coefficients of the form and, "
             "in a nonlinear problem, at the last step."
         )
-
-
-def is_symmetric(torn: Torn) -> bool:
-    """Test xᵀ K y = yᵀ K x for one pair of random vectors, up to rounding.
-
-    Note:
-        Collective.
-    """
-    x, y = np.random.default_rng(20140715).standard_normal((2, torn.n))
-    Kx, Ky = torn.multiply(x), torn.multiply(y)
-    local = np.array([y @ Kx - x @ Ky, Kx @ Kx, Ky @ Ky, x @ x, y @ y])
-    skew, *squares = torn.comm.allreduce(local)
-    Kx2, Ky2, x2, y2 = squares
-    return bool(abs(skew) <= 1e-10 * np.sqrt(max(Kx2 * y2, Ky2 * x2)) + 1e-300)

@@ -35,7 +35,7 @@ import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.csgraph
 
-__all__ = ["Torn", "create_torn_matrix", "set_near_kernel"]
+__all__ = ["Torn", "create_torn_matrix", "is_symmetric", "set_near_kernel"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -213,6 +213,14 @@ class Torn:
             weight = self.K.getDiagonal()
         return np.array(weight.array_r)
 
+    def is_symmetric(self) -> bool:
+        """Tell whether the matrices of all subdomains are symmetric.
+
+        Note:
+            Collective.
+        """
+        return bool(self.comm.allreduce(is_symmetric(self.K), op=MPI.LAND))
+
     def _dirichlet_mask(self) -> npt.NDArray[np.bool_]:
         dofs = self.A.query("dirichlet")
         mark = self.A.createVecRight()
@@ -227,6 +235,24 @@ class Torn:
     def destroy(self) -> None:
         """Free the star forest; the matrix stays its owner's."""
         self._sf.destroy()
+
+
+def is_symmetric(K: PETSc.Mat) -> bool:
+    """Test xᵀ K y = yᵀ K x for one pair of random vectors, up to rounding.
+
+    Note:
+        Collective on K.
+    """
+    x, y = K.createVecs()
+    Kx, Ky = x.duplicate(), x.duplicate()
+    x.array[:], y.array[:] = np.random.default_rng(20140715).standard_normal((2, x.getLocalSize()))
+    K.mult(x, Kx)
+    K.mult(y, Ky)
+    skew = abs(y.dot(Kx) - x.dot(Ky))
+    scale = max(Kx.norm() * y.norm(), Ky.norm() * x.norm())
+    for v in (x, y, Kx, Ky):
+        v.destroy()
+    return bool(skew <= 1e-10 * scale)
 
 
 def connected_blocks(K: PETSc.Mat) -> list[Indices]:

@@ -25,6 +25,7 @@ import dolfinx
 import dolfinx.io
 import ufl
 
+from dolfinx_feti.collective import on_first
 from dolfinx_feti.wallfile import RawWall, read_raw_wall
 
 __all__ = ["Wall", "area", "by_layer", "facets", "openings", "read_wall", "surface_measure"]
@@ -73,17 +74,9 @@ def read_wall(path: Path | str, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
     """
     if not (np.isfinite(scale) and scale > 0):
         raise ValueError(f"scale={scale} is not a positive number: give the millimetres in a unit")
-    raw: RawWall | None = None
-    error: Exception | None = None
-    if comm.rank == 0:
-        try:
-            raw = read_raw_wall(Path(path))
-        except (OSError, ImportError, ValueError) as caught:
-            error = caught
-    error = comm.bcast(error, root=0)
-    if error is not None:
-        raise error
-    return _distribute(raw, comm, scale)
+    raw: list[RawWall] = []  # on the first process
+    on_first(lambda: raw.append(read_raw_wall(Path(path))), comm)
+    return _distribute(raw[0] if raw else None, comm, scale)
 
 
 def _distribute(raw: RawWall | None, comm: MPI.Comm, scale: float) -> Wall:

@@ -12,7 +12,6 @@ import pytest
 from collective import COMM, agree, dense, equal, raises, whole
 
 import dolfinx_feti
-from dolfinx_feti.parts import is_symmetric
 from dolfinx_feti.torn import Torn, connected_blocks
 
 SEED = 60914
@@ -138,7 +137,7 @@ def test_symmetry_is_tested(torn_grid):
 
     for change, expected in ((None, True), (skew, False)):
         torn = Torn(torn_grid((2, 2), (2, 2), change=change).A)
-        agree(is_symmetric(torn) == expected)
+        agree(torn.is_symmetric() == expected)
         torn.destroy()
 
 

@@ -14,6 +14,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti import collective
 from dolfinx_feti.wall import Wall, read_wall
 from meshes.tube import create_tube
 
@@ -25,16 +26,7 @@ ROOT = Path(__file__).parents[1]
 
 def on_first(make: Callable[[], T]) -> T:
     """Do it on the first process; all have the result, or raise the error."""
-    result, error = None, None
-    if COMM.rank == 0:
-        try:
-            result = make()
-        except Exception as caught:
-            error = caught
-    result, error = COMM.bcast((result, error))
-    if error is not None:
-        raise error
-    return result
+    return collective.on_first(make, COMM)
 
 
 def tube(folder: Path, **options: object) -> Wall:

@@ -1,0 +1,58 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What fails on one process fails on all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+
+import pytest
+from collective import COMM, agree, raises
+
+from dolfinx_feti.collective import on_all, on_first, reason
+
+
+def test_all_have_the_result_of_the_first():
+    ranks: list[int] = []
+
+    def work() -> tuple[str, int]:
+        ranks.append(COMM.rank)
+        return "done", COMM.rank
+
+    agree(on_first(work, COMM) == ("done", 0))
+    agree(ranks == [0] * (COMM.rank == 0), ranks)
+
+
+@pytest.mark.parametrize(
+    "error", [ValueError("size = -1"), FileNotFoundError(errno.ENOENT, "No such file", "wall.msh")]
+)
+def test_the_error_of_the_first_is_raised_on_all(error):
+    def work() -> None:
+        raise error
+
+    with raises(type(error), re.escape(str(error))):
+        on_first(work, COMM)
+
+
+def test_each_has_its_own_result():
+    agree(on_all(lambda: COMM.rank, COMM) == COMM.rank)
+
+
+def test_one_that_fails_is_enough():
+    last = COMM.size - 1
+
+    def work() -> None:
+        if COMM.rank == last:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "state.bp")
+
+    with raises(RuntimeError, "No space left on device"):
+        on_all(work, COMM)
+
+
+def test_reason_is_one_line_and_never_empty():
+    agree(reason(ValueError("two\n  lines")) == "two lines")
+    agree(reason(AssertionError()) == "AssertionError")
+    agree(reason(OSError(errno.EACCES, "Permission denied", "file")) == "Permission denied")
