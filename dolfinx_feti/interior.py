@@ -53,6 +53,10 @@ LARGEST = 2048
 #: Right-hand sides of K_II that MUMPS treats at once.
 BLOCK = 256
 
+#: Interior of a subdomain up to which K_II is dense, too. An instance of MUMPS costs a millisecond,
+#: and a communicator; thousands of them slow down whatever MPI does.
+SMALL = 150
+
 
 class Interior(ABC):
     """The matrix of each subdomain as the dual method sees it: K on all free dofs, or S on Γ.
@@ -67,7 +71,7 @@ class Interior(ABC):
     torn: Torn
     dofs: list[Indices]
     factors: BlockFactors | DenseFactors
-    eliminated: BlockFactors | None = None
+    eliminated: BlockFactors | DenseFactors | None = None
 
     @abstractmethod
     def update(self) -> None:
@@ -160,7 +164,7 @@ class Eliminated(Interior):
     """S on the interface."""
 
     factors: DenseFactors
-    eliminated: BlockFactors
+    eliminated: BlockFactors | DenseFactors
 
     def __init__(
         self, torn: Torn, free: list[Indices], glued: npt.NDArray[np.bool_], *, prefix: str
@@ -182,15 +186,31 @@ class Eliminated(Interior):
         self._interior = [rows[~glued[rows]] for rows in free]
         self._glued = np.zeros(torn.n, dtype=bool)
         self._glued[np.concatenate([*self.dofs, np.zeros(0, dtype=np.int32)])] = True
-        self.eliminated = BlockFactors(
-            torn.K, self._interior, prefix=prefix, symmetric=True, right_hand_sides=BLOCK
-        )
+        if max(map(len, self._interior), default=0) <= SMALL:
+            self.eliminated = DenseFactors(self._interior)
+        else:
+            self.eliminated = BlockFactors(
+                torn.K, self._interior, prefix=prefix, symmetric=True, right_hand_sides=BLOCK
+            )
         self.factors = DenseFactors(self.dofs)
 
     def update(self) -> None:
+        if isinstance(self.eliminated, DenseFactors):
+            for i, K in enumerate(self.torn.blocks(self._free)):
+                self.factors.set_block(i, self._eliminate(i, K.toarray(), self.eliminated))
+            return
         self.eliminated.update()
         for i in range(len(self.dofs)):
             self.factors.set_block(i, self._schur_complement(i))
+
+    def _eliminate(self, i: int, K: Array, factors: DenseFactors) -> Array:
+        """Factor K_II and return S, (n_Γ, n_Γ), for the dense K of subdomain i."""
+        Γ = self._on_interface[i]
+        I = np.setdiff1d(np.arange(len(K)), Γ, assume_unique=True)  # noqa: E741
+        factors.set_block(i, K[np.ix_(I, I)])
+        factors.update_block(i, np.zeros((len(I), 0)), 1.0)
+        X = factors.solve_many(i, K[np.ix_(I, Γ)])  # X = K_II⁻¹ K_IΓ
+        return np.asarray(K[np.ix_(Γ, Γ)] - K[np.ix_(Γ, I)] @ X)  # S = K_ΓΓ − K_ΓI X
 
     def restrict(self, i: int, R: Array) -> Array:
         return orthonormal(R[self._on_interface[i]])

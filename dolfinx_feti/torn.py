@@ -25,7 +25,7 @@ A subdomain is a connected component of the graph of the local matrix.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -158,6 +158,32 @@ class Torn:
         t_vec.destroy()
         y_vec.destroy()
         return y
+
+    def blocks(self, rows: Sequence[Indices]) -> Iterator[scipy.sparse.csr_array]:
+        """Copy a diagonal block of each subdomain, one after the other.
+
+        Args:
+            rows: For each subdomain the torn dofs of its block.
+
+        Yields:
+            ``K[rows_i, rows_i]``, (n_i, n_i).
+        """
+        indptr, indices, values = self.K.getValuesCSR()
+        K = scipy.sparse.csr_array((values, indices, indptr), shape=(self.n, self.n))
+        order = np.concatenate([*rows, np.zeros(0, dtype=np.int32)])
+        size = np.array([len(rows_i) for rows_i in rows], dtype=np.int64)
+        first = np.cumsum(size) - size
+        place = np.full(self.n, -1, dtype=np.int64)  # of each dof in its block
+        place[order] = np.arange(len(order)) - np.repeat(first, size)
+        K = K[order]
+        column = place[K.indices]
+        inside = column >= 0
+        entries = np.concatenate(([0], np.cumsum(inside)))[K.indptr]
+        column, data = column[inside], K.data[inside]
+        for a, n in zip(first, size, strict=True):
+            start, end = entries[a], entries[a + n]
+            csr = (data[start:end], column[start:end], entries[a : a + n + 1] - start)
+            yield scipy.sparse.csr_array(csr, shape=(n, n))
 
     def tear(self, x: PETSc.Vec) -> Array:
         """Copy an assembled vector to the subdomains, :math:`T x`, (n,)."""

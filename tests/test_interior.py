@@ -129,14 +129,17 @@ def test_nan_is_no_inverse():
 
 @every_type
 @every_change
-@pytest.mark.parametrize("partial", [True, False])
-def test_elimination_is_exact(kind, change, partial, torn_grid, parts, monkeypatch):
-    """S by both ways, S u_Γ = f̂ with K u = f inside, and the inertia of K_II."""
-    if not partial:
+@pytest.mark.parametrize("way", ["dense", "partial", "columns"])
+def test_elimination_is_exact(kind, change, way, torn_grid, parts, monkeypatch):
+    """S by all ways, S u_Γ = f̂ with K u = f inside, and the inertia of K_II."""
+    if way != "dense":
+        monkeypatch.setattr(interior, "SMALL", -1)
+    if way == "columns":
         monkeypatch.setattr(interior, "partial_factorisation_is_there", lambda choice: False)
     problem = torn_grid((2, 2), (4, 3), components=2, change=change)
     system = parts(problem.A, type=kind, interior="eliminate")
     torn, matrices, fixed = system.torn, system.interior, system.inverse.fixed
+    agree(isinstance(matrices.eliminated, DenseFactors) == (way == "dense"))
     K = problem.K_torn[torn.start : torn.start + torn.n, torn.start : torn.start + torn.n]
     f = np.where(fixed, 0.0, np.random.default_rng(SEED).standard_normal(torn.n))
     condensed = matrices.condense(f)
@@ -185,8 +188,10 @@ def test_dual_system_is_that_of_the_kept_interior(kind, change, torn_grid, parts
 @every_type
 @every_change
 @pytest.mark.parametrize("pc_type", ["dirichlet", "lumped", "identity", "none"])
-def test_solutions_agree(kind, change, pc_type, torn_grid, feti):
+@pytest.mark.parametrize("most", [-1, interior.SMALL], ids=["sparse", "dense"])
+def test_solutions_agree(kind, change, pc_type, most, torn_grid, feti, monkeypatch):
     """Both ways to the same solution, in a number of iterations that hardly differs."""
+    monkeypatch.setattr(interior, "SMALL", most)
     problem = torn_grid((2, 2), (4, 3), components=2, change=change)
     found, iterations = [], []
     for choice in ("keep", "eliminate"):

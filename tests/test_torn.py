@@ -12,7 +12,7 @@ import pytest
 from collective import COMM, agree, dense, equal, raises, whole
 
 import dolfinx_feti
-from dolfinx_feti.torn import Torn, connected_blocks
+from dolfinx_feti.torn import Torn, connected_blocks, create_torn_matrix
 
 SEED = 60914
 
@@ -81,6 +81,32 @@ def test_blocks_are_found_when_a_first_row_does_not_couple():
     K = PETSc.Mat().createAIJ((4, 4), bsize=2, csr=csr, comm=PETSc.COMM_SELF)
     agree([list(rows) for rows in connected_blocks(K)] == [[0, 1, 2, 3]])
     K.destroy()
+
+
+def test_blocks_of_some_rows(torn_grid):
+    """K[rows_i, rows_i], where the rows leave some dofs out, and all of them."""
+    problem = torn_grid((3, 2), (3, 2), components=2)
+    torn = Torn(problem.A)
+    K = problem.K_torn[torn.start : torn.start + torn.n, torn.start : torn.start + torn.n]
+    for choice in (slice(None), slice(None, None, 2), slice(0)):
+        rows = [dofs[choice] for dofs in torn.subdomains]
+        blocks = list(torn.blocks(rows))
+        agree(len(blocks) == len(rows))
+        for block, dofs in zip(blocks, rows, strict=True):
+            agree(np.array_equal(block.toarray(), K[np.ix_(dofs, dofs)]))
+    torn.destroy()
+
+
+def test_blocks_of_interleaved_subdomains():
+    csr = ([0, 2, 4, 6, 8, 9], [0, 2, 1, 3, 0, 2, 1, 3, 4], np.arange(1.0, 10.0))
+    K = PETSc.Mat().createAIJ((5, 5), csr=csr, comm=PETSc.COMM_SELF)
+    sizes = (5, 5 * COMM.size)
+    A = create_torn_matrix(K, 5 * COMM.rank + np.arange(5), sizes, comm=COMM)
+    torn = Torn(A)
+    blocks = [block.toarray().tolist() for block in torn.blocks(torn.subdomains)]
+    agree(blocks == [[[1, 2], [5, 6]], [[3, 4], [7, 8]], [[9]]], blocks)
+    for owned in (torn, A, K):
+        owned.destroy()
 
 
 def test_dirichlet_dofs_may_be_named_by_any_process(torn_grid):
