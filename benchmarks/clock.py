@@ -14,8 +14,13 @@ import numpy as np
 
 __all__ = ["Clock"]
 
-#: Log events of the set-up, and the names of their seconds in a record.
-EVENTS = {"FETIGluing": "gluing", "FETIFactor": "factor", "FETICoarse": "coarse"}
+#: Log events, and the names of their seconds in a record.
+EVENTS = {
+    "FETIGluing": "gluing",
+    "FETIFactor": "factor",
+    "FETICoarse": "coarse",
+    "FETIIterations": "iterations",
+}
 
 
 class Clock:
@@ -47,7 +52,7 @@ class Clock:
         ksp.setPostSolve(after)
 
     def record(self) -> dict[str, float]:
-        """Return the seconds of assembly, set-up and solution, and of the phases of the set-up.
+        """Return the seconds of assembly, set-up and solution, and of their phases.
 
         The seconds of a phase are those of the slowest process.
 

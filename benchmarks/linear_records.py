@@ -12,7 +12,16 @@ from benchmarks.cube_case import Case
 from benchmarks.records import Record
 from benchmarks.study import is_solved
 
-__all__ = ["PRECONDITIONERS", "TYPES", "differs_in", "group", "is_papers", "is_solved", "order"]
+__all__ = [
+    "PRECONDITIONERS",
+    "TYPES",
+    "differs_in",
+    "group",
+    "is_papers",
+    "is_solved",
+    "order",
+    "seconds_an_iteration",
+]
 
 TYPES = {"all_floating": "all-floating", "classical": "classical"}
 PRECONDITIONERS = ("identity", "lumped", "dirichlet")
@@ -46,3 +55,9 @@ def order(record: Record) -> tuple[object, ...]:
     pc = str(record["pc"])
     place = PRECONDITIONERS.index(pc) if pc in PRECONDITIONERS else len(PRECONDITIONERS)
     return record["degree"], record["type"], record["level"], place
+
+
+def seconds_an_iteration(record: Record) -> float:
+    """Return the seconds of an iteration; of a whole solution where they were not taken alone."""
+    seconds = record.get("seconds_iterations", record["seconds_solve"])
+    return float(seconds) / record["iterations"]

@@ -19,6 +19,7 @@ from benchmarks.linear_records import (
     is_papers,
     is_solved,
     order,
+    seconds_an_iteration,
 )
 from benchmarks.records import Record
 from benchmarks.table import Table, count, number, percent
@@ -211,7 +212,8 @@ def solver_table(records: Sequence[Record]) -> Table:
     head += ["an iteration [s]", "to read [s]", "peak [MiB]", "residual"]
     note = (
         "P1, 512 subdomains, Dirichlet preconditioner; seconds of the clock, the residual of the "
-        "assembled system reduced by 1e-8. Peaks are above what mesh and forms take."
+        "assembled system reduced by 1e-8. *Solve* goes from the condensation of the load to the "
+        "displacement, *an iteration* without them. Peaks are above what mesh and forms take."
     )
     return Table("FETI, MUMPS and GAMG on the same problem", head, rows, note)
 
@@ -222,7 +224,7 @@ def _effort(r: Record) -> list[str]:
         return [f"needs {count(r.get('estimated_mib'))} MiB", *["–"] * 4]
     its, streaming = r["iterations"], r.get("seconds_streaming")
     seconds = [f"{r['seconds_setup']:.2f}", f"{r['seconds_solve']:.2f}"]
-    return [str(its), *seconds, f"{r['seconds_solve'] / its:.3f}", number(streaming)]
+    return [str(its), *seconds, f"{seconds_an_iteration(r):.3f}", number(streaming)]
 
 
 def _refused(records: Sequence[Record]) -> Table:

@@ -29,6 +29,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.dual import ConstraintPreconditioner, DualOperator, DualVector
+from dolfinx_feti.events import event
 from dolfinx_feti.options import inserted
 
 __all__ = ["Krylov"]
@@ -139,7 +140,8 @@ class Krylov:
             self.ksp.setMonitor(lambda ksp, its, rnorm: test.measure(its, rnorm))
         else:
             self.ksp.setConvergenceTest(test)
-        self.ksp.solve(self.b, self.x)
+        with event("FETIIterations"):
+            self.ksp.solve(self.b, self.x)
         if self.users_test:
             self.ksp.monitorCancel()
         else:
