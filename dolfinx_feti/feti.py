@@ -42,6 +42,9 @@ GAIN = 0.5
 #: What the Krylov method aims at below the tolerance: it sees the residual up to rounding.
 MARGIN = 0.7
 
+#: Below this relative residual CG's curvature is that of rounding.
+ROUNDING = 1e-13
+
 REMEDIES = {
     Reason.DIVERGED_NANORINF: "a NaN or Inf met the Krylov method; look at the matrix and the load",
     Reason.DIVERGED_BREAKDOWN: (
@@ -56,6 +59,9 @@ REMEDIES = {
     ),
     Reason.DIVERGED_MAX_IT: "no convergence within -{0}ksp_max_it iterations; raise it",
 }
+
+#: Reasons for which CG ends when a quadratic form is negative.
+CURVATURE = (Reason.DIVERGED_INDEFINITE_MAT, Reason.DIVERGED_INDEFINITE_PC)
 
 INDEFINITE = "; the assembled matrix seems to be indefinite: N has {0} negative eigenvalue(s)"
 
@@ -242,6 +248,8 @@ class FETI:
         assert self._parts is not None
         if not np.isfinite(norm):
             reason = Reason.DIVERGED_NANORINF
+        elif reason in CURVATURE and self.residual <= ROUNDING:
+            reason = Reason.DIVERGED_BREAKDOWN
         elif reason > 0 and norm > target and not self._parts.krylov.users_test:
             reason = Reason.DIVERGED_BREAKDOWN
         if reason < 0:
