@@ -174,11 +174,9 @@ def _sliding(wall: Wall, V: dolfinx.fem.FunctionSpace) -> list[dolfinx.fem.Diric
         if name in wall.surfaces:
             dofs = dolfinx.fem.locate_dofs_topological(part, 2, facets(wall, name))
         else:  # in the whole tube the planes are the same, but no surfaces
-            space, to_V = part.collapse()
-            plane = dolfinx.fem.locate_dofs_geometrical(
-                space, lambda x, i=component: np.isclose(x[i], 0.0, atol=1e-9)
+            dofs, _ = dolfinx.fem.locate_dofs_geometrical(
+                (part, part.collapse()[0]), lambda x, i=component: np.isclose(x[i], 0.0, atol=1e-9)
             )
-            dofs = np.asarray(to_V, dtype=np.int32)[plane]
         held.append((component, dofs))
     return [dolfinx.fem.dirichletbc(0.0, dofs, V.sub(component)) for component, dofs in held]
 
