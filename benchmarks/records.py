@@ -80,7 +80,8 @@ def read_records(path: Path, known: Callable[[Record], bool], writer: str) -> li
     """
     try:
         records = _parse(path)
-        cause = "" if records and all(map(known, records)) else "none, or others"
+        sound = records and all(map(known, records))
+        cause = "" if sound else "there are none, or some of another kind"
     except ValueError as error:
         cause = str(error)
     if cause:

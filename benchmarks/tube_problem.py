@@ -66,11 +66,9 @@ def create_tube_wall(comm: MPI.Comm, **geometry: object) -> Wall:
         Collective.
     """
     with tempfile.TemporaryDirectory() as folder:
-        path = comm.bcast(Path(folder) / "tube.msh")
+        path = Path(folder) / "tube.msh"  # the first process's own, who alone reads it
         on_first(lambda: create_tube(path, **geometry), comm)
-        wall = read_wall(path, comm)
-        comm.Barrier()
-    return wall
+        return read_wall(path, comm)
 
 
 def tube_fibres(mesh: dolfinx.mesh.Mesh) -> tuple[dolfinx.fem.Function, dolfinx.fem.Function]:

@@ -132,20 +132,16 @@ class FETI:
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve A x = b; a failure is a negative converged reason with a message."""
         self.setUp(ksp)
-        if self.message:
+        refused = self.refuse_indefinite and self.negative_coarse > 0
+        if self.message or refused:
             x.set(0.0)
             self.iterations, self.residual = 0, np.nan
-            reason = Reason.DIVERGED_PCSETUP_FAILED
-        elif self.refuse_indefinite and self.negative_coarse > 0:
-            x.set(0.0)
-            self.iterations, self.residual = 0, np.nan
-            ksp.setConvergedReason(Reason.DIVERGED_INDEFINITE_MAT)
-            return
+            reason = Reason.DIVERGED_INDEFINITE_MAT if refused else Reason.DIVERGED_PCSETUP_FAILED
         else:
             with event("FETISolve"):
                 reason = self._solve(ksp, b, x)
         ksp.setConvergedReason(reason)
-        if reason < 0 and ksp.comm.rank == 0:
+        if reason < 0 and not refused and ksp.comm.rank == 0:
             logger.warning("FETI did not converge: %s", self.message)
 
     def solveTranspose(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:

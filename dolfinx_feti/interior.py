@@ -180,13 +180,14 @@ class Eliminated(Interior):
         self.torn = torn
         self._free = free
         self._choice = Choice(prefix, symmetric=True, right_hand_sides=BLOCK)
-        self._partial = partial_factorisation_is_there(self._choice)
         self._on_interface = [np.flatnonzero(glued[rows]).astype(np.int32) for rows in free]
         self.dofs = [rows[glued[rows]] for rows in free]
         self._interior = [rows[~glued[rows]] for rows in free]
         self._glued = np.zeros(torn.n, dtype=bool)
         self._glued[np.concatenate([*self.dofs, np.zeros(0, dtype=np.int32)])] = True
-        if max(map(len, self._interior), default=0) <= SMALL:
+        small = max(map(len, self._interior), default=0) <= SMALL
+        self._partial = not small and partial_factorisation_is_there(self._choice)
+        if small:
             self.eliminated = DenseFactors(self._interior)
         else:
             self.eliminated = BlockFactors(
@@ -195,21 +196,23 @@ class Eliminated(Interior):
         self.factors = DenseFactors(self.dofs)
 
     def update(self) -> None:
-        if isinstance(self.eliminated, DenseFactors):
-            for i, K in enumerate(self.torn.blocks(self._free)):
-                self.factors.set_block(i, self._eliminate(i, K.toarray(), self.eliminated))
+        if isinstance(self.eliminated, BlockFactors):
+            self.eliminated.update()
+        if self._partial:
+            for i in range(len(self.dofs)):
+                self.factors.set_block(i, self._schur_complement(i))
             return
-        self.eliminated.update()
-        for i in range(len(self.dofs)):
-            self.factors.set_block(i, self._schur_complement(i))
+        for i, K in enumerate(self.torn.blocks(self._free)):
+            self.factors.set_block(i, self._eliminate(i, K.toarray()))
 
-    def _eliminate(self, i: int, K: Array, factors: DenseFactors) -> Array:
-        """Factor K_II and return S, (n_Γ, n_Γ), for the dense K of subdomain i."""
+    def _eliminate(self, i: int, K: Array) -> Array:
+        """Return S, (n_Γ, n_Γ), for the dense K of subdomain i; factor K_II if it is dense, too."""
         Γ = self._on_interface[i]
         I = np.setdiff1d(np.arange(len(K)), Γ, assume_unique=True)  # noqa: E741
-        factors.set_block(i, K[np.ix_(I, I)])
-        factors.update_block(i, np.zeros((len(I), 0)), 1.0)
-        X = factors.solve_many(i, K[np.ix_(I, Γ)])  # X = K_II⁻¹ K_IΓ
+        if isinstance(self.eliminated, DenseFactors):
+            self.eliminated.set_block(i, K[np.ix_(I, I)])
+            self.eliminated.update_block(i, np.zeros((len(I), 0)), 1.0)
+        X = self.eliminated.solve_many(i, K[np.ix_(I, Γ)])  # X = K_II⁻¹ K_IΓ
         return np.asarray(K[np.ix_(Γ, Γ)] - K[np.ix_(Γ, I)] @ X)  # S = K_ΓΓ − K_ΓI X
 
     def restrict(self, i: int, R: Array) -> Array:
@@ -234,22 +237,16 @@ class Eliminated(Interior):
         return u
 
     def _schur_complement(self, i: int) -> Array:
-        Γ, I = self.dofs[i], self._interior[i]  # noqa: E741
-        if self._partial and len(I) and len(Γ):
-            rows = PETSc.IS().createGeneral(
-                self._free[i].astype(PETSc.IntType), comm=PETSc.COMM_SELF
-            )
-            K = self.torn.K.createSubMatrix(rows, rows)
-            K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-            S = schur_complement(K, self._on_interface[i], self._choice)
-            K.destroy()
-            rows.destroy()
-            return S
-        S = sparse_block(self.torn.K, Γ, Γ).toarray(order="F")
-        if len(I) and len(Γ):
-            K_IΓ = sparse_block(self.torn.K, I, Γ)
-            X = self.eliminated.solve_many(i, K_IΓ.toarray(order="F"))  # X = K_II⁻¹ K_IΓ
-            S -= K_IΓ.T.tocsr() @ X  # S = K_ΓΓ − K_ΓI X
+        """Return S, (n_Γ, n_Γ), of subdomain i by a factorisation that stops at the interface."""
+        Γ = self._on_interface[i]
+        if len(Γ) in (0, len(self._free[i])):
+            return sparse_block(self.torn.K, self.dofs[i], self.dofs[i]).toarray(order="F")
+        rows = PETSc.IS().createGeneral(self._free[i].astype(PETSc.IntType), comm=PETSc.COMM_SELF)
+        K = self.torn.K.createSubMatrix(rows, rows)
+        K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        S = schur_complement(K, Γ, self._choice)
+        K.destroy()
+        rows.destroy()
         return S
 
 

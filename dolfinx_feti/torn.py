@@ -171,19 +171,12 @@ class Torn:
         indptr, indices, values = self.K.getValuesCSR()
         K = scipy.sparse.csr_array((values, indices, indptr), shape=(self.n, self.n))
         order = np.concatenate([*rows, np.zeros(0, dtype=np.int32)])
-        size = np.array([len(rows_i) for rows_i in rows], dtype=np.int64)
-        first = np.cumsum(size) - size
-        place = np.full(self.n, -1, dtype=np.int64)  # of each dof in its block
-        place[order] = np.arange(len(order)) - np.repeat(first, size)
-        K = K[order]
-        column = place[K.indices]
-        inside = column >= 0
-        entries = np.concatenate(([0], np.cumsum(inside)))[K.indptr]
-        column, data = column[inside], K.data[inside]
-        for a, n in zip(first, size, strict=True):
-            start, end = entries[a], entries[a + n]
-            csr = (data[start:end], column[start:end], entries[a : a + n + 1] - start)
-            yield scipy.sparse.csr_array(csr, shape=(n, n))
+        K = K[order][:, order]  # block-diagonal, one block after the other
+        first = 0
+        for rows_i in rows:
+            last = first + len(rows_i)
+            yield K[first:last, first:last]
+            first = last
 
     def tear(self, x: PETSc.Vec) -> Array:
         """Copy an assembled vector to the subdomains, :math:`T x`, (n,)."""

@@ -9,7 +9,6 @@ import gc
 import weakref
 from pathlib import Path
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -134,7 +133,10 @@ def test_operators_outlive_the_problem():
 
 @pytest.mark.parametrize("what", ["create", "solve", "refresh"])
 def test_memory_does_not_grow(what, torn_grid, feti):
-    """Less than a tenth of a MiB a round, where a system takes several."""
+    """Less than a tenth of a MiB a round, where a system takes several.
+
+    A leak grows in each of the windows; an arena or a cache that the allocator takes once, in one.
+    """
     problem = elasticity(cube(3, 4))
     linear = create(problem)
     linear.solve()
@@ -149,14 +151,14 @@ def test_memory_does_not_grow(what, torn_grid, feti):
             linear.solver.getPythonContext().setUp(linear.solver)
         collect()
 
-    for _ in range(5):
-        work()
-    before = resident()
-    rounds = 12
-    for _ in range(rounds):
-        work()
-    grown = COMM.allreduce(resident() - before, op=MPI.MAX)
-    agree(grown < 0.1 * rounds, f"{grown:.2f} MiB in {rounds} rounds")
+    rounds, windows = 5, 4
+    sizes = [resident()]
+    for _ in range(windows):
+        for _ in range(rounds):
+            work()
+        sizes.append(resident())
+    grown = np.diff(sizes)
+    agree(grown.min() < 0.1 * rounds, f"{grown} MiB in {rounds} rounds each")
 
 
 def test_one_copy_of_the_matrix():
