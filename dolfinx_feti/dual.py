@@ -27,6 +27,7 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx_feti.coarse import Coarse
 from dolfinx_feti.gluing import Gluing
@@ -35,6 +36,8 @@ from dolfinx_feti.pseudoinverse import PseudoInverse
 
 __all__ = ["ConstraintPreconditioner", "DualOperator", "DualVector"]
 
+Array = npt.NDArray[np.float64]
+
 
 class DualVector:
     """The two parts of a vector (λ, s), copied in and out of one PETSc vector.
@@ -42,12 +45,14 @@ class DualVector:
     Attributes:
         lam: Multipliers, (m,).
         s: Coarse unknowns, (K,).
+        comm: Their processes.
     """
 
     def __init__(self, gluing: Gluing, coarse: Coarse) -> None:
         self.lam = gluing.B.createVecLeft()
         self.s = coarse.N.createVecRight()
         self._m = self.lam.getLocalSize()
+        self.comm = self.lam.comm.tompi4py()
 
     def read(self, x: PETSc.Vec) -> None:
         """Split x into λ and s."""
@@ -112,6 +117,25 @@ class DualOperator:
         self._inverse.solve(self._torn.array_r, u)  # K⁺ Bᵀ λ
         self._u.array[:] = u
         self._B.mult(self._u, jump)  # B K⁺ Bᵀ λ
+
+    def jumps(self, pairs: Array) -> Array:
+        """Compute the jumps of many pairs at once, F Λ − G S, (m + K, r) → (m, r)."""
+        v, jump = self.vector, self._jump
+        m, r = v.lam.getLocalSize(), pairs.shape[1]
+        t = np.empty((self._torn.getLocalSize(), r), order="F")
+        for j in range(r):
+            v.lam.array[:] = pairs[:m, j]
+            self._B.multTranspose(v.lam, self._torn)
+            t[:, j] = self._torn.array_r  # Bᵀ Λ
+        u = self._inverse.solve_many(t)  # K⁺ Bᵀ Λ
+        jumps = np.empty((m, r), order="F")
+        for j in range(r):
+            self._u.array[:] = u[:, j]
+            v.s.array[:] = -pairs[m:, j]
+            self._B.mult(self._u, jump)
+            self._coarse.G.multAdd(v.s, jump, jump)
+            jumps[:, j] = jump.array_r  # B K⁺ Bᵀ Λ − G S
+        return jumps
 
     def destroy(self, _mat: PETSc.Mat | None = None) -> None:
         """Free the work vectors."""
@@ -185,6 +209,25 @@ class ConstraintPreconditioner:
         w.scale(-1.0)
         coarse.G.multAdd(w, r, r)
         return w
+
+    def balance(self, lam: Array) -> Array:
+        """Balance multipliers, (m, r) → (m + K, r): (Λ − Q G V, −V) with V = N⁻¹ Gᵀ Λ.
+
+        For D = 0 any s is balanced, and zero is taken.
+        """
+        coarse, y, v = self._coarse, self._y, self._w
+        m, r = lam.shape
+        pairs = np.zeros((m + v.getLocalSize(), r), order="F")
+        for j in range(r):
+            y.array[:] = lam[:, j]
+            coarse.G_left.multTranspose(y, self._e)
+            coarse.solve(self._e, v)  # v = N⁻¹ Gᵀ λ
+            v.scale(-1.0)
+            coarse.QG.multAdd(v, y, y)
+            pairs[:m, j] = y.array_r  # λ − Q G v
+            if not self.exact:
+                pairs[m:, j] = v.array_r
+        return pairs
 
     def _measure(self, r: PETSc.Vec) -> None:
         torn = self._M.torn

@@ -24,7 +24,7 @@ import numpy as np
 
 from dolfinx_feti.events import event
 from dolfinx_feti.options import FETIOptions, read_options
-from dolfinx_feti.parts import Parts, SetUpError
+from dolfinx_feti.parts import Parts, SetUpError, SingularError
 from dolfinx_feti.recovery import load, recover, residual, start
 from dolfinx_feti.report import Report, collect, table
 
@@ -80,6 +80,7 @@ class FETI:
         negative: Negative eigenvalues of the regularised subdomains and of the defect D.
         negative_coarse: Negative eigenvalues of the coarse matrix N, a sign that the assembled
             matrix has some (see ``coarse``); −1 if not known.
+        singular: Whether the set-up failed because the matrix is singular.
         refuse_indefinite: Whether a solve ends before its first iteration, with the reason
             ``DIVERGED_INDEFINITE_MAT``, if N has negative eigenvalues.
         eigenvalues: (λ_min, λ_max) of the preconditioned dual operator, by Lanczos from the CG
@@ -92,7 +93,7 @@ class FETI:
         self.residual = np.nan
         self.method = ""
         self.negative = self.negative_coarse = 0
-        self.refuse_indefinite = False
+        self.singular = self.refuse_indefinite = False
         self.eigenvalues = (np.nan, np.nan)
         self._options: FETIOptions | None = None
         self._parts: Parts | None = None
@@ -122,12 +123,12 @@ class FETI:
         """Build or refresh everything that depends on the matrix."""
         if self._options is None:
             self.setFromOptions(ksp)
-        self.message = ""
+        self.message, self.singular = "", False
         try:
             self._refresh(ksp.getOperators()[0])
         except SetUpError as error:
             self._state, self.negative_coarse = None, -1
-            self.message = str(error)
+            self.message, self.singular = str(error), isinstance(error, SingularError)
 
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve A x = b; a failure is a negative converged reason with a message."""
@@ -202,6 +203,7 @@ class FETI:
         torn, delta, krylov = p.torn, p.gluing.delta, p.krylov
         rtol, atol, _, max_it = ksp.getTolerances()
         self.iterations, self.residual = 0, np.nan
+        krylov.recycling.renew()
         if not np.isfinite(b.norm()):
             return self._judge(Reason.DIVERGED_NANORINF, np.nan, 0.0)
         u_D = np.where(torn.dirichlet, torn.tear(b), 0.0)

@@ -28,9 +28,10 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_feti.dual import ConstraintPreconditioner, DualOperator, DualVector
+from dolfinx_feti.dual import ConstraintPreconditioner, DualVector
 from dolfinx_feti.events import event
 from dolfinx_feti.options import inserted
+from dolfinx_feti.recycling import Recycling
 
 __all__ = ["Krylov"]
 
@@ -55,6 +56,7 @@ class Krylov:
 
     Attributes:
         ksp: The PETSc solver, with prefix ``…feti_dual_``.
+        recycling: What earlier solves have left.
         users_test: Whether the user's own ``ksp_rtol`` or ``ksp_atol`` decides, not the residual of
             the assembled system.
         eigenvalues: Extreme Ritz values of the last CG solve, (λ_min, λ_max).
@@ -62,7 +64,7 @@ class Krylov:
 
     def __init__(
         self,
-        operator: DualOperator,
+        recycling: Recycling,
         preconditioner: ConstraintPreconditioner,
         vector: DualVector,
         *,
@@ -74,8 +76,8 @@ class Krylov:
         """Create the solver; nothing is solved yet.
 
         Args:
-            operator: The dual system.
-            preconditioner: Its constraint preconditioner.
+            recycling: The dual system and its preconditioner, with what earlier solves have left.
+            preconditioner: The constraint preconditioner in it.
             vector: Splits and joins (λ, s).
             definite: Whether CG is safe.
             prefix: Options prefix.
@@ -83,10 +85,11 @@ class Krylov:
             reorthogonalize: Keep CG's directions orthogonal to all earlier ones.
         """
         self._preconditioner = preconditioner
+        self.recycling = recycling
         self.x = vector.create()
         self.b = self.x.duplicate()
         sizes = (self.x.getSizes(), self.x.getSizes())
-        self._mat = PETSc.Mat().createPython(sizes, operator, comm=self.x.comm)
+        self._mat = PETSc.Mat().createPython(sizes, recycling, comm=self.x.comm)
         self._mat.setUp()
         self.ksp = PETSc.KSP().create(self.x.comm)
         self.ksp.setOptionsPrefix(prefix)
@@ -97,7 +100,7 @@ class Krylov:
         full = reorthogonalize and own.getString("ksp_type", self.ksp.getType()) == "cg"
         pc = self.ksp.getPC()
         pc.setType(PETSc.PC.Type.PYTHON)
-        pc.setPythonContext(preconditioner)
+        pc.setPythonContext(recycling)
         self.ksp.setComputeSingularValues(True)
         with inserted(prefix, {"ksp_type": "fcg", "ksp_fcg_mmax": ROOM} if full else {}):
             self.ksp.setFromOptions()
@@ -126,9 +129,11 @@ class Krylov:
         Returns:
             The converged reason.
         """
+        first = self.recycling.start(self.b)
         jump = self.b.norm()
         test = _Test(
             self._preconditioner,
+            self.recycling,
             target,
             self._stagnation,
             max_it,
@@ -142,6 +147,7 @@ class Krylov:
             self.ksp.setConvergenceTest(test)
         with event("FETIIterations"):
             self.ksp.solve(self.b, self.x)
+        self.x.array[:] += first
         if self.users_test:
             self.ksp.monitorCancel()
         else:
@@ -170,6 +176,7 @@ class _Test:
     def __init__(
         self,
         preconditioner: ConstraintPreconditioner,
+        recycling: Recycling,
         target: float,
         stagnation: int,
         max_it: int,
@@ -179,6 +186,7 @@ class _Test:
         monitor: Monitor,
     ) -> None:
         self._preconditioner = preconditioner
+        self._recycling = recycling
         self._target = target
         self._stagnation = stagnation
         self._max_it = max_it
@@ -219,7 +227,8 @@ class _Test:
 
     def _measure_again(self, ksp: PETSc.KSP, rnorm: float) -> tuple[float, float]:
         """Form the jump of the present iterate; return the norms of its force and of itself."""
-        r = ksp.buildResidual()
+        with self._recycling.paused():  # no product of the Krylov method's own
+            r = ksp.buildResidual()
         indicator = self._indicator(rnorm)  # before force() measures anew
         norm, jump = self._preconditioner.force(r), r.norm()
         r.destroy()

@@ -12,18 +12,21 @@ condensed pressure, g(α) holds :math:`r_u(U + α ΔU, p + α Δp)` and not the 
 condensation adds grows with κ, though it is linear in Δp and the next step removes it.
 
 If the problem has a potential Π (Augustin_eq:strain_energy, with the load's part), Newton's method
-is kept on the way down. The step is also taken if it lowers Π enough (Armijo),
+is kept on the way down, which always leads to an equilibrium: a step is taken if it lowers Π enough
+(Armijo),
 
 .. math:: Π(U + α ΔU) ≤ Π(U) + 10^{-4}\, α\, ΔU·r,
 
-with the condensed pressure that its own equation demands for either state. And an indefinite
+with the condensed pressure that its own equation demands for either state; g has a say only while
+prescribed displacements move, and where the change of Π drowns in rounding. And an indefinite
 tangent leads to a saddle or a maximum: then
 
 .. math:: (K' + σ \operatorname{diag}|k|)\, ΔU = -r
 
-is solved with the stiffness k of the dofs, with σ growing from 1e-3 until the coarse matrix has no
+is solved with the stiffness k of the dofs, with σ growing from 1e-4 until the coarse matrix has no
 negative eigenvalue left (``coarse``), which is known before the first iteration, and ΔU leads
-downhill, ΔU·r < 0. In the next steps σ falls, to zero at the end.
+downhill, ΔU·r < 0. In the next steps σ falls, to zero at the end. A tangent that turns out singular
+on the way counts as indefinite.
 """
 
 from __future__ import annotations
@@ -50,13 +53,17 @@ Reason, LinearReason = PETSc.SNES.ConvergedReason, PETSc.KSP.ConvergedReason
 ETA = 0.8
 
 #: Shortest step that is tried.
-SHORTEST = 1.0 / 64
+SHORTEST = 1.0 / 1024
+
+#: Share of the potential below which its change is rounding.
+ROUNDING = 1e-9
 
 #: Share of the slope by which a step has to lower the potential (Armijo).
 DESCENT = 1e-4
 
 #: The first shift of an indefinite tangent, its growth, and the one that is given up at.
-LEAST_SHIFT, GROWTH, MOST_SHIFT = 1e-3, 4.0, 0.064
+LEAST_SHIFT, GROWTH = 1e-4, 4.0
+MOST_SHIFT = LEAST_SHIFT * GROWTH**7
 
 
 class Newton:
@@ -149,7 +156,10 @@ class Newton:
             uphill = system.has_potential and _dot(du, r, comm) >= 0.0
             if reason > 0 and not uphill:
                 return du, iterations
-            if not system.has_potential or reason == LinearReason.DIVERGED_PCSETUP_FAILED:
+            failed = reason == LinearReason.DIVERGED_PCSETUP_FAILED
+            if failed and not (feti.singular and self.history):
+                break
+            if not system.has_potential:
                 break
             self._shift = max(LEAST_SHIFT, GROWTH * self._shift)
         self._shift = 0.0
@@ -178,6 +188,7 @@ class Newton:
         start, step = system.state(), system.increment(du)
         slope = _dot(du, r, comm)  # g(0) < 0
         height = system.potential() if system.has_potential else np.nan
+        only_down = abs(slope) > ROUNDING * abs(height) and not system.moves_boundary(du)
         alpha = 1.0
         while alpha >= SHORTEST:
             system.set_state((start[0] + alpha * step[0], start[1] + alpha * step[1]))
@@ -185,10 +196,10 @@ class Newton:
             if system.least_volume_ratio() > 0.0:
                 trial = system.residual()
                 ratio = _dot(du, system.force, comm) / slope if slope else 0.0
+                if not only_down and -ETA <= ratio <= 1.0 + ETA:
+                    return alpha, trial
                 lowest = height + DESCENT * alpha * slope
-                if -ETA <= ratio <= 1.0 + ETA or (
-                    system.has_potential and system.potential() <= lowest
-                ):
+                if system.has_potential and system.potential() <= lowest:
                     return alpha, trial
             secant = 1.0 / (1.0 - ratio) if ratio < 0.0 else 0.5  # zero of the line through g
             alpha *= min(max(secant, 0.1), 0.5)

@@ -24,6 +24,8 @@
 ``-feti_dual_…``               ``ksp_type cg|gmres|fgmres|…``           Krylov method for (λ, s)
 ``-feti_dual_reorthogonalize`` ``false``, ``true``                      directions of CG orthogonal
                                                                         to all earlier ones
+``-feti_dual_recycle``         0                                        directions left to later
+                                                                        solves, at most
 ``-feti_local_…``              ``pc_factor_mat_solver_type …``          factors of K_ρ
 ``-feti_dirichlet_…``          ``pc_factor_mat_solver_type …``          factors of K_II
 ``-feti_coarse_…``             ``ksp_type``, ``pc_type``, …             solver of N
@@ -52,7 +54,7 @@ CHOICES = {
     "interior": ("auto", "keep", "eliminate"),
     "indefinite": ("enrich", "gmres", "error"),
 }
-NUMBERS = {"coarse_modes": 12, "stagnation": 200, "refine": 10}
+NUMBERS = {"coarse_modes": 12, "stagnation": 200, "refine": 10, "dual_recycle": 0}
 FLAGS = {"dual_reorthogonalize": False}
 SUBSOLVERS = {
     "dual_": ("ksp_",),
@@ -77,6 +79,7 @@ class FETIOptions:
     stagnation: int = 200
     refine: int = 10
     dual_reorthogonalize: bool = False
+    dual_recycle: int = 0
 
     @property
     def all_floating(self) -> bool:

@@ -29,9 +29,10 @@ from dolfinx_feti.krylov import Krylov
 from dolfinx_feti.options import FETIOptions
 from dolfinx_feti.preconditioner import create_preconditioner
 from dolfinx_feti.pseudoinverse import PseudoInverse
+from dolfinx_feti.recycling import Recycling
 from dolfinx_feti.torn import Torn
 
-__all__ = ["Parts", "SetUpError"]
+__all__ = ["Parts", "SetUpError", "SingularError"]
 
 #: Krylov methods for symmetric systems.
 SYMMETRIC_METHODS = ("cg", "fcg", "pipecg", "minres", "symmlq")
@@ -51,6 +52,10 @@ class SetUpError(ArithmeticError):
     """The FETI system cannot be set up; raised on all processes, with the remedy."""
 
 
+class SingularError(SetUpError):
+    """The matrix is singular, in the whole or on a subdomain beyond its candidates."""
+
+
 class Parts:
     """All that one torn matrix is turned into.
 
@@ -61,6 +66,7 @@ class Parts:
         interior: The matrix of each subdomain, K or S.
         inverse: K⁺, E and D.
         preconditioner: M.
+        recycling: What solves leave to later ones.
         negative: Negative eigenvalues of K_ρ and D over all subdomains; CG is safe without any.
         coarse: G and N; after :meth:`update`.
         operator: The dual system; after :meth:`update`.
@@ -106,6 +112,12 @@ class Parts:
                 f"The matrix is not symmetric, but -{self.prefix}interior is eliminate, which "
                 "takes it to be: let it be keep or auto."
             )
+        if options.dual_recycle and not self.symmetric:
+            raise SetUpError(
+                f"The matrix is not symmetric, but -{self.prefix}dual_recycle is "
+                f"{options.dual_recycle}, and directions are only recycled of a symmetric one: "
+                "leave it out."
+            )
         self.interior = create_interior(
             options.interior,
             self.torn,
@@ -131,6 +143,7 @@ class Parts:
             symmetric=self.symmetric,
             prefix=self.prefix + "dirichlet_",
         )
+        self.recycling = Recycling(options.dual_recycle)
         self._dual: list[
             Coarse | DualVector | DualOperator | ConstraintPreconditioner | Krylov
         ] = []
@@ -176,8 +189,9 @@ class Parts:
             q_has_m=self.options.coarse_q == "preconditioner",
         )
         self.operator = DualOperator(self.gluing, self.inverse, self.coarse, vector)
+        self.recycling.attach(self.operator, self.constraint)
         self.krylov = Krylov(
-            self.operator,
+            self.recycling,
             self.constraint,
             vector,
             definite=self.symmetric and self.negative == 0,
@@ -204,19 +218,19 @@ class Parts:
             )
         zero = self.torn.comm.allreduce(zero)
         if zero:
-            raise SetUpError(
+            raise SingularError(
                 f"{zero} zero pivots are left in the regularised subdomains: their kernel is "
                 "larger than the near kernel of the matrix. Attach all rigid body modes with "
                 "dolfinx_feti.set_near_kernel."
             )
         inside = self.torn.comm.allreduce(self.interior.zero_inside())
         if inside:
-            raise SetUpError(SINGULAR.format(inside))
+            raise SingularError(SINGULAR.format(inside))
 
     def _check_coarse(self) -> None:
         _, zero = self.coarse.solver.inertia()
         if zero > 0:
-            raise SetUpError(SINGULAR.format(zero))
+            raise SingularError(SINGULAR.format(zero))
 
     def _check_method(self) -> None:
         method = self.krylov.ksp.getType()

@@ -146,6 +146,13 @@ class PseudoInverse:
         x[self.fixed] = 0.0
         self.factors.solve(y, x)
 
+    def solve_many(self, Y: Array) -> Array:
+        """Apply the generalised inverse to columns, K⁺ Y, (n, r); reads every factor once."""
+        X = np.zeros_like(Y)
+        for i, dofs in enumerate(self.dofs):
+            X[dofs] = self.factors.solve_many(i, Y[dofs])
+        return X
+
     def kernel_dimensions(self) -> npt.NDArray[np.int64]:
         """Return k_i for each subdomain: rigid body modes and elastic modes that joined them."""
         return self._dimensions

@@ -39,6 +39,7 @@ class Report:
         coarse_mib: Memory of the factor of the coarse matrix in MiB; nan if not known.
         coarse_inertia: Negative and zero eigenvalues of the coarse matrix; −1 unknown.
         factor_mib: Memory of all local factors in MiB.
+        recycled: Directions of earlier solves, deflated in the last one.
         eigenvalues: (λ_min, λ_max) of the preconditioned dual operator.
     """
 
@@ -59,6 +60,7 @@ class Report:
     coarse_mib: float
     coarse_inertia: tuple[int, int]
     factor_mib: float
+    recycled: int
     eigenvalues: tuple[float, float]
 
 
@@ -99,6 +101,7 @@ def collect(parts: Parts) -> Report:
         coarse_mib=coarse.solver.memory(),
         coarse_inertia=coarse.solver.inertia(),
         factor_mib=comm.allreduce(parts.interior.memory() + applied),
+        recycled=parts.recycling.size,
         eigenvalues=parts.krylov.eigenvalues,
     )
 
@@ -127,4 +130,6 @@ def table(report: Report) -> str:
         ("factors", f"{r.factor_mib:.0f} MiB, interior {r.interior}"),
         ("condition number", condition),
     ]
+    if o.dual_recycle:
+        rows.append(("recycled directions", f"{r.recycled} of at most {o.dual_recycle}"))
     return "".join(f"  {name:<22}{value}\n" for name, value in rows)

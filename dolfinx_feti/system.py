@@ -29,6 +29,9 @@ __all__ = ["System"]
 
 Array = npt.NDArray[np.float64]
 
+#: Share of the greatest displacement below which one of a Dirichlet dof is rounding.
+MOVED = 1e-10
+
 
 class System:
     """Residual and tangent of a displacement u and, if condensed, a pressure p.
@@ -124,6 +127,17 @@ class System:
         whole.array[: self.owned] = du
         whole.scatter_forward()
         return du, self.condensation.increment(whole.array[self._local])
+
+    def moves_boundary(self, du: Array) -> bool:
+        """Tell whether an increment of u, (owned,), moves Dirichlet dofs, more than by rounding.
+
+        Note:
+            Collective.
+        """
+        held = np.concatenate([*(bc.dof_indices()[0] for bc in self.bcs), np.zeros(0, np.int32)])
+        sizes = np.abs(du).max(initial=0.0), np.abs(du[held[held < self.owned]]).max(initial=0.0)
+        most, moved = self.u.function_space.mesh.comm.allreduce(np.array(sizes), op=MPI.MAX)
+        return bool(moved > MOVED * most)
 
     def least_volume_ratio(self) -> float:
         """Return the least det F over all quadrature points; inf if none is watched.

@@ -33,6 +33,7 @@ DUAL = {
     "preconditioner",
     "pseudoinverse",
     "recovery",
+    "recycling",
     "report",
     "schur",
     "torn",

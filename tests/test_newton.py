@@ -20,6 +20,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import ConvergenceError, NonlinearProblem
+from dolfinx_feti.parts import Parts, SingularError
 
 Reason = PETSc.SNES.ConvergedReason
 
@@ -115,6 +116,50 @@ def test_way_down_from_a_ridge(kind):
     agree(max(shifts) > 0.0 and shifts[-1] == 0.0, shifts)
     agree(all((step.solves > 1) <= (step.shift > 0.0) for step in problem.history))
     agree(all(step.linear_residual <= 1e-8 for step in problem.history))
+
+
+def test_every_step_lowers_the_potential():
+    """Beside Armijo no other test has a say once the boundary is in place."""
+    u, energy, bcs = two_wells()
+    problem = NonlinearProblem(energy, u, bcs=bcs, subdomains=6, petsc_options_prefix=PREFIX)
+    form, heights = dolfinx.fem.form(energy), []
+
+    def keep(snes, its, norm):
+        heights.append(COMM.allreduce(dolfinx.fem.assemble_scalar(form)))
+
+    problem.solver.setMonitor(keep)
+    problem.solve()
+    problem.solver.monitorCancel()
+    agree(len(heights) == len(problem.history) + 1 > 4, heights)
+    rises = np.diff(heights) / np.abs(heights[0])
+    agree(rises.max() <= 1e-12 and heights[-1] < heights[0], heights)
+
+
+def test_singular_on_the_way_counts_as_indefinite(monkeypatch):
+    """The first tangent has to be regular; a later one that is singular gets a shift."""
+    check, calls, singular = Parts._check_coarse, [], []
+
+    def check_coarse(self):
+        check(self)
+        calls.append(None)
+        if len(calls) in singular:
+            raise SingularError("singular")
+
+    monkeypatch.setattr(Parts, "_check_coarse", check_coarse)
+    u, energy, bcs = two_wells()
+    start = u.x.array.copy()
+    problem = NonlinearProblem(energy, u, bcs=bcs, subdomains=6, petsc_options_prefix=PREFIX)
+    problem.solve()
+    agree(problem.history[-1].shift == 0.0)
+    u.x.array[:], singular[:] = start, [len(calls)]  # the last tangent of the same way
+    calls.clear()
+    problem.solve()
+    agree(len(calls) > singular[0] and max(s.shift for s in problem.history[-2:]) > 0.0)
+    u.x.array[:], singular[:] = start, [1]
+    calls.clear()
+    with raises(ConvergenceError, "the linear solver: singular"):
+        problem.solve()
+    agree(problem.solver.getKSP().getPythonContext().singular)
 
 
 def test_residual_alone_goes_where_newton_leads():
