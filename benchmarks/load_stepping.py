@@ -58,7 +58,10 @@ Array = npt.NDArray[np.float64]
 
 TYPES = ("all_floating", "classical")
 NAMES = "ABCDE"
-FIRST, LEAST = 5.0, 0.05  # mmHg
+LEAST = 0.05  # mmHg
+
+#: Newton steps that a load step may take: on the way down from fold to fold they are many.
+NEWTON_STEPS = 100
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -80,10 +83,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--size", type=positive, default=None, help="length of the elements' edges [mm]")
     add("--type", type=several(one_of(TYPES)), default=list(TYPES), help=",".join(TYPES))
     add("--pressure", type=positive, default=300.0, help="[mmHg], 300")
+    add("--first", type=positive, default=25.0, help="increment of the pressure [mmHg], 25")
     add("--degree", type=one_of((1, 2)), default=1, help="of the displacements, 1")
     add("--c", type=positive, default=6.0, help="[kPa], 6")
     add("--kappa", type=positive, default=1000.0, help="[kPa], 1000")
     add("--subdomains", type=count, default=32, help="over all processes, 32")
+    add("--rtol", type=positive, default=1e-8, help="of the linear systems, 1e-8")
+    add("--recycle", type=count, default=100, help="directions that solves leave to later ones")
     add("--checkpoint", type=Path, metavar="FOLDER", help="where the last states are kept")
     add("--folder", type=Path, default=Path("build/walls"), help="where meshes are kept")
     add_records(parser)
@@ -95,6 +101,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for kind in args.type:
         case = {key: getattr(args, key) for key in ("geometry", "size", "degree", "c", "kappa")}
         case |= {"type": kind, "subdomains": args.subdomains, "processes": comm.size}
+        case |= {"rtol": args.rtol, "recycle": args.recycle}
         if not args.again and records.find(case | {"pressure_mmhg": args.pressure}) is not None:
             _say(f"{kind}: {args.pressure:g} mmHg stand in the records already", comm)
             continue
@@ -111,7 +118,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 )
             except (OSError, ValueError) as error:
                 parser.error(str(error))
-        lost += not _Run(case, wall, records, checkpoint).inflate(args.pressure)
+        steps = Steps(first=args.first, least=min(LEAST, args.first), growth=1.5, quick=6)
+        lost += not _Run(case, wall, records, checkpoint).inflate(args.pressure, steps)
     return lost
 
 
@@ -129,13 +137,18 @@ class _Run:
             c=case["c"],
             kappa=case["kappa"],
             subdomains=case["subdomains"],
-            options={"feti_type": case["type"]},
+            options={
+                "feti_type": case["type"],
+                "feti_dual_recycle": case["recycle"],
+                "ksp_rtol": case["rtol"],
+                "snes_max_it": NEWTON_STEPS,
+            },
         )
         self._points = five_points(wall.mesh)
         restarted = checkpoint is not None and checkpoint.restart
         self._steps = len(checkpoint.record["steps"]) if restarted else 0
 
-    def inflate(self, pressure: float) -> bool:
+    def inflate(self, pressure: float, steps: Steps) -> bool:
         """Go up to a pressure [mmHg]; return whether it was reached."""
         body = self._body
 
@@ -147,7 +160,7 @@ class _Run:
                 body.problem,
                 set_load,
                 [pressure],
-                Steps(first=FIRST, least=LEAST, growth=1.5, quick=6),
+                steps,
                 state=[body.u, body.p],
                 on_step=self._report,
                 checkpoint=self._checkpoint,

@@ -141,6 +141,7 @@ def follow_load(
     *,
     state: Sequence[dolfinx.fem.Function],
     start: float = 0.0,
+    unloading: bool = False,
     on_step: Callable[[LoadStep], object] | None = None,
     checkpoint: Checkpoint | None = None,
     unit: str = "",
@@ -155,6 +156,7 @@ def follow_load(
         state: All functions that a solve changes, u and a condensed pressure: they are restored
             after a failure.
         start: The present load.
+        unloading: Whether the load may turn back on its way through the targets.
         on_step: Called in each new equilibrium on all processes, for output.
         checkpoint: Where each new equilibrium is kept, before ``on_step`` is called. If it was
             opened to restart, the state in it takes the place of the present one and of
@@ -165,7 +167,8 @@ def follow_load(
         The accepted steps, those before a restart included.
 
     Raises:
-        ValueError: A load is not a finite number, or a checkpoint is one of another problem.
+        ValueError: A load is not a finite number, the load turns back although ``unloading`` is
+            False, or a checkpoint is one of another problem.
         OSError: A checkpoint cannot be written; state and load are those of the last equilibrium.
         ConvergenceError: No step of the least increment leads on; state and load are those of the
             last equilibrium.
@@ -175,6 +178,12 @@ def follow_load(
     """
     if not all(math.isfinite(load) for load in (start, *targets)):
         raise ValueError(f"start={start}, targets={list(targets)}: loads are finite numbers.")
+    ways = np.sign(np.diff([start, *targets]))
+    if not unloading and {-1.0, 1.0} <= set(ways):
+        raise ValueError(
+            f"start={start}, targets={list(targets)}: the load turns back on its way. Put the "
+            "targets in order, or allow it by unloading=True."
+        )
     path = _Path(problem, set_load, steps, state=state, load=float(start))
     comm = problem.u.function_space.mesh.comm
     accepted: list[LoadStep] = []

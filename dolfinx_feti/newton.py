@@ -25,7 +25,8 @@ tangent leads to a saddle or a maximum: then
 
 is solved with the stiffness k of the dofs, with σ growing from 1e-4 until the coarse matrix has no
 negative eigenvalue left (``coarse``), which is known before the first iteration, and ΔU leads
-downhill, ΔU·r < 0. In the next steps σ falls, to zero at the end. A tangent that turns out singular
+downhill, ΔU·r < 0; a step that a shift has made short is doubled as long as Π falls. In the next
+steps σ falls, to zero at the end. A tangent that turns out singular
 on the way counts as indefinite.
 """
 
@@ -52,8 +53,8 @@ Reason, LinearReason = PETSc.SNES.ConvergedReason, PETSc.KSP.ConvergedReason
 #: By how much g(α)/g(0) of an accepted step may leave the interval from zero to one.
 ETA = 0.8
 
-#: Shortest step that is tried.
-SHORTEST = 1.0 / 1024
+#: Shortest step that is tried, and the longest with a shift.
+SHORTEST, LONGEST = 1.0 / 1024, 64.0
 
 #: Share of the potential below which its change is rounding.
 ROUNDING = 1e-9
@@ -200,11 +201,27 @@ class Newton:
                     return alpha, trial
                 lowest = height + DESCENT * alpha * slope
                 if system.has_potential and system.potential() <= lowest:
+                    if self._shift > 0.0 and alpha == 1.0:
+                        return self._lengthen(system, start, step)
                     return alpha, trial
             secant = 1.0 / (1.0 - ratio) if ratio < 0.0 else 0.5  # zero of the line through g
             alpha *= min(max(secant, 0.1), 0.5)
         system.set_state(start)
         return 0.0, system.residual()
+
+    def _lengthen(
+        self, system: System, start: tuple[Array, Array], step: tuple[Array, Array]
+    ) -> tuple[float, Array]:
+        """Double the step as long as Π falls: a shift makes it short where the tangent is soft."""
+        alpha, height = 1.0, system.potential()
+        while alpha < LONGEST:
+            longer = 2.0 * alpha
+            system.set_state((start[0] + longer * step[0], start[1] + longer * step[1]))
+            if system.least_volume_ratio() <= 0.0 or not system.potential() < height:
+                break
+            alpha, height = longer, system.potential()
+        system.set_state((start[0] + alpha * step[0], start[1] + alpha * step[1]))
+        return alpha, system.residual()
 
     def _judge(self, snes: PETSc.SNES, its: int, norm: float, first: float) -> int:
         """Monitor and decide whether to go on."""

@@ -177,7 +177,8 @@ def increments(steps: list[LoadStep]) -> np.ndarray:
 )
 def test_targets_are_met_exactly_one_after_the_other(played, targets):
     problem = played(start=0.05)
-    steps = problem.follow(targets, Steps(first=0.07, least=0.01))
+    turns = len(targets) == 4 and targets[1] < targets[0]
+    steps = problem.follow(targets, Steps(first=0.07, least=0.01), unloading=turns)
     path = [0.05, *(step.load for step in steps)]
     corners = iter(path)
     agree(all(target in corners for target in targets), path)  # each behind the one before
@@ -308,7 +309,8 @@ def test_first_steps_begin_with_the_tangent_of_the_last_equilibrium(played):
 def test_prediction_is_exact_for_parabolas(played, growth):
     """With increments of any length, on the way back, and after a failure."""
     problem = played(fails=lambda before, load: before > 0.5 and load - before > 0.3)
-    problem.follow([2.0, 0.3, 1.0], Steps(first=0.15, least=0.01, growth=growth))
+    steps = Steps(first=0.15, least=0.01, growth=growth)
+    problem.follow([2.0, 0.3, 1.0], steps, unloading=True)
     agree(len(problem.attempts) > 8)
     for attempt in problem.attempts[2:]:
         agree(attempt.linearised is None)
@@ -318,7 +320,8 @@ def test_prediction_is_exact_for_parabolas(played, growth):
 
 def test_a_load_met_twice_does_not_break_the_prediction(played):
     problem = played()
-    problem.follow([0.1, 0.2, 0.1, 0.2, 0.1], Steps(first=0.1, least=0.1, growth=1.0))
+    steps = Steps(first=0.1, least=0.1, growth=1.0)
+    problem.follow([0.1, 0.2, 0.1, 0.2, 0.1], steps, unloading=True)
     equal(problem.state(), truth(0.1), ROUNDING)
     agree(all(np.isfinite(attempt.guess).all() for attempt in problem.attempts))
 
@@ -359,6 +362,17 @@ def test_on_step_is_called_in_each_equilibrium_on_all_processes(played):
     steps = problem.follow([1.0], Steps(first=0.4, least=0.1), on_step=look)
     agree(seen == steps and COMM.bcast([s.load for s in seen]) == [s.load for s in seen])
     agree(sum(step.failures for step in steps) > 0 and all(step.seconds >= 0 for step in steps))
+
+
+@pytest.mark.parametrize("targets", [[1.0, 0.5], [0.5, 0.7, -1.0], [-1.0, 0.0]])
+def test_load_that_turns_back(played, targets):
+    """A list out of order is an error, unless unloading is meant; nothing has moved by then."""
+    problem = played()
+    steps = Steps(first=0.5, least=0.5)
+    with raises(ValueError, r"targets=.*: the load turns back.* unloading=True"):
+        problem.follow(targets, steps)
+    agree(problem.load == 0.0)
+    agree(problem.follow(targets, steps, unloading=True)[-1].load == targets[-1])
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
@@ -447,7 +461,8 @@ def test_bar_on_the_first_process(played, terminal):
 
 
 def test_bar_measures_the_way_up_and_down(played, terminal):
-    played().follow([3.0, 1.0, 2.0], Steps(first=1.0, least=1.0, growth=1.0))
+    steps = Steps(first=1.0, least=1.0, growth=1.0)
+    played().follow([3.0, 1.0, 2.0], steps, unloading=True)
     percent = [line.split("%")[0][-4:] for line in lines(terminal.getvalue()) if "Newton" in line]
     expected = [0, 17, 33, 50, 67, 83] if COMM.rank == 0 else []
     agree([int(number) for number in percent] == expected, percent)
@@ -494,8 +509,7 @@ def follow_wall(
     problem: NonlinearProblem,
     targets: list[float],
     steps: Steps,
-    *,
-    start: float = 0.0,
+    **arguments: object,
 ) -> list[LoadStep]:
     return follow_load(
         problem,
@@ -503,7 +517,7 @@ def follow_wall(
         targets,
         steps,
         state=[body.u, body.p],
-        start=start,
+        **arguments,
     )
 
 
@@ -515,7 +529,9 @@ def test_wall_up_and_down():
     problem = stepped.problem(4, tight)
     steps = Steps(first=1.0, least=0.25)
     for start, targets in ((0.0, [4.0]), (4.0, [7.0, 4.0])):
-        record = follow_wall(stepped, problem, targets, steps, start=start)
+        record = follow_wall(
+            stepped, problem, targets, steps, start=start, unloading=len(targets) > 1
+        )
         agree(record[-1].load == 4.0 and not any(step.failures for step in record))
         equal(by_place(stepped.u), by_place(direct.u), 1e-8)
         equal(by_place(stepped.p), by_place(direct.p), 1e-7)
