@@ -135,9 +135,12 @@ class System:
             Collective.
         """
         held = np.concatenate([*(bc.dof_indices()[0] for bc in self.bcs), np.zeros(0, np.int32)])
-        sizes = np.abs(du).max(initial=0.0), np.abs(du[held[held < self.owned]]).max(initial=0.0)
-        most, moved = self.u.function_space.mesh.comm.allreduce(np.array(sizes), op=MPI.MAX)
-        return bool(moved > MOVED * most)
+        comm = self.u.function_space.mesh.comm
+        most, moved = (
+            comm.allreduce(float(np.abs(part).max(initial=0.0)), op=MPI.MAX)
+            for part in (du, du[held[held < self.owned]])
+        )
+        return moved > MOVED * most
 
     def least_volume_ratio(self) -> float:
         """Return the least det F over all quadrature points; inf if none is watched.
