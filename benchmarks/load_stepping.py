@@ -83,7 +83,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--size", type=positive, default=None, help="length of the elements' edges [mm]")
     add("--type", type=several(one_of(TYPES)), default=list(TYPES), help=",".join(TYPES))
     add("--pressure", type=positive, default=300.0, help="[mmHg], 300")
-    add("--first", type=positive, default=25.0, help="increment of the pressure [mmHg], 25")
+    add("--first", type=positive, default=10.0, help="increment of the pressure [mmHg], 10")
     add("--degree", type=one_of((1, 2)), default=1, help="of the displacements, 1")
     add("--c", type=positive, default=6.0, help="[kPa], 6")
     add("--kappa", type=positive, default=1000.0, help="[kPa], 1000")

@@ -25,9 +25,9 @@ tangent leads to a saddle or a maximum: then
 
 is solved with the stiffness k of the dofs, with σ growing from 1e-4 until the coarse matrix has no
 negative eigenvalue left (``coarse``), which is known before the first iteration, and ΔU leads
-downhill, ΔU·r < 0; a step that a shift has made short is doubled as long as Π falls. In the next
-steps σ falls, to zero at the end. A tangent that turns out singular
-on the way counts as indefinite.
+downhill, ΔU·r < 0. A step that σ has made too short, :math:`g(α) > 0.9\, g(0)`, is doubled while Π
+falls (Wolfe's second condition). In the next steps σ falls, to zero at the end. A tangent that
+turns out singular on the way counts as indefinite.
 """
 
 from __future__ import annotations
@@ -54,7 +54,10 @@ Reason, LinearReason = PETSc.SNES.ConvergedReason, PETSc.KSP.ConvergedReason
 ETA = 0.8
 
 #: Shortest step that is tried, and the longest with a shift.
-SHORTEST, LONGEST = 1.0 / 1024, 64.0
+SHORTEST, LONGEST = 1.0 / 1024, 16.0
+
+#: Where g(α)/g(0) is still above this, a step with a shift is too short (Wolfe).
+FLAT = 0.9
 
 #: Share of the potential below which its change is rounding.
 ROUNDING = 1e-9
@@ -190,38 +193,35 @@ class Newton:
         slope = _dot(du, r, comm)  # g(0) < 0
         height = system.potential() if system.has_potential else np.nan
         only_down = abs(slope) > ROUNDING * abs(height) and not system.moves_boundary(du)
-        alpha = 1.0
-        while alpha >= SHORTEST:
+
+        def move(alpha: float) -> tuple[bool, float, Array]:
+            """Move; tell whether the step will do, g(α)/g(0), and the residual."""
             system.set_state((start[0] + alpha * step[0], start[1] + alpha * step[1]))
-            ratio = np.nan
-            if system.least_volume_ratio() > 0.0:
-                trial = system.residual()
-                ratio = _dot(du, system.force, comm) / slope if slope else 0.0
-                if not only_down and -ETA <= ratio <= 1.0 + ETA:
-                    return alpha, trial
-                lowest = height + DESCENT * alpha * slope
-                if system.has_potential and system.potential() <= lowest:
-                    if self._shift > 0.0 and alpha == 1.0:
-                        return self._lengthen(system, start, step)
-                    return alpha, trial
+            if system.least_volume_ratio() <= 0.0:
+                return False, np.nan, r
+            trial = system.residual()
+            ratio = _dot(du, system.force, comm) / slope if slope else 0.0
+            fits = not only_down and -ETA <= ratio <= 1.0 + ETA
+            if not fits and system.has_potential:
+                fits = system.potential() <= height + DESCENT * alpha * slope
+            return fits, ratio, trial
+
+        alpha = 1.0
+        fits, ratio, trial = move(alpha)
+        while not fits:
             secant = 1.0 / (1.0 - ratio) if ratio < 0.0 else 0.5  # zero of the line through g
             alpha *= min(max(secant, 0.1), 0.5)
-        system.set_state(start)
-        return 0.0, system.residual()
-
-    def _lengthen(
-        self, system: System, start: tuple[Array, Array], step: tuple[Array, Array]
-    ) -> tuple[float, Array]:
-        """Double the step as long as Π falls: a shift makes it short where the tangent is soft."""
-        alpha, height = 1.0, system.potential()
-        while alpha < LONGEST:
-            longer = 2.0 * alpha
-            system.set_state((start[0] + longer * step[0], start[1] + longer * step[1]))
-            if system.least_volume_ratio() <= 0.0 or not system.potential() < height:
+            if alpha < SHORTEST:
+                system.set_state(start)
+                return 0.0, system.residual()
+            fits, ratio, trial = move(alpha)
+        while self._shift > 0.0 and ratio > FLAT and 1.0 <= alpha < LONGEST:
+            fits, ratio, longer = move(2.0 * alpha)
+            if not fits:
+                _, _, trial = move(alpha)
                 break
-            alpha, height = longer, system.potential()
-        system.set_state((start[0] + alpha * step[0], start[1] + alpha * step[1]))
-        return alpha, system.residual()
+            alpha, trial = 2.0 * alpha, longer
+        return alpha, trial
 
     def _judge(self, snes: PETSc.SNES, its: int, norm: float, first: float) -> int:
         """Monitor and decide whether to go on."""
