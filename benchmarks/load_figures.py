@@ -6,8 +6,9 @@
     python3 -m benchmarks.load_figures build/loading.json --output build/results
 
 draws, for each geometry in the records, the stress magnitude over the relative displacement
-u_rel = u_norm / u_max and u_norm over the pressure at the points A–E, and for both variants the
-iterations of a Newton step and the seconds of a load step; and writes ``loading.md`` beside them.
+u_rel = u_norm / u_max and u_norm over the pressure at the points A–E, and for both variants (and one
+subdomain, which is a direct solver) the iterations of a Newton step and the seconds of a load step;
+and writes ``loading.md`` beside them.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ __all__ = ["main", "write"]
 VARIANTS = {
     "all_floating": ("all-floating", "#8a8f98", "o-"),
     "classical": ("classical", "#1c1c1c", "s--"),
+    "direct": ("one subdomain, direct", "#b5443a", "^:"),
 }
 COLOURS = ("#1f5a8a", "#b5443a", "#0f7a5a", "#c9962b", "#6b4a8a")
 
@@ -83,12 +85,13 @@ def draw(path: Path, records: Sequence[Record]) -> None:
     (stress, norm), (iterations, seconds) = axes
     path_of = {kind: _of(records, kind) for kind in VARIANTS}
     path_of = {kind: steps for kind, steps in path_of.items() if steps}
-    _draw_points(stress, norm, next(iter(path_of.values())))
+    _draw_points(stress, norm, max(path_of.values(), key=lambda path: path[-1]["pressure_mmhg"]))
     for kind, steps in path_of.items():
         name, colour, line = VARIANTS[kind]
         pressure = [step["pressure_mmhg"] for step in steps]
         style = {"color": colour, "label": name, "ms": 4}
-        iterations.plot(pressure, [s["linear_iterations_mean"] for s in steps], line, **style)
+        if kind != "direct":
+            iterations.plot(pressure, [s["linear_iterations_mean"] for s in steps], line, **style)
         seconds.plot(pressure, [s["seconds"] for s in steps], line, **style)
     iterations.set_ylabel("FETI iterations of a Newton step")
     seconds.set_ylabel("seconds of a load step")
@@ -118,7 +121,7 @@ def totals(records: Sequence[Record]) -> Table:
                 str(key[0]),
                 f"P{key[1]}–P0",
                 str(key[2]),
-                VARIANTS[key[3]][0],
+                VARIANTS[_variant(steps[0])][0],
                 number(max(step["pressure_mmhg"] for step in steps)),
                 str(len(steps)),
                 str(sum(step["newton_iterations"] for step in steps)),
@@ -149,8 +152,12 @@ def _draw_points(stress: Axes, norm: Axes, steps: Sequence[Record]) -> None:
 
 
 def _of(records: Sequence[Record], kind: str) -> list[Record]:
-    mine = [record for record in records if record["type"] == kind]
+    mine = [record for record in records if _variant(record) == kind]
     return sorted(mine, key=lambda record: record["pressure_mmhg"])
+
+
+def _variant(record: Record) -> str:
+    return "direct" if record["subdomains"] == 1 else str(record["type"])
 
 
 def _introduction(records: Sequence[Record], remark: str) -> str:

@@ -63,7 +63,9 @@ REMEDIES = {
 #: Reasons for which CG ends when a quadratic form is negative.
 CURVATURE = (Reason.DIVERGED_INDEFINITE_MAT, Reason.DIVERGED_INDEFINITE_PC)
 
-INDEFINITE = "; the assembled matrix seems to be indefinite: N has {0} negative eigenvalue(s)"
+INDEFINITE = (
+    "; the assembled matrix seems to be indefinite: N or K_II has {0} negative eigenvalue(s)"
+)
 
 
 class FETI:
@@ -79,10 +81,11 @@ class FETI:
         method: Krylov method of the dual system.
         negative: Negative eigenvalues of the regularised subdomains and of the defect D.
         negative_coarse: Negative eigenvalues of the coarse matrix N, a sign that the assembled
-            matrix has some (see ``coarse``); −1 if not known.
+            matrix has some (see ``coarse``), or of the interiors K_II, which prove it, whichever
+            are more; −1 if not known.
         singular: Whether the set-up failed because the matrix is singular.
         refuse_indefinite: Whether a solve ends before its first iteration, with the reason
-            ``DIVERGED_INDEFINITE_MAT``, if N has negative eigenvalues.
+            ``DIVERGED_INDEFINITE_MAT``, if ``negative_coarse`` is not zero.
         eigenvalues: (λ_min, λ_max) of the preconditioned dual operator, by Lanczos from the CG
             coefficients; nan before a CG solve.
     """
@@ -193,7 +196,8 @@ class FETI:
             self._parts.update()
             self.method = self._parts.krylov.ksp.getType()
             self.negative = self._parts.negative
-            self.negative_coarse = self._parts.coarse.solver.inertia()[0]
+            inertia, inside = self._parts.coarse.solver.inertia()[0], self._parts.negative_interior
+            self.negative_coarse = max(inertia, inside) if inside else inertia
         self._state = state
 
     def _solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> int:

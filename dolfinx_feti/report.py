@@ -76,7 +76,6 @@ def collect(parts: Parts) -> Report:
     k = inverse.rigid
     widest = comm.allreduce(int(k.max(initial=0)), op=MPI.MAX)
     kernels = comm.allreduce(np.bincount(k, minlength=widest + 1))
-    interior = parts.preconditioner.factors or parts.interior.eliminated
     applied = parts.preconditioner.factors.memory() if parts.preconditioner.factors else 0.0
     return Report(
         options=parts.options,
@@ -93,9 +92,7 @@ def collect(parts: Parts) -> Report:
         elastic=comm.allreduce(int((inverse.kernel_dimensions() - k).sum())),
         negative_local=comm.allreduce(inverse.negative_local()),
         negative_defect=comm.allreduce(inverse.negative_defects()),
-        negative_interior=comm.allreduce(
-            0 if interior is None else int(interior.inertia()[:, 0].sum())
-        ),
+        negative_interior=parts.negative_interior,
         interior="kept" if parts.interior.eliminated is None else "eliminated",
         coarse_size=coarse.total,
         coarse_mib=coarse.solver.memory(),

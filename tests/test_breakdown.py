@@ -179,6 +179,29 @@ def test_coarse_matrix_shows_what_is_indefinite(kind, share, expected, torn_grid
     agree(refused == (expected > 0) and (context.iterations == 0) == refused)
 
 
+@pytest.mark.parametrize("interior", ["keep", "eliminate"])
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.2])
+def test_one_subdomain_knows_its_inertia(share, interior, torn_grid, feti):
+    """Without interface all is interior, and FETI a direct solver that counts."""
+
+    def soften(K, dofs):
+        K[0] -= share * np.abs(K[0]).max() * np.eye(len(K[0]))
+
+    problem = torn_grid((1, 1), (5, 5), components=2, change=soften)
+    K, free = problem.K_torn, ~problem.dirichlet[problem.to_global]
+    count = np.count_nonzero(np.linalg.eigvalsh(K[np.ix_(free, free)]) < 0.0)
+    ksp = feti(problem.A, feti_type="classical", feti_interior=interior)
+    context = ksp.getPythonContext()
+    agree(context.negative_coarse == count and (count > 0) == (share > 0.0), count)
+    context.refuse_indefinite = True
+    values = np.random.default_rng(SEED).standard_normal(len(problem.dirichlet))
+    _, x = attempt(ksp, problem, values)
+    refused = ksp.getConvergedReason() == Reason.DIVERGED_INDEFINITE_MAT
+    agree(refused == (count > 0))
+    if not refused:
+        equal(x, problem.solve(values), 1e-8)
+
+
 def test_indefinite_is_an_error_if_wanted(torn_grid, feti):
     ksp = feti(torn_grid(change=indefinite, **GRID).A, feti_indefinite="error")
     agree("-test_feti_indefinite" in ksp.getPythonContext().message)
