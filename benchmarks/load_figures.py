@@ -6,9 +6,9 @@
     python3 -m benchmarks.load_figures build/loading.json --output build/results
 
 draws, for each geometry in the records, the stress magnitude over the relative displacement
-u_rel = u_norm / u_max and u_norm over the pressure at the points A–E, and for both variants (and one
-subdomain, which is a direct solver) the iterations of a Newton step and the seconds of a load step;
-and writes ``loading.md`` beside them.
+u_rel = u_norm / u_max and u_norm over the pressure at the points A–E, for both variants the
+iterations of a Newton step, and for them and one subdomain, a direct solver, the seconds of a load
+step; and writes ``loading.md`` beside them.
 """
 
 from __future__ import annotations
