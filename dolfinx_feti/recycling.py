@@ -92,7 +92,11 @@ class Recycling:
             if self._stale and self.size:
                 self._W = self._constraint.balance(lam)
                 self._AW = self._operator.jumps(self._W)
-                self._inverse = _pseudo_inverse(self._product(self._W[:m], self._AW))
+                H = self._product(self._W[:m], self._AW)
+                if np.isfinite(H).all():
+                    self._inverse = _pseudo_inverse(H)
+                else:
+                    self.size, self._W = 0, self._W[:, :0]
         self._stale = False
         self._forget()
 
@@ -140,17 +144,20 @@ class Recycling:
         """Find the Ritz vectors of the largest Ritz values of C 𝒜, (m, at most ``most``)."""
         n = min(map(len, self._records.values()))
         X, AX, R, Z = (np.column_stack(self._records[name][:n]) for name in ("X", "AX", "R", "Z"))
+        sizes = np.array([np.diag(self._product(R, Z)), np.diag(self._product(X, AX))])
+        sound = np.all(np.isfinite(sizes) & (sizes != 0.0), axis=0)  # a solve may end in NaN
+        X, AX, R, Z = (vectors[:, sound] for vectors in (X, AX, R, Z))
         none = np.zeros((len(X), 0))
         W, AW, CW = (self._W[: len(X)], self._AW, self._CW) if self.size else (none, none, none)
         P, AP = np.hstack([W, X]), np.hstack([AW, AX])
         V, Q = np.hstack([W, Z]), np.hstack([CW, R])
-        scale = 1.0 / np.sqrt(np.abs(np.diag(self._product(V, Q))))  # CG's residuals become small
+        scale = _to_one(np.diag(self._product(V, Q)))  # CG's residuals become small
         V, Q = V * scale, Q * scale
         cross = self._product(AP, V)
         H = cross.T @ _pseudo_inverse(self._product(P, AP)) @ cross  # Vᵀ 𝒜 V
         S = self._product(V, Q)  # Vᵀ C⁻¹ V
         values, vectors = np.linalg.eigh(0.5 * (S + S.T))
-        there = values > REPEATED * values[-1]
+        there = values > REPEATED * np.abs(values).max(initial=0.0)
         T = vectors[:, there] / np.sqrt(values[there])
         θ, Y = np.linalg.eigh(T.T @ H @ T)
         T = T @ Y[:, np.argsort(-np.abs(θ))[: self.most]]
@@ -164,8 +171,14 @@ class Recycling:
 
 def _pseudo_inverse(H: Array) -> Array:
     """Invert a symmetric matrix, scaled to a unit diagonal, where it is not singular."""
-    scale = 1.0 / np.sqrt(np.abs(np.diag(H)))
+    scale = _to_one(np.diag(H))
     values, vectors = np.linalg.eigh(scale[:, None] * (0.5 * (H + H.T)) * scale)
     there = np.abs(values) > REPEATED * np.abs(values).max(initial=0.0)
     Y = scale[:, None] * vectors[:, there]
     return np.asarray((Y / values[there]) @ Y.T)
+
+
+def _to_one(d: Array) -> Array:
+    """Return 1/√|d|, and zero for zero."""
+    root = np.sqrt(np.abs(d))
+    return np.divide(1.0, root, out=np.zeros_like(root), where=root > 0.0)

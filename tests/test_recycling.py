@@ -11,6 +11,7 @@ from collective import COMM, agree, equal, raises, small, whole
 from mixed import by_place
 from walls import tube, wall
 
+from dolfinx_feti.dual import DualOperator
 from dolfinx_feti.options import FETIOptions
 from dolfinx_feti.parts import Parts, SetUpError
 
@@ -150,6 +151,32 @@ def test_no_more_directions_than_asked_for(torn_grid, feti):
             ksp.solve(b, b.duplicate())
             report = ksp.getPythonContext().report()
             agree(report.recycled == (recycle if step else 0), report)
+
+
+@pytest.mark.parametrize("method", ["cg", "gmres"])
+def test_a_solve_that_failed_leaves_nothing_bad(method, torn_grid, feti):
+    """Not a NaN, no direction of length zero; later solves are as good as ever."""
+    problem = torn_grid((3, 3), (3, 3), components=2)
+    ksp = feti(problem.A, feti_dual_recycle=9, feti_dual_ksp_type=method)
+    context = ksp.getPythonContext()
+    values, b = load(problem)
+    x = b.duplicate()
+    flexibility = DualOperator.flexibility
+    for bad in (np.nan, 0.0):
+
+        def spoilt(self, lam, jump, bad=bad):
+            flexibility(self, lam, jump)
+            jump.scale(bad) if bad == 0.0 else jump.set(bad)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(DualOperator, "flexibility", spoilt)
+            ksp.solve(b, x)
+        agree(ksp.getConvergedReason() < 0, (bad, ksp.getConvergedReason()))
+        for _ in range(2):
+            ksp.solve(b, x)
+            agree(ksp.getConvergedReason() > 0, context.message)
+            equal(whole(x.array_r), problem.solve(values), 1e-7)
+            problem.A.stateIncrease()
 
 
 def test_unsymmetric_matrices_are_refused(torn_grid):
