@@ -9,7 +9,8 @@ The first steps begin with the tangent of the last equilibrium and the residual 
 
 a prediction along the path: a tangent with the new load and the old stress can be indefinite
 although every equilibrium on the way is stable. Once three equilibria are known, a parabola through
-them predicts the next one, and saves half of the Newton steps.
+them predicts the next one, and saves half of the Newton steps; where it turns a cell inside out,
+the tangent of the last equilibrium takes its place again.
 
 The increment Δt grows after a quick step, and is halved after a failure, with the last equilibrium
 restored. The wanted loads are met exactly: what is left to the next one is divided into equal
@@ -38,6 +39,8 @@ from dolfinx_feti.problem import ConvergenceError
 from dolfinx_feti.progress import Progress
 
 __all__ = ["LoadStep", "Steps", "follow_load"]
+
+Reason = PETSc.SNES.ConvergedReason
 
 Array = npt.NDArray[np.float64]
 
@@ -302,21 +305,38 @@ class _Path:
         """Solve at a new load; on failure restore load and state."""
         snes = self._problem.solver
         tolerances = snes.getTolerances()
-        if len(self._past) > ORDER:
-            self._set_values(extrapolate(self._past, load))
-        else:
-            self._problem.linearise()
-        self._set_load(load)
         if rough:
             snes.setTolerances(rtol=max(self._steps.rtol, tolerances[0]))
         try:
+            if len(self._past) > ORDER:
+                self._set_values(extrapolate(self._past, load))
+                self._set_load(load)
+                if self._solved():
+                    return
+                self._restore()
+            self._problem.linearise()
+            self._set_load(load)
             self._problem.solve()
         except ConvergenceError:
-            self._set_values(self._past[-1].values)
-            self._set_load(self._past[-1].load)
+            self._restore()
             raise
         finally:
             snes.setTolerances(*tolerances)
+
+    def _solved(self) -> bool:
+        """Solve from a predicted state; tell whether it was admissible, raise if it led nowhere."""
+        try:
+            self._problem.solve()
+        except ConvergenceError:
+            if self._problem.solver.getConvergedReason() != Reason.DIVERGED_FUNCTION_DOMAIN:
+                raise
+            return False
+        return True
+
+    def _restore(self) -> None:
+        """Go back to the last equilibrium."""
+        self._set_values(self._past[-1].values)
+        self._set_load(self._past[-1].load)
 
     def _shorten(self, increment: float, error: ConvergenceError) -> None:
         """Halve the increment, down to the least."""

@@ -126,8 +126,10 @@ class Recycling:
     def paused(self) -> Iterator[None]:
         """Let products go by unrecorded for a while."""
         self._recording = False
-        yield
-        self._recording = True
+        try:
+            yield
+        finally:
+            self._recording = True
 
     def _record(self, **vectors: PETSc.Vec) -> None:
         """Keep the multipliers of some vectors, as long as there is room."""

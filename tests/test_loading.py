@@ -46,6 +46,9 @@ STEP = NewtonStep(
 )
 
 
+SNES = PETSc.SNES.ConvergedReason
+
+
 @dataclass(frozen=True, slots=True)
 class Attempt:
     """What a problem saw when it was solved.
@@ -79,6 +82,7 @@ class Played:
         start: float = 0.0,
         cost: Callable[[float], int] = lambda increment: 1,
         fails: Callable[[float, float], bool] = lambda before, load: False,
+        inside_out: Callable[[float], bool] = lambda load: False,
     ) -> None:
         mesh = cube(2, 2)
         V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
@@ -89,7 +93,7 @@ class Played:
         self.solver.setSolution(PETSc.Vec().createMPI(1, comm=COMM))  # or it cannot be monitored
         self.history: list[NewtonStep] = []
         self.attempts: list[Attempt] = []
-        self._cost, self._fails = cost, fails
+        self._cost, self._fails, self._inside_out = cost, fails, inside_out
         self._linearised: tuple[float, float, float] | None = None
         self.load = self._equilibrium = start
         self._set(*truth(start))
@@ -108,7 +112,11 @@ class Played:
 
     def solve(self) -> None:
         before = self._equilibrium
-        fails = self._fails(before, self.load)
+        domain = self._linearised is None and self._inside_out(self.load)
+        self.solver.setConvergedReason(
+            SNES.DIVERGED_FUNCTION_DOMAIN if domain else SNES.DIVERGED_LINE_SEARCH
+        )
+        fails = domain or self._fails(before, self.load)
         self.attempts.append(
             Attempt(
                 self.load,
@@ -316,6 +324,18 @@ def test_prediction_is_exact_for_parabolas(played, growth):
         agree(attempt.linearised is None)
         equal(attempt.guess, truth(attempt.load), 1e-9)
     agree(growth == 1.0 or not all(attempt.converged for attempt in problem.attempts))
+
+
+def test_inadmissible_prediction_gives_way_to_the_tangent(played):
+    """No step is lost; and a failure from there is one."""
+    problem = played(inside_out=lambda load: load > 0.5, fails=lambda before, load: load == 0.8)
+    steps = problem.follow([1.0], Steps(first=0.2, least=0.01, growth=1.0))
+    agree([step.failures for step in steps] == [0, 0, 0, 1, 0, 0, 0], steps)
+    for step in (attempt for attempt in problem.attempts if attempt.load > 0.5):
+        if step.linearised is not None:
+            agree(step.linearised[0] == step.before)
+            equal(step.linearised[1:], truth(step.before), ROUNDING)
+    agree(sum(attempt.linearised is not None for attempt in problem.attempts) >= 6)
 
 
 def test_a_load_met_twice_does_not_break_the_prediction(played):
