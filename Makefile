@@ -39,7 +39,7 @@ bench-compare build/compare.json: ## FETI, MUMPS and GAMG on a Newton step; buil
 figures: ## both variants up to 300 mmHg on tube and vessel, and the paper's figures of it; build/results/
 	$(with) $(python) -m benchmarks.load_stepping --geometry tube --size 0.3 --degree 2 --json build/loading.json --checkpoint build/loading
 	$(with) $(python) -m benchmarks.load_stepping --geometry vessel --first 25 --rtol 1e-4 --json build/loading.json --checkpoint build/loading -wall_feti_stagnation 60 $(ARGS)
-	$(with) python3 -m benchmarks.load_stepping --geometry vessel --first 25 --type classical --subdomains 1 --recycle 1 --json build/loading.json --checkpoint build/loading/direct
+	$(with) python3 -m benchmarks.load_stepping --geometry vessel --first 25 --type classical --subdomains 1 --recycle 0 --json build/loading.json --checkpoint build/loading/direct
 	$(with) python3 -m benchmarks.load_figures build/loading.json --output build/results
 
 lint: ## style, types, spelling

@@ -35,6 +35,7 @@ import dolfinx  # noqa: E402
 from benchmarks.arguments import (  # noqa: E402
     add_records,
     count,
+    count_or_none,
     create_parser,
     one_of,
     open_records,
@@ -89,7 +90,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--kappa", type=positive, default=1000.0, help="[kPa], 1000")
     add("--subdomains", type=count, default=32, help="over all processes, 32")
     add("--rtol", type=positive, default=1e-8, help="of the linear systems, 1e-8")
-    add("--recycle", type=count, default=100, help="directions that solves leave to later ones")
+    add("--recycle", type=count_or_none, default=100, help="most recycled directions, 100")
     add("--checkpoint", type=Path, metavar="FOLDER", help="where the last states are kept")
     add("--folder", type=Path, default=Path("build/walls"), help="where meshes are kept")
     add_records(parser)

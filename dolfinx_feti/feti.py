@@ -197,7 +197,7 @@ class FETI:
             self.method = self._parts.krylov.ksp.getType()
             self.negative = self._parts.negative
             inertia, inside = self._parts.coarse.solver.inertia()[0], self._parts.negative_interior
-            self.negative_coarse = max(inertia, inside) if inside else inertia
+            self.negative_coarse = max(inertia, inside) if inside > 0 else inertia
         self._state = state
 
     def _solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> int:
@@ -207,9 +207,9 @@ class FETI:
         torn, delta, krylov = p.torn, p.gluing.delta, p.krylov
         rtol, atol, _, max_it = ksp.getTolerances()
         self.iterations, self.residual = 0, np.nan
-        krylov.recycling.renew()
         if not np.isfinite(b.norm()):
             return self._judge(Reason.DIVERGED_NANORINF, np.nan, 0.0)
+        krylov.recycling.renew()
         u_D = np.where(torn.dirichlet, torn.tear(b), 0.0)
         x.array[:] = torn.assemble(delta * u_D)
         r = residual(torn, b, x)

@@ -12,8 +12,7 @@ condensed pressure, g(α) holds :math:`r_u(U + α ΔU, p + α Δp)` and not the 
 condensation adds grows with κ, though it is linear in Δp and the next step removes it.
 
 If the problem has a potential Π (Augustin_eq:strain_energy, with the load's part), Newton's method
-is kept on the way down, which always leads to an equilibrium: a step is taken if it lowers Π enough
-(Armijo),
+is kept on the way down: a step is taken if it lowers Π enough (Armijo),
 
 .. math:: Π(U + α ΔU) ≤ Π(U) + 10^{-4}\, α\, ΔU·r,
 
@@ -161,9 +160,7 @@ class Newton:
             if reason > 0 and not uphill:
                 return du, iterations
             failed = reason == LinearReason.DIVERGED_PCSETUP_FAILED
-            if failed and not (feti.singular and self.history):
-                break
-            if not system.has_potential:
+            if not system.has_potential or (failed and not (feti.singular and self.history)):
                 break
             self._shift = max(LEAST_SHIFT, GROWTH * self._shift)
         self._shift = 0.0

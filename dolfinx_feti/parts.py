@@ -68,7 +68,8 @@ class Parts:
         preconditioner: M.
         recycling: What solves leave to later ones.
         negative: Negative eigenvalues of K_ρ and D over all subdomains; CG is safe without any.
-        negative_interior: Negative eigenvalues of all K_II that have been factored.
+        negative_interior: Negative eigenvalues of all K_II that have been factored; below zero if
+            they are not known.
         coarse: G and N; after :meth:`update`.
         operator: The dual system; after :meth:`update`.
         constraint: Its constraint preconditioner; after :meth:`update`.
@@ -179,7 +180,7 @@ class Parts:
         local = abs(self.inverse.negative_local())  # −1, not known, counts as negative
         self.negative = self.torn.comm.allreduce(local + self.inverse.negative_defects())
         interior = self.preconditioner.factors or self.interior.eliminated
-        inside = 0 if interior is None else int(interior.inertia()[:, 0].clip(min=0).sum())
+        inside = 0 if interior is None else int(interior.inertia()[:, 0].sum())
         self.negative_interior = self.torn.comm.allreduce(inside)
         if self.negative and self.symmetric and self.options.indefinite == "error":
             raise SetUpError(

@@ -50,7 +50,6 @@ class Recycling:
 
     Attributes:
         most: Most directions that are kept.
-        size: Number of directions W of the present matrix.
     """
 
     def __init__(self, most: int) -> None:
@@ -60,8 +59,8 @@ class Recycling:
             most: Most directions that are kept; with 0 nothing is recorded.
         """
         self.most = most
-        self.size = 0
         self._recording = True
+        self._m = 0  # multipliers of this process
         self._operator: DualOperator
         self._constraint: ConstraintPreconditioner
         self._stale = False
@@ -72,9 +71,15 @@ class Recycling:
         self._records: dict[str, list[Array]] = {}
         self._forget()
 
+    @property
+    def size(self) -> int:
+        """Number of directions W."""
+        return self._W.shape[1]
+
     def attach(self, operator: DualOperator, constraint: ConstraintPreconditioner) -> None:
         """Take over the dual system of a new matrix."""
         self._operator, self._constraint = operator, constraint
+        self._m = operator.vector.lam.getLocalSize()
         self._stale = True
 
     def renew(self) -> None:
@@ -83,20 +88,19 @@ class Recycling:
         Note:
             Collective.
         """
-        m = self._operator.vector.lam.getLocalSize()
         with event("FETIRecycling"):
-            lam = self._W[:m]
+            lam = self._W[: self._m]
             if self._records["X"]:
                 lam, self._stale = self._ritz_vectors(), True
-            self.size = lam.shape[1]
-            if self._stale and self.size:
+            if self._stale:
                 self._W = self._constraint.balance(lam)
+            if self._stale and self.size:
                 self._AW = self._operator.jumps(self._W)
-                H = self._product(self._W[:m], self._AW)
+                H = self._product(self._W[: self._m], self._AW)
                 if np.isfinite(H).all():
                     self._inverse = _pseudo_inverse(H)
                 else:
-                    self.size, self._W = 0, self._W[:, :0]
+                    self._W = self._W[:, :0]
         self._stale = False
         self._forget()
 
@@ -104,7 +108,7 @@ class Recycling:
         """Solve on W, return x₀ = W H⁻¹ Wᵀ b, and leave the rest in b ← b − 𝒜 x₀."""
         if self.size == 0:
             return np.zeros(b.getLocalSize())
-        m = len(self._AW)
+        m = self._m
         c = self._inverse @ self._product(self._W[:m], b.array_r[:m])
         b.array[:m] -= self._AW @ c
         return np.asarray(self._W @ c)
@@ -119,8 +123,8 @@ class Recycling:
         self._constraint.apply(pc, r, z)
         self._record(R=r, Z=z)
         if self.size:
-            m = len(self._AW)
-            z.array[:] -= self._W @ (self._inverse @ self._product(self._AW, z.array_r[:m]))
+            overlap = self._product(self._AW, z.array_r[: self._m])  # (𝒜 W)ᵀ C r
+            z.array[:] -= self._W @ (self._inverse @ overlap)
 
     @contextmanager
     def paused(self) -> Iterator[None]:
@@ -133,11 +137,10 @@ class Recycling:
 
     def _record(self, **vectors: PETSc.Vec) -> None:
         """Keep the multipliers of some vectors, as long as there is room."""
-        m = self._operator.vector.lam.getLocalSize()
         for name, vector in vectors.items():
             columns = self._records[name]
             if self._recording and len(columns) < self.most:
-                columns.append(vector.array_r[:m].copy())
+                columns.append(vector.array_r[: self._m].copy())
 
     def _forget(self) -> None:
         self._records = {name: [] for name in ("X", "AX", "R", "Z")}
@@ -149,8 +152,8 @@ class Recycling:
         sizes = np.array([np.diag(self._product(R, Z)), np.diag(self._product(X, AX))])
         sound = np.all(np.isfinite(sizes) & (sizes != 0.0), axis=0)  # a solve may end in NaN
         X, AX, R, Z = (vectors[:, sound] for vectors in (X, AX, R, Z))
-        none = np.zeros((len(X), 0))
-        W, AW, CW = (self._W[: len(X)], self._AW, self._CW) if self.size else (none, none, none)
+        none = np.zeros((self._m, 0))
+        W, AW, CW = (self._W[: self._m], self._AW, self._CW) if self.size else (none, none, none)
         P, AP = np.hstack([W, X]), np.hstack([AW, AX])
         V, Q = np.hstack([W, Z]), np.hstack([CW, R])
         scale = _to_one(np.diag(self._product(V, Q)))  # CG's residuals become small

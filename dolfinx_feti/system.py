@@ -74,6 +74,7 @@ class System:
         V = u.function_space
         self.u = u
         self.bcs = list(bcs)
+        self._held = assembly.dirichlet_mask(V, self.bcs)
         self._n_cells = len(decomposition.subdomain)
         self._space = tear(V, decomposition)
         self._residual = dolfinx.fem.form(F_u)
@@ -134,11 +135,10 @@ class System:
         Note:
             Collective.
         """
-        held = np.concatenate([*(bc.dof_indices()[0] for bc in self.bcs), np.zeros(0, np.int32)])
         comm = self.u.function_space.mesh.comm
         most, moved = (
             comm.allreduce(float(np.abs(part).max(initial=0.0)), op=MPI.MAX)
-            for part in (du, du[held[held < self.owned]])
+            for part in (du, du[self._held])
         )
         return moved > MOVED * most
 
