@@ -17,13 +17,6 @@ sparse, distributed matrix of the size of all kernels together. Q weighs the pro
   averaged jumps are again rigid motions. Under prestress M has negative eigenvalues, and a small ε
   would leave N nearly singular.
 
-N is a sign of the assembled matrix's inertia, no proof. Let all K_ρ be positive definite. Then the
-dual system has m positive eigenvalues, and its K others have the signs of :math:`-(G^⊤ F^{-1} G
-+ D)`: all are negative if and only if the assembled matrix is positive definite. N has M in the
-place of :math:`F^{-1}`, which theory puts above :math:`(B K_+^{-1} B^⊤)^{-1}` for the propped
-subdomains, and so not above :math:`F^{-1}` itself. Measured, N had no negative eigenvalue wherever
-the assembled matrix was positive definite; the numbers differ, and N can miss some or all of them.
-
 With D = 0, P is the projection onto :math:`G^⊤ λ = 0`. Under prestress D ≠ 0 and the pair (λ, s)
 obeys :math:`G^⊤ λ + D s = e` instead (``pseudoinverse``); N carries D.
 """
@@ -48,6 +41,8 @@ __all__ = ["Coarse"]
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
+DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+
 #: Share of the diagonal weight in Q = M + ε diag(q).
 EPSILON = 0.1
 
@@ -58,6 +53,7 @@ class Coarse:
     Attributes:
         G: :math:`B E`, (m, K).
         G_left: The same from :math:`K^⊤`; the identical matrix if K is symmetric.
+        GMG: :math:`G^⊤ M G`, (K, K), if Q has M in it.
         q: Diagonal part of Q, (m,).
         QG: :math:`Q G`, (m, K).
         N: :math:`G_{left}^⊤ Q G + D`, (K, K).
@@ -103,13 +99,16 @@ class Coarse:
         self.q = _weight(torn, gluing, q)
         self.QG = self.G.copy()
         self.QG.diagonalScale(L=self.q)
+        self.D = self.block_diagonal(inverse.D)
+        self.N = self.G_left.transposeMatMult(self.QG)  # N = Gᵀ Q G, the diagonal part of Q
+        self.GMG: PETSc.Mat | None = None
         if q == "preconditioner":
             MG = preconditioner.product(self.G)
-            self.QG.axpy(1.0, MG, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+            self.GMG = self.G_left.transposeMatMult(MG)  # Gᵀ M G
+            self.QG.axpy(1.0, MG, structure=DIFFERENT)
+            self.N.axpy(1.0, self.GMG, structure=DIFFERENT)
             MG.destroy()
-        self.D = self._defect()
-        self.N = self.G_left.transposeMatMult(self.QG)  # N = Gᵀ Q G
-        self.N.axpy(1.0, self.D, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        self.N.axpy(1.0, self.D, structure=DIFFERENT)
         self.N.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self.solver = GatheredSolver(self.N, prefix=prefix, symmetric=symmetric)
 
@@ -148,8 +147,9 @@ class Coarse:
         E_all.destroy()
         return G
 
-    def _defect(self) -> PETSc.Mat:
-        blocks = [D for D in self._inverse.D if len(D)]
+    def block_diagonal(self, blocks: list[Array]) -> PETSc.Mat:
+        """Assemble a block for each subdomain, (k_i, k_i), into a matrix, (K, K)."""
+        blocks = [block for block in blocks if len(block)]
         local = scipy.sparse.csr_array(
             scipy.sparse.block_diag(blocks, format="csr") if blocks else (0, 0)
         )
@@ -164,8 +164,8 @@ class Coarse:
     def destroy(self) -> None:
         """Free matrices and solver."""
         self.solver.destroy()
-        matrices = (self.G, self.G_left, self.q, self.QG, self.N, self.D)
-        for owned in {id(M): M for M in matrices}.values():
+        matrices = (self.G, self.G_left, self.q, self.QG, self.N, self.D, self.GMG)
+        for owned in {id(M): M for M in matrices if M is not None}.values():
             owned.destroy()
 
 

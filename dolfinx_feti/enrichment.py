@@ -6,7 +6,7 @@ r"""Enrichment: elastic modes of a subdomain that join its rigid body modes.
 The algebra of ``pseudoinverse`` is exact for any columns R. Two kinds of eigenvectors pay for their
 coarse unknown:
 
-- *soft* modes, :math:`K y = μ\, k_Γ\, y` with μ below :data:`SOFT`, where :math:`k_Γ` is the
+- *soft* modes, :math:`K y = μ\, k_Γ\, y` with μ below a threshold, 0.01, where :math:`k_Γ` is the
   stiffness of the interface dofs. A wall is a shell: its subdomains bend at a small fraction of the
   energy that the same jump costs the neighbour, and a Krylov method pays for each such mode. For a
   compact subdomain of size H with elements of size h, μ is about h/H, and none is soft.
@@ -29,9 +29,6 @@ __all__ = ["append_orthonormal", "buckling_modes", "soft_modes"]
 Array = npt.NDArray[np.float64]
 Solve = Callable[[Array], Array]
 
-#: A mode is soft if its energy is below this share of its interface stiffness.
-SOFT = 1e-2
-
 #: Subdomains up to this size have their eigenvectors computed densely.
 DENSE = 200
 
@@ -42,16 +39,17 @@ POWER, SPARE = 3, 8
 LOOK = 8
 
 
-def soft_modes(solve: Solve, weight: Array, most: int) -> Array:
+def soft_modes(solve: Solve, weight: Array, most: int, threshold: float) -> Array:
     """Find the softest modes of a subdomain.
 
     Args:
         solve: Applies :math:`K_ρ^{-1}` to columns, (n, r) → (n, r).
         weight: Stiffness of the interface dofs, zero on the others, (n,).
         most: Most modes to return.
+        threshold: A mode is soft if its energy is below this share of its interface stiffness.
 
     Returns:
-        Modes with μ < :data:`SOFT`, (n, up to ``most``).
+        Modes with μ below the threshold, (n, up to ``most``).
     """
     n, root = len(weight), np.sqrt(weight)
     most = min(most, np.count_nonzero(weight) // 10)
@@ -66,10 +64,10 @@ def soft_modes(solve: Solve, weight: Array, most: int) -> Array:
         values, vectors = np.linalg.eigh(0.5 * (inverse + inverse.T))
     else:
         values, _ = _lanczos(flexible, n, 1, "LA", krylov=LOOK, restarts=1)
-        if values.max(initial=0.0) * SOFT < 1.0:
+        if values.max(initial=0.0) * threshold < 1.0:
             return np.zeros((n, 0))
         values, vectors = _largest(flexible, n, most)
-    soft = np.flatnonzero(values * SOFT > 1.0)[-most:]
+    soft = np.flatnonzero(values * threshold > 1.0)[-most:]
     return solve(root[:, None] * vectors[:, soft])  # y = K_ρ⁻¹ k^½ z
 
 

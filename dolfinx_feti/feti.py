@@ -63,9 +63,7 @@ REMEDIES = {
 #: Reasons for which CG ends when a quadratic form is negative.
 CURVATURE = (Reason.DIVERGED_INDEFINITE_MAT, Reason.DIVERGED_INDEFINITE_PC)
 
-INDEFINITE = (
-    "; the assembled matrix seems to be indefinite: N or K_II has {0} negative eigenvalue(s)"
-)
+INDEFINITE = "; the assembled matrix is indefinite, with at least {0} negative eigenvalue(s)"
 
 
 class FETI:
@@ -80,12 +78,11 @@ class FETI:
         residual: ‖b − A x‖/‖b‖ of the last solve.
         method: Krylov method of the dual system.
         negative: Negative eigenvalues of the regularised subdomains and of the defect D.
-        negative_coarse: Negative eigenvalues of the coarse matrix N, a sign that the assembled
-            matrix has some (see ``coarse``), or of the interiors K_II, which prove it, whichever
-            are more; −1 if not known.
+        negative_assembled: Negative eigenvalues that the assembled matrix has at least, see
+            ``stability``; −1 if not known.
         singular: Whether the set-up failed because the matrix is singular.
         refuse_indefinite: Whether a solve ends before its first iteration, with the reason
-            ``DIVERGED_INDEFINITE_MAT``, if ``negative_coarse`` is not zero.
+            ``DIVERGED_INDEFINITE_MAT``, if ``negative_assembled`` is not zero.
         eigenvalues: (λ_min, λ_max) of the preconditioned dual operator, by Lanczos from the CG
             coefficients; nan before a CG solve.
     """
@@ -95,7 +92,7 @@ class FETI:
         self.iterations = 0
         self.residual = np.nan
         self.method = ""
-        self.negative = self.negative_coarse = 0
+        self.negative = self.negative_assembled = 0
         self.singular = self.refuse_indefinite = False
         self.eigenvalues = (np.nan, np.nan)
         self._options: FETIOptions | None = None
@@ -130,13 +127,13 @@ class FETI:
         try:
             self._refresh(ksp.getOperators()[0])
         except SetUpError as error:
-            self._state, self.negative_coarse = None, -1
+            self._state, self.negative_assembled = None, -1
             self.message, self.singular = str(error), isinstance(error, SingularError)
 
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve A x = b; a failure is a negative converged reason with a message."""
         self.setUp(ksp)
-        refused = self.refuse_indefinite and self.negative_coarse > 0
+        refused = self.refuse_indefinite and self.negative_assembled > 0
         if self.message or refused:
             x.set(0.0)
             self.iterations, self.residual = 0, np.nan
@@ -196,8 +193,7 @@ class FETI:
             self._parts.update()
             self.method = self._parts.krylov.ksp.getType()
             self.negative = self._parts.negative
-            inertia, inside = self._parts.coarse.solver.inertia()[0], self._parts.negative_interior
-            self.negative_coarse = max(inertia, inside) if inside > 0 else inertia
+            self.negative_assembled = self._parts.negative_assembled
         self._state = state
 
     def _solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> int:
@@ -257,8 +253,8 @@ class FETI:
         if reason < 0:
             remedy = REMEDIES.get(reason, f"the dual Krylov method ended with reason {reason}")
             remedy = remedy.format(self._prefix)
-            if self.negative_coarse > 0:
-                remedy += INDEFINITE.format(self.negative_coarse)
+            if self.negative_assembled > 0:
+                remedy += INDEFINITE.format(self.negative_assembled)
             self.message = f"{remedy} (‖b − A x‖/‖b‖ = {self.residual:.2e})."
         return reason
 

@@ -25,7 +25,7 @@ class NewtonStep:
         linear_residual: ‖K ΔU + r‖/‖r‖ of the assembled system.
         condition_number: Of the preconditioned dual operator; nan if not known.
         negative: Negative eigenvalues of the regularised subdomains and of D.
-        indefinite: Negative eigenvalues of the coarse matrix for the true tangent, see ``coarse``;
+        indefinite: Negative eigenvalues that the true tangent has at least, see ``stability``;
             −1 if not known.
         shift: σ of the tangent K + σ diag|k| that ΔU solves; zero for the true one.
         solves: Linear solves; all but the last failed or led uphill.
@@ -64,9 +64,8 @@ def record_step(
         ksp: The solver.
         residual: ‖r‖ before the step.
         alpha: Step length.
-        indefinite: Negative eigenvalues of the coarse matrix for the true tangent, see ``coarse``;
+        indefinite: Negative eigenvalues that the true tangent has at least, see ``stability``;
             −1 if not known.
-        indefinite: Negative eigenvalues of the coarse matrix without shift.
         shift: σ of the last solve.
         iterations: Those of each linear solve.
         assembly: Seconds of assembly.

@@ -22,8 +22,8 @@ tangent leads to a saddle or a maximum: then
 
 .. math:: (K' + σ \operatorname{diag}|k|)\, ΔU = -r
 
-is solved with the stiffness k of the dofs, with σ growing from 1e-4 until the coarse matrix has no
-negative eigenvalue left (``coarse``), which is known before the first iteration, and ΔU leads
+is solved with the stiffness k of the dofs, with σ growing from 1e-4 until no negative eigenvalue is
+left that can be proved (``stability``), which is known before the first iteration, and ΔU leads
 downhill, ΔU·r < 0. A step that σ has made too short, :math:`g(α) > 0.9\, g(0)`, is doubled while Π
 falls (Wolfe's second condition). In the next steps σ falls, to zero at the end. A tangent that
 turns out singular on the way counts as indefinite.
@@ -84,7 +84,7 @@ class Newton:
         self.history: list[NewtonStep] = []
         self.message = ""
         self.has_tangent = False
-        self._shift = 0.0
+        self._shift, self._grown = 0.0, False  # σ of the last step, and whether it had to grow
         self._indefinite = 0
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
@@ -145,14 +145,17 @@ class Newton:
         """
         ksp, system, iterations = snes.getKSP(), self._system, []
         feti, comm = ksp.getPythonContext(), snes.comm.tompi4py()
-        self._shift = 0.0 if self._shift <= LEAST_SHIFT else self._shift / GROWTH**2
+        self._shift /= GROWTH if self._grown else GROWTH**2
+        if self._shift < LEAST_SHIFT / GROWTH:
+            self._shift = 0.0
+        self._grown = False
         feti.refuse_indefinite = system.has_potential
         while self._shift <= MOST_SHIFT:
             if self._shift > 0.0:
                 system.shift(self._shift)
             du = self._step(ksp, r)
             if self._shift == 0.0:
-                self._indefinite = feti.negative_coarse
+                self._indefinite = feti.negative_assembled
             reason = ksp.getConvergedReason()
             if reason != LinearReason.DIVERGED_INDEFINITE_MAT:
                 iterations.append(feti.iterations)
@@ -162,7 +165,7 @@ class Newton:
             failed = reason == LinearReason.DIVERGED_PCSETUP_FAILED
             if not system.has_potential or (failed and not (feti.singular and self.history)):
                 break
-            self._shift = max(LEAST_SHIFT, GROWTH * self._shift)
+            self._shift, self._grown = max(LEAST_SHIFT, GROWTH * self._shift), True
         self._shift = 0.0
         return None, iterations
 

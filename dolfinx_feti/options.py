@@ -18,6 +18,8 @@
                                                                         it to GMRES, or refuse
 ``-feti_coarse_modes``         12                                       soft modes of a subdomain in
                                                                         the coarse space, at most
+``-feti_coarse_threshold``     0.01                                     share of its interface
+                                                                        stiffness that is soft
 ``-feti_stagnation``           200                                      iterations without gain
 ``-feti_refine``               10                                       restarts on the residual of
                                                                         the assembled system
@@ -55,6 +57,7 @@ CHOICES = {
     "indefinite": ("enrich", "gmres", "error"),
 }
 NUMBERS = {"coarse_modes": 12, "stagnation": 200, "refine": 10, "dual_recycle": 0}
+SHARES = {"coarse_threshold": 0.01}
 FLAGS = {"dual_reorthogonalize": False}
 SUBSOLVERS = {
     "dual_": ("ksp_",),
@@ -76,6 +79,7 @@ class FETIOptions:
     interior: str = "auto"
     indefinite: str = "enrich"
     coarse_modes: int = 12
+    coarse_threshold: float = 0.01
     stagnation: int = 200
     refine: int = 10
     dual_reorthogonalize: bool = False
@@ -97,7 +101,7 @@ def read_options(prefix: str) -> FETIOptions:
         ValueError: A value is not among the choices, or an option does not exist.
     """
     options = PETSc.Options(prefix + "feti_")
-    values: dict[str, str | int | bool] = {}
+    values: dict[str, str | int | float | bool] = {}
     for name, choices in CHOICES.items():
         value = options.getString(name, choices[0])
         if value not in choices:
@@ -110,6 +114,13 @@ def read_options(prefix: str) -> FETIOptions:
         if number < 0:
             raise ValueError(f"Option -{prefix}feti_{name} is {number}; it takes a number ≥ 0.")
         values[name] = number
+    for name, fraction in SHARES.items():
+        share = options.getReal(name, fraction)
+        if not 0.0 <= share <= 1.0:
+            raise ValueError(
+                f"Option -{prefix}feti_{name} is {share}; it takes a number between 0 and 1."
+            )
+        values[name] = share
     for name, default in FLAGS.items():
         try:
             values[name] = options.getBool(name, default)
@@ -124,7 +135,7 @@ def read_options(prefix: str) -> FETIOptions:
 
 def _reject_unknown(prefix: str) -> None:
     """Refuse an option that begins like ours and is none."""
-    known = [*CHOICES, *NUMBERS, *FLAGS]
+    known = [*CHOICES, *NUMBERS, *SHARES, *FLAGS]
     passed_on = tuple(solver + part for solver, parts in SUBSOLVERS.items() for part in parts)
     for key in PETSc.Options().getAll():
         name = key.removeprefix(prefix + "feti_")

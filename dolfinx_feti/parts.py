@@ -30,6 +30,7 @@ from dolfinx_feti.options import FETIOptions
 from dolfinx_feti.preconditioner import create_preconditioner
 from dolfinx_feti.pseudoinverse import PseudoInverse
 from dolfinx_feti.recycling import Recycling
+from dolfinx_feti.stability import negative_eigenvalues
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Parts", "SetUpError", "SingularError"]
@@ -70,6 +71,8 @@ class Parts:
         negative: Negative eigenvalues of K_ρ and D over all subdomains; CG is safe without any.
         negative_interior: Negative eigenvalues of all K_II that have been factored; below zero if
             they are not known.
+        negative_assembled: Negative eigenvalues that the assembled matrix has at least (see
+            ``stability``); −1 if not known.
         coarse: G and N; after :meth:`update`.
         operator: The dual system; after :meth:`update`.
         constraint: Its constraint preconditioner; after :meth:`update`.
@@ -78,6 +81,7 @@ class Parts:
 
     negative: int
     negative_interior: int
+    negative_assembled: int
     coarse: Coarse
     operator: DualOperator
     constraint: ConstraintPreconditioner
@@ -136,6 +140,7 @@ class Parts:
             symmetric=self.symmetric,
             buckling=options.indefinite == "enrich",
             soft=options.coarse_modes,
+            threshold=options.coarse_threshold,
             weight=glued_stiffness,
         )
         self.preconditioner = create_preconditioner(
@@ -182,6 +187,7 @@ class Parts:
         interior = self.preconditioner.factors or self.interior.eliminated
         inside = 0 if interior is None else int(interior.inertia()[:, 0].sum())
         self.negative_interior = self.torn.comm.allreduce(inside)
+        self.negative_assembled = self._negative_assembled()
         if self.negative and self.symmetric and self.options.indefinite == "error":
             raise SetUpError(
                 f"{self.negative} local eigenvalues are negative and -{self.prefix}indefinite is "
@@ -232,6 +238,25 @@ class Parts:
         inside = self.torn.comm.allreduce(self.interior.zero_inside())
         if inside:
             raise SingularError(SINGULAR.format(inside))
+
+    def _negative_assembled(self) -> int:
+        """Count the negative eigenvalues of the assembled matrix that can be proved."""
+        if not self.symmetric:
+            return -1
+        inside, coarse = max(self.negative_interior, 0), 0
+        if self.negative:  # otherwise all K_i are positive semi-definite
+            coarse = negative_eigenvalues(
+                self.torn,
+                self.gluing,
+                self.inverse,
+                self.preconditioner,
+                self.coarse,
+                prefix=self.prefix + "coarse_",
+            )
+        harmonic = self.options.pc_type == "dirichlet" and self.interior.eliminated is not None
+        if coarse > 0 and harmonic:
+            return inside + coarse  # the coarse fields are K-orthogonal to those inside
+        return max(inside, coarse) if inside else coarse
 
     def _check_coarse(self) -> None:
         _, zero = self.coarse.solver.inertia()

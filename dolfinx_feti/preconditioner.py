@@ -60,9 +60,13 @@ class Preconditioner(ABC):
         interface: Glued free dofs Γ of each subdomain.
         interior: The other free dofs I of each subdomain.
         factors: Interior factors, if the preconditioner has any.
+        energetic: Whether Y is the energy of an extended interface displacement, E_Γᵀ K E_Γ.
+        props: The props Y_Z of each subdomain, (n_Γ, q_i); after :meth:`update`.
     """
 
     factors: BlockFactors | None = None
+
+    energetic = True
 
     def __init__(
         self, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
@@ -129,7 +133,7 @@ class Preconditioner(ABC):
         support = np.unique(W.indices)
         columns = W[:, support].toarray()
         image = self.apply_many(i, columns)
-        image += self._props[i] @ (self._props[i].T @ columns)
+        image += self.props[i] @ (self.props[i].T @ columns)
         return image, support
 
     @abstractmethod
@@ -140,9 +144,13 @@ class Preconditioner(ABC):
     def apply_many(self, i: int, W: Array) -> Array:
         """Apply Y_i without props to columns on the interface, (n_Γ, r) → (n_Γ, r)."""
 
+    def to_interface(self, i: int, X: Array) -> Array:
+        """Move forces X on subdomain i to its interface, E_Γᵀ X, (n_i, r) → (n_Γ, r)."""
+        return X[self._on_interface[i]]
+
     def _prop(self, props: list[Array]) -> None:
         """Hold the subdomains by the props Y_Z, (n_Γ, q_i) each."""
-        self._props = props
+        self.props = props
         together = scipy.sparse.block_diag(props, format="csr") if props else (0, 0)
         self._all_props = scipy.sparse.csr_array(together)
 
@@ -173,6 +181,8 @@ class Preconditioner(ABC):
 
 class Identity(Preconditioner):
     """Y = θ I (Augustin_eq:feti_preconditioner)."""
+
+    energetic = False
 
     def __init__(
         self, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
@@ -285,6 +295,12 @@ class ImplicitDirichlet(Dirichlet):
             return Z[~inside]
         Y = Z[~inside] - product_many(self.torn.K, Γ, I, X)
         return scipy.linalg.solve_triangular(C, Y.T, lower=True).T  # (Z_Γ − K_ΓI X) C⁻ᵀ
+
+    def to_interface(self, i: int, X: Array) -> Array:
+        inside = ~self._on_interface[i]
+        Γ, I = self.interface[i], self.interior[i]  # noqa: E741
+        Y = self.factors.solve_many(i, X[inside])
+        return X[~inside] - product_many(self.torn.K, Γ, I, Y)  # X_Γ − K_ΓI K_II⁻¹ X_I
 
     def _interface_columns(self, w: Array) -> Array:
         if self.symmetric:

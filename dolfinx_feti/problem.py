@@ -128,7 +128,7 @@ class LinearProblem:
                 self.solver,
                 self.b.norm(),
                 1.0,
-                indefinite=feti.negative_coarse,
+                indefinite=feti.negative_assembled,
                 shift=0.0,
                 iterations=[feti.iterations],
                 assembly=assembled - started,

@@ -69,6 +69,7 @@ class PseudoInverse:
         dofs: Torn dofs of each subdomain on which K⁺ lives: all free ones, or Γ.
         factors: The factors of K_ρ.
         rigid: Number of rigid body modes of each subdomain.
+        R: For each subdomain the orthonormal modes, (n_i, k_i).
         E: For each subdomain the kernel or its regularised stand-in, (n_i, k_i).
         E_left: The same for :math:`K^⊤`; the identical list if K is symmetric.
         D: For each subdomain the defect of the kernel, (k_i, k_i); zero while K R = 0.
@@ -86,6 +87,7 @@ class PseudoInverse:
         symmetric: bool,
         buckling: bool,
         soft: int,
+        threshold: float,
         weight: Array,
     ) -> None:
         """Take the matrices of the subdomains; nothing is factored yet.
@@ -97,6 +99,7 @@ class PseudoInverse:
             symmetric: Whether K is symmetric.
             buckling: Let modes with a negative eigenvalue join R.
             soft: Most soft modes of a subdomain that join R.
+            threshold: Share of the interface stiffness below which a mode is soft.
             weight: Stiffness of the interface dofs, zero on the others, (n,).
         """
         self._torn = torn
@@ -107,10 +110,12 @@ class PseudoInverse:
         self.factors = interior.factors
         self._buckling = buckling and symmetric
         self._soft = [soft] * len(self.dofs)  # modes still to be looked for
+        self._threshold = threshold
         self._weight = weight
         self._elastic: list[Array] = [np.zeros((len(dofs), 0)) for dofs in self.dofs]
         self.rigid: npt.NDArray[np.int64] = np.zeros(len(self.dofs), dtype=np.int64)
         self._dimensions: npt.NDArray[np.int64] = np.zeros(len(self.dofs), dtype=np.int64)
+        self.R: list[Array] = []
         self.E: list[Array] = []
         self.E_left: list[Array] = []
         self.D: list[Array] = []
@@ -133,13 +138,13 @@ class PseudoInverse:
         R = [self._interior.restrict(i, R_i) for i, R_i in enumerate(R)]
         R = [append_orthonormal(R_i, Y) for R_i, Y in zip(R, self._elastic, strict=True)]
         self.factors.update(R, self.rho)
-        R = [self._enriched(i, R_i) for i, R_i in enumerate(R)]
-        self._dimensions = np.array([R_i.shape[1] for R_i in R], dtype=np.int64)
-        self.E, self.D = self._stand_ins(R, transpose=False)
-        self.props = [R_i @ Y for R_i, Y in zip(R, self._negative_directions(), strict=True)]
+        self.R = [self._enriched(i, R_i) for i, R_i in enumerate(R)]
+        self._dimensions = np.array([R_i.shape[1] for R_i in self.R], dtype=np.int64)
+        self.E, self.D = self._stand_ins(transpose=False)
+        self.props = [R_i @ Y for R_i, Y in zip(self.R, self._negative_directions(), strict=True)]
         self.E_left = self.E
         if not self._symmetric:
-            self.E_left, _ = self._stand_ins(R, transpose=True)
+            self.E_left, _ = self._stand_ins(transpose=True)
 
     def solve(self, y: Array, x: Array) -> None:
         """Apply the generalised inverse, x = K⁺ y, both (n,); zero on fixed dofs."""
@@ -172,7 +177,8 @@ class PseudoInverse:
         """Let soft modes join R, once, and buckling modes until K_ρ has none left."""
         if self._soft[i]:
             weight = self._weight[self.dofs[i]]
-            R = self._joined(i, R, soft_modes(self._solver(i), weight, self._soft[i]))
+            soft = soft_modes(self._solver(i), weight, self._soft[i], self._threshold)
+            R = self._joined(i, R, soft)
             self._soft[i] = 0
         for _ in range(ENRICHMENTS if self._buckling else 0):
             count = self.factors.inertia_of(i)[0]
@@ -206,10 +212,10 @@ class PseudoInverse:
             for (KR, KtR, ρ), Y in zip(defects, self._elastic, strict=True)
         ]
 
-    def _stand_ins(self, R: Sequence[Array], *, transpose: bool) -> tuple[list[Array], list[Array]]:
+    def _stand_ins(self, *, transpose: bool) -> tuple[list[Array], list[Array]]:
         """Return E and D of every subdomain; R and 0 where K R = 0."""
         E, D = [], []
-        for i, R_i in enumerate(R):
+        for i, R_i in enumerate(self.R):
             E_i, defect = R_i, np.zeros((R_i.shape[1], R_i.shape[1]))
             if not self.exact[i]:
                 x, mu = self.factors.solve_border(i, transpose=transpose)

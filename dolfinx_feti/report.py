@@ -34,6 +34,7 @@ class Report:
         negative_local: Negative eigenvalues of the regularised subdomains.
         negative_defect: Negative eigenvalues of the defect D.
         negative_interior: Negative eigenvalues of the interior blocks.
+        negative_assembled: Those that the assembled matrix has at least; −1 unknown.
         interior: Whether the interior dofs are ``kept`` or ``eliminated``.
         coarse_size: Coarse unknowns.
         coarse_mib: Memory of the factor of the coarse matrix in MiB; nan if not known.
@@ -55,6 +56,7 @@ class Report:
     negative_local: int
     negative_defect: int
     negative_interior: int
+    negative_assembled: int
     interior: str
     coarse_size: int
     coarse_mib: float
@@ -93,6 +95,7 @@ def collect(parts: Parts) -> Report:
         negative_local=comm.allreduce(inverse.negative_local()),
         negative_defect=comm.allreduce(inverse.negative_defects()),
         negative_interior=parts.negative_interior,
+        negative_assembled=parts.negative_assembled,
         interior="kept" if parts.interior.eliminated is None else "eliminated",
         coarse_size=coarse.total,
         coarse_mib=coarse.solver.memory(),
@@ -122,7 +125,8 @@ def table(report: Report) -> str:
         (
             "negative eigenvalues",
             f"{r.negative_local} in K_ρ, {r.negative_defect} in D, "
-            f"{r.negative_interior} in K_II, {r.coarse_inertia[0]} in N",
+            f"{r.negative_interior} in K_II, {r.coarse_inertia[0]} in N, "
+            f"{r.negative_assembled} at least in A",
         ),
         ("factors", f"{r.factor_mib:.0f} MiB, interior {r.interior}"),
         ("condition number", condition),

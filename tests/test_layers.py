@@ -36,6 +36,7 @@ DUAL = {
     "recycling",
     "report",
     "schur",
+    "stability",
     "torn",
 }
 MECHANICS = {"kinematics", "loads", "materials"}

@@ -19,6 +19,7 @@ from dolfinx_feti.options import (
     CHOICES,
     FLAGS,
     NUMBERS,
+    SHARES,
     FETIOptions,
     inserted,
     read_options,
@@ -34,8 +35,8 @@ def read(prefix="o_", **options):
 def test_defaults_are_those_of_the_class():
     agree(read() == FETIOptions())
     fields = {field.name: field.default for field in dataclasses.fields(FETIOptions)}
-    expected = {name: choices[0] for name, choices in CHOICES.items()} | NUMBERS | FLAGS
-    agree(fields == expected)
+    expected = {name: choices[0] for name, choices in CHOICES.items()}
+    agree(fields == expected | NUMBERS | SHARES | FLAGS)
 
 
 @pytest.mark.parametrize(
@@ -52,6 +53,15 @@ def test_numbers_are_read(name):
     agree(getattr(read(**{f"feti_{name}": 0}), name) == 0)
     with raises(ValueError, f"-o_feti_{name} is -1"):
         read(**{f"feti_{name}": -1})
+
+
+@pytest.mark.parametrize("name", SHARES)
+def test_shares_are_read(name):
+    agree(getattr(read(**{f"feti_{name}": 0.5}), name) == 0.5)
+    agree(getattr(read(**{f"feti_{name}": 0}), name) == 0.0)
+    for wrong in (-0.1, 1.5, "nan"):
+        with raises(ValueError, f"-o_feti_{name} is {wrong}; it takes a number between 0 and 1"):
+            read(**{f"feti_{name}": wrong})
 
 
 @pytest.mark.parametrize("name", FLAGS)
