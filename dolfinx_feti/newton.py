@@ -173,7 +173,7 @@ class Newton:
         """Let the next direction begin with a larger shift; tell whether there is one."""
         if not self._system.has_potential or self._shift >= MOST_SHIFT:
             return False
-        self._shift = max(LEAST_SHIFT, GROWTH * self._shift) * GROWTH**2
+        self._shift, self._grown = max(LEAST_SHIFT, GROWTH * self._shift) * GROWTH, True
         return True
 
     def _step(self, ksp: PETSc.KSP, r: Array) -> Array:
