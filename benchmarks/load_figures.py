@@ -5,7 +5,7 @@
 
     python3 -m benchmarks.load_figures build/loading.json --output build/results
 
-draws, for each geometry in the records, the stress magnitude over the relative displacement
+draws, for each wall and degree in the records, the stress magnitude over the relative displacement
 u_rel = u_norm / u_max and u_norm over the pressure at the points A–E, for both variants the
 iterations of a Newton step, and for them and one subdomain, a direct solver, the seconds of a load
 step; and writes ``loading.md`` beside them.
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
-    """Write a picture for each geometry, and the page.
+    """Write a picture for each wall and degree, and the page.
 
     Args:
         folder: Where they go.
@@ -71,16 +71,18 @@ def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
         remark: What is to be said about the runs.
     """
     pages = [_introduction(records, remark)]
-    for geometry in dict.fromkeys(str(record["geometry"]) for record in records):
-        mine = [record for record in records if record["geometry"] == geometry]
-        draw(folder / f"loading_{geometry}.png", mine)
-        pages.append(f"![Load steps of the {geometry}](loading_{geometry}.png)\n")
+    walls = [(str(record["geometry"]), int(record["degree"])) for record in records]
+    for geometry, degree in dict.fromkeys(walls):
+        mine = [r for r, wall in zip(records, walls, strict=True) if wall == (geometry, degree)]
+        picture = f"loading_{geometry}_p{degree}.png"
+        draw(folder / picture, mine)
+        pages.append(f"![Load steps of the {geometry}, P{degree}–P0]({picture})\n")
     pages.append(totals(records).markdown())
     (folder / "loading.md").write_text("\n".join(pages))
 
 
 def draw(path: Path, records: Sequence[Record]) -> None:
-    """Draw the four panels of one geometry."""
+    """Draw the four panels of one wall and degree."""
     fig, axes = plt.subplots(2, 2, figsize=(10, 7.5))
     (stress, norm), (iterations, seconds) = axes
     path_of = {kind: _of(records, kind) for kind in VARIANTS}
@@ -109,7 +111,8 @@ def draw(path: Path, records: Sequence[Record]) -> None:
 
 def totals(records: Sequence[Record]) -> Table:
     """Sum up each run."""
-    head = ["wall", "elements", "subdomains", "type", "up to [mmHg]", "load steps"]
+    head = ["wall", "elements", "subdomains", "type", "processes", "recycled", "up to [mmHg]"]
+    head += ["load steps"]
     head += ["Newton steps", "FETI iterations", "in a Newton step", "worst residual", "seconds"]
     rows = []
     keys = ("geometry", "degree", "subdomains", "type")
@@ -122,6 +125,8 @@ def totals(records: Sequence[Record]) -> Table:
                 f"P{key[1]}–P0",
                 str(key[2]),
                 VARIANTS[_variant(steps[0])][0],
+                str(steps[0]["processes"]),
+                str(steps[0]["recycle"]),
                 number(max(step["pressure_mmhg"] for step in steps)),
                 str(len(steps)),
                 str(sum(step["newton_iterations"] for step in steps)),
@@ -168,13 +173,12 @@ def _introduction(records: Sequence[Record], remark: str) -> str:
         "# Load stepping",
         "",
         f"A wall with {material} is inflated in load steps that adapt, each Newton step",
-        "solved by FETI with the Dirichlet preconditioner (the worst relative residual stands in",
-        f"the table), with up to {first['recycle']} recycled directions. The points A–E are cells",
-        "far from each other. On the vessel, a cerebral aneurysm with the material of a carotid",
-        "artery, such pressures are a numerical benchmark and no physiology.",
+        "solved by FETI with the Dirichlet preconditioner; the table has the worst relative",
+        "residual and the number of recycled directions. The points A–E are cells far from each",
+        "other. On the vessel, a cerebral aneurysm with the material of a carotid artery, such",
+        "pressures are a numerical benchmark and no physiology.",
         "",
-        f"{machine}; {first['processes']} process(es). `make figures` runs it again and goes on",
-        "where it was ended.",
+        f"{machine}. `make figures` runs it again and goes on where it was ended.",
     ]
     return "\n".join([*lines, *(["", remark] if remark else [])]) + "\n"
 

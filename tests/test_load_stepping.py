@@ -46,8 +46,9 @@ def test_both_variants_and_their_figures(tmp_path):
 
     on_first(lambda: load_figures.main([str(tmp_path / "loading.json"), "--output", str(tmp_path)]))
     page = on_first(lambda: (tmp_path / "loading.md").read_text())
-    agree("| tube | P2–P0 | 4 | all-floating | 8 |" in page and "loading_tube.png" in page, page)
-    agree(on_first(lambda: (tmp_path / "loading_tube.png").stat().st_size) > 20_000)
+    row = f"| tube | P2–P0 | 4 | all-floating | {COMM.size} | 100 | 8 |"
+    agree(row in page and "loading_tube_p2.png" in page, page)
+    agree(on_first(lambda: (tmp_path / "loading_tube_p2.png").stat().st_size) > 20_000)
 
 
 def test_what_is_there_is_not_run_again(tmp_path, capsys):
