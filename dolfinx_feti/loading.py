@@ -14,8 +14,9 @@ the tangent of the last equilibrium takes its place again.
 
 The increment Δt grows after a quick step, and is halved after a failure, with the last equilibrium
 restored. The wanted loads are met exactly: what is left to the next one is divided into equal
-increments that are not longer than the current one. On the way equilibrium is met roughly, at the
-wanted loads to the solver's own tolerance.
+increments that are not longer than the current one. Newton's tolerance refers to the residual that
+the new load leaves in the last equilibrium, :math:`\|r(U_n; t_{n+1})\|`: a prediction can begin
+with one that is larger by orders of magnitude, of which no share is an equilibrium.
 """
 
 from __future__ import annotations
@@ -60,7 +61,6 @@ class Steps:
         least: The increment below which there is no further halving.
         growth: Factor of the increment after a quick step.
         quick: Newton steps that count as quick.
-        rtol: Newton's relative tolerance at the loads on the way.
 
     Raises:
         ValueError: A number is out of its range.
@@ -70,7 +70,6 @@ class Steps:
     least: float
     growth: float = 1.15
     quick: int = 4
-    rtol: float = 1e-3
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -81,8 +80,6 @@ class Steps:
             )
         if not 1.0 <= self.growth < math.inf:
             raise ValueError(f"growth={self.growth} is not a number of 1 or more.")
-        if not 0.0 < self.rtol < 1.0:
-            raise ValueError(f"rtol={self.rtol} is not a number between 0 and 1.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +128,9 @@ class Problem(Protocol):
 
     def linearise(self) -> None:
         """Assemble the tangent for the first step of the next solve."""
+
+    def refer_tolerance(self) -> None:
+        """Let the tolerance of the next solve refer to the residual of the present state."""
 
     def solve(self) -> object:
         """Solve, or raise ConvergenceError."""
@@ -240,7 +240,7 @@ class _Path:
     def follow(self, targets: Sequence[float], bar: Progress) -> Iterator[LoadStep]:
         """Yield the equilibria on the way."""
         for target in map(float, targets):
-            while self._met[-1] != target or self.load != target:
+            while self.load != target:
                 yield self._advance(target, bar)
 
     def keep(self, checkpoint: Checkpoint, accepted: Sequence[LoadStep]) -> None:
@@ -279,7 +279,7 @@ class _Path:
             load = self._next(target)
             bar.attempt(before, load)
             try:
-                self._attempt(load, rough=load != target)
+                self._attempt(load)
                 break
             except ConvergenceError as error:
                 failures += 1
@@ -301,16 +301,13 @@ class _Path:
         count = math.ceil(abs(target - load) / self._increment * (1.0 - 1e-12))
         return target if count <= 1 else load + (target - load) / count
 
-    def _attempt(self, load: float, *, rough: bool) -> None:
+    def _attempt(self, load: float) -> None:
         """Solve at a new load; on failure restore load and state."""
-        snes = self._problem.solver
-        tolerances = snes.getTolerances()
-        if rough:
-            snes.setTolerances(rtol=max(self._steps.rtol, tolerances[0]))
         try:
             if len(self._past) > ORDER:
-                self._set_values(extrapolate(self._past, load))
                 self._set_load(load)
+                self._problem.refer_tolerance()
+                self._set_values(extrapolate(self._past, load))
                 if self._solved():
                     return
                 self._restore()
@@ -320,8 +317,6 @@ class _Path:
         except ConvergenceError:
             self._restore()
             raise
-        finally:
-            snes.setTolerances(*tolerances)
 
     def _solved(self) -> bool:
         """Solve from a predicted state; tell whether it was admissible, raise if it led nowhere."""

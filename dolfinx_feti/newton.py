@@ -76,6 +76,7 @@ class Newton:
         history: A record for each step of the last solve.
         message: What went wrong and what helps, or an empty string.
         has_tangent: Whether the matrix already holds the tangent for the first step.
+        reference: Most that the residual at the start counts in the next solve's tolerance.
     """
 
     def __init__(self, system: System) -> None:
@@ -84,6 +85,7 @@ class Newton:
         self.history: list[NewtonStep] = []
         self.message = ""
         self.has_tangent = False
+        self.reference = np.inf
         self._shift, self._grown = 0.0, False  # σ of the last step, and whether it had to grow
         self._indefinite = 0
 
@@ -95,7 +97,8 @@ class Newton:
         has_tangent, self.has_tangent = self.has_tangent, False
         started = time.perf_counter()
         r = system.residual()
-        norm = first = _norm(r, comm)
+        norm = _norm(r, comm)
+        first, self.reference = min(norm, self.reference), np.inf
         if system.least_volume_ratio() <= 0.0:
             self._stop(snes, Reason.DIVERGED_FUNCTION_DOMAIN, _INVERTED)
             return
@@ -136,6 +139,11 @@ class Newton:
             norm = _norm(r, comm)
             reason = self._judge(snes, len(self.history), norm, first)
         x.array[:] = system.state()[0]
+
+    def refer_tolerance(self) -> None:
+        """Let the relative tolerance of the next solve refer to the present residual."""
+        system = self._system
+        self.reference = _norm(system.residual(), system.u.function_space.mesh.comm)
 
     def _direction(self, snes: PETSc.SNES, r: Array) -> tuple[Array | None, list[int]]:
         """Solve (K + σ diag|k|) ΔU = −r with the least σ that leads downhill.

@@ -138,6 +138,18 @@ class NonlinearProblem:
         """What each Newton step of the last solve cost."""
         return self._newton.history
 
+    def refer_tolerance(self) -> None:
+        """Let the relative tolerance of the next solve refer to the residual of the present state.
+
+        Call it under the new load, *before* a prediction changes the state: far out, a material that
+        stiffens exponentially begins with a residual of which no share is an equilibrium. The
+        smaller of both residuals counts.
+
+        Note:
+            Collective.
+        """
+        self._newton.refer_tolerance()
+
     def linearise(self) -> None:
         """Assemble the tangent at the present state and load, for the first step of the next solve.
 

@@ -33,7 +33,7 @@ from dolfinx_feti.loading import Steps, follow_load
 
 COMM = MPI.COMM_WORLD
 PARAMETERS = {"kappa": 1000.0}
-STEPS = Steps(first=0.9, least=0.1, growth=1.3, rtol=1e-2)
+STEPS = Steps(first=0.9, least=0.1, growth=1.3)
 
 
 def run_wall(folder: Path, target: float, *words: str) -> None:

@@ -236,6 +236,25 @@ def test_inexact_newton():
     agree(sum(costs[1]) <= 0.8 * sum(costs[0]) and len(costs[1]) <= len(costs[0]) + 2, costs)
 
 
+def test_tolerance_may_refer_to_another_state():
+    """A share of the large residual of a bad guess is no equilibrium."""
+    body = block(yeoh, (0.3, 0.1))
+    problem = body.problem({"snes_rtol": 1e-2})
+    reference = body.residual()
+    norms = []
+    for refers in (False, True):
+        body.u.x.array[:] = 0.0
+        if refers:
+            problem.refer_tolerance()
+        body.u.interpolate(lambda x: np.stack([2.0 * x[0], 3.0 * x[0] * x[1]]))
+        guess = body.residual()
+        problem.solve()
+        norms.append(body.residual())
+        agree(guess > 1e3 * reference and norms[-1] <= 1e-2 * guess, guess)
+    agree(norms[0] > 1e-2 * reference >= norms[1], norms)
+    agree(problem._newton.reference == np.inf, "for one solve only")
+
+
 def test_inverted_start():
     """J ≤ 0 at the start is found before any work, and u stays as it was."""
     body = block(yeoh, (0.1, 0.0))
