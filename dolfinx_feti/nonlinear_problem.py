@@ -141,8 +141,8 @@ class NonlinearProblem:
     def refer_tolerance(self) -> None:
         """Let the relative tolerance of the next solve refer to the residual of the present state.
 
-        Call it under the new load, *before* a prediction changes the state: far out, a material that
-        stiffens exponentially begins with a residual of which no share is an equilibrium. The
+        Call it under the new load, *before* a prediction changes the state: far out, a material
+        that stiffens exponentially begins with a residual of which no share is an equilibrium. The
         smaller of both residuals counts.
 
         Note:
