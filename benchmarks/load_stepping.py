@@ -119,7 +119,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 )
             except (OSError, ValueError) as error:
                 parser.error(str(error))
-        steps = Steps(first=args.first, least=min(LEAST, args.first), growth=1.5, quick=6)
+        steps = Steps(first=args.first, least=min(LEAST, args.first))
         lost += not _Run(case, wall, records, checkpoint).inflate(args.pressure, steps)
     return lost
 

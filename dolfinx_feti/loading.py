@@ -68,8 +68,8 @@ class Steps:
 
     first: float
     least: float
-    growth: float = 1.15
-    quick: int = 4
+    growth: float = 1.5
+    quick: int = 6
 
     def __post_init__(self) -> None:
         """Check the values."""
