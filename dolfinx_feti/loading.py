@@ -14,7 +14,8 @@ the tangent of the last equilibrium takes its place again.
 
 The increment Δt grows after a quick step, and is halved after a failure, with the last equilibrium
 restored. The wanted loads are met exactly: what is left to the next one is divided into equal
-increments that are not longer than the current one. Newton's tolerance refers to the residual that
+increments that are not longer than the current one. On the way equilibrium may be met more roughly
+than there (``Steps.rtol``). Newton's tolerance refers to the residual that
 the new load leaves in the last equilibrium, :math:`\|r(U_n; t_{n+1})\|`: a prediction can begin
 with one that is larger by orders of magnitude, of which no share is an equilibrium.
 """
@@ -61,6 +62,7 @@ class Steps:
         least: The increment below which there is no further halving.
         growth: Factor of the increment after a quick step.
         quick: Newton steps that count as quick.
+        rtol: Newton's relative tolerance at the loads on the way; None for the solver's own.
 
     Raises:
         ValueError: A number is out of its range.
@@ -70,6 +72,7 @@ class Steps:
     least: float
     growth: float = 1.5
     quick: int = 6
+    rtol: float | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -80,6 +83,8 @@ class Steps:
             )
         if not 1.0 <= self.growth < math.inf:
             raise ValueError(f"growth={self.growth} is not a number of 1 or more.")
+        if self.rtol is not None and not 0.0 < self.rtol < 1.0:
+            raise ValueError(f"rtol={self.rtol} is not a number between 0 and 1.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +245,8 @@ class _Path:
     def follow(self, targets: Sequence[float], bar: Progress) -> Iterator[LoadStep]:
         """Yield the equilibria on the way."""
         for target in map(float, targets):
-            while self.load != target:
+            rough = self._steps.rtol is not None
+            while self.load != target or (rough and self._met[-1] != target):
                 yield self._advance(target, bar)
 
     def keep(self, checkpoint: Checkpoint, accepted: Sequence[LoadStep]) -> None:
@@ -279,7 +285,7 @@ class _Path:
             load = self._next(target)
             bar.attempt(before, load)
             try:
-                self._attempt(load)
+                self._attempt(load, rtol=None if load == target else self._steps.rtol)
                 break
             except ConvergenceError as error:
                 failures += 1
@@ -301,8 +307,12 @@ class _Path:
         count = math.ceil(abs(target - load) / self._increment * (1.0 - 1e-12))
         return target if count <= 1 else load + (target - load) / count
 
-    def _attempt(self, load: float) -> None:
+    def _attempt(self, load: float, *, rtol: float | None) -> None:
         """Solve at a new load; on failure restore load and state."""
+        snes = self._problem.solver
+        tolerances = snes.getTolerances()
+        if rtol is not None:
+            snes.setTolerances(rtol=max(rtol, tolerances[0]))
         try:
             if len(self._past) > ORDER:
                 self._set_load(load)
@@ -317,6 +327,8 @@ class _Path:
         except ConvergenceError:
             self._restore()
             raise
+        finally:
+            snes.setTolerances(*tolerances)
 
     def _solved(self) -> bool:
         """Solve from a predicted state; tell whether it was admissible, raise if it led nowhere."""

@@ -56,6 +56,7 @@ class Attempt:
     Attributes:
         load: The load.
         before: That of the last equilibrium.
+        rtol: The tolerance.
         referred: Load and state that the tolerance refers to, if it was said.
         linearised: Load and state at the last ``linearise``, if it was called.
         guess: The state, u and p in one entry each.
@@ -64,6 +65,7 @@ class Attempt:
 
     load: float
     before: float
+    rtol: float
     referred: tuple[float, float, float] | None
     linearised: tuple[float, float, float] | None
     guess: tuple[float, float]
@@ -125,6 +127,7 @@ class Played:
             Attempt(
                 self.load,
                 before,
+                self.solver.getTolerances()[0],
                 self._referred,
                 self._linearised,
                 self.state(),
@@ -350,6 +353,27 @@ def test_a_load_met_twice_does_not_break_the_prediction(played):
     agree(all(np.isfinite(attempt.guess).all() for attempt in problem.attempts))
 
 
+@pytest.mark.parametrize("rough", [None, 1e-2, OWN / 100])
+def test_rough_on_the_way_and_exact_at_the_targets(played, rough):
+    """If it is asked for; a tolerance of the solver's own that is rougher still is kept."""
+    problem = played(fails=lambda before, load: load == 0.5 and load - before > 0.15)
+    before = problem.solver.getTolerances()
+    problem.follow([0.5, 1.0], Steps(first=0.2, least=0.01, growth=1.0, rtol=rough))
+    agree(problem.solver.getTolerances() == before)
+    agree(not all(attempt.converged for attempt in problem.attempts))
+    for attempt in problem.attempts:
+        expected = OWN if attempt.load in (0.5, 1.0) else max(rough or 0.0, OWN)
+        small(attempt.rtol - expected, 0.0)
+
+
+def test_tolerances_after_a_failure(played):
+    problem = played(fails=lambda before, load: True)
+    before = problem.solver.getTolerances()
+    with raises(ConvergenceError, "No equilibrium was found"):
+        problem.follow([1.0], Steps(first=0.1, least=0.1, rtol=0.5))
+    agree(problem.attempts[0].rtol == 0.5 and problem.solver.getTolerances() == before)
+
+
 def test_tolerance_refers_to_the_last_equilibrium_under_the_new_load(played):
     """And not to the predicted state."""
     problem = played()
@@ -410,6 +434,9 @@ def test_loads_that_are_no_numbers(played, bad):
         ({"least": 0.0}, "least=0.0"),
         ({"least": 2.0}, "least=2.0: increments are positive numbers, and the least is not above"),
         ({"least": math.nan}, "least=nan"),
+        ({"rtol": 0.0}, "rtol=0.0 is not a number between 0 and 1"),
+        ({"rtol": 1.0}, "rtol=1.0"),
+        ({"rtol": math.nan}, "rtol=nan"),
         ({"growth": 0.9}, "growth=0.9 is not a number of 1 or more"),
         ({"growth": math.inf}, "growth=inf"),
         ({"growth": math.nan}, "growth=nan"),
