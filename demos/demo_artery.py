@@ -222,7 +222,7 @@ steps = follow_load(
     problem,
     lambda mmhg: setattr(pressure, "value", loads.mmhg(mmhg)),
     [args.pressure],
-    Steps(first=first, least=first / 64, rtol=1e-3),
+    Steps(first=first, least=first / 64, growth=1.15, quick=4, rtol=1e-3),
     state=[u, p],
     on_step=report,
     checkpoint=checkpoint,
