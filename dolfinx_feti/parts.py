@@ -232,8 +232,8 @@ class Parts:
         if zero:
             raise SingularError(
                 f"{zero} zero pivots are left in the regularised subdomains: their kernel is "
-                "larger than the near kernel of the matrix. Take fewer, larger subdomains (a few "
-                "P2 cells with a constant pressure have more motions without energy than rigid ones), "
+                "larger than the near kernel of the matrix. Take fewer, larger subdomains (some P2 "
+                "cells with a constant pressure move without energy in more than rigid ways), "
                 "or attach all rigid body modes with dolfinx_feti.set_near_kernel."
             )
         inside = self.torn.comm.allreduce(self.interior.zero_inside())
