@@ -111,8 +111,8 @@ def draw(path: Path, records: Sequence[Record]) -> None:
 
 def totals(records: Sequence[Record]) -> Table:
     """Sum up each run."""
-    head = ["wall", "elements", "subdomains", "type", "processes", "recycled", "up to [mmHg]"]
-    head += ["load steps"]
+    head = ["wall", "elements", "subdomains", "type", "processes", "recycled"]
+    head += ["up to [mmHg]", "load steps"]
     head += ["Newton steps", "FETI iterations", "in a Newton step", "worst residual", "seconds"]
     rows = []
     keys = ("geometry", "degree", "subdomains", "type")

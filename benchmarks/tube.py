@@ -46,7 +46,7 @@ from dolfinx_feti import ConvergenceError, loads  # noqa: E402
 from dolfinx_feti.checkpoint import Checkpoint  # noqa: E402
 from dolfinx_feti.loading import LoadStep, Steps, follow_load, load_step  # noqa: E402
 
-STEPS = Steps(first=10.0, least=0.5, growth=2.0, quick=6)
+STEPS = Steps(first=10.0, least=0.5, growth=2.0)
 
 
 def main(argv: Sequence[str] | None = None) -> list[Record]:

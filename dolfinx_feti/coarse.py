@@ -32,14 +32,13 @@ import scipy.sparse
 
 from dolfinx_feti.gathered import GatheredSolver
 from dolfinx_feti.gluing import Gluing
-from dolfinx_feti.preconditioner import Preconditioner, block_columns
+from dolfinx_feti.preconditioner import Preconditioner, own_columns
 from dolfinx_feti.pseudoinverse import PseudoInverse
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Coarse"]
 
 Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
 
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 
@@ -134,15 +133,9 @@ class Coarse:
             first += E.shape[1]
         return u
 
-    def _columns(self) -> list[Indices]:
-        k = self._inverse.kernel_dimensions()
-        first = self.start + np.cumsum(k) - k
-        return [np.arange(a, a + b, dtype=np.int32) for a, b in zip(first, k, strict=True)]
-
     def _jump_of(self, B: PETSc.Mat, E: list[Array]) -> PETSc.Mat:
         """Form B E from the kernels of all subdomains."""
-        blocks = list(zip(E, self._columns(), strict=True))
-        E_all = block_columns(self._torn, self._inverse.dofs, blocks, (self.size, self.total))
+        E_all = own_columns(self._torn, self._inverse.dofs, E)
         G = B.matMult(E_all)  # G = B E
         E_all.destroy()
         return G

@@ -6,7 +6,7 @@ r"""Enrichment: elastic modes of a subdomain that join its rigid body modes.
 The algebra of ``pseudoinverse`` is exact for any columns R. Two kinds of eigenvectors pay for their
 coarse unknown:
 
-- *soft* modes, :math:`K y = μ\, k_Γ\, y` with μ below a threshold, 0.01, where :math:`k_Γ` is the
+- *soft* modes, :math:`K y = μ\, k_Γ\, y` with μ below a threshold, where :math:`k_Γ` is the
   stiffness of the interface dofs. A wall is a shell: its subdomains bend at a small fraction of the
   energy that the same jump costs the neighbour, and a Krylov method pays for each such mode. For a
   compact subdomain of size H with elements of size h, μ is about h/H, and none is soft.

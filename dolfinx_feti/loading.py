@@ -15,9 +15,9 @@ the tangent of the last equilibrium takes its place again.
 The increment Δt grows after a quick step, and is halved after a failure, with the last equilibrium
 restored. The wanted loads are met exactly: what is left to the next one is divided into equal
 increments that are not longer than the current one. On the way equilibrium may be met more roughly
-than there (``Steps.rtol``). Newton's tolerance refers to the residual that
-the new load leaves in the last equilibrium, :math:`\|r(U_n; t_{n+1})\|`: a prediction can begin
-with one that is larger by orders of magnitude, of which no share is an equilibrium.
+than there (``Steps.rtol``). Newton's tolerance refers to the residual that the new load leaves in
+the last equilibrium, :math:`\|r(U_n; t_{n+1})\|`: a prediction can begin with one that is larger by
+orders of magnitude, of which no share is an equilibrium.
 """
 
 from __future__ import annotations
@@ -244,8 +244,8 @@ class _Path:
 
     def follow(self, targets: Sequence[float], bar: Progress) -> Iterator[LoadStep]:
         """Yield the equilibria on the way."""
+        rough = self._steps.rtol is not None
         for target in map(float, targets):
-            rough = self._steps.rtol is not None
             while self.load != target or (rough and self._met[-1] != target):
                 yield self._advance(target, bar)
 

@@ -187,12 +187,12 @@ class Parts:
         interior = self.preconditioner.factors or self.interior.eliminated
         inside = 0 if interior is None else int(interior.inertia()[:, 0].sum())
         self.negative_interior = self.torn.comm.allreduce(inside)
-        self.negative_assembled = self._negative_assembled()
         if self.negative and self.symmetric and self.options.indefinite == "error":
             raise SetUpError(
                 f"{self.negative} local eigenvalues are negative and -{self.prefix}indefinite is "
                 "error: let it be enrich or gmres."
             )
+        self.negative_assembled = self._negative_assembled()
         vector = DualVector(self.gluing, self.coarse)
         self.constraint = ConstraintPreconditioner(
             self.preconditioner,

@@ -34,6 +34,7 @@ otherwise).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 from petsc4py import PETSc
 
@@ -348,7 +349,10 @@ def product_many(K: PETSc.Mat, rows: Indices, columns: Indices, X: Array) -> Arr
 
 
 def block_columns(
-    torn: Torn, rows: list[Indices], blocks: list[tuple[Array, Indices]], sizes: tuple[int, int]
+    torn: Torn,
+    rows: Sequence[Indices],
+    blocks: Sequence[tuple[Array, Indices]],
+    sizes: tuple[int, int],
 ) -> PETSc.Mat:
     """Put dense blocks into one distributed matrix, (n_torn, K); rows not named are empty.
 
@@ -371,6 +375,26 @@ def block_columns(
         values[at], column[at] = block, columns
     csr = (first.astype(PETSc.IntType), column, values)
     return PETSc.Mat().createAIJ(((torn.n, None), sizes), csr=csr, comm=torn.A.comm)
+
+
+def own_columns(torn: Torn, rows: Sequence[Indices], blocks: Sequence[Array]) -> PETSc.Mat:
+    """Give each block columns of its own, numbered on: one distributed matrix, (n_torn, Σ c_i).
+
+    Args:
+        torn: The torn matrix.
+        rows: Torn dofs of each block, no dof twice.
+        blocks: Their values, (rows, c_i).
+
+    Note:
+        Collective.
+    """
+    count = np.array([block.shape[1] for block in blocks], dtype=np.int64)
+    size = int(count.sum())
+    first = torn.comm.scan(size) - size + np.cumsum(count) - count
+    ends = zip(first, first + count, strict=True)
+    numbers: list[Indices] = [np.arange(*pair, dtype=np.int32) for pair in ends]
+    columns = list(zip(blocks, numbers, strict=True))
+    return block_columns(torn, rows, columns, (size, torn.comm.allreduce(size)))
 
 
 def _mult(K: PETSc.Mat, x: Array, *, transpose: bool = False) -> Array:

@@ -26,29 +26,19 @@ with its props and Q in the place of M, proves nothing, and may have some where 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from petsc4py import PETSc
 
-import numpy as np
-import numpy.typing as npt
-
-from dolfinx_feti.coarse import Coarse
+from dolfinx_feti.coarse import DIFFERENT, Coarse
 from dolfinx_feti.gathered import GatheredSolver
 from dolfinx_feti.gluing import Gluing
-from dolfinx_feti.preconditioner import Preconditioner, block_columns, create_preconditioner
+from dolfinx_feti.preconditioner import Preconditioner, create_preconditioner, own_columns
 from dolfinx_feti.pseudoinverse import PseudoInverse
 from dolfinx_feti.torn import Torn
 
 __all__ = ["galerkin_matrix", "negative_eigenvalues"]
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
-
 #: Share of the diagonal of Gᵀ M G by which an eigenvalue of A₀ has to be negative: rounding.
 ROUNDING = 1e-9
-
-DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 
 
 def negative_eigenvalues(
@@ -111,11 +101,11 @@ def galerkin_matrix(
         MG.destroy()
     else:
         A_0 = coarse.GMG.copy()
-    diagonal = A_0.getDiagonal()
-    diagonal.scale(ROUNDING)
+    least = A_0.getDiagonal()
+    least.scale(ROUNDING)
     X = gluing.B_D.transposeMatMult(coarse.G)  # X = B_Dᵀ G
-    Y_Z = on_interface(torn, energy, energy.props)
-    R = on_interface(torn, energy, [energy.to_interface(i, R) for i, R in enumerate(inverse.R)])
+    R_Γ = [energy.to_interface(i, R_i) for i, R_i in enumerate(inverse.R)]
+    Y_Z, R = (own_columns(torn, energy.interface, blocks) for blocks in (energy.props, R_Γ))
     H, RX = Y_Z.transposeMatMult(X), R.transposeMatMult(X)
     HH = H.transposeMatMult(H)  # Gᵀ M₊ G − Hᵀ H = Gᵀ M_K G
     W = coarse.D.matMult(RX)  # W = D (E_Γᵀ R)ᵀ B_Dᵀ G
@@ -124,21 +114,9 @@ def galerkin_matrix(
     own = coarse.block_diagonal([D - D @ D / ρ for D, ρ in blocks])  # Eᵀ K E = D − D²/ρ
     for sign, part in ((-1.0, HH), (-1.0, W), (-1.0, Wt), (1.0, own)):
         A_0.axpy(sign, part, structure=DIFFERENT)
-    diagonal.axpy(1.0, A_0.getDiagonal())
-    A_0.setDiagonal(diagonal)
-    for owned in (diagonal, X, Y_Z, R, H, RX, HH, W, Wt, own):
+    A_0.setDiagonal(least, addv=PETSc.InsertMode.ADD_VALUES)
+    for owned in (least, X, Y_Z, R, H, RX, HH, W, Wt, own):
         owned.destroy()
     if energy is not preconditioner:
         energy.destroy()
     return A_0
-
-
-def on_interface(torn: Torn, energy: Preconditioner, blocks: Sequence[Array]) -> PETSc.Mat:
-    """Put columns of each subdomain, (n_Γ, c_i), into one matrix, (n, Σ c_i)."""
-    count = np.array([block.shape[1] for block in blocks], dtype=np.int64)
-    size = int(count.sum())
-    first = torn.comm.scan(size) - size + np.cumsum(count) - count
-    ends = zip(first, first + count, strict=True)
-    numbers: list[Indices] = [np.arange(*pair, dtype=np.int32) for pair in ends]
-    columns = list(zip(blocks, numbers, strict=True))
-    return block_columns(torn, energy.interface, columns, (size, torn.comm.allreduce(size)))
