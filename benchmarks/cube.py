@@ -38,7 +38,7 @@ from benchmarks.arguments import (
 from benchmarks.cube_case import LEVELS, Case
 from benchmarks.cube_problem import PATTERNS
 from benchmarks.study import Study
-from dolfinx_feti.options import CHOICES
+from dolfinx_feti.feti.options import CHOICES
 
 __all__ = ["main"]
 

@@ -30,7 +30,7 @@ import dolfinx
 import dolfinx.fem.petsc
 
 from benchmarks.cube_problem import create_problem
-from dolfinx_feti.interior import DENSITY, LARGEST
+from dolfinx_feti.feti.subdomain.matrices import DENSITY, LARGEST
 
 __all__ = ["Estimate", "estimate"]
 

@@ -48,9 +48,13 @@ from benchmarks.records import Record, Records  # noqa: E402
 from benchmarks.wall_problem import WallProblem, create_wall_problem  # noqa: E402
 from benchmarks.walls import CREATE, create_wall  # noqa: E402
 from dolfinx_feti import ConvergenceError, kinematics, loads  # noqa: E402
-from dolfinx_feti.checkpoint import Checkpoint  # noqa: E402
-from dolfinx_feti.io import cell_values, writable_folder  # noqa: E402
-from dolfinx_feti.loading import LoadStep, Steps, follow_load  # noqa: E402
+from dolfinx_feti.loading import (  # noqa: E402
+    Checkpoint,
+    LoadStep,
+    Steps,
+    follow_load,
+)
+from dolfinx_feti.output import cell_values, writable_folder  # noqa: E402
 from dolfinx_feti.wall import Wall  # noqa: E402
 
 __all__ = ["main"]

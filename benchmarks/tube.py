@@ -43,8 +43,8 @@ from benchmarks.inflated_tube import (  # noqa: E402
 from benchmarks.records import Record  # noqa: E402
 from benchmarks.tube_oracle import KPA_PER_MMHG, Wall, inflate  # noqa: E402
 from dolfinx_feti import ConvergenceError, loads  # noqa: E402
-from dolfinx_feti.checkpoint import Checkpoint  # noqa: E402
-from dolfinx_feti.loading import LoadStep, Steps, follow_load, load_step  # noqa: E402
+from dolfinx_feti.loading import Checkpoint  # noqa: E402
+from dolfinx_feti.loading.load_steps import LoadStep, Steps, follow_load, load_step  # noqa: E402
 
 STEPS = Steps(first=10.0, least=0.5, growth=2.0)
 

@@ -19,8 +19,8 @@ import dolfinx
 from benchmarks.wall_problem import WallProblem, create_wall_problem
 from dolfinx_feti import materials
 from dolfinx_feti.collective import on_first
-from dolfinx_feti.fibres import ANGLES
 from dolfinx_feti.wall import Wall, read_wall
+from dolfinx_feti.wall.fibres import ANGLES
 from meshes.tube import INNER_RADIUS, MEDIA, create_tube
 
 __all__ = ["INTERFACE", "create_tube_problem", "create_tube_wall", "tube_fibres"]

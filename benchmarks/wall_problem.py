@@ -15,8 +15,8 @@ import ufl
 
 import dolfinx_feti
 from dolfinx_feti import kinematics, loads, materials
-from dolfinx_feti.fibres import fibre_families, fibre_frame
 from dolfinx_feti.wall import Wall, facets, openings, surface_measure
+from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
 
 __all__ = ["Hold", "WallProblem", "clamp_openings", "create_wall_problem"]
 

@@ -51,11 +51,10 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, loads, materials
-from dolfinx_feti.checkpoint import Checkpoint
-from dolfinx_feti.fibres import fibre_families, fibre_frame
-from dolfinx_feti.io import FieldWriter, cell_values, writable_folder
-from dolfinx_feti.loading import LoadStep, Steps, follow_load
+from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
+from dolfinx_feti.output import FieldWriter, cell_values, writable_folder
 from dolfinx_feti.wall import by_layer, facets, openings, surface_measure
+from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
 
 comm = MPI.COMM_WORLD
 started = time.perf_counter()

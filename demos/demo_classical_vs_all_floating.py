@@ -40,7 +40,7 @@ import ufl
 from benchmarks.cube_mesh import create_cube
 from benchmarks.fundamental import boundary_values, fundamental_solution, l2_error
 from dolfinx_feti import LinearProblem
-from dolfinx_feti.io import writable_folder
+from dolfinx_feti.output import writable_folder
 
 comm = MPI.COMM_WORLD
 folder = writable_folder(Path(sys.argv[1] if len(sys.argv) > 1 else "output/cube"), comm)

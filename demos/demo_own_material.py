@@ -38,10 +38,10 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, loads
-from dolfinx_feti.fibres import fibre_families, fibre_frame
-from dolfinx_feti.io import cell_values, writable_folder
 from dolfinx_feti.loading import Steps, follow_load
+from dolfinx_feti.output import cell_values, writable_folder
 from dolfinx_feti.wall import facets, openings, surface_measure
+from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
 
 Expr = ufl.core.expr.Expr
 

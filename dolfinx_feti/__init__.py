@@ -1,11 +1,17 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Classical and all-floating FETI methods for FEniCSx."""
+"""Classical and all-floating FETI methods for FEniCSx.
 
+In the order of the data: errors, _compat, collective, events, petsc_options, folders, torn,
+mechanics, wall, fem, feti, problems, loading, output, comparison.
+"""
+
+from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.feti import FETI
-from dolfinx_feti.nonlinear_problem import NonlinearProblem
-from dolfinx_feti.problem import ConvergenceError, LinearProblem
+from dolfinx_feti.mechanics import kinematics, loads, materials
+from dolfinx_feti.problems.linear_problem import LinearProblem
+from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.torn import create_torn_matrix, set_near_kernel
 
 __version__ = "0.1.0"
@@ -15,5 +21,8 @@ __all__ = [
     "LinearProblem",
     "NonlinearProblem",
     "create_torn_matrix",
+    "kinematics",
+    "loads",
+    "materials",
     "set_near_kernel",
 ]

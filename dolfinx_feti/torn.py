@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The torn matrix: the seam between the finite elements and the dual method.
 
-Tearing (Augustin_eq:reordered) replaces the assembled matrix by
+Tearing (eq. 32, Augustin_eq:reordered) replaces the assembled matrix by
 
 .. math:: A = T^\top K\, T, \qquad K = \operatorname{diag}(K_1, …, K_p),
 

@@ -19,8 +19,9 @@ from collective import agree
 from problems import Problem
 
 import dolfinx_feti
-from dolfinx_feti.options import FETIOptions, inserted
-from dolfinx_feti.parts import Parts
+from dolfinx_feti.feti.options import FETIOptions
+from dolfinx_feti.feti.setup import Parts
+from dolfinx_feti.petsc_options import inserted
 
 COMM = MPI.COMM_WORLD
 PREFIX = "test_"

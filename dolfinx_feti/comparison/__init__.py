@@ -1,0 +1,29 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""FETI beside other solvers: the same linear system, and the same measure of its cost.
+
+FETI solves with the torn matrix, others with the assembled one that PETSc converts from it.
+
+Example::
+
+    problem = dolfinx_feti.LinearProblem(a, L, bcs=[bc], subdomains=64, …)
+    u = problem.solve()
+    K, f = assembled_system(problem.A, problem.b)
+    cost, x = measure(lambda: create_mumps(K), f)
+
+In the order of the data: assembled, cost.
+"""
+
+from dolfinx_feti.comparison.assembled import assembled_system, create_mumps, relative_residual
+from dolfinx_feti.comparison.cost import Cost, PeakMemory, measure, record_cost
+
+__all__ = [
+    "Cost",
+    "PeakMemory",
+    "assembled_system",
+    "create_mumps",
+    "measure",
+    "record_cost",
+    "relative_residual",
+]

@@ -1,0 +1,79 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The assembled system of a torn one, for other solvers, and MUMPS as one of them."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+from dolfinx_feti.torn import is_symmetric
+
+__all__ = ["assembled_system", "create_mumps", "relative_residual"]
+
+
+def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
+    r"""Convert a torn matrix and its right-hand side to the assembled system that FETI solves.
+
+    .. math:: K = \begin{pmatrix} A_{FF} & 0 \\ 0 & I \end{pmatrix}, \qquad
+        f = \begin{pmatrix} b_F - A_{FD}\, b_D \\ b_D \end{pmatrix}
+
+    with the free dofs F and the Dirichlet dofs D, on which b holds the prescribed values.
+
+    Args:
+        A: Torn matrix (MATIS).
+        b: Right-hand side, (N,).
+
+    Returns:
+        K, (N, N), marked as symmetric if it is and with the near kernel of A, and f, (N,). The
+        caller destroys them.
+
+    Note:
+        Collective.
+    """
+    K, f = PETSc.Mat(), b.copy()
+    A.convert(PETSc.Mat.Type.AIJ, K)
+    dirichlet = A.query("dirichlet")
+    if dirichlet is not None:
+        K.zeroRowsColumns(dirichlet.getIndices(), 1.0, b, f)
+    K.setOption(PETSc.Mat.Option.SYMMETRIC, is_symmetric(K))
+    near_kernel = A.getNearNullSpace()
+    if near_kernel.handle:
+        K.setNearNullSpace(near_kernel)
+    return K, f
+
+
+def create_mumps(K: PETSc.Mat) -> PETSc.KSP:
+    """Create a direct solver, MUMPS on all processes of the matrix.
+
+    Args:
+        K: Assembled matrix. If it is marked as symmetric the factorisation is, too.
+
+    Returns:
+        The KSP, with the prefix ``mumps_``; the caller destroys it.
+    """
+    ksp = PETSc.KSP().create(K.comm)
+    ksp.setOptionsPrefix("mumps_")
+    ksp.setOperators(K)
+    ksp.setType(PETSc.KSP.Type.PREONLY)
+    pc = ksp.getPC()
+    pc.setType(PETSc.PC.Type.CHOLESKY if all(K.isSymmetricKnown()) else PETSc.PC.Type.LU)
+    pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+    pc.setFactorSetUpSolverType()
+    pc.getFactorMatrix().setMumpsIcntl(14, 50)  # work space in per cent, or it fails on 2 processes
+    ksp.setFromOptions()
+    return ksp
+
+
+def relative_residual(K: PETSc.Mat, f: PETSc.Vec, x: PETSc.Vec) -> float:
+    """Return ‖f − K x‖/‖f‖.
+
+    Note:
+        Collective.
+    """
+    r = f.duplicate()
+    K.mult(x, r)
+    r.aypx(-1.0, f)  # r = f − K x
+    norm = r.norm()
+    r.destroy()
+    return norm / f.norm()

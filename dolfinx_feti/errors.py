@@ -1,0 +1,24 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The exceptions of the package, all of them."""
+
+from __future__ import annotations
+
+__all__ = ["ConvergenceError", "FactorError", "SetUpError", "SingularError"]
+
+
+class FactorError(ArithmeticError):
+    """A block could not be factored."""
+
+
+class SetUpError(ArithmeticError):
+    """The FETI system cannot be set up; raised on all processes, with the remedy."""
+
+
+class SingularError(SetUpError):
+    """The matrix is singular, in the whole or on a subdomain beyond its candidates."""
+
+
+class ConvergenceError(RuntimeError):
+    """A solver did not converge; the message names the cause and the remedy."""

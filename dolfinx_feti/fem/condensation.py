@@ -1,0 +1,158 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Static condensation of an element-wise constant pressure: P_k–P_0 elements.
+
+Newton's step for the pair (u, p) with p constant on each cell,
+
+.. math:: \begin{pmatrix} K_{uu} & K_{up} \\ K_{pu} & K_{pp} \end{pmatrix}
+          \begin{pmatrix} Δu \\ Δp \end{pmatrix} = -\begin{pmatrix} r_u \\ r_p \end{pmatrix},
+
+has a diagonal :math:`K_{pp}`, so that p is eliminated cell by cell
+(eq. 29, Augustin_eq:volumetricVariationDis) without a new entry in the matrix:
+
+.. math:: K = K_{uu} - K_{up} K_{pp}^{-1} K_{pu}, \quad r = r_u - K_{up} K_{pp}^{-1} r_p, \quad
+          Δp = -K_{pp}^{-1}(r_p + K_{pu} Δu).
+
+The last equation updates the pressure by its own linearised equation, so Newton's path is the mixed
+one. For the perturbed Lagrangian p (J − 1) − p²/(2κ), :math:`K_{pp} = -|τ|/κ`.
+"""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+import ufl
+
+from dolfinx_feti.fem.assembly import assemble, create_local_matrix, torn_form
+from dolfinx_feti.fem.decomposition import TornSpace
+
+__all__ = ["Condensation"]
+
+Array = npt.NDArray[np.float64]
+
+#: Cells whose element matrices are in memory at once.
+CHUNK = 4096
+
+
+class Condensation:
+    """The blocks that belong to the pressure, cell by cell.
+
+    Attributes:
+        p: The pressure.
+    """
+
+    def __init__(
+        self,
+        F_u: ufl.Form,
+        F_p: ufl.Form,
+        u: dolfinx.fem.Function,
+        p: dolfinx.fem.Function,
+        *,
+        space: TornSpace,
+        pressure_space: TornSpace,
+        n_cells: int,
+    ) -> None:
+        """Derive and compile the blocks.
+
+        Args:
+            F_u: Residual of the displacement, tested in V.
+            F_p: Residual of the pressure, tested in Q.
+            u: Displacement.
+            p: Pressure, piecewise constant.
+            space: Torn V.
+            pressure_space: Torn Q.
+            n_cells: Number of owned cells.
+
+        Raises:
+            ValueError: p does not occur in the residuals, or they leave it undetermined.
+        """
+        V, Q = u.function_space, p.function_space
+        coefficients = (set(F_u.coefficients()), set(F_p.coefficients()))
+        if not all(p in names for names in coefficients):
+            raise ValueError(
+                f"condense is '{p.name}', which does not occur in the energy (or not in both "
+                "residuals): pass the pressure of a mixed energy Π(u, p)."
+            )
+        self.p = p
+        self._pressure_dof = pressure_space.dof
+        spaces = (pressure_space, space)
+        K_up = ufl.derivative(F_u, p, ufl.TrialFunction(Q))
+        K_pu = ufl.derivative(F_p, u, ufl.TrialFunction(V))
+        K_pp = ufl.derivative(F_p, p, ufl.TrialFunction(Q))
+        _require_blocks(p, K_up=K_up, K_pu=K_pu, K_pp=K_pp)
+        self._forms = (torn_form(ufl.adjoint(K_up), spaces), torn_form(K_pu, spaces))
+        self._K_pp = torn_form(K_pp, (pressure_space, pressure_space))
+        self._r_p = torn_form(F_p, (pressure_space,))
+        self._rectangular = create_local_matrix(pressure_space, space, n_cells)
+        self._square = create_local_matrix(pressure_space, pressure_space, n_cells)
+        indptr, indices = self._rectangular.getRowIJ()
+        width = indptr[1] if len(indptr) > 1 else 1
+        self._columns = indices.reshape(-1, width).copy()
+        self.k_up = self.k_pu = np.zeros((n_cells, width))
+        self.k_pp = self.r_p = np.zeros(n_cells)
+
+    def update(self) -> None:
+        """Assemble all blocks at the current (u, p)."""
+        self.k_up, self.k_pu = (self._rows(form) for form in self._forms)  # K_upᵀ, K_pu
+        assemble(self._square, self._K_pp)
+        self.k_pp = self._square.getDiagonal().array_r.copy()
+        self.r_p = np.zeros(len(self.k_pp))
+        dolfinx.fem.assemble_vector(self.r_p, self._r_p)
+
+    def add_to(self, K: PETSc.Mat) -> None:
+        """Subtract the condensed block, K ← K − K_up K_pp⁻¹ K_pu."""
+        for first in range(0, len(self.k_pp), CHUNK):
+            part = slice(first, first + CHUNK)
+            left = -self.k_up[part] / self.k_pp[part, None]
+            values = left[:, :, None] * self.k_pu[part][:, None, :]
+            dofs = self._columns[part]
+            K.setValuesRCV(dofs, dofs, values.reshape(len(dofs), -1), True)
+        K.assemble()
+
+    def residual(self, n_torn: int) -> Array:
+        """Return −K_up K_pp⁻¹ r_p on the torn dofs, (n_torn,)."""
+        cell = -self.k_up * (self.r_p / self.k_pp)[:, None]
+        return np.bincount(self._columns.ravel(), cell.ravel(), minlength=n_torn).astype(np.float64)
+
+    def relaxed(self) -> Array:
+        """Return the pressure that obeys its equation for the present u, p − K_pp⁻¹ r_p."""
+        r_p = np.zeros(len(self.k_pp))
+        dolfinx.fem.assemble_vector(r_p, self._r_p)
+        p = self.p.x.array.copy()
+        p[self._pressure_dof] -= r_p / self.k_pp
+        return p
+
+    def increment(self, du: Array) -> Array:
+        """Return Δp = −K_pp⁻¹ (r_p + K_pu Δu) at the dofs of Q.
+
+        Args:
+            du: Torn displacement increment, (n_torn,).
+        """
+        dp = np.zeros(len(self.p.x.array))
+        slope = np.einsum("ij,ij->i", self.k_pu, du[self._columns])
+        dp[self._pressure_dof] = -(self.r_p + slope) / self.k_pp
+        return dp
+
+    def _rows(self, form: dolfinx.fem.Form) -> Array:
+        assemble(self._rectangular, form)
+        _, _, values = self._rectangular.getValuesCSR()
+        return values.reshape(self._columns.shape)
+
+    def destroy(self) -> None:
+        """Free the matrices."""
+        self._rectangular.destroy()
+        self._square.destroy()
+
+
+def _require_blocks(p: dolfinx.fem.Function, **blocks: ufl.Form) -> None:
+    for name, block in blocks.items():
+        if ufl.algorithms.expand_derivatives(block).empty():
+            raise ValueError(
+                f"condense is '{p.name}', but {name} is zero: condensation needs an energy with a "
+                "term in u and p and one in p², such as p (J − 1) − p²/(2κ)."
+            )

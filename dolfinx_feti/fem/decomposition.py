@@ -1,0 +1,226 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Decomposition of the mesh into subdomains, and the torn function space.
+
+.. math:: \overline Ω_0 = \bigcup_i \overline Ω_{0,i}
+
+(eq. 30, Augustin_eq:decomposition). Each process cuts the cells it owns. Tearing is a second dof
+map on the same mesh and element: its dofs are the pairs (subdomain, dof) that occur, numbered
+subdomain by subdomain, so that a form on the torn space assembles the block-diagonal K of all
+subdomains.
+
+A subdomain is connected through facets. Where a number of subdomains is asked for, the splinters of
+a part join their neighbours, so that their number comes out as long as the cells of each process
+are connected; a part that the user gave falls into its components, each with a kernel of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+import scipy.sparse.csgraph
+
+import dolfinx
+
+from dolfinx_feti import _compat
+
+__all__ = ["Decomposition", "TornSpace", "decompose", "tear"]
+
+Indices = npt.NDArray[np.int32]
+
+#: Rounds in which splinters of parts join their neighbours; one is enough nearly always.
+ROUNDS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Decomposition:
+    """Subdomain of each owned cell.
+
+    Attributes:
+        mesh: The mesh.
+        subdomain: Number of the subdomain of each owned cell, from 0 on each process, (n_cells,).
+        count: Number of subdomains of this process.
+        first: Number of the first of them over all processes.
+    """
+
+    mesh: dolfinx.mesh.Mesh
+    subdomain: Indices
+    count: int
+    first: int
+
+
+@dataclass(frozen=True, slots=True)
+class TornSpace:
+    """A function space and its torn companion.
+
+    Attributes:
+        V: The user's space.
+        V_torn: Same mesh and element, torn dofs, on this process alone.
+        dof: Local dof (block) of V of each torn one, (n_blocks,).
+        to_global: Its global number, (n_blocks,).
+    """
+
+    V: dolfinx.fem.FunctionSpace
+    V_torn: dolfinx.fem.FunctionSpace
+    dof: Indices
+    to_global: npt.NDArray[np.int64]
+
+
+def decompose(mesh: dolfinx.mesh.Mesh, subdomains: int | npt.NDArray[np.integer]) -> Decomposition:
+    """Cut the mesh into subdomains.
+
+    Args:
+        mesh: The mesh, on any number of processes.
+        subdomains: Their number over all processes (each process gets its share by cells, at least
+            one), or the part of each owned cell, (n_cells,), of an integer type.
+
+    Returns:
+        The decomposition. Given parts that are not connected through facets count as several, and
+        so do the cells of a process that are not.
+
+    Raises:
+        ValueError: More subdomains than cells, fewer than one, or an array of the wrong length.
+        TypeError: An array that is not of an integer type.
+
+    Note:
+        Collective; raises on all processes.
+    """
+    comm = mesh.comm
+    n_cells = mesh.topology.index_map(mesh.topology.dim).size_local
+    graph = _facet_graph(mesh, n_cells)
+    if isinstance(subdomains, (int, np.integer)):
+        _check_number(int(subdomains), comm.allreduce(n_cells))
+        part = _partition(graph, _share(int(subdomains), n_cells, comm))
+        part = _join_splinters(graph, part)
+    else:
+        part = _check_parts(np.asarray(subdomains), n_cells, comm)
+    subdomain = _facet_components(graph, part)
+    count = int(subdomain.max(initial=-1)) + 1
+    return Decomposition(mesh, subdomain, count, comm.scan(count) - count)
+
+
+def tear(V: dolfinx.fem.FunctionSpace, decomposition: Decomposition) -> TornSpace:
+    """Give every subdomain its own copy of the dofs of V.
+
+    Args:
+        V: A (blocked) Lagrange or discontinuous Lagrange space on the decomposed mesh.
+        decomposition: The decomposition of its mesh.
+    """
+    cells = V.dofmap.list
+    owned = cells[: len(decomposition.subdomain)]
+    n_dofs = V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts
+    pair = decomposition.subdomain[:, None].astype(np.int64) * n_dofs + owned
+    copies, torn = np.unique(pair, return_inverse=True)
+    table = np.zeros(cells.shape, dtype=np.int32)  # cells of other processes are never assembled
+    table[: len(owned)] = torn.reshape(owned.shape)
+    dof = (copies % n_dofs).astype(np.int32) if n_dofs else copies.astype(np.int32)
+    V_torn = _compat.create_function_space(V, table, len(copies))
+    to_global = V.dofmap.index_map.local_to_global(dof)
+    return TornSpace(V, V_torn, dof, to_global)
+
+
+def _check_number(subdomains: int, n_cells: int) -> None:
+    if not 1 <= subdomains <= n_cells:
+        raise ValueError(
+            f"subdomains is {subdomains}, but the mesh has {n_cells} cells: "
+            "choose a number from one to the number of cells, or refine the mesh."
+        )
+
+
+def _check_parts(part: npt.NDArray[np.generic], n_cells: int, comm: MPI.Comm) -> Indices:
+    bad_type = not np.issubdtype(part.dtype, np.integer)
+    if comm.allreduce(bad_type, op=MPI.LOR):
+        raise TypeError(
+            f"subdomains is an array of type {part.dtype}: give integers, a part per owned cell."
+        )
+    if comm.allreduce(part.shape != (n_cells,), op=MPI.LOR):
+        raise ValueError(
+            f"subdomains has shape {part.shape} on process {comm.rank}, which owns {n_cells} "
+            "cells: give a part per owned cell on every process."
+        )
+    return np.unique(part, return_inverse=True)[1].astype(np.int32).reshape(-1)
+
+
+def _share(subdomains: int, n_cells: int, comm: MPI.Comm) -> int:
+    """Return this process's number of subdomains, in proportion to its cells."""
+    last = comm.scan(n_cells)  # type: ignore[attr-defined]
+    total = comm.allreduce(n_cells)
+    ends = [round(subdomains * cells / total) for cells in (last - n_cells, last)]
+    return min(max(ends[1] - ends[0], 1), n_cells)
+
+
+def _facet_graph(mesh: dolfinx.mesh.Mesh, n_cells: int) -> scipy.sparse.csr_array:
+    """Return the graph of owned cells that share a facet, (n_cells, n_cells)."""
+    tdim = mesh.topology.dim
+    mesh.topology.create_entities(tdim - 1)
+    mesh.topology.create_connectivity(tdim - 1, tdim)
+    cells = mesh.topology.connectivity(tdim - 1, tdim)
+    first = cells.offsets[:-1][np.diff(cells.offsets) == 2]
+    a, b = cells.array[first], cells.array[first + 1]
+    both = (a < n_cells) & (b < n_cells)
+    a, b = a[both], b[both]
+    rows, columns = np.concatenate([a, b]), np.concatenate([b, a])
+    ones = np.ones(len(rows), dtype=np.int8)
+    graph = scipy.sparse.csr_array((ones, (rows, columns)), shape=(n_cells, n_cells))
+    graph.sort_indices()
+    return graph
+
+
+def _partition(graph: scipy.sparse.csr_array, parts: int) -> Indices:
+    """Cut the graph into balanced parts with dolfinx's partitioner."""
+    n_cells = graph.shape[0]
+    if parts <= 1:
+        return np.zeros(n_cells, dtype=np.int32)
+    if parts == n_cells:
+        return np.arange(n_cells, dtype=np.int32)
+    links = _compat.adjacency(graph.indices.astype(np.int64), graph.indptr.astype(np.int32))
+    part = dolfinx.graph.partitioner()(MPI.COMM_SELF, parts, links, False).array
+    return np.unique(part, return_inverse=True)[1].astype(np.int32).reshape(-1)
+
+
+def _join_splinters(graph: scipy.sparse.csr_array, part: Indices) -> Indices:
+    """Hand all components of a part but the largest to the neighbour behind most of their facets.
+
+    Args:
+        graph: Cells that share a facet, (n_cells, n_cells).
+        part: Part of each cell, (n_cells,).
+    """
+    links = graph.tocoo()
+    for _ in range(ROUNDS):
+        piece = _facet_components(graph, part)
+        size, owner = np.bincount(piece), np.zeros(piece.max(initial=-1) + 1, dtype=np.int32)
+        owner[piece] = part
+        order = np.lexsort((-size, owner))
+        splinter = np.ones(len(size), dtype=bool)
+        splinter[order[np.unique(owner[order], return_index=True)[1]]] = False  # the largest stay
+        a, b = piece[links.row], piece[links.col]
+        across = (a != b) & splinter[a]
+        if not np.any(across):
+            break
+        border = scipy.sparse.csr_array(
+            (np.ones(np.count_nonzero(across)), (a[across], part[links.col[across]])),
+            shape=(len(size), len(size)),
+        )
+        touching = np.flatnonzero(np.diff(border.indptr))
+        target = owner.copy()
+        target[touching] = border[touching].argmax(axis=1).ravel()
+        part = target[piece]
+    return part
+
+
+def _facet_components(graph: scipy.sparse.csr_array, part: Indices) -> Indices:
+    """Number the facet-connected components of all parts, in the order of the parts."""
+    links = graph.tocoo()
+    inside = part[links.row] == part[links.col]
+    pieces = scipy.sparse.coo_array(
+        (links.data[inside], (links.row[inside], links.col[inside])), shape=graph.shape
+    )
+    _, label = scipy.sparse.csgraph.connected_components(pieces, directed=False)
+    order = part.astype(np.int64) * (label.max(initial=0) + 1) + label
+    return np.unique(order, return_inverse=True)[1].astype(np.int32).reshape(-1)

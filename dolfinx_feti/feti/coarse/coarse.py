@@ -1,0 +1,181 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The coarse problem and the projection.
+
+.. math:: G = B E, \qquad e = E^⊤ f, \qquad N = G^⊤ Q\, G + D, \qquad
+          P = I - Q\, G\, N^{-1} G^⊤
+
+(eq. 44, Augustin_eq:projection has Q = I and D = 0). N couples neighbouring subdomains only: it is
+a sparse, distributed matrix of the size of all kernels together. Q weighs the projection:
+
+- ``identity``, the paper's Q = I;
+- ``diagonal``, :math:`Q = \operatorname{diag}(q)` with :math:`q = \operatorname{diag}(B_D
+  \operatorname{diag}(k) B_D^⊤)` from the stiffness k of the scaling;
+- ``preconditioner``, :math:`Q = M + ε \operatorname{diag}(q)`. M alone can vanish on G: with the
+  Dirichlet preconditioner it does for subdomains in a row that move by turns to and fro, where all
+  averaged jumps are again rigid motions. Under prestress M has negative eigenvalues, and a small ε
+  would leave N nearly singular.
+
+With D = 0, P is the projection onto :math:`G^⊤ λ = 0`. Under prestress D ≠ 0 and the pair (λ, s)
+obeys :math:`G^⊤ λ + D s = e` instead (``pseudoinverse``); N carries D.
+"""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+
+from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.feti.gluing import Gluing
+from dolfinx_feti.feti.preconditioner.preconditioner import Preconditioner, own_columns
+from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
+from dolfinx_feti.torn import Torn
+
+__all__ = ["Coarse"]
+
+Array = npt.NDArray[np.float64]
+
+DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+
+#: Share of the diagonal weight in Q = M + ε diag(q).
+EPSILON = 0.1
+
+
+class Coarse:
+    """G, Q G and the factored N.
+
+    Attributes:
+        G: :math:`B E`, (m, K).
+        G_left: The same from :math:`K^⊤`; the identical matrix if K is symmetric.
+        GMG: :math:`G^⊤ M G`, (K, K), if Q has M in it.
+        q: Diagonal part of Q, (m,).
+        QG: :math:`Q G`, (m, K).
+        N: :math:`G_{left}^⊤ Q G + D`, (K, K).
+        D: Defect of the kernels, block diagonal, (K, K).
+        size: Number of coarse unknowns of this process.
+        exact: Whether D = 0: all modes are in the kernels.
+    """
+
+    def __init__(
+        self,
+        torn: Torn,
+        gluing: Gluing,
+        inverse: PseudoInverse,
+        preconditioner: Preconditioner,
+        *,
+        q: str,
+        symmetric: bool,
+        prefix: str,
+    ) -> None:
+        """Form and factor the coarse matrix.
+
+        Args:
+            torn: The torn matrix.
+            gluing: Its jump operators.
+            inverse: The generalised inverse with E and D.
+            preconditioner: M, for Q = M.
+            q: ``identity``, ``diagonal`` or ``preconditioner``.
+            symmetric: Whether K is symmetric.
+            prefix: Options prefix of the coarse solver.
+
+        Note:
+            Collective.
+        """
+        self._torn = torn
+        self._inverse = inverse
+        self.size = int(inverse.kernel_dimensions().sum())
+        self.start = torn.comm.scan(self.size) - self.size
+        self.total = torn.comm.allreduce(self.size)
+        self.exact = torn.comm.allreduce(all(inverse.exact), op=MPI.LAND)
+        self.G = self._jump_of(gluing.B, inverse.E)
+        same = inverse.E_left is inverse.E
+        self.G_left = self.G if same else self._jump_of(gluing.B, inverse.E_left)
+        self.q = _weight(torn, gluing, q)
+        self.QG = self.G.copy()
+        self.QG.diagonalScale(L=self.q)
+        self.D = self.block_diagonal(inverse.D)
+        self.N = self.G_left.transposeMatMult(self.QG)  # N = Gᵀ Q G, the diagonal part of Q
+        self.GMG: PETSc.Mat | None = None
+        if q == "preconditioner":
+            MG = preconditioner.product(self.G)
+            self.GMG = self.G_left.transposeMatMult(MG)  # Gᵀ M G
+            self.QG.axpy(1.0, MG, structure=DIFFERENT)
+            self.N.axpy(1.0, self.GMG, structure=DIFFERENT)
+            MG.destroy()
+        self.N.axpy(1.0, self.D, structure=DIFFERENT)
+        self.N.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+        self.solver = GatheredSolver(self.N, prefix=prefix, symmetric=symmetric)
+
+    def solve(self, y: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Solve the coarse problem, x = N⁻¹ y, both (K,)."""
+        self.solver.solve(y, x)
+
+    def restrict(self, f: Array) -> PETSc.Vec:
+        """Return the load of the kernels, e = Eᵀ f, (K,); the caller destroys it."""
+        e = self.N.createVecRight()
+        parts = [
+            E.T @ f[dofs] for E, dofs in zip(self._inverse.E_left, self._inverse.dofs, strict=True)
+        ]
+        e.array[:] = np.concatenate([*parts, np.zeros(0)])
+        return e
+
+    def prolong(self, s: PETSc.Vec) -> Array:
+        """Return the motion of the kernels, E s, (n,)."""
+        u = np.zeros(self._torn.n)
+        first = 0
+        for E, dofs in zip(self._inverse.E, self._inverse.dofs, strict=True):
+            u[dofs] = E @ s.array_r[first : first + E.shape[1]]
+            first += E.shape[1]
+        return u
+
+    def _jump_of(self, B: PETSc.Mat, E: list[Array]) -> PETSc.Mat:
+        """Form B E from the kernels of all subdomains."""
+        E_all = own_columns(self._torn, self._inverse.dofs, E)
+        G = B.matMult(E_all)  # G = B E
+        E_all.destroy()
+        return G
+
+    def block_diagonal(self, blocks: list[Array]) -> PETSc.Mat:
+        """Assemble a block for each subdomain, (k_i, k_i), into a matrix, (K, K)."""
+        blocks = [block for block in blocks if len(block)]
+        local = scipy.sparse.csr_array(
+            scipy.sparse.block_diag(blocks, format="csr") if blocks else (0, 0)
+        )
+        csr = (
+            local.indptr.astype(PETSc.IntType),
+            (local.indices + self.start).astype(PETSc.IntType),
+            local.data,
+        )
+        sizes = (self.size, self.total)
+        return PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=self._torn.A.comm)
+
+    def destroy(self) -> None:
+        """Free matrices and solver."""
+        self.solver.destroy()
+        matrices = (self.G, self.G_left, self.q, self.QG, self.N, self.D, self.GMG)
+        for owned in {id(M): M for M in matrices if M is not None}.values():
+            owned.destroy()
+
+
+def _weight(torn: Torn, gluing: Gluing, q: str) -> PETSc.Vec:
+    """Form the diagonal part of Q, (m,)."""
+    weight = gluing.B_D.createVecLeft()
+    if q == "identity":
+        weight.set(1.0)
+        return weight
+    stiffness = gluing.B_D.createVecRight()
+    stiffness.array[:] = torn.stiffness()
+    indptr, indices, values = gluing.B_D.getValuesCSR()
+    csr = (indptr, indices, values**2)
+    squared = PETSc.Mat().createAIJ(gluing.B_D.getSizes(), csr=csr, comm=torn.A.comm)
+    squared.mult(stiffness, weight)  # q = diag(B_D diag(k) B_Dᵀ)
+    if q == "preconditioner":
+        weight.scale(EPSILON)
+    stiffness.destroy()
+    squared.destroy()
+    return weight

@@ -1,0 +1,136 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The table of ``-ksp_view``: what a FETI solver has built, over all processes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx_feti.feti.options import FETIOptions
+from dolfinx_feti.feti.setup import Parts
+
+__all__ = ["Report", "collect", "table"]
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Figures of one FETI solver.
+
+    Attributes:
+        options: The choices made.
+        subdomains: Number of subdomains.
+        dofs: Dofs of the assembled problem.
+        torn_dofs: Dofs of all subdomains together.
+        dofs_local: Fewest and most dofs of a subdomain.
+        multipliers: Rows of B.
+        kernels: Number of subdomains with a kernel of each dimension, from 0.
+        exact: Subdomains whose modes satisfy K R = 0.
+        elastic: Soft and buckling modes that joined the kernels.
+        negative_local: Negative eigenvalues of the regularised subdomains.
+        negative_defect: Negative eigenvalues of the defect D.
+        negative_interior: Negative eigenvalues of the interior blocks.
+        negative_assembled: Those that the assembled matrix has at least; −1 unknown.
+        interior: Whether the interior dofs are ``kept`` or ``eliminated``.
+        coarse_size: Coarse unknowns.
+        coarse_mib: Memory of the factor of the coarse matrix in MiB; nan if not known.
+        coarse_inertia: Negative and zero eigenvalues of the coarse matrix; −1 unknown.
+        factor_mib: Memory of all local factors in MiB.
+        recycled: Directions of earlier solves, deflated in the last one.
+        eigenvalues: (λ_min, λ_max) of the preconditioned dual operator.
+    """
+
+    options: FETIOptions
+    subdomains: int
+    dofs: int
+    torn_dofs: int
+    dofs_local: tuple[int, int]
+    multipliers: int
+    kernels: tuple[int, ...]
+    exact: int
+    elastic: int
+    negative_local: int
+    negative_defect: int
+    negative_interior: int
+    negative_assembled: int
+    interior: str
+    coarse_size: int
+    coarse_mib: float
+    coarse_inertia: tuple[int, int]
+    factor_mib: float
+    recycled: int
+    eigenvalues: tuple[float, float]
+
+
+def collect(parts: Parts) -> Report:
+    """Gather the figures of all processes.
+
+    Note:
+        Collective.
+    """
+    torn, gluing, inverse, coarse = parts.torn, parts.gluing, parts.inverse, parts.coarse
+    comm = torn.comm
+    sizes = [len(dofs) for dofs in torn.subdomains]
+    k = inverse.rigid
+    widest = comm.allreduce(int(k.max(initial=0)), op=MPI.MAX)
+    kernels = comm.allreduce(np.bincount(k, minlength=widest + 1))
+    applied = parts.preconditioner.factors.memory() if parts.preconditioner.factors else 0.0
+    return Report(
+        options=parts.options,
+        subdomains=comm.allreduce(len(sizes)),
+        dofs=torn.A.getSize()[0],
+        torn_dofs=comm.allreduce(torn.n),
+        dofs_local=(
+            comm.allreduce(min(sizes, default=torn.A.getSize()[0]), op=MPI.MIN),
+            comm.allreduce(max(sizes, default=0), op=MPI.MAX),
+        ),
+        multipliers=gluing.B.getSize()[0],
+        kernels=tuple(int(count) for count in kernels),
+        exact=comm.allreduce(sum(inverse.exact)),
+        elastic=comm.allreduce(int((inverse.kernel_dimensions() - k).sum())),
+        negative_local=comm.allreduce(inverse.negative_local()),
+        negative_defect=comm.allreduce(inverse.negative_defects()),
+        negative_interior=parts.negative_interior,
+        negative_assembled=parts.negative_assembled,
+        interior="kept" if parts.interior.eliminated is None else "eliminated",
+        coarse_size=coarse.total,
+        coarse_mib=coarse.solver.memory(),
+        coarse_inertia=coarse.solver.inertia(),
+        factor_mib=comm.allreduce(parts.interior.memory() + applied),
+        recycled=parts.recycling.size,
+        eigenvalues=parts.krylov.eigenvalues,
+    )
+
+
+def table(report: Report) -> str:
+    """Format a report for a PETSc viewer."""
+    o, r = report.options, report
+    kernels = ", ".join(f"{n} of dimension {k}" for k, n in enumerate(r.kernels) if n)
+    low, high = r.eigenvalues
+    condition = (
+        "not known" if np.isnan(low) or low <= 0 else f"{high / low:.4g}  ({low:.4g} … {high:.4g})"
+    )
+    rows = [
+        ("method", f"{o.type}, {o.gluing} gluing, {o.scaling} scaling, Q = {o.coarse_q}"),
+        ("preconditioner", o.pc_type),
+        ("subdomains", f"{r.subdomains}"),
+        ("dofs", f"{r.dofs}, torn {r.torn_dofs}, a subdomain {r.dofs_local[0]}–{r.dofs_local[1]}"),
+        ("kernels", f"{kernels}; {r.exact} exact; {r.elastic} elastic modes beside them"),
+        ("multipliers", f"{r.multipliers}"),
+        ("coarse size", f"{r.coarse_size}"),
+        (
+            "negative eigenvalues",
+            f"{r.negative_local} in K_ρ, {r.negative_defect} in D, "
+            f"{r.negative_interior} in K_II, {r.coarse_inertia[0]} in N, "
+            f"{r.negative_assembled} at least in A",
+        ),
+        ("factors", f"{r.factor_mib:.0f} MiB, interior {r.interior}"),
+        ("condition number", condition),
+    ]
+    if o.dual_recycle:
+        rows.append(("recycled directions", f"{r.recycled} of at most {o.dual_recycle}"))
+    return "".join(f"  {name:<22}{value}\n" for name, value in rows)

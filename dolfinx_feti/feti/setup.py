@@ -1,0 +1,292 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""From a torn matrix to a dual system, in the order of the method.
+
+torn matrix → gluing → interior → generalised inverse (kernels) → preconditioner → coarse
+problem → dual system.
+
+What depends on the pattern only (gluing, symbolic factors) is built once; what depends
+on the values is refreshed when the matrix changes.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_feti.errors import FactorError, SetUpError, SingularError
+from dolfinx_feti.events import event
+from dolfinx_feti.feti.coarse.coarse import Coarse
+from dolfinx_feti.feti.coarse.stability import negative_eigenvalues
+from dolfinx_feti.feti.gluing import create_gluing
+from dolfinx_feti.feti.krylov.dual import ConstraintPreconditioner, DualOperator, DualVector
+from dolfinx_feti.feti.krylov.method import Krylov
+from dolfinx_feti.feti.krylov.recycling import Recycling
+from dolfinx_feti.feti.options import FETIOptions
+from dolfinx_feti.feti.preconditioner.preconditioner import create_preconditioner
+from dolfinx_feti.feti.subdomain.matrices import create_interior
+from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
+from dolfinx_feti.torn import Torn
+
+__all__ = ["Parts"]
+
+#: Krylov methods for symmetric systems.
+SYMMETRIC_METHODS = ("cg", "fcg", "pipecg", "minres", "symmlq")
+
+SINGULAR = (
+    "The assembled problem is singular, with a kernel of dimension {}: the Dirichlet conditions "
+    "leave rigid body motions (or constants) free, in all of the body or in a part that is not "
+    "connected to the rest. Add Dirichlet conditions."
+)
+
+
+class _Destroyable(Protocol):
+    def destroy(self) -> None: ...
+
+
+class Parts:
+    """All that one torn matrix is turned into.
+
+    Attributes:
+        torn: Blocks and copies.
+        symmetric: Whether K is symmetric.
+        gluing: B and B_D.
+        interior: The matrix of each subdomain, K or S.
+        inverse: K⁺, E and D.
+        preconditioner: M.
+        recycling: What solves leave to later ones.
+        negative: Negative eigenvalues of K_ρ and D over all subdomains; CG is safe without any.
+        negative_interior: Negative eigenvalues of all K_II that have been factored; below zero if
+            they are not known.
+        negative_assembled: Negative eigenvalues that the assembled matrix has at least (see
+            ``stability``); −1 if not known.
+        coarse: G and N; after :meth:`update`.
+        operator: The dual system; after :meth:`update`.
+        constraint: Its constraint preconditioner; after :meth:`update`.
+        krylov: Its Krylov method; after :meth:`update`.
+    """
+
+    negative: int
+    negative_interior: int
+    negative_assembled: int
+    coarse: Coarse
+    operator: DualOperator
+    constraint: ConstraintPreconditioner
+    krylov: Krylov
+
+    def __init__(self, A: PETSc.Mat, options: FETIOptions, prefix: str) -> None:
+        """Build what depends on the pattern.
+
+        Args:
+            A: Torn matrix.
+            options: Choices.
+            prefix: Prefix of the KSP, to which ``feti_`` and the sub-solver's name are added.
+
+        Note:
+            Collective.
+        """
+        self.options = options
+        self.prefix = prefix + "feti_"
+        self.torn = Torn(A)
+        require_finite(self.torn)
+        self.symmetric = self.torn.is_symmetric()
+        floating = options.all_floating
+        with event("FETIGluing"):
+            self.gluing = create_gluing(
+                self.torn,
+                all_floating=floating,
+                redundant=options.gluing == "full",
+                stiffness=self.torn.stiffness() if options.scaling == "stiffness" else None,
+            )
+        glued_stiffness = np.zeros(self.torn.n)
+        glued_stiffness[self.gluing.glued] = np.abs(self.torn.stiffness()[self.gluing.glued])
+        fixed = self.torn.dirichlet & (not floating)
+        if options.interior == "eliminate" and not self.symmetric:
+            raise SetUpError(
+                f"The matrix is not symmetric, but -{self.prefix}interior is eliminate, which "
+                "takes it to be: let it be keep or auto."
+            )
+        if options.dual_recycle and not self.symmetric:
+            raise SetUpError(
+                f"The matrix is not symmetric, but -{self.prefix}dual_recycle is "
+                f"{options.dual_recycle}, and directions are only recycled of a symmetric one: "
+                "leave it out."
+            )
+        self.interior = create_interior(
+            options.interior,
+            self.torn,
+            [rows[~fixed[rows]] for rows in self.torn.subdomains],
+            self.gluing.glued,
+            symmetric=self.symmetric,
+            prefix=self.prefix,
+        )
+        self.inverse = PseudoInverse(
+            self.torn,
+            self.interior,
+            fixed,
+            symmetric=self.symmetric,
+            buckling=options.indefinite == "enrich",
+            soft=options.coarse_modes,
+            threshold=options.coarse_threshold,
+            weight=glued_stiffness,
+        )
+        self.preconditioner = create_preconditioner(
+            options.pc_type,
+            self.torn,
+            self.gluing,
+            self.interior,
+            symmetric=self.symmetric,
+            prefix=self.prefix + "dirichlet_",
+        )
+        self.recycling = Recycling(options.dual_recycle)
+        self._dual: list[
+            Coarse | DualVector | DualOperator | ConstraintPreconditioner | Krylov
+        ] = []
+
+    def update(self) -> None:
+        """Refresh what depends on the values.
+
+        Raises:
+            SetUpError: A factorisation failed, a kernel is larger than its candidates, or the
+                assembled problem is singular.
+
+        Note:
+            Collective.
+        """
+        require_finite(self.torn)
+        with event("FETIFactor"):
+            self._factor()
+        with event("FETICoarse"):
+            self._destroy_dual()
+            self.coarse = Coarse(
+                self.torn,
+                self.gluing,
+                self.inverse,
+                self.preconditioner,
+                q=self.options.coarse_q,
+                symmetric=self.symmetric,
+                prefix=self.prefix + "coarse_",
+            )
+            self._dual.append(self.coarse)
+            self._check_coarse()
+        local = abs(self.inverse.negative_local())  # −1, not known, counts as negative
+        self.negative = self.torn.comm.allreduce(local + self.inverse.negative_defects())
+        interior = self.preconditioner.factors or self.interior.eliminated
+        inside = 0 if interior is None else int(interior.inertia()[:, 0].sum())
+        self.negative_interior = self.torn.comm.allreduce(inside)
+        if self.negative and self.symmetric and self.options.indefinite == "error":
+            raise SetUpError(
+                f"{self.negative} local eigenvalues are negative and -{self.prefix}indefinite is "
+                "error: let it be enrich or gmres."
+            )
+        self.negative_assembled = self._negative_assembled()
+        vector = DualVector(self.gluing, self.coarse)
+        self.constraint = ConstraintPreconditioner(
+            self.preconditioner,
+            self.coarse,
+            vector,
+            q_has_m=self.options.coarse_q == "preconditioner",
+        )
+        self.operator = DualOperator(self.gluing, self.inverse, self.coarse, vector)
+        self.recycling.attach(self.operator, self.constraint)
+        self.krylov = Krylov(
+            self.recycling,
+            self.constraint,
+            vector,
+            definite=self.symmetric and self.negative == 0,
+            prefix=self.prefix + "dual_",
+            stagnation=self.options.stagnation,
+            reorthogonalize=self.options.dual_reorthogonalize,
+        )
+        self._dual += [vector, self.constraint, self.operator, self.krylov]
+        self._check_method()
+
+    def _factor(self) -> None:
+        """Factor K_ρ and K_II; a failure on one process is a failure on all."""
+        cause, zero = "", 0
+        try:
+            self.inverse.update()
+            self.preconditioner.update(self.inverse.props)
+            zero = int(self.inverse.factors.inertia()[:, 1].clip(min=0).sum())
+        except (FactorError, PETSc.Error) as error:
+            cause = str(error)
+        cause = next((text for text in self.torn.comm.allgather(cause) if text), "")
+        if cause:
+            raise SetUpError(
+                f"A local factorisation failed ({cause}): look for a process that is out of memory."
+            )
+        zero = self.torn.comm.allreduce(zero)
+        if zero:
+            raise SingularError(
+                f"{zero} zero pivots are left in the regularised subdomains: their kernel is "
+                "larger than the near kernel of the matrix. Take fewer, larger subdomains (some P2 "
+                "cells with a constant pressure move without energy in more than rigid ways), "
+                "or attach all rigid body modes with dolfinx_feti.set_near_kernel."
+            )
+        inside = self.torn.comm.allreduce(self.interior.zero_inside())
+        if inside:
+            raise SingularError(SINGULAR.format(inside))
+
+    def _negative_assembled(self) -> int:
+        """Count the negative eigenvalues of the assembled matrix that can be proved."""
+        if not self.symmetric:
+            return -1
+        inside, coarse = max(self.negative_interior, 0), 0
+        if self.negative:  # otherwise all K_i are positive semi-definite
+            coarse = negative_eigenvalues(
+                self.torn,
+                self.gluing,
+                self.inverse,
+                self.preconditioner,
+                self.coarse,
+                prefix=self.prefix + "coarse_",
+            )
+        harmonic = self.options.pc_type == "dirichlet" and self.interior.eliminated is not None
+        if coarse > 0 and harmonic:
+            return inside + coarse  # the coarse fields are K-orthogonal to those inside
+        return max(inside, coarse) if inside else coarse
+
+    def _check_coarse(self) -> None:
+        _, zero = self.coarse.solver.inertia()
+        if zero > 0:
+            raise SingularError(SINGULAR.format(zero))
+
+    def _check_method(self) -> None:
+        method = self.krylov.ksp.getType()
+        if not self.symmetric and method in SYMMETRIC_METHODS:
+            raise SetUpError(
+                f"The matrix is not symmetric, but -{self.prefix}dual_ksp_type is {method}, which "
+                f"takes it to be: use -{self.prefix}dual_ksp_type gmres."
+            )
+
+    def _destroy_dual(self) -> None:
+        for part in reversed(self._dual):
+            part.destroy()
+        self._dual = []
+
+    def destroy(self) -> None:
+        """Free everything, in reverse order."""
+        self._destroy_dual()
+        for part in (self.preconditioner, self.interior, self.gluing, self.torn):
+            part.destroy()
+
+
+def require_finite(torn: Torn) -> None:
+    """Look for NaN and Inf in the matrix.
+
+    Raises:
+        SetUpError: There are some.
+
+    Note:
+        Collective.
+    """
+    if torn.comm.allreduce(not np.isfinite(torn.K.norm()), op=MPI.LOR):
+        raise SetUpError(
+            "The matrix has entries that are NaN or Inf: look at the coefficients of the form and, "
+            "in a nonlinear problem, at the last step."
+        )

@@ -1,0 +1,7 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""One subdomain at a time: its matrix, its factors, its kernel, its generalised inverse.
+
+In the order of the data: factors, dense, schur, kernel, matrices, enrichment, pseudoinverse.
+"""

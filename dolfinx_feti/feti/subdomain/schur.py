@@ -1,0 +1,100 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The Schur complement of a subdomain, by a factorisation that stops at the interface.
+
+.. math:: S = K_{ΓΓ} - K_{ΓI} K_{II}^{-1} K_{IΓ}
+
+(eq. 50, Augustin_eq:DirichletVK). MUMPS eliminates the interior dofs of a sparse K and leaves S as
+a dense front: a quarter of the time that :math:`n_Γ` right-hand sides of :math:`K_{II}` take. PETSc
+offers it as ``MatFactorSetSchurIS``, which petsc4py does not wrap; the functions are looked up in
+the library that petsc4py has loaded. The factor is not kept: it is several times as large as S and
+the factor of :math:`K_{II}` together, and its analysis takes a tenth of the time.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.errors import FactorError
+from dolfinx_feti.feti.subdomain.factors import Choice, create_factor
+
+__all__ = ["partial_factorisation_is_there", "schur_complement"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+
+_Handle = ctypes.c_void_p
+_SIGNATURES = {
+    "MatFactorSetSchurIS": [_Handle, _Handle],
+    "MatFactorGetSchurComplement": [_Handle, ctypes.POINTER(_Handle), ctypes.POINTER(ctypes.c_int)],
+    "MatFactorRestoreSchurComplement": [_Handle, ctypes.POINTER(_Handle), ctypes.c_int],
+    "MatDenseGetArrayRead": [_Handle, ctypes.POINTER(ctypes.POINTER(ctypes.c_double))],
+    "MatDenseRestoreArrayRead": [_Handle, ctypes.POINTER(ctypes.POINTER(ctypes.c_double))],
+}
+
+
+def partial_factorisation_is_there(choice: Choice) -> bool:
+    """Tell whether PETSc has the functions, and these options leave the work to MUMPS."""
+    own = PETSc.Options(choice.prefix)
+    return (
+        choice.symmetric
+        and bool(_functions())
+        and own.getString("pc_factor_mat_solver_type", "mumps") == "mumps"
+        and own.getString("pc_type", "cholesky") == "cholesky"
+    )
+
+
+def schur_complement(K: PETSc.Mat, interface: Indices, choice: Choice) -> Array:
+    """Eliminate all dofs but those of the interface.
+
+    Args:
+        K: Sequential symmetric matrix of a subdomain, (n, n).
+        interface: Rows of Γ, (n_Γ,).
+        choice: How to factor.
+
+    Returns:
+        S in the lower triangle, (n_Γ, n_Γ), in Fortran's order.
+
+    Raises:
+        FactorError: The factorisation failed.
+    """
+    Γ = PETSc.IS().createGeneral(interface.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
+    pc = create_factor(K, choice, lambda F: _call("MatFactorSetSchurIS", F.handle, Γ.handle))
+    F = _Handle(pc.getFactorMatrix().handle)
+    S, status = _Handle(), ctypes.c_int()
+    values = ctypes.POINTER(ctypes.c_double)()
+    _call("MatFactorGetSchurComplement", F, ctypes.byref(S), ctypes.byref(status))
+    _call("MatDenseGetArrayRead", S, ctypes.byref(values))
+    n = len(interface)
+    result = np.ctypeslib.as_array(values, (n, n)).T.copy(order="F")
+    _call("MatDenseRestoreArrayRead", S, ctypes.byref(values))
+    _call("MatFactorRestoreSchurComplement", F, ctypes.byref(S), status)
+    pc.destroy()
+    Γ.destroy()
+    return result
+
+
+@functools.cache
+def _functions() -> dict[str, ctypes._NamedFuncPointer]:
+    """Look the functions up; empty if one is missing."""
+    try:
+        library = ctypes.CDLL(PETSc.__file__)
+        functions = {name: getattr(library, name) for name in _SIGNATURES}
+    except (AttributeError, OSError):
+        return {}
+    for name, signature in _SIGNATURES.items():
+        functions[name].argtypes, functions[name].restype = signature, ctypes.c_int
+    return functions
+
+
+def _call(name: str, *arguments: object) -> None:
+    error = _functions()[name](*arguments)
+    if error:
+        raise FactorError(f"PETSc's {name} returned error {error}")

@@ -1,0 +1,12 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Load steps from equilibrium to equilibrium, and states that outlive a run.
+
+In the order of the data: checkpoint, progress, load_steps.
+"""
+
+from dolfinx_feti.loading.checkpoint import Checkpoint
+from dolfinx_feti.loading.load_steps import LoadStep, Steps, follow_load
+
+__all__ = ["Checkpoint", "LoadStep", "Steps", "follow_load"]

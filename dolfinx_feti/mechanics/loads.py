@@ -1,0 +1,179 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Pressure on the deformed wall, written on the reference surface by Nanson's formula.
+
+The area vector moves as n da = cof(F) N dA with cof(F) = J F⁻ᵀ, a polynomial in F. A pressure p
+acts against the outward normal of the wall: the traction per reference area is −p cof(F) N.
+
+Sign convention: a residual is *internal minus external* virtual work, R(u; v) = δΠ_int − δW_ext,
+and an energy is Π = Π_int − W_ext. What this file returns is to be **added**.
+
+Units: pressure in kPa, lengths in mm, hence forces in mN.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import ufl
+from ufl.core.expr import Expr
+
+from dolfinx_feti.mechanics.kinematics import deformation_gradient
+
+__all__ = [
+    "enclosed_volume",
+    "follower_pressure",
+    "follower_pressure_tangent",
+    "mmhg",
+    "pressure_potential",
+]
+
+_KPA_PER_MMHG = 101.325 / 760.0
+
+
+def mmhg(value: float) -> float:
+    """Pressure in kPa from one in millimetres of mercury, 1 mmHg = 0.1333223684 kPa.
+
+    Raises:
+        ValueError: If ``value`` is not a finite number.
+    """
+    if not math.isfinite(value):
+        raise ValueError(f"value = {value}: a pressure in mmHg is a finite number.")
+    return value * _KPA_PER_MMHG
+
+
+def follower_pressure(p: float | Expr, u: Expr, v: Expr, ds: ufl.Measure) -> ufl.Form:
+    """Residual of a pressure that follows the deformed surface.
+
+    −δW_ext = ∫ p (J F⁻ᵀ N)·v dA
+
+    Args:
+        p: Pressure [kPa], positive when it pushes against the wall. A dolfinx constant changes
+            from load step to load step without a new compilation.
+        u: Displacement [mm], shape (d,).
+        v: Test function, shape (d,).
+        ds: Measure of the loaded part of the reference surface. N points out of the wall, on the
+            inner surface of a vessel into the lumen.
+
+    Returns:
+        Linear form, to be added to the internal virtual work; empty if ``p`` is the number zero.
+
+    Raises:
+        ValueError: If ``p`` is a number that is not finite.
+    """
+    if _is_zero(p):
+        return ufl.Form([])
+    return p * ufl.inner(_area_vector(u), v) * ds
+
+
+def follower_pressure_tangent(
+    p: float | Expr,
+    u: Expr,
+    v: Expr,
+    du: Expr,
+    ds: ufl.Measure,
+    kind: Literal["symmetric", "none", "full"] = "symmetric",
+) -> ufl.Form:
+    """Derivative of :func:`follower_pressure` with respect to u, or a part of it.
+
+    a(du, v) = ∫ p (D cof(F)[Grad du] N)·v dA, for a uniform p, is symmetric up to a line integral
+    along the rim of the loaded surface, which vanishes if the surface is closed or its rim clamped.
+
+    Args:
+        p: Pressure [kPa].
+        u: Displacement, a Function.
+        v: Test function.
+        du: Trial function on the same space.
+        ds: Measure of the loaded part of the reference surface.
+        kind: ``"symmetric"``: ½ (a + aᵀ), keeps CG usable and Newton fast; ``"none"``: an empty
+            form as in the paper, which then needs many small load steps; ``"full"``: a itself, for
+            GMRES.
+
+    Returns:
+        Bilinear form, to be added to the internal tangent.
+
+    Raises:
+        ValueError: If ``kind`` is another word, or ``p`` a number that is not finite.
+    """
+    if kind not in ("symmetric", "none", "full"):
+        raise ValueError(f"kind = {kind!r}: choose 'symmetric', 'none' or 'full'.")
+    if kind == "none" or _is_zero(p):
+        return ufl.Form([])
+    a = ufl.derivative(follower_pressure(p, u, v, ds), u, du)
+    return a if kind == "full" else 0.5 * (a + ufl.adjoint(a, (v, du)))
+
+
+def enclosed_volume(u: Expr, ds: ufl.Measure, axis: Sequence[float] | None = None) -> ufl.Form:
+    """Volume of the lumen inside a deformed surface, V = −1/d ∫ x·(J F⁻ᵀ N) dA with x = X + u.
+
+    N points into the lumen. For a closed surface this is the enclosed volume. For an open one the
+    caps over the rims are missing; V still has the right derivative if no rim moves (clamped), or
+    if rims only slide in planes through the origin (planes of symmetry).
+
+    With an ``axis`` e, x gives way to its part normal to e and d to d − 1. Caps in planes normal to
+    e then contribute nothing: V is the volume between such planes, and rims may slide in them.
+
+    Args:
+        u: Displacement [mm], shape (d,).
+        ds: Measure of the inner surface in the reference configuration.
+        axis: Direction of a tube, of any length but zero.
+
+    Returns:
+        Form of rank zero [mm³].
+
+    Raises:
+        ValueError: If ``axis`` has the wrong number of components or is zero.
+    """
+    d = len(u)
+    x = ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u)) + u
+    if axis is not None:
+        length = math.sqrt(sum(e * e for e in axis))
+        if len(axis) != d or not (0 < length < math.inf):
+            raise ValueError(f"axis = {axis}: expected {d} numbers, not all of them zero.")
+        e = ufl.as_vector([float(component) / length for component in axis])
+        x, d = x - ufl.dot(x, e) * e, d - 1
+    return -ufl.dot(x, _area_vector(u)) / d * ds
+
+
+def pressure_potential(
+    p: float | Expr, u: Expr, ds: ufl.Measure, axis: Sequence[float] | None = None
+) -> ufl.Form:
+    """Potential −p V(u) of a uniform pressure in a lumen, for energies and line searches.
+
+    Its derivative is :func:`follower_pressure` for all variations that keep the rims as
+    :func:`enclosed_volume` demands. On other surfaces, and for a p that varies on the surface, a
+    follower pressure has no potential: this form is of no use there.
+
+    Args:
+        p: Pressure [kPa], a number or a constant.
+        u: Displacement [mm].
+        ds: Measure of the inner surface.
+        axis: Direction of a tube, see :func:`enclosed_volume`.
+
+    Returns:
+        Form of rank zero [mN mm], to be added to the internal energy.
+    """
+    volume = enclosed_volume(u, ds, axis)
+    return ufl.Form([]) if _is_zero(p) else -p * volume
+
+
+def _area_vector(u: Expr) -> Expr:
+    """Deformed area per reference area times the deformed normal, J F⁻ᵀ N."""
+    domain = ufl.domain.extract_unique_domain(u)
+    return ufl.cofac(deformation_gradient(u)) * ufl.FacetNormal(domain)
+
+
+def _is_zero(p: float | Expr) -> bool:
+    """Whether p is the number zero: UFL would make a form without arguments of it.
+
+    Raises:
+        ValueError: If ``p`` is NaN or infinite.
+    """
+    if isinstance(p, Expr):
+        return False
+    if not math.isfinite(p):
+        raise ValueError(f"p = {p}: a pressure is a finite number or a UFL expression.")
+    return p == 0

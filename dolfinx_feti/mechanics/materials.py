@@ -1,0 +1,190 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Energies of hyperelastic materials, per unit reference volume, as plain UFL expressions.
+
+The energy is the only thing a material has to give: Π = ∫ Ψ dX, the residual is
+``ufl.derivative(Π, u, v)`` and the tangent its derivative. An energy of the user's own is as good
+as those below. For nearly incompressible tissue (eq. 10, Augustin_eq:decompositionStrain)
+
+    Ψ(C) = Ψ̄(C̄) + Ψ_vol(J),   or with a pressure field   Ψ(C, p) = Ψ̄(C̄) + p (J − 1) − p²/(2κ).
+
+Isochoric energies Ψ̄ are :func:`neo_hookean` and :func:`holzapfel_gasser_ogden`; the volumetric
+part is :func:`volumetric` or :func:`perturbed_lagrangian`; :func:`saint_venant_kirchhoff` is
+complete by itself.
+
+Parameters are floats, dolfinx constants (a new value needs no new compilation), or any UFL
+expression, such as a piecewise constant Function for layers. Floats are checked.
+
+A trial state far away may overflow the exponential, and J ≤ 0 gives NaN: nothing is clamped here,
+it is the nonlinear solver that has to reject such a state.
+
+Note: quadrature
+    UFL estimates a polynomial degree for the exponentials and powers that leads to thousands of
+    points per cell and kernels a thousand times slower than needed. Set the degree in the measure
+    (``metadata={"quadrature_degree": 4}``), or use :func:`limit_quadrature_degree`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from numbers import Real
+from typing import TypeAlias
+
+import ufl
+from ufl.core.expr import Expr
+
+from dolfinx_feti.mechanics.kinematics import isochoric_invariant_1, isochoric_invariant_4
+
+__all__ = [
+    "ArteryParameters",
+    "holzapfel_gasser_ogden",
+    "neo_hookean",
+    "perturbed_lagrangian",
+    "saint_venant_kirchhoff",
+    "volumetric",
+]
+
+Parameter: TypeAlias = float | Expr
+
+# At u = 0 every Ī₄ is one up to rounding. A switch a hair below one keeps all fibres in the tangent
+# there, instead of those of a random half of the cells; the jump of Ψ at the switch is 1e-24 k₁.
+_FIBRE_SWITCH = 1.0 - 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class ArteryParameters:
+    """Parameters of the artery model (table 1, Augustin_tab:param, from Holzapfel et al. 2000).
+
+    Attributes:
+        c: Stiffness of the matrix material [kPa].
+        k1: Stiffness of the fibres [kPa].
+        k2: Exponent of the fibres [-].
+
+    Raises:
+        ValueError: If a parameter is not a positive number.
+    """
+
+    c: float = 3.0
+    k1: float = 2.3632
+    k2: float = 0.8393
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        _require_positive(**{f.name: getattr(self, f.name) for f in fields(self)})
+
+
+def volumetric(J: Expr, kappa: Parameter) -> Expr:
+    """Energy of a change of volume, Ψ_vol = κ/2 (J − 1)².
+
+    Args:
+        J: Change of volume det F.
+        kappa: Penalty, like a bulk modulus [kPa].
+
+    Raises:
+        ValueError: If ``kappa`` is a number that is not positive.
+    """
+    _require_positive(kappa=kappa)
+    return kappa / 2 * (J - 1) ** 2
+
+
+def perturbed_lagrangian(J: Expr, p: Expr, kappa: Parameter) -> Expr:
+    """The same energy with the pressure as a field of its own, p (J − 1) − p²/(2κ).
+
+    It is stationary in p at p = κ (J − 1) = ∂Ψ_vol/∂J (eq. 29, Augustin_eq:volumetricVariationDis),
+    where it equals :func:`volumetric`; with p piecewise constant, for the mean of J over a cell.
+
+    Args:
+        J: Change of volume det F.
+        p: Hydrostatic pressure [kPa], positive in tension; a piecewise constant Function.
+        kappa: Penalty [kPa].
+
+    Raises:
+        ValueError: If ``kappa`` is a number that is not positive.
+    """
+    _require_positive(kappa=kappa)
+    return p * (J - 1) - p**2 / (2 * kappa)
+
+
+def neo_hookean(C: Expr, *, c: Parameter, J: Expr | None = None) -> Expr:
+    """Isochoric neo-Hookean energy Ψ̄ = c/2 (Ī₁ − 3) (eq. 15, Augustin_eq:iso).
+
+    Args:
+        C: Right Cauchy-Green tensor, shape (d, d).
+        c: Stress-like parameter, the shear modulus in small strains [kPa].
+        J: det F, if at hand: a cheaper tangent, and inverted elements give NaN. Default √(det C).
+
+    Raises:
+        ValueError: If ``c`` is a number that is not positive.
+    """
+    _require_positive(c=c)
+    return c / 2 * (isochoric_invariant_1(C, J) - 3)
+
+
+def holzapfel_gasser_ogden(
+    C: Expr,
+    a1: Expr,
+    a2: Expr,
+    *,
+    c: Parameter,
+    k1: Parameter,
+    k2: Parameter,
+    J: Expr | None = None,
+) -> Expr:
+    """Isochoric energy of a wall with two families of fibres (eq. 13, Augustin_eq:isoaniso).
+
+    Ψ̄ = c/2 (Ī₁ − 3) + Σ_{i=4,6} k₁/(2k₂) {exp[k₂ (Ī_i − 1)²] − 1}, where a family contributes
+    only in tension, Ī_i > 1 (eq. 15, Augustin_eq:iso, eq. 16, Augustin_eq:aniso_1,
+    Augustin_eq:aniso_2).
+
+    Args:
+        C: Right Cauchy-Green tensor, shape (d, d).
+        a1: Direction of the first family in the reference configuration, a unit vector, shape (d,).
+        a2: Direction of the second family.
+        c: Stiffness of the matrix material [kPa].
+        k1: Stiffness of the fibres [kPa].
+        k2: Exponent of the fibres [-].
+        J: det F, if at hand: a cheaper tangent, and inverted elements give NaN. Default √(det C).
+
+    Raises:
+        ValueError: If a parameter is a number that is not positive.
+    """
+    _require_positive(c=c, k1=k1, k2=k2)
+    families = (_fibre_energy(isochoric_invariant_4(C, a, J), k1, k2) for a in (a1, a2))
+    return neo_hookean(C, c=c, J=J) + sum(families)
+
+
+def saint_venant_kirchhoff(C: Expr, *, lmbda: Parameter, mu: Parameter) -> Expr:
+    """Complete, compressible energy Ψ = λ/2 (tr E)² + μ E : E with E = ½ (C − I).
+
+    Linear elasticity's law in large strains; not polyconvex, and soft in strong compression.
+
+    Args:
+        C: Right Cauchy-Green tensor, shape (d, d).
+        lmbda: First Lamé parameter λ [kPa].
+        mu: Second Lamé parameter μ [kPa].
+
+    Raises:
+        ValueError: If a parameter is a number that is not positive.
+    """
+    _require_positive(lmbda=lmbda, mu=mu)
+    E = (C - ufl.Identity(C.ufl_shape[0])) / 2
+    return lmbda / 2 * ufl.tr(E) ** 2 + mu * ufl.inner(E, E)
+
+
+def _fibre_energy(I4: Expr, k1: Parameter, k2: Parameter) -> Expr:
+    """Energy k₁/(2k₂) {exp[k₂ (Ī₄ − 1)²] − 1} of one family, zero in compression."""
+    stretched = k1 / (2 * k2) * (ufl.exp(k2 * (I4 - 1) ** 2) - 1)
+    return ufl.conditional(ufl.gt(I4, _FIBRE_SWITCH), stretched, 0.0)
+
+
+def _require_positive(**parameters: Parameter) -> None:
+    """Refuse numbers that are not finite and positive; UFL expressions pass unseen."""
+    for name, value in parameters.items():
+        if isinstance(value, Expr):
+            continue
+        if not isinstance(value, Real):
+            raise TypeError(f"{name} = {value!r}: expected a number or a UFL expression.")
+        if not 0.0 < float(value) < math.inf:
+            raise ValueError(f"{name} = {value}: a material parameter is positive and finite.")

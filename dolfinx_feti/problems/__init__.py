@@ -1,0 +1,7 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Linear and nonlinear problems with dolfinx's signatures; Newton's method.
+
+In the order of the data: history, linear_problem, system, newton, nonlinear_problem.
+"""

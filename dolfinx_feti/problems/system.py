@@ -1,0 +1,248 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The nonlinear system that Newton's method sees: residual, torn tangent, state.
+
+.. math:: K'(U)\, ΔU = \mathcal F - K(U), \qquad U ← U + ΔU
+
+(eq. 26, Augustin_eq:LGS), with a pressure condensed from both sides if there is one
+(``condensation``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+import dolfinx
+import ufl
+
+from dolfinx_feti.fem import assembly
+from dolfinx_feti.fem.condensation import Condensation
+from dolfinx_feti.fem.decomposition import Decomposition, tear
+
+__all__ = ["System"]
+
+Array = npt.NDArray[np.float64]
+
+#: Share of the greatest displacement below which one of a Dirichlet dof is rounding.
+MOVED = 1e-10
+
+
+class System:
+    """Residual and tangent of a displacement u and, if condensed, a pressure p.
+
+    The state is what the user's Functions hold.
+
+    Attributes:
+        u: Displacement (or another unknown).
+        A: Torn tangent.
+        bcs: Dirichlet conditions.
+        force: Residual before condensation, (owned,), as of the last :meth:`residual`.
+    """
+
+    def __init__(
+        self,
+        F_u: ufl.Form,
+        u: dolfinx.fem.Function,
+        *,
+        bcs: Sequence[dolfinx.fem.DirichletBC],
+        J: ufl.Form,
+        pressure: tuple[ufl.Form, dolfinx.fem.Function] | None,
+        energy: ufl.Form | None,
+        volume_ratio: ufl.core.expr.Expr | None,
+        quadrature_degree: int,
+        decomposition: Decomposition,
+    ) -> None:
+        """Tear the space and compile all forms.
+
+        Args:
+            F_u: Residual tested in V.
+            u: Unknown.
+            bcs: Dirichlet conditions on V.
+            J: Tangent of F_u in u.
+            pressure: Residual tested in Q and the pressure to be condensed.
+            energy: Potential Π(u) or Π(u, p), if there is one.
+            volume_ratio: Expression that has to be positive at every quadrature point.
+            quadrature_degree: Degree of those points.
+            decomposition: Subdomain of each owned cell.
+        """
+        V = u.function_space
+        self.u = u
+        self.bcs = list(bcs)
+        self._held = assembly.dirichlet_mask(V, self.bcs)
+        self._n_cells = len(decomposition.subdomain)
+        self._space = tear(V, decomposition)
+        self._residual = dolfinx.fem.form(F_u)
+        self._tangent = assembly.torn_form(J, (self._space, self._space))
+        self.condensation = None
+        if pressure is not None:
+            F_p, p = pressure
+            self.condensation = Condensation(
+                F_u,
+                F_p,
+                u,
+                p,
+                space=self._space,
+                pressure_space=tear(p.function_space, decomposition),
+                n_cells=self._n_cells,
+            )
+        self._K = assembly.create_local_matrix(self._space, self._space, self._n_cells)
+        self._stiffness = np.zeros(self._K.getSize()[0])
+        self.A = assembly.create_matis(self._space, self._K, self.bcs, self._stiffness)
+        self._energy = None if energy is None else dolfinx.fem.form(energy)
+        self._shift = 0.0
+        self._volume_ratio = _at_quadrature(V, volume_ratio, quadrature_degree)
+        bs = V.dofmap.index_map_bs
+        torn = self._space.dof[:, None] * bs + np.arange(bs)
+        self._local = torn.ravel()  # local dof of V of each torn dof
+        self.owned = V.dofmap.index_map.size_local * bs
+        self.force = np.zeros(self.owned)
+
+    # -- state ------------------------------------------------------------------------------------
+
+    def state(self) -> tuple[Array, Array]:
+        """Copy the state, owned entries of u and all of p."""
+        p = self.condensation.p.x.array.copy() if self.condensation else np.zeros(0)
+        return self.u.x.array[: self.owned].copy(), p
+
+    def set_state(self, state: tuple[Array, Array]) -> None:
+        """Set the state and update ghosts."""
+        self.u.x.array[: self.owned] = state[0]
+        self.u.x.scatter_forward()
+        if self.condensation:
+            self.condensation.p.x.array[:] = state[1]
+            self.condensation.p.x.scatter_forward()
+
+    def increment(self, du: Array) -> tuple[Array, Array]:
+        """Complete an increment of u, (owned,), by the pressure's own linearised equation."""
+        if self.condensation is None:
+            return du, np.zeros(0)
+        whole = dolfinx.la.vector(
+            self.u.function_space.dofmap.index_map, self.u.function_space.dofmap.index_map_bs
+        )
+        whole.array[: self.owned] = du
+        whole.scatter_forward()
+        return du, self.condensation.increment(whole.array[self._local])
+
+    def moves_boundary(self, du: Array) -> bool:
+        """Tell whether an increment of u, (owned,), moves Dirichlet dofs, more than by rounding.
+
+        Note:
+            Collective.
+        """
+        comm = self.u.function_space.mesh.comm
+        most, moved = (
+            comm.allreduce(float(np.abs(part).max(initial=0.0)), op=MPI.MAX)
+            for part in (du, du[self._held])
+        )
+        return moved > MOVED * most
+
+    def least_volume_ratio(self) -> float:
+        """Return the least det F over all quadrature points; inf if none is watched.
+
+        Note:
+            Collective.
+        """
+        least = np.inf
+        if self._volume_ratio is not None and self._n_cells:
+            cells = np.arange(self._n_cells, dtype=np.int32)
+            values = self._volume_ratio.eval(self.u.function_space.mesh, cells)
+            least = float(values.min()) if np.all(np.isfinite(values)) else -np.inf
+        return self.u.function_space.mesh.comm.allreduce(least, op=MPI.MIN)
+
+    @property
+    def has_potential(self) -> bool:
+        """Whether there is a potential."""
+        return self._energy is not None
+
+    def potential(self) -> float:
+        """Return the potential of u, Π(u) or Π(u, p) with the p that its own equation demands.
+
+        Note:
+            Collective.
+        """
+        assert self._energy is not None
+        if self.condensation is None:
+            value = dolfinx.fem.assemble_scalar(self._energy)
+        else:
+            p = self.condensation.p.x
+            before = p.array.copy()
+            p.array[:] = self.condensation.relaxed()
+            value = dolfinx.fem.assemble_scalar(self._energy)
+            p.array[:] = before
+        return self.u.function_space.mesh.comm.allreduce(value)
+
+    # -- equations --------------------------------------------------------------------------------
+
+    def residual(self) -> Array:
+        """Assemble the (condensed) residual, (owned,); u − g on Dirichlet dofs.
+
+        Note:
+            Collective.
+        """
+        b = dolfinx.fem.assemble_vector(self._residual)
+        b.scatter_reverse(dolfinx.la.InsertMode.add)
+        self.force = b.array[: self.owned].copy()
+        r = self.force.copy()
+        if self.condensation is not None:
+            self.condensation.update()
+            torn = self.condensation.residual(len(self._local))
+            b.array[:] = np.bincount(self._local, torn, minlength=len(b.array))
+            b.scatter_reverse(dolfinx.la.InsertMode.add)
+            r += b.array[: self.owned]
+        for bc in self.bcs:
+            bc.set(self.force, self.u.x.array, -1.0)
+            bc.set(r, self.u.x.array, -1.0)
+        return r
+
+    def linearise(self) -> None:
+        """Assemble the torn tangent and its near kernel at the current state.
+
+        The stiffness of the scaling is the diagonal before the pressure is condensed into it: the
+        κ-term on the diagonal says nothing about the interface.
+        """
+        assembly.assemble(self._K, self._tangent)
+        self._shift = 0.0
+        self._stiffness[:] = self._K.getDiagonal().array_r
+        self.A.query("stiffness").array[:] = self._stiffness
+        if self.condensation is not None:
+            self.condensation.add_to(self._K)
+        bs = self.u.function_space.dofmap.index_map_bs
+        assembly.attach_near_kernel(
+            self.A, self.u.function_space, self.u.x.array[: self.owned].reshape(-1, bs)
+        )
+
+    def shift(self, sigma: float) -> None:
+        """Let the tangent be K + σ diag|k|, with the stiffness k of its own dofs.
+
+        Args:
+            sigma: σ, from zero on; it takes the place of an earlier one.
+        """
+        diagonal = self._K.getDiagonal()
+        diagonal.array[:] += (sigma - self._shift) * np.abs(self._stiffness)
+        self._K.setDiagonal(diagonal)
+        diagonal.destroy()
+        self._shift = sigma
+
+    def destroy(self) -> None:
+        """Free the matrices."""
+        self.A.destroy()
+        self._K.destroy()
+        if self.condensation is not None:
+            self.condensation.destroy()
+
+
+def _at_quadrature(
+    V: dolfinx.fem.FunctionSpace, value: ufl.core.expr.Expr | None, degree: int
+) -> dolfinx.fem.Expression | None:
+    if value is None:
+        return None
+    cell = getattr(basix.CellType, V.mesh.topology.cell_name())
+    points = np.asarray(basix.make_quadrature(cell, degree)[0])
+    return dolfinx.fem.Expression(value, points)

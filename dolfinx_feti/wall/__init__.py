@@ -1,0 +1,19 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Walls of arteries: meshes with named layers and surfaces, and their fibres.
+
+In the order of the data: wallfile, wall, laplace, fibres.
+"""
+
+from dolfinx_feti.wall.wall import (
+    Wall,
+    area,
+    by_layer,
+    facets,
+    openings,
+    read_wall,
+    surface_measure,
+)
+
+__all__ = ["Wall", "area", "by_layer", "facets", "openings", "read_wall", "surface_measure"]

@@ -1,0 +1,217 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Directions of the collagen fibres, by two Laplace problems and an angle.
+
+The paper's rule (section "Arterial model on a realistic mesh geometry", after Bayer et al. 2012):
+in each element::
+
+    ê₂ = ∇t / |∇t|            Δt = 0,  t = 0 on the lumen, 1 on the outer wall      transmural,
+    ê₁ ∥ ∇l − (∇l·ê₂) ê₂      Δl = 0,  l = 0 on the inlet, 1 on the other openings  longitudinal,
+    ê₀ = ê₁ × ê₂                                                                    circumferential,
+
+with zero flux through the rest of the boundary. The frame (ê₀, ê₁, ê₂) is orthonormal and
+right-handed: in a tube along z with the inlet at its lower end it is (e_θ, e_z, e_r).
+
+The two families lie in the plane of ê₀ and ê₁, at ±α from the circumferential direction::
+
+    a₀,₁ = cos α ê₀ + sin α ê₁,    a₀,₂ = cos α ê₀ − sin α ê₁.
+
+The paper's equation (eq. 55, Augustin_eq:rotation), read literally, says (a₀,₁, −a₀,₂, ê₂) = (ê₀,
+ê₁, ê₂) R(α): the columns of a rotation, so that a₀,₁ and a₀,₂ are orthogonal whatever α is. The
+model that it cites (Holzapfel, Gasser, Ogden 2000), with α = 29° in the media and 62° in the
+adventitia, means the angle between each family and the circumferential direction, and that is what
+stands here.
+
+The potentials are quadratic (P2) and their gradients are taken at the centroids, which on a coarse
+tube is three times as accurate as P1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+
+from dolfinx_feti.petsc_options import require_prefix
+from dolfinx_feti.wall.laplace import gradient, solve_laplace
+from dolfinx_feti.wall.wall import Wall, area, by_layer, openings
+
+__all__ = ["ANGLES", "Frame", "fibre_families", "fibre_frame"]
+
+# Angle from the circumferential direction, in degrees (Holzapfel, Gasser, Ogden 2000).
+ANGLES = {"media": 29.0, "adventitia": 62.0}
+
+# A gradient below this share of the median has no direction of its own (at stagnation points).
+WEAK = 2e-3
+
+Vectors = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """An orthonormal right-handed frame, constant in each cell (vector DG0).
+
+    Attributes:
+        circumferential: ê₀.
+        longitudinal: ê₁.
+        transmural: ê₂.
+    """
+
+    circumferential: dolfinx.fem.Function
+    longitudinal: dolfinx.fem.Function
+    transmural: dolfinx.fem.Function
+
+
+def fibre_frame(
+    wall: Wall,
+    *,
+    inlet: str | None = None,
+    petsc_options_prefix: str = "fibres_",
+    petsc_options: Mapping[str, object] | None = None,
+) -> Frame:
+    """Return the local frame of a wall.
+
+    Args:
+        wall: The wall, with two openings or more.
+        inlet: The opening where the vessel begins; None for the one with the largest area (of equal
+            ones the first).
+        petsc_options_prefix: Prefix of the two linear solvers, equal on all processes.
+        petsc_options: Their options, without prefix; CG with GAMG to 1e-14 if not given.
+
+    Raises:
+        ValueError: There are fewer than two openings, or no such inlet, or the prefix is empty.
+        ArithmeticError: A Laplace problem was not solved, or leaves cells without direction.
+
+    Note:
+        Collective.
+    """
+    names = openings(wall)
+    if len(names) < 2:
+        raise ValueError(
+            f"The wall has the openings {', '.join(names) or 'none'}: the longitudinal direction "
+            "needs two or more"
+        )
+    if inlet is None:
+        areas = [round(area(wall, name), 9) for name in names]
+        inlet = names[int(np.argmax(areas))]
+    if inlet not in names:
+        raise ValueError(f"inlet={inlet!r} is no opening; take one of {', '.join(names)}")
+    prefix, ends = require_prefix(petsc_options_prefix), {n: float(n != inlet) for n in names}
+    through, along = (
+        gradient(solve_laplace(wall, values, prefix=prefix, petsc_options=petsc_options))
+        for values in ({"lumen": 0.0, "outer": 1.0}, ends)
+    )
+    e2 = _direct(wall, through, np.zeros_like(through))
+    e1 = _direct(wall, along, e2)
+    W = dolfinx.fem.functionspace(wall.mesh, ("DG", 0, (3,)))
+    return Frame(
+        circumferential=_function(W, np.asarray(np.cross(e1, e2)), "circumferential"),
+        longitudinal=_function(W, e1, "longitudinal"),
+        transmural=_function(W, e2, "transmural"),
+    )
+
+
+def fibre_families(
+    wall: Wall, frame: Frame, angles: Mapping[str, float] = ANGLES
+) -> tuple[dolfinx.fem.Function, dolfinx.fem.Function]:
+    """Return the directions of the two fibre families, cos α ê₀ ± sin α ê₁.
+
+    Args:
+        wall: The wall.
+        frame: Its frame.
+        angles: α for each layer [degrees], from the circumferential direction.
+
+    Raises:
+        ValueError: A layer has no angle, or an angle is not finite.
+    """
+    if not all(np.isfinite(angle) for angle in angles.values()):
+        raise ValueError(f"angles={dict(angles)}: give each layer a finite angle in degrees")
+    α = np.deg2rad(by_layer(wall, angles).x.array)[:, None]
+    W = frame.circumferential.function_space
+    e0, e1 = (f.x.array.reshape(-1, 3) for f in (frame.circumferential, frame.longitudinal))
+    return (
+        _function(W, np.cos(α) * e0 + np.sin(α) * e1, "fibres_1"),
+        _function(W, np.cos(α) * e0 - np.sin(α) * e1, "fibres_2"),
+    )
+
+
+def _direct(wall: Wall, along: Vectors, normal: Vectors) -> Vectors:
+    """Return unit vectors along gradients, orthogonal to unit normals (or to zero).
+
+    Where a gradient, or what is left of it, is too weak, the cells around have the word: the mean
+    of the directions at the cell's vertices, again and again until all cells are served. The sums
+    at the vertices are the same on any number of processes, and ask for no ghost cells.
+
+    Args:
+        wall: The wall.
+        along: The gradients, (cells, 3).
+        normal: Directions to be orthogonal to, or zero, (cells, 3).
+
+    Raises:
+        ArithmeticError: No cell around has a direction either.
+    """
+    comm, n_owned = wall.mesh.comm, wall.mesh.topology.index_map(3).size_local
+    size = np.linalg.norm(along, axis=1)
+    weak = WEAK * _median(wall, size[:n_owned])
+    e, known = _unit(_orthogonal(along, normal), weak)
+    left = comm.allreduce(int(np.sum(~known[:n_owned])))
+    while left:
+        mean, strong = _unit(_orthogonal(_around(wall, e), normal), 1e-3)
+        e = np.where(known[:, None], e, mean)
+        known |= strong
+        before, left = left, comm.allreduce(int(np.sum(~known[:n_owned])))
+        if left == before:
+            raise ArithmeticError(
+                f"{left} cells of the wall have no direction: are lumen, outer and the openings "
+                "tagged where they belong?"
+            )
+    return e
+
+
+def _orthogonal(v: Vectors, normal: Vectors) -> Vectors:
+    return v - np.sum(v * normal, axis=1, keepdims=True) * normal
+
+
+def _unit(v: Vectors, least: float) -> tuple[Vectors, Mask]:
+    """Return unit vectors, zero for vectors that are not longer than the least, and which are."""
+    length = np.linalg.norm(v, axis=1)
+    long = length > least
+    return np.where(long, 1 / np.where(long, length, 1), 0.0)[:, None] * v, long
+
+
+def _around(wall: Wall, e: Vectors) -> Vectors:
+    """Return the mean over a cell's vertices of the mean of all vectors in the cells there."""
+    V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 1, (4,)))
+    sums = dolfinx.fem.Function(V)
+    n_owned = wall.mesh.topology.index_map(3).size_local
+    vertices, at_vertex = V.dofmap.list, sums.x.array.reshape(-1, 4)
+    counted = np.column_stack([e, np.linalg.norm(e, axis=1)])
+    np.add.at(at_vertex, vertices[:n_owned], counted[:n_owned, None])
+    sums.x.scatter_reverse(dolfinx.la.InsertMode.add)
+    sums.x.scatter_forward()
+    means = at_vertex[:, :3] / np.maximum(at_vertex[:, 3:], 1)
+    return np.asarray(means[vertices].mean(axis=1))
+
+
+def _median(wall: Wall, values: Vectors) -> float:
+    """Return the median of values on all processes, by bisection."""
+    comm = wall.mesh.comm
+    count = comm.allreduce(len(values))
+    low, high = 0.0, float(max(comm.allgather(values.max(initial=0.0))))
+    for _ in range(60):
+        middle = (low + high) / 2
+        below = comm.allreduce(int(np.sum(values < middle)))
+        low, high = (low, middle) if 2 * below > count else (middle, high)
+    return high
+
+
+def _function(W: dolfinx.fem.FunctionSpace, values: Vectors, name: str) -> dolfinx.fem.Function:
+    f = dolfinx.fem.Function(W, name=name)
+    f.x.array[:] = values.ravel()
+    return f

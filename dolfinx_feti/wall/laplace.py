@@ -1,0 +1,117 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Laplace problems between surfaces of a wall, and their gradients in the cells.
+
+Δu = 0,   u = u_Γ on the named surfaces Γ,   ∂u/∂n = 0 on all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+import dolfinx.fem.petsc
+import ufl
+
+from dolfinx_feti._compat import interpolation_points
+from dolfinx_feti.petsc_options import inserted
+from dolfinx_feti.wall.wall import Wall, facets
+
+__all__ = ["gradient", "solve_laplace"]
+
+# Down to rounding, so that a nearly flat potential (in a sac) has the same direction everywhere.
+OPTIONS = {"ksp_type": "cg", "pc_type": "gamg", "ksp_rtol": 1e-14, "ksp_max_it": 1000}
+
+
+def solve_laplace(
+    wall: Wall,
+    values: Mapping[str, float],
+    *,
+    prefix: str,
+    petsc_options: Mapping[str, object] | None = None,
+) -> dolfinx.fem.Function:
+    """Solve Δu = 0 with values on some surfaces and zero flux through the others.
+
+    Args:
+        wall: The wall.
+        values: Names of surfaces and the values of u there.
+        prefix: Prefix of the solver, equal on all processes.
+        petsc_options: Its options, without prefix, on top of CG with GAMG to 1e-14.
+
+    Raises:
+        ArithmeticError: The solver did not converge.
+
+    Note:
+        Collective.
+    """
+    V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 2))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    a = dolfinx.fem.form(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx)
+    L = dolfinx.fem.form(
+        dolfinx.fem.Constant(wall.mesh, dolfinx.default_scalar_type(0)) * v * ufl.dx
+    )
+    bcs = [
+        dolfinx.fem.dirichletbc(
+            dolfinx.default_scalar_type(value),
+            dolfinx.fem.locate_dofs_topological(V, 2, facets(wall, name)),
+            V,
+        )
+        for name, value in values.items()
+    ]
+    A = dolfinx.fem.petsc.assemble_matrix(a, bcs=bcs)
+    A.assemble()
+    b = dolfinx.fem.petsc.assemble_vector(L)
+    dolfinx.fem.petsc.apply_lifting(b, [a], [bcs])
+    b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    dolfinx.fem.petsc.set_bc(b, bcs)
+    solution = dolfinx.fem.Function(V)
+    _solve_system(A, b, solution, prefix=prefix, options={**OPTIONS, **(petsc_options or {})})
+    A.destroy()
+    b.destroy()
+    return solution
+
+
+def _solve_system(
+    A: PETSc.Mat,
+    b: PETSc.Vec,
+    solution: dolfinx.fem.Function,
+    *,
+    prefix: str,
+    options: Mapping[str, object],
+) -> None:
+    """Solve A u = b with a solver that takes its options from the prefix."""
+    ksp = PETSc.KSP().create(A.comm)
+    x = A.createVecRight()
+    try:
+        ksp.setOptionsPrefix(prefix)
+        ksp.setOperators(A)
+        with inserted(prefix, options):
+            ksp.setFromOptions()
+            ksp.solve(b, x)
+        reason = ksp.getConvergedReason()
+        if reason <= 0:
+            raise ArithmeticError(
+                f"A Laplace problem for the fibres was not solved (reason {reason} after "
+                f"{ksp.getIterationNumber()} iterations): every part of the wall must touch an "
+                f"opening, or take another solver with -{prefix}ksp_type and -{prefix}pc_type"
+            )
+        solution.x.array[: x.getLocalSize()] = x.array_r
+        solution.x.scatter_forward()
+    finally:
+        x.destroy()
+        ksp.destroy()
+
+
+def gradient(u: dolfinx.fem.Function) -> npt.NDArray[np.float64]:
+    """Return ∇u at the centroids of the local cells, (cells, 3)."""
+    W = dolfinx.fem.functionspace(u.function_space.mesh, ("DG", 0, (3,)))
+    g = dolfinx.fem.Function(W)
+    g.interpolate(dolfinx.fem.Expression(ufl.grad(u), interpolation_points(W)))
+    g.x.scatter_forward()
+    return np.asarray(g.x.array.reshape(-1, 3))

@@ -1,0 +1,184 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A wall: a mesh whose layers and surfaces have names.
+
+Layers `media` and `adventitia`; surfaces `lumen` (under pressure), `outer`, `opening_1`,
+`opening_2`, … (the cut faces where the vessel goes on), and whatever else the file names, such as
+the planes `symmetry_x` and `symmetry_y` of a quarter tube.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import basix.ufl
+import dolfinx
+import dolfinx.io
+import ufl
+
+from dolfinx_feti.collective import on_first
+from dolfinx_feti.wall.wallfile import RawWall, read_raw_wall
+
+__all__ = ["Wall", "area", "by_layer", "facets", "openings", "read_wall", "surface_measure"]
+
+
+@dataclass(frozen=True, slots=True)
+class Wall:
+    """A wall in millimetres.
+
+    Attributes:
+        mesh: Tetrahedra of the first order, distributed.
+        cell_tags: The layer of each cell.
+        facet_tags: The surface of each tagged facet.
+        layers: The names of the layers and their tags.
+        surfaces: The names of the surfaces and their tags.
+    """
+
+    mesh: dolfinx.mesh.Mesh
+    cell_tags: dolfinx.mesh.MeshTags
+    facet_tags: dolfinx.mesh.MeshTags
+    layers: dict[str, int]
+    surfaces: dict[str, int]
+
+    @property
+    def names(self) -> dict[str, int]:
+        """The tags of all layers and surfaces."""
+        return self.surfaces | self.layers
+
+
+def read_wall(path: Path | str, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
+    """Read a wall on one process and distribute it.
+
+    Args:
+        path: A Gmsh file (`*.msh`) with named physical groups, or a file of another format with
+            cell data; see :mod:`dolfinx_feti.wall.wallfile`.
+        comm: Communicator of the mesh.
+        scale: Millimetres in the file's unit of length (1000 if it is in metres).
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ModuleNotFoundError: gmsh or meshio is needed and not installed.
+        ValueError: The file holds no such wall, or the scale is not positive.
+
+    Note:
+        Collective; it raises on all processes or on none.
+    """
+    if not (np.isfinite(scale) and scale > 0):
+        raise ValueError(f"scale={scale} is not a positive number: give the millimetres in a unit")
+    raw: list[RawWall] = []  # on the first process
+    on_first(lambda: raw.append(read_raw_wall(Path(path))), comm)
+    return _distribute(raw[0] if raw else None, comm, scale)
+
+
+def _distribute(raw: RawWall | None, comm: MPI.Comm, scale: float) -> Wall:
+    """Make the distributed mesh and its tags of what the first process has read."""
+    none = np.zeros((0, 4), dtype=np.int64)
+    points = np.zeros((0, 3)) if raw is None else scale * raw.points
+    cells, layers = (none, none[:, 0]) if raw is None else (raw.cells, raw.layers)
+    triangles, surfaces = (none[:, :3], none[:, 0]) if raw is None else (raw.facets, raw.surfaces)
+    element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,), dtype=np.float64)
+    mesh = dolfinx.mesh.create_mesh(comm, cells, x=points, e=ufl.Mesh(element))
+    names = comm.bcast(None if raw is None else (raw.layer_names, raw.surface_names), root=0)
+    return Wall(
+        mesh=mesh,
+        cell_tags=_tags(mesh, 3, cells, layers),
+        facet_tags=_tags(mesh, 2, triangles, surfaces),
+        layers=names[0],
+        surfaces=names[1],
+    )
+
+
+def _tags(
+    mesh: dolfinx.mesh.Mesh,
+    dim: int,
+    entities: npt.NDArray[np.int64],
+    values: npt.NDArray[np.int64],
+) -> dolfinx.mesh.MeshTags:
+    """Distribute the tags of entities that are given by their points in the file."""
+    entities, values = np.ascontiguousarray(entities), values.astype(np.int32)
+    mesh.topology.create_entities(dim)
+    local, local_values = dolfinx.io.distribute_entity_data(mesh, dim, entities, values)
+    mesh.topology.create_connectivity(dim, 0)
+    mesh.topology.create_connectivity(dim, 3)
+    links = dolfinx.graph.adjacencylist(local)
+    return dolfinx.mesh.meshtags_from_entities(mesh, dim, links, local_values.astype(np.int32))
+
+
+def facets(wall: Wall, name: str) -> npt.NDArray[np.int32]:
+    """Return the local facets of a surface.
+
+    Args:
+        wall: The wall.
+        name: Name of the surface.
+
+    Raises:
+        ValueError: The wall has no such surface.
+    """
+    if name not in wall.surfaces:
+        raise ValueError(f"The wall has no surface {name!r}, it has {', '.join(wall.surfaces)}")
+    return np.asarray(wall.facet_tags.find(wall.surfaces[name]))
+
+
+def openings(wall: Wall) -> list[str]:
+    """Return the names of the openings, `opening_2` before `opening_10`."""
+    numbers = {name: re.fullmatch(r"opening_(\d+)", name) for name in wall.surfaces}
+    found = [name for name in wall.surfaces if name.startswith("opening_")]
+    return sorted(found, key=lambda n: (int(m[1]) if (m := numbers[n]) else 10**9, n))
+
+
+def area(wall: Wall, name: str) -> float:
+    """Return the area of a surface [mm²].
+
+    Note:
+        Collective.
+    """
+    entities = facets(wall, name)
+    owned = entities[entities < wall.mesh.topology.index_map(2).size_local]
+    local = 0.0
+    if len(owned):  # dolfinx 0.9 divides by their number
+        corners = dolfinx.mesh.entities_to_geometry(wall.mesh, 2, owned)
+        a, b, c = np.moveaxis(wall.mesh.geometry.x[corners], 1, 0)
+        local = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+    return wall.mesh.comm.allreduce(local)
+
+
+def surface_measure(wall: Wall, *, metadata: dict[str, object] | None = None) -> ufl.Measure:
+    """Return `ds` with the tags of the wall, for `ds(wall.surfaces["lumen"])`.
+
+    Args:
+        wall: The wall.
+        metadata: For the form compiler, such as the quadrature degree.
+    """
+    return ufl.Measure("ds", wall.mesh, subdomain_data=wall.facet_tags, metadata=metadata)
+
+
+def by_layer(wall: Wall, values: Mapping[str, float]) -> dolfinx.fem.Function:
+    """Return a piecewise constant function with one value in each layer.
+
+    Args:
+        wall: The wall.
+        values: A value for each layer of the wall.
+
+    Raises:
+        ValueError: A layer has no value, or a value no layer.
+    """
+    if set(values) != set(wall.layers):
+        raise ValueError(
+            f"values are given for {', '.join(values) or 'nothing'}, but the wall has the layers "
+            f"{', '.join(wall.layers)}: give a value for each of them"
+        )
+    V = dolfinx.fem.functionspace(wall.mesh, ("DG", 0))
+    f = dolfinx.fem.Function(V)
+    for name, value in values.items():
+        f.x.array[V.dofmap.list[wall.cell_tags.find(wall.layers[name]), 0]] = value
+    f.x.scatter_forward()
+    return f

@@ -1,0 +1,189 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The rooms of the package, read off its folders: the one list of what is where.
+
+The docstring of each folder's ``__init__.py`` names its modules and folders in the order of the
+data, the first line of a module's docstring says what it does, and a label in its docstring with a
+number, ``eq. 44, Augustin_eq:projection``, says which equation of the paper it holds. From these
+the tables of README.md, docs/modules.md and docs/equations.md are written:
+
+    python3 scripts/rooms.py            write them
+    python3 scripts/rooms.py --check    exit status 1 if one of them is out of date
+
+``tests/test_rooms.py`` holds the imports against the same order.
+"""
+
+from __future__ import annotations
+
+import ast
+import itertools
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "dolfinx_feti"
+
+ORDER = re.compile(r"In the order of the data:\s+(.*?)\.$", re.S | re.M)
+LABEL = re.compile(r"((?:eq\.|table) \d+), (Augustin_[a-z]+:\w+|stressmag)")
+
+
+@dataclass(frozen=True, slots=True)
+class Module:
+    """A file of the package.
+
+    Attributes:
+        name: Its dotted name below the package, such as ``feti.coarse.coarse``.
+        path: The file.
+    """
+
+    name: str
+    path: Path
+
+    @property
+    def room(self) -> str:
+        """Path of its folder below the package."""
+        return self.name.rpartition(".")[0].replace(".", "/")
+
+    @property
+    def summary(self) -> str:
+        """The first line of the docstring, without its full stop."""
+        return docstring(self.path).splitlines()[0].rstrip(".")
+
+    @property
+    def labels(self) -> list[tuple[str, str]]:
+        """Numbers of the paper's equations in print, and their labels in its source."""
+        text = self.path.read_text(encoding="utf-8")
+        return list(dict.fromkeys(LABEL.findall(" ".join(text.split()))))
+
+
+def docstring(path: Path) -> str:
+    """Return the docstring of a file."""
+    return ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+
+
+def order(folder: Path) -> list[str]:
+    """Return the names in a folder in the order that its docstring gives.
+
+    Raises:
+        ValueError: The docstring gives none.
+    """
+    found = ORDER.search(docstring(folder / "__init__.py"))
+    if found is None:
+        raise ValueError(f"{folder}/__init__.py does not give the order of its modules")
+    return re.split(r",\s+", found[1])
+
+
+def modules(folder: Path = PACKAGE) -> Iterator[Module]:
+    """Yield the modules of a folder and of those in it, in the order of the data."""
+    for name in order(folder):
+        path = folder / f"{name}.py"
+        if (folder / name).is_dir():
+            yield from modules(folder / name)
+        else:
+            parts = path.relative_to(PACKAGE).with_suffix("").parts
+            yield Module(".".join(parts), path)
+
+
+def rooms() -> Iterator[tuple[str, str, list[Module]]]:
+    """Yield runs of modules in one folder: its path below the package, its summary, the modules.
+
+    A folder that holds files before and after a folder of its own comes twice.
+    """
+    for room, inside in itertools.groupby(modules(), key=lambda module: module.room):
+        yield room, docstring(PACKAGE / room / "__init__.py").splitlines()[0], list(inside)
+
+
+def readme_table() -> str:
+    """Format the table of README."""
+    rows = ["| room | file | what it does |", "|---|---|---|"]
+    for room, _, inside in rooms():
+        for i, module in enumerate(inside):
+            first = f"`{room}/`" if room and i == 0 else ""
+            rows.append(f"| {first} | `{module.path.name}` | {module.summary} |")
+    return "\n".join(rows)
+
+
+def modules_page() -> str:
+    """Format docs/modules.md."""
+    page = [
+        "# Modules",
+        "",
+        "What each file does, in the order of the data. The texts are the modules' own.",
+    ]
+    for room, summary, inside in rooms():
+        page += [
+            "",
+            f"## {room or 'dolfinx_feti'}/",
+            "",
+            f"{summary}." if room else "Used everywhere.",
+        ]
+        for module in inside:
+            page += ["", f"### {module.name.rpartition('.')[2]}", "", "```{eval-rst}"]
+            page += [
+                f".. automodule:: dolfinx_feti.{module.name}",
+                "   :no-members:",
+                "   :noindex:",
+                "```",
+            ]
+    return "\n".join(page)
+
+
+def equations_table() -> str:
+    """Format the table of docs/equations.md: by number, labels and files."""
+    where: dict[tuple[str, str], list[str]] = {}
+    for module in modules():
+        for number, label in module.labels:
+            where.setdefault((number, label), []).append(str(module.path.relative_to(PACKAGE)))
+    rows = ["| in print | label in the source | file |", "|---|---|---|"]
+    for (number, label), files in sorted(where.items(), key=lambda item: sort_key(item[0][0])):
+        names = ", ".join(f"`{name}`" for name in files)
+        rows.append(f"| {number} | `{label}` | {names} |")
+    return "\n".join(rows)
+
+
+def sort_key(number: str) -> tuple[bool, int]:
+    """Sort equations by number, tables after them."""
+    kind, _, count = number.partition(" ")
+    return kind != "eq.", int(count)
+
+
+def pages() -> dict[Path, str]:
+    """Return what the generated pages have to hold."""
+    readme, equations = ROOT / "README.md", ROOT / "docs" / "equations.md"
+    return {
+        readme: between(readme, readme_table()),
+        equations: between(equations, equations_table()),
+        ROOT / "docs" / "modules.md": modules_page() + "\n",
+    }
+
+
+def between(path: Path, table: str) -> str:
+    """Return a page with the table between its marks."""
+    begin, end = "<!-- rooms: begin -->", "<!-- rooms: end -->"
+    head, found, rest = path.read_text(encoding="utf-8").partition(begin)
+    tail = rest.partition(end)[2]
+    if not found or not tail:
+        raise ValueError(f"{path} lacks the marks {begin} and {end}")
+    return f"{head}{begin}\n\n{table}\n\n{end}{tail}"
+
+
+def main(arguments: list[str]) -> int:
+    """Write the pages, or say which of them are out of date."""
+    stale = {
+        path: text for path, text in pages().items() if path.read_text(encoding="utf-8") != text
+    }
+    if "--check" in arguments:
+        for path in stale:
+            print(f"{path.relative_to(ROOT)} is out of date: run python3 scripts/rooms.py")
+        return int(bool(stale))
+    for path, text in stale.items():
+        path.write_text(text, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,240 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A two-layer tube under pressure, small enough for tests, as a dolfinx user writes it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import basix.ufl
+import dolfinx
+import ufl
+
+import dolfinx_feti
+from dolfinx_feti import kinematics, loads, materials
+
+Array = npt.NDArray[np.float64]
+Marker = npt.NDArray[np.bool_]
+
+INNER, INTERFACE, OUTER = 0.71, 0.97, 1.10
+MEDIA, ADVENTITIA = np.radians(29.0), np.radians(62.0)
+LUMEN = 1
+PREFIX = "wall_"
+
+
+@dataclass(frozen=True, slots=True)
+class Wall:
+    """Forms, unknowns and boundary conditions of a P_k–P_0 wall.
+
+    Attributes:
+        u: Displacement [mm].
+        p: Pressure of the material [kPa].
+        load: Pressure in the lumen [kPa].
+        bcs: Dirichlet conditions.
+        energy: Π(u, p) without the load.
+        F_u: Residual tested with v, with the follower load.
+        F_p: Residual tested with q.
+        J: Tangent of F_u in u.
+    """
+
+    u: dolfinx.fem.Function
+    p: dolfinx.fem.Function
+    load: dolfinx.fem.Constant
+    bcs: list[dolfinx.fem.DirichletBC]
+    energy: ufl.Form
+    F_u: ufl.Form
+    F_p: ufl.Form
+    J: ufl.Form
+
+    def problem(
+        self,
+        subdomains: int | npt.NDArray[np.integer],
+        options: Mapping[str, object] | None = None,
+    ) -> dolfinx_feti.NonlinearProblem:
+        """Tear the wall; the values of ``options`` are without prefix."""
+        return dolfinx_feti.NonlinearProblem(
+            [self.F_u, self.F_p],
+            self.u,
+            bcs=self.bcs,
+            J=self.J,
+            condense=self.p,
+            subdomains=subdomains,
+            petsc_options_prefix=PREFIX,
+            petsc_options=options,
+        )
+
+    def inflate(
+        self, problem: dolfinx_feti.NonlinearProblem, pressures: Sequence[float]
+    ) -> list[dolfinx_feti.problems.history.NewtonStep]:
+        """Solve at one pressure [mmHg] after the other; return the record of all steps."""
+        steps = []
+        for pressure in pressures:
+            self.load.value = loads.mmhg(pressure)
+            problem.solve()
+            steps += problem.history
+        return steps
+
+
+def tube(
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    *,
+    media: int = 1,
+    adventitia: int = 1,
+    around: int = 8,
+    along: int = 2,
+    length: float = 0.8,
+    quarter: bool = False,
+) -> dolfinx.mesh.Mesh:
+    """Mesh a tube, or its part in the first quadrant, with bricks cut into six tetrahedra.
+
+    Args:
+        comm: Communicator.
+        media: Layers of bricks in the media.
+        adventitia: Layers of bricks in the adventitia.
+        around: Bricks around, of the quarter or the whole.
+        along: Bricks along the axis.
+        length: Length [mm].
+        quarter: Mesh the quarter x ≥ 0, y ≥ 0.
+    """
+    radii = np.concatenate(
+        [
+            np.linspace(INNER, INTERFACE, media + 1),
+            np.linspace(INTERFACE, OUTER, adventitia + 1)[1:],
+        ]
+    )
+    columns = around + 1 if quarter else around
+    angles = np.linspace(0.0, np.pi / 2 if quarter else 2 * np.pi, around + 1)[:columns]
+    heights = np.linspace(0.0, length, along + 1)
+    r, θ, z = (a.ravel() for a in np.meshgrid(radii, angles, heights, indexing="ij"))
+    x = np.column_stack([r * np.cos(θ), r * np.sin(θ), z])
+    number = np.arange(len(x)).reshape(len(radii), columns, along + 1)
+    if not quarter:
+        number = np.concatenate([number, number[:, :1]], axis=1)
+    cells = []
+    for path in itertools.permutations(range(3)):  # six ways along the edges to the far corner
+        corner = np.zeros(3, dtype=int)
+        corners = [_shifted(number, corner)]
+        for axis in path:
+            corner[axis] = 1
+            corners.append(_shifted(number, corner))
+        cells.append(np.column_stack(corners))
+    return create_mesh(comm, x, np.concatenate(cells))
+
+
+def create_mesh(comm: MPI.Comm, x: Array, cells: npt.NDArray[np.integer]) -> dolfinx.mesh.Mesh:
+    """Create a mesh of tetrahedra, with ghost cells, from what the first process holds."""
+    if comm.rank > 0:
+        x, cells = x[:0], cells[:0]
+    element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
+    mode = dolfinx.mesh.GhostMode.shared_facet
+    try:
+        ghosts = dolfinx.mesh.create_cell_partitioner(mode, 2)  # cells at a facet
+    except TypeError:  # until dolfinx 0.10
+        ghosts = dolfinx.mesh.create_cell_partitioner(mode)
+    return dolfinx.mesh.create_mesh(
+        comm, cells=cells.astype(np.int64), x=x, e=element, partitioner=ghosts
+    )
+
+
+def wall(
+    mesh: dolfinx.mesh.Mesh,
+    *,
+    degree: int = 2,
+    kappa: float = 1000.0,
+    tangent: str = "symmetric",
+    quarter: bool = False,
+) -> Wall:
+    """Set up the two-layer wall: P_k–P_0, two families of fibres, a follower pressure.
+
+    Args:
+        mesh: Made by :func:`tube`.
+        degree: k.
+        kappa: κ [kPa].
+        tangent: Kind of the follower pressure's tangent.
+        quarter: Symmetry conditions, component by component, in place of clamped ends.
+    """
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+    Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
+    u, p = dolfinx.fem.Function(V, name="u"), dolfinx.fem.Function(Q, name="p")
+    v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
+    a1, a2 = (fibres(mesh, sign) for sign in (1.0, -1.0))
+    metadata = {"quadrature_degree": 2 * degree}
+    F = kinematics.deformation_gradient(u)
+    J = kinematics.jacobian(F)
+    psi = materials.holzapfel_gasser_ogden(
+        kinematics.right_cauchy_green(F), a1, a2, c=3.0, k1=2.3632, k2=0.8393, J=J
+    )
+    kappa_ = dolfinx.fem.Constant(mesh, float(kappa))
+    energy = (psi + materials.perturbed_lagrangian(J, p, kappa_)) * ufl.dx(metadata=metadata)
+    lumen = lumen_measure(mesh)(LUMEN, metadata=metadata)
+    load = dolfinx.fem.Constant(mesh, 0.0)
+    F_u = ufl.derivative(energy, u, v) + loads.follower_pressure(load, u, v, lumen)
+    K = ufl.derivative(ufl.derivative(energy, u, v), u, du)
+    K += loads.follower_pressure_tangent(load, u, v, du, lumen, tangent)
+    F_p = ufl.derivative(energy, p, q)
+    bcs = symmetric(V) if quarter else clamped(V)
+    return Wall(u, p, load, bcs, energy, F_u, F_p, K)
+
+
+def fibres(mesh: dolfinx.mesh.Mesh, sign: float) -> dolfinx.fem.Function:
+    """Return a unit vector for each cell at the layer's angle to the circumference."""
+
+    def direction(x: Array) -> Array:
+        r = np.hypot(x[0], x[1])
+        α = np.where(r < INTERFACE, MEDIA, ADVENTITIA)
+        return np.stack([-x[1] / r * np.cos(α), x[0] / r * np.cos(α), sign * np.sin(α)])
+
+    a = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0, (3,))))
+    a.interpolate(direction)
+    return a
+
+
+def lumen_measure(mesh: dolfinx.mesh.Mesh) -> ufl.Measure:
+    """Return the measure whose part ``LUMEN`` is the inner surface."""
+    facets = dolfinx.mesh.locate_entities_boundary(
+        mesh, 2, lambda x: np.hypot(x[0], x[1]) < INNER * (1 + 1e-8)
+    )
+    tags = np.full(len(facets), LUMEN, dtype=np.int32)
+    return ufl.Measure(
+        "ds", domain=mesh, subdomain_data=dolfinx.mesh.meshtags(mesh, 2, np.sort(facets), tags)
+    )
+
+
+def clamped(V: dolfinx.fem.FunctionSpace) -> list[dolfinx.fem.DirichletBC]:
+    """Clamp both ends."""
+    facets = dolfinx.mesh.locate_entities_boundary(V.mesh, 2, at_ends(V.mesh))
+    dofs = dolfinx.fem.locate_dofs_topological(V, 2, facets)
+    return [dolfinx.fem.dirichletbc(np.zeros(3), dofs, V)]
+
+
+def symmetric(V: dolfinx.fem.FunctionSpace) -> list[dolfinx.fem.DirichletBC]:
+    """Let the planes of symmetry and the ends slide: one component each."""
+    planes = (lambda x: np.isclose(x[0], 0.0), lambda x: np.isclose(x[1], 0.0), at_ends(V.mesh))
+    bcs = []
+    for component, where in enumerate(planes):
+        facets = dolfinx.mesh.locate_entities_boundary(V.mesh, 2, where)
+        part = V.sub(component)
+        dofs = dolfinx.fem.locate_dofs_topological(part, 2, facets)
+        bcs.append(dolfinx.fem.dirichletbc(0.0, dofs, part))
+    return bcs
+
+
+def at_ends(mesh: dolfinx.mesh.Mesh) -> Callable[[Array], Marker]:
+    """Return the marker of both ends."""
+    length = mesh.comm.allreduce(mesh.geometry.x[:, 2].max(initial=0.0), op=MPI.MAX)
+    return lambda x: np.isclose(x[2], 0.0) | np.isclose(x[2], length)
+
+
+def _shifted(number: npt.NDArray[np.integer], by: npt.NDArray[np.integer]) -> npt.NDArray:
+    """Return the corners of all bricks that lie ``by`` from their first ones, flat."""
+    return number[
+        tuple(slice(b, n - 1 + b) for b, n in zip(by, number.shape, strict=False))
+    ].ravel()

@@ -1,0 +1,207 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What stands beside FETI: the assembled system, a direct solver, time and memory."""
+
+from __future__ import annotations
+
+import math
+import mmap
+import time
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from collective import COMM, agree, dense, equal, small, whole
+from problems import cube, elasticity, owned
+
+from dolfinx_feti.comparison import (
+    PeakMemory,
+    assembled_system,
+    create_mumps,
+    measure,
+    relative_residual,
+)
+from dolfinx_feti.comparison import cost as comparison
+
+SEED = 8363
+MIB = 2**20
+#: What a process may allocate beside what is asked for [MiB].
+NOISE = 4.0
+
+
+def skew(K, _dofs):
+    """Make the local matrices unsymmetric."""
+    for K_i in K:
+        n = len(K_i) // 2
+        K_i[:n, n:] *= 1.1
+        K_i[n:, :n] *= 0.9
+
+
+# -- the assembled system
+
+
+@pytest.mark.parametrize("components", [1, 2])
+def test_assembled_system(torn_grid, components):
+    """Unit rows and columns at Dirichlet dofs, whose values move to the right."""
+    problem = torn_grid((2, 2), (2, 3), components=components)
+    b = np.random.default_rng(SEED).standard_normal(len(problem.dirichlet))
+    vector = problem.vector(b)
+    K, f = assembled_system(problem.A, vector)
+    fixed = problem.dirichlet
+    A = problem.T.T @ problem.K_torn @ problem.T
+    expected = np.where(fixed[:, None] | fixed[None, :], np.eye(len(b)), A)
+    equal(dense(K), expected, 1e-13)
+    equal(whole(f.array_r), np.where(fixed, b, b - A[:, fixed] @ b[fixed]), 1e-13)
+    equal(whole(vector.array_r), b)
+    small(relative_residual(K, f, problem.vector(problem.solve(b))), 1e-11)
+    agree(K.isSymmetricKnown() == (True, True) and K.getBlockSize() == components)
+    agree(K.getNearNullSpace().handle)
+    modes, kept = (M.getNearNullSpace().getVecs() for M in (problem.A, K))
+    agree(len(kept) == len(modes) == (1 if components == 1 else 3))
+    for mode, same in zip(modes, kept, strict=True):
+        equal(same.array_r, mode.array_r)
+    for made in (K, f, vector):
+        made.destroy()
+
+
+def test_torn_matrix_is_left_alone(torn_grid):
+    problem = torn_grid((2, 2), (2, 2))
+    before = dense(problem.A.convert("aij", PETSc.Mat()))
+    b = problem.vector(np.ones(len(problem.dirichlet)))
+    K, f = assembled_system(problem.A, b)
+    equal(dense(problem.A.convert("aij", PETSc.Mat())), before)
+    for made in (K, f, b):
+        made.destroy()
+
+
+def test_without_dirichlet_dofs(torn_grid):
+    problem = torn_grid((2,), (3,), fixed=lambda x: np.zeros(len(x), dtype=bool))
+    b = problem.vector(np.arange(7.0))
+    K, f = assembled_system(problem.A, b)
+    equal(dense(K), problem.T.T @ problem.K_torn @ problem.T, 1e-14)
+    equal(f.array_r, b.array_r)
+    for made in (K, f, b):
+        made.destroy()
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_mumps(torn_grid, symmetric):
+    """A symmetric matrix is found to be so, and gets the factorisation that fits."""
+    problem = torn_grid((2, 2), (2, 2), components=2, change=None if symmetric else skew)
+    b = np.random.default_rng(SEED + 1).standard_normal(len(problem.dirichlet))
+    K, f = assembled_system(problem.A, problem.vector(b))
+    ksp = create_mumps(K)
+    agree(ksp.getPC().getType() == ("cholesky" if symmetric else "lu"))
+    x = f.duplicate()
+    ksp.solve(f, x)
+    equal(whole(x.array_r), problem.solve(b), 1e-10)
+    for made in (ksp, K, f, x):
+        made.destroy()
+
+
+def test_beside_a_linear_problem(solve):
+    """Values of Dirichlet conditions that are not zero, some on single components."""
+    body = elasticity(cube(3, 3), degree=2, stretched=True)
+    linear = solve(body, 6, {"ksp_rtol": 1e-11})
+    K, f = assembled_system(linear.A, linear.b)
+    cost, x = measure(lambda: create_mumps(K), f)
+    equal(x.array_r, body.solve_directly(), 1e-10)
+    equal(owned(linear.u), x.array_r, 1e-8)
+    small(relative_residual(K, f, x), 1e-12)
+    agree(cost.converged_reason > 0 and cost.iterations == 1)
+    for made in (K, f, x):
+        made.destroy()
+
+
+# -- the measure
+
+
+def test_measure_tells_set_up_from_solution(torn_grid):
+    """Times and counts are the solver's own, on all processes; the solver is freed."""
+
+    class Slow:
+        def setUp(self, pc):
+            time.sleep(0.2)
+
+        def apply(self, pc, b, x):
+            time.sleep(0.05)
+            b.copy(x)
+
+    problem = torn_grid((2, 2), (2, 2))
+    made = []
+
+    def create():
+        ksp = PETSc.KSP().create(COMM)
+        ksp.setOperators(K)
+        ksp.setType("cg")
+        ksp.setTolerances(rtol=1e-30, atol=1e-300, max_it=3)
+        ksp.getPC().setType("python")
+        ksp.getPC().setPythonContext(Slow())
+        made.append(ksp)
+        return ksp
+
+    b = problem.vector(np.ones(len(problem.dirichlet)))
+    K, f = assembled_system(problem.A, b)
+    cost, x = measure(create, f)
+    agree(0.2 <= cost.seconds_setup < 10 and 0.15 <= cost.seconds_solve < 10, cost)
+    agree(
+        cost.iterations == 3 and cost.converged_reason == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT,
+        cost,
+    )
+    agree(not made[0].handle)
+    for owned_here in (K, f, b, x):
+        owned_here.destroy()
+
+
+def test_relative_residual(torn_grid):
+    problem = torn_grid((2, 2), (2, 2))
+    rng = np.random.default_rng(SEED + 2)
+    b, x = rng.standard_normal((2, len(problem.dirichlet)))
+    K, f = assembled_system(problem.A, problem.vector(b))
+    expected = whole(f.array_r) - dense(K) @ x
+    expected = np.linalg.norm(expected) / np.linalg.norm(whole(f.array_r))
+    equal(relative_residual(K, f, problem.vector(x)), expected, 1e-12)
+    for made in (K, f):
+        made.destroy()
+
+
+@pytest.fixture
+def mark_can_be_put_down():
+    """Not all systems let a process ask for its own memory."""
+    if not all(COMM.allgather(math.isfinite(PeakMemory().mib_above_start(COMM)))):
+        pytest.skip("/proc/self does not tell")
+
+
+def test_peak_counts_what_was_given_back(mark_can_be_put_down):
+    """Over all processes, and of the second only its own."""
+    everybody, last = range(COMM.size), [COMM.size - 1]
+    for mib, ranks in ((48, everybody), (24, last)):
+        peak = PeakMemory()
+        if COMM.rank in ranks:
+            with mmap.mmap(-1, mib * MIB) as block:  # free() may keep what it is given
+                block[:: mmap.PAGESIZE] = b"1" * (len(block) // mmap.PAGESIZE)
+        small(peak.mib_above_start(COMM) - mib * len(ranks), NOISE * COMM.size)
+        agree(peak.mib(COMM) > mib * len(ranks) + 10 * COMM.size, "so much takes an interpreter")
+
+
+def test_peak_of_nothing(mark_can_be_put_down):
+    small(PeakMemory().mib_above_start(COMM), NOISE * COMM.size)
+
+
+def test_peak_where_the_system_does_not_tell(monkeypatch, tmp_path):
+    monkeypatch.setattr(comparison, "PROC", tmp_path / "none")
+    peak = PeakMemory()
+    agree(math.isnan(peak.mib(COMM)) and math.isnan(peak.mib_above_start(COMM)))
+
+
+def test_peak_where_the_mark_stays(monkeypatch, tmp_path):
+    """The peak of the whole run says nothing about what a solver took."""
+    if COMM.rank == 0:
+        (tmp_path / "clear_refs").mkdir()
+        (tmp_path / "status").write_text("Name:\tpython3\nVmHWM:\t 2048 kB\nVmRSS:\t 1024 kB\n")
+    COMM.Barrier()
+    monkeypatch.setattr(comparison, "PROC", tmp_path)
+    peak = PeakMemory()
+    agree(peak.mib(COMM) == 2.0 * COMM.size and math.isnan(peak.mib_above_start(COMM)))

@@ -1,0 +1,343 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Every demo runs: from the command line on one process, and here on as many as there are."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import runpy
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from collective import COMM, agree, raises, small
+from wall_files import ROOT, on_first
+
+from dolfinx_feti.wall.wallfile import NUMBERS, read_raw_wall
+from meshes.wall_mesh import WallMesh, write_msh
+
+pytest.importorskip("gmsh")
+pytest.importorskip("matplotlib")
+
+DEMOS = ROOT / "demos"
+EXAMPLE = ROOT / "meshes/example.msh"
+PICTURES = ("wall.png", "fibres.png", "convergence.png")
+#: A wall as small as can be, with both layers.
+TUBE = "--geometry tube --size 1 --pressure 2 --steps 3 --subdomains 4".split()
+LEAST = ["--mesh", str(EXAMPLE), *"--degree 1 --pressure 0.5 --steps 1 --subdomains 4".split()]
+#: What names the processes of a run to those that it starts.
+LAUNCHERS = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
+
+
+def run_alone(*command: str, seconds: float = 300.0) -> tuple[int, str]:
+    """Run a demo on one process of its own; return its status and all that it said.
+
+    The processes of this test sleep meanwhile.
+    """
+    found = (-1, "not run")
+    if COMM.rank == 0:
+        own = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHERS)}
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            result = subprocess.run(
+                [sys.executable, *command],
+                cwd=ROOT,
+                env=own,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                timeout=seconds,
+                check=False,
+                text=True,
+            )
+            found = (result.returncode, result.stdout)
+    done = COMM.Ibarrier()
+    while not done.Test():
+        time.sleep(0.02)
+    return COMM.bcast(found)
+
+
+@pytest.fixture
+def run(monkeypatch) -> Iterator[Callable[..., dict[str, Any]]]:
+    """Run a demo as a script on the processes of this test; return its variables."""
+    known = set(sys.modules)
+    monkeypatch.syspath_prepend(str(DEMOS))
+
+    def script(name: str, *arguments: object) -> dict[str, Any]:
+        path = str(DEMOS / name)
+        monkeypatch.setattr(sys, "argv", [path, *map(str, arguments)])
+        return runpy.run_path(path, run_name="__main__")
+
+    yield script
+    for name in set(sys.modules) - known:
+        if DEMOS in Path(getattr(sys.modules[name], "__file__", None) or "/").parents:
+            del sys.modules[name]
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    return on_first(lambda: json.loads((folder / "summary.json").read_text()))
+
+
+def check_pictures(folder: Path) -> None:
+    """Each is there, large enough to look at, and not of one colour."""
+    from matplotlib.image import imread
+
+    def look() -> list[tuple[int, ...]]:
+        images = [imread(folder / name) for name in PICTURES]
+        assert all(np.ptp(image) > 0.5 for image in images)
+        return [image.shape for image in images]
+
+    shapes = on_first(look)
+    agree(all(height > 500 and width > 800 for height, width, _ in shapes), shapes)
+
+
+@pytest.mark.serial
+def test_every_demo_has_its_test():
+    """Whoever adds one adds a test here."""
+    agree(
+        {path.name for path in DEMOS.glob("demo_*.py")}
+        == {
+            "demo_artery.py",
+            "demo_classical_vs_all_floating.py",
+            "demo_linear_elasticity.py",
+            "demo_own_material.py",
+        }
+    )
+
+
+# -- they run
+
+
+def test_linear_elasticity(run):
+    """Its own assertion holds it against MUMPS; the beam bends as the theory of beams says."""
+    beam = run("demo_linear_elasticity.py")
+    length, inertia, weight = 8.0, 1.0 / 12.0, 1e-2
+    tip = weight * length**4 / (8 * beam["E"] * inertia)
+    tip += weight * length**2 / (2 * 5 / 6 * beam["mu"])  # by shear
+    u = beam["uh"].x.array.reshape(-1, 3)
+    sunk = -COMM.allreduce(u[:, 2].min(initial=0.0), op=min)
+    small(sunk / tip - 1.0, 0.03)
+    small(beam["difference"], 1e-7)
+
+
+@pytest.mark.serial
+def test_linear_elasticity_from_the_command_line():
+    status, said = run_alone("demos/demo_linear_elasticity.py")
+    agree(status == 0 and "difference to MUMPS" in said, said)
+
+
+def test_classical_vs_all_floating(run, tmp_path):
+    """Its own assertions, the numbers of one process, and a picture."""
+    from matplotlib.image import imread
+
+    demo = run("demo_classical_vs_all_floating.py", tmp_path)
+    expected = {("all_floating", 3): 9.27, ("classical", 3): 21.1, ("classical", 1): 9.11}
+    for (kind, n), condition in expected.items():
+        small(demo["condition"][kind, "dirichlet", n] / condition - 1.0, 0.01)
+    agree(demo["solvers"]["all_floating", "lumped", 1][-1].multipliers == 3876)
+    small(demo["order"] - 2.0, 0.05)
+    height, width, _ = on_first(lambda: imread(tmp_path / "cube.png")).shape
+    agree(height > 500 and width > 800, (height, width))
+
+
+def test_own_material(run, tmp_path):
+    """Its own assertions, on a coarse tube; the plaque holds the wall back."""
+    from matplotlib.image import imread
+
+    demo = run("demo_own_material.py", "--size", "1", "--output", tmp_path)
+    for result in demo["results"].values():
+        agree(result["load_steps"] >= 4 and result["newton_steps"] <= 40, result)
+        agree(0.0 < result["difference_to_mumps"] <= 1e-6, result)
+    shapes = on_first(lambda: [imread(tmp_path / f"{name}.png").shape for name in demo["results"]])
+    agree(all(height > 500 and width > 800 for height, width, _ in shapes), shapes)
+
+
+def test_artery(run, tmp_path):
+    """The same numbers from the command line and on the processes of this test."""
+    status, said = run_alone(
+        "demos/demo_artery.py", *TUBE, "--output", str(tmp_path / "alone"), "-log_view"
+    )
+    agree(status == 0, said)
+    agree("FETISolve" in said and "The first Newton step" in said, said)
+    run("demo_artery.py", *TUBE, "--output", tmp_path / "together")
+    alone, together = (read_summary(tmp_path / name) for name in ("alone", "together"))
+    for summary, processes in ((alone, 1), (together, COMM.size)):
+        agree(summary["processes"] == processes)
+        agree(summary["pressure_mmhg"] == 2.0 and summary["load_steps"][-1] == 2.0)
+        agree(summary["subdomains"] >= 4 and summary["geometry"] == "tube")
+        agree(summary["newton_iterations"] >= len(summary["load_steps"]) >= 2)
+        agree(summary["linear_iterations"] >= 10 * summary["newton_iterations"])
+        agree(0.0 < summary["max_linear_residual"] <= 1e-8)
+        agree(0.0 < summary["difference_to_mumps"] <= 1e-6)
+        agree(summary["seconds"] > 0.0)
+        for cost in summary["first_step"].values():
+            agree(cost["seconds_setup"] > 0.0 and cost["seconds_solve"] > 0.0, cost)
+            agree(cost["converged_reason"] > 0 and cost["relative_residual"] <= 1e-8, cost)
+    agree(alone["dofs"] == together["dofs"] > 1000)
+    agree(alone["max_displacement_mm"] > 0.01)
+    small(together["max_displacement_mm"] / alone["max_displacement_mm"] - 1.0, 1e-6)
+    for name in ("alone", "together"):
+        check_pictures(tmp_path / name)
+        agree(any((tmp_path / name).glob("wall.[bx]*")))
+
+
+def test_vessel(run, tmp_path):
+    """What the demo takes if it is not told, on as coarse a mesh as there is."""
+    few = "--size 2 --degree 1 --pressure 0.5 --steps 1 --subdomains 8".split()
+    run("demo_artery.py", *few, "--output", tmp_path)
+    summary = read_summary(tmp_path)
+    agree(summary["geometry"] == "vessel" and summary["least_quality"] >= 0.1)
+    agree(summary["pressure_mmhg"] == 0.5 and summary["max_linear_residual"] <= 1e-8)
+    check_pictures(tmp_path)
+
+
+def test_wall_of_ones_own_and_options_of_the_solver(run, tmp_path):
+    options = ["-feti_type", "classical", "-feti_pc_type", "lumped"]
+    demo = run("demo_artery.py", *LEAST, "--output", tmp_path, *options)
+    report = demo["problem"].solver.getKSP().getPythonContext().report()
+    agree(report.options.type == "classical" and report.options.pc_type == "lumped")
+    summary = read_summary(tmp_path)
+    agree(summary["geometry"] == str(EXAMPLE) and summary["cells"] == 336)
+    agree(summary["pressure_mmhg"] == 0.5 and summary["max_linear_residual"] <= 1e-8)
+
+
+def test_artery_goes_on_from_a_checkpoint(run, tmp_path):
+    """To a higher pressure; the steps before count, and what was written then stays."""
+    pytest.importorskip("adios4dolfinx")
+    words = [*LEAST, "--output", tmp_path, "--checkpoint", tmp_path / "run"]
+    run("demo_artery.py", *words)
+    first = read_summary(tmp_path)
+    run("demo_artery.py", *words, "--pressure", "1", "--restart")
+    summary = read_summary(tmp_path)
+    agree(summary["load_steps"][: len(first["load_steps"])] == first["load_steps"])
+    agree(
+        summary["pressure_mmhg"] == 1.0 and summary["first_step"] == {"feti": None, "mumps": None}
+    )
+    agree(summary["newton_iterations"] > first["newton_iterations"])
+    names = {path.stem for path in tmp_path.glob("wall*.[bx]*")}
+    agree(names == {"wall", "wall_from_0.5_mmHg"}, names)
+    for other, match in (
+        (["--kappa", "10"], "κ .kPa. is 1000.0 there and 10.0 here"),
+        (["--degree", "2"], "elements are"),
+    ):
+        with raises(ValueError, f"is one of another problem: {match}"):
+            run("demo_artery.py", *words, *other, "--restart")
+    with raises(FileExistsError, "holds the checkpoint of an earlier run"):
+        run("demo_artery.py", *words)
+
+
+# -- what they refuse
+
+
+def wrong_command_line(run, capsys, *arguments: str) -> str:
+    """Return what is said about a command line that is refused on all processes."""
+    with pytest.raises(SystemExit) as caught:
+        run("demo_artery.py", *arguments)
+    agree(caught.value.code == 2)
+    return capsys.readouterr().err
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("value", ["nan", "inf", "-1", "0", "abc"])
+def test_numbers_that_are_not_positive(run, capsys, value):
+    for option in ("--pressure", "--size", "--kappa", "--c"):
+        said = wrong_command_line(run, capsys, option, value)
+        agree(f"argument {option}: '{value}' is not a positive number" in said, said)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("value", ["0", "-3", "1.5", "many"])
+def test_counts_that_are_none(run, capsys, value):
+    for option in ("--subdomains", "--steps"):
+        said = wrong_command_line(run, capsys, option, value)
+        agree(f"argument {option}: '{value}' is not a number 1, 2, 3" in said, said)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        (["--geometry", "cube"], "invalid choice: 'cube'"),
+        (["--degree", "3"], "invalid choice: "),
+        (["--presure", "10"], "unrecognized arguments: --presure 10"),
+        (["ten"], "unrecognized arguments: ten"),
+        (["--restart"], "--restart: say by --checkpoint FOLDER from where"),
+    ],
+)
+def test_unknown_words(run, capsys, arguments, match):
+    said = wrong_command_line(run, capsys, *arguments)
+    agree(match in said, said)
+
+
+def test_output_folder_is_tried_before_the_mesh(run, tmp_path):
+    """A folder cannot be made below a file; that the mesh is missing, too, comes later."""
+    on_first(lambda: (tmp_path / "file").write_text("mine"))
+    with raises(OSError, "output folder .*file/run cannot be written"):
+        run("demo_artery.py", "--mesh", "nowhere.msh", "--output", tmp_path / "file/run")
+    with raises(FileNotFoundError, "no file nowhere.msh"):
+        run("demo_artery.py", "--mesh", "nowhere.msh", "--output", tmp_path / "run")
+
+
+def test_mesh_with_a_missing_tag(run, tmp_path):
+    """The message lists the tags found."""
+    path = tmp_path / "wall.msh"
+
+    def write() -> None:
+        raw = read_raw_wall(EXAMPLE)
+        mesh = WallMesh(raw.points, raw.cells, raw.layers, raw.facets, raw.surfaces)
+        write_msh(path, mesh, {k: v for k, v in NUMBERS.items() if k != "lumen"})
+
+    on_first(write)
+    with raises(ValueError, "no lumen.*Found: .*media = 1.*outer = "):
+        run("demo_artery.py", "--mesh", path, "--output", tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        (["-feti_typ", "classical"], "-artery_feti_typ does not exist; did you mean .*feti_type"),
+        (["-feti_type", "classic"], "feti_type.*classic"),
+    ],
+)
+def test_misspelt_option_of_the_solver(run, tmp_path, options, match):
+    with raises(ValueError, match):
+        run("demo_artery.py", *LEAST, "--output", tmp_path, *options)
+
+
+def test_more_subdomains_than_cells(run, tmp_path):
+    with raises(ValueError, "subdomains is 337, but the mesh has 336 cells"):
+        run("demo_artery.py", *LEAST, "--subdomains", "337", "--output", tmp_path)
+
+
+# -- whose options are whose
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("line", "solver", "rest"),
+    [
+        ("", {}, []),
+        ("--pressure 3 -feti_type classical", {"feti_type": "classical"}, []),
+        ("-ksp_monitor --pressure 3", {"ksp_monitor": None}, []),
+        ("-ksp_monitor -snes_rtol 1e-9", {"ksp_monitor": None, "snes_rtol": "1e-9"}, []),
+        ("-feti_coarse_modes -1 --pressure 3", {"feti_coarse_modes": "-1"}, []),
+        (
+            "-log_view :log.txt -options_left no",
+            {},
+            ["-log_view", ":log.txt", "-options_left", "no"],
+        ),
+        ("-log_view --pressure 3 -ksp_view", {"ksp_view": None}, ["-log_view"]),
+    ],
+)
+def test_options_with_one_dash_are_petscs(monkeypatch, line, solver, rest):
+    monkeypatch.syspath_prepend(str(DEMOS))
+    parse = runpy.run_path(str(DEMOS / "arguments.py"))["parse"]
+    own, found, others = parse(line.split())
+    agree((found, others) == (solver, rest), (found, others))
+    agree(own.pressure == (3.0 if "--pressure" in line else 10.0))

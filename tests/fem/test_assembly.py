@@ -1,0 +1,242 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The torn matrix from a form: the sum over subdomains is dolfinx's own matrix."""
+
+from __future__ import annotations
+
+import itertools
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from collective import COMM, agree, dense, equal, raises, small, whole
+from problems import Cell, cube, dirichlet, elasticity, left, poisson, right
+
+import dolfinx
+import dolfinx.fem.petsc
+import ufl
+
+from dolfinx_feti.fem import assembly
+from dolfinx_feti.fem.decomposition import decompose, tear
+
+SEED = 27182
+
+
+def cells(mesh):
+    return mesh.topology.index_map(mesh.topology.dim).size_local
+
+
+def torn_matrix(problem, subdomains=5):
+    space = tear(problem.V, decompose(problem.V.mesh, subdomains))
+    K = assembly.create_local_matrix(space, space, cells(problem.V.mesh))
+    assembly.assemble(K, assembly.torn_form(problem.a, (space, space)))
+    return space, K, assembly.create_matis(space, K, problem.bcs)
+
+
+def destroy(*objects):
+    for owned in objects:
+        owned.destroy()
+
+
+PROBLEMS = {
+    "Poisson, quadratic triangles": lambda: poisson(cube(2, 4), degree=2, stretched=True),
+    "Poisson, tetrahedra": lambda: poisson(cube(3, 2), stretched=True),
+    "elasticity, triangles": lambda: elasticity(cube(2, 4), stretched=True),
+    "elasticity, quadratic quadrilaterals": lambda: elasticity(
+        cube(2, 3, Cell.quadrilateral), degree=2, stretched=True
+    ),
+    "elasticity, hexahedra": lambda: elasticity(cube(3, 2, Cell.hexahedron), stretched=True),
+}
+every_problem = pytest.mark.parametrize("create", PROBLEMS.values(), ids=PROBLEMS)
+
+
+@every_problem
+def test_sum_of_the_subdomains_is_the_assembled_matrix(create):
+    """Coefficients, exterior facets and coordinates included; no Dirichlet dof is touched."""
+    problem = create()
+    _, K, A = torn_matrix(problem)
+    expected = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(problem.a))
+    expected.assemble()
+    assembled = PETSc.Mat()
+    A.convert("aij", assembled)
+    equal(dense(assembled), dense(expected), 1e-14)
+    x, y, z = expected.createVecRight(), expected.createVecLeft(), expected.createVecLeft()
+    x.array[:] = np.random.default_rng(SEED + COMM.rank).standard_normal(x.getLocalSize())
+    A.mult(x, y)
+    expected.mult(x, z)
+    equal(whole(y.array_r), whole(z.array_r), 1e-13)
+    destroy(A, K, expected, assembled, x, y, z)
+
+
+@every_problem
+def test_local_matrices_have_the_rigid_modes_as_kernel(create):
+    """Without springs on the boundary, K R = 0 on each subdomain."""
+    problem = create()
+    cell_part = ufl.Form([i for i in problem.a.integrals() if i.integral_type() == "cell"])
+    space, K, A = torn_matrix(type(problem)(problem.V, cell_part, problem.L, problem.bcs))
+    assembly.attach_near_kernel(A, problem.V)
+    modes = A.getNearNullSpace().getVecs()
+    bs, dim = problem.V.dofmap.index_map_bs, problem.V.mesh.geometry.dim
+    agree(len(modes) == (1 if bs == 1 else bs * (bs + 1) // 2), len(modes))
+    agree(bs in (1, dim))
+    worst = 0.0
+    for mode in modes:
+        small(mode.norm() - 1.0, 1e-13)
+        local = dolfinx.fem.Function(problem.V)
+        local.x.array[: mode.getLocalSize()] = mode.array_r
+        local.x.scatter_forward()
+        torn = local.x.array.reshape(-1, bs)[space.dof].ravel()
+        x, y = K.createVecs()
+        x.array[:] = torn
+        K.mult(x, y)
+        worst = max(worst, np.abs(y.array_r).max(initial=0.0))
+        destroy(x, y)
+    small(worst, 1e-13 * COMM.allreduce(K.norm()))
+    destroy(A, K)
+
+
+def test_rotations_follow_the_deformed_body():
+    """The near kernel with a displacement u is the kernel of ω × (x + u)."""
+    problem = elasticity(cube(3, 2))
+    _, K, A = torn_matrix(problem)
+    V = problem.V
+    n = V.dofmap.index_map.size_local
+    x = V.tabulate_dof_coordinates()[:n]
+    u = 0.3 * np.stack([x[:, 1] ** 2, np.sin(x[:, 0]), x[:, 0] * x[:, 2]], axis=-1)
+    assembly.attach_near_kernel(A, V, u)
+    modes = np.column_stack([whole(mode.array_r) for mode in A.getNearNullSpace().getVecs()])
+    for axis in np.eye(3):
+        rotation = whole(np.cross(axis, x + u).ravel())
+        equal(modes @ (modes.T @ rotation), rotation, 1e-12)
+    undeformed = whole(np.cross([0.0, 0.0, 1.0], x).ravel())
+    agree(np.linalg.norm(undeformed - modes @ (modes.T @ undeformed)) > 1e-2)
+    destroy(A, K)
+
+
+def test_mesh_of_vector_values_without_rotations():
+    """Two components in space: no rotation is a candidate, the constants are."""
+    mesh = cube(3, 2)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    problem = type(poisson(cube(2, 2)))(V, ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, None, [])
+    _, K, A = torn_matrix(problem)
+    assembly.attach_near_kernel(A, V)
+    agree(len(A.getNearNullSpace().getVecs()) == 2)
+    destroy(A, K)
+
+
+def test_values_are_overwritten():
+    problem = poisson(cube(2, 4))
+    factor = dolfinx.fem.Constant(problem.V.mesh, 1.0)
+    space = tear(problem.V, decompose(problem.V.mesh, 3))
+    K = assembly.create_local_matrix(space, space, cells(problem.V.mesh))
+    form = assembly.torn_form(factor * problem.a, (space, space))
+    assembly.assemble(K, form)
+    before = K.copy()
+    assembly.assemble(K, form)
+    agree(K.equal(before))
+    factor.value = 3.0
+    assembly.assemble(K, form)
+    before.scale(3.0)
+    before.axpy(-1.0, K)
+    small(before.norm(), 1e-14 * K.norm())
+    destroy(K, before)
+
+
+def test_pattern_is_complete():
+    """A second assembly allocates nothing: all blocks of a cell are there, zeros included."""
+    problem = elasticity(cube(3, 2))
+    space, K, A = torn_matrix(problem)
+    n = np.unique(space.V_torn.dofmap.list[: cells(problem.V.mesh)]).size
+    agree(K.getSize() == (3 * n, 3 * n) and K.getBlockSizes() == (3, 3))
+    indptr, indices, _ = K.getValuesCSR()
+    rows = [indices[a:b] for a, b in itertools.pairwise(indptr)]
+    agree(all(np.array_equal(row // 3 * 3, np.repeat(row[::3], 3)) for row in rows))
+    agree(all(np.all(np.diff(row) > 0) for row in rows))
+    destroy(A, K)
+
+
+def test_rectangular_matrix_between_two_spaces():
+    """A pressure's row: ∫ q div u on torn spaces against dolfinx's matrix."""
+    mesh = cube(2, 4)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+    Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
+    decomposition = decompose(mesh, 4)
+    rows, columns = tear(Q, decomposition), tear(V, decomposition)
+    q, u = ufl.TestFunction(Q), ufl.TrialFunction(V)
+    b = q * ufl.div(u) * ufl.dx
+    B = assembly.create_local_matrix(rows, columns, cells(mesh))
+    assembly.assemble(B, assembly.torn_form(b, (rows, columns)))
+    expected = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(b))
+    expected.assemble()
+    w = dolfinx.fem.Function(V)
+    w.interpolate(lambda x: np.stack([x[0] ** 2 * x[1], np.cos(x[1])]))
+    x, y = B.createVecs()
+    x.array[:] = w.x.array.reshape(-1, 2)[columns.dof].ravel()
+    B.mult(x, y)
+    u_vec, z = expected.createVecs()
+    u_vec.array[:] = w.x.array[: u_vec.getLocalSize()]
+    expected.mult(u_vec, z)
+    torn = np.full(Q.dofmap.index_map.size_local, np.nan)
+    torn[rows.dof] = y.array_r
+    equal(torn, z.array_r, 1e-13)
+    destroy(B, expected, x, y, u_vec, z)
+
+
+def test_dirichlet_dofs_are_those_of_the_conditions():
+    problem = elasticity(cube(2, 4), stretched=True)
+    V = problem.V
+    n = V.dofmap.index_map.size_local
+    x = V.tabulate_dof_coordinates()[:n]
+    expected = np.zeros((n, 2), dtype=bool)
+    expected[np.isclose(x[:, 0], 0.0)] = True
+    expected[np.isclose(x[:, 0], 1.0), 1] = True
+    equal(assembly.dirichlet_mask(V, problem.bcs), expected.ravel())
+    agree(not assembly.dirichlet_mask(V, []).any())
+    _, K, A = torn_matrix(problem)
+    named = A.query("dirichlet").getIndices()
+    first = V.dofmap.index_map.local_range[0] * 2
+    equal(np.sort(named), first + np.flatnonzero(expected.ravel()))
+    destroy(A, K)
+
+
+def test_vector_is_assembled_with_the_shares_of_all_processes():
+    problem = elasticity(cube(2, 5), stretched=True)
+    form = dolfinx.fem.form(problem.L)
+    b = dolfinx.fem.petsc.assemble_vector(form)
+    b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+    equal(assembly.assemble_owned(form), b.array_r, 1e-14)
+    b.destroy()
+
+
+def test_interior_facet_integrals_are_refused():
+    problem = poisson(cube(2, 3))
+    u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
+    space = tear(problem.V, decompose(problem.V.mesh, 2))
+    penalty = ufl.inner(ufl.jump(ufl.grad(u)), ufl.jump(ufl.grad(v))) * ufl.dS
+    with raises(ValueError, "interior-facet integrals"):
+        assembly.torn_form(problem.a + penalty, (space, space))
+
+
+def test_tagged_measures_stay_the_users_own():
+    """A spring on one side, by a facet tag, and a coefficient on half of the cells."""
+    mesh = cube(2, 4)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
+    facets = np.sort(dolfinx.mesh.locate_entities_boundary(mesh, 1, right))
+    tags = dolfinx.mesh.meshtags(mesh, 1, facets, np.full(len(facets), 4, dtype=np.int32))
+    half = np.sort(dolfinx.mesh.locate_entities(mesh, 2, lambda x: x[0] < 0.51))
+    layers = dolfinx.mesh.meshtags(mesh, 2, half, np.full(len(half), 9, dtype=np.int32))
+    ds = ufl.Measure("ds", mesh, subdomain_data=tags)
+    dx = ufl.Measure("dx", mesh, subdomain_data=layers)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    a = ufl.inner(ufl.grad(u), ufl.grad(v)) * dx + 5.0 * u * v * dx(9) + 11.0 * u * v * ds(4)
+    problem = type(poisson(mesh))(V, a, None, [dirichlet(V, left)])
+    _, K, A = torn_matrix(problem)
+    expected = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(a))
+    expected.assemble()
+    assembled = PETSc.Mat()
+    A.convert("aij", assembled)
+    equal(dense(assembled), dense(expected), 1e-14)
+    destroy(A, K, expected, assembled)

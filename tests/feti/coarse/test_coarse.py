@@ -1,0 +1,169 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The coarse matrix and the projection against dense formulas."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from collective import COMM, agree, dense, equal, matrix_of, norm, small, whole
+
+from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+
+SEED = 33107
+
+CHANGES = {
+    "no prestress": None,
+    "prestress": lambda K, dofs: [np.fill_diagonal(k, 1.02 * k.diagonal()) for k in K],
+}
+every_change = pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+every_q = pytest.mark.parametrize("q", ["identity", "diagonal", "preconditioner"])
+every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+
+
+def weight(problem, system, q):
+    """Q of the definition."""
+    B_D = dense(system.gluing.B_D)
+    if q == "identity":
+        return np.eye(len(B_D))
+    Q = np.diag(B_D**2 @ np.diag(problem.K_torn))
+    if q == "diagonal":
+        return Q
+    lam = system.gluing.B.createVecLeft
+    return matrix_of(system.preconditioner.mult, lam(), lam()) + 0.1 * Q
+
+
+@every_type
+@every_q
+@every_change
+def test_projection(kind, q, change, torn_grid, parts):
+    """G = B E, N = GᵀQG + D; for D = 0, P² = P, GᵀP = 0, and P leaves balanced λ alone."""
+    problem = torn_grid((2, 2), (2, 2), components=2, change=change)
+    system = parts(problem.A, type=kind, coarse_q=q)
+    coarse, B = system.coarse, dense(system.gluing.B)
+    E = np.zeros((system.torn.n, coarse.total))
+    column = coarse.start
+    for dofs, E_i in zip(system.inverse.dofs, system.inverse.E, strict=True):
+        E[dofs, column : column + E_i.shape[1]] = E_i
+        column += E_i.shape[1]
+    G, QG, N, D = (dense(M) for M in (coarse.G, coarse.QG, coarse.N, coarse.D))
+    equal(G, B @ whole(E), 1e-13)
+    equal(QG, weight(problem, system, q) @ G, 1e-11)
+    equal(N, G.T @ QG + D, 1e-12)
+    equal(N, N.T, 1e-12)
+    if change is None:
+        equal(D, np.zeros_like(N))
+        P = np.eye(len(G)) - QG @ np.linalg.solve(N, G.T)
+        equal(P @ P, P, 1e-10)
+        small(np.abs(G.T @ P).max(), 1e-10)
+        balanced = P @ np.random.default_rng(SEED).standard_normal(len(P))
+        equal(P @ balanced, balanced, 1e-10)
+        agree(np.linalg.eigvalsh(N)[0] > 0.0)
+    else:
+        agree(np.abs(D).max() > 0.0)
+
+
+@every_q
+@every_change
+def test_start_is_balanced(q, change, torn_grid, parts):
+    """Gᵀλ₀ + D s₀ = e for s₀ = N⁻¹e, λ₀ = Q G s₀, with e = Eᵀ f."""
+    problem = torn_grid((3, 2), (2, 2), components=2, change=change)
+    system = parts(problem.A, coarse_q=q)
+    coarse = system.coarse
+    f = np.random.default_rng(SEED + COMM.rank).standard_normal(system.torn.n)
+    e = coarse.restrict(f)
+    expected = [
+        E.T @ f[dofs] for E, dofs in zip(system.inverse.E, system.inverse.dofs, strict=True)
+    ]
+    equal(e.array_r, np.concatenate([*expected, np.zeros(0)]), 1e-13)
+    s, lam = e.duplicate(), system.gluing.B.createVecLeft()
+    coarse.solve(e, s)
+    coarse.QG.mult(s, lam)
+    G, D = dense(coarse.G), dense(coarse.D)
+    equal(G.T @ whole(lam.array_r) + D @ whole(s.array_r), whole(e.array_r), 1e-10)
+
+
+def test_prolongation_is_the_transpose_of_the_restriction(torn_grid, parts):
+    problem = torn_grid((2, 2), (2, 2), components=2)
+    coarse = parts(problem.A, type="classical").coarse
+    rng = np.random.default_rng(SEED + 1)
+    s = coarse.N.createVecRight()
+    s.array[:] = rng.standard_normal(coarse.total)[slice(*s.getOwnershipRange())]
+    f = rng.standard_normal(len(problem.to_global))
+    n = COMM.scan(len(coarse.prolong(s)))
+    mine = f[n - len(coarse.prolong(s)) : n]
+    left = COMM.allreduce(float(coarse.prolong(s) @ mine))
+    right = coarse.restrict(mine).dot(s)
+    agree(abs(left - right) < 1e-12 * norm(mine) * s.norm(), (left, right))
+
+
+def test_coarse_matrix_couples_neighbours_only(torn_grid, parts):
+    """In a row of subdomains N is block tridiagonal for Q = I, wider by one for Q = M."""
+    problem = torn_grid((8,), (3,))
+    for q, width in (("identity", 1), ("diagonal", 1), ("preconditioner", 3)):
+        N = parts(problem.A, coarse_q=q).coarse.N
+        rows, columns = np.nonzero(dense(N))
+        agree(np.abs(rows - columns).max() <= width, q)
+        agree(N.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] <= 8 * (2 * width + 1))
+
+
+@pytest.mark.parametrize("rows", [1, 3, 4000])
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_gathered_solver_solves_on_any_number_of_processes(rows, symmetric, monkeypatch):
+    """A distributed tridiagonal system with about ``rows`` rows on a process."""
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.gathered.ROWS", rows)
+    n = 7
+    A = 3.0 * np.eye(n) - np.eye(n, k=1) - (1.0 if symmetric else 0.3) * np.eye(n, k=-1)
+    N = PETSc.Mat().createAIJ((n, n), comm=COMM)
+    N.setUp()
+    for i in range(*N.getOwnershipRange()):
+        for j in np.flatnonzero(A[i]):
+            N.setValue(i, j, A[i, j])
+    N.assemble()
+    solver = GatheredSolver(N, prefix="test_coarse_", symmetric=symmetric)
+    active = min(COMM.size, -(-n // rows))
+    agree((solver.ksp is not None) == (COMM.rank < active))
+    b, x = N.createVecs()
+    rng = np.random.default_rng(SEED + 2)
+    for _ in range(2):
+        expected = rng.standard_normal(n)
+        b.array[:] = (A @ expected)[slice(*b.getOwnershipRange())]
+        solver.solve(b, x)
+        equal(whole(x.array_r), expected, 1e-13)
+    agree(solver.inertia() == ((0, 0) if symmetric else (-1, 0)))
+    agree(solver.memory() >= 0.0)
+    for owned in (solver, N, b, x):
+        owned.destroy()
+
+
+@pytest.mark.parametrize(("shift", "inertia"), [(0.0, (0, 1)), (-1.5, (3, 0)), (-10.0, (7, 0))])
+def test_gathered_solver_reports_inertia(shift, inertia):
+    """Neumann's tridiagonal matrix: singular, and indefinite when it is shifted."""
+    n = 7
+    A = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1) + shift * np.eye(n)
+    A[0, 0] = A[-1, -1] = 1.0 + shift
+    negative = np.count_nonzero(np.linalg.eigvalsh(A) < -1e-10)
+    agree(negative == inertia[0])
+    N = PETSc.Mat().createAIJ((n, n), comm=COMM)
+    N.setUp()
+    for i in range(*N.getOwnershipRange()):
+        for j in np.flatnonzero(A[i]):
+            N.setValue(i, j, A[i, j])
+    N.assemble()
+    solver = GatheredSolver(N, prefix="test_coarse_", symmetric=True)
+    agree(solver.inertia() == inertia, solver.inertia())
+    solver.destroy()
+    N.destroy()
+
+
+def test_no_kernel_at_all(torn_grid, parts):
+    """All subdomains touch the Dirichlet boundary: the coarse problem is empty."""
+    problem = torn_grid((1, 4), (2, 2), components=2)
+    system = parts(problem.A, type="classical")
+    agree(system.coarse.total == 0)
+    y = system.coarse.N.createVecRight()
+    system.coarse.solve(y, y.duplicate())
+    agree(system.coarse.solver.inertia() == (0, 0))

@@ -1,0 +1,255 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The generalised inverse: K K⁺ K = K without prestress, the exact algebra with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.linalg
+from collective import agree, equal, small, whole
+
+from dolfinx_feti.feti.subdomain.kernel import kernel_basis
+
+SEED = 271104
+
+
+def prestress(sizes, seed=SEED):
+    """A change that adds symmetric matrices of these sizes, relative to K, to the subdomains."""
+
+    def change(K, dofs):
+        rng = np.random.default_rng(seed)
+        for K_i, size in zip(K, sizes, strict=True):
+            half = rng.standard_normal(K_i.shape) * (K_i != 0.0)
+            K_i += size * np.abs(K_i).max() * (half + half.T)
+
+    return change
+
+
+def unsymmetric(K, dofs):
+    rng = np.random.default_rng(SEED + 1)
+    for K_i in K:
+        K_i += 0.05 * np.abs(K_i).max() * rng.standard_normal(K_i.shape) * (K_i != 0.0)
+
+
+CHANGES = {
+    "none": None,
+    "stiffening": lambda K, dofs: [np.fill_diagonal(k, 1.01 * k.diagonal()) for k in K],
+    "softening": lambda K, dofs: [np.fill_diagonal(k, 0.99 * k.diagonal()) for k in K],
+    "random": prestress((0.03, 0.0, -0.02, 0.04)),
+    "tiny": prestress((1e-9, 1e-7, 1e-11, 0.0)),
+}
+
+
+def modes(system):
+    """Orthonormal candidates of each subdomain on its free dofs."""
+    torn, near = system.torn, system.torn.near_kernel()
+    return [kernel_basis(near[rows], system.inverse.fixed[rows]) for rows in torn.subdomains]
+
+
+def blocks(problem, system):
+    """Local matrices of this process on the free dofs."""
+    K, start = problem.K_torn, system.torn.start
+    return [K[np.ix_(start + dofs, start + dofs)] for dofs in system.inverse.dofs]
+
+
+def apply(system, y):
+    x = np.full_like(y, np.nan)
+    system.inverse.solve(y, x)
+    return x
+
+
+@pytest.mark.parametrize("kind", ["all_floating", "classical"])
+@pytest.mark.parametrize("components", [1, 2])
+def test_generalised_inverse_solves_balanced_problems(components, kind, torn_grid, parts):
+    """K K⁺ K = K and K R = 0."""
+    problem = torn_grid((2, 2), (3, 2), components=components)
+    system = parts(problem.A, type=kind)
+    torn, inverse = system.torn, system.inverse
+    x = np.where(inverse.fixed, 0.0, np.random.default_rng(SEED).standard_normal(torn.n))
+    Kx = np.where(inverse.fixed, 0.0, torn.multiply(x))
+    back = apply(system, Kx)
+    equal(whole(back[inverse.fixed]), np.zeros(len(whole(back[inverse.fixed]))))
+    again = np.where(inverse.fixed, 0.0, torn.multiply(back))
+    equal(whole(again), whole(Kx), 1e-11)
+    pairs = zip(blocks(problem, system), inverse.E, strict=True)
+    error = max((np.abs(K @ E).max(initial=0.0) for K, E in pairs), default=0.0)
+    small(error, 1e-12 * np.abs(problem.K_torn).max())
+    agree(all(inverse.exact) and all(np.all(D == 0.0) for D in inverse.D))
+
+
+@pytest.mark.parametrize("kind", ["all_floating", "classical"])
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_algebra_is_exact_for_any_matrix(change, kind, torn_grid, parts):
+    """E and D satisfy RᵀE = I − D/ρ and K E = R D, and K⁺ that of K + ρ R Rᵀ."""
+    problem = torn_grid((2, 2), (2, 2), components=2, change=change)
+    system = parts(problem.A, type=kind, indefinite="gmres")
+    inverse = system.inverse
+    y = np.random.default_rng(SEED + 2).standard_normal(system.torn.n)
+    x = apply(system, y)
+    everything = zip(
+        blocks(problem, system),
+        modes(system),
+        inverse.dofs,
+        inverse.E,
+        inverse.D,
+        inverse.rho,
+        strict=True,
+    )
+    errors = [0.0]
+    for K, R, dofs, E, D, rho in everything:
+        k, scale = R.shape[1], np.abs(K).max()
+        errors += [
+            np.abs(R.T @ E - np.eye(k) + D / rho).max(initial=0.0),
+            np.abs(K @ E - R @ D).max(initial=0.0) / scale,
+            np.abs((K + rho * R @ R.T) @ x[dofs] - y[dofs]).max() / np.abs(y).max(),
+            np.abs(D - D.T).max(initial=0.0) / rho,
+        ]
+    small(max(errors), 1e-10)
+    defects = [np.abs(D).max(initial=0.0) for D in inverse.D]
+    agree(
+        all(exact == (defect == 0.0) for exact, defect in zip(inverse.exact, defects, strict=True))
+    )
+    if change is None:
+        agree(all(inverse.exact))
+
+
+def test_defect_is_there_as_soon_as_the_modes_leave_the_kernel(torn_grid, parts):
+    """Only the changed subdomain is not exact; its defect is RᵀK R up to second order."""
+    problem = torn_grid((2, 2), (2, 2), components=2, change=prestress((0.0, 1e-5, 0.0, 0.0)))
+    system = parts(problem.A)
+    equal(whole(np.array(system.inverse.exact)), [True, False, True, True])
+    agree(
+        all(
+            exact or 1e3 * np.abs(D - R.T @ K @ R).max() < np.abs(D).max() > 1e-7 * np.abs(K).max()
+            for K, R, D, exact in zip(
+                blocks(problem, system),
+                modes(system),
+                system.inverse.D,
+                system.inverse.exact,
+                strict=True,
+            )
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    "change", [*CHANGES.values(), prestress((0.3, 0.5, 0.2, 0.4))], ids=[*CHANGES, "strong"]
+)
+def test_negative_eigenvalues_are_counted(change, torn_grid, parts):
+    """The factor's inertia against a dense eigensolver."""
+    problem = torn_grid((2, 2), (2, 3), components=2, change=change)
+    system = parts(problem.A, indefinite="gmres")
+    expected = sum(
+        np.count_nonzero(np.linalg.eigvalsh(K + rho * R @ R.T) < 0.0)
+        for K, R, rho in zip(
+            blocks(problem, system), modes(system), system.inverse.rho, strict=True
+        )
+    )
+    agree(system.inverse.negative_local() == expected, (system.inverse.negative_local(), expected))
+
+
+@pytest.mark.parametrize("kind", ["all_floating", "classical"])
+def test_buckling_modes_join_the_kernel(kind, torn_grid, parts):
+    """Enriched by its negative eigenvectors K_ρ is positive definite, and the algebra stays exact.
+
+    K E = R D means Eᵀ K E = D − D²/ρ with whatever columns R has got.
+    """
+    problem = torn_grid((2, 2), (2, 2), components=2, change=CHANGES["random"])
+    plain = parts(problem.A, type=kind, indefinite="gmres").inverse
+    inverse = parts(problem.A, type=kind).inverse
+    total = whole(np.array([plain.negative_local(), inverse.negative_local()]))
+    agree(total[::2].sum() > 0 and total[1::2].sum() == 0, total)
+    wider = whole(inverse.kernel_dimensions()) - whole(plain.kernel_dimensions())
+    agree(wider.min() >= 0 and wider.sum() >= total[::2].sum(), wider)
+    errors = [0.0]
+    for K, E, D, rho in zip(
+        blocks(problem, parts(problem.A, type=kind)), inverse.E, inverse.D, inverse.rho, strict=True
+    ):
+        errors.append(np.abs(E.T @ K @ E - D + D @ D / rho).max(initial=0.0) / np.abs(K).max())
+    small(max(errors), 1e-10)
+
+
+def test_negative_defects_are_counted(torn_grid, parts):
+    problem = torn_grid((2, 2), (2, 2), components=2, change=CHANGES["softening"])
+    system = parts(problem.A)
+    counted = system.torn.comm.allreduce(system.inverse.negative_defects())
+    agree(counted == 12, counted)  # the three modes of each subdomain
+
+
+@pytest.mark.parametrize("kind", ["all_floating", "classical"])
+@pytest.mark.parametrize("change", ["softening", "random"])
+def test_props_hold_what_buckles(change, kind, torn_grid, parts):
+    """K + Z Zᵀ has no negative eigenvalue, K has."""
+    problem = torn_grid((2, 2), (2, 2), components=2, change=CHANGES[change])
+    system = parts(problem.A, type=kind)
+    agree(system.torn.comm.allreduce(system.inverse.negative_defects()) > 0)
+    lowest = {1.0: np.inf, 0.0: np.inf}
+    for K, Z in zip(blocks(problem, system), system.inverse.props, strict=True):
+        for share in lowest:
+            value = np.linalg.eigvalsh(K + share * Z @ Z.T)[0] / np.abs(K).max()
+            lowest[share] = min(lowest[share], value)
+    agree(lowest[1.0] > -1e-13, lowest)
+    agree(system.torn.comm.allreduce(lowest[0.0], op=min) < -1e-3, lowest)
+
+
+def test_unsymmetric_matrices_have_two_kernels(torn_grid, parts):
+    """K E = R D and Kᵀ E_left = R Dᵀ."""
+    problem = torn_grid((2, 2), (2, 2), components=2, change=unsymmetric)
+    system = parts(problem.A)
+    inverse = system.inverse
+    agree(not system.symmetric)
+    y = np.random.default_rng(SEED + 3).standard_normal(system.torn.n)
+    x = apply(system, y)
+    errors = [0.0]
+    for i, (K, R) in enumerate(zip(blocks(problem, system), modes(system), strict=True)):
+        E, E_left, D, rho = inverse.E[i], inverse.E_left[i], inverse.D[i], inverse.rho[i]
+        dofs, scale = inverse.dofs[i], np.abs(K).max()
+        errors += [
+            np.abs(K @ E - R @ D).max() / scale,
+            np.abs(K.T @ E_left - R @ D.T).max() / scale,
+            np.abs(R.T @ E - np.eye(3) + D / rho).max(),
+            np.abs((K + rho * R @ R.T) @ x[dofs] - y[dofs]).max() / np.abs(y).max(),
+        ]
+    small(max(errors), 1e-10)
+
+
+def test_values_are_refreshed_and_the_pattern_kept(torn_grid, parts):
+    """After K has changed, update() gives what a new system gives."""
+    problem = torn_grid((2, 2), (2, 2), components=2)
+    system = parts(problem.A)
+    y = np.random.default_rng(SEED + 4).standard_normal(system.torn.n)
+    before = apply(system, y)
+    problem.local.scale(2.0)
+    system.update()
+    equal(
+        whole(apply(system, system.torn.multiply(before))),
+        whole(before - rigid(system, before)),
+        1e-10,
+    )
+    problem.local.shift(0.1)
+    system.update()
+    agree(not any(system.inverse.exact))
+    x = apply(system, y)
+    residual = y - system.torn.multiply(x)
+    for R, dofs, rho in zip(modes(system), system.inverse.dofs, system.inverse.rho, strict=True):
+        residual[dofs] -= rho * R @ (R.T @ x[dofs])
+    small(np.abs(residual).max(initial=0.0), 1e-11)
+
+
+def rigid(system, x):
+    """Part of x in the kernels."""
+    part = np.zeros_like(x)
+    for R, dofs in zip(modes(system), system.inverse.dofs, strict=True):
+        part[dofs] = R @ (R.T @ x[dofs])
+    return part
+
+
+def test_dense_null_space_agrees_with_the_kernel(torn_grid, parts):
+    problem = torn_grid((2, 1, 1), (1, 2, 1), components=3)
+    system = parts(problem.A)
+    null = [scipy.linalg.null_space(K, rcond=1e-10) for K in blocks(problem, system)]
+    pairs = list(zip(null, system.inverse.E, strict=True))
+    agree(all(N.shape == E.shape for N, E in pairs))
+    small(max((np.abs(N @ (N.T @ E) - E).max() for N, E in pairs), default=0.0), 1e-11)

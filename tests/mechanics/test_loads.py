@@ -1,0 +1,222 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+from __future__ import annotations
+
+import functools
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from ufl_values import scalar
+
+import dolfinx
+import ufl
+
+from dolfinx_feti import loads
+from dolfinx_feti.mechanics.kinematics import deformation_gradient
+
+PRESSURE = 1.7
+
+
+@functools.cache
+def cube(dim):
+    """Unit cube or square, a P2 space, a measure whose tag 1 is the face x = 0."""
+    make = dolfinx.mesh.create_unit_cube if dim == 3 else dolfinx.mesh.create_unit_square
+    mesh = make(MPI.COMM_WORLD, *[2] * dim)
+    face = dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, lambda x: np.isclose(x[0], 0))
+    tags = dolfinx.mesh.meshtags(mesh, dim - 1, np.sort(face), np.ones(len(face), dtype=np.int32))
+    ds = ufl.Measure("ds", mesh, subdomain_data=tags, metadata={"quadrature_degree": 6})
+    return dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (dim,))), ds
+
+
+def function(V, f):
+    result = dolfinx.fem.Function(V)
+    dim = V.mesh.geometry.dim
+    result.interpolate(lambda x: np.array(f(x))[:dim])
+    return result
+
+
+def bulge(x):
+    """A displacement of everything, rims included."""
+    y = 0.3 * np.cos(x[1]) + 0.1 * x[0]
+    return [0.2 * x[1] ** 2 - 0.1 * x[2] * x[0], y, 0.2 * x[0] * x[2] - 0.1 * x[1]]
+
+
+def wave(x):
+    return [np.sin(2 * x[1]) + x[2], x[0] - x[2] ** 2, np.cos(x[1] + x[2])]
+
+
+def twist(x):
+    return [x[1] * x[2] - 1, x[0] + x[1] ** 2, np.sin(3 * x[1]) * x[2] + 0.3]
+
+
+def within(x, dim):
+    """Zero on the rim of the face x = 0."""
+    return x[1] * (1 - x[1]) * (x[2] * (1 - x[2]) if dim == 3 else 1)
+
+
+dims = pytest.mark.parametrize("dim", [2, 3])
+
+
+def test_mmhg():
+    assert loads.mmhg(1) == pytest.approx(0.1333223684, rel=1e-9)
+    assert loads.mmhg(760) == pytest.approx(101.325, rel=1e-15)
+    assert loads.mmhg(0) == 0
+    for bad in (float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="value = "):
+            loads.mmhg(bad)
+
+
+@dims
+def test_sign(dim):
+    """On x = 0 the normal is −e₁: the wall is pushed along +e₁, R = −δW_ext = −p A e₁·v."""
+    V, ds = cube(dim)
+    u, v = function(V, lambda x: 0 * x), function(V, lambda x: [1 + 0 * x[0], 0 * x[0], 0 * x[0]])
+    residual = loads.follower_pressure(PRESSURE, u, ufl.TestFunction(V), ds(1))
+    assert scalar(residual, v) == pytest.approx(-PRESSURE)
+
+
+@dims
+def test_nanson(dim):
+    """cof(F) = J F⁻ᵀ."""
+    V, ds = cube(dim)
+    u, v = function(V, bulge), function(V, wave)
+    F = deformation_gradient(u)
+    traction = -PRESSURE * ufl.det(F) * ufl.inv(F).T * ufl.FacetNormal(V.mesh)
+    residual = loads.follower_pressure(PRESSURE, u, ufl.TestFunction(V), ds(1))
+    by_hand = -scalar(ufl.inner(traction, v) * ds(1))
+    assert scalar(residual, v) == pytest.approx(by_hand, rel=1e-12)
+
+
+@dims
+def test_pressure_on_a_closed_surface_has_no_resultant(dim):
+    V, ds = cube(dim)
+    u = function(V, bulge)
+    residual = loads.follower_pressure(PRESSURE, u, ufl.TestFunction(V), ds)
+    for direction in np.eye(3)[:dim]:
+        force = function(V, lambda x, e=direction: np.outer(e, np.ones_like(x[0])))
+        assert abs(scalar(residual, force)) < 1e-13
+    x = ufl.SpatialCoordinate(V.mesh) + u  # moment about e₃
+    rotation = ufl.as_vector([-x[1], x[0]] if dim == 2 else [-x[1], x[0], 0.0])
+    assert abs(scalar(loads.follower_pressure(PRESSURE, u, rotation, ds))) < 1e-13
+    assert abs(scalar(loads.follower_pressure(PRESSURE, u, rotation, ds(1)))) > 0.1
+
+
+@dims
+def test_full_tangent_by_finite_differences(dim):
+    V, ds = cube(dim)
+    u, d, w = (function(V, f) for f in (bulge, wave, twist))
+    v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+    tangent = loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(1), "full")
+    h, ends = 1e-3, []  # the residual is quadratic in u: central differences are exact
+    for sign in (1, -1):
+        moved = dolfinx.fem.Function(V)
+        moved.x.array[:] = u.x.array + sign * h * d.x.array
+        ends.append(scalar(loads.follower_pressure(PRESSURE, moved, v, ds(1)), w))
+    exact = scalar(tangent, d, w)
+    assert abs(exact) > 0.05
+    assert exact == pytest.approx((ends[0] - ends[1]) / (2 * h), rel=1e-9)
+
+
+@dims
+def test_symmetric_tangent(dim):
+    V, ds = cube(dim)
+    u, d, w = (function(V, f) for f in (bulge, wave, twist))
+    v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+    full = loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(1), "full")
+    symmetric = loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(1))
+    a, a_T = scalar(full, d, w), scalar(full, w, d)
+    assert abs(a - a_T) > 0.05  # an open surface whose rim moves
+    assert scalar(symmetric, d, w) == pytest.approx((a + a_T) / 2, rel=1e-12)
+    assert scalar(symmetric, d, w) == pytest.approx(scalar(symmetric, w, d), rel=1e-12)
+
+
+@dims
+def test_tangent_is_symmetric_when_the_rim_is_clamped(dim):
+    V, ds = cube(dim)
+    u = function(V, bulge)
+    d = function(V, lambda x: np.array(wave(x)) * within(x, dim))
+    w = function(V, lambda x: np.array(twist(x)) * within(x, dim))
+    v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+    full = loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(1), "full")
+    assert abs(scalar(full, d, w)) > 1e-3
+    assert scalar(full, d, w) == pytest.approx(scalar(full, w, d), rel=1e-11)
+
+
+def test_no_tangent():
+    V, ds = cube(3)
+    u, v, du = function(V, bulge), ufl.TestFunction(V), ufl.TrialFunction(V)
+    nothing = loads.follower_pressure_tangent(PRESSURE, u, v, du, ds, "none")
+    stiffness = ufl.inner(ufl.grad(du), ufl.grad(v)) * ufl.dx
+    assert nothing.empty()
+    assert stiffness + nothing == stiffness
+
+
+def test_no_pressure():
+    """The number zero gives forms that can be added, with a bare measure too."""
+    V, _ = cube(3)
+    u, v, du = function(V, bulge), ufl.TestFunction(V), ufl.TrialFunction(V)
+    assert loads.follower_pressure(0.0, u, v, ufl.ds).empty()
+    assert loads.follower_pressure_tangent(0, u, v, du, ufl.ds).empty()
+    assert loads.pressure_potential(0.0, u, ufl.ds).empty()
+
+
+def test_bad_arguments():
+    V, ds = cube(3)
+    u, v, du = function(V, bulge), ufl.TestFunction(V), ufl.TrialFunction(V)
+    with pytest.raises(ValueError, match="kind = 'half'"):
+        loads.follower_pressure_tangent(PRESSURE, u, v, du, ds, "half")
+    with pytest.raises(ValueError, match="p = nan"):
+        loads.follower_pressure(float("nan"), u, v, ds)
+    with pytest.raises(ValueError, match="p = inf"):
+        loads.pressure_potential(float("inf"), u, ds)
+    for axis in ((0.0, 0.0, 0.0), (0.0, 1.0), (float("nan"), 0.0, 1.0)):
+        with pytest.raises(ValueError, match="axis = "):
+            loads.enclosed_volume(u, ds, axis)
+
+
+@pytest.mark.parametrize(("dim", "axis"), [(2, None), (3, None), (3, (0.0, 0.0, 2.0)), (2, (1, 1))])
+def test_volume_of_a_closed_surface(dim, axis):
+    """The normal of a solid points away from it: the volume outside of its skin is −∫ J dX."""
+    V, ds = cube(dim)
+    u = function(V, bulge)
+    J = ufl.det(deformation_gradient(u))
+    body = scalar(J * ufl.dx(V.mesh))
+    assert scalar(loads.enclosed_volume(u, ds, axis)) == pytest.approx(-body, rel=1e-12)
+
+
+@dims
+def test_potential_of_a_clamped_surface(dim):
+    """The derivative of −p V is the follower pressure for every variation that leaves the rim."""
+    V, ds = cube(dim)
+    u = function(V, bulge)
+    v = ufl.TestFunction(V)
+    p = dolfinx.fem.Constant(V.mesh, PRESSURE)
+    slope = ufl.derivative(loads.pressure_potential(p, u, ds(1)), u, v)
+    residual = loads.follower_pressure(p, u, v, ds(1))
+    fixed = function(V, lambda x: np.array(wave(x)) * within(x, dim))
+    assert abs(scalar(residual, fixed)) > 1e-2
+    assert scalar(slope, fixed) == pytest.approx(scalar(residual, fixed), rel=1e-11)
+    moving = function(V, wave)
+    assert abs(scalar(slope, moving) - scalar(residual, moving)) > 1e-2
+
+
+def test_potential_of_a_tube_whose_ends_slide():
+    """Rims may slide in planes normal to the axis, and in a plane of symmetry through the origin.
+
+    The face x = 0 has its rims z = 0 and z = 1 in such planes, the rim y = 0 in a plane of
+    symmetry, and its rim y = 1 clamped.
+    """
+    V, ds = cube(3)
+    u = function(V, lambda x: [0.1 * x[1] ** 2 + 0.2 * x[2], 0.2 * x[1], 0 * x[0]])
+    v = ufl.TestFunction(V)
+    residual = loads.follower_pressure(PRESSURE, u, v, ds(1))
+    slide = function(V, lambda x: [1 - x[1], x[1] * (1 - x[1]), x[2] * (1 - x[2]) * (1 - x[1])])
+    slopes = [
+        scalar(ufl.derivative(loads.pressure_potential(PRESSURE, u, ds(1), axis), u, v), slide)
+        for axis in (None, (0, 0, 1))
+    ]
+    assert slopes[1] == pytest.approx(scalar(residual, slide), rel=1e-11)
+    assert abs(slopes[0] - slopes[1]) > 1e-3

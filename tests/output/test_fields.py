@@ -1,0 +1,259 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Output for ParaView: read back by other libraries than dolfinx, and refused before the work."""
+
+from __future__ import annotations
+
+import errno
+import os
+import tempfile
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from collective import COMM, agree, equal, raises, whole
+from problems import cube
+from wall_files import on_first
+from walls import create_mesh
+
+import dolfinx
+import ufl
+
+from dolfinx_feti.output import FieldWriter, cell_values, writable_folder
+
+Array = npt.NDArray[np.float64]
+
+TIMES = (0.0, 1.5, 4.0)
+ROUNDING = 100 * np.finfo(float).eps
+
+needs_adios2 = pytest.mark.skipif(not dolfinx.has_adios2, reason="dolfinx has no ADIOS2")
+KINDS = [pytest.param("vtx", marks=needs_adios2), "xdmf"]
+
+
+def displacement(x: Array, t: float) -> Array:
+    return (1 + t) * np.stack([x[0] ** 2, x[1] * x[2], 1 - x[2]])
+
+
+def divergence(x: Array, t: float) -> Array:
+    return (1 + t) * (2 * x[0] + x[2] - 1)
+
+
+def layer(x: Array) -> Array:
+    return np.where(x[0] < 0.5, 1.0, 2.0)
+
+
+@pytest.fixture
+def u() -> dolfinx.fem.Function:
+    V = dolfinx.fem.functionspace(cube(3, 2), ("Lagrange", 2, (3,)))
+    return dolfinx.fem.Function(V, name="displacement")
+
+
+def write(path: Path, u: dolfinx.fem.Function, times: tuple[float, ...], kind: str) -> Path:
+    """Write the displacement, its divergence and a number of each cell at these times."""
+    Q = dolfinx.fem.functionspace(u.function_space.mesh, ("DG", 0))
+    number = dolfinx.fem.Function(Q, name="layer")
+    number.interpolate(layer)
+    with FieldWriter(path, [u, number], {"divergence": ufl.div(u)}, kind=kind) as writer:
+        for t in times:
+            u.interpolate(lambda x, t=t: displacement(x, t))
+            writer.write(t)
+    return writer.path
+
+
+def read_vtx(path: Path) -> list[dict[str, Array]]:
+    """Read all steps with ADIOS2's own reader: points of the cells, their centroids, values."""
+    adios2 = pytest.importorskip("adios2")
+    fields = {"displacement", "divergence", "layer"}
+
+    def steps_on_first() -> list[dict[str, Array]]:
+        found = []
+        with adios2.Stream(str(path), "r") as stream:
+            for _ in stream.steps():
+                names = fields & set(stream.available_variables()) | {"geometry", "connectivity"}
+                parts = []
+                for block in range(COMM.size):
+                    part = {name: stream.read(name, block_id=block) for name in names}
+                    cells = part.pop("connectivity")[:, 1:]  # the first column counts
+                    x = part.pop("geometry")
+                    centroids = np.full_like(x, np.nan)
+                    centroids[cells] = x[cells].mean(axis=1, keepdims=True)
+                    parts.append(part | {"points": x, "centroids": centroids})
+                step = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+                found.append(step | {"t": float(stream.read("step"))})
+        return found
+
+    return on_first(steps_on_first)
+
+
+def read_xdmf(path: Path) -> list[dict[str, Array]]:
+    """Read all steps with an XML parser and h5py: vertices, centroids of the cells, values."""
+    h5py = pytest.importorskip("h5py")
+
+    def steps_on_first() -> list[dict[str, Array]]:
+        found: dict[float, dict[str, Array]] = {}
+        with h5py.File(path.with_suffix(".h5")) as file:
+            x, cells = (file[f"Mesh/mesh/{name}"][:] for name in ("geometry", "topology"))
+            for grid in ElementTree.parse(path).iterfind(".//Grid[Attribute]"):
+                t, field = float(grid.find("Time").get("Value")), grid.find("Attribute")
+                mesh = {"t": t, "points": x, "centroids": x[cells].mean(axis=1)}
+                values = file[field.find("DataItem").text.split(":")[1]][:]
+                found.setdefault(t, mesh)[field.get("Name")] = values
+        return [found[t] for t in sorted(found)]
+
+    return on_first(steps_on_first)
+
+
+def read(path: Path) -> list[dict[str, Array]]:
+    return read_vtx(path) if path.suffix == ".bp" else read_xdmf(path)
+
+
+# -- what is written
+
+
+@needs_adios2
+def test_vtx(u, tmp_path):
+    """Each cell has its own points, and all fields stand on them."""
+    path = write(tmp_path / "wall", u, TIMES, "vtx")
+    agree(path == tmp_path / "wall.bp")
+    steps = read_vtx(path)
+    equal([step["t"] for step in steps], TIMES)
+    for step in steps:
+        x, t = step["points"].T, step["t"]
+        agree(x.shape[1] >= 4 * u.function_space.mesh.topology.index_map(3).size_global)
+        equal(step["displacement"], displacement(x, t).T, ROUNDING)
+        equal(step["divergence"][:, 0], divergence(x, t), ROUNDING)
+        equal(step["layer"][:, 0], layer(step["centroids"].T), ROUNDING)
+
+
+def test_xdmf(u, tmp_path):
+    """Continuous fields stand at the vertices, the others in the cells."""
+    path = write(tmp_path / "wall", u, TIMES, "xdmf")
+    agree(path == tmp_path / "wall.xdmf")
+    steps = read_xdmf(path)
+    equal([step["t"] for step in steps], TIMES)
+    for step in steps:
+        x, centroids, t = step["points"].T, step["centroids"].T, step["t"]
+        agree(centroids.shape[1] == u.function_space.mesh.topology.index_map(3).size_global)
+        equal(step["displacement"], displacement(x, t).T, ROUNDING)
+        equal(step["divergence"][:, 0], divergence(centroids, t), ROUNDING)
+        equal(step["layer"][:, 0], layer(centroids))
+
+
+def test_the_kind_follows_from_dolfinx(u, tmp_path):
+    suffix = ".bp" if dolfinx.has_adios2 else ".xdmf"
+    with FieldWriter(tmp_path / "new/wall", [u]) as writer:
+        writer.write(0.0)
+    agree(writer.path == tmp_path / f"new/wall{suffix}" and writer.path.exists())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_later_run_replaces_the_file(u, tmp_path, kind):
+    for times in (TIMES, TIMES[1:]):
+        path = write(tmp_path / "wall", u, times, kind)
+    equal([step["t"] for step in read(path)], TIMES[1:])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_file_is_closed_after_an_error(u, tmp_path, kind):
+    """What was written before can be read."""
+    with raises(ArithmeticError, "no equilibrium"):
+        with FieldWriter(tmp_path / "wall", [u], kind=kind) as writer:
+            writer.write(2.0)
+            raise ArithmeticError("no equilibrium")
+    equal([step["t"] for step in read(writer.path)], [2.0])
+
+
+# -- what is refused
+
+
+@pytest.mark.parametrize("kind", ["pvd", "VTX"])
+def test_unknown_kind(u, tmp_path, kind):
+    with raises(ValueError, f"kind='{kind}': choose 'vtx' or 'xdmf'"):
+        FieldWriter(tmp_path / "wall", [u], kind=kind)
+
+
+def test_two_fields_of_one_name(u, tmp_path):
+    with raises(ValueError, r"named \['displacement', 'displacement'\]"):
+        FieldWriter(tmp_path / "wall", [u], {"displacement": ufl.div(u)})
+    with raises(ValueError, r"named \[\]: give a function"):
+        FieldWriter(tmp_path / "wall", [])
+    agree(not list(tmp_path.iterdir()))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_place_below_a_file(u, tmp_path, kind):
+    on_first(lambda: (tmp_path / "notes").write_text("mine"))
+    with raises(OSError, r"folder .*notes/run cannot be written \(Not a directory\): name another"):
+        FieldWriter(tmp_path / "notes/run/wall", [u], kind=kind)
+    agree((tmp_path / "notes").read_text() == "mine")
+
+
+@needs_adios2
+def test_vtx_where_a_file_is(u, tmp_path):
+    """ADIOS2 itself would raise on one process, and leave the others waiting."""
+    on_first(lambda: (tmp_path / "wall.bp").write_text("mine"))
+    with raises(OSError, r"wall.bp cannot be written \(File exists\)"):
+        FieldWriter(tmp_path / "wall", [u], kind="vtx")
+    agree((tmp_path / "wall.bp").read_text() == "mine")
+
+
+@pytest.mark.parametrize("suffix", [".xdmf", ".h5"])
+def test_xdmf_where_a_folder_is(u, tmp_path, suffix):
+    """The library itself would write nothing without a word, or end all processes."""
+    on_first((tmp_path / f"wall{suffix}").mkdir)
+    with raises(OSError, rf"file .*wall{suffix} cannot be written \(Is a directory\)"):
+        FieldWriter(tmp_path / "wall", [u], kind="xdmf")
+
+
+# -- writable_folder
+
+
+def test_a_folder_is_made_with_those_above_it(tmp_path):
+    wanted = tmp_path / "a/b"
+    for path in (wanted, str(wanted)):  # twice: it may be there
+        agree(writable_folder(path, COMM) == wanted)
+    agree(wanted.is_dir() and not list(wanted.iterdir()))
+
+
+@pytest.mark.parametrize("path", ["notes", "notes/below"])
+def test_no_folder_in_place_of_a_file(tmp_path, path):
+    on_first(lambda: (tmp_path / "notes").write_text("mine"))
+    with raises(OSError, rf"folder .*{path} cannot be written \(.*\): name another one"):
+        writable_folder(tmp_path / path, COMM)
+    agree((tmp_path / "notes").read_text() == "mine")
+
+
+def test_a_full_disk_reaches_all(tmp_path, monkeypatch):
+    """Only the first process meets it."""
+
+    def full(**_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    if COMM.rank == 0:
+        monkeypatch.setattr(tempfile, "TemporaryFile", full)
+    with raises(OSError, r"cannot be written \(No space left on device\)"):
+        writable_folder(tmp_path, COMM)
+
+
+# -- cell_values
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_cell_values_are_those_at_the_centroids(dim):
+    mesh = cube(dim, 3)
+    n = mesh.topology.index_map(dim).size_local
+    centroids = dolfinx.mesh.compute_midpoints(mesh, dim, np.arange(n, dtype=np.int32))[:, :dim]
+    x = ufl.SpatialCoordinate(mesh)
+    equal(cell_values(x, mesh), centroids, ROUNDING)
+    equal(cell_values(x[0] * x[1], mesh), centroids[:, 0] * centroids[:, 1], ROUNDING)
+
+
+def test_cell_values_where_a_process_has_no_cell():
+    corners = np.vstack([np.zeros(3), np.eye(3)])
+    mesh = create_mesh(COMM, corners, np.arange(4)[None])
+    values = cell_values(ufl.SpatialCoordinate(mesh), mesh)
+    agree(values.shape == (mesh.topology.index_map(3).size_local, 3))
+    equal(whole(values), np.full((1, 3), 0.25), ROUNDING)

@@ -1,0 +1,201 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The rooms of the package and the arrows between them, read off its folders and imports."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+
+import dolfinx_feti
+
+ROOT = Path(dolfinx_feti.__file__).parents[1]
+sys.path.insert(0, str(ROOT / "scripts"))
+
+import rooms  # noqa: E402
+
+sys.path.pop(0)
+
+pytestmark = pytest.mark.serial
+
+MODULES = {module.name: module for module in rooms.modules()}
+FINITE_ELEMENTS = {"basix", "dolfinx", "ffcx", "ufl"}
+LONGEST, FULLEST = 400, 15
+
+
+def files(*folders: str) -> list[Path]:
+    return [path for folder in folders for path in sorted((ROOT / folder).rglob("*.py"))]
+
+
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def imports(path: Path) -> set[str]:
+    """Full names that a file imports anywhere."""
+    names = set()
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} has a relative import"
+            assert node.module is not None
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def own(path: Path) -> set[str]:
+    """Modules of the package that a file imports."""
+    found = set()
+    for name in imports(path):
+        if name.startswith("dolfinx_feti."):
+            inside = name.removeprefix("dolfinx_feti.")
+            known = {n for n in MODULES if inside == n or inside.startswith(f"{n}.")}
+            assert known, f"{path} imports {name} past the module that defines it"
+            found |= known
+    return found
+
+
+def attributes(path: Path) -> set[str]:
+    """Names of all attributes that a file uses."""
+    return {node.attr for node in ast.walk(tree(path)) if isinstance(node, ast.Attribute)}
+
+
+def foreign(path: Path) -> set[str]:
+    """Packages that a file imports."""
+    return {name.split(".")[0] for name in imports(path)} - {"dolfinx_feti"}
+
+
+def everything_below(names: set[str]) -> set[str]:
+    """Modules that these import, directly or not, and themselves."""
+    known: set[str] = set()
+    while names - known:
+        known |= names
+        names = set().union(*(own(MODULES[name].path) for name in known))
+    return known
+
+
+def in_room(room: str) -> set[str]:
+    names = {name for name in MODULES if name.startswith(f"{room}.")}
+    assert names
+    return names
+
+
+def test_every_file_has_its_place_in_the_order():
+    there = {path for path in files("dolfinx_feti") if path.name != "__init__.py"}
+    assert {module.path for module in MODULES.values()} == there
+
+
+def test_imports_follow_the_order_of_the_data():
+    """A module imports only what comes before it, so there is no circle either."""
+    place = {name: i for i, name in enumerate(MODULES)}
+    for name, module in MODULES.items():
+        later = {other for other in own(module.path) if place[other] >= place[name]}
+        assert not later, f"{name} imports {later}"
+
+
+def test_dual_strand_knows_no_finite_elements():
+    """Nor does anything that it imports."""
+    for name in everything_below(in_room("feti")):
+        packages = foreign(MODULES[name].path)
+        assert not packages & FINITE_ELEMENTS, name
+        assert packages - set(sys.stdlib_module_names) <= {
+            "mpi4py", "petsc4py", "numpy", "scipy",
+        }, name  # fmt: skip
+
+
+def test_mechanics_knows_no_feti():
+    """It is UFL, and would serve without any solver."""
+    for name in everything_below(in_room("mechanics")):
+        assert name in in_room("mechanics"), name
+        assert not foreign(MODULES[name].path) & {"dolfinx", "petsc4py", "mpi4py"}, name
+
+
+def test_finite_elements_know_no_solver():
+    """They hand over at the torn matrix."""
+    assert not everything_below(in_room("fem")) & in_room("feti")
+
+
+def test_generated_pages_are_up_to_date():
+    stale = [path.name for path, text in rooms.pages().items() if path.read_text() != text]
+    assert not stale, f"run python3 scripts/rooms.py: {stale}"
+
+
+def test_stale_page_is_noticed(monkeypatch, capsys):
+    monkeypatch.setattr(rooms, "modules_page", lambda: "another page")
+    assert rooms.main(["--check"]) == 1
+    assert "modules.md is out of date" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("folder", ["dolfinx_feti", "benchmarks", "demos", "meshes", "tests"])
+def test_no_file_is_long(folder):
+    long = {p.name: n for p in files(folder) if (n := len(p.read_text().splitlines())) > LONGEST}
+    assert not long
+
+
+@pytest.mark.parametrize("folder", ["dolfinx_feti", "benchmarks", "demos", "meshes"])
+def test_no_folder_is_crowded(folder):
+    folders = {path.parent for path in files(folder)}
+    assert not [f.name for f in folders if len(list(f.glob("*.py"))) > FULLEST]
+
+
+@pytest.mark.parametrize("folder", ["demos"])
+def test_demos_stand_alone(folder):
+    """A demo needs the package and files of its own folder."""
+    for path in files(folder):
+        assert not foreign(path) & {"benchmarks", "tests"}, path
+        assert "sys.path" not in path.read_text(), path
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_module_does_not_print(name):
+    calls = [n.func for n in ast.walk(tree(MODULES[name].path)) if isinstance(n, ast.Call)]
+    assert not [f for f in calls if isinstance(f, ast.Name) and f.id in ("print", "input")]
+
+
+@pytest.mark.parametrize("path", files("dolfinx_feti"), ids=str)
+def test_file_has_licence_and_docstring(path):
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert lines[0].startswith("# Copyright (C)") and "LGPL-3.0-or-later" in lines[2]
+    assert rooms.docstring(path)
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_public_names_are_declared_and_exist(name):
+    namespace = importlib.import_module(f"dolfinx_feti.{name}")
+    assert "__all__" in vars(namespace), "no __all__"
+    assert all(hasattr(namespace, public) for public in namespace.__all__)
+
+
+def test_versions_are_told_apart_in_one_place():
+    for name in set(MODULES) - {"_compat"}:
+        attributes = {
+            n.attr for n in ast.walk(tree(MODULES[name].path)) if isinstance(n, ast.Attribute)
+        }
+        assert not attributes & {"__version__", "version_info"}, name
+
+
+def test_no_communicator_but_that_of_mesh_or_matrix():
+    for name in set(MODULES) - {"_compat"}:
+        attributes = {
+            n.attr for n in ast.walk(tree(MODULES[name].path)) if isinstance(n, ast.Attribute)
+        }
+        assert "COMM_WORLD" not in attributes, name
+
+
+def test_names_that_users_import():
+    """Those that README, the demos and the paper's readers use."""
+    from dolfinx_feti import FETI, LinearProblem, NonlinearProblem, kinematics, loads, materials
+    from dolfinx_feti.comparison import assembled_system, measure
+    from dolfinx_feti.loading import Checkpoint, Steps, follow_load
+    from dolfinx_feti.output import FieldWriter, writable_folder
+    from dolfinx_feti.wall import by_layer, facets, read_wall
+
+    assert all((FETI, LinearProblem, NonlinearProblem, kinematics, loads, materials))
+    assert all((assembled_system, measure, Checkpoint, Steps, follow_load, FieldWriter))
+    assert all((writable_folder, by_layer, facets, read_wall))

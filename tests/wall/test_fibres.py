@@ -1,0 +1,327 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Fibre directions: those of a tube, the same on any number of processes, guarded."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, raises, small, whole
+from wall_files import ROOT, centroids, on_first, tube
+
+import dolfinx
+
+from dolfinx_feti.wall import facets, fibres, read_wall
+from dolfinx_feti.wall.fibres import ANGLES, fibre_families, fibre_frame
+from dolfinx_feti.wall.wallfile import read_raw_wall
+from meshes.tube import create_tube
+from meshes.vessel import create_vessel
+from meshes.wall_mesh import WallMesh, write_msh
+
+EXAMPLE = ROOT / "meshes/example.msh"
+
+
+def vectors(f):
+    return f.x.array.reshape(-1, 3)
+
+
+def directions(frame):
+    """Circumferential, longitudinal and transmural direction of the local cells, (cells, 3)."""
+    return [vectors(f) for f in (frame.circumferential, frame.longitudinal, frame.transmural)]
+
+
+def cylindrical(wall):
+    """e_θ, e_z, e_r at the centroids."""
+    r = centroids(wall) * [1, 1, 0]
+    r /= np.linalg.norm(r, axis=1, keepdims=True)
+    z = np.tile([0.0, 0.0, 1.0], (len(r), 1))
+    return [np.cross(z, r), z, r]
+
+
+def degrees(a, b):
+    """Angles between unit vectors."""
+    sine, cosine = np.linalg.norm(np.cross(a, b), axis=1), np.sum(a * b, axis=1)
+    return np.degrees(np.arctan2(sine, cosine))
+
+
+def worst(angles):
+    return COMM.allreduce(angles.max(initial=0.0), op=MPI.MAX)
+
+
+def by_number(wall, values):
+    """Values of all cells in the order of the file, on every process."""
+    index = wall.mesh.topology.index_map(3)
+    n = index.size_local
+    comm = wall.mesh.comm
+    number = np.concatenate(comm.allgather(wall.mesh.topology.original_cell_index[:n]))
+    return np.concatenate(comm.allgather(values[:n]))[np.argsort(number)]
+
+
+def is_frame(frame):
+    e0, e1, e2 = directions(frame)
+    for e in (e0, e1, e2):
+        equal(np.linalg.norm(e, axis=1), np.ones(len(e)), 1e-14)
+    agree(np.abs(np.sum(e1 * e2, axis=1)).max(initial=0) < 1e-13)
+    equal(np.cross(e0, e1), e2, 1e-13)
+
+
+# -- the tube
+
+
+@pytest.mark.parametrize("quarter", [False, True])
+def test_tube(tmp_path, quarter):
+    """ê₀ = e_θ, ê₁ = e_z, ê₂ = e_r, up to the angle of the polygon."""
+    wall = tube(tmp_path, quarter=quarter, size=0.2, length=1.0)
+    frame = fibre_frame(wall)
+    is_frame(frame)
+    errors = [
+        worst(degrees(a, b)) for a, b in zip(directions(frame), cylindrical(wall), strict=True)
+    ]
+    agree(errors[0] < 2.5 and errors[2] < 2.5 and errors[1] < 0.6, errors)
+
+
+def test_finer_tubes_have_truer_directions(tmp_path):
+    errors = []
+    for around in (12, 24, 48):
+        wall = tube(tmp_path, length=0.3, around=around, along=3, through=(1, 1))
+        e0 = vectors(fibre_frame(wall).circumferential)
+        errors.append(worst(degrees(e0, cylindrical(wall)[0])))
+    agree(errors[1] < errors[0] / 1.8 and errors[2] < errors[1] / 1.8, errors)
+
+
+def test_families_have_their_angles(tmp_path):
+    """±α from ê₀ in the plane of ê₀ and ê₁, with a jump of 33° at the interface."""
+    wall = tube(tmp_path, size=0.26, length=0.6)
+    frame = fibre_frame(wall)
+    e0, e1, e2 = directions(frame)
+    a, b = (vectors(f) for f in fibre_families(wall, frame))
+    r = np.linalg.norm(centroids(wall)[:, :2], axis=1)
+    α = np.where(r < 0.97 * np.cos(np.pi / 22), ANGLES["media"], ANGLES["adventitia"])
+    agree(set(np.unique(α)) <= {29.0, 62.0})
+    for family, sign in ((a, 1), (b, -1)):
+        equal(np.linalg.norm(family, axis=1), np.ones(len(a)), 1e-14)
+        equal(degrees(family, e0), α, 1e-12)
+        equal(np.sum(family * e1, axis=1), sign * np.sin(np.radians(α)), 1e-13)
+        agree(np.abs(np.sum(family * e2, axis=1)).max(initial=0) < 1e-13)
+    jump = whole(degrees(a, e0))
+    equal([jump.min(), jump.max()], [29.0, 62.0], 1e-12)
+
+
+def test_other_angles(tmp_path):
+    wall = tube(tmp_path, size=0.4, length=0.4)
+    frame = fibre_frame(wall)
+    a, b = fibre_families(wall, frame, {"media": 0.0, "adventitia": 90.0})
+    media = wall.cell_tags.find(wall.layers["media"])
+    adventitia = wall.cell_tags.find(wall.layers["adventitia"])
+    e0, e1, _ = directions(frame)
+    equal(vectors(a)[media], e0[media], 1e-15)
+    equal(vectors(b)[adventitia], -e1[adventitia], 1e-15)
+    agree((a.name, b.name) == ("fibres_1", "fibres_2"))
+
+
+# -- inlet
+
+
+def test_inlet_may_be_chosen(tmp_path):
+    """The other end as inlet turns the longitudinal and the circumferential direction round."""
+    wall = tube(tmp_path, size=0.4, length=1.0)
+    forth = directions(fibre_frame(wall, inlet="opening_1"))
+    back = directions(fibre_frame(wall, inlet="opening_2"))
+    for sign, f, b in zip((-1, -1, 1), forth, back, strict=True):
+        equal(b, sign * f, 1e-8)
+
+
+@pytest.mark.parametrize("wide", ["opening_1", "opening_2"])
+def test_inlet_is_the_widest_opening(tmp_path, wide):
+    """Of a cone, whichever end that is."""
+
+    def make():
+        create_tube(tmp_path / "t.msh", size=0.4, length=1.0)
+        w = read_raw_wall(tmp_path / "t.msh")
+        z = w.points[:, 2:]
+        factor = 1 + 0.3 * (z if wide == "opening_2" else 1 - z)
+        points = w.points * np.hstack([factor, factor, np.ones_like(z)])
+        write_msh(tmp_path / "cone.msh", WallMesh(points, w.cells, w.layers, w.facets, w.surfaces))
+
+    on_first(make)
+    e1 = vectors(fibre_frame(read_wall(tmp_path / "cone.msh", COMM)).longitudinal)
+    agree(np.all(e1[:, 2] > 0.5) if wide == "opening_1" else np.all(e1[:, 2] < -0.5))
+
+
+# -- any number of processes
+
+
+@pytest.fixture(scope="module")
+def vessel(tmp_path_factory):
+    """File of a coarse vessel."""
+    path = on_first(lambda: tmp_path_factory.mktemp("vessel") / "vessel.msh")
+    on_first(lambda: create_vessel(path, size=2.4))
+    return path
+
+
+@pytest.mark.parametrize("which", ["tube", "vessel"])
+def test_the_same_on_one_process(tmp_path, vessel, which):
+    """Each process computes the frame of the whole wall alone, too."""
+    file = vessel
+    if which == "tube":
+        file = tmp_path / "tube.msh"
+        on_first(lambda: create_tube(file, size=0.3, length=1.0))
+    alone, common = read_wall(file, MPI.COMM_SELF), read_wall(file, COMM)
+    frames = fibre_frame(alone), fibre_frame(common)
+    is_frame(frames[1])
+    for f, g in zip(*map(directions, frames), strict=True):
+        equal(by_number(common, g), by_number(alone, f), 1e-9)
+    families = fibre_families(alone, frames[0]), fibre_families(common, frames[1])
+    for f, g in zip(*families, strict=True):
+        equal(by_number(common, vectors(g)), by_number(alone, vectors(f)), 1e-8)
+
+
+def test_vessel_points_outwards(vessel):
+    """ê₂ leaves through the outer wall; ê₁ comes in at the inlet and leaves at the others."""
+    wall = read_wall(vessel, COMM)
+    _, e1, e2 = directions(fibre_frame(wall))
+    wall.mesh.topology.create_connectivity(2, 3)
+    cell_of = wall.mesh.topology.connectivity(2, 3)
+    wrong = []
+    for name, e, sign in (
+        ("outer", e2, 1),
+        ("lumen", e2, -1),
+        ("opening_1", e1, -1),
+        ("opening_2", e1, 1),
+        ("opening_3", e1, 1),
+    ):
+        entities = facets(wall, name)
+        if not len(entities):  # no facet of it on this process
+            continue
+        cells = np.array([cell_of.links(f)[0] for f in entities])
+        corners = wall.mesh.geometry.x[dolfinx.mesh.entities_to_geometry(wall.mesh, 2, entities)]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        inward = centroids(wall)[cells] - corners.mean(axis=1)
+        normal *= -np.sign(np.sum(normal * inward, axis=1, keepdims=True))
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        along = sign * np.sum(e[cells] * normal, axis=1)
+        wrong += [(name, along.min())] * bool(np.median(along) < 0.9 or along.min() < 0.2)
+    agree(not wrong, wrong)
+
+
+# -- the guard
+
+
+def spoiled(wall, frame, where):
+    """The gradient of the transmural problem, nothing where the file's cell numbers say so."""
+    gradient = vectors(frame.transmural).copy()
+    number = wall.mesh.topology.original_cell_index
+    gradient[np.isin(number, where)] *= 1e-4
+    return gradient
+
+
+def test_weak_gradients_take_their_neighbours_direction(tmp_path):
+    """Single cells, and a ring that takes several rounds; serial and parallel agree.
+
+    One element spans 16° of the tube.
+    """
+    file = tmp_path / "t.msh"
+    on_first(lambda: create_tube(file, size=0.26, length=2.0))
+    found = []
+    for comm in (MPI.COMM_SELF, COMM):
+        wall = read_wall(file, comm)
+        frame = fibre_frame(wall)
+        x = by_number(wall, centroids(wall))
+        alone = np.random.default_rng(6120).choice(len(x), len(x) // 20, replace=False)
+        ring = np.flatnonzero(np.abs(x[:, 2] - 1.0) < 0.35)
+        zero = np.zeros((len(vectors(frame.transmural)), 3))
+        for where, limit in ((alone, 8), (ring, 16)):
+            e = fibres._direct(wall, spoiled(wall, frame, where), zero)
+            found.append(by_number(wall, e))
+            truth = by_number(wall, cylindrical(wall)[2])
+            small(degrees(found[-1], truth).max(), limit)
+        across = fibres._direct(wall, spoiled(wall, frame, ring), vectors(frame.longitudinal))
+        small(np.abs(np.sum(across * vectors(frame.longitudinal), axis=1)).max(initial=0), 1e-13)
+        found.append(by_number(wall, across))
+    for serial, parallel in zip(found[:3], found[3:], strict=True):
+        equal(parallel, serial, 1e-8)
+
+
+def test_no_direction_anywhere(tmp_path):
+    wall = tube(tmp_path, size=0.4, length=0.4)
+    n = len(centroids(wall))
+    with raises(ArithmeticError, "cells of the wall have no direction"):
+        fibres._direct(wall, np.zeros((n, 3)), np.zeros((n, 3)))
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 1000, 1001])
+def test_median_over_processes(tmp_path, n):
+    wall = tube(tmp_path, size=0.4, length=0.4)
+    values = np.random.default_rng(3371).exponential(size=n)
+    local = np.array_split(values, COMM.size)[COMM.rank]
+    median = fibres._median(wall, local)
+    middle = np.sort(values)[[(n - 1) // 2, n // 2]]
+    agree(middle[0] * (1 - 1e-12) <= median <= middle[1] * (1 + 1e-12), (median, middle))
+
+
+# -- a wall of one's own, end to end
+
+
+def test_the_example():
+    wall = read_wall(EXAMPLE, COMM)
+    frame = fibre_frame(wall)
+    is_frame(frame)
+    agree(worst(degrees(vectors(frame.circumferential), cylindrical(wall)[0])) < 6)
+    a, b = (vectors(f) for f in fibre_families(wall, frame))
+    agree(np.all(np.abs(np.sum(a * b, axis=1)) < 1))
+
+
+def test_the_readmes_gmsh_example(tmp_path, monkeypatch):
+    """README.md's code makes a wall that goes all the way."""
+    pytest.importorskip("gmsh")
+    readme = (ROOT / "meshes/README.md").read_text(encoding="utf-8")
+    code = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)[0]
+    monkeypatch.chdir(tmp_path)
+    on_first(lambda: exec(code, {}))
+    wall = read_wall(tmp_path / "own_wall.msh", COMM)
+    agree(set(wall.names) == {"media", "adventitia", "lumen", "outer", "opening_1", "opening_2"})
+    frame = fibre_frame(wall)
+    is_frame(frame)
+    equal(np.abs(vectors(frame.longitudinal)[:, 2]) > 0.9, np.ones(len(centroids(wall))))
+    a, b = fibre_families(wall, frame)
+    equal(np.linalg.norm(vectors(a), axis=1), np.ones(len(vectors(b))), 1e-13)
+
+
+# -- bad input
+
+
+def test_bad_input(tmp_path):
+    wall = tube(tmp_path, size=0.4, length=0.4)
+    surfaces = {name: tag for name, tag in wall.surfaces.items() if name != "opening_2"}
+    for other, options, message in (
+        (wall, {"inlet": "lumen"}, "inlet='lumen' is no opening; take one of opening_1, opening_2"),
+        (replace(wall, surfaces=surfaces), {}, "has the openings opening_1: .* two or more"),
+        (wall, {"petsc_options_prefix": ""}, "petsc_options_prefix is ''"),
+    ):
+        with raises(ValueError, message):
+            fibre_frame(other, **options)
+    frame = fibre_frame(wall)
+    with raises(ValueError, "finite angle"):
+        fibre_families(wall, frame, {"media": float("nan"), "adventitia": 62.0})
+    with raises(ValueError, "a value for each"):
+        fibre_families(wall, frame, {"media": 29.0})
+
+
+def test_unsolved_laplace_problem(tmp_path):
+    wall = tube(tmp_path, size=0.4, length=0.4)
+    with raises(ArithmeticError, r"not solved \(reason -3 after 1 iterations\).*-mine_ksp_type"):
+        fibre_frame(wall, petsc_options_prefix="mine_", petsc_options={"ksp_max_it": 1})
+
+
+def test_other_solver(tmp_path):
+    wall = tube(tmp_path, size=0.4, length=0.4)
+    options = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
+    frames = fibre_frame(wall), fibre_frame(wall, petsc_options=options)
+    for f, g in zip(*map(directions, frames), strict=True):
+        equal(f, g, 1e-9)

@@ -1,0 +1,313 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Walls from files: tags on any number of processes, formats, and clear errors on all of them."""
+
+from __future__ import annotations
+
+import re
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, raises, whole
+from wall_files import ROOT, centroids, on_first, tube
+
+import dolfinx
+
+from dolfinx_feti.wall import (
+    area,
+    by_layer,
+    facets,
+    openings,
+    read_wall,
+    surface_measure,
+)
+from dolfinx_feti.wall.wallfile import NUMBERS, read_raw_wall
+from meshes.wall_mesh import WallMesh, write_msh
+
+EXAMPLE = ROOT / "meshes/example.msh"
+AROUND, LENGTH, RADII = 14, 1.0, np.array([0.71, 0.97, 1.10])
+ANGLE = 2 * np.pi / AROUND
+
+
+@pytest.fixture(scope="module")
+def wall():
+    return read_wall(EXAMPLE, COMM)
+
+
+@pytest.fixture(scope="module")
+def raw():
+    """The example as arrays, on every process."""
+    found = on_first(lambda: read_raw_wall(EXAMPLE))
+    return WallMesh(found.points, found.cells, found.layers, found.facets, found.surfaces)
+
+
+def owned(wall, dim):
+    return wall.mesh.topology.index_map(dim).size_local
+
+
+def read_changed(tmp_path, mesh, names=NUMBERS):
+    """Write a wall and read it back."""
+    on_first(lambda: write_msh(tmp_path / "wall.msh", mesh, names))
+    return read_wall(tmp_path / "wall.msh", COMM)
+
+
+# -- what a wall is
+
+
+def test_every_cell_has_its_layer(wall):
+    tags = wall.cell_tags
+    n = owned(wall, 3)
+    mine = tags.values[tags.indices < n]
+    agree(np.array_equal(tags.indices[tags.indices < n], np.arange(n)))
+    agree(COMM.allreduce(n) == 336)
+    x = centroids(wall)[:n]
+    inside = np.linalg.norm(x[:, :2], axis=1) < RADII[1] * np.cos(ANGLE / 2)
+    agree(np.array_equal(mine == wall.layers["media"], inside))
+
+
+def test_every_exterior_facet_has_its_surface(wall):
+    wall.mesh.topology.create_connectivity(2, 3)
+    exterior = dolfinx.mesh.exterior_facet_indices(wall.mesh.topology)
+    tagged = wall.facet_tags.indices
+    agree(np.array_equal(np.sort(tagged[np.isin(tagged, exterior)]), np.sort(exterior)))
+    for name, r in (("lumen", RADII[0]), ("outer", RADII[2])):
+        x = dolfinx.mesh.compute_midpoints(wall.mesh, 2, facets(wall, name))
+        r_mid = np.linalg.norm(x[:, :2], axis=1)
+        agree(np.all(np.abs(r_mid / r - 1) < 0.05), name)
+    for name, z in (("opening_1", 0.0), ("opening_2", LENGTH)):
+        x = dolfinx.mesh.compute_midpoints(wall.mesh, 2, facets(wall, name))
+        agree(np.all(x[:, 2] == z), name)
+
+
+def test_areas(wall):
+    lumen, outer = 2 * RADII[[0, 2]] * np.sin(ANGLE / 2) * AROUND * LENGTH
+    ring = AROUND * np.sin(ANGLE) / 2 * (RADII[2] ** 2 - RADII[0] ** 2)
+    found = [area(wall, name) for name in ("lumen", "outer", "opening_1", "opening_2")]
+    equal(found, [lumen, outer, ring, ring], 1e-9)
+
+
+def test_surface_measure(wall):
+    ds = surface_measure(wall, metadata={"quadrature_degree": 1})
+    one = dolfinx.fem.Constant(wall.mesh, 1.0)
+    local = dolfinx.fem.assemble_scalar(dolfinx.fem.form(one * ds(wall.names["lumen"])))
+    equal(COMM.allreduce(local), area(wall, "lumen"), 1e-12)
+
+
+def test_names(wall):
+    agree(wall.layers == {"media": 1, "adventitia": 2})
+    agree(wall.names == {k: NUMBERS[k] for k in wall.names} and len(wall.names) == 6)
+    agree(openings(wall) == ["opening_1", "opening_2"])
+    with raises(ValueError, "no surface 'lume', it has lumen, outer"):
+        facets(wall, "lume")
+
+
+def test_openings_are_sorted_by_number(wall):
+    names = ["opening_10", "opening_2", "lumen", "opening_1", "opening_arch"]
+    other = replace(wall, surfaces={name: k for k, name in enumerate(names)})
+    agree(openings(other) == ["opening_1", "opening_2", "opening_10", "opening_arch"])
+
+
+def test_values_by_layer(wall):
+    f = by_layer(wall, {"media": 3.0, "adventitia": 0.3})
+    r = np.linalg.norm(centroids(wall)[:, :2], axis=1)
+    equal(f.x.array, np.where(r < RADII[1] * np.cos(ANGLE / 2), 3.0, 0.3))
+    with raises(ValueError, "layers media, adventitia"):
+        by_layer(wall, {"media": 3.0})
+
+
+def test_quarter_has_its_planes(tmp_path):
+    quarter = tube(tmp_path, quarter=True, size=0.4, length=1.0)
+    for axis, name in enumerate(("symmetry_x", "symmetry_y")):
+        x = dolfinx.mesh.compute_midpoints(quarter.mesh, 2, facets(quarter, name))
+        agree(np.all(x[:, axis] == 0))
+        equal(area(quarter, name), RADII[2] - RADII[0], 1e-9)
+
+
+def test_scale(tmp_path, raw):
+    on_first(lambda: write_msh(tmp_path / "m.msh", replace(raw, points=raw.points / 1000)))
+    metres = read_wall(tmp_path / "m.msh", COMM, scale=1000)
+    equal(area(metres, "lumen"), area(read_wall(EXAMPLE, COMM), "lumen"), 1e-9)
+    for scale in (0.0, -1.0, float("nan")):
+        with raises(ValueError, "scale="):
+            read_wall(EXAMPLE, COMM, scale=scale)
+
+
+# -- formats
+
+
+@pytest.mark.parametrize("suffix", ["vtu", "xdmf", "vtk"])
+def test_the_readmes_meshio_example(tmp_path, monkeypatch, wall, raw, suffix):
+    """README.md's code, with the example's arrays in place of the dots."""
+    pytest.importorskip("meshio")
+    readme = (ROOT / "meshes/README.md").read_text(encoding="utf-8")
+    code = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)[1]
+    code = re.sub(r"(points, .*surfaces = )\.\.\..*", r"\1arrays", code).replace(
+        ".vtu", f".{suffix}"
+    )
+    arrays = (raw.points, raw.cells, raw.layers, raw.facets, raw.surfaces)
+    monkeypatch.chdir(tmp_path)
+    on_first(lambda: exec(code, {"arrays": arrays}))
+    other = read_wall(tmp_path / f"own_wall.{suffix}", COMM)
+    agree(other.names == wall.names)
+    equal([area(other, n) for n in wall.surfaces], [area(wall, n) for n in wall.surfaces], 1e-9)
+    count = [len(whole(w.cell_tags.find(1))) for w in (wall, other)]
+    agree(count[0] == count[1], count)
+
+
+@pytest.mark.parametrize(("suffix", "name"), [("mesh", "medit:ref"), ("vtu", "tag")])
+def test_one_number_for_cells_and_triangles(tmp_path, wall, raw, suffix, name):
+    meshio = pytest.importorskip("meshio")
+    path = tmp_path / f"wall.{suffix}"
+    cells = [("tetra", raw.cells), ("triangle", raw.facets)]
+    data = {name: [raw.layers, raw.surfaces]}
+    on_first(lambda: meshio.Mesh(raw.points, cells, cell_data=data).write(path))
+    agree(read_wall(path, COMM).names == wall.names)
+
+
+def test_numbers_without_names(tmp_path, wall, raw):
+    agree(read_changed(tmp_path, raw, {}).names == wall.names)
+
+
+def test_names_with_other_numbers(tmp_path, raw):
+    """Names count, and further surfaces may have names, too."""
+    names = {"media": 2, "adventitia": 1, "lumen": 4, "outer": 3, "opening_1": 11, "clamp": 12}
+    other = read_changed(tmp_path, raw, names)
+    agree(other.names == names)
+    agree(openings(other) == ["opening_1"])
+
+
+def test_loose_points_do_no_harm(tmp_path, wall, raw):
+    points = np.vstack([[[9.0, 9, 9]], raw.points, [[8.0, 8, 8]]])
+    moved = replace(raw, points=points, cells=raw.cells + 1, facets=raw.facets + 1)
+    other = read_changed(tmp_path, moved)
+    n = [w.mesh.geometry.index_map().size_global for w in (wall, other)]
+    agree(n[0] == n[1] == len(raw.points), n)
+    equal(area(other, "outer"), area(wall, "outer"), 1e-12)
+
+
+def test_gmsh_is_left_running(wall):
+    """A user's own session survives."""
+    gmsh = pytest.importorskip("gmsh")
+
+    def run():
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+        try:
+            gmsh.option.setNumber("General.Terminal", 0)
+            gmsh.model.add("mine")
+            read_raw_wall(EXAMPLE)
+            return gmsh.model.list(), gmsh.model.getCurrent()
+        finally:
+            gmsh.finalize()
+
+    models, current = on_first(run)
+    agree("mine" in models and current == "mine", (models, current))
+
+
+# -- what is refused, on all processes
+
+
+@pytest.mark.parametrize("missing", ["media", "lumen", "opening_1"])
+def test_missing_tag_lists_those_found(tmp_path, raw, missing):
+    names = {k: v for k, v in NUMBERS.items() if not k.startswith(missing[:8])}
+    found = {"media": "adventitia = 2", "lumen": "outer = 4", "opening_1": "outer = 4"}[missing]
+    with raises(ValueError, rf"no {missing[:8]}.*Found: .*{found}.*README"):
+        read_changed(tmp_path, raw, names)
+
+
+def test_missing_surfaces_in_cell_data(tmp_path, raw):
+    meshio = pytest.importorskip("meshio")
+    path = tmp_path / "wall.vtu"
+    mesh = meshio.Mesh(raw.points, [("tetra", raw.cells)], cell_data={"layer": [raw.layers]})
+    on_first(lambda: mesh.write(path))
+    with raises(ValueError, "no lumen, no outer, no opening_. Found: .*surfaces none"):
+        read_wall(path, COMM)
+
+
+def test_unknown_cell_data(tmp_path, raw):
+    meshio = pytest.importorskip("meshio")
+    path = tmp_path / "wall.vtu"
+    mesh = meshio.Mesh(raw.points, [("tetra", raw.cells)], cell_data={"colour": [raw.layers]})
+    on_first(lambda: mesh.write(path))
+    with raises(ValueError, "no cell data layer or .* found: colour"):
+        read_wall(path, COMM)
+
+
+@pytest.mark.parametrize("kind", ["hexahedron", "tetra10"])
+@pytest.mark.parametrize("suffix", ["vtu", "msh"])
+def test_other_cells(tmp_path, kind, suffix):
+    meshio = pytest.importorskip("meshio")
+    path = tmp_path / f"wall.{suffix}"
+    points = np.random.default_rng(9134).random((10, 3))
+    cells = [(kind, np.arange({"hexahedron": 8, "tetra10": 10}[kind])[None])]
+    one = [np.ones(1, dtype=np.int32)]
+    data = {"gmsh:physical": one, "gmsh:geometrical": one} if suffix == "msh" else {"layer": one}
+    more = {"file_format": "gmsh22", "binary": False} if suffix == "msh" else {}
+    on_first(lambda: meshio.Mesh(points, cells, cell_data=data).write(path, **more))
+    with raises(ValueError, "a wall has tetra"):
+        read_wall(path, COMM)
+
+
+def test_cells_without_layer(tmp_path, raw):
+    layers = np.where(np.arange(len(raw.cells)) < 5, 0, raw.layers)
+    with raises(ValueError, "5 cells of .* in no physical volume"):
+        read_changed(tmp_path, replace(raw, layers=layers))
+
+
+def test_layer_without_name(tmp_path, raw):
+    layers = np.where(np.arange(len(raw.cells)) < 5, 777, raw.layers)
+    with raises(ValueError, "no name for some cells.*nameless = 777"):
+        read_changed(tmp_path, replace(raw, layers=layers))
+
+
+def test_flat_cells(tmp_path, raw):
+    cells = np.vstack([raw.cells, raw.cells[:1, [0, 1, 2, 2]]])
+    layers = np.append(raw.layers, 1)
+    with raises(ValueError, "1 tetrahedra .* no volume"):
+        read_changed(tmp_path, replace(raw, cells=cells, layers=layers))
+
+
+def test_triangles_with_two_tags(tmp_path, raw):
+    twice = np.vstack([raw.facets, raw.facets[:3]])
+    surfaces = np.append(raw.surfaces, [12, 12, 12])
+    with raises(ValueError, "3 triangles .* two tags"):
+        read_changed(tmp_path, replace(raw, facets=twice, surfaces=surfaces))
+
+
+def test_triangles_off_the_cells(tmp_path, raw):
+    stray = np.vstack([raw.facets, [[0, 1, len(raw.points) - 1]]])
+    with raises(ValueError, "1 tagged triangles .* no faces"):
+        read_changed(tmp_path, replace(raw, facets=stray, surfaces=np.append(raw.surfaces, 3)))
+
+
+@pytest.mark.parametrize("name", ["wall.msh", "wall.vtu", "wall.dat0"])
+def test_nonsense(tmp_path, name):
+    on_first(lambda: (tmp_path / name).write_text("no mesh at all\n"))
+    with raises(ValueError, rf"cannot read .*{name}|has no "):
+        read_wall(tmp_path / name, COMM)
+
+
+def test_no_file(tmp_path):
+    with raises(FileNotFoundError, "There is no file .*nowhere.msh"):
+        read_wall(tmp_path / "nowhere.msh", COMM)
+
+
+@pytest.mark.parametrize(("package", "name"), [("gmsh", "wall.msh"), ("meshio", "wall.vtu")])
+def test_missing_package(tmp_path, monkeypatch, package, name):
+    on_first(lambda: (tmp_path / name).write_text(""))
+    monkeypatch.setitem(sys.modules, package, None)
+    with raises(ModuleNotFoundError, f"package {package}, .*pip install {package}"):
+        read_wall(tmp_path / name, COMM)
+
+
+def test_disk_errors_reach_all(tmp_path, monkeypatch):
+    """An error that the first process meets while reading is raised on each."""
+
+    def broken(path):
+        raise PermissionError(f"{path} may not be read")
+
+    monkeypatch.setattr("dolfinx_feti.wall.read_raw_wall", broken)
+    with raises(PermissionError, "may not be read"):
+        read_wall(EXAMPLE, COMM)
