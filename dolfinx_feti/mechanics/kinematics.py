@@ -80,8 +80,8 @@ def isochoric_invariant_1(C: Expr, J: Expr | None = None) -> Expr:
 
     Args:
         C: Right Cauchy-Green tensor, shape (d, d).
-        J: Volume ratio det F. If not given, √(det C) is used instead, which makes the tangent
-            about a quarter more expensive and cannot detect an inverted element, being |det F|.
+        J: Volume ratio det F. If not given, √(det C) is used, which makes the tangent about a
+            quarter more expensive and, as the absolute value of det F, hides an inverted element.
     """
     plane_strain = 3 - C.ufl_shape[0]
     return _volume_factor(C, J) * (ufl.tr(C) + plane_strain)
