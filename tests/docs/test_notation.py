@@ -84,7 +84,7 @@ def test_every_letter_of_the_code_is_documented(room):
 def test_tables_are_read():
     """A row that is cut in other columns than its head would go unread."""
     page = "| symbol | code |\n|---|---|\n| $K$ | `K`, `Torn.K` |\n\n| code |\n|---|\n| `a` |\n"
-    assert list(rows(page))[0] == {"symbol": "$K$", "code": "`K`, `Torn.K`"}
+    assert next(rows(page)) == {"symbol": "$K$", "code": "`K`, `Torn.K`"}
     assert documented(page) == {"K", "Torn.K", "a"}
     with pytest.raises(ValueError, match="zip"):
         list(rows("| symbol | code |\n|---|---|\n| K |\n"))
