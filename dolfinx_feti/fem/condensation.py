@@ -8,14 +8,15 @@ Newton's step for the pair (u, p) with p constant on each cell,
 .. math:: \begin{pmatrix} K_{uu} & K_{up} \\ K_{pu} & K_{pp} \end{pmatrix}
           \begin{pmatrix} Δu \\ Δp \end{pmatrix} = -\begin{pmatrix} r_u \\ r_p \end{pmatrix},
 
-has a diagonal :math:`K_{pp}`, so that p is eliminated cell by cell
-(eq. 29, Augustin_eq:volumetricVariationDis) without a new entry in the matrix:
+has a diagonal :math:`K_{pp}`, so that p is condensed cell by cell
+(eq. 29, Augustin_eq:volumetricVariationDis) without any fill-in:
 
 .. math:: K = K_{uu} - K_{up} K_{pp}^{-1} K_{pu}, \quad r = r_u - K_{up} K_{pp}^{-1} r_p, \quad
           Δp = -K_{pp}^{-1}(r_p + K_{pu} Δu).
 
-The last equation updates the pressure by its own linearised equation, so Newton's path is the mixed
-one. For the perturbed Lagrangian p (J − 1) − p²/(2κ), :math:`K_{pp} = -|τ|/κ`.
+The last equation updates the pressure by its own linearised equation, so that Newton's iterates are
+those of the mixed problem. For the perturbed Lagrangian p (J − 1) − p²/(2κ),
+:math:`K_{pp} = -|τ|/κ` on a cell τ.
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ __all__ = ["Condensation"]
 
 Array = npt.NDArray[np.float64]
 
-#: Cells whose element matrices are in memory at once.
+#: Number of cells whose element matrices are in memory at once.
 CHUNK = 4096
 
 
 class Condensation:
-    """The blocks that belong to the pressure, cell by cell.
+    """The blocks of the mixed tangent that belong to the pressure, cell by cell.
 
     Attributes:
         p: The pressure.
@@ -60,8 +61,8 @@ class Condensation:
         """Derive and compile the blocks.
 
         Args:
-            F_u: Residual of the displacement, tested in V.
-            F_p: Residual of the pressure, tested in Q.
+            F_u: Residual r_u, tested with v in V.
+            F_p: Residual r_p, tested with q in Q.
             u: Displacement.
             p: Pressure, piecewise constant.
             space: Torn V.
@@ -75,7 +76,7 @@ class Condensation:
         coefficients = (set(F_u.coefficients()), set(F_p.coefficients()))
         if not all(p in names for names in coefficients):
             raise ValueError(
-                f"condense is '{p.name}', which does not occur in the energy (or not in both "
+                f"condense is '{p.name}', which does not occur in the energy (or in both "
                 "residuals): pass the pressure of a mixed energy Π(u, p)."
             )
         self.p = p
@@ -105,7 +106,7 @@ class Condensation:
         dolfinx.fem.assemble_vector(self.r_p, self._r_p)
 
     def add_to(self, K: PETSc.Mat) -> None:
-        """Subtract the condensed block, K ← K − K_up K_pp⁻¹ K_pu."""
+        """Add the condensed block, K ← K − K_up K_pp⁻¹ K_pu."""
         for first in range(0, len(self.k_pp), CHUNK):
             part = slice(first, first + CHUNK)
             left = -self.k_up[part] / self.k_pp[part, None]
@@ -120,7 +121,7 @@ class Condensation:
         return np.bincount(self._columns.ravel(), cell.ravel(), minlength=n_torn).astype(np.float64)
 
     def relaxed(self) -> Array:
-        """Return the pressure that obeys its equation for the present u, p − K_pp⁻¹ r_p."""
+        """Return the pressure that satisfies its own equation at the current u, p − K_pp⁻¹ r_p."""
         r_p = np.zeros(len(self.k_pp))
         dolfinx.fem.assemble_vector(r_p, self._r_p)
         p = self.p.x.array.copy()
@@ -154,5 +155,5 @@ def _require_blocks(p: dolfinx.fem.Function, **blocks: ufl.Form) -> None:
         if ufl.algorithms.expand_derivatives(block).empty():
             raise ValueError(
                 f"condense is '{p.name}', but {name} is zero: condensation needs an energy with a "
-                "term in u and p and one in p², such as p (J − 1) − p²/(2κ)."
+                "term in both u and p and a term in p², such as p (J − 1) − p²/(2κ)."
             )

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The pressure eliminated cell by cell against the mixed problem that nobody condensed."""
+"""The pressure condensed cell by cell, against the mixed problem without condensation."""
 
 from __future__ import annotations
 
