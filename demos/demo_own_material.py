@@ -31,22 +31,24 @@ from mpi4py import MPI
 import numpy as np
 import pictures
 from first_step import FirstStep
-from geometry import create_wall
 from render import gather_cells
 
 import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, loads
+from dolfinx_feti.collective import on_first
 from dolfinx_feti.loading import Steps, follow_load
 from dolfinx_feti.output import cell_values, writable_folder
 from dolfinx_feti.wall import facets, openings, surface_measure
 from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
+from meshes.arguments import positive
+from meshes.walls import create_wall
 
 Expr = ufl.core.expr.Expr
 
 parser = argparse.ArgumentParser(description="Inflate a tube of two materials of one's own.")
-parser.add_argument("--size", type=float, default=0.3, help="length of the elements' edges [mm]")
+parser.add_argument("--size", type=positive, default=0.3, help="length of the elements' edges [mm]")
 parser.add_argument("--output", type=Path, default=Path("output/materials"), metavar="FOLDER")
 args = parser.parse_args()
 
@@ -150,8 +152,8 @@ def inflate(name: str, material: Callable[[Expr, Expr], Expr]) -> dict[str, floa
     parts = problem.decomposition
     values = {"stress": cell_values(sigma, mesh), "subdomain": parts.first + parts.subdomain}
     cells = gather_cells(u, values)
-    if cells is not None:
-        pictures.draw_wall(folder / f"{name}.png", cells, pressure=PRESSURE)
+    picture = folder / f"{name}.png"
+    on_first(lambda: pictures.draw_wall(picture, cells, pressure=PRESSURE), comm)
     newton = [s for step in steps for s in step.history]
     furthest = np.linalg.norm(u.x.array.reshape(-1, 3), axis=1).max()
     return {

@@ -207,6 +207,13 @@ def test_wall_of_ones_own_and_options_of_the_solver(run, tmp_path):
     agree(summary["pressure_mmhg"] == 0.5 and summary["max_linear_residual"] <= 1e-8)
 
 
+def test_picture_that_cannot_be_written_ends_all_processes(run, tmp_path):
+    """The first process alone draws; the others would wait for it in the comparison with MUMPS."""
+    on_first(lambda: (tmp_path / "wall.png").mkdir())
+    with raises(IsADirectoryError, "wall.png"):
+        run("demo_artery.py", *LEAST, "--output", tmp_path)
+
+
 def test_artery_goes_on_from_a_checkpoint(run, tmp_path):
     """To a higher pressure; the steps before count, and what was written then stays."""
     pytest.importorskip("adios4dolfinx")
