@@ -16,8 +16,8 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
-from benchmarks.cube_mesh import create_cube
-from benchmarks.fundamental import POISSON, YOUNG, boundary_values, fundamental_solution
+from benchmarks.unit_cube.fundamental import POISSON, YOUNG, boundary_values, fundamental_solution
+from meshes.cube import create_cube
 
 __all__ = ["PATTERNS", "CubeProblem", "create_problem"]
 

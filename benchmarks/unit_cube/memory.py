@@ -29,7 +29,7 @@ import scipy.sparse
 import dolfinx
 import dolfinx.fem.petsc
 
-from benchmarks.cube_problem import create_problem
+from benchmarks.unit_cube.problem import create_problem
 from dolfinx_feti.feti.subdomain.matrices import DENSITY, LARGEST
 
 __all__ = ["Estimate", "estimate"]

@@ -13,15 +13,15 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from benchmarks.clock import Clock
-from benchmarks.cube_memory import Estimate, estimate
-from benchmarks.cube_problem import CubeProblem, create_problem
-from benchmarks.fundamental import l2_error
-from benchmarks.machine import PeakMemory
-from benchmarks.records import Record
+from benchmarks.common.clock import Clock
+from benchmarks.common.machine import PeakMemory
+from benchmarks.common.records import Record
+from benchmarks.unit_cube.fundamental import l2_error
+from benchmarks.unit_cube.memory import Estimate, estimate
+from benchmarks.unit_cube.problem import CubeProblem, create_problem
 from dolfinx_feti import LinearProblem
 
-__all__ = ["LEVELS", "Case", "run"]
+__all__ = ["LEVELS", "Case", "run", "tear"]
 
 #: Levels of refinement, n = 2^(level − 1) cells along an edge of a subcube.
 LEVELS = range(1, 6)
@@ -128,6 +128,26 @@ class Case:
         }
 
 
+def tear(problem: CubeProblem, options: dict[str, object]) -> LinearProblem:
+    """Tear a problem into its subcubes.
+
+    Args:
+        problem: The boundary value problem.
+        options: PETSc options of the solver, prefix ``cube_``.
+
+    Note:
+        Collective.
+    """
+    return LinearProblem(
+        problem.a,
+        problem.L,
+        bcs=problem.bcs,
+        subdomains=problem.part,
+        petsc_options_prefix="cube_",
+        petsc_options=options,
+    )
+
+
 def run(case: Case, problem: CubeProblem, comm: MPI.Comm, monitor: Monitor | None) -> Record:
     """Solve a case.
 
@@ -148,14 +168,7 @@ def run(case: Case, problem: CubeProblem, comm: MPI.Comm, monitor: Monitor | Non
     """
     peak = PeakMemory()
     clock = Clock(comm)
-    linear = LinearProblem(
-        problem.a,
-        problem.L,
-        bcs=problem.bcs,
-        subdomains=problem.part,
-        petsc_options_prefix="cube_",
-        petsc_options=case.options(),
-    )
+    linear = tear(problem, case.options())
     clock.watch(linear.solver)
     if monitor is not None:
         linear.solver.setMonitor(monitor)

@@ -1,13 +1,14 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The machine: the memory that it has, what a run takes of it, and how fast it reads."""
+"""The machine: the memory that it has, what a run takes of it, how fast it reads, its clock."""
 
 from __future__ import annotations
 
 import ctypes
 import platform
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 
 from mpi4py import MPI
@@ -19,7 +20,7 @@ import dolfinx
 
 from dolfinx_feti.comparison import PeakMemory
 
-__all__ = ["PeakMemory", "available_mib", "bandwidth", "describe", "resident_mib"]
+__all__ = ["PeakMemory", "available_mib", "bandwidth", "describe", "now", "resident_mib"]
 
 PROC = Path("/proc")
 CGROUP = Path("/sys/fs/cgroup")
@@ -90,6 +91,11 @@ def describe() -> dict[str, str | int]:
         "dolfinx": dolfinx.__version__,
         "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
     }
+
+
+def now() -> str:
+    """Return date and time to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def _processor() -> str:

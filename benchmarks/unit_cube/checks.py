@@ -9,17 +9,17 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from benchmarks import paper
-from benchmarks.linear_growth import fit_growth, growing
-from benchmarks.linear_records import (
+from benchmarks.common.records import Record
+from benchmarks.common.table import Table, number
+from benchmarks.unit_cube import paper
+from benchmarks.unit_cube.groups import (
     differs_in,
     group,
     is_papers,
     is_solved,
     seconds_an_iteration,
 )
-from benchmarks.records import Record
-from benchmarks.table import Table, number
+from benchmarks.unit_cube.growth import fit_growth, growing
 
 __all__ = ["Check", "check_table", "checks", "error_scale"]
 

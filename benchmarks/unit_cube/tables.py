@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from benchmarks import paper
-from benchmarks.linear_checks import error_scale
-from benchmarks.linear_growth import growth_tables, jump_table, number_table
-from benchmarks.linear_records import (
+from benchmarks.common.records import Record
+from benchmarks.common.table import Table, count, number, percent
+from benchmarks.unit_cube import paper
+from benchmarks.unit_cube.checks import error_scale
+from benchmarks.unit_cube.groups import (
     PRECONDITIONERS,
     TYPES,
     differs_in,
@@ -21,8 +22,7 @@ from benchmarks.linear_records import (
     order,
     seconds_an_iteration,
 )
-from benchmarks.records import Record
-from benchmarks.table import Table, count, number, percent
+from benchmarks.unit_cube.growth import growth_tables, jump_table, number_table
 
 __all__ = ["deviations", "solver_table", "tables"]
 

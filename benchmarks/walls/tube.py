@@ -1,13 +1,11 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The two-layer tube, P2–P0, clamped at its ends, of about as many dofs as one asks for."""
+"""The two-layer tube: its fibres, and the clamped one with about as many dofs as one asks for."""
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 
 from mpi4py import MPI
 
@@ -16,23 +14,22 @@ import numpy.typing as npt
 
 import dolfinx
 
-from benchmarks.wall_problem import WallProblem, create_wall_problem
+from benchmarks.walls.problem import WallProblem, create_wall_problem
 from dolfinx_feti import materials
-from dolfinx_feti.collective import on_first
-from dolfinx_feti.wall import Wall, read_wall
 from dolfinx_feti.wall.fibres import ANGLES
-from meshes.tube import INNER_RADIUS, MEDIA, create_tube
+from meshes.tube import INNER_RADIUS, MEDIA
+from meshes.walls import create_tube_wall
 
-__all__ = ["INTERFACE", "create_tube_problem", "create_tube_wall", "tube_fibres"]
+__all__ = ["INTERFACE", "create_clamped_tube", "tube_fibres"]
 
 LENGTH = 3.0  # mm
 INTERFACE = INNER_RADIUS + MEDIA  # mm
 
 
-def create_tube_problem(
+def create_clamped_tube(
     comm: MPI.Comm, *, dofs: int, kappa: float, subdomains: int, options: dict[str, object]
 ) -> WallProblem:
-    """Build the tube at rest.
+    """Build the tube at rest, P2–P0, clamped at its ends.
 
     Args:
         comm: Communicator of the mesh.
@@ -40,6 +37,9 @@ def create_tube_problem(
         kappa: κ [kPa].
         subdomains: Number of subdomains.
         options: PETSc options of the problem, prefix ``tube_``.
+
+    Note:
+        Collective.
     """
     along = max(2, round(np.sqrt(dofs / 125.0)))
     wall = create_tube_wall(comm, length=LENGTH, through=(2, 1), around=3 * along // 2, along=along)
@@ -53,22 +53,6 @@ def create_tube_problem(
         prefix="tube_",
         fibres=tube_fibres(wall.mesh),
     )
-
-
-def create_tube_wall(comm: MPI.Comm, **geometry: object) -> Wall:
-    """Mesh a tube on the first process and read it on all.
-
-    Args:
-        comm: Communicator of the mesh.
-        geometry: See ``meshes.tube.create_tube``.
-
-    Note:
-        Collective.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "tube.msh"  # the first process's own, who alone reads it
-        on_first(lambda: create_tube(path, **geometry), comm)
-        return read_wall(path, comm)
 
 
 def tube_fibres(mesh: dolfinx.mesh.Mesh) -> tuple[dolfinx.fem.Function, dolfinx.fem.Function]:

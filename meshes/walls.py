@@ -1,10 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Walls from a file, which is generated first if it is not there yet."""
+"""Walls on all processes: read from a file, which the first process generates if need be."""
 
 from __future__ import annotations
 
+import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 
 from mpi4py import MPI
@@ -16,8 +18,9 @@ from meshes.tube import create_tube
 from meshes.vessel import create_vessel
 from meshes.wall_mesh import Quality, WallMesh, measure_quality
 
-__all__ = ["CREATE", "create_wall"]
+__all__ = ["CREATE", "create_tube_wall", "create_wall"]
 
+#: Generators of walls by name.
 CREATE = {"vessel": create_vessel, "tube": create_tube}
 
 
@@ -43,6 +46,30 @@ def create_wall(
     """
     path, quality = on_first(lambda: _prepare(source, size, folder), comm)
     return read_wall(path, comm), quality
+
+
+def create_tube_wall(comm: MPI.Comm, **geometry: object) -> Wall:
+    """Mesh a tube on the first process and distribute it, without a file that stays.
+
+    Args:
+        comm: Communicator of the mesh.
+        geometry: See :func:`meshes.tube.create_tube`.
+
+    Raises:
+        Exception: Whatever the generator finds wrong, on all processes.
+
+    Note:
+        Collective.
+    """
+    with ExitStack() as until_read:
+
+        def write() -> Path:
+            folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+            path = Path(until_read.enter_context(folder)) / "tube.msh"
+            create_tube(path, **geometry)
+            return path
+
+        return read_wall(on_first(write, comm), comm)
 
 
 def _prepare(source: str | Path, size: float | None, folder: Path) -> tuple[Path, Quality]:

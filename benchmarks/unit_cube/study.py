@@ -7,17 +7,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from datetime import UTC, datetime
-from typing import IO
 
 from mpi4py import MPI
 
-from benchmarks.bar import Bar
-from benchmarks.cube_case import Case, run
-from benchmarks.cube_problem import CubeProblem
-from benchmarks.machine import available_mib, bandwidth, describe, resident_mib
-from benchmarks.records import Record, Records
+from benchmarks.common.machine import available_mib, bandwidth, describe, now, resident_mib
+from benchmarks.common.progress import Bar, say
+from benchmarks.common.records import Record, Records
+from benchmarks.unit_cube.case import Case, run
+from benchmarks.unit_cube.problem import CubeProblem
 from dolfinx_feti import ConvergenceError
+from dolfinx_feti.collective import on_first
 
 __all__ = ["Study", "is_solved"]
 
@@ -74,10 +73,10 @@ class Study:
     def run(self) -> None:
         """Run the cases; the records are written after each. Collective."""
         if self._known:
-            self._say(f"{self._known} case(s) stand in the records already")
+            say(f"{self._known} case(s) stand in the records already", self._comm)
         if not self._cases:
             return
-        self._say(HEAD)
+        say(HEAD, self._comm)
         speed = bandwidth(self._comm)
         for case in self._cases:
             try:
@@ -86,20 +85,22 @@ class Study:
                 self.refused += 1
                 room = {"estimated_mib": refusal.mib, "available_mib": refusal.there}
                 self._keep(case, room | {"processes": self._comm.size})
-                self._report(f"refused: {refusal}", sys.stderr)
+                self._bar.end()
+                say(f"refused: {refusal}", self._comm, sys.stderr)
             except ConvergenceError as failure:
                 self.failed += 1
                 self._keep(case, {"failure": str(failure), "processes": self._comm.size})
-                self._report(f"failed: {case}: {failure}", sys.stderr)
+                self._bar.end()
+                say(f"failed: {case}: {failure}", self._comm, sys.stderr)
             else:
-                self._keep(case, record)
-                self._report(_row(case, record))
+                record = self._keep(case, record)
+                self._bar.end()
+                say(_row(case, record), self._comm)
 
     def _measure(self, case: Case, speed: float) -> Record:
         """Estimate a case and solve it."""
         self._bar.begin(f"{case}: estimate")
-        alone = case.estimate(self._comm.size) if self._comm.rank == 0 else None
-        estimated = self._comm.bcast(alone)
+        estimated = on_first(lambda: case.estimate(self._comm.size), self._comm)
         self._reserve(case, estimated.mib)
         self._bar.begin(f"{case}: mesh")
         problem = self._shared_problem(case)
@@ -112,10 +113,10 @@ class Study:
             "bandwidth_gb_s": speed / 1e9,
         }
 
-    def _keep(self, case: Case, found: Record) -> None:
+    def _keep(self, case: Case, found: Record) -> Record:
         """Add what came of a case to the records."""
-        when = datetime.now(UTC).isoformat(timespec="seconds")
-        self._records.put(case.key(), case.key() | found | {"machine": describe(), "date": when})
+        key = case.key()
+        return self._records.put(key, key | found | {"machine": describe(), "date": now()})
 
     def _reserve(self, case: Case, mib: float) -> None:
         """Refuse a case that needs more than there is.
@@ -134,14 +135,6 @@ class Study:
             self._problem = None  # its memory goes first
             self._problem = (key, case.problem(self._comm))
         return self._problem[1]
-
-    def _report(self, text: str, file: IO[str] | None = None) -> None:
-        self._bar.end()
-        self._say(text, file)
-
-    def _say(self, text: str, file: IO[str] | None = None) -> None:
-        if self._comm.rank == 0:
-            print(text, file=file, flush=True)
 
 
 def is_solved(record: Record | None) -> bool:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from dolfinx_feti.collective import on_first
+from dolfinx_feti.collective import on_first, reason
 
 __all__ = ["Record", "Records", "read_records"]
 
@@ -52,18 +52,38 @@ class Records:
                 return record
         return None
 
-    def put(self, key: Record, record: Record) -> None:
-        """Put a record in the place of the one that has the same key, and write the file."""
+    def put(self, key: Record, record: Record) -> Record:
+        """Put a record in the place of the one that has the same key, and write the file.
+
+        Args:
+            key: Values by which it is found again.
+            record: The key and what was measured, on the first process; times differ on others.
+
+        Returns:
+            The record, the same on all processes.
+
+        Raises:
+            OSError: The file cannot be written any more. On all processes; the file is as before.
+
+        Note:
+            Collective.
+        """
+        record = self._comm.bcast(record)
         old = self.find(key)
         if old is None:
             self._records.append(record)
         else:
             self._records[self._records.index(old)] = record
-        if self._path is not None and self._comm.rank == 0:
-            whole = self._path.with_name(self._path.name + ".part")
-            lines = (json.dumps(each, ensure_ascii=False) for each in self._records)
-            whole.write_text("[\n" + ",\n".join(lines) + "\n]\n")
-            os.replace(whole, self._path)  # a run that is ended here leaves the old file
+        if self._path is not None:
+            path, records = self._path, self._records
+            try:
+                on_first(lambda: _write(path, records), self._comm)
+            except OSError as error:
+                raise OSError(
+                    f"The records in '{path}' cannot be written ({reason(error)}): make room, and "
+                    "run it again; what the file holds is not repeated."
+                ) from error
+        return record
 
 
 def read_records(path: Path, known: Callable[[Record], bool], writer: str) -> list[Record]:
@@ -102,3 +122,14 @@ def _read_or_create(path: Path) -> list[Record]:
     with path.open("a"):
         pass
     return _parse(path)
+
+
+def _write(path: Path, records: list[Record]) -> None:
+    """Write all records beside the file, then put them in its place: there is one whole file."""
+    whole = path.with_name(path.name + ".part")
+    lines = (json.dumps(each, ensure_ascii=False) for each in records)
+    try:
+        whole.write_text("[\n" + ",\n".join(lines) + "\n]\n")
+        os.replace(whole, path)
+    finally:
+        whole.unlink(missing_ok=True)

@@ -16,9 +16,9 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from benchmarks import paper
-from benchmarks.linear_records import PRECONDITIONERS, TYPES, is_papers
-from benchmarks.records import Record
+from benchmarks.common.records import Record
+from benchmarks.unit_cube import paper
+from benchmarks.unit_cube.groups import PRECONDITIONERS, TYPES, is_papers
 
 __all__ = ["draw_levels"]
 

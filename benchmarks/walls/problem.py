@@ -5,22 +5,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-
-import numpy as np
 
 import dolfinx
 import ufl
 
 import dolfinx_feti
+from benchmarks.walls.supports import Hold, clamp_openings
 from dolfinx_feti import kinematics, loads, materials
-from dolfinx_feti.wall import Wall, facets, openings, surface_measure
+from dolfinx_feti.fem.quadrature import limit_quadrature_degree
+from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
+from dolfinx_feti.wall import Wall, surface_measure
 from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
 
-__all__ = ["Hold", "WallProblem", "clamp_openings", "create_wall_problem"]
-
-Hold = Callable[[Wall, dolfinx.fem.FunctionSpace], list[dolfinx.fem.DirichletBC]]
+__all__ = ["WallProblem", "create_wall_problem"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +30,7 @@ class WallProblem:
         problem: The FETI problem.
         u: Displacement [mm].
         p: Pressure of the element-wise volume constraint [kPa].
+        residual: Residual of the displacements, before p is condensed [mN].
         pressure: Pressure in the lumen [kPa].
         bcs: How the wall is held.
         stress: Cauchy stress σ [kPa].
@@ -39,6 +39,7 @@ class WallProblem:
     problem: dolfinx_feti.NonlinearProblem
     u: dolfinx.fem.Function
     p: dolfinx.fem.Function
+    residual: ufl.Form
     pressure: dolfinx.fem.Constant
     bcs: list[dolfinx.fem.DirichletBC]
     stress: ufl.core.expr.Expr
@@ -49,12 +50,42 @@ class WallProblem:
         dofmap = self.u.function_space.dofmap
         return dofmap.index_map.size_global * dofmap.index_map_bs
 
+    def inflate(
+        self,
+        pressures: Sequence[float],
+        steps: Steps,
+        *,
+        on_step: Callable[[LoadStep], object],
+        checkpoint: Checkpoint | None = None,
+    ) -> None:
+        """Go from equilibrium to equilibrium up to some pressures.
 
-def clamp_openings(wall: Wall, V: dolfinx.fem.FunctionSpace) -> list[dolfinx.fem.DirichletBC]:
-    """Hold the rims of all openings."""
-    rims = np.concatenate([facets(wall, name) for name in openings(wall)])
-    dofs = dolfinx.fem.locate_dofs_topological(V, 2, rims)
-    return [dolfinx.fem.dirichletbc(np.zeros(3), dofs, V)]
+        Args:
+            pressures: Where to arrive, rising [mmHg].
+            steps: How to choose the increments of the pressure [mmHg].
+            on_step: Called after each accepted load step.
+            checkpoint: Where load steps are kept.
+
+        Raises:
+            ConvergenceError: No equilibrium was found beyond some pressure.
+
+        Note:
+            Collective.
+        """
+
+        def set_load(mmhg: float) -> None:
+            self.pressure.value = loads.mmhg(mmhg)
+
+        follow_load(
+            self.problem,
+            set_load,
+            pressures,
+            steps,
+            state=[self.u, self.p],
+            on_step=on_step,
+            checkpoint=checkpoint,
+            unit="mmHg",
+        )
 
 
 def create_wall_problem(
@@ -100,6 +131,7 @@ def create_wall_problem(
     lumen = surface_measure(wall)(wall.surfaces["lumen"])
     pressure = dolfinx.fem.Constant(wall.mesh, 0.0)
     F_u = ufl.derivative(energy, u, v) + loads.follower_pressure(pressure, u, v, lumen)
+    F_u = limit_quadrature_degree(F_u)  # to that of the problem
     K = ufl.derivative(ufl.derivative(energy, u, v), u, du)
     K += loads.follower_pressure_tangent(pressure, u, v, du, lumen, tangent)
     bcs = hold(wall, V)
@@ -114,4 +146,4 @@ def create_wall_problem(
         petsc_options_prefix=prefix,
         petsc_options=options,
     )
-    return WallProblem(problem, u, p, pressure, bcs, kinematics.cauchy_stress(psi, F))
+    return WallProblem(problem, u, p, F_u, pressure, bcs, kinematics.cauchy_stress(psi, F))

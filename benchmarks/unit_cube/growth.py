@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.linear_records import TYPES, differs_in, group, order
-from benchmarks.records import Record
-from benchmarks.table import Table, count, number, percent
+from benchmarks.common.records import Record
+from benchmarks.common.table import Table, count, number, percent
+from benchmarks.unit_cube.groups import TYPES, differs_in, group, order
 
 __all__ = ["Fit", "fit_growth", "growing", "growth_tables", "jump_table", "number_table"]
 

@@ -3,9 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The two-layer tube in plane strain, whole or a quarter of it, and how far it is from the truth.
 
-Nothing moves along the axis at the ends, where the tube may slide; the planes of a quarter, or two
-lines on the inner surface of the whole tube, hold it in place. So it stays a tube, and
-:mod:`benchmarks.tube_oracle` knows its radius, volume and stress.
+Its supports (:mod:`benchmarks.walls.supports`) let it slide in the planes of its ends, so that it
+remains a tube, and :mod:`benchmarks.walls.oracle` knows its radius, volume and stress.
 """
 
 from __future__ import annotations
@@ -21,13 +20,15 @@ import basix
 import dolfinx
 import ufl
 
-from benchmarks.tube_oracle import Tube
-from benchmarks.tube_problem import INTERFACE, create_tube_wall, tube_fibres
-from benchmarks.wall_problem import WallProblem, create_wall_problem
+from benchmarks.walls.oracle import Tube
+from benchmarks.walls.problem import WallProblem, create_wall_problem
+from benchmarks.walls.supports import slide
+from benchmarks.walls.tube import INTERFACE, tube_fibres
 from dolfinx_feti import kinematics
 from dolfinx_feti._compat import geometry_dofmap
-from dolfinx_feti.wall import Wall, facets
-from meshes.tube import ADVENTITIA, INNER_RADIUS
+from dolfinx_feti.wall import Wall
+from meshes.tube import ADVENTITIA, INNER_RADIUS, count_around
+from meshes.walls import create_tube_wall
 
 __all__ = ["TANGENTS", "InflatedTube", "create_inflated_tube", "create_slice"]
 
@@ -106,7 +107,7 @@ class InflatedTube(WallProblem):
 
 
 def create_slice(comm: MPI.Comm, *, size: float, quarter: bool) -> Wall:
-    """Mesh a tube, as long as its elements.
+    """Mesh a tube, as long as its elements; the whole one has the elements of four quarters.
 
     Args:
         comm: Communicator of the mesh.
@@ -116,7 +117,8 @@ def create_slice(comm: MPI.Comm, *, size: float, quarter: bool) -> Wall:
     Note:
         Collective.
     """
-    return create_tube_wall(comm, length=size, size=size, quarter=quarter)
+    around = count_around(size, quarter=True) * (1 if quarter else 4)
+    return create_tube_wall(comm, length=size, size=size, quarter=quarter, around=around)
 
 
 def create_inflated_tube(
@@ -150,7 +152,7 @@ def create_inflated_tube(
         options=options or {},
         prefix="tube_",
         fibres=tube_fibres(mesh),
-        hold=_sliding,
+        hold=slide,
         tangent=tangent,
         axis=(0.0, 0.0, 1.0),
     )
@@ -163,22 +165,6 @@ def create_inflated_tube(
     samples = dolfinx.fem.Expression(ufl.as_vector([rr, tt, J, x[0], x[1]]), points)
     known = {field.name: getattr(body, field.name) for field in fields(body)}
     return InflatedTube(**known, samples=samples, weights=_volumes(mesh)[:, None] * 6.0 * weights)
-
-
-def _sliding(wall: Wall, V: dolfinx.fem.FunctionSpace) -> list[dolfinx.fem.DirichletBC]:
-    """Hold one component on each plane of symmetry, and u_z at the ends."""
-    ends = np.concatenate([facets(wall, name) for name in ("opening_1", "opening_2")])
-    held = [(2, dolfinx.fem.locate_dofs_topological((V.sub(2)), 2, ends))]
-    for component, name in enumerate(("symmetry_x", "symmetry_y")):
-        part = V.sub(component)
-        if name in wall.surfaces:
-            dofs = dolfinx.fem.locate_dofs_topological(part, 2, facets(wall, name))
-        else:  # in the whole tube the planes are the same, but no surfaces
-            dofs, _ = dolfinx.fem.locate_dofs_geometrical(
-                (part, part.collapse()[0]), lambda x, i=component: np.isclose(x[i], 0.0, atol=1e-9)
-            )
-        held.append((component, dofs))
-    return [dolfinx.fem.dirichletbc(0.0, dofs, V.sub(component)) for component, dofs in held]
 
 
 def _volumes(mesh: dolfinx.mesh.Mesh) -> Array:

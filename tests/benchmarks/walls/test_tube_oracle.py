@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.tube_oracle import KPA_PER_MMHG, Layer, Wall, energy, inflate, stresses
+from benchmarks.walls.oracle import KPA_PER_MMHG, Layer, Wall, energy, inflate, stresses
 
 # Inner displacement [mm] at p [mmHg] for κ = ∞, 1e5, 1000, 100 kPa, c = 3 kPa. These digits were
 # computed with the rounded factor of 0.133322 kPa per mmHg, which shows in the last of them.

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from benchmarks.cube_case import Case
-from benchmarks.records import Record
-from benchmarks.study import is_solved
+from benchmarks.common.records import Record
+from benchmarks.unit_cube.case import Case
+from benchmarks.unit_cube.study import is_solved
 
 __all__ = [
     "PRECONDITIONERS",

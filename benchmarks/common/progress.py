@@ -1,20 +1,41 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A bar on the terminal that shows how many cases of a study are done."""
+"""What a benchmark says on its way: lines of text, and a bar for the cases of a study."""
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import sys
+from typing import IO
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
-__all__ = ["Bar"]
+from dolfinx_feti.collective import on_first
+
+__all__ = ["Bar", "say"]
 
 #: Characters of the bar itself.
 WIDTH = 24
+
+
+def say(text: str, comm: MPI.Comm, file: IO[str] | None = None) -> None:
+    """Print a line on the first process.
+
+    Args:
+        text: The line.
+        comm: Communicator of the study.
+        file: Stream; stdout if not given.
+
+    Raises:
+        OSError: It cannot be printed, say into a file on a full disk. On all processes.
+
+    Note:
+        Collective.
+    """
+    on_first(lambda: print(text, file=file, flush=True), comm)
 
 
 class Bar:
@@ -38,24 +59,21 @@ class Bar:
     def end(self) -> None:
         """Count a case as done, and clear the line for other output."""
         self._done += 1
-        self.clear()
+        self._write("")
 
     def monitor(self, _ksp: PETSc.KSP, its: int, norm: float) -> None:
         """Show an iteration, as a monitor of the solver."""
         self._show(f": iteration {its}, ‖b − A x‖ = {norm:.1e}")
 
-    def clear(self) -> None:
-        """Clear the line."""
-        if self.shown:
-            sys.stderr.write("\r\x1b[K")
-            sys.stderr.flush()
-
     def _show(self, more: str) -> None:
-        if not self.shown:
-            return
         filled = WIDTH * self._done // max(self._total, 1)
         bar = "█" * filled + "░" * (WIDTH - filled)
         columns = shutil.get_terminal_size().columns - 1
-        line = f"{bar} {self._done}/{self._total}  {self._text}{more}"[:columns]
-        sys.stderr.write(f"\r\x1b[K{line}")
-        sys.stderr.flush()
+        self._write(f"{bar} {self._done}/{self._total}  {self._text}{more}"[:columns])
+
+    def _write(self, line: str) -> None:
+        """Write in the place of the last line; a terminal that is gone does not end the study."""
+        if self.shown:
+            with contextlib.suppress(OSError):
+                sys.stderr.write(f"\r\x1b[K{line}")
+                sys.stderr.flush()

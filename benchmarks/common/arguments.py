@@ -1,7 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Command lines of the linear study: a parser of which one process speaks, and readers of words."""
+"""Command lines of the benchmarks: a parser of which one process speaks, and readers of words.
+
+Numbers are read by :mod:`meshes.arguments`.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +16,19 @@ from typing import Any
 
 from mpi4py import MPI
 
-from benchmarks.records import Records
+from benchmarks.common.records import Record, Records
+from dolfinx_feti.loading import Checkpoint
+from meshes.arguments import positive
 
 __all__ = [
     "add_records",
-    "count",
-    "count_or_none",
+    "count_or_zero",
     "create_parser",
     "names",
     "one_of",
+    "open_checkpoint",
     "open_records",
     "parse_words",
-    "positive",
     "several",
 ]
 
@@ -66,6 +70,37 @@ def open_records(path: Path | None, parser: argparse.ArgumentParser, comm: MPI.C
         parser.error(str(error))
 
 
+def open_checkpoint(
+    folder: Path | None,
+    parser: argparse.ArgumentParser,
+    comm: MPI.Comm,
+    *,
+    parameters: Record,
+    restart: bool,
+) -> Checkpoint | None:
+    """Open the folder of ``--checkpoint`` if one is named, or end with the parser's error.
+
+    Args:
+        folder: The folder, or None.
+        parser: Speaks if the folder will not do.
+        comm: Communicator of the mesh.
+        parameters: What a run that goes on must have in common with the earlier one.
+        restart: Go on from the state that the folder holds.
+
+    Raises:
+        SystemExit: The folder cannot be written, or holds something else. On all processes.
+
+    Note:
+        Collective.
+    """
+    if folder is None:
+        return None
+    try:
+        return Checkpoint(folder, comm, parameters=parameters, restart=restart)
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+
+
 def several(single: Callable[[str], object]) -> Callable[[str], list[object]]:
     """Return a reader of values with commas between them."""
     return lambda text: list(dict.fromkeys(single(word.strip()) for word in text.split(",")))
@@ -83,29 +118,11 @@ def one_of(choices: Sequence[object]) -> Callable[[str], object]:
     return read
 
 
-def count(text: str) -> int:
-    """Read a number 1, 2, 3, …."""
-    if not (text.isdecimal() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number 1, 2, 3, …")
-    return int(text)
-
-
-def count_or_none(text: str) -> int:
+def count_or_zero(text: str) -> int:
     """Read a number 0, 1, 2, …."""
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"{text!r} is not a number 0, 1, 2, …")
     return int(text)
-
-
-def positive(text: str) -> float:
-    """Read a positive number."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
-    return value
 
 
 def names(choices: Sequence[object]) -> str:
