@@ -113,7 +113,7 @@ def first_step(tube: WallProblem) -> PETSc.Vec:
     """Assemble the torn tangent at 1 mmHg and return the right-hand side −r."""
     tube.pressure.value = loads.mmhg(1.0)
     b = tube.problem.A.createVecLeft()
-    b.array[:] = -tube.problem._system.residual()
+    b.array[:] = -tube.problem._system.residual().condensed
     tube.problem._system.linearise()
     return b
 

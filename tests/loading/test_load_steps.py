@@ -57,8 +57,8 @@ class Attempt:
         load: The load.
         before: That of the last equilibrium.
         rtol: The tolerance.
-        referred: Load and state that the tolerance refers to, if it was said.
-        linearised: Load and state at the last ``linearise``, if it was called.
+        referred: Load and state that the tolerance refers to, if it was given.
+        linearised: Load and state of the first tangent, if it was given.
         guess: The state, u and p in one entry each.
         converged: What came of it.
     """
@@ -96,8 +96,7 @@ class Played:
         self.history: list[NewtonStep] = []
         self.attempts: list[Attempt] = []
         self._cost, self._fails, self._inside_out = cost, fails, inside_out
-        self._linearised: tuple[float, float, float] | None = None
-        self._referred: tuple[float, float, float] | None = None
+        self._norms: dict[float, tuple[float, float, float]] = {}
         self.load = self._equilibrium = start
         self._set(*truth(start))
 
@@ -110,15 +109,22 @@ class Played:
         agree(all(np.ptp(v) <= ROUNDING * (1 + abs(v[0])) for v in values if len(v)))
         return tuple(float(COMM.bcast(v[0] if len(v) else None)) for v in values)
 
-    def linearise(self) -> None:
-        self._linearised = (self.load, *self.state())
+    def linearise(self) -> tuple[float, float, float]:
+        return (self.load, *self.state())
 
-    def refer_tolerance(self) -> None:
-        self._referred = (self.load, *self.state())
+    def residual_norm(self) -> float:
+        norm = 1.0 + len(self._norms)
+        self._norms[norm] = (self.load, *self.state())
+        return norm
 
-    def solve(self) -> None:
+    def solve(
+        self,
+        *,
+        reference: float | None = None,
+        first_tangent: tuple[float, float, float] | None = None,
+    ) -> None:
         before = self._equilibrium
-        domain = self._linearised is None and self._inside_out(self.load)
+        domain = first_tangent is None and self._inside_out(self.load)
         self.solver.setConvergedReason(
             SNES.DIVERGED_FUNCTION_DOMAIN if domain else SNES.DIVERGED_LINE_SEARCH
         )
@@ -128,13 +134,12 @@ class Played:
                 self.load,
                 before,
                 self.solver.getTolerances()[0],
-                self._referred,
-                self._linearised,
+                None if reference is None else self._norms[reference],
+                first_tangent,
                 self.state(),
                 not fails,
             )
         )
-        self._linearised = self._referred = None
         for it in range(cost := self._cost(abs(self.load - before))):
             self.solver.monitor(it, 10.0**-it)
         self.history = [STEP] * cost
