@@ -7,8 +7,8 @@ r"""Kelvin's fundamental solution of linear elastostatics, the benchmark's exact
           (3 - 4ν) \frac{δ_{1k}}{|x - x^*|} +
           \frac{(x_1 - x^*_1)(x_k - x^*_k)}{|x - x^*|^3} \right], \qquad k = 1, 2, 3
 
-(Augustin_eq:fundSol): the displacement of the whole space under a unit force at :math:`x^*` in the
-direction of the first axis.
+(eq. 52, Augustin_eq:fundSol): the displacement of the whole space under a unit force at :math:`x^*`
+in the direction of the first axis.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def boundary_values(V: dolfinx.fem.FunctionSpace, u: ufl.core.expr.Expr) -> dolf
 
 
 def l2_error(u_h: dolfinx.fem.Function, u: ufl.core.expr.Expr) -> float:
-    """Return the norm of the error, ‖u − u_h‖ in L₂.
+    """Return the norm of the error, ‖u − u_h‖ in L₂ (eq. 53).
 
     Note:
         Collective.

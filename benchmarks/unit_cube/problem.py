@@ -92,6 +92,7 @@ def create_problem(
 
 
 def _strain(u: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
+    """Return the linearised strain (eq. 19)."""
     return ufl.sym(ufl.grad(u))
 
 

@@ -120,7 +120,7 @@ def deviations(records: Sequence[Record]) -> tuple[float, int]:
 
 
 def _errors(records: Sequence[Record]) -> Table:
-    """L2 errors and their order, which no preconditioner changes."""
+    """L2 errors and their order (eq. 54), which no preconditioner changes."""
     scale = error_scale(records)
     rows = []
     for degree in (1, 2):

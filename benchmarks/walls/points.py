@@ -52,7 +52,7 @@ def five_points(mesh: dolfinx.mesh.Mesh) -> list[Indices]:
 
 
 def at_points(body: WallProblem, points: Sequence[Indices]) -> tuple[Array, Array]:
-    """Return u_norm [mm] and σ_mag [kPa] at the points, on all processes.
+    """Return u_norm [mm] (eq. 57) and σ_mag [kPa] at the points, on all processes.
 
     Note:
         Collective.

@@ -21,6 +21,8 @@ those of the mixed problem. For the perturbed Lagrangian p (J − 1) − p²/(2�
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -32,12 +34,29 @@ import ufl
 from dolfinx_feti.fem.assembly import assemble, create_local_matrix, torn_form
 from dolfinx_feti.fem.decomposition import TornSpace
 
-__all__ = ["Condensation"]
+__all__ = ["Blocks", "Condensation"]
 
 Array = npt.NDArray[np.float64]
 
 #: Number of cells whose element matrices are in memory at once.
 CHUNK = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """What belongs to the pressure at one state (u, p), cell by cell.
+
+    Attributes:
+        k_up: K_upᵀ, (cells, torn dofs of a cell).
+        k_pu: K_pu, of the same shape.
+        k_pp: Diagonal of K_pp, (cells,).
+        r_p: Residual of the pressure, (cells,).
+    """
+
+    k_up: Array
+    k_pu: Array
+    k_pp: Array
+    r_p: Array
 
 
 class Condensation:
@@ -94,50 +113,55 @@ class Condensation:
         indptr, indices = self._rectangular.getRowIJ()
         width = indptr[1] if len(indptr) > 1 else 1
         self._columns = indices.reshape(-1, width).copy()
-        self.k_up = self.k_pu = np.zeros((n_cells, width))
-        self.k_pp = self.r_p = np.zeros(n_cells)
 
-    def update(self) -> None:
-        """Assemble all blocks at the current (u, p)."""
-        self.k_up, self.k_pu = (self._rows(form) for form in self._forms)  # K_upᵀ, K_pu
-        assemble(self._square, self._K_pp)
-        self.k_pp = self._square.getDiagonal().array_r.copy()
-        self.r_p = np.zeros(len(self.k_pp))
-        dolfinx.fem.assemble_vector(self.r_p, self._r_p)
+    def assemble(self) -> Blocks:
+        """Assemble all blocks at the present (u, p)."""
+        k_up, k_pu = (self._rows(form) for form in self._forms)
+        return Blocks(k_up, k_pu, self._diagonal(), self._residual())
 
-    def add_to(self, K: PETSc.Mat) -> None:
+    def add_to(self, K: PETSc.Mat, blocks: Blocks) -> None:
         """Add the condensed block, K ← K − K_up K_pp⁻¹ K_pu."""
-        for first in range(0, len(self.k_pp), CHUNK):
+        for first in range(0, len(blocks.k_pp), CHUNK):
             part = slice(first, first + CHUNK)
-            left = -self.k_up[part] / self.k_pp[part, None]
-            values = left[:, :, None] * self.k_pu[part][:, None, :]
+            left = -blocks.k_up[part] / blocks.k_pp[part, None]
+            values = left[:, :, None] * blocks.k_pu[part][:, None, :]
             dofs = self._columns[part]
             K.setValuesRCV(dofs, dofs, values.reshape(len(dofs), -1), True)
         K.assemble()
 
-    def residual(self, n_torn: int) -> Array:
+    def residual(self, blocks: Blocks, n_torn: int) -> Array:
         """Return −K_up K_pp⁻¹ r_p on the torn dofs, (n_torn,)."""
-        cell = -self.k_up * (self.r_p / self.k_pp)[:, None]
+        cell = -blocks.k_up * (blocks.r_p / blocks.k_pp)[:, None]
         return np.bincount(self._columns.ravel(), cell.ravel(), minlength=n_torn).astype(np.float64)
 
     def relaxed(self) -> Array:
         """Return the pressure that satisfies its own equation at the current u, p − K_pp⁻¹ r_p."""
-        r_p = np.zeros(len(self.k_pp))
-        dolfinx.fem.assemble_vector(r_p, self._r_p)
         p = self.p.x.array.copy()
-        p[self._pressure_dof] -= r_p / self.k_pp
+        p[self._pressure_dof] -= self._residual() / self._diagonal()
         return p
 
-    def increment(self, du: Array) -> Array:
+    def increment(self, blocks: Blocks, du: Array) -> Array:
         """Return Δp = −K_pp⁻¹ (r_p + K_pu Δu) at the dofs of Q.
 
         Args:
+            blocks: Of the state where the increment begins.
             du: Torn displacement increment, (n_torn,).
         """
         dp = np.zeros(len(self.p.x.array))
-        slope = np.einsum("ij,ij->i", self.k_pu, du[self._columns])
-        dp[self._pressure_dof] = -(self.r_p + slope) / self.k_pp
+        slope = np.einsum("ij,ij->i", blocks.k_pu, du[self._columns])
+        dp[self._pressure_dof] = -(blocks.r_p + slope) / blocks.k_pp
         return dp
+
+    def _diagonal(self) -> Array:
+        """Assemble the diagonal of K_pp."""
+        assemble(self._square, self._K_pp)
+        return self._square.getDiagonal().array_r.copy()
+
+    def _residual(self) -> Array:
+        """Assemble r_p."""
+        r_p = np.zeros(len(self._columns))
+        dolfinx.fem.assemble_vector(r_p, self._r_p)
+        return r_p
 
     def _rows(self, form: dolfinx.fem.Form) -> Array:
         assemble(self._rectangular, form)
