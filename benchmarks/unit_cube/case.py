@@ -47,7 +47,7 @@ class Case:
         gluing: ``-feti_gluing``.
         interior: ``-feti_interior``.
         coarse_modes: ``-feti_coarse_modes``.
-        reorthogonalize: ``-feti_dual_reorthogonalize``.
+        reorthogonalize: CG with full reorthogonalisation, ``fcg``.
         jump: Young's modulus of the stiff subcubes in units of the others'.
         pattern: Which they are.
         source: Source point of the fundamental solution.
@@ -123,7 +123,7 @@ class Case:
             "feti_gluing": self.gluing,
             "feti_interior": self.interior,
             "feti_coarse_modes": self.coarse_modes,
-            "feti_dual_reorthogonalize": self.reorthogonalize,
+            **({"feti_dual_ksp_type": "fcg"} if self.reorthogonalize else {}),
             "feti_dual_ksp_rtol": RTOL,
         }
 

@@ -80,7 +80,7 @@ def test_other_values_are_refused(name):
         ("feti_glueing", "-o_feti_gluing"),
         ("feti_dul_ksp_type", "-o_feti_dual_ksp"),
         ("feti_stagnations", "-o_feti_stagnation"),
-        ("feti_dual_reorthogonalise", "-o_feti_dual_reorthogonalize"),
+        ("feti_dual_recycles", "-o_feti_dual_recycle"),
     ],
 )
 def test_misspelt_options_are_refused_with_a_guess(wrong, meant):
