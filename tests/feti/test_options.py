@@ -15,7 +15,7 @@ from collective import agree, equal, raises, whole
 from problems import cube, elasticity, owned, poisson
 
 import dolfinx_feti
-from dolfinx_feti.feti.options import CHOICES, FLAGS, NUMBERS, SHARES, FETIOptions, read_options
+from dolfinx_feti.feti.options import CHOICES, NUMBERS, SHARES, FETIOptions, read_options
 from dolfinx_feti.petsc_options import inserted, require_prefix
 
 
@@ -28,7 +28,7 @@ def test_defaults_are_those_of_the_class():
     agree(read() == FETIOptions())
     fields = {field.name: field.default for field in dataclasses.fields(FETIOptions)}
     expected = {name: choices[0] for name, choices in CHOICES.items()}
-    agree(fields == expected | NUMBERS | SHARES | FLAGS)
+    agree(fields == expected | NUMBERS | SHARES)
 
 
 @pytest.mark.parametrize(
@@ -54,14 +54,6 @@ def test_shares_are_read(name):
     for wrong in (-0.1, 1.5, "nan"):
         with raises(ValueError, f"-o_feti_{name} is {wrong}; it takes a number between 0 and 1"):
             read(**{f"feti_{name}": wrong})
-
-
-@pytest.mark.parametrize("name", FLAGS)
-def test_flags_are_read(name):
-    agree(getattr(read(**{f"feti_{name}": None}), name) is True)
-    agree(getattr(read(**{f"feti_{name}": "false"}), name) is False)
-    with raises(ValueError, f"-o_feti_{name} is 'perhaps'; it takes true or false"):
-        read(**{f"feti_{name}": "perhaps"})
 
 
 @pytest.mark.parametrize("name", CHOICES)
