@@ -24,7 +24,7 @@ import numpy as np
 
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.events import event
-from dolfinx_feti.feti.options import FETIOptions, read_options
+from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
 from dolfinx_feti.feti.recovery import load, recover, residual, start
 from dolfinx_feti.feti.report import Report, collect, table
 from dolfinx_feti.feti.setup import Parts
@@ -111,6 +111,7 @@ class FETI:
 
     def create(self, ksp: PETSc.KSP) -> None:
         """Set defaults: no preconditioner of PETSc's own, rtol 1e-8."""
+        check_outer_options(ksp.getOptionsPrefix() or "")  # before PETSc reads them
         ksp.getPC().setType(PETSc.PC.Type.NONE)
         if ksp.getTolerances()[0] == 1e-5:  # PETSc's default
             ksp.setTolerances(rtol=RTOL)
