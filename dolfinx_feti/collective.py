@@ -1,18 +1,20 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Work that may fail on one process, and then fails on all: no process waits for another."""
+"""What all processes do together: work that fails on all if on one, and warnings said once."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 from mpi4py import MPI
 
-__all__ = ["on_all", "on_first", "reason"]
+__all__ = ["on_all", "on_first", "reason", "warn"]
 
 T = TypeVar("T")
+logger = logging.getLogger("dolfinx_feti")
 
 
 def on_first(work: Callable[[], T], comm: MPI.Comm) -> T:
@@ -78,3 +80,14 @@ def reason(error: Exception) -> str:
     """Say what went wrong, in one line."""
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return " ".join(text.split()) or type(error).__name__
+
+
+def warn(text: str, comm: MPI.Comm) -> None:
+    """Log a warning on the first process, through Python's logger ``dolfinx_feti``.
+
+    Args:
+        text: The warning, with the remedy.
+        comm: Communicator of all to whom it applies.
+    """
+    if comm.rank == 0:
+        logger.warning(text)

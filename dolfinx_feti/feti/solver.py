@@ -29,7 +29,7 @@ from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.krylov.dual import DualSystem
 from dolfinx_feti.feti.krylov.method import solve
 from dolfinx_feti.feti.krylov.recycling import DeflatedSystem, Directions
-from dolfinx_feti.feti.options import FETIOptions, read_options
+from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
 from dolfinx_feti.feti.recovery import balanced_start, load, recover, residual
 from dolfinx_feti.feti.report import Report, collect, table
 from dolfinx_feti.feti.setup import Parts, Pattern, set_up
@@ -121,6 +121,7 @@ class FETI:
         PETSc does not tell its default from the same number set by hand: a relative tolerance of
         1e-5 counts if it is set after the type of the KSP.
         """
+        check_outer_options(ksp.getOptionsPrefix() or "")  # before PETSc reads them
         ksp.getPC().setType(PETSc.PC.Type.NONE)
         if ksp.getTolerances()[0] == 1e-5:  # PETSc's default
             ksp.setTolerances(rtol=RTOL)

@@ -65,7 +65,7 @@ class Progress:
     def _show(self, more: str) -> None:
         if not self._shown:
             return
-        done = self._covered / self._length
+        done = self._covered / self._length if self._length > 0.0 else 1.0
         filled = round(WIDTH * min(done, 1.0))
         bar = "█" * filled + "░" * (WIDTH - filled)
         columns = shutil.get_terminal_size().columns - 1

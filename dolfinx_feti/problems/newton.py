@@ -33,6 +33,7 @@ import numpy.typing as npt
 
 from dolfinx_feti._compat import residual_is_nan
 from dolfinx_feti.events import event
+from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
 from dolfinx_feti.problems.line_search import line_search
 from dolfinx_feti.problems.shift import fallen, raised
@@ -78,7 +79,8 @@ class Direction:
 class Newton:
     """Context of a SNES that drives a ``System`` with a FETI KSP.
 
-    What the last step has left of its shift is where the next solve begins.
+    From one solve to the next it keeps what the last step has left of its shift, and whether a
+    tangent of the problem has been regular: then the Dirichlet conditions are enough.
 
     Attributes:
         history: A record for each step of the last solve.
@@ -90,6 +92,7 @@ class Newton:
         self._system = system
         self._start = Start()
         self._shift = 0.0
+        self._supported = False
         self.history: list[NewtonStep] = []
         self.message = ""
 
@@ -183,21 +186,32 @@ class Newton:
             if sigma > 0.0:
                 system.shift(sigma)
             du = _solve(ksp, system.A, -r)
+            reason = ksp.getConvergedReason()
+            failed = reason == LinearReason.DIVERGED_PCSETUP_FAILED
             if sigma == 0.0:
                 indefinite = proved_negative(feti)
-            reason = ksp.getConvergedReason()
+                self._supported = self._supported or not failed
             if reason != LinearReason.DIVERGED_INDEFINITE_MAT:
                 iterations.append(feti.iterations)
             uphill = system.has_potential and system.dot(du, r) >= 0.0
             if reason > 0 and not uphill:
                 return Direction(du, sigma, tuple(iterations), indefinite)
-            failed = reason == LinearReason.DIVERGED_PCSETUP_FAILED
             if not system.has_potential or (failed and not (feti.singular and self.history)):
                 break
             sigma = raised(sigma)
         self._shift = 0.0
-        message = f"the linear solver: {feti.message}" if feti.message else _INDEFINITE
-        raise _Stop(Reason.DIVERGED_LINEAR_SOLVE, message)
+        raise _Stop(Reason.DIVERGED_LINEAR_SOLVE, self._linear_failure(feti))
+
+    def _linear_failure(self, feti: FETI) -> str:
+        """Say why there is no direction, and what helps."""
+        if not feti.message:
+            return _INDEFINITE
+        on_the_way = self._supported or np.isfinite(self._start.reference)
+        if feti.singular and on_the_way:
+            return _SINGULAR
+        if on_the_way and (proved_negative(feti) or 0) > 0:
+            return _TRIAL.format(feti.message.rstrip("."))
+        return f"the linear solver: {feti.message}"
 
 
 class _Stop(Exception):  # noqa: N818
@@ -251,6 +265,11 @@ _INVERTED = (
     "the volume ratio det F is not positive at the start: begin with u = 0 or an admissible state"
 )
 _INDEFINITE = "the tangent is indefinite and a shift does not help: load in smaller steps"
+_SINGULAR = (
+    "the tangent at this trial state is singular or indefinite, although the body is held: load in "
+    "smaller steps"
+)
+_TRIAL = "the tangent at this trial state is indefinite: load in smaller steps (linear solver: {0})"
 _NO_STEP = "no admissible step length was found: load in smaller steps"
 _NOT_A_NUMBER = (
     "the residual is NaN or Inf: begin with an admissible state, or load in smaller steps"

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
@@ -26,11 +25,11 @@ from dolfinx_feti.fem.checks import (
 )
 from dolfinx_feti.fem.decomposition import decompose
 from dolfinx_feti.fem.quadrature import limit_quadrature_degree
-from dolfinx_feti.feti.options import read_options, reject_other_solvers
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.petsc_options import inserted, require_prefix
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.newton import Newton, Start
+from dolfinx_feti.problems.solvers import create_newton_solver, python_errors
 from dolfinx_feti.problems.system import System, Tangent
 
 __all__ = ["NonlinearProblem"]
@@ -106,8 +105,7 @@ class NonlinearProblem:
             check_pressure_space(condense.function_space)
         degree = 2 * V.ufl_element().embedded_superdegree
         degree = degree if quadrature_degree is None else quadrature_degree
-        if isinstance(F, ufl.Form) and not F.arguments():
-            energy = F
+        energy = potential(F, energy)
         F_u, F_p = residuals(F, u, condense)
         F_u = limit_quadrature_degree(F_u, degree)
         F_p = None if F_p is None else limit_quadrature_degree(F_p, degree)
@@ -194,10 +192,15 @@ class NonlinearProblem:
             Collective.
         """
         start = self._start(reference, first_tangent)
-        with inserted(self._prefix, self._petsc_options), self._newton.starting(start):
+        with (
+            inserted(self._prefix, self._petsc_options),
+            self._newton.starting(start),
+            python_errors(),
+        ):
             self.solver.solve(None, self._x)
         if self.solver.getConvergedReason() < 0:
-            raise ConvergenceError(f"Newton's method did not converge: {self._newton.message}.")
+            message = self._newton.message.rstrip(".")
+            raise ConvergenceError(f"Newton's method did not converge: {message}.")
         return self.u
 
     def _start(self, reference: float | None, tangent: Tangent | None) -> Start:
@@ -222,6 +225,22 @@ class NonlinearProblem:
             owned = getattr(self, name, None)  # __init__ may have raised
             if owned is not None:
                 owned.destroy()
+
+
+def potential(F: ufl.Form | Sequence[ufl.Form], energy: ufl.Form | None) -> ufl.Form | None:
+    """Return the potential of the problem: F itself if that is an energy, or ``energy``.
+
+    Raises:
+        ValueError: Both are given, and differ.
+    """
+    if not isinstance(F, ufl.Form) or F.arguments():
+        return energy
+    if energy is not None and not F.equals(energy):
+        raise ValueError(
+            "energy is not F, which is an energy itself and the one that is minimised: leave "
+            "energy out, or give the residuals as F."
+        )
+    return F
 
 
 def residuals(
@@ -272,31 +291,3 @@ def default_volume_ratio(u: dolfinx.fem.Function) -> ufl.core.expr.Expr | None:
     if u.ufl_shape != (gdim,):
         return None
     return ufl.det(ufl.Identity(gdim) + ufl.grad(u))
-
-
-def create_newton_solver(
-    newton: Newton, feti: FETI, A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]
-) -> PETSc.SNES:
-    """Create a SNES and its KSP with their contexts.
-
-    Args:
-        newton: Context of the SNES.
-        feti: Context of the KSP.
-        A: Torn tangent.
-        prefix: Options prefix.
-        petsc_options: Options without prefix.
-    """
-    snes = PETSc.SNES().create(A.comm)
-    snes.setOptionsPrefix(prefix)
-    snes.setType(PETSc.SNES.Type.PYTHON)
-    snes.setPythonContext(newton)
-    snes.setTolerances(rtol=1e-8, atol=1e-10, max_it=30)
-    ksp = snes.getKSP()
-    ksp.setOperators(A)
-    ksp.setType(PETSc.KSP.Type.PYTHON)
-    ksp.setPythonContext(feti)
-    with inserted(prefix, petsc_options):
-        read_options(prefix)  # PETSc would turn its ValueError into an error code
-        reject_other_solvers(prefix)
-        snes.setFromOptions()
-    return snes

@@ -13,6 +13,7 @@ from collective import COMM, agree, raises
 
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.loading.load_steps import Steps
+from dolfinx_feti.loading.progress import WIDTH, Progress
 
 
 class Terminal(io.StringIO):
@@ -97,3 +98,12 @@ def test_bar_makes_room_for_other_output(played, terminal):
         on_step=lambda _: cleared.append(lines(terminal.getvalue())[-1:]),
     )
     agree(set(map(tuple, cleared)) == {("",) if COMM.rank == 0 else ()}, cleared)
+
+
+def test_bar_where_there_is_no_way_left(played, terminal):
+    """As at a restart whose only target has been met, but roughly."""
+    problem = played()
+    with Progress(problem.solver, COMM, loads=[3.0, 3.0], unit="mmHg") as bar:
+        bar.attempt(3.0, 3.0)
+    shown = [line.split("  ")[0] for line in lines(terminal.getvalue()) if line]
+    agree(shown == (["█" * WIDTH + " 100 %"] if COMM.rank == 0 else []), shown)
