@@ -70,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
     parser = create_parser("compare", __doc__, comm)
     add = parser.add_argument
     add("--kappa", type=positive, default=1000.0, help="[kPa], 1000")
-    add("--dofs", type=count, default=180_000, help="about so many, 180000")
+    add("--dofs", type=count, default=180_000, help="approximate number of dofs, 180000")
     add("--subdomains", type=count, default=96, help="over all processes, 96")
     add("--solvers", type=several(one_of(SOLVERS)), default=list(SOLVERS), help=",".join(SOLVERS))
     add("--json", type=Path, metavar="FILE", help="where the records are kept")
@@ -137,7 +137,7 @@ def first_step(tube: WallProblem) -> PETSc.Vec:
 
 
 def share_feti(tube: WallProblem) -> PETSc.KSP:
-    """Return the KSP of the problem; who destroys it lets the problem keep it."""
+    """Return the KSP of the problem as one that may be destroyed: the problem keeps its own."""
     ksp = tube.problem.solver.getKSP()
     ksp.setOperators(tube.problem.A)
     ksp.incRef()

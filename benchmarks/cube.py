@@ -9,7 +9,7 @@
 An option that takes several values runs all combinations. The defaults are the paper's choices:
 8 × 8 × 8 subdomains, multiplicity scaling, Q = I, full gluing, a reduction of the dual residual by
 1e-8; E = 210, ν = 0.45, and on the whole surface the displacements of the fundamental solution with
-its source at (2, 2, 2). A case that stands in the JSON file is not run again, unless by --again.
+its source at (2, 2, 2). A case that is in the JSON file is not run again, unless by --again.
 The memory is estimated before each case, and a case that will not fit is refused; the exit status
 then is 1. PETSC_OPTIONS in the environment serves PETSc's own options.
 """

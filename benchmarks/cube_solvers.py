@@ -11,7 +11,7 @@ get the assembled one. All of them reduce the residual of the assembled system b
 is the most memory above what mesh and forms, and for the others the matrix, had taken before.
 
 MUMPS is given the memory that there is, or --memory, and says after its analysis if that will not
-do. A solver that stands in the file for this level and number of processes is not run again,
+do. A solver that is in the file for this level and number of processes is not run again,
 unless by --again.
 """
 

@@ -56,7 +56,7 @@ def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
     Args:
         folder: Where they go.
         records: Of all load steps.
-        remark: What is to be said about the runs.
+        remark: Remark about the runs.
     """
     pages = [_introduction(records, remark)]
     walls = [(str(record["geometry"]), int(record["degree"])) for record in records]

@@ -7,9 +7,10 @@
 
 The wall of `demos/demo_artery.py`, or the tube, with c = 6 kPa, κ = 1000 kPa, 32 subdomains and the
 Dirichlet preconditioner, is inflated in load steps that adapt, once by all-floating and once by
-classical FETI. A record for each accepted step says what it cost, and displacement norm and stress
-magnitude at five points A–E. A run that is ended goes on where it was (`--checkpoint FOLDER`); one
-that is finished is not repeated (`--again`). `benchmarks.load_figures` draws the paper's figures.
+classical FETI. A record for each accepted step holds its cost, and displacement norm and stress
+magnitude at five points A–E. With `--checkpoint FOLDER` a run that was interrupted is continued;
+one that is finished is not repeated, unless by `--again`. `benchmarks.load_figures` draws the
+paper's figures.
 
 At such pressures the wall of the vessel, a cerebral aneurysm with the material of a carotid artery,
 is a numerical benchmark and no physiology.
@@ -87,7 +88,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for kind in args.type:
         case: Record = shared | {"type": kind, "processes": comm.size}
         if not args.again and records.find(case | {"pressure_mmhg": args.pressure}) is not None:
-            say(f"{kind}: {args.pressure:g} mmHg stand in the records already", comm)
+            say(f"{kind}: {args.pressure:g} mmHg is in the records already", comm)
             continue
         checkpoint = _checkpoint(args, case, parser, comm)
         try:
@@ -109,7 +110,7 @@ def inflate(
     """Inflate a wall by one variant, with a record for each accepted load step.
 
     Args:
-        case: What tells the run from others, for the records.
+        case: Parameters of the run, for the records.
         wall: Mesh, layers and surfaces.
         records: Where the records go.
         pressure: Where to arrive [mmHg].
@@ -203,7 +204,7 @@ def _create_parser(comm: MPI.Comm) -> argparse.ArgumentParser:
 def _checkpoint(
     args: argparse.Namespace, case: Record, parser: argparse.ArgumentParser, comm: MPI.Comm
 ) -> Checkpoint | None:
-    """Open the folder of a variant, in which a run that was ended goes on."""
+    """Open the folder of a variant; a run that was interrupted is continued there."""
     if args.checkpoint is None:
         return None
     folder = args.checkpoint / f"{case['geometry']}-{case['type']}"

@@ -39,7 +39,7 @@ def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
     Args:
         folder: Where they go.
         records: What they are about.
-        remark: What is to be said about the runs.
+        remark: Remark about the runs.
     """
     solvers = [record for record in records if "solver" in record]
     cases = [record for record in records if "solver" not in record]

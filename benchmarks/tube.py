@@ -8,7 +8,7 @@ r"""The inflated tube against its semi-analytical solution at the same κ.
 
 A record for each pressure: radius, thickness, volume and stress beside the truth, and what it took
 to get there from rest, failed attempts included. A run that does not arrive leaves a record of
-where it ended. With --checkpoint FOLDER a run that was killed goes on with --restart.
+where it ended. With --checkpoint FOLDER a run that was killed is continued by --restart.
 
 Options with a single dash are PETSc's, with the prefix `tube_`.
 """
@@ -76,13 +76,13 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
     add("--tangent", choices=TANGENTS, default="symmetric", help="of the follower pressure")
     add("--subdomains", type=count, default=8, help="over all processes, 8")
     add("--checkpoint", type=Path, metavar="FOLDER", help="keep each load step")
-    add("--restart", action="store_true", help="go on from the checkpoint")
+    add("--restart", action="store_true", help="continue from the checkpoint")
     add("--json", type=Path, metavar="FILE", help="records, added to what the file holds")
     args = parse_words(parser, argv)
     if args.pressures != sorted(args.pressures):
         parser.error(f"argument --pressures: {args.pressures} do not rise")
     if args.restart and args.checkpoint is None:
-        parser.error("argument --restart: say by --checkpoint FOLDER from where")
+        parser.error("argument --restart: it needs --checkpoint FOLDER, the run to continue")
     names = ("c", "kappa", "size", "degree", "quarter", "subdomains", "tangent")
     case: Record = {name: getattr(args, name) for name in names} | {"processes": comm.size}
     file = open_records(args.json, parser, comm)
@@ -159,7 +159,7 @@ def cost(steps: Sequence[LoadStep]) -> Record:
 
 
 def _line(record: Record) -> str:
-    """Say a record in one line."""
+    """Format a record as a line."""
     cost = (
         f"{record['steps']:3d} steps {record['newton_iterations']:4d} Newton "
         f"{record['linear_iterations']:6d} FETI"

@@ -50,15 +50,15 @@ def parse(
     parser.add_argument("--degree", type=int, choices=(1, 2), default=2, help="of displacements, 2")
     parser.add_argument("--output", type=Path, default=Path("output/artery"), metavar="FOLDER")
     parser.add_argument("--checkpoint", type=Path, metavar="FOLDER", help="keep each load step")
-    parser.add_argument("--restart", action="store_true", help="go on from the checkpoint")
+    parser.add_argument("--restart", action="store_true", help="continue from the checkpoint")
     args = parser.parse_args(own)
     if args.restart and args.checkpoint is None:
-        parser.error("argument --restart: say by --checkpoint FOLDER from where")
+        parser.error("argument --restart: it needs --checkpoint FOLDER, the run to continue")
     return args, solver, rest
 
 
 def _split(arguments: Sequence[str]) -> tuple[list[str], dict[str, str | None], list[str]]:
-    """Tell PETSc's options, a dash and a letter with or without a value, from the demo's."""
+    """Separate PETSc's options, a dash and a letter with or without a value, from the demo's."""
     own: list[str] = []
     solver: dict[str, str | None] = {}
     rest: list[str] = []

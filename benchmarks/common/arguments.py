@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Command lines of the benchmarks: a parser of which one process speaks, and readers of words.
+"""Command lines of the benchmarks: a parser that prints on one process, and types of words.
 
 Numbers are read by :mod:`meshes.arguments`.
 """
@@ -46,10 +46,10 @@ def create_parser(name: str, description: str, comm: MPI.Comm) -> argparse.Argum
 
 
 def add_records(parser: argparse.ArgumentParser) -> None:
-    """Add the options that tell where records are kept, and what is run."""
+    """Add the options for the file of records, repeated cases and the memory."""
     add = parser.add_argument
     add("--json", type=Path, metavar="FILE", help="records, added to what the file holds")
-    add("--again", action="store_true", help="run cases that stand in the file as well")
+    add("--again", action="store_true", help="also run cases that the file has")
     add("--memory", type=positive, default=math.inf, metavar="MIB", help="take no more than this")
 
 
@@ -82,10 +82,10 @@ def open_checkpoint(
 
     Args:
         folder: The folder, or None.
-        parser: Speaks if the folder will not do.
+        parser: Reports a folder that cannot be used.
         comm: Communicator of the mesh.
-        parameters: What a run that goes on must have in common with the earlier one.
-        restart: Go on from the state that the folder holds.
+        parameters: Parameters that a continued run must share with the earlier one.
+        restart: Continue from the state in the folder.
 
     Raises:
         SystemExit: The folder cannot be written, or holds something else. On all processes.
@@ -102,12 +102,12 @@ def open_checkpoint(
 
 
 def several(single: Callable[[str], object]) -> Callable[[str], list[object]]:
-    """Return a reader of values with commas between them."""
+    """Return a type for values separated by commas."""
     return lambda text: list(dict.fromkeys(single(word.strip()) for word in text.split(",")))
 
 
 def one_of(choices: Sequence[object]) -> Callable[[str], object]:
-    """Return a reader of one of some values."""
+    """Return a type for one of some values."""
 
     def read(text: str) -> object:
         for choice in choices:
@@ -131,7 +131,7 @@ def names(choices: Sequence[object]) -> str:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser of which only the first process speaks."""
+    """A parser that prints on the first process only."""
 
     rank = 0
 

@@ -30,7 +30,7 @@ class Clock:
         """Begin.
 
         Args:
-            comm: All processes wait for each other when the time is read.
+            comm: Its processes are synchronised when the time is read.
         """
         self._comm = comm
         PETSc.Log.begin()

@@ -32,7 +32,7 @@ STREAM = 2**27
 def available_mib(comm: MPI.Comm) -> float:
     """Return the memory that the processes may still take on all their machines [MiB].
 
-    Where the system does not tell, it is infinite.
+    Infinite where the system does not report it.
 
     Note:
         Collective.

@@ -44,7 +44,7 @@ def run_command(
     )
     parser.add_argument("records", type=Path, nargs="+", metavar="JSON", help=f"files of {writer}")
     parser.add_argument("--output", type=Path, required=True, metavar="FOLDER")
-    parser.add_argument("--remark", default="", help="what is to be said about the runs")
+    parser.add_argument("--remark", default="", help="remark about the runs")
     args = parser.parse_args(arguments)
     try:
         records = [r for path in args.records for r in read_records(path, known, writer)]

@@ -42,7 +42,7 @@ class Records:
                 self._records = on_first(lambda: _read_or_create(path), comm)
             except (OSError, ValueError) as error:
                 raise ValueError(
-                    f"--json is '{path}', which will not do: {error}. Name another file."
+                    f"--json '{path}' cannot be used: {error}. Name another file."
                 ) from error
 
     def find(self, key: Record) -> Record | None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 __all__ = ["Table", "count", "number", "percent"]
 
-#: What LaTeX writes otherwise.
+#: Characters that LaTeX writes in another way.
 LATEX = {
     "κ": r"$\kappa$",
     "λ_min": r"$\lambda_{\min}$",
@@ -33,7 +33,7 @@ class Table:
         title: What it shows.
         head: Names of the columns.
         rows: Cells, as many as columns.
-        note: What is to be said about it.
+        note: Remark below the title.
     """
 
     title: str

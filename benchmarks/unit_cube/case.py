@@ -74,7 +74,7 @@ class Case:
         return 2 ** (self.level - 1)
 
     def __str__(self) -> str:
-        """Say what tells the case from the paper's own."""
+        """Name what distinguishes the case from the paper's own."""
         words = [f"P{self.degree}, level {self.level}", f"{self.subdomains_per_edge}³ subdomains"]
         words += [self.type, self.pc]
         usual = asdict(Case())

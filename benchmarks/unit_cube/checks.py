@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What the linear study is to show, and whether its records do."""
+"""Statements that the linear study should confirm, and whether its records do."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class Check(NamedTuple):
 
     Attributes:
         what: The quantity.
-        bound: What it is to be, in words.
-        value: What it is.
-        holds: Whether that will do.
+        bound: Its bound, in words.
+        value: Its value, in words.
+        holds: Whether the value is within the bound.
     """
 
     what: str

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What a case of the cube takes of memory, estimated before anything is set up.
+"""Memory of a case of the cube, estimated before anything is set up.
 
 The factors are by far the most of it. A decomposed cube has at most four kinds of subdomains, told
 apart by how many of their faces lie on its surface; one of each kind is analysed symbolically by
@@ -9,7 +9,7 @@ MUMPS, and its figures are multiplied. Where the solver eliminates the interior 
 Schur complements take the place of the factors of K. The coarse matrix couples a subdomain with the
 26 around it, or with 124 if Q is the preconditioner; its factor is analysed with one dof in the
 place of six modes. What grows with the cells, the non-zeros and the glued dofs was measured once
-and stands below as bytes for each.
+and is given below as bytes for each.
 """
 
 from __future__ import annotations
@@ -36,28 +36,28 @@ __all__ = ["Estimate", "estimate"]
 
 Mask = npt.NDArray[np.bool_]
 
-#: Bytes of a process with everything imported.
+#: Bytes per process with everything imported.
 PROCESS = 140e6
 
-#: Bytes of a tetrahedron in the mesh, the spaces and the functions, by degree.
+#: Bytes per tetrahedron in the mesh, the spaces and the functions, by degree.
 TETRAHEDRON = {1: 180.0, 2: 3800.0}
 
-#: Bytes of an entry in the torn matrix, in the interface rows, and in a block that is factored.
+#: Bytes per entry in the torn matrix, in the interface rows, and in a block that is factored.
 ENTRY, ROW_ENTRY, BLOCK_ENTRY = 16.0, 12.0, 20.0
 
-#: Bytes of a glued dof in the jump operators and the coarse problem.
+#: Bytes per glued dof in the jump operators and the coarse problem.
 GLUED = 1500.0
 
-#: Bytes of a glued dof in the product of the preconditioner with G, for Q = preconditioner.
+#: Bytes per glued dof in the product of the preconditioner with G, for Q = preconditioner.
 PRODUCT = 14000.0
 
-#: Bytes that a factor takes besides its entries.
+#: Bytes per factor besides its entries.
 FACTOR = 0.15e6
 
-#: Bytes of an entry in the factor of the coarse matrix, and of one in the copies of that matrix.
+#: Bytes per entry in the factor of the coarse matrix, and in the copies of that matrix.
 COARSE_FACTOR, COARSE_ENTRY = 12.0, 36.0
 
-#: What the estimate is above the sum of its parts.
+#: Ratio of the estimate to the sum of its parts.
 MARGIN = 1.1
 
 #: Modes of a subdomain in the coarse space.
@@ -70,7 +70,7 @@ class Estimate:
 
     Attributes:
         mib: Memory [MiB].
-        streamed: What an iteration has to read of factors and dense blocks [bytes].
+        streamed: Size of the factors and dense blocks that an iteration reads [bytes].
     """
 
     mib: float
@@ -135,14 +135,14 @@ def estimate(
     streamed = 0.0
     inside = _analyse(K[~surface][:, ~surface], 0)
     for kind in kinds:
-        if eliminated:  # a triangle forth and back, another one to apply S
+        if eliminated:  # forward and back substitution, and a triangle to apply S
             dense = 8.0 * glued[kind] ** 2
             total += kind.number * (dense + inside.bytes)
             streamed += kind.number * dense * (1.5 if pc_type == "dirichlet" else 1.0)
         else:
             factor = _analyse(K[kind.free][:, kind.free], kind.border)
             total += kind.number * factor.bytes
-            streamed += kind.number * 2 * 8.0 * factor.entries  # forth and back
+            streamed += kind.number * 2 * 8.0 * factor.entries  # forward and back
     if pc_type == "dirichlet" and not eliminated:
         total += count * (inside.bytes + ROW_ENTRY * K[surface].nnz)
         streamed += count * 2 * 8.0 * inside.entries

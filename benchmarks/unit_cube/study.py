@@ -61,7 +61,7 @@ class Study:
                 is there, too, without results, and tried again.
             comm: Communicator of the meshes.
             limit: Most memory that may be taken [MiB]; never more than there is.
-            again: Run a case though it stands in the records.
+            again: Also run cases that are in the records.
         """
         self._records, self._comm, self._limit = records, comm, limit
         self._cases = [case for case in cases if again or not is_solved(records.find(case.key()))]
@@ -73,7 +73,7 @@ class Study:
     def run(self) -> None:
         """Run the cases; the records are written after each. Collective."""
         if self._known:
-            say(f"{self._known} case(s) stand in the records already", self._comm)
+            say(f"{self._known} case(s) are in the records already", self._comm)
         if not self._cases:
             return
         say(HEAD, self._comm)

@@ -34,7 +34,7 @@ SOLVERS = {
     "mumps": "MUMPS",
 }
 
-#: What is to be said about quadratic elements.
+#: Remarks on quadratic elements.
 QUADRATIC = {
     "all_floating": (
         "The values of the paper's table are not compared. It gives 53 181 dofs and 77 700 "

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The two-layer tube: its fibres, and the clamped one with about as many dofs as one asks for."""
+"""The two-layer tube: its fibres, and a clamped one with about a given number of dofs."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def test_file_that_cannot_be_written(no_work, capsys, tmp_path, place):
     with pytest.raises(SystemExit) as caught:
         compare.main(["--json", str(tmp_path / place)])
     said = capsys.readouterr().err
-    printed = f"error: --json is '{tmp_path / place}'" in said
+    printed = f"error: --json '{tmp_path / place}' cannot be used" in said
     agree(caught.value.code == 2 and printed == (COMM.rank == 0), said)
     agree((tmp_path / "notes").read_text() == "mine")
 

@@ -19,7 +19,7 @@ def test_finished_cases_are_not_run_again(study_of, capsys, monkeypatch):
     _, first = study_of(*SMALL, "--level", "1")
     _, second = study_of(*SMALL, "--level", "1,2")
     said = COMM.bcast(capsys.readouterr().out)
-    agree("1 case(s) stand in the records already" in said, said)
+    agree("1 case(s) are in the records already" in said, said)
     agree(second[:1] == first and [r["level"] for r in second] == [1, 2])
     with monkeypatch.context() as patched:
         patched.setattr(study, "run", lambda *_: pytest.fail("a finished case was run"))
@@ -96,5 +96,5 @@ def test_file_that_cannot_hold_the_records(tmp_path, capsys, monkeypatch):
             cube.main(["--json", str(tmp_path / name)], COMM)
         agree(caught.value.code == 2)
         said = COMM.bcast(capsys.readouterr().err)
-        agree("--json is" in said and "Name another file" in said, said)
+        agree("cannot be used" in said and "Name another file" in said, said)
     agree(on_first(lambda: (tmp_path / "text").read_text()) == "mine")

@@ -38,7 +38,7 @@ def test_whole_study_is_resumed(tmp_path, monkeypatch, capsys):
     agree(all(r["coarse_size"] == 48 and r["coarse_mib"] >= 0.0 for r in records))
     agree(linear.main(arguments, COMM) == 0)
     said = COMM.bcast(capsys.readouterr().out)
-    agree("2 case(s) stand in the records already" in said, said)
+    agree("2 case(s) are in the records already" in said, said)
 
 
 def test_solvers_of_the_assembled_matrix_agree_with_feti(tmp_path):

@@ -16,6 +16,8 @@ from wall_files import on_first
 from benchmarks import report
 from benchmarks.common import machine
 
+pytestmark = pytest.mark.serial
+
 
 def test_report_of_a_study(study_of, tmp_path, capsys):
     """From records on disk to Markdown, LaTeX and pictures."""

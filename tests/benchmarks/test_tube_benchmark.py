@@ -129,7 +129,7 @@ def test_a_run_that_does_not_arrive(monkeypatch, tmp_path):
         (["--subdomains", "0"], "'0' is not a number 1, 2, 3"),
         (["--tangent", "half"], "invalid choice: 'half'"),
         (["--presure"], "unrecognized arguments: --presure"),
-        (["--restart"], "--restart: say by --checkpoint FOLDER from where"),
+        (["--restart"], "--restart: it needs --checkpoint FOLDER"),
     ],
 )
 def test_wrong_words(no_work, capfd, words, match):

@@ -266,7 +266,7 @@ def test_counts_that_are_none(run, capsys, value):
         (["--degree", "3"], "invalid choice: "),
         (["--presure", "10"], "unrecognized arguments: --presure 10"),
         (["ten"], "unrecognized arguments: ten"),
-        (["--restart"], "--restart: say by --checkpoint FOLDER from where"),
+        (["--restart"], "--restart: it needs --checkpoint FOLDER"),
     ],
 )
 def test_unknown_words(run, capsys, arguments, match):

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import pytest
 from collective import COMM, agree, raises
 from linear_study import SMALL
 
@@ -12,6 +13,7 @@ from benchmarks.unit_cube import memory
 from benchmarks.unit_cube.case import Case
 
 
+@pytest.mark.serial
 def test_kinds_of_subdomains_are_all_of_them():
     for edge in (1, 2, 3, 8):
         for floating in (False, True):
@@ -28,6 +30,7 @@ def estimated(**changes: object) -> memory.Estimate:
     return memory.estimate(**(case | changes))
 
 
+@pytest.mark.serial
 def test_estimate_follows_what_a_case_needs():
     usual = estimated()
     for more in ({"degree": 2}, {"cells": 4}, {"subdomains": 4}, {"pc_type": "dirichlet"}):

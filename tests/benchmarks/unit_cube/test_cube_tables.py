@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from collective import agree, small
 from linear_study import EVERYTHING, record_of
 
@@ -13,6 +14,8 @@ from benchmarks.unit_cube.case import Case
 from benchmarks.unit_cube.checks import checks, error_scale, speed_checks
 from benchmarks.unit_cube.growth import fit_growth
 from benchmarks.unit_cube.tables import deviations, tables
+
+pytestmark = pytest.mark.serial
 
 
 def test_tables_hold_the_papers_values_against_ours():

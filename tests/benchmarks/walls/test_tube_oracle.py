@@ -10,6 +10,8 @@ import pytest
 
 from benchmarks.walls.oracle import KPA_PER_MMHG, Layer, Wall, energy, inflate, stresses
 
+pytestmark = pytest.mark.serial
+
 # Inner displacement [mm] at p [mmHg] for κ = ∞, 1e5, 1000, 100 kPa, c = 3 kPa. These digits were
 # computed with the rounded factor of 0.133322 kPa per mmHg, which shows in the last of them.
 TABLE = {

@@ -50,7 +50,10 @@ def reaction(body: WallProblem) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("size", "quarter"), [(0.39, False), (0.3, False), (0.26, False), (0.2, False), (0.26, True)]
+    ("size", "quarter"),
+    [(0.39, False)]
+    + [pytest.param(size, False, marks=pytest.mark.serial) for size in (0.3, 0.26, 0.2)]
+    + [pytest.param(0.26, True, marks=pytest.mark.serial)],
 )
 def test_tangent_has_no_kernel(size, quarter):
     """At rest, where the tangent of a body that is not held has one exactly."""
@@ -58,6 +61,7 @@ def test_tangent_has_no_kernel(size, quarter):
     agree(λ[0] > FLOOR * λ[-1], λ[:4])
 
 
+@pytest.mark.serial
 def test_quadratic_tube_under_pressure_has_no_kernel():
     """In equilibrium the load leaves the rigid motions in the kernel of a tube that is not held."""
     body = tube(0.39, degree=2)
@@ -67,6 +71,7 @@ def test_quadratic_tube_under_pressure_has_no_kernel():
     agree(λ[0] > FLOOR * λ[-1], λ[:4])
 
 
+@pytest.mark.serial
 def test_without_its_nodes_the_whole_tube_has_three_motions(monkeypatch):
     """Two translations and a rotation: so many conditions hold it, and each is needed."""
     for held, motions in (((), 3), (supports.NODES[:1], 2), (supports.NODES[1:], 1)):
@@ -77,9 +82,8 @@ def test_without_its_nodes_the_whole_tube_has_three_motions(monkeypatch):
 
 
 @pytest.mark.parametrize("kind", TYPES)
-@pytest.mark.parametrize("size", [0.39, 0.26])
-def test_both_variants_find_the_solution_of_a_direct_solver(kind, size):
-    body = tube(size, feti_type=kind, ksp_rtol=1e-10)
+def test_both_variants_find_the_solution_of_a_direct_solver(kind):
+    body = tube(0.3, feti_type=kind, ksp_rtol=1e-10)
     body.pressure.value = loads.mmhg(1.0)
     body.problem.linearise()
     r = reaction(body).copy()
@@ -103,8 +107,8 @@ def test_both_variants_find_the_solution_of_a_direct_solver(kind, size):
 
 def test_supports_leave_no_stress():
     """The three reactions vanish beside the load; those of the ends do not."""
-    body = tube(0.26)
-    body.pressure.value = loads.mmhg(20.0)
+    body = tube(0.3)
+    body.pressure.value = loads.mmhg(10.0)
     load = norm(reaction(body))  # at rest the pressure is all of it
     body.problem.solve()
     r = reaction(body)
