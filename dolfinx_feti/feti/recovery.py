@@ -84,7 +84,7 @@ def recover(parts: Parts, pair: tuple[PETSc.Vec, PETSc.Vec], f: Array, u_D: Arra
     Returns:
         u with single-valued copies, (n,).
     """
-    condensed = parts.interior.condense(f)
+    condensed = parts.matrices.condense(f)
     v, B = parts.operator.vector, parts.gluing.B
     v.read(parts.krylov.x)
     for part, first in zip((v.lam, v.s), pair, strict=True):
@@ -103,7 +103,7 @@ def recover(parts: Parts, pair: tuple[PETSc.Vec, PETSc.Vec], f: Array, u_D: Arra
         u += parts.coarse.prolong(parts.constraint.project(jump))  # s, at last
     parts.gluing.B_D.multTranspose(jump, t)
     u -= parts.preconditioner.extend(t.array_r)  # u ← u − E_Γ B_Dᵀ (B u − c)
-    u = parts.interior.extend(u, f)
+    u = parts.matrices.extend(u, f)
     u[parts.inverse.fixed] = u_D[parts.inverse.fixed]
     t.destroy()
     jump.destroy()

@@ -75,7 +75,8 @@ def collect(parts: Parts) -> Report:
     torn, gluing, inverse, coarse = parts.torn, parts.gluing, parts.inverse, parts.coarse
     comm = torn.comm
     sizes = [len(dofs) for dofs in torn.subdomains]
-    k = inverse.rigid
+    modes, k, memory = parts.modes, parts.modes.kernels, coarse.solver.memory()
+    local, pivots = inverse.negative(), coarse.solver.pivots()
     widest = comm.allreduce(int(k.max(initial=0)), op=MPI.MAX)
     kernels = comm.allreduce(np.bincount(k, minlength=widest + 1))
     applied = parts.preconditioner.factors.memory() if parts.preconditioner.factors else 0.0
@@ -90,17 +91,20 @@ def collect(parts: Parts) -> Report:
         ),
         multipliers=gluing.B.getSize()[0],
         kernels=tuple(int(count) for count in kernels),
-        exact=comm.allreduce(sum(inverse.exact)),
-        elastic=comm.allreduce(int((inverse.kernel_dimensions() - k).sum())),
-        negative_local=comm.allreduce(inverse.negative_local()),
-        negative_defect=comm.allreduce(inverse.negative_defects()),
+        exact=comm.allreduce(sum(modes.exact)),
+        elastic=comm.allreduce(int((modes.dimensions - k).sum())),
+        negative_local=comm.allreduce(-1 if local is None else local),
+        negative_defect=comm.allreduce(modes.negative_defects),
         negative_interior=parts.negative_interior,
         negative_assembled=parts.negative_assembled,
-        interior="kept" if parts.interior.eliminated is None else "eliminated",
+        interior="eliminated" if parts.matrices.condensed else "kept",
         coarse_size=coarse.total,
-        coarse_mib=coarse.solver.memory(),
-        coarse_inertia=coarse.solver.inertia(),
-        factor_mib=comm.allreduce(parts.interior.memory() + applied),
+        coarse_mib=np.nan if memory is None else memory,
+        coarse_inertia=(
+            -1 if pivots.negative is None else pivots.negative,
+            -1 if pivots.zero is None else pivots.zero,
+        ),
+        factor_mib=comm.allreduce(parts.matrices.memory() + applied),
         recycled=parts.recycling.size,
         eigenvalues=parts.krylov.eigenvalues,
     )

@@ -3,37 +3,43 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """From a torn matrix to a dual system, in the order of the method.
 
-torn matrix → gluing → interior → generalised inverse (kernels) → preconditioner → coarse
-problem → dual system.
+torn matrix → gluing → matrices of the subdomains → generalised inverse (modes) → preconditioner →
+coarse problem → dual system.
 
-What depends on the pattern only (gluing, symbolic factors) is built once; what depends
-on the values is refreshed when the matrix changes.
+What depends on the pattern only (jumps, symbolic factors) is built once; what depends on the values
+is made from the present matrix alone whenever it changes.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
+from typing import Protocol, TypeVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_feti.errors import FactorError, SetUpError, SingularError
+from dolfinx_feti.collective import on_all
+from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.events import event
 from dolfinx_feti.feti.coarse.coarse import Coarse
 from dolfinx_feti.feti.coarse.stability import negative_eigenvalues
-from dolfinx_feti.feti.gluing import create_gluing
+from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.krylov.dual import ConstraintPreconditioner, DualOperator, DualVector
 from dolfinx_feti.feti.krylov.method import Krylov
 from dolfinx_feti.feti.krylov.recycling import Recycling
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.preconditioner.preconditioner import create_preconditioner
-from dolfinx_feti.feti.subdomain.matrices import create_interior
-from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
+from dolfinx_feti.feti.subdomain.direct import sum_pivots
+from dolfinx_feti.feti.subdomain.enrichment import Enrichment
+from dolfinx_feti.feti.subdomain.matrices import create_matrices
+from dolfinx_feti.feti.subdomain.pseudoinverse import Modes, PseudoInverse
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Parts"]
+
+T = TypeVar("T")
 
 #: Krylov methods for symmetric systems.
 SYMMETRIC_METHODS = ("cg", "fcg", "pipecg", "minres", "symmlq")
@@ -56,8 +62,9 @@ class Parts:
         torn: Blocks and copies.
         symmetric: Whether K is symmetric.
         gluing: B and B_D.
-        interior: The matrix of each subdomain, K or S.
-        inverse: K⁺, E and D.
+        matrices: The matrices of the subdomains, K or S.
+        inverse: K⁺.
+        modes: R, E and D; after :meth:`update`.
         preconditioner: M.
         recycling: What solves leave to later ones.
         negative: Negative eigenvalues of K_ρ and D over all subdomains; CG is safe without any.
@@ -74,6 +81,7 @@ class Parts:
     negative: int
     negative_interior: int
     negative_assembled: int
+    modes: Modes
     coarse: Coarse
     operator: DualOperator
     constraint: ConstraintPreconditioner
@@ -97,14 +105,9 @@ class Parts:
         self.symmetric = self.torn.is_symmetric()
         floating = options.all_floating
         with event("FETIGluing"):
-            self.gluing = create_gluing(
-                self.torn,
-                all_floating=floating,
-                redundant=options.gluing == "full",
-                stiffness=self.torn.stiffness() if options.scaling == "stiffness" else None,
+            self.gluing = Gluing(
+                self.torn, all_floating=floating, redundant=options.gluing == "full"
             )
-        glued_stiffness = np.zeros(self.torn.n)
-        glued_stiffness[self.gluing.glued] = np.abs(self.torn.stiffness()[self.gluing.glued])
         fixed = self.torn.dirichlet & (not floating)
         if options.interior == "eliminate" and not self.symmetric:
             raise SetUpError(
@@ -117,7 +120,7 @@ class Parts:
                 f"{options.dual_recycle}, and directions are only recycled of a symmetric one: "
                 "leave it out."
             )
-        self.interior = create_interior(
+        self.matrices = create_matrices(
             options.interior,
             self.torn,
             [rows[~fixed[rows]] for rows in self.torn.subdomains],
@@ -127,19 +130,21 @@ class Parts:
         )
         self.inverse = PseudoInverse(
             self.torn,
-            self.interior,
+            self.matrices,
             fixed,
+            self.gluing.glued,
             symmetric=self.symmetric,
-            buckling=options.indefinite == "enrich",
-            soft=options.coarse_modes,
-            threshold=options.coarse_threshold,
-            weight=glued_stiffness,
+            enrichment=Enrichment(
+                buckling=options.indefinite == "enrich" and self.symmetric,
+                soft=options.coarse_modes,
+                threshold=options.coarse_threshold,
+            ),
         )
         self.preconditioner = create_preconditioner(
             options.pc_type,
             self.torn,
             self.gluing,
-            self.interior,
+            self.matrices,
             symmetric=self.symmetric,
             prefix=self.prefix + "dirichlet_",
         )
@@ -159,6 +164,10 @@ class Parts:
             Collective.
         """
         require_finite(self.torn)
+        with event("FETIGluing"):
+            if self.options.scaling == "stiffness":
+                self.gluing.update(self.torn.stiffness())
+            self.preconditioner.weigh()
         with event("FETIFactor"):
             self._factor()
         with event("FETICoarse"):
@@ -166,7 +175,7 @@ class Parts:
             self.coarse = Coarse(
                 self.torn,
                 self.gluing,
-                self.inverse,
+                self.modes,
                 self.preconditioner,
                 q=self.options.coarse_q,
                 symmetric=self.symmetric,
@@ -174,11 +183,10 @@ class Parts:
             )
             self._dual.append(self.coarse)
             self._check_coarse()
-        local = abs(self.inverse.negative_local())  # −1, not known, counts as negative
-        self.negative = self.torn.comm.allreduce(local + self.inverse.negative_defects())
-        interior = self.preconditioner.factors or self.interior.eliminated
-        inside = 0 if interior is None else int(interior.inertia()[:, 0].sum())
-        self.negative_interior = self.torn.comm.allreduce(inside)
+        local = self.inverse.negative()
+        local = 1 if local is None else local  # not known counts as negative
+        self.negative = self.torn.comm.allreduce(local + self.modes.negative_defects)
+        self.negative_interior = self._negative_interior()
         if self.negative and self.symmetric and self.options.indefinite == "error":
             raise SetUpError(
                 f"{self.negative} local eigenvalues are negative and -{self.prefix}indefinite is "
@@ -208,29 +216,35 @@ class Parts:
 
     def _factor(self) -> None:
         """Factor K_ρ and K_II; a failure on one process is a failure on all."""
-        cause, zero = "", 0
-        try:
-            self.inverse.update()
-            self.preconditioner.update(self.inverse.props)
-            zero = int(self.inverse.factors.inertia()[:, 1].clip(min=0).sum())
-        except (FactorError, PETSc.Error) as error:
-            cause = str(error)
-        cause = next((text for text in self.torn.comm.allgather(cause) if text), "")
-        if cause:
-            raise SetUpError(
-                f"A local factorisation failed ({cause}): look for a process that is out of memory."
-            )
-        zero = self.torn.comm.allreduce(zero)
-        if zero:
-            raise SingularError(
-                f"{zero} zero pivots are left in the regularised subdomains: their kernel is "
-                "larger than the near kernel of the matrix. Take fewer, larger subdomains (some P2 "
-                "cells with a constant pressure move without energy in more than rigid ways), "
-                "or attach all rigid body modes with dolfinx_feti.set_near_kernel."
-            )
-        inside = self.torn.comm.allreduce(self.interior.zero_inside())
+        self._on_all(self.matrices.update)
+        inside = self.torn.comm.allreduce(self.matrices.interior_kernel().shape[1])
         if inside:
             raise SingularError(SINGULAR.format(inside))
+        near_kernel = self.torn.near_kernel()
+        self.modes = self._on_all(lambda: self.inverse.update(near_kernel))
+        self._on_all(lambda: self.preconditioner.update(self.modes.props))
+
+    def _on_all(self, work: Callable[[], T]) -> T:
+        """Do work on the subdomains of each process; an error on one is one on all.
+
+        Raises:
+            SetUpError: With the error of the first process that met one.
+        """
+        try:
+            return on_all(work, self.torn.comm)
+        except RuntimeError as error:
+            raise SetUpError(
+                f"A local factorisation failed ({error}): look for a process that is out of memory."
+            ) from error
+
+    def _negative_interior(self) -> int:
+        """Count the negative eigenvalues of all K_II; −1 if they are not known."""
+        known, K_II = self.matrices.interior_inertia(), self.preconditioner.factors
+        negative = None if known is None else known[0]
+        if known is None and K_II is not None:
+            negative = sum_pivots(K_II.pivots(i) for i in range(len(K_II.rows))).negative
+        counts = self.torn.comm.allgather(negative)
+        return -1 if None in counts else sum(counts)
 
     def _negative_assembled(self) -> int:
         """Count the negative eigenvalues of the assembled matrix that can be proved."""
@@ -238,22 +252,23 @@ class Parts:
             return -1
         inside, coarse = max(self.negative_interior, 0), 0
         if self.negative:  # otherwise all K_i are positive semi-definite
-            coarse = negative_eigenvalues(
+            counted = negative_eigenvalues(
                 self.torn,
                 self.gluing,
-                self.inverse,
+                self.modes,
                 self.preconditioner,
                 self.coarse,
                 prefix=self.prefix + "coarse_",
             )
-        harmonic = self.options.pc_type == "dirichlet" and self.interior.eliminated is not None
+            coarse = -1 if counted is None else counted
+        harmonic = self.options.pc_type == "dirichlet" and self.matrices.condensed
         if coarse > 0 and harmonic:
             return inside + coarse  # the coarse fields are K-orthogonal to those inside
         return max(inside, coarse) if inside else coarse
 
     def _check_coarse(self) -> None:
-        _, zero = self.coarse.solver.inertia()
-        if zero > 0:
+        zero = self.coarse.solver.pivots().zero
+        if zero:
             raise SingularError(SINGULAR.format(zero))
 
     def _check_method(self) -> None:
@@ -272,7 +287,7 @@ class Parts:
     def destroy(self) -> None:
         """Free everything, in reverse order."""
         self._destroy_dual()
-        for part in (self.preconditioner, self.interior, self.gluing, self.torn):
+        for part in (self.preconditioner, self.matrices, self.gluing, self.torn):
             part.destroy()
 
 

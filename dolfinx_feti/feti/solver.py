@@ -219,7 +219,7 @@ class FETI:
         for attempt in range(1 + p.options.refine):
             f = load(p, r, u_D)
             c = p.gluing.gap(u_D)
-            pair = start(p, p.interior.condense(f), c)
+            pair = start(p, p.matrices.condense(f), c)
             c.destroy()
             reason = krylov.solve(
                 target=MARGIN * target,

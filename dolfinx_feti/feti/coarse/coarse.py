@@ -32,8 +32,9 @@ import scipy.sparse
 
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.gluing import Gluing
-from dolfinx_feti.feti.preconditioner.preconditioner import Preconditioner, own_columns
-from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
+from dolfinx_feti.feti.preconditioner.preconditioner import Preconditioner
+from dolfinx_feti.feti.subdomain.blocks import own_columns
+from dolfinx_feti.feti.subdomain.pseudoinverse import Modes
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Coarse"]
@@ -65,7 +66,7 @@ class Coarse:
         self,
         torn: Torn,
         gluing: Gluing,
-        inverse: PseudoInverse,
+        modes: Modes,
         preconditioner: Preconditioner,
         *,
         q: str,
@@ -77,7 +78,7 @@ class Coarse:
         Args:
             torn: The torn matrix.
             gluing: Its jump operators.
-            inverse: The generalised inverse with E and D.
+            modes: E and D of every subdomain.
             preconditioner: M, for Q = M.
             q: ``identity``, ``diagonal`` or ``preconditioner``.
             symmetric: Whether K is symmetric.
@@ -87,18 +88,17 @@ class Coarse:
             Collective.
         """
         self._torn = torn
-        self._inverse = inverse
-        self.size = int(inverse.kernel_dimensions().sum())
+        self._modes = modes
+        self.size = int(modes.dimensions.sum())
         self.start = torn.comm.scan(self.size) - self.size
         self.total = torn.comm.allreduce(self.size)
-        self.exact = torn.comm.allreduce(all(inverse.exact), op=MPI.LAND)
-        self.G = self._jump_of(gluing.B, inverse.E)
-        same = inverse.E_left is inverse.E
-        self.G_left = self.G if same else self._jump_of(gluing.B, inverse.E_left)
+        self.exact = torn.comm.allreduce(all(modes.exact), op=MPI.LAND)
+        self.G = self._jump_of(gluing.B, modes.E)
+        self.G_left = self.G if modes.symmetric else self._jump_of(gluing.B, modes.E_left)
         self.q = _weight(torn, gluing, q)
         self.QG = self.G.copy()
         self.QG.diagonalScale(L=self.q)
-        self.D = self.block_diagonal(inverse.D)
+        self.D = self.block_diagonal(modes.D)
         self.N = self.G_left.transposeMatMult(self.QG)  # N = Gᵀ Q G, the diagonal part of Q
         self.GMG: PETSc.Mat | None = None
         if q == "preconditioner":
@@ -118,9 +118,8 @@ class Coarse:
     def restrict(self, f: Array) -> PETSc.Vec:
         """Return the load of the kernels, e = Eᵀ f, (K,); the caller destroys it."""
         e = self.N.createVecRight()
-        parts = [
-            E.T @ f[dofs] for E, dofs in zip(self._inverse.E_left, self._inverse.dofs, strict=True)
-        ]
+        pairs = zip(self._modes.E_left, self._modes.dofs, strict=True)
+        parts = [E.T @ f[dofs] for E, dofs in pairs]
         e.array[:] = np.concatenate([*parts, np.zeros(0)])
         return e
 
@@ -128,14 +127,14 @@ class Coarse:
         """Return the motion of the kernels, E s, (n,)."""
         u = np.zeros(self._torn.n)
         first = 0
-        for E, dofs in zip(self._inverse.E, self._inverse.dofs, strict=True):
+        for E, dofs in zip(self._modes.E, self._modes.dofs, strict=True):
             u[dofs] = E @ s.array_r[first : first + E.shape[1]]
             first += E.shape[1]
         return u
 
     def _jump_of(self, B: PETSc.Mat, E: list[Array]) -> PETSc.Mat:
         """Form B E from the kernels of all subdomains."""
-        E_all = own_columns(self._torn, self._inverse.dofs, E)
+        E_all = own_columns(self._torn, self._modes.dofs, E)
         G = B.matMult(E_all)  # G = B E
         E_all.destroy()
         return G

@@ -35,7 +35,6 @@ otherwise).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 
 from petsc4py import PETSc
 
@@ -45,8 +44,9 @@ import scipy.linalg
 import scipy.sparse
 
 from dolfinx_feti.feti.gluing import Gluing
+from dolfinx_feti.feti.subdomain.blocks import block_columns, index_set, product_many
 from dolfinx_feti.feti.subdomain.factors import BlockFactors
-from dolfinx_feti.feti.subdomain.matrices import Interior
+from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
 from dolfinx_feti.torn import Torn
 
 __all__ = ["PRECONDITIONERS", "Preconditioner", "create_preconditioner"]
@@ -71,7 +71,13 @@ class Preconditioner(ABC):
     energetic = True
 
     def __init__(
-        self, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
+        self,
+        torn: Torn,
+        gluing: Gluing,
+        matrices: SubdomainMatrices,
+        *,
+        symmetric: bool,
+        prefix: str,
     ) -> None:
         """Prepare the work vectors.
 
@@ -84,6 +90,7 @@ class Preconditioner(ABC):
         """
         self.torn = torn
         self.matrices = matrices
+        self.glued = gluing.glued
         self.B_D = gluing.B_D
         glued = np.zeros(torn.n, dtype=bool)
         glued[gluing.glued] = True
@@ -107,6 +114,9 @@ class Preconditioner(ABC):
             FactorError: A factorisation failed. Not collective: the caller reduces.
         """
         self._prop([Z[on] for Z, on in zip(props, self._on_interface, strict=True)])
+
+    def weigh(self) -> None:  # noqa: B027
+        """Take over the weights of the current K, if there are any. Collective."""
 
     def mult(self, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Apply the preconditioner to a jump r, z = M r, and keep the force of w = B_Dᵀ r."""
@@ -186,13 +196,11 @@ class Identity(Preconditioner):
 
     energetic = False
 
-    def __init__(
-        self, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
-    ) -> None:
-        """Find θ; see the base class. Collective."""
-        super().__init__(torn, gluing, matrices, symmetric=symmetric, prefix=prefix)
-        k = np.abs(torn.K.getDiagonal().array_r[gluing.glued])
-        total, count = torn.comm.allreduce(np.array([k.sum(), len(k)]))
+    theta = 1.0
+
+    def weigh(self) -> None:
+        k = np.abs(self.torn.diagonal()[self.glued])
+        total, count = self.torn.comm.allreduce(np.array([k.sum(), len(k)]))
         self.theta = total / count if total > 0.0 else 1.0
 
     def apply(self, w: Array, t: Array) -> None:
@@ -248,13 +256,19 @@ class ImplicitDirichlet(Dirichlet):
     factors: BlockFactors
 
     def __init__(
-        self, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
+        self,
+        torn: Torn,
+        gluing: Gluing,
+        matrices: SubdomainMatrices,
+        *,
+        symmetric: bool,
+        prefix: str,
     ) -> None:
         """Prepare the interior factorisations; see the base class."""
         super().__init__(torn, gluing, matrices, symmetric=symmetric, prefix=prefix)
         self.factors = BlockFactors(torn.K, self.interior, prefix=prefix, symmetric=symmetric)
-        self._rows_Γ = _index_set(self._Γ)
-        self._all = _index_set(np.arange(torn.n, dtype=np.int32))
+        self._rows_Γ = index_set(self._Γ)
+        self._all = index_set(np.arange(torn.n, dtype=np.int32))
         self._rows: PETSc.Mat | None = None
         self._columns: PETSc.Mat | None = None
 
@@ -325,77 +339,19 @@ PRECONDITIONERS: dict[str, type[Preconditioner]] = {
 
 
 def create_preconditioner(
-    kind: str, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
+    kind: str,
+    torn: Torn,
+    gluing: Gluing,
+    matrices: SubdomainMatrices,
+    *,
+    symmetric: bool,
+    prefix: str,
 ) -> Preconditioner:
     """Choose the preconditioner, and for S the way it is applied; see :class:`Preconditioner`."""
     choice = PRECONDITIONERS[kind]
-    if kind == "dirichlet" and matrices.eliminated is not None:
+    if kind == "dirichlet" and matrices.condensed:
         choice = Dirichlet
     return choice(torn, gluing, matrices, symmetric=symmetric, prefix=prefix)
-
-
-def product_many(K: PETSc.Mat, rows: Indices, columns: Indices, X: Array) -> Array:
-    """Return ``K[rows, columns] X`` for a dense X, (len(columns), r)."""
-    if 0 in (len(rows), len(columns), X.shape[1]):
-        return np.zeros((len(rows), X.shape[1]))
-    row_set, column_set = _index_set(rows), _index_set(columns)
-    block = K.createSubMatrix(row_set, column_set)
-    dense = PETSc.Mat().createDense(X.shape, array=np.asfortranarray(X), comm=PETSc.COMM_SELF)
-    dense.assemble()
-    image = block.matMult(dense)
-    Y = image.getDenseArray().copy()
-    for owned in (row_set, column_set, block, dense, image):
-        owned.destroy()
-    return Y
-
-
-def block_columns(
-    torn: Torn,
-    rows: Sequence[Indices],
-    blocks: Sequence[tuple[Array, Indices]],
-    sizes: tuple[int, int],
-) -> PETSc.Mat:
-    """Put dense blocks into one distributed matrix, (n_torn, K); rows not named are empty.
-
-    Args:
-        torn: The torn matrix.
-        rows: Torn dofs of each block, no dof twice.
-        blocks: For each block its values, (rows, columns), and its columns, ascending.
-        sizes: Number of columns of this process and of all.
-
-    Note:
-        Collective.
-    """
-    width = np.zeros(torn.n, dtype=np.int64)
-    for dofs, (_, columns) in zip(rows, blocks, strict=True):
-        width[dofs] = len(columns)
-    first = np.concatenate(([0], np.cumsum(width)))
-    values, column = np.empty(first[-1]), np.empty(first[-1], dtype=PETSc.IntType)
-    for dofs, (block, columns) in zip(rows, blocks, strict=True):
-        at = first[dofs][:, None] + np.arange(len(columns))
-        values[at], column[at] = block, columns
-    csr = (first.astype(PETSc.IntType), column, values)
-    return PETSc.Mat().createAIJ(((torn.n, None), sizes), csr=csr, comm=torn.A.comm)
-
-
-def own_columns(torn: Torn, rows: Sequence[Indices], blocks: Sequence[Array]) -> PETSc.Mat:
-    """Give each block columns of its own, numbered on: one distributed matrix, (n_torn, Σ c_i).
-
-    Args:
-        torn: The torn matrix.
-        rows: Torn dofs of each block, no dof twice.
-        blocks: Their values, (rows, c_i).
-
-    Note:
-        Collective.
-    """
-    count = np.array([block.shape[1] for block in blocks], dtype=np.int64)
-    size = int(count.sum())
-    first = torn.comm.scan(size) - size + np.cumsum(count) - count
-    ends = zip(first, first + count, strict=True)
-    numbers: list[Indices] = [np.arange(*pair, dtype=np.int32) for pair in ends]
-    columns = list(zip(blocks, numbers, strict=True))
-    return block_columns(torn, rows, columns, (size, torn.comm.allreduce(size)))
 
 
 def _mult(K: PETSc.Mat, x: Array, *, transpose: bool = False) -> Array:
@@ -406,7 +362,3 @@ def _mult(K: PETSc.Mat, x: Array, *, transpose: bool = False) -> Array:
     x_vec.destroy()
     y_vec.destroy()
     return y
-
-
-def _index_set(rows: Indices) -> PETSc.IS:
-    return PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
