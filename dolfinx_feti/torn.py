@@ -11,14 +11,16 @@ where the boolean :math:`T` copies each dof to every subdomain that holds it. PE
 pair is MATIS: a block-diagonal local matrix on each process and the map *torn dof → dof*. All else
 that the dual method needs to know is attached to the matrix, as PETSc objects:
 
-===================== ======================== ====================================================
-what                  where                    shape
-===================== ======================== ====================================================
-near kernel           ``setNearNullSpace``     vectors of the assembled problem (rigid body modes
-                                               of the *deformed* body; constants for a scalar)
-Dirichlet dofs        ``compose("dirichlet")`` index set of global dofs, each listed on any process
-scaling stiffness     ``compose("stiffness")`` sequential vector, one entry per torn dof
-===================== ======================== ====================================================
+================== ========================== =====================================================
+what               where                      shape
+================== ========================== =====================================================
+near kernel        ``setNearNullSpace``       vectors of the assembled problem (rigid body modes of
+                                              the *deformed* body; constants for a scalar)
+Dirichlet dofs     ``compose("dirichlet")``   index set of global dofs, each listed on any process
+scaling stiffness  ``compose("stiffness")``   sequential vector, one entry per torn dof
+coordinates        ``compose("coordinates")`` points of the assembled problem's blocks of dofs, one
+                                              after the other; for messages only
+================== ========================== =====================================================
 
 A subdomain is a connected component of the graph of the local matrix.
 """
@@ -88,12 +90,19 @@ def create_torn_matrix(
     return A
 
 
-def set_near_kernel(A: PETSc.Mat, modes: Sequence[PETSc.Vec]) -> None:
+def set_near_kernel(
+    A: PETSc.Mat, modes: Sequence[PETSc.Vec], coordinates: Array | None = None
+) -> None:
     """Attach the near kernel (rigid body modes, constants) of the assembled problem to ``A``.
 
     Args:
         A: Torn matrix.
         modes: Linearly independent vectors; orthonormalised in place by Gram–Schmidt.
+        coordinates: Where the owned blocks of dofs are, (owned blocks, dimension of space); with
+            them, the message about a singular problem tells what moves, and where.
+
+    Note:
+        Collective.
     """
     for j, mode in enumerate(modes):
         for _ in range(2):  # the first pass leaves rounding errors of the size of the mode
@@ -103,6 +112,10 @@ def set_near_kernel(A: PETSc.Mat, modes: Sequence[PETSc.Vec]) -> None:
     space = PETSc.NullSpace().create(vectors=list(modes), comm=A.comm)
     A.setNearNullSpace(space)
     space.destroy()
+    if coordinates is not None:
+        points = PETSc.Vec().createMPI((coordinates.size, None), comm=A.comm)
+        points.array[:] = coordinates.ravel()
+        A.compose("coordinates", points)
 
 
 class Torn:
@@ -114,6 +127,7 @@ class Torn:
         n: Number of torn dofs of this process.
         start: First torn dof of this process in the numbering over all processes.
         subdomains: For each subdomain its torn dofs, ascending.
+        first: Number of the first subdomain of this process over all processes.
         dirichlet: Mask of the torn dofs with a prescribed value, (n,).
         owned: Number of dofs of the assembled problem that this process owns.
     """
@@ -141,11 +155,12 @@ class Torn:
         if self.comm.allreduce(bad, op=MPI.LOR):
             raise ValueError(
                 f"The local matrix has type '{self.K.getType()}' and size {self.K.getSize()}; "
-                "FETI needs square AIJ matrices, one block a subdomain."
+                "FETI needs square AIJ matrices, one block per subdomain."
             )
         self.start = self.comm.scan(self.n) - self.n
         self.owned = A.getLocalSize()[0]
         self.subdomains = connected_blocks(self.K)
+        self.first = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
         self._sf = copy_forest(A)
         self.dirichlet = self._dirichlet_mask()
 
@@ -225,12 +240,41 @@ class Torn:
             return np.ones((self.n, 1))
         return np.column_stack([self.tear(mode) for mode in modes])
 
+    def coordinates(self) -> Array | None:
+        """Return where each torn dof is, (n, dimension of space); None if that is not attached.
+
+        Note:
+            Collective.
+        """
+        points = self.A.query("coordinates")
+        if points is None:
+            return None
+        bs = self.A.getBlockSize()
+        x = points.array_r.reshape(self.owned // bs, -1) if self.owned else np.zeros((0, 0))
+        dim = self.comm.allreduce(x.shape[1], op=MPI.MAX)
+        torn = np.zeros((self.n, dim))
+        vector = self.A.createVecRight()
+        for j in range(dim):
+            vector.array[:] = np.repeat(x[:, j], bs) if self.owned else 0.0
+            torn[:, j] = self.tear(vector)
+        vector.destroy()
+        return torn
+
+    def diagonal(self) -> Array:
+        """Return the diagonal of K, (n,)."""
+        diagonal = self.K.getDiagonal()
+        values = diagonal.array_r.copy()
+        diagonal.destroy()
+        return values
+
     def stiffness(self) -> Array:
-        """Return the stiffness of each torn dof for the scaling, (n,)."""
+        """Return the stiffness of each torn dof for the scaling, (n,), not negative.
+
+        It is the magnitude of what is attached, or of the diagonal of K: under compression a
+        diagonal entry may be negative, but a weight must not be.
+        """
         weight = self.A.query("stiffness")
-        if weight is None:
-            weight = self.K.getDiagonal()
-        return np.array(weight.array_r)
+        return np.abs(self.diagonal() if weight is None else weight.array_r)
 
     def is_symmetric(self) -> bool:
         """Tell whether the matrices of all subdomains are symmetric.

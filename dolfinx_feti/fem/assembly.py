@@ -167,7 +167,7 @@ def attach_near_kernel(A: PETSc.Mat, V: dolfinx.fem.FunctionSpace, u: Vector | N
         vector = A.createVecRight()
         vector.array[:] = np.ravel(mode)
         vectors.append(vector)
-    set_near_kernel(A, vectors)
+    set_near_kernel(A, vectors, x)
 
 
 def _spins(gdim: int) -> list[Vector]:

@@ -80,7 +80,7 @@ def recover(parts: Parts, pair: Array, f: Array, u_D: Array) -> Array:
     """
     dual, coarse, fixed = parts.dual, parts.coarse, parts.inverse.fixed
     lam, s = dual.split(pair)
-    u = parts.inverse.solve(parts.interior.condense(f) - dual.B.T @ lam)
+    u = parts.inverse.solve(parts.matrices.condense(f) - dual.B.T @ lam)
     u += coarse.prolong(s)  # u = K⁺ (f − Bᵀ λ) + E s
     jump = dual.B @ u - parts.gluing.gap(u_D)  # B u − c
     if dual.exact:
@@ -88,7 +88,7 @@ def recover(parts: Parts, pair: Array, f: Array, u_D: Array) -> Array:
         u -= coarse.prolong(w)  # s, at last
     w = parts.preconditioner.B_D.T @ jump
     u -= parts.preconditioner.extend(w)  # u ← u − E_Γ B_Dᵀ (B u − c)
-    u = parts.interior.extend(u, f)
+    u = parts.matrices.extend(u, f)
     u[fixed] = u_D[fixed]
     return u
 

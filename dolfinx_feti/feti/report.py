@@ -14,6 +14,7 @@ import numpy as np
 from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.setup import Parts
+from dolfinx_feti.feti.subdomain.direct import Pivots
 
 __all__ = ["Report", "collect", "table"]
 
@@ -35,7 +36,7 @@ class Report:
         inertia: Negative eigenvalues.
         interior: Whether the interior dofs are ``kept`` or ``eliminated``.
         coarse_size: Coarse unknowns.
-        coarse_mib: Memory of the factor of the coarse matrix in MiB; nan if not known.
+        coarse_mib: Memory of the factor of the coarse matrix in MiB; None if not known.
         coarse_inertia: Negative and zero eigenvalues of the coarse matrix; None if not known.
         factor_mib: Memory of all local factors in MiB.
         recycled: Directions of earlier solves, deflated in the last one.
@@ -54,8 +55,8 @@ class Report:
     inertia: Inertia
     interior: str
     coarse_size: int
-    coarse_mib: float
-    coarse_inertia: tuple[int | None, int | None]
+    coarse_mib: float | None
+    coarse_inertia: Pivots
     factor_mib: float
     recycled: int
     eigenvalues: tuple[float, float]
@@ -72,10 +73,10 @@ def collect(parts: Parts, *, recycled: int, eigenvalues: tuple[float, float]) ->
     Note:
         Collective.
     """
-    torn, gluing, inverse, coarse = parts.torn, parts.gluing, parts.inverse, parts.coarse
+    torn, gluing, coarse = parts.torn, parts.gluing, parts.coarse
     comm = torn.comm
     sizes = [len(dofs) for dofs in torn.subdomains]
-    k = inverse.rigid
+    modes, k = parts.modes, parts.modes.kernels
     widest = comm.allreduce(int(k.max(initial=0)), op=MPI.MAX)
     kernels = comm.allreduce(np.bincount(k, minlength=widest + 1))
     applied = parts.preconditioner.factors.memory() if parts.preconditioner.factors else 0.0
@@ -90,14 +91,14 @@ def collect(parts: Parts, *, recycled: int, eigenvalues: tuple[float, float]) ->
         ),
         multipliers=gluing.B.getSize()[0],
         kernels=tuple(int(count) for count in kernels),
-        exact=comm.allreduce(sum(inverse.exact)),
-        elastic=comm.allreduce(int((inverse.kernel_dimensions() - k).sum())),
+        exact=comm.allreduce(sum(modes.exact)),
+        elastic=comm.allreduce(int((modes.dimensions - k).sum())),
         inertia=parts.inertia,
-        interior="kept" if parts.interior.eliminated is None else "eliminated",
+        interior="eliminated" if parts.matrices.condensed else "kept",
         coarse_size=coarse.total,
         coarse_mib=coarse.solver.memory(),
-        coarse_inertia=coarse.solver.inertia(),
-        factor_mib=comm.allreduce(parts.interior.memory() + applied),
+        coarse_inertia=coarse.solver.pivots(),
+        factor_mib=comm.allreduce(parts.matrices.memory() + applied),
         recycled=recycled,
         eigenvalues=eigenvalues,
     )
@@ -122,7 +123,7 @@ def table(report: Report) -> str:
         (
             "negative eigenvalues",
             f"{_number(r.inertia.local)} in K_ρ, {r.inertia.defect} in D, "
-            f"{_number(r.inertia.interior)} in K_II, {_number(r.coarse_inertia[0])} in N, "
+            f"{_number(r.inertia.interior)} in K_II, {_number(r.coarse_inertia.negative)} in N, "
             f"{_number(r.inertia.assembled)} at least in A",
         ),
         ("factors", f"{r.factor_mib:.0f} MiB, interior {r.interior}"),

@@ -12,32 +12,37 @@ what depends on the values is built for each matrix, as frozen :class:`Parts`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_feti.errors import FactorError, SetUpError, SingularError
+from dolfinx_feti.collective import on_all
+from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.events import event
 from dolfinx_feti.feti.coarse.coarse import Coarse
 from dolfinx_feti.feti.coarse.stability import negative_eigenvalues
-from dolfinx_feti.feti.gluing import Gluing, create_gluing
+from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.krylov.dual import DualSystem
 from dolfinx_feti.feti.krylov.method import Method, choose_method
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.preconditioner.choice import create_preconditioner
-from dolfinx_feti.feti.subdomain.dense import DenseFactors
-from dolfinx_feti.feti.subdomain.factors import BlockFactors
-from dolfinx_feti.feti.subdomain.matrices import Interior, create_interior
-from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
+from dolfinx_feti.feti.subdomain.direct import sum_pivots
+from dolfinx_feti.feti.subdomain.enrichment import Enrichment
+from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices, create_matrices
+from dolfinx_feti.feti.subdomain.pseudoinverse import Modes, PseudoInverse
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Parts", "Pattern", "set_up"]
+
+T = TypeVar("T")
 
 SINGULAR = (
     "The assembled problem is singular, with a kernel of dimension {}: the Dirichlet conditions "
@@ -54,10 +59,10 @@ class Pattern:
         prefix: Options prefix of the sub-solvers, ``…feti_``.
         torn: Blocks and copies.
         symmetric: Whether K is symmetric.
-        gluing: B and B_D.
-        interior: The matrix of each subdomain, K or S.
-        inverse: K⁺, E and D; of the present matrix after :func:`set_up`.
-        preconditioner: M; likewise.
+        gluing: B, and B_D with the weights of the last matrix.
+        matrices: The matrix of each subdomain, K or S, of the last matrix.
+        inverse: K⁺ of the last matrix.
+        preconditioner: M of the last matrix.
     """
 
     def __init__(self, A: PETSc.Mat, options: FETIOptions, prefix: str) -> None:
@@ -83,16 +88,11 @@ class Pattern:
         _check_symmetry(self.symmetric, options, self.prefix)
         floating = options.all_floating
         with event("FETIGluing"):
-            self.gluing = create_gluing(
-                self.torn,
-                all_floating=floating,
-                redundant=options.gluing == "full",
-                stiffness=self.torn.stiffness() if options.scaling == "stiffness" else None,
+            self.gluing = Gluing(
+                self.torn, all_floating=floating, redundant=options.gluing == "full"
             )
-        glued_stiffness = np.zeros(self.torn.n)
-        glued_stiffness[self.gluing.glued] = np.abs(self.torn.stiffness()[self.gluing.glued])
         fixed = self.torn.dirichlet & (not floating)
-        self.interior = create_interior(
+        self.matrices = create_matrices(
             options.interior,
             self.torn,
             [rows[~fixed[rows]] for rows in self.torn.subdomains],
@@ -102,26 +102,28 @@ class Pattern:
         )
         self.inverse = PseudoInverse(
             self.torn,
-            self.interior,
+            self.matrices,
             fixed,
+            self.gluing.glued,
             symmetric=self.symmetric,
-            buckling=options.indefinite == "enrich",
-            soft=options.coarse_modes,
-            threshold=options.coarse_threshold,
-            weight=glued_stiffness,
+            enrichment=Enrichment(
+                buckling=options.indefinite == "enrich" and self.symmetric,
+                soft=options.coarse_modes,
+                threshold=options.coarse_threshold,
+            ),
         )
         self.preconditioner = create_preconditioner(
             options.pc_type,
             self.torn,
             self.gluing,
-            self.interior,
+            self.matrices,
             symmetric=self.symmetric,
             prefix=self.prefix + "dirichlet_",
         )
 
     def destroy(self) -> None:
         """Free everything, in reverse order."""
-        for part in (self.preconditioner, self.interior, self.gluing, self.torn):
+        for part in (self.preconditioner, self.matrices, self.gluing, self.torn):
             part.destroy()
 
 
@@ -134,8 +136,9 @@ class Parts:
         torn: Blocks and copies.
         symmetric: Whether K is symmetric.
         gluing: B and B_D.
-        interior: The matrix of each subdomain, K or S.
-        inverse: K⁺, E and D.
+        matrices: The matrix of each subdomain, K or S.
+        inverse: K⁺.
+        modes: R, E and D of each subdomain.
         preconditioner: M.
         coarse: G and N.
         inertia: Negative eigenvalues.
@@ -147,8 +150,9 @@ class Parts:
     torn: Torn
     symmetric: bool
     gluing: Gluing
-    interior: Interior
+    matrices: SubdomainMatrices
     inverse: PseudoInverse
+    modes: Modes
     preconditioner: Preconditioner
     coarse: Coarse
     inertia: Inertia
@@ -179,14 +183,18 @@ def set_up(pattern: Pattern) -> Parts:
     """
     options, torn, gluing = pattern.options, pattern.torn, pattern.gluing
     require_finite(torn)
+    with event("FETIGluing"):
+        if options.scaling == "stiffness":
+            gluing.update(torn.stiffness())
+        pattern.preconditioner.weigh()
     with event("FETIFactor"):
-        _factor(pattern)
+        modes = _factor(pattern)
     with ExitStack() as owned:
         with event("FETICoarse"):
             coarse = Coarse(
                 torn,
                 gluing,
-                pattern.inverse,
+                modes,
                 pattern.preconditioner,
                 q=options.coarse_q,
                 symmetric=pattern.symmetric,
@@ -194,7 +202,7 @@ def set_up(pattern: Pattern) -> Parts:
             )
             owned.callback(coarse.destroy)
             _check_coarse(coarse)
-        inertia = _inertia(pattern, coarse)
+        inertia = _inertia(pattern, modes, coarse)
         method = choose_method(
             torn.comm,
             definite=pattern.symmetric and inertia.definite,
@@ -215,8 +223,9 @@ def set_up(pattern: Pattern) -> Parts:
         torn=torn,
         symmetric=pattern.symmetric,
         gluing=gluing,
-        interior=pattern.interior,
+        matrices=pattern.matrices,
         inverse=pattern.inverse,
+        modes=modes,
         preconditioner=pattern.preconditioner,
         coarse=coarse,
         inertia=inertia,
@@ -225,46 +234,43 @@ def set_up(pattern: Pattern) -> Parts:
     )
 
 
-def _factor(pattern: Pattern) -> None:
-    """Factor K_ρ and K_II; a failure on one process is a failure on all."""
-    torn, inverse = pattern.torn, pattern.inverse
-    cause, zero = "", 0
-    try:
-        inverse.update()
-        pattern.preconditioner.update(inverse.props)
-        zero = int(inverse.factors.inertia()[:, 1].clip(min=0).sum())
-    except (FactorError, PETSc.Error) as error:
-        cause = str(error)
-    cause = next((text for text in torn.comm.allgather(cause) if text), "")
-    if cause:
-        raise SetUpError(
-            f"A local factorisation failed ({cause}): look for a process that is out of memory."
-        )
-    zero = torn.comm.allreduce(zero)
-    if zero:
-        raise SingularError(
-            f"{zero} zero pivots are left in the regularised subdomains: their kernel is "
-            "larger than the near kernel of the matrix. Take fewer, larger subdomains (some P2 "
-            "cells with a constant pressure move without energy in more than rigid ways), "
-            "or attach all rigid body modes with dolfinx_feti.set_near_kernel."
-        )
-    inside = torn.comm.allreduce(pattern.interior.zero_inside())
+def _factor(pattern: Pattern) -> Modes:
+    """Factor K_ρ and K_II, and return the modes of all subdomains."""
+    torn = pattern.torn
+    _on_all(pattern.matrices.update, torn.comm)
+    inside = torn.comm.allreduce(pattern.matrices.interior_kernel().shape[1])
     if inside:
         raise SingularError(SINGULAR.format(inside))
+    near_kernel = torn.near_kernel()
+    modes = _on_all(lambda: pattern.inverse.update(near_kernel), torn.comm)
+    _on_all(lambda: pattern.preconditioner.update(modes.props), torn.comm)
+    return modes
 
 
-def _inertia(pattern: Pattern, coarse: Coarse) -> Inertia:
+def _on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
+    """Do work on the subdomains of each process; an error on one is one on all.
+
+    Raises:
+        SetUpError: With the error of the first process that met one.
+    """
+    try:
+        return on_all(work, comm)
+    except RuntimeError as error:
+        raise SetUpError(
+            f"A local factorisation failed ({error}): look for a process that is out of memory."
+        ) from error
+
+
+def _inertia(pattern: Pattern, modes: Modes, coarse: Coarse) -> Inertia:
     """Count negative eigenvalues over all processes.
 
     Raises:
         SetUpError: There are some although the options forbid them.
     """
-    torn, inverse = pattern.torn, pattern.inverse
-    local = _total(torn.comm, inverse.negative_local())
-    defect = torn.comm.allreduce(inverse.negative_defects())
-    factored = pattern.preconditioner.factors or pattern.interior.eliminated
-    interior = _total(torn.comm, _count(factored))
-    inertia = Inertia(local, defect, interior, None)
+    comm = pattern.torn.comm
+    local = _total(comm, pattern.inverse.negative())
+    defect = comm.allreduce(modes.negative_defects)
+    inertia = Inertia(local, defect, _total(comm, _negative_interior(pattern)), None)
     if not inertia.definite and pattern.symmetric and pattern.options.indefinite == "error":
         raise SetUpError(
             f"{inertia.dual or 'An unknown number of'} local eigenvalues are negative and "
@@ -272,17 +278,27 @@ def _inertia(pattern: Pattern, coarse: Coarse) -> Inertia:
         )
     if not pattern.symmetric:
         return inertia
-    return replace(inertia, assembled=_negative_assembled(pattern, coarse, inertia))
+    return replace(inertia, assembled=_negative_assembled(pattern, modes, coarse, inertia))
 
 
-def _negative_assembled(pattern: Pattern, coarse: Coarse, inertia: Inertia) -> int | None:
+def _negative_interior(pattern: Pattern) -> int | None:
+    """Count the negative eigenvalues of all K_II of this process; None if not known."""
+    known, K_II = pattern.matrices.interior_inertia(), pattern.preconditioner.factors
+    if known is None and K_II is not None:
+        return sum_pivots(K_II.pivots(i) for i in range(len(K_II.rows))).negative
+    return None if known is None else known[0]
+
+
+def _negative_assembled(
+    pattern: Pattern, modes: Modes, coarse: Coarse, inertia: Inertia
+) -> int | None:
     """Count the negative eigenvalues of the assembled matrix that can be proved."""
     inside, proved = inertia.interior or 0, 0
     if not inertia.definite:  # otherwise all K_i are positive semi-definite
         found = negative_eigenvalues(
             pattern.torn,
             pattern.gluing,
-            pattern.inverse,
+            modes,
             pattern.preconditioner,
             coarse,
             prefix=pattern.prefix + "coarse_",
@@ -290,18 +306,9 @@ def _negative_assembled(pattern: Pattern, coarse: Coarse, inertia: Inertia) -> i
         if found is None:
             return inside or None
         proved = found
-    harmonic = pattern.options.pc_type == "dirichlet" and pattern.interior.eliminated is not None
-    if harmonic:
+    if pattern.options.pc_type == "dirichlet" and pattern.matrices.condensed:
         return inside + proved  # the coarse fields are K-orthogonal to those inside
     return max(inside, proved)
-
-
-def _count(factors: BlockFactors | DenseFactors | None) -> int | None:
-    """Return the negative eigenvalues of factored blocks; None without factors or if not known."""
-    if factors is None:
-        return None
-    counts = factors.inertia()[:, 0]
-    return None if np.any(counts < 0) else int(counts.sum())
 
 
 def _total(comm: MPI.Comm, count: int | None) -> int | None:
@@ -311,7 +318,7 @@ def _total(comm: MPI.Comm, count: int | None) -> int | None:
 
 
 def _check_coarse(coarse: Coarse) -> None:
-    _, zero = coarse.solver.inertia()
+    zero = coarse.solver.pivots().zero
     if zero:
         raise SingularError(SINGULAR.format(zero))
 

@@ -233,7 +233,7 @@ class FETI:
         reason = Reason.CONVERGED_RTOL
         for attempt in range(1 + p.options.refine):
             f = load(p, r, u_D)
-            pair, rest = balanced_start(p, p.interior.condense(f), p.gluing.gap(u_D))
+            pair, rest = balanced_start(p, p.matrices.condense(f), p.gluing.gap(u_D))
             solution = solve(
                 system,
                 rest,

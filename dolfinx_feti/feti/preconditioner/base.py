@@ -41,7 +41,7 @@ from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.linear_map import LinearMap
 from dolfinx_feti.feti.subdomain.blocks import block_columns
 from dolfinx_feti.feti.subdomain.factors import BlockFactors
-from dolfinx_feti.feti.subdomain.matrices import Interior
+from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Preconditioner"]
@@ -56,6 +56,7 @@ class Preconditioner(ABC):
     Attributes:
         torn: The torn matrix.
         matrices: The matrix of each subdomain, K on its free dofs or S on the interface.
+        glued: Torn dofs of the interface, (n_Γ,).
         interface: Glued free dofs Γ of each subdomain.
         interior: The other dofs I of each subdomain on which its matrix lives.
         factors: Interior factors, if the preconditioner has any.
@@ -67,7 +68,13 @@ class Preconditioner(ABC):
     energetic = True
 
     def __init__(
-        self, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
+        self,
+        torn: Torn,
+        gluing: Gluing,
+        matrices: SubdomainMatrices,
+        *,
+        symmetric: bool,
+        prefix: str,
     ) -> None:
         """Sort the dofs into interface and interior.
 
@@ -82,6 +89,7 @@ class Preconditioner(ABC):
         self.matrices = matrices
         self.symmetric = symmetric
         self.prefix = prefix
+        self.glued = gluing.glued
         self._B_D = gluing.B_D
         self.B_D = LinearMap(gluing.B_D)
         glued = np.zeros(torn.n, dtype=bool)
@@ -91,6 +99,13 @@ class Preconditioner(ABC):
         self.interface = [rows[on] for rows, on in pairs]
         self.interior = [rows[~on] for rows, on in pairs]
         self._Γ = np.concatenate([*self.interface, np.zeros(0, dtype=np.int32)])
+
+    def weigh(self) -> None:  # noqa: B027
+        """Take the weights of the current K, if there are any.
+
+        Note:
+            Collective.
+        """
 
     def update(self, props: list[Array]) -> None:
         """Take over the current K.

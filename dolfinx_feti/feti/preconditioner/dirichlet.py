@@ -27,7 +27,7 @@ from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.subdomain.blocks import index_set, product_many
 from dolfinx_feti.feti.subdomain.factors import BlockFactors
-from dolfinx_feti.feti.subdomain.matrices import Interior
+from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Dirichlet", "ImplicitDirichlet"]
@@ -60,7 +60,13 @@ class ImplicitDirichlet(Dirichlet):
     factors: BlockFactors
 
     def __init__(
-        self, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
+        self,
+        torn: Torn,
+        gluing: Gluing,
+        matrices: SubdomainMatrices,
+        *,
+        symmetric: bool,
+        prefix: str,
     ) -> None:
         """Prepare the interior factorisations; see the base class."""
         super().__init__(torn, gluing, matrices, symmetric=symmetric, prefix=prefix)
