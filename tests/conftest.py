@@ -20,7 +20,7 @@ from problems import Problem
 
 import dolfinx_feti
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.setup import Parts
+from dolfinx_feti.feti.setup import Parts, Pattern, set_up
 from dolfinx_feti.petsc_options import inserted
 
 COMM = MPI.COMM_WORLD
@@ -78,19 +78,31 @@ def torn_grid() -> Iterator[Callable[..., hand_torn.HandTorn]]:
 
 
 @pytest.fixture
-def parts() -> Iterator[Callable[..., Parts]]:
+def parts(pattern: Callable[..., Pattern]) -> Iterator[Callable[..., Parts]]:
     """Turn a torn matrix into a FETI system, with options as keywords."""
     made: list[Parts] = []
 
     def create(A: PETSc.Mat, **options: object) -> Parts:
-        options = {"interior": "keep", **options}
-        made.append(Parts(A, FETIOptions(**options), PREFIX))
-        made[-1].update()
+        made.append(set_up(pattern(A, **options)))
         return made[-1]
 
     yield create
     for system in made:
         system.destroy()
+
+
+@pytest.fixture
+def pattern() -> Iterator[Callable[..., Pattern]]:
+    """Read the pattern of a torn matrix, with options as keywords."""
+    made: list[Pattern] = []
+
+    def create(A: PETSc.Mat, **options: object) -> Pattern:
+        made.append(Pattern(A, FETIOptions(**{"interior": "keep", **options}), PREFIX))
+        return made[-1]
+
+    yield create
+    for read in made:
+        read.destroy()
 
 
 @pytest.fixture

@@ -57,14 +57,14 @@ class Gluing:
     dirichlet_dofs: npt.NDArray[np.int32]
     glued: npt.NDArray[np.int32]
 
-    def gap(self, u_D: Array) -> PETSc.Vec:
+    def gap(self, u_D: Array) -> Array:
         """Return the right-hand side c of :math:`B u = c`, (m,).
 
         Args:
             u_D: Prescribed values on the torn Dirichlet dofs, (n,).
         """
-        c = self.B.createVecLeft()
-        c.array[self.dirichlet_rows] = u_D[self.dirichlet_dofs]
+        c = np.zeros(self.B.getLocalSize()[0])
+        c[self.dirichlet_rows] = u_D[self.dirichlet_dofs]
         return c
 
     def destroy(self) -> None:

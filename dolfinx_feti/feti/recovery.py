@@ -20,7 +20,7 @@ import numpy.typing as npt
 from dolfinx_feti.feti.setup import Parts
 from dolfinx_feti.torn import Torn
 
-__all__ = ["load", "recover", "residual", "start"]
+__all__ = ["balanced_start", "load", "recover", "residual"]
 
 Array = npt.NDArray[np.float64]
 
@@ -29,15 +29,21 @@ def load(parts: Parts, r: PETSc.Vec, u_D: Array) -> Array:
     """Share an assembled right-hand side among the copies, f = δ T r, (n,).
 
     Fixed dofs (classical FETI) have no equation; their prescribed values move to the right.
+
+    Args:
+        parts: The FETI system.
+        r: Assembled right-hand side, (N,).
+        u_D: Prescribed values on the torn Dirichlet dofs, (n,).
     """
-    f = parts.gluing.delta * parts.torn.tear(r)
-    f -= parts.torn.multiply(np.where(parts.inverse.fixed, u_D, 0.0))
-    f[parts.torn.dirichlet] = 0.0
+    torn, fixed = parts.torn, parts.inverse.fixed
+    f = parts.gluing.delta * torn.tear(r)
+    f -= torn.multiply(np.where(fixed, u_D, 0.0))
+    f[torn.dirichlet] = 0.0
     return f
 
 
-def start(parts: Parts, f: Array, c: PETSc.Vec) -> tuple[PETSc.Vec, PETSc.Vec]:
-    """Find a balanced pair and put the jump that it leaves into the Krylov method.
+def balanced_start(parts: Parts, f: Array, c: Array) -> tuple[Array, Array]:
+    """Find a balanced pair and the jump that it leaves.
 
     Args:
         parts: The FETI system.
@@ -45,73 +51,59 @@ def start(parts: Parts, f: Array, c: PETSc.Vec) -> tuple[PETSc.Vec, PETSc.Vec]:
         c: Gap, (m,).
 
     Returns:
-        :math:`s_0 = N^{-1} e, λ_0 = Q G s_0`, with :math:`G^⊤ λ_0 + D s_0 = e`, as (λ₀, s₀). For
-        D = 0 any s is balanced, and s₀ is the best for λ₀.
+        The pair :math:`s_0 = N^{-1} e, λ_0 = Q G s_0`, with :math:`G^⊤ λ_0 + D s_0 = e`, (m + K,),
+        and the right-hand side (d − F λ₀ + G s₀, 0) of its correction, (m + K,). For D = 0 any s is
+        balanced, and s₀ is the best for λ₀.
     """
-    B, coarse, v = parts.gluing.B, parts.coarse, parts.operator.vector
-    e = coarse.restrict(f)  # e = Eᵀ f
-    coarse.solve(e, v.s)  # s₀ = N⁻¹ e
-    coarse.QG.mult(v.s, v.lam)  # λ₀ = Q G s₀
-    pair = v.lam.copy(), v.s.copy()
-    r = c.duplicate()
-    parts.operator.jump(r)
-    r.axpy(1.0, c)
-    u = np.zeros_like(f)
-    parts.inverse.solve(f, u)
-    torn = B.createVecRight()
-    torn.array[:] = u
-    r.scale(-1.0)
-    B.multAdd(torn, r, r)  # d − F λ₀ + G s₀, d = B K⁺ f − c
-    if coarse.exact:
-        pair[1].axpy(-1.0, parts.constraint.project(r))
-    r.copy(v.lam)
-    v.s.set(0.0)
-    v.write(parts.krylov.b)
-    for owned in (e, r, torn):
-        owned.destroy()
-    return pair
+    dual, coarse = parts.dual, parts.coarse
+    s = coarse.solve(coarse.restrict(f))  # s₀ = N⁻¹ e, e = Eᵀ f
+    pair = np.concatenate([dual.weighted_jump(s), s])  # λ₀ = Q G s₀
+    d = dual.B @ parts.inverse.solve(f) - c  # d = B K⁺ f − c
+    r = d - dual.jump(pair)  # d − F λ₀ + G s₀
+    if dual.exact:
+        r, w = dual.project(r)
+        pair[dual.m :] += w
+    return pair, np.concatenate([r, np.zeros(len(s))])
 
 
-def recover(parts: Parts, pair: tuple[PETSc.Vec, PETSc.Vec], f: Array, u_D: Array) -> Array:
-    """Recover the displacement from the correction of (λ, s) that the Krylov method holds.
+def recover(parts: Parts, pair: Array, f: Array, u_D: Array) -> Array:
+    """Recover the displacement from multipliers and coarse unknowns.
 
     Args:
         parts: The FETI system.
-        pair: The start (λ₀, s₀); destroyed.
+        pair: (λ, s), (m + K,).
         f: Torn load, (n,).
         u_D: Prescribed values on the torn Dirichlet dofs, (n,).
 
     Returns:
         u with single-valued copies, (n,).
     """
-    condensed = parts.interior.condense(f)
-    v, B = parts.operator.vector, parts.gluing.B
-    v.read(parts.krylov.x)
-    for part, first in zip((v.lam, v.s), pair, strict=True):
-        part.axpy(1.0, first)
-        first.destroy()
-    t = B.createVecRight()
-    B.multTranspose(v.lam, t)
-    u = np.zeros_like(f)
-    parts.inverse.solve(condensed - t.array_r, u)
-    u += parts.coarse.prolong(v.s)  # u = K⁺ (f − Bᵀ λ) + E s
-    t.array[:] = u
-    jump = parts.gluing.gap(u_D)
-    jump.scale(-1.0)
-    B.multAdd(t, jump, jump)  # B u − c
-    if parts.coarse.exact:
-        u += parts.coarse.prolong(parts.constraint.project(jump))  # s, at last
-    parts.gluing.B_D.multTranspose(jump, t)
-    u -= parts.preconditioner.extend(t.array_r)  # u ← u − E_Γ B_Dᵀ (B u − c)
+    dual, coarse, fixed = parts.dual, parts.coarse, parts.inverse.fixed
+    lam, s = dual.split(pair)
+    u = parts.inverse.solve(parts.interior.condense(f) - dual.B.T @ lam)
+    u += coarse.prolong(s)  # u = K⁺ (f − Bᵀ λ) + E s
+    jump = dual.B @ u - parts.gluing.gap(u_D)  # B u − c
+    if dual.exact:
+        jump, w = dual.project(jump)
+        u -= coarse.prolong(w)  # s, at last
+    w = parts.preconditioner.B_D.T @ jump
+    u -= parts.preconditioner.extend(w)  # u ← u − E_Γ B_Dᵀ (B u − c)
     u = parts.interior.extend(u, f)
-    u[parts.inverse.fixed] = u_D[parts.inverse.fixed]
-    t.destroy()
-    jump.destroy()
+    u[fixed] = u_D[fixed]
     return u
 
 
 def residual(torn: Torn, b: PETSc.Vec, x: PETSc.Vec) -> PETSc.Vec:
-    """Return b − A x on the free dofs of the assembled problem, zero on the Dirichlet dofs."""
+    """Return b − A x on the free dofs of the assembled problem, zero on the Dirichlet dofs.
+
+    Args:
+        torn: The torn matrix.
+        b: Right-hand side, (N,).
+        x: Solution, (N,).
+
+    Returns:
+        The residual, (N,); the caller destroys it.
+    """
     r = b.duplicate()
     force = torn.multiply(torn.tear(x))
     free = torn.assemble(torn.dirichlet.astype(np.float64)) < 0.5

@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.setup import Parts
 
@@ -31,14 +32,11 @@ class Report:
         kernels: Number of subdomains with a kernel of each dimension, from 0.
         exact: Subdomains whose modes satisfy K R = 0.
         elastic: Soft and buckling modes that joined the kernels.
-        negative_local: Negative eigenvalues of the regularised subdomains.
-        negative_defect: Negative eigenvalues of the defect D.
-        negative_interior: Negative eigenvalues of the interior blocks.
-        negative_assembled: Those that the assembled matrix has at least; −1 unknown.
+        inertia: Negative eigenvalues.
         interior: Whether the interior dofs are ``kept`` or ``eliminated``.
         coarse_size: Coarse unknowns.
         coarse_mib: Memory of the factor of the coarse matrix in MiB; nan if not known.
-        coarse_inertia: Negative and zero eigenvalues of the coarse matrix; −1 unknown.
+        coarse_inertia: Negative and zero eigenvalues of the coarse matrix; None if not known.
         factor_mib: Memory of all local factors in MiB.
         recycled: Directions of earlier solves, deflated in the last one.
         eigenvalues: (λ_min, λ_max) of the preconditioned dual operator.
@@ -53,21 +51,23 @@ class Report:
     kernels: tuple[int, ...]
     exact: int
     elastic: int
-    negative_local: int
-    negative_defect: int
-    negative_interior: int
-    negative_assembled: int
+    inertia: Inertia
     interior: str
     coarse_size: int
     coarse_mib: float
-    coarse_inertia: tuple[int, int]
+    coarse_inertia: tuple[int | None, int | None]
     factor_mib: float
     recycled: int
     eigenvalues: tuple[float, float]
 
 
-def collect(parts: Parts) -> Report:
+def collect(parts: Parts, *, recycled: int, eigenvalues: tuple[float, float]) -> Report:
     """Gather the figures of all processes.
+
+    Args:
+        parts: What was set up.
+        recycled: Directions of earlier solves, deflated in the last one.
+        eigenvalues: (λ_min, λ_max) of the preconditioned dual operator.
 
     Note:
         Collective.
@@ -92,17 +92,14 @@ def collect(parts: Parts) -> Report:
         kernels=tuple(int(count) for count in kernels),
         exact=comm.allreduce(sum(inverse.exact)),
         elastic=comm.allreduce(int((inverse.kernel_dimensions() - k).sum())),
-        negative_local=comm.allreduce(inverse.negative_local()),
-        negative_defect=comm.allreduce(inverse.negative_defects()),
-        negative_interior=parts.negative_interior,
-        negative_assembled=parts.negative_assembled,
+        inertia=parts.inertia,
         interior="kept" if parts.interior.eliminated is None else "eliminated",
         coarse_size=coarse.total,
         coarse_mib=coarse.solver.memory(),
         coarse_inertia=coarse.solver.inertia(),
         factor_mib=comm.allreduce(parts.interior.memory() + applied),
-        recycled=parts.recycling.size,
-        eigenvalues=parts.krylov.eigenvalues,
+        recycled=recycled,
+        eigenvalues=eigenvalues,
     )
 
 
@@ -124,9 +121,9 @@ def table(report: Report) -> str:
         ("coarse size", f"{r.coarse_size}"),
         (
             "negative eigenvalues",
-            f"{r.negative_local} in K_ρ, {r.negative_defect} in D, "
-            f"{r.negative_interior} in K_II, {r.coarse_inertia[0]} in N, "
-            f"{r.negative_assembled} at least in A",
+            f"{_number(r.inertia.local)} in K_ρ, {r.inertia.defect} in D, "
+            f"{_number(r.inertia.interior)} in K_II, {_number(r.coarse_inertia[0])} in N, "
+            f"{_number(r.inertia.assembled)} at least in A",
         ),
         ("factors", f"{r.factor_mib:.0f} MiB, interior {r.interior}"),
         ("condition number", condition),
@@ -134,3 +131,8 @@ def table(report: Report) -> str:
     if o.dual_recycle:
         rows.append(("recycled directions", f"{r.recycled} of at most {o.dual_recycle}"))
     return "".join(f"  {name:<22}{value}\n" for name, value in rows)
+
+
+def _number(count: int | None) -> str:
+    """Format a number that may not be known."""
+    return "unknown" if count is None else str(count)

@@ -3,16 +3,17 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """From a torn matrix to a dual system, in the order of the method.
 
-torn matrix → gluing → interior → generalised inverse (kernels) → preconditioner → coarse
+torn matrix → gluing → subdomain matrices → generalised inverse (kernels) → preconditioner → coarse
 problem → dual system.
 
-What depends on the pattern only (gluing, symbolic factors) is built once; what depends
-on the values is refreshed when the matrix changes.
+What depends on the pattern only (gluing, symbolic factors) is built once, as a :class:`Pattern`;
+what depends on the values is built for each matrix, as frozen :class:`Parts`.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -23,20 +24,20 @@ from dolfinx_feti.errors import FactorError, SetUpError, SingularError
 from dolfinx_feti.events import event
 from dolfinx_feti.feti.coarse.coarse import Coarse
 from dolfinx_feti.feti.coarse.stability import negative_eigenvalues
-from dolfinx_feti.feti.gluing import create_gluing
-from dolfinx_feti.feti.krylov.dual import ConstraintPreconditioner, DualOperator, DualVector
-from dolfinx_feti.feti.krylov.method import Krylov
-from dolfinx_feti.feti.krylov.recycling import Recycling
+from dolfinx_feti.feti.gluing import Gluing, create_gluing
+from dolfinx_feti.feti.inertia import Inertia
+from dolfinx_feti.feti.krylov.dual import DualSystem
+from dolfinx_feti.feti.krylov.method import Method, choose_method
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.preconditioner.preconditioner import create_preconditioner
-from dolfinx_feti.feti.subdomain.matrices import create_interior
+from dolfinx_feti.feti.preconditioner.base import Preconditioner
+from dolfinx_feti.feti.preconditioner.choice import create_preconditioner
+from dolfinx_feti.feti.subdomain.dense import DenseFactors
+from dolfinx_feti.feti.subdomain.factors import BlockFactors
+from dolfinx_feti.feti.subdomain.matrices import Interior, create_interior
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
 from dolfinx_feti.torn import Torn
 
-__all__ = ["Parts"]
-
-#: Krylov methods for symmetric systems.
-SYMMETRIC_METHODS = ("cg", "fcg", "pipecg", "minres", "symmlq")
+__all__ = ["Parts", "Pattern", "set_up"]
 
 SINGULAR = (
     "The assembled problem is singular, with a kernel of dimension {}: the Dirichlet conditions "
@@ -45,39 +46,19 @@ SINGULAR = (
 )
 
 
-class _Destroyable(Protocol):
-    def destroy(self) -> None: ...
-
-
-class Parts:
-    """All that one torn matrix is turned into.
+class Pattern:
+    """What depends on the pattern of a torn matrix alone: gluing, symbolic factors.
 
     Attributes:
+        options: The choices made.
+        prefix: Options prefix of the sub-solvers, ``…feti_``.
         torn: Blocks and copies.
         symmetric: Whether K is symmetric.
         gluing: B and B_D.
         interior: The matrix of each subdomain, K or S.
-        inverse: K⁺, E and D.
-        preconditioner: M.
-        recycling: What solves leave to later ones.
-        negative: Negative eigenvalues of K_ρ and D over all subdomains; CG is safe without any.
-        negative_interior: Negative eigenvalues of all K_II that have been factored; below zero if
-            they are not known.
-        negative_assembled: Negative eigenvalues that the assembled matrix has at least (see
-            ``stability``); −1 if not known.
-        coarse: G and N; after :meth:`update`.
-        operator: The dual system; after :meth:`update`.
-        constraint: Its constraint preconditioner; after :meth:`update`.
-        krylov: Its Krylov method; after :meth:`update`.
+        inverse: K⁺, E and D; of the present matrix after :func:`set_up`.
+        preconditioner: M; likewise.
     """
-
-    negative: int
-    negative_interior: int
-    negative_assembled: int
-    coarse: Coarse
-    operator: DualOperator
-    constraint: ConstraintPreconditioner
-    krylov: Krylov
 
     def __init__(self, A: PETSc.Mat, options: FETIOptions, prefix: str) -> None:
         """Build what depends on the pattern.
@@ -87,6 +68,10 @@ class Parts:
             options: Choices.
             prefix: Prefix of the KSP, to which ``feti_`` and the sub-solver's name are added.
 
+        Raises:
+            SetUpError: The matrix has entries that are not finite, or options that only serve
+                symmetric matrices meet another one.
+
         Note:
             Collective.
         """
@@ -95,6 +80,7 @@ class Parts:
         self.torn = Torn(A)
         require_finite(self.torn)
         self.symmetric = self.torn.is_symmetric()
+        _check_symmetry(self.symmetric, options, self.prefix)
         floating = options.all_floating
         with event("FETIGluing"):
             self.gluing = create_gluing(
@@ -106,17 +92,6 @@ class Parts:
         glued_stiffness = np.zeros(self.torn.n)
         glued_stiffness[self.gluing.glued] = np.abs(self.torn.stiffness()[self.gluing.glued])
         fixed = self.torn.dirichlet & (not floating)
-        if options.interior == "eliminate" and not self.symmetric:
-            raise SetUpError(
-                f"The matrix is not symmetric, but -{self.prefix}interior is eliminate, which "
-                "takes it to be: let it be keep or auto."
-            )
-        if options.dual_recycle and not self.symmetric:
-            raise SetUpError(
-                f"The matrix is not symmetric, but -{self.prefix}dual_recycle is "
-                f"{options.dual_recycle}, and directions are only recycled of a symmetric one: "
-                "leave it out."
-            )
         self.interior = create_interior(
             options.interior,
             self.torn,
@@ -143,137 +118,226 @@ class Parts:
             symmetric=self.symmetric,
             prefix=self.prefix + "dirichlet_",
         )
-        self.recycling = Recycling(options.dual_recycle)
-        self._dual: list[
-            Coarse | DualVector | DualOperator | ConstraintPreconditioner | Krylov
-        ] = []
-
-    def update(self) -> None:
-        """Refresh what depends on the values.
-
-        Raises:
-            SetUpError: A factorisation failed, a kernel is larger than its candidates, or the
-                assembled problem is singular.
-
-        Note:
-            Collective.
-        """
-        require_finite(self.torn)
-        with event("FETIFactor"):
-            self._factor()
-        with event("FETICoarse"):
-            self._destroy_dual()
-            self.coarse = Coarse(
-                self.torn,
-                self.gluing,
-                self.inverse,
-                self.preconditioner,
-                q=self.options.coarse_q,
-                symmetric=self.symmetric,
-                prefix=self.prefix + "coarse_",
-            )
-            self._dual.append(self.coarse)
-            self._check_coarse()
-        local = abs(self.inverse.negative_local())  # −1, not known, counts as negative
-        self.negative = self.torn.comm.allreduce(local + self.inverse.negative_defects())
-        interior = self.preconditioner.factors or self.interior.eliminated
-        inside = 0 if interior is None else int(interior.inertia()[:, 0].sum())
-        self.negative_interior = self.torn.comm.allreduce(inside)
-        if self.negative and self.symmetric and self.options.indefinite == "error":
-            raise SetUpError(
-                f"{self.negative} local eigenvalues are negative and -{self.prefix}indefinite is "
-                "error: let it be enrich or gmres."
-            )
-        self.negative_assembled = self._negative_assembled()
-        vector = DualVector(self.gluing, self.coarse)
-        self.constraint = ConstraintPreconditioner(
-            self.preconditioner,
-            self.coarse,
-            vector,
-            q_has_m=self.options.coarse_q == "preconditioner",
-        )
-        self.operator = DualOperator(self.gluing, self.inverse, self.coarse, vector)
-        self.recycling.attach(self.operator, self.constraint)
-        self.krylov = Krylov(
-            self.recycling,
-            self.constraint,
-            vector,
-            definite=self.symmetric and self.negative == 0,
-            prefix=self.prefix + "dual_",
-            stagnation=self.options.stagnation,
-            reorthogonalize=self.options.dual_reorthogonalize,
-        )
-        self._dual += [vector, self.constraint, self.operator, self.krylov]
-        self._check_method()
-
-    def _factor(self) -> None:
-        """Factor K_ρ and K_II; a failure on one process is a failure on all."""
-        cause, zero = "", 0
-        try:
-            self.inverse.update()
-            self.preconditioner.update(self.inverse.props)
-            zero = int(self.inverse.factors.inertia()[:, 1].clip(min=0).sum())
-        except (FactorError, PETSc.Error) as error:
-            cause = str(error)
-        cause = next((text for text in self.torn.comm.allgather(cause) if text), "")
-        if cause:
-            raise SetUpError(
-                f"A local factorisation failed ({cause}): look for a process that is out of memory."
-            )
-        zero = self.torn.comm.allreduce(zero)
-        if zero:
-            raise SingularError(
-                f"{zero} zero pivots are left in the regularised subdomains: their kernel is "
-                "larger than the near kernel of the matrix. Take fewer, larger subdomains (some P2 "
-                "cells with a constant pressure move without energy in more than rigid ways), "
-                "or attach all rigid body modes with dolfinx_feti.set_near_kernel."
-            )
-        inside = self.torn.comm.allreduce(self.interior.zero_inside())
-        if inside:
-            raise SingularError(SINGULAR.format(inside))
-
-    def _negative_assembled(self) -> int:
-        """Count the negative eigenvalues of the assembled matrix that can be proved."""
-        if not self.symmetric:
-            return -1
-        inside, coarse = max(self.negative_interior, 0), 0
-        if self.negative:  # otherwise all K_i are positive semi-definite
-            coarse = negative_eigenvalues(
-                self.torn,
-                self.gluing,
-                self.inverse,
-                self.preconditioner,
-                self.coarse,
-                prefix=self.prefix + "coarse_",
-            )
-        harmonic = self.options.pc_type == "dirichlet" and self.interior.eliminated is not None
-        if coarse > 0 and harmonic:
-            return inside + coarse  # the coarse fields are K-orthogonal to those inside
-        return max(inside, coarse) if inside else coarse
-
-    def _check_coarse(self) -> None:
-        _, zero = self.coarse.solver.inertia()
-        if zero > 0:
-            raise SingularError(SINGULAR.format(zero))
-
-    def _check_method(self) -> None:
-        method = self.krylov.ksp.getType()
-        if not self.symmetric and method in SYMMETRIC_METHODS:
-            raise SetUpError(
-                f"The matrix is not symmetric, but -{self.prefix}dual_ksp_type is {method}, which "
-                f"takes it to be: use -{self.prefix}dual_ksp_type gmres."
-            )
-
-    def _destroy_dual(self) -> None:
-        for part in reversed(self._dual):
-            part.destroy()
-        self._dual = []
 
     def destroy(self) -> None:
         """Free everything, in reverse order."""
-        self._destroy_dual()
         for part in (self.preconditioner, self.interior, self.gluing, self.torn):
             part.destroy()
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What one torn matrix is turned into, with the parts of its pattern.
+
+    Attributes:
+        options: The choices made.
+        torn: Blocks and copies.
+        symmetric: Whether K is symmetric.
+        gluing: B and B_D.
+        interior: The matrix of each subdomain, K or S.
+        inverse: K⁺, E and D.
+        preconditioner: M.
+        coarse: G and N.
+        inertia: Negative eigenvalues.
+        method: The Krylov method.
+        dual: The dual system with its constraint preconditioner.
+    """
+
+    options: FETIOptions
+    torn: Torn
+    symmetric: bool
+    gluing: Gluing
+    interior: Interior
+    inverse: PseudoInverse
+    preconditioner: Preconditioner
+    coarse: Coarse
+    inertia: Inertia
+    method: Method
+    dual: DualSystem
+
+    def destroy(self) -> None:
+        """Free what depends on the matrix; the parts of the pattern stay."""
+        self.dual.destroy()
+        self.coarse.destroy()
+
+
+def set_up(pattern: Pattern) -> Parts:
+    """Build what depends on the values of the present matrix.
+
+    Args:
+        pattern: What depends on its pattern.
+
+    Returns:
+        All parts; the caller destroys them before the pattern.
+
+    Raises:
+        SetUpError: A factorisation failed, a kernel is larger than its candidates, the assembled
+            problem is singular, or the options do not fit the matrix.
+
+    Note:
+        Collective.
+    """
+    options, torn, gluing = pattern.options, pattern.torn, pattern.gluing
+    require_finite(torn)
+    with event("FETIFactor"):
+        _factor(pattern)
+    with ExitStack() as owned:
+        with event("FETICoarse"):
+            coarse = Coarse(
+                torn,
+                gluing,
+                pattern.inverse,
+                pattern.preconditioner,
+                q=options.coarse_q,
+                symmetric=pattern.symmetric,
+                prefix=pattern.prefix + "coarse_",
+            )
+            owned.callback(coarse.destroy)
+            _check_coarse(coarse)
+        inertia = _inertia(pattern, coarse)
+        method = choose_method(
+            torn.comm,
+            definite=pattern.symmetric and inertia.definite,
+            prefix=pattern.prefix + "dual_",
+            stagnation=options.stagnation,
+            reorthogonalize=options.dual_reorthogonalize,
+        )
+        _check_method(method, pattern)
+        dual = DualSystem(
+            gluing,
+            pattern.inverse,
+            pattern.preconditioner,
+            coarse,
+            frozen=coarse.exact and method.is_cg,
+        )
+        owned.pop_all()
+    return Parts(
+        options=options,
+        torn=torn,
+        symmetric=pattern.symmetric,
+        gluing=gluing,
+        interior=pattern.interior,
+        inverse=pattern.inverse,
+        preconditioner=pattern.preconditioner,
+        coarse=coarse,
+        inertia=inertia,
+        method=method,
+        dual=dual,
+    )
+
+
+def _factor(pattern: Pattern) -> None:
+    """Factor K_ρ and K_II; a failure on one process is a failure on all."""
+    torn, inverse = pattern.torn, pattern.inverse
+    cause, zero = "", 0
+    try:
+        inverse.update()
+        pattern.preconditioner.update(inverse.props)
+        zero = int(inverse.factors.inertia()[:, 1].clip(min=0).sum())
+    except (FactorError, PETSc.Error) as error:
+        cause = str(error)
+    cause = next((text for text in torn.comm.allgather(cause) if text), "")
+    if cause:
+        raise SetUpError(
+            f"A local factorisation failed ({cause}): look for a process that is out of memory."
+        )
+    zero = torn.comm.allreduce(zero)
+    if zero:
+        raise SingularError(
+            f"{zero} zero pivots are left in the regularised subdomains: their kernel is "
+            "larger than the near kernel of the matrix. Take fewer, larger subdomains (some P2 "
+            "cells with a constant pressure move without energy in more than rigid ways), "
+            "or attach all rigid body modes with dolfinx_feti.set_near_kernel."
+        )
+    inside = torn.comm.allreduce(pattern.interior.zero_inside())
+    if inside:
+        raise SingularError(SINGULAR.format(inside))
+
+
+def _inertia(pattern: Pattern, coarse: Coarse) -> Inertia:
+    """Count negative eigenvalues over all processes.
+
+    Raises:
+        SetUpError: There are some although the options forbid them.
+    """
+    torn, inverse = pattern.torn, pattern.inverse
+    local = _total(torn.comm, inverse.negative_local())
+    defect = torn.comm.allreduce(inverse.negative_defects())
+    factored = pattern.preconditioner.factors or pattern.interior.eliminated
+    interior = _total(torn.comm, _count(factored))
+    inertia = Inertia(local, defect, interior, None)
+    if not inertia.definite and pattern.symmetric and pattern.options.indefinite == "error":
+        raise SetUpError(
+            f"{inertia.dual or 'An unknown number of'} local eigenvalues are negative and "
+            f"-{pattern.prefix}indefinite is error: let it be enrich or gmres."
+        )
+    if not pattern.symmetric:
+        return inertia
+    return replace(inertia, assembled=_negative_assembled(pattern, coarse, inertia))
+
+
+def _negative_assembled(pattern: Pattern, coarse: Coarse, inertia: Inertia) -> int | None:
+    """Count the negative eigenvalues of the assembled matrix that can be proved."""
+    inside, proved = inertia.interior or 0, 0
+    if not inertia.definite:  # otherwise all K_i are positive semi-definite
+        found = negative_eigenvalues(
+            pattern.torn,
+            pattern.gluing,
+            pattern.inverse,
+            pattern.preconditioner,
+            coarse,
+            prefix=pattern.prefix + "coarse_",
+        )
+        if found is None:
+            return inside or None
+        proved = found
+    harmonic = pattern.options.pc_type == "dirichlet" and pattern.interior.eliminated is not None
+    if harmonic:
+        return inside + proved  # the coarse fields are K-orthogonal to those inside
+    return max(inside, proved)
+
+
+def _count(factors: BlockFactors | DenseFactors | None) -> int | None:
+    """Return the negative eigenvalues of factored blocks; None without factors or if not known."""
+    if factors is None:
+        return None
+    counts = factors.inertia()[:, 0]
+    return None if np.any(counts < 0) else int(counts.sum())
+
+
+def _total(comm: MPI.Comm, count: int | None) -> int | None:
+    """Add numbers of all processes; None if one of them is not known."""
+    counts = comm.allgather(count)
+    return None if None in counts else sum(counts)
+
+
+def _check_coarse(coarse: Coarse) -> None:
+    _, zero = coarse.solver.inertia()
+    if zero:
+        raise SingularError(SINGULAR.format(zero))
+
+
+def _check_symmetry(symmetric: bool, options: FETIOptions, prefix: str) -> None:
+    """Refuse options that only serve symmetric matrices."""
+    if not symmetric and options.interior == "eliminate":
+        raise SetUpError(
+            f"The matrix is not symmetric, but -{prefix}interior is eliminate, which takes it to "
+            "be: let it be keep or auto."
+        )
+    if not symmetric and options.dual_recycle:
+        raise SetUpError(
+            f"The matrix is not symmetric, but -{prefix}dual_recycle is {options.dual_recycle}, "
+            "and only directions of a symmetric one can be recycled: leave it out."
+        )
+
+
+def _check_method(method: Method, pattern: Pattern) -> None:
+    """Refuse a Krylov method for symmetric systems if the matrix is not."""
+    if not pattern.symmetric and method.is_symmetric:
+        raise SetUpError(
+            f"The matrix is not symmetric, but -{pattern.prefix}dual_ksp_type is {method.type}, "
+            f"which takes it to be: use -{pattern.prefix}dual_ksp_type gmres."
+        )
 
 
 def require_finite(torn: Torn) -> None:

@@ -18,16 +18,21 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.events import event
+from dolfinx_feti.feti.inertia import Inertia
+from dolfinx_feti.feti.krylov.dual import DualSystem
+from dolfinx_feti.feti.krylov.method import solve
+from dolfinx_feti.feti.krylov.recycling import DeflatedSystem, Directions
 from dolfinx_feti.feti.options import FETIOptions, read_options
-from dolfinx_feti.feti.recovery import load, recover, residual, start
+from dolfinx_feti.feti.recovery import balanced_start, load, recover, residual
 from dolfinx_feti.feti.report import Report, collect, table
-from dolfinx_feti.feti.setup import Parts
+from dolfinx_feti.feti.setup import Parts, Pattern, set_up
 
 __all__ = ["FETI"]
 
@@ -78,12 +83,10 @@ class FETI:
         iterations: Krylov iterations of the last solve.
         residual: ‖b − A x‖/‖b‖ of the last solve.
         method: Krylov method of the dual system.
-        negative: Negative eigenvalues of the regularised subdomains and of the defect D.
-        negative_assembled: Negative eigenvalues that the assembled matrix has at least, see
-            ``stability``; −1 if not known.
+        inertia: Negative eigenvalues of the last matrix; None if its set-up failed.
         singular: Whether the set-up failed because the matrix is singular.
         refuse_indefinite: Whether a solve ends before its first iteration, with the reason
-            ``DIVERGED_INDEFINITE_MAT``, if ``negative_assembled`` is not zero.
+            ``DIVERGED_INDEFINITE_MAT``, if the assembled matrix is proved to be indefinite.
         eigenvalues: (λ_min, λ_max) of the preconditioned dual operator, by Lanczos from the CG
             coefficients; nan before a CG solve.
     """
@@ -93,12 +96,15 @@ class FETI:
         self.iterations = 0
         self.residual = np.nan
         self.method = ""
-        self.negative = self.negative_assembled = 0
+        self.inertia: Inertia | None = None
         self.singular = self.refuse_indefinite = False
         self.eigenvalues = (np.nan, np.nan)
         self._options: FETIOptions | None = None
+        self._pattern: Pattern | None = None
         self._parts: Parts | None = None
         self._state: tuple[int, int] | None = None
+        self._directions: Directions | None = None
+        self._recycled = 0
         self._prefix = ""
 
     @property
@@ -110,7 +116,11 @@ class FETI:
     # -- PETSc's calls ----------------------------------------------------------------------------
 
     def create(self, ksp: PETSc.KSP) -> None:
-        """Set defaults: no preconditioner of PETSc's own, rtol 1e-8."""
+        """Set defaults: no preconditioner of PETSc's own, and rtol 1e-8 where it was PETSc's 1e-5.
+
+        PETSc does not tell its default from the same number set by hand: a relative tolerance of
+        1e-5 counts if it is set after the type of the KSP.
+        """
         ksp.getPC().setType(PETSc.PC.Type.NONE)
         if ksp.getTolerances()[0] == 1e-5:  # PETSc's default
             ksp.setTolerances(rtol=RTOL)
@@ -128,26 +138,26 @@ class FETI:
         try:
             self._refresh(ksp.getOperators()[0])
         except SetUpError as error:
-            self._state, self.negative_assembled = None, -1
+            self._state, self.inertia = None, None
             self.message, self.singular = str(error), isinstance(error, SingularError)
 
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve A x = b; a failure is a negative converged reason with a message."""
         self.setUp(ksp)
-        refused = self.refuse_indefinite and self.negative_assembled > 0
-        if self.message or refused:
+        refused = self.refuse_indefinite and self.inertia is not None and self.inertia.indefinite
+        if self._parts is None or self._state is None or refused:
             x.set(0.0)
             self.iterations, self.residual = 0, np.nan
             reason = Reason.DIVERGED_INDEFINITE_MAT if refused else Reason.DIVERGED_PCSETUP_FAILED
         else:
             with event("FETISolve"):
-                reason = self._solve(ksp, b, x)
+                reason = self._solve(ksp, self._parts, b, x)
         ksp.setConvergedReason(reason)
         if reason < 0 and not refused and ksp.comm.rank == 0:
             logger.warning("FETI did not converge: %s", self.message)
 
     def solveTranspose(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Refuse: a transposed solve is not there.
+        """Refuse: there is no transposed solve.
 
         Raises:
             NotImplementedError: Always.
@@ -163,9 +173,10 @@ class FETI:
 
     def destroy(self, ksp: PETSc.KSP | None = None) -> None:
         """Free everything."""
-        if self._parts is not None:
-            self._parts.destroy()
-        self._parts = None
+        for owned in (self._parts, self._pattern):
+            if owned is not None:
+                owned.destroy()
+        self._parts = self._pattern = None
 
     # -- the method -------------------------------------------------------------------------------
 
@@ -177,36 +188,39 @@ class FETI:
         """
         if self._parts is None or self._state is None:
             return None
-        return collect(self._parts)
+        return collect(self._parts, recycled=self._recycled, eigenvalues=self.eigenvalues)
 
     def _refresh(self, A: PETSc.Mat) -> None:
         """Bring all parts up to the state of the matrix; keep what depends on its pattern."""
         assert self._options is not None
-        if self._parts is None or self._parts.torn.A.handle != A.handle:
-            self.destroy()
-            self._state = None
-            self._parts = Parts(A, self._options, self._prefix)
+        if self._pattern is None or self._pattern.torn.A.handle != A.handle:
+            self._renew(A, self._options)
+        assert self._pattern is not None
         state = (A.stateGet(), A.getISLocalMat().stateGet())
-        if state != self._state:
-            if self._parts.torn.is_symmetric() != self._parts.symmetric:
-                self.destroy()
-                self._parts = Parts(A, self._options, self._prefix)
-            self._parts.update()
-            self.method = self._parts.krylov.ksp.getType()
-            self.negative = self._parts.negative
-            self.negative_assembled = self._parts.negative_assembled
+        if self._pattern.torn.comm.allreduce(state != self._state, op=MPI.LOR):
+            if self._pattern.torn.is_symmetric() != self._pattern.symmetric:
+                self._renew(A, self._options)
+            if self._parts is not None:
+                self._parts.destroy()
+                self._parts = None
+            self._parts = set_up(self._pattern)
+            self.method, self.inertia = self._parts.method.type, self._parts.inertia
         self._state = state
 
-    def _solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> int:
+    def _renew(self, A: PETSc.Mat, options: FETIOptions) -> None:
+        """Begin anew with the pattern of another matrix."""
+        self.destroy()
+        self._state = self._directions = None
+        self._pattern = Pattern(A, options, self._prefix)
+
+    def _solve(self, ksp: PETSc.KSP, p: Parts, b: PETSc.Vec, x: PETSc.Vec) -> int:
         """Solve the dual system, recover u, and repeat on the residual until it is small."""
-        p = self._parts
-        assert p is not None
-        torn, delta, krylov = p.torn, p.gluing.delta, p.krylov
+        torn, delta = p.torn, p.gluing.delta
         rtol, atol, _, max_it = ksp.getTolerances()
         self.iterations, self.residual = 0, np.nan
         if not np.isfinite(b.norm()):
-            return self._judge(Reason.DIVERGED_NANORINF, np.nan, 0.0)
-        krylov.recycling.renew()
+            return self._judge(Reason.DIVERGED_NANORINF, np.nan, 0.0, p)
+        system = self._system(p)
         u_D = np.where(torn.dirichlet, torn.tear(b), 0.0)
         x.array[:] = torn.assemble(delta * u_D)
         r = residual(torn, b, x)
@@ -218,44 +232,58 @@ class FETI:
         reason = Reason.CONVERGED_RTOL
         for attempt in range(1 + p.options.refine):
             f = load(p, r, u_D)
-            c = p.gluing.gap(u_D)
-            pair = start(p, p.interior.condense(f), c)
-            c.destroy()
-            reason = krylov.solve(
+            pair, rest = balanced_start(p, p.interior.condense(f), p.gluing.gap(u_D))
+            solution = solve(
+                system,
+                rest,
+                p.method,
                 target=MARGIN * target,
                 max_it=max_it - self.iterations,
                 monitor=outer_monitor(ksp, self.iterations, first=attempt == 0),
             )
-            self.iterations += krylov.ksp.getIterationNumber()
+            reason = solution.reason
+            self.iterations += solution.iterations
             ksp.setIterationNumber(self.iterations)
-            self.eigenvalues = krylov.eigenvalues if attempt == 0 else self.eigenvalues
-            u = recover(p, pair, f, u_D)
-            x.array[:] += torn.assemble(delta * u)
+            self.eigenvalues = solution.eigenvalues if attempt == 0 else self.eigenvalues
+            before = x.array_r.copy()
+            x.array[:] += torn.assemble(delta * recover(p, pair + solution.x, f, u_D))
             r.destroy()
             r = residual(torn, b, x)
             last, norm = norm, r.norm()
-            if reason < 0 or krylov.users_test or not norm > target or norm > GAIN * last:
+            if not norm <= last:  # what was there before is better
+                x.array[:], norm = before, last
+                break
+            if reason < 0 or p.method.users_test or norm <= target or norm > GAIN * last:
                 break
             u_D = np.zeros_like(u_D)
         r.destroy()
+        if isinstance(system, DeflatedSystem):
+            self._directions = system.directions()
         ksp.setResidualNorm(norm if np.isfinite(norm) else np.inf)
         self.residual = norm / scale if scale > 0 else norm
-        return self._judge(reason, norm, target)
+        return self._judge(reason, norm, target, p)
 
-    def _judge(self, reason: int, norm: float, target: float) -> int:
+    def _system(self, p: Parts) -> DualSystem | DeflatedSystem:
+        """Return the dual system, deflated by directions of earlier solves if that is asked for."""
+        if not p.options.dual_recycle:
+            return p.dual
+        system = DeflatedSystem(p.dual, self._directions, most=p.options.dual_recycle)
+        self._recycled = system.count
+        return system
+
+    def _judge(self, reason: int, norm: float, target: float, p: Parts) -> int:
         """Turn the outcome into a reason, and a failure into a message with its remedy."""
-        assert self._parts is not None
         if not np.isfinite(norm):
             reason = Reason.DIVERGED_NANORINF
         elif reason in CURVATURE and self.residual <= ROUNDING:
             reason = Reason.DIVERGED_BREAKDOWN
-        elif reason > 0 and norm > target and not self._parts.krylov.users_test:
+        elif reason > 0 and norm > target and not p.method.users_test:
             reason = Reason.DIVERGED_BREAKDOWN
         if reason < 0:
             remedy = REMEDIES.get(reason, f"the dual Krylov method ended with reason {reason}")
             remedy = remedy.format(self._prefix)
-            if self.negative_assembled > 0:
-                remedy += INDEFINITE.format(self.negative_assembled)
+            if p.inertia.assembled:
+                remedy += INDEFINITE.format(p.inertia.assembled)
             self.message = f"{remedy} (‖b − A x‖/‖b‖ = {self.residual:.2e})."
         return reason
 

@@ -24,9 +24,9 @@ class NewtonStep:
         linear_iterations: Its iterations, those of all linear solves of the step.
         linear_residual: ‖K ΔU + r‖/‖r‖ of the assembled system.
         condition_number: Of the preconditioned dual operator; nan if not known.
-        negative: Negative eigenvalues of the regularised subdomains and of D.
+        negative: Negative eigenvalues of the regularised subdomains and of D; None if not known.
         indefinite: Negative eigenvalues that the true tangent has at least, see ``stability``;
-            −1 if not known.
+            None if not known.
         shift: σ of the tangent K + σ diag|k| that ΔU solves; zero for the true one.
         solves: Linear solves; all but the last failed or led uphill.
         seconds_assembly: Time for residual and tangent.
@@ -39,8 +39,8 @@ class NewtonStep:
     linear_iterations: int
     linear_residual: float
     condition_number: float
-    negative: int
-    indefinite: int
+    negative: int | None
+    indefinite: int | None
     shift: float
     solves: int
     seconds_assembly: float
@@ -52,7 +52,7 @@ def record_step(
     residual: float,
     alpha: float,
     *,
-    indefinite: int,
+    indefinite: int | None,
     shift: float,
     iterations: Sequence[int],
     assembly: float,
@@ -65,7 +65,7 @@ def record_step(
         residual: ‖r‖ before the step.
         alpha: Step length.
         indefinite: Negative eigenvalues that the true tangent has at least, see ``stability``;
-            −1 if not known.
+            None if not known.
         shift: σ of the last solve.
         iterations: Those of each linear solve.
         assembly: Seconds of assembly.
@@ -79,7 +79,7 @@ def record_step(
         linear_iterations=sum(iterations),
         linear_residual=feti.residual,
         condition_number=feti.condition_number,
-        negative=feti.negative,
+        negative=feti.inertia and feti.inertia.dual,
         indefinite=indefinite,
         shift=shift,
         solves=len(iterations),

@@ -126,7 +126,7 @@ class LinearProblem:
                 self.solver,
                 self.b.norm(),
                 1.0,
-                indefinite=feti.negative_assembled,
+                indefinite=feti.inertia and feti.inertia.assembled,
                 shift=0.0,
                 iterations=[feti.iterations],
                 assembly=assembled - started,

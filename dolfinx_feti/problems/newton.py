@@ -87,7 +87,7 @@ class Newton:
         self.has_tangent = False
         self.reference = np.inf
         self._shift, self._grown = 0.0, False  # σ of the last step, and whether it had to grow
-        self._indefinite = 0
+        self._indefinite: int | None = 0
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
         """Iterate from the state of the user's functions until the residual is small."""
@@ -163,7 +163,7 @@ class Newton:
                 system.shift(self._shift)
             du = self._step(ksp, r)
             if self._shift == 0.0:
-                self._indefinite = feti.negative_assembled
+                self._indefinite = feti.inertia and feti.inertia.assembled
             reason = ksp.getConvergedReason()
             if reason != LinearReason.DIVERGED_INDEFINITE_MAT:
                 iterations.append(feti.iterations)

@@ -73,6 +73,14 @@ def dense(M: PETSc.Mat) -> Array:
     return whole(rows)
 
 
+def matrix_of_map(apply: Callable[[Array], Array], n: int) -> Array:
+    """Bring the matrix of a map of local parts to all processes; n is the size of this one's."""
+    last = COMM.scan(n)
+    mine = np.arange(last - n, last)
+    columns = [apply((mine == j).astype(np.float64)) for j in range(COMM.allreduce(n))]
+    return whole(np.column_stack(columns))
+
+
 def matrix_of(apply: Callable[[PETSc.Vec, PETSc.Vec], object], x: PETSc.Vec, y: PETSc.Vec) -> Array:
     """Bring the matrix of a linear map to all processes, column by column."""
     first, last = x.getOwnershipRange()

@@ -172,7 +172,7 @@ def test_coarse_matrix_shows_what_is_indefinite(kind, share, expected, torn_grid
     agree(np.count_nonzero(np.linalg.eigvalsh(K[np.ix_(free, free)]) < 0.0) == expected)
     ksp = feti(problem.A, feti_type=kind)
     context = ksp.getPythonContext()
-    agree((context.negative > 0) == (share > 0.0) and context.negative_assembled == expected)
+    agree((context.inertia.dual > 0) == (share > 0.0) and context.inertia.assembled == expected)
     context.refuse_indefinite = True
     attempt(ksp, problem)
     refused = ksp.getConvergedReason() == Reason.DIVERGED_INDEFINITE_MAT
@@ -192,7 +192,7 @@ def test_one_subdomain_knows_its_inertia(share, interior, torn_grid, feti):
     count = np.count_nonzero(np.linalg.eigvalsh(K[np.ix_(free, free)]) < 0.0)
     ksp = feti(problem.A, feti_type="classical", feti_interior=interior)
     context = ksp.getPythonContext()
-    agree(context.negative_assembled == count and (count > 0) == (share > 0.0), count)
+    agree(context.inertia.assembled == count and (count > 0) == (share > 0.0), count)
     context.refuse_indefinite = True
     values = np.random.default_rng(SEED).standard_normal(len(problem.dirichlet))
     _, x = attempt(ksp, problem, values)

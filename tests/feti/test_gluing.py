@@ -164,7 +164,7 @@ def test_gap_of_the_prescribed_values(grid, all_floating, glue):
     u = problem.T @ x
     u_D = np.where(torn.dirichlet, u[torn.start : torn.start + torn.n], 0.0)
     c = gluing.gap(u_D)
-    equal(dense(gluing.B) @ u, whole(c.array_r), 1e-15)
+    equal(dense(gluing.B) @ u, whole(c), 1e-15)
     agree(
         len(whole(gluing.dirichlet_rows))
         == problem.dirichlet[problem.to_global].sum() * all_floating

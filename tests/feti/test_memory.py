@@ -18,7 +18,7 @@ from problems import cube, elasticity, poisson
 
 import dolfinx_feti
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.setup import Parts
+from dolfinx_feti.feti.setup import Pattern, set_up
 
 
 def create(problem, **options):
@@ -62,7 +62,7 @@ def test_problem_is_freed_without_the_collector(solved, without_collector):
     watched = [weakref.ref(linear), weakref.ref(context)]
     if solved:
         parts = context._parts
-        watched += [weakref.ref(part) for part in (parts, parts.torn, parts.coarse, parts.krylov)]
+        watched += [weakref.ref(part) for part in (parts.torn, parts.coarse, parts.dual)]
         del parts
     del linear, context
     agree(all(ref() is None for ref in watched), [ref() for ref in watched])
@@ -74,11 +74,12 @@ def test_matrix_is_its_owners_again(kind, pc_type, torn_grid):
     """After destroy() nothing refers to the torn matrix and to its local one."""
     problem = torn_grid((2, 2), (2, 2), components=2)
     before = problem.A.getRefCount(), problem.local.getRefCount()
-    system = Parts(problem.A, FETIOptions(type=kind, pc_type=pc_type), "memory_")
-    system.update()
-    system.update()
-    system.destroy()
-    del system
+    pattern = Pattern(problem.A, FETIOptions(type=kind, pc_type=pc_type), "memory_")
+    for _ in range(2):
+        system = set_up(pattern)
+        system.destroy()
+    pattern.destroy()
+    del pattern, system
     collect()
     after = problem.A.getRefCount(), problem.local.getRefCount()
     agree(before == after, (before, after))

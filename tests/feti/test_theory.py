@@ -14,7 +14,7 @@ import itertools
 import numpy as np
 import paper_cube
 import pytest
-from collective import agree, dense, equal, matrix_of, whole
+from collective import agree, dense, equal, matrix_of_map, whole
 
 ROUNDING = 1e-6
 
@@ -35,9 +35,8 @@ def spectrum(feti, problem, load=1.0, **options):
 
 def eigenvalues(system):
     """Eigenvalues of P M Pᵀ F on the balanced multipliers modulo the kernel of Bᵀ, dense."""
-    lam = system.gluing.B.createVecLeft
-    F = matrix_of(system.operator.flexibility, lam(), lam())
-    M = matrix_of(system.preconditioner.mult, lam(), lam())
+    F = matrix_of_map(system.dual.flexibility, system.dual.m)
+    M = matrix_of_map(lambda r: system.preconditioner.apply(r)[0], system.dual.m)
     G, QG, N = (dense(getattr(system.coarse, name)) for name in ("G", "QG", "N"))
     P = np.eye(len(F)) - QG @ np.linalg.solve(N, G.T)
     values = np.linalg.eigvals(P @ M @ P.T @ F)

@@ -357,7 +357,7 @@ def program(*words: object, processes: int = 1) -> subprocess.Popen[str]:
     own |= {"OMPI_MCA_mpi_yield_when_idle": "1"}
     launch = ["mpirun", "-n", str(processes)] if processes > 1 else []
     return subprocess.Popen(
-        [*launch, sys.executable, str(ROOT / "tests/checkpoint_run.py"), *map(str, words)],
+        [*launch, sys.executable, str(ROOT / "tests/common/checkpoint_run.py"), *map(str, words)],
         cwd=ROOT,
         env=own,
         stdout=subprocess.PIPE,

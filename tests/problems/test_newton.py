@@ -21,7 +21,7 @@ import ufl
 
 from dolfinx_feti import ConvergenceError, NonlinearProblem
 from dolfinx_feti.errors import SingularError
-from dolfinx_feti.feti.setup import Parts
+from dolfinx_feti.feti import setup
 
 Reason = PETSc.SNES.ConvergedReason
 
@@ -138,15 +138,15 @@ def test_every_step_lowers_the_potential():
 
 def test_singular_on_the_way_counts_as_indefinite(monkeypatch):
     """The first tangent has to be regular; a later one that is singular gets a shift."""
-    check, calls, singular = Parts._check_coarse, [], []
+    check, calls, singular = setup._check_coarse, [], []
 
-    def check_coarse(self):
-        check(self)
+    def check_coarse(coarse):
+        check(coarse)
         calls.append(None)
         if len(calls) in singular:
             raise SingularError("singular")
 
-    monkeypatch.setattr(Parts, "_check_coarse", check_coarse)
+    monkeypatch.setattr(setup, "_check_coarse", check_coarse)
     u, energy, bcs = two_wells()
     start = u.x.array.copy()
     problem = NonlinearProblem(energy, u, bcs=bcs, subdomains=6, petsc_options_prefix=PREFIX)

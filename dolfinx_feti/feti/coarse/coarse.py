@@ -32,7 +32,8 @@ import scipy.sparse
 
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.gluing import Gluing
-from dolfinx_feti.feti.preconditioner.preconditioner import Preconditioner, own_columns
+from dolfinx_feti.feti.preconditioner.base import Preconditioner
+from dolfinx_feti.feti.subdomain.blocks import own_columns
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
 from dolfinx_feti.torn import Torn
 
@@ -110,26 +111,29 @@ class Coarse:
         self.N.axpy(1.0, self.D, structure=DIFFERENT)
         self.N.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self.solver = GatheredSolver(self.N, prefix=prefix, symmetric=symmetric)
+        self._s, self._e = self.N.createVecs()
 
-    def solve(self, y: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Solve the coarse problem, x = N⁻¹ y, both (K,)."""
-        self.solver.solve(y, x)
+    def solve(self, e: Array) -> Array:
+        """Solve the coarse problem, N⁻¹ e, for the local part of a right-hand side, (K,).
 
-    def restrict(self, f: Array) -> PETSc.Vec:
-        """Return the load of the kernels, e = Eᵀ f, (K,); the caller destroys it."""
-        e = self.N.createVecRight()
-        parts = [
-            E.T @ f[dofs] for E, dofs in zip(self._inverse.E_left, self._inverse.dofs, strict=True)
-        ]
-        e.array[:] = np.concatenate([*parts, np.zeros(0)])
-        return e
+        Note:
+            Collective.
+        """
+        self._e.array[:] = e
+        self.solver.solve(self._e, self._s)
+        return self._s.array_r.copy()
 
-    def prolong(self, s: PETSc.Vec) -> Array:
-        """Return the motion of the kernels, E s, (n,)."""
+    def restrict(self, f: Array) -> Array:
+        """Return the load of the kernels, e = Eᵀ f, (n,) → (K,)."""
+        pairs = zip(self._inverse.E_left, self._inverse.dofs, strict=True)
+        return np.concatenate([*(E.T @ f[dofs] for E, dofs in pairs), np.zeros(0)])
+
+    def prolong(self, s: Array) -> Array:
+        """Return the motion of the kernels, E s, (K,) → (n,)."""
         u = np.zeros(self._torn.n)
         first = 0
         for E, dofs in zip(self._inverse.E, self._inverse.dofs, strict=True):
-            u[dofs] = E @ s.array_r[first : first + E.shape[1]]
+            u[dofs] = E @ s[first : first + E.shape[1]]
             first += E.shape[1]
         return u
 
@@ -157,8 +161,9 @@ class Coarse:
     def destroy(self) -> None:
         """Free matrices and solver."""
         self.solver.destroy()
-        matrices = (self.G, self.G_left, self.q, self.QG, self.N, self.D, self.GMG)
-        for owned in {id(M): M for M in matrices if M is not None}.values():
+        matrices = (self.G, self.G_left, self.QG, self.N, self.D, self.GMG)
+        vectors = (self.q, self._s, self._e)
+        for owned in {id(M): M for M in (*matrices, *vectors) if M is not None}.values():
             owned.destroy()
 
 

@@ -86,19 +86,19 @@ class GatheredSolver:
             megabytes = np.nan if F is None else F.getMumpsInfog(22)
         return float(self._gathered.comm.tompi4py().bcast(megabytes)) * 1e6 / 2**20
 
-    def inertia(self) -> tuple[int, int]:
-        """Return the number of negative and zero pivots; −1 where the factor does not tell.
+    def inertia(self) -> tuple[int | None, int | None]:
+        """Return the numbers of negative and zero pivots; None where the factor does not tell.
 
         Note:
             Collective.
         """
-        counts = (0, 0)
+        counts: tuple[int | None, int | None] = (0, 0)
         if self.ksp is not None:
             F = _mumps_factor(self.ksp)
             if F is None:
-                counts = (-1, -1)
+                counts = (None, None)
             else:
-                counts = (F.getMumpsInfog(12) if self._symmetric else -1, F.getMumpsInfog(28))
+                counts = (F.getMumpsInfog(12) if self._symmetric else None, F.getMumpsInfog(28))
         return self._gathered.comm.tompi4py().bcast(counts)
 
     def destroy(self) -> None:

@@ -31,11 +31,9 @@ from petsc4py import PETSc
 from dolfinx_feti.feti.coarse.coarse import DIFFERENT, Coarse
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.gluing import Gluing
-from dolfinx_feti.feti.preconditioner.preconditioner import (
-    Preconditioner,
-    create_preconditioner,
-    own_columns,
-)
+from dolfinx_feti.feti.preconditioner.base import Preconditioner
+from dolfinx_feti.feti.preconditioner.choice import create_preconditioner
+from dolfinx_feti.feti.subdomain.blocks import own_columns
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
 from dolfinx_feti.torn import Torn
 
@@ -53,7 +51,7 @@ def negative_eigenvalues(
     coarse: Coarse,
     *,
     prefix: str,
-) -> int:
+) -> int | None:
     """Count negative eigenvalues of A₀, which the assembled matrix has at least.
 
     Args:
@@ -65,7 +63,7 @@ def negative_eigenvalues(
         prefix: Options prefix of the coarse solver, which factors A₀ as well.
 
     Returns:
-        Their number, but for rounding; −1 if the solver does not tell.
+        Their number, but for rounding; None if the solver does not tell.
 
     Note:
         Collective.

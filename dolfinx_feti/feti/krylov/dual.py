@@ -16,225 +16,161 @@ iterate, so that a Krylov method only sees the jump; with :math:`N = G^⊤ Q G +
 .. math:: w = N^{-1} G^⊤ Q r, \quad y = M (r - G w), \quad v = N^{-1}(G^⊤ y - D w), \quad
           z = (y - Q G v,\; -w - v).
 
-For D = 0 its λ-part is :math:`P M P^⊤ r`, the projected method of the paper
-(eq. 45, Augustin_eq:dualProblem), in which s plays no part before the end: conjugate gradients then
-leave s as it is (``frozen``), because where the spectrum of M F is far from one their rounding
-errors in s grow without bound.
+For D = 0 its λ-part is :math:`P M P^⊤ r`, the projected method of the paper (eq. 45,
+Augustin_eq:dualProblem), in which s plays no part before the end: conjugate gradients then leave s
+as it is (``frozen``), because where the spectrum of M F is far from one their rounding errors in s
+grow without bound.
 """
 
 from __future__ import annotations
 
-from petsc4py import PETSc
+from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.feti.coarse.coarse import Coarse
 from dolfinx_feti.feti.gluing import Gluing
-from dolfinx_feti.feti.preconditioner.preconditioner import Preconditioner
+from dolfinx_feti.feti.linear_map import LinearMap
+from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
 
-__all__ = ["ConstraintPreconditioner", "DualOperator", "DualVector"]
+__all__ = ["DualSystem"]
 
 Array = npt.NDArray[np.float64]
 
 
-class DualVector:
-    """The two parts of a vector (λ, s), copied in and out of one PETSc vector.
+class DualSystem:
+    """The dual system and its constraint preconditioner on the local parts of (λ, s), (m + K,).
 
     Attributes:
-        lam: Multipliers, (m,).
-        s: Coarse unknowns, (K,).
-        comm: Their processes.
-    """
-
-    def __init__(self, gluing: Gluing, coarse: Coarse) -> None:
-        self.lam = gluing.B.createVecLeft()
-        self.s = coarse.N.createVecRight()
-        self._m = self.lam.getLocalSize()
-        self.comm = self.lam.comm.tompi4py()
-
-    def read(self, x: PETSc.Vec) -> None:
-        """Split x into λ and s."""
-        values = x.array_r
-        self.lam.array[:] = values[: self._m]
-        self.s.array[:] = values[self._m :]
-
-    def write(self, x: PETSc.Vec) -> None:
-        """Join λ and s in x."""
-        x.array[:] = np.concatenate([self.lam.array_r, self.s.array_r])
-
-    def create(self) -> PETSc.Vec:
-        """Allocate a joined vector, (m + K,)."""
-        n = self._m + self.s.getLocalSize()
-        return PETSc.Vec().createMPI((n, None), comm=self.lam.comm)
-
-    def destroy(self) -> None:
-        """Free both parts."""
-        self.lam.destroy()
-        self.s.destroy()
-
-
-class DualOperator:
-    """The dual system as a context of a PETSc matrix.
-
-    Attributes:
-        vector: Splits and joins (λ, s).
-    """
-
-    def __init__(
-        self, gluing: Gluing, inverse: PseudoInverse, coarse: Coarse, vector: DualVector
-    ) -> None:
-        self._B = gluing.B
-        self._inverse = inverse
-        self._coarse = coarse
-        self.vector = vector
-        self._torn = gluing.B.createVecRight()
-        self._u = gluing.B.createVecRight()
-        self._jump = gluing.B.createVecLeft()
-
-    def mult(self, _mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Apply the dual system to a balanced pair, (F λ − G s, 0)."""
-        v = self.vector
-        v.read(x)
-        self.jump(self._jump)
-        self._jump.copy(v.lam)
-        v.s.set(0.0)  # Gᵀ λ + D s = 0 up to rounding, which must not enter the Krylov method
-        v.write(y)
-
-    def jump(self, y: PETSc.Vec) -> None:
-        """Compute the jump of the pair that ``vector`` holds, y = F λ − G s."""
-        v = self.vector
-        self.flexibility(v.lam, y)  # F λ
-        v.s.scale(-1.0)
-        self._coarse.G.multAdd(v.s, y, y)  # F λ − G s
-        v.s.scale(-1.0)
-
-    def flexibility(self, lam: PETSc.Vec, jump: PETSc.Vec) -> None:
-        """Apply the flexibility F = B K⁺ Bᵀ."""
-        self._B.multTranspose(lam, self._torn)  # Bᵀ λ
-        u = np.zeros(self._u.getLocalSize())
-        self._inverse.solve(self._torn.array_r, u)  # K⁺ Bᵀ λ
-        self._u.array[:] = u
-        self._B.mult(self._u, jump)  # B K⁺ Bᵀ λ
-
-    def jumps(self, pairs: Array) -> Array:
-        """Compute the jumps of many pairs at once, F Λ − G S, (m + K, r) → (m, r)."""
-        v, jump = self.vector, self._jump
-        m, r = v.lam.getLocalSize(), pairs.shape[1]
-        t = np.empty((self._torn.getLocalSize(), r), order="F")
-        for j in range(r):
-            v.lam.array[:] = pairs[:m, j]
-            self._B.multTranspose(v.lam, self._torn)
-            t[:, j] = self._torn.array_r  # Bᵀ Λ
-        u = self._inverse.solve_many(t)  # K⁺ Bᵀ Λ
-        jumps = np.empty((m, r), order="F")
-        for j in range(r):
-            self._u.array[:] = u[:, j]
-            v.s.array[:] = -pairs[m:, j]
-            self._B.mult(self._u, jump)
-            self._coarse.G.multAdd(v.s, jump, jump)
-            jumps[:, j] = jump.array_r  # B K⁺ Bᵀ Λ − G S
-        return jumps
-
-    def destroy(self, _mat: PETSc.Mat | None = None) -> None:
-        """Free the work vectors."""
-        for owned in (self._torn, self._u, self._jump):
-            owned.destroy()
-
-
-class ConstraintPreconditioner:
-    """The constraint preconditioner as a context of a PETSc preconditioner.
-
-    Attributes:
-        imbalance: Norm of the residual of the assembled system that the jump last preconditioned
-            leaves once s is best, ‖Tᵀ t‖ for r − G w, see ``preconditioner``.
+        comm: Communicator of the torn matrix.
+        m: Multipliers of this process.
+        size: Multipliers and coarse unknowns of this process, m + K.
         exact: Whether D = 0, so that s may change alone.
-        frozen: Whether s is left as it is.
+        frozen: Whether the preconditioner leaves s as it is.
+        B: Jumps, (m, n).
+        G: B E, (m, K).
     """
 
     def __init__(
-        self, preconditioner: Preconditioner, coarse: Coarse, vector: DualVector, *, q_has_m: bool
+        self,
+        gluing: Gluing,
+        inverse: PseudoInverse,
+        preconditioner: Preconditioner,
+        coarse: Coarse,
+        *,
+        frozen: bool,
     ) -> None:
+        """Take the parts of the system.
+
+        Args:
+            gluing: B.
+            inverse: K⁺.
+            preconditioner: M.
+            coarse: G, Q, D and N.
+            frozen: Whether the preconditioner leaves s as it is; for D = 0 only.
+        """
+        self._inverse = inverse
         self._M = preconditioner
         self._coarse = coarse
-        self._v = vector
-        self._q_has_m = q_has_m
-        self.exact = coarse.exact
-        self.frozen = False
-        self._y = vector.lam.duplicate()
-        self._qr = vector.lam.duplicate()
-        self._w = vector.s.duplicate()
-        self._e = vector.s.duplicate()
-        self.imbalance = np.inf
+        self._torn = preconditioner.torn
+        self.comm = self._torn.comm
+        self.exact, self.frozen = coarse.exact, frozen
+        self.B, self.G = LinearMap(gluing.B), LinearMap(coarse.G)
+        self._QG, self._D = LinearMap(coarse.QG), LinearMap(coarse.D)
+        self._G_left = self.G if coarse.G_left is coarse.G else LinearMap(coarse.G_left)
+        self.m = self.B.shape[0]
+        self.size = self.m + coarse.size
 
-    def apply(self, _pc: PETSc.PC | None, x: PETSc.Vec, z: PETSc.Vec) -> None:
-        """Apply the constraint preconditioner to a residual whose second part is zero."""
-        coarse, vector, y, w, e = self._coarse, self._v, self._y, self._w, self._e
-        vector.read(x)
-        r, s = vector.lam, vector.s
-        self.project(r)
-        self._M.mult(r, y)  # y = M (r − G w)
-        self._measure(r)
-        coarse.D.mult(w, e)
-        coarse.G_left.multTransposeAdd(y, e, e)
-        coarse.solve(e, s)  # v = N⁻¹ (Gᵀ y − D w), the sign of w turned
-        s.scale(-1.0)
-        coarse.QG.multAdd(s, y, r)  # z_λ = y − Q G v
-        s.axpy(1.0, w)  # z_s = −w − v
-        if self.frozen:
-            s.set(0.0)
-        vector.write(z)
+    # -- the system -------------------------------------------------------------------------------
 
-    def force(self, x: PETSc.Vec) -> float:
-        """Return the residual of the assembled system, ‖Tᵀ t‖, that a jump leaves."""
-        self._v.read(x)
-        if self.exact:
-            self.project(self._v.lam)
-        self._M.mult(self._v.lam, self._y)
-        self._measure(self._v.lam)
-        return self.imbalance
+    def split(self, x: Array) -> tuple[Array, Array]:
+        """Return views of λ, (m, …), and s, (K, …)."""
+        return x[: self.m], x[self.m :]
 
-    def project(self, r: PETSc.Vec) -> PETSc.Vec:
-        """Take from a jump what a motion of the kernels can remove, r ← r − G w; return −w."""
-        coarse, w, qr = self._coarse, self._w, self._qr
-        if coarse.G_left is coarse.G:
-            coarse.QG.multTranspose(r, self._e)
+    def flexibility(self, lam: Array) -> Array:
+        """Apply the flexibility, F λ = B K⁺ Bᵀ λ, (m,) or (m, r)."""
+        return self.B @ self._inverse.solve(self.B.T @ lam)  # B K⁺ Bᵀ λ
+
+    def jump(self, x: Array) -> Array:
+        """Compute the jump of pairs, F λ − G s, (m + K,) → (m,) or (m + K, r) → (m, r)."""
+        lam, s = self.split(x)
+        return self.flexibility(lam) - self.G @ s  # F λ − G s
+
+    def weighted_jump(self, s: Array) -> Array:
+        """Return Q G s, (K,) → (m,)."""
+        return self._QG @ s
+
+    def multiply(self, x: Array) -> Array:
+        """Apply the dual system to a balanced pair, (F λ − G s, 0).
+
+        The second part, Gᵀ λ + D s, is zero up to rounding, which must not enter a Krylov method.
+        """
+        return np.concatenate([self.jump(x), np.zeros(self.size - self.m)])
+
+    def start(self, b: Array) -> tuple[Array, Array]:
+        """Return the initial guess zero and b."""
+        return np.zeros_like(b), b
+
+    def paused(self) -> AbstractContextManager[None]:
+        """Do nothing: no product is recorded."""
+        return nullcontext()
+
+    # -- its preconditioner -----------------------------------------------------------------------
+
+    def precondition(self, x: Array) -> tuple[Array, float]:
+        """Apply the constraint preconditioner to a residual (r, 0).
+
+        Returns:
+            z, (m + K,), and the norm ‖Tᵀ t‖ of the residual of the assembled system that the jump
+            r leaves once s is best, see :mod:`~dolfinx_feti.feti.preconditioner.base`.
+
+        Note:
+            Collective.
+        """
+        r, w = self.project(x[: self.m])
+        y, t = self._M.apply(r)  # y = M (r − G w)
+        v = self._coarse.solve(self._G_left.T @ y - self._D @ w)  # v = N⁻¹ (Gᵀ y − D w)
+        s = np.zeros_like(w) if self.frozen else -w - v
+        return np.concatenate([y - self._QG @ v, s]), self._norm(t)  # (y − Q G v, −w − v)
+
+    def project(self, r: Array) -> tuple[Array, Array]:
+        """Take from a jump what a motion of the kernels can remove, r − G w; return it and w."""
+        if self._G_left is self.G:
+            e = self._QG.T @ r
         else:
-            self._M.mult(r, self._y)
-            qr.pointwiseMult(coarse.q, r)
-            qr.axpy(float(self._q_has_m), self._y)  # Q r
-            coarse.G_left.multTranspose(qr, self._e)
-        coarse.solve(self._e, w)  # w = N⁻¹ Gᵀ Q r
-        w.scale(-1.0)
-        coarse.G.multAdd(w, r, r)
-        return w
+            e = self._G_left.T @ self._weigh(r)
+        w = self._coarse.solve(e)  # w = N⁻¹ Gᵀ Q r
+        return r - self.G @ w, w
+
+    def unbalanced(self, x: Array) -> float:
+        """Return the residual of the assembled system, ‖Tᵀ t‖, that a residual (r, 0) leaves."""
+        r = self.project(x[: self.m])[0] if self.exact else x[: self.m]
+        return self._norm(self._M.apply(r)[1])
 
     def balance(self, lam: Array) -> Array:
         """Balance multipliers, (m, r) → (m + K, r): (Λ − Q G V, −V) with V = N⁻¹ Gᵀ Λ.
 
         For D = 0 any s is balanced, and zero is taken.
         """
-        coarse, y, v = self._coarse, self._y, self._w
-        m, r = lam.shape
-        pairs = np.zeros((m + v.getLocalSize(), r), order="F")
-        for j in range(r):
-            y.array[:] = lam[:, j]
-            coarse.G_left.multTranspose(y, self._e)
-            coarse.solve(self._e, v)  # v = N⁻¹ Gᵀ λ
-            v.scale(-1.0)
-            coarse.QG.multAdd(v, y, y)
-            pairs[:m, j] = y.array_r  # λ − Q G v
-            if not self.exact:
-                pairs[m:, j] = v.array_r
-        return pairs
+        V = self._G_left.T @ lam
+        for j in range(V.shape[1]):
+            V[:, j] = self._coarse.solve(V[:, j])  # V = N⁻¹ Gᵀ Λ
+        s = np.zeros_like(V) if self.exact else -V
+        return np.vstack([lam - self._QG @ V, s])  # (Λ − Q G V, −V)
 
-    def _measure(self, r: PETSc.Vec) -> None:
-        torn = self._M.torn
-        force = torn.assemble(np.where(torn.dirichlet, 0.0, self._M.imbalance(r)))
-        self.imbalance = float(np.sqrt(torn.comm.allreduce(force @ force)))
+    def _weigh(self, r: Array) -> Array:
+        """Return Q r = q r + M r, (m,), the second term where Q has M in it."""
+        weighed = self._coarse.q.array_r * r
+        return weighed if self._coarse.GMG is None else weighed + self._M.apply(r)[0]
 
-    def destroy(self, _pc: PETSc.PC | None = None) -> None:
+    def _norm(self, t: Array) -> float:
+        """Return ‖Tᵀ t‖ on the free dofs for a torn force, (n,)."""
+        force = self._torn.assemble(np.where(self._torn.dirichlet, 0.0, t))
+        return float(np.sqrt(self.comm.allreduce(force @ force)))
+
+    def destroy(self) -> None:
         """Free the work vectors."""
-        for owned in (self._y, self._qr, self._w, self._e):
+        for owned in (self.B, self.G, self._QG, self._D, self._G_left):
             owned.destroy()

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Recycling: what earlier solves found out shortens later ones.
+r"""Recycling: directions of earlier solves shorten later ones.
 
 The dual systems of Newton's steps change little from one to the next. With pairs W from earlier
 solves, :math:`𝒜` the dual system and C its constraint preconditioner (``dual``),
@@ -28,16 +28,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-
-from petsc4py import PETSc
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.events import event
-from dolfinx_feti.feti.krylov.dual import ConstraintPreconditioner, DualOperator
+from dolfinx_feti.feti.krylov.dual import DualSystem
 
-__all__ = ["Recycling"]
+__all__ = ["DeflatedSystem", "Directions"]
 
 Array = npt.NDArray[np.float64]
 
@@ -45,117 +44,109 @@ Array = npt.NDArray[np.float64]
 REPEATED = 1e-10
 
 
-class Recycling:
-    """The dual system and its constraint preconditioner, deflated; contexts of a Mat and a PC.
+@dataclass(frozen=True, slots=True)
+class Directions:
+    """What a solve leaves to later ones, as local parts.
 
     Attributes:
-        most: Most directions that are kept.
+        lam: Multipliers of the directions W, (m, r).
+        CW: C⁻¹ W, (m, r), as of the solves that W came from.
     """
 
-    def __init__(self, most: int) -> None:
-        """Begin without directions.
+    lam: Array
+    CW: Array
+
+
+class DeflatedSystem:
+    """A dual system deflated by directions W; it records a solve, to choose the next ones.
+
+    Attributes:
+        comm: Communicator of the torn matrix.
+        size: Multipliers and coarse unknowns of this process.
+        exact: Whether D = 0.
+        W: Balanced directions, (m + K, r).
+        AW: Jumps of W, (m, r).
+    """
+
+    def __init__(self, system: DualSystem, directions: Directions | None, *, most: int) -> None:
+        """Balance the directions and multiply them with the present matrix.
 
         Args:
-            most: Most directions that are kept; with 0 nothing is recorded.
-        """
-        self.most = most
-        self._recording = True
-        self._m = 0  # multipliers of this process
-        self._operator: DualOperator
-        self._constraint: ConstraintPreconditioner
-        self._stale = False
-        self._W: Array = np.zeros((0, 0))
-        self._AW: Array = np.zeros((0, 0))
-        self._CW: Array = np.zeros((0, 0))  # C⁻¹ W
-        self._inverse: Array = np.zeros((0, 0))  # H⁻¹
-        self._records: dict[str, list[Array]] = {}
-        self._forget()
-
-    @property
-    def size(self) -> int:
-        """Number of directions W."""
-        return self._W.shape[1]
-
-    def attach(self, operator: DualOperator, constraint: ConstraintPreconditioner) -> None:
-        """Take over the dual system of a new matrix."""
-        self._operator, self._constraint = operator, constraint
-        self._m = operator.vector.lam.getLocalSize()
-        self._stale = True
-
-    def renew(self) -> None:
-        """Choose W from what the last solve has left, and multiply it with the present matrix.
+            system: The dual system.
+            directions: What earlier solves have left, if there were any.
+            most: Most directions that are left to later solves.
 
         Note:
             Collective.
         """
+        self._system, self._most = system, most
+        self.comm, self.size, self.exact = system.comm, system.size, system.exact
+        self._recording = True
+        self._records: dict[str, list[Array]] = {name: [] for name in ("X", "AX", "R", "Z")}
+        none = np.zeros((system.m, 0))
+        self._CW = none if directions is None else directions.CW
         with event("FETIRecycling"):
-            lam = self._W[: self._m]
-            if self._records["X"]:
-                lam, self._stale = self._ritz_vectors(), True
-            if self._stale:
-                self._W = self._constraint.balance(lam)
-            if self._stale and self.size:
-                self._AW = self._operator.jumps(self._W)
-                H = self._product(self._W[: self._m], self._AW)
-                if np.isfinite(H).all():
-                    self._inverse = _pseudo_inverse(H)
-                else:
-                    self._W = self._W[:, :0]
-        self._stale = False
-        self._forget()
+            self.W = system.balance(none if directions is None else directions.lam)
+            self.AW = system.jump(self.W) if self.count else none
+            H = self._product(self.W[: system.m], self.AW)  # H = Wᵀ 𝒜 W
+            if not np.isfinite(H).all():
+                self.W, self.AW, self._CW, H = self.W[:, :0], none, none, H[:0, :0]
+            self._inverse = _pseudo_inverse(H)  # H⁻¹
 
-    def start(self, b: PETSc.Vec) -> Array:
-        """Solve on W, return x₀ = W H⁻¹ Wᵀ b, and leave the rest in b ← b − 𝒜 x₀."""
-        if self.size == 0:
-            return np.zeros(b.getLocalSize())
-        m = self._m
-        c = self._inverse @ self._product(self._W[:m], b.array_r[:m])
-        b.array[:m] -= self._AW @ c
-        return np.asarray(self._W @ c)
+    @property
+    def count(self) -> int:
+        """Number of directions W."""
+        return self.W.shape[1]
 
-    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Apply the dual system, y = 𝒜 x."""
-        self._operator.mult(mat, x, y)
+    def start(self, b: Array) -> tuple[Array, Array]:
+        """Solve on W, x₀ = W H⁻¹ Wᵀ b; return x₀ and what is left, b − 𝒜 x₀, both (m + K,)."""
+        m = self._system.m
+        c = self._inverse @ self._product(self.W[:m], b[:m])
+        rest = b.copy()
+        rest[:m] -= self.AW @ c
+        return self.W @ c, rest
+
+    def multiply(self, x: Array) -> Array:
+        """Apply the dual system, 𝒜 x, (m + K,)."""
+        y = self._system.multiply(x)
         self._record(X=x, AX=y)
+        return y
 
-    def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
-        """Apply the deflated preconditioner, z = (I − W H⁻¹ (𝒜 W)ᵀ) C r."""
-        self._constraint.apply(pc, r, z)
+    def precondition(self, r: Array) -> tuple[Array, float]:
+        """Apply the deflated preconditioner, z = (I − W H⁻¹ (𝒜 W)ᵀ) C r; see ``DualSystem``."""
+        z, norm = self._system.precondition(r)
         self._record(R=r, Z=z)
-        if self.size:
-            overlap = self._product(self._AW, z.array_r[: self._m])  # (𝒜 W)ᵀ C r
-            z.array[:] -= self._W @ (self._inverse @ overlap)
+        overlap = self._product(self.AW, z[: self._system.m])  # (𝒜 W)ᵀ C r
+        return z - self.W @ (self._inverse @ overlap), norm
+
+    def unbalanced(self, r: Array) -> float:
+        """Return the residual of the assembled system that a residual leaves."""
+        return self._system.unbalanced(r)
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Let products go by unrecorded for a while."""
+        """Let products that are not the Krylov method's own go by unrecorded."""
         self._recording = False
         try:
             yield
         finally:
             self._recording = True
 
-    def _record(self, **vectors: PETSc.Vec) -> None:
-        """Keep the multipliers of some vectors, as long as there is room."""
-        for name, vector in vectors.items():
-            columns = self._records[name]
-            if self._recording and len(columns) < self.most:
-                columns.append(vector.array_r[: self._m].copy())
+    def directions(self) -> Directions:
+        """Choose what is left to later solves: Ritz vectors of the largest Ritz values of C 𝒜.
 
-    def _forget(self) -> None:
-        self._records = {name: [] for name in ("X", "AX", "R", "Z")}
-
-    def _ritz_vectors(self) -> Array:
-        """Find the Ritz vectors of the largest Ritz values of C 𝒜, (m, at most ``most``)."""
-        n = min(map(len, self._records.values()))
+        Note:
+            Collective.
+        """
+        m, n = self._system.m, min(map(len, self._records.values()))
+        if n == 0:
+            return Directions(self.W[:m], self._CW)
         X, AX, R, Z = (np.column_stack(self._records[name][:n]) for name in ("X", "AX", "R", "Z"))
         sizes = np.array([np.diag(self._product(R, Z)), np.diag(self._product(X, AX))])
         sound = np.all(np.isfinite(sizes) & (sizes != 0.0), axis=0)  # a solve may end in NaN
         X, AX, R, Z = (vectors[:, sound] for vectors in (X, AX, R, Z))
-        none = np.zeros((self._m, 0))
-        W, AW, CW = (self._W[: self._m], self._AW, self._CW) if self.size else (none, none, none)
-        P, AP = np.hstack([W, X]), np.hstack([AW, AX])
-        V, Q = np.hstack([W, Z]), np.hstack([CW, R])
+        P, AP = np.hstack([self.W[:m], X]), np.hstack([self.AW, AX])
+        V, Q = np.hstack([self.W[:m], Z]), np.hstack([self._CW, R])
         scale = _to_one(np.diag(self._product(V, Q)))  # CG's residuals become small
         V, Q = V * scale, Q * scale
         cross = self._product(AP, V)
@@ -165,13 +156,19 @@ class Recycling:
         there = values > REPEATED * np.abs(values).max(initial=0.0)
         T = vectors[:, there] / np.sqrt(values[there])
         θ, Y = np.linalg.eigh(T.T @ H @ T)
-        T = T @ Y[:, np.argsort(-np.abs(θ))[: self.most]]
-        self._CW = Q @ T
-        return V @ T
+        T = T @ Y[:, np.argsort(-np.abs(θ))[: self._most]]
+        return Directions(V @ T, Q @ T)
+
+    def _record(self, **vectors: Array) -> None:
+        """Keep the multipliers of some vectors, as long as there is room."""
+        for name, vector in vectors.items():
+            columns = self._records[name]
+            if self._recording and len(columns) < self._most:
+                columns.append(vector[: self._system.m].copy())
 
     def _product(self, X: Array, Y: Array) -> Array:
         """Return Xᵀ Y over all processes."""
-        return np.asarray(self._operator.vector.comm.allreduce(X.T @ Y))
+        return np.asarray(self.comm.allreduce(X.T @ Y))
 
 
 def _pseudo_inverse(H: Array) -> Array:

@@ -3,5 +3,5 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Preconditioners of the dual operator: none, identity, lumped, Dirichlet.
 
-In the order of the data: preconditioner.
+In the order of the data: base, identity, lumped, dirichlet, choice.
 """

@@ -32,8 +32,8 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse
 
+from dolfinx_feti.feti.subdomain.blocks import sparse_block
 from dolfinx_feti.feti.subdomain.dense import DenseFactors
 from dolfinx_feti.feti.subdomain.factors import BlockFactors, Choice
 from dolfinx_feti.feti.subdomain.kernel import orthonormal
@@ -299,16 +299,3 @@ def worth_eliminating(torn: Torn, free: Sequence[Indices], glued: npt.NDArray[np
     dense, sparse = torn.comm.allreduce(np.array([(glued_n**2).sum(), (n ** (4 / 3)).sum()]))
     largest = torn.comm.allreduce(glued_n.max(initial=0.0), op=MPI.MAX)
     return bool(dense <= DENSITY * sparse and largest <= LARGEST)
-
-
-def sparse_block(K: PETSc.Mat, rows: Indices, columns: Indices) -> scipy.sparse.csr_array:
-    """Copy the block ``K[rows, columns]``."""
-    sets = [
-        PETSc.IS().createGeneral(dofs.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
-        for dofs in (rows, columns)
-    ]
-    block = K.createSubMatrix(*sets)
-    indptr, indices, values = block.getValuesCSR()
-    for owned in (block, *sets):
-        owned.destroy()
-    return scipy.sparse.csr_array((values, indices, indptr), shape=(len(rows), len(columns)))

@@ -146,28 +146,27 @@ class PseudoInverse:
         if not self._symmetric:
             self.E_left, _ = self._stand_ins(transpose=True)
 
-    def solve(self, y: Array, x: Array) -> None:
-        """Apply the generalised inverse, x = K⁺ y, both (n,); zero on fixed dofs."""
-        x[self.fixed] = 0.0
-        self.factors.solve(y, x)
+    def solve(self, y: Array) -> Array:
+        """Apply the generalised inverse, K⁺ y, (n,), or K⁺ Y, (n, r); zero on fixed dofs.
 
-    def solve_many(self, Y: Array) -> Array:
-        """Apply the generalised inverse to columns, K⁺ Y, (n, r); reads every factor once."""
-        X = np.zeros_like(Y)
+        Several columns go through each factor together, which is read from memory once.
+        """
+        x = np.zeros_like(y)
+        if y.ndim == 1:
+            self.factors.solve(y, x)
+            return x
         for i, dofs in enumerate(self.dofs):
-            X[dofs] = self.factors.solve_many(i, Y[dofs])
-        return X
+            x[dofs] = self.factors.solve_many(i, y[dofs])
+        return x
 
     def kernel_dimensions(self) -> npt.NDArray[np.int64]:
         """Return k_i for each subdomain: rigid body modes and elastic modes that joined them."""
         return self._dimensions
 
-    def negative_local(self) -> int:
-        """Count the negative eigenvalues of all K_ρ of this process; −1 if it is not known."""
+    def negative_local(self) -> int | None:
+        """Count the negative eigenvalues of all K_ρ of this process; None if not known."""
         inertia = self.factors.inertia()[:, 0]
-        if np.any(inertia < 0):
-            return -1
-        return int(inertia.sum())
+        return None if np.any(inertia < 0) else int(inertia.sum())
 
     def negative_defects(self) -> int:
         """Count the negative eigenvalues of D on this process, above rounding."""

@@ -9,7 +9,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from collective import COMM, agree, dense, equal, matrix_of, norm, small, whole
+from collective import COMM, agree, dense, equal, matrix_of_map, norm, small, whole
 
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 
@@ -32,8 +32,8 @@ def weight(problem, system, q):
     Q = np.diag(B_D**2 @ np.diag(problem.K_torn))
     if q == "diagonal":
         return Q
-    lam = system.gluing.B.createVecLeft
-    return matrix_of(system.preconditioner.mult, lam(), lam()) + 0.1 * Q
+    M = matrix_of_map(lambda r: system.preconditioner.apply(r)[0], system.dual.m)
+    return M + 0.1 * Q
 
 
 @every_type
@@ -78,26 +78,24 @@ def test_start_is_balanced(q, change, torn_grid, parts):
     expected = [
         E.T @ f[dofs] for E, dofs in zip(system.inverse.E, system.inverse.dofs, strict=True)
     ]
-    equal(e.array_r, np.concatenate([*expected, np.zeros(0)]), 1e-13)
-    s, lam = e.duplicate(), system.gluing.B.createVecLeft()
-    coarse.solve(e, s)
-    coarse.QG.mult(s, lam)
+    equal(e, np.concatenate([*expected, np.zeros(0)]), 1e-13)
+    s = coarse.solve(e)
+    lam = system.dual.weighted_jump(s)
     G, D = dense(coarse.G), dense(coarse.D)
-    equal(G.T @ whole(lam.array_r) + D @ whole(s.array_r), whole(e.array_r), 1e-10)
+    equal(G.T @ whole(lam) + D @ whole(s), whole(e), 1e-10)
 
 
 def test_prolongation_is_the_transpose_of_the_restriction(torn_grid, parts):
     problem = torn_grid((2, 2), (2, 2), components=2)
     coarse = parts(problem.A, type="classical").coarse
     rng = np.random.default_rng(SEED + 1)
-    s = coarse.N.createVecRight()
-    s.array[:] = rng.standard_normal(coarse.total)[slice(*s.getOwnershipRange())]
+    s = rng.standard_normal(coarse.total)[slice(*coarse.N.getOwnershipRange())]
     f = rng.standard_normal(len(problem.to_global))
     n = COMM.scan(len(coarse.prolong(s)))
     mine = f[n - len(coarse.prolong(s)) : n]
     left = COMM.allreduce(float(coarse.prolong(s) @ mine))
-    right = coarse.restrict(mine).dot(s)
-    agree(abs(left - right) < 1e-12 * norm(mine) * s.norm(), (left, right))
+    right = COMM.allreduce(float(coarse.restrict(mine) @ s))
+    agree(abs(left - right) < 1e-12 * norm(mine) * norm(s), (left, right))
 
 
 def test_coarse_matrix_couples_neighbours_only(torn_grid, parts):
@@ -133,7 +131,7 @@ def test_gathered_solver_solves_on_any_number_of_processes(rows, symmetric, monk
         b.array[:] = (A @ expected)[slice(*b.getOwnershipRange())]
         solver.solve(b, x)
         equal(whole(x.array_r), expected, 1e-13)
-    agree(solver.inertia() == ((0, 0) if symmetric else (-1, 0)))
+    agree(solver.inertia() == ((0, 0) if symmetric else (None, 0)))
     agree(solver.memory() >= 0.0)
     for owned in (solver, N, b, x):
         owned.destroy()
@@ -164,6 +162,5 @@ def test_no_kernel_at_all(torn_grid, parts):
     problem = torn_grid((1, 4), (2, 2), components=2)
     system = parts(problem.A, type="classical")
     agree(system.coarse.total == 0)
-    y = system.coarse.N.createVecRight()
-    system.coarse.solve(y, y.duplicate())
+    agree(system.coarse.solve(np.zeros(0)).shape == (0,))
     agree(system.coarse.solver.inertia() == (0, 0))

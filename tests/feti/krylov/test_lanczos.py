@@ -14,7 +14,7 @@ import scipy.linalg
 from collective import agree, raises
 
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.setup import Parts
+from dolfinx_feti.feti.setup import Pattern, set_up
 from dolfinx_feti.petsc_options import inserted
 from dolfinx_feti.problems.linear_problem import create_solver
 
@@ -111,11 +111,12 @@ def test_options_decide_the_method(torn_grid):
     for given, flag in itertools.product((None, "cg", "fcg", "gmres", "minres"), (False, True)):
         options = {} if given is None else {"feti_dual_ksp_type": given}
         with inserted("lanczos_", options):
-            system = Parts(problem.A, FETIOptions(dual_reorthogonalize=flag), "lanczos_")
-            system.update()
+            pattern = Pattern(problem.A, FETIOptions(dual_reorthogonalize=flag), "lanczos_")
+            system = set_up(pattern)
         expected = "fcg" if flag and given in (None, "cg") else given or "cg"
-        agree(system.krylov.ksp.getType() == expected, (given, flag))
+        agree(system.method.type == expected, (given, flag))
         system.destroy()
+        pattern.destroy()
 
 
 @pytest.mark.parametrize("flag", [False, True])

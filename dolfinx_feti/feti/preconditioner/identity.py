@@ -1,0 +1,70 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The identity preconditioner, Y = θ I (eq. 46, Augustin_eq:feti_preconditioner), and none at all.
+
+The paper has θ = 1. Here θ is the mean stiffness of an interface dof, which puts the spectrum of
+M F around one: the constraint preconditioner (``dual``) has eigenvalues one besides, and where the
+others lie far from it, rounding errors grow without bound.
+"""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.feti.gluing import Gluing
+from dolfinx_feti.feti.preconditioner.base import Preconditioner
+from dolfinx_feti.feti.subdomain.matrices import Interior
+from dolfinx_feti.torn import Torn
+
+__all__ = ["Identity", "Unpreconditioned"]
+
+Array = npt.NDArray[np.float64]
+
+
+class Identity(Preconditioner):
+    """M = θ B_D B_Dᵀ.
+
+    Attributes:
+        theta: Mean stiffness of an interface dof.
+    """
+
+    energetic = False
+
+    def __init__(
+        self, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
+    ) -> None:
+        """Find θ; see the base class.
+
+        Note:
+            Collective.
+        """
+        super().__init__(torn, gluing, matrices, symmetric=symmetric, prefix=prefix)
+        k = np.abs(torn.K.getDiagonal().array_r[gluing.glued])
+        total, count = torn.comm.allreduce(np.array([k.sum(), len(k)]))
+        self.theta = total / count if total > 0.0 else 1.0
+
+    def multiply(self, w: Array) -> Array:
+        """Return θ w, (n,)."""
+        return self.theta * w
+
+    def multiply_many(self, i: int, W: Array) -> Array:
+        """Return θ W, (n_Γ, r)."""
+        return self.theta * W
+
+
+class Unpreconditioned(Identity):
+    """M = θ I, without scaled jumps."""
+
+    def apply(self, r: Array) -> tuple[Array, Array]:
+        """Return θ r, (m,), and the unbalanced force, (n,)."""
+        return self.theta * r, self.matrices.multiply(self.B_D.T @ r)
+
+    def product(self, G: PETSc.Mat) -> PETSc.Mat:
+        """Return θ G, (m, K); the caller destroys it."""
+        MG = G.copy()
+        MG.scale(self.theta)
+        return MG

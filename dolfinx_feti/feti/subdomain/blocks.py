@@ -1,0 +1,100 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Blocks of the local matrix, and dense blocks of subdomains as columns of a sparse matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+
+from dolfinx_feti.torn import Torn
+
+__all__ = ["block_columns", "index_set", "own_columns", "product_many", "sparse_block"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+
+
+def index_set(rows: Indices) -> PETSc.IS:
+    """Return rows of a sequential matrix as PETSc's index set; the caller destroys it."""
+    return PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
+
+
+def sparse_block(K: PETSc.Mat, rows: Indices, columns: Indices) -> scipy.sparse.csr_array:
+    """Copy the block ``K[rows, columns]``."""
+    sets = [index_set(dofs) for dofs in (rows, columns)]
+    block = K.createSubMatrix(*sets)
+    indptr, indices, values = block.getValuesCSR()
+    for owned in (block, *sets):
+        owned.destroy()
+    return scipy.sparse.csr_array((values, indices, indptr), shape=(len(rows), len(columns)))
+
+
+def product_many(K: PETSc.Mat, rows: Indices, columns: Indices, X: Array) -> Array:
+    """Return ``K[rows, columns] X`` for a dense X, (len(columns), r)."""
+    if 0 in (len(rows), len(columns), X.shape[1]):
+        return np.zeros((len(rows), X.shape[1]))
+    row_set, column_set = index_set(rows), index_set(columns)
+    block = K.createSubMatrix(row_set, column_set)
+    dense = PETSc.Mat().createDense(X.shape, array=np.asfortranarray(X), comm=PETSc.COMM_SELF)
+    dense.assemble()
+    image = block.matMult(dense)
+    Y = image.getDenseArray().copy()
+    for owned in (row_set, column_set, block, dense, image):
+        owned.destroy()
+    return Y
+
+
+def block_columns(
+    torn: Torn,
+    rows: Sequence[Indices],
+    blocks: Sequence[tuple[Array, Indices]],
+    sizes: tuple[int, int],
+) -> PETSc.Mat:
+    """Put dense blocks into one distributed matrix, (n_torn, K); rows not named are empty.
+
+    Args:
+        torn: The torn matrix.
+        rows: Torn dofs of each block, no dof twice.
+        blocks: For each block its values, (rows, columns), and its columns, ascending.
+        sizes: Number of columns of this process and of all.
+
+    Note:
+        Collective.
+    """
+    width = np.zeros(torn.n, dtype=np.int64)
+    for dofs, (_, columns) in zip(rows, blocks, strict=True):
+        width[dofs] = len(columns)
+    first = np.concatenate(([0], np.cumsum(width)))
+    values, column = np.empty(first[-1]), np.empty(first[-1], dtype=PETSc.IntType)
+    for dofs, (block, columns) in zip(rows, blocks, strict=True):
+        at = first[dofs][:, None] + np.arange(len(columns))
+        values[at], column[at] = block, columns
+    csr = (first.astype(PETSc.IntType), column, values)
+    return PETSc.Mat().createAIJ(((torn.n, None), sizes), csr=csr, comm=torn.A.comm)
+
+
+def own_columns(torn: Torn, rows: Sequence[Indices], blocks: Sequence[Array]) -> PETSc.Mat:
+    """Give each block columns of its own, numbered on: one distributed matrix, (n_torn, Σ c_i).
+
+    Args:
+        torn: The torn matrix.
+        rows: Torn dofs of each block, no dof twice.
+        blocks: Their values, (rows, c_i).
+
+    Note:
+        Collective.
+    """
+    count = np.array([block.shape[1] for block in blocks], dtype=np.int64)
+    size = int(count.sum())
+    first = torn.comm.scan(size) - size + np.cumsum(count) - count
+    ends = zip(first, first + count, strict=True)
+    numbers: list[Indices] = [np.arange(*pair, dtype=np.int32) for pair in ends]
+    columns = list(zip(blocks, numbers, strict=True))
+    return block_columns(torn, rows, columns, (size, torn.comm.allreduce(size)))
