@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The averaged coarse space of the primal method and its Galerkin matrix.
 
-Each subdomain contributes columns :math:`U_i` on its interface: the regularised kernel E
+Each subdomain contributes columns :math:`U_i` on its interface: the stand-in E of its kernel
 (``pseudoinverse``) and others, such as those of ``flux``. With their copies averaged they are
 fields of the assembled problem,
 
@@ -17,8 +17,8 @@ projection
 
 takes two dense products for each subdomain, one coarse solve, and an average.
 
-The columns of a subdomain may depend on each other, or nearly so. Its block on the diagonal of A₀,
-scaled to a unit diagonal, tells: combinations of the columns with an energy below
+The averaged columns of a subdomain may depend on each other, or nearly so. Its block on the
+diagonal of A₀, scaled to a unit diagonal, tells: combinations of the columns with an energy below
 :data:`DEPENDENT` are dropped, and the others normalised to energy one.
 """
 
@@ -44,7 +44,7 @@ Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
 
 #: Energy below which a combination of the columns of a subdomain, of unit energy each, is dropped.
-DEPENDENT = 1e-9
+DEPENDENT = 1e-6
 
 
 class AveragedSpace:

@@ -1,23 +1,23 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Flux columns: what keeps the iterations apart from the bulk modulus.
+r"""Flux columns: coarse fields that free the iterations from the bulk modulus.
 
 With a pressure condensed cell by cell, :math:`K = K_{uu} + K_p^⊤ \operatorname{diag}(κ/|τ|) K_p`,
-an average of the copies changes the volume of a subdomain, and pays for it with κ. For a pressure
-pattern y on the cells of subdomain i its flux through the interface is
-:math:`g^⊤ u_Γ` with
+an average of copies changes the volume of a subdomain and pays for it with κ. A pressure pattern y
+on its cells (the constant first) has the flux :math:`g^⊤ u_Γ` through its interface, with
 
-.. math:: g = (K_p^⊤ y)_Γ - K_{ΓI} K_{II}^{-1} (K_p^⊤ y)_I,
+.. math:: g = (K_p^⊤ y)_Γ - K_{ΓI} K_{II}^{-1} (K_p^⊤ y)_I
 
-the part of the pattern that displacements inside cannot relieve. The other copies contribute
+after displacements inside have relieved what they can. The energy of the subdomain bounds its own
+share of the flux; what an average adds is :math:`c^⊤ w` for the local displacement w, and
 
-.. math:: c = (1 - δ)\, g, \qquad U = K_ρ^{-1} c,
+.. math:: c = (1 - δ)\, g, \qquad U = K_ρ^{-1} c
 
-to the flux of an average, and with :math:`T^⊤ δ U` in the coarse space (``averaged``) the residual
-is balanced against it: :math:`r ⟂ T^⊤ δ U` means :math:`c^⊤ w = 0` for the local solution
-:math:`w = K_ρ^{-1} δ\, T r`. One, four or ten patterns, the monomials up to degree two, take the
-growth with κ away where soft and rigid modes alone do not.
+as columns of the coarse space (``averaged``) make it vanish: the residual is orthogonal to
+:math:`T^⊤ δ U`, so that :math:`c^⊤ w = U^⊤ δ\, T r = 0` for :math:`w = K_ρ^{-1} δ\, T r`. Each
+column is one local solve. Those of a subdomain are combined to :math:`U^⊤ K_ρ U = I`: with a large
+κ some of them are nearly parallel.
 """
 
 from __future__ import annotations
@@ -33,17 +33,28 @@ __all__ = ["flux_columns"]
 
 Array = npt.NDArray[np.float64]
 
+#: Energy below which a combination of columns of unit energy is dropped.
+DEPENDENT = 1e-8
 
-def flux_columns(
-    copies: Copies, g: Array, solve: Callable[[int, Array], Array]
-) -> list[Array]:
-    """Return the columns :math:`K_ρ^{-1} (1 - δ)\\, g` of each subdomain.
+
+def flux_columns(copies: Copies, g: Array, solve: Callable[[int, Array], Array]) -> list[Array]:
+    """Return the flux columns of each subdomain, (n_i, up to the number of patterns).
 
     Args:
         copies: Copies of the interface dofs.
         g: Flux of each pattern, condensed to the interface, (n, patterns).
-        solve: Applies :math:`K_ρ^{-1}` to columns on the interface of subdomain i,
+        solve: Applies :math:`K_ρ^{-1}` to forces on the interface of subdomain i,
             ``solve(i, c)``, (n_i, patterns) → (n_i, patterns).
     """
     c = (1.0 - copies.delta)[:, None] * g
-    return [solve(i, c[rows]) for i, rows in enumerate(copies.blocks)]
+    return [_orthonormal(solve(i, c[rows]), c[rows]) for i, rows in enumerate(copies.blocks)]
+
+
+def _orthonormal(U: Array, c: Array) -> Array:
+    """Combine the columns of U = K_ρ⁻¹ c to Uᵀ K_ρ U = I, without those that depend."""
+    energy = U.T @ c
+    size = np.sqrt(np.abs(energy.diagonal()))
+    scale = np.divide(1.0, size, where=size > 0.0, out=np.zeros_like(size))
+    values, Q = np.linalg.eigh(scale[:, None] * 0.5 * (energy + energy.T) * scale)
+    kept = values > DEPENDENT
+    return (U * scale) @ (Q[:, kept] / np.sqrt(values[kept]))
