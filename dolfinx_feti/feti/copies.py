@@ -15,6 +15,7 @@ assembled ones: its copies sum to zero, whether a local matrix holds it (all-flo
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 from mpi4py import MPI
@@ -40,7 +41,7 @@ class Copies:
         dofs: Torn dofs of the interface, subdomain by subdomain, (n,).
         blocks: Rows of each subdomain in an interface vector.
         n: Length of an interface vector.
-        delta: Weight δ of each copy, (n,).
+        delta: Weight δ of each copy, zero with a prescribed value, (n,).
         row: The rows once for each of their copies, themselves included, ascending, (pairs,).
             Rows with a prescribed value do not occur.
     """
@@ -60,7 +61,7 @@ class Copies:
         self.dofs = np.concatenate([*interface, np.zeros(0, dtype=np.int32)])
         self.blocks = consecutive([len(dofs) for dofs in interface])
         self.n = len(self.dofs)
-        self.delta = delta[self.dofs]
+        self.delta = np.where(torn.dirichlet, 0.0, delta)[self.dofs]
         self.row, copy = _pairs(torn, self.dofs)
         self._forest = star_forest(copy, self.n, self.comm)
 
@@ -73,7 +74,8 @@ class Copies:
 
     def sum(self, t: Array) -> Array:
         """Sum the copies, T Tᵀ t, (n,), in the same order for each of them. Collective."""
-        return np.bincount(self.row, self.values(t), minlength=self.n)
+        total = np.bincount(self.row, self.values(t), minlength=self.n)
+        return total.astype(np.float64, copy=False)
 
     def average(self, t: Array) -> Array:
         """Average the copies, T Tᵀ δ t, (n,). Collective."""
@@ -91,7 +93,7 @@ class Copies:
 def consecutive(sizes: Sequence[int]) -> list[slice]:
     """Return slices of the given sizes, one after the other."""
     end = np.cumsum([0, *sizes]).tolist()
-    return [slice(*pair) for pair in zip(end[:-1], end[1:], strict=True)]
+    return [slice(*pair) for pair in itertools.pairwise(end)]
 
 
 def star_forest(numbers: Numbers, n: int, comm: MPI.Comm) -> PETSc.SF:
@@ -122,7 +124,8 @@ def _pairs(torn: Torn, dofs: Indices) -> tuple[Indices, Numbers]:
     gathered, degree = torn.gather(number), torn.multiplicity()
     first = np.cumsum(degree) - degree
     root = torn.A.createVecRight()
-    rows, copies = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    rows: list[npt.NDArray[np.integer]] = [np.zeros(0, dtype=np.int64)]
+    copies: list[npt.NDArray[np.integer]] = [np.zeros(0, dtype=np.int64)]
     for c in range(torn.comm.allreduce(int(degree.max(initial=0)), op=MPI.MAX)):
         has = degree > c
         root.array[:] = -1.0
@@ -133,4 +136,4 @@ def _pairs(torn: Torn, dofs: Indices) -> tuple[Indices, Numbers]:
     root.destroy()
     row = np.concatenate(rows)
     order = np.argsort(row, kind="stable")
-    return row[order].astype(np.int32), np.concatenate(copies)[order]
+    return row[order].astype(np.int32), np.concatenate(copies)[order].astype(np.int64)

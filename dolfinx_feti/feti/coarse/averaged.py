@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -45,6 +46,10 @@ Numbers = npt.NDArray[np.int64]
 
 #: Energy below which a combination of the columns of a subdomain, of unit energy each, is dropped.
 DEPENDENT = 1e-6
+
+
+#: Steps of conjugate gradients for each unknown of A₀ in the search of a negative direction.
+STEPS = 3
 
 
 class AveragedSpace:
@@ -89,7 +94,7 @@ class AveragedSpace:
         energies = [W.values.T @ Y.values for W, Y in zip(fields, self.AV, strict=True)]
         numbers = [W.numbers for W in fields]
         self._near = consecutive([len(near) for near in numbers])
-        self._forest = star_forest(_joined(numbers), self.size, comm)
+        self._forest = star_forest(_joined(numbers).astype(np.int64), self.size, comm)
         whole = _sum_of_blocks(energies, numbers, (self.size, self.total), comm)
         self._basis = _independent(whole, self._own)
         self.A_0 = _change_of_basis(whole, self._basis)
@@ -132,12 +137,39 @@ class AveragedSpace:
 
     def negative(self) -> int | None:
         """Count the negative eigenvalues of A₀, which A has at least; None if not known."""
-        count, _ = self.solver.inertia()
-        return None if count < 0 else count
+        return self.solver.inertia()[0]
+
+    def negative_direction(self) -> Array | None:
+        """Return the copies of a field v with vᵀ A v < 0, (n,); None if A₀ is positive definite.
+
+        Conjugate gradients for A₀ meet one before they converge.
+
+        Note:
+            Collective.
+        """
+        if self.negative() == 0:
+            return None
+        r, q = self.A_0.createVecs()
+        r.array[:] = np.random.default_rng(self._copies.comm.rank).standard_normal(len(r.array_r))
+        p, ρ, v = r.copy(), r.dot(r), None
+        for _ in range(STEPS * self.A_0.getSize()[0]):
+            self.A_0.mult(p, q)
+            curvature = p.dot(q)
+            if curvature <= 0.0:
+                v = self.prolong(np.asarray(self._basis @ p.array_r))
+                break
+            r.axpy(-ρ / curvature, q)
+            ρ, last = r.dot(r), ρ
+            p.aypx(ρ / last, r)
+        for owned in (r, q, p):
+            owned.destroy()
+        return v
 
     def memory(self) -> float:
         """Return the memory of the dense blocks of this process in MiB."""
-        return sum(U.nbytes + Y.values.nbytes for U, Y in zip(self._U, self.AV)) / 2**20
+        return (
+            sum(U.nbytes + Y.values.nbytes for U, Y in zip(self._U, self.AV, strict=True)) / 2**20
+        )
 
     def destroy(self) -> None:
         """Free matrices and solver."""
@@ -184,7 +216,8 @@ def averaged_fields(copies: Copies, U: Sequence[Array]) -> list[_Field]:
     owner_count = copies.values(np.repeat(count, sizes).astype(np.float64)).astype(np.int64)
     fields = []
     for rows in copies.blocks:
-        pairs = slice(*np.searchsorted(copies.row, [rows.start, rows.stop]))
+        pairs = np.arange(*np.searchsorted(copies.row, [rows.start, rows.stop]))
+        pairs = pairs[owner_count[pairs] > 0]
         row = copies.row[pairs] - rows.start
         n = rows.stop - rows.start
         fields.append(_field(n, row, owner_first[pairs], owner_count[pairs], values[pairs]))
@@ -204,12 +237,13 @@ def _field(
         values: The copy's values, in the first ``count`` entries, (pairs, most).
     """
     owners, at, group = np.unique(first, return_index=True, return_inverse=True)
-    columns = consecutive(count[at].tolist())
-    W = np.zeros((n, int(count[at].sum())), order="F")
-    for j, block in enumerate(columns):
+    widths: list[int] = [int(k) for k in count[at]]
+    W = np.zeros((n, sum(widths)), order="F")
+    for j, block in enumerate(consecutive(widths)):
         mine = group == j
         W[row[mine], block] = values[mine, : block.stop - block.start]
-    return _Field(W, _joined([np.arange(f, f + k) for f, k in zip(owners, count[at])]))
+    numbers = [np.arange(f, f + k) for f, k in zip(owners, widths, strict=True)]
+    return _Field(W, _joined(numbers).astype(np.int64))
 
 
 def _sum_of_blocks(
@@ -276,6 +310,6 @@ def _change_of_basis(A: PETSc.Mat, basis: scipy.sparse.csr_array) -> PETSc.Mat:
     return A_0
 
 
-def _joined(parts: Sequence[npt.NDArray[np.generic]]) -> npt.NDArray[np.generic]:
+def _joined(parts: Sequence[npt.NDArray[Any]]) -> npt.NDArray[Any]:
     """Concatenate arrays, of which there may be none."""
     return np.concatenate(parts) if parts else np.zeros(0)

@@ -15,9 +15,9 @@ with V from E alone and D = 0 the eigenvalues are those of the projected dual op
 (Sousedík and Mandel 2008), so none is below one.
 
 :math:`K_ρ` is positive definite whatever D is, since modes that buckle have joined R
-(``pseudoinverse``). So the method is safe if A is positive definite; if A is not, it meets a
-direction p with :math:`p^⊤ A p ≤ 0` and returns it. The residual of the interface is that of the
-whole assembled system, because displacements inside are in balance.
+(``pseudoinverse``). So the method is safe if A is positive definite; if A is not, A₀ tells or it
+meets a direction p with :math:`p^⊤ A p ≤ 0`, and returns it. The residual of the interface is that
+of the whole assembled system, because displacements inside are in balance.
 
 K_ρ and E may belong to an earlier matrix; S, A V and A₀ may not.
 """
@@ -110,39 +110,49 @@ def conjugate_gradients(
     Note:
         Collective.
     """
-    copies = system.copies
-    x = system.space.start(copies.sum(f))
+    copies, space = system.copies, system.space
+    x = space.start(copies.sum(f))
+    p: Array = np.zeros_like(x)
+    ρ = np.inf
     r = system.residual(f, x)
     norm = system.norm(r)
     monitor(0, norm)
-    p, ρ, α, β = np.zeros_like(x), np.inf, [], []
-    reason, direction = Reason.CONVERGED_RTOL, None
-    while norm > target:
-        if len(α) == max_it:
-            reason = Reason.DIVERGED_MAX_IT
-            break
+    α: list[float] = []
+    β: list[float] = []
+    direction = space.negative_direction()
+    reason = Reason.ITERATING if direction is None else Reason.DIVERGED_INDEFINITE_MAT
+    while not reason and not (reason := _reason(norm, target, len(α), max_it)):
         z = system.precondition(r)
         ρ, last = copies.dot(r, z), ρ
         β.append(ρ / last)
         p = z + β[-1] * p
         q = system.multiply(p)
         curvature = copies.comm.allreduce(float(p @ q))  # pᵀ A p
-        if curvature <= 0.0:
+        if ρ <= 0.0:
+            reason = Reason.DIVERGED_INDEFINITE_PC
+        elif curvature <= 0.0:
             reason, direction = Reason.DIVERGED_INDEFINITE_MAT, p
-            break
-        α.append(ρ / curvature)
-        x += α[-1] * p
-        r -= α[-1] * copies.sum(q)
-        norm = system.norm(r)
-        monitor(len(α), norm)
-    if not np.isfinite(norm):
-        reason = Reason.DIVERGED_NANORINF
+        else:
+            α.append(ρ / curvature)
+            x += α[-1] * p
+            r -= α[-1] * copies.sum(q)
+            norm = system.norm(r)
+            monitor(len(α), norm)
     return Outcome(x, reason, len(α), norm, ritz_values(α, β), direction)
+
+
+def _reason(norm: float, target: float, its: int, max_it: int) -> int:
+    """Return the converged reason after an iteration."""
+    if not np.isfinite(norm):
+        return Reason.DIVERGED_NANORINF
+    if norm <= target:
+        return Reason.CONVERGED_RTOL
+    return Reason.DIVERGED_MAX_IT if its == max_it else Reason.ITERATING
 
 
 def ritz_values(α: list[float], β: list[float]) -> Array:
     """Return the eigenvalues of Lanczos' matrix from the coefficients of conjugate gradients."""
-    if not α:
+    if not α or not np.all(np.isfinite(α)):
         return np.zeros(0)
     steps, turns = np.array(α), np.array(β[1 : len(α)])
     diagonal = 1.0 / steps
