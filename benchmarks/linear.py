@@ -19,9 +19,9 @@ from dataclasses import replace
 
 from mpi4py import MPI
 
-from benchmarks.arguments import add_records, create_parser, one_of, open_records, several
-from benchmarks.cube_case import Case
-from benchmarks.study import Study
+from benchmarks.common.arguments import add_records, create_parser, one_of, open_records, several
+from benchmarks.unit_cube.case import Case
+from benchmarks.unit_cube.study import Study
 
 __all__ = ["SETS", "main", "plan"]
 
@@ -95,21 +95,7 @@ def plan(sets: Sequence[str] = tuple(SETS)) -> list[Case]:
 
 
 def main(arguments: Sequence[str] | None = None, comm: MPI.Comm = MPI.COMM_WORLD) -> int:
-    """Run the study, or what is left of it.
-
-    Args:
-        arguments: The command line without the program's name.
-        comm: Communicator of the meshes.
-
-    Returns:
-        The exit status, 0.
-
-    Raises:
-        SystemExit: Bad input, on all processes and before any work.
-
-    Note:
-        Collective.
-    """
+    """Run the study, or what is left of it, see :func:`benchmarks.cube.main`."""
     parser = create_parser("linear", __doc__, comm)
     kind = {"type": several(one_of(tuple(SETS))), "default": list(SETS)}
     parser.add_argument("--sets", **kind, help=f"parts of the study; {','.join(SETS)}")

@@ -23,28 +23,31 @@ import petsc4py
 
 petsc4py.init([word for word in sys.argv if not word.startswith("--")])
 
-from mpi4py import MPI  # noqa: E402
+from mpi4py import MPI
 
-from benchmarks.arguments import (  # noqa: E402
-    count,
+from benchmarks.common.arguments import (
     create_parser,
     one_of,
+    open_checkpoint,
     open_records,
     parse_words,
-    positive,
     several,
 )
-from benchmarks.inflated_tube import (  # noqa: E402
+from benchmarks.common.progress import say
+from benchmarks.common.records import Record
+from benchmarks.walls.inflated_tube import (
     TANGENTS,
     InflatedTube,
     create_inflated_tube,
     create_slice,
 )
-from benchmarks.records import Record  # noqa: E402
-from benchmarks.tube_oracle import KPA_PER_MMHG, Wall, inflate  # noqa: E402
-from dolfinx_feti import ConvergenceError, loads  # noqa: E402
-from dolfinx_feti.loading import Checkpoint  # noqa: E402
-from dolfinx_feti.loading.load_steps import LoadStep, Steps, follow_load, load_step  # noqa: E402
+from benchmarks.walls.oracle import KPA_PER_MMHG, Wall, inflate
+from dolfinx_feti import ConvergenceError
+from dolfinx_feti.loading import Checkpoint, LoadStep, Steps
+from dolfinx_feti.loading.load_steps import load_step
+from meshes.arguments import count, positive
+
+__all__ = ["main"]
 
 STEPS = Steps(first=10.0, least=0.5, growth=2.0)
 
@@ -83,15 +86,10 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
     names = ("c", "kappa", "size", "degree", "quarter", "subdomains", "tangent")
     case: Record = {name: getattr(args, name) for name in names} | {"processes": comm.size}
     file = open_records(args.json, parser, comm)
-    checkpoint = None
-    if args.checkpoint is not None:
-        parameters = {name: case[name] for name in ("c", "kappa", "degree")}
-        try:
-            checkpoint = Checkpoint(
-                args.checkpoint, comm, parameters=parameters, restart=args.restart
-            )
-        except (OSError, ValueError) as error:
-            parser.error(str(error))
+    physics = {name: case[name] for name in ("c", "kappa", "degree")}
+    checkpoint = open_checkpoint(
+        args.checkpoint, parser, comm, parameters=physics, restart=args.restart
+    )
     tube = create_inflated_tube(
         create_slice(comm, size=args.size, quarter=args.quarter),
         degree=args.degree,
@@ -104,10 +102,8 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
 
     def put(record: Record) -> None:
         key = case | {"pressure_mmhg": record["pressure_mmhg"]}
-        records.append(comm.bcast(key | record))  # seconds of the first process
-        file.put(key, records[-1])
-        if comm.rank == 0:
-            print(_line(records[-1]), flush=True)
+        records.append(file.put(key, key | record))
+        say(_line(records[-1]), comm)
 
     run(tube, args.pressures, Wall(c=args.c, kappa=args.kappa), put, checkpoint)
     return records
@@ -133,9 +129,6 @@ def run(
     if checkpoint is not None and checkpoint.record is not None:
         steps = [load_step(step) for step in checkpoint.record["steps"]]
 
-    def set_load(mmhg: float) -> None:
-        tube.pressure.value = loads.mmhg(mmhg)
-
     def report(step: LoadStep) -> None:
         steps.append(step)
         if step.load in pressures:
@@ -143,16 +136,7 @@ def run(
             put({"pressure_mmhg": step.load, **cost(steps), **tube.compare(truth)})
 
     try:
-        follow_load(
-            tube.problem,
-            set_load,
-            pressures,
-            STEPS,
-            state=[tube.u, tube.p],
-            on_step=report,
-            checkpoint=checkpoint,
-            unit="mmHg",
-        )
+        tube.inflate(pressures, STEPS, on_step=report, checkpoint=checkpoint)
     except ConvergenceError as error:
         reached = steps[-1].load if steps else 0.0
         missed = next(pressure for pressure in pressures if pressure > reached)

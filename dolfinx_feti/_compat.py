@@ -25,7 +25,7 @@ __all__ = [
 def adjacency(
     data: npt.NDArray[np.integer], offsets: npt.NDArray[np.int32] | None = None
 ) -> object:
-    """Create dolfinx's C++ adjacency list; from 0.10 the Python function wraps it."""
+    """Create dolfinx's C++ adjacency list, which the Python function wraps from 0.10 on."""
     links = dolfinx.graph.adjacencylist(data, offsets)
     return getattr(links, "_cpp_object", links)
 
@@ -33,11 +33,11 @@ def adjacency(
 def create_function_space(
     V: dolfinx.fem.FunctionSpace, table: npt.NDArray[np.int32], n_blocks: int
 ) -> dolfinx.fem.FunctionSpace:
-    """Create a space like V with another dof map, living on this process alone.
+    """Create a space like V with another dof map, on this process alone.
 
     Args:
         V: Space whose mesh and element are shared.
-        table: Dof (block) of each cell, (cells, dofs a cell).
+        table: Dofs (blocks) of each cell, (n_cells, blocks per cell).
         n_blocks: Number of dof blocks.
     """
     old = V.dofmap
@@ -45,7 +45,7 @@ def create_function_space(
     links = adjacency(table)
     dofmap = dolfinx.cpp.fem.DofMap(old.dof_layout, index_map, old.index_map_bs, links, old.bs)
     arguments = [V.mesh._cpp_object, V._cpp_object.element, dofmap]
-    try:  # until 0.9 the value shape is an argument
+    try:  # up to 0.9 the value shape is an argument
         space = dolfinx.cpp.fem.FunctionSpace_float64(*arguments, V.value_shape)
     except TypeError:
         space = dolfinx.cpp.fem.FunctionSpace_float64(*arguments)
@@ -53,19 +53,19 @@ def create_function_space(
 
 
 def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int32]:
-    """Return the nodes of each cell; with several types of cells, from 0.10, those of the first."""
+    """Return the nodes of each cell, (n_cells, nodes per cell), those of the first cell type."""
     geometry = mesh.geometry
     return np.asarray(geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap)
 
 
 def interpolation_points(V: dolfinx.fem.FunctionSpace) -> npt.NDArray[np.float64]:
-    """Return the element's interpolation points; a method until 0.9, an attribute from 0.10."""
+    """Return the element's interpolation points: a method up to 0.9, an attribute from 0.10 on."""
     points = V.element.interpolation_points
     return np.asarray(points() if callable(points) else points)
 
 
 def residual_is_nan() -> int:
-    """Return SNES's reason for a residual that is no number; PETSc 3.25 renamed it."""
+    """Return SNES's reason for a residual that is NaN or Inf; PETSc 3.25 renamed it."""
     reasons = PETSc.SNES.ConvergedReason
     name = "DIVERGED_FNORM_NAN"
     return getattr(reasons, name if hasattr(reasons, name) else "DIVERGED_FUNCTION_NANORINF")

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The exceptions of the package, all of them."""
+"""All exceptions of the package."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class SetUpError(ArithmeticError):
 
 
 class SingularError(SetUpError):
-    """The matrix is singular, in the whole or on a subdomain beyond its candidates."""
+    """The matrix is singular: as a whole, or a subdomain has more kernel modes than candidates."""
 
 
 class ConvergenceError(RuntimeError):

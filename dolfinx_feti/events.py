@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Log events: the phases of the method as they stand in ``-log_view``."""
+"""Log events: the phases of the method as ``-log_view`` shows them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["event"]
 
 @contextmanager
 def event(name: str) -> Iterator[None]:
-    """Time a phase under a name, for example ``FETIFactor``."""
+    """Time a phase of the method under a name, such as ``FETIFactor``."""
     log = PETSc.Log.Event(name)
     log.begin()
     try:

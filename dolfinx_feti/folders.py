@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Folders and files that can be written, tried before hours of computing."""
+"""Checks that folders and files can be written, made before hours of computing."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ __all__ = ["try_to_write", "writable_folder"]
 
 
 def writable_folder(path: Path | str, comm: MPI.Comm) -> Path:
-    """Make a folder and a file in it, before hours of computing.
+    """Create a folder and check that a file can be written in it.
 
     Args:
-        path: The folder; those above it are made too.
-        comm: Communicator of all who will write there.
+        path: The folder; its parents are created, too.
+        comm: Communicator of all processes that will write there.
 
     Returns:
         The folder.
 
     Raises:
-        OSError: It cannot be made, or nothing can be written in it.
+        OSError: It cannot be created, or nothing can be written in it.
 
     Note:
-        Collective; the first process tries, all raise or none.
+        Collective; the first process tries, and all processes raise or none.
     """
     return try_to_write(_write_in_folder, Path(path), "folder", comm)
 
@@ -39,10 +39,10 @@ def try_to_write(attempt: Callable[[Path], object], path: Path, what: str, comm:
     """Let the first process try to write; all processes raise or none.
 
     Args:
-        attempt: What it tries.
-        path: Where.
+        attempt: The attempt to write, called with the path.
+        path: Where to write.
         what: ``file`` or ``folder``, for the message.
-        comm: Communicator of all who will write there.
+        comm: Communicator of all processes that will write there.
 
     Raises:
         OSError: It failed.
@@ -54,7 +54,7 @@ def try_to_write(attempt: Callable[[Path], object], path: Path, what: str, comm:
         on_first(lambda: attempt(path), comm)
     except OSError as error:
         raise OSError(
-            f"The output {what} {path} cannot be written ({reason(error)}): name another one."
+            f"The output {what} {path} cannot be written ({reason(error)}): choose another one."
         ) from error
     return path
 

@@ -1,23 +1,23 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The torn matrix: the seam between the finite elements and the dual method.
+r"""The torn matrix: the interface between the finite elements and the dual method.
 
-Tearing (eq. 32, Augustin_eq:reordered) replaces the assembled matrix by
+Tearing (eq. 33) replaces the assembled matrix (eq. 32, Augustin_eq:reordered) by
 
 .. math:: A = T^\top K\, T, \qquad K = \operatorname{diag}(K_1, …, K_p),
 
-where the boolean :math:`T` copies a dof to every subdomain that holds it. PETSc's name for this
-pair is MATIS: a block-diagonal local matrix on each process and the map *torn dof → dof*. What
-else the dual method has to know travels on the matrix itself, as PETSc objects:
+where the boolean :math:`T` copies each dof to every subdomain that holds it. PETSc's name for this
+pair is MATIS: a block-diagonal local matrix on each process and the map *torn dof → dof*. All else
+that the dual method needs to know is attached to the matrix, as PETSc objects:
 
 ===================== ======================== ====================================================
 what                  where                    shape
 ===================== ======================== ====================================================
 near kernel           ``setNearNullSpace``     vectors of the assembled problem (rigid body modes
                                                of the *deformed* body; constants for a scalar)
-Dirichlet dofs        ``compose("dirichlet")`` index set of global dofs, any process may name any
-scaling stiffness     ``compose("stiffness")`` sequential vector, one entry a torn dof
+Dirichlet dofs        ``compose("dirichlet")`` index set of global dofs, each listed on any process
+scaling stiffness     ``compose("stiffness")`` sequential vector, one entry per torn dof
 ===================== ======================== ====================================================
 
 A subdomain is a connected component of the graph of the local matrix.
@@ -53,12 +53,12 @@ def create_torn_matrix(
     """Wrap a block-diagonal local matrix as the MATIS :math:`A = T^⊤ K T`.
 
     Args:
-        K: Sequential matrix of this process's subdomains, (n_torn, n_torn). Not copied.
+        K: Sequential matrix of this process's subdomains, (n_torn, n_torn); it is not copied.
         torn_to_global: Global *block* index of each torn block, (n_torn / bs,).
         sizes: Owned and global number of dofs of the assembled problem.
         comm: Communicator of the assembled problem.
         dirichlet: Global dofs with a prescribed value; in ``K`` they are left free.
-        stiffness: Weight of each torn dof for the stiffness scaling, (n_torn,); the diagonal of
+        stiffness: Stiffness of each torn dof for the stiffness scaling, (n_torn,); the diagonal of
             ``K`` if not given.
 
     Returns:
@@ -96,7 +96,7 @@ def set_near_kernel(A: PETSc.Mat, modes: Sequence[PETSc.Vec]) -> None:
         modes: Linearly independent vectors; orthonormalised in place by Gram–Schmidt.
     """
     for j, mode in enumerate(modes):
-        for _ in range(2):  # once more: the first pass leaves rounding of the size of the mode
+        for _ in range(2):  # the first pass leaves rounding errors of the size of the mode
             for other in modes[:j]:
                 mode.axpy(-mode.dot(other), other)
             mode.normalize()
@@ -106,7 +106,7 @@ def set_near_kernel(A: PETSc.Mat, modes: Sequence[PETSc.Vec]) -> None:
 
 
 class Torn:
-    """What the dual method reads of a torn matrix: blocks, copies, near kernel, Dirichlet dofs.
+    """A torn matrix as the dual method sees it: blocks, copies, near kernel, Dirichlet dofs.
 
     Attributes:
         A: The MATIS.
@@ -125,7 +125,7 @@ class Torn:
             A: Torn matrix, see :func:`create_torn_matrix`.
 
         Raises:
-            TypeError: ``A`` is no MATIS.
+            TypeError: ``A`` is not a MATIS.
             ValueError: Its local matrices are not square or not SeqAIJ.
         """
         if A.getType() != PETSc.Mat.Type.IS:
@@ -160,7 +160,7 @@ class Torn:
         return y
 
     def blocks(self, rows: Sequence[Indices]) -> Iterator[scipy.sparse.csr_array]:
-        """Copy a diagonal block of each subdomain, one after the other.
+        """Yield a copy of a diagonal block of each subdomain, one after the other.
 
         Args:
             rows: For each subdomain the torn dofs of its block.
@@ -200,7 +200,7 @@ class Torn:
         return np.asarray(degree, dtype=np.int32)
 
     def gather(self, torn: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
-        """Bring all copies' values to the dof's owner, one after the other in order of dofs."""
+        """Gather the values of all copies on the owner of their dof, in the order of the dofs."""
         copies = np.zeros(int(self.multiplicity().sum()), dtype=torn.dtype)
         unit = MPI._typedict[torn.dtype.char]
         leaf = np.ascontiguousarray(torn)
@@ -252,7 +252,7 @@ class Torn:
         return mask
 
     def destroy(self) -> None:
-        """Free the star forest; the matrix stays its owner's."""
+        """Free the star forest; the matrix belongs to its creator."""
         self._sf.destroy()
 
 
@@ -288,13 +288,13 @@ def connected_blocks(K: PETSc.Mat) -> list[Indices]:
         return []
     indptr, indices = K.getRowIJ()
     graph = scipy.sparse.csr_array((n // bs, n // bs), dtype=bool)
-    for first in range(bs):  # one row of every block at a time, for the sake of memory
+    for first in range(bs):  # one row of every block at a time, to save memory
         start, length = indptr[:-1][first::bs], np.diff(indptr)[first::bs]
         end = np.cumsum(length)
         entries = np.repeat(start - end + length, length) + np.arange(length.sum())
         pattern = (indices[entries] // bs, np.concatenate(([0], end)))
         if first and all(map(np.array_equal, pattern, (graph.indices, graph.indptr))):
-            continue  # the rows of a block are alike
+            continue  # the rows of a block have the same pattern
         more = scipy.sparse.csr_array((np.ones(len(entries), dtype=bool), *pattern), graph.shape)
         graph = graph + more if first else more
     _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)

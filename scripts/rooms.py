@@ -4,9 +4,10 @@
 """The rooms of the package, read off its folders: the one list of what is where.
 
 The docstring of each folder's ``__init__.py`` names its modules and folders in the order of the
-data, the first line of a module's docstring says what it does, and a label in its docstring with a
-number, ``eq. 44, Augustin_eq:projection``, says which equation of the paper it holds. From these
-the tables of README.md, docs/modules.md and docs/equations.md are written:
+data, and the first line of a module's docstring says what it does. A number of the paper, with the
+label in its source if there is one, ``eq. 44, Augustin_eq:projection`` or ``eq. 48``, says which
+equation the module holds; files of benchmarks/ may name numbers, too. From these and from
+``paper_index.py`` the tables of README.md, docs/modules.md and docs/equations.md are written:
 
     python3 scripts/rooms.py            write them
     python3 scripts/rooms.py --check    exit status 1 if one of them is out of date
@@ -24,11 +25,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from paper_index import EQUATIONS, FIGURES, NOWHERE, TABLES
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "dolfinx_feti"
 
 ORDER = re.compile(r"In the order of the data:\s+(.*?)\.$", re.S | re.M)
-LABEL = re.compile(r"((?:eq\.|table) \d+), (Augustin_[a-z]+:\w+|stressmag)")
+NUMBER = re.compile(r"\beq\. (\d+)(?:, (Augustin_eq:\w+|eq:\w+|stressmag)\b)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +55,6 @@ class Module:
     def summary(self) -> str:
         """The first line of the docstring, without its full stop."""
         return docstring(self.path).splitlines()[0].rstrip(".")
-
-    @property
-    def labels(self) -> list[tuple[str, str]]:
-        """Numbers of the paper's equations in print, and their labels in its source."""
-        text = self.path.read_text(encoding="utf-8")
-        return list(dict.fromkeys(LABEL.findall(" ".join(text.split()))))
 
 
 def docstring(path: Path) -> str:
@@ -119,7 +116,7 @@ def modules_page() -> str:
             "",
             f"## {room or 'dolfinx_feti'}/",
             "",
-            f"{summary}." if room else "Used everywhere.",
+            summary if room else "Used everywhere.",
         ]
         for module in inside:
             page += ["", f"### {module.name.rpartition('.')[2]}", "", "```{eval-rst}"]
@@ -132,23 +129,49 @@ def modules_page() -> str:
     return "\n".join(page)
 
 
-def equations_table() -> str:
-    """Format the table of docs/equations.md: by number, labels and files."""
-    where: dict[tuple[str, str], list[str]] = {}
-    for module in modules():
-        for number, label in module.labels:
-            where.setdefault((number, label), []).append(str(module.path.relative_to(PACKAGE)))
-    rows = ["| in print | label in the source | file |", "|---|---|---|"]
-    for (number, label), files in sorted(where.items(), key=lambda item: sort_key(item[0][0])):
-        names = ", ".join(f"`{name}`" for name in files)
-        rows.append(f"| {number} | `{label}` | {names} |")
+def equations_in(path: Path) -> set[int]:
+    """Return the numbers of the paper's equations that a file names.
+
+    Raises:
+        ValueError: There is no such equation, or its label is another one.
+    """
+    found = set()
+    for digits, label in NUMBER.findall(" ".join(path.read_text(encoding="utf-8").split())):
+        number = int(digits)
+        if not 1 <= number <= len(EQUATIONS):
+            raise ValueError(f"{path} names eq. {number}; the paper has {len(EQUATIONS)} equations")
+        if label and label != EQUATIONS[number - 1].label:
+            theirs = EQUATIONS[number - 1].label or "no label"
+            raise ValueError(f"{path} calls eq. {number} {label}; the paper has {theirs}")
+        found.add(number)
+    return found
+
+
+def equations() -> dict[int, list[Path]]:
+    """Return the files that name each equation in a docstring."""
+    files = [module.path for module in modules()]
+    files += sorted((ROOT / "benchmarks").rglob("*.py"))
+    named = {path: equations_in(path) for path in files}
+    numbers = range(1, len(EQUATIONS) + 1)
+    return {n: [path for path in files if n in named[path]] for n in numbers}
+
+
+def equations_page() -> str:
+    """Format the tables of docs/equations.md: equations, tables and figures of the paper."""
+    rows = ["| eq. | what it states | label in the source | file |", "|---|---|---|---|"]
+    for number, paths in equations().items():
+        entry = EQUATIONS[number - 1]
+        names = ", ".join(f"`{path.relative_to(ROOT)}`" for path in paths) or NOWHERE[number]
+        label = f"`{entry.label}`" if entry.label else ""
+        rows.append(f"| {number} | {entry.subject} | {label} | {names} |")
+    rows += ["", "## Tables and figures", ""]
+    rows += ["| in print | what it shows | label in the source | here |", "|---|---|---|---|"]
+    for kind, results in (("table", TABLES), ("figure", FIGURES)):
+        for number, result in enumerate(results, start=1):
+            rows.append(
+                f"| {kind} {number} | {result.subject} | `{result.label}` | {result.here} |"
+            )
     return "\n".join(rows)
-
-
-def sort_key(number: str) -> tuple[bool, int]:
-    """Sort equations by number, tables after them."""
-    kind, _, count = number.partition(" ")
-    return kind != "eq.", int(count)
 
 
 def pages() -> dict[Path, str]:
@@ -156,7 +179,7 @@ def pages() -> dict[Path, str]:
     readme, equations = ROOT / "README.md", ROOT / "docs" / "equations.md"
     return {
         readme: between(readme, readme_table()),
-        equations: between(equations, equations_table()),
+        equations: between(equations, equations_page()),
         ROOT / "docs" / "modules.md": modules_page() + "\n",
     }
 

@@ -1,9 +1,9 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""FETI beside other solvers: the same linear system, and the same measure of its cost.
+"""FETI and other solvers compared: on the same linear system, with the same measure of cost.
 
-FETI solves with the torn matrix, others with the assembled one that PETSc converts from it.
+FETI solves with the torn matrix, other solvers with the assembled matrix that PETSc converts it to.
 
 Example::
 

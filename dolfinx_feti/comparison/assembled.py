@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The assembled system of a torn one, for other solvers, and MUMPS as one of them."""
+"""The assembled counterpart of a torn system, for other solvers; MUMPS as one of them."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def create_mumps(K: PETSc.Mat) -> PETSc.KSP:
     """Create a direct solver, MUMPS on all processes of the matrix.
 
     Args:
-        K: Assembled matrix. If it is marked as symmetric the factorisation is, too.
+        K: Assembled matrix. If it is marked as symmetric, the factorisation is symmetric, too.
 
     Returns:
         The KSP, with the prefix ``mumps_``; the caller destroys it.
@@ -60,7 +60,7 @@ def create_mumps(K: PETSc.Mat) -> PETSc.KSP:
     pc.setType(PETSc.PC.Type.CHOLESKY if all(K.isSymmetricKnown()) else PETSc.PC.Type.LU)
     pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
     pc.setFactorSetUpSolverType()
-    pc.getFactorMatrix().setMumpsIcntl(14, 50)  # work space in per cent, or it fails on 2 processes
+    pc.getFactorMatrix().setMumpsIcntl(14, 50)  # % more work space; less fails on two processes
     ksp.setFromOptions()
     return ksp
 

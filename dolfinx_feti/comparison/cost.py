@@ -1,11 +1,11 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What a solver costs: the same measure of time and memory for all of them.
+"""The cost of a solver: the same measure of time and memory for all solvers.
 
-What a solver takes of memory is the largest amount above what was in use when it began. Torn and
-assembled matrix exist before and count for nobody; whatever a solver makes of them counts, and also
-what it frees again before it ends.
+The memory of a solver is its peak above what was in use when it began. The torn and the assembled
+matrix exist before and do not count; everything that a solver allocates does, including what it
+frees again before it ends.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ PROC = Path("/proc/self")
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What a solver cost.
+    """The cost of one solve.
 
     Attributes:
-        seconds_setup: Time for factors and whatever else needs no right-hand side, of the slowest
-            process.
+        seconds_setup: Time for the factors and everything else that needs no right-hand side, on
+            the slowest process.
         seconds_solve: Time for the solution, likewise.
-        peak_mib: Most memory above what was in use before, over all processes [MiB]; nan where the
-            system does not tell.
+        peak_mib: Peak memory above what was in use before, summed over all processes [MiB]; nan
+            where the system does not report it.
         iterations: Krylov iterations.
         converged_reason: PETSc's reason, negative if it failed.
     """
@@ -53,25 +53,25 @@ class Cost:
 
 
 class PeakMemory:
-    """The most memory that each process has had since this was made, by the kernel's own mark."""
+    """The peak memory of each process since this object was created, as Linux records it."""
 
     def __init__(self) -> None:
-        """Give free memory back and put the mark down."""
+        """Return free memory to the system and reset its peak."""
         try:
             ctypes.CDLL(None).malloc_trim(0)
         except AttributeError:
-            pass  # another C library than GNU's
+            pass  # not the GNU C library
         self._start = np.nan
         try:
             (PROC / "clear_refs").write_text("5")
             self._start = _status("VmRSS")
         except OSError:
-            pass  # the mark stays where it is
+            pass  # the peak cannot be reset
 
     def mib(self, comm: MPI.Comm) -> float:
-        """Return the sum of all processes' peaks [MiB]; nan where the system does not tell.
+        """Return the sum of all processes' peaks [MiB]; nan where the system does not report them.
 
-        Where the mark cannot be put down it is the peak of the whole run.
+        Where the peak cannot be reset, it is that of the whole run.
 
         Note:
             Collective.
@@ -79,7 +79,7 @@ class PeakMemory:
         return comm.allreduce(_status("VmHWM"))
 
     def mib_above_start(self, comm: MPI.Comm) -> float:
-        """Return by how much the peaks are above the beginning [MiB]; nan if that is not known.
+        """Return the sum of the peaks above the memory at the beginning [MiB]; nan if unknown.
 
         Note:
             Collective.
@@ -91,11 +91,11 @@ def measure(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> tuple[Cost, PETSc.
     """Create a solver, set it up and solve with it.
 
     Args:
-        create: Creates the solver; the matrix exists before.
+        create: Creates the solver; the matrix has to exist already.
         b: Right-hand side.
 
     Returns:
-        What it cost, and the solution. The solver is destroyed, the solution is the caller's.
+        The cost and the solution. The solver is destroyed; the solution belongs to the caller.
 
     Note:
         Collective.
@@ -116,12 +116,12 @@ def measure(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> tuple[Cost, PETSc.
 
 
 def record_cost(ksp: PETSc.KSP, times: Sequence[float], peak: PeakMemory) -> Cost:
-    """Take down what a solver cost, equal on all processes.
+    """Record the cost of a solve, the same on all processes.
 
     Args:
         ksp: The solver.
-        times: Time of this process before set-up, after it and after the solution [s].
-        peak: Made before set-up.
+        times: Times on this process before set-up, after it and after the solution [s].
+        peak: Created before set-up.
 
     Note:
         Collective.
@@ -138,7 +138,7 @@ def record_cost(ksp: PETSc.KSP, times: Sequence[float], peak: PeakMemory) -> Cos
 
 
 def _status(name: str) -> float:
-    """Return a size of this process [MiB]; nan where the system does not tell."""
+    """Return a memory figure of this process [MiB]; nan where the system does not report it."""
     try:
         lines = (PROC / "status").read_text().splitlines()
     except OSError:

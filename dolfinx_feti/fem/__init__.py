@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Finite elements: a mesh cut into subdomains, forms assembled on them.
+"""Finite elements: a mesh cut into subdomains, and forms assembled on them.
 
 In the order of the data: quadrature, decomposition, assembly, condensation, checks.
 """

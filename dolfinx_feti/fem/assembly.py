@@ -5,9 +5,9 @@ r"""Assembly of the torn matrix: one form, one call, all subdomains of the proce
 
 .. math:: K_i[a, b] = ⟨φ_b, A'(U)\, φ_a⟩_{Ω_{0,i}}
 
-The bilinear form is the user's own with test and trial function replaced by those of the torn
-space; coefficients, constants, measures and normals stay. Dirichlet conditions never enter K: the
-matrix carries the list of their dofs (``torn``).
+(eq. 27, on a subdomain). The bilinear form is the user's, with test and trial functions replaced by
+those of the torn space; coefficients, constants, measures and normals stay. Dirichlet conditions
+(eq. 7, Augustin_eq:Dirichlet) never enter K: the matrix carries the list of their dofs (``torn``).
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ __all__ = [
 
 
 def torn_form(form: ufl.Form, spaces: Sequence[TornSpace]) -> dolfinx.fem.Form:
-    """Compile a form with the arguments on torn spaces.
+    """Compile a form with its arguments on torn spaces.
 
     Args:
         form: Form with cell and exterior-facet integrals.
-        spaces: Torn space of each argument, by its number.
+        spaces: Torn space of each argument, by argument number.
 
     Raises:
         ValueError: The form has other integrals; those over interior facets couple subdomains.
@@ -100,7 +100,7 @@ def assemble(K: PETSc.Mat, form: dolfinx.fem.Form) -> None:
 
 
 def assemble_owned(form: dolfinx.fem.Form) -> Vector:
-    """Assemble a compiled linear form; return its owned entries, (owned,).
+    """Assemble a compiled linear form (eq. 28); return its owned entries, (owned,).
 
     Note:
         Collective.
@@ -121,8 +121,8 @@ def create_matis(
     Args:
         space: The torn space.
         K: Its local matrix.
-        bcs: Dirichlet conditions on V, also on its components.
-        stiffness: Weights for the stiffness scaling, one a torn dof.
+        bcs: Dirichlet conditions on V or on its components.
+        stiffness: Stiffness of each torn dof for the stiffness scaling, (n_torn,).
     """
     V = space.V
     bs = V.dofmap.index_map_bs
@@ -151,7 +151,7 @@ def attach_near_kernel(A: PETSc.Mat, V: dolfinx.fem.FunctionSpace, u: Vector | N
 
     Args:
         A: Torn matrix on V.
-        V: Space with block size bs; rotations exist if bs is the dimension of space.
+        V: Space with block size bs; rotations are included if bs is the spatial dimension.
         u: Displacement at the dofs, (owned blocks, bs); zero if not given.
     """
     gdim, bs = V.mesh.geometry.dim, V.dofmap.index_map_bs
@@ -182,7 +182,7 @@ def _spins(gdim: int) -> list[Vector]:
 
 
 def _incidence(space: TornSpace, n_cells: int) -> scipy.sparse.csr_array:
-    """Return which torn dof blocks each owned cell has, (n_cells, n_blocks)."""
+    """Return the incidence of owned cells and torn dof blocks, (n_cells, n_blocks)."""
     table = space.V_torn.dofmap.list[:n_cells]
     indptr = np.arange(n_cells + 1) * table.shape[1]
     entries = (np.ones(table.size, dtype=np.int32), table.ravel(), indptr)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Checks of the user's input, made before any work; they raise on all processes or on none."""
+"""Checks of user input, made before any work; they raise on all processes or on none."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def check_scalar_type() -> None:
     if np.dtype(PETSc.ScalarType) != np.float64:
         raise TypeError(
             f"PETSc's scalars are {np.dtype(PETSc.ScalarType)}, but dolfinx_feti needs real double "
-            "precision (float64): set PETSC_ARCH or PETSC_DIR to such a build."
+            "precision (float64): point PETSC_DIR and PETSC_ARCH to such a build."
         )
 
 
@@ -117,7 +117,7 @@ def check_pressure_space(Q: dolfinx.fem.FunctionSpace) -> None:
     if not element.discontinuous or element.embedded_superdegree != 0 or Q.dofmap.bs != 1:
         raise TypeError(
             f"condense is a function with the element {element}, but only scalar piecewise "
-            "constants can be eliminated cell by cell: use ('DG', 0)."
+            "constants can be condensed cell by cell: use ('DG', 0)."
         )
 
 

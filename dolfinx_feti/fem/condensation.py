@@ -8,17 +8,20 @@ Newton's step for the pair (u, p) with p constant on each cell,
 .. math:: \begin{pmatrix} K_{uu} & K_{up} \\ K_{pu} & K_{pp} \end{pmatrix}
           \begin{pmatrix} Δu \\ Δp \end{pmatrix} = -\begin{pmatrix} r_u \\ r_p \end{pmatrix},
 
-has a diagonal :math:`K_{pp}`, so that p is eliminated cell by cell
-(eq. 29, Augustin_eq:volumetricVariationDis) without a new entry in the matrix:
+has a diagonal :math:`K_{pp}`, so that p is condensed cell by cell
+(eq. 29, Augustin_eq:volumetricVariationDis) without any fill-in:
 
 .. math:: K = K_{uu} - K_{up} K_{pp}^{-1} K_{pu}, \quad r = r_u - K_{up} K_{pp}^{-1} r_p, \quad
           Δp = -K_{pp}^{-1}(r_p + K_{pu} Δu).
 
-The last equation updates the pressure by its own linearised equation, so Newton's path is the mixed
-one. For the perturbed Lagrangian p (J − 1) − p²/(2κ), :math:`K_{pp} = -|τ|/κ`.
+The last equation updates the pressure by its own linearised equation, so that Newton's iterates are
+those of the mixed problem. For the perturbed Lagrangian p (J − 1) − p²/(2κ),
+:math:`K_{pp} = -|τ|/κ` on a cell τ.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 from petsc4py import PETSc
 
@@ -31,16 +34,33 @@ import ufl
 from dolfinx_feti.fem.assembly import assemble, create_local_matrix, torn_form
 from dolfinx_feti.fem.decomposition import TornSpace
 
-__all__ = ["Condensation"]
+__all__ = ["Blocks", "Condensation"]
 
 Array = npt.NDArray[np.float64]
 
-#: Cells whose element matrices are in memory at once.
+#: Number of cells whose element matrices are in memory at once.
 CHUNK = 4096
 
 
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """What belongs to the pressure at one state (u, p), cell by cell.
+
+    Attributes:
+        k_up: K_upᵀ, (cells, torn dofs of a cell).
+        k_pu: K_pu, of the same shape.
+        k_pp: Diagonal of K_pp, (cells,).
+        r_p: Residual of the pressure, (cells,).
+    """
+
+    k_up: Array
+    k_pu: Array
+    k_pp: Array
+    r_p: Array
+
+
 class Condensation:
-    """The blocks that belong to the pressure, cell by cell.
+    """The blocks of the mixed tangent that belong to the pressure, cell by cell.
 
     Attributes:
         p: The pressure.
@@ -60,8 +80,8 @@ class Condensation:
         """Derive and compile the blocks.
 
         Args:
-            F_u: Residual of the displacement, tested in V.
-            F_p: Residual of the pressure, tested in Q.
+            F_u: Residual r_u, tested with v in V.
+            F_p: Residual r_p, tested with q in Q.
             u: Displacement.
             p: Pressure, piecewise constant.
             space: Torn V.
@@ -75,7 +95,7 @@ class Condensation:
         coefficients = (set(F_u.coefficients()), set(F_p.coefficients()))
         if not all(p in names for names in coefficients):
             raise ValueError(
-                f"condense is '{p.name}', which does not occur in the energy (or not in both "
+                f"condense is '{p.name}', which does not occur in the energy (or in both "
                 "residuals): pass the pressure of a mixed energy Π(u, p)."
             )
         self.p = p
@@ -93,50 +113,55 @@ class Condensation:
         indptr, indices = self._rectangular.getRowIJ()
         width = indptr[1] if len(indptr) > 1 else 1
         self._columns = indices.reshape(-1, width).copy()
-        self.k_up = self.k_pu = np.zeros((n_cells, width))
-        self.k_pp = self.r_p = np.zeros(n_cells)
 
-    def update(self) -> None:
-        """Assemble all blocks at the current (u, p)."""
-        self.k_up, self.k_pu = (self._rows(form) for form in self._forms)  # K_upᵀ, K_pu
-        assemble(self._square, self._K_pp)
-        self.k_pp = self._square.getDiagonal().array_r.copy()
-        self.r_p = np.zeros(len(self.k_pp))
-        dolfinx.fem.assemble_vector(self.r_p, self._r_p)
+    def assemble(self) -> Blocks:
+        """Assemble all blocks at the present (u, p)."""
+        k_up, k_pu = (self._rows(form) for form in self._forms)
+        return Blocks(k_up, k_pu, self._diagonal(), self._residual())
 
-    def add_to(self, K: PETSc.Mat) -> None:
-        """Subtract the condensed block, K ← K − K_up K_pp⁻¹ K_pu."""
-        for first in range(0, len(self.k_pp), CHUNK):
+    def add_to(self, K: PETSc.Mat, blocks: Blocks) -> None:
+        """Add the condensed block, K ← K − K_up K_pp⁻¹ K_pu."""
+        for first in range(0, len(blocks.k_pp), CHUNK):
             part = slice(first, first + CHUNK)
-            left = -self.k_up[part] / self.k_pp[part, None]
-            values = left[:, :, None] * self.k_pu[part][:, None, :]
+            left = -blocks.k_up[part] / blocks.k_pp[part, None]
+            values = left[:, :, None] * blocks.k_pu[part][:, None, :]
             dofs = self._columns[part]
             K.setValuesRCV(dofs, dofs, values.reshape(len(dofs), -1), True)
         K.assemble()
 
-    def residual(self, n_torn: int) -> Array:
+    def residual(self, blocks: Blocks, n_torn: int) -> Array:
         """Return −K_up K_pp⁻¹ r_p on the torn dofs, (n_torn,)."""
-        cell = -self.k_up * (self.r_p / self.k_pp)[:, None]
+        cell = -blocks.k_up * (blocks.r_p / blocks.k_pp)[:, None]
         return np.bincount(self._columns.ravel(), cell.ravel(), minlength=n_torn).astype(np.float64)
 
     def relaxed(self) -> Array:
-        """Return the pressure that obeys its equation for the present u, p − K_pp⁻¹ r_p."""
-        r_p = np.zeros(len(self.k_pp))
-        dolfinx.fem.assemble_vector(r_p, self._r_p)
+        """Return the pressure that satisfies its own equation at the current u, p − K_pp⁻¹ r_p."""
         p = self.p.x.array.copy()
-        p[self._pressure_dof] -= r_p / self.k_pp
+        p[self._pressure_dof] -= self._residual() / self._diagonal()
         return p
 
-    def increment(self, du: Array) -> Array:
+    def increment(self, blocks: Blocks, du: Array) -> Array:
         """Return Δp = −K_pp⁻¹ (r_p + K_pu Δu) at the dofs of Q.
 
         Args:
+            blocks: Of the state where the increment begins.
             du: Torn displacement increment, (n_torn,).
         """
         dp = np.zeros(len(self.p.x.array))
-        slope = np.einsum("ij,ij->i", self.k_pu, du[self._columns])
-        dp[self._pressure_dof] = -(self.r_p + slope) / self.k_pp
+        slope = np.einsum("ij,ij->i", blocks.k_pu, du[self._columns])
+        dp[self._pressure_dof] = -(blocks.r_p + slope) / blocks.k_pp
         return dp
+
+    def _diagonal(self) -> Array:
+        """Assemble the diagonal of K_pp."""
+        assemble(self._square, self._K_pp)
+        return self._square.getDiagonal().array_r.copy()
+
+    def _residual(self) -> Array:
+        """Assemble r_p."""
+        r_p = np.zeros(len(self._columns))
+        dolfinx.fem.assemble_vector(r_p, self._r_p)
+        return r_p
 
     def _rows(self, form: dolfinx.fem.Form) -> Array:
         assemble(self._rectangular, form)
@@ -154,5 +179,5 @@ def _require_blocks(p: dolfinx.fem.Function, **blocks: ufl.Form) -> None:
         if ufl.algorithms.expand_derivatives(block).empty():
             raise ValueError(
                 f"condense is '{p.name}', but {name} is zero: condensation needs an energy with a "
-                "term in u and p and one in p², such as p (J − 1) − p²/(2κ)."
+                "term in both u and p and a term in p², such as p (J − 1) − p²/(2κ)."
             )

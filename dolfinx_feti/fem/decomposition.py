@@ -5,14 +5,15 @@ r"""Decomposition of the mesh into subdomains, and the torn function space.
 
 .. math:: \overline Ω_0 = \bigcup_i \overline Ω_{0,i}
 
-(eq. 30, Augustin_eq:decomposition). Each process cuts the cells it owns. Tearing is a second dof
-map on the same mesh and element: its dofs are the pairs (subdomain, dof) that occur, numbered
+(eq. 30, Augustin_eq:decomposition). Each process partitions the cells it owns. Tearing is a second
+dof map on the same mesh and element: its dofs are the pairs (subdomain, dof) that occur, numbered
 subdomain by subdomain, so that a form on the torn space assembles the block-diagonal K of all
 subdomains.
 
-A subdomain is connected through facets. Where a number of subdomains is asked for, the splinters of
-a part join their neighbours, so that their number comes out as long as the cells of each process
-are connected; a part that the user gave falls into its components, each with a kernel of its own.
+Every subdomain is connected through facets. If the user gives a number of subdomains, splinters
+(all components of a part but the largest) join neighbouring parts; the requested number is then met
+as long as the cells of each process are connected. If the user gives the parts, each part is split
+into its components, and each component is a subdomain with its own kernel.
 """
 
 from __future__ import annotations
@@ -34,19 +35,19 @@ __all__ = ["Decomposition", "TornSpace", "decompose", "tear"]
 
 Indices = npt.NDArray[np.int32]
 
-#: Rounds in which splinters of parts join their neighbours; one is enough nearly always.
+#: Rounds in which splinters join neighbouring parts; one is nearly always enough.
 ROUNDS = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Decomposition:
-    """Subdomain of each owned cell.
+    """The subdomain of each owned cell.
 
     Attributes:
         mesh: The mesh.
         subdomain: Number of the subdomain of each owned cell, from 0 on each process, (n_cells,).
         count: Number of subdomains of this process.
-        first: Number of the first of them over all processes.
+        first: Number of the first of them in the numbering over all processes.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -57,12 +58,12 @@ class Decomposition:
 
 @dataclass(frozen=True, slots=True)
 class TornSpace:
-    """A function space and its torn companion.
+    """A function space and its torn counterpart.
 
     Attributes:
         V: The user's space.
         V_torn: Same mesh and element, torn dofs, on this process alone.
-        dof: Local dof (block) of V of each torn one, (n_blocks,).
+        dof: Local dof (block) of V behind each torn dof (block), (n_blocks,).
         to_global: Its global number, (n_blocks,).
     """
 
@@ -77,12 +78,12 @@ def decompose(mesh: dolfinx.mesh.Mesh, subdomains: int | npt.NDArray[np.integer]
 
     Args:
         mesh: The mesh, on any number of processes.
-        subdomains: Their number over all processes (each process gets its share by cells, at least
-            one), or the part of each owned cell, (n_cells,), of an integer type.
+        subdomains: Their number over all processes (shared out in proportion to the cells, at
+            least one per process), or the part of each owned cell, (n_cells,), of an integer type.
 
     Returns:
-        The decomposition. Given parts that are not connected through facets count as several, and
-        so do the cells of a process that are not.
+        The decomposition. A given part that is not connected through facets becomes several
+        subdomains, and so do the cells of a process if they are not connected.
 
     Raises:
         ValueError: More subdomains than cells, fewer than one, or an array of the wrong length.
@@ -129,7 +130,7 @@ def _check_number(subdomains: int, n_cells: int) -> None:
     if not 1 <= subdomains <= n_cells:
         raise ValueError(
             f"subdomains is {subdomains}, but the mesh has {n_cells} cells: "
-            "choose a number from one to the number of cells, or refine the mesh."
+            "choose a number between one and the number of cells, or refine the mesh."
         )
 
 
@@ -137,12 +138,12 @@ def _check_parts(part: npt.NDArray[np.generic], n_cells: int, comm: MPI.Comm) ->
     bad_type = not np.issubdtype(part.dtype, np.integer)
     if comm.allreduce(bad_type, op=MPI.LOR):
         raise TypeError(
-            f"subdomains is an array of type {part.dtype}: give integers, a part per owned cell."
+            f"subdomains is an array of type {part.dtype}: give integers, one part per owned cell."
         )
     if comm.allreduce(part.shape != (n_cells,), op=MPI.LOR):
         raise ValueError(
             f"subdomains has shape {part.shape} on process {comm.rank}, which owns {n_cells} "
-            "cells: give a part per owned cell on every process."
+            "cells: give one part per owned cell on every process."
         )
     return np.unique(part, return_inverse=True)[1].astype(np.int32).reshape(-1)
 
@@ -185,7 +186,7 @@ def _partition(graph: scipy.sparse.csr_array, parts: int) -> Indices:
 
 
 def _join_splinters(graph: scipy.sparse.csr_array, part: Indices) -> Indices:
-    """Hand all components of a part but the largest to the neighbour behind most of their facets.
+    """Move each splinter to the neighbouring part with which it shares the most facets.
 
     Args:
         graph: Cells that share a facet, (n_cells, n_cells).

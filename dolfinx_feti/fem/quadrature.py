@@ -1,10 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Quadrature degrees in bounds.
+"""Bounded quadrature degrees.
 
 UFL adds up degrees through an exponential or a determinant; for the Holzapfel–Gasser–Ogden energy
-on quadratic elements its estimate makes kernels a thousand times slower than they need be.
+on quadratic elements its estimate makes the compiled code a thousand times slower than necessary.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ __all__ = ["limit_quadrature_degree"]
 
 
 def limit_quadrature_degree(form: ufl.Form, degree: int | None = None) -> ufl.Form:
-    """Give the integrals whose estimated quadrature degree is too high a lower one.
+    """Lower the quadrature degree of integrals whose estimated degree is too high.
 
-    Integrals with a degree of the user's own and integrals that need no more than ``degree`` stay
-    as they are. The derivatives of the result inherit its degrees: limit an energy or a residual
-    before it is differentiated, and the tangent is that of the integrated residual.
+    Integrals with an explicit degree, and those that need no more than ``degree``, stay as they
+    are. The derivatives of the result inherit its degrees: limit an energy or a residual before
+    differentiating it, and the tangent is that of the residual as it is integrated.
 
     Args:
         form: Form of any rank.
-        degree: Highest degree, default twice the highest degree among the form's arguments and
+        degree: Highest degree; by default twice the highest degree among the form's arguments and
             coefficients: 2 for P1 and 4 for P2 displacements.
 
     Raises:
@@ -33,12 +33,12 @@ def limit_quadrature_degree(form: ufl.Form, degree: int | None = None) -> ufl.Fo
         functions = (*form.arguments(), *form.coefficients())
         degree = 2 * max((_polynomial_degree(f) for f in functions), default=1)
     if degree < 0:
-        raise ValueError(f"degree = {degree}: a quadrature degree is not negative.")
+        raise ValueError(f"degree = {degree}: give a quadrature degree of zero or more.")
     return ufl.Form([_limit(integral, degree) for integral in form.integrals()])
 
 
 def _limit(integral: ufl.Integral, degree: int) -> ufl.Integral:
-    """The integral with at most this quadrature degree, unless it has one of its own."""
+    """Return the integral with at most this quadrature degree, unless it states its own."""
     metadata = integral.metadata()
     if {"quadrature_degree", "quadrature_rule"} & metadata.keys():
         return integral
@@ -49,11 +49,11 @@ def _limit(integral: ufl.Integral, degree: int) -> ufl.Integral:
 
 
 def _estimated_degree(form: ufl.Form) -> int:
-    """Degree that UFL estimates; tensor-product cells have one per direction."""
+    """Return the degree that UFL estimates; tensor-product cells have one per direction."""
     estimate = ufl.algorithms.estimate_total_polynomial_degree(form)
     return max(estimate) if isinstance(estimate, tuple) else estimate
 
 
 def _polynomial_degree(function: ufl.Argument | ufl.Coefficient) -> int:
-    """Degree of the element of an argument or coefficient; zero for quadrature elements."""
+    """Return the degree of a function's element; zero for quadrature elements."""
     return function.ufl_element().embedded_superdegree or 0

@@ -8,9 +8,9 @@ Continuity across the interface and, for all-floating FETI, the Dirichlet condit
 .. math:: B u = c, \qquad B = \begin{pmatrix} B_{jump} \\ B_{Dirichlet} \end{pmatrix}, \quad
           c = \begin{pmatrix} 0 \\ u_D \end{pmatrix}
 
-(eq. 34, Augustin_eq:jumpConstraints, eq. 37, Augustin_eq:jumpoperatorAF). A dof with d copies gives
-d (d − 1)/2 rows if the gluing is fully redundant and d − 1 if it is not. A Dirichlet dof is not
-glued: all-floating FETI gives it one row a copy, classical FETI none.
+(eq. 34, Augustin_eq:jumpConstraints, eq. 35, eq. 37, Augustin_eq:jumpoperatorAF). A dof with d
+copies gives d (d − 1)/2 rows if the gluing is fully redundant and d − 1 if it is not. A Dirichlet
+dof is not glued: all-floating FETI gives it one row a copy, classical FETI none.
 
 The scaled jump operator of the preconditioners weighs a copy by the *other* side's stiffness k,
 
@@ -47,7 +47,7 @@ class Gluing:
         delta: Weight δ of every torn dof, (n,); the copies of a dof sum to one.
         dirichlet_rows: Local rows of B that hold Dirichlet conditions.
         dirichlet_dofs: The torn dof of each of them.
-        glued: Torn dofs that occur in B, the interface Γ, (n_Γ,).
+        glued: Torn dofs that occur in B, the interface Γ (eq. 31, Augustin_eq:skeleton), (n_Γ,).
     """
 
     B: PETSc.Mat

@@ -24,8 +24,6 @@
 ``-feti_refine``               10                                       restarts on the residual of
                                                                         the assembled system
 ``-feti_dual_…``               ``ksp_type cg|gmres|fgmres|…``           Krylov method for (λ, s)
-``-feti_dual_reorthogonalize`` ``false``, ``true``                      directions of CG orthogonal
-                                                                        to all earlier ones
 ``-feti_dual_recycle``         0                                        directions left to later
                                                                         solves, at most
 ``-feti_local_…``              ``pc_factor_mat_solver_type …``          factors of K_ρ
@@ -56,7 +54,6 @@ CHOICES = {
 }
 NUMBERS = {"coarse_modes": 12, "stagnation": 200, "refine": 10, "dual_recycle": 0}
 SHARES = {"coarse_threshold": 0.01}
-FLAGS = {"dual_reorthogonalize": False}
 SUBSOLVERS = {
     "dual_": ("ksp_",),
     "local_": ("pc_", "mat_"),
@@ -80,7 +77,6 @@ class FETIOptions:
     coarse_threshold: float = 0.01
     stagnation: int = 200
     refine: int = 10
-    dual_reorthogonalize: bool = False
     dual_recycle: int = 0
 
     @property
@@ -99,7 +95,7 @@ def read_options(prefix: str) -> FETIOptions:
         ValueError: A value is not among the choices, or an option does not exist.
     """
     options = PETSc.Options(prefix + "feti_")
-    values: dict[str, str | int | float | bool] = {}
+    values: dict[str, str | int | float] = {}
     for name, choices in CHOICES.items():
         value = options.getString(name, choices[0])
         if value not in choices:
@@ -119,21 +115,13 @@ def read_options(prefix: str) -> FETIOptions:
                 f"Option -{prefix}feti_{name} is {share}; it takes a number between 0 and 1."
             )
         values[name] = share
-    for name, default in FLAGS.items():
-        try:
-            values[name] = options.getBool(name, default)
-        except PETSc.Error:
-            raise ValueError(
-                f"Option -{prefix}feti_{name} is '{options.getString(name)}'; it takes true or "
-                "false."
-            ) from None
     _reject_unknown(prefix)
     return FETIOptions(**values)  # type: ignore[arg-type]
 
 
 def _reject_unknown(prefix: str) -> None:
     """Refuse an option that begins like ours and is none."""
-    known = [*CHOICES, *NUMBERS, *SHARES, *FLAGS]
+    known = [*CHOICES, *NUMBERS, *SHARES]
     passed_on = tuple(solver + part for solver, parts in SUBSOLVERS.items() for part in parts)
     for key in PETSc.Options().getAll():
         name = key.removeprefix(prefix + "feti_")

@@ -5,9 +5,9 @@ r"""From loads to the dual right-hand side, and from (λ, s) back to the displac
 
 .. math:: d = B K^+ f - c, \quad e = E^⊤ f, \qquad u = K^+(f - B^⊤ λ) + E s
 
-(eq. 39, Augustin_eq:localSolutions), on the interface alone where the interior is eliminated. The
-copies that the Krylov method leaves apart are averaged, :math:`u ← u - E_Γ B_D^⊤ (B u - c)`, and
-then one vector of the assembled problem holds u.
+(eq. 39, Augustin_eq:localSolutions; eq. 47 for the start, eq. 48 for s), on the interface alone
+where the interior is eliminated. The copies that the Krylov method leaves apart are averaged,
+:math:`u ← u - E_Γ B_D^⊤ (B u - c)`, and then one vector of the assembled problem holds u.
 """
 
 from __future__ import annotations

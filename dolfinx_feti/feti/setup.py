@@ -200,7 +200,6 @@ def set_up(pattern: Pattern) -> Parts:
             definite=pattern.symmetric and inertia.definite,
             prefix=pattern.prefix + "dual_",
             stagnation=options.stagnation,
-            reorthogonalize=options.dual_reorthogonalize,
         )
         _check_method(method, pattern)
         dual = DualSystem(

@@ -7,10 +7,10 @@ The first steps begin with the tangent of the last equilibrium and the residual 
 
 .. math:: K'(U_n; t_n)\, ΔU = -r(U_n; t_{n+1}), \qquad t_{n+1} = t_n + Δt,
 
-a prediction along the path: a tangent with the new load and the old stress can be indefinite
-although every equilibrium on the way is stable. Once three equilibria are known, a parabola through
-them predicts the next one, and saves half of the Newton steps; where it turns a cell inside out,
-the tangent of the last equilibrium takes its place again.
+(eq. 25, Augustin_eq:loadStepping), a prediction along the path: a tangent with the new load and the
+old stress can be indefinite although every equilibrium on the way is stable. Once three equilibria
+are known, a parabola through them predicts the next one, and saves half of the Newton steps; where
+it turns a cell inside out, the tangent of the last equilibrium takes its place again.
 
 The increment Δt grows after a quick step, and is halved after a failure, with the last equilibrium
 restored. The wanted loads are met exactly: what is left to the next one is divided into equal
@@ -39,6 +39,7 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.progress import Progress
 from dolfinx_feti.problems.history import NewtonStep
+from dolfinx_feti.problems.system import Tangent
 
 __all__ = ["LoadStep", "Steps", "follow_load"]
 
@@ -131,13 +132,15 @@ class Problem(Protocol):
     def history(self) -> list[NewtonStep]:
         """What each Newton step of the last solve cost."""
 
-    def linearise(self) -> None:
-        """Assemble the tangent for the first step of the next solve."""
+    def residual_norm(self) -> float:
+        """Return ‖r‖ of the present state under the present load."""
 
-    def refer_tolerance(self) -> None:
-        """Let the tolerance of the next solve refer to the residual of the present state."""
+    def linearise(self) -> Tangent:
+        """Assemble the tangent at the present state and load."""
 
-    def solve(self) -> object:
+    def solve(
+        self, *, reference: float | None = None, first_tangent: Tangent | None = None
+    ) -> object:
         """Solve, or raise ConvergenceError."""
 
 
@@ -316,24 +319,24 @@ class _Path:
         try:
             if len(self._past) > ORDER:
                 self._set_load(load)
-                self._problem.refer_tolerance()
+                reference = self._problem.residual_norm()
                 self._set_values(extrapolate(self._past, load))
-                if self._solved():
+                if self._solved(reference):
                     return
                 self._restore()
-            self._problem.linearise()
+            tangent = self._problem.linearise()
             self._set_load(load)
-            self._problem.solve()
+            self._problem.solve(first_tangent=tangent)
         except ConvergenceError:
             self._restore()
             raise
         finally:
             snes.setTolerances(*tolerances)
 
-    def _solved(self) -> bool:
+    def _solved(self, reference: float) -> bool:
         """Solve from a predicted state; tell whether it was admissible, raise if it led nowhere."""
         try:
-            self._problem.solve()
+            self._problem.solve(reference=reference)
         except ConvergenceError:
             if self._problem.solver.getConvergedReason() != Reason.DIVERGED_FUNCTION_DOMAIN:
                 raise

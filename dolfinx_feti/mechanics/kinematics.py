@@ -3,12 +3,12 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Kinematics of large deformations as UFL expressions.
 
-A body moves by x = X + u(X). Everything here is a plain function of UFL expressions: nothing
-is compiled, nothing is stored. Source: Augustin, Holzapfel, Steinbach (2014), section *Modeling
-Arterial Tissues*. Gradients are taken in the reference configuration; lengths are in mm and
-stresses in kPa throughout the package, though nothing in this file depends on it.
+A body moves by x = X + u(X) (eq. 1). Everything here is a plain function of UFL expressions:
+nothing is compiled, nothing is stored. Source: Augustin, Holzapfel, Steinbach (2014), section
+*Modeling Arterial Tissues*. Gradients are taken in the reference configuration. Lengths are in mm
+and stresses in kPa throughout the package, though nothing in this file depends on it.
 
-In two dimensions the functions mean plane strain: the third stretch is one.
+In two dimensions the functions assume plane strain: the third stretch is one.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ __all__ = [
 
 
 def deformation_gradient(u: Expr) -> Variable:
-    """Deformation gradient F = I + Grad u, shape (d, d).
+    """Deformation gradient F = I + Grad u (eq. 2), shape (d, d).
 
     It is a ``ufl.variable``, so that stresses follow from an energy by ``ufl.diff``. Every call
-    makes another variable: call once, and write the energy and the stress in the same F.
+    creates a new variable: call it once, and write both the energy and the stress in that F.
 
     Args:
         u: Displacement, shape (d,), d = 2 or 3.
@@ -49,7 +49,7 @@ def right_cauchy_green(F: Expr) -> Expr:
 
 
 def jacobian(F: Expr) -> Expr:
-    """Change of volume J = det F; a state with J ≤ 0 is not a deformation of a body."""
+    """Volume ratio J = det F, deformed over reference; a state with J ≤ 0 is inadmissible."""
     return ufl.det(F)
 
 
@@ -61,11 +61,12 @@ def green_lagrange(F: Expr) -> Expr:
 def isochoric_split(F: Expr) -> tuple[Expr, Expr]:
     """Flory's split into a volumetric and an isochoric part.
 
-    F = J^{1/3} F̄ with det F̄ = 1 (eq. 3, Augustin_eq:decompositionFlory); C̄ = F̄ᵀ F̄ follows.
+    F = J^{1/3} F̄ with det F̄ = 1 (eq. 3, Augustin_eq:decompositionFlory), and with C̄ = F̄ᵀ F̄
+    accordingly C = J^{2/3} C̄ (eq. 4).
 
     Args:
-        F: Deformation gradient, shape (d, d). In plane strain, d = 2, the exponent stays 1/3 and
-            the third diagonal entry of F̄, J^{-1/3}, is not part of the result.
+        F: Deformation gradient, shape (d, d). In plane strain, d = 2, the exponent is still 1/3,
+            and the third diagonal entry of F̄, J^{-1/3}, is not part of the result.
 
     Returns:
         J and F̄.
@@ -79,44 +80,44 @@ def isochoric_invariant_1(C: Expr, J: Expr | None = None) -> Expr:
 
     Args:
         C: Right Cauchy-Green tensor, shape (d, d).
-        J: Change of volume, det F. Without it √(det C) is used, which costs about a quarter more
-            in the tangent and does not see an inverted element: it is the absolute value of det F.
+        J: Volume ratio det F. If not given, √(det C) is used, which makes the tangent about a
+            quarter more expensive and, as the absolute value of det F, hides an inverted element.
     """
     plane_strain = 3 - C.ufl_shape[0]
     return _volume_factor(C, J) * (ufl.tr(C) + plane_strain)
 
 
 def isochoric_invariant_4(C: Expr, a: Expr, J: Expr | None = None) -> Expr:
-    """Squared isochoric stretch of a fibre, Ī₄ = a·(C̄ a) = J^{-2/3} a·(C a).
+    """Squared isochoric stretch of a fibre family, Ī₄ = a·(C̄ a) = J^{-2/3} a·(C a).
 
     Args:
         C: Right Cauchy-Green tensor, shape (d, d).
         a: Fibre direction in the reference configuration, a *unit* vector, shape (d,).
-        J: Change of volume, as in :func:`isochoric_invariant_1`.
+        J: Volume ratio, as in :func:`isochoric_invariant_1`.
     """
     return _volume_factor(C, J) * ufl.dot(a, C * a)
 
 
 def cauchy_stress(psi: Expr, F: Variable) -> Expr:
-    """Cauchy stress of an energy, σ = J⁻¹ (∂Ψ/∂F) Fᵀ = 2 J⁻¹ F (∂Ψ/∂C) Fᵀ.
+    """Cauchy stress of an energy, σ = J⁻¹ (∂Ψ/∂F) Fᵀ = 2 J⁻¹ F (∂Ψ/∂C) Fᵀ (eq. 9).
 
     With a separate pressure field, Ψ = Ψ̄ + p (J − 1) − …, the result is
     σ = p I + 2 J⁻¹ F (∂Ψ̄/∂C) Fᵀ (eq. 11, Augustin_eq:additiveStress).
 
     Args:
         psi: Energy per unit reference volume [kPa].
-        F: The very ``ufl.variable`` in which ``psi`` is written (:func:`deformation_gradient`).
+        F: The same ``ufl.variable`` that ``psi`` is written in (:func:`deformation_gradient`).
 
     Returns:
-        Stress [kPa], shape (d, d); symmetric if ``psi`` is frame indifferent.
+        Stress [kPa], shape (d, d); symmetric if ``psi`` is frame-indifferent.
 
     Raises:
         ValueError: If ``psi`` is not a function of ``F``.
     """
     if not isinstance(F, Variable) or all(e != F for e in unique_pre_traversal(psi)):
         raise ValueError(
-            "psi does not depend on the variable F: its stress would be zero. Call "
-            "deformation_gradient (or ufl.variable) once and write psi in the F it returns."
+            "psi does not depend on the variable F, so its stress would be zero. Call "
+            "deformation_gradient (or ufl.variable) once and write psi in the F that it returns."
         )
     return ufl.diff(psi, F) * F.T / jacobian(F)
 
@@ -131,7 +132,7 @@ def stress_magnitude(sigma: Expr) -> Expr:
 
 
 def _volume_factor(C: Expr, J: Expr | None) -> Expr:
-    """J^{-2/3}, which takes the change of volume out of C."""
+    """J^{-2/3}, which removes the change of volume from C."""
     if J is None:
         J = ufl.sqrt(ufl.det(C))
     return J ** (-2.0 / 3.0)

@@ -3,11 +3,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Pressure on the deformed wall, written on the reference surface by Nanson's formula.
 
-The area vector moves as n da = cof(F) N dA with cof(F) = J F⁻ᵀ, a polynomial in F. A pressure p
-acts against the outward normal of the wall: the traction per reference area is −p cof(F) N.
+The area vector transforms as n da = cof(F) N dA with cof(F) = J F⁻ᵀ, a polynomial in F. A pressure
+p acts against the outward normal of the wall, so the traction per reference area (eq. 8,
+Augustin_eq:Neumann) is G₀ = −p cof(F) N.
 
-Sign convention: a residual is *internal minus external* virtual work, R(u; v) = δΠ_int − δW_ext,
-and an energy is Π = Π_int − W_ext. What this file returns is to be **added**.
+Sign convention: a residual is *internal minus external* virtual work, R(u; v) = δΠ_int − δW_ext
+(eq. 20, Augustin_eq:WeakReference, with everything on the left), and an energy is
+Π = Π_int − W_ext. The forms returned here are to be **added**.
 
 Units: pressure in kPa, lengths in mm, hence forces in mN.
 """
@@ -35,13 +37,13 @@ _KPA_PER_MMHG = 101.325 / 760.0
 
 
 def mmhg(value: float) -> float:
-    """Pressure in kPa from one in millimetres of mercury, 1 mmHg = 0.1333223684 kPa.
+    """Convert a pressure from millimetres of mercury to kPa, 1 mmHg = 0.1333223684 kPa.
 
     Raises:
         ValueError: If ``value`` is not a finite number.
     """
     if not math.isfinite(value):
-        raise ValueError(f"value = {value}: a pressure in mmHg is a finite number.")
+        raise ValueError(f"value = {value}: give a finite pressure in mmHg.")
     return value * _KPA_PER_MMHG
 
 
@@ -51,12 +53,12 @@ def follower_pressure(p: float | Expr, u: Expr, v: Expr, ds: ufl.Measure) -> ufl
     −δW_ext = ∫ p (J F⁻ᵀ N)·v dA
 
     Args:
-        p: Pressure [kPa], positive when it pushes against the wall. A dolfinx constant changes
-            from load step to load step without a new compilation.
+        p: Pressure [kPa], positive when it pushes against the wall. A dolfinx constant can change
+            from load step to load step without recompilation.
         u: Displacement [mm], shape (d,).
         v: Test function, shape (d,).
-        ds: Measure of the loaded part of the reference surface. N points out of the wall, on the
-            inner surface of a vessel into the lumen.
+        ds: Measure of the loaded part of the reference surface. N points out of the wall; on the
+            inner surface of a vessel that is into the lumen.
 
     Returns:
         Linear form, to be added to the internal virtual work; empty if ``p`` is the number zero.
@@ -79,7 +81,7 @@ def follower_pressure_tangent(
 ) -> ufl.Form:
     """Derivative of :func:`follower_pressure` with respect to u, or a part of it.
 
-    a(du, v) = ∫ p (D cof(F)[Grad du] N)·v dA, for a uniform p, is symmetric up to a line integral
+    For a uniform p, a(du, v) = ∫ p (D cof(F)[Grad du] N)·v dA is symmetric up to a line integral
     along the rim of the loaded surface, which vanishes if the surface is closed or its rim clamped.
 
     Args:
@@ -88,15 +90,15 @@ def follower_pressure_tangent(
         v: Test function.
         du: Trial function on the same space.
         ds: Measure of the loaded part of the reference surface.
-        kind: ``"symmetric"``: ½ (a + aᵀ), keeps CG usable and Newton fast; ``"none"``: an empty
-            form as in the paper, which then needs many small load steps; ``"full"``: a itself, for
-            GMRES.
+        kind: ``"symmetric"``: ½ (a + aᵀ), keeps CG usable and Newton's method fast; ``"none"``: an
+            empty form as in the paper, at the price of many small load steps; ``"full"``: a
+            itself, which needs GMRES.
 
     Returns:
         Bilinear form, to be added to the internal tangent.
 
     Raises:
-        ValueError: If ``kind`` is another word, or ``p`` a number that is not finite.
+        ValueError: If ``kind`` is none of these, or ``p`` a number that is not finite.
     """
     if kind not in ("symmetric", "none", "full"):
         raise ValueError(f"kind = {kind!r}: choose 'symmetric', 'none' or 'full'.")
@@ -113,13 +115,13 @@ def enclosed_volume(u: Expr, ds: ufl.Measure, axis: Sequence[float] | None = Non
     caps over the rims are missing; V still has the right derivative if no rim moves (clamped), or
     if rims only slide in planes through the origin (planes of symmetry).
 
-    With an ``axis`` e, x gives way to its part normal to e and d to d − 1. Caps in planes normal to
-    e then contribute nothing: V is the volume between such planes, and rims may slide in them.
+    With an ``axis`` e, x is replaced by its part normal to e, and d by d − 1. Caps in planes normal
+    to e then contribute nothing: V is the volume between such planes, and rims may slide in them.
 
     Args:
         u: Displacement [mm], shape (d,).
         ds: Measure of the inner surface in the reference configuration.
-        axis: Direction of a tube, of any length but zero.
+        axis: Direction of a tube's axis, of any nonzero length.
 
     Returns:
         Form of rank zero [mm³].
@@ -143,15 +145,15 @@ def pressure_potential(
 ) -> ufl.Form:
     """Potential −p V(u) of a uniform pressure in a lumen, for energies and line searches.
 
-    Its derivative is :func:`follower_pressure` for all variations that keep the rims as
-    :func:`enclosed_volume` demands. On other surfaces, and for a p that varies on the surface, a
-    follower pressure has no potential: this form is of no use there.
+    Its derivative is :func:`follower_pressure` for all variations that hold the rims as
+    :func:`enclosed_volume` requires. On other surfaces, and for a p that varies over the surface, a
+    follower pressure has no potential, and this form must not be used.
 
     Args:
         p: Pressure [kPa], a number or a constant.
         u: Displacement [mm].
         ds: Measure of the inner surface.
-        axis: Direction of a tube, see :func:`enclosed_volume`.
+        axis: Direction of a tube's axis, see :func:`enclosed_volume`.
 
     Returns:
         Form of rank zero [mN mm], to be added to the internal energy.
@@ -167,7 +169,7 @@ def _area_vector(u: Expr) -> Expr:
 
 
 def _is_zero(p: float | Expr) -> bool:
-    """Whether p is the number zero: UFL would make a form without arguments of it.
+    """Whether p is the number zero, which UFL would turn into a form without arguments.
 
     Raises:
         ValueError: If ``p`` is NaN or infinite.
@@ -175,5 +177,5 @@ def _is_zero(p: float | Expr) -> bool:
     if isinstance(p, Expr):
         return False
     if not math.isfinite(p):
-        raise ValueError(f"p = {p}: a pressure is a finite number or a UFL expression.")
+        raise ValueError(f"p = {p}: give a finite pressure or a UFL expression.")
     return p == 0

@@ -3,26 +3,28 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Energies of hyperelastic materials, per unit reference volume, as plain UFL expressions.
 
-The energy is the only thing a material has to give: Π = ∫ Ψ dX, the residual is
-``ufl.derivative(Π, u, v)`` and the tangent its derivative. An energy of the user's own is as good
-as those below. For nearly incompressible tissue (eq. 10, Augustin_eq:decompositionStrain)
+A material is defined by its energy alone: with Π = ∫ Ψ dX, the residual ``ufl.derivative(Π, u, v)``
+is the internal virtual work ∫ S : Σ(u, v) dX (eq. 20, Augustin_eq:WeakReference, eq. 21), and its
+derivative is the tangent (eq. 24, Augustin_eq:Tangent). Users' own energies work exactly like those
+below. For nearly incompressible tissue (eq. 10, Augustin_eq:decompositionStrain)
 
     Ψ(C) = Ψ̄(C̄) + Ψ_vol(J),   or with a pressure field   Ψ(C, p) = Ψ̄(C̄) + p (J − 1) − p²/(2κ).
 
 Isochoric energies Ψ̄ are :func:`neo_hookean` and :func:`holzapfel_gasser_ogden`; the volumetric
 part is :func:`volumetric` or :func:`perturbed_lagrangian`; :func:`saint_venant_kirchhoff` is
-complete by itself.
+complete in itself.
 
-Parameters are floats, dolfinx constants (a new value needs no new compilation), or any UFL
+Parameters are floats, dolfinx constants (a new value needs no recompilation), or any UFL
 expression, such as a piecewise constant Function for layers. Floats are checked.
 
-A trial state far away may overflow the exponential, and J ≤ 0 gives NaN: nothing is clamped here,
-it is the nonlinear solver that has to reject such a state.
+A distant trial state may overflow the exponential, and J ≤ 0 gives NaN. Nothing is clamped here:
+the nonlinear solver has to reject such a state.
 
 Note: quadrature
-    UFL estimates a polynomial degree for the exponentials and powers that leads to thousands of
-    points per cell and kernels a thousand times slower than needed. Set the degree in the measure
-    (``metadata={"quadrature_degree": 4}``), or use :func:`limit_quadrature_degree`.
+    The polynomial degree that UFL estimates for exponentials and powers leads to thousands of
+    points per cell, and to code a thousand times slower than necessary. Set the degree in the
+    measure (``metadata={"quadrature_degree": 4}``), or use
+    :func:`~dolfinx_feti.fem.quadrature.limit_quadrature_degree`.
 """
 
 from __future__ import annotations
@@ -48,8 +50,8 @@ __all__ = [
 
 Parameter: TypeAlias = float | Expr
 
-# At u = 0 every Ī₄ is one up to rounding. A switch a hair below one keeps all fibres in the tangent
-# there, instead of those of a random half of the cells; the jump of Ψ at the switch is 1e-24 k₁.
+# At u = 0 every Ī₄ is one up to rounding. A switch slightly below one keeps all fibres in the
+# tangent there, not those of a random half of the cells; the jump of Ψ at the switch is 1e-24 k₁.
 _FIBRE_SWITCH = 1.0 - 1e-12
 
 
@@ -76,10 +78,10 @@ class ArteryParameters:
 
 
 def volumetric(J: Expr, kappa: Parameter) -> Expr:
-    """Energy of a change of volume, Ψ_vol = κ/2 (J − 1)².
+    """Volumetric energy Ψ_vol = κ/2 (J − 1)² (eq. 14).
 
     Args:
-        J: Change of volume det F.
+        J: Volume ratio det F.
         kappa: Penalty, like a bulk modulus [kPa].
 
     Raises:
@@ -90,13 +92,14 @@ def volumetric(J: Expr, kappa: Parameter) -> Expr:
 
 
 def perturbed_lagrangian(J: Expr, p: Expr, kappa: Parameter) -> Expr:
-    """The same energy with the pressure as a field of its own, p (J − 1) − p²/(2κ).
+    """Volumetric energy with the pressure as an independent field, p (J − 1) − p²/(2κ).
 
-    It is stationary in p at p = κ (J − 1) = ∂Ψ_vol/∂J (eq. 29, Augustin_eq:volumetricVariationDis),
-    where it equals :func:`volumetric`; with p piecewise constant, for the mean of J over a cell.
+    It is stationary in p at p = κ (J − 1) = ∂Ψ_vol/∂J (eq. 12, Augustin_eq:hydrostaticPressure,
+    eq. 29, Augustin_eq:volumetricVariationDis), where it equals :func:`volumetric`. If p is
+    piecewise constant, this holds for the mean of J over each cell.
 
     Args:
-        J: Change of volume det F.
+        J: Volume ratio det F.
         p: Hydrostatic pressure [kPa], positive in tension; a piecewise constant Function.
         kappa: Penalty [kPa].
 
@@ -112,8 +115,9 @@ def neo_hookean(C: Expr, *, c: Parameter, J: Expr | None = None) -> Expr:
 
     Args:
         C: Right Cauchy-Green tensor, shape (d, d).
-        c: Stress-like parameter, the shear modulus in small strains [kPa].
-        J: det F, if at hand: a cheaper tangent, and inverted elements give NaN. Default √(det C).
+        c: Stress-like parameter, the shear modulus at small strains [kPa].
+        J: Volume ratio det F. If given, the tangent is cheaper and inverted elements give NaN; if
+            not, √(det C) is used.
 
     Raises:
         ValueError: If ``c`` is a number that is not positive.
@@ -135,7 +139,7 @@ def holzapfel_gasser_ogden(
     """Isochoric energy of a wall with two families of fibres (eq. 13, Augustin_eq:isoaniso).
 
     Ψ̄ = c/2 (Ī₁ − 3) + Σ_{i=4,6} k₁/(2k₂) {exp[k₂ (Ī_i − 1)²] − 1}, where a family contributes
-    only in tension, Ī_i > 1 (eq. 15, Augustin_eq:iso, eq. 16, Augustin_eq:aniso_1,
+    only in tension, Ī_i > 1 (eq. 15, Augustin_eq:iso, eq. 16, Augustin_eq:aniso_1, eq. 17,
     Augustin_eq:aniso_2).
 
     Args:
@@ -145,7 +149,8 @@ def holzapfel_gasser_ogden(
         c: Stiffness of the matrix material [kPa].
         k1: Stiffness of the fibres [kPa].
         k2: Exponent of the fibres [-].
-        J: det F, if at hand: a cheaper tangent, and inverted elements give NaN. Default √(det C).
+        J: Volume ratio det F. If given, the tangent is cheaper and inverted elements give NaN; if
+            not, √(det C) is used.
 
     Raises:
         ValueError: If a parameter is a number that is not positive.
@@ -158,7 +163,7 @@ def holzapfel_gasser_ogden(
 def saint_venant_kirchhoff(C: Expr, *, lmbda: Parameter, mu: Parameter) -> Expr:
     """Complete, compressible energy Ψ = λ/2 (tr E)² + μ E : E with E = ½ (C − I).
 
-    Linear elasticity's law in large strains; not polyconvex, and soft in strong compression.
+    Hooke's law extended to large strains; not polyconvex, and too soft in strong compression.
 
     Args:
         C: Right Cauchy-Green tensor, shape (d, d).
@@ -180,11 +185,11 @@ def _fibre_energy(I4: Expr, k1: Parameter, k2: Parameter) -> Expr:
 
 
 def _require_positive(**parameters: Parameter) -> None:
-    """Refuse numbers that are not finite and positive; UFL expressions pass unseen."""
+    """Refuse numbers that are not finite and positive; UFL expressions are not checked."""
     for name, value in parameters.items():
         if isinstance(value, Expr):
             continue
         if not isinstance(value, Real):
             raise TypeError(f"{name} = {value!r}: expected a number or a UFL expression.")
         if not 0.0 < float(value) < math.inf:
-            raise ValueError(f"{name} = {value}: a material parameter is positive and finite.")
+            raise ValueError(f"{name} = {value}: give a positive, finite material parameter.")

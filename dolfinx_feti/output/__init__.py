@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Results: fields for ParaView.
+"""Output: fields for ParaView.
 
 In the order of the data: fields.
 """

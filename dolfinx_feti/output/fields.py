@@ -3,10 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Output for ParaView: all fields in one file, step by step.
 
-VTX, in a folder `name.bp` (ParaView 5.12 or newer), is written where dolfinx has ADIOS2: every
-field is interpolated cell by cell, linear and discontinuous, so that displacements, stresses and
-cell data stand in one file and nothing is smoothed. Elsewhere it is XDMF, `name.xdmf` with its
-`name.h5`: continuous fields at the vertices, the others one value a cell.
+Where dolfinx has ADIOS2 the format is VTX, a folder `name.bp` (ParaView 5.12 or newer): every field
+is interpolated cell by cell into discontinuous linear functions, so that displacements, stresses
+and cell data share one file and nothing is smoothed. Elsewhere it is XDMF, `name.xdmf` with
+`name.h5`: continuous fields at the vertices, the others with one value per cell.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SUFFIXES = {"vtx": ".bp", "xdmf": ".xdmf"}
 
 
 class FieldWriter:
-    """Writes functions of one mesh, and what follows from them, as often as they change.
+    """Writes functions on one mesh, and expressions of them, step by step.
 
     Example::
 
@@ -44,7 +44,7 @@ class FieldWriter:
                 writer.write(load)
 
     Attributes:
-        path: What ParaView opens.
+        path: The file or folder to open in ParaView.
     """
 
     def __init__(
@@ -59,13 +59,13 @@ class FieldWriter:
 
         Args:
             path: Its name without suffix.
-            functions: What to write, under their own names; scalars and vectors.
-            expressions: UFL expressions, under these names; they are evaluated cell by cell.
-            kind: ``vtx`` or ``xdmf``; None for VTX where dolfinx has ADIOS2.
+            functions: Scalars and vectors to write, under their own names.
+            expressions: UFL expressions to write, by name; they are evaluated cell by cell.
+            kind: ``vtx`` or ``xdmf``; by default VTX where dolfinx has ADIOS2, XDMF elsewhere.
 
         Raises:
-            ValueError: The kind is another word, there is no function, or two have one name.
-            OSError: The file cannot be made.
+            ValueError: The kind is unknown, there is no function, or two fields have one name.
+            OSError: The file cannot be created.
 
         Note:
             Collective.
@@ -77,7 +77,7 @@ class FieldWriter:
             raise ValueError(f"kind={kind!r}: choose 'vtx' or 'xdmf'.")
         if not functions or len(set(names)) < len(names):
             raise ValueError(
-                f"The fields are named {names}: give a function or more, and each its own name."
+                f"The fields are named {names}: give at least one function, and distinct names."
             )
         mesh = functions[0].function_space.mesh
         self.path = _writable_place(Path(path), kind, mesh.comm)
@@ -96,10 +96,10 @@ class FieldWriter:
             self._file.write_mesh(mesh)
 
     def write(self, t: float) -> None:
-        """Write the present values.
+        """Write the current values.
 
         Args:
-            t: Time, or whatever orders the steps, such as the load.
+            t: Time, or another quantity that orders the steps, such as the load.
 
         Note:
             Collective.
@@ -152,10 +152,10 @@ def cell_values(expression: Expr, mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.flo
 
 
 def _writable_place(path: Path, kind: str, comm: MPI.Comm) -> Path:
-    """Return the path with its suffix, once everything there can be written.
+    """Return the path with its suffix, after a check that everything there can be written.
 
-    A folder where a file should be, or a file where a folder should be, would make one process
-    raise alone in the libraries below, or nothing be written without a word.
+    With a folder in place of a file, or a file in place of a folder, the libraries below would
+    raise on one process only, or silently write nothing.
     """
     folder = writable_folder(path.parent, comm)
     place = folder / (path.name + SUFFIXES[kind])
@@ -171,7 +171,7 @@ def _append_nothing(path: Path) -> None:
 
 
 def _output_function(f: dolfinx.fem.Function, kind: str) -> dolfinx.fem.Function:
-    """Return a function of the same shape and name on the space that the format takes."""
+    """Return a function of the same shape and name on the space that the format supports."""
     V = f.function_space
     if kind == "vtx" or V.ufl_element().discontinuous:
         return _cellwise_function(V.mesh, f.ufl_shape, f.name, kind)

@@ -23,7 +23,7 @@ from dolfinx_feti.fem.decomposition import decompose, tear
 from dolfinx_feti.feti.options import read_options, reject_other_solvers
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.petsc_options import inserted, require_prefix
-from dolfinx_feti.problems.history import NewtonStep, record_step
+from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
 
 __all__ = ["LinearProblem"]
 
@@ -123,10 +123,10 @@ class LinearProblem:
         feti = self.solver.getPythonContext()
         self.history = [
             record_step(
-                self.solver,
-                self.b.norm(),
-                1.0,
-                indefinite=feti.inertia and feti.inertia.assembled,
+                feti,
+                residual=self.b.norm(),
+                step_length=1.0,
+                indefinite=proved_negative(feti),
                 shift=0.0,
                 iterations=[feti.iterations],
                 assembly=assembled - started,

@@ -5,13 +5,15 @@ r"""The nonlinear system that Newton's method sees: residual, torn tangent, stat
 
 .. math:: K'(U)\, ΔU = \mathcal F - K(U), \qquad U ← U + ΔU
 
-(eq. 26, Augustin_eq:LGS), with a pressure condensed from both sides if there is one
-(``condensation``).
+(eq. 26, Augustin_eq:LGS; eq. 28 for the entries), with a pressure condensed from both sides if
+there is one (``condensation``); prescribed values (eq. 7, Augustin_eq:Dirichlet) are met by the
+residual.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from mpi4py import MPI
 
@@ -23,15 +25,44 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.fem import assembly
-from dolfinx_feti.fem.condensation import Condensation
+from dolfinx_feti.fem.condensation import Blocks, Condensation
 from dolfinx_feti.fem.decomposition import Decomposition, tear
 
-__all__ = ["System"]
+__all__ = ["Residual", "System", "Tangent"]
 
 Array = npt.NDArray[np.float64]
 
 #: Share of the greatest displacement below which one of a Dirichlet dof is rounding.
 MOVED = 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """The residual at one state.
+
+    Attributes:
+        condensed: The right-hand side of Newton's step but for its sign, (owned,); u − g on
+            Dirichlet dofs.
+        force: The residual before the pressure is condensed into it, (owned,).
+        blocks: What the condensed pressure needs, if there is one.
+    """
+
+    condensed: Array
+    force: Array
+    blocks: Blocks | None
+
+
+@dataclass(frozen=True, slots=True)
+class Tangent:
+    """Names the tangent that a torn matrix holds, until another one takes its place.
+
+    Attributes:
+        handle: PETSc's handle of the local matrix.
+        state: Its count of changes.
+    """
+
+    handle: int
+    state: int
 
 
 class System:
@@ -43,7 +74,8 @@ class System:
         u: Displacement (or another unknown).
         A: Torn tangent.
         bcs: Dirichlet conditions.
-        force: Residual before condensation, (owned,), as of the last :meth:`residual`.
+        comm: Communicator of the mesh.
+        owned: Number of dofs that this process owns.
     """
 
     def __init__(
@@ -75,6 +107,7 @@ class System:
         V = u.function_space
         self.u = u
         self.bcs = list(bcs)
+        self.comm = V.mesh.comm
         self._held = assembly.dirichlet_mask(V, self.bcs)
         self._n_cells = len(decomposition.subdomain)
         self._space = tear(V, decomposition)
@@ -102,7 +135,6 @@ class System:
         torn = self._space.dof[:, None] * bs + np.arange(bs)
         self._local = torn.ravel()  # local dof of V of each torn dof
         self.owned = V.dofmap.index_map.size_local * bs
-        self.force = np.zeros(self.owned)
 
     # -- state ------------------------------------------------------------------------------------
 
@@ -119,16 +151,24 @@ class System:
             self.condensation.p.x.array[:] = state[1]
             self.condensation.p.x.scatter_forward()
 
-    def increment(self, du: Array) -> tuple[Array, Array]:
-        """Complete an increment of u, (owned,), by the pressure's own linearised equation."""
-        if self.condensation is None:
+    def increment(self, here: Residual, du: Array) -> tuple[Array, Array]:
+        """Complete an increment of u by the pressure's own linearised equation.
+
+        Args:
+            here: The residual where the increment begins.
+            du: ΔU, (owned,).
+
+        Returns:
+            Increments of the state, see :meth:`state`.
+        """
+        if self.condensation is None or here.blocks is None:
             return du, np.zeros(0)
         whole = dolfinx.la.vector(
             self.u.function_space.dofmap.index_map, self.u.function_space.dofmap.index_map_bs
         )
         whole.array[: self.owned] = du
         whole.scatter_forward()
-        return du, self.condensation.increment(whole.array[self._local])
+        return du, self.condensation.increment(here.blocks, whole.array[self._local])
 
     def moves_boundary(self, du: Array) -> bool:
         """Tell whether an increment of u, (owned,), moves Dirichlet dofs, more than by rounding.
@@ -136,9 +176,8 @@ class System:
         Note:
             Collective.
         """
-        comm = self.u.function_space.mesh.comm
         most, moved = (
-            comm.allreduce(float(np.abs(part).max(initial=0.0)), op=MPI.MAX)
+            self.comm.allreduce(float(np.abs(part).max(initial=0.0)), op=MPI.MAX)
             for part in (du, du[self._held])
         )
         return moved > MOVED * most
@@ -154,7 +193,7 @@ class System:
             cells = np.arange(self._n_cells, dtype=np.int32)
             values = self._volume_ratio.eval(self.u.function_space.mesh, cells)
             least = float(values.min()) if np.all(np.isfinite(values)) else -np.inf
-        return self.u.function_space.mesh.comm.allreduce(least, op=MPI.MIN)
+        return self.comm.allreduce(least, op=MPI.MIN)
 
     @property
     def has_potential(self) -> bool:
@@ -176,47 +215,55 @@ class System:
             p.array[:] = self.condensation.relaxed()
             value = dolfinx.fem.assemble_scalar(self._energy)
             p.array[:] = before
-        return self.u.function_space.mesh.comm.allreduce(value)
+        return self.comm.allreduce(value)
 
     # -- equations --------------------------------------------------------------------------------
 
-    def residual(self) -> Array:
-        """Assemble the (condensed) residual, (owned,); u − g on Dirichlet dofs.
+    def residual(self) -> Residual:
+        """Assemble the residual at the present state.
 
         Note:
             Collective.
         """
         b = dolfinx.fem.assemble_vector(self._residual)
         b.scatter_reverse(dolfinx.la.InsertMode.add)
-        self.force = b.array[: self.owned].copy()
-        r = self.force.copy()
+        force = b.array[: self.owned].copy()
+        r, blocks = force.copy(), None
         if self.condensation is not None:
-            self.condensation.update()
-            torn = self.condensation.residual(len(self._local))
+            blocks = self.condensation.assemble()
+            torn = self.condensation.residual(blocks, len(self._local))
             b.array[:] = np.bincount(self._local, torn, minlength=len(b.array))
             b.scatter_reverse(dolfinx.la.InsertMode.add)
             r += b.array[: self.owned]
         for bc in self.bcs:
-            bc.set(self.force, self.u.x.array, -1.0)
+            bc.set(force, self.u.x.array, -1.0)
             bc.set(r, self.u.x.array, -1.0)
-        return r
+        return Residual(r, force, blocks)
 
-    def linearise(self) -> None:
-        """Assemble the torn tangent and its near kernel at the current state.
+    def linearise(self) -> Tangent:
+        """Assemble the torn tangent and its near kernel at the present state.
 
         The stiffness of the scaling is the diagonal before the pressure is condensed into it: the
         κ-term on the diagonal says nothing about the interface.
+
+        Note:
+            Collective.
         """
         assembly.assemble(self._K, self._tangent)
         self._shift = 0.0
         self._stiffness[:] = self._K.getDiagonal().array_r
         self.A.query("stiffness").array[:] = self._stiffness
         if self.condensation is not None:
-            self.condensation.add_to(self._K)
+            self.condensation.add_to(self._K, self.condensation.assemble())
         bs = self.u.function_space.dofmap.index_map_bs
         assembly.attach_near_kernel(
             self.A, self.u.function_space, self.u.x.array[: self.owned].reshape(-1, bs)
         )
+        return self.tangent()
+
+    def tangent(self) -> Tangent:
+        """Name the tangent that the matrix holds now."""
+        return Tangent(self._K.handle, self._K.stateGet())
 
     def shift(self, sigma: float) -> None:
         """Let the tangent be K + σ diag|k|, with the stiffness k of its own dofs.
@@ -229,6 +276,22 @@ class System:
         self._K.setDiagonal(diagonal)
         diagonal.destroy()
         self._shift = sigma
+
+    def dot(self, a: Array, b: Array) -> float:
+        """Return a·b of two vectors, (owned,).
+
+        Note:
+            Collective.
+        """
+        return float(self.comm.allreduce(a @ b))
+
+    def norm(self, r: Array) -> float:
+        """Return ‖r‖ of a vector, (owned,).
+
+        Note:
+            Collective.
+        """
+        return float(np.sqrt(self.dot(r, r)))
 
     def destroy(self) -> None:
         """Free the matrices."""

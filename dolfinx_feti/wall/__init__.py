@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Walls of arteries: meshes with named layers and surfaces, and their fibres.
+"""Arterial walls: meshes with named layers and surfaces, and the directions of their fibres.
 
 In the order of the data: wallfile, wall, laplace, fibres.
 """

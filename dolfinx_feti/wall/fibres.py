@@ -1,10 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Directions of the collagen fibres, by two Laplace problems and an angle.
+"""Directions of the collagen fibres from two Laplace problems and an angle.
 
-The paper's rule (section "Arterial model on a realistic mesh geometry", after Bayer et al. 2012):
-in each element::
+The paper's rule (section *Arterial model on a realistic mesh geometry*, after Bayer et al. 2012)
+defines in each cell::
 
     ê₂ = ∇t / |∇t|            Δt = 0,  t = 0 on the lumen, 1 on the outer wall      transmural,
     ê₁ ∥ ∇l − (∇l·ê₂) ê₂      Δl = 0,  l = 0 on the inlet, 1 on the other openings  longitudinal,
@@ -17,11 +17,11 @@ The two families lie in the plane of ê₀ and ê₁, at ±α from the circumfer
 
     a₀,₁ = cos α ê₀ + sin α ê₁,    a₀,₂ = cos α ê₀ − sin α ê₁.
 
-The paper's equation (eq. 55, Augustin_eq:rotation), read literally, says (a₀,₁, −a₀,₂, ê₂) = (ê₀,
-ê₁, ê₂) R(α): the columns of a rotation, so that a₀,₁ and a₀,₂ are orthogonal whatever α is. The
-model that it cites (Holzapfel, Gasser, Ogden 2000), with α = 29° in the media and 62° in the
-adventitia, means the angle between each family and the circumferential direction, and that is what
-stands here.
+Taken literally, the paper's equation (eq. 55, Augustin_eq:rotation) is (a₀,₁, −a₀,₂, ê₂) =
+(ê₀, ê₁, ê₂) R(α). The right-hand side holds the columns of a rotation, so that a₀,₁ and a₀,₂ would
+be orthogonal for every α. In the model that the paper cites (Holzapfel, Gasser, Ogden 2000), with
+29° in the media and 62° in the adventitia, α is the angle between each family and the
+circumferential direction; this module follows that model.
 
 The potentials are quadratic (P2) and their gradients are taken at the centroids, which on a coarse
 tube is three times as accurate as P1.
@@ -46,7 +46,7 @@ __all__ = ["ANGLES", "Frame", "fibre_families", "fibre_frame"]
 # Angle from the circumferential direction, in degrees (Holzapfel, Gasser, Ogden 2000).
 ANGLES = {"media": 29.0, "adventitia": 62.0}
 
-# A gradient below this share of the median has no direction of its own (at stagnation points).
+# Below this fraction of the median a gradient has no reliable direction (at stagnation points).
 WEAK = 2e-3
 
 Vectors = npt.NDArray[np.float64]
@@ -78,15 +78,16 @@ def fibre_frame(
     """Return the local frame of a wall.
 
     Args:
-        wall: The wall, with two openings or more.
-        inlet: The opening where the vessel begins; None for the one with the largest area (of equal
-            ones the first).
-        petsc_options_prefix: Prefix of the two linear solvers, equal on all processes.
+        wall: The wall, with at least two openings.
+        inlet: The opening where the vessel begins; None for the one with the largest area (the
+            first of equal ones).
+        petsc_options_prefix: Prefix of the two linear solvers, the same on all processes.
         petsc_options: Their options, without prefix; CG with GAMG to 1e-14 if not given.
 
     Raises:
-        ValueError: There are fewer than two openings, or no such inlet, or the prefix is empty.
-        ArithmeticError: A Laplace problem was not solved, or leaves cells without direction.
+        ValueError: There are fewer than two openings, there is no such inlet, or the prefix is
+            empty.
+        ArithmeticError: A Laplace problem was not solved, or leaves cells without a direction.
 
     Note:
         Collective.
@@ -95,20 +96,20 @@ def fibre_frame(
     if len(names) < 2:
         raise ValueError(
             f"The wall has the openings {', '.join(names) or 'none'}: the longitudinal direction "
-            "needs two or more"
+            "needs at least two"
         )
     if inlet is None:
         areas = [round(area(wall, name), 9) for name in names]
         inlet = names[int(np.argmax(areas))]
     if inlet not in names:
-        raise ValueError(f"inlet={inlet!r} is no opening; take one of {', '.join(names)}")
+        raise ValueError(f"inlet={inlet!r} is not an opening; choose one of {', '.join(names)}")
     prefix, ends = require_prefix(petsc_options_prefix), {n: float(n != inlet) for n in names}
     through, along = (
         gradient(solve_laplace(wall, values, prefix=prefix, petsc_options=petsc_options))
         for values in ({"lumen": 0.0, "outer": 1.0}, ends)
     )
-    e2 = _direct(wall, through, np.zeros_like(through))
-    e1 = _direct(wall, along, e2)
+    e2 = _unit_directions(wall, through, np.zeros_like(through))
+    e1 = _unit_directions(wall, along, e2)
     W = dolfinx.fem.functionspace(wall.mesh, ("DG", 0, (3,)))
     return Frame(
         circumferential=_function(W, np.asarray(np.cross(e1, e2)), "circumferential"),
@@ -141,20 +142,20 @@ def fibre_families(
     )
 
 
-def _direct(wall: Wall, along: Vectors, normal: Vectors) -> Vectors:
-    """Return unit vectors along gradients, orthogonal to unit normals (or to zero).
+def _unit_directions(wall: Wall, along: Vectors, normal: Vectors) -> Vectors:
+    """Return unit vectors along gradients, orthogonal to unit normals.
 
-    Where a gradient, or what is left of it, is too weak, the cells around have the word: the mean
-    of the directions at the cell's vertices, again and again until all cells are served. The sums
-    at the vertices are the same on any number of processes, and ask for no ghost cells.
+    Where a gradient, or its part orthogonal to the normal, is too weak, the direction is the mean
+    of those at the cell's vertices; this is repeated until every cell has a direction. The sums at
+    the vertices do not depend on the number of processes and need no ghost cells.
 
     Args:
         wall: The wall.
         along: The gradients, (cells, 3).
-        normal: Directions to be orthogonal to, or zero, (cells, 3).
+        normal: Unit normals, or zero for no constraint, (cells, 3).
 
     Raises:
-        ArithmeticError: No cell around has a direction either.
+        ArithmeticError: No neighbouring cell has a direction either.
     """
     comm, n_owned = wall.mesh.comm, wall.mesh.topology.index_map(3).size_local
     size = np.linalg.norm(along, axis=1)
@@ -168,8 +169,8 @@ def _direct(wall: Wall, along: Vectors, normal: Vectors) -> Vectors:
         before, left = left, comm.allreduce(int(np.sum(~known[:n_owned])))
         if left == before:
             raise ArithmeticError(
-                f"{left} cells of the wall have no direction: are lumen, outer and the openings "
-                "tagged where they belong?"
+                f"{left} cells of the wall have no direction: check that lumen, outer and the "
+                "openings are tagged correctly"
             )
     return e
 
@@ -179,14 +180,14 @@ def _orthogonal(v: Vectors, normal: Vectors) -> Vectors:
 
 
 def _unit(v: Vectors, least: float) -> tuple[Vectors, Mask]:
-    """Return unit vectors, zero for vectors that are not longer than the least, and which are."""
+    """Normalise vectors longer than ``least``, set the others to zero; also mark the former."""
     length = np.linalg.norm(v, axis=1)
     long = length > least
     return np.where(long, 1 / np.where(long, length, 1), 0.0)[:, None] * v, long
 
 
 def _around(wall: Wall, e: Vectors) -> Vectors:
-    """Return the mean over a cell's vertices of the mean of all vectors in the cells there."""
+    """Average vectors over the cells at each vertex, then over the vertices of each cell."""
     V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 1, (4,)))
     sums = dolfinx.fem.Function(V)
     n_owned = wall.mesh.topology.index_map(3).size_local
@@ -200,7 +201,7 @@ def _around(wall: Wall, e: Vectors) -> Vectors:
 
 
 def _median(wall: Wall, values: Vectors) -> float:
-    """Return the median of values on all processes, by bisection."""
+    """Return the median of the values of all processes, by bisection."""
     comm = wall.mesh.comm
     count = comm.allreduce(len(values))
     low, high = 0.0, float(max(comm.allgather(values.max(initial=0.0))))

@@ -1,9 +1,9 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Laplace problems between surfaces of a wall, and their gradients in the cells.
+"""Laplace problems between surfaces of a wall, and the gradients of their solutions in the cells.
 
-Δu = 0,   u = u_Γ on the named surfaces Γ,   ∂u/∂n = 0 on all others.
+Δu = 0,   u given on some named surfaces,   ∂u/∂n = 0 on all others.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dolfinx_feti.wall.wall import Wall, facets
 
 __all__ = ["gradient", "solve_laplace"]
 
-# Down to rounding, so that a nearly flat potential (in a sac) has the same direction everywhere.
+# Solved to rounding, so that a nearly flat potential (in a sac) has a consistent direction.
 OPTIONS = {"ksp_type": "cg", "pc_type": "gamg", "ksp_rtol": 1e-14, "ksp_max_it": 1000}
 
 
@@ -36,13 +36,13 @@ def solve_laplace(
     prefix: str,
     petsc_options: Mapping[str, object] | None = None,
 ) -> dolfinx.fem.Function:
-    """Solve Δu = 0 with values on some surfaces and zero flux through the others.
+    """Solve Δu = 0 with values prescribed on some surfaces and zero flux through the others.
 
     Args:
         wall: The wall.
-        values: Names of surfaces and the values of u there.
-        prefix: Prefix of the solver, equal on all processes.
-        petsc_options: Its options, without prefix, on top of CG with GAMG to 1e-14.
+        values: Value of u on each of these surfaces, by name.
+        prefix: Prefix of the solver, the same on all processes.
+        petsc_options: Its options, without prefix, which override CG with GAMG to 1e-14.
 
     Raises:
         ArithmeticError: The solver did not converge.
@@ -85,7 +85,7 @@ def _solve_system(
     prefix: str,
     options: Mapping[str, object],
 ) -> None:
-    """Solve A u = b with a solver that takes its options from the prefix."""
+    """Solve A u = b with the solver that the options under the prefix describe."""
     ksp = PETSc.KSP().create(A.comm)
     x = A.createVecRight()
     try:
@@ -98,8 +98,9 @@ def _solve_system(
         if reason <= 0:
             raise ArithmeticError(
                 f"A Laplace problem for the fibres was not solved (reason {reason} after "
-                f"{ksp.getIterationNumber()} iterations): every part of the wall must touch an "
-                f"opening, or take another solver with -{prefix}ksp_type and -{prefix}pc_type"
+                f"{ksp.getIterationNumber()} iterations): make sure that every part of the wall "
+                f"touches an opening, or choose another solver with -{prefix}ksp_type and "
+                f"-{prefix}pc_type"
             )
         solution.x.array[: x.getLocalSize()] = x.array_r
         solution.x.scatter_forward()

@@ -3,9 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A wall: a mesh whose layers and surfaces have names.
 
-Layers `media` and `adventitia`; surfaces `lumen` (under pressure), `outer`, `opening_1`,
-`opening_2`, … (the cut faces where the vessel goes on), and whatever else the file names, such as
-the planes `symmetry_x` and `symmetry_y` of a quarter tube.
+The layers are `media` and `adventitia`; the surfaces are `lumen` (under pressure), `outer`,
+`opening_1`, `opening_2`, … (the faces where the vessel was cut), and any others that the file
+names, such as the symmetry planes `symmetry_x` and `symmetry_y` of a quarter tube.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Wall:
     """A wall in millimetres.
 
     Attributes:
-        mesh: Tetrahedra of the first order, distributed.
+        mesh: First-order tetrahedra, distributed.
         cell_tags: The layer of each cell.
         facet_tags: The surface of each tagged facet.
         layers: The names of the layers and their tags.
@@ -62,25 +62,28 @@ def read_wall(path: Path | str, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
         path: A Gmsh file (`*.msh`) with named physical groups, or a file of another format with
             cell data; see :mod:`dolfinx_feti.wall.wallfile`.
         comm: Communicator of the mesh.
-        scale: Millimetres in the file's unit of length (1000 if it is in metres).
+        scale: Number of millimetres in the file's unit of length (1000 if that is the metre).
 
     Raises:
         FileNotFoundError: There is no such file.
         ModuleNotFoundError: gmsh or meshio is needed and not installed.
-        ValueError: The file holds no such wall, or the scale is not positive.
+        ValueError: The file does not hold a valid wall, or the scale is not positive.
 
     Note:
-        Collective; it raises on all processes or on none.
+        Collective; raises on all processes or on none.
     """
     if not (np.isfinite(scale) and scale > 0):
-        raise ValueError(f"scale={scale} is not a positive number: give the millimetres in a unit")
+        raise ValueError(
+            f"scale={scale} is not a positive number: give the number of millimetres in the file's "
+            "unit of length"
+        )
     raw: list[RawWall] = []  # on the first process
     on_first(lambda: raw.append(read_raw_wall(Path(path))), comm)
     return _distribute(raw[0] if raw else None, comm, scale)
 
 
 def _distribute(raw: RawWall | None, comm: MPI.Comm, scale: float) -> Wall:
-    """Make the distributed mesh and its tags of what the first process has read."""
+    """Create the distributed mesh and its tags from what the first process has read."""
     none = np.zeros((0, 4), dtype=np.int64)
     points = np.zeros((0, 3)) if raw is None else scale * raw.points
     cells, layers = (none, none[:, 0]) if raw is None else (raw.cells, raw.layers)
@@ -103,7 +106,7 @@ def _tags(
     entities: npt.NDArray[np.int64],
     values: npt.NDArray[np.int64],
 ) -> dolfinx.mesh.MeshTags:
-    """Distribute the tags of entities that are given by their points in the file."""
+    """Distribute the tags of entities, each given by its points in the file."""
     entities, values = np.ascontiguousarray(entities), values.astype(np.int32)
     mesh.topology.create_entities(dim)
     local, local_values = dolfinx.io.distribute_entity_data(mesh, dim, entities, values)
@@ -124,7 +127,7 @@ def facets(wall: Wall, name: str) -> npt.NDArray[np.int32]:
         ValueError: The wall has no such surface.
     """
     if name not in wall.surfaces:
-        raise ValueError(f"The wall has no surface {name!r}, it has {', '.join(wall.surfaces)}")
+        raise ValueError(f"The wall has no surface {name!r}; it has {', '.join(wall.surfaces)}")
     return np.asarray(wall.facet_tags.find(wall.surfaces[name]))
 
 
@@ -169,7 +172,7 @@ def by_layer(wall: Wall, values: Mapping[str, float]) -> dolfinx.fem.Function:
         values: A value for each layer of the wall.
 
     Raises:
-        ValueError: A layer has no value, or a value no layer.
+        ValueError: A layer has no value, or a value names no layer.
     """
     if set(values) != set(wall.layers):
         raise ValueError(

@@ -1,12 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Files of walls: tetrahedra with layers, triangles with surfaces, read on one process.
+"""Wall files: tetrahedra with layers, triangles with surfaces, read on one process.
 
 A Gmsh file names layers and surfaces by its physical groups. In other formats they are numbers in
-cell data: the tetrahedra's under ``layer``, the triangles' under ``surface``, or both under
-``gmsh:physical``, ``medit:ref`` or ``tag``. What numbers without names mean stands in
-:data:`NUMBERS`. ``meshes/README.md`` shows how to bring a wall of one's own.
+cell data: ``layer`` for the tetrahedra and ``surface`` for the triangles, or ``gmsh:physical``,
+``medit:ref`` or ``tag`` for both. :data:`NUMBERS` gives the meaning of numbers without names.
+``meshes/README.md`` shows how to bring your own wall.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 __all__ = ["NUMBERS", "RawWall", "read_raw_wall"]
 
-# What numbers without names mean; opening k has 10 + k.
+# The meaning of numbers without names; opening k has 10 + k.
 LAYER_NUMBERS = {"media": 1, "adventitia": 2}
 SURFACE_NUMBERS = {"lumen": 3, "outer": 4, "symmetry_x": 5, "symmetry_y": 6}
 SURFACE_NUMBERS |= {f"opening_{k}": 10 + k for k in range(1, 90)}
@@ -34,14 +34,14 @@ CELL_DATA = {
     "tetra": ("layer", "gmsh:physical", "medit:ref", "tag"),
     "triangle": ("surface", "gmsh:physical", "medit:ref", "tag"),
 }
-HELP = "meshes/README.md says how a wall is named"
+HELP = "meshes/README.md explains how to name layers and surfaces"
 
 Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
 class RawWall:
-    """A wall as it stands in a file.
+    """A wall as read from a file.
 
     Attributes:
         points: Coordinates, (n, 3), in the file's unit.
@@ -63,7 +63,7 @@ class RawWall:
 
 
 def read_raw_wall(path: Path) -> RawWall:
-    """Read a wall and check that it is one.
+    """Read a wall and check that it is valid.
 
     Args:
         path: A Gmsh file (`*.msh`), or one of another format that meshio reads.
@@ -71,11 +71,11 @@ def read_raw_wall(path: Path) -> RawWall:
     Raises:
         FileNotFoundError: There is no such file.
         ModuleNotFoundError: The reader, gmsh or meshio, is not installed.
-        ValueError: The file cannot be read, has other cells than tetrahedra with four points, or a
-            layer or a surface is missing; the message lists those found.
+        ValueError: The file cannot be read, has cells other than tetrahedra with four points, or
+            lacks a layer or a surface; the message lists those found.
     """
     if not path.is_file():
-        raise FileNotFoundError(f"There is no file {path}: name a mesh of a wall")
+        raise FileNotFoundError(f"There is no file {path}: give the path of a mesh of a wall")
     wall = _read_gmsh(path) if path.suffix == ".msh" else _read_meshio(path)
     _check_names(path, wall)
     _check_mesh(path, wall)
@@ -119,7 +119,7 @@ def _read_gmsh(path: Path) -> RawWall:
 
 @contextmanager
 def _gmsh_model(path: Path) -> Iterator[ModuleType]:
-    """Open a file in a model of its own, and leave Gmsh as it was."""
+    """Open a file in a new model, and leave Gmsh as it was."""
     gmsh = _import("gmsh", path)
     running = bool(gmsh.isInitialized())
     if not running:
@@ -139,7 +139,7 @@ def _gmsh_model(path: Path) -> Iterator[ModuleType]:
 
 
 def _gmsh_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Indices, Indices, dict[str, int]]:
-    """Return the elements of all physical groups of a dimension, their tags and the names."""
+    """Return the elements of all physical groups of a dimension, their tags and the names' tags."""
     elements: list[Indices] = [np.zeros((0, dim + 1), dtype=np.int64)]
     values: list[Indices] = [np.zeros(0, dtype=np.int64)]
     names = {}
@@ -150,8 +150,8 @@ def _gmsh_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Indices, Indic
                 name, _, order, n_nodes, *_ = gmsh.model.mesh.getElementProperties(element)
                 if order != 1 or n_nodes != dim + 1:
                     raise ValueError(
-                        f"{path} has elements {name}; a wall has tetrahedra and triangles of the "
-                        "first order only"
+                        f"{path} has elements of type {name}; a wall has first-order tetrahedra "
+                        "and triangles only"
                     )
                 elements.append(nodes.astype(np.int64).reshape(-1, dim + 1))
                 values.append(np.full(len(elements[-1]), tag))
@@ -161,7 +161,7 @@ def _gmsh_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Indices, Indic
 
 
 def _read_meshio(path: Path) -> RawWall:
-    """Read the tetrahedra and triangles of any format that meshio knows, with their cell data."""
+    """Read tetrahedra and triangles from any format that meshio knows, with their cell data."""
     meshio = _import("meshio", path)
     try:
         mesh = meshio.read(path)
@@ -172,7 +172,7 @@ def _read_meshio(path: Path) -> RawWall:
     others = {b.type for b in mesh.cells} - {"tetra", "triangle", "line", "vertex"}
     if others or "tetra" not in mesh.cells_dict:
         found = ", ".join(sorted({b.type for b in mesh.cells})) or "none"
-        raise ValueError(f"{path} has cells {found}; a wall has tetra and triangle only")
+        raise ValueError(f"{path} has cells of type {found}; a wall has tetra and triangle only")
     layers = _cell_data(path, mesh, "tetra")
     surfaces = _cell_data(path, mesh, "triangle")
     tagged = surfaces > 0
@@ -196,7 +196,7 @@ def _cell_data(path: Path, mesh: Any, kind: str) -> Indices:
         if kind in mesh.cell_data_dict.get(name, {}):
             return np.rint(mesh.cell_data_dict[name][kind]).astype(np.int64).reshape(-1)
     raise ValueError(
-        f"{path} has no cell data {' or '.join(CELL_DATA[kind])} for its cells {kind}; "
+        f"{path} has no cell data {' or '.join(CELL_DATA[kind])} for its {kind} cells; "
         f"found: {', '.join(mesh.cell_data) or 'none'}. {HELP}"
     )
 
@@ -212,7 +212,7 @@ def _import(name: str, path: Path) -> ModuleType:
         return __import__(name)
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
-            f"{path} is read with the Python package {name}, which is not installed: "
+            f"Reading {path} needs the Python package {name}, which is not installed: "
             f"`pip install {name}` or `apt install python3-{name}`",
             name=name,
         ) from error
@@ -237,7 +237,7 @@ def _check_names(path: Path, wall: RawWall) -> None:
 
 
 def _check_mesh(path: Path, wall: RawWall) -> None:
-    """Require cells with a volume, and triangles that are faces of cells, each of them once."""
+    """Require cells of nonzero volume, and triangles that are faces of cells, each tagged once."""
     edges = wall.points[wall.cells[:, 1:]] - wall.points[wall.cells[:, :1]]
     volume = np.abs(np.linalg.det(edges))
     flat = int(np.sum(volume <= 1e-12 * np.linalg.norm(edges, axis=2).max(axis=1) ** 3))
@@ -246,11 +246,14 @@ def _check_mesh(path: Path, wall: RawWall) -> None:
     faces = wall.cells[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3)
     facets = np.unique(np.sort(wall.facets, axis=1), axis=0)
     if len(facets) < len(wall.facets):
-        raise ValueError(f"{len(wall.facets) - len(facets)} triangles of {path} have two tags")
+        raise ValueError(
+            f"{len(wall.facets) - len(facets)} triangles of {path} have two tags: give each of "
+            "them one surface"
+        )
     n_faces = len(np.unique(np.sort(faces, axis=1), axis=0))
     strays = len(np.unique(np.sort(np.vstack([faces, facets]), axis=1), axis=0)) - n_faces
     if strays:
         raise ValueError(
-            f"{strays} tagged triangles of {path} are no faces of its tetrahedra: mesh volumes and "
-            "surfaces together"
+            f"{strays} tagged triangles of {path} are not faces of its tetrahedra: mesh volumes "
+            "and surfaces together"
         )

@@ -13,8 +13,8 @@ from collective import COMM, agree, small
 from wall_files import on_first
 
 from benchmarks import tube
-from benchmarks.inflated_tube import TANGENTS
-from benchmarks.tube_oracle import KPA_PER_MMHG, Wall, inflate
+from benchmarks.walls.inflated_tube import TANGENTS
+from benchmarks.walls.oracle import KPA_PER_MMHG, Wall, inflate
 from dolfinx_feti.petsc_options import inserted
 
 COARSE = ["--quarter", "--size", "0.26", "--subdomains", "4"]

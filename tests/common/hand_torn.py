@@ -19,6 +19,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
+from collective import whole
 
 import dolfinx_feti
 
@@ -233,3 +234,15 @@ def block_matrix(blocks: list[tuple[Array, Array]], bs: int) -> PETSc.Mat:
         np.concatenate([*data, empty]),
     )
     return PETSc.Mat().createAIJ((n, n), bsize=bs, csr=csr, comm=PETSc.COMM_SELF)
+
+
+def random_values(problem: HandTorn, seed: int = 101013) -> Array:
+    """Loads and prescribed values."""
+    return np.random.default_rng(seed).standard_normal(len(problem.dirichlet))
+
+
+def solve(ksp: PETSc.KSP, problem: HandTorn, values: Array) -> tuple[int, Array]:
+    """Solve; return the reason and all of x."""
+    x = problem.A.createVecRight()
+    ksp.solve(problem.vector(values), x)
+    return ksp.getConvergedReason(), whole(x.array_r)

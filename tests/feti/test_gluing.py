@@ -169,7 +169,6 @@ def test_gap_of_the_prescribed_values(grid, all_floating, glue):
         len(whole(gluing.dirichlet_rows))
         == problem.dirichlet[problem.to_global].sum() * all_floating
     )
-    c.destroy()
 
 
 # ---- the cube of the paper ------------------------------------------------------------------

@@ -15,7 +15,7 @@ from collective import agree, equal, raises, whole
 from problems import cube, elasticity, owned, poisson
 
 import dolfinx_feti
-from dolfinx_feti.feti.options import CHOICES, FLAGS, NUMBERS, SHARES, FETIOptions, read_options
+from dolfinx_feti.feti.options import CHOICES, NUMBERS, SHARES, FETIOptions, read_options
 from dolfinx_feti.petsc_options import inserted, require_prefix
 
 
@@ -28,7 +28,7 @@ def test_defaults_are_those_of_the_class():
     agree(read() == FETIOptions())
     fields = {field.name: field.default for field in dataclasses.fields(FETIOptions)}
     expected = {name: choices[0] for name, choices in CHOICES.items()}
-    agree(fields == expected | NUMBERS | SHARES | FLAGS)
+    agree(fields == expected | NUMBERS | SHARES)
 
 
 @pytest.mark.parametrize(
@@ -56,14 +56,6 @@ def test_shares_are_read(name):
             read(**{f"feti_{name}": wrong})
 
 
-@pytest.mark.parametrize("name", FLAGS)
-def test_flags_are_read(name):
-    agree(getattr(read(**{f"feti_{name}": None}), name) is True)
-    agree(getattr(read(**{f"feti_{name}": "false"}), name) is False)
-    with raises(ValueError, f"-o_feti_{name} is 'perhaps'; it takes true or false"):
-        read(**{f"feti_{name}": "perhaps"})
-
-
 @pytest.mark.parametrize("name", CHOICES)
 def test_other_values_are_refused(name):
     with raises(ValueError, f"-o_feti_{name} is 'other'.*{CHOICES[name][-1]}"):
@@ -80,7 +72,7 @@ def test_other_values_are_refused(name):
         ("feti_glueing", "-o_feti_gluing"),
         ("feti_dul_ksp_type", "-o_feti_dual_ksp"),
         ("feti_stagnations", "-o_feti_stagnation"),
-        ("feti_dual_reorthogonalise", "-o_feti_dual_reorthogonalize"),
+        ("feti_dual_recycles", "-o_feti_dual_recycle"),
     ],
 )
 def test_misspelt_options_are_refused_with_a_guess(wrong, meant):

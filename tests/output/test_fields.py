@@ -178,7 +178,7 @@ def test_unknown_kind(u, tmp_path, kind):
 def test_two_fields_of_one_name(u, tmp_path):
     with raises(ValueError, r"named \['displacement', 'displacement'\]"):
         FieldWriter(tmp_path / "wall", [u], {"displacement": ufl.div(u)})
-    with raises(ValueError, r"named \[\]: give a function"):
+    with raises(ValueError, r"named \[\]: give at least one function"):
         FieldWriter(tmp_path / "wall", [])
     agree(not list(tmp_path.iterdir()))
 
@@ -186,7 +186,7 @@ def test_two_fields_of_one_name(u, tmp_path):
 @pytest.mark.parametrize("kind", KINDS)
 def test_place_below_a_file(u, tmp_path, kind):
     on_first(lambda: (tmp_path / "notes").write_text("mine"))
-    with raises(OSError, r"folder .*notes/run cannot be written \(Not a directory\): name another"):
+    with raises(OSError, r"folder .*notes/run cannot be written \(Not a directory\): choose another"):
         FieldWriter(tmp_path / "notes/run/wall", [u], kind=kind)
     agree((tmp_path / "notes").read_text() == "mine")
 
@@ -221,7 +221,7 @@ def test_a_folder_is_made_with_those_above_it(tmp_path):
 @pytest.mark.parametrize("path", ["notes", "notes/below"])
 def test_no_folder_in_place_of_a_file(tmp_path, path):
     on_first(lambda: (tmp_path / "notes").write_text("mine"))
-    with raises(OSError, rf"folder .*{path} cannot be written \(.*\): name another one"):
+    with raises(OSError, rf"folder .*{path} cannot be written \(.*\): choose another one"):
         writable_folder(tmp_path / path, COMM)
     agree((tmp_path / "notes").read_text() == "mine")
 

@@ -243,17 +243,15 @@ def test_tolerance_may_refer_to_another_state():
     problem = body.problem({"snes_rtol": 1e-2})
     reference = body.residual()
     norms = []
-    for refers in (False, True):
-        body.u.x.array[:] = 0.0
-        if refers:
-            problem.refer_tolerance()
+    for given in (None, problem.residual_norm(), np.nan):
         body.u.interpolate(lambda x: np.stack([2.0 * x[0], 3.0 * x[0] * x[1]]))
         guess = body.residual()
-        problem.solve()
+        problem.solve(reference=given)
         norms.append(body.residual())
         agree(guess > 1e3 * reference and norms[-1] <= 1e-2 * guess, guess)
-    agree(norms[0] > 1e-2 * reference >= norms[1], norms)
-    agree(problem._newton.reference == np.inf, "for one solve only")
+    agree(min(norms[0], norms[2]) > 1e-2 * reference >= norms[1], norms)
+    with raises(ValueError, r"reference is -1.0: give the norm of a residual"):
+        problem.solve(reference=-1.0)
 
 
 def test_inverted_start():

@@ -237,11 +237,13 @@ def test_weak_gradients_take_their_neighbours_direction(tmp_path):
         ring = np.flatnonzero(np.abs(x[:, 2] - 1.0) < 0.35)
         zero = np.zeros((len(vectors(frame.transmural)), 3))
         for where, limit in ((alone, 8), (ring, 16)):
-            e = fibres._direct(wall, spoiled(wall, frame, where), zero)
+            e = fibres._unit_directions(wall, spoiled(wall, frame, where), zero)
             found.append(by_number(wall, e))
             truth = by_number(wall, cylindrical(wall)[2])
             small(degrees(found[-1], truth).max(), limit)
-        across = fibres._direct(wall, spoiled(wall, frame, ring), vectors(frame.longitudinal))
+        across = fibres._unit_directions(
+            wall, spoiled(wall, frame, ring), vectors(frame.longitudinal)
+        )
         small(np.abs(np.sum(across * vectors(frame.longitudinal), axis=1)).max(initial=0), 1e-13)
         found.append(by_number(wall, across))
     for serial, parallel in zip(found[:3], found[3:], strict=True):
@@ -252,7 +254,7 @@ def test_no_direction_anywhere(tmp_path):
     wall = tube(tmp_path, size=0.4, length=0.4)
     n = len(centroids(wall))
     with raises(ArithmeticError, "cells of the wall have no direction"):
-        fibres._direct(wall, np.zeros((n, 3)), np.zeros((n, 3)))
+        fibres._unit_directions(wall, np.zeros((n, 3)), np.zeros((n, 3)))
 
 
 @pytest.mark.parametrize("n", [1, 2, 7, 1000, 1001])
@@ -300,8 +302,12 @@ def test_bad_input(tmp_path):
     wall = tube(tmp_path, size=0.4, length=0.4)
     surfaces = {name: tag for name, tag in wall.surfaces.items() if name != "opening_2"}
     for other, options, message in (
-        (wall, {"inlet": "lumen"}, "inlet='lumen' is no opening; take one of opening_1, opening_2"),
-        (replace(wall, surfaces=surfaces), {}, "has the openings opening_1: .* two or more"),
+        (
+            wall,
+            {"inlet": "lumen"},
+            "inlet='lumen' is not an opening; choose one of opening_1, opening_2",
+        ),
+        (replace(wall, surfaces=surfaces), {}, "has the openings opening_1: .* at least two"),
         (wall, {"petsc_options_prefix": ""}, "petsc_options_prefix is ''"),
     ):
         with raises(ValueError, message):

@@ -6,8 +6,9 @@ r"""The coarse problem and the projection.
 .. math:: G = B E, \qquad e = E^⊤ f, \qquad N = G^⊤ Q\, G + D, \qquad
           P = I - Q\, G\, N^{-1} G^⊤
 
-(eq. 44, Augustin_eq:projection has Q = I and D = 0). N couples neighbouring subdomains only: it is
-a sparse, distributed matrix of the size of all kernels together. Q weighs the projection:
+(eq. 43; eq. 44, Augustin_eq:projection, has Q = I and D = 0). N couples neighbouring subdomains
+only: it is a sparse, distributed matrix of the size of all kernels together. Q weighs the
+projection:
 
 - ``identity``, the paper's Q = I;
 - ``diagonal``, :math:`Q = \operatorname{diag}(q)` with :math:`q = \operatorname{diag}(B_D

@@ -8,10 +8,11 @@ r"""The dual system and its preconditioner, in the pair (λ, s).
           \begin{pmatrix} d \\ -e \end{pmatrix}, \qquad
           F = B K^+ B^⊤, \quad d = B K^+ f - c
 
-is the paper's system (eq. 42, Augustin_eq:classicalFetiF) with the defect D of the kernels in its
-corner (``pseudoinverse``). The first residual is the jump :math:`r = B u - c`, the second the
-balance of the subdomains. The *constraint preconditioner* keeps the second one zero in every
-iterate, so that a Krylov method only sees the jump; with :math:`N = G^⊤ Q G + D` it is
+is the paper's system (eq. 41; eq. 42, Augustin_eq:classicalFetiF; eq. 43) with the
+defect D of the kernels in its corner (``pseudoinverse``). The first residual is the jump
+:math:`r = B u - c`, the second the balance of the subdomains (eq. 40). The *constraint
+preconditioner* keeps the second one zero in every iterate, so that a Krylov method only sees the
+jump; with :math:`N = G^⊤ Q G + D` it is
 
 .. math:: w = N^{-1} G^⊤ Q r, \quad y = M (r - G w), \quad v = N^{-1}(G^⊤ y - D w), \quad
           z = (y - Q G v,\; -w - v).

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The Dirichlet preconditioner, Y = S (eq. 50, Augustin_eq:DirichletVK).
+r"""The Dirichlet preconditioner, Y = S (eq. 50, Augustin_eq:DirichletVK; eq. 51).
 
 .. math:: S = K_{ΓΓ} - K_{ΓI} K_{II}^{-1} K_{IΓ}
 

@@ -5,7 +5,7 @@ r"""The Schur complement of a subdomain, by a factorisation that stops at the in
 
 .. math:: S = K_{ΓΓ} - K_{ΓI} K_{II}^{-1} K_{IΓ}
 
-(eq. 50, Augustin_eq:DirichletVK). MUMPS eliminates the interior dofs of a sparse K and leaves S as
+(eq. 51). MUMPS eliminates the interior dofs of a sparse K and leaves S as
 a dense front: a quarter of the time that :math:`n_Γ` right-hand sides of :math:`K_{II}` take. PETSc
 offers it as ``MatFactorSetSchurIS``, which petsc4py does not wrap; the functions are looked up in
 the library that petsc4py has loaded. The factor is not kept: it is several times as large as S and

@@ -1,0 +1,118 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What the documents name exists: paths, links, commands, modules and their names."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "dolfinx_feti"
+FOLDERS = ("benchmarks", "demos", "docs", "dolfinx_feti", "meshes", "scripts", "tests")
+DOCUMENTS = [ROOT / "README.md", ROOT / "meshes/README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+pytestmark = pytest.mark.serial
+
+every_document = pytest.mark.parametrize(
+    "document", DOCUMENTS, ids=[str(path.relative_to(ROOT)) for path in DOCUMENTS]
+)
+
+
+def paths(text: str) -> Iterator[str]:
+    """Yield what looks like a path of this repository, between backticks."""
+    for quoted in re.findall(r"`([^`\n]+)`", text):
+        for word in quoted.split():
+            if re.fullmatch(r"[\w.-]+(/[\w.-]+)+/?", word):
+                known = word.split("/")[0] in FOLDERS or (PACKAGE / word).exists()
+                if known or word.endswith((".py", ".md")):
+                    yield word
+
+
+def links(text: str) -> Iterator[str]:
+    """Yield the targets of links and pictures that are files."""
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if not re.match(r"https?://|#", target):
+            yield target.split("#")[0]
+
+
+def blocks(text: str) -> list[str]:
+    """The blocks of Python."""
+    return re.findall(r"^```python\n(.*?)^```", text, re.M | re.S)
+
+
+def imported(source: str) -> Iterator[tuple[str, str]]:
+    """Yield the modules of this repository that a source imports from, and the names."""
+    for node in ast.walk(ast.parse(source)):
+        if (
+            isinstance(node, ast.ImportFrom)
+            and node.module
+            and node.module.split(".")[0] in FOLDERS
+        ):
+            yield from ((node.module, alias.name) for alias in node.names)
+
+
+@every_document
+def test_paths_exist(document):
+    named = list(paths(document.read_text(encoding="utf-8")))
+    tops = (ROOT, PACKAGE)  # the rooms of README.md are folders of the package
+    missing = [path for path in named if not any((top / path).exists() for top in tops)]
+    assert not missing
+
+
+@every_document
+def test_links_lead_somewhere(document):
+    targets = list(links(document.read_text(encoding="utf-8")))
+    assert not [target for target in targets if not (document.parent / target).exists()]
+
+
+@every_document
+def test_commands_name_modules_that_exist(document):
+    modules = re.findall(r"-m ((?:benchmarks|meshes)\.\w+)", document.read_text(encoding="utf-8"))
+    files = [ROOT / f"{module.replace('.', '/')}.py" for module in modules]
+    assert not [file for file in files if not file.exists()]
+
+
+@every_document
+def test_blocks_import_what_exists(document):
+    for source in blocks(document.read_text(encoding="utf-8")):
+        for module, name in imported(source):
+            assert hasattr(importlib.import_module(module), name), f"{module}.{name}"
+
+
+def test_names_of_the_api_exist():
+    table = (ROOT / "docs/api.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(dolfinx_feti[\w.]*)` \| (.+) \|$", table, re.M)
+    assert len(rows) > 5
+    for module, cell in rows:
+        for name in re.findall(r"`(\w+)`", cell):
+            assert hasattr(importlib.import_module(module), name), f"{module}.{name}"
+
+
+def test_moved_modules_are_where_the_changelog_says():
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    section = text.partition("### Moved")[2].partition("\n### ")[0]
+    rows = re.findall(r"^\| (`[^|]+) \| ([^|]+) \|(.*)\|$", section, re.M)
+    assert len(rows) > 15
+    for old, new, _ in rows:
+        for name in re.findall(r"`([\w.]+\.\w+)`", new):
+            assert importlib.util.find_spec(f"dolfinx_feti.{name}"), (old, name)
+
+
+def test_paths_are_found():
+    text = (
+        "`a/b.py`, `docs/usage.md --help`, `scripts/with-fenicsx COMMAND`, `output/artery/`, `x/y`"
+    )
+    assert list(paths(text)) == ["a/b.py", "docs/usage.md", "scripts/with-fenicsx"]
+    assert list(links("[a](b/c.md#d) [e](https://f) ![g](h.png) [](#i)")) == ["b/c.md", "h.png"]
+    assert list(imported("from dolfinx_feti.x import y, z\nimport numpy")) == [
+        ("dolfinx_feti.x", "y"),
+        ("dolfinx_feti.x", "z"),
+    ]

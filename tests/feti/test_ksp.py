@@ -1,0 +1,266 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What PETSc and its users expect of a KSP: options, monitors, tolerances, changing matrices."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, raises, small
+from hand_torn import random_values, solve
+
+from dolfinx_feti import FETI
+from dolfinx_feti.feti.inertia import Inertia
+from dolfinx_feti.petsc_options import inserted
+
+SEED = 101013
+
+
+# ---- a solver of PETSc ----------------------------------------------------------------------
+
+
+def test_type_from_the_command_line(torn_grid):
+    """-ksp_type python -ksp_python_type dolfinx_feti.FETI."""
+    problem = torn_grid((2, 2), (2, 2))
+    ksp = PETSc.KSP().create(COMM)
+    ksp.setOptionsPrefix("mine_")
+    ksp.setOperators(problem.A)
+    options = {
+        "ksp_type": "python",
+        "ksp_python_type": "dolfinx_feti.FETI",
+        "ksp_rtol": 1e-9,
+        "feti_pc_type": "lumped",
+    }
+    with inserted("mine_", options):
+        ksp.setFromOptions()
+        ksp.setUp()
+    values = random_values(problem)
+    reason, x = solve(ksp, problem, values)
+    agree(reason == PETSc.KSP.ConvergedReason.CONVERGED_RTOL)
+    equal(x, problem.solve(values), 1e-7)
+    agree(ksp.getPythonContext().report().options.pc_type == "lumped")
+    agree(ksp.getTolerances()[0] == 1e-9)
+    agree(ksp.getPC().getType() == "none")
+    ksp.destroy()
+
+
+def test_default_tolerance_is_stricter_than_that_of_petsc(torn_grid, feti):
+    ksp = feti(torn_grid((2,), (2,)).A)
+    agree(ksp.getTolerances()[0] == 1e-8)
+
+
+def test_monitor_and_history(torn_grid, feti):
+    """The norm of the assembled residual at the start and after each iteration."""
+    problem = torn_grid((3, 2), (3, 3), components=2)
+    ksp = feti(problem.A, feti_coarse_q="identity")
+    seen = []
+    ksp.setMonitor(lambda ksp, its, rnorm: seen.append((its, rnorm)))
+    ksp.setConvergenceHistory(length=100)
+    solve(ksp, problem, random_values(problem))
+    its = ksp.getIterationNumber()
+    agree([k for k, _ in seen] == list(range(its + 1)), seen)
+    agree(ksp.getPythonContext().iterations == its)
+    equal(ksp.getConvergenceHistory(), [rnorm for _, rnorm in seen])
+    small(ksp.getResidualNorm() / seen[-1][1] - 1.0, 1e-2)
+    agree(seen[-1][1] < 1e-7 * seen[0][1])
+
+
+def test_monitor_of_gmres_knows_the_start(torn_grid, feti):
+    """GMRES estimates the assembled residual; at the start it is measured."""
+    problem = torn_grid((3, 2), (3, 3), components=2)
+    first = []
+    for method in ("cg", "gmres"):
+        ksp = feti(problem.A, feti_dual_ksp_type=method, feti_interior="keep")
+        seen = []
+        ksp.setMonitor(lambda ksp, its, rnorm, seen=seen: seen.append(rnorm))
+        solve(ksp, problem, random_values(problem))
+        agree(np.all(np.isfinite(seen)), seen)
+        first.append(seen[0])
+    small(first[1] / first[0] - 1.0, 1e-6)
+
+
+def test_view(torn_grid, feti, tmp_path):
+    problem = torn_grid((2, 2), (3, 3), components=2)
+    path = tmp_path / "view"
+
+    def text(ksp):
+        viewer = PETSc.Viewer().createASCII(str(path), comm=COMM)
+        ksp.view(viewer)
+        viewer.destroy()
+        return COMM.bcast(path.read_text() if COMM.rank == 0 else None)
+
+    ksp = PETSc.KSP().create(COMM)
+    ksp.setType(PETSc.KSP.Type.PYTHON)
+    ksp.setPythonContext(feti(problem.A, feti_type="classical").getPythonContext())
+    agree("python" in text(ksp))
+    ksp.destroy()
+    for kind, expected in (
+        ("classical", ["2 of dimension 0, 2 of dimension 3", "dofs", "subdomains            4\n"]),
+        (
+            "all_floating",
+            ["4 of dimension 3; 4 exact", "full gluing", "coarse size           12\n"],
+        ),
+    ):
+        ksp = feti(problem.A, feti_type=kind)
+        solve(ksp, problem, random_values(problem))
+        report = ksp.getPythonContext().report()
+        expected += [kind, "dirichlet", f"{report.multipliers}", "MiB", "condition number"]
+        shown = text(ksp)
+        agree(all(word in shown for word in expected), shown)
+
+
+def test_report(torn_grid, feti):
+    problem = torn_grid((2, 2), (3, 3), components=2)
+    ksp = feti(problem.A)
+    solve(ksp, problem, random_values(problem))
+    report = ksp.getPythonContext().report()
+    agree(report.subdomains == 4 and report.dofs == 98 and report.torn_dofs == 128, report)
+    agree(report.dofs_local == (32, 32) and report.kernels == (0, 0, 0, 4), report)
+    agree(report.coarse_size == 12 and report.exact == 4 and report.coarse_inertia == (0, 0))
+    agree(report.inertia == Inertia(0, 0, 0, 0))
+    low, high = report.eigenvalues
+    agree(1.0 - 1e-6 <= low < high < 10.0, report.eigenvalues)
+    equal(ksp.getPythonContext().condition_number, high / low, 1e-14)
+
+
+def test_log_events(torn_grid, feti):
+    """-log_view counts the phases."""
+    PETSc.Log.begin()
+    names = ("FETIGluing", "FETIFactor", "FETICoarse", "FETISolve", "FETIIterations")
+
+    def counts():
+        return [PETSc.Log.Event(name).getPerfInfo()["count"] for name in names]
+
+    before = counts()
+    problem = torn_grid((2, 2), (2, 2))
+    ksp = feti(problem.A)
+    solve(ksp, problem, random_values(problem))
+    solve(ksp, problem, random_values(problem, SEED + 4))
+    problem.local.scale(2.0)
+    solve(ksp, problem, random_values(problem))
+    equal(np.array(counts()) - before, [1, 2, 2, 3, 3])
+
+
+def test_matrix_may_change_its_values(torn_grid, feti):
+    """The KSP notices it without setUp being called again, and takes another matrix as well."""
+    problem = torn_grid((2, 2), (2, 2), components=2)
+    values = random_values(problem)
+    ksp = feti(problem.A, ksp_rtol=1e-11)
+    _, x = solve(ksp, problem, values)
+    problem.local.scale(4.0)
+    _, y = solve(ksp, problem, np.where(problem.dirichlet, values, 4.0 * values))
+    equal(y, x, 1e-9)
+    for K_i in problem.K:
+        K_i *= 4.0
+    shift = 3.0 * np.abs(problem.K[0]).max()
+    problem.local.shift(shift)
+    for K_i in problem.K:
+        K_i += shift * np.eye(len(K_i))
+    _, y = solve(ksp, problem, values)
+    equal(y, problem.solve(values), 1e-9)
+    other = torn_grid((4, 1), (1, 4), components=2)  # of the same size
+    ksp.setOperators(other.A)
+    _, y = solve(ksp, other, values)
+    equal(y, other.solve(values), 1e-9)
+    agree(ksp.getPythonContext().report().torn_dofs == len(other.to_global))
+
+
+def test_several_loads_with_one_set_up(torn_grid, feti):
+    problem = torn_grid((2, 2), (2, 2), components=2)
+    ksp = feti(problem.A, ksp_rtol=1e-10)
+    for seed in range(SEED, SEED + 3):
+        values = random_values(problem, seed)
+        _, x = solve(ksp, problem, values)
+        equal(x, problem.solve(values), 1e-8)
+
+
+def test_no_load_needs_no_iteration(torn_grid, feti):
+    problem = torn_grid((2, 2), (2, 2), components=2)
+    ksp = feti(problem.A)
+    reason, x = solve(ksp, problem, np.zeros(len(problem.dirichlet)))
+    agree(reason > 0 and ksp.getIterationNumber() == 0, (reason, ksp.getIterationNumber()))
+    equal(x, np.zeros(len(x)))
+
+
+def test_load_that_is_solved_by_the_prescribed_values(torn_grid, feti):
+    """A rigid motion of the whole boundary is the solution, up to rounding."""
+    problem = torn_grid((2, 2), (2, 2), components=2)
+    motion = problem.modes @ np.array([0.5, 2.0, -0.1])
+    values = np.where(problem.dirichlet, motion, 0.0)
+    ksp = feti(problem.A)
+    reason, x = solve(ksp, problem, values)
+    agree(reason > 0, ksp.getPythonContext().message)
+    equal(x, motion, 1e-8)
+
+
+def test_absolute_tolerance(torn_grid, feti):
+    problem = torn_grid((2, 2), (3, 3), components=2)
+    values = random_values(problem)
+    ksp = feti(problem.A, ksp_rtol=1e-14, ksp_atol=1e-3, feti_coarse_q="identity")
+    reason, x = solve(ksp, problem, values)
+    agree(reason > 0)
+    K = problem.T.T @ problem.K_torn @ problem.T
+    residual = np.linalg.norm((values - K @ x)[~problem.dirichlet])
+    agree(1e-9 < residual <= 1e-3, residual)
+
+
+@pytest.mark.parametrize("method", ["cg", "fcg", "gmres", "fgmres", "minres"])
+def test_other_krylov_methods(method, torn_grid, feti):
+    problem = torn_grid((3, 2), (2, 2), components=2)
+    values = random_values(problem)
+    ksp = feti(problem.A, feti_dual_ksp_type=method, ksp_rtol=1e-10)
+    reason, x = solve(ksp, problem, values)
+    agree(reason > 0, ksp.getPythonContext().message)
+    equal(x, problem.solve(values), 1e-8)
+    agree(ksp.getPythonContext().method == method)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"feti_coarse_pc_type": "lu"},
+        {
+            "feti_coarse_ksp_type": "cg",
+            "feti_coarse_ksp_rtol": 1e-14,
+            "feti_coarse_pc_type": "jacobi",
+        },
+        {"feti_dirichlet_pc_factor_mat_solver_type": "petsc"},
+        {"feti_local_mat_mumps_icntl_7": 2},
+        {"feti_dual_ksp_rtol": 1e-12},
+    ],
+    ids=lambda options: next(iter(options)),
+)
+def test_subsolvers_by_prefix(options, torn_grid, feti):
+    problem = torn_grid((2, 2), (3, 3), components=2)
+    values = random_values(problem)
+    ksp = feti(problem.A, ksp_rtol=1e-10, **options)
+    reason, x = solve(ksp, problem, values)
+    agree(reason > 0, ksp.getPythonContext().message)
+    equal(x, problem.solve(values), 1e-8)
+
+
+def test_transposed_solve_is_refused(torn_grid, feti):
+    problem = torn_grid((2,), (2,))
+    ksp = feti(problem.A)
+    b, x = problem.A.createVecLeft(), problem.A.createVecRight()
+    with raises(PETSc.Error, ""):
+        ksp.solveTranspose(b, x)
+
+
+def test_assembled_matrix_is_refused(torn_grid):
+    """The message, which PETSc prints with the traceback, says what to do."""
+    problem = torn_grid((2,), (2,))
+    assembled = PETSc.Mat()
+    problem.A.convert("aij", assembled)
+    ksp = PETSc.KSP().create(COMM)
+    ksp.setOperators(assembled)
+    ksp.setType(PETSc.KSP.Type.PYTHON)
+    context = FETI()
+    ksp.setPythonContext(context)
+    with raises(TypeError, "create_torn_matrix"):
+        context.setUp(ksp)
+    ksp.destroy()
+    assembled.destroy()
