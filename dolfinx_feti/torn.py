@@ -18,6 +18,9 @@ near kernel           ``setNearNullSpace``     vectors of the assembled problem 
                                                of the *deformed* body; constants for a scalar)
 Dirichlet dofs        ``compose("dirichlet")`` index set of global dofs, each listed on any process
 scaling stiffness     ``compose("stiffness")`` sequential vector, one entry per torn dof
+pressure rows K_p     ``compose("pressure")``  sequential matrix, (cells, torn dofs), if a pressure
+                                               is condensed
+pressure patterns     ``compose("patterns")``  sequential dense matrix, (cells, patterns)
 ===================== ======================== ====================================================
 
 A subdomain is a connected component of the graph of the local matrix.
@@ -35,7 +38,13 @@ import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.csgraph
 
-__all__ = ["Torn", "create_torn_matrix", "is_symmetric", "set_near_kernel"]
+__all__ = [
+    "Torn",
+    "create_torn_matrix",
+    "is_symmetric",
+    "set_near_kernel",
+    "set_pressure_patterns",
+]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -103,6 +112,25 @@ def set_near_kernel(A: PETSc.Mat, modes: Sequence[PETSc.Vec]) -> None:
     space = PETSc.NullSpace().create(vectors=list(modes), comm=A.comm)
     A.setNearNullSpace(space)
     space.destroy()
+
+
+def set_pressure_patterns(A: PETSc.Mat, K_p: PETSc.Mat, patterns: Array) -> None:
+    """Attach the equations of a pressure that is condensed, cell by cell, into the local matrix.
+
+    Args:
+        A: Torn matrix.
+        K_p: Sequential matrix of the pressure equations, (cells, n_torn). Not copied: its values
+            are read with those of the local matrix.
+        patterns: Pressure patterns on the cells of each subdomain, (cells, patterns), the constant
+            first.
+    """
+    dense = PETSc.Mat().createDense(
+        patterns.shape, array=np.array(patterns, order="F"), comm=PETSc.COMM_SELF
+    )
+    dense.assemble()
+    A.compose("pressure", K_p)
+    A.compose("patterns", dense)
+    dense.destroy()
 
 
 class Torn:
@@ -231,6 +259,19 @@ class Torn:
         if weight is None:
             weight = self.K.getDiagonal()
         return np.array(weight.array_r)
+
+    def flux(self, most: int) -> Array:
+        """Return K_pᵀ y for the first patterns y of the condensed pressure, (n, up to ``most``).
+
+        The columns of a pattern on all subdomains are one; none if no pressure is attached.
+        """
+        K_p, patterns = self.A.query("pressure"), self.A.query("patterns")
+        if K_p is None or patterns is None:
+            return np.zeros((self.n, 0))
+        y = patterns.getDenseArray()[:, :most]
+        indptr, indices, values = K_p.getValuesCSR()
+        rows = scipy.sparse.csr_array((values, indices, indptr), shape=(len(y), self.n))
+        return np.asarray(rows.T @ y)  # K_pᵀ y
 
     def is_symmetric(self) -> bool:
         """Tell whether the matrices of all subdomains are symmetric.
