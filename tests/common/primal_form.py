@@ -53,11 +53,13 @@ class PrimalForm:
         return u + u_D, outcome
 
 
-def cg(system: PrimalSystem, f: Array, *, rtol: float = 1e-10, max_it: int = 200) -> Outcome:
+def cg(
+    system: PrimalSystem, f: Array, *, rtol: float = 1e-10, max_it: int = 200, keep: int = 0
+) -> Outcome:
     """Solve to a share of the norm of the right-hand side."""
     target = rtol * system.norm(system.copies.sum(f))
     return conjugate_gradients(
-        system, f, target=target, max_it=max_it, monitor=lambda its, norm: None
+        system, f, target=target, max_it=max_it, monitor=lambda its, norm: None, keep=keep
     )
 
 

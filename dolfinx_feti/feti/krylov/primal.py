@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 from petsc4py import PETSc
 
@@ -33,13 +34,27 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from dolfinx_feti.feti.coarse.averaged import AveragedSpace
 from dolfinx_feti.feti.copies import Copies
 
 __all__ = ["Outcome", "PrimalSystem", "conjugate_gradients"]
 
 Array = npt.NDArray[np.float64]
 Monitor = Callable[[int, float], None]
+
+
+class CoarseSpace(Protocol):
+    """What conjugate gradients ask of a coarse space; see ``averaged`` and ``deflation``."""
+
+    def start(self, r: Array) -> Array:
+        """Return V A₀⁻¹ Vᵀ r."""
+
+    def project(self, z: Array) -> Array:
+        """Return z − V A₀⁻¹ (A V)ᵀ z."""
+
+    def negative_direction(self) -> Array | None:
+        """Return a field v with vᵀ A v < 0, or None if none is known."""
+
+
 Reason = PETSc.KSP.ConvergedReason
 
 
@@ -56,7 +71,7 @@ class PrimalSystem:
     """
 
     copies: Copies
-    space: AveragedSpace
+    space: CoarseSpace
     multiply: Callable[[Array], Array]
     solve: Callable[[Array], Array]
 
@@ -84,6 +99,8 @@ class Outcome:
         iterations: Number of iterations.
         norm: ‖b − A x‖.
         eigenvalues: Ritz values of the preconditioned operator, ascending, (iterations,).
+        lower: Ritz vectors of the least of them, by their copies, as many as were asked for,
+            (n, up to ``keep``).
         direction: A direction p with pᵀ A p ≤ 0, by its copies, if one was met.
     """
 
@@ -92,11 +109,18 @@ class Outcome:
     iterations: int
     norm: float
     eigenvalues: Array
+    lower: Array
     direction: Array | None = None
 
 
 def conjugate_gradients(
-    system: PrimalSystem, f: Array, *, target: float, max_it: int, monitor: Monitor
+    system: PrimalSystem,
+    f: Array,
+    *,
+    target: float,
+    max_it: int,
+    monitor: Monitor,
+    keep: int = 0,
 ) -> Outcome:
     """Solve A x = Tᵀ f.
 
@@ -106,6 +130,8 @@ def conjugate_gradients(
         target: Wanted norm of the residual.
         max_it: Most iterations.
         monitor: Called with (iteration, ‖b − A x‖).
+        keep: Ritz vectors wanted of the lower end of the spectrum; with any, all preconditioned
+            residuals are stored.
 
     Note:
         Collective.
@@ -119,6 +145,7 @@ def conjugate_gradients(
     monitor(0, norm)
     α: list[float] = []
     β: list[float] = []
+    lanczos: list[Array] = []
     direction = space.negative_direction()
     reason = Reason.ITERATING if direction is None else Reason.DIVERGED_INDEFINITE_MAT
     while not reason and not (reason := _reason(norm, target, len(α), max_it)):
@@ -133,12 +160,16 @@ def conjugate_gradients(
         elif curvature <= 0.0:
             reason, direction = Reason.DIVERGED_INDEFINITE_MAT, p
         else:
+            if keep:
+                lanczos.append((-1) ** len(α) / np.sqrt(ρ) * z)
             α.append(ρ / curvature)
             x += α[-1] * p
             r -= α[-1] * copies.sum(q)
             norm = system.norm(r)
             monitor(len(α), norm)
-    return Outcome(x, reason, len(α), norm, ritz_values(α, β), direction)
+    eigenvalues, vectors = ritz_pairs(α, β)
+    lower = np.column_stack(lanczos) @ vectors[:, :keep] if lanczos else np.zeros((len(x), 0))
+    return Outcome(x, reason, len(α), norm, eigenvalues, lower, direction)
 
 
 def _reason(norm: float, target: float, its: int, max_it: int) -> int:
@@ -150,11 +181,12 @@ def _reason(norm: float, target: float, its: int, max_it: int) -> int:
     return Reason.DIVERGED_MAX_IT if its == max_it else Reason.ITERATING
 
 
-def ritz_values(α: list[float], β: list[float]) -> Array:
-    """Return the eigenvalues of Lanczos' matrix from the coefficients of conjugate gradients."""
+def ritz_pairs(α: list[float], β: list[float]) -> tuple[Array, Array]:
+    """Return the eigenpairs of Lanczos' matrix from the coefficients of conjugate gradients."""
     if not α or not np.all(np.isfinite(α)):
-        return np.zeros(0)
+        return np.zeros(0), np.zeros((len(α), 0))
     steps, turns = np.array(α), np.array(β[1 : len(α)])
     diagonal = 1.0 / steps
     diagonal[1:] += turns / steps[:-1]
-    return scipy.linalg.eigvalsh_tridiagonal(diagonal, np.sqrt(turns) / steps[:-1])
+    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, np.sqrt(turns) / steps[:-1])
+    return values, vectors
