@@ -193,7 +193,7 @@ def test_no_subdomain_left_for_a_process(torn_grid, form):
 
 def test_lower_ritz_vectors_are_deflated(torn_grid, form):
     """Kept vectors belong to the least eigenvalues, which are gone with them."""
-    problem = torn_grid((2, 2), (4, 4), components=2, change=soften(0.0017))
+    problem = torn_grid((2, 2), (4, 4), components=2, change=soften(0.00195))
     primal = form(problem, type="all_floating", interior="eliminate", coarse_modes=0)
     exact = primal_form.reference(problem, primal)
     system, copies = primal.system, primal.copies
@@ -210,7 +210,7 @@ def test_lower_ritz_vectors_are_deflated(torn_grid, form):
     deflated = primal_form.cg(replace(system, space=space), f)
     equal(deflated.x, plain.x, 1e-7)
     agree(plain.eigenvalues[0] < 0.8 * deflated.eigenvalues[0], plain.eigenvalues)
-    agree(deflated.iterations < plain.iterations)
+    agree(deflated.iterations < plain.iterations, (deflated.iterations, plain.iterations))
 
 
 def test_deflation_tells_negative_curvature(torn_grid, form):
