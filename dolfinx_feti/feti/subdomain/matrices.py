@@ -96,7 +96,7 @@ class Interior(ABC):
 
     @abstractmethod
     def condense(self, f: Array) -> Array:
-        """Move the load of the interior to the interface, (n,) → (n,)."""
+        """Move the load of the interior to the interface, (n,) → (n,) or (n, r) → (n, r)."""
 
     @abstractmethod
     def extend(self, u: Array, f: Array) -> Array:
@@ -229,8 +229,14 @@ class Eliminated(Interior):
 
     def condense(self, f: Array) -> Array:
         x = np.zeros_like(f)
-        self.eliminated.solve(f, x)
-        return np.where(self._glued, f - self.torn.multiply(x), 0.0)  # f_Γ − K_ΓI K_II⁻¹ f_I
+        if f.ndim == 1:
+            self.eliminated.solve(f, x)
+            Kx = self.torn.multiply(x)
+        else:
+            for i, rows in enumerate(self._interior):
+                x[rows] = self.eliminated.solve_many(i, f[rows])
+            Kx = np.stack([self.torn.multiply(column) for column in x.T], axis=1)
+        return ((f - Kx).T * self._glued).T  # f_Γ − K_ΓI K_II⁻¹ f_I
 
     def extend(self, u: Array, f: Array) -> Array:
         u = np.where(self._glued, u, 0.0)
