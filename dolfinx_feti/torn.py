@@ -20,6 +20,9 @@ Dirichlet dofs     ``compose("dirichlet")``   index set of global dofs, each lis
 scaling stiffness  ``compose("stiffness")``   sequential vector, one entry per torn dof
 coordinates        ``compose("coordinates")`` points of the assembled problem's blocks of dofs, one
                                               after the other; for messages only
+pressure rows K_p  ``compose("pressure")``    sequential matrix, (cells, torn dofs), where a pressure
+                                              is condensed
+pressure patterns  ``compose("patterns")``    sequential dense matrix, (cells, patterns)
 ================== ========================== =====================================================
 
 A subdomain is a connected component of the graph of the local matrix.
@@ -37,7 +40,13 @@ import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.csgraph
 
-__all__ = ["Torn", "create_torn_matrix", "is_symmetric", "set_near_kernel"]
+__all__ = [
+    "Torn",
+    "create_torn_matrix",
+    "is_symmetric",
+    "set_near_kernel",
+    "set_pressure_patterns",
+]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -116,6 +125,25 @@ def set_near_kernel(
         points = PETSc.Vec().createMPI((coordinates.size, None), comm=A.comm)
         points.array[:] = coordinates.ravel()
         A.compose("coordinates", points)
+
+
+def set_pressure_patterns(A: PETSc.Mat, K_p: PETSc.Mat, patterns: Array) -> None:
+    """Attach the equations of a pressure that is condensed, cell by cell, into the local matrix.
+
+    Args:
+        A: Torn matrix.
+        K_p: Sequential matrix of the pressure equations, (cells, n_torn). Not copied: its values
+            are read with those of the local matrix.
+        patterns: Pressure patterns on the cells of each subdomain, (cells, patterns), the constant
+            first.
+    """
+    dense = PETSc.Mat().createDense(
+        patterns.shape, array=np.array(patterns, order="F"), comm=PETSc.COMM_SELF
+    )
+    dense.assemble()
+    A.compose("pressure", K_p)
+    A.compose("patterns", dense)
+    dense.destroy()
 
 
 class Torn:
@@ -275,6 +303,19 @@ class Torn:
         """
         weight = self.A.query("stiffness")
         return np.abs(self.diagonal() if weight is None else weight.array_r)
+
+    def flux(self, most: int) -> Array:
+        """Return K_pᵀ y for the first patterns y of the condensed pressure, (n, up to ``most``).
+
+        The columns of a pattern on all subdomains are one; none if no pressure is attached.
+        """
+        K_p, patterns = self.A.query("pressure"), self.A.query("patterns")
+        if K_p is None or patterns is None:
+            return np.zeros((self.n, 0))
+        y = patterns.getDenseArray()[:, :most]
+        indptr, indices, values = K_p.getValuesCSR()
+        rows = scipy.sparse.csr_array((values, indices, indptr), shape=(len(y), self.n))
+        return np.asarray(rows.T @ y)  # K_pᵀ y
 
     def is_symmetric(self) -> bool:
         """Tell whether the matrices of all subdomains are symmetric.

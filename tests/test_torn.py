@@ -200,3 +200,10 @@ def test_torn_dofs_are_numbered_from_process_to_process(torn_grid):
     agree(torn.start == sum(sizes[: COMM.rank]))
     agree(sum(sizes) == len(problem.to_global))
     torn.destroy()
+
+
+def test_no_flux_without_a_pressure(torn_grid):
+    problem = torn_grid((2, 2), (2, 2))
+    torn = Torn(problem.A)
+    agree(torn.flux(4).shape == (torn.n, 0))
+    torn.destroy()

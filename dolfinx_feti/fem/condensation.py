@@ -32,9 +32,9 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.fem.assembly import assemble, create_local_matrix, torn_form
-from dolfinx_feti.fem.decomposition import TornSpace
+from dolfinx_feti.fem.decomposition import Decomposition, TornSpace
 
-__all__ = ["Blocks", "Condensation"]
+__all__ = ["Blocks", "Condensation", "pressure_patterns"]
 
 Array = npt.NDArray[np.float64]
 
@@ -114,6 +114,11 @@ class Condensation:
         width = indptr[1] if len(indptr) > 1 else 1
         self._columns = indices.reshape(-1, width).copy()
 
+    @property
+    def rows(self) -> PETSc.Mat:
+        """K_pu as it was last assembled, sequential, (cells, torn dofs)."""
+        return self._rectangular
+
     def assemble(self) -> Blocks:
         """Assemble all blocks at the present (u, p)."""
         k_up, k_pu = (self._rows(form) for form in self._forms)
@@ -172,6 +177,27 @@ class Condensation:
         """Free the matrices."""
         self._rectangular.destroy()
         self._square.destroy()
+
+
+def pressure_patterns(decomposition: Decomposition) -> Array:
+    """Return the monomials up to degree two on the cells of each subdomain, (cells, patterns).
+
+    The constant, the coordinates of the cells' midpoints from their mean over the subdomain, at
+    most one in size, and products of two of them: ten patterns in three dimensions.
+    """
+    mesh, subdomain = decomposition.mesh, decomposition.subdomain
+    gdim, tdim = mesh.geometry.dim, mesh.topology.dim
+    cells = np.arange(len(subdomain), dtype=np.int32)
+    x = dolfinx.mesh.compute_midpoints(mesh, tdim, cells)[:, :gdim]
+    count = np.maximum(np.bincount(subdomain, minlength=decomposition.count), 1)
+    for column in x.T:
+        mean = np.bincount(subdomain, column, minlength=decomposition.count) / count
+        column -= mean[subdomain]
+    size = np.zeros(decomposition.count)
+    np.maximum.at(size, subdomain, np.abs(x).max(axis=1, initial=0.0))
+    x /= np.where(size > 0.0, size, 1.0)[subdomain, None]
+    products = [x[:, i] * x[:, j] for i in range(gdim) for j in range(i, gdim)]
+    return np.column_stack([np.ones(len(x)), x, *products])
 
 
 def _require_blocks(p: dolfinx.fem.Function, **blocks: ufl.Form) -> None:

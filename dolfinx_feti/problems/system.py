@@ -25,8 +25,9 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.fem import assembly
-from dolfinx_feti.fem.condensation import Blocks, Condensation
+from dolfinx_feti.fem.condensation import Blocks, Condensation, pressure_patterns
 from dolfinx_feti.fem.decomposition import Decomposition, tear
+from dolfinx_feti.torn import set_pressure_patterns
 
 __all__ = ["Residual", "System", "Tangent"]
 
@@ -128,6 +129,8 @@ class System:
         self._K = assembly.create_local_matrix(self._space, self._space, self._n_cells)
         self._stiffness = np.zeros(self._K.getSize()[0])
         self.A = assembly.create_matis(self._space, self._K, self.bcs, self._stiffness)
+        if self.condensation is not None:
+            set_pressure_patterns(self.A, self.condensation.rows, pressure_patterns(decomposition))
         self._energy = None if energy is None else dolfinx.fem.form(energy)
         self._shift = 0.0
         self._volume_ratio = _at_quadrature(V, volume_ratio, quadrature_degree)

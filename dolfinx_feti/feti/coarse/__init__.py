@@ -3,5 +3,5 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The coarse problem: the projection, its solver, and what it tells about stability.
 
-In the order of the data: gathered, coarse, stability.
+In the order of the data: gathered, coarse, stability, averaged, flux.
 """

@@ -99,7 +99,7 @@ class SubdomainMatrices(ABC):
 
     @abstractmethod
     def condense(self, f: Array) -> Array:
-        """Move the load of the interior to the interface, (n,) → (n,); f itself if K is kept."""
+        """Move the load of the interior to the interface, (n,) or (n, r); f itself if K is kept."""
 
     @abstractmethod
     def extend(self, u: Array, f: Array) -> Array:
@@ -246,8 +246,14 @@ class CondensedMatrices(SubdomainMatrices):
 
     def condense(self, f: Array) -> Array:
         x = np.zeros_like(f)
-        self._elimination.factors.solve(f, x)
-        return np.where(self._Γ, f - self._torn.multiply(x), 0.0)  # f_Γ − K_ΓI K_II⁻¹ f_I
+        if f.ndim == 1:
+            self._elimination.factors.solve(f, x)
+            Kx = self._torn.multiply(x)
+        else:
+            for i, rows in enumerate(self._elimination.interior):
+                x[rows] = self._elimination.factors.solve_many(i, f[rows])
+            Kx = np.stack([self._torn.multiply(x[:, j]) for j in range(x.shape[1])], axis=1)
+        return ((f - Kx).T * self._Γ).T  # f_Γ − K_ΓI K_II⁻¹ f_I
 
     def extend(self, u: Array, f: Array) -> Array:
         u = np.where(self._Γ, u, 0.0)

@@ -145,6 +145,7 @@ def test_elimination_is_exact(kind, change, way, torn_grid, parts, monkeypatch):
     K = problem.K_torn[torn.start : torn.start + torn.n, torn.start : torn.start + torn.n]
     f = np.where(fixed, 0.0, np.random.default_rng(SEED).standard_normal(torn.n))
     condensed = matrices.condense(f)
+    equal(matrices.condense(np.column_stack([f, -2.0 * f]))[:, 1], -2.0 * condensed, 1e-12)
     errors = [0.0]
     for rows, Γ in zip(torn.subdomains, matrices.dofs, strict=True):
         free = rows[~fixed[rows]]
