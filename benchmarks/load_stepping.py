@@ -132,7 +132,7 @@ def inflate(
         subdomains=case["subdomains"],
         options={
             "feti_type": case["type"],
-            "feti_dual_recycle": case["recycle"],
+            "feti_recycle": case["recycle"],
             "ksp_rtol": case["rtol"],
             "snes_max_it": NEWTON_STEPS,
         },

@@ -20,8 +20,8 @@ Dirichlet dofs     ``compose("dirichlet")``   index set of global dofs, each lis
 scaling stiffness  ``compose("stiffness")``   sequential vector, one entry per torn dof
 coordinates        ``compose("coordinates")`` points of the assembled problem's blocks of dofs, one
                                               after the other; for messages only
-pressure rows K_p  ``compose("pressure")``    sequential matrix, (cells, torn dofs), where a pressure
-                                              is condensed
+pressure rows K_p  ``compose("pressure")``    sequential matrix, (cells, torn dofs), of a condensed
+                                              pressure
 pressure patterns  ``compose("patterns")``    sequential dense matrix, (cells, patterns)
 ================== ========================== =====================================================
 
@@ -193,7 +193,12 @@ class Torn:
         self.dirichlet = self._dirichlet_mask()
 
     def multiply(self, t: Array, *, transpose: bool = False) -> Array:
-        """Return K t, or Kᵀ t, (n,)."""
+        """Return K t, or Kᵀ t, for a vector, (n,), or several columns, (n, r)."""
+        if t.ndim == 2:
+            y = np.empty_like(t)
+            for j in range(t.shape[1]):
+                y[:, j] = self.multiply(t[:, j], transpose=transpose)
+            return y
         y = np.zeros(self.n)
         t_vec = PETSc.Vec().createWithArray(np.ascontiguousarray(t), comm=PETSc.COMM_SELF)
         y_vec = PETSc.Vec().createWithArray(y, comm=PETSc.COMM_SELF)
@@ -236,6 +241,25 @@ class Torn:
         self._sf.reduceBegin(MPI.DOUBLE, leaf, root, MPI.SUM)
         self._sf.reduceEnd(MPI.DOUBLE, leaf, root, MPI.SUM)
         return root  # Tᵀ t
+
+    def residual(self, b: PETSc.Vec, x: PETSc.Vec) -> PETSc.Vec:
+        """Return b − A x on the free dofs of the assembled problem, zero on the Dirichlet dofs.
+
+        Args:
+            b: Right-hand side, (N,).
+            x: Solution, (N,).
+
+        Returns:
+            The residual, (N,); the caller destroys it.
+
+        Note:
+            Collective.
+        """
+        r = b.duplicate()
+        force = self.multiply(self.tear(x))
+        free = self.assemble(self.dirichlet.astype(np.float64)) < 0.5
+        r.array[:] = np.where(free, b.array_r - self.assemble(force), 0.0)  # b − Tᵀ K T x
+        return r
 
     def multiplicity(self) -> Indices:
         """Count the copies of each owned dof, (owned,)."""

@@ -24,7 +24,11 @@
 ``-feti_refine``               10                                       restarts on the residual of
                                                                         the assembled system
 ``-feti_dual_…``               ``ksp_type cg|gmres|fgmres|…``           Krylov method for (λ, s)
-``-feti_dual_recycle``         0                                        directions left to later
+``-feti_formulation``          ``auto``, ``dual``, ``primal``           form of the method
+``-feti_coarse_flux``          10                                       pressure patterns of a
+                                                                        subdomain whose fluxes are
+                                                                        coarse (primal), at most
+``-feti_recycle``              0                                        directions left to later
                                                                         solves, at most
 ``-feti_local_…``              ``pc_factor_mat_solver_type …``          factors of K_ρ
 ``-feti_dirichlet_…``          ``pc_factor_mat_solver_type …``          factors of K_II
@@ -59,8 +63,9 @@ CHOICES = {
     "gluing": ("full", "nonred"),
     "interior": ("auto", "keep", "eliminate"),
     "indefinite": ("enrich", "gmres", "error"),
+    "formulation": ("auto", "dual", "primal"),
 }
-NUMBERS = {"coarse_modes": 12, "stagnation": 200, "refine": 10, "dual_recycle": 0}
+NUMBERS = {"coarse_modes": 12, "stagnation": 200, "refine": 10, "coarse_flux": 10, "recycle": 0}
 SHARES = {"coarse_threshold": 0.01}
 SUBSOLVERS = {
     "dual_": ("ksp_",),
@@ -99,11 +104,13 @@ class FETIOptions:
     gluing: str = "full"
     interior: str = "auto"
     indefinite: str = "enrich"
+    formulation: str = "auto"
     coarse_modes: int = 12
     coarse_threshold: float = 0.01
     stagnation: int = 200
     refine: int = 10
-    dual_recycle: int = 0
+    coarse_flux: int = 10
+    recycle: int = 0
 
     @property
     def all_floating(self) -> bool:

@@ -11,9 +11,10 @@ from mpi4py import MPI
 
 import numpy as np
 
+from dolfinx_feti.feti.dual_form import DualForm
+from dolfinx_feti.feti.formulation import Form
 from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.setup import Parts
 from dolfinx_feti.feti.subdomain.direct import Pivots
 
 __all__ = ["Report", "collect", "table"]
@@ -25,6 +26,7 @@ class Report:
 
     Attributes:
         options: The choices made.
+        formulation: ``dual`` or ``primal``.
         subdomains: Number of subdomains.
         dofs: Dofs of the assembled problem.
         torn_dofs: Dofs of all subdomains together.
@@ -40,10 +42,11 @@ class Report:
         coarse_inertia: Negative and zero eigenvalues of the coarse matrix; None if not known.
         factor_mib: Memory of all local factors in MiB.
         recycled: Directions of earlier solves, deflated in the last one.
-        eigenvalues: (λ_min, λ_max) of the preconditioned dual operator.
+        eigenvalues: (λ_min, λ_max) of the preconditioned operator.
     """
 
     options: FETIOptions
+    formulation: str
     subdomains: int
     dofs: int
     torn_dofs: int
@@ -62,26 +65,28 @@ class Report:
     eigenvalues: tuple[float, float]
 
 
-def collect(parts: Parts, *, recycled: int, eigenvalues: tuple[float, float]) -> Report:
+def collect(form: Form, *, recycled: int, eigenvalues: tuple[float, float]) -> Report:
     """Gather the figures of all processes.
 
     Args:
-        parts: What was set up.
+        form: What was set up.
         recycled: Directions of earlier solves, deflated in the last one.
-        eigenvalues: (λ_min, λ_max) of the preconditioned dual operator.
+        eigenvalues: (λ_min, λ_max) of the preconditioned operator.
 
     Note:
         Collective.
     """
-    torn, gluing, coarse = parts.torn, parts.gluing, parts.coarse
+    coarse = form.coarse if isinstance(form, DualForm) else form.space
+    torn, gluing = form.torn, form.gluing
     comm = torn.comm
     sizes = [len(dofs) for dofs in torn.subdomains]
-    modes, k = parts.modes, parts.modes.kernels
+    modes, k = form.modes, form.modes.kernels
     widest = comm.allreduce(int(k.max(initial=0)), op=MPI.MAX)
     kernels = comm.allreduce(np.bincount(k, minlength=widest + 1))
-    applied = parts.preconditioner.factors.memory() if parts.preconditioner.factors else 0.0
+    applied = form.preconditioner.factors.memory() if form.preconditioner.factors else 0.0
     return Report(
-        options=parts.options,
+        options=form.options,
+        formulation="dual" if isinstance(form, DualForm) else "primal",
         subdomains=comm.allreduce(len(sizes)),
         dofs=torn.A.getSize()[0],
         torn_dofs=comm.allreduce(torn.n),
@@ -93,12 +98,12 @@ def collect(parts: Parts, *, recycled: int, eigenvalues: tuple[float, float]) ->
         kernels=tuple(int(count) for count in kernels),
         exact=comm.allreduce(sum(modes.exact)),
         elastic=comm.allreduce(int((modes.dimensions - k).sum())),
-        inertia=parts.inertia,
-        interior="eliminated" if parts.matrices.condensed else "kept",
+        inertia=form.inertia,
+        interior="eliminated" if form.matrices.condensed else "kept",
         coarse_size=coarse.total,
         coarse_mib=coarse.solver.memory(),
         coarse_inertia=coarse.solver.pivots(),
-        factor_mib=comm.allreduce(parts.matrices.memory() + applied),
+        factor_mib=comm.allreduce(form.matrices.memory() + applied),
         recycled=recycled,
         eigenvalues=eigenvalues,
     )
@@ -112,8 +117,11 @@ def table(report: Report) -> str:
     condition = (
         "not known" if np.isnan(low) or low <= 0 else f"{high / low:.4g}  ({low:.4g} … {high:.4g})"
     )
+    details = f"dual form, {o.gluing} gluing, Q = {o.coarse_q}"
+    if r.formulation == "primal":
+        details = f"primal form, up to {o.coarse_flux} flux columns per subdomain"
     rows = [
-        ("method", f"{o.type}, {o.gluing} gluing, {o.scaling} scaling, Q = {o.coarse_q}"),
+        ("method", f"{o.type}, {o.scaling} scaling, {details}"),
         ("preconditioner", o.pc_type),
         ("subdomains", f"{r.subdomains}"),
         ("dofs", f"{r.dofs}, torn {r.torn_dofs}, a subdomain {r.dofs_local[0]}–{r.dofs_local[1]}"),
@@ -129,8 +137,8 @@ def table(report: Report) -> str:
         ("factors", f"{r.factor_mib:.0f} MiB, interior {r.interior}"),
         ("condition number", condition),
     ]
-    if o.dual_recycle:
-        rows.append(("recycled directions", f"{r.recycled} of at most {o.dual_recycle}"))
+    if o.recycle:
+        rows.append(("recycled directions", f"{r.recycled} of at most {o.recycle}"))
     return "".join(f"  {name:<22}{value}\n" for name, value in rows)
 
 

@@ -16,8 +16,8 @@ from hand_torn import HandTorn
 
 from dolfinx_feti.feti.coarse.averaged import AveragedSpace
 from dolfinx_feti.feti.copies import Copies
+from dolfinx_feti.feti.dual_form import DualForm
 from dolfinx_feti.feti.krylov.primal import Outcome, PrimalSystem, conjugate_gradients
-from dolfinx_feti.feti.setup import Parts
 
 Array = npt.NDArray[np.float64]
 
@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 class PrimalForm:
     """A primal system and the parts that it is made of."""
 
-    parts: Parts
+    parts: DualForm
     system: PrimalSystem
 
     @property
@@ -39,31 +39,27 @@ class PrimalForm:
         Returns:
             The torn solution, (n,), and how conjugate gradients ended.
         """
-        torn, Γ = self.parts.torn, self.copies.dofs
-        inside = self.parts.interior.eliminated or self.parts.preconditioner.factors
+        torn, Γ, S = self.parts.torn, self.copies.dofs, self.parts.preconditioner
         u_D = np.where(torn.dirichlet, u_D, 0.0)
         f = np.where(torn.dirichlet, 0.0, self.parts.gluing.delta * b - torn.multiply(u_D))
-        u = np.zeros(torn.n)
-        inside.solve(f, u)
-        condensed = (f - torn.multiply(u))[Γ]  # f_Γ − K_ΓI K_II⁻¹ f_I
-        outcome = cg(self.system, condensed, **how)
+        outcome = cg(self.system, S.condense(f)[Γ], **how)
         u = np.zeros(torn.n)
         u[Γ] = outcome.x
-        inside.solve(f - torn.multiply(u), u)  # u_I = K_II⁻¹ (f_I − K_IΓ u_Γ)
+        u = S.complete(u, f)
         return u + u_D, outcome
 
 
-def cg(
-    system: PrimalSystem, f: Array, *, rtol: float = 1e-10, max_it: int = 200, keep: int = 0
-) -> Outcome:
+def cg(system: PrimalSystem, f: Array, *, rtol: float = 1e-10, max_it: int = 200) -> Outcome:
     """Solve to a share of the norm of the right-hand side."""
     target = rtol * system.norm(system.copies.sum(f))
     return conjugate_gradients(
-        system, f, target=target, max_it=max_it, monitor=lambda its, norm: None, keep=keep
+        system, f, target=target, max_it=max_it, monitor=lambda its, norm: None
     )
 
 
-def create(parts: Parts, more: Callable[[Parts, Copies], list[Array]] | None = None) -> PrimalForm:
+def create(
+    parts: DualForm, more: Callable[[DualForm, Copies], list[Array]] | None = None
+) -> PrimalForm:
     """Build the primal form of a FETI system, with E and further columns in the coarse space."""
     M = parts.preconditioner
     copies = Copies(parts.torn, M.interface, parts.gluing.delta)
@@ -73,7 +69,7 @@ def create(parts: Parts, more: Callable[[Parts, Copies], list[Array]] | None = N
         u[copies.dofs] = t
         return u
 
-    pairs = zip(parts.inverse.E, parts.inverse.dofs, M.interface, strict=True)
+    pairs = zip(parts.modes.E, parts.inverse.dofs, M.interface, strict=True)
     U = [E[np.isin(dofs, Γ)] for E, dofs, Γ in pairs]
     if more is not None:
         U = [np.hstack(pair) for pair in zip(U, more(parts, copies), strict=True)]
@@ -149,12 +145,12 @@ def reference(problem: HandTorn, form: PrimalForm) -> Dense:
 
     ρ_R = np.zeros((parts.torn.n, 0))
     R_all = ρ_R
-    for R, ρ, dofs in zip(parts.inverse.R, parts.inverse.rho, parts.inverse.dofs, strict=True):
+    for R, ρ, dofs in zip(parts.modes.R, parts.modes.rho, parts.inverse.dofs, strict=True):
         columns = np.zeros((parts.torn.n, R.shape[1]))
         columns[dofs] = R
         R_all, ρ_R = np.hstack([R_all, columns]), np.hstack([ρ_R, ρ * columns])
     R_all, ρ_R = (scipy.linalg.block_diag(*COMM.allgather(part)) for part in (R_all, ρ_R))
-    if parts.interior.eliminated is None:
+    if not parts.matrices.condensed:
         K_ρ = K + ρ_R @ R_all.T
         S_ρ = condensed(K_ρ)
         E = np.zeros_like(R_all)

@@ -136,7 +136,7 @@ def test_ksp_alone(by, name, wrong, message, torn_grid):
         ("feti_glueing", "-o_feti_gluing"),
         ("feti_dul_ksp_type", "-o_feti_dual_ksp"),
         ("feti_stagnations", "-o_feti_stagnation"),
-        ("feti_dual_recycles", "-o_feti_dual_recycle"),
+        ("feti_recycles", "-o_feti_recycle"),
     ],
 )
 def test_misspelt_options_are_refused_with_a_guess(wrong, meant):

@@ -47,6 +47,9 @@ Numbers = npt.NDArray[np.int64]
 #: Energy below which a combination of the columns of a subdomain, of unit energy each, is dropped.
 DEPENDENT = 1e-6
 
+#: A pivot of A₀ below this multiple of its norm is that of columns that depend on each other.
+ZERO = 1e-11
+
 
 #: Steps of conjugate gradients for each unknown of A₀ in the search of a negative direction.
 STEPS = 3
@@ -100,7 +103,7 @@ class AveragedSpace:
         self.A_0 = _change_of_basis(whole, self._basis)
         whole.destroy()
         self.dropped = self.total - self.A_0.getSize()[0]
-        self.solver = GatheredSolver(self.A_0, prefix=prefix, symmetric=True)
+        self.solver = GatheredSolver(self.A_0, prefix=prefix, symmetric=True, zero=ZERO)
         self._x, self._y = self.A_0.createVecs()
 
     def start(self, r: Array) -> Array:

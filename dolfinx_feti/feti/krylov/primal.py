@@ -40,10 +40,11 @@ __all__ = ["Outcome", "PrimalSystem", "conjugate_gradients"]
 
 Array = npt.NDArray[np.float64]
 Monitor = Callable[[int, float], None]
+Reason = PETSc.KSP.ConvergedReason
 
 
 class CoarseSpace(Protocol):
-    """What conjugate gradients ask of a coarse space; see ``averaged`` and ``deflation``."""
+    """What conjugate gradients ask of a coarse space; see ``averaged``."""
 
     def start(self, r: Array) -> Array:
         """Return V A₀⁻¹ Vᵀ r."""
@@ -53,9 +54,6 @@ class CoarseSpace(Protocol):
 
     def negative_direction(self) -> Array | None:
         """Return a field v with vᵀ A v < 0, or None if none is known."""
-
-
-Reason = PETSc.KSP.ConvergedReason
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,13 +92,11 @@ class Outcome:
     """What conjugate gradients end with.
 
     Attributes:
-        x: The last iterate, by its copies, (n,).
+        x: The iterate with the least residual, by its copies, (n,).
         reason: PETSc's converged reason.
         iterations: Number of iterations.
         norm: ‖b − A x‖.
         eigenvalues: Ritz values of the preconditioned operator, ascending, (iterations,).
-        lower: Ritz vectors of the least of them, by their copies, as many as were asked for,
-            (n, up to ``keep``).
         direction: A direction p with pᵀ A p ≤ 0, by its copies, if one was met.
     """
 
@@ -109,7 +105,6 @@ class Outcome:
     iterations: int
     norm: float
     eigenvalues: Array
-    lower: Array
     direction: Array | None = None
 
 
@@ -120,7 +115,7 @@ def conjugate_gradients(
     target: float,
     max_it: int,
     monitor: Monitor,
-    keep: int = 0,
+    stagnation: int = 0,
 ) -> Outcome:
     """Solve A x = Tᵀ f.
 
@@ -130,8 +125,7 @@ def conjugate_gradients(
         target: Wanted norm of the residual.
         max_it: Most iterations.
         monitor: Called with (iteration, ‖b − A x‖).
-        keep: Ritz vectors wanted of the lower end of the spectrum; with any, all preconditioned
-            residuals are stored.
+        stagnation: Iterations without a new least residual that end the solve; 0 for no end.
 
     Note:
         Collective.
@@ -145,8 +139,8 @@ def conjugate_gradients(
     monitor(0, norm)
     α: list[float] = []
     β: list[float] = []
-    lanczos: list[Array] = []
     direction = space.negative_direction()
+    best, least, at = x, norm, 0
     reason = Reason.ITERATING if direction is None else Reason.DIVERGED_INDEFINITE_MAT
     while not reason and not (reason := _reason(norm, target, len(α), max_it)):
         z = system.precondition(r)
@@ -160,16 +154,16 @@ def conjugate_gradients(
         elif curvature <= 0.0:
             reason, direction = Reason.DIVERGED_INDEFINITE_MAT, p
         else:
-            if keep:
-                lanczos.append((-1) ** len(α) / np.sqrt(ρ) * z)
             α.append(ρ / curvature)
-            x += α[-1] * p
+            x = x + α[-1] * p
             r -= α[-1] * copies.sum(q)
             norm = system.norm(r)
             monitor(len(α), norm)
-    eigenvalues, vectors = ritz_pairs(α, β)
-    lower = np.column_stack(lanczos) @ vectors[:, :keep] if lanczos else np.zeros((len(x), 0))
-    return Outcome(x, reason, len(α), norm, eigenvalues, lower, direction)
+            if norm < least:
+                best, least, at = x, norm, len(α)
+            elif stagnation and len(α) - at >= stagnation:
+                reason = Reason.DIVERGED_BREAKDOWN
+    return Outcome(best, reason, len(α), least, ritz_values(α, β), direction)
 
 
 def _reason(norm: float, target: float, its: int, max_it: int) -> int:
@@ -181,12 +175,11 @@ def _reason(norm: float, target: float, its: int, max_it: int) -> int:
     return Reason.DIVERGED_MAX_IT if its == max_it else Reason.ITERATING
 
 
-def ritz_pairs(α: list[float], β: list[float]) -> tuple[Array, Array]:
-    """Return the eigenpairs of Lanczos' matrix from the coefficients of conjugate gradients."""
+def ritz_values(α: list[float], β: list[float]) -> Array:
+    """Return the eigenvalues of Lanczos' matrix from the coefficients of conjugate gradients."""
     if not α or not np.all(np.isfinite(α)):
-        return np.zeros(0), np.zeros((len(α), 0))
+        return np.zeros(0)
     steps, turns = np.array(α), np.array(β[1 : len(α)])
     diagonal = 1.0 / steps
     diagonal[1:] += turns / steps[:-1]
-    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, np.sqrt(turns) / steps[:-1])
-    return values, vectors
+    return scipy.linalg.eigvalsh_tridiagonal(diagonal, np.sqrt(turns) / steps[:-1])

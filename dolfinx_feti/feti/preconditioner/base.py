@@ -57,6 +57,7 @@ class Preconditioner(ABC):
         torn: The torn matrix.
         matrices: The matrix of each subdomain, K on its free dofs or S on the interface.
         glued: Torn dofs of the interface, (n_Γ,).
+        on_interface: Mask of the glued ones among the dofs of the matrix of each subdomain.
         interface: Glued free dofs Γ of each subdomain.
         interior: The other dofs I of each subdomain on which its matrix lives.
         factors: Interior factors, if the preconditioner has any.
@@ -94,8 +95,8 @@ class Preconditioner(ABC):
         self.B_D = LinearMap(gluing.B_D)
         glued = np.zeros(torn.n, dtype=bool)
         glued[gluing.glued] = True
-        self._on_interface = [glued[rows] for rows in matrices.dofs]
-        pairs = list(zip(matrices.dofs, self._on_interface, strict=True))
+        self.on_interface = [glued[rows] for rows in matrices.dofs]
+        pairs = list(zip(matrices.dofs, self.on_interface, strict=True))
         self.interface = [rows[on] for rows, on in pairs]
         self.interior = [rows[~on] for rows, on in pairs]
         self._Γ = np.concatenate([*self.interface, np.zeros(0, dtype=np.int32)])
@@ -116,7 +117,7 @@ class Preconditioner(ABC):
         Raises:
             FactorError: A factorisation failed. Not collective: the caller reduces.
         """
-        self._prop([Z[on] for Z, on in zip(props, self._on_interface, strict=True)])
+        self._prop([Z[on] for Z, on in zip(props, self.on_interface, strict=True)])
 
     def apply(self, r: Array) -> tuple[Array, Array]:
         """Apply the preconditioner to a jump.
@@ -169,7 +170,7 @@ class Preconditioner(ABC):
 
     def to_interface(self, i: int, X: Array) -> Array:
         """Move forces X on subdomain i to its interface, E_Γᵀ X, (n_i, r) → (n_Γ, r)."""
-        return X[self._on_interface[i]]
+        return X[self.on_interface[i]]
 
     def _image(self, i: int, W: scipy.sparse.csr_array) -> tuple[Array, Indices]:
         """Apply Y_i with props to the non-zero columns of W, (n_Γ, K); return image and columns."""

@@ -248,11 +248,10 @@ class CondensedMatrices(SubdomainMatrices):
         x = np.zeros_like(f)
         if f.ndim == 1:
             self._elimination.factors.solve(f, x)
-            Kx = self._torn.multiply(x)
         else:
             for i, rows in enumerate(self._elimination.interior):
                 x[rows] = self._elimination.factors.solve_many(i, f[rows])
-            Kx = np.stack([self._torn.multiply(x[:, j]) for j in range(x.shape[1])], axis=1)
+        Kx = self._torn.multiply(x)
         return ((f - Kx).T * self._Γ).T  # f_Γ − K_ΓI K_II⁻¹ f_I
 
     def extend(self, u: Array, f: Array) -> Array:

@@ -243,6 +243,10 @@ class PseudoInverse:
             x[dofs] = self._factors.solve_many(i, y[dofs])
         return x
 
+    def solve_many(self, i: int, Y: Array) -> Array:
+        """Apply the generalised inverse of subdomain i to columns on its dofs, (n_i, r)."""
+        return self._factors.solve_many(i, Y)
+
     def negative(self) -> int | None:
         """Count the negative eigenvalues of all K_ρ of this process; None if not known."""
         return sum_pivots(self._factors.pivots(i) for i in range(len(self.dofs))).negative

@@ -117,7 +117,7 @@ def flux_of(system, copies, K_p, patterns):
     """The patterns' flux, condensed to the interface, (n, patterns)."""
     g = np.tile(K_p.T @ patterns, (len(copies.blocks), 1))
     g[system.inverse.fixed] = 0.0
-    return system.interior.condense(g)[copies.dofs]
+    return system.matrices.condense(g)[copies.dofs]
 
 
 @every_type
@@ -134,7 +134,7 @@ def test_flux_columns(kind, torn_grid, form):
 
         def columns(system, copies):
             g = flux_of(system, copies, K_p, patterns)
-            return flux_columns(copies, g, system.inverse.factors.solve_many)
+            return flux_columns(copies, g, system.inverse.solve_many)
 
         problem = torn_grid((4, 3), cells, components=2, change=stiffen)
         more = columns if with_flux else None

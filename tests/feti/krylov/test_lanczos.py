@@ -11,8 +11,9 @@ import reference
 import scipy.linalg
 from collective import agree
 
+from dolfinx_feti.feti.formulation import set_up
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.setup import Pattern, set_up
+from dolfinx_feti.feti.setup import Pattern
 from dolfinx_feti.petsc_options import inserted
 
 every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])

@@ -5,16 +5,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from petsc4py import PETSc
 
 import numpy as np
 import primal_form
 import pytest
 from collective import COMM, agree, dense, equal, matrix_of_map, small, whole
-
-from dolfinx_feti.feti.krylov.deflation import DeflatedSpace
 
 SEED = 1993
 GRID = {"subdomains": (3, 2), "cells": (3, 2), "components": 2}
@@ -189,35 +185,3 @@ def test_no_subdomain_left_for_a_process(torn_grid, form):
     agree(outcome.iterations == 0)
     equal(whole(u), problem.T @ problem.solve(values), 1e-9)
     b.destroy()
-
-
-def test_lower_ritz_vectors_are_deflated(torn_grid, form):
-    """Kept vectors belong to the least eigenvalues, which are gone with them."""
-    problem = torn_grid((2, 2), (4, 4), components=2, change=soften(0.00195))
-    primal = form(problem, type="all_floating", interior="eliminate", coarse_modes=0)
-    exact = primal_form.reference(problem, primal)
-    system, copies = primal.system, primal.copies
-    f = random(copies.n)
-    plain = primal_form.cg(system, f, keep=2)
-    vectors = exact.average @ whole(plain.lower)
-    image = exact.preconditioner @ exact.A @ vectors
-    equal(image[:, 0], plain.eigenvalues[0] * vectors[:, 0], 1e-2)
-    space = DeflatedSpace(system.space, copies, plain.lower, system.multiply)
-    Z, AZ = exact.average @ whole(space.Z), exact.average @ whole(space.AZ)
-    equal(Z.T @ exact.A @ Z, np.eye(2), 1e-9)
-    equal(AZ, exact.A @ Z, 1e-9)
-    small(np.abs(exact.V.T @ AZ).max(), 1e-8 * np.abs(exact.V).max() * np.abs(AZ).max())
-    deflated = primal_form.cg(replace(system, space=space), f)
-    equal(deflated.x, plain.x, 1e-7)
-    agree(plain.eigenvalues[0] < 0.8 * deflated.eigenvalues[0], plain.eigenvalues)
-    agree(deflated.iterations < plain.iterations, (deflated.iterations, plain.iterations))
-
-
-def test_deflation_tells_negative_curvature(torn_grid, form):
-    problem = torn_grid((2, 2), (4, 4), components=2, change=soften(0.002))
-    primal = form(problem, type="all_floating", interior="eliminate", coarse_modes=0)
-    system = primal.system
-    p = primal_form.cg(system, random(primal.copies.n)).direction
-    space = DeflatedSpace(system.space, primal.copies, p[:, None], system.multiply)
-    v = space.negative_direction()
-    agree(COMM.allreduce(v @ system.multiply(v)) < 0.0)

@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse
 from collective import COMM, agree, dense, equal, matrix_of_map, small, whole
 
-from dolfinx_feti.feti.setup import set_up
+from dolfinx_feti.feti.formulation import set_up
 
 SEED = 90210
 

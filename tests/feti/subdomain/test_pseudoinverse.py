@@ -10,7 +10,7 @@ import pytest
 import scipy.linalg
 from collective import agree, equal, small, whole
 
-from dolfinx_feti.feti.setup import set_up
+from dolfinx_feti.feti.formulation import set_up
 from dolfinx_feti.feti.subdomain.kernel import kernel_basis
 
 SEED = 271104
