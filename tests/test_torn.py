@@ -12,7 +12,8 @@ import pytest
 from collective import COMM, agree, dense, equal, raises, whole
 
 import dolfinx_feti
-from dolfinx_feti.torn import Torn, connected_blocks, create_torn_matrix
+from dolfinx_feti.connectivity import connected_blocks
+from dolfinx_feti.torn import Torn, create_torn_matrix
 
 SEED = 60914
 

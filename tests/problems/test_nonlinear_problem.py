@@ -65,7 +65,7 @@ def test_one_subdomain_a_cell():
 
 def test_what_a_problem_offers():
     body = wall(tube(), degree=1)
-    problem = body.problem(4)
+    problem = body.problem(4, {"feti_coarse_flux": 0})  # or the coarse space holds the solution
     agree(problem.history == [] and problem.u is body.u)
     body.load.value = loads.mmhg(5.0)
     agree(problem.solve() is body.u)

@@ -19,7 +19,10 @@ takes two dense products for each subdomain, one coarse solve, and an average.
 
 The averaged columns of a subdomain may depend on each other, or nearly so. Its block on the
 diagonal of A₀, scaled to a unit diagonal, tells: combinations of the columns with an energy below
-:data:`DEPENDENT` are dropped, and the others normalised to energy one.
+:data:`DEPENDENT` are dropped, and the others normalised to energy one. Columns of several
+subdomains may depend on each other, too. So :math:`A_0 + ε` is factored, with a diagonal ε just
+above the rounding errors of the energies, :math:`\sum_i \|S_i\|_F \|W_i\|^2` times the unit of
+rounding for each column, and iterative refinement makes up for ε where A₀ is regular.
 """
 
 from __future__ import annotations
@@ -47,8 +50,11 @@ Numbers = npt.NDArray[np.int64]
 #: Energy below which a combination of the columns of a subdomain, of unit energy each, is dropped.
 DEPENDENT = 1e-6
 
-#: A pivot of A₀ below this multiple of its norm is that of columns that depend on each other.
-ZERO = 1e-11
+#: Bounds of rounding errors that are added to the diagonal of A₀ before it is factored.
+BOUNDS = 10.0
+
+#: Steps of iterative refinement in the solution with A₀.
+REFINEMENTS = 2
 
 
 #: Steps of conjugate gradients for each unknown of A₀ in the search of a negative direction.
@@ -64,7 +70,7 @@ class AveragedSpace:
         dropped: Number of dependent combinations among them, over all processes.
         AV: For each subdomain :math:`Y_i`, and the numbers of its columns.
         A_0: The Galerkin matrix of the independent combinations.
-        solver: Its factors.
+        solver: Factors of A₀ + ε.
     """
 
     def __init__(
@@ -103,8 +109,13 @@ class AveragedSpace:
         self.A_0 = _change_of_basis(whole, self._basis)
         whole.destroy()
         self.dropped = self.total - self.A_0.getSize()[0]
-        self.solver = GatheredSolver(self.A_0, prefix=prefix, symmetric=True, zero=ZERO)
         self._x, self._y = self.A_0.createVecs()
+        near = [_rounding(W.values, multiply, i) for i, W in enumerate(fields)]
+        self._x.array[:] = BOUNDS * (self._basis.multiply(self._basis).T @ self._to_owners(near))
+        shifted = self.A_0.copy()
+        shifted.setDiagonal(self._x, addv=PETSc.InsertMode.ADD_VALUES)
+        self.solver = GatheredSolver(shifted, prefix=prefix, symmetric=True)
+        shifted.destroy()
 
     def start(self, r: Array) -> Array:
         """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective."""
@@ -119,17 +130,28 @@ class AveragedSpace:
     def energies(self, z: Array) -> Array:
         """Return the energy products with the columns of this process, (A V)ᵀ z, (size,)."""
         blocks = zip(self.AV, self._copies.blocks, strict=True)
-        near = _joined([Y.values.T @ z[rows] for Y, rows in blocks])
-        own = np.zeros(self.size)
-        self._forest.reduceBegin(MPI.DOUBLE, near, own, MPI.SUM)
-        self._forest.reduceEnd(MPI.DOUBLE, near, own, MPI.SUM)
+        return self._to_owners([Y.values.T @ z[rows] for Y, rows in blocks])
+
+    def _to_owners(self, near: Sequence[Array]) -> Array:
+        """Sum what each subdomain has for its columns, (c_i,), at their owners, (size,)."""
+        leaves, own = _joined(near), np.zeros(self.size)
+        self._forest.reduceBegin(MPI.DOUBLE, leaves, own, MPI.SUM)
+        self._forest.reduceEnd(MPI.DOUBLE, leaves, own, MPI.SUM)
         return own
 
     def solve(self, e: Array) -> Array:
         """Return A₀⁻¹ e, both (size,). Collective."""
-        self._y.array[:] = self._basis.T @ e
-        self.solver.solve(self._y, self._x)
-        return np.asarray(self._basis @ self._x.array_r)
+        right = rest = self._basis.T @ e
+        y = np.zeros(len(right))
+        for step in range(1 + REFINEMENTS):
+            self._y.array[:] = rest
+            self.solver.solve(self._y, self._x)
+            y += self._x.array_r  # y ← y + (A₀ + ε)⁻¹ (e − A₀ y)
+            if step < REFINEMENTS:
+                self._x.array[:] = y
+                self.A_0.mult(self._x, self._y)
+                rest = right - self._y.array_r
+        return np.asarray(self._basis @ y)
 
     def prolong(self, y: Array) -> Array:
         """Return the copies of V y, (size,) → (n,). Collective."""
@@ -247,6 +269,14 @@ def _field(
         W[row[mine], block] = values[mine, : block.stop - block.start]
     numbers = [np.arange(f, f + k) for f, k in zip(owners, widths, strict=True)]
     return _Field(W, _joined(numbers).astype(np.int64))
+
+
+def _rounding(W: Array, multiply: Callable[[int, Array], Array], i: int) -> Array:
+    """Return a bound of the rounding errors of the energies of columns on subdomain i, (c_i,)."""
+    n = max(len(W), 1)
+    ω = np.random.default_rng(n).standard_normal((len(W), 1))
+    size = np.linalg.norm(multiply(i, ω))  # of the size of ‖S_i‖_F
+    return np.asarray(np.finfo(np.float64).eps * size * (W**2).sum(axis=0))
 
 
 def _sum_of_blocks(
