@@ -37,7 +37,7 @@ import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.csgraph
 
-__all__ = ["Torn", "create_torn_matrix", "is_symmetric", "set_near_kernel"]
+__all__ = ["Torn", "block_graph", "create_torn_matrix", "is_symmetric", "set_near_kernel"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -327,11 +327,25 @@ def connected_blocks(K: PETSc.Mat) -> list[Indices]:
     Returns:
         For each component its rows, ascending; components in the order of their first row.
     """
-    n, bs = K.getSize()[0], K.getBlockSize()
-    if n == 0:
+    if K.getSize()[0] == 0:
         return []
-    indptr, indices = K.getRowIJ()
+    _, label = scipy.sparse.csgraph.connected_components(block_graph(K), directed=False)
+    label = np.repeat(label, K.getBlockSize())
+    order = np.argsort(label, kind="stable").astype(np.int32)
+    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+
+
+def block_graph(K: PETSc.Mat) -> scipy.sparse.csr_array:
+    """Return which blocks of dofs a matrix couples, (n / bs, n / bs).
+
+    Args:
+        K: Sequential AIJ matrix, (n, n), of block size bs.
+    """
+    n, bs = K.getSize()[0], K.getBlockSize()
     graph = scipy.sparse.csr_array((n // bs, n // bs), dtype=bool)
+    if n == 0:
+        return graph
+    indptr, indices = K.getRowIJ()
     for first in range(bs):  # one row of every block at a time, for the sake of memory
         start, length = indptr[:-1][first::bs], np.diff(indptr)[first::bs]
         end = np.cumsum(length)
@@ -341,10 +355,7 @@ def connected_blocks(K: PETSc.Mat) -> list[Indices]:
             continue  # the rows of a block are alike
         more = scipy.sparse.csr_array((np.ones(len(entries), dtype=bool), *pattern), graph.shape)
         graph = graph + more if first else more
-    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    label = np.repeat(label, bs)
-    order = np.argsort(label, kind="stable").astype(np.int32)
-    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+    return graph
 
 
 def copy_forest(A: PETSc.Mat) -> PETSc.SF:

@@ -19,11 +19,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx_feti.collective import on_all
-from dolfinx_feti.errors import SetUpError, SingularError
+from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.events import event
+from dolfinx_feti.feti.coarse.bodies import find_bodies
 from dolfinx_feti.feti.coarse.coarse import Coarse
+from dolfinx_feti.feti.coarse.singularity import require_regular, require_regular_interior
 from dolfinx_feti.feti.coarse.stability import negative_eigenvalues
 from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.krylov.dual import ConstraintPreconditioner, DualOperator, DualVector
@@ -40,15 +43,10 @@ from dolfinx_feti.torn import Torn
 __all__ = ["Parts"]
 
 T = TypeVar("T")
+Array = npt.NDArray[np.float64]
 
 #: Krylov methods for symmetric systems.
 SYMMETRIC_METHODS = ("cg", "fcg", "pipecg", "minres", "symmlq")
-
-SINGULAR = (
-    "The assembled problem is singular, with a kernel of dimension {}: the Dirichlet conditions "
-    "leave rigid body motions (or constants) free, in all of the body or in a part that is not "
-    "connected to the rest. Add Dirichlet conditions."
-)
 
 
 class _Destroyable(Protocol):
@@ -102,6 +100,7 @@ class Parts:
         self.prefix = prefix + "feti_"
         self.torn = Torn(A)
         require_finite(self.torn)
+        self._bodies = find_bodies(self.torn)
         self.symmetric = self.torn.is_symmetric()
         floating = options.all_floating
         with event("FETIGluing"):
@@ -168,8 +167,9 @@ class Parts:
             if self.options.scaling == "stiffness":
                 self.gluing.update(self.torn.stiffness())
             self.preconditioner.weigh()
+        near_kernel = self.torn.near_kernel()
         with event("FETIFactor"):
-            self._factor()
+            self._factor(near_kernel)
         with event("FETICoarse"):
             self._destroy_dual()
             self.coarse = Coarse(
@@ -182,10 +182,21 @@ class Parts:
                 prefix=self.prefix + "coarse_",
             )
             self._dual.append(self.coarse)
-            self._check_coarse()
         local = self.inverse.negative()
         local = 1 if local is None else local  # not known counts as negative
         self.negative = self.torn.comm.allreduce(local + self.modes.negative_defects)
+        with event("FETICoarse"):
+            require_regular(
+                self.torn,
+                self._bodies,
+                near_kernel,
+                self.gluing,
+                self.matrices,
+                self.coarse,
+                symmetric=self.symmetric,
+                definite=self.symmetric and self.negative == 0 and self._interior_is_definite(),
+                prefix=self.prefix + "coarse_",
+            )
         self.negative_interior = self._negative_interior()
         if self.negative and self.symmetric and self.options.indefinite == "error":
             raise SetUpError(
@@ -214,13 +225,10 @@ class Parts:
         self._dual += [vector, self.constraint, self.operator, self.krylov]
         self._check_method()
 
-    def _factor(self) -> None:
+    def _factor(self, near_kernel: Array) -> None:
         """Factor K_ρ and K_II; a failure on one process is a failure on all."""
         self._on_all(self.matrices.update)
-        inside = self.torn.comm.allreduce(self.matrices.interior_kernel().shape[1])
-        if inside:
-            raise SingularError(SINGULAR.format(inside))
-        near_kernel = self.torn.near_kernel()
+        require_regular_interior(self.torn, self._bodies, near_kernel, self.matrices)
         self.modes = self._on_all(lambda: self.inverse.update(near_kernel))
         self._on_all(lambda: self.preconditioner.update(self.modes.props))
 
@@ -236,6 +244,12 @@ class Parts:
             raise SetUpError(
                 f"A local factorisation failed ({error}): look for a process that is out of memory."
             ) from error
+
+    def _interior_is_definite(self) -> bool:
+        """Tell whether what the matrices of the subdomains leave out has no negative eigenvalue."""
+        inertia = self.matrices.interior_inertia()
+        bad = self.matrices.condensed and (inertia is None or inertia[0] > 0)
+        return not self.torn.comm.allreduce(bad, op=MPI.LOR)
 
     def _negative_interior(self) -> int:
         """Count the negative eigenvalues of all K_II; −1 if they are not known."""
@@ -265,11 +279,6 @@ class Parts:
         if coarse > 0 and harmonic:
             return inside + coarse  # the coarse fields are K-orthogonal to those inside
         return max(inside, coarse) if inside else coarse
-
-    def _check_coarse(self) -> None:
-        zero = self.coarse.solver.pivots().zero
-        if zero:
-            raise SingularError(SINGULAR.format(zero))
 
     def _check_method(self) -> None:
         method = self.krylov.ksp.getType()
