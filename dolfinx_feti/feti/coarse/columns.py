@@ -16,7 +16,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["orthonormal_columns", "triangles"]
+__all__ = ["independent_columns", "orthonormal_columns", "triangles"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.integer]
@@ -58,6 +58,22 @@ def orthonormal_columns(X: Array, comm: MPI.Comm) -> Array:
     Q, R = np.linalg.qr(np.vstack([X, np.zeros((k, k))]))  # as many rows as columns, at least
     Q_all, _ = np.linalg.qr(np.vstack(comm.allgather(R)))
     return np.asarray(Q[: len(X)] @ Q_all[comm.rank * k : (comm.rank + 1) * k])
+
+
+def independent_columns(X: Array, tolerance: float, comm: MPI.Comm) -> Array:
+    """Return an orthonormal basis of columns of size one at most, without what is smaller.
+
+    Args:
+        X: Rows of this process, (n, k).
+        tolerance: A combination of the columns of size one that is smaller than this is left out.
+        comm: Communicator.
+
+    Note:
+        Collective.
+    """
+    R = triangles(X, np.zeros(len(X), dtype=np.int64), 1, comm)[0]
+    _, sigma, Vt = np.linalg.svd(R)
+    return orthonormal_columns(X @ Vt[sigma > tolerance].T, comm)
 
 
 def _triangle(X: Array) -> Array:

@@ -126,12 +126,13 @@ def _motion(row: Array, centre: Array, length: float) -> str:
     if not ω.any():
         return _direction("a translation", "in", a, "xyz")
     if dim == 2:
-        return f"a rotation about {_point(centre + length * np.array([-a[1], a[0]]) / ω[0])}"
+        point = centre + length * np.array([-a[1], a[0]]) / ω[0]
+        return f"a rotation about {_point(point, length)}"
     size = ω @ ω
     along = a @ ω / size
     point = centre + length * np.cross(ω, a - along * ω) / size
     kind = "a rotation" if abs(along) < SMALL else "a screw motion"
-    return f"{kind} about the axis {_point(ω / np.sqrt(size))} through {_point(point)}"
+    return f"{kind} about the axis {_point(ω / np.sqrt(size))} through {_point(point, length)}"
 
 
 def _direction(what: str, link: str, a: Array, axes: str) -> str:
@@ -170,12 +171,14 @@ def _largest(torn: Torn, x: Array | None, w: Array) -> str:
     """Say where a field is largest."""
     if x is None:
         return ""
-    i = int(np.abs(w).argmax()) if len(w) else 0
-    own = (float(np.abs(w[i])), x[i].tolist()) if len(w) else (-1.0, [])
+    bs = torn.A.getBlockSize()
+    size = np.linalg.norm(w.reshape(-1, bs), axis=1)
+    i = int(size.argmax()) if len(size) else 0
+    own = (float(size[i]), x[bs * i].tolist()) if len(size) else (-1.0, [])
     return f", largest at {_point(np.array(max(torn.comm.allgather(own))[1]))}"
 
 
-def _point(x: Array) -> str:
-    """Write coordinates, rounding away."""
-    scale = max(float(np.abs(x).max()), 1e-300)
+def _point(x: Array, size: float = 0.0) -> str:
+    """Write coordinates, without what is rounding on a body of some size."""
+    scale = max(float(np.abs(x).max()), size, 1e-300)
     return "(" + ", ".join(f"{round(v / scale, 6) * scale + 0.0:.4g}" for v in x) + ")"

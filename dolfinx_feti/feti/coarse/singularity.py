@@ -35,7 +35,11 @@ from dolfinx_feti.feti.coarse.bodies import (
     unresisted,
 )
 from dolfinx_feti.feti.coarse.coarse import Coarse
-from dolfinx_feti.feti.coarse.columns import orthonormal_columns, triangles
+from dolfinx_feti.feti.coarse.columns import (
+    independent_columns,
+    orthonormal_columns,
+    triangles,
+)
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.coarse.motions import describe
 from dolfinx_feti.feti.gluing import Gluing
@@ -57,6 +61,9 @@ SHIFT, VECTORS, ROUNDS = 1e-12, 8, 4
 
 #: Most motions that are looked for.
 MOST = 64
+
+#: Sine of the angle below which a motion is a rigid one that is known.
+APART = 1e-4
 
 
 def require_regular(
@@ -253,6 +260,8 @@ def _unresisted(
 ) -> Array:
     """Combine fields to motions, beside the rigid ones, that nothing resists. Collective."""
     W = _beside(rigid, W, bodies, operator, torn)
+    if W.shape[1] == 0:
+        return W
     both = np.hstack([operator.forces(W), operator.sizes(W)])
     R = triangles(both, np.zeros(torn.n, dtype=np.int64), 1, torn.comm)[0]
     m = W.shape[1]
@@ -262,16 +271,16 @@ def _unresisted(
 def _beside(
     rigid: Motions, W: Array, bodies: Bodies, operator: ScaledOperator, torn: Torn
 ) -> Array:
-    """Take the rigid motions out of fields; return what is left, as columns of size one."""
+    """Take the rigid motions out of fields; return a basis of what is left. Collective."""
     comm, count = torn.comm, bodies.count
+    root = (operator.share * operator.root)[:, None]
+    X = orthonormal_columns(root * W, comm)
     for _ in range(2):
-        for j in range(rigid.fields.shape[1]):
-            r, sized = rigid.fields[:, j], operator.sizes(rigid.fields[:, j : j + 1])
+        for column in (root * rigid.fields).T:
             overlap, own = (
                 comm.allreduce(np.array([np.bincount(bodies.of, c, count + 1) for c in part.T]))
-                for part in (sized * operator.sizes(W), sized * sized)
+                for part in (column[:, None] * X, column[:, None] ** 2)
             )
             share = overlap / np.where(own > 0.0, own, np.inf)
-            W = W - r[:, None] * share[:, bodies.of].T
-    root = (operator.share * operator.root)[:, None]
-    return np.asarray(orthonormal_columns(root * W, comm) / root)
+            X = X - column[:, None] * share[:, bodies.of].T
+    return np.asarray(independent_columns(X, APART, comm) / root)

@@ -12,9 +12,9 @@ random vectors. The null vectors are singular vectors of the block scaled by its
 .. math:: \|(d^{-1/2} K d^{-1/2} + \hat R \hat R^⊤)\, \hat y\| ≤ 10^{-12}\, \|\hat y\|,
           \qquad y = d^{-1/2}\, \hat y,
 
-with an orthonormal basis :math:`\hat R` of :math:`d^{1/2} R` for the known modes R; found among all
-if the block is small, else among a few from inverse iteration with :math:`K + ρ R R^⊤ + 10^{-9}
-\operatorname{diag}(d)`.
+with an orthonormal basis :math:`\hat R` of :math:`d^{-1/2} R` for the known modes R; found among
+all if the block is small, else among a few from inverse iteration with :math:`K + ρ R R^⊤ +
+10^{-9} \operatorname{diag}(d)`.
 """
 
 from __future__ import annotations
@@ -87,10 +87,11 @@ def null_space(
     Raises:
         FactorError: Not even the shifted block can be factored. Not collective.
     """
-    n, root = len(d), np.sqrt(_positive(d))[:, None]
+    d = _positive(d)
+    n, root = len(d), np.sqrt(d)[:, None]
     R = np.zeros((n, 0)) if R is None else R
 
-    known = np.linalg.qr(root * R)[0]
+    known = np.linalg.qr(R / root)[0]
 
     def scaled(X: Array) -> Array:
         return multiply(X / root) / root + known @ (known.T @ X)  # d^-½ K d^-½ + R̂ R̂ᵀ
@@ -98,7 +99,7 @@ def null_space(
     if n <= DENSE:
         values, vectors = _singular(scaled(np.eye(n)))
     else:
-        factors.update_block(i, R, rho, shift=SHIFT)
+        factors.update_block(i, R, rho, shift=SHIFT * d)
         values, vectors = _smallest(scaled, lambda X: root * factors.solve_many(i, root * X), n)
     zero = values <= ZERO
     if n > DENSE and not np.any(zero):
