@@ -12,7 +12,7 @@ import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.csgraph
 
-__all__ = ["connected_blocks", "copy_forest", "is_symmetric"]
+__all__ = ["block_graph", "connected_blocks", "copy_forest", "is_symmetric"]
 
 Indices = npt.NDArray[np.int32]
 
@@ -44,24 +44,35 @@ def connected_blocks(K: PETSc.Mat) -> list[Indices]:
     Returns:
         For each component its rows, ascending; components in the order of their first row.
     """
-    n, bs = K.getSize()[0], K.getBlockSize()
-    if n == 0:
+    if K.getSize()[0] == 0:
         return []
-    indptr, indices = K.getRowIJ()
+    _, label = scipy.sparse.csgraph.connected_components(block_graph(K), directed=False)
+    label = np.repeat(label, K.getBlockSize())
+    order = np.argsort(label, kind="stable").astype(np.int32)
+    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+
+
+def block_graph(K: PETSc.Mat) -> scipy.sparse.csr_array:
+    """Return which blocks of dofs a matrix couples, (n / bs, n / bs).
+
+    Args:
+        K: Sequential AIJ matrix, (n, n), of block size bs.
+    """
+    n, bs = K.getSize()[0], K.getBlockSize()
     graph = scipy.sparse.csr_array((n // bs, n // bs), dtype=bool)
-    for first in range(bs):  # one row of every block at a time, to save memory
+    if n == 0:
+        return graph
+    indptr, indices = K.getRowIJ()
+    for first in range(bs):  # one row of every block at a time, for the sake of memory
         start, length = indptr[:-1][first::bs], np.diff(indptr)[first::bs]
         end = np.cumsum(length)
         entries = np.repeat(start - end + length, length) + np.arange(length.sum())
         pattern = (indices[entries] // bs, np.concatenate(([0], end)))
         if first and all(map(np.array_equal, pattern, (graph.indices, graph.indptr))):
-            continue  # the rows of a block have the same pattern
+            continue  # the rows of a block are alike
         more = scipy.sparse.csr_array((np.ones(len(entries), dtype=bool), *pattern), graph.shape)
         graph = graph + more if first else more
-    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    label = np.repeat(label, bs)
-    order = np.argsort(label, kind="stable").astype(np.int32)
-    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+    return graph
 
 
 def copy_forest(A: PETSc.Mat) -> PETSc.SF:

@@ -20,9 +20,10 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.errors import SetUpError, SingularError
+from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.events import event
 from dolfinx_feti.feti.coarse.coarse import Coarse
+from dolfinx_feti.feti.coarse.singularity import require_regular
 from dolfinx_feti.feti.coarse.stability import negative_eigenvalues
 from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.inertia import Inertia
@@ -32,7 +33,7 @@ from dolfinx_feti.feti.krylov.recycling import DeflatedSystem, Directions
 from dolfinx_feti.feti.krylov.stopping import Monitor
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
-from dolfinx_feti.feti.setup import SINGULAR, Factored, Pattern
+from dolfinx_feti.feti.setup import Factored, Pattern
 from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
 from dolfinx_feti.feti.subdomain.pseudoinverse import Modes, PseudoInverse
 from dolfinx_feti.torn import Torn
@@ -165,7 +166,17 @@ def create_dual_form(pattern: Pattern, factored: Factored) -> DualForm:
                 prefix=pattern.prefix + "coarse_",
             )
             owned.callback(coarse.destroy)
-            _check_coarse(coarse)
+            require_regular(
+                torn,
+                pattern.bodies,
+                factored.near_kernel,
+                pattern.gluing,
+                pattern.matrices,
+                coarse,
+                symmetric=pattern.symmetric,
+                definite=factored.semidefinite(pattern),
+                prefix=pattern.prefix + "coarse_",
+            )
         inertia = factored.inertia
         if pattern.symmetric:
             assembled = _negative_assembled(pattern, factored, coarse)
@@ -289,12 +300,6 @@ def _negative_assembled(pattern: Pattern, factored: Factored, coarse: Coarse) ->
     if pattern.options.pc_type == "dirichlet" and pattern.matrices.condensed:
         return inside + proved  # the coarse fields are K-orthogonal to those inside
     return max(inside, proved)
-
-
-def _check_coarse(coarse: Coarse) -> None:
-    zero = coarse.solver.pivots().zero
-    if zero:
-        raise SingularError(SINGULAR.format(zero))
 
 
 def _check_method(method: Method, pattern: Pattern) -> None:

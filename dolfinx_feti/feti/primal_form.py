@@ -27,6 +27,7 @@ from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.events import event
 from dolfinx_feti.feti.coarse.averaged import AveragedSpace
 from dolfinx_feti.feti.coarse.flux import flux_columns
+from dolfinx_feti.feti.coarse.singularity import require_held
 from dolfinx_feti.feti.copies import Copies
 from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.inertia import Inertia
@@ -57,6 +58,7 @@ class PrimalForm:
         gluing: Weights δ.
         matrices: The matrix of each subdomain, K or S.
         inverse: K⁺.
+        near_kernel: Rigid body modes on the torn dofs, (n, k).
         modes: E of each subdomain.
         preconditioner: Applies S.
         copies: Copies of the interface dofs.
@@ -70,6 +72,7 @@ class PrimalForm:
     gluing: Gluing
     matrices: SubdomainMatrices
     inverse: PseudoInverse
+    near_kernel: Array
     modes: Modes
     preconditioner: Dirichlet
     copies: Copies
@@ -112,7 +115,7 @@ class PrimalForm:
         u[Γ] = found.x
         ends = found.eigenvalues[[0, -1]] if len(found.eigenvalues) else (np.nan, np.nan)
         reason = found.reason
-        if reason == Reason.DIVERGED_INDEFINITE_PC and found.iterations:
+        if reason == Reason.DIVERGED_INDEFINITE_PC and self.inertia.local == 0:
             reason = Reason.CONVERGED_ITS  # rounding: a fresh start on what is left
         solution = Solution(found.x, reason, found.iterations, (float(ends[0]), float(ends[1])))
         return self.preconditioner.complete(u, f) + u_D, solution
@@ -157,7 +160,7 @@ def create_primal_form(pattern: Pattern, factored: Factored) -> PrimalForm:
         The form; the caller destroys it before the pattern.
 
     Raises:
-        SetUpError: The matrix is not symmetric, or S is not there.
+        SetUpError: The matrix is not symmetric, S is not there, or a body is not held.
 
     Note:
         Collective.
@@ -170,6 +173,7 @@ def create_primal_form(pattern: Pattern, factored: Factored) -> PrimalForm:
         )
     torn, modes, inverse = pattern.torn, factored.modes, pattern.inverse
     with event("FETICoarse"):
+        require_held(torn, pattern.bodies, factored.near_kernel, definite=False)
         copies = Copies(torn, S.interface, pattern.gluing.delta)
         g = S.condense(torn.flux(options.coarse_flux))[copies.dofs]
 
@@ -202,6 +206,7 @@ def create_primal_form(pattern: Pattern, factored: Factored) -> PrimalForm:
         gluing=pattern.gluing,
         matrices=pattern.matrices,
         inverse=inverse,
+        near_kernel=factored.near_kernel,
         modes=modes,
         preconditioner=S,
         copies=copies,

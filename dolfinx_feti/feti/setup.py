@@ -20,10 +20,13 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx_feti.collective import on_all
-from dolfinx_feti.errors import SetUpError, SingularError
+from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.events import event
+from dolfinx_feti.feti.coarse.bodies import find_bodies
+from dolfinx_feti.feti.coarse.singularity import require_regular_interior
 from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.options import FETIOptions
@@ -34,15 +37,10 @@ from dolfinx_feti.feti.subdomain.matrices import create_matrices
 from dolfinx_feti.feti.subdomain.pseudoinverse import Modes, PseudoInverse
 from dolfinx_feti.torn import Torn
 
-__all__ = ["SINGULAR", "Factored", "Pattern", "factor"]
+__all__ = ["Factored", "Pattern", "factor"]
 
 T = TypeVar("T")
-
-SINGULAR = (
-    "The assembled problem is singular, with a kernel of dimension {}: the Dirichlet conditions "
-    "leave rigid body motions (or constants) free, in all of the body or in a part that is not "
-    "connected to the rest. Add Dirichlet conditions."
-)
+Array = npt.NDArray[np.float64]
 
 
 class Pattern:
@@ -52,6 +50,7 @@ class Pattern:
         options: The choices made.
         prefix: Options prefix of the sub-solvers, ``…feti_``.
         torn: Blocks and copies.
+        bodies: Its parts that hang together.
         symmetric: Whether K is symmetric.
         gluing: B, and B_D with the weights of the last matrix.
         matrices: The matrix of each subdomain, K or S, of the last matrix.
@@ -78,6 +77,7 @@ class Pattern:
         self.prefix = prefix + "feti_"
         self.torn = Torn(A)
         require_finite(self.torn)
+        self.bodies = find_bodies(self.torn)
         self.symmetric = self.torn.is_symmetric()
         _check_symmetry(self.symmetric, options, self.prefix)
         floating = options.all_floating
@@ -126,13 +126,20 @@ class Factored:
     """What the factors of one matrix tell.
 
     Attributes:
+        near_kernel: Rigid body modes on the torn dofs, (n, k).
         modes: R, E and D of each subdomain.
         inertia: Negative eigenvalues of K_ρ, D and K_II; those of the assembled matrix are not yet
             known.
     """
 
+    near_kernel: Array
     modes: Modes
     inertia: Inertia
+
+    def semidefinite(self, pattern: Pattern) -> bool:
+        """Tell whether all K_i are known to be symmetric positive semi-definite."""
+        inside = self.inertia.interior == 0 or not pattern.matrices.condensed
+        return pattern.symmetric and self.inertia.definite and inside
 
 
 def factor(pattern: Pattern) -> Factored:
@@ -156,13 +163,11 @@ def factor(pattern: Pattern) -> Factored:
         pattern.preconditioner.weigh()
     with event("FETIFactor"):
         _on_all(pattern.matrices.update, torn.comm)
-        inside = torn.comm.allreduce(pattern.matrices.interior_kernel().shape[1])
-        if inside:
-            raise SingularError(SINGULAR.format(inside))
         near_kernel = torn.near_kernel()
+        require_regular_interior(torn, pattern.bodies, near_kernel, pattern.matrices)
         modes = _on_all(lambda: pattern.inverse.update(near_kernel), torn.comm)
         _on_all(lambda: pattern.preconditioner.update(modes.props), torn.comm)
-    return Factored(modes, _inertia(pattern, modes))
+    return Factored(near_kernel, modes, _inertia(pattern, modes))
 
 
 def _on_all(work: Callable[[], T], comm: MPI.Comm) -> T:

@@ -222,7 +222,9 @@ class FETI:
                 if reason != Reason.DIVERGED_INDEFINITE_MAT:
                     return reason
             assert self._pattern is not None
-            self._form = create_dual_form(self._pattern, Factored(form.modes, form.inertia))
+            self._form = create_dual_form(
+                self._pattern, Factored(form.near_kernel, form.modes, form.inertia)
+            )
             form.destroy()
             form, self.message, self.method = self._form, "", self._form.method.type
         deflated = form.deflated(self._directions)

@@ -151,9 +151,7 @@ def test_singular_tangent_at_the_start():
     """It lacks supports, unless the state is a predicted one or another step went well before."""
     u, energy = flat_at_one()
     problem = NonlinearProblem(energy, u, subdomains=6, petsc_options_prefix=PREFIX)
-    supports = (
-        r"linear solver: .*singular, with a kernel of dimension 1.*Add Dirichlet conditions\.$"
-    )
+    supports = r"linear solver: .*singular, with a kernel of dimension 1.*Add Dirichlet conditions"
     steps = "the tangent at this trial state is singular or indefinite, although the body is held"
     for reference, message in ((None, supports), (1.0, steps), (None, supports)):
         u.x.array[:] = 1.0

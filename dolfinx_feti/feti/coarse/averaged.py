@@ -20,9 +20,11 @@ takes two dense products for each subdomain, one coarse solve, and an average.
 The averaged columns of a subdomain may depend on each other, or nearly so. Its block on the
 diagonal of A₀, scaled to a unit diagonal, tells: combinations of the columns with an energy below
 :data:`DEPENDENT` are dropped, and the others normalised to energy one. Columns of several
-subdomains may depend on each other, too. So :math:`A_0 + ε` is factored, with a diagonal ε just
-above the rounding errors of the energies, :math:`\sum_i \|S_i\|_F \|W_i\|^2` times the unit of
-rounding for each column, and iterative refinement makes up for ε where A₀ is regular.
+subdomains may depend on each other, too: pivots below :data:`ZERO` are left out of the solution,
+which is exact on what is left. Rounding gives such columns energies of either sign. So negative
+eigenvalues count only if they are those of :math:`A_0 + ε`, with a diagonal ε just above the
+rounding errors of the energies, :math:`\sum_i \|S_i\|_F \|W_i\|^2` times the unit of rounding for
+each column.
 """
 
 from __future__ import annotations
@@ -50,12 +52,11 @@ Numbers = npt.NDArray[np.int64]
 #: Energy below which a combination of the columns of a subdomain, of unit energy each, is dropped.
 DEPENDENT = 1e-6
 
-#: Bounds of rounding errors that are added to the diagonal of A₀ before it is factored.
+#: A pivot of A₀ below this multiple of its norm is that of a column that depends on others.
+ZERO = 1e-8
+
+#: Bounds of rounding errors by which an eigenvalue of A₀ has to be negative.
 BOUNDS = 10.0
-
-#: Steps of iterative refinement in the solution with A₀.
-REFINEMENTS = 2
-
 
 #: Steps of conjugate gradients for each unknown of A₀ in the search of a negative direction.
 STEPS = 3
@@ -70,7 +71,7 @@ class AveragedSpace:
         dropped: Number of dependent combinations among them, over all processes.
         AV: For each subdomain :math:`Y_i`, and the numbers of its columns.
         A_0: The Galerkin matrix of the independent combinations.
-        solver: Factors of A₀ + ε.
+        solver: Its factors.
     """
 
     def __init__(
@@ -110,12 +111,12 @@ class AveragedSpace:
         whole.destroy()
         self.dropped = self.total - self.A_0.getSize()[0]
         self._x, self._y = self.A_0.createVecs()
-        near = [_rounding(W.values, multiply, i) for i, W in enumerate(fields)]
-        self._x.array[:] = BOUNDS * (self._basis.multiply(self._basis).T @ self._to_owners(near))
-        shifted = self.A_0.copy()
-        shifted.setDiagonal(self._x, addv=PETSc.InsertMode.ADD_VALUES)
-        self.solver = GatheredSolver(shifted, prefix=prefix, symmetric=True)
-        shifted.destroy()
+        self.solver = GatheredSolver(self.A_0, prefix=prefix, symmetric=True, zero=ZERO)
+        self._negative = self.solver.pivots().negative
+        if self._negative:
+            near = [_rounding(W.values, multiply, i) for i, W in enumerate(fields)]
+            rounding = self._basis.multiply(self._basis).T @ self._to_owners(near)
+            self._negative = self._count_negative(BOUNDS * rounding, prefix)
 
     def start(self, r: Array) -> Array:
         """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective."""
@@ -141,17 +142,9 @@ class AveragedSpace:
 
     def solve(self, e: Array) -> Array:
         """Return A₀⁻¹ e, both (size,). Collective."""
-        right = rest = self._basis.T @ e
-        y = np.zeros(len(right))
-        for step in range(1 + REFINEMENTS):
-            self._y.array[:] = rest
-            self.solver.solve(self._y, self._x)
-            y += self._x.array_r  # y ← y + (A₀ + ε)⁻¹ (e − A₀ y)
-            if step < REFINEMENTS:
-                self._x.array[:] = y
-                self.A_0.mult(self._x, self._y)
-                rest = right - self._y.array_r
-        return np.asarray(self._basis @ y)
+        self._y.array[:] = self._basis.T @ e
+        self.solver.solve(self._y, self._x)
+        return np.asarray(self._basis @ self._x.array_r)
 
     def prolong(self, y: Array) -> Array:
         """Return the copies of V y, (size,) → (n,). Collective."""
@@ -162,7 +155,18 @@ class AveragedSpace:
 
     def negative(self) -> int | None:
         """Count the negative eigenvalues of A₀, which A has at least; None if not known."""
-        return self.solver.pivots().negative
+        return self._negative
+
+    def _count_negative(self, rounding: Array, prefix: str) -> int | None:
+        """Count the negative eigenvalues of A₀ + ε, with the diagonal ε of this process."""
+        self._x.array[:] = rounding
+        shifted = self.A_0.copy()
+        shifted.setDiagonal(self._x, addv=PETSc.InsertMode.ADD_VALUES)
+        solver = GatheredSolver(shifted, prefix=prefix, symmetric=True)
+        negative = solver.pivots().negative
+        solver.destroy()
+        shifted.destroy()
+        return negative
 
     def negative_direction(self) -> Array | None:
         """Return the copies of a field v with vᵀ A v < 0, (n,); None if A₀ is positive definite.

@@ -24,6 +24,7 @@ from dolfinx_feti.feti.subdomain.direct import (
     mebibytes,
     pivots_of,
     prepare_mumps,
+    set_zero_pivot,
 )
 
 __all__ = ["GatheredSolver"]
@@ -39,13 +40,17 @@ class GatheredSolver:
         ksp: The solver, on those processes; None elsewhere.
     """
 
-    def __init__(self, N: PETSc.Mat, *, prefix: str, symmetric: bool) -> None:
+    def __init__(
+        self, N: PETSc.Mat, *, prefix: str, symmetric: bool, zero: float | None = None
+    ) -> None:
         """Move the rows and factor.
 
         Args:
             N: Matrix, (K, K), distributed anyhow.
             prefix: Options prefix of the solver.
             symmetric: Whether N is symmetric (Cholesky) or not (LU).
+            zero: MUMPS takes a pivot below this multiple of the norm of N for zero, and solves
+                without its row and column; None for exact zeros only.
 
         Raises:
             SetUpError: The options are wrong, or the factorisation failed; on all processes.
@@ -75,7 +80,7 @@ class GatheredSolver:
                 self._matrix = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=self._comm)
                 self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
                 self._sub_b, self._sub_x = self._matrix.createVecs()
-                self.ksp = _factor(self._matrix, prefix, symmetric)
+                self.ksp = _factor(self._matrix, prefix, symmetric, zero)
 
         try:
             on_all(factor, comm)
@@ -126,11 +131,13 @@ class GatheredSolver:
             self._comm.Free()
 
 
-def _factor(N: PETSc.Mat, prefix: str, symmetric: bool) -> PETSc.KSP:
+def _factor(N: PETSc.Mat, prefix: str, symmetric: bool, zero: float | None) -> PETSc.KSP:
     """Set the solver up, with more work space for MUMPS if it runs out of it."""
     cause = ""
     for percent in WORK_SPACE:
         ksp = _create_ksp(N, prefix, symmetric, percent)
+        if zero is not None:
+            set_zero_pivot(ksp.getPC(), zero)
         ksp.setUp()
         pc = ksp.getPC()
         failed = pc.getFailedReason()

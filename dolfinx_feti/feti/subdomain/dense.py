@@ -62,7 +62,7 @@ class DenseFactors:
         self._blocks[i] = _Block(np.asfortranarray(S))
 
     def update_block(
-        self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: float = 0.0
+        self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: Array | None = None
     ) -> None:
         """Factor one regularised block.
 
@@ -70,7 +70,7 @@ class DenseFactors:
             i: Number of the block.
             R: Its columns, (n_i, k), orthonormal.
             rho: The stiffness ρ.
-            shift: Share of the absolute diagonal that is added to it.
+            shift: Added to the diagonal, (n_i,).
 
         Raises:
             FactorError: NaN or Inf in the block. Not collective: the caller reduces.
@@ -123,9 +123,10 @@ class _Block:
         self._interchanges: npt.NDArray[np.int32] | None = None  # of Bunch and Kaufman
         self._inverted = False
         self._R: Array = np.zeros((len(S), 0))
-        self._rho, self._shift = 1.0, 0.0
+        self._rho = 1.0
+        self._shift: Array | None = None
 
-    def factor(self, R: Array, rho: float, shift: float) -> None:
+    def factor(self, R: Array, rho: float, shift: Array | None) -> None:
         self._R, self._rho, self._shift = R, rho, shift
         if len(self.S) == 0:
             return
@@ -142,7 +143,7 @@ class _Block:
     def _regularised(self) -> Array:
         """Form S + ρ R Rᵀ, shifted, in the upper triangle of a new array."""
         X: Array = self.S.T.copy(order="F")
-        np.fill_diagonal(X, self.diagonal + self._shift * np.abs(self.diagonal))
+        np.fill_diagonal(X, self.diagonal if self._shift is None else self.diagonal + self._shift)
         if self._R.shape[1] == 0:
             return X
         return blas.dsyrk(self._rho, self._R, beta=1.0, c=X, lower=0, overwrite_c=1)

@@ -22,6 +22,7 @@ __all__ = [
     "mebibytes",
     "pivots_of",
     "prepare_mumps",
+    "set_zero_pivot",
     "sum_pivots",
 ]
 
@@ -111,6 +112,17 @@ def prepare_mumps(pc: PETSc.PC, percent: int) -> None:
         pc.setFactorSetUpSolverType()
         pc.getFactorMatrix().setMumpsIcntl(14, percent)
         pc.getFactorMatrix().setMumpsIcntl(24, 1)  # count zero pivots instead of dividing by them
+
+
+def set_zero_pivot(pc: PETSc.PC, zero: float) -> None:
+    """Let MUMPS, if it is the solver, take small pivots for zero.
+
+    Args:
+        pc: Prepared by :func:`prepare_mumps`, not yet set up.
+        zero: Multiple of the norm of the matrix.
+    """
+    if _is_mumps(pc):
+        pc.getFactorMatrix().setMumpsCntl(3, zero)
 
 
 def failure(pc: PETSc.PC) -> str:

@@ -53,7 +53,7 @@ class Factors(Protocol):
         """Rows of each block."""
 
     def update_block(
-        self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: float = 0.0
+        self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: Array | None = None
     ) -> None:
         """Factor block i of the present matrix with the columns R."""
 
@@ -121,7 +121,7 @@ class BlockFactors:
             self.update_block(i)
 
     def update_block(
-        self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: float = 0.0
+        self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: Array | None = None
     ) -> None:
         """Refill and factor one block.
 
@@ -129,7 +129,7 @@ class BlockFactors:
             i: Number of the block.
             R: Its border, (n_i, k).
             rho: The stiffness ρ.
-            shift: Share of the absolute diagonal that is added to it.
+            shift: Added to the diagonal, (n_i,).
 
         Raises:
             FactorError: The factorisation failed. Not collective: the caller reduces.
@@ -137,9 +137,9 @@ class BlockFactors:
         if self._sizes[i] == 0:
             return
         K = self._K.createSubMatrix(self._is[i], self._is[i])
-        if shift:
+        if shift is not None:
             diagonal = K.getDiagonal()
-            diagonal.array[:] += shift * np.abs(diagonal.array_r)
+            diagonal.array[:] += shift
             K.setDiagonal(diagonal)
             diagonal.destroy()
         csr = _bordered(K, np.zeros((self._sizes[i], 0)) if R is None else R, rho)

@@ -9,11 +9,12 @@ that hang together in a point or along an edge. A factor of such a block is wort
 say so: rounding turns the pivots that should be zero into tiny ones. What tells is the growth of
 random vectors. The null vectors are singular vectors of the block scaled by its diagonal d,
 
-.. math:: \|d^{-1/2} K d^{-1/2}\, \hat y\| ≤ 10^{-12}\, \|\hat y\|, \qquad
-          y = d^{-1/2}\, \hat y,
+.. math:: \|(d^{-1/2} K d^{-1/2} + \hat R \hat R^⊤)\, \hat y\| ≤ 10^{-12}\, \|\hat y\|,
+          \qquad y = d^{-1/2}\, \hat y,
 
-found among all if the block is small, else among a few from inverse iteration with
-:math:`K + 10^{-9} \operatorname{diag}(d)`.
+with an orthonormal basis :math:`\hat R` of :math:`d^{-1/2} R` for the known modes R; found among
+all if the block is small, else among a few from inverse iteration with :math:`K + ρ R R^⊤ +
+10^{-9} \operatorname{diag}(d)`.
 """
 
 from __future__ import annotations
@@ -67,14 +68,9 @@ def factor_tells_singular(factors: Factors, i: int, d: Array) -> bool:
 
 
 def null_space(
-    factors: Factors,
-    i: int,
-    multiply: Solve,
-    d: Array,
-    R: Array | None = None,
-    rho: float = 1.0,
+    factors: Factors, i: int, multiply: Solve, d: Array, R: Array | None = None, rho: float = 1.0
 ) -> Array:
-    """Find the null space of the block K + ρ R Rᵀ.
+    """Find the null space of the block K, but for the modes R.
 
     Args:
         factors: The factors of the block; of a shifted one afterwards, if it is large and there
@@ -91,17 +87,19 @@ def null_space(
     Raises:
         FactorError: Not even the shifted block can be factored. Not collective.
     """
-    n, root = len(d), np.sqrt(_positive(d))[:, None]
+    d = _positive(d)
+    n, root = len(d), np.sqrt(d)[:, None]
     R = np.zeros((n, 0)) if R is None else R
 
+    known = np.linalg.qr(R / root)[0]
+
     def scaled(X: Array) -> Array:
-        Y = X / root
-        return (multiply(Y) + rho * R @ (R.T @ Y)) / root  # d^-½ (K + ρ R Rᵀ) d^-½
+        return multiply(X / root) / root + known @ (known.T @ X)  # d^-½ K d^-½ + R̂ R̂ᵀ
 
     if n <= DENSE:
         values, vectors = _singular(scaled(np.eye(n)))
     else:
-        factors.update_block(i, R, rho, shift=SHIFT)
+        factors.update_block(i, R, rho, shift=SHIFT * d)
         values, vectors = _smallest(scaled, lambda X: root * factors.solve_many(i, root * X), n)
     zero = values <= ZERO
     if n > DENSE and not np.any(zero):
