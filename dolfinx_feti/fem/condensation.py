@@ -32,6 +32,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.fem.assembly import assemble, create_local_matrix, torn_form
+from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import Decomposition, TornSpace
 
 __all__ = ["Blocks", "Condensation", "pressure_patterns"]
@@ -76,6 +77,7 @@ class Condensation:
         space: TornSpace,
         pressure_space: TornSpace,
         n_cells: int,
+        compiler: Compiler | None = None,
     ) -> None:
         """Derive and compile the blocks.
 
@@ -87,6 +89,7 @@ class Condensation:
             space: Torn V.
             pressure_space: Torn Q.
             n_cells: Number of owned cells.
+            compiler: How the blocks are compiled; with dolfinx's options if not given.
 
         Raises:
             ValueError: p does not occur in the residuals, or they leave it undetermined.
@@ -105,9 +108,10 @@ class Condensation:
         K_pu = ufl.derivative(F_p, u, ufl.TrialFunction(V))
         K_pp = ufl.derivative(F_p, p, ufl.TrialFunction(Q))
         _require_blocks(p, K_up=K_up, K_pu=K_pu, K_pp=K_pp)
-        self._forms = (torn_form(ufl.adjoint(K_up), spaces), torn_form(K_pu, spaces))
-        self._K_pp = torn_form(K_pp, (pressure_space, pressure_space))
-        self._r_p = torn_form(F_p, (pressure_space,))
+        rectangular = (ufl.adjoint(K_up), K_pu)
+        self._forms = tuple(torn_form(form, spaces, compiler) for form in rectangular)
+        self._K_pp = torn_form(K_pp, (pressure_space, pressure_space), compiler)
+        self._r_p = torn_form(F_p, (pressure_space,), compiler)
         self._rectangular = create_local_matrix(pressure_space, space, n_cells)
         self._square = create_local_matrix(pressure_space, pressure_space, n_cells)
         indptr, indices = self._rectangular.getRowIJ()

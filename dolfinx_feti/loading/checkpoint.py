@@ -11,7 +11,6 @@ parameters it belongs (``identity``); ``states`` keeps the last one whole at any
 from __future__ import annotations
 
 import importlib
-import json
 import shutil
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -33,7 +32,7 @@ from dolfinx_feti.loading.identity import (
     other_parameters,
     other_problem,
     plain,
-    plain_number,
+    plain_record,
 )
 from dolfinx_feti.loading.states import (
     FORMAT,
@@ -62,7 +61,7 @@ class Checkpoint:
 
     Attributes:
         folder: The folder.
-        record: What was said at the last :meth:`write`; None before the first one.
+        record: The record of the last :meth:`write`; None before the first one.
         restart: Whether the run goes on from what the folder held.
     """
 
@@ -95,7 +94,7 @@ class Checkpoint:
         self._adios4dolfinx = _import_adios4dolfinx(comm)
         self._comm = comm
         self.restart = restart
-        self._parameters = plain(parameters or {})
+        self._parameters = on_all(lambda: plain(parameters or {}), comm)
         self.folder = Path(folder)
         self._latest: dict[str, Any] | None = on_first(self._open, comm)
         self._count: int = on_first(lambda: last_number(self.folder), comm)
@@ -117,29 +116,30 @@ class Checkpoint:
 
         Raises:
             OSError: It cannot be written; the last state stays.
-            ValueError: A process has no cell.
+            TypeError: The record of the first process has more in it than JSON holds.
+            ValueError: A process has no cell, or ``past`` holds other arrays than the functions'.
 
         Note:
             Collective; raises on all processes.
         """
-        self._count += 1
-        name = f"step-{self._count:04d}"
-        part = self.folder / f"{name}.part"
+        on_all(lambda: _check_past(functions, past), self._comm)
         problem = {"parameters": self._parameters, **describe(functions)}
-        text = json.dumps(
-            {"format": FORMAT, "state": name, "past": len(past), **problem, "record": dict(record)},
-            default=plain_number,
-        )
+        name = f"step-{self._count + 1:04d}"
+        head = {"format": FORMAT, "state": name, "past": len(past), **problem}
+        latest = on_first(lambda: plain_record(head | {"record": dict(record)}), self._comm)
+        self._count += 1
+        part = self.folder / f"{name}.part"
         size = (1 + len(past)) * sum(map(_size, functions))
         try:
             on_first(lambda: prepare(part, size), self._comm)
             self._write_state(part / STATE, functions, past)
-            latest = on_first(lambda: publish(part, json.loads(text)), self._comm)
+            latest = on_first(lambda: publish(part, latest), self._comm)
         except Exception as error:
             on_first(lambda: shutil.rmtree(part, ignore_errors=True), self._comm)
-            said = f"The checkpoint {part} cannot be written ({reason(error)}): "
-            kept = "there is none yet." if self._latest is None else "the one before it is kept."
-            raise OSError(said + kept) from error
+            kept = "there is none yet" if self._latest is None else "the one before it is kept"
+            raise OSError(
+                f"The checkpoint {part} cannot be written ({reason(error)}): {kept}."
+            ) from error
         self._latest, self.record = latest, latest["record"]
 
     def read(self, functions: Sequence[dolfinx.fem.Function]) -> list[list[Array]]:
@@ -229,6 +229,21 @@ class Checkpoint:
         return found
 
 
+def _check_past(functions: Sequence[dolfinx.fem.Function], past: Sequence[Sequence[Array]]) -> None:
+    """Require an array of each function's size in each state of the past.
+
+    Raises:
+        ValueError: One is missing or has another size.
+    """
+    sizes = [len(f.x.array) for f in functions]
+    for i, values in enumerate(past):
+        if [len(array) for array in values] != sizes:
+            raise ValueError(
+                f"past[{i}] holds arrays of {[len(a) for a in values]} values, but the functions "
+                f"have {sizes}: give the x.array of each, ghosts included."
+            )
+
+
 def _size(f: dolfinx.fem.Function) -> int:
     """Return the bytes of a function: values, and each cell's dofs, offset and permutation."""
     V = f.function_space
@@ -245,7 +260,7 @@ def _import_adios4dolfinx(comm: MPI.Comm) -> ModuleType:
     """
     try:
         return on_all(lambda: importlib.import_module("adios4dolfinx"), comm)
-    except RuntimeError as error:
+    except Exception as error:
         raise ModuleNotFoundError(
             f"Checkpoints need adios4dolfinx, which cannot be imported ({error}): install Debian's "
             "python3-adios4dolfinx or PyPI's adios4dolfinx, with a dolfinx that has ADIOS2.",

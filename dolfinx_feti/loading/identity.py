@@ -17,7 +17,7 @@ import dolfinx
 
 from dolfinx_feti._compat import geometry_dofmap
 
-__all__ = ["describe", "other_parameters", "other_problem", "plain", "plain_number"]
+__all__ = ["describe", "other_parameters", "other_problem", "plain", "plain_record"]
 
 #: How closely the mesh has to agree, relative to its extent: digits that a file of text may lose.
 CLOSE = 1e-10
@@ -92,15 +92,24 @@ def plain(parameters: Mapping[str, object]) -> dict[str, Any]:
     """
     for name, value in parameters.items():
         try:
-            json.dumps(value, default=plain_number)
+            plain_record({name: value})
         except TypeError as error:
             raise ValueError(
                 f"parameters[{name!r}] is {value!r}: give numbers, strings, or lists of them."
             ) from error
-    return json.loads(json.dumps(dict(parameters), default=plain_number))
+    return plain_record(parameters)
 
 
-def plain_number(value: object) -> object:
+def plain_record(record: Mapping[str, object]) -> dict[str, Any]:
+    """Return what JSON makes of a record, and of NumPy's numbers and arrays in it.
+
+    Raises:
+        TypeError: There is more in it than JSON holds.
+    """
+    return json.loads(json.dumps(dict(record), default=_plain_number))
+
+
+def _plain_number(value: object) -> object:
     """Return NumPy's numbers and arrays as Python's."""
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()

@@ -32,11 +32,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti._compat import residual_is_nan
+from dolfinx_feti.collective import on_all
 from dolfinx_feti.events import event
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
 from dolfinx_feti.problems.line_search import line_search
 from dolfinx_feti.problems.shift import fallen, raised
+from dolfinx_feti.problems.solvers import python_errors
 from dolfinx_feti.problems.system import Residual, System, Tangent
 
 __all__ = ["Newton", "Start"]
@@ -237,7 +239,7 @@ def _judge(snes: PETSc.SNES, its: int, norm: float, scale: float) -> int:
     snes.setIterationNumber(its)
     snes.setFunctionNorm(norm)
     snes.logConvergenceHistory(norm, snes.getKSP().getIterationNumber())
-    snes.monitor(its, norm)
+    on_all(lambda: _monitor(snes, its, norm), snes.comm.tompi4py())
     if not np.isfinite(norm):
         raise _Stop(residual_is_nan(), _NOT_A_NUMBER)
     if norm <= atol:
@@ -247,6 +249,12 @@ def _judge(snes: PETSc.SNES, its: int, norm: float, scale: float) -> int:
     if its >= max_it:
         raise _Stop(Reason.DIVERGED_MAX_IT, _TOO_MANY.format(max_it))
     return Reason.ITERATING
+
+
+def _monitor(snes: PETSc.SNES, its: int, norm: float) -> None:
+    """Call the monitors, which may be the user's own."""
+    with python_errors():
+        snes.monitor(its, norm)
 
 
 def _solve(ksp: PETSc.KSP, A: PETSc.Mat, b: Array) -> Array:

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 
 from petsc4py import PETSc
 
-from dolfinx_feti.collective import warn
+from dolfinx_feti.collective import on_all, warn
 from dolfinx_feti.feti.options import SOLVERS, options_without_effect, read_options
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.petsc_options import inserted, withheld
@@ -38,9 +38,13 @@ def create_solver(A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]
     """
     ksp = PETSc.KSP().create(A.comm)
     ksp.setOptionsPrefix(prefix)
-    with _options(A, prefix, petsc_options):
-        _attach(ksp, FETI(), A)
-        _set_from_options(ksp, prefix)
+
+    def set_up() -> None:
+        with _options(A, prefix, petsc_options):
+            _attach(ksp, FETI(), A)
+            _set_from_options(ksp, prefix)
+
+    on_all(set_up, A.comm.tompi4py())
     return ksp
 
 
@@ -64,13 +68,17 @@ def create_newton_solver(
     """
     snes = PETSc.SNES().create(A.comm)
     snes.setOptionsPrefix(prefix)
-    with _options(A, prefix, petsc_options):
-        snes.setType(PETSc.SNES.Type.PYTHON)
-        snes.setPythonContext(newton)
-        snes.setTolerances(rtol=1e-8, atol=1e-10, max_it=30)
-        _attach(snes.getKSP(), feti, A)
-        _set_from_options(snes, prefix)
-        snes.getKSP().setErrorIfNotConverged(False)
+
+    def set_up() -> None:
+        with _options(A, prefix, petsc_options):
+            snes.setType(PETSc.SNES.Type.PYTHON)
+            snes.setPythonContext(newton)
+            snes.setTolerances(rtol=1e-8, atol=1e-10, max_it=30)
+            _attach(snes.getKSP(), feti, A)
+            _set_from_options(snes, prefix)
+            snes.getKSP().setErrorIfNotConverged(False)
+
+    on_all(set_up, A.comm.tompi4py())
     return snes
 
 
@@ -100,7 +108,7 @@ def _set_from_options(solver: PETSc.KSP | PETSc.SNES, prefix: str) -> None:
     """Let a solver read its options; a failure to converge is for the package to report.
 
     Raises:
-        ValueError: An option has a wrong value.
+        ValueError: An option has a wrong value; perhaps on this process alone.
     """
     read_options(prefix)  # PETSc would turn its ValueError into an error code
     try:

@@ -24,7 +24,9 @@ import basix
 import dolfinx
 import ufl
 
+from dolfinx_feti.collective import on_all
 from dolfinx_feti.fem import assembly
+from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.condensation import Blocks, Condensation, pressure_patterns
 from dolfinx_feti.fem.decomposition import Decomposition, tear
 from dolfinx_feti.torn import set_pressure_patterns
@@ -91,6 +93,7 @@ class System:
         volume_ratio: ufl.core.expr.Expr | None,
         quadrature_degree: int,
         decomposition: Decomposition,
+        compiler: Compiler | None = None,
     ) -> None:
         """Tear the space and compile all forms.
 
@@ -104,6 +107,10 @@ class System:
             volume_ratio: Expression that has to be positive at every quadrature point.
             quadrature_degree: Degree of those points.
             decomposition: Subdomain of each owned cell.
+            compiler: How forms are compiled; with dolfinx's options if not given.
+
+        Note:
+            Collective.
         """
         V = u.function_space
         self.u = u
@@ -112,8 +119,9 @@ class System:
         self._held = assembly.dirichlet_mask(V, self.bcs)
         self._n_cells = len(decomposition.subdomain)
         self._space = tear(V, decomposition)
-        self._residual = dolfinx.fem.form(F_u)
-        self._tangent = assembly.torn_form(J, (self._space, self._space))
+        compiler = compiler or Compiler(self.comm)
+        self._residual = compiler.form(F_u)
+        self._tangent = assembly.torn_form(J, (self._space, self._space), compiler)
         self.condensation = None
         if pressure is not None:
             F_p, p = pressure
@@ -125,15 +133,19 @@ class System:
                 space=self._space,
                 pressure_space=tear(p.function_space, decomposition),
                 n_cells=self._n_cells,
+                compiler=compiler,
             )
         self._K = assembly.create_local_matrix(self._space, self._space, self._n_cells)
         self._stiffness = np.zeros(self._K.getSize()[0])
         self.A = assembly.create_matis(self._space, self._K, self.bcs, self._stiffness)
         if self.condensation is not None:
             set_pressure_patterns(self.A, self.condensation.rows, pressure_patterns(decomposition))
-        self._energy = None if energy is None else dolfinx.fem.form(energy)
+        self._energy = None if energy is None else compiler.form(energy)
         self._shift = 0.0
-        self._volume_ratio = _at_quadrature(V, volume_ratio, quadrature_degree)
+        self._volume_ratio = None
+        if volume_ratio is not None:
+            points = quadrature_points(V.mesh, quadrature_degree)
+            self._volume_ratio = compiler.expression(volume_ratio, points)
         bs = V.dofmap.index_map_bs
         torn = self._space.dof[:, None] * bs + np.arange(bs)
         self._local = torn.ravel()  # local dof of V of each torn dof
@@ -191,12 +203,15 @@ class System:
         Note:
             Collective.
         """
-        least = np.inf
-        if self._volume_ratio is not None and self._n_cells:
-            cells = np.arange(self._n_cells, dtype=np.int32)
-            values = self._volume_ratio.eval(self.u.function_space.mesh, cells)
-            least = float(values.min()) if np.all(np.isfinite(values)) else -np.inf
-        return self.comm.allreduce(least, op=MPI.MIN)
+        return self.comm.allreduce(on_all(self._own_volume_ratio, self.comm), op=MPI.MIN)
+
+    def _own_volume_ratio(self) -> float:
+        """Return the least det F over the quadrature points of this process."""
+        if self._volume_ratio is None or not self._n_cells:
+            return np.inf
+        cells = np.arange(self._n_cells, dtype=np.int32)
+        values = self._volume_ratio.eval(self.u.function_space.mesh, cells)
+        return float(values.min()) if np.all(np.isfinite(values)) else -np.inf
 
     @property
     def has_potential(self) -> bool:
@@ -209,16 +224,19 @@ class System:
         Note:
             Collective.
         """
+        return self.comm.allreduce(on_all(self._own_potential, self.comm))
+
+    def _own_potential(self) -> float:
+        """Integrate the potential over the cells of this process."""
         assert self._energy is not None
         if self.condensation is None:
-            value = dolfinx.fem.assemble_scalar(self._energy)
-        else:
-            p = self.condensation.p.x
-            before = p.array.copy()
-            p.array[:] = self.condensation.relaxed()
-            value = dolfinx.fem.assemble_scalar(self._energy)
-            p.array[:] = before
-        return self.comm.allreduce(value)
+            return float(dolfinx.fem.assemble_scalar(self._energy))
+        p = self.condensation.p.x
+        before = p.array.copy()
+        p.array[:] = self.condensation.relaxed()
+        value = float(dolfinx.fem.assemble_scalar(self._energy))
+        p.array[:] = before
+        return value
 
     # -- equations --------------------------------------------------------------------------------
 
@@ -228,13 +246,11 @@ class System:
         Note:
             Collective.
         """
-        b = dolfinx.fem.assemble_vector(self._residual)
+        b, torn, blocks = on_all(self._own_residual, self.comm)
         b.scatter_reverse(dolfinx.la.InsertMode.add)
         force = b.array[: self.owned].copy()
-        r, blocks = force.copy(), None
-        if self.condensation is not None:
-            blocks = self.condensation.assemble()
-            torn = self.condensation.residual(blocks, len(self._local))
+        r = force.copy()
+        if blocks is not None:
             b.array[:] = np.bincount(self._local, torn, minlength=len(b.array))
             b.scatter_reverse(dolfinx.la.InsertMode.add)
             r += b.array[: self.owned]
@@ -243,14 +259,32 @@ class System:
             bc.set(r, self.u.x.array, -1.0)
         return Residual(r, force, blocks)
 
+    def _own_residual(self) -> tuple[dolfinx.la.Vector, Array, Blocks | None]:
+        """Assemble over the cells of this process: r_u, what condensation adds, and its blocks."""
+        b = dolfinx.fem.assemble_vector(self._residual)
+        if self.condensation is None:
+            return b, np.zeros(0), None
+        blocks = self.condensation.assemble()
+        return b, self.condensation.residual(blocks, len(self._local)), blocks
+
     def linearise(self) -> Tangent:
         """Assemble the torn tangent and its near kernel at the present state.
 
-        The stiffness of the scaling is the diagonal before the pressure is condensed into it: the
-        κ-term on the diagonal says nothing about the interface.
-
         Note:
             Collective.
+        """
+        on_all(self._fill, self.comm)
+        bs = self.u.function_space.dofmap.index_map_bs
+        assembly.attach_near_kernel(
+            self.A, self.u.function_space, self.u.x.array[: self.owned].reshape(-1, bs)
+        )
+        return self.tangent()
+
+    def _fill(self) -> None:
+        """Assemble the local matrix, and the stiffness that weighs the copies of a dof.
+
+        The stiffness is the diagonal before the pressure is condensed into it: the κ-term on the
+        diagonal says nothing about the interface.
         """
         assembly.assemble(self._K, self._tangent)
         self._shift = 0.0
@@ -258,11 +292,6 @@ class System:
         self.A.query("stiffness").array[:] = self._stiffness
         if self.condensation is not None:
             self.condensation.add_to(self._K, self.condensation.assemble())
-        bs = self.u.function_space.dofmap.index_map_bs
-        assembly.attach_near_kernel(
-            self.A, self.u.function_space, self.u.x.array[: self.owned].reshape(-1, bs)
-        )
-        return self.tangent()
 
     def tangent(self) -> Tangent:
         """Name the tangent that the matrix holds now."""
@@ -304,11 +333,7 @@ class System:
             self.condensation.destroy()
 
 
-def _at_quadrature(
-    V: dolfinx.fem.FunctionSpace, value: ufl.core.expr.Expr | None, degree: int
-) -> dolfinx.fem.Expression | None:
-    if value is None:
-        return None
-    cell = getattr(basix.CellType, V.mesh.topology.cell_name())
-    points = np.asarray(basix.make_quadrature(cell, degree)[0])
-    return dolfinx.fem.Expression(value, points)
+def quadrature_points(mesh: dolfinx.mesh.Mesh, degree: int) -> Array:
+    """Return the points of the reference cell's quadrature rule, (points, dimension)."""
+    cell = getattr(basix.CellType, mesh.topology.cell_name())
+    return np.asarray(basix.make_quadrature(cell, degree)[0])

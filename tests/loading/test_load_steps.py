@@ -15,7 +15,8 @@ from collective import agree, equal, raises, small
 from played import OWN, ROUNDING, truth
 
 from dolfinx_feti import ConvergenceError
-from dolfinx_feti.loading.load_steps import LoadStep, Steps, follow_load
+from dolfinx_feti.loading.load_steps import follow_load
+from dolfinx_feti.loading.steps import LoadStep, Steps
 
 
 def increments(steps: list[LoadStep]) -> np.ndarray:

@@ -13,7 +13,8 @@ from collective import COMM, agree, equal, raises, small
 from played import OWN, ROUNDING, STEP, truth
 
 from dolfinx_feti import ConvergenceError
-from dolfinx_feti.loading.load_steps import LoadStep, Steps, follow_load
+from dolfinx_feti.loading.load_steps import follow_load
+from dolfinx_feti.loading.steps import LoadStep, Steps
 
 
 def test_first_steps_begin_with_the_tangent_of_the_last_equilibrium(played):

@@ -12,8 +12,8 @@ import pytest
 from collective import COMM, agree, raises
 
 from dolfinx_feti import ConvergenceError
-from dolfinx_feti.loading.load_steps import Steps
 from dolfinx_feti.loading.progress import WIDTH, Progress
+from dolfinx_feti.loading.steps import Steps
 
 
 class Terminal(io.StringIO):

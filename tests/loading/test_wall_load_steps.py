@@ -10,7 +10,8 @@ from mixed import by_place
 from walls import Wall, tube, wall
 
 from dolfinx_feti import NonlinearProblem, loads
-from dolfinx_feti.loading.load_steps import LoadStep, Steps, follow_load
+from dolfinx_feti.loading.load_steps import follow_load
+from dolfinx_feti.loading.steps import LoadStep, Steps
 
 
 def small_wall() -> Wall:
