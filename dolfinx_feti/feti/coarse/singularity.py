@@ -62,6 +62,9 @@ SHIFT, VECTORS, ROUNDS = 1e-12, 8, 4
 #: Most motions that are looked for.
 MOST = 64
 
+#: Size below which a combination of suspected fields of size one is rounding.
+DISTINCT = 1e-8
+
 #: Sine of the angle below which a motion is a rigid one that is known.
 APART = 1e-4
 
@@ -292,7 +295,9 @@ def _beside(
     """Take the rigid motions out of fields; return a basis of what is left. Collective."""
     comm, count = torn.comm, bodies.count
     root = (operator.share * operator.root)[:, None]
-    X = orthonormal_columns(root * W, comm)
+    X = root * W
+    size = np.sqrt(comm.allreduce((X**2).sum(axis=0)))
+    X = independent_columns(X / np.where(size > 0.0, size, 1.0), DISTINCT, comm)
     for _ in range(2):
         for column in (root * rigid.fields).T:
             overlap, own = (
