@@ -98,6 +98,11 @@ def stressed(C, J):
     return neo_hookean(C, J) + kinematics.isochoric_invariant_4(C, family(0), J)
 
 
+def flat(C, J):
+    """No stiffness at rest."""
+    return (kinematics.isochoric_invariant_1(C, J) - 3) ** 2
+
+
 def not_a_number(C, J):
     """NaN where a fibre along x is longer than √1.3."""
     return neo_hookean(C, J) * (1 + ufl.sqrt(1.3 - C[0, 0]))

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from workshop_materials import (
     C,
+    flat,
     fung,
     goh,
     hgo,
@@ -51,6 +52,13 @@ def test_good_materials_pass(psi, kappa):
     fibres = psi in (hgo, goh, oblique)
     assert outcomes(report.checks, "warn", "fail") == ({KINK} if fibres else set())
     assert report.moduli is not None and len(report.ellipticity) == 5
+
+
+def test_large_kappa_hides_nothing():
+    """Ψ itself is checked, without κ/2 (J − 1)², which would set the scale of all deviations."""
+    soft, stiff = (check(material(hgo, kappa=kappa), n=5).checks for kappa in (10.0, 1e5))
+    assert [c.value for c in soft[:11]] == [c.value for c in stiff[:11]]
+    assert "elliptic" in soft[-1].name and soft[-1].value != stiff[-1].value
 
 
 def test_complete_energy():
@@ -107,19 +115,30 @@ def test_nothing_resists_a_change_of_volume():
     assert found.outcome == "warn" and "kappa" in found.note
 
 
+def test_no_stiffness_at_rest():
+    """Ψ = (Ī₁ − 3)²: everything at rest is zero, and nothing is divided by it."""
+    report = check(material(flat), n=5)
+    assert "stiffness at rest positive" in outcomes(report.checks, "warn")
+    failed = outcomes(report.checks, "fail")
+    assert failed == {name for name in failed if "elliptic" in name} != set()
+    assert report.moduli is not None and report.moduli.compliance is None
+
+
 def test_nan_is_reported_with_its_state():
     """The energy is NaN where C₁₁ > 1.3: in tension from λ = √1.3 = 1.14 on, not in shear."""
     report = check(material(not_a_number), n=11)
-    finite, along = report.checks[:2]
-    assert (finite.name, finite.outcome) == ("finite values", "fail")
+    checks = {c.name: c for c in report.checks}
+    finite, along = checks["finite values"], checks["finite values along the paths"]
+    assert finite.outcome == "fail"
     assert finite.value is not None and finite.value > 0
     assert finite.note.startswith(
         f"Ψ, P, A at {finite.value:.0f} of 32 states, the first at F = [["
     )
     assert (along.outcome, along.value) == ("fail", 5 * 4)
     assert along.note.startswith("the first at λ = 1.2 of uniaxial, F = [[1.2, 0, 0]")
-    (uniaxial,) = (c for c in report.checks if c.name == "strongly elliptic, uniaxial")
-    assert "no equilibrium at 5 states, the nearest at λ = 1.2" in uniaxial.note
+    note = checks["strongly elliptic, uniaxial"].note
+    assert "no equilibrium at 5 states, the nearest at λ = 1.2" in note
+    assert checks["frame indifference of the stress"].outcome == "pass"  # at the other states
 
 
 def test_nan_at_rest():
