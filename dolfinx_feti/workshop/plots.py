@@ -20,11 +20,17 @@ __all__ = ["plot_fit", "plot_responses"]
 LETTERS = {"cauchy": ("σ", "Cauchy stress"), "piola": ("P", "first Piola stress")}
 
 
-def plot_responses(responses: Sequence[Response], *, measure: Measure = "cauchy") -> Figure:
+def plot_responses(
+    responses: Sequence[Response],
+    *,
+    names: Sequence[str] | None = None,
+    measure: Measure = "cauchy",
+) -> Figure:
     """Draw the measured stresses of several responses over their stretches or shears.
 
     Args:
         responses: What :func:`~dolfinx_feti.workshop.response.respond` returned.
+        names: Their names in the legend, by default those of the paths.
         measure: ``cauchy`` or ``piola``.
 
     Returns:
@@ -32,18 +38,21 @@ def plot_responses(responses: Sequence[Response], *, measure: Measure = "cauchy"
 
     Raises:
         ImportError: matplotlib is not installed.
-        ValueError: There is no response, or the measure is unknown.
+        ValueError: There is no response, the names are more or fewer, or the measure is unknown.
     """
     if not responses:
         raise ValueError("responses is empty: give at least one response.")
+    names = [r.path.name for r in responses] if names is None else names
+    if len(names) != len(responses):
+        raise ValueError(f"names = {names}: give one for each of the {len(responses)} responses.")
     letter, title = _letter(measure)
     figure = _figure(1)
     ax = figure.axes[0]
-    for response in responses:
+    for name, response in zip(names, responses, strict=True):
         for column, (i, j) in zip(
             stresses(response, measure).T, response.path.measured, strict=True
         ):
-            label = f"{response.path.name}, {letter}$_{{{i + 1}{j + 1}}}$"
+            label = f"{name}, {letter}$_{{{i + 1}{j + 1}}}$"
             ax.plot(response.path.values, column, label=label)
     ax.set_xlabel(" or ".join(sorted({r.path.symbol for r in responses}, reverse=True)))
     ax.set_ylabel(f"{title} [kPa]")

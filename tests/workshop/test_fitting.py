@@ -181,6 +181,10 @@ def test_picture_of_responses():
     (ax,) = plot_responses(curves, measure="piola").axes
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), curves[0].P[:, 0, 0])
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("λ or γ", "first Piola stress [kPa]")
+    (named,) = plot_responses(curves, names=["strip", "block"]).axes
+    assert [t.get_text().split(",")[0] for t in named.get_legend().texts] == ["strip", "block"]
+    with pytest.raises(ValueError, match="give one for each of the 2 responses"):
+        plot_responses(curves, names=["strip"])
     with pytest.raises(ValueError, match="give at least one response"):
         plot_responses([])
     with pytest.raises(ValueError, match="measure = 'kirchhoff'"):

@@ -22,7 +22,6 @@ from workshop_materials import (
     neo_hookean,
     not_a_number,
     oblique,
-    reinforced,
     rotation,
     saint_venant,
     unsplit,
@@ -149,34 +148,45 @@ def test_oblique_fibres_let_a_specimen_shear(kappa):
     np.testing.assert_allclose(held.sigma[:, 2], 0, atol=1e-10)
 
 
-@pytest.mark.parametrize("make", [uniaxial, pure_shear, simple_shear])
-def test_direction_of_loading(make):
-    """Loading at ANGLE to a fibre along x is loading along x with a fibre at −ANGLE."""
-    angle = {"along": (np.cos(ANGLE), -np.sin(ANGLE), 0)}
-    if make is not uniaxial:
-        angle["across"] = (2 * np.sin(ANGLE), 2 * np.cos(ANGLE), 0)
-    fibre_along_x = respond(material(hgo), make([1.1, 1.3], **angle))
-    Q = fibre_along_x.path.frame
-    np.testing.assert_allclose(Q.T @ Q, np.eye(3), atol=1e-15)
-    assert np.linalg.det(Q) == pytest.approx(1)
-    stretch = fibre_along_x.path.F
-    back = Q.T @ stretch @ Q
-    np.testing.assert_allclose(back, make([1.1, 1.3]).F, atol=1e-14)
+ALONG, ACROSS = (np.cos(ANGLE), np.sin(ANGLE), 0), (-2 * np.sin(ANGLE), 2 * np.cos(ANGLE), 0)
 
 
-def test_directions_of_loading_are_those_of_the_material():
-    """A fibre along x, loaded along y: only the matrix material resists, as y shrinks the fibre."""
-    across = respond(material(hgo), uniaxial([1.3], along=(0, 0, 2.0)))
-    E = (
-        np.cos(ANGLE) ** 2 * across.F[0, 1, 1] ** 2
-        + np.sin(ANGLE) ** 2 * across.F[0, 2, 2] ** 2
-        - 1
-    )
-    assert across.sigma[0, 0, 0] == pytest.approx(C * (1.69 - 1 / 1.3), rel=1e-12)
-    assert E < 0
-    along = respond(material(reinforced), uniaxial([1.3]))
-    rotated = respond(material(reinforced), uniaxial([1.3], along=(0, 1, 0)))
-    assert along.sigma[0, 0, 0] > 1.5 * rotated.sigma[0, 0, 0]
+def fibre_stress(E):
+    """4 k₁ E exp(k₂ E²) of two families in the same direction."""
+    return 4 * HGO["k1"] * E * np.exp(HGO["k2"] * E**2)
+
+
+def test_loading_along_an_oblique_fibre():
+    """As if the fibre were along x: nothing shears, and σ₁₁ has the fibres' part in full."""
+    stretch = np.array([1.1, 1.4])
+    response = respond(material(oblique), uniaxial(stretch, along=ALONG))
+    stress = C * (stretch**2 - 1 / stretch) + fibre_stress(stretch**2 - 1) * stretch**2
+    np.testing.assert_allclose(response.sigma[:, 0, 0], stress, **exact)
+    lateral = np.diag([0, 1, 1]) * stretch[:, None, None] ** -0.5
+    np.testing.assert_allclose(response.F[:, 1:], lateral[:, 1:], atol=1e-11)
+    wide = respond(material(oblique), pure_shear(stretch, along=ALONG, across=ACROSS))
+    stress = C * (stretch**2 - stretch**-2) + fibre_stress(stretch**2 - 1) * stretch**2
+    np.testing.assert_allclose(wide.sigma[:, 0, 0], stress, **exact)
+
+
+def test_shear_along_and_across_an_oblique_fibre():
+    """Along the fibre, it keeps its length; across, Ī₄ = 1 + γ² and F a = (γ, 1)."""
+    along = respond(material(oblique), simple_shear(SHEAR, along=ALONG, across=ACROSS))
+    np.testing.assert_allclose(along.sigma[:, 0, 1], C * SHEAR, **exact)
+    across = respond(material(oblique), simple_shear(SHEAR, along=ACROSS, across=ALONG))
+    stress = C * SHEAR + fibre_stress(SHEAR**2) * SHEAR
+    np.testing.assert_allclose(across.sigma[:, 0, 1], stress, **exact)
+
+
+@pytest.mark.parametrize("along", [(1, 0, 0), (0, 0, -3), (1, 2, 3)])
+def test_frame_of_loading(along):
+    path = uniaxial([1.3], along=along)
+    R = path.frame
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-15)
+    assert np.linalg.det(R) == pytest.approx(1)
+    np.testing.assert_allclose(R[:, 0] * np.linalg.norm(along), along, atol=1e-14)
+    free = path.free.reshape(-1, 9)
+    np.testing.assert_allclose(free @ free.T, np.eye(5), atol=1e-14)
 
 
 def test_every_path_passes_through_rest():
