@@ -4,7 +4,7 @@
 """Classical and all-floating FETI methods for FEniCSx.
 
 In the order of the data: errors, _compat, collective, events, petsc_options, folders,
-connectivity, torn, mechanics, wall, fem, feti, problems, loading, output, comparison.
+connectivity, torn, mechanics, workshop, wall, fem, feti, problems, loading, output, comparison.
 """
 
 from dolfinx_feti.errors import ConvergenceError

@@ -112,6 +112,13 @@ def test_mechanics_knows_no_feti():
         assert not foreign(MODULES[name].path) & {"dolfinx", "petsc4py", "mpi4py"}, name
 
 
+def test_workshop_knows_no_solver():
+    """It compiles energies, on one cell."""
+    for name in everything_below(in_room("workshop")):
+        assert name.split(".")[0] in {"workshop", "mechanics", "errors"}, name
+        assert "petsc4py" not in foreign(MODULES[name].path), name
+
+
 def test_finite_elements_know_no_solver():
     """They hand over at the torn matrix."""
     assert not everything_below(in_room("fem")) & in_room("feti")

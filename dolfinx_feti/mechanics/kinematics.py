@@ -23,6 +23,7 @@ __all__ = [
     "deformation_gradient",
     "green_lagrange",
     "isochoric_invariant_1",
+    "isochoric_invariant_2",
     "isochoric_invariant_4",
     "isochoric_split",
     "jacobian",
@@ -85,6 +86,18 @@ def isochoric_invariant_1(C: Expr, J: Expr | None = None) -> Expr:
     """
     plane_strain = 3 - C.ufl_shape[0]
     return _volume_factor(C, J) * (ufl.tr(C) + plane_strain)
+
+
+def isochoric_invariant_2(C: Expr, J: Expr | None = None) -> Expr:
+    """Second isochoric invariant Ī₂ = ½ (Ī₁² − tr C̄²) = J^{-4/3} ½ ((tr C)² − tr C²).
+
+    Args:
+        C: Right Cauchy-Green tensor, shape (d, d).
+        J: Volume ratio, as in :func:`isochoric_invariant_1`.
+    """
+    plane_strain = 3 - C.ufl_shape[0]
+    trace, trace_of_square = ufl.tr(C) + plane_strain, ufl.inner(C, C) + plane_strain
+    return _volume_factor(C, J) ** 2 * (trace**2 - trace_of_square) / 2
 
 
 def isochoric_invariant_4(C: Expr, a: Expr, J: Expr | None = None) -> Expr:

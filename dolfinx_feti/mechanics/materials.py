@@ -10,9 +10,9 @@ below. For nearly incompressible tissue (eq. 10, Augustin_eq:decompositionStrain
 
     Ψ(C) = Ψ̄(C̄) + Ψ_vol(J),   or with a pressure field   Ψ(C, p) = Ψ̄(C̄) + p (J − 1) − p²/(2κ).
 
-Isochoric energies Ψ̄ are :func:`neo_hookean` and :func:`holzapfel_gasser_ogden`; the volumetric
-part is :func:`volumetric` or :func:`perturbed_lagrangian`; :func:`saint_venant_kirchhoff` is
-complete in itself.
+Isochoric energies Ψ̄ are :func:`neo_hookean`, :func:`mooney_rivlin`, :func:`holzapfel_gasser_ogden`
+and :func:`gasser_ogden_holzapfel`; the volumetric part is :func:`volumetric` or
+:func:`perturbed_lagrangian`; :func:`saint_venant_kirchhoff` is complete in itself.
 
 Parameters are floats, dolfinx constants (a new value needs no recompilation), or any UFL
 expression, such as a piecewise constant Function for layers. Floats are checked.
@@ -37,11 +37,17 @@ from typing import TypeAlias
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti.mechanics.kinematics import isochoric_invariant_1, isochoric_invariant_4
+from dolfinx_feti.mechanics.kinematics import (
+    isochoric_invariant_1,
+    isochoric_invariant_2,
+    isochoric_invariant_4,
+)
 
 __all__ = [
     "ArteryParameters",
+    "gasser_ogden_holzapfel",
     "holzapfel_gasser_ogden",
+    "mooney_rivlin",
     "neo_hookean",
     "perturbed_lagrangian",
     "saint_venant_kirchhoff",
@@ -50,9 +56,10 @@ __all__ = [
 
 Parameter: TypeAlias = float | Expr
 
-# At u = 0 every Ī₄ is one up to rounding. A switch slightly below one keeps all fibres in the
-# tangent there, not those of a random half of the cells; the jump of Ψ at the switch is 1e-24 k₁.
-_FIBRE_SWITCH = 1.0 - 1e-12
+# At u = 0 every E = Ī₄ − 1 is zero up to rounding. A switch slightly below zero keeps all fibres in
+# the tangent there, not those of a random half of the cells; the jump of Ψ at the switch is
+# 1e-24 k₁.
+_FIBRE_SWITCH = -1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +133,25 @@ def neo_hookean(C: Expr, *, c: Parameter, J: Expr | None = None) -> Expr:
     return c / 2 * (isochoric_invariant_1(C, J) - 3)
 
 
+def mooney_rivlin(C: Expr, *, c10: Parameter, c01: Parameter, J: Expr | None = None) -> Expr:
+    """Isochoric Mooney-Rivlin energy Ψ̄ = c₁₀ (Ī₁ − 3) + c₀₁ (Ī₂ − 3).
+
+    The shear modulus at small strains is 2 (c₁₀ + c₀₁). Source: Mooney, J. Appl. Phys. 11 (1940);
+    Rivlin, Phil. Trans. R. Soc. A 241 (1948).
+
+    Args:
+        C: Right Cauchy-Green tensor, shape (d, d).
+        c10: Stress-like parameter of Ī₁ [kPa].
+        c01: Stress-like parameter of Ī₂ [kPa].
+        J: Volume ratio det F, as in :func:`neo_hookean`.
+
+    Raises:
+        ValueError: If a parameter is a number that is not positive.
+    """
+    _require_positive(c10=c10, c01=c01)
+    return c10 * (isochoric_invariant_1(C, J) - 3) + c01 * (isochoric_invariant_2(C, J) - 3)
+
+
 def holzapfel_gasser_ogden(
     C: Expr,
     a1: Expr,
@@ -156,8 +182,51 @@ def holzapfel_gasser_ogden(
         ValueError: If a parameter is a number that is not positive.
     """
     _require_positive(c=c, k1=k1, k2=k2)
-    families = (_fibre_energy(isochoric_invariant_4(C, a, J), k1, k2) for a in (a1, a2))
+    families = (_fibre_energy(isochoric_invariant_4(C, a, J) - 1, k1, k2) for a in (a1, a2))
     return neo_hookean(C, c=c, J=J) + sum(families)
+
+
+def gasser_ogden_holzapfel(
+    C: Expr,
+    a1: Expr,
+    a2: Expr,
+    *,
+    c: Parameter,
+    k1: Parameter,
+    k2: Parameter,
+    dispersion: Parameter,
+    J: Expr | None = None,
+) -> Expr:
+    """Isochoric energy of a wall with two families of fibres whose directions are dispersed.
+
+    Ψ̄ = c/2 (Ī₁ − 3) + Σ_{i=4,6} k₁/(2k₂) {exp[k₂ E_i²] − 1} with the mean strain of a family
+    E_i = ϰ (Ī₁ − 3) + (1 − 3ϰ)(Ī_i − 1), which contributes only where E_i > 0. A dispersion ϰ = 0
+    is :func:`holzapfel_gasser_ogden`, and ϰ = 1/3 is isotropic. Source: Gasser, Ogden, Holzapfel,
+    J. R. Soc. Interface 3 (2006) 15-35.
+
+    Args:
+        C: Right Cauchy-Green tensor, shape (d, d).
+        a1: Mean direction of the first family in the reference configuration, a unit vector, (d,).
+        a2: Mean direction of the second family.
+        c: Stiffness of the matrix material [kPa].
+        k1: Stiffness of the fibres [kPa].
+        k2: Exponent of the fibres [-].
+        dispersion: ϰ, between 0 and 1/3 [-].
+        J: Volume ratio det F, as in :func:`neo_hookean`.
+
+    Raises:
+        ValueError: If a parameter is a number that is not positive, or ``dispersion`` one that is
+            not between 0 and 1/3.
+    """
+    _require_positive(c=c, k1=k1, k2=k2)
+    if not isinstance(dispersion, Expr) and not 0.0 <= dispersion <= 1 / 3:
+        raise ValueError(f"dispersion = {dispersion}: give a number between 0 and 1/3.")
+    I1 = isochoric_invariant_1(C, J)
+    strains = (
+        dispersion * (I1 - 3) + (1 - 3 * dispersion) * (isochoric_invariant_4(C, a, J) - 1)
+        for a in (a1, a2)
+    )
+    return neo_hookean(C, c=c, J=J) + sum(_fibre_energy(E, k1, k2) for E in strains)
 
 
 def saint_venant_kirchhoff(C: Expr, *, lmbda: Parameter, mu: Parameter) -> Expr:
@@ -178,10 +247,10 @@ def saint_venant_kirchhoff(C: Expr, *, lmbda: Parameter, mu: Parameter) -> Expr:
     return lmbda / 2 * ufl.tr(E) ** 2 + mu * ufl.inner(E, E)
 
 
-def _fibre_energy(I4: Expr, k1: Parameter, k2: Parameter) -> Expr:
-    """Energy k₁/(2k₂) {exp[k₂ (Ī₄ − 1)²] − 1} of one family, zero in compression."""
-    stretched = k1 / (2 * k2) * (ufl.exp(k2 * (I4 - 1) ** 2) - 1)
-    return ufl.conditional(ufl.gt(I4, _FIBRE_SWITCH), stretched, 0.0)
+def _fibre_energy(E: Expr, k1: Parameter, k2: Parameter) -> Expr:
+    """Energy k₁/(2k₂) {exp[k₂ E²] − 1} of one family with strain E, zero in compression."""
+    stretched = k1 / (2 * k2) * (ufl.exp(k2 * E**2) - 1)
+    return ufl.conditional(ufl.gt(E, _FIBRE_SWITCH), stretched, 0.0)
 
 
 def _require_positive(**parameters: Parameter) -> None:

@@ -69,7 +69,7 @@ def test_every_documented_name_is_in_the_code():
     assert not parts - code
 
 
-@pytest.mark.parametrize("room", ["feti", "problems", "fem", "mechanics", "wall"])
+@pytest.mark.parametrize("room", ["feti", "problems", "fem", "mechanics", "workshop", "wall"])
 def test_every_letter_of_the_code_is_documented(room):
     letters = {
         name.strip("_")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import tempfile
 import time
+from functools import partial
 
 from mpi4py import MPI
 
@@ -42,8 +43,16 @@ def fibred(F, J=None):
     )
 
 
+def dispersed(F, dispersion=0.226):
+    families = (ufl.as_vector(a.tolist()) for a in (A1, A2))
+    C, J = kin.right_cauchy_green(F), kin.jacobian(F)
+    return mat.gasser_ogden_holzapfel(C, *families, **HGO, dispersion=dispersion, J=J)
+
+
 ENERGIES = {
     "neo-Hookean": lambda F: mat.neo_hookean(kin.right_cauchy_green(F), c=3.0),
+    "Mooney-Rivlin": lambda F: mat.mooney_rivlin(kin.right_cauchy_green(F), c10=2.0, c01=0.5),
+    "GOH": dispersed,
     "HGO": fibred,
     "HGO with J": lambda F: fibred(F, kin.jacobian(F)),
     "volumetric": lambda F: mat.volumetric(kin.jacobian(F), KAPPA),
@@ -120,6 +129,32 @@ def test_uniaxial_by_hand():
         * (2 * stretch * cosine2 - (1 - cosine2) / stretch**2)
     )
     assert P[0, 0] - stretch**-1.5 * (P[1, 1] + P[2, 2]) / 2 == pytest.approx(slope, rel=1e-13)
+
+
+def test_mooney_rivlin_by_hand():
+    """F = diag(λ, λ, λ^-2), λ = 1.2: I₁ = 2 λ² + λ^-4, and I₂ = λ^4 + 2 λ^-2 as J = 1."""
+    psi = value(ENERGIES["Mooney-Rivlin"](variable(np.diag([1.2, 1.2, 1.2**-2]))))
+    by_hand = 2.0 * (2 * 1.44 + 1.44**-2 - 3) + 0.5 * (1.44**2 + 2 / 1.44 - 3)
+    assert psi == pytest.approx(by_hand, rel=1e-13)
+
+
+@pytest.mark.parametrize("F", [STRETCHED, SQUEEZED, SHEARED])
+def test_fibres_without_dispersion_are_those_of_hgo(F):
+    parallel = piola(lambda F: dispersed(F, 0.0), F)
+    np.testing.assert_allclose(parallel, piola(fibred, F), rtol=1e-12, atol=1e-13)
+
+
+def test_fully_dispersed_fibres_are_isotropic():
+    """ϰ = 1/3: E = (Ī₁ − 3)/3 for both families, whatever their direction."""
+    E = value(kin.isochoric_invariant_1(variable(STRETCHED.T @ STRETCHED))) / 3 - 1
+    psi = 4.5 * E + 2.3632 / 0.8393 * np.expm1(0.8393 * E**2)
+    assert value(dispersed(variable(STRETCHED), 1 / 3)) == pytest.approx(psi, rel=1e-13)
+
+
+@pytest.mark.parametrize("bad", [-0.1, 0.34, float("nan")])
+def test_bad_dispersion(bad):
+    with pytest.raises(ValueError, match=r"dispersion = .*: give a number between 0 and 1/3"):
+        dispersed(variable(np.eye(3)), bad)
 
 
 @pytest.mark.parametrize("F", [STRETCHED, SQUEEZED, SHEARED])
@@ -219,23 +254,22 @@ def test_parameters_of_the_paper():
 
 
 @pytest.mark.parametrize("bad", [0, -2.5, float("nan"), float("inf"), np.float64(-1)])
-@pytest.mark.parametrize("name", ["c", "k1", "k2", "kappa", "lmbda", "mu"])
+@pytest.mark.parametrize("name", ["c", "k1", "k2", "c10", "c01", "kappa", "lmbda", "mu"])
 def test_bad_parameters(name, bad):
     C, a = variable(np.eye(3)), ufl.as_vector([1.0, 0.0, 0.0])
-    functions = {
-        "kappa": (mat.volumetric, lambda J, kappa: mat.perturbed_lagrangian(J, J, kappa)),
-        "c": (mat.neo_hookean,),
-    }
-    with pytest.raises(ValueError, match=f"^{name} = "):
-        if name in ("c", "k1", "k2"):
-            mat.holzapfel_gasser_ogden(C, a, a, **{**HGO, name: bad})
-        elif name != "kappa":
-            mat.saint_venant_kirchhoff(C, **{"lmbda": 1.0, "mu": 1.0, name: bad})
-        else:
-            mat.volumetric(ufl.det(C), bad)
-    for function in functions.get(name, ()):
-        with pytest.raises(ValueError, match=f"^{name} = "):
-            function(C if name == "c" else ufl.det(C), **{name: bad})
+    functions = [
+        (partial(mat.neo_hookean, C), {"c": 1.0}),
+        (partial(mat.mooney_rivlin, C), {"c10": 1.0, "c01": 1.0}),
+        (partial(mat.holzapfel_gasser_ogden, C, a, a), HGO),
+        (partial(mat.gasser_ogden_holzapfel, C, a, a, dispersion=0.1), HGO),
+        (partial(mat.saint_venant_kirchhoff, C), {"lmbda": 1.0, "mu": 1.0}),
+        (partial(mat.volumetric, ufl.det(C)), {"kappa": 1.0}),
+        (partial(mat.perturbed_lagrangian, ufl.det(C), ufl.det(C)), {"kappa": 1.0}),
+    ]
+    for function, good in functions:
+        if name in good:
+            with pytest.raises(ValueError, match=f"^{name} = "):
+                function(**{**good, name: bad})
 
 
 def test_parameter_that_is_not_a_number():

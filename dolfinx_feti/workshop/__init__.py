@@ -1,0 +1,67 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A workshop for materials: energies in UFL checked, drawn and fitted before they meet a mesh.
+
+Example::
+
+    psi = partial(materials.neo_hookean, c=3.0)  # any function of C and J, or of F
+    material = compile_material(psi)  # incompressible
+    print(check(material))
+    curve = respond(material, uniaxial(np.linspace(0.8, 1.6, 41)))
+
+In the order of the data: compiled, tables, directions, paths, equilibrium, response, moduli,
+ellipticity, checks, report, data, intervals, fitting, plots.
+"""
+
+from dolfinx_feti.workshop.checks import Check
+from dolfinx_feti.workshop.compiled import Material, States, compile_material, evaluate
+from dolfinx_feti.workshop.data import DataSet, data_set
+from dolfinx_feti.workshop.ellipticity import Ellipticity, least_eigenvalues, scan_ellipticity
+from dolfinx_feti.workshop.fitting import Fit, fit
+from dolfinx_feti.workshop.intervals import Parameter
+from dolfinx_feti.workshop.moduli import Compliance, Moduli, small_strain_moduli
+from dolfinx_feti.workshop.paths import (
+    Path,
+    biaxial,
+    equibiaxial,
+    inflation,
+    pure_shear,
+    simple_shear,
+    uniaxial,
+)
+from dolfinx_feti.workshop.plots import plot_fit, plot_responses
+from dolfinx_feti.workshop.report import Report, check
+from dolfinx_feti.workshop.response import Response, respond
+
+__all__ = [
+    "Check",
+    "Compliance",
+    "DataSet",
+    "Ellipticity",
+    "Fit",
+    "Material",
+    "Moduli",
+    "Parameter",
+    "Path",
+    "Report",
+    "Response",
+    "States",
+    "biaxial",
+    "check",
+    "compile_material",
+    "data_set",
+    "equibiaxial",
+    "evaluate",
+    "fit",
+    "inflation",
+    "least_eigenvalues",
+    "plot_fit",
+    "plot_responses",
+    "pure_shear",
+    "respond",
+    "scan_ellipticity",
+    "simple_shear",
+    "small_strain_moduli",
+    "uniaxial",
+]

@@ -1,0 +1,261 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Equilibrium of a homogeneous deformation: its free entries, and the pressure.
+
+With free directions D_k in the space of F, and the pressure p of a perturbed Lagrangian,
+positive in tension, as in Ψ + p (J − 1) − p²/(2κ):
+
+    D_k : (P(F) + p cof F) = 0,     det F − 1 − p/κ = 0.
+
+An incompressible material has 1/κ = 0; an energy that is complete in itself has no p. Newton's
+method solves this for many states at once, with the tangents
+
+    D_k : (A + p D cof F) : D_l   and   D_k : cof F,     (D cof F)_iJkL = ε_ikm ε_JLN F_mN,
+
+and halves a step until the residual decreases. A state that it does not reach from its guess is
+approached from the reference in 8, and then in 64 steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.workshop.compiled import Material, evaluate
+
+__all__ = ["Equilibrium", "cofactor", "equilibrate", "stiffness_scale", "total_tangent"]
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+MAX_STEPS, MAX_HALVINGS = 40, 12
+LOAD_STEPS = (1, 8, 64)
+#: Newton increment of F at which a state has converged; the error left is its square.
+SMALL = 1e-9
+#: Residual, relative to the tangent, above which a small increment means that Newton is stuck.
+BALANCED = 1e-7
+#: Residual, relative to the tangent, that no step can make smaller.
+ROUNDING = 1e-14
+#: Volume ratio below which a body has collapsed; energies such as St Venant-Kirchhoff's let it.
+FLAT = 1e-6
+
+PERMUTATION = np.array(
+    [[[(i - j) * (j - k) * (k - i) / 2 for k in range(3)] for j in range(3)] for i in range(3)]
+)
+#: ε_ikm ε_JLN as a matrix from F_mN to (D cof F)_iJkL.
+COFACTOR = np.einsum("ikm,JLN->iJkLmN", PERMUTATION, PERMUTATION).reshape(81, 9)
+
+
+@dataclass(frozen=True, slots=True)
+class Equilibrium:
+    """States in equilibrium.
+
+    Attributes:
+        F: Deformation gradients, (n, 3, 3).
+        p: Pressures [kPa], (n,), κ (J − 1) if κ is finite; zero for a complete energy.
+        converged: Whether the state was found, (n,).
+    """
+
+    F: Array
+    p: Array
+    converged: Mask
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """What does not change in Newton's method.
+
+    Attributes:
+        energy: The energy without its volumetric part κ/2 (J − 1)².
+        flexibility: 1/κ [1/kPa]; None for an energy that is complete in itself.
+        free: Directions of the free entries, (k, 3, 3).
+        scale: Unit of stress [kPa].
+    """
+
+    energy: Material
+    flexibility: float | None
+    free: Array
+    scale: np.float64
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    """Trial states, with residuals (n, m) and tangents (n, m, m) in x and p, without units."""
+
+    F: Array
+    p: Array
+    r: Array
+    K: Array
+
+    @property
+    def norm(self) -> Array:
+        """Norm of the residual, infinite where something is no number or the body flat, (n,)."""
+        norm = np.linalg.norm(self.r, axis=1)
+        usable = np.isfinite(norm) & np.isfinite(self.K).all(axis=(1, 2))
+        return np.where(usable & (np.linalg.det(self.F) > FLAT), norm, np.inf)
+
+    def below(self, tolerance: float) -> Mask:
+        """Whether the residual is small beside the tangent, (n,)."""
+        return self.norm < tolerance * (1 + np.abs(self.K).max(axis=(1, 2), initial=0.0))
+
+
+def equilibrate(material: Material, F: Array, free: Array) -> Equilibrium:
+    """Find the free entries of F, and the pressure.
+
+    Args:
+        material: The compiled energy.
+        F: Deformation gradients with guesses in the free entries, (n, 3, 3).
+        free: Directions of the free entries, (k, 3, 3), orthonormal.
+
+    Returns:
+        All n states; those that have not converged hold NaN.
+
+    Raises:
+        ValueError: An incompressible material has no free entries, so that p is arbitrary.
+    """
+    if material.incompressible and not len(free):
+        raise ValueError(
+            "The path has no free entries, and then the pressure of an incompressible material is "
+            "arbitrary: leave an entry free, or give a finite kappa."
+        )
+    bare = replace(material, kappa=0.0)
+    flexibility = None if material.kappa == 0 else 1 / material.kappa
+    problem = _Problem(bare, flexibility, free, np.float64(stiffness_scale(bare)))
+    found = Equilibrium(F.copy(), np.zeros(len(F)), np.zeros(len(F), dtype=bool))
+    for steps in LOAD_STEPS:
+        left = np.flatnonzero(~found.converged)
+        if not len(left):
+            break
+        with np.errstate(all="ignore"):  # trial states may overflow
+            part = _approach(problem, F[left], steps)
+        found.F[left], found.p[left], found.converged[left] = part.F, part.p, part.converged
+    found.F[~found.converged] = np.nan
+    found.p[~found.converged] = np.nan
+    return found
+
+
+def cofactor(F: Array) -> Array:
+    """Cofactors ∂(det F)/∂F, (n, 3, 3)."""
+    return _pair(_cofactor_tangent(F), F) / 2
+
+
+def total_tangent(A: Array, F: Array, p: Array) -> Array:
+    """Tangent A + p D cof F with the pressure, (n, 3, 3, 3, 3)."""
+    return A + p[:, None, None, None, None] * _cofactor_tangent(F)
+
+
+def stiffness_scale(material: Material) -> float:
+    """Largest entry of the tangent at F = I [kPa], or 1 where that is no positive number."""
+    scale = float(np.abs(evaluate(material, np.eye(3)).A).max())
+    return scale if 0.0 < scale < np.inf else 1.0
+
+
+def _approach(problem: _Problem, F: Array, steps: int) -> Equilibrium:
+    """Go from the reference to F in equal steps; the first and only one starts from the guess."""
+    free, at_rest = problem.free, np.broadcast_to(np.eye(3), F.shape)
+    x = _entries(F if steps == 1 else at_rest, free)
+    start, end = (G - _combine(_entries(G, free), free) for G in (at_rest, F))
+    p: Array = np.full(len(F), np.nan)
+    alive: Mask = np.ones(len(F), dtype=bool)
+    for t in np.linspace(0.0, 1.0, steps + 1)[1:]:
+        guess = start + t * (end - start) + _combine(x, free)
+        state, converged = _newton(problem, guess, p, alive)
+        x, p, alive = _entries(state.F, free), state.p, alive & converged
+        if not alive.any():
+            break
+    return Equilibrium(state.F, state.p, alive)
+
+
+def _newton(problem: _Problem, F: Array, p: Array, alive: Mask) -> tuple[_State, Mask]:
+    """Newton's method for the states that are alive, and which of them have converged."""
+    state = _assemble(problem, F, p)
+    done: Mask = np.zeros(len(F), dtype=bool)
+    going = alive
+    for _ in range(MAX_STEPS):
+        going = going & ~done & np.isfinite(state.norm)
+        if not going.any():
+            break
+        dx, dp = _increments(problem, state, going)
+        small = (np.abs(dx).max(axis=1, initial=0.0) < SMALL) & state.below(BALANCED)
+        done = done | (going & (small | state.below(ROUNDING)))
+        state, moved = _move(problem, state, dx, dp, resting=done | ~going)
+        going = going & moved
+    return state, done & np.isfinite(state.norm)
+
+
+def _increments(problem: _Problem, state: _State, going: Mask) -> tuple[Array, Array]:
+    """Newton increments of the free entries (n, k) and of p (n,); zero for states at rest."""
+    k = len(problem.free)
+    K = np.where(going[:, None, None], state.K, np.eye(state.r.shape[1]))
+    r = np.where(going[:, None], state.r, 0.0)
+    try:
+        step = np.linalg.solve(K, -r[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:  # a singular tangent: the shortest step
+        step = -np.einsum("nab,nb->na", np.linalg.pinv(K), r)
+    return step[:, :k], problem.scale * step[:, k:].sum(axis=1)
+
+
+def _move(
+    problem: _Problem, state: _State, dx: Array, dp: Array, *, resting: Mask
+) -> tuple[_State, Mask]:
+    """Move by steps so short that the residuals decrease, and say where they do.
+
+    States that rest take their last, full increment, whatever their residual.
+    """
+    alpha: Array = np.ones(len(dx))
+    for _ in range(MAX_HALVINGS):
+        F = state.F + _combine(alpha[:, None] * dx, problem.free)
+        trial = _assemble(problem, F, state.p + alpha * dp)
+        moved = resting | (trial.norm <= (1 - 1e-4 * alpha) * state.norm)
+        if moved.all():
+            break
+        alpha = np.where(moved, alpha, alpha / 2)
+    return trial, moved
+
+
+def _assemble(problem: _Problem, F: Array, p: Array) -> _State:
+    """Residuals and tangents; p where it is NaN gets the value that suits F best."""
+    free, scale = problem.free, problem.scale
+    states, cof = evaluate(problem.energy, F), cofactor(F)
+    r = _entries(states.P / scale, free)
+    if problem.flexibility is None:
+        return _State(F, np.zeros(len(F)), r, _restrict(states.A / scale, free))
+    volume = _entries(cof, free)
+    best = -scale * (r * volume).sum(axis=1) / np.maximum((volume**2).sum(axis=1), FLAT)
+    p = np.where(np.isnan(p), best, p)
+    K = np.zeros((len(F), len(free) + 1, len(free) + 1))
+    K[:, :-1, :-1] = _restrict(total_tangent(states.A, F, p) / scale, free)
+    K[:, :-1, -1] = K[:, -1, :-1] = volume
+    K[:, -1, -1] = -scale * problem.flexibility
+    gap = _pair(cof, F) / 3 - 1 - p * problem.flexibility
+    r = np.column_stack((r + (p / scale)[:, None] * volume, gap))
+    return _State(F, p, r, K)
+
+
+def _cofactor_tangent(F: Array) -> Array:
+    """D cof F, (n, 3, 3, 3, 3)."""
+    return (F.reshape(len(F), 9) @ COFACTOR.T).reshape(-1, 3, 3, 3, 3)
+
+
+def _pair(T: Array, F: Array) -> Array:
+    """Contraction of the last two indices with those of F."""
+    return np.einsum("n...kL,nkL->n...", T, F)
+
+
+def _restrict(A: Array, free: Array) -> Array:
+    """D_k : A : D_l, (n, k, k)."""
+    D = free.reshape(len(free), 9)
+    return D @ A.reshape(len(A), 9, 9) @ D.T
+
+
+def _entries(F: Array, free: Array) -> Array:
+    """Coordinates D_k : F, (n, k)."""
+    return np.einsum("kiJ,niJ->nk", free, F)
+
+
+def _combine(x: Array, free: Array) -> Array:
+    """Σ x_k D_k, (n, 3, 3)."""
+    return np.einsum("nk,kiJ->niJ", x, free)

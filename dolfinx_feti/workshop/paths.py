@@ -1,0 +1,256 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Homogeneous deformations of the material tests: uniaxial, biaxial, pure and simple shear.
+
+In the loading frame (e₁, e₂, e₃) a path prescribes some entries of F. The others are *free*: the
+stresses P conjugate to them vanish, and :mod:`~dolfinx_feti.workshop.equilibrium` finds them.
+
+=================== === ==== ==== ===========================
+path                F₁₁ F₂₂  F₁₂  free
+=================== === ==== ==== ===========================
+uniaxial            λ   free free F₂₂, F₃₃, F₁₂, F₁₃ and F₂₃
+biaxial             λ   λ₂   0    F₃₃, F₁₃ and F₂₃
+equibiaxial         λ   λ    0    likewise
+pure shear          λ   1    0    likewise
+inflation–extension λ   λ_z  0    likewise
+simple shear        1   1    γ    likewise
+=================== === ==== ==== ===========================
+
+F₂₁ = F₃₁ = F₃₂ = 0 fixes the rotation. So nothing but σ₁₁ acts in uniaxial tension, whatever the
+directions of the fibres, and the specimen shears if they are oblique. In the other paths the face
+normal to e₃ is free of traction, and the clamps hold the in-plane shear. Inflation–extension is
+that of a thin tube: e₁ is the circumferential and e₂ the axial direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = [
+    "STANDARD_PATHS",
+    "Path",
+    "biaxial",
+    "equibiaxial",
+    "inflation",
+    "pure_shear",
+    "refine",
+    "simple_shear",
+    "uniaxial",
+]
+
+Array = npt.NDArray[np.float64]
+
+E1, E2 = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+OUT_OF_PLANE = ((2, 2), (0, 2), (1, 2))
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """A path of homogeneous deformations.
+
+    Attributes:
+        name: Name of the test.
+        symbol: Letter of its values, λ or γ.
+        values: Stretch λ or amount of shear γ, (n,).
+        F: Deformation gradients, (n, 3, 3); the free entries are guesses with det F = 1.
+        free: Directions of the free entries in the space of F, (k, 3, 3), orthonormal.
+        frame: Loading directions e₁, e₂ and e₃ as columns, (3, 3), a rotation.
+        measured: Indices of the stresses that a test measures, in the loading frame.
+    """
+
+    name: str
+    symbol: str
+    values: Array
+    F: Array
+    free: Array
+    frame: Array
+    measured: tuple[tuple[int, int], ...]
+
+
+def uniaxial(stretch: npt.ArrayLike, *, along: Sequence[float] = E1) -> Path:
+    """Uniaxial tension or compression.
+
+    Args:
+        stretch: λ, positive, (n,).
+        along: Direction of loading e₁, of any length.
+
+    Raises:
+        ValueError: A stretch is not positive, or the direction is zero.
+    """
+    stretch = _stretches("stretch", stretch)
+    e1 = _unit("along", along)
+    axis = np.eye(3)[np.argmin(np.abs(e1))]
+    F = _diagonal(stretch, stretch**-0.5)
+    free = ((1, 1), *OUT_OF_PLANE, (0, 1))
+    return _path("uniaxial", "λ", stretch, F, free, (e1, axis - (axis @ e1) * e1), ((0, 0),))
+
+
+def biaxial(
+    stretch: npt.ArrayLike,
+    stretch_2: npt.ArrayLike,
+    *,
+    along: Sequence[float] = E1,
+    across: Sequence[float] = E2,
+    name: str = "biaxial",
+) -> Path:
+    """Biaxial tension of a sheet.
+
+    Args:
+        stretch: λ along e₁, positive, (n,); the values of the path.
+        stretch_2: Stretch along e₂, positive, (n,) or a number.
+        along: Direction e₁, of any length.
+        across: Direction e₂, normal to e₁.
+        name: Name of the test.
+
+    Raises:
+        ValueError: A stretch is not positive, the numbers of stretches differ, or the directions
+            are not normal to each other.
+    """
+    stretch, second = _stretches("stretch", stretch), _stretches("stretch_2", stretch_2)
+    if len(second) not in (1, len(stretch)):
+        raise ValueError(
+            f"stretch has {len(stretch)} values and stretch_2 has {len(second)}: give as many."
+        )
+    F = _diagonal(stretch, np.broadcast_to(second, stretch.shape))
+    return _path(name, "λ", stretch, F, OUT_OF_PLANE, (along, across), ((0, 0), (1, 1)))
+
+
+def equibiaxial(
+    stretch: npt.ArrayLike, *, along: Sequence[float] = E1, across: Sequence[float] = E2
+) -> Path:
+    """Equibiaxial tension of a sheet, see :func:`biaxial`."""
+    return biaxial(stretch, stretch, along=along, across=across, name="equibiaxial")
+
+
+def pure_shear(
+    stretch: npt.ArrayLike, *, along: Sequence[float] = E1, across: Sequence[float] = E2
+) -> Path:
+    """Tension of a wide sheet that keeps its width (planar tension), see :func:`biaxial`."""
+    return biaxial(stretch, 1.0, along=along, across=across, name="pure shear")
+
+
+def inflation(
+    stretch: npt.ArrayLike,
+    *,
+    axial: float = 1.1,
+    along: Sequence[float] = E1,
+    across: Sequence[float] = E2,
+) -> Path:
+    """Inflation of a thin tube at a fixed axial stretch.
+
+    Args:
+        stretch: Circumferential stretch λ, positive, (n,).
+        axial: Axial stretch λ_z.
+        along: Circumferential direction e₁, of any length.
+        across: Axial direction e₂, normal to e₁.
+
+    Raises:
+        ValueError: As :func:`biaxial`.
+    """
+    return biaxial(stretch, axial, along=along, across=across, name="inflation–extension")
+
+
+def simple_shear(
+    shear: npt.ArrayLike, *, along: Sequence[float] = E1, across: Sequence[float] = E2
+) -> Path:
+    """Simple shear, F = I + γ e₁ ⊗ e₂, with F₃₃ free.
+
+    Args:
+        shear: Amount of shear γ, (n,).
+        along: Direction e₁ of the displacement, of any length.
+        across: Normal e₂ of the planes that slide.
+
+    Raises:
+        ValueError: A value is not finite, or the directions are not normal to each other.
+    """
+    shear = _numbers("shear", shear)
+    F = np.tile(np.eye(3), (len(shear), 1, 1))
+    F[:, 0, 1] = shear
+    return _path("simple shear", "γ", shear, F, OUT_OF_PLANE, (along, across), ((0, 1),))
+
+
+def refine(path: Path, n: int) -> Path:
+    """Interpolate a path linearly at n states from its first to its last one, in their order."""
+    known = np.linspace(0.0, 1.0, len(path.values))
+    new = np.linspace(0.0, 1.0, n)
+    F = path.F.reshape(len(known), 9)
+    return replace(
+        path,
+        values=np.interp(new, known, path.values),
+        F=np.column_stack([np.interp(new, known, entry) for entry in F.T]).reshape(n, 3, 3),
+    )
+
+
+#: The paths along which :func:`~dolfinx_feti.workshop.report.check` goes, by their symbols.
+STANDARD_PATHS: Mapping[str, tuple[Callable[[npt.ArrayLike], Path], ...]] = {
+    "λ": (uniaxial, equibiaxial, pure_shear, inflation),
+    "γ": (simple_shear,),
+}
+
+
+def _path(
+    name: str,
+    symbol: str,
+    values: Array,
+    F: Array,
+    free: Sequence[tuple[int, int]],
+    directions: tuple[npt.ArrayLike, npt.ArrayLike],
+    measured: tuple[tuple[int, int], ...],
+) -> Path:
+    """Return a path whose F and free entries are given in the loading frame."""
+    R = _frame(*directions)
+    units = np.zeros((len(free), 3, 3))
+    for unit, entry in zip(units, free, strict=True):
+        unit[entry] = 1.0
+    return Path(name, symbol, values, R @ F @ R.T, R @ units @ R.T, R, measured)
+
+
+def _frame(along: npt.ArrayLike, across: npt.ArrayLike) -> Array:
+    """Return e₁, e₂ and e₁ × e₂ as columns.
+
+    Raises:
+        ValueError: A direction is zero, or they are not normal to each other.
+    """
+    e1, e2 = _unit("along", along), _unit("across", across)
+    if abs(e1 @ e2) > 1e-10:
+        raise ValueError(f"along = {along!r} and across = {across!r} are not normal to each other.")
+    return np.column_stack((e1, e2, np.cross(e1, e2)))
+
+
+def _unit(name: str, direction: npt.ArrayLike) -> Array:
+    """Return a unit vector.
+
+    Raises:
+        ValueError: The direction is zero or no vector.
+    """
+    vector = np.array(direction, dtype=np.float64)
+    length = np.linalg.norm(vector)
+    if vector.shape != (3,) or not 0.0 < length < np.inf:
+        raise ValueError(f"{name} = {direction!r}: give three numbers, not all of them zero.")
+    return vector / length
+
+
+def _diagonal(first: Array, second: Array) -> Array:
+    """Return diag(λ₁, λ₂, 1/(λ₁ λ₂)), (n, 3, 3)."""
+    return np.stack((first, second, 1 / (first * second)), axis=1)[:, None] * np.eye(3)
+
+
+def _stretches(name: str, values: npt.ArrayLike) -> Array:
+    """Return positive numbers, (n,)."""
+    numbers = _numbers(name, values)
+    if numbers.min() <= 0:
+        raise ValueError(f"{name} = {numbers.min()}: a stretch is positive, and 1 at rest.")
+    return numbers
+
+
+def _numbers(name: str, values: npt.ArrayLike) -> Array:
+    """Return finite numbers, (n,)."""
+    numbers = np.atleast_1d(np.array(values, dtype=np.float64))
+    if numbers.ndim != 1 or not len(numbers) or not np.isfinite(numbers).all():
+        raise ValueError(f"{name} = {values!r}: give finite numbers, one per state.")
+    return numbers

@@ -1,0 +1,43 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Tables of numbers as text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+__all__ = ["Cell", "number", "state", "table"]
+
+Cell: TypeAlias = str | float | None
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
+    """Return lines of aligned columns; words stand to the left and numbers to the right.
+
+    Args:
+        head: Names of the columns.
+        rows: Words or numbers; None becomes a dash.
+    """
+    cells = [[c if isinstance(c, str) else number(c) for c in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(head, *cells, strict=True)]
+    words = [all(isinstance(row[j], str) for row in rows) for j in range(len(head))]
+    lines = []
+    for row in (head, *cells):
+        padded = (
+            cell.ljust(width) if left else cell.rjust(width)
+            for cell, width, left in zip(row, widths, words, strict=True)
+        )
+        lines.append("  ".join(padded).rstrip())
+    return "\n".join(lines)
+
+
+def number(value: float | None) -> str:
+    """Return a number with four digits, or a dash for None."""
+    return "–" if value is None else f"{value:.4g}"
+
+
+def state(symbol: str, value: float) -> str:
+    """Return a state of a path, such as λ = 1.2."""
+    return f"{symbol} = {value:.4g}"

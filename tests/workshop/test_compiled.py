@@ -1,0 +1,186 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Compiled energies: their values, what they follow, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import partial
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from ufl_values import value, variable
+from workshop_materials import (
+    HGO,
+    JIT,
+    compiled,
+    family,
+    fung,
+    hgo,
+    linear,
+    material,
+    mooney_rivlin,
+    neo_hookean,
+)
+
+import dolfinx
+import ufl
+
+from dolfinx_feti import kinematics, materials
+from dolfinx_feti.workshop import compile_material, evaluate
+
+pytestmark = pytest.mark.serial
+
+F_ANY = np.array([[1.2, 0.3, -0.1], [0.05, 0.9, 0.2], [-0.2, 0.1, 1.1]])
+
+
+def states(n, seed=7331):
+    return np.eye(3) + 0.1 * np.random.default_rng(seed).standard_normal((n, 3, 3))
+
+
+@pytest.mark.parametrize("psi", [neo_hookean, mooney_rivlin, hgo, linear])
+def test_values_are_those_of_ufl(psi):
+    """UFL's own evaluation, which needs no compiler; a few entries of A, as it is slow."""
+    at = evaluate(compiled(psi), F_ANY)
+    F = variable(F_ANY)
+    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+    energy = psi(F) if psi is linear else psi(C, J)
+    assert at.psi[0] == pytest.approx(float(value(energy)), rel=1e-13)
+    P = ufl.diff(energy, F)
+    np.testing.assert_allclose(at.P[0], value(P), rtol=1e-12, atol=1e-13)
+    A = ufl.diff(P, F)
+    for entry in ((0, 0, 0, 0), (0, 1, 2, 0), (2, 1, 1, 2)):
+        assert at.A[(0, *entry)] == pytest.approx(value(A[entry]), rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 64, 65, 200])
+def test_states_do_not_depend_on_each_other(n):
+    F = states(n)
+    at = evaluate(compiled(hgo), F)
+    assert at.psi.shape == (n,) and at.P.shape == (n, 3, 3) and at.A.shape == (n, 3, 3, 3, 3)
+    for k in {0, n // 2, n - 1}:
+        alone = evaluate(compiled(hgo), F[k])
+        np.testing.assert_array_equal(alone.A[0], at.A[k])
+        np.testing.assert_array_equal(alone.P[0], at.P[k])
+        assert alone.psi[0] == at.psi[k]
+
+
+def test_kappa_adds_the_volumetric_energy():
+    F = states(3)
+    J = np.linalg.det(F)
+    pure, both = (evaluate(material(neo_hookean, kappa=kappa), F) for kappa in (0.0, 70.0))
+    np.testing.assert_allclose(both.psi - pure.psi, 35 * (J - 1) ** 2, rtol=1e-10)
+    cofactor = J[:, None, None] * np.linalg.inv(F).transpose(0, 2, 1)
+    pressure = 70 * (J - 1)[:, None, None]
+    np.testing.assert_allclose(both.P - pure.P, pressure * cofactor, rtol=1e-9, atol=1e-12)
+    incompressible = evaluate(material(neo_hookean), F)
+    np.testing.assert_array_equal(incompressible.P, pure.P)
+
+
+def test_parameters_change_without_compilation(tmp_path):
+    """Nor does the same energy compile again in a process that has made other forms."""
+    options = {**JIT, "cache_dir": tmp_path}
+    first = compile_material(neo_hookean, parameters={"c": 1.0}, jit_options=options)
+    made = sorted(path.name for path in tmp_path.iterdir())
+    assert made
+    stiff = first.with_parameters(c=5.0)
+    np.testing.assert_allclose(
+        evaluate(stiff, F_ANY).P, 5 * evaluate(first, F_ANY).P, rtol=1e-13, atol=1e-14
+    )
+    assert first.parameters == {"c": 1.0}
+    ufl.variable(ufl.as_ufl(1.0))
+    compile_material(neo_hookean, parameters={"c": 2.0}, jit_options=options)
+    assert sorted(path.name for path in tmp_path.iterdir()) == made
+
+
+def test_constants_of_another_mesh_are_followed():
+    mesh = dolfinx.mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
+    c = dolfinx.fem.Constant(mesh, 3.0)
+    a = dolfinx.fem.Constant(mesh, (np.cos(0.5), np.sin(0.5), 0.0))
+    psi = partial(
+        materials.holzapfel_gasser_ogden, a1=a, a2=family(-0.5), c=c, k1=HGO["k1"], k2=HGO["k2"]
+    )
+    user = compile_material(psi, jit_options=JIT)
+    np.testing.assert_allclose(
+        evaluate(user, F_ANY).A, evaluate(compiled(hgo), F_ANY).A, rtol=1e-12, atol=1e-12
+    )
+    before = evaluate(user, F_ANY).psi
+    c.value = 4.0
+    I1 = value(kinematics.isochoric_invariant_1(variable(F_ANY.T @ F_ANY)))
+    assert evaluate(user, F_ANY).psi - before == pytest.approx((I1 - 3) / 2)
+
+
+def test_function_of_the_package_serves_as_it_is():
+    """J is optional there, and is given."""
+    user = compile_material(partial(materials.neo_hookean, c=3.0), jit_options=JIT)
+    np.testing.assert_allclose(evaluate(user, F_ANY).P, evaluate(compiled(neo_hookean), F_ANY).P)
+    assert not evaluate(user, np.diag([-1.1, 1.0, 1.0])).finite.any()
+
+
+def test_states_outside_the_domain_are_marked():
+    """J < 0 gives a NaN, and a huge stretch overflows the exponential."""
+    F = np.stack([np.eye(3), np.diag([-1.0, 1.0, 1.0]), np.diag([30.0, 1.0, 1 / 30])])
+    np.testing.assert_array_equal(evaluate(compiled(fung), F).finite, [True, False, False])
+
+
+# -- bad input ---------------------------------------------------------------------------------
+
+MESH = dolfinx.mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
+FIELD = dolfinx.fem.Function(dolfinx.fem.functionspace(MESH, ("DG", 0)), name="stiffness")
+
+
+@pytest.mark.parametrize(
+    ("psi", "error", "message"),
+    [
+        (3.0, TypeError, "psi = 3.0: give a function"),
+        (lambda x: x, TypeError, r"arguments \['x'\]: name them C and J, or F"),
+        (lambda C, J, /: J, TypeError, "name them C and J"),
+        (lambda C, p: p * C[0, 0], TypeError, r"psi also takes \['p'\]"),
+        (lambda C, J: 1.5, TypeError, "psi returns 1.5"),
+        (lambda C, J: C, ValueError, r"shape \(3, 3\): an energy is a scalar"),
+        (lambda C, J: ufl.as_ufl(2.0), ValueError, "does not depend on the deformation"),
+        (lambda J: FIELD * J, ValueError, "stiffness, which varies in space"),
+        (lambda J: ufl.SpatialCoordinate(MESH)[0] * J, ValueError, "varies in space"),
+        (lambda J: ufl.Constant(MESH) * J, ValueError, "which has no value"),
+    ],
+)
+def test_bad_energy(psi, error, message):
+    with pytest.raises(error, match=message):
+        compile_material(psi)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "error", "message"),
+    [
+        ({"k": 1.0}, TypeError, r"does not take the parameters \['k'\]"),
+        ({"c": float("nan")}, ValueError, "c = nan: give a finite value"),
+    ],
+)
+def test_bad_parameters(parameters, error, message):
+    with pytest.raises(error, match=message):
+        compile_material(neo_hookean, parameters=parameters, jit_options=JIT)
+
+
+def test_parameter_without_effect():
+    with pytest.raises(ValueError, match="does not depend on 1 of its parameters"):
+        compile_material(lambda J, c: J**2, parameters={"c": 1.0})
+
+
+def test_parameters_that_the_energy_does_not_have():
+    with pytest.raises(ValueError, match=r"compiled with the parameters \['c'\]"):
+        material(neo_hookean, c=1.0).with_parameters(k=2.0)
+
+
+@pytest.mark.parametrize("kappa", [-1.0, float("nan")])
+def test_bad_kappa(kappa):
+    with pytest.raises(ValueError, match=f"kappa = {kappa}"):
+        dataclasses.replace(compiled(neo_hookean), kappa=kappa)
+
+
+@pytest.mark.parametrize("F", [np.eye(2), np.ones(9), np.empty((0, 3, 3))])
+def test_bad_states(F):
+    with pytest.raises(ValueError, match="F has the shape"):
+        evaluate(compiled(neo_hookean), F)

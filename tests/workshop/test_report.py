@@ -1,0 +1,258 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Checks: good materials pass, and every broken energy fails the check that is meant for it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from workshop_materials import (
+    C,
+    flat,
+    fung,
+    goh,
+    hgo,
+    linear,
+    material,
+    mooney_rivlin,
+    neo_hookean,
+    not_a_number,
+    oblique,
+    reinforced,
+    root,
+    saint_venant,
+    stressed,
+    wavy,
+    wrong_sign,
+)
+
+from dolfinx_feti.workshop import check, evaluate
+from dolfinx_feti.workshop.checks import check_law, judge, random_states
+
+pytestmark = pytest.mark.serial
+
+KINK = "tangent continuous at rest"
+
+
+def outcomes(checks, *kinds):
+    return {c.name for c in checks if c.outcome in kinds}
+
+
+@pytest.mark.parametrize("kappa", [np.inf, 1000.0])
+@pytest.mark.parametrize("psi", [neo_hookean, mooney_rivlin, hgo, goh, oblique, fung])
+def test_good_materials_pass(psi, kappa):
+    """Only the kink of fibres that do not push is worth a warning."""
+    report = check(material(psi, kappa=kappa), n=9)
+    assert report.ok
+    fibres = psi in (hgo, goh, oblique)
+    assert outcomes(report.checks, "warn", "fail") == ({KINK} if fibres else set())
+    assert report.moduli is not None and len(report.ellipticity) == 5
+
+
+def test_large_kappa_hides_nothing():
+    """Ψ itself is checked, without κ/2 (J − 1)², which would set the scale of all deviations."""
+    soft, stiff = (check(material(hgo, kappa=kappa), n=5).checks for kappa in (10.0, 1e5))
+    assert [c.value for c in soft[:11]] == [c.value for c in stiff[:11]]
+    assert "elliptic" in soft[-1].name and soft[-1].value != stiff[-1].value
+
+
+def test_complete_energy():
+    """St Venant-Kirchhoff is sound but for what it is known for: strong compression and tension."""
+    report = check(material(saint_venant, kappa=0.0), n=9)
+    assert report.ok
+    lost = {"equibiaxial", "pure shear"}
+    assert outcomes(report.checks, "warn") == {f"strongly elliptic, {name}" for name in lost}
+
+
+BROKEN = {
+    "not frame-indifferent": (
+        linear,
+        {
+            "frame indifference of the energy",
+            "frame indifference of the stress",
+            "symmetry of the stress",
+        },
+    ),
+    "stress at rest": (stressed, {"stress-free reference"}),
+    "waves that differences miss": (
+        wavy,
+        {"stress against differences", "tangent against differences"},
+    ),
+}
+
+
+@pytest.mark.parametrize(("psi", "failures"), BROKEN.values(), ids=BROKEN)
+def test_broken_energy_fails_its_check(psi, failures):
+    report = check(material(psi), n=5)
+    assert not report.ok
+    found = outcomes(report.checks, "fail")
+    assert {name for name in found if "elliptic" not in name} == failures
+
+
+def test_wrong_sign_fails():
+    report = check(material(wrong_sign), n=5)
+    found = outcomes(report.checks, "fail")
+    assert "stiffness at rest positive" in found and "strongly elliptic, uniaxial" in found
+    assert "least energy at the reference" in outcomes(report.checks, "warn")
+
+
+def test_loss_of_ellipticity_is_a_warning_with_the_stretch():
+    report = check(material(reinforced), n=9)
+    assert report.ok
+    warnings = {c.name: c.note for c in report.checks if c.outcome == "warn"}
+    assert "lost at λ = 0.7906" in warnings["strongly elliptic, uniaxial"]
+    assert "strongly elliptic, simple shear" not in warnings
+
+
+def test_nothing_resists_a_change_of_volume():
+    report = check(material(neo_hookean, kappa=0.0), n=5)
+    (found,) = (c for c in report.checks if c.name == "stiffness at rest positive")
+    assert found.outcome == "warn" and "kappa" in found.note
+
+
+def test_no_stiffness_at_rest():
+    """Ψ = (Ī₁ − 3)²: everything at rest is zero, and nothing is divided by it."""
+    report = check(material(flat), n=5)
+    assert "stiffness at rest positive" in outcomes(report.checks, "warn")
+    failed = outcomes(report.checks, "fail")
+    assert failed == {name for name in failed if "elliptic" in name} != set()
+    assert report.moduli is not None and report.moduli.compliance is None
+
+
+def test_nan_is_reported_with_its_state():
+    """The energy is NaN where C₁₁ > 1.3: in tension from λ = √1.3 = 1.14 on, not in shear."""
+    report = check(material(not_a_number), n=11)
+    checks = {c.name: c for c in report.checks}
+    finite, along = checks["finite values"], checks["finite values along the paths"]
+    assert finite.outcome == "fail"
+    assert finite.value is not None and finite.value > 0
+    assert finite.note.startswith(
+        f"Ψ, P, A at {finite.value:.0f} of 32 states, the first at F = [["
+    )
+    assert (along.outcome, along.value) == ("fail", 5 * 4)
+    assert along.note.startswith("the first at λ = 1.2 of uniaxial, F = [[1.2, 0, 0]")
+    note = checks["strongly elliptic, uniaxial"].note
+    assert "no equilibrium at 5 states, the nearest at λ = 1.2" in note
+    assert checks["frame indifference of the stress"].outcome == "pass"  # at the other states
+
+
+def test_nan_at_rest():
+    report = check(material(root), n=5)
+    assert report.moduli is None and report.ellipticity == ()
+    failed = {c.name: c.note for c in report.checks if c.outcome == "fail"}
+    assert failed["stress-free reference"] == "no number"
+    assert "λ = 1 of uniaxial" in failed["finite values along the paths"]
+    assert "no moduli" in str(report)
+
+
+# -- laws that no energy can have --------------------------------------------------------------
+
+
+def tampered(change):
+    """States of a good material with a change of P or A."""
+
+    def law(F):
+        at = evaluate(material(neo_hookean), F)
+        return replace(at, **change(at))
+
+    return law
+
+
+def lopsided(at):
+    """A tangent without major symmetry."""
+    A = at.A.copy()
+    A[:, 0, 0, 1, 1] *= 1.01
+    return {"A": A}
+
+
+def wrong_stress(at):
+    return {"P": 1.01 * at.P}
+
+
+def wrong_tangent(at):
+    return {"A": 1.01 * at.A}
+
+
+@pytest.mark.parametrize(
+    ("change", "failures"),
+    [
+        (lambda at: {}, set()),
+        (lopsided, {"symmetry of the tangent", "tangent against differences"}),
+        (wrong_stress, {"stress against differences", "tangent against differences"}),
+        (wrong_tangent, {"tangent against differences"}),
+        (lambda at: {"psi": at.psi + 1.0}, set()),
+    ],
+)
+def test_tampered_law(change, failures):
+    found = check_law(tampered(change), strain=0.3, incompressible=True, seed=61)
+    assert outcomes(found, "fail") == failures
+
+
+@pytest.mark.parametrize("kappa", [0.0, 1e5])
+@pytest.mark.parametrize(
+    ("psi", "jump"), [(neo_hookean, False), (saint_venant, False), (hgo, True)]
+)
+def test_jump_of_the_tangent(psi, jump, kappa):
+    """In compression all fibres drop out: 8 k₁ M₁₁² of A₁₁₁₁, more than the shear modulus c."""
+    law = partial(evaluate, material(psi, kappa=kappa))
+    found = check_law(law, strain=0.3, incompressible=True, seed=61)
+    (kink,) = (c for c in found if c.name == KINK)
+    assert kink.value is not None
+    assert kink.value > 0.5 if jump else kink.value < 2e-4
+
+
+def test_nan_does_not_pass():
+    found = judge("property", np.array([0.0, np.nan]), 1.0, np.eye(3)[None].repeat(2, axis=0))
+    assert found.outcome == "fail" and found.note.startswith("no number; at F = ")
+
+
+@pytest.mark.parametrize("incompressible", [True, False])
+def test_random_states(incompressible):
+    F = random_states(np.random.default_rng(3), 50, 0.4, incompressible=incompressible)
+    stretches = np.log(np.linalg.svd(F, compute_uv=False))
+    assert (np.linalg.det(F) > 0).all()
+    assert np.abs(stretches).max() <= 0.4 * (2 if incompressible else 1)
+    assert np.abs(stretches).max() > 0.3
+    volume = np.abs(np.log(np.linalg.det(F))).max()
+    assert volume < 1e-13 if incompressible else volume > 0.3
+
+
+# -- the report --------------------------------------------------------------------------------
+
+
+def test_text():
+    report = check(material(neo_hookean, kappa=1000.0, c=C), n=5)
+    lines = str(report).splitlines()
+    assert lines[0] == "material: kappa = 1000 kPa, c = 3"
+    assert sum(line.startswith("pass") for line in lines) == len(report.checks)
+    assert "isotropic: Young's modulus 8.991 kPa, Poisson's ratio 0.4985" in lines
+    assert "incompressible" in str(check(material(neo_hookean), n=5)).splitlines()[0]
+    assert "psi as it is" in str(check(material(saint_venant, kappa=0.0), n=5))
+
+
+def test_seconds():
+    """A check with all states of two families of fibres, once compiled."""
+    user = material(hgo)
+    start = time.perf_counter()
+    check(user)
+    assert time.perf_counter() - start < 10
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"stretches": (1.1, 1.5)}, r"stretches = \(1\.1, 1\.5\): give a range with 1"),
+        ({"stretches": (0.0, 1.5)}, r"stretches = \(0\.0, 1\.5\)"),
+        ({"shears": (0.1, 1.0)}, r"shears = \(0\.1, 1\.0\): give a range with 0"),
+        ({"strain": 0.0}, r"strain = 0\.0: give a positive number"),
+        ({"n": 1}, "n = 1: give two states"),
+    ],
+)
+def test_bad_input(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        check(material(neo_hookean), **arguments)

@@ -1,0 +1,274 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Paths, and stresses along them, against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.optimize
+from workshop_materials import (
+    ANGLE,
+    C01,
+    C10,
+    HGO,
+    LMBDA,
+    MU,
+    C,
+    hgo,
+    material,
+    mooney_rivlin,
+    neo_hookean,
+    not_a_number,
+    oblique,
+    rotation,
+    saint_venant,
+    unsplit,
+)
+
+from dolfinx_feti.workshop import (
+    biaxial,
+    equibiaxial,
+    inflation,
+    pure_shear,
+    respond,
+    simple_shear,
+    uniaxial,
+)
+from dolfinx_feti.workshop.equilibrium import equilibrate
+from dolfinx_feti.workshop.paths import STANDARD_PATHS, refine
+
+pytestmark = pytest.mark.serial
+
+STRETCH = np.linspace(0.5, 2.0, 13)
+SHEAR = np.linspace(-1.5, 1.5, 9)
+exact = {"rtol": 1e-11, "atol": 1e-11}
+
+# Cauchy stress of c₁₀ (I₁ − 3) + c₀₁ (I₂ − 3), incompressible, with the third direction free: σ₁₁
+# in the first three (Treloar, The Physics of Rubber Elasticity).
+RUBBER = {
+    "uniaxial": (uniaxial, lambda x, c10, c01: 2 * (x**2 - 1 / x) * (c10 + c01 / x)),
+    "equibiaxial": (equibiaxial, lambda x, c10, c01: 2 * (x**2 - x**-4) * (c10 + c01 * x**2)),
+    "pure shear": (pure_shear, lambda x, c10, c01: 2 * (x**2 - x**-2) * (c10 + c01)),
+}
+
+
+@pytest.mark.parametrize(("make", "stress"), RUBBER.values(), ids=RUBBER)
+def test_incompressible_rubber(make, stress):
+    for psi, c10, c01 in ((neo_hookean, C / 2, 0), (unsplit, C / 2, 0), (mooney_rivlin, C10, C01)):
+        response = respond(material(psi), make(STRETCH))
+        assert response.converged.all()
+        np.testing.assert_allclose(response.sigma[:, 0, 0], stress(STRETCH, c10, c01), **exact)
+        np.testing.assert_allclose(response.P[:, 0, 0] * STRETCH, response.sigma[:, 0, 0], **exact)
+        np.testing.assert_allclose(response.J, 1, rtol=1e-13)
+
+
+def test_simple_shear_of_rubber():
+    """σ₁₂ = 2 (c₁₀ + c₀₁) γ; σ₁₁ = 2 c₁₀ γ² and σ₂₂ = −2 c₀₁ γ² if σ₃₃ = 0."""
+    sigma = respond(material(mooney_rivlin), simple_shear(SHEAR)).sigma
+    np.testing.assert_allclose(sigma[:, 0, 1], 2 * (C10 + C01) * SHEAR, **exact)
+    np.testing.assert_allclose(sigma[:, 0, 0], 2 * C10 * SHEAR**2, **exact)
+    np.testing.assert_allclose(sigma[:, 1, 1], -2 * C01 * SHEAR**2, **exact)
+    np.testing.assert_allclose(sigma[:, 2], 0, atol=1e-11)
+
+
+def wall_stresses(stretch, second):
+    """σ₁₁ and σ₂₂ of the HGO energy for F = diag(λ, λ₂, 1/(λ λ₂)), σ₃₃ = 0, derived on paper."""
+    cosine2, third2 = np.cos(ANGLE) ** 2, (stretch * second) ** -2.0
+    E = np.maximum(stretch**2 * cosine2 + second**2 * (1 - cosine2) - 1, 0)
+    fibres = 4 * HGO["k1"] * E * np.exp(HGO["k2"] * E**2)
+    first = HGO["c"] * (stretch**2 - third2) + fibres * stretch**2 * cosine2
+    return first, HGO["c"] * (second**2 - third2) + fibres * second**2 * (1 - cosine2)
+
+
+@pytest.mark.parametrize("second", [1.0, 1.2])
+def test_biaxial_tension_of_a_wall_with_fibres(second):
+    stretch = np.linspace(0.7, 1.6, 10)
+    for path in (biaxial(stretch, second), inflation(stretch, axial=second)):
+        sigma = respond(material(hgo), path).sigma
+        by_hand = wall_stresses(stretch, second)
+        np.testing.assert_allclose(sigma[:, 0, 0], by_hand[0], **exact)
+        np.testing.assert_allclose(sigma[:, 1, 1], by_hand[1], **exact)
+
+
+def test_uniaxial_tension_of_a_wall_with_fibres():
+    """The second stretch is that at which σ₂₂ vanishes; it is not that of an isotropic body."""
+    stretch = np.linspace(1.05, 1.6, 8)
+    second = np.array(
+        [
+            scipy.optimize.brentq(lambda y, x=x: wall_stresses(x, y)[1], 0.2, 1.0, xtol=1e-14)
+            for x in stretch
+        ]
+    )
+    response = respond(material(hgo), uniaxial(stretch))
+    np.testing.assert_allclose(response.F[:, 1, 1], second, rtol=1e-12)
+    np.testing.assert_allclose(response.sigma[:, 0, 0], wall_stresses(stretch, second)[0], **exact)
+    assert abs(response.F[-1, 1, 1] - stretch[-1] ** -0.5) > 0.1
+
+
+def test_compressible_bar():
+    """St Venant-Kirchhoff: S₁₁ = E E₁₁ and E₂₂ = −ν E₁₁ with the small-strain E and ν."""
+    young, poisson = MU * (3 * LMBDA + 2 * MU) / (LMBDA + MU), LMBDA / 2 / (LMBDA + MU)
+    stretch = np.linspace(0.7, 1.3, 7)
+    strain = (stretch**2 - 1) / 2
+    response = respond(material(saint_venant, kappa=0.0), uniaxial(stretch))
+    np.testing.assert_allclose(response.P[:, 0, 0], stretch * young * strain, **exact)
+    lateral = np.sqrt(1 - 2 * poisson * strain)
+    np.testing.assert_allclose(response.F[:, 2, 2], lateral, rtol=1e-12)
+    np.testing.assert_allclose(response.J, stretch * lateral**2, rtol=1e-12)
+    np.testing.assert_array_equal(response.p, 0)
+
+
+@pytest.mark.parametrize("psi", [neo_hookean, hgo])
+def test_large_kappa_tends_to_incompressible(psi):
+    """At first order in 1/κ."""
+    path = uniaxial(np.linspace(0.8, 1.4, 5))
+    limit = respond(material(psi), path)
+    errors = [
+        np.abs(respond(material(psi, kappa=kappa), path).sigma - limit.sigma).max()
+        for kappa in (1e4, 1e5)
+    ]
+    assert 9 < errors[0] / errors[1] < 11
+    J = respond(material(psi, kappa=1e5), path).J
+    np.testing.assert_allclose(1e5 * (J - 1), limit.p, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("kappa", [np.inf, 20.0])
+def test_oblique_fibres_let_a_specimen_shear(kappa):
+    """In uniaxial tension σ₁₁ alone acts, whatever the fibres."""
+    response = respond(material(oblique, kappa=kappa), uniaxial([0.8, 1.2, 1.5]))
+    others = response.sigma.copy()
+    others[:, 0, 0] = 0
+    np.testing.assert_allclose(others, 0, atol=1e-10)
+    assert np.abs(response.F[2, 0, 1]) > 0.05
+    held = respond(material(oblique, kappa=kappa), equibiaxial([1.2, 1.5]))
+    np.testing.assert_array_equal(held.F[:, 0, 1], 0)
+    assert (np.abs(held.sigma[:, 0, 1]) > 0.1).all()
+    np.testing.assert_allclose(held.sigma[:, 2], 0, atol=1e-10)
+
+
+ALONG, ACROSS = (np.cos(ANGLE), np.sin(ANGLE), 0), (-2 * np.sin(ANGLE), 2 * np.cos(ANGLE), 0)
+
+
+def fibre_stress(E):
+    """4 k₁ E exp(k₂ E²) of two families in the same direction."""
+    return 4 * HGO["k1"] * E * np.exp(HGO["k2"] * E**2)
+
+
+def test_loading_along_an_oblique_fibre():
+    """As if the fibre were along x: nothing shears, and σ₁₁ has the fibres' part in full."""
+    stretch = np.array([1.1, 1.4])
+    response = respond(material(oblique), uniaxial(stretch, along=ALONG))
+    stress = C * (stretch**2 - 1 / stretch) + fibre_stress(stretch**2 - 1) * stretch**2
+    np.testing.assert_allclose(response.sigma[:, 0, 0], stress, **exact)
+    lateral = np.diag([0, 1, 1]) * stretch[:, None, None] ** -0.5
+    np.testing.assert_allclose(response.F[:, 1:], lateral[:, 1:], atol=1e-11)
+    wide = respond(material(oblique), pure_shear(stretch, along=ALONG, across=ACROSS))
+    stress = C * (stretch**2 - stretch**-2) + fibre_stress(stretch**2 - 1) * stretch**2
+    np.testing.assert_allclose(wide.sigma[:, 0, 0], stress, **exact)
+
+
+def test_shear_along_and_across_an_oblique_fibre():
+    """Along the fibre, it keeps its length; across, Ī₄ = 1 + γ² and F a = (γ, 1)."""
+    along = respond(material(oblique), simple_shear(SHEAR, along=ALONG, across=ACROSS))
+    np.testing.assert_allclose(along.sigma[:, 0, 1], C * SHEAR, **exact)
+    across = respond(material(oblique), simple_shear(SHEAR, along=ACROSS, across=ALONG))
+    stress = C * SHEAR + fibre_stress(SHEAR**2) * SHEAR
+    np.testing.assert_allclose(across.sigma[:, 0, 1], stress, **exact)
+
+
+@pytest.mark.parametrize("along", [(1, 0, 0), (0, 0, -3), (1, 2, 3)])
+def test_frame_of_loading(along):
+    path = uniaxial([1.3], along=along)
+    R = path.frame
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-15)
+    assert np.linalg.det(R) == pytest.approx(1)
+    np.testing.assert_allclose(R[:, 0] * np.linalg.norm(along), along, atol=1e-14)
+    free = path.free.reshape(-1, 9)
+    np.testing.assert_allclose(free @ free.T, np.eye(5), atol=1e-14)
+
+
+def test_every_path_passes_through_rest():
+    for symbol, makers in STANDARD_PATHS.items():
+        for make in makers:
+            path = make([1.0 if symbol == "λ" else 0.0])
+            if make is not inflation:
+                np.testing.assert_array_equal(path.F, [np.eye(3)])
+            assert path.symbol == symbol
+
+
+# -- states without equilibrium ----------------------------------------------------------------
+
+
+def test_collapse_is_no_equilibrium():
+    """St Venant-Kirchhoff: S₃₃ = 0 makes F₃₃² = 1 − 2 λ/(λ + 2 μ) (λ₁² − 1), zero at λ₁² = 1.9.
+
+    Beyond, F₃₃ = 0 is a stationary point.
+    """
+    response = respond(material(saint_venant, kappa=0.0), equibiaxial([1.0, 1.37, 1.6]))
+    np.testing.assert_array_equal(response.converged, [True, True, False])
+    assert response.F[1, 2, 2] ** 2 == pytest.approx(1 - 10 / 9 * (1.37**2 - 1), rel=1e-10)
+    assert np.isnan(response.sigma[2]).all() and np.isnan(response.psi[2])
+    assert "no equilibrium in 1 states, the first at λ = 1.6" in str(response)
+
+
+def test_states_that_are_no_numbers():
+    response = respond(material(not_a_number), pure_shear([1.0, 1.1, 1.2]))
+    np.testing.assert_array_equal(response.converged, [True, True, False])
+
+
+def test_far_states_are_reached_in_steps(monkeypatch):
+    """Newton's method alone does not get there from the guess."""
+    import dolfinx_feti.workshop.equilibrium as module
+
+    path = uniaxial([2.2])
+    assert respond(material(hgo), path).converged.all()
+    monkeypatch.setattr(module, "LOAD_STEPS", (1,))
+    monkeypatch.setattr(module, "MAX_STEPS", 8)
+    assert not respond(material(hgo), path).converged.any()
+
+
+# -- tables and bad input ----------------------------------------------------------------------
+
+
+def test_table():
+    lines = str(respond(material(neo_hookean), biaxial([1.0, 1.25], 1.1))).splitlines()
+    assert lines[0] == "biaxial"
+    assert lines[1].split()[0] == "λ" and "σ22 [kPa]" in lines[1]
+    assert len(lines) == 4 and lines[3].split()[0] == "1.25"
+
+
+def test_refined_path_has_the_same_ends():
+    path = uniaxial([1.0, 1.1, 1.5])
+    fine = refine(path, 5)
+    np.testing.assert_allclose(fine.values, [1.0, 1.05, 1.1, 1.3, 1.5])
+    np.testing.assert_array_equal(fine.F[[0, 2, 4]], path.F)
+
+
+def test_path_without_free_entries_leaves_the_pressure_open():
+    nothing = np.empty((0, 3, 3))
+    with pytest.raises(ValueError, match="no free entries"):
+        equilibrate(material(neo_hookean), np.eye(3)[None], nothing)
+    Q = rotation(3)
+    found = equilibrate(material(neo_hookean, kappa=10.0), Q[None], nothing)
+    np.testing.assert_allclose(found.F, [Q], rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: uniaxial([1.0, -0.5]), r"stretch = -0\.5: a stretch is positive"),
+        (lambda: uniaxial([]), "stretch = .*: give finite numbers"),
+        (lambda: uniaxial([[1.0]]), "stretch = .*: give finite numbers"),
+        (lambda: uniaxial([1.0], along=(0, 0, 0)), r"along = \(0, 0, 0\)"),
+        (lambda: uniaxial([1.0], along=(0, 1)), r"along = \(0, 1\)"),
+        (lambda: biaxial([1.0, 1.1], [1.0, 1.1, 1.2]), "2 values and stretch_2 has 3"),
+        (lambda: pure_shear([1.0], across=(1, 1, 0)), "not normal to each other"),
+        (lambda: simple_shear([np.nan]), "shear = .*: give finite numbers"),
+        (lambda: inflation([1.0], axial=0.0), r"stretch_2 = 0\.0"),
+    ],
+)
+def test_bad_path(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
