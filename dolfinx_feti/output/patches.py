@@ -236,7 +236,7 @@ def _blend(patches: Patches, data: Array, nodes: Array, *, means: bool) -> Array
         product += _edges(patches.corners) @ data[:, 1:]
     sums = patches.incidence.over_patches(
         patches.volumes[:, None]
-        * np.concatenate([data[:, :1], product], axis=1).reshape(n_cells, -1)
+        * np.concatenate([data[:, :1], product], axis=1).reshape(n_cells, n_rows * size)
     )
     mean, product = np.split((sums / spread.volume).reshape(-1, n_rows, size), [1], axis=1)
     slope = spread.inverse @ (product - spread.centre[:, :, None] * mean)  # cov(x, x)⁺ cov(x, f)
@@ -257,7 +257,7 @@ def _spread(incidence: Incidence, x: Array, volumes: Array, inner: Array) -> Spr
         volumes: Volumes of the cells, (n_c,).
         inner: cov(x, x) inside each cell, (n_c, d, d).
     """
-    second = (x[:, :, None] * x[:, None] + inner).reshape(len(x), -1)
+    second = (x[:, :, None] * x[:, None] + inner).reshape(len(x), x.shape[1] ** 2)
     sums = incidence.over_patches(volumes[:, None] * np.column_stack([np.ones(len(x)), x, second]))
     volume = np.where(sums[:, :1] > 0, sums[:, :1], 1.0)  # a vertex may have no cell in a layer
     centre, product = np.split(sums[:, 1:] / volume, [x.shape[1]], axis=1)
