@@ -1,4 +1,13 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Benchmarks: scripts that write JSON."""
+"""Benchmarks: commands that write records as JSON, and the pages that are made of them.
+
+The files of this folder are the commands, each with its own ``--help``: ``compare`` (FETI, MUMPS
+and GAMG on one Newton step), ``cube``, ``linear`` and ``cube_solvers`` (the linear study), ``tube``
+and ``load_stepping`` (walls under pressure), ``report`` and ``load_figures`` (pages and pictures).
+What they are made of is in the rooms: ``unit_cube`` holds the linear study, ``walls`` the artery
+walls, and ``common`` what both need. A command imports from the rooms, a room from ``common``.
+
+In the order of the data: common, unit_cube, walls.
+"""

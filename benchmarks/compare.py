@@ -17,7 +17,6 @@ are PETSc's, with the prefixes `tube_` (FETI), `mumps_` and `gamg_`.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Callable, Sequence
@@ -28,21 +27,28 @@ import petsc4py
 
 petsc4py.init([word for word in sys.argv if not word.startswith("--")])
 
-from mpi4py import MPI  # noqa: E402
-from petsc4py import PETSc  # noqa: E402
+from mpi4py import MPI
+from petsc4py import PETSc
 
-from benchmarks.arguments import count, open_records, parse_words, positive  # noqa: E402
-from benchmarks.gamg import create_gamg, difference  # noqa: E402
-from benchmarks.records import Record  # noqa: E402
-from benchmarks.tube_problem import create_tube_problem  # noqa: E402
-from benchmarks.wall_problem import WallProblem  # noqa: E402
-from dolfinx_feti import loads  # noqa: E402
-from dolfinx_feti.comparison import (  # noqa: E402
-    assembled_system,
-    create_mumps,
-    measure,
-    relative_residual,
+import dolfinx
+
+from benchmarks.common.arguments import (
+    create_parser,
+    one_of,
+    open_records,
+    parse_words,
+    several,
 )
+from benchmarks.common.gamg import create_gamg, difference
+from benchmarks.common.progress import say
+from benchmarks.common.records import Record
+from benchmarks.walls.problem import WallProblem
+from benchmarks.walls.tube import create_clamped_tube
+from dolfinx_feti import loads
+from dolfinx_feti.comparison import assembled_system, create_mumps, measure, relative_residual
+from meshes.arguments import count, positive
+
+__all__ = ["main"]
 
 RTOL = 1e-8
 SOLVERS = ("feti", "mumps", "gamg")
@@ -61,10 +67,16 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
         SystemExit: A word of the command line is wrong, or the file cannot be written.
     """
     comm = MPI.COMM_WORLD
-    parser = create_parser()
+    parser = create_parser("compare", __doc__, comm)
+    add = parser.add_argument
+    add("--kappa", type=positive, default=1000.0, help="[kPa], 1000")
+    add("--dofs", type=count, default=180_000, help="approximate number of dofs, 180000")
+    add("--subdomains", type=count, default=96, help="over all processes, 96")
+    add("--solvers", type=several(one_of(SOLVERS)), default=list(SOLVERS), help=",".join(SOLVERS))
+    add("--json", type=Path, metavar="FILE", help="where the records are kept")
     args = parse_words(parser, argv)
     file = open_records(args.json, parser, comm)
-    tube = create_tube_problem(
+    tube = create_clamped_tube(
         comm,
         dofs=args.dofs,
         kappa=args.kappa,
@@ -74,8 +86,7 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
     records = compare(tube, args.solvers, kappa=args.kappa)
     for record in records:
         file.put({key: record[key] for key in ("solver", "kappa", "dofs", "processes")}, record)
-        if comm.rank == 0:
-            print(json.dumps(record))
+        say(json.dumps(record), comm)
     return records
 
 
@@ -110,40 +121,27 @@ def compare(tube: WallProblem, solvers: Sequence[str], *, kappa: float) -> list[
 
 
 def first_step(tube: WallProblem) -> PETSc.Vec:
-    """Assemble the torn tangent at 1 mmHg and return the right-hand side −r."""
+    """Assemble the torn tangent at 1 mmHg, and return the right-hand side −r.
+
+    At rest the volume constraint is met, and the condensed pressure adds nothing to r.
+    """
     tube.pressure.value = loads.mmhg(1.0)
+    tube.problem.linearise()
+    r = dolfinx.fem.assemble_vector(dolfinx.fem.form(tube.residual))
+    r.scatter_reverse(dolfinx.la.InsertMode.add)
+    for bc in tube.bcs:
+        bc.set(r.array, tube.u.x.array)
     b = tube.problem.A.createVecLeft()
-    b.array[:] = -tube.problem._system.residual()
-    tube.problem._system.linearise()
+    b.array[:] = -r.array[: b.getLocalSize()]
     return b
 
 
 def share_feti(tube: WallProblem) -> PETSc.KSP:
-    """Return the KSP of the problem; who destroys it lets the problem keep it."""
+    """Return the KSP of the problem as one that may be destroyed: the problem keeps its own."""
     ksp = tube.problem.solver.getKSP()
     ksp.setOperators(tube.problem.A)
     ksp.incRef()
     return ksp
-
-
-def create_parser() -> argparse.ArgumentParser:
-    """Create a parser of the options with two dashes."""
-    parser = argparse.ArgumentParser(
-        "compare", description=__doc__.splitlines()[0], allow_abbrev=False
-    )
-    parser.add_argument("--kappa", type=positive, default=1000.0, help="[kPa], 1000")
-    parser.add_argument("--dofs", type=count, default=180_000, help="about so many, 180000")
-    parser.add_argument("--subdomains", type=count, default=96, help="over all processes, 96")
-    parser.add_argument("--solvers", type=_solvers, default=list(SOLVERS), help=",".join(SOLVERS))
-    parser.add_argument("--json", type=Path, metavar="FILE", help="where the records are kept")
-    return parser
-
-
-def _solvers(text: str) -> list[str]:
-    names = text.split(",")
-    if not set(names) <= set(SOLVERS):
-        raise argparse.ArgumentTypeError(f"{text!r}: name some of {', '.join(SOLVERS)}")
-    return names
 
 
 if __name__ == "__main__":

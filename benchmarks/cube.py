@@ -9,7 +9,7 @@
 An option that takes several values runs all combinations. The defaults are the paper's choices:
 8 × 8 × 8 subdomains, multiplicity scaling, Q = I, full gluing, a reduction of the dual residual by
 1e-8; E = 210, ν = 0.45, and on the whole surface the displacements of the fundamental solution with
-its source at (2, 2, 2). A case that stands in the JSON file is not run again, unless by --again.
+its source at (2, 2, 2). A case that is in the JSON file is not run again, unless by --again.
 The memory is estimated before each case, and a case that will not fit is refused; the exit status
 then is 1. PETSC_OPTIONS in the environment serves PETSc's own options.
 """
@@ -24,21 +24,20 @@ from collections.abc import Iterator, Sequence
 
 from mpi4py import MPI
 
-from benchmarks.arguments import (
+from benchmarks.common.arguments import (
     add_records,
-    count,
-    count_or_none,
+    count_or_zero,
     create_parser,
     names,
     one_of,
     open_records,
-    positive,
     several,
 )
-from benchmarks.cube_case import LEVELS, Case
-from benchmarks.cube_problem import PATTERNS
-from benchmarks.study import Study
+from benchmarks.unit_cube.case import LEVELS, Case
+from benchmarks.unit_cube.problem import PATTERNS
+from benchmarks.unit_cube.study import Study
 from dolfinx_feti.feti.options import CHOICES
+from meshes.arguments import count, positive
 
 __all__ = ["main"]
 
@@ -110,7 +109,7 @@ def _create_parser(comm: MPI.Comm) -> argparse.ArgumentParser:
         choices = CHOICES["pc_type" if name == "pc" else name]
         kind = {"type": several(one_of(choices)), "default": default.split(",")}
         add("--" + name.replace("_", "-"), **kind, help=f"{', '.join(choices)}; {default}")
-    add("--coarse-modes", type=count_or_none, default=0, help="soft modes in the coarse space; 0")
+    add("--coarse-modes", type=count_or_zero, default=0, help="soft modes in the coarse space; 0")
     add("--reorthogonalize", action="store_true", help="CG with full reorthogonalisation")
     add("--jump", type=several(positive), default=[1.0], help="factor of the stiff subdomains; 1")
     add("--pattern", choices=tuple(PATTERNS), default="none", help="which subdomains are stiff")

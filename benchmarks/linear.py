@@ -1,11 +1,11 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""All cases of the linear study in one run, that can be ended and resumed.
+"""All cases of the linear study in one run, which can be interrupted and resumed.
 
     mpirun -n 2 python3 -m benchmarks.linear --json build/linear.json
 
-The paper's table comes first, then what goes beyond it. A case that stands in the file is not run
+The paper's table comes first, then what goes beyond it. A case that is in the file is not run
 again, unless by --again; a case that will not fit into the memory is refused, with the estimate in
 the file. The study ends well with refusals, too.
 """
@@ -19,18 +19,18 @@ from dataclasses import replace
 
 from mpi4py import MPI
 
-from benchmarks.arguments import add_records, create_parser, one_of, open_records, several
-from benchmarks.cube_case import Case
-from benchmarks.study import Study
+from benchmarks.common.arguments import add_records, create_parser, one_of, open_records, several
+from benchmarks.unit_cube.case import Case
+from benchmarks.unit_cube.study import Study
 
 __all__ = ["SETS", "main", "plan"]
 
 TYPES = ("all_floating", "classical")
 PRECONDITIONERS = ("identity", "lumped", "dirichlet")
 
-#: Coefficients of the stiff subcubes, and scalings with weights Q that are to bear them.
+#: Coefficients of the stiff subcubes, and the scalings and weights Q that are tried on them.
 JUMPS = (1e2, 1e4, 1e6)
-BEARERS = tuple(itertools.product(("multiplicity", "stiffness"), ("identity", "preconditioner")))
+WEIGHTS = tuple(itertools.product(("multiplicity", "stiffness"), ("identity", "preconditioner")))
 
 
 def papers() -> Iterator[Case]:
@@ -61,7 +61,7 @@ def choices() -> Iterator[Case]:
 def jumps() -> Iterator[Case]:
     """Young's modulus jumps between subcubes: a checkerboard, and a stiff layer."""
     patterns = [("none", 1.0), *itertools.product(("checkerboard", "layer"), JUMPS)]
-    for (pattern, jump), kind, (scaling, q) in itertools.product(patterns, TYPES, BEARERS):
+    for (pattern, jump), kind, (scaling, q) in itertools.product(patterns, TYPES, WEIGHTS):
         choice = {"type": kind, "scaling": scaling, "coarse_q": q}
         yield Case(subdomains_per_edge=4, level=2, pattern=pattern, jump=jump, **choice)
 
@@ -95,21 +95,7 @@ def plan(sets: Sequence[str] = tuple(SETS)) -> list[Case]:
 
 
 def main(arguments: Sequence[str] | None = None, comm: MPI.Comm = MPI.COMM_WORLD) -> int:
-    """Run the study, or what is left of it.
-
-    Args:
-        arguments: The command line without the program's name.
-        comm: Communicator of the meshes.
-
-    Returns:
-        The exit status, 0.
-
-    Raises:
-        SystemExit: Bad input, on all processes and before any work.
-
-    Note:
-        Collective.
-    """
+    """Run the study, or what is left of it, see :func:`benchmarks.cube.main`."""
     parser = create_parser("linear", __doc__, comm)
     kind = {"type": several(one_of(tuple(SETS))), "default": list(SETS)}
     parser.add_argument("--sets", **kind, help=f"parts of the study; {','.join(SETS)}")

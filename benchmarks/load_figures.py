@@ -13,7 +13,6 @@ step; and writes ``loading.md`` beside them.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,8 +24,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
-from benchmarks.records import Record, read_records
-from benchmarks.table import Table, count, number
+from benchmarks.common.pages import run_command
+from benchmarks.common.records import Record
+from benchmarks.common.table import Table, count, number
 
 __all__ = ["main", "write"]
 
@@ -39,27 +39,15 @@ COLOURS = ("#1f5a8a", "#b5443a", "#0f7a5a", "#c9962b", "#6b4a8a")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw what the command line asks for; return the exit status.
-
-    Raises:
-        SystemExit: Bad input.
-    """
-    parser = argparse.ArgumentParser(
-        "load_figures", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    """Draw what the command line asks for, see :func:`pages.run_command`."""
+    return run_command(
+        "load_figures",
+        __doc__,
+        arguments,
+        known=lambda record: "u_norm" in record,
+        writer="benchmarks.load_stepping",
+        write=write,
     )
-    parser.add_argument("records", type=Path, metavar="JSON", help="of benchmarks.load_stepping")
-    parser.add_argument("--output", type=Path, required=True, metavar="FOLDER")
-    parser.add_argument("--remark", default="", help="what is to be said about the runs")
-    args = parser.parse_args(arguments)
-    try:
-        records = read_records(
-            args.records, lambda record: "u_norm" in record, "benchmarks.load_stepping"
-        )
-        args.output.mkdir(parents=True, exist_ok=True)
-        write(args.output, records, args.remark)
-    except (OSError, ValueError) as error:
-        parser.error(str(error))
-    return 0
 
 
 def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
@@ -68,7 +56,7 @@ def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
     Args:
         folder: Where they go.
         records: Of all load steps.
-        remark: What is to be said about the runs.
+        remark: Remark about the runs.
     """
     pages = [_introduction(records, remark)]
     walls = [(str(record["geometry"]), int(record["degree"])) for record in records]

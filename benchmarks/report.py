@@ -12,44 +12,25 @@ and ``linear_p2.png``: iterations and condition numbers over the levels. The fil
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.linear_checks import check_table, error_scale
-from benchmarks.linear_plots import draw_levels
-from benchmarks.linear_tables import deviations, solver_table, tables
-from benchmarks.records import Record, read_records
+from benchmarks.common.pages import run_command
+from benchmarks.common.records import Record
+from benchmarks.unit_cube.checks import check_table, error_scale
+from benchmarks.unit_cube.plots import draw_levels
+from benchmarks.unit_cube.tables import deviations, solver_table, tables
 
 __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the report that the command line asks for; return the exit status.
-
-    Raises:
-        SystemExit: Bad input.
-    """
-    parser = argparse.ArgumentParser(
-        "report", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    """Write the report that the command line asks for, see :func:`pages.run_command`."""
+    return run_command(
+        "report", __doc__, arguments, known=_is_known, writer="benchmarks.linear", write=write
     )
-    parser.add_argument("records", type=Path, nargs="+", metavar="JSON", help="files of records")
-    parser.add_argument("--output", type=Path, required=True, metavar="FOLDER")
-    parser.add_argument("--remark", default="", help="what is to be said about the runs")
-    args = parser.parse_args(arguments)
-    try:
-        records = [
-            record
-            for path in args.records
-            for record in read_records(path, _is_known, "benchmarks.linear")
-        ]
-        args.output.mkdir(parents=True, exist_ok=True)
-        write(args.output, records, args.remark)
-    except (OSError, ValueError) as error:
-        parser.error(str(error))
-    return 0
 
 
 def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
@@ -58,7 +39,7 @@ def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
     Args:
         folder: Where they go.
         records: What they are about.
-        remark: What is to be said about the runs.
+        remark: Remark about the runs.
     """
     solvers = [record for record in records if "solver" in record]
     cases = [record for record in records if "solver" not in record]

@@ -8,7 +8,7 @@ r"""The inflated tube against its semi-analytical solution at the same κ.
 
 A record for each pressure: radius, thickness, volume and stress beside the truth, and what it took
 to get there from rest, failed attempts included. A run that does not arrive leaves a record of
-where it ended. With --checkpoint FOLDER a run that was killed goes on with --restart.
+where it ended. With --checkpoint FOLDER a run that was killed is continued by --restart.
 
 Options with a single dash are PETSc's, with the prefix `tube_`.
 """
@@ -23,28 +23,31 @@ import petsc4py
 
 petsc4py.init([word for word in sys.argv if not word.startswith("--")])
 
-from mpi4py import MPI  # noqa: E402
+from mpi4py import MPI
 
-from benchmarks.arguments import (  # noqa: E402
-    count,
+from benchmarks.common.arguments import (
     create_parser,
     one_of,
+    open_checkpoint,
     open_records,
     parse_words,
-    positive,
     several,
 )
-from benchmarks.inflated_tube import (  # noqa: E402
+from benchmarks.common.progress import say
+from benchmarks.common.records import Record
+from benchmarks.walls.inflated_tube import (
     TANGENTS,
     InflatedTube,
     create_inflated_tube,
     create_slice,
 )
-from benchmarks.records import Record  # noqa: E402
-from benchmarks.tube_oracle import KPA_PER_MMHG, Wall, inflate  # noqa: E402
-from dolfinx_feti import ConvergenceError, loads  # noqa: E402
-from dolfinx_feti.loading import Checkpoint  # noqa: E402
-from dolfinx_feti.loading.load_steps import LoadStep, Steps, follow_load, load_step  # noqa: E402
+from benchmarks.walls.oracle import KPA_PER_MMHG, Wall, inflate
+from dolfinx_feti import ConvergenceError
+from dolfinx_feti.loading import Checkpoint, LoadStep, Steps
+from dolfinx_feti.loading.load_steps import load_step
+from meshes.arguments import count, positive
+
+__all__ = ["main"]
 
 STEPS = Steps(first=10.0, least=0.5, growth=2.0)
 
@@ -73,25 +76,20 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
     add("--tangent", choices=TANGENTS, default="symmetric", help="of the follower pressure")
     add("--subdomains", type=count, default=8, help="over all processes, 8")
     add("--checkpoint", type=Path, metavar="FOLDER", help="keep each load step")
-    add("--restart", action="store_true", help="go on from the checkpoint")
+    add("--restart", action="store_true", help="continue from the checkpoint")
     add("--json", type=Path, metavar="FILE", help="records, added to what the file holds")
     args = parse_words(parser, argv)
     if args.pressures != sorted(args.pressures):
         parser.error(f"argument --pressures: {args.pressures} do not rise")
     if args.restart and args.checkpoint is None:
-        parser.error("argument --restart: say by --checkpoint FOLDER from where")
+        parser.error("argument --restart: it needs --checkpoint FOLDER, the run to continue")
     names = ("c", "kappa", "size", "degree", "quarter", "subdomains", "tangent")
     case: Record = {name: getattr(args, name) for name in names} | {"processes": comm.size}
     file = open_records(args.json, parser, comm)
-    checkpoint = None
-    if args.checkpoint is not None:
-        parameters = {name: case[name] for name in ("c", "kappa", "degree")}
-        try:
-            checkpoint = Checkpoint(
-                args.checkpoint, comm, parameters=parameters, restart=args.restart
-            )
-        except (OSError, ValueError) as error:
-            parser.error(str(error))
+    physics = {name: case[name] for name in ("c", "kappa", "degree")}
+    checkpoint = open_checkpoint(
+        args.checkpoint, parser, comm, parameters=physics, restart=args.restart
+    )
     tube = create_inflated_tube(
         create_slice(comm, size=args.size, quarter=args.quarter),
         degree=args.degree,
@@ -104,10 +102,8 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
 
     def put(record: Record) -> None:
         key = case | {"pressure_mmhg": record["pressure_mmhg"]}
-        records.append(comm.bcast(key | record))  # seconds of the first process
-        file.put(key, records[-1])
-        if comm.rank == 0:
-            print(_line(records[-1]), flush=True)
+        records.append(file.put(key, key | record))
+        say(_line(records[-1]), comm)
 
     run(tube, args.pressures, Wall(c=args.c, kappa=args.kappa), put, checkpoint)
     return records
@@ -133,9 +129,6 @@ def run(
     if checkpoint is not None and checkpoint.record is not None:
         steps = [load_step(step) for step in checkpoint.record["steps"]]
 
-    def set_load(mmhg: float) -> None:
-        tube.pressure.value = loads.mmhg(mmhg)
-
     def report(step: LoadStep) -> None:
         steps.append(step)
         if step.load in pressures:
@@ -143,16 +136,7 @@ def run(
             put({"pressure_mmhg": step.load, **cost(steps), **tube.compare(truth)})
 
     try:
-        follow_load(
-            tube.problem,
-            set_load,
-            pressures,
-            STEPS,
-            state=[tube.u, tube.p],
-            on_step=report,
-            checkpoint=checkpoint,
-            unit="mmHg",
-        )
+        tube.inflate(pressures, STEPS, on_step=report, checkpoint=checkpoint)
     except ConvergenceError as error:
         reached = steps[-1].load if steps else 0.0
         missed = next(pressure for pressure in pressures if pressure > reached)
@@ -175,7 +159,7 @@ def cost(steps: Sequence[LoadStep]) -> Record:
 
 
 def _line(record: Record) -> str:
-    """Say a record in one line."""
+    """Format a record as a line."""
     cost = (
         f"{record['steps']:3d} steps {record['newton_iterations']:4d} Newton "
         f"{record['linear_iterations']:6d} FETI"

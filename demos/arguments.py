@@ -6,9 +6,10 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Sequence
 from pathlib import Path
+
+from meshes.arguments import count, positive
 
 __all__ = ["parse"]
 
@@ -40,24 +41,24 @@ def parse(
     )
     parser.add_argument("--geometry", choices=("vessel", "tube"), default="vessel")
     parser.add_argument("--mesh", type=Path, metavar="FILE", help="a wall of your own, in mm")
-    parser.add_argument("--size", type=_positive, help="length of the elements' edges [mm]")
-    parser.add_argument("--pressure", type=_positive, default=10.0, help="[mmHg], 10")
-    parser.add_argument("--steps", type=_count, default=10, help="the first load step is a … of it")
-    parser.add_argument("--subdomains", type=_count, default=64, help="over all processes, 64")
-    parser.add_argument("--kappa", type=_positive, default=1000.0, help="penalty κ [kPa], 1000")
-    parser.add_argument("--c", type=_positive, default=3.0, help="stiffness c [kPa], 3")
+    parser.add_argument("--size", type=positive, help="length of the elements' edges [mm]")
+    parser.add_argument("--pressure", type=positive, default=10.0, help="[mmHg], 10")
+    parser.add_argument("--steps", type=count, default=10, help="the first load step is a … of it")
+    parser.add_argument("--subdomains", type=count, default=64, help="over all processes, 64")
+    parser.add_argument("--kappa", type=positive, default=1000.0, help="penalty κ [kPa], 1000")
+    parser.add_argument("--c", type=positive, default=3.0, help="stiffness c [kPa], 3")
     parser.add_argument("--degree", type=int, choices=(1, 2), default=2, help="of displacements, 2")
     parser.add_argument("--output", type=Path, default=Path("output/artery"), metavar="FOLDER")
     parser.add_argument("--checkpoint", type=Path, metavar="FOLDER", help="keep each load step")
-    parser.add_argument("--restart", action="store_true", help="go on from the checkpoint")
+    parser.add_argument("--restart", action="store_true", help="continue from the checkpoint")
     args = parser.parse_args(own)
     if args.restart and args.checkpoint is None:
-        parser.error("argument --restart: say by --checkpoint FOLDER from where")
+        parser.error("argument --restart: it needs --checkpoint FOLDER, the run to continue")
     return args, solver, rest
 
 
 def _split(arguments: Sequence[str]) -> tuple[list[str], dict[str, str | None], list[str]]:
-    """Tell PETSc's options, a dash and a letter with or without a value, from the demo's."""
+    """Separate PETSc's options, a dash and a letter with or without a value, from the demo's."""
     own: list[str] = []
     solver: dict[str, str | None] = {}
     rest: list[str] = []
@@ -78,19 +79,3 @@ def _split(arguments: Sequence[str]) -> tuple[list[str], dict[str, str | None], 
 
 def _is_petsc(word: str) -> bool:
     return len(word) > 2 and word[0] == "-" and word[1].isalpha()
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
-    return value
-
-
-def _count(text: str) -> int:
-    if not (text.isdecimal() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number 1, 2, 3, …")
-    return int(text)

@@ -44,17 +44,18 @@ from petsc4py import PETSc
 import numpy as np
 import pictures
 from first_step import FirstStep
-from geometry import create_wall
 from render import gather_cells
 
 import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, loads, materials
+from dolfinx_feti.collective import on_first
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
 from dolfinx_feti.output import FieldWriter, cell_values, writable_folder
 from dolfinx_feti.wall import by_layer, facets, openings, surface_measure
 from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
+from meshes.walls import create_wall
 
 comm = MPI.COMM_WORLD
 started = time.perf_counter()
@@ -233,6 +234,8 @@ spent = [s for step in steps for s in step.all_steps]  # failed attempts include
 # -
 
 # ## Pictures
+#
+# The first process draws them; were its disk full, `on_first` would let all of them know.
 
 # +
 values = {
@@ -243,10 +246,16 @@ values = {
     "fibres_2": a2.x.array.reshape(-1, 3)[: len(parts.subdomain)],
 }
 cells = gather_cells(u, values)
-if cells is not None:
+
+
+def draw() -> None:
+    """Draw the wall, its fibres, and Newton's convergence."""
     pictures.draw_wall(folder / "wall.png", cells, pressure=args.pressure)
     pictures.draw_fibres(folder / "fibres.png", cells)
     pictures.draw_convergence(folder / "convergence.png", steps)
+
+
+on_first(draw, comm)
 # -
 
 # ## FETI beside a direct solver
@@ -303,8 +312,7 @@ summary = {
         "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
     },
 }
-if comm.rank == 0:
-    (folder / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
+on_first(lambda: (folder / "summary.json").write_text(json.dumps(summary, indent=1) + "\n"), comm)
 say(f"\n{summary['seconds']:.0f} s; the results are in {folder}/")
 
 assert summary["max_linear_residual"] <= 1e-8

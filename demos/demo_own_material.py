@@ -31,22 +31,25 @@ from mpi4py import MPI
 import numpy as np
 import pictures
 from first_step import FirstStep
-from geometry import create_wall
 from render import gather_cells
 
 import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, loads
+from dolfinx_feti.collective import on_first
 from dolfinx_feti.loading import Steps, follow_load
 from dolfinx_feti.output import cell_values, writable_folder
 from dolfinx_feti.wall import facets, openings, surface_measure
 from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
+from meshes.arguments import positive
+from meshes.walls import create_wall
 
 Expr = ufl.core.expr.Expr
 
 parser = argparse.ArgumentParser(description="Inflate a tube of two materials of one's own.")
-parser.add_argument("--size", type=float, default=0.3, help="length of the elements' edges [mm]")
+parser.add_argument("--size", type=positive, default=0.3, help="length of the elements' edges [mm]")
+parser.add_argument("--pressure", type=positive, default=30.0, help="[mmHg], 30")
 parser.add_argument("--output", type=Path, default=Path("output/materials"), metavar="FOLDER")
 args = parser.parse_args()
 
@@ -112,11 +115,11 @@ def plaque(C: Expr, J: Expr) -> Expr:
 # $Π(u, p)$ is all that the problem is given. Newton's method makes sure to go downhill in it.
 
 # +
-PRESSURE, KAPPA = 30.0, 1000.0
+KAPPA, INCREMENT = 1000.0, 5.0
 
 
 def inflate(name: str, material: Callable[[Expr, Expr], Expr]) -> dict[str, float]:
-    """Inflate the tube to 30 mmHg; draw it; hold FETI against MUMPS in the last load step."""
+    """Inflate the tube; draw it; hold FETI against MUMPS in the last load step."""
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
     u = dolfinx.fem.Function(V, name="displacement")
     p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)), name="p")
@@ -138,20 +141,21 @@ def inflate(name: str, material: Callable[[Expr, Expr], Expr]) -> dict[str, floa
         def set_load(mmhg: float) -> None:
             load.value = loads.mmhg(mmhg)
 
-        step = Steps(first=5.0, least=0.1, growth=1.5, quick=5)
+        step = Steps(first=INCREMENT, least=0.1, growth=1.5, quick=5)
         return follow_load(problem, set_load, [end], step, state=[u, p], start=start, unit="mmHg")
 
-    steps = follow(0.0, PRESSURE - 5.0)
+    before = max(args.pressure - INCREMENT, args.pressure / 2)
+    steps = follow(0.0, before)
     last = FirstStep(problem)
-    steps += follow(PRESSURE - 5.0, PRESSURE)
+    steps += follow(before, args.pressure)
     _, difference = last.mumps()
 
     sigma = kinematics.stress_magnitude(kinematics.cauchy_stress(psi, F))
     parts = problem.decomposition
     values = {"stress": cell_values(sigma, mesh), "subdomain": parts.first + parts.subdomain}
     cells = gather_cells(u, values)
-    if cells is not None:
-        pictures.draw_wall(folder / f"{name}.png", cells, pressure=PRESSURE)
+    picture = folder / f"{name}.png"
+    on_first(lambda: pictures.draw_wall(picture, cells, pressure=args.pressure), comm)
     newton = [s for step in steps for s in step.history]
     furthest = np.linalg.norm(u.x.array.reshape(-1, 3), axis=1).max()
     return {
@@ -169,7 +173,8 @@ results = {"fibres": inflate("fibres", dispersed_fibres), "plaque": inflate("pla
 
 # ## What it cost
 #
-# Every linear system was solved to 1e-8, and FETI's step from 25 mmHg on is that of MUMPS.
+# Every linear system was solved to 1e-8, and FETI's first step of the last increment is that of
+# MUMPS.
 
 # +
 if comm.rank == 0:

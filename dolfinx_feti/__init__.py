@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Classical and all-floating FETI methods for FEniCSx.
 
-In the order of the data: errors, _compat, collective, events, petsc_options, folders, torn,
-mechanics, wall, fem, feti, problems, loading, output, comparison.
+In the order of the data: errors, _compat, collective, events, petsc_options, folders,
+connectivity, torn, mechanics, wall, fem, feti, problems, loading, output, comparison.
 """
 
 from dolfinx_feti.errors import ConvergenceError

@@ -1,25 +1,28 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Work that may fail on one process, and then fails on all: no process waits for another."""
+"""What all processes do together: work that fails on all if on one, and warnings said once."""
 
 from __future__ import annotations
 
+import logging
+import pickle
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 from mpi4py import MPI
 
-__all__ = ["on_all", "on_first", "reason"]
+__all__ = ["on_all", "on_first", "reason", "warn"]
 
 T = TypeVar("T")
+logger = logging.getLogger("dolfinx_feti")
 
 
 def on_first(work: Callable[[], T], comm: MPI.Comm) -> T:
     """Do something on the first process.
 
     Args:
-        work: What is done; its result and its error can be pickled.
+        work: What is done; its result can be pickled.
         comm: Communicator of all who wait for it.
 
     Returns:
@@ -31,21 +34,22 @@ def on_first(work: Callable[[], T], comm: MPI.Comm) -> T:
     Note:
         Collective.
     """
-    result: Any = None
-    error: Exception | None = None
+    parcel: tuple[bytes, Exception | None] = (b"", None)
+    own: Exception | None = None
     if comm.rank == 0:
         try:
-            result = work()
+            parcel = (pickle.dumps(work()), None)
         except Exception as caught:
-            error = caught
-    result, error = comm.bcast((result, error), root=0)
+            own = caught
+            parcel = (b"", _portable(caught))
+    result, error = comm.bcast(parcel, root=0)
     if error is not None:
-        raise error
-    return result
+        raise own or error
+    return pickle.loads(result)
 
 
 def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
-    """Do something on all processes.
+    """Do something on all processes; if it fails on one of them, it has failed on all.
 
     Args:
         work: What each of them does.
@@ -55,26 +59,49 @@ def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
         The process's own result.
 
     Raises:
-        RuntimeError: The work has failed on some process; with the reason of the first of these,
-            on all processes.
+        Exception: What the work has raised, on all processes: on one where it has failed its own
+            error, elsewhere that of the first process where it has.
 
     Note:
-        Collective.
+        Collective. Work that is collective itself has to fail before it waits for another process,
+        or after.
     """
     result: Any = None
-    error: Exception | None = None
+    own: Exception | None = None
     try:
         result = work()
     except Exception as caught:
-        error = caught
-    causes = comm.allgather(None if error is None else reason(error))
-    cause = next((text for text in causes if text is not None), None)
-    if cause is not None:
-        raise RuntimeError(cause) from error
+        own = caught
+    errors = comm.allgather(None if own is None else _portable(own))
+    for rank, error in enumerate(errors):
+        if error is not None:
+            if own is None:
+                error.add_note(f"Raised on process {rank} of {comm.size}.")
+            raise own or error
     return result
+
+
+def _portable(error: Exception) -> Exception:
+    """Return an error that can be sent to other processes."""
+    try:
+        copy = pickle.loads(pickle.dumps(error))
+    except Exception:  # of a class that cannot be pickled or made again
+        copy = None
+    return error if isinstance(copy, Exception) else RuntimeError(reason(error))
 
 
 def reason(error: Exception) -> str:
     """Say what went wrong, in one line."""
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return " ".join(text.split()) or type(error).__name__
+
+
+def warn(text: str, comm: MPI.Comm) -> None:
+    """Log a warning on the first process, through Python's logger ``dolfinx_feti``.
+
+    Args:
+        text: The warning, with the remedy.
+        comm: Communicator of all to whom it applies.
+    """
+    if comm.rank == 0:
+        logger.warning(text)

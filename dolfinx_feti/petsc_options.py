@@ -1,16 +1,16 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""PETSc's options database: a prefix that is checked, and options inserted for a while."""
+"""PETSc's options database: a prefix that is checked, options inserted or withheld for a while."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 
 from petsc4py import PETSc
 
-__all__ = ["inserted", "require_prefix"]
+__all__ = ["inserted", "require_prefix", "withheld"]
 
 
 def require_prefix(prefix: object) -> str:
@@ -47,3 +47,22 @@ def inserted(prefix: str, petsc_options: Mapping[str, object] | None) -> Iterato
             database.delValue(key)
             if key in before:
                 database.setValue(key, before[key])
+
+
+@contextmanager
+def withheld(keys: Iterable[str]) -> Iterator[None]:
+    """Take options out of the database for a while.
+
+    Args:
+        keys: Their names, prefix included; those that are not there do not matter.
+    """
+    database = PETSc.Options()
+    there = database.getAll()
+    values = {key: there[key] for key in keys if key in there}
+    for key in values:
+        database.delValue(key)
+    try:
+        yield
+    finally:
+        for key, value in values.items():
+            database.setValue(key, value)

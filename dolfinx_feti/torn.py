@@ -11,14 +11,19 @@ where the boolean :math:`T` copies each dof to every subdomain that holds it. PE
 pair is MATIS: a block-diagonal local matrix on each process and the map *torn dof → dof*. All else
 that the dual method needs to know is attached to the matrix, as PETSc objects:
 
-===================== ======================== ====================================================
-what                  where                    shape
-===================== ======================== ====================================================
-near kernel           ``setNearNullSpace``     vectors of the assembled problem (rigid body modes
-                                               of the *deformed* body; constants for a scalar)
-Dirichlet dofs        ``compose("dirichlet")`` index set of global dofs, each listed on any process
-scaling stiffness     ``compose("stiffness")`` sequential vector, one entry per torn dof
-===================== ======================== ====================================================
+================== ========================== =====================================================
+what               where                      shape
+================== ========================== =====================================================
+near kernel        ``setNearNullSpace``       vectors of the assembled problem (rigid body modes of
+                                              the *deformed* body; constants for a scalar)
+Dirichlet dofs     ``compose("dirichlet")``   index set of global dofs, each listed on any process
+scaling stiffness  ``compose("stiffness")``   sequential vector, one entry per torn dof
+coordinates        ``compose("coordinates")`` points of the assembled problem's blocks of dofs, one
+                                              after the other; for messages only
+pressure rows K_p  ``compose("pressure")``    sequential matrix, (cells, torn dofs), of a condensed
+                                              pressure
+pressure patterns  ``compose("patterns")``    sequential dense matrix, (cells, patterns)
+================== ========================== =====================================================
 
 A subdomain is a connected component of the graph of the local matrix.
 """
@@ -33,9 +38,16 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
-import scipy.sparse.csgraph
 
-__all__ = ["Torn", "create_torn_matrix", "is_symmetric", "set_near_kernel"]
+from dolfinx_feti.connectivity import connected_blocks, copy_forest, is_symmetric
+
+__all__ = [
+    "Torn",
+    "create_torn_matrix",
+    "is_symmetric",
+    "set_near_kernel",
+    "set_pressure_patterns",
+]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -88,12 +100,19 @@ def create_torn_matrix(
     return A
 
 
-def set_near_kernel(A: PETSc.Mat, modes: Sequence[PETSc.Vec]) -> None:
+def set_near_kernel(
+    A: PETSc.Mat, modes: Sequence[PETSc.Vec], coordinates: Array | None = None
+) -> None:
     """Attach the near kernel (rigid body modes, constants) of the assembled problem to ``A``.
 
     Args:
         A: Torn matrix.
         modes: Linearly independent vectors; orthonormalised in place by Gram–Schmidt.
+        coordinates: Where the owned blocks of dofs are, (owned blocks, dimension of space); with
+            them, the message about a singular problem tells what moves, and where.
+
+    Note:
+        Collective.
     """
     for j, mode in enumerate(modes):
         for _ in range(2):  # the first pass leaves rounding errors of the size of the mode
@@ -103,6 +122,29 @@ def set_near_kernel(A: PETSc.Mat, modes: Sequence[PETSc.Vec]) -> None:
     space = PETSc.NullSpace().create(vectors=list(modes), comm=A.comm)
     A.setNearNullSpace(space)
     space.destroy()
+    if coordinates is not None:
+        points = PETSc.Vec().createMPI((coordinates.size, None), comm=A.comm)
+        points.array[:] = coordinates.ravel()
+        A.compose("coordinates", points)
+
+
+def set_pressure_patterns(A: PETSc.Mat, K_p: PETSc.Mat, patterns: Array) -> None:
+    """Attach the equations of a pressure that is condensed, cell by cell, into the local matrix.
+
+    Args:
+        A: Torn matrix.
+        K_p: Sequential matrix of the pressure equations, (cells, n_torn). Not copied: its values
+            are read with those of the local matrix.
+        patterns: Pressure patterns on the cells of each subdomain, (cells, patterns), the constant
+            first.
+    """
+    dense = PETSc.Mat().createDense(
+        patterns.shape, array=np.array(patterns, order="F"), comm=PETSc.COMM_SELF
+    )
+    dense.assemble()
+    A.compose("pressure", K_p)
+    A.compose("patterns", dense)
+    dense.destroy()
 
 
 class Torn:
@@ -114,6 +156,7 @@ class Torn:
         n: Number of torn dofs of this process.
         start: First torn dof of this process in the numbering over all processes.
         subdomains: For each subdomain its torn dofs, ascending.
+        first: Number of the first subdomain of this process over all processes.
         dirichlet: Mask of the torn dofs with a prescribed value, (n,).
         owned: Number of dofs of the assembled problem that this process owns.
     """
@@ -141,16 +184,22 @@ class Torn:
         if self.comm.allreduce(bad, op=MPI.LOR):
             raise ValueError(
                 f"The local matrix has type '{self.K.getType()}' and size {self.K.getSize()}; "
-                "FETI needs square AIJ matrices, one block a subdomain."
+                "FETI needs square AIJ matrices, one block per subdomain."
             )
         self.start = self.comm.scan(self.n) - self.n
         self.owned = A.getLocalSize()[0]
         self.subdomains = connected_blocks(self.K)
+        self.first = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
         self._sf = copy_forest(A)
         self.dirichlet = self._dirichlet_mask()
 
     def multiply(self, t: Array, *, transpose: bool = False) -> Array:
-        """Return K t, or Kᵀ t, (n,)."""
+        """Return K t, or Kᵀ t, for a vector, (n,), or several columns, (n, r)."""
+        if t.ndim == 2:
+            y = np.empty_like(t)
+            for j in range(t.shape[1]):
+                y[:, j] = self.multiply(t[:, j], transpose=transpose)
+            return y
         y = np.zeros(self.n)
         t_vec = PETSc.Vec().createWithArray(np.ascontiguousarray(t), comm=PETSc.COMM_SELF)
         y_vec = PETSc.Vec().createWithArray(y, comm=PETSc.COMM_SELF)
@@ -194,6 +243,25 @@ class Torn:
         self._sf.reduceEnd(MPI.DOUBLE, leaf, root, MPI.SUM)
         return root  # Tᵀ t
 
+    def residual(self, b: PETSc.Vec, x: PETSc.Vec) -> PETSc.Vec:
+        """Return b − A x on the free dofs of the assembled problem, zero on the Dirichlet dofs.
+
+        Args:
+            b: Right-hand side, (N,).
+            x: Solution, (N,).
+
+        Returns:
+            The residual, (N,); the caller destroys it.
+
+        Note:
+            Collective.
+        """
+        r = b.duplicate()
+        force = self.multiply(self.tear(x))
+        free = self.assemble(self.dirichlet.astype(np.float64)) < 0.5
+        r.array[:] = np.where(free, b.array_r - self.assemble(force), 0.0)  # b − Tᵀ K T x
+        return r
+
     def multiplicity(self) -> Indices:
         """Count the copies of each owned dof, (owned,)."""
         degree = self._sf.computeDegree()
@@ -225,12 +293,54 @@ class Torn:
             return np.ones((self.n, 1))
         return np.column_stack([self.tear(mode) for mode in modes])
 
+    def coordinates(self) -> Array | None:
+        """Return where each torn dof is, (n, dimension of space); None if that is not attached.
+
+        Note:
+            Collective.
+        """
+        points = self.A.query("coordinates")
+        if points is None:
+            return None
+        bs = self.A.getBlockSize()
+        x = points.array_r.reshape(self.owned // bs, -1) if self.owned else np.zeros((0, 0))
+        dim = self.comm.allreduce(x.shape[1], op=MPI.MAX)
+        torn = np.zeros((self.n, dim))
+        vector = self.A.createVecRight()
+        for j in range(dim):
+            vector.array[:] = np.repeat(x[:, j], bs) if self.owned else 0.0
+            torn[:, j] = self.tear(vector)
+        vector.destroy()
+        return torn
+
+    def diagonal(self) -> Array:
+        """Return the diagonal of K, (n,)."""
+        diagonal = self.K.getDiagonal()
+        values = diagonal.array_r.copy()
+        diagonal.destroy()
+        return values
+
     def stiffness(self) -> Array:
-        """Return the stiffness of each torn dof for the scaling, (n,)."""
+        """Return the stiffness of each torn dof for the scaling, (n,), not negative.
+
+        It is the magnitude of what is attached, or of the diagonal of K: under compression a
+        diagonal entry may be negative, but a weight must not be.
+        """
         weight = self.A.query("stiffness")
-        if weight is None:
-            weight = self.K.getDiagonal()
-        return np.array(weight.array_r)
+        return np.abs(self.diagonal() if weight is None else weight.array_r)
+
+    def flux(self, most: int) -> Array:
+        """Return K_pᵀ y for the first patterns y of the condensed pressure, (n, up to ``most``).
+
+        The columns of a pattern on all subdomains are one; none if no pressure is attached.
+        """
+        K_p, patterns = self.A.query("pressure"), self.A.query("patterns")
+        if K_p is None or patterns is None:
+            return np.zeros((self.n, 0))
+        y = patterns.getDenseArray()[:, :most]
+        indptr, indices, values = K_p.getValuesCSR()
+        rows = scipy.sparse.csr_array((values, indices, indptr), shape=(len(y), self.n))
+        return np.asarray(rows.T @ y)  # K_pᵀ y
 
     def is_symmetric(self) -> bool:
         """Tell whether the matrices of all subdomains are symmetric.
@@ -254,62 +364,3 @@ class Torn:
     def destroy(self) -> None:
         """Free the star forest; the matrix belongs to its creator."""
         self._sf.destroy()
-
-
-def is_symmetric(K: PETSc.Mat) -> bool:
-    """Test xᵀ K y = yᵀ K x for one pair of random vectors, up to rounding.
-
-    Note:
-        Collective on K.
-    """
-    x, y = K.createVecs()
-    Kx, Ky = x.duplicate(), x.duplicate()
-    x.array[:], y.array[:] = np.random.default_rng(20140715).standard_normal((2, x.getLocalSize()))
-    K.mult(x, Kx)
-    K.mult(y, Ky)
-    skew = abs(y.dot(Kx) - x.dot(Ky))
-    scale = max(Kx.norm() * y.norm(), Ky.norm() * x.norm())
-    for v in (x, y, Kx, Ky):
-        v.destroy()
-    return bool(skew <= 1e-10 * scale)
-
-
-def connected_blocks(K: PETSc.Mat) -> list[Indices]:
-    """Find the connected components of a block-diagonal matrix.
-
-    Args:
-        K: Sequential AIJ matrix with a symmetric pattern, (n, n).
-
-    Returns:
-        For each component its rows, ascending; components in the order of their first row.
-    """
-    n, bs = K.getSize()[0], K.getBlockSize()
-    if n == 0:
-        return []
-    indptr, indices = K.getRowIJ()
-    graph = scipy.sparse.csr_array((n // bs, n // bs), dtype=bool)
-    for first in range(bs):  # one row of every block at a time, to save memory
-        start, length = indptr[:-1][first::bs], np.diff(indptr)[first::bs]
-        end = np.cumsum(length)
-        entries = np.repeat(start - end + length, length) + np.arange(length.sum())
-        pattern = (indices[entries] // bs, np.concatenate(([0], end)))
-        if first and all(map(np.array_equal, pattern, (graph.indices, graph.indptr))):
-            continue  # the rows of a block have the same pattern
-        more = scipy.sparse.csr_array((np.ones(len(entries), dtype=bool), *pattern), graph.shape)
-        graph = graph + more if first else more
-    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    label = np.repeat(label, bs)
-    order = np.argsort(label, kind="stable").astype(np.int32)
-    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
-
-
-def copy_forest(A: PETSc.Mat) -> PETSc.SF:
-    """Build the star forest with the dofs as roots and their torn copies as leaves."""
-    lgmap = A.getLGMap()[0]
-    dofs = lgmap.getIndices()
-    ranges = A.getOwnershipRanges()
-    rank = np.searchsorted(ranges, dofs, side="right") - 1
-    remote = np.column_stack([rank, dofs - ranges[rank]]).astype(PETSc.IntType)
-    forest = PETSc.SF().create(A.comm)
-    forest.setGraph(A.getLocalSize()[0], None, remote)
-    return forest

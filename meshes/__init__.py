@@ -1,4 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Generators of artery walls; they need numpy and scipy, no FEniCSx and no Gmsh. See README.md."""
+"""Meshes of artery walls, and the cube of the paper's linear study. See README.md.
+
+The generators of walls write files and need numpy and scipy, no FEniCSx and no Gmsh; ``walls`` and
+``cube`` make distributed meshes of DOLFINx.
+
+In the order of the data: arguments, surface, remesh, wall_mesh, layers, tube, vessel, walls, cube.
+"""

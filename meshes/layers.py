@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .surface import Guide, Indices, Points, find_edges, unit
-from .wall_mesh import TAGS, WallMesh, tetrahedron_quality
+from meshes.surface import Guide, Indices, Points, find_edges, unit
+from meshes.wall_mesh import TAGS, WallMesh, tetrahedron_quality
 
 __all__ = ["grow", "improve_tops", "sheets"]
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse
 
-from .surface import (
+from meshes.surface import (
     Edges,
     Guide,
     Indices,

@@ -21,11 +21,12 @@ from pathlib import Path
 
 import numpy as np
 
-from .layers import grow, sheets
-from .surface import Indices, Points
-from .wall_mesh import TAGS, Quality, measure_quality, write_msh
+from meshes.arguments import count, positive
+from meshes.layers import grow, sheets
+from meshes.surface import Indices, Points
+from meshes.wall_mesh import TAGS, Quality, measure_quality, write_msh
 
-__all__ = ["create_tube"]
+__all__ = ["count_around", "create_tube"]
 
 INNER_RADIUS, MEDIA, ADVENTITIA = 0.71, 0.26, 0.13
 
@@ -65,10 +66,9 @@ def create_tube(
     for name, value in (("length", length), ("size", size)):
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name}={value} is not a positive number of millimetres")
-    middle = INNER_RADIUS + (MEDIA + ADVENTITIA) / 2
-    around = around or _count(2 * np.pi * middle / (4 if quarter else 1), size, 2 if quarter else 8)
-    along = along or _count(length, size)
-    through = through or (_count(MEDIA, size), _count(ADVENTITIA, size))
+    around = count_around(size, quarter=quarter) if around is None else around
+    along = _count(length, size) if along is None else along
+    through = (_count(MEDIA, size), _count(ADVENTITIA, size)) if through is None else through
     if min(*through, along, around) < 1 or (around < 3 and not quarter):
         raise ValueError(
             f"through={through}, around={around}, along={along}: take one element or more in each "
@@ -83,6 +83,17 @@ def create_tube(
     quality = measure_quality(mesh)
     log.info("%s", quality)
     return quality
+
+
+def count_around(size: float, *, quarter: bool) -> int:
+    """Return the number of elements around a tube, or a quarter of it.
+
+    Args:
+        size: Wanted length of the edges in the middle of the wall [mm].
+        quarter: Only the part with x ≥ 0 and y ≥ 0.
+    """
+    circumference = 2 * np.pi * (INNER_RADIUS + (MEDIA + ADVENTITIA) / 2)
+    return _count(circumference / 4, size, 2) if quarter else _count(circumference, size, 8)
 
 
 def _count(extent: float, size: float, least: int = 1) -> int:
@@ -122,12 +133,12 @@ def main() -> None:
     """Write a tube from the command line."""
     parser = argparse.ArgumentParser("python3 -m meshes.tube", description="A two-layer tube.")
     parser.add_argument("file", type=Path, help="the Gmsh file to write")
-    parser.add_argument("--length", type=float, default=3.0, help="[mm]")
-    parser.add_argument("--size", type=float, default=0.13, help="of the elements [mm]")
+    parser.add_argument("--length", type=positive, default=3.0, help="[mm]")
+    parser.add_argument("--size", type=positive, default=0.13, help="of the elements [mm]")
     parser.add_argument("--quarter", action="store_true", help="only a quarter")
-    parser.add_argument("--through", type=int, nargs=2, help="elements in media and adventitia")
-    parser.add_argument("--around", type=int, help="elements around")
-    parser.add_argument("--along", type=int, help="elements along")
+    parser.add_argument("--through", type=count, nargs=2, help="elements in media and adventitia")
+    parser.add_argument("--around", type=count, help="elements around")
+    parser.add_argument("--along", type=count, help="elements along")
     options = vars(parser.parse_args())
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     if options["through"]:

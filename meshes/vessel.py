@@ -29,10 +29,11 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.csgraph
 
-from .layers import grow, improve_tops, sheets
-from .remesh import remesh
-from .surface import Indices, Points, edge_lengths, find_edges, read_stl, unit, vertex_normals
-from .wall_mesh import TAGS, Quality, measure_quality, write_msh
+from meshes.arguments import count, positive
+from meshes.layers import grow, improve_tops, sheets
+from meshes.remesh import remesh
+from meshes.surface import Indices, Points, edge_lengths, find_edges, read_stl, unit, vertex_normals
+from meshes.wall_mesh import TAGS, Quality, measure_quality, write_msh
 
 __all__ = ["create_vessel", "find_surface"]
 
@@ -180,10 +181,12 @@ def main() -> None:
     """Write a vessel from the command line."""
     parser = argparse.ArgumentParser("python3 -m meshes.vessel", description="A vessel's wall.")
     parser.add_argument("file", type=Path, help="the Gmsh file to write")
-    parser.add_argument("--size", type=float, default=1.2, help="edges on the lumen [mm]")
-    parser.add_argument("--thickness", type=float, default=1.0, help="of the wall [mm]")
-    parser.add_argument("--media", type=float, default=2 / 3, help="the media's share of it")
-    parser.add_argument("--through", type=int, nargs=2, default=(1, 1), help="elements in a layer")
+    parser.add_argument("--size", type=positive, default=1.2, help="edges on the lumen [mm]")
+    parser.add_argument("--thickness", type=positive, default=1.0, help="of the wall [mm]")
+    parser.add_argument("--media", type=positive, default=2 / 3, help="the media's share of it")
+    parser.add_argument(
+        "--through", type=count, nargs=2, default=(1, 1), help="elements in a layer"
+    )
     parser.add_argument("--surface", type=Path, help="an STL file of a lumen with open ends [mm]")
     options = vars(parser.parse_args())
     logging.basicConfig(level=logging.INFO, format="%(message)s")

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .surface import Indices, Points
+from meshes.surface import Indices, Points
 
 __all__ = ["TAGS", "Quality", "WallMesh", "measure_quality", "write_msh"]
 

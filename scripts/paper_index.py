@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["ELSEWHERE", "EQUATIONS", "FIGURES", "NOWHERE", "TABLES", "Entry", "Result"]
+__all__ = ["EQUATIONS", "FIGURES", "NOWHERE", "TABLES", "Entry", "Result"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,19 +105,6 @@ EQUATIONS = [
     Entry("displacement norm, relative displacement"),
     Entry("efficiency of strong scaling", _P + "efficiency"),
 ]
-
-#: Files, by name, that hold an equation without naming its number in a docstring.
-ELSEWHERE = {
-    7: ["system.py"],
-    19: ["cube_problem.py"],
-    22: ["newton.py"],
-    25: ["load_steps.py"],
-    28: ["system.py"],
-    52: ["fundamental.py"],
-    53: ["fundamental.py"],
-    54: ["linear_tables.py"],
-    57: ["load_stepping.py", "load_figures.py"],
-}
 
 #: Equations that no file holds, and why.
 NOWHERE = {

@@ -25,7 +25,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from paper_index import ELSEWHERE, EQUATIONS, FIGURES, NOWHERE, TABLES
+from paper_index import EQUATIONS, FIGURES, NOWHERE, TABLES
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "dolfinx_feti"
@@ -148,20 +148,10 @@ def equations_in(path: Path) -> set[int]:
 
 
 def equations() -> dict[int, list[Path]]:
-    """Return the files of each equation: those that name it, and those of the paper's index.
-
-    Raises:
-        ValueError: A name in the index is not that of exactly one file.
-    """
+    """Return the files that name each equation in a docstring."""
     files = [module.path for module in modules()]
     files += sorted((ROOT / "benchmarks").rglob("*.py"))
     named = {path: equations_in(path) for path in files}
-    for number, names in ELSEWHERE.items():
-        for name in names:
-            paths = [path for path in files if path.name == name]
-            if len(paths) != 1:
-                raise ValueError(f"paper_index.py names {name}: there are {len(paths)} such files")
-            named[paths[0]].add(number)
     numbers = range(1, len(EQUATIONS) + 1)
     return {n: [path for path in files if n in named[path]] for n in numbers}
 

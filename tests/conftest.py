@@ -19,8 +19,9 @@ from collective import agree
 from problems import Problem
 
 import dolfinx_feti
+from dolfinx_feti.feti.dual_form import DualForm, create_dual_form
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.setup import Parts, Pattern, set_up
+from dolfinx_feti.feti.setup import Pattern, factor
 from dolfinx_feti.petsc_options import inserted
 
 COMM = MPI.COMM_WORLD
@@ -78,12 +79,13 @@ def torn_grid() -> Iterator[Callable[..., hand_torn.HandTorn]]:
 
 
 @pytest.fixture
-def parts(pattern: Callable[..., Pattern]) -> Iterator[Callable[..., Parts]]:
-    """Turn a torn matrix into a FETI system, with options as keywords."""
-    made: list[Parts] = []
+def parts(pattern: Callable[..., Pattern]) -> Iterator[Callable[..., DualForm]]:
+    """Build the dual form of a torn matrix, with options as keywords."""
+    made: list[DualForm] = []
 
-    def create(A: PETSc.Mat, **options: object) -> Parts:
-        made.append(set_up(pattern(A, **options)))
+    def create(A: PETSc.Mat, **options: object) -> DualForm:
+        read = pattern(A, **options)
+        made.append(create_dual_form(read, factor(read)))
         return made[-1]
 
     yield create

@@ -12,7 +12,7 @@ import re
 import pytest
 from collective import COMM, agree, raises
 
-from dolfinx_feti.collective import on_all, on_first, reason
+from dolfinx_feti.collective import on_all, on_first, reason, warn
 
 
 def test_all_have_the_result_of_the_first():
@@ -48,8 +48,43 @@ def test_one_that_fails_is_enough():
         if COMM.rank == last:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "state.bp")
 
-    with raises(RuntimeError, "No space left on device"):
+    with raises(OSError, "No space left on device: 'state.bp'"):
         on_all(work, COMM)
+
+
+def test_own_error_goes_before_those_of_others():
+    def work() -> None:
+        raise ValueError(f"on process {COMM.rank}")
+
+    with raises(ValueError, f"on process {COMM.rank}"):
+        on_all(work, COMM)
+
+
+class StubbornError(Exception):
+    """Cannot be made again from its arguments."""
+
+    def __init__(self, one: int, two: int) -> None:
+        super().__init__(f"{one} and\n {two}")
+
+
+@pytest.mark.parametrize("together", [on_first, on_all])
+def test_error_that_cannot_be_sent(together):
+    def work() -> None:
+        if COMM.rank == 0:
+            raise StubbornError(1, 2)
+
+    with raises(StubbornError if COMM.rank == 0 else RuntimeError, r"1 and\s+2"):
+        together(work, COMM)
+
+
+def test_result_that_cannot_be_sent():
+    with raises(Exception, "lambda"):
+        on_first(lambda: lambda: None, COMM)
+
+
+def test_a_warning_is_logged_once(caplog):
+    warn("too thin", COMM)
+    agree([record.message for record in caplog.records] == ["too thin"] * (COMM.rank == 0))
 
 
 def test_reason_is_one_line_and_never_empty():

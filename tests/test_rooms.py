@@ -11,15 +11,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import rooms
 
 import dolfinx_feti
 
 ROOT = Path(dolfinx_feti.__file__).parents[1]
-sys.path.insert(0, str(ROOT / "scripts"))
-
-import rooms  # noqa: E402
-
-sys.path.pop(0)
 
 pytestmark = pytest.mark.serial
 
@@ -144,11 +140,60 @@ def test_no_folder_is_crowded(folder):
     assert not [f.name for f in folders if len(list(f.glob("*.py"))) > FULLEST]
 
 
-@pytest.mark.parametrize("folder", ["demos"])
-def test_demos_stand_alone(folder):
-    """A demo needs the package and files of its own folder."""
-    for path in files(folder):
+def lined_up(folder: Path) -> list[Path]:
+    """Files of a folder and of those in it, in the order that it gives; then what it does not."""
+    named = [folder / name for name in rooms.order(folder)]
+    found = [p for n in named for p in (lined_up(n) if n.is_dir() else [n.with_suffix(".py")])]
+    assert all(path.is_file() for path in found), found
+    return found
+
+
+def beside(path: Path, folder: str) -> set[Path]:
+    """Files of a folder beside the package that a file imports."""
+    dotted = (name.split(".") for name in imports(path) if name.startswith(f"{folder}."))
+    places = (ROOT.joinpath(*names[:n]) for names in dotted for n in range(2, len(names) + 1))
+    return {p.with_suffix(".py") for p in places if p.with_suffix(".py").is_file()}
+
+
+@pytest.mark.parametrize("folder", ["meshes", "benchmarks"])
+def test_folders_beside_the_package_follow_their_order(folder):
+    """Of the benchmarks, the commands come last."""
+    order = lined_up(ROOT / folder)
+    commands = sorted(
+        set((ROOT / folder).glob("*.py")) - set(order) - {ROOT / folder / "__init__.py"}
+    )
+    assert not commands or folder == "benchmarks"
+    order += commands
+    assert set(order) == {path for path in files(folder) if path.name != "__init__.py"}
+    for place, path in enumerate(order):
+        assert beside(path, folder) <= set(order[:place]), path
+
+
+def test_benchmarks_import_from_commands_to_rooms_to_common():
+    """No room knows another one but ``common``, and nobody imports a command."""
+    top = ROOT / "benchmarks"
+    for path in files("benchmarks"):
+        for other in beside(path, "benchmarks"):
+            assert other.parent != top, f"{path} imports the command {other.name}"
+            assert path.parent in (top, other.parent) or other.parent.name == "common", path
+
+
+def test_meshes_and_package_know_nothing_of_those_who_use_them():
+    for path in files("dolfinx_feti"):
+        assert not foreign(path) & {"benchmarks", "demos", "meshes", "tests"}, path
+    for path in files("meshes"):
+        assert not foreign(path) & {"benchmarks", "demos", "tests"}, path
+
+
+def test_demos_stand_alone():
+    """A demo needs the package, files of its own folder, and the meshes beside it."""
+    for path in files("demos"):
         assert not foreign(path) & {"benchmarks", "tests"}, path
+
+
+def test_nobody_changes_the_path_of_modules():
+    """It is the checkout's root, by ``scripts/with-fenicsx`` or an editable installation."""
+    for path in files("dolfinx_feti", "demos", "benchmarks", "meshes"):
         assert "sys.path" not in path.read_text(), path
 
 

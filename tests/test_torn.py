@@ -12,7 +12,8 @@ import pytest
 from collective import COMM, agree, dense, equal, raises, whole
 
 import dolfinx_feti
-from dolfinx_feti.torn import Torn, connected_blocks, create_torn_matrix
+from dolfinx_feti.connectivity import connected_blocks
+from dolfinx_feti.torn import Torn, create_torn_matrix
 
 SEED = 60914
 
@@ -199,4 +200,11 @@ def test_torn_dofs_are_numbered_from_process_to_process(torn_grid):
     sizes = COMM.allgather(torn.n)
     agree(torn.start == sum(sizes[: COMM.rank]))
     agree(sum(sizes) == len(problem.to_global))
+    torn.destroy()
+
+
+def test_no_flux_without_a_pressure(torn_grid):
+    problem = torn_grid((2, 2), (2, 2))
+    torn = Torn(problem.A)
+    agree(torn.flux(4).shape == (torn.n, 0))
     torn.destroy()

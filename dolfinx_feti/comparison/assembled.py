@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from petsc4py import PETSc
 
-from dolfinx_feti.torn import is_symmetric
+from dolfinx_feti.connectivity import is_symmetric
 
 __all__ = ["assembled_system", "create_mumps", "relative_residual"]
 

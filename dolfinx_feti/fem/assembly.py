@@ -24,6 +24,7 @@ import dolfinx
 import dolfinx.fem.petsc
 import ufl
 
+from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace
 from dolfinx_feti.torn import create_torn_matrix, set_near_kernel
 
@@ -40,15 +41,21 @@ __all__ = [
 ]
 
 
-def torn_form(form: ufl.Form, spaces: Sequence[TornSpace]) -> dolfinx.fem.Form:
+def torn_form(
+    form: ufl.Form, spaces: Sequence[TornSpace], compiler: Compiler | None = None
+) -> dolfinx.fem.Form:
     """Compile a form with its arguments on torn spaces.
 
     Args:
         form: Form with cell and exterior-facet integrals.
         spaces: Torn space of each argument, by argument number.
+        compiler: How; with dolfinx's options if not given.
 
     Raises:
         ValueError: The form has other integrals; those over interior facets couple subdomains.
+
+    Note:
+        Collective.
     """
     kinds = {integral.integral_type() for integral in form.integrals()}
     for kind in sorted(kinds - {"cell", "exterior_facet"}):
@@ -60,7 +67,8 @@ def torn_form(form: ufl.Form, spaces: Sequence[TornSpace]) -> dolfinx.fem.Form:
         argument: ufl.Argument(spaces[argument.number()].V_torn, argument.number())
         for argument in form.arguments()
     }
-    return dolfinx.fem.form(ufl.replace(form, replaced))
+    compiler = compiler or Compiler(spaces[0].V.mesh.comm)
+    return compiler.form(ufl.replace(form, replaced))
 
 
 def create_local_matrix(rows: TornSpace, columns: TornSpace, n_cells: int) -> PETSc.Mat:
@@ -167,7 +175,7 @@ def attach_near_kernel(A: PETSc.Mat, V: dolfinx.fem.FunctionSpace, u: Vector | N
         vector = A.createVecRight()
         vector.array[:] = np.ravel(mode)
         vectors.append(vector)
-    set_near_kernel(A, vectors)
+    set_near_kernel(A, vectors, x)
 
 
 def _spins(gdim: int) -> list[Vector]:

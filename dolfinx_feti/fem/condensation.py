@@ -21,6 +21,8 @@ those of the mixed problem. For the perturbed Lagrangian p (J − 1) − p²/(2�
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -30,14 +32,32 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.fem.assembly import assemble, create_local_matrix, torn_form
-from dolfinx_feti.fem.decomposition import TornSpace
+from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.fem.decomposition import Decomposition, TornSpace
 
-__all__ = ["Condensation"]
+__all__ = ["Blocks", "Condensation", "pressure_patterns"]
 
 Array = npt.NDArray[np.float64]
 
 #: Number of cells whose element matrices are in memory at once.
 CHUNK = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """What belongs to the pressure at one state (u, p), cell by cell.
+
+    Attributes:
+        k_up: K_upᵀ, (cells, torn dofs of a cell).
+        k_pu: K_pu, of the same shape.
+        k_pp: Diagonal of K_pp, (cells,).
+        r_p: Residual of the pressure, (cells,).
+    """
+
+    k_up: Array
+    k_pu: Array
+    k_pp: Array
+    r_p: Array
 
 
 class Condensation:
@@ -57,6 +77,7 @@ class Condensation:
         space: TornSpace,
         pressure_space: TornSpace,
         n_cells: int,
+        compiler: Compiler | None = None,
     ) -> None:
         """Derive and compile the blocks.
 
@@ -68,6 +89,7 @@ class Condensation:
             space: Torn V.
             pressure_space: Torn Q.
             n_cells: Number of owned cells.
+            compiler: How the blocks are compiled; with dolfinx's options if not given.
 
         Raises:
             ValueError: p does not occur in the residuals, or they leave it undetermined.
@@ -86,58 +108,69 @@ class Condensation:
         K_pu = ufl.derivative(F_p, u, ufl.TrialFunction(V))
         K_pp = ufl.derivative(F_p, p, ufl.TrialFunction(Q))
         _require_blocks(p, K_up=K_up, K_pu=K_pu, K_pp=K_pp)
-        self._forms = (torn_form(ufl.adjoint(K_up), spaces), torn_form(K_pu, spaces))
-        self._K_pp = torn_form(K_pp, (pressure_space, pressure_space))
-        self._r_p = torn_form(F_p, (pressure_space,))
+        rectangular = (ufl.adjoint(K_up), K_pu)
+        self._forms = tuple(torn_form(form, spaces, compiler) for form in rectangular)
+        self._K_pp = torn_form(K_pp, (pressure_space, pressure_space), compiler)
+        self._r_p = torn_form(F_p, (pressure_space,), compiler)
         self._rectangular = create_local_matrix(pressure_space, space, n_cells)
         self._square = create_local_matrix(pressure_space, pressure_space, n_cells)
         indptr, indices = self._rectangular.getRowIJ()
         width = indptr[1] if len(indptr) > 1 else 1
         self._columns = indices.reshape(-1, width).copy()
-        self.k_up = self.k_pu = np.zeros((n_cells, width))
-        self.k_pp = self.r_p = np.zeros(n_cells)
 
-    def update(self) -> None:
-        """Assemble all blocks at the current (u, p)."""
-        self.k_up, self.k_pu = (self._rows(form) for form in self._forms)  # K_upᵀ, K_pu
-        assemble(self._square, self._K_pp)
-        self.k_pp = self._square.getDiagonal().array_r.copy()
-        self.r_p = np.zeros(len(self.k_pp))
-        dolfinx.fem.assemble_vector(self.r_p, self._r_p)
+    @property
+    def rows(self) -> PETSc.Mat:
+        """K_pu as it was last assembled, sequential, (cells, torn dofs)."""
+        return self._rectangular
 
-    def add_to(self, K: PETSc.Mat) -> None:
+    def assemble(self) -> Blocks:
+        """Assemble all blocks at the present (u, p)."""
+        k_up, k_pu = (self._rows(form) for form in self._forms)
+        return Blocks(k_up, k_pu, self._diagonal(), self._residual())
+
+    def add_to(self, K: PETSc.Mat, blocks: Blocks) -> None:
         """Add the condensed block, K ← K − K_up K_pp⁻¹ K_pu."""
-        for first in range(0, len(self.k_pp), CHUNK):
+        for first in range(0, len(blocks.k_pp), CHUNK):
             part = slice(first, first + CHUNK)
-            left = -self.k_up[part] / self.k_pp[part, None]
-            values = left[:, :, None] * self.k_pu[part][:, None, :]
+            left = -blocks.k_up[part] / blocks.k_pp[part, None]
+            values = left[:, :, None] * blocks.k_pu[part][:, None, :]
             dofs = self._columns[part]
             K.setValuesRCV(dofs, dofs, values.reshape(len(dofs), -1), True)
         K.assemble()
 
-    def residual(self, n_torn: int) -> Array:
+    def residual(self, blocks: Blocks, n_torn: int) -> Array:
         """Return −K_up K_pp⁻¹ r_p on the torn dofs, (n_torn,)."""
-        cell = -self.k_up * (self.r_p / self.k_pp)[:, None]
+        cell = -blocks.k_up * (blocks.r_p / blocks.k_pp)[:, None]
         return np.bincount(self._columns.ravel(), cell.ravel(), minlength=n_torn).astype(np.float64)
 
     def relaxed(self) -> Array:
         """Return the pressure that satisfies its own equation at the current u, p − K_pp⁻¹ r_p."""
-        r_p = np.zeros(len(self.k_pp))
-        dolfinx.fem.assemble_vector(r_p, self._r_p)
         p = self.p.x.array.copy()
-        p[self._pressure_dof] -= r_p / self.k_pp
+        p[self._pressure_dof] -= self._residual() / self._diagonal()
         return p
 
-    def increment(self, du: Array) -> Array:
+    def increment(self, blocks: Blocks, du: Array) -> Array:
         """Return Δp = −K_pp⁻¹ (r_p + K_pu Δu) at the dofs of Q.
 
         Args:
+            blocks: Of the state where the increment begins.
             du: Torn displacement increment, (n_torn,).
         """
         dp = np.zeros(len(self.p.x.array))
-        slope = np.einsum("ij,ij->i", self.k_pu, du[self._columns])
-        dp[self._pressure_dof] = -(self.r_p + slope) / self.k_pp
+        slope = np.einsum("ij,ij->i", blocks.k_pu, du[self._columns])
+        dp[self._pressure_dof] = -(blocks.r_p + slope) / blocks.k_pp
         return dp
+
+    def _diagonal(self) -> Array:
+        """Assemble the diagonal of K_pp."""
+        assemble(self._square, self._K_pp)
+        return self._square.getDiagonal().array_r.copy()
+
+    def _residual(self) -> Array:
+        """Assemble r_p."""
+        r_p = np.zeros(len(self._columns))
+        dolfinx.fem.assemble_vector(r_p, self._r_p)
+        return r_p
 
     def _rows(self, form: dolfinx.fem.Form) -> Array:
         assemble(self._rectangular, form)
@@ -148,6 +181,27 @@ class Condensation:
         """Free the matrices."""
         self._rectangular.destroy()
         self._square.destroy()
+
+
+def pressure_patterns(decomposition: Decomposition) -> Array:
+    """Return the monomials up to degree two on the cells of each subdomain, (cells, patterns).
+
+    The constant, the coordinates of the cells' midpoints from their mean over the subdomain, at
+    most one in size, and products of two of them: ten patterns in three dimensions.
+    """
+    mesh, subdomain = decomposition.mesh, decomposition.subdomain
+    gdim, tdim = mesh.geometry.dim, mesh.topology.dim
+    cells = np.arange(len(subdomain), dtype=np.int32)
+    x = dolfinx.mesh.compute_midpoints(mesh, tdim, cells)[:, :gdim]
+    count = np.maximum(np.bincount(subdomain, minlength=decomposition.count), 1)
+    for column in x.T:
+        mean = np.bincount(subdomain, column, minlength=decomposition.count) / count
+        column -= mean[subdomain]
+    size = np.zeros(decomposition.count)
+    np.maximum.at(size, subdomain, np.abs(x).max(axis=1, initial=0.0))
+    x /= np.where(size > 0.0, size, 1.0)[subdomain, None]
+    products = [x[:, i] * x[:, j] for i in range(gdim) for j in range(i, gdim)]
+    return np.column_stack([np.ones(len(x)), x, *products])
 
 
 def _require_blocks(p: dolfinx.fem.Function, **blocks: ufl.Form) -> None:

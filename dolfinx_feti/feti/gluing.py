@@ -10,14 +10,15 @@ Continuity across the interface and, for all-floating FETI, the Dirichlet condit
 
 (eq. 34, Augustin_eq:jumpConstraints, eq. 35, eq. 37, Augustin_eq:jumpoperatorAF). A dof with d
 copies gives d (d − 1)/2 rows if the gluing is fully redundant and d − 1 if it is not. A Dirichlet
-dof is not glued: all-floating FETI gives it one row a copy, classical FETI none.
+dof is not glued: all-floating FETI gives it one row per copy, classical FETI none.
 
 The scaled jump operator of the preconditioners weighs a copy by the *other* side's stiffness k,
 
 .. math:: δ_i = k_i / \sum_j k_j, \qquad (B_D)_{ij} = (δ_j, -δ_i),
 
 with k = 1 for multiplicity scaling, so that :math:`B_D^⊤ B` is a projection and
-:math:`u - B_D^⊤ B u` averages the copies. A Dirichlet row has weight one.
+:math:`u - B_D^⊤ B u` averages the copies. A Dirichlet row has weight one. B depends on the pattern
+alone; :meth:`Gluing.update` takes the stiffness of the present matrix into δ and B_D.
 """
 
 from __future__ import annotations
@@ -32,12 +33,14 @@ import numpy.typing as npt
 
 from dolfinx_feti.torn import Torn
 
-__all__ = ["Gluing", "create_gluing"]
+__all__ = ["Gluing"]
 
 Array = npt.NDArray[np.float64]
 
+#: Least share of a copy.
+LEAST = 1e-12
 
-@dataclass(frozen=True, slots=True)
+
 class Gluing:
     """The jump operator of a torn matrix.
 
@@ -50,12 +53,45 @@ class Gluing:
         glued: Torn dofs that occur in B, the interface Γ (eq. 31, Augustin_eq:skeleton), (n_Γ,).
     """
 
-    B: PETSc.Mat
-    B_D: PETSc.Mat
-    delta: Array
-    dirichlet_rows: npt.NDArray[np.int32]
-    dirichlet_dofs: npt.NDArray[np.int32]
-    glued: npt.NDArray[np.int32]
+    def __init__(self, torn: Torn, *, all_floating: bool, redundant: bool = True) -> None:
+        """Build B, and B_D with the weights of multiplicity scaling.
+
+        Args:
+            torn: The torn matrix.
+            all_floating: Make Dirichlet dofs rows of B.
+            redundant: A row for each pair of copies, not only for a chain of them.
+
+        Note:
+            Collective.
+        """
+        self._torn = torn
+        self._redundant = redundant
+        self._held = np.flatnonzero(torn.dirichlet & all_floating)
+        self.delta = _shares(torn, np.ones(torn.n))
+        rows = self._rows()
+        self.B = _assemble(torn, [(block.ids, block.B) for block in rows])
+        self.B_D = _assemble(torn, [(block.ids_D, block.B_D) for block in rows])
+        m = self.B.getLocalSize()[0]
+        self.dirichlet_rows = np.arange(m - len(self._held), m, dtype=np.int32)
+        self.dirichlet_dofs = self._held.astype(np.int32)
+        copies = _over_copies(torn, np.ones(torn.n))
+        glued = (copies > 1.5) & ~torn.dirichlet
+        glued[self._held] = True
+        self.glued = np.flatnonzero(glued).astype(np.int32)
+
+    def update(self, stiffness: Array) -> None:
+        """Weigh the copies of each dof by a stiffness.
+
+        Args:
+            stiffness: Stiffness k of every torn dof, not negative, (n,).
+
+        Note:
+            Collective.
+        """
+        self.delta = _shares(self._torn, stiffness)
+        blocks = [(block.ids_D, block.B_D) for block in self._rows()]
+        self.B_D.setValuesCSR(*_csr(blocks))
+        self.B_D.assemble()
 
     def gap(self, u_D: Array) -> Array:
         """Return the right-hand side c of :math:`B u = c`, (m,).
@@ -67,54 +103,40 @@ class Gluing:
         c[self.dirichlet_rows] = u_D[self.dirichlet_dofs]
         return c
 
+    def _rows(self) -> list[_Rows]:
+        """Form the rows of this process: jumps by multiplicity, then Dirichlet conditions."""
+        rows = [
+            _jumps(ids, delta, redundant=self._redundant)
+            for ids, delta in _copies(self._torn, self.delta)
+        ]
+        ids = self._torn.start + self._held[:, None]
+        one = np.ones((len(ids), 1))
+        return [*rows, _Rows(ids, one, ids, one)]
+
     def destroy(self) -> None:
         """Free the matrices."""
         self.B.destroy()
         self.B_D.destroy()
 
 
-def create_gluing(
-    torn: Torn, *, all_floating: bool, redundant: bool = True, stiffness: Array | None = None
-) -> Gluing:
-    """Build B and B_D from the copies of each dof.
-
-    Args:
-        torn: The torn matrix.
-        all_floating: Give every Dirichlet dof a row a copy; otherwise it has none.
-        redundant: All pairs of copies, or a chain of them.
-        stiffness: Stiffness k of each torn dof, (n,), positive; multiplicity scaling if not given.
-
-    Note:
-        Collective. A row lives with the owner of its dof, a Dirichlet row with its copy.
-    """
-    k = np.ones(torn.n) if stiffness is None else stiffness
-    delta = k / _over_copies(torn, k)  # δᵢ = kᵢ / Σⱼ kⱼ
-    glued = (_over_copies(torn, np.ones(torn.n)) > 1.5) & ~torn.dirichlet
-    rows = [_jumps(ids, δ, redundant=redundant) for ids, δ in _copies(torn, delta)]
-
-    dirichlet = np.flatnonzero(torn.dirichlet & all_floating)
-    one = np.ones((len(dirichlet), 1))
-    ids = torn.start + dirichlet[:, None]
-    rows.append(_Rows(ids, one, ids, one))
-    m = sum(len(block.B) for block in rows)
-    return Gluing(
-        B=_assemble(torn, [(block.ids, block.B) for block in rows]),
-        B_D=_assemble(torn, [(block.ids_D, block.B_D) for block in rows]),
-        delta=delta,
-        dirichlet_rows=np.arange(m - len(dirichlet), m, dtype=np.int32),
-        dirichlet_dofs=dirichlet.astype(np.int32),
-        glued=np.flatnonzero(glued | (torn.dirichlet & all_floating)).astype(np.int32),
-    )
-
-
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """Rows of B and B_D: global torn columns and values, each (rows, entries a row)."""
+    """Rows of B and B_D: global torn columns and values, each (rows, entries per row)."""
 
     ids: npt.NDArray[np.integer]
     B: Array
     ids_D: npt.NDArray[np.integer]
     B_D: Array
+
+
+def _shares(torn: Torn, k: Array) -> Array:
+    """Return the share of each copy in the stiffness of its dof, δ, (n,).
+
+    No share is zero, and copies without any stiffness share alike.
+    """
+    total = _over_copies(torn, k)
+    k = np.where(total > 0.0, np.maximum(k, LEAST * total), 1.0)
+    return np.asarray(k / _over_copies(torn, k))  # δᵢ = kᵢ / Σⱼ kⱼ
 
 
 def _over_copies(torn: Torn, t: Array) -> Array:
@@ -159,18 +181,25 @@ def _jumps(ids: npt.NDArray[np.integer], delta: Array, *, redundant: bool) -> _R
     )
 
 
-def _assemble(torn: Torn, blocks: list[tuple[npt.NDArray[np.integer], Array]]) -> PETSc.Mat:
-    """Put row blocks (columns, values) below each other into one matrix, (m, n_torn)."""
+def _csr(
+    blocks: list[tuple[npt.NDArray[np.integer], Array]],
+) -> tuple[npt.NDArray[np.integer], npt.NDArray[np.integer], Array]:
+    """Put row blocks (columns, values) below each other, as rows in CSR."""
     order = [np.argsort(ids, axis=1) for ids, _ in blocks]
     columns = [
         np.take_along_axis(ids, o, 1).ravel() for (ids, _), o in zip(blocks, order, strict=True)
     ]
     values = [np.take_along_axis(v, o, 1).ravel() for (_, v), o in zip(blocks, order, strict=True)]
     widths = np.concatenate([np.full(len(ids), ids.shape[1]) for ids, _ in blocks])
-    csr = (
+    return (
         np.concatenate(([0], np.cumsum(widths))).astype(PETSc.IntType),
         np.concatenate(columns).astype(PETSc.IntType),
         np.concatenate(values),
     )
-    sizes = ((len(widths), None), (torn.n, None))
+
+
+def _assemble(torn: Torn, blocks: list[tuple[npt.NDArray[np.integer], Array]]) -> PETSc.Mat:
+    """Put row blocks (columns, values) below each other into one matrix, (m, n_torn)."""
+    csr = _csr(blocks)
+    sizes = ((len(csr[0]) - 1, None), (torn.n, None))
     return PETSc.Mat().createAIJ(sizes, csr=csr, comm=torn.A.comm)

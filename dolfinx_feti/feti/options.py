@@ -24,26 +24,36 @@
 ``-feti_refine``               10                                       restarts on the residual of
                                                                         the assembled system
 ``-feti_dual_…``               ``ksp_type cg|gmres|fgmres|…``           Krylov method for (λ, s)
-``-feti_dual_reorthogonalize`` ``false``, ``true``                      directions of CG orthogonal
-                                                                        to all earlier ones
-``-feti_dual_recycle``         0                                        directions left to later
+``-feti_formulation``          ``auto``, ``dual``, ``primal``           form of the method
+``-feti_coarse_flux``          10                                       pressure patterns of a
+                                                                        subdomain whose fluxes are
+                                                                        coarse (primal), at most
+``-feti_recycle``              0                                        directions left to later
                                                                         solves, at most
 ``-feti_local_…``              ``pc_factor_mat_solver_type …``          factors of K_ρ
 ``-feti_dirichlet_…``          ``pc_factor_mat_solver_type …``          factors of K_II
 ``-feti_coarse_…``             ``ksp_type``, ``pc_type``, …             solver of N
 ============================== ======================================== ============================
 
-The first value is the default.
+The first value is the default. Options of PETSc's own that take numbers are checked here, too:
+PETSc's answer to a wrong one is the number of an error.
 """
 
 from __future__ import annotations
 
 import difflib
+import math
 from dataclasses import dataclass
 
 from petsc4py import PETSc
 
-__all__ = ["FETIOptions", "read_options", "reject_other_solvers"]
+__all__ = [
+    "SOLVERS",
+    "FETIOptions",
+    "check_outer_options",
+    "options_without_effect",
+    "read_options",
+]
 
 CHOICES = {
     "type": ("all_floating", "classical"),
@@ -53,16 +63,34 @@ CHOICES = {
     "gluing": ("full", "nonred"),
     "interior": ("auto", "keep", "eliminate"),
     "indefinite": ("enrich", "gmres", "error"),
+    "formulation": ("auto", "dual", "primal"),
 }
-NUMBERS = {"coarse_modes": 12, "stagnation": 200, "refine": 10, "dual_recycle": 0}
+NUMBERS = {"coarse_modes": 12, "stagnation": 200, "refine": 10, "coarse_flux": 10, "recycle": 0}
 SHARES = {"coarse_threshold": 0.01}
-FLAGS = {"dual_reorthogonalize": False}
 SUBSOLVERS = {
     "dual_": ("ksp_",),
     "local_": ("pc_", "mat_"),
     "dirichlet_": ("pc_", "mat_"),
     "coarse_": ("ksp_", "pc_", "mat_"),
 }
+
+#: Numbers that a KSP or SNES reads: shares below one, other numbers, and counts.
+RELATIVE = ("ksp_rtol", "snes_rtol")
+NOT_NEGATIVE = ("ksp_atol", "ksp_divtol", "snes_atol", "snes_stol")
+COUNTS = ("ksp_max_it", "ksp_gmres_restart", "snes_max_it", "snes_max_funcs")
+BELOW_ONE = math.nextafter(1.0, 0.0)
+
+#: Options that choose a solver, and the one value that changes nothing here.
+SOLVERS = {
+    "ksp_type": "python",
+    "ksp_python_type": "dolfinx_feti.FETI",
+    "pc_type": "none",
+    "snes_type": "python",
+    "snes_python_type": "dolfinx_feti.problems.newton.Newton",
+}
+
+#: How options of solvers begin that have no place here.
+FOREIGN = ("pc_", "mat_", "snes_linesearch_")
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +104,13 @@ class FETIOptions:
     gluing: str = "full"
     interior: str = "auto"
     indefinite: str = "enrich"
+    formulation: str = "auto"
     coarse_modes: int = 12
     coarse_threshold: float = 0.01
     stagnation: int = 200
     refine: int = 10
-    dual_reorthogonalize: bool = False
-    dual_recycle: int = 0
+    coarse_flux: int = 10
+    recycle: int = 0
 
     @property
     def all_floating(self) -> bool:
@@ -96,67 +125,112 @@ def read_options(prefix: str) -> FETIOptions:
         prefix: Prefix of the KSP, possibly empty.
 
     Raises:
-        ValueError: A value is not among the choices, or an option does not exist.
+        ValueError: A value is not among the choices or no number, or an option does not exist.
     """
-    options = PETSc.Options(prefix + "feti_")
-    values: dict[str, str | int | float | bool] = {}
+    check_outer_options(prefix)
+    prefix += "feti_"
+    values: dict[str, str | int | float] = {}
     for name, choices in CHOICES.items():
-        value = options.getString(name, choices[0])
+        value = PETSc.Options(prefix).getString(name, choices[0])
         if value not in choices:
             raise ValueError(
-                f"Option -{prefix}feti_{name} is '{value}'; it takes one of: {', '.join(choices)}."
+                f"Option -{prefix}{name} is '{value}'; it takes one of: {', '.join(choices)}."
             )
         values[name] = value
-    for name, default in NUMBERS.items():
-        number = options.getInt(name, default)
-        if number < 0:
-            raise ValueError(f"Option -{prefix}feti_{name} is {number}; it takes a number ≥ 0.")
-        values[name] = number
-    for name, fraction in SHARES.items():
-        share = options.getReal(name, fraction)
-        if not 0.0 <= share <= 1.0:
-            raise ValueError(
-                f"Option -{prefix}feti_{name} is {share}; it takes a number between 0 and 1."
-            )
-        values[name] = share
-    for name, default in FLAGS.items():
-        try:
-            values[name] = options.getBool(name, default)
-        except PETSc.Error:
-            raise ValueError(
-                f"Option -{prefix}feti_{name} is '{options.getString(name)}'; it takes true or "
-                "false."
-            ) from None
+    for name, count in NUMBERS.items():
+        values[name] = _count(prefix, name, count)
+    for name, share in SHARES.items():
+        values[name] = _real(prefix, name, share, "a number between 0 and 1", 1.0)
     _reject_unknown(prefix)
     return FETIOptions(**values)  # type: ignore[arg-type]
 
 
+def check_outer_options(prefix: str) -> None:
+    """Check what PETSc's own KSP and SNES are to read, before they do.
+
+    Args:
+        prefix: Prefix of the KSP, possibly empty.
+
+    Raises:
+        ValueError: A tolerance or a count is no such number, or another preconditioner is asked
+            for.
+    """
+    for solver in (prefix, prefix + "feti_dual_", prefix + "feti_coarse_"):
+        for name in RELATIVE:
+            _real(solver, name, 0.0, "a number ≥ 0 and < 1", BELOW_ONE)
+        for name in NOT_NEGATIVE:
+            _real(solver, name, 0.0, "a number ≥ 0", math.inf)
+        for name in COUNTS:
+            _count(solver, name, 0)
+    pc_type = PETSc.Options(prefix).getString("pc_type", "none")
+    if pc_type != "none":
+        raise ValueError(
+            f"Option -{prefix}pc_type is '{pc_type}', but no preconditioner of PETSc's fits a torn "
+            f"matrix: leave it out. FETI has its own, -{prefix}feti_pc_type."
+        )
+
+
+def options_without_effect(prefix: str) -> dict[str, str]:
+    """Find options that belong to another solver than FETI and Newton's method.
+
+    Args:
+        prefix: Prefix of the solver, not empty.
+
+    Returns:
+        Their values, by their names without the prefix.
+    """
+    under = {
+        key.removeprefix(prefix): value
+        for key, value in PETSc.Options().getAll().items()
+        if key.startswith(prefix)
+    }
+    return {
+        name: value
+        for name, value in under.items()
+        if (name not in SOLVERS and name.startswith(FOREIGN)) or value != SOLVERS.get(name, value)
+    }
+
+
+def _count(prefix: str, name: str, default: int) -> int:
+    """Read a number of things."""
+    wanted = "a whole number ≥ 0"
+    try:
+        count = PETSc.Options(prefix).getInt(name, default)
+    except PETSc.Error:
+        raise _wrong(prefix, name, wanted) from None
+    if count < 0:
+        raise _wrong(prefix, name, wanted)
+    return count
+
+
+def _real(prefix: str, name: str, default: float, wanted: str, most: float) -> float:
+    """Read a number between zero and another one."""
+    try:
+        value = PETSc.Options(prefix).getReal(name, default)
+    except PETSc.Error:
+        raise _wrong(prefix, name, wanted) from None
+    if not 0.0 <= value <= most:
+        raise _wrong(prefix, name, wanted)
+    return value
+
+
+def _wrong(prefix: str, name: str, wanted: str) -> ValueError:
+    value = PETSc.Options(prefix).getString(name)
+    return ValueError(f"Option -{prefix}{name} is '{value}'; it takes {wanted}.")
+
+
 def _reject_unknown(prefix: str) -> None:
-    """Refuse an option that begins like ours and is none."""
-    known = [*CHOICES, *NUMBERS, *SHARES, *FLAGS]
+    """Refuse an option that begins like ours and is none.
+
+    Args:
+        prefix: That of the solver and ``feti_``.
+    """
+    known = [*CHOICES, *NUMBERS, *SHARES]
     passed_on = tuple(solver + part for solver, parts in SUBSOLVERS.items() for part in parts)
     for key in PETSc.Options().getAll():
-        name = key.removeprefix(prefix + "feti_")
+        name = key.removeprefix(prefix)
         if name == key or name in known or name.startswith(passed_on):
             continue
         close = difflib.get_close_matches(name, [*known, *passed_on], n=1)
-        hint = f"did you mean -{prefix}feti_{close[0]}" if close else "see docs/options.md"
+        hint = f"did you mean -{prefix}{close[0]}" if close else "see docs/options.md"
         raise ValueError(f"Option -{key} does not exist; {hint}?")
-
-
-def reject_other_solvers(prefix: str) -> None:
-    """Refuse options that would put another solver in the place of FETI or of Newton's method.
-
-    Args:
-        prefix: Prefix of the solver.
-
-    Raises:
-        ValueError: ``ksp_type`` or ``snes_type`` is set, and not to ``python``.
-    """
-    for name in ("ksp_type", "snes_type"):
-        value = PETSc.Options(prefix).getString(name, "python")
-        if value != "python":
-            raise ValueError(
-                f"Option -{prefix}{name} is '{value}', but only FETI solves a torn system: leave "
-                f"it out. -{prefix}feti_dual_ksp_type chooses the Krylov method of the dual system."
-            )

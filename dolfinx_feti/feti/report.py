@@ -11,9 +11,11 @@ from mpi4py import MPI
 
 import numpy as np
 
+from dolfinx_feti.feti.dual_form import DualForm
+from dolfinx_feti.feti.formulation import Form
 from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.setup import Parts
+from dolfinx_feti.feti.subdomain.direct import Pivots
 
 __all__ = ["Report", "collect", "table"]
 
@@ -24,6 +26,7 @@ class Report:
 
     Attributes:
         options: The choices made.
+        formulation: ``dual`` or ``primal``.
         subdomains: Number of subdomains.
         dofs: Dofs of the assembled problem.
         torn_dofs: Dofs of all subdomains together.
@@ -35,14 +38,15 @@ class Report:
         inertia: Negative eigenvalues.
         interior: Whether the interior dofs are ``kept`` or ``eliminated``.
         coarse_size: Coarse unknowns.
-        coarse_mib: Memory of the factor of the coarse matrix in MiB; nan if not known.
+        coarse_mib: Memory of the factor of the coarse matrix in MiB; None if not known.
         coarse_inertia: Negative and zero eigenvalues of the coarse matrix; None if not known.
         factor_mib: Memory of all local factors in MiB.
         recycled: Directions of earlier solves, deflated in the last one.
-        eigenvalues: (λ_min, λ_max) of the preconditioned dual operator.
+        eigenvalues: (λ_min, λ_max) of the preconditioned operator.
     """
 
     options: FETIOptions
+    formulation: str
     subdomains: int
     dofs: int
     torn_dofs: int
@@ -54,33 +58,35 @@ class Report:
     inertia: Inertia
     interior: str
     coarse_size: int
-    coarse_mib: float
-    coarse_inertia: tuple[int | None, int | None]
+    coarse_mib: float | None
+    coarse_inertia: Pivots
     factor_mib: float
     recycled: int
     eigenvalues: tuple[float, float]
 
 
-def collect(parts: Parts, *, recycled: int, eigenvalues: tuple[float, float]) -> Report:
+def collect(form: Form, *, recycled: int, eigenvalues: tuple[float, float]) -> Report:
     """Gather the figures of all processes.
 
     Args:
-        parts: What was set up.
+        form: What was set up.
         recycled: Directions of earlier solves, deflated in the last one.
-        eigenvalues: (λ_min, λ_max) of the preconditioned dual operator.
+        eigenvalues: (λ_min, λ_max) of the preconditioned operator.
 
     Note:
         Collective.
     """
-    torn, gluing, inverse, coarse = parts.torn, parts.gluing, parts.inverse, parts.coarse
+    coarse = form.coarse if isinstance(form, DualForm) else form.space
+    torn, gluing = form.torn, form.gluing
     comm = torn.comm
     sizes = [len(dofs) for dofs in torn.subdomains]
-    k = inverse.rigid
+    modes, k = form.modes, form.modes.kernels
     widest = comm.allreduce(int(k.max(initial=0)), op=MPI.MAX)
     kernels = comm.allreduce(np.bincount(k, minlength=widest + 1))
-    applied = parts.preconditioner.factors.memory() if parts.preconditioner.factors else 0.0
+    applied = form.preconditioner.factors.memory() if form.preconditioner.factors else 0.0
     return Report(
-        options=parts.options,
+        options=form.options,
+        formulation="dual" if isinstance(form, DualForm) else "primal",
         subdomains=comm.allreduce(len(sizes)),
         dofs=torn.A.getSize()[0],
         torn_dofs=comm.allreduce(torn.n),
@@ -90,14 +96,14 @@ def collect(parts: Parts, *, recycled: int, eigenvalues: tuple[float, float]) ->
         ),
         multipliers=gluing.B.getSize()[0],
         kernels=tuple(int(count) for count in kernels),
-        exact=comm.allreduce(sum(inverse.exact)),
-        elastic=comm.allreduce(int((inverse.kernel_dimensions() - k).sum())),
-        inertia=parts.inertia,
-        interior="kept" if parts.interior.eliminated is None else "eliminated",
+        exact=comm.allreduce(sum(modes.exact)),
+        elastic=comm.allreduce(int((modes.dimensions - k).sum())),
+        inertia=form.inertia,
+        interior="eliminated" if form.matrices.condensed else "kept",
         coarse_size=coarse.total,
         coarse_mib=coarse.solver.memory(),
-        coarse_inertia=coarse.solver.inertia(),
-        factor_mib=comm.allreduce(parts.interior.memory() + applied),
+        coarse_inertia=coarse.solver.pivots(),
+        factor_mib=comm.allreduce(form.matrices.memory() + applied),
         recycled=recycled,
         eigenvalues=eigenvalues,
     )
@@ -111,8 +117,11 @@ def table(report: Report) -> str:
     condition = (
         "not known" if np.isnan(low) or low <= 0 else f"{high / low:.4g}  ({low:.4g} … {high:.4g})"
     )
+    details = f"dual form, {o.gluing} gluing, Q = {o.coarse_q}"
+    if r.formulation == "primal":
+        details = f"primal form, up to {o.coarse_flux} flux columns per subdomain"
     rows = [
-        ("method", f"{o.type}, {o.gluing} gluing, {o.scaling} scaling, Q = {o.coarse_q}"),
+        ("method", f"{o.type}, {o.scaling} scaling, {details}"),
         ("preconditioner", o.pc_type),
         ("subdomains", f"{r.subdomains}"),
         ("dofs", f"{r.dofs}, torn {r.torn_dofs}, a subdomain {r.dofs_local[0]}–{r.dofs_local[1]}"),
@@ -122,14 +131,14 @@ def table(report: Report) -> str:
         (
             "negative eigenvalues",
             f"{_number(r.inertia.local)} in K_ρ, {r.inertia.defect} in D, "
-            f"{_number(r.inertia.interior)} in K_II, {_number(r.coarse_inertia[0])} in N, "
+            f"{_number(r.inertia.interior)} in K_II, {_number(r.coarse_inertia.negative)} in N, "
             f"{_number(r.inertia.assembled)} at least in A",
         ),
         ("factors", f"{r.factor_mib:.0f} MiB, interior {r.interior}"),
         ("condition number", condition),
     ]
-    if o.dual_recycle:
-        rows.append(("recycled directions", f"{r.recycled} of at most {o.dual_recycle}"))
+    if o.recycle:
+        rows.append(("recycled directions", f"{r.recycled} of at most {o.recycle}"))
     return "".join(f"  {name:<22}{value}\n" for name, value in rows)
 
 

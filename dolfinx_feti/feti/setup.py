@@ -1,49 +1,46 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""From a torn matrix to a dual system, in the order of the method.
+"""From a torn matrix to factored subdomains, which both formulations share.
 
-torn matrix → gluing → subdomain matrices → generalised inverse (kernels) → preconditioner → coarse
-problem → dual system.
+torn matrix → gluing → subdomain matrices → generalised inverse (kernels) → preconditioner.
 
 What depends on the pattern only (gluing, symbolic factors) is built once, as a :class:`Pattern`;
-what depends on the values is built for each matrix, as frozen :class:`Parts`.
+what depends on the values is found anew for each matrix, as frozen :class:`Factored`. From there
+``dual_form`` and ``primal_form`` go on.
 """
 
 from __future__ import annotations
 
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
-from dolfinx_feti.errors import FactorError, SetUpError, SingularError
+from dolfinx_feti.collective import on_all
+from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.events import event
-from dolfinx_feti.feti.coarse.coarse import Coarse
-from dolfinx_feti.feti.coarse.stability import negative_eigenvalues
-from dolfinx_feti.feti.gluing import Gluing, create_gluing
+from dolfinx_feti.feti.coarse.bodies import find_bodies
+from dolfinx_feti.feti.coarse.singularity import require_regular_interior
+from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.inertia import Inertia
-from dolfinx_feti.feti.krylov.dual import DualSystem
-from dolfinx_feti.feti.krylov.method import Method, choose_method
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.preconditioner.choice import create_preconditioner
-from dolfinx_feti.feti.subdomain.dense import DenseFactors
-from dolfinx_feti.feti.subdomain.factors import BlockFactors
-from dolfinx_feti.feti.subdomain.matrices import Interior, create_interior
-from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
+from dolfinx_feti.feti.subdomain.direct import sum_pivots
+from dolfinx_feti.feti.subdomain.enrichment import Enrichment
+from dolfinx_feti.feti.subdomain.matrices import create_matrices
+from dolfinx_feti.feti.subdomain.pseudoinverse import Modes, PseudoInverse
 from dolfinx_feti.torn import Torn
 
-__all__ = ["Parts", "Pattern", "set_up"]
+__all__ = ["Factored", "Pattern", "factor"]
 
-SINGULAR = (
-    "The assembled problem is singular, with a kernel of dimension {}: the Dirichlet conditions "
-    "leave rigid body motions (or constants) free, in all of the body or in a part that is not "
-    "connected to the rest. Add Dirichlet conditions."
-)
+T = TypeVar("T")
+Array = npt.NDArray[np.float64]
 
 
 class Pattern:
@@ -53,11 +50,12 @@ class Pattern:
         options: The choices made.
         prefix: Options prefix of the sub-solvers, ``…feti_``.
         torn: Blocks and copies.
+        bodies: Its parts that hang together.
         symmetric: Whether K is symmetric.
-        gluing: B and B_D.
-        interior: The matrix of each subdomain, K or S.
-        inverse: K⁺, E and D; of the present matrix after :func:`set_up`.
-        preconditioner: M; likewise.
+        gluing: B, and B_D with the weights of the last matrix.
+        matrices: The matrix of each subdomain, K or S, of the last matrix.
+        inverse: K⁺ of the last matrix.
+        preconditioner: M of the last matrix.
     """
 
     def __init__(self, A: PETSc.Mat, options: FETIOptions, prefix: str) -> None:
@@ -79,20 +77,16 @@ class Pattern:
         self.prefix = prefix + "feti_"
         self.torn = Torn(A)
         require_finite(self.torn)
+        self.bodies = find_bodies(self.torn)
         self.symmetric = self.torn.is_symmetric()
         _check_symmetry(self.symmetric, options, self.prefix)
         floating = options.all_floating
         with event("FETIGluing"):
-            self.gluing = create_gluing(
-                self.torn,
-                all_floating=floating,
-                redundant=options.gluing == "full",
-                stiffness=self.torn.stiffness() if options.scaling == "stiffness" else None,
+            self.gluing = Gluing(
+                self.torn, all_floating=floating, redundant=options.gluing == "full"
             )
-        glued_stiffness = np.zeros(self.torn.n)
-        glued_stiffness[self.gluing.glued] = np.abs(self.torn.stiffness()[self.gluing.glued])
         fixed = self.torn.dirichlet & (not floating)
-        self.interior = create_interior(
+        self.matrices = create_matrices(
             options.interior,
             self.torn,
             [rows[~fixed[rows]] for rows in self.torn.subdomains],
@@ -102,219 +96,124 @@ class Pattern:
         )
         self.inverse = PseudoInverse(
             self.torn,
-            self.interior,
+            self.matrices,
             fixed,
+            self.gluing.glued,
             symmetric=self.symmetric,
-            buckling=options.indefinite == "enrich",
-            soft=options.coarse_modes,
-            threshold=options.coarse_threshold,
-            weight=glued_stiffness,
+            enrichment=Enrichment(
+                buckling=options.indefinite == "enrich" and self.symmetric,
+                soft=options.coarse_modes,
+                threshold=options.coarse_threshold,
+            ),
         )
         self.preconditioner = create_preconditioner(
             options.pc_type,
             self.torn,
             self.gluing,
-            self.interior,
+            self.matrices,
             symmetric=self.symmetric,
             prefix=self.prefix + "dirichlet_",
         )
 
     def destroy(self) -> None:
         """Free everything, in reverse order."""
-        for part in (self.preconditioner, self.interior, self.gluing, self.torn):
+        for part in (self.preconditioner, self.matrices, self.gluing, self.torn):
             part.destroy()
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
-    """What one torn matrix is turned into, with the parts of its pattern.
+class Factored:
+    """What the factors of one matrix tell.
 
     Attributes:
-        options: The choices made.
-        torn: Blocks and copies.
-        symmetric: Whether K is symmetric.
-        gluing: B and B_D.
-        interior: The matrix of each subdomain, K or S.
-        inverse: K⁺, E and D.
-        preconditioner: M.
-        coarse: G and N.
-        inertia: Negative eigenvalues.
-        method: The Krylov method.
-        dual: The dual system with its constraint preconditioner.
+        near_kernel: Rigid body modes on the torn dofs, (n, k).
+        modes: R, E and D of each subdomain.
+        inertia: Negative eigenvalues of K_ρ, D and K_II; those of the assembled matrix are not yet
+            known.
     """
 
-    options: FETIOptions
-    torn: Torn
-    symmetric: bool
-    gluing: Gluing
-    interior: Interior
-    inverse: PseudoInverse
-    preconditioner: Preconditioner
-    coarse: Coarse
+    near_kernel: Array
+    modes: Modes
     inertia: Inertia
-    method: Method
-    dual: DualSystem
 
-    def destroy(self) -> None:
-        """Free what depends on the matrix; the parts of the pattern stay."""
-        self.dual.destroy()
-        self.coarse.destroy()
+    def semidefinite(self, pattern: Pattern) -> bool:
+        """Tell whether all K_i are known to be symmetric positive semi-definite."""
+        inside = self.inertia.interior == 0 or not pattern.matrices.condensed
+        return pattern.symmetric and self.inertia.definite and inside
 
 
-def set_up(pattern: Pattern) -> Parts:
-    """Build what depends on the values of the present matrix.
+def factor(pattern: Pattern) -> Factored:
+    """Take the present matrix into the weights and factors of its pattern.
 
     Args:
-        pattern: What depends on its pattern.
-
-    Returns:
-        All parts; the caller destroys them before the pattern.
+        pattern: What depends on the pattern; its numbers are those of the present matrix then.
 
     Raises:
-        SetUpError: A factorisation failed, a kernel is larger than its candidates, the assembled
-            problem is singular, or the options do not fit the matrix.
+        SetUpError: A factorisation failed, a kernel is larger than its candidates, or the options
+            forbid negative eigenvalues.
 
     Note:
         Collective.
     """
-    options, torn, gluing = pattern.options, pattern.torn, pattern.gluing
+    torn = pattern.torn
     require_finite(torn)
+    with event("FETIGluing"):
+        if pattern.options.scaling == "stiffness":
+            pattern.gluing.update(torn.stiffness())
+        pattern.preconditioner.weigh()
     with event("FETIFactor"):
-        _factor(pattern)
-    with ExitStack() as owned:
-        with event("FETICoarse"):
-            coarse = Coarse(
-                torn,
-                gluing,
-                pattern.inverse,
-                pattern.preconditioner,
-                q=options.coarse_q,
-                symmetric=pattern.symmetric,
-                prefix=pattern.prefix + "coarse_",
-            )
-            owned.callback(coarse.destroy)
-            _check_coarse(coarse)
-        inertia = _inertia(pattern, coarse)
-        method = choose_method(
-            torn.comm,
-            definite=pattern.symmetric and inertia.definite,
-            prefix=pattern.prefix + "dual_",
-            stagnation=options.stagnation,
-            reorthogonalize=options.dual_reorthogonalize,
-        )
-        _check_method(method, pattern)
-        dual = DualSystem(
-            gluing,
-            pattern.inverse,
-            pattern.preconditioner,
-            coarse,
-            frozen=coarse.exact and method.is_cg,
-        )
-        owned.pop_all()
-    return Parts(
-        options=options,
-        torn=torn,
-        symmetric=pattern.symmetric,
-        gluing=gluing,
-        interior=pattern.interior,
-        inverse=pattern.inverse,
-        preconditioner=pattern.preconditioner,
-        coarse=coarse,
-        inertia=inertia,
-        method=method,
-        dual=dual,
-    )
+        _on_all(pattern.matrices.update, torn.comm)
+        near_kernel = torn.near_kernel()
+        require_regular_interior(torn, pattern.bodies, near_kernel, pattern.matrices)
+        modes = _on_all(lambda: pattern.inverse.update(near_kernel), torn.comm)
+        _on_all(lambda: pattern.preconditioner.update(modes.props), torn.comm)
+    return Factored(near_kernel, modes, _inertia(pattern, modes))
 
 
-def _factor(pattern: Pattern) -> None:
-    """Factor K_ρ and K_II; a failure on one process is a failure on all."""
-    torn, inverse = pattern.torn, pattern.inverse
-    cause, zero = "", 0
+def _on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
+    """Do work on the subdomains of each process; an error on one is one on all.
+
+    Raises:
+        SetUpError: With the error of the first process that met one.
+    """
     try:
-        inverse.update()
-        pattern.preconditioner.update(inverse.props)
-        zero = int(inverse.factors.inertia()[:, 1].clip(min=0).sum())
-    except (FactorError, PETSc.Error) as error:
-        cause = str(error)
-    cause = next((text for text in torn.comm.allgather(cause) if text), "")
-    if cause:
+        return on_all(work, comm)
+    except RuntimeError as error:
         raise SetUpError(
-            f"A local factorisation failed ({cause}): look for a process that is out of memory."
-        )
-    zero = torn.comm.allreduce(zero)
-    if zero:
-        raise SingularError(
-            f"{zero} zero pivots are left in the regularised subdomains: their kernel is "
-            "larger than the near kernel of the matrix. Take fewer, larger subdomains (some P2 "
-            "cells with a constant pressure move without energy in more than rigid ways), "
-            "or attach all rigid body modes with dolfinx_feti.set_near_kernel."
-        )
-    inside = torn.comm.allreduce(pattern.interior.zero_inside())
-    if inside:
-        raise SingularError(SINGULAR.format(inside))
+            f"A local factorisation failed ({error}): look for a process that is out of memory."
+        ) from error
 
 
-def _inertia(pattern: Pattern, coarse: Coarse) -> Inertia:
+def _inertia(pattern: Pattern, modes: Modes) -> Inertia:
     """Count negative eigenvalues over all processes.
 
     Raises:
         SetUpError: There are some although the options forbid them.
     """
-    torn, inverse = pattern.torn, pattern.inverse
-    local = _total(torn.comm, inverse.negative_local())
-    defect = torn.comm.allreduce(inverse.negative_defects())
-    factored = pattern.preconditioner.factors or pattern.interior.eliminated
-    interior = _total(torn.comm, _count(factored))
-    inertia = Inertia(local, defect, interior, None)
+    comm = pattern.torn.comm
+    local = _total(comm, pattern.inverse.negative())
+    defect = comm.allreduce(modes.negative_defects)
+    inertia = Inertia(local, defect, _total(comm, _negative_interior(pattern)), None)
     if not inertia.definite and pattern.symmetric and pattern.options.indefinite == "error":
         raise SetUpError(
             f"{inertia.dual or 'An unknown number of'} local eigenvalues are negative and "
             f"-{pattern.prefix}indefinite is error: let it be enrich or gmres."
         )
-    if not pattern.symmetric:
-        return inertia
-    return replace(inertia, assembled=_negative_assembled(pattern, coarse, inertia))
+    return inertia
 
 
-def _negative_assembled(pattern: Pattern, coarse: Coarse, inertia: Inertia) -> int | None:
-    """Count the negative eigenvalues of the assembled matrix that can be proved."""
-    inside, proved = inertia.interior or 0, 0
-    if not inertia.definite:  # otherwise all K_i are positive semi-definite
-        found = negative_eigenvalues(
-            pattern.torn,
-            pattern.gluing,
-            pattern.inverse,
-            pattern.preconditioner,
-            coarse,
-            prefix=pattern.prefix + "coarse_",
-        )
-        if found is None:
-            return inside or None
-        proved = found
-    harmonic = pattern.options.pc_type == "dirichlet" and pattern.interior.eliminated is not None
-    if harmonic:
-        return inside + proved  # the coarse fields are K-orthogonal to those inside
-    return max(inside, proved)
-
-
-def _count(factors: BlockFactors | DenseFactors | None) -> int | None:
-    """Return the negative eigenvalues of factored blocks; None without factors or if not known."""
-    if factors is None:
-        return None
-    counts = factors.inertia()[:, 0]
-    return None if np.any(counts < 0) else int(counts.sum())
+def _negative_interior(pattern: Pattern) -> int | None:
+    """Count the negative eigenvalues of all K_II of this process; None if not known."""
+    known, K_II = pattern.matrices.interior_inertia(), pattern.preconditioner.factors
+    if known is None and K_II is not None:
+        return sum_pivots(K_II.pivots(i) for i in range(len(K_II.rows))).negative
+    return None if known is None else known[0]
 
 
 def _total(comm: MPI.Comm, count: int | None) -> int | None:
     """Add numbers of all processes; None if one of them is not known."""
     counts = comm.allgather(count)
     return None if None in counts else sum(counts)
-
-
-def _check_coarse(coarse: Coarse) -> None:
-    _, zero = coarse.solver.inertia()
-    if zero:
-        raise SingularError(SINGULAR.format(zero))
 
 
 def _check_symmetry(symmetric: bool, options: FETIOptions, prefix: str) -> None:
@@ -324,19 +223,10 @@ def _check_symmetry(symmetric: bool, options: FETIOptions, prefix: str) -> None:
             f"The matrix is not symmetric, but -{prefix}interior is eliminate, which takes it to "
             "be: let it be keep or auto."
         )
-    if not symmetric and options.dual_recycle:
+    if not symmetric and options.recycle:
         raise SetUpError(
-            f"The matrix is not symmetric, but -{prefix}dual_recycle is {options.dual_recycle}, "
+            f"The matrix is not symmetric, but -{prefix}recycle is {options.recycle}, "
             "and only directions of a symmetric one can be recycled: leave it out."
-        )
-
-
-def _check_method(method: Method, pattern: Pattern) -> None:
-    """Refuse a Krylov method for symmetric systems if the matrix is not."""
-    if not pattern.symmetric and method.is_symmetric:
-        raise SetUpError(
-            f"The matrix is not symmetric, but -{pattern.prefix}dual_ksp_type is {method.type}, "
-            f"which takes it to be: use -{pattern.prefix}dual_ksp_type gmres."
         )
 
 

@@ -25,14 +25,14 @@ import numpy as np
 
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.events import event
+from dolfinx_feti.feti.dual_form import create_dual_form
+from dolfinx_feti.feti.formulation import Form, set_up
 from dolfinx_feti.feti.inertia import Inertia
-from dolfinx_feti.feti.krylov.dual import DualSystem
-from dolfinx_feti.feti.krylov.method import solve
-from dolfinx_feti.feti.krylov.recycling import DeflatedSystem, Directions
-from dolfinx_feti.feti.options import FETIOptions, read_options
-from dolfinx_feti.feti.recovery import balanced_start, load, recover, residual
+from dolfinx_feti.feti.krylov.recycling import Directions
+from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
+from dolfinx_feti.feti.primal_form import PrimalForm
 from dolfinx_feti.feti.report import Report, collect, table
-from dolfinx_feti.feti.setup import Parts, Pattern, set_up
+from dolfinx_feti.feti.setup import Factored, Pattern
 
 __all__ = ["FETI"]
 
@@ -101,7 +101,7 @@ class FETI:
         self.eigenvalues = (np.nan, np.nan)
         self._options: FETIOptions | None = None
         self._pattern: Pattern | None = None
-        self._parts: Parts | None = None
+        self._form: Form | None = None
         self._state: tuple[int, int] | None = None
         self._directions: Directions | None = None
         self._recycled = 0
@@ -121,6 +121,7 @@ class FETI:
         PETSc does not tell its default from the same number set by hand: a relative tolerance of
         1e-5 counts if it is set after the type of the KSP.
         """
+        check_outer_options(ksp.getOptionsPrefix() or "")  # before PETSc reads them
         ksp.getPC().setType(PETSc.PC.Type.NONE)
         if ksp.getTolerances()[0] == 1e-5:  # PETSc's default
             ksp.setTolerances(rtol=RTOL)
@@ -145,13 +146,13 @@ class FETI:
         """Solve A x = b; a failure is a negative converged reason with a message."""
         self.setUp(ksp)
         refused = self.refuse_indefinite and self.inertia is not None and self.inertia.indefinite
-        if self._parts is None or self._state is None or refused:
+        if self._form is None or self._state is None or refused:
             x.set(0.0)
             self.iterations, self.residual = 0, np.nan
             reason = Reason.DIVERGED_INDEFINITE_MAT if refused else Reason.DIVERGED_PCSETUP_FAILED
         else:
             with event("FETISolve"):
-                reason = self._solve(ksp, self._parts, b, x)
+                reason = self._solve_in_form(ksp, self._form, b, x)
         ksp.setConvergedReason(reason)
         if reason < 0 and not refused and ksp.comm.rank == 0:
             logger.warning("FETI did not converge: %s", self.message)
@@ -173,10 +174,10 @@ class FETI:
 
     def destroy(self, ksp: PETSc.KSP | None = None) -> None:
         """Free everything."""
-        for owned in (self._parts, self._pattern):
+        for owned in (self._form, self._pattern):
             if owned is not None:
                 owned.destroy()
-        self._parts = self._pattern = None
+        self._form = self._pattern = None
 
     # -- the method -------------------------------------------------------------------------------
 
@@ -186,9 +187,9 @@ class FETI:
         Note:
             Collective.
         """
-        if self._parts is None or self._state is None:
+        if self._form is None or self._state is None:
             return None
-        return collect(self._parts, recycled=self._recycled, eigenvalues=self.eigenvalues)
+        return collect(self._form, recycled=self._recycled, eigenvalues=self.eigenvalues)
 
     def _refresh(self, A: PETSc.Mat) -> None:
         """Bring all parts up to the state of the matrix; keep what depends on its pattern."""
@@ -200,11 +201,11 @@ class FETI:
         if self._pattern.torn.comm.allreduce(state != self._state, op=MPI.LOR):
             if self._pattern.torn.is_symmetric() != self._pattern.symmetric:
                 self._renew(A, self._options)
-            if self._parts is not None:
-                self._parts.destroy()
-                self._parts = None
-            self._parts = set_up(self._pattern)
-            self.method, self.inertia = self._parts.method.type, self._parts.inertia
+            if self._form is not None:
+                self._form.destroy()
+                self._form = None
+            self._form = set_up(self._pattern)
+            self.method, self.inertia = self._form.method.type, self._form.inertia
         self._state = state
 
     def _renew(self, A: PETSc.Mat, options: FETIOptions) -> None:
@@ -213,30 +214,49 @@ class FETI:
         self._state = self._directions = None
         self._pattern = Pattern(A, options, self._prefix)
 
-    def _solve(self, ksp: PETSc.KSP, p: Parts, b: PETSc.Vec, x: PETSc.Vec) -> int:
-        """Solve the dual system, recover u, and repeat on the residual until it is small."""
-        torn, delta = p.torn, p.gluing.delta
+    def _solve_in_form(self, ksp: PETSc.KSP, form: Form, b: PETSc.Vec, x: PETSc.Vec) -> int:
+        """Solve with directions of earlier solves; go over to GMRES if A is indefinite."""
+        if isinstance(form, PrimalForm) and self._may_change(form):
+            if not form.inertia.indefinite:
+                reason = self._solve(ksp, form, b, x)
+                if reason != Reason.DIVERGED_INDEFINITE_MAT:
+                    return reason
+            assert self._pattern is not None
+            self._form = create_dual_form(
+                self._pattern, Factored(form.near_kernel, form.modes, form.inertia)
+            )
+            form.destroy()
+            form, self.message, self.method = self._form, "", self._form.method.type
+        deflated = form.deflated(self._directions)
+        self._recycled = deflated.recycled
+        reason = self._solve(ksp, deflated, b, x)
+        self._directions = deflated.directions()
+        return reason
+
+    def _may_change(self, form: PrimalForm) -> bool:
+        """Tell whether another form may take the place of the primal one."""
+        return form.options.formulation == "auto" and not self.refuse_indefinite
+
+    def _solve(self, ksp: PETSc.KSP, form: Form, b: PETSc.Vec, x: PETSc.Vec) -> int:
+        """Solve with a form of the method, and repeat on the residual until it is small."""
+        torn, delta = form.torn, form.gluing.delta
         rtol, atol, _, max_it = ksp.getTolerances()
         self.iterations, self.residual = 0, np.nan
         if not np.isfinite(b.norm()):
-            return self._judge(Reason.DIVERGED_NANORINF, np.nan, 0.0, p)
-        system = self._system(p)
+            return self._judge(Reason.DIVERGED_NANORINF, np.nan, 0.0, form)
         u_D = np.where(torn.dirichlet, torn.tear(b), 0.0)
         x.array[:] = torn.assemble(delta * u_D)
-        r = residual(torn, b, x)
+        r = torn.residual(b, x)
         scale = r.norm()
         target = max(rtol * scale, atol)
         b.copy(r)
         x.set(0.0)
         norm = np.inf
         reason = Reason.CONVERGED_RTOL
-        for attempt in range(1 + p.options.refine):
-            f = load(p, r, u_D)
-            pair, rest = balanced_start(p, p.interior.condense(f), p.gluing.gap(u_D))
-            solution = solve(
-                system,
-                rest,
-                p.method,
+        for attempt in range(1 + form.options.refine):
+            u, solution = form.solve(
+                r,
+                u_D,
                 target=MARGIN * target,
                 max_it=max_it - self.iterations,
                 monitor=outer_monitor(ksp, self.iterations, first=attempt == 0),
@@ -246,44 +266,34 @@ class FETI:
             ksp.setIterationNumber(self.iterations)
             self.eigenvalues = solution.eigenvalues if attempt == 0 else self.eigenvalues
             before = x.array_r.copy()
-            x.array[:] += torn.assemble(delta * recover(p, pair + solution.x, f, u_D))
+            x.array[:] += torn.assemble(delta * u)
             r.destroy()
-            r = residual(torn, b, x)
+            r = torn.residual(b, x)
             last, norm = norm, r.norm()
             if not norm <= last:  # what was there before is better
                 x.array[:], norm = before, last
                 break
-            if reason < 0 or p.method.users_test or norm <= target or norm > GAIN * last:
+            if reason < 0 or form.users_test or norm <= target or norm > GAIN * last:
                 break
             u_D = np.zeros_like(u_D)
         r.destroy()
-        if isinstance(system, DeflatedSystem):
-            self._directions = system.directions()
         ksp.setResidualNorm(norm if np.isfinite(norm) else np.inf)
         self.residual = norm / scale if scale > 0 else norm
-        return self._judge(reason, norm, target, p)
+        return self._judge(reason, norm, target, form)
 
-    def _system(self, p: Parts) -> DualSystem | DeflatedSystem:
-        """Return the dual system, deflated by directions of earlier solves if that is asked for."""
-        if not p.options.dual_recycle:
-            return p.dual
-        system = DeflatedSystem(p.dual, self._directions, most=p.options.dual_recycle)
-        self._recycled = system.count
-        return system
-
-    def _judge(self, reason: int, norm: float, target: float, p: Parts) -> int:
+    def _judge(self, reason: int, norm: float, target: float, form: Form) -> int:
         """Turn the outcome into a reason, and a failure into a message with its remedy."""
         if not np.isfinite(norm):
             reason = Reason.DIVERGED_NANORINF
         elif reason in CURVATURE and self.residual <= ROUNDING:
             reason = Reason.DIVERGED_BREAKDOWN
-        elif reason > 0 and norm > target and not p.method.users_test:
+        elif reason > 0 and norm > target and not form.users_test:
             reason = Reason.DIVERGED_BREAKDOWN
         if reason < 0:
             remedy = REMEDIES.get(reason, f"the dual Krylov method ended with reason {reason}")
             remedy = remedy.format(self._prefix)
-            if p.inertia.assembled:
-                remedy += INDEFINITE.format(p.inertia.assembled)
+            if form.inertia.assembled:
+                remedy += INDEFINITE.format(form.inertia.assembled)
             self.message = f"{remedy} (‖b − A x‖/‖b‖ = {self.residual:.2e})."
         return reason
 

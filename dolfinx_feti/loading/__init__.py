@@ -3,10 +3,12 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Load steps from equilibrium to equilibrium, and states that outlive a run.
 
-In the order of the data: checkpoint, progress, load_steps.
+In the order of the data: states, identity, checkpoint, progress, steps,
+load_steps.
 """
 
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.load_steps import LoadStep, Steps, follow_load
+from dolfinx_feti.loading.load_steps import follow_load
+from dolfinx_feti.loading.steps import LoadStep, Steps
 
 __all__ = ["Checkpoint", "LoadStep", "Steps", "follow_load"]

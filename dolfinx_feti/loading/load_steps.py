@@ -7,10 +7,10 @@ The first steps begin with the tangent of the last equilibrium and the residual 
 
 .. math:: K'(U_n; t_n)\, ΔU = -r(U_n; t_{n+1}), \qquad t_{n+1} = t_n + Δt,
 
-a prediction along the path: a tangent with the new load and the old stress can be indefinite
-although every equilibrium on the way is stable. Once three equilibria are known, a parabola through
-them predicts the next one, and saves half of the Newton steps; where it turns a cell inside out,
-the tangent of the last equilibrium takes its place again.
+(eq. 25, Augustin_eq:loadStepping), a prediction along the path: a tangent with the new load and the
+old stress can be indefinite although every equilibrium on the way is stable. Once three equilibria
+are known, a parabola through them predicts the next one, and saves half of the Newton steps; where
+it turns a cell inside out, the tangent of the last equilibrium takes its place again.
 
 The increment Δt grows after a quick step, and is halved after a failure, with the last equilibrium
 restored. The wanted loads are met exactly: what is left to the next one is divided into equal
@@ -24,8 +24,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, Protocol
 
 from petsc4py import PETSc
@@ -35,12 +36,15 @@ import numpy.typing as npt
 
 import dolfinx
 
+from dolfinx_feti.collective import on_all
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.progress import Progress
+from dolfinx_feti.loading.steps import LoadStep, Steps, load_step
 from dolfinx_feti.problems.history import NewtonStep
+from dolfinx_feti.problems.system import Tangent
 
-__all__ = ["LoadStep", "Steps", "follow_load"]
+__all__ = ["follow_load"]
 
 Reason = PETSc.SNES.ConvergedReason
 
@@ -51,66 +55,6 @@ ROUNDING = 1e-14
 
 #: Degree of the polynomial through the last equilibria that predicts the next one.
 ORDER = 2
-
-
-@dataclass(frozen=True, slots=True)
-class Steps:
-    """How to choose the increments of the load, in the unit of the load.
-
-    Attributes:
-        first: The first increment.
-        least: The increment below which there is no further halving.
-        growth: Factor of the increment after a quick step.
-        quick: Newton steps that count as quick.
-        rtol: Newton's relative tolerance at the loads on the way; None for the solver's own.
-
-    Raises:
-        ValueError: A number is out of its range.
-    """
-
-    first: float
-    least: float
-    growth: float = 1.5
-    quick: int = 6
-    rtol: float | None = None
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        if not 0.0 < self.least <= self.first < math.inf:
-            raise ValueError(
-                f"first={self.first} and least={self.least}: increments are positive numbers, and "
-                "the least is not above the first."
-            )
-        if not 1.0 <= self.growth < math.inf:
-            raise ValueError(f"growth={self.growth} is not a number of 1 or more.")
-        if self.rtol is not None and not 0.0 < self.rtol < 1.0:
-            raise ValueError(f"rtol={self.rtol} is not a number between 0 and 1.")
-
-
-@dataclass(frozen=True, slots=True)
-class LoadStep:
-    """An accepted load step.
-
-    Attributes:
-        load: The load that was reached.
-        increment: By how much it grew.
-        history: What each Newton step cost.
-        failures: Attempts with longer increments that failed before.
-        lost: What each Newton step of the failed attempts cost.
-        seconds: Time, failures included.
-    """
-
-    load: float
-    increment: float
-    history: tuple[NewtonStep, ...]
-    failures: int
-    lost: tuple[NewtonStep, ...]
-    seconds: float
-
-    @property
-    def all_steps(self) -> tuple[NewtonStep, ...]:
-        """All Newton steps, those of failed attempts included."""
-        return self.lost + self.history
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,13 +75,15 @@ class Problem(Protocol):
     def history(self) -> list[NewtonStep]:
         """What each Newton step of the last solve cost."""
 
-    def linearise(self) -> None:
-        """Assemble the tangent for the first step of the next solve."""
+    def residual_norm(self) -> float:
+        """Return ‖r‖ of the present state under the present load."""
 
-    def refer_tolerance(self) -> None:
-        """Let the tolerance of the next solve refer to the residual of the present state."""
+    def linearise(self) -> Tangent:
+        """Assemble the tangent at the present state and load."""
 
-    def solve(self) -> object:
+    def solve(
+        self, *, reference: float | None = None, first_tangent: Tangent | None = None
+    ) -> object:
         """Solve, or raise ConvergenceError."""
 
 
@@ -180,20 +126,20 @@ def follow_load(
         OSError: A checkpoint cannot be written; state and load are those of the last equilibrium.
         ConvergenceError: No step of the least increment leads on; state and load are those of the
             last equilibrium.
+        Exception: What ``set_load`` or ``on_step`` raise, on all processes if on one.
 
     Note:
         Collective.
     """
-    if not all(math.isfinite(load) for load in (start, *targets)):
-        raise ValueError(f"start={start}, targets={list(targets)}: loads are finite numbers.")
-    ways = np.sign(np.diff([start, *targets]))
-    if not unloading and {-1.0, 1.0} <= set(ways):
-        raise ValueError(
-            f"start={start}, targets={list(targets)}: the load turns back on its way. Put the "
-            "targets in order, or allow it by unloading=True."
-        )
-    path = _Path(problem, set_load, steps, state=state, load=float(start))
     comm = problem.u.function_space.mesh.comm
+    on_all(lambda: check_loads(start, targets, unloading=unloading), comm)
+    path = _Path(
+        problem,
+        lambda load: on_all(lambda: set_load(load), comm),
+        steps,
+        state=state,
+        load=float(start),
+    )
     accepted: list[LoadStep] = []
     if checkpoint is not None and checkpoint.restart:
         accepted = path.restore(checkpoint)
@@ -205,8 +151,24 @@ def follow_load(
             if checkpoint is not None:
                 path.keep(checkpoint, accepted)
             if on_step is not None:
-                on_step(step)
+                on_all(partial(on_step, step), comm)
     return accepted
+
+
+def check_loads(start: float, targets: Sequence[float], *, unloading: bool) -> None:
+    """Require finite loads in order.
+
+    Raises:
+        ValueError: One is not finite, or they turn back although ``unloading`` is False.
+    """
+    if not all(math.isfinite(load) for load in (start, *targets)):
+        raise ValueError(f"start={start}, targets={list(targets)}: loads are finite numbers.")
+    ways = np.sign(np.diff([start, *targets]))
+    if not unloading and {-1.0, 1.0} <= set(ways):
+        raise ValueError(
+            f"start={start}, targets={list(targets)}: the load turns back on its way. Put the "
+            "targets in order, or allow it by unloading=True."
+        )
 
 
 class _Path:
@@ -316,24 +278,24 @@ class _Path:
         try:
             if len(self._past) > ORDER:
                 self._set_load(load)
-                self._problem.refer_tolerance()
+                reference = self._problem.residual_norm()
                 self._set_values(extrapolate(self._past, load))
-                if self._solved():
+                if self._solved(reference):
                     return
                 self._restore()
-            self._problem.linearise()
+            tangent = self._problem.linearise()
             self._set_load(load)
-            self._problem.solve()
+            self._problem.solve(first_tangent=tangent)
         except ConvergenceError:
             self._restore()
             raise
         finally:
             snes.setTolerances(*tolerances)
 
-    def _solved(self) -> bool:
+    def _solved(self, reference: float) -> bool:
         """Solve from a predicted state; tell whether it was admissible, raise if it led nowhere."""
         try:
-            self._problem.solve()
+            self._problem.solve(reference=reference)
         except ConvergenceError:
             if self._problem.solver.getConvergedReason() != Reason.DIVERGED_FUNCTION_DOMAIN:
                 raise
@@ -362,14 +324,6 @@ class _Path:
     def _set_values(self, values: list[Array]) -> None:
         for f, array in zip(self._state, values, strict=True):
             f.x.array[:] = array
-
-
-def load_step(record: Mapping[str, Any]) -> LoadStep:
-    """Return a load step from what ``asdict`` made of it."""
-    steps = {
-        name: tuple(NewtonStep(**step) for step in record[name]) for name in ("history", "lost")
-    }
-    return LoadStep(**{**record, **steps})
 
 
 def extrapolate(past: Sequence[_Equilibrium], load: float) -> list[Array]:

@@ -65,19 +65,27 @@ class Progress:
     def _show(self, more: str) -> None:
         if not self._shown:
             return
-        done = self._covered / self._length
+        done = self._covered / self._length if self._length > 0.0 else 1.0
         filled = round(WIDTH * min(done, 1.0))
         bar = "█" * filled + "░" * (WIDTH - filled)
         columns = shutil.get_terminal_size().columns - 1
-        line = f"{bar} {100 * done:3.0f} %  {self._text}{more}"[:columns]
-        sys.stderr.write(f"\r\x1b[K{line}")
-        sys.stderr.flush()
+        self._write(f"{bar} {100 * done:3.0f} %  {self._text}{more}"[:columns])
 
     def clear(self) -> None:
         """Clear the line, for other output."""
         if self._shown:
-            sys.stderr.write("\r\x1b[K")
+            self._write("")
+
+    def _write(self, line: str) -> None:
+        """Replace the line; a terminal that fails is not written to again.
+
+        It is that of the first process alone: nothing may be raised here.
+        """
+        try:
+            sys.stderr.write(f"\r\x1b[K{line}")
             sys.stderr.flush()
+        except (OSError, ValueError):  # gone, closed, or without these characters
+            self._shown = False
 
     def __enter__(self) -> Progress:
         """Begin."""

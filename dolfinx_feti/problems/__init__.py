@@ -3,5 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Linear and nonlinear problems with dolfinx's signatures; Newton's method.
 
-In the order of the data: history, linear_problem, system, newton, nonlinear_problem.
+In the order of the data: history, solvers, linear_problem, system, shift, line_search, newton,
+nonlinear_problem.
 """

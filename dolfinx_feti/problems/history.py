@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from petsc4py import PETSc
+from dolfinx_feti.feti.solver import FETI
 
-__all__ = ["NewtonStep", "record_step"]
+__all__ = ["NewtonStep", "proved_negative", "record_step"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,9 +24,10 @@ class NewtonStep:
         linear_iterations: Its iterations, those of all linear solves of the step.
         linear_residual: ‖K ΔU + r‖/‖r‖ of the assembled system.
         condition_number: Of the preconditioned dual operator; nan if not known.
-        negative: Negative eigenvalues of the regularised subdomains and of D; None if not known.
-        indefinite: Negative eigenvalues that the true tangent has at least, see ``stability``;
-            None if not known.
+        negative: Negative eigenvalues of the regularised subdomains and of D; None if they are not
+            known.
+        indefinite: Negative eigenvalues that the true tangent has at least, see ``stability``; None
+            if they are not known, as in a step that begins with a shift.
         shift: σ of the tangent K + σ diag|k| that ΔU solves; zero for the true one.
         solves: Linear solves; all but the last failed or led uphill.
         seconds_assembly: Time for residual and tangent.
@@ -48,41 +49,45 @@ class NewtonStep:
 
 
 def record_step(
-    ksp: PETSc.KSP,
-    residual: float,
-    alpha: float,
+    feti: FETI,
     *,
+    residual: float,
+    step_length: float,
     indefinite: int | None,
     shift: float,
     iterations: Sequence[int],
     assembly: float,
     linear: float,
 ) -> NewtonStep:
-    """Take down what a Newton step cost.
+    """Record what a Newton step cost.
 
     Args:
-        ksp: The solver.
+        feti: Context of the KSP after the last linear solve of the step.
         residual: ‖r‖ before the step.
-        alpha: Step length.
+        step_length: α.
         indefinite: Negative eigenvalues that the true tangent has at least, see ``stability``;
-            None if not known.
+            None if they are not known.
         shift: σ of the last solve.
         iterations: Those of each linear solve.
         assembly: Seconds of assembly.
-        linear: Seconds of the solve.
+        linear: Seconds of the solves.
     """
-    feti = ksp.getPythonContext()
     return NewtonStep(
         residual=residual,
-        step_length=alpha,
+        step_length=step_length,
         linear_method=feti.method,
         linear_iterations=sum(iterations),
         linear_residual=feti.residual,
         condition_number=feti.condition_number,
-        negative=feti.inertia and feti.inertia.dual,
+        negative=None if feti.inertia is None else feti.inertia.dual,
         indefinite=indefinite,
         shift=shift,
         solves=len(iterations),
         seconds_assembly=assembly,
         seconds_linear=linear,
     )
+
+
+def proved_negative(feti: FETI) -> int | None:
+    """Return the negative eigenvalues that the assembled matrix has at least; None if not known."""
+    return None if feti.inertia is None else feti.inertia.assembled

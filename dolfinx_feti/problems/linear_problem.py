@@ -20,10 +20,9 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.checks import check_bcs, check_linear_forms, check_scalar_type, check_space
 from dolfinx_feti.fem.decomposition import decompose, tear
-from dolfinx_feti.feti.options import read_options, reject_other_solvers
-from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.petsc_options import inserted, require_prefix
-from dolfinx_feti.problems.history import NewtonStep, record_step
+from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
+from dolfinx_feti.problems.solvers import create_solver, python_errors
 
 __all__ = ["LinearProblem"]
 
@@ -117,16 +116,16 @@ class LinearProblem:
         self.b.array[:] = load
         x = self.A.createVecRight()
         assembled = time.perf_counter()
-        with inserted(self._prefix, self._petsc_options):
+        with inserted(self._prefix, self._petsc_options), python_errors():
             self.solver.solve(self.b, x)
         solved = time.perf_counter()
         feti = self.solver.getPythonContext()
         self.history = [
             record_step(
-                self.solver,
-                self.b.norm(),
-                1.0,
-                indefinite=feti.inertia and feti.inertia.assembled,
+                feti,
+                residual=self.b.norm(),
+                step_length=1.0,
+                indefinite=proved_negative(feti),
                 shift=0.0,
                 iterations=[feti.iterations],
                 assembly=assembled - started,
@@ -146,26 +145,6 @@ class LinearProblem:
             owned = getattr(self, name, None)  # __init__ may have raised
             if owned is not None:
                 owned.destroy()
-
-
-def create_solver(A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]) -> PETSc.KSP:
-    """Create a KSP with the FETI context and set it from the options.
-
-    Args:
-        A: Torn matrix.
-        prefix: Options prefix.
-        petsc_options: Options without prefix.
-    """
-    ksp = PETSc.KSP().create(A.comm)
-    ksp.setOptionsPrefix(prefix)
-    ksp.setOperators(A)
-    ksp.setType(PETSc.KSP.Type.PYTHON)
-    ksp.setPythonContext(FETI())
-    with inserted(prefix, petsc_options):
-        read_options(prefix)  # PETSc would turn its ValueError into an error code
-        reject_other_solvers(prefix)
-        ksp.setFromOptions()
-    return ksp
 
 
 def raise_if_diverged(ksp: PETSc.KSP) -> None:

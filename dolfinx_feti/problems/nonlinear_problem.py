@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from petsc4py import PETSc
+from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
@@ -25,12 +25,12 @@ from dolfinx_feti.fem.checks import (
 )
 from dolfinx_feti.fem.decomposition import decompose
 from dolfinx_feti.fem.quadrature import limit_quadrature_degree
-from dolfinx_feti.feti.options import read_options, reject_other_solvers
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.petsc_options import inserted, require_prefix
 from dolfinx_feti.problems.history import NewtonStep
-from dolfinx_feti.problems.newton import Newton
-from dolfinx_feti.problems.system import System
+from dolfinx_feti.problems.newton import Newton, Start
+from dolfinx_feti.problems.solvers import create_newton_solver, python_errors
+from dolfinx_feti.problems.system import System, Tangent
 
 __all__ = ["NonlinearProblem"]
 
@@ -105,8 +105,7 @@ class NonlinearProblem:
             check_pressure_space(condense.function_space)
         degree = 2 * V.ufl_element().embedded_superdegree
         degree = degree if quadrature_degree is None else quadrature_degree
-        if isinstance(F, ufl.Form) and not F.arguments():
-            energy = F
+        energy = potential(F, energy)
         F_u, F_p = residuals(F, u, condense)
         F_u = limit_quadrature_degree(F_u, degree)
         F_p = None if F_p is None else limit_quadrature_degree(F_p, degree)
@@ -132,57 +131,93 @@ class NonlinearProblem:
         self.A = self._system.A
         self._newton = Newton(self._system)
         self._x = self.A.createVecRight()
-        self.solver = create_newton_solver(self._newton, self.A, self._prefix, self._petsc_options)
+        feti = FETI()
+        feti.refuse_indefinite = self._system.has_potential
+        self.solver = create_newton_solver(
+            self._newton, feti, self.A, self._prefix, self._petsc_options
+        )
 
     @property
     def history(self) -> list[NewtonStep]:
         """What each Newton step of the last solve cost."""
         return self._newton.history
 
-    def refer_tolerance(self) -> None:
-        """Let the relative tolerance of the next solve refer to the residual of the present state.
-
-        Call it under the new load, *before* a prediction changes the state: far out, a material
-        that stiffens exponentially begins with a residual of which no share is an equilibrium. The
-        smaller of both residuals counts.
+    def residual_norm(self) -> float:
+        """Return ‖r‖ of the present state under the present load.
 
         Note:
             Collective.
         """
-        self._newton.refer_tolerance()
+        return self._system.norm(self._system.residual().condensed)
 
-    def linearise(self) -> None:
-        """Assemble the tangent at the present state and load, for the first step of the next solve.
+    def linearise(self) -> Tangent:
+        """Assemble the tangent at the present state and load, for the first step of a solve.
 
-        Call it in an equilibrium, *before* the load grows. A tangent with the new load and the old
-        stress is that of a wall which the pressure already softens and no tension stiffens yet; it
-        can be indefinite although every state on the way is stable. The tangent of the last
-        equilibrium makes the first step the prediction along the path of loading.
+        Call it in an equilibrium, *before* the load grows, and give it to :meth:`solve`. A tangent
+        with the new load and the old stress is that of a wall which the pressure already softens
+        and no tension stiffens yet; it can be indefinite although every state on the way is stable.
+        The tangent of the last equilibrium makes the first step the prediction along the path of
+        loading.
+
+        Returns:
+            A name of the tangent, which the matrix holds until the next step is assembled.
 
         Note:
             Collective.
         """
-        self._system.residual()
-        self._system.linearise()
-        self._newton.has_tangent = True
+        return self._system.linearise()
 
-    def solve(self) -> dolfinx.fem.Function:
+    def solve(
+        self, *, reference: float | None = None, first_tangent: Tangent | None = None
+    ) -> dolfinx.fem.Function:
         """Iterate from the present u (and pressure) to the solution.
+
+        Args:
+            reference: A residual norm that the relative tolerance refers to if that of the start is
+                larger, such as :meth:`residual_norm` of the last equilibrium under the new load
+                where a guess begins with a far larger one: far out, a material that stiffens
+                exponentially begins with a residual of which no share is an equilibrium. One that
+                is NaN does not count.
+            first_tangent: The tangent of the first step, made by :meth:`linearise`; that of the
+                present state if not given.
 
         Returns:
             The unknown u.
 
         Raises:
             ConvergenceError: Newton's method or FETI failed; u holds the last good iterate.
+            ValueError: ``reference`` is negative, or the matrix no longer holds ``first_tangent``.
 
         Note:
             Collective.
         """
-        with inserted(self._prefix, self._petsc_options):
+        start = self._start(reference, first_tangent)
+        with (
+            inserted(self._prefix, self._petsc_options),
+            self._newton.starting(start),
+            python_errors(),
+        ):
             self.solver.solve(None, self._x)
         if self.solver.getConvergedReason() < 0:
-            raise ConvergenceError(f"Newton's method did not converge: {self._newton.message}.")
+            message = self._newton.message.rstrip(".")
+            raise ConvergenceError(f"Newton's method did not converge: {message}.")
         return self.u
+
+    def _start(self, reference: float | None, tangent: Tangent | None) -> Start:
+        """Check what a solve is to begin with.
+
+        Raises:
+            ValueError: See :meth:`solve`.
+        """
+        if reference is not None and reference < 0.0:
+            raise ValueError(f"reference is {reference}: give the norm of a residual.")
+        replaced = tangent is not None and tangent != self._system.tangent()
+        if self._system.comm.allreduce(replaced, op=MPI.LOR):
+            raise ValueError(
+                "first_tangent names a tangent that this problem's matrix does not hold any more: "
+                "pass what linearise() has returned to the very next solve()."
+            )
+        return Start(np.inf if reference is None else float(reference), tangent)
 
     def __del__(self) -> None:
         """Free the PETSc objects."""
@@ -190,6 +225,22 @@ class NonlinearProblem:
             owned = getattr(self, name, None)  # __init__ may have raised
             if owned is not None:
                 owned.destroy()
+
+
+def potential(F: ufl.Form | Sequence[ufl.Form], energy: ufl.Form | None) -> ufl.Form | None:
+    """Return the potential of the problem: F itself if that is an energy, or ``energy``.
+
+    Raises:
+        ValueError: Both are given, and differ.
+    """
+    if not isinstance(F, ufl.Form) or F.arguments():
+        return energy
+    if energy is not None and not F.equals(energy):
+        raise ValueError(
+            "energy is not F, which is an energy itself and the one that is minimised: leave "
+            "energy out, or give the residuals as F."
+        )
+    return F
 
 
 def residuals(
@@ -240,30 +291,3 @@ def default_volume_ratio(u: dolfinx.fem.Function) -> ufl.core.expr.Expr | None:
     if u.ufl_shape != (gdim,):
         return None
     return ufl.det(ufl.Identity(gdim) + ufl.grad(u))
-
-
-def create_newton_solver(
-    newton: Newton, A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]
-) -> PETSc.SNES:
-    """Create a SNES with the Newton context, its KSP with the FETI context.
-
-    Args:
-        newton: The context.
-        A: Torn tangent.
-        prefix: Options prefix.
-        petsc_options: Options without prefix.
-    """
-    snes = PETSc.SNES().create(A.comm)
-    snes.setOptionsPrefix(prefix)
-    snes.setType(PETSc.SNES.Type.PYTHON)
-    snes.setPythonContext(newton)
-    snes.setTolerances(rtol=1e-8, atol=1e-10, max_it=30)
-    ksp = snes.getKSP()
-    ksp.setOperators(A)
-    ksp.setType(PETSc.KSP.Type.PYTHON)
-    ksp.setPythonContext(FETI())
-    with inserted(prefix, petsc_options):
-        read_options(prefix)  # PETSc would turn its ValueError into an error code
-        reject_other_solvers(prefix)
-        snes.setFromOptions()
-    return snes

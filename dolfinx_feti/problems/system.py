@@ -5,13 +5,15 @@ r"""The nonlinear system that Newton's method sees: residual, torn tangent, stat
 
 .. math:: K'(U)\, ΔU = \mathcal F - K(U), \qquad U ← U + ΔU
 
-(eq. 26, Augustin_eq:LGS), with a pressure condensed from both sides if there is one
-(``condensation``).
+(eq. 26, Augustin_eq:LGS; eq. 28 for the entries), with a pressure condensed from both sides if
+there is one (``condensation``); prescribed values (eq. 7, Augustin_eq:Dirichlet) are met by the
+residual.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from mpi4py import MPI
 
@@ -22,16 +24,48 @@ import basix
 import dolfinx
 import ufl
 
+from dolfinx_feti.collective import on_all
 from dolfinx_feti.fem import assembly
-from dolfinx_feti.fem.condensation import Condensation
+from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.fem.condensation import Blocks, Condensation, pressure_patterns
 from dolfinx_feti.fem.decomposition import Decomposition, tear
+from dolfinx_feti.torn import set_pressure_patterns
 
-__all__ = ["System"]
+__all__ = ["Residual", "System", "Tangent"]
 
 Array = npt.NDArray[np.float64]
 
 #: Share of the greatest displacement below which one of a Dirichlet dof is rounding.
 MOVED = 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """The residual at one state.
+
+    Attributes:
+        condensed: The right-hand side of Newton's step but for its sign, (owned,); u − g on
+            Dirichlet dofs.
+        force: The residual before the pressure is condensed into it, (owned,).
+        blocks: What the condensed pressure needs, if there is one.
+    """
+
+    condensed: Array
+    force: Array
+    blocks: Blocks | None
+
+
+@dataclass(frozen=True, slots=True)
+class Tangent:
+    """Names the tangent that a torn matrix holds, until another one takes its place.
+
+    Attributes:
+        handle: PETSc's handle of the local matrix.
+        state: Its count of changes.
+    """
+
+    handle: int
+    state: int
 
 
 class System:
@@ -43,7 +77,8 @@ class System:
         u: Displacement (or another unknown).
         A: Torn tangent.
         bcs: Dirichlet conditions.
-        force: Residual before condensation, (owned,), as of the last :meth:`residual`.
+        comm: Communicator of the mesh.
+        owned: Number of dofs that this process owns.
     """
 
     def __init__(
@@ -58,6 +93,7 @@ class System:
         volume_ratio: ufl.core.expr.Expr | None,
         quadrature_degree: int,
         decomposition: Decomposition,
+        compiler: Compiler | None = None,
     ) -> None:
         """Tear the space and compile all forms.
 
@@ -71,15 +107,21 @@ class System:
             volume_ratio: Expression that has to be positive at every quadrature point.
             quadrature_degree: Degree of those points.
             decomposition: Subdomain of each owned cell.
+            compiler: How forms are compiled; with dolfinx's options if not given.
+
+        Note:
+            Collective.
         """
         V = u.function_space
         self.u = u
         self.bcs = list(bcs)
+        self.comm = V.mesh.comm
         self._held = assembly.dirichlet_mask(V, self.bcs)
         self._n_cells = len(decomposition.subdomain)
         self._space = tear(V, decomposition)
-        self._residual = dolfinx.fem.form(F_u)
-        self._tangent = assembly.torn_form(J, (self._space, self._space))
+        compiler = compiler or Compiler(self.comm)
+        self._residual = compiler.form(F_u)
+        self._tangent = assembly.torn_form(J, (self._space, self._space), compiler)
         self.condensation = None
         if pressure is not None:
             F_p, p = pressure
@@ -91,18 +133,23 @@ class System:
                 space=self._space,
                 pressure_space=tear(p.function_space, decomposition),
                 n_cells=self._n_cells,
+                compiler=compiler,
             )
         self._K = assembly.create_local_matrix(self._space, self._space, self._n_cells)
         self._stiffness = np.zeros(self._K.getSize()[0])
         self.A = assembly.create_matis(self._space, self._K, self.bcs, self._stiffness)
-        self._energy = None if energy is None else dolfinx.fem.form(energy)
+        if self.condensation is not None:
+            set_pressure_patterns(self.A, self.condensation.rows, pressure_patterns(decomposition))
+        self._energy = None if energy is None else compiler.form(energy)
         self._shift = 0.0
-        self._volume_ratio = _at_quadrature(V, volume_ratio, quadrature_degree)
+        self._volume_ratio = None
+        if volume_ratio is not None:
+            points = quadrature_points(V.mesh, quadrature_degree)
+            self._volume_ratio = compiler.expression(volume_ratio, points)
         bs = V.dofmap.index_map_bs
         torn = self._space.dof[:, None] * bs + np.arange(bs)
         self._local = torn.ravel()  # local dof of V of each torn dof
         self.owned = V.dofmap.index_map.size_local * bs
-        self.force = np.zeros(self.owned)
 
     # -- state ------------------------------------------------------------------------------------
 
@@ -119,16 +166,24 @@ class System:
             self.condensation.p.x.array[:] = state[1]
             self.condensation.p.x.scatter_forward()
 
-    def increment(self, du: Array) -> tuple[Array, Array]:
-        """Complete an increment of u, (owned,), by the pressure's own linearised equation."""
-        if self.condensation is None:
+    def increment(self, here: Residual, du: Array) -> tuple[Array, Array]:
+        """Complete an increment of u by the pressure's own linearised equation.
+
+        Args:
+            here: The residual where the increment begins.
+            du: ΔU, (owned,).
+
+        Returns:
+            Increments of the state, see :meth:`state`.
+        """
+        if self.condensation is None or here.blocks is None:
             return du, np.zeros(0)
         whole = dolfinx.la.vector(
             self.u.function_space.dofmap.index_map, self.u.function_space.dofmap.index_map_bs
         )
         whole.array[: self.owned] = du
         whole.scatter_forward()
-        return du, self.condensation.increment(whole.array[self._local])
+        return du, self.condensation.increment(here.blocks, whole.array[self._local])
 
     def moves_boundary(self, du: Array) -> bool:
         """Tell whether an increment of u, (owned,), moves Dirichlet dofs, more than by rounding.
@@ -136,9 +191,8 @@ class System:
         Note:
             Collective.
         """
-        comm = self.u.function_space.mesh.comm
         most, moved = (
-            comm.allreduce(float(np.abs(part).max(initial=0.0)), op=MPI.MAX)
+            self.comm.allreduce(float(np.abs(part).max(initial=0.0)), op=MPI.MAX)
             for part in (du, du[self._held])
         )
         return moved > MOVED * most
@@ -149,12 +203,15 @@ class System:
         Note:
             Collective.
         """
-        least = np.inf
-        if self._volume_ratio is not None and self._n_cells:
-            cells = np.arange(self._n_cells, dtype=np.int32)
-            values = self._volume_ratio.eval(self.u.function_space.mesh, cells)
-            least = float(values.min()) if np.all(np.isfinite(values)) else -np.inf
-        return self.u.function_space.mesh.comm.allreduce(least, op=MPI.MIN)
+        return self.comm.allreduce(on_all(self._own_volume_ratio, self.comm), op=MPI.MIN)
+
+    def _own_volume_ratio(self) -> float:
+        """Return the least det F over the quadrature points of this process."""
+        if self._volume_ratio is None or not self._n_cells:
+            return np.inf
+        cells = np.arange(self._n_cells, dtype=np.int32)
+        values = self._volume_ratio.eval(self.u.function_space.mesh, cells)
+        return float(values.min()) if np.all(np.isfinite(values)) else -np.inf
 
     @property
     def has_potential(self) -> bool:
@@ -167,56 +224,78 @@ class System:
         Note:
             Collective.
         """
+        return self.comm.allreduce(on_all(self._own_potential, self.comm))
+
+    def _own_potential(self) -> float:
+        """Integrate the potential over the cells of this process."""
         assert self._energy is not None
         if self.condensation is None:
-            value = dolfinx.fem.assemble_scalar(self._energy)
-        else:
-            p = self.condensation.p.x
-            before = p.array.copy()
-            p.array[:] = self.condensation.relaxed()
-            value = dolfinx.fem.assemble_scalar(self._energy)
-            p.array[:] = before
-        return self.u.function_space.mesh.comm.allreduce(value)
+            return float(dolfinx.fem.assemble_scalar(self._energy))
+        p = self.condensation.p.x
+        before = p.array.copy()
+        p.array[:] = self.condensation.relaxed()
+        value = float(dolfinx.fem.assemble_scalar(self._energy))
+        p.array[:] = before
+        return value
 
     # -- equations --------------------------------------------------------------------------------
 
-    def residual(self) -> Array:
-        """Assemble the (condensed) residual, (owned,); u − g on Dirichlet dofs.
+    def residual(self) -> Residual:
+        """Assemble the residual at the present state.
 
         Note:
             Collective.
         """
-        b = dolfinx.fem.assemble_vector(self._residual)
+        b, torn, blocks = on_all(self._own_residual, self.comm)
         b.scatter_reverse(dolfinx.la.InsertMode.add)
-        self.force = b.array[: self.owned].copy()
-        r = self.force.copy()
-        if self.condensation is not None:
-            self.condensation.update()
-            torn = self.condensation.residual(len(self._local))
+        force = b.array[: self.owned].copy()
+        r = force.copy()
+        if blocks is not None:
             b.array[:] = np.bincount(self._local, torn, minlength=len(b.array))
             b.scatter_reverse(dolfinx.la.InsertMode.add)
             r += b.array[: self.owned]
         for bc in self.bcs:
-            bc.set(self.force, self.u.x.array, -1.0)
+            bc.set(force, self.u.x.array, -1.0)
             bc.set(r, self.u.x.array, -1.0)
-        return r
+        return Residual(r, force, blocks)
 
-    def linearise(self) -> None:
-        """Assemble the torn tangent and its near kernel at the current state.
+    def _own_residual(self) -> tuple[dolfinx.la.Vector, Array, Blocks | None]:
+        """Assemble over the cells of this process: r_u, what condensation adds, and its blocks."""
+        b = dolfinx.fem.assemble_vector(self._residual)
+        if self.condensation is None:
+            return b, np.zeros(0), None
+        blocks = self.condensation.assemble()
+        return b, self.condensation.residual(blocks, len(self._local)), blocks
 
-        The stiffness of the scaling is the diagonal before the pressure is condensed into it: the
-        κ-term on the diagonal says nothing about the interface.
+    def linearise(self) -> Tangent:
+        """Assemble the torn tangent and its near kernel at the present state.
+
+        Note:
+            Collective.
+        """
+        on_all(self._fill, self.comm)
+        bs = self.u.function_space.dofmap.index_map_bs
+        assembly.attach_near_kernel(
+            self.A, self.u.function_space, self.u.x.array[: self.owned].reshape(-1, bs)
+        )
+        return self.tangent()
+
+    def _fill(self) -> None:
+        """Assemble the local matrix, and the stiffness that weighs the copies of a dof.
+
+        The stiffness is the diagonal before the pressure is condensed into it: the κ-term on the
+        diagonal says nothing about the interface.
         """
         assembly.assemble(self._K, self._tangent)
         self._shift = 0.0
         self._stiffness[:] = self._K.getDiagonal().array_r
         self.A.query("stiffness").array[:] = self._stiffness
         if self.condensation is not None:
-            self.condensation.add_to(self._K)
-        bs = self.u.function_space.dofmap.index_map_bs
-        assembly.attach_near_kernel(
-            self.A, self.u.function_space, self.u.x.array[: self.owned].reshape(-1, bs)
-        )
+            self.condensation.add_to(self._K, self.condensation.assemble())
+
+    def tangent(self) -> Tangent:
+        """Name the tangent that the matrix holds now."""
+        return Tangent(self._K.handle, self._K.stateGet())
 
     def shift(self, sigma: float) -> None:
         """Let the tangent be K + σ diag|k|, with the stiffness k of its own dofs.
@@ -230,6 +309,22 @@ class System:
         diagonal.destroy()
         self._shift = sigma
 
+    def dot(self, a: Array, b: Array) -> float:
+        """Return a·b of two vectors, (owned,).
+
+        Note:
+            Collective.
+        """
+        return float(self.comm.allreduce(a @ b))
+
+    def norm(self, r: Array) -> float:
+        """Return ‖r‖ of a vector, (owned,).
+
+        Note:
+            Collective.
+        """
+        return float(np.sqrt(self.dot(r, r)))
+
     def destroy(self) -> None:
         """Free the matrices."""
         self.A.destroy()
@@ -238,11 +333,7 @@ class System:
             self.condensation.destroy()
 
 
-def _at_quadrature(
-    V: dolfinx.fem.FunctionSpace, value: ufl.core.expr.Expr | None, degree: int
-) -> dolfinx.fem.Expression | None:
-    if value is None:
-        return None
-    cell = getattr(basix.CellType, V.mesh.topology.cell_name())
-    points = np.asarray(basix.make_quadrature(cell, degree)[0])
-    return dolfinx.fem.Expression(value, points)
+def quadrature_points(mesh: dolfinx.mesh.Mesh, degree: int) -> Array:
+    """Return the points of the reference cell's quadrature rule, (points, dimension)."""
+    cell = getattr(basix.CellType, mesh.topology.cell_name())
+    return np.asarray(basix.make_quadrature(cell, degree)[0])

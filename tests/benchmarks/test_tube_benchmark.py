@@ -13,8 +13,8 @@ from collective import COMM, agree, small
 from wall_files import on_first
 
 from benchmarks import tube
-from benchmarks.inflated_tube import TANGENTS
-from benchmarks.tube_oracle import KPA_PER_MMHG, Wall, inflate
+from benchmarks.walls.inflated_tube import TANGENTS
+from benchmarks.walls.oracle import KPA_PER_MMHG, Wall, inflate
 from dolfinx_feti.petsc_options import inserted
 
 COARSE = ["--quarter", "--size", "0.26", "--subdomains", "4"]
@@ -129,7 +129,7 @@ def test_a_run_that_does_not_arrive(monkeypatch, tmp_path):
         (["--subdomains", "0"], "'0' is not a number 1, 2, 3"),
         (["--tangent", "half"], "invalid choice: 'half'"),
         (["--presure"], "unrecognized arguments: --presure"),
-        (["--restart"], "--restart: say by --checkpoint FOLDER from where"),
+        (["--restart"], "--restart: it needs --checkpoint FOLDER"),
     ],
 )
 def test_wrong_words(no_work, capfd, words, match):

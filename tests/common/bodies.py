@@ -106,3 +106,14 @@ def least_ratio(u: dolfinx.fem.Function) -> float:
     n = Q.dofmap.index_map.size_local
     values = [dolfinx.fem.assemble_vector(dolfinx.fem.form(form)).array[:n] for form in (J, size)]
     return min(COMM.allgather((values[0] / values[1]).min(initial=np.inf)))
+
+
+def two_wells() -> tuple[dolfinx.fem.Function, ufl.Form, list[dolfinx.fem.DirichletBC]]:
+    """Π = ∫ ε/2 |∇u|² + (u² − 1)²/4: u = 0 obeys Π' = 0 on the ridge between two valleys."""
+    mesh = cube(2, 8)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
+    u = dolfinx.fem.Function(V)
+    energy = 0.1 * ufl.inner(ufl.grad(u), ufl.grad(u)) / 2 * ufl.dx + (u**2 - 1) ** 2 / 4 * ufl.dx
+    edge = dirichlet(V, lambda x: np.isclose(x[0], 0.0), lambda x: 0.0 * x[0])
+    u.interpolate(lambda x: 0.2 * np.sin(np.pi * x[0] / 2) * (1.0 + 0.3 * np.cos(3 * x[1])))
+    return u, energy, [edge]

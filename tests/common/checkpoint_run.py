@@ -29,7 +29,8 @@ import dolfinx
 
 from dolfinx_feti import loads
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.load_steps import Steps, follow_load
+from dolfinx_feti.loading.load_steps import follow_load
+from dolfinx_feti.loading.steps import Steps
 
 COMM = MPI.COMM_WORLD
 PARAMETERS = {"kappa": 1000.0}

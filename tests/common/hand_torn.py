@@ -155,7 +155,7 @@ def tear(
         vector = A.createVecRight()
         vector.array[:] = mode[slice(*ends)]
         vectors.append(vector)
-    dolfinx_feti.set_near_kernel(A, vectors)
+    dolfinx_feti.set_near_kernel(A, vectors, x[ends[0] // bs : ends[1] // bs])
     for vector in vectors:
         vector.destroy()
     return HandTorn(A, K, dofs, x, modes, dirichlet, local)

@@ -5,13 +5,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import runpy
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -32,35 +29,23 @@ EXAMPLE = ROOT / "meshes/example.msh"
 PICTURES = ("wall.png", "fibres.png", "convergence.png")
 #: A wall as small as can be, with both layers.
 TUBE = "--geometry tube --size 1 --pressure 2 --steps 3 --subdomains 4".split()
+#: Its numbers, on any number of processes.
+TUBE_DOFS, TUBE_DISPLACEMENT = 1680, 0.03652351  # mm
 LEAST = ["--mesh", str(EXAMPLE), *"--degree 1 --pressure 0.5 --steps 1 --subdomains 4".split()]
-#: What names the processes of a run to those that it starts.
-LAUNCHERS = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
 
 
-def run_alone(*command: str, seconds: float = 300.0) -> tuple[int, str]:
-    """Run a demo on one process of its own; return its status and all that it said.
-
-    The processes of this test sleep meanwhile.
-    """
-    found = (-1, "not run")
-    if COMM.rank == 0:
-        own = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHERS)}
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            result = subprocess.run(
-                [sys.executable, *command],
-                cwd=ROOT,
-                env=own,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                timeout=seconds,
-                check=False,
-                text=True,
-            )
-            found = (result.returncode, result.stdout)
-    done = COMM.Ibarrier()
-    while not done.Test():
-        time.sleep(0.02)
-    return COMM.bcast(found)
+def run_alone(*command: str) -> tuple[int, str]:
+    """Run a demo in a process of its own; return its status and all that it said."""
+    result = subprocess.run(
+        [sys.executable, *command],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        timeout=300.0,
+        check=False,
+        text=True,
+    )
+    return result.returncode, result.stdout
 
 
 @pytest.fixture
@@ -150,41 +135,48 @@ def test_own_material(run, tmp_path):
     """Its own assertions, on a coarse tube; the plaque holds the wall back."""
     from matplotlib.image import imread
 
-    demo = run("demo_own_material.py", "--size", "1", "--output", tmp_path)
+    demo = run("demo_own_material.py", "--size", "1", "--pressure", "15", "--output", tmp_path)
     for result in demo["results"].values():
-        agree(result["load_steps"] >= 4 and result["newton_steps"] <= 40, result)
+        agree(result["load_steps"] >= 3 and result["newton_steps"] <= 20, result)
         agree(0.0 < result["difference_to_mumps"] <= 1e-6, result)
+    moved = {name: result["max_displacement_mm"] for name, result in demo["results"].items()}
+    agree(moved["plaque"] < 0.5 * moved["fibres"], moved)
     shapes = on_first(lambda: [imread(tmp_path / f"{name}.png").shape for name in demo["results"]])
     agree(all(height > 500 and width > 800 for height, width, _ in shapes), shapes)
 
 
+def check_tube(folder: Path, processes: int) -> None:
+    """Its summary has the numbers that are the same on any number of processes."""
+    summary = read_summary(folder)
+    agree(summary["processes"] == processes)
+    agree(summary["pressure_mmhg"] == 2.0 and summary["load_steps"][-1] == 2.0)
+    agree(summary["subdomains"] >= 4 and summary["geometry"] == "tube")
+    agree(summary["newton_iterations"] >= len(summary["load_steps"]) >= 2)
+    agree(summary["linear_iterations"] >= 10 * summary["newton_iterations"])
+    agree(0.0 < summary["max_linear_residual"] <= 1e-8)
+    agree(0.0 < summary["difference_to_mumps"] <= 1e-6)
+    agree(summary["seconds"] > 0.0)
+    for cost in summary["first_step"].values():
+        agree(cost["seconds_setup"] > 0.0 and cost["seconds_solve"] > 0.0, cost)
+        agree(cost["converged_reason"] > 0 and cost["relative_residual"] <= 1e-8, cost)
+    agree(summary["dofs"] == TUBE_DOFS, summary["dofs"])
+    small(summary["max_displacement_mm"] / TUBE_DISPLACEMENT - 1.0, 1e-6)
+    check_pictures(folder)
+    agree(any(folder.glob("wall.[bx]*")))
+
+
 def test_artery(run, tmp_path):
-    """The same numbers from the command line and on the processes of this test."""
-    status, said = run_alone(
-        "demos/demo_artery.py", *TUBE, "--output", str(tmp_path / "alone"), "-log_view"
-    )
+    run("demo_artery.py", *TUBE, "--output", tmp_path)
+    check_tube(tmp_path, COMM.size)
+
+
+@pytest.mark.serial
+def test_artery_from_the_command_line(tmp_path):
+    """On one process, with the numbers of any other number."""
+    status, said = run_alone("demos/demo_artery.py", *TUBE, "--output", str(tmp_path), "-log_view")
     agree(status == 0, said)
     agree("FETISolve" in said and "The first Newton step" in said, said)
-    run("demo_artery.py", *TUBE, "--output", tmp_path / "together")
-    alone, together = (read_summary(tmp_path / name) for name in ("alone", "together"))
-    for summary, processes in ((alone, 1), (together, COMM.size)):
-        agree(summary["processes"] == processes)
-        agree(summary["pressure_mmhg"] == 2.0 and summary["load_steps"][-1] == 2.0)
-        agree(summary["subdomains"] >= 4 and summary["geometry"] == "tube")
-        agree(summary["newton_iterations"] >= len(summary["load_steps"]) >= 2)
-        agree(summary["linear_iterations"] >= 10 * summary["newton_iterations"])
-        agree(0.0 < summary["max_linear_residual"] <= 1e-8)
-        agree(0.0 < summary["difference_to_mumps"] <= 1e-6)
-        agree(summary["seconds"] > 0.0)
-        for cost in summary["first_step"].values():
-            agree(cost["seconds_setup"] > 0.0 and cost["seconds_solve"] > 0.0, cost)
-            agree(cost["converged_reason"] > 0 and cost["relative_residual"] <= 1e-8, cost)
-    agree(alone["dofs"] == together["dofs"] > 1000)
-    agree(alone["max_displacement_mm"] > 0.01)
-    small(together["max_displacement_mm"] / alone["max_displacement_mm"] - 1.0, 1e-6)
-    for name in ("alone", "together"):
-        check_pictures(tmp_path / name)
-        agree(any((tmp_path / name).glob("wall.[bx]*")))
+    check_tube(tmp_path, 1)
 
 
 def test_vessel(run, tmp_path):
@@ -205,6 +197,13 @@ def test_wall_of_ones_own_and_options_of_the_solver(run, tmp_path):
     summary = read_summary(tmp_path)
     agree(summary["geometry"] == str(EXAMPLE) and summary["cells"] == 336)
     agree(summary["pressure_mmhg"] == 0.5 and summary["max_linear_residual"] <= 1e-8)
+
+
+def test_picture_that_cannot_be_written_ends_all_processes(run, tmp_path):
+    """The first process alone draws; the others would wait for it in the comparison with MUMPS."""
+    on_first(lambda: (tmp_path / "wall.png").mkdir())
+    with raises(IsADirectoryError, "wall.png"):
+        run("demo_artery.py", *LEAST, "--output", tmp_path)
 
 
 def test_artery_goes_on_from_a_checkpoint(run, tmp_path):
@@ -267,7 +266,7 @@ def test_counts_that_are_none(run, capsys, value):
         (["--degree", "3"], "invalid choice: "),
         (["--presure", "10"], "unrecognized arguments: --presure 10"),
         (["ten"], "unrecognized arguments: ten"),
-        (["--restart"], "--restart: say by --checkpoint FOLDER from where"),
+        (["--restart"], "--restart: it needs --checkpoint FOLDER"),
     ],
 )
 def test_unknown_words(run, capsys, arguments, match):

@@ -69,9 +69,3 @@ def test_wrong_number_or_label(tmp_path, text, message):
     (tmp_path / "a.py").write_text(f'"""{text}"""')
     with pytest.raises(ValueError, match=message):
         rooms.equations_in(tmp_path / "a.py")
-
-
-def test_unknown_file_in_the_index(monkeypatch):
-    monkeypatch.setitem(paper_index.ELSEWHERE, 1, ["nowhere.py"])
-    with pytest.raises(ValueError, match=r"nowhere\.py: there are 0 such files"):
-        rooms.equations()

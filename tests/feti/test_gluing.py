@@ -11,7 +11,7 @@ import pytest
 import reference
 from collective import agree, dense, equal, small, whole
 
-from dolfinx_feti.feti.gluing import create_gluing
+from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.torn import Torn
 
 SEED = 5519
@@ -52,12 +52,9 @@ def glue(torn_grid):
     def create(grid, *, all_floating=True, redundant=True, stiffness=False):
         problem = torn_grid(stiffness=lambda i: 3.0**i, **grid)
         torn = Torn(problem.A)
-        gluing = create_gluing(
-            torn,
-            all_floating=all_floating,
-            redundant=redundant,
-            stiffness=torn.stiffness() if stiffness else None,
-        )
+        gluing = Gluing(torn, all_floating=all_floating, redundant=redundant)
+        if stiffness:
+            gluing.update(torn.stiffness())
         made.extend([gluing, torn])
         return problem, torn, gluing
 
@@ -179,7 +176,7 @@ def test_paper_counts_38052_multipliers_on_its_cube(components):
     """8³ subdomains of one cell of 24 tetrahedra, clamped all round: 12 684 rows a component."""
     problem = paper_cube.cube(8, 1, components)
     torn = Torn(problem.A)
-    gluing = create_gluing(torn, all_floating=True)
+    gluing = Gluing(torn, all_floating=True)
     agree(len(whole(np.array([len(rows) for rows in torn.subdomains]))) == 512)
     agree(gluing.B.getSize()[0] == 12_684 * components, gluing.B.getSize())
     small(gluing.B.getSize()[1] - 512 * 15 * components, 0)

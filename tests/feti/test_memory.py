@@ -17,8 +17,9 @@ from collective import COMM, agree
 from problems import cube, elasticity, poisson
 
 import dolfinx_feti
+from dolfinx_feti.feti.formulation import set_up
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.setup import Pattern, set_up
+from dolfinx_feti.feti.setup import Pattern
 
 
 def create(problem, **options):
@@ -61,7 +62,7 @@ def test_problem_is_freed_without_the_collector(solved, without_collector):
     context = linear.solver.getPythonContext()
     watched = [weakref.ref(linear), weakref.ref(context)]
     if solved:
-        parts = context._parts
+        parts = context._form
         watched += [weakref.ref(part) for part in (parts.torn, parts.coarse, parts.dual)]
         del parts
     del linear, context

@@ -17,6 +17,7 @@ import dolfinx
 import ufl
 
 import dolfinx_feti
+from dolfinx_feti.petsc_options import inserted
 
 
 def create(problem, **changes):
@@ -85,6 +86,21 @@ def test_misspelt_option():
 def test_value_that_is_no_choice():
     with raises(ValueError, "-bad_feti_scaling is 'deluxe'.*stiffness, multiplicity"):
         create(poisson(cube(2, 4)), petsc_options={"feti_scaling": "deluxe"})
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "message"),
+    [
+        ("ksp_rtol", "abc", "-bad_ksp_rtol is 'abc'; it takes a number ≥ 0 and < 1"),
+        ("ksp_max_it", "many", "-bad_ksp_max_it is 'many'; it takes a whole number"),
+        ("ksp_norm_type", "foo", "PETSc refuses one of the options -bad_…: .*foo"),
+    ],
+)
+def test_options_of_petsc_that_are_wrong(name, wrong, message):
+    with raises(ValueError, message):
+        create(poisson(cube(2, 4)), petsc_options={name: wrong})
+    with inserted("bad_", {name: wrong}), raises(ValueError, message):  # from the command line
+        create(poisson(cube(2, 4)))
 
 
 def test_options_are_gone_after_an_error():

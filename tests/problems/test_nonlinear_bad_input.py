@@ -185,11 +185,21 @@ def test_options(body):
     for options, message in (
         ({"feti_typ": "classical"}, "-bad_feti_typ does not exist; did you mean -bad_feti_type"),
         ({"feti_type": "all_flotting"}, "takes one of: all_floating, classical"),
-        ({"ksp_type": "cg"}, "only FETI solves a torn system.*-bad_feti_dual_ksp_type"),
-        ({"snes_type": "newtonls"}, "-bad_snes_type is 'newtonls'"),
+        ({"ksp_rtol": "abc"}, "-bad_ksp_rtol is 'abc'; it takes a number"),
+        ({"snes_max_it": 2.5}, "-bad_snes_max_it is '2.5'; it takes a whole number"),
+        ({"snes_monitor_cancel": "maybe"}, "PETSc refuses one of the options -bad_…: .*maybe"),
     ):
         with raises(ValueError, message):
             create(body, petsc_options=options)
+
+
+def test_energy_given_twice(body):
+    """The same one is fine; of two different ones only one can be meant."""
+    psi, J = solid(body)
+    energy, other = ((psi + kappa * (J - 1) ** 2) * ufl.dx for kappa in (1.0, 2.0))
+    create(body, F=energy, energy=energy, condense=None)
+    with raises(ValueError, "energy is not F, which is an energy itself.*: leave energy out"):
+        create(body, F=energy, energy=other, condense=None)
 
 
 def test_quadrature_degree(body):

@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from collective import COMM, agree, equal, norm, small
+from collective import COMM, agree, equal, norm, raises, small
 from mixed import Mixed, by_place
 from problems import cube, dirichlet, left, owned, right
 from walls import PREFIX, Wall, tube, wall
@@ -65,7 +65,7 @@ def test_one_subdomain_a_cell():
 
 def test_what_a_problem_offers():
     body = wall(tube(), degree=1)
-    problem = body.problem(4)
+    problem = body.problem(4, {"feti_coarse_flux": 0})  # or the coarse space holds the solution
     agree(problem.history == [] and problem.u is body.u)
     body.load.value = loads.mmhg(5.0)
     agree(problem.solve() is body.u)
@@ -98,17 +98,34 @@ def test_loading_and_unloading_leaves_nothing():
 
 
 def test_tangent_of_the_last_equilibrium_predicts():
-    """``linearise`` before the load grows changes the way, not the goal."""
-    fields = []
+    """It changes the way, not the goal."""
+    fields, first = [], []
     for ahead in (False, True):
         body = wall(tube(), degree=1)
         problem = body.problem(4, TIGHT)
         body.inflate(problem, [5.0])
-        if ahead:
-            problem.linearise()
-        body.inflate(problem, [10.0])
+        tangent = problem.linearise() if ahead else None
+        body.load.value = loads.mmhg(10.0)
+        problem.solve(first_tangent=tangent)
         fields.append(by_place(body.u))
+        first.append(problem.history[1].residual)
     equal(fields[1], fields[0], 1e-8)
+    agree(abs(first[1] / first[0] - 1.0) > 1e-3, "the first step was another one")
+
+
+def test_tangent_that_the_matrix_does_not_hold():
+    """One from before another one, one from before a solve, and one of another problem."""
+    body = wall(tube(around=6, along=2), degree=1)
+    problem, other = body.problem(2), wall(tube(around=6, along=2), degree=1).problem(2)
+    body.load.value = loads.mmhg(1.0)
+    old, new = problem.linearise(), problem.linearise()
+    problem.solve(first_tangent=new)
+    before = owned(body.u)
+    for wrong in (old, new, other.linearise()):
+        with raises(ValueError, "first_tangent names a tangent that this problem's matrix does no"):
+            problem.solve(first_tangent=wrong)
+    equal(owned(body.u), before)
+    problem.solve(first_tangent=problem.linearise())
 
 
 def exponential(mesh: dolfinx.mesh.Mesh, degree: int, **metadata: object) -> tuple:

@@ -1,7 +1,8 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The coarse problem: the projection, its solver, and what it tells about stability.
+"""The coarse problem: the projection, its solver, and what it tells of the assembled matrix.
 
-In the order of the data: gathered, coarse, stability.
+In the order of the data: columns, gathered, coarse, bodies, motions, singularity, stability,
+averaged, flux.
 """

@@ -35,7 +35,7 @@ from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.subdomain.blocks import own_columns
-from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
+from dolfinx_feti.feti.subdomain.pseudoinverse import Modes
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Coarse"]
@@ -67,7 +67,7 @@ class Coarse:
         self,
         torn: Torn,
         gluing: Gluing,
-        inverse: PseudoInverse,
+        modes: Modes,
         preconditioner: Preconditioner,
         *,
         q: str,
@@ -79,7 +79,7 @@ class Coarse:
         Args:
             torn: The torn matrix.
             gluing: Its jump operators.
-            inverse: The generalised inverse with E and D.
+            modes: E and D of every subdomain.
             preconditioner: M, for Q = M.
             q: ``identity``, ``diagonal`` or ``preconditioner``.
             symmetric: Whether K is symmetric.
@@ -89,18 +89,17 @@ class Coarse:
             Collective.
         """
         self._torn = torn
-        self._inverse = inverse
-        self.size = int(inverse.kernel_dimensions().sum())
+        self._modes = modes
+        self.size = int(modes.dimensions.sum())
         self.start = torn.comm.scan(self.size) - self.size
         self.total = torn.comm.allreduce(self.size)
-        self.exact = torn.comm.allreduce(all(inverse.exact), op=MPI.LAND)
-        self.G = self._jump_of(gluing.B, inverse.E)
-        same = inverse.E_left is inverse.E
-        self.G_left = self.G if same else self._jump_of(gluing.B, inverse.E_left)
+        self.exact = torn.comm.allreduce(all(modes.exact), op=MPI.LAND)
+        self.G = self._jump_of(gluing.B, modes.E)
+        self.G_left = self.G if modes.symmetric else self._jump_of(gluing.B, modes.E_left)
         self.q = _weight(torn, gluing, q)
         self.QG = self.G.copy()
         self.QG.diagonalScale(L=self.q)
-        self.D = self.block_diagonal(inverse.D)
+        self.D = self.block_diagonal(modes.D)
         self.N = self.G_left.transposeMatMult(self.QG)  # N = Gᵀ Q G, the diagonal part of Q
         self.GMG: PETSc.Mat | None = None
         if q == "preconditioner":
@@ -126,21 +125,21 @@ class Coarse:
 
     def restrict(self, f: Array) -> Array:
         """Return the load of the kernels, e = Eᵀ f, (n,) → (K,)."""
-        pairs = zip(self._inverse.E_left, self._inverse.dofs, strict=True)
+        pairs = zip(self._modes.E_left, self._modes.dofs, strict=True)
         return np.concatenate([*(E.T @ f[dofs] for E, dofs in pairs), np.zeros(0)])
 
     def prolong(self, s: Array) -> Array:
         """Return the motion of the kernels, E s, (K,) → (n,)."""
         u = np.zeros(self._torn.n)
         first = 0
-        for E, dofs in zip(self._inverse.E, self._inverse.dofs, strict=True):
+        for E, dofs in zip(self._modes.E, self._modes.dofs, strict=True):
             u[dofs] = E @ s[first : first + E.shape[1]]
             first += E.shape[1]
         return u
 
     def _jump_of(self, B: PETSc.Mat, E: list[Array]) -> PETSc.Mat:
         """Form B E from the kernels of all subdomains."""
-        E_all = own_columns(self._torn, self._inverse.dofs, E)
+        E_all = own_columns(self._torn, self._modes.dofs, E)
         G = B.matMult(E_all)  # G = B E
         E_all.destroy()
         return G

@@ -34,7 +34,7 @@ from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.preconditioner.choice import create_preconditioner
 from dolfinx_feti.feti.subdomain.blocks import own_columns
-from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
+from dolfinx_feti.feti.subdomain.pseudoinverse import Modes
 from dolfinx_feti.torn import Torn
 
 __all__ = ["galerkin_matrix", "negative_eigenvalues"]
@@ -46,7 +46,7 @@ ROUNDING = 1e-9
 def negative_eigenvalues(
     torn: Torn,
     gluing: Gluing,
-    inverse: PseudoInverse,
+    modes: Modes,
     preconditioner: Preconditioner,
     coarse: Coarse,
     *,
@@ -57,7 +57,7 @@ def negative_eigenvalues(
     Args:
         torn: The torn matrix, symmetric.
         gluing: Its jump operators.
-        inverse: E, R, D and ρ.
+        modes: E, R, D and ρ of every subdomain.
         preconditioner: M, with its props.
         coarse: G, D and Gᵀ M G.
         prefix: Options prefix of the coarse solver, which factors A₀ as well.
@@ -68,9 +68,9 @@ def negative_eigenvalues(
     Note:
         Collective.
     """
-    A_0 = galerkin_matrix(torn, gluing, inverse, preconditioner, coarse)
+    A_0 = galerkin_matrix(torn, gluing, modes, preconditioner, coarse)
     solver = GatheredSolver(A_0, prefix=prefix, symmetric=True)
-    negative, _ = solver.inertia()
+    negative = solver.pivots().negative
     solver.destroy()
     A_0.destroy()
     return negative
@@ -79,7 +79,7 @@ def negative_eigenvalues(
 def galerkin_matrix(
     torn: Torn,
     gluing: Gluing,
-    inverse: PseudoInverse,
+    modes: Modes,
     preconditioner: Preconditioner,
     coarse: Coarse,
 ) -> PETSc.Mat:
@@ -96,7 +96,7 @@ def galerkin_matrix(
         energy = create_preconditioner(
             "lumped", torn, gluing, preconditioner.matrices, symmetric=True, prefix=""
         )
-        energy.update(inverse.props)
+        energy.update(modes.props)
     if coarse.GMG is None or energy is not preconditioner:
         MG = energy.product(coarse.G)
         A_0 = coarse.G.transposeMatMult(MG)  # Gᵀ M₊ G
@@ -106,13 +106,13 @@ def galerkin_matrix(
     least = A_0.getDiagonal()
     least.scale(ROUNDING)
     X = gluing.B_D.transposeMatMult(coarse.G)  # X = B_Dᵀ G
-    R_Γ = [energy.to_interface(i, R_i) for i, R_i in enumerate(inverse.R)]
+    R_Γ = [energy.to_interface(i, R_i) for i, R_i in enumerate(modes.R)]
     Y_Z, R = (own_columns(torn, energy.interface, blocks) for blocks in (energy.props, R_Γ))
     H, RX = Y_Z.transposeMatMult(X), R.transposeMatMult(X)
     HH = H.transposeMatMult(H)  # Gᵀ M₊ G − Hᵀ H = Gᵀ M_K G
     W = coarse.D.matMult(RX)  # W = D (E_Γᵀ R)ᵀ B_Dᵀ G
     Wt = W.copy().transpose()
-    blocks = zip(inverse.D, inverse.rho, strict=True)
+    blocks = zip(modes.D, modes.rho, strict=True)
     own = coarse.block_diagonal([D - D @ D / ρ for D, ρ in blocks])  # Eᵀ K E = D − D²/ρ
     for sign, part in ((-1.0, HH), (-1.0, W), (-1.0, Wt), (1.0, own)):
         A_0.axpy(sign, part, structure=DIFFERENT)

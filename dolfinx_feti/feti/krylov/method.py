@@ -9,8 +9,8 @@ Conjugate gradients are safe as long as the dual system is positive definite on 
 
 The coefficients of CG are those of Lanczos' method. Rounding makes its vectors lose their
 orthogonality to the eigenvectors that have converged: copies of these appear (ghosts), and
-iterations are spent on them. ``feti_dual_reorthogonalize`` takes PETSc's flexible CG instead, which
-makes each direction F-orthogonal to all earlier ones, and so needs two vectors for each iteration.
+iterations are spent on them. PETSc's flexible CG (``feti_dual_ksp_type fcg``) makes each direction
+F-orthogonal to all earlier ones, and so needs two vectors for each iteration.
 """
 
 from __future__ import annotations
@@ -48,7 +48,6 @@ class Method:
     Attributes:
         type: PETSc's name of it.
         prefix: Options prefix, ``…feti_dual_``.
-        given: Options that come before the user's own.
         stagnation: Iterations without a new least residual that end a solve; 0 for no end.
         users_test: Whether the user's own ``ksp_rtol`` or ``ksp_atol`` decides, not the residual of
             the assembled system.
@@ -56,7 +55,6 @@ class Method:
 
     type: str
     prefix: str
-    given: dict[str, object]
     stagnation: int
     users_test: bool
 
@@ -88,9 +86,7 @@ class Solution:
     eigenvalues: tuple[float, float]
 
 
-def choose_method(
-    comm: MPI.Comm, *, definite: bool, prefix: str, stagnation: int, reorthogonalize: bool
-) -> Method:
+def choose_method(comm: MPI.Comm, *, definite: bool, prefix: str, stagnation: int) -> Method:
     """Read the choice of a Krylov method from the options.
 
     Args:
@@ -98,7 +94,6 @@ def choose_method(
         definite: Whether CG is safe.
         prefix: Options prefix.
         stagnation: Iterations without a new least residual that end a solve; 0 for no end.
-        reorthogonalize: Keep CG's directions orthogonal to all earlier ones.
 
     Raises:
         PETSc.Error: The options ask for a method that PETSc does not have.
@@ -107,14 +102,11 @@ def choose_method(
         Collective.
     """
     own = PETSc.Options(prefix)
-    default = "cg" if definite else "gmres"
-    full = reorthogonalize and own.getString("ksp_type", default) == "cg"
-    given: dict[str, object] = {"ksp_type": "fcg"} if full else {}
-    ksp = _create_ksp(comm, default, prefix, given)
+    ksp = _create_ksp(comm, "cg" if definite else "gmres", prefix, directions=1)
     kind = ksp.getType()
     ksp.destroy()
     users_test = any(own.hasName(f"ksp_{key}") for key in ("rtol", "atol"))
-    return Method(kind, prefix, given, stagnation, users_test)
+    return Method(kind, prefix, stagnation, users_test)
 
 
 def solve(
@@ -144,8 +136,7 @@ def solve(
     """
     first, rest = system.start(b)
     context = _Context(system)
-    given = {"ksp_fcg_mmax": max_it, **method.given} if method.type == "fcg" else method.given
-    ksp = _create_ksp(system.comm, method.type, method.prefix, given)
+    ksp = _create_ksp(system.comm, method.type, method.prefix, directions=max_it)
     mat = PETSc.Mat().createPython(((system.size, None),) * 2, context, comm=system.comm)
     mat.setUp()
     ksp.setOperators(mat)
@@ -198,15 +189,16 @@ class _Context:
         z.array[:], self.norm = self._system.precondition(r.array_r)
 
 
-def _create_ksp(comm: MPI.Comm, kind: str, prefix: str, given: dict[str, object]) -> PETSc.KSP:
-    """Create a KSP with the user's options; ``given`` ones take their place."""
+def _create_ksp(comm: MPI.Comm, kind: str, prefix: str, *, directions: int) -> PETSc.KSP:
+    """Create a KSP with the user's options; flexible CG keeps so many directions by default."""
     ksp = PETSc.KSP().create(comm)
     ksp.setOptionsPrefix(prefix)
     ksp.setType(kind)
     ksp.setGMRESRestart(RESTART)
     ksp.getPC().setType(PETSc.PC.Type.PYTHON)
     ksp.setComputeSingularValues(True)
-    with inserted(prefix, given):
+    full = {} if PETSc.Options(prefix).hasName("ksp_fcg_mmax") else {"ksp_fcg_mmax": directions}
+    with inserted(prefix, full):
         ksp.setFromOptions()
     if ksp.getType() in ("gmres", "fgmres"):
         ksp.setPCSide(PETSc.PC.Side.RIGHT)  # its residual then is the jump

@@ -41,7 +41,7 @@ from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.linear_map import LinearMap
 from dolfinx_feti.feti.subdomain.blocks import block_columns
 from dolfinx_feti.feti.subdomain.factors import BlockFactors
-from dolfinx_feti.feti.subdomain.matrices import Interior
+from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Preconditioner"]
@@ -56,6 +56,8 @@ class Preconditioner(ABC):
     Attributes:
         torn: The torn matrix.
         matrices: The matrix of each subdomain, K on its free dofs or S on the interface.
+        glued: Torn dofs of the interface, (n_Γ,).
+        on_interface: Mask of the glued ones among the dofs of the matrix of each subdomain.
         interface: Glued free dofs Γ of each subdomain.
         interior: The other dofs I of each subdomain on which its matrix lives.
         factors: Interior factors, if the preconditioner has any.
@@ -67,7 +69,13 @@ class Preconditioner(ABC):
     energetic = True
 
     def __init__(
-        self, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
+        self,
+        torn: Torn,
+        gluing: Gluing,
+        matrices: SubdomainMatrices,
+        *,
+        symmetric: bool,
+        prefix: str,
     ) -> None:
         """Sort the dofs into interface and interior.
 
@@ -82,15 +90,23 @@ class Preconditioner(ABC):
         self.matrices = matrices
         self.symmetric = symmetric
         self.prefix = prefix
+        self.glued = gluing.glued
         self._B_D = gluing.B_D
         self.B_D = LinearMap(gluing.B_D)
         glued = np.zeros(torn.n, dtype=bool)
         glued[gluing.glued] = True
-        self._on_interface = [glued[rows] for rows in matrices.dofs]
-        pairs = list(zip(matrices.dofs, self._on_interface, strict=True))
+        self.on_interface = [glued[rows] for rows in matrices.dofs]
+        pairs = list(zip(matrices.dofs, self.on_interface, strict=True))
         self.interface = [rows[on] for rows, on in pairs]
         self.interior = [rows[~on] for rows, on in pairs]
         self._Γ = np.concatenate([*self.interface, np.zeros(0, dtype=np.int32)])
+
+    def weigh(self) -> None:  # noqa: B027
+        """Take the weights of the current K, if there are any.
+
+        Note:
+            Collective.
+        """
 
     def update(self, props: list[Array]) -> None:
         """Take over the current K.
@@ -101,7 +117,7 @@ class Preconditioner(ABC):
         Raises:
             FactorError: A factorisation failed. Not collective: the caller reduces.
         """
-        self._prop([Z[on] for Z, on in zip(props, self._on_interface, strict=True)])
+        self._prop([Z[on] for Z, on in zip(props, self.on_interface, strict=True)])
 
     def apply(self, r: Array) -> tuple[Array, Array]:
         """Apply the preconditioner to a jump.
@@ -154,7 +170,7 @@ class Preconditioner(ABC):
 
     def to_interface(self, i: int, X: Array) -> Array:
         """Move forces X on subdomain i to its interface, E_Γᵀ X, (n_i, r) → (n_Γ, r)."""
-        return X[self._on_interface[i]]
+        return X[self.on_interface[i]]
 
     def _image(self, i: int, W: scipy.sparse.csr_array) -> tuple[Array, Indices]:
         """Apply Y_i with props to the non-zero columns of W, (n_Γ, K); return image and columns."""

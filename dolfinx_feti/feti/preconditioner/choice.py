@@ -10,7 +10,7 @@ from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.preconditioner.dirichlet import Dirichlet, ImplicitDirichlet
 from dolfinx_feti.feti.preconditioner.identity import Identity, Unpreconditioned
 from dolfinx_feti.feti.preconditioner.lumped import Lumped
-from dolfinx_feti.feti.subdomain.matrices import Interior
+from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
 from dolfinx_feti.torn import Torn
 
 __all__ = ["PRECONDITIONERS", "create_preconditioner"]
@@ -24,7 +24,13 @@ PRECONDITIONERS: dict[str, type[Preconditioner]] = {
 
 
 def create_preconditioner(
-    kind: str, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
+    kind: str,
+    torn: Torn,
+    gluing: Gluing,
+    matrices: SubdomainMatrices,
+    *,
+    symmetric: bool,
+    prefix: str,
 ) -> Preconditioner:
     """Choose the preconditioner, and for S the way it is applied.
 
@@ -40,6 +46,6 @@ def create_preconditioner(
         Collective.
     """
     choice = PRECONDITIONERS[kind]
-    if kind == "dirichlet" and matrices.eliminated is not None:
+    if kind == "dirichlet" and matrices.condensed:
         choice = Dirichlet
     return choice(torn, gluing, matrices, symmetric=symmetric, prefix=prefix)

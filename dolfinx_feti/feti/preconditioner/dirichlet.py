@@ -27,7 +27,7 @@ from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.subdomain.blocks import index_set, product_many
 from dolfinx_feti.feti.subdomain.factors import BlockFactors
-from dolfinx_feti.feti.subdomain.matrices import Interior
+from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Dirichlet", "ImplicitDirichlet"]
@@ -50,6 +50,14 @@ class Dirichlet(Preconditioner):
         """Return K E_Γ w = S w, which is t."""
         return t  # K E_Γ w = S w
 
+    def condense(self, f: Array) -> Array:
+        """Move a load to the interface, f_Γ − K_ΓI K_II⁻¹ f_I, (n,) or (n, r)."""
+        return self.matrices.condense(f)
+
+    def complete(self, u: Array, f: Array) -> Array:
+        """Complete u on the interface by K_II⁻¹ (f_I − K_IΓ u_Γ) inside, (n,)."""
+        return self.matrices.extend(u, f)
+
 
 class ImplicitDirichlet(Dirichlet):
     """M = B_D S B_Dᵀ, with S applied by a factor of K_II.
@@ -60,7 +68,13 @@ class ImplicitDirichlet(Dirichlet):
     factors: BlockFactors
 
     def __init__(
-        self, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
+        self,
+        torn: Torn,
+        gluing: Gluing,
+        matrices: SubdomainMatrices,
+        *,
+        symmetric: bool,
+        prefix: str,
     ) -> None:
         """Prepare the interior factorisations; see the base class."""
         super().__init__(torn, gluing, matrices, symmetric=symmetric, prefix=prefix)
@@ -100,16 +114,32 @@ class ImplicitDirichlet(Dirichlet):
         self.factors.solve(self._interface_columns(w[self._Γ]), x)
         return w - x  # harmonic: −K_II⁻¹ K_IΓ w inside
 
+    def condense(self, f: Array) -> Array:
+        """Move a load to the interface, f_Γ − K_ΓI K_II⁻¹ f_I, (n,) or (n, r)."""
+        if f.ndim == 2:
+            columns = [self.condense(f[:, j]) for j in range(f.shape[1])]
+            return np.stack(columns, axis=1) if columns else f
+        x, t = np.zeros_like(f), np.zeros_like(f)
+        self.factors.solve(f, x)
+        t[self._Γ] = f[self._Γ] - _mult(self._rows, x)
+        return t
+
+    def complete(self, u: Array, f: Array) -> Array:
+        """Complete u on the interface by K_II⁻¹ (f_I − K_IΓ u_Γ) inside, (n,)."""
+        u = u.copy()
+        self.factors.solve(f - self._interface_columns(u[self._Γ]), u)
+        return u
+
     def to_interface(self, i: int, X: Array) -> Array:
         """Condense forces on subdomain i to its interface, (n_i, r) → (n_Γ, r)."""
-        inside = ~self._on_interface[i]
+        inside = ~self.on_interface[i]
         Γ, I = self.interface[i], self.interior[i]  # noqa: E741
         Y = self.factors.solve_many(i, X[inside])
         return X[~inside] - product_many(self.torn.K, Γ, I, Y)  # X_Γ − K_ΓI K_II⁻¹ X_I
 
     def _condensed(self, i: int, Z: Array) -> Array:
         """Condense props on all dofs of subdomain i to its interface, (n_i, q) → (n_Γ, q)."""
-        inside = ~self._on_interface[i]
+        inside = ~self.on_interface[i]
         if Z.shape[1] == 0 or not np.any(inside):
             return Z[~inside]
         Γ, I = self.interface[i], self.interior[i]  # noqa: E741

@@ -15,10 +15,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
-from dolfinx_feti.feti.subdomain.matrices import Interior
-from dolfinx_feti.torn import Torn
 
 __all__ = ["Identity", "Unpreconditioned"]
 
@@ -34,17 +31,16 @@ class Identity(Preconditioner):
 
     energetic = False
 
-    def __init__(
-        self, torn: Torn, gluing: Gluing, matrices: Interior, *, symmetric: bool, prefix: str
-    ) -> None:
-        """Find θ; see the base class.
+    theta = 1.0
+
+    def weigh(self) -> None:
+        """Find θ.
 
         Note:
             Collective.
         """
-        super().__init__(torn, gluing, matrices, symmetric=symmetric, prefix=prefix)
-        k = np.abs(torn.K.getDiagonal().array_r[gluing.glued])
-        total, count = torn.comm.allreduce(np.array([k.sum(), len(k)]))
+        k = np.abs(self.torn.diagonal()[self.glued])
+        total, count = self.torn.comm.allreduce(np.array([k.sum(), len(k)]))
         self.theta = total / count if total > 0.0 else 1.0
 
     def multiply(self, w: Array) -> Array:

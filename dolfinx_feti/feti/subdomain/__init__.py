@@ -3,6 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """One subdomain at a time: its matrix, its factors, its kernel, its generalised inverse.
 
-In the order of the data: blocks, factors, dense, schur, kernel, matrices,
-enrichment, pseudoinverse.
+In the order of the data: blocks, direct, factors, dense, schur, kernel, nullspace, elimination,
+matrices, enrichment, pseudoinverse.
 """

@@ -1,11 +1,16 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Blocks of the local matrix, and dense blocks of subdomains as columns of a sparse matrix."""
+"""Blocks cut out of the local matrix, and dense blocks put into a distributed one.
+
+Whatever is done per subdomain can fail on one process alone. :func:`named` adds the number of
+the subdomain to the error; ``setup`` makes it one error on all processes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from petsc4py import PETSc
 
@@ -13,16 +18,37 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
+from dolfinx_feti.collective import reason
+from dolfinx_feti.errors import FactorError
 from dolfinx_feti.torn import Torn
 
-__all__ = ["block_columns", "index_set", "own_columns", "product_many", "sparse_block"]
+__all__ = ["block_columns", "index_set", "named", "own_columns", "product_many", "sparse_block"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
 
+@contextmanager
+def named(subdomain: int) -> Iterator[None]:
+    """Let errors of the work inside name the subdomain.
+
+    Args:
+        subdomain: Its number over all processes.
+
+    Raises:
+        FactorError: Whatever the work has raised (LAPACK, ARPACK, SciPy, MUMPS, memory). Not
+            collective: the caller reduces.
+    """
+    try:
+        yield
+    except Exception as error:
+        text = reason(error)
+        kind = "" if isinstance(error, FactorError) else f"{type(error).__name__}: "
+        raise FactorError(f"subdomain {subdomain}: {kind}{text}") from error
+
+
 def index_set(rows: Indices) -> PETSc.IS:
-    """Return rows of a sequential matrix as PETSc's index set; the caller destroys it."""
+    """Turn rows into an index set; the caller destroys it."""
     return PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
 
 
@@ -81,7 +107,7 @@ def block_columns(
 
 
 def own_columns(torn: Torn, rows: Sequence[Indices], blocks: Sequence[Array]) -> PETSc.Mat:
-    """Give each block columns of its own, numbered on: one distributed matrix, (n_torn, Σ c_i).
+    """Give each block columns of its own, consecutive: one distributed matrix, (n_torn, Σ c_i).
 
     Args:
         torn: The torn matrix.

@@ -1,16 +1,18 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Dense symmetric blocks, one a subdomain, and the factors of their regularised companions.
+r"""Dense symmetric blocks, one per subdomain, and the factors of their regularised companions.
 
-The Schur complement S of a subdomain (``interior``) is dense, and so is
+The Schur complement S of a subdomain (``matrices``) is dense, and so is
 
 .. math:: S_ρ = S + ρ\, R R^⊤ = U^⊤ U.
 
 A Krylov method needs both in every iteration, and reads either triangle of *one* array: the lower
 one holds S, the upper one and the diagonal hold U; the diagonal of S stands apart. Where the
-Cholesky factorisation meets a pivot that is not positive, all eigenvalues tell the inertia, and
-:math:`S_ρ^{-1}` itself takes the place of U. With W = S R, and without cancellation,
+Cholesky factorisation meets a pivot that is not positive, :math:`U Δ U^⊤` with Bunch and Kaufman's
+pivots takes its place, and tells the inertia. If that meets a zero, too, all eigenvalues are
+computed, and the pseudo-inverse stands in the upper triangle. With W = S R, and without
+cancellation,
 
 .. math:: E = ρ\, S_ρ^{-1} R = R - S_ρ^{-1} W, \qquad D = ρ\, (I - R^⊤ E) = E^⊤ W.
 """
@@ -25,6 +27,7 @@ import scipy.linalg.blas as blas
 import scipy.linalg.lapack as lapack
 
 from dolfinx_feti.errors import FactorError
+from dolfinx_feti.feti.subdomain.direct import Pivots
 
 __all__ = ["DenseFactors"]
 
@@ -38,8 +41,8 @@ ZERO = 1e-14
 class DenseFactors:
     """Symmetric blocks ``S_i`` on the dofs ``rows_i`` and the factors of ``S_i + ρ R Rᵀ``.
 
-    The methods are those of ``BlockFactors`` (``factors``), with R in the place of its border;
-    :meth:`multiply` and :meth:`multiply_many` apply S itself.
+    The methods are those of ``Factors`` (``factors``); :meth:`multiply` and :meth:`multiply_many`
+    apply S itself.
 
     Attributes:
         rows: Dofs of each block.
@@ -58,22 +61,22 @@ class DenseFactors:
         """Take over the block S, (n_i, n_i), of which the lower triangle is read."""
         self._blocks[i] = _Block(np.asfortranarray(S))
 
-    def update(self, R: Sequence[Array], rho: Array) -> None:
-        """Factor every regularised block.
+    def update_block(
+        self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: Array | None = None
+    ) -> None:
+        """Factor one regularised block.
 
         Args:
-            R: For each block its columns R, (n_i, k), orthonormal.
-            rho: For each block the stiffness ρ.
+            i: Number of the block.
+            R: Its columns, (n_i, k), orthonormal.
+            rho: The stiffness ρ.
+            shift: Added to the diagonal, (n_i,).
 
         Raises:
-            FactorError: NaN or Inf in a block. Not collective: the caller reduces.
+            FactorError: NaN or Inf in the block. Not collective: the caller reduces.
         """
-        for i, R_i in enumerate(R):
-            self.update_block(i, R_i, float(rho[i]))
-
-    def update_block(self, i: int, R: Array, rho: float) -> None:
-        """Factor block i with the columns R, see :meth:`update`."""
-        self._blocks[i].factor(R, rho)
+        block = self._blocks[i]
+        block.factor(np.zeros((len(block.S), 0)) if R is None else R, rho, shift)
 
     def multiply(self, t: Array, y: Array) -> None:
         """Apply every block: ``y[rows_i] = S_i t[rows_i]``, other entries untouched."""
@@ -97,14 +100,9 @@ class DenseFactors:
         """Return E/ρ, (n_i, k), and −D/ρ², (k, k): the border's solution in ``factors``."""
         return self._blocks[i].solve_border()
 
-    def inertia(self) -> npt.NDArray[np.int64]:
-        """Count negative and zero eigenvalues of each regularised block, (blocks, 2)."""
-        known = [block.inertia for block in self._blocks]
-        return np.array(known, dtype=np.int64).reshape(-1, 2)
-
-    def inertia_of(self, i: int) -> tuple[int, int]:
+    def pivots(self, i: int) -> Pivots:
         """Count negative and zero eigenvalues of the regularised block i."""
-        return self._blocks[i].inertia
+        return self._blocks[i].pivots
 
     def memory(self) -> float:
         """Return the memory of all blocks in MiB."""
@@ -116,45 +114,61 @@ class DenseFactors:
 
 
 class _Block:
-    """S in the lower triangle, U or the inverse in the upper one and on the diagonal."""
+    """S in the lower triangle, its factor or inverse in the upper one and on the diagonal."""
 
     def __init__(self, S: Array) -> None:
         self.S = S
         self.diagonal = S.diagonal().copy()
-        self.inertia = (0, 0)
-        self._definite = False
+        self.pivots = Pivots(0, 0)
+        self._interchanges: npt.NDArray[np.int32] | None = None  # of Bunch and Kaufman
+        self._inverted = False
         self._R: Array = np.zeros((len(S), 0))
         self._rho = 1.0
+        self._shift: Array | None = None
 
-    def factor(self, R: Array, rho: float) -> None:
-        self._R, self._rho = R, rho
+    def factor(self, R: Array, rho: float, shift: Array | None) -> None:
+        self._R, self._rho, self._shift = R, rho, shift
         if len(self.S) == 0:
             return
         if not np.isfinite(self.diagonal).all():
             raise FactorError("a Schur complement has entries that are NaN or Inf")
-        X = self._regularised()
-        X, failed = lapack.dpotrf(X, lower=0, overwrite_a=1, clean=0)  # Uᵀ U = S + ρ R Rᵀ
-        pivots = X.diagonal() ** 2
-        self._definite = not failed and pivots.min() > ZERO * pivots.max()
-        self.inertia = (0, 0)
-        if not self._definite:
-            X = self._invert_indefinite()
+        self.pivots, self._interchanges, self._inverted = Pivots(0, 0), None, False
+        X, failed = lapack.dpotrf(self._regularised(), lower=0, overwrite_a=1, clean=0)  # Uᵀ U
+        d = X.diagonal() ** 2
+        if failed or d.min() <= ZERO * d.max():
+            X = self._factor_indefinite()
         np.copyto(X, self.S, where=np.tri(len(X), k=-1, dtype=bool))
         self.S = X
 
     def _regularised(self) -> Array:
-        """Form S + ρ R Rᵀ in the upper triangle of a new array."""
+        """Form S + ρ R Rᵀ, shifted, in the upper triangle of a new array."""
         X: Array = self.S.T.copy(order="F")
-        np.fill_diagonal(X, self.diagonal)
+        np.fill_diagonal(X, self.diagonal if self._shift is None else self.diagonal + self._shift)
         if self._R.shape[1] == 0:
             return X
         return blas.dsyrk(self._rho, self._R, beta=1.0, c=X, lower=0, overwrite_c=1)
 
-    def _invert_indefinite(self) -> Array:
-        X = self._regularised()
-        values, V = np.linalg.eigh(X, UPLO="U")
+    def _factor_indefinite(self) -> Array:
+        """Factor S_ρ = U Δ Uᵀ in the upper triangle; invert it where a block of Δ is zero."""
+        work = int(lapack.dsytrf_lwork(len(self.S), lower=0)[0])
+        X, interchanges, failed = lapack.dsytrf(
+            self._regularised(), lower=0, lwork=work, overwrite_a=1
+        )
+        delta = _pivot_eigenvalues(X, interchanges)
+        zero = np.abs(delta) <= ZERO * np.abs(delta).max()
+        if failed or np.any(zero):
+            return self._invert()
+        self.pivots, self._interchanges = (
+            Pivots(int(np.count_nonzero(delta < 0.0)), 0),
+            interchanges,
+        )
+        return X
+
+    def _invert(self) -> Array:
+        values, V = np.linalg.eigh(self._regularised(), UPLO="U")
         zero = np.abs(values) <= ZERO * np.abs(values).max()
-        self.inertia = (int(np.count_nonzero(values[~zero] < 0.0)), int(np.count_nonzero(zero)))
+        negative = np.count_nonzero(values[~zero] < 0.0)
+        self.pivots, self._inverted = Pivots(int(negative), int(np.count_nonzero(zero))), True
         values[zero] = np.inf
         return np.asfortranarray((V / values) @ V.T)
 
@@ -175,8 +189,10 @@ class _Block:
     def solve(self, y: Array) -> Array:
         if len(y) == 0:
             return y
-        if not self._definite:
+        if self._inverted:
             return blas.dsymv(1.0, self.S, y, lower=0)
+        if self._interchanges is not None:
+            return lapack.dsytrs(self.S, self._interchanges, y, lower=0)[0]
         x = blas.dtrsv(self.S, y, lower=0, trans=1)
         return blas.dtrsv(self.S, x, lower=0, overwrite_x=1)  # U⁻¹ U⁻ᵀ y
 
@@ -185,8 +201,10 @@ class _Block:
             return np.zeros(Y.shape)
         if Y.shape[1] == 1:
             return self.solve(Y[:, 0])[:, None]
-        if not self._definite:
+        if self._inverted:
             return blas.dsymm(1.0, self.S, np.asfortranarray(Y), lower=0)
+        if self._interchanges is not None:
+            return lapack.dsytrs(self.S, self._interchanges, Y, lower=0)[0]
         X = blas.dtrsm(1.0, self.S, np.asfortranarray(Y), lower=0, trans_a=1)
         return blas.dtrsm(1.0, self.S, X, lower=0, overwrite_b=1)
 
@@ -195,3 +213,13 @@ class _Block:
         E = self._R - self.solve_many(W)  # E = R − S_ρ⁻¹ W
         D = E.T @ W
         return np.asarray(E / self._rho), np.asarray(-D / self._rho**2)
+
+
+def _pivot_eigenvalues(X: Array, interchanges: npt.NDArray[np.int32]) -> Array:
+    """Return the eigenvalues of the blocks of Δ, of one or two rows, in U Δ Uᵀ."""
+    d = X.diagonal().copy()
+    second = np.flatnonzero(interchanges < 0)[1::2]  # the blocks of two rows take two entries
+    a, b, c = d[second - 1], X[second - 1, second], d[second]
+    mean, radius = 0.5 * (a + c), np.hypot(0.5 * (a - c), b)
+    d[second - 1], d[second] = mean - radius, mean + radius
+    return d

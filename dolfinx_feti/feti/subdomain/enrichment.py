@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Enrichment: elastic modes of a subdomain that join its rigid body modes.
+r"""Enrichment: elastic modes of a subdomain that join its kernel.
 
 The algebra of ``pseudoinverse`` is exact for any columns R. Two kinds of eigenvectors pay for their
 coarse unknown:
@@ -14,17 +14,22 @@ coarse unknown:
   neighbours, although the assembled matrix is positive definite.
 
 A rough approximation of the eigenvectors is enough.
+
+Both are looked for anew in every matrix. Modes that stayed would let the coarse space grow along a
+load path: on a clamped tube that passed through folds on its way to 300 mmHg, twice as many modes
+saved a tenth of the iterations, and cost a third more time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse.linalg
 
-__all__ = ["append_orthonormal", "buckling_modes", "soft_modes"]
+__all__ = ["Enrichment", "append_orthonormal", "buckling_modes", "deflated", "soft_modes"]
 
 Array = npt.NDArray[np.float64]
 Solve = Callable[[Array], Array]
@@ -37,6 +42,21 @@ POWER, SPARE = 3, 8
 
 #: Lanczos vectors that decide whether there is a soft mode at all.
 LOOK = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Enrichment:
+    """Which elastic modes of a subdomain join its kernel.
+
+    Attributes:
+        buckling: Those with a negative eigenvalue.
+        soft: Most soft ones.
+        threshold: Share of the interface stiffness below which a mode is soft.
+    """
+
+    buckling: bool
+    soft: int
+    threshold: float
 
 
 def soft_modes(solve: Solve, weight: Array, most: int, threshold: float) -> Array:
@@ -86,6 +106,26 @@ def buckling_modes(solve: Solve, n: int, count: int) -> Array:
         inverse = solve(np.eye(n))
         return np.linalg.eigh(0.5 * (inverse + inverse.T))[1][:, :count]
     return _lanczos(solve, n, count, "SA", krylov=max(2 * count + 8, 20), restarts=50)[1]
+
+
+def deflated(solve: Solve, Y: Array, rho: float) -> Solve:
+    """Return the inverse of K_ρ + ρ Y Yᵀ from that of K_ρ, by Sherman, Morrison and Woodbury.
+
+    Args:
+        solve: Applies :math:`K_ρ^{-1}` to columns, (n, r) → (n, r).
+        Y: Orthonormal columns, (n, k).
+        rho: The stiffness ρ.
+    """
+    if Y.shape[1] == 0:
+        return solve
+    Z = solve(Y)
+    capacity = np.linalg.inv(np.eye(Y.shape[1]) / rho + Y.T @ Z)
+
+    def stiffened(X: Array) -> Array:
+        V = solve(X)
+        return V - Z @ (capacity @ (Y.T @ V))
+
+    return stiffened
 
 
 def append_orthonormal(R: Array, Y: Array) -> Array:

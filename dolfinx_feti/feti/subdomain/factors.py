@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Direct factors of diagonal blocks of the local matrix, one a subdomain.
+r"""Direct factors of diagonal blocks of the local matrix, one per subdomain.
 
 Both the generalised inverse :math:`K_ρ^{-1}` and the interior solve :math:`K_{II}^{-1}` of the
 Dirichlet preconditioner are *a block of K, factored*; the former with a border of k columns R,
@@ -14,12 +14,15 @@ Dirichlet preconditioner are *a block of K, factored*; the former with a border 
 which adds the dense :math:`ρ R R^⊤` at the price of k rows of the factor. The factor is
 :math:`L Δ L^⊤` (LU for an unsymmetric K): a loaded wall has subdomains with negative eigenvalues,
 and their number, the inertia, is read off Δ; the border contributes k.
+
+What factors a regularised block has the methods of :class:`Factors`, whether the block is sparse
+(here) or dense (``dense``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import Protocol
 
 from petsc4py import PETSc
 
@@ -27,22 +30,57 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
-from dolfinx_feti.errors import FactorError
+from dolfinx_feti.feti.subdomain.blocks import index_set
+from dolfinx_feti.feti.subdomain.direct import (
+    Choice,
+    Pivots,
+    create_factor,
+    mebibytes,
+    pivots_of,
+)
 
-__all__ = ["BlockFactors", "Choice", "create_factor"]
+__all__ = ["BlockFactors", "Factors"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
 
-#: Percent of work space that MUMPS gets for delayed pivots, one try after the other.
-ROOM = (50, 200, 1000)
+class Factors(Protocol):
+    """Factors of the regularised blocks ``K_i + ρ R Rᵀ``."""
+
+    @property
+    def rows(self) -> Sequence[slice | Indices]:
+        """Rows of each block."""
+
+    def update_block(
+        self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: Array | None = None
+    ) -> None:
+        """Factor block i of the present matrix with the columns R."""
+
+    def solve(self, y: Array, x: Array) -> None:
+        """Solve with every block: ``x[rows_i] = K_i⁻¹ y[rows_i]``, other entries untouched."""
+
+    def solve_many(self, i: int, Y: Array) -> Array:
+        """Solve with block i for several right-hand sides, (n_i, r) → (n_i, r)."""
+
+    def solve_border(self, i: int, *, transpose: bool = False) -> tuple[Array, Array]:
+        """Return E/ρ, (n_i, k), and −D/ρ², (k, k)."""
+
+    def pivots(self, i: int) -> Pivots:
+        """Count negative and zero eigenvalues of block i."""
+
+    def memory(self) -> float:
+        """Return the memory of all factors of this process in MiB."""
+
+    def destroy(self) -> None:
+        """Free the factors."""
 
 
 class BlockFactors:
-    """Factors of the blocks ``K[dofs_i, dofs_i]``.
+    """Factors of the blocks ``K[rows_i, rows_i]``, which are sparse.
 
-    The symbolic factorisation is done once; :meth:`update` refills the blocks and refactors.
+    The symbolic factorisation is done once, as long as the width of the border stays;
+    :meth:`update_block` refills a block and factors it again.
 
     Attributes:
         rows: Rows of each block, a slice where they are consecutive.
@@ -57,7 +95,7 @@ class BlockFactors:
         symmetric: bool,
         right_hand_sides: int = 32,
     ) -> None:
-        """Prepare one factorisation a block; nothing is factored yet.
+        """Prepare one factorisation per block; nothing is factored yet.
 
         Args:
             K: Local matrix, (n, n).
@@ -69,38 +107,49 @@ class BlockFactors:
         self._K = K
         self.rows = [_as_slice(rows) for rows in blocks]
         self._sizes = [len(rows) for rows in blocks]
-        self._is = [
-            PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
-            for rows in blocks
-        ]
+        self._is = [index_set(rows) for rows in blocks]
         self._choice = Choice(prefix, symmetric, right_hand_sides)
         self._blocks: list[_Block | None] = [None] * len(blocks)
 
-    def update(self, borders: Sequence[Array] | None = None, rho: Array | None = None) -> None:
-        """Refill and factor every block.
-
-        Args:
-            borders: For each block its columns R, (n_i, k).
-            rho: For each block the stiffness ρ.
+    def update(self) -> None:
+        """Refill and factor every block, without a border.
 
         Raises:
             FactorError: A factorisation failed. Not collective: the caller reduces.
         """
-        for i, n in enumerate(self._sizes):
-            R = np.zeros((n, 0)) if borders is None else borders[i]
-            self.update_block(i, R, 1.0 if rho is None else float(rho[i]))
+        for i in range(len(self._sizes)):
+            self.update_block(i)
 
-    def update_block(self, i: int, R: Array, rho: float) -> None:
-        """Refill and factor block i with the border R, see :meth:`update`."""
+    def update_block(
+        self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: Array | None = None
+    ) -> None:
+        """Refill and factor one block.
+
+        Args:
+            i: Number of the block.
+            R: Its border, (n_i, k).
+            rho: The stiffness ρ.
+            shift: Added to the diagonal, (n_i,).
+
+        Raises:
+            FactorError: The factorisation failed. Not collective: the caller reduces.
+        """
         if self._sizes[i] == 0:
             return
-        csr = _bordered(self._K.createSubMatrix(self._is[i], self._is[i]), R, rho)
+        K = self._K.createSubMatrix(self._is[i], self._is[i])
+        if shift is not None:
+            diagonal = K.getDiagonal()
+            diagonal.array[:] += shift
+            K.setDiagonal(diagonal)
+            diagonal.destroy()
+        csr = _bordered(K, np.zeros((self._sizes[i], 0)) if R is None else R, rho)
+        width = 0 if R is None else R.shape[1]
         block = self._blocks[i]
-        if block is not None and block.border != R.shape[1]:
+        if block is not None and block.border != width:
             block.destroy()
             block = None
         if block is None:
-            block = _Block(csr, R.shape[1], self._choice)
+            block = _Block(csr, width, self._choice)
             self._blocks[i] = block
         block.factor(csr[2])
 
@@ -128,18 +177,13 @@ class BlockFactors:
         both = block.solve_many(rhs, transpose=transpose)
         return both[:n], both[n:]
 
-    def inertia(self) -> npt.NDArray[np.int64]:
-        """Count negative and zero eigenvalues of each block, (blocks, 2); −1 where unknown.
+    def pivots(self, i: int) -> Pivots:
+        """Count negative and zero eigenvalues of block i.
 
         A border counts as the term ρ R Rᵀ that it stands for.
         """
-        known = [self.inertia_of(i) for i in range(len(self._blocks))]
-        return np.array(known, dtype=np.int64).reshape(-1, 2)
-
-    def inertia_of(self, i: int) -> tuple[int, int]:
-        """Count negative and zero eigenvalues of block i, see :meth:`inertia`."""
         block = self._blocks[i]
-        return (0, 0) if block is None else block.inertia()
+        return Pivots(0, 0) if block is None else block.pivots()
 
     def memory(self) -> float:
         """Return the memory of all factors of this process in MiB."""
@@ -152,21 +196,6 @@ class BlockFactors:
         for block in self._blocks:
             if block is not None:
                 block.destroy()
-
-
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """What all factorisations have in common.
-
-    Attributes:
-        prefix: Options prefix.
-        symmetric: Whether the matrices are symmetric.
-        right_hand_sides: How many of them MUMPS treats at once.
-    """
-
-    prefix: str
-    symmetric: bool
-    right_hand_sides: int
 
 
 class _Block:
@@ -206,7 +235,7 @@ class _Block:
         return self._x.array_r[: self._n]
 
     def solve_many(self, Y: Array, *, transpose: bool = False) -> Array:
-        if transpose:
+        if transpose and Y.shape[1]:
             return np.column_stack([self._solve_transposed(column) for column in Y.T])
         rhs = PETSc.Mat().createDense(Y.shape, array=np.asfortranarray(Y), comm=PETSc.COMM_SELF)
         sol = PETSc.Mat().createDense(Y.shape, comm=PETSc.COMM_SELF)
@@ -225,66 +254,19 @@ class _Block:
         b.destroy()
         return self._x.array_r.copy()
 
-    def inertia(self) -> tuple[int, int]:
-        if not self._F.handle or self._F.getType() != "mumps":
-            return -1, -1
-        if self._pc is None or self._pc.getType() != "cholesky":
-            return -1, self._F.getMumpsInfog(28)
-        return self._F.getMumpsInfog(12) - self.border, self._F.getMumpsInfog(28)
+    def pivots(self) -> Pivots:
+        if self._pc is None:
+            return Pivots(None, None)
+        negative, zero = pivots_of(self._pc)
+        return Pivots(None if negative is None else negative - self.border, zero)
 
     def memory(self) -> float:
-        if not self._F.handle:
-            return 0.0
-        if self._F.getType() == "mumps":
-            return float(self._F.getMumpsInfog(22))  # used, in units of 10⁶ bytes
-        return float(self._F.getInfo(PETSc.Mat.InfoType.LOCAL)["memory"]) / 2**20
+        return 0.0 if self._pc is None else mebibytes(self._pc) or 0.0
 
     def destroy(self) -> None:
         for owned in (self._pc, self._matrix, self._b, self._x):
             if owned is not None:
                 owned.destroy()
-
-
-def create_factor(
-    matrix: PETSc.Mat, choice: Choice, prepare: Callable[[PETSc.Mat], object] | None = None
-) -> PETSc.PC:
-    """Factor a sequential matrix, with more work space for MUMPS if it asks for it.
-
-    Args:
-        matrix: The matrix, (n, n).
-        choice: How to factor.
-        prepare: Called with the factor before the work begins.
-
-    Raises:
-        FactorError: The factorisation failed.
-    """
-    for room in ROOM:
-        pc = _create_pc(matrix, choice, room)
-        if prepare is not None:
-            prepare(pc.getFactorMatrix())
-        pc.setUp()
-        failed = pc.getFailedReason()
-        if not failed:
-            return pc
-        pc.destroy()  # PETSc does not call MUMPS again with a factor that has failed
-        if failed != PETSc.PC.FailedReason.FACTOR_OUTMEMORY:
-            break
-    raise FactorError(f"PETSc reports failed reason {failed}")
-
-
-def _create_pc(matrix: PETSc.Mat, choice: Choice, room: int) -> PETSc.PC:
-    pc = PETSc.PC().create(PETSc.COMM_SELF)
-    pc.setOptionsPrefix(choice.prefix)
-    pc.setOperators(matrix)
-    pc.setType(PETSc.PC.Type.CHOLESKY if choice.symmetric else PETSc.PC.Type.LU)
-    pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
-    pc.setFromOptions()
-    if pc.getFactorSolverType() == "mumps":
-        pc.setFactorSetUpSolverType()
-        pc.getFactorMatrix().setMumpsIcntl(14, room)
-        pc.getFactorMatrix().setMumpsIcntl(27, choice.right_hand_sides)
-        pc.getFactorMatrix().setMumpsIcntl(24, 1)  # count zero pivots instead of dividing by them
-    return pc
 
 
 def _bordered(block: PETSc.Mat, R: Array, rho: float) -> tuple[Indices, Indices, Array]:

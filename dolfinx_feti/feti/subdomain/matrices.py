@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The interior of the subdomains: kept, or eliminated once and for all iterations.
+r"""The matrices of the subdomains as the dual method sees them: sparse K, or S on the interface.
 
 Gluing and multipliers touch the interface Γ only. With the Schur complement
 
@@ -13,13 +13,14 @@ Gluing and multipliers touch the interface Γ only. With the Schur complement
 the place of K, f, u: the generalised inverse is that of S, and the Dirichlet preconditioner applies
 S itself.
 
-- *Kept*: the sparse K on all free dofs, factored; S is applied with another factor, of
-  :math:`K_{II}`. An iteration runs through both factors, forth and back.
-- *Eliminated*: S is formed, a dense block of the size of Γ (``schur``), and one factor of
-  :math:`K_{II}` is kept for :math:`\hat f_Γ` and :math:`u_I`. An iteration reads triangles of
-  a dense block: several times less than the factors of a piece of a thin wall, or of a small one.
+- :class:`SparseMatrices`: K on all free dofs, factored; S is applied with another factor, of
+  :math:`K_{II}`. An iteration runs through both factors, forward and backward.
+- :class:`CondensedMatrices`: S is formed (``elimination``), a dense block of the size of Γ, and one
+  factor of :math:`K_{II}` is kept for :math:`\hat f_Γ` and :math:`u_I`. An iteration reads
+  triangles of a dense block: several times less than the factors of a piece of a thin wall, or of
+  a small one.
 
-``auto`` eliminates if S takes about the memory of the factors; see :data:`DENSITY`.
+``auto`` condenses if S takes about the memory of the factors; see :data:`DENSITY`.
 """
 
 from __future__ import annotations
@@ -28,19 +29,21 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.feti.subdomain.blocks import sparse_block
+from dolfinx_feti.errors import FactorError
+from dolfinx_feti.feti.subdomain.blocks import named, product_many, sparse_block
 from dolfinx_feti.feti.subdomain.dense import DenseFactors
-from dolfinx_feti.feti.subdomain.factors import BlockFactors, Choice
+from dolfinx_feti.feti.subdomain.direct import sum_pivots
+from dolfinx_feti.feti.subdomain.elimination import create_elimination
+from dolfinx_feti.feti.subdomain.factors import BlockFactors, Factors
 from dolfinx_feti.feti.subdomain.kernel import orthonormal
-from dolfinx_feti.feti.subdomain.schur import partial_factorisation_is_there, schur_complement
+from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, null_space
 from dolfinx_feti.torn import Torn
 
-__all__ = ["Interior", "create_interior", "worth_eliminating"]
+__all__ = ["SubdomainMatrices", "create_matrices", "worth_condensing"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -48,39 +51,39 @@ Indices = npt.NDArray[np.int32]
 #: Entries of S for each :math:`n^{4/3}`, which is how a sparse factor in three dimensions grows.
 DENSITY = 30.0
 
-#: Largest interface of a subdomain that is eliminated: 32 MiB.
+#: Largest interface of a subdomain that is condensed: 32 MiB.
 LARGEST = 2048
 
-#: Right-hand sides of K_II that MUMPS treats at once.
-BLOCK = 256
-
-#: Interior of a subdomain up to which K_II is dense, too. An instance of MUMPS costs a millisecond,
-#: and a communicator; thousands of them slow down whatever MPI does.
-SMALL = 150
+#: Share of the stiffness above which the interface feels a motion of the interior without energy:
+#: none of a positive semi-definite matrix.
+FELT = 1e-5
 
 
-class Interior(ABC):
-    """The matrix of each subdomain as the dual method sees it: K on all free dofs, or S on Γ.
+class SubdomainMatrices(ABC):
+    """The matrix of each subdomain of this process, K on its free dofs or S on its interface.
 
     Attributes:
-        torn: The torn matrix.
-        dofs: Torn dofs on which that matrix lives, a subdomain each.
-        factors: Its regularised inverse.
-        eliminated: Factors of K_II, if the interior is eliminated.
+        dofs: Torn dofs on which each matrix lives.
+        condensed: Whether the interior is eliminated, and the matrices are S.
+        factors: Factors of the regularised matrices, see ``pseudoinverse``.
     """
 
-    torn: Torn
     dofs: list[Indices]
-    factors: BlockFactors | DenseFactors
-    eliminated: BlockFactors | DenseFactors | None = None
+    condensed: bool
+    factors: Factors
 
-    @abstractmethod
+    def __init__(self, torn: Torn) -> None:
+        """Take the torn matrix; :meth:`update` takes its values."""
+        self._torn = torn
+        self._diagonal: Array = np.ones(torn.n)
+
     def update(self) -> None:
         """Take over the current K.
 
         Raises:
             FactorError: A factorisation failed. Not collective: the caller reduces.
         """
+        self._diagonal = np.abs(self._torn.diagonal())
 
     @abstractmethod
     def restrict(self, i: int, R: Array) -> Array:
@@ -96,37 +99,46 @@ class Interior(ABC):
 
     @abstractmethod
     def condense(self, f: Array) -> Array:
-        """Move the load of the interior to the interface, (n,) → (n,)."""
+        """Move the load of the interior to the interface, (n,) or (n, r); f itself if K is kept."""
 
     @abstractmethod
     def extend(self, u: Array, f: Array) -> Array:
-        """Complete u, (n,), on the interior, where the load is f."""
+        """Complete u, (n,), on an interior that is eliminated, where the load is f."""
 
-    def zero_inside(self) -> int:
-        """Count zero eigenvalues of K_II: motions of the body that the interface does not feel."""
-        if self.eliminated is None:
-            return 0
-        return int(self.eliminated.inertia()[:, 1].clip(min=0).sum())
+    @abstractmethod
+    def interior_inertia(self) -> tuple[int, int] | None:
+        """Count negative and zero eigenvalues of all K_II of this process.
 
-    def norms(self) -> Array:
-        """Return the mean of the absolute diagonal of K on the ``dofs`` of each subdomain."""
-        diagonal = np.abs(self.torn.K.getDiagonal().array_r)
-        return np.array([diagonal[dofs].mean() if len(dofs) else 1.0 for dofs in self.dofs])
+        Returns:
+            Both numbers; None if no K_II is factored here, or the solver does not tell.
+        """
 
+    @abstractmethod
+    def interior_kernel(self) -> Array:
+        """Return motions of the interior without energy that the interface does not feel.
+
+        Returns:
+            Columns on the torn dofs, (n, r), as of the last :meth:`update`; with r > 0 the
+            assembled matrix is singular.
+        """
+
+    def diagonal(self, i: int) -> Array:
+        """Return the absolute diagonal of K on the ``dofs`` of subdomain i, (n_i,)."""
+        return self._diagonal[self.dofs[i]]
+
+    @abstractmethod
     def memory(self) -> float:
         """Return the memory of all factors of this process in MiB."""
-        return self.factors.memory() + (self.eliminated.memory() if self.eliminated else 0.0)
 
+    @abstractmethod
     def destroy(self) -> None:
         """Free the factors."""
-        self.factors.destroy()
-        if self.eliminated is not None:
-            self.eliminated.destroy()
 
 
-class Kept(Interior):
+class SparseMatrices(SubdomainMatrices):
     """K on all free dofs."""
 
+    condensed = False
     factors: BlockFactors
 
     def __init__(self, torn: Torn, free: list[Indices], *, symmetric: bool, prefix: str) -> None:
@@ -138,21 +150,18 @@ class Kept(Interior):
             symmetric: Whether K is symmetric.
             prefix: Options prefix of the factorisations.
         """
-        self.torn = torn
+        super().__init__(torn)
         self.dofs = free
         self.factors = BlockFactors(torn.K, free, prefix=prefix, symmetric=symmetric)
-
-    def update(self) -> None:
-        """Nothing to do before the kernels are known."""
 
     def restrict(self, i: int, R: Array) -> Array:
         return R
 
     def multiply(self, t: Array) -> Array:
-        return self.torn.multiply(t)  # K t
+        return self._torn.multiply(t)  # K t
 
     def multiply_many(self, i: int, X: Array) -> Array:
-        return sparse_block(self.torn.K, self.dofs[i], self.dofs[i]) @ X
+        return sparse_block(self._torn.K, self.dofs[i], self.dofs[i]) @ X  # K_i X
 
     def condense(self, f: Array) -> Array:
         return f
@@ -160,12 +169,24 @@ class Kept(Interior):
     def extend(self, u: Array, f: Array) -> Array:
         return u
 
+    def interior_inertia(self) -> None:
+        return None
 
-class Eliminated(Interior):
+    def interior_kernel(self) -> Array:
+        return np.zeros((self._torn.n, 0))
+
+    def memory(self) -> float:
+        return self.factors.memory()
+
+    def destroy(self) -> None:
+        self.factors.destroy()
+
+
+class CondensedMatrices(SubdomainMatrices):
     """S on the interface."""
 
+    condensed = True
     factors: DenseFactors
-    eliminated: BlockFactors | DenseFactors
 
     def __init__(
         self, torn: Torn, free: list[Indices], glued: npt.NDArray[np.bool_], *, prefix: str
@@ -178,46 +199,42 @@ class Eliminated(Interior):
             glued: Mask of the interface, (n,).
             prefix: Options prefix of the factorisations.
         """
-        self.torn = torn
-        self._free = free
-        self._choice = Choice(prefix, symmetric=True, right_hand_sides=BLOCK)
-        self._on_interface = [np.flatnonzero(glued[rows]).astype(np.int32) for rows in free]
-        self.dofs = [rows[glued[rows]] for rows in free]
-        self._interior = [rows[~glued[rows]] for rows in free]
-        self._glued = np.zeros(torn.n, dtype=bool)
-        self._glued[np.concatenate([*self.dofs, np.zeros(0, dtype=np.int32)])] = True
-        small = max(map(len, self._interior), default=0) <= SMALL
-        self._partial = not small and partial_factorisation_is_there(self._choice)
-        if small:
-            self.eliminated = DenseFactors(self._interior)
-        else:
-            self.eliminated = BlockFactors(
-                torn.K, self._interior, prefix=prefix, symmetric=True, right_hand_sides=BLOCK
-            )
+        super().__init__(torn)
+        self._elimination = create_elimination(torn, free, glued, prefix=prefix)
+        self.dofs = self._elimination.interface
+        self._Γ = np.zeros(torn.n, dtype=bool)
+        self._Γ[np.concatenate([*self.dofs, np.zeros(0, dtype=np.int32)])] = True
         self.factors = DenseFactors(self.dofs)
+        self._interior_kernel = np.zeros((torn.n, 0))
 
     def update(self) -> None:
-        if isinstance(self.eliminated, BlockFactors):
-            self.eliminated.update()
-        if self._partial:
-            for i in range(len(self.dofs)):
-                self.factors.set_block(i, self._schur_complement(i))
-            return
-        for i, K in enumerate(self.torn.blocks(self._free)):
-            self.factors.set_block(i, self._eliminate(i, K.toarray()))
+        super().update()
+        for i, S in enumerate(self._elimination.schur_complements()):
+            self.factors.set_block(i, S)
+        columns = [self._kernel_inside(i) for i in range(len(self.dofs))]
+        self._interior_kernel = np.hstack([np.zeros((self._torn.n, 0)), *columns])
 
-    def _eliminate(self, i: int, K: Array) -> Array:
-        """Return S, (n_Γ, n_Γ), for the dense K of subdomain i; factor K_II if it is dense, too."""
-        Γ = self._on_interface[i]
-        I = np.setdiff1d(np.arange(len(K)), Γ, assume_unique=True)  # noqa: E741
-        if isinstance(self.eliminated, DenseFactors):
-            self.eliminated.set_block(i, K[np.ix_(I, I)])
-            self.eliminated.update_block(i, np.zeros((len(I), 0)), 1.0)
-        X = self.eliminated.solve_many(i, K[np.ix_(I, Γ)])  # X = K_II⁻¹ K_IΓ
-        return np.asarray(K[np.ix_(Γ, Γ)] - K[np.ix_(Γ, I)] @ X)  # S = K_ΓΓ − K_ΓI X
+    def _kernel_inside(self, i: int) -> Array:
+        """Return motions of the interior of subdomain i without energy, (n, r)."""
+        I, factors = self._elimination.interior[i], self._elimination.factors  # noqa: E741
+        if not factor_tells_singular(factors, i, self._diagonal[I]):
+            return np.zeros((self._torn.n, 0))
+        with named(self._torn.first + i):
+            K_II = sparse_block(self._torn.K, I, I)
+            Y = null_space(factors, i, lambda X: K_II @ X, self._diagonal[I])
+            force = product_many(self._torn.K, self.dofs[i], I, Y)  # K_ΓI Y
+            if np.abs(force).max(initial=0.0) > FELT * np.abs(K_II.data).max() * np.abs(Y).max():
+                raise FactorError(
+                    "the matrix of its interior is singular, though the assembled one need not "
+                    "be: take other subdomains, or the options feti_interior keep and "
+                    "feti_pc_type lumped"
+                )
+        motions = np.zeros((self._torn.n, Y.shape[1]))
+        motions[I] = Y
+        return motions
 
     def restrict(self, i: int, R: Array) -> Array:
-        return orthonormal(R[self._on_interface[i]])
+        return orthonormal(R[self._elimination.on_interface[i]])
 
     def multiply(self, t: Array) -> Array:
         y = np.zeros_like(t)
@@ -229,29 +246,36 @@ class Eliminated(Interior):
 
     def condense(self, f: Array) -> Array:
         x = np.zeros_like(f)
-        self.eliminated.solve(f, x)
-        return np.where(self._glued, f - self.torn.multiply(x), 0.0)  # f_Γ − K_ΓI K_II⁻¹ f_I
+        if f.ndim == 1:
+            self._elimination.factors.solve(f, x)
+        else:
+            for i, rows in enumerate(self._elimination.interior):
+                x[rows] = self._elimination.factors.solve_many(i, f[rows])
+        Kx = self._torn.multiply(x)
+        return ((f - Kx).T * self._Γ).T  # f_Γ − K_ΓI K_II⁻¹ f_I
 
     def extend(self, u: Array, f: Array) -> Array:
-        u = np.where(self._glued, u, 0.0)
-        self.eliminated.solve(f - self.torn.multiply(u), u)  # u_I = K_II⁻¹ (f_I − K_IΓ u_Γ)
-        return u
+        u = np.where(self._Γ, u, 0.0)
+        self._elimination.factors.solve(f - self._torn.multiply(u), u)
+        return u  # u_I = K_II⁻¹ (f_I − K_IΓ u_Γ)
 
-    def _schur_complement(self, i: int) -> Array:
-        """Return S, (n_Γ, n_Γ), of subdomain i by a factorisation that stops at the interface."""
-        Γ = self._on_interface[i]
-        if len(Γ) in (0, len(self._free[i])):
-            return sparse_block(self.torn.K, self.dofs[i], self.dofs[i]).toarray(order="F")
-        rows = PETSc.IS().createGeneral(self._free[i].astype(PETSc.IntType), comm=PETSc.COMM_SELF)
-        K = self.torn.K.createSubMatrix(rows, rows)
-        K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        S = schur_complement(K, Γ, self._choice)
-        K.destroy()
-        rows.destroy()
-        return S
+    def interior_inertia(self) -> tuple[int, int] | None:
+        factors = self._elimination.factors
+        negative, zero = sum_pivots(factors.pivots(i) for i in range(len(self.dofs)))
+        return None if negative is None or zero is None else (negative, zero)
+
+    def interior_kernel(self) -> Array:
+        return self._interior_kernel
+
+    def memory(self) -> float:
+        return self.factors.memory() + self._elimination.factors.memory()
+
+    def destroy(self) -> None:
+        self.factors.destroy()
+        self._elimination.factors.destroy()
 
 
-def create_interior(
+def create_matrices(
     choice: str,
     torn: Torn,
     free: list[Indices],
@@ -259,8 +283,8 @@ def create_interior(
     *,
     symmetric: bool,
     prefix: str,
-) -> Interior:
-    """Keep or eliminate the interior dofs.
+) -> SubdomainMatrices:
+    """Keep the interior dofs, or condense them.
 
     Args:
         choice: ``keep``, ``eliminate`` or ``auto``.
@@ -276,14 +300,14 @@ def create_interior(
     on_interface = np.zeros(torn.n, dtype=bool)
     on_interface[glued] = True
     if choice == "auto":
-        worth = symmetric and worth_eliminating(torn, free, on_interface)
+        worth = symmetric and worth_condensing(torn, free, on_interface)
         choice = "eliminate" if worth else "keep"
     if choice == "eliminate":
-        return Eliminated(torn, free, on_interface, prefix=prefix + "dirichlet_")
-    return Kept(torn, free, symmetric=symmetric, prefix=prefix + "local_")
+        return CondensedMatrices(torn, free, on_interface, prefix=prefix + "dirichlet_")
+    return SparseMatrices(torn, free, symmetric=symmetric, prefix=prefix + "local_")
 
 
-def worth_eliminating(torn: Torn, free: Sequence[Indices], glued: npt.NDArray[np.bool_]) -> bool:
+def worth_condensing(torn: Torn, free: Sequence[Indices], glued: npt.NDArray[np.bool_]) -> bool:
     """Decide whether dense Schur complements take no more memory than sparse factors.
 
     Args:

@@ -21,9 +21,15 @@ one solve with the border yields E and D at once, without cancellation:
           \begin{pmatrix} E \\ -D/ρ \end{pmatrix} =
           \begin{pmatrix} 0 \\ ρ I \end{pmatrix}.
 
-A few elastic modes may join R (``enrichment``): soft ones, for speed, and those that buckle, which
-makes K_ρ positive definite and leaves the negative curvature to D. They stay in R for later
-matrices. With the eigenvalues :math:`δ < 0` and eigenvectors y of D,
+R is a function of the present matrix alone, so that a run that is restarted goes on like the one
+that it continues. It holds
+
+1. the rigid body modes that Dirichlet dofs leave (``kernel``),
+2. the null vectors of K beyond them (``nullspace``), which count as kernel, too,
+3. the modes in which the subdomain buckles, which makes K_ρ positive definite and leaves the
+   negative curvature to D, and soft ones, for speed (``enrichment``).
+
+With the eigenvalues :math:`δ < 0` and eigenvectors y of D,
 
 .. math:: K_+ = K + Z Z^⊤, \qquad Z = 2 R y \sqrt{-δ},
 
@@ -37,19 +43,31 @@ a few points, a compressed subdomain still gives way, and K_ρ gets more negativ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.feti.subdomain.enrichment import append_orthonormal, buckling_modes, soft_modes
+from dolfinx_feti.errors import FactorError
+from dolfinx_feti.feti.subdomain.blocks import named
+from dolfinx_feti.feti.subdomain.direct import sum_pivots
+from dolfinx_feti.feti.subdomain.enrichment import (
+    Enrichment,
+    append_orthonormal,
+    buckling_modes,
+    deflated,
+    soft_modes,
+)
 from dolfinx_feti.feti.subdomain.kernel import kernel_basis
-from dolfinx_feti.feti.subdomain.matrices import Interior
+from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
+from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, null_space
 from dolfinx_feti.torn import Torn
 
-__all__ = ["PseudoInverse"]
+__all__ = ["Modes", "PseudoInverse", "SubdomainModes"]
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
 
 #: ‖K R‖ below this multiple of ‖K‖‖R‖ counts as zero: rounding of the assembly.
 KERNEL_TOLERANCE = 1e-12
@@ -61,90 +79,156 @@ ENRICHMENTS = 3
 DEFECT_TOLERANCE = 1e-13
 
 
+@dataclass(frozen=True, slots=True)
+class SubdomainModes:
+    """The modes of one subdomain for one matrix, on the dofs of its matrix.
+
+    Attributes:
+        R: Orthonormal modes, (n_i, k).
+        E: The kernel or its regularised stand-in, (n_i, k).
+        E_left: The same for :math:`K^⊤`.
+        D: Defect of the kernel, (k, k); zero while K R = 0.
+        props: Columns Z of K₊ = K + Z Zᵀ, (n_i, negative eigenvalues of D).
+        exact: Whether K R = 0 holds.
+        rho: The stiffness ρ.
+        rigid: Number of rigid body modes, the first ones of R.
+        null: Number of further null vectors, the next ones.
+    """
+
+    R: Array
+    E: Array
+    E_left: Array
+    D: Array
+    props: Array
+    exact: bool
+    rho: float
+    rigid: int
+    null: int
+
+
+@dataclass(frozen=True, slots=True)
+class Modes:
+    """The modes of all subdomains of this process for one matrix.
+
+    Attributes:
+        dofs: Torn dofs of each subdomain on which its modes live.
+        of: The modes of each subdomain.
+        symmetric: Whether K is symmetric: then E_left = E.
+    """
+
+    dofs: list[Indices]
+    of: tuple[SubdomainModes, ...]
+    symmetric: bool
+
+    @property
+    def R(self) -> list[Array]:
+        """The orthonormal modes of each subdomain."""
+        return [modes.R for modes in self.of]
+
+    @property
+    def E(self) -> list[Array]:
+        """The kernel of each subdomain, or its stand-in."""
+        return [modes.E for modes in self.of]
+
+    @property
+    def E_left(self) -> list[Array]:
+        """The same for the transposed matrices."""
+        return [modes.E_left for modes in self.of]
+
+    @property
+    def D(self) -> list[Array]:
+        """The defect of each kernel."""
+        return [modes.D for modes in self.of]
+
+    @property
+    def props(self) -> list[Array]:
+        """The props of each subdomain."""
+        return [modes.props for modes in self.of]
+
+    @property
+    def exact(self) -> list[bool]:
+        """Whether K R = 0 holds, for each subdomain."""
+        return [modes.exact for modes in self.of]
+
+    @property
+    def rho(self) -> Array:
+        """The stiffness ρ of each subdomain."""
+        return np.array([modes.rho for modes in self.of])
+
+    @property
+    def dimensions(self) -> npt.NDArray[np.int64]:
+        """Number of modes of each subdomain."""
+        return np.array([modes.R.shape[1] for modes in self.of], dtype=np.int64)
+
+    @property
+    def kernels(self) -> npt.NDArray[np.int64]:
+        """Number of those that are no elastic ones: rigid body modes and null vectors."""
+        return np.array([modes.rigid + modes.null for modes in self.of], dtype=np.int64)
+
+    @property
+    def negative_defects(self) -> int:
+        """Number of negative eigenvalues of all D, above rounding."""
+        return sum(modes.props.shape[1] for modes in self.of)
+
+
 class PseudoInverse:
-    """K⁺ of every subdomain, with its kernel; S⁺ where the interior is eliminated.
+    """K⁺ of every subdomain; S⁺ where the interior is eliminated.
 
     Attributes:
         fixed: Mask of the torn dofs that are fixed in the local matrices (classical), (n,).
         dofs: Torn dofs of each subdomain on which K⁺ lives: all free ones, or Γ.
-        factors: The factors of K_ρ.
-        rigid: Number of rigid body modes of each subdomain.
-        R: For each subdomain the orthonormal modes, (n_i, k_i).
-        E: For each subdomain the kernel or its regularised stand-in, (n_i, k_i).
-        E_left: The same for :math:`K^⊤`; the identical list if K is symmetric.
-        D: For each subdomain the defect of the kernel, (k_i, k_i); zero while K R = 0.
-        props: For each subdomain the columns Z of K₊ = K + Z Zᵀ, (n_i, negative eigenvalues of D).
-        exact: Whether K R = 0 holds, for each subdomain.
-        rho: The stiffness ρ of each subdomain.
     """
 
     def __init__(
         self,
         torn: Torn,
-        interior: Interior,
+        matrices: SubdomainMatrices,
         fixed: npt.NDArray[np.bool_],
+        glued: Indices,
         *,
         symmetric: bool,
-        buckling: bool,
-        soft: int,
-        threshold: float,
-        weight: Array,
+        enrichment: Enrichment,
     ) -> None:
         """Take the matrices of the subdomains; nothing is factored yet.
 
         Args:
             torn: The torn matrix.
-            interior: The matrix of each subdomain, K or S.
+            matrices: The matrices of the subdomains, K or S.
             fixed: Mask of the torn dofs that are fixed in the local matrices, (n,).
+            glued: Torn dofs of the interface.
             symmetric: Whether K is symmetric.
-            buckling: Let modes with a negative eigenvalue join R.
-            soft: Most soft modes of a subdomain that join R.
-            threshold: Share of the interface stiffness below which a mode is soft.
-            weight: Stiffness of the interface dofs, zero on the others, (n,).
+            enrichment: Which elastic modes join R.
         """
         self._torn = torn
         self._symmetric = symmetric
-        self._interior = interior
+        self._matrices = matrices
+        self._factors = matrices.factors
+        self._free = [rows[~fixed[rows]] for rows in torn.subdomains]
+        self._glued = np.zeros(torn.n, dtype=bool)
+        self._glued[glued] = True
+        self._enrichment = enrichment
         self.fixed = fixed
-        self.dofs = interior.dofs
-        self.factors = interior.factors
-        self._buckling = buckling and symmetric
-        self._soft = [soft] * len(self.dofs)  # modes still to be looked for
-        self._threshold = threshold
-        self._weight = weight
-        self._elastic: list[Array] = [np.zeros((len(dofs), 0)) for dofs in self.dofs]
-        self.rigid: npt.NDArray[np.int64] = np.zeros(len(self.dofs), dtype=np.int64)
-        self._dimensions: npt.NDArray[np.int64] = np.zeros(len(self.dofs), dtype=np.int64)
-        self.R: list[Array] = []
-        self.E: list[Array] = []
-        self.E_left: list[Array] = []
-        self.D: list[Array] = []
-        self.props: list[Array] = []
-        self.exact: list[bool] = []
-        self.rho: Array = np.zeros(0)
+        self.dofs = matrices.dofs
 
-    def update(self) -> None:
-        """Find the kernels of the current K and factor.
+    def update(self, near_kernel: Array) -> Modes:
+        """Find the modes of the current matrices and factor.
+
+        Args:
+            near_kernel: Rigid body modes on the torn dofs, (n, number of modes).
 
         Raises:
-            FactorError: A factorisation failed. Not collective: the caller reduces.
+            FactorError: Some work on a subdomain failed. Not collective: the caller reduces.
         """
-        modes = self._torn.near_kernel()
-        R = [kernel_basis(modes[dofs], self.fixed[dofs]) for dofs in self._torn.subdomains]
-        self.rigid = np.array([R_i.shape[1] for R_i in R], dtype=np.int64)
-        self._interior.update()
-        self.rho = self._interior.norms()
-        self.exact = self._test(R)
-        R = [self._interior.restrict(i, R_i) for i, R_i in enumerate(R)]
-        R = [append_orthonormal(R_i, Y) for R_i, Y in zip(R, self._elastic, strict=True)]
-        self.factors.update(R, self.rho)
-        self.R = [self._enriched(i, R_i) for i, R_i in enumerate(R)]
-        self._dimensions = np.array([R_i.shape[1] for R_i in self.R], dtype=np.int64)
-        self.E, self.D = self._stand_ins(transpose=False)
-        self.props = [R_i @ Y for R_i, Y in zip(self.R, self._negative_directions(), strict=True)]
-        self.E_left = self.E
-        if not self._symmetric:
-            self.E_left, _ = self._stand_ins(transpose=True)
+        weight = np.where(self._glued, self._torn.stiffness(), 0.0)
+        candidates = [
+            kernel_basis(near_kernel[dofs], self.fixed[dofs]) for dofs in self._torn.subdomains
+        ]
+        defects = self._defects(candidates)
+        found = []
+        for i, (R, defect) in enumerate(zip(candidates, defects, strict=True)):
+            with named(self._torn.first + i):
+                found.append(self._regularise(i, R, defect, weight[self.dofs[i]]))
+        return Modes(self.dofs, tuple(found), self._symmetric)
 
     def solve(self, y: Array) -> Array:
         """Apply the generalised inverse, K⁺ y, (n,), or K⁺ Y, (n, r); zero on fixed dofs.
@@ -153,96 +237,130 @@ class PseudoInverse:
         """
         x = np.zeros_like(y)
         if y.ndim == 1:
-            self.factors.solve(y, x)
+            self._factors.solve(y, x)
             return x
         for i, dofs in enumerate(self.dofs):
-            x[dofs] = self.factors.solve_many(i, y[dofs])
+            x[dofs] = self._factors.solve_many(i, y[dofs])
         return x
 
-    def kernel_dimensions(self) -> npt.NDArray[np.int64]:
-        """Return k_i for each subdomain: rigid body modes and elastic modes that joined them."""
-        return self._dimensions
+    def solve_many(self, i: int, Y: Array) -> Array:
+        """Apply the generalised inverse of subdomain i to columns on its dofs, (n_i, r)."""
+        return self._factors.solve_many(i, Y)
 
-    def negative_local(self) -> int | None:
+    def negative(self) -> int | None:
         """Count the negative eigenvalues of all K_ρ of this process; None if not known."""
-        inertia = self.factors.inertia()[:, 0]
-        return None if np.any(inertia < 0) else int(inertia.sum())
+        return sum_pivots(self._factors.pivots(i) for i in range(len(self.dofs))).negative
 
-    def negative_defects(self) -> int:
-        """Count the negative eigenvalues of D on this process, above rounding."""
-        return sum(Z.shape[1] for Z in self.props)
+    def _regularise(self, i: int, R: Array, defect: float, weight: Array) -> SubdomainModes:
+        """Find the modes of subdomain i, and leave the factor of its K_ρ.
 
-    def _enriched(self, i: int, R: Array) -> Array:
-        """Let soft modes join R, once, and buckling modes until K_ρ has none left."""
-        if self._soft[i]:
-            weight = self._weight[self.dofs[i]]
-            soft = soft_modes(self._solver(i), weight, self._soft[i], self._threshold)
-            R = self._joined(i, R, soft)
-            self._soft[i] = 0
-        for _ in range(ENRICHMENTS if self._buckling else 0):
-            count = self.factors.inertia_of(i)[0]
-            if count <= 0:
-                break
-            R = self._joined(i, R, buckling_modes(self._solver(i), len(R), count))
+        Args:
+            i: Number of the subdomain.
+            R: Its rigid body modes on all free dofs, (n_free, k).
+            defect: ‖K R‖.
+            weight: Stiffness of its interface dofs, zero on the others, (n_i,).
+        """
+        scale = self._matrices.diagonal(i)
+        rho = float(scale.mean()) if len(scale) else 1.0
+        rigid = self._matrices.restrict(i, R)
+        kernel = self._with_null_vectors(i, rigid, rho)
+        R = self._with_elastic_modes(i, kernel, rho, weight)
+        exact = defect <= KERNEL_TOLERANCE * rho and R.shape[1] == kernel.shape[1]
+        E, D = self._stand_in(i, R, rho, exact=exact)
+        E_left = E if self._symmetric else self._stand_in(i, R, rho, exact=exact, transpose=True)[0]
+        return SubdomainModes(
+            R,
+            E,
+            E_left,
+            D,
+            props=R @ _negative_directions(D, rho),
+            exact=exact,
+            rho=rho,
+            rigid=rigid.shape[1],
+            null=kernel.shape[1] - rigid.shape[1],
+        )
+
+    def _with_null_vectors(self, i: int, R: Array, rho: float) -> Array:
+        """Factor K_ρ, and append to R the null vectors that it still has."""
+        scale = self._matrices.diagonal(i)
+        try:
+            self._factors.update_block(i, R, rho)
+            singular = factor_tells_singular(self._factors, i, scale)
+        except FactorError:  # a solver that stops at a zero pivot
+            singular = True
+        if not singular:
+            return R
+
+        def multiply(X: Array) -> Array:
+            return self._matrices.multiply_many(i, X)
+
+        Y = null_space(self._factors, i, multiply, scale, R, rho)
+        R = append_orthonormal(R, Y)
+        self._factors.update_block(i, R, rho)
+        if self._factors.pivots(i).zero:
+            raise FactorError("the regularised matrix is singular, and no null vector is found")
         return R
 
-    def _joined(self, i: int, R: Array, Y: Array) -> Array:
-        """Append the modes Y to R and factor with the wider border."""
-        wider = append_orthonormal(R, Y)
-        if wider.shape[1] == R.shape[1]:
-            return R
-        self.factors.update_block(i, wider, self.rho[i])
-        if self.factors.inertia_of(i)[1] > 0:  # a border that the factor cannot tell from zero
-            self.factors.update_block(i, R, self.rho[i])
-            return R
-        self._elastic[i] = np.hstack([self._elastic[i], wider[:, R.shape[1] :]])
-        self.exact[i] = False
-        return wider
+    def _with_elastic_modes(self, i: int, R: Array, rho: float, weight: Array) -> Array:
+        """Append buckling modes to R until K_ρ is positive definite, and soft modes once."""
+        choice = self._enrichment
+        for round_ in range(ENRICHMENTS):
+            more = R
+            negative = self._factors.pivots(i).negative
 
-    def _solver(self, i: int) -> Callable[[Array], Array]:
-        return lambda X: self.factors.solve_many(i, X)
+            def solve(X: Array) -> Array:
+                return self._factors.solve_many(i, X)
 
-    def _test(self, R: Sequence[Array]) -> list[bool]:
-        """Decide for each subdomain whether K R = 0 up to rounding."""
-        defects = zip(self._multiply(R), self._multiply(R, transpose=True), self.rho, strict=True)
-        return [
-            bool(max(float(np.linalg.norm(KR)), float(np.linalg.norm(KtR))) <= KERNEL_TOLERANCE * ρ)
-            and Y.shape[1] == 0
-            for (KR, KtR, ρ), Y in zip(defects, self._elastic, strict=True)
-        ]
+            if choice.buckling and negative:
+                more = append_orthonormal(more, buckling_modes(solve, len(R), negative))
+            if choice.soft and round_ == 0:
+                stiffened = deflated(solve, more[:, R.shape[1] :], rho)
+                soft = soft_modes(stiffened, weight, choice.soft, choice.threshold)
+                more = append_orthonormal(more, soft)
+            if more.shape[1] == R.shape[1]:
+                break
+            self._factors.update_block(i, more, rho)
+            if self._factors.pivots(i).zero:  # a border that the factor cannot tell from zero
+                self._factors.update_block(i, R, rho)
+                break
+            R = more
+        return R
 
-    def _stand_ins(self, *, transpose: bool) -> tuple[list[Array], list[Array]]:
-        """Return E and D of every subdomain; R and 0 where K R = 0."""
-        E, D = [], []
-        for i, R_i in enumerate(self.R):
-            E_i, defect = R_i, np.zeros((R_i.shape[1], R_i.shape[1]))
-            if not self.exact[i]:
-                x, mu = self.factors.solve_border(i, transpose=transpose)
-                E_i, defect = self.rho[i] * x, -(self.rho[i] ** 2) * mu
-            E.append(E_i)
-            D.append(0.5 * (defect + defect.T) if self._symmetric else defect)
-        return E, D
+    def _stand_in(
+        self, i: int, R: Array, rho: float, *, exact: bool, transpose: bool = False
+    ) -> tuple[Array, Array]:
+        """Return E and D of subdomain i; R and 0 where K R = 0."""
+        if exact:
+            return R, np.zeros((R.shape[1], R.shape[1]))
+        x, mu = self._factors.solve_border(i, transpose=transpose)
+        D = -(rho**2) * mu
+        return rho * x, 0.5 * (D + D.T) if self._symmetric else D
 
-    def _negative_directions(self) -> list[Array]:
-        """Return 2 y √−δ for the eigenvalues δ < 0 of every D, above rounding."""
-        directions = []
-        for D, ρ in zip(self.D, self.rho, strict=True):
-            δ, y = np.linalg.eigh(0.5 * (D + D.T))
-            negative = δ < -DEFECT_TOLERANCE * ρ
-            directions.append(2.0 * y[:, negative] * np.sqrt(-δ[negative]))
-        return directions
+    def _defects(self, R: Sequence[Array]) -> list[float]:
+        """Return ‖K R‖ of every subdomain, and if it is larger ‖Kᵀ R‖."""
+        images = [self._multiply(R)]
+        if not self._symmetric:
+            images.append(self._multiply(R, transpose=True))
+        norms = [[float(np.linalg.norm(KR)) for KR in image] for image in images]
+        return [max(of_one) for of_one in zip(*norms, strict=True)]
 
     def _multiply(self, X: Sequence[Array], *, transpose: bool = False) -> list[Array]:
         """Return K_i X_i on the free dofs of every subdomain."""
-        free = [dofs[~self.fixed[dofs]] for dofs in self._torn.subdomains]
         image = [np.zeros_like(X_i) for X_i in X]
         for j in range(max((X_i.shape[1] for X_i in X), default=0)):
             column = np.zeros(self._torn.n)
-            for dofs, X_i in zip(free, X, strict=True):
+            for dofs, X_i in zip(self._free, X, strict=True):
                 if j < X_i.shape[1]:
                     column[dofs] = X_i[:, j]
             product = self._torn.multiply(column, transpose=transpose)
-            for dofs, Y in zip(free, image, strict=True):
+            for dofs, Y in zip(self._free, image, strict=True):
                 if j < Y.shape[1]:
                     Y[:, j] = product[dofs]
         return image
+
+
+def _negative_directions(D: Array, rho: float) -> Array:
+    """Return 2 y √−δ for the eigenvalues δ < 0 of D, above rounding."""
+    δ, y = np.linalg.eigh(0.5 * (D + D.T))
+    negative = δ < -DEFECT_TOLERANCE * rho
+    return np.asarray(2.0 * y[:, negative] * np.sqrt(-δ[negative]))

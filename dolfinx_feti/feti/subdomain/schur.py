@@ -23,7 +23,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.errors import FactorError
-from dolfinx_feti.feti.subdomain.factors import Choice, create_factor
+from dolfinx_feti.feti.subdomain.blocks import index_set
+from dolfinx_feti.feti.subdomain.direct import Choice, create_factor
 
 __all__ = ["partial_factorisation_is_there", "schur_complement"]
 
@@ -65,7 +66,7 @@ def schur_complement(K: PETSc.Mat, interface: Indices, choice: Choice) -> Array:
     Raises:
         FactorError: The factorisation failed.
     """
-    Γ = PETSc.IS().createGeneral(interface.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
+    Γ = index_set(interface)
     pc = create_factor(K, choice, lambda F: _call("MatFactorSetSchurIS", F.handle, Γ.handle))
     F = _Handle(pc.getFactorMatrix().handle)
     S, status = _Handle(), ctypes.c_int()

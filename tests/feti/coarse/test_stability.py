@@ -41,15 +41,15 @@ def count_negative(A):
 
 def averaged(problem, system, *, harmonic):
     """V = E − E_Γ B_Dᵀ B E on all torn dofs, (n, K)."""
-    torn, inverse = system.torn, system.inverse
+    torn, modes = system.torn, system.modes
     columns = [np.zeros((torn.n, 0))]
-    for dofs, E in zip(inverse.dofs, inverse.E, strict=True):
+    for dofs, E in zip(modes.dofs, modes.E, strict=True):
         columns.append(np.zeros((torn.n, E.shape[1])))
         columns[-1][dofs] = E
     E = scipy.sparse.block_diag(COMM.allgather(np.hstack(columns))).toarray()
     B, B_D = dense(system.gluing.B), dense(system.gluing.B_D)
     jump = B_D.T @ (B @ E)
-    if system.interior.eliminated is not None:
+    if system.matrices.condensed:
         E = extended(problem, system, E)
     return E - (extended(problem, system, jump) if harmonic else jump)
 
@@ -77,7 +77,7 @@ def test_galerkin_matrix(kind, interior, pc_type, coarse_q, torn_grid, parts):
     V = averaged(problem, system, harmonic=pc_type == "dirichlet")
     small(np.abs(dense(system.gluing.B) @ V).max(), 1e-12)
     A_0 = galerkin_matrix(
-        system.torn, system.gluing, system.inverse, system.preconditioner, system.coarse
+        system.torn, system.gluing, system.modes, system.preconditioner, system.coarse
     )
     expected = V.T @ problem.K_torn @ V
     equal(dense(A_0), expected, 1e2 * ROUNDING)

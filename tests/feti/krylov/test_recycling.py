@@ -71,15 +71,15 @@ def test_blocks_are_their_columns(change, interior, kind, torn_grid, parts):
 def test_deflation(change, options, torn_grid, feti):
     """Wᵀ b = 0 after the start, and (𝒜 W)ᵀ z = 0 after the preconditioner."""
     problem = torn_grid((3, 3), (3, 3), components=2, change=change)
-    ksp = feti(problem.A, feti_dual_recycle=7, **options)
+    ksp = feti(problem.A, feti_recycle=7, **options)
     _, b = load(problem)
     ksp.solve(b, b.duplicate())
     agree(ksp.getConvergedReason() > 0, ksp.getPythonContext().message)
     context = ksp.getPythonContext()
-    system = DeflatedSystem(context._parts.dual, context._directions, most=7)
+    system = DeflatedSystem(context._form.dual, context._directions, most=7)
     agree(system.count in (6, 7), system.count)  # one less where C is indefinite on one
     m = len(system.AW)
-    r = np.concatenate([block_of(context._parts, 1)[:, 0], np.zeros(system.size - m)])
+    r = np.concatenate([block_of(context._form, 1)[:, 0], np.zeros(system.size - m)])
     x, rest = system.start(r)
     bound = 1e-9 * norm(r) * np.abs(system.W).max()
     small(np.abs(COMM.allreduce(system.W[:m].T @ rest[:m])).max(), bound)
@@ -94,7 +94,7 @@ def test_deflation(change, options, torn_grid, feti):
 def test_a_solve_leaves_its_solution(method, torn_grid, feti):
     """With room for all directions the same load once more takes next to no iterations."""
     problem = torn_grid((3, 3), (3, 3), components=2)
-    ksp = feti(problem.A, feti_dual_recycle=200, feti_dual_ksp_type=method)
+    ksp = feti(problem.A, feti_recycle=200, feti_dual_ksp_type=method)
     values, b = load(problem)
     x, iterations = b.duplicate(), []
     for _ in range(3):
@@ -114,7 +114,7 @@ def test_other_loads_and_matrices_take_fewer_iterations(change, torn_grid, feti)
             (4, 4), (4, 4), components=2, change=change, stiffness=lambda i: 1e2 ** (i % 2)
         )
         options = {"feti_scaling": "multiplicity", "feti_coarse_modes": 0}  # iterations to save
-        ksp = feti(problem.A, feti_dual_recycle=recycle, **options)
+        ksp = feti(problem.A, feti_recycle=recycle, **options)
         for step in range(4):
             values, b = load(problem, SEED + step)
             x = b.duplicate()
@@ -134,7 +134,7 @@ def test_no_more_directions_than_asked_for(torn_grid, feti):
     """And none by default; -ksp_view tells how many."""
     problem = torn_grid((3, 3), (3, 3), components=2)
     for recycle in (0, 1, 5):
-        ksp = feti(problem.A, feti_dual_recycle=recycle)
+        ksp = feti(problem.A, feti_recycle=recycle)
         _, b = load(problem)
         for step in range(3):
             ksp.solve(b, b.duplicate())
@@ -146,7 +146,7 @@ def test_no_more_directions_than_asked_for(torn_grid, feti):
 def test_a_solve_that_failed_leaves_nothing_bad(method, torn_grid, feti):
     """Not a NaN, no direction of length zero; later solves are as good as ever."""
     problem = torn_grid((3, 3), (3, 3), components=2)
-    ksp = feti(problem.A, feti_dual_recycle=9, feti_dual_ksp_type=method)
+    ksp = feti(problem.A, feti_recycle=9, feti_dual_ksp_type=method)
     context = ksp.getPythonContext()
     values, b = load(problem)
     x = b.duplicate()
@@ -172,14 +172,15 @@ def test_unsymmetric_matrices_are_refused(torn_grid):
             k += 0.01 * (np.triu(k) - np.triu(k).T)
 
     problem = torn_grid((2, 2), (2, 2), components=2, change=tilt)
-    with raises(SetUpError, "not symmetric, but -recycle_feti_dual_recycle is 3"):
-        Pattern(problem.A, FETIOptions(dual_recycle=3), "recycle_")
+    with raises(SetUpError, "not symmetric, but -recycle_feti_recycle is 3"):
+        Pattern(problem.A, FETIOptions(recycle=3), "recycle_")
 
 
 def test_newtons_steps_are_shortened():
     """Along a path of load a third of the iterations is saved, at equal accuracy."""
     states, costs = [], []
-    for options in ({}, {"feti_dual_recycle": 60}):
+    for options in ({}, {"feti_recycle": 60}):
+        options = {"feti_formulation": "dual", **options}
         body = wall(tube())
         steps = body.inflate(body.problem(4, {"snes_rtol": 1e-9, **options}), [2.0, 10.0, 20.0])
         states.append(by_place(body.u))

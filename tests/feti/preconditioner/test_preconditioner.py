@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse
 from collective import COMM, agree, dense, equal, matrix_of_map, small, whole
 
-from dolfinx_feti.feti.setup import set_up
+from dolfinx_feti.feti.formulation import set_up
 
 SEED = 90210
 
@@ -42,7 +42,7 @@ def props_of(system):
     """Z of all subdomains on all torn dofs, (n, q)."""
     torn = system.torn
     columns = [np.zeros((torn.n, 0))]
-    for dofs, Z in zip(system.inverse.dofs, system.inverse.props, strict=True):
+    for dofs, Z in zip(system.inverse.dofs, system.modes.props, strict=True):
         columns.append(np.zeros((torn.n, Z.shape[1])))
         columns[-1][dofs] = Z
     return scipy.sparse.block_diag(COMM.allgather(np.hstack(columns))).toarray()
@@ -121,7 +121,7 @@ def test_force_of_a_jump_is_the_residual_of_the_averaged_displacement(
     lam = np.random.default_rng(SEED + 1).standard_normal(gluing.B.getSize()[0])
     reaction = system.dual.B.T @ lam[slice(*gluing.B.getOwnershipRange())]
     force = np.where(inverse.fixed, 0.0, reaction)
-    for dofs, E in zip(inverse.dofs, inverse.E, strict=True):  # balanced: Eᵀ f = 0
+    for dofs, E in zip(inverse.dofs, system.modes.E, strict=True):  # balanced: Eᵀ f = 0
         force[dofs] -= E @ np.linalg.solve(E.T @ E, E.T @ force[dofs]) if E.size else 0.0
     u = inverse.solve(force)
     jump = system.dual.B @ u

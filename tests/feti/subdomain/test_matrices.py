@@ -14,10 +14,10 @@ import pytest
 from collective import COMM, agree, dense, equal, matrix_of_map, raises, small, whole
 
 from dolfinx_feti.errors import FactorError
-from dolfinx_feti.feti.subdomain import matrices as interior
+from dolfinx_feti.feti.subdomain import elimination
 from dolfinx_feti.feti.subdomain.dense import DenseFactors
-from dolfinx_feti.feti.subdomain.factors import Choice
-from dolfinx_feti.feti.subdomain.matrices import worth_eliminating
+from dolfinx_feti.feti.subdomain.direct import Choice
+from dolfinx_feti.feti.subdomain.matrices import worth_condensing
 from dolfinx_feti.feti.subdomain.schur import partial_factorisation_is_there, schur_complement
 
 SEED = 31
@@ -78,7 +78,8 @@ def test_dense_factors(shift):
     rows = np.arange(5, 5 + n, dtype=np.int32)
     factors = DenseFactors([rows, np.zeros(0, dtype=np.int32)])
     factors.set_block(0, np.tril(S))
-    factors.update([R, np.zeros((0, 0))], np.array([rho, 1.0]))
+    factors.update_block(0, R, rho)
+    factors.update_block(1)
     regularised = S + rho * R @ R.T
     t = np.random.default_rng(2).standard_normal(40)
     y, x = np.full(40, 7.0), np.full(40, 7.0)
@@ -92,7 +93,7 @@ def test_dense_factors(shift):
     equal(regularised @ factors.solve_many(0, many), many, 1e-11)
     negative = np.count_nonzero(np.linalg.eigvalsh(regularised) < 0)
     agree((negative > 0) == (shift < 10.0))
-    equal(factors.inertia(), [[negative, 0], [0, 0]])
+    agree(factors.pivots(0) == (negative, 0) and factors.pivots(1) == (0, 0))
     scaled_E, scaled_D = factors.solve_border(0)
     E = rho * np.linalg.solve(regularised, R)
     equal(rho * scaled_E, E, 1e-11)
@@ -118,7 +119,7 @@ def test_zero_eigenvalues_are_counted():
     factors = DenseFactors([np.arange(5, dtype=np.int32)])
     factors.set_block(0, S)
     factors.update_block(0, np.zeros((5, 0)), 1.0)
-    agree(factors.inertia_of(0) == (0, 2))
+    agree(factors.pivots(0) == (0, 2))
 
 
 def test_nan_is_no_inverse():
@@ -134,16 +135,17 @@ def test_nan_is_no_inverse():
 def test_elimination_is_exact(kind, change, way, torn_grid, parts, monkeypatch):
     """S by all ways, S u_Γ = f̂ with K u = f inside, and the inertia of K_II."""
     if way != "dense":
-        monkeypatch.setattr(interior, "SMALL", -1)
+        monkeypatch.setattr(elimination, "SMALL", -1)
     if way == "columns":
-        monkeypatch.setattr(interior, "partial_factorisation_is_there", lambda choice: False)
+        monkeypatch.setattr(elimination, "partial_factorisation_is_there", lambda choice: False)
     problem = torn_grid((2, 2), (4, 3), components=2, change=change)
     system = parts(problem.A, type=kind, interior="eliminate")
-    torn, matrices, fixed = system.torn, system.interior, system.inverse.fixed
-    agree(isinstance(matrices.eliminated, DenseFactors) == (way == "dense"))
+    torn, matrices, fixed = system.torn, system.matrices, system.inverse.fixed
+    agree(type(matrices._elimination).__name__.startswith(way.title().rstrip("s")))
     K = problem.K_torn[torn.start : torn.start + torn.n, torn.start : torn.start + torn.n]
     f = np.where(fixed, 0.0, np.random.default_rng(SEED).standard_normal(torn.n))
     condensed = matrices.condense(f)
+    equal(matrices.condense(np.column_stack([f, -2.0 * f]))[:, 1], -2.0 * condensed, 1e-12)
     errors = [0.0]
     for rows, Γ in zip(torn.subdomains, matrices.dofs, strict=True):
         free = rows[~fixed[rows]]
@@ -183,16 +185,16 @@ def test_dual_system_is_that_of_the_kept_interior(kind, change, torn_grid, parts
         G = dense(kept.coarse.G)
         P = np.eye(len(F)) - G @ np.linalg.solve(G.T @ G, G.T)
         equal(P @ F_eliminated @ P, P @ F @ P, 1e-10)
-        agree(all(eliminated.inverse.exact))
+        agree(all(eliminated.modes.exact))
 
 
 @every_type
 @every_change
 @pytest.mark.parametrize("pc_type", ["dirichlet", "lumped", "identity", "none"])
-@pytest.mark.parametrize("most", [-1, interior.SMALL], ids=["sparse", "dense"])
+@pytest.mark.parametrize("most", [-1, elimination.SMALL], ids=["sparse", "dense"])
 def test_solutions_agree(kind, change, pc_type, most, torn_grid, feti, monkeypatch):
     """Both ways to the same solution, in a number of iterations that hardly differs."""
-    monkeypatch.setattr(interior, "SMALL", most)
+    monkeypatch.setattr(elimination, "SMALL", most)
     problem = torn_grid((2, 2), (4, 3), components=2, change=change)
     found, iterations = [], []
     for choice in ("keep", "eliminate"):
@@ -261,4 +263,4 @@ def test_choice(n, on_interface, worth):
     """Dense blocks for thin walls and small subdomains, sparse factors for compact large ones."""
     glued = np.arange(n) < on_interface
     torn = SimpleNamespace(comm=COMM)
-    agree(worth_eliminating(torn, [np.arange(n, dtype=np.int32)] * 2, glued) == worth)
+    agree(worth_condensing(torn, [np.arange(n, dtype=np.int32)] * 2, glued) == worth)

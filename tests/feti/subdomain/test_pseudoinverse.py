@@ -10,7 +10,7 @@ import pytest
 import scipy.linalg
 from collective import agree, equal, small, whole
 
-from dolfinx_feti.feti.setup import set_up
+from dolfinx_feti.feti.formulation import set_up
 from dolfinx_feti.feti.subdomain.kernel import kernel_basis
 
 SEED = 271104
@@ -65,17 +65,17 @@ def test_generalised_inverse_solves_balanced_problems(components, kind, torn_gri
     """K K⁺ K = K and K R = 0."""
     problem = torn_grid((2, 2), (3, 2), components=components)
     system = parts(problem.A, type=kind)
-    torn, inverse = system.torn, system.inverse
+    torn, inverse, found = system.torn, system.inverse, system.modes
     x = np.where(inverse.fixed, 0.0, np.random.default_rng(SEED).standard_normal(torn.n))
     Kx = np.where(inverse.fixed, 0.0, torn.multiply(x))
     back = apply(system, Kx)
     equal(whole(back[inverse.fixed]), np.zeros(len(whole(back[inverse.fixed]))))
     again = np.where(inverse.fixed, 0.0, torn.multiply(back))
     equal(whole(again), whole(Kx), 1e-11)
-    pairs = zip(blocks(problem, system), inverse.E, strict=True)
+    pairs = zip(blocks(problem, system), found.E, strict=True)
     error = max((np.abs(K @ E).max(initial=0.0) for K, E in pairs), default=0.0)
     small(error, 1e-12 * np.abs(problem.K_torn).max())
-    agree(all(inverse.exact) and all(np.all(D == 0.0) for D in inverse.D))
+    agree(all(found.exact) and all(np.all(D == 0.0) for D in found.D))
 
 
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
@@ -84,16 +84,16 @@ def test_algebra_is_exact_for_any_matrix(change, kind, torn_grid, parts):
     """E and D satisfy RᵀE = I − D/ρ and K E = R D, and K⁺ that of K + ρ R Rᵀ."""
     problem = torn_grid((2, 2), (2, 2), components=2, change=change)
     system = parts(problem.A, type=kind, indefinite="gmres")
-    inverse = system.inverse
+    found = system.modes
     y = np.random.default_rng(SEED + 2).standard_normal(system.torn.n)
     x = apply(system, y)
     everything = zip(
         blocks(problem, system),
         modes(system),
-        inverse.dofs,
-        inverse.E,
-        inverse.D,
-        inverse.rho,
+        found.dofs,
+        found.E,
+        found.D,
+        found.rho,
         strict=True,
     )
     errors = [0.0]
@@ -106,27 +106,25 @@ def test_algebra_is_exact_for_any_matrix(change, kind, torn_grid, parts):
             np.abs(D - D.T).max(initial=0.0) / rho,
         ]
     small(max(errors), 1e-10)
-    defects = [np.abs(D).max(initial=0.0) for D in inverse.D]
-    agree(
-        all(exact == (defect == 0.0) for exact, defect in zip(inverse.exact, defects, strict=True))
-    )
+    defects = [np.abs(D).max(initial=0.0) for D in found.D]
+    agree(all(exact == (defect == 0.0) for exact, defect in zip(found.exact, defects, strict=True)))
     if change is None:
-        agree(all(inverse.exact))
+        agree(all(found.exact))
 
 
 def test_defect_is_there_as_soon_as_the_modes_leave_the_kernel(torn_grid, parts):
     """Only the changed subdomain is not exact; its defect is RᵀK R up to second order."""
     problem = torn_grid((2, 2), (2, 2), components=2, change=prestress((0.0, 1e-5, 0.0, 0.0)))
     system = parts(problem.A)
-    equal(whole(np.array(system.inverse.exact)), [True, False, True, True])
+    equal(whole(np.array(system.modes.exact)), [True, False, True, True])
     agree(
         all(
             exact or 1e3 * np.abs(D - R.T @ K @ R).max() < np.abs(D).max() > 1e-7 * np.abs(K).max()
             for K, R, D, exact in zip(
                 blocks(problem, system),
                 modes(system),
-                system.inverse.D,
-                system.inverse.exact,
+                system.modes.D,
+                system.modes.exact,
                 strict=True,
             )
         )
@@ -142,11 +140,9 @@ def test_negative_eigenvalues_are_counted(change, torn_grid, parts):
     system = parts(problem.A, indefinite="gmres")
     expected = sum(
         np.count_nonzero(np.linalg.eigvalsh(K + rho * R @ R.T) < 0.0)
-        for K, R, rho in zip(
-            blocks(problem, system), modes(system), system.inverse.rho, strict=True
-        )
+        for K, R, rho in zip(blocks(problem, system), modes(system), system.modes.rho, strict=True)
     )
-    agree(system.inverse.negative_local() == expected, (system.inverse.negative_local(), expected))
+    agree(system.inverse.negative() == expected, (system.inverse.negative(), expected))
 
 
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
@@ -156,16 +152,15 @@ def test_buckling_modes_join_the_kernel(kind, torn_grid, parts):
     K E = R D means Eᵀ K E = D − D²/ρ with whatever columns R has got.
     """
     problem = torn_grid((2, 2), (2, 2), components=2, change=CHANGES["random"])
-    plain = parts(problem.A, type=kind, indefinite="gmres").inverse
-    inverse = parts(problem.A, type=kind).inverse
-    total = whole(np.array([plain.negative_local(), inverse.negative_local()]))
+    plain = parts(problem.A, type=kind, indefinite="gmres")
+    system = parts(problem.A, type=kind)
+    found = system.modes
+    total = whole(np.array([plain.inverse.negative(), system.inverse.negative()]))
     agree(total[::2].sum() > 0 and total[1::2].sum() == 0, total)
-    wider = whole(inverse.kernel_dimensions()) - whole(plain.kernel_dimensions())
+    wider = whole(found.dimensions) - whole(plain.modes.dimensions)
     agree(wider.min() >= 0 and wider.sum() >= total[::2].sum(), wider)
     errors = [0.0]
-    for K, E, D, rho in zip(
-        blocks(problem, parts(problem.A, type=kind)), inverse.E, inverse.D, inverse.rho, strict=True
-    ):
+    for K, E, D, rho in zip(blocks(problem, system), found.E, found.D, found.rho, strict=True):
         errors.append(np.abs(E.T @ K @ E - D + D @ D / rho).max(initial=0.0) / np.abs(K).max())
     small(max(errors), 1e-10)
 
@@ -173,7 +168,7 @@ def test_buckling_modes_join_the_kernel(kind, torn_grid, parts):
 def test_negative_defects_are_counted(torn_grid, parts):
     problem = torn_grid((2, 2), (2, 2), components=2, change=CHANGES["softening"])
     system = parts(problem.A)
-    counted = system.torn.comm.allreduce(system.inverse.negative_defects())
+    counted = system.torn.comm.allreduce(system.modes.negative_defects)
     agree(counted == 12, counted)  # the three modes of each subdomain
 
 
@@ -183,9 +178,9 @@ def test_props_hold_what_buckles(change, kind, torn_grid, parts):
     """K + Z Zᵀ has no negative eigenvalue, K has."""
     problem = torn_grid((2, 2), (2, 2), components=2, change=CHANGES[change])
     system = parts(problem.A, type=kind)
-    agree(system.torn.comm.allreduce(system.inverse.negative_defects()) > 0)
+    agree(system.torn.comm.allreduce(system.modes.negative_defects) > 0)
     lowest = {1.0: np.inf, 0.0: np.inf}
-    for K, Z in zip(blocks(problem, system), system.inverse.props, strict=True):
+    for K, Z in zip(blocks(problem, system), system.modes.props, strict=True):
         for share in lowest:
             value = np.linalg.eigvalsh(K + share * Z @ Z.T)[0] / np.abs(K).max()
             lowest[share] = min(lowest[share], value)
@@ -197,14 +192,14 @@ def test_unsymmetric_matrices_have_two_kernels(torn_grid, parts):
     """K E = R D and Kᵀ E_left = R Dᵀ."""
     problem = torn_grid((2, 2), (2, 2), components=2, change=unsymmetric)
     system = parts(problem.A)
-    inverse = system.inverse
+    found = system.modes
     agree(not system.symmetric)
     y = np.random.default_rng(SEED + 3).standard_normal(system.torn.n)
     x = apply(system, y)
     errors = [0.0]
     for i, (K, R) in enumerate(zip(blocks(problem, system), modes(system), strict=True)):
-        E, E_left, D, rho = inverse.E[i], inverse.E_left[i], inverse.D[i], inverse.rho[i]
-        dofs, scale = inverse.dofs[i], np.abs(K).max()
+        E, E_left, D, rho = found.E[i], found.E_left[i], found.D[i], found.rho[i]
+        dofs, scale = found.dofs[i], np.abs(K).max()
         errors += [
             np.abs(K @ E - R @ D).max() / scale,
             np.abs(K.T @ E_left - R @ D.T).max() / scale,
@@ -232,10 +227,10 @@ def test_values_are_refreshed_and_the_pattern_kept(torn_grid, pattern):
     system.destroy()
     problem.local.shift(0.1)
     system = set_up(read)
-    agree(not any(system.inverse.exact))
+    agree(not any(system.modes.exact))
     x = apply(system, y)
     residual = y - system.torn.multiply(x)
-    for R, dofs, rho in zip(modes(system), system.inverse.dofs, system.inverse.rho, strict=True):
+    for R, dofs, rho in zip(modes(system), system.inverse.dofs, system.modes.rho, strict=True):
         residual[dofs] -= rho * R @ (R.T @ x[dofs])
     small(np.abs(residual).max(initial=0.0), 1e-11)
     system.destroy()
@@ -253,6 +248,6 @@ def test_dense_null_space_agrees_with_the_kernel(torn_grid, parts):
     problem = torn_grid((2, 1, 1), (1, 2, 1), components=3)
     system = parts(problem.A)
     null = [scipy.linalg.null_space(K, rcond=1e-10) for K in blocks(problem, system)]
-    pairs = list(zip(null, system.inverse.E, strict=True))
+    pairs = list(zip(null, system.modes.E, strict=True))
     agree(all(N.shape == E.shape for N, E in pairs))
     small(max((np.abs(N @ (N.T @ E) - E).max() for N, E in pairs), default=0.0), 1e-11)

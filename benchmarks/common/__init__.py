@@ -1,0 +1,7 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What all benchmarks need: command lines, records, the machine, other solvers, tables.
+
+In the order of the data: records, arguments, machine, clock, progress, gamg, table, pages.
+"""

@@ -1,0 +1,124 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The machine: the memory that it has, what a run takes of it, how fast it reads, its clock."""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+import dolfinx
+
+from dolfinx_feti.comparison import PeakMemory
+
+__all__ = ["PeakMemory", "available_mib", "bandwidth", "describe", "now", "resident_mib"]
+
+PROC = Path("/proc")
+CGROUP = Path("/sys/fs/cgroup")
+
+#: Size of the array that is read to measure the bandwidth, larger than a cache [bytes].
+STREAM = 2**27
+
+
+def available_mib(comm: MPI.Comm) -> float:
+    """Return the memory that the processes may still take on all their machines [MiB].
+
+    Infinite where the system does not report it.
+
+    Note:
+        Collective.
+    """
+    machine = comm.Split_type(MPI.COMM_TYPE_SHARED)
+    share = _available_here() / machine.size
+    machine.Free()
+    return comm.allreduce(share)
+
+
+def _available_here() -> float:
+    """Return what the kernel can give, or what is left of a container's limit, if less [MiB]."""
+    left = [_field(PROC / "meminfo", "MemAvailable")]
+    try:
+        limit, used = ((CGROUP / f"memory.{name}").read_text() for name in ("max", "current"))
+        left.append((float(limit) - float(used)) / 2**20)
+    except (OSError, ValueError):
+        pass  # no limit
+    return min(left)
+
+
+def resident_mib(comm: MPI.Comm) -> float:
+    """Return the memory of all processes after giving free memory back [MiB].
+
+    Note:
+        Collective.
+    """
+    _trim()
+    rss = _field(PROC / "self/status", "VmRSS")
+    return comm.allreduce(rss if np.isfinite(rss) else 0.0)
+
+
+def bandwidth(comm: MPI.Comm) -> float:
+    """Measure how fast all processes together read memory [bytes a second].
+
+    Note:
+        Collective.
+    """
+    x = np.ones(STREAM // 8 // comm.size)
+    seconds = []
+    for _ in range(4):
+        comm.Barrier()
+        started = time.perf_counter()
+        x.dot(x)
+        seconds.append(comm.allreduce(time.perf_counter() - started, op=MPI.MAX))
+    return comm.size * x.nbytes / min(seconds)
+
+
+def describe() -> dict[str, str | int]:
+    """Name the processor, the memory and the versions."""
+    memory = _field(PROC / "meminfo", "MemTotal")
+    return {
+        "processor": _processor(),
+        "memory_gib": round(memory / 2**10) if np.isfinite(memory) else 0,
+        "python": platform.python_version(),
+        "dolfinx": dolfinx.__version__,
+        "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
+    }
+
+
+def now() -> str:
+    """Return date and time to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _processor() -> str:
+    try:
+        lines = (PROC / "cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return f"{len(names)} × {names[0]}" if names else platform.machine()
+
+
+def _field(file: Path, name: str) -> float:
+    """Return a size from a file of /proc [MiB]; infinite if it is not there."""
+    try:
+        lines = file.read_text().splitlines()
+    except OSError:
+        return np.inf
+    sizes = [float(line.split()[1]) / 2**10 for line in lines if line.startswith(name + ":")]
+    return sizes[0] if sizes else np.inf
+
+
+def _trim() -> None:
+    try:
+        ctypes.CDLL(None).malloc_trim(0)
+    except AttributeError:
+        pass  # another C library than GNU's

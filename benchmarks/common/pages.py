@@ -1,0 +1,55 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Commands that make pages and pictures of records, on one process."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from benchmarks.common.records import Record, read_records
+
+__all__ = ["run_command"]
+
+
+def run_command(
+    name: str,
+    description: str,
+    arguments: Sequence[str] | None,
+    *,
+    known: Callable[[Record], bool],
+    writer: str,
+    write: Callable[[Path, Sequence[Record], str], None],
+) -> int:
+    """Read the records that a command line names, and write the pages into its folder.
+
+    Args:
+        name: Name of the command.
+        description: What ``--help`` says about it.
+        arguments: The command line without the program's name.
+        known: Tells whether a record is one of the pages'.
+        writer: The benchmark that writes the records.
+        write: Writes the pages: folder, records, and a remark about the runs.
+
+    Returns:
+        The exit status, 0.
+
+    Raises:
+        SystemExit: Bad input.
+    """
+    parser = argparse.ArgumentParser(
+        name, description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("records", type=Path, nargs="+", metavar="JSON", help=f"files of {writer}")
+    parser.add_argument("--output", type=Path, required=True, metavar="FOLDER")
+    parser.add_argument("--remark", default="", help="remark about the runs")
+    args = parser.parse_args(arguments)
+    try:
+        records = [r for path in args.records for r in read_records(path, known, writer)]
+        args.output.mkdir(parents=True, exist_ok=True)
+        write(args.output, records, args.remark)
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+    return 0

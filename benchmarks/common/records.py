@@ -1,0 +1,135 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A JSON file of records that is written as a study goes on, and read when it is resumed."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from mpi4py import MPI
+
+from dolfinx_feti.collective import on_first, reason
+
+__all__ = ["Record", "Records", "read_records"]
+
+Record = dict[str, object]
+
+
+class Records:
+    """Records of a study, in a file if there is one; equal on all processes."""
+
+    def __init__(self, path: Path | None, comm: MPI.Comm) -> None:
+        """Read the file, or find out that it can be written.
+
+        Args:
+            path: The file; its folder is made. None keeps the records in memory.
+            comm: The first of its processes reads and writes.
+
+        Raises:
+            ValueError: The file cannot be written, or holds something else. On all processes.
+
+        Note:
+            Collective.
+        """
+        self._path, self._comm = path, comm
+        self._records: list[Record] = []
+        if path is not None:
+            try:
+                self._records = on_first(lambda: _read_or_create(path), comm)
+            except (OSError, ValueError) as error:
+                raise ValueError(
+                    f"--json '{path}' cannot be used: {error}. Name another file."
+                ) from error
+
+    def find(self, key: Record) -> Record | None:
+        """Return the record that has these values, if there is one."""
+        for record in self._records:
+            if all(record.get(name, ...) == value for name, value in key.items()):
+                return record
+        return None
+
+    def put(self, key: Record, record: Record) -> Record:
+        """Put a record in the place of the one that has the same key, and write the file.
+
+        Args:
+            key: Values by which it is found again.
+            record: The key and what was measured, on the first process; times differ on others.
+
+        Returns:
+            The record, the same on all processes.
+
+        Raises:
+            OSError: The file cannot be written any more. On all processes; the file is as before.
+
+        Note:
+            Collective.
+        """
+        record = self._comm.bcast(record)
+        old = self.find(key)
+        if old is None:
+            self._records.append(record)
+        else:
+            self._records[self._records.index(old)] = record
+        if self._path is not None:
+            path, records = self._path, self._records
+            try:
+                on_first(lambda: _write(path, records), self._comm)
+            except OSError as error:
+                raise OSError(
+                    f"The records in '{path}' cannot be written ({reason(error)}): make room, and "
+                    "run it again; what the file holds is not repeated."
+                ) from error
+        return record
+
+
+def read_records(path: Path, known: Callable[[Record], bool], writer: str) -> list[Record]:
+    """Read the records that a benchmark has written.
+
+    Args:
+        path: The file.
+        known: Tells whether a record is one of that benchmark.
+        writer: The benchmark.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: It holds something else, or nothing.
+    """
+    try:
+        records = _parse(path)
+        sound = records and all(map(known, records))
+        cause = "" if sound else "there are none, or some of another kind"
+    except ValueError as error:
+        cause = str(error)
+    if cause:
+        raise ValueError(f"{path} holds no records of {writer}: {cause}. Name a file of it.")
+    return records
+
+
+def _parse(path: Path) -> list[Record]:
+    text = path.read_text()
+    records = json.loads(text) if text.strip() else []
+    if not isinstance(records, list) or not all(isinstance(record, dict) for record in records):
+        raise ValueError("it holds something else than a list of records")
+    return records
+
+
+def _read_or_create(path: Path) -> list[Record]:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a"):
+        pass
+    return _parse(path)
+
+
+def _write(path: Path, records: list[Record]) -> None:
+    """Write all records beside the file, then put them in its place: there is one whole file."""
+    whole = path.with_name(path.name + ".part")
+    lines = (json.dumps(each, ensure_ascii=False) for each in records)
+    try:
+        whole.write_text("[\n" + ",\n".join(lines) + "\n]\n")
+        os.replace(whole, path)
+    finally:
+        whole.unlink(missing_ok=True)

@@ -1,0 +1,87 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What the pattern of a torn matrix tells: its blocks, and the copies of its dofs; and symmetry."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+import scipy.sparse.csgraph
+
+__all__ = ["block_graph", "connected_blocks", "copy_forest", "is_symmetric"]
+
+Indices = npt.NDArray[np.int32]
+
+
+def is_symmetric(K: PETSc.Mat) -> bool:
+    """Test xᵀ K y = yᵀ K x for one pair of random vectors, up to rounding.
+
+    Note:
+        Collective on K.
+    """
+    x, y = K.createVecs()
+    Kx, Ky = x.duplicate(), x.duplicate()
+    x.array[:], y.array[:] = np.random.default_rng(20140715).standard_normal((2, x.getLocalSize()))
+    K.mult(x, Kx)
+    K.mult(y, Ky)
+    skew = abs(y.dot(Kx) - x.dot(Ky))
+    scale = max(Kx.norm() * y.norm(), Ky.norm() * x.norm())
+    for v in (x, y, Kx, Ky):
+        v.destroy()
+    return bool(skew <= 1e-10 * scale)
+
+
+def connected_blocks(K: PETSc.Mat) -> list[Indices]:
+    """Find the connected components of a block-diagonal matrix.
+
+    Args:
+        K: Sequential AIJ matrix with a symmetric pattern, (n, n).
+
+    Returns:
+        For each component its rows, ascending; components in the order of their first row.
+    """
+    if K.getSize()[0] == 0:
+        return []
+    _, label = scipy.sparse.csgraph.connected_components(block_graph(K), directed=False)
+    label = np.repeat(label, K.getBlockSize())
+    order = np.argsort(label, kind="stable").astype(np.int32)
+    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+
+
+def block_graph(K: PETSc.Mat) -> scipy.sparse.csr_array:
+    """Return which blocks of dofs a matrix couples, (n / bs, n / bs).
+
+    Args:
+        K: Sequential AIJ matrix, (n, n), of block size bs.
+    """
+    n, bs = K.getSize()[0], K.getBlockSize()
+    graph = scipy.sparse.csr_array((n // bs, n // bs), dtype=bool)
+    if n == 0:
+        return graph
+    indptr, indices = K.getRowIJ()
+    for first in range(bs):  # one row of every block at a time, for the sake of memory
+        start, length = indptr[:-1][first::bs], np.diff(indptr)[first::bs]
+        end = np.cumsum(length)
+        entries = np.repeat(start - end + length, length) + np.arange(length.sum())
+        pattern = (indices[entries] // bs, np.concatenate(([0], end)))
+        if first and all(map(np.array_equal, pattern, (graph.indices, graph.indptr))):
+            continue  # the rows of a block are alike
+        more = scipy.sparse.csr_array((np.ones(len(entries), dtype=bool), *pattern), graph.shape)
+        graph = graph + more if first else more
+    return graph
+
+
+def copy_forest(A: PETSc.Mat) -> PETSc.SF:
+    """Build the star forest with the dofs as roots and their torn copies as leaves."""
+    lgmap = A.getLGMap()[0]
+    dofs = lgmap.getIndices()
+    ranges = A.getOwnershipRanges()
+    rank = np.searchsorted(ranges, dofs, side="right") - 1
+    remote = np.column_stack([rank, dofs - ranges[rank]]).astype(PETSc.IntType)
+    forest = PETSc.SF().create(A.comm)
+    forest.setGraph(A.getLocalSize()[0], None, remote)
+    return forest

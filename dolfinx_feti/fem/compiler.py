@@ -1,0 +1,85 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""From UFL to code, on all processes or on none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+import ufl
+
+from dolfinx_feti.collective import on_all
+
+__all__ = ["Compiler"]
+
+
+@dataclass(frozen=True, slots=True)
+class Compiler:
+    """How forms and expressions are compiled.
+
+    Attributes:
+        comm: Communicator of the mesh.
+        form_compiler_options: Options of FFCx, see ``ffcx --help``.
+        jit_options: Options of the C compiler and its cache, see ``dolfinx.jit``.
+    """
+
+    comm: MPI.Comm
+    form_compiler_options: Mapping[str, object] | None = None
+    jit_options: Mapping[str, object] | None = None
+
+    def form(self, form: ufl.Form) -> dolfinx.fem.Form:
+        """Compile a form.
+
+        Raises:
+            Exception: It cannot be compiled, on all processes.
+
+        Note:
+            Collective.
+        """
+        return on_all(
+            lambda: dolfinx.fem.form(
+                form,
+                form_compiler_options=_copy(self.form_compiler_options),
+                jit_options=_copy(self.jit_options),
+            ),
+            self.comm,
+        )
+
+    def expression(
+        self, expression: ufl.core.expr.Expr, points: npt.NDArray[np.float64]
+    ) -> dolfinx.fem.Expression:
+        """Compile an expression.
+
+        Args:
+            expression: The expression.
+            points: Where it is evaluated in the reference cell, (points, dimension).
+
+        Raises:
+            Exception: It cannot be compiled, on all processes.
+
+        Note:
+            Collective.
+        """
+        return on_all(
+            lambda: dolfinx.fem.Expression(
+                expression,
+                points,
+                comm=self.comm,
+                form_compiler_options=_copy(self.form_compiler_options),
+                jit_options=_copy(self.jit_options),
+            ),
+            self.comm,
+        )
+
+
+def _copy(options: Mapping[str, object] | None) -> dict[str, object]:
+    """Return options that dolfinx may add to."""
+    return dict(options or {})

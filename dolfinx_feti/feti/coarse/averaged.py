@@ -1,0 +1,352 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The averaged coarse space of the primal method and its Galerkin matrix.
+
+Each subdomain contributes columns :math:`U_i` on its interface: the stand-in E of its kernel
+(``pseudoinverse``) and others, such as those of ``flux``. With their copies averaged they are
+fields of the assembled problem,
+
+.. math:: V = T^⊤ δ\, U, \qquad A_0 = V^⊤ A V = \sum_i W_i^⊤ S_i W_i, \qquad W_i = (T V)_i,
+
+(Mandel 1993, Fragakis and Papadrakakis 2003). :math:`W_i` holds the columns of subdomain i and
+those of its neighbours, as one dense block, and so does :math:`Y_i = S_i W_i`, so that the
+projection
+
+.. math:: z ← z - V A_0^{-1} (A V)^⊤ z, \qquad (A V)^⊤ z = \sum_i Y_i^⊤ (T z)_i
+
+takes two dense products for each subdomain, one coarse solve, and an average.
+
+The averaged columns of a subdomain may depend on each other, or nearly so. Its block on the
+diagonal of A₀, scaled to a unit diagonal, tells: combinations of the columns with an energy below
+:data:`DEPENDENT` are dropped, and the others normalised to energy one. Columns of several
+subdomains may depend on each other, too: pivots below :data:`ZERO` are left out of the solution,
+which is exact on what is left. Rounding gives such columns energies of either sign. So negative
+eigenvalues count only if they are those of :math:`A_0 + ε`, with a diagonal ε just above the
+rounding errors of the energies, :math:`\sum_i \|S_i\|_F \|W_i\|^2` times the unit of rounding for
+each column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+
+from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.feti.copies import Copies, consecutive, star_forest
+from dolfinx_feti.torn import create_torn_matrix
+
+__all__ = ["AveragedSpace"]
+
+Array = npt.NDArray[np.float64]
+Numbers = npt.NDArray[np.int64]
+
+#: Energy below which a combination of the columns of a subdomain, of unit energy each, is dropped.
+DEPENDENT = 1e-6
+
+#: A pivot of A₀ below this multiple of its norm is that of a column that depends on others.
+ZERO = 1e-8
+
+#: Bounds of rounding errors by which an eigenvalue of A₀ has to be negative.
+BOUNDS = 10.0
+
+#: Steps of conjugate gradients for each unknown of A₀ in the search of a negative direction.
+STEPS = 3
+
+
+class AveragedSpace:
+    """V, A V and the factored A₀.
+
+    Attributes:
+        size: Number of columns of this process.
+        total: Number of columns over all processes.
+        dropped: Number of dependent combinations among them, over all processes.
+        AV: For each subdomain :math:`Y_i`, and the numbers of its columns.
+        A_0: The Galerkin matrix of the independent combinations.
+        solver: Its factors.
+    """
+
+    def __init__(
+        self,
+        copies: Copies,
+        U: Sequence[Array],
+        multiply: Callable[[int, Array], Array],
+        *,
+        prefix: str,
+    ) -> None:
+        """Form and factor the Galerkin matrix.
+
+        Args:
+            copies: Copies of the interface dofs.
+            U: For each subdomain its columns on the interface, (n_i, k_i).
+            multiply: Applies S_i to columns, ``multiply(i, X)``, (n_i, c) → (n_i, c).
+            prefix: Options prefix of the coarse solver.
+
+        Note:
+            Collective.
+        """
+        comm = copies.comm
+        self._copies = copies
+        self._U = [np.asfortranarray(U_i) for U_i in U]
+        self._own = consecutive([U_i.shape[1] for U_i in U])
+        self.size = sum(U_i.shape[1] for U_i in U)
+        self.total = comm.allreduce(self.size)
+        fields = averaged_fields(copies, self._U)
+        self.AV = [_Field(multiply(i, W.values), W.numbers) for i, W in enumerate(fields)]
+        energies = [W.values.T @ Y.values for W, Y in zip(fields, self.AV, strict=True)]
+        numbers = [W.numbers for W in fields]
+        self._near = consecutive([len(near) for near in numbers])
+        self._forest = star_forest(_joined(numbers).astype(np.int64), self.size, comm)
+        whole = _sum_of_blocks(energies, numbers, (self.size, self.total), comm)
+        self._basis = _independent(whole, self._own)
+        self.A_0 = _change_of_basis(whole, self._basis)
+        whole.destroy()
+        self.dropped = self.total - self.A_0.getSize()[0]
+        self._x, self._y = self.A_0.createVecs()
+        self.solver = GatheredSolver(self.A_0, prefix=prefix, symmetric=True, zero=ZERO)
+        self._negative = self.solver.pivots().negative
+        if self._negative:
+            near = [_rounding(W.values, multiply, i) for i, W in enumerate(fields)]
+            rounding = self._basis.multiply(self._basis).T @ self._to_owners(near)
+            self._negative = self._count_negative(BOUNDS * rounding, prefix)
+
+    def start(self, r: Array) -> Array:
+        """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective."""
+        t = self._copies.delta * r
+        blocks = zip(self._U, self._copies.blocks, strict=True)
+        return self.prolong(self.solve(_joined([U.T @ t[rows] for U, rows in blocks])))
+
+    def project(self, z: Array) -> Array:
+        """Return z − V A₀⁻¹ (A V)ᵀ z, of and by copies, (n,). Collective."""
+        return z - self.prolong(self.solve(self.energies(z)))
+
+    def energies(self, z: Array) -> Array:
+        """Return the energy products with the columns of this process, (A V)ᵀ z, (size,)."""
+        blocks = zip(self.AV, self._copies.blocks, strict=True)
+        return self._to_owners([Y.values.T @ z[rows] for Y, rows in blocks])
+
+    def _to_owners(self, near: Sequence[Array]) -> Array:
+        """Sum what each subdomain has for its columns, (c_i,), at their owners, (size,)."""
+        leaves, own = _joined(near), np.zeros(self.size)
+        self._forest.reduceBegin(MPI.DOUBLE, leaves, own, MPI.SUM)
+        self._forest.reduceEnd(MPI.DOUBLE, leaves, own, MPI.SUM)
+        return own
+
+    def solve(self, e: Array) -> Array:
+        """Return A₀⁻¹ e, both (size,). Collective."""
+        self._y.array[:] = self._basis.T @ e
+        self.solver.solve(self._y, self._x)
+        return np.asarray(self._basis @ self._x.array_r)
+
+    def prolong(self, y: Array) -> Array:
+        """Return the copies of V y, (size,) → (n,). Collective."""
+        t = np.empty(self._copies.n)
+        for U, rows, own in zip(self._U, self._copies.blocks, self._own, strict=True):
+            t[rows] = U @ y[own]
+        return self._copies.average(t)
+
+    def negative(self) -> int | None:
+        """Count the negative eigenvalues of A₀, which A has at least; None if not known."""
+        return self._negative
+
+    def _count_negative(self, rounding: Array, prefix: str) -> int | None:
+        """Count the negative eigenvalues of A₀ + ε, with the diagonal ε of this process."""
+        self._x.array[:] = rounding
+        shifted = self.A_0.copy()
+        shifted.setDiagonal(self._x, addv=PETSc.InsertMode.ADD_VALUES)
+        solver = GatheredSolver(shifted, prefix=prefix, symmetric=True)
+        negative = solver.pivots().negative
+        solver.destroy()
+        shifted.destroy()
+        return negative
+
+    def negative_direction(self) -> Array | None:
+        """Return the copies of a field v with vᵀ A v < 0, (n,); None if A₀ is positive definite.
+
+        Conjugate gradients for A₀ meet one before they converge.
+
+        Note:
+            Collective.
+        """
+        if self.negative() == 0:
+            return None
+        r, q = self.A_0.createVecs()
+        r.array[:] = np.random.default_rng(self._copies.comm.rank).standard_normal(len(r.array_r))
+        p, ρ, v = r.copy(), r.dot(r), None
+        for _ in range(STEPS * self.A_0.getSize()[0]):
+            self.A_0.mult(p, q)
+            curvature = p.dot(q)
+            if curvature <= 0.0:
+                v = self.prolong(np.asarray(self._basis @ p.array_r))
+                break
+            r.axpy(-ρ / curvature, q)
+            ρ, last = r.dot(r), ρ
+            p.aypx(ρ / last, r)
+        for owned in (r, q, p):
+            owned.destroy()
+        return v
+
+    def memory(self) -> float:
+        """Return the memory of the dense blocks of this process in MiB."""
+        return (
+            sum(U.nbytes + Y.values.nbytes for U, Y in zip(self._U, self.AV, strict=True)) / 2**20
+        )
+
+    def destroy(self) -> None:
+        """Free matrices and solver."""
+        self.solver.destroy()
+        for owned in (self.A_0, self._forest, self._x, self._y):
+            owned.destroy()
+
+
+@dataclass(frozen=True, slots=True)
+class _Field:
+    """Columns on the interface of one subdomain.
+
+    Attributes:
+        values: Dense block, (n_i, c_i).
+        numbers: Number of each column over all processes, ascending, (c_i,).
+    """
+
+    values: Array
+    numbers: Numbers
+
+
+def averaged_fields(copies: Copies, U: Sequence[Array]) -> list[_Field]:
+    """Average the columns of all subdomains, T V, as one dense block for each subdomain.
+
+    Args:
+        copies: Copies of the interface dofs.
+        U: For each subdomain its columns, (n_i, k_i), numbered on over subdomains and processes.
+
+    Note:
+        Collective.
+    """
+    count = np.array([U_i.shape[1] for U_i in U], dtype=np.int64)
+    before = copies.comm.scan(int(count.sum())) - count.sum()
+    first = before + np.cumsum(count) - count
+    sizes = [rows.stop - rows.start for rows in copies.blocks]
+    most = copies.comm.allreduce(int(count.max(initial=0)), op=MPI.MAX)
+    values = np.empty((len(copies.row), most))
+    column = np.zeros(copies.n)
+    for j in range(most):
+        for U_i, rows in zip(U, copies.blocks, strict=True):
+            column[rows] = U_i[:, j] if j < U_i.shape[1] else 0.0
+        values[:, j] = copies.values(copies.delta * column)
+    owner_first = copies.values(np.repeat(first, sizes).astype(np.float64)).astype(np.int64)
+    owner_count = copies.values(np.repeat(count, sizes).astype(np.float64)).astype(np.int64)
+    fields = []
+    for rows in copies.blocks:
+        pairs = np.arange(*np.searchsorted(copies.row, [rows.start, rows.stop]))
+        pairs = pairs[owner_count[pairs] > 0]
+        row = copies.row[pairs] - rows.start
+        n = rows.stop - rows.start
+        fields.append(_field(n, row, owner_first[pairs], owner_count[pairs], values[pairs]))
+    return fields
+
+
+def _field(
+    n: int, row: npt.NDArray[np.int32], first: Numbers, count: Numbers, values: Array
+) -> _Field:
+    """Collect the columns of all owners of copies in one dense block.
+
+    Args:
+        n: Rows of the block.
+        row: Row of each copy, (pairs,).
+        first: First column of the copy's owner, (pairs,).
+        count: Its number of columns, (pairs,).
+        values: The copy's values, in the first ``count`` entries, (pairs, most).
+    """
+    owners, at, group = np.unique(first, return_index=True, return_inverse=True)
+    widths: list[int] = [int(k) for k in count[at]]
+    W = np.zeros((n, sum(widths)), order="F")
+    for j, block in enumerate(consecutive(widths)):
+        mine = group == j
+        W[row[mine], block] = values[mine, : block.stop - block.start]
+    numbers = [np.arange(f, f + k) for f, k in zip(owners, widths, strict=True)]
+    return _Field(W, _joined(numbers).astype(np.int64))
+
+
+def _rounding(W: Array, multiply: Callable[[int, Array], Array], i: int) -> Array:
+    """Return a bound of the rounding errors of the energies of columns on subdomain i, (c_i,)."""
+    n = max(len(W), 1)
+    ω = np.random.default_rng(n).standard_normal((len(W), 1))
+    size = np.linalg.norm(multiply(i, ω))  # of the size of ‖S_i‖_F
+    return np.asarray(np.finfo(np.float64).eps * size * (W**2).sum(axis=0))
+
+
+def _sum_of_blocks(
+    blocks: Sequence[Array], numbers: Sequence[Numbers], sizes: tuple[int, int], comm: MPI.Comm
+) -> PETSc.Mat:
+    """Assemble dense blocks, rows and columns of each numbered over all processes."""
+    row = _joined([np.repeat(near, len(near)) for near in numbers]).astype(np.int64)
+    column = _joined([np.tile(near, len(near)) for near in numbers]).astype(np.int64)
+    near = np.unique(row)
+    place = (np.searchsorted(near, row), np.searchsorted(near, column))
+    values = _joined([block.ravel() for block in blocks])
+    local = scipy.sparse.csr_array((values, place), shape=(len(near), len(near)))
+    csr = tuple(part.astype(PETSc.IntType) for part in (local.indptr, local.indices))
+    K = PETSc.Mat().createAIJ(local.shape, csr=(*csr, local.data), comm=PETSc.COMM_SELF)
+    torn, A = create_torn_matrix(K, near, sizes, comm=comm), PETSc.Mat()
+    torn.convert("aij", A)
+    torn.destroy()
+    K.destroy()
+    return A
+
+
+def _independent(A: PETSc.Mat, blocks: Sequence[slice]) -> scipy.sparse.csr_array:
+    """Return combinations of columns with energy ±1, independent within each diagonal block.
+
+    Args:
+        A: Galerkin matrix of all columns, distributed.
+        blocks: Rows of each subdomain among those of this process.
+
+    Returns:
+        Block-diagonal matrix of the combinations, (size, up to size).
+    """
+    indptr, indices, values = A.getDiagonalBlock().getValuesCSR()
+    size = A.getLocalSize()[0]
+    local = scipy.sparse.csr_array((values, indices, indptr), shape=(size, size))
+    combinations = [_normalised(local[rows][:, rows].toarray()) for rows in blocks]
+    if not combinations:
+        return scipy.sparse.csr_array((0, 0))
+    return scipy.sparse.csr_array(scipy.sparse.block_diag(combinations, format="csr"))
+
+
+def _normalised(A: Array) -> Array:
+    """Return Q with Qᵀ A Q = diag(±1), without directions of no energy, (k, up to k)."""
+    size = np.sqrt(np.abs(A.diagonal()))
+    scale = np.divide(1.0, size, where=size > 0.0, out=np.zeros_like(size))
+    values, Q = np.linalg.eigh(scale[:, None] * A * scale)
+    kept = np.abs(values) > DEPENDENT
+    return scale[:, None] * Q[:, kept] / np.sqrt(np.abs(values[kept]))
+
+
+def _change_of_basis(A: PETSc.Mat, basis: scipy.sparse.csr_array) -> PETSc.Mat:
+    """Return Bᵀ A B, with the rows and columns of the block-diagonal B of each process."""
+    size = basis.shape[1]
+    comm = A.comm.tompi4py()
+    before, total = comm.scan(size) - size, comm.allreduce(size)
+    csr = (
+        basis.indptr.astype(PETSc.IntType),
+        (basis.indices + before).astype(PETSc.IntType),
+        basis.data,
+    )
+    B = PETSc.Mat().createAIJ((A.getSizes()[0], (size, total)), csr=csr, comm=A.comm)
+    A_0 = A.ptap(B)
+    A_0.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    B.destroy()
+    return A_0
+
+
+def _joined(parts: Sequence[npt.NDArray[Any]]) -> npt.NDArray[Any]:
+    """Concatenate arrays, of which there may be none."""
+    return np.concatenate(parts) if parts else np.zeros(0)

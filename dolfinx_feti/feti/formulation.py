@@ -1,0 +1,63 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Dual or primal: which form of the method a matrix is solved in.
+
+Both share the factored subdomains. The dual form is the paper's; under load its system is
+indefinite as soon as a subdomain would buckle alone, and GMRES has to solve it. The primal form
+stays positive definite as long as the matrix is. ``auto`` takes the dual form where conjugate
+gradients serve, and the primal one elsewhere, if the matrix is symmetric, all K_ρ are positive
+definite, the preconditioner is that with Schur complements, and nothing is asked for that only the
+dual form has: a Krylov method of its own, or recycled directions.
+"""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+from dolfinx_feti.feti.dual_form import DualForm, create_dual_form
+from dolfinx_feti.feti.preconditioner.dirichlet import Dirichlet
+from dolfinx_feti.feti.primal_form import PrimalForm, create_primal_form
+from dolfinx_feti.feti.setup import Factored, Pattern, factor
+
+__all__ = ["Form", "set_up"]
+
+Form = DualForm | PrimalForm
+
+
+def set_up(pattern: Pattern) -> Form:
+    """Factor the present matrix and build a form of the method.
+
+    Args:
+        pattern: What depends on the pattern of the matrix.
+
+    Returns:
+        The form; the caller destroys it before the pattern.
+
+    Raises:
+        SetUpError: A factorisation failed, a kernel is larger than its candidates, the assembled
+            problem is singular, or the options do not fit the matrix.
+
+    Note:
+        Collective.
+    """
+    factored = factor(pattern)
+    if _takes_primal(pattern, factored):
+        return create_primal_form(pattern, factored)
+    return create_dual_form(pattern, factored)
+
+
+def _takes_primal(pattern: Pattern, factored: Factored) -> bool:
+    """Choose the form."""
+    choice = pattern.options.formulation
+    if choice != "auto":
+        return choice == "primal"
+    inertia = factored.inertia
+    if inertia.definite or inertia.local != 0 or not pattern.symmetric or pattern.options.recycle:
+        return False
+    asked = any(PETSc.Options(pattern.prefix + "dual_").hasName(f"ksp_{key}") for key in ASKED)
+    return isinstance(pattern.preconditioner, Dirichlet) and not asked
+
+
+#: Options of the dual form's Krylov method that ask for the dual form.
+ASKED = ("type", "rtol", "atol")

@@ -1,0 +1,185 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The primal form: conjugate gradients on the assembled interface, preconditioned by FETI's parts.
+
+The local solves of the dual method also precondition the assembled Schur complement
+:math:`A = T^⊤ S T` itself,
+
+.. math:: z = Π\, T^⊤ δ\, K_ρ^{-1} δ\, T r, \qquad Π = I - V A_0^{-1} (A V)^⊤, \qquad
+          x_0 = V A_0^{-1} V^⊤ b,
+
+with the averaged coarse space V (``averaged``): P-FETI (Fragakis and Papadrakakis 2003), which is
+the balancing method (Mandel 1993) with the kernels of FETI. All residuals are orthogonal to V, and
+with V from E alone and D = 0 the eigenvalues are those of the projected dual operator and ones
+(Sousedík and Mandel 2008), so none is below one.
+
+:math:`K_ρ` is positive definite whatever D is, since modes that buckle have joined R
+(``pseudoinverse``). So the method is safe if A is positive definite; if A is not, A₀ tells or it
+meets a direction p with :math:`p^⊤ A p ≤ 0`, and returns it. The residual of the interface is that
+of the whole assembled system, because displacements inside are in balance.
+
+K_ρ and E may belong to an earlier matrix; S, A V and A₀ may not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from dolfinx_feti.feti.copies import Copies
+
+__all__ = ["Outcome", "PrimalSystem", "conjugate_gradients"]
+
+Array = npt.NDArray[np.float64]
+Monitor = Callable[[int, float], None]
+Reason = PETSc.KSP.ConvergedReason
+
+
+class CoarseSpace(Protocol):
+    """What conjugate gradients ask of a coarse space; see ``averaged``."""
+
+    def start(self, r: Array) -> Array:
+        """Return V A₀⁻¹ Vᵀ r."""
+
+    def project(self, z: Array) -> Array:
+        """Return z − V A₀⁻¹ (A V)ᵀ z."""
+
+    def negative_direction(self) -> Array | None:
+        """Return a field v with vᵀ A v < 0, or None if none is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class PrimalSystem:
+    """A and its preconditioner; vectors are copies on the torn interface, (n,).
+
+    Attributes:
+        copies: Copies of the interface dofs.
+        space: The coarse space V.
+        multiply: Applies S of every subdomain, (n,) → (n,).
+        solve: Applies :math:`K_ρ^{-1}` of every subdomain, restricted to the interface,
+            (n,) → (n,).
+    """
+
+    copies: Copies
+    space: CoarseSpace
+    multiply: Callable[[Array], Array]
+    solve: Callable[[Array], Array]
+
+    def residual(self, f: Array, x: Array) -> Array:
+        """Return b − A x, with b = Tᵀ f for a torn load f. Collective."""
+        return self.copies.sum(f - self.multiply(x))  # Tᵀ (f − S T x)
+
+    def precondition(self, r: Array) -> Array:
+        """Return z = Π Tᵀ δ K_ρ⁻¹ δ T r. Collective."""
+        w = self.solve(self.copies.delta * r)  # w = K_ρ⁻¹ δ T r
+        return self.space.project(self.copies.average(w))
+
+    def norm(self, r: Array) -> float:
+        """Return ‖r‖ of the assembled vector. Collective."""
+        return float(np.sqrt(self.copies.dot(r, r)))
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What conjugate gradients end with.
+
+    Attributes:
+        x: The iterate with the least residual, by its copies, (n,).
+        reason: PETSc's converged reason.
+        iterations: Number of iterations.
+        norm: ‖b − A x‖.
+        eigenvalues: Ritz values of the preconditioned operator, ascending, (iterations,).
+        direction: A direction p with pᵀ A p ≤ 0, by its copies, if one was met.
+    """
+
+    x: Array
+    reason: int
+    iterations: int
+    norm: float
+    eigenvalues: Array
+    direction: Array | None = None
+
+
+def conjugate_gradients(
+    system: PrimalSystem,
+    f: Array,
+    *,
+    target: float,
+    max_it: int,
+    monitor: Monitor,
+    stagnation: int = 0,
+) -> Outcome:
+    """Solve A x = Tᵀ f.
+
+    Args:
+        system: The assembled interface problem.
+        f: Torn load, condensed to the interface, (n,); not summed over copies.
+        target: Wanted norm of the residual.
+        max_it: Most iterations.
+        monitor: Called with (iteration, ‖b − A x‖).
+        stagnation: Iterations without a new least residual that end the solve; 0 for no end.
+
+    Note:
+        Collective.
+    """
+    copies, space = system.copies, system.space
+    x = space.start(copies.sum(f))
+    p: Array = np.zeros_like(x)
+    ρ = np.inf
+    r = system.residual(f, x)
+    norm = system.norm(r)
+    monitor(0, norm)
+    α: list[float] = []
+    β: list[float] = []
+    direction = space.negative_direction()
+    best, least, at = x, norm, 0
+    reason = Reason.ITERATING if direction is None else Reason.DIVERGED_INDEFINITE_MAT
+    while not reason and not (reason := _reason(norm, target, len(α), max_it)):
+        z = system.precondition(r)
+        ρ, last = copies.dot(r, z), ρ
+        β.append(ρ / last)
+        p = z + β[-1] * p
+        q = system.multiply(p)
+        curvature = copies.comm.allreduce(float(p @ q))  # pᵀ A p
+        if ρ <= 0.0:
+            reason = Reason.DIVERGED_INDEFINITE_PC
+        elif curvature <= 0.0:
+            reason, direction = Reason.DIVERGED_INDEFINITE_MAT, p
+        else:
+            α.append(ρ / curvature)
+            x = x + α[-1] * p
+            r -= α[-1] * copies.sum(q)
+            norm = system.norm(r)
+            monitor(len(α), norm)
+            if norm < least:
+                best, least, at = x, norm, len(α)
+            elif stagnation and len(α) - at >= stagnation:
+                reason = Reason.DIVERGED_BREAKDOWN
+    return Outcome(best, reason, len(α), least, ritz_values(α, β), direction)
+
+
+def _reason(norm: float, target: float, its: int, max_it: int) -> int:
+    """Return the converged reason after an iteration."""
+    if not np.isfinite(norm):
+        return Reason.DIVERGED_NANORINF
+    if norm <= target:
+        return Reason.CONVERGED_RTOL
+    return Reason.DIVERGED_MAX_IT if its == max_it else Reason.ITERATING
+
+
+def ritz_values(α: list[float], β: list[float]) -> Array:
+    """Return the eigenvalues of Lanczos' matrix from the coefficients of conjugate gradients."""
+    if not α or not np.all(np.isfinite(α)):
+        return np.zeros(0)
+    steps, turns = np.array(α), np.array(β[1 : len(α)])
+    diagonal = 1.0 / steps
+    diagonal[1:] += turns / steps[:-1]
+    return scipy.linalg.eigvalsh_tridiagonal(diagonal, np.sqrt(turns) / steps[:-1])

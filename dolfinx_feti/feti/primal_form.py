@@ -1,0 +1,216 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The primal form: the assembled interface problem set up for a matrix, and solved for a load.
+
+.. math:: A\, x = T^⊤ \hat f_Γ, \qquad A = T^⊤ S\, T, \qquad
+          \hat f_Γ = f_Γ - K_{ΓI} K_{II}^{-1} f_I, \qquad f = δ\, T r - K u_D,
+
+by conjugate gradients with the preconditioner of ``primal``; then :math:`u_Γ = T x` and
+:math:`u_I = K_{II}^{-1} (f_I - K_{IΓ} u_Γ)`. The coarse space holds the averaged motions E of the
+subdomains and, where a pressure is condensed, flux columns (``flux``).
+
+It is the form for matrices whose dual system is indefinite although they are not: those of a body
+under load, in which subdomains would buckle alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.errors import SetUpError
+from dolfinx_feti.events import event
+from dolfinx_feti.feti.coarse.averaged import AveragedSpace
+from dolfinx_feti.feti.coarse.flux import flux_columns
+from dolfinx_feti.feti.coarse.singularity import require_held
+from dolfinx_feti.feti.copies import Copies
+from dolfinx_feti.feti.gluing import Gluing
+from dolfinx_feti.feti.inertia import Inertia
+from dolfinx_feti.feti.krylov.method import Method, Solution
+from dolfinx_feti.feti.krylov.primal import PrimalSystem, conjugate_gradients
+from dolfinx_feti.feti.krylov.recycling import Directions
+from dolfinx_feti.feti.krylov.stopping import Monitor
+from dolfinx_feti.feti.options import FETIOptions
+from dolfinx_feti.feti.preconditioner.dirichlet import Dirichlet
+from dolfinx_feti.feti.setup import Factored, Pattern
+from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
+from dolfinx_feti.feti.subdomain.pseudoinverse import Modes, PseudoInverse
+from dolfinx_feti.torn import Torn
+
+__all__ = ["PrimalForm", "create_primal_form"]
+
+Array = npt.NDArray[np.float64]
+Reason = PETSc.KSP.ConvergedReason
+
+
+@dataclass(frozen=True, slots=True)
+class PrimalForm:
+    """The primal form of one matrix, with the parts of its pattern.
+
+    Attributes:
+        options: The choices made.
+        torn: Blocks and copies.
+        gluing: Weights δ.
+        matrices: The matrix of each subdomain, K or S.
+        inverse: K⁺.
+        near_kernel: Rigid body modes on the torn dofs, (n, k).
+        modes: E of each subdomain.
+        preconditioner: Applies S.
+        copies: Copies of the interface dofs.
+        space: The averaged coarse space V.
+        inertia: Negative eigenvalues.
+        system: A and its preconditioner.
+    """
+
+    options: FETIOptions
+    torn: Torn
+    gluing: Gluing
+    matrices: SubdomainMatrices
+    inverse: PseudoInverse
+    near_kernel: Array
+    modes: Modes
+    preconditioner: Dirichlet
+    copies: Copies
+    space: AveragedSpace
+    inertia: Inertia
+    system: PrimalSystem
+
+    def solve(
+        self, r: PETSc.Vec, u_D: Array, *, target: float, max_it: int, monitor: Monitor
+    ) -> tuple[Array, Solution]:
+        """Solve for an assembled right-hand side.
+
+        Args:
+            r: Assembled right-hand side, (N,).
+            u_D: Prescribed values on the torn Dirichlet dofs, (n,).
+            target: Wanted norm of the residual of the assembled system.
+            max_it: Most iterations.
+            monitor: Called with (iteration, norm of the residual of the assembled system).
+
+        Returns:
+            u with single-valued copies, (n,), and how conjugate gradients ended; its ``x`` are
+            copies of the interface dofs.
+
+        Note:
+            Collective.
+        """
+        torn, Γ = self.torn, self.copies.dofs
+        f = self.gluing.delta * torn.tear(r) - torn.multiply(u_D)
+        f[torn.dirichlet] = 0.0  # f = δ T r − K u_D
+        with event("FETIIterations"):
+            found = conjugate_gradients(
+                self.system,
+                self.preconditioner.condense(f)[Γ],
+                target=target,
+                max_it=max_it,
+                stagnation=self.options.stagnation,
+                monitor=monitor,
+            )
+        u = np.zeros(torn.n)
+        u[Γ] = found.x
+        ends = found.eigenvalues[[0, -1]] if len(found.eigenvalues) else (np.nan, np.nan)
+        reason = found.reason
+        if reason == Reason.DIVERGED_INDEFINITE_PC and self.inertia.local == 0:
+            reason = Reason.CONVERGED_ITS  # rounding: a fresh start on what is left
+        solution = Solution(found.x, reason, found.iterations, (float(ends[0]), float(ends[1])))
+        return self.preconditioner.complete(u, f) + u_D, solution
+
+    @property
+    def method(self) -> Method:
+        """Conjugate gradients."""
+        return Method("cg", "", self.options.stagnation, users_test=False)
+
+    @property
+    def users_test(self) -> bool:
+        """Whether the user's own tolerance of the Krylov method decides."""
+        return False
+
+    def deflated(self, _directions: Directions | None) -> PrimalForm:
+        """Return the form itself: directions of earlier solves serve the dual form only."""
+        return self
+
+    @property
+    def recycled(self) -> int:
+        """Number of directions of earlier solves."""
+        return 0
+
+    def directions(self) -> Directions | None:
+        """Return None: nothing is left to later solves."""
+        return None
+
+    def destroy(self) -> None:
+        """Free what depends on the matrix; the parts of the pattern stay."""
+        self.space.destroy()
+        self.copies.destroy()
+
+
+def create_primal_form(pattern: Pattern, factored: Factored) -> PrimalForm:
+    """Build the coarse space of the present matrix.
+
+    Args:
+        pattern: What depends on the pattern, with the factors of the present matrix.
+        factored: What these tell.
+
+    Returns:
+        The form; the caller destroys it before the pattern.
+
+    Raises:
+        SetUpError: The matrix is not symmetric, S is not there, or a body is not held.
+
+    Note:
+        Collective.
+    """
+    S, options = pattern.preconditioner, pattern.options
+    if not pattern.symmetric or not isinstance(S, Dirichlet):
+        raise SetUpError(
+            f"-{pattern.prefix}formulation is primal, which takes a symmetric matrix and "
+            f"-{pattern.prefix}pc_type dirichlet: let it be dual or auto."
+        )
+    torn, modes, inverse = pattern.torn, factored.modes, pattern.inverse
+    with event("FETICoarse"):
+        require_held(torn, pattern.bodies, factored.near_kernel, definite=False)
+        copies = Copies(torn, S.interface, pattern.gluing.delta)
+        g = S.condense(torn.flux(options.coarse_flux))[copies.dofs]
+
+        def solve_many(i: int, c: Array) -> Array:
+            on = S.on_interface[i]
+            y = np.zeros((len(on), c.shape[1]))
+            y[on] = c
+            return inverse.solve_many(i, y)[on]
+
+        pairs = zip(modes.E, S.on_interface, flux_columns(copies, g, solve_many), strict=True)
+        U = [np.hstack([E[on], flux]) for E, on, flux in pairs]
+        space = AveragedSpace(copies, U, S.multiply_many, prefix=pattern.prefix + "coarse_")
+
+    def to_torn(t: Array) -> Array:
+        u = np.zeros(torn.n)
+        u[copies.dofs] = t
+        return u
+
+    system = PrimalSystem(
+        copies,
+        space,
+        multiply=lambda t: S.multiply(to_torn(t))[copies.dofs],
+        solve=lambda t: inverse.solve(to_torn(t))[copies.dofs],
+    )
+    negative, inside = space.negative(), factored.inertia.interior
+    proved = None if negative is None or inside is None else negative + inside
+    return PrimalForm(
+        options=options,
+        torn=torn,
+        gluing=pattern.gluing,
+        matrices=pattern.matrices,
+        inverse=inverse,
+        near_kernel=factored.near_kernel,
+        modes=modes,
+        preconditioner=S,
+        copies=copies,
+        space=space,
+        inertia=replace(factored.inertia, assembled=proved),
+        system=system,
+    )

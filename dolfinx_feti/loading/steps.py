@@ -1,0 +1,83 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""How to choose the increments of a load, and what a load step cost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dolfinx_feti.problems.history import NewtonStep
+
+__all__ = ["LoadStep", "Steps", "load_step"]
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """How to choose the increments of the load, in the unit of the load.
+
+    Attributes:
+        first: The first increment.
+        least: The increment below which there is no further halving.
+        growth: Factor of the increment after a quick step.
+        quick: Newton steps that count as quick.
+        rtol: Newton's relative tolerance at the loads on the way; None for the solver's own.
+
+    Raises:
+        ValueError: A number is out of its range.
+    """
+
+    first: float
+    least: float
+    growth: float = 1.5
+    quick: int = 6
+    rtol: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if not 0.0 < self.least <= self.first < math.inf:
+            raise ValueError(
+                f"first={self.first} and least={self.least}: increments are positive numbers, and "
+                "the least is not above the first."
+            )
+        if not 1.0 <= self.growth < math.inf:
+            raise ValueError(f"growth={self.growth} is not a number of 1 or more.")
+        if self.rtol is not None and not 0.0 < self.rtol < 1.0:
+            raise ValueError(f"rtol={self.rtol} is not a number between 0 and 1.")
+
+
+@dataclass(frozen=True, slots=True)
+class LoadStep:
+    """An accepted load step.
+
+    Attributes:
+        load: The load that was reached.
+        increment: By how much it grew.
+        history: What each Newton step cost.
+        failures: Attempts with longer increments that failed before.
+        lost: What each Newton step of the failed attempts cost.
+        seconds: Time, failures included.
+    """
+
+    load: float
+    increment: float
+    history: tuple[NewtonStep, ...]
+    failures: int
+    lost: tuple[NewtonStep, ...]
+    seconds: float
+
+    @property
+    def all_steps(self) -> tuple[NewtonStep, ...]:
+        """All Newton steps, those of failed attempts included."""
+        return self.lost + self.history
+
+
+def load_step(record: Mapping[str, Any]) -> LoadStep:
+    """Return a load step from what ``asdict`` made of it."""
+    steps = {
+        name: tuple(NewtonStep(**step) for step in record[name]) for name in ("history", "lost")
+    }
+    return LoadStep(**{**record, **steps})

@@ -1,0 +1,135 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""PETSc's solvers with contexts of this package: made from options, and what fails in them.
+
+A script that was written for another solver sets options that choose it. They have no effect here,
+which is logged once; the script goes on with FETI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+from petsc4py import PETSc
+
+from dolfinx_feti.collective import on_all, warn
+from dolfinx_feti.feti.options import SOLVERS, options_without_effect, read_options
+from dolfinx_feti.feti.solver import FETI
+from dolfinx_feti.petsc_options import inserted, withheld
+
+__all__ = ["create_newton_solver", "create_solver", "python_errors"]
+
+
+def create_solver(A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]) -> PETSc.KSP:
+    """Create a KSP with the FETI context and set it from the options.
+
+    Args:
+        A: Torn matrix.
+        prefix: Options prefix.
+        petsc_options: Options without prefix.
+
+    Raises:
+        ValueError: An option has a wrong value.
+
+    Note:
+        Collective.
+    """
+    ksp = PETSc.KSP().create(A.comm)
+    ksp.setOptionsPrefix(prefix)
+
+    def set_up() -> None:
+        with _options(A, prefix, petsc_options):
+            _attach(ksp, FETI(), A)
+            _set_from_options(ksp, prefix)
+
+    on_all(set_up, A.comm.tompi4py())
+    return ksp
+
+
+def create_newton_solver(
+    newton: object, feti: FETI, A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]
+) -> PETSc.SNES:
+    """Create a SNES and its KSP with their contexts, and set them from the options.
+
+    Args:
+        newton: Context of the SNES.
+        feti: Context of the KSP.
+        A: Torn tangent.
+        prefix: Options prefix.
+        petsc_options: Options without prefix.
+
+    Raises:
+        ValueError: An option has a wrong value.
+
+    Note:
+        Collective.
+    """
+    snes = PETSc.SNES().create(A.comm)
+    snes.setOptionsPrefix(prefix)
+
+    def set_up() -> None:
+        with _options(A, prefix, petsc_options):
+            snes.setType(PETSc.SNES.Type.PYTHON)
+            snes.setPythonContext(newton)
+            snes.setTolerances(rtol=1e-8, atol=1e-10, max_it=30)
+            _attach(snes.getKSP(), feti, A)
+            _set_from_options(snes, prefix)
+            snes.getKSP().setErrorIfNotConverged(False)
+
+    on_all(set_up, A.comm.tompi4py())
+    return snes
+
+
+def _attach(ksp: PETSc.KSP, feti: FETI, A: PETSc.Mat) -> None:
+    ksp.setOperators(A)
+    ksp.setType(PETSc.KSP.Type.PYTHON)
+    ksp.setPythonContext(feti)
+
+
+@contextmanager
+def _options(A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]) -> Iterator[None]:
+    """Insert options, but for those that choose another solver; these are logged."""
+    with inserted(prefix, petsc_options):
+        other = options_without_effect(prefix)
+        if other:
+            named = ", ".join(f"-{prefix}{name} {value}".rstrip() for name, value in other.items())
+            warn(
+                f"Without effect: {named}. FETI solves the torn system; leave them out. "
+                f"-{prefix}feti_… chooses its parts, see docs/options.md.",
+                A.comm.tompi4py(),
+            )
+        with withheld(prefix + name for name in {*SOLVERS, *other}):
+            yield
+
+
+def _set_from_options(solver: PETSc.KSP | PETSc.SNES, prefix: str) -> None:
+    """Let a solver read its options; a failure to converge is for the package to report.
+
+    Raises:
+        ValueError: An option has a wrong value; perhaps on this process alone.
+    """
+    read_options(prefix)  # PETSc would turn its ValueError into an error code
+    try:
+        solver.setFromOptions()
+    except PETSc.Error as error:
+        cause = str(error).splitlines()[-1].removeprefix("[0] ")
+        raise ValueError(
+            f"PETSc refuses one of the options -{prefix}…: {cause}. See docs/options.md."
+        ) from error
+    solver.setErrorIfNotConverged(False)
+
+
+@contextmanager
+def python_errors() -> Iterator[None]:
+    """Raise the error of Python's that made a call of PETSc's fail, and not PETSc's own."""
+    try:
+        yield
+    except PETSc.Error as error:
+        cause: BaseException = error
+        while isinstance(cause, PETSc.Error) and cause.__cause__ is not None:
+            cause = cause.__cause__
+        if cause is error:
+            raise
+        raise cause from None

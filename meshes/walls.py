@@ -1,0 +1,84 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Walls on all processes: read from a file, which the first process generates if need be."""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+
+from mpi4py import MPI
+
+from dolfinx_feti.collective import on_first
+from dolfinx_feti.wall import Wall, read_wall
+from dolfinx_feti.wall.wallfile import read_raw_wall
+from meshes.tube import create_tube
+from meshes.vessel import create_vessel
+from meshes.wall_mesh import Quality, WallMesh, measure_quality
+
+__all__ = ["CREATE", "create_tube_wall", "create_wall"]
+
+#: Generators of walls by name.
+CREATE = {"vessel": create_vessel, "tube": create_tube}
+
+
+def create_wall(
+    source: str | Path, comm: MPI.Comm, *, size: float | None, folder: Path
+) -> tuple[Wall, Quality]:
+    """Read a wall; generate it first if its file is not there yet.
+
+    Args:
+        source: `vessel` or `tube`, or the path of a file.
+        comm: Communicator of the mesh.
+        size: Length of the elements' edges [mm]; None for the generator's default.
+        folder: Where generated walls are kept.
+
+    Returns:
+        The wall, and the quality of its elements.
+
+    Raises:
+        Exception: Whatever the generator or the reader finds wrong, on all processes.
+
+    Note:
+        Collective.
+    """
+    path, quality = on_first(lambda: _prepare(source, size, folder), comm)
+    return read_wall(path, comm), quality
+
+
+def create_tube_wall(comm: MPI.Comm, **geometry: object) -> Wall:
+    """Mesh a tube on the first process and distribute it, without a file that stays.
+
+    Args:
+        comm: Communicator of the mesh.
+        geometry: See :func:`meshes.tube.create_tube`.
+
+    Raises:
+        Exception: Whatever the generator finds wrong, on all processes.
+
+    Note:
+        Collective.
+    """
+    with ExitStack() as until_read:
+
+        def write() -> Path:
+            folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+            path = Path(until_read.enter_context(folder)) / "tube.msh"
+            create_tube(path, **geometry)
+            return path
+
+        return read_wall(on_first(write, comm), comm)
+
+
+def _prepare(source: str | Path, size: float | None, folder: Path) -> tuple[Path, Quality]:
+    """Return the wall's file, generated if it is not there yet, and its elements' quality."""
+    path = Path(source)
+    if source in CREATE:
+        path = folder / (f"{source}.msh" if size is None else f"{source}_{size:g}.msh")
+        if not path.is_file():
+            CREATE[source](path, **({} if size is None else {"size": size}))
+    raw = read_raw_wall(path)
+    mesh = WallMesh(raw.points, raw.cells, raw.layers, raw.facets, raw.surfaces)
+    return path, measure_quality(mesh)

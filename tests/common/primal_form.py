@@ -1,0 +1,165 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The primal form built from the parts of a FETI system, and its dense counterparts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+from collective import COMM, whole
+from hand_torn import HandTorn
+
+from dolfinx_feti.feti.coarse.averaged import AveragedSpace
+from dolfinx_feti.feti.copies import Copies
+from dolfinx_feti.feti.dual_form import DualForm
+from dolfinx_feti.feti.krylov.primal import Outcome, PrimalSystem, conjugate_gradients
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PrimalForm:
+    """A primal system and the parts that it is made of."""
+
+    parts: DualForm
+    system: PrimalSystem
+
+    @property
+    def copies(self) -> Copies:
+        return self.system.copies
+
+    def solve(self, b: Array, u_D: Array, **how: object) -> tuple[Array, Outcome]:
+        """Solve for an assembled right-hand side and prescribed values, both torn, (n,).
+
+        Returns:
+            The torn solution, (n,), and how conjugate gradients ended.
+        """
+        torn, Γ, S = self.parts.torn, self.copies.dofs, self.parts.preconditioner
+        u_D = np.where(torn.dirichlet, u_D, 0.0)
+        f = np.where(torn.dirichlet, 0.0, self.parts.gluing.delta * b - torn.multiply(u_D))
+        outcome = cg(self.system, S.condense(f)[Γ], **how)
+        u = np.zeros(torn.n)
+        u[Γ] = outcome.x
+        u = S.complete(u, f)
+        return u + u_D, outcome
+
+
+def cg(system: PrimalSystem, f: Array, *, rtol: float = 1e-10, max_it: int = 200) -> Outcome:
+    """Solve to a share of the norm of the right-hand side."""
+    target = rtol * system.norm(system.copies.sum(f))
+    return conjugate_gradients(
+        system, f, target=target, max_it=max_it, monitor=lambda its, norm: None
+    )
+
+
+def create(
+    parts: DualForm, more: Callable[[DualForm, Copies], list[Array]] | None = None
+) -> PrimalForm:
+    """Build the primal form of a FETI system, with E and further columns in the coarse space."""
+    M = parts.preconditioner
+    copies = Copies(parts.torn, M.interface, parts.gluing.delta)
+
+    def torn(t: Array) -> Array:
+        u = np.zeros(parts.torn.n)
+        u[copies.dofs] = t
+        return u
+
+    pairs = zip(parts.modes.E, parts.inverse.dofs, M.interface, strict=True)
+    U = [E[np.isin(dofs, Γ)] for E, dofs, Γ in pairs]
+    if more is not None:
+        U = [np.hstack(pair) for pair in zip(U, more(parts, copies), strict=True)]
+    space = AveragedSpace(copies, U, M.multiply_many, prefix="test_feti_coarse_")
+    system = PrimalSystem(
+        copies,
+        space,
+        multiply=lambda t: M.multiply(torn(t))[copies.dofs],
+        solve=lambda t: parts.inverse.solve(torn(t))[copies.dofs],
+    )
+    return PrimalForm(parts, system)
+
+
+def destroy(form: PrimalForm) -> None:
+    """Free what the form owns."""
+    form.system.space.destroy()
+    form.copies.destroy()
+
+
+@dataclass(frozen=True, slots=True)
+class Dense:
+    """The same, dense, with whole matrices on all processes.
+
+    Attributes:
+        T: Copies of the free interface dofs, (n, N).
+        S: Schur complements, (n, n).
+        delta: Weights, (n,).
+        S_ρ: Regularised Schur complements, (n, n).
+        E: Stand-ins of the kernels, (n, k).
+    """
+
+    T: Array
+    S: Array
+    delta: Array
+    S_ρ: Array
+    E: Array
+
+    @property
+    def A(self) -> Array:
+        return self.T.T @ self.S @ self.T
+
+    @property
+    def average(self) -> Array:
+        """Tᵀ δ, (N, n)."""
+        return self.T.T * self.delta
+
+    @property
+    def V(self) -> Array:
+        return self.average @ self.E
+
+    @property
+    def preconditioner(self) -> Array:
+        """Π Tᵀ δ K_ρ⁻¹ δ T, (N, N)."""
+        V, A = self.V, self.A
+        A_0 = np.linalg.pinv(V.T @ A @ V, rcond=1e-10, hermitian=True)
+        projection = np.eye(len(A)) - V @ A_0 @ V.T @ A
+        return projection @ self.average @ np.linalg.solve(self.S_ρ, self.average.T)
+
+
+def reference(problem: HandTorn, form: PrimalForm) -> Dense:
+    """Compute the dense counterparts from the local matrices, R and ρ."""
+    parts, Γ = form.parts, form.copies.dofs
+    start = parts.torn.start
+    rows = whole(Γ + start)
+    held = whole(parts.inverse.fixed)
+    inside = np.setdiff1d(np.flatnonzero(~held), rows)
+    K, interior = problem.K_torn, np.ix_(inside, inside)
+    free = np.concatenate([rows, inside])
+
+    def condensed(K: Array) -> Array:
+        X = np.linalg.solve(K[interior], K[np.ix_(inside, rows)])
+        return K[np.ix_(rows, rows)] - K[np.ix_(rows, inside)] @ X
+
+    ρ_R = np.zeros((parts.torn.n, 0))
+    R_all = ρ_R
+    for R, ρ, dofs in zip(parts.modes.R, parts.modes.rho, parts.inverse.dofs, strict=True):
+        columns = np.zeros((parts.torn.n, R.shape[1]))
+        columns[dofs] = R
+        R_all, ρ_R = np.hstack([R_all, columns]), np.hstack([ρ_R, ρ * columns])
+    R_all, ρ_R = (scipy.linalg.block_diag(*COMM.allgather(part)) for part in (R_all, ρ_R))
+    if not parts.matrices.condensed:
+        K_ρ = K + ρ_R @ R_all.T
+        S_ρ = condensed(K_ρ)
+        E = np.zeros_like(R_all)
+        E[free] = np.linalg.solve(K_ρ[np.ix_(free, free)], ρ_R[free])
+        E = E[rows]
+    else:
+        S_ρ = condensed(K) + ρ_R[rows] @ R_all[rows].T
+        E = np.linalg.solve(S_ρ, ρ_R[rows])
+    T = problem.T[rows][:, ~problem.dirichlet]
+    return Dense(
+        T=T[:, T.any(axis=0)], S=condensed(K), delta=whole(form.copies.delta), S_ρ=S_ρ, E=E
+    )

@@ -1,0 +1,109 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The bar of the load on a terminal."""
+
+from __future__ import annotations
+
+import io
+from types import SimpleNamespace
+
+import pytest
+from collective import COMM, agree, raises
+
+from dolfinx_feti import ConvergenceError
+from dolfinx_feti.loading.progress import WIDTH, Progress
+from dolfinx_feti.loading.steps import Steps
+
+
+class Terminal(io.StringIO):
+    """Keeps what is written to it."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def terminal(monkeypatch) -> Terminal:
+    """Give each process a terminal of 100 columns as stderr."""
+    screen = Terminal()
+    monkeypatch.setattr("dolfinx_feti.loading.progress.sys", SimpleNamespace(stderr=screen))
+    monkeypatch.setenv("COLUMNS", "100")
+    return screen
+
+
+def lines(written: str) -> list[str]:
+    """Return what stood on the terminal's line, one after the other."""
+    return written.split("\r\x1b[K")[1:]
+
+
+def test_nothing_is_shown_where_there_is_no_terminal(played, monkeypatch):
+    screen = io.StringIO()
+    monkeypatch.setattr("dolfinx_feti.loading.progress.sys", SimpleNamespace(stderr=screen))
+    played().follow([1.0], Steps(first=0.1, least=0.1))
+    agree(screen.getvalue() == "", screen.getvalue())
+
+
+def test_bar_on_the_first_process(played, terminal):
+    played(cost=lambda increment: 2).follow(
+        [1.0, 2.0], Steps(first=0.5, least=0.5, growth=1.0), unit="mmHg"
+    )
+    shown = lines(terminal.getvalue())
+    if COMM.rank == 0:
+        text = [line.split("%")[1].strip() for line in shown if line]
+        expected = [
+            f"{load:.4g} → {load + 0.5:.4g} of 2 mmHg{newton}"
+            for load in (0.0, 0.5, 1.0, 1.5)
+            for newton in ("", "  Newton 0  ‖r‖ = 1.0e+00", "  Newton 1  ‖r‖ = 1.0e-01")
+        ]
+        filled = [line.count("█") / (line.count("█") + line.count("░")) for line in shown if line]
+        ok = text == expected and shown[-1] == "" and filled[::3] == [0.0, 0.25, 0.5, 0.75]
+    else:
+        ok = shown == []
+    agree(ok, shown)
+
+
+def test_bar_measures_the_way_up_and_down(played, terminal):
+    steps = Steps(first=1.0, least=1.0, growth=1.0)
+    played().follow([3.0, 1.0, 2.0], steps, unloading=True)
+    percent = [line.split("%")[0][-4:] for line in lines(terminal.getvalue()) if "Newton" in line]
+    expected = [0, 17, 33, 50, 67, 83] if COMM.rank == 0 else []
+    agree([int(number) for number in percent] == expected, percent)
+
+
+def test_bar_is_as_wide_as_the_terminal(played, terminal, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    played().follow([1.0], Steps(first=0.5, least=0.5), unit="millimetres of mercury")
+    width = max((len(line) for line in lines(terminal.getvalue())), default=0)
+    agree(width == (39 if COMM.rank == 0 else 0), width)
+
+
+def test_bar_goes_when_the_way_ends(played, terminal):
+    """After a failure too, and a later solve of the same SNES shows nothing."""
+    problem = played(fails=lambda before, load: load > 0.5)
+    with raises(ConvergenceError, "beyond a load of 0.5"):
+        problem.follow([1.0], Steps(first=0.5, least=0.5))
+    written = terminal.getvalue()
+    agree(lines(written)[-1:] == ([""] if COMM.rank == 0 else []))
+    problem.solver.monitor(0, 1.0)
+    agree(terminal.getvalue() == written)
+
+
+def test_bar_makes_room_for_other_output(played, terminal):
+    """Where ``on_step`` is called, the line is empty."""
+    cleared = []
+    played().follow(
+        [1.0],
+        Steps(first=0.5, least=0.5),
+        on_step=lambda _: cleared.append(lines(terminal.getvalue())[-1:]),
+    )
+    agree(set(map(tuple, cleared)) == {("",) if COMM.rank == 0 else ()}, cleared)
+
+
+def test_bar_where_there_is_no_way_left(played, terminal):
+    """As at a restart whose only target has been met, but roughly."""
+    problem = played()
+    with Progress(problem.solver, COMM, loads=[3.0, 3.0], unit="mmHg") as bar:
+        bar.attempt(3.0, 3.0)
+    shown = [line.split("  ")[0] for line in lines(terminal.getvalue()) if line]
+    agree(shown == (["█" * WIDTH + " 100 %"] if COMM.rank == 0 else []), shown)

@@ -1,0 +1,88 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Load steps that go on from a checkpoint."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+from checkpoint_run import STEPS
+from collective import COMM, agree, equal, raises, small
+from states import ROUNDING
+from wall_files import on_first
+from walls import tube, wall
+
+from dolfinx_feti import loads
+from dolfinx_feti.loading.checkpoint import Checkpoint
+from dolfinx_feti.loading.load_steps import follow_load
+
+pytest.importorskip("adios4dolfinx")
+
+
+def follow(
+    folder: Path, target: float, *, restart: bool, kappa: float = 1000.0, rtol: float | None = None
+):
+    body = wall(tube(around=4, along=2), degree=1, kappa=kappa)
+    checkpoint = Checkpoint(folder, COMM, restart=restart)
+    steps = follow_load(
+        body.problem(3),
+        lambda mmhg: setattr(body.load, "value", loads.mmhg(mmhg)),
+        [1.0, target],
+        dataclasses.replace(STEPS, rtol=rtol),
+        state=[body.u, body.p],
+        checkpoint=checkpoint,
+    )
+    return steps, body
+
+
+def test_a_restart_goes_the_way_of_one_run(tmp_path):
+    """Steps, increments, predictions and iterations: the equilibria of the past are kept, too."""
+    whole, one = follow(tmp_path / "whole", 3.0, restart=False)
+
+    class StoppedError(Exception):
+        """Ends the run."""
+
+    class Stopping(Checkpoint):
+        def write(self, functions, record, past=()) -> None:
+            super().write(functions, record, past)
+            if len(record["steps"]) == 3:
+                raise StoppedError
+
+    with pytest.MonkeyPatch.context() as patch, raises(StoppedError, ""):
+        patch.setitem(globals(), "Checkpoint", Stopping)
+        follow(tmp_path / "parts", 3.0, restart=False)
+    parts, other = follow(tmp_path / "parts", 3.0, restart=True)
+    agree([step.load for step in parts] == [step.load for step in whole])
+    agree(len(parts) > 4 and other.load.value == one.load.value == loads.mmhg(3.0))
+    for a, b in zip(parts, whole, strict=True):
+        agree(len(a.history) == len(b.history) and a.failures == b.failures)
+    equal(other.u.x.array, one.u.x.array, 1e-9)
+    again, finished = follow(tmp_path / "parts", 3.0, restart=True)
+    agree([step.load for step in again] == [step.load for step in parts], "nothing is left to do")
+    equal(finished.u.x.array, other.u.x.array, ROUNDING)
+
+
+@pytest.mark.parametrize("rtol", [None, 1e-2])
+def test_a_target_that_was_met_on_the_way(rtol, tmp_path):
+    """It is solved again if it was met roughly; otherwise there is nothing left to do."""
+    whole, _ = follow(tmp_path, 3.0, restart=False, rtol=rtol)
+    on_the_way = next(s.load for s in whole if s.load > 1.0)
+    latest = on_first(lambda: json.loads((tmp_path / "latest.json").read_text()))
+    agree(latest["record"]["met"] == [0.0, 1.0, 3.0] and on_the_way < 3.0)
+    latest["record"]["met"] = [0.0, 1.0]
+    on_first(lambda: (tmp_path / "latest.json").write_text(json.dumps(latest)))
+    again, body = follow(tmp_path, 3.0, restart=True, rtol=rtol)
+    more = [] if rtol is None else [0.0]
+    agree([s.increment for s in again] == [*(s.increment for s in whole), *more])
+    small(body.load.value - loads.mmhg(3.0), 0.0)
+
+
+def test_a_foreign_record(tmp_path):
+    body = wall(tube(around=4, along=2), degree=1)
+    Checkpoint(tmp_path, COMM).write([body.u, body.p], {"t": 1.0})
+    with raises(ValueError, "was not written by follow_load of this version: name another folder"):
+        follow(tmp_path, 1.0, restart=True)

@@ -1,0 +1,73 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Surfaces of triangles: read from files, remeshed, and grown to prisms."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from collective import agree, equal, small
+from mesh_files import pipe, watertight, write_stl
+from wall_files import on_first
+
+from meshes.layers import grow, sheets
+from meshes.remesh import remesh
+from meshes.surface import find_edges, read_stl, triangle_angles
+from meshes.wall_mesh import TAGS, WallMesh, measure_quality
+
+pytestmark = pytest.mark.serial
+
+
+@pytest.mark.parametrize("name", ["p.stl", "p.stl.gz", "binary.stl"])
+def test_surfaces_are_read(tmp_path, name):
+    x, t = pipe()
+
+    def make():
+        return read_stl(write_stl(tmp_path / name, x, t, binary=name == "binary.stl"))
+
+    y, s = on_first(make)
+    agree(y.shape == x.shape and s.shape == t.shape)
+    # the points are numbered anew
+    key = [np.lexsort(np.round(p[r].mean(axis=1), 5).T) for p, r in ((x, t), (y, s))]
+    equal(x[t[key[0]]].mean(axis=1), y[s[key[1]]].mean(axis=1), 1e-6)
+
+
+def test_remeshing_makes_good_triangles():
+    x, t = pipe(n=60, m=9)
+    y, s = remesh(x, t, size=0.9)
+    length = np.linalg.norm(np.diff(y[find_edges(s).ends], axis=1)[:, 0], axis=1)
+    small(length.mean() / 0.9 - 1, 0.1)
+    agree(np.degrees(triangle_angles(y, s)).min() > 25)
+    equal(np.unique(y[find_edges(s).rim.ravel(), 2]), [0, 10], 1e-12)
+
+
+def test_quality_of_known_tetrahedra():
+    """1 for the regular one, negative inside out, 0 when flat."""
+    regular = np.array([[0, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1]], dtype=float)
+    flat = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], dtype=float)
+    expected = {
+        1.0: (regular, [0, 1, 3, 2]),
+        -1.0: (regular, [0, 1, 2, 3]),
+        0.0: (flat, [0, 1, 2, 3]),
+    }
+    for q, (x, corners) in expected.items():
+        one = np.array([1])
+        mesh = WallMesh(x, np.array([corners]), one, np.zeros((0, 3), dtype=int), one[:0])
+        small(measure_quality(mesh).minimum - q, 1e-12)
+
+
+def test_prisms_match_for_any_numbering():
+    """Neighbouring columns cut the side between them alike, whatever the numbers are."""
+    x, t = pipe(n=9, m=4)
+    number = np.random.default_rng(7043).permutation(len(x))
+    y = np.empty_like(x)
+    y[number] = x
+    s = number[t]
+    rim = find_edges(s).rim
+    tags = np.full(len(rim), TAGS["opening_1"])
+    mesh = grow(y, y * [1.3, 1.3, 1], s, through=sheets(0.5, (1, 2)), rim=(rim, tags))
+    agree(measure_quality(mesh).minimum > 0)
+    watertight(SimpleNamespace(cells=mesh.cells, facets=mesh.facets))

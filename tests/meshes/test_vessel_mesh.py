@@ -1,0 +1,219 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The wall of the vessel: quality, tags, volumes, no leak; and what its generator refuses."""
+
+from __future__ import annotations
+
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from collective import agree, equal, raises, small
+from mesh_files import areas, pipe, volumes, watertight, write_stl
+from wall_files import on_first
+
+from dolfinx_feti.wall.wallfile import read_raw_wall
+from meshes import vessel
+from meshes.surface import Guide, read_stl
+from meshes.wall_mesh import TAGS, WallMesh, write_msh
+
+pytestmark = pytest.mark.serial
+
+THICKNESS, MEDIA = 1.0, 2 / 3
+
+
+@pytest.fixture(scope="module")
+def artery(tmp_path_factory):
+    """The vessel of the demo, with its file."""
+    path = on_first(lambda: tmp_path_factory.mktemp("vessel") / "vessel.msh")
+    quality = on_first(lambda: vessel.create_vessel(path))
+    return SimpleNamespace(quality=quality, wall=on_first(lambda: read_raw_wall(path)))
+
+
+def test_vessel_is_good(artery):
+    """About 40 000 tetrahedra, none of them bad; the histogram counts them all."""
+    quality = artery.quality
+    agree(36_000 < quality.cells < 44_000, quality)
+    agree(quality.minimum >= 0.2, quality)
+    agree(sum(quality.histogram) == quality.cells and quality.histogram[:2] == (0, 0), quality)
+    agree("quality" in str(quality) and "0.2: " in str(quality))
+
+
+def test_vessel_is_watertight(artery):
+    watertight(artery.wall)
+
+
+def test_vessel_has_its_names(artery):
+    agree(set(artery.wall.layer_names) == {"media", "adventitia"})
+    openings = {f"opening_{k}" for k in (1, 2, 3)}
+    agree(set(artery.wall.surface_names) == {"lumen", "outer"} | openings)
+
+
+def test_vessel_openings_are_rings(artery):
+    """Mean radii of 4.3, 3.5 and 2.9 mm, from the wide one to the narrow one."""
+    area = areas(artery.wall)
+    rings = np.array([area[f"opening_{k}"] for k in (1, 2, 3)])
+    radii = np.array([4.342, 3.503, 2.946])
+    equal(rings, np.pi * ((radii + THICKNESS) ** 2 - radii**2), 0.05)
+
+
+def test_vessel_has_the_thickness(artery):
+    """Volume = mean of inner and outer area times thickness; media below 2/3, being inside."""
+    area, volume = areas(artery.wall), volumes(artery.wall)
+    mean = (area["lumen"] + area["outer"]) / 2
+    small(sum(volume.values()) / (mean * THICKNESS) - 1, 0.02)
+    share = volume["media"] / sum(volume.values())
+    agree(0.60 < share < MEDIA, share)
+
+
+def test_vessel_does_not_overlap_itself(artery):
+    """No point of the outer wall is much nearer to the lumen than the thickness."""
+    wall = artery.wall
+    t = wall.facets[wall.surfaces == TAGS["lumen"]]
+    outer = wall.points[np.unique(wall.facets[wall.surfaces == TAGS["outer"]])]
+    distance = np.linalg.norm(outer - Guide(wall.points, t).project(outer, candidates=60), axis=1)
+    agree(distance.min() > 0.85 * THICKNESS, distance.min())
+    agree(distance.max() < 1.25 * THICKNESS, distance.max())
+
+
+def test_vessel_lies_on_the_surface(artery):
+    """The lumen's points lie on the given surface, and its area is the given one."""
+    wall = artery.wall
+    x, t = read_stl(vessel.find_surface())
+    lumen = wall.facets[wall.surfaces == TAGS["lumen"]]
+    points = wall.points[np.unique(lumen)]
+    small(np.linalg.norm(points - Guide(x, t).project(points), axis=1).max(), 1e-9)
+    a, b, c = np.moveaxis(x[t], 1, 0)
+    given = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+    small(areas(wall)["lumen"] / given - 1, 0.01)
+
+
+def test_quality_is_gmshs(artery, tmp_path):
+    gmsh = pytest.importorskip("gmsh")
+    path = tmp_path / "wall.msh"
+
+    def ask():
+        wall = artery.wall
+        mesh = WallMesh(wall.points, wall.cells, wall.layers, wall.facets, wall.surfaces)
+        write_msh(path, mesh)
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+        try:
+            gmsh.option.setNumber("General.Terminal", 0)
+            gmsh.merge(str(path))
+            tags = np.concatenate(gmsh.model.mesh.getElements(3)[1])
+            return np.asarray(gmsh.model.mesh.getElementQualities(tags, "minSICN"))
+        finally:
+            gmsh.finalize()
+
+    q = on_first(ask)
+    equal([q.min(), q.mean()], [artery.quality.minimum, artery.quality.mean], 1e-8)
+
+
+@pytest.fixture(scope="module")
+def coarse(tmp_path_factory):
+    """The file of a coarse vessel."""
+    path = tmp_path_factory.mktemp("coarse") / "vessel.msh"
+    vessel.create_vessel(path, size=2.4)
+    return path
+
+
+def test_command_line_makes_the_same_vessel(coarse, tmp_path, monkeypatch):
+    """To the byte, as whoever makes it a second time."""
+    path = tmp_path / "new" / "w.msh"
+    monkeypatch.setattr(sys, "argv", ["prog", str(path), "--size", "2.4"])
+    on_first(vessel.main)
+    agree(path.read_bytes() == coarse.read_bytes())
+    agree(path.read_text().startswith("$MeshFormat\n2.2 "))
+
+
+def test_layers_of_several_elements(tmp_path):
+    def make():
+        stl = write_stl(tmp_path / "pipe.stl", *pipe(), binary=True)
+        vessel.create_vessel(tmp_path / "v.msh", surface=stl, size=1.0, media=0.5, through=(3, 2))
+        return read_raw_wall(tmp_path / "v.msh")
+
+    wall = on_first(make)
+    watertight(wall)
+    count = [np.sum(wall.layers == TAGS[name]) for name in ("media", "adventitia")]
+    agree(2 * count[0] == 3 * count[1], count)
+    R = 3.0
+    exact = [np.pi * 10 * ((R + 0.5) ** 2 - R**2), np.pi * 10 * ((R + 1) ** 2 - (R + 0.5) ** 2)]
+    equal(list(volumes(wall).values()), exact, 0.03)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_surface_may_face_either_way(tmp_path, turned):
+    x, t = pipe()
+
+    def make():
+        stl = write_stl(tmp_path / "p.stl", x, t[:, ::-1] if turned else t, binary=True)
+        return vessel.create_vessel(tmp_path / "v.msh", surface=stl, size=1.2).volume
+
+    equal(on_first(make), np.pi * 10 * (4**2 - 3**2), 0.03)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"size": 0.0}, "size=0.0"),
+        ({"size": float("nan")}, "size=nan"),
+        ({"thickness": -1.0}, "thickness=-1.0"),
+        ({"media": 1.0}, "media=1.0"),
+        ({"through": (0, 1)}, r"through=\(0, 1\)"),
+    ],
+)
+def test_vessel_refuses(tmp_path, options, message):
+    path = tmp_path / "v.msh"
+    on_first(lambda: path.write_text("mine"))
+    with raises(ValueError, message):
+        on_first(lambda: vessel.create_vessel(path, **options))
+    agree(path.read_text() == "mine" and [p.name for p in tmp_path.iterdir()] == ["v.msh"])
+
+
+def test_wall_too_thick_for_its_crotches_is_refused(coarse, tmp_path):
+    """On the lumen of the coarse vessel, whose triangles are few."""
+    wall = read_raw_wall(coarse)
+    t = wall.facets[wall.surfaces == TAGS["lumen"]]
+    stl = write_stl(tmp_path / "lumen.stl", wall.points, t, binary=True)
+    with raises(ValueError, "quality of .* less than 0.1"):
+        vessel.create_vessel(tmp_path / "v.msh", surface=stl, size=6.0, thickness=4.0)
+    agree([p.name for p in tmp_path.iterdir()] == ["lumen.stl"])
+
+
+def test_missing_surface_names_the_remedies(tmp_path):
+    with raises(FileNotFoundError, "apt install gmsh-doc.*pip install gmsh.*--surface"):
+        vessel.find_surface([tmp_path])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda x, t: t[:0], "no triangle"),
+        (lambda x, t: np.vstack([t[:1, ::-1], t[1:]]), "face one way"),
+        (lambda x, t: np.vstack([t, t[:1, [1, 0, 2]], [[t[0, 0], t[0, 1], len(x) - 1]]]), "repair"),
+    ],
+    ids=["empty", "turned", "doubled"],
+)
+def test_bad_surfaces_are_refused(tmp_path, spoil, message):
+    x, t = pipe()
+
+    def make():
+        stl = write_stl(tmp_path / "p.stl", x, spoil(x, t), binary=True)
+        vessel.create_vessel(tmp_path / "v.msh", surface=stl)
+
+    with raises(ValueError, message):
+        on_first(make)
+
+
+def test_closed_surface_is_refused(tmp_path):
+    x = np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], dtype=float)
+    t = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+    def make():
+        stl = write_stl(tmp_path / "p.stl", x, t, binary=False)
+        vessel.create_vessel(tmp_path / "v.msh", surface=stl, size=2.0)
+
+    with raises(ValueError, "closed"):
+        on_first(make)

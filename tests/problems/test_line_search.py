@@ -1,0 +1,129 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The step length in one unknown, where every rule can be followed by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from dolfinx_feti.problems.line_search import LONGEST, line_search
+from dolfinx_feti.problems.system import Residual
+
+NOTHING = np.zeros(0)
+
+
+class OneUnknown:
+    """A system with r(u) and, if given, Π(u); cells are inside out where ``inverted`` says so."""
+
+    def __init__(
+        self,
+        r: Callable[[float], float],
+        *,
+        potential: Callable[[float], float] | None = None,
+        inverted: Callable[[float], bool] = lambda u: False,
+        held: bool = False,
+    ) -> None:
+        self.u = 0.0
+        self.visited: list[float] = []
+        self._r, self._potential, self._inverted, self._held = r, potential, inverted, held
+        self.has_potential = potential is not None
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([self.u]), NOTHING
+
+    def set_state(self, state: tuple[np.ndarray, np.ndarray]) -> None:
+        self.u = float(state[0][0])
+        self.visited.append(self.u)
+
+    def increment(self, here: Residual, du: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return du, NOTHING
+
+    def residual(self) -> Residual:
+        r = np.array([self._r(self.u)])
+        return Residual(r, r, None)
+
+    def least_volume_ratio(self) -> float:
+        return -1.0 if self._inverted(self.u) else 1.0
+
+    def potential(self) -> float:
+        return self._potential(self.u)
+
+    def moves_boundary(self, du: np.ndarray) -> bool:
+        return self._held
+
+    def dot(self, a: np.ndarray, b: np.ndarray) -> float:
+        return float(a @ b)
+
+
+def search(system: OneUnknown, du: float, *, lengthen: bool = False) -> tuple[float, float]:
+    """Search along ΔU; return α and the residual; the state is the one found."""
+    found = line_search(system, system.residual(), np.array([du]), lengthen=lengthen)
+    assert system.u == found.alpha * du and found.residual.condensed[0] == system._r(system.u)
+    return found.alpha, float(found.residual.condensed[0])
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("stiffness", [1.0, 1.7, 0.0])
+def test_a_whole_step_within_bounds(stiffness):
+    """g(1)/g(0) = 1 − stiffness, between −0.8 and 1.8."""
+    system = OneUnknown(lambda u: stiffness * u - 1.0)
+    assert search(system, 1.0)[0] == 1.0 and system.visited == [1.0]
+
+
+@pytest.mark.serial
+def test_a_step_that_overshoots_goes_to_the_zero_of_the_secant():
+    system = OneUnknown(lambda u: 4.0 * u - 1.0)
+    assert search(system, 1.0) == (0.25, 0.0)
+
+
+@pytest.mark.serial
+def test_a_step_is_halved_until_no_cell_is_inside_out():
+    system = OneUnknown(lambda u: u - 1.0, inverted=lambda u: u > 0.2)
+    assert search(system, 1.0)[0] == 0.125 and system.visited == [1.0, 0.5, 0.25, 0.125]
+
+
+@pytest.mark.serial
+def test_without_an_admissible_step_it_stays():
+    system = OneUnknown(lambda u: u - 1.0, inverted=lambda u: u > 0.0)
+    assert search(system, 1.0) == (0.0, -1.0) and system.u == 0.0
+
+
+@pytest.mark.serial
+def test_nan_is_refused():
+    system = OneUnknown(lambda u: np.nan if u > 0.3 else u - 1.0)
+    assert search(system, 1.0)[0] == 0.25
+
+
+@pytest.mark.serial
+def test_a_potential_has_to_fall():
+    """By g alone the whole step would be taken, beyond the pit at 0.2."""
+    system = OneUnknown(lambda u: -1.0, potential=lambda u: (u - 0.2) ** 2)
+    assert search(system, 1.0)[0] == 0.25
+    free = OneUnknown(lambda u: -1.0)
+    assert search(free, 1.0)[0] == 1.0
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("held", "height"), [(True, 0.0), (False, 1e12)], ids=["boundary moves", "rounding"]
+)
+def test_where_the_potential_has_no_say(held, height):
+    """While prescribed displacements move, and where its change drowns in rounding."""
+    system = OneUnknown(lambda u: u - 1.0, potential=lambda u: height + u, held=held)
+    assert search(system, 1.0)[0] == 1.0
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(("pit", "alpha"), [(5.0, 8.0), (100.0, LONGEST), (0.6, 1.0)])
+def test_a_step_that_a_shift_has_made_short_is_doubled(pit, alpha):
+    """While the potential falls, and up to a bound; without a shift it is taken as it is."""
+    system = OneUnknown(
+        lambda u: -1.0 if u < pit else 1.0, potential=lambda u: -min(u, pit) + max(u - pit, 0.0) / 4
+    )
+    assert search(system, 1.0, lengthen=True)[0] == alpha
+    system.u = 0.0
+    assert search(system, 1.0)[0] == 1.0

@@ -1,0 +1,165 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Newton's method that cannot go on: where it stops, why, and what its message says."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from bodies import PREFIX, block, least_ratio, yeoh
+from collective import COMM, agree, equal, raises, small
+from problems import cube, owned
+from walls import tube, wall
+
+import dolfinx
+import ufl
+
+from dolfinx_feti import ConvergenceError, NonlinearProblem
+
+Reason = PETSc.SNES.ConvergedReason
+
+
+def test_load_far_too_big_for_one_step():
+    """300 mmHg at once: the wall is there, or an error says how to get there."""
+    body = wall(tube(), degree=1)
+    problem = body.problem(2, {"snes_max_it": 15})
+    try:
+        body.inflate(problem, [300.0])
+        failed = ""
+    except ConvergenceError as error:
+        failed = str(error)
+        agree("smaller steps" in failed or "feti_" in failed, failed)
+    agree(len(set(COMM.allgather(failed == ""))) == 1)
+    agree((failed == "") == (problem.solver.getConvergedReason() > 0))
+    agree(np.all(np.isfinite(body.u.x.array)) and least_ratio(body.u) > 0.0)
+    body.u.x.array[:] = 0.0
+    body.p.x.array[:] = 0.0
+    body.inflate(problem, [5.0])
+    agree(problem.solver.getConvergedReason() > 0)
+
+
+def test_inverted_start():
+    """J ≤ 0 at the start is found before any work, and u stays as it was."""
+    body = block(yeoh, (0.1, 0.0))
+    body.u.interpolate(lambda x: np.stack([-1.5 * x[0], 0 * x[1]]))
+    before = owned(body.u)
+    problem = body.problem()
+    with raises(ConvergenceError, "det F is not positive at the start: begin with u = 0"):
+        problem.solve()
+    equal(owned(body.u), before)
+    agree(problem.history == [])
+    agree(problem.solver.getConvergedReason() == Reason.DIVERGED_FUNCTION_DOMAIN)
+
+
+def test_inversion_in_one_point_is_seen():
+    """A P2 cell can fold at one quadrature point while its mean volume is positive."""
+    body = block(yeoh, (0.1, 0.0), degree=2)
+    body.u.interpolate(lambda x: np.stack([-0.15 * np.isclose(x[0], 1.0), 0 * x[0]]))
+    agree(least_ratio(body.u) > 0.0)
+    with raises(ConvergenceError, "det F"):
+        body.problem().solve()
+
+
+def test_volume_ratio_of_the_users_own():
+    """Any expression can be kept positive; here u₀ must stay below 0.01, which is too little."""
+    body = block(yeoh, (1.0, 0.0))
+    with raises(ConvergenceError, "no admissible step length was found: load in smaller steps"):
+        body.problem(volume_ratio=0.01 - body.u[0]).solve()
+    agree(0.0 < COMM.allreduce(owned(body.u)[::2].max(initial=0.0), op=MPI.MAX) < 0.015)
+
+
+def test_load_that_is_no_number():
+    body = block(yeoh, (np.nan, 0.0))
+    problem = body.problem()
+    with raises(ConvergenceError, "NaN or Inf"):
+        problem.solve()
+    agree(problem.solver.getConvergedReason() == -4)  # of another name in each PETSc
+    body.load.value = (0.1, 0.0)
+    problem.solve()
+    agree(problem.solver.getConvergedReason() > 0)
+
+
+def test_too_few_steps():
+    body = block(yeoh, (0.3, 0.1))
+    problem = body.problem({"snes_max_it": 2})
+    with raises(ConvergenceError, "no convergence within 2 steps: .*raise snes_max_it"):
+        problem.solve()
+    agree(len(problem.history) == 2)
+    agree(problem.solver.getConvergedReason() == Reason.DIVERGED_MAX_IT)
+    agree(abs(body.residual() - problem.solver.getFunctionNorm()) < 1e-12)
+    problem.solver.setTolerances(max_it=5)
+    problem.solve()  # goes on from where it was
+    agree(problem.history[0].residual < 1e-3)
+
+
+def test_failure_of_the_linear_solver():
+    body = block(yeoh, (0.3, 0.1))
+    problem = body.problem({"ksp_max_it": 2})
+    with raises(ConvergenceError, f"linear solver: no convergence within -{PREFIX}ksp_max_it"):
+        problem.solve()
+    agree(problem.solver.getConvergedReason() == Reason.DIVERGED_LINEAR_SOLVE)
+    equal(owned(body.u), 0.0 * owned(body.u))
+
+
+def flat_at_one() -> tuple[dolfinx.fem.Function, ufl.Form]:
+    """Π' = ∫ ε ∇u·∇v + f v with f = u − 1 − u²/2 + u² (u − 1)².
+
+    From zero a whole step leads to u = 1, where K 1 = 0 for f' = 0; f = 0 is further on.
+    """
+    V = dolfinx.fem.functionspace(cube(2, 8), ("Lagrange", 1))
+    u = dolfinx.fem.Function(V)
+    well = u**2 / 2 - u - u**3 / 6 + u**5 / 5 - u**4 / 2 + u**3 / 3
+    return u, (0.05 * ufl.inner(ufl.grad(u), ufl.grad(u)) + well) * ufl.dx
+
+
+@pytest.mark.parametrize("kind", ["all_floating", "classical"])
+def test_singular_on_the_way_counts_as_indefinite(kind):
+    """With an energy, a tangent that is singular gets a shift."""
+    u, energy = flat_at_one()
+    options = {"feti_type": kind, "ksp_rtol": 1e-12}
+    problem = NonlinearProblem(
+        energy, u, subdomains=6, petsc_options_prefix=PREFIX, petsc_options=options
+    )
+    problem.solve()
+    shifts = [step.shift for step in problem.history]
+    agree(shifts[0] == shifts[-1] == 0.0 < shifts[1] and problem.history[1].solves > 1, shifts)
+    agree(problem.history[1].indefinite is None, "not known of a singular tangent")
+    x = owned(u)
+    small(np.abs(x - 1 - x**2 / 2 + x**2 * (x - 1) ** 2).max(initial=0.0), 1e-6)
+
+
+@pytest.mark.parametrize("kind", ["all_floating", "classical"])
+def test_singular_tangent_of_a_trial_state(kind):
+    """Without an energy there is no way on: the step was too long, and no support is missing."""
+    u, energy = flat_at_one()
+    F = ufl.derivative(energy, u, ufl.TestFunction(u.function_space))
+    options = {"feti_type": kind, "ksp_rtol": 1e-12}
+    problem = NonlinearProblem(
+        F, u, subdomains=6, petsc_options_prefix=PREFIX, petsc_options=options
+    )
+    with raises(ConvergenceError, "tangent at this trial state is singular.*: load in smaller st"):
+        problem.solve()
+    agree(len(problem.history) == 1 and problem.history[0].step_length == 1.0)
+    small(np.abs(owned(u) - 1.0).max(initial=0.0), 1e-12)
+
+
+def test_singular_tangent_at_the_start():
+    """It lacks supports, unless the state is a predicted one or another step went well before."""
+    u, energy = flat_at_one()
+    problem = NonlinearProblem(energy, u, subdomains=6, petsc_options_prefix=PREFIX)
+    supports = r"linear solver: .*singular, with a kernel of dimension 1.*Add Dirichlet conditions"
+    steps = "the tangent at this trial state is singular or indefinite, although the body is held"
+    for reference, message in ((None, supports), (1.0, steps), (None, supports)):
+        u.x.array[:] = 1.0
+        with raises(ConvergenceError, message):
+            problem.solve(reference=reference)
+        agree(problem.history == [] and problem.solver.getKSP().getPythonContext().singular)
+    u.x.array[:] = 0.0
+    problem.solve()
+    u.x.array[:] = 1.0
+    with raises(ConvergenceError, steps):
+        problem.solve()

@@ -1,0 +1,111 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Options that a script has set for another solver: without effect, and logged once."""
+
+from __future__ import annotations
+
+import logging
+
+from petsc4py import PETSc
+
+import pytest
+from bodies import block, yeoh
+from collective import COMM, agree, equal, raises
+from problems import cube, elasticity, owned, poisson
+
+from dolfinx_feti import ConvergenceError, LinearProblem
+from dolfinx_feti.petsc_options import inserted
+
+DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
+SNES = {"snes_type": "newtonls", "snes_linesearch_type": "none"}
+
+
+def linear(options: dict[str, object]) -> LinearProblem:
+    problem = elasticity(cube(2, 4))
+    return LinearProblem(
+        problem.a,
+        problem.L,
+        bcs=problem.bcs,
+        subdomains=4,
+        petsc_options_prefix="old_",
+        petsc_options=options,
+    )
+
+
+def logged(caplog: pytest.LogCaptureFixture) -> list[str]:
+    """Return the warnings, and forget them."""
+    texts = [record.message for record in caplog.records if record.levelno == logging.WARNING]
+    caplog.clear()
+    return texts
+
+
+@pytest.mark.parametrize("by", ["argument", "command line"])
+def test_linear_problem(by, caplog):
+    expected = linear({})
+    expected.solve()
+    agree(logged(caplog) == [])
+    before = PETSc.Options().getAll()
+    with inserted("old_", DIRECT if by == "command line" else {}):
+        problem = linear(DIRECT if by == "argument" else {})
+        text = "".join(warnings := logged(caplog))
+        agree(len(warnings) == (COMM.rank == 0))
+        problem.solve()
+        agree(logged(caplog) == [], "once is enough")
+    equal(owned(problem.u), owned(expected.u))
+    agree(problem.solver.getType() == "python" and problem.solver.getPC().getType() == "none")
+    agree(PETSc.Options().getAll() == before)
+    if COMM.rank == 0:
+        for part in ("-old_ksp_type preonly", "-old_pc_type lu", "type mumps", "-old_feti_…"):
+            assert part in text
+
+
+def test_nonlinear_problem(caplog):
+    body, other = block(yeoh, (0.3, 0.1)), block(yeoh, (0.3, 0.1))
+    body.problem().solve()
+    logged(caplog)
+    problem = other.problem(DIRECT | SNES)
+    text = "".join(logged(caplog))
+    agree(all(name in text for name in DIRECT | SNES) or COMM.rank > 0, text)
+    problem.solve()
+    equal(owned(other.u), owned(body.u))
+    agree(problem.solver.getType() == problem.solver.getKSP().getType() == "python")
+
+
+@pytest.mark.parametrize("name", ["ksp_error_if_not_converged", "snes_error_if_not_converged"])
+def test_error_if_not_converged(name):
+    """The package's own error says it better than a number of PETSc's."""
+    body = block(yeoh, (0.3, 0.1))
+    with raises(ConvergenceError, "ksp_max_it"):
+        body.problem({name: True, "ksp_max_it": 2}).solve()
+    with raises(ConvergenceError, "FETI did not converge: .*old_ksp_max_it"):
+        linear({"ksp_error_if_not_converged": True, "ksp_max_it": 1}).solve()
+
+
+def test_python_errors_come_through():
+    """What a monitor of the user's raises is not turned into a number."""
+    problem = linear({})
+
+    def monitor(ksp, its, norm):
+        raise ZeroDivisionError("in the monitor")
+
+    problem.solver.setMonitor(monitor)
+    with raises(ZeroDivisionError, "in the monitor"):
+        problem.solve()
+
+
+def test_python_type_in_the_options():
+    """The context stays the one of the problem."""
+    problem = linear({"ksp_type": "python", "ksp_python_type": "dolfinx_feti.FETI"})
+    problem.solve()
+    agree(problem.solver.getPythonContext().iterations == problem.history[0].linear_iterations)
+
+
+def test_options_of_others(caplog):
+    """Those without the prefix are not ours."""
+    with inserted("", {"pc_type": "lu"}):
+        problem = poisson(cube(2, 4))
+        LinearProblem(
+            problem.a, problem.L, bcs=problem.bcs, subdomains=4, petsc_options_prefix="old_"
+        ).solve()
+    agree(logged(caplog) == [])

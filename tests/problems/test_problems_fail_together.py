@@ -1,0 +1,97 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What fails on the last process alone fails on all: options, compilation, monitors, assembly."""
+
+from __future__ import annotations
+
+import pytest
+from bodies import PREFIX, block, yeoh
+from collective import COMM, agree, raises
+from problems import cube, poisson
+from walls import tube, wall
+
+import dolfinx
+
+from dolfinx_feti import LinearProblem
+from dolfinx_feti.fem.condensation import Condensation
+
+LAST = COMM.rank == COMM.size - 1
+
+
+def broken(*_: object, **__: object) -> None:
+    raise FloatingPointError("on purpose")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("ksp_rtol", f"-{PREFIX}ksp_rtol is 'no'"),
+        ("feti_type", f"-{PREFIX}feti_type is 'no'"),
+        ("ksp_norm_type", "PETSc refuses one of the options"),
+    ],
+)
+def test_options(name, message):
+    with raises(ValueError, message):
+        block(yeoh, (0.3, 0.1)).problem({name: "no"} if LAST else {})
+    problem = poisson(cube(2, 4))
+    with raises(ValueError, message):
+        LinearProblem(
+            problem.a,
+            problem.L,
+            bcs=problem.bcs,
+            subdomains=4,
+            petsc_options_prefix=PREFIX,
+            petsc_options={name: "no"} if LAST else {},
+        )
+
+
+@pytest.mark.parametrize("name", ["form", "Expression"])
+def test_compilation(name, monkeypatch):
+    """As where the cache of one machine cannot be written."""
+    original = getattr(dolfinx.fem, name)
+
+    def compiled(*args: object, **options: object) -> object:
+        result = original(*args, **options)  # all take part in it
+        if LAST:
+            raise RuntimeError("the cache is full")
+        return result
+
+    body = block(yeoh, (0.3, 0.1))
+    monkeypatch.setattr(dolfinx.fem, name, compiled)
+    with raises(RuntimeError, "the cache is full"):
+        body.problem()
+
+
+def test_monitor_of_the_users_own():
+    body = block(yeoh, (0.3, 0.1))
+    problem = body.problem()
+
+    def monitor(snes: object, its: int, norm: float) -> None:
+        if LAST and its == 1:
+            raise ZeroDivisionError("in the monitor")
+
+    problem.solver.setMonitor(monitor)
+    with raises(ZeroDivisionError, "in the monitor"):
+        problem.solve()
+    agree(len(problem.history) == 1)
+
+
+def test_volume_ratio(monkeypatch):
+    body = block(yeoh, (0.3, 0.1))
+    problem = body.problem()
+    if LAST:
+        monkeypatch.setattr(problem._system, "_own_volume_ratio", broken)
+    with raises(FloatingPointError, "on purpose"):
+        problem.solve()
+
+
+@pytest.mark.parametrize("name", ["assemble", "residual", "add_to"])
+def test_condensation(name, monkeypatch):
+    body = wall(tube(), degree=1)
+    problem = body.problem(4)
+    body.load.value = 1.0
+    if LAST:
+        monkeypatch.setattr(Condensation, name, broken)
+    with raises(FloatingPointError, "on purpose"):
+        problem.solve()
