@@ -37,6 +37,7 @@ from ufl.core.expr import Expr
 from ufl.domain import extract_domains
 
 from dolfinx_feti._compat import geometry_dofmap, interpolation_points
+from dolfinx_feti.fem.compiler import Compiler
 
 __all__ = ["Incidence", "Patches", "Spread", "create_patches", "fit", "moments"]
 
@@ -187,7 +188,7 @@ def moments(expression: Expr, patches: Patches) -> Array:
         )
     if not domains:  # UFL knows that it is zero
         return found
-    compiled = dolfinx.fem.Expression(on_mesh, patches.points)
+    compiled = Compiler(mesh.comm).expression(on_mesh, patches.points)
     for first in range(0, n_cells, CHUNK):
         cells = np.arange(first, min(first + CHUNK, n_cells), dtype=np.int32)
         values = np.asarray(compiled.eval(mesh, cells)).reshape(len(cells), -1, size)

@@ -33,6 +33,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinx_feti._compat import interpolation_points
+from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.output.patches import Patches, fit, moments
 
 __all__ = ["components", "layer_means", "principal_values", "recovered_field"]
@@ -144,6 +145,10 @@ def components(
 
     Raises:
         ValueError: The function is no recovered stress, or a direction is no vector.
+        ArithmeticError: A direction is zero somewhere.
+
+    Note:
+        Collective.
     """
     mesh = stress.function_space.mesh
     _require_stress(stress)
@@ -153,10 +158,17 @@ def components(
             f"directions: {', '.join(wrong)} must be vectors of {mesh.geometry.dim} components."
         )
     space = _space(mesh, ())
-    results = {name: dolfinx.fem.Function(space, name=name) for name in directions}
+    results = {}
     for name, d in directions.items():
         value = ufl.inner(d, stress * d) / ufl.inner(d, d)
-        results[name].interpolate(dolfinx.fem.Expression(value, interpolation_points(space)))
+        results[name] = dolfinx.fem.Function(space, name=name)
+        compiled = Compiler(mesh.comm).expression(value, interpolation_points(space))
+        results[name].interpolate(compiled)
+        if not np.all(mesh.comm.allgather(np.isfinite(results[name].x.array).all())):
+            raise ArithmeticError(
+                f"directions: '{name}' is zero, NaN or infinite somewhere; give a direction in "
+                "every point."
+            )
     return results
 
 

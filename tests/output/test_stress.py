@@ -334,6 +334,8 @@ def test_bad_components_and_means():
             ask(dolfinx.fem.Function(jump.function_space, name="f"))
     with raises(ValueError, "directions: hoop must be vectors of 2 components"):
         components(recovered_field(ufl.outer(x, x), patches), {"hoop": x[0], "axial": x})
+    with raises(ArithmeticError, "directions: 'axial' is zero, NaN or infinite somewhere"):
+        components(recovered_field(ufl.outer(x, x), patches), {"axial": x[0] * x})
     layers = split(mesh)
     with raises(ValueError, "fields: x; give scalars"):
         layer_means({"x": x}, patches, layers, {"left": 7})
