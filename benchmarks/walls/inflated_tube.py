@@ -19,13 +19,14 @@ import numpy.typing as npt
 import basix
 import dolfinx
 import ufl
+from ufl.core.expr import Expr
 
 from benchmarks.walls.oracle import Tube
 from benchmarks.walls.problem import WallProblem, create_wall_problem
 from benchmarks.walls.supports import slide
 from benchmarks.walls.tube import INTERFACE, tube_fibres
 from dolfinx_feti import kinematics
-from dolfinx_feti._compat import geometry_dofmap
+from dolfinx_feti.output import Patches, create_patches, recovered_field
 from dolfinx_feti.wall import Wall
 from meshes.tube import ADVENTITIA, INNER_RADIUS, count_around
 from meshes.walls import create_tube_wall
@@ -34,6 +35,7 @@ __all__ = ["TANGENTS", "InflatedTube", "create_inflated_tube", "create_slice"]
 
 Array = npt.NDArray[np.float64]
 
+QUADRATURE = 4  # degree
 TANGENTS = ("symmetric", "full", "none")
 OUTER_RADIUS = INTERFACE + ADVENTITIA
 
@@ -43,13 +45,24 @@ class InflatedTube(WallProblem):
     """The problem of a tube, and what is compared.
 
     Attributes:
-        samples: σ_rr, σ_θθ [kPa], J, and x, y [mm] in the reference, of each owned cell at the
-            quadrature points.
+        frame: e_r and e_θ in the reference.
+        patches: Where the stress is recovered, layer by layer.
+        radii: Of the quadrature points in the owned cells [mm], (cells, points).
         weights: Volume [mm³] that each of these points stands for, (cells, points).
+        layer: 0 for the cells of the media, 1 for those of the adventitia, (cells,).
     """
 
-    samples: dolfinx.fem.Expression
+    frame: tuple[Expr, Expr]
+    patches: Patches
+    radii: Array
     weights: Array
+    layer: npt.NDArray[np.int64]
+
+    @property
+    def recovered_stress(self) -> dolfinx.fem.Function:
+        """The Cauchy stress, recovered with the normal of the deformed wall [kPa]."""
+        F = kinematics.deformation_gradient(self.u)
+        return recovered_field(self.stress, self.patches, normal=ufl.inv(F).T * self.frame[0])
 
     def compare(self, truth: Tube) -> dict[str, float]:
         """Hold radius, thickness, volume and stress against the truth.
@@ -58,23 +71,16 @@ class InflatedTube(WallProblem):
             truth: The tube under the same pressure, with the same parameters.
 
         Returns:
-            Displacements and thickness [mm]; least, greatest and mean J; of the stresses the error
-            in the L2 norm over the wall, relative to that of the truth.
+            Displacements and thickness [mm]; least, greatest and mean J; of the stresses in the
+            cells, and of the recovered ones, the error in the L2 norm over the wall, relative to
+            that of the truth.
 
         Note:
             Collective.
         """
         inner, outer = (self._radial(radius) for radius in (INNER_RADIUS, OUTER_RADIUS))
         comm = self.u.function_space.mesh.comm
-        rr, tt, J, x, y = np.moveaxis(self._values(), -1, 0)
-        exact = _stresses(truth, np.hypot(x, y))
-
-        def integral(values: Array) -> float:
-            return comm.allreduce(float((self.weights * values).sum()))
-
-        def error(values: Array, exact: Array) -> float:
-            return float(np.sqrt(integral((values - exact) ** 2) / integral(exact**2)))
-
+        J = self.at_points(kinematics.jacobian(kinematics.deformation_gradient(self.u)))
         return {
             "u_r_inner": float(inner.mean()),
             "u_r_inner_exact": float(truth.inner_displacement),
@@ -83,11 +89,41 @@ class InflatedTube(WallProblem):
             "thickness_exact": float(truth.thickness),
             "min_J": comm.allreduce(float(J.min(initial=np.inf)), op=MPI.MIN),
             "max_J": comm.allreduce(float(J.max(initial=-np.inf)), op=MPI.MAX),
-            "mean_J": integral(J) / integral(np.ones_like(J)),
+            "mean_J": self._integral(J) / self._integral(np.ones_like(J)),
             "mean_J_exact": float(truth.mean_jacobian),
-            "stress_rr_error": error(rr, exact[0]),
-            "stress_tt_error": error(tt, exact[1]),
+            **self.stress_errors(truth, self.stress, "stress"),
+            **self.stress_errors(truth, self.recovered_stress, "recovered"),
         }
+
+    def stress_errors(self, truth: Tube, stress: Expr, name: str) -> dict[str, float]:
+        """Return the errors of σ_rr and σ_θθ in the L2 norm, relative to the truth.
+
+        Args:
+            truth: The tube under the same pressure.
+            stress: A Cauchy stress [kPa].
+            name: What the names of the errors begin with.
+
+        Note:
+            Collective.
+        """
+        errors = {}
+        exact = _stresses(truth, self.radii, self.layer)
+        for ending, e, there in zip(("rr", "tt"), self.frame, exact, strict=True):
+            difference = self.at_points(ufl.inner(e, stress * e)) - there
+            error, norm = (self._integral(values**2) for values in (difference, there))
+            errors[f"{name}_{ending}_error"] = float(np.sqrt(error / norm))
+        return errors
+
+    def at_points(self, expression: Expr) -> Array:
+        """Evaluate a scalar at the quadrature points, (cells, points).
+
+        Note:
+            Collective.
+        """
+        return _at_points(expression, self.u.function_space.mesh, self.patches.points)
+
+    def _integral(self, values: Array) -> float:
+        return self.u.function_space.mesh.comm.allreduce(float((self.weights * values).sum()))
 
     def _radial(self, radius: float) -> Array:
         """Return u_r at the nodes at a radius, none of them on a chord; on all processes."""
@@ -98,12 +134,6 @@ class InflatedTube(WallProblem):
         outwards = np.einsum("ij,ij->i", x[:, :2], u[:, :2]) / r
         parts = V.mesh.comm.allgather(outwards[np.isclose(r, radius, rtol=1e-9)])
         return np.concatenate(parts)
-
-    def _values(self) -> Array:
-        """Evaluate the samples, (cells, points, 5)."""
-        owned = np.arange(len(self.weights), dtype=np.int32)
-        values = self.samples.eval(self.u.function_space.mesh, owned)
-        return np.asarray(values).reshape(*self.weights.shape, 5)
 
 
 def create_slice(comm: MPI.Comm, *, size: float, quarter: bool) -> Wall:
@@ -157,30 +187,47 @@ def create_inflated_tube(
         axis=(0.0, 0.0, 1.0),
     )
     x = ufl.SpatialCoordinate(mesh)
-    e_r = ufl.as_vector([x[0], x[1], 0.0]) / ufl.sqrt(x[0] ** 2 + x[1] ** 2)
-    e_t = ufl.as_vector([-e_r[1], e_r[0], 0.0])
-    rr, tt = (ufl.dot(e, body.stress * e) for e in (e_r, e_t))
-    J = kinematics.jacobian(kinematics.deformation_gradient(body.u))
-    points, weights = basix.make_quadrature(basix.CellType.tetrahedron, 2 * degree)
-    samples = dolfinx.fem.Expression(ufl.as_vector([rr, tt, J, x[0], x[1]]), points)
+    r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
+    e_r = ufl.as_vector([x[0] / r, x[1] / r, 0.0])
+    e_t = ufl.as_vector([-x[1] / r, x[0] / r, 0.0])
+    points, weights = basix.make_quadrature(basix.CellType.tetrahedron, QUADRATURE)
+    patches = create_patches(mesh, wall.cell_tags, degree=QUADRATURE)
+    layer = np.zeros(len(patches.volumes), dtype=np.int64)
+    outer = wall.cell_tags.find(wall.layers["adventitia"])
+    layer[outer[outer < len(layer)]] = 1
     known = {field.name: getattr(body, field.name) for field in fields(body)}
-    return InflatedTube(**known, samples=samples, weights=_volumes(mesh)[:, None] * 6.0 * weights)
+    return InflatedTube(
+        **known,
+        frame=(e_r, e_t),
+        patches=patches,
+        radii=_at_points(r, mesh, points),
+        weights=patches.volumes[:, None] * 6.0 * weights,
+        layer=layer,
+    )
 
 
-def _volumes(mesh: dolfinx.mesh.Mesh) -> Array:
-    """Return the volumes of the owned cells [mm³]."""
-    n = mesh.topology.index_map(3).size_local
-    a, b, c, d = np.moveaxis(mesh.geometry.x[geometry_dofmap(mesh)[:n]], 1, 0)
-    return np.abs(np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))) / 6.0
+def _at_points(expression: Expr, mesh: dolfinx.mesh.Mesh, points: Array) -> Array:
+    """Evaluate a scalar in the owned cells, (cells, points)."""
+    owned = np.arange(mesh.topology.index_map(3).size_local, dtype=np.int32)
+    values = dolfinx.fem.Expression(expression, points).eval(mesh, owned)
+    return np.asarray(values).reshape(len(owned), len(points))
 
 
-def _stresses(truth: Tube, r: Array) -> tuple[Array, Array]:
-    """Return the true σ_rr and σ_θθ at reference radii, from tables of each layer."""
+def _stresses(truth: Tube, r: Array, layer: npt.NDArray[np.int64]) -> tuple[Array, Array]:
+    """Return the true σ_rr and σ_θθ at reference radii, from tables of each layer.
+
+    Chords lie inside their circle: below a layer its stress is continued with the slope there.
+    """
     rr, tt = np.zeros_like(r), np.zeros_like(r)
-    for layer in truth.wall.layers:
-        table = np.linspace(layer.inner, layer.outer, 60)
+    for i, part in enumerate(truth.wall.layers):
+        table = np.linspace(part.inner, part.outer, 100)
         table[0] += 1e-9  # at an interface the oracle takes the inner layer
         values = np.array([truth.stress(R) for R in table])
-        here = (r > layer.inner) | (layer.inner == INNER_RADIUS)
-        rr[here], tt[here] = (np.interp(r[here], table, column) for column in values.T)
+        slopes = (values[1] - values[0]) / (table[1] - table[0])
+        here = r[layer == i]
+        below = np.minimum(here - table[0], 0.0)
+        rr[layer == i], tt[layer == i] = (
+            np.interp(here, table, column) + slope * below
+            for column, slope in zip(values.T, slopes, strict=True)
+        )
     return rr, tt

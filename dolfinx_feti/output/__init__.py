@@ -1,12 +1,29 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Output: fields for ParaView.
+"""Output: recovered stresses, and fields for ParaView.
 
-In the order of the data: fields.
+In the order of the data: patches, stress, fields.
 """
 
 from dolfinx_feti.folders import writable_folder
 from dolfinx_feti.output.fields import FieldWriter, cell_values
+from dolfinx_feti.output.patches import Patches, create_patches
+from dolfinx_feti.output.stress import (
+    components,
+    layer_means,
+    principal_values,
+    recovered_field,
+)
 
-__all__ = ["FieldWriter", "cell_values", "writable_folder"]
+__all__ = [
+    "FieldWriter",
+    "Patches",
+    "cell_values",
+    "components",
+    "create_patches",
+    "layer_means",
+    "principal_values",
+    "recovered_field",
+    "writable_folder",
+]

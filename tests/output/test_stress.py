@@ -1,0 +1,345 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Recovered fields: what is reproduced, what jumps, and that processes do not matter."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from collective import COMM, agree, equal, raises, small, whole
+from problems import cube
+from walls import INTERFACE, create_mesh, tube
+
+import dolfinx
+import ufl
+from ufl.core.expr import Expr
+
+from dolfinx_feti.mechanics.kinematics import stress_magnitude
+from dolfinx_feti.output import (
+    FieldWriter,
+    Patches,
+    components,
+    create_patches,
+    layer_means,
+    principal_values,
+    recovered_field,
+)
+
+Array = npt.NDArray[np.float64]
+
+# The covariance of a patch is a difference of squares of coordinates: (L/h)² eps.
+ROUNDING = 1e4 * np.finfo(float).eps
+
+
+def mesh_of(dim: int, comm: MPI.Comm = COMM) -> dolfinx.mesh.Mesh:
+    """A square, or a quarter tube of two layers, one of them one element thick."""
+    if dim == 2:
+        return cube(2, 6, comm=comm)
+    return tube(comm, media=2, adventitia=1, around=5, along=2, quarter=True)
+
+
+def split(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.MeshTags:
+    """Tags 7 and 3 of an inner and an outer layer."""
+    dim = mesh.topology.dim
+    cells = mesh.topology.index_map(dim)
+    every = np.arange(cells.size_local + cells.num_ghosts, dtype=np.int32)
+    x = dolfinx.mesh.compute_midpoints(mesh, dim, every)
+    inner = x[:, 0] < 0.5 if dim == 2 else np.hypot(x[:, 0], x[:, 1]) < INTERFACE
+    return dolfinx.mesh.meshtags(mesh, dim, every, np.where(inner, 7, 3).astype(np.int32))
+
+
+def step(layers: dolfinx.mesh.MeshTags, mesh: dolfinx.mesh.Mesh) -> dolfinx.fem.Function:
+    """Zero in the one layer, one in the other."""
+    Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
+    f = dolfinx.fem.Function(Q)
+    f.x.array[Q.dofmap.list[layers.find(3), 0]] = 1.0
+    return f
+
+
+def linear(mesh: dolfinx.mesh.Mesh, jump: Expr) -> Expr:
+    """A stress that is linear in each layer, and another one in each."""
+    dim = mesh.geometry.dim
+    x = ufl.SpatialCoordinate(mesh)
+    one = np.arange(1.0, dim**2 + 1).reshape(dim, dim)
+    A, B, C = (ufl.as_matrix(m.tolist()) for m in (one, one.T**2, np.eye(dim) - one / 3))
+    return A + x[0] * B - 2 * x[1] * C + jump * (40 * C + x[dim - 1] * A)
+
+
+def nodes(expression: Expr, mesh: dolfinx.mesh.Mesh) -> Array:
+    """Values at the nodes of the quadratic element in the owned cells, (cells, nodes, …)."""
+    dim = mesh.topology.dim
+    corners = np.vstack([np.zeros(dim), np.eye(dim)])
+    edges = [(corners[i] + corners[j]) / 2 for i in range(dim + 1) for j in range(i)]
+    points = np.vstack([corners, edges])
+    cells = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
+    values = dolfinx.fem.Expression(expression, points).eval(mesh, cells)
+    return np.asarray(values).reshape(len(cells), len(points), *expression.ufl_shape)
+
+
+def patches_of(mesh: dolfinx.mesh.Mesh) -> tuple[Patches, Expr]:
+    layers = split(mesh)
+    return create_patches(mesh, layers), step(layers, mesh)
+
+
+# -- what is reproduced
+
+
+@pytest.mark.parametrize("with_normal", [False, True])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_linear_stresses_with_a_jump(dim, with_normal):
+    mesh = mesh_of(dim)
+    patches, jump = patches_of(mesh)
+    stress = linear(mesh, jump)
+    normal = ufl.SpatialCoordinate(mesh) + ufl.as_vector([1.0] * dim) if with_normal else None
+    recovered = recovered_field(stress, patches, normal=normal, name="sigma")
+    agree(recovered.name == "sigma" and recovered.ufl_shape == (dim, dim))
+    equal(nodes(recovered, mesh), nodes(stress, mesh), ROUNDING)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_linear_pressure_from_its_means(dim):
+    """An element-wise pressure holds the means of a linear one."""
+    mesh = mesh_of(dim)
+    patches, jump = patches_of(mesh)
+    x = ufl.SpatialCoordinate(mesh)
+    pressure = 3 - x[0] + 2 * x[dim - 1] + jump * (5 + x[1])
+    Q = jump.function_space
+    p, q = dolfinx.fem.Function(Q), ufl.TestFunction(Q)
+    means, size = (
+        dolfinx.fem.assemble_vector(dolfinx.fem.form(f * q * ufl.dx(mesh))).array
+        for f in (pressure, 1.0)
+    )
+    owned = size > 0  # the integrals are those of the owned cells
+    p.x.array[owned] = means[owned] / size[owned]
+    p.x.scatter_forward()
+    equal(nodes(recovered_field(p, patches), mesh), nodes(pressure, mesh), ROUNDING)
+    blurred = recovered_field(p, create_patches(mesh))
+    agree(COMM.allreduce(np.abs(nodes(blurred - pressure, mesh)).max(initial=0), op=MPI.MAX) > 0.5)
+
+
+def test_smooth_fields_with_the_second_power_of_the_size():
+    """That of the linear fits, which the later sweeps keep."""
+    errors = []
+    for n in (6, 12):
+        mesh = cube(2, n)
+        x = ufl.SpatialCoordinate(mesh)
+        f = ufl.as_vector([ufl.sin(3 * x[0]) * ufl.exp(x[1]), ufl.cos(2 * x[0] * x[1])])
+        e = nodes(recovered_field(f, create_patches(mesh)) - f, mesh)
+        errors.append(np.sqrt(COMM.allreduce((e**2).sum()) / COMM.allreduce(e.size)))
+    agree(errors[0] > 2**1.9 * errors[1] and errors[1] < 0.005, errors)
+
+
+def test_a_field_is_continuous_in_each_layer():
+    """Of noise, too; at the interface it jumps."""
+    mesh = mesh_of(3)
+    patches, jump = patches_of(mesh)
+    noise = dolfinx.fem.Function(jump.function_space)
+    noise.interpolate(lambda x: np.sin(1e4 * (x[0] + 2 * x[1] + 3 * x[2])))
+    x, layer, values = (
+        whole(nodes(f, mesh))
+        for f in (ufl.SpatialCoordinate(mesh), jump, recovered_field(noise, patches))
+    )
+    places = np.round(np.concatenate([x, layer[..., None]], axis=2).reshape(-1, 4), 8)
+    spread = spread_at(places, values.ravel())
+    agree(spread.max() < 1e-11 and len(spread) < values.size / 4, spread.max())
+    agree(spread_at(places[:, :3], values.ravel()).max() > 0.1)
+
+
+def spread_at(places: Array, values: Array) -> Array:
+    """Greatest less smallest value at each place."""
+    _, index = np.unique(places, axis=0, return_inverse=True)
+    count = index.max() + 1
+    high, low = np.full(count, -np.inf), np.full(count, np.inf)
+    np.maximum.at(high, index.ravel(), values)
+    np.minimum.at(low, index.ravel(), values)
+    return high - low
+
+
+@pytest.mark.parametrize("with_normal", [False, True])
+def test_processes_do_not_matter(with_normal):
+    """Patches reach across the boundaries of processes."""
+    found = []
+    for comm in (COMM, MPI.COMM_SELF):
+        mesh = mesh_of(3, comm)
+        patches, jump = patches_of(mesh)
+        x = ufl.SpatialCoordinate(mesh)
+        noise = dolfinx.fem.Function(jump.function_space)
+        noise.interpolate(lambda x: np.sin(1e3 * (x[0] + 2 * x[1] + 3 * x[2])))
+        stress = ufl.outer(x, x) * noise + jump * ufl.Identity(3)
+        recovered = recovered_field(stress, patches, normal=x if with_normal else None)
+        centroids = (nodes(x, mesh)[:, :4].mean(axis=1)[:, None]) + 0 * nodes(x, mesh)
+        parts = (centroids, nodes(x, mesh), nodes(recovered, mesh).reshape(*centroids.shape[:2], 9))
+        rows = np.concatenate(parts, axis=2).reshape(-1, 15)
+        rows = whole(rows) if comm is COMM else rows
+        found.append(rows[np.lexsort(np.round(rows[:, :6], 7).T)])
+    equal(found[0], found[1], 1e-10)
+
+
+def test_one_cell():
+    """On all processes but one there is none; a patch without extent takes the mean."""
+    mesh = create_mesh(COMM, np.vstack([np.zeros(3), np.eye(3)]), np.arange(4)[None])
+    x = ufl.SpatialCoordinate(mesh)
+    patches = create_patches(mesh)
+    equal(nodes(recovered_field(x, patches), mesh), nodes(x, mesh), ROUNDING)
+    p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
+    p.x.array[:] = 3.0
+    equal(nodes(recovered_field(p, patches), mesh), 3 + 0 * nodes(x[0], mesh), ROUNDING)
+
+
+def test_with_a_normal_means_count_along_the_wall_only():
+    """Inside the cells of the second stress lies something without a mean."""
+    mesh = mesh_of(2)
+    patches, jump = patches_of(mesh)
+    x = ufl.SpatialCoordinate(mesh)
+    centroid = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0, (2,))))
+    centroid.interpolate(dolfinx.fem.Expression(x, np.full((1, 2), 1 / 3)))
+    stress = linear(mesh, jump)
+    wrong = stress + (x - centroid)[0] * ufl.as_matrix([[5.0, 4.0], [4.0, 3.0]])
+    normal = ufl.as_vector([0.0, -2.0])
+    exact = nodes(stress, mesh)
+    error = nodes(recovered_field(wrong, patches, normal=normal), mesh) - exact
+    small(np.abs(error[..., 0, 0]).max(initial=0), 1e-10)
+    inside = nodes(recovered_field(wrong, patches), mesh) - exact
+    equal(error[..., 1, :], inside[..., 1, :], 1e-10)
+    agree(whole(np.abs(inside[..., 0, 0]).ravel()).max() > 0.1)
+
+
+def test_a_result_is_overwritten():
+    mesh = mesh_of(2)
+    patches, jump = patches_of(mesh)
+    factor = dolfinx.fem.Constant(mesh, 1.0)
+    stress = factor * linear(mesh, jump)
+    out = recovered_field(stress, patches)
+    factor.value = -2.0
+    agree(recovered_field(stress, patches, out=out) is out)
+    equal(nodes(out, mesh), nodes(stress, mesh), ROUNDING)
+
+
+# -- principal values, components, means
+
+
+def test_principal_values():
+    """Their sum is the trace, the root of their squares' sum the magnitude."""
+    mesh = mesh_of(3)
+    patches, jump = patches_of(mesh)
+    stress = linear(mesh, jump)
+    recovered = recovered_field((stress + stress.T) / 2, patches)
+    values = nodes(principal_values(recovered), mesh)
+    agree((np.diff(values, axis=2) >= 0).all())
+    equal(values.sum(axis=2), nodes(ufl.tr(stress), mesh), ROUNDING)
+    equal(np.linalg.norm(values, axis=2), nodes(stress_magnitude(recovered), mesh), ROUNDING)
+
+
+def test_components():
+    """In a tube: σ = 3 e_r ⊗ e_r + 5 e_θ ⊗ e_θ + 7 e_z ⊗ e_z, of directions of any length."""
+    mesh = mesh_of(3)
+    patches, _ = patches_of(mesh)
+    x = ufl.SpatialCoordinate(mesh)
+    e_r = ufl.as_vector([x[0], x[1], 0.0])
+    e_t, e_z = ufl.as_vector([-x[1], x[0], 0.0]), ufl.as_vector([0.0, 0.0, 1.0])
+    unit = ufl.inner(e_r, e_r)
+    stress = (3 * ufl.outer(e_r, e_r) + 5 * ufl.outer(e_t, e_t)) / unit + 7 * ufl.outer(e_z, e_z)
+    directions = {
+        "radial": e_r,
+        "hoop": -3 * e_t,
+        "axial": e_z,
+        "fibre": e_t / ufl.sqrt(unit) + e_z,
+    }
+    found = components(recovered_field(stress, patches), directions)
+    agree(list(found) == [f.name for f in found.values()] == list(directions))
+    for name, value in (("radial", 3.0), ("hoop", 5.0), ("axial", 7.0), ("fibre", 6.0)):
+        error = nodes(found[name] - value, mesh)
+        small(np.abs(error).max(initial=0), 0.1)  # an arc of 18° in five elements
+
+
+def test_means_over_layers():
+    """Of linear fields, and weighted."""
+    mesh = mesh_of(2)
+    layers = split(mesh)
+    patches = create_patches(mesh, layers)
+    x = ufl.SpatialCoordinate(mesh)
+    names = {"left": 7, "right": 3}
+    means = layer_means({"x": x[0], "y": 2 * x[1]}, patches, layers, names)
+    agree(list(means) == ["left", "right"] and list(means["left"]) == ["x", "y"])
+    equal([means[i][j] for i in means for j in ("x", "y")], [0.25, 1.0, 0.75, 1.0], ROUNDING)
+    weighted = layer_means({"x": x[0]}, patches, layers, names, weight=x[0])
+    equal([weighted[i]["x"] for i in names], [1 / 3, 7 / 9], ROUNDING)
+
+
+@pytest.mark.parametrize("kind", ["vtx", "xdmf"])
+def test_all_are_written(tmp_path: Path, kind: str):
+    if kind == "vtx" and not dolfinx.has_adios2:
+        pytest.skip("dolfinx has no ADIOS2")
+    mesh = mesh_of(3)
+    patches, jump = patches_of(mesh)
+    stress = recovered_field(linear(mesh, jump), patches, name="stress")
+    hoop = components(stress, {"hoop": ufl.SpatialCoordinate(mesh)})
+    fields = [stress, principal_values(stress), *hoop.values()]
+    magnitude = {"magnitude": stress_magnitude(stress)}
+    with FieldWriter(tmp_path / "wall", fields, magnitude, kind=kind) as writer:
+        writer.write(0.0)
+    agree(writer.path.exists())
+
+
+# -- what is refused
+
+
+def test_bad_meshes_and_layers():
+    mesh = mesh_of(2)
+    with raises(TypeError, "quadrilateral with 4 nodes in 2 dimensions"):
+        create_patches(cube(2, 2, dolfinx.mesh.CellType.quadrilateral))
+    with raises(ValueError, "degree=2: give a quadrature degree of 3 or more"):
+        create_patches(mesh, degree=2)
+    with raises(ValueError, "tags of dimension 2, or of another mesh"):
+        create_patches(mesh, split(cube(2, 6)))
+    facets = dolfinx.mesh.meshtags(mesh, 1, np.arange(1, dtype=np.int32), np.ones(1, dtype=np.int32))
+    with raises(ValueError, "tags of dimension 1, or of another mesh"):
+        create_patches(mesh, facets)
+    layers = split(mesh)
+    here = layers.find(7)
+    tags = dolfinx.mesh.meshtags(mesh, 2, here, np.full(len(here), 7, dtype=np.int32))
+    with raises(ValueError, "layers: 36 cells have no tag"):
+        create_patches(mesh, tags)
+
+
+def test_bad_fields():
+    mesh = mesh_of(2)
+    patches, jump = patches_of(mesh)
+    x, other = ufl.SpatialCoordinate(mesh), ufl.SpatialCoordinate(mesh_of(2))
+    with raises(ValueError, "does not live on the mesh of the patches"):
+        recovered_field(other, patches)
+    with raises(ArithmeticError, "NaN or infinite in 36 cells"):
+        recovered_field(x / (jump * x[0]), patches)
+    for field, normal in ((x, x), (ufl.outer(x, x), x[0])):
+        with raises(ValueError, "give a vector of 2 components for a stress of shape"):
+            recovered_field(field, patches, normal=normal)
+    with raises(ArithmeticError, "normal vanishes at 432 nodes"):
+        recovered_field(ufl.outer(x, x), patches, normal=0 * x)
+    with raises(ValueError, "out='f' cannot hold a recovered field of shape"):
+        recovered_field(ufl.outer(x, x), patches, out=dolfinx.fem.Function(jump.function_space))
+
+
+def test_bad_components_and_means():
+    mesh = mesh_of(2)
+    patches, jump = patches_of(mesh)
+    x = ufl.SpatialCoordinate(mesh)
+    for ask in (principal_values, lambda f: components(f, {})):
+        with raises(ValueError, "'f' is no recovered stress"):
+            ask(dolfinx.fem.Function(jump.function_space, name="f"))
+    with raises(ValueError, "directions: hoop must be vectors of 2 components"):
+        components(recovered_field(ufl.outer(x, x), patches), {"hoop": x[0], "axial": x})
+    with raises(ArithmeticError, "directions: 'axial' is zero, NaN or infinite somewhere"):
+        components(recovered_field(ufl.outer(x, x), patches), {"axial": x[0] * x})
+    layers = split(mesh)
+    with raises(ValueError, "fields: x; give scalars"):
+        layer_means({"x": x}, patches, layers, {"left": 7})
+    with raises(ValueError, "fields: none; give scalars"):
+        layer_means({}, patches, layers, {"left": 7})
+    with raises(ValueError, "no cell of the layer 'media' has its tag 1"):
+        layer_means({"x": x[0]}, patches, layers, {"left": 7, "media": 1})
