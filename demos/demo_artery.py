@@ -173,6 +173,7 @@ problem = NonlinearProblem(
     subdomains=args.subdomains,
     petsc_options_prefix="artery_",
     petsc_options=petsc_options,
+    quadrature_degree=2 * args.degree,
 )
 first_step = FirstStep(problem)
 parts = problem.decomposition

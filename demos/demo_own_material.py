@@ -159,6 +159,7 @@ def inflate(name: str, material: Callable[[Expr, Expr], Expr]) -> dict[str, floa
         condense=p,
         subdomains=12,
         petsc_options_prefix=f"{name}_",
+        quadrature_degree=4,
     )
 
     def follow(start: float, end: float) -> list:

@@ -145,5 +145,6 @@ def create_wall_problem(
         subdomains=subdomains,
         petsc_options_prefix=prefix,
         petsc_options=options,
+        quadrature_degree=2 * degree,
     )
     return WallProblem(problem, u, p, F_u, pressure, bcs, kinematics.cauchy_stress(psi, F))

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Bounded quadrature degrees.
+"""Quadrature degrees: UFL's estimates, bounds on them, and one rule for energy and residual.
 
 UFL adds up degrees through an exponential or a determinant; for the Holzapfel–Gasser–Ogden energy
 on quadratic elements its estimate makes the compiled code a thousand times slower than necessary.
@@ -9,9 +9,20 @@ on quadratic elements its estimate makes the compiled code a thousand times slow
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
 import ufl
 
-__all__ = ["limit_quadrature_degree"]
+__all__ = ["estimated_quadrature_degree", "limit_quadrature_degree", "match_quadrature_degree"]
+
+#: Names by which an integral states its quadrature.
+STATED = {"quadrature_degree", "quadrature_rule"}
+
+#: Under type and part of the domain of integrals, whether a degree is stated, and the degree.
+Degrees = dict[tuple[str, object], tuple[bool, int]]
 
 
 def limit_quadrature_degree(form: ufl.Form, degree: int | None = None) -> ufl.Form:
@@ -37,10 +48,65 @@ def limit_quadrature_degree(form: ufl.Form, degree: int | None = None) -> ufl.Fo
     return ufl.Form([_limit(integral, degree) for integral in form.integrals()])
 
 
+def estimated_quadrature_degree(form: ufl.Form) -> int:
+    """Return the highest degree that UFL estimates for integrals that state none; 0 for none."""
+    return max((d for stated, d in _degrees(form).values() if not stated), default=0)
+
+
+def match_quadrature_degree(energy: ufl.Form, residual: ufl.Form) -> ufl.Form:
+    """Give the integrals of an energy that state no degree that of its residual.
+
+    UFL estimates a higher degree for a derivative. Integrated by two rules, an energy would fall in
+    a direction that is not quite that of the residual, and near the solution not at all.
+
+    Args:
+        energy: Π(u).
+        residual: Its derivative, and perhaps other terms.
+    """
+    known = _degrees(residual)
+    return ufl.Form([_match(integral, known) for integral in energy.integrals()])
+
+
+def _match(integral: ufl.Integral, known: Degrees) -> ufl.Integral:
+    """The integral with the degree that is known for its type and part of the domain."""
+    metadata = integral.metadata()
+    here = (integral.integral_type(), integral.subdomain_id())
+    if STATED & metadata.keys() or here not in known:
+        return integral
+    return integral.reconstruct(metadata={**metadata, "quadrature_degree": known[here][1]})
+
+
+def _degrees(form: ufl.Form) -> Degrees:
+    """Find the degrees of the integrals of a form, as the form compiler does.
+
+    Where some integrals state a degree and others do not, it is UFL's estimate for these.
+    """
+    if ufl.algorithms.expand_derivatives(form).empty():
+        return {}
+    data = ufl.algorithms.compute_form_data(
+        form, do_apply_integral_scaling=True, do_append_everywhere_integrals=False
+    )
+    found: Degrees = {}
+    for group in data.integral_data:
+        candidates = [_degree(integral.metadata()) for integral in group.integrals]
+        for part in group.subdomain_id:
+            key = (group.integral_type, "everywhere" if part == "otherwise" else part)
+            found[key] = min(candidates, key=lambda known: (known[0], -known[1]))
+    return found
+
+
+def _degree(metadata: Mapping[str, Any]) -> tuple[bool, int]:
+    """Return whether an integral states its degree, and the stated or estimated degree."""
+    stated = metadata.get("quadrature_degree")
+    if isinstance(stated, int) and stated >= 0:
+        return True, stated
+    return False, int(np.max(metadata["estimated_polynomial_degree"]))
+
+
 def _limit(integral: ufl.Integral, degree: int) -> ufl.Integral:
     """Return the integral with at most this quadrature degree, unless it states its own."""
     metadata = integral.metadata()
-    if {"quadrature_degree", "quadrature_rule"} & metadata.keys():
+    if STATED & metadata.keys():
         return integral
     expanded = ufl.algorithms.expand_derivatives(ufl.Form([integral]))
     if expanded.empty() or _estimated_degree(expanded) <= degree:

@@ -90,7 +90,7 @@ SOLVERS = {
 }
 
 #: How options of solvers begin that have no place here.
-FOREIGN = ("pc_", "mat_", "snes_linesearch_")
+FOREIGN = ("pc_", "mat_", "mg_", "snes_linesearch_")
 
 
 @dataclass(frozen=True, slots=True)

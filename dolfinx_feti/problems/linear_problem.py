@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 from petsc4py import PETSc
 
@@ -16,11 +17,20 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
+from dolfinx_feti.collective import on_all
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem import assembly
-from dolfinx_feti.fem.checks import check_bcs, check_linear_forms, check_scalar_type, check_space
+from dolfinx_feti.fem.checks import check_linear_forms, check_scalar_type
+from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import decompose, tear
-from dolfinx_feti.petsc_options import inserted, require_prefix
+from dolfinx_feti.petsc_options import inserted
+from dolfinx_feti.problems.arguments import (
+    agreed_prefix,
+    checked_conditions,
+    require_forms,
+    require_function,
+    warn_unused,
+)
 from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
 from dolfinx_feti.problems.solvers import create_solver, python_errors
 
@@ -29,6 +39,8 @@ __all__ = ["LinearProblem"]
 
 class LinearProblem:
     """Solve a(u, v) = L(v) for all v with a FETI method.
+
+    It takes the arguments of dolfinx's class of this name, from 0.9 to 0.11, and the subdomains.
 
     Example::
 
@@ -41,22 +53,35 @@ class LinearProblem:
     Attributes:
         u: The solution.
         solver: The KSP.
-        A: The torn matrix.
+        A: The torn matrix; ``A.mult`` is the assembled operator.
         b: The assembled right-hand side.
+        x: The last solution, without ghosts; u has memory of its own.
+        L: The compiled linear form.
+        bcs: The Dirichlet conditions; their values may change.
+        P_mat: None, for FETI's preconditioner is no matrix.
+        preconditioner: None.
         decomposition: Subdomain of each owned cell.
         history: What the last solve cost, one record.
     """
+
+    P_mat: None = None
+    preconditioner: None = None
 
     def __init__(
         self,
         a: ufl.Form,
         L: ufl.Form,
-        *,
-        bcs: Sequence[dolfinx.fem.DirichletBC] = (),
+        bcs: Sequence[dolfinx.fem.DirichletBC] | None = None,
         u: dolfinx.fem.Function | None = None,
-        subdomains: int | npt.NDArray[np.integer],
-        petsc_options_prefix: str,
         petsc_options: Mapping[str, object] | None = None,
+        form_compiler_options: Mapping[str, object] | None = None,
+        jit_options: Mapping[str, object] | None = None,
+        *,
+        subdomains: int | npt.NDArray[np.integer],
+        petsc_options_prefix: str | None = None,
+        P: ufl.Form | None = None,
+        kind: str | None = None,
+        entity_maps: Sequence[object] | None = None,
     ) -> None:
         """Tear the mesh and compile the forms.
 
@@ -65,9 +90,15 @@ class LinearProblem:
             L: Linear form.
             bcs: Dirichlet conditions.
             u: Function for the solution; created if not given.
-            subdomains: Their number over all processes, or a part per owned cell.
-            petsc_options_prefix: Non-empty prefix of all options, equal on all processes.
             petsc_options: Options without prefix, see ``docs/options.md``.
+            form_compiler_options: Options of FFCx.
+            jit_options: Options of the C compiler and its cache.
+            subdomains: Their number over all processes, or a part per owned cell.
+            petsc_options_prefix: Non-empty prefix of all options, equal on all processes; one of
+                its own, ``linear_problem_0_`` and so on, if not given.
+            P: Without effect, as a preconditioner of dolfinx's.
+            kind: Without effect, as a type of dolfinx's matrices.
+            entity_maps: None; several meshes cannot be torn.
 
         Raises:
             ValueError: Bad prefix, options, subdomains, boundary conditions or forms.
@@ -77,23 +108,39 @@ class LinearProblem:
             Collective; raises on all processes.
         """
         check_scalar_type()
-        self._prefix = require_prefix(petsc_options_prefix)
-        self._petsc_options = dict(petsc_options or {})
+        require_forms(a=a, L=L)
+        if u is not None:
+            require_function(u)
         check_linear_forms(a, L, u)
         V = a.arguments()[0].ufl_function_space()
-        check_space(V)
-        check_bcs(V, bcs)
+        comm = V.mesh.comm
+        self.bcs = on_all(lambda: checked_conditions(V, bcs), comm)
+        warn_unused(comm, P=P, kind=kind, entity_maps=entity_maps)
+        self._prefix = agreed_prefix(petsc_options_prefix, "linear_problem", comm)
+        self._petsc_options = dict(petsc_options or {})
+        self._compiler = Compiler(comm, form_compiler_options, jit_options)
+        self._bilinear = a
         self.u = dolfinx.fem.Function(V) if u is None else u
-        self._bcs = list(bcs)
         self.decomposition = decompose(V.mesh, subdomains)
         space = tear(V, self.decomposition)
-        self._a = assembly.torn_form(a, (space, space))
-        self._L = dolfinx.fem.form(L)
+        self._torn = assembly.torn_form(a, (space, space), self._compiler)
+        self.L = self._compiler.form(L)
         self._K = assembly.create_local_matrix(space, space, len(self.decomposition.subdomain))
-        self.A = assembly.create_matis(space, self._K, self._bcs)
-        self.b = self.A.createVecLeft()
+        self.A = assembly.create_matis(space, self._K, self.bcs)
+        self.x, self.b = self.A.createVecs()
+        for name, owned in (("A", self.A), ("x", self.x), ("b", self.b)):
+            owned.setOptionsPrefix(f"{self._prefix}{name}_")
         self.history: list[NewtonStep] = []
         self.solver = create_solver(self.A, self._prefix, self._petsc_options)
+
+    @cached_property
+    def a(self) -> dolfinx.fem.Form:
+        """The compiled bilinear form, for other uses: FETI has one on the torn space.
+
+        Note:
+            Collective the first time.
+        """
+        return self._compiler.form(self._bilinear)
 
     def solve(self) -> dolfinx.fem.Function:
         """Assemble and solve.
@@ -108,16 +155,15 @@ class LinearProblem:
             Collective.
         """
         started = time.perf_counter()
-        assembly.assemble(self._K, self._a)
+        on_all(lambda: assembly.assemble(self._K, self._torn), self.u.function_space.mesh.comm)
         assembly.attach_near_kernel(self.A, self.u.function_space)
-        load = assembly.assemble_owned(self._L)
-        for bc in self._bcs:
+        load = assembly.assemble_owned(self.L)
+        for bc in self.bcs:
             bc.set(load)
         self.b.array[:] = load
-        x = self.A.createVecRight()
         assembled = time.perf_counter()
         with inserted(self._prefix, self._petsc_options), python_errors():
-            self.solver.solve(self.b, x)
+            self.solver.solve(self.b, self.x)
         solved = time.perf_counter()
         feti = self.solver.getPythonContext()
         self.history = [
@@ -133,15 +179,13 @@ class LinearProblem:
             )
         ]
         raise_if_diverged(self.solver)
-        n = x.getLocalSize()
-        self.u.x.array[:n] = x.array_r
+        self.u.x.array[: self.x.getLocalSize()] = self.x.array_r
         self.u.x.scatter_forward()
-        x.destroy()
         return self.u
 
     def __del__(self) -> None:
         """Free the PETSc objects."""
-        for name in ("solver", "A", "b", "_K"):
+        for name in ("solver", "A", "x", "b", "_K"):
             owned = getattr(self, name, None)  # __init__ may have raised
             if owned is not None:
                 owned.destroy()

@@ -87,6 +87,7 @@ class Newton:
     Attributes:
         history: A record for each step of the last solve.
         message: What went wrong in it and what helps, or an empty string.
+        residual: The (condensed) residual of its last iterate, (owned,).
     """
 
     def __init__(self, system: System) -> None:
@@ -97,6 +98,7 @@ class Newton:
         self._supported = False
         self.history: list[NewtonStep] = []
         self.message = ""
+        self.residual = np.zeros(system.owned)
 
     @contextmanager
     def starting(self, start: Start) -> Iterator[None]:
@@ -121,6 +123,7 @@ class Newton:
         """Take steps until the residual is small; return PETSc's reason for that."""
         system, started = self._system, time.perf_counter()
         here = system.residual()
+        self.residual = here.condensed
         norm = system.norm(here.condensed)
         scale = float(np.fmin(norm, start.reference))
         if system.least_volume_ratio() <= 0.0:
@@ -131,6 +134,7 @@ class Newton:
                 with event("FETITangent"):
                     system.linearise()
             here, started = self._step(snes, here, norm, started)
+            self.residual = here.condensed
             norm = system.norm(here.condensed)
             reason = _judge(snes, len(self.history), norm, scale)
         return reason

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 from mpi4py import MPI
 
@@ -15,18 +16,20 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
+from dolfinx_feti.collective import on_all
 from dolfinx_feti.errors import ConvergenceError
-from dolfinx_feti.fem.checks import (
-    check_bcs,
-    check_nonlinear_forms,
-    check_pressure_space,
-    check_scalar_type,
-    check_space,
-)
+from dolfinx_feti.fem.checks import check_scalar_type
+from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import decompose
-from dolfinx_feti.fem.quadrature import limit_quadrature_degree
 from dolfinx_feti.feti.solver import FETI
-from dolfinx_feti.petsc_options import inserted, require_prefix
+from dolfinx_feti.petsc_options import inserted
+from dolfinx_feti.problems.arguments import (
+    agreed_prefix,
+    checked_conditions,
+    require_function,
+    warn_unused,
+)
+from dolfinx_feti.problems.forms import default_volume_ratio, derive, warn_of_degree
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.newton import Newton, Start
 from dolfinx_feti.problems.solvers import create_newton_solver, python_errors
@@ -34,9 +37,18 @@ from dolfinx_feti.problems.system import System, Tangent
 
 __all__ = ["NonlinearProblem"]
 
+#: For scripts that hand the problem to dolfinx's solver.
+_OF_NEWTON_SOLVER = (
+    "it drives Newton's method itself: call problem.solve() in the place of "
+    "dolfinx.nls.petsc.NewtonSolver"
+)
+
 
 class NonlinearProblem:
     """Solve F(u; v) = 0 for all v by Newton's method, every step with a FETI method.
+
+    It takes the arguments of dolfinx's class of this name, from 0.9 to 0.11, and the subdomains; it
+    drives a SNES of its own in every version.
 
     Example::
 
@@ -49,24 +61,37 @@ class NonlinearProblem:
     Attributes:
         u: The unknown.
         solver: The SNES.
-        A: The torn tangent.
+        A: The torn tangent; ``A.mult`` is the assembled operator.
+        b: The residual of the last iterate, with the pressure condensed into it.
+        x: The last iterate, without ghosts; u has memory of its own.
+        bcs: The Dirichlet conditions; their values may change.
+        P_mat: None, for FETI's preconditioner is no matrix.
+        preconditioner: None.
         decomposition: Subdomain of each owned cell.
     """
+
+    P_mat: None = None
+    preconditioner: None = None
 
     def __init__(
         self,
         F: ufl.Form | Sequence[ufl.Form],
         u: dolfinx.fem.Function,
-        *,
-        bcs: Sequence[dolfinx.fem.DirichletBC] = (),
+        bcs: Sequence[dolfinx.fem.DirichletBC] | None = None,
         J: ufl.Form | None = None,
+        form_compiler_options: Mapping[str, object] | None = None,
+        jit_options: Mapping[str, object] | None = None,
+        *,
         condense: dolfinx.fem.Function | None = None,
         energy: ufl.Form | None = None,
         subdomains: int | npt.NDArray[np.integer],
-        petsc_options_prefix: str,
+        petsc_options_prefix: str | None = None,
         petsc_options: Mapping[str, object] | None = None,
         quadrature_degree: int | None = None,
         volume_ratio: ufl.core.expr.Expr | None = None,
+        P: ufl.Form | None = None,
+        kind: str | None = None,
+        entity_maps: Sequence[object] | None = None,
     ) -> None:
         """Tear the mesh, derive and compile the forms.
 
@@ -77,16 +102,23 @@ class NonlinearProblem:
             bcs: Dirichlet conditions on u.
             J: Tangent of the residual tested with v, in u; derived from it if not given. A
                 symmetric one lets the dual method be CG.
+            form_compiler_options: Options of FFCx.
+            jit_options: Options of the C compiler and its cache.
             condense: Piecewise constant pressure that is eliminated cell by cell.
             energy: Potential Π(u) or Π(u, p) whose derivatives are the residuals F, if they have
                 one: F itself if that is an energy. It keeps Newton's method on the way down.
             subdomains: Their number over all processes, or a part per owned cell.
-            petsc_options_prefix: Non-empty prefix of all options, equal on all processes.
+            petsc_options_prefix: Non-empty prefix of all options, equal on all processes; one of
+                its own, ``nonlinear_problem_0_`` and so on, if not given.
             petsc_options: Options without prefix: ``snes_…``, ``feti_…``, see ``docs/options.md``.
-            quadrature_degree: Highest degree of the integrals that state none; twice that of u
-                if not given, see ``quadrature``.
-            volume_ratio: Expression that every iterate keeps positive at all quadrature points;
-                det(I + Grad u) if not given and u is a displacement.
+            quadrature_degree: Highest degree of the integrals that state none; UFL's estimates, as
+                in dolfinx, if not given.
+            volume_ratio: Expression that every iterate keeps positive at all points of a quadrature
+                of this degree, or of twice that of u; det(I + Grad u) if not given and u is a
+                displacement.
+            P: Without effect, as a preconditioner of dolfinx's.
+            kind: Without effect, as a type of dolfinx's matrices.
+            entity_maps: None; several meshes cannot be torn.
 
         Raises:
             ValueError: Bad prefix, options, subdomains, boundary conditions or forms.
@@ -96,46 +128,66 @@ class NonlinearProblem:
             Collective; raises on all processes.
         """
         check_scalar_type()
-        self._prefix = require_prefix(petsc_options_prefix)
-        self._petsc_options = dict(petsc_options or {})
+        require_function(u)
         V = u.function_space
-        check_space(V)
-        check_bcs(V, bcs)
-        if condense is not None:
-            check_pressure_space(condense.function_space)
-        degree = 2 * V.ufl_element().embedded_superdegree
-        degree = degree if quadrature_degree is None else quadrature_degree
-        energy = potential(F, energy)
-        F_u, F_p = residuals(F, u, condense)
-        F_u = limit_quadrature_degree(F_u, degree)
-        F_p = None if F_p is None else limit_quadrature_degree(F_p, degree)
-        J = ufl.derivative(F_u, u, ufl.TrialFunction(V)) if J is None else J
-        check_nonlinear_forms(F_u, J, u)
-        J = limit_quadrature_degree(J, degree)
-        pressure = None
-        if F_p is not None and condense is not None:
-            pressure = (F_p, condense)
+        comm = V.mesh.comm
+        self.bcs = on_all(lambda: checked_conditions(V, bcs), comm)
+        warn_unused(comm, P=P, kind=kind, entity_maps=entity_maps)
+        self._prefix = agreed_prefix(petsc_options_prefix, "nonlinear_problem", comm)
+        self._petsc_options = dict(petsc_options or {})
+        forms = derive(F, u, J=J, condense=condense, energy=energy, degree=quadrature_degree)
+        twice = 2 * V.ufl_element().embedded_superdegree
+        if quadrature_degree is None:
+            warn_of_degree(forms, twice, comm)
         self.u = u
         self.decomposition = decompose(V.mesh, subdomains)
+        self._compiler = Compiler(comm, form_compiler_options, jit_options)
+        self._tangent = forms.J
         self._system = System(
-            F_u,
+            forms.F_u,
             u,
-            bcs=bcs,
-            J=J,
-            pressure=pressure,
-            energy=None if energy is None else limit_quadrature_degree(energy, degree),
+            bcs=self.bcs,
+            J=forms.J,
+            pressure=None if forms.F_p is None or condense is None else (forms.F_p, condense),
+            energy=forms.energy,
             volume_ratio=default_volume_ratio(u) if volume_ratio is None else volume_ratio,
-            quadrature_degree=degree,
+            quadrature_degree=twice if quadrature_degree is None else quadrature_degree,
             decomposition=self.decomposition,
+            compiler=self._compiler,
         )
         self.A = self._system.A
         self._newton = Newton(self._system)
-        self._x = self.A.createVecRight()
+        self.x, self.b = self.A.createVecs()
+        for name, owned in (("A", self.A), ("x", self.x), ("b", self.b)):
+            owned.setOptionsPrefix(f"{self._prefix}{name}_")
         feti = FETI()
         feti.refuse_indefinite = self._system.has_potential
         self.solver = create_newton_solver(
             self._newton, feti, self.A, self._prefix, self._petsc_options
         )
+
+    @property
+    def F(self) -> dolfinx.fem.Form:
+        """The compiled residual, tested with v, before a pressure is condensed into it."""
+        return self._system.residual_form
+
+    @cached_property
+    def J(self) -> dolfinx.fem.Form:
+        """The compiled tangent, for other uses: FETI has one on the torn space.
+
+        Note:
+            Collective the first time.
+        """
+        return self._compiler.form(self._tangent)
+
+    def __getattr__(self, name: str) -> object:
+        """Answer a script that hands the problem to dolfinx's ``NewtonSolver``.
+
+        Raises:
+            AttributeError: Always.
+        """
+        hint = f"; {_OF_NEWTON_SOLVER}" if name in ("L", "a", "form") else ""
+        raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'{hint}")
 
     @property
     def history(self) -> list[NewtonStep]:
@@ -197,7 +249,8 @@ class NonlinearProblem:
             self._newton.starting(start),
             python_errors(),
         ):
-            self.solver.solve(None, self._x)
+            self.solver.solve(None, self.x)
+        self.b.array[:] = self._newton.residual
         if self.solver.getConvergedReason() < 0:
             message = self._newton.message.rstrip(".")
             raise ConvergenceError(f"Newton's method did not converge: {message}.")
@@ -221,73 +274,7 @@ class NonlinearProblem:
 
     def __del__(self) -> None:
         """Free the PETSc objects."""
-        for name in ("solver", "_x", "_system"):
-            owned = getattr(self, name, None)  # __init__ may have raised
+        for name in ("solver", "x", "b", "_system"):
+            owned = vars(self).get(name)  # __init__ may have raised
             if owned is not None:
                 owned.destroy()
-
-
-def potential(F: ufl.Form | Sequence[ufl.Form], energy: ufl.Form | None) -> ufl.Form | None:
-    """Return the potential of the problem: F itself if that is an energy, or ``energy``.
-
-    Raises:
-        ValueError: Both are given, and differ.
-    """
-    if not isinstance(F, ufl.Form) or F.arguments():
-        return energy
-    if energy is not None and not F.equals(energy):
-        raise ValueError(
-            "energy is not F, which is an energy itself and the one that is minimised: leave "
-            "energy out, or give the residuals as F."
-        )
-    return F
-
-
-def residuals(
-    F: ufl.Form | Sequence[ufl.Form], u: dolfinx.fem.Function, p: dolfinx.fem.Function | None
-) -> tuple[ufl.Form, ufl.Form | None]:
-    """Return the residuals tested with v and, for a condensed pressure, with q.
-
-    Args:
-        F: Residual, pair of residuals, or energy.
-        u: Unknown.
-        p: Pressure to be condensed.
-
-    Raises:
-        ValueError: The forms do not fit ``condense``.
-    """
-    if not isinstance(F, ufl.Form):
-        forms = list(F)
-        if p is None or len(forms) != 2 or any(len(form.arguments()) != 1 for form in forms):
-            raise ValueError(
-                f"F is a sequence of {len(forms)} forms: give two residuals, tested with v and "
-                "with q, together with condense=p."
-            )
-        spaces = [form.arguments()[0].ufl_function_space() for form in forms]
-        if spaces != [u.function_space, p.function_space]:
-            raise ValueError("F holds residuals on other spaces: test them with v in V and q in Q.")
-        return forms[0], forms[1]
-    rank = len(F.arguments())
-    if rank == 0 and u not in F.coefficients():
-        raise ValueError(
-            f"The unknown '{u.name}' does not occur in F: pass the Function that F is written in."
-        )
-    if rank > 1 or (rank == 1 and p is not None):
-        raise ValueError(
-            f"F has {rank} arguments: give a residual or an energy; with condense=p an energy "
-            "Π(u, p) or the pair of its residuals."
-        )
-    if rank == 1:
-        return F, None
-    F_u = ufl.derivative(F, u, ufl.TestFunction(u.function_space))
-    if p is None:
-        return F_u, None
-    return F_u, ufl.derivative(F, p, ufl.TestFunction(p.function_space))
-
-
-def default_volume_ratio(u: dolfinx.fem.Function) -> ufl.core.expr.Expr | None:
-    """Return det(I + Grad u) of a displacement, None for another unknown."""
-    gdim = u.function_space.mesh.geometry.dim
-    if u.ufl_shape != (gdim,):
-        return None
-    return ufl.det(ufl.Identity(gdim) + ufl.grad(u))

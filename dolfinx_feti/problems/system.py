@@ -77,6 +77,7 @@ class System:
         u: Displacement (or another unknown).
         A: Torn tangent.
         bcs: Dirichlet conditions.
+        residual_form: F_u, compiled.
         comm: Communicator of the mesh.
         owned: Number of dofs that this process owns.
     """
@@ -120,7 +121,7 @@ class System:
         self._n_cells = len(decomposition.subdomain)
         self._space = tear(V, decomposition)
         compiler = compiler or Compiler(self.comm)
-        self._residual = compiler.form(F_u)
+        self.residual_form = compiler.form(F_u)
         self._tangent = assembly.torn_form(J, (self._space, self._space), compiler)
         self.condensation = None
         if pressure is not None:
@@ -261,7 +262,7 @@ class System:
 
     def _own_residual(self) -> tuple[dolfinx.la.Vector, Array, Blocks | None]:
         """Assemble over the cells of this process: r_u, what condensation adds, and its blocks."""
-        b = dolfinx.fem.assemble_vector(self._residual)
+        b = dolfinx.fem.assemble_vector(self.residual_form)
         if self.condensation is None:
             return b, np.zeros(0), None
         blocks = self.condensation.assemble()

@@ -66,16 +66,10 @@ def test_missing_subdomains():
 # ---- options --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("prefix", ["", None])
+@pytest.mark.parametrize("prefix", ["", 7])
 def test_empty_prefix(prefix):
     with raises(ValueError, "petsc_options_prefix"):
         create(poisson(cube(2, 4)), petsc_options_prefix=prefix)
-
-
-def test_missing_prefix():
-    problem = poisson(cube(2, 4))
-    with raises(TypeError, "petsc_options_prefix"):
-        dolfinx_feti.LinearProblem(problem.a, problem.L, subdomains=4)
 
 
 def test_misspelt_option():

@@ -175,7 +175,7 @@ def test_subdomains(body):
         create(body, subdomains=np.zeros(n))
 
 
-@pytest.mark.parametrize("prefix", ["", None, 7])
+@pytest.mark.parametrize("prefix", ["", 7])
 def test_prefix(body, prefix):
     with raises(ValueError, "petsc_options_prefix is .*non-empty string"):
         create(body, petsc_options_prefix=prefix)

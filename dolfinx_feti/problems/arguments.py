@@ -1,0 +1,148 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The arguments that dolfinx's problem classes take, from 0.9 to 0.11: served, or answered."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from mpi4py import MPI
+
+import dolfinx
+import ufl
+
+from dolfinx_feti.collective import warn
+from dolfinx_feti.fem.checks import check_bcs, check_space
+from dolfinx_feti.petsc_options import require_prefix
+
+__all__ = [
+    "agreed_prefix",
+    "checked_conditions",
+    "require_forms",
+    "require_function",
+    "warn_unused",
+]
+
+#: How many problems of each kind have been given a prefix.
+_made: Counter[str] = Counter()
+
+
+def agreed_prefix(prefix: str | None, kind: str, comm: MPI.Comm) -> str:
+    """Check a prefix of options, or make one that no other problem has.
+
+    Args:
+        prefix: What the user has given.
+        kind: Begins a prefix that is made, and has a count of its own.
+        comm: Communicator of the problem.
+
+    Raises:
+        ValueError: The prefix is no string or empty, or not the same on all processes.
+
+    Note:
+        Collective; raises on all processes.
+    """
+    given = comm.allgather(prefix)
+    for rank, other in enumerate(given):
+        if other != given[0]:
+            raise ValueError(
+                f"petsc_options_prefix is {given[0]!r} on process 0 and {other!r} on process "
+                f"{rank}: give the same one on all."
+            )
+    if prefix is not None:
+        return require_prefix(prefix)
+    count = comm.allreduce(_made[kind], op=MPI.MAX)  # some may live on fewer processes
+    _made[kind] = count + 1
+    return f"{kind}_{count}_"
+
+
+def checked_conditions(
+    V: dolfinx.fem.FunctionSpace, bcs: Sequence[dolfinx.fem.DirichletBC] | None
+) -> tuple[dolfinx.fem.DirichletBC, ...]:
+    """Check the space of the unknown and its boundary conditions.
+
+    Args:
+        V: The space.
+        bcs: Conditions; None for none.
+
+    Returns:
+        The conditions.
+
+    Raises:
+        TypeError: V is not a continuous Lagrange space.
+        ValueError: ``bcs`` is a condition alone, or holds something else or one on another space.
+    """
+    check_space(V)
+    if isinstance(bcs, dolfinx.fem.DirichletBC):
+        raise ValueError("bcs is a Dirichlet condition alone: put it in a list, bcs=[bc].")
+    found = tuple(bcs or ())
+    for i, bc in enumerate(found):
+        if not isinstance(bc, dolfinx.fem.DirichletBC):
+            raise ValueError(f"bcs[{i}] is {bc!r}: give what dolfinx.fem.dirichletbc returns.")
+    check_bcs(V, found)
+    return found
+
+
+def require_forms(**forms: object) -> None:
+    """Refuse block forms and compiled ones.
+
+    Args:
+        forms: What should be forms of UFL, by the names of the arguments.
+
+    Raises:
+        ValueError: One is something else.
+    """
+    for name, form in forms.items():
+        _refuse_blocks(name, form)
+        if isinstance(form, dolfinx.fem.Form):
+            raise ValueError(
+                f"{name} is a compiled form, which cannot be torn any more: give the form of UFL."
+            )
+        if not isinstance(form, ufl.Form):
+            raise ValueError(f"{name} is {form!r}: give a form of UFL.")
+
+
+def require_function(u: object) -> None:
+    """Refuse several unknowns.
+
+    Raises:
+        ValueError: u is no function.
+    """
+    _refuse_blocks("u", u)
+    if not isinstance(u, dolfinx.fem.Function):
+        raise ValueError(f"u is {u!r}: give a dolfinx.fem.Function.")
+
+
+def _refuse_blocks(name: str, given: object) -> None:
+    if isinstance(given, Sequence):
+        raise ValueError(
+            f"{name} is a block of {len(given)}, but only a problem on one space is torn: let "
+            "NonlinearProblem(condense=p) eliminate a piecewise constant pressure, or solve the "
+            "blocks one after the other."
+        )
+
+
+def warn_unused(comm: MPI.Comm, *, entity_maps: object, **unused: object) -> None:
+    """Log which arguments have no effect here, and refuse forms on several meshes.
+
+    Args:
+        comm: Communicator of the problem.
+        entity_maps: Refused, unless it is None or empty.
+        unused: Other arguments by their names; None stands for not given.
+
+    Raises:
+        ValueError: There are maps between meshes.
+    """
+    if entity_maps:
+        raise ValueError(
+            "entity_maps relates several meshes, but only forms on one mesh can be torn: put "
+            "coefficients on the mesh of the unknown."
+        )
+    given = " and ".join(name for name, value in unused.items() if value is not None)
+    if given:
+        warn(
+            f"Without effect: {given}. FETI has a preconditioner and a matrix (MATIS) of its own; "
+            "leave it out.",
+            comm,
+        )

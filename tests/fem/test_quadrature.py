@@ -1,0 +1,111 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Quadrature degrees: estimates, and an energy integrated by the rule of its residual."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from collective import COMM, agree, small
+from problems import Cell, cube
+
+import dolfinx
+import ufl
+
+from dolfinx_feti.fem.quadrature import estimated_quadrature_degree, match_quadrature_degree
+
+
+def unknown(cell: Cell = Cell.triangle, degree: int = 2) -> dolfinx.fem.Function:
+    """A displacement that is far from linear in each cell."""
+    V = dolfinx.fem.functionspace(cube(2, 2, cell), ("Lagrange", degree, (2,)))
+    u = dolfinx.fem.Function(V)
+    u.interpolate(lambda x: 0.1 * np.stack([np.sin(4 * x[1]) * x[0], x[1] * np.cos(5 * x[0])]))
+    return u
+
+
+def density(u: dolfinx.fem.Function) -> ufl.core.expr.Expr:
+    F = ufl.Identity(2) + ufl.grad(u)
+    return ufl.exp(ufl.inner(F, F) - 2) - ufl.ln(ufl.det(F))
+
+
+def integral(form: ufl.Form) -> float:
+    return COMM.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(form)))
+
+
+@pytest.mark.parametrize("cell", [Cell.triangle, Cell.quadrilateral])
+def test_energy_falls_as_its_residual_says(cell):
+    """Π'(u) w by differences against r·w, both as they are integrated."""
+    u = unknown(cell)
+    w = dolfinx.fem.Function(u.function_space)
+    w.interpolate(lambda x: np.stack([x[0] * x[1], np.cos(3 * x[0])]))
+    start, h = u.x.array.copy(), 1e-4
+    energy = density(u) * ufl.dx
+    residual = ufl.derivative(energy, u, ufl.TestFunction(u.function_space))
+    r = dolfinx.fem.assemble_vector(dolfinx.fem.form(residual))
+    r.scatter_reverse(dolfinx.la.InsertMode.add)
+    n = u.function_space.dofmap.index_map.size_local * 2
+    expected = COMM.allreduce(float(r.array[:n] @ w.x.array[:n]))
+    errors = []
+    for form in (match_quadrature_degree(energy, residual), energy):
+        heights = []
+        for step in (-2, -1, 1, 2):
+            u.x.array[:] = start + step * h * w.x.array
+            heights.append(integral(form))
+        slope = (heights[0] - 8 * heights[1] + 8 * heights[2] - heights[3]) / (12 * h)
+        errors.append(abs(slope / expected - 1.0))
+        u.x.array[:] = start
+    small(errors[0], 1e-9)
+    agree(errors[1] > 1e-7, errors)
+
+
+def test_degrees_that_are_stated_stay():
+    u = unknown()
+    v = ufl.TestFunction(u.function_space)
+    stated = density(u) * ufl.dx(metadata={"quadrature_degree": 3})
+    agree(match_quadrature_degree(stated, ufl.derivative(stated, u, v)) == stated)
+    agree(estimated_quadrature_degree(stated) == 0)
+
+
+def test_degree_that_the_residual_states():
+    """An energy beside residuals follows them."""
+    u = unknown()
+    v = ufl.TestFunction(u.function_space)
+    stated = density(u) * ufl.dx(metadata={"quadrature_degree": 3})
+    matched = match_quadrature_degree(density(u) * ufl.dx, ufl.derivative(stated, u, v))
+    agree(matched == stated)
+
+
+def test_each_part_of_the_domain_has_its_own():
+    """The form compiler does not mix dx, dx(1) and ds either."""
+    u = unknown()
+    v = ufl.TestFunction(u.function_space)
+    energy = (
+        density(u) * ufl.dx(1)
+        + ufl.inner(u, u) * ufl.dx
+        + density(u) * ufl.dx((2, 3))
+        + u[0] * ufl.ds
+    )
+    matched = match_quadrature_degree(energy, ufl.derivative(energy, u, v))
+    degrees = {
+        (i.integral_type(), i.subdomain_id()): i.metadata()["quadrature_degree"]
+        for i in matched.integrals()
+    }
+    high = estimated_quadrature_degree(ufl.derivative(density(u) * ufl.dx, u, v))
+    agree(high > 4, high)
+    expected = {("cell", k): high for k in (1, 2, 3)}
+    expected |= {("cell", "everywhere"): 4, ("exterior_facet", "everywhere"): 2}
+    agree(degrees == expected, degrees)
+
+
+def test_part_without_a_residual():
+    """What does not depend on u is left alone."""
+    u = unknown()
+    mesh = u.function_space.mesh
+    energy = density(u) * ufl.dx + dolfinx.fem.Constant(mesh, 1.0) * ufl.ds
+    residual = ufl.derivative(energy, u, ufl.TestFunction(u.function_space))
+    matched = match_quadrature_degree(energy, residual)
+    agree([i.metadata() for i in matched.integrals_by_type("exterior_facet")] == [{}])
+    constant = dolfinx.fem.Constant(mesh, 1.0) * ufl.dx
+    empty = ufl.derivative(constant, u, ufl.TestFunction(u.function_space))
+    agree(match_quadrature_degree(constant, empty) == constant)

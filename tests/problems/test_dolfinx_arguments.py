@@ -1,0 +1,238 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The arguments and attributes of dolfinx's problem classes, 0.9 to 0.11: served, or answered."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from bodies import block, yeoh
+from collective import COMM, agree, equal, norm, raises, small
+from problems import cube, dirichlet, left, owned, poisson
+
+import dolfinx
+import dolfinx.fem.petsc
+import ufl
+
+from dolfinx_feti import LinearProblem, NonlinearProblem
+
+LAST = COMM.rank == COMM.size - 1
+
+
+@pytest.fixture
+def heat() -> SimpleNamespace:
+    """Poisson's equation, and its solution."""
+    problem = poisson(cube(2, 4))
+    solved = LinearProblem(problem.a, problem.L, problem.bcs, subdomains=4).solve()
+    return SimpleNamespace(a=problem.a, L=problem.L, bcs=problem.bcs, V=problem.V, u=solved)
+
+
+@pytest.fixture
+def rubber() -> SimpleNamespace:
+    """A block, its residual and tangent, at rest."""
+    body = block(yeoh, (0.3, 0.1))
+    V = body.u.function_space
+    F = ufl.derivative(body.energy, body.u, ufl.TestFunction(V))
+    J = ufl.derivative(F, body.u, ufl.TrialFunction(V))
+    return SimpleNamespace(F=F, J=J, u=body.u, bcs=body.bcs, V=V)
+
+
+# -- arguments
+
+
+def test_positional_arguments(heat, rubber):
+    """In dolfinx 0.9 all of them were."""
+    u = dolfinx.fem.Function(heat.V)
+    problem = LinearProblem(heat.a, heat.L, heat.bcs, u, {"ksp_rtol": 1e-10}, {}, {}, subdomains=4)
+    agree(problem.solve() is u is problem.u and problem.solver.getTolerances()[0] == 1e-10)
+    equal(owned(u), owned(heat.u), 1e-6)
+    nonlinear = NonlinearProblem(rubber.F, rubber.u, rubber.bcs, rubber.J, None, None, subdomains=4)
+    agree(nonlinear.solve() is rubber.u and len(nonlinear.history) > 2)
+
+
+def test_no_conditions(heat, rubber):
+    """None, an empty list and an empty tuple are the same."""
+    mass = heat.a + ufl.TrialFunction(heat.V) * ufl.TestFunction(heat.V) * ufl.dx
+    for bcs in (None, [], ()):
+        problem = LinearProblem(mass, heat.L, bcs=bcs, subdomains=4)
+        problem.solve()
+        agree(problem.bcs == ())
+        agree(NonlinearProblem(rubber.F, rubber.u, bcs=bcs, subdomains=4).bcs == ())
+
+
+def test_options_of_the_compilers(heat, rubber, tmp_path):
+    """They reach both, and are not added to."""
+    form_options, jit_options = {"epsilon": 1e-13}, {"cache_dir": str(tmp_path / "forms")}
+    options = {"form_compiler_options": form_options, "jit_options": jit_options}
+    problem = LinearProblem(heat.a, heat.L, bcs=heat.bcs, subdomains=4, **options)
+    equal(owned(problem.solve()), owned(heat.u), 1e-6)
+    made = COMM.bcast(len(list((tmp_path / "forms").iterdir())))
+    agree(made > 0)
+    NonlinearProblem(rubber.F, rubber.u, rubber.bcs, subdomains=4, **options)
+    agree(COMM.bcast(len(list((tmp_path / "forms").iterdir()))) > made)
+    agree(form_options == {"epsilon": 1e-13} and list(jit_options) == ["cache_dir"])
+
+
+def test_default_prefixes(heat, rubber):
+    """Unique, and equal on all processes also if some have made a problem of their own."""
+    if LAST:
+        own = poisson(cube(2, 2, comm=MPI.COMM_SELF))
+        LinearProblem(own.a, own.L, own.bcs, subdomains=2).solve()
+    made = [LinearProblem(heat.a, heat.L, heat.bcs, subdomains=4) for _ in range(2)]
+    made += [NonlinearProblem(rubber.F, rubber.u, rubber.bcs, subdomains=4) for _ in range(2)]
+    prefixes = [problem.solver.getOptionsPrefix() for problem in made]
+    agree(COMM.bcast(prefixes) == prefixes and len(set(prefixes)) == 4, prefixes)
+    agree(all(p.startswith("linear_problem_") for p in prefixes[:2]), prefixes)
+    agree(all(p.startswith("nonlinear_problem_") for p in prefixes[2:]), prefixes)
+    agree(not any(p != q and p.startswith(q) for p in prefixes for q in prefixes))
+
+
+@pytest.mark.skipif(COMM.size == 1, reason="there is one process only")
+@pytest.mark.parametrize("other", ["other_", None])
+def test_prefix_that_is_not_the_same_on_all(heat, other):
+    with raises(ValueError, "petsc_options_prefix is 'same_' on process 0 and .* on process .: gi"):
+        LinearProblem(
+            heat.a,
+            heat.L,
+            bcs=heat.bcs,
+            subdomains=4,
+            petsc_options_prefix=other if LAST else "same_",
+        )
+
+
+# -- what is answered
+
+
+def test_preconditioner_and_kind(heat, rubber, caplog):
+    problem = LinearProblem(
+        heat.a, heat.L, bcs=heat.bcs, P=heat.a, kind="mpi", subdomains=4, entity_maps=[]
+    )
+    equal(owned(problem.solve()), owned(heat.u), 1e-6)
+    NonlinearProblem(rubber.F, rubber.u, bcs=rubber.bcs, P=rubber.J, subdomains=4)
+    texts = [record.message.partition(".")[0] for record in caplog.records]
+    expected = ["Without effect: P and kind", "Without effect: P"]
+    agree(texts == (expected if COMM.rank == 0 else []), texts)
+
+
+def test_several_meshes(heat, rubber):
+    with raises(ValueError, "entity_maps relates several meshes.*on the mesh of the unknown"):
+        LinearProblem(heat.a, heat.L, bcs=heat.bcs, subdomains=4, entity_maps=["map"])
+    with raises(ValueError, "entity_maps"):
+        NonlinearProblem(rubber.F, rubber.u, bcs=rubber.bcs, subdomains=4, entity_maps=["map"])
+
+
+def test_blocks(heat, rubber):
+    message = "is a block of {}, but only a problem on one space is torn: .*condense=p"
+    with raises(ValueError, "^a " + message.format(2)):
+        LinearProblem([[heat.a, None], [None, heat.a]], [heat.L, heat.L], subdomains=4)
+    with raises(ValueError, "^L " + message.format(1)):
+        LinearProblem(heat.a, [heat.L], subdomains=4)
+    with raises(ValueError, "^u " + message.format(2)):
+        LinearProblem(heat.a, heat.L, u=[heat.u, heat.u], subdomains=4)
+    with raises(ValueError, "^u " + message.format(2)):
+        NonlinearProblem([rubber.F, rubber.F], [rubber.u, rubber.u], subdomains=4)
+    with raises(ValueError, "^J " + message.format(1)):
+        NonlinearProblem(rubber.F, rubber.u, J=[[rubber.J]], subdomains=4)
+    with raises(ValueError, "^F is a sequence of 2 forms: .*condense=p"):
+        NonlinearProblem([rubber.F, rubber.F], rubber.u, subdomains=4)
+
+
+def test_compiled_forms(heat, rubber):
+    message = "is a compiled form, which cannot be torn any more: give the form of UFL"
+    with raises(ValueError, f"^a {message}"):
+        LinearProblem(dolfinx.fem.form(heat.a), heat.L, subdomains=4)
+    with raises(ValueError, f"^L {message}"):
+        LinearProblem(heat.a, dolfinx.fem.form(heat.L), subdomains=4)
+    with raises(ValueError, f"^F {message}"):
+        NonlinearProblem(dolfinx.fem.form(rubber.F), rubber.u, subdomains=4)
+    with raises(ValueError, f"^J {message}"):
+        NonlinearProblem(rubber.F, rubber.u, J=dolfinx.fem.form(rubber.J), subdomains=4)
+    with raises(ValueError, "^L is 0: give a form of UFL"):
+        LinearProblem(heat.a, 0, subdomains=4)
+
+
+def test_condition_outside_a_list(heat):
+    with raises(ValueError, r"bcs is a Dirichlet condition alone: put it in a list, bcs=\[bc\]"):
+        LinearProblem(heat.a, heat.L, bcs=heat.bcs[0], subdomains=4)
+    with raises(ValueError, r"bcs\[1\] is None: give what dolfinx.fem.dirichletbc returns"):
+        LinearProblem(heat.a, heat.L, bcs=[*heat.bcs, None if LAST else heat.bcs[0]], subdomains=4)
+
+
+def test_newton_solver(rubber):
+    """What dolfinx 0.9 did with a NonlinearProblem; from 0.10 it is a class of another name."""
+    problem = NonlinearProblem(rubber.F, rubber.u, rubber.bcs, subdomains=4)
+    with raises(AttributeError, "'L'; it drives Newton's method itself: call problem.solve()"):
+        dolfinx.fem.petsc.create_vector(problem.L)
+    with raises(AttributeError, "'NonlinearProblem' object has no attribute 'other'$"):
+        problem.other  # noqa: B018
+
+
+# -- attributes
+
+
+def test_attributes_of_a_linear_problem(heat):
+    problem = LinearProblem(
+        heat.a, heat.L, bcs=heat.bcs, subdomains=4, petsc_options_prefix="heat_"
+    )
+    agree(problem.P_mat is None and problem.preconditioner is None)
+    agree(problem.bcs == tuple(heat.bcs))
+    uh = problem.solve()
+    equal(problem.x.array_r, owned(uh))
+    names = {made.getOptionsPrefix() for made in (problem.A, problem.b, problem.x)}
+    agree(names == {"heat_A_", "heat_b_", "heat_x_"})
+    A = dolfinx.fem.petsc.assemble_matrix(problem.a, bcs=list(problem.bcs))  # as a script would
+    A.assemble()
+    agree(problem.a is problem.a and A.getSize() == problem.A.getSize())
+    L = dolfinx.fem.assemble_vector(problem.L)
+    L.scatter_reverse(dolfinx.la.InsertMode.add)
+    dolfinx.fem.apply_lifting(L.array, [problem.a], [list(problem.bcs)])
+    r = A.createVecLeft()
+    A.mult(problem.x, r)
+    free = owned(uh).copy()
+    for bc in problem.bcs:
+        bc.set(free, None, np.nan)
+    error = (r.array_r - L.array[: len(owned(uh))])[np.isfinite(free)]
+    small(norm(error), 1e-7 * norm(L.array[: len(owned(uh))]))
+    A.destroy()
+    r.destroy()
+
+
+def test_attributes_of_a_nonlinear_problem(rubber):
+    problem = NonlinearProblem(
+        rubber.F, rubber.u, rubber.bcs, subdomains=4, petsc_options_prefix="rubber_"
+    )
+    agree(problem.P_mat is None and problem.preconditioner is None)
+    agree(problem.bcs == tuple(rubber.bcs))
+    names = {made.getOptionsPrefix() for made in (problem.A, problem.b, problem.x)}
+    agree(names == {"rubber_A_", "rubber_b_", "rubber_x_"})
+    problem.solve()
+    equal(problem.x.array_r, owned(rubber.u))
+    small(problem.b.norm() - problem.solver.getFunctionNorm(), 1e-15)
+    r = dolfinx.fem.assemble_vector(problem.F)
+    r.scatter_reverse(dolfinx.la.InsertMode.add)
+    for bc in problem.bcs:
+        bc.set(r.array, rubber.u.x.array, -1.0)
+    equal(problem.b.array_r, r.array[: len(owned(rubber.u))], 1e-12)
+    J = dolfinx.fem.petsc.assemble_matrix(problem.J, bcs=list(problem.bcs))
+    J.assemble()
+    agree(problem.J is problem.J and J.getSize() == problem.A.getSize())
+    J.destroy()
+
+
+def test_values_of_conditions_may_change(heat):
+    """Their dofs may not: the conditions are a tuple."""
+    value = dolfinx.fem.Constant(heat.V.mesh, 0.0)
+    facets = dolfinx.mesh.locate_entities_boundary(heat.V.mesh, 1, left)
+    dofs = dolfinx.fem.locate_dofs_topological(heat.V, 1, facets)
+    held = dolfinx.fem.dirichletbc(value, dofs, heat.V)
+    problem = LinearProblem(heat.a, heat.L, [held], subdomains=4)
+    first = owned(problem.solve())
+    value.value = 2.0
+    equal(owned(problem.solve()), first + 2.0, 1e-6)
+    other = LinearProblem(heat.a, heat.L, [dirichlet(heat.V, left)], subdomains=4)
+    equal(owned(other.solve()), first, 1e-6)
