@@ -39,8 +39,11 @@ def on_first(work: Callable[[], T], comm: MPI.Comm) -> T:
         except Exception as caught:
             error = caught
     result, error = comm.bcast((result, error), root=0)
-    if error is not None:
-        raise error
+    try:
+        if error is not None:
+            raise error
+    finally:
+        error = None  # its traceback holds this frame, and with it whatever the work has made
     return result
 
 
@@ -69,8 +72,11 @@ def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
         error = caught
     causes = comm.allgather(None if error is None else reason(error))
     cause = next((text for text in causes if text is not None), None)
-    if cause is not None:
-        raise RuntimeError(cause) from error
+    try:
+        if cause is not None:
+            raise RuntimeError(cause) from error
+    finally:
+        error = None  # no circle: PETSc's objects are to be freed on all processes at a time
     return result
 
 

@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import errno
+import gc
 import os
 import re
+import weakref
 
 import pytest
 from collective import COMM, agree, raises
@@ -50,6 +52,31 @@ def test_one_that_fails_is_enough():
 
     with raises(RuntimeError, "No space left on device"):
         on_all(work, COMM)
+
+
+@pytest.mark.parametrize("do", [on_all, on_first])
+def test_error_leaves_no_circle(do):
+    """What the work has made is freed as soon as the error is, without the collector."""
+
+    class Made:
+        pass
+
+    watched = []
+
+    def work() -> None:
+        made = Made()
+        watched.append(weakref.ref(made))
+        raise ValueError("no")
+
+    gc.collect()
+    gc.disable()
+    try:
+        do(work, COMM)
+    except (RuntimeError, ValueError):
+        pass
+    finally:
+        gc.enable()
+    agree(all(ref() is None for ref in watched))
 
 
 def test_reason_is_one_line_and_never_empty():
