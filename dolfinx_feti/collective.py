@@ -43,8 +43,11 @@ def on_first(work: Callable[[], T], comm: MPI.Comm) -> T:
             own = caught
             parcel = (b"", _portable(caught))
     result, error = comm.bcast(parcel, root=0)
-    if error is not None:
-        raise own or error
+    try:
+        if error is not None:
+            raise own or error
+    finally:
+        del parcel, own, error  # their tracebacks hold this frame, and with it what was made
     return pickle.loads(result)
 
 
@@ -73,11 +76,14 @@ def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
     except Exception as caught:
         own = caught
     errors = comm.allgather(None if own is None else _portable(own))
-    for rank, error in enumerate(errors):
-        if error is not None:
+    first = next((rank for rank, error in enumerate(errors) if error is not None), None)
+    try:
+        if first is not None:
             if own is None:
-                error.add_note(f"Raised on process {rank} of {comm.size}.")
-            raise own or error
+                errors[first].add_note(f"Raised on process {first} of {comm.size}.")
+            raise own or errors[first]
+    finally:
+        del own, errors  # no circle: PETSc's objects are to be freed on all processes at a time
     return result
 
 

@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import errno
+import gc
 import os
 import re
+import weakref
 
 import pytest
 from collective import COMM, agree, raises
@@ -85,6 +87,31 @@ def test_result_that_cannot_be_sent():
 def test_a_warning_is_logged_once(caplog):
     warn("too thin", COMM)
     agree([record.message for record in caplog.records] == ["too thin"] * (COMM.rank == 0))
+
+
+@pytest.mark.parametrize("do", [on_all, on_first])
+def test_error_leaves_no_circle(do):
+    """What the work has made is freed as soon as the error is, without the collector."""
+
+    class Made:
+        pass
+
+    watched = []
+
+    def work() -> None:
+        made = Made()
+        watched.append(weakref.ref(made))
+        raise ValueError("no")
+
+    gc.collect()
+    gc.disable()
+    try:
+        do(work, COMM)
+    except (RuntimeError, ValueError):
+        pass
+    finally:
+        gc.enable()
+    agree(all(ref() is None for ref in watched))
 
 
 def test_reason_is_one_line_and_never_empty():

@@ -158,6 +158,42 @@ def test_stiffness_is_the_diagonal_or_what_is_attached(torn_grid):
         owner.destroy()
 
 
+def test_stiffness_has_no_sign(torn_grid):
+    """Under compression a diagonal entry may be negative; a weight must not be."""
+
+    def compress(K, dofs):
+        np.fill_diagonal(K[0], -0.3 * K[0].diagonal())
+
+    problem = torn_grid((2, 2), (2, 2), change=compress)
+    torn = Torn(problem.A)
+    mine = slice(torn.start, torn.start + torn.n)
+    diagonal = np.diag(problem.K_torn)
+    agree(diagonal.min() < 0.0)
+    equal(torn.diagonal(), diagonal[mine])
+    equal(torn.stiffness(), np.abs(diagonal[mine]))
+    torn.destroy()
+
+
+def test_subdomains_are_numbered_over_the_processes(torn_grid):
+    torn = Torn(torn_grid((5,), (2,)).A)
+    counts = COMM.allgather(len(torn.subdomains))
+    agree(torn.first == sum(counts[: COMM.rank]) and sum(counts) == 5)
+    torn.destroy()
+
+
+@pytest.mark.parametrize("components", [1, 2, 3])
+def test_coordinates_of_the_torn_dofs(components, torn_grid):
+    """Also where the number of components is not the dimension; None if there are none."""
+    dim = 3 if components == 1 else components
+    problem = torn_grid((2,) * dim, (1,) * dim, components=components)
+    torn = Torn(problem.A)
+    expected = problem.x[problem.to_global // components]
+    equal(whole(torn.coordinates()), expected)
+    problem.A.compose("coordinates", None)
+    agree(torn.coordinates() is None)
+    torn.destroy()
+
+
 def test_symmetry_is_tested(torn_grid):
     def skew(K, dofs):
         K[-1][0, 1] += 1e-6

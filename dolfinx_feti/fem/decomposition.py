@@ -86,7 +86,8 @@ def decompose(mesh: dolfinx.mesh.Mesh, subdomains: int | npt.NDArray[np.integer]
         subdomains, and so do the cells of a process if they are not connected.
 
     Raises:
-        ValueError: More subdomains than cells, fewer than one, or an array of the wrong length.
+        ValueError: More subdomains than cells, fewer than one, an array of the wrong length, or
+            parts below zero.
         TypeError: An array that is not of an integer type.
 
     Note:
@@ -145,6 +146,9 @@ def _check_parts(part: npt.NDArray[np.generic], n_cells: int, comm: MPI.Comm) ->
             f"subdomains has shape {part.shape} on process {comm.rank}, which owns {n_cells} "
             "cells: give one part per owned cell on every process."
         )
+    lowest = comm.allreduce(int(part.min(initial=0)), op=MPI.MIN)  # type: ignore[attr-defined]
+    if lowest < 0:
+        raise ValueError(f"subdomains has a cell in part {lowest}: number the parts from zero on.")
     return np.unique(part, return_inverse=True)[1].astype(np.int32).reshape(-1)
 
 

@@ -170,14 +170,13 @@ def _jumps(ids: npt.NDArray[np.integer], delta: Array, *, redundant: bool) -> _R
         weight = np.stack([delta[:, b], -delta[:, a]], axis=-1).reshape(-1, 2)
         return _Rows(pair, np.broadcast_to([1.0, -1.0], pair.shape), pair, weight)
     chain = np.stack([ids[:, :-1], ids[:, 1:]], axis=-1).reshape(-1, 2)
-    B = np.eye(d - 1, d) - np.eye(d - 1, d, 1)
-    BW = B / delta[:, None, :]
-    B_D = np.linalg.solve(BW @ B.T, BW)  # (B W⁻¹ Bᵀ)⁻¹ B W⁻¹, W = diag(δ)
+    right = np.tri(d - 1, d)  # transposed right inverse of B: uᵢ = rᵢ + … + r_{d−1}
+    B_D = right - np.cumsum(delta, axis=1)[:, :-1, None]  # B_Dᵀ = (I − 1 δᵀ) B⁻¹
     return _Rows(
         chain,
         np.broadcast_to([1.0, -1.0], chain.shape),
         np.repeat(ids, d - 1, axis=0),
-        B_D.reshape(-1, d).astype(np.float64),
+        B_D.reshape(-1, d),
     )
 
 

@@ -88,7 +88,7 @@ def test_subdomains_are_numbered_from_process_to_process():
 @every_mesh
 @pytest.mark.parametrize("dtype", [np.int8, np.int32, np.int64, np.uint16])
 def test_parts_may_be_prescribed(mesh, dtype):
-    """Any integers; parts that are not connected through facets fall into their components."""
+    """Any numbers from zero; parts that are not connected fall into their components."""
     mesh = cube(*mesh)
     n = cells(mesh)
     part = (np.random.default_rng(SEED + COMM.rank).integers(0, 3, n) * 20 + 7).astype(dtype)
@@ -112,6 +112,16 @@ def test_parts_that_touch_in_a_vertex_are_two():
 def test_impossible_numbers_are_refused(subdomains):
     with raises(ValueError, f"subdomains is {subdomains}.*cells"):
         decompose(cube(2, 3), subdomains)
+
+
+def test_parts_below_zero_are_refused_on_all_processes():
+    """−1 stands for a cell that nobody has given a part."""
+    mesh = cube(2, 4)
+    part = np.zeros(cells(mesh), dtype=np.int32)
+    if COMM.rank == COMM.size - 1:
+        part[-1] = -1
+    with raises(ValueError, "subdomains has a cell in part -1: number the parts from zero"):
+        decompose(mesh, part)
 
 
 def test_parts_of_the_wrong_length_are_refused_on_all_processes():

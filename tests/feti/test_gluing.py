@@ -133,6 +133,43 @@ def test_weights_of_the_copies_sum_to_one(grid, stiffness, glue):
 
 
 @every_grid
+@every_type
+@every_gluing
+def test_weights_are_those_of_the_last_stiffness(grid, all_floating, redundant, glue):
+    """B_D and δ after an update are those of a new gluing, and B stays."""
+    _, torn, gluing = glue(grid, all_floating=all_floating, redundant=redundant, stiffness=True)
+    before = dense(gluing.B)
+    new = Gluing(torn, all_floating=all_floating, redundant=redundant)
+    for weight in (1.0 + np.arange(torn.n) % 7, np.ones(torn.n)):
+        gluing.update(weight)
+        new.update(weight)
+        equal(whole(gluing.delta), whole(new.delta))
+        equal(dense(gluing.B_D), dense(new.B_D))
+    plain = Gluing(torn, all_floating=all_floating, redundant=redundant)
+    equal(dense(gluing.B_D), dense(plain.B_D), 1e-15)
+    equal(dense(gluing.B), before)
+    for owner in (new, plain):
+        owner.destroy()
+
+
+@every_grid
+@every_gluing
+@pytest.mark.parametrize("kind", ["some zero", "all zero", "far apart"])
+def test_any_stiffness_makes_a_projection(grid, redundant, kind, glue):
+    """A weight is never zero, negative or NaN, whatever the stiffness is."""
+    _, torn, gluing = glue(grid, redundant=redundant)
+    stiffness = {
+        "some zero": (np.arange(torn.n) % 2).astype(float),
+        "all zero": np.zeros(torn.n),
+        "far apart": 10.0 ** (100 * (np.arange(torn.n) % 3 - 1.0)),
+    }
+    gluing.update(stiffness[kind])
+    B, B_D = dense(gluing.B), dense(gluing.B_D)
+    agree(np.isfinite(B_D).all() and gluing.delta.min(initial=1.0) > 0.0)
+    equal(B @ B_D.T @ B, B, 1e-13)
+
+
+@every_grid
 def test_full_gluing_weighs_a_copy_by_the_other_side(grid, glue):
     _, _, gluing = glue(grid, stiffness=True)
     B, B_D, delta = dense(gluing.B), dense(gluing.B_D), whole(gluing.delta)

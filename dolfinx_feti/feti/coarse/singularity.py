@@ -23,6 +23,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 
@@ -241,7 +243,11 @@ class _Suspects:
         return found
 
     def _smallest(self, solver: GatheredSolver, root: Array, count: int) -> Array:
-        """Approximate null vectors of the scaled N by inverse iteration, (K, count)."""
+        """Approximate null vectors of the scaled N by inverse iteration, (K, count).
+
+        Returns:
+            None of them if the solver fails.
+        """
         coarse = self._coarse
         count = min(count, coarse.total)
         b, x = coarse.N.createVecs()
@@ -252,7 +258,9 @@ class _Suspects:
                 b.array[:] = root * X[:, j]
                 solver.solve(b, x)
                 Y[:, j] = root * x.array_r
-            X = orthonormal_columns(Y, self._torn.comm)
+            solved = self._torn.comm.allreduce(bool(np.isfinite(Y).all()), op=MPI.LAND)
+            X = orthonormal_columns(Y, self._torn.comm) if solved else Y[:, :0]
+            count = X.shape[1]
         b.destroy()
         x.destroy()
         return X / root[:, None]
@@ -280,6 +288,8 @@ def _unresisted(
     definite: bool,
 ) -> Array:
     """Combine fields to motions, beside the rigid ones, that nothing resists. Collective."""
+    if W.shape[1] == 0:
+        return W
     W = _beside(rigid, W, bodies, operator, torn)
     if W.shape[1] == 0:
         return W

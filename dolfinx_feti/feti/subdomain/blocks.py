@@ -9,8 +9,7 @@ the subdomain to the error; ``setup`` makes it one error on all processes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 from petsc4py import PETSc
 
@@ -28,23 +27,30 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
 
-@contextmanager
-def named(subdomain: int) -> Iterator[None]:
-    """Let errors of the work inside name the subdomain.
+class named:  # noqa: N801
+    """Context that lets errors of the work inside name the subdomain.
 
-    Args:
-        subdomain: Its number over all processes.
-
-    Raises:
-        FactorError: Whatever the work has raised (LAPACK, ARPACK, SciPy, MUMPS, memory). Not
-            collective: the caller reduces.
+    Whatever the work raises (LAPACK, ARPACK, SciPy, MUMPS, memory) becomes a ``FactorError``. Not
+    collective: the caller reduces.
     """
-    try:
-        yield
-    except Exception as error:
-        text = reason(error)
-        kind = "" if isinstance(error, FactorError) else f"{type(error).__name__}: "
-        raise FactorError(f"subdomain {subdomain}: {kind}{text}") from error
+
+    def __init__(self, subdomain: int) -> None:
+        """Take the number of the subdomain over all processes."""
+        self._subdomain = subdomain
+
+    def __enter__(self) -> None:
+        """Begin the work."""
+
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        """Name the subdomain in an error.
+
+        Raises:
+            FactorError: The work has raised an error.
+        """
+        if isinstance(error, Exception):
+            kind = "" if isinstance(error, FactorError) else f"{type(error).__name__}: "
+            text = f"subdomain {self._subdomain}: {kind}{reason(error)}"
+            raise FactorError(text) from error
 
 
 def index_set(rows: Indices) -> PETSc.IS:

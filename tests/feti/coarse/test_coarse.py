@@ -9,9 +9,11 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from collective import COMM, agree, dense, equal, matrix_of_map, norm, small, whole
+from collective import COMM, agree, dense, equal, matrix_of_map, norm, raises, small, whole
 
+from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.petsc_options import inserted
 
 SEED = 33107
 
@@ -162,3 +164,109 @@ def test_no_kernel_at_all(torn_grid, parts):
     agree(system.coarse.total == 0)
     agree(system.coarse.solve(np.zeros(0)).shape == (0,))
     agree(system.coarse.solver.pivots() == (0, 0))
+
+
+# ---- failures -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def distributed():
+    """Distribute a dense matrix by rows."""
+    made = []
+
+    def create(A):
+        N = PETSc.Mat().createAIJ(A.shape, comm=COMM)
+        N.setUp()
+        for i in range(*N.getOwnershipRange()):
+            N.setValues(i, range(len(A)), A[i])
+        N.assemble()
+        made.append(N)
+        return N
+
+    yield create
+    for N in made:
+        N.destroy()
+
+
+def random_definite(n):
+    X = np.random.default_rng(SEED).standard_normal((n, n))
+    return X @ X.T + n * np.eye(n)
+
+
+@pytest.mark.parametrize("rows", [20, 4000])
+def test_not_enough_work_space(rows, distributed, monkeypatch):
+    """The first try fails for real, on all processes alike, and the second one succeeds."""
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.gathered.ROWS", rows)
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.gathered.WORK_SPACE", (-99,))
+    A = random_definite(60)
+    N = distributed(A)
+    with raises(SetUpError, r"not enough memory or work space .*INFOG\(1\) = -\d+.*-test_coarse_"):
+        GatheredSolver(N, prefix="test_coarse_", symmetric=True)
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.gathered.WORK_SPACE", (-99, 50))
+    solver = GatheredSolver(N, prefix="test_coarse_", symmetric=True)
+    b, x = N.createVecs()
+    expected = np.random.default_rng(SEED).standard_normal(60)
+    b.array[:] = (A @ expected)[slice(*b.getOwnershipRange())]
+    solver.solve(b, x)
+    equal(whole(x.array_r), expected, 1e-12)
+    for owned in (solver, b, x):
+        owned.destroy()
+
+
+@pytest.mark.parametrize(
+    "options", [{"ksp_type": "nonsense"}, {"pc_type": "no"}, {"pc_factor_mat_solver_type": "no"}]
+)
+def test_wrong_options_are_an_error_on_all_processes(options, distributed):
+    """The solver lives on the first process; all of them raise."""
+    with (
+        inserted("test_coarse_", options),
+        raises(SetUpError, "coarse problem could not be factored .*-test_coarse_"),
+    ):
+        GatheredSolver(distributed(random_definite(5)), prefix="test_coarse_", symmetric=True)
+
+
+@pytest.mark.parametrize("options", [{"ksp_type": "nonsense"}, {"pc_type": "no"}])
+def test_wrong_options_of_the_coarse_solver(options, torn_grid, feti):
+    ksp = feti(
+        torn_grid((3, 2), (2, 2), components=2).A,
+        **{f"feti_coarse_{key}": value for key, value in options.items()},
+    )
+    context = ksp.getPythonContext()
+    agree("coarse problem could not be factored" in context.message, context.message)
+
+
+def test_failed_solve_is_no_number(distributed):
+    """Where the coarse solver diverges, all processes learn it from the solution."""
+    with inserted("test_coarse_", {"ksp_type": "cg", "pc_type": "none", "ksp_max_it": 1}):
+        N = distributed(random_definite(30))
+        solver = GatheredSolver(N, prefix="test_coarse_", symmetric=True)
+        b, x = N.createVecs()
+        b.array[:] = 1.0 + np.arange(*b.getOwnershipRange())
+        solver.solve(b, x)
+        agree(np.isnan(x.array_r).all())
+    for owned in (solver, b, x):
+        owned.destroy()
+
+
+def test_coarse_solver_that_does_not_solve(torn_grid, feti):
+    """Too rough a solver is found out before the first iteration."""
+    problem = torn_grid((3, 2), (2, 2), components=2)
+    for options in ({"ksp_max_it": 1}, {"ksp_rtol": 1e-2}):
+        choice = {"ksp_type": "cg", "pc_type": "none", **options}
+        ksp = feti(problem.A, **{f"feti_coarse_{key}": value for key, value in choice.items()})
+        context = ksp.getPythonContext()
+        agree("coarse solver leaves a backward error" in context.message, context.message)
+        agree(not context.singular)
+
+
+def test_memory_is_in_mebibytes_or_not_known(distributed):
+    N = distributed(random_definite(60))
+    solver = GatheredSolver(N, prefix="test_coarse_", symmetric=True)
+    factor = None if solver.ksp is None else solver.ksp.getPC().getFactorMatrix()
+    millions = COMM.bcast(None if factor is None else factor.getMumpsInfog(22))
+    small(solver.memory() - millions / 1.048576, 1e-9 * max(millions, 1))
+    solver.destroy()
+    with inserted("test_coarse_", {"ksp_type": "cg", "pc_type": "jacobi"}):
+        solver = GatheredSolver(N, prefix="test_coarse_", symmetric=True)
+    agree(solver.memory() is None and solver.pivots() == (None, None))
+    solver.destroy()

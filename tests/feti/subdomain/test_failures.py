@@ -1,0 +1,167 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Work on a subdomain that fails on the last process alone is one error on all of them."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+import scipy.sparse.linalg
+from collective import COMM, agree, raises
+
+from dolfinx_feti.errors import FactorError, SetUpError
+from dolfinx_feti.feti.options import FETIOptions
+from dolfinx_feti.feti.setup import Parts
+from dolfinx_feti.feti.subdomain import elimination
+from dolfinx_feti.feti.subdomain.blocks import named
+from dolfinx_feti.feti.subdomain.dense import DenseFactors
+from dolfinx_feti.feti.subdomain.factors import BlockFactors
+
+GRID = {"subdomains": (3, 2), "cells": (5, 2), "components": 2}
+LAST = COMM.rank == COMM.size - 1
+
+#: Kinds of errors and what they are raised with; a raised one would keep its frames alive.
+ERRORS = {
+    "LAPACK": (np.linalg.LinAlgError, "SVD did not converge"),
+    "ARPACK": (scipy.sparse.linalg.ArpackError, -9),
+    "SciPy": (ValueError, "array must not contain infs or NaNs"),
+    "memory": (MemoryError, "Unable to allocate 3 TiB"),
+    "MUMPS": (FactorError, "not enough memory or work space (MUMPS: INFOG(1) = -9)"),
+}
+
+#: Where the set-up calls LAPACK, ARPACK, SciPy and MUMPS, subdomain by subdomain.
+PLACES = {
+    "kernel": ("pseudoinverse.kernel_basis", "keep"),
+    "null space": ("pseudoinverse.factor_tells_singular", "keep"),
+    "soft modes": ("pseudoinverse.soft_modes", "eliminate"),
+    "border": ("pseudoinverse.PseudoInverse._stand_in", "keep"),
+    "Schur complement": ("elimination.schur_complement", "eliminate"),
+    "dense interior": ("elimination.DenseElimination._eliminate", "eliminate"),
+    "interior kernel": ("matrices.factor_tells_singular", "eliminate"),
+    "factor": ("factors.create_factor", "keep"),
+}
+
+
+def fail_on_last(monkeypatch, place, error):
+    """Let a function raise an error on the last process."""
+
+    def fail(*args, **kwargs):
+        raise error[0](error[1])
+
+    if LAST:
+        monkeypatch.setattr(f"dolfinx_feti.feti.subdomain.{place}", fail)
+
+
+@pytest.mark.parametrize("place", PLACES.values(), ids=PLACES)
+def test_every_place_may_fail(place, torn_grid, parts, monkeypatch):
+    where, interior = place
+    if where.startswith("elimination.schur"):
+        monkeypatch.setattr(elimination, "SMALL", -1)
+    fail_on_last(monkeypatch, where, ERRORS["LAPACK"])
+    A = torn_grid(**GRID).A
+    with raises(SetUpError, "A local factorisation failed .*SVD did not converge"):
+        parts(A, interior=interior)
+
+
+@pytest.mark.parametrize("error", ERRORS.values(), ids=ERRORS)
+def test_every_error_is_one_on_all(error, torn_grid, parts, monkeypatch):
+    fail_on_last(monkeypatch, "pseudoinverse.soft_modes", error)
+    A = torn_grid(**GRID).A
+    first = 6 * (COMM.size - 1) // COMM.size
+    words = str(error[0](error[1])).split("(")[0].strip()
+    with raises(SetUpError, rf"failed \(subdomain {first}: .*{words}"):
+        parts(A)
+
+
+def test_solver_goes_on_when_the_cause_is_gone(torn_grid, feti, monkeypatch):
+    """The failure is a negative reason with a message, and the next set-up succeeds."""
+    problem = torn_grid(**GRID)
+    b, x = problem.A.createVecs()
+    b.set(1.0)
+    with monkeypatch.context() as patched:
+        fail_on_last(patched, "pseudoinverse.soft_modes", ERRORS["memory"])
+        ksp = feti(problem.A)
+        ksp.solve(b, x)
+        agree(ksp.getConvergedReason() < 0)
+        agree("MemoryError: Unable to allocate" in ksp.getPythonContext().message)
+        agree(not ksp.getPythonContext().singular)
+    ksp.solve(b, x)
+    agree(ksp.getConvergedReason() > 0, ksp.getPythonContext().message)
+    b.destroy()
+    x.destroy()
+
+
+@pytest.fixture
+def without_collector():
+    """Reference counting alone has to do."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+def test_failure_leaves_no_circle(torn_grid, monkeypatch, without_collector):
+    """A circle through the traceback, on one process, would free PETSc's objects out of step."""
+    fail_on_last(monkeypatch, "pseudoinverse.soft_modes", ERRORS["LAPACK"])
+    problem = torn_grid(**GRID)
+    system = Parts(problem.A, FETIOptions(), "test_")
+    watched = weakref.ref(system)
+    text = ""
+    try:
+        system.update()
+    except SetUpError as error:
+        text = str(error)
+    system.destroy()
+    agree("SVD did not converge" in text, text)
+    del system
+    agree(watched() is None)
+
+
+def test_names_of_subdomains():
+    with raises(FactorError, "^subdomain 7: ZeroDivisionError: one and a half lines$"), named(7):
+        raise ZeroDivisionError("one and\n   a half lines")
+    with raises(FactorError, "^subdomain 3: a zero pivot$"), named(3):
+        raise FactorError("a zero pivot")
+
+
+def test_not_enough_work_space(torn_grid, parts, monkeypatch):
+    """MUMPS fails for real with too little work space, and gets more of it."""
+    monkeypatch.setattr("dolfinx_feti.feti.subdomain.direct.WORK_SPACE", (-99, 50))
+    problem = torn_grid((2, 2), (12, 12), components=2)
+    expected = np.random.default_rng(1).standard_normal(len(problem.dirichlet))
+    system = parts(problem.A, interior="keep")
+    agree(system.matrices.memory() > 0.0 and expected.size)
+    monkeypatch.setattr("dolfinx_feti.feti.subdomain.direct.WORK_SPACE", (-99,))
+    with raises(SetUpError, "subdomain 0: not enough memory or work space .*INFOG"):
+        parts(problem.A, interior="keep")
+
+
+def test_memory_is_in_mebibytes(torn_grid, parts):
+    """MUMPS counts in units of 10⁶ bytes, the dense blocks in bytes."""
+    system = parts(torn_grid((2, 2), (12, 12), components=2).A, interior="keep")
+    factors = system.matrices.factors
+    agree(isinstance(factors, BlockFactors))
+    blocks = [block._pc.getFactorMatrix() for block in factors._blocks]
+    millions = sum(F.getMumpsInfog(22) for F in blocks)
+    agree(abs(factors.memory() - millions / 1.048576) < 1e-9 * max(millions, 1))
+    dense = DenseFactors([np.arange(512, dtype=np.int32)])
+    dense.set_block(0, np.eye(512))
+    agree(dense.memory() == 2.0)
+
+
+def test_other_solvers_do_not_tell(torn_grid, parts):
+    options = PETSc.Options("test_feti_local_")
+    options["pc_factor_mat_solver_type"] = "petsc"
+    try:
+        system = parts(torn_grid(**GRID).A, interior="keep", type="classical")
+    finally:
+        options.delValue("pc_factor_mat_solver_type")
+    counts = [system.matrices.factors.pivots(i) for i in range(len(system.torn.subdomains))]
+    agree(all(count == (None, None) for count in counts), counts)
+    agree(system.inverse.negative() is None or not counts)
