@@ -22,7 +22,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.collective import on_all
+from dolfinx_feti.collective import on_all, reason
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.events import event
 from dolfinx_feti.feti.coarse.bodies import find_bodies
@@ -178,9 +178,10 @@ def _on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
     """
     try:
         return on_all(work, comm)
-    except RuntimeError as error:
+    except Exception as error:
         raise SetUpError(
-            f"A local factorisation failed ({error}): look for a process that is out of memory."
+            f"A local factorisation failed ({reason(error)}): look for a process that is out of "
+            "memory."
         ) from error
 
 

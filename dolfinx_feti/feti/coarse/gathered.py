@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_feti.collective import on_all
+from dolfinx_feti.collective import on_all, reason
 from dolfinx_feti.errors import FactorError, SetUpError
 from dolfinx_feti.feti.subdomain.direct import (
     WORK_SPACE,
@@ -84,10 +84,10 @@ class GatheredSolver:
 
         try:
             on_all(factor, comm)
-        except RuntimeError as error:
+        except Exception as error:
             self.destroy()
             raise SetUpError(
-                f"The coarse problem could not be factored ({error}): look at the options "
+                f"The coarse problem could not be factored ({reason(error)}): look at the options "
                 f"-{prefix}…"
             ) from error
 

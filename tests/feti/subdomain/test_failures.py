@@ -17,7 +17,7 @@ from collective import COMM, agree, raises
 
 from dolfinx_feti.errors import FactorError, SetUpError
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.setup import Parts
+from dolfinx_feti.feti.setup import Pattern, factor
 from dolfinx_feti.feti.subdomain import elimination
 from dolfinx_feti.feti.subdomain.blocks import named
 from dolfinx_feti.feti.subdomain.dense import DenseFactors
@@ -110,11 +110,11 @@ def test_failure_leaves_no_circle(torn_grid, monkeypatch, without_collector):
     """A circle through the traceback, on one process, would free PETSc's objects out of step."""
     fail_on_last(monkeypatch, "pseudoinverse.soft_modes", ERRORS["LAPACK"])
     problem = torn_grid(**GRID)
-    system = Parts(problem.A, FETIOptions(), "test_")
+    system = Pattern(problem.A, FETIOptions(), "test_")
     watched = weakref.ref(system)
     text = ""
     try:
-        system.update()
+        factor(system)
     except SetUpError as error:
         text = str(error)
     system.destroy()
