@@ -179,7 +179,7 @@ def moments(expression: Expr, patches: Patches) -> Array:
     mesh, n_cells = patches.mesh, len(patches.volumes)
     size = int(np.prod(expression.ufl_shape))
     found, wrong = np.zeros((n_cells, len(patches.weights), size)), 0
-    on_mesh = dolfinx.fem.Constant(mesh, 1.0) * expression  # a constant alone knows no mesh
+    on_mesh = dolfinx.fem.Constant(mesh, np.float64(1.0)) * expression  # a constant alone knows no mesh
     domains = extract_domains(on_mesh)
     if any(domain != mesh.ufl_domain() for domain in domains):
         raise ValueError(
