@@ -9,6 +9,7 @@ which is logged once; the script goes on with FETI.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
@@ -114,7 +115,7 @@ def _set_from_options(solver: PETSc.KSP | PETSc.SNES, prefix: str) -> None:
     try:
         solver.setFromOptions()
     except PETSc.Error as error:
-        cause = str(error).splitlines()[-1].removeprefix("[0] ")
+        cause = re.sub(r"\A\[\d+\] ", "", str(error).splitlines()[-1])
         raise ValueError(
             f"PETSc refuses one of the options -{prefix}…: {cause}. See docs/options.md."
         ) from error
