@@ -193,7 +193,12 @@ def test_dual_system_is_that_of_the_kept_interior(kind, change, torn_grid, parts
 @pytest.mark.parametrize("pc_type", ["dirichlet", "lumped", "identity", "none"])
 @pytest.mark.parametrize("most", [-1, elimination.SMALL], ids=["sparse", "dense"])
 def test_solutions_agree(kind, change, pc_type, most, torn_grid, feti, monkeypatch):
-    """Both ways to the same solution, in a number of iterations that hardly differs."""
+    """Both ways to the same solution, and equally fast.
+
+    The residuals are the same in exact arithmetic. In floating point, directions lose their
+    orthogonality sooner or later, and with them the last digits their iteration: what is compared
+    is when six digits were reached.
+    """
     monkeypatch.setattr(elimination, "SMALL", most)
     problem = torn_grid((2, 2), (4, 3), components=2, change=change)
     found, iterations = [], []
@@ -205,6 +210,7 @@ def test_solutions_agree(kind, change, pc_type, most, torn_grid, feti, monkeypat
             feti_interior=choice,
             ksp_rtol=1e-11,
         )
+        ksp.setConvergenceHistory()
         b, x = problem.A.createVecs()
         first, last = b.getOwnershipRange()
         b.array[:] = np.random.default_rng(SEED).standard_normal(b.getSize())[first:last]
@@ -212,7 +218,8 @@ def test_solutions_agree(kind, change, pc_type, most, torn_grid, feti, monkeypat
         agree(ksp.getConvergedReason() > 0, ksp.getPythonContext().message)
         agree(ksp.getPythonContext().report().interior in (choice + "d", "kept"))
         found.append(whole(x.array_r))
-        iterations.append(ksp.getIterationNumber())
+        norms = ksp.getConvergenceHistory()
+        iterations.append(int(np.argmax(norms <= 1e-6 * norms[0])))
         b.destroy()
         x.destroy()
     equal(found[1], found[0], 1e-8)
