@@ -32,6 +32,7 @@ class NewtonStep:
         solves: Linear solves; all but the last failed or led uphill.
         seconds_assembly: Time for residual and tangent.
         seconds_linear: Time for factors and Krylov method.
+        lag: Matrices since the one that the preconditioner belongs to.
     """
 
     residual: float
@@ -46,6 +47,7 @@ class NewtonStep:
     solves: int
     seconds_assembly: float
     seconds_linear: float
+    lag: int = 0
 
 
 def record_step(
@@ -85,6 +87,7 @@ def record_step(
         solves=len(iterations),
         seconds_assembly=assembly,
         seconds_linear=linear,
+        lag=feti.age,
     )
 
 
