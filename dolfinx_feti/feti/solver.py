@@ -86,6 +86,7 @@ class FETI:
         message: What went wrong and what helps, or an empty string.
         iterations: Krylov iterations of the last solve.
         residual: ‖b − A x‖/‖b‖ of the last solve.
+        rtol: Its largest value that the tolerances of the last solve allowed.
         method: Krylov method of the dual system.
         inertia: Negative eigenvalues of the last matrix; None if its set-up failed.
         singular: Whether the set-up failed because the matrix is singular.
@@ -100,7 +101,7 @@ class FETI:
     def __init__(self) -> None:
         self.message = ""
         self.iterations = 0
-        self.residual = np.nan
+        self.residual = self.rtol = np.nan
         self.method = ""
         self.inertia: Inertia | None = None
         self.singular = self.refuse_indefinite = self.lasting = False
@@ -304,7 +305,8 @@ class FETI:
         r = torn.residual(b, x)
         scale = r.norm()
         target = max(rtol * scale, atol)
-        max_it = self._most_iterations(max_it, target / scale if scale > 0.0 else 1.0)
+        self.rtol = target / scale if scale > 0.0 else np.nan
+        max_it = self._most_iterations(max_it)
         b.copy(r)
         x.set(0.0)
         norm = np.inf
@@ -337,11 +339,11 @@ class FETI:
         self.residual = norm / scale if scale > 0 else norm
         return self._judge(reason, norm, target, form)
 
-    def _most_iterations(self, max_it: int, wanted: float) -> int:
-        """Return the most iterations for a relative residual: a lagged solve may end early."""
-        if not self.age or np.isnan(self._rate):
+    def _most_iterations(self, max_it: int) -> int:
+        """Return the most iterations: with an old preconditioner a solve may end early."""
+        if not self.age or np.isnan(self._rate * self.rtol):
             return max_it
-        digits = max(-np.log10(max(wanted, ROUNDING)), 1.0)
+        digits = max(-np.log10(max(self.rtol, ROUNDING)), 1.0)
         return min(max_it, int(np.ceil(HOPELESS * digits * self._rate)))
 
     def _judge(self, reason: int, norm: float, target: float, form: Form) -> int:
