@@ -267,7 +267,8 @@ def require_finite(torn: Torn) -> None:
     Note:
         Collective.
     """
-    if torn.comm.allreduce(not np.isfinite(torn.K.norm()), op=MPI.LOR):
+    finite = np.isfinite(torn.K.norm()) and bool(np.isfinite(torn.stiffness()).all())
+    if torn.comm.allreduce(not finite, op=MPI.LOR):
         raise SetUpError(
             "The matrix has entries that are NaN or Inf: look at the coefficients of the form and, "
             "in a nonlinear problem, at the last step."

@@ -81,8 +81,8 @@ class Direction:
 class Newton:
     """Context of a SNES that drives a ``System`` with a FETI KSP.
 
-    From one solve to the next it keeps what the last step has left of its shift, and whether a
-    tangent of the problem has been regular: then the Dirichlet conditions are enough.
+    From one solve to the next it keeps whether a tangent of the problem has been regular: then the
+    Dirichlet conditions are enough.
 
     Attributes:
         history: A record for each step of the last solve.
@@ -111,7 +111,7 @@ class Newton:
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
         """Iterate from the state of the user's functions until the residual is small."""
-        self.history, self.message = [], ""
+        self.history, self.message, self._shift = [], "", 0.0
         snes.getKSP().getPythonContext().renew()  # a solve depends on none before it
         try:
             reason = self._iterate(snes, self._start)

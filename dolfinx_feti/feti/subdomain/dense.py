@@ -10,9 +10,9 @@ The Schur complement S of a subdomain (``matrices``) is dense, and so is
 A Krylov method needs both in every iteration, and reads either triangle of *one* array: the lower
 one holds S, the upper one and the diagonal hold U; the diagonal of S stands apart. Where the
 Cholesky factorisation meets a pivot that is not positive, :math:`U Δ U^⊤` with Bunch and Kaufman's
-pivots takes its place, and tells the inertia. If that meets a zero, too, all eigenvalues are
-computed, and the pseudo-inverse stands in the upper triangle. With W = S R, and without
-cancellation,
+pivots takes its place, and tells the inertia. If that meets a zero, too, all eigenvalues of the
+matrix scaled by its diagonal are computed, and the pseudo-inverse stands in the upper triangle.
+With W = S R, and without cancellation,
 
 .. math:: E = ρ\, S_ρ^{-1} R = R - S_ρ^{-1} W, \qquad D = ρ\, (I - R^⊤ E) = E^⊤ W.
 """
@@ -34,7 +34,7 @@ __all__ = ["DenseFactors"]
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
-#: An eigenvalue, or a squared pivot, below this share of the largest one counts as zero.
+#: An eigenvalue of a scaled matrix below this share of the largest one counts as zero.
 ZERO = 1e-14
 
 
@@ -155,8 +155,7 @@ class _Block:
         self._require_finite()
         self.pivots, self._interchanges, self._inverted = Pivots(0, 0), None, False
         X, failed = lapack.dpotrf(self._regularised(), lower=0, overwrite_a=1, clean=0)  # Uᵀ U
-        d = X.diagonal() ** 2
-        if failed or d.min() <= ZERO * d.max():
+        if failed:
             X = self._factor_indefinite()
         np.copyto(X, self.S, where=np.tri(len(X), k=-1, dtype=bool))
         self.S = X
@@ -170,27 +169,28 @@ class _Block:
         return blas.dsyrk(self._rho, self._R, beta=1.0, c=X, lower=0, overwrite_c=1)
 
     def _factor_indefinite(self) -> Array:
-        """Factor S_ρ = U Δ Uᵀ in the upper triangle; invert it where a block of Δ is zero."""
+        """Factor S_ρ = U Δ Uᵀ in the upper triangle; invert it if a block of Δ is zero."""
         work = int(lapack.dsytrf_lwork(len(self.S), lower=0)[0])
         X, interchanges, failed = lapack.dsytrf(
             self._regularised(), lower=0, lwork=work, overwrite_a=1
         )
-        delta = _pivot_eigenvalues(X, interchanges)
-        zero = np.abs(delta) <= ZERO * np.abs(delta).max()
-        if failed or np.any(zero):
+        if failed:
             return self._invert()
-        self.pivots, self._interchanges = (
-            Pivots(int(np.count_nonzero(delta < 0.0)), 0),
-            interchanges,
-        )
+        negative = np.count_nonzero(_pivot_eigenvalues(X, interchanges) < 0.0)
+        self.pivots = Pivots(int(negative), 0)
+        self._interchanges = interchanges
         return X
 
     def _invert(self) -> Array:
-        values, V = np.linalg.eigh(self._regularised(), UPLO="U")
+        X = self._regularised()
+        root = np.sqrt(np.abs(X.diagonal()))
+        root[root == 0.0] = root.max() or 1.0
+        values, V = np.linalg.eigh(X / root[:, None] / root, UPLO="U")
         zero = np.abs(values) <= ZERO * np.abs(values).max()
         negative = np.count_nonzero(values[~zero] < 0.0)
         self.pivots, self._inverted = Pivots(int(negative), int(np.count_nonzero(zero))), True
         values[zero] = np.inf
+        V = V / root[:, None]
         return np.asfortranarray((V / values) @ V.T)
 
     def multiply(self, t: Array) -> Array:
