@@ -23,6 +23,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_feti.collective import on_all
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.events import event
 from dolfinx_feti.feti.dual_form import create_dual_form
@@ -33,6 +34,7 @@ from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_opt
 from dolfinx_feti.feti.primal_form import PrimalForm
 from dolfinx_feti.feti.report import Report, collect, table
 from dolfinx_feti.feti.setup import Factored, Pattern
+from dolfinx_feti.petsc_errors import python_errors
 
 __all__ = ["FETI"]
 
@@ -377,10 +379,19 @@ def outer_monitor(ksp: PETSc.KSP, done: int, *, first: bool) -> Callable[[int, f
         done: Iterations before this inner solve.
         first: Whether the start is still to be shown.
     """
+    users_own = bool(ksp.getMonitor())  # in Python, which may raise on one process alone
+    comm = ksp.comm.tompi4py()
+
+    def show(its: int, norm: float) -> None:
+        with python_errors():
+            ksp.monitor(done + its, norm)
 
     def monitor(its: int, norm: float) -> None:
         if its > 0 or first:
             ksp.logConvergenceHistory(norm)
-            ksp.monitor(done + its, norm)
+            if users_own:
+                on_all(lambda: show(its, norm), comm)
+            else:
+                ksp.monitor(done + its, norm)
 
     return monitor

@@ -35,10 +35,10 @@ from dolfinx_feti._compat import residual_is_nan
 from dolfinx_feti.collective import on_all
 from dolfinx_feti.events import event
 from dolfinx_feti.feti.solver import FETI
+from dolfinx_feti.petsc_errors import python_errors
 from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
 from dolfinx_feti.problems.line_search import line_search
 from dolfinx_feti.problems.shift import fallen, raised
-from dolfinx_feti.problems.solvers import python_errors
 from dolfinx_feti.problems.system import Residual, System, Tangent
 
 __all__ = ["Newton", "Start"]
