@@ -155,12 +155,7 @@ class LinearProblem:
             Collective.
         """
         started = time.perf_counter()
-        on_all(lambda: assembly.assemble(self._K, self._torn), self.u.function_space.mesh.comm)
-        assembly.attach_near_kernel(self.A, self.u.function_space)
-        load = assembly.assemble_owned(self.L)
-        for bc in self.bcs:
-            bc.set(load)
-        self.b.array[:] = load
+        self._assemble()
         assembled = time.perf_counter()
         with inserted(self._prefix, self._petsc_options), python_errors():
             self.solver.solve(self.b, self.x)
@@ -182,6 +177,42 @@ class LinearProblem:
         self.u.x.array[: self.x.getLocalSize()] = self.x.array_r
         self.u.x.scatter_forward()
         return self.u
+
+    def linear_system(self) -> tuple[PETSc.Mat, PETSc.Vec]:
+        """Assemble the torn system that :meth:`solve` solves.
+
+        Returns:
+            A, which stays the problem's own, and a copy of b, which the caller destroys.
+
+        Note:
+            Collective.
+        """
+        self._assemble()
+        return self.A, self.b.copy()
+
+    def create_linear_solver(self) -> PETSc.KSP:
+        """Create another FETI solver of A, with the options of this problem.
+
+        Returns:
+            A KSP that has set up nothing yet; the caller destroys it.
+
+        Raises:
+            ValueError: An option has a wrong value.
+
+        Note:
+            Collective.
+        """
+        return create_solver(self.A, self._prefix, self._petsc_options)
+
+    def _assemble(self) -> None:
+        """Assemble A, its near kernel, and b."""
+        V = self.u.function_space
+        on_all(lambda: assembly.assemble(self._K, self._torn), V.mesh.comm)
+        assembly.attach_near_kernel(self.A, V)
+        load = assembly.assemble_owned(self.L)
+        for bc in self.bcs:
+            bc.set(load)
+        self.b.array[:] = load
 
     def __del__(self) -> None:
         """Free the PETSc objects."""

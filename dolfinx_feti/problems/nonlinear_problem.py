@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +33,7 @@ from dolfinx_feti.problems.arguments import (
 from dolfinx_feti.problems.forms import default_volume_ratio, derive, warn_of_degree
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.newton import Newton, Start
-from dolfinx_feti.problems.solvers import create_newton_solver, python_errors
+from dolfinx_feti.problems.solvers import create_newton_solver, create_solver, python_errors
 from dolfinx_feti.problems.system import System, Tangent
 
 __all__ = ["NonlinearProblem"]
@@ -218,6 +219,36 @@ class NonlinearProblem:
             Collective.
         """
         return self._system.linearise()
+
+    def linear_system(self) -> tuple[PETSc.Mat, PETSc.Vec]:
+        """Assemble the torn system of the next Newton step, at the present state and load.
+
+        Returns:
+            The tangent A, which stays the problem's own, and −r with the pressure condensed into
+            it, which the caller destroys.
+
+        Note:
+            Collective.
+        """
+        residual = self._system.residual()
+        self._system.linearise()
+        b = self.A.createVecLeft()
+        b.array[:] = -residual.condensed
+        return self.A, b
+
+    def create_linear_solver(self) -> PETSc.KSP:
+        """Create another FETI solver of A, with the options of this problem.
+
+        Returns:
+            A KSP that has set up nothing yet; the caller destroys it.
+
+        Raises:
+            ValueError: An option has a wrong value.
+
+        Note:
+            Collective.
+        """
+        return create_solver(self.A, self._prefix, self._petsc_options)
 
     def solve(
         self, *, reference: float | None = None, first_tangent: Tangent | None = None
