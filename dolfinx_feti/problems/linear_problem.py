@@ -22,7 +22,7 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.checks import check_linear_forms, check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.decomposition import decompose, tear
+from dolfinx_feti.fem.decomposition import decompose, suggested_number, tear
 from dolfinx_feti.petsc_options import inserted
 from dolfinx_feti.problems.arguments import (
     agreed_prefix,
@@ -77,7 +77,7 @@ class LinearProblem:
         form_compiler_options: Mapping[str, object] | None = None,
         jit_options: Mapping[str, object] | None = None,
         *,
-        subdomains: int | npt.NDArray[np.integer],
+        subdomains: int | npt.NDArray[np.integer] | None = None,
         petsc_options_prefix: str | None = None,
         P: ufl.Form | None = None,
         kind: str | None = None,
@@ -93,7 +93,8 @@ class LinearProblem:
             petsc_options: Options without prefix, see ``docs/options.md``.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the C compiler and its cache.
-            subdomains: Their number over all processes, or a part per owned cell.
+            subdomains: Their number over all processes, or a part per owned cell; about one for
+                2000 dofs if not given.
             petsc_options_prefix: Non-empty prefix of all options, equal on all processes; one of
                 its own, ``linear_problem_0_`` and so on, if not given.
             P: Without effect, as a preconditioner of dolfinx's.
@@ -121,7 +122,9 @@ class LinearProblem:
         self._compiler = Compiler(comm, form_compiler_options, jit_options)
         self._bilinear = a
         self.u = dolfinx.fem.Function(V) if u is None else u
-        self.decomposition = decompose(V.mesh, subdomains)
+        self.decomposition = decompose(
+            V.mesh, suggested_number(V) if subdomains is None else subdomains
+        )
         space = tear(V, self.decomposition)
         self._torn = assembly.torn_form(a, (space, space), self._compiler)
         self.L = self._compiler.form(L)

@@ -21,7 +21,7 @@ from dolfinx_feti.collective import on_all
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.checks import check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.decomposition import decompose
+from dolfinx_feti.fem.decomposition import decompose, suggested_number
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.petsc_options import inserted
 from dolfinx_feti.problems.arguments import (
@@ -85,7 +85,7 @@ class NonlinearProblem:
         *,
         condense: dolfinx.fem.Function | None = None,
         energy: ufl.Form | None = None,
-        subdomains: int | npt.NDArray[np.integer],
+        subdomains: int | npt.NDArray[np.integer] | None = None,
         petsc_options_prefix: str | None = None,
         petsc_options: Mapping[str, object] | None = None,
         quadrature_degree: int | None = None,
@@ -108,7 +108,8 @@ class NonlinearProblem:
             condense: Piecewise constant pressure that is eliminated cell by cell.
             energy: Potential Π(u) or Π(u, p) whose derivatives are the residuals F, if they have
                 one: F itself if that is an energy. It keeps Newton's method on the way down.
-            subdomains: Their number over all processes, or a part per owned cell.
+            subdomains: Their number over all processes, or a part per owned cell; about one for
+                2000 dofs if not given.
             petsc_options_prefix: Non-empty prefix of all options, equal on all processes; one of
                 its own, ``nonlinear_problem_0_`` and so on, if not given.
             petsc_options: Options without prefix: ``snes_…``, ``feti_…``, see ``docs/options.md``.
@@ -141,7 +142,9 @@ class NonlinearProblem:
         if quadrature_degree is None:
             warn_of_degree(forms, twice, comm)
         self.u = u
-        self.decomposition = decompose(V.mesh, subdomains)
+        self.decomposition = decompose(
+            V.mesh, suggested_number(V) if subdomains is None else subdomains
+        )
         self._compiler = Compiler(comm, form_compiler_options, jit_options)
         self._tangent = forms.J
         self._system = System(
