@@ -4,8 +4,8 @@
 """Classical and all-floating FETI methods for FEniCSx.
 
 In the order of the data: errors, _compat, collective, events, petsc_options, folders,
-connectivity, torn, tables, mechanics, workshop, wall, fem, feti, problems, loading, output,
-comparison.
+connectivity, torn, tables, cost, mechanics, workshop, wall, fem, feti, diagnosis, problems,
+loading, output, comparison.
 """
 
 from dolfinx_feti.comparison.run import compare

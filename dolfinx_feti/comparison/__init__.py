@@ -16,7 +16,7 @@ or, step by step::
     K, f = assembled_system(A, b)
     cost, x = measure(lambda: create_mumps(K), f)
 
-In the order of the data: assembled, cost, solvers, result, run.
+In the order of the data: assembled, solvers, result, run.
 """
 
 from dolfinx_feti.comparison.assembled import (
@@ -25,10 +25,10 @@ from dolfinx_feti.comparison.assembled import (
     relative_difference,
     relative_residual,
 )
-from dolfinx_feti.comparison.cost import Cost, PeakMemory, measure, record_cost
 from dolfinx_feti.comparison.result import Comparison, Solved
 from dolfinx_feti.comparison.run import SOLVERS, compare
 from dolfinx_feti.comparison.solvers import create_bddc, create_gamg, create_hypre
+from dolfinx_feti.cost import Cost, PeakMemory, measure, record_cost
 
 __all__ = [
     "SOLVERS",

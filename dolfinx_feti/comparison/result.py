@@ -9,7 +9,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-from dolfinx_feti.comparison.cost import Cost
+from dolfinx_feti.cost import Cost
 from dolfinx_feti.tables import Cell, table
 
 if TYPE_CHECKING:

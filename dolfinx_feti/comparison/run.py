@@ -27,9 +27,9 @@ from dolfinx_feti.comparison.assembled import (
     relative_difference,
     relative_residual,
 )
-from dolfinx_feti.comparison.cost import Cost, measure
 from dolfinx_feti.comparison.result import Comparison, Solved
 from dolfinx_feti.comparison.solvers import create_bddc, create_gamg, create_hypre, missing
+from dolfinx_feti.cost import Cost, measure
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.linear_problem import LinearProblem
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem

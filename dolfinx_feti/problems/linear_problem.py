@@ -18,6 +18,8 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.collective import on_all
+from dolfinx_feti.diagnosis.result import Diagnosis
+from dolfinx_feti.diagnosis.run import diagnose
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.checks import check_linear_forms, check_scalar_type
@@ -206,6 +208,36 @@ class LinearProblem:
             Collective.
         """
         return create_solver(self.A, self._prefix, self._petsc_options)
+
+    def diagnose(self) -> Diagnosis:
+        """Measure what FETI builds for the problem and what its time goes into.
+
+        It is assembled anew and solved once more, by another solver with the same options. PETSc's
+        logging is begun if it is not, for the times.
+
+        Returns:
+            The diagnosis: ``print`` it, take its ``records``, or ``plot`` it.
+
+        Note:
+            Collective.
+        """
+        started = time.perf_counter()
+        A, b = self.linear_system()
+        assembly = time.perf_counter() - started
+        x = b.duplicate()
+        x.array[:] = self.u.x.array[: x.getLocalSize()]
+        found = diagnose(
+            A,
+            b,
+            x,
+            self.create_linear_solver,
+            decomposition=self.decomposition,
+            assembly=assembly,
+            prefix=self._prefix,
+        )
+        for owned in (b, x):
+            owned.destroy()
+        return found
 
     def _assemble(self) -> None:
         """Assemble A, its near kernel, and b."""

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 
@@ -18,6 +19,8 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.collective import on_all
+from dolfinx_feti.diagnosis.result import Diagnosis
+from dolfinx_feti.diagnosis.run import diagnose
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.checks import check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
@@ -252,6 +255,36 @@ class NonlinearProblem:
             Collective.
         """
         return create_solver(self.A, self._prefix, self._petsc_options)
+
+    def diagnose(self) -> Diagnosis:
+        """Measure what FETI builds for the next Newton step and what its time goes into.
+
+        It is assembled anew and solved once more, by another solver with the same options. PETSc's
+        logging is begun if it is not, for the times.
+
+        Returns:
+            The diagnosis: ``print`` it, take its ``records``, or ``plot`` it.
+
+        Note:
+            Collective.
+        """
+        started = time.perf_counter()
+        A, b = self.linear_system()
+        assembly = time.perf_counter() - started
+        x = b.duplicate()
+        x.set(0.0)  # b is the residual of the present state
+        found = diagnose(
+            A,
+            b,
+            x,
+            self.create_linear_solver,
+            decomposition=self.decomposition,
+            assembly=assembly,
+            prefix=self._prefix,
+        )
+        for owned in (b, x):
+            owned.destroy()
+        return found
 
     def solve(
         self, *, reference: float | None = None, first_tangent: Tangent | None = None
