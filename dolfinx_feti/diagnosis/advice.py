@@ -22,8 +22,8 @@ MANY_ITERATIONS = 100
 FEW_DOFS, MANY_DOFS = 500, 5000
 
 #: Greatest jump of the stiffness between subdomains that equal weights bear. Where subdomains meet
-#: with different numbers of cells, it is up to a hundred in a body of one material.
-JUMP = 1000.0
+#: with different numbers of cells, it is up to 550 in a body of one material (the vessel).
+JUMP = 3000.0
 
 #: Condition number above which a coarse space without soft modes is too small.
 CONDITION = 100.0

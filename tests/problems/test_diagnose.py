@@ -189,7 +189,7 @@ def test_equal_weights_at_a_jump():
     body = poisson(mesh)
     x = ufl.SpatialCoordinate(mesh)
     stiff = replace(
-        body, a=ufl.conditional(x[1] > 0.5, 1e4, 1.0) * body.a.integrals()[0].integrand() * ufl.dx
+        body, a=ufl.conditional(x[1] > 0.5, 1e5, 1.0) * body.a.integrals()[0].integrand() * ufl.dx
     )
     halves = (
         dolfinx.mesh.compute_midpoints(mesh, 2, np.arange(body.cells, dtype=np.int32))[:, 1] > 0.5
