@@ -4,8 +4,9 @@
 """Benchmarks: commands that write records as JSON, and the pages that are made of them.
 
 The files of this folder are the commands, each with its own ``--help``: ``compare`` (FETI, MUMPS
-and GAMG on one Newton step), ``cube``, ``linear`` and ``cube_solvers`` (the linear study), ``tube``
-and ``load_stepping`` (walls under pressure), ``report`` and ``load_figures`` (pages and pictures).
+and GAMG on one Newton step), ``subdomains`` (how many), ``cube``, ``linear`` and ``cube_solvers``
+(the linear study), ``tube`` and ``load_stepping`` (walls under pressure), ``report`` and
+``load_figures`` (pages and pictures).
 What they are made of is in the rooms: ``unit_cube`` holds the linear study, ``walls`` the artery
 walls, and ``common`` what both need. A command imports from the rooms, a room from ``common``.
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -28,10 +28,8 @@ import petsc4py
 petsc4py.init([word for word in sys.argv if not word.startswith("--")])
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
-import dolfinx
-
+import dolfinx_feti
 from benchmarks.common.arguments import (
     create_parser,
     one_of,
@@ -39,13 +37,11 @@ from benchmarks.common.arguments import (
     parse_words,
     several,
 )
-from benchmarks.common.gamg import create_gamg, difference
 from benchmarks.common.progress import say
 from benchmarks.common.records import Record
 from benchmarks.walls.problem import WallProblem
 from benchmarks.walls.tube import create_clamped_tube
 from dolfinx_feti import loads
-from dolfinx_feti.comparison import assembled_system, create_mumps, measure, relative_residual
 from meshes.arguments import count, positive
 
 __all__ = ["main"]
@@ -81,7 +77,7 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
         dofs=args.dofs,
         kappa=args.kappa,
         subdomains=args.subdomains,
-        options={"ksp_rtol": RTOL},
+        options={"ksp_rtol": RTOL, "ksp_view": None},
     )
     records = compare(tube, args.solvers, kappa=args.kappa)
     for record in records:
@@ -94,54 +90,25 @@ def compare(tube: WallProblem, solvers: Sequence[str], *, kappa: float) -> list[
     """Solve the first Newton step at 1 mmHg with each solver, FETI first.
 
     Args:
-        tube: The tube at rest.
+        tube: The tube at rest, which it stays.
         solvers: Names out of ``SOLVERS``.
         kappa: κ [kPa], for the records.
     """
-    b = first_step(tube)
-    K, f = assembled_system(tube.problem.A, b)
-    K.setOption(PETSc.Mat.Option.SPD, True)
-    create: dict[str, tuple[Callable[[], PETSc.KSP], PETSc.Vec]] = {
-        "feti": (lambda: share_feti(tube), b),
-        "mumps": (lambda: create_mumps(K), f),
-        "gamg": (lambda: create_gamg(K, rtol=RTOL), f),
-    }
-    records, solutions = [], {}
-    for name in (name for name in SOLVERS if name in solvers):
-        cost, solutions[name] = measure(*create[name])
-        record = {"solver": name, "kappa": kappa, "dofs": f.getSize(), "processes": f.comm.size}
-        records.append(record | asdict(cost))
-    if "feti" in solvers:
-        tube.problem.solver.getKSP().view()
-    for record in records:
-        x = solutions[record["solver"]]
-        record["relative_residual"] = relative_residual(K, f, x)
-        record["difference_to_mumps"] = difference(x, solutions.get("mumps"))
-    return records
-
-
-def first_step(tube: WallProblem) -> PETSc.Vec:
-    """Assemble the torn tangent at 1 mmHg, and return the right-hand side −r.
-
-    At rest the volume constraint is met, and the condensed pressure adds nothing to r.
-    """
     tube.pressure.value = loads.mmhg(1.0)
-    tube.problem.linearise()
-    r = dolfinx.fem.assemble_vector(dolfinx.fem.form(tube.residual))
-    r.scatter_reverse(dolfinx.la.InsertMode.add)
-    for bc in tube.bcs:
-        bc.set(r.array, tube.u.x.array)
-    b = tube.problem.A.createVecLeft()
-    b.array[:] = -r.array[: b.getLocalSize()]
-    return b
-
-
-def share_feti(tube: WallProblem) -> PETSc.KSP:
-    """Return the KSP of the problem as one that may be destroyed: the problem keeps its own."""
-    ksp = tube.problem.solver.getKSP()
-    ksp.setOperators(tube.problem.A)
-    ksp.incRef()
-    return ksp
+    names = [name for name in SOLVERS if name in solvers]
+    found = dolfinx_feti.compare(tube.problem, names, definite=True)
+    return [
+        {
+            "solver": solved.solver,
+            "kappa": kappa,
+            "dofs": found.dofs,
+            "processes": found.processes,
+            **({} if solved.cost is None else asdict(solved.cost)),
+            "relative_residual": solved.relative_residual,
+            "difference_to_mumps": solved.difference_to_direct if "mumps" in names else None,
+        }
+        for solved in found.solved
+    ]
 
 
 if __name__ == "__main__":

@@ -4,9 +4,11 @@
 """Classical and all-floating FETI methods for FEniCSx.
 
 In the order of the data: errors, _compat, collective, events, petsc_errors, petsc_options, folders,
-connectivity, torn, mechanics, workshop, wall, fem, feti, problems, loading, output, comparison.
+connectivity, torn, tables, cost, mechanics, workshop, wall, fem, feti, diagnosis, problems,
+loading, output, comparison.
 """
 
+from dolfinx_feti.comparison.run import compare
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.feti import FETI
 from dolfinx_feti.mechanics import kinematics, loads, materials
@@ -20,6 +22,7 @@ __all__ = [
     "ConvergenceError",
     "LinearProblem",
     "NonlinearProblem",
+    "compare",
     "create_torn_matrix",
     "kinematics",
     "loads",

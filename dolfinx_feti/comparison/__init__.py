@@ -8,22 +8,42 @@ FETI solves with the torn matrix, other solvers with the assembled matrix that P
 Example::
 
     problem = dolfinx_feti.LinearProblem(a, L, bcs=[bc], subdomains=64, …)
-    u = problem.solve()
-    K, f = assembled_system(problem.A, problem.b)
+    print(dolfinx_feti.compare(problem))
+
+or, step by step::
+
+    A, b = problem.linear_system()
+    K, f = assembled_system(A, b)
     cost, x = measure(lambda: create_mumps(K), f)
 
-In the order of the data: assembled, cost.
+In the order of the data: assembled, solvers, result, run.
 """
 
-from dolfinx_feti.comparison.assembled import assembled_system, create_mumps, relative_residual
-from dolfinx_feti.comparison.cost import Cost, PeakMemory, measure, record_cost
+from dolfinx_feti.comparison.assembled import (
+    assembled_system,
+    create_mumps,
+    relative_difference,
+    relative_residual,
+)
+from dolfinx_feti.comparison.result import Comparison, Solved
+from dolfinx_feti.comparison.run import SOLVERS, compare
+from dolfinx_feti.comparison.solvers import create_bddc, create_gamg, create_hypre
+from dolfinx_feti.cost import Cost, PeakMemory, measure, record_cost
 
 __all__ = [
+    "SOLVERS",
+    "Comparison",
     "Cost",
     "PeakMemory",
+    "Solved",
     "assembled_system",
+    "compare",
+    "create_bddc",
+    "create_gamg",
+    "create_hypre",
     "create_mumps",
     "measure",
     "record_cost",
+    "relative_difference",
     "relative_residual",
 ]

@@ -9,7 +9,7 @@ from petsc4py import PETSc
 
 from dolfinx_feti.connectivity import is_symmetric
 
-__all__ = ["assembled_system", "create_mumps", "relative_residual"]
+__all__ = ["assembled_system", "create_mumps", "relative_difference", "relative_residual"]
 
 
 def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
@@ -77,3 +77,16 @@ def relative_residual(K: PETSc.Mat, f: PETSc.Vec, x: PETSc.Vec) -> float:
     norm = r.norm()
     r.destroy()
     return norm / f.norm()
+
+
+def relative_difference(x: PETSc.Vec, reference: PETSc.Vec) -> float:
+    """Return ‖x − reference‖/‖reference‖.
+
+    Note:
+        Collective.
+    """
+    y = x.copy()
+    y.axpy(-1.0, reference)
+    norm = y.norm()
+    y.destroy()
+    return norm / reference.norm()

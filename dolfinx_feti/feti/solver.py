@@ -220,6 +220,11 @@ class FETI:
                 owned.destroy()
         self._form = self._pattern = None
 
+    @property
+    def form(self) -> Form | None:
+        """What is set up for the last matrix; None before the first one, and after a failure."""
+        return None if self._state is None else self._form
+
     # -- the method -------------------------------------------------------------------------------
 
     def report(self) -> Report | None:

@@ -18,11 +18,13 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.collective import on_all
+from dolfinx_feti.diagnosis.result import Diagnosis
+from dolfinx_feti.diagnosis.run import diagnose
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.checks import check_linear_forms, check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.decomposition import decompose, tear
+from dolfinx_feti.fem.decomposition import decompose, suggested_number, tear
 from dolfinx_feti.petsc_errors import python_errors
 from dolfinx_feti.petsc_options import inserted
 from dolfinx_feti.problems.arguments import (
@@ -78,7 +80,7 @@ class LinearProblem:
         form_compiler_options: Mapping[str, object] | None = None,
         jit_options: Mapping[str, object] | None = None,
         *,
-        subdomains: int | npt.NDArray[np.integer],
+        subdomains: int | npt.NDArray[np.integer] | None = None,
         petsc_options_prefix: str | None = None,
         P: ufl.Form | None = None,
         kind: str | None = None,
@@ -94,7 +96,8 @@ class LinearProblem:
             petsc_options: Options without prefix, see ``docs/options.md``.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the C compiler and its cache.
-            subdomains: Their number over all processes, or a part per owned cell.
+            subdomains: Their number over all processes, or a part per owned cell; about one for
+                2000 dofs if not given.
             petsc_options_prefix: Non-empty prefix of all options, equal on all processes; one of
                 its own, ``linear_problem_0_`` and so on, if not given.
             P: Without effect, as a preconditioner of dolfinx's.
@@ -122,7 +125,9 @@ class LinearProblem:
         self._compiler = Compiler(comm, form_compiler_options, jit_options)
         self._bilinear = a
         self.u = dolfinx.fem.Function(V) if u is None else u
-        self.decomposition = decompose(V.mesh, subdomains)
+        self.decomposition = decompose(
+            V.mesh, suggested_number(V) if subdomains is None else subdomains
+        )
         space = tear(V, self.decomposition)
         self._torn = assembly.torn_form(a, (space, space), self._compiler)
         self.L = self._compiler.form(L)
@@ -156,12 +161,7 @@ class LinearProblem:
             Collective.
         """
         started = time.perf_counter()
-        on_all(lambda: assembly.assemble(self._K, self._torn), self.u.function_space.mesh.comm)
-        assembly.attach_near_kernel(self.A, self.u.function_space)
-        load = assembly.assemble_owned(self.L)
-        for bc in self.bcs:
-            bc.set(load)
-        self.b.array[:] = load
+        self._assemble()
         assembled = time.perf_counter()
         with inserted(self._prefix, self._petsc_options), python_errors():
             self.solver.solve(self.b, self.x)
@@ -183,6 +183,72 @@ class LinearProblem:
         self.u.x.array[: self.x.getLocalSize()] = self.x.array_r
         self.u.x.scatter_forward()
         return self.u
+
+    def linear_system(self) -> tuple[PETSc.Mat, PETSc.Vec]:
+        """Assemble the torn system that :meth:`solve` solves.
+
+        Returns:
+            A, which stays the problem's own, and a copy of b, which the caller destroys.
+
+        Note:
+            Collective.
+        """
+        self._assemble()
+        return self.A, self.b.copy()
+
+    def create_linear_solver(self) -> PETSc.KSP:
+        """Create another FETI solver of A, with the options of this problem.
+
+        Returns:
+            A KSP that has set up nothing yet; the caller destroys it.
+
+        Raises:
+            ValueError: An option has a wrong value.
+
+        Note:
+            Collective.
+        """
+        return create_solver(self.A, self._prefix, self._petsc_options)
+
+    def diagnose(self) -> Diagnosis:
+        """Measure what FETI builds for the problem and what its time goes into.
+
+        It is assembled anew and solved once more, by another solver with the same options. PETSc's
+        logging is begun if it is not, for the times.
+
+        Returns:
+            The diagnosis: ``print`` it, take its ``records``, or ``plot`` it.
+
+        Note:
+            Collective.
+        """
+        started = time.perf_counter()
+        A, b = self.linear_system()
+        assembly = time.perf_counter() - started
+        x = b.duplicate()
+        x.array[:] = self.u.x.array[: x.getLocalSize()]
+        found = diagnose(
+            A,
+            b,
+            x,
+            self.create_linear_solver,
+            decomposition=self.decomposition,
+            assembly=assembly,
+            prefix=self._prefix,
+        )
+        for owned in (b, x):
+            owned.destroy()
+        return found
+
+    def _assemble(self) -> None:
+        """Assemble A, its near kernel, and b."""
+        V = self.u.function_space
+        on_all(lambda: assembly.assemble(self._K, self._torn), V.mesh.comm)
+        assembly.attach_near_kernel(self.A, V)
+        load = assembly.assemble_owned(self.L)
+        for bc in self.bcs:
+            bc.set(load)
+        self.b.array[:] = load
 
     def __del__(self) -> None:
         """Free the PETSc objects."""

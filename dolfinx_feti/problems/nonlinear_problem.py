@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
@@ -17,10 +19,12 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.collective import on_all
+from dolfinx_feti.diagnosis.result import Diagnosis
+from dolfinx_feti.diagnosis.run import diagnose
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.checks import check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.decomposition import decompose
+from dolfinx_feti.fem.decomposition import decompose, suggested_number
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.petsc_errors import python_errors
 from dolfinx_feti.petsc_options import inserted
@@ -33,7 +37,7 @@ from dolfinx_feti.problems.arguments import (
 from dolfinx_feti.problems.forms import default_volume_ratio, derive, warn_of_degree
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.newton import Newton, Start
-from dolfinx_feti.problems.solvers import create_newton_solver
+from dolfinx_feti.problems.solvers import create_newton_solver, create_solver
 from dolfinx_feti.problems.system import System, Tangent
 
 __all__ = ["NonlinearProblem"]
@@ -85,7 +89,7 @@ class NonlinearProblem:
         *,
         condense: dolfinx.fem.Function | None = None,
         energy: ufl.Form | None = None,
-        subdomains: int | npt.NDArray[np.integer],
+        subdomains: int | npt.NDArray[np.integer] | None = None,
         petsc_options_prefix: str | None = None,
         petsc_options: Mapping[str, object] | None = None,
         quadrature_degree: int | None = None,
@@ -108,7 +112,8 @@ class NonlinearProblem:
             condense: Piecewise constant pressure that is eliminated cell by cell.
             energy: Potential Π(u) or Π(u, p) whose derivatives are the residuals F, if they have
                 one: F itself if that is an energy. It keeps Newton's method on the way down.
-            subdomains: Their number over all processes, or a part per owned cell.
+            subdomains: Their number over all processes, or a part per owned cell; about one for
+                2000 dofs if not given.
             petsc_options_prefix: Non-empty prefix of all options, equal on all processes; one of
                 its own, ``nonlinear_problem_0_`` and so on, if not given.
             petsc_options: Options without prefix: ``snes_…``, ``feti_…``, see ``docs/options.md``.
@@ -141,7 +146,9 @@ class NonlinearProblem:
         if quadrature_degree is None:
             warn_of_degree(forms, twice, comm)
         self.u = u
-        self.decomposition = decompose(V.mesh, subdomains)
+        self.decomposition = decompose(
+            V.mesh, suggested_number(V) if subdomains is None else subdomains
+        )
         self._compiler = Compiler(comm, form_compiler_options, jit_options)
         self._tangent = forms.J
         self._system = System(
@@ -220,6 +227,66 @@ class NonlinearProblem:
             Collective.
         """
         return self._system.linearise()
+
+    def linear_system(self) -> tuple[PETSc.Mat, PETSc.Vec]:
+        """Assemble the torn system of the next Newton step, at the present state and load.
+
+        Returns:
+            The tangent A, which stays the problem's own, and −r with the pressure condensed into
+            it, which the caller destroys.
+
+        Note:
+            Collective.
+        """
+        residual = self._system.residual()
+        self._system.linearise()
+        b = self.A.createVecLeft()
+        b.array[:] = -residual.condensed
+        return self.A, b
+
+    def create_linear_solver(self) -> PETSc.KSP:
+        """Create another FETI solver of A, with the options of this problem.
+
+        Returns:
+            A KSP that has set up nothing yet; the caller destroys it.
+
+        Raises:
+            ValueError: An option has a wrong value.
+
+        Note:
+            Collective.
+        """
+        return create_solver(self.A, self._prefix, self._petsc_options)
+
+    def diagnose(self) -> Diagnosis:
+        """Measure what FETI builds for the next Newton step and what its time goes into.
+
+        It is assembled anew and solved once more, by another solver with the same options. PETSc's
+        logging is begun if it is not, for the times.
+
+        Returns:
+            The diagnosis: ``print`` it, take its ``records``, or ``plot`` it.
+
+        Note:
+            Collective.
+        """
+        started = time.perf_counter()
+        A, b = self.linear_system()
+        assembly = time.perf_counter() - started
+        x = b.duplicate()
+        x.set(0.0)  # b is the residual of the present state
+        found = diagnose(
+            A,
+            b,
+            x,
+            self.create_linear_solver,
+            decomposition=self.decomposition,
+            assembly=assembly,
+            prefix=self._prefix,
+        )
+        for owned in (b, x):
+            owned.destroy()
+        return found
 
     def solve(
         self, *, reference: float | None = None, first_tangent: Tangent | None = None

@@ -10,8 +10,8 @@ Example::
     print(check(material))
     curve = respond(material, uniaxial(np.linspace(0.8, 1.6, 41)))
 
-In the order of the data: compiled, tables, directions, paths, equilibrium, response, moduli,
-ellipticity, checks, report, data, intervals, fitting, plots.
+In the order of the data: compiled, directions, paths, equilibrium, response, moduli, ellipticity,
+checks, report, data, intervals, fitting, plots.
 """
 
 from dolfinx_feti.workshop.checks import Check

@@ -20,11 +20,11 @@ import numpy as np
 import numpy.typing as npt
 import scipy.optimize
 
+from dolfinx_feti.tables import Cell, table
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.directions import hemisphere, minimise, tangents
 from dolfinx_feti.workshop.equilibrium import equilibrate, stiffness_scale
 from dolfinx_feti.workshop.paths import Path
-from dolfinx_feti.workshop.tables import Cell, table
 
 __all__ = ["Ellipticity", "least_eigenvalues", "scan_ellipticity"]
 

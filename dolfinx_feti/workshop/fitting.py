@@ -22,12 +22,12 @@ import scipy.optimize
 from ufl.core.expr import Expr
 
 from dolfinx_feti.errors import ConvergenceError
+from dolfinx_feti.tables import Cell, state, table
 from dolfinx_feti.workshop.compiled import Material, compile_material
 from dolfinx_feti.workshop.data import DataSet, r_squared, rms_error, stresses
 from dolfinx_feti.workshop.intervals import Parameter, estimate
 from dolfinx_feti.workshop.paths import refine
 from dolfinx_feti.workshop.response import Response, respond
-from dolfinx_feti.workshop.tables import Cell, state, table
 
 __all__ = ["Fit", "fit"]
 

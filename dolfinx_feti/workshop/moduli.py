@@ -21,10 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.tables import number
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.directions import hemisphere, minimise
 from dolfinx_feti.workshop.equilibrium import total_tangent
-from dolfinx_feti.workshop.tables import number
 
 __all__ = ["Moduli", "small_strain_moduli"]
 

@@ -12,12 +12,12 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.tables import number, state, table
 from dolfinx_feti.workshop.checks import Check, Law, check_law, show
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.ellipticity import Ellipticity, scan_ellipticity
 from dolfinx_feti.workshop.moduli import ZERO, Moduli, small_strain_moduli
 from dolfinx_feti.workshop.paths import STANDARD_PATHS, Path
-from dolfinx_feti.workshop.tables import number, state, table
 
 __all__ = ["Report", "check"]
 

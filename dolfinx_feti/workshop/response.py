@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.tables import state, table
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.equilibrium import cofactor, equilibrate
 from dolfinx_feti.workshop.paths import Path
-from dolfinx_feti.workshop.tables import state, table
 
 __all__ = ["Response", "respond"]
 

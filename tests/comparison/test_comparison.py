@@ -16,6 +16,7 @@ import pytest
 from collective import COMM, agree, dense, equal, small, whole
 from problems import cube, elasticity, owned
 
+from dolfinx_feti import cost as comparison
 from dolfinx_feti.comparison import (
     PeakMemory,
     assembled_system,
@@ -23,7 +24,6 @@ from dolfinx_feti.comparison import (
     measure,
     relative_residual,
 )
-from dolfinx_feti.comparison import cost as comparison
 
 SEED = 8363
 MIB = 2**20

@@ -17,7 +17,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.fem import decomposition
-from dolfinx_feti.fem.decomposition import decompose, tear
+from dolfinx_feti.fem.decomposition import decompose, suggested_number, tear
 
 SEED = 31415
 
@@ -235,3 +235,27 @@ def test_number_of_subdomains_is_as_asked(subdomains):
     made = whole(np.array([decompose(mesh, subdomains).count]))
     agree(made.sum() == subdomains or not alone, made)
     agree(made.sum() >= subdomains)
+
+
+# -- a number of subdomains where the user gives none
+
+
+@pytest.mark.parametrize("components", [1, 3])
+def test_suggested_number(monkeypatch, components):
+    """About so many dofs each, as many on each process, and one at least."""
+    mesh = cube(3, 4)
+    shape = () if components == 1 else (components,)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, shape))
+    dofs = components * 5**3
+    agree(suggested_number(V) == COMM.size, "some hundred dofs")
+    monkeypatch.setattr(decomposition, "DOFS", 20)
+    number = suggested_number(V)
+    agree(number % COMM.size == 0)
+    agree(abs(number - dofs / 20) <= COMM.size / 2, number)
+
+
+def test_suggested_number_is_not_that_of_more_than_all_cells(monkeypatch):
+    V = dolfinx.fem.functionspace(cube(2, 2), ("Lagrange", 2))
+    monkeypatch.setattr(decomposition, "DOFS", 0.1)
+    agree(suggested_number(V) == 8)
+    agree(COMM.allreduce(decompose(V.mesh, suggested_number(V)).count) == 8)

@@ -55,6 +55,16 @@ def test_positional_arguments(heat, rubber):
     agree(nonlinear.solve() is rubber.u and len(nonlinear.history) > 2)
 
 
+def test_subdomains_may_be_left_out(heat, rubber):
+    """Then it is dolfinx's call; a small problem has one on each process."""
+    problem = LinearProblem(heat.a, heat.L, heat.bcs)
+    agree(COMM.allreduce(problem.decomposition.count) >= COMM.size)
+    equal(owned(problem.solve()), owned(heat.u), 1e-6)
+    nonlinear = NonlinearProblem(rubber.F, rubber.u, rubber.bcs)
+    agree(COMM.allreduce(nonlinear.decomposition.count) >= COMM.size)
+    nonlinear.solve()
+
+
 def test_no_conditions(heat, rubber):
     """None, an empty list and an empty tuple are the same."""
     mass = heat.a + ufl.TrialFunction(heat.V) * ufl.TestFunction(heat.V) * ufl.dx

@@ -57,12 +57,6 @@ def test_parts_of_the_wrong_type():
         create(problem, subdomains=np.zeros(problem.cells))
 
 
-def test_missing_subdomains():
-    problem = poisson(cube(2, 4))
-    with raises(TypeError, "subdomains"):
-        dolfinx_feti.LinearProblem(problem.a, problem.L, petsc_options_prefix="bad_")
-
-
 # ---- options --------------------------------------------------------------------------------
 
 

@@ -1,0 +1,155 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What a comparison of solvers found: a table that prints itself, records, a picture."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+from dolfinx_feti.cost import Cost
+from dolfinx_feti.tables import Cell, table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Comparison", "Solved"]
+
+HEAD = (
+    "solver", "iterations", "set-up [s]", "solve [s]", "memory [MiB]", "residual", "difference", "",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """One solver's part in a comparison.
+
+    Attributes:
+        solver: Its name.
+        cost: What it took; None if PETSc raised an error.
+        relative_residual: ‖f − K x‖/‖f‖ of the assembled system, on the free dofs; nan without a
+            solution.
+        difference_to_direct: ‖x − x_d‖/‖x_d‖ to the direct solution; nan if there is none.
+        note: Why it failed, or an empty string.
+    """
+
+    solver: str
+    cost: Cost | None
+    relative_residual: float
+    difference_to_direct: float
+    note: str
+
+    @property
+    def converged(self) -> bool:
+        """Whether there is a solution."""
+        return self.cost is not None and self.cost.converged_reason > 0
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Solvers on the same system; ``str`` prints the table. The same on all processes.
+
+    Attributes:
+        dofs: Size of the assembled system.
+        subdomains: Their number over all processes.
+        processes: Their number.
+        rtol: Factor by which the iterative solvers had to lower the residual.
+        solved: The solvers, in the order of the user.
+        left_out: Name of each solver that was left out, and why.
+    """
+
+    dofs: int
+    subdomains: int
+    processes: int
+    rtol: float
+    solved: tuple[Solved, ...]
+    left_out: tuple[tuple[str, str], ...]
+
+    @property
+    def records(self) -> list[dict[str, object]]:
+        """One record for each solver, to be written as JSON; None for what is not known."""
+        size = {"dofs": self.dofs, "subdomains": self.subdomains, "processes": self.processes}
+        solved = [
+            {"solver": s.solver, **size, "rtol": self.rtol, "converged": s.converged}
+            | ({} if s.cost is None else {k: _known(v) for k, v in asdict(s.cost).items()})
+            | {"relative_residual": _known(s.relative_residual)}
+            | {"difference_to_direct": _known(s.difference_to_direct)}
+            | {"note": s.note}
+            for s in self.solved
+        ]
+        left_out = [
+            {"solver": name, **size, "converged": False, "note": f"left out: {why}"}
+            for name, why in self.left_out
+        ]
+        return solved + left_out
+
+    def __str__(self) -> str:
+        """Return the table, and who was left out."""
+        lines = [
+            f"{self.dofs} dofs, {self.subdomains} subdomains, {self.processes} process(es), "
+            f"relative tolerance {self.rtol:g}",
+            table(HEAD, [_row(s) for s in self.solved]),
+        ]
+        lines += [f"left out: {name}, {why}" for name, why in self.left_out]
+        return "\n".join(lines)
+
+    def plot(self) -> Figure:
+        """Draw the times and the memory of the solvers that converged.
+
+        Returns:
+            A figure of matplotlib, to be saved by its ``savefig``.
+
+        Raises:
+            ImportError: matplotlib is not installed.
+            ValueError: No solver converged.
+        """
+        costs = {s.solver: s.cost for s in self.solved if s.cost is not None and s.converged}
+        if not costs:
+            raise ValueError("No solver converged: there is nothing to draw; print the comparison.")
+        try:
+            from matplotlib.figure import Figure
+        except ImportError as error:
+            raise ImportError(
+                "Pictures need matplotlib: install it (apt install python3-matplotlib, or pip "
+                "install matplotlib), or draw the records with another tool."
+            ) from error
+        figure = Figure(figsize=(8.0, 3.2), layout="constrained")
+        times, memory = figure.subplots(1, 2)
+        names = list(costs)
+        setup = [cost.seconds_setup for cost in costs.values()]
+        times.bar(names, setup, label="set-up")
+        solve = [cost.seconds_solve for cost in costs.values()]
+        times.bar(names, solve, bottom=setup, label="solve")
+        times.set_ylabel("time [s]")
+        times.legend()
+        memory.bar(names, [cost.peak_mib for cost in costs.values()], color="tab:gray")
+        memory.set_ylabel("peak memory [MiB]")
+        return figure
+
+
+def _row(solved: Solved) -> list[Cell]:
+    """Return a row of the table."""
+    cost = solved.cost
+    if cost is None:
+        return [solved.solver, None, None, None, None, None, None, solved.note]
+    return [
+        solved.solver,
+        cost.iterations,
+        f"{cost.seconds_setup:.2f}".rjust(len(HEAD[2])),
+        f"{cost.seconds_solve:.2f}".rjust(len(HEAD[3])),
+        _known(round(cost.peak_mib) if math.isfinite(cost.peak_mib) else math.nan),
+        _short(solved.relative_residual),
+        _short(solved.difference_to_direct),
+        solved.note,
+    ]
+
+
+def _short(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:.0e}".replace("e-0", "e-")
+
+
+def _known(value: float) -> float | None:
+    """Return a number that JSON can hold."""
+    return value if math.isfinite(value) else None

@@ -1,0 +1,7 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Diagnosis of a problem: what a solver built, where its time went, and what would help.
+
+In the order of the data: figures, advice, surface, result, run.
+"""

@@ -1,0 +1,212 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What a diagnosis found: a table that prints itself, a record, a picture of the subdomains."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.diagnosis.advice import Advice
+from dolfinx_feti.diagnosis.figures import Figures, Spread
+from dolfinx_feti.diagnosis.surface import Surface
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Diagnosis", "Seconds"]
+
+
+@dataclass(frozen=True, slots=True)
+class Seconds:
+    """What the time of one linear solve went into, on the slowest process [s].
+
+    Attributes:
+        assembly: Matrix and right-hand side.
+        gluing: B and its weights.
+        factors: Local factors and kernels.
+        coarse: Coarse problem.
+        setup: All of the set-up.
+        solve: Krylov method.
+    """
+
+    assembly: float
+    gluing: float
+    factors: float
+    coarse: float
+    setup: float
+    solve: float
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """Diagnosis of a problem; ``str`` prints it. The same on all processes.
+
+    Attributes:
+        figures: Figures of the solver; None if its set-up failed.
+        method: Krylov method.
+        iterations: Krylov iterations.
+        relative_residual: ‖b − A x‖/‖b‖ after them.
+        message: Why the solve failed, or an empty string.
+        seconds: Time.
+        peak_mib: Peak memory above mesh and matrix, of all processes together [MiB].
+        residuals: Part of each subdomain in the residual of the present state, (subdomains,).
+        advice: What would help.
+        surface: Polygons for the picture.
+    """
+
+    figures: Figures | None
+    method: str
+    iterations: int
+    relative_residual: float
+    message: str
+    seconds: Seconds
+    peak_mib: float
+    residuals: npt.NDArray[np.float64]
+    advice: tuple[Advice, ...]
+    surface: Surface
+
+    @property
+    def records(self) -> list[dict[str, object]]:
+        """One record of all that was measured, to be written as JSON; None for what is unknown."""
+        record: dict[str, object] = {
+            "method": self.method,
+            "iterations": self.iterations,
+            "relative_residual": self.relative_residual,
+            "message": self.message,
+            "seconds": asdict(self.seconds),
+            "peak_mib": self.peak_mib,
+            "residuals": self.residuals.tolist(),
+            "advice": [asdict(advice) for advice in self.advice],
+            "figures": None if self.figures is None else asdict(self.figures),
+        }
+        return [{name: _plain(value) for name, value in record.items()}]
+
+    def __str__(self) -> str:
+        """Return the table and the advice."""
+        rows = [] if self.figures is None else _rows(self.figures)
+        s = self.seconds
+        rows += [
+            ("iterations", f"{self.iterations} ({self.method or 'none'})"),
+            ("residual", f"{self.relative_residual:.1e}"),
+            (
+                "time [s]",
+                f"assembly {s.assembly:.2f}, set-up {s.setup:.2f} (gluing {s.gluing:.2f}, factors "
+                f"{s.factors:.2f}, coarse problem {s.coarse:.2f}), solve {s.solve:.2f}",
+            ),
+            ("peak memory [MiB]", "–" if math.isnan(self.peak_mib) else f"{self.peak_mib:.0f}"),
+        ]
+        if self.message:
+            rows.append(("failed", self.message))
+        rows += [("advice", str(advice)) for advice in self.advice] or [("advice", "none")]
+        return "\n".join(f"{name:<22}{value}" for name, value in rows)
+
+    def plot(self) -> Figure:
+        """Draw the subdomains, coloured by their part in the residual of the present state.
+
+        Returns:
+            A figure of matplotlib, to be saved by its ``savefig``.
+
+        Raises:
+            ImportError: matplotlib is not installed.
+        """
+        try:
+            from matplotlib.cm import ScalarMappable
+            from matplotlib.collections import PolyCollection
+            from matplotlib.colors import LogNorm
+            from matplotlib.figure import Figure
+            from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+        except ImportError as error:
+            raise ImportError(
+                "Pictures need matplotlib: install it (apt install python3-matplotlib, or pip "
+                "install matplotlib), or draw the residuals with another tool."
+            ) from error
+        corners, values = self.surface.corners, self.residuals[self.surface.subdomain]
+        most = values.max() if values.max() > 0.0 else 1.0
+        least = max(values.min(), 1e-6 * most)
+        colour = ScalarMappable(LogNorm(min(least, 0.999 * most), most), "viridis")
+        colours = colour.to_rgba(np.maximum(values, least))
+        figure = Figure(figsize=(6.0, 4.5), layout="constrained")
+        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+        ax: Any
+        if corners.shape[-1] == 2:
+            ax = figure.add_subplot()
+            ax.add_collection(PolyCollection(list(corners), facecolors=colours, edgecolors="face"))
+            ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        else:
+            ax = figure.add_subplot(projection="3d")
+            ax.add_collection3d(Poly3DCollection(corners, facecolors=colours))
+            limits = zip(("xlim", "ylim", "zlim"), zip(low, high, strict=True), strict=True)
+            ax.set(**dict(limits), box_aspect=np.maximum(high - low, 1e-12))
+        figure.colorbar(colour, ax=ax, label="residual of a subdomain")
+        return figure
+
+
+def _rows(figures: Figures) -> list[tuple[str, str]]:
+    """Return the rows that tell of the solver."""
+    r = figures.report
+    low, high = r.eigenvalues
+    condition = "not known" if not low > 0.0 else f"{high / low:.4g} ({low:.4g} … {high:.4g})"
+    copies = ", ".join(
+        f"{n} of {m} {'copies' if m > 1 else 'copy'}"
+        for m, n in enumerate(figures.multiplicities, start=1)
+        if n
+    )
+    kernels = ", ".join(f"{n} of dimension {k}" for k, n in enumerate(r.kernels) if n)
+    i = r.inertia
+    pressure = ""
+    if figures.pressures_per_dof:
+        pressure = (
+            f"{figures.pressures_per_dof:.2f} for each dof, which they make "
+            f"{figures.pressure_stiffness:.4g} times as stiff"
+        )
+    rows = [
+        ("dofs", f"{r.dofs}, torn {r.torn_dofs}, multipliers {r.multipliers}"),
+        ("subdomains", f"{r.subdomains}, dofs each {_spread(figures.dofs_subdomain)}"),
+        ("interface", f"share of a subdomain's dofs {_spread(figures.interface, '.2f')}"),
+        ("dofs with copies", copies),
+        ("jump of stiffness", f"{figures.jump:.4g}, weights by {r.options.scaling}"),
+        ("kernels", f"{kernels}; rigid body modes: {figures.motions}"),
+        ("further modes", f"{figures.null} null vectors, {figures.elastic} elastic"),
+        (
+            "negative eigenvalues",
+            f"{_known(i.local)} in K_ρ, {i.defect} in D, {_known(i.interior)} in K_II, "
+            f"{_known(i.assembled)} at least in A",
+        ),
+        ("pressures", pressure),
+        ("coarse problem", f"{r.coarse_size} unknowns, {r.formulation} form"),
+        ("condition number", condition),
+        (
+            "processes",
+            f"subdomains {_spread(figures.subdomains_process)}, dofs "
+            f"{_spread(figures.dofs_process)}, factors [MiB] {_spread(figures.factor_mib_process)}",
+        ),
+    ]
+    return [(name, value) for name, value in rows if value]
+
+
+def _spread(spread: Spread, form: str = ".0f") -> str:
+    """Format the least, mean and most of something."""
+    return f"{spread.least:{form}} … {spread.mean:{form}} … {spread.most:{form}}"
+
+
+def _known(count: int | None) -> str:
+    return "unknown" if count is None else str(count)
+
+
+def _plain(value: object) -> object:
+    """Return what JSON can hold."""
+    if isinstance(value, dict):
+        return {key: _plain(v) for key, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,100 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""One linear solve, watched: set-up and solution with a solver of its own, then what it tells."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_feti.cost import PeakMemory, record_cost
+from dolfinx_feti.diagnosis.advice import advise
+from dolfinx_feti.diagnosis.figures import collect_figures, residual_shares
+from dolfinx_feti.diagnosis.result import Diagnosis, Seconds
+from dolfinx_feti.diagnosis.surface import visible_surface
+from dolfinx_feti.fem.decomposition import Decomposition
+
+__all__ = ["diagnose"]
+
+PHASES = ("FETIGluing", "FETIFactor", "FETICoarse")
+
+
+def diagnose(
+    A: PETSc.Mat,
+    b: PETSc.Vec,
+    x: PETSc.Vec,
+    create: Callable[[], PETSc.KSP],
+    *,
+    decomposition: Decomposition,
+    assembly: float,
+    prefix: str,
+) -> Diagnosis:
+    """Set up a solver, solve with it, and gather what it tells.
+
+    Args:
+        A: Torn matrix.
+        b: Right-hand side, (N,). If it is zero, a random one is solved for.
+        x: The present state, of which the residual is shown, (N,).
+        create: Creates the FETI solver.
+        decomposition: Subdomain of each owned cell.
+        assembly: Seconds that the assembly took on this process.
+        prefix: Options prefix of the problem.
+
+    Note:
+        Collective.
+    """
+    comm = A.comm.tompi4py()
+    load, solution = b.copy(), b.duplicate()
+    if not b.norm() > 0.0:
+        load.array[:] = np.random.default_rng(comm.rank).standard_normal(load.getLocalSize())
+    if not PETSc.Log.isActive():
+        PETSc.Log.begin()
+    before = _seconds()
+    peak, times = PeakMemory(), [time.perf_counter()]
+    ksp = create()
+    ksp.setUp()
+    times.append(time.perf_counter())
+    ksp.solve(load, solution)
+    times.append(time.perf_counter())
+    cost = record_cost(ksp, times, peak)
+    spent = [now - then for now, then in zip(_seconds(), before, strict=True)]
+    gluing, factors, coarse = (comm.allreduce(seconds, op=MPI.MAX) for seconds in spent)
+    feti = ksp.getPythonContext()
+    figures, report = None, feti.report()
+    if feti.form is not None and report is not None:
+        figures = collect_figures(feti.form, report)
+    found = Diagnosis(
+        figures=figures,
+        method=feti.method,
+        iterations=cost.iterations,
+        relative_residual=feti.residual,
+        message=feti.message,
+        seconds=Seconds(
+            assembly=comm.allreduce(assembly, op=MPI.MAX),
+            gluing=gluing,
+            factors=factors,
+            coarse=coarse,
+            setup=cost.seconds_setup,
+            solve=cost.seconds_solve,
+        ),
+        peak_mib=cost.peak_mib,
+        residuals=residual_shares(A, b, x),
+        advice=()
+        if figures is None
+        else advise(figures, iterations=cost.iterations, prefix=prefix),
+        surface=visible_surface(decomposition),
+    )
+    for owned in (ksp, load, solution):
+        owned.destroy()
+    return found
+
+
+def _seconds() -> list[float]:
+    """Return what PETSc's log has counted for each phase on this process [s]."""
+    return [float(PETSc.Log.Event(name).getPerfInfo()["time"]) for name in PHASES]

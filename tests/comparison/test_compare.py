@@ -1,0 +1,210 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Several solvers on a user's problem, in one call."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, raises, small
+from problems import cube, elasticity, poisson
+from walls import tube, wall
+
+import ufl
+
+import dolfinx_feti
+from dolfinx_feti import compare, loads
+from dolfinx_feti.comparison import assembled_system, create_mumps, measure, run, solvers
+from dolfinx_feti.petsc_options import inserted
+
+RTOL = 1e-9
+#: What is lost between residual and error on these small bodies.
+CONDITION = 1e4
+KEYS = {
+    "solver", "dofs", "subdomains", "processes", "rtol", "converged", "seconds_setup",
+    "seconds_solve", "peak_mib", "iterations", "converged_reason", "relative_residual",
+    "difference_to_direct", "note",
+}  # fmt: skip
+
+
+def linear(body, subdomains=6):
+    return dolfinx_feti.LinearProblem(
+        body.a,
+        body.L,
+        bcs=body.bcs,
+        subdomains=subdomains,
+        petsc_options={"ksp_rtol": RTOL},
+    )
+
+
+def all_agree(found, names):
+    """Every solver has solved the same system."""
+    agree([s.solver for s in found.solved] == list(names), found)
+    agree(all(s.converged and not s.note for s in found.solved), found)
+    for solved in found.solved:
+        small(solved.relative_residual, 1.01 * RTOL)
+        small(solved.difference_to_direct, CONDITION * RTOL)
+        agree(solved.cost.seconds_setup > 0.0 and solved.cost.seconds_solve > 0.0)
+        agree(all(solved.cost.iterations >= 0 for solved in found.solved))
+
+
+def test_solvers_agree_on_a_linear_problem():
+    """With prescribed values that are not zero; the records are JSON, the table names all."""
+    names = ("feti", "mumps", "gamg", "bddc")
+    problem = linear(elasticity(cube(3, 4), stretched=True))
+    found = compare(problem)
+    all_agree(found, names)
+    agree(found.rtol == RTOL and found.processes == COMM.size and not found.left_out)
+    agree(found.subdomains == COMM.allreduce(problem.decomposition.count))
+    agree(found.dofs == 3 * 5**3)
+    agree(all(set(record) == KEYS for record in found.records), found.records)
+    agree(json.loads(json.dumps(found.records, allow_nan=False)) == found.records)
+    agree(all(name in str(found) for name in names) and "375 dofs" in str(found))
+    agree(all(other == str(found) for other in COMM.allgather(str(found))))
+    reference = found.solved[1]
+    agree(reference.solver == "mumps" and reference.difference_to_direct == 0.0)
+
+
+def test_problem_goes_on_after_a_comparison(solve):
+    """Its own solver is another one; the solution is as it was."""
+    problem = solve(elasticity(cube(3, 3)), 4, {"ksp_rtol": RTOL})
+    before = problem.u.x.array.copy()
+    compare(problem, ["gamg"])
+    equal(problem.u.x.array, before)
+    problem.solve()
+    equal(problem.u.x.array, before, 1e-12)
+
+
+def test_order_is_the_users():
+    found = compare(linear(poisson(cube(2, 6))), ["mumps", "hypre", "feti"])
+    names = [solved.solver for solved in found.solved] + [name for name, _ in found.left_out]
+    agree(sorted(names) == ["feti", "hypre", "mumps"] and names[0] == "mumps", names)
+    agree(all(solved.converged for solved in found.solved), found)
+
+
+def test_without_a_direct_solver_there_is_no_difference():
+    record = compare(linear(poisson(cube(2, 4)), 3), ["feti"]).records[0]
+    agree(record["difference_to_direct"] is None and record["converged"])
+
+
+def test_next_newton_step():
+    """At a loaded state, whose pressure is condensed: the step that Newton's method takes."""
+    body = wall(tube(around=8, along=2), degree=1)
+    problem = body.problem(4, {"ksp_rtol": RTOL, "snes_rtol": 1e-10})
+    body.inflate(problem, [1.0])
+    u, p = body.u.x.array.copy(), body.p.x.array.copy()
+    body.load.value = loads.mmhg(1.2)
+    found = compare(problem, ["feti", "mumps", "gamg"])
+    all_agree(found, ("feti", "mumps", "gamg"))
+    equal(body.u.x.array, u)
+    equal(body.p.x.array, p)
+    A, b = problem.linear_system()
+    K, f = assembled_system(A, b)
+    small(f.norm() - problem.residual_norm(), 1e-12 * f.norm())
+    cost, x = measure(lambda: create_mumps(K), f)
+    agree(cost.converged_reason > 0 and x.norm() > 0.0)
+    for made in (K, f, b, x):
+        made.destroy()
+
+
+def test_solver_that_fails_has_a_note():
+    with inserted("gamg_", {"ksp_max_it": 1}):
+        found = compare(linear(elasticity(cube(3, 3))), ["gamg", "mumps"])
+    gamg, mumps = found.solved
+    agree(not gamg.converged and gamg.note == "failed: DIVERGED_MAX_IT", gamg)
+    agree(mumps.converged and np.isnan(gamg.relative_residual))
+    agree("DIVERGED_MAX_IT" in str(found) and found.records[0]["converged"] is False)
+
+
+def test_feti_that_fails_says_why():
+    body = elasticity(cube(3, 3), clamped=None)
+    found = compare(linear(body), ["feti"])
+    agree(not found.solved[0].converged and "singular" in found.solved[0].note, found)
+
+
+def test_error_of_petsc_becomes_a_note(monkeypatch):
+    def refuse(_K):
+        raise PETSc.Error(56)
+
+    monkeypatch.setattr(run, "create_mumps", refuse)
+    found = compare(linear(elasticity(cube(3, 3))), ["mumps", "feti"])
+    mumps, feti = found.solved
+    agree(mumps.cost is None and mumps.note.startswith("failed: ") and feti.converged, found)
+    agree("seconds_setup" not in found.records[0] and "mumps" in str(found))
+
+
+def test_solver_that_petsc_lacks_is_named(monkeypatch):
+    def lacks(name):
+        return "this PETSc was built without mumps" if name == "mumps" else ""
+
+    monkeypatch.setattr(run, "missing", lacks)
+    found = compare(linear(elasticity(cube(3, 3))), ["mumps", "gamg"])
+    agree([solved.solver for solved in found.solved] == ["gamg"])
+    agree("left out: mumps, this PETSc was built without mumps" in str(found))
+    agree(found.records[1]["note"] == "left out: this PETSc was built without mumps")
+
+
+def test_missing_asks_petsc(monkeypatch):
+    monkeypatch.setitem(solvers.PACKAGES, "hypre", "a package that is not there")
+    agree(run.missing("hypre") == "this PETSc was built without a package that is not there")
+    agree(run.missing("feti") == run.missing("gamg") == run.missing("bddc") == "")
+
+
+def test_unsymmetric_matrix():
+    """Convection: GMRES for FETI and GAMG, LU for MUMPS."""
+    body = poisson(cube(2, 6))
+    u, v = ufl.TrialFunction(body.V), ufl.TestFunction(body.V)
+    body = replace(body, a=body.a + 5.0 * u.dx(0) * v * ufl.dx)
+    names = ("feti", "mumps", "gamg", "bddc")
+    all_agree(compare(linear(body, 4), names), names)
+
+
+@pytest.mark.serial
+def test_picture():
+    pytest.importorskip("matplotlib")
+    with inserted("gamg_", {"ksp_max_it": 1}):
+        figure = compare(linear(elasticity(cube(3, 3))), ["feti", "mumps", "gamg"]).plot()
+        nothing = compare(linear(elasticity(cube(3, 3))), ["gamg"])
+    times, memory = figure.axes
+    labels = [tick.get_text() for tick in times.get_xticklabels()]
+    assert labels == ["feti", "mumps"] and len(times.patches) == 4 and len(memory.patches) == 2
+    with pytest.raises(ValueError, match="No solver converged"):
+        nothing.plot()
+
+
+@pytest.mark.parametrize(
+    ("names", "match"),
+    [
+        (["feti", "pardiso"], "solvers has 'pardiso': choose from feti, mumps, gamg, hypre, bddc"),
+        ([], "solvers is empty: choose from"),
+        ("mumps", r"solvers is 'mumps': put the names in a list, solvers=\['mumps'\]"),
+    ],
+)
+def test_wrong_solvers(names, match):
+    problem = linear(poisson(cube(2, 4)), 3)
+    with raises(ValueError, match):
+        compare(problem, names)
+
+
+@pytest.mark.skipif(COMM.size == 1, reason="one process agrees with itself")
+def test_solvers_that_differ():
+    problem = linear(poisson(cube(2, 4)), 3)
+    with raises(ValueError, "give the same on all"):
+        compare(problem, ["feti"] if COMM.rank == 0 else ["mumps"])
+
+
+def test_other_problem():
+    with raises(TypeError, "problem is a Problem: give a dolfinx_feti.LinearProblem"):
+        compare(poisson(cube(2, 4)))
+
+
+def test_no_load():
+    body = wall(tube(around=6, along=1), degree=1)
+    with raises(ValueError, "right-hand side of the problem is zero"):
+        compare(body.problem(3, {}))

@@ -1,0 +1,231 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What a problem tells of itself, and the advice that follows from it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bodies import two_wells
+from collective import COMM, agree, equal, small
+from problems import cube, elasticity, poisson
+from walls import tube, wall
+
+import dolfinx
+import ufl
+
+from dolfinx_feti import LinearProblem, NonlinearProblem
+from dolfinx_feti.diagnosis import advice
+from dolfinx_feti.diagnosis.figures import Spread
+
+PREFIX = "patient_"
+
+
+def linear(body, subdomains, **options):
+    return LinearProblem(
+        body.a,
+        body.L,
+        bcs=body.bcs,
+        subdomains=subdomains,
+        petsc_options_prefix=PREFIX,
+        petsc_options=options,
+    )
+
+
+def quantities(problem):
+    """Return what has passed a threshold; the sentences are in the text."""
+    found = problem.diagnose()
+    agree(all(str(a) in str(found) and a.text.endswith(".") for a in found.advice), found)
+    return {a.quantity for a in found.advice}
+
+
+# -- figures
+
+
+def test_figures_of_a_linear_problem(solve):
+    problem = solve(elasticity(cube(3, 4)), 6, {"feti_type": "all_floating"})
+    found = problem.diagnose()
+    figures, report = found.figures, found.figures.report
+    count = COMM.allreduce(problem.decomposition.count)
+    agree(report.subdomains == count and len(found.residuals) == count)
+    agree(report.dofs == 3 * 5**3 == sum(figures.multiplicities))
+    torn = sum(n * m for m, n in enumerate(figures.multiplicities, start=1))
+    agree(torn == report.torn_dofs)
+    small(figures.dofs_subdomain.mean - torn / count, 1e-9)
+    small(figures.dofs_process.mean - torn / COMM.size, 1e-9)
+    agree(
+        figures.dofs_subdomain.least <= figures.dofs_subdomain.mean <= figures.dofs_subdomain.most
+    )
+    agree(0.0 < figures.interface.least <= figures.interface.most <= 1.0)
+    agree(
+        figures.rigid == Spread(6.0, 6.0, 6.0) and figures.motions == "3 translations, 3 rotations"
+    )
+    agree(figures.jump >= 1.0 and figures.pressures_per_dof == 0.0)
+    agree(figures.pressure_stiffness == 1.0)
+    agree(found.method == "cg" and found.iterations > 3 and found.message == "")
+    small(found.relative_residual, 1e-8)
+    agree(found.seconds.setup > 0.0 and found.seconds.solve > 0.0)
+    agree(0.0 < found.seconds.factors < found.seconds.setup * 1.01, found.seconds)
+    record = found.records[0]
+    agree(json.loads(json.dumps(record, allow_nan=False)) == record)
+    agree(record["figures"]["report"]["subdomains"] == count)
+    agree(all(other == str(found) for other in COMM.allgather(str(found))))
+    for word in ("condition number", "3 rotations", "coarse problem", f"{report.dofs}, torn"):
+        agree(word in str(found), found)
+
+
+def test_residuals_are_those_of_the_state():
+    """They sum to ‖b − A u‖: all of the load before a solve, next to nothing after it."""
+    problem = linear(poisson(cube(2, 6)), 5, ksp_rtol=1e-10)
+    before = problem.diagnose().residuals
+    _, b = problem.linear_system()
+    small(np.linalg.norm(before) / b.norm() - 1.0, 1e-12)
+    b.destroy()
+    problem.solve()
+    after = problem.diagnose().residuals
+    agree(0.0 < np.linalg.norm(after) <= 1e-10 * np.linalg.norm(before), (before, after))
+
+
+def test_next_newton_step():
+    """Of a wall with a condensed pressure; the residual is that of Newton's method."""
+    body = wall(tube(around=8, along=2), degree=2)
+    problem = body.problem(4, {})
+    body.inflate(problem, [1.0])
+    body.load.value *= 1.5
+    u = body.u.x.array.copy()
+    found = problem.diagnose()
+    equal(body.u.x.array, u)
+    small(np.linalg.norm(found.residuals) / problem.residual_norm() - 1.0, 1e-9)
+    agree(found.figures.pressures_per_dof > 0.0 and found.figures.pressure_stiffness > 1.0)
+    agree("pressures" in str(found))
+
+
+def test_without_a_load():
+    """A random right-hand side takes its place, for the condition number."""
+    problem = wall(tube(around=8, along=1), degree=1).problem(4, {})
+    found = problem.diagnose()
+    agree(found.iterations >= 0 and found.message == "")
+    equal(found.residuals, np.zeros(len(found.residuals)))
+
+
+def test_solve_that_fails():
+    """Nothing was built; the message tells why."""
+    found = linear(elasticity(cube(3, 3), clamped=None), 4).diagnose()
+    agree(found.figures is None and found.advice == () and "singular" in found.message)
+    agree("singular" in str(found) and found.records[0]["figures"] is None)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("simplices", [True, False])
+def test_picture(dim, simplices):
+    """A polygon for each cell in the plane, for each facet of the boundary in space."""
+    pytest.importorskip("matplotlib")
+    kinds = dolfinx.mesh.CellType
+    bricks = kinds.quadrilateral if dim == 2 else kinds.hexahedron
+    mesh = cube(dim, 4, None if simplices else bricks)
+    found = linear(poisson(mesh), 3).diagnose()
+    polygons = {2: 16, 3: 6 * 16}[dim] * (2 if simplices else 1)
+    agree(found.surface.corners.shape == (polygons, 3 if simplices else 4, dim))
+    agree(found.surface.subdomain.max() < len(found.residuals))
+    figure = found.plot()
+    agree(figure.axes[0].collections and figure.axes[-1].get_ylabel() == "residual of a subdomain")
+
+
+# -- advice: a problem that gets it, and one that does not
+
+
+def test_few_dofs():
+    body = elasticity(cube(2, 30))
+    agree("mean dofs of a subdomain" in quantities(linear(body, 8 * COMM.size)))
+    agree("mean dofs of a subdomain" not in quantities(linear(body, COMM.size)))
+
+
+def test_many_dofs(monkeypatch):
+    body = elasticity(cube(2, 24))
+    agree("mean dofs of a subdomain" not in quantities(linear(body, COMM.size)))
+    monkeypatch.setattr(advice, "MANY_DOFS", 300)
+    said = [a.text for a in linear(body, COMM.size).diagnose().advice]
+    agree(said == ["Take more subdomains."], said)
+
+
+def test_many_iterations(monkeypatch):
+    """Without a preconditioner there are many."""
+    monkeypatch.setattr(advice, "FEW_DOFS", 0)
+    body = elasticity(cube(3, 4))
+    weak = {"feti_pc_type": "none", "feti_coarse_modes": 0, "feti_stagnation": 999}
+    monkeypatch.setattr(advice, "MANY_ITERATIONS", 40)
+    agree("iterations" in quantities(linear(body, 8 * COMM.size, ksp_rtol=1e-12, **weak)))
+    agree("iterations" not in quantities(linear(body, 2 * COMM.size)))
+
+
+def test_uneven_subdomains():
+    body = poisson(cube(2, 12))
+    cells = np.arange(body.cells)
+    last = np.maximum(cells - int(0.95 * body.cells), 0)  # the first part has nearly all cells
+    agree("largest subdomain over mean" in quantities(linear(body, last)))
+    agree("largest subdomain over mean" not in quantities(linear(body, 4 * COMM.size)))
+
+
+def test_idle_process():
+    """Dolfinx leaves no process idle: the figures say that one is."""
+    found = linear(poisson(cube(2, 8)), COMM.size).diagnose()
+    agree(not found.advice, found)
+    for least, idle in ((20.0, True), (60.0, False)):
+        figures = replace(found.figures, dofs_process=Spread(least, 100.0, 180.0))
+        said = advice.advise(figures, iterations=10, prefix=PREFIX)
+        agree(
+            (["dofs of the idlest process over mean"] if idle else []) == [a.quantity for a in said]
+        )
+        agree(not idle or (said[0].value == 0.2 and said[0].threshold == 0.5))
+
+
+def test_equal_weights_at_a_jump():
+    """Stiff and soft halves, glued with the weights of equals."""
+    mesh = cube(2, 8)
+    body = poisson(mesh)
+    x = ufl.SpatialCoordinate(mesh)
+    stiff = replace(
+        body, a=ufl.conditional(x[1] > 0.5, 1e5, 1.0) * body.a.integrals()[0].integrand() * ufl.dx
+    )
+    halves = (
+        dolfinx.mesh.compute_midpoints(mesh, 2, np.arange(body.cells, dtype=np.int32))[:, 1] > 0.5
+    )
+    quantity, equals = "jump of the stiffness between subdomains", {"feti_scaling": "multiplicity"}
+    agree(quantity in quantities(linear(stiff, halves.astype(np.int32), **equals)))
+    agree(quantity not in quantities(linear(stiff, halves.astype(np.int32))))
+    agree(quantity not in quantities(linear(body, halves.astype(np.int32), **equals)))
+
+
+def test_no_soft_modes():
+    """In a layered body the paper's coarse space is too small for the weights of equals."""
+    mesh = cube(2, 8)
+    body = poisson(mesh)
+    x = ufl.SpatialCoordinate(mesh)
+    layers = ufl.conditional(ufl.sin(8 * np.pi * x[1]) > 0.0, 1e5, 1.0)
+    hard = replace(body, a=layers * body.a.integrals()[0].integrand() * ufl.dx)
+    weak = {"feti_coarse_modes": 0, "feti_scaling": "multiplicity", "feti_formulation": "dual"}
+    agree("condition number" in quantities(linear(hard, 6 * COMM.size, **weak)))
+    agree("condition number" not in quantities(linear(hard, 6 * COMM.size)))
+    agree("condition number" not in quantities(linear(body, 6 * COMM.size, feti_coarse_modes=0)))
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_locking(degree):
+    """A P1 wall has more pressures than dofs, a P2 wall has not."""
+    body = wall(tube(around=8, along=2), degree=degree, kappa=1e4)
+    body.load.value = 0.1
+    locks = "stiffness with the pressure over that without" in quantities(body.problem(2, {}))
+    agree(locks == (degree == 1))
+
+
+def test_indefinite_tangent():
+    """On the ridge between two valleys, and in one of them."""
+    u, energy, bcs = two_wells()
+    problem = NonlinearProblem(energy, u, bcs=bcs, subdomains=4)
+    agree("negative eigenvalues, at least" in quantities(problem))
+    problem.solve()
+    agree("negative eigenvalues, at least" not in quantities(problem))
