@@ -97,20 +97,15 @@ class Boundary:
         for value, place in self.planes:
             value.value = (stretch - 1.0) * (place - least)
 
-    def advance(self, u: dolfinx.fem.Function, time_step: float) -> None:
-        """Begin a time step of the dashpots: the present displacement becomes the last one.
+    def advance(self, u: dolfinx.fem.Function) -> None:
+        """End a time step of the dashpots: the present displacement becomes the last one.
+
+        Set ``time_step.value`` before each solve, and call this after it.
 
         Args:
             u: The displacement.
-            time_step: Δt of the step that begins [s].
-
-        Raises:
-            ValueError: Δt is not positive.
         """
-        if not time_step > 0.0:
-            raise ValueError(f"time_step={time_step}: give a positive number of seconds.")
         self.last.x.array[:] = u.x.array
-        self.time_step.value = time_step
 
 
 def apply_conditions(
