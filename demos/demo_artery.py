@@ -30,6 +30,7 @@
 
 # +
 import json
+import logging
 import sys
 import time
 
@@ -45,6 +46,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pictures
+from estimate import estimated_seconds
 from first_step import FirstStep
 from render import gather_cells
 from wall_file import default_case, read_case
@@ -54,7 +56,9 @@ import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, loads, materials
 from dolfinx_feti.collective import on_first
-from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
+from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load, write_history
+from dolfinx_feti.loading.progress import duration
+from dolfinx_feti.loading.steps import load_step
 from dolfinx_feti.output import (
     FieldWriter,
     cell_values,
@@ -68,6 +72,8 @@ from meshes.walls import create_wall
 
 comm = MPI.COMM_WORLD
 started = time.perf_counter()
+logging.basicConfig(format="%(message)s", stream=sys.stdout)
+logging.getLogger("dolfinx_feti").setLevel(logging.INFO)  # a line for each load step
 
 
 def say(text: str) -> None:
@@ -211,6 +217,9 @@ parts = problem.decomposition
 subdomains = comm.allreduce(parts.count)
 dofs = V.dofmap.index_map.size_global * V.dofmap.index_map_bs
 say(f"{dofs} dofs, {subdomains} subdomains, {comm.size} process(es)")
+way = 1.0 if not args.restart else max(case.pressure - load, 0.0) / case.pressure
+guess = estimated_seconds(dofs, way * args.steps, comm.size)
+say(f"This takes about {duration(guess)}, roughly: a third of that, or three times as long")
 # -
 
 # ## What is written
@@ -218,7 +227,7 @@ say(f"{dofs} dofs, {subdomains} subdomains, {comm.size} process(es)")
 # The Cauchy stress of the energy above is $\sigma = J^{-1}\,\partial_F(\bar\Psi + p J)\,F^\top$;
 # its magnitude is $\sigma_\mathrm{mag} = \sqrt{\sigma:\sigma}$. It jumps from cell to cell, as
 # p does, and is written so. The pictures show the magnitude of the recovered stress, which is
-# continuous in each layer (`docs/stresses.md`).
+# continuous in each layer (`docs/stresses.md`). What each Newton step cost goes to `history.csv`.
 
 # +
 stress = kinematics.cauchy_stress(psi, F)
@@ -233,15 +242,12 @@ writer.write(0.0)
 
 
 def report(step: LoadStep) -> None:
-    """Write the fields and say what a load step cost; dashpots begin a new time step."""
+    """Write the fields and the history; dashpots begin a new time step."""
     boundary.advance(u)
     reached.append(step.load)
+    history.append(step)
     writer.write(step.load)
-    linear = [s.linear_iterations for s in step.history]
-    say(
-        f"{step.load:8.4g} mmHg  {len(linear)} Newton steps with {linear} FETI iterations, "
-        f"{step.seconds:.1f} s" + f", after {step.failures} failure(s)" * (step.failures > 0)
-    )
+    on_first(lambda: write_history(folder / "history.csv", history), comm)
 
 
 # -
@@ -252,7 +258,8 @@ def report(step: LoadStep) -> None:
 # last equilibrium, a prediction along the path; the pressure's increment grows after quick steps,
 # and is halved where Newton's method fails. On the way equilibrium is met to 1e-3 of the residual
 # that the new load leaves, at the wanted pressure to the solver's tolerance. Dashpots see the
-# pressure grow at the rate that the file gives.
+# pressure grow at the rate that the file gives. Each load step leaves a line in the log, and on a
+# terminal a bar shows the time left.
 
 
 # +
@@ -263,9 +270,10 @@ def set_load(mmhg: float) -> None:
         boundary.time_step.value = abs(mmhg - reached[-1]) / case.rate
 
 
-reached = [0.0]
+reached, history = [0.0], []
 if args.restart:
     reached.append(load)
+    history += [load_step(step) for step in checkpoint.record["steps"]]
     boundary.advance(u)
 first = case.pressure / args.steps
 steps = follow_load(

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import runpy
@@ -164,6 +165,10 @@ def check_tube(folder: Path, processes: int) -> None:
     small(summary["max_displacement_mm"] / TUBE_DISPLACEMENT - 1.0, 1e-6)
     check_pictures(folder)
     agree(any(folder.glob("wall.[bx]*")))
+    rows = on_first(lambda: list(csv.DictReader((folder / "history.csv").read_text().splitlines())))
+    agree(len(rows) == summary["newton_iterations"], len(rows))
+    agree(sum(int(row["linear_iterations"]) for row in rows) == summary["linear_iterations"])
+    agree(float(rows[-1]["load"]) == 2.0 and int(rows[-1]["accepted"]) == 1, rows[-1])
 
 
 def test_artery(run, tmp_path):
@@ -177,6 +182,11 @@ def test_artery_from_the_command_line(tmp_path):
     status, said = run_alone("demos/demo_artery.py", *TUBE, "--output", str(tmp_path), "-log_view")
     agree(status == 0, said)
     agree("FETISolve" in said and "The first Newton step" in said, said)
+    agree(re.search(r"This takes about \d+ s, roughly", said), said)
+    agree(
+        re.search(r"load step 2: \d.* of 2 mmHg, .* linear iterations, residual .* left", said),
+        said,
+    )
     check_tube(tmp_path, 1)
 
 
