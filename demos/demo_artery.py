@@ -46,10 +46,11 @@ from petsc4py import PETSc
 
 import numpy as np
 import pictures
+from case import default_case
 from estimate import estimated_seconds
 from first_step import FirstStep
 from render import gather_cells
-from wall_file import default_case, read_case
+from wall_file import read_case
 
 import dolfinx
 import ufl
@@ -93,9 +94,8 @@ with arguments.input_errors(comm):
     folder = writable_folder(args.output, comm)
     checkpoint, restarted = None, ""
     if args.checkpoint:
-        parameters = {"c [kPa]": args.c, "κ [kPa]": args.kappa}
-        if case is not None:
-            parameters = {"wall": case.description, "κ [kPa]": args.kappa}
+        physics = {"c [kPa]": args.c} if case is None else {"wall": case.description}
+        parameters = physics | {"κ [kPa]": args.kappa}
         checkpoint = Checkpoint(args.checkpoint, comm, parameters=parameters, restart=args.restart)
 if args.restart:
     load = checkpoint.record["loads"][-1]
@@ -212,6 +212,8 @@ with arguments.input_errors(comm):
     )
     if args.restart:
         checkpoint.read([u, p])  # of this problem
+        if case.axis is not None:
+            boundary.set_stretch(case.stretch)
 first_step = FirstStep(problem)
 parts = problem.decomposition
 subdomains = comm.allreduce(parts.count)
@@ -219,7 +221,8 @@ dofs = V.dofmap.index_map.size_global * V.dofmap.index_map_bs
 say(f"{dofs} dofs, {subdomains} subdomains, {comm.size} process(es)")
 way = 1.0 if not args.restart else max(case.pressure - load, 0.0) / case.pressure
 guess = estimated_seconds(dofs, way * args.steps, comm.size)
-say(f"This takes about {duration(guess)}, roughly: a third of that, or three times as long")
+about = f"about {duration(guess)}, roughly" if guess >= 30.0 else "less than two minutes"
+say(f"This takes {about}; a line for each load step says more")
 # -
 
 # ## What is written
@@ -258,7 +261,8 @@ def report(step: LoadStep) -> None:
 # last equilibrium, a prediction along the path; the pressure's increment grows after quick steps,
 # and is halved where Newton's method fails. On the way equilibrium is met to 1e-3 of the residual
 # that the new load leaves, at the wanted pressure to the solver's tolerance. Dashpots see the
-# pressure grow at the rate that the file gives. Each load step leaves a line in the log, and on a
+# pressure grow at the rate that the file gives. A prestretch comes first: the ends that are clamped
+# or slide are pulled apart, without pressure. Each load step leaves a line in the log, and on a
 # terminal a bar shows the time left.
 
 
@@ -270,6 +274,11 @@ def set_load(mmhg: float) -> None:
         boundary.time_step.value = abs(mmhg - reached[-1]) / case.rate
 
 
+if case.axis is not None and not args.restart:
+    pull = Steps(first=abs(case.stretch - 1.0) / 4, least=1e-4, rtol=1e-3)
+    λ = {"state": [u, p], "start": 1.0, "unit": "times the length"}
+    follow_load(problem, boundary.set_stretch, [case.stretch], pull, **λ)
+    boundary.advance(u)
 reached, history = [0.0], []
 if args.restart:
     reached.append(load)

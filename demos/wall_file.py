@@ -9,24 +9,24 @@ stands first in :data:`UNITS`; a text such as "13 kPa" may have another one of t
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
 from mpi4py import MPI
 
-from dolfinx_feti import loads, materials
+from case import Case, Tissue, meant
+
+from dolfinx_feti import loads
 from dolfinx_feti.collective import on_first
-from dolfinx_feti.wall import Clamp, Dashpot, Pressure, Slide, Spring, Wall, free_motions, openings
+from dolfinx_feti.wall import Clamp, Dashpot, Pressure, Slide, Spring
 from dolfinx_feti.wall.conditions import Condition
-from dolfinx_feti.wall.fibres import ANGLES
 from meshes.walls import CREATE
 
-__all__ = ["UNITS", "Case", "Tissue", "default_case", "read_case"]
+__all__ = ["UNITS", "read_case"]
 
 MMHG = 1.0 / loads.mmhg(1.0)  # of a kPa
 
@@ -42,127 +42,6 @@ UNITS = {
 }
 
 HOLD = {"clamp": Clamp(), "slide": Slide()}
-
-
-@dataclass(frozen=True, slots=True)
-class Tissue:
-    """The material of a layer.
-
-    Attributes:
-        c: Stiffness of the matrix material [kPa].
-        k1: Stiffness of the fibres [kPa]; 0 for none.
-        k2: Exponent of the fibres [-].
-        angle: Of the fibres from the circumferential direction [degrees].
-    """
-
-    c: float
-    k1: float = 0.0
-    k2: float = 1.0
-    angle: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Case:
-    """What the demo computes.
-
-    Attributes:
-        mesh: `vessel`, `tube`, or the path of a file.
-        scale: Millimetres in the file's unit of length.
-        layers: Their materials.
-        conditions: Those on the surfaces.
-        pressure: Where to arrive [mmHg].
-        rate: By how much the pressure grows [mmHg/s]; None without dashpots.
-        axis: Axis of the prestretch; None for none.
-        stretch: The prestretch [-].
-        fibres: Arguments of :func:`~dolfinx_feti.wall.fibres.fibre_frame`.
-        source: The file, for messages.
-    """
-
-    mesh: str | Path
-    layers: dict[str, Tissue]
-    conditions: dict[str, tuple[Condition, ...]]
-    pressure: float
-    scale: float = 1.0
-    rate: float | None = None
-    axis: str | None = None
-    stretch: float = 1.0
-    fibres: dict[str, Any] = field(default_factory=dict)
-    source: str = ""
-
-    @property
-    def description(self) -> str:
-        """What makes the problem besides the mesh, for checkpoints: materials and conditions."""
-        return repr((self.layers, self.conditions, self.rate, self.axis, self.stretch, self.fibres))
-
-    @property
-    def has_fibres(self) -> bool:
-        """Whether a layer has fibres."""
-        return any(tissue.k1 > 0.0 for tissue in self.layers.values())
-
-    def check(self, wall: Wall) -> None:
-        """Hold names and supports against the wall.
-
-        Raises:
-            ValueError: A name is wrong, a layer is missing, or nothing holds the wall.
-
-        Note:
-            Collective.
-        """
-        for table, given, there in (
-            ("layers", self.layers, wall.layers),
-            ("surfaces", self.conditions, wall.surfaces),
-        ):
-            for name in given:
-                if name not in there:
-                    raise ValueError(
-                        f"{self.source}[{table}.{name}]: the wall has no {table[:-1]} {name!r}; "
-                        f"it has {', '.join(there) or 'none'}{_meant(name, there)}"
-                    )
-        for name in wall.layers:
-            if name not in self.layers:
-                raise ValueError(
-                    f"{self.source}[layers.{name}] is missing: the wall has the layer {name!r}; "
-                    "give its material"
-                )
-        free = free_motions(wall, self.conditions)
-        if free:
-            raise ValueError(
-                f"{self.source}[surfaces]: nothing holds {free} of the wall's six rigid body "
-                'motions; clamp a surface (hold = "clamp") or give it springs with direction = '
-                '"all"'
-            )
-
-
-def default_case(wall: Wall, mesh: str | Path, *, c: float, pressure: float) -> Case:
-    """Return the demo's own case: two layers of an artery, clamped openings.
-
-    Args:
-        wall: The wall.
-        mesh: `vessel`, `tube`, or the path of a file.
-        c: Stiffness of the matrix material [kPa].
-        pressure: Where to arrive [mmHg].
-
-    Raises:
-        ValueError: The wall has other layers, or no lumen.
-    """
-    known = materials.ArteryParameters(c=c)
-    unknown = [name for name in wall.layers if name not in ANGLES]
-    if unknown:
-        raise ValueError(
-            f"The wall has the layer {unknown[0]!r}, whose material is not known: the demo knows "
-            f"{' and '.join(ANGLES)}; give the materials in a file, --wall FILE.toml"
-        )
-    if "lumen" not in wall.surfaces:
-        raise ValueError(
-            f"The wall has no surface 'lumen' for the pressure; it has {', '.join(wall.surfaces)}: "
-            "name the surface under pressure in a file, --wall FILE.toml"
-        )
-    return Case(
-        mesh=mesh,
-        layers={n: Tissue(known.c, known.k1, known.k2, ANGLES[n]) for n in wall.layers},
-        conditions={"lumen": (Pressure(),)} | {name: (Clamp(),) for name in openings(wall)},
-        pressure=pressure,
-    )
 
 
 def read_case(path: Path, comm: MPI.Comm) -> Case:
@@ -226,7 +105,7 @@ def _read(path: Path) -> Case:
         pressure=most,
         rate=loading.number("rate", "rate") if dashpots else None,
         axis=prestretch.choice("axis", "xyz") if prestretch.words else None,
-        stretch=prestretch.number("stretch") if prestretch.words else 1.0,
+        stretch=_stretch(prestretch) if prestretch.words else 1.0,
         fibres={
             **{key: fibres.text(key) for key in ("inner", "outer", "inlet") if key in fibres.words},
             **({"ends": fibres.texts("ends")} if "ends" in fibres.words else {}),
@@ -273,6 +152,14 @@ def _tissue(table: _Table) -> Tissue:
     )
 
 
+def _stretch(table: _Table) -> float:
+    """Read a prestretch."""
+    stretch = table.number("stretch")
+    if abs(stretch - 1.0) < 1e-3:
+        table.fail("stretch", "this is no prestretch: leave the table out")
+    return stretch
+
+
 def _has_dashpot(conditions: Iterable[Condition]) -> bool:
     return any(isinstance(condition, Dashpot) for condition in conditions)
 
@@ -296,7 +183,7 @@ class _Table:
         for key in self.words:
             if key not in keys:
                 self.fail(
-                    key, f"there is no such key; there are {', '.join(keys)}" + _meant(key, keys)
+                    key, f"there is no such key; there are {', '.join(keys)}" + meant(key, keys)
                 )
 
     def names(self, key: str) -> list[str]:
@@ -365,9 +252,3 @@ def _float(text: str) -> float:
         return float(text)
     except ValueError:
         return math.nan
-
-
-def _meant(word: str, known: Iterable[str]) -> str:
-    """Ask whether a similar word was meant."""
-    close = difflib.get_close_matches(word, list(known), n=1)
-    return f" (did you mean {close[0]!r}?)" if close else ""

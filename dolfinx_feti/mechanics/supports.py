@@ -8,7 +8,7 @@ displacement u or its part along the normal N of the reference surface, w = (u·
 Δt from the last displacement u⁰ to u, by the implicit Euler method, ẇ = (w − w⁰)/Δt, and both
 tractions have a potential::
 
-    Π_spring  = ∫ k/2 |w|² dA,        Π_dashpot = ∫ η/(2 Δt) |w − w⁰|² dA.
+    Π_spring  = ∫ k/2 w·w dA,        Π_dashpot = ∫ η/(2 Δt) (w − w⁰)·(w − w⁰) dA.
 
 They are to be **added** to the internal energy: residual and tangent follow by ``ufl.derivative``,
 and the tangent is symmetric and not negative. Source: P. Moireau et al., *External tissue support
@@ -34,7 +34,7 @@ Direction = Literal["normal", "all"]
 def spring_energy(
     stiffness: float | Expr, u: Expr, ds: ufl.Measure, direction: Direction = "normal"
 ) -> ufl.Form:
-    """Energy of springs between a surface and a place at rest, ∫ k/2 |w|² dA.
+    """Energy of springs between a surface and a place at rest, ∫ k/2 w·w dA.
 
     Args:
         stiffness: k per reference area [kPa/mm], not negative.
@@ -62,7 +62,7 @@ def dashpot_energy(
     ds: ufl.Measure,
     direction: Direction = "normal",
 ) -> ufl.Form:
-    """Incremental potential of dashpots, ∫ η/(2 Δt) |w − w⁰|² dA.
+    """Incremental potential of dashpots, ∫ η/(2 Δt) (w − w⁰)·(w − w⁰) dA.
 
     Args:
         viscosity: η per reference area [kPa s/mm], not negative.
@@ -87,7 +87,7 @@ def dashpot_energy(
 
 
 def _square(u: Expr, direction: Direction) -> Expr:
-    """|w|² of the resisted part w of a displacement."""
+    """w·w of the resisted part w of a displacement."""
     if direction not in get_args(Direction):
         raise ValueError(f"direction = {direction!r}: choose 'normal' or 'all'.")
     if direction == "all":

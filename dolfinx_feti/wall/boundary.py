@@ -238,8 +238,8 @@ def _support(
             k = _constant(u.function_space.mesh, stiffness)
             return spring_energy(k, u, ds, direction)
         case Dashpot(viscosity, direction):
-            η = _constant(u.function_space.mesh, viscosity)
-            return dashpot_energy(η, u, last, dt, ds, direction)
+            factor = _constant(u.function_space.mesh, viscosity)
+            return dashpot_energy(factor, u, last, dt, ds, direction)
     return ufl.Form([])
 
 

@@ -6,18 +6,16 @@
 from __future__ import annotations
 
 import csv
-import json
 import re
 import runpy
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from collective import COMM, agree, raises, small
+from demo_runs import DEMOS, EXAMPLE, read_summary, refused
 from wall_files import ROOT, on_first
 
 from dolfinx_feti.wall.wallfile import NUMBERS, read_raw_wall
@@ -26,8 +24,6 @@ from meshes.wall_mesh import WallMesh, write_msh
 pytest.importorskip("gmsh")
 pytest.importorskip("matplotlib")
 
-DEMOS = ROOT / "demos"
-EXAMPLE = ROOT / "meshes/example.msh"
 PICTURES = ("wall.png", "fibres.png", "convergence.png")
 #: A wall as small as can be, with both layers.
 TUBE = "--geometry tube --size 1 --pressure 2 --steps 3 --subdomains 4".split()
@@ -48,27 +44,6 @@ def run_alone(*command: str) -> tuple[int, str]:
         text=True,
     )
     return result.returncode, result.stdout
-
-
-@pytest.fixture
-def run(monkeypatch) -> Iterator[Callable[..., dict[str, Any]]]:
-    """Run a demo as a script on the processes of this test; return its variables."""
-    known = set(sys.modules)
-    monkeypatch.syspath_prepend(str(DEMOS))
-
-    def script(name: str, *arguments: object) -> dict[str, Any]:
-        path = str(DEMOS / name)
-        monkeypatch.setattr(sys, "argv", [path, *map(str, arguments)])
-        return runpy.run_path(path, run_name="__main__")
-
-    yield script
-    for name in set(sys.modules) - known:
-        if DEMOS in Path(getattr(sys.modules[name], "__file__", None) or "/").parents:
-            del sys.modules[name]
-
-
-def read_summary(folder: Path) -> dict[str, Any]:
-    return on_first(lambda: json.loads((folder / "summary.json").read_text()))
 
 
 def check_pictures(folder: Path) -> None:
@@ -182,7 +157,7 @@ def test_artery_from_the_command_line(tmp_path):
     status, said = run_alone("demos/demo_artery.py", *TUBE, "--output", str(tmp_path), "-log_view")
     agree(status == 0, said)
     agree("FETISolve" in said and "The first Newton step" in said, said)
-    agree(re.search(r"This takes about \d+ s, roughly", said), said)
+    agree("This takes less than two minutes" in said, said)
     agree(
         re.search(r"load step 2: \d.* of 2 mmHg, .* linear iterations, residual .* left", said),
         said,
@@ -208,21 +183,6 @@ def test_wall_of_ones_own_and_options_of_the_solver(run, tmp_path):
     summary = read_summary(tmp_path)
     agree(summary["geometry"] == str(EXAMPLE) and summary["cells"] == 336)
     agree(summary["pressure_mmhg"] == 0.5 and summary["max_linear_residual"] <= 1e-8)
-
-
-def test_case_in_a_file(run, tmp_path):
-    """The example: springs and dashpots, which hold the wall back, and an end that slides."""
-    few = "--size 1 --degree 1 --steps 2 --subdomains 4".split()
-    demo = run("demo_artery.py", "--wall", DEMOS / "wall.toml", *few, "--output", tmp_path)
-    summary = read_summary(tmp_path)
-    agree(summary["pressure_mmhg"] == 10.0 and summary["max_linear_residual"] <= 1e-8)
-    agree(summary["c_kpa"] == {"media": 3.0, "adventitia": 0.3})
-    boundary = demo["boundary"]
-    small(
-        float(boundary.time_step.value) - (summary["load_steps"][-1] - demo["reached"][-2]) / 100,
-        1e-12,
-    )
-    agree(boundary.last.x.array.any() and boundary.energy is not None)
 
 
 def test_picture_that_cannot_be_written_ends_all_processes(run, tmp_path):
@@ -256,23 +216,6 @@ def test_artery_goes_on_from_a_checkpoint(run, tmp_path, capsys):
 
 
 # -- what they refuse
-
-
-def refused(run, capsys, match: str, *arguments: object) -> None:
-    """The demo ends on all processes with status 2, and one line on the first."""
-    capsys.readouterr()
-    status = None
-    try:
-        run("demo_artery.py", *arguments)
-    except SystemExit as end:
-        status = end.code
-    agree(status == 2, status)
-    said = capsys.readouterr().err.splitlines()
-    if COMM.rank == 0:
-        ok = len(said) == 1 and re.search(f"^demo_artery.py: error: .*{match}", said[0])
-    else:
-        ok = not said
-    agree(ok, said)
 
 
 def wrong_command_line(run, capsys, *arguments: str) -> str:
