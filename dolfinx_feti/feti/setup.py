@@ -13,7 +13,7 @@ what depends on the values is found anew for each matrix, as frozen :class:`Fact
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from mpi4py import MPI
@@ -37,7 +37,7 @@ from dolfinx_feti.feti.subdomain.matrices import create_matrices
 from dolfinx_feti.feti.subdomain.pseudoinverse import Modes, PseudoInverse
 from dolfinx_feti.torn import Torn
 
-__all__ = ["Factored", "Pattern", "factor"]
+__all__ = ["Factored", "Pattern", "factor", "factor_interior"]
 
 T = TypeVar("T")
 Array = npt.NDArray[np.float64]
@@ -168,6 +168,33 @@ def factor(pattern: Pattern) -> Factored:
         modes = _on_all(lambda: pattern.inverse.update(near_kernel), torn.comm)
         _on_all(lambda: pattern.preconditioner.update(modes.props), torn.comm)
     return Factored(near_kernel, modes, _inertia(pattern, modes))
+
+
+def factor_interior(pattern: Pattern, earlier: Factored) -> Factored:
+    """Take the present matrix, but leave weights, K_ρ and modes as those of an earlier one.
+
+    Args:
+        pattern: What depends on the pattern; of its numbers, S and K_II are those of the present
+            matrix then.
+        earlier: What the factors of the earlier matrix tell.
+
+    Raises:
+        SetUpError: A factorisation failed.
+
+    Note:
+        Collective.
+    """
+    torn = pattern.torn
+    require_finite(torn)
+    with event("FETIFactor"):
+        _on_all(lambda: pattern.matrices.update(keep_factors=True), torn.comm)
+        near_kernel = torn.near_kernel()
+        require_regular_interior(torn, pattern.bodies, near_kernel, pattern.matrices)
+        _on_all(lambda: pattern.preconditioner.update(earlier.modes.props), torn.comm)
+    interior = _total(torn.comm, _negative_interior(pattern))
+    return Factored(
+        near_kernel, earlier.modes, replace(earlier.inertia, interior=interior, assembled=None)
+    )
 
 
 def _on_all(work: Callable[[], T], comm: MPI.Comm) -> T:

@@ -112,6 +112,7 @@ class Newton:
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
         """Iterate from the state of the user's functions until the residual is small."""
         self.history, self.message = [], ""
+        snes.getKSP().getPythonContext().renew()  # a solve depends on none before it
         try:
             reason = self._iterate(snes, self._start)
         except _Stop as stop:

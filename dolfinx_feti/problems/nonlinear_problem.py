@@ -162,6 +162,7 @@ class NonlinearProblem:
             owned.setOptionsPrefix(f"{self._prefix}{name}_")
         feti = FETI()
         feti.refuse_indefinite = self._system.has_potential
+        feti.lasting = True
         self.solver = create_newton_solver(
             self._newton, feti, self.A, self._prefix, self._petsc_options
         )

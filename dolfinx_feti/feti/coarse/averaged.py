@@ -69,6 +69,7 @@ class AveragedSpace:
         size: Number of columns of this process.
         total: Number of columns over all processes.
         dropped: Number of dependent combinations among them, over all processes.
+        columns: For each subdomain :math:`U_i`, (n_i, k_i).
         AV: For each subdomain :math:`Y_i`, and the numbers of its columns.
         A_0: The Galerkin matrix of the independent combinations.
         solver: Its factors.
@@ -95,11 +96,11 @@ class AveragedSpace:
         """
         comm = copies.comm
         self._copies = copies
-        self._U = [np.asfortranarray(U_i) for U_i in U]
+        self.columns = [np.asfortranarray(U_i) for U_i in U]
         self._own = consecutive([U_i.shape[1] for U_i in U])
         self.size = sum(U_i.shape[1] for U_i in U)
         self.total = comm.allreduce(self.size)
-        fields = averaged_fields(copies, self._U)
+        fields = averaged_fields(copies, self.columns)
         self.AV = [_Field(multiply(i, W.values), W.numbers) for i, W in enumerate(fields)]
         energies = [W.values.T @ Y.values for W, Y in zip(fields, self.AV, strict=True)]
         numbers = [W.numbers for W in fields]
@@ -121,7 +122,7 @@ class AveragedSpace:
     def start(self, r: Array) -> Array:
         """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective."""
         t = self._copies.delta * r
-        blocks = zip(self._U, self._copies.blocks, strict=True)
+        blocks = zip(self.columns, self._copies.blocks, strict=True)
         return self.prolong(self.solve(_joined([U.T @ t[rows] for U, rows in blocks])))
 
     def project(self, z: Array) -> Array:
@@ -149,7 +150,7 @@ class AveragedSpace:
     def prolong(self, y: Array) -> Array:
         """Return the copies of V y, (size,) → (n,). Collective."""
         t = np.empty(self._copies.n)
-        for U, rows, own in zip(self._U, self._copies.blocks, self._own, strict=True):
+        for U, rows, own in zip(self.columns, self._copies.blocks, self._own, strict=True):
             t[rows] = U @ y[own]
         return self._copies.average(t)
 
@@ -197,7 +198,8 @@ class AveragedSpace:
     def memory(self) -> float:
         """Return the memory of the dense blocks of this process in MiB."""
         return (
-            sum(U.nbytes + Y.values.nbytes for U, Y in zip(self._U, self.AV, strict=True)) / 2**20
+            sum(U.nbytes + Y.values.nbytes for U, Y in zip(self.columns, self.AV, strict=True))
+            / 2**20
         )
 
     def destroy(self) -> None:

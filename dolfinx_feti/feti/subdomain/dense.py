@@ -57,9 +57,21 @@ class DenseFactors:
         self.rows = list(rows)
         self._blocks = [_Block(np.zeros((0, 0), order="F")) for _ in self.rows]
 
-    def set_block(self, i: int, S: Array) -> None:
-        """Take over the block S, (n_i, n_i), of which the lower triangle is read."""
-        self._blocks[i] = _Block(np.asfortranarray(S))
+    def set_block(self, i: int, S: Array, *, keep_factor: bool = False) -> None:
+        """Take over a block; its factor is gone, unless that of the last one is to serve on.
+
+        Args:
+            i: Number of the block.
+            S: The block, (n_i, n_i), of which the lower triangle is read.
+            keep_factor: Whether :meth:`solve` goes on with the factor of the last block.
+
+        Raises:
+            FactorError: NaN or Inf in the block. Not collective: the caller reduces.
+        """
+        if keep_factor:
+            self._blocks[i].replace(S)
+        else:
+            self._blocks[i] = _Block(np.asfortranarray(S))
 
     def update_block(
         self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: Array | None = None
@@ -126,12 +138,21 @@ class _Block:
         self._rho = 1.0
         self._shift: Array | None = None
 
+    def replace(self, S: Array) -> None:
+        """Take another S beside the factor that is there."""
+        np.copyto(self.S, S, where=np.tri(len(S), k=-1, dtype=bool))
+        self.diagonal = S.diagonal().copy()
+        self._require_finite()
+
+    def _require_finite(self) -> None:
+        if not np.isfinite(self.diagonal).all():
+            raise FactorError("a Schur complement has entries that are NaN or Inf")
+
     def factor(self, R: Array, rho: float, shift: Array | None) -> None:
         self._R, self._rho, self._shift = R, rho, shift
         if len(self.S) == 0:
             return
-        if not np.isfinite(self.diagonal).all():
-            raise FactorError("a Schur complement has entries that are NaN or Inf")
+        self._require_finite()
         self.pivots, self._interchanges, self._inverted = Pivots(0, 0), None, False
         X, failed = lapack.dpotrf(self._regularised(), lower=0, overwrite_a=1, clean=0)  # Uᵀ U
         d = X.diagonal() ** 2
