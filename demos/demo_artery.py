@@ -36,7 +36,7 @@ import time
 
 import petsc4py
 
-import arguments
+from artery import arguments
 
 args, petsc_options, rest = arguments.parse(sys.argv[1:])
 petsc4py.init([sys.argv[0], *rest])
@@ -46,11 +46,11 @@ from petsc4py import PETSc
 
 import numpy as np
 import pictures
-from case import default_case
-from estimate import estimated_seconds
+from artery.case import default_case
+from artery.estimate import estimated_seconds
+from artery.wall_file import read_case
 from first_step import FirstStep
 from render import gather_cells
-from wall_file import read_case
 
 import dolfinx
 import ufl
@@ -275,9 +275,15 @@ def set_load(mmhg: float) -> None:
 
 
 if case.axis is not None and not args.restart:
-    pull = Steps(first=abs(case.stretch - 1.0) / 4, least=1e-4, rtol=1e-3)
-    λ = {"state": [u, p], "start": 1.0, "unit": "times the length"}
-    follow_load(problem, boundary.set_stretch, [case.stretch], pull, **λ)
+    follow_load(
+        problem,
+        boundary.set_stretch,
+        [case.stretch],
+        Steps(first=abs(case.stretch - 1.0) / 4, least=1e-4, rtol=1e-3),
+        state=[u, p],
+        start=1.0,
+        unit="times the length",
+    )
     boundary.advance(u)
 reached, history = [0.0], []
 if args.restart:

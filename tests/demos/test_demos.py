@@ -222,8 +222,9 @@ def wrong_command_line(run, capsys, *arguments: str) -> str:
     """Return what is said about a command line that is refused on all processes."""
     with pytest.raises(SystemExit) as caught:
         run("demo_artery.py", *arguments)
-    agree(caught.value.code == 2)
-    return capsys.readouterr().err
+    said = capsys.readouterr().err
+    agree(caught.value.code == 2 and said.count("\n") == 1, said)
+    return said
 
 
 @pytest.mark.serial
@@ -317,7 +318,7 @@ def test_wrong_options_of_the_solver(run, tmp_path, capsys, options, match):
 )
 def test_options_with_one_dash_are_petscs(monkeypatch, line, solver, rest):
     monkeypatch.syspath_prepend(str(DEMOS))
-    parse = runpy.run_path(str(DEMOS / "arguments.py"))["parse"]
+    parse = runpy.run_path(str(DEMOS / "artery/arguments.py"))["parse"]
     own, found, others = parse(line.split())
     agree((found, others) == (solver, rest), (found, others))
     agree(own.pressure == (3.0 if "--pressure" in line else 10.0))

@@ -28,7 +28,7 @@ CLAMP = '[surfaces.opening_1]\nhold = "clamp"\n'
 @pytest.fixture
 def wall_file(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "demos"))
-    return importlib.import_module("wall_file")
+    return importlib.import_module("artery.wall_file")
 
 
 @pytest.fixture
@@ -179,7 +179,7 @@ def test_what_fits_the_wall(read):
     read(LEAST + CLAMP).check(wall)
     with raises(ValueError, r"\[layers.adventitia\] is missing"):
         read(LEAST.replace("[layers.adventitia]\nc = 0.3\n", "") + CLAMP).check(wall)
-    case = importlib.import_module("case").default_case(wall, EXAMPLE, c=2.0, pressure=3.0)
+    case = importlib.import_module("artery.case").default_case(wall, EXAMPLE, c=2.0, pressure=3.0)
     case.check(wall)
     agree(case.layers["media"].c == 2.0 and case.layers["adventitia"].angle == 62.0)
     agree(case.conditions["opening_2"] == (Clamp(),) and case.conditions["lumen"] == (Pressure(),))

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO, NoReturn
 
 from mpi4py import MPI
 
@@ -40,7 +41,7 @@ def parse(
         `petsc4py.init`.
     """
     own, solver, rest = _split(arguments)
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         "demo_artery.py",
         description="Inflate the wall of an artery with all-floating FETI.",
         epilog=EPILOG,
@@ -72,6 +73,17 @@ def parse(
     return args, solver, rest
 
 
+class _Parser(argparse.ArgumentParser):
+    """Speaks on the first process alone, and of an error in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: error: {message}; --help lists all options\n")
+
+    def _print_message(self, message: str, file: IO[str] | None = None) -> None:
+        if MPI.COMM_WORLD.rank == 0:
+            super()._print_message(message, file)
+
+
 @contextmanager
 def input_errors(comm: MPI.Comm) -> Iterator[None]:
     """Answer what is wrong with the input in one line, with exit status 2 and no traceback.
@@ -84,7 +96,7 @@ def input_errors(comm: MPI.Comm) -> Iterator[None]:
     """
     try:
         yield
-    except (OSError, ValueError, ImportError) as error:
+    except (OSError, ValueError, ImportError, ArithmeticError) as error:
         if comm.rank == 0:
             print(f"demo_artery.py: error: {' '.join(str(error).split())}", file=sys.stderr)
         raise SystemExit(2) from error

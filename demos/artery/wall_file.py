@@ -18,8 +18,7 @@ from typing import Any, NoReturn
 
 from mpi4py import MPI
 
-from case import Case, Tissue, meant
-
+from artery.case import Case, Tissue, meant
 from dolfinx_feti import loads
 from dolfinx_feti.collective import on_first
 from dolfinx_feti.wall import Clamp, Dashpot, Pressure, Slide, Spring
