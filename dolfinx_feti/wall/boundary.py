@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from petsc4py import PETSc
 
@@ -55,7 +56,7 @@ class Boundary:
     Attributes:
         bcs: Dirichlet conditions of what is clamped or slides.
         residual: Virtual work of pressure, springs and dashpots, to be added to that inside.
-        tangent: Its derivative; of the pressure's, the symmetric part.
+        tangent: Its derivative; of the pressure's, the symmetric part if that is all of it in sum.
         energy: Its potential, to be added to that inside; None if the pressure has none.
         pressure: The wall's pressure [kPa], zero at first.
         time_step: Δt of the dashpots [s], infinite at first: they do not resist.
@@ -115,7 +116,9 @@ def apply_conditions(
 
     The forms hold ``ufl.TestFunction(V)`` and ``ufl.TrialFunction(V)`` of the space V of u, and
     state no quadrature degree. Whether a pressure has a potential −p V is found out by trying: at a
-    displacement that meets the Dirichlet conditions its derivative has to be the residual.
+    displacement that meets the Dirichlet conditions its derivative has to be the residual. Without
+    one, where rims are free or on springs, the tangent is not symmetric and needs GMRES; with its
+    symmetric part alone Newton's method would take tens of steps.
 
     Args:
         wall: The wall.
@@ -165,7 +168,6 @@ def apply_conditions(
     ]
     for share, part in loaded:
         residual += follower_pressure(share * p, u, v, part)
-        tangent += follower_pressure_tangent(share * p, u, v, du, part)
     boundary = Boundary(
         bcs=bcs,
         residual=residual,
@@ -180,9 +182,11 @@ def apply_conditions(
     )
     normals = sorted({k for k, _ in slides.values()})
     fitting = [e for e in (None, *np.eye(3)[normals]) if _is_potential(boundary, V, loaded, e)]
-    if not fitting:
-        return boundary
-    return replace(boundary, energy=supports + _potential(p, u, loaded, fitting[0]))
+    kind: Literal["symmetric", "full"] = "symmetric" if fitting else "full"
+    for share, part in loaded:
+        tangent += follower_pressure_tangent(share * p, u, v, du, part, kind)
+    energy = supports + _potential(p, u, loaded, fitting[0]) if fitting else None
+    return replace(boundary, tangent=tangent, energy=energy)
 
 
 def _constant(mesh: dolfinx.mesh.Mesh, value: float) -> dolfinx.fem.Constant:
