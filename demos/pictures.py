@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -29,7 +30,7 @@ Array = npt.NDArray[np.float64]
 DPI = 150
 #: Size of a subdomain in the picture; the rest is the gap that shows where the wall is torn.
 SHRINK = 0.94
-LAYERS = {"media": "#d9776b", "adventitia": "#efd9a7"}
+LAYERS = ("#d9776b", "#efd9a7", "#a9c3d9", "#c9b3d6", "#b5cfa5")
 FAMILIES = ("#16325c", "#0f7a5a")
 
 
@@ -76,14 +77,15 @@ def _torn(cells: Cells, x: Array, view: Array, stress: Array, colours: Normalize
     return scene
 
 
-def draw_fibres(path: Path, cells: Cells) -> None:
-    """Draw the layers in two colours and the fibre families on them, with a zoom.
+def draw_fibres(path: Path, cells: Cells, layers: Sequence[str]) -> None:
+    """Draw the layers in their colours and the fibre families on them, with a zoom.
 
-    In half of the zoom the adventitia is taken away to show the media's fibres.
+    In half of the zoom all layers but the first are taken away to show the fibres of that.
 
     Args:
         path: The file.
-        cells: The wall with the values `layer` (0 media, 1 adventitia), `fibres_1`, `fibres_2`.
+        cells: The wall with the values `layer` (its number), `fibres_1`, `fibres_2`.
+        layers: The names of the layers.
     """
     view = principal_view(cells.X.reshape(-1, 3), tilt=15)
     fig, axes = plt.subplots(1, 2, figsize=(11, 6.5))
@@ -93,14 +95,15 @@ def draw_fibres(path: Path, cells: Cells) -> None:
     right = (cells.X.mean(axis=1) - middle) @ view[0]
     kept = (cells.values["layer"] == 0) | (right > 0)
     _fibre_scene(cells, kept, view).draw(axes[1], (middle, half))
-    axes[1].set_title("left half: the adventitia taken away")
+    if len(layers) > 1:
+        axes[1].set_title(f"left half: {' and '.join(layers[1:])} taken away")
     low, high = (view[:2] @ middle - half), (view[:2] @ middle + half)
     axes[0].plot(
         *zip(low, (high[0], low[1]), high, (low[0], high[1]), low, strict=False), "k", lw=1
     )
-    handles = [plt.Rectangle((0, 0), 1, 1, color=c) for c in LAYERS.values()]
+    handles = [plt.Rectangle((0, 0), 1, 1, color=c) for _, c in _colours(layers)]
     handles += [plt.Line2D([0], [0], color=c, lw=2) for c in FAMILIES]
-    labels = [*LAYERS, "fibres, first family", "second family"]
+    labels = [*layers, "fibres, first family", "second family"]
     fig.legend(handles, labels, loc="lower center", ncols=4, frameon=False)
     fig.savefig(path, dpi=DPI, bbox_inches="tight")
     plt.close(fig)
@@ -113,8 +116,8 @@ def _fibre_scene(cells: Cells, kept: npt.NDArray[np.bool_], view: Array) -> Scen
     cell, corner = cell[shown], corner[shown]
     x = cells.X[cell[:, None], corner]
     scene = Scene(view)
-    colour = np.array([to_rgba(c) for c in LAYERS.values()])
-    scene.add_surface(x, colour[cells.values["layer"][cell].astype(int)])
+    colour = np.array([to_rgba(c) for c in LAYERS])
+    scene.add_surface(x, colour[cells.values["layer"][cell].astype(int) % len(LAYERS)])
     normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     length = 0.75 * np.sqrt(np.median(np.linalg.norm(normal, axis=1)))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -125,6 +128,11 @@ def _fibre_scene(cells: Cells, kept: npt.NDArray[np.bool_], view: Array) -> Scen
             x[flat].mean(axis=1), a[flat], normal[flat], np.array(to_rgba(paint)), length=length
         )
     return scene
+
+
+def _colours(layers: Sequence[str]) -> list[tuple[str, str]]:
+    """Pair the layers with their colours, which come again after the last one."""
+    return list(zip(layers, itertools.cycle(LAYERS), strict=False))
 
 
 def _spot(cells: Cells, view: Array) -> tuple[Array, float]:

@@ -11,7 +11,7 @@ loading, output, comparison.
 from dolfinx_feti.comparison.run import compare
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.feti import FETI
-from dolfinx_feti.mechanics import kinematics, loads, materials
+from dolfinx_feti.mechanics import kinematics, loads, materials, supports
 from dolfinx_feti.problems.linear_problem import LinearProblem
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.torn import create_torn_matrix, set_near_kernel
@@ -28,4 +28,5 @@ __all__ = [
     "loads",
     "materials",
     "set_near_kernel",
+    "supports",
 ]

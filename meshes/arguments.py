@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-__all__ = ["count", "positive"]
+__all__ = ["count", "positive", "refusals", "share"]
 
 
 def count(text: str) -> int:
@@ -35,3 +37,28 @@ def positive(text: str) -> float:
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
     return value
+
+
+def share(text: str) -> tuple[str, float]:
+    """Read a name and a positive number, ``media=2``; the number is 1 if there is none.
+
+    Raises:
+        argparse.ArgumentTypeError: It is neither.
+    """
+    name, _, number = text.partition("=")
+    if not name:
+        raise argparse.ArgumentTypeError(f"{text!r} has no name: give it as in media=2")
+    return name, positive(number or "1")
+
+
+@contextmanager
+def refusals(parser: argparse.ArgumentParser) -> Iterator[None]:
+    """Answer what a generator refuses in one line, with exit status 2 and no traceback.
+
+    Raises:
+        SystemExit: In place of an error about a file or a value.
+    """
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        parser.exit(2, f"{parser.prog}: error: {' '.join(str(error).split())}\n")

@@ -12,6 +12,7 @@ number, so that neighbours agree.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,20 +31,25 @@ DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)]) - 1.0
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 
 
-def sheets(media: float, through: tuple[int, int]) -> tuple[Points, Indices]:
+def sheets(
+    shares: Sequence[float], through: Sequence[int], tags: Sequence[int]
+) -> tuple[Points, Indices]:
     """Return the heights of the sheets and the layers between them.
 
     Args:
-        media: The media's share of the thickness.
-        through: Elements through the media and through the adventitia.
+        shares: Each layer's share of the thickness, from the inside out.
+        through: Elements through each layer.
+        tags: Tag of each layer.
 
     Returns:
         Heights s from 0 to 1, (l + 1,), and the tag of the layer below each but the first, (l,).
     """
-    inner = np.linspace(0, media, through[0] + 1)
-    outer = np.linspace(media, 1, through[1] + 1)
-    layers = np.repeat([TAGS["media"], TAGS["adventitia"]], through)
-    return np.concatenate([inner, outer[1:]]), layers
+    ends = np.concatenate([[0.0], np.cumsum(shares) / np.sum(shares)])
+    heights = [
+        np.linspace(low, high, n + 1)[1:]
+        for (low, high), n in zip(itertools.pairwise(ends), through, strict=True)
+    ]
+    return np.concatenate([[0.0], *heights]), np.repeat(tags, through)
 
 
 def grow(

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshes.arguments import count, positive
+from meshes.arguments import count, positive, refusals
 from meshes.layers import grow, sheets
 from meshes.surface import Indices, Points
 from meshes.wall_mesh import TAGS, Quality, measure_quality, write_msh
@@ -78,7 +78,8 @@ def create_tube(
     outer = INNER_RADIUS + MEDIA + ADVENTITIA
     scale = np.array([1, 1, length])
     x, y = (axis * [radius, radius, 1] * scale for radius in (INNER_RADIUS, outer))
-    mesh = grow(x, y, t, through=sheets(MEDIA / (MEDIA + ADVENTITIA), through), rim=rim)
+    layers = sheets((MEDIA, ADVENTITIA), through, (TAGS["media"], TAGS["adventitia"]))
+    mesh = grow(x, y, t, through=layers, rim=rim)
     write_msh(Path(path), mesh)
     quality = measure_quality(mesh)
     log.info("%s", quality)
@@ -143,7 +144,8 @@ def main() -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     if options["through"]:
         options["through"] = tuple(options["through"])
-    create_tube(options.pop("file"), **options)
+    with refusals(parser):
+        create_tube(options.pop("file"), **options)
 
 
 if __name__ == "__main__":

@@ -8,8 +8,13 @@ It comes with Debian's package gmsh-doc and with the Python wheel of gmsh, and i
 
     python3 -m meshes.vessel vessel.msh --size 1.2 --thickness 1.0
 
+Another lumen with open ends is taken from an STL file, and the wall has the layers that are named:
+
+    python3 -m meshes.vessel wall.msh --surface lumen.stl --layers wall --thickness 1.0
+
 1. remesh the surface to triangles of one size (:mod:`meshes.remesh`),
-2. grow the media (two thirds) and the adventitia (one third) outwards along averaged normals,
+2. grow the layers outwards along averaged normals, by default the media (two thirds) and the
+   adventitia (one third),
 3. move the tops of the columns that degenerate in the crotches (:mod:`meshes.layers`),
 4. tag: the first sheet is the lumen, the last one the outer wall, and what stands on the rims are
    the cut faces of the openings, the longest rim first.
@@ -22,14 +27,14 @@ import importlib.util
 import logging
 import site
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import scipy.sparse
 import scipy.sparse.csgraph
 
-from meshes.arguments import count, positive
+from meshes.arguments import count, positive, refusals, share
 from meshes.layers import grow, improve_tops, sheets
 from meshes.remesh import remesh
 from meshes.surface import Indices, Points, edge_lengths, find_edges, read_stl, unit, vertex_normals
@@ -41,6 +46,9 @@ SURFACE = "aneurysm_data.stl"
 FOLDERS = ("share/doc/gmsh/examples/api", "share/doc/gmsh-doc/doc/gmsh/examples/api")
 LEAST_QUALITY = 0.1
 
+#: The layers of an artery and their shares of the thickness.
+LAYERS = {"media": 2 / 3, "adventitia": 1 / 3}
+
 log = logging.getLogger(__name__)
 
 
@@ -49,9 +57,10 @@ def create_vessel(
     *,
     size: float = 1.2,
     thickness: float = 1.0,
-    media: float = 2 / 3,
-    through: tuple[int, int] = (1, 1),
+    layers: Mapping[str, float] = LAYERS,
+    through: Sequence[int] | None = None,
     surface: Path | str | None = None,
+    scale: float = 1.0,
 ) -> Quality:
     """Write the wall of a vessel as a Gmsh file with named layers and surfaces.
 
@@ -59,31 +68,36 @@ def create_vessel(
         path: The file, `*.msh`.
         size: Length of the triangles' edges on the lumen [mm]; 1.2 gives 40 000 tetrahedra.
         thickness: Thickness of the wall [mm].
-        media: The media's share of it.
-        through: Elements through the media and through the adventitia.
-        surface: An STL file of a lumen with open ends, in mm; None for Gmsh's example.
+        layers: The names of the layers from the inside out, and their shares of the thickness.
+        through: Elements through each layer; None for one.
+        surface: An STL file of a lumen with open ends; None for Gmsh's example.
+        scale: Millimetres in its unit of length.
 
     Returns:
         Numbers and the histogram of the quality.
 
     Raises:
         FileNotFoundError: If there is no surface.
-        ValueError: If an argument is out of its range, or an element is worse than 0.1.
+        ValueError: If the surface is closed or damaged, an argument is out of its range, or an
+            element is worse than 0.1.
 
     Note:
         Serial: call it on one process.
     """
     path = Path(path)
-    _check(size=size, thickness=thickness, media=media, through=through)
+    through = [1] * len(layers) if through is None else list(through)
+    _check(layers, through, size=size, thickness=thickness, scale=scale)
     source = find_surface() if surface is None else Path(surface)
     log.info("remeshing %s with edges of %g mm", source, size)
-    x, t = remesh(*_outward(*read_stl(source)), size=size)
+    corners, triangles = read_stl(source)
+    x, t = remesh(*_outward(scale * corners, triangles), size=size)
     rim = _rims(x, t)
     log.info("growing a wall of %g mm on %d triangles", thickness, len(t))
-    heights, layers = sheets(media, through)
+    tags = layer_tags(layers)
+    heights, between = sheets(list(layers.values()), through, list(tags.values()))
     y = x + thickness * _directions(x, t, rim)
     y = improve_tops(x, y, t, heights=heights)
-    mesh = grow(x, y, t, through=(heights, layers), rim=rim)
+    mesh = grow(x, y, t, through=(heights, between), rim=rim)
     quality = measure_quality(mesh)
     log.info("%s", quality)
     if quality.minimum < LEAST_QUALITY:
@@ -92,7 +106,7 @@ def create_vessel(
             f"tetrahedra has a quality of {quality.minimum:.3f}, less than {LEAST_QUALITY}: take a "
             "size of one to two times the thickness, or a thinner wall"
         )
-    write_msh(path, mesh)
+    write_msh(path, mesh, {name: TAGS[name] for name in TAGS if name not in LAYERS} | tags)
     return quality
 
 
@@ -122,14 +136,26 @@ def find_surface(folders: Sequence[Path] | None = None) -> Path:
     )
 
 
-def _check(*, size: float, thickness: float, media: float, through: tuple[int, int]) -> None:
-    for name, value in (("size", size), ("thickness", thickness)):
+def layer_tags(names: Iterable[str]) -> dict[str, int]:
+    """Return the tags of layers: those that media and adventitia always have, others from 101."""
+    return {name: TAGS[name] if name in LAYERS else 100 + i for i, name in enumerate(names, 1)}
+
+
+def _check(layers: Mapping[str, float], through: Sequence[int], **lengths: float) -> None:
+    for name, value in lengths.items():
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name}={value} is not a positive number of millimetres")
-    if not 0 < media < 1:
-        raise ValueError(f"media={media} is not a share of the thickness between 0 and 1")
-    if min(through) < 1:
-        raise ValueError(f"through={through}: each layer needs an element or more")
+    for name, value in layers.items():
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f"layers: the share {value} of {name!r} is not a positive number")
+        if not name or '"' in name or name in TAGS.keys() - LAYERS.keys():
+            raise ValueError(f"layers: {name!r} is the name of a surface or none: take another one")
+    if not layers:
+        raise ValueError("layers is empty: name a layer, as in {'wall': 1.0}")
+    if len(through) != len(layers) or min(through) < 1:
+        raise ValueError(
+            f"through={tuple(through)}: each of the {len(layers)} layers needs an element or more"
+        )
 
 
 def _outward(x: Points, t: Indices) -> tuple[Points, Indices]:
@@ -183,14 +209,21 @@ def main() -> None:
     parser.add_argument("file", type=Path, help="the Gmsh file to write")
     parser.add_argument("--size", type=positive, default=1.2, help="edges on the lumen [mm]")
     parser.add_argument("--thickness", type=positive, default=1.0, help="of the wall [mm]")
-    parser.add_argument("--media", type=positive, default=2 / 3, help="the media's share of it")
     parser.add_argument(
-        "--through", type=count, nargs=2, default=(1, 1), help="elements in a layer"
+        "--layers",
+        type=share,
+        nargs="+",
+        metavar="NAME=SHARE",
+        default=list(LAYERS.items()),
+        help="from the inside out, and their shares of the thickness, media=2 adventitia=1",
     )
-    parser.add_argument("--surface", type=Path, help="an STL file of a lumen with open ends [mm]")
+    parser.add_argument("--through", type=count, nargs="+", help="elements in each layer, 1")
+    parser.add_argument("--surface", type=Path, help="an STL file of a lumen with open ends")
+    parser.add_argument("--scale", type=positive, default=1.0, help="mm in its unit of length, 1")
     options = vars(parser.parse_args())
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    create_vessel(options.pop("file"), **options | {"through": tuple(options["through"])})
+    with refusals(parser):
+        create_vessel(options.pop("file"), **options | {"layers": dict(options["layers"])})
 
 
 if __name__ == "__main__":

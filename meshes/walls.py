@@ -25,7 +25,12 @@ CREATE = {"vessel": create_vessel, "tube": create_tube}
 
 
 def create_wall(
-    source: str | Path, comm: MPI.Comm, *, size: float | None, folder: Path
+    source: str | Path,
+    comm: MPI.Comm,
+    *,
+    size: float | None,
+    folder: Path,
+    scale: float = 1.0,
 ) -> tuple[Wall, Quality]:
     """Read a wall; generate it first if its file is not there yet.
 
@@ -34,6 +39,7 @@ def create_wall(
         comm: Communicator of the mesh.
         size: Length of the elements' edges [mm]; None for the generator's default.
         folder: Where generated walls are kept.
+        scale: Millimetres in the unit of length of a file.
 
     Returns:
         The wall, and the quality of its elements.
@@ -44,8 +50,8 @@ def create_wall(
     Note:
         Collective.
     """
-    path, quality = on_first(lambda: _prepare(source, size, folder), comm)
-    return read_wall(path, comm), quality
+    path, quality = on_first(lambda: _prepare(source, size, folder, scale), comm)
+    return read_wall(path, comm, scale=scale), quality
 
 
 def create_tube_wall(comm: MPI.Comm, **geometry: object) -> Wall:
@@ -72,7 +78,9 @@ def create_tube_wall(comm: MPI.Comm, **geometry: object) -> Wall:
         return read_wall(on_first(write, comm), comm)
 
 
-def _prepare(source: str | Path, size: float | None, folder: Path) -> tuple[Path, Quality]:
+def _prepare(
+    source: str | Path, size: float | None, folder: Path, scale: float
+) -> tuple[Path, Quality]:
     """Return the wall's file, generated if it is not there yet, and its elements' quality."""
     path = Path(source)
     if source in CREATE:
@@ -80,5 +88,5 @@ def _prepare(source: str | Path, size: float | None, folder: Path) -> tuple[Path
         if not path.is_file():
             CREATE[source](path, **({} if size is None else {"size": size}))
     raw = read_raw_wall(path)
-    mesh = WallMesh(raw.points, raw.cells, raw.layers, raw.facets, raw.surfaces)
+    mesh = WallMesh(scale * raw.points, raw.cells, raw.layers, raw.facets, raw.surfaces)
     return path, measure_quality(mesh)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The two-layer tube in plane strain, whole or a quarter of it, and how far it is from the truth.
+"""The two-layer tube at a given length, whole or a quarter of it, and how far it is from the truth.
 
 Its supports (:mod:`benchmarks.walls.supports`) let it slide in the planes of its ends, so that it
 remains a tube, and :mod:`benchmarks.walls.oracle` knows its radius, volume and stress.

@@ -3,19 +3,21 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Semi-analytical solution of the inflated two-layer tube: no finite elements, no UFL.
 
-A tube with axial stretch 1 moves by R ↦ r(R), with principal stretches λ_r = r', λ_θ = r/R, λ_z = 1
-and J = λ_r λ_θ. Both fibre families lie at ±α from the circumference, hence have the same
+A tube with the axial stretch λ_z, 1 or a prestretch, moves by R ↦ r(R), with principal stretches
+λ_r = r', λ_θ = r/R and λ_z, and J = λ_r λ_θ λ_z. Both fibre families lie at ±α from the
+circumference, hence have the same
 
-    Ī₄ = J^{-2/3} (λ_θ² cos²α + sin²α),
+    Ī₄ = J^{-2/3} (λ_θ² cos²α + λ_z² sin²α),
 
 and the energy per unit reference volume is
 
-    W = κ/2 (J − 1)² + c/2 (J^{-2/3} (λ_r² + λ_θ² + 1) − 3) + k₁/k₂ (exp(k₂ ⟨Ī₄ − 1⟩²) − 1).
+    W = κ/2 (J − 1)² + c/2 (J^{-2/3} (λ_r² + λ_θ² + λ_z²) − 3) + k₁/k₂ (exp(k₂ ⟨Ī₄ − 1⟩²) − 1).
 
 With P_rR = ∂W/∂λ_r and P_θΘ = ∂W/∂λ_θ equilibrium is d(R P_rR)/dR = P_θΘ; r and R P_rR are
-continuous between the layers, P_rR = −p r/R on the inner surface and 0 on the outer one.
+continuous between the layers, P_rR = −p λ_z r/R on the inner surface and 0 on the outer one.
 :func:`compressible` shoots on the inner radius. For κ → ∞ the tube is isochoric,
-r² = r_i² + R² − R_i², and :func:`incompressible` needs one quadrature of p = ∫ (σ_θθ − σ_rr) dr/r.
+r² = r_i² + (R² − R_i²)/λ_z, and :func:`incompressible` needs one quadrature of
+p = ∫ (σ_θθ − σ_rr) dr/r.
 
 Millimetres and kPa.
 """
@@ -50,13 +52,14 @@ LAYERS = (Layer(0.71, 0.97, 29.0), Layer(0.97, 1.10, 62.0))
 
 @dataclass(frozen=True, slots=True)
 class Wall:
-    """Parameters of W [kPa, kPa, -, kPa]; κ = ∞ is the incompressible tube."""
+    """Parameters of W [kPa, kPa, -, kPa]; κ = ∞ is the incompressible tube; λ_z."""
 
     c: float = 3.0
     k1: float = 2.3632
     k2: float = 0.8393
     kappa: float = np.inf
     layers: tuple[Layer, ...] = LAYERS
+    stretch: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +95,8 @@ class Tube:
     def mean_jacobian(self) -> float:
         """Deformed over reference volume of the wall."""
         inner, outer = self.wall.layers[0].inner, self.wall.layers[-1].outer
-        return (self.radius(outer) ** 2 - self.radius(inner) ** 2) / (outer**2 - inner**2)
+        area = (self.radius(outer) ** 2 - self.radius(inner) ** 2) / (outer**2 - inner**2)
+        return self.wall.stretch * area
 
 
 def inflate(pressure: float, wall: Wall) -> Tube:
@@ -105,10 +109,10 @@ def inflate(pressure: float, wall: Wall) -> Tube:
 def stresses(wall: Wall, angle: float, stretch_r: float, stretch_t: float) -> tuple[float, float]:
     """First Piola stresses P_rR = ∂W/∂λ_r and P_θΘ = ∂W/∂λ_θ [kPa], without κ if it is infinite."""
     cosine2 = np.cos(np.radians(angle)) ** 2
-    J = stretch_r * stretch_t
+    J = stretch_r * stretch_t * wall.stretch
     scale = J ** (-2.0 / 3.0)
-    I1 = stretch_r**2 + stretch_t**2 + 1.0
-    I4 = scale * (stretch_t**2 * cosine2 + 1.0 - cosine2)
+    I1 = stretch_r**2 + stretch_t**2 + wall.stretch**2
+    I4 = scale * (stretch_t**2 * cosine2 + wall.stretch**2 * (1.0 - cosine2))
     E = max(I4 - 1.0, 0.0)
     fibre = 2.0 * wall.k1 * E * np.exp(wall.k2 * E * E)  # dW/dĪ₄, both families
     P_r = wall.c * scale * (stretch_r - I1 / (3.0 * stretch_r)) - fibre * 2.0 * I4 / (
@@ -117,32 +121,36 @@ def stresses(wall: Wall, angle: float, stretch_r: float, stretch_t: float) -> tu
     P_t = wall.c * scale * (stretch_t - I1 / (3.0 * stretch_t))
     P_t += fibre * (2.0 * scale * stretch_t * cosine2 - 2.0 * I4 / (3.0 * stretch_t))
     if np.isfinite(wall.kappa):
-        P_r += wall.kappa * (J - 1.0) * stretch_t
-        P_t += wall.kappa * (J - 1.0) * stretch_r
+        P_r += wall.kappa * (J - 1.0) * stretch_t * wall.stretch
+        P_t += wall.kappa * (J - 1.0) * stretch_r * wall.stretch
     return P_r, P_t
 
 
 def energy(wall: Wall, angle: float, stretch_r: float, stretch_t: float) -> float:
     """W [kPa], without its volumetric part if κ is infinite."""
     cosine2 = np.cos(np.radians(angle)) ** 2
-    J = stretch_r * stretch_t
-    scale = J ** (-2.0 / 3.0)
-    E = max(scale * (stretch_t**2 * cosine2 + 1.0 - cosine2) - 1.0, 0.0)
-    W = wall.c / 2.0 * (scale * (stretch_r**2 + stretch_t**2 + 1.0) - 3.0)
+    J = stretch_r * stretch_t * wall.stretch
+    scale, square = J ** (-2.0 / 3.0), wall.stretch**2
+    E = max(scale * (stretch_t**2 * cosine2 + square * (1.0 - cosine2)) - 1.0, 0.0)
+    W = wall.c / 2.0 * (scale * (stretch_r**2 + stretch_t**2 + square) - 3.0)
     W += wall.k1 / wall.k2 * np.expm1(wall.k2 * E * E)
     return W + wall.kappa / 2.0 * (J - 1.0) ** 2 if np.isfinite(wall.kappa) else W
 
 
 def incompressible(pressure: float, wall: Wall) -> Tube:
     """The limit κ → ∞ in closed form."""
-    R_i, R_o = wall.layers[0].inner, wall.layers[-1].outer
+    R_i, R_o, λ = wall.layers[0].inner, wall.layers[-1].outer, wall.stretch
     breaks = [layer.outer for layer in wall.layers[:-1]]
 
+    def radius(R: float, r_i: float) -> float:
+        return float(np.sqrt(r_i**2 + (R**2 - R_i**2) / λ))
+
     def difference(R: float, r_i: float) -> float:
-        """(σ_θθ − σ_rr)/r · dr/dR with σ_θθ − σ_rr = λ dW/dλ on λ_r = 1/λ_θ."""
-        r = np.sqrt(r_i**2 + R**2 - R_i**2)
-        P_r, P_t = stresses(wall, wall.layers[_layer_at(wall, R)].angle, R / r, r / R)
-        return (P_t * r / R - P_r * R / r) * R / r**2
+        """(σ_θθ − σ_rr)/r · dr/dR, σ_θθ − σ_rr = λ_θ P_θΘ − λ_r P_rR on λ_r = 1/(λ_θ λ_z)."""
+        r = radius(R, r_i)
+        stretch_r, stretch_t = R / (r * λ), r / R
+        P_r, P_t = stresses(wall, wall.layers[_layer_at(wall, R)].angle, stretch_r, stretch_t)
+        return (P_t * stretch_t - P_r * stretch_r) * stretch_r / r
 
     def carried(r_i: float, R: float) -> float:
         inside = [b for b in breaks if b < R]
@@ -153,11 +161,10 @@ def incompressible(pressure: float, wall: Wall) -> Tube:
     r_i = _root(lambda r: carried(r, R_o) - pressure, R_i)
 
     def stress(R: float) -> tuple[float, float]:
-        r = np.sqrt(r_i**2 + R**2 - R_i**2)
         radial = carried(r_i, R) - pressure
-        return radial, radial + difference(R, r_i) * r**2 / R
+        return radial, radial + difference(R, r_i) * radius(R, r_i) ** 2 * λ / R
 
-    return Tube(wall, pressure, lambda R: np.sqrt(r_i**2 + R**2 - R_i**2), lambda R: 1.0, stress)
+    return Tube(wall, pressure, lambda R: radius(R, r_i), lambda R: 1.0, stress)
 
 
 def compressible(pressure: float, wall: Wall) -> Tube:
@@ -175,14 +182,18 @@ def compressible(pressure: float, wall: Wall) -> Tube:
 
     def stress(R: float) -> tuple[float, float]:
         stretch_r, stretch_t, P_r, P_t = at(R)
-        return P_r / stretch_t, P_t / stretch_r  # σ = P Fᵀ / J
+        return P_r / (stretch_t * wall.stretch), P_t / (stretch_r * wall.stretch)  # σ = P Fᵀ / J
 
-    return Tube(wall, pressure, lambda R: at(R)[1] * R, lambda R: at(R)[0] * at(R)[1], stress)
+    def jacobian(R: float) -> float:
+        stretch_r, stretch_t, *_ = at(R)
+        return stretch_r * stretch_t * wall.stretch
+
+    return Tube(wall, pressure, lambda R: at(R)[1] * R, jacobian, stress)
 
 
 def _integrate(pressure: float, wall: Wall, r_i: float, dense: bool = False) -> list[Any]:
-    """Integrate (r, R P_rR) outwards, layer by layer, from P_rR = −p r/R inside."""
-    state: Floats = np.array([r_i, -pressure * r_i])
+    """Integrate (r, R P_rR) outwards, layer by layer, from P_rR = −p λ_z r/R inside."""
+    state: Floats = np.array([r_i, -pressure * wall.stretch * r_i])
     solutions: list[Any] = []
     for layer in wall.layers:
 
@@ -209,7 +220,7 @@ def _radial_stretch(wall: Wall, angle: float, stretch_t: float, P: float) -> flo
     def residual(stretch_r: float) -> float:
         return stresses(wall, angle, stretch_r, stretch_t)[0] - P
 
-    low, high = 0.9 / stretch_t, 1.1 / stretch_t
+    low, high = (near / (stretch_t * wall.stretch) for near in (0.9, 1.1))
     while residual(low) > 0:
         low *= 0.8
     while residual(high) < 0:
@@ -218,10 +229,10 @@ def _radial_stretch(wall: Wall, angle: float, stretch_t: float, P: float) -> flo
 
 
 def _root(function: Callable[[float], float], start: float) -> float:
-    """The first root at or above ``start`` of an increasing function."""
-    if function(start) >= 0:
-        return start
-    step, high = 0.05 * start, 1.05 * start
-    while function(high) < 0:
-        start, high = high, high + step
-    return brentq(function, start, high, xtol=1e-13, rtol=1e-13)
+    """The first root around ``start`` of an increasing function: up from it, or else down."""
+    low, high, step = start, 1.05 * start, 0.05 * start
+    while function(low) > 0.0:
+        low, high = 0.95 * low, low
+    while function(high) < 0.0:
+        low, high = high, high + step
+    return brentq(function, low, high, xtol=1e-13, rtol=1e-13)

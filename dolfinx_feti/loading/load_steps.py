@@ -116,7 +116,8 @@ def follow_load(
         checkpoint: Where each new equilibrium is kept, before ``on_step`` is called. If it was
             opened to restart, the state in it takes the place of the present one and of
             ``start``, and the targets it has met before are left out.
-        unit: Name of the load's unit, for the bar that shows the progress on a terminal.
+        unit: Name of the load's unit, for the bar that shows the progress on a terminal and for the
+            line that each step leaves in the log (logger ``dolfinx_feti``, level ``INFO``).
 
     Returns:
         The accepted steps, those before a restart included.
@@ -145,10 +146,11 @@ def follow_load(
     if checkpoint is not None and checkpoint.restart:
         accepted = path.restore(checkpoint)
         start, targets = path.load, path.unmet(targets)
-    with Progress(problem.solver, comm, loads=[start, *targets], unit=unit) as bar:
+    loads, number = [start, *targets], len(accepted)
+    with Progress(problem.solver, comm, loads=loads, unit=unit, number=number) as bar:
         for step in path.follow(targets, bar):
             accepted.append(step)
-            bar.clear()
+            bar.accept(step)
             if checkpoint is not None:
                 path.keep(checkpoint, accepted)
             if on_step is not None:
@@ -254,6 +256,7 @@ class _Path:
             except ConvergenceError as error:
                 failures += 1
                 lost += self._problem.history
+                bar.refuse(load, error)
                 self._shorten(abs(load - before), error)
         others = [known for known in self._past[-ORDER:] if known.load != load]
         self._past = [*others, _Equilibrium(load, self._values())]

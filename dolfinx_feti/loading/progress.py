@@ -1,35 +1,80 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A bar that shows the progress of a load on a terminal, and nothing elsewhere."""
+"""How far a load has come: a bar on a terminal, a line for each load step in the log.
+
+The time left follows from the pace of the last load steps: with the ways Δt_k between their loads,
+the seconds s_k that they took, and the way w that is left, it is w Σ s_k / Σ Δt_k.
+"""
 
 from __future__ import annotations
 
 import itertools
+import logging
 import math
 import shutil
 import sys
+import time
 from collections.abc import Sequence
 from types import TracebackType
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
-__all__ = ["Progress"]
+from dolfinx_feti.collective import reason
+from dolfinx_feti.loading.steps import LoadStep
+
+__all__ = ["Progress", "duration", "time_left"]
+
+logger = logging.getLogger("dolfinx_feti")
 
 #: Characters of the bar itself.
 WIDTH = 24
 
+#: How many load steps the pace is taken from.
+RECENT = 3
+
+
+def time_left(steps: Sequence[LoadStep], way: float) -> float | None:
+    """Estimate the seconds that the rest of a load will take.
+
+    Args:
+        steps: The load steps so far, of this run.
+        way: How far the load has still to go, up and down.
+
+    Returns:
+        The seconds; None if nothing is known yet.
+    """
+    recent = steps[-RECENT:]
+    gone = math.fsum(abs(step.increment) for step in recent)
+    return way * math.fsum(step.seconds for step in recent) / gone if gone > 0.0 else None
+
+
+def duration(seconds: float) -> str:
+    """Say a time in words: ``45 s``, ``12 min``, ``3 h 20 min``."""
+    if seconds < 99.5:
+        return f"{seconds:.0f} s"
+    hours, minutes = divmod(round(seconds / 60.0), 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min"
+
 
 class Progress:
-    """Shows on the first process, if its stderr is a terminal, how far the load has come.
+    """Says on the first process how far the load has come.
 
-    The line says which load is attempted from where, and the Newton step and residual that the
-    SNES's monitor last reported. As a context manager it leaves the terminal as it was.
+    A line for each load step goes to Python's logger ``dolfinx_feti``, as information. If stderr is
+    a terminal, a bar shows which load is attempted from where, the time left, and the Newton step
+    and residual that the SNES's monitor last reported. As a context manager it leaves the terminal
+    as it was.
     """
 
     def __init__(
-        self, snes: PETSc.SNES, comm: MPI.Comm, *, loads: Sequence[float], unit: str = ""
+        self,
+        snes: PETSc.SNES,
+        comm: MPI.Comm,
+        *,
+        loads: Sequence[float],
+        unit: str = "",
+        number: int = 0,
     ) -> None:
         """Hook into the monitor of a SNES.
 
@@ -38,12 +83,16 @@ class Progress:
             comm: Its communicator.
             loads: Load at the beginning, and those to be met one after the other, up or down.
             unit: Name of the load's unit.
+            number: Load steps before this run.
         """
         self._length = math.fsum(abs(b - a) for a, b in itertools.pairwise(loads))
-        self._covered, self._load = 0.0, loads[0]
+        self._covered, self._load, self._number = 0.0, loads[0], number
         self._goal = f"{loads[-1]:g} {unit}".rstrip()
-        self._text = ""
-        self._shown = comm.rank == 0 and sys.stderr.isatty()
+        self._text, self._left = "", ""
+        self._steps: list[LoadStep] = []
+        self._snes, self._first = snes, comm.rank == 0
+        self._shown = self._first and sys.stderr.isatty()
+        self._began = time.perf_counter()
         if self._shown:
             snes.setMonitor(self._newton)
 
@@ -54,10 +103,49 @@ class Progress:
             load: The present load.
             to: The attempted load.
         """
-        self._covered += abs(load - self._load)
-        self._load = load
         self._text = f"{load:.4g} → {to:.4g} of {self._goal}"
         self._show("")
+
+    def accept(self, step: LoadStep) -> None:
+        """Log a load step.
+
+        Args:
+            step: The step that has been accepted.
+        """
+        self._covered += abs(step.load - self._load)
+        self._load, self._number = step.load, self._number + 1
+        self._steps.append(step)
+        self._began = time.perf_counter()
+        self.clear()
+        if self._first:
+            newton = step.all_steps
+            failed = f" after {step.failures} failed attempt(s)" * (step.failures > 0)
+            left = self._time_left()
+            logger.info(
+                f"load step {self._number}: {step.load:.5g} of {self._goal}{failed}, {len(newton)} "
+                f"Newton steps, {sum(s.linear_iterations for s in newton)} linear iterations, "
+                f"residual {self._snes.getFunctionNorm():.1e}, {step.seconds:.1f} s"
+                f"{f', {left}' * bool(left)}"
+            )
+
+    def refuse(self, load: float, error: Exception) -> None:
+        """Log an attempt that failed.
+
+        Args:
+            load: The load that was attempted.
+            error: What went wrong.
+        """
+        self.clear()
+        if self._first:
+            logger.info(f"no equilibrium at {load:.5g}: {reason(error)}")
+
+    def _time_left(self) -> str:
+        """Say the time left; nothing as long as it is not known, or at the end."""
+        way = self._length - self._covered
+        left = time_left(self._steps, way)
+        if left is None or way <= 1e-12 * self._length:
+            return ""
+        return f"about {duration(max(left - (time.perf_counter() - self._began), 0.0))} left"
 
     def _newton(self, _snes: PETSc.SNES, its: int, norm: float) -> None:
         self._show(f"  Newton {its}  ‖r‖ = {norm:.1e}")
@@ -68,8 +156,9 @@ class Progress:
         done = self._covered / self._length if self._length > 0.0 else 1.0
         filled = round(WIDTH * min(done, 1.0))
         bar = "█" * filled + "░" * (WIDTH - filled)
+        left = f"{self._time_left()}  ".lstrip()
         columns = shutil.get_terminal_size().columns - 1
-        self._write(f"{bar} {100 * done:3.0f} %  {self._text}{more}"[:columns])
+        self._write(f"{bar} {100 * done:3.0f} %  {left}{self._text}{more}"[:columns])
 
     def clear(self) -> None:
         """Clear the line, for other output."""

@@ -1,11 +1,14 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Arterial walls: meshes with named layers and surfaces, and the directions of their fibres.
+"""Arterial walls: named layers and surfaces, conditions on these, and directions of fibres.
 
-In the order of the data: wallfile, wall, laplace, fibres.
+In the order of the data: wallfile, wall, conditions, rigid, boundary, laplace, fibres.
 """
 
+from dolfinx_feti.wall.boundary import Boundary, apply_conditions
+from dolfinx_feti.wall.conditions import Clamp, Dashpot, Pressure, Slide, Spring
+from dolfinx_feti.wall.rigid import free_motions
 from dolfinx_feti.wall.wall import (
     Wall,
     area,
@@ -16,4 +19,20 @@ from dolfinx_feti.wall.wall import (
     surface_measure,
 )
 
-__all__ = ["Wall", "area", "by_layer", "facets", "openings", "read_wall", "surface_measure"]
+__all__ = [
+    "Boundary",
+    "Clamp",
+    "Dashpot",
+    "Pressure",
+    "Slide",
+    "Spring",
+    "Wall",
+    "apply_conditions",
+    "area",
+    "by_layer",
+    "facets",
+    "free_motions",
+    "openings",
+    "read_wall",
+    "surface_measure",
+]

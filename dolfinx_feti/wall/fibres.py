@@ -29,7 +29,7 @@ tube is three times as accurate as P1.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,7 +39,7 @@ import dolfinx
 
 from dolfinx_feti.petsc_options import require_prefix
 from dolfinx_feti.wall.laplace import gradient, solve_laplace
-from dolfinx_feti.wall.wall import Wall, area, by_layer, openings
+from dolfinx_feti.wall.wall import Wall, area, by_layer, facets, openings
 
 __all__ = ["ANGLES", "Frame", "fibre_families", "fibre_frame"]
 
@@ -71,6 +71,9 @@ class Frame:
 def fibre_frame(
     wall: Wall,
     *,
+    inner: str = "lumen",
+    outer: str = "outer",
+    ends: Sequence[str] | None = None,
     inlet: str | None = None,
     petsc_options_prefix: str = "fibres_",
     petsc_options: Mapping[str, object] | None = None,
@@ -79,34 +82,40 @@ def fibre_frame(
 
     Args:
         wall: The wall, with at least two openings.
+        inner: The surface from which the transmural direction leads.
+        outer: That to which it leads.
+        ends: The surfaces where the vessel was cut; None for those named `opening_…`.
         inlet: The opening where the vessel begins; None for the one with the largest area (the
             first of equal ones).
         petsc_options_prefix: Prefix of the two linear solvers, the same on all processes.
         petsc_options: Their options, without prefix; CG with GAMG to 1e-14 if not given.
 
     Raises:
-        ValueError: There are fewer than two openings, there is no such inlet, or the prefix is
-            empty.
+        ValueError: There are fewer than two openings, there is no such surface or inlet, or the
+            prefix is empty.
         ArithmeticError: A Laplace problem was not solved, or leaves cells without a direction.
 
     Note:
         Collective.
     """
-    names = openings(wall)
+    names = openings(wall) if ends is None else list(ends)
+    for name in (inner, outer, *names):
+        facets(wall, name)  # must be there
     if len(names) < 2:
         raise ValueError(
             f"The wall has the openings {', '.join(names) or 'none'}: the longitudinal direction "
-            "needs at least two"
+            "needs at least two; name them by ends="
         )
     if inlet is None:
         areas = [round(area(wall, name), 9) for name in names]
         inlet = names[int(np.argmax(areas))]
     if inlet not in names:
         raise ValueError(f"inlet={inlet!r} is not an opening; choose one of {', '.join(names)}")
-    prefix, ends = require_prefix(petsc_options_prefix), {n: float(n != inlet) for n in names}
+    prefix = require_prefix(petsc_options_prefix)
+    along_ends = {name: float(name != inlet) for name in names}
     through, along = (
         gradient(solve_laplace(wall, values, prefix=prefix, petsc_options=petsc_options))
-        for values in ({"lumen": 0.0, "outer": 1.0}, ends)
+        for values in ({inner: 0.0, outer: 1.0}, along_ends)
     )
     e2 = _unit_directions(wall, through, np.zeros_like(through))
     e1 = _unit_directions(wall, along, e2)
@@ -119,18 +128,21 @@ def fibre_frame(
 
 
 def fibre_families(
-    wall: Wall, frame: Frame, angles: Mapping[str, float] = ANGLES
+    wall: Wall, frame: Frame, angles: Mapping[str, float] | None = None
 ) -> tuple[dolfinx.fem.Function, dolfinx.fem.Function]:
     """Return the directions of the two fibre families, cos α ê₀ ± sin α ê₁.
 
     Args:
         wall: The wall.
         frame: Its frame.
-        angles: α for each layer [degrees], from the circumferential direction.
+        angles: α for each layer [degrees], from the circumferential direction; those of
+            :data:`ANGLES` if not given.
 
     Raises:
         ValueError: A layer has no angle, or an angle is not finite.
     """
+    if angles is None:
+        angles = {name: angle for name, angle in ANGLES.items() if name in wall.layers}
     if not all(np.isfinite(angle) for angle in angles.values()):
         raise ValueError(f"angles={dict(angles)}: give each layer a finite angle in degrees")
     α = np.deg2rad(by_layer(wall, angles).x.array)[:, None]

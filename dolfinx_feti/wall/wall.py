@@ -3,9 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A wall: a mesh whose layers and surfaces have names.
 
-The layers are `media` and `adventitia`; the surfaces are `lumen` (under pressure), `outer`,
-`opening_1`, `opening_2`, … (the faces where the vessel was cut), and any others that the file
-names, such as the symmetry planes `symmetry_x` and `symmetry_y` of a quarter tube.
+Layers and surfaces have the names that the file gives them, from one of each on. Usual ones are the
+layers `media` and `adventitia`, and the surfaces `lumen` (under pressure), `outer`, `opening_1`,
+`opening_2`, … (the faces where the vessel was cut), and `symmetry_x` and `symmetry_y` of a quarter
+tube.
 """
 
 from __future__ import annotations
@@ -28,7 +29,24 @@ import ufl
 from dolfinx_feti.collective import on_first
 from dolfinx_feti.wall.wallfile import RawWall, read_raw_wall
 
-__all__ = ["Wall", "area", "by_layer", "facets", "openings", "read_wall", "surface_measure"]
+__all__ = [
+    "AXES",
+    "Wall",
+    "area",
+    "by_layer",
+    "corners",
+    "extent",
+    "facets",
+    "openings",
+    "plane",
+    "read_wall",
+    "surface_measure",
+]
+
+AXES = "xyz"
+
+#: How far a plane surface may reach out of its plane, relative to the extent of the wall.
+FLAT = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,14 +162,72 @@ def area(wall: Wall, name: str) -> float:
     Note:
         Collective.
     """
+    a, b, c = np.moveaxis(corners(wall, name), 1, 0)
+    local = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+    return wall.mesh.comm.allreduce(local)
+
+
+def corners(wall: Wall, name: str) -> npt.NDArray[np.float64]:
+    """Return the corners of the owned facets of a surface [mm], (facets, 3, 3).
+
+    Args:
+        wall: The wall.
+        name: Name of the surface.
+
+    Raises:
+        ValueError: The wall has no such surface.
+    """
     entities = facets(wall, name)
     owned = entities[entities < wall.mesh.topology.index_map(2).size_local]
-    local = 0.0
-    if len(owned):  # dolfinx 0.9 divides by their number
-        corners = dolfinx.mesh.entities_to_geometry(wall.mesh, 2, owned)
-        a, b, c = np.moveaxis(wall.mesh.geometry.x[corners], 1, 0)
-        local = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
-    return wall.mesh.comm.allreduce(local)
+    if not len(owned):  # dolfinx 0.9 divides by their number
+        return np.zeros((0, 3, 3))
+    nodes = dolfinx.mesh.entities_to_geometry(wall.mesh, 2, owned)
+    return np.asarray(wall.mesh.geometry.x[nodes])
+
+
+def extent(mesh: dolfinx.mesh.Mesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return the least and the greatest coordinates of a mesh [mm], (3,) each.
+
+    Note:
+        Collective.
+    """
+    return _bounds(np.asarray(mesh.geometry.x, dtype=np.float64), mesh.comm)
+
+
+def plane(wall: Wall, name: str) -> tuple[int, float]:
+    """Return the axis normal to a plane surface, 0, 1 or 2, and its coordinate there [mm].
+
+    Args:
+        wall: The wall.
+        name: Name of the surface.
+
+    Raises:
+        ValueError: The wall has no such surface, or it lies in no plane normal to x, y or z. On all
+            processes.
+
+    Note:
+        Collective.
+    """
+    low, high = extent(wall.mesh)
+    below, above = _bounds(corners(wall, name).reshape(-1, 3), wall.mesh.comm)
+    thick = above - below
+    k = int(np.argmin(thick))
+    if not 0.0 <= thick[k] <= FLAT * np.linalg.norm(high - low):
+        sizes = " × ".join(f"{size:.3g}" for size in thick)
+        raise ValueError(
+            f"The surface {name!r} lies in no plane normal to x, y or z (it extends over {sizes} "
+            "mm), as it has to where it slides: turn the mesh, or give the surface stiff springs "
+            "along its normal"
+        )
+    return k, float((below[k] + above[k]) / 2.0)
+
+
+def _bounds(
+    x: npt.NDArray[np.float64], comm: MPI.Comm
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return the least and the greatest of the points of all processes."""
+    low, high = x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)
+    return np.min(comm.allgather(low), axis=0), np.max(comm.allgather(high), axis=0)
 
 
 def surface_measure(wall: Wall, *, metadata: dict[str, object] | None = None) -> ufl.Measure:

@@ -3,10 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Wall files: tetrahedra with layers, triangles with surfaces, read on one process.
 
-A Gmsh file names layers and surfaces by its physical groups. In other formats they are numbers in
-cell data: ``layer`` for the tetrahedra and ``surface`` for the triangles, or ``gmsh:physical``,
-``medit:ref`` or ``tag`` for both. :data:`NUMBERS` gives the meaning of numbers without names.
-``meshes/README.md`` shows how to bring your own wall.
+A Gmsh file names layers and surfaces by its physical groups, as it likes. In other formats they are
+numbers in cell data: ``layer`` for the tetrahedra and ``surface`` for the triangles, or
+``gmsh:physical``, ``medit:ref`` or ``tag`` for both. :data:`NUMBERS` gives the names of numbers
+without names; others are called ``layer_7`` and ``surface_7``. ``meshes/README.md`` shows how to
+bring your own wall.
 """
 
 from __future__ import annotations
@@ -23,13 +24,12 @@ import numpy.typing as npt
 
 __all__ = ["NUMBERS", "RawWall", "read_raw_wall"]
 
-# The meaning of numbers without names; opening k has 10 + k.
+# Names of numbers without names; opening k has 10 + k.
 LAYER_NUMBERS = {"media": 1, "adventitia": 2}
 SURFACE_NUMBERS = {"lumen": 3, "outer": 4, "symmetry_x": 5, "symmetry_y": 6}
 SURFACE_NUMBERS |= {f"opening_{k}": 10 + k for k in range(1, 90)}
 NUMBERS = LAYER_NUMBERS | SURFACE_NUMBERS
 
-REQUIRED = {"layers": ("media", "adventitia"), "surfaces": ("lumen", "outer", "opening_")}
 CELL_DATA = {
     "tetra": ("layer", "gmsh:physical", "medit:ref", "tag"),
     "triangle": ("surface", "gmsh:physical", "medit:ref", "tag"),
@@ -72,7 +72,7 @@ def read_raw_wall(path: Path) -> RawWall:
         FileNotFoundError: There is no such file.
         ModuleNotFoundError: The reader, gmsh or meshio, is not installed.
         ValueError: The file cannot be read, has cells other than tetrahedra with four points, or
-            lacks a layer or a surface; the message lists those found.
+            has a cell without a layer's name, or no surface; the message lists those found.
     """
     if not path.is_file():
         raise FileNotFoundError(f"There is no file {path}: give the path of a mesh of a wall")
@@ -88,9 +88,14 @@ def read_raw_wall(path: Path) -> RawWall:
         layers=wall.layers,
         facets=number[wall.facets],
         surfaces=wall.surfaces,
-        layer_names=wall.layer_names,
-        surface_names=wall.surface_names,
+        layer_names=_used(wall.layer_names, wall.layers),
+        surface_names=_used(wall.surface_names, wall.surfaces),
     )
+
+
+def _used(names: dict[str, int], tags: Indices) -> dict[str, int]:
+    """Leave out the names that nothing has."""
+    return {name: tag for name, tag in names.items() if np.any(tags == tag)}
 
 
 def _read_gmsh(path: Path) -> RawWall:
@@ -204,7 +209,11 @@ def _cell_data(path: Path, mesh: Any, kind: str) -> Indices:
 def _named(tags: Indices, dim: int) -> dict[str, int]:
     """Name the numbers of layers (dimension 3) or surfaces (2) that occur."""
     numbers = LAYER_NUMBERS if dim == 3 else SURFACE_NUMBERS
-    return {name: tag for name, tag in numbers.items() if np.any(tags == tag)}
+    kind = "layer" if dim == 3 else "surface"
+    name_of = {tag: name for name, tag in numbers.items()}
+    found = {int(tag) for tag in tags if tag > 0}
+    named = {name: tag for name, tag in numbers.items() if tag in found}
+    return named | {f"{kind}_{tag}": tag for tag in sorted(found - name_of.keys())}
 
 
 def _import(name: str, path: Path) -> ModuleType:
@@ -219,17 +228,18 @@ def _import(name: str, path: Path) -> ModuleType:
 
 
 def _check_names(path: Path, wall: RawWall) -> None:
-    """Require the layers and surfaces that every wall has, and a name for every cell."""
+    """Require a named layer for every cell, and a named surface."""
     missing, texts = [], []
     for kind, names, tags in (
-        ("layers", wall.layer_names, wall.layers),
-        ("surfaces", wall.surface_names, wall.surfaces),
+        ("layer", wall.layer_names, wall.layers),
+        ("surface", wall.surface_names, wall.surfaces),
     ):
         name_of = {tag: name for name, tag in names.items()}
         found = [(name_of.get(int(tag), "nameless"), tag) for tag in np.unique(tags)]
-        texts.append(f"{kind} {', '.join(f'{name} = {tag}' for name, tag in found) or 'none'}")
-        missing += [r for r in REQUIRED[kind] if not any(name.startswith(r) for name, _ in found)]
-        missing += ["name for some cells"] * (kind == "layers" and "nameless" in dict(found))
+        listed = ", ".join(f"{name} = {tag}" for name, tag in found)
+        texts.append(f"{kind}s {listed or 'none'}")
+        missing += [f"named {kind}"] * all(name == "nameless" for name, _ in found)
+        missing += ["name for some cells"] * (kind == "layer" and "nameless" in dict(found))
     if missing:
         raise ValueError(
             f"The wall in {path} has no {', no '.join(missing)}. Found: {'; '.join(texts)}. {HELP}."

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The bar of the load on a terminal."""
+"""The bar of the load on a terminal, and its lines in the log."""
 
 from __future__ import annotations
 
@@ -12,8 +12,11 @@ import pytest
 from collective import COMM, agree, raises
 
 from dolfinx_feti import ConvergenceError
-from dolfinx_feti.loading.progress import WIDTH, Progress
-from dolfinx_feti.loading.steps import Steps
+from dolfinx_feti.loading.progress import WIDTH, Progress, duration, time_left
+from dolfinx_feti.loading.steps import LoadStep, Steps
+
+#: What the bar says of the time that a played problem takes.
+LEFT = "about 0 s left  "
 
 
 class Terminal(io.StringIO):
@@ -50,14 +53,16 @@ def test_bar_on_the_first_process(played, terminal):
     )
     shown = lines(terminal.getvalue())
     if COMM.rank == 0:
-        text = [line.split("%")[1].strip() for line in shown if line]
+        text = [line.split("%")[1].strip().removeprefix(LEFT) for line in shown if line]
         expected = [
             f"{load:.4g} → {load + 0.5:.4g} of 2 mmHg{newton}"
             for load in (0.0, 0.5, 1.0, 1.5)
             for newton in ("", "  Newton 0  ‖r‖ = 1.0e+00", "  Newton 1  ‖r‖ = 1.0e-01")
         ]
         filled = [line.count("█") / (line.count("█") + line.count("░")) for line in shown if line]
-        ok = text == expected and shown[-1] == "" and filled[::3] == [0.0, 0.25, 0.5, 0.75]
+        known = [LEFT in line for line in shown if line]  # from the second step on
+        ok = known == [False] * 3 + [True] * 9
+        ok = ok and text == expected and shown[-1] == "" and filled[::3] == [0.0, 0.25, 0.5, 0.75]
     else:
         ok = shown == []
     agree(ok, shown)
@@ -105,5 +110,50 @@ def test_bar_where_there_is_no_way_left(played, terminal):
     problem = played()
     with Progress(problem.solver, COMM, loads=[3.0, 3.0], unit="mmHg") as bar:
         bar.attempt(3.0, 3.0)
+        bar.accept(LoadStep(3.0, 0.0, (), 0, (), 1.0))
     shown = [line.split("  ")[0] for line in lines(terminal.getvalue()) if line]
     agree(shown == (["█" * WIDTH + " 100 %"] if COMM.rank == 0 else []), shown)
+
+
+# -- the log
+
+
+def test_a_line_for_each_load_step(played, caplog):
+    """On the first process; a failed attempt has a line of its own."""
+    caplog.set_level("INFO", logger="dolfinx_feti")
+    problem = played(
+        cost=lambda increment: 2, fails=lambda before, load: before == 0.5 and load == 1.0
+    )
+    problem.solver.setFunctionNorm(2.5e-7)
+    problem.follow([1.0], Steps(first=0.5, least=0.25, growth=1.0), unit="mmHg")
+    said = [record.getMessage() for record in caplog.records]
+    residual = "residual 2.5e-07, 0.0 s"
+    expected = [
+        f"load step 1: 0.5 of 1 mmHg, 2 Newton steps, 14 linear iterations, {residual}, "
+        "about 0 s left",
+        "no equilibrium at 1: The spring broke.",
+        f"load step 2: 0.75 of 1 mmHg after 1 failed attempt(s), 4 Newton steps, 28 linear "
+        f"iterations, {residual}, about 0 s left",
+        f"load step 3: 1 of 1 mmHg, 2 Newton steps, 14 linear iterations, {residual}",
+    ]
+    agree(said == (expected if COMM.rank == 0 else []), said)
+
+
+def step_of(increment, seconds):
+    return LoadStep(0.0, increment, (), 0, (), seconds)
+
+
+def test_time_left():
+    """The pace of the last three steps, up or down; nothing without a way to take it from."""
+    steps = [step_of(1.0, 100.0), step_of(1.0, 2.0), step_of(-2.0, 4.0), step_of(1.0, 6.0)]
+    agree(time_left(steps, 8.0) == 24.0)
+    agree(time_left(steps[:1], 0.5) == 50.0 and time_left(steps, 0.0) == 0.0)
+    agree(time_left([], 1.0) is None and time_left([step_of(0.0, 1.0)], 1.0) is None)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(0.2, "0 s"), (99.4, "99 s"), (100, "2 min"), (3599, "1 h 0 min"), (12000, "3 h 20 min")],
+)
+def test_duration(seconds, words):
+    agree(duration(seconds) == words, duration(seconds))

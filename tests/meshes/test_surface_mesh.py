@@ -68,6 +68,6 @@ def test_prisms_match_for_any_numbering():
     s = number[t]
     rim = find_edges(s).rim
     tags = np.full(len(rim), TAGS["opening_1"])
-    mesh = grow(y, y * [1.3, 1.3, 1], s, through=sheets(0.5, (1, 2)), rim=(rim, tags))
+    mesh = grow(y, y * [1.3, 1.3, 1], s, through=sheets((1, 1), (1, 2), (1, 2)), rim=(rim, tags))
     agree(measure_quality(mesh).minimum > 0)
     watertight(SimpleNamespace(cells=mesh.cells, facets=mesh.facets))

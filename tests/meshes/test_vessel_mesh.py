@@ -131,7 +131,10 @@ def test_command_line_makes_the_same_vessel(coarse, tmp_path, monkeypatch):
 def test_layers_of_several_elements(tmp_path):
     def make():
         stl = write_stl(tmp_path / "pipe.stl", *pipe(), binary=True)
-        vessel.create_vessel(tmp_path / "v.msh", surface=stl, size=1.0, media=0.5, through=(3, 2))
+        layers = {"media": 0.5, "adventitia": 0.5}
+        vessel.create_vessel(
+            tmp_path / "v.msh", surface=stl, size=1.0, layers=layers, through=(3, 2)
+        )
         return read_raw_wall(tmp_path / "v.msh")
 
     wall = on_first(make)
@@ -141,6 +144,45 @@ def test_layers_of_several_elements(tmp_path):
     R = 3.0
     exact = [np.pi * 10 * ((R + 0.5) ** 2 - R**2), np.pi * 10 * ((R + 1) ** 2 - (R + 0.5) ** 2)]
     equal(list(volumes(wall).values()), exact, 0.03)
+
+
+def test_one_layer_from_a_surface_in_metres(tmp_path, monkeypatch, capsys):
+    """By the command line: one layer, of its own name, all of the pipe's wall."""
+    path = tmp_path / "wall.msh"
+    x, t = pipe()
+    stl = on_first(lambda: write_stl(tmp_path / "pipe.stl", x / 1000, t, binary=True))
+    words = f"prog {path} --surface {stl} --scale 1000 --size 1.2 --layers wall --through 2"
+    monkeypatch.setattr(sys, "argv", words.split())
+    on_first(vessel.main)
+    wall = on_first(lambda: read_raw_wall(path))
+    watertight(wall)
+    agree(wall.layer_names == {"wall": 101}, wall.layer_names)
+    agree(set(wall.surface_names) == {"lumen", "outer", "opening_1", "opening_2"})
+    equal(volumes(wall)["wall"], np.pi * 10 * (4**2 - 3**2), 0.03)
+    monkeypatch.setattr(sys, "argv", words.replace("wall --through", "outer --through").split())
+    with pytest.raises(SystemExit) as end:
+        vessel.main()
+    said = capsys.readouterr().err.splitlines()
+    agree(end.value.code == 2 and len(said) == 1 and "name of a surface" in said[0], said)
+
+
+def test_three_layers(tmp_path):
+    """Each between its radii."""
+
+    def make():
+        stl = write_stl(tmp_path / "pipe.stl", *pipe(), binary=True)
+        layers = {"intima": 2.0, "media": 5.0, "adventitia": 3.0}
+        vessel.create_vessel(
+            tmp_path / "v.msh", surface=stl, size=0.8, thickness=1.0, layers=layers
+        )
+        return read_raw_wall(tmp_path / "v.msh")
+
+    wall = on_first(make)
+    watertight(wall)
+    volume = volumes(wall)
+    R = 3.0 + np.array([0.0, 0.2, 0.7, 1.0])
+    exact = np.pi * 10 * np.diff(R**2)
+    equal([volume[name] for name in ("intima", "media", "adventitia")], exact, 0.03)
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -160,7 +202,11 @@ def test_surface_may_face_either_way(tmp_path, turned):
         ({"size": 0.0}, "size=0.0"),
         ({"size": float("nan")}, "size=nan"),
         ({"thickness": -1.0}, "thickness=-1.0"),
-        ({"media": 1.0}, "media=1.0"),
+        ({"scale": 0.0}, "scale=0.0"),
+        ({"layers": {"wall": 0.0}}, "the share 0.0 of 'wall'"),
+        ({"layers": {"lumen": 1.0}}, "'lumen' is the name of a surface"),
+        ({"layers": {}}, "layers is empty: name a layer"),
+        ({"layers": {"wall": 1.0}, "through": (1, 1)}, r"through=\(1, 1\): each of the 1 layers"),
         ({"through": (0, 1)}, r"through=\(0, 1\)"),
     ],
 )

@@ -71,6 +71,22 @@ def is_frame(frame):
     equal(np.cross(e0, e1), e2, 1e-13)
 
 
+def test_surfaces_by_other_names(tmp_path):
+    """The frame of the same wall, and the angles of its one layer."""
+    wall = read_wall(EXAMPLE, COMM)
+    names = dict(zip(("inside", "outside", "below", "above"), wall.surfaces.values(), strict=True))
+    other = replace(wall, surfaces=names)
+    frame = fibre_frame(other, inner="inside", outer="outside", ends=["below", "above"])
+    for e, expected in zip(directions(frame), directions(fibre_frame(wall)), strict=True):
+        equal(e, expected, 1e-12)
+    with raises(ValueError, "no surface 'lumen'"):
+        fibre_frame(other, ends=["below", "above"])
+    with raises(ValueError, "openings none: .* name them by ends="):
+        fibre_frame(other, inner="inside", outer="outside")
+    with raises(ValueError, "but the wall has the layers wall"):
+        fibre_families(replace(other, layers={"wall": 1}), frame)
+
+
 # -- the tube
 
 

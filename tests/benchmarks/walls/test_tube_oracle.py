@@ -42,9 +42,10 @@ def test_published_volumes(mmhg, kappa, mean):
 
 @pytest.mark.parametrize("kappa", [np.inf, 1000.0])
 @pytest.mark.parametrize("angle", [29.0, 62.0])
+@pytest.mark.parametrize("stretch", [1.0, 1.15])
 @pytest.mark.parametrize(("stretch_r", "stretch_t"), [(0.8, 1.3), (1.2, 0.85), (0.9, 1.1)])
-def test_stresses_are_derivatives_of_the_energy(kappa, angle, stretch_r, stretch_t):
-    wall, h = Wall(kappa=kappa), 1e-5
+def test_stresses_are_derivatives_of_the_energy(kappa, angle, stretch, stretch_r, stretch_t):
+    wall, h = Wall(kappa=kappa, stretch=stretch), 1e-5
     differences = [
         (
             energy(wall, angle, stretch_r + a, stretch_t + b)
@@ -59,10 +60,12 @@ def test_stresses_are_derivatives_of_the_energy(kappa, angle, stretch_r, stretch
     )
 
 
-@pytest.mark.parametrize("kappa", KAPPAS)
-def test_equilibrium_and_surfaces(kappa):
+@pytest.mark.parametrize(
+    ("kappa", "stretch"), [*((kappa, 1.0) for kappa in KAPPAS), (np.inf, 1.2), (1000.0, 1.2)]
+)
+def test_equilibrium_and_surfaces(kappa, stretch):
     pressure = 100 * KPA_PER_MMHG
-    tube = inflate(pressure, Wall(kappa=kappa))
+    tube = inflate(pressure, Wall(kappa=kappa, stretch=stretch))
     inner, outer = tube.wall.layers[0].inner, tube.wall.layers[-1].outer
     assert abs(tube.stress(inner)[0] + pressure) <= 1e-8 * pressure
     assert abs(tube.stress(outer)[0]) <= 1e-8 * pressure
@@ -73,6 +76,18 @@ def test_equilibrium_and_surfaces(kappa):
         )
         radial, hoop = tube.stress(R)
         assert abs(tube.radius(R) * slope - (hoop - radial)) <= 1e-4 * abs(hoop - radial)
+
+
+@pytest.mark.parametrize("stretch", [0.9, 1.3])
+def test_tube_that_is_pulled_alone(stretch):
+    """Without fibres and pressure, and incompressible: uniaxial, r = R/√λ_z and no stress in it."""
+    tube = inflate(0.0, Wall(k1=1e-300, stretch=stretch))
+    for R in (0.71, 0.9, 1.1):
+        assert abs(tube.radius(R) * np.sqrt(stretch) / R - 1.0) <= 1e-10
+        np.testing.assert_allclose(tube.stress(R), 0.0, atol=1e-9)
+    nearly = inflate(0.0, Wall(k1=1e-300, kappa=1e5, stretch=stretch))
+    assert abs(nearly.mean_jacobian - 1.0) <= 1e-4
+    assert abs(nearly.radius(0.9) / tube.radius(0.9) - 1.0) <= 1e-4
 
 
 def test_law_of_laplace():

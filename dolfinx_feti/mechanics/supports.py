@@ -1,0 +1,101 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Springs and dashpots on a surface, for the tissue around a vessel, as energies in UFL.
+
+The tissue around a wall answers with the traction −k w − η ẇ per reference area, where w is the
+displacement u or its part along the normal N of the reference surface, w = (u·N) N. In a time step
+Δt from the last displacement u⁰ to u, by the implicit Euler method, ẇ = (w − w⁰)/Δt, and both
+tractions have a potential::
+
+    Π_spring  = ∫ k/2 w·w dA,        Π_dashpot = ∫ η/(2 Δt) (w − w⁰)·(w − w⁰) dA.
+
+They are to be **added** to the internal energy: residual and tangent follow by ``ufl.derivative``,
+and the tangent is symmetric and not negative. Source: P. Moireau et al., *External tissue support
+and fluid–structure simulation in blood flows*, Biomech. Model. Mechanobiol. 11 (2012).
+
+Units: k in kPa/mm, η in kPa s/mm, Δt in s, lengths in mm.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, get_args
+
+import ufl
+from ufl.core.expr import Expr
+
+__all__ = ["Direction", "dashpot_energy", "spring_energy"]
+
+#: Which part of the displacement is resisted.
+Direction = Literal["normal", "all"]
+
+
+def spring_energy(
+    stiffness: float | Expr, u: Expr, ds: ufl.Measure, direction: Direction = "normal"
+) -> ufl.Form:
+    """Energy of springs between a surface and a place at rest, ∫ k/2 w·w dA.
+
+    Args:
+        stiffness: k per reference area [kPa/mm], not negative.
+        u: Displacement [mm], shape (d,).
+        ds: Measure of the surface.
+        direction: ``"normal"``: w = (u·N) N, the wall slides freely along the tissue; ``"all"``:
+            w = u.
+
+    Returns:
+        Form of rank zero [mN mm].
+
+    Raises:
+        ValueError: If ``stiffness`` is a number that is negative or not finite, or the direction is
+            neither.
+    """
+    _require_not_negative(stiffness=stiffness)
+    return stiffness / 2 * _square(u, direction) * ds
+
+
+def dashpot_energy(
+    viscosity: float | Expr,
+    u: Expr,
+    last: Expr,
+    time_step: float | Expr,
+    ds: ufl.Measure,
+    direction: Direction = "normal",
+) -> ufl.Form:
+    """Incremental potential of dashpots, ∫ η/(2 Δt) (w − w⁰)·(w − w⁰) dA.
+
+    Args:
+        viscosity: η per reference area [kPa s/mm], not negative.
+        u: Displacement [mm], shape (d,).
+        last: Displacement at the end of the last time step [mm], a Function of its own.
+        time_step: Δt [s]; a constant can change from step to step, and one of infinity leaves the
+            dashpots without effect.
+        ds: Measure of the surface.
+        direction: See :func:`spring_energy`.
+
+    Returns:
+        Form of rank zero [mN mm].
+
+    Raises:
+        ValueError: If ``viscosity`` is a number that is negative or not finite, ``time_step`` one
+            that is not positive, or the direction is neither.
+    """
+    _require_not_negative(viscosity=viscosity)
+    if not isinstance(time_step, Expr) and not time_step > 0.0:
+        raise ValueError(f"time_step = {time_step}: give a positive number of seconds.")
+    return viscosity / (2 * time_step) * _square(u - last, direction) * ds
+
+
+def _square(u: Expr, direction: Direction) -> Expr:
+    """w·w of the resisted part w of a displacement."""
+    if direction not in get_args(Direction):
+        raise ValueError(f"direction = {direction!r}: choose 'normal' or 'all'.")
+    if direction == "all":
+        return ufl.inner(u, u)
+    return ufl.inner(u, ufl.FacetNormal(ufl.domain.extract_unique_domain(u))) ** 2
+
+
+def _require_not_negative(**parameters: float | Expr) -> None:
+    for name, value in parameters.items():
+        if not isinstance(value, Expr) and not 0.0 <= value < math.inf:
+            raise ValueError(f"{name} = {value}: give a finite number that is not negative.")

@@ -1,0 +1,302 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The boundary of a wall under its conditions: Dirichlet conditions, and forms to be added.
+
+An axial prestretch λ moves what is clamped or slides by (λ − 1) (X·e − X₀) e along an axis e, where
+X₀ is the least X·e of the wall. Units: mm, kPa, s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from petsc4py import PETSc
+
+import numpy as np
+
+import dolfinx
+import dolfinx.fem.petsc
+import ufl
+
+from dolfinx_feti.mechanics.loads import (
+    follower_pressure,
+    follower_pressure_tangent,
+    pressure_potential,
+)
+from dolfinx_feti.mechanics.supports import dashpot_energy, spring_energy
+from dolfinx_feti.wall.conditions import (
+    Clamp,
+    Condition,
+    Conditions,
+    Dashpot,
+    Pressure,
+    Slide,
+    Spring,
+    by_surface,
+)
+from dolfinx_feti.wall.wall import AXES, Wall, extent, facets, plane, surface_measure
+
+__all__ = ["Boundary", "apply_conditions"]
+
+#: How closely two residuals agree that are one, relative to their norm.
+SAME = 1e-9
+
+#: Pressures: share and measure of each surface.
+Loaded = Sequence[tuple[dolfinx.fem.Constant, ufl.Measure]]
+
+
+@dataclass(frozen=True, slots=True)
+class Boundary:
+    """What conditions make of a wall's boundary.
+
+    Attributes:
+        bcs: Dirichlet conditions of what is clamped or slides.
+        residual: Virtual work of pressure, springs and dashpots, to be added to that inside.
+        tangent: Its derivative; of the pressure's, the symmetric part if that is all of it in sum.
+        energy: Its potential, to be added to that inside; None if the pressure has none.
+        pressure: The wall's pressure [kPa], zero at first.
+        time_step: Δt of the dashpots [s], infinite at first: they do not resist.
+        last: The displacement at the end of the last time step [mm], zero at first.
+        axis: Number of the axis of the prestretch; None for none.
+        moved: The displacement of what is clamped [mm].
+        planes: The displacement normal to each plane that the prestretch moves [mm], and where the
+            plane lies on the axis [mm].
+    """
+
+    bcs: list[dolfinx.fem.DirichletBC]
+    residual: ufl.Form
+    tangent: ufl.Form
+    energy: ufl.Form | None
+    pressure: dolfinx.fem.Constant
+    time_step: dolfinx.fem.Constant
+    last: dolfinx.fem.Function
+    axis: int | None
+    moved: dolfinx.fem.Function
+    planes: tuple[tuple[dolfinx.fem.Constant, float], ...]
+
+    def set_stretch(self, stretch: float) -> None:
+        """Set the axial prestretch λ of what is clamped or slides; the next solve meets it.
+
+        Args:
+            stretch: λ [-]: 1 at rest, 1.2 for a tube pulled to 1.2 times its length.
+
+        Raises:
+            ValueError: λ is not positive, or the conditions were applied without an axis.
+        """
+        if self.axis is None:
+            raise ValueError("There is no axis to stretch along: give apply_conditions(axis=…).")
+        if not 0.0 < stretch < math.inf:
+            raise ValueError(f"stretch={stretch}: give a positive number, 1 for a wall at rest.")
+        V = self.moved.function_space
+        least = float(extent(V.mesh)[0][self.axis])
+        X = V.tabulate_dof_coordinates()[:, self.axis]
+        self.moved.x.array.reshape(-1, 3)[:, self.axis] = (stretch - 1.0) * (X - least)
+        for value, place in self.planes:
+            value.value = (stretch - 1.0) * (place - least)
+
+    def advance(self, u: dolfinx.fem.Function) -> None:
+        """End a time step of the dashpots: the present displacement becomes the last one.
+
+        Set ``time_step.value`` before each solve, and call this after it.
+
+        Args:
+            u: The displacement.
+        """
+        self.last.x.array[:] = u.x.array
+
+
+def apply_conditions(
+    wall: Wall, u: dolfinx.fem.Function, conditions: Conditions, *, axis: str | None = None
+) -> Boundary:
+    """Turn conditions on named surfaces into Dirichlet conditions and forms.
+
+    The forms hold ``ufl.TestFunction(V)`` and ``ufl.TrialFunction(V)`` of the space V of u, and
+    state no quadrature degree. Whether a pressure has a potential −p V is found out by trying: at a
+    displacement that meets the Dirichlet conditions its derivative has to be the residual. Without
+    one, where rims are free or on springs, the tangent is not symmetric and needs GMRES; with its
+    symmetric part alone Newton's method would take tens of steps.
+
+    Args:
+        wall: The wall.
+        u: Displacement [mm], a Function in a Lagrange space on its mesh.
+        conditions: One or several for each surface by name; those that are not named are free.
+        axis: ``"x"``, ``"y"`` or ``"z"`` for a prestretch along it by :meth:`Boundary.set_stretch`.
+
+    Returns:
+        Dirichlet conditions, forms, and the constants and functions in them.
+
+    Raises:
+        ValueError: The wall has no such surface, a clamp has company, a surface that slides lies in
+            no plane normal to x, y or z, or nothing is there to pull along the axis. On all
+            processes.
+
+    Note:
+        Collective.
+    """
+    given = by_surface(conditions)
+    mesh, V = wall.mesh, u.function_space
+    slides = {name: plane(wall, name) for name, found in given.items() if Slide() in found}
+    clamps = [name for name, found in given.items() if Clamp() in found]
+    for name in given:
+        facets(wall, name)  # must be there
+    along = None if axis is None else _axis(axis, clamps, [k for k, _ in slides.values()])
+    values = {name: _constant(mesh, 0.0) for name in slides}
+    moved = dolfinx.fem.Function(V)
+    bcs = [_slide(wall, V, name, slides[name][0], value) for name, value in values.items()]
+    bcs += [_clamp(wall, V, name, moved) for name in clamps]
+    p, dt = _constant(mesh, 0.0), _constant(mesh, np.inf)
+    last = dolfinx.fem.Function(V, name="last_displacement")
+    v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+    ds = {name: surface_measure(wall)(wall.surfaces[name]) for name in given}
+    supports = sum(
+        (_support(c, u, last, dt, ds[name]) for name, found in given.items() for c in found),
+        ufl.Form([]),
+    )
+    residual, tangent = ufl.Form([]), ufl.Form([])
+    if not supports.empty():
+        residual = ufl.derivative(supports, u, v)
+        tangent = ufl.derivative(residual, u, du)
+    loaded = [
+        (_constant(mesh, condition.share), ds[name])
+        for name, found in given.items()
+        for condition in found
+        if isinstance(condition, Pressure)
+    ]
+    for share, part in loaded:
+        residual += follower_pressure(share * p, u, v, part)
+    boundary = Boundary(
+        bcs=bcs,
+        residual=residual,
+        tangent=tangent,
+        energy=None,
+        pressure=p,
+        time_step=dt,
+        last=last,
+        axis=along,
+        moved=moved,
+        planes=tuple((values[name], at) for name, (k, at) in slides.items() if k == along),
+    )
+    normals = sorted({k for k, _ in slides.values()})
+    fitting = [e for e in (None, *np.eye(3)[normals]) if _is_potential(boundary, V, loaded, e)]
+    kind: Literal["symmetric", "full"] = "symmetric" if fitting else "full"
+    for share, part in loaded:
+        tangent += follower_pressure_tangent(share * p, u, v, du, part, kind)
+    energy = supports + _potential(p, u, loaded, fitting[0]) if fitting else None
+    return replace(boundary, tangent=tangent, energy=energy)
+
+
+def _constant(mesh: dolfinx.mesh.Mesh, value: float) -> dolfinx.fem.Constant:
+    return dolfinx.fem.Constant(mesh, dolfinx.default_scalar_type(value))
+
+
+def _axis(axis: str, clamps: Sequence[str], normals: Sequence[int]) -> int:
+    """Return the number of an axis along which there is something to pull at.
+
+    Raises:
+        ValueError: There is no such axis, or nothing that is held or slides across it.
+    """
+    if axis not in tuple(AXES):
+        raise ValueError(f"axis={axis!r}: choose 'x', 'y' or 'z'.")
+    number = AXES.index(axis)
+    if len(clamps) + normals.count(number) < 2:
+        raise ValueError(
+            f"axis={axis!r}: a prestretch pulls at two ends, but fewer surfaces are clamped or "
+            f"slide in a plane normal to {axis}: give both ends Clamp() or Slide()."
+        )
+    return number
+
+
+def _slide(
+    wall: Wall, V: dolfinx.fem.FunctionSpace, name: str, k: int, value: dolfinx.fem.Constant
+) -> dolfinx.fem.DirichletBC:
+    """Hold the component normal to a plane."""
+    part = V.sub(k)
+    return dolfinx.fem.dirichletbc(
+        value, dolfinx.fem.locate_dofs_topological(part, 2, facets(wall, name)), part
+    )
+
+
+def _clamp(
+    wall: Wall, V: dolfinx.fem.FunctionSpace, name: str, value: dolfinx.fem.Function
+) -> dolfinx.fem.DirichletBC:
+    """Hold a surface."""
+    return dolfinx.fem.dirichletbc(
+        value, dolfinx.fem.locate_dofs_topological(V, 2, facets(wall, name))
+    )
+
+
+def _support(
+    condition: Condition,
+    u: dolfinx.fem.Function,
+    last: dolfinx.fem.Function,
+    dt: dolfinx.fem.Constant,
+    ds: ufl.Measure,
+) -> ufl.Form:
+    """Return the potential of springs or dashpots, an empty form for other conditions."""
+    match condition:
+        case Spring(stiffness, direction):
+            k = _constant(u.function_space.mesh, stiffness)
+            return spring_energy(k, u, ds, direction)
+        case Dashpot(viscosity, direction):
+            factor = _constant(u.function_space.mesh, viscosity)
+            return dashpot_energy(factor, u, last, dt, ds, direction)
+    return ufl.Form([])
+
+
+def _potential(
+    p: dolfinx.fem.Constant,
+    u: dolfinx.fem.Function,
+    loaded: Loaded,
+    axis: Sequence[float] | None,
+) -> ufl.Form:
+    """Return −Σ p V(u) of all surfaces under pressure."""
+    parts = (pressure_potential(share * p, u, ds, axis) for share, ds in loaded)
+    return sum(parts, ufl.Form([]))
+
+
+def _is_potential(
+    boundary: Boundary,
+    V: dolfinx.fem.FunctionSpace,
+    loaded: Loaded,
+    axis: Sequence[float] | None,
+) -> bool:
+    """Say whether the derivative of −p V is the pressure's residual in all free dofs.
+
+    It is tried at a wave that meets the Dirichlet conditions, a stretched one if there is an axis.
+
+    Note:
+        Collective.
+    """
+    if not loaded:
+        return True
+    low, high = extent(V.mesh)
+    w, v, one = dolfinx.fem.Function(V), ufl.TestFunction(V), _constant(V.mesh, 1.0)
+    length = float(np.linalg.norm(high - low))
+    wave = np.array([[5.1, 3.7, -4.3], [-2.9, 6.1, 3.3], [4.7, -3.1, 5.3]]) / length
+    w.interpolate(lambda x: 0.02 * length * np.sin(wave @ (x - low[:, None]) + 0.4))
+    if boundary.axis is not None:
+        boundary.set_stretch(1.1)
+    for bc in boundary.bcs:
+        bc.set(w.x.array)
+    if boundary.axis is not None:
+        boundary.set_stretch(1.0)
+    follower = sum((follower_pressure(share * one, w, v, ds) for share, ds in loaded), ufl.Form([]))
+    slope = ufl.derivative(_potential(one, w, loaded, axis), w, v)
+    norms = [_free_norm(form, boundary.bcs) for form in (slope - follower, follower)]
+    return norms[0] <= SAME * norms[1]
+
+
+def _free_norm(form: ufl.Form, bcs: Sequence[dolfinx.fem.DirichletBC]) -> float:
+    """Return the norm of a linear form in the dofs that no condition holds."""
+    b = dolfinx.fem.petsc.assemble_vector(dolfinx.fem.form(form))
+    b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    for bc in bcs:
+        dofs, _ = bc.dof_indices()
+        b.array[dofs[dofs < b.getLocalSize()]] = 0.0
+    norm = b.norm()
+    b.destroy()
+    return float(norm)

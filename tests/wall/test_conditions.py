@@ -1,0 +1,280 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Conditions on surfaces: what they hold, their potentials, and a wall on springs beside LU."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, raises, small
+from wall_files import tube
+
+import dolfinx
+import ufl
+
+from dolfinx_feti import NonlinearProblem, kinematics, materials
+from dolfinx_feti.comparison import assembled_system
+from dolfinx_feti.wall import (
+    Clamp,
+    Dashpot,
+    Pressure,
+    Slide,
+    Spring,
+    apply_conditions,
+    area,
+    free_motions,
+)
+
+LENGTH, PRESSURE = 1.0, 0.3
+
+
+@pytest.fixture(scope="module")
+def wall(tmp_path_factory):
+    """A whole tube."""
+    return tube(tmp_path_factory.mktemp("whole"), length=LENGTH, size=0.5)
+
+
+@pytest.fixture(scope="module")
+def quarter(tmp_path_factory):
+    return tube(tmp_path_factory.mktemp("quarter"), length=LENGTH, size=0.5, quarter=True)
+
+
+ENDS = {"opening_1": Slide(), "opening_2": Slide()}
+QUARTER = ENDS | {"symmetry_x": Slide(), "symmetry_y": Slide()}
+
+
+def displacement(wall, degree=1):
+    return dolfinx.fem.Function(dolfinx.fem.functionspace(wall.mesh, ("Lagrange", degree, (3,))))
+
+
+def value(form):
+    return COMM.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(form)))
+
+
+def translate(u, by):
+    u.interpolate(lambda x: np.outer(by, np.ones_like(x[0])))
+
+
+# -- Dirichlet conditions
+
+
+def held(boundary, u):
+    """Mark the values of u that a condition holds, (nodes, 3)."""
+    mask = np.zeros(len(u.x.array), dtype=bool)
+    for bc in boundary.bcs:
+        mask[bc.dof_indices()[0]] = True
+    return mask.reshape(-1, 3)
+
+
+def test_clamps_and_slides_hold_their_nodes(quarter):
+    u = displacement(quarter, 2)
+    boundary = apply_conditions(
+        quarter, u, {"opening_1": Clamp(), "opening_2": Slide(), "symmetry_x": [Slide()]}
+    )
+    x = u.function_space.tabulate_dof_coordinates()
+    below, above = np.isclose(x[:, 2], 0.0), np.isclose(x[:, 2], LENGTH)
+    side = np.isclose(x[:, 0], 0.0)
+    expected = np.column_stack([below | side, below, below | above])
+    agree(np.array_equal(held(boundary, u), expected))
+
+
+def test_stretch_moves_ends(quarter):
+    """(λ − 1) z on both ends, clamped or sliding; nothing else of what is held moves."""
+    u = displacement(quarter, 2)
+    conditions = {"opening_1": Clamp(), "opening_2": Slide(), "symmetry_x": Slide()}
+    for first, second in (("opening_1", "opening_2"), ("opening_2", "opening_1")):
+        ends = {first: Clamp(), second: Slide()}
+        boundary = apply_conditions(quarter, u, conditions | ends, axis="z")
+        boundary.set_stretch(1.2)
+        u.x.array[:] = 0.0
+        for bc in boundary.bcs:
+            bc.set(u.x.array)
+        z = u.function_space.tabulate_dof_coordinates()[:, 2]
+        top = np.isclose(z, LENGTH)
+        equal(u.x.array.reshape(-1, 3), np.outer(top, [0.0, 0.0, 0.2 * LENGTH]), 1e-12)
+        boundary.set_stretch(1.0)
+        agree(not boundary.moved.x.array.any())
+
+
+# -- forms
+
+
+def test_energy_of_springs_and_dashpots(wall):
+    """A translation by d in a time step Δt: k/2 A |d|² on all, η/(2 Δt) A d_z² on a plane end."""
+    u, d, k, η, dt = displacement(wall), np.array([0.1, -0.2, 0.3]), 1.3, 0.7, 0.05
+    boundary = apply_conditions(
+        wall, u, {"outer": Spring(k, "all"), "opening_2": [Dashpot(η), Spring(2 * k)]}
+    )
+    boundary.time_step.value = dt
+    translate(u, d)
+    end = area(wall, "opening_2")
+    expected = k / 2 * area(wall, "outer") * d @ d
+    expected += (η / (2 * dt) + k) * end * d[2] ** 2
+    equal(value(boundary.energy), expected, 1e-12)
+    boundary.advance(u)
+    equal(value(boundary.energy), expected - η / (2 * dt) * end * d[2] ** 2, 1e-12)
+
+
+def test_pressure_has_a_potential_where_its_rims_are_held(wall, quarter):
+    """Clamped rims, or rims that slide along an axis; not free ones, nor ends on springs."""
+    inside = {"lumen": Pressure()}
+    whole, part = displacement(wall), displacement(quarter)
+    for ends, has in (
+        ({"opening_1": Clamp(), "opening_2": Clamp()}, True),
+        (ENDS, True),
+        ({"opening_1": Clamp(), "opening_2": Slide()}, True),
+        ({"opening_1": Clamp()}, False),
+        ({"opening_1": Spring(1.0), "opening_2": Spring(1.0)}, False),
+    ):
+        boundary = apply_conditions(wall, whole, inside | ends)
+        agree((boundary.energy is not None) == has, ends)
+    agree(apply_conditions(quarter, part, inside | QUARTER).energy is not None)
+    stretched = apply_conditions(quarter, part, inside | QUARTER, axis="z")
+    agree(stretched.energy is not None)
+
+
+def test_shares_of_the_pressure(wall):
+    """The residual of a share is that share of the residual, and the outer one pushes back."""
+    u, v = displacement(wall), displacement(wall)
+    translate(v, [0.0, 0.0, 1.0])
+    v.x.array[:] *= u.function_space.tabulate_dof_coordinates().ravel()
+    results = []
+    for share in (1.0, 0.5, -2.0):
+        boundary = apply_conditions(wall, u, {"lumen": Pressure(share), "opening_1": Clamp()})
+        boundary.pressure.value = 3.0
+        results.append(value(ufl.action(boundary.residual, v)) / share)
+    equal(results, np.full(3, results[0]), 1e-12)
+
+
+# -- rigid body motions
+
+
+def test_free_motions(wall, quarter):
+    for conditions, free in (
+        ({}, 6),
+        ({"lumen": Pressure(), "outer": Dashpot(1.0)}, 6),
+        ({"opening_1": Slide()}, 3),
+        (ENDS, 3),
+        ({"opening_1": Clamp()}, 0),
+        ({"outer": Spring(1e-3, "all")}, 0),
+        ({"opening_1": Spring(1.0)}, 3),
+    ):
+        agree(free_motions(wall, conditions) == free, (conditions, free))
+    agree(free_motions(quarter, QUARTER) == 0)
+
+
+# -- a problem
+
+
+@pytest.mark.parametrize("kind", ["all_floating", "classical"])
+def test_tube_on_springs_agrees_with_lu(wall, kind):
+    """No Dirichlet condition at all; under pressure, with dashpots, in two time steps."""
+    u = displacement(wall)
+    p = dolfinx.fem.Function(dolfinx.fem.functionspace(wall.mesh, ("DG", 0)))
+    boundary = apply_conditions(
+        wall,
+        u,
+        {
+            "lumen": Pressure(),
+            "outer": [Spring(1.0), Dashpot(0.5)],
+            "opening_1": Spring(5.0, "all"),
+            "opening_2": Spring(5.0),
+        },
+    )
+    v, q = ufl.TestFunction(u.function_space), ufl.TestFunction(p.function_space)
+    du = ufl.TrialFunction(u.function_space)
+    F = kinematics.deformation_gradient(u)
+    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+    psi = materials.neo_hookean(C, c=3.0, J=J) + materials.perturbed_lagrangian(J, p, kappa=100.0)
+    energy = psi * ufl.dx
+    problem = NonlinearProblem(
+        [ufl.derivative(energy, u, v) + boundary.residual, ufl.derivative(energy, p, q)],
+        u,
+        bcs=boundary.bcs,
+        J=ufl.derivative(ufl.derivative(energy, u, v), u, du) + boundary.tangent,
+        condense=p,
+        subdomains=4,
+        petsc_options_prefix="springs_",
+        petsc_options={"feti_type": kind, "snes_rtol": 1e-10},
+        quadrature_degree=2,
+    )
+    agree(boundary.energy is None)
+    moved = []
+    for dt in (0.1, np.inf):
+        boundary.time_step.value, boundary.pressure.value = dt, PRESSURE
+        problem.solve()
+        boundary.advance(u)
+        moved.append(COMM.allreduce(np.abs(u.x.array).max(), op=max))
+    agree(0.0 < moved[0] < moved[1], moved)  # dashpots hold it back
+    problem.linearise()
+    b = problem.A.createVecRight()
+    b.array[:] = np.sin(1.0 + np.arange(*b.getOwnershipRange()))
+    K, f = assembled_system(problem.A, b)
+    x, y = f.duplicate(), f.duplicate()
+    lu = PETSc.KSP().create(COMM)  # the tangent is not symmetric
+    lu.setOperators(K)
+    lu.setType("preonly")
+    lu.getPC().setType("lu")
+    lu.getPC().setFactorSolverType("mumps")
+    lu.solve(f, x)
+    ksp = problem.solver.getKSP()
+    ksp.setOperators(problem.A)
+    ksp.solve(b, y)
+    steps = problem.history
+    agree(len(steps) <= 12 and steps[-1].linear_method == "gmres", steps)
+    scale = x.norm()
+    y.axpy(-1.0, x)
+    small(y.norm() / scale, 1e-6)
+
+
+# -- what is refused
+
+
+@pytest.mark.parametrize(
+    ("conditions", "match"),
+    [
+        ({"outr": Spring(1.0)}, "no surface 'outr'; it has lumen, outer, opening_1"),
+        ({"lumen": Slide()}, "surface 'lumen' lies in no plane"),
+        ({"outer": [Clamp(), Spring(1.0)]}, "'outer'.* holds a clamp and another condition"),
+        ({"outer": [Spring(1.0), Spring(2.0)]}, "'outer'.* holds a condition twice"),
+        ({"outer": ["spring"]}, "'outer'.* holds 'spring': give Pressure, Spring"),
+        ({"outer": 3.0}, "'outer'.* holds 3.0: give Pressure, Spring"),
+    ],
+)
+def test_bad_conditions(wall, conditions, match):
+    with raises(ValueError, match):
+        apply_conditions(wall, displacement(wall), conditions)
+
+
+@pytest.mark.parametrize(
+    ("make", "match"),
+    [
+        (lambda: Spring(0.0), "stiffness=0.0: give a positive number"),
+        (lambda: Spring(float("nan")), "stiffness=nan"),
+        (lambda: Dashpot(-1.0), "viscosity=-1.0"),
+        (lambda: Spring(1.0, "radial"), "direction='radial': choose 'normal' or 'all'"),
+        (lambda: Pressure(0.0), "share=0.0"),
+        (lambda: Pressure(float("inf")), "share=inf"),
+    ],
+)
+def test_bad_values(make, match):
+    with raises(ValueError, match):
+        make()
+
+
+def test_bad_stretch(wall):
+    u = displacement(wall)
+    with raises(ValueError, "axis='r': choose 'x', 'y' or 'z'"):
+        apply_conditions(wall, u, ENDS, axis="r")
+    with raises(ValueError, "axis='x': a prestretch pulls at two ends"):
+        apply_conditions(wall, u, ENDS, axis="x")
+    boundary = apply_conditions(wall, u, ENDS)
+    with raises(ValueError, "no axis to stretch along"):
+        boundary.set_stretch(1.1)
+    boundary = apply_conditions(wall, u, ENDS, axis="z")
+    for stretch in (0.0, -1.0, float("inf")):
+        with raises(ValueError, "stretch="):
+            boundary.set_stretch(stretch)
