@@ -42,9 +42,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import pictures
+from drawing import pictures
+from drawing.render import gather_cells
 from first_step import FirstStep
-from render import gather_cells
 
 import dolfinx
 import ufl

@@ -31,9 +31,9 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-import pictures
+from drawing import pictures
+from drawing.render import gather_cells
 from first_step import FirstStep
-from render import gather_cells
 
 import dolfinx
 import ufl
