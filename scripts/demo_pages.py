@@ -61,11 +61,18 @@ class Page:
     pictures: tuple[str, ...] = ()
 
 
-FIRST, METHOD, WALLS = "First steps", "The method", "Artery walls and materials"
+FIRST, LARGE = "First steps", "Large deformations"
+METHOD, WALLS = "The method", "Artery walls and materials"
 GALLERY = [
-    Page(
-        "demo_linear_elasticity", "A beam under its weight: two lines of a dolfinx script.", FIRST
-    ),
+    Page("demo_poisson", "FETI beside dolfinx, and the order of convergence.", FIRST),
+    Page("demo_linear_elasticity", "A beam under its weight: two lines change.", FIRST),
+    Page("demo_solver_options", "What -ksp_view says, and what options change.", FIRST),
+    Page("demo_hyperelasticity", "NonlinearProblem in the place of dolfinx's.", LARGE),
+    Page("demo_thick_tube", "Inflated, and held against the closed form.", LARGE),
+    Page("demo_load_steps", "Adaptive load steps; a run that goes on after its end.", LARGE),
+    Page("demo_nearly_incompressible", "Iterations over κ, beside multigrid.", METHOD),
+    Page("demo_jumps", "A checkerboard of soft and stiff squares.", METHOD),
+    Page("demo_torn_matrix", "A MATIS of your own, and PCBDDC beside it.", METHOD),
     Page(
         "demo_classical_vs_all_floating",
         "The paper's linear study in small: two variants, three preconditioners.",

@@ -31,7 +31,7 @@ from urllib.parse import unquote, urlsplit
 #: Width and height of the windows.
 DESKTOP, TELEPHONE = (1280, 900), (400, 800)
 #: Words to search for, and a page that has to be among the results.
-SEARCHES = {"all-floating": "theory.html", "MATIS": "usage.html"}
+SEARCHES = {"all-floating": "theory.html", "MATIS": "torn_matrix.html"}
 #: Attributes that load what they name; links (a href) only lead there.
 LOADS = {("script", "src"), ("img", "src"), ("link", "href"), ("iframe", "src"), ("source", "src")}
 
