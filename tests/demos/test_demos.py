@@ -125,7 +125,7 @@ def test_demos_that_stand_alone(run, on_folder, name):
     run(name)
     options = PETSc.Options()
     for key in options.getAll():
-        if key.startswith("dolfinx_solve_"):  # dolfinx 0.9 leaves them behind
+        if key.startswith(("dolfinx_solve_", "direct_")):  # dolfinx leaves them behind
             options.delValue(key)
     height, width, _ = on_first(lambda: imread(on_folder / "output" / ALONE[name]).shape)
     agree(height > 300 and width > 500, (height, width))
