@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Classical and all-floating FETI methods for FEniCSx.
 
-In the order of the data: errors, _compat, collective, events, petsc_options, folders,
+In the order of the data: errors, _compat, collective, events, petsc_errors, petsc_options, folders,
 connectivity, torn, mechanics, workshop, wall, fem, feti, problems, loading, output, comparison.
 """
 

@@ -35,19 +35,20 @@ def is_symmetric(K: PETSc.Mat) -> bool:
     return bool(skew <= 1e-10 * scale)
 
 
-def connected_blocks(K: PETSc.Mat) -> list[Indices]:
+def connected_blocks(graph: scipy.sparse.csr_array, bs: int) -> list[Indices]:
     """Find the connected components of a block-diagonal matrix.
 
     Args:
-        K: Sequential AIJ matrix with a symmetric pattern, (n, n).
+        graph: Which blocks of dofs the matrix couples, symmetric, (n / bs, n / bs).
+        bs: Size of these blocks.
 
     Returns:
         For each component its rows, ascending; components in the order of their first row.
     """
-    if K.getSize()[0] == 0:
+    if graph.shape[0] == 0:
         return []
-    _, label = scipy.sparse.csgraph.connected_components(block_graph(K), directed=False)
-    label = np.repeat(label, K.getBlockSize())
+    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    label = np.repeat(label, bs)
     order = np.argsort(label, kind="stable").astype(np.int32)
     return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
 

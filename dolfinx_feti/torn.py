@@ -39,7 +39,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
-from dolfinx_feti.connectivity import connected_blocks, copy_forest, is_symmetric
+from dolfinx_feti.connectivity import block_graph, connected_blocks, copy_forest, is_symmetric
 
 __all__ = [
     "Torn",
@@ -155,6 +155,7 @@ class Torn:
         K: Its local block-diagonal matrix, (n, n) on this process.
         n: Number of torn dofs of this process.
         start: First torn dof of this process in the numbering over all processes.
+        graph: Which blocks of dofs K couples, (n / bs, n / bs).
         subdomains: For each subdomain its torn dofs, ascending.
         first: Number of the first subdomain of this process over all processes.
         dirichlet: Mask of the torn dofs with a prescribed value, (n,).
@@ -188,7 +189,8 @@ class Torn:
             )
         self.start = self.comm.scan(self.n) - self.n
         self.owned = A.getLocalSize()[0]
-        self.subdomains = connected_blocks(self.K)
+        self.graph = block_graph(self.K)
+        self.subdomains = connected_blocks(self.graph, self.K.getBlockSize())
         self.first = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
         self._sf = copy_forest(A)
         self.dirichlet = self._dirichlet_mask()

@@ -12,7 +12,7 @@ import pytest
 from collective import COMM, agree, dense, equal, raises, whole
 
 import dolfinx_feti
-from dolfinx_feti.connectivity import connected_blocks
+from dolfinx_feti.connectivity import block_graph, connected_blocks
 from dolfinx_feti.torn import Torn, create_torn_matrix
 
 SEED = 60914
@@ -72,7 +72,7 @@ def test_blocks_are_found_in_any_order():
     """Interleaved subdomains, one of them a single dof without an entry off its diagonal."""
     csr = ([0, 2, 4, 6, 8, 9], [0, 2, 1, 3, 0, 2, 1, 3, 4], np.ones(9))
     K = PETSc.Mat().createAIJ((5, 5), csr=csr, comm=PETSc.COMM_SELF)
-    agree([list(rows) for rows in connected_blocks(K)] == [[0, 2], [1, 3], [4]])
+    agree([list(rows) for rows in connected_blocks(block_graph(K), 1)] == [[0, 2], [1, 3], [4]])
     K.destroy()
 
 
@@ -80,7 +80,7 @@ def test_blocks_are_found_when_a_first_row_does_not_couple():
     """Two nodes that are coupled by their second components only."""
     csr = ([0, 1, 3, 4, 6], [0, 1, 3, 2, 1, 3], np.ones(6))
     K = PETSc.Mat().createAIJ((4, 4), bsize=2, csr=csr, comm=PETSc.COMM_SELF)
-    agree([list(rows) for rows in connected_blocks(K)] == [[0, 1, 2, 3]])
+    agree([list(rows) for rows in connected_blocks(block_graph(K), 2)] == [[0, 1, 2, 3]])
     K.destroy()
 
 

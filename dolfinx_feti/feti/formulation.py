@@ -15,12 +15,13 @@ from __future__ import annotations
 
 from petsc4py import PETSc
 
+from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.dual_form import DualForm, create_dual_form
 from dolfinx_feti.feti.preconditioner.dirichlet import Dirichlet
-from dolfinx_feti.feti.primal_form import PrimalForm, create_primal_form
-from dolfinx_feti.feti.setup import Factored, Pattern, factor
+from dolfinx_feti.feti.primal_form import PrimalForm, create_lagged_form, create_primal_form
+from dolfinx_feti.feti.setup import Factored, Pattern, factor, factor_interior
 
-__all__ = ["Form", "set_up"]
+__all__ = ["Form", "set_up", "set_up_lagged"]
 
 Form = DualForm | PrimalForm
 
@@ -45,6 +46,29 @@ def set_up(pattern: Pattern) -> Form:
     if _takes_primal(pattern, factored):
         return create_primal_form(pattern, factored)
     return create_dual_form(pattern, factored)
+
+
+def set_up_lagged(pattern: Pattern, earlier: PrimalForm) -> PrimalForm:
+    """Take the present matrix into the primal form, with the preconditioner of an earlier one.
+
+    Args:
+        pattern: What depends on the pattern of both matrices.
+        earlier: The form of the matrix before, which is used up.
+
+    Raises:
+        SetUpError: A factorisation failed, or the assembled problem is singular.
+
+    Note:
+        Collective.
+    """
+    try:
+        factored = factor_interior(
+            pattern, Factored(earlier.near_kernel, earlier.modes, earlier.inertia)
+        )
+    except SetUpError:
+        earlier.destroy()
+        raise
+    return create_lagged_form(pattern, factored, earlier)
 
 
 def _takes_primal(pattern: Pattern, factored: Factored) -> bool:

@@ -28,6 +28,10 @@
 ``-feti_coarse_flux``          10                                       pressure patterns of a
                                                                         subdomain whose fluxes are
                                                                         coarse (primal), at most
+``-feti_lag``                  6                                        later matrices of a Newton
+                                                                        solve that K_ρ⁻¹ and the
+                                                                        coarse columns serve, at
+                                                                        most (primal)
 ``-feti_recycle``              0                                        directions left to later
                                                                         solves, at most
 ``-feti_local_…``              ``pc_factor_mat_solver_type …``          factors of K_ρ
@@ -65,7 +69,14 @@ CHOICES = {
     "indefinite": ("enrich", "gmres", "error"),
     "formulation": ("auto", "dual", "primal"),
 }
-NUMBERS = {"coarse_modes": 12, "stagnation": 200, "refine": 10, "coarse_flux": 10, "recycle": 0}
+NUMBERS = {
+    "coarse_modes": 12,
+    "stagnation": 200,
+    "refine": 10,
+    "coarse_flux": 10,
+    "lag": 6,
+    "recycle": 0,
+}
 SHARES = {"coarse_threshold": 0.01}
 SUBSOLVERS = {
     "dual_": ("ksp_",),
@@ -110,6 +121,7 @@ class FETIOptions:
     stagnation: int = 200
     refine: int = 10
     coarse_flux: int = 10
+    lag: int = 6
     recycle: int = 0
 
     @property

@@ -12,6 +12,10 @@ subdomains and, where a pressure is condensed, flux columns (``flux``).
 
 It is the form for matrices whose dual system is indefinite although they are not: those of a body
 under load, in which subdomains would buckle alone.
+
+:math:`K_ρ^{-1}`, the columns of V and the weights δ make a preconditioner of A whatever matrix they
+belong to. So they may last: :func:`create_lagged_form` takes those of an earlier matrix, and S,
+A V and A₀ of the present one.
 """
 
 from __future__ import annotations
@@ -42,7 +46,7 @@ from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
 from dolfinx_feti.feti.subdomain.pseudoinverse import Modes, PseudoInverse
 from dolfinx_feti.torn import Torn
 
-__all__ = ["PrimalForm", "create_primal_form"]
+__all__ = ["PrimalForm", "create_lagged_form", "create_primal_form"]
 
 Array = npt.NDArray[np.float64]
 Reason = PETSc.KSP.ConvergedReason
@@ -65,6 +69,7 @@ class PrimalForm:
         space: The averaged coarse space V.
         inertia: Negative eigenvalues.
         system: A and its preconditioner.
+        age: Matrices since the one that K_ρ, E and δ belong to.
     """
 
     options: FETIOptions
@@ -79,6 +84,7 @@ class PrimalForm:
     space: AveragedSpace
     inertia: Inertia
     system: PrimalSystem
+    age: int = 0
 
     def solve(
         self, r: PETSc.Vec, u_D: Array, *, target: float, max_it: int, monitor: Monitor
@@ -186,20 +192,6 @@ def create_primal_form(pattern: Pattern, factored: Factored) -> PrimalForm:
         pairs = zip(modes.E, S.on_interface, flux_columns(copies, g, solve_many), strict=True)
         U = [np.hstack([E[on], flux]) for E, on, flux in pairs]
         space = AveragedSpace(copies, U, S.multiply_many, prefix=pattern.prefix + "coarse_")
-
-    def to_torn(t: Array) -> Array:
-        u = np.zeros(torn.n)
-        u[copies.dofs] = t
-        return u
-
-    system = PrimalSystem(
-        copies,
-        space,
-        multiply=lambda t: S.multiply(to_torn(t))[copies.dofs],
-        solve=lambda t: inverse.solve(to_torn(t))[copies.dofs],
-    )
-    negative, inside = space.negative(), factored.inertia.interior
-    proved = None if negative is None or inside is None else negative + inside
     return PrimalForm(
         options=options,
         torn=torn,
@@ -211,6 +203,66 @@ def create_primal_form(pattern: Pattern, factored: Factored) -> PrimalForm:
         preconditioner=S,
         copies=copies,
         space=space,
-        inertia=replace(factored.inertia, assembled=proved),
-        system=system,
+        inertia=_with_proof(factored.inertia, space),
+        system=_system(copies, space, S, inverse),
     )
+
+
+def create_lagged_form(pattern: Pattern, factored: Factored, earlier: PrimalForm) -> PrimalForm:
+    """Build the form of the present matrix with :math:`K_ρ^{-1}`, V and δ of an earlier one.
+
+    Args:
+        pattern: What depends on the pattern, with S and K_II of the present matrix.
+        factored: What these tell, with the modes of the earlier matrix.
+        earlier: The form of the matrix before, which is used up: what lasts passes into the new
+            one, and the rest is freed.
+
+    Raises:
+        SetUpError: A body is not held.
+
+    Note:
+        Collective.
+    """
+    S, copies, columns = earlier.preconditioner, earlier.copies, earlier.space.columns
+    earlier.space.destroy()
+    prefix = pattern.prefix + "coarse_"
+    with event("FETICoarse"):
+        try:
+            require_held(pattern.torn, pattern.bodies, factored.near_kernel, definite=False)
+            space = AveragedSpace(copies, columns, S.multiply_many, prefix=prefix)
+        except SetUpError:
+            copies.destroy()
+            raise
+    return replace(
+        earlier,
+        near_kernel=factored.near_kernel,
+        space=space,
+        inertia=_with_proof(factored.inertia, space),
+        system=_system(copies, space, S, pattern.inverse),
+        age=earlier.age + 1,
+    )
+
+
+def _system(
+    copies: Copies, space: AveragedSpace, S: Dirichlet, inverse: PseudoInverse
+) -> PrimalSystem:
+    """Let S and K_ρ⁻¹ of all subdomains act on copies of the interface dofs."""
+
+    def to_torn(t: Array) -> Array:
+        u = np.zeros(S.torn.n)
+        u[copies.dofs] = t
+        return u
+
+    return PrimalSystem(
+        copies,
+        space,
+        multiply=lambda t: S.multiply(to_torn(t))[copies.dofs],
+        solve=lambda t: inverse.solve(to_torn(t))[copies.dofs],
+    )
+
+
+def _with_proof(inertia: Inertia, space: AveragedSpace) -> Inertia:
+    """Add what A₀ and K_II prove of the assembled matrix."""
+    negative, inside = space.negative(), inertia.interior
+    proved = None if negative is None or inside is None else negative + inside
+    return replace(inertia, assembled=proved)

@@ -27,6 +27,7 @@ class Report:
     Attributes:
         options: The choices made.
         formulation: ``dual`` or ``primal``.
+        lag: Matrices since the one that the preconditioner belongs to.
         subdomains: Number of subdomains.
         dofs: Dofs of the assembled problem.
         torn_dofs: Dofs of all subdomains together.
@@ -47,6 +48,7 @@ class Report:
 
     options: FETIOptions
     formulation: str
+    lag: int
     subdomains: int
     dofs: int
     torn_dofs: int
@@ -87,6 +89,7 @@ def collect(form: Form, *, recycled: int, eigenvalues: tuple[float, float]) -> R
     return Report(
         options=form.options,
         formulation="dual" if isinstance(form, DualForm) else "primal",
+        lag=0 if isinstance(form, DualForm) else form.age,
         subdomains=comm.allreduce(len(sizes)),
         dofs=torn.A.getSize()[0],
         torn_dofs=comm.allreduce(torn.n),
@@ -120,9 +123,10 @@ def table(report: Report) -> str:
     details = f"dual form, {o.gluing} gluing, Q = {o.coarse_q}"
     if r.formulation == "primal":
         details = f"primal form, up to {o.coarse_flux} flux columns per subdomain"
+    lag = f", of {r.lag} matrices ago" * (r.lag > 0)
     rows = [
         ("method", f"{o.type}, {o.scaling} scaling, {details}"),
-        ("preconditioner", o.pc_type),
+        ("preconditioner", o.pc_type + lag),
         ("subdomains", f"{r.subdomains}"),
         ("dofs", f"{r.dofs}, torn {r.torn_dofs}, a subdomain {r.dofs_local[0]}–{r.dofs_local[1]}"),
         ("kernels", f"{kernels}; {r.exact} exact; {r.elastic} elastic modes beside them"),

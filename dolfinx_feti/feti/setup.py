@@ -13,7 +13,7 @@ what depends on the values is found anew for each matrix, as frozen :class:`Fact
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from mpi4py import MPI
@@ -37,7 +37,7 @@ from dolfinx_feti.feti.subdomain.matrices import create_matrices
 from dolfinx_feti.feti.subdomain.pseudoinverse import Modes, PseudoInverse
 from dolfinx_feti.torn import Torn
 
-__all__ = ["Factored", "Pattern", "factor"]
+__all__ = ["Factored", "Pattern", "factor", "factor_interior"]
 
 T = TypeVar("T")
 Array = npt.NDArray[np.float64]
@@ -170,6 +170,33 @@ def factor(pattern: Pattern) -> Factored:
     return Factored(near_kernel, modes, _inertia(pattern, modes))
 
 
+def factor_interior(pattern: Pattern, earlier: Factored) -> Factored:
+    """Take the present matrix, but leave weights, K_ρ and modes as those of an earlier one.
+
+    Args:
+        pattern: What depends on the pattern; of its numbers, S and K_II are those of the present
+            matrix then.
+        earlier: What the factors of the earlier matrix tell.
+
+    Raises:
+        SetUpError: A factorisation failed.
+
+    Note:
+        Collective.
+    """
+    torn = pattern.torn
+    require_finite(torn)
+    with event("FETIFactor"):
+        _on_all(lambda: pattern.matrices.update(keep_factors=True), torn.comm)
+        near_kernel = torn.near_kernel()
+        require_regular_interior(torn, pattern.bodies, near_kernel, pattern.matrices)
+        _on_all(lambda: pattern.preconditioner.update(earlier.modes.props), torn.comm)
+    interior = _total(torn.comm, _negative_interior(pattern))
+    return Factored(
+        near_kernel, earlier.modes, replace(earlier.inertia, interior=interior, assembled=None)
+    )
+
+
 def _on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
     """Do work on the subdomains of each process; an error on one is one on all.
 
@@ -240,7 +267,8 @@ def require_finite(torn: Torn) -> None:
     Note:
         Collective.
     """
-    if torn.comm.allreduce(not np.isfinite(torn.K.norm()), op=MPI.LOR):
+    finite = np.isfinite(torn.K.norm()) and bool(np.isfinite(torn.stiffness()).all())
+    if torn.comm.allreduce(not finite, op=MPI.LOR):
         raise SetUpError(
             "The matrix has entries that are NaN or Inf: look at the coefficients of the form and, "
             "in a nonlinear problem, at the last step."

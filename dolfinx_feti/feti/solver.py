@@ -23,16 +23,18 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_feti.collective import on_all
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.events import event
 from dolfinx_feti.feti.dual_form import create_dual_form
-from dolfinx_feti.feti.formulation import Form, set_up
+from dolfinx_feti.feti.formulation import Form, set_up, set_up_lagged
 from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.krylov.recycling import Directions
 from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
 from dolfinx_feti.feti.primal_form import PrimalForm
 from dolfinx_feti.feti.report import Report, collect, table
 from dolfinx_feti.feti.setup import Factored, Pattern
+from dolfinx_feti.petsc_errors import python_errors
 
 __all__ = ["FETI"]
 
@@ -50,6 +52,10 @@ MARGIN = 0.7
 
 #: Below this relative residual CG's curvature is that of rounding.
 ROUNDING = 1e-13
+
+#: Growth of the iterations for a digit that ends the life of a preconditioner, and the one that
+#: ends a solve with it.
+GROWN, HOPELESS = 4.0 / 3.0, 3.0
 
 REMEDIES = {
     Reason.DIVERGED_NANORINF: "a NaN or Inf met the Krylov method; look at the matrix and the load",
@@ -82,11 +88,14 @@ class FETI:
         message: What went wrong and what helps, or an empty string.
         iterations: Krylov iterations of the last solve.
         residual: ‖b − A x‖/‖b‖ of the last solve.
+        rtol: Its largest value that the tolerances of the last solve allowed.
         method: Krylov method of the dual system.
         inertia: Negative eigenvalues of the last matrix; None if its set-up failed.
         singular: Whether the set-up failed because the matrix is singular.
         refuse_indefinite: Whether a solve ends before its first iteration, with the reason
             ``DIVERGED_INDEFINITE_MAT``, if the assembled matrix is proved to be indefinite.
+        lasting: Whether the preconditioner of the primal form serves later matrices, too, up to
+            ``-feti_lag`` of them, until :meth:`renew`.
         eigenvalues: (λ_min, λ_max) of the preconditioned dual operator, by Lanczos from the CG
             coefficients; nan before a CG solve.
     """
@@ -94,10 +103,10 @@ class FETI:
     def __init__(self) -> None:
         self.message = ""
         self.iterations = 0
-        self.residual = np.nan
+        self.residual = self.rtol = np.nan
         self.method = ""
         self.inertia: Inertia | None = None
-        self.singular = self.refuse_indefinite = False
+        self.singular = self.refuse_indefinite = self.lasting = False
         self.eigenvalues = (np.nan, np.nan)
         self._options: FETIOptions | None = None
         self._pattern: Pattern | None = None
@@ -105,6 +114,8 @@ class FETI:
         self._state: tuple[int, int] | None = None
         self._directions: Directions | None = None
         self._recycled = 0
+        self._outdated = False
+        self._rate = np.nan  # iterations for a digit of the first solve with the preconditioner
         self._prefix = ""
 
     @property
@@ -112,6 +123,15 @@ class FETI:
         """λ_max/λ_min of the preconditioned dual operator."""
         low, high = self.eigenvalues
         return high / low if low > 0.0 else np.nan
+
+    @property
+    def age(self) -> int:
+        """Matrices since the one that the preconditioner belongs to."""
+        return self._form.age if isinstance(self._form, PrimalForm) else 0
+
+    def renew(self) -> None:
+        """Let the next matrix have a preconditioner of its own."""
+        self._outdated = True
 
     # -- PETSc's calls ----------------------------------------------------------------------------
 
@@ -145,17 +165,40 @@ class FETI:
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve A x = b; a failure is a negative converged reason with a message."""
         self.setUp(ksp)
-        refused = self.refuse_indefinite and self.inertia is not None and self.inertia.indefinite
-        if self._form is None or self._state is None or refused:
+        reason, spent = self._attempt(ksp, b, x), 0
+        if reason < 0 and self.age and not self._curvature_ends(reason):
+            spent = self.iterations
+            self.renew()
+            self._state = None
+            self.setUp(ksp)
+            reason = self._attempt(ksp, b, x)
+        if np.isnan(self._rate) and reason > 0:
+            self._rate = per_digit(self.iterations, self.residual)
+        self.iterations += spent
+        ksp.setIterationNumber(self.iterations)
+        ksp.setConvergedReason(reason)
+        if reason < 0 and not self._refused() and ksp.comm.rank == 0:
+            logger.warning("FETI did not converge: %s", self.message)
+
+    def _attempt(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> int:
+        """Solve A x = b with what is set up; return the reason."""
+        if self._form is None or self._state is None or self._refused():
             x.set(0.0)
             self.iterations, self.residual = 0, np.nan
-            reason = Reason.DIVERGED_INDEFINITE_MAT if refused else Reason.DIVERGED_PCSETUP_FAILED
-        else:
-            with event("FETISolve"):
-                reason = self._solve_in_form(ksp, self._form, b, x)
-        ksp.setConvergedReason(reason)
-        if reason < 0 and not refused and ksp.comm.rank == 0:
-            logger.warning("FETI did not converge: %s", self.message)
+            failed = self._form is None or self._state is None
+            return Reason.DIVERGED_PCSETUP_FAILED if failed else Reason.DIVERGED_INDEFINITE_MAT
+        with event("FETISolve"):
+            return self._solve_in_form(ksp, self._form, b, x)
+
+    def _refused(self) -> bool:
+        """Tell whether the matrix is proved to be indefinite, and nobody wants its solution."""
+        return self.refuse_indefinite and self.inertia is not None and self.inertia.indefinite
+
+    def _curvature_ends(self, reason: int) -> bool:
+        """Tell whether negative curvature, which no preconditioner changes, ends the solve."""
+        form = self._form
+        indefinite = reason == Reason.DIVERGED_INDEFINITE_MAT
+        return indefinite and isinstance(form, PrimalForm) and not self._may_change(form)
 
     def solveTranspose(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Refuse: there is no transposed solve.
@@ -201,12 +244,25 @@ class FETI:
         if self._pattern.torn.comm.allreduce(state != self._state, op=MPI.LOR):
             if self._pattern.torn.is_symmetric() != self._pattern.symmetric:
                 self._renew(A, self._options)
-            if self._form is not None:
-                self._form.destroy()
-                self._form = None
-            self._form = set_up(self._pattern)
+            self._form = self._next_form(self._pattern)
             self.method, self.inertia = self._form.method.type, self._form.inertia
         self._state = state
+
+    def _next_form(self, pattern: Pattern) -> Form:
+        """Take the present matrix into a form, which follows the one of the last matrix."""
+        form, self._form = self._form, None
+        if isinstance(form, PrimalForm) and self._lasts(form):
+            return set_up_lagged(pattern, form)
+        if form is not None:
+            form.destroy()
+        self._outdated, self._rate = False, np.nan
+        return set_up(pattern)
+
+    def _lasts(self, form: PrimalForm) -> bool:
+        """Tell whether the preconditioner serves another matrix."""
+        young = self.lasting and not self._outdated and form.age < form.options.lag
+        rate = per_digit(self.iterations, self.residual)
+        return young and (self._refused() or rate <= GROWN * self._rate)
 
     def _renew(self, A: PETSc.Mat, options: FETIOptions) -> None:
         """Begin anew with the pattern of another matrix."""
@@ -219,8 +275,10 @@ class FETI:
         if isinstance(form, PrimalForm) and self._may_change(form):
             if not form.inertia.indefinite:
                 reason = self._solve(ksp, form, b, x)
-                if reason != Reason.DIVERGED_INDEFINITE_MAT:
+                if reason != Reason.DIVERGED_INDEFINITE_MAT or form.age:
                     return reason
+            elif form.age:
+                return Reason.DIVERGED_INDEFINITE_MAT
             assert self._pattern is not None
             self._form = create_dual_form(
                 self._pattern, Factored(form.near_kernel, form.modes, form.inertia)
@@ -249,6 +307,8 @@ class FETI:
         r = torn.residual(b, x)
         scale = r.norm()
         target = max(rtol * scale, atol)
+        self.rtol = target / scale if scale > 0.0 else np.nan
+        max_it = self._most_iterations(max_it)
         b.copy(r)
         x.set(0.0)
         norm = np.inf
@@ -281,6 +341,13 @@ class FETI:
         self.residual = norm / scale if scale > 0 else norm
         return self._judge(reason, norm, target, form)
 
+    def _most_iterations(self, max_it: int) -> int:
+        """Return the most iterations: with an old preconditioner a solve may end early."""
+        if not self.age or np.isnan(self._rate * self.rtol):
+            return max_it
+        digits = max(-np.log10(max(self.rtol, ROUNDING)), 1.0)
+        return min(max_it, int(np.ceil(HOPELESS * digits * self._rate)))
+
     def _judge(self, reason: int, norm: float, target: float, form: Form) -> int:
         """Turn the outcome into a reason, and a failure into a message with its remedy."""
         if not np.isfinite(norm):
@@ -298,6 +365,12 @@ class FETI:
         return reason
 
 
+def per_digit(iterations: int, residual: float) -> float:
+    """Return the iterations that took a digit off the residual; nan if there was none."""
+    digits = -np.log10(residual) if 0.0 < residual < 1.0 else np.nan
+    return float(iterations / digits)
+
+
 def outer_monitor(ksp: PETSc.KSP, done: int, *, first: bool) -> Callable[[int, float], None]:
     """Hand the inner iterations on to the monitors and the history of the outer KSP.
 
@@ -306,10 +379,19 @@ def outer_monitor(ksp: PETSc.KSP, done: int, *, first: bool) -> Callable[[int, f
         done: Iterations before this inner solve.
         first: Whether the start is still to be shown.
     """
+    users_own = bool(ksp.getMonitor())  # in Python, which may raise on one process alone
+    comm = ksp.comm.tompi4py()
+
+    def show(its: int, norm: float) -> None:
+        with python_errors():
+            ksp.monitor(done + its, norm)
 
     def monitor(its: int, norm: float) -> None:
         if its > 0 or first:
             ksp.logConvergenceHistory(norm)
-            ksp.monitor(done + its, norm)
+            if users_own:
+                on_all(lambda: show(its, norm), comm)
+            else:
+                ksp.monitor(done + its, norm)
 
     return monitor

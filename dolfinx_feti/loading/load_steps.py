@@ -25,6 +25,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Protocol
@@ -247,7 +248,8 @@ class _Path:
             load = self._next(target)
             bar.attempt(before, load)
             try:
-                self._attempt(load, rtol=None if load == target else self._steps.rtol)
+                with self._tolerances(on_the_way=load != target):
+                    self._attempt(load)
                 break
             except ConvergenceError as error:
                 failures += 1
@@ -269,12 +271,22 @@ class _Path:
         count = math.ceil(abs(target - load) / self._increment * (1.0 - 1e-12))
         return target if count <= 1 else load + (target - load) / count
 
-    def _attempt(self, load: float, *, rtol: float | None) -> None:
+    @contextmanager
+    def _tolerances(self, *, on_the_way: bool) -> Iterator[None]:
+        """Let rougher tolerances hold where a load is on the way only."""
+        snes, steps = self._problem.solver, self._steps
+        before = [(solver, solver.getTolerances()) for solver in (snes, snes.getKSP())]
+        if on_the_way:
+            for (solver, own), rtol in zip(before, (steps.rtol, steps.linear_rtol), strict=True):
+                solver.setTolerances(rtol=max(rtol or 0.0, own[0]))
+        try:
+            yield
+        finally:
+            for solver, own in before:
+                solver.setTolerances(*own)
+
+    def _attempt(self, load: float) -> None:
         """Solve at a new load; on failure restore load and state."""
-        snes = self._problem.solver
-        tolerances = snes.getTolerances()
-        if rtol is not None:
-            snes.setTolerances(rtol=max(rtol, tolerances[0]))
         try:
             if len(self._past) > ORDER:
                 self._set_load(load)
@@ -289,8 +301,6 @@ class _Path:
         except ConvergenceError:
             self._restore()
             raise
-        finally:
-            snes.setTolerances(*tolerances)
 
     def _solved(self, reference: float) -> bool:
         """Solve from a predicted state; tell whether it was admissible, raise if it led nowhere."""

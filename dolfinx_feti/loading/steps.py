@@ -25,6 +25,8 @@ class Steps:
         growth: Factor of the increment after a quick step.
         quick: Newton steps that count as quick.
         rtol: Newton's relative tolerance at the loads on the way; None for the solver's own.
+        linear_rtol: Relative tolerance of the linear solves there, likewise. Little is gained from
+            one far below ``rtol``.
 
     Raises:
         ValueError: A number is out of its range.
@@ -35,6 +37,7 @@ class Steps:
     growth: float = 1.5
     quick: int = 6
     rtol: float | None = None
+    linear_rtol: float | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -45,8 +48,10 @@ class Steps:
             )
         if not 1.0 <= self.growth < math.inf:
             raise ValueError(f"growth={self.growth} is not a number of 1 or more.")
-        if self.rtol is not None and not 0.0 < self.rtol < 1.0:
-            raise ValueError(f"rtol={self.rtol} is not a number between 0 and 1.")
+        for name in ("rtol", "linear_rtol"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < 1.0:
+                raise ValueError(f"{name}={value} is not a number between 0 and 1.")
 
 
 @dataclass(frozen=True, slots=True)

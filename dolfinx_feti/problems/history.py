@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -32,6 +33,8 @@ class NewtonStep:
         solves: Linear solves; all but the last failed or led uphill.
         seconds_assembly: Time for residual and tangent.
         seconds_linear: Time for factors and Krylov method.
+        linear_rtol: Largest ``linear_residual`` that was asked for; nan if it is not known.
+        lag: Matrices since the one that the preconditioner belongs to.
     """
 
     residual: float
@@ -46,6 +49,8 @@ class NewtonStep:
     solves: int
     seconds_assembly: float
     seconds_linear: float
+    linear_rtol: float = math.nan
+    lag: int = 0
 
 
 def record_step(
@@ -85,6 +90,8 @@ def record_step(
         solves=len(iterations),
         seconds_assembly=assembly,
         seconds_linear=linear,
+        linear_rtol=feti.rtol,
+        lag=feti.age,
     )
 
 

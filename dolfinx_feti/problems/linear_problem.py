@@ -23,6 +23,7 @@ from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.checks import check_linear_forms, check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import decompose, tear
+from dolfinx_feti.petsc_errors import python_errors
 from dolfinx_feti.petsc_options import inserted
 from dolfinx_feti.problems.arguments import (
     agreed_prefix,
@@ -32,7 +33,7 @@ from dolfinx_feti.problems.arguments import (
     warn_unused,
 )
 from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
-from dolfinx_feti.problems.solvers import create_solver, python_errors
+from dolfinx_feti.problems.solvers import create_solver
 
 __all__ = ["LinearProblem"]
 

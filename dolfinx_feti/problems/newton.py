@@ -35,10 +35,10 @@ from dolfinx_feti._compat import residual_is_nan
 from dolfinx_feti.collective import on_all
 from dolfinx_feti.events import event
 from dolfinx_feti.feti.solver import FETI
+from dolfinx_feti.petsc_errors import python_errors
 from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
 from dolfinx_feti.problems.line_search import line_search
 from dolfinx_feti.problems.shift import fallen, raised
-from dolfinx_feti.problems.solvers import python_errors
 from dolfinx_feti.problems.system import Residual, System, Tangent
 
 __all__ = ["Newton", "Start"]
@@ -81,8 +81,8 @@ class Direction:
 class Newton:
     """Context of a SNES that drives a ``System`` with a FETI KSP.
 
-    From one solve to the next it keeps what the last step has left of its shift, and whether a
-    tangent of the problem has been regular: then the Dirichlet conditions are enough.
+    From one solve to the next it keeps whether a tangent of the problem has been regular: then the
+    Dirichlet conditions are enough.
 
     Attributes:
         history: A record for each step of the last solve.
@@ -111,7 +111,8 @@ class Newton:
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
         """Iterate from the state of the user's functions until the residual is small."""
-        self.history, self.message = [], ""
+        self.history, self.message, self._shift = [], "", 0.0
+        snes.getKSP().getPythonContext().renew()  # a solve depends on none before it
         try:
             reason = self._iterate(snes, self._start)
         except _Stop as stop:

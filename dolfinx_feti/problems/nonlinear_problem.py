@@ -22,6 +22,7 @@ from dolfinx_feti.fem.checks import check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import decompose
 from dolfinx_feti.feti.solver import FETI
+from dolfinx_feti.petsc_errors import python_errors
 from dolfinx_feti.petsc_options import inserted
 from dolfinx_feti.problems.arguments import (
     agreed_prefix,
@@ -32,7 +33,7 @@ from dolfinx_feti.problems.arguments import (
 from dolfinx_feti.problems.forms import default_volume_ratio, derive, warn_of_degree
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.newton import Newton, Start
-from dolfinx_feti.problems.solvers import create_newton_solver, python_errors
+from dolfinx_feti.problems.solvers import create_newton_solver
 from dolfinx_feti.problems.system import System, Tangent
 
 __all__ = ["NonlinearProblem"]
@@ -162,6 +163,7 @@ class NonlinearProblem:
             owned.setOptionsPrefix(f"{self._prefix}{name}_")
         feti = FETI()
         feti.refuse_indefinite = self._system.has_potential
+        feti.lasting = True
         self.solver = create_newton_solver(
             self._newton, feti, self.A, self._prefix, self._petsc_options
         )

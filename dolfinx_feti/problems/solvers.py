@@ -20,7 +20,7 @@ from dolfinx_feti.feti.options import SOLVERS, options_without_effect, read_opti
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.petsc_options import inserted, withheld
 
-__all__ = ["create_newton_solver", "create_solver", "python_errors"]
+__all__ = ["create_newton_solver", "create_solver"]
 
 
 def create_solver(A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]) -> PETSc.KSP:
@@ -120,17 +120,3 @@ def _set_from_options(solver: PETSc.KSP | PETSc.SNES, prefix: str) -> None:
             f"PETSc refuses one of the options -{prefix}…: {cause}. See docs/options.md."
         ) from error
     solver.setErrorIfNotConverged(False)
-
-
-@contextmanager
-def python_errors() -> Iterator[None]:
-    """Raise the error of Python's that made a call of PETSc's fail, and not PETSc's own."""
-    try:
-        yield
-    except PETSc.Error as error:
-        cause: BaseException = error
-        while isinstance(cause, PETSc.Error) and cause.__cause__ is not None:
-            cause = cause.__cause__
-        if cause is error:
-            raise
-        raise cause from None

@@ -60,6 +60,7 @@ class Attempt:
     load: float
     before: float
     rtol: float
+    linear_rtol: float
     referred: tuple[float, float, float] | None
     linearised: tuple[float, float, float] | None
     guess: tuple[float, float]
@@ -86,6 +87,7 @@ class Played:
         self.p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
         self.solver = PETSc.SNES().create(COMM)
         self.solver.setTolerances(rtol=OWN, atol=1e-10, max_it=30)
+        self.solver.getKSP().setTolerances(rtol=OWN)
         self.solver.setSolution(PETSc.Vec().createMPI(1, comm=COMM))  # or it cannot be monitored
         self.history: list[NewtonStep] = []
         self.attempts: list[Attempt] = []
@@ -128,6 +130,7 @@ class Played:
                 self.load,
                 before,
                 self.solver.getTolerances()[0],
+                self.solver.getKSP().getTolerances()[0],
                 None if reference is None else self._norms[reference],
                 first_tangent,
                 self.state(),

@@ -63,13 +63,16 @@ def test_a_load_met_twice_does_not_break_the_prediction(played):
 def test_rough_on_the_way_and_exact_at_the_targets(played, rough):
     """If it is asked for; a tolerance of the solver's own that is rougher still is kept."""
     problem = played(fails=lambda before, load: load == 0.5 and load - before > 0.15)
-    before = problem.solver.getTolerances()
-    problem.follow([0.5, 1.0], Steps(first=0.2, least=0.01, growth=1.0, rtol=rough))
-    agree(problem.solver.getTolerances() == before)
+    solvers = (problem.solver, problem.solver.getKSP())
+    before = [solver.getTolerances() for solver in solvers]
+    steps = Steps(first=0.2, least=0.01, growth=1.0, rtol=rough, linear_rtol=rough and rough / 10)
+    problem.follow([0.5, 1.0], steps)
+    agree([solver.getTolerances() for solver in solvers] == before)
     agree(not all(attempt.converged for attempt in problem.attempts))
     for attempt in problem.attempts:
-        expected = OWN if attempt.load in (0.5, 1.0) else max(rough or 0.0, OWN)
-        small(attempt.rtol - expected, 0.0)
+        rougher = 0.0 if attempt.load in (0.5, 1.0) else rough or 0.0
+        small(attempt.rtol - max(rougher, OWN), 0.0)
+        small(attempt.linear_rtol - max(rougher / 10, OWN), 0.0)
 
 
 def test_tolerances_after_a_failure(played):
@@ -140,6 +143,7 @@ def test_loads_that_are_no_numbers(played, bad):
         ({"rtol": 0.0}, "rtol=0.0 is not a number between 0 and 1"),
         ({"rtol": 1.0}, "rtol=1.0"),
         ({"rtol": math.nan}, "rtol=nan"),
+        ({"linear_rtol": 2.0}, "linear_rtol=2.0 is not a number between 0 and 1"),
         ({"growth": 0.9}, "growth=0.9 is not a number of 1 or more"),
         ({"growth": math.inf}, "growth=inf"),
         ({"growth": math.nan}, "growth=nan"),

@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 from bodies import PREFIX, block, yeoh
 from collective import COMM, agree, raises
-from problems import cube, poisson
+from problems import Problem, cube, poisson
 from walls import tube, wall
 
 import dolfinx
@@ -17,6 +17,17 @@ from dolfinx_feti import LinearProblem
 from dolfinx_feti.fem.condensation import Condensation
 
 LAST = COMM.rank == COMM.size - 1
+
+
+def cut(problem: Problem, options: dict[str, str] | None = None) -> LinearProblem:
+    return LinearProblem(
+        problem.a,
+        problem.L,
+        bcs=problem.bcs,
+        subdomains=4,
+        petsc_options_prefix=PREFIX,
+        petsc_options=options or {},
+    )
 
 
 def broken(*_: object, **__: object) -> None:
@@ -34,16 +45,8 @@ def broken(*_: object, **__: object) -> None:
 def test_options(name, message):
     with raises(ValueError, message):
         block(yeoh, (0.3, 0.1)).problem({name: "no"} if LAST else {})
-    problem = poisson(cube(2, 4))
     with raises(ValueError, message):
-        LinearProblem(
-            problem.a,
-            problem.L,
-            bcs=problem.bcs,
-            subdomains=4,
-            petsc_options_prefix=PREFIX,
-            petsc_options={name: "no"} if LAST else {},
-        )
+        cut(poisson(cube(2, 4)), {name: "no"} if LAST else {})
 
 
 @pytest.mark.parametrize("name", ["form", "Expression"])
@@ -75,6 +78,19 @@ def test_monitor_of_the_users_own():
     with raises(ZeroDivisionError, "in the monitor"):
         problem.solve()
     agree(len(problem.history) == 1)
+
+
+@pytest.mark.parametrize("nonlinear", [True, False])
+def test_monitor_of_the_linear_solver(nonlinear):
+    problem = block(yeoh, (0.3, 0.1)).problem() if nonlinear else cut(poisson(cube(2, 4)))
+
+    def monitor(ksp: object, its: int, norm: float) -> None:
+        if LAST and its == 1:
+            raise ZeroDivisionError("in the monitor")
+
+    (problem.solver.getKSP() if nonlinear else problem.solver).setMonitor(monitor)
+    with raises(ZeroDivisionError, "in the monitor"):
+        problem.solve()
 
 
 def test_volume_ratio(monkeypatch):

@@ -29,7 +29,7 @@ each column.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,6 +58,9 @@ ZERO = 1e-8
 #: Bounds of rounding errors by which an eigenvalue of A₀ has to be negative.
 BOUNDS = 10.0
 
+#: Unit of rounding.
+EPS = float(np.finfo(np.float64).eps)
+
 #: Steps of conjugate gradients for each unknown of A₀ in the search of a negative direction.
 STEPS = 3
 
@@ -69,6 +72,7 @@ class AveragedSpace:
         size: Number of columns of this process.
         total: Number of columns over all processes.
         dropped: Number of dependent combinations among them, over all processes.
+        columns: For each subdomain :math:`U_i`, (n_i, k_i).
         AV: For each subdomain :math:`Y_i`, and the numbers of its columns.
         A_0: The Galerkin matrix of the independent combinations.
         solver: Its factors.
@@ -95,14 +99,17 @@ class AveragedSpace:
         """
         comm = copies.comm
         self._copies = copies
-        self._U = [np.asfortranarray(U_i) for U_i in U]
+        self.columns = [np.asfortranarray(U_i) for U_i in U]
         self._own = consecutive([U_i.shape[1] for U_i in U])
         self.size = sum(U_i.shape[1] for U_i in U)
         self.total = comm.allreduce(self.size)
-        fields = averaged_fields(copies, self._U)
-        self.AV = [_Field(multiply(i, W.values), W.numbers) for i, W in enumerate(fields)]
-        energies = [W.values.T @ Y.values for W, Y in zip(fields, self.AV, strict=True)]
-        numbers = [W.numbers for W in fields]
+        self.AV, energies, squares = [], [], []
+        for i, W in enumerate(averaged_fields(copies, self.columns)):
+            Y = multiply(i, W.values)  # Y = S W
+            self.AV.append(_Field(Y, W.numbers))
+            energies.append(W.values.T @ Y)
+            squares.append((W.values**2).sum(axis=0))
+        numbers = [Y.numbers for Y in self.AV]
         self._near = consecutive([len(near) for near in numbers])
         self._forest = star_forest(_joined(numbers).astype(np.int64), self.size, comm)
         whole = _sum_of_blocks(energies, numbers, (self.size, self.total), comm)
@@ -114,14 +121,17 @@ class AveragedSpace:
         self.solver = GatheredSolver(self.A_0, prefix=prefix, symmetric=True, zero=ZERO)
         self._negative = self.solver.pivots().negative
         if self._negative:
-            near = [_rounding(W.values, multiply, i) for i, W in enumerate(fields)]
+            sizes = [
+                _size(multiply, i, rows.stop - rows.start) for i, rows in enumerate(copies.blocks)
+            ]
+            near = [EPS * size * square for size, square in zip(sizes, squares, strict=True)]
             rounding = self._basis.multiply(self._basis).T @ self._to_owners(near)
             self._negative = self._count_negative(BOUNDS * rounding, prefix)
 
     def start(self, r: Array) -> Array:
         """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective."""
         t = self._copies.delta * r
-        blocks = zip(self._U, self._copies.blocks, strict=True)
+        blocks = zip(self.columns, self._copies.blocks, strict=True)
         return self.prolong(self.solve(_joined([U.T @ t[rows] for U, rows in blocks])))
 
     def project(self, z: Array) -> Array:
@@ -149,7 +159,7 @@ class AveragedSpace:
     def prolong(self, y: Array) -> Array:
         """Return the copies of V y, (size,) → (n,). Collective."""
         t = np.empty(self._copies.n)
-        for U, rows, own in zip(self._U, self._copies.blocks, self._own, strict=True):
+        for U, rows, own in zip(self.columns, self._copies.blocks, self._own, strict=True):
             t[rows] = U @ y[own]
         return self._copies.average(t)
 
@@ -197,7 +207,8 @@ class AveragedSpace:
     def memory(self) -> float:
         """Return the memory of the dense blocks of this process in MiB."""
         return (
-            sum(U.nbytes + Y.values.nbytes for U, Y in zip(self._U, self.AV, strict=True)) / 2**20
+            sum(U.nbytes + Y.values.nbytes for U, Y in zip(self.columns, self.AV, strict=True))
+            / 2**20
         )
 
     def destroy(self) -> None:
@@ -220,12 +231,15 @@ class _Field:
     numbers: Numbers
 
 
-def averaged_fields(copies: Copies, U: Sequence[Array]) -> list[_Field]:
+def averaged_fields(copies: Copies, U: Sequence[Array]) -> Iterator[_Field]:
     """Average the columns of all subdomains, T V, as one dense block for each subdomain.
 
     Args:
         copies: Copies of the interface dofs.
         U: For each subdomain its columns, (n_i, k_i), numbered on over subdomains and processes.
+
+    Returns:
+        The blocks, one after the other: together they are large.
 
     Note:
         Collective.
@@ -243,14 +257,15 @@ def averaged_fields(copies: Copies, U: Sequence[Array]) -> list[_Field]:
         values[:, j] = copies.values(copies.delta * column)
     owner_first = copies.values(np.repeat(first, sizes).astype(np.float64)).astype(np.int64)
     owner_count = copies.values(np.repeat(count, sizes).astype(np.float64)).astype(np.int64)
-    fields = []
-    for rows in copies.blocks:
+
+    def field(rows: slice) -> _Field:
         pairs = np.arange(*np.searchsorted(copies.row, [rows.start, rows.stop]))
         pairs = pairs[owner_count[pairs] > 0]
         row = copies.row[pairs] - rows.start
         n = rows.stop - rows.start
-        fields.append(_field(n, row, owner_first[pairs], owner_count[pairs], values[pairs]))
-    return fields
+        return _field(n, row, owner_first[pairs], owner_count[pairs], values[pairs])
+
+    return map(field, copies.blocks)
 
 
 def _field(
@@ -275,12 +290,10 @@ def _field(
     return _Field(W, _joined(numbers).astype(np.int64))
 
 
-def _rounding(W: Array, multiply: Callable[[int, Array], Array], i: int) -> Array:
-    """Return a bound of the rounding errors of the energies of columns on subdomain i, (c_i,)."""
-    n = max(len(W), 1)
-    ω = np.random.default_rng(n).standard_normal((len(W), 1))
-    size = np.linalg.norm(multiply(i, ω))  # of the size of ‖S_i‖_F
-    return np.asarray(np.finfo(np.float64).eps * size * (W**2).sum(axis=0))
+def _size(multiply: Callable[[int, Array], Array], i: int, n: int) -> float:
+    """Return a norm of the size of ‖S_i‖_F, (n, n)."""
+    ω = np.random.default_rng(n).standard_normal((n, 1))
+    return float(np.linalg.norm(multiply(i, ω)))
 
 
 def _sum_of_blocks(

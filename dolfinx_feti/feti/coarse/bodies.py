@@ -25,7 +25,6 @@ import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.csgraph
 
-from dolfinx_feti.connectivity import block_graph
 from dolfinx_feti.feti.coarse.columns import triangles
 from dolfinx_feti.torn import Torn
 
@@ -130,7 +129,7 @@ def find_bodies(torn: Torn) -> Bodies:
         Collective.
     """
     bs = torn.K.getBlockSize()
-    graph = block_graph(torn.K)
+    graph = torn.graph
     free = np.any(~torn.dirichlet.reshape(-1, bs), axis=1)
     pieces, label = scipy.sparse.csgraph.connected_components(graph[free][:, free], directed=False)
     first = torn.comm.scan(pieces) - pieces

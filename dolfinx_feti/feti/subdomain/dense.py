@@ -10,9 +10,9 @@ The Schur complement S of a subdomain (``matrices``) is dense, and so is
 A Krylov method needs both in every iteration, and reads either triangle of *one* array: the lower
 one holds S, the upper one and the diagonal hold U; the diagonal of S stands apart. Where the
 Cholesky factorisation meets a pivot that is not positive, :math:`U Δ U^⊤` with Bunch and Kaufman's
-pivots takes its place, and tells the inertia. If that meets a zero, too, all eigenvalues are
-computed, and the pseudo-inverse stands in the upper triangle. With W = S R, and without
-cancellation,
+pivots takes its place, and tells the inertia. If that meets a zero, too, all eigenvalues of the
+matrix scaled by its diagonal are computed, and the pseudo-inverse stands in the upper triangle.
+With W = S R, and without cancellation,
 
 .. math:: E = ρ\, S_ρ^{-1} R = R - S_ρ^{-1} W, \qquad D = ρ\, (I - R^⊤ E) = E^⊤ W.
 """
@@ -34,7 +34,7 @@ __all__ = ["DenseFactors"]
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
-#: An eigenvalue, or a squared pivot, below this share of the largest one counts as zero.
+#: An eigenvalue of a scaled matrix below this share of the largest one counts as zero.
 ZERO = 1e-14
 
 
@@ -57,9 +57,21 @@ class DenseFactors:
         self.rows = list(rows)
         self._blocks = [_Block(np.zeros((0, 0), order="F")) for _ in self.rows]
 
-    def set_block(self, i: int, S: Array) -> None:
-        """Take over the block S, (n_i, n_i), of which the lower triangle is read."""
-        self._blocks[i] = _Block(np.asfortranarray(S))
+    def set_block(self, i: int, S: Array, *, keep_factor: bool = False) -> None:
+        """Take over a block; its factor is gone, unless that of the last one is to serve on.
+
+        Args:
+            i: Number of the block.
+            S: The block, (n_i, n_i), of which the lower triangle is read.
+            keep_factor: Whether :meth:`solve` goes on with the factor of the last block.
+
+        Raises:
+            FactorError: NaN or Inf in the block. Not collective: the caller reduces.
+        """
+        if keep_factor:
+            self._blocks[i].replace(S)
+        else:
+            self._blocks[i] = _Block(np.asfortranarray(S))
 
     def update_block(
         self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: Array | None = None
@@ -126,16 +138,24 @@ class _Block:
         self._rho = 1.0
         self._shift: Array | None = None
 
+    def replace(self, S: Array) -> None:
+        """Take another S beside the factor that is there."""
+        np.copyto(self.S, S, where=np.tri(len(S), k=-1, dtype=bool))
+        self.diagonal = S.diagonal().copy()
+        self._require_finite()
+
+    def _require_finite(self) -> None:
+        if not np.isfinite(self.diagonal).all():
+            raise FactorError("a Schur complement has entries that are NaN or Inf")
+
     def factor(self, R: Array, rho: float, shift: Array | None) -> None:
         self._R, self._rho, self._shift = R, rho, shift
         if len(self.S) == 0:
             return
-        if not np.isfinite(self.diagonal).all():
-            raise FactorError("a Schur complement has entries that are NaN or Inf")
+        self._require_finite()
         self.pivots, self._interchanges, self._inverted = Pivots(0, 0), None, False
         X, failed = lapack.dpotrf(self._regularised(), lower=0, overwrite_a=1, clean=0)  # Uᵀ U
-        d = X.diagonal() ** 2
-        if failed or d.min() <= ZERO * d.max():
+        if failed:
             X = self._factor_indefinite()
         np.copyto(X, self.S, where=np.tri(len(X), k=-1, dtype=bool))
         self.S = X
@@ -149,27 +169,28 @@ class _Block:
         return blas.dsyrk(self._rho, self._R, beta=1.0, c=X, lower=0, overwrite_c=1)
 
     def _factor_indefinite(self) -> Array:
-        """Factor S_ρ = U Δ Uᵀ in the upper triangle; invert it where a block of Δ is zero."""
+        """Factor S_ρ = U Δ Uᵀ in the upper triangle; invert it if a block of Δ is zero."""
         work = int(lapack.dsytrf_lwork(len(self.S), lower=0)[0])
         X, interchanges, failed = lapack.dsytrf(
             self._regularised(), lower=0, lwork=work, overwrite_a=1
         )
-        delta = _pivot_eigenvalues(X, interchanges)
-        zero = np.abs(delta) <= ZERO * np.abs(delta).max()
-        if failed or np.any(zero):
+        if failed:
             return self._invert()
-        self.pivots, self._interchanges = (
-            Pivots(int(np.count_nonzero(delta < 0.0)), 0),
-            interchanges,
-        )
+        negative = np.count_nonzero(_pivot_eigenvalues(X, interchanges) < 0.0)
+        self.pivots = Pivots(int(negative), 0)
+        self._interchanges = interchanges
         return X
 
     def _invert(self) -> Array:
-        values, V = np.linalg.eigh(self._regularised(), UPLO="U")
+        X = self._regularised()
+        root = np.sqrt(np.abs(X.diagonal()))
+        root[root == 0.0] = root.max() or 1.0
+        values, V = np.linalg.eigh(X / root[:, None] / root, UPLO="U")
         zero = np.abs(values) <= ZERO * np.abs(values).max()
         negative = np.count_nonzero(values[~zero] < 0.0)
         self.pivots, self._inverted = Pivots(int(negative), int(np.count_nonzero(zero))), True
         values[zero] = np.inf
+        V = V / root[:, None]
         return np.asfortranarray((V / values) @ V.T)
 
     def multiply(self, t: Array) -> Array:

@@ -77,8 +77,11 @@ class SubdomainMatrices(ABC):
         self._torn = torn
         self._diagonal: Array = np.ones(torn.n)
 
-    def update(self) -> None:
+    def update(self, *, keep_factors: bool = False) -> None:
         """Take over the current K.
+
+        Args:
+            keep_factors: Whether ``factors`` stay those of an earlier K.
 
         Raises:
             FactorError: A factorisation failed. Not collective: the caller reduces.
@@ -207,10 +210,10 @@ class CondensedMatrices(SubdomainMatrices):
         self.factors = DenseFactors(self.dofs)
         self._interior_kernel = np.zeros((torn.n, 0))
 
-    def update(self) -> None:
+    def update(self, *, keep_factors: bool = False) -> None:
         super().update()
         for i, S in enumerate(self._elimination.schur_complements()):
-            self.factors.set_block(i, S)
+            self.factors.set_block(i, S, keep_factor=keep_factors)
         columns = [self._kernel_inside(i) for i in range(len(self.dofs))]
         self._interior_kernel = np.hstack([np.zeros((self._torn.n, 0)), *columns])
 

@@ -13,8 +13,8 @@ random vectors. The null vectors are singular vectors of the block scaled by its
           \qquad y = d^{-1/2}\, \hat y,
 
 with an orthonormal basis :math:`\hat R` of :math:`d^{-1/2} R` for the known modes R; found among
-all if the block is small, else among a few from inverse iteration with :math:`K + ρ R R^⊤ +
-10^{-9} \operatorname{diag}(d)`.
+all if the block is small, else among a few from inverse iteration with that matrix and
+:math:`10^{-9} I`.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def null_space(
         multiply: Applies K to columns, (n, r) → (n, r).
         d: Its absolute diagonal, (n,).
         R: Columns R, (n, k); none if not given.
-        rho: The stiffness ρ.
+        rho: The stiffness ρ that the factors have, for the time afterwards.
 
     Returns:
         Null vectors, (n, any number).
@@ -99,7 +99,7 @@ def null_space(
     if n <= DENSE:
         values, vectors = _singular(scaled(np.eye(n)))
     else:
-        factors.update_block(i, R, rho, shift=SHIFT * d)
+        factors.update_block(i, root * known, shift=SHIFT * d)  # the same matrix, unscaled
         values, vectors = _smallest(scaled, lambda X: root * factors.solve_many(i, root * X), n)
     zero = values <= ZERO
     if n > DENSE and not np.any(zero):

@@ -282,10 +282,9 @@ class PseudoInverse:
 
     def _with_null_vectors(self, i: int, R: Array, rho: float) -> Array:
         """Factor K_ρ, and append to R the null vectors that it still has."""
-        scale = self._matrices.diagonal(i)
         try:
             self._factors.update_block(i, R, rho)
-            singular = factor_tells_singular(self._factors, i, scale)
+            singular = self._is_singular(i)
         except FactorError:  # a solver that stops at a zero pivot
             singular = True
         if not singular:
@@ -294,12 +293,16 @@ class PseudoInverse:
         def multiply(X: Array) -> Array:
             return self._matrices.multiply_many(i, X)
 
-        Y = null_space(self._factors, i, multiply, scale, R, rho)
+        Y = null_space(self._factors, i, multiply, self._matrices.diagonal(i), R, rho)
         R = append_orthonormal(R, Y)
         self._factors.update_block(i, R, rho)
-        if self._factors.pivots(i).zero:
-            raise FactorError("the regularised matrix is singular, and no null vector is found")
+        if Y.shape[1] and self._is_singular(i):
+            raise FactorError("the regularised matrix stays singular with its null vectors")
         return R
+
+    def _is_singular(self, i: int) -> bool:
+        """Tell whether the factored K_ρ of subdomain i is singular up to rounding."""
+        return factor_tells_singular(self._factors, i, self._matrices.diagonal(i))
 
     def _with_elastic_modes(self, i: int, R: Array, rho: float, weight: Array) -> Array:
         """Append buckling modes to R until K_ρ is positive definite, and soft modes once."""
@@ -320,7 +323,7 @@ class PseudoInverse:
             if more.shape[1] == R.shape[1]:
                 break
             self._factors.update_block(i, more, rho)
-            if self._factors.pivots(i).zero:  # a border that the factor cannot tell from zero
+            if self._is_singular(i):  # a border that the factor cannot tell from zero
                 self._factors.update_block(i, R, rho)
                 break
             R = more

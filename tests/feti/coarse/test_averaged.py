@@ -49,7 +49,7 @@ def test_fields(kind, torn_grid, form):
     copies, start = primal.copies, COMM.scan(primal.copies.n) - primal.copies.n
     expected = exact.T @ exact.V
     worst = 0.0
-    fields = averaged_fields(copies, primal.system.space._U)
+    fields = averaged_fields(copies, primal.system.space.columns)
     for field, rows in zip(fields, copies.blocks, strict=True):
         W = np.zeros((rows.stop - rows.start, expected.shape[1]))
         W[:, field.numbers] = field.values
@@ -86,7 +86,7 @@ def test_dependent_columns_are_dropped(torn_grid, form):
 
     def repeated(parts, copies):
         columns = []
-        for U_i in plain.system.space._U:
+        for U_i in plain.system.space.columns:
             noise = 1e-12 * np.random.default_rng(SEED).standard_normal(U_i.shape)
             columns.append(np.hstack([1e5 * (U_i + noise), 0.0 * U_i[:, :1]]))
         return columns

@@ -1,0 +1,147 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A preconditioner that serves later matrices: the same solutions, and an end to its life."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from collective import agree, equal
+from hand_torn import COMM, HandTorn, random_values, solve
+
+Array = npt.NDArray[np.float64]
+Reason = PETSc.KSP.ConvergedReason
+
+GRID = {"subdomains": (2, 2), "cells": (4, 3), "components": 2}
+
+every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+every_interior = pytest.mark.parametrize("interior", ["keep", "eliminate"])
+
+
+def scale(problem: HandTorn, factors: Sequence[float]) -> None:
+    """Multiply the matrices of all subdomains, in the torn matrix and in ``problem.K``."""
+    mine = [i for i in range(len(problem.K)) if i * COMM.size // len(problem.K) == COMM.rank]
+    rows = np.concatenate([np.full(len(problem.K[i]), factors[i]) for i in mine] or [np.zeros(0)])
+    diagonal = problem.local.createVecLeft()
+    diagonal.array[:] = rows
+    problem.local.diagonalScale(diagonal)
+    problem.local.assemble()
+    diagonal.destroy()
+    for K_i, factor in zip(problem.K, factors, strict=True):
+        K_i *= factor
+
+
+@pytest.fixture
+def primal(torn_grid: Callable[..., HandTorn], feti: Callable[..., PETSc.KSP]) -> Callable:
+    """Make a problem and a KSP in the primal form whose preconditioner lasts."""
+
+    def create(**options: object) -> tuple[HandTorn, PETSc.KSP]:
+        problem = torn_grid(**GRID)
+        given = {"feti_formulation": "primal", "ksp_rtol": 1e-11, **options}
+        ksp = feti(problem.A, **given)
+        ksp.getPythonContext().lasting = True
+        return problem, ksp
+
+    return create
+
+
+def check(problem: HandTorn, ksp: PETSc.KSP) -> int:
+    """Solve, compare with LU, and return the age of the preconditioner."""
+    values = random_values(problem)
+    reason, x = solve(ksp, problem, values)
+    agree(reason > 0, ksp.getPythonContext().message)
+    equal(x, problem.solve(values), 1e-8)
+    return ksp.getPythonContext().age
+
+
+@every_type
+@every_interior
+def test_serves_later_matrices(kind, interior, primal):
+    problem, ksp = primal(feti_type=kind, feti_interior=interior, feti_lag=2)
+    ages = [check(problem, ksp)]
+    for factor in (1.1, 0.9, 1.2, 0.95):
+        scale(problem, [factor, 1.0, 1.0 / factor, 1.0])
+        ages.append(check(problem, ksp))
+    agree(ages == [0, 1, 2, 0, 1], ages)
+    agree(ksp.getPythonContext().report().lag == 1)
+    scale(problem, [1.1, 1.0, 1.0, 1.0])
+    ksp.getPythonContext().renew()
+    agree(check(problem, ksp) == 0)
+
+
+def test_same_matrix_is_not_set_up_again(primal):
+    problem, ksp = primal()
+    agree([check(problem, ksp) for _ in range(3)] == [0, 0, 0])
+
+
+@pytest.mark.parametrize("options", [{"feti_lag": 0}, {"feti_formulation": "dual"}])
+def test_never_lasts(options, primal):
+    problem, ksp = primal(**options)
+    ages = [check(problem, ksp)]
+    scale(problem, [1.1, 1.0, 1.0, 1.0])
+    agree([*ages, check(problem, ksp)] == [0, 0])
+
+
+def test_lasts_only_if_asked(primal):
+    problem, ksp = primal()
+    ksp.getPythonContext().lasting = False
+    ages = [check(problem, ksp)]
+    scale(problem, [1.1, 1.0, 1.0, 1.0])
+    agree([*ages, check(problem, ksp)] == [0, 0])
+
+
+@every_type
+def test_ends_where_iterations_grow(kind, primal):
+    """Another material: the solve is given up or slow, and either way the next one is fresh."""
+    problem, ksp = primal(feti_type=kind)
+    check(problem, ksp)
+    scale(problem, [1e4, 1.0, 1e-3, 1e2])
+    first = check(problem, ksp)
+    spent = ksp.getIterationNumber()
+    scale(problem, [1.01, 1.0, 1.0, 1.0])
+    second = check(problem, ksp)
+    agree(0 in (first, second), (first, second))
+    if first == 0:  # those of the attempt that was given up count
+        agree(spent > ksp.getIterationNumber(), (spent, ksp.getIterationNumber()))
+
+
+def test_indefinite_matrix_is_told(primal):
+    """Negative curvature is that of the matrix, whatever the preconditioner's age."""
+    problem, ksp = primal()
+    check(problem, ksp)
+    scale(problem, [1.0, 1.0, 1.0, -1.0])
+    reason, _ = solve(ksp, problem, random_values(problem))
+    agree(reason == Reason.DIVERGED_INDEFINITE_MAT, reason)
+    agree("indefinite" in ksp.getPythonContext().message)
+
+
+def test_other_form_where_matrix_turns_indefinite(torn_grid, feti):
+    """``auto`` goes over to the dual form, with factors of its own."""
+
+    def push(K: list[Array], dofs: list[npt.NDArray[np.int64]]) -> None:
+        K[1] -= 0.002 * np.diag(K[1].diagonal())  # D of this subdomain gets negative eigenvalues
+
+    problem = torn_grid(**GRID, change=push)
+    ksp = feti(problem.A, ksp_rtol=1e-11)
+    ksp.getPythonContext().lasting = True
+    check(problem, ksp)
+    agree(ksp.getPythonContext().report().formulation == "primal")
+    scale(problem, [1.0, 1.0, -1.0, 1.0])
+    agree(check(problem, ksp) == 0)
+    agree(ksp.getPythonContext().report().formulation == "dual")
+
+
+def test_not_a_number(primal):
+    """A NaN in a later matrix is found before a factor is kept."""
+    problem, ksp = primal()
+    check(problem, ksp)
+    scale(problem, [np.nan, 1.0, 1.0, 1.0])
+    reason, _ = solve(ksp, problem, random_values(problem))
+    agree(reason == Reason.DIVERGED_PCSETUP_FAILED, reason)
+    agree("NaN" in ksp.getPythonContext().message)
