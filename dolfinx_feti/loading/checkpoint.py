@@ -95,8 +95,9 @@ class Checkpoint:
         self._parameters = on_all(lambda: plain(parameters or {}), comm)
         self.folder = Path(folder)
         self._latest: dict[str, Any] | None = on_first(self._open, comm)
-        written_by = self._latest and self._latest.get("storage", "adios4dolfinx")
-        self._storage = choose_storage(comm, written_by)
+        latest = self._latest
+        writer = None if latest is None else str(latest.get("storage", "adios4dolfinx"))
+        self._storage = choose_storage(comm, writer)
         self._count: int = on_first(lambda: last_number(self.folder), comm)
         self.record: dict[str, Any] | None = self._latest and self._latest["record"]
         writable_folder(self.folder, comm)
