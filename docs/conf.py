@@ -4,11 +4,13 @@
 """Sphinx configuration; ``make docs`` builds with all warnings as errors.
 
 The pages need no network: formulas are drawn by the MathJax of Debian's package node-mathjax-full,
-which becomes part of the site. Where it is not installed, they are drawn by the one on the network.
+or by the file tex-svg-full.js that the variable MATHJAX names; it becomes part of the site. Where
+there is neither, the pages load it from the network, and the test of the site complains.
 """
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -63,7 +65,8 @@ html_show_search_summary = False  # a page that is a file may not read another f
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 
-mathjax = Path("/usr/share/nodejs/mathjax-full/es5/tex-svg-full.js")
+debian = "/usr/share/nodejs/mathjax-full/es5/tex-svg-full.js"
+mathjax = Path(os.environ.get("MATHJAX", debian))
 if mathjax.is_file():
     html_static_path.append(str(mathjax))
     mathjax_path = mathjax.name

@@ -12,8 +12,9 @@
    error in the console, pictures are drawn, formulas are rendered, and nothing sticks out.
 3. Search finds what it should.
 
-The second and third part need selenium, Chromium and its driver. Without them (outside of a Debian
-tree) the first part alone is done, and that is said.
+The formulas are drawn by a MathJax of the site's own (docs/conf.py). The second and third part need
+selenium, Chromium and its driver. Without them (outside of a Debian tree) the first part alone is
+done, and that is said.
 """
 
 from __future__ import annotations
