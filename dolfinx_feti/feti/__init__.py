@@ -4,7 +4,7 @@
 """Classical and all-floating FETI for a torn matrix; knows PETSc, and no finite elements.
 
 In the order of the data: options, linear_map, gluing, copies, subdomain, preconditioner, coarse,
-krylov, inertia, setup, dual_form, primal_form, formulation, report, solver.
+krylov, inertia, setup, dual_form, primal_form, formulation, report, monitor, solver.
 """
 
 from dolfinx_feti.feti.solver import FETI

@@ -16,25 +16,23 @@ and returns the assembled x with T x = u. The right-hand side is shared among th
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_feti.collective import on_all
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.events import event
 from dolfinx_feti.feti.dual_form import create_dual_form
 from dolfinx_feti.feti.formulation import Form, set_up, set_up_lagged
 from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.krylov.recycling import Directions
+from dolfinx_feti.feti.monitor import outer_monitor
 from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
 from dolfinx_feti.feti.primal_form import PrimalForm
 from dolfinx_feti.feti.report import Report, collect, table
 from dolfinx_feti.feti.setup import Factored, Pattern
-from dolfinx_feti.petsc_errors import python_errors
 
 __all__ = ["FETI"]
 
@@ -369,29 +367,3 @@ def per_digit(iterations: int, residual: float) -> float:
     """Return the iterations that took a digit off the residual; nan if there was none."""
     digits = -np.log10(residual) if 0.0 < residual < 1.0 else np.nan
     return float(iterations / digits)
-
-
-def outer_monitor(ksp: PETSc.KSP, done: int, *, first: bool) -> Callable[[int, float], None]:
-    """Hand the inner iterations on to the monitors and the history of the outer KSP.
-
-    Args:
-        ksp: The outer KSP.
-        done: Iterations before this inner solve.
-        first: Whether the start is still to be shown.
-    """
-    users_own = bool(ksp.getMonitor())  # in Python, which may raise on one process alone
-    comm = ksp.comm.tompi4py()
-
-    def show(its: int, norm: float) -> None:
-        with python_errors():
-            ksp.monitor(done + its, norm)
-
-    def monitor(its: int, norm: float) -> None:
-        if its > 0 or first:
-            ksp.logConvergenceHistory(norm)
-            if users_own:
-                on_all(lambda: show(its, norm), comm)
-            else:
-                ksp.monitor(done + its, norm)
-
-    return monitor
