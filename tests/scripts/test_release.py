@@ -120,6 +120,12 @@ def test_wheel_serves_where_there_is_no_checkout(wheel, tmp_path):
     assert run(python, "-c", USE, cwd=tmp_path).split()[-1] == dolfinx_feti.__version__
 
 
+def test_changelog_begins_with_the_version():
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    first = re.search(r"^## (\S+)", text, re.M)
+    assert first and first[1] in (dolfinx_feti.__version__, "Unreleased")
+
+
 def test_recipes_name_the_version_and_the_needs():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     recipe = (ROOT / "packaging/conda/recipe.yaml").read_text()
