@@ -45,11 +45,11 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import pictures
 from artery.case import default_case
 from artery.estimate import estimated_seconds
 from artery.wall_file import read_case
-from render import gather_cells
+from drawing import pictures
+from drawing.render import gather_cells
 
 import dolfinx
 import ufl

@@ -29,8 +29,8 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-from cube_picture import draw_cube
-from render import gather_cells
+from drawing.cube_picture import draw_cube
+from drawing.render import gather_cells
 
 import dolfinx
 import ufl

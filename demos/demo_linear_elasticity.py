@@ -18,14 +18,19 @@
 #     python3 demos/demo_linear_elasticity.py
 
 # +
+from pathlib import Path
+
 from mpi4py import MPI
 
+import matplotlib.pyplot as plt
 import numpy as np
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 import dolfinx
 import ufl
 
 from dolfinx_feti import LinearProblem, compare
+from dolfinx_feti.output import writable_folder
 
 # -
 
@@ -77,3 +82,31 @@ if comm.rank == 0:
         f"difference to MUMPS {difference:.1e}"
     )
 assert difference < 1e-7
+# -
+
+# ## The beam, bent and torn
+#
+# Each process gives the triangles of its part of the surface; the first one draws them. The colours
+# are the subdomains, the deflection is exaggerated tenfold.
+
+# +
+folder = writable_folder(Path("output/beam"), comm)
+mesh.topology.create_connectivity(2, 3)
+facets = dolfinx.mesh.exterior_facet_indices(mesh.topology)
+facet_cells = mesh.topology.connectivity(2, 3)
+cells = facet_cells.array[facet_cells.offsets[facets]]
+corners = mesh.geometry.x[dolfinx.mesh.entities_to_geometry(mesh, 2, facets)]
+shift = uh.eval(corners.reshape(-1, 3), np.repeat(cells, 3)).reshape(corners.shape)
+parts = problem.decomposition
+gathered = comm.gather((corners + 10 * shift, parts.first + parts.subdomain[cells]))
+if comm.rank == 0:
+    triangles, subdomain = (np.concatenate(part) for part in zip(*gathered, strict=True))
+    fig, ax = plt.subplots(figsize=(9, 5), subplot_kw={"projection": "3d"})
+    colours = plt.get_cmap("tab20")(subdomain % 20)
+    ax.add_collection3d(Poly3DCollection(triangles, facecolors=colours, edgecolor="k", lw=0.2))
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    ax.set_box_aspect(high - low, zoom=1.1)
+    ax.view_init(elev=15, azim=-65)
+    ax.set_axis_off()
+    fig.savefig(folder / "beam.png", dpi=150)

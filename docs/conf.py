@@ -1,10 +1,16 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Sphinx configuration; ``make docs`` builds with all warnings as errors."""
+"""Sphinx configuration; ``make docs`` builds with all warnings as errors.
+
+The pages need no network: formulas are drawn by the MathJax of Debian's package node-mathjax-full,
+or by the file tex-svg-full.js that the variable MATHJAX names; it becomes part of the site. Where
+there is neither, the pages load it from the network, and the test of the site complains.
+"""
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -18,14 +24,23 @@ project_copyright = "2026, the dolfinx_feti authors"
 release = dolfinx_feti.__version__
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+    "sphinx_design",
 ]
 myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build"]
+suppress_warnings = ["mystnb.unknown_mime_type"]
+copybutton_exclude = ".linenos, .gp, .go"
+
+# scripts/demo_pages.py has executed the demos.
+nb_execution_mode = "off"
+nb_merge_streams = True
+nb_ipywidgets_js: dict[str, dict[str, str]] = {}
 
 autoclass_content = "both"
 autodoc_member_order = "bysource"
@@ -36,11 +51,22 @@ napoleon_use_ivar = True
 napoleon_use_rtype = False
 napoleon_custom_sections = ["Note: quadrature"]
 
-html_theme = "alabaster"
+html_theme = "sphinx_book_theme"
+html_title = f"dolfinx_feti {release}"
 html_theme_options = {
-    "description": release,
-    "fixed_sidebar": True,
-    "page_width": "1080px",
-    "sidebar_width": "240px",
+    "home_page_in_toc": True,
+    "show_toc_level": 2,
+    "use_download_button": False,
+    "use_fullscreen_button": False,
 }
-html_static_path: list[str] = []
+html_context = {"default_mode": "auto"}
+html_copy_source = False
+html_show_search_summary = False  # a page that is a file may not read another file
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+
+debian = "/usr/share/nodejs/mathjax-full/es5/tex-svg-full.js"
+mathjax = Path(os.environ.get("MATHJAX", debian))
+if mathjax.is_file():
+    html_static_path.append(str(mathjax))
+    mathjax_path = mathjax.name

@@ -16,7 +16,7 @@ from dolfinx_feti.problems.linear_problem import LinearProblem
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.torn import create_torn_matrix, set_near_kernel
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "FETI",
     "ConvergenceError",

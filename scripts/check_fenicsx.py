@@ -3,13 +3,18 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Say, by exit status and one line on stderr, whether this Python has the FEniCSx that is needed.
 
-Read by `scripts/with-fenicsx` and `scripts/debian-tree`.
+Read by `scripts/with-fenicsx` and `scripts/debian-tree`. With the argument `docs`, what `make docs`
+imports has to be there, too.
 """
 
 import sys
 from importlib.util import find_spec
 
-for name in "dolfinx", "petsc4py", "mpi4py":
+NEEDED = ["dolfinx", "petsc4py", "mpi4py"]
+DOCS = ["gmsh", "ipykernel", "jupytext", "matplotlib", "meshio", "myst_nb", "nbclient"]
+DOCS += ["sphinx", "sphinx_book_theme", "sphinx_copybutton", "sphinx_design"]
+
+for name in NEEDED + (DOCS if sys.argv[1:] == ["docs"] else []):
     if find_spec(name) is None:
         sys.exit(f"it has no {name}")
 

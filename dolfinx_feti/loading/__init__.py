@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Load steps from equilibrium to equilibrium, and states that outlive a run.
 
-In the order of the data: states, identity, checkpoint, steps, table, progress, load_steps.
+In the order of the data: states, identity, storage, checkpoint, steps, table, progress, load_steps.
 """
 
 from dolfinx_feti.loading.checkpoint import Checkpoint

@@ -3,19 +3,18 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Checkpoints: states in a folder, from which a run that was killed goes on.
 
-A state is written by adios4dolfinx cell by cell in the order of the input mesh, so that another
-number of processes reads it with the same mesh. Beside it stands to which mesh, elements and
-parameters it belongs (``identity``); ``states`` keeps the last one whole at any moment.
+A state is written cell by cell in the order of the input mesh, by one of several libraries
+(``storage``), so that another number of processes reads it with the same mesh. Beside it stands to
+which mesh, elements and parameters it belongs (``identity``); ``states`` keeps the last one whole
+at any moment.
 """
 
 from __future__ import annotations
 
-import importlib
 import shutil
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from mpi4py import MPI
@@ -43,12 +42,11 @@ from dolfinx_feti.loading.states import (
     publish,
     read_latest,
 )
+from dolfinx_feti.loading.storage import choose_storage
 
 __all__ = ["Checkpoint"]
 
 Array = npt.NDArray[np.float64]
-
-STATE = "state.bp"
 
 
 class Checkpoint:
@@ -84,19 +82,22 @@ class Checkpoint:
                 must be none.
 
         Raises:
-            ModuleNotFoundError: adios4dolfinx is missing.
+            ModuleNotFoundError: There is no library to write states with, or not the one that wrote
+                the state in the folder.
             OSError: The folder cannot be written, holds a state already, or none to go on from.
             ValueError: What it holds is no checkpoint, damaged, or one of other parameters.
 
         Note:
             Collective; raises on all processes.
         """
-        self._adios4dolfinx = _import_adios4dolfinx(comm)
         self._comm = comm
         self.restart = restart
         self._parameters = on_all(lambda: plain(parameters or {}), comm)
         self.folder = Path(folder)
         self._latest: dict[str, Any] | None = on_first(self._open, comm)
+        latest = self._latest
+        writer = None if latest is None else str(latest.get("storage", "adios4dolfinx"))
+        self._storage = choose_storage(comm, writer)
         self._count: int = on_first(lambda: last_number(self.folder), comm)
         self.record: dict[str, Any] | None = self._latest and self._latest["record"]
         writable_folder(self.folder, comm)
@@ -126,13 +127,14 @@ class Checkpoint:
         problem = {"parameters": self._parameters, **describe(functions)}
         name = f"step-{self._count + 1:04d}"
         head = {"format": FORMAT, "state": name, "past": len(past), **problem}
+        head["storage"] = self._storage.name
         latest = on_first(lambda: plain_record(head | {"record": dict(record)}), self._comm)
         self._count += 1
         part = self.folder / f"{name}.part"
         size = (1 + len(past)) * sum(map(_size, functions))
         try:
             on_first(lambda: prepare(part, size), self._comm)
-            self._write_state(part / STATE, functions, past)
+            self._write_state(part / self._storage.file, functions, past)
             latest = on_first(lambda: publish(part, latest), self._comm)
         except Exception as error:
             on_first(lambda: shutil.rmtree(part, ignore_errors=True), self._comm)
@@ -162,7 +164,7 @@ class Checkpoint:
             raise ValueError(f"There is no state in {self.folder} yet: write one first.")
         latest, present = self._latest, describe(functions)
         self._refuse(self._comm.bcast(other_problem(latest, present), root=0))
-        path = self.folder / latest["state"] / STATE
+        path = self.folder / latest["state"] / self._storage.file
         try:
             values = self._read_state(path, functions)
         except Exception as error:
@@ -205,7 +207,7 @@ class Checkpoint:
         past: Sequence[Sequence[Array]],
     ) -> None:
         """Write the functions, one instant of time for each equilibrium."""
-        write = self._adios4dolfinx.write_function_on_input_mesh
+        write = self._storage.write
         present = [f.x.array for f in functions]
         for t, values in enumerate([*past, present]):
             for i, (f, array) in enumerate(zip(functions, values, strict=True)):
@@ -217,7 +219,7 @@ class Checkpoint:
         self, path: Path, functions: Sequence[dolfinx.fem.Function]
     ) -> list[list[Array]]:
         """Read all instants, the present one at the end."""
-        read = self._adios4dolfinx.read_function
+        read = self._storage.read
         found: list[list[Array]] = []
         assert self._latest is not None
         for t in range(self._latest["past"] + 1):
@@ -250,19 +252,3 @@ def _size(f: dolfinx.fem.Function) -> int:
     cells = V.mesh.topology.index_map(V.mesh.topology.dim).size_global
     values = V.dofmap.index_map.size_global * V.dofmap.index_map_bs
     return 8 * values + cells * (8 * V.dofmap.list.shape[1] * V.dofmap.bs + 12)
-
-
-def _import_adios4dolfinx(comm: MPI.Comm) -> ModuleType:
-    """Import adios4dolfinx.
-
-    Raises:
-        ModuleNotFoundError: It is not there for one of the processes.
-    """
-    try:
-        return on_all(lambda: importlib.import_module("adios4dolfinx"), comm)
-    except Exception as error:
-        raise ModuleNotFoundError(
-            f"Checkpoints need adios4dolfinx, which cannot be imported ({error}): install Debian's "
-            "python3-adios4dolfinx or PyPI's adios4dolfinx, with a dolfinx that has ADIOS2.",
-            name="adios4dolfinx",
-        ) from error

@@ -35,7 +35,8 @@ def describe(functions: Sequence[dolfinx.fem.Function]) -> dict[str, Any]:
         the extent of the mesh, and the elements.
 
     Raises:
-        ValueError: A process has no cell, which adios4dolfinx does not know how to handle.
+        ValueError: A process has no cell, which the libraries that write states do not know how
+            to handle.
 
     Note:
         Collective.

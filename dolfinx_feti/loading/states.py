@@ -20,13 +20,25 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-__all__ = ["FORMAT", "LATEST", "check_files", "last_number", "prepare", "publish", "read_latest"]
+__all__ = [
+    "FORMAT",
+    "LATEST",
+    "check_files",
+    "last_number",
+    "prepare",
+    "publish",
+    "read_latest",
+    "reserve",
+]
 
 LATEST = "latest.json"
 FORMAT = 1
 
-#: Room for what ADIOS2 writes beside the numbers, in bytes.
+#: Room for what ADIOS2 or HDF5 writes beside the numbers, in bytes.
 OVERHEAD = 1 << 20
+
+#: Bytes that are read or written at once.
+BLOCK = 1 << 22
 
 
 def prepare(part: Path, size: int) -> None:
@@ -35,9 +47,24 @@ def prepare(part: Path, size: int) -> None:
         shutil.rmtree(path)
     part.mkdir()
     room = part / "room"
-    with room.open("wb") as file:
-        os.posix_fallocate(file.fileno(), 0, size + OVERHEAD)
+    reserve(room, size + OVERHEAD)
     room.unlink()
+
+
+def reserve(path: Path, size: int) -> None:
+    """Take room on the disk, in bytes; where the system has no call for it (macOS), by zeros.
+
+    Raises:
+        OSError: There is not that much.
+    """
+    with path.open("wb") as file:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(file.fileno(), 0, size)
+            return
+        for first in range(0, size, BLOCK):
+            file.write(bytes(min(BLOCK, size - first)))
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def publish(part: Path, latest: dict[str, Any]) -> dict[str, Any]:
@@ -109,7 +136,7 @@ def _checksum(path: Path) -> list[int]:
     """Return size and CRC-32 of a file."""
     size = crc = 0
     with path.open("rb") as file:
-        while block := file.read(1 << 22):
+        while block := file.read(BLOCK):
             size, crc = size + len(block), zlib.crc32(block, crc)
     return [size, crc]
 

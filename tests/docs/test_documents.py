@@ -17,7 +17,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "dolfinx_feti"
 FOLDERS = ("benchmarks", "demos", "docs", "dolfinx_feti", "meshes", "scripts", "tests")
-DOCUMENTS = [ROOT / "README.md", ROOT / "meshes/README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", *ROOT.glob("*/README.md"), *sorted((ROOT / "docs").rglob("*.md"))]
 
 pytestmark = pytest.mark.serial
 

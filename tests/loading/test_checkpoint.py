@@ -180,10 +180,12 @@ def test_folder_that_cannot_be_written(tmp_path):
 
 
 @pytest.mark.parametrize("rank", [0, COMM.size - 1])
-def test_without_adios4dolfinx(tmp_path, monkeypatch, rank):
+def test_without_a_library_to_write_with(tmp_path, monkeypatch, rank):
     """On one process or another: all raise."""
     if COMM.rank == rank:
         monkeypatch.setitem(sys.modules, "adios4dolfinx", None)
-    with raises(ModuleNotFoundError, "need adios4dolfinx, .*: install Debian's python3-adios4dol"):
+        monkeypatch.setitem(sys.modules, "io4dolfinx", None)
+    needs = "need adios4dolfinx or io4dolfinx, .*: install Debian's python3-adios4dol"
+    with raises(ModuleNotFoundError, needs):
         opened(tmp_path / "run", restart=False)
     agree(not (tmp_path / "run").exists())

@@ -62,7 +62,7 @@ def test_failure_on_the_last_process(tmp_path, state):
         if COMM.rank == COMM.size - 1:
             raise RuntimeError("[ADIOS2 EXCEPTION]\n no")
 
-    checkpoint._adios4dolfinx = SimpleNamespace(write_function_on_input_mesh=broken)
+    checkpoint._storage = SimpleNamespace(name="played", file="state.bp", write=broken)
     with raises(OSError, r"step-0001.part cannot be written \(\[ADIOS2 EXCEPTION\] no\): there is"):
         checkpoint.write(state.functions, {})
     agree(list(tmp_path.iterdir()) == [] and checkpoint.record is None)

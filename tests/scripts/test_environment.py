@@ -194,6 +194,29 @@ def test_a_change_of_the_package_list_makes_the_tree_anew(machine: Machine) -> N
     assert machine.left() == {"trixie"}
 
 
+def test_packages_of_the_docs_have_a_tree_of_their_own(machine: Machine) -> None:
+    machine.run("true")
+    assert machine.run("true", FENICSX_PACKAGES="docs").returncode == 0
+    assert machine.left() == {"trixie", "trixie-docs"}
+    installs = [call.split() for call in machine.calls("chroot") if "install" in call.split()]
+    assert sum("python3-dolfinx" in call for call in installs) == 2
+    assert sum("python3-myst-nb" in call for call in installs) == 1
+    assert machine.run("true").returncode == 0
+    assert len(machine.calls("debootstrap")) == 2
+
+
+def test_own_python_has_to_have_what_the_docs_need(machine: Machine) -> None:
+    machine.play("python3", 'case "$*" in *docs) echo "it has no myst_nb" >&2; exit 1 ;; esac')
+    assert machine.run("true").returncode == 0
+    assert not machine.calls("debootstrap")
+    result = machine.run("true", FENICSX_PACKAGES="docs", FENICSX_SUITE="trixie")
+    assert "asks for a Debian tree" in result.stderr
+    machine.play("id", "echo 1000")
+    result = machine.run("true", FENICSX_PACKAGES="docs", DOLFINX_FETI_ENV="/nowhere")
+    assert result.returncode == OWN_FAILURE
+    assert "it has no myst_nb" in result.stderr and "scripts/debian-packages-docs" in result.stderr
+
+
 # ---- two at once, and interruptions ---------------------------------------------------------
 
 

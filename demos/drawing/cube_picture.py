@@ -15,7 +15,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
-from render import Cells, Scene, skin
+
+from drawing.render import Cells, Scene, skin
 
 __all__ = ["draw_cube"]
 

@@ -19,9 +19,9 @@ import numpy.typing as npt
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgba
 from matplotlib.ticker import MaxNLocator
-from render import Cells, Scene, principal_view, skin
 
 from dolfinx_feti.loading import LoadStep
+from drawing.render import Cells, Scene, principal_view, skin
 
 __all__ = ["draw_convergence", "draw_fibres", "draw_wall"]
 

@@ -1,0 +1,175 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: light
+# ---
+
+# # A torn matrix of your own, and PCBDDC beside it
+#
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+#
+# The solver does not need dolfinx. It reads a *torn* matrix: a PETSc MATIS whose local matrix has
+# one block per subdomain. Here numpy and scipy make one, for the heat in a plate; FETI and PETSc's
+# own PCBDDC solve with it.
+#
+#     python3 demos/demo_torn_matrix.py
+#     mpirun -n 4 python3 demos/demo_torn_matrix.py -feti_ksp_view
+
+# +
+import sys
+from pathlib import Path
+
+import petsc4py
+
+petsc4py.init([word for word in sys.argv if word != "-f" and not word.endswith(".json")])
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import matplotlib.pyplot as plt
+import numpy as np
+import scipy.sparse
+
+import dolfinx_feti
+from dolfinx_feti.output import writable_folder
+
+comm = MPI.COMM_WORLD
+# -
+
+# ## The torn matrix
+#
+# The plate is p × p squares of n × n bilinear elements. The matrix of one square is
+# $K_i = S ⊗ M + M ⊗ S$ with stiffness S and mass M in one dimension. No square knows its
+# neighbours, and none is fixed anywhere: the constant is in the kernel of every $K_i$. The local
+# matrix of a process holds the blocks of its squares,
+#
+# $$ K = \operatorname{diag}(K_1, …, K_p), \qquad A = T^⊤ K\, T, $$
+#
+# and `to_global` is T: the global dof of each torn one. That pair is a MATIS.
+
+
+# +
+def local_matrix(K: scipy.sparse.csr_array) -> PETSc.Mat:
+    """Return a PETSc matrix of this process alone."""
+    pattern = (K.indptr.astype(PETSc.IntType), K.indices.astype(PETSc.IntType))
+    return PETSc.Mat().createAIJ(K.shape, csr=(*pattern, K.data), comm=PETSc.COMM_SELF)
+
+
+p, n = 4, 16
+side = p * n + 1
+
+ends = np.array([1.0, *[2.0] * (n - 1), 1.0])
+mass = scipy.sparse.diags_array([np.ones(n), 2 * ends, np.ones(n)], offsets=[-1, 0, 1]) / (
+    6 * n * p
+)
+stiff = scipy.sparse.diags_array([-np.ones(n), ends, -np.ones(n)], offsets=[-1, 0, 1]) * (n * p)
+K_i = scipy.sparse.kron(stiff, mass) + scipy.sparse.kron(mass, stiff)
+
+mine = range(comm.rank, p * p, comm.size)  # squares of this process
+K = scipy.sparse.csr_array(scipy.sparse.block_diag([K_i for _ in mine]))
+nodes = np.arange(side**2).reshape(side, side)
+to_global = np.ravel(
+    [nodes[i * n :, j * n :][: n + 1, : n + 1] for i, j in (divmod(k, p) for k in mine)]
+)
+# -
+
+# ## What else the solver has to know
+#
+# The temperature is zero on the lower side. Those dofs stay **free** in the matrix, and are named
+# in `dirichlet`: all-floating FETI imposes their values by multipliers, classical FETI fixes them
+# itself. A row that was zeroed has no neighbours left, and would count as a subdomain of its own:
+# assemble without the conditions.
+#
+# Everything else hangs on the matrix as PETSc objects: `create_torn_matrix` *composes* the
+# Dirichlet dofs, and a stiffness for the scaling if there is a better one than the diagonal of K;
+# `set_near_kernel` attaches rigid body modes. With one dof per node the constant is taken.
+
+# +
+owned = (side**2 + comm.rank) // comm.size
+bottom = nodes[0]
+A = dolfinx_feti.create_torn_matrix(
+    local_matrix(K), to_global, (owned, side**2), comm=comm, dirichlet=bottom
+)
+x, b = A.createVecs()
+start, end = b.getOwnershipRange()
+heat = np.zeros((side, side))
+heat[1:-1, 1:-1] = 1 / (n * p) ** 2  # one per area, but for the rim
+b.array[:] = heat.ravel()[start:end]  # on the Dirichlet dofs, their values: zero
+
+ksp = PETSc.KSP().create(comm)
+ksp.setOptionsPrefix("feti_")
+ksp.setOperators(A)
+ksp.setType("python")
+ksp.setPythonContext(dolfinx_feti.FETI())
+ksp.setTolerances(rtol=1e-8)
+ksp.setFromOptions()
+ksp.solve(b, x)
+feti = ksp.getPythonContext()
+# -
+
+# ## PCBDDC on the same squares
+#
+# PETSc's balancing method takes a MATIS, too, with two differences. It wants one subdomain per
+# process: `A` with several squares in it is for it *one* subdomain with a disconnected matrix. And
+# it wants the conditions built in: `zeroRowsColumns` puts unit rows into the assembled matrix. So
+# the matrix is made anew from the union of the squares of each process.
+
+# +
+rows, local = np.unique(to_global, return_inverse=True)
+T = scipy.sparse.csr_array((np.ones(len(local)), (np.arange(len(local)), local)))
+K_union = scipy.sparse.csr_array(T.T @ K @ T)
+B = PETSc.Mat().create(comm)
+B.setSizes(((owned, side**2), (owned, side**2)))
+B.setType(PETSc.Mat.Type.IS)
+lgmap = PETSc.LGMap().create(rows.astype(PETSc.IntType), comm=comm)
+B.setLGMap(lgmap, lgmap)
+B.setISLocalMat(local_matrix(K_union))
+B.assemble()
+here = bottom[(bottom >= start) & (bottom < end)].astype(PETSc.IntType)
+B.zeroRowsColumns(here, diag=1.0)
+
+balancing = PETSc.KSP().create(comm)
+balancing.setOptionsPrefix("bddc_")
+balancing.setOperators(B)
+balancing.setType("cg")
+balancing.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+balancing.getPC().setType("bddc")
+balancing.setTolerances(rtol=1e-8)
+balancing.setFromOptions()
+y = x.duplicate()
+balancing.solve(b, y)
+
+difference = y.copy()
+difference.axpy(-1.0, x)
+difference = difference.norm() / y.norm()
+if comm.rank == 0:
+    print(f"FETI, {p * p} subdomains: {feti.iterations} iterations")
+    print(f"PCBDDC, {comm.size} subdomain(s): {balancing.getIterationNumber()} iterations")
+    print(f"relative difference {difference:.1e}")
+assert ksp.getConvergedReason() > 0 and balancing.getConvergedReason() > 0
+assert difference < 1e-6
+# -
+
+# On one process PCBDDC has a single subdomain, which it factors: that is a direct solver. Run it on
+# several to compare iterations; with FETI, the number of subdomains does not depend on that.
+#
+# ## The temperature
+
+# +
+folder = writable_folder(Path("output/torn_matrix"), comm)
+parts = comm.gather(x.array_r.copy())
+if comm.rank == 0:
+    fig, ax = plt.subplots(figsize=(5.2, 4))
+    shown = ax.imshow(
+        np.concatenate(parts).reshape(side, side), origin="lower", extent=(0, 1, 0, 1)
+    )
+    for line in np.linspace(0, 1, p + 1):
+        ax.axhline(line, color="w", lw=0.8)
+        ax.axvline(line, color="w", lw=0.8)
+    ax.set_title("temperature, and the squares")
+    fig.colorbar(shown)
+    fig.savefig(folder / "temperature.png", dpi=150, bbox_inches="tight")

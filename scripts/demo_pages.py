@@ -1,0 +1,296 @@
+#!/usr/bin/env python3
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The demos as pages of the site: each is executed as a notebook, and the gallery has its picture.
+
+    python3 scripts/demo_pages.py
+
+writes into `docs/demos/`, for every `demos/demo_*.py`, the executed notebook, which is the page and
+the notebook to take away; the script; and a thumbnail, the last picture in the notebook's output.
+`docs/demos/index.md` is the gallery. Nothing there is kept in the repository.
+
+A demo that fails ends the build with its traceback. One that ran with the same files and the same
+version of dolfinx is not executed again.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import os
+import re
+import shutil
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import jupytext
+import nbformat
+from nbclient import NotebookClient
+from nbformat import NotebookNode
+from nbformat.v4 import new_code_cell, new_markdown_cell
+from PIL import Image
+
+import dolfinx
+
+ROOT = Path(__file__).resolve().parents[1]
+DEMOS, PAGES, RUNS = ROOT / "demos", ROOT / "docs/demos", ROOT / "build/demos"
+TIMEOUT = 600  # of a cell [s]
+WIDTH = 640  # of a thumbnail
+
+
+@dataclass(frozen=True)
+class Page:
+    """A demo in the gallery.
+
+    Attributes:
+        name: The file without its ending.
+        teaser: A line below the picture.
+        arguments: Its command line on the site; a demo that has none is the same everywhere.
+        pictures: Files that it writes, which are shown at its end.
+        group: Heading in the gallery.
+    """
+
+    name: str
+    teaser: str
+    group: str
+    arguments: tuple[str, ...] = ()
+    pictures: tuple[str, ...] = ()
+
+
+FIRST, LARGE = "First steps", "Large deformations"
+METHOD, WALLS = "The method", "Artery walls and materials"
+GALLERY = [
+    Page("demo_poisson", "FETI beside dolfinx, and the order of convergence.", FIRST),
+    Page("demo_linear_elasticity", "A beam under its weight: two lines change.", FIRST),
+    Page("demo_solver_options", "What -ksp_view says, and what options change.", FIRST),
+    Page("demo_hyperelasticity", "NonlinearProblem in the place of dolfinx's.", LARGE),
+    Page("demo_thick_tube", "Inflated, and held against the closed form.", LARGE),
+    Page("demo_load_steps", "Adaptive load steps; a run that goes on after its end.", LARGE),
+    Page("demo_nearly_incompressible", "Iterations over κ, beside multigrid.", METHOD),
+    Page("demo_jumps", "A checkerboard of soft and stiff squares.", METHOD),
+    Page("demo_torn_matrix", "A MATIS of your own, and PCBDDC beside it.", METHOD),
+    Page(
+        "demo_classical_vs_all_floating",
+        "The paper's linear study in small: two variants, three preconditioners.",
+        METHOD,
+        pictures=("output/cube/cube.png",),
+    ),
+    Page(
+        "demo_artery",
+        "A two-layer wall with fibres, inflated beside a direct solver.",
+        WALLS,
+        arguments=("--geometry", "tube", "--size", "0.5", "--subdomains", "8", "--pressure", "10"),
+        pictures=tuple(f"output/artery/{name}.png" for name in ("fibres", "convergence", "wall")),
+    ),
+    Page(
+        "demo_own_material",
+        "Energies of your own: checked, inflated, and beside a plaque.",
+        WALLS,
+        arguments=("--size", "0.6", "--pressure", "15"),
+        pictures=tuple(f"output/materials/{name}.png" for name in ("fibres", "plaque")),
+    ),
+]
+
+
+def main() -> int:
+    """Execute what has changed; write the pages."""
+    there = {path.stem for path in DEMOS.glob("demo_*.py")}
+    listed = {page.name for page in GALLERY}
+    if there != listed:
+        sys.exit(f"demo_pages: GALLERY and demos/ differ in {sorted(there ^ listed)}")
+    PAGES.mkdir(exist_ok=True)
+    begin = time.perf_counter()
+    for page in GALLERY:
+        notebook = PAGES / f"{page.name}.ipynb"
+        state = fingerprint(page)
+        if not up_to_date(notebook, state):
+            write_page(page, notebook, state)
+    for path in PAGES.iterdir():  # of demos that are gone
+        if path.suffix in (".ipynb", ".py", ".png") and path.stem not in listed:
+            path.unlink()
+    (PAGES / "index.md").write_text(gallery(), encoding="utf-8")
+    print(f"demo_pages: {len(GALLERY)} demos, {time.perf_counter() - begin:.0f} s")
+    return 0
+
+
+def fingerprint(page: Page) -> str:
+    """Return a digest of all that the output of a demo depends on."""
+    digest = hashlib.sha256(repr((page, dolfinx.__version__)).encode())
+    files = [DEMOS / f"{page.name}.py", *helpers(page), Path(__file__)]
+    files += [
+        *sorted((ROOT / "dolfinx_feti").rglob("*.py")),
+        *sorted((ROOT / "meshes").glob("*.py")),
+    ]
+    for path in files:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def up_to_date(notebook: Path, state: str) -> bool:
+    """Whether a page is there and was made from these files."""
+    if not notebook.is_file() or not notebook.with_suffix(".png").is_file():
+        return False
+    return nbformat.read(notebook, as_version=4).metadata.get("fingerprint") == state
+
+
+def helpers(page: Page) -> list[Path]:
+    """Files of the folder that a demo imports, directly or not."""
+    found: list[Path] = []
+    waiting = [DEMOS / f"{page.name}.py"]
+    while waiting:
+        text = waiting.pop().read_text(encoding="utf-8")
+        for module, name in re.findall(r"^(?:from|import) ([\w.]+)(?: import (\w+))?", text, re.M):
+            for dotted in (module, f"{module}.{name}"):
+                path = DEMOS / f"{dotted.replace('.', '/')}.py"
+                if path.is_file() and path not in found:
+                    found.append(path)
+                    waiting.append(path)
+    return sorted(found)
+
+
+def write_page(page: Page, path: Path, state: str) -> None:
+    """Execute a demo; write notebook, script and thumbnail."""
+    begin = time.perf_counter()
+    notebook = executed(page)
+    seconds = time.perf_counter() - begin
+    notebook.metadata["fingerprint"] = state
+    notebook.cells[0].source += "\n\n" + take_away(page, seconds)
+    picture = last_picture(notebook)
+    if picture is None:
+        sys.exit(f"demo_pages: {page.name} shows no picture, and the gallery needs one")
+    thumbnail(picture).save(path.with_suffix(".png"))
+    shutil.copy(DEMOS / f"{page.name}.py", PAGES)
+    nbformat.write(notebook, path)
+    print(f"demo_pages: {page.name}, {seconds:.0f} s", flush=True)
+
+
+def executed(page: Page) -> NotebookNode:
+    """Return the demo as a notebook, with the output of its cells."""
+    notebook = jupytext.read(DEMOS / f"{page.name}.py")
+    notebook.cells[0].source = without_licence(notebook.cells[0].source)
+    source = (DEMOS / f"{page.name}.py").read_text(encoding="utf-8")
+    if "sys.argv" in source or "argparse" in source:
+        words = ", ".join(f'"{word}"' for word in (f"{page.name}.py", *page.arguments))
+        line = (
+            f"import sys\n\nsys.argv = [{words}]  # in a notebook, in the place of a command line"
+        )
+        notebook.cells.insert(1, new_code_cell(line))
+    if page.pictures:
+        show = "from IPython.display import Image, display\n\nfor name in (\n"
+        show += "".join(f'    "{name}",\n' for name in page.pictures)
+        notebook.cells.append(new_markdown_cell("## The pictures"))
+        notebook.cells.append(new_code_cell(show + "):\n    display(Image(filename=name))"))
+    folder = RUNS / page.name
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    environment = {k: v for k, v in os.environ.items() if k != "MPLBACKEND"}
+    environment["PYTHONPATH"] = f"{DEMOS}:{ROOT}"
+    environment["OMP_NUM_THREADS"] = "1"
+    client = NotebookClient(
+        notebook,
+        timeout=TIMEOUT,
+        kernel_name="python3",
+        resources={"metadata": {"path": str(folder)}},
+    )
+    client.execute(env=environment)
+    for cell in notebook.cells:
+        cell.metadata.pop("execution", None)  # times of day
+        tidy(cell)
+    return notebook
+
+
+def without_licence(text: str) -> str:
+    """Take the lines of copyright and licence out of the first cell."""
+    lines = [line for line in text.splitlines() if not line.startswith(("Copyright", "SPDX"))]
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)).strip()
+
+
+def tidy(cell: NotebookNode) -> None:
+    """Join what was written to one stream piece by piece."""
+    joined: list[NotebookNode] = []
+    for output in cell.get("outputs", []):
+        last = joined[-1] if joined else None
+        if last and output.output_type == last.output_type == "stream" and output.name == last.name:
+            last.text += output.text
+        else:
+            joined.append(output)
+    if "outputs" in cell:
+        cell.outputs = joined
+
+
+def take_away(page: Page, seconds: float) -> str:
+    """Return the lines below the title: what can be taken away, and how long it took."""
+    text = f"[Script](./{page.name}.py) · [notebook](./{page.name}.ipynb)"
+    text = re.sub(r"\[(\w+)\]\(\./([\w.]+)\)", r"{download}`\1 <\2>`", text)
+    text += f" · executed in {seconds:.0f} s on one process, dolfinx {dolfinx.__version__}"
+    beside = [f"`{path.relative_to(ROOT)}`" for path in helpers(page)]
+    if beside:
+        text += f". It needs a checkout around it: {', '.join(beside)} and `meshes/`."
+    return text
+
+
+def last_picture(notebook: NotebookNode) -> bytes | None:
+    """Return the last PNG in the output of a notebook."""
+    found = None
+    for cell in notebook.cells:
+        for output in cell.get("outputs", []):
+            if "image/png" in output.get("data", {}):
+                found = base64.b64decode(output.data["image/png"])
+    return found
+
+
+def thumbnail(picture: bytes) -> Image.Image:
+    """Return a picture on a white card of 3 : 2."""
+    image = Image.open(io.BytesIO(picture)).convert("RGBA")
+    size = (WIDTH, WIDTH * 2 // 3)
+    image.thumbnail(size)
+    card = Image.new("RGBA", size, "white")
+    card.alpha_composite(image, tuple((c - i) // 2 for c, i in zip(size, image.size, strict=True)))
+    return card.convert("RGB")
+
+
+def title(page: Page) -> str:
+    """Return the heading of a demo."""
+    text = (DEMOS / f"{page.name}.py").read_text(encoding="utf-8")
+    found = re.search(r"^# # (.+)$", text, re.M)
+    if found is None:
+        sys.exit(f"demo_pages: {page.name} has no heading")
+    return found[1]
+
+
+def gallery() -> str:
+    """Return the page of the gallery."""
+    lines = [
+        "# Demos",
+        "",
+        "Every demo is a script and a notebook. The pages show what it wrote and drew when this",
+        "site was built. In a checkout, `python3 demos/demo_artery.py` runs one, and",
+        "`mpirun -n 4 python3 demos/demo_artery.py` does on four processes; without FEniCSx on the",
+        "machine, with `scripts/with-fenicsx` in front.",
+        "",
+    ]
+    for group in dict.fromkeys(page.group for page in GALLERY):
+        lines += [f"## {group}", "", "::::{grid} 1 2 2 3", ":gutter: 3", ""]
+        for page in (page for page in GALLERY if page.group == group):
+            lines += [
+                f":::{{grid-item-card}} {title(page)}",
+                f":link: {page.name}",
+                ":link-type: doc",
+                f":img-top: {page.name}.png",
+                f":img-alt: {title(page)}",
+                "",
+                page.teaser,
+                ":::",
+                "",
+            ]
+        lines += ["::::", ""]
+    lines += ["```{toctree}", ":hidden:", "", *(page.name for page in GALLERY), "```", ""]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,134 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The release: built from the files of the repository, installed, and used without the checkout."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import dolfinx_feti
+
+pytest.importorskip("pip")
+pytest.importorskip("setuptools", "77")
+
+pytestmark = pytest.mark.serial
+
+ROOT = Path(__file__).parents[2]
+#: What is not in the repository, or is no part of it: at its top, and anywhere.
+LEFT_OUT = shutil.ignore_patterns(".*", "build", "dist", "output", "*.egg-info")
+CACHES = shutil.ignore_patterns("__pycache__")
+USE = """
+import sys
+from pathlib import Path
+from mpi4py import MPI
+import numpy as np
+import dolfinx, ufl
+import dolfinx_feti
+
+home = Path(dolfinx_feti.__file__)
+assert home.is_relative_to(sys.prefix), home
+assert (home.parent / "py.typed").is_file()
+mesh = dolfinx.mesh.create_unit_square(MPI.COMM_WORLD, 8, 8)
+V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
+u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+left = dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[0], 0.0))
+bc = dolfinx.fem.dirichletbc(0.0, dolfinx.fem.locate_dofs_topological(V, 1, left), V)
+a, L = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, v * ufl.dx
+uh = dolfinx_feti.LinearProblem(a, L, bcs=[bc], subdomains=4).solve()
+assert abs(uh.x.array.max() - 0.5) < 0.01, uh.x.array.max()
+print(dolfinx_feti.__version__)
+"""
+
+
+def run(*command: str | Path, cwd: Path) -> str:
+    """Run a command that knows nothing of the checkout; return what it says."""
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    result = subprocess.run(
+        [*map(str, command)],
+        cwd=cwd,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        timeout=300.0,
+        check=False,
+        text=True,
+    )
+    assert result.returncode == 0, result.stdout
+    return result.stdout
+
+
+def build(kind: str, source: Path, out: Path) -> Path:
+    """Let the build back end make a sdist or a wheel; return its file."""
+    code = f"from setuptools import build_meta; print(build_meta.build_{kind}({str(out)!r}))"
+    out.mkdir(exist_ok=True)
+    return out / run(sys.executable, "-c", code, cwd=source).splitlines()[-1]
+
+
+@pytest.fixture(scope="module")
+def sdist(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("release")
+    source = folder / "source"
+
+    def ignored(where: str, names: list[str]) -> set[str]:
+        return CACHES(where, names) | (LEFT_OUT(where, names) if Path(where) == ROOT else set())
+
+    shutil.copytree(ROOT, source, ignore=ignored, symlinks=True)
+    return build("sdist", source, folder / "dist")
+
+
+@pytest.fixture(scope="module")
+def wheel(sdist) -> Path:
+    """It is made of the sdist, so that this lacks nothing."""
+    with tarfile.open(sdist) as archive:
+        archive.extractall(sdist.parent, filter="data")
+    return build("wheel", sdist.parent / sdist.name.removesuffix(".tar.gz"), sdist.parent)
+
+
+def test_sdist_holds_tests_and_documents(sdist):
+    with tarfile.open(sdist) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    for path in ("README.md", "LICENSE", "docs/theory.md", "demos/demo_artery.py", "Makefile"):
+        assert path in names
+    assert str(Path(__file__).relative_to(ROOT)) in names
+    assert not [name for name in names if name.endswith(".pyc") or name.startswith("docs/demos")]
+
+
+def test_wheel_holds_the_package_alone(wheel):
+    names = zipfile.ZipFile(wheel).namelist()
+    tops = {name.split("/")[0] for name in names}
+    assert tops == {"dolfinx_feti", f"dolfinx_feti-{dolfinx_feti.__version__}.dist-info"}
+    source = {str(path.relative_to(ROOT)) for path in (ROOT / "dolfinx_feti").rglob("*.py")}
+    assert source | {"dolfinx_feti/py.typed"} <= set(names)
+
+
+def test_wheel_serves_where_there_is_no_checkout(wheel, tmp_path):
+    run(sys.executable, "-m", "venv", "--without-pip", "--system-site-packages", "it", cwd=tmp_path)
+    python = tmp_path / "it/bin/python"
+    pip = [sys.executable, "-m", "pip", "--python", python, "install"]
+    run(*pip, "--no-deps", "--no-index", "--no-build-isolation", wheel, cwd=tmp_path)
+    assert run(python, "-c", USE, cwd=tmp_path).split()[-1] == dolfinx_feti.__version__
+
+
+def test_changelog_begins_with_the_version():
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    first = re.search(r"^## (\S+)", text, re.M)
+    assert first and first[1] in (dolfinx_feti.__version__, "Unreleased")
+
+
+def test_recipes_name_the_version_and_the_needs():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    recipe = (ROOT / "packaging/conda/recipe.yaml").read_text()
+    assert f'version: "{dolfinx_feti.__version__}"' in recipe
+    needs = {re.match(r"[\w-]+", need)[0] for need in project["dependencies"]}
+    assert needs <= set(re.findall(r"^ +- ([\w-]+)", recipe, re.M))
