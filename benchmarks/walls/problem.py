@@ -8,6 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
 import dolfinx
 import ufl
 
@@ -94,13 +97,14 @@ def create_wall_problem(
     degree: int,
     c: float,
     kappa: float,
-    subdomains: int,
+    subdomains: int | npt.NDArray[np.integer],
     options: dict[str, object],
     prefix: str = "wall_",
     fibres: tuple[dolfinx.fem.Function, dolfinx.fem.Function] | None = None,
     hold: Hold = clamp_openings,
     tangent: str = "symmetric",
     axis: tuple[float, float, float] | None = None,
+    potential: bool = True,
 ) -> WallProblem:
     """Tear a wall at rest.
 
@@ -109,13 +113,14 @@ def create_wall_problem(
         degree: k.
         c: Stiffness of the matrix material [kPa].
         kappa: κ [kPa].
-        subdomains: Number of subdomains.
+        subdomains: Number of subdomains, or a part for each owned cell.
         options: PETSc options of the problem.
         prefix: Their prefix.
         fibres: The two families of directions; from Laplace problems if not given.
         hold: Makes the Dirichlet conditions.
         tangent: Of the follower pressure, ``symmetric``, ``full`` or ``none``.
         axis: Direction along which the ends slide, see ``loads.pressure_potential``.
+        potential: Let Newton's method know the potential, which keeps it on the way down.
     """
     V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", degree, (3,)))
     Q = dolfinx.fem.functionspace(wall.mesh, ("DG", 0))
@@ -141,7 +146,9 @@ def create_wall_problem(
         bcs=bcs,
         J=K,
         condense=p,
-        energy=energy + loads.pressure_potential(pressure, u, lumen, axis=axis),
+        energy=energy + loads.pressure_potential(pressure, u, lumen, axis=axis)
+        if potential
+        else None,
         subdomains=subdomains,
         petsc_options_prefix=prefix,
         petsc_options=options,
