@@ -30,8 +30,6 @@ petsc4py.init([word for word in sys.argv if not word.startswith("--")])
 from mpi4py import MPI
 from petsc4py import PETSc
 
-import dolfinx
-
 from benchmarks.common.arguments import (
     create_parser,
     one_of,
@@ -42,7 +40,7 @@ from benchmarks.common.arguments import (
 from benchmarks.common.gamg import create_gamg, difference
 from benchmarks.common.progress import say
 from benchmarks.common.records import Record
-from benchmarks.walls.problem import WallProblem
+from benchmarks.walls.problem import WallProblem, right_hand_side
 from benchmarks.walls.tube import create_clamped_tube
 from dolfinx_feti import loads
 from dolfinx_feti.comparison import assembled_system, create_mumps, measure, relative_residual
@@ -121,19 +119,10 @@ def compare(tube: WallProblem, solvers: Sequence[str], *, kappa: float) -> list[
 
 
 def first_step(tube: WallProblem) -> PETSc.Vec:
-    """Assemble the torn tangent at 1 mmHg, and return the right-hand side −r.
-
-    At rest the volume constraint is met, and the condensed pressure adds nothing to r.
-    """
+    """Assemble the torn tangent at 1 mmHg, and return the right-hand side −r."""
     tube.pressure.value = loads.mmhg(1.0)
     tube.problem.linearise()
-    r = dolfinx.fem.assemble_vector(dolfinx.fem.form(tube.residual))
-    r.scatter_reverse(dolfinx.la.InsertMode.add)
-    for bc in tube.bcs:
-        bc.set(r.array, tube.u.x.array)
-    b = tube.problem.A.createVecLeft()
-    b.array[:] = -r.array[: b.getLocalSize()]
-    return b
+    return right_hand_side(tube)
 
 
 def share_feti(tube: WallProblem) -> PETSc.KSP:

@@ -3,6 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """What all benchmarks need: command lines, records, the machine, other solvers, tables.
 
-In the order of the data: records, arguments, machine, clock, stopwatch, repeatable, progress, gamg,
-table, pages.
+In the order of the data: records, arguments, machine, clock, stopwatch, repeatable, traffic,
+progress, gamg, table, pages.
 """

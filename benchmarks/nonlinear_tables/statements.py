@@ -83,7 +83,7 @@ def _counted(quotients: Iterable[float], holds: Callable[[float], bool]) -> Find
     if not known:
         return Finding(None, "")
     good = sum(map(holds, known))
-    finite = [q for q in known if math.isfinite(q)]
+    finite = [q for q in known if math.isfinite(q) and q > 0.0]
     span = f", quotients {number(min(finite))} to {number(max(finite))}" if finite else ""
     return Finding(good == len(known), f"{good} of {len(known)}{span}")
 
@@ -258,5 +258,6 @@ _NOTE = (
     f"case over its better one, of the seconds (all-floating over classical, up to {COMPETITIVE:g} "
     "counts as competitive), of the growth with κ, or of the mean |J − 1| (P2–P0 over P1–P0). "
     "For the few points they are those of the iterations, three points over none, and "
-    f"{100 * UNCHANGED:.0f} % either way count as no effect."
+    f"{100 * UNCHANGED:.0f} % either way count as no effect; the cells at the points also make the "
+    "subdomain ragged, which no variant likes."
 )

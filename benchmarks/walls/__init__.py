@@ -4,5 +4,5 @@
 """Artery walls under pressure: the tube with its semi-analytical solution, and the vessel.
 
 In the order of the data: supports, problem, oracle, tube, inflated_tube, points, volume, rims,
-newton_case.
+newton_case, parallel_run.
 """

@@ -26,7 +26,7 @@ from dolfinx_feti import ConvergenceError, loads, materials
 from dolfinx_feti.wall import Wall
 from dolfinx_feti.wall.fibres import ANGLES, Frame, fibre_families
 
-__all__ = ["CHOICES", "PRESSURE", "Case", "is_finished", "run"]
+__all__ = ["CHOICES", "NEWTON_STEPS", "PRESSURE", "Case", "is_finished", "run"]
 
 #: Load [mmHg].
 PRESSURE = 1.0

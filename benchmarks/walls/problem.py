@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from petsc4py import PETSc
+
 import numpy as np
 import numpy.typing as npt
 
@@ -22,7 +24,7 @@ from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
 from dolfinx_feti.wall import Wall, surface_measure
 from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
 
-__all__ = ["WallProblem", "create_wall_problem"]
+__all__ = ["WallProblem", "create_wall_problem", "right_hand_side"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +91,23 @@ class WallProblem:
             checkpoint=checkpoint,
             unit="mmHg",
         )
+
+
+def right_hand_side(body: WallProblem) -> PETSc.Vec:
+    """Return −r of a wall at rest under its pressure.
+
+    At rest the volume constraint is met, and the condensed pressure adds nothing to r.
+
+    Note:
+        Collective.
+    """
+    r = dolfinx.fem.assemble_vector(dolfinx.fem.form(body.residual))
+    r.scatter_reverse(dolfinx.la.InsertMode.add)
+    for bc in body.bcs:
+        bc.set(r.array, body.u.x.array)
+    b = body.problem.A.createVecLeft()
+    b.array[:] = -r.array[: b.getLocalSize()]
+    return b
 
 
 def create_wall_problem(
