@@ -36,7 +36,11 @@ from dataclasses import dataclass, fields
 
 from benchmarks.common.records import Record
 
-__all__ = ["LIFT", "Machine", "Model", "Prediction", "create_model", "efficiency"]
+__all__ = ["KRYLOV", "LIFT", "Machine", "Model", "Prediction", "create_model", "efficiency"]
+
+
+#: Parts of the iterations.
+KRYLOV = ("work", "messages", "reductions", "gathering", "coarse_solves")
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +95,7 @@ class Prediction:
     @property
     def krylov(self) -> float:
         """Seconds of all iterations."""
-        parts = (self.work, self.messages, self.reductions, self.gathering, self.coarse_solves)
-        return sum(parts)
+        return sum(getattr(self, name) for name in KRYLOV)
 
     @property
     def coarse(self) -> float:
@@ -104,10 +107,15 @@ class Prediction:
         """Seconds of the program."""
         return self.local + self.krylov + self.coarse + self.reading + self.rest
 
-    def shares(self) -> dict[str, float]:
-        """Return the share of each part in the total, the greatest first."""
-        names = [field.name for field in fields(self)[1:]]
-        parts = {name: getattr(self, name) / self.total for name in names}
+    def shares(self, names: Sequence[str] = ()) -> dict[str, float]:
+        """Return the share of each part in their sum, the greatest first.
+
+        Args:
+            names: The parts; all if not given.
+        """
+        seconds = {n: getattr(self, n) for n in names or [f.name for f in fields(self)[1:]]}
+        whole = sum(seconds.values())
+        parts = {name: value / whole for name, value in seconds.items()}
         return dict(sorted(parts.items(), key=lambda item: -item[1]))
 
 

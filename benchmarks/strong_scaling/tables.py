@@ -11,7 +11,14 @@ from benchmarks.common.records import Record
 from benchmarks.common.table import Table, count, number
 from benchmarks.strong_scaling import paper
 from benchmarks.strong_scaling.groups import ARTERIES, CHOICES, TYPES, Series, series
-from benchmarks.strong_scaling.model import LIFT, Model, Prediction, create_model, efficiency
+from benchmarks.strong_scaling.model import (
+    KRYLOV,
+    LIFT,
+    Model,
+    Prediction,
+    create_model,
+    efficiency,
+)
 
 __all__ = ["balance_table", "count_tables", "limit_table", "model_tables", "time_tables"]
 
@@ -161,17 +168,19 @@ def limit_table(records: Sequence[Record]) -> Table:
             for P in (max(paper.TIMES[of_one.layers]), *FURTHER):
                 foreseen = model.predict(P, dofs / model.base["dofs"])
                 rows += [[*name, count(dofs), *row] for row in _limits(foreseen)]
-    head = ["type", "choices", "dofs", "P", "what takes the time", "share", "what would lift it"]
-    note = f"The model's parts of the total with a share above {100 * SMALL:.0f} %."
+    head = ["type", "choices", "dofs", "P", "of", "what takes the time", "share"]
+    head.append("what would lift it")
+    note = f"The model's parts with a share above {100 * SMALL:.0f} %."
     return Table("What limits it", head, rows, note)
 
 
 def _limits(foreseen: Prediction) -> Iterator[list[str]]:
-    """Yield the parts that take the time, the greatest first."""
-    for name, share in foreseen.shares().items():
-        if share > SMALL:
-            what, lift = LIFT[name]
-            yield [count(foreseen.processes), what, f"{100 * share:.0f} %", lift]
+    """Yield the parts that take the time of all and of the iterations, the greatest first."""
+    for of, shares in (("total", foreseen.shares()), ("Krylov", foreseen.shares(KRYLOV))):
+        for name, share in shares.items():
+            if share > SMALL:
+                what, lift = LIFT[name]
+                yield [count(foreseen.processes), of, what, f"{100 * share:.0f} %", lift]
 
 
 def _two(value: dict[str, float]) -> list[str]:
