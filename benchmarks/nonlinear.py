@@ -9,7 +9,8 @@ Both variants, three preconditioners and κ = 10, 100, 1000 kPa, with the paper'
 the package's own (section *Arterial model on a realistic mesh geometry*, tables
 Augustin_tab:aorta_linear, carotis_linear, aorta_quadratic, carotis_quadratic). A wall of one layer
 stands for the paper's aorta, one of two layers, at the highest κ, for its carotid artery. Last come
-decompositions in which one subdomain touches the clamped rim in three points, and not at all.
+decompositions in which one subdomain touches the clamped rim in three points, and not at all, at
+the lowest and the highest κ.
 
 A case that is in the file is not run again, unless by --again; one whose Krylov method took more
 than --most-iterations is, if more are allowed. A case that fails is recorded with the reason.
@@ -116,7 +117,8 @@ def _cases(args: argparse.Namespace, processes: int) -> Iterator[Case]:
                 yield from _variants(wall, args)
     if 1 in args.layers and "dirichlet" in args.pc:
         for contact in (contact for contact in CONTACTS[1:] if contact in args.contact):
-            yield from _variants(replace(usual, contact=contact), args)
+            for kappa in dict.fromkeys((min(args.kappa), max(args.kappa))):
+                yield from _variants(replace(usual, contact=contact, kappa=kappa), args)
 
 
 def _variants(case: Case, args: argparse.Namespace) -> Iterator[Case]:

@@ -258,6 +258,6 @@ _NOTE = (
     f"case over its better one, of the seconds (all-floating over classical, up to {COMPETITIVE:g} "
     "counts as competitive), of the growth with κ, or of the mean |J − 1| (P2–P0 over P1–P0). "
     "For the few points they are those of the iterations, three points over none, and "
-    f"{100 * UNCHANGED:.0f} % either way count as no effect; the cells at the points also make the "
-    "subdomain ragged, which no variant likes."
+    f"{100 * UNCHANGED:.0f} % either way count as no effect; the cells at the points also change "
+    "the shape of the subdomain."
 )

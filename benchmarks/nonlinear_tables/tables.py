@@ -125,7 +125,7 @@ def contact_table(records: Sequence[Record]) -> Table:
     touched = [r for r in records if r["contact"] in CONTACTS]
     names = ("geometry", "degree", "kappa", "pc", "choices", "type")
     rows = []
-    for key in dict.fromkeys(tuple(r[name] for name in names) for r in touched):
+    for key in sorted({tuple(r[name] for name in names) for r in touched}):
         of_key = {r["contact"]: r for r in touched if tuple(r[n] for n in names) == key}
         geometry, degree, kappa, pc, choices, kind = key
         cells = [_cells(of_key.get(contact))[0] for contact in CONTACTS]

@@ -57,7 +57,7 @@ def partition(wall: Wall, subdomains: int, contact: str) -> Parts:
     rims = np.concatenate([facets(wall, name) for name in openings(wall)])
     held = np.isin(cells, dolfinx.fem.locate_dofs_topological(V, 2, rims))  # (n_cells, 4)
     on_rim = held.any(axis=1)
-    single = held.sum(axis=1) == 1  # the face opposite the point is inside
+    single = held.sum(axis=1) == 1
     point = np.where(held, cells, -1).max(axis=1, initial=-1)
     parts = range(int(part.max(initial=-1)) + 1)
     points = [np.unique(point[single & (part == i)]) for i in parts]
@@ -77,7 +77,8 @@ def partition(wall: Wall, subdomains: int, contact: str) -> Parts:
     chosen = int(candidates.argmax())
     cut = on_rim & (part == chosen)
     if contact == "few":
-        cut &= ~(single & np.isin(point, _near(V, points[chosen])))
+        few = _near(V, points[chosen])
+        cut &= (held & ~np.isin(cells, few)).any(axis=1)  # stays if it touches these points only
     return np.where(cut, part.max() + 1, part).astype(np.int32)
 
 
