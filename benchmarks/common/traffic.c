@@ -39,7 +39,7 @@ static void prepare(void) {
   }
 }
 
-static double size_of(int count, MPI_Datatype type) {
+static double size_of(MPI_Count count, MPI_Datatype type) {
   int bytes = 0;
   if (type != MPI_DATATYPE_NULL) PMPI_Type_size(type, &bytes);
   return (double)count * bytes;
@@ -65,7 +65,7 @@ static void sent(double bytes, int to) {
   if (to >= 0 && to < world) met[to] = 1;
 }
 
-static void send_counted(int count, MPI_Datatype type, int to, MPI_Comm comm) {
+static void send_counted(MPI_Count count, MPI_Datatype type, int to, MPI_Comm comm) {
   int size = 1;
   PMPI_Comm_size(comm, &size);
   if (to != MPI_PROC_NULL && size > 1) sent(size_of(count, type), world_rank(to, comm));
@@ -101,33 +101,6 @@ void traffic_read(double *values) {
 
 // Point to point.
 
-#define SEND(NAME)                                                                                  \
-  int MPI_##NAME(const void *b, int n, MPI_Datatype t, int to, int tag, MPI_Comm c) {               \
-    send_counted(n, t, to, c);                                                                      \
-    return PMPI_##NAME(b, n, t, to, tag, c);                                                        \
-  }
-SEND(Send)
-SEND(Ssend)
-SEND(Bsend)
-SEND(Rsend)
-
-#define ISEND(NAME)                                                                                 \
-  int MPI_##NAME(const void *b, int n, MPI_Datatype t, int to, int tag, MPI_Comm c,                 \
-                 MPI_Request *r) {                                                                  \
-    send_counted(n, t, to, c);                                                                      \
-    return PMPI_##NAME(b, n, t, to, tag, c, r);                                                     \
-  }
-ISEND(Isend)
-ISEND(Issend)
-ISEND(Ibsend)
-ISEND(Irsend)
-
-int MPI_Sendrecv(const void *b, int n, MPI_Datatype t, int to, int tag, void *rb, int rn,
-                 MPI_Datatype rt, int from, int rtag, MPI_Comm c, MPI_Status *s) {
-  send_counted(n, t, to, c);
-  return PMPI_Sendrecv(b, n, t, to, tag, rb, rn, rt, from, rtag, c, s);
-}
-
 static void keep(MPI_Request request, double bytes, int to) {
   if (n_kept == room) {
     room = room ? 2 * room : 64;
@@ -135,19 +108,6 @@ static void keep(MPI_Request request, double bytes, int to) {
   }
   kept[n_kept++] = (Persistent){request, bytes, to};
 }
-
-#define INIT(NAME)                                                                                  \
-  int MPI_##NAME(const void *b, int n, MPI_Datatype t, int to, int tag, MPI_Comm c,                 \
-                 MPI_Request *r) {                                                                  \
-    int error = PMPI_##NAME(b, n, t, to, tag, c, r), size = 1;                                      \
-    PMPI_Comm_size(c, &size);                                                                       \
-    if (to != MPI_PROC_NULL && size > 1) keep(*r, size_of(n, t), world_rank(to, c));                \
-    return error;                                                                                   \
-  }
-INIT(Send_init)
-INIT(Ssend_init)
-INIT(Rsend_init)
-INIT(Bsend_init)
 
 static void started(MPI_Request request) {
   for (int i = n_kept - 1; i >= 0; i--) {
@@ -190,93 +150,9 @@ int MPI_Ibarrier(MPI_Comm c, MPI_Request *r) {
   return PMPI_Ibarrier(c, r);
 }
 
-int MPI_Bcast(void *b, int n, MPI_Datatype t, int root, MPI_Comm c) {
-  int rank = 0;
-  PMPI_Comm_rank(c, &rank);
-  collective(rank == root ? size_of(n, t) : 0, c);
-  return PMPI_Bcast(b, n, t, root, c);
-}
+// Between neighbours: a message to each of them, all of one size or of sizes of their own.
 
-int MPI_Allreduce(const void *b, void *rb, int n, MPI_Datatype t, MPI_Op o, MPI_Comm c) {
-  collective(size_of(n, t), c);
-  return PMPI_Allreduce(b, rb, n, t, o, c);
-}
-
-int MPI_Iallreduce(const void *b, void *rb, int n, MPI_Datatype t, MPI_Op o, MPI_Comm c,
-                   MPI_Request *r) {
-  collective(size_of(n, t), c);
-  return PMPI_Iallreduce(b, rb, n, t, o, c, r);
-}
-
-int MPI_Reduce(const void *b, void *rb, int n, MPI_Datatype t, MPI_Op o, int root, MPI_Comm c) {
-  collective(size_of(n, t), c);
-  return PMPI_Reduce(b, rb, n, t, o, root, c);
-}
-
-int MPI_Scan(const void *b, void *rb, int n, MPI_Datatype t, MPI_Op o, MPI_Comm c) {
-  collective(size_of(n, t), c);
-  return PMPI_Scan(b, rb, n, t, o, c);
-}
-
-int MPI_Exscan(const void *b, void *rb, int n, MPI_Datatype t, MPI_Op o, MPI_Comm c) {
-  collective(size_of(n, t), c);
-  return PMPI_Exscan(b, rb, n, t, o, c);
-}
-
-int MPI_Reduce_scatter_block(const void *b, void *rb, int n, MPI_Datatype t, MPI_Op o, MPI_Comm c) {
-  int size = 1;
-  PMPI_Comm_size(c, &size);
-  collective(size * size_of(n, t), c);
-  return PMPI_Reduce_scatter_block(b, rb, n, t, o, c);
-}
-
-#define GATHER(NAME)                                                                                \
-  int MPI_##NAME(const void *b, int n, MPI_Datatype t, void *rb, int rn, MPI_Datatype rt, int root, \
-                 MPI_Comm c) {                                                                      \
-    collective(b == MPI_IN_PLACE ? 0 : size_of(n, t), c);                                           \
-    return PMPI_##NAME(b, n, t, rb, rn, rt, root, c);                                               \
-  }
-GATHER(Gather)
-GATHER(Scatter)
-
-int MPI_Gatherv(const void *b, int n, MPI_Datatype t, void *rb, const int *rn, const int *d,
-                MPI_Datatype rt, int root, MPI_Comm c) {
-  collective(b == MPI_IN_PLACE ? 0 : size_of(n, t), c);
-  return PMPI_Gatherv(b, n, t, rb, rn, d, rt, root, c);
-}
-
-int MPI_Allgather(const void *b, int n, MPI_Datatype t, void *rb, int rn, MPI_Datatype rt,
-                  MPI_Comm c) {
-  collective(b == MPI_IN_PLACE ? 0 : size_of(n, t), c);
-  return PMPI_Allgather(b, n, t, rb, rn, rt, c);
-}
-
-int MPI_Allgatherv(const void *b, int n, MPI_Datatype t, void *rb, const int *rn, const int *d,
-                   MPI_Datatype rt, MPI_Comm c) {
-  collective(b == MPI_IN_PLACE ? 0 : size_of(n, t), c);
-  return PMPI_Allgatherv(b, n, t, rb, rn, d, rt, c);
-}
-
-int MPI_Alltoall(const void *b, int n, MPI_Datatype t, void *rb, int rn, MPI_Datatype rt,
-                 MPI_Comm c) {
-  int size = 1;
-  PMPI_Comm_size(c, &size);
-  collective(b == MPI_IN_PLACE ? 0 : size * size_of(n, t), c);
-  return PMPI_Alltoall(b, n, t, rb, rn, rt, c);
-}
-
-int MPI_Alltoallv(const void *b, const int *n, const int *d, MPI_Datatype t, void *rb,
-                  const int *rn, const int *rd, MPI_Datatype rt, MPI_Comm c) {
-  int size = 1, total = 0;
-  PMPI_Comm_size(c, &size);
-  for (int i = 0; b != MPI_IN_PLACE && i < size; i++) total += n[i];
-  collective(size_of(total, t), c);
-  return PMPI_Alltoallv(b, n, d, t, rb, rn, rd, rt, c);
-}
-
-// Between neighbours: a message to each of them.
-
-static void to_neighbours(const int *n, int count, MPI_Datatype t, MPI_Comm c) {
+static void to_neighbours(double bytes, const double *each, MPI_Comm c) {
   int in = 0, out = 0, weighted = 0, size = 1;
   PMPI_Comm_size(c, &size);
   if (size <= 1) return;
@@ -284,26 +160,152 @@ static void to_neighbours(const int *n, int count, MPI_Datatype t, MPI_Comm c) {
   int *from = malloc((size_t)(2 * in + 1) * sizeof(int));
   int *to = malloc((size_t)(2 * out + 1) * sizeof(int));
   PMPI_Dist_graph_neighbors(c, in, from, from + in, out, to, to + out);
-  for (int i = 0; i < out; i++) sent(size_of(n ? n[i] : count, t), world_rank(to[i], c));
+  for (int i = 0; i < out; i++) sent(each ? each[i] : bytes, world_rank(to[i], c));
   free(from);
   free(to);
 }
 
-int MPI_Neighbor_alltoall(const void *b, int n, MPI_Datatype t, void *rb, int rn, MPI_Datatype rt,
-                          MPI_Comm c) {
-  to_neighbours(NULL, n, t, c);
-  return PMPI_Neighbor_alltoall(b, n, t, rb, rn, rt, c);
+static int neighbours_of(MPI_Comm c) {
+  int in = 0, out = 0, weighted = 0;
+  PMPI_Dist_graph_neighbors_count(c, &in, &out, &weighted);
+  return out;
 }
 
-int MPI_Neighbor_alltoallv(const void *b, const int *n, const int *d, MPI_Datatype t, void *rb,
-                           const int *rn, const int *rd, MPI_Datatype rt, MPI_Comm c) {
-  to_neighbours(n, 0, t, c);
-  return PMPI_Neighbor_alltoallv(b, n, d, t, rb, rn, rd, rt, c);
-}
+// The functions with counts, which come in two kinds: of ints, and since MPI 4 of MPI_Counts (…_c).
 
-int MPI_Ineighbor_alltoallv(const void *b, const int *n, const int *d, MPI_Datatype t, void *rb,
-                            const int *rn, const int *rd, MPI_Datatype rt, MPI_Comm c,
-                            MPI_Request *r) {
-  to_neighbours(n, 0, t, c);
-  return PMPI_Ineighbor_alltoallv(b, n, d, t, rb, rn, rd, rt, c, r);
-}
+#define SEND(NAME, S, N)                                                                           \
+  int MPI_##NAME##S(const void *b, N n, MPI_Datatype t, int to, int tag, MPI_Comm c) {             \
+    send_counted(n, t, to, c);                                                                     \
+    return PMPI_##NAME##S(b, n, t, to, tag, c);                                                    \
+  }
+
+#define ISEND(NAME, S, N)                                                                          \
+  int MPI_##NAME##S(const void *b, N n, MPI_Datatype t, int to, int tag, MPI_Comm c,               \
+                    MPI_Request *r) {                                                              \
+    send_counted(n, t, to, c);                                                                     \
+    return PMPI_##NAME##S(b, n, t, to, tag, c, r);                                                 \
+  }
+
+#define INIT(NAME, S, N)                                                                           \
+  int MPI_##NAME##S(const void *b, N n, MPI_Datatype t, int to, int tag, MPI_Comm c,               \
+                    MPI_Request *r) {                                                              \
+    int error = PMPI_##NAME##S(b, n, t, to, tag, c, r), size = 1;                                  \
+    PMPI_Comm_size(c, &size);                                                                      \
+    if (to != MPI_PROC_NULL && size > 1) keep(*r, size_of(n, t), world_rank(to, c));               \
+    return error;                                                                                  \
+  }
+
+#define REDUCE(NAME, S, N)                                                                         \
+  int MPI_##NAME##S(const void *b, void *rb, N n, MPI_Datatype t, MPI_Op o, MPI_Comm c) {          \
+    collective(size_of(n, t), c);                                                                  \
+    return PMPI_##NAME##S(b, rb, n, t, o, c);                                                      \
+  }
+
+#define GATHER(NAME, S, N)                                                                         \
+  int MPI_##NAME##S(const void *b, N n, MPI_Datatype t, void *rb, N rn, MPI_Datatype rt, int root, \
+                    MPI_Comm c) {                                                                  \
+    collective(b == MPI_IN_PLACE ? 0 : size_of(n, t), c);                                          \
+    return PMPI_##NAME##S(b, n, t, rb, rn, rt, root, c);                                           \
+  }
+
+#define NEIGHBOURS_V(NAME, S, N, D, MORE, LAST)                                                    \
+  int MPI_##NAME##S(const void *b, const N *n, const D *d, MPI_Datatype t, void *rb, const N *rn,  \
+                    const D *rd, MPI_Datatype rt, MPI_Comm c MORE) {                               \
+    int out = neighbours_of(c);                                                                    \
+    double *each = malloc((size_t)(out + 1) * sizeof(double));                                     \
+    for (int i = 0; i < out; i++) each[i] = size_of(n[i], t);                                      \
+    to_neighbours(0, each, c);                                                                     \
+    free(each);                                                                                    \
+    return PMPI_##NAME##S(b, n, d, t, rb, rn, rd, rt, c LAST);                                     \
+  }
+#define COMMA ,
+
+#define FUNCTIONS(S, N, D)                                                                         \
+  SEND(Send, S, N)                                                                                 \
+  SEND(Ssend, S, N)                                                                                \
+  SEND(Bsend, S, N)                                                                                \
+  SEND(Rsend, S, N)                                                                                \
+  ISEND(Isend, S, N)                                                                               \
+  ISEND(Issend, S, N)                                                                              \
+  ISEND(Ibsend, S, N)                                                                              \
+  ISEND(Irsend, S, N)                                                                              \
+  INIT(Send_init, S, N)                                                                            \
+  INIT(Ssend_init, S, N)                                                                           \
+  INIT(Rsend_init, S, N)                                                                           \
+  INIT(Bsend_init, S, N)                                                                           \
+  REDUCE(Allreduce, S, N)                                                                          \
+  REDUCE(Scan, S, N)                                                                               \
+  REDUCE(Exscan, S, N)                                                                             \
+  GATHER(Gather, S, N)                                                                             \
+  GATHER(Scatter, S, N)                                                                            \
+  NEIGHBOURS_V(Neighbor_alltoallv, S, N, D, , )                                                    \
+  NEIGHBOURS_V(Ineighbor_alltoallv, S, N, D, COMMA MPI_Request * r, COMMA r)                       \
+  int MPI_Sendrecv##S(const void *b, N n, MPI_Datatype t, int to, int tag, void *rb, N rn,         \
+                      MPI_Datatype rt, int from, int rtag, MPI_Comm c, MPI_Status *s) {            \
+    send_counted(n, t, to, c);                                                                     \
+    return PMPI_Sendrecv##S(b, n, t, to, tag, rb, rn, rt, from, rtag, c, s);                       \
+  }                                                                                                \
+  int MPI_Bcast##S(void *b, N n, MPI_Datatype t, int root, MPI_Comm c) {                           \
+    int rank = 0;                                                                                  \
+    PMPI_Comm_rank(c, &rank);                                                                      \
+    collective(rank == root ? size_of(n, t) : 0, c);                                               \
+    return PMPI_Bcast##S(b, n, t, root, c);                                                        \
+  }                                                                                                \
+  int MPI_Iallreduce##S(const void *b, void *rb, N n, MPI_Datatype t, MPI_Op o, MPI_Comm c,        \
+                        MPI_Request *r) {                                                          \
+    collective(size_of(n, t), c);                                                                  \
+    return PMPI_Iallreduce##S(b, rb, n, t, o, c, r);                                               \
+  }                                                                                                \
+  int MPI_Reduce##S(const void *b, void *rb, N n, MPI_Datatype t, MPI_Op o, int root,              \
+                    MPI_Comm c) {                                                                  \
+    collective(size_of(n, t), c);                                                                  \
+    return PMPI_Reduce##S(b, rb, n, t, o, root, c);                                                \
+  }                                                                                                \
+  int MPI_Reduce_scatter_block##S(const void *b, void *rb, N n, MPI_Datatype t, MPI_Op o,          \
+                                  MPI_Comm c) {                                                    \
+    int size = 1;                                                                                  \
+    PMPI_Comm_size(c, &size);                                                                      \
+    collective(size * size_of(n, t), c);                                                           \
+    return PMPI_Reduce_scatter_block##S(b, rb, n, t, o, c);                                        \
+  }                                                                                                \
+  int MPI_Gatherv##S(const void *b, N n, MPI_Datatype t, void *rb, const N *rn, const D *d,        \
+                     MPI_Datatype rt, int root, MPI_Comm c) {                                      \
+    collective(b == MPI_IN_PLACE ? 0 : size_of(n, t), c);                                          \
+    return PMPI_Gatherv##S(b, n, t, rb, rn, d, rt, root, c);                                       \
+  }                                                                                                \
+  int MPI_Allgather##S(const void *b, N n, MPI_Datatype t, void *rb, N rn, MPI_Datatype rt,        \
+                       MPI_Comm c) {                                                               \
+    collective(b == MPI_IN_PLACE ? 0 : size_of(n, t), c);                                          \
+    return PMPI_Allgather##S(b, n, t, rb, rn, rt, c);                                              \
+  }                                                                                                \
+  int MPI_Allgatherv##S(const void *b, N n, MPI_Datatype t, void *rb, const N *rn, const D *d,     \
+                        MPI_Datatype rt, MPI_Comm c) {                                             \
+    collective(b == MPI_IN_PLACE ? 0 : size_of(n, t), c);                                          \
+    return PMPI_Allgatherv##S(b, n, t, rb, rn, d, rt, c);                                          \
+  }                                                                                                \
+  int MPI_Alltoall##S(const void *b, N n, MPI_Datatype t, void *rb, N rn, MPI_Datatype rt,         \
+                      MPI_Comm c) {                                                                \
+    int size = 1;                                                                                  \
+    PMPI_Comm_size(c, &size);                                                                      \
+    collective(b == MPI_IN_PLACE ? 0 : size * size_of(n, t), c);                                   \
+    return PMPI_Alltoall##S(b, n, t, rb, rn, rt, c);                                               \
+  }                                                                                                \
+  int MPI_Alltoallv##S(const void *b, const N *n, const D *d, MPI_Datatype t, void *rb,            \
+                       const N *rn, const D *rd, MPI_Datatype rt, MPI_Comm c) {                    \
+    int size = 1;                                                                                  \
+    double total = 0;                                                                              \
+    PMPI_Comm_size(c, &size);                                                                      \
+    for (int i = 0; b != MPI_IN_PLACE && i < size; i++) total += size_of(n[i], t);                 \
+    collective(total, c);                                                                          \
+    return PMPI_Alltoallv##S(b, n, d, t, rb, rn, rd, rt, c);                                       \
+  }                                                                                                \
+  int MPI_Neighbor_alltoall##S(const void *b, N n, MPI_Datatype t, void *rb, N rn,                 \
+                               MPI_Datatype rt, MPI_Comm c) {                                      \
+    to_neighbours(size_of(n, t), NULL, c);                                                         \
+    return PMPI_Neighbor_alltoall##S(b, n, t, rb, rn, rt, c);                                      \
+  }
+
+FUNCTIONS(, int, int)
+#if MPI_VERSION >= 4
+FUNCTIONS(_c, MPI_Count, MPI_Aint)
+#endif

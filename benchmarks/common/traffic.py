@@ -62,18 +62,16 @@ COUNTERS = tuple(field.name for field in fields(Traffic))
 
 
 def compile_library(folder: Path) -> Path:
-    """Compile the library if it is not there yet, and return its path.
+    """Compile the library for the MPI of this machine, and return its path.
 
     Args:
-        folder: Where it is kept.
+        folder: Where it is put.
 
     Raises:
         FileNotFoundError: There is no ``mpicc``.
         subprocess.CalledProcessError: It does not compile.
     """
     library = folder / "libtraffic.so"
-    if library.is_file() and library.stat().st_mtime >= SOURCE.stat().st_mtime:
-        return library.resolve()
     if shutil.which("mpicc") is None:
         raise FileNotFoundError("mpicc is missing, which counting messages needs")
     folder.mkdir(parents=True, exist_ok=True)
