@@ -13,6 +13,7 @@ those of ``benchmarks.scaling``.
 from __future__ import annotations
 
 import sys
+import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -70,28 +71,30 @@ def _introduction(records: Sequence[Record], remark: str) -> str:
     )
     dates = sorted(str(record["date"])[:10] for record in records)
     m = asdict(Machine())
-    lines = [
-        "# Strong scaling",
-        "",
-        "The load step to 1 mmHg of the paper's section *Strong scaling for nonlinear elasticity*:",
-        "P1–P0, κ = 100 kPa, lumped preconditioner, all-floating FETI on a wall of one layer and",
-        "classical FETI on one of two; and the same with the package's defaults (Dirichlet",
-        "preconditioner). *Local* are assembly and the factorisations of the subdomains, *Krylov*",
-        "are all solutions of linear systems after their set-up, *total* is the program from the",
-        "mesh file to the displacement, without Python's imports. The slowest process counts.",
-        "",
-        "What the machine has no cores for is counted and modelled. The counts are those of MPI's",
-        "own calls, PETSc's and mpi4py's alike (`benchmarks/common/traffic.c`), at the tangent of",
-        "the wall at rest; they do not depend on how many processes share a core. The model",
-        "(`benchmarks/strong_scaling/model.py`) shares out the seconds of the fewest processes and",
-        "adds what does not shrink, for a cluster with a latency of "
-        f"{1e6 * m['latency']:g} µs, {1e-9 * m['bandwidth']:g} GB/s into the",
-        f"network, {1e6 * m['overhead']:g} µs for each of many messages at one process, "
-        f"{1e-9 * m['stream']:g} GB/s from memory and",
-        f"{1e-9 * m['rate']:g} Gflop/s in factorisations; these are assumptions. It is held "
-        "against what was measured",
-        "in the first tables; beyond that it is an estimate.",
-        "",
+    paragraphs = [
+        "The load step to 1 mmHg of the paper's section *Strong scaling for nonlinear elasticity*: "
+        "P1–P0, κ = 100 kPa, lumped preconditioner, all-floating FETI on a wall of one layer and "
+        "classical FETI on one of two; and the same with the package's defaults (Dirichlet "
+        "preconditioner). With the paper's choices these are five Newton steps with its tangent, "
+        "which leaves out that of the pressure, so that CG solves their systems. *Local* are "
+        "assembly and the factorisations of the subdomains, *Krylov* are all solutions of linear "
+        "systems after their set-up, *total* is the program from the mesh file to the "
+        "displacement, without Python's imports. The slowest process counts.",
+        "What the machine has no cores for is counted and modelled. The counts are those of MPI's "
+        "own calls, PETSc's and mpi4py's alike (`benchmarks/common/traffic.c`), with the tangent "
+        "of the wall at rest; they do not depend on how many processes share a core. The model "
+        "(`benchmarks/strong_scaling/model.py`) shares out the seconds of the fewest processes "
+        "and adds what does not shrink, for a cluster with a latency of "
+        f"{1e6 * m['latency']:g} µs, {1e-9 * m['bandwidth']:g} GB/s into the network, "
+        f"{1e6 * m['overhead']:g} µs for each of many messages at one process, "
+        f"{1e-9 * m['stream']:g} GB/s from memory and {1e-9 * m['rate']:g} Gflop/s in "
+        "factorisations; these are assumptions. It is held against what was measured in the first "
+        "tables; beyond that it is an estimate.",
+    ]
+    lines = ["# Strong scaling", ""]
+    for paragraph in paragraphs:
+        lines += [textwrap.fill(paragraph, 100), ""]
+    lines += [
         *(f"- {machine}" for machine in machines),
         f"- {len(records)} cases, {dates[0]} to {dates[-1]}.",
         "",
