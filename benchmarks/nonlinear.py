@@ -12,6 +12,10 @@ stands for the paper's aorta, one of two layers, at the highest κ, for its caro
 decompositions in which one subdomain touches the clamped rim in three points, and not at all, at
 the lowest and the highest κ.
 
+With `--tangent none`, the paper's, CG solves all systems of the paper's choices; on thin walls
+Newton's method is then slow, and its first six steps are taken. With the symmetric part of the
+tangent, it is fast, and GMRES takes the place of CG, which on many subdomains may fail.
+
 A case that is in the file is not run again, unless by --again; one whose Krylov method took more
 than --most-iterations is, if more are allowed. A case that fails is recorded with the reason.
 `benchmarks.nonlinear_page` makes the page.
@@ -45,7 +49,7 @@ from benchmarks.common.machine import describe, now
 from benchmarks.common.progress import Bar, say
 from benchmarks.common.records import Record, Records
 from benchmarks.common.repeatable import fix_partitions
-from benchmarks.nonlinear_tables.groups import LAYERS, PRECONDITIONERS, TYPES, is_known
+from benchmarks.nonlinear_tables.groups import LAYERS, PRECONDITIONERS, TANGENTS, TYPES, is_known
 from benchmarks.walls.newton_case import CHOICES, Case, is_finished, run
 from benchmarks.walls.rims import CONTACTS, partition
 from dolfinx_feti.output import writable_folder
@@ -108,6 +112,7 @@ def _cases(args: argparse.Namespace, processes: int) -> Iterator[Case]:
         type="all_floating",
         pc="dirichlet",
         choices="paper",
+        tangent=args.tangent,
         processes=processes,
     )
     for layers in args.layers if "whole" in args.contact else ():
@@ -166,6 +171,9 @@ def _create_parser(comm: MPI.Comm) -> argparse.ArgumentParser:
     add_list("--type", tuple(TYPES), "")
     add_list("--pc", PRECONDITIONERS, "preconditioners, ")
     add_list("--choices", tuple(CHOICES), "the paper's and the package's own, ")
+    add(
+        "--tangent", choices=tuple(TANGENTS), default="symmetric", help="of the pressure, symmetric"
+    )
     add_list("--contact", CONTACTS, "of one subdomain with the rim: as it comes, points, none; ")
     add("--most-iterations", type=count, default=10_000, help="of a linear solve, 10000")
     add("--folder", type=Path, default=Path("build/walls"), help="where meshes are kept")

@@ -151,7 +151,7 @@ def _grows_less(records: Sequence[Record]) -> Finding:
         for first in mine
         for second in mine
         if (first["degree"], second["degree"]) == (1, 2)
-        and all(first[n] == second[n] for n in ("geometry", "layers", "type"))
+        and all(first[n] == second[n] for n in ("geometry", "layers", "type", "tangent"))
     ]
     return _counted(quotients, lambda q: q < 1.0)
 
@@ -164,13 +164,14 @@ def _volume(records: Sequence[Record]) -> Finding:
         for first in mine
         for second in mine
         if (first["degree"], second["degree"]) == (1, 2)
-        and all(first[n] == second[n] for n in ("geometry", "layers", "type", "kappa"))
+        and all(first[n] == second[n] for n in ("geometry", "layers", "type", "kappa", "tangent"))
     ]
     return _counted(quotients, lambda q: q < 1.0)
 
 
 def _newton(records: Sequence[Record]) -> Finding:
-    steps = [r["newton_iterations"] for r in usual(records) if is_solved(r)]
+    arrived = [r for r in usual(records) if is_solved(r) and r["tangent"] == "symmetric"]
+    steps = [r["newton_iterations"] for r in arrived]
     if not steps:
         return Finding(None, "")
     low, high = paper.NEWTON_STEPS

@@ -14,6 +14,7 @@ from benchmarks.nonlinear_tables.groups import (
     CHOICES,
     LAYERS,
     PRECONDITIONERS,
+    TANGENTS,
     TYPES,
     is_solved,
     usual,
@@ -25,7 +26,7 @@ __all__ = ["contact_table", "failure_table", "newton_tables", "volume_table"]
 ARTERIES = {1: "aorta", 2: "carotid artery"}
 
 #: What a mesh and its decomposition are told by.
-WALL = ("geometry", "size", "degree", "layers", "subdomains", "processes")
+WALL = ("geometry", "size", "degree", "layers", "subdomains", "processes", "tangent")
 
 CONTACTS = {"few": "three points", "none": "none"}
 
@@ -64,7 +65,8 @@ def _newton_table(records: Sequence[Record]) -> Table:
         "iterations of a Newton step; *steps*: iterations of each; seconds per Newton step. "
         "The paper's mesh, machine and seconds (of a whole Newton step) are others."
     )
-    return Table(title + str(first["geometry"]), head, rows, note)
+    title += str(first["geometry"]) + TANGENTS[first["tangent"]]
+    return Table(title, head, rows, note)
 
 
 def _paper_cells(solve: paper.Solve | None) -> list[str]:
@@ -93,7 +95,7 @@ def _cells(record: Record | None) -> list[str]:
 def volume_table(records: Sequence[Record]) -> Table:
     """Make the table of J, which does not depend on how a system is solved."""
     names = (*WALL, "kappa")
-    solved = [r for r in usual(records) if is_solved(r)]
+    solved = [r for r in usual(records) if is_solved(r) and r["tangent"] == "symmetric"]
     first_of = {tuple(r[name] for name in names): r for r in reversed(solved)}
     rows = [
         [

@@ -56,6 +56,12 @@ def test_iterations_are_cut_off_and_allowed_later(tmp_path):
     agree("iterations_exceed" not in second and second["newton_iterations"] >= 2, second)
 
 
+def test_papers_tangent_lets_cg_solve(tmp_path):
+    (record,) = run(tmp_path, "--tangent", "none", "--choices", "paper", "--type", "classical")
+    agree("failure" not in record and set(record["linear_methods"]) == {"cg"}, record)
+    agree(2 <= record["newton_iterations"] <= 6 and record["min_J"] > 0.0)
+
+
 def test_file_of_another_study_is_refused(tmp_path, capsys):
     path = tmp_path / "other.json"
     on_first(lambda: path.write_text('[{"solver": "mumps"}]'))

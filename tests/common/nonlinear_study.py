@@ -19,7 +19,14 @@ def record_of(
     """Return the record of a load step of two Newton steps with so many iterations each."""
     record = {"geometry": "vessel", "size": None, "degree": degree, "layers": layers}
     record |= {"subdomains": 480, "processes": 480, "contact": "whole", "kappa": kappa}
-    record |= {"type": kind, "pc": pc, "choices": "paper", "dofs": 3_000_000, "cells": 5_418_594}
+    record |= {
+        "type": kind,
+        "pc": pc,
+        "choices": "paper",
+        "tangent": "symmetric",
+        "dofs": 3_000_000,
+        "cells": 5_418_594,
+    }
     record |= {"machine": MACHINE, "date": "2026-01-02T03:04:05+00:00", "multipliers": 1}
     if iterations is None:
         none = {"iterations_exceed": 10_000, "newton_iterations": 0}
