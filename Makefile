@@ -14,12 +14,13 @@ with := scripts/with-fenicsx
 python := $(if $(filter-out 1,$(NP)),env OMP_NUM_THREADS=1 mpirun -n $(NP) )python3
 # On a P1–P0 wall that folds: more soft modes, and GMRES that starts afresh late and gives up early.
 folding := -wall_feti_coarse_modes 40 -wall_feti_coarse_threshold 0.1 -wall_feti_stagnation 100 -wall_feti_dual_ksp_gmres_restart 500
+comma := ,
 shell_scripts := scripts/with-fenicsx scripts/debian-tree scripts/run-tests .ci/run
 
-.PHONY: help demo test figures bench bench-compare bench-linear lint docs clean
+.PHONY: help demo test figures bench bench-compare bench-linear bench-nonlinear bench-scaling lint docs clean
 
 help: ## what can be made
-	@awk -F ':.*## ' '/^[a-z-]+( build.*)?:.*## / { sub(/ build.*/, "", $$1); printf "  make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+( build.*)?:.*## / { sub(/ build.*/, "", $$1); printf "  make %-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo '  with NP=2 (processes), ARGS="…" (further arguments), FENICSX_SUITE=sid (newest dolfinx)'
 
 demo: ## inflate the artery's wall, next to a direct solver; pictures in output/artery/
@@ -28,7 +29,7 @@ demo: ## inflate the artery's wall, next to a direct solver; pictures in output/
 test: ## the whole suite on 1, 2 and 3 processes
 	$(with) scripts/run-tests $(ARGS)
 
-bench: bench-linear build/compare.json ## all benchmarks; what is finished is not run again
+bench: bench-linear bench-nonlinear bench-scaling build/compare.json ## all benchmarks; what is finished is not run again
 
 bench-linear: ## the paper's linear study and what goes beyond it; report in build/results/
 	$(with) $(python) -m benchmarks.linear --json build/linear.json $(ARGS)
@@ -37,6 +38,16 @@ bench-linear: ## the paper's linear study and what goes beyond it; report in bui
 
 bench-compare build/compare.json: ## FETI, MUMPS and GAMG on a Newton step; build/compare.json
 	$(with) $(python) -m benchmarks.compare --json build/compare.json $(ARGS)
+
+bench-nonlinear: ## iterations and seconds per Newton step, tube and vessel; report in build/results/
+	$(with) $(python) -m benchmarks.nonlinear --geometry tube --size 0.3 --subdomains 8 --json build/nonlinear.json
+	$(with) $(python) -m benchmarks.nonlinear --geometry tube --size 0.3 --subdomains 8 --degree 2 --json build/nonlinear.json
+	$(with) $(python) -m benchmarks.nonlinear --geometry vessel --size 2 --json build/nonlinear.json $(ARGS)
+	$(with) python3 -m benchmarks.nonlinear_page build/nonlinear.json --output build/results
+
+bench-scaling: ## strong scaling on one and two processes, counts on up to 64; report in build/results/
+	$(with) python3 -m benchmarks.scaling --size 0.8 --processes $(if $(filter-out 1,$(NP)),1$(comma)$(NP),1) --json build/scaling.json $(ARGS)
+	$(with) python3 -m benchmarks.scaling_page build/scaling.json --output build/results
 
 figures: ## both variants up to 300 mmHg on tube and vessel, and the paper's figures of it; build/results/
 	$(with) $(python) -m benchmarks.load_stepping --geometry tube --size 0.3 --degree 2 --json build/loading.json --checkpoint build/loading

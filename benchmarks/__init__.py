@@ -5,10 +5,12 @@
 
 The files of this folder are the commands, each with its own ``--help``: ``compare`` (FETI, MUMPS
 and GAMG on one Newton step), ``subdomains`` (how many), ``cube``, ``linear`` and ``cube_solvers``
-(the linear study), ``tube`` and ``load_stepping`` (walls under pressure), ``report`` and
-``load_figures`` (pages and pictures).
-What they are made of is in the rooms: ``unit_cube`` holds the linear study, ``walls`` the artery
-walls, and ``common`` what both need. A command imports from the rooms, a room from ``common``.
+(the linear study), ``tube`` and ``load_stepping`` (walls under pressure), ``nonlinear`` (iterations
+per Newton step), ``scaling`` (strong scaling), and for pages and pictures ``report``,
+``load_figures``, ``nonlinear_page`` and ``scaling_page``. What they are made of is in the rooms:
+``unit_cube`` holds the linear study, ``walls`` the artery walls, ``nonlinear_tables`` and
+``strong_scaling`` the pages of those two, and ``common`` what all need. A command imports from the
+rooms, a room from ``common``.
 
-In the order of the data: common, unit_cube, walls.
+In the order of the data: common, unit_cube, walls, nonlinear_tables, strong_scaling.
 """

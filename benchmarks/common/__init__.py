@@ -3,5 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """What all benchmarks need: command lines, records, the machine, simple bodies, tables.
 
-In the order of the data: records, arguments, machine, clock, progress, bodies, table, pages.
+In the order of the data: records, arguments, machine, clock, stopwatch, repeatable, traffic,
+progress, bodies, table, pages.
 """

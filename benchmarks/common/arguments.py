@@ -62,12 +62,36 @@ def parse_words(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> 
     return args
 
 
-def open_records(path: Path | None, parser: argparse.ArgumentParser, comm: MPI.Comm) -> Records:
-    """Open the file of ``--json``, or end with the parser's error. Collective."""
+def open_records(
+    path: Path | None,
+    parser: argparse.ArgumentParser,
+    comm: MPI.Comm,
+    *,
+    known: Callable[[Record], bool] = lambda _record: True,
+    writer: str = "",
+) -> Records:
+    """Open the file of ``--json``, or end with the parser's error.
+
+    Args:
+        path: The file, or None.
+        parser: Reports a file that cannot be used.
+        comm: The first of its processes reads and writes.
+        known: Tells whether a record is one of the study's own.
+        writer: The benchmark of the study.
+
+    Raises:
+        SystemExit: The file cannot be written, or holds something else. On all processes.
+
+    Note:
+        Collective.
+    """
     try:
-        return Records(path, comm)
+        records = Records(path, comm)
     except ValueError as error:
         parser.error(str(error))
+    if not all(map(known, records)):
+        parser.error(f"--json '{path}' holds records of another study than {writer}: name another")
+    return records
 
 
 def open_checkpoint(

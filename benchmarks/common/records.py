@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from mpi4py import MPI
@@ -44,6 +44,10 @@ class Records:
                 raise ValueError(
                     f"--json '{path}' cannot be used: {error}. Name another file."
                 ) from error
+
+    def __iter__(self) -> Iterator[Record]:
+        """Go through the records."""
+        return iter(self._records)
 
     def find(self, key: Record) -> Record | None:
         """Return the record that has these values, if there is one."""

@@ -8,6 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
 import dolfinx
 import ufl
 
@@ -19,7 +24,7 @@ from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
 from dolfinx_feti.wall import Wall, surface_measure
 from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
 
-__all__ = ["WallProblem", "create_wall_problem"]
+__all__ = ["WallProblem", "create_wall_problem", "right_hand_side"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,19 +93,37 @@ class WallProblem:
         )
 
 
+def right_hand_side(body: WallProblem) -> PETSc.Vec:
+    """Return −r of a wall at rest under its pressure.
+
+    At rest the volume constraint is met, and the condensed pressure adds nothing to r.
+
+    Note:
+        Collective.
+    """
+    r = dolfinx.fem.assemble_vector(dolfinx.fem.form(body.residual))
+    r.scatter_reverse(dolfinx.la.InsertMode.add)
+    for bc in body.bcs:
+        bc.set(r.array, body.u.x.array)
+    b = body.problem.A.createVecLeft()
+    b.array[:] = -r.array[: b.getLocalSize()]
+    return b
+
+
 def create_wall_problem(
     wall: Wall,
     *,
     degree: int,
     c: float,
     kappa: float,
-    subdomains: int,
+    subdomains: int | npt.NDArray[np.integer],
     options: dict[str, object],
     prefix: str = "wall_",
     fibres: tuple[dolfinx.fem.Function, dolfinx.fem.Function] | None = None,
     hold: Hold = clamp_openings,
     tangent: str = "symmetric",
     axis: tuple[float, float, float] | None = None,
+    potential: bool = True,
 ) -> WallProblem:
     """Tear a wall at rest.
 
@@ -109,13 +132,14 @@ def create_wall_problem(
         degree: k.
         c: Stiffness of the matrix material [kPa].
         kappa: κ [kPa].
-        subdomains: Number of subdomains.
+        subdomains: Number of subdomains, or a part for each owned cell.
         options: PETSc options of the problem.
         prefix: Their prefix.
         fibres: The two families of directions; from Laplace problems if not given.
         hold: Makes the Dirichlet conditions.
         tangent: Of the follower pressure, ``symmetric``, ``full`` or ``none``.
         axis: Direction along which the ends slide, see ``loads.pressure_potential``.
+        potential: Let Newton's method know the potential, which keeps it on the way down.
     """
     V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", degree, (3,)))
     Q = dolfinx.fem.functionspace(wall.mesh, ("DG", 0))
@@ -141,7 +165,9 @@ def create_wall_problem(
         bcs=bcs,
         J=K,
         condense=p,
-        energy=energy + loads.pressure_potential(pressure, u, lumen, axis=axis),
+        energy=energy + loads.pressure_potential(pressure, u, lumen, axis=axis)
+        if potential
+        else None,
         subdomains=subdomains,
         petsc_options_prefix=prefix,
         petsc_options=options,
