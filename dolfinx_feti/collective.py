@@ -12,7 +12,9 @@ from typing import Any, TypeVar
 
 from mpi4py import MPI
 
-__all__ = ["on_all", "on_first", "reason", "warn"]
+import numpy as np
+
+__all__ = ["on_all", "on_first", "reason", "total", "warn"]
 
 T = TypeVar("T")
 logger = logging.getLogger("dolfinx_feti")
@@ -94,6 +96,21 @@ def _portable(error: Exception) -> Exception:
     except Exception:  # of a class that cannot be pickled or made again
         copy = None
     return error if isinstance(copy, Exception) else RuntimeError(reason(error))
+
+
+def total(value: float, comm: MPI.Comm) -> float:
+    """Sum a number of each process, in a single reduction of numbers, not of Python's objects.
+
+    Args:
+        value: The process's own.
+        comm: Communicator of all of them.
+
+    Note:
+        Collective.
+    """
+    sum_ = np.array([value], dtype=np.float64)
+    comm.Allreduce(MPI.IN_PLACE, sum_)
+    return float(sum_[0])
 
 
 def reason(error: Exception) -> str:

@@ -14,7 +14,12 @@ import weakref
 import pytest
 from collective import COMM, agree, raises
 
-from dolfinx_feti.collective import on_all, on_first, reason, warn
+from dolfinx_feti.collective import on_all, on_first, reason, total, warn
+
+
+def test_sum_over_all():
+    values = [0.1 * (rank + 1) for rank in range(COMM.size)]
+    agree(abs(total(values[COMM.rank], COMM) - sum(values)) <= 1e-15 * sum(values) * COMM.size)
 
 
 def test_all_have_the_result_of_the_first():

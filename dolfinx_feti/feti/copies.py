@@ -24,6 +24,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.collective import total
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Copies", "star_forest"]
@@ -83,7 +84,7 @@ class Copies:
 
     def dot(self, x: Array, y: Array) -> float:
         """Return xᵀ y of two assembled vectors, given by their copies, (n,). Collective."""
-        return float(self.comm.allreduce(x @ (self.delta * y)))
+        return total(x @ (self.delta * y), self.comm)
 
     def destroy(self) -> None:
         """Free the star forest."""

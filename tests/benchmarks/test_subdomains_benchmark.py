@@ -9,7 +9,7 @@ import json
 
 import pytest
 from collective import COMM, agree, small
-from wall_files import on_first
+from wall_files import ROOT, on_first
 
 from benchmarks import subdomains
 
@@ -44,6 +44,15 @@ def test_cases_in_the_file_are_not_run_again(tmp_path, monkeypatch):
     agree(on_first(lambda: json.loads(path.read_text())) == records)
     monkeypatch.setattr(subdomains, "run", None)
     agree(subdomains.main(words) == records)
+
+
+@pytest.mark.serial
+def test_table_of_the_page_is_that_of_the_records(tmp_path):
+    page = ROOT / "docs/results/subdomains.md"
+    copy = tmp_path / "page.md"
+    copy.write_text(page.read_text().replace("| `tube` | 1 |", "| `other` | 1 |"))
+    subdomains.main(["--json", str(page.with_suffix(".json")), "--page", str(copy)])
+    assert copy.read_text() == page.read_text()
 
 
 @pytest.mark.serial

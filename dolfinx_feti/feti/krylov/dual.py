@@ -30,6 +30,7 @@ from contextlib import AbstractContextManager, nullcontext
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.collective import total
 from dolfinx_feti.feti.coarse.coarse import Coarse
 from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.linear_map import LinearMap
@@ -169,7 +170,7 @@ class DualSystem:
     def _norm(self, t: Array) -> float:
         """Return ‖Tᵀ t‖ on the free dofs for a torn force, (n,)."""
         force = self._torn.assemble(np.where(self._torn.dirichlet, 0.0, t))
-        return float(np.sqrt(self.comm.allreduce(force @ force)))
+        return float(np.sqrt(total(force @ force, self.comm)))
 
     def destroy(self) -> None:
         """Free the work vectors."""

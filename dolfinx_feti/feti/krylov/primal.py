@@ -34,6 +34,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
+from dolfinx_feti.collective import total
 from dolfinx_feti.feti.copies import Copies
 
 __all__ = ["Outcome", "PrimalSystem", "conjugate_gradients"]
@@ -148,7 +149,7 @@ def conjugate_gradients(
         β.append(ρ / last)
         p = z + β[-1] * p
         q = system.multiply(p)
-        curvature = copies.comm.allreduce(float(p @ q))  # pᵀ A p
+        curvature = total(p @ q, copies.comm)  # pᵀ A p
         if ρ <= 0.0:
             reason = Reason.DIVERGED_INDEFINITE_PC
         elif curvature <= 0.0:
