@@ -4,7 +4,7 @@
 """About how long `demo_artery.py` takes, from what it has taken elsewhere.
 
 With n displacement dofs, N Newton steps and P processes it is N n τ/P. The README's run of the
-vessel, on two cores, gives τ: 199 035 dofs, 33 Newton steps in 9 load steps, 220 s on two
+vessel, on two cores, gives τ: 199 035 dofs, 33 Newton steps in 9 load steps, 164 s on two
 processes. Another material, mesh or machine can take a third of that, or three times as long.
 """
 
@@ -16,7 +16,7 @@ __all__ = ["estimated_seconds"]
 NEWTON = 33 / 9
 
 #: Seconds for a dof in a Newton step, on one process: τ.
-SECONDS = 220.0 * 2 / (33 * 199035)
+SECONDS = 164.0 * 2 / (33 * 199035)
 
 
 def estimated_seconds(dofs: int, load_steps: float, processes: int) -> float:
