@@ -92,8 +92,8 @@ class FETI:
         singular: Whether the set-up failed because the matrix is singular.
         refuse_indefinite: Whether a solve ends before its first iteration, with the reason
             ``DIVERGED_INDEFINITE_MAT``, if the assembled matrix is proved to be indefinite.
-        lasting: Whether the preconditioner of the primal form serves later matrices, too, up to
-            ``-feti_lag`` of them, until :meth:`renew`.
+        lasting: Whether the matrices are those of Newton's method: then the preconditioner of the
+            primal form serves later ones, too, up to ``-feti_lag`` of them, until :meth:`renew`.
         eigenvalues: (λ_min, λ_max) of the preconditioned dual operator, by Lanczos from the CG
             coefficients; nan before a CG solve.
     """
@@ -176,7 +176,9 @@ class FETI:
         ksp.setIterationNumber(self.iterations)
         ksp.setConvergedReason(reason)
         if reason < 0 and not self._refused() and ksp.comm.rank == 0:
-            logger.warning("FETI did not converge: %s", self.message)
+            # Newton's method takes some failures in its stride, and says what others mean.
+            level = logging.DEBUG if self.lasting else logging.WARNING
+            logger.log(level, "FETI did not converge: %s", self.message)
 
     def _attempt(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> int:
         """Solve A x = b with what is set up; return the reason."""
