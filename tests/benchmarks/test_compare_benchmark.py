@@ -68,6 +68,15 @@ def test_all_solvers_solve_the_same_system(tmp_path, capfd):
     agree(ok, said)
 
 
+def test_several_sizes():
+    """Two sizes, and not all solvers."""
+    words = ["--dofs", "900,3000", "--subdomains", "4", "--solvers", "mumps,gamg"]
+    records = compare.main(words)
+    agree([record["solver"] for record in records] == ["mumps", "gamg"] * 2, records)
+    agree(records[0]["dofs"] < records[2]["dofs"] and records[0]["subdomains"] == 4)
+    small(max(record["difference_to_mumps"] for record in records), 1e-6)
+
+
 def test_records_of_other_runs_are_kept(tmp_path):
     path = tmp_path / "compare.json"
     arguments = [*SMALL, "--solvers", "gamg", "--json", str(path)]
@@ -89,7 +98,7 @@ def test_records_of_other_runs_are_kept(tmp_path):
         (["--dofs", "-5"], "argument --dofs: '-5' is not a number 1, 2, 3"),
         (["--dofs", "1e5"], "argument --dofs: '1e5' is not a number 1, 2, 3"),
         (["--subdomains", "0"], "argument --subdomains: '0' is not a number 1, 2, 3"),
-        (["--solvers", "feti,hypre"], "--solvers: 'hypre' is none of: feti, mumps, gamg"),
+        (["--solvers", "feti,pardiso"], "--solvers: 'pardiso' is none of: feti, mumps, gamg"),
         (["--solvers", ""], "argument --solvers: '' is none of: feti, mumps, gamg"),
         (["--kapa", "10"], "unrecognized arguments: --kapa"),
     ],
