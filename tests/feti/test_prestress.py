@@ -70,14 +70,14 @@ def check_every_step(
 @pytest.mark.parametrize("subdomains", [1, 4, 16])
 def test_p2(subdomains):
     iterations = check_every_step(2, subdomains, PHYSIOLOGICAL if subdomains < 16 else MILD)
-    small(max(iterations) / max(iterations[0], 1), 2.5)
+    small(max(iterations) / max(iterations[0], 5), 2.5)
 
 
 @pytest.mark.parametrize("subdomains", [1, 4, 16])
 def test_p1(subdomains):
     """Subdomains buckle by the dozen, and the props keep the iterations down."""
     iterations = check_every_step(1, subdomains, PHYSIOLOGICAL)
-    small(max(iterations) / max(iterations[0], 1), 2.0)
+    small(max(iterations) / max(iterations[0], 5), 2.0)  # the coarse space nearly solves
 
 
 @pytest.mark.parametrize(("kind", "kappa"), [("all_floating", 1000.0), ("classical", 1e5)])

@@ -107,7 +107,8 @@ def require_regular(
     rigid = free_motions(torn, bodies, near_kernel, operator, definite=definite)
     probe = _probe(coarse)
     others = np.zeros((torn.n, 0))
-    if coarse.total and (rigid.total or not probe.grown <= GROWTH):
+    sound = probe.grown <= GROWTH and probe.error <= BACKWARD
+    if coarse.total and (rigid.total or not sound):
         suspects = _Suspects(torn, bodies, gluing, matrices, coarse, operator)
         others = suspects.find(rigid, symmetric=symmetric, definite=definite, prefix=prefix)
     if rigid.total or others.shape[1]:
