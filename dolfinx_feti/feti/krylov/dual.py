@@ -170,7 +170,7 @@ class DualSystem:
     def _norm(self, t: Array) -> float:
         """Return ‖Tᵀ t‖ on the free dofs for a torn force, (n,)."""
         force = self._torn.assemble(np.where(self._torn.dirichlet, 0.0, t))
-        return float(np.sqrt(total(force @ force, self.comm)))
+        return float(np.sqrt(total(float(force @ force), self.comm)))
 
     def destroy(self) -> None:
         """Free the work vectors."""

@@ -149,7 +149,7 @@ def conjugate_gradients(
         β.append(ρ / last)
         p = z + β[-1] * p
         q = system.multiply(p)
-        curvature = total(p @ q, copies.comm)  # pᵀ A p
+        curvature = total(float(p @ q), copies.comm)  # pᵀ A p
         if ρ <= 0.0:
             reason = Reason.DIVERGED_INDEFINITE_PC
         elif curvature <= 0.0:
