@@ -16,7 +16,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.common.pages import run_command
+from benchmarks.common.pages import provenance, run_command
 from benchmarks.common.records import Record
 from benchmarks.nonlinear_tables.groups import is_known
 from benchmarks.nonlinear_tables.plots import draw_iterations
@@ -63,11 +63,6 @@ def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
 
 
 def _introduction(records: Sequence[Record], remark: str) -> str:
-    machines = dict.fromkeys(
-        ", ".join(f"{name} {value}" for name, value in record["machine"].items())
-        for record in records
-    )
-    dates = sorted(str(record["date"])[:10] for record in records)
     lines = [
         "# The nonlinear study",
         "",
@@ -90,13 +85,9 @@ def _introduction(records: Sequence[Record], remark: str) -> str:
         "Newton's method knows no potential in either, so that it takes plain steps. All cases of",
         "a wall share one decomposition.",
         "",
-        *(f"- {machine}" for machine in machines),
-        f"- {len(records)} cases, {dates[0]} to {dates[-1]}.",
-        "",
-        "`benchmarks/nonlinear.py` runs the cases, and this page is made by `python3 -m",
-        "benchmarks.nonlinear_page docs/results/nonlinear.json --output docs/results`.",
+        *provenance("nonlinear", records, remark),
     ]
-    return "\n".join([*lines, *(["", remark] if remark else [])]) + "\n"
+    return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":

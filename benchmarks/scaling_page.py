@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from benchmarks.common.pages import run_command
+from benchmarks.common.pages import provenance, run_command
 from benchmarks.common.records import Record
 from benchmarks.strong_scaling.checks import check_table
 from benchmarks.strong_scaling.groups import is_known
@@ -65,11 +65,6 @@ def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
 
 
 def _introduction(records: Sequence[Record], remark: str) -> str:
-    machines = dict.fromkeys(
-        ", ".join(f"{name} {value}" for name, value in record["machine"].items())
-        for record in records
-    )
-    dates = sorted(str(record["date"])[:10] for record in records)
     m = asdict(Machine())
     paragraphs = [
         "The load step to 1 mmHg of the paper's section *Strong scaling for nonlinear elasticity*: "
@@ -95,13 +90,9 @@ def _introduction(records: Sequence[Record], remark: str) -> str:
     for paragraph in paragraphs:
         lines += [textwrap.fill(paragraph, 100), ""]
     lines += [
-        *(f"- {machine}" for machine in machines),
-        f"- {len(records)} cases, {dates[0]} to {dates[-1]}.",
-        "",
-        "`benchmarks/scaling.py` runs the cases, and this page is made by `python3 -m",
-        "benchmarks.scaling_page docs/results/scaling.json --output docs/results`.",
+        *provenance("scaling", records, remark),
     ]
-    return "\n".join([*lines, *(["", remark] if remark else [])]) + "\n"
+    return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":

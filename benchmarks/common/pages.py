@@ -11,7 +11,7 @@ from pathlib import Path
 
 from benchmarks.common.records import Record, read_records
 
-__all__ = ["run_command"]
+__all__ = ["provenance", "run_command"]
 
 
 def run_command(
@@ -53,3 +53,26 @@ def run_command(
     except (OSError, ValueError) as error:
         parser.error(str(error))
     return 0
+
+
+def provenance(name: str, records: Sequence[Record], remark: str = "") -> list[str]:
+    """Return the lines of a page that say where its records come from.
+
+    Args:
+        name: Of the benchmark and its JSON file; the page is made by ``<name>_page``.
+        records: Of all cases, with ``machine`` and ``date``.
+        remark: Remark about the runs, at the end.
+    """
+    machines = dict.fromkeys(
+        ", ".join(f"{key} {value}" for key, value in record["machine"].items())
+        for record in records
+    )
+    dates = sorted(str(record["date"])[:10] for record in records)
+    lines = [
+        *(f"- {machine}" for machine in machines),
+        f"- {len(records)} cases, {dates[0]} to {dates[-1]}.",
+        "",
+        f"`benchmarks/{name}.py` runs the cases, and this page is made by `python3 -m",
+        f"benchmarks.{name}_page docs/results/{name}.json --output docs/results`.",
+    ]
+    return [*lines, "", remark] if remark else lines

@@ -12,6 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx_feti.cost import PeakMemory, record_cost
 from dolfinx_feti.diagnosis.advice import advise
@@ -22,34 +23,38 @@ from dolfinx_feti.fem.decomposition import Decomposition
 
 __all__ = ["diagnose"]
 
+Array = npt.NDArray[np.float64]
+
 PHASES = ("FETIGluing", "FETIFactor", "FETICoarse")
 
 
 def diagnose(
-    A: PETSc.Mat,
-    b: PETSc.Vec,
-    x: PETSc.Vec,
+    linear_system: Callable[[], tuple[PETSc.Mat, PETSc.Vec]],
     create: Callable[[], PETSc.KSP],
     *,
+    state: Array | float,
     decomposition: Decomposition,
-    assembly: float,
     prefix: str,
 ) -> Diagnosis:
-    """Set up a solver, solve with it, and gather what it tells.
+    """Assemble, set up a solver, solve with it, and gather what it tells.
 
     Args:
-        A: Torn matrix.
-        b: Right-hand side, (N,). If it is zero, a random one is solved for.
-        x: The present state, of which the residual is shown, (N,).
+        linear_system: Assembles the torn matrix A and the right-hand side b, (N,). If b is zero, a
+            random one is solved for.
         create: Creates the FETI solver.
+        state: The x of which the residual b − A x is shown, (owned,), or one value for all.
         decomposition: Subdomain of each owned cell.
-        assembly: Seconds that the assembly took on this process.
         prefix: Options prefix of the problem.
 
     Note:
         Collective.
     """
+    started = time.perf_counter()
+    A, b = linear_system()
+    assembly = time.perf_counter() - started
     comm = A.comm.tompi4py()
+    x = b.duplicate()
+    x.array[:] = state
     load, solution = b.copy(), b.duplicate()
     if not b.norm() > 0.0:
         load.array[:] = np.random.default_rng(comm.rank).standard_normal(load.getLocalSize())
@@ -90,7 +95,7 @@ def diagnose(
         else advise(figures, iterations=cost.iterations, prefix=prefix),
         surface=visible_surface(decomposition),
     )
-    for owned in (ksp, load, solution):
+    for owned in (ksp, load, solution, b, x):
         owned.destroy()
     return found
 

@@ -222,23 +222,13 @@ class LinearProblem:
         Note:
             Collective.
         """
-        started = time.perf_counter()
-        A, b = self.linear_system()
-        assembly = time.perf_counter() - started
-        x = b.duplicate()
-        x.array[:] = self.u.x.array[: x.getLocalSize()]
-        found = diagnose(
-            A,
-            b,
-            x,
+        return diagnose(
+            self.linear_system,
             self.create_linear_solver,
+            state=self.u.x.array[: self.b.getLocalSize()],
             decomposition=self.decomposition,
-            assembly=assembly,
             prefix=self._prefix,
         )
-        for owned in (b, x):
-            owned.destroy()
-        return found
 
     def _assemble(self) -> None:
         """Assemble A, its near kernel, and b."""

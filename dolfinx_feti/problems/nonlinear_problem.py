@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 
@@ -270,23 +269,13 @@ class NonlinearProblem:
         Note:
             Collective.
         """
-        started = time.perf_counter()
-        A, b = self.linear_system()
-        assembly = time.perf_counter() - started
-        x = b.duplicate()
-        x.set(0.0)  # b is the residual of the present state
-        found = diagnose(
-            A,
-            b,
-            x,
+        return diagnose(
+            self.linear_system,
             self.create_linear_solver,
+            state=0.0,  # b is the residual of the present state
             decomposition=self.decomposition,
-            assembly=assembly,
             prefix=self._prefix,
         )
-        for owned in (b, x):
-            owned.destroy()
-        return found
 
     def solve(
         self, *, reference: float | None = None, first_tangent: Tangent | None = None
