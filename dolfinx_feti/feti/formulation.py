@@ -19,7 +19,7 @@ from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.dual_form import DualForm, create_dual_form
 from dolfinx_feti.feti.preconditioner.dirichlet import Dirichlet
 from dolfinx_feti.feti.primal_form import PrimalForm, create_lagged_form, create_primal_form
-from dolfinx_feti.feti.setup import Factored, Pattern, factor, factor_interior
+from dolfinx_feti.feti.setup import Factored, Pattern, factor
 
 __all__ = ["Form", "set_up", "set_up_lagged"]
 
@@ -62,9 +62,7 @@ def set_up_lagged(pattern: Pattern, earlier: PrimalForm) -> PrimalForm:
         Collective.
     """
     try:
-        factored = factor_interior(
-            pattern, Factored(earlier.near_kernel, earlier.modes, earlier.inertia)
-        )
+        factored = factor(pattern, earlier.modes)
     except SetUpError:
         earlier.destroy()
         raise

@@ -13,7 +13,7 @@ what depends on the values is found anew for each matrix, as frozen :class:`Fact
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 from mpi4py import MPI
@@ -37,7 +37,7 @@ from dolfinx_feti.feti.subdomain.matrices import create_matrices
 from dolfinx_feti.feti.subdomain.pseudoinverse import Modes, PseudoInverse
 from dolfinx_feti.torn import Torn
 
-__all__ = ["Factored", "Pattern", "factor", "factor_interior"]
+__all__ = ["Factored", "Pattern", "factor"]
 
 T = TypeVar("T")
 Array = npt.NDArray[np.float64]
@@ -142,11 +142,13 @@ class Factored:
         return pattern.symmetric and self.inertia.definite and inside
 
 
-def factor(pattern: Pattern) -> Factored:
+def factor(pattern: Pattern, earlier: Modes | None = None) -> Factored:
     """Take the present matrix into the weights and factors of its pattern.
 
     Args:
         pattern: What depends on the pattern; its numbers are those of the present matrix then.
+        earlier: Modes of an earlier matrix. If they are given, they stay, and so do its weights and
+            K_ρ; S and K_II alone become those of the present one.
 
     Raises:
         SetUpError: A factorisation failed, a kernel is larger than its candidates, or the options
@@ -157,44 +159,18 @@ def factor(pattern: Pattern) -> Factored:
     """
     torn = pattern.torn
     require_finite(torn)
-    with event("FETIGluing"):
-        if pattern.options.scaling == "stiffness":
-            pattern.gluing.update(torn.stiffness())
-        pattern.preconditioner.weigh()
+    if earlier is None:
+        with event("FETIGluing"):
+            if pattern.options.scaling == "stiffness":
+                pattern.gluing.update(torn.stiffness())
+            pattern.preconditioner.weigh()
     with event("FETIFactor"):
-        _on_all(pattern.matrices.update, torn.comm)
+        _on_all(lambda: pattern.matrices.update(keep_factors=earlier is not None), torn.comm)
         near_kernel = torn.near_kernel()
         require_regular_interior(torn, pattern.bodies, near_kernel, pattern.matrices)
-        modes = _on_all(lambda: pattern.inverse.update(near_kernel), torn.comm)
+        modes = earlier or _on_all(lambda: pattern.inverse.update(near_kernel), torn.comm)
         _on_all(lambda: pattern.preconditioner.update(modes.props), torn.comm)
     return Factored(near_kernel, modes, _inertia(pattern, modes))
-
-
-def factor_interior(pattern: Pattern, earlier: Factored) -> Factored:
-    """Take the present matrix, but leave weights, K_ρ and modes as those of an earlier one.
-
-    Args:
-        pattern: What depends on the pattern; of its numbers, S and K_II are those of the present
-            matrix then.
-        earlier: What the factors of the earlier matrix tell.
-
-    Raises:
-        SetUpError: A factorisation failed.
-
-    Note:
-        Collective.
-    """
-    torn = pattern.torn
-    require_finite(torn)
-    with event("FETIFactor"):
-        _on_all(lambda: pattern.matrices.update(keep_factors=True), torn.comm)
-        near_kernel = torn.near_kernel()
-        require_regular_interior(torn, pattern.bodies, near_kernel, pattern.matrices)
-        _on_all(lambda: pattern.preconditioner.update(earlier.modes.props), torn.comm)
-    interior = _total(torn.comm, _negative_interior(pattern))
-    return Factored(
-        near_kernel, earlier.modes, replace(earlier.inertia, interior=interior, assembled=None)
-    )
 
 
 def _on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
