@@ -123,7 +123,8 @@ def table(report: Report) -> str:
     details = f"dual form, {o.gluing} gluing, Q = {o.coarse_q}"
     if r.formulation == "primal":
         details = f"primal form, up to {o.coarse_flux} flux columns per subdomain"
-    lag = f", of {r.lag} matrices ago" * (r.lag > 0)
+    ago = "1 matrix ago" if r.lag == 1 else f"{r.lag} matrices ago"
+    lag = f", set up {ago}" if r.lag else ""
     rows = [
         ("method", f"{o.type}, {o.scaling} scaling, {details}"),
         ("preconditioner", o.pc_type + lag),
