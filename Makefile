@@ -12,8 +12,6 @@ ARGS ?=
 
 with := scripts/with-fenicsx
 python := $(if $(filter-out 1,$(NP)),env OMP_NUM_THREADS=1 mpirun -n $(NP) )python3
-# On a P1–P0 wall that folds: more soft modes, and GMRES that starts afresh late and gives up early.
-folding := -wall_feti_coarse_modes 40 -wall_feti_coarse_threshold 0.1 -wall_feti_stagnation 100 -wall_feti_dual_ksp_gmres_restart 500
 comma := ,
 shell_scripts := scripts/with-fenicsx scripts/debian-tree scripts/run-tests .ci/run
 
@@ -40,9 +38,10 @@ bench-compare build/compare.json: ## FETI, MUMPS and GAMG on a Newton step; buil
 	$(with) $(python) -m benchmarks.compare --json build/compare.json $(ARGS)
 
 bench-nonlinear: ## iterations and seconds per Newton step, tube and vessel; report in build/results/
-	$(with) $(python) -m benchmarks.nonlinear --geometry tube --size 0.3 --subdomains 8 --json build/nonlinear.json
-	$(with) $(python) -m benchmarks.nonlinear --geometry tube --size 0.3 --subdomains 8 --degree 2 --json build/nonlinear.json
-	$(with) $(python) -m benchmarks.nonlinear --geometry vessel --size 2 --json build/nonlinear.json $(ARGS)
+	for degree in 1 2; do \
+	  $(with) $(python) -m benchmarks.nonlinear --geometry tube --size 0.3 --subdomains 8 --degree $$degree --json build/nonlinear.json && \
+	  $(with) $(python) -m benchmarks.nonlinear --geometry vessel --size 1.19 --subdomains 64 --pressure 0.2 --degree $$degree --json build/nonlinear.json $(ARGS) || exit; \
+	done
 	$(with) python3 -m benchmarks.nonlinear_page build/nonlinear.json --output build/results
 
 bench-scaling: ## strong scaling on one and two processes, counts on up to 64; report in build/results/
@@ -51,8 +50,10 @@ bench-scaling: ## strong scaling on one and two processes, counts on up to 64; r
 
 figures: ## both variants up to 300 mmHg on tube and vessel, and the paper's figures of it; build/results/
 	$(with) $(python) -m benchmarks.load_stepping --geometry tube --size 0.3 --degree 2 --json build/loading.json --checkpoint build/loading
-	$(with) $(python) -m benchmarks.load_stepping --geometry vessel --first 25 --recycle 0 --json build/loading.json --checkpoint build/loading $(folding) $(ARGS)
-	$(with) python3 -m benchmarks.load_stepping --geometry vessel --first 25 --type classical --subdomains 1 --recycle 0 --json build/loading.json --checkpoint build/loading/direct
+	for degree in 1 2; do \
+	  $(with) $(python) -m benchmarks.load_stepping --geometry vessel --size 1.2 --degree $$degree --first 25 --json build/loading.json --checkpoint build/loading/p$$degree $(ARGS) && \
+	  $(with) python3 -m benchmarks.load_stepping --geometry vessel --size 1.2 --degree $$degree --first 25 --type classical --subdomains 1 --json build/loading.json --checkpoint build/loading/direct/p$$degree || exit; \
+	done
 	$(with) python3 -m benchmarks.load_figures build/loading.json --output build/results
 
 lint: ## style, types, spelling

@@ -194,7 +194,7 @@ def _create_parser(comm: MPI.Comm) -> argparse.ArgumentParser:
     add("--kappa", type=positive, default=1000.0, help="[kPa], 1000")
     add("--subdomains", type=count, default=32, help="over all processes, 32")
     add("--rtol", type=positive, default=1e-8, help="of the linear systems, 1e-8")
-    add("--recycle", type=count_or_zero, default=100, help="most recycled directions, 100")
+    add("--recycle", type=count_or_zero, default=0, help="most recycled directions, 0")
     add("--checkpoint", type=Path, metavar="FOLDER", help="where the last states are kept")
     add("--folder", type=Path, default=Path("build/walls"), help="where meshes are kept")
     add_records(parser)

@@ -5,7 +5,7 @@
 
     python3 -m benchmarks.scaling --geometry vessel --processes 1,2 --json build/scaling.json
 
-The load step to 1 mmHg with κ = 100 kPa, P1–P0 and the lumped preconditioner (section *Strong
+The load step to 0.2 mmHg with κ = 100 kPa, P1–P0 and the lumped preconditioner (section *Strong
 scaling for nonlinear elasticity*, tables Augustin_tab:aorta_scaling and carotis_scaling):
 all-floating FETI on the wall of one layer, classical FETI on that of two. --processes are measured,
 at most as many as there are cores. --count are counted, any number on any machine: messages, bytes,

@@ -67,7 +67,8 @@ def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
 def _introduction(records: Sequence[Record], remark: str) -> str:
     m = asdict(Machine())
     paragraphs = [
-        "The load step to 1 mmHg of the paper's section *Strong scaling for nonlinear elasticity*: "
+        "The load step of the paper's section *Strong scaling for nonlinear elasticity* (to 0.2 "
+        "mmHg: under its 1 mmHg a thin wall at rest would buckle): "
         "P1–P0, κ = 100 kPa, lumped preconditioner, all-floating FETI on a wall of one layer and "
         "classical FETI on one of two; and the same with the package's defaults (Dirichlet "
         "preconditioner). With the paper's choices these are five Newton steps with its tangent, "

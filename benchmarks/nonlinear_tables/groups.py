@@ -13,7 +13,6 @@ __all__ = [
     "CHOICES",
     "LAYERS",
     "PRECONDITIONERS",
-    "TANGENTS",
     "TYPES",
     "is_known",
     "is_solved",
@@ -25,12 +24,11 @@ __all__ = [
 TYPES = {"all_floating": "all-floating", "classical": "classical"}
 PRECONDITIONERS = ("identity", "lumped", "dirichlet")
 CHOICES = {"paper": "the paper's choices", "default": "the package's defaults"}
-TANGENTS = {"symmetric": "", "none": ", the paper's tangent"}
 LAYERS = {1: "one layer", 2: "two layers"}
 
 #: What a case is told by, in the order of the tables.
 NAMES = ("geometry", "size", "degree", "layers", "subdomains", "processes", "contact", "kappa")
-NAMES += ("type", "pc", "choices", "tangent")
+NAMES += ("pressure", "type", "pc", "choices")
 
 
 def is_known(record: Record) -> bool:

@@ -39,7 +39,6 @@ def draw_iterations(path: Path, records: Sequence[Record], geometry: str) -> boo
         Whether there was anything to draw.
     """
     mine = [r for r in usual(records) if r["geometry"] == geometry and r["layers"] == 1]
-    mine = [r for r in mine if r["tangent"] == "symmetric"]
     degrees = sorted({int(r["degree"]) for r in mine})
     if not degrees:
         return False

@@ -144,33 +144,33 @@ def _growth(degree: int) -> Callable[[Sequence[Record]], Finding]:
 
 
 def _grows_less(records: Sequence[Record]) -> Finding:
-    """Compare the growth with κ in P2–P0 with that in P1–P0, on the same geometry."""
+    """Compare the growth with κ in P2–P0 with that in P1–P0, on the same mesh."""
     mine = _with_growth([r for r in usual(records) if r["pc"] == "dirichlet"])
     quotients = [
         _growth_of(second) / _growth_of(first)
         for first in mine
         for second in mine
         if (first["degree"], second["degree"]) == (1, 2)
-        and all(first[n] == second[n] for n in ("geometry", "layers", "type", "tangent"))
+        and all(first[n] == second[n] for n in ("geometry", "size", "layers", "type"))
     ]
     return _counted(quotients, lambda q: q < 1.0)
 
 
 def _volume(records: Sequence[Record]) -> Finding:
-    """Compare how far J is from one in P2–P0 and P1–P0, on the same geometry."""
+    """Compare how far J is from one in P2–P0 and P1–P0, on the same mesh."""
     mine = [r for r in usual(records) if is_solved(r) and r["pc"] == "dirichlet"]
     quotients = [
         second["mean_deviation_J"] / first["mean_deviation_J"]
         for first in mine
         for second in mine
         if (first["degree"], second["degree"]) == (1, 2)
-        and all(first[n] == second[n] for n in ("geometry", "layers", "type", "kappa", "tangent"))
+        and all(first[n] == second[n] for n in ("geometry", "size", "layers", "type", "kappa"))
     ]
     return _counted(quotients, lambda q: q < 1.0)
 
 
 def _newton(records: Sequence[Record]) -> Finding:
-    arrived = [r for r in usual(records) if is_solved(r) and r["tangent"] == "symmetric"]
+    arrived = [r for r in usual(records) if is_solved(r) and r["choices"] == "default"]
     steps = [r["newton_iterations"] for r in arrived]
     if not steps:
         return Finding(None, "")

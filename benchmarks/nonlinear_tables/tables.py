@@ -14,7 +14,6 @@ from benchmarks.nonlinear_tables.groups import (
     CHOICES,
     LAYERS,
     PRECONDITIONERS,
-    TANGENTS,
     TYPES,
     is_solved,
     usual,
@@ -26,7 +25,7 @@ __all__ = ["contact_table", "failure_table", "newton_tables", "volume_table"]
 ARTERIES = {1: "aorta", 2: "carotid artery"}
 
 #: What a mesh and its decomposition are told by.
-WALL = ("geometry", "size", "degree", "layers", "subdomains", "processes", "tangent")
+WALL = ("geometry", "size", "degree", "layers", "subdomains", "processes", "pressure")
 
 CONTACTS = {"few": "three points", "none": "none"}
 
@@ -61,11 +60,12 @@ def _newton_table(records: Sequence[Record]) -> Table:
     size = "" if first["size"] is None else f", edges of {first['size']:g} mm"
     note = (
         f"{count(most['dofs'])} dofs, {count(most['cells'])} tetrahedra{size}, "
-        f"{first['subdomains']} subdomains, {first['processes']} process(es). *it.*: mean "
+        f"{first['subdomains']} subdomains, {first['processes']} process(es), "
+        f"{first['pressure']:g} mmHg. *it.*: mean "
         "iterations of a Newton step; *steps*: iterations of each; seconds per Newton step. "
         "The paper's mesh, machine and seconds (of a whole Newton step) are others."
     )
-    title += str(first["geometry"]) + TANGENTS[first["tangent"]]
+    title += str(first["geometry"])
     return Table(title, head, rows, note)
 
 
@@ -95,7 +95,7 @@ def _cells(record: Record | None) -> list[str]:
 def volume_table(records: Sequence[Record]) -> Table:
     """Make the table of J, which does not depend on how a system is solved."""
     names = (*WALL, "kappa")
-    solved = [r for r in usual(records) if is_solved(r) and r["tangent"] == "symmetric"]
+    solved = [r for r in usual(records) if is_solved(r) and r["choices"] == "default"]
     first_of = {tuple(r[name] for name in names): r for r in reversed(solved)}
     rows = [
         [

@@ -40,7 +40,9 @@ def test_both_variants_with_both_choices(tmp_path, capsys):
         agree(record["min_J"] <= record["mean_J"] <= record["max_J"])
         agree(record["seconds_setup_per_newton"] > 0 and record["seconds_krylov_per_newton"] > 0)
         agree(record["multipliers"] > 0 and record["dofs"] > 0)
-    equal([r["min_J"] for r in records], [records[0]["min_J"]] * 4, 1e-6)
+    for choices in ("paper", "default"):
+        one, other = (r["min_J"] for r in records if r["choices"] == choices)
+        equal(one, other, 1e-6)
     capsys.readouterr()
     agree(run(tmp_path) == records)
     said = COMM.bcast(capsys.readouterr().out)
@@ -57,9 +59,9 @@ def test_iterations_are_cut_off_and_allowed_later(tmp_path):
 
 
 def test_papers_tangent_lets_cg_solve(tmp_path):
-    (record,) = run(tmp_path, "--tangent", "none", "--choices", "paper", "--type", "classical")
+    (record,) = run(tmp_path, "--choices", "paper", "--type", "classical")
     agree("failure" not in record and set(record["linear_methods"]) == {"cg"}, record)
-    agree(2 <= record["newton_iterations"] <= 6 and record["min_J"] > 0.0)
+    agree(record["clock"] == ("processor" if COMM.size == 1 else "wall"), record)
 
 
 def test_file_of_another_study_is_refused(tmp_path, capsys):

@@ -23,7 +23,7 @@ def record_of(
         "type": kind,
         "pc": pc,
         "choices": "paper",
-        "tangent": "symmetric",
+        "pressure": 1.0,
         "dofs": 3_000_000,
         "cells": 5_418_594,
     }
