@@ -59,7 +59,7 @@ class Stopwatch:
         ksp.setPostSolve(after)
 
     def seconds(self) -> tuple[float, float]:
-        """Return the seconds of all set-ups and of all Krylov methods, those of the slowest process.
+        """Return the seconds of all set-ups and of all Krylov methods, of the slowest process.
 
         Note:
             Collective.
