@@ -14,7 +14,7 @@ step; and writes ``loading.md`` beside them.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -27,6 +27,7 @@ from matplotlib.axes import Axes
 from benchmarks.common.pages import run_command
 from benchmarks.common.records import Record
 from benchmarks.common.table import Table, count, number
+from benchmarks.walls.points import NAMES
 
 __all__ = ["main", "write"]
 
@@ -65,7 +66,7 @@ def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
         picture = f"loading_{geometry}_p{degree}.png"
         draw(folder / picture, mine)
         pages.append(f"![Load steps of the {geometry}, P{degree}–P0]({picture})\n")
-    pages.append(totals(records).markdown())
+    pages += [totals(records).markdown(), ends(records).markdown()]
     (folder / "loading.md").write_text("\n".join(pages))
 
 
@@ -103,9 +104,7 @@ def totals(records: Sequence[Record]) -> Table:
     head += ["up to [mmHg]", "load steps"]
     head += ["Newton steps", "FETI iterations", "in a Newton step", "worst residual", "seconds"]
     rows = []
-    keys = ("geometry", "degree", "subdomains", "type")
-    for key in dict.fromkeys(tuple(record[name] for name in keys) for record in records):
-        steps = [record for record in records if tuple(record[name] for name in keys) == key]
+    for key, steps in _runs(records):
         mean = [step["linear_iterations_mean"] for step in steps]
         rows.append(
             [
@@ -129,6 +128,42 @@ def totals(records: Sequence[Record]) -> Table:
         "all-floating and 340 to 358 with classical FETI. Failed attempts are counted here."
     )
     return Table("From rest to the highest pressure", head, rows, note)
+
+
+def ends(records: Sequence[Record]) -> Table:
+    """Show the last state of each run: variants beside each other, and P1–P0 beside P2–P0."""
+    head = ["wall", "elements", "subdomains", "type", "pressure [mmHg]"]
+    head += [*(f"u {name} [mm]" for name in NAMES), *(f"σ_mag {name} [kPa]" for name in NAMES)]
+    head += ["least J", "greatest J", "mean of abs(J − 1)", "more than 1 % off"]
+    rows = []
+    for key, steps in _runs(records):
+        last = max(steps, key=lambda step: step["pressure_mmhg"])
+        points = [last[of][name] for of in ("u_norm", "stress_magnitude") for name in NAMES]
+        share = last.get("share_J")
+        rows.append(
+            [
+                str(key[0]),
+                f"P{key[1]}–P0",
+                str(key[2]),
+                VARIANTS[_variant(last)][0],
+                number(last["pressure_mmhg"]),
+                *(f"{value:.6g}" for value in points),
+                *(number(last.get(name)) for name in ("min_J", "max_J", "mean_deviation_J")),
+                "–" if share is None else f"{100 * share:.1f} %",
+            ]
+        )
+    note = (
+        "J of an element is its deformed volume over its volume at rest; the last column is the "
+        "share of the elements with |J − 1| > 1 %."
+    )
+    return Table("At the highest pressure", head, rows, note)
+
+
+def _runs(records: Sequence[Record]) -> Iterator[tuple[tuple[object, ...], list[Record]]]:
+    """Yield wall, degree, subdomains and type of each run, and its load steps."""
+    keys = ("geometry", "degree", "subdomains", "type")
+    for key in dict.fromkeys(tuple(record[name] for name in keys) for record in records):
+        yield key, [r for r in records if tuple(r[name] for name in keys) == key]
 
 
 def _draw_points(stress: Axes, norm: Axes, steps: Sequence[Record]) -> None:

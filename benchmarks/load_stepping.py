@@ -7,10 +7,10 @@
 
 The wall of `demos/demo_artery.py`, or the tube, with c = 6 kPa, κ = 1000 kPa, 32 subdomains and the
 Dirichlet preconditioner, is inflated in load steps that adapt, once by all-floating and once by
-classical FETI. A record for each accepted step holds its cost, and displacement norm and stress
-magnitude at five points A–E. With `--checkpoint FOLDER` a run that was interrupted is continued;
-one that is finished is not repeated, unless by `--again`. `benchmarks.load_figures` draws the
-paper's figures.
+classical FETI. A record for each accepted step holds its cost, displacement norm and stress
+magnitude at five points A–E, and how well the elements keep their volume. With `--checkpoint
+FOLDER` a run that was interrupted is continued; one that is finished is not repeated, unless by
+`--again`. `benchmarks.load_figures` draws the paper's figures.
 
 At such pressures the wall of the vessel, a cerebral aneurysm with the material of a carotid artery,
 is a numerical benchmark and no physiology.
@@ -21,6 +21,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import petsc4py
@@ -46,6 +47,7 @@ from benchmarks.common.progress import say
 from benchmarks.common.records import Record, Records
 from benchmarks.walls.points import NAMES, at_points, five_points
 from benchmarks.walls.problem import WallProblem, create_wall_problem
+from benchmarks.walls.volume import summarise, volume_ratios
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.collective import on_first
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps
@@ -169,7 +171,7 @@ def cost(step: LoadStep) -> Record:
 
 
 def state(body: WallProblem, points: Sequence[np.ndarray]) -> Record:
-    """Return displacement norm and stress magnitude at the points.
+    """Return displacement norm and stress magnitude at the points, and the volume ratios.
 
     Note:
         Collective.
@@ -178,6 +180,7 @@ def state(body: WallProblem, points: Sequence[np.ndarray]) -> Record:
     return {
         "u_norm": dict(zip(NAMES, norm.tolist(), strict=True)),
         "stress_magnitude": dict(zip(NAMES, stress.tolist(), strict=True)),
+        **asdict(summarise(volume_ratios(body.u), body.u.function_space.mesh.comm)),
     }
 
 

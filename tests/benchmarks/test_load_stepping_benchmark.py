@@ -43,7 +43,7 @@ def test_both_variants_and_their_figures(tmp_path):
 
     on_first(lambda: load_figures.main([str(tmp_path / "loading.json"), "--output", str(tmp_path)]))
     page = on_first(lambda: (tmp_path / "loading.md").read_text())
-    row = f"| tube | P2–P0 | 4 | all-floating | {COMM.size} | 100 | 8 |"
+    row = f"| tube | P2–P0 | 4 | all-floating | {COMM.size} | 0 | 8 |"
     agree(row in page and "loading_tube_p2.png" in page, page)
     agree(on_first(lambda: (tmp_path / "loading_tube_p2.png").stat().st_size) > 20_000)
 
