@@ -82,7 +82,6 @@ def _introduction(records: Sequence[Record], remark: str) -> str:
         "(`benchmarks/strong_scaling/model.py`) shares out the seconds of the fewest processes "
         "and adds what does not shrink, for a cluster with a latency of "
         f"{1e6 * m['latency']:g} µs, {1e-9 * m['bandwidth']:g} GB/s into the network, "
-        f"{1e6 * m['overhead']:g} µs for each of many messages at one process, "
         f"{1e-9 * m['stream']:g} GB/s from memory and {1e-9 * m['rate']:g} Gflop/s in "
         "factorisations; these are assumptions. It is held against what was measured in the first "
         "tables; beyond that it is an estimate.",

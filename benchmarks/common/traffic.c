@@ -283,6 +283,21 @@ static int neighbours_of(MPI_Comm c) {
     collective(b == MPI_IN_PLACE ? 0 : size_of(n, t), c);                                          \
     return PMPI_Allgatherv##S(b, n, t, rb, rn, d, rt, c);                                          \
   }                                                                                                \
+  int MPI_Iallgatherv##S(const void *b, N n, MPI_Datatype t, void *rb, const N *rn, const D *d,    \
+                         MPI_Datatype rt, MPI_Comm c, MPI_Request *r) {                            \
+    collective(b == MPI_IN_PLACE ? 0 : size_of(n, t), c);                                          \
+    return PMPI_Iallgatherv##S(b, n, t, rb, rn, d, rt, c, r);                                      \
+  }                                                                                                \
+  int MPI_Igatherv##S(const void *b, N n, MPI_Datatype t, void *rb, const N *rn, const D *d,       \
+                      MPI_Datatype rt, int root, MPI_Comm c, MPI_Request *r) {                     \
+    collective(b == MPI_IN_PLACE ? 0 : size_of(n, t), c);                                          \
+    return PMPI_Igatherv##S(b, n, t, rb, rn, d, rt, root, c, r);                                   \
+  }                                                                                                \
+  int MPI_Iscatterv##S(const void *b, const N *n, const D *d, MPI_Datatype t, void *rb, N rn,      \
+                       MPI_Datatype rt, int root, MPI_Comm c, MPI_Request *r) {                    \
+    collective(0, c);                                                                              \
+    return PMPI_Iscatterv##S(b, n, d, t, rb, rn, rt, root, c, r);                                  \
+  }                                                                                                \
   int MPI_Alltoall##S(const void *b, N n, MPI_Datatype t, void *rb, N rn, MPI_Datatype rt,         \
                       MPI_Comm c) {                                                                \
     int size = 1;                                                                                  \

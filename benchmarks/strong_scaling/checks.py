@@ -34,8 +34,7 @@ def check_table(records: Sequence[Record]) -> Table:
     head = ["type", "choices", "quantity", "bound", "counted", "holds"]
     note = (
         f"From {FLAT_FROM} processes on; *grows* compares the most processes with the fewest, and "
-        f"is bounded by {GROWTH:g}. Greatest of all processes; of the neighbours, the first "
-        "process, which holds the coarse problem, is left out and has a row of its own."
+        f"is bounded by {GROWTH:g}. Greatest of all processes."
     )
     return Table("What should not grow with the processes", head, rows, note)
 
@@ -44,8 +43,6 @@ def _checks(records: Sequence[Record]) -> Iterator[list[str]]:
     """Yield the rows of a series: quantity, bound, value, verdict."""
     neighbours = max(r["neighbours"] for r in records)
     yield _row("neighbours of a process", f"≤ {NEIGHBOURS}", neighbours, neighbours <= NEIGHBOURS)
-    first = max(r["neighbours_of_first"] for r in records)
-    yield _row("neighbours of the first process", f"≤ {NEIGHBOURS}", first, first <= NEIGHBOURS)
     reductions = max(r["iteration"]["reductions"]["max"] for r in records)
     name = "reductions in an iteration"
     yield _row(name, f"≤ {REDUCTIONS}", reductions, reductions <= REDUCTIONS)

@@ -14,15 +14,15 @@ not shrink is added:
     t_{local} = β\, t_1 / P, \qquad
     t_{iteration} = β\, t_1 / P + n_m (α + b/W) + n_r\, 2 α \log_2 P + n_c\, t_c(P),
 
-    t_c = 16\, L / V + 2 (P - 1)\, o + 2 α \log_2 P, \qquad t_{coarse} = t_1 / P + Φ / R,
+    t_c = 16\, L / V + 8\, K / W, \qquad t_{coarse} = t_1 / P + Φ / R,
 
 n_m messages of b bytes (the mean of the processes), n_r reductions and n_c coarse solves in an
-iteration are those that were counted on the most processes; α, W, o, V and R are in
-:class:`Machine`. β is the unevenness of whole subdomains, ⌈S/P⌉ P/S. The coarse matrix of K
-unknowns, with L entries in its factor and Φ operations to make it, is factored and solved on one
-process, to which all others send. Beyond S processes there are as many subdomains as processes; K
-grows with them, L as K ln K and Φ as K^{3/2}, those of a wall, which is nearly two-dimensional.
-Reading the mesh is on one process; what else the program does is shared.
+iteration are those that were counted on the most processes; α, W, V and R are in :class:`Machine`.
+β is the unevenness of whole subdomains, ⌈S/P⌉ P/S. The coarse matrix of K unknowns, with L entries
+in its factor and Φ operations to make it, is factored and solved by every process, as if by one;
+each solve gathers K numbers on all, which is one of the reductions. Beyond S processes there are as
+many subdomains as processes; K grows with them, L as K ln K and Φ as K^{3/2}, those of a wall,
+which is nearly two-dimensional. Reading the mesh is on one process; what else the program does is shared.
 
 A mesh with ρ times the dofs, in the same subdomains, takes ρ times the work, and ρ^{2/3} times the
 bytes; its factors take more than that, so that this is a cautious estimate of the efficiency.
@@ -50,14 +50,12 @@ class Machine:
     Attributes:
         latency: α, of a message [s].
         bandwidth: W, of a process into the network [bytes/s].
-        overhead: o, of a process for each of many messages [s].
         stream: V, at which a process reads a factor [bytes/s].
         rate: R, at which a process factors [flops/s].
     """
 
     latency: float = 2e-6
     bandwidth: float = 2e9
-    overhead: float = 5e-7
     stream: float = 5e9
     rate: float = 5e9
 
@@ -72,8 +70,8 @@ class Prediction:
         work: The subdomains' part of the iterations.
         messages: Messages between neighbours.
         reductions: Reductions over all processes.
-        gathering: Messages to and from the process of the coarse problem.
-        coarse_solves: Its solves.
+        gathering: The coarse right-hand sides, to all processes.
+        coarse_solves: Coarse solves.
         coarse_shared: The part of the coarse set-up that all share.
         coarse_factor: The factorisation of the coarse matrix.
         reading: Reading and distributing the mesh.
@@ -162,7 +160,7 @@ class Model:
             work=max(0.0, base["seconds_krylov"] - solves * reading_factor) * share,
             messages=iterations * message if P > 1 else 0.0,
             reductions=iterations * each["reductions"]["max"] * 2.0 * m.latency * hops,
-            gathering=solves * (2.0 * (P - 1) * m.overhead + 2.0 * m.latency * hops),
+            gathering=solves * 8.0 * grown * K / m.bandwidth,
             coarse_solves=solves * reading_factor * longer,
             coarse_shared=max(0.0, base["seconds_coarse"] - factoring) * share,
             coarse_factor=factoring * grown**1.5,
@@ -208,18 +206,17 @@ LIFT = {
         "CG with one reduction an iteration that overlaps with the products (PETSc's `pipecg`)",
     ),
     "gathering": (
-        "gathering the coarse right-hand side on one process",
-        "a tree, or a reduction, in place of a message from each process, or a copy of the coarse "
-        "factor on each node",
+        "gathering the coarse right-hand side on all processes",
+        "a third level: clusters of subdomains (hybrid FETI)",
     ),
     "coarse_solves": (
-        "coarse solves on one process",
+        "coarse solves, on every process as on one",
         "the inverse of N spread over the processes, or a third level: clusters of subdomains "
         "(hybrid FETI)",
     ),
     "coarse_shared": ("forming G and N", "it shrinks with the number of processes"),
     "coarse_factor": (
-        "factoring the coarse matrix on one process",
+        "factoring the coarse matrix, on every process as on one",
         "a factorisation on more processes, or a third level: clusters of subdomains (hybrid FETI)",
     ),
     "reading": (

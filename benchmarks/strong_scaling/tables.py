@@ -70,7 +70,6 @@ def count_tables(records: Sequence[Record]) -> Iterator[Table]:
             [
                 str(r["processes"]),
                 number(r["neighbours"]),
-                number(r["neighbours_of_first"]),
                 *_two(r["iteration"]["messages"]),
                 *_two(r["iteration"]["bytes"]),
                 number(r["iteration"]["reductions"]["max"]),
@@ -82,7 +81,7 @@ def count_tables(records: Sequence[Record]) -> Iterator[Table]:
             for r in of_one.counted
         ]
         if rows:
-            head = ["P", "neighbours, most", "of the first", "messages, mean", "most"]
+            head = ["P", "neighbours, most", "messages, mean", "most"]
             head += ["bytes, mean", "most", "reductions", "coarse solves"]
             head += ["set-up: messages, mean", "most", "kB, most", "reductions"]
             form = of_one.counted[-1]["formulation"]

@@ -144,8 +144,7 @@ def count(case: Record, comm: MPI.Comm) -> Record:
         | {
             "setup": _summary(setup),
             "iteration": _summary(each),
-            "neighbours": float(neighbours[1:].max(initial=0.0)),
-            "neighbours_of_first": float(neighbours[0]),
+            "neighbours": float(neighbours.max()),
             "balance": {
                 "entries of K": _balance(entries),
                 "flops of set-up": _balance(setup_flops),
@@ -220,7 +219,7 @@ def coarse_work(iterate: Callable[[int], object], comm: MPI.Comm) -> Record:
 
     Args:
         iterate: Does so many iterations.
-        comm: The first of its processes has the coarse factor.
+        comm: Its processes have the coarse factor.
 
     Returns:
         ``coarse_solves``, and ``coarse_entries`` and ``coarse_flops``, the entries of the factor

@@ -1,11 +1,13 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A small distributed system, solved on as few processes as serve.
+"""A small distributed system, of which every few processes hold a copy.
 
 The coarse matrix N has a few rows per subdomain. Spread over all processes it is mostly messages;
-so its rows move to the first processes, about :data:`ROWS` each, which factor it together. What
-fails there fails on all processes.
+on one of them it would have all others send to that one and wait for it. So each group of
+processes, one for about :data:`ROWS` rows, factors N for itself: a solve is one collective call
+that gives the right-hand side to all, and each process takes what it needs from its own group. What
+fails in a factorisation fails on all processes.
 """
 
 from __future__ import annotations
@@ -34,16 +36,16 @@ ROWS = 4000
 
 
 class GatheredSolver:
-    """Direct solver for a matrix whose rows live on the first few processes.
+    """Direct solver for a matrix that is gathered in each group of processes.
 
     Attributes:
-        ksp: The solver, on those processes; None elsewhere.
+        ksp: The solver of the process's group; None if there are no rows.
     """
 
     def __init__(
         self, N: PETSc.Mat, *, prefix: str, symmetric: bool, zero: float | None = None
     ) -> None:
-        """Move the rows and factor.
+        """Gather the rows and factor.
 
         Args:
             N: Matrix, (K, K), distributed anyhow.
@@ -58,28 +60,22 @@ class GatheredSolver:
         Note:
             Collective.
         """
-        comm = N.comm.tompi4py()
-        total = N.getSize()[0]
-        active = min(comm.size, max(1, -(-total // ROWS)))
-        first, last = (total * min(comm.rank + j, active) // active for j in (0, 1))
-        rows = PETSc.IS().createStride(last - first, first=first, step=1, comm=N.comm)
-        self._gathered = N.createSubMatrix(rows, rows)
-        self._b = self._gathered.createVecLeft()
-        self._x = self._gathered.createVecRight()
+        comm, total = N.comm.tompi4py(), N.getSize()[0]
+        self._world, self._own = comm, slice(*N.getOwnershipRange())
+        self._group = comm.Split(_group(comm.rank, comm.size, total), comm.rank)
+        rank, size = self._group.rank, self._group.size
+        self._rows = slice(total * rank // size, total * (rank + 1) // size)
         layout = N.createVecRight()
-        self._scatter = PETSc.Scatter().create(layout, rows, self._x, None)
+        self._to_all, self._whole = PETSc.Scatter.toAll(layout)
         layout.destroy()
-        rows.destroy()
-        self._comm = comm.Split(0 if comm.rank < active else MPI.UNDEFINED, comm.rank)
-        self._matrix, self._sub_b, self._sub_x = PETSc.Mat(), PETSc.Vec(), PETSc.Vec()
+        self._matrix = _copy_of_rows(N, self._rows, self._group)
+        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+        self._b, self._x = self._matrix.createVecs()
+        self._from_group, self._solution = PETSc.Scatter.toAll(self._x)
         self.ksp: PETSc.KSP | None = None
 
         def factor() -> None:
-            if self._comm != MPI.COMM_NULL and total:
-                csr, sizes = self._gathered.getValuesCSR(), (last - first, total)
-                self._matrix = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=self._comm)
-                self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
-                self._sub_b, self._sub_x = self._matrix.createVecs()
+            if total:
                 self.ksp = _factor(self._matrix, prefix, symmetric, zero)
 
         try:
@@ -93,14 +89,14 @@ class GatheredSolver:
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve N x = b, both in N's own layout; where the solver fails, x is NaN."""
-        forward, backward = PETSc.ScatterMode.FORWARD, PETSc.ScatterMode.REVERSE
-        self._scatter.scatter(b, self._b, mode=forward)
-        if self.ksp is not None:
-            self._sub_b.array[:] = self._b.array_r
-            self.ksp.solve(self._sub_b, self._sub_x)
-            solved = self.ksp.getConvergedReason() > 0
-            self._x.array[:] = self._sub_x.array_r if solved else np.nan
-        self._scatter.scatter(self._x, x, mode=backward)
+        if self.ksp is None:
+            return
+        self._to_all.scatter(b, self._whole)
+        self._b.array[:] = self._whole.array_r[self._rows]
+        self.ksp.solve(self._b, self._x)
+        self._from_group.scatter(self._x, self._solution)
+        solved = self.ksp.getConvergedReason() > 0
+        x.array[:] = self._solution.array_r[self._own] if solved else np.nan
 
     def memory(self) -> float | None:
         """Return the memory of the factor in MiB; None where the solver does not tell.
@@ -109,7 +105,7 @@ class GatheredSolver:
             Collective.
         """
         used = 0.0 if self.ksp is None else mebibytes(self.ksp.getPC())
-        return self._gathered.comm.tompi4py().bcast(used)
+        return self._world.bcast(used)
 
     def pivots(self) -> Pivots:
         """Return the number of negative and zero pivots; None where the factor does not tell.
@@ -118,17 +114,35 @@ class GatheredSolver:
             Collective.
         """
         counts = Pivots(0, 0) if self.ksp is None else pivots_of(self.ksp.getPC())
-        return self._gathered.comm.tompi4py().bcast(counts)
+        return self._world.bcast(counts)
 
     def destroy(self) -> None:
-        """Free solver, matrices and communicator."""
-        for owned in (self._gathered, self._b, self._x, self._scatter):
+        """Free solver, matrix and communicator."""
+        for owned in (self._to_all, self._whole, self._from_group, self._solution):
             owned.destroy()
-        for owned in (self.ksp, self._matrix, self._sub_b, self._sub_x):
-            if owned is not None and owned.handle:
+        for owned in (self.ksp, self._matrix, self._b, self._x):
+            if owned is not None:
                 owned.destroy()
-        if self._comm != MPI.COMM_NULL:
-            self._comm.Free()
+        self._group.Free()
+
+
+def _group(rank: int, processes: int, rows: int) -> int:
+    """Return the group of a process: so many consecutive ones that each has about ROWS rows."""
+    size = min(processes, max(1, -(-rows // ROWS)))
+    return min(rank // size, processes // size - 1)
+
+
+def _copy_of_rows(N: PETSc.Mat, rows: slice, group: MPI.Comm) -> PETSc.Mat:
+    """Return a copy of N, distributed over a group whose process has these rows. Collective."""
+    total = N.getSize()[0]
+    count = rows.stop - rows.start
+    taken = PETSc.IS().createStride(count, first=rows.start, step=1, comm=PETSc.COMM_SELF)
+    all_ = PETSc.IS().createStride(total, first=0, step=1, comm=PETSc.COMM_SELF)
+    (local,) = N.createSubMatrices(taken, all_)
+    csr = local.getValuesCSR()
+    for owned in (local, taken, all_):
+        owned.destroy()
+    return PETSc.Mat().createAIJ(((count, total), (count, total)), csr=csr, comm=group)
 
 
 def _factor(N: PETSc.Mat, prefix: str, symmetric: bool, zero: float | None) -> PETSc.KSP:
