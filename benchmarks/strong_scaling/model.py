@@ -22,7 +22,8 @@ iteration are those that were counted on the most processes; α, W, V and R are 
 in its factor and Φ operations to make it, is factored and solved by every process, as if by one;
 each solve gathers K numbers on all, which is one of the reductions. Beyond S processes there are as
 many subdomains as processes; K grows with them, L as K ln K and Φ as K^{3/2}, those of a wall,
-which is nearly two-dimensional. Reading the mesh is on one process; what else the program does is shared.
+which is nearly two-dimensional. Reading the mesh is on one process; what else the program does is
+shared.
 
 A mesh with ρ times the dofs, in the same subdomains, takes ρ times the work, and ρ^{2/3} times the
 bytes; its factors take more than that, so that this is a cautious estimate of the efficiency.
