@@ -30,8 +30,6 @@ each column.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -41,8 +39,8 @@ import numpy.typing as npt
 import scipy.sparse
 
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
-from dolfinx_feti.feti.copies import Copies, consecutive, star_forest
-from dolfinx_feti.torn import create_torn_matrix
+from dolfinx_feti.feti.coarse.near import Field, NearColumns, joined
+from dolfinx_feti.feti.copies import Copies, consecutive
 
 __all__ = ["AveragedSpace"]
 
@@ -106,13 +104,12 @@ class AveragedSpace:
         self.AV, energies, squares = [], [], []
         for i, W in enumerate(averaged_fields(copies, self.columns)):
             Y = multiply(i, W.values)  # Y = S W
-            self.AV.append(_Field(Y, W.numbers))
+            self.AV.append(Field(Y, W.numbers))
             energies.append(W.values.T @ Y)
             squares.append((W.values**2).sum(axis=0))
-        numbers = [Y.numbers for Y in self.AV]
-        self._near = consecutive([len(near) for near in numbers])
-        self._forest = star_forest(_joined(numbers).astype(np.int64), self.size, comm)
-        whole = _sum_of_blocks(energies, numbers, (self.size, self.total), comm)
+        counts = [U_i.shape[1] for U_i in U]
+        self._near = NearColumns([Y.numbers for Y in self.AV], counts, comm)
+        whole = self._near.sum(energies)
         self._basis = _independent(whole, self._own)
         self.A_0 = _change_of_basis(whole, self._basis)
         whole.destroy()
@@ -125,30 +122,31 @@ class AveragedSpace:
                 _size(multiply, i, rows.stop - rows.start) for i, rows in enumerate(copies.blocks)
             ]
             near = [EPS * size * square for size, square in zip(sizes, squares, strict=True)]
-            rounding = self._basis.multiply(self._basis).T @ self._to_owners(near)
+            rounding = self._basis.multiply(self._basis).T @ self._near.to_owners(joined(near))
             self._negative = self._count_negative(BOUNDS * rounding, prefix)
 
     def start(self, r: Array) -> Array:
         """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective."""
+        return self.prolong(self.solve(self._restrict(r)))
+
+    def correct(self, z: Array, r: Array) -> Array:
+        """Return z + V A₀⁻¹ (Vᵀ r − (A V)ᵀ z), of and by copies, (n,). Collective.
+
+        It is the projection of z where r is orthogonal to V, and removes what rounding leaves of r
+        along V elsewhere.
+        """
+        return z + self.prolong(self.solve(self._restrict(r) - self.energies(z)))
+
+    def _restrict(self, r: Array) -> Array:
+        """Return Vᵀ r of an assembled residual given by copies, (n,) → (size,)."""
         t = self._copies.delta * r
         blocks = zip(self.columns, self._copies.blocks, strict=True)
-        return self.prolong(self.solve(_joined([U.T @ t[rows] for U, rows in blocks])))
-
-    def project(self, z: Array) -> Array:
-        """Return z − V A₀⁻¹ (A V)ᵀ z, of and by copies, (n,). Collective."""
-        return z - self.prolong(self.solve(self.energies(z)))
+        return joined([U.T @ t[rows] for U, rows in blocks])
 
     def energies(self, z: Array) -> Array:
         """Return the energy products with the columns of this process, (A V)ᵀ z, (size,)."""
         blocks = zip(self.AV, self._copies.blocks, strict=True)
-        return self._to_owners([Y.values.T @ z[rows] for Y, rows in blocks])
-
-    def _to_owners(self, near: Sequence[Array]) -> Array:
-        """Sum what each subdomain has for its columns, (c_i,), at their owners, (size,)."""
-        leaves, own = _joined(near), np.zeros(self.size)
-        self._forest.reduceBegin(MPI.DOUBLE, leaves, own, MPI.SUM)
-        self._forest.reduceEnd(MPI.DOUBLE, leaves, own, MPI.SUM)
-        return own
+        return self._near.to_owners(joined([Y.values.T @ z[rows] for Y, rows in blocks]))
 
     def solve(self, e: Array) -> Array:
         """Return A₀⁻¹ e, both (size,). Collective."""
@@ -214,24 +212,11 @@ class AveragedSpace:
     def destroy(self) -> None:
         """Free matrices and solver."""
         self.solver.destroy()
-        for owned in (self.A_0, self._forest, self._x, self._y):
+        for owned in (self.A_0, self._near, self._x, self._y):
             owned.destroy()
 
 
-@dataclass(frozen=True, slots=True)
-class _Field:
-    """Columns on the interface of one subdomain.
-
-    Attributes:
-        values: Dense block, (n_i, c_i).
-        numbers: Number of each column over all processes, ascending, (c_i,).
-    """
-
-    values: Array
-    numbers: Numbers
-
-
-def averaged_fields(copies: Copies, U: Sequence[Array]) -> Iterator[_Field]:
+def averaged_fields(copies: Copies, U: Sequence[Array]) -> Iterator[Field]:
     """Average the columns of all subdomains, T V, as one dense block for each subdomain.
 
     Args:
@@ -258,7 +243,7 @@ def averaged_fields(copies: Copies, U: Sequence[Array]) -> Iterator[_Field]:
     owner_first = copies.values(np.repeat(first, sizes).astype(np.float64)).astype(np.int64)
     owner_count = copies.values(np.repeat(count, sizes).astype(np.float64)).astype(np.int64)
 
-    def field(rows: slice) -> _Field:
+    def field(rows: slice) -> Field:
         pairs = np.arange(*np.searchsorted(copies.row, [rows.start, rows.stop]))
         pairs = pairs[owner_count[pairs] > 0]
         row = copies.row[pairs] - rows.start
@@ -270,7 +255,7 @@ def averaged_fields(copies: Copies, U: Sequence[Array]) -> Iterator[_Field]:
 
 def _field(
     n: int, row: npt.NDArray[np.int32], first: Numbers, count: Numbers, values: Array
-) -> _Field:
+) -> Field:
     """Collect the columns of all owners of copies in one dense block.
 
     Args:
@@ -287,32 +272,13 @@ def _field(
         mine = group == j
         W[row[mine], block] = values[mine, : block.stop - block.start]
     numbers = [np.arange(f, f + k) for f, k in zip(owners, widths, strict=True)]
-    return _Field(W, _joined(numbers).astype(np.int64))
+    return Field(W, joined(numbers).astype(np.int64))
 
 
 def _size(multiply: Callable[[int, Array], Array], i: int, n: int) -> float:
     """Return a norm of the size of ‖S_i‖_F, (n, n)."""
     ω = np.random.default_rng(n).standard_normal((n, 1))
     return float(np.linalg.norm(multiply(i, ω)))
-
-
-def _sum_of_blocks(
-    blocks: Sequence[Array], numbers: Sequence[Numbers], sizes: tuple[int, int], comm: MPI.Comm
-) -> PETSc.Mat:
-    """Assemble dense blocks, rows and columns of each numbered over all processes."""
-    row = _joined([np.repeat(near, len(near)) for near in numbers]).astype(np.int64)
-    column = _joined([np.tile(near, len(near)) for near in numbers]).astype(np.int64)
-    near = np.unique(row)
-    place = (np.searchsorted(near, row), np.searchsorted(near, column))
-    values = _joined([block.ravel() for block in blocks])
-    local = scipy.sparse.csr_array((values, place), shape=(len(near), len(near)))
-    csr = tuple(part.astype(PETSc.IntType) for part in (local.indptr, local.indices))
-    K = PETSc.Mat().createAIJ(local.shape, csr=(*csr, local.data), comm=PETSc.COMM_SELF)
-    torn, A = create_torn_matrix(K, near, sizes, comm=comm), PETSc.Mat()
-    torn.convert("aij", A)
-    torn.destroy()
-    K.destroy()
-    return A
 
 
 def _independent(A: PETSc.Mat, blocks: Sequence[slice]) -> scipy.sparse.csr_array:
@@ -358,8 +324,3 @@ def _change_of_basis(A: PETSc.Mat, basis: scipy.sparse.csr_array) -> PETSc.Mat:
     A_0.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     B.destroy()
     return A_0
-
-
-def _joined(parts: Sequence[npt.NDArray[Any]]) -> npt.NDArray[Any]:
-    """Concatenate arrays, of which there may be none."""
-    return np.concatenate(parts) if parts else np.zeros(0)

@@ -69,12 +69,13 @@ def test_galerkin_matrix_and_projection(kind, interior, torn_grid, form):
     basis = scipy.linalg.block_diag(*COMM.allgather(space._basis.toarray()))
     equal(dense(space.A_0), basis.T @ exact.V.T @ exact.A @ exact.V @ basis, 1e-10)
     equal(dense(space.A_0).diagonal(), np.ones(space.A_0.getSize()[0]), 1e-12)
-    v = space.prolong(random(space.size))
-    small(np.abs(space.project(v)).max(initial=0.0), 1e-9 * np.abs(whole(v)).max())
-    z = space.project(copies.average(random(copies.n)))
+    v, zero = space.prolong(random(space.size)), np.zeros(copies.n)
+    small(np.abs(space.correct(v, zero)).max(initial=0.0), 1e-9 * np.abs(whole(v)).max())
+    z = space.correct(copies.average(random(copies.n)), zero)
     image = exact.V.T @ exact.A @ (exact.average @ whole(z))
     small(np.abs(image).max(), 1e-9 * np.abs(exact.A).max() * np.abs(whole(z)).max())
     r = copies.sum(random(copies.n))
+    agree(np.array_equal(space.start(r), space.correct(zero, r)))
     start = exact.average @ whole(space.start(r))
     equal(exact.V.T @ exact.A @ start, exact.V.T @ (exact.average @ whole(r)), 1e-9)
 
@@ -95,8 +96,8 @@ def test_dependent_columns_are_dropped(torn_grid, form):
     space = twice.system.space
     agree(space.dropped == plain.system.space.total + 6)
     agree(plain.system.space.dropped == 0 and space.negative() == 0)
-    z = plain.copies.average(random(plain.copies.n))
-    equal(space.project(z), plain.system.space.project(z), 1e-7)
+    z, zero = plain.copies.average(random(plain.copies.n)), np.zeros(plain.copies.n)
+    equal(space.correct(z, zero), plain.system.space.correct(z, zero), 1e-7)
 
 
 def volume_changes(cells):
