@@ -29,17 +29,17 @@ each column.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
+from dolfinx_feti.feti.coarse.fields import Field, averaged_fields
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
-from dolfinx_feti.feti.coarse.near import Field, NearColumns, joined
+from dolfinx_feti.feti.coarse.near import NearColumns, joined
 from dolfinx_feti.feti.copies import Copies, consecutive
 
 __all__ = ["AveragedSpace"]
@@ -214,65 +214,6 @@ class AveragedSpace:
         self.solver.destroy()
         for owned in (self.A_0, self._near, self._x, self._y):
             owned.destroy()
-
-
-def averaged_fields(copies: Copies, U: Sequence[Array]) -> Iterator[Field]:
-    """Average the columns of all subdomains, T V, as one dense block for each subdomain.
-
-    Args:
-        copies: Copies of the interface dofs.
-        U: For each subdomain its columns, (n_i, k_i), numbered on over subdomains and processes.
-
-    Returns:
-        The blocks, one after the other: together they are large.
-
-    Note:
-        Collective.
-    """
-    count = np.array([U_i.shape[1] for U_i in U], dtype=np.int64)
-    before = copies.comm.scan(int(count.sum())) - count.sum()
-    first = before + np.cumsum(count) - count
-    sizes = [rows.stop - rows.start for rows in copies.blocks]
-    most = copies.comm.allreduce(int(count.max(initial=0)), op=MPI.MAX)
-    values = np.empty((len(copies.row), most))
-    column = np.zeros(copies.n)
-    for j in range(most):
-        for U_i, rows in zip(U, copies.blocks, strict=True):
-            column[rows] = U_i[:, j] if j < U_i.shape[1] else 0.0
-        values[:, j] = copies.values(copies.delta * column)
-    owner_first = copies.values(np.repeat(first, sizes).astype(np.float64)).astype(np.int64)
-    owner_count = copies.values(np.repeat(count, sizes).astype(np.float64)).astype(np.int64)
-
-    def field(rows: slice) -> Field:
-        pairs = np.arange(*np.searchsorted(copies.row, [rows.start, rows.stop]))
-        pairs = pairs[owner_count[pairs] > 0]
-        row = copies.row[pairs] - rows.start
-        n = rows.stop - rows.start
-        return _field(n, row, owner_first[pairs], owner_count[pairs], values[pairs])
-
-    return map(field, copies.blocks)
-
-
-def _field(
-    n: int, row: npt.NDArray[np.int32], first: Numbers, count: Numbers, values: Array
-) -> Field:
-    """Collect the columns of all owners of copies in one dense block.
-
-    Args:
-        n: Rows of the block.
-        row: Row of each copy, (pairs,).
-        first: First column of the copy's owner, (pairs,).
-        count: Its number of columns, (pairs,).
-        values: The copy's values, in the first ``count`` entries, (pairs, most).
-    """
-    owners, at, group = np.unique(first, return_index=True, return_inverse=True)
-    widths: list[int] = [int(k) for k in count[at]]
-    W = np.zeros((n, sum(widths)), order="F")
-    for j, block in enumerate(consecutive(widths)):
-        mine = group == j
-        W[row[mine], block] = values[mine, : block.stop - block.start]
-    numbers = [np.arange(f, f + k) for f, k in zip(owners, widths, strict=True)]
-    return Field(W, joined(numbers).astype(np.int64))
 
 
 def _size(multiply: Callable[[int, Array], Array], i: int, n: int) -> float:

@@ -17,7 +17,6 @@ groups.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -30,23 +29,10 @@ import scipy.sparse
 from dolfinx_feti.feti.copies import consecutive, star_forest
 from dolfinx_feti.torn import create_torn_matrix
 
-__all__ = ["Field", "NearColumns", "joined"]
+__all__ = ["NearColumns", "joined"]
 
 Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True)
-class Field:
-    """Columns on the interface of one subdomain.
-
-    Attributes:
-        values: Dense block, (n_i, c_i).
-        numbers: Number of each column over all processes, ascending, (c_i,).
-    """
-
-    values: Array
-    numbers: Numbers
 
 
 class NearColumns:
