@@ -29,7 +29,7 @@ each column.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from petsc4py import PETSc
 
@@ -37,7 +37,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
-from dolfinx_feti.feti.coarse.fields import Field, averaged_fields
+from dolfinx_feti.feti.coarse.fields import averaged_fields
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.coarse.near import NearColumns, joined
 from dolfinx_feti.feti.copies import Copies, consecutive
@@ -71,7 +71,7 @@ class AveragedSpace:
         total: Number of columns over all processes.
         dropped: Number of dependent combinations among them, over all processes.
         columns: For each subdomain :math:`U_i`, (n_i, k_i).
-        AV: For each subdomain :math:`Y_i`, and the numbers of its columns.
+        AV: For each subdomain :math:`Y_i`, (n_i, c_i).
         A_0: The Galerkin matrix of the independent combinations.
         solver: Its factors.
     """
@@ -101,15 +101,19 @@ class AveragedSpace:
         self._own = consecutive([U_i.shape[1] for U_i in U])
         self.size = sum(U_i.shape[1] for U_i in U)
         self.total = comm.allreduce(self.size)
-        self.AV, energies, squares = [], [], []
-        for i, W in enumerate(averaged_fields(copies, self.columns)):
-            Y = multiply(i, W.values)  # Y = S W
-            self.AV.append(Field(Y, W.numbers))
-            energies.append(W.values.T @ Y)
-            squares.append((W.values**2).sum(axis=0))
-        counts = [U_i.shape[1] for U_i in U]
-        self._near = NearColumns([Y.numbers for Y in self.AV], counts, comm)
-        whole = self._near.sum(energies)
+        W = averaged_fields(copies, self.columns)
+        self._near = NearColumns(W.numbers, [U_i.shape[1] for U_i in U], comm)
+        self.AV: list[Array] = []
+        squares = []
+
+        def elements() -> Iterator[Array]:
+            for i in range(len(W)):
+                W_i = W[i]
+                self.AV.append(multiply(i, W_i))  # Y = S W
+                squares.append((W_i**2).sum(axis=0))
+                yield W_i.T @ self.AV[i]
+
+        whole = self._near.sum(elements())
         self._basis = _independent(whole, self._own)
         self.A_0 = _change_of_basis(whole, self._basis)
         whole.destroy()
@@ -146,7 +150,7 @@ class AveragedSpace:
     def energies(self, z: Array) -> Array:
         """Return the energy products with the columns of this process, (A V)ᵀ z, (size,)."""
         blocks = zip(self.AV, self._copies.blocks, strict=True)
-        return self._near.to_owners(joined([Y.values.T @ z[rows] for Y, rows in blocks]))
+        return self._near.to_owners(joined([Y.T @ z[rows] for Y, rows in blocks]))
 
     def solve(self, e: Array) -> Array:
         """Return A₀⁻¹ e, both (size,). Collective."""
@@ -204,10 +208,7 @@ class AveragedSpace:
 
     def memory(self) -> float:
         """Return the memory of the dense blocks of this process in MiB."""
-        return (
-            sum(U.nbytes + Y.values.nbytes for U, Y in zip(self.columns, self.AV, strict=True))
-            / 2**20
-        )
+        return sum(U.nbytes + Y.nbytes for U, Y in zip(self.columns, self.AV, strict=True)) / 2**20
 
     def destroy(self) -> None:
         """Free matrices and solver."""

@@ -46,7 +46,7 @@ Array = npt.NDArray[np.float64]
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 
 #: Share of the diagonal weight in Q = M + ε diag(q).
-EPSILON = 0.1
+EPSILON = 0.01
 
 
 class Coarse:
@@ -109,9 +109,9 @@ class Coarse:
         self.N = self.G_left.transposeMatMult(weighed)  # N = Gᵀ q G, the diagonal part of Q
         weighed.destroy()
         if self.MG is not None:
-            rest = self.MG.galerkin_matrix()  # Gᵀ M G
-            self.N.axpy(1.0, rest, structure=DIFFERENT)
-            rest.destroy()
+            self.N.axpy(1.0, self.MG.galerkin_matrix, structure=DIFFERENT)  # Gᵀ M G
+            if self.exact:  # only a matrix that may be indefinite is looked at again
+                self.MG.galerkin_matrix.destroy()
         self.N.axpy(1.0, self.D, structure=DIFFERENT)
         self.N.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self.solver = GatheredSolver(self.N, prefix=prefix, symmetric=symmetric)

@@ -16,7 +16,8 @@ the primal form (``averaged``), the second what the preconditioner of the dual f
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -24,110 +25,126 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.feti.coarse.near import joined
-from dolfinx_feti.feti.copies import Copies, consecutive
+from dolfinx_feti.feti.copies import Copies
 
-__all__ = ["Field", "averaged_fields", "jump_fields"]
+__all__ = ["Fields", "averaged_fields", "jump_fields"]
 
 Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True)
-class Field:
-    """Columns on the interface of one subdomain.
+class Fields:
+    """What each subdomain sees of the columns, formed when it is asked for: together it is large.
 
     Attributes:
-        values: Dense block, (n_i, c_i).
-        numbers: Number of each column over all processes, ascending, (c_i,).
+        numbers: Numbers of the columns of each subdomain over all processes, ascending, (c_i,).
     """
 
+    def __init__(self, copies: Copies, pairs: _Pairs) -> None:
+        """Sort out whose columns there are.
+
+        Args:
+            copies: Copies of the interface dofs.
+            pairs: What there is on their rows.
+        """
+        self._rows = copies.blocks
+        self._pairs = pairs
+        ends = np.searchsorted(pairs.row, [rows.start for rows in self._rows] + [copies.n])
+        self._mine = [slice(*pair) for pair in itertools.pairwise(ends.tolist())]
+        owner = np.where(pairs.count > 0, pairs.first, -1)
+        self.numbers: list[Numbers] = []
+        self._begin: list[Numbers] = []  # first column in the block, for each pair
+        for mine in self._mine:
+            owners, at, group = np.unique(owner[mine], return_index=True, return_inverse=True)
+            width = np.where(owners < 0, 0, pairs.count[mine][at])
+            begin = np.cumsum(width) - width
+            self._begin.append(begin[group])
+            self.numbers.append(
+                np.arange(int(width.sum())) + np.repeat(owners - begin, width),
+            )
+
+    def __len__(self) -> int:
+        """Return the number of subdomains."""
+        return len(self.numbers)
+
+    def __getitem__(self, i: int) -> Array:
+        """Return the dense block of subdomain i, (n_i, c_i)."""
+        rows, mine, values = self._rows[i], self._mine[i], self._pairs.values[self._mine[i]]
+        pair, place = np.nonzero(np.arange(values.shape[1]) < self._pairs.count[mine][:, None])
+        W = np.zeros((rows.stop - rows.start, len(self.numbers[i])), order="F")
+        to = (self._pairs.row[mine][pair] - rows.start, self._begin[i][pair] + place)
+        np.add.at(W, to, values[pair, place])
+        return W
+
+
+def averaged_fields(copies: Copies, U: Sequence[Array]) -> Fields:
+    """Return the averaged columns of all subdomains, T V, subdomain by subdomain.
+
+    Args:
+        copies: Copies of the interface dofs.
+        U: For each subdomain its columns, (n_i, k_i), numbered on over subdomains and processes.
+
+    Note:
+        Collective.
+    """
+    return Fields(copies, _averages(copies, U))
+
+
+def jump_fields(copies: Copies, U: Sequence[Array]) -> Fields:
+    """Return the scaled jumps of the columns of all subdomains, B_Dᵀ B U = U − T V.
+
+    The arguments are those of :func:`averaged_fields`.
+
+    Note:
+        Collective.
+    """
+    averages = _averages(copies, U)
+    own = _own(copies, U)
+    every = np.concatenate([averages.row, own.row])
+    order = np.argsort(every, kind="stable")
+    pairs = _Pairs(
+        every[order],
+        np.concatenate([averages.first, own.first])[order],
+        np.concatenate([averages.count, own.count])[order],
+        np.concatenate([-averages.values, own.values])[order],
+    )
+    return Fields(copies, pairs)
+
+
+@dataclass(frozen=True, slots=True)
+class _Pairs:
+    """What columns of single subdomains have on single rows.
+
+    Attributes:
+        row: Row of the interface, ascending, (pairs,).
+        first: First column of the subdomain, (pairs,).
+        count: Its number of columns, (pairs,).
+        values: Their values, in the first ``count`` entries, (pairs, most).
+    """
+
+    row: npt.NDArray[np.integer]
+    first: Numbers
+    count: Numbers
     values: Array
-    numbers: Numbers
 
 
-def jump_fields(copies: Copies, U: Sequence[Array]) -> Iterator[Field]:
-    """Return the scaled jumps of the columns of all subdomains, B_Dᵀ B U, subdomain by subdomain.
-
-    Args:
-        copies: Copies of the interface dofs.
-        U: For each subdomain its columns, (n_i, k_i), numbered on over subdomains and processes.
-
-    Returns:
-        The blocks, one after the other: together they are large.
-
-    Note:
-        Collective.
-    """
-    size = sum(U_i.shape[1] for U_i in U)
-    first = copies.comm.scan(size) - size
-    owned = consecutive([U_i.shape[1] for U_i in U])
-
-    def jump(field: Field, U_i: Array, own: slice) -> Field:
-        mine = np.arange(first + own.start, first + own.stop)
-        numbers = np.union1d(field.numbers, mine)
-        values = np.zeros((len(U_i), len(numbers)), order="F")
-        values[:, np.searchsorted(numbers, mine)] = U_i
-        values[:, np.searchsorted(numbers, field.numbers)] -= field.values
-        return Field(values, numbers)
-
-    return map(jump, averaged_fields(copies, U), U, owned)
-
-
-def averaged_fields(copies: Copies, U: Sequence[Array]) -> Iterator[Field]:
-    """Average the columns of all subdomains, T V, as one dense block for each subdomain.
-
-    Args:
-        copies: Copies of the interface dofs.
-        U: For each subdomain its columns, (n_i, k_i), numbered on over subdomains and processes.
-
-    Returns:
-        The blocks, one after the other: together they are large.
-
-    Note:
-        Collective.
-    """
+def _own(copies: Copies, U: Sequence[Array]) -> _Pairs:
+    """Return the columns of each subdomain on its own rows."""
     count = np.array([U_i.shape[1] for U_i in U], dtype=np.int64)
-    before = copies.comm.scan(int(count.sum())) - count.sum()
-    first = before + np.cumsum(count) - count
+    first = copies.comm.scan(int(count.sum())) - count.sum() + np.cumsum(count) - count
     sizes = [rows.stop - rows.start for rows in copies.blocks]
     most = copies.comm.allreduce(int(count.max(initial=0)), op=MPI.MAX)
-    values = np.empty((len(copies.row), most))
-    column = np.zeros(copies.n)
-    for j in range(most):
-        for U_i, rows in zip(U, copies.blocks, strict=True):
-            column[rows] = U_i[:, j] if j < U_i.shape[1] else 0.0
-        values[:, j] = copies.values(copies.delta * column)
-    owner_first = copies.values(np.repeat(first, sizes).astype(np.float64)).astype(np.int64)
-    owner_count = copies.values(np.repeat(count, sizes).astype(np.float64)).astype(np.int64)
-
-    def field(rows: slice) -> Field:
-        pairs = np.arange(*np.searchsorted(copies.row, [rows.start, rows.stop]))
-        pairs = pairs[owner_count[pairs] > 0]
-        row = copies.row[pairs] - rows.start
-        n = rows.stop - rows.start
-        return _field(n, row, owner_first[pairs], owner_count[pairs], values[pairs])
-
-    return map(field, copies.blocks)
+    values = np.zeros((copies.n, most))
+    for U_i, rows in zip(U, copies.blocks, strict=True):
+        values[rows, : U_i.shape[1]] = U_i
+    return _Pairs(np.arange(copies.n), np.repeat(first, sizes), np.repeat(count, sizes), values)
 
 
-def _field(
-    n: int, row: npt.NDArray[np.int32], first: Numbers, count: Numbers, values: Array
-) -> Field:
-    """Collect the columns of all owners of copies in one dense block.
-
-    Args:
-        n: Rows of the block.
-        row: Row of each copy, (pairs,).
-        first: First column of the copy's owner, (pairs,).
-        count: Its number of columns, (pairs,).
-        values: The copy's values, in the first ``count`` entries, (pairs, most).
-    """
-    owners, at, group = np.unique(first, return_index=True, return_inverse=True)
-    widths: list[int] = [int(k) for k in count[at]]
-    W = np.zeros((n, sum(widths)), order="F")
-    for j, block in enumerate(consecutive(widths)):
-        mine = group == j
-        W[row[mine], block] = values[mine, : block.stop - block.start]
-    numbers = [np.arange(f, f + k) for f, k in zip(owners, widths, strict=True)]
-    return Field(W, joined(numbers).astype(np.int64))
+def _averages(copies: Copies, U: Sequence[Array]) -> _Pairs:
+    """Return δ U at each copy of each row. Collective."""
+    own = _own(copies, U)
+    first, count = (copies.values(of.astype(np.float64)) for of in (own.first, own.count))
+    values = np.empty((len(copies.row), own.values.shape[1]))
+    for j in range(values.shape[1]):
+        values[:, j] = copies.values(copies.delta * own.values[:, j])
+    return _Pairs(copies.row, first.astype(np.int64), count.astype(np.int64), values)

@@ -99,9 +99,9 @@ def galerkin_matrix(
         )
         energy.update(modes.props)
     MG = coarse.MG
-    if MG is None or energy is not preconditioner:
+    if MG is None or coarse.exact or energy is not preconditioner:
         MG = WeightedColumns(gluing, modes, energy)
-    A_0 = MG.galerkin_matrix()  # Gᵀ M₊ G
+    A_0 = MG.galerkin_matrix.copy()  # Gᵀ M₊ G
     if MG is not coarse.MG:
         MG.destroy()
     least = A_0.getDiagonal()

@@ -13,7 +13,7 @@ of two subdomains and all of their neighbours: many times as many entries as the
 
 from __future__ import annotations
 
-from petsc4py import PETSc
+from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +35,7 @@ class WeightedColumns:
 
     Attributes:
         blocks: For each subdomain :math:`Y_i`, (n_i, c_i).
+        galerkin_matrix: Gᵀ M G, (K, K), with G from Kᵀ on the left.
     """
 
     def __init__(self, gluing: Gluing, modes: Modes, preconditioner: Preconditioner) -> None:
@@ -51,21 +52,22 @@ class WeightedColumns:
         self._M = preconditioner
         self._copies = Copies(preconditioner.torn, preconditioner.interface, gluing.delta)
         on_interface = preconditioner.on_interface
-        self._E = [E[on] for E, on in zip(modes.E, on_interface, strict=True)]
-        self._E_left = self._E
+        E = [E_i[on] for E_i, on in zip(modes.E, on_interface, strict=True)]
+        W = W_left = jump_fields(self._copies, E)
         if not modes.symmetric:
-            self._E_left = [E[on] for E, on in zip(modes.E_left, on_interface, strict=True)]
-        self.blocks, numbers = [], []
-        for i, W in enumerate(jump_fields(self._copies, self._E)):
-            self.blocks.append(preconditioner.image(i, W.values))  # Y = (S + Y_Z Y_Zᵀ) W
-            numbers.append(W.numbers)
-        counts = [E.shape[1] for E in self._E]
-        self._near = NearColumns(numbers, counts, preconditioner.torn.comm)
+            E_left = [E_i[on] for E_i, on in zip(modes.E_left, on_interface, strict=True)]
+            W_left = jump_fields(self._copies, E_left)
+        counts = [E_i.shape[1] for E_i in E]
+        self._near = NearColumns(W.numbers, counts, preconditioner.torn.comm)
+        self.blocks: list[Array] = []
 
-    def galerkin_matrix(self) -> PETSc.Mat:
-        """Form Gᵀ M G, (K, K), with G from Kᵀ on the left; the caller destroys it. Collective."""
-        fields = zip(jump_fields(self._copies, self._E_left), self.blocks, strict=True)
-        return self._near.sum(W.values.T @ Y for W, Y in fields)
+        def elements() -> Iterator[Array]:
+            for i in range(len(W)):
+                W_i = W[i]
+                self.blocks.append(preconditioner.image(i, W_i))  # Y = (S + Y_Z Y_Zᵀ) W
+                yield (W_i if W_left is W else W_left[i]).T @ self.blocks[i]
+
+        self.galerkin_matrix = self._near.sum(elements())
 
     def multiply(self, s: Array) -> Array:
         """Return M G s, (K,) → (m,) or (K, r) → (m, r). Collective."""
@@ -86,5 +88,6 @@ class WeightedColumns:
 
     def destroy(self) -> None:
         """Free the star forests."""
+        self.galerkin_matrix.destroy()
         self._near.destroy()
         self._copies.destroy()

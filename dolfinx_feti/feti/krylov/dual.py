@@ -21,6 +21,10 @@ For D = 0 its λ-part is :math:`P M P^⊤ r`, the projected method of the paper 
 Augustin_eq:dualProblem), in which s plays no part before the end: conjugate gradients then leave s
 as it is (``frozen``), because where the spectrum of M F is far from one their rounding errors in s
 grow without bound.
+
+Where Q has M in it, Q stands for M: :math:`z = (Q (r - G w), -w)` is balanced as it is,
+:math:`G^⊤ Q r - N w = 0`, with one coarse solve. Here s is never frozen: w is to shrink with r, or
+its rounding errors would unbalance z.
 """
 
 from __future__ import annotations
@@ -135,6 +139,8 @@ class DualSystem:
         """
         r, w = self.project(x[: self.m])
         y, t = self._M.apply(r)  # y = M (r − G w)
+        if self._coarse.MG is not None:
+            return np.concatenate([y + self._q * r, -w]), self._norm(t)  # (Q (r − G w), −w)
         v = self._coarse.solve(self._G_left.T @ y - self._D @ w)  # v = N⁻¹ (Gᵀ y − D w)
         s = np.zeros_like(w) if self.frozen else -w - v
         return np.concatenate([y - self.weighted_jump(v), s]), self._norm(t)  # (y − Q G v, −w − v)

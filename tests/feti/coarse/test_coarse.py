@@ -35,7 +35,7 @@ def weight(problem, system, q):
     if q == "diagonal":
         return Q
     M = matrix_of_map(lambda r: system.preconditioner.apply(r)[0], system.dual.m)
-    return M + 0.1 * Q
+    return M + 0.01 * Q
 
 
 @every_type
