@@ -63,21 +63,23 @@ class GatheredSolver:
         active = min(comm.size, max(1, -(-total // ROWS)))
         first, last = (total * min(comm.rank + j, active) // active for j in (0, 1))
         rows = PETSc.IS().createStride(last - first, first=first, step=1, comm=N.comm)
-        self._gathered = N.createSubMatrix(rows, rows)
-        self._b = self._gathered.createVecLeft()
-        self._x = self._gathered.createVecRight()
+        gathered = N.createSubMatrix(rows, rows)
+        self._b, self._x = gathered.createVecLeft(), gathered.createVecRight()
         layout = N.createVecRight()
         self._scatter = PETSc.Scatter().create(layout, rows, self._x, None)
         layout.destroy()
         rows.destroy()
+        self._every = comm
         self._comm = comm.Split(0 if comm.rank < active else MPI.UNDEFINED, comm.rank)
         self._matrix, self._sub_b, self._sub_x = PETSc.Mat(), PETSc.Vec(), PETSc.Vec()
         self.ksp: PETSc.KSP | None = None
 
         def factor() -> None:
             if self._comm != MPI.COMM_NULL and total:
-                csr, sizes = self._gathered.getValuesCSR(), (last - first, total)
+                csr, sizes = gathered.getValuesCSR(), (last - first, total)
+                gathered.destroy()  # one copy of a large matrix is enough
                 self._matrix = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=self._comm)
+                del csr
                 self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
                 self._sub_b, self._sub_x = self._matrix.createVecs()
                 self.ksp = _factor(self._matrix, prefix, symmetric, zero)
@@ -90,6 +92,8 @@ class GatheredSolver:
                 f"The coarse problem could not be factored ({reason(error)}): look at the options "
                 f"-{prefix}…"
             ) from error
+        finally:
+            gathered.destroy()
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve N x = b, both in N's own layout; where the solver fails, x is NaN."""
@@ -109,7 +113,7 @@ class GatheredSolver:
             Collective.
         """
         used = 0.0 if self.ksp is None else mebibytes(self.ksp.getPC())
-        return self._gathered.comm.tompi4py().bcast(used)
+        return self._every.bcast(used)
 
     def pivots(self) -> Pivots:
         """Return the number of negative and zero pivots; None where the factor does not tell.
@@ -118,11 +122,11 @@ class GatheredSolver:
             Collective.
         """
         counts = Pivots(0, 0) if self.ksp is None else pivots_of(self.ksp.getPC())
-        return self._gathered.comm.tompi4py().bcast(counts)
+        return self._every.bcast(counts)
 
     def destroy(self) -> None:
         """Free solver, matrices and communicator."""
-        for owned in (self._gathered, self._b, self._x, self._scatter):
+        for owned in (self._b, self._x, self._scatter):
             owned.destroy()
         for owned in (self.ksp, self._matrix, self._sub_b, self._sub_x):
             if owned is not None and owned.handle:
