@@ -122,8 +122,9 @@ def flux_of(system, copies, K_p, patterns):
 
 
 @every_type
-def test_flux_columns(kind, torn_grid, form):
+def test_flux_columns(kind, torn_grid, form, monkeypatch):
     """They balance the flux, and a large κ costs fewer iterations."""
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.flux.DOFS", 4)
     cells = (4, 4)
     K_p, patterns = volume_changes(cells)
     iterations = {}
@@ -156,3 +157,17 @@ def test_flux_columns(kind, torn_grid, form):
         agree(most <= 1e-7 if with_flux else most > 1e-4)
     agree(iterations[1e2, True] < iterations[1e2, False], iterations)
     agree(iterations[1e6, False] >= 1.3 * iterations[1e6, True], iterations)
+
+
+def test_small_subdomains_have_few_flux_columns(torn_grid, form):
+    """One for each 64 dofs of the interface, and one at least."""
+    problem = torn_grid((2, 1), (9, 3), components=2)
+    copies = form(problem, type="all_floating", interior="eliminate").copies
+    sizes = [rows.stop - rows.start for rows in copies.blocks]
+    for dofs, patterns in ((64, 3), (7, 3), (1, 3), (7, 0)):
+        g = np.random.default_rng(SEED).standard_normal((copies.n, patterns))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("dolfinx_feti.feti.coarse.flux.DOFS", dofs)
+            columns = flux_columns(copies, g, lambda i, c: c)
+        most = [min(patterns, max(1, n // dofs)) for n in sizes]
+        agree([U.shape[1] for U in columns] == most, (dofs, sizes))
