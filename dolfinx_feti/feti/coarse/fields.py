@@ -50,7 +50,7 @@ class Fields:
         self._rows = copies.blocks
         self._pairs = pairs
         ends = np.searchsorted(pairs.row, [rows.start for rows in self._rows] + [copies.n])
-        self._mine = [slice(*pair) for pair in itertools.pairwise(ends.tolist())]
+        self._mine = [slice(*pair) for pair in itertools.pairwise(ends)]
         owner = np.where(pairs.count > 0, pairs.first, -1)
         self.numbers: list[Numbers] = []
         self._begin: list[Numbers] = []  # first column in the block, for each pair

@@ -107,9 +107,9 @@ class NearColumns:
         columns = np.repeat(row[panels.indices] - before[:-1], width[panels.indices])
         columns += np.arange(before[-1])
         indices = np.empty(len(data), dtype=PETSc.IntType)
-        for a, w in enumerate(width):
-            own = indices[indptr[row[a]] : indptr[row[a] + w]].reshape(w, -1)
-            own[:] = columns[slice(*before[panels.indptr[a : a + 2]])]
+        for k, w in enumerate(width):
+            rows = indices[indptr[row[k]] : indptr[row[k] + w]].reshape(w, -1)
+            rows[:] = columns[slice(*before[panels.indptr[k : k + 2]])]
         csr = (indptr.astype(PETSc.IntType), indices, data)
         K = PETSc.Mat().createAIJWithArrays((row[-1], row[-1]), csr, comm=PETSc.COMM_SELF)
         numbers = joined([np.arange(f, f + w) for f, w in zip(first, width, strict=True)])
