@@ -49,7 +49,7 @@ ENTRY, ROW_ENTRY, BLOCK_ENTRY = 16.0, 12.0, 20.0
 GLUED = 1500.0
 
 #: Bytes per glued dof in the product of the preconditioner with G, for Q = preconditioner.
-PRODUCT = 14000.0
+PRODUCT = 3000.0
 
 #: Bytes per factor besides its entries.
 FACTOR = 0.15e6

@@ -193,7 +193,7 @@ def create_dual_form(pattern: Pattern, factored: Factored) -> DualForm:
             pattern.inverse,
             pattern.preconditioner,
             coarse,
-            frozen=coarse.exact and method.is_cg,
+            frozen=coarse.exact and coarse.MG is None and method.is_cg,
         )
         owned.pop_all()
     return DualForm(

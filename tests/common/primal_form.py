@@ -121,11 +121,15 @@ class Dense:
         return self.average @ self.E
 
     @property
+    def coarse(self) -> Array:
+        """V A₀⁺ Vᵀ, (N, N)."""
+        V = self.V
+        return V @ np.linalg.pinv(V.T @ self.A @ V, rcond=1e-10, hermitian=True) @ V.T
+
+    @property
     def preconditioner(self) -> Array:
         """Π Tᵀ δ K_ρ⁻¹ δ T, (N, N)."""
-        V, A = self.V, self.A
-        A_0 = np.linalg.pinv(V.T @ A @ V, rcond=1e-10, hermitian=True)
-        projection = np.eye(len(A)) - V @ A_0 @ V.T @ A
+        projection = np.eye(len(self.A)) - self.coarse @ self.A
         return projection @ self.average @ np.linalg.solve(self.S_ρ, self.average.T)
 
 

@@ -34,10 +34,16 @@ def spectrum(feti, problem, load=1.0, **options):
 
 
 def eigenvalues(system):
-    """Eigenvalues of P M Pᵀ F on the balanced multipliers modulo the kernel of Bᵀ, dense."""
+    """Eigenvalues of P M Pᵀ F on the balanced multipliers modulo the kernel of Bᵀ, dense.
+
+    Where Q has M in it, it stands for M.
+    """
     F = matrix_of_map(system.dual.flexibility, system.dual.m)
     M = matrix_of_map(lambda r: system.preconditioner.apply(r)[0], system.dual.m)
-    G, QG, N = (dense(getattr(system.coarse, name)) for name in ("G", "QG", "N"))
+    if system.coarse.MG is not None:
+        M += np.diag(whole(system.coarse.q.array_r))
+    G, N = (dense(getattr(system.coarse, name)) for name in ("G", "N"))
+    QG = matrix_of_map(system.dual.weighted_jump, system.coarse.size)
     P = np.eye(len(F)) - QG @ np.linalg.solve(N, G.T)
     values = np.linalg.eigvals(P @ M @ P.T @ F)
     assert np.abs(values.imag).max() < 1e-8

@@ -30,19 +30,17 @@ each column.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
+from dolfinx_feti.feti.coarse.fields import averaged_fields
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
-from dolfinx_feti.feti.copies import Copies, consecutive, star_forest
-from dolfinx_feti.torn import create_torn_matrix
+from dolfinx_feti.feti.coarse.near import NearColumns, joined
+from dolfinx_feti.feti.copies import Copies, consecutive
 
 __all__ = ["AveragedSpace"]
 
@@ -73,7 +71,7 @@ class AveragedSpace:
         total: Number of columns over all processes.
         dropped: Number of dependent combinations among them, over all processes.
         columns: For each subdomain :math:`U_i`, (n_i, k_i).
-        AV: For each subdomain :math:`Y_i`, and the numbers of its columns.
+        AV: For each subdomain :math:`Y_i`, (n_i, c_i).
         A_0: The Galerkin matrix of the independent combinations.
         solver: Its factors.
     """
@@ -103,16 +101,19 @@ class AveragedSpace:
         self._own = consecutive([U_i.shape[1] for U_i in U])
         self.size = sum(U_i.shape[1] for U_i in U)
         self.total = comm.allreduce(self.size)
-        self.AV, energies, squares = [], [], []
-        for i, W in enumerate(averaged_fields(copies, self.columns)):
-            Y = multiply(i, W.values)  # Y = S W
-            self.AV.append(_Field(Y, W.numbers))
-            energies.append(W.values.T @ Y)
-            squares.append((W.values**2).sum(axis=0))
-        numbers = [Y.numbers for Y in self.AV]
-        self._near = consecutive([len(near) for near in numbers])
-        self._forest = star_forest(_joined(numbers).astype(np.int64), self.size, comm)
-        whole = _sum_of_blocks(energies, numbers, (self.size, self.total), comm)
+        W = averaged_fields(copies, self.columns)
+        self._near = NearColumns(W.numbers, [U_i.shape[1] for U_i in U], comm)
+        self.AV: list[Array] = []
+        squares = []
+
+        def elements() -> Iterator[Array]:
+            for i in range(len(W)):
+                W_i = W[i]
+                self.AV.append(multiply(i, W_i))  # Y = S W
+                squares.append((W_i**2).sum(axis=0))
+                yield W_i.T @ self.AV[i]
+
+        whole = self._near.sum(elements())
         self._basis = _independent(whole, self._own)
         self.A_0 = _change_of_basis(whole, self._basis)
         whole.destroy()
@@ -125,30 +126,31 @@ class AveragedSpace:
                 _size(multiply, i, rows.stop - rows.start) for i, rows in enumerate(copies.blocks)
             ]
             near = [EPS * size * square for size, square in zip(sizes, squares, strict=True)]
-            rounding = self._basis.multiply(self._basis).T @ self._to_owners(near)
+            rounding = self._basis.multiply(self._basis).T @ self._near.to_owners(joined(near))
             self._negative = self._count_negative(BOUNDS * rounding, prefix)
 
     def start(self, r: Array) -> Array:
         """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective."""
+        return self.prolong(self.solve(self._restrict(r)))
+
+    def correct(self, z: Array, r: Array) -> Array:
+        """Return z + V A₀⁻¹ (Vᵀ r − (A V)ᵀ z), of and by copies, (n,). Collective.
+
+        It is the projection of z where r is orthogonal to V, and removes what rounding leaves of r
+        along V elsewhere.
+        """
+        return z + self.prolong(self.solve(self._restrict(r) - self.energies(z)))
+
+    def _restrict(self, r: Array) -> Array:
+        """Return Vᵀ r of an assembled residual given by copies, (n,) → (size,)."""
         t = self._copies.delta * r
         blocks = zip(self.columns, self._copies.blocks, strict=True)
-        return self.prolong(self.solve(_joined([U.T @ t[rows] for U, rows in blocks])))
-
-    def project(self, z: Array) -> Array:
-        """Return z − V A₀⁻¹ (A V)ᵀ z, of and by copies, (n,). Collective."""
-        return z - self.prolong(self.solve(self.energies(z)))
+        return joined([U.T @ t[rows] for U, rows in blocks])
 
     def energies(self, z: Array) -> Array:
         """Return the energy products with the columns of this process, (A V)ᵀ z, (size,)."""
         blocks = zip(self.AV, self._copies.blocks, strict=True)
-        return self._to_owners([Y.values.T @ z[rows] for Y, rows in blocks])
-
-    def _to_owners(self, near: Sequence[Array]) -> Array:
-        """Sum what each subdomain has for its columns, (c_i,), at their owners, (size,)."""
-        leaves, own = _joined(near), np.zeros(self.size)
-        self._forest.reduceBegin(MPI.DOUBLE, leaves, own, MPI.SUM)
-        self._forest.reduceEnd(MPI.DOUBLE, leaves, own, MPI.SUM)
-        return own
+        return self._near.to_owners(joined([Y.T @ z[rows] for Y, rows in blocks]))
 
     def solve(self, e: Array) -> Array:
         """Return A₀⁻¹ e, both (size,). Collective."""
@@ -206,113 +208,19 @@ class AveragedSpace:
 
     def memory(self) -> float:
         """Return the memory of the dense blocks of this process in MiB."""
-        return (
-            sum(U.nbytes + Y.values.nbytes for U, Y in zip(self.columns, self.AV, strict=True))
-            / 2**20
-        )
+        return sum(U.nbytes + Y.nbytes for U, Y in zip(self.columns, self.AV, strict=True)) / 2**20
 
     def destroy(self) -> None:
         """Free matrices and solver."""
         self.solver.destroy()
-        for owned in (self.A_0, self._forest, self._x, self._y):
+        for owned in (self.A_0, self._near, self._x, self._y):
             owned.destroy()
-
-
-@dataclass(frozen=True, slots=True)
-class _Field:
-    """Columns on the interface of one subdomain.
-
-    Attributes:
-        values: Dense block, (n_i, c_i).
-        numbers: Number of each column over all processes, ascending, (c_i,).
-    """
-
-    values: Array
-    numbers: Numbers
-
-
-def averaged_fields(copies: Copies, U: Sequence[Array]) -> Iterator[_Field]:
-    """Average the columns of all subdomains, T V, as one dense block for each subdomain.
-
-    Args:
-        copies: Copies of the interface dofs.
-        U: For each subdomain its columns, (n_i, k_i), numbered on over subdomains and processes.
-
-    Returns:
-        The blocks, one after the other: together they are large.
-
-    Note:
-        Collective.
-    """
-    count = np.array([U_i.shape[1] for U_i in U], dtype=np.int64)
-    before = copies.comm.scan(int(count.sum())) - count.sum()
-    first = before + np.cumsum(count) - count
-    sizes = [rows.stop - rows.start for rows in copies.blocks]
-    most = copies.comm.allreduce(int(count.max(initial=0)), op=MPI.MAX)
-    values = np.empty((len(copies.row), most))
-    column = np.zeros(copies.n)
-    for j in range(most):
-        for U_i, rows in zip(U, copies.blocks, strict=True):
-            column[rows] = U_i[:, j] if j < U_i.shape[1] else 0.0
-        values[:, j] = copies.values(copies.delta * column)
-    owner_first = copies.values(np.repeat(first, sizes).astype(np.float64)).astype(np.int64)
-    owner_count = copies.values(np.repeat(count, sizes).astype(np.float64)).astype(np.int64)
-
-    def field(rows: slice) -> _Field:
-        pairs = np.arange(*np.searchsorted(copies.row, [rows.start, rows.stop]))
-        pairs = pairs[owner_count[pairs] > 0]
-        row = copies.row[pairs] - rows.start
-        n = rows.stop - rows.start
-        return _field(n, row, owner_first[pairs], owner_count[pairs], values[pairs])
-
-    return map(field, copies.blocks)
-
-
-def _field(
-    n: int, row: npt.NDArray[np.int32], first: Numbers, count: Numbers, values: Array
-) -> _Field:
-    """Collect the columns of all owners of copies in one dense block.
-
-    Args:
-        n: Rows of the block.
-        row: Row of each copy, (pairs,).
-        first: First column of the copy's owner, (pairs,).
-        count: Its number of columns, (pairs,).
-        values: The copy's values, in the first ``count`` entries, (pairs, most).
-    """
-    owners, at, group = np.unique(first, return_index=True, return_inverse=True)
-    widths: list[int] = [int(k) for k in count[at]]
-    W = np.zeros((n, sum(widths)), order="F")
-    for j, block in enumerate(consecutive(widths)):
-        mine = group == j
-        W[row[mine], block] = values[mine, : block.stop - block.start]
-    numbers = [np.arange(f, f + k) for f, k in zip(owners, widths, strict=True)]
-    return _Field(W, _joined(numbers).astype(np.int64))
 
 
 def _size(multiply: Callable[[int, Array], Array], i: int, n: int) -> float:
     """Return a norm of the size of ‖S_i‖_F, (n, n)."""
     ω = np.random.default_rng(n).standard_normal((n, 1))
     return float(np.linalg.norm(multiply(i, ω)))
-
-
-def _sum_of_blocks(
-    blocks: Sequence[Array], numbers: Sequence[Numbers], sizes: tuple[int, int], comm: MPI.Comm
-) -> PETSc.Mat:
-    """Assemble dense blocks, rows and columns of each numbered over all processes."""
-    row = _joined([np.repeat(near, len(near)) for near in numbers]).astype(np.int64)
-    column = _joined([np.tile(near, len(near)) for near in numbers]).astype(np.int64)
-    near = np.unique(row)
-    place = (np.searchsorted(near, row), np.searchsorted(near, column))
-    values = _joined([block.ravel() for block in blocks])
-    local = scipy.sparse.csr_array((values, place), shape=(len(near), len(near)))
-    csr = tuple(part.astype(PETSc.IntType) for part in (local.indptr, local.indices))
-    K = PETSc.Mat().createAIJ(local.shape, csr=(*csr, local.data), comm=PETSc.COMM_SELF)
-    torn, A = create_torn_matrix(K, near, sizes, comm=comm), PETSc.Mat()
-    torn.convert("aij", A)
-    torn.destroy()
-    K.destroy()
-    return A
 
 
 def _independent(A: PETSc.Mat, blocks: Sequence[slice]) -> scipy.sparse.csr_array:
@@ -358,8 +266,3 @@ def _change_of_basis(A: PETSc.Mat, basis: scipy.sparse.csr_array) -> PETSc.Mat:
     A_0.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     B.destroy()
     return A_0
-
-
-def _joined(parts: Sequence[npt.NDArray[Any]]) -> npt.NDArray[Any]:
-    """Concatenate arrays, of which there may be none."""
-    return np.concatenate(parts) if parts else np.zeros(0)

@@ -32,6 +32,7 @@ import numpy.typing as npt
 import scipy.sparse
 
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.feti.coarse.weighted import WeightedColumns
 from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.subdomain.blocks import own_columns
@@ -45,18 +46,17 @@ Array = npt.NDArray[np.float64]
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 
 #: Share of the diagonal weight in Q = M + ε diag(q).
-EPSILON = 0.1
+EPSILON = 0.01
 
 
 class Coarse:
-    """G, Q G and the factored N.
+    """G, Q and the factored N.
 
     Attributes:
         G: :math:`B E`, (m, K).
         G_left: The same from :math:`K^⊤`; the identical matrix if K is symmetric.
-        GMG: :math:`G^⊤ M G`, (K, K), if Q has M in it.
         q: Diagonal part of Q, (m,).
-        QG: :math:`Q G`, (m, K).
+        MG: :math:`M G`, if Q has M in it beside the diagonal.
         N: :math:`G_{left}^⊤ Q G + D`, (K, K).
         D: Defect of the kernels, block diagonal, (K, K).
         size: Number of coarse unknowns of this process.
@@ -97,17 +97,21 @@ class Coarse:
         self.G = self._jump_of(gluing.B, modes.E)
         self.G_left = self.G if modes.symmetric else self._jump_of(gluing.B, modes.E_left)
         self.q = _weight(torn, gluing, q)
-        self.QG = self.G.copy()
-        self.QG.diagonalScale(L=self.q)
-        self.D = self.block_diagonal(modes.D)
-        self.N = self.G_left.transposeMatMult(self.QG)  # N = Gᵀ Q G, the diagonal part of Q
-        self.GMG: PETSc.Mat | None = None
+        self.MG: WeightedColumns | None = None
         if q == "preconditioner":
-            MG = preconditioner.product(self.G)
-            self.GMG = self.G_left.transposeMatMult(MG)  # Gᵀ M G
-            self.QG.axpy(1.0, MG, structure=DIFFERENT)
-            self.N.axpy(1.0, self.GMG, structure=DIFFERENT)
-            MG.destroy()
+            if preconditioner.multiple is None:
+                self.MG = WeightedColumns(gluing, modes, preconditioner)
+            else:
+                self.q.shift(preconditioner.multiple)
+        weighed = self.G.copy()
+        weighed.diagonalScale(L=self.q)
+        self.D = self.block_diagonal(modes.D)
+        self.N = self.G_left.transposeMatMult(weighed)  # N = Gᵀ q G, the diagonal part of Q
+        weighed.destroy()
+        if self.MG is not None:
+            self.N.axpy(1.0, self.MG.galerkin_matrix, structure=DIFFERENT)  # Gᵀ M G
+            if self.exact:  # only a matrix that may be indefinite is looked at again
+                self.MG.galerkin_matrix.destroy()
         self.N.axpy(1.0, self.D, structure=DIFFERENT)
         self.N.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self.solver = GatheredSolver(self.N, prefix=prefix, symmetric=symmetric)
@@ -161,7 +165,7 @@ class Coarse:
     def destroy(self) -> None:
         """Free matrices and solver."""
         self.solver.destroy()
-        matrices = (self.G, self.G_left, self.QG, self.N, self.D, self.GMG)
+        matrices = (self.G, self.G_left, self.N, self.D, self.MG)
         vectors = (self.q, self._s, self._e)
         for owned in {id(M): M for M in (*matrices, *vectors) if M is not None}.values():
             owned.destroy()

@@ -30,6 +30,7 @@ from petsc4py import PETSc
 
 from dolfinx_feti.feti.coarse.coarse import DIFFERENT, Coarse
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.feti.coarse.weighted import WeightedColumns
 from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.preconditioner.choice import create_preconditioner
@@ -59,7 +60,7 @@ def negative_eigenvalues(
         gluing: Its jump operators.
         modes: E, R, D and ρ of every subdomain.
         preconditioner: M, with its props.
-        coarse: G, D and Gᵀ M G.
+        coarse: G, D and M G.
         prefix: Options prefix of the coarse solver, which factors A₀ as well.
 
     Returns:
@@ -97,12 +98,12 @@ def galerkin_matrix(
             "lumped", torn, gluing, preconditioner.matrices, symmetric=True, prefix=""
         )
         energy.update(modes.props)
-    if coarse.GMG is None or energy is not preconditioner:
-        MG = energy.product(coarse.G)
-        A_0 = coarse.G.transposeMatMult(MG)  # Gᵀ M₊ G
+    MG = coarse.MG
+    if MG is None or coarse.exact or energy is not preconditioner:
+        MG = WeightedColumns(gluing, modes, energy)
+    A_0 = MG.galerkin_matrix.copy()  # Gᵀ M₊ G
+    if MG is not coarse.MG:
         MG.destroy()
-    else:
-        A_0 = coarse.GMG.copy()
     least = A_0.getDiagonal()
     least.scale(ROUNDING)
     X = gluing.B_D.transposeMatMult(coarse.G)  # X = B_Dᵀ G

@@ -21,6 +21,10 @@ For D = 0 its λ-part is :math:`P M P^⊤ r`, the projected method of the paper 
 Augustin_eq:dualProblem), in which s plays no part before the end: conjugate gradients then leave s
 as it is (``frozen``), because where the spectrum of M F is far from one their rounding errors in s
 grow without bound.
+
+Where Q has M in it, Q stands for M: :math:`z = (Q (r - G w), -w)` is balanced as it is,
+:math:`G^⊤ Q r - N w = 0`, with one coarse solve. Here s is never frozen: w is to shrink with r, or
+its rounding errors would unbalance z.
 """
 
 from __future__ import annotations
@@ -80,7 +84,7 @@ class DualSystem:
         self.comm = self._torn.comm
         self.exact, self.frozen = coarse.exact, frozen
         self.B, self.G = LinearMap(gluing.B), LinearMap(coarse.G)
-        self._QG, self._D = LinearMap(coarse.QG), LinearMap(coarse.D)
+        self._D, self._q = LinearMap(coarse.D), coarse.q.array_r.copy()
         self._G_left = self.G if coarse.G_left is coarse.G else LinearMap(coarse.G_left)
         self.m = self.B.shape[0]
         self.size = self.m + coarse.size
@@ -101,8 +105,10 @@ class DualSystem:
         return self.flexibility(lam) - self.G @ s  # F λ − G s
 
     def weighted_jump(self, s: Array) -> Array:
-        """Return Q G s, (K,) → (m,)."""
-        return self._QG @ s
+        """Return Q G s, (K,) → (m,) or (K, r) → (m, r)."""
+        diagonal = ((self.G @ s).T * self._q).T  # q G s
+        MG = self._coarse.MG
+        return diagonal if MG is None else diagonal + MG.multiply(s)
 
     def multiply(self, x: Array) -> Array:
         """Apply the dual system to a balanced pair, (F λ − G s, 0).
@@ -133,16 +139,15 @@ class DualSystem:
         """
         r, w = self.project(x[: self.m])
         y, t = self._M.apply(r)  # y = M (r − G w)
+        if self._coarse.MG is not None:
+            return np.concatenate([y + self._q * r, -w]), self._norm(t)  # (Q (r − G w), −w)
         v = self._coarse.solve(self._G_left.T @ y - self._D @ w)  # v = N⁻¹ (Gᵀ y − D w)
         s = np.zeros_like(w) if self.frozen else -w - v
-        return np.concatenate([y - self._QG @ v, s]), self._norm(t)  # (y − Q G v, −w − v)
+        return np.concatenate([y - self.weighted_jump(v), s]), self._norm(t)  # (y − Q G v, −w − v)
 
     def project(self, r: Array) -> tuple[Array, Array]:
         """Take from a jump what a motion of the kernels can remove, r − G w; return it and w."""
-        if self._G_left is self.G:
-            e = self._QG.T @ r
-        else:
-            e = self._G_left.T @ self._weigh(r)
+        e = self._restrict(r)
         w = self._coarse.solve(e)  # w = N⁻¹ Gᵀ Q r
         return r - self.G @ w, w
 
@@ -160,12 +165,16 @@ class DualSystem:
         for j in range(V.shape[1]):
             V[:, j] = self._coarse.solve(V[:, j])  # V = N⁻¹ Gᵀ Λ
         s = np.zeros_like(V) if self.exact else -V
-        return np.vstack([lam - self._QG @ V, s])  # (Λ − Q G V, −V)
+        return np.vstack([lam - self.weighted_jump(V), s])  # (Λ − Q G V, −V)
 
-    def _weigh(self, r: Array) -> Array:
-        """Return Q r = q r + M r, (m,), the second term where Q has M in it."""
-        weighed = self._coarse.q.array_r * r
-        return weighed if self._coarse.GMG is None else weighed + self._M.apply(r)[0]
+    def _restrict(self, r: Array) -> Array:
+        """Return Gᵀ Q r, (m,) → (K,)."""
+        weighed, MG = self._q * r, self._coarse.MG
+        if MG is None:
+            return self._G_left.T @ weighed
+        if self._G_left is self.G:
+            return self.G.T @ weighed + MG.restrict(r)
+        return self._G_left.T @ (weighed + self._M.apply(r)[0])
 
     def _norm(self, t: Array) -> float:
         """Return ‖Tᵀ t‖ on the free dofs for a torn force, (n,)."""
@@ -174,5 +183,5 @@ class DualSystem:
 
     def destroy(self) -> None:
         """Free the work vectors."""
-        for owned in (self.B, self.G, self._QG, self._D, self._G_left):
+        for owned in (self.B, self.G, self._D, self._G_left):
             owned.destroy()

@@ -50,8 +50,8 @@ class CoarseSpace(Protocol):
     def start(self, r: Array) -> Array:
         """Return V A₀⁻¹ Vᵀ r."""
 
-    def project(self, z: Array) -> Array:
-        """Return z − V A₀⁻¹ (A V)ᵀ z."""
+    def correct(self, z: Array, r: Array) -> Array:
+        """Return z + V A₀⁻¹ (Vᵀ r − (A V)ᵀ z)."""
 
     def negative_direction(self) -> Array | None:
         """Return a field v with vᵀ A v < 0, or None if none is known."""
@@ -79,9 +79,9 @@ class PrimalSystem:
         return self.copies.sum(f - self.multiply(x))  # Tᵀ (f − S T x)
 
     def precondition(self, r: Array) -> Array:
-        """Return z = Π Tᵀ δ K_ρ⁻¹ δ T r. Collective."""
+        """Return z = Π Tᵀ δ K_ρ⁻¹ δ T r + V A₀⁻¹ Vᵀ r, whose last term is rounding. Collective."""
         w = self.solve(self.copies.delta * r)  # w = K_ρ⁻¹ δ T r
-        return self.space.project(self.copies.average(w))
+        return self.space.correct(self.copies.average(w), r)
 
     def norm(self, r: Array) -> float:
         """Return ‖r‖ of the assembled vector. Collective."""

@@ -31,15 +31,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from petsc4py import PETSc
-
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
 from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.linear_map import LinearMap
-from dolfinx_feti.feti.subdomain.blocks import block_columns
 from dolfinx_feti.feti.subdomain.factors import BlockFactors
 from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
 from dolfinx_feti.torn import Torn
@@ -61,11 +58,13 @@ class Preconditioner(ABC):
         interface: Glued free dofs Γ of each subdomain.
         interior: The other dofs I of each subdomain on which its matrix lives.
         factors: Interior factors, if the preconditioner has any.
+        multiple: θ, if M = θ I without scaled jumps; None otherwise.
         energetic: Whether Y is the energy of an extended interface displacement, E_Γᵀ K E_Γ.
         props: The props Y_Z of each subdomain, (n_Γ, q_i); after :meth:`update`.
     """
 
     factors: BlockFactors | None = None
+    multiple: float | None = None
     energetic = True
 
     def __init__(
@@ -135,22 +134,10 @@ class Preconditioner(ABC):
         t = self.multiply(w)  # t = Y w
         return self.B_D @ (t + self._held(w)), self.unbalanced(w, t)  # z = B_D (Y + Y_Z Y_Zᵀ) w
 
-    def product(self, G: PETSc.Mat) -> PETSc.Mat:
-        """Form the sparse product M G, (m, K); the caller destroys it.
-
-        Note:
-            Collective.
-        """
-        W = self._B_D.transposeMatMult(G)  # W = B_Dᵀ G
-        indptr, indices, data = W.getValuesCSR()
-        shape = (self.torn.n, G.getSize()[1])
-        columns = scipy.sparse.csr_array((data, indices, indptr), shape=shape)
-        blocks = [self._image(i, columns[rows]) for i, rows in enumerate(self.interface)]
-        YW = block_columns(self.torn, self.interface, blocks, G.getSizes()[1])
-        MG = self._B_D.matMult(YW)  # M G = B_D Y B_Dᵀ G
-        W.destroy()
-        YW.destroy()
-        return MG
+    def image(self, i: int, W: Array) -> Array:
+        """Return Y_i W with props for columns on the interface, (n_Γ, r) → (n_Γ, r)."""
+        Y_Z = self.props[i]
+        return self.multiply_many(i, W) + Y_Z @ (Y_Z.T @ W)
 
     @abstractmethod
     def multiply(self, w: Array) -> Array:
@@ -171,14 +158,6 @@ class Preconditioner(ABC):
     def to_interface(self, i: int, X: Array) -> Array:
         """Move forces X on subdomain i to its interface, E_Γᵀ X, (n_i, r) → (n_Γ, r)."""
         return X[self.on_interface[i]]
-
-    def _image(self, i: int, W: scipy.sparse.csr_array) -> tuple[Array, Indices]:
-        """Apply Y_i with props to the non-zero columns of W, (n_Γ, K); return image and columns."""
-        support = np.unique(W.indices)
-        columns = W[:, support].toarray()
-        image = self.multiply_many(i, columns)
-        image += self.props[i] @ (self.props[i].T @ columns)
-        return image, support
 
     def _prop(self, props: list[Array]) -> None:
         """Hold the subdomains by the props Y_Z, (n_Γ, q_i) each."""

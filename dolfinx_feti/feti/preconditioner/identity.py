@@ -10,8 +10,6 @@ others lie far from it, rounding errors grow without bound.
 
 from __future__ import annotations
 
-from petsc4py import PETSc
-
 import numpy as np
 import numpy.typing as npt
 
@@ -59,8 +57,11 @@ class Unpreconditioned(Identity):
         """Return θ r, (m,), and the unbalanced force, (n,)."""
         return self.theta * r, self.matrices.multiply(self.B_D.T @ r)
 
-    def product(self, G: PETSc.Mat) -> PETSc.Mat:
-        """Return θ G, (m, K); the caller destroys it."""
-        MG = G.copy()
-        MG.scale(self.theta)
-        return MG
+    def weigh(self) -> None:
+        """Find θ.
+
+        Note:
+            Collective.
+        """
+        super().weigh()
+        self.multiple = self.theta

@@ -50,9 +50,9 @@ def test_fields(kind, torn_grid, form):
     expected = exact.T @ exact.V
     worst = 0.0
     fields = averaged_fields(copies, primal.system.space.columns)
-    for field, rows in zip(fields, copies.blocks, strict=True):
+    for i, rows in enumerate(copies.blocks):
         W = np.zeros((rows.stop - rows.start, expected.shape[1]))
-        W[:, field.numbers] = field.values
+        W[:, fields.numbers[i]] = fields[i]
         local = expected[start + rows.start : start + rows.stop]
         worst = max(worst, float(np.abs(W - local).max(initial=0.0)))
     small(worst, 1e-10 * np.abs(expected).max())
@@ -69,12 +69,13 @@ def test_galerkin_matrix_and_projection(kind, interior, torn_grid, form):
     basis = scipy.linalg.block_diag(*COMM.allgather(space._basis.toarray()))
     equal(dense(space.A_0), basis.T @ exact.V.T @ exact.A @ exact.V @ basis, 1e-10)
     equal(dense(space.A_0).diagonal(), np.ones(space.A_0.getSize()[0]), 1e-12)
-    v = space.prolong(random(space.size))
-    small(np.abs(space.project(v)).max(initial=0.0), 1e-9 * np.abs(whole(v)).max())
-    z = space.project(copies.average(random(copies.n)))
+    v, zero = space.prolong(random(space.size)), np.zeros(copies.n)
+    small(np.abs(space.correct(v, zero)).max(initial=0.0), 1e-9 * np.abs(whole(v)).max())
+    z = space.correct(copies.average(random(copies.n)), zero)
     image = exact.V.T @ exact.A @ (exact.average @ whole(z))
     small(np.abs(image).max(), 1e-9 * np.abs(exact.A).max() * np.abs(whole(z)).max())
     r = copies.sum(random(copies.n))
+    agree(np.array_equal(space.start(r), space.correct(zero, r)))
     start = exact.average @ whole(space.start(r))
     equal(exact.V.T @ exact.A @ start, exact.V.T @ (exact.average @ whole(r)), 1e-9)
 
@@ -95,8 +96,8 @@ def test_dependent_columns_are_dropped(torn_grid, form):
     space = twice.system.space
     agree(space.dropped == plain.system.space.total + 6)
     agree(plain.system.space.dropped == 0 and space.negative() == 0)
-    z = plain.copies.average(random(plain.copies.n))
-    equal(space.project(z), plain.system.space.project(z), 1e-7)
+    z, zero = plain.copies.average(random(plain.copies.n)), np.zeros(plain.copies.n)
+    equal(space.correct(z, zero), plain.system.space.correct(z, zero), 1e-7)
 
 
 def volume_changes(cells):
@@ -121,8 +122,9 @@ def flux_of(system, copies, K_p, patterns):
 
 
 @every_type
-def test_flux_columns(kind, torn_grid, form):
+def test_flux_columns(kind, torn_grid, form, monkeypatch):
     """They balance the flux, and a large κ costs fewer iterations."""
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.flux.DOFS", 4)
     cells = (4, 4)
     K_p, patterns = volume_changes(cells)
     iterations = {}
@@ -155,3 +157,17 @@ def test_flux_columns(kind, torn_grid, form):
         agree(most <= 1e-7 if with_flux else most > 1e-4)
     agree(iterations[1e2, True] < iterations[1e2, False], iterations)
     agree(iterations[1e6, False] >= 1.3 * iterations[1e6, True], iterations)
+
+
+def test_small_subdomains_have_few_flux_columns(torn_grid, form):
+    """One for each 64 dofs of the interface, and one at least."""
+    problem = torn_grid((2, 1), (9, 3), components=2)
+    copies = form(problem, type="all_floating", interior="eliminate").copies
+    sizes = [rows.stop - rows.start for rows in copies.blocks]
+    for dofs, patterns in ((64, 3), (7, 3), (1, 3), (7, 0)):
+        g = np.random.default_rng(SEED).standard_normal((copies.n, patterns))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("dolfinx_feti.feti.coarse.flux.DOFS", dofs)
+            columns = flux_columns(copies, g, lambda i, c: c)
+        most = [min(patterns, max(1, n // dofs)) for n in sizes]
+        agree([U.shape[1] for U in columns] == most, (dofs, sizes))

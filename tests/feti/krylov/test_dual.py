@@ -70,10 +70,13 @@ def test_flexibility_is_symmetric_and_that_of_the_definition(grid, kind, change,
 def test_constraint_preconditioner_is_the_inverse_it_stands_for(
     grid, q, change, pc_type, torn_grid, parts
 ):
-    """Its image is balanced, Gᵀz_λ + D z_s = 0, and P M Pᵀ r for D = 0."""
+    """Its image is balanced, Gᵀz_λ + D z_s = 0, and P M Pᵀ r for D = 0; Q stands for M in Q."""
     system = parts(torn_grid(change=change, **grid).A, pc_type=pc_type, coarse_q=q)
     M = matrix_of_map(lambda r: system.preconditioner.apply(r)[0], system.dual.m)
-    G, QG, N, D = (dense(getattr(system.coarse, key)) for key in ("G", "QG", "N", "D"))
+    if system.coarse.MG is not None:
+        M += np.diag(whole(system.coarse.q.array_r))
+    G, N, D = (dense(getattr(system.coarse, key)) for key in ("G", "N", "D"))
+    QG = matrix_of_map(system.dual.weighted_jump, system.coarse.size)
     z_lam, z_s = constraint(system.dual)
     scale = np.abs(z_lam).max()
     small(np.abs(G.T @ z_lam + D @ z_s).max(), 1e-10 * max(scale, np.abs(D @ z_s).max()))
@@ -85,11 +88,9 @@ def test_constraint_preconditioner_is_the_inverse_it_stands_for(
     if change is None:
         P = np.eye(len(G)) - QG @ np.linalg.solve(N, G.T)
         equal(z_lam, P @ M @ P.T, 1e-10)
-        agree(system.dual.exact and system.dual.frozen)
-        equal(z_s, np.zeros_like(z_s))
-    else:
-        agree(not system.dual.exact and not system.dual.frozen)
-        equal(z_s, -w - v, 1e-10)
+    agree(system.dual.exact == (change is None))
+    agree(system.dual.frozen == (change is None and system.coarse.MG is None))
+    equal(z_s, np.zeros_like(z_s) if system.dual.frozen else -w - v, 1e-10)
 
 
 def test_eigenvalues_of_the_unfrozen_system_are_one_besides(torn_grid, parts):
