@@ -104,11 +104,11 @@ class DenseFactors:
         """Return S_i X for dense columns, (n_i, r)."""
         return self._blocks[i].multiply_many(X)
 
-    def solve_many(self, i: int, Y: Array) -> Array:
+    def solve_many(self, i: int, Y: Array, *, transpose: bool = False) -> Array:
         """Return (S_i + ρ R Rᵀ)⁻¹ Y for dense columns, (n_i, r)."""
         return self._blocks[i].solve_many(Y)
 
-    def solve_border(self, i: int, *, transpose: bool = False) -> tuple[Array, Array]:
+    def solve_border(self, i: int) -> tuple[Array, Array]:
         """Return E/ρ, (n_i, k), and −D/ρ², (k, k): the border's solution in ``factors``."""
         return self._blocks[i].solve_border()
 

@@ -40,7 +40,7 @@ PLACES = {
     "kernel": ("pseudoinverse.kernel_basis", "keep"),
     "null space": ("pseudoinverse.factor_tells_singular", "keep"),
     "soft modes": ("pseudoinverse.soft_modes", "eliminate"),
-    "border": ("pseudoinverse.PseudoInverse._stand_in", "keep"),
+    "border": ("pseudoinverse.PseudoInverse._basis", "keep"),
     "Schur complement": ("elimination.schur_complement", "eliminate"),
     "dense interior": ("elimination.DenseElimination._eliminate", "eliminate"),
     "interior kernel": ("matrices.factor_tells_singular", "eliminate"),
