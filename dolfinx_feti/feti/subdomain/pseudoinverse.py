@@ -234,14 +234,20 @@ class PseudoInverse:
                 found.append(self._regularise(i, R, defect, weight[self.dofs[i]]))
         return Modes(self.dofs, tuple(found), self._symmetric)
 
-    def solve(self, y: Array) -> Array:
+    def solve(self, y: Array, *, up_to_soft_modes: bool = False) -> Array:
         """Apply the generalised inverse, K⁺ y, (n,), or K⁺ Y, (n, r); zero on fixed dofs.
 
         Several columns go through each factor together, which is read from memory once.
+
+        Args:
+            y: Forces on the torn dofs.
+            up_to_soft_modes: Whether K⁺ y may have any share of E_Y, for y of one column.
         """
         x = np.zeros_like(y)
         if y.ndim == 1:
             self._factors.solve(y, x)
+            if up_to_soft_modes:
+                return x
             for dofs, (Y, E_Y) in zip(self.dofs, self._soft, strict=True):
                 if Y.shape[1]:
                     x_i = x[dofs]
