@@ -60,20 +60,11 @@ def block_graph(K: PETSc.Mat) -> scipy.sparse.csr_array:
         K: Sequential AIJ matrix, (n, n), of block size bs.
     """
     n, bs = K.getSize()[0], K.getBlockSize()
-    graph = scipy.sparse.csr_array((n // bs, n // bs), dtype=bool)
-    if n == 0:
-        return graph
     indptr, indices = K.getRowIJ()
-    for first in range(bs):  # one row of every block at a time, for the sake of memory
-        start, length = indptr[:-1][first::bs], np.diff(indptr)[first::bs]
-        end = np.cumsum(length)
-        entries = np.repeat(start - end + length, length) + np.arange(length.sum())
-        pattern = (indices[entries] // bs, np.concatenate(([0], end)))
-        if first and all(map(np.array_equal, pattern, (graph.indices, graph.indptr))):
-            continue  # the rows of a block are alike
-        more = scipy.sparse.csr_array((np.ones(len(entries), dtype=bool), *pattern), graph.shape)
-        graph = graph + more if first else more
-    return graph
+    entries = scipy.sparse.csr_array((np.ones(len(indices), dtype=bool), indices, indptr), (n, n))
+    blocks = entries.tobsr((bs, bs))
+    there = np.ones(len(blocks.indices), dtype=bool)
+    return scipy.sparse.csr_array((there, blocks.indices, blocks.indptr), (n // bs, n // bs))
 
 
 def copy_forest(A: PETSc.Mat) -> PETSc.SF:

@@ -246,7 +246,10 @@ def create_lagged_form(pattern: Pattern, factored: Factored, earlier: PrimalForm
 def _system(
     copies: Copies, space: AveragedSpace, S: Dirichlet, inverse: PseudoInverse
 ) -> PrimalSystem:
-    """Let S and K_ρ⁻¹ of all subdomains act on copies of the interface dofs."""
+    """Let S and K_ρ⁻¹ of all subdomains act on copies of the interface dofs.
+
+    Soft modes are among the columns of V, so that the projection makes up for any share of them.
+    """
 
     def to_torn(t: Array) -> Array:
         u = np.zeros(S.torn.n)
@@ -257,7 +260,7 @@ def _system(
         copies,
         space,
         multiply=lambda t: S.multiply(to_torn(t))[copies.dofs],
-        solve=lambda t: inverse.solve(to_torn(t))[copies.dofs],
+        solve=lambda t: inverse.solve(to_torn(t), up_to_soft_modes=True)[copies.dofs],
     )
 
 

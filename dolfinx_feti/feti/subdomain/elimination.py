@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.feti.subdomain.blocks import index_set, named, sparse_block
-from dolfinx_feti.feti.subdomain.dense import DenseFactors
+from dolfinx_feti.feti.subdomain.dense import DenseFactors, pack
 from dolfinx_feti.feti.subdomain.direct import Choice
 from dolfinx_feti.feti.subdomain.factors import BlockFactors
 from dolfinx_feti.feti.subdomain.schur import partial_factorisation_is_there, schur_complement
@@ -75,18 +75,18 @@ class Elimination(ABC):
 
     @abstractmethod
     def schur_complements(self) -> Iterator[Array]:
-        """Factor K_II of the current K and yield S, lower triangle at least, per subdomain.
+        """Factor K_II of the current K and yield S, in packed format, of each subdomain.
 
         Raises:
             FactorError: A factorisation failed. Not collective: the caller reduces.
         """
 
     def _eliminate(self, i: int, K: Array) -> Array:
-        """Return S for the dense K of subdomain i, with the factor of its K_II."""
+        """Return S, packed, for the dense K of subdomain i, with the factor of its K_II."""
         Γ = self.on_interface[i]
         I = _others(len(K), Γ)  # noqa: E741
         X = self.factors.solve_many(i, K[np.ix_(I, Γ)])  # X = K_II⁻¹ K_IΓ
-        return np.asarray(K[np.ix_(Γ, Γ)] - K[np.ix_(Γ, I)] @ X)  # S = K_ΓΓ − K_ΓI X
+        return pack(K[np.ix_(Γ, Γ)] - K[np.ix_(Γ, I)] @ X)  # S = K_ΓΓ − K_ΓI X
 
 
 class DenseElimination(Elimination):
@@ -105,7 +105,7 @@ class DenseElimination(Elimination):
             with named(self._torn.first + i):
                 K = block.toarray()
                 I = _others(len(K), self.on_interface[i])  # noqa: E741
-                self.factors.set_block(i, K[np.ix_(I, I)])
+                self.factors.set_block(i, pack(K[np.ix_(I, I)]))
                 self.factors.update_block(i)
                 S = self._eliminate(i, K)
             yield S
@@ -149,7 +149,9 @@ class PartialElimination(ColumnElimination):
     def _stop_at_interface(self, i: int) -> Array:
         Γ = self.on_interface[i]
         if len(Γ) in (0, len(self._free[i])):
-            return sparse_block(self._torn.K, self.interface[i], self.interface[i]).toarray("F")
+            return pack(
+                sparse_block(self._torn.K, self.interface[i], self.interface[i]).toarray("F")
+            )
         rows = index_set(self._free[i])
         K = self._torn.K.createSubMatrix(rows, rows)
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)

@@ -15,6 +15,18 @@ coarse unknown:
 
 A rough approximation of the eigenvectors is enough.
 
+Buckling modes need another factor, with the sign of every pivot. Soft ones Y, orthonormal and
+orthogonal to R, join by an update of the inverse (Sherman, Morrison and Woodbury). With
+
+.. math:: Z = K_ρ^{-1} Y, \quad Z' = K_ρ^{-⊤} Y, \quad C = (ρ^{-1} I + Y^⊤ Z)^{-1}, \quad
+          G = Y^⊤ E, \quad G' = Y^⊤ E',
+
+where E' is E of :math:`K^⊤`, the columns (R, Y) have, without another solve or cancellation,
+
+.. math:: (K_ρ + ρ\, Y Y^⊤)^{-1} = (I - E_Y Y^⊤)\, K_ρ^{-1}, \quad
+          (E - E_Y G,\; E_Y), \quad E_Y = Z C, \quad
+          \begin{pmatrix} D + G'^⊤ C G & -G'^⊤ C \\ -C G & C \end{pmatrix}.
+
 Both are looked for anew in every matrix. Modes that stayed would let the coarse space grow along a
 load path: on a clamped tube that passed through folds on its way to 300 mmHg, twice as many modes
 saved a tenth of the iterations, and cost a third more time.
@@ -24,12 +36,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse.linalg
 
-__all__ = ["Enrichment", "append_orthonormal", "buckling_modes", "deflated", "soft_modes"]
+__all__ = ["Basis", "Enrichment", "append_orthonormal", "buckling_modes", "join", "soft_modes"]
 
 Array = npt.NDArray[np.float64]
 Solve = Callable[[Array], Array]
@@ -57,6 +70,22 @@ class Enrichment:
     buckling: bool
     soft: int
     threshold: float
+
+
+class Basis(NamedTuple):
+    """The modes of a subdomain and what follows from them; see ``pseudoinverse``.
+
+    Attributes:
+        R: Orthonormal modes, (n, k).
+        E: Their stand-in, (n, k).
+        E_left: That for the transposed matrix, (n, k).
+        D: Their defect, (k, k).
+    """
+
+    R: Array
+    E: Array
+    E_left: Array
+    D: Array
 
 
 def soft_modes(solve: Solve, weight: Array, most: int, threshold: float) -> Array:
@@ -108,24 +137,31 @@ def buckling_modes(solve: Solve, n: int, count: int) -> Array:
     return _lanczos(solve, n, count, "SA", krylov=max(2 * count + 8, 20), restarts=50)[1]
 
 
-def deflated(solve: Solve, Y: Array, rho: float) -> Solve:
-    """Return the inverse of K_ρ + ρ Y Yᵀ from that of K_ρ, by Sherman, Morrison and Woodbury.
+def join(basis: Basis, Y: Array, Z: Array, Z_left: Array, rho: float) -> Basis:
+    """Let soft modes join R.
 
     Args:
-        solve: Applies :math:`K_ρ^{-1}` to columns, (n, r) → (n, r).
-        Y: Orthonormal columns, (n, k).
+        basis: R, E, E_left and D.
+        Y: Orthonormal columns, orthogonal to R, (n, k).
+        Z: :math:`K_ρ^{-1} Y`, (n, k).
+        Z_left: :math:`K_ρ^{-⊤} Y`, (n, k).
         rho: The stiffness ρ.
     """
-    if Y.shape[1] == 0:
-        return solve
-    Z = solve(Y)
-    capacity = np.linalg.inv(np.eye(Y.shape[1]) / rho + Y.T @ Z)
+    R, E, E_left, D = basis
+    C = np.linalg.inv(np.eye(Y.shape[1]) / rho + Y.T @ Z)
+    G, G_left = Y.T @ E, Y.T @ E_left
+    E_Y, E_Y_left = Z @ C, Z_left @ C.T
+    return Basis(
+        _side_by_side(R, Y),
+        _side_by_side(E - E_Y @ G, E_Y),
+        _side_by_side(E_left - E_Y_left @ G_left, E_Y_left),
+        np.block([[D + G_left.T @ C @ G, -G_left.T @ C], [-C @ G, C]]),
+    )
 
-    def stiffened(X: Array) -> Array:
-        V = solve(X)
-        return V - Z @ (capacity @ (Y.T @ V))
 
-    return stiffened
+def _side_by_side(X: Array, Y: Array) -> Array:
+    """Return (X, Y) column by column, so that slices of columns are read fast."""
+    return np.asfortranarray(np.hstack([X, Y]))
 
 
 def append_orthonormal(R: Array, Y: Array) -> Array:

@@ -60,10 +60,10 @@ class Factors(Protocol):
     def solve(self, y: Array, x: Array) -> None:
         """Solve with every block: ``x[rows_i] = K_i⁻¹ y[rows_i]``, other entries untouched."""
 
-    def solve_many(self, i: int, Y: Array) -> Array:
+    def solve_many(self, i: int, Y: Array, *, transpose: bool = False) -> Array:
         """Solve with block i for several right-hand sides, (n_i, r) → (n_i, r)."""
 
-    def solve_border(self, i: int, *, transpose: bool = False) -> tuple[Array, Array]:
+    def solve_border(self, i: int) -> tuple[Array, Array]:
         """Return E/ρ, (n_i, k), and −D/ρ², (k, k)."""
 
     def pivots(self, i: int) -> Pivots:
@@ -159,22 +159,21 @@ class BlockFactors:
             if block is not None:
                 x[rows] = block.solve(y[rows])
 
-    def solve_many(self, i: int, Y: Array) -> Array:
+    def solve_many(self, i: int, Y: Array, *, transpose: bool = False) -> Array:
         """Solve with block i for several right-hand sides, (n_i, r) → (n_i, r)."""
         block = self._blocks[i]
         if block is None or Y.shape[1] == 0:
             return np.zeros(Y.shape)
-        if block.border == 0:
-            return block.solve_many(Y)
-        return block.solve_many(np.vstack([Y, np.zeros((block.border, Y.shape[1]))]))[: len(Y)]
+        rhs = np.vstack([Y, np.zeros((block.border, Y.shape[1]))]) if block.border else Y
+        return block.solve_many(rhs, transpose=transpose)[: len(Y)]
 
-    def solve_border(self, i: int, *, transpose: bool = False) -> tuple[Array, Array]:
+    def solve_border(self, i: int) -> tuple[Array, Array]:
         """Solve with block i for (0, I) as right-hand sides; return x, (n_i, k), and μ, (k, k)."""
         block, n = self._blocks[i], self._sizes[i]
         if block is None:
             return np.zeros((0, 0)), np.zeros((0, 0))
         rhs = np.vstack([np.zeros((n, block.border)), np.eye(block.border)])
-        both = block.solve_many(rhs, transpose=transpose)
+        both = block.solve_many(rhs)
         return both[:n], both[n:]
 
     def pivots(self, i: int) -> Pivots:

@@ -17,7 +17,7 @@ S itself.
   :math:`K_{II}`. An iteration runs through both factors, forward and backward.
 - :class:`CondensedMatrices`: S is formed (``elimination``), a dense block of the size of Γ, and one
   factor of :math:`K_{II}` is kept for :math:`\hat f_Γ` and :math:`u_I`. An iteration reads
-  triangles of a dense block: several times less than the factors of a piece of a thin wall, or of
+  packed triangles: several times less than the factors of a piece of a thin wall, or of
   a small one.
 
 ``auto`` condenses if S takes about the memory of the factors; see :data:`DENSITY`.
@@ -213,7 +213,8 @@ class CondensedMatrices(SubdomainMatrices):
     def update(self, *, keep_factors: bool = False) -> None:
         super().update()
         for i, S in enumerate(self._elimination.schur_complements()):
-            self.factors.set_block(i, S, keep_factor=keep_factors)
+            with named(self._torn.first + i):
+                self.factors.set_block(i, S, keep_factor=keep_factors)
         columns = [self._kernel_inside(i) for i in range(len(self.dofs))]
         self._interior_kernel = np.hstack([np.zeros((self._torn.n, 0)), *columns])
 

@@ -53,10 +53,11 @@ from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain.blocks import named
 from dolfinx_feti.feti.subdomain.direct import sum_pivots
 from dolfinx_feti.feti.subdomain.enrichment import (
+    Basis,
     Enrichment,
     append_orthonormal,
     buckling_modes,
-    deflated,
+    join,
     soft_modes,
 )
 from dolfinx_feti.feti.subdomain.kernel import kernel_basis
@@ -209,6 +210,9 @@ class PseudoInverse:
         self._enrichment = enrichment
         self.fixed = fixed
         self.dofs = matrices.dofs
+        self._raised = 0  # negative eigenvalues that soft modes have made positive
+        none = [np.zeros((len(dofs), 0)) for dofs in self.dofs]
+        self._soft: list[tuple[Array, Array]] = [(Y, Y) for Y in none]  # Y and E_Y
 
     def update(self, near_kernel: Array) -> Modes:
         """Find the modes of the current matrices and factor.
@@ -224,32 +228,45 @@ class PseudoInverse:
             kernel_basis(near_kernel[dofs], self.fixed[dofs]) for dofs in self._torn.subdomains
         ]
         defects = self._defects(candidates)
-        found = []
+        self._raised, found = 0, []
         for i, (R, defect) in enumerate(zip(candidates, defects, strict=True)):
             with named(self._torn.first + i):
                 found.append(self._regularise(i, R, defect, weight[self.dofs[i]]))
         return Modes(self.dofs, tuple(found), self._symmetric)
 
-    def solve(self, y: Array) -> Array:
+    def solve(self, y: Array, *, up_to_soft_modes: bool = False) -> Array:
         """Apply the generalised inverse, K⁺ y, (n,), or K⁺ Y, (n, r); zero on fixed dofs.
 
         Several columns go through each factor together, which is read from memory once.
+
+        Args:
+            y: Forces on the torn dofs.
+            up_to_soft_modes: Whether K⁺ y may have any share of E_Y, for y of one column.
         """
         x = np.zeros_like(y)
         if y.ndim == 1:
             self._factors.solve(y, x)
+            if up_to_soft_modes:
+                return x
+            for dofs, (Y, E_Y) in zip(self.dofs, self._soft, strict=True):
+                if Y.shape[1]:
+                    x_i = x[dofs]
+                    x[dofs] = x_i - E_Y @ (Y.T @ x_i)
             return x
         for i, dofs in enumerate(self.dofs):
-            x[dofs] = self._factors.solve_many(i, y[dofs])
+            x[dofs] = self.solve_many(i, y[dofs])
         return x
 
     def solve_many(self, i: int, Y: Array) -> Array:
         """Apply the generalised inverse of subdomain i to columns on its dofs, (n_i, r)."""
-        return self._factors.solve_many(i, Y)
+        X = self._factors.solve_many(i, Y)
+        soft, E_soft = self._soft[i]
+        return X - E_soft @ (soft.T @ X)
 
     def negative(self) -> int | None:
         """Count the negative eigenvalues of all K_ρ of this process; None if not known."""
-        return sum_pivots(self._factors.pivots(i) for i in range(len(self.dofs))).negative
+        negative = sum_pivots(self._factors.pivots(i) for i in range(len(self.dofs))).negative
+        return None if negative is None else negative - self._raised
 
     def _regularise(self, i: int, R: Array, defect: float, weight: Array) -> SubdomainModes:
         """Find the modes of subdomain i, and leave the factor of its K_ρ.
@@ -264,17 +281,14 @@ class PseudoInverse:
         rho = float(scale.mean()) if len(scale) else 1.0
         rigid = self._matrices.restrict(i, R)
         kernel = self._with_null_vectors(i, rigid, rho)
-        R = self._with_elastic_modes(i, kernel, rho, weight)
-        exact = defect <= KERNEL_TOLERANCE * rho and R.shape[1] == kernel.shape[1]
-        E, D = self._stand_in(i, R, rho, exact=exact)
-        E_left = E if self._symmetric else self._stand_in(i, R, rho, exact=exact, transpose=True)[0]
+        R = self._with_buckling_modes(i, kernel, rho)
+        exact = defect <= KERNEL_TOLERANCE * rho and R is kernel
+        basis = self._basis(i, R, rho, exact=exact)
+        basis = self._with_soft_modes(i, basis, rho, weight)
         return SubdomainModes(
-            R,
-            E,
-            E_left,
-            D,
-            props=R @ _negative_directions(D, rho),
-            exact=exact,
+            *basis,
+            props=basis.R @ _negative_directions(basis.D, rho),
+            exact=exact and basis.R is kernel,
             rho=rho,
             rigid=rigid.shape[1],
             null=kernel.shape[1] - rigid.shape[1],
@@ -304,22 +318,17 @@ class PseudoInverse:
         """Tell whether the factored K_ρ of subdomain i is singular up to rounding."""
         return factor_tells_singular(self._factors, i, self._matrices.diagonal(i))
 
-    def _with_elastic_modes(self, i: int, R: Array, rho: float, weight: Array) -> Array:
-        """Append buckling modes to R until K_ρ is positive definite, and soft modes once."""
-        choice = self._enrichment
-        for round_ in range(ENRICHMENTS):
-            more = R
+    def _with_buckling_modes(self, i: int, R: Array, rho: float) -> Array:
+        """Append buckling modes to R until K_ρ is positive definite, and factor it."""
+        for _ in range(ENRICHMENTS):
             negative = self._factors.pivots(i).negative
+            if not (self._enrichment.buckling and negative):
+                break
 
             def solve(X: Array) -> Array:
                 return self._factors.solve_many(i, X)
 
-            if choice.buckling and negative:
-                more = append_orthonormal(more, buckling_modes(solve, len(R), negative))
-            if choice.soft and round_ == 0:
-                stiffened = deflated(solve, more[:, R.shape[1] :], rho)
-                soft = soft_modes(stiffened, weight, choice.soft, choice.threshold)
-                more = append_orthonormal(more, soft)
+            more = append_orthonormal(R, buckling_modes(solve, len(R), negative))
             if more.shape[1] == R.shape[1]:
                 break
             self._factors.update_block(i, more, rho)
@@ -329,15 +338,34 @@ class PseudoInverse:
             R = more
         return R
 
-    def _stand_in(
-        self, i: int, R: Array, rho: float, *, exact: bool, transpose: bool = False
-    ) -> tuple[Array, Array]:
-        """Return E and D of subdomain i; R and 0 where K R = 0."""
+    def _with_soft_modes(self, i: int, basis: Basis, rho: float, weight: Array) -> Basis:
+        """Let soft modes join R, by an update of the inverse."""
+        choice = self._enrichment
+
+        def solve(X: Array, *, transpose: bool = False) -> Array:
+            return self._factors.solve_many(i, X, transpose=transpose)
+
+        k = basis.R.shape[1]
+        soft = soft_modes(solve, weight, choice.soft, choice.threshold)
+        Y = append_orthonormal(basis.R, soft)[:, k:]
+        if Y.shape[1]:
+            Z = solve(Y)
+            Z_left = Z if self._symmetric else solve(Y, transpose=True)
+            basis = join(basis, Y, Z, Z_left, rho)
+            C = basis.D[k:, k:]
+            self._raised += np.count_nonzero(np.linalg.eigvalsh(C) < 0.0)  # Haynsworth
+        self._soft[i] = basis.R[:, k:], basis.E[:, k:]
+        return basis
+
+    def _basis(self, i: int, R: Array, rho: float, *, exact: bool) -> Basis:
+        """Return R with E and D of the factored K_ρ; R and 0 where K R = 0."""
         if exact:
-            return R, np.zeros((R.shape[1], R.shape[1]))
-        x, mu = self._factors.solve_border(i, transpose=transpose)
-        D = -(rho**2) * mu
-        return rho * x, 0.5 * (D + D.T) if self._symmetric else D
+            return Basis(R, R, R, np.zeros((R.shape[1], R.shape[1])))
+        x, mu = self._factors.solve_border(i)
+        E, D = rho * x, -(rho**2) * mu
+        if self._symmetric:
+            return Basis(R, E, E, 0.5 * (D + D.T))
+        return Basis(R, E, rho * self._factors.solve_many(i, R, transpose=True), D)
 
     def _defects(self, R: Sequence[Array]) -> list[float]:
         """Return ‖K R‖ of every subdomain, and if it is larger ‖Kᵀ R‖."""

@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain.blocks import index_set
+from dolfinx_feti.feti.subdomain.dense import pack
 from dolfinx_feti.feti.subdomain.direct import Choice, create_factor
 
 __all__ = ["partial_factorisation_is_there", "schur_complement"]
@@ -61,7 +62,7 @@ def schur_complement(K: PETSc.Mat, interface: Indices, choice: Choice) -> Array:
         choice: How to factor.
 
     Returns:
-        S in the lower triangle, (n_Γ, n_Γ), in Fortran's order.
+        S in packed format, (n_Γ (n_Γ + 1) / 2,), see ``dense``.
 
     Raises:
         FactorError: The factorisation failed.
@@ -74,7 +75,7 @@ def schur_complement(K: PETSc.Mat, interface: Indices, choice: Choice) -> Array:
     _call("MatFactorGetSchurComplement", F, ctypes.byref(S), ctypes.byref(status))
     _call("MatDenseGetArrayRead", S, ctypes.byref(values))
     n = len(interface)
-    result = np.ctypeslib.as_array(values, (n, n)).T.copy(order="F")
+    result = pack(np.ctypeslib.as_array(values, (n, n)).T)  # its lower triangle is S
     _call("MatDenseRestoreArrayRead", S, ctypes.byref(values))
     _call("MatFactorRestoreSchurComplement", F, ctypes.byref(S), status)
     pc.destroy()

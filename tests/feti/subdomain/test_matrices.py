@@ -15,7 +15,7 @@ from collective import COMM, agree, dense, equal, matrix_of_map, raises, small, 
 
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain import elimination
-from dolfinx_feti.feti.subdomain.dense import DenseFactors
+from dolfinx_feti.feti.subdomain.dense import DenseFactors, pack
 from dolfinx_feti.feti.subdomain.direct import Choice
 from dolfinx_feti.feti.subdomain.matrices import worth_condensing
 from dolfinx_feti.feti.subdomain.schur import partial_factorisation_is_there, schur_complement
@@ -50,7 +50,7 @@ def complement(K, Γ):
 
 @pytest.mark.parametrize("shift", [30.0, 0.0], ids=["definite", "indefinite"])
 def test_partial_factorisation(shift):
-    """S = K_ΓΓ − K_ΓI K_II⁻¹ K_IΓ in the lower triangle, Γ in any order."""
+    """S = K_ΓΓ − K_ΓI K_II⁻¹ K_IΓ, packed, Γ in any order."""
     K, Γ = random_symmetric(17, shift), np.array([3, 16, 4, 0, 9], dtype=np.int32)
     matrix = local_matrix(K)
     choice = Choice("partial_", symmetric=True, right_hand_sides=8)
@@ -58,7 +58,7 @@ def test_partial_factorisation(shift):
     S = schur_complement(matrix, Γ, choice)
     matrix.destroy()
     expected = complement(K, Γ)
-    equal(np.tril(S), np.tril(expected), 1e-12 * np.linalg.cond(K))
+    equal(S, pack(expected), 1e-12 * np.linalg.cond(K))
 
 
 def test_partial_factorisation_leaves_other_solvers_alone():
@@ -71,13 +71,13 @@ def test_partial_factorisation_leaves_other_solvers_alone():
 
 @pytest.mark.parametrize("shift", [40.0, 3.0], ids=["definite", "indefinite"])
 def test_dense_factors(shift):
-    """Both triangles of the one array, the inertia, and E and D of the border's solution."""
+    """S and the factor of S_ρ, the inertia, and E and D of the border's solution."""
     n, k, rho = 23, 3, 2.5
     S = random_symmetric(n, shift)
     R = np.linalg.qr(np.random.default_rng(1).standard_normal((n, k)))[0]
     rows = np.arange(5, 5 + n, dtype=np.int32)
     factors = DenseFactors([rows, np.zeros(0, dtype=np.int32)])
-    factors.set_block(0, np.tril(S))
+    factors.set_block(0, pack(np.tril(S)))
     factors.update_block(0, R, rho)
     factors.update_block(1)
     regularised = S + rho * R @ R.T
@@ -98,7 +98,9 @@ def test_dense_factors(shift):
     E = rho * np.linalg.solve(regularised, R)
     equal(rho * scaled_E, E, 1e-11)
     equal(-(rho**2) * scaled_D, rho * (np.eye(k) - R.T @ E), 1e-10)
-    small(factors.memory() - n * n * 8 / 2**20, 1e-12)
+    packed = n * (n + 1) / 2
+    entries = packed + (n * n if negative else packed)
+    small(factors.memory() - entries * 8 / 2**20, 1e-12)
 
 
 def test_new_columns_after_the_first_inversion():
@@ -106,7 +108,7 @@ def test_new_columns_after_the_first_inversion():
     S = random_symmetric(12, 20.0)
     R = np.linalg.qr(np.random.default_rng(1).standard_normal((12, 2)))[0]
     factors = DenseFactors([np.arange(12, dtype=np.int32)])
-    factors.set_block(0, S)
+    factors.set_block(0, pack(S))
     for columns in (R[:, :1], R, R[:, :0]):
         factors.update_block(0, columns, 3.0)
         inverse = factors.solve_many(0, np.eye(12))
@@ -117,16 +119,15 @@ def test_new_columns_after_the_first_inversion():
 def test_zero_eigenvalues_are_counted():
     S = np.diag([1.0, 2.0, 0.0, 3.0, 0.0])
     factors = DenseFactors([np.arange(5, dtype=np.int32)])
-    factors.set_block(0, S)
+    factors.set_block(0, pack(S))
     factors.update_block(0, np.zeros((5, 0)), 1.0)
     agree(factors.pivots(0) == (0, 2))
 
 
 def test_nan_is_no_inverse():
     factors = DenseFactors([np.arange(2, dtype=np.int32)])
-    factors.set_block(0, np.full((2, 2), np.nan))
     with raises(FactorError, "NaN or Inf"):
-        factors.update_block(0, np.zeros((2, 0)), 1.0)
+        factors.set_block(0, np.full(3, np.nan))
 
 
 @every_type

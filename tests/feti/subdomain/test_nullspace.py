@@ -15,7 +15,7 @@ from mixed import solve_assembled
 from walls import tube, wall
 
 from dolfinx_feti.feti.subdomain import nullspace
-from dolfinx_feti.feti.subdomain.dense import DenseFactors
+from dolfinx_feti.feti.subdomain.dense import DenseFactors, pack
 from dolfinx_feti.feti.subdomain.factors import BlockFactors
 from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, null_space
 
@@ -41,7 +41,7 @@ def factors_of(K, kind):
     rows = np.arange(len(K), dtype=np.int32)
     if kind == "dense":
         factors = DenseFactors([rows])
-        factors.set_block(0, K)
+        factors.set_block(0, pack(K))
         return factors, None
     M = PETSc.Mat().createAIJ(K.shape, nnz=len(K), comm=PETSc.COMM_SELF)
     M.setValues(rows, rows, K)
