@@ -50,8 +50,9 @@ Array = npt.NDArray[np.float64]
 #: Ritz value below which a vector is worth its place: what V leaves begins at about one.
 SMALL = 0.8
 
-#: Share of the largest eigenvalue of a Gram matrix below which a direction counts as repeated.
-REPEATED = 1e-10
+#: Share of the largest eigenvalue below which a direction counts as repeated: of a Gram matrix of
+#: energies, where it has lost so much to rounding, and of one of squared displacements.
+REPEATED, VANISHED = 1e-6, 1e-10
 
 #: Bounds of rounding errors by which an eigenvalue of H has to be negative.
 BOUNDS = 10.0
@@ -99,7 +100,9 @@ class DeflatedSpace:
         with event("FETIRecycling"):
             columns = [] if vectors is None else [space.project(w) for w in vectors.W.T]
             W = np.reshape(columns, (len(columns), copies.n)).T  # W ← W − V A₀⁻¹ (A V)ᵀ W
-            self._Q = W if vectors is None else vectors.Q
+            Y = _independent(self._product(W, copies.delta[:, None] * W))
+            self._Q = W if vectors is None else vectors.Q @ Y
+            W = W @ Y
             SW = np.empty_like(W)
             for i, rows in enumerate(copies.blocks):
                 SW[rows] = multiply(i, W[rows])
@@ -188,6 +191,12 @@ class DeflatedSpace:
 def _symmetric(H: Array) -> Array:
     """Return the symmetric part."""
     return np.asarray(0.5 * (H + H.T))
+
+
+def _independent(H: Array) -> Array:
+    """Return the orthonormal eigenvectors of H, (k, up to k), without those of its kernel."""
+    values, Y = np.linalg.eigh(H)
+    return np.asarray(Y[:, values > VANISHED * values.max(initial=0.0)])
 
 
 def _scaled_eigenvectors(H: Array) -> tuple[Array, Array]:
