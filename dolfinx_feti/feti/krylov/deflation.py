@@ -98,20 +98,20 @@ class DeflatedSpace:
         self._space, self._copies = space, copies
         self._direction: Array | None = None
         with event("FETIRecycling"):
-            columns = [] if vectors is None else [space.project(w) for w in vectors.W.T]
-            W = np.reshape(columns, (len(columns), copies.n)).T  # W ← W − V A₀⁻¹ (A V)ᵀ W
+            vectors = vectors or RitzVectors(np.zeros((copies.n, 0)), np.zeros((copies.n, 0)))
+            W = np.empty_like(vectors.W)
+            for j, w in enumerate(vectors.W.T):
+                W[:, j] = space.project(w)  # W ← W − V A₀⁻¹ (A V)ᵀ W
             Y = _independent(self._product(W, copies.delta[:, None] * W))
-            self._Q = W if vectors is None else vectors.Q @ Y
-            W = W @ Y
-            SW = np.empty_like(W)
+            self._W, self._Q = W @ Y, vectors.Q @ Y
+            self._SW = np.empty_like(self._W)
             for i, rows in enumerate(copies.blocks):
-                SW[rows] = multiply(i, W[rows])
-            self._W, self._SW = W, SW
-            self._H = _symmetric(self._product(W, SW))  # H = Wᵀ A W
+                self._SW[rows] = multiply(i, self._W[rows])  # S W
+            self._H = _symmetric(self._product(self._W, self._SW))  # H = Wᵀ A W
             values, Y = _scaled_eigenvectors(self._H)
             self._inverse = (Y / values) @ Y.T  # H⁻¹
             if values.min(initial=0.0) < 0.0:
-                v = W @ Y[:, 0]  # vᵀ A v = values[0] < 0
+                v = self._W @ Y[:, 0]  # vᵀ A v = values[0]
                 if values[0] < -BOUNDS * self._rounding(multiply, v):
                     self._direction = v
 
@@ -151,12 +151,14 @@ class DeflatedSpace:
         Note:
             Collective.
         """
-        k, r = max(len(trace.Z) - 1, 0), self.count  # A p takes the next residual
+        k, r = len(trace.Z) - 1, self.count  # A p takes the next residual
+        if k < 1:
+            return RitzVectors(self._W, self._Q)
         α, root = trace.steps, np.sqrt(trace.turns)
         Z, R, δ = trace.Z[:k].T, trace.R.T, self._copies.delta[:, None]
         G = self._product(Z, δ * R)  # Zᵀ R, (k, k + 1)
-        N = self._product(self._Q, δ * Z)  # N = Qᵀ Z
-        if not k or not (np.isfinite(G).all() and np.isfinite(N).all()):
+        N = self._product(δ * self._Q, Z)  # N = Qᵀ Z
+        if not (np.isfinite(G).all() and np.isfinite(N).all()):
             return RitzVectors(self._W, self._Q)
         B = (G[:, :k] - root[1 : k + 1] * G[:, 1:]) / α[:k]  # B = Zᵀ A P
         C = B - root[:k] * np.pad(B, ((0, 0), (1, 0)))[:, :k]  # C = Zᵀ A Z
@@ -194,7 +196,7 @@ def _symmetric(H: Array) -> Array:
 
 
 def _independent(H: Array) -> Array:
-    """Return the orthonormal eigenvectors of H, (k, up to k), without those of its kernel."""
+    """Return the orthonormal eigenvectors of H ≥ 0, (k, up to k), without those of its kernel."""
     values, Y = np.linalg.eigh(H)
     return np.asarray(Y[:, values > VANISHED * values.max(initial=0.0)])
 
