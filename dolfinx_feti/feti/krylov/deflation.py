@@ -100,8 +100,8 @@ class DeflatedSpace:
         with event("FETIRecycling"):
             vectors = vectors or RitzVectors(np.zeros((copies.n, 0)), np.zeros((copies.n, 0)))
             W = np.empty_like(vectors.W)
-            for j, w in enumerate(vectors.W.T):
-                W[:, j] = space.project(w)  # W ← W − V A₀⁻¹ (A V)ᵀ W
+            for j in range(W.shape[1]):
+                W[:, j] = space.project(vectors.W[:, j])  # W ← W − V A₀⁻¹ (A V)ᵀ W
             Y = _independent(self._product(W, copies.delta[:, None] * W))
             self._W, self._Q = W @ Y, vectors.Q @ Y
             self._SW = np.empty_like(self._W)
