@@ -15,7 +15,8 @@ under load, in which subdomains would buckle alone.
 
 :math:`K_ρ^{-1}`, the columns of V and the weights δ make a preconditioner of A whatever matrix they
 belong to. So they may last: :func:`create_lagged_form` takes those of an earlier matrix, and S,
-A V and A₀ of the present one.
+A V and A₀ of the present one. In the same way Ritz vectors of solves with earlier matrices join V
+(``deflation``).
 """
 
 from __future__ import annotations
