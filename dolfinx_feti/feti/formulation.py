@@ -17,6 +17,7 @@ from petsc4py import PETSc
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.dual_form import DualForm, create_dual_form
+from dolfinx_feti.feti.krylov.deflation import RitzVectors
 from dolfinx_feti.feti.preconditioner.dirichlet import Dirichlet
 from dolfinx_feti.feti.primal_form import PrimalForm, create_lagged_form, create_primal_form
 from dolfinx_feti.feti.setup import Factored, Pattern, factor
@@ -26,11 +27,13 @@ __all__ = ["Form", "set_up", "set_up_lagged"]
 Form = DualForm | PrimalForm
 
 
-def set_up(pattern: Pattern) -> Form:
+def set_up(pattern: Pattern, vectors: RitzVectors | None = None, *, most: int = 0) -> Form:
     """Factor the present matrix and build a form of the method.
 
     Args:
         pattern: What depends on the pattern of the matrix.
+        vectors: Ritz vectors that solves in the primal form with earlier matrices have left.
+        most: Ritz vectors that a solve in that form leaves to later ones, at most.
 
     Returns:
         The form; the caller destroys it before the pattern.
@@ -44,16 +47,19 @@ def set_up(pattern: Pattern) -> Form:
     """
     factored = factor(pattern)
     if _takes_primal(pattern, factored):
-        return create_primal_form(pattern, factored)
+        return create_primal_form(pattern, factored, vectors, most=most)
     return create_dual_form(pattern, factored)
 
 
-def set_up_lagged(pattern: Pattern, earlier: PrimalForm) -> PrimalForm:
+def set_up_lagged(
+    pattern: Pattern, earlier: PrimalForm, vectors: RitzVectors | None = None
+) -> PrimalForm:
     """Take the present matrix into the primal form, with the preconditioner of an earlier one.
 
     Args:
         pattern: What depends on the pattern of both matrices.
         earlier: The form of the matrix before, which is used up.
+        vectors: Ritz vectors that solves with earlier matrices have left.
 
     Raises:
         SetUpError: A factorisation failed, or the assembled problem is singular.
@@ -66,7 +72,7 @@ def set_up_lagged(pattern: Pattern, earlier: PrimalForm) -> PrimalForm:
     except SetUpError:
         earlier.destroy()
         raise
-    return create_lagged_form(pattern, factored, earlier)
+    return create_lagged_form(pattern, factored, earlier, vectors)
 
 
 def _takes_primal(pattern: Pattern, factored: Factored) -> bool:

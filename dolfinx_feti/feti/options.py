@@ -32,6 +32,10 @@
                                                                         solve that K_ρ⁻¹ and the
                                                                         coarse columns serve, at
                                                                         most (primal)
+``-feti_deflation``            20                                       Ritz vectors of small
+                                                                        eigenvalues that serve the
+                                                                        later matrices of a Newton
+                                                                        solve, at most (primal)
 ``-feti_recycle``              0                                        directions left to later
                                                                         solves, at most
 ``-feti_local_…``              ``pc_factor_mat_solver_type …``          factors of K_ρ
@@ -75,6 +79,7 @@ NUMBERS = {
     "refine": 10,
     "coarse_flux": 10,
     "lag": 6,
+    "deflation": 20,
     "recycle": 0,
 }
 SHARES = {"coarse_threshold": 0.01}
@@ -122,6 +127,7 @@ class FETIOptions:
     refine: int = 10
     coarse_flux: int = 10
     lag: int = 6
+    deflation: int = 20
     recycle: int = 0
 
     @property

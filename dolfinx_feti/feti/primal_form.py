@@ -15,7 +15,8 @@ under load, in which subdomains would buckle alone.
 
 :math:`K_ρ^{-1}`, the columns of V and the weights δ make a preconditioner of A whatever matrix they
 belong to. So they may last: :func:`create_lagged_form` takes those of an earlier matrix, and S,
-A V and A₀ of the present one.
+A V and A₀ of the present one. In the same way Ritz vectors of solves with earlier matrices join V
+(``deflation``).
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from dolfinx_feti.feti.coarse.singularity import require_held
 from dolfinx_feti.feti.copies import Copies
 from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.inertia import Inertia
+from dolfinx_feti.feti.krylov.deflation import DeflatedSpace, RitzVectors
 from dolfinx_feti.feti.krylov.method import Method, Solution
 from dolfinx_feti.feti.krylov.primal import PrimalSystem, conjugate_gradients
 from dolfinx_feti.feti.krylov.recycling import Directions
@@ -50,6 +52,9 @@ __all__ = ["PrimalForm", "create_lagged_form", "create_primal_form"]
 
 Array = npt.NDArray[np.float64]
 Reason = PETSc.KSP.ConvergedReason
+
+#: Iterations that are kept for each of the Ritz vectors that may come of them.
+TRACED = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +74,8 @@ class PrimalForm:
         space: The averaged coarse space V.
         inertia: Negative eigenvalues.
         system: A and its preconditioner.
+        deflation: V, and Ritz vectors of earlier solves beside it.
+        most: Ritz vectors that a solve leaves to those of later matrices, at most.
         age: Matrices since the one that K_ρ, E and δ belong to.
     """
 
@@ -84,6 +91,8 @@ class PrimalForm:
     space: AveragedSpace
     inertia: Inertia
     system: PrimalSystem
+    deflation: DeflatedSpace
+    most: int
     age: int = 0
 
     def solve(
@@ -116,14 +125,18 @@ class PrimalForm:
                 max_it=max_it,
                 stagnation=self.options.stagnation,
                 monitor=monitor,
+                traced=TRACED * self.most,
             )
+        with event("FETIRecycling"):
+            left = self.deflation.ritz_vectors(found.trace, most=self.most)
         u = np.zeros(torn.n)
         u[Γ] = found.x
         ends = found.eigenvalues[[0, -1]] if len(found.eigenvalues) else (np.nan, np.nan)
         reason = found.reason
         if reason == Reason.DIVERGED_INDEFINITE_PC and self.inertia.local == 0:
             reason = Reason.CONVERGED_ITS  # rounding: a fresh start on what is left
-        solution = Solution(found.x, reason, found.iterations, (float(ends[0]), float(ends[1])))
+        spectrum = (float(ends[0]), float(ends[1]))
+        solution = Solution(found.x, reason, found.iterations, spectrum, left)
         return self.preconditioner.complete(u, f) + u_D, solution
 
     @property
@@ -137,16 +150,16 @@ class PrimalForm:
         return False
 
     def deflated(self, _directions: Directions | None) -> PrimalForm:
-        """Return the form itself: directions of earlier solves serve the dual form only."""
+        """Return the form itself: it has been set up with its Ritz vectors."""
         return self
 
     @property
     def recycled(self) -> int:
-        """Number of directions of earlier solves."""
-        return 0
+        """Number of Ritz vectors of earlier solves."""
+        return self.deflation.count
 
     def directions(self) -> Directions | None:
-        """Return None: nothing is left to later solves."""
+        """Return None: a solve tells itself what it leaves to later ones."""
         return None
 
     def destroy(self) -> None:
@@ -155,12 +168,16 @@ class PrimalForm:
         self.copies.destroy()
 
 
-def create_primal_form(pattern: Pattern, factored: Factored) -> PrimalForm:
+def create_primal_form(
+    pattern: Pattern, factored: Factored, vectors: RitzVectors | None = None, *, most: int = 0
+) -> PrimalForm:
     """Build the coarse space of the present matrix.
 
     Args:
         pattern: What depends on the pattern, with the factors of the present matrix.
         factored: What these tell.
+        vectors: What solves with earlier matrices have left.
+        most: Ritz vectors that a solve leaves to those of later matrices, at most.
 
     Returns:
         The form; the caller destroys it before the pattern.
@@ -192,6 +209,7 @@ def create_primal_form(pattern: Pattern, factored: Factored) -> PrimalForm:
         pairs = zip(modes.E, S.on_interface, flux_columns(copies, g, solve_many), strict=True)
         U = [np.hstack([E[on], flux]) for E, on, flux in pairs]
         space = AveragedSpace(copies, U, S.multiply_many, prefix=pattern.prefix + "coarse_")
+    deflation = DeflatedSpace(space, copies, S.multiply_many, vectors)
     return PrimalForm(
         options=options,
         torn=torn,
@@ -204,11 +222,18 @@ def create_primal_form(pattern: Pattern, factored: Factored) -> PrimalForm:
         copies=copies,
         space=space,
         inertia=_with_proof(factored.inertia, space),
-        system=_system(copies, space, S, inverse),
+        system=_system(copies, deflation, S, inverse),
+        deflation=deflation,
+        most=most,
     )
 
 
-def create_lagged_form(pattern: Pattern, factored: Factored, earlier: PrimalForm) -> PrimalForm:
+def create_lagged_form(
+    pattern: Pattern,
+    factored: Factored,
+    earlier: PrimalForm,
+    vectors: RitzVectors | None = None,
+) -> PrimalForm:
     """Build the form of the present matrix with :math:`K_ρ^{-1}`, V and δ of an earlier one.
 
     Args:
@@ -216,6 +241,7 @@ def create_lagged_form(pattern: Pattern, factored: Factored, earlier: PrimalForm
         factored: What these tell, with the modes of the earlier matrix.
         earlier: The form of the matrix before, which is used up: what lasts passes into the new
             one, and the rest is freed.
+        vectors: What solves with earlier matrices have left.
 
     Raises:
         SetUpError: A body is not held.
@@ -233,18 +259,20 @@ def create_lagged_form(pattern: Pattern, factored: Factored, earlier: PrimalForm
         except SetUpError:
             copies.destroy()
             raise
+    deflation = DeflatedSpace(space, copies, S.multiply_many, vectors)
     return replace(
         earlier,
         near_kernel=factored.near_kernel,
         space=space,
         inertia=_with_proof(factored.inertia, space),
-        system=_system(copies, space, S, pattern.inverse),
+        system=_system(copies, deflation, S, pattern.inverse),
+        deflation=deflation,
         age=earlier.age + 1,
     )
 
 
 def _system(
-    copies: Copies, space: AveragedSpace, S: Dirichlet, inverse: PseudoInverse
+    copies: Copies, space: DeflatedSpace, S: Dirichlet, inverse: PseudoInverse
 ) -> PrimalSystem:
     """Let S and K_ρ⁻¹ of all subdomains act on copies of the interface dofs.
 

@@ -43,6 +43,7 @@ class Report:
         coarse_inertia: Negative and zero eigenvalues of the coarse matrix; None if not known.
         factor_mib: Memory of all local factors in MiB.
         recycled: Directions of earlier solves, deflated in the last one.
+        recycled_mib: Memory of these in the primal form in MiB.
         eigenvalues: (λ_min, λ_max) of the preconditioned operator.
     """
 
@@ -64,6 +65,7 @@ class Report:
     coarse_inertia: Pivots
     factor_mib: float
     recycled: int
+    recycled_mib: float
     eigenvalues: tuple[float, float]
 
 
@@ -108,6 +110,7 @@ def collect(form: Form, *, recycled: int, eigenvalues: tuple[float, float]) -> R
         coarse_inertia=coarse.solver.pivots(),
         factor_mib=comm.allreduce(form.matrices.memory() + applied),
         recycled=recycled,
+        recycled_mib=comm.allreduce(0.0 if isinstance(form, DualForm) else form.deflation.memory()),
         eigenvalues=eigenvalues,
     )
 
@@ -142,6 +145,8 @@ def table(report: Report) -> str:
         ("factors", f"{r.factor_mib:.0f} MiB, interior {r.interior}"),
         ("condition number", condition),
     ]
+    if r.formulation == "primal" and r.recycled:
+        rows.append(("Ritz vectors", f"{r.recycled} deflated, {r.recycled_mib:.0f} MiB"))
     if o.recycle:
         rows.append(("recycled directions", f"{r.recycled} of at most {o.recycle}"))
     return "".join(f"  {name:<22}{value}\n" for name, value in rows)

@@ -27,6 +27,7 @@ from dolfinx_feti.events import event
 from dolfinx_feti.feti.dual_form import create_dual_form
 from dolfinx_feti.feti.formulation import Form, set_up, set_up_lagged
 from dolfinx_feti.feti.inertia import Inertia
+from dolfinx_feti.feti.krylov.deflation import RitzVectors
 from dolfinx_feti.feti.krylov.recycling import Directions
 from dolfinx_feti.feti.monitor import outer_monitor
 from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
@@ -93,7 +94,8 @@ class FETI:
         refuse_indefinite: Whether a solve ends before its first iteration, with the reason
             ``DIVERGED_INDEFINITE_MAT``, if the assembled matrix is proved to be indefinite.
         lasting: Whether the matrices are those of Newton's method: then the preconditioner of the
-            primal form serves later ones, too, up to ``-feti_lag`` of them, until :meth:`renew`.
+            primal form serves later ones, too, up to ``-feti_lag`` of them, until :meth:`renew`,
+            and so do up to ``-feti_deflation`` Ritz vectors of each solve.
         eigenvalues: (λ_min, λ_max) of the preconditioned dual operator, by Lanczos from the CG
             coefficients; nan before a CG solve.
     """
@@ -111,6 +113,7 @@ class FETI:
         self._form: Form | None = None
         self._state: tuple[int, int] | None = None
         self._directions: Directions | None = None
+        self._ritz_vectors: RitzVectors | None = None
         self._recycled = 0
         self._outdated = False
         self._rate = np.nan  # iterations for a digit of the first solve with the preconditioner
@@ -128,8 +131,8 @@ class FETI:
         return self._form.age if isinstance(self._form, PrimalForm) else 0
 
     def renew(self) -> None:
-        """Let the next matrix have a preconditioner of its own."""
-        self._outdated = True
+        """Let the next matrix have a preconditioner of its own, and no Ritz vectors."""
+        self._outdated, self._ritz_vectors = True, None
 
     # -- PETSc's calls ----------------------------------------------------------------------------
 
@@ -257,11 +260,12 @@ class FETI:
         """Take the present matrix into a form, which follows the one of the last matrix."""
         form, self._form = self._form, None
         if isinstance(form, PrimalForm) and self._lasts(form):
-            return set_up_lagged(pattern, form)
+            return set_up_lagged(pattern, form, self._ritz_vectors)
         if form is not None:
             form.destroy()
         self._outdated, self._rate = False, np.nan
-        return set_up(pattern)
+        most = pattern.options.deflation if self.lasting else 0
+        return set_up(pattern, self._ritz_vectors if most else None, most=most)
 
     def _lasts(self, form: PrimalForm) -> bool:
         """Tell whether the preconditioner serves another matrix."""
@@ -272,7 +276,7 @@ class FETI:
     def _renew(self, A: PETSc.Mat, options: FETIOptions) -> None:
         """Begin anew with the pattern of another matrix."""
         self.destroy()
-        self._state = self._directions = None
+        self._state = self._directions = self._ritz_vectors = None
         self._pattern = Pattern(A, options, self._prefix)
 
     def _solve_in_form(self, ksp: PETSc.KSP, form: Form, b: PETSc.Vec, x: PETSc.Vec) -> int:
@@ -291,7 +295,6 @@ class FETI:
             form.destroy()
             form, self.message, self.method = self._form, "", self._form.method.type
         deflated = form.deflated(self._directions)
-        self._recycled = deflated.recycled
         reason = self._solve(ksp, deflated, b, x)
         self._directions = deflated.directions()
         return reason
@@ -303,6 +306,7 @@ class FETI:
     def _solve(self, ksp: PETSc.KSP, form: Form, b: PETSc.Vec, x: PETSc.Vec) -> int:
         """Solve with a form of the method, and repeat on the residual until it is small."""
         torn, delta = form.torn, form.gluing.delta
+        self._recycled = form.recycled
         rtol, atol, _, max_it = ksp.getTolerances()
         self.iterations, self.residual = 0, np.nan
         if not np.isfinite(b.norm()):
@@ -328,8 +332,10 @@ class FETI:
             )
             reason = solution.reason
             self.iterations += solution.iterations
+            if attempt == 0:
+                self.eigenvalues = solution.eigenvalues
+                self._ritz_vectors = solution.ritz_vectors
             ksp.setIterationNumber(self.iterations)
-            self.eigenvalues = solution.eigenvalues if attempt == 0 else self.eigenvalues
             before = x.array_r.copy()
             x.array[:] += torn.assemble(delta * u)
             r.destroy()

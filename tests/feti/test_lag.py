@@ -79,6 +79,27 @@ def test_serves_later_matrices(kind, interior, primal):
     agree(check(problem, ksp) == 0)
 
 
+@every_interior
+@pytest.mark.parametrize("lag", [0, 6])
+def test_ritz_vectors_serve_later_matrices(interior, lag, primal):
+    """They outlive the preconditioner, but not the Newton solve."""
+    counts = {}
+    for most in (0, 3):
+        problem, ksp = primal(feti_interior=interior, feti_lag=lag, feti_deflation=most)
+        context, counts[most] = ksp.getPythonContext(), []
+        for factor in (1.0, 0.3, 1.1, 0.9, 1.0):
+            scale(problem, [factor, 1.0, 1.0 / factor, 1.0])
+            if len(counts[most]) == 4:
+                context.renew()
+            check(problem, ksp)
+            counts[most].append(context.report().recycled)
+    agree(counts[0] == [0] * 5, counts)
+    agree(counts[3][0] == counts[3][4] == 0 and max(counts[3]) <= 3, counts)
+    if lag:
+        agree(min(counts[3][2:4]) > 0, counts)
+        agree("Ritz vectors" not in table(context.report()))
+
+
 def test_same_matrix_is_not_set_up_again(primal):
     problem, ksp = primal()
     agree([check(problem, ksp) for _ in range(3)] == [0, 0, 0])

@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.events import event
+from dolfinx_feti.feti.krylov.deflation import RitzVectors
 from dolfinx_feti.feti.krylov.stopping import KrylovSystem, Monitor, StoppingTest
 from dolfinx_feti.petsc_options import inserted
 
@@ -78,12 +79,14 @@ class Solution:
         reason: PETSc's converged reason.
         iterations: Number of iterations.
         eigenvalues: Extreme Ritz values of CG, (λ_min, λ_max); nan for other methods.
+        ritz_vectors: What a solve in the primal form leaves to later ones.
     """
 
     x: Array
     reason: int
     iterations: int
     eigenvalues: tuple[float, float]
+    ritz_vectors: RitzVectors | None = None
 
 
 def choose_method(comm: MPI.Comm, *, definite: bool, prefix: str, stagnation: int) -> Method:

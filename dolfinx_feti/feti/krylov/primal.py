@@ -37,7 +37,7 @@ import scipy.linalg
 from dolfinx_feti.collective import total
 from dolfinx_feti.feti.copies import Copies
 
-__all__ = ["Outcome", "PrimalSystem", "conjugate_gradients"]
+__all__ = ["CoarseSpace", "Outcome", "PrimalSystem", "Trace", "conjugate_gradients"]
 
 Array = npt.NDArray[np.float64]
 Monitor = Callable[[int, float], None]
@@ -45,7 +45,7 @@ Reason = PETSc.KSP.ConvergedReason
 
 
 class CoarseSpace(Protocol):
-    """What conjugate gradients ask of a coarse space; see ``averaged``."""
+    """What conjugate gradients ask of a coarse space; see ``averaged`` and ``deflation``."""
 
     def start(self, r: Array) -> Array:
         """Return V A₀⁻¹ Vᵀ r."""
@@ -89,6 +89,23 @@ class PrimalSystem:
 
 
 @dataclass(frozen=True, slots=True)
+class Trace:
+    """The first k iterations of a solve; the vectors are scaled to rᵀ z = 1, by their copies.
+
+    Attributes:
+        R: Residuals r, (k, n).
+        Z: Preconditioned residuals z, (k, n).
+        steps: α of each, (k,).
+        turns: β of each, (k,).
+    """
+
+    R: Array
+    Z: Array
+    steps: Array
+    turns: Array
+
+
+@dataclass(frozen=True, slots=True)
 class Outcome:
     """What conjugate gradients end with.
 
@@ -98,6 +115,7 @@ class Outcome:
         iterations: Number of iterations.
         norm: ‖b − A x‖.
         eigenvalues: Ritz values of the preconditioned operator, ascending, (iterations,).
+        trace: The first iterations.
         direction: A direction p with pᵀ A p ≤ 0, by its copies, if one was met.
     """
 
@@ -106,6 +124,7 @@ class Outcome:
     iterations: int
     norm: float
     eigenvalues: Array
+    trace: Trace
     direction: Array | None = None
 
 
@@ -117,6 +136,7 @@ def conjugate_gradients(
     max_it: int,
     monitor: Monitor,
     stagnation: int = 0,
+    traced: int = 0,
 ) -> Outcome:
     """Solve A x = Tᵀ f.
 
@@ -127,6 +147,7 @@ def conjugate_gradients(
         max_it: Most iterations.
         monitor: Called with (iteration, ‖b − A x‖).
         stagnation: Iterations without a new least residual that end the solve; 0 for no end.
+        traced: Iterations whose vectors are kept, at most.
 
     Note:
         Collective.
@@ -140,6 +161,7 @@ def conjugate_gradients(
     monitor(0, norm)
     α: list[float] = []
     β: list[float] = []
+    R, Z = np.empty((2, traced, len(x)))  # a row takes memory once it is written
     direction = space.negative_direction()
     best, least, at = x, norm, 0
     reason = Reason.ITERATING if direction is None else Reason.DIVERGED_INDEFINITE_MAT
@@ -155,6 +177,8 @@ def conjugate_gradients(
         elif curvature <= 0.0:
             reason, direction = Reason.DIVERGED_INDEFINITE_MAT, p
         else:
+            if len(α) < traced:
+                R[len(α)], Z[len(α)] = r / np.sqrt(ρ), z / np.sqrt(ρ)
             α.append(ρ / curvature)
             x = x + α[-1] * p
             r -= α[-1] * copies.sum(q)
@@ -164,7 +188,9 @@ def conjugate_gradients(
                 best, least, at = x, norm, len(α)
             elif stagnation and len(α) - at >= stagnation:
                 reason = Reason.DIVERGED_BREAKDOWN
-    return Outcome(best, reason, len(α), least, ritz_values(α, β), direction)
+    k = min(len(α), traced)
+    trace = Trace(R[:k], Z[:k], np.array(α[:k]), np.array(β[:k]))
+    return Outcome(best, reason, len(α), least, ritz_values(α, β), trace, direction)
 
 
 def _reason(norm: float, target: float, its: int, max_it: int) -> int:
