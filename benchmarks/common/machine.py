@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import platform
 import time
 from datetime import UTC, datetime
@@ -20,7 +21,7 @@ import dolfinx
 
 from dolfinx_feti.comparison import PeakMemory
 
-__all__ = ["PeakMemory", "available_mib", "bandwidth", "describe", "now", "resident_mib"]
+__all__ = ["PeakMemory", "available_mib", "bandwidth", "describe", "now", "resident_mib", "threads"]
 
 PROC = Path("/proc")
 CGROUP = Path("/sys/fs/cgroup")
@@ -91,6 +92,11 @@ def describe() -> dict[str, str | int]:
         "dolfinx": dolfinx.__version__,
         "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
     }
+
+
+def threads() -> int:
+    """Return the threads that a process may use: OMP_NUM_THREADS, or its cores."""
+    return int(os.environ.get("OMP_NUM_THREADS", 0)) or len(os.sched_getaffinity(0))
 
 
 def now() -> str:
