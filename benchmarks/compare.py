@@ -17,16 +17,18 @@ that a solver took above that, from its creation to its solution, summed over th
 `--solvers` also takes hypre (BoomerAMG) and bddc (PETSc's, on the torn matrix). On the path
 Newton's method goes on with FETI's solution, and MUMPS solves the same systems beside it.
 
-A case that is in the file with all its solvers is not run again, unless by --again. Processes and
-threads (OMP_NUM_THREADS) are those that it is started with: run it on two processes and on one with
-two threads, and `benchmarks.speed_page` takes the better one of each solver. Options with a single
-dash are PETSc's, with the prefixes `tube_`, `vessel_`, `block_` (FETI), `mumps_`, `gamg_`, …
+A case that is in the file with all its solvers is not run again, unless by --again. A solver that
+fails, say for want of memory, is recorded with the reason. Processes and threads (OMP_NUM_THREADS)
+are those that it is started with: run it on two processes and on one with two threads, and
+`benchmarks.speed_page` takes the better one of each solver. Options with a single dash are PETSc's,
+with the prefixes `tube_`, `vessel_`, `block_` (FETI), `mumps_`, `gamg_`, …
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -39,6 +41,7 @@ from mpi4py import MPI
 
 import dolfinx_feti
 from benchmarks.common.arguments import (
+    add_records,
     create_parser,
     names,
     one_of,
@@ -47,7 +50,7 @@ from benchmarks.common.arguments import (
     several,
 )
 from benchmarks.common.bodies import LoadedBody, create_clamped_block
-from benchmarks.common.machine import describe, now, threads
+from benchmarks.common.machine import describe, limited_memory, now, threads
 from benchmarks.common.progress import say
 from benchmarks.common.records import Record
 from benchmarks.speed import path
@@ -95,7 +98,7 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
         there = [file.find(case.key(name)) for name in solvers]
         if args.again or None in there:
             try:
-                found = _run(case, solvers, args.folder, comm)
+                found = _run(case, solvers, args.folder, args.memory, comm)
             except ValueError as error:  # of the mesh or the decomposition, before any solver
                 parser.error(str(error))
             own = {"machine": describe(), "date": now()}
@@ -123,36 +126,50 @@ def _plan(args: argparse.Namespace, processes: int) -> Iterator[Case]:
             )
 
 
-def _run(case: Case, solvers: Sequence[str], folder: Path, comm: MPI.Comm) -> list[Record]:
+def _run(
+    case: Case, solvers: Sequence[str], folder: Path, memory: float, comm: MPI.Comm
+) -> list[Record]:
     """Run a case; return a record for each solver.
+
+    Args:
+        case: The case.
+        solvers: Out of those that it may have.
+        folder: Where meshes are kept.
+        memory: What a solver may take beside the body [MiB].
+        comm: Communicator of the mesh.
 
     Raises:
         ValueError: There is no such mesh, or it has too few cells for the subdomains.
     """
-    on_path = case.path_mmhg is not None
-    body = _create_body(case, folder, comm, {} if on_path else {"ksp_view": None})
-    problem = body.problem
+    body = _create_body(case, folder, comm)
     dofmap = body.u.function_space.dofmap
     size: Record = {
         "dofs": dofmap.index_map.size_global * dofmap.index_map_bs,
-        "subdomains": comm.allreduce(problem.decomposition.count),
+        "subdomains": comm.allreduce(body.problem.decomposition.count),
     }
-    if case.path_mmhg is not None:
-        found = path.follow(body, case.path_mmhg, direct="mumps" in solvers)
-    else:
-        body.load.value = loads.mmhg(FIRST_LOAD[case.geometry])
-        ordered = [name for name in SOLVERS if name in solvers]  # FETI first
-        found = dolfinx_feti.compare(problem, ordered, definite=True).records
-        for record in found:
-            difference = record.pop("difference_to_direct", None)
-            record |= {"difference_to_mumps": difference, "newton_iterations": 1}
+    with limited_memory(comm, memory) as room:
+        if case.path_mmhg is None:
+            body.load.value = loads.mmhg(FIRST_LOAD[case.geometry])
+            found = _first_step(body, solvers)
+        else:
+            found = path.follow(body, case.path_mmhg, direct="mumps" in solvers)
+    size["free_mib"] = room if math.isfinite(room) else None
     return [case.key(record["solver"]) | size | record for record in found]
 
 
-def _create_body(
-    case: Case, folder: Path, comm: MPI.Comm, options: dict[str, object]
-) -> LoadedBody:
-    """Build a body at rest."""
+def _first_step(body: LoadedBody, solvers: Sequence[str]) -> list[Record]:
+    """Solve the next Newton step with each solver."""
+    ordered = [name for name in SOLVERS if name in solvers]  # FETI first
+    found = dolfinx_feti.compare(body.problem, ordered, definite=True).records
+    for record in found:
+        difference = record.pop("difference_to_direct", None)
+        record |= {"difference_to_mumps": difference, "newton_iterations": 1}
+    return found
+
+
+def _create_body(case: Case, folder: Path, comm: MPI.Comm) -> LoadedBody:
+    """Build a body at rest; the solver of a first step shows itself."""
+    options = {} if case.path_mmhg is not None else {"ksp_view": None}
     shared = {
         "dofs": case.wanted_dofs,
         "kappa": case.kappa,
@@ -178,8 +195,7 @@ def _create_parser(comm: MPI.Comm) -> argparse.ArgumentParser:
     add("--solvers", type=several(one_of(SOLVERS)), help=f"{names(SOLVERS)}; the first three")
     add("--path", type=positive, metavar="P", help="load steps to P mmHg in place of a first step")
     add("--folder", type=Path, default=Path("build/walls"), help="where meshes are kept")
-    add("--json", type=Path, metavar="FILE", help="where the records are kept")
-    add("--again", action="store_true", help="also run cases that the file has")
+    add_records(parser)
     return parser
 
 
