@@ -106,8 +106,8 @@ def test_block_is_clamped_on_five_faces():
     x = V.tabulate_dof_coordinates()[:n]
     inside = (x[:, 1:] > 1e-6).all(axis=1) & (x[:, 1:] < 1 - 1e-6).all(axis=1) & (x[:, 0] > 1e-6)
     held = np.zeros(3 * n, dtype=bool)
-    dofs, owned = block.problem.bcs[0].dof_indices()
-    held[dofs[:owned]] = True
+    dofs, _ = block.problem.bcs[0].dof_indices()
+    held[dofs[dofs < 3 * n]] = True
     agree((held.reshape(n, 3) == ~inside[:, None]).all())
 
 
@@ -153,7 +153,7 @@ def test_path_that_fails_is_recorded(monkeypatch):
     records = compare.main([*SMALL, "--path", "0.1", "--kappa", "10"])
     for record in records:
         agree(not record["converged"], record)
-        agree(record["note"] == "failed: No equilibrium\\nwas found.".replace("\\n", " "), record)
+        agree(record["note"] == "failed: No equilibrium was found.", record)
         agree(record["linear_solves"] >= 1 and record["newton_iterations"] == 0, record)
 
 
