@@ -98,9 +98,10 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
         there = [file.find(case.key(name)) for name in solvers]
         if args.again or None in there:
             try:
-                found = _run(case, solvers, args.folder, args.memory, comm)
-            except ValueError as error:  # of the mesh or the decomposition, before any solver
+                body = _create_body(case, args.folder, comm)
+            except ValueError as error:  # no such mesh, or fewer cells than subdomains
                 parser.error(str(error))
+            found = _run(case, body, solvers, args.memory, comm)
             own = {"machine": describe(), "date": now()}
             there = [file.put(case.key(r["solver"]), r | own) for r in found]
         else:
@@ -127,21 +128,17 @@ def _plan(args: argparse.Namespace, processes: int) -> Iterator[Case]:
 
 
 def _run(
-    case: Case, solvers: Sequence[str], folder: Path, memory: float, comm: MPI.Comm
+    case: Case, body: LoadedBody, solvers: Sequence[str], memory: float, comm: MPI.Comm
 ) -> list[Record]:
     """Run a case; return a record for each solver.
 
     Args:
         case: The case.
+        body: Its body, at rest.
         solvers: Out of those that it may have.
-        folder: Where meshes are kept.
-        memory: What a solver may take beside the body [MiB].
+        memory: What they may take beside the body [MiB].
         comm: Communicator of the mesh.
-
-    Raises:
-        ValueError: There is no such mesh, or it has too few cells for the subdomains.
     """
-    body = _create_body(case, folder, comm)
     dofmap = body.u.function_space.dofmap
     size: Record = {
         "dofs": dofmap.index_map.size_global * dofmap.index_map_bs,
@@ -168,7 +165,11 @@ def _first_step(body: LoadedBody, solvers: Sequence[str]) -> list[Record]:
 
 
 def _create_body(case: Case, folder: Path, comm: MPI.Comm) -> LoadedBody:
-    """Build a body at rest; the solver of a first step shows itself."""
+    """Build a body at rest; FETI shows its parts (``ksp_view``) where it solves once only.
+
+    Raises:
+        ValueError: There is no such mesh, or it has too few cells for the subdomains.
+    """
     options = {} if case.path_mmhg is not None else {"ksp_view": None}
     shared = {
         "dofs": case.wanted_dofs,

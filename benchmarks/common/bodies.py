@@ -129,7 +129,6 @@ def create_clamped_block(
     kappa: float,
     subdomains: int | None,
     options: dict[str, object],
-    prefix: str = "block_",
 ) -> LoadedBody:
     """Build a unit cube of a nearly incompressible material, P2–P0, clamped on five faces.
 
@@ -141,8 +140,7 @@ def create_clamped_block(
         dofs: Approximate number.
         kappa: κ [kPa]; the shear modulus is 1 kPa.
         subdomains: Number of subdomains; None for the package's rule.
-        options: PETSc options of the problem.
-        prefix: Their prefix.
+        options: PETSc options of the problem, prefix ``block_``.
 
     Note:
         Collective.
@@ -157,7 +155,7 @@ def create_clamped_block(
         bcs=[_clamp(u.function_space, FIVE_FACES)],
         condense=p,
         subdomains=subdomains,
-        petsc_options_prefix=prefix,
+        petsc_options_prefix="block_",
         petsc_options=options,
         quadrature_degree=4,
     )
@@ -229,7 +227,8 @@ def _neo_hookean(
     F = kinematics.deformation_gradient(u)
     C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
     psi = materials.neo_hookean(C, c=SHEAR_MODULUS, J=J)
-    return u, p, (psi + materials.perturbed_lagrangian(J, p, kappa)) * ufl.dx
+    psi += materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(mesh, kappa))
+    return u, p, psi * ufl.dx
 
 
 def _loaded_face(mesh: dolfinx.mesh.Mesh) -> ufl.Measure:
