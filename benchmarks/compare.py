@@ -17,11 +17,12 @@ that a solver took above that, from its creation to its solution, summed over th
 `--solvers` also takes hypre (BoomerAMG) and bddc (PETSc's, on the torn matrix). On the path
 Newton's method goes on with FETI's solution, and MUMPS solves the same systems beside it.
 
-A case that is in the file with all its solvers is not run again, unless by --again. A solver that
-fails, say for want of memory, is recorded with the reason. Processes and threads (OMP_NUM_THREADS)
-are those that it is started with: run it on two processes and on one with two threads, and
-`benchmarks.speed_page` takes the better one of each solver. Options with a single dash are PETSc's,
-with the prefixes `tube_`, `vessel_`, `block_` (FETI), `mumps_`, `gamg_`, …
+All κ have the same subdomains. A case that is in the file with all its solvers is not run again,
+unless by --again. A solver that fails, say for want of memory, is recorded with the reason.
+Processes and threads (OMP_NUM_THREADS) are those that it is started with: run it on two processes
+and on one with two threads, and `benchmarks.speed_page` takes the better one of each solver.
+Options with a single dash are PETSc's, with the prefixes `tube_`, `vessel_`, `block_` (FETI),
+`mumps_`, `gamg_`, …
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ from benchmarks.common.bodies import LoadedBody, create_clamped_block
 from benchmarks.common.machine import describe, limited_memory, now, threads
 from benchmarks.common.progress import say
 from benchmarks.common.records import Record
+from benchmarks.common.repeatable import fix_partitions
 from benchmarks.speed import path
 from benchmarks.speed.groups import GEOMETRIES, Case, is_known
 from benchmarks.walls.tube import create_clamped_tube
@@ -84,6 +86,7 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
         SystemExit: A word of the command line is wrong, or the file cannot be written.
     """
     comm = MPI.COMM_WORLD
+    fix_partitions()
     parser = _create_parser(comm)
     args = parse_words(parser, argv)
     possible = SOLVERS if args.path is None else path.SOLVERS
