@@ -51,7 +51,7 @@ def draw_speed(path: Path, records: Sequence[Record], geometry: str) -> bool:
         for ax in row:
             ax.set_title(f"{geometry}, κ = {kappa:g} kPa")
     for ax in axes[-1]:
-        ax.set_xlabel("dofs")
+        ax.set_xlabel("dofs in thousands")
     drawn = [name for name in NAMES if any(group.best(name) for group in mine)]
     handles = [plt.Line2D([0], [0], color=COLOURS[n], marker=MARKERS[n]) for n in drawn]
     fig.legend(handles, [NAMES[n] for n in drawn], loc="lower center", ncols=5, frameon=False)
@@ -70,5 +70,8 @@ def _draw(ax: Axes, mine: Sequence[Group], what: str) -> None:
             ax.plot(*zip(*known, strict=True), color=COLOURS[name], marker=MARKERS[name])
     ax.set_xscale("log")
     ax.set_yscale("log")
+    sizes = [group.dofs for group in mine]
+    ax.set_xticks(sizes, [f"{dofs / 1000:.0f}" for dofs in sizes])
+    ax.xaxis.minorticks_off()
     ax.grid(which="both", color="0.92")
     ax.spines[["top", "right"]].set_visible(False)
