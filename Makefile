@@ -12,6 +12,8 @@ ARGS ?=
 
 with := scripts/with-fenicsx
 python := $(if $(filter-out 1,$(NP)),env OMP_NUM_THREADS=1 mpirun -n $(NP) )python3
+threaded := env OMP_NUM_THREADS=$(NP) python3
+compare := -m benchmarks.compare --json build/speed.json
 comma := ,
 shell_scripts := scripts/with-fenicsx scripts/debian-tree scripts/run-tests .ci/run
 
@@ -27,15 +29,25 @@ demo: ## inflate the artery's wall, next to a direct solver; pictures in output/
 test: ## the whole suite on 1, 2 and 3 processes
 	$(with) scripts/run-tests $(ARGS)
 
-bench: bench-linear bench-nonlinear bench-scaling build/compare.json ## all benchmarks; what is finished is not run again
+bench: bench-linear bench-nonlinear bench-scaling bench-compare ## all benchmarks; what is finished is not run again
 
 bench-linear: ## the paper's linear study and what goes beyond it; report in build/results/
 	$(with) $(python) -m benchmarks.linear --json build/linear.json $(ARGS)
 	$(with) $(python) -m benchmarks.cube_solvers --level 2,3 --json build/solvers.json
 	$(with) python3 -m benchmarks.report build/linear.json build/solvers.json --output build/results
 
-bench-compare build/compare.json: ## FETI, MUMPS and GAMG on a Newton step; build/compare.json
-	$(with) $(python) -m benchmarks.compare --json build/compare.json $(ARGS)
+bench-compare: ## FETI, MUMPS, GAMG and BDDC on the same matrices, time and memory; report in build/results/
+	$(with) $(python) $(compare) --kappa 10,1000 --dofs 60000,184000,411000 --solvers feti,mumps,gamg,bddc $(ARGS)
+	$(with) $(threaded) $(compare) --kappa 10,1000 --dofs 60000,184000,411000 --solvers feti,mumps $(ARGS)
+	$(with) $(python) $(compare) --geometry vessel --dofs 71000,199000 --solvers feti,mumps,gamg,bddc $(ARGS)
+	$(with) $(threaded) $(compare) --geometry vessel --dofs 71000,199000 --solvers feti,mumps $(ARGS)
+	$(with) $(python) $(compare) --geometry block --kappa 10,1000 --dofs 28000,73000,184000 --solvers feti,mumps,gamg,bddc $(ARGS)
+	$(with) $(threaded) $(compare) --geometry block --kappa 10,1000 --dofs 28000,73000,184000 --solvers feti,mumps $(ARGS)
+	$(with) $(python) $(compare) --path 10 --dofs 60000 $(ARGS)
+	$(with) $(threaded) $(compare) --path 10 --dofs 60000 $(ARGS)
+	$(with) $(python) $(compare) --path 10 --geometry vessel --dofs 71000 $(ARGS)
+	$(with) $(threaded) $(compare) --path 10 --geometry vessel --dofs 71000 $(ARGS)
+	$(with) python3 -m benchmarks.speed_page build/speed.json --output build/results
 
 bench-nonlinear: ## iterations and seconds per Newton step, tube and vessel; report in build/results/
 	for degree in 1 2; do \

@@ -40,14 +40,13 @@ from benchmarks.common.bodies import create_block, create_cube, create_heated_cu
 from benchmarks.common.machine import describe, now
 from benchmarks.common.progress import say
 from benchmarks.common.records import Record
-from benchmarks.walls.problem import create_wall_problem
 from benchmarks.walls.tube import create_clamped_tube
-from dolfinx_feti import LinearProblem, NonlinearProblem, loads, materials
+from benchmarks.walls.vessel import FIRST_PRESSURE, create_clamped_vessel
+from dolfinx_feti import LinearProblem, NonlinearProblem, loads
 from dolfinx_feti.collective import on_first
 from dolfinx_feti.comparison import measure
 from dolfinx_feti.fem.decomposition import DOFS
 from meshes.arguments import count
-from meshes.walls import create_wall
 
 __all__ = ["main"]
 
@@ -183,19 +182,16 @@ def _tube(
 def _vessel(
     comm: MPI.Comm, *, dofs: int, subdomains: int, options: dict[str, object]
 ) -> NonlinearProblem:
-    size = 2.0 * (71_430 / dofs) ** 0.5  # mm
     with tempfile.TemporaryDirectory() as folder:
-        wall, _ = create_wall("vessel", comm, size=size, folder=Path(folder))
-    vessel = create_wall_problem(
-        wall,
-        degree=2,
-        c=materials.ArteryParameters().c,
-        kappa=KAPPA,
-        subdomains=subdomains,
-        options=options,
-    )
-    # The tangent of a thin wall under pressure is indefinite without the tension that this makes.
-    vessel.pressure.value = loads.mmhg(0.01)
+        vessel = create_clamped_vessel(
+            comm,
+            dofs=dofs,
+            kappa=KAPPA,
+            subdomains=subdomains,
+            options=options,
+            folder=Path(folder),
+        )
+    vessel.pressure.value = loads.mmhg(FIRST_PRESSURE)
     return vessel.problem
 
 

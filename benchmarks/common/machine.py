@@ -6,8 +6,12 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import platform
+import resource
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -20,7 +24,16 @@ import dolfinx
 
 from dolfinx_feti.comparison import PeakMemory
 
-__all__ = ["PeakMemory", "available_mib", "bandwidth", "describe", "now", "resident_mib"]
+__all__ = [
+    "PeakMemory",
+    "available_mib",
+    "bandwidth",
+    "describe",
+    "limited_memory",
+    "now",
+    "resident_mib",
+    "threads",
+]
 
 PROC = Path("/proc")
 CGROUP = Path("/sys/fs/cgroup")
@@ -52,6 +65,34 @@ def _available_here() -> float:
     except (OSError, ValueError):
         pass  # no limit
     return min(left)
+
+
+@contextmanager
+def limited_memory(comm: MPI.Comm, most: float) -> Iterator[float]:
+    """Let allocations fail that go beyond the memory which is there, all processes alike.
+
+    A solver that fails for it can be recorded; else the kernel would end the program.
+
+    Args:
+        comm: The processes.
+        most: What they may take together beside what they have [MiB].
+
+    Yields:
+        What they may take together [MiB]; infinite where it is not known.
+
+    Note:
+        Collective.
+    """
+    room = min(most, available_mib(comm))
+    own = _field(PROC / "self/status", "VmData")
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    if np.isfinite(room) and np.isfinite(own):
+        limit = int((own + room / comm.size) * 2**20)
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, before[1]))
+    try:
+        yield room
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, before)
 
 
 def resident_mib(comm: MPI.Comm) -> float:
@@ -91,6 +132,11 @@ def describe() -> dict[str, str | int]:
         "dolfinx": dolfinx.__version__,
         "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
     }
+
+
+def threads() -> int:
+    """Return the threads that a process may use: OMP_NUM_THREADS, or its cores."""
+    return int(os.environ.get("OMP_NUM_THREADS", 0)) or len(os.sched_getaffinity(0))
 
 
 def now() -> str:

@@ -55,13 +55,16 @@ def run_command(
     return 0
 
 
-def provenance(name: str, records: Sequence[Record], remark: str = "") -> list[str]:
+def provenance(
+    name: str, records: Sequence[Record], remark: str = "", *, writer: str = ""
+) -> list[str]:
     """Return the lines of a page that say where its records come from.
 
     Args:
-        name: Of the benchmark and its JSON file; the page is made by ``<name>_page``.
+        name: Of the JSON file; the page is made by ``<name>_page``.
         records: Of all cases, with ``machine`` and ``date``.
         remark: Remark about the runs, at the end.
+        writer: The benchmark, if it has another name.
     """
     machines = dict.fromkeys(
         ", ".join(f"{key} {value}" for key, value in record["machine"].items())
@@ -72,7 +75,7 @@ def provenance(name: str, records: Sequence[Record], remark: str = "") -> list[s
         *(f"- {machine}" for machine in machines),
         f"- {len(records)} cases, {dates[0]} to {dates[-1]}.",
         "",
-        f"`benchmarks/{name}.py` runs the cases, and this page is made by `python3 -m",
+        f"`benchmarks/{writer or name}.py` runs the cases, and this page is made by `python3 -m",
         f"benchmarks.{name}_page docs/results/{name}.json --output docs/results`.",
     ]
     return [*lines, "", remark] if remark else lines

@@ -3,6 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Artery walls under pressure: the tube with its semi-analytical solution, and the vessel.
 
-In the order of the data: supports, problem, oracle, tube, inflated_tube, points, volume, rims,
-newton_case, parallel_run.
+In the order of the data: supports, problem, oracle, tube, inflated_tube, vessel, points, volume,
+rims, newton_case, parallel_run.
 """

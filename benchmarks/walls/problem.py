@@ -116,7 +116,7 @@ def create_wall_problem(
     degree: int,
     c: float,
     kappa: float,
-    subdomains: int | npt.NDArray[np.integer],
+    subdomains: int | npt.NDArray[np.integer] | None,
     options: dict[str, object],
     prefix: str = "wall_",
     fibres: tuple[dolfinx.fem.Function, dolfinx.fem.Function] | None = None,
@@ -132,7 +132,8 @@ def create_wall_problem(
         degree: k.
         c: Stiffness of the matrix material [kPa].
         kappa: κ [kPa].
-        subdomains: Number of subdomains, or a part for each owned cell.
+        subdomains: Number of subdomains, or a part for each owned cell; None for the package's
+            rule.
         options: PETSc options of the problem.
         prefix: Their prefix.
         fibres: The two families of directions; from Laplace problems if not given.

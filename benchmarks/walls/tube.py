@@ -27,7 +27,7 @@ INTERFACE = INNER_RADIUS + MEDIA  # mm
 
 
 def create_clamped_tube(
-    comm: MPI.Comm, *, dofs: int, kappa: float, subdomains: int, options: dict[str, object]
+    comm: MPI.Comm, *, dofs: int, kappa: float, subdomains: int | None, options: dict[str, object]
 ) -> WallProblem:
     """Build the tube at rest, P2–P0, clamped at its ends.
 
@@ -35,7 +35,7 @@ def create_clamped_tube(
         comm: Communicator of the mesh.
         dofs: Wanted number of displacement dofs; three elements through the wall.
         kappa: κ [kPa].
-        subdomains: Number of subdomains.
+        subdomains: Number of subdomains; None for the package's rule.
         options: PETSc options of the problem, prefix ``tube_``.
 
     Note:

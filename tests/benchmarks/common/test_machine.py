@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
-from collective import COMM, agree, small
+from collective import COMM, agree, raises, small
 from wall_files import on_first
 
 from benchmarks.common import machine
@@ -27,3 +29,21 @@ def test_available_memory_is_what_the_kernel_and_the_container_leave(tmp_path, m
     small(machine.available_mib(COMM) - 2000.0, 1e-9)
     on_first(lambda: (tmp_path / "meminfo").unlink())
     agree(np.isinf(machine.available_mib(COMM)))
+
+
+def test_memory_that_is_limited_cannot_be_taken():
+    """Some is there, more than that is not, and afterwards all is as before."""
+    n = 2**23  # 64 MiB
+    with machine.limited_memory(COMM, 100.0 * COMM.size) as room:
+        agree(room <= 100.0 * COMM.size)
+        agree(np.ones(n)[-1] == 1.0)
+        with raises(MemoryError, "Unable to allocate"):
+            np.ones(4 * n)
+    agree(np.ones(4 * n)[-1] == 1.0)
+
+
+def test_threads_are_those_of_openmp_or_the_cores(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    agree(machine.threads() == 3)
+    monkeypatch.delenv("OMP_NUM_THREADS")
+    agree(1 <= machine.threads() <= (os.cpu_count() or 1))

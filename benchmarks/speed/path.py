@@ -1,0 +1,222 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""A load path whose linear systems FETI and MUMPS solve both, each with a time of its own.
+
+.. math:: A(U^k)\, ΔU = -r(U^k), \qquad U^{k+1} = U^k + α\, ΔU
+
+Newton's method goes on with FETI's ΔU, so that there is one path. Both solvers keep from one
+tangent to the next what they can: FETI its gluing, its coarse space and the factors of a few
+tangents (``feti_lag``), MUMPS its analysis.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.common.bodies import LoadedBody
+from benchmarks.common.records import Record
+from benchmarks.common.stopwatch import Stopwatch
+from dolfinx_feti import ConvergenceError, loads
+from dolfinx_feti.collective import on_all, reason
+from dolfinx_feti.comparison import (
+    Cost,
+    PeakMemory,
+    assembled_system,
+    create_mumps,
+    record_cost,
+    relative_difference,
+    relative_residual,
+)
+from dolfinx_feti.loading import LoadStep, Steps, follow_load
+
+__all__ = ["SOLVERS", "follow"]
+
+#: Solvers of a path: FETI drives Newton's method.
+SOLVERS = ("feti", "mumps")
+
+#: As in ``demos/demo_artery.py``: the first load step's share of the path, and the relative
+#: tolerances of Newton's method and of FETI before its end.
+FIRST, RTOL, LINEAR_RTOL = 0.1, 1e-3, 1e-4
+
+
+def follow(body: LoadedBody, mmhg: float, *, direct: bool) -> list[Record]:
+    """Load a body at rest, and record what its linear systems cost.
+
+    Args:
+        body: The body.
+        mmhg: Where to arrive [mmHg].
+        direct: Let MUMPS solve the systems, too.
+
+    Returns:
+        A record for each solver: seconds of all solves in sum and of each, and of a Newton step
+        after the first one on average. ``note`` says why the path or a solver came to no end.
+
+    Note:
+        Collective.
+    """
+    problem = body.problem
+    mumps = _Direct() if direct else None
+    watch = Stopwatch(body.u.function_space.mesh.comm)
+    iterations: list[int] = []
+
+    def then(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        iterations.append(ksp.getIterationNumber())
+        if mumps is not None:
+            mumps.solve(problem.A, b, x)
+
+    def set_load(value: float) -> None:
+        body.load.value = loads.mmhg(value)
+
+    watch.hook(problem.solver.getKSP(), then)
+    first = FIRST * mmhg
+    steps = Steps(first, least=first / 64, growth=1.15, quick=4, rtol=RTOL, linear_rtol=LINEAR_RTOL)
+    accepted: list[LoadStep] = []
+    note = ""
+    try:
+        follow_load(
+            problem,
+            set_load,
+            [mmhg],
+            steps,
+            state=[body.u, body.p],
+            on_step=accepted.append,
+            unit="mmHg",
+        )
+    except ConvergenceError as error:
+        note = f"failed: {reason(error)}"
+    newton = [step for load_step in accepted for step in load_step.all_steps]
+    shared: Record = {
+        "newton_iterations": len(newton),
+        "load_steps": len(accepted),
+        "seconds_assembly": sum(step.seconds_assembly for step in newton),
+    }
+    residuals = [step.linear_residual for step in newton]
+    difference = None if mumps is None else mumps.difference
+    found = [
+        {"solver": "feti", "peak_mib": None}
+        | shared
+        | _cost(watch.each(), iterations, len(newton))
+        | _outcome(residuals, difference, note)
+    ]
+    if mumps is not None:
+        found.append(
+            {"solver": "mumps", "peak_mib": None}
+            | shared
+            | _cost(np.array(mumps.seconds), mumps.iterations, len(newton))
+            | _outcome(mumps.residuals, 0.0, mumps.note or note)
+        )
+        mumps.destroy()
+    return found
+
+
+class _Direct:
+    """MUMPS on the tangents of a path: analysed once, factored for each.
+
+    Attributes:
+        seconds: Those of analysis and factors, and of the solution, for each solve.
+        iterations: Of each solve.
+        residuals: ‖f − K x‖/‖f‖ of each solve.
+        difference: ‖x_FETI − x‖/‖x‖ of the last one.
+        note: Why it failed, or an empty string; then it solves no more.
+    """
+
+    def __init__(self) -> None:
+        self.seconds: list[tuple[float, float]] = []
+        self.iterations: list[int] = []
+        self.residuals: list[float] = []
+        self.difference: float | None = None
+        self.note = ""
+        self._K: PETSc.Mat | None = None
+        self._ksp: PETSc.KSP | None = None
+
+    def solve(self, A: PETSc.Mat, b: PETSc.Vec, x_feti: PETSc.Vec) -> None:
+        """Solve the assembled counterpart of a torn system.
+
+        Args:
+            A: Torn tangent, of the pattern of the earlier ones.
+            b: Right-hand side.
+            x_feti: FETI's solution.
+
+        Note:
+            Collective.
+        """
+        if self.note:
+            return
+        K, f = assembled_system(A, b)
+        if self._K is None:
+            self._K, self._ksp = K, create_mumps(K)
+        else:
+            K.copy(self._K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            K.destroy()
+            self._ksp.setOperators(self._K)  # the matrix is another one
+        x = f.duplicate()
+        try:
+            cost = on_all(lambda: _timed(self._ksp, f, x), f.comm.tompi4py())
+        except PETSc.Error as error:
+            self.note = f"failed: {reason(error)}"
+        else:
+            if cost.converged_reason > 0:
+                self.seconds.append((cost.seconds_setup, cost.seconds_solve))
+                self.iterations.append(cost.iterations)
+                self.residuals.append(relative_residual(self._K, f, x))
+                self.difference = relative_difference(x_feti, x)
+            else:
+                self.note = f"failed: PETSc's reason {cost.converged_reason}"
+        f.destroy()
+        x.destroy()
+
+    def destroy(self) -> None:
+        """Free matrix and factors."""
+        for owned in (self._ksp, self._K):
+            if owned is not None:
+                owned.destroy()
+
+
+def _timed(ksp: PETSc.KSP, f: PETSc.Vec, x: PETSc.Vec) -> Cost:
+    """Set up and solve."""
+    f.comm.tompi4py().Barrier()
+    peak = PeakMemory()
+    times = [time.perf_counter()]
+    ksp.setUp()
+    times.append(time.perf_counter())
+    ksp.solve(f, x)
+    times.append(time.perf_counter())
+    return record_cost(ksp, times, peak)
+
+
+def _cost(each: npt.NDArray[np.float64], iterations: Sequence[int], newton: int) -> Record:
+    """Return what the solves took.
+
+    Args:
+        each: Seconds of set-up and solution of each, (solves, 2).
+        iterations: Of each.
+        newton: Number of Newton steps; a step may take several solves.
+    """
+    setup, solve = each.reshape(-1, 2).T
+    later = (setup + solve)[1:].sum()
+    return {
+        "linear_solves": len(setup),
+        "iterations": sum(iterations),
+        "iterations_per_solve": list(iterations),
+        "seconds_setup": setup.sum(),
+        "seconds_solve": solve.sum(),
+        "seconds_per_solve": (setup + solve).tolist(),
+        "seconds_per_newton": later / (newton - 1) if newton > 1 else None,
+    }
+
+
+def _outcome(residuals: Sequence[float], difference: float | None, note: str) -> Record:
+    """Return how well the systems were solved, and whether to the end."""
+    return {
+        "relative_residual": max(residuals, default=None),
+        "difference_to_mumps": difference,
+        "converged": not note,
+        "note": note,
+    }
