@@ -86,8 +86,6 @@ class GatheredSolver:
                 f"The coarse problem could not be factored ({reason(error)}): look at the options "
                 f"-{prefix}…"
             ) from error
-        finally:
-            gathered.destroy()
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve N x = b, both in N's own layout; where the solver fails, x is NaN."""
