@@ -14,6 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx_feti.collective import on_all, reason
 from dolfinx_feti.errors import FactorError, SetUpError
@@ -67,19 +68,17 @@ class GatheredSolver:
         self._b, self._x = gathered.createVecLeft(), gathered.createVecRight()
         layout = N.createVecRight()
         self._scatter = PETSc.Scatter().create(layout, rows, self._x, None)
-        layout.destroy()
-        rows.destroy()
-        self._every = comm
+        csr: tuple[npt.NDArray[np.number], ...] = gathered.getValuesCSR()
+        for owned in (layout, rows, gathered):
+            owned.destroy()
         self._comm = comm.Split(0 if comm.rank < active else MPI.UNDEFINED, comm.rank)
         self._matrix, self._sub_b, self._sub_x = PETSc.Mat(), PETSc.Vec(), PETSc.Vec()
         self.ksp: PETSc.KSP | None = None
 
         def factor() -> None:
             if self._comm != MPI.COMM_NULL and total:
-                csr, sizes = gathered.getValuesCSR(), (last - first, total)
-                gathered.destroy()  # one copy of a large matrix is enough
+                sizes = (last - first, total)
                 self._matrix = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=self._comm)
-                del csr
                 self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
                 self._sub_b, self._sub_x = self._matrix.createVecs()
                 self.ksp = _factor(self._matrix, prefix, symmetric, zero)
@@ -92,8 +91,6 @@ class GatheredSolver:
                 f"The coarse problem could not be factored ({reason(error)}): look at the options "
                 f"-{prefix}…"
             ) from error
-        finally:
-            gathered.destroy()
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve N x = b, both in N's own layout; where the solver fails, x is NaN."""
@@ -113,7 +110,7 @@ class GatheredSolver:
             Collective.
         """
         used = 0.0 if self.ksp is None else mebibytes(self.ksp.getPC())
-        return self._every.bcast(used)
+        return self._b.comm.tompi4py().bcast(used)
 
     def pivots(self) -> Pivots:
         """Return the number of negative and zero pivots; None where the factor does not tell.
@@ -122,7 +119,7 @@ class GatheredSolver:
             Collective.
         """
         counts = Pivots(0, 0) if self.ksp is None else pivots_of(self.ksp.getPC())
-        return self._every.bcast(counts)
+        return self._b.comm.tompi4py().bcast(counts)
 
     def destroy(self) -> None:
         """Free solver, matrices and communicator."""
