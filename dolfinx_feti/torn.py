@@ -331,14 +331,19 @@ class Torn:
         weight = self.A.query("stiffness")
         return np.abs(self.diagonal() if weight is None else weight.array_r)
 
+    @property
+    def has_pressure(self) -> bool:
+        """Whether a condensed pressure with its patterns is attached."""
+        return self.A.query("pressure") is not None and self.A.query("patterns") is not None
+
     def flux(self, most: int) -> Array:
         """Return K_pᵀ y for the first patterns y of the condensed pressure, (n, up to ``most``).
 
         The columns of a pattern on all subdomains are one; none if no pressure is attached.
         """
-        K_p, patterns = self.A.query("pressure"), self.A.query("patterns")
-        if K_p is None or patterns is None:
+        if not self.has_pressure:
             return np.zeros((self.n, 0))
+        K_p, patterns = self.A.query("pressure"), self.A.query("patterns")
         y = patterns.getDenseArray()[:, :most]
         indptr, indices, values = K_p.getValuesCSR()
         rows = scipy.sparse.csr_array((values, indices, indptr), shape=(len(y), self.n))
