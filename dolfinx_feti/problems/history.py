@@ -25,8 +25,8 @@ class NewtonStep:
         linear_iterations: Its iterations, those of all linear solves of the step.
         linear_residual: ‖K ΔU + r‖/‖r‖ of the assembled system.
         condition_number: Of the preconditioned dual operator; nan if not known.
-        negative: Negative eigenvalues of the regularised subdomains and of D; None if they are not
-            known.
+        negative: Negative eigenvalues of the regularised subdomains and of D, those of the matrix
+            that the preconditioner belongs to (``lag``); None if they are not known.
         indefinite: Negative eigenvalues that the true tangent has at least, see ``stability``; None
             if they are not known, as in a step that begins with a shift.
         shift: σ of the tangent K + σ diag|k| that ΔU solves; zero for the true one.

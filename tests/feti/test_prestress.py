@@ -171,7 +171,7 @@ def test_kernel_is_exact_without_load_only(parts):
 def test_inertia_is_reported():
     """The record and the report count negative eigenvalues under load, and none without."""
     body = wall(tube(), tangent="none")
-    problem = body.problem(4)
+    problem = body.problem(4, {"feti_lag": 0})
     first, *_, last = body.inflate(problem, [2.0])
     agree(first.negative == 0 and first.linear_method == "cg" and first.condition_number > 1.0)
     agree(last.negative > 0)
