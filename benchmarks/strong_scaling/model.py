@@ -161,7 +161,7 @@ class Model:
             work=max(0.0, base["seconds_krylov"] - solves * reading_factor) * share,
             messages=iterations * message if P > 1 else 0.0,
             reductions=iterations * each["reductions"]["max"] * 2.0 * m.latency * hops,
-            gathering=solves * 8.0 * grown * K / m.bandwidth,
+            gathering=solves * 8.0 * grown * K / m.bandwidth if P > 1 else 0.0,
             coarse_solves=solves * reading_factor * longer,
             coarse_shared=max(0.0, base["seconds_coarse"] - factoring) * share,
             coarse_factor=factoring * grown**1.5,

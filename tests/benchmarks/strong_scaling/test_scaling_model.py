@@ -43,7 +43,7 @@ def test_work_shrinks_and_what_is_sent_does_not():
     assert two.local == 256 * many.local == 200.0
     assert many.messages == two.messages > 0.0
     assert many.reductions == pytest.approx(9 * two.reductions)  # log₂ P
-    assert many.gathering > 100 * two.gathering
+    assert many.gathering == two.gathering > 0.0
     assert many.coarse_factor == two.coarse_factor
     assert beyond.coarse_factor == pytest.approx(2**1.5 * many.coarse_factor)  # 1024 subdomains
     assert model.predict(3).local > 400.0 / 3  # 171 of 512 subdomains
