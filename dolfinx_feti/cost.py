@@ -26,6 +26,7 @@ __all__ = [
     "PeakMemory",
     "measure",
     "record_cost",
+    "timed_solve",
 ]
 
 PROC = Path("/proc/self")
@@ -100,9 +101,29 @@ def measure(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> tuple[Cost, PETSc.
     Note:
         Collective.
     """
-    comm = b.comm.tompi4py()
     x = b.duplicate()
-    comm.Barrier()
+    cost, ksp = timed_solve(create, b, x)
+    ksp.destroy()
+    return cost, x
+
+
+def timed_solve(
+    create: Callable[[], PETSc.KSP], b: PETSc.Vec, x: PETSc.Vec
+) -> tuple[Cost, PETSc.KSP]:
+    """Create a solver, set it up and solve for b.
+
+    Args:
+        create: Creates the solver, or returns one that is to be set up anew.
+        b: Right-hand side.
+        x: Takes the solution.
+
+    Returns:
+        The cost and the solver, which belongs to the caller.
+
+    Note:
+        Collective.
+    """
+    b.comm.tompi4py().Barrier()
     peak = PeakMemory()
     times = [time.perf_counter()]
     ksp = create()
@@ -110,9 +131,7 @@ def measure(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> tuple[Cost, PETSc.
     times.append(time.perf_counter())
     ksp.solve(b, x)
     times.append(time.perf_counter())
-    cost = record_cost(ksp, times, peak)
-    ksp.destroy()
-    return cost, x
+    return record_cost(ksp, times, peak), ksp
 
 
 def record_cost(ksp: PETSc.KSP, times: Sequence[float], peak: PeakMemory) -> Cost:

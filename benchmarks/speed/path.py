@@ -12,7 +12,6 @@ tangents (``feti_lag``), MUMPS its analysis.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 
 from petsc4py import PETSc
@@ -26,13 +25,11 @@ from benchmarks.common.stopwatch import Stopwatch
 from dolfinx_feti import ConvergenceError, loads
 from dolfinx_feti.collective import on_all, reason
 from dolfinx_feti.comparison import (
-    Cost,
-    PeakMemory,
     assembled_system,
     create_mumps,
-    record_cost,
     relative_difference,
     relative_residual,
+    timed_solve,
 )
 from dolfinx_feti.loading import LoadStep, Steps, follow_load
 
@@ -158,7 +155,7 @@ class _Direct:
             self._ksp.setOperators(self._K)  # the matrix is another one
         x = f.duplicate()
         try:
-            cost = on_all(lambda: _timed(self._ksp, f, x), f.comm.tompi4py())
+            cost, _ = on_all(lambda: timed_solve(lambda: self._ksp, f, x), f.comm.tompi4py())
         except PETSc.Error as error:
             self.note = f"failed: {reason(error)}"
         else:
@@ -177,18 +174,6 @@ class _Direct:
         for owned in (self._ksp, self._K):
             if owned is not None:
                 owned.destroy()
-
-
-def _timed(ksp: PETSc.KSP, f: PETSc.Vec, x: PETSc.Vec) -> Cost:
-    """Set up and solve."""
-    f.comm.tompi4py().Barrier()
-    peak = PeakMemory()
-    times = [time.perf_counter()]
-    ksp.setUp()
-    times.append(time.perf_counter())
-    ksp.solve(f, x)
-    times.append(time.perf_counter())
-    return record_cost(ksp, times, peak)
 
 
 def _cost(each: npt.NDArray[np.float64], iterations: Sequence[int], newton: int) -> Record:

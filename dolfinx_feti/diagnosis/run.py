@@ -14,7 +14,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.cost import PeakMemory, record_cost
+from dolfinx_feti.cost import timed_solve
 from dolfinx_feti.diagnosis.advice import advise
 from dolfinx_feti.diagnosis.figures import collect_figures, residual_shares
 from dolfinx_feti.diagnosis.result import Diagnosis, Seconds
@@ -61,13 +61,7 @@ def diagnose(
     if not PETSc.Log.isActive():
         PETSc.Log.begin()
     before = _seconds()
-    peak, times = PeakMemory(), [time.perf_counter()]
-    ksp = create()
-    ksp.setUp()
-    times.append(time.perf_counter())
-    ksp.solve(load, solution)
-    times.append(time.perf_counter())
-    cost = record_cost(ksp, times, peak)
+    cost, ksp = timed_solve(create, load, solution)
     spent = [now - then for now, then in zip(_seconds(), before, strict=True)]
     gluing, factors, coarse = (comm.allreduce(seconds, op=MPI.MAX) for seconds in spent)
     feti = ksp.getPythonContext()

@@ -23,6 +23,7 @@ from dolfinx_feti.comparison import (
     create_mumps,
     measure,
     relative_residual,
+    timed_solve,
 )
 
 SEED = 8363
@@ -152,6 +153,23 @@ def test_measure_tells_set_up_from_solution(torn_grid):
     )
     agree(not made[0].handle)
     for owned_here in (K, f, b, x):
+        owned_here.destroy()
+
+
+def test_timed_solver_is_kept(torn_grid):
+    """It belongs to the caller, and serves again with the factor that it has."""
+    problem = torn_grid((3, 2), (2, 2))
+    K, f = assembled_system(problem.A, problem.vector(np.ones(len(problem.dirichlet))))
+    x = f.duplicate()
+    first, ksp = timed_solve(lambda: create_mumps(K), f, x)
+    small(relative_residual(K, f, x), 1e-12)
+    factor = ksp.getPC().getFactorMatrix().handle
+    x.set(0.0)
+    second, same = timed_solve(lambda: ksp, f, x)
+    agree(same is ksp and ksp.getPC().getFactorMatrix().handle == factor)
+    agree(first.iterations == second.iterations == 1 and second.converged_reason > 0)
+    small(relative_residual(K, f, x), 1e-12)
+    for owned_here in (ksp, K, f, x):
         owned_here.destroy()
 
 
