@@ -13,8 +13,9 @@ from typing import Any, TypeVar
 from mpi4py import MPI
 
 import numpy as np
+import numpy.typing as npt
 
-__all__ = ["on_all", "on_first", "reason", "total", "warn"]
+__all__ = ["on_all", "on_first", "reason", "total", "total_of", "warn"]
 
 T = TypeVar("T")
 logger = logging.getLogger("dolfinx_feti")
@@ -108,9 +109,22 @@ def total(value: float, comm: MPI.Comm) -> float:
     Note:
         Collective.
     """
-    sum_ = np.array([value], dtype=np.float64)
+    return float(total_of(np.array([value], dtype=np.float64), comm)[0])
+
+
+def total_of(values: npt.NDArray[np.float64], comm: MPI.Comm) -> npt.NDArray[np.float64]:
+    """Sum the arrays of all processes, entry by entry; see :func:`total`.
+
+    Args:
+        values: The process's own, of one shape on all.
+        comm: Communicator of all of them.
+
+    Note:
+        Collective.
+    """
+    sum_ = np.array(values, dtype=np.float64, order="C")
     comm.Allreduce(MPI.IN_PLACE, sum_)
-    return float(sum_[0])
+    return sum_
 
 
 def reason(error: Exception) -> str:

@@ -11,15 +11,24 @@ import os
 import re
 import weakref
 
+import numpy as np
 import pytest
 from collective import COMM, agree, raises
 
-from dolfinx_feti.collective import on_all, on_first, reason, total, warn
+from dolfinx_feti.collective import on_all, on_first, reason, total, total_of, warn
 
 
 def test_sum_over_all():
     values = [0.1 * (rank + 1) for rank in range(COMM.size)]
     agree(abs(total(values[COMM.rank], COMM) - sum(values)) <= 1e-15 * sum(values) * COMM.size)
+
+
+def test_sum_of_arrays_leaves_the_process_its_own():
+    own = np.arange(6.0).reshape(2, 3).T * (COMM.rank + 1)
+    before = own.copy()
+    found = total_of(own, COMM)
+    agree(np.array_equal(own, before) and found.shape == (3, 2))
+    agree(np.allclose(found, np.arange(6.0).reshape(2, 3).T * sum(range(1, COMM.size + 1))))
 
 
 def test_all_have_the_result_of_the_first():

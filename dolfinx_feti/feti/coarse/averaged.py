@@ -42,7 +42,7 @@ from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.coarse.near import NearColumns, joined
 from dolfinx_feti.feti.copies import Copies, consecutive
 
-__all__ = ["AveragedSpace"]
+__all__ = ["BOUNDS", "EPS", "AveragedSpace", "estimated_norm"]
 
 Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
@@ -123,7 +123,8 @@ class AveragedSpace:
         self._negative = self.solver.pivots().negative
         if self._negative:
             sizes = [
-                _size(multiply, i, rows.stop - rows.start) for i, rows in enumerate(copies.blocks)
+                estimated_norm(multiply, i, rows.stop - rows.start)
+                for i, rows in enumerate(copies.blocks)
             ]
             near = [EPS * size * square for size, square in zip(sizes, squares, strict=True)]
             rounding = self._basis.multiply(self._basis).T @ self._near.to_owners(joined(near))
@@ -217,7 +218,7 @@ class AveragedSpace:
             owned.destroy()
 
 
-def _size(multiply: Callable[[int, Array], Array], i: int, n: int) -> float:
+def estimated_norm(multiply: Callable[[int, Array], Array], i: int, n: int) -> float:
     """Return a norm of the size of ‖S_i‖_F, (n, n)."""
     ω = np.random.default_rng(n).standard_normal((n, 1))
     return float(np.linalg.norm(multiply(i, ω)))

@@ -34,12 +34,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mpi4py import MPI
-
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.collective import total, total_of
 from dolfinx_feti.events import event
+from dolfinx_feti.feti.coarse.averaged import BOUNDS, EPS, estimated_norm
 from dolfinx_feti.feti.copies import Copies
 from dolfinx_feti.feti.krylov.primal import CoarseSpace, Trace
 
@@ -53,12 +53,6 @@ SMALL = 0.8
 #: Share of the largest eigenvalue below which a direction counts as repeated: of a Gram matrix of
 #: energies, where it has lost so much to rounding, and of one of squared displacements.
 REPEATED, VANISHED = 1e-6, 1e-10
-
-#: Bounds of rounding errors by which an eigenvalue of H has to be negative.
-BOUNDS = 10.0
-
-#: Unit of rounding.
-EPS = float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +131,7 @@ class DeflatedSpace:
         if not self.count:
             return balanced
         overlap = self._W.T @ (self._copies.delta * r) - self._SW.T @ balanced
-        c = self._inverse @ self._sum(overlap)
+        c = self._inverse @ total_of(overlap, self._copies.comm)
         return np.asarray(balanced + self._W @ c)
 
     def negative_direction(self) -> Array | None:
@@ -185,19 +179,12 @@ class DeflatedSpace:
         """Return a bound of the rounding errors of vᵀ A v. Collective."""
         bound = 0.0
         for i, rows in enumerate(self._copies.blocks):
-            ω = np.random.default_rng(len(v[rows])).standard_normal((len(v[rows]), 1))
-            bound += EPS * float(np.linalg.norm(multiply(i, ω)) * (v[rows] @ v[rows]))
-        return float(self._copies.comm.allreduce(bound))
+            bound += EPS * estimated_norm(multiply, i, len(v[rows])) * float(v[rows] @ v[rows])
+        return total(bound, self._copies.comm)
 
     def _product(self, X: Array, Y: Array) -> Array:
         """Return Xᵀ Y over all processes."""
-        return self._sum(X.T @ Y)
-
-    def _sum(self, part: Array) -> Array:
-        """Return the sum over all processes. Collective."""
-        whole = np.ascontiguousarray(part)
-        self._copies.comm.Allreduce(MPI.IN_PLACE, whole)
-        return whole
+        return total_of(X.T @ Y, self._copies.comm)
 
 
 def _symmetric(H: Array) -> Array:
