@@ -60,7 +60,7 @@ class NearColumns:
         every = np.concatenate(comm.allgather(np.array(counts, dtype=np.int64)))
         self._first = np.concatenate(([0], np.cumsum(every[every > 0])))  # of each owner, and end
         self.blocks = consecutive([len(near) for near in self._numbers])
-        self._forest = star_forest(joined(self._numbers).astype(np.int64), self._size, comm)
+        self._forest = star_forest(joined(self._numbers, np.int64), self._size, comm)
 
     def to_owners(self, near: Array) -> Array:
         """Sum what subdomains have for the columns near them, (near,), at the owners, (size,)."""
@@ -89,9 +89,7 @@ class NearColumns:
             Collective.
         """
         owners = [np.unique(self._owner(numbers)) for numbers in self._numbers]
-        near = np.unique(
-            joined(owners).astype(np.int64)
-        )  # all owners whose columns this process sees
+        near = np.unique(joined(owners, np.int64))  # whose columns this process sees
         first, width = self._first[near], np.diff(self._first)[near]
         panels = _neighbours([np.searchsorted(near, of) for of in owners], len(near))
         panel = np.repeat(np.arange(len(near)), np.diff(panels.indptr))  # of each group
@@ -114,9 +112,8 @@ class NearColumns:
             rows[:] = columns[slice(*before[panels.indptr[k : k + 2]])]
         csr = (indptr.astype(PETSc.IntType), indices, data)
         K = PETSc.Mat().createAIJWithArrays((row[-1], row[-1]), csr, comm=PETSc.COMM_SELF)
-        numbers = joined([np.arange(f, f + w) for f, w in zip(first, width, strict=True)]).astype(
-            int
-        )
+        pairs = zip(first, width, strict=True)
+        numbers = joined([np.arange(f, f + w) for f, w in pairs], np.int64)
         torn = create_torn_matrix(K, numbers, (self._size, self._total), comm=self._comm)
         A = PETSc.Mat()
         torn.convert("aij", A)
@@ -136,7 +133,7 @@ class NearColumns:
 def _neighbours(seen: Sequence[Numbers], count: int) -> scipy.sparse.csr_array:
     """Return which owners are seen together, (count, count), columns ascending."""
     indptr = _ends(np.array([len(owners) for owners in seen], dtype=np.int64))
-    together = joined(seen).astype(np.int64)
+    together = joined(seen, np.int64)
     sees = scipy.sparse.csr_array(
         (np.ones(len(together)), together, indptr), shape=(len(seen), count)
     )
@@ -150,6 +147,6 @@ def _ends(sizes: Numbers) -> Numbers:
     return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
 
 
-def joined(parts: Sequence[npt.NDArray[Any]]) -> npt.NDArray[Any]:
-    """Concatenate arrays, of which there may be none."""
-    return np.concatenate([*parts]) if len(parts) else np.zeros(0)
+def joined(parts: Sequence[npt.NDArray[Any]], dtype: npt.DTypeLike = float) -> npt.NDArray[Any]:
+    """Concatenate arrays of one type, of which there may be none."""
+    return np.concatenate([np.zeros(0, dtype), *parts], dtype=dtype)

@@ -58,13 +58,11 @@ class Preconditioner(ABC):
         interface: Glued free dofs Γ of each subdomain.
         interior: The other dofs I of each subdomain on which its matrix lives.
         factors: Interior factors, if the preconditioner has any.
-        multiple: θ, if M = θ I without scaled jumps; None otherwise.
         energetic: Whether Y is the energy of an extended interface displacement, E_Γᵀ K E_Γ.
         props: The props Y_Z of each subdomain, (n_Γ, q_i); after :meth:`update`.
     """
 
     factors: BlockFactors | None = None
-    multiple: float | None = None
     energetic = True
 
     def __init__(
@@ -133,6 +131,11 @@ class Preconditioner(ABC):
         w = self.B_D.T @ r  # w = B_Dᵀ r
         t = self.multiply(w)  # t = Y w
         return self.B_D @ (t + self._held(w)), self.unbalanced(w, t)  # z = B_D (Y + Y_Z Y_Zᵀ) w
+
+    @property
+    def multiple(self) -> float | None:
+        """θ, if M = θ I without scaled jumps; None otherwise."""
+        return None
 
     def image(self, i: int, W: Array) -> Array:
         """Return Y_i W with props for columns on the interface, (n_Γ, r) → (n_Γ, r)."""

@@ -57,11 +57,7 @@ class Unpreconditioned(Identity):
         """Return θ r, (m,), and the unbalanced force, (n,)."""
         return self.theta * r, self.matrices.multiply(self.B_D.T @ r)
 
-    def weigh(self) -> None:
-        """Find θ.
-
-        Note:
-            Collective.
-        """
-        super().weigh()
-        self.multiple = self.theta
+    @property
+    def multiple(self) -> float:
+        """θ."""
+        return self.theta
