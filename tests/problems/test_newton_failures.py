@@ -116,6 +116,21 @@ def flat_at_one() -> tuple[dolfinx.fem.Function, ufl.Form]:
     return u, (0.05 * ufl.inner(ufl.grad(u), ufl.grad(u)) + well) * ufl.dx
 
 
+@pytest.mark.parametrize("distance", np.logspace(-15, -9, 7))
+def test_nearly_singular_is_singular_or_solved(distance):
+    """However little K 1 is, the coarse solver does not fail for a reason of its own."""
+    u, energy = flat_at_one()
+    options = {"snes_max_it": 1}
+    problem = NonlinearProblem(
+        energy, u, subdomains=6, petsc_options_prefix=PREFIX, petsc_options=options
+    )
+    u.x.array[:] = 1.0 + distance
+    with raises(ConvergenceError, r"singular|no convergence within 1 steps"):
+        problem.solve()
+    solved = problem.solver.getKSP().getConvergedReason() > 0
+    agree(solved != problem.solver.getKSP().getPythonContext().singular)
+
+
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
 def test_singular_on_the_way_counts_as_indefinite(kind):
     """With an energy, a tangent that is singular gets a shift."""

@@ -70,6 +70,12 @@ DISTINCT = 1e-8
 #: Sine of the angle below which a motion is a rigid one that is known.
 APART = 1e-4
 
+NEARLY = (
+    "The assembled problem is singular up to rounding: it resists every motion, but one of them so "
+    "little that the coarse matrix has a zero pivot. Look at the Dirichlet conditions and for "
+    "coefficients that nearly vanish."
+)
+
 
 def require_regular(
     torn: Torn,
@@ -113,6 +119,8 @@ def require_regular(
         others = suspects.find(rigid, symmetric=symmetric, definite=definite, prefix=prefix)
     if rigid.total or others.shape[1]:
         raise SingularError(describe(torn, bodies, rigid, others))
+    if probe.zero_pivots and not probe.error <= BACKWARD:
+        raise SingularError(NEARLY)
     if not probe.error <= BACKWARD:
         raise SetUpError(
             f"The coarse solver leaves a backward error of {probe.error:.1e}: look at the options "
@@ -170,16 +178,18 @@ class _Probe:
     Attributes:
         grown: Growth of a random vector in d^½ N⁻¹ d^½, d the diagonal of N.
         error: Backward error, ‖b − N x‖/(‖N‖‖x‖ + ‖b‖).
+        zero_pivots: Whether the factor met any.
     """
 
     grown: float
     error: float
+    zero_pivots: bool
 
 
 def _probe(coarse: Coarse) -> _Probe:
     """Solve with a random right-hand side. Collective."""
     if coarse.total == 0:
-        return _Probe(1.0, 0.0)
+        return _Probe(1.0, 0.0, False)
     root = np.sqrt(_diagonal(coarse))
     b, x = coarse.N.createVecs()
     r = b.duplicate()
@@ -191,10 +201,11 @@ def _probe(coarse: Coarse) -> _Probe:
     r.axpy(-1.0, b)
     error = r.norm() / (coarse.N.norm() * x.norm() + b.norm())
     x.array[:] *= root
-    grown = np.inf if coarse.solver.pivots().zero else x.norm() / start.norm()
+    zero_pivots = bool(coarse.solver.pivots().zero)
+    grown = np.inf if zero_pivots else x.norm() / start.norm()
     for owned in (b, x, r, start):
         owned.destroy()
-    return _Probe(grown, error)
+    return _Probe(grown, error, zero_pivots)
 
 
 def _diagonal(coarse: Coarse) -> Array:

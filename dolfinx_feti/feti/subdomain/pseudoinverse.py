@@ -353,7 +353,7 @@ class PseudoInverse:
             Z_left = Z if self._symmetric else solve(Y, transpose=True)
             basis = join(basis, Y, Z, Z_left, rho)
             C = basis.D[k:, k:]
-            self._raised += np.count_nonzero(np.linalg.eigvalsh(C) < 0.0)  # Haynsworth
+            self._raised += int(np.count_nonzero(np.linalg.eigvalsh(C) < 0.0))  # Haynsworth
         self._soft[i] = basis.R[:, k:], basis.E[:, k:]
         return basis
 
