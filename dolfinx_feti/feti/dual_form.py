@@ -35,7 +35,8 @@ from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.setup import Factored, Pattern
 from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
-from dolfinx_feti.feti.subdomain.pseudoinverse import Modes, PseudoInverse
+from dolfinx_feti.feti.subdomain.modes import Modes
+from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
 from dolfinx_feti.torn import Torn
 
 __all__ = ["DualForm", "balanced_start", "create_dual_form", "load", "recover"]

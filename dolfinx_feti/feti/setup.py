@@ -34,7 +34,8 @@ from dolfinx_feti.feti.preconditioner.choice import create_preconditioner
 from dolfinx_feti.feti.subdomain.direct import sum_pivots
 from dolfinx_feti.feti.subdomain.enrichment import Enrichment
 from dolfinx_feti.feti.subdomain.matrices import create_matrices
-from dolfinx_feti.feti.subdomain.pseudoinverse import Modes, PseudoInverse
+from dolfinx_feti.feti.subdomain.modes import Modes
+from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Factored", "Pattern", "factor"]

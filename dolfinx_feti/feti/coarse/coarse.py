@@ -36,7 +36,7 @@ from dolfinx_feti.feti.coarse.weighted import WeightedColumns
 from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.subdomain.blocks import own_columns
-from dolfinx_feti.feti.subdomain.pseudoinverse import Modes
+from dolfinx_feti.feti.subdomain.modes import Modes
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Coarse"]

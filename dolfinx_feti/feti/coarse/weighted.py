@@ -23,7 +23,7 @@ from dolfinx_feti.feti.coarse.near import NearColumns, joined
 from dolfinx_feti.feti.copies import Copies
 from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
-from dolfinx_feti.feti.subdomain.pseudoinverse import Modes
+from dolfinx_feti.feti.subdomain.modes import Modes
 
 __all__ = ["WeightedColumns"]
 

@@ -4,5 +4,5 @@
 """One subdomain at a time: its matrix, its factors, its kernel, its generalised inverse.
 
 In the order of the data: blocks, direct, factors, dense, schur, kernel, nullspace, elimination,
-matrices, enrichment, pseudoinverse.
+matrices, enrichment, modes, pseudoinverse.
 """

@@ -120,21 +120,32 @@ def soft_modes(solve: Solve, weight: Array, most: int, threshold: float) -> Arra
     return solve(root[:, None] * vectors[:, soft])  # y = K_ρ⁻¹ k^½ z
 
 
-def buckling_modes(solve: Solve, n: int, count: int) -> Array:
+def buckling_modes(solve: Solve, multiply: Solve, n: int, count: int) -> Array:
     """Approximate the eigenvectors of the negative eigenvalues of :math:`K_ρ`.
+
+    Those near zero are found at the lower end of the inverse. One far below zero is the last of
+    them there, hidden next to zero, but stands alone at the lower end of the matrix.
 
     Args:
         solve: Applies :math:`K_ρ^{-1}` to columns, (n, r) → (n, r).
+        multiply: Applies :math:`K_ρ`, (n, r) → (n, r).
         n: Size of the subdomain.
         count: Number of its negative eigenvalues.
 
     Returns:
-        Eigenvectors, (n, count): those of the inverse at the lower end of its spectrum.
+        Eigenvectors, (n, up to ``count``).
     """
     if n <= max(DENSE, 2 * count + 2):
         inverse = solve(np.eye(n))
         return np.linalg.eigh(0.5 * (inverse + inverse.T))[1][:, :count]
-    return _lanczos(solve, n, count, "SA", krylov=max(2 * count + 8, 20), restarts=50)[1]
+    modes = _lower_end(solve, n, count)
+    missing = count - modes.shape[1]
+    return np.hstack([modes, _lower_end(multiply, n, missing)]) if missing else modes
+
+
+def _lower_end(apply: Solve, n: int, count: int) -> Array:
+    """Return the eigenvectors of the least eigenvalues that were found, (n, up to ``count``)."""
+    return _lanczos(apply, n, count, "SA", krylov=max(2 * count + 8, 20), restarts=50)[1]
 
 
 def join(basis: Basis, Y: Array, Z: Array, Z_left: Array, rho: float) -> Basis:

@@ -26,8 +26,9 @@ that it continues. It holds
 
 1. the rigid body modes that Dirichlet dofs leave (``kernel``),
 2. the null vectors of K beyond them (``nullspace``), which count as kernel, too,
-3. the modes in which the subdomain buckles, which makes K_ρ positive definite and leaves the
-   negative curvature to D, and soft ones, for speed (``enrichment``).
+3. the modes in which the subdomain buckles, which makes K_ρ positive definite, with a ρ that lifts
+   the most negative of them, and leaves the negative curvature to D; and soft ones, for speed
+   (``enrichment``).
 
 With the eigenvalues :math:`δ < 0` and eigenvectors y of D,
 
@@ -44,7 +45,6 @@ a few points, a compressed subdomain still gives way, and K_ρ gets more negativ
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -62,10 +62,11 @@ from dolfinx_feti.feti.subdomain.enrichment import (
 )
 from dolfinx_feti.feti.subdomain.kernel import kernel_basis
 from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
+from dolfinx_feti.feti.subdomain.modes import Modes, SubdomainModes
 from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, null_space
 from dolfinx_feti.torn import Torn
 
-__all__ = ["Modes", "PseudoInverse", "SubdomainModes"]
+__all__ = ["PseudoInverse"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -76,100 +77,11 @@ KERNEL_TOLERANCE = 1e-12
 #: Rounds of enrichment of one subdomain for one matrix.
 ENRICHMENTS = 3
 
+#: ρ is at least this multiple of the most negative curvature that it has to lift above zero.
+LIFT = 2.0
+
 #: An eigenvalue of D above this multiple of −ρ counts as zero: rounding of the local solves.
 DEFECT_TOLERANCE = 1e-13
-
-
-@dataclass(frozen=True, slots=True)
-class SubdomainModes:
-    """The modes of one subdomain for one matrix, on the dofs of its matrix.
-
-    Attributes:
-        R: Orthonormal modes, (n_i, k).
-        E: The kernel or its regularised stand-in, (n_i, k).
-        E_left: The same for :math:`K^⊤`.
-        D: Defect of the kernel, (k, k); zero while K R = 0.
-        props: Columns Z of K₊ = K + Z Zᵀ, (n_i, negative eigenvalues of D).
-        exact: Whether K R = 0 holds.
-        rho: The stiffness ρ.
-        rigid: Number of rigid body modes, the first ones of R.
-        null: Number of further null vectors, the next ones.
-    """
-
-    R: Array
-    E: Array
-    E_left: Array
-    D: Array
-    props: Array
-    exact: bool
-    rho: float
-    rigid: int
-    null: int
-
-
-@dataclass(frozen=True, slots=True)
-class Modes:
-    """The modes of all subdomains of this process for one matrix.
-
-    Attributes:
-        dofs: Torn dofs of each subdomain on which its modes live.
-        of: The modes of each subdomain.
-        symmetric: Whether K is symmetric: then E_left = E.
-    """
-
-    dofs: list[Indices]
-    of: tuple[SubdomainModes, ...]
-    symmetric: bool
-
-    @property
-    def R(self) -> list[Array]:
-        """The orthonormal modes of each subdomain."""
-        return [modes.R for modes in self.of]
-
-    @property
-    def E(self) -> list[Array]:
-        """The kernel of each subdomain, or its stand-in."""
-        return [modes.E for modes in self.of]
-
-    @property
-    def E_left(self) -> list[Array]:
-        """The same for the transposed matrices."""
-        return [modes.E_left for modes in self.of]
-
-    @property
-    def D(self) -> list[Array]:
-        """The defect of each kernel."""
-        return [modes.D for modes in self.of]
-
-    @property
-    def props(self) -> list[Array]:
-        """The props of each subdomain."""
-        return [modes.props for modes in self.of]
-
-    @property
-    def exact(self) -> list[bool]:
-        """Whether K R = 0 holds, for each subdomain."""
-        return [modes.exact for modes in self.of]
-
-    @property
-    def rho(self) -> Array:
-        """The stiffness ρ of each subdomain."""
-        return np.array([modes.rho for modes in self.of])
-
-    @property
-    def dimensions(self) -> npt.NDArray[np.int64]:
-        """Number of modes of each subdomain."""
-        return np.array([modes.R.shape[1] for modes in self.of], dtype=np.int64)
-
-    @property
-    def kernels(self) -> npt.NDArray[np.int64]:
-        """Number of those that are no elastic ones: rigid body modes and null vectors."""
-        return np.array([modes.rigid + modes.null for modes in self.of], dtype=np.int64)
-
-    @property
-    def negative_defects(self) -> int:
-        """Number of negative eigenvalues of all D, above rounding."""
-        return sum(modes.props.shape[1] for modes in self.of)
 
 
 class PseudoInverse:
@@ -281,7 +193,7 @@ class PseudoInverse:
         rho = float(scale.mean()) if len(scale) else 1.0
         rigid = self._matrices.restrict(i, R)
         kernel = self._with_null_vectors(i, rigid, rho)
-        R = self._with_buckling_modes(i, kernel, rho)
+        R, rho = self._with_buckling_modes(i, kernel, rho)
         exact = defect <= KERNEL_TOLERANCE * rho and R is kernel
         basis = self._basis(i, R, rho, exact=exact)
         basis = self._with_soft_modes(i, basis, rho, weight)
@@ -318,25 +230,38 @@ class PseudoInverse:
         """Tell whether the factored K_ρ of subdomain i is singular up to rounding."""
         return factor_tells_singular(self._factors, i, self._matrices.diagonal(i))
 
-    def _with_buckling_modes(self, i: int, R: Array, rho: float) -> Array:
-        """Append buckling modes to R until K_ρ is positive definite, and factor it."""
+    def _with_buckling_modes(self, i: int, R: Array, rho: float) -> tuple[Array, float]:
+        """Append buckling modes to R until K_ρ is positive definite, and factor it; return R, ρ."""
         for _ in range(ENRICHMENTS):
             negative = self._factors.pivots(i).negative
             if not (self._enrichment.buckling and negative):
                 break
-
-            def solve(X: Array) -> Array:
-                return self._factors.solve_many(i, X)
-
-            more = append_orthonormal(R, buckling_modes(solve, len(R), negative))
-            if more.shape[1] == R.shape[1]:
+            more = append_orthonormal(R, self._buckling_modes(i, R, rho, negative))
+            needed = max(rho, LIFT * self._most_negative(i, more))
+            if more.shape[1] == R.shape[1] and needed == rho:
                 break
-            self._factors.update_block(i, more, rho)
+            self._factors.update_block(i, more, needed)
             if self._is_singular(i):  # a border that the factor cannot tell from zero
                 self._factors.update_block(i, R, rho)
                 break
-            R = more
-        return R
+            R, rho = more, needed
+        return R, rho
+
+    def _buckling_modes(self, i: int, R: Array, rho: float, count: int) -> Array:
+        """Approximate eigenvectors of negative eigenvalues of the factored K_ρ, (n_i, k)."""
+
+        def solve(X: Array) -> Array:
+            return self._factors.solve_many(i, X)
+
+        def multiply(X: Array) -> Array:
+            return self._matrices.multiply_many(i, X) + rho * (R @ (R.T @ X))  # K_ρ X
+
+        return buckling_modes(solve, multiply, len(R), count)
+
+    def _most_negative(self, i: int, R: Array) -> float:
+        """Return −μ of the most negative eigenvalue μ of Rᵀ K R; below zero if all are positive."""
+        values = np.linalg.eigvalsh(R.T @ self._matrices.multiply_many(i, R))
+        return -float(values.min(initial=np.inf))
 
     def _with_soft_modes(self, i: int, basis: Basis, rho: float, weight: Array) -> Basis:
         """Let soft modes join R, by an update of the inverse."""

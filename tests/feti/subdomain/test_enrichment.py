@@ -24,11 +24,11 @@ SIZES = (60, DENSE + 100)  # dense, and by subspace iteration or Lanczos' method
 every_size = pytest.mark.parametrize("n", SIZES)
 
 
-def matrix(n, values):
-    """A symmetric matrix with some given eigenvalues, the others from 1 to 2, and its vectors."""
+def matrix(n, values, most=2.0):
+    """A symmetric matrix with some given eigenvalues, others from 1 to most, and its vectors."""
     rng = np.random.default_rng(SEED)
     Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
-    spectrum = np.concatenate([values, np.linspace(1.0, 2.0, n - len(values))])
+    spectrum = np.concatenate([values, np.geomspace(1.0, most, n - len(values))])
     return (Q * spectrum) @ Q.T, Q[:, : len(values)]
 
 
@@ -70,9 +70,13 @@ def test_soft_is_measured_by_the_interface(n):
 
 
 @every_size
-def test_buckling_modes(n):
-    K, modes = matrix(n, [-0.5, -0.02, -1e-3])
-    spans(buckling_modes(solver(K), n, 3), modes, 1e-10 if n <= DENSE else 0.05)
+@pytest.mark.parametrize(
+    ("values", "most"), [((-0.5, -0.02, -1e-3), 2.0), ((-1e5, -1.0, -0.5), 1e5)]
+)
+def test_buckling_modes(values, most, n):
+    """The inverse shows those near zero, the matrix one that is far below."""
+    K, modes = matrix(n, values, most)
+    spans(buckling_modes(solver(K), lambda X: K @ X, n, 3), modes, 1e-10 if n <= DENSE else 0.05)
 
 
 def test_append_orthonormal():
