@@ -52,7 +52,7 @@ bench-compare: ## FETI, MUMPS, GAMG and BDDC on the same matrices, time and memo
 bench-nonlinear: ## iterations and seconds per Newton step, tube and vessel; report in build/results/
 	for degree in 1 2; do \
 	  $(with) $(python) -m benchmarks.nonlinear --geometry tube --size 0.3 --subdomains 8 --degree $$degree --json build/nonlinear.json && \
-	  $(with) $(python) -m benchmarks.nonlinear --geometry vessel --size 1.19 --subdomains 64 --pressure 0.2 --degree $$degree --json build/nonlinear.json $(ARGS) || exit; \
+	  $(with) $(python) -m benchmarks.nonlinear --size 1.19 --subdomains 64 --pressure 0.2 --degree $$degree --json build/nonlinear.json $(ARGS) || exit; \
 	done
 	$(with) python3 -m benchmarks.nonlinear_page build/nonlinear.json --output build/results
 
@@ -60,12 +60,15 @@ bench-scaling: ## strong scaling on one and two processes, counts on up to 64; r
 	$(with) python3 -m benchmarks.scaling --size 0.8 --processes $(if $(filter-out 1,$(NP)),1$(comma)$(NP),1) --json build/scaling.json $(ARGS)
 	$(with) python3 -m benchmarks.scaling_page build/scaling.json --output build/results
 
+figures: direct = --type classical --subdomains 1
+figures: files = --json build/loading.json --checkpoint build/loading
 figures: ## both variants up to 300 mmHg on tube and vessel, and the paper's figures of it; build/results/
-	$(with) $(python) -m benchmarks.load_stepping --geometry tube --size 0.3 --degree 2 --json build/loading.json --checkpoint build/loading
-	for degree in 1 2; do \
-	  $(with) $(python) -m benchmarks.load_stepping --geometry vessel --size 1.2 --degree $$degree --first 25 --json build/loading.json --checkpoint build/loading/p$$degree $(ARGS) && \
-	  $(with) python3 -m benchmarks.load_stepping --geometry vessel --size 1.2 --degree $$degree --first 25 --type classical --subdomains 1 --json build/loading.json --checkpoint build/loading/direct/p$$degree || exit; \
-	done
+	$(with) $(python) -m benchmarks.load_stepping --geometry tube --size 0.3 --degree 2 $(files)/tube $(ARGS)
+	$(with) $(python) -m benchmarks.load_stepping --size 1.2 --first 25 $(files)/p1 $(ARGS)
+	$(with) $(python) -m benchmarks.load_stepping --size 1.6 --degree 2 $(files)/p2 $(ARGS)
+	$(with) python3 -m benchmarks.load_stepping --size 1.2 --first 25 $(direct) $(files)/p1-direct
+	$(with) python3 -m benchmarks.load_stepping --size 1.6 $(direct) $(files)/p1-coarse-direct
+	$(with) python3 -m benchmarks.load_stepping --size 1.6 --degree 2 $(direct) $(files)/p2-direct
 	$(with) python3 -m benchmarks.load_figures build/loading.json --output build/results
 
 lint: ## style, types, spelling

@@ -5,10 +5,11 @@
 
     python3 -m benchmarks.load_figures build/loading.json --output build/results
 
-draws, for each wall and degree in the records, the stress magnitude over the relative displacement
-u_rel = u_norm / u_max and u_norm over the pressure at the points A–E, for both variants the
-iterations of a Newton step, and for them and one subdomain, a direct solver, the seconds of a load
-step; and writes ``loading.md`` beside them.
+draws, for each mesh and degree in the records that FETI ran on, the stress magnitude over the
+relative displacement u_rel = u_norm / u_max and u_norm over the pressure at the points A–E, for
+both variants the iterations of a Newton step, and for them and one subdomain, a direct solver, the
+seconds of a load step; for each mesh with records of P1–P0 and P2–P0, the displacements and volume
+ratios of both; and writes ``loading.md`` beside them.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -24,7 +26,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
-from benchmarks.common.pages import run_command
+from benchmarks.common.pages import by_mesh, run_command
 from benchmarks.common.records import Record
 from benchmarks.common.table import Table, count, number
 from benchmarks.walls.points import NAMES
@@ -60,12 +62,15 @@ def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
         remark: Remark about the runs.
     """
     pages = [_introduction(records, remark)]
-    walls = [(str(record["geometry"]), int(record["degree"])) for record in records]
-    for geometry, degree in dict.fromkeys(walls):
-        mine = [r for r, wall in zip(records, walls, strict=True) if wall == (geometry, degree)]
-        picture = f"loading_{geometry}_p{degree}.png"
-        draw(folder / picture, mine)
-        pages.append(f"![Load steps of the {geometry}, P{degree}–P0]({picture})\n")
+    for mesh in by_mesh(records):
+        for (degree,), mine in _groups(mesh.records, "degree"):
+            if any(_variant(record) != "direct" for record in mine):
+                picture = f"loading_{mesh.name}_p{degree}.png"
+                draw(folder / picture, mine)
+                pages.append(f"![Load steps, {mesh.about}, P{degree}–P0]({picture})\n")
+        picture = f"locking_{mesh.name}.png"
+        if draw_locking(folder / picture, mesh.records):
+            pages.append(f"![P1–P0 beside P2–P0, {mesh.about}]({picture})\n")
     pages += [totals(records).markdown(), ends(records).markdown()]
     (folder / "loading.md").write_text("\n".join(pages))
 
@@ -98,9 +103,51 @@ def draw(path: Path, records: Sequence[Record]) -> None:
     plt.close(fig)
 
 
+def draw_locking(path: Path, records: Sequence[Record]) -> bool:
+    """Draw displacements and volume ratios of P1–P0 beside those of P2–P0 on the same mesh.
+
+    Args:
+        path: The file.
+        records: Of one mesh; those without volume ratios take no part.
+
+    Returns:
+        Whether there are both.
+    """
+    of_degree: dict[int, list[Record]] = {}
+    for (degree, *_), steps in _groups(records, "degree", "subdomains", "type"):
+        known = [step for step in steps if "mean_deviation_J" in step]
+        if known and len(known) > len(of_degree.get(degree, [])):
+            of_degree[degree] = sorted(known, key=lambda step: float(step["pressure_mmhg"]))
+    if len(of_degree) < 2:
+        return False
+    fig, (norm, volume) = plt.subplots(1, 2, figsize=(10, 4))
+    for degree, line in ((1, ".--"), (2, ".-")):
+        steps = of_degree[degree]
+        pressure = [step["pressure_mmhg"] for step in steps]
+        for name, colour in zip(NAMES, COLOURS, strict=True):
+            u = [step["u_norm"][name] for step in steps]
+            norm.plot(pressure, u, line, color=colour, label=f"{name}, P{degree}–P0")
+        for of, colour in (("mean_deviation_J", COLOURS[0]), ("min_J", COLOURS[1])):
+            off = [s[of] if of == "mean_deviation_J" else 1.0 - s[of] for s in steps]
+            label = {"mean_deviation_J": "mean of |J − 1|", "min_J": "1 − least J"}[of]
+            volume.plot(pressure, off, line, color=colour, label=f"{label}, P{degree}–P0")
+    norm.set_ylabel("displacement norm u_norm [mm]")
+    volume.set_ylabel("change of volume of the elements")
+    for ax in (norm, volume):
+        ax.set_xlabel("pressure [mmHg]")
+        ax.set_ylim(bottom=0)
+        ax.grid(color="0.92")
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.legend(frameon=False, fontsize=8, ncols=2 if ax is norm else 1)
+    fig.tight_layout()
+    fig.savefig(path, dpi=120)
+    plt.close(fig)
+    return True
+
+
 def totals(records: Sequence[Record]) -> Table:
     """Sum up each run."""
-    head = ["wall", "elements", "subdomains", "type", "processes", "recycled"]
+    head = ["wall", "edges [mm]", "elements", "subdomains", "type", "processes", "recycled"]
     head += ["up to [mmHg]", "load steps"]
     head += ["Newton steps", "FETI iterations", "in a Newton step", "worst residual", "seconds"]
     rows = []
@@ -108,9 +155,7 @@ def totals(records: Sequence[Record]) -> Table:
         mean = [step["linear_iterations_mean"] for step in steps]
         rows.append(
             [
-                str(key[0]),
-                f"P{key[1]}–P0",
-                str(key[2]),
+                *_wall_cells(key),
                 VARIANTS[_variant(steps[0])][0],
                 str(steps[0]["processes"]),
                 str(steps[0]["recycle"]),
@@ -132,7 +177,7 @@ def totals(records: Sequence[Record]) -> Table:
 
 def ends(records: Sequence[Record]) -> Table:
     """Show the last state of each run: variants beside each other, and P1–P0 beside P2–P0."""
-    head = ["wall", "elements", "subdomains", "type", "pressure [mmHg]"]
+    head = ["wall", "edges [mm]", "elements", "subdomains", "type", "pressure [mmHg]"]
     head += [*(f"u {name} [mm]" for name in NAMES), *(f"σ_mag {name} [kPa]" for name in NAMES)]
     head += ["least J", "greatest J", "mean of abs(J − 1)", "more than 1 % off"]
     rows = []
@@ -142,9 +187,7 @@ def ends(records: Sequence[Record]) -> Table:
         share = last.get("share_J")
         rows.append(
             [
-                str(key[0]),
-                f"P{key[1]}–P0",
-                str(key[2]),
+                *_wall_cells(key),
                 VARIANTS[_variant(last)][0],
                 number(last["pressure_mmhg"]),
                 *(f"{value:.6g}" for value in points),
@@ -159,11 +202,23 @@ def ends(records: Sequence[Record]) -> Table:
     return Table("At the highest pressure", head, rows, note)
 
 
-def _runs(records: Sequence[Record]) -> Iterator[tuple[tuple[object, ...], list[Record]]]:
-    """Yield wall, degree, subdomains and type of each run, and its load steps."""
-    keys = ("geometry", "degree", "subdomains", "type")
-    for key in dict.fromkeys(tuple(record[name] for name in keys) for record in records):
-        yield key, [r for r in records if tuple(r[name] for name in keys) == key]
+def _runs(records: Sequence[Record]) -> Iterator[tuple[tuple[Any, ...], list[Record]]]:
+    """Yield wall, size, degree, subdomains and type of each run, and its load steps."""
+    yield from _groups(records, "geometry", "size", "degree", "subdomains", "type")
+
+
+def _groups(
+    records: Sequence[Record], *names: str
+) -> Iterator[tuple[tuple[Any, ...], list[Record]]]:
+    """Yield the records that agree in some parameters, which come first."""
+    for key in dict.fromkeys(tuple(record[name] for name in names) for record in records):
+        yield key, [r for r in records if tuple(r[name] for name in names) == key]
+
+
+def _wall_cells(key: tuple[Any, ...]) -> list[str]:
+    """Return the cells of a table that tell the wall of a run, its elements and subdomains."""
+    geometry, size, degree, subdomains, _ = key
+    return [geometry, "–" if size is None else f"{size:g}", f"P{degree}–P0", str(subdomains)]
 
 
 def _draw_points(stress: Axes, norm: Axes, steps: Sequence[Record]) -> None:

@@ -6,8 +6,8 @@
     python3 -m benchmarks.nonlinear_page build/nonlinear.json --output build/results
 
 writes ``nonlinear.md``, with the paper's tables beside ours and what of the paper's text holds
-here, and ``nonlinear_vessel.png`` or ``nonlinear_tube.png``: iterations over κ. The files are those
-of ``benchmarks.nonlinear``.
+here, and for each mesh a picture such as ``nonlinear_vessel_1.19.png``: iterations over κ. The
+files are those of ``benchmarks.nonlinear``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.common.pages import provenance, run_command
+from benchmarks.common.pages import by_mesh, provenance, run_command
 from benchmarks.common.records import Record
 from benchmarks.nonlinear_tables.groups import is_known
 from benchmarks.nonlinear_tables.plots import draw_iterations
@@ -52,10 +52,10 @@ def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
         remark: Remark about the runs.
     """
     parts = [_introduction(records, remark), statement_table(records).markdown()]
-    for geometry in dict.fromkeys(str(record["geometry"]) for record in records):
-        picture = f"nonlinear_{geometry}.png"
-        if draw_iterations(folder / picture, records, geometry):
-            parts.append(f"![Iterations of a Newton step over κ, {geometry}]({picture})\n")
+    for mesh in by_mesh(records):
+        picture = f"nonlinear_{mesh.name}.png"
+        if draw_iterations(folder / picture, mesh.records):
+            parts.append(f"![Iterations of a Newton step over κ, {mesh.about}]({picture})\n")
     tables = [*newton_tables(records), volume_table(records), contact_table(records)]
     tables.append(failure_table(records))
     parts += [table.markdown() for table in tables if table.rows]
@@ -81,7 +81,7 @@ def _introduction(records: Sequence[Record], remark: str) -> str:
         "Newton's method then takes dozens of steps on a thin wall, the first four of which are",
         "shown. *The package's defaults* are those of docs/options.md: the symmetric part of the",
         "pressure's tangent, relative tolerances of 1e-8, and the primal form where the",
-        "preconditioner is Dirichlet's and the dual system is indefinite.",
+        "preconditioner is Dirichlet's.",
         "Newton's method knows no potential in either, so that it takes plain steps. All cases of",
         "a wall share one decomposition. Seconds of one process are its processor time, which",
         "other work on the machine hardly disturbs.",

@@ -6,12 +6,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from benchmarks.common.records import Record, read_records
 
-__all__ = ["provenance", "run_command"]
+__all__ = ["by_mesh", "provenance", "run_command"]
 
 
 def run_command(
@@ -53,6 +54,31 @@ def run_command(
     except (OSError, ValueError) as error:
         parser.error(str(error))
     return 0
+
+
+class Mesh(NamedTuple):
+    """Records of one mesh.
+
+    Attributes:
+        name: For a file's name, such as ``vessel_1.6``.
+        about: For a text, such as ``vessel, edges of 1.6 mm``.
+        records: The records.
+    """
+
+    name: str
+    about: str
+    records: list[Record]
+
+
+def by_mesh(records: Sequence[Record]) -> Iterator[Mesh]:
+    """Sort records by wall and size of the mesh, None for the generator's default."""
+    for key in dict.fromkeys((record["geometry"], record["size"]) for record in records):
+        mine = [record for record in records if (record["geometry"], record["size"]) == key]
+        geometry, size = key
+        if size is None:
+            yield Mesh(geometry, geometry, mine)
+        else:
+            yield Mesh(f"{geometry}_{size:g}", f"{geometry}, edges of {size:g} mm", mine)
 
 
 def provenance(

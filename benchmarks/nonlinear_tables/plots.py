@@ -27,18 +27,17 @@ COLOURS = dict(zip(PRECONDITIONERS, ("#b5443a", "#c9962b", "#1f5a8a"), strict=Tr
 LINES = dict(zip(CHOICES, ("-", "--"), strict=True))
 
 
-def draw_iterations(path: Path, records: Sequence[Record], geometry: str) -> bool:
+def draw_iterations(path: Path, records: Sequence[Record]) -> bool:
     """Draw a curve for each preconditioner and choice, and the paper's as open circles.
 
     Args:
         path: The file.
-        records: All records.
-        geometry: Of the wall.
+        records: Of one mesh.
 
     Returns:
         Whether there was anything to draw.
     """
-    mine = [r for r in usual(records) if r["geometry"] == geometry and r["layers"] == 1]
+    mine = [r for r in usual(records) if r["layers"] == 1]
     degrees = sorted({int(r["degree"]) for r in mine})
     if not degrees:
         return False

@@ -43,9 +43,19 @@ def test_both_variants_and_their_figures(tmp_path):
 
     on_first(lambda: load_figures.main([str(tmp_path / "loading.json"), "--output", str(tmp_path)]))
     page = on_first(lambda: (tmp_path / "loading.md").read_text())
-    row = f"| tube | P2–P0 | 4 | all-floating | {COMM.size} | 0 | 8 |"
-    agree(row in page and "loading_tube_p2.png" in page, page)
-    agree(on_first(lambda: (tmp_path / "loading_tube_p2.png").stat().st_size) > 20_000)
+    row = f"| tube | 1 | P2–P0 | 4 | all-floating | {COMM.size} | 0 | 8 |"
+    agree(row in page and "loading_tube_1_p2.png" in page and "locking" not in page, page)
+    agree(on_first(lambda: (tmp_path / "loading_tube_1_p2.png").stat().st_size) > 20_000)
+
+
+def test_locking_is_drawn_where_both_degrees_are_there(tmp_path):
+    """A direct run takes part, but has no picture of iterations."""
+    run(tmp_path, "--type", "classical")
+    run(tmp_path, "--type", "classical", "--degree", "1", "--subdomains", "1")
+    on_first(lambda: load_figures.main([str(tmp_path / "loading.json"), "--output", str(tmp_path)]))
+    names = on_first(lambda: sorted(path.name for path in tmp_path.glob("*.png")))
+    agree(names == ["loading_tube_1_p2.png", "locking_tube_1.png"], names)
+    agree(on_first(lambda: (tmp_path / "locking_tube_1.png").stat().st_size) > 20_000)
 
 
 def test_what_is_there_is_not_run_again(tmp_path, capsys):
