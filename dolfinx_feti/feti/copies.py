@@ -24,7 +24,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.collective import total
+from dolfinx_feti.collective import total, total_of
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Copies", "star_forest"]
@@ -85,6 +85,11 @@ class Copies:
     def dot(self, x: Array, y: Array) -> float:
         """Return xᵀ y of two assembled vectors, given by their copies, (n,). Collective."""
         return total(x @ (self.delta * y), self.comm)
+
+    def dots(self, *pairs: tuple[Array, Array]) -> list[float]:
+        """Return xᵀ y of each pair, in a single reduction. Collective."""
+        own = [x @ (self.delta * y) for x, y in pairs]
+        return [float(sum_) for sum_ in total_of(np.array(own), self.comm)]
 
     def destroy(self) -> None:
         """Free the star forest."""

@@ -43,6 +43,8 @@ def test_sum_average_and_product(kind, shape, torn_grid, copies_of):
     equal(whole(copies.average(t)), T @ (T.T @ (δ * values[0])), 1e-14)
     x, y = T.T @ (δ * values)[0], T.T @ (δ * values)[1]
     small(copies.dot(copies.average(t), copies.average(s)) - x @ y, 1e-12 * max(1.0, abs(x @ y)))
+    t, s = copies.average(t), copies.average(s)
+    equal(copies.dots((t, s), (s, s)), [copies.dot(t, s), copies.dot(s, s)], 1e-14)
     agree(len(copies.row) == np.count_nonzero((T @ T.T)[last - copies.n : last]))
 
 

@@ -142,6 +142,11 @@ class AveragedSpace:
         """
         return z + self.prolong(self.solve(self._restrict(r) - self.energies(z)))
 
+    def correct_with_product(self, z: Array, r: Array) -> tuple[Array, float]:
+        """Return what :meth:`correct` does, and its product with r. Collective."""
+        z = self.correct(z, r)
+        return z, self._copies.dot(r, z)
+
     def _restrict(self, r: Array) -> Array:
         """Return Vᵀ r of an assembled residual given by copies, (n,) → (size,)."""
         t = self._copies.delta * r

@@ -127,12 +127,15 @@ class DeflatedSpace:
 
         Collective.
         """
-        balanced = self._space.correct(z, r)
-        if not self.count:
-            return balanced
-        overlap = self._W.T @ (self._copies.delta * r) - self._SW.T @ balanced
-        c = self._inverse @ total_of(overlap, self._copies.comm)
-        return np.asarray(balanced + self._W @ c)
+        return self.correct_with_product(z, r)[0]
+
+    def correct_with_product(self, z: Array, r: Array) -> tuple[Array, float]:
+        """Return what :meth:`correct` does, and its product with r. Collective."""
+        z, r = self._space.correct(z, r), self._copies.delta * r
+        own = np.concatenate([[r @ z], self._W.T @ r, self._SW.T @ z])
+        product, of_r, of_z = np.split(total_of(own, self._copies.comm), [1, 1 + self.count])
+        c = self._inverse @ (of_r - of_z)
+        return np.asarray(z + self._W @ c), float(product[0] + of_r @ c)
 
     def negative_direction(self) -> Array | None:
         """Return a field v with vᵀ A v < 0, (n,), or None if none is known. Collective."""

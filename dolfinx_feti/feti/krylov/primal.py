@@ -20,6 +20,9 @@ meets a direction p with :math:`p^⊤ A p ≤ 0`, and returns it. The residual o
 of the whole assembled system, because displacements inside are in balance.
 
 K_ρ and E may belong to an earlier matrix; S, A V and A₀ may not.
+
+An iteration waits for all processes three times: in the coarse problem, for :math:`r^⊤ z`, and for
+:math:`p^⊤ A p` together with what :math:`\|r - α A p\|` follows from.
 """
 
 from __future__ import annotations
@@ -34,10 +37,12 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from dolfinx_feti.collective import total
 from dolfinx_feti.feti.copies import Copies
 
 __all__ = ["CoarseSpace", "Outcome", "PrimalSystem", "Trace", "conjugate_gradients"]
+
+#: Share of ‖r‖² below which rounding would be felt in ‖r − α q‖² = ‖r‖² − 2 α rᵀ q + α² ‖q‖².
+CANCELLED = 1e-8
 
 Array = npt.NDArray[np.float64]
 Monitor = Callable[[int, float], None]
@@ -52,6 +57,9 @@ class CoarseSpace(Protocol):
 
     def correct(self, z: Array, r: Array) -> Array:
         """Return z + V A₀⁻¹ (Vᵀ r − (A V)ᵀ z)."""
+
+    def correct_with_product(self, z: Array, r: Array) -> tuple[Array, float]:
+        """Return what :meth:`correct` does, and its product with r."""
 
     def negative_direction(self) -> Array | None:
         """Return a field v with vᵀ A v < 0, or None if none is known."""
@@ -78,10 +86,13 @@ class PrimalSystem:
         """Return b − A x, with b = Tᵀ f for a torn load f. Collective."""
         return self.copies.sum(f - self.multiply(x))  # Tᵀ (f − S T x)
 
-    def precondition(self, r: Array) -> Array:
-        """Return z = Π Tᵀ δ K_ρ⁻¹ δ T r + V A₀⁻¹ Vᵀ r, whose last term is rounding. Collective."""
+    def precondition(self, r: Array) -> tuple[Array, float]:
+        """Return z = Π Tᵀ δ K_ρ⁻¹ δ T r + V A₀⁻¹ Vᵀ r, whose last term is rounding, and rᵀ z.
+
+        Collective.
+        """
         w = self.solve(self.copies.delta * r)  # w = K_ρ⁻¹ δ T r
-        return self.space.correct(self.copies.average(w), r)
+        return self.space.correct_with_product(self.copies.average(w), r)
 
     def norm(self, r: Array) -> float:
         """Return ‖r‖ of the assembled vector. Collective."""
@@ -166,12 +177,12 @@ def conjugate_gradients(
     best, least, at = x, norm, 0
     reason = Reason.ITERATING if direction is None else Reason.DIVERGED_INDEFINITE_MAT
     while not reason and not (reason := _reason(norm, target, len(α), max_it)):
-        z = system.precondition(r)
-        ρ, last = copies.dot(r, z), ρ
+        last = ρ
+        z, ρ = system.precondition(r)
         β.append(ρ / last)
         p = z + β[-1] * p
-        q = system.multiply(p)
-        curvature = total(float(p @ q), copies.comm)  # pᵀ A p
+        q = copies.sum(system.multiply(p))  # q = A p
+        curvature, rr, rq, qq = copies.dots((p, q), (r, r), (r, q), (q, q))
         if ρ <= 0.0:
             reason = Reason.DIVERGED_INDEFINITE_PC
         elif curvature <= 0.0:
@@ -181,8 +192,9 @@ def conjugate_gradients(
                 R[len(α)], Z[len(α)] = r / np.sqrt(ρ), z / np.sqrt(ρ)
             α.append(ρ / curvature)
             x = x + α[-1] * p
-            r -= α[-1] * copies.sum(q)
-            norm = system.norm(r)
+            r -= α[-1] * q
+            squared = rr - α[-1] * (2.0 * rq - α[-1] * qq)  # ‖r − α q‖²
+            norm = np.sqrt(squared) if squared > CANCELLED * rr else system.norm(r)
             monitor(len(α), norm)
             if norm < least:
                 best, least, at = x, norm, len(α)
