@@ -198,16 +198,25 @@ class Torn:
     def multiply(self, t: Array, *, transpose: bool = False) -> Array:
         """Return K t, or Kᵀ t, for a vector, (n,), or several columns, (n, r)."""
         if t.ndim == 2:
-            y = np.empty_like(t)
-            for j in range(t.shape[1]):
-                y[:, j] = self.multiply(t[:, j], transpose=transpose)
-            return y
+            return self._multiply_many(t, transpose=transpose)
         y = np.zeros(self.n)
         t_vec = PETSc.Vec().createWithArray(np.ascontiguousarray(t), comm=PETSc.COMM_SELF)
         y_vec = PETSc.Vec().createWithArray(y, comm=PETSc.COMM_SELF)
         (self.K.multTranspose if transpose else self.K.mult)(t_vec, y_vec)
         t_vec.destroy()
         y_vec.destroy()
+        return y
+
+    def _multiply_many(self, t: Array, *, transpose: bool) -> Array:
+        """Return K t, or Kᵀ t, for several columns, (n, r), in one run through K."""
+        if t.shape[1] == 0:
+            return np.zeros_like(t)
+        X = PETSc.Mat().createDense(t.shape, array=np.asfortranarray(t), comm=PETSc.COMM_SELF)
+        X.assemble()
+        Y = self.K.transposeMatMult(X) if transpose else self.K.matMult(X)
+        y = Y.getDenseArray().copy()
+        X.destroy()
+        Y.destroy()
         return y
 
     def blocks(self, rows: Sequence[Indices]) -> Iterator[scipy.sparse.csr_array]:

@@ -47,6 +47,18 @@ def test_tear_and_assemble_are_transposed(torn_grid):
     torn.destroy()
 
 
+@pytest.mark.parametrize("columns", [0, 1, 3])
+@pytest.mark.parametrize("transpose", [False, True])
+def test_several_columns_at_once(torn_grid, columns, transpose):
+    problem = torn_grid((2, 2), (2, 2), components=2)
+    torn = Torn(problem.A)
+    t = np.random.default_rng(SEED + 2).standard_normal((len(problem.to_global), columns))
+    K = problem.K_torn.T if transpose else problem.K_torn
+    product = torn.multiply(t[torn.start : torn.start + torn.n], transpose=transpose)
+    equal(whole(product), K @ t, 1e-13)
+    torn.destroy()
+
+
 def test_gather_brings_copies_in_the_order_of_dofs(torn_grid):
     problem = torn_grid((2, 2), (2, 2))
     torn = Torn(problem.A)

@@ -250,13 +250,13 @@ def create_lagged_form(
     Note:
         Collective.
     """
-    S, copies, columns = earlier.preconditioner, earlier.copies, earlier.space.columns
+    S, copies, prefix = earlier.preconditioner, earlier.copies, pattern.prefix + "coarse_"
+    columns = earlier.space.independent_columns()
     earlier.space.destroy()
-    prefix = pattern.prefix + "coarse_"
     with event("FETICoarse"):
         try:
             require_held(pattern.torn, pattern.bodies, factored.near_kernel, definite=False)
-            space = AveragedSpace(copies, columns, S.multiply_many, prefix=prefix)
+            space = AveragedSpace(copies, columns, S.multiply_many, prefix=prefix, independent=True)
         except SetUpError:
             copies.destroy()
             raise

@@ -18,6 +18,9 @@ increments that are not longer than the current one. On the way equilibrium may 
 than there (``Steps.rtol``). Newton's tolerance refers to the residual that the new load leaves in
 the last equilibrium, :math:`\|r(U_n; t_{n+1})\|`: a prediction can begin with one that is larger by
 orders of magnitude, of which no share is an equilibrium.
+
+FETI's preconditioner serves on from one load to the next (``-feti_lag``), but for the step that
+follows a checkpoint: what a restart does not know, a run that goes on must not use.
 """
 
 from __future__ import annotations
@@ -83,7 +86,11 @@ class Problem(Protocol):
         """Assemble the tangent at the present state and load."""
 
     def solve(
-        self, *, reference: float | None = None, first_tangent: Tangent | None = None
+        self,
+        *,
+        reference: float | None = None,
+        first_tangent: Tangent | None = None,
+        renew: bool = True,
     ) -> object:
         """Solve, or raise ConvergenceError."""
 
@@ -193,6 +200,7 @@ class _Path:
         self._increment = steps.first
         self._past = [_Equilibrium(load, self._values())]
         self._met = [load]
+        self._renew = True  # whether the next solve begins with a preconditioner of its own
 
     @property
     def load(self) -> float:
@@ -215,7 +223,10 @@ class _Path:
                 yield self._advance(target, bar)
 
     def keep(self, checkpoint: Checkpoint, accepted: Sequence[LoadStep]) -> None:
-        """Write the last equilibria, the present one at the end, and how they were found."""
+        """Write the last equilibria, the present one at the end, and how they were found.
+
+        The next solve depends on nothing else, so that a restart repeats it.
+        """
         record = {
             "loads": [known.load for known in self._past],
             "increment": self._increment,
@@ -223,6 +234,7 @@ class _Path:
             "steps": [asdict(step) for step in accepted],
         }
         checkpoint.write(self._state, record, [known.values for known in self._past[:-1]])
+        self._renew = True
 
     def restore(self, checkpoint: Checkpoint) -> list[LoadStep]:
         """Go where a checkpoint was written; return the steps that led there."""
@@ -300,20 +312,28 @@ class _Path:
                 self._restore()
             tangent = self._problem.linearise()
             self._set_load(load)
-            self._problem.solve(first_tangent=tangent)
+            self._solve(first_tangent=tangent)
         except ConvergenceError:
             self._restore()
+            self._renew = True
             raise
 
     def _solved(self, reference: float) -> bool:
         """Solve from a predicted state; tell whether it was admissible, raise if it led nowhere."""
         try:
-            self._problem.solve(reference=reference)
+            self._solve(reference=reference)
         except ConvergenceError:
             if self._problem.solver.getConvergedReason() != Reason.DIVERGED_FUNCTION_DOMAIN:
                 raise
             return False
         return True
+
+    def _solve(
+        self, *, reference: float | None = None, first_tangent: Tangent | None = None
+    ) -> None:
+        """Solve with the preconditioner of the last solve, unless there is none to go on with."""
+        renew, self._renew = self._renew, False
+        self._problem.solve(reference=reference, first_tangent=first_tangent, renew=renew)
 
     def _restore(self) -> None:
         """Go back to the last equilibrium."""

@@ -54,10 +54,12 @@ class Start:
     Attributes:
         reference: Most that the residual at the start counts in the relative tolerance.
         tangent: The tangent of the first step, which the matrix holds; None for that of the start.
+        renew: Whether FETI's preconditioner begins anew, so that the solve depends on none before.
     """
 
     reference: float = np.inf
     tangent: Tangent | None = None
+    renew: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +114,8 @@ class Newton:
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
         """Iterate from the state of the user's functions until the residual is small."""
         self.history, self.message, self._shift = [], "", 0.0
-        snes.getKSP().getPythonContext().renew()  # a solve depends on none before it
+        if self._start.renew:
+            snes.getKSP().getPythonContext().renew()
         try:
             reason = self._iterate(snes, self._start)
         except _Stop as stop:

@@ -278,7 +278,11 @@ class NonlinearProblem:
         )
 
     def solve(
-        self, *, reference: float | None = None, first_tangent: Tangent | None = None
+        self,
+        *,
+        reference: float | None = None,
+        first_tangent: Tangent | None = None,
+        renew: bool = True,
     ) -> dolfinx.fem.Function:
         """Iterate from the present u (and pressure) to the solution.
 
@@ -290,6 +294,9 @@ class NonlinearProblem:
                 is NaN does not count.
             first_tangent: The tangent of the first step, made by :meth:`linearise`; that of the
                 present state if not given.
+            renew: Whether FETI's preconditioner and its Ritz vectors begin anew. If not, those of
+                the last solve serve on as long as ``-feti_lag`` lets them: faster where the state
+                has not changed much, and u depends on earlier solves, within the tolerance.
 
         Returns:
             The unknown u.
@@ -301,7 +308,7 @@ class NonlinearProblem:
         Note:
             Collective.
         """
-        start = self._start(reference, first_tangent)
+        start = self._start(reference, first_tangent, renew=renew)
         with (
             inserted(self._prefix, self._petsc_options),
             self._newton.starting(start),
@@ -314,7 +321,7 @@ class NonlinearProblem:
             raise ConvergenceError(f"Newton's method did not converge: {message}.")
         return self.u
 
-    def _start(self, reference: float | None, tangent: Tangent | None) -> Start:
+    def _start(self, reference: float | None, tangent: Tangent | None, *, renew: bool) -> Start:
         """Check what a solve is to begin with.
 
         Raises:
@@ -328,7 +335,7 @@ class NonlinearProblem:
                 "first_tangent names a tangent that this problem's matrix does not hold any more: "
                 "pass what linearise() has returned to the very next solve()."
             )
-        return Start(np.inf if reference is None else float(reference), tangent)
+        return Start(np.inf if reference is None else float(reference), tangent, renew)
 
     def __del__(self) -> None:
         """Free the PETSc objects."""

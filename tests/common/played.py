@@ -55,6 +55,7 @@ class Attempt:
         linearised: Load and state of the first tangent, if it was given.
         guess: The state, u and p in one entry each.
         converged: What came of it.
+        renewed: Whether the preconditioner was to begin anew.
     """
 
     load: float
@@ -65,6 +66,7 @@ class Attempt:
     linearised: tuple[float, float, float] | None
     guess: tuple[float, float]
     converged: bool
+    renewed: bool
 
 
 class Played:
@@ -118,6 +120,7 @@ class Played:
         *,
         reference: float | None = None,
         first_tangent: tuple[float, float, float] | None = None,
+        renew: bool = True,
     ) -> None:
         before = self._equilibrium
         domain = first_tangent is None and self._inside_out(self.load)
@@ -135,6 +138,7 @@ class Played:
                 first_tangent,
                 self.state(),
                 not fails,
+                renew,
             )
         )
         for it in range(cost := self._cost(abs(self.load - before))):

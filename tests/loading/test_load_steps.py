@@ -97,6 +97,16 @@ def test_increment_is_halved_until_it_succeeds(played):
     equal(problem.state(), truth(4.0), ROUNDING)
 
 
+def test_preconditioner_serves_from_load_to_load(played):
+    """It begins anew on a new path, and after a failure."""
+    problem = played(fails=lambda before, load: load > 0.5 and load - before > 0.1)
+    problem.follow([1.0], Steps(first=0.2, least=0.01))
+    follows_failure = [False, *(not attempt.converged for attempt in problem.attempts[:-1])]
+    expected = [i == 0 or after for i, after in enumerate(follows_failure)]
+    agree([attempt.renewed for attempt in problem.attempts] == expected and sum(expected) > 1)
+    agree(any(not attempt.renewed for attempt in problem.attempts))
+
+
 def test_increment_does_not_grow_in_a_step_that_failed_first(played):
     """The step was quick, but only because it was short."""
     problem = played(fails=lambda before, load: before == 0.0 and load > 0.3)

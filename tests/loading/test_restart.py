@@ -42,6 +42,7 @@ def follow(
 def test_a_restart_goes_the_way_of_one_run(tmp_path):
     """Steps, increments, predictions and iterations: the equilibria of the past are kept, too."""
     whole, one = follow(tmp_path / "whole", 3.0, restart=False)
+    agree(all(step.history[0].lag == 0 for step in whole), "a checkpoint has no preconditioner")
 
     class StoppedError(Exception):
         """Ends the run."""

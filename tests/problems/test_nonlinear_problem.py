@@ -52,6 +52,19 @@ def test_same_wall_for_all_decompositions(degree, subdomains, references):
     agree(np.abs(by_place(expected.u)).max() > 2e-3)
 
 
+@pytest.mark.parametrize("renew", [True, False])
+def test_preconditioner_of_the_last_solve(renew):
+    """It serves on if that is asked for, and u is the same."""
+    body, other = wall(tube(), degree=1), wall(tube(), degree=1)
+    problem = body.problem(4, TIGHT)
+    body.inflate(problem, [2.0])
+    body.load.value = loads.mmhg(2.5)
+    problem.solve(renew=renew)
+    agree((problem.history[0].lag == 0) == renew, problem.history)
+    other.inflate(other.problem(4, TIGHT), [2.0, 2.5])
+    equal(by_place(body.u), by_place(other.u), 1e-8)
+
+
 def test_one_subdomain_a_cell():
     """The finest decomposition there is."""
     few, many = wall(tube(around=6, along=1), degree=1), wall(tube(around=6, along=1), degree=1)

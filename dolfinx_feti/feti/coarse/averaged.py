@@ -83,6 +83,7 @@ class AveragedSpace:
         multiply: Callable[[int, Array], Array],
         *,
         prefix: str,
+        independent: bool = False,
     ) -> None:
         """Form and factor the Galerkin matrix.
 
@@ -91,6 +92,8 @@ class AveragedSpace:
             U: For each subdomain its columns on the interface, (n_i, k_i).
             multiply: Applies S_i to columns, ``multiply(i, X)``, (n_i, c) → (n_i, c).
             prefix: Options prefix of the coarse solver.
+            independent: Whether the columns are those that another matrix has left, see
+                :meth:`independent_columns`.
 
         Note:
             Collective.
@@ -114,9 +117,13 @@ class AveragedSpace:
                 yield W_i.T @ self.AV[i]
 
         whole = self._near.sum(elements())
-        self._basis = _independent(whole, self._own)
-        self.A_0 = _change_of_basis(whole, self._basis)
-        whole.destroy()
+        if independent:
+            self._combinations = [np.eye(U_i.shape[1]) for U_i in U]
+        else:
+            self._combinations = _independent(whole, self._own)
+        self._basis = _block_diagonal(self._combinations)
+        self.A_0 = whole if independent else _change_of_basis(whole, self._basis)
+        self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.dropped = self.total - self.A_0.getSize()[0]
         self._x, self._y = self.A_0.createVecs()
         self.solver = GatheredSolver(self.A_0, prefix=prefix, symmetric=True, zero=ZERO)
@@ -129,6 +136,10 @@ class AveragedSpace:
             near = [EPS * size * square for size, square in zip(sizes, squares, strict=True)]
             rounding = self._basis.multiply(self._basis).T @ self._near.to_owners(joined(near))
             self._negative = self._count_negative(BOUNDS * rounding, prefix)
+
+    def independent_columns(self) -> list[Array]:
+        """Return the combinations that A₀ is the matrix of, for each subdomain, (n_i, up to k_i)."""
+        return [U @ Q for U, Q in zip(self.columns, self._combinations, strict=True)]
 
     def start(self, r: Array) -> Array:
         """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective."""
@@ -229,7 +240,7 @@ def estimated_norm(multiply: Callable[[int, Array], Array], i: int, n: int) -> f
     return float(np.linalg.norm(multiply(i, ω)))
 
 
-def _independent(A: PETSc.Mat, blocks: Sequence[slice]) -> scipy.sparse.csr_array:
+def _independent(A: PETSc.Mat, blocks: Sequence[slice]) -> list[Array]:
     """Return combinations of columns with energy ±1, independent within each diagonal block.
 
     Args:
@@ -237,12 +248,16 @@ def _independent(A: PETSc.Mat, blocks: Sequence[slice]) -> scipy.sparse.csr_arra
         blocks: Rows of each subdomain among those of this process.
 
     Returns:
-        Block-diagonal matrix of the combinations, (size, up to size).
+        The combinations of each subdomain, (k_i, up to k_i).
     """
     indptr, indices, values = A.getDiagonalBlock().getValuesCSR()
     size = A.getLocalSize()[0]
     local = scipy.sparse.csr_array((values, indices, indptr), shape=(size, size))
-    combinations = [_normalised(local[rows][:, rows].toarray()) for rows in blocks]
+    return [_normalised(local[rows][:, rows].toarray()) for rows in blocks]
+
+
+def _block_diagonal(combinations: Sequence[Array]) -> scipy.sparse.csr_array:
+    """Return the combinations of all subdomains of this process, (size, up to size)."""
     if not combinations:
         return scipy.sparse.csr_array((0, 0))
     return scipy.sparse.csr_array(scipy.sparse.block_diag(combinations, format="csr"))
@@ -258,7 +273,7 @@ def _normalised(A: Array) -> Array:
 
 
 def _change_of_basis(A: PETSc.Mat, basis: scipy.sparse.csr_array) -> PETSc.Mat:
-    """Return Bᵀ A B, with the rows and columns of the block-diagonal B of each process."""
+    """Return Bᵀ A B, with the rows and columns of the block-diagonal B of each process; free A."""
     size = basis.shape[1]
     comm = A.comm.tompi4py()
     before, total = comm.scan(size) - size, comm.allreduce(size)
@@ -269,6 +284,6 @@ def _change_of_basis(A: PETSc.Mat, basis: scipy.sparse.csr_array) -> PETSc.Mat:
     )
     B = PETSc.Mat().createAIJ((A.getSizes()[0], (size, total)), csr=csr, comm=A.comm)
     A_0 = A.ptap(B)
-    A_0.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-    B.destroy()
+    for owned in (A, B):
+        owned.destroy()
     return A_0

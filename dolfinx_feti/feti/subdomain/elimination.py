@@ -143,10 +143,11 @@ class PartialElimination(ColumnElimination):
         for i in range(len(self._free)):
             with named(self._torn.first + i):
                 self.factors.update_block(i)
-                S = self._stop_at_interface(i)
+                S = self._stop_at_interface(i, definite=self.factors.pivots(i) == (0, 0))
             yield S
 
-    def _stop_at_interface(self, i: int) -> Array:
+    def _stop_at_interface(self, i: int, *, definite: bool) -> Array:
+        """Return S, packed; a definite K_II, which alone is eliminated, needs no pivots."""
         Γ = self.on_interface[i]
         if len(Γ) in (0, len(self._free[i])):
             return pack(
@@ -154,7 +155,7 @@ class PartialElimination(ColumnElimination):
             )
         rows = index_set(self._free[i])
         K = self._torn.K.createSubMatrix(rows, rows)
-        K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        K.setOption(PETSc.Mat.Option.SPD if definite else PETSc.Mat.Option.SYMMETRIC, True)
         S = schur_complement(K, Γ, self._choice)
         K.destroy()
         rows.destroy()
