@@ -138,7 +138,7 @@ class AveragedSpace:
             self._negative = self._count_negative(BOUNDS * rounding, prefix)
 
     def independent_columns(self) -> list[Array]:
-        """Return the combinations that A₀ is the matrix of, for each subdomain, (n_i, up to k_i)."""
+        """Return the combinations that A₀ belongs to, for each subdomain, (n_i, up to k_i)."""
         return [U @ Q for U, Q in zip(self.columns, self._combinations, strict=True)]
 
     def start(self, r: Array) -> Array:
