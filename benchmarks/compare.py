@@ -57,6 +57,7 @@ from benchmarks.common.records import Record
 from benchmarks.common.repeatable import fix_partitions
 from benchmarks.speed import path
 from benchmarks.speed.groups import GEOMETRIES, Case, is_known
+from benchmarks.speed.phases import Phases
 from benchmarks.walls.tube import create_clamped_tube
 from benchmarks.walls.vessel import FIRST_PRESSURE, create_clamped_vessel
 from dolfinx_feti import loads
@@ -160,8 +161,11 @@ def _run(
 def _first_step(body: LoadedBody, solvers: Sequence[str]) -> list[Record]:
     """Solve the next Newton step with each solver."""
     ordered = [name for name in SOLVERS if name in solvers]  # FETI first
+    phases = Phases(body.u.function_space.mesh.comm)
     found = dolfinx_feti.compare(body.problem, ordered, definite=True).records
+    of_feti = phases.record()
     for record in found:
+        record |= of_feti if record["solver"] == "feti" else {}
         difference = record.pop("difference_to_direct", None)
         record |= {"difference_to_mumps": difference, "newton_iterations": 1}
     return found

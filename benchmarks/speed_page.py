@@ -21,7 +21,13 @@ from benchmarks.common.records import Record
 from benchmarks.speed.groups import GEOMETRIES, is_known
 from benchmarks.speed.plots import draw_speed
 from benchmarks.speed.statements import statements
-from benchmarks.speed.tables import failure_table, growth_table, path_table, solver_tables
+from benchmarks.speed.tables import (
+    failure_table,
+    growth_table,
+    path_table,
+    phase_table,
+    solver_tables,
+)
 
 __all__ = ["main", "write"]
 
@@ -51,8 +57,8 @@ def write(folder: Path, records: Sequence[Record], remark: str = "") -> None:
         picture = f"speed_{geometry}.png"
         if draw_speed(folder / picture, records, geometry):
             parts.append(f"![Time and memory over dofs, {geometry}]({picture})\n")
-    tables = [*solver_tables(records), path_table(records), growth_table(records)]
-    tables.append(failure_table(records))
+    tables = [*solver_tables(records), path_table(records), phase_table(records)]
+    tables += [growth_table(records), failure_table(records)]
     parts += [table.markdown() for table in tables if table.rows]
     (folder / "speed.md").write_text("\n".join(parts))
 

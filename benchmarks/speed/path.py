@@ -22,6 +22,7 @@ import numpy.typing as npt
 from benchmarks.common.bodies import LoadedBody
 from benchmarks.common.records import Record
 from benchmarks.common.stopwatch import Stopwatch
+from benchmarks.speed.phases import Phases
 from dolfinx_feti import ConvergenceError, loads
 from dolfinx_feti.collective import on_all, reason
 from dolfinx_feti.comparison import (
@@ -72,6 +73,7 @@ def follow(body: LoadedBody, mmhg: float, *, direct: bool) -> list[Record]:
         body.load.value = loads.mmhg(value)
 
     watch.hook(problem.solver.getKSP(), then)
+    phases = Phases(body.u.function_space.mesh.comm)
     first = FIRST * mmhg
     steps = Steps(first, least=first / 64, growth=1.15, quick=4, rtol=RTOL, linear_rtol=LINEAR_RTOL)
     accepted: list[LoadStep] = []
@@ -101,6 +103,7 @@ def follow(body: LoadedBody, mmhg: float, *, direct: bool) -> list[Record]:
         | shared
         | _cost(watch.each(), iterations, len(newton))
         | _outcome(residuals, difference, note)
+        | phases.record()
     ]
     if mumps is not None:
         found.append(

@@ -10,9 +10,10 @@ from collections.abc import Iterator, Sequence
 from benchmarks.common.records import Record
 from benchmarks.common.table import Table, count
 from benchmarks.speed.groups import NAMES, Group, groups, layout, seconds
+from benchmarks.speed.phases import PHASES
 from benchmarks.speed.statements import KAPPAS, growth_pairs
 
-__all__ = ["failure_table", "growth_table", "path_table", "solver_tables"]
+__all__ = ["failure_table", "growth_table", "path_table", "phase_table", "solver_tables"]
 
 
 def solver_tables(records: Sequence[Record]) -> Iterator[Table]:
@@ -84,6 +85,30 @@ def path_table(records: Sequence[Record]) -> Table:
         "both have 1e-8. The assembly is the same for both, and not in the ratio."
     )
     return Table("Load paths", head, rows, note)
+
+
+def phase_table(records: Sequence[Record]) -> Table:
+    """Make the table of the shares of FETI's time."""
+    rows = []
+    for group in groups(records):
+        for record in group.of("feti"):
+            if record["converged"] and "seconds_phases" in record:
+                whole, phases = seconds(record), record["seconds_phases"]
+                spent = [phases[name] for name in PHASES]
+                shares = [part / whole for part in [*spent, whole - sum(spent)]]
+                path = "first step" if group.path_mmhg is None else f"to {group.path_mmhg:g} mmHg"
+                row = [group.geometry, f"{group.kappa:g}", count(group.dofs), _subdomains(record)]
+                row += [path, layout(record), f"{whole:.2f}"]
+                rows.append(row + [f"{100.0 * share:.0f}" for share in shares])
+    head = ["body", "κ [kPa]", "dofs", "subdomains", "load", "layout", "linear solves [s]"]
+    head += [f"{name} [%]" for name in (*PHASES.values(), "rest")]
+    note = (
+        "Shares of the seconds of set-up and solution, by PETSc's events, those of the slowest "
+        "process. The rest is the pattern of the torn matrix, which a first step finds anew, loads "
+        "and results that are condensed and extended, Ritz vectors, sums of copies, scalar "
+        "products, and waiting."
+    )
+    return Table("Where FETI's time goes", head, rows, note)
 
 
 def growth_table(records: Sequence[Record]) -> Table:

@@ -166,10 +166,12 @@ def factor(pattern: Pattern, earlier: Modes | None = None) -> Factored:
                 pattern.gluing.update(torn.stiffness())
             pattern.preconditioner.weigh()
     with event("FETIFactor"):
-        _on_all(lambda: pattern.matrices.update(keep_factors=earlier is not None), torn.comm)
+        with event("FETISchur"):
+            _on_all(lambda: pattern.matrices.update(keep_factors=earlier is not None), torn.comm)
         near_kernel = torn.near_kernel()
         require_regular_interior(torn, pattern.bodies, near_kernel, pattern.matrices)
-        modes = earlier or _on_all(lambda: pattern.inverse.update(near_kernel), torn.comm)
+        with event("FETIModes"):
+            modes = earlier or _on_all(lambda: pattern.inverse.update(near_kernel), torn.comm)
         _on_all(lambda: pattern.preconditioner.update(modes.props), torn.comm)
     return Factored(near_kernel, modes, _inertia(pattern, modes))
 

@@ -17,6 +17,7 @@ from wall_files import on_first
 from benchmarks import compare
 from benchmarks.common.bodies import create_clamped_block
 from benchmarks.speed import path
+from benchmarks.speed.phases import PHASES
 from dolfinx_feti import ConvergenceError
 
 SMALL = ["--dofs", "900", "--subdomains", "4"]
@@ -68,6 +69,10 @@ def test_all_solvers_solve_the_same_system(tmp_path, capfd):
         small(record["relative_residual"], 1e-8)
         small(record["difference_to_mumps"], 1e-6)
     agree(mumps["iterations"] == 1 and mumps["difference_to_mumps"] == 0.0)
+    spent = feti["seconds_phases"]
+    agree(set(spent) == set(PHASES) and min(spent.values()) > 0.0, spent)
+    agree(sum(spent.values()) < feti["seconds_setup"] + feti["seconds_solve"], spent)
+    agree("seconds_phases" not in mumps.keys() | gamg.keys())
     agree(10 < feti["iterations"] < gamg["iterations"], "κ is hard on GAMG")
     agree(read(path) == records)
     said = capfd.readouterr().out
@@ -136,6 +141,7 @@ def test_path():
         equal(record["seconds_per_newton"], later, 1e-12)
         agree(record["seconds_assembly"] > 0.0 and record["seconds_setup"] > 0.0)
     agree(mumps["iterations"] == mumps["linear_solves"] < feti["iterations"])
+    agree(min(feti["seconds_phases"].values()) > 0.0)
     small(feti["relative_residual"], 1e-4)
     small(mumps["relative_residual"], 1e-8)
     small(feti["difference_to_mumps"], 1e-5)

@@ -15,6 +15,7 @@ pytest.importorskip("matplotlib")
 
 from benchmarks import speed_page
 from benchmarks.common import machine
+from benchmarks.speed.phases import PHASES
 
 pytestmark = pytest.mark.serial
 
@@ -114,6 +115,19 @@ def test_path(tmp_path):
     assert f"| tube | 1000 | 60 000 | – | 10 | MUMPS | 2 processes {mumps}" in page
     assert "A Newton step:" not in page
     assert not list(tmp_path.glob("*.png"))
+
+
+def test_phases(tmp_path):
+    """Each in percent, and the rest."""
+    spent = dict.fromkeys(PHASES, 0.0) | {"FETISchur": 1.0, "FETILocalSolve": 0.5}
+    feti = record_of("feti", setup=3.0, solve=1.0) | {"seconds_phases": spent}
+    page = write(tmp_path, feti, record_of("mumps", setup=1.0, solve=1.0))
+    (row,) = page.split("## Where FETI's time goes")[1].split("| --: |\n")[1].splitlines()[:1]
+    shares = [int(cell) for cell in row.split("|")[8:-1]]
+    assert shares == [0, 25, 0, 0, 0, 12, 0, 62]
+    assert "| first step | 2 processes | 4.00 |" in row
+    before = write(tmp_path, record_of("feti", setup=3.0, solve=1.0))
+    assert "Where FETI's time goes" not in before
 
 
 def test_failures_are_shown(tmp_path):

@@ -19,6 +19,7 @@ import numpy as np
 
 from dolfinx_feti.collective import on_all, reason
 from dolfinx_feti.errors import FactorError, SetUpError
+from dolfinx_feti.events import event
 from dolfinx_feti.feti.subdomain.direct import (
     WORK_SPACE,
     Pivots,
@@ -91,10 +92,11 @@ class GatheredSolver:
         """Solve N x = b, both in N's own layout; where the solver fails, x is NaN."""
         if self.ksp is None:
             return
-        self._to_all.scatter(b, self._whole)
-        self._b.array[:] = self._whole.array_r[self._rows]
-        self.ksp.solve(self._b, self._x)
-        self._from_group.scatter(self._x, self._solution)
+        with event("FETICoarseSolve"):
+            self._to_all.scatter(b, self._whole)
+            self._b.array[:] = self._whole.array_r[self._rows]
+            self.ksp.solve(self._b, self._x)
+            self._from_group.scatter(self._x, self._solution)
         solved = self.ksp.getConvergedReason() > 0
         x.array[:] = self._solution.array_r[self._own] if solved else np.nan
 

@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
+from dolfinx_feti.events import event
 from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.subdomain.blocks import index_set, product_many
@@ -40,7 +41,8 @@ class Dirichlet(Preconditioner):
 
     def multiply(self, w: Array) -> Array:
         """Return S w, (n,)."""
-        return self.matrices.multiply(w)  # S w
+        with event("FETISchurProduct"):
+            return self.matrices.multiply(w)  # S w
 
     def multiply_many(self, i: int, W: Array) -> Array:
         """Return S_i W, (n_Γ, r)."""
@@ -95,10 +97,11 @@ class ImplicitDirichlet(Dirichlet):
     def multiply(self, w: Array) -> Array:
         """Return S w, (n,), by one solve with K_II."""
         Γ, t = self._Γ, np.zeros_like(w)
-        y = self._interface_columns(w[Γ])  # y = K w
-        x = np.zeros_like(y)
-        self.factors.solve(y, x)  # x = K_II⁻¹ K_IΓ w
-        t[Γ] = y[Γ] - _mult(self._rows, x)  # S w = K_ΓΓ w − K_ΓI x
+        with event("FETISchurProduct"):
+            y = self._interface_columns(w[Γ])  # y = K w
+            x = np.zeros_like(y)
+            self.factors.solve(y, x)  # x = K_II⁻¹ K_IΓ w
+            t[Γ] = y[Γ] - _mult(self._rows, x)  # S w = K_ΓΓ w − K_ΓI x
         return t
 
     def multiply_many(self, i: int, W: Array) -> Array:

@@ -50,6 +50,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.errors import FactorError
+from dolfinx_feti.events import event
 from dolfinx_feti.feti.subdomain.blocks import named
 from dolfinx_feti.feti.subdomain.direct import sum_pivots
 from dolfinx_feti.feti.subdomain.enrichment import (
@@ -157,7 +158,8 @@ class PseudoInverse:
         """
         x = np.zeros_like(y)
         if y.ndim == 1:
-            self._factors.solve(y, x)
+            with event("FETILocalSolve"):
+                self._factors.solve(y, x)
             if up_to_soft_modes:
                 return x
             for dofs, (Y, E_Y) in zip(self.dofs, self._soft, strict=True):
