@@ -24,10 +24,11 @@ __all__ = [
     "prepare_mumps",
     "set_zero_pivot",
     "sum_pivots",
+    "takes_ldlt",
 ]
 
 #: Percent of work space that MUMPS gets for delayed pivots, one try after the other.
-WORK_SPACE = (50, 200, 1000)
+WORK_SPACE = (10, 50, 200, 1000)
 
 Failed = PETSc.PC.FailedReason
 
@@ -63,6 +64,16 @@ class Choice:
     prefix: str
     symmetric: bool
     right_hand_sides: int
+
+
+def takes_ldlt(choice: Choice) -> bool:
+    """Tell whether MUMPS factors by L Δ Lᵀ, unless PETSc lacks it: the options may name another."""
+    own = PETSc.Options(choice.prefix)
+    return (
+        choice.symmetric
+        and own.getString("pc_factor_mat_solver_type", "mumps") == "mumps"
+        and own.getString("pc_type", "cholesky") == "cholesky"
+    )
 
 
 def create_factor(

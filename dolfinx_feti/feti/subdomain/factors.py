@@ -37,6 +37,7 @@ from dolfinx_feti.feti.subdomain.direct import (
     create_factor,
     mebibytes,
     pivots_of,
+    takes_ldlt,
 )
 
 __all__ = ["BlockFactors", "Factors"]
@@ -109,6 +110,7 @@ class BlockFactors:
         self._sizes = [len(rows) for rows in blocks]
         self._is = [index_set(rows) for rows in blocks]
         self._choice = Choice(prefix, symmetric, right_hand_sides)
+        self._half = takes_ldlt(self._choice)
         self._blocks: list[_Block | None] = [None] * len(blocks)
 
     def update(self) -> None:
@@ -142,16 +144,22 @@ class BlockFactors:
             diagonal.array[:] += shift
             K.setDiagonal(diagonal)
             diagonal.destroy()
-        csr = _bordered(K, np.zeros((self._sizes[i], 0)) if R is None else R, rho)
         width = 0 if R is None else R.shape[1]
+        if R is not None and width:
+            K = _bordered(K, R, rho)
+        K.setOption(PETSc.Mat.Option.SYMMETRIC, self._choice.symmetric)
+        if self._half:
+            K = _upper_triangle(K)
         block = self._blocks[i]
         if block is not None and block.border != width:
             block.destroy()
             block = None
         if block is None:
-            block = _Block(csr, width, self._choice)
+            block = _Block(K, width, self._choice)
             self._blocks[i] = block
-        block.factor(csr[2])
+        else:
+            block.refill(K)
+        block.factor()
 
     def solve(self, y: Array, x: Array) -> None:
         """Solve with every block: ``x[rows_i] = K_i⁻¹ y[rows_i]``, other entries untouched."""
@@ -200,25 +208,23 @@ class BlockFactors:
 class _Block:
     """One factored matrix, (n + k, n + k), with the work vectors of its solves."""
 
-    def __init__(self, csr: tuple[Indices, Indices, Array], border: int, choice: Choice) -> None:
-        indptr, indices, values = csr
-        n = len(indptr) - 1
+    def __init__(self, matrix: PETSc.Mat, border: int, choice: Choice) -> None:
+        """Take the matrix, which belongs to the block from now on."""
         self.border = border
-        self._n = n - border
-        self._values = values.copy()
-        self._matrix = PETSc.Mat().createAIJWithArrays(
-            (n, n), (indptr, indices, self._values), comm=PETSc.COMM_SELF
-        )
-        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, choice.symmetric)
+        self._n = matrix.getSize()[0] - border
+        self._matrix = matrix
         self._b, self._x = self._matrix.createVecs()
         self._b.set(0.0)
         self._choice = choice
         self._pc: PETSc.PC | None = None
         self._F = PETSc.Mat()
 
-    def factor(self, values: Array) -> None:
-        self._values[:] = values
-        self._matrix.stateIncrease()
+    def refill(self, matrix: PETSc.Mat) -> None:
+        """Take the values of a matrix of the same pattern, and free it."""
+        matrix.copy(self._matrix, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        matrix.destroy()
+
+    def factor(self) -> None:
         if self._pc is not None:
             self._pc.setUp()
             if self._pc.getFailedReason():
@@ -268,13 +274,18 @@ class _Block:
                 owned.destroy()
 
 
-def _bordered(block: PETSc.Mat, R: Array, rho: float) -> tuple[Indices, Indices, Array]:
-    """Add the border (ρ R, −ρ I) to a block, which is destroyed; return the rows as CSR."""
+def _upper_triangle(block: PETSc.Mat) -> PETSc.Mat:
+    """Return the upper triangle, half the memory; the symmetric block itself is destroyed."""
+    upper = block.convert(PETSc.Mat.Type.SBAIJ, PETSc.Mat())
+    block.destroy()
+    return upper
+
+
+def _bordered(block: PETSc.Mat, R: Array, rho: float) -> PETSc.Mat:
+    """Return the matrix with the border (ρ R, −ρ I); the block itself is destroyed."""
     indptr, indices, values = block.getValuesCSR()
     block.destroy()
     n, k = R.shape
-    if k == 0:
-        return indptr, indices, values
     K = scipy.sparse.csr_array((values, indices, indptr), shape=(n, n))
     inside = np.arange(K.nnz) + k * np.repeat(np.arange(n), np.diff(indptr))
     last = np.hstack([rho * R.T, -rho * np.eye(k)])
@@ -285,7 +296,8 @@ def _bordered(block: PETSc.Mat, R: Array, rho: float) -> tuple[Indices, Indices,
     data[border], column[border] = rho * R.ravel(), np.tile(np.arange(n, n + k), n)
     data[-last.size :], column[-last.size :] = last.ravel(), np.tile(np.arange(n + k), k)
     rows = np.concatenate([indptr + k * np.arange(n + 1), size - (n + k) * np.arange(k)[::-1]])
-    return rows.astype(PETSc.IntType), column, data
+    csr = (rows.astype(PETSc.IntType), column, data)
+    return PETSc.Mat().createAIJ((n + k, n + k), csr=csr, comm=PETSc.COMM_SELF)
 
 
 def _as_slice(rows: Indices) -> slice | Indices:

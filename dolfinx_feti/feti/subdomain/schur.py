@@ -25,7 +25,7 @@ import numpy.typing as npt
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain.blocks import index_set
 from dolfinx_feti.feti.subdomain.dense import pack
-from dolfinx_feti.feti.subdomain.direct import Choice, create_factor
+from dolfinx_feti.feti.subdomain.direct import Choice, create_factor, takes_ldlt
 
 __all__ = ["partial_factorisation_is_there", "schur_complement"]
 
@@ -44,13 +44,7 @@ _SIGNATURES = {
 
 def partial_factorisation_is_there(choice: Choice) -> bool:
     """Tell whether PETSc has the functions, and these options leave the work to MUMPS."""
-    own = PETSc.Options(choice.prefix)
-    return (
-        choice.symmetric
-        and bool(_functions())
-        and own.getString("pc_factor_mat_solver_type", "mumps") == "mumps"
-        and own.getString("pc_type", "cholesky") == "cholesky"
-    )
+    return takes_ldlt(choice) and bool(_functions())
 
 
 def schur_complement(K: PETSc.Mat, interface: Indices, choice: Choice) -> Array:
