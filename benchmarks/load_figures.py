@@ -14,6 +14,7 @@ ratios of both; and writes ``loading.md`` beside them.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -88,7 +89,7 @@ def draw(path: Path, records: Sequence[Record]) -> None:
         style = {"color": colour, "label": name, "ms": 4}
         if kind != "direct":
             iterations.plot(pressure, [s["linear_iterations_mean"] for s in steps], line, **style)
-        seconds.plot(pressure, [s["seconds"] for s in steps], line, **style)
+        seconds.plot(pressure, [_seconds(step) for step in steps], line, **style)
     iterations.set_ylabel("FETI iterations of a Newton step")
     seconds.set_ylabel("seconds of a load step")
     for ax in (norm, iterations, seconds):
@@ -153,6 +154,7 @@ def totals(records: Sequence[Record]) -> Table:
     rows = []
     for key, steps in _runs(records):
         mean = [step["linear_iterations_mean"] for step in steps]
+        whole = sum(map(_seconds, steps))
         rows.append(
             [
                 *_wall_cells(key),
@@ -165,14 +167,20 @@ def totals(records: Sequence[Record]) -> Table:
                 count(sum(step["linear_iterations"] for step in steps)),
                 f"{min(mean):.0f} to {max(mean):.0f}",
                 f"{max(step['max_linear_residual'] for step in steps):.1e}",
-                count(sum(step["seconds"] for step in steps)),
+                "–" if math.isnan(whole) else count(whole),
             ]
         )
     note = (
         "The paper: 572 load steps of four to five Newton steps, 248 to 268 iterations each with "
-        "all-floating and 340 to 358 with classical FETI. Failed attempts are counted here."
+        "all-floating and 340 to 358 with classical FETI. Failed attempts are counted here. A run "
+        "has no seconds if it was suspended on its way."
     )
     return Table("From rest to the highest pressure", head, rows, note)
+
+
+def _seconds(step: Record) -> float:
+    """Return the seconds of a load step, NaN if the record has none."""
+    return math.nan if step["seconds"] is None else float(step["seconds"])
 
 
 def ends(records: Sequence[Record]) -> Table:

@@ -58,6 +58,18 @@ def test_locking_is_drawn_where_both_degrees_are_there(tmp_path):
     agree(on_first(lambda: (tmp_path / "locking_tube_1.png").stat().st_size) > 20_000)
 
 
+@pytest.mark.serial
+def test_seconds_of_a_suspended_run_are_left_out(tmp_path):
+    """A load step without them is drawn as a gap."""
+    run(tmp_path, "--type", "classical")
+    path = tmp_path / "loading.json"
+    records = json.loads(path.read_text())
+    path.write_text(json.dumps([records[0] | {"seconds": None}, *records[1:]]))
+    assert load_figures.main([str(path), "--output", str(tmp_path)]) == 0
+    (row,) = (line for line in (tmp_path / "loading.md").read_text().splitlines() if "e-0" in line)
+    assert row.endswith("| – |")
+
+
 def test_what_is_there_is_not_run_again(tmp_path, capsys):
     first = run(tmp_path, "--type", "classical")
     capsys.readouterr()
