@@ -153,9 +153,8 @@ def _merge(torn: Torn, piece: Integers, pieces: int) -> tuple[int, Integers]:
     copies = torn.gather(piece.astype(np.float64)).astype(np.int64)
     degree = torn.multiplicity()
     first = np.repeat(copies[np.cumsum(degree) - degree] if len(degree) else copies, degree)
-    pairs = np.column_stack([first, copies])
-    pairs = np.unique(pairs[(first >= 0) & (copies >= 0)], axis=0)
-    a, b = np.vstack(torn.comm.allgather(pairs)).T
+    pairs = np.unique((first * pieces + copies)[(first >= 0) & (copies >= 0)])
+    a, b = np.divmod(np.concatenate(torn.comm.allgather(pairs)), max(pieces, 1))
     joined = scipy.sparse.csr_array((np.ones(len(a)), (a, b)), shape=(pieces, pieces))
     count, label = scipy.sparse.csgraph.connected_components(joined, directed=False)
     return int(count), label.astype(np.int64)
