@@ -27,13 +27,20 @@ __all__ = ["Form", "set_up", "set_up_lagged"]
 Form = DualForm | PrimalForm
 
 
-def set_up(pattern: Pattern, vectors: RitzVectors | None = None, *, most: int = 0) -> Form:
+def set_up(
+    pattern: Pattern,
+    vectors: RitzVectors | None = None,
+    *,
+    most: int = 0,
+    single: bool = False,
+) -> Form:
     """Factor the present matrix and build a form of the method.
 
     Args:
         pattern: What depends on the pattern of the matrix.
         vectors: Ritz vectors that solves in the primal form with earlier matrices have left.
         most: Ritz vectors that a solve in that form leaves to later ones, at most.
+        single: Whether that form stores the factors of K_ρ in single precision, where that does.
 
     Returns:
         The form; the caller destroys it before the pattern.
@@ -45,9 +52,10 @@ def set_up(pattern: Pattern, vectors: RitzVectors | None = None, *, most: int = 
     Note:
         Collective.
     """
-    factored = factor(pattern)
+    factored = factor(pattern, single=single and pattern.options.formulation != "dual")
     if _takes_primal(pattern, factored):
         return create_primal_form(pattern, factored, vectors, most=most)
+    pattern.matrices.to_double()
     return create_dual_form(pattern, factored)
 
 

@@ -36,6 +36,8 @@
                                                                         eigenvalues that serve the
                                                                         later matrices of a Newton
                                                                         solve, at most (primal)
+``-feti_precision``            ``double``, ``single``                   in which the factors of K_ρ
+                                                                        are stored (primal)
 ``-feti_recycle``              0                                        directions left to later
                                                                         solves, at most
 ``-feti_local_…``              ``pc_factor_mat_solver_type …``          factors of K_ρ
@@ -72,6 +74,7 @@ CHOICES = {
     "interior": ("auto", "keep", "eliminate"),
     "indefinite": ("enrich", "gmres", "error"),
     "formulation": ("auto", "dual", "primal"),
+    "precision": ("double", "single"),
 }
 NUMBERS = {
     "coarse_modes": 12,
@@ -121,6 +124,7 @@ class FETIOptions:
     interior: str = "auto"
     indefinite: str = "enrich"
     formulation: str = "auto"
+    precision: str = "double"
     coarse_modes: int = 12
     coarse_threshold: float = 0.01
     stagnation: int = 200

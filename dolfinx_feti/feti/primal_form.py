@@ -77,6 +77,7 @@ class PrimalForm:
         system: A and its preconditioner.
         deflation: V, and Ritz vectors of earlier solves beside it.
         most: Ritz vectors that a solve leaves to those of later matrices, at most.
+        singles: Subdomains whose factors of K_ρ are stored in single precision.
         age: Matrices since the one that K_ρ, E and δ belong to.
     """
 
@@ -94,6 +95,7 @@ class PrimalForm:
     system: PrimalSystem
     deflation: DeflatedSpace
     most: int
+    singles: int = 0
     age: int = 0
 
     def solve(
@@ -226,6 +228,7 @@ def create_primal_form(
         system=_system(copies, deflation, S, inverse),
         deflation=deflation,
         most=most,
+        singles=torn.comm.allreduce(pattern.matrices.singles()),
     )
 
 

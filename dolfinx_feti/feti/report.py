@@ -42,6 +42,7 @@ class Report:
         coarse_mib: Memory of the factor of the coarse matrix in MiB; None if not known.
         coarse_inertia: Negative and zero eigenvalues of the coarse matrix; None if not known.
         factor_mib: Memory of all local factors in MiB.
+        singles: Subdomains whose factors of K_ρ are stored in single precision.
         recycled: Directions of earlier solves, deflated in the last one.
         recycled_mib: Memory of these in the primal form in MiB.
         eigenvalues: (λ_min, λ_max) of the preconditioned operator.
@@ -64,6 +65,7 @@ class Report:
     coarse_mib: float | None
     coarse_inertia: Pivots
     factor_mib: float
+    singles: int
     recycled: int
     recycled_mib: float
     eigenvalues: tuple[float, float]
@@ -109,6 +111,7 @@ def collect(form: Form, *, recycled: int, eigenvalues: tuple[float, float]) -> R
         coarse_mib=coarse.solver.memory(),
         coarse_inertia=coarse.solver.pivots(),
         factor_mib=comm.allreduce(form.matrices.memory() + applied),
+        singles=0 if isinstance(form, DualForm) else form.singles,
         recycled=recycled,
         recycled_mib=comm.allreduce(0.0 if isinstance(form, DualForm) else form.deflation.memory()),
         eigenvalues=eigenvalues,
@@ -128,6 +131,7 @@ def table(report: Report) -> str:
         details = f"primal form, up to {o.coarse_flux} flux columns per subdomain"
     ago = "1 matrix ago" if r.lag == 1 else f"{r.lag} matrices ago"
     lag = f", set up {ago}" if r.lag else ""
+    single = f", {r.singles} in single precision" if o.precision == "single" else ""
     rows = [
         ("method", f"{o.type}, {o.scaling} scaling, {details}"),
         ("preconditioner", o.pc_type + lag),
@@ -142,7 +146,7 @@ def table(report: Report) -> str:
             f"{_number(r.inertia.interior)} in K_II, {_number(r.coarse_inertia.negative)} in N, "
             f"{_number(r.inertia.assembled)} at least in A",
         ),
-        ("factors", f"{r.factor_mib:.0f} MiB, interior {r.interior}"),
+        ("factors", f"{r.factor_mib:.0f} MiB, interior {r.interior}{single}"),
         ("condition number", condition),
     ]
     if r.formulation == "primal" and r.recycled:

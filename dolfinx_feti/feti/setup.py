@@ -143,13 +143,14 @@ class Factored:
         return pattern.symmetric and self.inertia.definite and inside
 
 
-def factor(pattern: Pattern, earlier: Modes | None = None) -> Factored:
+def factor(pattern: Pattern, earlier: Modes | None = None, *, single: bool = False) -> Factored:
     """Take the present matrix into the weights and factors of its pattern.
 
     Args:
         pattern: What depends on the pattern; its numbers are those of the present matrix then.
         earlier: Modes of an earlier matrix. If they are given, they stay, and so do its weights and
             K_ρ; S and K_II alone become those of the present one.
+        single: Whether the factors of K_ρ are stored in single precision, where that does.
 
     Raises:
         SetUpError: A factorisation failed, a kernel is larger than its candidates, or the options
@@ -171,7 +172,9 @@ def factor(pattern: Pattern, earlier: Modes | None = None) -> Factored:
         near_kernel = torn.near_kernel()
         require_regular_interior(torn, pattern.bodies, near_kernel, pattern.matrices)
         with event("FETIModes"):
-            modes = earlier or _on_all(lambda: pattern.inverse.update(near_kernel), torn.comm)
+            modes = earlier or _on_all(
+                lambda: pattern.inverse.update(near_kernel, single=single), torn.comm
+            )
         _on_all(lambda: pattern.preconditioner.update(modes.props), torn.comm)
     return Factored(near_kernel, modes, _inertia(pattern, modes))
 

@@ -116,6 +116,7 @@ class FETI:
         self._ritz_vectors: RitzVectors | None = None
         self._recycled = 0
         self._outdated = False
+        self._in_double = False  # whether single precision has failed
         self._rate = np.nan  # iterations for a digit of the first solve with the preconditioner
         self._prefix = ""
 
@@ -129,6 +130,11 @@ class FETI:
     def age(self) -> int:
         """Matrices since the one that the preconditioner belongs to."""
         return self._form.age if isinstance(self._form, PrimalForm) else 0
+
+    @property
+    def single(self) -> bool:
+        """Whether the preconditioner has factors in single precision (``-feti_precision``)."""
+        return isinstance(self._form, PrimalForm) and self._form.singles > 0
 
     def renew(self) -> None:
         """Let the next matrix have a preconditioner of its own, and no Ritz vectors."""
@@ -167,8 +173,9 @@ class FETI:
         """Solve A x = b; a failure is a negative converged reason with a message."""
         self.setUp(ksp)
         reason, spent = self._attempt(ksp, b, x), 0
-        if reason < 0 and self.age and not self._curvature_ends(reason):
-            spent = self.iterations
+        while reason < 0 and (self.age or self.single) and not self._curvature_ends(reason):
+            spent += self.iterations
+            self._in_double |= not self.age
             self.renew()
             self._state = None
             self.setUp(ksp)
@@ -265,7 +272,9 @@ class FETI:
             form.destroy()
         self._outdated, self._rate = False, np.nan
         most = pattern.options.deflation if self.lasting else 0
-        return set_up(pattern, self._ritz_vectors if most else None, most=most)
+        single = pattern.options.precision == "single" and not self._in_double
+        vectors = self._ritz_vectors if most else None
+        return set_up(pattern, vectors, most=most, single=single)
 
     def _lasts(self, form: PrimalForm) -> bool:
         """Tell whether the preconditioner serves another matrix."""
@@ -277,6 +286,7 @@ class FETI:
         """Begin anew with the pattern of another matrix."""
         self.destroy()
         self._state = self._directions = self._ritz_vectors = None
+        self._in_double = False
         self._pattern = Pattern(A, options, self._prefix)
 
     def _solve_in_form(self, ksp: PETSc.KSP, form: Form, b: PETSc.Vec, x: PETSc.Vec) -> int:
@@ -289,6 +299,7 @@ class FETI:
             elif form.age:
                 return Reason.DIVERGED_INDEFINITE_MAT
             assert self._pattern is not None
+            self._pattern.matrices.to_double()
             self._form = create_dual_form(
                 self._pattern, Factored(form.near_kernel, form.modes, form.inertia)
             )

@@ -35,6 +35,7 @@ class NewtonStep:
         seconds_linear: Time for factors and Krylov method.
         linear_rtol: Largest ``linear_residual`` that was asked for; nan if it is not known.
         lag: Matrices since the one that the preconditioner belongs to.
+        single: Whether it had factors in single precision.
     """
 
     residual: float
@@ -51,6 +52,7 @@ class NewtonStep:
     seconds_linear: float
     linear_rtol: float = math.nan
     lag: int = 0
+    single: bool = False
 
 
 def record_step(
@@ -92,6 +94,7 @@ def record_step(
         seconds_linear=linear,
         linear_rtol=feti.rtol,
         lag=feti.age,
+        single=feti.single,
     )
 
 

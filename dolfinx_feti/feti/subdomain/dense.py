@@ -38,6 +38,10 @@ Indices = npt.NDArray[np.int32]
 #: An eigenvalue of a scaled matrix below this share of the largest one counts as zero.
 ZERO = 1e-14
 
+#: Ratio of the least to the largest diagonal entry of Cholesky's factor below which it stays in
+#: double precision: its square, a bound of the condition, is that of rounding in single precision.
+LEAST = float(np.sqrt(np.finfo(np.float32).eps))
+
 
 class DenseFactors:
     """Symmetric blocks ``S_i`` on the dofs ``rows_i`` and the factors of ``S_i + ρ R Rᵀ``.
@@ -115,6 +119,20 @@ class DenseFactors:
         """Count negative and zero eigenvalues of the regularised block i."""
         return self._blocks[i].pivots
 
+    def to_single(self, i: int) -> None:
+        """Store the factor of block i in single precision, if it is conditioned well enough."""
+        self._blocks[i].to_single()
+
+    def to_double(self) -> None:
+        """Factor anew what is stored in single precision."""
+        for block in self._blocks:
+            if block.single:
+                block.factor_again()
+
+    def singles(self) -> int:
+        """Count the blocks whose factors are stored in single precision."""
+        return sum(block.single for block in self._blocks)
+
     def memory(self) -> float:
         """Return the memory of all blocks in MiB."""
         return sum(block.S.nbytes + block.X.nbytes for block in self._blocks) / 2**20
@@ -131,12 +149,14 @@ class _Block:
         S: The block.
         X: Cholesky's factor, packed; that of Bunch and Kaufman, (n, n), or the inverse, (n, n).
         pivots: Numbers of negative and zero eigenvalues of S_ρ.
+        size: What Cholesky's factor is divided by in single precision.
     """
 
     def __init__(self, S: Array, n: int) -> None:
         self.S = S
         self.X: Array = np.zeros(0)
         self.pivots = Pivots(0, 0)
+        self.size = 1.0
         self._n = n
         self._interchanges: npt.NDArray[np.int32] | None = None  # of Bunch and Kaufman
         self._R: Array = np.zeros((n, 0))
@@ -149,6 +169,24 @@ class _Block:
         self.pivots, self._interchanges = Pivots(0, 0), None
         X, failed = lapack.dpotrf(self._regularised(shift), lower=1, overwrite_a=1, clean=0)
         self.X = self._factor_indefinite(shift) if failed else pack(X)  # L Lᵀ
+
+    @property
+    def single(self) -> bool:
+        """Whether the factor is stored in single precision."""
+        return self.X.dtype == np.float32
+
+    def to_single(self) -> None:
+        """Store Cholesky's factor in single precision, unless rounding would spoil it."""
+        if self._n == 0 or self.X.ndim == 2:
+            return
+        diagonal = self.X[_diagonal(self._n)]
+        least, self.size = float(diagonal.min()), float(diagonal.max())
+        if least > LEAST * self.size:
+            self.X = (self.X / self.size).astype(np.float32)
+
+    def factor_again(self) -> None:
+        """Factor S_ρ of the present S in double precision."""
+        self.factor(self._R, self._rho, None)
 
     def _regularised(self, shift: Array | None) -> Array:
         """Return S + ρ R Rᵀ, shifted, in the lower triangle of a new array."""
@@ -197,12 +235,24 @@ class _Block:
             return y
         if self.X.ndim == 2:
             return self.solve_many(y[:, None])[:, 0]
+        if self.single:
+            return self._solve_in_single(y)
         x = blas.dtpsv(self._n, self.X, y, lower=1)
         return blas.dtpsv(self._n, self.X, x, lower=1, trans=1, overwrite_x=1)  # L⁻ᵀ L⁻¹ y
+
+    def _solve_in_single(self, y: Array) -> Array:
+        size = float(np.abs(y).max())
+        if not 0.0 < size < np.inf:
+            return y * size  # zero, or NaN where y has no numbers
+        x = blas.stpsv(self._n, self.X, (y / size).astype(np.float32), lower=1)
+        x = blas.stpsv(self._n, self.X, x, lower=1, trans=1, overwrite_x=1)
+        return x.astype(np.float64) * (size / self.size**2)  # L⁻ᵀ L⁻¹ y
 
     def solve_many(self, Y: Array) -> Array:
         if Y.size == 0:
             return np.zeros(Y.shape)
+        if self.single:
+            return np.column_stack([self._solve_in_single(y) for y in Y.T])
         if self._interchanges is not None:
             return lapack.dsytrs(self.X, self._interchanges, Y, lower=1)[0]
         if self.X.ndim == 2:
@@ -228,6 +278,12 @@ def pack(S: Array) -> Array:
 def _unpack(S: Array, n: int) -> Array:
     """Return a new array, (n, n), in Fortran's order, with a packed matrix below its diagonal."""
     return lapack.dtpttr(n, S, uplo="L")[0]
+
+
+def _diagonal(n: int) -> npt.NDArray[np.int64]:
+    """Return where the diagonal stands in a packed matrix, (n,)."""
+    columns = np.arange(n, 0, -1)
+    return np.cumsum(columns) - columns
 
 
 def _pivot_eigenvalues(X: Array, interchanges: npt.NDArray[np.int32]) -> Array:

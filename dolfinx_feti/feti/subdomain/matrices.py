@@ -129,6 +129,16 @@ class SubdomainMatrices(ABC):
         """Return the absolute diagonal of K on the ``dofs`` of subdomain i, (n_i,)."""
         return self._diagonal[self.dofs[i]]
 
+    def to_single(self, i: int) -> None:  # noqa: B027
+        """Store the factor of K_ρ of subdomain i in single precision, if it is dense."""
+
+    def to_double(self) -> None:  # noqa: B027
+        """Have all factors of K_ρ in double precision again."""
+
+    def singles(self) -> int:
+        """Count the subdomains of this process whose factors are stored in single precision."""
+        return 0
+
     @abstractmethod
     def memory(self) -> float:
         """Return the memory of all factors of this process in MiB."""
@@ -270,6 +280,15 @@ class CondensedMatrices(SubdomainMatrices):
 
     def interior_kernel(self) -> Array:
         return self._interior_kernel
+
+    def to_single(self, i: int) -> None:
+        self.factors.to_single(i)
+
+    def to_double(self) -> None:
+        self.factors.to_double()
+
+    def singles(self) -> int:
+        return self.factors.singles()
 
     def memory(self) -> float:
         return self.factors.memory() + self._elimination.factors.memory()

@@ -127,11 +127,13 @@ class PseudoInverse:
         none = [np.zeros((len(dofs), 0)) for dofs in self.dofs]
         self._soft: list[tuple[Array, Array]] = [(Y, Y) for Y in none]  # Y and E_Y
 
-    def update(self, near_kernel: Array) -> Modes:
+    def update(self, near_kernel: Array, *, single: bool = False) -> Modes:
         """Find the modes of the current matrices and factor.
 
         Args:
             near_kernel: Rigid body modes on the torn dofs, (n, number of modes).
+            single: Whether the factors are then stored in single precision, where that does; the
+                modes are of double precision.
 
         Raises:
             FactorError: Some work on a subdomain failed. Not collective: the caller reduces.
@@ -145,6 +147,8 @@ class PseudoInverse:
         for i, (R, defect) in enumerate(zip(candidates, defects, strict=True)):
             with named(self._torn.first + i):
                 found.append(self._regularise(i, R, defect, weight[self.dofs[i]]))
+                if single:
+                    self._matrices.to_single(i)
         return Modes(self.dofs, tuple(found), self._symmetric)
 
     def solve(self, y: Array, *, up_to_soft_modes: bool = False) -> Array:
