@@ -13,7 +13,9 @@ triangles of square arrays. Where the Cholesky factorisation meets a pivot that 
 :math:`L Δ L^⊤` with Bunch and Kaufman's pivots takes its place, in a square array, and tells the
 inertia. If that meets a zero, too, all eigenvalues of the matrix scaled by its diagonal are
 computed, and the pseudo-inverse takes the place of a factor.
-With W = S R, and without cancellation,
+
+Where it only preconditions, L may be stored in single precision, divided by its largest entry on
+the diagonal, unless that of the smallest one is lost in rounding beside it. With W = S R, and without cancellation,
 
 .. math:: E = ρ\, S_ρ^{-1} R = R - S_ρ^{-1} W, \qquad D = ρ\, (I - R^⊤ E) = E^⊤ W.
 """
