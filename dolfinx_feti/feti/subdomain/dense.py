@@ -15,7 +15,9 @@ inertia. If that meets a zero, too, all eigenvalues of the matrix scaled by its 
 computed, and the pseudo-inverse takes the place of a factor.
 
 Where it only preconditions, L may be stored in single precision, divided by its largest entry on
-the diagonal, unless that of the smallest one is lost in rounding beside it. With W = S R, and without cancellation,
+the diagonal, unless that of the smallest one is lost in rounding beside it.
+
+With W = S R, and without cancellation,
 
 .. math:: E = ρ\, S_ρ^{-1} R = R - S_ρ^{-1} W, \qquad D = ρ\, (I - R^⊤ E) = E^⊤ W.
 """
