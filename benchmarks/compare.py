@@ -165,7 +165,8 @@ def _first_step(body: LoadedBody, solvers: Sequence[str]) -> list[Record]:
     found = dolfinx_feti.compare(body.problem, ordered, definite=True).records
     of_feti = phases.record()
     for record in found:
-        record |= of_feti if record["solver"] == "feti" else {}
+        if record["solver"] == "feti":
+            record |= of_feti
         difference = record.pop("difference_to_direct", None)
         record |= {"difference_to_mumps": difference, "newton_iterations": 1}
     return found

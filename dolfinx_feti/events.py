@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 from petsc4py import PETSc
 
-__all__ = ["event"]
+__all__ = ["event", "seconds_of"]
 
 
 @contextmanager
@@ -22,3 +22,8 @@ def event(name: str) -> Iterator[None]:
         yield
     finally:
         log.end()
+
+
+def seconds_of(names: Iterable[str]) -> list[float]:
+    """Return what PETSc's log has counted for each event on this process so far [s]."""
+    return [float(PETSc.Log.Event(name).getPerfInfo()["time"]) for name in names]

@@ -12,6 +12,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_feti.events import seconds_of
+
 __all__ = ["Clock"]
 
 #: Log events, and the names of their seconds in a record.
@@ -34,7 +36,7 @@ class Clock:
         """
         self._comm = comm
         PETSc.Log.begin()
-        self._events = _seconds_of_events()
+        self._events = np.array(seconds_of(EVENTS))
         self._times = [self._now()]
 
     def watch(self, ksp: PETSc.KSP) -> None:
@@ -64,14 +66,10 @@ class Clock:
         names = [f"{kind}_{phase}" for kind in ("seconds", "cpu_seconds") for phase in phases]
         values = [*wall, *self._comm.allreduce(processor)]
         names += [f"seconds_{phase}" for phase in EVENTS.values()]
-        spent = _seconds_of_events() - self._events
+        spent = np.array(seconds_of(EVENTS)) - self._events
         values += [self._comm.allreduce(float(seconds), op=MPI.MAX) for seconds in spent]
         return dict(zip(names, map(float, values), strict=True))
 
     def _now(self) -> tuple[float, float]:
         self._comm.Barrier()
         return time.perf_counter(), time.process_time()
-
-
-def _seconds_of_events() -> np.ndarray:
-    return np.array([PETSc.Log.Event(name).getPerfInfo()["time"] for name in EVENTS])

@@ -9,13 +9,11 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.common.records import Record
+from dolfinx_feti.events import seconds_of
 
 __all__ = ["PHASES", "Phases"]
-
-Array = npt.NDArray[np.float64]
 
 #: Events that do not overlap, in the order of the method, and what they are called on the page.
 PHASES = {
@@ -40,7 +38,7 @@ class Phases:
         """
         PETSc.Log.begin()
         self._comm = comm
-        self._begun = _seconds()
+        self._begun = np.array(seconds_of(PHASES))
 
     def record(self) -> Record:
         """Return the seconds of each phase, those of the slowest process.
@@ -48,11 +46,7 @@ class Phases:
         Note:
             Collective.
         """
-        spent = _seconds() - self._begun
+        spent = np.array(seconds_of(PHASES)) - self._begun
         slowest = np.empty_like(spent)
         self._comm.Allreduce(spent, slowest, op=MPI.MAX)
         return {"seconds_phases": dict(zip(PHASES, slowest.tolist(), strict=True))}
-
-
-def _seconds() -> Array:
-    return np.array([PETSc.Log.Event(name).getPerfInfo()["time"] for name in PHASES])

@@ -37,6 +37,7 @@ from benchmarks.walls.newton_case import CHOICES, TANGENTS
 from benchmarks.walls.problem import WallProblem, create_wall_problem, right_hand_side
 from dolfinx_feti import ConvergenceError, loads, materials
 from dolfinx_feti.collective import on_first
+from dolfinx_feti.events import seconds_of
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.wall.fibres import ANGLES, fibre_families, fibre_frame
 from meshes.walls import create_wall
@@ -88,13 +89,14 @@ def measure(case: Record, comm: MPI.Comm) -> Record:
     body, reading = _create(case, comm)
     comm.Barrier()
     created = time.perf_counter()
-    before = _seconds()
+    before = np.array(seconds_of(EVENTS.values()))
     _load(body)
     comm.Barrier()
     ended = time.perf_counter()
     phases = np.empty(len(EVENTS) + 1)
     assembly = sum(step.seconds_assembly for step in body.problem.history)
-    comm.Allreduce(np.append(_seconds() - before, assembly), phases, op=MPI.MAX)
+    spent = np.array(seconds_of(EVENTS.values())) - before
+    comm.Allreduce(np.append(spent, assembly), phases, op=MPI.MAX)
     of = dict(zip([*EVENTS, "assembly"], map(float, phases), strict=True))
     its = [step.linear_iterations for step in body.problem.history]
     return _sizes(body) | {
@@ -273,10 +275,6 @@ def _sizes(body: WallProblem) -> Record:
         "coarse_mib": report.coarse_mib,
         "formulation": report.formulation,
     }
-
-
-def _seconds() -> Array:
-    return np.array([PETSc.Log.Event(name).getPerfInfo()["time"] for name in EVENTS.values()])
 
 
 def main(words: list[str]) -> None:

@@ -19,6 +19,7 @@ from dolfinx_feti.diagnosis.advice import advise
 from dolfinx_feti.diagnosis.figures import collect_figures, residual_shares
 from dolfinx_feti.diagnosis.result import Diagnosis, Seconds
 from dolfinx_feti.diagnosis.surface import visible_surface
+from dolfinx_feti.events import seconds_of
 from dolfinx_feti.fem.decomposition import Decomposition
 
 __all__ = ["diagnose"]
@@ -60,9 +61,9 @@ def diagnose(
         load.array[:] = np.random.default_rng(comm.rank).standard_normal(load.getLocalSize())
     if not PETSc.Log.isActive():
         PETSc.Log.begin()
-    before = _seconds()
+    before = seconds_of(PHASES)
     cost, ksp = timed_solve(create, load, solution)
-    spent = [now - then for now, then in zip(_seconds(), before, strict=True)]
+    spent = [now - then for now, then in zip(seconds_of(PHASES), before, strict=True)]
     gluing, factors, coarse = (comm.allreduce(seconds, op=MPI.MAX) for seconds in spent)
     feti = ksp.getPythonContext()
     figures, report = None, feti.report()
@@ -92,8 +93,3 @@ def diagnose(
     for owned in (ksp, load, solution, b, x):
         owned.destroy()
     return found
-
-
-def _seconds() -> list[float]:
-    """Return what PETSc's log has counted for each phase on this process [s]."""
-    return [float(PETSc.Log.Event(name).getPerfInfo()["time"]) for name in PHASES]

@@ -155,6 +155,7 @@ def create_dual_form(pattern: Pattern, factored: Factored) -> DualForm:
         Collective.
     """
     options, torn, modes = pattern.options, pattern.torn, factored.modes
+    pattern.matrices.to_double()  # K⁺ is part of the operator
     with ExitStack() as owned:
         with event("FETICoarse"):
             coarse = Coarse(

@@ -55,7 +55,6 @@ def set_up(
     factored = factor(pattern, single=single and pattern.options.formulation != "dual")
     if _takes_primal(pattern, factored):
         return create_primal_form(pattern, factored, vectors, most=most)
-    pattern.matrices.to_double()
     return create_dual_form(pattern, factored)
 
 

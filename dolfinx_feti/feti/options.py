@@ -28,14 +28,14 @@
 ``-feti_coarse_flux``          10                                       pressure patterns of a
                                                                         subdomain whose fluxes are
                                                                         coarse (primal), at most
-``-feti_lag``                  6                                        later matrices of a Newton
-                                                                        solve that K_ρ⁻¹ and the
+``-feti_lag``                  6                                        later matrices of Newton's
+                                                                        method that K_ρ⁻¹ and the
                                                                         coarse columns serve, at
                                                                         most (primal)
 ``-feti_deflation``            20                                       Ritz vectors of small
                                                                         eigenvalues that serve the
-                                                                        later matrices of a Newton
-                                                                        solve, at most (primal)
+                                                                        later matrices, at most
+                                                                        (primal)
 ``-feti_precision``            ``double``, ``single``                   in which the factors of K_ρ
                                                                         are stored (primal)
 ``-feti_recycle``              0                                        directions left to later

@@ -299,7 +299,6 @@ class FETI:
             elif form.age:
                 return Reason.DIVERGED_INDEFINITE_MAT
             assert self._pattern is not None
-            self._pattern.matrices.to_double()
             self._form = create_dual_form(
                 self._pattern, Factored(form.near_kernel, form.modes, form.inertia)
             )

@@ -43,7 +43,7 @@ Indices = npt.NDArray[np.int32]
 ZERO = 1e-14
 
 #: Ratio of the least to the largest diagonal entry of Cholesky's factor below which it stays in
-#: double precision: its square, a bound of the condition, is that of rounding in single precision.
+#: double precision. One over its square is a lower bound of the condition number of S_ρ.
 LEAST = float(np.sqrt(np.finfo(np.float32).eps))
 
 
@@ -184,9 +184,9 @@ class _Block:
         if self._n == 0 or self.X.ndim == 2:
             return
         diagonal = self.X[_diagonal(self._n)]
-        least, self.size = float(diagonal.min()), float(diagonal.max())
-        if least > LEAST * self.size:
-            self.X = (self.X / self.size).astype(np.float32)
+        size = float(diagonal.max())
+        if diagonal.min() > LEAST * size:
+            self.X, self.size = (self.X / size).astype(np.float32), size
 
     def factor_again(self) -> None:
         """Factor S_ρ of the present S in double precision."""
