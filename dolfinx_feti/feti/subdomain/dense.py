@@ -65,6 +65,7 @@ class DenseFactors:
         """
         self.rows = list(rows)
         self._blocks = [_Block(np.zeros(0), 0) for _ in self.rows]
+        self._last: tuple[int, Array] = (-1, np.zeros((0, 0)))  # a block, and its L not yet packed
 
     def set_block(self, i: int, S: Array, *, keep_factor: bool = False) -> None:
         """Take over a block; its factor is gone, unless that of the last one is to serve on.
@@ -79,6 +80,7 @@ class DenseFactors:
         """
         if not np.isfinite(S).all():
             raise FactorError("a Schur complement has entries that are NaN or Inf")
+        self._last = (-1, np.zeros((0, 0)))
         if keep_factor:
             self._blocks[i].S = S
         else:
@@ -89,13 +91,17 @@ class DenseFactors:
     ) -> None:
         """Factor one regularised block.
 
+        The factor of the last one stays in a square array, too: searches for modes solve many
+        times for several columns.
+
         Args:
             i: Number of the block.
             R: Its columns, (n_i, k), orthonormal.
             rho: The stiffness ρ.
             shift: Added to the diagonal, (n_i,).
         """
-        self._blocks[i].factor(np.zeros((len(self.rows[i]), 0)) if R is None else R, rho, shift)
+        R = np.zeros((len(self.rows[i]), 0)) if R is None else R
+        self._last = (i, self._blocks[i].factor(R, rho, shift))
 
     def multiply(self, t: Array, y: Array) -> None:
         """Apply every block: ``y[rows_i] = S_i t[rows_i]``, other entries untouched."""
@@ -113,7 +119,7 @@ class DenseFactors:
 
     def solve_many(self, i: int, Y: Array, *, transpose: bool = False) -> Array:
         """Return (S_i + ρ R Rᵀ)⁻¹ Y for dense columns, (n_i, r)."""
-        return self._blocks[i].solve_many(Y)
+        return self._blocks[i].solve_many(Y, self._last[1] if i == self._last[0] else None)
 
     def solve_border(self, i: int) -> tuple[Array, Array]:
         """Return E/ρ, (n_i, k), and −D/ρ², (k, k): the border's solution in ``factors``."""
@@ -126,6 +132,7 @@ class DenseFactors:
     def to_single(self, i: int) -> None:
         """Store the factor of block i in single precision, if it is conditioned well enough."""
         self._blocks[i].to_single()
+        self._last = (-1, np.zeros((0, 0)))
 
     def to_double(self) -> None:
         """Factor anew what is stored in single precision."""
@@ -144,6 +151,7 @@ class DenseFactors:
     def destroy(self) -> None:
         """Free the blocks."""
         self._blocks = []
+        self._last = (-1, np.zeros((0, 0)))
 
 
 class _Block:
@@ -166,13 +174,18 @@ class _Block:
         self._R: Array = np.zeros((n, 0))
         self._rho = 1.0
 
-    def factor(self, R: Array, rho: float, shift: Array | None) -> None:
+    def factor(self, R: Array, rho: float, shift: Array | None) -> Array:
+        """Factor; return L in the lower triangle of a square array, or what takes its place."""
         self._R, self._rho = R, rho
         if self._n == 0:
-            return
+            return np.zeros((0, 0))
         self.pivots, self._interchanges = Pivots(0, 0), None
-        X, failed = lapack.dpotrf(self._regularised(shift), lower=1, overwrite_a=1, clean=0)
-        self.X = self._factor_indefinite(shift) if failed else pack(X)  # L Lᵀ
+        L, failed = lapack.dpotrf(self._regularised(shift), lower=1, overwrite_a=1, clean=0)
+        if failed:
+            self.X = self._factor_indefinite(shift)
+            return self.X
+        self.X = pack(L)  # L Lᵀ
+        return np.asarray(L)
 
     @property
     def single(self) -> bool:
@@ -252,7 +265,7 @@ class _Block:
         x = blas.stpsv(self._n, self.X, x, lower=1, trans=1, overwrite_x=1)
         return x.astype(np.float64) * (size / self.size**2)  # L⁻ᵀ L⁻¹ y
 
-    def solve_many(self, Y: Array) -> Array:
+    def solve_many(self, Y: Array, L: Array | None = None) -> Array:
         if Y.size == 0:
             return np.zeros(Y.shape)
         if self.single:
@@ -263,7 +276,7 @@ class _Block:
             return np.asarray(self.X @ Y)
         if Y.shape[1] == 1:
             return self.solve(Y[:, 0])[:, None]
-        L = _unpack(self.X, self._n)
+        L = _unpack(self.X, self._n) if L is None else L
         X = blas.dtrsm(1.0, L, np.asfortranarray(Y), lower=1)
         return blas.dtrsm(1.0, L, X, lower=1, trans_a=1, overwrite_b=1)
 

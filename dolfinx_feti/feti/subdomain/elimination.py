@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Elimination of the interior: three ways to the Schur complement, and the choice among them.
+r"""Elimination of the interior: four ways to the Schur complement, and the choice among them.
 
 .. math:: S = K_{ΓΓ} - K_{ΓI} K_{II}^{-1} K_{IΓ}
 
@@ -9,8 +9,10 @@ r"""Elimination of the interior: three ways to the Schur complement, and the cho
 loads are condensed and displacements extended.
 
 - :class:`DenseElimination`: K and :math:`K_{II}` are dense; for small interiors.
-- :class:`PartialElimination`: a factorisation that stops at the interface (``schur``), and one of
-  :math:`K_{II}`.
+- :class:`FrontElimination`: Cholesky's factorisation, stopped at the interface (``fronts``), gives
+  both; where :math:`K_{II}` is not positive definite, one of the next two.
+- :class:`PartialElimination`: a factorisation with pivots that stops at the interface (``schur``),
+  and one of :math:`K_{II}`.
 - :class:`ColumnElimination`: :math:`K_{II}^{-1} K_{IΓ}` column by column, with any solver.
 """
 
@@ -19,15 +21,19 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.collective import reason, warn
 from dolfinx_feti.feti.subdomain.blocks import index_set, named, sparse_block
 from dolfinx_feti.feti.subdomain.dense import DenseFactors, pack
 from dolfinx_feti.feti.subdomain.direct import Choice
 from dolfinx_feti.feti.subdomain.factors import BlockFactors
+from dolfinx_feti.feti.subdomain.fronts import FrontCode, load_fronts
+from dolfinx_feti.feti.subdomain.interior import InteriorFactors
 from dolfinx_feti.feti.subdomain.schur import partial_factorisation_is_there, schur_complement
 from dolfinx_feti.torn import Torn
 
@@ -53,7 +59,7 @@ class Elimination(ABC):
         factors: Factors of K_II.
     """
 
-    factors: BlockFactors | DenseFactors
+    factors: BlockFactors | DenseFactors | InteriorFactors
 
     def __init__(
         self, torn: Torn, free: list[Indices], glued: npt.NDArray[np.bool_], choice: Choice
@@ -129,37 +135,63 @@ class ColumnElimination(Elimination):
         )
 
     def schur_complements(self) -> Iterator[Array]:
-        for i, K in enumerate(self._torn.blocks(self._free)):
+        for i in range(len(self._free)):
             with named(self._torn.first + i):
-                self.factors.update_block(i)
-                S = self._eliminate(i, K.toarray())
+                S = self.schur_complement(i)
             yield S
+
+    def schur_complement(self, i: int) -> Array:
+        """Factor K_II of subdomain i and return S, packed."""
+        self.factors.update_block(i)
+        return self._eliminate(i, sparse_block(self._torn.K, *[self._free[i]] * 2).toarray())
 
 
 class PartialElimination(ColumnElimination):
     """A factorisation of K that stops at the interface gives S."""
 
-    def schur_complements(self) -> Iterator[Array]:
-        for i in range(len(self._free)):
-            with named(self._torn.first + i):
-                self.factors.update_block(i)
-                S = self._stop_at_interface(i, definite=self.factors.pivots(i) == (0, 0))
-            yield S
-
-    def _stop_at_interface(self, i: int, *, definite: bool) -> Array:
-        """Return S, packed; a definite K_II, which alone is eliminated, needs no pivots."""
+    def schur_complement(self, i: int) -> Array:
+        self.factors.update_block(i)
         Γ = self.on_interface[i]
         if len(Γ) in (0, len(self._free[i])):
-            return pack(
-                sparse_block(self._torn.K, self.interface[i], self.interface[i]).toarray("F")
-            )
+            return pack(sparse_block(self._torn.K, *[self.interface[i]] * 2).toarray("F"))
         rows = index_set(self._free[i])
         K = self._torn.K.createSubMatrix(rows, rows)
+        definite = self.factors.pivots(i) == (0, 0)  # then the interior needs no pivots
         K.setOption(PETSc.Mat.Option.SPD if definite else PETSc.Mat.Option.SYMMETRIC, True)
         S = schur_complement(K, Γ, self._choice)
         K.destroy()
         rows.destroy()
         return S
+
+
+class FrontElimination(Elimination):
+    """One factorisation without pivots gives S and the factor of K_II."""
+
+    factors: InteriorFactors
+
+    def __init__(
+        self,
+        torn: Torn,
+        free: list[Indices],
+        glued: npt.NDArray[np.bool_],
+        choice: Choice,
+        code: FrontCode,
+    ) -> None:
+        super().__init__(torn, free, glued, choice)
+        partial = partial_factorisation_is_there(choice)
+        kind = PartialElimination if partial else ColumnElimination
+        self._pivoted = kind(torn, free, glued, choice)
+        self._code = code
+        self.factors = InteriorFactors(torn, free, self._pivoted.factors)
+
+    def schur_complements(self) -> Iterator[Array]:
+        work: Array = np.zeros(0)
+        for i, Γ in enumerate(self.on_interface):
+            with named(self._torn.first + i):
+                S, work = self.factors.schur_complement(i, Γ, self._code, work)
+                if S is None:
+                    S = self._pivoted.schur_complement(i)
+            yield S
 
 
 def create_elimination(
@@ -172,14 +204,37 @@ def create_elimination(
         free: Free torn dofs of each subdomain.
         glued: Mask of the interface, (n,).
         prefix: Options prefix of the factorisations.
+
+    Note:
+        Collective.
     """
     choice = Choice(prefix, symmetric=True, right_hand_sides=RIGHT_HAND_SIDES)
     largest = max((np.count_nonzero(~glued[rows]) for rows in free), default=0)
-    if largest <= SMALL:
+    if torn.comm.allreduce(largest, op=MPI.MAX) <= SMALL:
         return DenseElimination(torn, free, glued, choice)
+    code = _front_code(choice, torn.comm)
+    if code is not None:
+        return FrontElimination(torn, free, glued, choice, code)
     if partial_factorisation_is_there(choice):
         return PartialElimination(torn, free, glued, choice)
     return ColumnElimination(torn, free, glued, choice)
+
+
+def _front_code(choice: Choice, comm: MPI.Comm) -> FrontCode | None:
+    """Return the code of the fronts; None if the options name a solver, or it is not to be had."""
+    options = PETSc.Options(choice.prefix)
+    if options.hasName("pc_factor_mat_solver_type") or options.hasName("pc_type"):
+        return None
+    try:
+        return load_fronts(comm)
+    except Exception as error:
+        warn(
+            f"The code for Schur complements cannot be compiled ({reason(error)}): MUMPS forms "
+            "them, which takes twice as long. Check the C compiler that FFCx uses, and that "
+            "XDG_CACHE_HOME can be written.",
+            comm,
+        )
+        return None
 
 
 def _others(n: int, chosen: Indices) -> Indices:

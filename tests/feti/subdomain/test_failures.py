@@ -41,6 +41,7 @@ PLACES = {
     "null space": ("pseudoinverse.factor_tells_singular", "keep"),
     "soft modes": ("pseudoinverse.soft_modes", "eliminate"),
     "border": ("pseudoinverse.PseudoInverse._basis", "keep"),
+    "fronts": ("fronts.Fronts.factor", "eliminate"),
     "Schur complement": ("elimination.schur_complement", "eliminate"),
     "dense interior": ("elimination.DenseElimination._eliminate", "eliminate"),
     "interior kernel": ("matrices.factor_tells_singular", "eliminate"),
@@ -61,8 +62,10 @@ def fail_on_last(monkeypatch, place, error):
 @pytest.mark.parametrize("place", PLACES.values(), ids=PLACES)
 def test_every_place_may_fail(place, torn_grid, parts, monkeypatch):
     where, interior = place
-    if where.startswith("elimination.schur"):
+    if where.startswith(("elimination.schur", "fronts")):
         monkeypatch.setattr(elimination, "SMALL", -1)
+    if where.startswith("elimination.schur"):
+        monkeypatch.setattr(elimination, "_front_code", lambda *_: None)
     fail_on_last(monkeypatch, where, ERRORS["LAPACK"])
     A = torn_grid(**GRID).A
     with raises(SetUpError, "A local factorisation failed .*SVD did not converge"):

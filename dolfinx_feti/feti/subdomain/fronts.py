@@ -1,0 +1,231 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The Schur complement and the factor of the interior at once, front by front (``fronts.c``).
+
+.. math:: K = \begin{pmatrix} K_{II} & K_{IΓ} \\ K_{ΓI} & K_{ΓΓ} \end{pmatrix}
+            = \begin{pmatrix} U^⊤ & \\ W^⊤ & I \end{pmatrix}
+              \begin{pmatrix} U & W \\ & S \end{pmatrix}, \qquad
+          K_{II} = U^⊤ U, \qquad S = K_{ΓΓ} - W^⊤ W
+
+(eq. 51) by Cholesky's factorisation that stops at the interface. It is the multifrontal method
+(Duff and Reid 1983; Liu 1992): the interior falls into groups of dofs, the *pivots* of a front,
+which are eliminated together; the *border* of a front is what its pivots and those of its
+children touch later, Γ included. A front is a small dense matrix,
+
+.. math:: \begin{pmatrix} P & Q \\ & C \end{pmatrix} \mapsto
+          U = \operatorname{chol} P, \quad W = U^{-⊤} Q, \quad C - W^⊤ W,
+
+and the last block is added to the front of its parent, at the roots to S. So nearly all work is
+that of BLAS on dense matrices. MUMPS, which offers S as well (``schur``), and with pivots, takes
+twice as long for interiors of this size, S and then the factor of :math:`K_{II}`.
+
+There are no pivots to choose as long as :math:`K_{II}` is positive definite. A pivot that is not
+positive ends the factorisation, and :meth:`Fronts.factor` tells so.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.feti.subdomain.blocks import index_set
+from dolfinx_feti.native import address_of, load, pointer
+
+__all__ = ["FrontCode", "Fronts", "load_fronts"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+
+#: Orderings of PETSc that are tried; the one with the least estimate of time is taken.
+ORDERINGS = ("nd", "amd")
+
+ROUTINES = ("dpotrf", "dtrsm", "dsyrk", "dgemm")
+
+DECLARATIONS = """
+typedef struct {
+    int n_I, count, *rank, widest;
+    int64_t *factor, work;
+    double seconds;
+    ...;
+} fronts;
+typedef struct { ...; } dense;
+int fronts_graph(int, const int *, const int *, const int *, int, int *, int *, int *);
+fronts *fronts_analyse(int, const int *, const int *, const int *, int, const int *);
+int fronts_factor(const fronts *, const int *, const int *, const double *, double *, double *,
+                  double *, int *, int *, int *, int *, const dense *);
+void fronts_solve(const fronts *, const double *, int, double *, double *, const dense *);
+void fronts_free(fronts *);
+"""
+
+
+class FrontCode:
+    """The compiled code, with the routines of BLAS and LAPACK that it calls."""
+
+    def __init__(self, module: Any) -> None:
+        self.module = module
+        self.lib = module.lib
+        self._routines = module.ffi.new("intptr_t[]", [address_of(name) for name in ROUTINES])
+        self.blas = module.ffi.cast("dense *", self._routines)
+
+    def to(self, array: npt.NDArray[Any]) -> Any:
+        """Return a pointer to the entries of an array."""
+        return pointer(self.module, array)
+
+
+def load_fronts(comm: MPI.Comm) -> FrontCode:
+    """Load the code, which is compiled at first use.
+
+    Args:
+        comm: Communicator of all processes that need it.
+
+    Raises:
+        Exception: It cannot be compiled or loaded, on all processes.
+
+    Note:
+        Collective.
+    """
+    return FrontCode(load(Path(__file__).with_name("fronts.c"), DECLARATIONS, comm))
+
+
+class Fronts:
+    """The fronts of one subdomain and, once factored, the factor of its K_II.
+
+    Attributes:
+        factored: Whether there is a factor of the K of the last :meth:`factor`.
+        work: Entries of the work space of :meth:`factor`.
+    """
+
+    def __init__(self, code: FrontCode, K: PETSc.Mat, blocks: Indices, interface: Indices) -> None:
+        """Find the fronts.
+
+        Args:
+            code: What :func:`load_fronts` returns.
+            K: Sequential matrix with both triangles, (n, n); its pattern counts.
+            blocks: Number of the block, or node, that each row belongs to, ascending, (n,).
+            interface: Rows of Γ, ascending.
+        """
+        n = K.getSize()[0]
+        glued = np.zeros(n, dtype=bool)
+        glued[interface] = True
+        new = np.ones(n, dtype=bool)
+        new[1:] = (np.diff(blocks) != 0) | (np.diff(glued))
+        node = np.cumsum(new, dtype=np.int32) - 1
+        size = np.bincount(node).astype(np.int32)
+        self._code = code
+        self._n_Γ = len(interface)
+        self._fronts = self._analyse(K, node, size, np.flatnonzero(~glued[new]).astype(np.int32))
+        rank = np.frombuffer(code.module.ffi.buffer(self._fronts.rank, 4 * n), dtype=np.int32)
+        self._rank = rank[~glued].copy()  # of the dofs of the interior, ascending
+        self._factor = np.zeros(0)
+        self.factored = False
+        self.work = int(self._fronts.work)
+
+    def _analyse(self, K: PETSc.Mat, node: Indices, size: Indices, interior: Indices) -> Any:
+        """Try all orderings of the nodes of the interior, and return the best fronts."""
+        code, m = self._code, len(size)
+        indptr, indices, _ = _csr(K)
+        ptr, mark = np.empty(m + 1, dtype=np.int32), np.empty(m, dtype=np.int32)
+        adjacent = np.empty(len(indices), dtype=np.int32)
+        to = code.to
+        code.lib.fronts_graph(
+            len(node), to(indptr), to(indices), to(node), m, to(ptr), to(adjacent), to(mark)
+        )
+        best = None
+        for order in _orders(ptr, adjacent[: ptr[-1]], interior):
+            found = code.lib.fronts_analyse(
+                m, to(size), to(ptr), to(adjacent), len(interior), to(order)
+            )
+            if found == code.module.ffi.NULL:
+                raise MemoryError("no memory for the analysis of a subdomain")
+            found = code.module.ffi.gc(found, code.lib.fronts_free)
+            if best is None or found.seconds < best.seconds:
+                best = found
+        return best
+
+    def factor(self, K: PETSc.Mat, work: Array) -> Array | None:
+        """Factor K_II and form S.
+
+        Args:
+            K: Matrix of the same pattern, (n, n).
+            work: Work space, (at least ``work``,).
+
+        Returns:
+            S in packed format, (n_Γ (n_Γ + 1) / 2,), see ``dense``; None if K_II is not positive
+            definite, or has NaN.
+        """
+        to, n = self._code.to, K.getSize()[0]
+        indptr, indices, values = _csr(K)
+        if not len(self._factor):
+            self._factor = np.empty(int(self._fronts.factor[self._fronts.count]))
+        S = np.zeros(self._n_Γ * (self._n_Γ + 1) // 2)
+        places = [np.empty(n + 1, dtype=np.int32) for _ in range(4)]
+        failed = self._code.lib.fronts_factor(
+            self._fronts,
+            to(indptr),
+            to(indices),
+            to(values),
+            to(self._factor),
+            to(S),
+            to(work),
+            *map(to, places),
+            self._code.blas,
+        )
+        self.factored = not failed
+        return S if self.factored else None
+
+    def solve(self, Y: Array) -> Array:
+        """Return K_II⁻¹ Y for one right-hand side, (n_I,), or several, (n_I, r)."""
+        X = np.empty(Y.shape, order="F")
+        X[self._rank] = Y
+        columns = 1 if Y.ndim == 1 else Y.shape[1]
+        work = np.empty(max(1, self._fronts.widest * columns))
+        to = self._code.to
+        if X.size:
+            self._code.lib.fronts_solve(
+                self._fronts, to(self._factor), columns, to(X), to(work), self._code.blas
+            )
+        return X[self._rank]  # U⁻¹ U⁻ᵀ Y
+
+    def release(self) -> None:
+        """Free the factor."""
+        self._factor = np.zeros(0)
+        self.factored = False
+
+    def memory(self) -> float:
+        """Return the memory of the factor in MiB."""
+        return self._factor.nbytes / 2**20
+
+
+def _csr(K: PETSc.Mat) -> tuple[Indices, Indices, Array]:
+    """Return K row by row, with 32-bit integers."""
+    indptr, indices, values = K.getValuesCSR()
+    return indptr.astype(np.int32, copy=False), indices.astype(np.int32, copy=False), values
+
+
+def _orders(ptr: Indices, adjacent: Indices, interior: Indices) -> list[Indices]:
+    """Order the nodes of the interior for elimination, in each of the ways that PETSc has."""
+    if len(interior) == 0:
+        return [interior]
+    csr = (ptr.astype(PETSc.IntType), adjacent.astype(PETSc.IntType), np.ones(len(adjacent)))
+    graph = PETSc.Mat().createAIJ((len(ptr) - 1,) * 2, csr=csr, comm=PETSc.COMM_SELF)
+    rows = index_set(interior)
+    inside = graph.createSubMatrix(rows, rows)
+    orders = []
+    for name in ORDERINGS:
+        try:
+            order, columns = inside.getOrdering(name)
+        except PETSc.Error:  # a PETSc without SuiteSparse knows no amd
+            continue
+        orders.append(interior[order.indices].astype(np.int32))
+        order.destroy()
+        columns.destroy()
+    for owned in (inside, rows, graph):
+        owned.destroy()
+    return orders

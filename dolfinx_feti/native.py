@@ -1,0 +1,112 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""C code of the package, compiled at first use and kept, as FFCx does with forms.
+
+The compiler is the one that FFCx calls, by way of cffi. What it makes is kept in
+``$XDG_CACHE_HOME/dolfinx_feti`` (``~/.cache/dolfinx_feti`` without that variable), under a name
+that changes with the code and with Python.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import hashlib
+import importlib.util
+import io
+import os
+import sysconfig
+import tempfile
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from mpi4py import MPI
+
+import cffi
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import cython_blas, cython_lapack
+
+from dolfinx_feti.collective import on_all, on_first
+
+__all__ = ["address_of", "load", "pointer"]
+
+_loaded: dict[str, ModuleType] = {}
+
+
+def load(source: Path, declarations: str, comm: MPI.Comm) -> Any:
+    """Compile a file, unless that is done, and load it.
+
+    Args:
+        source: The file.
+        declarations: What of it is called and read, in C.
+        comm: Communicator of all processes that load it. The first one compiles; others do only
+            where they do not see its files.
+
+    Returns:
+        The module, whose ``lib`` has the functions, and ``ffi`` the types.
+
+    Raises:
+        Exception: It cannot be compiled or loaded, on all processes.
+
+    Note:
+        Collective.
+    """
+    text = source.read_text(encoding="utf-8")
+    version = text + declarations + str(sysconfig.get_config_var("EXT_SUFFIX"))
+    name = f"{source.stem}_{hashlib.sha256(version.encode()).hexdigest()[:16]}"
+
+    def module() -> ModuleType:
+        if name not in _loaded:
+            _loaded[name] = _import(name, _compiled(name, text, declarations))
+        return _loaded[name]
+
+    on_first(lambda: bool(module()), comm)
+    return on_all(module, comm)
+
+
+def pointer(module: Any, array: npt.NDArray[Any]) -> Any:
+    """Return a C pointer to the entries of an array, which has to outlive it."""
+    kind = {np.dtype(np.float64): "double[]", np.dtype(np.int32): "int[]"}[array.dtype]
+    return module.ffi.from_buffer(kind, array.ravel(order="K"))
+
+
+def address_of(name: str) -> int:
+    """Return where a function of BLAS or LAPACK is, such as ``dsyrk``, with 32-bit integers."""
+    library = cython_blas if name in cython_blas.__pyx_capi__ else cython_lapack
+    capsule = library.__pyx_capi__[name]
+    api = ctypes.pythonapi
+    api.PyCapsule_GetName.restype = ctypes.c_char_p
+    api.PyCapsule_GetName.argtypes = [ctypes.py_object]
+    api.PyCapsule_GetPointer.restype = ctypes.c_void_p
+    api.PyCapsule_GetPointer.argtypes = [ctypes.py_object, ctypes.c_char_p]
+    return int(api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule)))
+
+
+def _compiled(name: str, text: str, declarations: str) -> Path:
+    """Return the compiled file; others may be making the same one at the same time."""
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "dolfinx_feti"
+    kept = folder / (name + sysconfig.get_config_var("EXT_SUFFIX"))
+    if kept.exists():
+        return kept
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder) as work:
+        builder = cffi.FFI()
+        builder.cdef(declarations)
+        builder.set_source(name, text, extra_compile_args=["-O3"])
+        output = io.StringIO()
+        with contextlib.redirect_stdout(output):
+            made = builder.compile(tmpdir=work)
+        Path(made).replace(kept)
+    return kept
+
+
+def _import(name: str, path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} is not a module")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

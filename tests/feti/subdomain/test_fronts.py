@@ -1,0 +1,198 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Fronts: S and the factor of K_II at once, against dense algebra and against MUMPS."""
+
+from __future__ import annotations
+
+import logging
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+import scipy.sparse
+from collective import COMM, agree, equal
+
+from dolfinx_feti.feti.subdomain import elimination
+from dolfinx_feti.feti.subdomain.dense import pack
+from dolfinx_feti.feti.subdomain.fronts import Fronts, load_fronts
+
+EPS = np.finfo(np.float64).eps
+ROUNDING = 100.0  # multiples of eps cond(K_II) that a solution may be off
+
+
+def grid(shape, bs, seed=3):
+    """Return a random definite matrix on a grid of nodes of bs dofs, and its Γ: one face."""
+    line = [
+        scipy.sparse.diags_array([1.0, 2.0, 1.0], offsets=[-1, 0, 1], shape=(k, k)) for k in shape
+    ]
+    graph = line[0]
+    for other in line[1:]:
+        graph = scipy.sparse.kron(graph, other)
+    pattern = scipy.sparse.kron(graph, np.ones((bs, bs))).tocsr()
+    pattern.data = np.random.default_rng(seed).standard_normal(pattern.nnz)
+    K = (pattern + pattern.T).tocsr()
+    K = (K + scipy.sparse.diags_array(np.abs(K).sum(axis=1) + 1.0)).tocsr()
+    K.sort_indices()
+    n, face = K.shape[0], bs * int(np.prod(shape[1:]))
+    return K, np.arange(n - face, n, dtype=np.int32)
+
+
+def petsc_matrix(K):
+    csr = (K.indptr.astype(PETSc.IntType), K.indices.astype(PETSc.IntType), K.data)
+    return PETSc.Mat().createAIJ(K.shape, csr=csr, comm=PETSc.COMM_SELF)
+
+
+def factored(K, Γ, bs):
+    """Return the fronts, and S, of a sparse matrix."""
+    matrix = petsc_matrix(K)
+    found = Fronts(load_fronts(COMM), matrix, np.arange(K.shape[0], dtype=np.int32) // bs, Γ)
+    S = found.factor(matrix, np.empty(found.work))
+    matrix.destroy()
+    return found, S
+
+
+def parts(K, Γ):
+    """Return I, and K_II, K_IΓ and K_ΓΓ as dense matrices."""
+    K = K.toarray()
+    I = np.setdiff1d(np.arange(len(K)), Γ)  # noqa: E741
+    return I, K[np.ix_(I, I)], K[np.ix_(I, Γ)], K[np.ix_(Γ, Γ)]
+
+
+def check(K, Γ, bs):
+    found, S = factored(K, Γ, bs)
+    _, K_II, K_IΓ, K_ΓΓ = parts(K, Γ)
+    tolerance = ROUNDING * EPS * np.linalg.cond(K_II) if len(K_II) else EPS
+    equal(S, pack(K_ΓΓ - K_IΓ.T @ np.linalg.solve(K_II, K_IΓ)), tolerance)
+    Y = np.random.default_rng(1).standard_normal((len(K_II), 3))
+    equal(K_II @ found.solve(Y), Y, tolerance)
+    equal(found.solve(Y[:, 0]), found.solve(Y)[:, 0], tolerance)
+    return found
+
+
+@pytest.mark.parametrize("bs", [1, 3])
+@pytest.mark.parametrize("shape", [(40,), (13, 9), (6, 5, 4), (2, 1, 2)])
+def test_schur_complement_and_factor(shape, bs):
+    """S = K_ΓΓ − K_ΓI K_II⁻¹ K_IΓ, and K_II K_II⁻¹ Y = Y, for one column and several."""
+    found = check(*grid(shape, bs), bs)
+    agree(found.factored and found.memory() > 0.0)
+    found.release()
+    agree(not found.factored and found.memory() == 0.0)
+
+
+@pytest.mark.parametrize("bs", [1, 2, 3])
+def test_interface_that_cuts_nodes(bs):
+    """Single dofs of a node may be of Γ, and others missing."""
+    K, _ = grid((5, 5, 5), 3)
+    rng = np.random.default_rng(bs)
+    free = np.sort(rng.permutation(K.shape[0])[:-40])
+    Γ = np.sort(rng.permutation(len(free))[:60]).astype(np.int32)
+    K = K[free][:, free]
+    matrix = petsc_matrix(K)
+    found = Fronts(load_fronts(COMM), matrix, (free // bs).astype(np.int32), Γ)
+    S = found.factor(matrix, np.empty(found.work))
+    matrix.destroy()
+    _, K_II, K_IΓ, K_ΓΓ = parts(K, Γ)
+    equal(
+        S, pack(K_ΓΓ - K_IΓ.T @ np.linalg.solve(K_II, K_IΓ)), ROUNDING * EPS * np.linalg.cond(K_II)
+    )
+
+
+def test_interior_in_pieces_none_and_all():
+    """Γ through the middle, no interior, no interface."""
+    K, _ = grid((9, 4, 4), 3)
+    check(K, np.arange(4 * 48, 5 * 48, dtype=np.int32), 3)
+    check(K, np.arange(K.shape[0], dtype=np.int32), 3)
+    check(K, np.zeros(0, dtype=np.int32), 3)
+
+
+def test_random_patterns():
+    """Any symmetric pattern, also one whose blocks are not full."""
+    rng = np.random.default_rng(5)
+    for n in range(2, 80, 7):
+        pattern = scipy.sparse.random_array((n, n), density=0.08, rng=rng)
+        K = (pattern + pattern.T).tocsr()
+        K = (K + scipy.sparse.diags_array(np.abs(K).sum(axis=1) + 1.0)).tocsr()
+        Γ = np.sort(rng.permutation(n)[: n // 3]).astype(np.int32)
+        check(K, Γ, 1 + n % 3)
+
+
+def test_values_of_another_matrix():
+    """The analysis serves all matrices of a pattern; the last one counts."""
+    K, Γ = grid((6, 5, 4), 3)
+    matrix = petsc_matrix(K)
+    found = Fronts(load_fronts(COMM), matrix, np.arange(K.shape[0], dtype=np.int32) // 3, Γ)
+    work = np.empty(found.work)
+    S = found.factor(matrix, work)
+    matrix.scale(4.0)
+    equal(found.factor(matrix, work), 4.0 * S, 10 * EPS)
+    Y = np.ones((K.shape[0] - len(Γ), 1))
+    equal(4.0 * parts(K, Γ)[1] @ found.solve(Y), Y, 1e-12)
+    matrix.destroy()
+
+
+@pytest.mark.parametrize("wrong", ["negative", "zero", "nan"])
+def test_not_definite(wrong):
+    """A pivot that is not positive ends the factorisation, wherever it is met."""
+    K, Γ = grid((6, 5, 4), 3)
+    for dof in (0, 100, 290):
+        bad = K.copy()
+        bad[dof, dof] = {"negative": -1e3, "zero": 0.0, "nan": np.nan}[wrong]
+        if wrong == "zero":
+            bad.data[bad.indptr[dof] : bad.indptr[dof + 1]] = 0.0
+            bad = (bad.T.multiply(np.arange(K.shape[0]) != dof)).tocsr() + 0.0 * K
+        found, S = factored(scipy.sparse.csr_array(bad), Γ, 3)
+        agree(S is None or not np.isfinite(S).all())
+        agree(wrong == "nan" or (S is None and not found.factored))
+
+
+def buckled(factor):
+    """Return a change that lowers the stiffness of all dofs of every subdomain."""
+    return lambda K, dofs: [np.fill_diagonal(k, factor * k.diagonal()) for k in K]
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.5], ids=["definite", "indefinite"])
+def test_pivots_where_they_are_needed(factor, torn_grid, parts, monkeypatch):
+    """With fronts as with MUMPS: S, the inertia of K_II, loads and displacements inside."""
+    monkeypatch.setattr(elimination, "SMALL", -1)
+    problem = torn_grid((2, 2), (6, 5), components=2, change=buckled(factor))
+    by_fronts = parts(problem.A, type="all_floating", interior="eliminate").matrices
+    monkeypatch.setattr(elimination, "_front_code", lambda *_: None)
+    by_mumps = parts(problem.A, type="all_floating", interior="eliminate").matrices
+    inertia = by_fronts.interior_inertia()
+    agree(inertia == by_mumps.interior_inertia())
+    agree(COMM.allreduce(inertia[0]) > 0 if factor < 1.0 else inertia == (0, 0))
+    fronts = [f for f in by_fronts._elimination.factors._fronts if f.factored]
+    agree(COMM.allreduce(len(fronts)) < 4 if factor < 1.0 else len(fronts) == len(by_fronts.dofs))
+    f, u = np.random.default_rng(2 + COMM.rank).standard_normal(
+        (2, problem.A.getISLocalMat().getSize()[0])
+    )
+    equal(by_fronts.multiply(u), by_mumps.multiply(u), 1e-10)
+    equal(by_fronts.condense(f), by_mumps.condense(f), 1e-10)
+    equal(by_fronts.extend(u, f), by_mumps.extend(u, f), 1e-10)
+
+
+@pytest.mark.parametrize("name", ["pc_factor_mat_solver_type", "pc_type"])
+def test_options_that_name_a_solver_are_followed(name):
+    """Who names the solver of K_II gets it."""
+    choice = elimination.Choice("fronts_", symmetric=True, right_hand_sides=8)
+    agree(elimination._front_code(choice, COMM) is not None)
+    options = PETSc.Options("fronts_")
+    options[name] = {"pc_type": "cholesky"}.get(name, "mumps")
+    agree(elimination._front_code(choice, COMM) is None)
+    options.delValue(name)
+
+
+def test_without_a_compiler(torn_grid, parts, monkeypatch, caplog):
+    """MUMPS takes over, and a warning names the remedy."""
+
+    def fails(*_):
+        raise OSError("no compiler here")
+
+    monkeypatch.setattr(elimination, "SMALL", -1)
+    monkeypatch.setattr(elimination, "load_fronts", fails)
+    with caplog.at_level(logging.WARNING, logger="dolfinx_feti"):
+        system = parts(torn_grid((2, 2), (4, 3)).A, type="all_floating", interior="eliminate")
+    agree(isinstance(system.matrices._elimination, elimination.PartialElimination))
+    agree(COMM.rank > 0 or ("no compiler here" in caplog.text and "XDG_CACHE_HOME" in caplog.text))
