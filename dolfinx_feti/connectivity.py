@@ -62,9 +62,27 @@ def block_graph(K: PETSc.Mat) -> scipy.sparse.csr_array:
     n, bs = K.getSize()[0], K.getBlockSize()
     indptr, indices = K.getRowIJ()
     entries = scipy.sparse.csr_array((np.ones(len(indices), dtype=bool), indices, indptr), (n, n))
-    blocks = entries.tobsr((bs, bs))
-    there = np.ones(len(blocks.indices), dtype=bool)
-    return scipy.sparse.csr_array((there, blocks.indices, blocks.indptr), (n // bs, n // bs))
+    graph = _graph_of_full_blocks(entries, bs)
+    if graph is None:
+        blocks = entries.tobsr((bs, bs))
+        there = np.ones(len(blocks.indices), dtype=bool)
+        graph = scipy.sparse.csr_array((there, blocks.indices, blocks.indptr), (n // bs, n // bs))
+    return graph
+
+
+def _graph_of_full_blocks(entries: scipy.sparse.csr_array, bs: int) -> scipy.sparse.csr_array | None:
+    """Read the graph off the first row of each block; None if some block is not full."""
+    width = np.diff(entries.indptr).reshape(-1, bs)
+    first = entries[::bs].indices
+    if np.any(width != width[:, :1]) or np.any(width % bs):
+        return None
+    columns = first.reshape(-1, bs)
+    full = np.all(columns == columns[:, :1] + np.arange(bs)) and not np.any(columns[:, 0] % bs)
+    if not full or any(np.any(entries[j::bs].indices != first) for j in range(1, bs)):
+        return None
+    indptr = np.concatenate([[0], np.cumsum(width[:, 0] // bs)])
+    there = np.ones(len(columns), dtype=bool)
+    return scipy.sparse.csr_array((there, columns[:, 0] // bs, indptr), (len(width), len(width)))
 
 
 def copy_forest(A: PETSc.Mat) -> PETSc.SF:

@@ -9,6 +9,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
+import scipy.sparse
 from collective import COMM, agree, dense, equal, raises, whole
 
 import dolfinx_feti
@@ -94,6 +95,25 @@ def test_blocks_are_found_when_a_first_row_does_not_couple():
     K = PETSc.Mat().createAIJ((4, 4), bsize=2, csr=csr, comm=PETSc.COMM_SELF)
     agree([list(rows) for rows in connected_blocks(block_graph(K), 2)] == [[0, 1, 2, 3]])
     K.destroy()
+
+
+@pytest.mark.parametrize("full", [True, False])
+@pytest.mark.parametrize("bs", [1, 2, 3])
+def test_graph_is_that_of_the_blocks(bs, full):
+    """With full blocks, which are read off their first rows, and with others."""
+    rng = np.random.default_rng(bs)
+    blocks = scipy.sparse.random_array((30, 30), density=0.1, rng=rng)
+    K = scipy.sparse.kron(blocks, np.ones((bs, bs))).tocsr()
+    K.sort_indices()
+    if not full:
+        K.data[rng.permutation(K.nnz)[: K.nnz // 3]] = 0.0
+        K.eliminate_zeros()
+    csr = (K.indptr.astype(PETSc.IntType), K.indices.astype(PETSc.IntType), K.data)
+    matrix = PETSc.Mat().createAIJ(K.shape, bsize=bs, csr=csr, comm=PETSc.COMM_SELF)
+    graph = block_graph(matrix)
+    matrix.destroy()
+    expected = np.abs(K.toarray()).reshape(30, bs, 30, bs).sum(axis=(1, 3)) > 0.0
+    agree(np.array_equal(graph.toarray() != 0, expected))
 
 
 def test_blocks_of_some_rows(torn_grid):

@@ -257,7 +257,8 @@ class FETI:
         assert self._pattern is not None
         state = (A.stateGet(), A.getISLocalMat().stateGet())
         if self._pattern.torn.comm.allreduce(state != self._state, op=MPI.LOR):
-            if self._pattern.torn.is_symmetric() != self._pattern.symmetric:
+            seen = self._state is not None  # a new pattern has just been tested
+            if seen and self._pattern.torn.is_symmetric() != self._pattern.symmetric:
                 self._renew(A, self._options)
             self._form = self._next_form(self._pattern)
             self.method, self.inertia = self._form.method.type, self._form.inertia

@@ -91,8 +91,8 @@ class DenseFactors:
     ) -> None:
         """Factor one regularised block.
 
-        The factor of the last one stays in a square array, too: searches for modes solve many
-        times for several columns.
+        Until :meth:`settle` the factor stands in a square array, too: the search for modes solves
+        many times for several columns.
 
         Args:
             i: Number of the block.
@@ -129,10 +129,16 @@ class DenseFactors:
         """Count negative and zero eigenvalues of the regularised block i."""
         return self._blocks[i].pivots
 
-    def to_single(self, i: int) -> None:
-        """Store the factor of block i in single precision, if it is conditioned well enough."""
-        self._blocks[i].to_single()
+    def settle(self, i: int, *, single: bool) -> None:
+        """Keep nothing but the packed factor of block i.
+
+        Args:
+            i: Number of the block.
+            single: Whether in single precision, if it is conditioned well enough.
+        """
         self._last = (-1, np.zeros((0, 0)))
+        if single:
+            self._blocks[i].to_single()
 
     def to_double(self) -> None:
         """Factor anew what is stored in single precision."""

@@ -147,8 +147,7 @@ class PseudoInverse:
         for i, (R, defect) in enumerate(zip(candidates, defects, strict=True)):
             with named(self._torn.first + i):
                 found.append(self._regularise(i, R, defect, weight[self.dofs[i]]))
-                if single:
-                    self._matrices.to_single(i)
+                self._matrices.settle(i, single=single)
         return Modes(self.dofs, tuple(found), self._symmetric)
 
     def solve(self, y: Array, *, up_to_soft_modes: bool = False) -> Array:
