@@ -70,7 +70,9 @@ def block_graph(K: PETSc.Mat) -> scipy.sparse.csr_array:
     return graph
 
 
-def _graph_of_full_blocks(entries: scipy.sparse.csr_array, bs: int) -> scipy.sparse.csr_array | None:
+def _graph_of_full_blocks(
+    entries: scipy.sparse.csr_array, bs: int
+) -> scipy.sparse.csr_array | None:
     """Read the graph off the first row of each block; None if some block is not full."""
     width = np.diff(entries.indptr).reshape(-1, bs)
     first = entries[::bs].indices
