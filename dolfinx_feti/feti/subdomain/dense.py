@@ -46,6 +46,9 @@ ZERO = 1e-14
 #: double precision. One over its square is a lower bound of the condition number of S_ρ.
 LEAST = float(np.sqrt(np.finfo(np.float32).eps))
 
+#: Columns up to this number are multiplied one by one, with no time for a square array of S.
+FEW = 8
+
 
 class DenseFactors:
     """Symmetric blocks ``S_i`` on the dofs ``rows_i`` and the factors of ``S_i + ρ R Rᵀ``.
@@ -251,6 +254,8 @@ class _Block:
     def multiply_many(self, X: Array) -> Array:
         if X.size == 0:
             return np.zeros(X.shape)
+        if X.shape[1] <= FEW:
+            return np.asfortranarray(np.column_stack([self.multiply(x) for x in X.T]))
         return blas.dsymm(1.0, _unpack(self.S, self._n), np.asfortranarray(X), lower=1)  # S X
 
     def solve(self, y: Array) -> Array:
