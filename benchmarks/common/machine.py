@@ -83,6 +83,7 @@ def limited_memory(comm: MPI.Comm, most: float) -> Iterator[float]:
     Note:
         Collective.
     """
+    _trim()  # free memory of earlier work would still be to be had
     room = min(most, available_mib(comm))
     own = _field(PROC / "self/status", "VmData")
     before = resource.getrlimit(resource.RLIMIT_DATA)
