@@ -30,7 +30,7 @@ def block(diagonal: np.ndarray) -> dense.DenseFactors:
     factors = dense.DenseFactors([np.arange(len(diagonal), dtype=np.int32)])
     factors.set_block(0, dense.pack((Q * diagonal) @ Q.T))
     factors.update_block(0)
-    factors.settle(0, single=True)
+    factors.to_single(0)
     return factors
 
 
@@ -79,7 +79,7 @@ def test_ill_conditioned_block_stays_in_double_precision():
     factors = dense.DenseFactors([np.arange(SIZE, dtype=np.int32)])
     factors.set_block(0, dense.pack(diagonal))
     factors.update_block(0)
-    factors.settle(0, single=True)
+    factors.to_single(0)
     x = np.zeros(SIZE)
     factors.solve(np.ones(SIZE), x)
     assert factors.singles() == 0

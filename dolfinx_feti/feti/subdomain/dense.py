@@ -9,7 +9,8 @@ The Schur complement S of a subdomain (``matrices``) is dense, and so is
 
 A Krylov method reads both in every iteration, from one end to the other. So S and L stand in
 LAPACK's packed format, the lower triangle column by column, which a processor reads faster than
-triangles of square arrays. Where the Cholesky factorisation meets a pivot that is not positive,
+triangles of square arrays. For factorisations and several columns at once they are unpacked into
+one work space. Where the Cholesky factorisation meets a pivot that is not positive,
 :math:`L Δ L^⊤` with Bunch and Kaufman's pivots takes its place, in a square array, and tells the
 inertia. If that meets a zero, too, all eigenvalues of the matrix scaled by its diagonal are
 computed, and the pseudo-inverse takes the place of a factor.
@@ -24,7 +25,9 @@ With W = S R, and without cancellation,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import ctypes
+import functools
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +36,7 @@ import scipy.linalg.lapack as lapack
 
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain.direct import Pivots
+from dolfinx_feti.native import address_of
 
 __all__ = ["DenseFactors", "pack"]
 
@@ -45,9 +49,6 @@ ZERO = 1e-14
 #: Ratio of the least to the largest diagonal entry of Cholesky's factor below which it stays in
 #: double precision. One over its square is a lower bound of the condition number of S_ρ.
 LEAST = float(np.sqrt(np.finfo(np.float32).eps))
-
-#: Columns up to this number are multiplied one by one, with no time for a square array of S.
-FEW = 8
 
 
 class DenseFactors:
@@ -68,7 +69,7 @@ class DenseFactors:
         """
         self.rows = list(rows)
         self._blocks = [_Block(np.zeros(0), 0) for _ in self.rows]
-        self._last: tuple[int, Array] = (-1, np.zeros((0, 0)))  # a block, and its L not yet packed
+        self._work = np.empty(max((len(block) for block in self.rows), default=0) ** 2)
 
     def set_block(self, i: int, S: Array, *, keep_factor: bool = False) -> None:
         """Take over a block; its factor is gone, unless that of the last one is to serve on.
@@ -83,7 +84,6 @@ class DenseFactors:
         """
         if not np.isfinite(S).all():
             raise FactorError("a Schur complement has entries that are NaN or Inf")
-        self._last = (-1, np.zeros((0, 0)))
         if keep_factor:
             self._blocks[i].S = S
         else:
@@ -94,9 +94,6 @@ class DenseFactors:
     ) -> None:
         """Factor one regularised block.
 
-        Until :meth:`settle` the factor stands in a square array, too: the search for modes solves
-        many times for several columns.
-
         Args:
             i: Number of the block.
             R: Its columns, (n_i, k), orthonormal.
@@ -104,7 +101,7 @@ class DenseFactors:
             shift: Added to the diagonal, (n_i,).
         """
         R = np.zeros((len(self.rows[i]), 0)) if R is None else R
-        self._last = (i, self._blocks[i].factor(R, rho, shift))
+        self._blocks[i].factor(R, rho, shift, self._work)
 
     def multiply(self, t: Array, y: Array) -> None:
         """Apply every block: ``y[rows_i] = S_i t[rows_i]``, other entries untouched."""
@@ -118,36 +115,29 @@ class DenseFactors:
 
     def multiply_many(self, i: int, X: Array) -> Array:
         """Return S_i X for dense columns, (n_i, r)."""
-        return self._blocks[i].multiply_many(X)
+        return self._blocks[i].multiply_many(X, self._work)
 
     def solve_many(self, i: int, Y: Array, *, transpose: bool = False) -> Array:
         """Return (S_i + ρ R Rᵀ)⁻¹ Y for dense columns, (n_i, r)."""
-        return self._blocks[i].solve_many(Y, self._last[1] if i == self._last[0] else None)
+        return self._blocks[i].solve_many(Y, self._work)
 
     def solve_border(self, i: int) -> tuple[Array, Array]:
         """Return E/ρ, (n_i, k), and −D/ρ², (k, k): the border's solution in ``factors``."""
-        return self._blocks[i].solve_border()
+        return self._blocks[i].solve_border(self._work)
 
     def pivots(self, i: int) -> Pivots:
         """Count negative and zero eigenvalues of the regularised block i."""
         return self._blocks[i].pivots
 
-    def settle(self, i: int, *, single: bool) -> None:
-        """Keep nothing but the packed factor of block i.
-
-        Args:
-            i: Number of the block.
-            single: Whether in single precision, if it is conditioned well enough.
-        """
-        self._last = (-1, np.zeros((0, 0)))
-        if single:
-            self._blocks[i].to_single()
+    def to_single(self, i: int) -> None:
+        """Store the factor of block i in single precision, if it is conditioned well enough."""
+        self._blocks[i].to_single()
 
     def to_double(self) -> None:
         """Factor anew what is stored in single precision."""
         for block in self._blocks:
             if block.single:
-                block.factor_again()
+                block.factor_again(self._work)
 
     def singles(self) -> int:
         """Count the blocks whose factors are stored in single precision."""
@@ -160,11 +150,12 @@ class DenseFactors:
     def destroy(self) -> None:
         """Free the blocks."""
         self._blocks = []
-        self._last = (-1, np.zeros((0, 0)))
 
 
 class _Block:
     """S, packed, and what applies the inverse of S_ρ: a Cholesky factor, packed, or another one.
+
+    Methods that take ``work`` overwrite it, (at least n²,).
 
     Attributes:
         S: The block.
@@ -183,18 +174,14 @@ class _Block:
         self._R: Array = np.zeros((n, 0))
         self._rho = 1.0
 
-    def factor(self, R: Array, rho: float, shift: Array | None) -> Array:
-        """Factor; return L in the lower triangle of a square array, or what takes its place."""
+    def factor(self, R: Array, rho: float, shift: Array | None, work: Array) -> None:
         self._R, self._rho = R, rho
         if self._n == 0:
-            return np.zeros((0, 0))
+            return
         self.pivots, self._interchanges = Pivots(0, 0), None
-        L, failed = lapack.dpotrf(self._regularised(shift), lower=1, overwrite_a=1, clean=0)
-        if failed:
-            self.X = self._factor_indefinite(shift)
-            return self.X
-        self.X = pack(L)  # L Lᵀ
-        return np.asarray(L)
+        S_ρ = self._regularised(shift, work)
+        X, failed = lapack.dpotrf(S_ρ, lower=1, overwrite_a=1, clean=0)
+        self.X = self._factor_indefinite(shift, work) if failed else pack(X)  # L Lᵀ
 
     @property
     def single(self) -> bool:
@@ -210,34 +197,33 @@ class _Block:
         if diagonal.min() > LEAST * size:
             self.X, self.size = (self.X / size).astype(np.float32), size
 
-    def factor_again(self) -> None:
+    def factor_again(self, work: Array) -> None:
         """Factor S_ρ of the present S in double precision."""
-        self.factor(self._R, self._rho, None)
+        self.factor(self._R, self._rho, None, work)
 
-    def _regularised(self, shift: Array | None) -> Array:
-        """Return S + ρ R Rᵀ, shifted, in the lower triangle of a new array."""
-        X = _unpack(self.S, self._n)
+    def _regularised(self, shift: Array | None, work: Array) -> Array:
+        """Return S + ρ R Rᵀ, shifted, in the lower triangle of the work space."""
+        X = _unpack(self.S, self._n, work)
         if shift is not None:
             X[np.diag_indices(self._n)] += shift
         if self._R.shape[1] == 0:
             return X
         return blas.dsyrk(self._rho, self._R, beta=1.0, c=X, lower=1, overwrite_c=1)
 
-    def _factor_indefinite(self, shift: Array | None) -> Array:
+    def _factor_indefinite(self, shift: Array | None, work: Array) -> Array:
         """Factor S_ρ = L Δ Lᵀ; invert it if a block of Δ is zero."""
-        work = int(lapack.dsytrf_lwork(self._n, lower=1)[0])
-        X, interchanges, failed = lapack.dsytrf(
-            self._regularised(shift), lower=1, lwork=work, overwrite_a=1
-        )
+        S_ρ = self._regularised(shift, work).copy(order="F")
+        size = int(lapack.dsytrf_lwork(self._n, lower=1)[0])
+        X, interchanges, failed = lapack.dsytrf(S_ρ, lower=1, lwork=size, overwrite_a=1)
         if failed:
-            return self._invert(shift)
+            return self._invert(shift, work)
         negative = np.count_nonzero(_pivot_eigenvalues(X, interchanges) < 0.0)
         self.pivots = Pivots(int(negative), 0)
         self._interchanges = interchanges
         return X
 
-    def _invert(self, shift: Array | None) -> Array:
-        X = self._regularised(shift)
+    def _invert(self, shift: Array | None, work: Array) -> Array:
+        X = self._regularised(shift, work)
         root = np.sqrt(np.abs(X.diagonal()))
         root[root == 0.0] = root.max() or 1.0
         values, V = np.linalg.eigh(X / root[:, None] / root, UPLO="L")
@@ -251,18 +237,19 @@ class _Block:
     def multiply(self, t: Array) -> Array:
         return blas.dspmv(self._n, 1.0, self.S, t, lower=1) if self._n else t  # S t
 
-    def multiply_many(self, X: Array) -> Array:
+    def multiply_many(self, X: Array, work: Array) -> Array:
         if X.size == 0:
             return np.zeros(X.shape)
-        if X.shape[1] <= FEW:
-            return np.asfortranarray(np.column_stack([self.multiply(x) for x in X.T]))
-        return blas.dsymm(1.0, _unpack(self.S, self._n), np.asfortranarray(X), lower=1)  # S X
+        if X.shape[1] == 1:
+            return self.multiply(X[:, 0])[:, None]
+        S = _unpack(self.S, self._n, work)
+        return blas.dsymm(1.0, S, np.asfortranarray(X), lower=1)  # S X
 
     def solve(self, y: Array) -> Array:
         if self._n == 0:
             return y
         if self.X.ndim == 2:
-            return self.solve_many(y[:, None])[:, 0]
+            return self.solve_many(y[:, None], np.zeros(0))[:, 0]  # neither unpacks anything
         if self.single:
             return self._solve_in_single(y)
         x = blas.dtpsv(self._n, self.X, y, lower=1)
@@ -276,7 +263,7 @@ class _Block:
         x = blas.stpsv(self._n, self.X, x, lower=1, trans=1, overwrite_x=1)
         return x.astype(np.float64) * (size / self.size**2)  # L⁻ᵀ L⁻¹ y
 
-    def solve_many(self, Y: Array, L: Array | None = None) -> Array:
+    def solve_many(self, Y: Array, work: Array) -> Array:
         if Y.size == 0:
             return np.zeros(Y.shape)
         if self.single:
@@ -287,13 +274,13 @@ class _Block:
             return np.asarray(self.X @ Y)
         if Y.shape[1] == 1:
             return self.solve(Y[:, 0])[:, None]
-        L = _unpack(self.X, self._n) if L is None else L
+        L = _unpack(self.X, self._n, work)
         X = blas.dtrsm(1.0, L, np.asfortranarray(Y), lower=1)
         return blas.dtrsm(1.0, L, X, lower=1, trans_a=1, overwrite_b=1)
 
-    def solve_border(self) -> tuple[Array, Array]:
-        W = self.multiply_many(self._R)  # W = S R
-        E = self._R - self.solve_many(W)  # E = R − S_ρ⁻¹ W
+    def solve_border(self, work: Array) -> tuple[Array, Array]:
+        W = self.multiply_many(self._R, work)  # W = S R
+        E = self._R - self.solve_many(W, work)  # E = R − S_ρ⁻¹ W
         D = E.T @ W
         return np.asarray(E / self._rho), np.asarray(-D / self._rho**2)
 
@@ -303,9 +290,20 @@ def pack(S: Array) -> Array:
     return lapack.dtrttp(S, uplo="L")[0] if len(S) else np.zeros(0)
 
 
-def _unpack(S: Array, n: int) -> Array:
-    """Return a new array, (n, n), in Fortran's order, with a packed matrix below its diagonal."""
-    return lapack.dtpttr(n, S, uplo="L")[0]
+def _unpack(S: Array, n: int, work: Array) -> Array:
+    """Unpack a matrix into the work space: (n, n) in Fortran's order, below the diagonal.
+
+    SciPy's own dtpttr makes a new array, and fills it with zeros, which takes ten times as long.
+    """
+    size, info = ctypes.c_int(n), ctypes.c_int(0)
+    to_size, to_info = ctypes.addressof(size), ctypes.addressof(info)
+    _dtpttr()(b"L", to_size, S.ctypes.data, work.ctypes.data, to_size, to_info)
+    return work[: n * n].reshape((n, n), order="F")
+
+
+@functools.cache
+def _dtpttr() -> Callable[..., None]:
+    return ctypes.CFUNCTYPE(None, ctypes.c_char_p, *[ctypes.c_void_p] * 5)(address_of("dtpttr"))
 
 
 def _diagonal(n: int) -> npt.NDArray[np.int64]:

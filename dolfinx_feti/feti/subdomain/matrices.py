@@ -129,8 +129,8 @@ class SubdomainMatrices(ABC):
         """Return the absolute diagonal of K on the ``dofs`` of subdomain i, (n_i,)."""
         return self._diagonal[self.dofs[i]]
 
-    def settle(self, i: int, *, single: bool) -> None:  # noqa: B027
-        """End the search for modes of subdomain i; see ``DenseFactors.settle``."""
+    def to_single(self, i: int) -> None:  # noqa: B027
+        """Store the factor of K_ρ of subdomain i in single precision, if it is dense."""
 
     def to_double(self) -> None:  # noqa: B027
         """Have all factors of K_ρ in double precision again."""
@@ -281,8 +281,8 @@ class CondensedMatrices(SubdomainMatrices):
     def interior_kernel(self) -> Array:
         return self._interior_kernel
 
-    def settle(self, i: int, *, single: bool) -> None:
-        self.factors.settle(i, single=single)
+    def to_single(self, i: int) -> None:
+        self.factors.to_single(i)
 
     def to_double(self) -> None:
         self.factors.to_double()

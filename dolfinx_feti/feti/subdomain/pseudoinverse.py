@@ -147,7 +147,8 @@ class PseudoInverse:
         for i, (R, defect) in enumerate(zip(candidates, defects, strict=True)):
             with named(self._torn.first + i):
                 found.append(self._regularise(i, R, defect, weight[self.dofs[i]]))
-                self._matrices.settle(i, single=single)
+                if single:
+                    self._matrices.to_single(i)
         return Modes(self.dofs, tuple(found), self._symmetric)
 
     def solve(self, y: Array, *, up_to_soft_modes: bool = False) -> Array:
@@ -307,17 +308,11 @@ class PseudoInverse:
 
     def _multiply(self, X: Sequence[Array], *, transpose: bool = False) -> list[Array]:
         """Return K_i X_i on the free dofs of every subdomain."""
-        image = [np.zeros_like(X_i) for X_i in X]
-        for j in range(max((X_i.shape[1] for X_i in X), default=0)):
-            column = np.zeros(self._torn.n)
-            for dofs, X_i in zip(self._free, X, strict=True):
-                if j < X_i.shape[1]:
-                    column[dofs] = X_i[:, j]
-            product = self._torn.multiply(column, transpose=transpose)
-            for dofs, Y in zip(self._free, image, strict=True):
-                if j < Y.shape[1]:
-                    Y[:, j] = product[dofs]
-        return image
+        columns = np.zeros((self._torn.n, max((X_i.shape[1] for X_i in X), default=0)))
+        for dofs, X_i in zip(self._free, X, strict=True):
+            columns[dofs, : X_i.shape[1]] = X_i
+        image = self._torn.multiply(columns, transpose=transpose)
+        return [image[dofs, : X_i.shape[1]] for dofs, X_i in zip(self._free, X, strict=True)]
 
 
 def _negative_directions(D: Array, rho: float) -> Array:
