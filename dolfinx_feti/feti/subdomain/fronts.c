@@ -106,17 +106,17 @@ static void adopt(family *t, int parent, int child)
 fronts *fronts_analyse(int m, const int *size, const int *ptr, const int *adjacent, int m_I,
                        const int *order)
 {
-    int *turn = malloc(m * sizeof(int));      // the turn of each node; interface nodes last
-    int *node = malloc(m * sizeof(int));      // and back
-    int *mark = malloc(m * sizeof(int));
-    int *begin = malloc((m_I + 1) * sizeof(int)); // structure of each column of nodes
-    int *pivots = calloc(m_I + 1, sizeof(int));
-    int *border = calloc(m_I + 1, sizeof(int));
-    int *in = malloc((m_I + 1) * sizeof(int)); // into which node a node is merged
-    int *dofs = malloc((m + 1) * sizeof(int));
+    int *turn = malloc((m + 1) * sizeof(int));    // the turn of each node; interface nodes last
+    int *node = malloc((m + 1) * sizeof(int));    // and back
+    int *mark = malloc((m + 1) * sizeof(int));    // the last turn that has met a node
+    int *begin = malloc((m_I + 1) * sizeof(int)); // where the structure of a turn begins in rows
+    int *pivots = calloc(m_I + 1, sizeof(int));   // dofs that are eliminated together
+    int *border = calloc(m_I + 1, sizeof(int));   // dofs that they touch later
+    int *in = malloc((m_I + 1) * sizeof(int));    // the turn that a turn has joined, or itself
+    int *front = malloc((m_I + 1) * sizeof(int)); // number of the front
+    int *dofs = malloc((m + 1) * sizeof(int));    // first rank of the dofs
+    int *held = NULL;                             // ranks that are given, in each front
     int *list = malloc((m_I + 1) * sizeof(int));
-    int *front = malloc((m_I + 1) * sizeof(int));
-    int *held = NULL;
     family t = {malloc((m_I + 1) * sizeof(int)), malloc((m_I + 1) * sizeof(int)),
                 malloc((m_I + 1) * sizeof(int))};
     fronts *f = calloc(1, sizeof(fronts));
@@ -125,7 +125,7 @@ fronts *fronts_analyse(int m, const int *size, const int *ptr, const int *adjace
     int ok = turn && node && mark && begin && pivots && border && in && dofs && list && front
              && t.parent && t.last && t.before && f && rows;
 
-    // 1. the structure of each column: its own neighbours and its children's, later ones only
+    // 1. the structure of each turn: later neighbours of its own and of its children
     if (ok) {
         int next = m_I;
         for (int v = 0; v < m; ++v) turn[v] = -1;
@@ -170,7 +170,7 @@ fronts *fronts_analyse(int m, const int *size, const int *ptr, const int *adjace
         if (parent < m_I) adopt(&t, parent, k);
     }
 
-    // 2. a child joins its parent's front where that saves time; its border is the parent's then
+    // 2. a child joins its parent where that saves time: both have the parent's border then
     for (int k = 0; ok && k < m_I; ++k) {
         int children = t.last[k];
         t.last[k] = -1;
@@ -190,13 +190,13 @@ fronts *fronts_analyse(int m, const int *size, const int *ptr, const int *adjace
         }
     }
 
-    // 3. children before parents, and the ranks of the dofs
+    // 3. fronts, children before parents; ranks and borders; room for what waits for its parent
     if (ok) {
         int top = 0, count = 0;
         for (int k = 0; k < m_I; ++k) front[k] = -1;
         for (int k = m_I - 1; k >= 0; --k) {
             if (in[k] != k || t.parent[k] >= 0) continue;
-            int c = k; // a walk: down to the first leaf, a front when all its children have one
+            int c = k; // down to a leaf; a turn gets its number after all its children
             list[top = 0] = c;
             while (top >= 0) {
                 c = list[top];
@@ -235,13 +235,13 @@ fronts *fronts_analyse(int m, const int *size, const int *ptr, const int *adjace
         for (int v = 0; v < m; ++v) f->n += size[v];
         f->rows = malloc((total + 1) * sizeof(int));
         f->rank = malloc((f->n + 1) * sizeof(int));
-        held = malloc((f->count + 1) * sizeof(int)); // pivots that are given a rank already
+        held = malloc((f->count + 1) * sizeof(int));
         ok = f->rows && f->rank && held;
     }
     if (ok) {
         int next = f->n_I;
         memcpy(held, f->first, (f->count + 1) * sizeof(int));
-        for (int k = 0; k < m; ++k) { // dofs[k]: first rank of the node whose turn is k
+        for (int k = 0; k < m; ++k) {
             if (k < m_I) {
                 int top = k;
                 while (in[top] != top) top = in[top];
@@ -264,7 +264,7 @@ fronts *fronts_analyse(int m, const int *size, const int *ptr, const int *adjace
         }
         int64_t stack = 0;
         int depth = 0;
-        for (int i = 0; i < f->count; ++i) { // contributions wait on a stack for their parents
+        for (int i = 0; i < f->count; ++i) {
             int64_t p = f->first[i + 1] - f->first[i], b = f->start[i + 1] - f->start[i];
             f->factor[i + 1] = f->factor[i] + p * (p + f->inside[i]);
             f->seconds += seconds(p, b);

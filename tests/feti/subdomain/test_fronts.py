@@ -100,11 +100,12 @@ def test_interface_that_cuts_nodes(bs):
 
 
 def test_interior_in_pieces_none_and_all():
-    """Γ through the middle, no interior, no interface."""
+    """Γ through the middle, no interior, no interface, nothing at all."""
     K, _ = grid((9, 4, 4), 3)
     check(K, np.arange(4 * 48, 5 * 48, dtype=np.int32), 3)
     check(K, np.arange(K.shape[0], dtype=np.int32), 3)
     check(K, np.zeros(0, dtype=np.int32), 3)
+    check(K[:0][:, :0], np.zeros(0, dtype=np.int32), 3)
 
 
 def test_random_patterns():
