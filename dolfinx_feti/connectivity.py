@@ -5,6 +5,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -12,9 +16,29 @@ import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.csgraph
 
-__all__ = ["block_graph", "connected_blocks", "copy_forest", "is_symmetric"]
+from dolfinx_feti.native import load_or_do_without, pointer
+from dolfinx_feti.petsc_library import Rows, rows_of
+
+__all__ = [
+    "block_graph",
+    "connected_blocks",
+    "copy_forest",
+    "coupled_nodes",
+    "is_symmetric",
+    "load_graph_code",
+]
 
 Indices = npt.NDArray[np.int32]
+
+DECLARATION = """
+int couple_nodes(int, const int *, const int *, const int *, const int *, const int *, int, int *,
+                 int *, int *);
+"""
+
+
+def load_graph_code(comm: MPI.Comm) -> Any | None:
+    """Load ``connectivity.c``, compiled at first use; None if it cannot be compiled. Collective."""
+    return load_or_do_without(Path(__file__).with_name("connectivity.c"), DECLARATION, comm)
 
 
 def is_symmetric(K: PETSc.Mat) -> bool:
@@ -53,38 +77,52 @@ def connected_blocks(graph: scipy.sparse.csr_array, bs: int) -> list[Indices]:
     return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
 
 
-def block_graph(K: PETSc.Mat) -> scipy.sparse.csr_array:
+def block_graph(K: PETSc.Mat, code: Any | None) -> scipy.sparse.csr_array:
     """Return which blocks of dofs a matrix couples, (n / bs, n / bs).
 
     Args:
         K: Sequential AIJ matrix, (n, n), of block size bs.
+        code: What :func:`load_graph_code` returns; without it the work takes ten times as long.
     """
     n, bs = K.getSize()[0], K.getBlockSize()
-    indptr, indices = K.getRowIJ()
-    entries = scipy.sparse.csr_array((np.ones(len(indices), dtype=bool), indices, indptr), (n, n))
-    graph = _graph_of_full_blocks(entries, bs)
-    if graph is None:
-        blocks = entries.tobsr((bs, bs))
-        there = np.ones(len(blocks.indices), dtype=bool)
-        graph = scipy.sparse.csr_array((there, blocks.indices, blocks.indptr), (n // bs, n // bs))
-    return graph
+    m, rows = n // bs, np.arange(n, dtype=np.int32)
+    with rows_of(K) as of_K:
+        if code is not None:
+            indptr, indices = coupled_nodes(code, of_K, rows, rows, rows // bs, m)
+        else:
+            there = np.ones(of_K.indptr[-1], dtype=bool)
+            entries = (there, of_K.indices[: len(there)], of_K.indptr)
+            blocks = scipy.sparse.csr_array(entries, (n, n)).tobsr((bs, bs))
+            indptr, indices = blocks.indptr, blocks.indices
+    return scipy.sparse.csr_array((np.ones(len(indices), dtype=bool), indices, indptr), (m, m))
 
 
-def _graph_of_full_blocks(
-    entries: scipy.sparse.csr_array, bs: int
-) -> scipy.sparse.csr_array | None:
-    """Read the graph off the first row of each block; None if some block is not full."""
-    width = np.diff(entries.indptr).reshape(-1, bs)
-    first = entries[::bs].indices
-    if np.any(width != width[:, :1]) or np.any(width % bs):
-        return None
-    columns = first.reshape(-1, bs)
-    full = np.all(columns == columns[:, :1] + np.arange(bs)) and not np.any(columns[:, 0] % bs)
-    if not full or any(np.any(entries[j::bs].indices != first) for j in range(1, bs)):
-        return None
-    indptr = np.concatenate([[0], np.cumsum(width[:, 0] // bs)])
-    there = np.ones(len(columns), dtype=bool)
-    return scipy.sparse.csr_array((there, columns[:, 0] // bs, indptr), (len(width), len(width)))
+def coupled_nodes(
+    code: Any, K: Rows, rows: Indices, number: Indices, node: Indices, m: int
+) -> tuple[Indices, Indices]:
+    """Return the graph of nodes, groups of consecutive rows: its rows and columns, unsorted.
+
+    Args:
+        code: What :func:`load_graph_code` returns.
+        K: A symmetric matrix, (n, n).
+        rows: Rows that count, (k,).
+        number: For each column its place among these rows, or a negative number, (n,).
+        node: Node of each of these rows, ascending, (k,).
+        m: Number of nodes.
+    """
+
+    def to(array: Indices) -> Any:
+        return pointer(code, array)
+
+    most = int((K.indptr[rows + 1] - K.indptr[rows]).sum())
+    ptr, mark, adjacent = (np.empty(k, dtype=np.int32) for k in (m + 1, m, most))
+    entries = code.lib.couple_nodes(
+        len(rows),
+        *map(to, (rows, K.indptr, K.indices, number, node)),
+        m,
+        *map(to, (ptr, adjacent, mark)),
+    )
+    return ptr, adjacent[:entries].copy()
 
 
 def copy_forest(A: PETSc.Mat) -> PETSc.SF:

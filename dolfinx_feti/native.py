@@ -29,9 +29,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cython_blas, cython_lapack
 
-from dolfinx_feti.collective import on_all, on_first
+from dolfinx_feti.collective import on_all, on_first, reason, warn
 
-__all__ = ["address_of", "load", "pointer"]
+__all__ = ["address_of", "load", "load_or_do_without", "pointer"]
 
 _loaded: dict[str, ModuleType] = {}
 
@@ -65,6 +65,20 @@ def load(source: Path, declarations: str, comm: MPI.Comm) -> Any:
 
     on_first(lambda: bool(module()), comm)
     return on_all(module, comm)
+
+
+def load_or_do_without(source: Path, declarations: str, comm: MPI.Comm) -> Any | None:
+    """Load a file as :func:`load` does, or warn and return None, on all processes. Collective."""
+    try:
+        return load(source, declarations, comm)
+    except Exception as error:
+        warn(
+            f"{source.name} cannot be compiled ({reason(error)}): the package does without it, and "
+            "takes longer. Check the C compiler that FFCx uses, and that XDG_CACHE_HOME can be "
+            "written.",
+            comm,
+        )
+        return None
 
 
 def pointer(module: Any, array: npt.NDArray[Any]) -> Any:

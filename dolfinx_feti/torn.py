@@ -39,7 +39,13 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
-from dolfinx_feti.connectivity import block_graph, connected_blocks, copy_forest, is_symmetric
+from dolfinx_feti.connectivity import (
+    block_graph,
+    connected_blocks,
+    copy_forest,
+    is_symmetric,
+    load_graph_code,
+)
 
 __all__ = [
     "Torn",
@@ -189,7 +195,7 @@ class Torn:
             )
         self.start = self.comm.scan(self.n) - self.n
         self.owned = A.getLocalSize()[0]
-        self.graph = block_graph(self.K)
+        self.graph = block_graph(self.K, load_graph_code(self.comm))
         self.subdomains = connected_blocks(self.graph, self.K.getBlockSize())
         self.first = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
         self._sf = copy_forest(A)

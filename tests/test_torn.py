@@ -13,7 +13,7 @@ import scipy.sparse
 from collective import COMM, agree, dense, equal, raises, whole
 
 import dolfinx_feti
-from dolfinx_feti.connectivity import block_graph, connected_blocks
+from dolfinx_feti.connectivity import block_graph, connected_blocks, load_graph_code
 from dolfinx_feti.torn import Torn, create_torn_matrix
 
 SEED = 60914
@@ -81,26 +81,35 @@ def test_subdomains_are_the_blocks(torn_grid):
     torn.destroy()
 
 
-def test_blocks_are_found_in_any_order():
+with_and_without = pytest.mark.parametrize(
+    "code", [load_graph_code(COMM), None], ids=["compiled", "SciPy"]
+)
+
+
+@with_and_without
+def test_blocks_are_found_in_any_order(code):
     """Interleaved subdomains, one of them a single dof without an entry off its diagonal."""
     csr = ([0, 2, 4, 6, 8, 9], [0, 2, 1, 3, 0, 2, 1, 3, 4], np.ones(9))
     K = PETSc.Mat().createAIJ((5, 5), csr=csr, comm=PETSc.COMM_SELF)
-    agree([list(rows) for rows in connected_blocks(block_graph(K), 1)] == [[0, 2], [1, 3], [4]])
+    blocks = connected_blocks(block_graph(K, code), 1)
+    agree([list(rows) for rows in blocks] == [[0, 2], [1, 3], [4]])
     K.destroy()
 
 
-def test_blocks_are_found_when_a_first_row_does_not_couple():
+@with_and_without
+def test_blocks_are_found_when_a_first_row_does_not_couple(code):
     """Two nodes that are coupled by their second components only."""
     csr = ([0, 1, 3, 4, 6], [0, 1, 3, 2, 1, 3], np.ones(6))
     K = PETSc.Mat().createAIJ((4, 4), bsize=2, csr=csr, comm=PETSc.COMM_SELF)
-    agree([list(rows) for rows in connected_blocks(block_graph(K), 2)] == [[0, 1, 2, 3]])
+    agree([list(rows) for rows in connected_blocks(block_graph(K, code), 2)] == [[0, 1, 2, 3]])
     K.destroy()
 
 
 @pytest.mark.parametrize("full", [True, False])
 @pytest.mark.parametrize("bs", [1, 2, 3])
-def test_graph_is_that_of_the_blocks(bs, full):
-    """With full blocks, which are read off their first rows, and with others."""
+@with_and_without
+def test_graph_is_that_of_the_blocks(code, bs, full):
+    """With full blocks, and with others."""
     rng = np.random.default_rng(bs)
     blocks = scipy.sparse.random_array((30, 30), density=0.1, rng=rng)
     K = scipy.sparse.kron(blocks, np.ones((bs, bs))).tocsr()
@@ -110,7 +119,7 @@ def test_graph_is_that_of_the_blocks(bs, full):
         K.eliminate_zeros()
     csr = (K.indptr.astype(PETSc.IntType), K.indices.astype(PETSc.IntType), K.data)
     matrix = PETSc.Mat().createAIJ(K.shape, bsize=bs, csr=csr, comm=PETSc.COMM_SELF)
-    graph = block_graph(matrix)
+    graph = block_graph(matrix, code)
     matrix.destroy()
     expected = np.abs(K.toarray()).reshape(30, bs, 30, bs).sum(axis=(1, 3)) > 0.0
     agree(np.array_equal(graph.toarray() != 0, expected))

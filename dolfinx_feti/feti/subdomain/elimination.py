@@ -27,7 +27,6 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.collective import reason, warn
 from dolfinx_feti.feti.subdomain.blocks import index_set, named, sparse_block
 from dolfinx_feti.feti.subdomain.dense import DenseFactors, pack
 from dolfinx_feti.feti.subdomain.direct import Choice
@@ -35,6 +34,7 @@ from dolfinx_feti.feti.subdomain.factors import BlockFactors
 from dolfinx_feti.feti.subdomain.fronts import FrontCode, load_fronts
 from dolfinx_feti.feti.subdomain.interior import InteriorFactors
 from dolfinx_feti.feti.subdomain.schur import partial_factorisation_is_there, schur_complement
+from dolfinx_feti.petsc_library import rows_of
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Elimination", "create_elimination"]
@@ -186,12 +186,13 @@ class FrontElimination(Elimination):
 
     def schur_complements(self) -> Iterator[Array]:
         work: Array = np.zeros(0)
-        for i, Γ in enumerate(self.on_interface):
-            with named(self._torn.first + i):
-                S, work = self.factors.schur_complement(i, Γ, self._code, work)
-                if S is None:
-                    S = self._pivoted.schur_complement(i)
-            yield S
+        with rows_of(self._torn.K) as K:
+            for i, Γ in enumerate(self.on_interface):
+                with named(self._torn.first + i):
+                    S, work = self.factors.schur_complement(i, K, Γ, self._code, work)
+                    if S is None:
+                        S = self._pivoted.schur_complement(i)
+                yield S
 
 
 def create_elimination(
@@ -225,16 +226,7 @@ def _front_code(choice: Choice, comm: MPI.Comm) -> FrontCode | None:
     options = PETSc.Options(choice.prefix)
     if options.hasName("pc_factor_mat_solver_type") or options.hasName("pc_type"):
         return None
-    try:
-        return load_fronts(comm)
-    except Exception as error:
-        warn(
-            f"The code for Schur complements cannot be compiled ({reason(error)}): MUMPS forms "
-            "them, which takes twice as long. Check the C compiler that FFCx uses, and that "
-            "XDG_CACHE_HOME can be written.",
-            comm,
-        )
-        return None
+    return load_fronts(comm)
 
 
 def _others(n: int, chosen: Indices) -> Indices:

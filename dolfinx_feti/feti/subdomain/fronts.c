@@ -60,27 +60,6 @@ void fronts_free(fronts *t)
 
 // --- analysis -----------------------------------------------------------------------------------
 
-// The graph of the nodes, groups of consecutive dofs: two are coupled if any of their dofs are.
-// ptr has room for m + 1, adjacent for as many as K has entries, mark for m. Returns the number of
-// entries.
-int fronts_graph(int n, const int *indptr, const int *indices, const int *node, int m, int *ptr,
-                 int *adjacent, int *mark)
-{
-    int entries = 0, v = -1;
-    for (int i = 0; i < m; ++i) mark[i] = -1;
-    for (int i = 0; i < n; ++i) {
-        if (node[i] != v) ptr[v = node[i]] = entries;
-        for (int e = indptr[i]; e < indptr[i + 1]; ++e) {
-            int w = node[indices[e]];
-            if (mark[w] == v) continue;
-            mark[w] = v;
-            adjacent[entries++] = w;
-        }
-    }
-    ptr[m] = entries;
-    return entries;
-}
-
 // Seconds that a front of p pivots and b border rows takes: calls, sums of entries, flops.
 static double seconds(double p, double b)
 {
@@ -295,20 +274,21 @@ fronts *fronts_analyse(int m, const int *size, const int *ptr, const int *adjace
 // Where entry (i, j) of the lower triangle of order n stands in packed format
 static int64_t packed(int64_t n, int64_t i, int64_t j) { return j * n - j * (j + 1) / 2 + i; }
 
-// Factor K, (n, n), given row by row with both triangles. L takes the rows of U and of W inside
-// the interior; S, its packed lower triangle, comes as zeros. work has room for f->work, place,
+// Factor K, (n, n): the rows of a matrix that are named, and the columns with a number that is not
+// negative, both triangles. L takes the rows of U and of W inside the interior; S, its packed lower
+// triangle, comes as zeros. work has room for f->work, place,
 // dof and at for n, waiting for count. Returns 0, or the rank + 1 of a pivot that is not positive.
-int fronts_factor(const fronts *f, const int *indptr, const int *indices, const double *values,
-                  double *L, double *S, double *work, int *place, int *dof, int *at, int *waiting,
-                  const dense *blas)
+int fronts_factor(const fronts *f, const int *rows, const int *indptr, const int *indices,
+                  const int *number, const double *values, double *L, double *S, double *work,
+                  int *place, int *dof, int *at, int *waiting, const dense *blas)
 {
     const int n_Gamma = f->n - f->n_I;
     double *top = work, one = 1.0, minus = -1.0;
     int depth = 0;
     for (int i = 0; i < f->n; ++i) dof[f->rank[i]] = i;
     for (int r = f->n_I; r < f->n; ++r) // K_ΓΓ
-        for (int e = indptr[dof[r]]; e < indptr[dof[r] + 1]; ++e) {
-            int s = f->rank[indices[e]];
+        for (int row = rows[dof[r]], e = indptr[row]; e < indptr[row + 1]; ++e) {
+            int j = number[indices[e]], s = j < 0 ? -1 : f->rank[j];
             if (s >= r) S[packed(n_Gamma, s - f->n_I, r - f->n_I)] += values[e];
         }
     for (int i = 0; i < f->count; ++i) {
@@ -320,16 +300,16 @@ int fronts_factor(const fronts *f, const int *indptr, const int *indices, const 
         for (int j = 0; j < p; ++j) place[first + j] = j;
         for (int j = 0; j < b; ++j) place[border[j]] = p + j;
         for (int r = first; r < last; ++r) // K
-            for (int e = indptr[dof[r]]; e < indptr[dof[r] + 1]; ++e) {
-                int s = f->rank[indices[e]];
+            for (int row = rows[dof[r]], e = indptr[row]; e < indptr[row + 1]; ++e) {
+                int j = number[indices[e]], s = j < 0 ? -1 : f->rank[j];
                 if (s >= r) P[r - first + (int64_t)p * place[s]] += values[e];
             }
         double *child = top;
         for (int c = 0; c < f->children[i]; ++c) { // what the children left
             const int k = waiting[--depth], w = f->start[k + 1] - f->start[k];
-            const int *rows = f->rows + f->start[k];
+            const int *late = f->rows + f->start[k];
             child -= (int64_t)w * w;
-            for (int j = 0; j < w; ++j) at[j] = place[rows[j]];
+            for (int j = 0; j < w; ++j) at[j] = place[late[j]];
             for (int j = 0; j < w; ++j) {
                 const double *restrict column = child + (int64_t)w * j;
                 if (at[j] < p) {

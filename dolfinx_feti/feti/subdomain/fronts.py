@@ -35,8 +35,10 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.connectivity import coupled_nodes, load_graph_code
 from dolfinx_feti.feti.subdomain.blocks import index_set
-from dolfinx_feti.native import address_of, load, pointer
+from dolfinx_feti.native import address_of, load_or_do_without, pointer
+from dolfinx_feti.petsc_library import Rows
 
 __all__ = ["FrontCode", "Fronts", "load_fronts"]
 
@@ -56,10 +58,10 @@ typedef struct {
     ...;
 } fronts;
 typedef struct { ...; } dense;
-int fronts_graph(int, const int *, const int *, const int *, int, int *, int *, int *);
 fronts *fronts_analyse(int, const int *, const int *, const int *, int, const int *);
-int fronts_factor(const fronts *, const int *, const int *, const double *, double *, double *,
-                  double *, int *, int *, int *, int *, const dense *);
+int fronts_factor(const fronts *, const int *, const int *, const int *, const int *,
+                  const double *, double *, double *, double *, int *, int *, int *, int *,
+                  const dense *);
 void fronts_solve(const fronts *, const double *, int, double *, double *, const dense *);
 void fronts_free(fronts *);
 """
@@ -68,8 +70,9 @@ void fronts_free(fronts *);
 class FrontCode:
     """The compiled code, with the routines of BLAS and LAPACK that it calls."""
 
-    def __init__(self, module: Any) -> None:
+    def __init__(self, module: Any, graph: Any) -> None:
         self.module = module
+        self.graph = graph
         self.lib = module.lib
         self._routines = module.ffi.new("intptr_t[]", [address_of(name) for name in ROUTINES])
         self.blas = module.ffi.cast("dense *", self._routines)
@@ -79,19 +82,11 @@ class FrontCode:
         return pointer(self.module, array)
 
 
-def load_fronts(comm: MPI.Comm) -> FrontCode:
-    """Load the code, which is compiled at first use.
-
-    Args:
-        comm: Communicator of all processes that need it.
-
-    Raises:
-        Exception: It cannot be compiled or loaded, on all processes.
-
-    Note:
-        Collective.
-    """
-    return FrontCode(load(Path(__file__).with_name("fronts.c"), DECLARATIONS, comm))
+def load_fronts(comm: MPI.Comm) -> FrontCode | None:
+    """Load the code, which is compiled at first use; None if it cannot be compiled. Collective."""
+    graph = load_graph_code(comm)
+    module = load_or_do_without(Path(__file__).with_name("fronts.c"), DECLARATIONS, comm)
+    return None if graph is None or module is None else FrontCode(module, graph)
 
 
 class Fronts:
@@ -102,16 +97,26 @@ class Fronts:
         work: Entries of the work space of :meth:`factor`.
     """
 
-    def __init__(self, code: FrontCode, K: PETSc.Mat, blocks: Indices, interface: Indices) -> None:
+    def __init__(
+        self,
+        code: FrontCode,
+        K: Rows,
+        rows: Indices,
+        number: Indices,
+        bs: int,
+        interface: Indices,
+    ) -> None:
         """Find the fronts.
 
         Args:
             code: What :func:`load_fronts` returns.
-            K: Sequential matrix with both triangles, (n, n); its pattern counts.
-            blocks: Number of the block, or node, that each row belongs to, ascending, (n,).
-            interface: Rows of Γ, ascending.
+            K: Symmetric matrix that holds that of the subdomain, with both triangles, (N, N).
+            rows: Rows of the subdomain, ascending, (n,).
+            number: For each column its place among these rows, or a negative number, (N,).
+            bs: Size of the blocks, or nodes, that consecutive rows of K belong to.
+            interface: Which of the rows are Γ, ascending.
         """
-        n = K.getSize()[0]
+        n, blocks = len(rows), rows // bs
         glued = np.zeros(n, dtype=bool)
         glued[interface] = True
         new = np.ones(n, dtype=bool)
@@ -119,28 +124,26 @@ class Fronts:
         node = np.cumsum(new, dtype=np.int32) - 1
         size = np.bincount(node).astype(np.int32)
         self._code = code
+        self._rows, self._number = rows, number
         self._n_Γ = len(interface)
-        self._fronts = self._analyse(K, node, size, np.flatnonzero(~glued[new]).astype(np.int32))
+        graph = coupled_nodes(code.graph, K, rows, number, node, len(size))
+        self._fronts = self._analyse(graph, size, np.flatnonzero(~glued[new]).astype(np.int32))
         rank = np.frombuffer(code.module.ffi.buffer(self._fronts.rank, 4 * n), dtype=np.int32)
         self._rank = rank[~glued].copy()  # of the dofs of the interior, ascending
         self._factor = np.zeros(0)
         self.factored = False
         self.work = int(self._fronts.work)
 
-    def _analyse(self, K: PETSc.Mat, node: Indices, size: Indices, interior: Indices) -> Any:
+    def _analyse(self, graph: tuple[Indices, Indices], size: Indices, interior: Indices) -> Any:
         """Try all orderings of the nodes of the interior, and return the best fronts."""
-        code, m = self._code, len(size)
-        indptr, indices, _ = _csr(K)
-        ptr, mark = np.empty(m + 1, dtype=np.int32), np.empty(m, dtype=np.int32)
-        adjacent = np.empty(len(indices), dtype=np.int32)
-        to = code.to
-        code.lib.fronts_graph(
-            len(node), to(indptr), to(indices), to(node), m, to(ptr), to(adjacent), to(mark)
-        )
-        best = None
-        for order in _orders(ptr, adjacent[: ptr[-1]], interior):
+        code, best = self._code, None
+        for order in _orders(*graph, interior):
             found = code.lib.fronts_analyse(
-                m, to(size), to(ptr), to(adjacent), len(interior), to(order)
+                len(size),
+                code.to(size),
+                *map(code.to, graph),
+                len(interior),
+                code.to(order),
             )
             if found == code.module.ffi.NULL:
                 raise MemoryError("no memory for the analysis of a subdomain")
@@ -149,32 +152,33 @@ class Fronts:
                 best = found
         return best
 
-    def factor(self, K: PETSc.Mat, work: Array) -> Array | None:
+    def factor(self, K: Rows, work: Array) -> Array | None:
         """Factor K_II and form S.
 
         Args:
-            K: Matrix of the same pattern, (n, n).
+            K: Matrix of the same pattern, (N, N).
             work: Work space, (at least ``work``,).
 
         Returns:
             S in packed format, (n_Γ (n_Γ + 1) / 2,), see ``dense``; None if K_II is not positive
             definite, or has NaN.
         """
-        to, n = self._code.to, K.getSize()[0]
-        indptr, indices, values = _csr(K)
+        to, n = self._code.to, len(self._rows)
         if not len(self._factor):
             self._factor = np.empty(int(self._fronts.factor[self._fronts.count]))
         S = np.zeros(self._n_Γ * (self._n_Γ + 1) // 2)
         places = [np.empty(n + 1, dtype=np.int32) for _ in range(4)]
         failed = self._code.lib.fronts_factor(
             self._fronts,
-            to(indptr),
-            to(indices),
-            to(values),
+            to(self._rows),
+            to(K.indptr),
+            to(K.indices),
+            to(self._number),
+            to(K.values),
             to(self._factor),
             to(S),
             to(work),
-            *map(to, places),
+            *(to(place) for place in places),
             self._code.blas,
         )
         self.factored = not failed
@@ -201,12 +205,6 @@ class Fronts:
     def memory(self) -> float:
         """Return the memory of the factor in MiB."""
         return self._factor.nbytes / 2**20
-
-
-def _csr(K: PETSc.Mat) -> tuple[Indices, Indices, Array]:
-    """Return K row by row, with 32-bit integers."""
-    indptr, indices, values = K.getValuesCSR()
-    return indptr.astype(np.int32, copy=False), indices.astype(np.int32, copy=False), values
 
 
 def _orders(ptr: Indices, adjacent: Indices, interior: Indices) -> list[Indices]:

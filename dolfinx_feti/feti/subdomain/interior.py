@@ -15,10 +15,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.feti.subdomain.blocks import index_set
 from dolfinx_feti.feti.subdomain.direct import Pivots
 from dolfinx_feti.feti.subdomain.factors import BlockFactors
 from dolfinx_feti.feti.subdomain.fronts import FrontCode, Fronts
+from dolfinx_feti.petsc_library import Rows
 from dolfinx_feti.torn import Torn
 
 __all__ = ["InteriorFactors"]
@@ -46,15 +46,19 @@ class InteriorFactors:
         self._free = free
         self._pivoted = pivoted
         self._fronts: list[Fronts | None] = [None] * len(free)
+        self._number = np.full(torn.n, -1, dtype=np.int32)
+        for rows in free:
+            self._number[rows] = np.arange(len(rows))
         self.rows = pivoted.rows
 
     def schur_complement(
-        self, i: int, interface: Indices, code: FrontCode, work: Array
+        self, i: int, K: Rows, interface: Indices, code: FrontCode, work: Array
     ) -> tuple[Array | None, Array]:
         """Factor K_II of subdomain i by fronts, and form S.
 
         Args:
             i: Number of the subdomain.
+            K: The torn matrix, row by row.
             interface: Which of its free dofs are Γ, ascending.
             code: What ``load_fronts`` returns.
             work: Work space of an earlier call, (any,).
@@ -62,18 +66,14 @@ class InteriorFactors:
         Returns:
             S in packed format, None if K_II is not positive definite; the work space.
         """
-        rows = index_set(self._free[i])
-        K = self._torn.K.createSubMatrix(rows, rows)
-        rows.destroy()
         fronts = self._fronts[i]
         if fronts is None:
-            blocks = self._free[i] // self._torn.K.getBlockSize()
-            fronts = self._fronts[i] = Fronts(code, K, blocks, interface)
+            bs = self._torn.K.getBlockSize()
+            fronts = Fronts(code, K, self._free[i], self._number, bs, interface)
+            self._fronts[i] = fronts
         if len(work) < fronts.work:
             work = np.empty(fronts.work)
-        S = fronts.factor(K, work)
-        K.destroy()
-        return S, work
+        return fronts.factor(K, work), work
 
     def update_block(
         self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: Array | None = None

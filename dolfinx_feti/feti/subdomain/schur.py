@@ -15,7 +15,7 @@ the factor of :math:`K_{II}` together, and its analysis takes a tenth of the tim
 from __future__ import annotations
 
 import ctypes
-import functools
+from typing import Any
 
 from petsc4py import PETSc
 
@@ -26,6 +26,7 @@ from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain.blocks import index_set
 from dolfinx_feti.feti.subdomain.dense import pack
 from dolfinx_feti.feti.subdomain.direct import Choice, create_factor, takes_ldlt
+from dolfinx_feti.petsc_library import function
 
 __all__ = ["partial_factorisation_is_there", "schur_complement"]
 
@@ -34,11 +35,11 @@ Indices = npt.NDArray[np.int32]
 
 _Handle = ctypes.c_void_p
 _SIGNATURES = {
-    "MatFactorSetSchurIS": [_Handle, _Handle],
-    "MatFactorGetSchurComplement": [_Handle, ctypes.POINTER(_Handle), ctypes.POINTER(ctypes.c_int)],
-    "MatFactorRestoreSchurComplement": [_Handle, ctypes.POINTER(_Handle), ctypes.c_int],
-    "MatDenseGetArrayRead": [_Handle, ctypes.POINTER(ctypes.POINTER(ctypes.c_double))],
-    "MatDenseRestoreArrayRead": [_Handle, ctypes.POINTER(ctypes.POINTER(ctypes.c_double))],
+    "MatFactorSetSchurIS": (_Handle, _Handle),
+    "MatFactorGetSchurComplement": (_Handle, ctypes.POINTER(_Handle), ctypes.POINTER(ctypes.c_int)),
+    "MatFactorRestoreSchurComplement": (_Handle, ctypes.POINTER(_Handle), ctypes.c_int),
+    "MatDenseGetArrayRead": (_Handle, ctypes.POINTER(ctypes.POINTER(ctypes.c_double))),
+    "MatDenseRestoreArrayRead": (_Handle, ctypes.POINTER(ctypes.POINTER(ctypes.c_double))),
 }
 
 
@@ -77,17 +78,10 @@ def schur_complement(K: PETSc.Mat, interface: Indices, choice: Choice) -> Array:
     return result
 
 
-@functools.cache
-def _functions() -> dict[str, ctypes._NamedFuncPointer]:
+def _functions() -> dict[str, Any]:
     """Look the functions up; empty if one is missing."""
-    try:
-        library = ctypes.CDLL(PETSc.__file__)
-        functions = {name: getattr(library, name) for name in _SIGNATURES}
-    except (AttributeError, OSError):
-        return {}
-    for name, signature in _SIGNATURES.items():
-        functions[name].argtypes, functions[name].restype = signature, ctypes.c_int
-    return functions
+    found = {name: function(name, arguments) for name, arguments in _SIGNATURES.items()}
+    return {} if None in found.values() else found
 
 
 def _call(name: str, *arguments: object) -> None:

@@ -14,9 +14,11 @@ import pytest
 import scipy.sparse
 from collective import COMM, agree, equal
 
+from dolfinx_feti import native
 from dolfinx_feti.feti.subdomain import elimination
 from dolfinx_feti.feti.subdomain.dense import pack
 from dolfinx_feti.feti.subdomain.fronts import Fronts, load_fronts
+from dolfinx_feti.petsc_library import rows_of
 
 EPS = np.finfo(np.float64).eps
 ROUNDING = 100.0  # multiples of eps cond(K_II) that a solution may be off
@@ -44,11 +46,15 @@ def petsc_matrix(K):
     return PETSc.Mat().createAIJ(K.shape, csr=csr, comm=PETSc.COMM_SELF)
 
 
-def factored(K, Γ, bs):
-    """Return the fronts, and S, of a sparse matrix."""
+def factored(K, Γ, bs, rows=None):
+    """Return the fronts, and S, of a sparse matrix, or of some of its rows."""
+    rows = np.arange(K.shape[0], dtype=np.int32) if rows is None else rows
+    number = np.full(K.shape[0], -1, dtype=np.int32)
+    number[rows] = np.arange(len(rows))
     matrix = petsc_matrix(K)
-    found = Fronts(load_fronts(COMM), matrix, np.arange(K.shape[0], dtype=np.int32) // bs, Γ)
-    S = found.factor(matrix, np.empty(found.work))
+    with rows_of(matrix) as of_K:
+        found = Fronts(load_fronts(COMM), of_K, rows, number, bs, Γ)
+        S = found.factor(of_K, np.empty(found.work))
     matrix.destroy()
     return found, S
 
@@ -88,12 +94,8 @@ def test_interface_that_cuts_nodes(bs):
     rng = np.random.default_rng(bs)
     free = np.sort(rng.permutation(K.shape[0])[:-40])
     Γ = np.sort(rng.permutation(len(free))[:60]).astype(np.int32)
-    K = K[free][:, free]
-    matrix = petsc_matrix(K)
-    found = Fronts(load_fronts(COMM), matrix, (free // bs).astype(np.int32), Γ)
-    S = found.factor(matrix, np.empty(found.work))
-    matrix.destroy()
-    _, K_II, K_IΓ, K_ΓΓ = parts(K, Γ)
+    _, S = factored(K, Γ, bs, free.astype(np.int32))
+    _, K_II, K_IΓ, K_ΓΓ = parts(K[free][:, free], Γ)
     equal(
         S, pack(K_ΓΓ - K_IΓ.T @ np.linalg.solve(K_II, K_IΓ)), ROUNDING * EPS * np.linalg.cond(K_II)
     )
@@ -122,15 +124,13 @@ def test_random_patterns():
 def test_values_of_another_matrix():
     """The analysis serves all matrices of a pattern; the last one counts."""
     K, Γ = grid((6, 5, 4), 3)
-    matrix = petsc_matrix(K)
-    found = Fronts(load_fronts(COMM), matrix, np.arange(K.shape[0], dtype=np.int32) // 3, Γ)
-    work = np.empty(found.work)
-    S = found.factor(matrix, work)
-    matrix.scale(4.0)
-    equal(found.factor(matrix, work), 4.0 * S, 10 * EPS)
+    found, S = factored(K, Γ, 3)
+    matrix = petsc_matrix(4.0 * K)
+    with rows_of(matrix) as of_K:
+        equal(found.factor(of_K, np.empty(found.work)), 4.0 * S, 10 * EPS)
+    matrix.destroy()
     Y = np.ones((K.shape[0] - len(Γ), 1))
     equal(4.0 * parts(K, Γ)[1] @ found.solve(Y), Y, 1e-12)
-    matrix.destroy()
 
 
 @pytest.mark.parametrize("wrong", ["negative", "zero", "nan"])
@@ -192,7 +192,7 @@ def test_without_a_compiler(torn_grid, parts, monkeypatch, caplog):
         raise OSError("no compiler here")
 
     monkeypatch.setattr(elimination, "SMALL", -1)
-    monkeypatch.setattr(elimination, "load_fronts", fails)
+    monkeypatch.setattr(native, "load", fails)
     with caplog.at_level(logging.WARNING, logger="dolfinx_feti"):
         system = parts(torn_grid((2, 2), (4, 3)).A, type="all_floating", interior="eliminate")
     agree(isinstance(system.matrices._elimination, elimination.PartialElimination))

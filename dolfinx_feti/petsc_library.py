@@ -1,0 +1,90 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Functions of PETSc that petsc4py does not wrap, looked up in the library that it has loaded."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Rows", "function", "rows_of"]
+
+_Handle, _Number = ctypes.c_void_p, ctypes.c_int
+_Numbers, _Doubles = ctypes.POINTER(ctypes.c_int), ctypes.POINTER(ctypes.c_double)
+_ROWS = (
+    _Handle, _Number, _Number, _Number, _Numbers,
+    ctypes.POINTER(_Numbers), ctypes.POINTER(_Numbers), _Numbers,
+)  # fmt: skip
+_READ = (_Handle, ctypes.POINTER(_Doubles))
+
+
+class Rows(NamedTuple):
+    """A sparse matrix row by row.
+
+    Attributes:
+        indptr: Where each row begins, (n + 1,).
+        indices: Columns, (entries,).
+        values: Entries, (entries,).
+    """
+
+    indptr: npt.NDArray[np.int32]
+    indices: npt.NDArray[np.int32]
+    values: npt.NDArray[np.float64]
+
+
+@functools.cache
+def function(name: str, arguments: tuple[Any, ...]) -> Any:
+    """Look a function up that returns an error code.
+
+    Args:
+        name: Its name.
+        arguments: The types of its arguments, of ctypes.
+
+    Returns:
+        The function; None if the library does not have it.
+    """
+    try:
+        found = getattr(ctypes.CDLL(PETSc.__file__), name)
+    except (AttributeError, OSError):
+        return None
+    found.argtypes, found.restype = list(arguments), ctypes.c_int
+    return found
+
+
+@contextmanager
+def rows_of(K: PETSc.Mat) -> Iterator[Rows]:
+    """Yield the arrays of a sequential AIJ matrix, which are its own where that is possible.
+
+    Args:
+        K: The matrix; it stays as it is as long as the arrays are in use.
+    """
+    rows, restore_rows = function("MatGetRowIJ", _ROWS), function("MatRestoreRowIJ", _ROWS)
+    array = function("MatSeqAIJGetArrayRead", _READ)
+    restore_array = function("MatSeqAIJRestoreArrayRead", _READ)
+    n = K.getSize()[0]
+    there = rows and restore_rows and array and restore_array
+    if n == 0 or PETSc.IntType().itemsize != 4 or not there:
+        indptr, indices, values = K.getValuesCSR()
+        yield Rows(indptr.astype(np.int32), indices.astype(np.int32), values)
+        return
+    size, done = ctypes.c_int(), ctypes.c_int()
+    i, j, a = _Numbers(), _Numbers(), _Doubles()
+    pattern = (K.handle, 0, 0, 0, *map(ctypes.byref, (size, i, j, done)))
+    if rows(*pattern) or not done.value or array(K.handle, ctypes.byref(a)):
+        raise RuntimeError("PETSc does not hand out the rows of a matrix; it has to be SeqAIJ")
+    try:
+        indptr = np.ctypeslib.as_array(i, (n + 1,))
+        entries = (max(1, int(indptr[-1])),)
+        yield Rows(indptr, np.ctypeslib.as_array(j, entries), np.ctypeslib.as_array(a, entries))
+    finally:
+        restore_array(K.handle, ctypes.byref(a))
+        restore_rows(*pattern)
