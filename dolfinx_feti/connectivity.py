@@ -91,7 +91,7 @@ def block_graph(K: PETSc.Mat, code: Any | None) -> scipy.sparse.csr_array:
             indptr, indices = coupled_nodes(code, of_K, rows, rows, rows // bs, m)
         else:
             there = np.ones(of_K.indptr[-1], dtype=bool)
-            entries = (there, of_K.indices[: len(there)], of_K.indptr)
+            entries = (there, of_K.indices, of_K.indptr)
             blocks = scipy.sparse.csr_array(entries, (n, n)).tobsr((bs, bs))
             indptr, indices = blocks.indptr, blocks.indices
     return scipy.sparse.csr_array((np.ones(len(indices), dtype=bool), indices, indptr), (m, m))

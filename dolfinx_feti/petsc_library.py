@@ -66,6 +66,9 @@ def rows_of(K: PETSc.Mat) -> Iterator[Rows]:
 
     Args:
         K: The matrix; it stays as it is as long as the arrays are in use.
+
+    Raises:
+        RuntimeError: The matrix is not SeqAIJ.
     """
     rows, restore_rows = function("MatGetRowIJ", _ROWS), function("MatRestoreRowIJ", _ROWS)
     array = function("MatSeqAIJGetArrayRead", _READ)
@@ -83,8 +86,11 @@ def rows_of(K: PETSc.Mat) -> Iterator[Rows]:
         raise RuntimeError("PETSc does not hand out the rows of a matrix; it has to be SeqAIJ")
     try:
         indptr = np.ctypeslib.as_array(i, (n + 1,))
-        entries = (max(1, int(indptr[-1])),)
-        yield Rows(indptr, np.ctypeslib.as_array(j, entries), np.ctypeslib.as_array(a, entries))
+        if indptr[-1] == 0:
+            yield Rows(indptr, np.zeros(0, dtype=np.int32), np.zeros(0))
+        else:
+            shape = (int(indptr[-1]),)
+            yield Rows(indptr, np.ctypeslib.as_array(j, shape), np.ctypeslib.as_array(a, shape))
     finally:
         restore_array(K.handle, ctypes.byref(a))
         restore_rows(*pattern)

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from collective import agree
+from collective import agree, raises
 
 from dolfinx_feti import petsc_library
 from dolfinx_feti.petsc_library import function, rows_of
@@ -47,6 +47,23 @@ def test_rows_of_nothing():
     K = small_matrix(0)
     with rows_of(K) as rows:
         agree(len(rows.values) == 0)
+    K.destroy()
+
+
+def test_rows_without_entries():
+    K = PETSc.Mat().createAIJ((2, 2), nnz=0, comm=PETSc.COMM_SELF)
+    K.assemble()
+    with rows_of(K) as rows:
+        agree(rows.indptr.tolist() == [0, 0, 0] and len(rows.indices) == len(rows.values) == 0)
+    K.destroy()
+
+
+def test_a_matrix_of_another_type():
+    K = PETSc.Mat().createDense((2, 2), comm=PETSc.COMM_SELF)
+    K.setUp()
+    K.assemble()
+    with raises(RuntimeError, "SeqAIJ"), rows_of(K):
+        pass
     K.destroy()
 
 
