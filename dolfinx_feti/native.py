@@ -34,6 +34,7 @@ from dolfinx_feti.collective import on_all, on_first, reason, warn
 __all__ = ["address_of", "load", "load_or_do_without", "pointer"]
 
 _loaded: dict[str, ModuleType] = {}
+_failed: set[Path] = set()
 
 
 def load(source: Path, declarations: str, comm: MPI.Comm) -> Any:
@@ -68,10 +69,19 @@ def load(source: Path, declarations: str, comm: MPI.Comm) -> Any:
 
 
 def load_or_do_without(source: Path, declarations: str, comm: MPI.Comm) -> Any | None:
-    """Load a file as :func:`load` does, or warn and return None, on all processes. Collective."""
+    """Load a file as :func:`load` does, or warn and return None, on all processes.
+
+    A file that has failed is not tried again, and warned of once.
+
+    Note:
+        Collective.
+    """
+    if source in _failed:
+        return None
     try:
         return load(source, declarations, comm)
     except Exception as error:
+        _failed.add(source)
         warn(
             f"{source.name} cannot be compiled ({reason(error)}): the package does without it, and "
             "takes longer. Check the C compiler that FFCx uses, and that XDG_CACHE_HOME can be "

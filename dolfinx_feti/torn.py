@@ -46,6 +46,7 @@ from dolfinx_feti.connectivity import (
     is_symmetric,
     load_graph_code,
 )
+from dolfinx_feti.petsc_library import rows_of
 
 __all__ = [
     "Torn",
@@ -234,10 +235,11 @@ class Torn:
         Yields:
             ``K[rows_i, rows_i]``, (n_i, n_i).
         """
-        indptr, indices, values = self.K.getValuesCSR()
-        K = scipy.sparse.csr_array((values, indices, indptr), shape=(self.n, self.n))
         order = np.concatenate([*rows, np.zeros(0, dtype=np.int32)])
-        K = K[order][:, order]  # block-diagonal, one block after the other
+        with rows_of(self.K) as of_K:
+            entries = (of_K.values, of_K.indices, of_K.indptr)
+            K = scipy.sparse.csr_array(entries, shape=(self.n, self.n))[order]
+        K = K[:, order]  # block-diagonal, one block after the other
         first = 0
         for rows_i in rows:
             last = first + len(rows_i)

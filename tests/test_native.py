@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import ctypes
+import logging
 
 import numpy as np
 from collective import COMM, agree, raises
@@ -46,15 +47,33 @@ def test_code_that_does_not_compile(tmp_path, monkeypatch):
     if COMM.rank == 0:
         source.write_text("void wrong(int n) { no C; }", encoding="utf-8")
     COMM.barrier()
-    with raises(Exception, "wrong|command|compil"):
+    with raises(native.cffi.VerificationError, "CompileError"):
         native.load(source, "void wrong(int);", COMM)
+
+
+def test_done_without(tmp_path, monkeypatch, caplog):
+    """A file that cannot be compiled is warned of once, with the remedy, and not tried again."""
+    tried = []
+
+    def fails(*_):
+        tried.append(1)
+        raise OSError("no compiler here")
+
+    monkeypatch.setattr(native, "load", fails)
+    monkeypatch.setattr(native, "_failed", set())
+    with caplog.at_level(logging.WARNING, logger="dolfinx_feti"):
+        for _ in range(3):
+            agree(native.load_or_do_without(tmp_path / "any.c", "", COMM) is None)
+    agree(len(tried) == 1)
+    agree(
+        COMM.rank > 0 or [r.getMessage().count("no compiler here") for r in caplog.records] == [1]
+    )
+    agree(COMM.rank > 0 or "XDG_CACHE_HOME" in caplog.text)
 
 
 def test_addresses_of_blas_and_lapack():
     """A function found by name does what it should."""
-    kind = ctypes.CFUNCTYPE(
-        ctypes.c_double, *[ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p] * 1
-    )
+    kind = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
     dnrm2 = kind(native.address_of("dnrm2"))
     x = np.array([3.0, 4.0])
     n, step = ctypes.c_int(2), ctypes.c_int(1)

@@ -223,7 +223,7 @@ class _Block:
         return X
 
     def _invert(self, shift: Array | None, work: Array) -> Array:
-        X = self._regularised(shift, work)
+        X = np.tril(self._regularised(shift, work))
         root = np.sqrt(np.abs(X.diagonal()))
         root[root == 0.0] = root.max() or 1.0
         values, V = np.linalg.eigh(X / root[:, None] / root, UPLO="L")

@@ -170,19 +170,22 @@ class FrontElimination(Elimination):
     factors: InteriorFactors
 
     def __init__(
-        self,
-        torn: Torn,
-        free: list[Indices],
-        glued: npt.NDArray[np.bool_],
-        choice: Choice,
-        code: FrontCode,
+        self, torn: Torn, free: list[Indices], pivoted: ColumnElimination, code: FrontCode
     ) -> None:
-        super().__init__(torn, free, glued, choice)
-        partial = partial_factorisation_is_there(choice)
-        kind = PartialElimination if partial else ColumnElimination
-        self._pivoted = kind(torn, free, glued, choice)
+        """Prepare the fronts.
+
+        Args:
+            torn: The torn matrix, symmetric.
+            free: Free torn dofs of each subdomain.
+            pivoted: What eliminates a K_II that is not positive definite; destroyed with this.
+            code: What ``load_fronts`` returns.
+        """
+        self.interface, self.interior = pivoted.interface, pivoted.interior
+        self.on_interface = pivoted.on_interface
+        self.factors = InteriorFactors(torn, free, pivoted.factors)
+        self._torn = torn
+        self._pivoted = pivoted
         self._code = code
-        self.factors = InteriorFactors(torn, free, self._pivoted.factors)
 
     def schur_complements(self) -> Iterator[Array]:
         work: Array = np.zeros(0)
@@ -213,12 +216,10 @@ def create_elimination(
     largest = max((np.count_nonzero(~glued[rows]) for rows in free), default=0)
     if torn.comm.allreduce(largest, op=MPI.MAX) <= SMALL:
         return DenseElimination(torn, free, glued, choice)
+    partial = partial_factorisation_is_there(choice)
+    pivoted = (PartialElimination if partial else ColumnElimination)(torn, free, glued, choice)
     code = _front_code(choice, torn.comm)
-    if code is not None:
-        return FrontElimination(torn, free, glued, choice, code)
-    if partial_factorisation_is_there(choice):
-        return PartialElimination(torn, free, glued, choice)
-    return ColumnElimination(torn, free, glued, choice)
+    return pivoted if code is None else FrontElimination(torn, free, pivoted, code)
 
 
 def _front_code(choice: Choice, comm: MPI.Comm) -> FrontCode | None:

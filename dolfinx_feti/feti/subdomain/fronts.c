@@ -45,17 +45,11 @@ typedef struct {
     gemm *gemm;
 } dense;
 
-void fronts_free(fronts *t)
+void fronts_free(fronts *f)
 {
-    if (!t) return;
-    free(t->rank);
-    free(t->first);
-    free(t->start);
-    free(t->rows);
-    free(t->inside);
-    free(t->children);
-    free(t->factor);
-    free(t);
+    if (!f) return;
+    void *owned[] = {f->rank, f->first, f->start, f->rows, f->inside, f->children, f->factor, f};
+    for (size_t i = 0; i < sizeof(owned) / sizeof(owned[0]); ++i) free(owned[i]);
 }
 
 // --- analysis -----------------------------------------------------------------------------------
@@ -68,16 +62,217 @@ static double seconds(double p, double b)
 
 static int ascending(const void *a, const void *b) { return *(const int *)a - *(const int *)b; }
 
-// A tree: the parent of each, its last child, and the child of the same parent before it.
+// The nodes of an analysis. A node has a turn: that in the order of elimination, interface nodes
+// last. What follows is given by turns; up to m_I they are those of a forest.
 typedef struct {
-    int *parent, *last, *before;
-} family;
+    int m, m_I;      // nodes; those of the interior
+    const int *size; // dofs of each node, by its number
+    int *turn, *node; // the turn of each node, by its number, and back
+    int *mark;       // the last turn that has met this one
+    int *begin;      // where the structure, the later turns that it touches, begins in rows
+    int *pivots;     // dofs that are eliminated with it
+    int *border;     // dofs that they touch later
+    int *in;         // the turn that it has joined, or itself
+    int *parent;     // -1 for none
+    int *last;       // its last child, -1 for none
+    int *before;     // the child of the same parent before it, -1 for none
+    int *front;      // number of its front, if it has joined no other
+    int *dofs;       // first rank of its dofs
+    int *rows;       // all structures
+    int *pool;       // what the arrays above but rows stand in
+} forest;
 
-static void adopt(family *t, int parent, int child)
+static void adopt(forest *t, int parent, int child)
 {
     t->parent[child] = parent;
     t->before[child] = t->last[parent];
     t->last[parent] = child;
+}
+
+// Plant the nodes, with no children yet. Returns whether there is memory.
+static int plant(forest *t, int m, const int *size, int m_I, const int *order)
+{
+    int **arrays[] = {&t->turn,   &t->node, &t->mark,   &t->begin, &t->pivots, &t->border,
+                      &t->in,     &t->parent, &t->last, &t->before, &t->front, &t->dofs};
+    const int count = sizeof(arrays) / sizeof(arrays[0]);
+    int next = m_I;
+    t->m = m, t->m_I = m_I, t->size = size;
+    t->pool = malloc(count * (size_t)(m + 1) * sizeof(int));
+    if (!t->pool) return 0;
+    for (int i = 0; i < count; ++i) {
+        *arrays[i] = t->pool + i * (size_t)(m + 1);
+        for (int k = 0; k <= m; ++k) (*arrays[i])[k] = -1;
+    }
+    for (int k = 0; k < m_I; ++k) t->turn[order[k]] = k;
+    for (int v = 0; v < m; ++v) {
+        if (t->turn[v] < 0) t->turn[v] = next++;
+        t->node[t->turn[v]] = v;
+    }
+    return 1;
+}
+
+// The structure of each turn: later neighbours of its own and of its children. Its parent is the
+// first of them. Returns whether there is memory.
+static int find_structures(forest *t, const int *ptr, const int *adjacent)
+{
+    int64_t room = 64 * (int64_t)(t->m + 1), used = 0;
+    t->rows = malloc(room * sizeof(int));
+    if (!t->rows) return 0;
+    for (int k = 0; k < t->m_I; ++k) {
+        if (used + t->m > room) {
+            room = 2 * room + t->m;
+            int *more = realloc(t->rows, room * sizeof(int));
+            if (!more) return 0;
+            t->rows = more;
+        }
+        const int v = t->node[k];
+        int first = t->m_I;
+        t->begin[k] = (int)used;
+        for (int e = ptr[v]; e < ptr[v + 1]; ++e) {
+            int j = t->turn[adjacent[e]];
+            if (j <= k || t->mark[j] == k) continue;
+            t->mark[j] = k;
+            t->rows[used++] = j;
+        }
+        for (int c = t->last[k]; c >= 0; c = t->before[c])
+            for (int e = t->begin[c]; e < t->begin[c + 1]; ++e) {
+                int j = t->rows[e];
+                if (j <= k || t->mark[j] == k) continue;
+                t->mark[j] = k;
+                t->rows[used++] = j;
+            }
+        t->begin[k + 1] = (int)used;
+        t->pivots[k] = t->size[v];
+        t->border[k] = 0;
+        t->in[k] = k;
+        for (int e = t->begin[k]; e < used; ++e) {
+            if (t->rows[e] < first) first = t->rows[e];
+            t->border[k] += t->size[t->node[t->rows[e]]];
+        }
+        if (first < t->m_I) adopt(t, first, k);
+    }
+    return 1;
+}
+
+// A child joins its parent where that saves time: both have the parent's border then.
+static void merge(forest *t)
+{
+    for (int k = 0; k < t->m_I; ++k) {
+        int child = t->last[k];
+        t->last[k] = -1;
+        for (int before; child >= 0; child = before) {
+            before = t->before[child];
+            const int p = t->pivots[k] + t->pivots[child], b = t->border[k];
+            double apart = seconds(t->pivots[child], t->border[child]) + seconds(t->pivots[k], b);
+            if (seconds(p, b) > apart) {
+                adopt(t, k, child);
+                continue;
+            }
+            t->in[child] = k;
+            t->pivots[k] = p;
+            for (int c = t->last[child], then; c >= 0; c = then) {
+                then = t->before[c];
+                adopt(t, k, c);
+            }
+        }
+    }
+}
+
+// Number the fronts, children before parents; path has room for a way from a root to a leaf. The
+// children are lost on the way. Returns the number of fronts.
+static int number_fronts(forest *t, int *path)
+{
+    int count = 0;
+    for (int root = t->m_I - 1; root >= 0; --root) {
+        if (t->in[root] != root || t->parent[root] >= 0) continue;
+        int depth = 0;
+        path[0] = root;
+        while (depth >= 0) {
+            int k = path[depth], child = t->last[k];
+            if (child >= 0) {
+                t->last[k] = t->before[child];
+                path[++depth] = child;
+            } else {
+                t->front[k] = count++;
+                --depth;
+            }
+        }
+    }
+    return count;
+}
+
+// Sizes of the fronts. Returns whether there is memory.
+static int measure(const forest *t, fronts *f, int count)
+{
+    f->count = count;
+    f->first = calloc(count + 1, sizeof(int));
+    f->start = calloc(count + 1, sizeof(int));
+    f->inside = calloc(count + 1, sizeof(int));
+    f->children = calloc(count + 1, sizeof(int));
+    f->factor = calloc(count + 1, sizeof(int64_t));
+    if (!f->first || !f->start || !f->inside || !f->children || !f->factor) return 0;
+    for (int k = 0; k < t->m_I; ++k) {
+        if (t->in[k] != k) continue;
+        f->first[t->front[k] + 1] = t->pivots[k];
+        f->start[t->front[k] + 1] = t->border[k];
+        if (t->parent[k] >= 0) ++f->children[t->front[t->parent[k]]];
+    }
+    for (int i = 0; i < count; ++i) {
+        f->first[i + 1] += f->first[i];
+        f->start[i + 1] += f->start[i];
+    }
+    f->n_I = f->first[count];
+    for (int v = 0; v < t->m; ++v) f->n += t->size[v];
+    f->rows = malloc((f->start[count] + 1) * sizeof(int));
+    f->rank = malloc((f->n + 1) * sizeof(int));
+    return f->rows && f->rank;
+}
+
+// Ranks of the dofs, and the borders by ranks; given has room for count + 1.
+static void give_ranks(const forest *t, fronts *f, int *given)
+{
+    int next = f->n_I;
+    memcpy(given, f->first, (f->count + 1) * sizeof(int));
+    for (int k = 0; k < t->m; ++k) {
+        int top = k;
+        while (k < t->m_I && t->in[top] != top) top = t->in[top];
+        int *from = k < t->m_I ? given + t->front[top] : &next;
+        t->dofs[k] = *from;
+        *from += t->size[t->node[k]];
+    }
+    for (int v = 0, i = 0; v < t->m; ++v)
+        for (int j = 0; j < t->size[v]; ++j) f->rank[i++] = t->dofs[t->turn[v]] + j;
+    for (int k = 0; k < t->m_I; ++k) {
+        if (t->in[k] != k) continue;
+        int i = t->front[k], at = f->start[i];
+        for (int e = t->begin[k]; e < t->begin[k + 1]; ++e)
+            for (int j = 0; j < t->size[t->node[t->rows[e]]]; ++j)
+                f->rows[at++] = t->dofs[t->rows[e]] + j;
+        qsort(f->rows + f->start[i], at - f->start[i], sizeof(int), ascending);
+        for (int e = f->start[i]; e < at; ++e) f->inside[i] += f->rows[e] < f->n_I;
+    }
+}
+
+// Room for the factor, and for what waits on a stack for its parent; waiting has room for count.
+static void make_room(fronts *f, int *waiting)
+{
+    int64_t stack = 0;
+    int depth = 0;
+    for (int i = 0; i < f->count; ++i) {
+        int64_t p = f->first[i + 1] - f->first[i], b = f->start[i + 1] - f->start[i];
+        f->factor[i + 1] = f->factor[i] + p * (p + f->inside[i]);
+        f->seconds += seconds(p, b);
+        if (b > f->widest) f->widest = (int)b;
+        if (stack + p * (p + b) + b * b > f->work) f->work = stack + p * (p + b) + b * b;
+        for (int c = 0; c < f->children[i]; ++c) {
+            int64_t w = waiting[--depth];
+            stack -= w * w;
+        }
+        if (f->inside[i]) {
+            waiting[depth++] = (int)b;
+            stack += b * b;
+        }
+    }
 }
 
 // Find the fronts for m nodes of size[v] consecutive dofs, their graph, and the m_I nodes of the
@@ -85,188 +280,20 @@ static void adopt(family *t, int parent, int child)
 fronts *fronts_analyse(int m, const int *size, const int *ptr, const int *adjacent, int m_I,
                        const int *order)
 {
-    int *turn = malloc((m + 1) * sizeof(int));    // the turn of each node; interface nodes last
-    int *node = malloc((m + 1) * sizeof(int));    // and back
-    int *mark = malloc((m + 1) * sizeof(int));    // the last turn that has met a node
-    int *begin = malloc((m_I + 1) * sizeof(int)); // where the structure of a turn begins in rows
-    int *pivots = calloc(m_I + 1, sizeof(int));   // dofs that are eliminated together
-    int *border = calloc(m_I + 1, sizeof(int));   // dofs that they touch later
-    int *in = malloc((m_I + 1) * sizeof(int));    // the turn that a turn has joined, or itself
-    int *front = malloc((m_I + 1) * sizeof(int)); // number of the front
-    int *dofs = malloc((m + 1) * sizeof(int));    // first rank of the dofs
-    int *held = NULL;                             // ranks that are given, in each front
-    int *list = malloc((m_I + 1) * sizeof(int));
-    family t = {malloc((m_I + 1) * sizeof(int)), malloc((m_I + 1) * sizeof(int)),
-                malloc((m_I + 1) * sizeof(int))};
+    forest t = {0};
     fronts *f = calloc(1, sizeof(fronts));
-    int64_t room = 64 * (int64_t)m + 64, used = 0;
-    int *rows = malloc(room * sizeof(int));
-    int ok = turn && node && mark && begin && pivots && border && in && dofs && list && front
-             && t.parent && t.last && t.before && f && rows;
-
-    // 1. the structure of each turn: later neighbours of its own and of its children
-    if (ok) {
-        int next = m_I;
-        for (int v = 0; v < m; ++v) turn[v] = -1;
-        for (int k = 0; k < m_I; ++k) turn[order[k]] = k;
-        for (int v = 0; v < m; ++v) {
-            if (turn[v] < 0) turn[v] = next++;
-            node[turn[v]] = v;
-            mark[v] = -1;
-        }
-        for (int k = 0; k <= m_I; ++k) t.parent[k] = t.last[k] = t.before[k] = -1;
-    }
-    for (int k = 0; ok && k < m_I; ++k) {
-        if (used + m > room) {
-            room = 2 * room + m;
-            int *more = realloc(rows, room * sizeof(int));
-            if (!(ok = more != NULL)) break;
-            rows = more;
-        }
-        int v = node[k], parent = m_I;
-        begin[k] = (int)used;
-        mark[k] = k;
-        for (int e = ptr[v]; e < ptr[v + 1]; ++e) {
-            int j = turn[adjacent[e]];
-            if (j <= k || mark[j] == k) continue;
-            mark[j] = k;
-            rows[used++] = j;
-        }
-        for (int c = t.last[k]; c >= 0; c = t.before[c])
-            for (int e = begin[c]; e < begin[c + 1]; ++e) {
-                int j = rows[e];
-                if (mark[j] == k) continue;
-                mark[j] = k;
-                rows[used++] = j;
-            }
-        begin[k + 1] = (int)used;
-        for (int e = begin[k]; e < used; ++e) {
-            if (rows[e] < parent) parent = rows[e];
-            border[k] += size[node[rows[e]]];
-        }
-        pivots[k] = size[v];
-        in[k] = k;
-        if (parent < m_I) adopt(&t, parent, k);
-    }
-
-    // 2. a child joins its parent where that saves time: both have the parent's border then
-    for (int k = 0; ok && k < m_I; ++k) {
-        int children = t.last[k];
-        t.last[k] = -1;
-        for (int c = children, before; c >= 0; c = before) {
-            before = t.before[c];
-            double apart = seconds(pivots[c], border[c]) + seconds(pivots[k], border[k]);
-            if (seconds(pivots[c] + pivots[k], border[k]) > apart) {
-                adopt(&t, k, c);
-                continue;
-            }
-            in[c] = k;
-            pivots[k] += pivots[c];
-            for (int g = t.last[c], then; g >= 0; g = then) {
-                then = t.before[g];
-                adopt(&t, k, g);
-            }
-        }
-    }
-
-    // 3. fronts, children before parents; ranks and borders; room for what waits for its parent
-    if (ok) {
-        int top = 0, count = 0;
-        for (int k = 0; k < m_I; ++k) front[k] = -1;
-        for (int k = m_I - 1; k >= 0; --k) {
-            if (in[k] != k || t.parent[k] >= 0) continue;
-            int c = k; // down to a leaf; a turn gets its number after all its children
-            list[top = 0] = c;
-            while (top >= 0) {
-                c = list[top];
-                int child = t.last[c];
-                if (child >= 0) {
-                    t.last[c] = t.before[child];
-                    list[++top] = child;
-                } else {
-                    front[c] = count++;
-                    --top;
-                }
-            }
-        }
-        f->count = count;
-        f->first = calloc(count + 1, sizeof(int));
-        f->start = calloc(count + 1, sizeof(int));
-        f->inside = calloc(count + 1, sizeof(int));
-        f->children = calloc(count + 1, sizeof(int));
-        f->factor = calloc(count + 1, sizeof(int64_t));
-        ok = f->first && f->start && f->inside && f->children && f->factor;
-    }
-    if (ok) {
-        int64_t total = 0;
-        for (int k = 0; k < m_I; ++k) {
-            if (in[k] != k) continue;
-            f->first[front[k] + 1] = pivots[k];
-            f->start[front[k] + 1] = border[k];
-            if (t.parent[k] >= 0) ++f->children[front[t.parent[k]]];
-        }
-        for (int i = 0; i < f->count; ++i) {
-            f->first[i + 1] += f->first[i];
-            total += f->start[i + 1];
-            f->start[i + 1] += f->start[i];
-        }
-        f->n_I = f->first[f->count];
-        for (int v = 0; v < m; ++v) f->n += size[v];
-        f->rows = malloc((total + 1) * sizeof(int));
-        f->rank = malloc((f->n + 1) * sizeof(int));
-        held = malloc((f->count + 1) * sizeof(int));
-        ok = f->rows && f->rank && held;
-    }
-    if (ok) {
-        int next = f->n_I;
-        memcpy(held, f->first, (f->count + 1) * sizeof(int));
-        for (int k = 0; k < m; ++k) {
-            if (k < m_I) {
-                int top = k;
-                while (in[top] != top) top = in[top];
-                dofs[k] = held[front[top]];
-                held[front[top]] += size[node[k]];
-            } else {
-                dofs[k] = next;
-                next += size[node[k]];
-            }
-        }
-        for (int v = 0, i = 0; v < m; ++v)
-            for (int j = 0; j < size[v]; ++j) f->rank[i++] = dofs[turn[v]] + j;
-        for (int k = 0; k < m_I; ++k) {
-            if (in[k] != k) continue;
-            int i = front[k], at = f->start[i];
-            for (int e = begin[k]; e < begin[k + 1]; ++e)
-                for (int j = 0; j < size[node[rows[e]]]; ++j) f->rows[at++] = dofs[rows[e]] + j;
-            qsort(f->rows + f->start[i], at - f->start[i], sizeof(int), ascending);
-            for (int e = f->start[i]; e < at; ++e) f->inside[i] += f->rows[e] < f->n_I;
-        }
-        int64_t stack = 0;
-        int depth = 0;
-        for (int i = 0; i < f->count; ++i) {
-            int64_t p = f->first[i + 1] - f->first[i], b = f->start[i + 1] - f->start[i];
-            f->factor[i + 1] = f->factor[i] + p * (p + f->inside[i]);
-            f->seconds += seconds(p, b);
-            if (b > f->widest) f->widest = (int)b;
-            if (stack + p * (p + b) + b * b > f->work) f->work = stack + p * (p + b) + b * b;
-            for (int c = 0; c < f->children[i]; ++c) {
-                int64_t w = list[--depth];
-                stack -= w * w;
-            }
-            if (f->inside[i]) {
-                list[depth++] = (int)b;
-                stack += b * b;
-            }
-        }
-    }
-    free(turn); free(node); free(mark); free(begin); free(pivots); free(border); free(in);
-    free(dofs); free(list); free(front); free(held); free(rows);
-    free(t.parent); free(t.last); free(t.before);
-    if (!ok) {
-        fronts_free(f);
-        return NULL;
-    }
-    return f;
+    int *list = malloc((m + 1) * sizeof(int));
+    int ok = f && list && plant(&t, m, size, m_I, order) && find_structures(&t, ptr, adjacent);
+    if (ok) merge(&t);
+    ok = ok && measure(&t, f, number_fronts(&t, list));
+    if (ok) give_ranks(&t, f, list);
+    if (ok) make_room(f, list);
+    free(list);
+    free(t.rows);
+    free(t.pool);
+    if (ok) return f;
+    fronts_free(f);
+    return NULL;
 }
 
 // --- factorisation ------------------------------------------------------------------------------

@@ -160,8 +160,8 @@ class Fronts:
             work: Work space, (at least ``work``,).
 
         Returns:
-            S in packed format, (n_Γ (n_Γ + 1) / 2,), see ``dense``; None if K_II is not positive
-            definite, or has NaN.
+            S in packed format, (n_Γ (n_Γ + 1) / 2,), see ``dense``; None, and no factor, if K_II is
+            not positive definite.
         """
         to, n = self._code.to, len(self._rows)
         if not len(self._factor):
@@ -181,8 +181,11 @@ class Fronts:
             *(to(place) for place in places),
             self._code.blas,
         )
-        self.factored = not failed
-        return S if self.factored else None
+        if failed:
+            self.release()
+            return None
+        self.factored = True
+        return S
 
     def solve(self, Y: Array) -> Array:
         """Return K_II⁻¹ Y for one right-hand side, (n_I,), or several, (n_I, r)."""

@@ -85,7 +85,11 @@ class InteriorFactors:
     def solve(self, y: Array, x: Array) -> None:
         """Solve with every block: ``x[rows_i] = K_i⁻¹ y[rows_i]``, other entries untouched."""
         for i, rows in enumerate(self.rows):
-            x[rows] = self.solve_many(i, y[rows][:, None])[:, 0]
+            fronts = self._factored(i)
+            if fronts is None:
+                x[rows] = self._pivoted.solve_many(i, y[rows][:, None])[:, 0]
+            else:
+                x[rows] = fronts.solve(y[rows])
 
     def solve_many(self, i: int, Y: Array, *, transpose: bool = False) -> Array:
         """Solve with block i for several right-hand sides, (n_i, r) → (n_i, r)."""

@@ -166,6 +166,8 @@ def test_pivots_where_they_are_needed(factor, torn_grid, parts, monkeypatch):
     agree(COMM.allreduce(inertia[0]) > 0 if factor < 1.0 else inertia == (0, 0))
     fronts = [f for f in by_fronts._elimination.factors._fronts if f.factored]
     agree(COMM.allreduce(len(fronts)) < 4 if factor < 1.0 else len(fronts) == len(by_fronts.dofs))
+    unused = [f for f in by_fronts._elimination.factors._fronts if not f.factored]
+    agree(all(f.memory() == 0.0 for f in unused))
     f, u = np.random.default_rng(2 + COMM.rank).standard_normal(
         (2, problem.A.getISLocalMat().getSize()[0])
     )
@@ -193,6 +195,7 @@ def test_without_a_compiler(torn_grid, parts, monkeypatch, caplog):
 
     monkeypatch.setattr(elimination, "SMALL", -1)
     monkeypatch.setattr(native, "load", fails)
+    monkeypatch.setattr(native, "_failed", set())
     with caplog.at_level(logging.WARNING, logger="dolfinx_feti"):
         system = parts(torn_grid((2, 2), (4, 3)).A, type="all_floating", interior="eliminate")
     agree(isinstance(system.matrices._elimination, elimination.PartialElimination))
