@@ -1,7 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Functions of PETSc that petsc4py does not wrap, looked up in the library that it has loaded."""
+"""Functions that petsc4py does not wrap: PETSc's, and those of libraries that it is linked with.
+
+They are looked up in what petsc4py has loaded.
+"""
 
 from __future__ import annotations
 
@@ -43,14 +46,14 @@ class Rows(NamedTuple):
 
 @functools.cache
 def function(name: str, arguments: tuple[Any, ...]) -> Any:
-    """Look a function up that returns an error code.
+    """Look up a function of PETSc, or of a library that it is linked with, that returns a code.
 
     Args:
         name: Its name.
         arguments: The types of its arguments, of ctypes.
 
     Returns:
-        The function; None if the library does not have it.
+        The function; None if there is none of this name.
     """
     try:
         found = getattr(ctypes.CDLL(PETSc.__file__), name)

@@ -17,9 +17,9 @@ projection
 
 takes two dense products for each subdomain, one coarse solve, and an average.
 
-The averaged columns of a subdomain may depend on each other, or nearly so. Its block on the
-diagonal of A₀, scaled to a unit diagonal, tells: combinations of the columns with an energy below
-:data:`DEPENDENT` are dropped, and the others normalised to energy one. Columns of several
+The columns are scaled to energy one. Those of a subdomain may depend on each other, or nearly so.
+Its block on the diagonal of A₀ tells: combinations with an energy below :data:`DEPENDENT` are
+dropped, and the others take the place of the columns. Columns of several
 subdomains may depend on each other, too: pivots below :data:`ZERO` are left out of the solution,
 which is exact on what is left. Rounding gives such columns energies of either sign. So negative
 eigenvalues count only if they are those of :math:`A_0 + ε`, with a diagonal ε just above the
@@ -31,6 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -107,13 +108,11 @@ class AveragedSpace:
         W = averaged_fields(copies, self.columns)
         self._near = NearColumns(W.numbers, [U_i.shape[1] for U_i in U], comm)
         self.AV: list[Array] = []
-        squares = []
 
         def elements() -> Iterator[Array]:
             for i in range(len(W)):
                 W_i = W[i]
                 self.AV.append(multiply(i, W_i))  # Y = S W
-                squares.append((W_i**2).sum(axis=0))
                 yield W_i.T @ self.AV[i]
 
         whole = self._near.sum(elements())
@@ -122,7 +121,7 @@ class AveragedSpace:
         else:
             self._combinations = _independent(whole, self._own)
         self._basis = _block_diagonal(self._combinations)
-        self.A_0 = whole if independent else _change_of_basis(whole, self._basis)
+        self.A_0 = _change_of_basis(whole, self._basis)
         self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.dropped = self.total - self.A_0.getSize()[0]
         self._x, self._y = self.A_0.createVecs()
@@ -133,7 +132,7 @@ class AveragedSpace:
                 estimated_norm(multiply, i, rows.stop - rows.start)
                 for i, rows in enumerate(copies.blocks)
             ]
-            near = [EPS * size * square for size, square in zip(sizes, squares, strict=True)]
+            near = [EPS * size * (W[i] ** 2).sum(axis=0) for i, size in enumerate(sizes)]
             rounding = self._basis.multiply(self._basis).T @ self._near.to_owners(joined(near))
             self._negative = self._count_negative(BOUNDS * rounding, prefix)
 
@@ -241,7 +240,7 @@ def estimated_norm(multiply: Callable[[int, Array], Array], i: int, n: int) -> f
 
 
 def _independent(A: PETSc.Mat, blocks: Sequence[slice]) -> list[Array]:
-    """Return combinations of columns with energy ±1, independent within each diagonal block.
+    """Return columns, or combinations, of energy ±1 that are independent in each diagonal block.
 
     Args:
         A: Galerkin matrix of all columns, distributed.
@@ -264,18 +263,28 @@ def _block_diagonal(combinations: Sequence[Array]) -> scipy.sparse.csr_array:
 
 
 def _normalised(A: Array) -> Array:
-    """Return Q with Qᵀ A Q = diag(±1), without directions of no energy, (k, up to k)."""
+    """Return Q with entries ±1 on the diagonal of Qᵀ A Q, (k, up to k).
+
+    It is diagonal, or else leaves out directions of no energy.
+    """
     size = np.sqrt(np.abs(A.diagonal()))
     scale = np.divide(1.0, size, where=size > 0.0, out=np.zeros_like(size))
     values, Q = np.linalg.eigh(scale[:, None] * A * scale)
     kept = np.abs(values) > DEPENDENT
+    if np.all(kept):
+        return np.diag(scale)
     return scale[:, None] * Q[:, kept] / np.sqrt(np.abs(values[kept]))
 
 
 def _change_of_basis(A: PETSc.Mat, basis: scipy.sparse.csr_array) -> PETSc.Mat:
     """Return Bᵀ A B, with the rows and columns of the block-diagonal B of each process; free A."""
-    size = basis.shape[1]
-    comm = A.comm.tompi4py()
+    size, comm = basis.shape[1], A.comm.tompi4py()
+    if comm.allreduce(size == basis.shape[0] and basis.nnz == size, op=MPI.LAND):
+        scale = A.createVecRight()
+        scale.array[:] = basis.diagonal()
+        A.diagonalScale(scale, scale)
+        scale.destroy()
+        return A
     before, total = comm.scan(size) - size, comm.allreduce(size)
     csr = (
         basis.indptr.astype(PETSc.IntType),

@@ -179,9 +179,9 @@ def free_motions(
     candidates = np.zeros((count, k, k))
     dofs, owner = bodies.held.T
     sized = operator.sizes(near_kernel)
-    everything = np.vstack([sized, sized[dofs]]), np.concatenate([bodies.of, owner])
-    on_all = triangles(*everything, count, comm)
     on_held = triangles(sized[dofs], owner, count, comm)
+    on_rest = triangles(sized, bodies.of, count, comm)
+    on_all = np.concatenate([on_rest, on_held], axis=1)
     numbers = np.zeros(count, dtype=np.int64)
     for b in range(count):
         combinations = _vanishing(on_all[b], on_held[b])
@@ -228,8 +228,8 @@ def _vanishing(on_all: Array, on_held: Array) -> Array:
     """Combine modes, of size one on a body, that vanish where it is held, (k, any number).
 
     Args:
-        on_all: Triangular factor of the modes on the body, (k, k).
-        on_held: That on its Dirichlet dofs, (k, k).
+        on_all: The modes on the body, or what an orthogonal map makes of them, (rows, k).
+        on_held: Those on its Dirichlet dofs, likewise.
     """
     _, sigma, Vt = np.linalg.svd(on_all)
     there = sigma > HELD * sigma.max(initial=0.0)

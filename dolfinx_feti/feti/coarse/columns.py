@@ -79,4 +79,6 @@ def independent_columns(X: Array, tolerance: float, comm: MPI.Comm) -> Array:
 def _triangle(X: Array) -> Array:
     """Return R of X = Q R, (k, k)."""
     k = X.shape[1]
-    return np.asarray(np.linalg.qr(np.vstack([X, np.zeros((k, k))]), mode="r"))
+    if len(X) < k:
+        X = np.vstack([X, np.zeros((k, k))])
+    return np.asarray(np.linalg.qr(X, mode="r"))

@@ -26,6 +26,7 @@ positive ends the factorisation, and :meth:`Fronts.factor` tells so.
 
 from __future__ import annotations
 
+import ctypes
 from pathlib import Path
 from typing import Any
 
@@ -36,17 +37,20 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.connectivity import coupled_nodes, load_graph_code
-from dolfinx_feti.feti.subdomain.blocks import index_set
 from dolfinx_feti.native import address_of, load_or_do_without, pointer
-from dolfinx_feti.petsc_library import Rows
+from dolfinx_feti.petsc_library import Rows, function
 
 __all__ = ["FrontCode", "Fronts", "load_fronts"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
+Numbers = npt.NDArray[np.int64]
 
-#: Orderings of PETSc that are tried; the one with the least estimate of time is taken.
+#: Orderings of PETSc that are tried without METIS; that with the least estimate of time is taken.
 ORDERINGS = ("nd", "amd")
+
+#: Of METIS: the number of its options, and the code of success.
+METIS_OPTIONS, METIS_OK = 40, 1
 
 ROUTINES = ("dpotrf", "dtrsm", "dsyrk", "dgemm")
 
@@ -211,22 +215,53 @@ class Fronts:
 
 
 def _orders(ptr: Indices, adjacent: Indices, interior: Indices) -> list[Indices]:
-    """Order the nodes of the interior for elimination, in each of the ways that PETSc has."""
-    if len(interior) == 0:
+    """Order the nodes of the interior for elimination: by METIS, else in both ways of PETSc."""
+    row, m = np.repeat(np.arange(len(ptr) - 1), np.diff(ptr)), len(interior)
+    place = np.full(len(ptr) - 1, -1, dtype=np.int32)
+    place[interior] = np.arange(m)
+    inside = (place[row] >= 0) & (place[adjacent] >= 0) & (row != adjacent)
+    begin = np.searchsorted(row[inside], interior)
+    if not np.any(inside):
         return [interior]
+    graph = np.append(begin, np.count_nonzero(inside)), place[adjacent[inside]]
+    dissected = _dissect(*graph)
+    orders = _orders_of_petsc(*graph) if dissected is None else [dissected]
+    return [interior[order] for order in orders]
+
+
+def _dissect(ptr: Numbers, adjacent: Indices) -> Indices | None:
+    """Order nodes by METIS's nested dissection; None where PETSc is not linked with METIS.
+
+    METIS has integers of 32 or 64 bits. The options that it sets to −1 tell.
+    """
+    dissect = function("METIS_NodeND", (ctypes.c_void_p,) * 7)
+    set_options = function("METIS_SetDefaultOptions", (ctypes.c_void_p,))
+    if dissect is None or set_options is None:
+        return None
+    options = np.zeros(METIS_OPTIONS, dtype=np.int64)
+    set_options(options.ctypes.data)
+    kind = np.int64 if np.all(options == -1) else np.int32
+    n = np.array([len(ptr) - 1], dtype=kind)
+    graph = [part.astype(kind) for part in (ptr, adjacent)]
+    order, rank = np.empty((2, int(n[0])), dtype=kind)
+    pointers = [None if a is None else a.ctypes.data for a in (n, *graph, None, None, order, rank)]
+    done = dissect(*pointers) == METIS_OK
+    is_one = done and np.array_equal(np.sort(order), np.arange(len(order)))
+    return order.astype(np.int32) if is_one else None
+
+
+def _orders_of_petsc(ptr: Numbers, adjacent: Indices) -> list[Indices]:
+    """Order nodes in each of the ways that PETSc has."""
     csr = (ptr.astype(PETSc.IntType), adjacent.astype(PETSc.IntType), np.ones(len(adjacent)))
     graph = PETSc.Mat().createAIJ((len(ptr) - 1,) * 2, csr=csr, comm=PETSc.COMM_SELF)
-    rows = index_set(interior)
-    inside = graph.createSubMatrix(rows, rows)
     orders = []
     for name in ORDERINGS:
         try:
-            order, columns = inside.getOrdering(name)
+            order, columns = graph.getOrdering(name)
         except PETSc.Error:  # a PETSc without SuiteSparse knows no amd
             continue
-        orders.append(interior[order.indices].astype(np.int32))
+        orders.append(order.indices.astype(np.int32))
         order.destroy()
         columns.destroy()
-    for owned in (inside, rows, graph):
-        owned.destroy()
+    graph.destroy()
     return orders
