@@ -259,7 +259,9 @@ def _block_diagonal(combinations: Sequence[Array]) -> scipy.sparse.csr_array:
     """Return the combinations of all subdomains of this process, (size, up to size)."""
     if not combinations:
         return scipy.sparse.csr_array((0, 0))
-    return scipy.sparse.csr_array(scipy.sparse.block_diag(combinations, format="csr"))
+    basis = scipy.sparse.csr_array(scipy.sparse.block_diag(combinations, format="csr"))
+    basis.eliminate_zeros()
+    return basis
 
 
 def _normalised(A: Array) -> Array:
