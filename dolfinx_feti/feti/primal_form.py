@@ -211,7 +211,7 @@ def create_primal_form(
 
         pairs = zip(modes.E, S.on_interface, flux_columns(copies, g, solve_many), strict=True)
         U = [np.hstack([E[on], flux]) for E, on, flux in pairs]
-        space = AveragedSpace(copies, U, S.multiply_many, prefix=pattern.prefix + "coarse_")
+        space = AveragedSpace(copies, U, S, prefix=pattern.prefix + "coarse_")
     deflation = DeflatedSpace(space, copies, S.multiply_many, vectors)
     return PrimalForm(
         options=options,
@@ -259,7 +259,7 @@ def create_lagged_form(
     with event("FETICoarse"):
         try:
             require_held(pattern.torn, pattern.bodies, factored.near_kernel, definite=False)
-            space = AveragedSpace(copies, columns, S.multiply_many, prefix=prefix, independent=True)
+            space = AveragedSpace(copies, columns, S, prefix=prefix, independent=True)
         except SetUpError:
             copies.destroy()
             raise

@@ -73,7 +73,7 @@ def create(
     U = [E[np.isin(dofs, Γ)] for E, dofs, Γ in pairs]
     if more is not None:
         U = [np.hstack(pair) for pair in zip(U, more(parts, copies), strict=True)]
-    space = AveragedSpace(copies, U, M.multiply_many, prefix="test_feti_coarse_")
+    space = AveragedSpace(copies, U, M, prefix="test_feti_coarse_")
     system = PrimalSystem(
         copies,
         space,

@@ -42,6 +42,7 @@ from dolfinx_feti.feti.coarse.fields import averaged_fields
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.coarse.near import NearColumns, joined
 from dolfinx_feti.feti.copies import Copies, consecutive
+from dolfinx_feti.feti.preconditioner.base import Preconditioner
 
 __all__ = ["BOUNDS", "EPS", "AveragedSpace", "estimated_norm"]
 
@@ -81,7 +82,7 @@ class AveragedSpace:
         self,
         copies: Copies,
         U: Sequence[Array],
-        multiply: Callable[[int, Array], Array],
+        S: Preconditioner,
         *,
         prefix: str,
         independent: bool = False,
@@ -91,7 +92,7 @@ class AveragedSpace:
         Args:
             copies: Copies of the interface dofs.
             U: For each subdomain its columns on the interface, (n_i, k_i).
-            multiply: Applies S_i to columns, ``multiply(i, X)``, (n_i, c) → (n_i, c).
+            S: Applies S_i.
             prefix: Options prefix of the coarse solver.
             independent: Whether the columns are those that another matrix has left, see
                 :meth:`independent_columns`.
@@ -112,8 +113,8 @@ class AveragedSpace:
         def elements() -> Iterator[Array]:
             for i in range(len(W)):
                 W_i = W[i]
-                self.AV.append(multiply(i, W_i))  # Y = S W
-                yield W_i.T @ self.AV[i]
+                self.AV.append(S.multiply_panels(i, W_i))  # Y = S W
+                yield W_i.overlap(self.AV[i])  # Wᵀ Y
 
         whole = self._near.sum(elements())
         if independent:
@@ -128,11 +129,10 @@ class AveragedSpace:
         self.solver = GatheredSolver(self.A_0, prefix=prefix, symmetric=True, zero=ZERO)
         self._negative = self.solver.pivots().negative
         if self._negative:
-            sizes = [
-                estimated_norm(multiply, i, rows.stop - rows.start)
+            near = [
+                EPS * estimated_norm(S.multiply_many, i, rows.stop - rows.start) * W[i].squares()
                 for i, rows in enumerate(copies.blocks)
             ]
-            near = [EPS * size * (W[i] ** 2).sum(axis=0) for i, size in enumerate(sizes)]
             rounding = self._basis.multiply(self._basis).T @ self._near.to_owners(joined(near))
             self._negative = self._count_negative(BOUNDS * rounding, prefix)
 

@@ -9,9 +9,10 @@ further. So each subdomain sees
 .. math:: W_i = (T V)_i, \quad V = T^⊤ δ\, U, \qquad \text{or} \qquad
           (B_D^⊤ B\, U)_i = U_i - (T V)_i
 
-as one dense block of its own columns and those of its neighbours. The first is the coarse space of
-the primal form (``averaged``), the second what the preconditioner of the dual form sees of G
-(``weighted``): on a dof with a prescribed value, where no copies are averaged, it is U itself.
+as a block of its own columns and those of its neighbours, one panel each (``panels``). The first is
+the coarse space of the primal form (``averaged``), the second what the preconditioner of the dual
+form sees of G (``weighted``): on a dof with a prescribed value, where no copies are averaged, it is
+U itself.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.feti.copies import Copies
+from dolfinx_feti.feti.panels import Panels
 
 __all__ = ["Fields", "averaged_fields", "jump_fields"]
 
@@ -49,32 +51,33 @@ class Fields:
         """
         self._rows = copies.blocks
         self._pairs = pairs
-        ends = np.searchsorted(pairs.row, [rows.start for rows in self._rows] + [copies.n])
-        self._mine = [slice(*pair) for pair in itertools.pairwise(ends)]
-        owner = np.where(pairs.count > 0, pairs.first, -1)
         self.numbers: list[Numbers] = []
-        self._begin: list[Numbers] = []  # first column in the block, for each pair
-        for mine in self._mine:
-            owners, at, group = np.unique(owner[mine], return_index=True, return_inverse=True)
-            width = np.where(owners < 0, 0, pairs.count[mine][at])
-            begin = np.cumsum(width) - width
-            self._begin.append(begin[group])
-            self.numbers.append(
-                np.arange(int(width.sum())) + np.repeat(owners - begin, width),
+        self._panels: list[list[Numbers]] = []  # the pairs of each owner, for each subdomain
+        ends = np.searchsorted(pairs.row, [rows.start for rows in self._rows] + [copies.n])
+        for start, stop in itertools.pairwise(ends):
+            owners, at, group = np.unique(
+                pairs.first[start:stop], return_index=True, return_inverse=True
             )
+            width = pairs.count[start:stop][at]
+            before = np.cumsum(width) - width
+            self.numbers.append(np.arange(width.sum()) + np.repeat(owners - before, width))
+            order = np.argsort(group, kind="stable") + start
+            self._panels.append(np.split(order, np.cumsum(np.bincount(group))[:-1]))
 
     def __len__(self) -> int:
         """Return the number of subdomains."""
         return len(self.numbers)
 
-    def __getitem__(self, i: int) -> Array:
-        """Return the dense block of subdomain i, (n_i, c_i)."""
-        rows, mine, values = self._rows[i], self._mine[i], self._pairs.values[self._mine[i]]
-        pair, place = np.nonzero(np.arange(values.shape[1]) < self._pairs.count[mine][:, None])
-        W = np.zeros((rows.stop - rows.start, len(self.numbers[i])), order="F")
-        to = (self._pairs.row[mine][pair] - rows.start, self._begin[i][pair] + place)
-        np.add.at(W, to, values[pair, place])
-        return W
+    def __getitem__(self, i: int) -> Panels:
+        """Return the columns of subdomain i, a panel for each owner, (n_i, c_i)."""
+        rows, pairs = self._rows[i], self._pairs
+        if len(self.numbers[i]) == 0:
+            return Panels(rows.stop - rows.start, [], [])
+        return Panels(
+            rows.stop - rows.start,
+            [pairs.row[panel] - rows.start for panel in self._panels[i]],
+            [pairs.values[panel, : pairs.count[panel[0]]].T.copy() for panel in self._panels[i]],
+        )
 
 
 def averaged_fields(copies: Copies, U: Sequence[Array]) -> Fields:
@@ -98,22 +101,26 @@ def jump_fields(copies: Copies, U: Sequence[Array]) -> Fields:
     Note:
         Collective.
     """
-    averages = _averages(copies, U)
-    own = _own(copies, U)
-    every = np.concatenate([averages.row, own.row])
-    order = np.argsort(every, kind="stable")
+    averages, own = _averages(copies, U), _own(copies, U)
+    values, at = -averages.values, averages.row
+    itself = averages.first == own.first[at]
+    values[itself] += own.values[at[itself]]
+    rest = own.count > 0  # rows that are no copies
+    rest[at[itself]] = False
+    row = np.concatenate([at, np.flatnonzero(rest)])
+    order = np.argsort(row, kind="stable")
     pairs = _Pairs(
-        every[order],
-        np.concatenate([averages.first, own.first])[order],
-        np.concatenate([averages.count, own.count])[order],
-        np.concatenate([-averages.values, own.values])[order],
+        row[order],
+        np.concatenate([averages.first, own.first[rest]])[order],
+        np.concatenate([averages.count, own.count[rest]])[order],
+        np.concatenate([values, own.values[rest]])[order],
     )
     return Fields(copies, pairs)
 
 
 @dataclass(frozen=True, slots=True)
 class _Pairs:
-    """What columns of single subdomains have on single rows.
+    """What columns of single subdomains, of those that have any, have on single rows.
 
     Attributes:
         row: Row of the interface, ascending, (pairs,).
@@ -144,7 +151,10 @@ def _averages(copies: Copies, U: Sequence[Array]) -> _Pairs:
     """Return δ U at each copy of each row. Collective."""
     own = _own(copies, U)
     first, count = (copies.values(of.astype(np.float64)) for of in (own.first, own.count))
-    values = np.empty((len(copies.row), own.values.shape[1]))
+    some = count > 0
+    values = np.empty((np.count_nonzero(some), own.values.shape[1]))
     for j in range(values.shape[1]):
-        values[:, j] = copies.values(copies.delta * own.values[:, j])
-    return _Pairs(copies.row, first.astype(np.int64), count.astype(np.int64), values)
+        values[:, j] = copies.values(copies.delta * own.values[:, j])[some]
+    return _Pairs(
+        copies.row[some], first[some].astype(np.int64), count[some].astype(np.int64), values
+    )

@@ -65,7 +65,7 @@ class WeightedColumns:
             for i in range(len(W)):
                 W_i = W[i]
                 self.blocks.append(preconditioner.image(i, W_i))  # Y = (S + Y_Z Y_Zᵀ) W
-                yield (W_i if W_left is W else W_left[i]).T @ self.blocks[i]
+                yield (W_i if W_left is W else W_left[i]).overlap(self.blocks[i])
 
         self.galerkin_matrix = self._near.sum(elements())
 

@@ -37,6 +37,7 @@ import scipy.sparse
 
 from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.linear_map import LinearMap
+from dolfinx_feti.feti.panels import Panels
 from dolfinx_feti.feti.subdomain.factors import BlockFactors
 from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
 from dolfinx_feti.torn import Torn
@@ -137,10 +138,10 @@ class Preconditioner(ABC):
         """θ, if M = θ I without scaled jumps; None otherwise."""
         return None
 
-    def image(self, i: int, W: Array) -> Array:
+    def image(self, i: int, W: Panels) -> Array:
         """Return Y_i W with props for columns on the interface, (n_Γ, r) → (n_Γ, r)."""
         Y_Z = self.props[i]
-        return self.multiply_many(i, W) + Y_Z @ (Y_Z.T @ W)
+        return self.multiply_panels(i, W) + Y_Z @ W.overlap(Y_Z).T
 
     @abstractmethod
     def multiply(self, w: Array) -> Array:
@@ -149,6 +150,10 @@ class Preconditioner(ABC):
     @abstractmethod
     def multiply_many(self, i: int, W: Array) -> Array:
         """Return Y_i W without props for columns on the interface, (n_Γ, r) → (n_Γ, r)."""
+
+    def multiply_panels(self, i: int, W: Panels) -> Array:
+        """Return what :meth:`multiply_many` does for columns that fall into panels."""
+        return self.multiply_many(i, W.dense())
 
     def unbalanced(self, w: Array, t: Array) -> Array:
         """Return the force K E_Γ w, (n,), where t = Y w is known."""

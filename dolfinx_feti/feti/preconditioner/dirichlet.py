@@ -25,6 +25,7 @@ import scipy.linalg
 
 from dolfinx_feti.events import event
 from dolfinx_feti.feti.gluing import Gluing
+from dolfinx_feti.feti.panels import Panels
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.subdomain.blocks import index_set, product_many
 from dolfinx_feti.feti.subdomain.factors import BlockFactors
@@ -47,6 +48,10 @@ class Dirichlet(Preconditioner):
     def multiply_many(self, i: int, W: Array) -> Array:
         """Return S_i W, (n_Γ, r)."""
         return self.matrices.multiply_many(i, W)
+
+    def multiply_panels(self, i: int, W: Panels) -> Array:
+        """Return S_i W for columns that fall into panels, (n_Γ, r)."""
+        return self.matrices.multiply_panels(i, W)
 
     def unbalanced(self, w: Array, t: Array) -> Array:
         """Return K E_Γ w = S w, which is t."""
@@ -110,6 +115,10 @@ class ImplicitDirichlet(Dirichlet):
         K = self.torn.K
         X = self.factors.solve_many(i, product_many(K, I, Γ, W))  # K_II⁻¹ K_IΓ W
         return product_many(K, Γ, Γ, W) - product_many(K, Γ, I, X)
+
+    def multiply_panels(self, i: int, W: Panels) -> Array:
+        """Return S_i W for columns that fall into panels, (n_Γ, r)."""
+        return self.multiply_many(i, W.dense())
 
     def extend(self, w: Array) -> Array:
         """Extend an interface displacement harmonically, (n,)."""

@@ -35,6 +35,7 @@ import scipy.linalg.blas as blas
 import scipy.linalg.lapack as lapack
 
 from dolfinx_feti.errors import FactorError
+from dolfinx_feti.feti.panels import Panels
 from dolfinx_feti.feti.subdomain.direct import Pivots
 from dolfinx_feti.native import address_of
 
@@ -49,6 +50,10 @@ ZERO = 1e-14
 #: Ratio of the least to the largest diagonal entry of Cholesky's factor below which it stays in
 #: double precision. One over its square is a lower bound of the condition number of S_ρ.
 LEAST = float(np.sqrt(np.finfo(np.float32).eps))
+
+
+#: Rows of a tile that is transposed at once: it fits into a fast cache.
+TILE = 96
 
 
 class DenseFactors:
@@ -116,6 +121,10 @@ class DenseFactors:
     def multiply_many(self, i: int, X: Array) -> Array:
         """Return S_i X for dense columns, (n_i, r)."""
         return self._blocks[i].multiply_many(X, self._work)
+
+    def multiply_panels(self, i: int, W: Panels) -> Array:
+        """Return S_i W for columns that fall into panels, (n_i, r)."""
+        return self._blocks[i].multiply_panels(W, self._work)
 
     def solve_many(self, i: int, Y: Array, *, transpose: bool = False) -> Array:
         """Return (S_i + ρ R Rᵀ)⁻¹ Y for dense columns, (n_i, r)."""
@@ -245,6 +254,11 @@ class _Block:
         S = _unpack(self.S, self._n, work)
         return blas.dsymm(1.0, S, np.asfortranarray(X), lower=1)  # S X
 
+    def multiply_panels(self, W: Panels, work: Array) -> Array:
+        if self._n == 0:
+            return W.dense()
+        return W.product(_mirrored(_unpack(self.S, self._n, work)))  # S W
+
     def solve(self, y: Array) -> Array:
         if self._n == 0:
             return y
@@ -299,6 +313,17 @@ def _unpack(S: Array, n: int, work: Array) -> Array:
     to_size, to_info = ctypes.addressof(size), ctypes.addressof(info)
     _dtpttr()(b"L", to_size, S.ctypes.data, work.ctypes.data, to_size, to_info)
     return work[: n * n].reshape((n, n), order="F")
+
+
+def _mirrored(L: Array) -> Array:
+    """Copy the lower triangle of a matrix in Fortran's order to the upper one."""
+    n, A = len(L), L.T
+    for first in range(0, n, TILE):
+        last = min(first + TILE, n)
+        A[last:, first:last] = A[first:last, last:].T
+        tile = np.triu(A[first:last, first:last])
+        A[first:last, first:last] = tile + np.triu(tile, 1).T
+    return A
 
 
 @functools.cache

@@ -16,7 +16,8 @@ children touch later, Γ included. A front is a small dense matrix,
 .. math:: \begin{pmatrix} P & Q \\ & C \end{pmatrix} \mapsto
           U = \operatorname{chol} P, \quad W = U^{-⊤} Q, \quad C - W^⊤ W,
 
-and the last block is added to the front of its parent, at the roots to S. So nearly all work is
+and the last block is added to the front of its parent, at the roots to S. The groups follow from an
+ordering by nested dissection (METIS, Karypis and Kumar 1998, or PETSc). So nearly all work is
 that of BLAS on dense matrices. MUMPS, which offers S as well (``schur``), and with pivots, takes
 twice as long for interiors of this size, S and then the factor of :math:`K_{II}`.
 
@@ -216,23 +217,32 @@ class Fronts:
 
 def _orders(ptr: Indices, adjacent: Indices, interior: Indices) -> list[Indices]:
     """Order the nodes of the interior for elimination: by METIS, else in both ways of PETSc."""
-    row, m = np.repeat(np.arange(len(ptr) - 1), np.diff(ptr)), len(interior)
     place = np.full(len(ptr) - 1, -1, dtype=np.int32)
-    place[interior] = np.arange(m)
-    inside = (place[row] >= 0) & (place[adjacent] >= 0) & (row != adjacent)
-    begin = np.searchsorted(row[inside], interior)
-    if not np.any(inside):
+    place[interior] = np.arange(len(interior))
+    row, column = np.repeat(place, np.diff(ptr)), place[adjacent]
+    inside = (row >= 0) & (column >= 0) & (row != column)
+    row, column = row[inside], column[inside]
+    if len(row) == 0:
         return [interior]
-    graph = np.append(begin, np.count_nonzero(inside)), place[adjacent[inside]]
-    dissected = _dissect(*graph)
-    orders = _orders_of_petsc(*graph) if dissected is None else [dissected]
+    begin = np.searchsorted(row, np.arange(len(interior) + 1))
+    dissected = _dissect(begin, column) if _is_symmetric(row, column) else None
+    orders = _orders_of_petsc(begin, column) if dissected is None else [dissected]
     return [interior[order] for order in orders]
+
+
+def _is_symmetric(row: Indices, column: Indices) -> bool:
+    """Tell whether (j, i) is among the pairs wherever (i, j) is; false with probability 2⁻⁶⁰."""
+    x, y = np.random.default_rng(1998).integers(2**63, size=(2, row[-1] + 1), dtype=np.uint64)
+    if column.max() > row[-1]:
+        return False
+    return bool(np.sum(x[row] * y[column]) == np.sum(x[column] * y[row]))  # modulo 2⁶⁴
 
 
 def _dissect(ptr: Numbers, adjacent: Indices) -> Indices | None:
     """Order nodes by METIS's nested dissection; None where PETSc is not linked with METIS.
 
-    METIS has integers of 32 or 64 bits. The options that it sets to −1 tell.
+    The graph has to be symmetric and without loops: with others METIS may never end. Its integers
+    have 32 or 64 bits; the options that it sets to −1 tell.
     """
     dissect = function("METIS_NodeND", (ctypes.c_void_p,) * 7)
     set_options = function("METIS_SetDefaultOptions", (ctypes.c_void_p,))

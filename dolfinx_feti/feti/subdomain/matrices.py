@@ -34,6 +34,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.errors import FactorError
+from dolfinx_feti.feti.panels import Panels
 from dolfinx_feti.feti.subdomain.blocks import named, product_many, sparse_block
 from dolfinx_feti.feti.subdomain.dense import DenseFactors
 from dolfinx_feti.feti.subdomain.direct import sum_pivots
@@ -99,6 +100,10 @@ class SubdomainMatrices(ABC):
     @abstractmethod
     def multiply_many(self, i: int, X: Array) -> Array:
         """Apply the matrix of subdomain i to columns on its ``dofs``, (n_i, r) → (n_i, r)."""
+
+    def multiply_panels(self, i: int, W: Panels) -> Array:
+        """Return what :meth:`multiply_many` does for columns that fall into panels."""
+        return self.multiply_many(i, W.dense())
 
     @abstractmethod
     def condense(self, f: Array) -> Array:
@@ -257,6 +262,9 @@ class CondensedMatrices(SubdomainMatrices):
 
     def multiply_many(self, i: int, X: Array) -> Array:
         return self.factors.multiply_many(i, X)
+
+    def multiply_panels(self, i: int, W: Panels) -> Array:
+        return self.factors.multiply_panels(i, W)
 
     def condense(self, f: Array) -> Array:
         x = np.zeros_like(f)
