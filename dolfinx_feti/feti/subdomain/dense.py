@@ -52,6 +52,9 @@ ZERO = 1e-14
 LEAST = float(np.sqrt(np.finfo(np.float32).eps))
 
 
+#: Columns up to which a packed triangle is read once for each, rather than unpacked.
+FEW = 6
+
 #: Rows of a tile that is transposed at once: it fits into a fast cache.
 TILE = 96
 
@@ -249,8 +252,8 @@ class _Block:
     def multiply_many(self, X: Array, work: Array) -> Array:
         if X.size == 0:
             return np.zeros(X.shape)
-        if X.shape[1] == 1:
-            return self.multiply(X[:, 0])[:, None]
+        if X.shape[1] <= FEW:
+            return np.column_stack([self.multiply(x) for x in X.T])
         S = _unpack(self.S, self._n, work)
         return blas.dsymm(1.0, S, np.asfortranarray(X), lower=1)  # S X
 
@@ -286,8 +289,8 @@ class _Block:
             return lapack.dsytrs(self.X, self._interchanges, Y, lower=1)[0]
         if self.X.ndim == 2:
             return np.asarray(self.X @ Y)
-        if Y.shape[1] == 1:
-            return self.solve(Y[:, 0])[:, None]
+        if Y.shape[1] <= FEW:
+            return np.column_stack([self.solve(y) for y in Y.T])
         L = _unpack(self.X, self._n, work)
         X = blas.dtrsm(1.0, L, np.asfortranarray(Y), lower=1)
         return blas.dtrsm(1.0, L, X, lower=1, trans_a=1, overwrite_b=1)
