@@ -19,12 +19,11 @@ takes two dense products for each subdomain, one coarse solve, and an average.
 
 The columns are scaled to energy one. Those of a subdomain may depend on each other, or nearly so.
 Its block on the diagonal of A₀ tells: combinations with an energy below :data:`DEPENDENT` are
-dropped, and the others take the place of the columns. Columns of several
-subdomains may depend on each other, too: pivots below :data:`ZERO` are left out of the solution,
-which is exact on what is left. Rounding gives such columns energies of either sign. So negative
-eigenvalues count only if they are those of :math:`A_0 + ε`, with a diagonal ε just above the
-rounding errors of the energies, :math:`\sum_i \|S_i\|_F \|W_i\|^2` times the unit of rounding for
-each column.
+dropped, and the others take the place of the columns. Columns of several subdomains may depend on
+each other, too: pivots below :data:`ZERO` are left out of the solution, which is exact on what is
+left. Rounding gives such columns energies of either sign. So negative eigenvalues count only if
+they are those of :math:`A_0 + ε`, with a diagonal ε just above the rounding errors of the energies,
+:math:`\sum_i \|S_i\|_F \|W_i\|^2` times the unit of rounding for each column.
 """
 
 from __future__ import annotations

@@ -51,7 +51,6 @@ ZERO = 1e-14
 #: double precision. One over its square is a lower bound of the condition number of S_ρ.
 LEAST = float(np.sqrt(np.finfo(np.float32).eps))
 
-
 #: Columns up to which a packed triangle is read once for each, rather than unpacked.
 FEW = 6
 

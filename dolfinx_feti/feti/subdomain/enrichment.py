@@ -47,7 +47,7 @@ __all__ = ["Basis", "Enrichment", "append_orthonormal", "buckling_modes", "join"
 Array = npt.NDArray[np.float64]
 Solve = Callable[[Array], Array]
 
-#: Subdomains up to this size have their eigenvectors computed densely.
+#: Subdomains up to this size have all their eigenvectors computed.
 DENSE = 200
 
 #: Powers of the operator and spare columns in a subspace iteration.
@@ -105,23 +105,18 @@ def soft_modes(solve: Solve, weight: Array, most: int, threshold: float) -> Arra
     if most == 0:
         return np.zeros((n, 0))
 
-    if n <= DENSE:
-        inverse = root[:, None] * solve(np.diag(root))  # k^½ K_ρ⁻¹ k^½, eigenvalues 1/μ
-        values, vectors = np.linalg.eigh(0.5 * (inverse + inverse.T))
-        soft = np.flatnonzero(values * threshold > 1.0)[-most:]
-        return solve(root[:, None] * vectors[:, soft])  # y = K_ρ⁻¹ k^½ z
     X = np.random.default_rng(n).standard_normal((n, min(n, most + SPARE)))
     for power in range(POWERS):
-        X = np.linalg.qr(X)[0]
+        X = np.eye(n) if n <= DENSE else np.linalg.qr(X)[0]
         Y = solve(root[:, None] * X)
-        image = root[:, None] * Y
+        image = root[:, None] * Y  # k^½ K_ρ⁻¹ k^½ X
         inverse = X.T @ image
-        values, vectors = np.linalg.eigh(0.5 * (inverse + inverse.T))  # Rayleigh and Ritz
-        if power and values[-1] * threshold < CLEAR:
+        values, vectors = np.linalg.eigh(0.5 * (inverse + inverse.T))  # 1/μ, by Rayleigh and Ritz
+        if n <= DENSE or (power and values[-1] * threshold < CLEAR):
             break
         X = image
     soft = np.flatnonzero(values * threshold > 1.0)[-most:]
-    return np.asarray(Y @ vectors[:, soft])
+    return np.asarray(Y @ vectors[:, soft])  # y = K_ρ⁻¹ k^½ X z
 
 
 def buckling_modes(solve: Solve, multiply: Solve, n: int, count: int) -> Array:
