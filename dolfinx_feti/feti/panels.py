@@ -41,32 +41,33 @@ class Panels:
             rows: Rows of each panel, each row once, (m_p,).
             values: What each panel has on them, transposed, (c_p, m_p).
         """
-        self._rows = [slice(n) if len(of) == n else of for of in rows]
-        self._values = list(values)
-        self._columns = consecutive([len(values) for values in self._values])
-        self.shape = n, self._columns[-1].stop if self._columns else 0
+        columns = consecutive([len(of) for of in values])
+        reached = [slice(n) if len(of) == n else of for of in rows]
+        self._panels = list(zip(columns, reached, values, strict=True))
+        self.shape = n, sum(len(of) for of in values)
 
     def dense(self) -> Array:
         """Return W, (n, c)."""
         W = np.zeros(self.shape[::-1])
-        for columns, rows, values in zip(self._columns, self._rows, self._values, strict=True):
+        for columns, rows, values in self._panels:
             W[columns, rows] = values
         return W.T
 
     def product(self, S: Array) -> Array:
         """Return S W, (n, c), for a symmetric S, (n, n), given row by row."""
         Y = np.empty(self.shape[::-1])
-        for columns, rows, values in zip(self._columns, self._rows, self._values, strict=True):
+        for columns, rows, values in self._panels:
             np.matmul(values, S[rows], out=Y[columns])  # (S W_p)ᵀ = W_pᵀ S
         return Y.T
 
     def overlap(self, Y: Array) -> Array:
         """Return Wᵀ Y, (n, r) → (c, r)."""
         E = np.empty((self.shape[1], Y.shape[1]))
-        for columns, rows, values in zip(self._columns, self._rows, self._values, strict=True):
+        for columns, rows, values in self._panels:
             np.matmul(values, Y[rows], out=E[columns])  # W_pᵀ Y
         return E
 
     def squares(self) -> Array:
         """Return the squares of the norms of all columns, (c,)."""
-        return np.concatenate([np.zeros(0), *((values**2).sum(axis=1) for values in self._values)])
+        squares = [(values**2).sum(axis=1) for _, _, values in self._panels]
+        return np.concatenate([np.zeros(0), *squares])

@@ -105,7 +105,7 @@ def jump_fields(copies: Copies, U: Sequence[Array]) -> Fields:
     values, at = -averages.values, averages.row
     itself = averages.first == own.first[at]
     values[itself] += own.values[at[itself]]
-    rest = own.count > 0  # rows that are no copies
+    rest = own.count > 0  # rows with a prescribed value
     rest[at[itself]] = False
     row = np.concatenate([at, np.flatnonzero(rest)])
     order = np.argsort(row, kind="stable")

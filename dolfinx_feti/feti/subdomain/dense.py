@@ -282,13 +282,11 @@ class _Block:
     def solve_many(self, Y: Array, work: Array) -> Array:
         if Y.size == 0:
             return np.zeros(Y.shape)
-        if self.single:
-            return np.column_stack([self._solve_in_single(y) for y in Y.T])
         if self._interchanges is not None:
             return lapack.dsytrs(self.X, self._interchanges, Y, lower=1)[0]
         if self.X.ndim == 2:
             return np.asarray(self.X @ Y)
-        if Y.shape[1] <= FEW:
+        if self.single or Y.shape[1] <= FEW:
             return np.column_stack([self.solve(y) for y in Y.T])
         L = _unpack(self.X, self._n, work)
         X = blas.dtrsm(1.0, L, np.asfortranarray(Y), lower=1)

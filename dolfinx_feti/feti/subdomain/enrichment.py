@@ -53,7 +53,7 @@ DENSE = 200
 #: Powers of the operator and spare columns in a subspace iteration.
 POWERS, SPARE = 4, 4
 
-#: Share of the flexibility of a soft mode that the second power shows at least if there is one.
+#: Share of a soft mode's flexibility: if the second power shows less, there is no soft mode.
 CLEAR = 0.7
 
 

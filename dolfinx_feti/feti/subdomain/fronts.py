@@ -225,16 +225,15 @@ def _orders(ptr: Indices, adjacent: Indices, interior: Indices) -> list[Indices]
     if len(row) == 0:
         return [interior]
     begin = np.searchsorted(row, np.arange(len(interior) + 1))
-    dissected = _dissect(begin, column) if _is_symmetric(row, column) else None
+    symmetric = _is_symmetric(row, column, len(interior))
+    dissected = _dissect(begin, column) if symmetric else None
     orders = _orders_of_petsc(begin, column) if dissected is None else [dissected]
     return [interior[order] for order in orders]
 
 
-def _is_symmetric(row: Indices, column: Indices) -> bool:
-    """Tell whether (j, i) is among the pairs wherever (i, j) is; false with probability 2⁻⁶⁰."""
-    x, y = np.random.default_rng(1998).integers(2**63, size=(2, row[-1] + 1), dtype=np.uint64)
-    if column.max() > row[-1]:
-        return False
+def _is_symmetric(row: Indices, column: Indices, n: int) -> bool:
+    """Tell, by random numbers, whether (j, i) is among the pairs wherever (i, j) is."""
+    x, y = np.random.default_rng(1998).integers(2**63, size=(2, n), dtype=np.uint64)
     return bool(np.sum(x[row] * y[column]) == np.sum(x[column] * y[row]))  # modulo 2⁶⁴
 
 
