@@ -19,7 +19,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Rows", "function", "rows_of"]
+__all__ = ["Rows", "function", "reads_in_place", "rows_of"]
 
 _Handle, _Number = ctypes.c_void_p, ctypes.c_int
 _Numbers, _Doubles = ctypes.POINTER(ctypes.c_int), ctypes.POINTER(ctypes.c_double)
@@ -63,9 +63,21 @@ def function(name: str, arguments: tuple[Any, ...]) -> Any:
     return found
 
 
+def reads_in_place() -> bool:
+    """Tell whether :func:`rows_of` yields a matrix's own arrays, and not copies."""
+    wanted = {
+        "MatGetRowIJ": _ROWS,
+        "MatRestoreRowIJ": _ROWS,
+        "MatSeqAIJGetArrayRead": _READ,
+        "MatSeqAIJRestoreArrayRead": _READ,
+    }
+    there = all(function(name, arguments) for name, arguments in wanted.items())
+    return there and PETSc.IntType().itemsize == 4
+
+
 @contextmanager
 def rows_of(K: PETSc.Mat) -> Iterator[Rows]:
-    """Yield the arrays of a sequential AIJ matrix, which are its own where that is possible.
+    """Yield the arrays of a sequential AIJ matrix, its own if :func:`reads_in_place`.
 
     Args:
         K: The matrix; it stays as it is as long as the arrays are in use.
@@ -77,8 +89,7 @@ def rows_of(K: PETSc.Mat) -> Iterator[Rows]:
     array = function("MatSeqAIJGetArrayRead", _READ)
     restore_array = function("MatSeqAIJRestoreArrayRead", _READ)
     n = K.getSize()[0]
-    there = rows and restore_rows and array and restore_array
-    if n == 0 or PETSc.IntType().itemsize != 4 or not there:
+    if n == 0 or not reads_in_place():
         indptr, indices, values = K.getValuesCSR()
         yield Rows(indptr.astype(np.int32), indices.astype(np.int32), values)
         return

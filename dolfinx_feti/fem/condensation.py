@@ -21,6 +21,7 @@ those of the mixed problem. For the perturbed Lagrangian p (J − 1) − p²/(2�
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 from petsc4py import PETSc
@@ -38,6 +39,9 @@ from dolfinx_feti.fem.decomposition import Decomposition, TornSpace
 __all__ = ["Blocks", "Condensation", "pressure_patterns"]
 
 Array = npt.NDArray[np.float64]
+
+#: Largest degree of a pressure pattern.
+DEGREE = 4
 
 #: Number of cells whose element matrices are in memory at once.
 CHUNK = 4096
@@ -184,10 +188,11 @@ class Condensation:
 
 
 def pressure_patterns(decomposition: Decomposition) -> Array:
-    """Return the monomials up to degree two on the cells of each subdomain, (cells, patterns).
+    """Return the monomials up to :data:`DEGREE` on the cells of each subdomain, (cells, patterns).
 
     The constant, the coordinates of the cells' midpoints from their mean over the subdomain, at
-    most one in size, and products of two of them: ten patterns in three dimensions.
+    most one in size, and products of them: in three dimensions 1, 4, 10, 20, 35 patterns up to
+    degree 0, 1, 2, 3, 4.
     """
     mesh, subdomain = decomposition.mesh, decomposition.subdomain
     gdim, tdim = mesh.geometry.dim, mesh.topology.dim
@@ -200,8 +205,9 @@ def pressure_patterns(decomposition: Decomposition) -> Array:
     size = np.zeros(decomposition.count)
     np.maximum.at(size, subdomain, np.abs(x).max(axis=1, initial=0.0))
     x /= np.where(size > 0.0, size, 1.0)[subdomain, None]
-    products = [x[:, i] * x[:, j] for i in range(gdim) for j in range(i, gdim)]
-    return np.column_stack([np.ones(len(x)), x, *products])
+    degrees = range(DEGREE + 1)
+    factors = (itertools.combinations_with_replacement(range(gdim), degree) for degree in degrees)
+    return np.column_stack([x[:, list(of)].prod(axis=1) for of in itertools.chain(*factors)])
 
 
 def _require_blocks(p: dolfinx.fem.Function, **blocks: ufl.Form) -> None:

@@ -34,15 +34,15 @@ __all__ = ["DOFS", "flux_columns"]
 
 Array = npt.NDArray[np.float64]
 
-#: Interface dofs of a subdomain for each of its columns beyond the first, at least.
-DOFS = 64
+#: Interface dofs of a subdomain that has all columns; one with fewer has that share of them.
+DOFS = 640
 
 #: Energy below which a combination of columns of unit energy is dropped.
 DEPENDENT = 1e-8
 
 
 def flux_columns(copies: Copies, g: Array, solve: Callable[[int, Array], Array]) -> list[Array]:
-    """Return the flux columns of each subdomain, (n_i, up to the number of patterns and n_i / 64).
+    """Return the flux columns of each subdomain, (n_i, up to the number of patterns).
 
     Args:
         copies: Copies of the interface dofs.
@@ -51,7 +51,8 @@ def flux_columns(copies: Copies, g: Array, solve: Callable[[int, Array], Array])
             ``solve(i, c)``, (n_i, patterns) → (n_i, patterns).
     """
     c = (1.0 - copies.delta)[:, None] * g
-    few = [c[rows, : max(1, (rows.stop - rows.start) // DOFS)] for rows in copies.blocks]
+    most = c.shape[1]
+    few = [c[on, : max(1, most * (on.stop - on.start) // DOFS)] for on in copies.blocks]
     return [_orthonormal(solve(i, c_i), c_i) for i, c_i in enumerate(few)]
 
 

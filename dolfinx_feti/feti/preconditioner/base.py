@@ -38,8 +38,9 @@ import scipy.sparse
 from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.linear_map import LinearMap
 from dolfinx_feti.feti.panels import Panels
-from dolfinx_feti.feti.subdomain.factors import BlockFactors
 from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
+from dolfinx_feti.feti.subdomain.sparse.factors import BlockFactors
+from dolfinx_feti.feti.subdomain.sparse.regularised import RegularisedFactors
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Preconditioner"]
@@ -63,7 +64,7 @@ class Preconditioner(ABC):
         props: The props Y_Z of each subdomain, (n_Γ, q_i); after :meth:`update`.
     """
 
-    factors: BlockFactors | None = None
+    factors: BlockFactors | RegularisedFactors | None = None
     energetic = True
 
     def __init__(

@@ -28,8 +28,9 @@ from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.panels import Panels
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.subdomain.blocks import index_set, product_many
-from dolfinx_feti.feti.subdomain.factors import BlockFactors
 from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
+from dolfinx_feti.feti.subdomain.sparse.factors import BlockFactors
+from dolfinx_feti.feti.subdomain.sparse.regularised import RegularisedFactors, create_factors
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Dirichlet", "ImplicitDirichlet"]
@@ -72,7 +73,7 @@ class ImplicitDirichlet(Dirichlet):
     Besides one interior factor for each subdomain it keeps the interface rows of K, (n_Γ, n).
     """
 
-    factors: BlockFactors
+    factors: BlockFactors | RegularisedFactors
 
     def __init__(
         self,
@@ -85,7 +86,7 @@ class ImplicitDirichlet(Dirichlet):
     ) -> None:
         """Prepare the interior factorisations; see the base class."""
         super().__init__(torn, gluing, matrices, symmetric=symmetric, prefix=prefix)
-        self.factors = BlockFactors(torn.K, self.interior, prefix=prefix, symmetric=symmetric)
+        self.factors = create_factors(torn, self.interior, prefix=prefix, symmetric=symmetric)
         self._rows_Γ = index_set(self._Γ)
         self._all = index_set(np.arange(torn.n, dtype=np.int32))
         self._rows: PETSc.Mat | None = None

@@ -3,6 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """One subdomain at a time: its matrix, its factors, its kernel, its generalised inverse.
 
-In the order of the data: blocks, direct, factors, dense, schur, fronts, interior, kernel,
-nullspace, elimination, matrices, enrichment, modes, pseudoinverse.
+In the order of the data: blocks, direct, dense, sparse, kernel, nullspace, elimination, matrices,
+enrichment, modes, pseudoinverse.
 """

@@ -30,10 +30,13 @@ import numpy.typing as npt
 from dolfinx_feti.feti.subdomain.blocks import index_set, named, sparse_block
 from dolfinx_feti.feti.subdomain.dense import DenseFactors, pack
 from dolfinx_feti.feti.subdomain.direct import Choice
-from dolfinx_feti.feti.subdomain.factors import BlockFactors
-from dolfinx_feti.feti.subdomain.fronts import FrontCode, load_fronts
-from dolfinx_feti.feti.subdomain.interior import InteriorFactors
-from dolfinx_feti.feti.subdomain.schur import partial_factorisation_is_there, schur_complement
+from dolfinx_feti.feti.subdomain.sparse.factors import BlockFactors
+from dolfinx_feti.feti.subdomain.sparse.fronts import FrontCode, load_fronts_for
+from dolfinx_feti.feti.subdomain.sparse.interior import InteriorFactors
+from dolfinx_feti.feti.subdomain.sparse.schur import (
+    partial_factorisation_is_there,
+    schur_complement,
+)
 from dolfinx_feti.petsc_library import rows_of
 from dolfinx_feti.torn import Torn
 
@@ -218,16 +221,8 @@ def create_elimination(
         return DenseElimination(torn, free, glued, choice)
     partial = partial_factorisation_is_there(choice)
     pivoted = (PartialElimination if partial else ColumnElimination)(torn, free, glued, choice)
-    code = _front_code(choice, torn.comm)
+    code = load_fronts_for(choice.prefix, torn.comm)
     return pivoted if code is None else FrontElimination(torn, free, pivoted, code)
-
-
-def _front_code(choice: Choice, comm: MPI.Comm) -> FrontCode | None:
-    """Return the code of the fronts; None if the options name a solver, or it is not to be had."""
-    options = PETSc.Options(choice.prefix)
-    if options.hasName("pc_factor_mat_solver_type") or options.hasName("pc_type"):
-        return None
-    return load_fronts(comm)
 
 
 def _others(n: int, chosen: Indices) -> Indices:

@@ -39,9 +39,10 @@ from dolfinx_feti.feti.subdomain.blocks import named, product_many, sparse_block
 from dolfinx_feti.feti.subdomain.dense import DenseFactors
 from dolfinx_feti.feti.subdomain.direct import sum_pivots
 from dolfinx_feti.feti.subdomain.elimination import create_elimination
-from dolfinx_feti.feti.subdomain.factors import BlockFactors, Factors
 from dolfinx_feti.feti.subdomain.kernel import orthonormal
 from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, null_space
+from dolfinx_feti.feti.subdomain.sparse.factors import Factors
+from dolfinx_feti.feti.subdomain.sparse.regularised import create_factors
 from dolfinx_feti.torn import Torn
 
 __all__ = ["SubdomainMatrices", "create_matrices", "worth_condensing"]
@@ -157,7 +158,6 @@ class SparseMatrices(SubdomainMatrices):
     """K on all free dofs."""
 
     condensed = False
-    factors: BlockFactors
 
     def __init__(self, torn: Torn, free: list[Indices], *, symmetric: bool, prefix: str) -> None:
         """Prepare the factorisations of K.
@@ -170,7 +170,7 @@ class SparseMatrices(SubdomainMatrices):
         """
         super().__init__(torn)
         self.dofs = free
-        self.factors = BlockFactors(torn.K, free, prefix=prefix, symmetric=symmetric)
+        self.factors = create_factors(torn, free, prefix=prefix, symmetric=symmetric)
 
     def restrict(self, i: int, R: Array) -> Array:
         return R

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.errors import FactorError
-from dolfinx_feti.feti.subdomain.factors import Factors
+from dolfinx_feti.feti.subdomain.sparse.factors import Factors
 
 __all__ = ["factor_tells_singular", "null_space"]
 

@@ -21,7 +21,8 @@ from dolfinx_feti.feti.setup import Pattern, factor
 from dolfinx_feti.feti.subdomain import elimination
 from dolfinx_feti.feti.subdomain.blocks import named
 from dolfinx_feti.feti.subdomain.dense import DenseFactors, pack
-from dolfinx_feti.feti.subdomain.factors import BlockFactors
+from dolfinx_feti.feti.subdomain.sparse import regularised
+from dolfinx_feti.feti.subdomain.sparse.factors import BlockFactors
 
 GRID = {"subdomains": (3, 2), "cells": (5, 2), "components": 2}
 LAST = COMM.rank == COMM.size - 1
@@ -41,11 +42,12 @@ PLACES = {
     "null space": ("pseudoinverse.factor_tells_singular", "keep"),
     "soft modes": ("pseudoinverse.soft_modes", "eliminate"),
     "border": ("pseudoinverse.PseudoInverse._basis", "keep"),
-    "fronts": ("fronts.Fronts.factor", "eliminate"),
+    "fronts": ("sparse.fronts.Fronts.factor", "eliminate"),
+    "fronts of K": ("sparse.fronts.Fronts.factor", "keep"),
     "Schur complement": ("elimination.schur_complement", "eliminate"),
     "dense interior": ("elimination.DenseElimination._eliminate", "eliminate"),
     "interior kernel": ("matrices.factor_tells_singular", "eliminate"),
-    "factor": ("factors.create_factor", "keep"),
+    "factor": ("sparse.factors.create_factor", "keep"),
 }
 
 
@@ -62,10 +64,12 @@ def fail_on_last(monkeypatch, place, error):
 @pytest.mark.parametrize("place", PLACES.values(), ids=PLACES)
 def test_every_place_may_fail(place, torn_grid, parts, monkeypatch):
     where, interior = place
-    if where.startswith(("elimination.schur", "fronts")):
+    if where.startswith(("elimination.schur", "sparse.fronts")):
         monkeypatch.setattr(elimination, "SMALL", -1)
     if where.startswith("elimination.schur"):
-        monkeypatch.setattr(elimination, "_front_code", lambda *_: None)
+        monkeypatch.setattr(elimination, "load_fronts_for", lambda *_: None)
+    if where.startswith("sparse.factors"):
+        monkeypatch.setattr(regularised, "load_fronts_for", lambda *_: None)
     fail_on_last(monkeypatch, where, ERRORS["LAPACK"])
     A = torn_grid(**GRID).A
     with raises(SetUpError, "A local factorisation failed .*SVD did not converge"):
@@ -135,6 +139,7 @@ def test_names_of_subdomains():
 
 def test_not_enough_work_space(torn_grid, parts, monkeypatch):
     """MUMPS fails for real with too little work space, and gets more of it."""
+    monkeypatch.setattr(regularised, "load_fronts_for", lambda *_: None)
     monkeypatch.setattr("dolfinx_feti.feti.subdomain.direct.WORK_SPACE", (-99, 50))
     problem = torn_grid((2, 2), (12, 12), components=2)
     expected = np.random.default_rng(1).standard_normal(len(problem.dirichlet))
@@ -145,8 +150,9 @@ def test_not_enough_work_space(torn_grid, parts, monkeypatch):
         parts(problem.A, interior="keep")
 
 
-def test_memory_is_in_mebibytes(torn_grid, parts):
+def test_memory_is_in_mebibytes(torn_grid, parts, monkeypatch):
     """MUMPS counts in units of 10⁶ bytes, the dense blocks in bytes."""
+    monkeypatch.setattr(regularised, "load_fronts_for", lambda *_: None)
     system = parts(torn_grid((2, 2), (12, 12), components=2).A, interior="keep")
     factors = system.matrices.factors
     agree(isinstance(factors, BlockFactors))

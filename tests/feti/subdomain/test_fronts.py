@@ -16,9 +16,10 @@ import scipy.sparse
 from collective import COMM, agree, equal
 
 from dolfinx_feti import native
-from dolfinx_feti.feti.subdomain import elimination, fronts
+from dolfinx_feti.feti.subdomain import elimination
 from dolfinx_feti.feti.subdomain.dense import pack
-from dolfinx_feti.feti.subdomain.fronts import Fronts, load_fronts
+from dolfinx_feti.feti.subdomain.sparse import fronts
+from dolfinx_feti.feti.subdomain.sparse.fronts import Fronts, load_fronts, load_fronts_for
 from dolfinx_feti.petsc_library import rows_of
 
 EPS = np.finfo(np.float64).eps
@@ -195,7 +196,7 @@ def test_pivots_where_they_are_needed(factor, torn_grid, parts, monkeypatch):
     monkeypatch.setattr(elimination, "SMALL", -1)
     problem = torn_grid((2, 2), (6, 5), components=2, change=buckled(factor))
     by_fronts = parts(problem.A, type="all_floating", interior="eliminate").matrices
-    monkeypatch.setattr(elimination, "_front_code", lambda *_: None)
+    monkeypatch.setattr(elimination, "load_fronts_for", lambda *_: None)
     by_mumps = parts(problem.A, type="all_floating", interior="eliminate").matrices
     inertia = by_fronts.interior_inertia()
     agree(inertia == by_mumps.interior_inertia())
@@ -215,11 +216,10 @@ def test_pivots_where_they_are_needed(factor, torn_grid, parts, monkeypatch):
 @pytest.mark.parametrize("name", ["pc_factor_mat_solver_type", "pc_type"])
 def test_options_that_name_a_solver_are_followed(name):
     """Who names the solver of K_II gets it."""
-    choice = elimination.Choice("fronts_", symmetric=True, right_hand_sides=8)
-    agree(elimination._front_code(choice, COMM) is not None)
+    agree(load_fronts_for("fronts_", COMM) is not None)
     options = PETSc.Options("fronts_")
     options[name] = {"pc_type": "cholesky"}.get(name, "mumps")
-    agree(elimination._front_code(choice, COMM) is None)
+    agree(load_fronts_for("fronts_", COMM) is None)
     options.delValue(name)
 
 

@@ -18,7 +18,10 @@ from dolfinx_feti.feti.subdomain import elimination
 from dolfinx_feti.feti.subdomain.dense import DenseFactors, pack
 from dolfinx_feti.feti.subdomain.direct import Choice
 from dolfinx_feti.feti.subdomain.matrices import worth_condensing
-from dolfinx_feti.feti.subdomain.schur import partial_factorisation_is_there, schur_complement
+from dolfinx_feti.feti.subdomain.sparse.schur import (
+    partial_factorisation_is_there,
+    schur_complement,
+)
 
 SEED = 31
 every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
@@ -138,7 +141,7 @@ def test_elimination_is_exact(kind, change, way, torn_grid, parts, monkeypatch):
     if way != "dense":
         monkeypatch.setattr(elimination, "SMALL", -1)
     if way in ("partial", "columns"):
-        monkeypatch.setattr(elimination, "_front_code", lambda *_: None)
+        monkeypatch.setattr(elimination, "load_fronts_for", lambda *_: None)
     if way == "columns":
         monkeypatch.setattr(elimination, "partial_factorisation_is_there", lambda choice: False)
     problem = torn_grid((2, 2), (4, 3), components=2, change=change)

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -16,13 +18,15 @@ from walls import tube, wall
 
 from dolfinx_feti.feti.subdomain import nullspace
 from dolfinx_feti.feti.subdomain.dense import DenseFactors, pack
-from dolfinx_feti.feti.subdomain.factors import BlockFactors
 from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, null_space
+from dolfinx_feti.feti.subdomain.sparse.factors import BlockFactors
+from dolfinx_feti.feti.subdomain.sparse.fronts import load_fronts
+from dolfinx_feti.feti.subdomain.sparse.regularised import RegularisedFactors
 
 SEED = 60221
 
 every_size = pytest.mark.parametrize("dense", [1000, 10], ids=["all vectors", "inverse iteration"])
-every_kind = pytest.mark.parametrize("kind", ["sparse", "dense"])
+every_kind = pytest.mark.parametrize("kind", ["pivots", "fronts", "dense"])
 
 
 def singular(n, nullity, spread, *, softest=1e-6):
@@ -46,7 +50,11 @@ def factors_of(K, kind):
     M = PETSc.Mat().createAIJ(K.shape, nnz=len(K), comm=PETSc.COMM_SELF)
     M.setValues(rows, rows, K)
     M.assemble()
-    return BlockFactors(M, [rows], prefix="null_", symmetric=True), M
+    factors = BlockFactors(M, [rows], prefix="null_", symmetric=True)
+    if kind == "fronts":
+        torn = SimpleNamespace(K=M, n=len(K))
+        factors = RegularisedFactors(torn, [rows], factors, load_fronts(COMM))
+    return factors, M
 
 
 @every_size
@@ -95,7 +103,7 @@ def test_soft_and_buckling_modes_are_no_null_vectors(kind, softest):
 def test_right_null_vectors_of_an_unsymmetric_matrix():
     rng = np.random.default_rng(SEED)
     K = rng.standard_normal((30, 28)) @ rng.standard_normal((28, 30))
-    factors, matrix = factors_of(K, "sparse")
+    factors, matrix = factors_of(K, "pivots")
     Y = null_space(factors, 0, lambda X: K @ X, np.abs(K.diagonal()))
     agree(Y.shape == (30, 2))
     small(np.abs(K @ Y).max(), 1e-10 * np.abs(K).max() * np.abs(Y).max())

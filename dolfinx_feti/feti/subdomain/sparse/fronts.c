@@ -38,11 +38,16 @@ typedef void syrk(char *, char *, int *, int *, double *, double *, int *, doubl
                   int *);
 typedef void gemm(char *, char *, int *, int *, int *, double *, double *, int *, double *, int *,
                   double *, double *, int *);
+typedef void trsv(char *, char *, char *, int *, double *, int *, double *, int *);
+typedef void gemv(char *, int *, int *, double *, double *, int *, double *, int *, double *,
+                  double *, int *);
 typedef struct {
     potrf *potrf;
     trsm *trsm;
     syrk *syrk;
     gemm *gemm;
+    trsv *trsv;
+    gemv *gemv;
 } dense;
 
 void fronts_free(fronts *f)
@@ -99,10 +104,8 @@ static int plant(forest *t, int m, const int *size, int m_I, const int *order)
     t->m = m, t->m_I = m_I, t->size = size;
     t->pool = malloc(count * (size_t)(m + 1) * sizeof(int));
     if (!t->pool) return 0;
-    for (int i = 0; i < count; ++i) {
-        *arrays[i] = t->pool + i * (size_t)(m + 1);
-        for (int k = 0; k <= m; ++k) (*arrays[i])[k] = -1;
-    }
+    for (size_t k = 0; k < count * (size_t)(m + 1); ++k) t->pool[k] = -1;
+    for (int i = 0; i < count; ++i) *arrays[i] = t->pool + i * (size_t)(m + 1);
     for (int k = 0; k < m_I; ++k) t->turn[order[k]] = k;
     for (int v = 0; v < m; ++v) {
         if (t->turn[v] < 0) t->turn[v] = next++;
@@ -288,9 +291,7 @@ fronts *fronts_analyse(int m, const int *size, const int *ptr, const int *adjace
     ok = ok && measure(&t, f, number_fronts(&t, list));
     if (ok) give_ranks(&t, f, list);
     if (ok) make_room(f, list);
-    free(list);
-    free(t.rows);
-    free(t.pool);
+    free(list), free(t.rows), free(t.pool);
     if (ok) return f;
     fronts_free(f);
     return NULL;
@@ -302,12 +303,14 @@ fronts *fronts_analyse(int m, const int *size, const int *ptr, const int *adjace
 static int64_t packed(int64_t n, int64_t i, int64_t j) { return j * n - j * (j + 1) / 2 + i; }
 
 // Factor K, (n, n): the rows of a matrix that are named, and the columns with a number that is not
-// negative, both triangles. L takes the rows of U and of W inside the interior; S, its packed lower
-// triangle, comes as zeros. work has room for f->work, place,
-// dof and at for n, waiting for count. Returns 0, or the rank + 1 of a pivot that is not positive.
+// negative, both triangles; held, (p, p), is added to the p pivots of the last front, unless NULL.
+// L takes the rows of U and of W inside the interior; S, packed, comes as zeros. work has room for
+// f->work, place, dof and at for n, waiting for count. Returns 0, or the rank + 1 of a pivot that
+// is not positive.
 int fronts_factor(const fronts *f, const int *rows, const int *indptr, const int *indices,
-                  const int *number, const double *values, double *L, double *S, double *work,
-                  int *place, int *dof, int *at, int *waiting, const dense *blas)
+                  const int *number, const double *values, const double *held, double *L,
+                  double *S, double *work, int *place, int *dof, int *at, int *waiting,
+                  const dense *blas)
 {
     const int n_Gamma = f->n - f->n_I;
     double *top = work, one = 1.0, minus = -1.0;
@@ -348,6 +351,7 @@ int fronts_factor(const fronts *f, const int *rows, const int *indptr, const int
                 }
             }
         }
+        for (int64_t j = 0; held && i == f->count - 1 && j < (int64_t)p * p; ++j) P[j] += held[j];
         double *W = P + (int64_t)p * p;
         int info = 0;
         blas->potrf("U", &p, P, &p, &info); // Uᵀ U
@@ -372,29 +376,49 @@ int fronts_factor(const fronts *f, const int *rows, const int *indptr, const int
     return 0;
 }
 
+// Overwrite k columns y, (p, k) of n rows, with U⁻¹ y or, transposed, U⁻ᵀ y.
+static void divide(char *transposed, int p, int k, double *U, double *y, int n, const dense *blas)
+{
+    double one = 1.0;
+    int each = 1;
+    if (k == 1)
+        blas->trsv("U", transposed, "N", &p, U, &p, y, &each);
+    else
+        blas->trsm("L", "U", transposed, "N", &p, &k, &one, U, &p, y, &n);
+}
+
+// Z = a W X + c Z or, transposed, a Wᵀ X + c Z, for W, (p, b), and k columns of n and m rows.
+static void multiply(char *transposed, double a, int p, int b, int k, double *W, double *X, int n,
+                     double c, double *Z, int m, const dense *blas)
+{
+    int each = 1, rows = *transposed == 'T' ? b : p, inner = *transposed == 'T' ? p : b;
+    if (k == 1)
+        blas->gemv(transposed, &p, &b, &a, W, &p, X, &each, &c, Z, &each);
+    else
+        blas->gemm(transposed, "N", &rows, &k, &inner, &a, W, &p, X, &n, &c, Z, &m);
+}
+
 // Overwrite k columns Y, (n_I, k), by their ranks, with K_II⁻¹ Y; work has room for f->widest k.
 void fronts_solve(const fronts *f, const double *L, int k, double *Y, double *work,
                   const dense *blas)
 {
-    double one = 1.0, minus = -1.0, zero = 0.0;
-    int n = f->n_I;
+    const int n = f->n_I;
     for (int i = 0; i < f->count; ++i) { // U⁻ᵀ
         const int *border = f->rows + f->start[i];
-        int p = f->first[i + 1] - f->first[i], b = f->inside[i];
+        const int p = f->first[i + 1] - f->first[i], b = f->inside[i];
         double *U = (double *)L + f->factor[i], *W = U + (int64_t)p * p, *y = Y + f->first[i];
-        blas->trsm("L", "U", "T", "N", &p, &k, &one, U, &p, y, &n);
-        if (!b) continue;
-        blas->gemm("T", "N", &b, &k, &p, &one, W, &p, y, &n, &zero, work, &b);
+        divide("T", p, k, U, y, n, blas);
+        if (b) multiply("T", 1.0, p, b, k, W, y, n, 0.0, work, b, blas);
         for (int c = 0; c < k; ++c)
             for (int j = 0; j < b; ++j) Y[(int64_t)n * c + border[j]] -= work[(int64_t)b * c + j];
     }
     for (int i = f->count - 1; i >= 0; --i) { // U⁻¹
         const int *border = f->rows + f->start[i];
-        int p = f->first[i + 1] - f->first[i], b = f->inside[i];
+        const int p = f->first[i + 1] - f->first[i], b = f->inside[i];
         double *U = (double *)L + f->factor[i], *W = U + (int64_t)p * p, *y = Y + f->first[i];
         for (int c = 0; c < k; ++c)
             for (int j = 0; j < b; ++j) work[(int64_t)b * c + j] = Y[(int64_t)n * c + border[j]];
-        if (b) blas->gemm("N", "N", &p, &k, &b, &minus, W, &p, work, &b, &one, y, &n);
-        blas->trsm("L", "U", "N", "N", &p, &k, &one, U, &p, y, &n);
+        if (b) multiply("N", -1.0, p, b, k, W, work, b, 1.0, y, n, blas);
+        divide("N", p, k, U, y, n, blas);
     }
 }

@@ -41,7 +41,7 @@ from dolfinx_feti.connectivity import coupled_nodes, load_graph_code
 from dolfinx_feti.native import address_of, load_or_do_without, pointer
 from dolfinx_feti.petsc_library import Rows, function
 
-__all__ = ["FrontCode", "Fronts", "load_fronts"]
+__all__ = ["FrontCode", "Fronts", "load_fronts", "load_fronts_for"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -53,11 +53,11 @@ ORDERINGS = ("nd", "amd")
 #: Of METIS: the number of its options, and the code of success.
 METIS_OPTIONS, METIS_OK = 40, 1
 
-ROUTINES = ("dpotrf", "dtrsm", "dsyrk", "dgemm")
+ROUTINES = ("dpotrf", "dtrsm", "dsyrk", "dgemm", "dtrsv", "dgemv")
 
 DECLARATIONS = """
 typedef struct {
-    int n_I, count, *rank, widest;
+    int n_I, count, *rank, *first, widest;
     int64_t *factor, work;
     double seconds;
     ...;
@@ -65,8 +65,8 @@ typedef struct {
 typedef struct { ...; } dense;
 fronts *fronts_analyse(int, const int *, const int *, const int *, int, const int *);
 int fronts_factor(const fronts *, const int *, const int *, const int *, const int *,
-                  const double *, double *, double *, double *, int *, int *, int *, int *,
-                  const dense *);
+                  const double *, const double *, double *, double *, double *, int *, int *,
+                  int *, int *, const dense *);
 void fronts_solve(const fronts *, const double *, int, double *, double *, const dense *);
 void fronts_free(fronts *);
 """
@@ -94,11 +94,20 @@ def load_fronts(comm: MPI.Comm) -> FrontCode | None:
     return None if graph is None or module is None else FrontCode(module, graph)
 
 
+def load_fronts_for(prefix: str, comm: MPI.Comm) -> FrontCode | None:
+    """Load the code, unless the options with this prefix name a solver. Collective."""
+    options = PETSc.Options(prefix)
+    named = options.hasName("pc_factor_mat_solver_type") or options.hasName("pc_type")
+    return None if named else load_fronts(comm)
+
+
 class Fronts:
     """The fronts of one subdomain and, once factored, the factor of its K_II.
 
     Attributes:
         factored: Whether there is a factor of the K of the last :meth:`factor`.
+        entries: Entries of the factor.
+        last: Pivots of the last front, among the dofs of the interior.
         work: Entries of the work space of :meth:`factor`.
     """
 
@@ -137,6 +146,10 @@ class Fronts:
         self._rank = rank[~glued].copy()  # of the dofs of the interior, ascending
         self._factor = np.zeros(0)
         self.factored = False
+        count = self._fronts.count
+        first = self._fronts.first[count - 1] if count else 0
+        self.last = np.argsort(self._rank)[first:]
+        self.entries = int(self._fronts.factor[count])
         self.work = int(self._fronts.work)
 
     def _analyse(self, graph: tuple[Indices, Indices], size: Indices, interior: Indices) -> Any:
@@ -157,12 +170,13 @@ class Fronts:
                 best = found
         return best
 
-    def factor(self, K: Rows, work: Array) -> Array | None:
+    def factor(self, K: Rows, work: Array, held: Array | None = None) -> Array | None:
         """Factor K_II and form S.
 
         Args:
             K: Matrix of the same pattern, (N, N).
             work: Work space, (at least ``work``,).
+            held: Added to K_II on the dofs ``last``, (len(last), len(last)).
 
         Returns:
             S in packed format, (n_Γ (n_Γ + 1) / 2,), see ``dense``; None, and no factor, if K_II is
@@ -170,7 +184,7 @@ class Fronts:
         """
         to, n = self._code.to, len(self._rows)
         if not len(self._factor):
-            self._factor = np.empty(int(self._fronts.factor[self._fronts.count]))
+            self._factor = np.empty(self.entries)
         S = np.zeros(self._n_Γ * (self._n_Γ + 1) // 2)
         places = [np.empty(n + 1, dtype=np.int32) for _ in range(4)]
         failed = self._code.lib.fronts_factor(
@@ -180,6 +194,7 @@ class Fronts:
             to(K.indices),
             to(self._number),
             to(K.values),
+            self._code.module.ffi.NULL if held is None else to(held),
             to(self._factor),
             to(S),
             to(work),

@@ -1,12 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Factors of the interior of every subdomain, by fronts or with pivots.
-
-Those of :math:`K_{II}` come from its fronts (``fronts``), together with S. Where it is not positive
-definite, as inside a wall that buckles, :math:`L Δ L^⊤` with pivots takes their place
-(``factors``), and tells the inertia.
-"""
+"""Factors of every sparse block of a process, each by fronts, or with pivots where these fail."""
 
 from __future__ import annotations
 
@@ -16,64 +11,39 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.feti.subdomain.direct import Pivots
-from dolfinx_feti.feti.subdomain.factors import BlockFactors
-from dolfinx_feti.feti.subdomain.fronts import FrontCode, Fronts
-from dolfinx_feti.petsc_library import Rows
+from dolfinx_feti.feti.subdomain.sparse.factors import BlockFactors
+from dolfinx_feti.feti.subdomain.sparse.fronts import Fronts
 from dolfinx_feti.torn import Torn
 
-__all__ = ["InteriorFactors"]
+__all__ = ["FrontsOrPivots"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
 
-class InteriorFactors:
-    """Factors of every K_II of the process; the methods are those of ``Factors``.
+class FrontsOrPivots:
+    """Factors by fronts or with pivots, never both of a block; methods are those of ``Factors``.
 
     Attributes:
         rows: Rows of each block, a slice where they are consecutive.
     """
 
-    def __init__(self, torn: Torn, free: Sequence[Indices], pivoted: BlockFactors) -> None:
+    def __init__(self, torn: Torn, dofs: Sequence[Indices], pivoted: BlockFactors) -> None:
         """Prepare factors; nothing is analysed yet.
 
         Args:
             torn: The torn matrix, symmetric.
-            free: Free torn dofs of each subdomain.
+            dofs: Torn dofs of the fronts of each block; no dof is in two of them.
             pivoted: Prepared factors with pivots; destroyed with these.
         """
-        self._torn = torn
-        self._free = free
-        self._pivoted = pivoted
-        self._fronts: list[Fronts | None] = [None] * len(free)
-        self._number = np.full(torn.n, -1, dtype=np.int32)
-        for rows in free:
-            self._number[rows] = np.arange(len(rows))
         self.rows = pivoted.rows
-
-    def schur_complement(
-        self, i: int, K: Rows, interface: Indices, code: FrontCode, work: Array
-    ) -> tuple[Array | None, Array]:
-        """Factor K_II of subdomain i by fronts, and form S.
-
-        Args:
-            i: Number of the subdomain.
-            K: The torn matrix, row by row.
-            interface: Which of its free dofs are Γ, ascending.
-            code: What ``load_fronts`` returns.
-            work: Work space of an earlier call, (any,).
-
-        Returns:
-            S in packed format, None if K_II is not positive definite; the work space.
-        """
-        fronts = self._fronts[i]
-        if fronts is None:
-            bs = self._torn.K.getBlockSize()
-            fronts = Fronts(code, K, self._free[i], self._number, bs, interface)
-            self._fronts[i] = fronts
-        if len(work) < fronts.work:
-            work = np.empty(fronts.work)
-        return fronts.factor(K, work), work
+        self._torn = torn
+        self._dofs = list(dofs)
+        self._pivoted = pivoted
+        self._fronts: list[Fronts | None] = [None] * len(self._dofs)
+        self._number = np.full(torn.n, -1, dtype=np.int32)
+        for rows in self._dofs:
+            self._number[rows] = np.arange(len(rows))
 
     def update_block(
         self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: Array | None = None
@@ -85,18 +55,19 @@ class InteriorFactors:
     def solve(self, y: Array, x: Array) -> None:
         """Solve with every block: ``x[rows_i] = K_i⁻¹ y[rows_i]``, other entries untouched."""
         for i, rows in enumerate(self.rows):
-            fronts = self._factored(i)
-            if fronts is None:
-                x[rows] = self._pivoted.solve_many(i, y[rows][:, None])[:, 0]
-            else:
-                x[rows] = fronts.solve(y[rows])
+            x[rows] = self._solve(i, y[rows])
 
     def solve_many(self, i: int, Y: Array, *, transpose: bool = False) -> Array:
         """Solve with block i for several right-hand sides, (n_i, r) → (n_i, r)."""
+        return self._solve(i, Y)
+
+    def _solve(self, i: int, y: Array) -> Array:
+        """Solve with block i, (n_i,) or (n_i, r)."""
         fronts = self._factored(i)
-        if fronts is None:
-            return self._pivoted.solve_many(i, Y, transpose=transpose)
-        return fronts.solve(Y)
+        if fronts is not None:
+            return fronts.solve(y)
+        Y = y if y.ndim == 2 else y[:, None]
+        return self._pivoted.solve_many(i, Y).reshape(y.shape)
 
     def solve_border(self, i: int) -> tuple[Array, Array]:
         """Return E/ρ, (n_i, k), and −D/ρ², (k, k), of a block with a border."""
@@ -118,10 +89,12 @@ class InteriorFactors:
         self._pivoted.destroy()
 
     def _factored(self, i: int) -> Fronts | None:
+        """Return the fronts of block i, if they have a factor."""
         fronts = self._fronts[i]
         return fronts if fronts is not None and fronts.factored else None
 
     def _release(self, i: int) -> None:
+        """Free the factor of block i by fronts."""
         fronts = self._fronts[i]
         if fronts is not None:
             fronts.release()

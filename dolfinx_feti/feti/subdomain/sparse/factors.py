@@ -161,6 +161,13 @@ class BlockFactors:
             block.refill(K)
         block.factor()
 
+    def release_block(self, i: int) -> None:
+        """Free the factor of one block."""
+        block = self._blocks[i]
+        if block is not None:
+            block.destroy()
+        self._blocks[i] = None
+
     def solve(self, y: Array, x: Array) -> None:
         """Solve with every block: ``x[rows_i] = K_i⁻¹ y[rows_i]``, other entries untouched."""
         for rows, block in zip(self.rows, self._blocks, strict=True):
