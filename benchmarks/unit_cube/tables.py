@@ -41,8 +41,8 @@ QUADRATIC = {
         "multipliers on level 1, and 2 908 692 multipliers on level 4. Quadratic elements have the "
         "surface nodes, and so the multipliers, of linear ones on the next level: that is what the "
         "last number is, and on level 1 it makes 84 276. As in the paper, with all subdomains "
-        "floating the Dirichlet preconditioner gets better with the level; there the identity, "
-        "too, and the lumped one is constant, while both get worse here."
+        "floating the Dirichlet preconditioner hardly depends on the level; there the identity "
+        "gets better with it, and the lumped one is constant, while both get worse here."
     ),
     "classical": (
         "In the paper iterations with the Dirichlet preconditioner are almost constant, and grow "
