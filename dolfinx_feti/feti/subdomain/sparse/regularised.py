@@ -48,6 +48,9 @@ Indices = npt.NDArray[np.int32]
 #: Share of the largest singular value of R on the last front that the smallest one has to have.
 HELD = 1e-2
 
+#: Bytes of work space that are kept from one factorisation to the next.
+KEPT = 2**26
+
 
 @dataclass(frozen=True, slots=True)
 class _Correction:
@@ -137,10 +140,10 @@ class RegularisedFactors(FrontsOrPivots):
             Q = _held(R[fronts.last])
             if Q is None:
                 return False
-            if len(self._work) < fronts.work:
-                self._work = np.empty(fronts.work)
+            work = self._work if len(self._work) >= fronts.work else np.empty(fronts.work)
+            self._work = work if work.nbytes <= KEPT else self._work
             held = np.asfortranarray(rho * Q @ Q.T) if Q.shape[1] else None
-            if fronts.factor(K, self._work, held) is None:
+            if fronts.factor(K, work, held) is None:
                 return False
         self._corrections[i] = _correction(fronts, R, Q, rho) if Q.shape[1] else None
         return True
