@@ -14,8 +14,9 @@ the kernel. For *any* K, put :math:`s = R^⊤ u` and
           u = K^+(f - B^⊤ λ) + E s, \qquad E^⊤(f - B^⊤ λ) = D s.
 
 With :math:`K R = 0` these are :math:`E = R`, :math:`D = 0` and the paper's equations
-(eq. 39, Augustin_eq:localSolutions; eq. 40). The factor carries R as a border (``factors``), and
-one solve with the border yields E and D at once, without cancellation:
+(eq. 39, Augustin_eq:localSolutions; eq. 40). A factor with pivots carries R as a border
+(``factors``; fronts do otherwise, see ``regularised``), and one solve with the border yields E and
+D at once, without cancellation:
 
 .. math:: \begin{pmatrix} K & ρ R \\ ρ R^⊤ & -ρ I \end{pmatrix}
           \begin{pmatrix} E \\ -D/ρ \end{pmatrix} =

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Direct factors of diagonal blocks of the local matrix, one per subdomain.
+r"""Factors with pivots of diagonal blocks of the local matrix, one per subdomain.
 
 Both the generalised inverse :math:`K_ρ^{-1}` and the interior solve :math:`K_{II}^{-1}` of the
 Dirichlet preconditioner are *a block of K, factored*; the former with a border of k columns R,

@@ -128,7 +128,7 @@ class Fronts:
             rows: Rows of the subdomain, ascending, (n,).
             number: For each column its place among these rows, or a negative number, (N,).
             bs: Size of the blocks, or nodes, that consecutive rows of K belong to.
-            interface: Which of the rows are Γ, ascending.
+            interface: Which of the rows are Γ, ascending; none, and K_II is K.
         """
         n, blocks = len(rows), rows // bs
         glued = np.zeros(n, dtype=bool)
