@@ -28,6 +28,12 @@ _ROWS = (
     ctypes.POINTER(_Numbers), ctypes.POINTER(_Numbers), _Numbers,
 )  # fmt: skip
 _READ = (_Handle, ctypes.POINTER(_Doubles))
+_ACCESS = (
+    ("MatGetRowIJ", _ROWS),
+    ("MatRestoreRowIJ", _ROWS),
+    ("MatSeqAIJGetArrayRead", _READ),
+    ("MatSeqAIJRestoreArrayRead", _READ),
+)
 
 
 class Rows(NamedTuple):
@@ -65,13 +71,7 @@ def function(name: str, arguments: tuple[Any, ...]) -> Any:
 
 def reads_in_place() -> bool:
     """Tell whether :func:`rows_of` yields a matrix's own arrays, and not copies."""
-    wanted = {
-        "MatGetRowIJ": _ROWS,
-        "MatRestoreRowIJ": _ROWS,
-        "MatSeqAIJGetArrayRead": _READ,
-        "MatSeqAIJRestoreArrayRead": _READ,
-    }
-    there = all(function(name, arguments) for name, arguments in wanted.items())
+    there = all(function(*each) for each in _ACCESS)
     return there and PETSc.IntType().itemsize == 4
 
 
@@ -85,14 +85,12 @@ def rows_of(K: PETSc.Mat) -> Iterator[Rows]:
     Raises:
         RuntimeError: The matrix is not SeqAIJ.
     """
-    rows, restore_rows = function("MatGetRowIJ", _ROWS), function("MatRestoreRowIJ", _ROWS)
-    array = function("MatSeqAIJGetArrayRead", _READ)
-    restore_array = function("MatSeqAIJRestoreArrayRead", _READ)
     n = K.getSize()[0]
     if n == 0 or not reads_in_place():
         indptr, indices, values = K.getValuesCSR()
         yield Rows(indptr.astype(np.int32), indices.astype(np.int32), values)
         return
+    rows, restore_rows, array, restore_array = (function(*each) for each in _ACCESS)
     size, done = ctypes.c_int(), ctypes.c_int()
     i, j, a = _Numbers(), _Numbers(), _Doubles()
     pattern = (K.handle, 0, 0, 0, *map(ctypes.byref, (size, i, j, done)))

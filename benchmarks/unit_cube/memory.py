@@ -5,10 +5,10 @@
 
 The factors are by far the most of it. A decomposed cube has at most four kinds of subdomains, told
 apart by how many of their faces lie on its surface; one of each kind is analysed symbolically, and
-its figures are multiplied. Where the solver eliminates the interior dofs, the dense
-Schur complements take the place of the factors of K. The coarse matrix couples a subdomain with the
-26 around it, or with 124 if Q is the preconditioner; its factor is analysed with one dof in the
-place of six modes. What grows with the cells, the non-zeros and the glued dofs was measured once
+its figures are multiplied. Where the solver eliminates the interior dofs, the dense Schur
+complements take the place of the factors of K. The coarse matrix couples a subdomain with the 26
+around it, or with 124 if Q is the preconditioner; its factor is analysed with one dof in the place
+of six modes. What grows with the cells, the non-zeros and the glued dofs was measured once
 and is given below as bytes for each.
 """
 

@@ -39,8 +39,7 @@ from dolfinx_feti.feti.gluing import Gluing
 from dolfinx_feti.feti.linear_map import LinearMap
 from dolfinx_feti.feti.panels import Panels
 from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
-from dolfinx_feti.feti.subdomain.sparse.factors import BlockFactors
-from dolfinx_feti.feti.subdomain.sparse.regularised import RegularisedFactors
+from dolfinx_feti.feti.subdomain.sparse.factors import Factors
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Preconditioner"]
@@ -64,7 +63,7 @@ class Preconditioner(ABC):
         props: The props Y_Z of each subdomain, (n_Γ, q_i); after :meth:`update`.
     """
 
-    factors: BlockFactors | RegularisedFactors | None = None
+    factors: Factors | None = None
     energetic = True
 
     def __init__(

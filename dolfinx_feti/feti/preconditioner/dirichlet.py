@@ -29,8 +29,8 @@ from dolfinx_feti.feti.panels import Panels
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.subdomain.blocks import index_set, product_many
 from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
-from dolfinx_feti.feti.subdomain.sparse.factors import BlockFactors
-from dolfinx_feti.feti.subdomain.sparse.regularised import RegularisedFactors, create_factors
+from dolfinx_feti.feti.subdomain.sparse.factors import Factors
+from dolfinx_feti.feti.subdomain.sparse.regularised import create_factors
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Dirichlet", "ImplicitDirichlet"]
@@ -73,7 +73,7 @@ class ImplicitDirichlet(Dirichlet):
     Besides one interior factor for each subdomain it keeps the interface rows of K, (n_Γ, n).
     """
 
-    factors: BlockFactors | RegularisedFactors
+    factors: Factors
 
     def __init__(
         self,
@@ -94,7 +94,8 @@ class ImplicitDirichlet(Dirichlet):
 
     def update(self, props: list[Array]) -> None:
         """Factor K_II, keep the interface rows of K and condense the props; see the base class."""
-        self.factors.update()
+        for i in range(len(self.interior)):
+            self.factors.update_block(i)
         self._rows = self.torn.K.createSubMatrix(self._rows_Γ, self._all, self._rows)  # K_Γ
         if not self.symmetric:
             self._columns = self.torn.K.createSubMatrix(self._all, self._rows_Γ, self._columns)

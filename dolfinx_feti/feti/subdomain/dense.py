@@ -39,7 +39,7 @@ from dolfinx_feti.feti.panels import Panels
 from dolfinx_feti.feti.subdomain.direct import Pivots
 from dolfinx_feti.native import address_of
 
-__all__ = ["DenseFactors", "pack"]
+__all__ = ["DenseFactors", "border", "pack"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -99,14 +99,7 @@ class DenseFactors:
     def update_block(
         self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: Array | None = None
     ) -> None:
-        """Factor one regularised block.
-
-        Args:
-            i: Number of the block.
-            R: Its columns, (n_i, k), orthonormal.
-            rho: The stiffness ρ.
-            shift: Added to the diagonal, (n_i,).
-        """
+        """Factor one regularised block; see ``Factors``."""
         R = np.zeros((len(self.rows[i]), 0)) if R is None else R
         self._blocks[i].factor(R, rho, shift, self._work)
 
@@ -294,9 +287,21 @@ class _Block:
 
     def solve_border(self, work: Array) -> tuple[Array, Array]:
         W = self.multiply_many(self._R, work)  # W = S R
-        E = self._R - self.solve_many(W, work)  # E = R − S_ρ⁻¹ W
-        D = E.T @ W
-        return np.asarray(E / self._rho), np.asarray(-D / self._rho**2)
+        return border(self._R, W, self.solve_many(W, work), self._rho)
+
+
+def border(R: Array, W: Array, X: Array, rho: float) -> tuple[Array, Array]:
+    """Return E/ρ, (n, k), and −D/ρ², (k, k), the border's solution in ``factors``.
+
+    Args:
+        R: Orthonormal modes, (n, k).
+        W: Their forces K R, or S R.
+        X: The solution of the regularised block for W.
+        rho: The stiffness ρ.
+    """
+    E = R - X  # E = R − K_ρ⁻¹ W
+    D = E.T @ W  # D = Eᵀ W
+    return np.asarray(E / rho), np.asarray(-D / rho**2)
 
 
 def pack(S: Array) -> Array:

@@ -56,7 +56,17 @@ class Factors(Protocol):
     def update_block(
         self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: Array | None = None
     ) -> None:
-        """Factor block i of the present matrix with the columns R."""
+        """Factor block i of the present matrix.
+
+        Args:
+            i: Number of the block.
+            R: Its columns, (n_i, k), orthonormal; none if not given.
+            rho: The stiffness ρ.
+            shift: Added to the diagonal, (n_i,).
+
+        Raises:
+            FactorError: The factorisation failed. Not collective: the caller reduces.
+        """
 
     def solve(self, y: Array, x: Array) -> None:
         """Solve with every block: ``x[rows_i] = K_i⁻¹ y[rows_i]``, other entries untouched."""
@@ -113,29 +123,10 @@ class BlockFactors:
         self._half = takes_ldlt(self._choice)
         self._blocks: list[_Block | None] = [None] * len(blocks)
 
-    def update(self) -> None:
-        """Refill and factor every block, without a border.
-
-        Raises:
-            FactorError: A factorisation failed. Not collective: the caller reduces.
-        """
-        for i in range(len(self._sizes)):
-            self.update_block(i)
-
     def update_block(
         self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: Array | None = None
     ) -> None:
-        """Refill and factor one block.
-
-        Args:
-            i: Number of the block.
-            R: Its border, (n_i, k).
-            rho: The stiffness ρ.
-            shift: Added to the diagonal, (n_i,).
-
-        Raises:
-            FactorError: The factorisation failed. Not collective: the caller reduces.
-        """
+        """Refill and factor one block, with the border R; see ``Factors``."""
         if self._sizes[i] == 0:
             return
         K = self._K.createSubMatrix(self._is[i], self._is[i])

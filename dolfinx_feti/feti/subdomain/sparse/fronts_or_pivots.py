@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from dolfinx_feti.feti.subdomain.direct import Pivots
 from dolfinx_feti.feti.subdomain.sparse.factors import BlockFactors
-from dolfinx_feti.feti.subdomain.sparse.fronts import Fronts
+from dolfinx_feti.feti.subdomain.sparse.fronts import FrontCode, Fronts
+from dolfinx_feti.petsc_library import Rows
 from dolfinx_feti.torn import Torn
 
 __all__ = ["FrontsOrPivots"]
@@ -48,7 +49,7 @@ class FrontsOrPivots:
     def update_block(
         self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: Array | None = None
     ) -> None:
-        """Factor block i of the present matrix with pivots; see ``BlockFactors``."""
+        """Factor block i of the present matrix with pivots; see ``Factors``."""
         self._release(i)
         self._pivoted.update_block(i, R, rho, shift=shift)
 
@@ -87,6 +88,22 @@ class FrontsOrPivots:
         for i in range(len(self._fronts)):
             self._release(i)
         self._pivoted.destroy()
+
+    def _analysed(self, i: int, K: Rows, interface: Indices, code: FrontCode) -> Fronts:
+        """Return the fronts of block i, which are found once.
+
+        Args:
+            i: Number of the block.
+            K: The torn matrix, row by row.
+            interface: Which of the dofs are not eliminated, ascending.
+            code: What ``load_fronts`` returns.
+        """
+        fronts = self._fronts[i]
+        if fronts is None:
+            bs = self._torn.K.getBlockSize()
+            fronts = Fronts(code, K, self._dofs[i], self._number, bs, interface)
+            self._fronts[i] = fronts
+        return fronts
 
     def _factored(self, i: int) -> Fronts | None:
         """Return the fronts of block i, if they have a factor."""

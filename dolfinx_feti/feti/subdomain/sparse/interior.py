@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.feti.subdomain.sparse.fronts import FrontCode, Fronts
+from dolfinx_feti.feti.subdomain.sparse.fronts import FrontCode
 from dolfinx_feti.feti.subdomain.sparse.fronts_or_pivots import FrontsOrPivots
 from dolfinx_feti.petsc_library import Rows
 
@@ -41,11 +41,7 @@ class InteriorFactors(FrontsOrPivots):
         Returns:
             S in packed format, None if K_II is not positive definite; the work space.
         """
-        fronts = self._fronts[i]
-        if fronts is None:
-            bs = self._torn.K.getBlockSize()
-            fronts = Fronts(code, K, self._dofs[i], self._number, bs, interface)
-            self._fronts[i] = fronts
+        fronts = self._analysed(i, K, interface, code)
         if len(work) < fronts.work:
             work = np.empty(fronts.work)
         S = fronts.factor(K, work)

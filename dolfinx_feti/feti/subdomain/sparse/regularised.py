@@ -34,8 +34,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.feti.subdomain.blocks import product_many
+from dolfinx_feti.feti.subdomain.dense import border
 from dolfinx_feti.feti.subdomain.direct import Pivots
-from dolfinx_feti.feti.subdomain.sparse.factors import BlockFactors
+from dolfinx_feti.feti.subdomain.sparse.factors import BlockFactors, Factors
 from dolfinx_feti.feti.subdomain.sparse.fronts import FrontCode, Fronts, load_fronts_for
 from dolfinx_feti.feti.subdomain.sparse.fronts_or_pivots import FrontsOrPivots
 from dolfinx_feti.petsc_library import reads_in_place, rows_of
@@ -99,29 +100,10 @@ class RegularisedFactors(FrontsOrPivots):
         self._corrections: list[_Correction | None] = [None] * len(blocks)
         self._work: Array = np.zeros(0)
 
-    def update(self) -> None:
-        """Factor every block, without modes.
-
-        Raises:
-            FactorError: A factorisation failed. Not collective: the caller reduces.
-        """
-        for i in range(len(self._dofs)):
-            self.update_block(i)
-
     def update_block(
         self, i: int, R: Array | None = None, rho: float = 1.0, *, shift: Array | None = None
     ) -> None:
-        """Factor one block of the present matrix.
-
-        Args:
-            i: Number of the block.
-            R: Its modes, (n_i, k), orthonormal.
-            rho: The stiffness ρ.
-            shift: Added to the diagonal, (n_i,).
-
-        Raises:
-            FactorError: The factorisation failed. Not collective: the caller reduces.
-        """
+        """Factor block i of the present matrix; see ``Factors``."""
         R = np.zeros((len(self._dofs[i]), 0)) if R is None else R
         if shift is None and self._factor_by_fronts(i, R, rho):
             self._pivoted.release_block(i)
@@ -133,11 +115,7 @@ class RegularisedFactors(FrontsOrPivots):
         if len(R) == 0:
             return False
         with rows_of(self._torn.K) as K:
-            fronts = self._fronts[i]
-            if fronts is None:
-                none, bs = np.zeros(0, dtype=np.int32), self._torn.K.getBlockSize()
-                fronts = Fronts(self._code, K, self._dofs[i], self._number, bs, none)
-                self._fronts[i] = fronts
+            fronts = self._analysed(i, K, np.zeros(0, dtype=np.int32), self._code)
             Q = _held(R[fronts.last])
             if Q is None:
                 return False
@@ -158,10 +136,8 @@ class RegularisedFactors(FrontsOrPivots):
         correction, dofs = self._corrections[i], self._dofs[i]
         if correction is None:
             return super().solve_border(i)
-        R, rho = correction.R, correction.rho
-        W = product_many(self._torn.K, dofs, dofs, R)  # W = K R
-        E = R - self._solve(i, W)  # E = R − K_ρ⁻¹ W
-        return np.asarray(E / rho), np.asarray(-(E.T @ W) / rho**2)  # D = Eᵀ W
+        W = product_many(self._torn.K, dofs, dofs, correction.R)  # W = K R
+        return border(correction.R, W, self._solve(i, W), correction.rho)
 
     def pivots(self, i: int) -> Pivots:
         """Count negative and zero eigenvalues of block i."""
@@ -180,7 +156,7 @@ class RegularisedFactors(FrontsOrPivots):
 
 def create_factors(
     torn: Torn, blocks: Sequence[Indices], *, prefix: str, symmetric: bool
-) -> BlockFactors | RegularisedFactors:
+) -> Factors:
     """Choose how to factor sparse blocks.
 
     Fronts serve symmetric matrices, unless the options name a solver, or PETSc's indices have 64
