@@ -11,6 +11,7 @@ from collective import agree, equal, small
 
 from dolfinx_feti.feti.subdomain.enrichment import (
     DENSE,
+    POWERS,
     Basis,
     append_orthonormal,
     buckling_modes,
@@ -47,10 +48,14 @@ def spans(Y, expected, tolerance):
 @every_size
 @pytest.mark.parametrize(("threshold", "count"), [(1e-4, 1), (1e-2, 2), (0.1, 3), (0.5, 4)])
 def test_soft_modes_are_those_below_the_threshold(n, threshold, count):
-    """With unit weights μ is an eigenvalue of K."""
-    K, modes = matrix(n, [5e-5, 5e-3, 5e-2, 0.3])
+    """With unit weights μ is an eigenvalue of K, and each power takes μ off the error.
+
+    Of a large subdomain one that is close to the threshold is not found for sure.
+    """
+    values = [5e-5, 5e-3, 5e-2, 0.3] if n <= DENSE else [5e-5, 5e-3, 5e-2, 0.15]
+    K, modes = matrix(n, values)
     Y = soft_modes(solver(K), np.ones(n), 12, threshold)
-    spans(Y, modes[:, :count], 1e-10 if n <= DENSE else 0.05)
+    spans(Y, modes[:, :count], 1e-10 if n <= DENSE else 10.0 * values[count - 1] ** POWERS)
 
 
 @every_size
