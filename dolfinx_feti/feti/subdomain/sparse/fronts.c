@@ -38,12 +38,14 @@ typedef void syrk(char *, char *, int *, int *, double *, double *, int *, doubl
                   int *);
 typedef void gemm(char *, char *, int *, int *, int *, double *, double *, int *, double *, int *,
                   double *, double *, int *);
+typedef void trtri(char *, char *, int *, double *, int *, int *);
 typedef void trsv(char *, char *, char *, int *, double *, int *, double *, int *);
 typedef void gemv(char *, int *, int *, double *, double *, int *, double *, int *, double *,
                   double *, int *);
 typedef struct {
     potrf *potrf;
-    trsm *trsm;
+    trtri *trtri;
+    trsm *trsm, *trmm;
     syrk *syrk;
     gemm *gemm;
     trsv *trsv;
@@ -59,10 +61,12 @@ void fronts_free(fronts *f)
 
 // --- analysis -----------------------------------------------------------------------------------
 
-// Seconds that a front of p pivots and b border rows takes: calls, sums of entries, flops.
+// Seconds that a front of p pivots and b border rows takes: calls, sums of what children leave, rows
+// of pivots, flops.
 static double seconds(double p, double b)
 {
-    return 3e-6 + 1.5e-9 * (p * (p + b) + b * b) + (p * p * p / 3 + p * p * b + p * b * b) / 35e9;
+    const double flops = p * p * p / 3 + p * p * b + p * b * b;
+    return 3e-6 + 1e-9 * b * b + 8e-9 * p * (p + b) + flops / 50e9;
 }
 
 static int ascending(const void *a, const void *b) { return *(const int *)a - *(const int *)b; }
@@ -302,6 +306,25 @@ fronts *fronts_analyse(int m, const int *size, const int *ptr, const int *adjace
 // Where entry (i, j) of the lower triangle of order n stands in packed format
 static int64_t packed(int64_t n, int64_t i, int64_t j) { return j * n - j * (j + 1) / 2 + i; }
 
+// Pivots whose triangle is inverted at once
+enum { NARROW = 48 };
+
+// Overwrite W, (p, b), with U⁻ᵀ W. BLAS multiplies with a narrow triangle in a third of the time
+// that it takes to divide by one, so the triangles on the diagonal are inverted.
+static void divide_border(int p, int b, double *U, double *W, const dense *blas)
+{
+    double one = 1.0, minus = -1.0, inverse[NARROW * NARROW];
+    for (int r = 0; r < p; r += NARROW) {
+        int m = p - r < NARROW ? p - r : NARROW, info;
+        double *above = U + (int64_t)p * r, *U_r = above + r;
+        for (int j = 0; j < m; ++j)
+            memcpy(inverse + m * j, U_r + (int64_t)p * j, (j + 1) * sizeof(double));
+        if (r) blas->gemm("T", "N", &m, &b, &r, &minus, above, &p, W, &p, &one, W + r, &p);
+        blas->trtri("U", "N", &m, inverse, &m, &info);
+        blas->trmm("L", "U", "T", "N", &m, &b, &one, inverse, &m, W + r, &p);
+    }
+}
+
 // Factor K, (n, n): the rows of a matrix that are named, and the columns with a number that is not
 // negative, both triangles; held, (p, p), is added to the p pivots of the last front, unless NULL.
 // L takes the rows of U and of W inside the interior; S, packed, comes as zeros. work has room for
@@ -357,8 +380,8 @@ int fronts_factor(const fronts *f, const int *rows, const int *indptr, const int
         blas->potrf("U", &p, P, &p, &info); // Uᵀ U
         if (info) return first + (info > 0 ? info : 1);
         if (b) {
-            blas->trsm("L", "U", "T", "N", &p, &b, &one, P, &p, W, &p); // U⁻ᵀ W
-            blas->syrk("L", "T", &b, &p, &minus, W, &p, &one, C, &b);   // C − Wᵀ W
+            divide_border(p, b, P, W, blas);                          // U⁻ᵀ W
+            blas->syrk("L", "T", &b, &p, &minus, W, &p, &one, C, &b); // C − Wᵀ W
         }
         memcpy(L + f->factor[i], P, (f->factor[i + 1] - f->factor[i]) * sizeof(double));
         if (b && border[0] < f->n_I) {

@@ -53,7 +53,7 @@ ORDERINGS = ("nd", "amd")
 #: Of METIS: the number of its options, and the code of success.
 METIS_OPTIONS, METIS_OK = 40, 1
 
-ROUTINES = ("dpotrf", "dtrsm", "dsyrk", "dgemm", "dtrsv", "dgemv")
+ROUTINES = ("dpotrf", "dtrtri", "dtrsm", "dtrmm", "dsyrk", "dgemm", "dtrsv", "dgemv")
 
 DECLARATIONS = """
 typedef struct {
