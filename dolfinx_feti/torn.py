@@ -207,6 +207,8 @@ class Torn:
         if t.ndim == 2:
             return self._multiply_many(t, transpose=transpose)
         y = np.zeros(self.n)
+        if not t.any():
+            return y
         t_vec = PETSc.Vec().createWithArray(np.ascontiguousarray(t), comm=PETSc.COMM_SELF)
         y_vec = PETSc.Vec().createWithArray(y, comm=PETSc.COMM_SELF)
         (self.K.multTranspose if transpose else self.K.mult)(t_vec, y_vec)

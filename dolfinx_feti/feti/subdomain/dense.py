@@ -54,8 +54,10 @@ LEAST = float(np.sqrt(np.finfo(np.float32).eps))
 #: Columns up to which a packed triangle is read once for each, rather than unpacked.
 FEW = 6
 
-#: Rows of a tile that is transposed at once: it fits into a fast cache.
+#: Rows of a tile that is transposed at once: it fits into a fast cache. And what is below its
+#: diagonal.
 TILE = 96
+BELOW = np.tri(TILE, k=-1, dtype=bool)
 
 
 class DenseFactors:
@@ -326,8 +328,8 @@ def _mirrored(L: Array) -> Array:
     for first in range(0, n, TILE):
         last = min(first + TILE, n)
         A[last:, first:last] = A[first:last, last:].T
-        tile = np.triu(A[first:last, first:last])
-        A[first:last, first:last] = tile + np.triu(tile, 1).T
+        tile, size = A[first:last, first:last], last - first
+        np.copyto(tile, tile.T.copy(), where=BELOW[:size, :size])
     return A
 
 
