@@ -30,7 +30,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.events import event
-from dolfinx_feti.feti.coarse.averaged import AveragedSpace
+from dolfinx_feti.feti.coarse.averaged import AveragedColumns, AveragedSpace
 from dolfinx_feti.feti.coarse.flux import flux_columns
 from dolfinx_feti.feti.coarse.singularity import require_held
 from dolfinx_feti.feti.copies import Copies
@@ -168,6 +168,7 @@ class PrimalForm:
     def destroy(self) -> None:
         """Free what depends on the matrix; the parts of the pattern stay."""
         self.space.destroy()
+        self.space.V.destroy()
         self.copies.destroy()
 
 
@@ -211,7 +212,7 @@ def create_primal_form(
 
         pairs = zip(modes.E, S.on_interface, flux_columns(copies, g, solve_many), strict=True)
         U = [np.hstack([E[on], flux]) for E, on, flux in pairs]
-        space = AveragedSpace(copies, U, S, prefix=pattern.prefix + "coarse_")
+        space = AveragedSpace(AveragedColumns(copies, U), S, prefix=pattern.prefix + "coarse_")
     deflation = DeflatedSpace(space, copies, S.multiply_many, vectors)
     return PrimalForm(
         options=options,
@@ -254,13 +255,14 @@ def create_lagged_form(
         Collective.
     """
     S, copies, prefix = earlier.preconditioner, earlier.copies, pattern.prefix + "coarse_"
-    columns = earlier.space.independent_columns()
+    V, combinations = earlier.space.V, earlier.space.combinations
     earlier.space.destroy()
     with event("FETICoarse"):
         try:
             require_held(pattern.torn, pattern.bodies, factored.near_kernel, definite=False)
-            space = AveragedSpace(copies, columns, S, prefix=prefix, independent=True)
+            space = AveragedSpace(V, S, prefix=prefix, combinations=combinations)
         except SetUpError:
+            V.destroy()
             copies.destroy()
             raise
     deflation = DeflatedSpace(space, copies, S.multiply_many, vectors)

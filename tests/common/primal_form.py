@@ -14,7 +14,7 @@ import scipy.linalg
 from collective import COMM, whole
 from hand_torn import HandTorn
 
-from dolfinx_feti.feti.coarse.averaged import AveragedSpace
+from dolfinx_feti.feti.coarse.averaged import AveragedColumns, AveragedSpace
 from dolfinx_feti.feti.copies import Copies
 from dolfinx_feti.feti.dual_form import DualForm
 from dolfinx_feti.feti.krylov.primal import Outcome, PrimalSystem, conjugate_gradients
@@ -73,7 +73,7 @@ def create(
     U = [E[np.isin(dofs, Γ)] for E, dofs, Γ in pairs]
     if more is not None:
         U = [np.hstack(pair) for pair in zip(U, more(parts, copies), strict=True)]
-    space = AveragedSpace(copies, U, M, prefix="test_feti_coarse_")
+    space = AveragedSpace(AveragedColumns(copies, U), M, prefix="test_feti_coarse_")
     system = PrimalSystem(
         copies,
         space,
@@ -86,6 +86,7 @@ def create(
 def destroy(form: PrimalForm) -> None:
     """Free what the form owns."""
     form.system.space.destroy()
+    form.system.space.V.destroy()
     form.copies.destroy()
 
 

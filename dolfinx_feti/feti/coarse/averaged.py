@@ -43,7 +43,7 @@ from dolfinx_feti.feti.coarse.near import NearColumns, joined
 from dolfinx_feti.feti.copies import Copies, consecutive
 from dolfinx_feti.feti.preconditioner.base import Preconditioner
 
-__all__ = ["BOUNDS", "EPS", "AveragedSpace", "estimated_norm"]
+__all__ = ["BOUNDS", "EPS", "AveragedColumns", "AveragedSpace", "estimated_norm"]
 
 Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
@@ -64,14 +64,69 @@ EPS = float(np.finfo(np.float64).eps)
 STEPS = 3
 
 
+class AveragedColumns:
+    """V = Tᵀ δ U, which is that of any matrix.
+
+    Attributes:
+        copies: Copies of the interface dofs.
+        size: Number of columns of this process.
+        total: Number of columns over all processes.
+        columns: For each subdomain :math:`U_i`, (n_i, k_i).
+        own: Where they stand among those of this process.
+        W: For each subdomain :math:`W_i = (T V)_i`, (n_i, c_i).
+        near: Which columns these are.
+    """
+
+    def __init__(self, copies: Copies, U: Sequence[Array]) -> None:
+        """Average the columns.
+
+        Args:
+            copies: Copies of the interface dofs.
+            U: For each subdomain its columns on the interface, (n_i, k_i).
+
+        Note:
+            Collective.
+        """
+        counts = [U_i.shape[1] for U_i in U]
+        self.copies = copies
+        self.columns = [np.asfortranarray(U_i) for U_i in U]
+        self.own = consecutive(counts)
+        self.size = sum(counts)
+        self.total = copies.comm.allreduce(self.size)
+        self.W = averaged_fields(copies, self.columns)
+        self.near = NearColumns(self.W.numbers, counts, copies.comm)
+
+    def restrict(self, r: Array) -> Array:
+        """Return Vᵀ r of an assembled residual given by copies, (n,) → (size,)."""
+        t = self.copies.delta * r
+        blocks = zip(self.columns, self.copies.blocks, strict=True)
+        return joined([U.T @ t[rows] for U, rows in blocks])
+
+    def prolong(self, y: Array) -> Array:
+        """Return the copies of V y, (size,) → (n,). Collective."""
+        t = np.empty(self.copies.n)
+        for U, rows, own in zip(self.columns, self.copies.blocks, self.own, strict=True):
+            t[rows] = U @ y[own]
+        return self.copies.average(t)
+
+    def memory(self) -> float:
+        """Return the memory of the columns of this process in MiB."""
+        return sum(U.nbytes for U in self.columns) / 2**20 + self.W.memory()
+
+    def destroy(self) -> None:
+        """Free the star forest."""
+        self.near.destroy()
+
+
 class AveragedSpace:
     """V, A V and the factored A₀.
 
     Attributes:
-        size: Number of columns of this process.
+        V: The columns.
         total: Number of columns over all processes.
-        dropped: Number of dependent combinations among them, over all processes.
-        columns: For each subdomain :math:`U_i`, (n_i, k_i).
+        combinations: Of the columns of each subdomain, those that A₀ belongs to,
+            (k_i, up to k_i).
+        dropped: Number of dependent combinations, over all processes.
         AV: For each subdomain :math:`Y_i`, (n_i, c_i).
         A_0: The Galerkin matrix of the independent combinations.
         solver: Its factors.
@@ -79,69 +134,54 @@ class AveragedSpace:
 
     def __init__(
         self,
-        copies: Copies,
-        U: Sequence[Array],
+        V: AveragedColumns,
         S: Preconditioner,
         *,
         prefix: str,
-        independent: bool = False,
+        combinations: Sequence[Array] | None = None,
     ) -> None:
         """Form and factor the Galerkin matrix.
 
         Args:
-            copies: Copies of the interface dofs.
-            U: For each subdomain its columns on the interface, (n_i, k_i).
+            V: The columns; the caller destroys them after this.
             S: Applies S_i.
             prefix: Options prefix of the coarse solver.
-            independent: Whether the columns are those that another matrix has left, see
-                :meth:`independent_columns`.
+            combinations: Those that another matrix has shown to be independent; None to look for
+                them.
 
         Note:
             Collective.
         """
-        comm = copies.comm
-        self._copies = copies
-        self.columns = [np.asfortranarray(U_i) for U_i in U]
-        self._own = consecutive([U_i.shape[1] for U_i in U])
-        self.size = sum(U_i.shape[1] for U_i in U)
-        self.total = comm.allreduce(self.size)
-        W = averaged_fields(copies, self.columns)
-        self._near = NearColumns(W.numbers, [U_i.shape[1] for U_i in U], comm)
+        self.V = V
+        self.total = V.total
         self.AV: list[Array] = []
 
         def elements() -> Iterator[Array]:
-            for i in range(len(W)):
-                W_i = W[i]
+            for i in range(len(V.W)):
+                W_i = V.W[i]
                 self.AV.append(S.multiply_panels(i, W_i))  # Y = S W
                 yield W_i.overlap(self.AV[i])  # Wᵀ Y
 
-        whole = self._near.sum(elements())
-        if independent:
-            self._combinations = [np.eye(U_i.shape[1]) for U_i in U]
-        else:
-            self._combinations = _independent(whole, self._own)
-        self._basis = _block_diagonal(self._combinations)
+        whole = V.near.sum(elements())
+        self.combinations = _independent(whole, V.own) if combinations is None else combinations
+        self._basis = _block_diagonal(self.combinations)
         self.A_0 = _change_of_basis(whole, self._basis)
         self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self.dropped = self.total - self.A_0.getSize()[0]
+        self.dropped = V.total - self.A_0.getSize()[0]
         self._x, self._y = self.A_0.createVecs()
         self.solver = GatheredSolver(self.A_0, prefix=prefix, symmetric=True, zero=ZERO)
         self._negative = self.solver.pivots().negative
         if self._negative:
             near = [
-                EPS * estimated_norm(S.multiply_many, i, rows.stop - rows.start) * W[i].squares()
-                for i, rows in enumerate(copies.blocks)
+                EPS * estimated_norm(S.multiply_many, i, rows.stop - rows.start) * V.W[i].squares()
+                for i, rows in enumerate(V.copies.blocks)
             ]
-            rounding = self._basis.multiply(self._basis).T @ self._near.to_owners(joined(near))
+            rounding = self._basis.multiply(self._basis).T @ V.near.to_owners(joined(near))
             self._negative = self._count_negative(BOUNDS * rounding, prefix)
-
-    def independent_columns(self) -> list[Array]:
-        """Return the combinations that A₀ belongs to, for each subdomain, (n_i, up to k_i)."""
-        return [U @ Q for U, Q in zip(self.columns, self._combinations, strict=True)]
 
     def start(self, r: Array) -> Array:
         """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective."""
-        return self.prolong(self.solve(self._restrict(r)))
+        return self.V.prolong(self.solve(self.V.restrict(r)))
 
     def correct(self, z: Array, r: Array) -> Array:
         """Return z + V A₀⁻¹ (Vᵀ r − (A V)ᵀ z), of and by copies, (n,). Collective.
@@ -149,36 +189,23 @@ class AveragedSpace:
         It is the projection of z where r is orthogonal to V, and removes what rounding leaves of r
         along V elsewhere.
         """
-        return z + self.prolong(self.solve(self._restrict(r) - self.energies(z)))
+        return z + self.V.prolong(self.solve(self.V.restrict(r) - self.energies(z)))
 
     def correct_with_product(self, z: Array, r: Array) -> tuple[Array, float]:
         """Return what :meth:`correct` does, and its product with r. Collective."""
         z = self.correct(z, r)
-        return z, self._copies.dot(r, z)
-
-    def _restrict(self, r: Array) -> Array:
-        """Return Vᵀ r of an assembled residual given by copies, (n,) → (size,)."""
-        t = self._copies.delta * r
-        blocks = zip(self.columns, self._copies.blocks, strict=True)
-        return joined([U.T @ t[rows] for U, rows in blocks])
+        return z, self.V.copies.dot(r, z)
 
     def energies(self, z: Array) -> Array:
         """Return the energy products with the columns of this process, (A V)ᵀ z, (size,)."""
-        blocks = zip(self.AV, self._copies.blocks, strict=True)
-        return self._near.to_owners(joined([Y.T @ z[rows] for Y, rows in blocks]))
+        blocks = zip(self.AV, self.V.copies.blocks, strict=True)
+        return self.V.near.to_owners(joined([Y.T @ z[rows] for Y, rows in blocks]))
 
     def solve(self, e: Array) -> Array:
         """Return A₀⁻¹ e, both (size,). Collective."""
         self._y.array[:] = self._basis.T @ e
         self.solver.solve(self._y, self._x)
         return np.asarray(self._basis @ self._x.array_r)
-
-    def prolong(self, y: Array) -> Array:
-        """Return the copies of V y, (size,) → (n,). Collective."""
-        t = np.empty(self._copies.n)
-        for U, rows, own in zip(self.columns, self._copies.blocks, self._own, strict=True):
-            t[rows] = U @ y[own]
-        return self._copies.average(t)
 
     def negative(self) -> int | None:
         """Count the negative eigenvalues of A₀, which A has at least; None if not known."""
@@ -206,13 +233,13 @@ class AveragedSpace:
         if self.negative() == 0:
             return None
         r, q = self.A_0.createVecs()
-        r.array[:] = np.random.default_rng(self._copies.comm.rank).standard_normal(len(r.array_r))
+        r.array[:] = np.random.default_rng(self.V.copies.comm.rank).standard_normal(len(r.array_r))
         p, ρ, v = r.copy(), r.dot(r), None
         for _ in range(STEPS * self.A_0.getSize()[0]):
             self.A_0.mult(p, q)
             curvature = p.dot(q)
             if curvature <= 0.0:
-                v = self.prolong(np.asarray(self._basis @ p.array_r))
+                v = self.V.prolong(np.asarray(self._basis @ p.array_r))
                 break
             r.axpy(-ρ / curvature, q)
             ρ, last = r.dot(r), ρ
@@ -223,12 +250,12 @@ class AveragedSpace:
 
     def memory(self) -> float:
         """Return the memory of the dense blocks of this process in MiB."""
-        return sum(U.nbytes + Y.nbytes for U, Y in zip(self.columns, self.AV, strict=True)) / 2**20
+        return self.V.memory() + sum(Y.nbytes for Y in self.AV) / 2**20
 
     def destroy(self) -> None:
-        """Free matrices and solver."""
+        """Free matrix and solver; the columns stay."""
         self.solver.destroy()
-        for owned in (self.A_0, self._near, self._x, self._y):
+        for owned in (self.A_0, self._x, self._y):
             owned.destroy()
 
 

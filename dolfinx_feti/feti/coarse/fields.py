@@ -68,6 +68,10 @@ class Fields:
         """Return the number of subdomains."""
         return len(self.numbers)
 
+    def memory(self) -> float:
+        """Return the memory of what there is on the rows in MiB."""
+        return self._pairs.values.nbytes / 2**20
+
     def __getitem__(self, i: int) -> Panels:
         """Return the columns of subdomain i, a panel for each owner, (n_i, c_i)."""
         rows, pairs = self._rows[i], self._pairs

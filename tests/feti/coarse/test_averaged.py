@@ -49,7 +49,7 @@ def test_fields(kind, torn_grid, form):
     copies, start = primal.copies, COMM.scan(primal.copies.n) - primal.copies.n
     expected = exact.T @ exact.V
     worst = 0.0
-    fields = averaged_fields(copies, primal.system.space.columns)
+    fields = averaged_fields(copies, primal.system.space.V.columns)
     for i, rows in enumerate(copies.blocks):
         W = np.zeros((rows.stop - rows.start, expected.shape[1]))
         W[:, fields.numbers[i]] = fields[i].dense()
@@ -69,7 +69,7 @@ def test_galerkin_matrix_and_projection(kind, interior, torn_grid, form):
     basis = scipy.linalg.block_diag(*COMM.allgather(space._basis.toarray()))
     equal(dense(space.A_0), basis.T @ exact.V.T @ exact.A @ exact.V @ basis, 1e-10)
     equal(dense(space.A_0).diagonal(), np.ones(space.A_0.getSize()[0]), 1e-12)
-    v, zero = space.prolong(random(space.size)), np.zeros(copies.n)
+    v, zero = space.V.prolong(random(space.V.size)), np.zeros(copies.n)
     small(np.abs(space.correct(v, zero)).max(initial=0.0), 1e-9 * np.abs(whole(v)).max())
     z = space.correct(copies.average(random(copies.n)), zero)
     image = exact.V.T @ exact.A @ (exact.average @ whole(z))
@@ -87,7 +87,7 @@ def test_dependent_columns_are_dropped(torn_grid, form):
 
     def repeated(parts, copies):
         columns = []
-        for U_i in plain.system.space.columns:
+        for U_i in plain.system.space.V.columns:
             noise = 1e-12 * np.random.default_rng(SEED).standard_normal(U_i.shape)
             columns.append(np.hstack([1e5 * (U_i + noise), 0.0 * U_i[:, :1]]))
         return columns
