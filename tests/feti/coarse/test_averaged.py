@@ -14,7 +14,7 @@ import scipy.linalg
 from collective import COMM, agree, dense, equal, small, whole
 from hand_torn import gradients
 
-from dolfinx_feti.feti.coarse.averaged import averaged_fields
+from dolfinx_feti.feti.coarse.averaged import AveragedSpace, averaged_fields
 from dolfinx_feti.feti.coarse.flux import flux_columns
 
 SEED = 2003
@@ -80,24 +80,53 @@ def test_galerkin_matrix_and_projection(kind, interior, torn_grid, form):
     equal(exact.V.T @ exact.A @ start, exact.V.T @ (exact.average @ whole(r)), 1e-9)
 
 
-def test_dependent_columns_are_dropped(torn_grid, form):
-    """Columns that come twice, a hair's breadth apart, zero ones and large ones do no harm."""
+@pytest.fixture
+def repeated(torn_grid, form):
+    """A form, and the same with all columns twice, a hair's breadth apart, and a zero one."""
     problem = torn_grid(**GRID)
     plain = form(problem, type="all_floating", interior="eliminate", coarse_modes=2)
 
-    def repeated(parts, copies):
+    def again(parts, copies):
         columns = []
         for U_i in plain.system.space.V.columns:
             noise = 1e-12 * np.random.default_rng(SEED).standard_normal(U_i.shape)
             columns.append(np.hstack([1e5 * (U_i + noise), 0.0 * U_i[:, :1]]))
         return columns
 
-    twice = form(problem, repeated, type="all_floating", interior="eliminate", coarse_modes=2)
+    twice = form(problem, again, type="all_floating", interior="eliminate", coarse_modes=2)
+    return plain, twice
+
+
+def test_dependent_columns_are_dropped(repeated):
+    """Columns that come twice, zero ones and large ones do no harm."""
+    plain, twice = repeated
     space = twice.system.space
     agree(space.dropped == plain.system.space.total + 6)
     agree(plain.system.space.dropped == 0 and space.negative() == 0)
     z, zero = plain.copies.average(random(plain.copies.n)), np.zeros(plain.copies.n)
     equal(space.correct(z, zero), plain.system.space.correct(z, zero), 1e-7)
+
+
+def test_columns_and_their_choice_serve_another_matrix(repeated):
+    """V and its combinations with another S, here 2 S: the same projection, A₀ doubled."""
+    _, twice = repeated
+    space, copies = twice.system.space, twice.copies
+
+    class Doubled:
+        def multiply_panels(self, i, W):
+            return 2.0 * twice.parts.preconditioner.multiply_panels(i, W)
+
+        def multiply_many(self, i, W):
+            return 2.0 * twice.parts.preconditioner.multiply_many(i, W)
+
+    later = AveragedSpace(
+        space.V, Doubled(), prefix="test_feti_coarse_", combinations=space.combinations
+    )
+    agree(later.dropped == space.dropped > 0 and later.V is space.V)
+    equal(dense(later.A_0), 2.0 * dense(space.A_0), 1e-12)
+    z, zero = copies.average(random(copies.n)), np.zeros(copies.n)
+    equal(later.correct(z, zero), space.correct(z, zero), 1e-7)
+    later.destroy()
 
 
 def volume_changes(cells):

@@ -89,6 +89,16 @@ def test_schur_complement_and_factor(shape, bs):
     agree(not found.factored and found.memory() == 0.0)
 
 
+@pytest.mark.parametrize("pivots", [1, 47, 48, 49, 96, 97, 130])
+def test_a_front_of_several_narrow_triangles(pivots):
+    """All dofs touch each other: one front, here with condition 1e8, a few triangles wide."""
+    n = pivots + 20
+    Q = np.linalg.qr(np.random.default_rng(n).standard_normal((n, n)))[0]
+    K = (Q * np.geomspace(1.0, 1e8, n)) @ Q.T
+    found = check(scipy.sparse.csr_array(0.5 * (K + K.T)), np.arange(pivots, n, dtype=np.int32), 1)
+    agree(found._fronts.count == 1)
+
+
 @pytest.mark.parametrize("bs", [1, 2, 3])
 def test_interface_that_cuts_nodes(bs):
     """Single dofs of a node may be of Γ, and others missing."""
