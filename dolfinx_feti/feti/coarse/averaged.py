@@ -15,7 +15,8 @@ projection
 
 .. math:: z ← z - V A_0^{-1} (A V)^⊤ z, \qquad (A V)^⊤ z = \sum_i Y_i^⊤ (T z)_i
 
-takes two dense products for each subdomain, one coarse solve, and an average.
+takes two dense products for each subdomain, one coarse solve, and an average. V serves any matrix,
+:class:`AveragedColumns`; A V and A₀ are those of one, :class:`AveragedSpace`.
 
 The columns are scaled to energy one. Those of a subdomain may depend on each other, or nearly so.
 Its block on the diagonal of A₀ tells: combinations with an energy below :data:`DEPENDENT` are
@@ -65,7 +66,7 @@ STEPS = 3
 
 
 class AveragedColumns:
-    """V = Tᵀ δ U, which is that of any matrix.
+    """V = Tᵀ δ U.
 
     Attributes:
         copies: Copies of the interface dofs.
@@ -253,7 +254,8 @@ class AveragedSpace:
         return self.V.memory() + sum(Y.nbytes for Y in self.AV) / 2**20
 
     def destroy(self) -> None:
-        """Free matrix and solver; the columns stay."""
+        """Free A V, matrix and solver; the columns stay."""
+        self.AV.clear()
         self.solver.destroy()
         for owned in (self.A_0, self._x, self._y):
             owned.destroy()
