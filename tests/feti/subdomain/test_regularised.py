@@ -146,6 +146,24 @@ def test_modes_that_the_last_front_does_not_hold(factored):
     equal((both + np.eye(2 * n)) @ factors.solve_many(0, Y), Y, 1e-11)
 
 
+@pytest.mark.parametrize("image", [[-1.0, 1.0], [np.inf, 1.0], [np.nan, 1.0]], ids=str)
+def test_no_correction_of_a_singular_factor(image):
+    """Λ⁻¹ + Vᵀ Z is singular, or has no numbers, with V = I and Λ = diag(1, −1)."""
+    R = np.array([[1.0], [0.0]])
+    fronts = SimpleNamespace(last=np.array([1]), solve=lambda V: np.diag(image))
+    agree(regularised._correction(fronts, R, np.ones((1, 1)), 1.0) is None)
+
+
+def test_pivots_where_a_factor_is_singular_up_to_rounding(factored, monkeypatch):
+    """Cholesky's pivots may all be positive by chance: the correction tells."""
+    K, R = elastic(SHAPE)
+    monkeypatch.setattr(regularised, "_correction", lambda *parts: None)
+    factors = factored(K, R)
+    agree(not by_fronts(factors) and factors.memory() > 0.0)
+    Y = np.ones((len(K), 2))
+    equal((K + RHO * R @ R.T) @ factors.solve_many(0, Y), Y, 1e-11)
+
+
 def test_only_one_of_the_factors_is_kept(factored):
     """Fronts where they will do, and nothing else beside them."""
     K, R = elastic(SHAPE)

@@ -18,7 +18,7 @@ and Sherman, Morrison and Woodbury lead to :math:`K_ρ`: with V = (R, Q), :math:
 
 As :math:`K_Q` is positive definite, :math:`K_ρ` has as many negative eigenvalues as :math:`C^{-1}`
 has positive ones beyond the k columns of R (Haynsworth 1968). A subdomain whose :math:`K_Q` is not
-positive definite is factored with pivots.
+positive definite, or singular up to rounding, is factored with pivots.
 
 What the modes do to the border is in ``factors``; here, as in ``dense`` and without cancellation,
 
@@ -111,7 +111,7 @@ class RegularisedFactors(FrontsOrPivots):
             super().update_block(i, R, rho, shift=shift)
 
     def _factor_by_fronts(self, i: int, R: Array, rho: float) -> bool:
-        """Factor block i by fronts; return whether K_Q is positive definite."""
+        """Factor block i by fronts; return whether K_Q is positive definite, beyond rounding."""
         if len(R) == 0:
             return False
         with rows_of(self._torn.K) as K:
@@ -124,7 +124,10 @@ class RegularisedFactors(FrontsOrPivots):
             held = np.asfortranarray(rho * Q @ Q.T) if Q.shape[1] else None
             if fronts.factor(K, work, held) is None:
                 return False
-        self._corrections[i] = _correction(fronts, R, Q, rho) if Q.shape[1] else None
+        if Q.shape[1]:
+            self._corrections[i] = _correction(fronts, R, Q, rho)
+            return self._corrections[i] is not None
+        self._corrections[i] = None
         return True
 
     def _solve(self, i: int, y: Array) -> Array:
@@ -188,14 +191,20 @@ def _held(R: Array) -> Array | None:
     return Q if share[-1] > HELD * share[0] else None
 
 
-def _correction(fronts: Fronts, R: Array, Q: Array, rho: float) -> _Correction:
-    """Lead from K_Q, factored, to K_ρ."""
+def _correction(fronts: Fronts, R: Array, Q: Array, rho: float) -> _Correction | None:
+    """Lead from K_Q, factored, to K_ρ; None if K_Q is singular up to rounding."""
     k, last = R.shape[1], fronts.last
     V = np.zeros((len(R), 2 * k), order="F")
     V[:, :k] = R
     V[last, k:] = Q
     Z = fronts.solve(V)
+    if not np.isfinite(Z).all():
+        return None
     inverse = np.diag(np.repeat([1.0, -1.0], k) / rho) + V.T @ Z  # Λ⁻¹ + Vᵀ Z
     inverse = 0.5 * (inverse + inverse.T)
+    try:
+        C = np.linalg.inv(inverse)
+    except np.linalg.LinAlgError:
+        return None
     negative = int(np.count_nonzero(np.linalg.eigvalsh(inverse) > 0.0)) - k
-    return _Correction(R, rho, last, Q, Z, np.asarray(np.linalg.inv(inverse)), negative)
+    return _Correction(R, rho, last, Q, Z, np.asarray(C), negative)
