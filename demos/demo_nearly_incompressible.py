@@ -52,9 +52,9 @@ mesh = dolfinx.mesh.create_box(comm, [(0.0, 0.0, 0.0), (3.0, 1.0, 1.0)], (12, 4,
 # quadratic, so that Newton's method needs a single step, and κ is a constant that may change.
 #
 # The *primal* form of the method is asked for, which `feti_formulation auto` would take under load:
-# its coarse space has columns for the condensed pressure (`feti_coarse_flux`). The tolerance is
-# 1e-7 in the place of 1e-8: at the largest κ, the entries of the matrix are so much larger than the
-# load that rounding leaves a residual of 1e-8.
+# its coarse space has columns against whatever is costly to average (`feti_coarse_adaptive`). The
+# tolerance is 1e-7 in the place of 1e-8: at the largest κ, the entries of the matrix are so much
+# larger than the load that rounding leaves a residual of 1e-8.
 
 # +
 MU = 1.0

@@ -25,7 +25,6 @@ from typing import Any
 from mpi4py import MPI
 
 import cffi
-import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cython_blas, cython_lapack
 
@@ -93,7 +92,7 @@ def load_or_do_without(source: Path, declarations: str, comm: MPI.Comm) -> Any |
 
 def pointer(module: Any, array: npt.NDArray[Any]) -> Any:
     """Return a C pointer to the entries of an array, which has to outlive it."""
-    kind = {np.dtype(np.float64): "double[]", np.dtype(np.int32): "int[]"}[array.dtype]
+    kind = {"f8": "double[]", "i4": "int[]", "i8": "int64_t[]"}[array.dtype.str[1:]]
     return module.ffi.from_buffer(kind, array.ravel(order="K"))
 
 

@@ -9,7 +9,7 @@ Tearing (eq. 33) replaces the assembled matrix (eq. 32, Augustin_eq:reordered) b
 
 where the boolean :math:`T` copies each dof to every subdomain that holds it. PETSc's name for this
 pair is MATIS: a block-diagonal local matrix on each process and the map *torn dof → dof*. All else
-that the dual method needs to know is attached to the matrix, as PETSc objects:
+that the method needs to know is attached to the matrix:
 
 ================== ========================== =====================================================
 what               where                      shape
@@ -20,9 +20,8 @@ Dirichlet dofs     ``compose("dirichlet")``   index set of global dofs, each lis
 scaling stiffness  ``compose("stiffness")``   sequential vector, one entry per torn dof
 coordinates        ``compose("coordinates")`` points of the assembled problem's blocks of dofs, one
                                               after the other; for messages only
-pressure rows K_p  ``compose("pressure")``    sequential matrix, (cells, torn dofs), of a condensed
-                                              pressure
-pressure patterns  ``compose("patterns")``    sequential dense matrix, (cells, patterns)
+pressures          ``setAttr("pressures")``   number of pressures that have been condensed into the
+                                              local matrix
 ================== ========================== =====================================================
 
 A subdomain is a connected component of the graph of the local matrix.
@@ -52,8 +51,8 @@ __all__ = [
     "Torn",
     "create_torn_matrix",
     "is_symmetric",
+    "set_condensed",
     "set_near_kernel",
-    "set_pressure_patterns",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -135,23 +134,16 @@ def set_near_kernel(
         A.compose("coordinates", points)
 
 
-def set_pressure_patterns(A: PETSc.Mat, K_p: PETSc.Mat, patterns: Array) -> None:
-    """Attach the equations of a pressure that is condensed, cell by cell, into the local matrix.
+def set_condensed(A: PETSc.Mat, pressures: int) -> None:
+    """Note that pressures have been condensed, cell by cell, into the local matrix.
+
+    ``-feti_formulation auto`` takes the primal form then.
 
     Args:
         A: Torn matrix.
-        K_p: Sequential matrix of the pressure equations, (cells, n_torn). Not copied: its values
-            are read with those of the local matrix.
-        patterns: Pressure patterns on the cells of each subdomain, (cells, patterns), the constant
-            first.
+        pressures: How many on this process; all processes call this, or none.
     """
-    dense = PETSc.Mat().createDense(
-        patterns.shape, array=np.array(patterns, order="F"), comm=PETSc.COMM_SELF
-    )
-    dense.assemble()
-    A.compose("pressure", K_p)
-    A.compose("patterns", dense)
-    dense.destroy()
+    A.setAttr("pressures", pressures)
 
 
 class Torn:
@@ -351,22 +343,9 @@ class Torn:
         return np.abs(self.diagonal() if weight is None else weight.array_r)
 
     @property
-    def has_pressure(self) -> bool:
-        """Whether a condensed pressure with its patterns is attached."""
-        return self.A.query("pressure") is not None and self.A.query("patterns") is not None
-
-    def flux(self, most: int) -> Array:
-        """Return K_pᵀ y for the first patterns y of the condensed pressure, (n, up to ``most``).
-
-        The columns of a pattern on all subdomains are one; none if no pressure is attached.
-        """
-        if not self.has_pressure:
-            return np.zeros((self.n, 0))
-        K_p, patterns = self.A.query("pressure"), self.A.query("patterns")
-        y = patterns.getDenseArray()[:, :most]
-        indptr, indices, values = K_p.getValuesCSR()
-        rows = scipy.sparse.csr_array((values, indices, indptr), shape=(len(y), self.n))
-        return np.asarray(rows.T @ y)  # K_pᵀ y
+    def pressures(self) -> int | None:
+        """Number of pressures that have been condensed into the local matrix; None without."""
+        return self.A.getAttr("pressures")  # type: ignore[no-any-return]
 
     def is_symmetric(self) -> bool:
         """Tell whether the matrices of all subdomains are symmetric.

@@ -14,7 +14,7 @@ from collective import COMM, agree, dense, equal, raises, whole
 
 import dolfinx_feti
 from dolfinx_feti.connectivity import block_graph, connected_blocks, load_graph_code
-from dolfinx_feti.torn import Torn, create_torn_matrix
+from dolfinx_feti.torn import Torn, create_torn_matrix, set_condensed
 
 SEED = 60914
 
@@ -280,8 +280,11 @@ def test_torn_dofs_are_numbered_from_process_to_process(torn_grid):
     torn.destroy()
 
 
-def test_no_flux_without_a_pressure(torn_grid):
+def test_condensed_pressures_are_noted(torn_grid):
+    """On the matrix, whoever holds it."""
     problem = torn_grid((2, 2), (2, 2))
     torn = Torn(problem.A)
-    agree(torn.flux(4).shape == (torn.n, 0))
+    agree(torn.pressures is None)
+    set_condensed(problem.A, 7 * COMM.rank)
+    agree(torn.pressures == 7 * COMM.rank)
     torn.destroy()

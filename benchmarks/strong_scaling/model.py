@@ -198,7 +198,7 @@ LIFT = {
     ),
     "work": (
         "the subdomains' part of the iterations",
-        "fewer iterations: soft modes and flux columns in the coarse space, the Dirichlet "
+        "fewer iterations: soft modes and adaptive columns in the coarse space, the Dirichlet "
         "preconditioner",
     ),
     "messages": ("messages between neighbours", "one exchange for several vectors"),

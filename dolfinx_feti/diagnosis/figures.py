@@ -186,13 +186,13 @@ def _motions(torn: Torn) -> str:
 
 def _pressure(torn: Torn) -> tuple[float, float]:
     """Return the condensed pressures over free dofs, and how much stiffer they make the dofs."""
-    K_p, before = torn.A.query("pressure"), torn.A.query("stiffness")
+    pressures, before = torn.pressures, torn.A.query("stiffness")
     comm = torn.comm
     free = comm.allreduce(float(np.sum(torn.assemble((~torn.dirichlet).astype(np.float64)) > 0.5)))
-    if K_p is None or before is None:
+    if pressures is None or before is None:
         return 0.0, 1.0
     raised, own = (
         comm.allreduce(float(np.abs(d).sum())) for d in (torn.diagonal(), before.array_r)
     )
-    cells = comm.allreduce(K_p.getSize()[0])
+    cells = comm.allreduce(pressures)
     return cells / free if free else 0.0, raised / own if own else 1.0

@@ -8,20 +8,22 @@ r"""Assembly of the torn matrix: one form, one call, all subdomains of the proce
 (eq. 27, on a subdomain). The bilinear form is the user's, with test and trial functions replaced by
 those of the torn space; coefficients, constants, measures and normals stay. Dirichlet conditions
 (eq. 7, Augustin_eq:Dirichlet) never enter K: the matrix carries the list of their dofs (``torn``).
+
+dolfinx fills a matrix of its own, which finds the place of a block of entries three times as fast
+as PETSc's does; PETSc reads the same memory.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse
 
 import dolfinx
-import dolfinx.fem.petsc
 import ufl
 
 from dolfinx_feti.fem.compiler import Compiler
@@ -30,7 +32,11 @@ from dolfinx_feti.torn import create_torn_matrix, set_near_kernel
 
 Vector = npt.NDArray[np.float64]
 
+#: Rows of dofs and not of blocks, as PETSc has them.
+EXPANDED = dolfinx.la.BlockMode.expanded  # type: ignore[attr-defined]
+
 __all__ = [
+    "LocalMatrix",
     "assemble",
     "assemble_owned",
     "attach_near_kernel",
@@ -71,40 +77,58 @@ def torn_form(
     return compiler.form(ufl.replace(form, replaced))
 
 
-def create_local_matrix(rows: TornSpace, columns: TornSpace, n_cells: int) -> PETSc.Mat:
-    """Allocate a sequential matrix with the pattern of cell-wise assembly on torn spaces.
+@dataclass(frozen=True, slots=True)
+class LocalMatrix:
+    """A matrix of this process, filled by dolfinx and read by PETSc: both have the same entries.
+
+    Attributes:
+        csr: dolfinx's matrix.
+        mat: PETSc's, sequential AIJ. What changes the entries by way of ``csr`` calls its
+            ``stateIncrease``.
+    """
+
+    csr: dolfinx.la.MatrixCSR
+    mat: PETSc.Mat
+
+    def destroy(self) -> None:
+        """Free PETSc's matrix."""
+        self.mat.destroy()
+
+
+def create_local_matrix(space: TornSpace, compiler: Compiler | None = None) -> LocalMatrix:
+    """Allocate a matrix with the pattern of cell-wise assembly on a torn space.
+
+    All dofs of a cell are coupled there, whether a form has an integral over that cell or not.
 
     Args:
-        rows: Torn space of the test function.
-        columns: Torn space of the trial function.
-        n_cells: Number of owned cells.
+        space: The torn space.
+        compiler: How the form that has this pattern is compiled; with dolfinx's options if not
+            given.
 
     Returns:
-        AIJ matrix with explicit zeros; the caller destroys it.
+        Zeros, which the caller destroys.
+
+    Note:
+        Collective.
     """
-    left, right = (_incidence(space, n_cells) for space in (rows, columns))
-    graph = scipy.sparse.csr_array(left.T @ right)
-    graph.sort_indices()
-    bs = (rows.V_torn.dofmap.index_map_bs, columns.V_torn.dofmap.index_map_bs)
-    blocks = (np.ones((graph.nnz, *bs), dtype=np.int8), graph.indices, graph.indptr)
-    shape = (graph.shape[0] * bs[0], graph.shape[1] * bs[1])
-    pattern = scipy.sparse.bsr_array(blocks, shape=shape).tocsr()
-    csr = (
-        pattern.indptr.astype(PETSc.IntType),
-        pattern.indices.astype(PETSc.IntType),
-        np.zeros(pattern.nnz),
-    )
-    K = PETSc.Mat().createAIJ(pattern.shape, bsize=bs, csr=csr, comm=PETSc.COMM_SELF)
-    maps = [_identity_map(n, b) for n, b in zip(pattern.shape, bs, strict=True)]
-    K.setLGMap(*maps)
-    return K
+    v, u = _first(ufl.TestFunction(space.V)), _first(ufl.TrialFunction(space.V))
+    form = torn_form(v * u * ufl.dx(metadata={"quadrature_degree": 0}), (space, space), compiler)
+    pattern = dolfinx.fem.create_sparsity_pattern(form)
+    pattern.finalize()
+    csr = dolfinx.la.matrix_csr(pattern, EXPANDED)
+    bs = space.V_torn.dofmap.index_map_bs
+    n = len(space.dof) * bs
+    indptr, indices = (a.astype(PETSc.IntType, copy=False) for a in (csr.indptr, csr.indices))
+    mat = PETSc.Mat().createAIJWithArrays((n, n), (indptr, indices, csr.data), comm=PETSc.COMM_SELF)
+    mat.setBlockSizes(bs, bs)  # an argument for it has no effect
+    return LocalMatrix(csr, mat)
 
 
-def assemble(K: PETSc.Mat, form: dolfinx.fem.Form) -> None:
+def assemble(K: LocalMatrix, form: dolfinx.fem.Form) -> None:
     """Fill a local matrix with a compiled torn form; older values are overwritten."""
-    K.zeroEntries()
-    dolfinx.fem.petsc.assemble_matrix(K, form)  # type: ignore[arg-type]
-    K.assemble()
+    K.csr.data[:] = 0.0
+    dolfinx.fem.assemble_matrix(K.csr, form)  # type: ignore[arg-type]
+    K.mat.stateIncrease()
 
 
 def assemble_owned(form: dolfinx.fem.Form) -> Vector:
@@ -189,14 +213,6 @@ def _spins(gdim: int) -> list[Vector]:
     return spins
 
 
-def _incidence(space: TornSpace, n_cells: int) -> scipy.sparse.csr_array:
-    """Return the incidence of owned cells and torn dof blocks, (n_cells, n_blocks)."""
-    table = space.V_torn.dofmap.list[:n_cells]
-    indptr = np.arange(n_cells + 1) * table.shape[1]
-    entries = (np.ones(table.size, dtype=np.int32), table.ravel(), indptr)
-    return scipy.sparse.csr_array(entries, shape=(n_cells, len(space.dof)))
-
-
-def _identity_map(n: int, bs: int) -> PETSc.LGMap:
-    blocks = np.arange(n // bs, dtype=PETSc.IntType)
-    return PETSc.LGMap().create(blocks, bsize=bs, comm=PETSc.COMM_SELF)
+def _first(argument: ufl.Argument) -> ufl.core.expr.Expr:
+    """Return the first component of an argument."""
+    return argument[(0,) * len(argument.ufl_shape)] if argument.ufl_shape else argument

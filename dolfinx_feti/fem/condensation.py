@@ -21,10 +21,8 @@ those of the mixed problem. For the perturbed Lagrangian p (J − 1) − p²/(2�
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
-
-from petsc4py import PETSc
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -32,19 +30,20 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
-from dolfinx_feti.fem.assembly import assemble, create_local_matrix, torn_form
+from dolfinx_feti.fem.assembly import LocalMatrix, torn_form
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.decomposition import Decomposition, TornSpace
+from dolfinx_feti.fem.decomposition import TornSpace, into_cells, tear
+from dolfinx_feti.native import load, pointer
 
-__all__ = ["Blocks", "Condensation", "pressure_patterns"]
+__all__ = ["Blocks", "Condensation"]
 
 Array = npt.NDArray[np.float64]
 
-#: Largest degree of a pressure pattern.
-DEGREE = 4
-
-#: Number of cells whose element matrices are in memory at once.
-CHUNK = 4096
+SOURCE = Path(__file__).with_name("condensation.c")
+DECLARATION = """
+void add_outer_products(int, int, int, const int *, const double *, const double *,
+                        const int64_t *, const int *, double *);
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +51,7 @@ class Blocks:
     """What belongs to the pressure at one state (u, p), cell by cell.
 
     Attributes:
-        k_up: K_upᵀ, (cells, torn dofs of a cell).
+        k_up: K_upᵀ, (cells, dofs of a cell).
         k_pu: K_pu, of the same shape.
         k_pp: Diagonal of K_pp, (cells,).
         r_p: Residual of the pressure, (cells,).
@@ -79,11 +78,12 @@ class Condensation:
         p: dolfinx.fem.Function,
         *,
         space: TornSpace,
-        pressure_space: TornSpace,
-        n_cells: int,
-        compiler: Compiler | None = None,
+        compiler: Compiler,
     ) -> None:
         """Derive and compile the blocks.
+
+        A row of K_up or K_pu is a linear form of the cell, as a pattern of p is one on the cell and
+        zero elsewhere.
 
         Args:
             F_u: Residual r_u, tested with v in V.
@@ -91,12 +91,13 @@ class Condensation:
             u: Displacement.
             p: Pressure, piecewise constant.
             space: Torn V.
-            pressure_space: Torn Q.
-            n_cells: Number of owned cells.
-            compiler: How the blocks are compiled; with dolfinx's options if not given.
+            compiler: How the blocks are compiled.
 
         Raises:
             ValueError: p does not occur in the residuals, or they leave it undetermined.
+
+        Note:
+            Collective.
         """
         V, Q = u.function_space, p.function_space
         coefficients = (set(F_u.coefficients()), set(F_p.coefficients()))
@@ -106,51 +107,42 @@ class Condensation:
                 "residuals): pass the pressure of a mixed energy Π(u, p)."
             )
         self.p = p
-        self._pressure_dof = pressure_space.dof
-        spaces = (pressure_space, space)
-        K_up = ufl.derivative(F_u, p, ufl.TrialFunction(Q))
-        K_pu = ufl.derivative(F_p, u, ufl.TrialFunction(V))
-        K_pp = ufl.derivative(F_p, p, ufl.TrialFunction(Q))
+        one = ufl.as_ufl(1.0)
+        q, dp = F_p.arguments()[0], ufl.TrialFunction(Q)
+        K_up = ufl.replace(ufl.derivative(F_u, p, dp), {dp: one})
+        K_pu = ufl.derivative(ufl.replace(F_p, {q: one}), u, ufl.TestFunction(V))
+        K_pp = ufl.derivative(ufl.replace(F_p, {q: one}), p, ufl.TestFunction(Q))
         _require_blocks(p, K_up=K_up, K_pu=K_pu, K_pp=K_pp)
-        rectangular = (ufl.adjoint(K_up), K_pu)
-        self._forms = tuple(torn_form(form, spaces, compiler) for form in rectangular)
-        self._K_pp = torn_form(K_pp, (pressure_space, pressure_space), compiler)
-        self._r_p = torn_form(F_p, (pressure_space,), compiler)
-        self._rectangular = create_local_matrix(pressure_space, space, n_cells)
-        self._square = create_local_matrix(pressure_space, pressure_space, n_cells)
-        indptr, indices = self._rectangular.getRowIJ()
-        width = indptr[1] if len(indptr) > 1 else 1
-        self._columns = indices.reshape(-1, width).copy()
-
-    @property
-    def rows(self) -> PETSc.Mat:
-        """K_pu as it was last assembled, sequential, (cells, torn dofs)."""
-        return self._rectangular
+        cells = tear(V, into_cells(V.mesh))
+        self._rows = tuple(torn_form(form, (cells,), compiler) for form in (K_up, K_pu))
+        self._K_pp, self._r_p = compiler.form(K_pp), compiler.form(F_p)
+        n_cells, self._bs = len(cells.dof) // V.dofmap.list.shape[1], V.dofmap.index_map_bs
+        self._pressure_dof = Q.dofmap.list[:n_cells, 0]
+        self._node = np.sort(space.V_torn.dofmap.list[:n_cells], axis=1)  # as in ``cells``
+        self._code = load(SOURCE, DECLARATION, V.mesh.comm)
 
     def assemble(self) -> Blocks:
         """Assemble all blocks at the present (u, p)."""
-        k_up, k_pu = (self._rows(form) for form in self._forms)
-        return Blocks(k_up, k_pu, self._diagonal(), self._residual())
+        k_up, k_pu = (self._of_dofs(form) for form in self._rows)
+        return Blocks(k_up, k_pu, self._of_cells(self._K_pp), self._of_cells(self._r_p))
 
-    def add_to(self, K: PETSc.Mat, blocks: Blocks) -> None:
+    def add_to(self, K: LocalMatrix, blocks: Blocks) -> None:
         """Add the condensed block, K ← K − K_up K_pp⁻¹ K_pu."""
-        for first in range(0, len(blocks.k_pp), CHUNK):
-            part = slice(first, first + CHUNK)
-            left = -blocks.k_up[part] / blocks.k_pp[part, None]
-            values = left[:, :, None] * blocks.k_pu[part][:, None, :]
-            dofs = self._columns[part]
-            K.setValuesRCV(dofs, dofs, values.reshape(len(dofs), -1), True)
-        K.assemble()
+        left = -blocks.k_up / blocks.k_pp[:, None]  # −K_up K_pp⁻¹
+        csr = (K.csr.indptr, K.csr.indices, K.csr.data)
+        arrays = [pointer(self._code, array) for array in (self._node, left, blocks.k_pu, *csr)]
+        self._code.lib.add_outer_products(*self._node.shape, self._bs, *arrays)
+        K.mat.stateIncrease()
 
     def residual(self, blocks: Blocks, n_torn: int) -> Array:
         """Return −K_up K_pp⁻¹ r_p on the torn dofs, (n_torn,)."""
         cell = -blocks.k_up * (blocks.r_p / blocks.k_pp)[:, None]
-        return np.bincount(self._columns.ravel(), cell.ravel(), minlength=n_torn).astype(np.float64)
+        return np.bincount(self._dofs().ravel(), cell.ravel(), minlength=n_torn).astype(np.float64)
 
     def relaxed(self) -> Array:
         """Return the pressure that satisfies its own equation at the current u, p − K_pp⁻¹ r_p."""
         p = self.p.x.array.copy()
-        p[self._pressure_dof] -= self._residual() / self._diagonal()
+        p[self._pressure_dof] -= self._of_cells(self._r_p) / self._of_cells(self._K_pp)
         return p
 
     def increment(self, blocks: Blocks, du: Array) -> Array:
@@ -161,53 +153,28 @@ class Condensation:
             du: Torn displacement increment, (n_torn,).
         """
         dp = np.zeros(len(self.p.x.array))
-        slope = np.einsum("ij,ij->i", blocks.k_pu, du[self._columns])
+        slope = np.einsum("ij,ij->i", blocks.k_pu, du[self._dofs()])
         dp[self._pressure_dof] = -(blocks.r_p + slope) / blocks.k_pp
         return dp
 
-    def _diagonal(self) -> Array:
-        """Assemble the diagonal of K_pp."""
-        assemble(self._square, self._K_pp)
-        return self._square.getDiagonal().array_r.copy()
+    def _dofs(self) -> npt.NDArray[np.int32]:
+        """Return the torn dofs of each cell, as in the rows of K_pu, (cells, dofs of a cell)."""
+        n, k = self._node.shape
+        dofs = self._node[:, :, None] * self._bs + np.arange(self._bs, dtype=np.int32)
+        return dofs.reshape(n, k * self._bs)
 
-    def _residual(self) -> Array:
-        """Assemble r_p."""
-        r_p = np.zeros(len(self._columns))
-        dolfinx.fem.assemble_vector(r_p, self._r_p)
-        return r_p
+    def _of_dofs(self, form: dolfinx.fem.Form) -> Array:
+        """Assemble a linear form of each cell, (cells, dofs of a cell)."""
+        n, k = self._node.shape
+        rows = np.zeros(n * k * self._bs)
+        dolfinx.fem.assemble_vector(rows, form)
+        return rows.reshape(n, k * self._bs)
 
-    def _rows(self, form: dolfinx.fem.Form) -> Array:
-        assemble(self._rectangular, form)
-        _, _, values = self._rectangular.getValuesCSR()
-        return values.reshape(self._columns.shape)
-
-    def destroy(self) -> None:
-        """Free the matrices."""
-        self._rectangular.destroy()
-        self._square.destroy()
-
-
-def pressure_patterns(decomposition: Decomposition) -> Array:
-    """Return the monomials up to :data:`DEGREE` on the cells of each subdomain, (cells, patterns).
-
-    The constant, the coordinates of the cells' midpoints from their mean over the subdomain, at
-    most one in size, and products of them: in three dimensions 1, 4, 10, 20, 35 patterns up to
-    degree 0, 1, 2, 3, 4.
-    """
-    mesh, subdomain = decomposition.mesh, decomposition.subdomain
-    gdim, tdim = mesh.geometry.dim, mesh.topology.dim
-    cells = np.arange(len(subdomain), dtype=np.int32)
-    x = dolfinx.mesh.compute_midpoints(mesh, tdim, cells)[:, :gdim]
-    count = np.maximum(np.bincount(subdomain, minlength=decomposition.count), 1)
-    for column in x.T:
-        mean = np.bincount(subdomain, column, minlength=decomposition.count) / count
-        column -= mean[subdomain]
-    size = np.zeros(decomposition.count)
-    np.maximum.at(size, subdomain, np.abs(x).max(axis=1, initial=0.0))
-    x /= np.where(size > 0.0, size, 1.0)[subdomain, None]
-    degrees = range(DEGREE + 1)
-    factors = (itertools.combinations_with_replacement(range(gdim), degree) for degree in degrees)
-    return np.column_stack([x[:, list(of)].prod(axis=1) for of in itertools.chain(*factors)])
+    def _of_cells(self, form: dolfinx.fem.Form) -> Array:
+        """Assemble a linear form on Q, (cells,)."""
+        values = np.zeros(len(self.p.x.array))
+        dolfinx.fem.assemble_vector(values, form)
+        return values[self._pressure_dof]
 
 
 def _require_blocks(p: dolfinx.fem.Function, **blocks: ufl.Form) -> None:

@@ -31,7 +31,7 @@ import dolfinx
 
 from dolfinx_feti import _compat
 
-__all__ = ["Decomposition", "TornSpace", "decompose", "suggested_number", "tear"]
+__all__ = ["Decomposition", "TornSpace", "decompose", "into_cells", "suggested_number", "tear"]
 
 Indices = npt.NDArray[np.int32]
 
@@ -127,6 +127,19 @@ def decompose(mesh: dolfinx.mesh.Mesh, subdomains: int | npt.NDArray[np.integer]
     subdomain = _facet_components(graph, part)
     count = int(subdomain.max(initial=-1)) + 1
     return Decomposition(mesh, subdomain, count, comm.scan(count) - count)
+
+
+def into_cells(mesh: dolfinx.mesh.Mesh) -> Decomposition:
+    """Let each owned cell be a subdomain.
+
+    Args:
+        mesh: The mesh.
+
+    Note:
+        Collective.
+    """
+    n = mesh.topology.index_map(mesh.topology.dim).size_local
+    return Decomposition(mesh, np.arange(n, dtype=np.int32), n, mesh.comm.scan(n) - n)
 
 
 def tear(V: dolfinx.fem.FunctionSpace, decomposition: Decomposition) -> TornSpace:

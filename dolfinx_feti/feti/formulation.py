@@ -5,10 +5,11 @@
 
 Both share the factored subdomains. The dual form is the paper's; under load its system is
 indefinite as soon as a subdomain would buckle alone, and GMRES has to solve it. The primal form
-stays positive definite as long as the matrix is, and where a pressure is condensed its flux columns
-halve the iterations. ``auto`` takes the primal form in these two cases, if the matrix is symmetric,
-all K_ρ are positive definite, the preconditioner is that with Schur complements, and nothing is
-asked for that only the dual form has: a Krylov method of its own, or recycled directions.
+stays positive definite as long as the matrix is, and where a pressure is condensed its adaptive
+columns halve the iterations. ``auto`` takes the primal form in these two cases, if the matrix is
+symmetric, all K_ρ are positive definite, the preconditioner is that with Schur complements, and
+nothing is asked for that only the dual form has: a Krylov method of its own, or recycled
+directions.
 """
 
 from __future__ import annotations
@@ -87,11 +88,10 @@ def _takes_primal(pattern: Pattern, factored: Factored) -> bool:
     choice = pattern.options.formulation
     if choice != "auto":
         return choice == "primal"
-    inertia, options = factored.inertia, pattern.options
-    has_flux = pattern.torn.has_pressure and options.coarse_flux > 0
-    if inertia.local != 0 or not pattern.symmetric or options.recycle:
+    inertia = factored.inertia
+    if inertia.local != 0 or not pattern.symmetric or pattern.options.recycle:
         return False
-    if inertia.definite and not has_flux:
+    if inertia.definite and pattern.torn.pressures is None:
         return False
     asked = any(PETSc.Options(pattern.prefix + "dual_").hasName(f"ksp_{key}") for key in ASKED)
     return isinstance(pattern.preconditioner, Dirichlet) and not asked

@@ -25,9 +25,10 @@
                                                                         the assembled system
 ``-feti_dual_…``               ``ksp_type cg|gmres|fgmres|…``           Krylov method for (λ, s)
 ``-feti_formulation``          ``auto``, ``dual``, ``primal``           form of the method
-``-feti_coarse_flux``          10                                       pressure patterns of a
-                                                                        subdomain whose fluxes are
-                                                                        coarse (primal), at most
+``-feti_coarse_adaptive``      36                                       columns of a subdomain that
+                                                                        bound what averages cost, at
+                                                                        most (primal)
+``-feti_coarse_bound``         1.1                                      that bound
 ``-feti_lag``                  6                                        later matrices of Newton's
                                                                         method that K_ρ⁻¹ and the
                                                                         coarse columns serve, at
@@ -80,12 +81,13 @@ NUMBERS = {
     "coarse_modes": 12,
     "stagnation": 200,
     "refine": 10,
-    "coarse_flux": 10,
+    "coarse_adaptive": 36,
     "lag": 6,
     "deflation": 20,
     "recycle": 0,
 }
 SHARES = {"coarse_threshold": 0.01}
+BOUNDS = {"coarse_bound": 1.1}
 SUBSOLVERS = {
     "dual_": ("ksp_",),
     "local_": ("pc_", "mat_"),
@@ -129,7 +131,8 @@ class FETIOptions:
     coarse_threshold: float = 0.01
     stagnation: int = 200
     refine: int = 10
-    coarse_flux: int = 10
+    coarse_adaptive: int = 36
+    coarse_bound: float = 1.1
     lag: int = 6
     deflation: int = 20
     recycle: int = 0
@@ -163,6 +166,8 @@ def read_options(prefix: str) -> FETIOptions:
         values[name] = _count(prefix, name, count)
     for name, share in SHARES.items():
         values[name] = _real(prefix, name, share, "a number between 0 and 1", 1.0)
+    for name, bound in BOUNDS.items():
+        values[name] = _real(prefix, name, bound, "a number ≥ 0", math.inf)
     _reject_unknown(prefix)
     return FETIOptions(**values)  # type: ignore[arg-type]
 
@@ -247,7 +252,7 @@ def _reject_unknown(prefix: str) -> None:
     Args:
         prefix: That of the solver and ``feti_``.
     """
-    known = [*CHOICES, *NUMBERS, *SHARES]
+    known = [*CHOICES, *NUMBERS, *SHARES, *BOUNDS]
     passed_on = tuple(solver + part for solver, parts in SUBSOLVERS.items() for part in parts)
     for key in PETSc.Options().getAll():
         name = key.removeprefix(prefix)

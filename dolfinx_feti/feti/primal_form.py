@@ -8,7 +8,7 @@ r"""The primal form: the assembled interface problem set up for a matrix, and so
 
 by conjugate gradients with the preconditioner of ``primal``; then :math:`u_Γ = T x` and
 :math:`u_I = K_{II}^{-1} (f_I - K_{IΓ} u_Γ)`. The coarse space holds the averaged motions E of the
-subdomains and, where a pressure is condensed, flux columns (``flux``).
+subdomains and columns that bound what averages cost (``adaptive``).
 
 It is the form for matrices whose dual system is indefinite although they are not: those of a body
 under load, in which subdomains would buckle alone.
@@ -30,8 +30,8 @@ import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.events import event
+from dolfinx_feti.feti.coarse.adaptive import adaptive_columns
 from dolfinx_feti.feti.coarse.averaged import AveragedColumns, AveragedSpace
-from dolfinx_feti.feti.coarse.flux import flux_columns
 from dolfinx_feti.feti.coarse.singularity import require_held
 from dolfinx_feti.feti.copies import Copies
 from dolfinx_feti.feti.gluing import Gluing
@@ -202,16 +202,22 @@ def create_primal_form(
     with event("FETICoarse"):
         require_held(torn, pattern.bodies, factored.near_kernel, definite=False)
         copies = Copies(torn, S.interface, pattern.gluing.delta)
-        g = S.condense(torn.flux(options.coarse_flux))[copies.dofs]
 
-        def solve_many(i: int, c: Array) -> Array:
+        def solve(i: int, F: Array) -> Array:
             on = S.on_interface[i]
-            y = np.zeros((len(on), c.shape[1]))
-            y[on] = c
-            return inverse.solve_many(i, y)[on]
+            Y = np.zeros((len(on), F.shape[1]))
+            Y[on] = F
+            return inverse.solve_many(i, Y)[on]  # S_ρ⁻¹ F
 
-        pairs = zip(modes.E, S.on_interface, flux_columns(copies, g, solve_many), strict=True)
-        U = [np.hstack([E[on], flux]) for E, on, flux in pairs]
+        adaptive = adaptive_columns(
+            copies,
+            S.multiply_many,
+            solve,
+            most=options.coarse_adaptive,
+            threshold=options.coarse_bound,
+        )
+        pairs = zip(modes.E, S.on_interface, adaptive, strict=True)
+        U = [np.hstack([E[on], more]) for E, on, more in pairs]
         space = AveragedSpace(AveragedColumns(copies, U), S, prefix=pattern.prefix + "coarse_")
     deflation = DeflatedSpace(space, copies, S.multiply_many, vectors)
     return PrimalForm(

@@ -128,7 +128,7 @@ def table(report: Report) -> str:
     )
     details = f"dual form, {o.gluing} gluing, Q = {o.coarse_q}"
     if r.formulation == "primal":
-        details = f"primal form, up to {o.coarse_flux} flux columns per subdomain"
+        details = f"primal form, up to {o.coarse_adaptive} adaptive columns per subdomain"
     ago = "1 matrix ago" if r.lag == 1 else f"{r.lag} matrices ago"
     lag = f", set up {ago}" if r.lag else ""
     single = f", {r.singles} in single precision" if o.precision == "single" else ""

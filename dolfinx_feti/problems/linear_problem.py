@@ -131,8 +131,8 @@ class LinearProblem:
         space = tear(V, self.decomposition)
         self._torn = assembly.torn_form(a, (space, space), self._compiler)
         self.L = self._compiler.form(L)
-        self._K = assembly.create_local_matrix(space, space, len(self.decomposition.subdomain))
-        self.A = assembly.create_matis(space, self._K, self.bcs)
+        self._K = assembly.create_local_matrix(space, self._compiler)
+        self.A = assembly.create_matis(space, self._K.mat, self.bcs)
         self.x, self.b = self.A.createVecs()
         for name, owned in (("A", self.A), ("x", self.x), ("b", self.b)):
             owned.setOptionsPrefix(f"{self._prefix}{name}_")

@@ -27,9 +27,9 @@ import ufl
 from dolfinx_feti.collective import on_all
 from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.condensation import Blocks, Condensation, pressure_patterns
+from dolfinx_feti.fem.condensation import Blocks, Condensation
 from dolfinx_feti.fem.decomposition import Decomposition, tear
-from dolfinx_feti.torn import set_pressure_patterns
+from dolfinx_feti.torn import set_condensed
 
 __all__ = ["Residual", "System", "Tangent"]
 
@@ -132,15 +132,13 @@ class System:
                 u,
                 p,
                 space=self._space,
-                pressure_space=tear(p.function_space, decomposition),
-                n_cells=self._n_cells,
                 compiler=compiler,
             )
-        self._K = assembly.create_local_matrix(self._space, self._space, self._n_cells)
-        self._stiffness = np.zeros(self._K.getSize()[0])
-        self.A = assembly.create_matis(self._space, self._K, self.bcs, self._stiffness)
+        self._K = assembly.create_local_matrix(self._space, compiler)
+        self._stiffness = np.zeros(self._K.mat.getSize()[0])
+        self.A = assembly.create_matis(self._space, self._K.mat, self.bcs, self._stiffness)
         if self.condensation is not None:
-            set_pressure_patterns(self.A, self.condensation.rows, pressure_patterns(decomposition))
+            set_condensed(self.A, self._n_cells)
         self._energy = None if energy is None else compiler.form(energy)
         self._shift = 0.0
         self._volume_ratio = None
@@ -289,14 +287,14 @@ class System:
         """
         assembly.assemble(self._K, self._tangent)
         self._shift = 0.0
-        self._stiffness[:] = self._K.getDiagonal().array_r
+        self._stiffness[:] = self._K.mat.getDiagonal().array_r
         self.A.query("stiffness").array[:] = self._stiffness
         if self.condensation is not None:
             self.condensation.add_to(self._K, self.condensation.assemble())
 
     def tangent(self) -> Tangent:
         """Name the tangent that the matrix holds now."""
-        return Tangent(self._K.handle, self._K.stateGet())
+        return Tangent(self._K.mat.handle, self._K.mat.stateGet())
 
     def shift(self, sigma: float) -> None:
         """Let the tangent be K + σ diag|k|, with the stiffness k of its own dofs.
@@ -304,9 +302,9 @@ class System:
         Args:
             sigma: σ, from zero on; it takes the place of an earlier one.
         """
-        diagonal = self._K.getDiagonal()
+        diagonal = self._K.mat.getDiagonal()
         diagonal.array[:] += (sigma - self._shift) * np.abs(self._stiffness)
-        self._K.setDiagonal(diagonal)
+        self._K.mat.setDiagonal(diagonal)
         diagonal.destroy()
         self._shift = sigma
 
@@ -330,8 +328,6 @@ class System:
         """Free the matrices."""
         self.A.destroy()
         self._K.destroy()
-        if self.condensation is not None:
-            self.condensation.destroy()
 
 
 def quadrature_points(mesh: dolfinx.mesh.Mesh, degree: int) -> Array:

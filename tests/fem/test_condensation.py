@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from collective import COMM, agree, equal, small
+from collective import COMM, agree, equal
 from mixed import Mixed, by_place, solve_assembled
 from problems import owned
 from walls import LUMEN, Wall, lumen_measure, tube, wall
@@ -20,10 +20,8 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, loads
-from dolfinx_feti.fem.condensation import pressure_patterns
 from dolfinx_feti.fem.decomposition import decompose
 from dolfinx_feti.problems.system import System
-from dolfinx_feti.torn import Torn
 
 degrees = pytest.mark.parametrize("degree", [1, 2])
 
@@ -161,23 +159,3 @@ def test_energy_is_as_good_as_residuals():
     problem.solve()
     equal(by_place(one.u), by_place(pair.u), 1e-7)
     equal(by_place(one.p), by_place(pair.p), 1e-6)
-
-
-def test_pressure_patterns(torn_system):
-    """K_pᵀ y of the torn matrix, pattern by pattern; a translation changes no volume."""
-    body = wall(tube(), degree=2)
-    deform(body)
-    system = torn_system(body)
-    system.linearise()
-    blocks, torn = system.residual().blocks, Torn(system.A)
-    cells = system.condensation._columns.ravel()
-    patterns = pressure_patterns(decompose(body.u.function_space.mesh, 5))
-    flux = torn.flux(50)
-    agree(patterns.shape[1] == 35 and torn.flux(10).shape[1] == 10)
-    for g, y in zip(flux.T, patterns.T, strict=True):
-        equal(g, np.bincount(cells, (blocks.k_pu * y[:, None]).ravel(), torn.n), 1e-12)
-    equal(torn.flux(1), flux[:, :1])
-    agree(np.abs(patterns).max() <= 1.0 and (patterns[:, 0] == 1.0).all())
-    net = [flux[dofs[axis::3], 0].sum() for dofs in torn.subdomains for axis in range(3)]
-    small(np.abs(net).max(), 1e-12 * np.abs(flux[:, 0]).sum())
-    torn.destroy()

@@ -149,7 +149,7 @@ def test_memory_does_not_grow(what, torn_grid, feti):
         elif what == "solve":
             linear.solve()
         else:
-            linear._K.stateIncrease()
+            linear._K.mat.stateIncrease()
             linear.solver.getPythonContext().setUp(linear.solver)
         collect()
 
@@ -171,6 +171,6 @@ def test_one_copy_of_the_matrix():
     linear = create(elasticity(cube(3, 6)))
     linear.solve()
     report = linear.solver.getPythonContext().report()
-    nonzeros = COMM.allreduce(linear._K.getInfo(PETSc.Mat.InfoType.LOCAL)["nz_used"])
+    nonzeros = COMM.allreduce(linear._K.mat.getInfo(PETSc.Mat.InfoType.LOCAL)["nz_used"])
     matrix = nonzeros * 12 / 2**20
     agree(report.factor_mib < 6 * max(matrix, report.subdomains), (report.factor_mib, matrix))

@@ -17,6 +17,7 @@ from problems import cube, elasticity, owned, poisson
 
 import dolfinx_feti
 from dolfinx_feti.feti.options import (
+    BOUNDS,
     CHOICES,
     NUMBERS,
     SHARES,
@@ -36,7 +37,7 @@ def test_defaults_are_those_of_the_class():
     agree(read() == FETIOptions())
     fields = {field.name: field.default for field in dataclasses.fields(FETIOptions)}
     expected = {name: choices[0] for name, choices in CHOICES.items()}
-    agree(fields == expected | NUMBERS | SHARES)
+    agree(fields == expected | NUMBERS | SHARES | BOUNDS)
 
 
 @pytest.mark.parametrize(
@@ -62,6 +63,15 @@ def test_shares_are_read(name):
     agree(getattr(read(**{f"feti_{name}": 0}), name) == 0.0)
     for wrong in (-0.1, 1.5, "nan", "abc"):
         with raises(ValueError, f"-o_feti_{name} is '{wrong}'; it takes a number between 0 and 1"):
+            read(**{f"feti_{name}": wrong})
+
+
+@pytest.mark.parametrize("name", BOUNDS)
+def test_bounds_are_read(name):
+    agree(getattr(read(**{f"feti_{name}": 2.5}), name) == 2.5)
+    agree(getattr(read(**{f"feti_{name}": 0}), name) == 0.0)
+    for wrong in (-0.1, "nan", "abc"):
+        with raises(ValueError, f"-o_feti_{name} is '{wrong}'; it takes a number ≥ 0"):
             read(**{f"feti_{name}": wrong})
 
 

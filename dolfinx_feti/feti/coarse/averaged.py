@@ -4,7 +4,7 @@
 r"""The averaged coarse space of the primal method and its Galerkin matrix.
 
 Each subdomain contributes columns :math:`U_i` on its interface: the stand-in E of its kernel
-(``pseudoinverse``) and others, such as those of ``flux``. With their copies averaged they are
+(``pseudoinverse``) and others, such as those of ``adaptive``. With their copies averaged they are
 fields of the assembled problem,
 
 .. math:: V = T^⊤ δ\, U, \qquad A_0 = V^⊤ A V = \sum_i W_i^⊤ S_i W_i, \qquad W_i = (T V)_i,

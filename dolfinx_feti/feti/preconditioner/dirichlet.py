@@ -59,7 +59,7 @@ class Dirichlet(Preconditioner):
         return t  # K E_Γ w = S w
 
     def condense(self, f: Array) -> Array:
-        """Move a load to the interface, f_Γ − K_ΓI K_II⁻¹ f_I, (n,) or (n, r)."""
+        """Move a load to the interface, f_Γ − K_ΓI K_II⁻¹ f_I, (n,)."""
         return self.matrices.condense(f)
 
     def complete(self, u: Array, f: Array) -> Array:
@@ -129,10 +129,7 @@ class ImplicitDirichlet(Dirichlet):
         return w - x  # harmonic: −K_II⁻¹ K_IΓ w inside
 
     def condense(self, f: Array) -> Array:
-        """Move a load to the interface, f_Γ − K_ΓI K_II⁻¹ f_I, (n,) or (n, r)."""
-        if f.ndim == 2:
-            columns = [self.condense(f[:, j]) for j in range(f.shape[1])]
-            return np.stack(columns, axis=1) if columns else f
+        """Move a load to the interface, f_Γ − K_ΓI K_II⁻¹ f_I, (n,)."""
         x, t = np.zeros_like(f), np.zeros_like(f)
         self.factors.solve(f, x)
         t[self._Γ] = f[self._Γ] - _mult(self._rows, x)

@@ -1,0 +1,41 @@
+// Copyright (C) 2026 the dolfinx_feti authors
+//
+// SPDX-License-Identifier: LGPL-3.0-or-later
+
+#include <stdint.h>
+
+// The first place from first on, up to last, whose entry is not less than a column.
+static const int *find(const int *first, const int *last, int column)
+{
+    while (first < last) {
+        const int *middle = first + (last - first) / 2;
+        if (*middle < column)
+            first = middle + 1;
+        else
+            last = middle;
+    }
+    return first;
+}
+
+// K ← K + Σ_τ aᵀ b over m cells τ, each with a row a and a row b on its k nodes of bs dofs.
+//
+// node has the nodes of each cell, ascending, (m, k); a and b are (m, k bs). K is given row by row
+// with ascending columns; it has a place for all pairs of nodes of a cell, and the rows of a node
+// have the same columns.
+void add_outer_products(int m, int k, int bs, const int *node, const double *a, const double *b,
+                        const int64_t *indptr, const int *indices, double *values)
+{
+    for (int cell = 0; cell < m; ++cell, node += k, a += k * bs, b += k * bs)
+        for (int i = 0; i < k; ++i) {
+            const int64_t row = (int64_t)node[i] * bs;
+            const int *const columns = indices + indptr[row], *const last = indices + indptr[row + 1];
+            const int *place = columns;
+            for (int j = 0; j < k; ++j) {
+                place = find(place, last, node[j] * bs);
+                for (int p = 0; p < bs; ++p) {
+                    double *const entry = values + indptr[row + p] + (place - columns);
+                    for (int q = 0; q < bs; ++q) entry[q] += a[i * bs + p] * b[j * bs + q];
+                }
+            }
+        }
+}
