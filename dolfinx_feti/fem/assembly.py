@@ -43,6 +43,7 @@ __all__ = [
     "create_local_matrix",
     "create_matis",
     "dirichlet_mask",
+    "require_no_coupling",
     "torn_form",
 ]
 
@@ -63,18 +64,27 @@ def torn_form(
     Note:
         Collective.
     """
-    kinds = {integral.integral_type() for integral in form.integrals()}
-    for kind in sorted(kinds - {"cell", "exterior_facet"}):
-        raise ValueError(
-            f"The form has {kind.replace('_', '-')} integrals, which have no torn counterpart "
-            "(those over interior facets, dS, couple subdomains): use a form with dx and ds only."
-        )
+    require_no_coupling(form)
     replaced = {
         argument: ufl.Argument(spaces[argument.number()].V_torn, argument.number())
         for argument in form.arguments()
     }
     compiler = compiler or Compiler(spaces[0].V.mesh.comm)
     return compiler.form(ufl.replace(form, replaced))
+
+
+def require_no_coupling(form: ufl.Form) -> None:
+    """Refuse integrals that couple cells otherwise than by common dofs.
+
+    Raises:
+        ValueError: The form has other integrals than those over cells and exterior facets.
+    """
+    kinds = {integral.integral_type() for integral in form.integrals()}
+    for kind in sorted(kinds - {"cell", "exterior_facet"}):
+        raise ValueError(
+            f"The form has {kind.replace('_', '-')} integrals, which have no torn counterpart "
+            "(those over interior facets, dS, couple subdomains): use a form with dx and ds only."
+        )
 
 
 @dataclass(frozen=True, slots=True)

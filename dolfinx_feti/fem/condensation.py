@@ -30,7 +30,7 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
-from dolfinx_feti.fem.assembly import LocalMatrix, torn_form
+from dolfinx_feti.fem.assembly import LocalMatrix, require_no_coupling, torn_form
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace, into_cells, tear
 from dolfinx_feti.native import load, pointer
@@ -94,7 +94,8 @@ class Condensation:
             compiler: How the blocks are compiled.
 
         Raises:
-            ValueError: p does not occur in the residuals, or they leave it undetermined.
+            ValueError: p does not occur in the residuals, they leave it undetermined, or couple the
+                pressures of two cells.
 
         Note:
             Collective.
@@ -106,6 +107,7 @@ class Condensation:
                 f"condense is '{p.name}', which does not occur in the energy (or in both "
                 "residuals): pass the pressure of a mixed energy Π(u, p)."
             )
+        require_no_coupling(F_p)  # or a row of K_pu is no linear form of a cell
         self.p = p
         one = ufl.as_ufl(1.0)
         q, dp = F_p.arguments()[0], ufl.TrialFunction(Q)
