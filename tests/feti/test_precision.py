@@ -56,6 +56,9 @@ def test_solves_to_single_precision_whatever_the_unit(size):
     assert factors.singles() == 1
     assert 0.0 < np.abs(S @ x - y).max() < 1e3 * np.finfo(np.float32).eps
     np.testing.assert_array_equal(factors.solve_many(0, np.column_stack([y, y]))[:, 1], x)
+    many = np.outer(y, [1.0, 1e-20, 0.0, 3.0, -2.0, 1e20, 5.0, 7.0])  # these are unpacked
+    error, largest = (np.abs(a).max(axis=0) for a in (S @ factors.solve_many(0, many) - many, many))
+    assert np.all(error <= 1e3 * np.finfo(np.float32).eps * largest)
     factors.solve(np.zeros(SIZE), x)
     assert not x.any()
 

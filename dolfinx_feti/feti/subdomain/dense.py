@@ -281,9 +281,15 @@ class _Block:
             return lapack.dsytrs(self.X, self._interchanges, Y, lower=1)[0]
         if self.X.ndim == 2:
             return np.asarray(self.X @ Y)
-        if self.single or Y.shape[1] <= FEW:
+        if Y.shape[1] <= FEW:
             return np.column_stack([self.solve(y) for y in Y.T])
         L = _unpack(self.X, self._n, work)
+        if self.single:
+            size = np.abs(Y).max(axis=0)
+            size[size == 0.0] = 1.0
+            X = blas.strsm(1.0, L, np.asfortranarray(Y / size, dtype=np.float32), lower=1)
+            X = blas.strsm(1.0, L, X, lower=1, trans_a=1, overwrite_b=1)
+            return np.asarray(X * (size / self.size**2))  # L⁻ᵀ L⁻¹ Y
         X = blas.dtrsm(1.0, L, np.asfortranarray(Y), lower=1)
         return blas.dtrsm(1.0, L, X, lower=1, trans_a=1, overwrite_b=1)
 
@@ -318,8 +324,9 @@ def _unpack(S: Array, n: int, work: Array) -> Array:
     """
     size, info = ctypes.c_int(n), ctypes.c_int(0)
     to_size, to_info = ctypes.addressof(size), ctypes.addressof(info)
-    _dtpttr()(b"L", to_size, S.ctypes.data, work.ctypes.data, to_size, to_info)
-    return work[: n * n].reshape((n, n), order="F")
+    unpack = _lapack("stpttr" if S.dtype == np.float32 else "dtpttr")
+    unpack(b"L", to_size, S.ctypes.data, work.ctypes.data, to_size, to_info)
+    return work.view(S.dtype)[: n * n].reshape((n, n), order="F")
 
 
 def _mirrored(L: Array) -> Array:
@@ -334,8 +341,8 @@ def _mirrored(L: Array) -> Array:
 
 
 @functools.cache
-def _dtpttr() -> Callable[..., None]:
-    return ctypes.CFUNCTYPE(None, ctypes.c_char_p, *[ctypes.c_void_p] * 5)(address_of("dtpttr"))
+def _lapack(name: str) -> Callable[..., None]:
+    return ctypes.CFUNCTYPE(None, ctypes.c_char_p, *[ctypes.c_void_p] * 5)(address_of(name))
 
 
 def _diagonal(n: int) -> npt.NDArray[np.int64]:
