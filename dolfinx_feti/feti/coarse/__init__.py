@@ -4,5 +4,5 @@
 """The coarse problem: the projection, its solver, and what it tells of the assembled matrix.
 
 In the order of the data: columns, near, fields, weighted, gathered, coarse, bodies, motions,
-singularity, stability, averaged, adaptive.
+singularity, stability, adaptive, averaged.
 """
