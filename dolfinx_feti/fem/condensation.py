@@ -82,8 +82,7 @@ class Condensation:
     ) -> None:
         """Derive and compile the blocks.
 
-        A row of K_up or K_pu is a linear form of the cell, as a pattern of p is one on the cell and
-        zero elsewhere.
+        A row of K_pu or K_upᵀ is a linear form of its cell, where q and Δp are one.
 
         Args:
             F_u: Residual r_u, tested with v in V.
