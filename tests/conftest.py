@@ -14,6 +14,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import hand_torn
+import numpy as np
+import numpy.typing as npt
+import primal_form
 import pytest
 from collective import agree
 from problems import Problem
@@ -91,6 +94,24 @@ def parts(pattern: Callable[..., Pattern]) -> Iterator[Callable[..., DualForm]]:
     yield create
     for system in made:
         system.destroy()
+
+
+@pytest.fixture
+def form(parts: Callable[..., DualForm]) -> Iterator[Callable[..., primal_form.PrimalForm]]:
+    """Build the primal form of a torn problem, see :func:`primal_form.create`."""
+    made: list[primal_form.PrimalForm] = []
+
+    def create(
+        problem: hand_torn.HandTorn,
+        more: Callable[..., list[npt.NDArray[np.float64]]] | None = None,
+        **options: object,
+    ) -> primal_form.PrimalForm:
+        made.append(primal_form.create(parts(problem.A, **options), more))
+        return made[-1]
+
+    yield create
+    for each in made:
+        primal_form.destroy(each)
 
 
 @pytest.fixture

@@ -32,9 +32,6 @@ from dolfinx_feti.torn import create_torn_matrix, set_near_kernel
 
 Vector = npt.NDArray[np.float64]
 
-#: Rows of dofs and not of blocks, as PETSc has them.
-EXPANDED = dolfinx.la.BlockMode.expanded  # type: ignore[attr-defined]
-
 __all__ = [
     "LocalMatrix",
     "assemble",
@@ -46,6 +43,9 @@ __all__ = [
     "require_no_coupling",
     "torn_form",
 ]
+
+#: Rows of dofs and not of blocks, as PETSc has them.
+EXPANDED = dolfinx.la.BlockMode.expanded  # type: ignore[attr-defined]
 
 
 def torn_form(

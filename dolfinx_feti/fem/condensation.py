@@ -110,16 +110,18 @@ class Condensation:
         self.p = p
         one = ufl.as_ufl(1.0)
         q, dp = F_p.arguments()[0], ufl.TrialFunction(Q)
+        with_one = ufl.replace(F_p, {q: one})
         K_up = ufl.replace(ufl.derivative(F_u, p, dp), {dp: one})
-        K_pu = ufl.derivative(ufl.replace(F_p, {q: one}), u, ufl.TestFunction(V))
-        K_pp = ufl.derivative(ufl.replace(F_p, {q: one}), p, ufl.TestFunction(Q))
+        K_pu = ufl.derivative(with_one, u, ufl.TestFunction(V))
+        K_pp = ufl.derivative(with_one, p, ufl.TestFunction(Q))
         _require_blocks(p, K_up=K_up, K_pu=K_pu, K_pp=K_pp)
-        cells = tear(V, into_cells(V.mesh))
+        each = into_cells(V.mesh)
+        cells = tear(V, each)
         self._rows = tuple(torn_form(form, (cells,), compiler) for form in (K_up, K_pu))
         self._K_pp, self._r_p = compiler.form(K_pp), compiler.form(F_p)
-        n_cells, self._bs = len(cells.dof) // V.dofmap.list.shape[1], V.dofmap.index_map_bs
-        self._pressure_dof = Q.dofmap.list[:n_cells, 0]
-        self._node = np.sort(space.V_torn.dofmap.list[:n_cells], axis=1)  # as in ``cells``
+        self._bs = V.dofmap.index_map_bs
+        self._pressure_dof = Q.dofmap.list[: each.count, 0]
+        self._node = np.sort(space.V_torn.dofmap.list[: each.count], axis=1)  # as in ``cells``
         self._code = load(SOURCE, DECLARATION, V.mesh.comm)
 
     def assemble(self) -> Blocks:

@@ -22,6 +22,7 @@ A V and A₀ of the present one. In the same way Ritz vectors of solves with ear
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 from petsc4py import PETSc
 
@@ -49,7 +50,7 @@ from dolfinx_feti.feti.subdomain.modes import Modes
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
 from dolfinx_feti.torn import Torn
 
-__all__ = ["PrimalForm", "create_lagged_form", "create_primal_form"]
+__all__ = ["PrimalForm", "create_lagged_form", "create_primal_form", "solve_on_interface"]
 
 Array = npt.NDArray[np.float64]
 Reason = PETSc.KSP.ConvergedReason
@@ -203,16 +204,10 @@ def create_primal_form(
         require_held(torn, pattern.bodies, factored.near_kernel, definite=False)
         copies = Copies(torn, S.interface, pattern.gluing.delta)
 
-        def solve(i: int, F: Array) -> Array:
-            on = S.on_interface[i]
-            Y = np.zeros((len(on), F.shape[1]))
-            Y[on] = F
-            return inverse.solve_many(i, Y)[on]  # S_ρ⁻¹ F
-
         adaptive = adaptive_columns(
             copies,
             S.multiply_many,
-            solve,
+            partial(solve_on_interface, S, inverse),
             most=options.coarse_adaptive,
             threshold=options.coarse_bound,
         )
@@ -237,6 +232,14 @@ def create_primal_form(
         most=most,
         singles=torn.comm.allreduce(pattern.matrices.singles()),
     )
+
+
+def solve_on_interface(S: Dirichlet, inverse: PseudoInverse, i: int, F: Array) -> Array:
+    """Return S_ρ⁻¹ F for forces on the interface of subdomain i, (n_Γ, k): K_ρ⁻¹ F, there."""
+    on = S.on_interface[i]
+    Y = np.zeros((len(on), F.shape[1]))
+    Y[on] = F
+    return inverse.solve_many(i, Y)[on]
 
 
 def create_lagged_form(

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,6 +17,7 @@ from collective import COMM, agree, equal
 from hand_torn import gradients
 
 from dolfinx_feti.feti.coarse.adaptive import DOFS, STEPS, adaptive_columns
+from dolfinx_feti.feti.primal_form import solve_on_interface
 
 SEED = 2013
 every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
@@ -115,20 +117,6 @@ def volume_changes(cells):
     return K_p.reshape(len(K_p), -1)
 
 
-@pytest.fixture
-def form(parts):
-    """Make the primal form of a problem, with options as keywords."""
-    made = []
-
-    def create(problem, more=None, **options):
-        made.append(primal_form.create(parts(problem.A, **options), more))
-        return made[-1]
-
-    yield create
-    for each in made:
-        primal_form.destroy(each)
-
-
 @every_type
 @pytest.mark.parametrize("interior", ["keep", "eliminate"])
 def test_a_large_bulk_modulus_costs_few_iterations(kind, interior, torn_grid, form, monkeypatch):
@@ -145,13 +133,7 @@ def test_a_large_bulk_modulus_costs_few_iterations(kind, interior, torn_grid, fo
 
         def columns(parts, copies):
             M = parts.preconditioner
-
-            def solve(i, F):
-                on = M.on_interface[i]
-                Y = np.zeros((len(on), F.shape[1]))
-                Y[on] = F
-                return parts.inverse.solve_many(i, Y)[on]
-
+            solve = partial(solve_on_interface, M, parts.inverse)
             return adaptive_columns(copies, M.multiply_many, solve, most=18, threshold=1.2)
 
         problem = torn_grid((4, 3), cells, components=2, change=stiffen)

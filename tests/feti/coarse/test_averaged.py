@@ -18,20 +18,6 @@ GRID = {"subdomains": (3, 2), "cells": (3, 2), "components": 2}
 every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
 
 
-@pytest.fixture
-def form(parts):
-    """Make the primal form of a problem, with options as keywords."""
-    made = []
-
-    def create(problem, more=None, **options):
-        made.append(primal_form.create(parts(problem.A, **options), more))
-        return made[-1]
-
-    yield create
-    for each in made:
-        primal_form.destroy(each)
-
-
 def random(n):
     return np.random.default_rng(SEED + COMM.rank).standard_normal(n)
 

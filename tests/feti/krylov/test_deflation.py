@@ -6,11 +6,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from petsc4py import PETSc
 
 import numpy as np
-import primal_form
 import pytest
 from collective import COMM, agree, equal, matrix_of_map, small, whole
 
@@ -48,17 +48,9 @@ every_interior = pytest.mark.parametrize("interior", ["keep", "eliminate"])
 
 
 @pytest.fixture
-def form(parts):
-    """Make the primal form of a problem, with options as keywords."""
-    made = []
-
-    def create(problem, **options):
-        made.append(primal_form.create(parts(problem.A, coarse_modes=0, **options)))
-        return made[-1]
-
-    yield create
-    for each in made:
-        primal_form.destroy(each)
+def form(form):
+    """Make the primal form of a problem without soft modes."""
+    return partial(form, coarse_modes=0)
 
 
 def random(n, columns=1, seed=SEED):

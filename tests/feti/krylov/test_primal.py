@@ -37,20 +37,6 @@ every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
 every_interior = pytest.mark.parametrize("interior", ["keep", "eliminate"])
 
 
-@pytest.fixture
-def form(parts):
-    """Make the primal form of a problem, with options as keywords."""
-    made = []
-
-    def create(problem, more=None, **options):
-        made.append(primal_form.create(parts(problem.A, **options), more))
-        return made[-1]
-
-    yield create
-    for each in made:
-        primal_form.destroy(each)
-
-
 def assembled(of_copies, exact):
     """Take a map of copies, (n, n), to one of assembled vectors: average, map, copies."""
     return exact.average @ of_copies @ exact.T

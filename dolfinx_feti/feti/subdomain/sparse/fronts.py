@@ -19,8 +19,8 @@ children touch later, Γ included. A front is a small dense matrix,
 and the last block is added to the front of its parent, at the roots to S. The groups follow from an
 ordering by nested dissection (METIS, Karypis and Kumar 1998, or PETSc). So nearly all work is
 that of BLAS on dense matrices, which divides by the narrow triangles on the diagonal of U through
-their inverses. MUMPS, which offers S as well (``schur``), and with pivots, takes
-three times as long for interiors of this size, S and then the factor of :math:`K_{II}`.
+their inverses. MUMPS, which offers S as well (``schur``), and with pivots, takes three times as
+long for interiors of this size, S and then the factor of :math:`K_{II}`.
 
 There are no pivots to choose as long as :math:`K_{II}` is positive definite. A pivot that is not
 positive ends the factorisation, and :meth:`Fronts.factor` tells so.
