@@ -7,7 +7,9 @@
 #   ARGS="…"       further arguments of the demo, the benchmark, or pytest
 #   FENICSX_SUITE=sid make …   the newest dolfinx
 
-NP ?= $(shell [ "$$(nproc 2>/dev/null || echo 1)" -gt 1 ] && echo 2 || echo 1)
+# nproc takes OpenMP's threads, of which a process is to have one, for the number of cores.
+cores := $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc 2>/dev/null || echo 1)
+NP ?= $(if $(filter-out 1,$(cores)),2,1)
 ARGS ?=
 
 with := scripts/with-fenicsx
@@ -15,9 +17,13 @@ python := $(if $(filter-out 1,$(NP)),env OMP_NUM_THREADS=1 mpirun -n $(NP) )pyth
 threaded := env OMP_NUM_THREADS=$(NP) python3
 compare := -m benchmarks.compare --json build/speed.json
 comma := ,
+# What is built, compared with dense matrices and a direct solver: K K⁺ K = K and S of a subdomain, on one process;
+# B u = b, P² = P, F, M and the primal form, on two.
+identities_1 := tests/test_torn.py tests/feti/subdomain tests/feti/test_against_direct.py
+identities_2 := $(filter-out %/subdomain/ %/regularity/,$(wildcard tests/feti/[a-z]*/))
 shell_scripts := scripts/with-fenicsx scripts/debian-tree scripts/run-tests .ci/run
 
-.PHONY: help demo test figures bench bench-compare bench-linear bench-nonlinear bench-scaling lint docs clean
+.PHONY: help demo test sanitize figures bench bench-compare bench-linear bench-nonlinear bench-scaling lint check docs clean
 
 help: ## what can be made
 	@awk -F ':.*## ' '/^[a-z-]+( build.*)?:.*## / { sub(/ build.*/, "", $$1); printf "  make %-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -29,12 +35,20 @@ demo: ## inflate the artery's wall, next to a direct solver; pictures in output/
 test: ## the whole suite on 1, 2 and 3 processes
 	$(with) scripts/run-tests $(ARGS)
 
+sanitize: flags = -O1 -g -fno-omit-frame-pointer -fsanitize=address,undefined -fno-sanitize-recover=all
+sanitize: stopping = ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1
+sanitize: runtimes = $$(gcc -print-file-name=libasan.so):$$(gcc -print-file-name=libubsan.so):$$(gcc -print-file-name=libstdc++.so)
+sanitize: ## the tests that call the package's C code, with AddressSanitizer and UndefinedBehaviorSanitizer
+	$(with) sh -c 'DOLFINX_FETI_CFLAGS="$(flags)" LD_PRELOAD="$(runtimes)" $(stopping) OMP_NUM_THREADS=1 \
+	  XDG_CONFIG_HOME=tests/config python3 -m pytest -q -p no:cacheprovider tests/test_torn.py tests/runtime \
+	  tests/fem/test_condensation.py tests/feti/gluing tests/feti/subdomain $(ARGS)'
+
 bench: bench-linear bench-nonlinear bench-scaling bench-compare ## all benchmarks; what is finished is not run again
 
 bench-linear: ## the paper's linear study and what goes beyond it; report in build/results/
-	$(with) $(python) -m benchmarks.linear --json build/linear.json $(ARGS)
-	$(with) $(python) -m benchmarks.cube_solvers --level 2,3 --json build/solvers.json
-	$(with) python3 -m benchmarks.report build/linear.json build/solvers.json --output build/results
+	$(with) $(python) -m benchmarks.cube --sets all --json build/linear.json $(ARGS)
+	$(with) $(python) -m benchmarks.cube --solvers all --level 2,3 --json build/solvers.json
+	$(with) python3 -m benchmarks.cube.page build/linear.json build/solvers.json --output build/results
 
 bench-compare: ## FETI, MUMPS, GAMG and BDDC on the same matrices, time and memory; report in build/results/
 	$(with) $(python) $(compare) --kappa 10,1000 --dofs 60000,184000,411000 --solvers feti,mumps,gamg,bddc $(ARGS)
@@ -47,18 +61,18 @@ bench-compare: ## FETI, MUMPS, GAMG and BDDC on the same matrices, time and memo
 	$(with) $(threaded) $(compare) --path 10 --dofs 60000 $(ARGS)
 	$(with) $(python) $(compare) --path 10 --geometry vessel --dofs 71000 $(ARGS)
 	$(with) $(threaded) $(compare) --path 10 --geometry vessel --dofs 71000 $(ARGS)
-	$(with) python3 -m benchmarks.speed_page build/speed.json --output build/results
+	$(with) python3 -m benchmarks.compare.page build/speed.json --output build/results
 
 bench-nonlinear: ## iterations and seconds per Newton step, tube and vessel; report in build/results/
 	for degree in 1 2; do \
 	  $(with) $(python) -m benchmarks.nonlinear --geometry tube --size 0.3 --subdomains 8 --degree $$degree --json build/nonlinear.json && \
 	  $(with) $(python) -m benchmarks.nonlinear --size 1.19 --subdomains 64 --pressure 0.2 --degree $$degree --json build/nonlinear.json $(ARGS) || exit; \
 	done
-	$(with) python3 -m benchmarks.nonlinear_page build/nonlinear.json --output build/results
+	$(with) python3 -m benchmarks.nonlinear.page build/nonlinear.json --output build/results
 
 bench-scaling: ## strong scaling on one and two processes, counts on up to 64; report in build/results/
 	$(with) python3 -m benchmarks.scaling --size 0.8 --processes $(if $(filter-out 1,$(NP)),1$(comma)$(NP),1) --json build/scaling.json $(ARGS)
-	$(with) python3 -m benchmarks.scaling_page build/scaling.json --output build/results
+	$(with) python3 -m benchmarks.scaling.page build/scaling.json --output build/results
 
 figures: direct = --type classical --subdomains 1
 figures: files = --json build/loading.json --checkpoint build/loading
@@ -69,14 +83,27 @@ figures: ## both variants up to 300 mmHg on tube and vessel, and the paper's fig
 	$(with) python3 -m benchmarks.load_stepping --size 1.2 --first 25 $(direct) $(files)/p1-direct
 	$(with) python3 -m benchmarks.load_stepping --size 1.6 $(direct) $(files)/p1-coarse-direct
 	$(with) python3 -m benchmarks.load_stepping --size 1.6 --degree 2 $(direct) $(files)/p2-direct
-	$(with) python3 -m benchmarks.load_figures build/loading.json --output build/results
+	$(with) python3 -m benchmarks.load_stepping.page build/loading.json --output build/results
+
+# Of Python files, texts and shell scripts; .pre-commit-config.yaml has the same tools.
+define lint_files
+$(if $(1),$(with) ruff check $(1))
+$(if $(1),$(with) ruff format --check $(1))
+$(if $(1),$(with) mypy dolfinx_feti)
+$(if $(2),$(with) codespell $(2))
+$(if $(3),$(with) shellcheck $(3))
+endef
 
 lint: ## style, types, spelling
-	$(with) ruff check .
-	$(with) ruff format --check .
-	$(with) mypy dolfinx_feti
-	$(with) codespell
-	$(with) shellcheck $(shell_scripts)
+	$(call lint_files,.,.,$(shell_scripts))
+
+changed = $(sort $(shell git diff --name-only --diff-filter=d $$(git merge-base HEAD main 2>/dev/null || echo HEAD); \
+  git ls-files --others --exclude-standard))
+
+check: ## lint of what has changed since main, and the tests of identities; under a minute
+	$(call lint_files,$(filter %.py,$(changed)),$(filter %.py %.md %.toml %.c,$(changed)),$(filter $(shell_scripts),$(changed)))
+	$(with) env DOLFINX_FETI_TEST_PROCESSES=1 scripts/run-tests $(identities_1) $(ARGS)
+	$(with) env DOLFINX_FETI_TEST_PROCESSES=2 scripts/run-tests $(identities_2) $(ARGS)
 
 docs: export FENICSX_PACKAGES = docs
 docs: ## the site in build/docs/, with every demo executed, looked at in a browser; about 5 minutes

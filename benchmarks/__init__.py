@@ -1,16 +1,16 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Benchmarks: commands that write records as JSON, and the pages that are made of them.
+"""Benchmarks: a folder for each study, which writes records as JSON and makes a page of them.
 
-The files of this folder are the commands, each with its own ``--help``: ``compare`` (FETI, MUMPS
-and others on a Newton step or a load path), ``subdomains`` (how many), ``cube``, ``linear`` and
-``cube_solvers`` (the linear study), ``tube`` and ``load_stepping`` (walls under pressure),
-``nonlinear`` (iterations per Newton step), ``scaling`` (strong scaling), and for pages and pictures
-``report``, ``load_figures``, ``nonlinear_page``, ``scaling_page`` and ``speed_page``. What they are
-made of is in the rooms: ``unit_cube`` holds the linear study, ``walls`` the artery walls,
-``nonlinear_tables`` and ``strong_scaling`` the pages of those two, ``speed`` the comparison of
-solvers, and ``common`` what all need. A command imports from the rooms, a room from ``common``.
+``python3 -m benchmarks.<study>`` runs a study (``run.py``, each with ``--help``), and
+``python3 -m benchmarks.<study>.page`` makes its page (``page.py``, from the template ``page.md``);
+``paper.py`` has the paper's numbers where there are some. The studies: ``cube``, the paper's linear
+study; ``tube``, the inflated tube beside its semi-analytical solution; ``compare``, FETI beside
+other solvers; ``nonlinear``, iterations per Newton step; ``scaling``, strong scaling;
+``load_stepping``, walls up to 300 mmHg; ``subdomains``, how many. A study knows itself and
+``common``.
 
-In the order of the data: common, unit_cube, walls, nonlinear_tables, strong_scaling, speed.
+In the order of the data: common, cube, tube, compare, nonlinear, scaling, load_stepping,
+subdomains.
 """

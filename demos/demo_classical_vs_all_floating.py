@@ -14,7 +14,7 @@
 #
 # A cube is torn into 4 × 4 × 4 subcubes and glued together again, by both variants of the method
 # and with three preconditioners. It is the linear study of Augustin, Holzapfel, Steinbach (IJNME
-# 99, 2014) with an eighth of its subdomains; `benchmarks/cube.py` is the whole of it.
+# 99, 2014) with an eighth of its subdomains; `benchmarks/cube/` is the whole of it.
 #
 #     python3 demos/demo_classical_vs_all_floating.py
 #     mpirun -n 2 python3 demos/demo_classical_vs_all_floating.py FOLDER
@@ -28,16 +28,17 @@ from pathlib import Path
 
 from mpi4py import MPI
 
+import matplotlib.pyplot as plt
 import numpy as np
-from drawing.cube_picture import draw_cube
-from drawing.render import gather_cells
+from drawing.render import gather_cells, paint, shrunk, skin, surface
+from matplotlib.colors import to_rgba_array
 
 import dolfinx
 import ufl
 
 from dolfinx_feti import LinearProblem
-from dolfinx_feti.collective import on_first
 from dolfinx_feti.output import writable_folder
+from dolfinx_feti.runtime.collective import on_first
 from meshes.cube import create_cube
 
 comm = MPI.COMM_WORLD
@@ -167,8 +168,38 @@ condition = {key: high / low for key, (_, low, high, _) in solvers.items()}
 
 # +
 inside = np.all(np.isin(np.unravel_index(subcube, (SUBCUBES,) * 3), (1, 2)), axis=0)
-cells = gather_cells(u, {"subcube": subcube, "floating": inside})
-on_first(lambda: draw_cube(folder / "cube.png", cells, condition), comm)
+cells = gather_cells(u, {"subcube": subcube, "floating": inside.astype(int)})
+FRONT = np.array([0.8, -1.0, 0.75]) / np.linalg.norm([0.8, -1.0, 0.75])  # towards the viewer
+RIGHT = np.array([1.0, 0.8, 0.0]) / np.linalg.norm([1.0, 0.8])
+GREY_AND_GOLD = to_rgba_array(["#c9ced6", "#c9962b"])
+COLOURS = {"identity": "#b5443a", "lumped": "#c9962b", "dirichlet": "#1f5a8a"}
+
+
+def draw() -> None:
+    """Draw the torn cube without the subcubes of the nearest corner, and the condition numbers."""
+    fig, (left, right) = plt.subplots(1, 2, figsize=(11, 5), width_ratios=(1, 1.1))
+    part, view = cells.values["subcube"], np.array([RIGHT, np.cross(FRONT, RIGHT), FRONT])
+    x, centre = shrunk(cells.X, part, 0.88), shrunk(cells.X, part, 0.0)[:, 0]
+    cell, corner = skin(cells, part)
+    kept = np.any((centre[cell[:, 0]] - 0.5) * (1, -1, 1) < 0, axis=1)
+    cell, corner = cell[kept], corner[kept]
+    floating = cells.values["floating"][cell[:, 0]]
+    paint(left, surface(view, x[cell, corner], GREY_AND_GOLD[floating]))
+    left.set_title("floating in classical FETI: 8 of 64")
+    for (kind, line), pc_type in itertools.product(zip(TYPES, "-:", strict=True), PRECONDITIONERS):
+        numbers = [condition[kind, pc_type, n] for n in sizes]
+        label = f"{pc_type}, {kind.replace('_', '-')}"
+        right.semilogy(sizes, numbers, line, c=COLOURS[pc_type], marker="o", ms=4, label=label)
+    right.set_xticks(sizes)
+    right.set_xlabel("cells along the edge of a subcube, H/h")
+    right.set_ylabel("condition number κ")
+    right.grid(axis="y", which="both", color="0.92")
+    right.spines[["top", "right"]].set_visible(False)
+    right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
+    fig.savefig(folder / "cube.png", dpi=150, bbox_inches="tight")
+
+
+on_first(draw, comm)
 # -
 
 # ## What has to hold

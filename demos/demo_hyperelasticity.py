@@ -14,7 +14,7 @@
 #
 # The hyperelastic block of the FEniCS demos: clamped at one face, turned at the other, pulled by a
 # traction. Forms, functions and boundary conditions are those of a dolfinx script; the problem is
-# the `NonlinearProblem` of this package, in the place of the one in `dolfinx.fem.petsc`. In the
+# the `NonlinearProblem` of this package, instead of the one in `dolfinx.fem.petsc`. In the
 # end dolfinx is asked whether it finds the result in equilibrium.
 #
 #     python3 demos/demo_hyperelasticity.py

@@ -31,9 +31,9 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, loads, materials
-from dolfinx_feti.collective import on_first
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
 from dolfinx_feti.output import writable_folder
+from dolfinx_feti.runtime.collective import on_first
 
 comm = MPI.COMM_WORLD
 mesh = dolfinx.mesh.create_box(comm, [(0.0, 0.0, 0.0), (4.0, 4.0, 0.5)], (8, 8, 1))  # mm

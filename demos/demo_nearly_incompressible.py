@@ -51,10 +51,10 @@ mesh = dolfinx.mesh.create_box(comm, [(0.0, 0.0, 0.0), (3.0, 1.0, 1.0)], (12, 4,
 # displacements only. `condense=p` does that; an energy of u and p is all that is needed. It is
 # quadratic, so that Newton's method needs a single step, and κ is a constant that may change.
 #
-# The *primal* form of the method is asked for, which `feti_formulation auto` would take under load:
-# its coarse space has columns against whatever is costly to average (`feti_coarse_adaptive`). The
-# tolerance is 1e-7 in the place of 1e-8: at the largest κ, the entries of the matrix are so much
-# larger than the load that rounding leaves a residual of 1e-8.
+# Where a pressure is condensed, the solver takes the *primal* form of the method by itself
+# (`feti_formulation auto`): its coarse space has columns against whatever is costly to average
+# (`feti_coarse_adaptive`). The tolerance is 1e-7 instead of 1e-8: at the largest κ, the entries of
+# the matrix are so much larger than the load that rounding leaves a residual of 1e-8.
 
 # +
 MU = 1.0
@@ -77,7 +77,7 @@ problem = NonlinearProblem(
     bcs=[bc],
     condense=p,
     subdomains=8,
-    petsc_options={"feti_formulation": "primal", "snes_rtol": 1e-5, "ksp_rtol": 1e-7},
+    petsc_options={"snes_rtol": 1e-5, "ksp_rtol": 1e-7},
 )
 # -
 

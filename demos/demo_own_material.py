@@ -38,9 +38,9 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, compare, kinematics, loads
-from dolfinx_feti.collective import on_first
 from dolfinx_feti.loading import Steps, follow_load
 from dolfinx_feti.output import cell_values, writable_folder
+from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.wall import facets, openings, surface_measure
 from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
 from dolfinx_feti.workshop import check, compile_material
@@ -94,7 +94,7 @@ def dispersed_fibres(C: Expr, J: Expr, a1: Expr, a2: Expr) -> Expr:
 # ## Rubber with a plaque
 #
 # Yeoh's polynomial in $\bar I_1 - 3$, and a factor that is 100 in a patch of the wall. Stiffness
-# scaling of the jumps bears with that.
+# scaling copes with that.
 
 
 # +
@@ -118,7 +118,7 @@ def plaque(C: Expr, J: Expr) -> Expr:
 # ## Checked before they meet a mesh
 #
 # A wrong sign, a stress at rest, a tangent that is not the stress's derivative, a state where the
-# energy is no number: each would show up as a Newton iteration that does not converge. The
+# energy is not a number: each would show up as a Newton iteration that does not converge. The
 # workshop finds them in seconds, at one point, with fibres in two fixed directions. The one warning
 # is due: fibres that do not push make the tangent jump at rest.
 
@@ -142,7 +142,7 @@ KAPPA, INCREMENT = 1000.0, 5.0
 
 
 def inflate(name: str, material: Callable[[Expr, Expr], Expr]) -> dict[str, float]:
-    """Inflate the tube; draw it; hold FETI against MUMPS in the last load step."""
+    """Inflate the tube; draw it; compare FETI with MUMPS in the last load step."""
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
     u = dolfinx.fem.Function(V, name="displacement")
     p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)), name="p")

@@ -6,7 +6,7 @@
 #       format_name: light
 # ---
 
-# # Poisson's equation: FETI beside dolfinx
+# # Poisson's equation: FETI compared with dolfinx
 #
 # Copyright (C) 2026 the dolfinx_feti authors
 #

@@ -6,7 +6,7 @@
 #       format_name: light
 # ---
 
-# # A thick tube under pressure, beside its closed form
+# # A thick tube under pressure, compared with its closed form
 #
 # Copyright (C) 2026 the dolfinx_feti authors
 #
@@ -156,14 +156,14 @@ steps = follow_load(
 
 # +
 folder = writable_folder(Path("output/thick_tube"), comm)
-found = np.array(path)
-error = np.abs(found[1:, 1] / closed_form(found[1:, 0]) - 1.0).max()
+computed = np.array(path)
+error = np.abs(computed[1:, 1] / closed_form(computed[1:, 0]) - 1.0).max()
 if comm.rank == 0:
     print(f"{len(steps)} load steps; the pressure is off by at most {100 * error:.2f} %")
     radii = np.linspace(INNER, 1.55 * INNER, 100)
     fig, ax = plt.subplots(figsize=(6, 4))
     ax.plot(radii, closed_form(radii), color="0.6", label="closed form")
-    ax.plot(*found.T, "o", label="FETI, P2–P0")
+    ax.plot(*computed.T, "o", label="FETI, P2–P0")
     ax.set_xlabel("inner radius [mm]")
     ax.set_ylabel("pressure [kPa]")
     ax.grid(color="0.92")

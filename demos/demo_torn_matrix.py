@@ -6,7 +6,7 @@
 #       format_name: light
 # ---
 
-# # A torn matrix of your own, and PCBDDC beside it
+# # A torn matrix of your own, compared with PCBDDC
 #
 # Copyright (C) 2026 the dolfinx_feti authors
 #
@@ -116,7 +116,7 @@ feti = ksp.getPythonContext()
 # PETSc's balancing method takes a MATIS, too, with two differences. It wants one subdomain per
 # process: `A` with several squares in it is for it *one* subdomain with a disconnected matrix. And
 # it wants the conditions built in: `zeroRowsColumns` puts unit rows into the assembled matrix. So
-# the matrix is made anew from the union of the squares of each process.
+# the matrix is assembled again from the union of the squares of each process.
 
 # +
 rows, local = np.unique(to_global, return_inverse=True)

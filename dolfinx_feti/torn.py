@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The torn matrix: the interface between the finite elements and the dual method.
+r"""The torn matrix: the interface between the finite elements and both formulations.
 
 Tearing (eq. 33) replaces the assembled matrix (eq. 32, Augustin_eq:reordered) by
 
@@ -30,6 +30,7 @@ A subdomain is a connected component of the graph of the local matrix.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -38,21 +39,24 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
-from dolfinx_feti.connectivity import (
+from dolfinx_feti.errors import SetUpError
+from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.connectivity import (
     block_graph,
     connected_blocks,
     copy_forest,
     is_symmetric,
     load_graph_code,
 )
-from dolfinx_feti.petsc_library import rows_of
+from dolfinx_feti.runtime.petsc_library import address_of_rows, nonzero_state, rows_of
 
 __all__ = [
+    "State",
     "Torn",
     "create_torn_matrix",
-    "is_symmetric",
     "set_condensed",
     "set_near_kernel",
+    "state_of",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -94,9 +98,9 @@ def create_torn_matrix(
     A.setType(PETSc.Mat.Type.IS)
     A.setISAllowRepeated(True)
     A.setLGMap(lgmap, lgmap)
+    lgmap.destroy()
     A.setISLocalMat(K)
     A.assemble()
-    lgmap.destroy()
     if dirichlet is not None:
         dofs = np.asarray(dirichlet, dtype=PETSc.IntType)
         A.compose("dirichlet", PETSc.IS().createGeneral(dofs, comm=comm))
@@ -146,8 +150,52 @@ def set_condensed(A: PETSc.Mat, pressures: int) -> None:
     A.setAttr("pressures", pressures)
 
 
+@dataclass(frozen=True, slots=True)
+class State:
+    """Names what a torn matrix holds at one moment on this process; equal until it is changed.
+
+    What is written to the arrays behind PETSc's objects past PETSc, without ``stateIncrease``, is
+    not seen.
+
+    Attributes:
+        pattern: Names the matrices, their entries' places, the numbering and the Dirichlet dofs.
+        values: Names the entries, the near kernel, the stiffness, coordinates and pressures.
+        objects: PETSc's objects behind the names, kept so that no new object gets their handles.
+    """
+
+    pattern: tuple[object, ...]
+    values: tuple[object, ...]
+    objects: tuple[object, ...] = field(compare=False, repr=False)
+
+
+def state_of(A: PETSc.Mat) -> State:
+    """Return the state of a torn matrix on this process; of another matrix, its name alone.
+
+    The cost is that of the list of Dirichlet dofs, which is copied.
+    """
+    if A.getType() != PETSc.Mat.Type.IS:
+        return State((A.handle,), (A.stateGet(),), (A,))
+    K, maps, near_kernel = A.getISLocalMat(), A.getLGMap(), A.getNearNullSpace()
+    modes = near_kernel.getVecs() if near_kernel.handle else []
+    dirichlet, stiffness, coordinates = map(A.query, ("dirichlet", "stiffness", "coordinates"))
+    pattern = (
+        *((M.handle, M.getSizes(), M.getBlockSizes(), M.getType()) for M in (A, K)),
+        nonzero_state(K),
+        address_of_rows(K),
+        *(lgmap.handle for lgmap in maps),
+        None if dirichlet is None else dirichlet.getIndices().tobytes(),
+    )
+    values = (
+        near_kernel.handle,
+        A.getAttr("pressures"),
+        *(each and (each.handle, each.stateGet()) for each in (A, K, stiffness, coordinates)),
+        *((mode.handle, mode.stateGet()) for mode in modes),
+    )
+    return State(pattern, values, (A, K, maps, near_kernel, modes, stiffness, coordinates))
+
+
 class Torn:
-    """A torn matrix as the dual method sees it: blocks, copies, near kernel, Dirichlet dofs.
+    """A torn matrix as the solver sees it: blocks, copies, near kernel, Dirichlet dofs.
 
     Attributes:
         A: The MATIS.
@@ -179,8 +227,8 @@ class Torn:
         self.A = A
         self.comm = A.comm.tompi4py()
         self.K = A.getISLocalMat()
-        self.n = self.K.getSize()[0]
-        bad = self.K.getSize()[0] != self.K.getSize()[1] or "aij" not in self.K.getType()
+        self.n, columns = self.K.getSize()
+        bad = self.n != columns or not self.K.getType().startswith("seqaij")
         if self.comm.allreduce(bad, op=MPI.LOR):
             raise ValueError(
                 f"The local matrix has type '{self.K.getType()}' and size {self.K.getSize()}; "
@@ -188,7 +236,8 @@ class Torn:
             )
         self.start = self.comm.scan(self.n) - self.n
         self.owned = A.getLocalSize()[0]
-        self.graph = block_graph(self.K, load_graph_code(self.comm))
+        code = load_graph_code(self.comm)
+        self.graph = on_all(lambda: block_graph(self.K, code), self.comm)
         self.subdomains = connected_blocks(self.graph, self.K.getBlockSize())
         self.first = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
         self._sf = copy_forest(A)
@@ -230,8 +279,8 @@ class Torn:
             ``K[rows_i, rows_i]``, (n_i, n_i).
         """
         order = np.concatenate([*rows, np.zeros(0, dtype=np.int32)])
-        with rows_of(self.K) as of_K:
-            entries = (of_K.values, of_K.indices, of_K.indptr)
+        with rows_of(self.K) as csr:
+            entries = (csr.values, csr.indices, csr.indptr)
             K = scipy.sparse.csr_array(entries, shape=(self.n, self.n))[order]
         K = K[:, order]  # block-diagonal, one block after the other
         first = 0
@@ -257,18 +306,7 @@ class Torn:
         return root  # Tᵀ t
 
     def residual(self, b: PETSc.Vec, x: PETSc.Vec) -> PETSc.Vec:
-        """Return b − A x on the free dofs of the assembled problem, zero on the Dirichlet dofs.
-
-        Args:
-            b: Right-hand side, (N,).
-            x: Solution, (N,).
-
-        Returns:
-            The residual, (N,); the caller destroys it.
-
-        Note:
-            Collective.
-        """
+        """Return b − A x, (N,), zero on Dirichlet dofs; the caller destroys it. Collective."""
         r = b.duplicate()
         force = self.multiply(self.tear(x))
         free = self.assemble(self.dirichlet.astype(np.float64)) < 0.5
@@ -280,24 +318,23 @@ class Torn:
         degree = self._sf.computeDegree()
         return np.asarray(degree, dtype=np.int32)
 
-    def gather(self, torn: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    def gather(self, torn: Array) -> Array:
         """Gather the values of all copies on the owner of their dof, in the order of the dofs."""
-        copies = np.zeros(int(self.multiplicity().sum()), dtype=torn.dtype)
-        unit = MPI._typedict[torn.dtype.char]
+        copies = np.zeros(int(self.multiplicity().sum()))
         leaf = np.ascontiguousarray(torn)
-        self._sf.gatherBegin(unit, leaf, copies)
-        self._sf.gatherEnd(unit, leaf, copies)
+        self._sf.gatherBegin(MPI.DOUBLE, leaf, copies)
+        self._sf.gatherEnd(MPI.DOUBLE, leaf, copies)
         return copies
 
     def near_kernel(self) -> Array:
         """Return the near kernel on the torn dofs, (n, number of modes).
 
         Raises:
-            ValueError: None is attached and the matrix is blocked.
+            SetUpError: None is attached and the matrix is blocked.
         """
         modes = self.A.getNearNullSpace().getVecs() if self.A.getNearNullSpace().handle else []
         if not modes and self.A.getBlockSize() > 1:
-            raise ValueError(
+            raise SetUpError(
                 "The torn matrix carries no near kernel, and with a block size of "
                 f"{self.A.getBlockSize()} none can be guessed: attach the rigid body modes with "
                 "dolfinx_feti.set_near_kernel."
@@ -307,11 +344,7 @@ class Torn:
         return np.column_stack([self.tear(mode) for mode in modes])
 
     def coordinates(self) -> Array | None:
-        """Return where each torn dof is, (n, dimension of space); None if that is not attached.
-
-        Note:
-            Collective.
-        """
+        """Return where each torn dof is, (n, dimension); None if not attached. Collective."""
         points = self.A.query("coordinates")
         if points is None:
             return None
@@ -348,11 +381,7 @@ class Torn:
         return self.A.getAttr("pressures")  # type: ignore[no-any-return]
 
     def is_symmetric(self) -> bool:
-        """Tell whether the matrices of all subdomains are symmetric.
-
-        Note:
-            Collective.
-        """
+        """Tell whether the matrices of all subdomains are symmetric. Collective."""
         return bool(self.comm.allreduce(is_symmetric(self.K), op=MPI.LAND))
 
     def _dirichlet_mask(self) -> npt.NDArray[np.bool_]:

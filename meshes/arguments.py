@@ -53,12 +53,12 @@ def share(text: str) -> tuple[str, float]:
 
 @contextmanager
 def refusals(parser: argparse.ArgumentParser) -> Iterator[None]:
-    """Answer what a generator refuses in one line, with exit status 2 and no traceback.
+    """Answer wrong input in one line, with exit status 2 and no traceback.
 
     Raises:
         SystemExit: In place of an error about a file or a value.
     """
     try:
         yield
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, ArithmeticError) as error:
         parser.exit(2, f"{parser.prog}: error: {' '.join(str(error).split())}\n")

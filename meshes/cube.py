@@ -20,7 +20,7 @@ import numpy.typing as npt
 import basix.ufl
 import dolfinx
 
-from dolfinx_feti import _compat
+from dolfinx_feti.runtime import compat
 
 __all__ = ["TETRAHEDRA", "create_cube"]
 
@@ -67,7 +67,7 @@ def create_cube(
     number = _node_numbers(_cells(mine, subdomains, cells), subdomains * cells)
     tetrahedra = number[:, TETRAHEDRA].reshape(-1, 4)
     x = _coordinates(subdomains * cells, comm)
-    here = _compat.adjacency(np.full((len(tetrahedra), 1), comm.rank, dtype=np.int32))
+    here = compat.adjacency(np.full((len(tetrahedra), 1), comm.rank, dtype=np.int32))
     mesh = dolfinx.mesh.create_mesh(
         comm,
         cells=tetrahedra,

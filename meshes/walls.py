@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from dolfinx_feti.collective import on_first
+from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.wall import Wall, read_wall
 from dolfinx_feti.wall.wallfile import read_raw_wall
 from meshes.tube import create_tube

@@ -4,7 +4,7 @@
 """Say, by exit status and one line on stderr, whether this Python has the FEniCSx that is needed.
 
 Read by `scripts/with-fenicsx` and `scripts/debian-tree`. With the argument `docs`, what `make docs`
-imports has to be there, too.
+imports has to be installed, too.
 """
 
 import sys

@@ -8,7 +8,7 @@
 
 writes into `docs/demos/`, for every `demos/demo_*.py`, the executed notebook, which is the page and
 the notebook to take away; the script; and a thumbnail, the last picture in the notebook's output.
-`docs/demos/index.md` is the gallery. Nothing there is kept in the repository.
+`docs/demos/index.md` is the gallery. None of it is kept in the repository.
 
 A demo that fails ends the build with its traceback. One that ran with the same files and the same
 version of dolfinx is not executed again.
@@ -64,31 +64,30 @@ class Page:
 FIRST, LARGE = "First steps", "Large deformations"
 METHOD, WALLS = "The method", "Artery walls and materials"
 GALLERY = [
-    Page("demo_poisson", "FETI beside dolfinx, and the order of convergence.", FIRST),
+    Page("demo_poisson", "FETI compared with dolfinx, and the order of convergence.", FIRST),
     Page("demo_linear_elasticity", "A beam under its weight: two lines change.", FIRST),
     Page("demo_solver_options", "What -ksp_view says, and what options change.", FIRST),
-    Page("demo_hyperelasticity", "NonlinearProblem in the place of dolfinx's.", LARGE),
-    Page("demo_thick_tube", "Inflated, and held against the closed form.", LARGE),
+    Page("demo_hyperelasticity", "NonlinearProblem instead of dolfinx's.", LARGE),
+    Page("demo_thick_tube", "Inflated, and compared with the closed form.", LARGE),
     Page("demo_load_steps", "Adaptive load steps; a run that goes on after its end.", LARGE),
-    Page("demo_nearly_incompressible", "Iterations over κ, beside multigrid.", METHOD),
+    Page("demo_nearly_incompressible", "Iterations over κ, compared with multigrid.", METHOD),
     Page("demo_jumps", "A checkerboard of soft and stiff squares.", METHOD),
-    Page("demo_torn_matrix", "A MATIS of your own, and PCBDDC beside it.", METHOD),
+    Page("demo_torn_matrix", "A MATIS of your own, compared with PCBDDC.", METHOD),
     Page(
         "demo_classical_vs_all_floating",
         "The paper's linear study in small: two variants, three preconditioners.",
         METHOD,
-        pictures=("output/cube/cube.png",),
     ),
     Page(
         "demo_artery",
-        "A two-layer wall with fibres, inflated beside a direct solver.",
+        "A two-layer wall with fibres, inflated, and a direct solver for comparison.",
         WALLS,
-        arguments=("--geometry", "tube", "--size", "0.5", "--subdomains", "8", "--pressure", "10"),
+        arguments=("--mesh", "tube", "--size", "0.5", "--subdomains", "8", "--pressure", "10"),
         pictures=tuple(f"output/artery/{name}.png" for name in ("fibres", "convergence", "wall")),
     ),
     Page(
         "demo_own_material",
-        "Energies of your own: checked, inflated, and beside a plaque.",
+        "Energies of your own: checked and inflated, one with a plaque.",
         WALLS,
         arguments=("--size", "0.6", "--pressure", "15"),
         pictures=tuple(f"output/materials/{name}.png" for name in ("fibres", "plaque")),
@@ -98,10 +97,10 @@ GALLERY = [
 
 def main() -> int:
     """Execute what has changed; write the pages."""
-    there = {path.stem for path in DEMOS.glob("demo_*.py")}
+    demos = {path.stem for path in DEMOS.glob("demo_*.py")}
     listed = {page.name for page in GALLERY}
-    if there != listed:
-        sys.exit(f"demo_pages: GALLERY and demos/ differ in {sorted(there ^ listed)}")
+    if demos != listed:
+        sys.exit(f"demo_pages: GALLERY and demos/ differ in {sorted(demos ^ listed)}")
     PAGES.mkdir(exist_ok=True)
     begin = time.perf_counter()
     for page in GALLERY:
@@ -131,7 +130,7 @@ def fingerprint(page: Page) -> str:
 
 
 def up_to_date(notebook: Path, state: str) -> bool:
-    """Whether a page is there and was made from these files."""
+    """Whether a page exists and was made from these files."""
     if not notebook.is_file() or not notebook.with_suffix(".png").is_file():
         return False
     return nbformat.read(notebook, as_version=4).metadata.get("fingerprint") == state
@@ -139,17 +138,17 @@ def up_to_date(notebook: Path, state: str) -> bool:
 
 def helpers(page: Page) -> list[Path]:
     """Files of the folder that a demo imports, directly or not."""
-    found: list[Path] = []
+    imported: list[Path] = []
     waiting = [DEMOS / f"{page.name}.py"]
     while waiting:
         text = waiting.pop().read_text(encoding="utf-8")
         for module, name in re.findall(r"^(?:from|import) ([\w.]+)(?: import (\w+))?", text, re.M):
             for dotted in (module, f"{module}.{name}"):
                 path = DEMOS / f"{dotted.replace('.', '/')}.py"
-                if path.is_file() and path not in found:
-                    found.append(path)
+                if path.is_file() and path not in imported:
+                    imported.append(path)
                     waiting.append(path)
-    return sorted(found)
+    return sorted(imported)
 
 
 def write_page(page: Page, path: Path, state: str) -> None:
@@ -175,9 +174,7 @@ def executed(page: Page) -> NotebookNode:
     source = (DEMOS / f"{page.name}.py").read_text(encoding="utf-8")
     if "sys.argv" in source or "argparse" in source:
         words = ", ".join(f'"{word}"' for word in (f"{page.name}.py", *page.arguments))
-        line = (
-            f"import sys\n\nsys.argv = [{words}]  # in a notebook, in the place of a command line"
-        )
+        line = f"import sys\n\nsys.argv = [{words}]  # in a notebook, instead of a command line"
         notebook.cells.insert(1, new_code_cell(line))
     if page.pictures:
         show = "from IPython.display import Image, display\n\nfor name in (\n"
@@ -227,20 +224,20 @@ def take_away(page: Page, seconds: float) -> str:
     text = f"[Script](./{page.name}.py) · [notebook](./{page.name}.ipynb)"
     text = re.sub(r"\[(\w+)\]\(\./([\w.]+)\)", r"{download}`\1 <\2>`", text)
     text += f" · executed in {seconds:.0f} s on one process, dolfinx {dolfinx.__version__}"
-    beside = [f"`{path.relative_to(ROOT)}`" for path in helpers(page)]
-    if beside:
-        text += f". It needs a checkout around it: {', '.join(beside)} and `meshes/`."
+    needed = [f"`{path.relative_to(ROOT)}`" for path in helpers(page)]
+    if needed:
+        text += f". It needs a checkout around it: {', '.join(needed)} and `meshes/`."
     return text
 
 
 def last_picture(notebook: NotebookNode) -> bytes | None:
     """Return the last PNG in the output of a notebook."""
-    found = None
+    picture = None
     for cell in notebook.cells:
         for output in cell.get("outputs", []):
             if "image/png" in output.get("data", {}):
-                found = base64.b64decode(output.data["image/png"])
-    return found
+                picture = base64.b64decode(output.data["image/png"])
+    return picture
 
 
 def thumbnail(picture: bytes) -> Image.Image:
@@ -256,10 +253,10 @@ def thumbnail(picture: bytes) -> Image.Image:
 def title(page: Page) -> str:
     """Return the heading of a demo."""
     text = (DEMOS / f"{page.name}.py").read_text(encoding="utf-8")
-    found = re.search(r"^# # (.+)$", text, re.M)
-    if found is None:
+    heading = re.search(r"^# # (.+)$", text, re.M)
+    if heading is None:
         sys.exit(f"demo_pages: {page.name} has no heading")
-    return found[1]
+    return heading[1]
 
 
 def gallery() -> str:

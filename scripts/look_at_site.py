@@ -6,7 +6,7 @@
 
     python3 scripts/look_at_site.py build/docs
 
-1. Files: every link and every picture leads to a file of the site, and to a heading that is there;
+1. Files: every link and every picture leads to a file of the site, and to a heading that exists;
    nothing is loaded from the network.
 2. Pages, in headless Chromium at the width of a desktop and of a telephone: they load without an
    error in the console, pictures are drawn, formulas are rendered, and nothing sticks out.
@@ -100,7 +100,7 @@ class Outline(HTMLParser):
 
 
 def pages_of(site: Path) -> list[Path]:
-    """Return the pages; what the theme keeps in `_static` are none."""
+    """Return the pages; the files of the theme in `_static` are not pages."""
     return sorted(path for path in site.rglob("*.html") if "_static" not in path.parts)
 
 
@@ -124,7 +124,7 @@ def broken_links(site: Path) -> Iterator[str]:
 
 
 def browser() -> Any | None:
-    """Start Chromium without a network; None if it is not there."""
+    """Start Chromium without a network; None if it is not installed."""
     chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
     try:
         from selenium import webdriver
@@ -157,14 +157,14 @@ def faults_of_page(chrome: Any, path: Path, size: tuple[int, int]) -> Iterator[s
     seen = chrome.execute_script(LOOK)
     if not seen["title"] or seen["text"] < 20:
         yield "has no text"
-    for fault, found in (
+    for fault, faulty in (
         ("pictures are missing", seen["pictures"]),
         ("formulas are not rendered", seen["raw"]),
         ("formulas are wrong", seen["wrong"]),
         ("errors in the console", [e["message"] for e in errors(chrome)]),
     ):
-        if found:
-            yield f"{fault}: {found[:3]}"
+        if faulty:
+            yield f"{fault}: {faulty[:3]}"
     if seen["width"] > seen["window"] + 1:
         yield f"is {seen['width']} px wide in {seen['window']} px: {seen['wide']}"
 
@@ -180,14 +180,14 @@ def faults_of_search(chrome: Any, site: Path) -> Iterator[str]:
     for words, page in SEARCHES.items():
         chrome.get(f"{(site / 'search.html').as_uri()}?q={words}")
         deadline = time.monotonic() + 20.0
-        found: list[str] = []
-        while not any(f"/{page}" in link for link in found) and time.monotonic() < deadline:
+        links: list[str] = []
+        while not any(f"/{page}" in link for link in links) and time.monotonic() < deadline:
             time.sleep(0.2)
-            found = chrome.execute_script(
+            links = chrome.execute_script(
                 "return [...document.querySelectorAll('#search-results li a')].map(a => a.href)"
             )
-        if not any(f"/{page}" in link for link in found):
-            yield f"search for {words!r} finds {len(found)} pages, and not {page}"
+        if not any(f"/{page}" in link for link in links):
+            yield f"search for {words!r} finds {len(links)} pages, and not {page}"
 
 
 def main() -> int:
@@ -198,7 +198,7 @@ def main() -> int:
         sys.exit(f"look_at_site: there is no site in {site}: make docs builds it")
     faults = list(broken_links(site))
     chrome = browser()
-    looked = "links only: there is no selenium with Chromium to look at the pages with"
+    looked = "links only: selenium and Chromium are not installed to look at the pages"
     if chrome is None and os.environ.get("DOLFINX_FETI_INSIDE", "").endswith("-docs"):
         faults.append("the tree for the documentation has no Chromium")
     if chrome is not None:

@@ -115,9 +115,9 @@ NOWHERE = {
 
 _LINEAR = "[The linear study](results/linear.md)"
 _LOADING = "[Load stepping](results/loading.md)"
-_NEWTON = "[The nonlinear study](results/nonlinear.md), beside the paper's values"
+_NEWTON = "[The nonlinear study](results/nonlinear.md), with the paper's values"
 _SCALING = (
-    "[Strong scaling](results/scaling.md): measured on the cores that there are, and carried on by "
+    "[Strong scaling](results/scaling.md): measured on two cores, and extrapolated by "
     "a model of what was counted"
 )
 
@@ -131,7 +131,7 @@ TABLES = [
     Result(
         "cube, linear elements",
         "Augustin_tab:cube512_linear",
-        f"{_LINEAR}, beside the paper's values: levels 1 to 4; level 5 was not run.",
+        f"{_LINEAR}, with the paper's values: levels 1 to 4; level 5 was not run.",
     ),
     Result(
         "cube, quadratic elements",

@@ -7,7 +7,7 @@ The docstring of each folder's ``__init__.py`` names its modules and folders in 
 data, and the first line of a module's docstring says what it does. A number of the paper, with the
 label in its source if there is one, ``eq. 44, Augustin_eq:projection`` or ``eq. 48``, says which
 equation the module holds; files of benchmarks/ may name numbers, too. From these and from
-``paper_index.py`` the tables of README.md, docs/modules.md and docs/equations.md are written:
+``paper_index.py`` docs/modules.md and the tables of docs/equations.md are written:
 
     python3 scripts/rooms.py            write them
     python3 scripts/rooms.py --check    exit status 1 if one of them is out of date
@@ -94,12 +94,12 @@ def rooms() -> Iterator[tuple[str, str, list[Module]]]:
         yield room, docstring(PACKAGE / room / "__init__.py").splitlines()[0], list(inside)
 
 
-def readme_table() -> str:
-    """Format the table of README."""
-    rows = ["| room | file | what it does |", "|---|---|---|"]
+def overview() -> str:
+    """Format the table of all files."""
+    rows = ["| folder | file | what it does |", "|---|---|---|"]
     for room, _, inside in rooms():
         for i, module in enumerate(inside):
-            first = f"`{room}/`" if room and i == 0 else ""
+            first = f"`{room or 'dolfinx_feti'}/`" if i == 0 else ""
             rows.append(f"| {first} | `{module.path.name}` | {module.summary} |")
     return "\n".join(rows)
 
@@ -109,7 +109,10 @@ def modules_page() -> str:
     page = [
         "# Modules",
         "",
-        "What each file does, in the order of the data. The texts are the modules' own.",
+        "The files of the package in the order of the data: a file imports only from files above "
+        "it. The texts are the modules' own.",
+        "",
+        overview(),
     ]
     for room, summary, inside in rooms():
         page += [
@@ -176,9 +179,8 @@ def equations_page() -> str:
 
 def pages() -> dict[Path, str]:
     """Return what the generated pages have to hold."""
-    readme, equations = ROOT / "README.md", ROOT / "docs" / "equations.md"
+    equations = ROOT / "docs" / "equations.md"
     return {
-        readme: between(readme, readme_table()),
         equations: between(equations, equations_page()),
         ROOT / "docs" / "modules.md": modules_page() + "\n",
     }

@@ -22,10 +22,11 @@ from collective import agree
 from problems import Problem
 
 import dolfinx_feti
-from dolfinx_feti.feti.dual_form import DualForm, create_dual_form
+from dolfinx_feti.feti.dual.form import DualForm, create_dual_form
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.setup import Pattern, factor
-from dolfinx_feti.petsc_options import inserted
+from dolfinx_feti.feti.pattern import Pattern, create_pattern
+from dolfinx_feti.feti.setup import set_up
+from dolfinx_feti.runtime.petsc_options import inserted
 
 COMM = MPI.COMM_WORLD
 PREFIX = "test_"
@@ -88,7 +89,7 @@ def parts(pattern: Callable[..., Pattern]) -> Iterator[Callable[..., DualForm]]:
 
     def create(A: PETSc.Mat, **options: object) -> DualForm:
         read = pattern(A, **options)
-        made.append(create_dual_form(read, factor(read)))
+        made.append(create_dual_form(read, set_up(read)))
         return made[-1]
 
     yield create
@@ -120,7 +121,7 @@ def pattern() -> Iterator[Callable[..., Pattern]]:
     made: list[Pattern] = []
 
     def create(A: PETSc.Mat, **options: object) -> Pattern:
-        made.append(Pattern(A, FETIOptions(**{"interior": "keep", **options}), PREFIX))
+        made.append(create_pattern(A, FETIOptions(**{"interior": "keep", **options}), PREFIX))
         return made[-1]
 
     yield create
@@ -134,7 +135,9 @@ def feti() -> Iterator[Callable[..., PETSc.KSP]]:
     made: list[PETSc.KSP] = []
     database = ExitStack()
 
-    def create(A: PETSc.Mat, **options: object) -> PETSc.KSP:
+    def create(
+        A: PETSc.Mat, context: dolfinx_feti.FETI | None = None, **options: object
+    ) -> PETSc.KSP:
         prefix = f"test{len(made)}_" if made else PREFIX
         database.enter_context(inserted(prefix, options))
         ksp = PETSc.KSP().create(A.comm)
@@ -142,7 +145,7 @@ def feti() -> Iterator[Callable[..., PETSc.KSP]]:
         ksp.setOptionsPrefix(prefix)
         ksp.setOperators(A)
         ksp.setType(PETSc.KSP.Type.PYTHON)
-        ksp.setPythonContext(dolfinx_feti.FETI())
+        ksp.setPythonContext(context or dolfinx_feti.FETI())
         ksp.setFromOptions()
         ksp.setUp()
         return ksp

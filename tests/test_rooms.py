@@ -115,7 +115,7 @@ def test_mechanics_knows_no_feti():
 def test_workshop_knows_no_solver():
     """It compiles energies, on one cell."""
     for name in everything_below(in_room("workshop")):
-        assert name.split(".")[0] in {"workshop", "mechanics", "tables", "errors"}, name
+        assert name.split(".")[0] in {"workshop", "mechanics", "runtime", "errors"}, name
         assert "petsc4py" not in foreign(MODULES[name].path), name
 
 
@@ -127,6 +127,12 @@ def test_finite_elements_know_no_solver():
 def test_generated_pages_are_up_to_date():
     stale = [path.name for path, text in rooms.pages().items() if path.read_text() != text]
     assert not stale, f"run python3 scripts/rooms.py: {stale}"
+
+
+def test_overview_names_every_file():
+    """Once, with the first line of its docstring."""
+    for module in MODULES.values():
+        assert rooms.overview().count(f"`{module.path.name}` | {module.summary} |") == 1
 
 
 def test_stale_page_is_noticed(monkeypatch, capsys):
@@ -164,25 +170,34 @@ def beside(path: Path, folder: str) -> set[Path]:
 
 @pytest.mark.parametrize("folder", ["meshes", "benchmarks"])
 def test_folders_beside_the_package_follow_their_order(folder):
-    """Of the benchmarks, the commands come last."""
+    """The command line of a study, ``__main__``, comes last, and knows nothing but its ``run``."""
     order = lined_up(ROOT / folder)
-    commands = sorted(
-        set((ROOT / folder).glob("*.py")) - set(order) - {ROOT / folder / "__init__.py"}
-    )
-    assert not commands or folder == "benchmarks"
-    order += commands
-    assert set(order) == {path for path in files(folder) if path.name != "__init__.py"}
+    commands = sorted((ROOT / folder).rglob("__main__.py"))
+    named = {path for path in files(folder) if path.name != "__init__.py"}
+    assert set(order) == named - set(commands)
     for place, path in enumerate(order):
         assert beside(path, folder) <= set(order[:place]), path
+    for path in commands:
+        assert beside(path, folder) == {path.with_name("run.py")}, path
 
 
-def test_benchmarks_import_from_commands_to_rooms_to_common():
-    """No room knows another one but ``common``, and nobody imports a command."""
-    top = ROOT / "benchmarks"
+def test_studies_have_the_same_files():
+    """A command, what it runs, and a page with its template."""
+    studies = [path for path in (ROOT / "benchmarks").iterdir() if (path / "__init__.py").is_file()]
+    studies.remove(ROOT / "benchmarks/common")
+    assert len(studies) >= 7
+    for study in studies:
+        names = {path.name for path in study.iterdir()}
+        assert names >= {"__main__.py", "run.py", "page.py", "page.md"}, study
+
+
+def test_a_study_knows_only_itself_and_common():
+    """And nobody imports a command."""
+    common = ROOT / "benchmarks/common"
     for path in files("benchmarks"):
         for other in beside(path, "benchmarks"):
-            assert other.parent != top, f"{path} imports the command {other.name}"
-            assert path.parent in (top, other.parent) or other.parent.name == "common", path
+            assert other.name != "__main__.py", path
+            assert path.parent == other.parent or common in other.parents, path
 
 
 def test_meshes_and_package_know_nothing_of_those_who_use_them():
@@ -225,7 +240,7 @@ def test_public_names_are_declared_and_exist(name):
 
 
 def test_versions_are_told_apart_in_one_place():
-    for name in set(MODULES) - {"_compat"}:
+    for name in set(MODULES) - {"runtime.compat"}:
         attributes = {
             n.attr for n in ast.walk(tree(MODULES[name].path)) if isinstance(n, ast.Attribute)
         }
@@ -233,7 +248,7 @@ def test_versions_are_told_apart_in_one_place():
 
 
 def test_no_communicator_but_that_of_mesh_or_matrix():
-    for name in set(MODULES) - {"_compat"}:
+    for name in set(MODULES) - {"runtime.compat"}:
         attributes = {
             n.attr for n in ast.walk(tree(MODULES[name].path)) if isinstance(n, ast.Attribute)
         }

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -13,7 +14,14 @@ import scipy.sparse
 from collective import COMM, agree, dense, equal, raises, whole
 
 import dolfinx_feti
-from dolfinx_feti.connectivity import block_graph, connected_blocks, load_graph_code
+from dolfinx_feti.errors import SetUpError
+from dolfinx_feti.runtime.connectivity import (
+    block_graph,
+    connected_blocks,
+    coupled_nodes,
+    load_graph_code,
+)
+from dolfinx_feti.runtime.petsc_library import Rows
 from dolfinx_feti.torn import Torn, create_torn_matrix, set_condensed
 
 SEED = 60914
@@ -60,7 +68,9 @@ def test_several_columns_at_once(torn_grid, columns, transpose):
     torn.destroy()
 
 
-def test_gather_brings_copies_in_the_order_of_dofs(torn_grid):
+def test_gather_brings_copies_in_the_order_of_dofs(torn_grid, monkeypatch):
+    """Without a name that mpi4py keeps to itself."""
+    monkeypatch.delattr(MPI, "_typedict", raising=False)
     problem = torn_grid((2, 2), (2, 2))
     torn = Torn(problem.A)
     gathered = whole(torn.gather(torn.start + np.arange(torn.n, dtype=np.float64)))
@@ -81,34 +91,27 @@ def test_subdomains_are_the_blocks(torn_grid):
     torn.destroy()
 
 
-with_and_without = pytest.mark.parametrize(
-    "code", [load_graph_code(COMM), None], ids=["compiled", "SciPy"]
-)
-
-
-@with_and_without
-def test_blocks_are_found_in_any_order(code):
+def test_blocks_are_found_in_any_order():
     """Interleaved subdomains, one of them a single dof without an entry off its diagonal."""
     csr = ([0, 2, 4, 6, 8, 9], [0, 2, 1, 3, 0, 2, 1, 3, 4], np.ones(9))
     K = PETSc.Mat().createAIJ((5, 5), csr=csr, comm=PETSc.COMM_SELF)
-    blocks = connected_blocks(block_graph(K, code), 1)
+    blocks = connected_blocks(block_graph(K, load_graph_code(COMM)), 1)
     agree([list(rows) for rows in blocks] == [[0, 2], [1, 3], [4]])
     K.destroy()
 
 
-@with_and_without
-def test_blocks_are_found_when_a_first_row_does_not_couple(code):
+def test_blocks_are_found_when_a_first_row_does_not_couple():
     """Two nodes that are coupled by their second components only."""
     csr = ([0, 1, 3, 4, 6], [0, 1, 3, 2, 1, 3], np.ones(6))
     K = PETSc.Mat().createAIJ((4, 4), bsize=2, csr=csr, comm=PETSc.COMM_SELF)
-    agree([list(rows) for rows in connected_blocks(block_graph(K, code), 2)] == [[0, 1, 2, 3]])
+    blocks = connected_blocks(block_graph(K, load_graph_code(COMM)), 2)
+    agree([list(rows) for rows in blocks] == [[0, 1, 2, 3]])
     K.destroy()
 
 
 @pytest.mark.parametrize("full", [True, False])
 @pytest.mark.parametrize("bs", [1, 2, 3])
-@with_and_without
-def test_graph_is_that_of_the_blocks(code, bs, full):
+def test_graph_is_that_of_the_blocks(bs, full):
     """With full blocks, and with others."""
     rng = np.random.default_rng(bs)
     blocks = scipy.sparse.random_array((30, 30), density=0.1, rng=rng)
@@ -119,10 +122,46 @@ def test_graph_is_that_of_the_blocks(code, bs, full):
         K.eliminate_zeros()
     csr = (K.indptr.astype(PETSc.IntType), K.indices.astype(PETSc.IntType), K.data)
     matrix = PETSc.Mat().createAIJ(K.shape, bsize=bs, csr=csr, comm=PETSc.COMM_SELF)
-    graph = block_graph(matrix, code)
+    graph = block_graph(matrix, load_graph_code(COMM))
     matrix.destroy()
     expected = np.abs(K.toarray()).reshape(30, bs, 30, bs).sum(axis=(1, 3)) > 0.0
     agree(np.array_equal(graph.toarray() != 0, expected))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"rows": [0, 0, 3]},
+        {"rows": [0, 1, 4]},
+        {"rows": [-1, 1, 3]},
+        {"number": [0, 1, -1, 3]},
+        {"number": [0, 2, -1, 1]},
+        {"number": [0, 1, 2]},
+        {"node": [0, 0, 2]},
+        {"node": [1, 1, 0]},
+        {"node": [0, 1, 2]},
+        {"node": [0, 0, 0]},
+        {"node": [0, 1]},
+        {"indices": [0, 1, 0, 4, 2, 3]},
+        {"indices": [0, 1, 0, -1, 2, 3]},
+    ],
+    ids=str,
+)
+def test_graph_of_other_rows_is_refused(wrong):
+    """Whatever is out of range is one error, and nothing is written there."""
+    right = {"indices": [0, 1, 0, 3, 2, 3], "rows": [0, 1, 3], "number": [0, 1, -1, 2]}
+    right["node"] = [0, 0, 1]
+
+    def graph(indices, **arrays):
+        indptr, indices = (np.array(a, dtype=np.int32) for a in ([0, 2, 4, 5, 6], indices))
+        K = Rows(indptr, indices, np.ones(6))
+        arrays = {name: np.array(array, dtype=np.int32) for name, array in arrays.items()}
+        return coupled_nodes(load_graph_code(COMM), K, **arrays, m=2)
+
+    ptr, adjacent = graph(**right)
+    agree(list(ptr) == [0, 2, 3] and list(adjacent) == [0, 1, 1])
+    with raises(ValueError, "do not belong to this matrix"):
+        graph(**{**right, **wrong})
 
 
 def test_blocks_of_some_rows(torn_grid):
@@ -247,7 +286,7 @@ def test_symmetry_is_tested(torn_grid):
 
 def test_blocked_matrix_without_near_kernel_is_refused(torn_grid):
     torn = Torn(torn_grid((2, 1), (1, 1), components=2, modes=0).A)
-    with raises(ValueError, "set_near_kernel"):
+    with raises(SetUpError, "set_near_kernel"):
         torn.near_kernel()
     torn.destroy()
 

@@ -1,8 +1,8 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What all benchmarks need: command lines, records, the machine, simple bodies, tables.
+"""What the studies share: command lines, records, the machine, bodies, pages and pictures.
 
-In the order of the data: records, arguments, machine, clock, stopwatch, repeatable, traffic,
-progress, bodies, table, pages.
+In the order of the data: machine, records, command, clock, bodies, walls, pages,
+plots.
 """

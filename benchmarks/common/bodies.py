@@ -1,12 +1,17 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Simple bodies: a compressible cube or square, nearly incompressible blocks, a heated cube."""
+"""Simple bodies with about a given number of dofs: cubes, a square, blocks that keep their volume.
+
+``subdomains`` is their number over all processes, None for the package's rule; ``options`` are
+PETSc options of the problem. All functions are collective.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from mpi4py import MPI
 
@@ -24,29 +29,22 @@ __all__ = [
     "create_clamped_block",
     "create_cube",
     "create_heated_cube",
-    "create_square",
 ]
 
 POISSON = 0.3
 SHEAR_MODULUS = 1.0  # kPa
 KAPPA = 1000.0  # kPa
-PREFIX = "body_"
 
-#: Faces of a square or cube, as coordinate and its value: all of a cube's but the loaded one.
+#: Faces of a square or cube, as coordinate and its value: all of a cube's but x = 1.
 ONE_FACE = ((0, 0.0),)
 FIVE_FACES = ((0, 0.0), (1, 0.0), (1, 1.0), (2, 0.0), (2, 1.0))
+
+Options = dict[str, object]
 
 
 @dataclass(frozen=True, slots=True)
 class LoadedBody:
-    """A nearly incompressible body, its unknowns, and what loads it.
-
-    Attributes:
-        problem: The FETI problem.
-        u: Displacement [mm].
-        p: Pressure of the element-wise volume constraint [kPa].
-        load: Pressure or traction [kPa].
-    """
+    """A nearly incompressible body, P2–P0: its problem, u [mm], p [kPa] and the load [kPa]."""
 
     problem: NonlinearProblem
     u: dolfinx.fem.Function
@@ -55,53 +53,41 @@ class LoadedBody:
 
 
 def create_cube(
-    comm: MPI.Comm, *, dofs: int, degree: int, subdomains: int | None, options: dict[str, object]
+    comm: MPI.Comm, *, dofs: int, degree: int, subdomains: int, options: Options, dim: int = 3
 ) -> LinearProblem:
-    """Build a unit cube of a compressible material, clamped at x = 0, under its own weight.
-
-    Args:
-        comm: Communicator of the mesh.
-        dofs: Approximate number.
-        degree: Of the displacements.
-        subdomains: Number of subdomains; None for the package's rule.
-        options: PETSc options of the problem.
-
-    Note:
-        Collective.
-    """
-    return _elasticity(_cube_mesh(comm, dofs, degree=degree), degree, subdomains, options)
+    """Build a unit cube, or square, of a compressible material, clamped at x = 0, in its weight."""
+    mesh = _unit_mesh(comm, dofs, degree, dim)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    strain = ufl.sym(ufl.grad(u))
+    lmbda = 2 * SHEAR_MODULUS * POISSON / (1 - 2 * POISSON)
+    stress = 2 * SHEAR_MODULUS * strain + lmbda * ufl.tr(strain) * ufl.Identity(dim)
+    weight = dolfinx.fem.Constant(mesh, np.eye(dim)[-1])
+    a, L = ufl.inner(stress, ufl.grad(v)) * ufl.dx, ufl.inner(weight, v) * ufl.dx
+    return _linear(a, L, _clamp(V), subdomains, options)
 
 
-def create_square(
-    comm: MPI.Comm, *, dofs: int, degree: int, subdomains: int | None, options: dict[str, object]
+def create_heated_cube(
+    comm: MPI.Comm, *, dofs: int, degree: int, subdomains: int | None, options: Options
 ) -> LinearProblem:
-    """Build a unit square of a compressible material; see :func:`create_cube`.
-
-    Note:
-        Collective.
-    """
-    n = _cells(dofs, degree, dim=2)
-    return _elasticity(dolfinx.mesh.create_unit_square(comm, n, n), degree, subdomains, options)
+    """Build Poisson's equation on the unit cube, heated inside and cooled at x = 0."""
+    mesh = _unit_mesh(comm, 3 * dofs, degree, 3)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    facets = _facets(mesh, ONE_FACE)
+    cold = dolfinx.fem.dirichletbc(0.0, dolfinx.fem.locate_dofs_topological(V, 2, facets), V)
+    a, L = (
+        ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx,
+        dolfinx.fem.Constant(mesh, 1.0) * v * ufl.dx,
+    )
+    return _linear(a, L, cold, subdomains, options)
 
 
 def create_block(
-    comm: MPI.Comm, *, dofs: int, subdomains: int | None, options: dict[str, object]
+    comm: MPI.Comm, *, dofs: int, subdomains: int | None, options: Options
 ) -> NonlinearProblem:
-    """Build a unit cube of a nearly incompressible material, P2–P0, clamped at x = 0.
-
-    A pressure of 1 mmHg waits on the face x = 1; the first Newton step is from rest.
-
-    Args:
-        comm: Communicator of the mesh.
-        dofs: Approximate number.
-        subdomains: Number of subdomains; None for the package's rule.
-        options: PETSc options of the problem.
-
-    Note:
-        Collective.
-    """
-    mesh = _cube_mesh(comm, dofs, degree=2)
-    u, p, energy = _neo_hookean(mesh, KAPPA)
+    """Build a neo-Hookean unit cube, P2–P0, clamped at x = 0, a pressure of 1 mmHg on x = 1."""
+    mesh, u, p, energy = _neo_hookean(comm, dofs, KAPPA)
     v, q = ufl.TestFunction(u.function_space), ufl.TestFunction(p.function_space)
     du = ufl.TrialFunction(u.function_space)
     pressure = dolfinx.fem.Constant(mesh, loads.mmhg(1.0))
@@ -116,41 +102,24 @@ def create_block(
         J=K,
         condense=p,
         subdomains=subdomains,
-        petsc_options_prefix=PREFIX,
+        petsc_options_prefix="body_",
         petsc_options=options,
         quadrature_degree=4,
     )
 
 
 def create_clamped_block(
-    comm: MPI.Comm,
-    *,
-    dofs: int,
-    kappa: float,
-    subdomains: int | None,
-    options: dict[str, object],
+    comm: MPI.Comm, *, dofs: int, kappa: float, subdomains: int | None, options: Options
 ) -> LoadedBody:
-    """Build a unit cube of a nearly incompressible material, P2–P0, clamped on five faces.
+    """Build a neo-Hookean unit cube, P2–P0, clamped on five faces; options prefix ``block_``.
 
     A dead load t (e_x + e_y), which adds nothing to the tangent, waits for its size t on the sixth
     face, x = 1.
-
-    Args:
-        comm: Communicator of the mesh.
-        dofs: Approximate number.
-        kappa: κ [kPa]; the shear modulus is 1 kPa.
-        subdomains: Number of subdomains; None for the package's rule.
-        options: PETSc options of the problem, prefix ``block_``.
-
-    Note:
-        Collective.
     """
-    mesh = _cube_mesh(comm, dofs, degree=2)
-    u, p, energy = _neo_hookean(mesh, kappa)
+    mesh, u, p, energy = _neo_hookean(comm, dofs, kappa)
     load = dolfinx.fem.Constant(mesh, 0.0)
-    energy -= load * (u[0] + u[1]) * _loaded_face(mesh)
     problem = NonlinearProblem(
-        energy,
+        energy - load * (u[0] + u[1]) * _loaded_face(mesh),
         u,
         bcs=[_clamp(u.function_space, FIVE_FACES)],
         condense=p,
@@ -162,78 +131,38 @@ def create_clamped_block(
     return LoadedBody(problem, u, p, load)
 
 
-def create_heated_cube(
-    comm: MPI.Comm, *, dofs: int, degree: int, subdomains: int | None, options: dict[str, object]
+def _linear(
+    a: ufl.Form, L: ufl.Form, bc: dolfinx.fem.DirichletBC, subdomains: int | None, options: Options
 ) -> LinearProblem:
-    """Build Poisson's equation on the unit cube, heated inside and cooled at x = 0.
-
-    Args:
-        comm: Communicator of the mesh.
-        dofs: Approximate number.
-        degree: Of the temperature.
-        subdomains: Number of subdomains; None for the package's rule.
-        options: PETSc options of the problem.
-
-    Note:
-        Collective.
-    """
-    n = max(1, round((dofs ** (1 / 3) - 1) / degree))
-    mesh = dolfinx.mesh.create_unit_cube(comm, n, n, n)
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    facets = dolfinx.mesh.locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[0], 0.0))
-    cold = dolfinx.fem.dirichletbc(0.0, dolfinx.fem.locate_dofs_topological(V, 2, facets), V)
     return LinearProblem(
-        ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx,
-        dolfinx.fem.Constant(mesh, 1.0) * v * ufl.dx,
-        bcs=[cold],
-        subdomains=subdomains,
-        petsc_options_prefix=PREFIX,
-        petsc_options=options,
+        a, L, bcs=[bc], subdomains=subdomains, petsc_options_prefix="body_", petsc_options=options
     )
-
-
-def _elasticity(
-    mesh: dolfinx.mesh.Mesh, degree: int, subdomains: int | None, options: dict[str, object]
-) -> LinearProblem:
-    dim = mesh.geometry.dim
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    strain = ufl.sym(ufl.grad(u))
-    lmbda = 2 * SHEAR_MODULUS * POISSON / (1 - 2 * POISSON)
-    stress = 2 * SHEAR_MODULUS * strain + lmbda * ufl.tr(strain) * ufl.Identity(dim)
-    weight = dolfinx.fem.Constant(mesh, np.eye(dim)[-1])
-    return LinearProblem(
-        ufl.inner(stress, ufl.grad(v)) * ufl.dx,
-        ufl.inner(weight, v) * ufl.dx,
-        bcs=[_clamp(V)],
-        subdomains=subdomains,
-        petsc_options_prefix=PREFIX,
-        petsc_options=options,
-    )
-
-
-def _cube_mesh(comm: MPI.Comm, dofs: int, *, degree: int) -> dolfinx.mesh.Mesh:
-    n = _cells(dofs, degree, dim=3)
-    return dolfinx.mesh.create_unit_cube(comm, n, n, n)
 
 
 def _neo_hookean(
-    mesh: dolfinx.mesh.Mesh, kappa: float
-) -> tuple[dolfinx.fem.Function, dolfinx.fem.Function, ufl.Form]:
-    """Return u in P2, p in P0 and the energy of a nearly incompressible material."""
+    comm: MPI.Comm, dofs: int, kappa: float
+) -> tuple[dolfinx.mesh.Mesh, dolfinx.fem.Function, dolfinx.fem.Function, ufl.Form]:
+    """Return a mesh, u in P2, p in P0 and the energy of a nearly incompressible material."""
+    mesh = _unit_mesh(comm, dofs, 2, 3)
     u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,))))
     p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
     F = kinematics.deformation_gradient(u)
     C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
     psi = materials.neo_hookean(C, c=SHEAR_MODULUS, J=J)
     psi += materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(mesh, kappa))
-    return u, p, psi * ufl.dx
+    return mesh, u, p, psi * ufl.dx
+
+
+def _unit_mesh(comm: MPI.Comm, dofs: int, degree: int, dim: int) -> dolfinx.mesh.Mesh:
+    """Mesh a square or cube with n cells along an edge, for dim (n degree + 1)^dim dofs."""
+    n = max(1, round(((dofs / dim) ** (1 / dim) - 1) / degree))
+    create = {2: dolfinx.mesh.create_unit_square, 3: dolfinx.mesh.create_unit_cube}[dim]
+    return create(comm, *[n] * dim)
 
 
 def _loaded_face(mesh: dolfinx.mesh.Mesh) -> ufl.Measure:
     """Return the measure of the face x = 1."""
-    facets = np.sort(_facets(mesh, 0, 1.0))
+    facets = _facets(mesh, ((0, 1.0),))
     tags = dolfinx.mesh.meshtags(mesh, 2, facets, np.ones(len(facets), dtype=np.int32))
     return ufl.Measure("ds", mesh, subdomain_data=tags)(1)
 
@@ -241,19 +170,20 @@ def _loaded_face(mesh: dolfinx.mesh.Mesh) -> ufl.Measure:
 def _clamp(
     V: dolfinx.fem.FunctionSpace, faces: Sequence[tuple[int, float]] = ONE_FACE
 ) -> dolfinx.fem.DirichletBC:
-    mesh = V.mesh
-    facets = np.unique(np.concatenate([_facets(mesh, i, value) for i, value in faces]))
-    dofs = dolfinx.fem.locate_dofs_topological(V, mesh.topology.dim - 1, facets)
-    return dolfinx.fem.dirichletbc(np.zeros(mesh.geometry.dim), dofs, V)
+    dim = V.mesh.geometry.dim
+    dofs = dolfinx.fem.locate_dofs_topological(V, dim - 1, _facets(V.mesh, faces))
+    return dolfinx.fem.dirichletbc(np.zeros(dim), dofs, V)
 
 
-def _facets(mesh: dolfinx.mesh.Mesh, i: int, value: float) -> npt.NDArray[np.int32]:
-    """Return the facets of the boundary on which the i-th coordinate has a value."""
-    return dolfinx.mesh.locate_entities_boundary(
-        mesh, mesh.topology.dim - 1, lambda x: np.isclose(x[i], value)
-    )
+def _facets(mesh: dolfinx.mesh.Mesh, faces: Sequence[tuple[int, float]]) -> npt.NDArray[np.int32]:
+    """Return the facets of the boundary on which one of the coordinates has its value, sorted."""
+    d = mesh.topology.dim - 1
+    facets = [
+        dolfinx.mesh.locate_entities_boundary(mesh, d, partial(_on_face, i, value))
+        for i, value in faces
+    ]
+    return np.unique(np.concatenate(facets))
 
 
-def _cells(dofs: int, degree: int, *, dim: int) -> int:
-    """Return the cells along an edge for about so many dofs, dim (n degree + 1)^dim."""
-    return max(1, round(((dofs / dim) ** (1 / dim) - 1) / degree))
+def _on_face(i: int, value: float, x: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    return np.isclose(x[i], value)

@@ -11,7 +11,7 @@ import platform
 import resource
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -29,6 +29,7 @@ __all__ = [
     "available_mib",
     "bandwidth",
     "describe",
+    "fix_partitions",
     "limited_memory",
     "now",
     "resident_mib",
@@ -38,6 +39,10 @@ __all__ = [
 PROC = Path("/proc")
 CGROUP = Path("/sys/fs/cgroup")
 
+#: What Scotch reads from the environment when it begins to partition; otherwise the clock gives it
+#: a seed, and the iterations differ from run to run by some ten per cent.
+SETTINGS = ("SCOTCH_DETERMINISTIC", "SCOTCH_RANDOM_FIXED_SEED", "SCOTCH_PTHREAD_NUMBER")
+
 #: Size of the array that is read to measure the bandwidth, larger than a cache [bytes].
 STREAM = 2**27
 
@@ -45,10 +50,7 @@ STREAM = 2**27
 def available_mib(comm: MPI.Comm) -> float:
     """Return the memory that the processes may still take on all their machines [MiB].
 
-    Infinite where the system does not report it.
-
-    Note:
-        Collective.
+    Infinite where the system does not report it. Collective.
     """
     machine = comm.Split_type(MPI.COMM_TYPE_SHARED)
     share = _available_here() / machine.size
@@ -59,29 +61,18 @@ def available_mib(comm: MPI.Comm) -> float:
 def _available_here() -> float:
     """Return what the kernel can give, or what is left of a container's limit, if less [MiB]."""
     left = [_field(PROC / "meminfo", "MemAvailable")]
-    try:
+    with suppress(OSError, ValueError):  # no limit
         limit, used = ((CGROUP / f"memory.{name}").read_text() for name in ("max", "current"))
         left.append((float(limit) - float(used)) / 2**20)
-    except (OSError, ValueError):
-        pass  # no limit
     return min(left)
 
 
 @contextmanager
 def limited_memory(comm: MPI.Comm, most: float) -> Iterator[float]:
-    """Let allocations fail that go beyond the memory which is there, all processes alike.
+    """Let allocations fail on all processes that go beyond the memory there is, or a limit.
 
-    A solver that fails for it can be recorded; else the kernel would end the program.
-
-    Args:
-        comm: The processes.
-        most: What they may take together beside what they have [MiB].
-
-    Yields:
-        What they may take together [MiB]; infinite where it is not known.
-
-    Note:
-        Collective.
+    A solver that fails for it can be recorded; else the kernel would end the program. Yields what
+    they may take together beside what they have [MiB], infinite where it is not known. Collective.
     """
     _trim()  # free memory of earlier work would still be to be had
     room = min(most, available_mib(comm))
@@ -97,22 +88,14 @@ def limited_memory(comm: MPI.Comm, most: float) -> Iterator[float]:
 
 
 def resident_mib(comm: MPI.Comm) -> float:
-    """Return the memory of all processes after giving free memory back [MiB].
-
-    Note:
-        Collective.
-    """
+    """Return the memory of all processes after giving free memory back [MiB]. Collective."""
     _trim()
     rss = _field(PROC / "self/status", "VmRSS")
     return comm.allreduce(rss if np.isfinite(rss) else 0.0)
 
 
 def bandwidth(comm: MPI.Comm) -> float:
-    """Measure how fast all processes together read memory [bytes a second].
-
-    Note:
-        Collective.
-    """
+    """Measure how fast all processes together read memory [bytes a second]. Collective."""
     x = np.ones(STREAM // 8 // comm.size)
     seconds = []
     for _ in range(4):
@@ -135,6 +118,12 @@ def describe() -> dict[str, str | int]:
     }
 
 
+def fix_partitions() -> None:
+    """Let Scotch partition alike in every run; what the environment says already stays."""
+    for name in SETTINGS:
+        os.environ.setdefault(name, "1")
+
+
 def threads() -> int:
     """Return the threads that a process may use: OMP_NUM_THREADS, or its cores."""
     return int(os.environ.get("OMP_NUM_THREADS", 0)) or len(os.sched_getaffinity(0))
@@ -146,26 +135,21 @@ def now() -> str:
 
 
 def _processor() -> str:
-    try:
-        lines = (PROC / "cpuinfo").read_text().splitlines()
-    except OSError:
-        lines = []
+    lines = _lines(PROC / "cpuinfo")
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return f"{len(names)} × {names[0]}" if names else platform.machine()
 
 
 def _field(file: Path, name: str) -> float:
     """Return a size from a file of /proc [MiB]; infinite if it is not there."""
-    try:
-        lines = file.read_text().splitlines()
-    except OSError:
-        return np.inf
-    sizes = [float(line.split()[1]) / 2**10 for line in lines if line.startswith(name + ":")]
-    return sizes[0] if sizes else np.inf
+    found = (line.split()[1] for line in _lines(file) if line.startswith(name + ":"))
+    return next((float(kib) / 2**10 for kib in found), np.inf)
+
+
+def _lines(file: Path) -> list[str]:
+    return file.read_text().splitlines() if file.is_file() else []
 
 
 def _trim() -> None:
-    try:
+    with suppress(AttributeError):  # another C library than GNU's
         ctypes.CDLL(None).malloc_trim(0)
-    except AttributeError:
-        pass  # another C library than GNU's

@@ -1,107 +1,170 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Commands that make pages and pictures of records, on one process."""
+"""The page of a study: a template in Markdown, filled with values from records.
+
+Fields are those of :meth:`str.format`, ``{kappa:g}`` or ``{times[local]:.2f}``; beside its formats
+there are those of :data:`FORMS`, and what is not known is shown as a dash. A line that ends in
+``<!-- rows -->`` is written once for each entry of the field ``rows``, whose own values come before
+the page's. A heading that ends so stands for its section, up to the next heading of its level::
+
+    ## Solvers on the {body} <!-- bodies -->
+
+    | solver | seconds |
+    | --: | --: |
+    | {solver} | {seconds:.2f} | <!-- rows -->
+
+Text between :data:`BEGIN` and :data:`END` is by hand: a page that is written anew keeps it.
+"""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+import re
+import string
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 from benchmarks.common.records import Record, read_records
 
-__all__ = ["by_mesh", "provenance", "run_command"]
+__all__ = ["FORMS", "Fields", "fill", "groups", "section", "write_page"]
+
+Fields = Mapping[str, Any]
+
+MARK = re.compile(r" *<!-- (\w+) -->$")
+BEGIN, END = "<!-- What follows is written by hand. -->", "<!-- To here. -->"
+
+#: Formats of values: a whole number in groups of three digits, four digits, the deviation of a
+#: quotient from one, a share, an order of magnitude, and a verdict.
+FORMS: dict[str, Callable[[Any], str]] = {
+    "count": lambda value: f"{value:,.0f}".replace(",", " "),
+    "number": lambda value: f"{value:.4g}",
+    "off": lambda value: f"{100 * (value - 1):+.1f} %".replace("-", "−"),
+    "share": lambda value: f"{100 * value:.1f} %",
+    "short": lambda value: f"{value:.0e}".replace("e-0", "e-"),
+    "yes": lambda value: "yes" if value else "**no**",
+}
 
 
-def run_command(
+def fill(template: str, fields: Fields) -> str:
+    """Fill a template with values."""
+    return "".join(
+        _lines(text, {**fields, **each})
+        for text, several in _sections(template)
+        for each in ([{}] if several is None else fields[several])
+    )
+
+
+def section(rows: Iterable[Fields], **fields: object) -> list[dict[str, object]]:
+    """Return the field of a section with a table, which is left out if there are no rows."""
+    found = list(rows)
+    return [{"rows": found} | fields] if found else []
+
+
+def groups(
+    records: Iterable[Record], *names: str
+) -> Iterator[tuple[tuple[Any, ...], list[Record]]]:
+    """Yield the values of some parameters, in the order of the records, and who has them."""
+    found: dict[tuple[Any, ...], list[Record]] = {}
+    for record in records:
+        found.setdefault(tuple(record[name] for name in names), []).append(record)
+    yield from found.items()
+
+
+def write_page(
+    module: str,
     name: str,
-    description: str,
-    arguments: Sequence[str] | None,
+    arguments: Sequence[str] | None = None,
     *,
     known: Callable[[Record], bool],
-    writer: str,
-    write: Callable[[Path, Sequence[Record], str], None],
-) -> int:
-    """Read the records that a command line names, and write the pages into its folder.
+    fields: Callable[[Sequence[Record]], Fields],
+    draw: Callable[[Sequence[Record], Path], Sequence[Fields]] = lambda _records, _folder: (),
+) -> str:
+    """Write the page that a command line asks for, and return it.
 
     Args:
-        name: Name of the command.
-        description: What ``--help`` says about it.
-        arguments: The command line without the program's name.
-        known: Tells whether a record is one of the pages'.
-        writer: The benchmark that writes the records.
-        write: Writes the pages: folder, records, and a remark about the runs.
-
-    Returns:
-        The exit status, 0.
-
-    Raises:
-        SystemExit: Bad input.
+        module: The study's ``page.py``, beside its template ``page.md``.
+        name: Of the page.
+        arguments: The command line without the program's name; None for that of the process.
+        known: Tells whether a record is one of the study.
+        fields: Makes the values of the template.
+        draw: Draws pictures into a folder, and returns the field ``pictures``.
     """
-    parser = argparse.ArgumentParser(
-        name, description=description, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("records", type=Path, nargs="+", metavar="JSON", help=f"files of {writer}")
+    template = Path(module).with_suffix(".md")
+    study = f"benchmarks.{template.parent.name}"
+    parser = argparse.ArgumentParser(f"{study}.page", description=f"Write the page {name}.md.")
+    parser.add_argument("records", type=Path, nargs="+", metavar="JSON", help=f"files of {study}")
     parser.add_argument("--output", type=Path, required=True, metavar="FOLDER")
-    parser.add_argument("--remark", default="", help="remark about the runs")
+    parser.add_argument("--remark", help="text by hand; what the page has, if not given")
     args = parser.parse_args(arguments)
+    page = args.output / f"{name}.md"
     try:
-        records = [r for path in args.records for r in read_records(path, known, writer)]
+        records = [r for path in args.records for r in read_records(path, known, study)]
         args.output.mkdir(parents=True, exist_ok=True)
-        write(args.output, records, args.remark)
+        remark = _by_hand(page) if args.remark is None else args.remark
+        values = {**_provenance(records), **fields(records)}
+        values["pictures"] = draw(records, args.output)
+        values["remark"] = f"{BEGIN}\n\n{remark}\n\n{END}" if remark else f"{BEGIN}\n{END}"
+        text = fill(template.read_text(encoding="utf-8"), values)
+        page.write_text(text, encoding="utf-8")
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    return 0
+    return text
 
 
-class Mesh(NamedTuple):
-    """Records of one mesh.
-
-    Attributes:
-        name: For a file's name, such as ``vessel_1.6``.
-        about: For a text, such as ``vessel, edges of 1.6 mm``.
-        records: The records.
-    """
-
-    name: str
-    about: str
-    records: list[Record]
+def _by_hand(page: Path) -> str:
+    """Return the text of a page that is by hand, if there is one."""
+    text = page.read_text(encoding="utf-8") if page.is_file() else ""
+    return text.partition(BEGIN)[2].partition(END)[0].strip()
 
 
-def by_mesh(records: Sequence[Record]) -> Iterator[Mesh]:
-    """Sort records by wall and size of the mesh, None for the generator's default."""
-    for key in dict.fromkeys((record["geometry"], record["size"]) for record in records):
-        mine = [record for record in records if (record["geometry"], record["size"]) == key]
-        geometry, size = key
-        if size is None:
-            yield Mesh(geometry, geometry, mine)
-        else:
-            yield Mesh(f"{geometry}_{size:g}", f"{geometry}, edges of {size:g} mm", mine)
-
-
-def provenance(
-    name: str, records: Sequence[Record], remark: str = "", *, writer: str = ""
-) -> list[str]:
-    """Return the lines of a page that say where its records come from.
-
-    Args:
-        name: Of the JSON file; the page is made by ``<name>_page``.
-        records: Of all cases, with ``machine`` and ``date``.
-        remark: Remark about the runs, at the end.
-        writer: The benchmark, if it has another name.
-    """
+def _provenance(records: Sequence[Record]) -> dict[str, object]:
+    """Return machines, number of cases and dates."""
     machines = dict.fromkeys(
         ", ".join(f"{key} {value}" for key, value in record["machine"].items())
         for record in records
+        if "machine" in record
     )
-    dates = sorted(str(record["date"])[:10] for record in records)
-    lines = [
-        *(f"- {machine}" for machine in machines),
-        f"- {len(records)} cases, {dates[0]} to {dates[-1]}.",
-        "",
-        f"`benchmarks/{writer or name}.py` runs the cases, and this page is made by `python3 -m",
-        f"benchmarks.{name}_page docs/results/{name}.json --output docs/results`.",
-    ]
-    return [*lines, "", remark] if remark else lines
+    dates = sorted(str(record["date"])[:10] for record in records if "date" in record)
+    return {
+        "machines": [{"machine": machine} for machine in machines],
+        "cases": len(records),
+        "first": dates[0] if dates else None,
+        "last": dates[-1] if dates else None,
+    }
+
+
+def _sections(template: str) -> Iterator[tuple[str, str | None]]:
+    """Yield the sections, and the name of the field for whose entries one is written."""
+    for text in re.split(r"^(?=## )", template, flags=re.M):
+        head, _, rest = text.partition("\n")
+        mark = MARK.search(head) if head.startswith("## ") else None
+        yield (text, None) if mark is None else (f"{head[: mark.start()]}\n{rest}", mark[1])
+
+
+def _lines(text: str, fields: Fields) -> str:
+    """Fill the lines of a section."""
+    lines = []
+    for line in text.splitlines():
+        mark = MARK.search(line)
+        entries = [{}] if mark is None else fields[mark[1]]
+        line = line if mark is None else line[: mark.start()]
+        lines += [_FORMATTER.vformat(line, (), {**fields, **each}) for each in entries]
+    return "\n".join(lines) + "\n"
+
+
+class _Formatter(string.Formatter):
+    def get_field(self, name: str, args: Sequence[Any], kwargs: Fields) -> tuple[Any, Any]:
+        try:
+            return super().get_field(name, args, kwargs)
+        except (KeyError, IndexError, TypeError):
+            return None, name
+
+    def format_field(self, value: Any, form: str) -> str:
+        if value is None or value != value:  # nan
+            return "–"
+        return FORMS[form](value) if form in FORMS else format(value, form)
+
+
+_FORMATTER = _Formatter()

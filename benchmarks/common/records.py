@@ -12,7 +12,8 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from dolfinx_feti.collective import on_first, reason
+from benchmarks.common.machine import describe, now
+from dolfinx_feti.runtime.collective import on_first, reason
 
 __all__ = ["Record", "Records", "read_records"]
 
@@ -23,7 +24,7 @@ class Records:
     """Records of a study, in a file if there is one; equal on all processes."""
 
     def __init__(self, path: Path | None, comm: MPI.Comm) -> None:
-        """Read the file, or find out that it can be written.
+        """Read the file, or find out that it can be written. Collective.
 
         Args:
             path: The file; its folder is made. None keeps the records in memory.
@@ -31,9 +32,6 @@ class Records:
 
         Raises:
             ValueError: The file cannot be written, or holds something else. On all processes.
-
-        Note:
-            Collective.
         """
         self._path, self._comm = path, comm
         self._records: list[Record] = []
@@ -57,20 +55,10 @@ class Records:
         return None
 
     def put(self, key: Record, record: Record) -> Record:
-        """Put a record in the place of the one that has the same key, and write the file.
-
-        Args:
-            key: Values by which it is found again.
-            record: The key and what was measured, on the first process; times differ on others.
-
-        Returns:
-            The record, the same on all processes.
+        """Put the first process's record in the place of that with the same key, and write it.
 
         Raises:
             OSError: The file cannot be written any more. On all processes; the file is as before.
-
-        Note:
-            Collective.
         """
         record = self._comm.bcast(record)
         old = self.find(key)
@@ -89,14 +77,13 @@ class Records:
                 ) from error
         return record
 
+    def keep(self, key: Record, found: Record) -> Record:
+        """Put what came of a case, with the machine and the date. Collective."""
+        return self.put(key, key | found | {"machine": describe(), "date": now()})
+
 
 def read_records(path: Path, known: Callable[[Record], bool], writer: str) -> list[Record]:
-    """Read the records that a benchmark has written.
-
-    Args:
-        path: The file.
-        known: Tells whether a record is one of that benchmark.
-        writer: The benchmark.
+    """Read the records that a benchmark has written, told by ``known``.
 
     Raises:
         OSError: The file cannot be read.

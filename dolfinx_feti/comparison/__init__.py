@@ -28,7 +28,7 @@ from dolfinx_feti.comparison.assembled import (
 from dolfinx_feti.comparison.result import Comparison, Solved
 from dolfinx_feti.comparison.run import SOLVERS, compare
 from dolfinx_feti.comparison.solvers import create_bddc, create_gamg, create_hypre
-from dolfinx_feti.cost import Cost, PeakMemory, measure, record_cost, timed_solve
+from dolfinx_feti.runtime.cost import Cost, PeakMemory, measure, record_cost, timed_solve
 
 __all__ = [
     "SOLVERS",

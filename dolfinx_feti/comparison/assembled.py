@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from petsc4py import PETSc
 
-from dolfinx_feti.connectivity import is_symmetric
+from dolfinx_feti.runtime.connectivity import is_symmetric
 
 __all__ = ["assembled_system", "create_mumps", "relative_difference", "relative_residual"]
 
@@ -50,7 +50,7 @@ def create_mumps(K: PETSc.Mat) -> PETSc.KSP:
         K: Assembled matrix. If it is marked as symmetric, the factorisation is symmetric, too.
 
     Returns:
-        The KSP, with the prefix ``mumps_``; the caller destroys it.
+        The KSP and its factor, with the prefix ``mumps_``; the caller destroys it.
     """
     ksp = PETSc.KSP().create(K.comm)
     ksp.setOptionsPrefix("mumps_")
@@ -60,7 +60,9 @@ def create_mumps(K: PETSc.Mat) -> PETSc.KSP:
     pc.setType(PETSc.PC.Type.CHOLESKY if all(K.isSymmetricKnown()) else PETSc.PC.Type.LU)
     pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
     pc.setFactorSetUpSolverType()
-    pc.getFactorMatrix().setMumpsIcntl(14, 50)  # % more work space; less fails on two processes
+    factor = pc.getFactorMatrix()
+    factor.setOptionsPrefix("mumps_")  # it was made before the options are read
+    factor.setMumpsIcntl(14, 50)  # % more work space; less fails on two processes
     ksp.setFromOptions()
     return ksp
 

@@ -9,8 +9,8 @@ import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-from dolfinx_feti.cost import Cost
-from dolfinx_feti.tables import Cell, table
+from dolfinx_feti.runtime.cost import Cost
+from dolfinx_feti.runtime.tables import Cell, json_value, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -73,17 +73,16 @@ class Comparison:
         size = {"dofs": self.dofs, "subdomains": self.subdomains, "processes": self.processes}
         solved = [
             {"solver": s.solver, **size, "rtol": self.rtol, "converged": s.converged}
-            | ({} if s.cost is None else {k: _known(v) for k, v in asdict(s.cost).items()})
-            | {"relative_residual": _known(s.relative_residual)}
-            | {"difference_to_direct": _known(s.difference_to_direct)}
-            | {"note": s.note}
+            | ({} if s.cost is None else asdict(s.cost))
+            | {"relative_residual": s.relative_residual}
+            | {"difference_to_direct": s.difference_to_direct, "note": s.note}
             for s in self.solved
         ]
         left_out = [
             {"solver": name, **size, "converged": False, "note": f"left out: {why}"}
             for name, why in self.left_out
         ]
-        return solved + left_out
+        return [{k: json_value(v) for k, v in record.items()} for record in solved + left_out]
 
     def __str__(self) -> str:
         """Return the table, and who was left out."""
@@ -139,7 +138,7 @@ def _row(solved: Solved) -> list[Cell]:
         cost.iterations,
         f"{cost.seconds_setup:.2f}".rjust(len(HEAD[2])),
         f"{cost.seconds_solve:.2f}".rjust(len(HEAD[3])),
-        _known(round(cost.peak_mib) if math.isfinite(cost.peak_mib) else math.nan),
+        round(cost.peak_mib) if math.isfinite(cost.peak_mib) else None,
         _short(solved.relative_residual),
         _short(solved.difference_to_direct),
         solved.note,
@@ -148,8 +147,3 @@ def _row(solved: Solved) -> list[Cell]:
 
 def _short(value: float) -> str:
     return "–" if math.isnan(value) else f"{value:.0e}".replace("e-0", "e-")
-
-
-def _known(value: float) -> float | None:
-    """Return a number that JSON can hold."""
-    return value if math.isfinite(value) else None

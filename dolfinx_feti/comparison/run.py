@@ -20,7 +20,6 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_feti.collective import on_all, reason
 from dolfinx_feti.comparison.assembled import (
     assembled_system,
     create_mumps,
@@ -29,17 +28,18 @@ from dolfinx_feti.comparison.assembled import (
 )
 from dolfinx_feti.comparison.result import Comparison, Solved
 from dolfinx_feti.comparison.solvers import create_bddc, create_gamg, create_hypre, missing
-from dolfinx_feti.cost import Cost, measure
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.linear_problem import LinearProblem
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
+from dolfinx_feti.runtime.collective import on_all, reason
+from dolfinx_feti.runtime.cost import Cost, measure
 
 __all__ = ["SOLVERS", "compare"]
 
 SOLVERS = ("feti", "mumps", "gamg", "hypre", "bddc")
 DIRECT = "mumps"
 
-Found = tuple[Cost | None, PETSc.Vec | None, str]
+Outcome = tuple[Cost | None, PETSc.Vec | None, str]
 
 
 def compare(
@@ -82,8 +82,8 @@ def compare(
     left_out = tuple((name, why) for name in names if (why := missing(name)))
     A, b = problem.linear_system()
     K, f = assembled_system(A, b)
-    held = A.query("dirichlet")
-    _put_zero(f, held)
+    dirichlet = A.query("dirichlet")
+    _put_zero(f, dirichlet)
     try:
         if not f.norm() > 0.0:
             raise ValueError(
@@ -93,7 +93,7 @@ def compare(
         ksp = problem.create_linear_solver()
         rtol = ksp.getTolerances()[0]
         ksp.destroy()
-        found = _solve_all(
+        solutions = _solve_all(
             [name for name in names if not missing(name)],
             problem.create_linear_solver,
             (A, b),
@@ -101,17 +101,17 @@ def compare(
             rtol=rtol,
             definite=definite,
         )
-        x_direct = found[DIRECT][1] if DIRECT in found else None
+        x_direct = solutions[DIRECT][1] if DIRECT in solutions else None
         solved = []
-        for name, (cost, x, note) in found.items():
+        for name, (cost, x, note) in solutions.items():
             error = difference = np.nan
             if x is not None:
-                _put_zero(x, held)
+                _put_zero(x, dirichlet)
                 error = relative_residual(K, f, x)
                 if x_direct is not None:
                     difference = relative_difference(x, x_direct)
             solved.append(Solved(name, cost, error, difference, note))
-        for _, x, _ in found.values():
+        for _, x, _ in solutions.values():
             if x is not None:
                 x.destroy()
         return Comparison(
@@ -135,11 +135,11 @@ def _solve_all(
     *,
     rtol: float,
     definite: bool | None,
-) -> dict[str, Found]:
+) -> dict[str, Outcome]:
     """Solve with each solver, FETI first: it knows whether the matrix is definite."""
     (A, b), (K, f) = torn, assembled
     symmetric = bool(all(K.isSymmetricKnown()))
-    found: dict[str, Found] = {}
+    solutions: dict[str, Outcome] = {}
     if "feti" in names:
         contexts: list[FETI] = []
 
@@ -148,7 +148,7 @@ def _solve_all(
             contexts.append(ksp.getPythonContext())
             return ksp
 
-        found["feti"] = _solve(create, b, lambda: contexts[0].message)
+        solutions["feti"] = _solve(create, b, lambda: contexts[0].message)
         if definite is None:
             definite = symmetric and _proved_definite(contexts[0])
     definite = bool(definite)
@@ -162,11 +162,11 @@ def _solve_all(
     }
     for name in names:
         if name in others:
-            found[name] = _solve(others[name], f, lambda: "")
-    return found
+            solutions[name] = _solve(others[name], f, lambda: "")
+    return solutions
 
 
-def _solve(create: Callable[[], PETSc.KSP], b: PETSc.Vec, message: Callable[[], str]) -> Found:
+def _solve(create: Callable[[], PETSc.KSP], b: PETSc.Vec, message: Callable[[], str]) -> Outcome:
     """Solve with one solver; a failure becomes a note."""
     try:
         cost, x = on_all(lambda: measure(create, b), b.comm.tompi4py())

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""PETSc's iterative solvers beside FETI, set up for elasticity: GAMG, BoomerAMG and BDDC.
+"""PETSc's iterative solvers to compare FETI with, set up for elasticity: GAMG, BoomerAMG and BDDC.
 
 All of them run CG on a symmetric matrix and GMRES on another one, until the norm of the true
 residual has fallen by the same factor. Options with the prefixes ``gamg_``, ``hypre_``, ``bddc_``
@@ -14,7 +14,7 @@ from collections.abc import Mapping
 
 from petsc4py import PETSc
 
-from dolfinx_feti.petsc_options import inserted
+from dolfinx_feti.runtime.petsc_options import inserted
 
 __all__ = ["create_bddc", "create_gamg", "create_hypre", "missing"]
 

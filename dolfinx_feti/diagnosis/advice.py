@@ -67,10 +67,10 @@ def advise(figures: Figures, *, iterations: int, prefix: str) -> tuple[Advice, .
         iterations: Those of one linear solve.
         prefix: Options prefix of the problem.
     """
-    report, found = figures.report, []
+    report, advice = figures.report, []
 
     def say(text: str, quantity: str, value: float, threshold: float) -> None:
-        found.append(Advice(text, quantity, value, threshold))
+        advice.append(Advice(text, quantity, value, threshold))
 
     mean, several = figures.dofs_subdomain.mean, figures.subdomains_process.most > 1
     if mean < FEW_DOFS and several:
@@ -121,4 +121,4 @@ def advise(figures: Figures, *, iterations: int, prefix: str) -> tuple[Advice, .
             report.inertia.assembled,
             0,
         )
-    return tuple(found)
+    return tuple(advice)

@@ -23,8 +23,9 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.feti.formulation import Form
+from dolfinx_feti.feti.form import Form
 from dolfinx_feti.feti.report import Report
+from dolfinx_feti.runtime.collective import join
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Figures", "Spread", "collect_figures", "residual_shares"]
@@ -61,7 +62,7 @@ class Figures:
         multiplicities: Number of dofs with 1, 2, … copies.
         jump: Greatest ratio of the stiffnesses of the copies of a dof.
         rigid: Rigid body modes of a subdomain.
-        null: Null vectors beside them, of all subdomains.
+        null: Null vectors in addition to them, of all subdomains.
         elastic: Soft and buckling modes, of all subdomains.
         motions: What the rigid body modes are.
         pressures_per_dof: Condensed pressures over dofs without a prescribed value; zero without.
@@ -95,14 +96,11 @@ def collect_figures(form: Form, report: Report) -> Figures:
     Note:
         Collective.
     """
-    torn, modes = form.torn, form.modes.of
+    torn, modes = form.pattern.torn, form.modes
     comm = torn.comm
-    sizes = _joined([len(dofs) for dofs in torn.subdomains], comm)
+    sizes = join([len(dofs) for dofs in torn.subdomains], comm)
     copies = _copies(torn)
-    on_interface = _joined([np.mean(copies[dofs] > 1) for dofs in torn.subdomains], comm)
-    factors = form.matrices.memory()
-    if form.preconditioner.factors:
-        factors += form.preconditioner.factors.memory()
+    on_interface = join([np.mean(copies[dofs] > 1) for dofs in torn.subdomains], comm)
     counts = np.bincount(torn.multiplicity(), minlength=1)
     length = comm.allreduce(len(counts), op=MPI.MAX)
     multiplicities = comm.allreduce(np.pad(counts, (0, length - len(counts))))
@@ -111,12 +109,12 @@ def collect_figures(form: Form, report: Report) -> Figures:
         report=report,
         dofs_subdomain=Spread.of(sizes),
         interface=Spread.of(on_interface),
-        subdomains_process=Spread.of(_joined([len(torn.subdomains)], comm)),
-        dofs_process=Spread.of(_joined([torn.n], comm)),
-        factor_mib_process=Spread.of(_joined([factors], comm)),
+        subdomains_process=Spread.of(join([len(torn.subdomains)], comm)),
+        dofs_process=Spread.of(join([torn.n], comm)),
+        factor_mib_process=Spread.of(join([form.memory()], comm)),
         multiplicities=tuple(int(n) for n in multiplicities[1:]),
         jump=_jump(torn),
-        rigid=Spread.of(_joined([m.rigid for m in modes], comm)),
+        rigid=Spread.of(join([m.rigid for m in modes], comm)),
         null=comm.allreduce(sum(m.null for m in modes)),
         elastic=report.elastic,
         motions=_motions(torn),
@@ -142,15 +140,10 @@ def residual_shares(A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> Array:
     torn = Torn(A)
     r = torn.residual(b, x)
     squares = torn.tear(r) ** 2 / _copies(torn)
-    parts = _joined([squares[dofs].sum() for dofs in torn.subdomains], torn.comm)
+    parts = join([squares[dofs].sum() for dofs in torn.subdomains], torn.comm)
     r.destroy()
     torn.destroy()
     return np.sqrt(parts)
-
-
-def _joined(values: npt.ArrayLike, comm: MPI.Comm) -> Array:
-    """Join the values of all processes, on all of them."""
-    return np.concatenate(comm.allgather(np.asarray(values, dtype=float)))
 
 
 def _copies(torn: Torn) -> Array:
@@ -164,7 +157,7 @@ def _copies(torn: Torn) -> Array:
 
 def _jump(torn: Torn) -> float:
     """Return the greatest ratio of the stiffnesses of the copies of a dof."""
-    k = np.asarray(torn.gather(torn.stiffness()), dtype=float)
+    k = torn.gather(torn.stiffness())
     counts = torn.multiplicity()
     first = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)[counts > 0]
     if not len(first):

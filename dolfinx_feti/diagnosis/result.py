@@ -15,6 +15,7 @@ import numpy.typing as npt
 from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.diagnosis.figures import Figures, Spread
 from dolfinx_feti.diagnosis.surface import Surface
+from dolfinx_feti.runtime.tables import json_value
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -85,7 +86,7 @@ class Diagnosis:
             "advice": [asdict(advice) for advice in self.advice],
             "figures": None if self.figures is None else asdict(self.figures),
         }
-        return [{name: _plain(value) for name, value in record.items()}]
+        return [{name: json_value(value) for name, value in record.items()}]
 
     def __str__(self) -> str:
         """Return the table and the advice."""
@@ -137,7 +138,8 @@ class Diagnosis:
         if corners.shape[-1] == 2:
             ax = figure.add_subplot()
             ax.add_collection(PolyCollection(list(corners), facecolors=colours, edgecolors="face"))
-            ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+            ax.autoscale()
+            ax.set(aspect="equal")
         else:
             ax = figure.add_subplot(projection="3d")
             ax.add_collection3d(Poly3DCollection(corners, facecolors=colours))
@@ -197,16 +199,3 @@ def _spread(spread: Spread, form: str = ".0f") -> str:
 
 def _known(count: int | None) -> str:
     return "unknown" if count is None else str(count)
-
-
-def _plain(value: object) -> object:
-    """Return what JSON can hold."""
-    if isinstance(value, dict):
-        return {key: _plain(v) for key, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

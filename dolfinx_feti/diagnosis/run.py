@@ -14,13 +14,13 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.cost import timed_solve
 from dolfinx_feti.diagnosis.advice import advise
 from dolfinx_feti.diagnosis.figures import collect_figures, residual_shares
 from dolfinx_feti.diagnosis.result import Diagnosis, Seconds
 from dolfinx_feti.diagnosis.surface import visible_surface
-from dolfinx_feti.events import seconds_of
 from dolfinx_feti.fem.decomposition import Decomposition
+from dolfinx_feti.runtime.cost import timed_solve
+from dolfinx_feti.runtime.events import seconds_of
 
 __all__ = ["diagnose"]
 
@@ -69,7 +69,7 @@ def diagnose(
     figures, report = None, feti.report()
     if feti.form is not None and report is not None:
         figures = collect_figures(feti.form, report)
-    found = Diagnosis(
+    diagnosis = Diagnosis(
         figures=figures,
         method=feti.method,
         iterations=cost.iterations,
@@ -92,4 +92,4 @@ def diagnose(
     )
     for owned in (ksp, load, solution, b, x):
         owned.destroy()
-    return found
+    return diagnosis

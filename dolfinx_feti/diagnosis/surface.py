@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What a picture of the subdomains shows: the cells in the plane, the boundary facets in space."""
+"""What a picture of the subdomains shows: cells of a line or plane, boundary facets in space."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy.typing as npt
 import dolfinx
 
 from dolfinx_feti.fem.decomposition import Decomposition
+from dolfinx_feti.runtime.collective import join
 
 __all__ = ["Surface", "visible_surface"]
 
@@ -21,10 +22,11 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """Polygons, each of one subdomain. The same on all processes.
+    """Polygons, or segments of a line, each of one subdomain. The same on all processes.
 
     Attributes:
-        corners: Points of the corners, in cyclic order, (polygons, corners, dimension of space).
+        corners: Points of the corners, in cyclic order, (polygons, corners, dimension of space); a
+            line lies in the plane.
         subdomain: Number over all processes, (polygons,).
     """
 
@@ -36,7 +38,7 @@ def visible_surface(decomposition: Decomposition) -> Surface:
     """Gather the polygons of all processes.
 
     Args:
-        decomposition: Subdomain of each owned cell; the mesh is in the plane or in space.
+        decomposition: Subdomain of each owned cell.
 
     Note:
         Collective.
@@ -46,7 +48,7 @@ def visible_surface(decomposition: Decomposition) -> Surface:
     n_cells = len(decomposition.subdomain)
     polygons: npt.NDArray[np.int32]
     cells: npt.NDArray[np.int32]
-    if tdim == 2:
+    if tdim <= 2:
         polygons = cells = np.arange(n_cells, dtype=np.int32)
     else:
         mesh.topology.create_connectivity(tdim - 1, tdim)
@@ -55,12 +57,11 @@ def visible_surface(decomposition: Decomposition) -> Surface:
         around = mesh.topology.connectivity(tdim - 1, tdim)
         cells = around.array[around.offsets[polygons]]
         polygons, cells = polygons[cells < n_cells], cells[cells < n_cells]
-    nodes = dolfinx.mesh.entities_to_geometry(mesh, 2, polygons)
+    nodes = dolfinx.mesh.entities_to_geometry(mesh, min(tdim, 2), polygons)
     nodes = nodes.reshape(len(polygons), -1)
     if nodes.shape[1] == 4:
         nodes = nodes[:, [0, 1, 3, 2]]  # the corners of a quadrilateral, one after the other
     comm = mesh.comm
-    corners = mesh.geometry.x[nodes][..., : mesh.geometry.dim]
-    gathered = [part for part in comm.allgather(corners) if len(part)]
+    corners = mesh.geometry.x[nodes][..., : max(mesh.geometry.dim, 2)]
     subdomain = decomposition.first + decomposition.subdomain[cells].astype(np.int64)
-    return Surface(np.concatenate(gathered), np.concatenate(comm.allgather(subdomain)))
+    return Surface(join(corners, comm), join(subdomain, comm))

@@ -16,7 +16,7 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
-from dolfinx_feti.collective import on_all
+from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["Compiler"]
 

@@ -33,7 +33,7 @@ import ufl
 from dolfinx_feti.fem.assembly import LocalMatrix, require_no_coupling, torn_form
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace, into_cells, tear
-from dolfinx_feti.native import load, pointer
+from dolfinx_feti.runtime.native import load, pointer
 
 __all__ = ["Blocks", "Condensation"]
 
@@ -41,8 +41,8 @@ Array = npt.NDArray[np.float64]
 
 SOURCE = Path(__file__).with_name("condensation.c")
 DECLARATION = """
-void add_outer_products(int, int, int, const int *, const double *, const double *,
-                        const int64_t *, const int *, double *);
+int add_outer_products(int, int, int, int, const int *, const double *, const double *,
+                       const int64_t *, const int *, double *);
 """
 
 
@@ -130,11 +130,18 @@ class Condensation:
         return Blocks(k_up, k_pu, self._of_cells(self._K_pp), self._of_cells(self._r_p))
 
     def add_to(self, K: LocalMatrix, blocks: Blocks) -> None:
-        """Add the condensed block, K ← K − K_up K_pp⁻¹ K_pu."""
+        """Add the condensed block, K ← K − K_up K_pp⁻¹ K_pu.
+
+        Raises:
+            ValueError: K has no place for it.
+        """
         left = -blocks.k_up / blocks.k_pp[:, None]  # −K_up K_pp⁻¹
-        csr = (K.csr.indptr, K.csr.indices, K.csr.data)
-        arrays = [pointer(self._code, array) for array in (self._node, left, blocks.k_pu, *csr)]
-        self._code.lib.add_outer_products(*self._node.shape, self._bs, *arrays)
+        indptr, indices, values = K.csr.indptr, K.csr.indices, K.csr.data
+        arrays = (self._node, left, blocks.k_pu, indptr, indices, values)
+        n = (len(indptr) - 1) // self._bs
+        sizes = (*self._node.shape, self._bs, n)
+        if self._code.lib.add_outer_products(*sizes, *(pointer(self._code, a) for a in arrays)):
+            raise ValueError(f"K, of {n} nodes, does not couple all nodes of every cell")
         K.mat.stateIncrease()
 
     def residual(self, blocks: Blocks, n_torn: int) -> Array:

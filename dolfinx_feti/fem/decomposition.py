@@ -29,7 +29,7 @@ import scipy.sparse.csgraph
 
 import dolfinx
 
-from dolfinx_feti import _compat
+from dolfinx_feti.runtime import compat
 
 __all__ = ["Decomposition", "TornSpace", "decompose", "into_cells", "suggested_number", "tear"]
 
@@ -157,7 +157,7 @@ def tear(V: dolfinx.fem.FunctionSpace, decomposition: Decomposition) -> TornSpac
     table = np.zeros(cells.shape, dtype=np.int32)  # cells of other processes are never assembled
     table[: len(owned)] = torn.reshape(owned.shape)
     dof = (copies % n_dofs).astype(np.int32) if n_dofs else copies.astype(np.int32)
-    V_torn = _compat.create_function_space(V, table, len(copies))
+    V_torn = compat.create_function_space(V, table, len(copies))
     to_global = V.dofmap.index_map.local_to_global(dof)
     return TornSpace(V, V_torn, dof, to_global)
 
@@ -219,7 +219,7 @@ def _partition(graph: scipy.sparse.csr_array, parts: int) -> Indices:
         return np.zeros(n_cells, dtype=np.int32)
     if parts == n_cells:
         return np.arange(n_cells, dtype=np.int32)
-    links = _compat.adjacency(graph.indices.astype(np.int64), graph.indptr.astype(np.int32))
+    links = compat.adjacency(graph.indices.astype(np.int64), graph.indptr.astype(np.int32))
     part = dolfinx.graph.partitioner()(MPI.COMM_SELF, parts, links, False).array
     return np.unique(part, return_inverse=True)[1].astype(np.int32).reshape(-1)
 

@@ -70,10 +70,10 @@ def match_quadrature_degree(energy: ufl.Form, residual: ufl.Form) -> ufl.Form:
 def _match(integral: ufl.Integral, known: Degrees) -> ufl.Integral:
     """The integral with the degree that is known for its type and part of the domain."""
     metadata = integral.metadata()
-    here = (integral.integral_type(), integral.subdomain_id())
-    if STATED & metadata.keys() or here not in known:
+    key = (integral.integral_type(), integral.subdomain_id())
+    if STATED & metadata.keys() or key not in known:
         return integral
-    return integral.reconstruct(metadata={**metadata, "quadrature_degree": known[here][1]})
+    return integral.reconstruct(metadata={**metadata, "quadrature_degree": known[key][1]})
 
 
 def _degrees(form: ufl.Form) -> Degrees:

@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Classical and all-floating FETI for a torn matrix; knows PETSc, and no finite elements.
 
-In the order of the data: options, linear_map, gluing, copies, panels, subdomain, preconditioner,
-coarse, krylov, inertia, setup, dual_form, primal_form, formulation, report, monitor, solver.
+In the order of the data: options, solution, inertia, gluing, subdomain, coarse, regularity,
+pattern, setup, dual, primal, form, lasting, report, monitor, solver.
 """
 
 from dolfinx_feti.feti.solver import FETI

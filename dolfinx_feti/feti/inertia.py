@@ -18,7 +18,7 @@ class Inertia:
         local: Those of all regularised subdomains K_ρ.
         defect: Those of the defects D of all kernels.
         interior: Those of all interior blocks K_II; None where none is factored, too.
-        assembled: Those that the assembled matrix is proved to have (``stability``).
+        assembled: Those that the assembled matrix is proved to have (``coarse.space``).
     """
 
     local: int | None

@@ -7,35 +7,41 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinx_feti.collective import on_all
-from dolfinx_feti.petsc_errors import python_errors
+from dolfinx_feti.feti.solution import Monitor
+from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.petsc_errors import python_errors
 
 __all__ = ["outer_monitor"]
 
 
-def outer_monitor(ksp: PETSc.KSP, done: int, *, first: bool) -> Callable[[int, float], None]:
-    """Hand the inner iterations on to the monitors and the history of the outer KSP.
+def outer_monitor(ksp: PETSc.KSP) -> Callable[..., Monitor]:
+    """Hand the inner iterations on to the monitors and the history of the outer KSP. Collective.
 
-    Args:
-        ksp: The outer KSP.
-        done: Iterations before this inner solve.
-        first: Whether the start is still to be shown.
+    A monitor in Python, which may be set on one process alone, may raise there.
+
+    Returns:
+        ``monitor_from(done, *, show_start)``, the monitor of an inner solve after ``done``
+        iterations, which shows its own start or not.
     """
-    users_own = bool(ksp.getMonitor())  # in Python, which may raise on one process alone
     comm = ksp.comm.tompi4py()
+    users_own = comm.allreduce(bool(ksp.getMonitor()), op=MPI.LOR)
 
     def show(its: int, norm: float) -> None:
         with python_errors():
-            ksp.monitor(done + its, norm)
+            ksp.monitor(its, norm)
 
-    def monitor(its: int, norm: float) -> None:
-        if its > 0 or first:
-            ksp.logConvergenceHistory(norm)
-            if users_own:
-                on_all(lambda: show(its, norm), comm)
-            else:
-                ksp.monitor(done + its, norm)
+    def monitor_from(done: int, *, show_start: bool) -> Monitor:
+        def monitor(its: int, norm: float) -> None:
+            if its > 0 or show_start:
+                ksp.logConvergenceHistory(norm)
+                if users_own:
+                    on_all(lambda: show(done + its, norm), comm)
+                else:
+                    show(done + its, norm)
 
-    return monitor
+        return monitor
+
+    return monitor_from

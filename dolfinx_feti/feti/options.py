@@ -3,62 +3,22 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Options, read in one place from PETSc's database under the solver's prefix.
 
-============================== ======================================== ============================
-``-feti_type``                 ``all_floating``, ``classical``          Dirichlet dofs as rows of B
-``-feti_pc_type``              ``dirichlet``, ``lumped``, ``identity``, preconditioner M
-                               ``none``
-``-feti_scaling``              ``stiffness``, ``multiplicity``          weights of B_D
-``-feti_coarse_q``             ``preconditioner``, ``diagonal``,        weight Q of the projection
-                               ``identity``
-``-feti_gluing``               ``full``, ``nonred``                     redundancy of B
-``-feti_interior``             ``auto``, ``keep``, ``eliminate``        sparse factors of K or dense
-                                                                        Schur complements
-``-feti_indefinite``           ``enrich``, ``gmres``, ``error``         subdomains with a negative
-                                                                        eigenvalue: enrich R, leave
-                                                                        it to GMRES, or refuse
-``-feti_coarse_modes``         12                                       soft modes of a subdomain in
-                                                                        the coarse space, at most
-``-feti_coarse_threshold``     0.01                                     share of its interface
-                                                                        stiffness that is soft
-``-feti_stagnation``           200                                      iterations without gain
-``-feti_refine``               10                                       restarts on the residual of
-                                                                        the assembled system
-``-feti_dual_…``               ``ksp_type cg|gmres|fgmres|…``           Krylov method for (λ, s)
-``-feti_formulation``          ``auto``, ``dual``, ``primal``           form of the method
-``-feti_coarse_adaptive``      36                                       columns of a subdomain that
-                                                                        bound what averages cost, at
-                                                                        most (primal)
-``-feti_coarse_bound``         1.1                                      that bound
-``-feti_lag``                  6                                        later matrices of Newton's
-                                                                        method that K_ρ⁻¹ and the
-                                                                        coarse columns serve, at
-                                                                        most (primal)
-``-feti_deflation``            20                                       Ritz vectors of small
-                                                                        eigenvalues that serve the
-                                                                        later matrices, at most
-                                                                        (primal)
-``-feti_precision``            ``double``, ``single``                   in which the factors of K_ρ
-                                                                        are stored (primal)
-``-feti_recycle``              0                                        directions left to later
-                                                                        solves, at most
-``-feti_local_…``              ``pc_factor_mat_solver_type …``          factors of K_ρ
-``-feti_dirichlet_…``          ``pc_factor_mat_solver_type …``          factors of K_II
-``-feti_coarse_…``             ``ksp_type``, ``pc_type``, …             solver of N
-============================== ======================================== ============================
-
-The first value is the default. Options of PETSc's own that take numbers are checked here, too:
-PETSc's answer to a wrong one is the number of an error.
+Every option ``-feti_…`` is a field of :class:`FETIOptions`, with its default; docs/options.md says
+what each is for. Options of PETSc's own that take numbers are checked here, too: PETSc's answer to
+a wrong one is the number of an error.
 """
 
 from __future__ import annotations
 
 import difflib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any, Literal, get_args, get_type_hints
 
 from petsc4py import PETSc
 
 __all__ = [
+    "CHOICES",
     "SOLVERS",
     "FETIOptions",
     "check_outer_options",
@@ -66,28 +26,7 @@ __all__ = [
     "read_options",
 ]
 
-CHOICES = {
-    "type": ("all_floating", "classical"),
-    "pc_type": ("dirichlet", "lumped", "identity", "none"),
-    "scaling": ("stiffness", "multiplicity"),
-    "coarse_q": ("preconditioner", "diagonal", "identity"),
-    "gluing": ("full", "nonred"),
-    "interior": ("auto", "keep", "eliminate"),
-    "indefinite": ("enrich", "gmres", "error"),
-    "formulation": ("auto", "dual", "primal"),
-    "precision": ("double", "single"),
-}
-NUMBERS = {
-    "coarse_modes": 12,
-    "stagnation": 200,
-    "refine": 10,
-    "coarse_adaptive": 36,
-    "lag": 6,
-    "deflation": 20,
-    "recycle": 0,
-}
-SHARES = {"coarse_threshold": 0.01}
-BOUNDS = {"coarse_bound": 1.1}
+#: Prefixes of the Krylov method for (λ, s), the factors of K_ρ and K_II, and the solver of N or A₀.
 SUBSOLVERS = {
     "dual_": ("ksp_",),
     "local_": ("pc_", "mat_"),
@@ -116,31 +55,44 @@ FOREIGN = ("pc_", "mat_", "mg_", "snes_linesearch_")
 
 @dataclass(frozen=True, slots=True)
 class FETIOptions:
-    """Choices of one FETI solver; see the table of this module."""
+    """Choices of one FETI solver.
 
-    type: str = "all_floating"
-    pc_type: str = "dirichlet"
-    scaling: str = "stiffness"
-    coarse_q: str = "preconditioner"
-    gluing: str = "full"
-    interior: str = "auto"
-    indefinite: str = "enrich"
-    formulation: str = "auto"
-    precision: str = "double"
+    Attributes:
+        type: Dirichlet dofs as rows of B, or fixed in the local matrices.
+        formulation: Form of the method.
+        pc_type: Preconditioner M.
+        scaling: Weights of the copies.
+        interior: Sparse factors of K, or dense Schur complements.
+        coarse_q: Weight Q of the projection (dual).
+        coarse_modes: Soft modes of a subdomain, at most.
+        coarse_threshold: Share of the interface stiffness below which a mode is soft.
+        coarse_adaptive: Columns of a subdomain that bound what averages cost, at most (primal).
+        lag: Later matrices that a preconditioner of Newton's method serves, at most (primal).
+        deflation: Ritz vectors that serve the later matrices, at most (primal).
+    """
+
+    type: Literal["all_floating", "classical"] = "all_floating"
+    formulation: Literal["auto", "dual", "primal"] = "auto"
+    pc_type: Literal["dirichlet", "lumped", "identity"] = "dirichlet"
+    scaling: Literal["stiffness", "multiplicity"] = "stiffness"
+    interior: Literal["auto", "keep", "eliminate"] = "auto"
+    coarse_q: Literal["preconditioner", "diagonal", "identity"] = "preconditioner"
     coarse_modes: int = 12
     coarse_threshold: float = 0.01
-    stagnation: int = 200
-    refine: int = 10
     coarse_adaptive: int = 36
-    coarse_bound: float = 1.1
     lag: int = 6
     deflation: int = 20
-    recycle: int = 0
 
     @property
     def all_floating(self) -> bool:
         """Whether Dirichlet dofs are rows of B."""
         return self.type == "all_floating"
+
+
+KINDS = get_type_hints(FETIOptions)
+
+#: The words that an option may take, the default first.
+CHOICES = {name: get_args(kind) for name, kind in KINDS.items() if get_args(kind)}
 
 
 def read_options(prefix: str) -> FETIOptions:
@@ -155,21 +107,25 @@ def read_options(prefix: str) -> FETIOptions:
     check_outer_options(prefix)
     prefix += "feti_"
     values: dict[str, str | int | float] = {}
-    for name, choices in CHOICES.items():
-        value = PETSc.Options(prefix).getString(name, choices[0])
-        if value not in choices:
-            raise ValueError(
-                f"Option -{prefix}{name} is '{value}'; it takes one of: {', '.join(choices)}."
-            )
-        values[name] = value
-    for name, count in NUMBERS.items():
-        values[name] = _count(prefix, name, count)
-    for name, share in SHARES.items():
-        values[name] = _real(prefix, name, share, "a number between 0 and 1", 1.0)
-    for name, bound in BOUNDS.items():
-        values[name] = _real(prefix, name, bound, "a number ≥ 0", math.inf)
+    for field in fields(FETIOptions):
+        values[field.name] = _value(prefix, field.name, field.default, KINDS[field.name])
     _reject_unknown(prefix)
     return FETIOptions(**values)  # type: ignore[arg-type]
+
+
+def _value(prefix: str, name: str, default: Any, kind: Any) -> str | int | float:
+    """Read one option: one of several words, a number of things, or a share."""
+    if kind is int:
+        return _count(prefix, name, default)
+    if kind is float:
+        return _real(prefix, name, default, "a number between 0 and 1", 1.0)
+    choices = CHOICES[name]
+    value = PETSc.Options(prefix).getString(name, default)
+    if value not in choices:
+        raise ValueError(
+            f"Option -{prefix}{name} is '{value}'; it takes one of: {', '.join(choices)}."
+        )
+    return value
 
 
 def check_outer_options(prefix: str) -> None:
@@ -247,12 +203,8 @@ def _wrong(prefix: str, name: str, wanted: str) -> ValueError:
 
 
 def _reject_unknown(prefix: str) -> None:
-    """Refuse an option that begins like ours and is none.
-
-    Args:
-        prefix: That of the solver and ``feti_``.
-    """
-    known = [*CHOICES, *NUMBERS, *SHARES, *BOUNDS]
+    """Refuse an option that begins like ours, with ``…feti_``, and is none."""
+    known = [field.name for field in fields(FETIOptions)]
     passed_on = tuple(solver + part for solver, parts in SUBSOLVERS.items() for part in parts)
     for key in PETSc.Options().getAll():
         name = key.removeprefix(prefix)

@@ -11,11 +11,11 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_feti.feti.dual_form import DualForm
-from dolfinx_feti.feti.formulation import Form
+from dolfinx_feti.feti.form import Form
 from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.subdomain.direct import Pivots
+from dolfinx_feti.feti.primal.deflation import DeflatedSpace
+from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 
 __all__ = ["Report", "collect", "table"]
 
@@ -42,9 +42,8 @@ class Report:
         coarse_mib: Memory of the factor of the coarse matrix in MiB; None if not known.
         coarse_inertia: Negative and zero eigenvalues of the coarse matrix; None if not known.
         factor_mib: Memory of all local factors in MiB.
-        singles: Subdomains whose factors of K_ρ are stored in single precision.
-        recycled: Directions of earlier solves, deflated in the last one.
-        recycled_mib: Memory of these in the primal form in MiB.
+        recycled: Ritz vectors of earlier solves, deflated in the last one.
+        recycled_mib: Their memory in MiB.
         eigenvalues: (λ_min, λ_max) of the preconditioned operator.
     """
 
@@ -65,35 +64,27 @@ class Report:
     coarse_mib: float | None
     coarse_inertia: Pivots
     factor_mib: float
-    singles: int
     recycled: int
     recycled_mib: float
     eigenvalues: tuple[float, float]
 
 
-def collect(form: Form, *, recycled: int, eigenvalues: tuple[float, float]) -> Report:
-    """Gather the figures of all processes.
-
-    Args:
-        form: What was set up.
-        recycled: Directions of earlier solves, deflated in the last one.
-        eigenvalues: (λ_min, λ_max) of the preconditioned operator.
-
-    Note:
-        Collective.
-    """
-    coarse = form.coarse if isinstance(form, DualForm) else form.space
-    torn, gluing = form.torn, form.gluing
+def collect(
+    form: Form, ritz: DeflatedSpace | None, *, lag: int, eigenvalues: tuple[float, float]
+) -> Report:
+    """Gather the figures of all processes. Collective."""
+    pattern, solver = form.pattern, form.coarse.solver
+    torn = pattern.torn
     comm = torn.comm
     sizes = [len(dofs) for dofs in torn.subdomains]
-    modes, k = form.modes, form.modes.kernels
+    modes = form.modes
+    k = np.array([m.kernel for m in modes], dtype=np.int64)
     widest = comm.allreduce(int(k.max(initial=0)), op=MPI.MAX)
     kernels = comm.allreduce(np.bincount(k, minlength=widest + 1))
-    applied = form.preconditioner.factors.memory() if form.preconditioner.factors else 0.0
     return Report(
-        options=form.options,
-        formulation="dual" if isinstance(form, DualForm) else "primal",
-        lag=0 if isinstance(form, DualForm) else form.age,
+        options=pattern.options,
+        formulation=form.formulation,
+        lag=lag,
         subdomains=comm.allreduce(len(sizes)),
         dofs=torn.A.getSize()[0],
         torn_dofs=comm.allreduce(torn.n),
@@ -101,19 +92,18 @@ def collect(form: Form, *, recycled: int, eigenvalues: tuple[float, float]) -> R
             comm.allreduce(min(sizes, default=torn.A.getSize()[0]), op=MPI.MIN),
             comm.allreduce(max(sizes, default=0), op=MPI.MAX),
         ),
-        multipliers=gluing.B.getSize()[0],
+        multipliers=pattern.gluing.B.getSize()[0],
         kernels=tuple(int(count) for count in kernels),
-        exact=comm.allreduce(sum(modes.exact)),
-        elastic=comm.allreduce(int((modes.dimensions - k).sum())),
+        exact=comm.allreduce(sum(m.exact for m in modes)),
+        elastic=comm.allreduce(sum(m.R.shape[1] - m.kernel for m in modes)),
         inertia=form.inertia,
-        interior="eliminated" if form.matrices.condensed else "kept",
-        coarse_size=coarse.total,
-        coarse_mib=coarse.solver.memory(),
-        coarse_inertia=coarse.solver.pivots(),
-        factor_mib=comm.allreduce(form.matrices.memory() + applied),
-        singles=0 if isinstance(form, DualForm) else form.singles,
-        recycled=recycled,
-        recycled_mib=comm.allreduce(0.0 if isinstance(form, DualForm) else form.deflation.memory()),
+        interior="eliminated" if form.operator.eliminated else "kept",
+        coarse_size=form.coarse.total,
+        coarse_mib=solver.memory(),
+        coarse_inertia=solver.pivots(),
+        factor_mib=comm.allreduce(form.memory()),
+        recycled=0 if ritz is None else ritz.count,
+        recycled_mib=comm.allreduce(0.0 if ritz is None else ritz.memory()),
         eigenvalues=eigenvalues,
     )
 
@@ -126,18 +116,17 @@ def table(report: Report) -> str:
     condition = (
         "not known" if np.isnan(low) or low <= 0 else f"{high / low:.4g}  ({low:.4g} … {high:.4g})"
     )
-    details = f"dual form, {o.gluing} gluing, Q = {o.coarse_q}"
+    details = f"dual form, Q = {o.coarse_q}"
     if r.formulation == "primal":
         details = f"primal form, up to {o.coarse_adaptive} adaptive columns per subdomain"
     ago = "1 matrix ago" if r.lag == 1 else f"{r.lag} matrices ago"
     lag = f", set up {ago}" if r.lag else ""
-    single = f", {r.singles} in single precision" if o.precision == "single" else ""
     rows = [
         ("method", f"{o.type}, {o.scaling} scaling, {details}"),
         ("preconditioner", o.pc_type + lag),
         ("subdomains", f"{r.subdomains}"),
         ("dofs", f"{r.dofs}, torn {r.torn_dofs}, a subdomain {r.dofs_local[0]}–{r.dofs_local[1]}"),
-        ("kernels", f"{kernels}; {r.exact} exact; {r.elastic} elastic modes beside them"),
+        ("kernels", f"{kernels}; {r.exact} exact; {r.elastic} elastic modes in addition"),
         ("multipliers", f"{r.multipliers}"),
         ("coarse size", f"{r.coarse_size}"),
         (
@@ -146,13 +135,11 @@ def table(report: Report) -> str:
             f"{_number(r.inertia.interior)} in K_II, {_number(r.coarse_inertia.negative)} in N, "
             f"{_number(r.inertia.assembled)} at least in A",
         ),
-        ("factors", f"{r.factor_mib:.0f} MiB, interior {r.interior}{single}"),
+        ("factors", f"{r.factor_mib:.0f} MiB, interior {r.interior}"),
         ("condition number", condition),
     ]
-    if r.formulation == "primal" and r.recycled:
+    if r.recycled:
         rows.append(("Ritz vectors", f"{r.recycled} deflated, {r.recycled_mib:.0f} MiB"))
-    if o.recycle:
-        rows.append(("recycled directions", f"{r.recycled} of at most {o.recycle}"))
     return "".join(f"  {name:<22}{value}\n" for name, value in rows)
 
 

@@ -3,37 +3,35 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""FETI as a PETSc Krylov solver: ``-ksp_type python -ksp_python_type dolfinx_feti.FETI``.
 
-For a torn matrix :math:`A = T^⊤ K T` and an assembled right-hand side b it solves
+For a torn matrix :math:`A = T^⊤ K T` and an assembled right-hand side b it solves A x = b in one of
+two forms: by the dual system of the torn problem
 
 .. math:: K u + B^⊤ λ = f, \qquad B u = c
 
-(eq. 36, Augustin_eq:classicalFetiLGS, eq. 38, Augustin_eq:AFFETI) by the dual system of ``dual``
-and returns the assembled x with T x = u. The right-hand side is shared among the copies, :math:`f =
-δ\, T b`, so that it vanishes with b. Convergence is judged on the *assembled* system,
-:math:`\|b - A x\| ≤ rtol \|b\|`.
+(eq. 36, Augustin_eq:classicalFetiLGS, eq. 38, Augustin_eq:AFFETI; ``dual``), or by conjugate
+gradients on the assembled interface (``primal``); ``form`` chooses. Convergence is judged on the
+*assembled* system, with the prescribed values :math:`x_D` moved to the right-hand side:
+:math:`\|b - A x\| ≤ rtol \|b - A x_D\|`.
 """
 
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx_feti.errors import SetUpError, SingularError
-from dolfinx_feti.events import event
-from dolfinx_feti.feti.dual_form import create_dual_form
-from dolfinx_feti.feti.formulation import Form, set_up, set_up_lagged
+from dolfinx_feti.feti.form import Form
 from dolfinx_feti.feti.inertia import Inertia
-from dolfinx_feti.feti.krylov.deflation import RitzVectors
-from dolfinx_feti.feti.krylov.recycling import Directions
+from dolfinx_feti.feti.lasting import Lasting
 from dolfinx_feti.feti.monitor import outer_monitor
-from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
-from dolfinx_feti.feti.primal_form import PrimalForm
+from dolfinx_feti.feti.options import check_outer_options, read_options
 from dolfinx_feti.feti.report import Report, collect, table
-from dolfinx_feti.feti.setup import Factored, Pattern
+from dolfinx_feti.feti.solution import Solution
+from dolfinx_feti.runtime.events import event
 
 __all__ = ["FETI"]
 
@@ -43,38 +41,20 @@ logger = logging.getLogger("dolfinx_feti")
 #: Default relative tolerance on the residual of the assembled system.
 RTOL = 1e-8
 
-#: By what factor a fresh start has to lower the residual for another one to follow.
-GAIN = 0.5
+#: Most fresh starts on the residual of the assembled system, and by what factor one has to lower it
+#: for another one to follow.
+RESTARTS, GAIN = 10, 0.5
 
 #: What the Krylov method aims at below the tolerance: it sees the residual up to rounding.
-MARGIN = 0.7
+AIM = 0.7
 
-#: Below this relative residual CG's curvature is that of rounding.
-ROUNDING = 1e-13
+#: Relative residual below which CG's curvature is that of rounding.
+FLAT = 1e-13
 
-#: Growth of the iterations for a digit that ends the life of a preconditioner, and the one that
-#: ends a solve with it.
-GROWN, HOPELESS = 4.0 / 3.0, 3.0
-
-REMEDIES = {
-    Reason.DIVERGED_NANORINF: "a NaN or Inf met the Krylov method; look at the matrix and the load",
-    Reason.DIVERGED_BREAKDOWN: (
-        "the residual stagnates; use -{0}feti_pc_type dirichlet, or raise -{0}feti_stagnation"
-    ),
-    Reason.DIVERGED_INDEFINITE_MAT: (
-        "negative curvature in CG: the assembled matrix is indefinite, or CG was asked for "
-        "although subdomains are; use -{0}feti_dual_ksp_type gmres"
-    ),
-    Reason.DIVERGED_INDEFINITE_PC: (
-        "the preconditioner is indefinite in CG; use -{0}feti_dual_ksp_type gmres"
-    ),
-    Reason.DIVERGED_MAX_IT: "no convergence within -{0}ksp_max_it iterations; raise it",
-}
+GMRES, DUAL = "use -{0}feti_dual_ksp_type gmres", "use -{0}feti_formulation dual"
 
 #: Reasons for which CG ends when a quadratic form is negative.
 CURVATURE = (Reason.DIVERGED_INDEFINITE_MAT, Reason.DIVERGED_INDEFINITE_PC)
-
-INDEFINITE = "; the assembled matrix is indefinite, with at least {0} negative eigenvalue(s)"
 
 
 class FETI:
@@ -85,60 +65,62 @@ class FETI:
 
     Attributes:
         message: What went wrong and what helps, or an empty string.
-        iterations: Krylov iterations of the last solve.
-        residual: ‖b − A x‖/‖b‖ of the last solve.
+        iterations: Krylov iterations of the last solve, those of all attempts.
+        residual: ‖b − A x‖/‖b − A x_D‖ of the last solve.
         rtol: Its largest value that the tolerances of the last solve allowed.
-        method: Krylov method of the dual system.
-        inertia: Negative eigenvalues of the last matrix; None if its set-up failed.
         singular: Whether the set-up failed because the matrix is singular.
-        refuse_indefinite: Whether a solve ends before its first iteration, with the reason
-            ``DIVERGED_INDEFINITE_MAT``, if the assembled matrix is proved to be indefinite.
-        lasting: Whether the matrices are those of Newton's method: then the preconditioner of the
-            primal form serves later ones, too, up to ``-feti_lag`` of them, until :meth:`renew`,
-            and so do up to ``-feti_deflation`` Ritz vectors of each solve.
-        eigenvalues: (λ_min, λ_max) of the preconditioned dual operator, by Lanczos from the CG
+        eigenvalues: (λ_min, λ_max) of the preconditioned operator, by Lanczos from the CG
             coefficients; nan before a CG solve.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, newton: bool = False, refuse_indefinite: bool = False) -> None:
+        """Begin with nothing set up.
+
+        Args:
+            newton: Whether the matrices are those of Newton's method: then preconditioner and Ritz
+                vectors serve later ones (``lasting``).
+            refuse_indefinite: Whether a solve ends before its first iteration, with the reason
+                ``DIVERGED_INDEFINITE_MAT``, if the assembled matrix is proved to be indefinite.
+        """
         self.message = ""
         self.iterations = 0
         self.residual = self.rtol = np.nan
-        self.method = ""
-        self.inertia: Inertia | None = None
-        self.singular = self.refuse_indefinite = self.lasting = False
+        self.singular = False
         self.eigenvalues = (np.nan, np.nan)
-        self._options: FETIOptions | None = None
-        self._pattern: Pattern | None = None
-        self._form: Form | None = None
-        self._state: tuple[int, int] | None = None
-        self._directions: Directions | None = None
-        self._ritz_vectors: RitzVectors | None = None
-        self._recycled = 0
-        self._outdated = False
-        self._in_double = False  # whether single precision has failed
-        self._rate = np.nan  # iterations for a digit of the first solve with the preconditioner
+        self._newton, self._refuse = newton, refuse_indefinite
+        self._lasting: Lasting | None = None
         self._prefix = ""
 
     @property
     def condition_number(self) -> float:
-        """λ_max/λ_min of the preconditioned dual operator."""
+        """λ_max/λ_min of the preconditioned operator."""
         low, high = self.eigenvalues
         return high / low if low > 0.0 else np.nan
 
     @property
-    def age(self) -> int:
-        """Matrices since the one that the preconditioner belongs to."""
-        return self._form.age if isinstance(self._form, PrimalForm) else 0
+    def form(self) -> Form | None:
+        """What is set up for the last matrix; None before the first one, and after a failure."""
+        return None if self._lasting is None else self._lasting.form
 
     @property
-    def single(self) -> bool:
-        """Whether the preconditioner has factors in single precision (``-feti_precision``)."""
-        return isinstance(self._form, PrimalForm) and self._form.singles > 0
+    def age(self) -> int:
+        """Matrices since the one that the preconditioner belongs to."""
+        return 0 if self._lasting is None else self._lasting.age
+
+    @property
+    def method(self) -> str:
+        """Krylov method; empty without a form."""
+        return "" if self.form is None else self.form.method
+
+    @property
+    def inertia(self) -> Inertia | None:
+        """Negative eigenvalues of the last matrix; None without a form."""
+        return None if self.form is None else self.form.inertia
 
     def renew(self) -> None:
         """Let the next matrix have a preconditioner of its own, and no Ritz vectors."""
-        self._outdated, self._ritz_vectors = True, None
+        if self._lasting is not None:
+            self._lasting.renew()
 
     # -- PETSc's calls ----------------------------------------------------------------------------
 
@@ -156,59 +138,40 @@ class FETI:
     def setFromOptions(self, ksp: PETSc.KSP) -> None:
         """Read the options under the prefix of the KSP."""
         self._prefix = ksp.getOptionsPrefix() or ""
-        self._options = read_options(self._prefix)
+        options = read_options(self._prefix)
+        self.destroy()
+        self._lasting = Lasting(
+            options, self._prefix, newton=self._newton, saddles=not self._refuse
+        )
 
     def setUp(self, ksp: PETSc.KSP) -> None:
         """Build or refresh everything that depends on the matrix."""
-        if self._options is None:
+        if self._lasting is None:
             self.setFromOptions(ksp)
+        assert self._lasting is not None
         self.message, self.singular = "", False
         try:
-            self._refresh(ksp.getOperators()[0])
+            self._lasting.take(ksp.getOperators()[0])
         except SetUpError as error:
-            self._state, self.inertia = None, None
-            self.message, self.singular = str(error), isinstance(error, SingularError)
+            self._tell(error)
 
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve A x = b; a failure is a negative converged reason with a message."""
         self.setUp(ksp)
-        reason, spent = self._attempt(ksp, b, x), 0
-        while reason < 0 and (self.age or self.single) and not self._curvature_ends(reason):
-            spent += self.iterations
-            self._in_double |= not self.age
-            self.renew()
-            self._state = None
-            self.setUp(ksp)
-            reason = self._attempt(ksp, b, x)
-        if np.isnan(self._rate) and reason > 0:
-            self._rate = per_digit(self.iterations, self.residual)
-        self.iterations += spent
+        assert self._lasting is not None
+        spent = 0
+        attempt = self._attempt(ksp, b, x, spent)
+        while attempt.reason < 0 and self._try_again(attempt.reason):
+            spent += attempt.iterations
+            attempt = self._attempt(ksp, b, x, spent)
+        self.iterations = spent + attempt.iterations
+        self.residual, self.rtol = attempt.residual, attempt.rtol
         ksp.setIterationNumber(self.iterations)
-        ksp.setConvergedReason(reason)
-        if reason < 0 and not self._refused() and ksp.comm.rank == 0:
+        ksp.setConvergedReason(attempt.reason)
+        if attempt.reason < 0 and not self._refused() and ksp.comm.rank == 0:
             # Newton's method takes some failures in its stride, and says what others mean.
-            level = logging.DEBUG if self.lasting else logging.WARNING
+            level = logging.DEBUG if self._newton else logging.WARNING
             logger.log(level, "FETI did not converge: %s", self.message)
-
-    def _attempt(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> int:
-        """Solve A x = b with what is set up; return the reason."""
-        if self._form is None or self._state is None or self._refused():
-            x.set(0.0)
-            self.iterations, self.residual = 0, np.nan
-            failed = self._form is None or self._state is None
-            return Reason.DIVERGED_PCSETUP_FAILED if failed else Reason.DIVERGED_INDEFINITE_MAT
-        with event("FETISolve"):
-            return self._solve_in_form(ksp, self._form, b, x)
-
-    def _refused(self) -> bool:
-        """Tell whether the matrix is proved to be indefinite, and nobody wants its solution."""
-        return self.refuse_indefinite and self.inertia is not None and self.inertia.indefinite
-
-    def _curvature_ends(self, reason: int) -> bool:
-        """Tell whether negative curvature, which no preconditioner changes, ends the solve."""
-        form = self._form
-        indefinite = reason == Reason.DIVERGED_INDEFINITE_MAT
-        return indefinite and isinstance(form, PrimalForm) and not self._may_change(form)
 
     def solveTranspose(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Refuse: there is no transposed solve.
@@ -227,126 +190,89 @@ class FETI:
 
     def destroy(self, ksp: PETSc.KSP | None = None) -> None:
         """Free everything."""
-        for owned in (self._form, self._pattern):
-            if owned is not None:
-                owned.destroy()
-        self._form = self._pattern = None
-
-    @property
-    def form(self) -> Form | None:
-        """What is set up for the last matrix; None before the first one, and after a failure."""
-        return None if self._state is None else self._form
+        if self._lasting is not None:
+            self._lasting.destroy()
 
     # -- the method -------------------------------------------------------------------------------
 
     def report(self) -> Report | None:
-        """Collect the figures of ``-ksp_view``; None before the first solve.
-
-        Note:
-            Collective.
-        """
-        if self._form is None or self._state is None:
+        """Collect the figures of ``-ksp_view``; None before the first solve. Collective."""
+        if self._lasting is None or self.form is None:
             return None
-        return collect(self._form, recycled=self._recycled, eigenvalues=self.eigenvalues)
+        ritz = self._lasting.deflation
+        return collect(self.form, ritz, lag=self.age, eigenvalues=self.eigenvalues)
 
-    def _refresh(self, A: PETSc.Mat) -> None:
-        """Bring all parts up to the state of the matrix; keep what depends on its pattern."""
-        assert self._options is not None
-        if self._pattern is None or self._pattern.torn.A.handle != A.handle:
-            self._renew(A, self._options)
-        assert self._pattern is not None
-        state = (A.stateGet(), A.getISLocalMat().stateGet())
-        if self._pattern.torn.comm.allreduce(state != self._state, op=MPI.LOR):
-            seen = self._state is not None  # a new pattern has just been tested
-            if seen and self._pattern.torn.is_symmetric() != self._pattern.symmetric:
-                self._renew(A, self._options)
-            self._form = self._next_form(self._pattern)
-            self.method, self.inertia = self._form.method.type, self._form.inertia
-        self._state = state
+    def _tell(self, error: SetUpError) -> None:
+        """Keep the message of a set-up that has failed."""
+        self.message, self.singular = str(error), isinstance(error, SingularError)
 
-    def _next_form(self, pattern: Pattern) -> Form:
-        """Take the present matrix into a form, which follows the one of the last matrix."""
-        form, self._form = self._form, None
-        if isinstance(form, PrimalForm) and self._lasts(form):
-            return set_up_lagged(pattern, form, self._ritz_vectors)
-        if form is not None:
-            form.destroy()
-        self._outdated, self._rate = False, np.nan
-        most = pattern.options.deflation if self.lasting else 0
-        single = pattern.options.precision == "single" and not self._in_double
-        vectors = self._ritz_vectors if most else None
-        return set_up(pattern, vectors, most=most, single=single)
+    def _refused(self) -> bool:
+        """Tell whether the matrix is proved to be indefinite, and nobody wants its solution."""
+        return self._refuse and self.inertia is not None and self.inertia.indefinite
 
-    def _lasts(self, form: PrimalForm) -> bool:
-        """Tell whether the preconditioner serves another matrix."""
-        young = self.lasting and not self._outdated and form.age < form.options.lag
-        rate = per_digit(self.iterations, self.residual)
-        return young and (self._refused() or rate <= GROWN * self._rate)
+    def _try_again(self, reason: int) -> bool:
+        """Prepare another attempt after one has failed; tell whether there is one."""
+        assert self._lasting is not None
+        try:
+            again = self._lasting.try_again(reason)
+        except SetUpError as error:
+            self._tell(error)
+            return True  # which ends with that reason
+        if again:
+            self.message = ""
+        return again
 
-    def _renew(self, A: PETSc.Mat, options: FETIOptions) -> None:
-        """Begin anew with the pattern of another matrix."""
-        self.destroy()
-        self._state = self._directions = self._ritz_vectors = None
-        self._in_double = False
-        self._pattern = Pattern(A, options, self._prefix)
+    def _attempt(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, spent: int) -> Solution:
+        """Solve A x = b with what is set up, unless that is known to be in vain."""
+        lasting = self._lasting
+        assert lasting is not None
+        form = lasting.form
+        if form is None:
+            x.set(0.0)
+            return Solution(Reason.DIVERGED_PCSETUP_FAILED)
+        other_form = form.inertia.indefinite and lasting.may_change and not form.solves_indefinite
+        if self._refused() or other_form:
+            x.set(0.0)
+            return Solution(Reason.DIVERGED_INDEFINITE_MAT)
+        with event("FETISolve"):
+            attempt = self._solve(ksp, form, b, x, spent)
+        self.eigenvalues = attempt.eigenvalues
+        lasting.record(attempt.reason, attempt.iterations, attempt.residual, attempt.ritz_vectors)
+        return attempt
 
-    def _solve_in_form(self, ksp: PETSc.KSP, form: Form, b: PETSc.Vec, x: PETSc.Vec) -> int:
-        """Solve with directions of earlier solves; go over to GMRES if A is indefinite."""
-        if isinstance(form, PrimalForm) and self._may_change(form):
-            if not form.inertia.indefinite:
-                reason = self._solve(ksp, form, b, x)
-                if reason != Reason.DIVERGED_INDEFINITE_MAT or form.age:
-                    return reason
-            elif form.age:
-                return Reason.DIVERGED_INDEFINITE_MAT
-            assert self._pattern is not None
-            self._form = create_dual_form(
-                self._pattern, Factored(form.near_kernel, form.modes, form.inertia)
-            )
-            form.destroy()
-            form, self.message, self.method = self._form, "", self._form.method.type
-        deflated = form.deflated(self._directions)
-        reason = self._solve(ksp, deflated, b, x)
-        self._directions = deflated.directions()
-        return reason
-
-    def _may_change(self, form: PrimalForm) -> bool:
-        """Tell whether another form may take the place of the primal one."""
-        return form.options.formulation == "auto" and not self.refuse_indefinite
-
-    def _solve(self, ksp: PETSc.KSP, form: Form, b: PETSc.Vec, x: PETSc.Vec) -> int:
-        """Solve with a form of the method, and repeat on the residual until it is small."""
-        torn, delta = form.torn, form.gluing.delta
-        self._recycled = form.recycled
+    def _solve(
+        self, ksp: PETSc.KSP, form: Form, b: PETSc.Vec, x: PETSc.Vec, spent: int
+    ) -> Solution:
+        """Solve with a form of the method, and start afresh on the residual until it is small."""
+        assert self._lasting is not None
+        torn, delta = form.pattern.torn, form.delta
         rtol, atol, _, max_it = ksp.getTolerances()
-        self.iterations, self.residual = 0, np.nan
+        x.set(0.0)
         if not np.isfinite(b.norm()):
-            return self._judge(Reason.DIVERGED_NANORINF, np.nan, 0.0, form)
+            return self._judged(Solution(Reason.DIVERGED_NANORINF), form, enough=False)
         u_D = np.where(torn.dirichlet, torn.tear(b), 0.0)
-        x.array[:] = torn.assemble(delta * u_D)
+        x.array[:] = torn.assemble(delta * u_D)  # x_D
         r = torn.residual(b, x)
         scale = r.norm()
         target = max(rtol * scale, atol)
-        self.rtol = target / scale if scale > 0.0 else np.nan
-        max_it = self._most_iterations(max_it)
+        rtol = target / scale if scale > 0.0 else np.nan
+        most = self._lasting.most_iterations(max_it - spent, rtol)
+        monitor_from = outer_monitor(ksp)
         b.copy(r)
         x.set(0.0)
-        norm = np.inf
-        reason = Reason.CONVERGED_RTOL
-        for attempt in range(1 + form.options.refine):
+        norm, iterations = np.inf, 0
+        solutions: list[Solution] = []
+        for start in range(1 + RESTARTS):
             u, solution = form.solve(
                 r,
                 u_D,
-                target=MARGIN * target,
-                max_it=max_it - self.iterations,
-                monitor=outer_monitor(ksp, self.iterations, first=attempt == 0),
+                target=AIM * target,
+                max_it=most - iterations,
+                monitor=monitor_from(spent + iterations, show_start=spent + start == 0),
             )
-            reason = solution.reason
-            self.iterations += solution.iterations
-            if attempt == 0:
-                self.eigenvalues = solution.eigenvalues
-                self._ritz_vectors = solution.ritz_vectors
-            ksp.setIterationNumber(self.iterations)
+            solutions.append(solution)
+            iterations += solution.iterations
+            ksp.setIterationNumber(spent + iterations)
             before = x.array_r.copy()
             x.array[:] += torn.assemble(delta * u)
             r.destroy()
@@ -355,39 +281,59 @@ class FETI:
             if not norm <= last:  # what was there before is better
                 x.array[:], norm = before, last
                 break
-            if reason < 0 or form.users_test or norm <= target or norm > GAIN * last:
+            if solution.reason < 0 or form.users_test or norm <= target or norm > GAIN * last:
                 break
             u_D = np.zeros_like(u_D)
         r.destroy()
         ksp.setResidualNorm(norm if np.isfinite(norm) else np.inf)
-        self.residual = norm / scale if scale > 0 else norm
-        return self._judge(reason, norm, target, form)
+        residual = norm / scale if scale > 0 else norm
+        attempt = replace(
+            solutions[0],
+            reason=solutions[-1].reason,
+            iterations=iterations,
+            residual=residual,
+            rtol=rtol,
+        )
+        return self._judged(attempt, form, enough=bool(norm <= target) or form.users_test)
 
-    def _most_iterations(self, max_it: int) -> int:
-        """Return the most iterations: with an old preconditioner a solve may end early."""
-        if not self.age or np.isnan(self._rate * self.rtol):
-            return max_it
-        digits = max(-np.log10(max(self.rtol, ROUNDING)), 1.0)
-        return min(max_it, int(np.ceil(HOPELESS * digits * self._rate)))
-
-    def _judge(self, reason: int, norm: float, target: float, form: Form) -> int:
-        """Turn the outcome into a reason, and a failure into a message with its remedy."""
-        if not np.isfinite(norm):
+    def _judged(self, attempt: Solution, form: Form, *, enough: bool) -> Solution:
+        """Return an attempt with the reason that its residual tells; a failure has a message."""
+        reason, residual = attempt.reason, attempt.residual
+        if not np.isfinite(residual):
             reason = Reason.DIVERGED_NANORINF
-        elif reason in CURVATURE and self.residual <= ROUNDING:
+        elif reason in CURVATURE and residual <= FLAT:
             reason = Reason.DIVERGED_BREAKDOWN
-        elif reason > 0 and norm > target and not form.users_test:
+        elif reason > 0 and not enough:
             reason = Reason.DIVERGED_BREAKDOWN
         if reason < 0:
-            remedy = REMEDIES.get(reason, f"the dual Krylov method ended with reason {reason}")
-            remedy = remedy.format(self._prefix)
+            text = _remedy(reason, form).format(self._prefix)
             if form.inertia.assembled:
-                remedy += INDEFINITE.format(form.inertia.assembled)
-            self.message = f"{remedy} (‖b − A x‖/‖b‖ = {self.residual:.2e})."
-        return reason
+                text += (
+                    "; the assembled matrix is indefinite, with at least "
+                    f"{form.inertia.assembled} negative eigenvalue(s)"
+                )
+            self.message = f"{text} (‖b − A x‖/‖b‖ = {residual:.2e})."
+        return replace(attempt, reason=reason)
 
 
-def per_digit(iterations: int, residual: float) -> float:
-    """Return the iterations that took a digit off the residual; nan if there was none."""
-    digits = -np.log10(residual) if 0.0 < residual < 1.0 else np.nan
-    return float(iterations / digits)
+def _remedy(reason: int, form: Form) -> str:
+    """Say why a solve has failed, and what helps that is not in force."""
+    options = form.pattern.options
+    if reason == Reason.DIVERGED_NANORINF:
+        return "a NaN or Inf met the Krylov method; look at the matrix and the load"
+    if reason == Reason.DIVERGED_MAX_IT:
+        return "no convergence within -{0}ksp_max_it iterations; raise it"
+    if reason == Reason.DIVERGED_BREAKDOWN:
+        if options.pc_type != "dirichlet":
+            return "the residual stagnates; use -{0}feti_pc_type dirichlet"
+        return "the residual stagnates; ask for less by -{0}ksp_rtol, or look at the scales of A"
+    if reason == Reason.DIVERGED_INDEFINITE_MAT:
+        cause = "negative curvature in CG: the assembled matrix is indefinite"
+        if form.solves_indefinite:
+            return f"{cause}, or CG was asked for although subdomains are; {GMRES}"
+        return f"{cause}; {DUAL}"
+    if reason == Reason.DIVERGED_INDEFINITE_PC:
+        if form.solves_indefinite:
+            return f"the preconditioner is indefinite in CG; {GMRES}"
+        return f"the preconditioner is indefinite in CG; {DUAL}"
+    return f"the Krylov method ended with reason {reason}"

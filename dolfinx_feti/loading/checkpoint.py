@@ -4,9 +4,9 @@
 """Checkpoints: states in a folder, from which a run that was killed goes on.
 
 A state is written cell by cell in the order of the input mesh, by one of several libraries
-(``storage``), so that another number of processes reads it with the same mesh. Beside it stands to
-which mesh, elements and parameters it belongs (``identity``); ``states`` keeps the last one whole
-at any moment.
+(``storage``), so that another number of processes reads it with the same mesh. A file names
+the mesh, elements and parameters that it belongs to (``identity``); ``states`` replaces the last
+one as a whole.
 """
 
 from __future__ import annotations
@@ -24,8 +24,6 @@ import numpy.typing as npt
 
 import dolfinx
 
-from dolfinx_feti.collective import on_all, on_first, reason
-from dolfinx_feti.folders import writable_folder
 from dolfinx_feti.loading.identity import (
     describe,
     other_parameters,
@@ -43,6 +41,8 @@ from dolfinx_feti.loading.states import (
     read_latest,
 )
 from dolfinx_feti.loading.storage import choose_storage
+from dolfinx_feti.runtime.collective import on_all, on_first, reason
+from dolfinx_feti.runtime.folders import writable_folder
 
 __all__ = ["Checkpoint"]
 
@@ -180,7 +180,7 @@ class Checkpoint:
             if self.restart:
                 raise FileNotFoundError(
                     f"There is no {path} to restart from: name the folder of an earlier run, or "
-                    "begin anew."
+                    "start again."
                 )
             return None
         if not self.restart:

@@ -15,7 +15,7 @@ import numpy as np
 
 import dolfinx
 
-from dolfinx_feti._compat import geometry_dofmap
+from dolfinx_feti.runtime.compat import geometry_dofmap
 
 __all__ = ["describe", "other_parameters", "other_problem", "plain", "plain_record"]
 
@@ -64,24 +64,26 @@ def describe(functions: Sequence[dolfinx.fem.Function]) -> dict[str, Any]:
     }
 
 
-def other_problem(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
+def other_problem(saved: Mapping[str, Any], present: Mapping[str, Any]) -> list[str]:
     """Say in what mesh and elements differ."""
-    found = [
-        f"{name} are {there[name]} there and {here[name]} here"
+    differences = [
+        f"{name} are {saved[name]} there and {present[name]} here"
         for name in ("cells", "vertices", "elements")
-        if there[name] != here[name]
+        if saved[name] != present[name]
     ]
     for name in ("extent", "coordinates"):
-        if not np.allclose(there[name], here[name], rtol=0.0, atol=CLOSE * there["extent"]):
-            found.append(f"the {name} of the mesh or the order of its cells are others")
+        if not np.allclose(saved[name], present[name], rtol=0.0, atol=CLOSE * saved["extent"]):
+            differences.append(f"the {name} of the mesh or the order of its cells are others")
             break
-    return found
+    return differences
 
 
-def other_parameters(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
+def other_parameters(saved: Mapping[str, Any], present: Mapping[str, Any]) -> list[str]:
     """Say which parameters differ."""
-    names = sorted(there.keys() | here.keys())
-    values = [(name, there.get(name, "not given"), here.get(name, "not given")) for name in names]
+    names = sorted(saved.keys() | present.keys())
+    values = [
+        (name, saved.get(name, "not given"), present.get(name, "not given")) for name in names
+    ]
     return [f"{name} is {a} there and {b} here" for name, a, b in values if a != b]
 
 

@@ -40,13 +40,13 @@ import numpy.typing as npt
 
 import dolfinx
 
-from dolfinx_feti.collective import on_all
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.progress import Progress
 from dolfinx_feti.loading.steps import LoadStep, Steps, load_step
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.system import Tangent
+from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["follow_load"]
 
@@ -55,7 +55,7 @@ Reason = PETSc.SNES.ConvergedReason
 Array = npt.NDArray[np.float64]
 
 #: What a load's last digits are worth, relative to the load.
-ROUNDING = 1e-14
+LOAD_ROUNDING = 1e-14
 
 #: Degree of the polynomial through the last equilibria that predicts the next one.
 ORDER = 2
@@ -93,6 +93,9 @@ class Problem(Protocol):
         renew: bool = True,
     ) -> object:
         """Solve, or raise ConvergenceError."""
+
+    def renew(self) -> None:
+        """Let the next solve depend on none before."""
 
 
 def follow_load(
@@ -200,7 +203,7 @@ class _Path:
         self._increment = steps.first
         self._past = [_Equilibrium(load, self._values())]
         self._met = [load]
-        self._renew = True  # whether the next solve begins with a preconditioner of its own
+        problem.renew()
 
     @property
     def load(self) -> float:
@@ -234,7 +237,7 @@ class _Path:
             "steps": [asdict(step) for step in accepted],
         }
         checkpoint.write(self._state, record, [known.values for known in self._past[:-1]])
-        self._renew = True
+        self._problem.renew()
 
     def restore(self, checkpoint: Checkpoint) -> list[LoadStep]:
         """Go where a checkpoint was written; return the steps that led there."""
@@ -315,7 +318,7 @@ class _Path:
             self._solve(first_tangent=tangent)
         except ConvergenceError:
             self._restore()
-            self._renew = True
+            self._problem.renew()
             raise
 
     def _solved(self, reference: float) -> bool:
@@ -331,9 +334,8 @@ class _Path:
     def _solve(
         self, *, reference: float | None = None, first_tangent: Tangent | None = None
     ) -> None:
-        """Solve with the preconditioner of the last solve, unless there is none to go on with."""
-        renew, self._renew = self._renew, False
-        self._problem.solve(reference=reference, first_tangent=first_tangent, renew=renew)
+        """Solve with the preconditioner of the last solve, if it lasts."""
+        self._problem.solve(reference=reference, first_tangent=first_tangent, renew=False)
 
     def _restore(self) -> None:
         """Go back to the last equilibrium."""
@@ -343,7 +345,7 @@ class _Path:
     def _shorten(self, increment: float, error: ConvergenceError) -> None:
         """Halve the increment, down to the least."""
         load = self._past[-1].load
-        if increment <= self._steps.least + ROUNDING * abs(load):
+        if increment <= self._steps.least + LOAD_ROUNDING * abs(load):
             raise ConvergenceError(
                 f"No equilibrium was found beyond a load of {load:g}: an increment "
                 f"of {increment:g} failed too, and {self._steps.least:g} is the least allowed. "

@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """How far a load has come: a bar on a terminal, a line for each load step in the log.
 
-The time left follows from the pace of the last load steps: with the ways Δt_k between their loads,
-the seconds s_k that they took, and the way w that is left, it is w Σ s_k / Σ Δt_k.
+The time left follows from the pace of the last load steps: with the increments Δt_k of their loads,
+the seconds s_k that they took and the remaining distance d, it is d Σ s_k / Σ |Δt_k|.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from types import TracebackType
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinx_feti.collective import reason
 from dolfinx_feti.loading.steps import LoadStep
+from dolfinx_feti.runtime.collective import reason
 
 __all__ = ["Progress", "duration", "time_left"]
 
@@ -34,20 +34,24 @@ WIDTH = 24
 #: How many load steps the pace is taken from.
 RECENT = 3
 
+#: Attribute of the SNES that holds the bar of the load that is being followed.
+BAR = "progress"
 
-def time_left(steps: Sequence[LoadStep], way: float) -> float | None:
+
+def time_left(steps: Sequence[LoadStep], distance: float) -> float | None:
     """Estimate the seconds that the rest of a load will take.
 
     Args:
         steps: The load steps so far, of this run.
-        way: How far the load has still to go, up and down.
+        distance: How far the load has still to go, up and down.
 
     Returns:
         The seconds; None if nothing is known yet.
     """
     recent = steps[-RECENT:]
-    gone = math.fsum(abs(step.increment) for step in recent)
-    return way * math.fsum(step.seconds for step in recent) / gone if gone > 0.0 else None
+    covered = math.fsum(abs(step.increment) for step in recent)
+    seconds = math.fsum(step.seconds for step in recent)
+    return distance * seconds / covered if covered > 0.0 else None
 
 
 def duration(seconds: float) -> str:
@@ -56,6 +60,20 @@ def duration(seconds: float) -> str:
         return f"{seconds:.0f} s"
     hours, minutes = divmod(round(seconds / 60.0), 60)
     return f"{hours} h {minutes} min" if hours else f"{minutes} min"
+
+
+def watch(snes: PETSc.SNES, bar: Progress) -> None:
+    """Let a SNES report its Newton steps to a bar: one monitor, however many loads are followed."""
+    if not any(monitor is _report for monitor, _, _ in snes.getMonitor() or []):
+        snes.setMonitor(_report)
+    snes.setAttr(BAR, bar)
+
+
+def _report(snes: PETSc.SNES, its: int, norm: float) -> None:
+    """Report a Newton step to the bar of the SNES, if there is one."""
+    bar = snes.getAttr(BAR)
+    if bar is not None:
+        bar.newton(its, norm)
 
 
 class Progress:
@@ -76,7 +94,7 @@ class Progress:
         unit: str = "",
         number: int = 0,
     ) -> None:
-        """Hook into the monitor of a SNES.
+        """Let the monitor of a SNES report to this bar, and no longer to an earlier one.
 
         Args:
             snes: The solver of the load steps.
@@ -94,7 +112,7 @@ class Progress:
         self._shown = self._first and sys.stderr.isatty()
         self._began = time.perf_counter()
         if self._shown:
-            snes.setMonitor(self._newton)
+            watch(snes, self)
 
     def attempt(self, load: float, to: float) -> None:
         """Say that a step from one load to another begins.
@@ -120,12 +138,12 @@ class Progress:
         if self._first:
             newton = step.all_steps
             failed = f" after {step.failures} failed attempt(s)" * (step.failures > 0)
-            left = self._time_left()
+            remaining = self._time_left()
             logger.info(
                 f"load step {self._number}: {step.load:.5g} of {self._goal}{failed}, {len(newton)} "
                 f"Newton steps, {sum(s.linear_iterations for s in newton)} linear iterations, "
                 f"residual {self._snes.getFunctionNorm():.1e}, {step.seconds:.1f} s"
-                f"{f', {left}' * bool(left)}"
+                f"{f', {remaining}' * bool(remaining)}"
             )
 
     def refuse(self, load: float, error: Exception) -> None:
@@ -141,13 +159,19 @@ class Progress:
 
     def _time_left(self) -> str:
         """Say the time left; nothing as long as it is not known, or at the end."""
-        way = self._length - self._covered
-        left = time_left(self._steps, way)
-        if left is None or way <= 1e-12 * self._length:
+        distance = self._length - self._covered
+        remaining = time_left(self._steps, distance)
+        if remaining is None or distance <= 1e-12 * self._length:
             return ""
-        return f"about {duration(max(left - (time.perf_counter() - self._began), 0.0))} left"
+        return f"about {duration(max(remaining - (time.perf_counter() - self._began), 0.0))} left"
 
-    def _newton(self, _snes: PETSc.SNES, its: int, norm: float) -> None:
+    def newton(self, its: int, norm: float) -> None:
+        """Show a Newton step.
+
+        Args:
+            its: Its number.
+            norm: ‖r‖ before it.
+        """
         self._show(f"  Newton {its}  ‖r‖ = {norm:.1e}")
 
     def _show(self, more: str) -> None:
@@ -156,9 +180,9 @@ class Progress:
         done = self._covered / self._length if self._length > 0.0 else 1.0
         filled = round(WIDTH * min(done, 1.0))
         bar = "█" * filled + "░" * (WIDTH - filled)
-        left = f"{self._time_left()}  ".lstrip()
+        remaining = f"{self._time_left()}  ".lstrip()
         columns = shutil.get_terminal_size().columns - 1
-        self._write(f"{bar} {100 * done:3.0f} %  {left}{self._text}{more}"[:columns])
+        self._write(f"{bar} {100 * done:3.0f} %  {remaining}{self._text}{more}"[:columns])
 
     def clear(self) -> None:
         """Clear the line, for other output."""
@@ -188,4 +212,5 @@ class Progress:
     ) -> None:
         """Clear the line and fall silent."""
         self.clear()
+        self._snes.setAttr(BAR, None)
         self._shown = False

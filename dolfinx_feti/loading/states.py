@@ -34,7 +34,7 @@ __all__ = [
 LATEST = "latest.json"
 FORMAT = 1
 
-#: Room for what ADIOS2 or HDF5 writes beside the numbers, in bytes.
+#: Bytes that ADIOS2 or HDF5 may write in addition to the numbers.
 OVERHEAD = 1 << 20
 
 #: Bytes that are read or written at once.
@@ -103,7 +103,7 @@ def read_latest(path: Path) -> dict[str, Any]:
         latest = None
     if not isinstance(latest, dict) or latest.get("format") != FORMAT or not keys <= latest.keys():
         raise ValueError(
-            f"{path} is no checkpoint of this version: name another folder, or begin anew."
+            f"{path} is no checkpoint of this version: name another folder, or start again."
         )
     return latest
 
@@ -117,7 +117,7 @@ def check_files(folder: Path, latest: Mapping[str, Any]) -> None:
     for name, expected in latest["files"].items():
         path = folder / latest["state"] / name
         if not path.is_file() or _checksum(path) != expected:
-            raise ValueError(f"{path} is missing or damaged: begin anew in another folder.")
+            raise ValueError(f"{path} is missing or damaged: start again in another folder.")
 
 
 def _states(folder: Path, suffix: str = "") -> list[Path]:

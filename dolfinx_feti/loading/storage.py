@@ -24,7 +24,7 @@ from functools import partial
 
 from mpi4py import MPI
 
-from dolfinx_feti.collective import on_all, reason
+from dolfinx_feti.runtime.collective import on_all, reason
 
 __all__ = ["LIBRARIES", "Storage", "choose_storage"]
 

@@ -25,7 +25,7 @@ COLUMNS = ("load_step", "load", "accepted", "newton_step", *(f.name for f in fie
 
 
 def write_history(path: Path | str, steps: Sequence[LoadStep]) -> None:
-    """Write the history of load steps; there is a whole file at any moment.
+    """Write the history of load steps; the file is replaced as a whole.
 
     Args:
         path: The file, `*.csv`, which is replaced.
@@ -38,15 +38,15 @@ def write_history(path: Path | str, steps: Sequence[LoadStep]) -> None:
         Serial: call it on one process.
     """
     path = Path(path)
-    aside = path.with_name(f".{path.name}.part")
+    part = path.with_name(f".{path.name}.part")
     try:
-        with aside.open("w", newline="", encoding="utf-8") as file:
+        with part.open("w", newline="", encoding="utf-8") as file:
             table = csv.DictWriter(file, COLUMNS)
             table.writeheader()
             table.writerows(_rows(steps))
-        os.replace(aside, path)
+        os.replace(part, path)
     finally:
-        aside.unlink(missing_ok=True)
+        part.unlink(missing_ok=True)
 
 
 def _rows(steps: Sequence[LoadStep]) -> Iterator[dict[str, object]]:

@@ -6,7 +6,7 @@
 In the order of the data: patches, stress, fields.
 """
 
-from dolfinx_feti.folders import writable_folder
+from dolfinx_feti.runtime.folders import writable_folder
 from dolfinx_feti.output.fields import FieldWriter, cell_values
 from dolfinx_feti.output.patches import Patches, create_patches
 from dolfinx_feti.output.stress import (

@@ -25,8 +25,8 @@ import dolfinx
 import dolfinx.io
 from ufl.core.expr import Expr
 
-from dolfinx_feti._compat import interpolation_points
-from dolfinx_feti.folders import try_to_write, writable_folder
+from dolfinx_feti.runtime.compat import interpolation_points
+from dolfinx_feti.runtime.folders import try_to_write, writable_folder
 
 __all__ = ["FieldWriter", "cell_values"]
 

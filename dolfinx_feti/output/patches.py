@@ -36,7 +36,7 @@ import dolfinx
 from ufl.core.expr import Expr
 from ufl.domain import extract_domains
 
-from dolfinx_feti._compat import geometry_dofmap, interpolation_points
+from dolfinx_feti.runtime.compat import geometry_dofmap, interpolation_points
 from dolfinx_feti.fem.compiler import Compiler
 
 __all__ = ["Incidence", "Patches", "Spread", "create_patches", "fit", "moments"]
@@ -48,7 +48,7 @@ Indices = npt.NDArray[np.int64]
 CHUNK = 4096
 
 #: A patch is flat in the directions where its variance is below this fraction of the largest one.
-FLAT = 1e-9
+FLAT_PATCH = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +178,7 @@ def moments(expression: Expr, patches: Patches) -> Array:
     """
     mesh, n_cells = patches.mesh, len(patches.volumes)
     size = int(np.prod(expression.ufl_shape))
-    found, wrong = np.zeros((n_cells, len(patches.weights), size)), 0
+    integrals, wrong = np.zeros((n_cells, len(patches.weights), size)), 0
     on_mesh = dolfinx.fem.Constant(mesh, np.float64(1.0)) * expression  # a constant alone knows no mesh
     domains = extract_domains(on_mesh)
     if any(domain != mesh.ufl_domain() for domain in domains):
@@ -187,21 +187,21 @@ def moments(expression: Expr, patches: Patches) -> Array:
             "mesh of the functions in the expression."
         )
     if not domains:  # UFL knows that it is zero
-        return found
+        return integrals
     compiled = Compiler(mesh.comm).expression(on_mesh, patches.points)
     for first in range(0, n_cells, CHUNK):
         cells = np.arange(first, min(first + CHUNK, n_cells), dtype=np.int32)
         values = np.asarray(compiled.eval(mesh, cells)).reshape(len(cells), -1, size)
         wrong += int((~np.isfinite(values)).any(axis=(1, 2)).sum())
         with np.errstate(invalid="ignore"):
-            found[cells] = patches.weights @ values
+            integrals[cells] = patches.weights @ values
     wrong = mesh.comm.allreduce(wrong)
     if wrong:
         raise ArithmeticError(
             f"The expression is NaN or infinite in {wrong} cells: evaluate it in an admissible "
             "state, with det F > 0."
         )
-    return found
+    return integrals
 
 
 def fit(patches: Patches, data: Array, *, means: bool, sweeps: int) -> Array:
@@ -263,7 +263,7 @@ def _spread(incidence: Incidence, x: Array, volumes: Array, inner: Array) -> Spr
     volume = np.where(sums[:, :1] > 0, sums[:, :1], 1.0)  # a vertex may have no cell in a layer
     centre, product = np.split(sums[:, 1:] / volume, [x.shape[1]], axis=1)
     covariance = product.reshape(-1, *inner.shape[1:]) - centre[:, :, None] * centre[:, None]
-    return Spread(volume, centre, np.linalg.pinv(covariance, rcond=FLAT, hermitian=True))
+    return Spread(volume, centre, np.linalg.pinv(covariance, rcond=FLAT_PATCH, hermitian=True))
 
 
 def _create_incidence(mesh: dolfinx.mesh.Mesh, layer: Indices, layers: int) -> Incidence:

@@ -32,7 +32,7 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti._compat import interpolation_points
+from dolfinx_feti.runtime.compat import interpolation_points
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.output.patches import Patches, fit, moments
 
@@ -87,8 +87,8 @@ def recovered_field(
         )
     space = _space(mesh, shape)
     result = dolfinx.fem.Function(space, name=name) if out is None else out
-    held = result.function_space
-    if held.mesh is not mesh or held.ufl_element() != space.ufl_element():
+    V = result.function_space
+    if V.mesh is not mesh or V.ufl_element() != space.ufl_element():
         raise ValueError(
             f"out='{result.name}' cannot hold a recovered field of shape {shape} on this mesh: give "
             "what an earlier call for the same expression has returned, or None."
@@ -99,7 +99,7 @@ def recovered_field(
         n = _recovered_normal(normal, patches)
         means = fit(patches, data, means=True, sweeps=SWEEPS)
         field += _along(n, means - field)
-    dofs = held.dofmap.list[: len(field)]
+    dofs = V.dofmap.list[: len(field)]
     result.x.array.reshape(-1, field.shape[2])[dofs] = field
     result.x.scatter_forward()
     return result
@@ -207,8 +207,8 @@ def layer_means(
             f"fields: {', '.join(wrong) or 'none'}; give scalars, such as components of a stress."
         )
     w = ufl.as_ufl(1.0) if weight is None else weight
-    found = moments(ufl.as_vector([*(w * field for field in fields.values()), w]), patches)
-    integrals = patches.volumes[:, None] * found[:, 0]
+    products = moments(ufl.as_vector([*(w * field for field in fields.values()), w]), patches)
+    integrals = patches.volumes[:, None] * products[:, 0]
     means = {}
     for name, tag in names.items():
         cells = layers.find(tag)

@@ -13,9 +13,9 @@ from mpi4py import MPI
 import dolfinx
 import ufl
 
-from dolfinx_feti.collective import warn
 from dolfinx_feti.fem.checks import check_bcs, check_space
-from dolfinx_feti.petsc_options import require_prefix
+from dolfinx_feti.runtime.collective import warn
+from dolfinx_feti.runtime.petsc_options import require_prefix
 
 __all__ = [
     "agreed_prefix",
@@ -76,12 +76,12 @@ def checked_conditions(
     check_space(V)
     if isinstance(bcs, dolfinx.fem.DirichletBC):
         raise ValueError("bcs is a Dirichlet condition alone: put it in a list, bcs=[bc].")
-    found = tuple(bcs or ())
-    for i, bc in enumerate(found):
+    conditions = tuple(bcs or ())
+    for i, bc in enumerate(conditions):
         if not isinstance(bc, dolfinx.fem.DirichletBC):
             raise ValueError(f"bcs[{i}] is {bc!r}: give what dolfinx.fem.dirichletbc returns.")
-    check_bcs(V, found)
-    return found
+    check_bcs(V, conditions)
+    return conditions
 
 
 def require_forms(**forms: object) -> None:

@@ -13,7 +13,6 @@ from mpi4py import MPI
 import dolfinx
 import ufl
 
-from dolfinx_feti.collective import warn
 from dolfinx_feti.fem.checks import check_nonlinear_forms, check_pressure_space
 from dolfinx_feti.fem.quadrature import (
     estimated_quadrature_degree,
@@ -21,6 +20,7 @@ from dolfinx_feti.fem.quadrature import (
     match_quadrature_degree,
 )
 from dolfinx_feti.problems.arguments import require_forms
+from dolfinx_feti.runtime.collective import warn
 
 __all__ = ["Forms", "default_volume_ratio", "derive", "warn_of_degree"]
 
@@ -61,7 +61,7 @@ def derive(
         u: Unknown.
         J: Tangent, if given.
         condense: Pressure to be condensed.
-        energy: Potential beside residuals.
+        energy: Potential in addition to residuals.
         degree: Highest quadrature degree of integrals that state none; None for no bound.
 
     Raises:

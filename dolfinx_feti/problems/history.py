@@ -21,21 +21,20 @@ class NewtonStep:
     Attributes:
         residual: ‖r‖ before the step.
         step_length: α.
-        linear_method: Krylov method of the dual system.
+        linear_method: Krylov method.
         linear_iterations: Its iterations, those of all linear solves of the step.
         linear_residual: ‖K ΔU + r‖/‖r‖ of the assembled system.
-        condition_number: Of the preconditioned dual operator; nan if not known.
+        condition_number: Of the preconditioned operator; nan if not known.
         negative: Negative eigenvalues of the regularised subdomains and of D, those of the matrix
             that the preconditioner belongs to (``lag``); None if they are not known.
-        indefinite: Negative eigenvalues that the true tangent has at least, see ``stability``; None
-            if they are not known, as in a step that begins with a shift.
+        indefinite: Negative eigenvalues that the true tangent has at least, see ``space``; None if
+            they are not known, as in a step that begins with a shift.
         shift: σ of the tangent K + σ diag|k| that ΔU solves; zero for the true one.
         solves: Linear solves; all but the last failed or led uphill.
         seconds_assembly: Time for residual and tangent.
         seconds_linear: Time for factors and Krylov method.
         linear_rtol: Largest ``linear_residual`` that was asked for; nan if it is not known.
         lag: Matrices since the one that the preconditioner belongs to.
-        single: Whether it had factors in single precision.
     """
 
     residual: float
@@ -52,7 +51,6 @@ class NewtonStep:
     seconds_linear: float
     linear_rtol: float = math.nan
     lag: int = 0
-    single: bool = False
 
 
 def record_step(
@@ -72,7 +70,7 @@ def record_step(
         feti: Context of the KSP after the last linear solve of the step.
         residual: ‖r‖ before the step.
         step_length: α.
-        indefinite: Negative eigenvalues that the true tangent has at least, see ``stability``;
+        indefinite: Negative eigenvalues that the true tangent has at least, see ``coarse.space``;
             None if they are not known.
         shift: σ of the last solve.
         iterations: Those of each linear solve.
@@ -94,7 +92,6 @@ def record_step(
         seconds_linear=linear,
         linear_rtol=feti.rtol,
         lag=feti.age,
-        single=feti.single,
     )
 
 

@@ -32,7 +32,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.problems.system import Residual, System
 
-__all__ = ["Found", "line_search"]
+__all__ = ["LineSearchResult", "line_search"]
 
 Array = npt.NDArray[np.float64]
 
@@ -46,17 +46,17 @@ SHORTEST, LONGEST = 1.0 / 1024, 16.0
 HALF, TENTH = 0.5, 0.1
 
 #: Where g(α)/g(0) is still above this, a step with a shift is too short (Wolfe).
-FLAT = 0.9
+CURVATURE_CONDITION = 0.9
 
 #: Share of the potential below which its change is rounding.
-ROUNDING = 1e-9
+POTENTIAL_ROUNDING = 1e-9
 
 #: Share of the slope by which a step has to lower the potential (Armijo).
 DESCENT = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class LineSearchResult:
     """Where a line search ends.
 
     Attributes:
@@ -70,7 +70,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class _Trial:
-    """A state U + α ΔU on the way.
+    """A state U + α ΔU that is tried.
 
     Attributes:
         alpha: α.
@@ -85,12 +85,14 @@ class _Trial:
     accepted: bool
 
 
-def line_search(system: System, here: Residual, du: Array, *, lengthen: bool) -> Found:
+def line_search(
+    system: System, residual: Residual, du: Array, *, lengthen: bool
+) -> LineSearchResult:
     """Find a step length, and move there; stay if none is admissible.
 
     Args:
-        system: The system; its state is the one where the step begins, and then the one found.
-        here: Its residual where the step begins.
+        system: The system; its state is the one where the step begins, then the one where it ends.
+        residual: Its residual where the step begins.
         du: ΔU, (owned,).
         lengthen: Whether a step that is too short may be doubled.
 
@@ -98,41 +100,41 @@ def line_search(system: System, here: Residual, du: Array, *, lengthen: bool) ->
         Collective.
     """
     start = system.state()
-    move = _mover(system, here, du)
+    move = _mover(system, residual, du)
     trial = move(1.0)
     while not trial.accepted:
         shorter = trial.alpha * _shortening(trial.ratio)
         if shorter < SHORTEST:
             system.set_state(start)
-            return Found(0.0, here)
+            return LineSearchResult(0.0, residual)
         trial = move(shorter)
-    while lengthen and trial.ratio > FLAT and 1.0 <= trial.alpha < LONGEST:
+    while lengthen and trial.ratio > CURVATURE_CONDITION and 1.0 <= trial.alpha < LONGEST:
         longer = move(2.0 * trial.alpha)
         if not longer.accepted:
             trial = move(trial.alpha)
             break
         trial = longer
     assert trial.residual is not None
-    return Found(trial.alpha, trial.residual)
+    return LineSearchResult(trial.alpha, trial.residual)
 
 
-def _mover(system: System, here: Residual, du: Array) -> Callable[[float], _Trial]:
+def _mover(system: System, residual: Residual, du: Array) -> Callable[[float], _Trial]:
     """Return the function that goes to U + α ΔU and judges the state there."""
-    start, step = system.state(), system.increment(here, du)
-    slope = system.dot(du, here.condensed)  # g(0) < 0
+    start, step = system.state(), system.increment(residual, du)
+    slope = system.dot(du, residual.condensed)  # g(0) < 0
     height = system.potential() if system.has_potential else np.nan
-    only_down = abs(slope) > ROUNDING * abs(height) and not system.moves_boundary(du)
+    only_down = abs(slope) > POTENTIAL_ROUNDING * abs(height) and not system.moves_boundary(du)
 
     def move(alpha: float) -> _Trial:
         system.set_state((start[0] + alpha * step[0], start[1] + alpha * step[1]))
         if system.least_volume_ratio() <= 0.0:
             return _Trial(alpha, None, np.nan, accepted=False)
-        there = system.residual()
-        ratio = system.dot(du, there.force) / slope if slope else 0.0  # g(α)/g(0)
+        moved = system.residual()
+        ratio = system.dot(du, moved.force) / slope if slope else 0.0  # g(α)/g(0)
         accepted = not only_down and -ETA <= ratio <= 1.0 + ETA
         if not accepted and system.has_potential:
             accepted = system.potential() <= height + DESCENT * alpha * slope
-        return _Trial(alpha, there, ratio, accepted)
+        return _Trial(alpha, moved, ratio, accepted)
 
     return move
 

@@ -17,16 +17,11 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
-from dolfinx_feti.collective import on_all
-from dolfinx_feti.diagnosis.result import Diagnosis
-from dolfinx_feti.diagnosis.run import diagnose
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.checks import check_linear_forms, check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import decompose, suggested_number, tear
-from dolfinx_feti.petsc_errors import python_errors
-from dolfinx_feti.petsc_options import inserted
 from dolfinx_feti.problems.arguments import (
     agreed_prefix,
     checked_conditions,
@@ -36,11 +31,15 @@ from dolfinx_feti.problems.arguments import (
 )
 from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
 from dolfinx_feti.problems.solvers import create_solver
+from dolfinx_feti.problems.torn_problem import TornProblem
+from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.petsc_errors import python_errors
+from dolfinx_feti.runtime.petsc_options import inserted
 
 __all__ = ["LinearProblem"]
 
 
-class LinearProblem:
+class LinearProblem(TornProblem):
     """Solve a(u, v) = L(v) for all v with a FETI method.
 
     It takes the arguments of dolfinx's class of this name, from 0.9 to 0.11, and the subdomains.
@@ -196,39 +195,9 @@ class LinearProblem:
         self._assemble()
         return self.A, self.b.copy()
 
-    def create_linear_solver(self) -> PETSc.KSP:
-        """Create another FETI solver of A, with the options of this problem.
-
-        Returns:
-            A KSP that has set up nothing yet; the caller destroys it.
-
-        Raises:
-            ValueError: An option has a wrong value.
-
-        Note:
-            Collective.
-        """
-        return create_solver(self.A, self._prefix, self._petsc_options)
-
-    def diagnose(self) -> Diagnosis:
-        """Measure what FETI builds for the problem and what its time goes into.
-
-        It is assembled anew and solved once more, by another solver with the same options. PETSc's
-        logging is begun if it is not, for the times.
-
-        Returns:
-            The diagnosis: ``print`` it, take its ``records``, or ``plot`` it.
-
-        Note:
-            Collective.
-        """
-        return diagnose(
-            self.linear_system,
-            self.create_linear_solver,
-            state=self.u.x.array[: self.b.getLocalSize()],
-            decomposition=self.decomposition,
-            prefix=self._prefix,
-        )
+    def _approximation(self) -> npt.NDArray[np.float64]:
+        """Return the last solution, (owned,)."""
+        return np.asarray(self.u.x.array[: self.b.getLocalSize()])
 
     def _assemble(self) -> None:
         """Assemble A, its near kernel, and b."""

@@ -14,7 +14,7 @@ leads to a saddle or a maximum, and then
 .. math:: (K' + σ \operatorname{diag}|k|)\, ΔU = -r
 
 is solved with the stiffness k of the dofs, with σ growing (``shift``) until no negative eigenvalue
-is left that can be proved (``stability``), which is known before the first iteration, and ΔU leads
+is left that can be proved (``space``), which is known before the first iteration, and ΔU leads
 downhill, ΔU·r < 0. In the next steps σ falls, to zero at the end. A tangent that turns out singular
 on the way counts as indefinite.
 """
@@ -31,15 +31,15 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti._compat import residual_is_nan
-from dolfinx_feti.collective import on_all
-from dolfinx_feti.events import event
 from dolfinx_feti.feti.solver import FETI
-from dolfinx_feti.petsc_errors import python_errors
 from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
 from dolfinx_feti.problems.line_search import line_search
 from dolfinx_feti.problems.shift import fallen, raised
 from dolfinx_feti.problems.system import Residual, System, Tangent
+from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.compat import residual_is_nan
+from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.petsc_errors import python_errors
 
 __all__ = ["Newton", "Start"]
 
@@ -54,12 +54,10 @@ class Start:
     Attributes:
         reference: Most that the residual at the start counts in the relative tolerance.
         tangent: The tangent of the first step, which the matrix holds; None for that of the start.
-        renew: Whether FETI's preconditioner begins anew, so that the solve depends on none before.
     """
 
     reference: float = np.inf
     tangent: Tangent | None = None
-    renew: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,8 +112,6 @@ class Newton:
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
         """Iterate from the state of the user's functions until the residual is small."""
         self.history, self.message, self._shift = [], "", 0.0
-        if self._start.renew:
-            snes.getKSP().getPythonContext().renew()
         try:
             reason = self._iterate(snes, self._start)
         except _Stop as stop:

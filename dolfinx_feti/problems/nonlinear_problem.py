@@ -17,16 +17,11 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
-from dolfinx_feti.collective import on_all
-from dolfinx_feti.diagnosis.result import Diagnosis
-from dolfinx_feti.diagnosis.run import diagnose
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.checks import check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import decompose, suggested_number
 from dolfinx_feti.feti.solver import FETI
-from dolfinx_feti.petsc_errors import python_errors
-from dolfinx_feti.petsc_options import inserted
 from dolfinx_feti.problems.arguments import (
     agreed_prefix,
     checked_conditions,
@@ -36,8 +31,12 @@ from dolfinx_feti.problems.arguments import (
 from dolfinx_feti.problems.forms import default_volume_ratio, derive, warn_of_degree
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.newton import Newton, Start
-from dolfinx_feti.problems.solvers import create_newton_solver, create_solver
+from dolfinx_feti.problems.solvers import create_newton_solver
 from dolfinx_feti.problems.system import System, Tangent
+from dolfinx_feti.problems.torn_problem import TornProblem
+from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.petsc_errors import python_errors
+from dolfinx_feti.runtime.petsc_options import inserted
 
 __all__ = ["NonlinearProblem"]
 
@@ -48,7 +47,7 @@ _OF_NEWTON_SOLVER = (
 )
 
 
-class NonlinearProblem:
+class NonlinearProblem(TornProblem):
     """Solve F(u; v) = 0 for all v by Newton's method, every step with a FETI method.
 
     It takes the arguments of dolfinx's class of this name, from 0.9 to 0.11, and the subdomains; it
@@ -105,7 +104,7 @@ class NonlinearProblem:
             u: Unknown; holds the start and then the solution.
             bcs: Dirichlet conditions on u.
             J: Tangent of the residual tested with v, in u; derived from it if not given. A
-                symmetric one lets the dual method be CG.
+                symmetric one lets FETI use conjugate gradients.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the C compiler and its cache.
             condense: Piecewise constant pressure that is eliminated cell by cell.
@@ -167,9 +166,7 @@ class NonlinearProblem:
         self.x, self.b = self.A.createVecs()
         for name, owned in (("A", self.A), ("x", self.x), ("b", self.b)):
             owned.setOptionsPrefix(f"{self._prefix}{name}_")
-        feti = FETI()
-        feti.refuse_indefinite = self._system.has_potential
-        feti.lasting = True
+        feti = FETI(newton=True, refuse_indefinite=self._system.has_potential)
         self.solver = create_newton_solver(
             self._newton, feti, self.A, self._prefix, self._petsc_options
         )
@@ -243,40 +240,6 @@ class NonlinearProblem:
         b.array[:] = -residual.condensed
         return self.A, b
 
-    def create_linear_solver(self) -> PETSc.KSP:
-        """Create another FETI solver of A, with the options of this problem.
-
-        Returns:
-            A KSP that has set up nothing yet; the caller destroys it.
-
-        Raises:
-            ValueError: An option has a wrong value.
-
-        Note:
-            Collective.
-        """
-        return create_solver(self.A, self._prefix, self._petsc_options)
-
-    def diagnose(self) -> Diagnosis:
-        """Measure what FETI builds for the next Newton step and what its time goes into.
-
-        It is assembled anew and solved once more, by another solver with the same options. PETSc's
-        logging is begun if it is not, for the times.
-
-        Returns:
-            The diagnosis: ``print`` it, take its ``records``, or ``plot`` it.
-
-        Note:
-            Collective.
-        """
-        return diagnose(
-            self.linear_system,
-            self.create_linear_solver,
-            state=0.0,  # b is the residual of the present state
-            decomposition=self.decomposition,
-            prefix=self._prefix,
-        )
-
     def solve(
         self,
         *,
@@ -308,7 +271,9 @@ class NonlinearProblem:
         Note:
             Collective.
         """
-        start = self._start(reference, first_tangent, renew=renew)
+        start = self._start(reference, first_tangent)
+        if renew:
+            self.renew()
         with (
             inserted(self._prefix, self._petsc_options),
             self._newton.starting(start),
@@ -321,7 +286,11 @@ class NonlinearProblem:
             raise ConvergenceError(f"Newton's method did not converge: {message}.")
         return self.u
 
-    def _start(self, reference: float | None, tangent: Tangent | None, *, renew: bool) -> Start:
+    def renew(self) -> None:
+        """Let the next solve begin with a preconditioner of its own, and no Ritz vectors."""
+        self.solver.getKSP().getPythonContext().renew()
+
+    def _start(self, reference: float | None, tangent: Tangent | None) -> Start:
         """Check what a solve is to begin with.
 
         Raises:
@@ -335,7 +304,7 @@ class NonlinearProblem:
                 "first_tangent names a tangent that this problem's matrix does not hold any more: "
                 "pass what linearise() has returned to the very next solve()."
             )
-        return Start(np.inf if reference is None else float(reference), tangent, renew)
+        return Start(np.inf if reference is None else float(reference), tangent)
 
     def __del__(self) -> None:
         """Free the PETSc objects."""

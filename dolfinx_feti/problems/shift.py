@@ -13,14 +13,14 @@ from __future__ import annotations
 __all__ = ["fallen", "raised"]
 
 #: The first shift, its growth, and the largest one that is tried.
-LEAST, GROWTH = 1e-4, 4.0
-MOST = LEAST * GROWTH**7
+LEAST_SHIFT, SHIFT_GROWTH = 1e-4, 4.0
+LARGEST_SHIFT = LEAST_SHIFT * SHIFT_GROWTH**7
 
 
 def raised(sigma: float) -> float | None:
     """Return the next larger shift, or None if there is none to try."""
-    larger = max(LEAST, GROWTH * sigma)
-    return larger if larger <= MOST else None
+    larger = max(LEAST_SHIFT, SHIFT_GROWTH * sigma)
+    return larger if larger <= LARGEST_SHIFT else None
 
 
 def fallen(sigma: float, *, grown: bool) -> float:
@@ -31,5 +31,5 @@ def fallen(sigma: float, *, grown: bool) -> float:
         grown: Whether it had to grow in that step; it then falls by one power of the growth and not
             by two.
     """
-    smaller = sigma / (GROWTH if grown else GROWTH**2)
-    return smaller if smaller >= LEAST / GROWTH else 0.0
+    smaller = sigma / (SHIFT_GROWTH if grown else SHIFT_GROWTH**2)
+    return smaller if smaller >= LEAST_SHIFT / SHIFT_GROWTH else 0.0

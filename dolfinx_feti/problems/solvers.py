@@ -15,10 +15,10 @@ from contextlib import contextmanager
 
 from petsc4py import PETSc
 
-from dolfinx_feti.collective import on_all, warn
 from dolfinx_feti.feti.options import SOLVERS, options_without_effect, read_options
 from dolfinx_feti.feti.solver import FETI
-from dolfinx_feti.petsc_options import inserted, withheld
+from dolfinx_feti.runtime.collective import on_all, warn
+from dolfinx_feti.runtime.petsc_options import inserted, withheld
 
 __all__ = ["create_newton_solver", "create_solver"]
 

@@ -24,11 +24,11 @@ import basix
 import dolfinx
 import ufl
 
-from dolfinx_feti.collective import on_all
 from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.condensation import Blocks, Condensation
 from dolfinx_feti.fem.decomposition import Decomposition, tear
+from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.torn import set_condensed
 
 __all__ = ["Residual", "System", "Tangent"]
@@ -117,7 +117,7 @@ class System:
         self.u = u
         self.bcs = list(bcs)
         self.comm = V.mesh.comm
-        self._held = assembly.dirichlet_mask(V, self.bcs)
+        self._dirichlet = assembly.dirichlet_mask(V, self.bcs)
         self._n_cells = len(decomposition.subdomain)
         self._space = tear(V, decomposition)
         compiler = compiler or Compiler(self.comm)
@@ -192,7 +192,7 @@ class System:
         """
         most, moved = (
             self.comm.allreduce(float(np.abs(part).max(initial=0.0)), op=MPI.MAX)
-            for part in (du, du[self._held])
+            for part in (du, du[self._dirichlet])
         )
         return moved > MOVED * most
 
@@ -233,9 +233,10 @@ class System:
         p = self.condensation.p.x
         before = p.array.copy()
         p.array[:] = self.condensation.relaxed()
-        value = float(dolfinx.fem.assemble_scalar(self._energy))
-        p.array[:] = before
-        return value
+        try:
+            return float(dolfinx.fem.assemble_scalar(self._energy))
+        finally:
+            p.array[:] = before
 
     # -- equations --------------------------------------------------------------------------------
 

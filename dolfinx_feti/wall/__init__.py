@@ -3,10 +3,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Arterial walls: named layers and surfaces, conditions on these, and directions of fibres.
 
-In the order of the data: wallfile, wall, conditions, rigid, boundary, laplace, fibres.
+In the order of the data: wallfile, wall, conditions, rigid, case, casefile, boundary, laplace,
+fibres.
 """
 
 from dolfinx_feti.wall.boundary import Boundary, apply_conditions
+from dolfinx_feti.wall.case import Case, Tissue
+from dolfinx_feti.wall.casefile import read_case
 from dolfinx_feti.wall.conditions import Clamp, Dashpot, Pressure, Slide, Spring
 from dolfinx_feti.wall.rigid import free_motions
 from dolfinx_feti.wall.wall import (
@@ -21,11 +24,13 @@ from dolfinx_feti.wall.wall import (
 
 __all__ = [
     "Boundary",
+    "Case",
     "Clamp",
     "Dashpot",
     "Pressure",
     "Slide",
     "Spring",
+    "Tissue",
     "Wall",
     "apply_conditions",
     "area",
@@ -33,6 +38,7 @@ __all__ = [
     "facets",
     "free_motions",
     "openings",
+    "read_case",
     "read_wall",
     "surface_measure",
 ]

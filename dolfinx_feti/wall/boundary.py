@@ -130,9 +130,9 @@ def apply_conditions(
         Dirichlet conditions, forms, and the constants and functions in them.
 
     Raises:
-        ValueError: The wall has no such surface, a clamp has company, a surface that slides lies in
-            no plane normal to x, y or z, or nothing is there to pull along the axis. On all
-            processes.
+        ValueError: The wall has no such surface, a clamp is not alone on its surface, a surface
+            that slides lies in no plane normal to x, y or z, or the wall cannot be stretched along
+            the axis. On all processes.
 
     Note:
         Collective.
@@ -194,10 +194,10 @@ def _constant(mesh: dolfinx.mesh.Mesh, value: float) -> dolfinx.fem.Constant:
 
 
 def _axis(axis: str, clamps: Sequence[str], normals: Sequence[int]) -> int:
-    """Return the number of an axis along which there is something to pull at.
+    """Return the number of an axis along which the wall can be stretched.
 
     Raises:
-        ValueError: There is no such axis, or nothing that is held or slides across it.
+        ValueError: There is no such axis, or fewer than two surfaces are clamped or normal to it.
     """
     if axis not in tuple(AXES):
         raise ValueError(f"axis={axis!r}: choose 'x', 'y' or 'z'.")

@@ -104,13 +104,13 @@ def by_surface(conditions: Conditions) -> dict[str, tuple[Condition, ...]]:
     """Return the conditions of each surface as a tuple.
 
     Raises:
-        ValueError: One is something else, or there twice, or a clamp has company.
+        ValueError: One is something else or given twice, or a clamp is not alone on its surface.
     """
-    found = {
+    by_name = {
         name: tuple(given) if isinstance(given, Sequence) else (given,)
         for name, given in conditions.items()
     }
-    for name, listed in found.items():
+    for name, listed in by_name.items():
         kinds = [type(condition) for condition in listed]
         for condition in listed:
             if not isinstance(condition, Condition):
@@ -125,7 +125,7 @@ def by_surface(conditions: Conditions) -> dict[str, tuple[Condition, ...]]:
                 f"conditions[{name!r}] holds a clamp and another condition, which has no effect on "
                 "a surface that is held: leave one of them out."
             )
-    return found
+    return by_name
 
 
 def _check_support(direction: str, **value: float) -> None:

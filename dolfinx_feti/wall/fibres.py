@@ -37,7 +37,7 @@ import numpy.typing as npt
 
 import dolfinx
 
-from dolfinx_feti.petsc_options import require_prefix
+from dolfinx_feti.runtime.petsc_options import require_prefix
 from dolfinx_feti.wall.laplace import gradient, solve_laplace
 from dolfinx_feti.wall.wall import Wall, area, by_layer, facets, openings
 
@@ -88,7 +88,8 @@ def fibre_frame(
         inlet: The opening where the vessel begins; None for the one with the largest area (the
             first of equal ones).
         petsc_options_prefix: Prefix of the two linear solvers, the same on all processes.
-        petsc_options: Their options, without prefix; CG with GAMG to 1e-14 if not given.
+        petsc_options: Their options, without prefix; CG with GAMG to 1e-14 if not given, and MUMPS
+            where that fails.
 
     Raises:
         ValueError: There are fewer than two openings, there is no such surface or inlet, or the

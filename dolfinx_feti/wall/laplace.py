@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from petsc4py import PETSc
 
@@ -19,14 +19,21 @@ import dolfinx
 import dolfinx.fem.petsc
 import ufl
 
-from dolfinx_feti._compat import interpolation_points
-from dolfinx_feti.petsc_options import inserted
+from dolfinx_feti.runtime.compat import interpolation_points
+from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.wall.wall import Wall, facets
 
 __all__ = ["gradient", "solve_laplace"]
 
 # Solved to rounding, so that a nearly flat potential (in a sac) has a consistent direction.
 OPTIONS = {"ksp_type": "cg", "pc_type": "gamg", "ksp_rtol": 1e-14, "ksp_max_it": 1000}
+
+# Where that fails, as it does on meshes with slivers.
+DIRECT: dict[str, object] = {
+    "ksp_type": "preonly",
+    "pc_type": "cholesky",
+    "pc_factor_mat_solver_type": "mumps",
+}
 
 
 def solve_laplace(
@@ -42,7 +49,8 @@ def solve_laplace(
         wall: The wall.
         values: Value of u on each of these surfaces, by name.
         prefix: Prefix of the solver, the same on all processes.
-        petsc_options: Its options, without prefix, which override CG with GAMG to 1e-14.
+        petsc_options: Its options, without prefix, which override CG with GAMG to 1e-14. Without
+            them MUMPS solves what CG does not.
 
     Raises:
         ArithmeticError: The solver did not converge.
@@ -71,9 +79,12 @@ def solve_laplace(
     b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
     dolfinx.fem.petsc.set_bc(b, bcs)
     solution = dolfinx.fem.Function(V)
-    _solve_system(A, b, solution, prefix=prefix, options={**OPTIONS, **(petsc_options or {})})
-    A.destroy()
-    b.destroy()
+    try:
+        attempts = [{**OPTIONS, **petsc_options}] if petsc_options else [OPTIONS, DIRECT]
+        _solve_system(A, b, solution, prefix=prefix, attempts=attempts)
+    finally:
+        A.destroy()
+        b.destroy()
     return solution
 
 
@@ -83,29 +94,38 @@ def _solve_system(
     solution: dolfinx.fem.Function,
     *,
     prefix: str,
-    options: Mapping[str, object],
+    attempts: Sequence[Mapping[str, object]],
 ) -> None:
-    """Solve A u = b with the solver that the options under the prefix describe."""
-    ksp = PETSc.KSP().create(A.comm)
+    """Solve A u = b with the first of some solvers, given by options, that converges."""
     x = A.createVecRight()
+    for options in attempts:
+        reason, iterations = _solve_once(A, b, x, prefix=prefix, options=options)
+        if reason > 0:
+            break
+    else:
+        raise ArithmeticError(
+            f"A Laplace problem for the fibres was not solved (reason {reason} after {iterations} "
+            "iterations): make sure that every part of the wall touches an opening, or choose "
+            f"another solver with -{prefix}ksp_type and -{prefix}pc_type"
+        )
+    solution.x.array[: x.getLocalSize()] = x.array_r
+    solution.x.scatter_forward()
+    x.destroy()
+
+
+def _solve_once(
+    A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, *, prefix: str, options: Mapping[str, object]
+) -> tuple[int, int]:
+    """Solve A x = b with the options under the prefix; return PETSc's reason and iterations."""
+    ksp = PETSc.KSP().create(A.comm)
     try:
         ksp.setOptionsPrefix(prefix)
         ksp.setOperators(A)
         with inserted(prefix, options):
             ksp.setFromOptions()
             ksp.solve(b, x)
-        reason = ksp.getConvergedReason()
-        if reason <= 0:
-            raise ArithmeticError(
-                f"A Laplace problem for the fibres was not solved (reason {reason} after "
-                f"{ksp.getIterationNumber()} iterations): make sure that every part of the wall "
-                f"touches an opening, or choose another solver with -{prefix}ksp_type and "
-                f"-{prefix}pc_type"
-            )
-        solution.x.array[: x.getLocalSize()] = x.array_r
-        solution.x.scatter_forward()
+        return ksp.getConvergedReason(), ksp.getIterationNumber()
     finally:
-        x.destroy()
         ksp.destroy()
 
 

@@ -26,7 +26,7 @@ import dolfinx
 import dolfinx.io
 import ufl
 
-from dolfinx_feti.collective import on_first
+from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.wall.wallfile import RawWall, read_raw_wall
 
 __all__ = [
@@ -46,7 +46,7 @@ __all__ = [
 AXES = "xyz"
 
 #: How far a plane surface may reach out of its plane, relative to the extent of the wall.
-FLAT = 1e-7
+OUT_OF_PLANE = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,10 +102,10 @@ def read_wall(path: Path | str, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
 
 def _distribute(raw: RawWall | None, comm: MPI.Comm, scale: float) -> Wall:
     """Create the distributed mesh and its tags from what the first process has read."""
-    none = np.zeros((0, 4), dtype=np.int64)
+    empty = np.zeros((0, 4), dtype=np.int64)
     points = np.zeros((0, 3)) if raw is None else scale * raw.points
-    cells, layers = (none, none[:, 0]) if raw is None else (raw.cells, raw.layers)
-    triangles, surfaces = (none[:, :3], none[:, 0]) if raw is None else (raw.facets, raw.surfaces)
+    cells, layers = (empty, empty[:, 0]) if raw is None else (raw.cells, raw.layers)
+    triangles, surfaces = (empty[:, :3], empty[:, 0]) if raw is None else (raw.facets, raw.surfaces)
     element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,), dtype=np.float64)
     mesh = dolfinx.mesh.create_mesh(comm, cells, x=points, e=ufl.Mesh(element))
     names = comm.bcast(None if raw is None else (raw.layer_names, raw.surface_names), root=0)
@@ -152,8 +152,8 @@ def facets(wall: Wall, name: str) -> npt.NDArray[np.int32]:
 def openings(wall: Wall) -> list[str]:
     """Return the names of the openings, `opening_2` before `opening_10`."""
     numbers = {name: re.fullmatch(r"opening_(\d+)", name) for name in wall.surfaces}
-    found = [name for name in wall.surfaces if name.startswith("opening_")]
-    return sorted(found, key=lambda n: (int(m[1]) if (m := numbers[n]) else 10**9, n))
+    names = [name for name in wall.surfaces if name.startswith("opening_")]
+    return sorted(names, key=lambda n: (int(m[1]) if (m := numbers[n]) else 10**9, n))
 
 
 def area(wall: Wall, name: str) -> float:
@@ -212,7 +212,7 @@ def plane(wall: Wall, name: str) -> tuple[int, float]:
     below, above = _bounds(corners(wall, name).reshape(-1, 3), wall.mesh.comm)
     thick = above - below
     k = int(np.argmin(thick))
-    if not 0.0 <= thick[k] <= FLAT * np.linalg.norm(high - low):
+    if not 0.0 <= thick[k] <= OUT_OF_PLANE * np.linalg.norm(high - low):
         sizes = " × ".join(f"{size:.3g}" for size in thick)
         raise ValueError(
             f"The surface {name!r} lies in no plane normal to x, y or z (it extends over {sizes} "

@@ -176,8 +176,8 @@ def _read_meshio(path: Path) -> RawWall:
         raise ValueError(f"meshio cannot read {path}: {error}") from error
     others = {b.type for b in mesh.cells} - {"tetra", "triangle", "line", "vertex"}
     if others or "tetra" not in mesh.cells_dict:
-        found = ", ".join(sorted({b.type for b in mesh.cells})) or "none"
-        raise ValueError(f"{path} has cells of type {found}; a wall has tetra and triangle only")
+        present = ", ".join(sorted({b.type for b in mesh.cells})) or "none"
+        raise ValueError(f"{path} has cells of type {present}; a wall has tetra and triangle only")
     layers = _cell_data(path, mesh, "tetra")
     surfaces = _cell_data(path, mesh, "triangle")
     tagged = surfaces > 0
@@ -211,9 +211,9 @@ def _named(tags: Indices, dim: int) -> dict[str, int]:
     numbers = LAYER_NUMBERS if dim == 3 else SURFACE_NUMBERS
     kind = "layer" if dim == 3 else "surface"
     name_of = {tag: name for name, tag in numbers.items()}
-    found = {int(tag) for tag in tags if tag > 0}
-    named = {name: tag for name, tag in numbers.items() if tag in found}
-    return named | {f"{kind}_{tag}": tag for tag in sorted(found - name_of.keys())}
+    present = {int(tag) for tag in tags if tag > 0}
+    named = {name: tag for name, tag in numbers.items() if tag in present}
+    return named | {f"{kind}_{tag}": tag for tag in sorted(present - name_of.keys())}
 
 
 def _import(name: str, path: Path) -> ModuleType:
@@ -235,11 +235,11 @@ def _check_names(path: Path, wall: RawWall) -> None:
         ("surface", wall.surface_names, wall.surfaces),
     ):
         name_of = {tag: name for name, tag in names.items()}
-        found = [(name_of.get(int(tag), "nameless"), tag) for tag in np.unique(tags)]
-        listed = ", ".join(f"{name} = {tag}" for name, tag in found)
+        present = [(name_of.get(int(tag), "nameless"), tag) for tag in np.unique(tags)]
+        listed = ", ".join(f"{name} = {tag}" for name, tag in present)
         texts.append(f"{kind}s {listed or 'none'}")
-        missing += [f"named {kind}"] * all(name == "nameless" for name, _ in found)
-        missing += ["name for some cells"] * (kind == "layer" and "nameless" in dict(found))
+        missing += [f"named {kind}"] * all(name == "nameless" for name, _ in present)
+        missing += ["name for some cells"] * (kind == "layer" and "nameless" in dict(present))
     if missing:
         raise ValueError(
             f"The wall in {path} has no {', no '.join(missing)}. Found: {'; '.join(texts)}. {HELP}."

@@ -33,7 +33,7 @@ Array = npt.NDArray[np.float64]
 Law = Callable[[Array], States]
 
 #: Deviations that pass: of identities that hold to rounding, and of finite differences.
-ROUNDING, DIFFERENCES = 1e-9, 1e-6
+IDENTITIES, DIFFERENCES = 1e-9, 1e-6
 #: Jump of the tangent at rest that is no rounding.
 KINK = 1e-3
 #: Increments of F in finite differences, and next to the reference.
@@ -73,19 +73,19 @@ def check_law(law: Law, *, strain: float, incompressible: bool, seed: int) -> li
     """
     rng = np.random.default_rng(seed)
     F = random_states(rng, N_STATES, strain, incompressible=incompressible)
-    at = law(F)
-    finite = _check_finite(at)
-    if not at.finite.any():
+    states = law(F)
+    finite = _check_finite(states)
+    if not states.finite.any():
         return [finite]
-    at, rest = law(F[at.finite]), law(np.eye(3)[None])
+    states, rest = law(F[states.finite]), law(np.eye(3)[None])
     with np.errstate(all="ignore"):  # values at rest may be infinite
         return [
             finite,
-            *_check_rest(rest, at, incompressible),
-            *_check_frame(law, at, _rotations(rng, len(at.F))),
-            *_check_symmetry(at),
-            *_check_derivatives(law, at),
-            _check_kink(law, rest, _symmetric(rng.standard_normal((N_STATES, 3, 3)))),
+            *_check_rest(rest, states, incompressible),
+            *_check_frame(law, states, _rotations(rng, len(states.F))),
+            *_check_symmetry(states),
+            *_check_derivatives(law, states),
+            _check_kink(law, rest, rng.standard_normal((N_STATES, 3, 3))),
         ]
 
 
@@ -142,98 +142,98 @@ def show(F: Array) -> str:
     return f"F = [{', '.join(rows)}]"
 
 
-def _check_finite(at: States) -> Check:
+def _check_finite(states: States) -> Check:
     """Count the states whose values are no finite numbers."""
-    lost = np.flatnonzero(~at.finite)
+    lost = np.flatnonzero(~states.finite)
     name = "finite values"
     if not len(lost):
         return Check(name, "pass", 0.0, 0.0)
     first = lost[0]
-    parts = {"Ψ": at.psi, "P": at.P, "A": at.A}
+    parts = {"Ψ": states.psi, "P": states.P, "A": states.A}
     names = ", ".join(n for n, part in parts.items() if not np.isfinite(part[first]).all())
     return Check(
         name,
         "fail",
         float(len(lost)),
         0.0,
-        f"{names} at {len(lost)} of {len(at.F)} states, the first at {show(at.F[first])}",
+        f"{names} at {len(lost)} of {len(states.F)} states, the first at {show(states.F[first])}",
     )
 
 
-def _check_rest(rest: States, at: States, incompressible: bool) -> list[Check]:
+def _check_rest(rest: States, states: States, incompressible: bool) -> list[Check]:
     """Energy and stress at the reference, and energies below that."""
     stress, scale = rest.P, _scale(rest.A)
     if incompressible:
         stress = stress - np.trace(stress[0]) / 3 * np.eye(3)
-    below = (rest.psi - at.psi) / _scale(at.A)
+    below = (rest.psi - states.psi) / _scale(states.A)
     return [
         judge(
             "stress-free reference",
             _largest(stress) / scale,
-            ROUNDING,
+            IDENTITIES,
             note="are the fibres unit vectors?",
         ),
         judge(
             "zero energy at the reference",
             np.abs(rest.psi) / scale,
-            ROUNDING,
+            IDENTITIES,
             otherwise="warn",
             note="no stress follows from it",
         ),
         judge(
             "least energy at the reference",
             np.maximum(below, 0.0),
-            ROUNDING,
-            at.F,
+            IDENTITIES,
+            states.F,
             otherwise="warn",
         ),
     ]
 
 
-def _check_frame(law: Law, at: States, R: Array) -> list[Check]:
+def _check_frame(law: Law, states: States, R: Array) -> list[Check]:
     """Energies and stresses after rotations R, (n, 3, 3)."""
-    turned, scale = law(R @ at.F), _scale(at.A)
-    energy = np.abs(turned.psi - at.psi) / scale
-    stress = _largest(turned.P - R @ at.P) / scale
+    turned, scale = law(R @ states.F), _scale(states.A)
+    energy = np.abs(turned.psi - states.psi) / scale
+    stress = _largest(turned.P - R @ states.P) / scale
     note = "write psi in C and J"
     return [
-        judge("frame indifference of the energy", energy, ROUNDING, at.F, note=note),
-        judge("frame indifference of the stress", stress, ROUNDING, at.F, note=note),
+        judge("frame indifference of the energy", energy, IDENTITIES, states.F, note=note),
+        judge("frame indifference of the stress", stress, IDENTITIES, states.F, note=note),
     ]
 
 
-def _check_symmetry(at: States) -> list[Check]:
+def _check_symmetry(states: States) -> list[Check]:
     """Kirchhoff stress P Fᵀ, and major symmetry of A."""
-    scale = _scale(at.A)
-    tau = at.P @ at.F.transpose(0, 2, 1)
+    scale = _scale(states.A)
+    tau = states.P @ states.F.transpose(0, 2, 1)
     stress = _largest(tau - tau.transpose(0, 2, 1)) / scale
-    tangent = _largest(at.A - at.A.transpose(0, 3, 4, 1, 2)) / scale
+    tangent = _largest(states.A - states.A.transpose(0, 3, 4, 1, 2)) / scale
     return [
-        judge("symmetry of the stress", stress, ROUNDING, at.F),
-        judge("symmetry of the tangent", tangent, ROUNDING, at.F),
+        judge("symmetry of the stress", stress, IDENTITIES, states.F),
+        judge("symmetry of the tangent", tangent, IDENTITIES, states.F),
     ]
 
 
-def _check_derivatives(law: Law, at: States) -> list[Check]:
+def _check_derivatives(law: Law, states: States) -> list[Check]:
     """P and A against central differences in all nine entries of F."""
-    scale = _scale(at.A)
-    P, A = np.empty_like(at.P), np.empty_like(at.A)
+    scale = _scale(states.A)
+    P, A = np.empty_like(states.P), np.empty_like(states.A)
     for i, j in np.ndindex(3, 3):
         H = np.zeros((3, 3))
         H[i, j] = STEP
-        up, down = law(at.F + H), law(at.F - H)
+        up, down = law(states.F + H), law(states.F - H)
         P[:, i, j] = (up.psi - down.psi) / (2 * STEP)
         A[..., i, j] = (up.P - down.P) / (2 * STEP)
-    stress, tangent = _largest(at.P - P) / scale, _largest(at.A - A) / scale
+    stress, tangent = _largest(states.P - P) / scale, _largest(states.A - A) / scale
     return [
-        judge("stress against differences", stress, DIFFERENCES, at.F),
-        judge("tangent against differences", tangent, DIFFERENCES, at.F),
+        judge("stress against differences", stress, DIFFERENCES, states.F),
+        judge("tangent against differences", tangent, DIFFERENCES, states.F),
     ]
 
 
 def _check_kink(law: Law, rest: States, H: Array) -> Check:
-    """Tangents next to the reference, on several sides of it, against the one there."""
-    near = law(np.eye(3) + NEARBY * H)
+    """Tangents next to the reference, on several sides of it, against the one at the reference."""
+    near = law(np.eye(3) + NEARBY * 0.5 * (H + H.transpose(0, 2, 1)))
     shear = np.einsum("nijij->nij", rest.A) * (1 - np.eye(3))
     jump = _largest(near.A - rest.A) / _scale(shear)  # κ, which may be far larger, does not count
     return judge(
@@ -260,7 +260,3 @@ def _scale(A: Array) -> Array:
     """Largest entry of each state, or 1 where all are zero, (n,)."""
     largest = _largest(A)
     return np.where(largest > 0, largest, 1.0)
-
-
-def _symmetric(H: Array) -> Array:
-    return (H + H.transpose(0, 2, 1)) / 2

@@ -54,6 +54,6 @@ def minimise(f: Callable[[Array], float], start: Array) -> tuple[float, Array]:
         n = start + T @ y
         return n / np.linalg.norm(n)
 
-    found = scipy.optimize.minimize(lambda y: f(direction(y)), np.zeros(2), method="BFGS")
-    best = min((start, direction(found.x)), key=f)
+    optimum = scipy.optimize.minimize(lambda y: f(direction(y)), np.zeros(2), method="BFGS")
+    best = min((start, direction(optimum.x)), key=f)
     return f(best), best

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.optimize
 
-from dolfinx_feti.tables import Cell, table
+from dolfinx_feti.runtime.tables import Cell, table
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.directions import hemisphere, minimise, tangents
 from dolfinx_feti.workshop.equilibrium import equilibrate, stiffness_scale
@@ -32,7 +32,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 #: Eigenvalue, relative to the stiffness at rest, that counts as zero.
-ZERO = 1e-10
+ZERO_EIGENVALUE = 1e-10
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class Ellipticity:
         normal: Unit normals n of the least eigenvalue, in the deformed body, (n, 3).
         polarisation: Unit vectors m of the least eigenvalue, (n, 3).
         rest: The value nearest to the reference state.
-        lost: Values at which strong ellipticity is first lost on the way up and down from rest;
+        lost: Values at which strong ellipticity is first lost above and below the state at rest;
             empty if it is not.
     """
 
@@ -89,7 +89,7 @@ def scan_ellipticity(
     if (np.diff(path.values) <= 0).any():
         raise ValueError(f"values = {values!r}: give them in ascending order.")
     least, normal, polarisation = _along(material, path)
-    zero = ZERO * stiffness_scale(material)
+    zero = ZERO_EIGENVALUE * stiffness_scale(material)
     rest = int(np.linalg.norm(path.F - np.eye(3), axis=(1, 2)).argmin())
 
     def margin(value: float) -> float:
@@ -127,21 +127,21 @@ def least_eigenvalues(F: Array, A: Array, *, incompressible: bool) -> tuple[Arra
     spatial = np.einsum("niJkL,njJ,nlL->nijkl", A, F, F, optimize=True) / J
     directions = hemisphere()
     bases = _polarisations(directions, incompressible)
-    found = [_least(tensor, directions, bases, incompressible) for tensor in spatial]
-    values, normals, polarisations = (np.array(part) for part in zip(*found, strict=True))
+    minima = [_least(tensor, directions, bases, incompressible) for tensor in spatial]
+    values, normals, polarisations = (np.array(part) for part in zip(*minima, strict=True))
     return values, normals, polarisations
 
 
 def _along(material: Material, path: Path) -> tuple[Array, Array, Array]:
     """Least eigenvalues with n and m; NaN where there is no equilibrium, or no finite tangent."""
-    found = equilibrate(material, path.F, path.free)
+    equilibria = equilibrate(material, path.F, path.free)
     n = len(path.F)
     least, normal, polarisation = np.full(n, np.nan), *np.full((2, n, 3), np.nan)
-    if found.converged.any():
-        states = evaluate(material, found.F[found.converged])
-        there = np.flatnonzero(found.converged)[states.finite]
-        if len(there):
-            least[there], normal[there], polarisation[there] = least_eigenvalues(
+    if equilibria.converged.any():
+        states = evaluate(material, equilibria.F[equilibria.converged])
+        usable = np.flatnonzero(equilibria.converged)[states.finite]
+        if len(usable):
+            least[usable], normal[usable], polarisation[usable] = least_eigenvalues(
                 states.F[states.finite],
                 states.A[states.finite],
                 incompressible=material.incompressible,
@@ -174,7 +174,7 @@ def _polarisations(n: Array, incompressible: bool) -> Array:
 
 
 def _first_loss(margin: Callable[[float], float], values: Array, margins: Array) -> float | None:
-    """Where the margin first vanishes on the way from values[0]; None if not before it is NaN."""
+    """Where the margin first vanishes, starting at values[0]; None if not before it is NaN."""
     gone = ~(margins > 0)
     if not gone.any():
         return None

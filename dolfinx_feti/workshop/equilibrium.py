@@ -34,13 +34,13 @@ Mask = npt.NDArray[np.bool_]
 MAX_STEPS, MAX_HALVINGS = 40, 12
 LOAD_STEPS = (1, 8, 64)
 #: Newton increment of F at which a state has converged; the error left is its square.
-SMALL = 1e-9
+LAST_INCREMENT = 1e-9
 #: Residual, relative to the tangent, above which a small increment means that Newton is stuck.
 BALANCED = 1e-7
 #: Residual, relative to the tangent, that no step can make smaller.
-ROUNDING = 1e-14
+RESIDUAL_ROUNDING = 1e-14
 #: Volume ratio below which a body has collapsed; energies such as St Venant-Kirchhoff's let it.
-FLAT = 1e-6
+COLLAPSED = 1e-6
 
 PERMUTATION = np.array(
     [[[(i - j) * (j - k) * (k - i) / 2 for k in range(3)] for j in range(3)] for i in range(3)]
@@ -95,10 +95,10 @@ class _State:
         """Norm of the residual, infinite where something is no number or the body flat, (n,)."""
         norm = np.linalg.norm(self.r, axis=1)
         usable = np.isfinite(norm) & np.isfinite(self.K).all(axis=(1, 2))
-        return np.where(usable & (np.linalg.det(self.F) > FLAT), norm, np.inf)
+        return np.where(usable & (np.linalg.det(self.F) > COLLAPSED), norm, np.inf)
 
     def below(self, tolerance: float) -> Mask:
-        """Whether the residual is small beside the tangent, (n,)."""
+        """Whether the residual is small compared with the tangent, (n,)."""
         return self.norm < tolerance * (1 + np.abs(self.K).max(axis=(1, 2), initial=0.0))
 
 
@@ -124,17 +124,17 @@ def equilibrate(material: Material, F: Array, free: Array) -> Equilibrium:
     bare = replace(material, kappa=0.0)
     flexibility = None if material.kappa == 0 else 1 / material.kappa
     problem = _Problem(bare, flexibility, free, np.float64(stiffness_scale(bare)))
-    found = Equilibrium(F.copy(), np.zeros(len(F)), np.zeros(len(F), dtype=bool))
+    states = Equilibrium(F.copy(), np.zeros(len(F)), np.zeros(len(F), dtype=bool))
     for steps in LOAD_STEPS:
-        left = np.flatnonzero(~found.converged)
+        left = np.flatnonzero(~states.converged)
         if not len(left):
             break
         with np.errstate(all="ignore"):  # trial states may overflow
             part = _approach(problem, F[left], steps)
-        found.F[left], found.p[left], found.converged[left] = part.F, part.p, part.converged
-    found.F[~found.converged] = np.nan
-    found.p[~found.converged] = np.nan
-    return found
+        states.F[left], states.p[left], states.converged[left] = part.F, part.p, part.converged
+    states.F[~states.converged] = np.nan
+    states.p[~states.converged] = np.nan
+    return states
 
 
 def cofactor(F: Array) -> Array:
@@ -179,8 +179,8 @@ def _newton(problem: _Problem, F: Array, p: Array, alive: Mask) -> tuple[_State,
         if not going.any():
             break
         dx, dp = _increments(problem, state, going)
-        small = (np.abs(dx).max(axis=1, initial=0.0) < SMALL) & state.below(BALANCED)
-        done = done | (going & (small | state.below(ROUNDING)))
+        small = (np.abs(dx).max(axis=1, initial=0.0) < LAST_INCREMENT) & state.below(BALANCED)
+        done = done | (going & (small | state.below(RESIDUAL_ROUNDING)))
         state, moved = _move(problem, state, dx, dp, resting=done | ~going)
         going = going & moved
     return state, done & np.isfinite(state.norm)
@@ -224,7 +224,7 @@ def _assemble(problem: _Problem, F: Array, p: Array) -> _State:
     if problem.flexibility is None:
         return _State(F, np.zeros(len(F)), r, _restrict(states.A / scale, free))
     volume = _entries(cof, free)
-    best = -scale * (r * volume).sum(axis=1) / np.maximum((volume**2).sum(axis=1), FLAT)
+    best = -scale * (r * volume).sum(axis=1) / np.maximum((volume**2).sum(axis=1), COLLAPSED)
     p = np.where(np.isnan(p), best, p)
     K = np.zeros((len(F), len(free) + 1, len(free) + 1))
     K[:, :-1, :-1] = _restrict(total_tangent(states.A, F, p) / scale, free)

@@ -22,7 +22,7 @@ import scipy.optimize
 from ufl.core.expr import Expr
 
 from dolfinx_feti.errors import ConvergenceError
-from dolfinx_feti.tables import Cell, state, table
+from dolfinx_feti.runtime.tables import Cell, state, table
 from dolfinx_feti.workshop.compiled import Material, compile_material
 from dolfinx_feti.workshop.data import DataSet, r_squared, rms_error, stresses
 from dolfinx_feti.workshop.intervals import Parameter, estimate
@@ -135,13 +135,15 @@ def fit(
         return material.with_parameters(**dict(zip(names, map(float, values), strict=True)))
 
     first = np.array(list(start.values()), dtype=np.float64)
-    found = _minimise(lambda values: _residuals(trial(values), data), first, limits)
-    best = trial(found.x)
-    reach = TOUCH * np.maximum(np.abs(found.x), np.abs(first))
-    free = (np.abs(found.x - limits) > reach).all(axis=0)
-    parameters, covariance = estimate(best.parameters, found.jac, 2 * found.cost, free, confidence)
+    optimum = _minimise(lambda values: _residuals(trial(values), data), first, limits)
+    best = trial(optimum.x)
+    reach = TOUCH * np.maximum(np.abs(optimum.x), np.abs(first))
+    free = (np.abs(optimum.x - limits) > reach).all(axis=0)
+    parameters, covariance = estimate(
+        best.parameters, optimum.jac, 2 * optimum.cost, free, confidence
+    )
     responses = tuple(respond(best, d.path) for d in data)
-    return Fit(best, parameters, covariance, confidence, data, responses, int(found.nfev))
+    return Fit(best, parameters, covariance, confidence, data, responses, int(optimum.nfev))
 
 
 def _minimise(
@@ -149,7 +151,7 @@ def _minimise(
 ) -> scipy.optimize.OptimizeResult:
     """Least squares within the limits, (2, m)."""
     try:
-        found = scipy.optimize.least_squares(
+        optimum = scipy.optimize.least_squares(
             residuals,
             start,
             jac="3-point",
@@ -164,12 +166,12 @@ def _minimise(
             "The fit came to parameters without equilibrium at some measured state: give bounds, "
             "or another start."
         ) from error
-    if not found.success:
+    if not optimum.success:
         raise ConvergenceError(
-            f"The fit did not converge within {found.nfev} evaluations; the last values are "
-            f"{found.x.tolist()}: start from there, give bounds, or fewer parameters."
+            f"The fit did not converge within {optimum.nfev} evaluations; the last values are "
+            f"{optimum.x.tolist()}: start from there, give bounds, or fewer parameters."
         )
-    return found
+    return optimum
 
 
 def _residuals(material: Material, data: Sequence[DataSet]) -> Array:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.tables import number
+from dolfinx_feti.runtime.tables import number
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.directions import hemisphere, minimise
 from dolfinx_feti.workshop.equilibrium import total_tangent
@@ -31,7 +31,7 @@ __all__ = ["Moduli", "small_strain_moduli"]
 Array = npt.NDArray[np.float64]
 
 #: Relative distance from an isotropic tensor, or eigenvalue, that counts as zero.
-ZERO = 1e-8
+ZERO_STIFFNESS = 1e-8
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
@@ -122,19 +122,19 @@ def small_strain_moduli(material: Material) -> Moduli:
         least=least,
         bulk=np.inf if material.incompressible else hydrostatic / 3,
         shear=deviatoric / 2,
-        isotropic=bool(np.linalg.norm(D - nearest) <= ZERO * np.linalg.norm(D)),
-        compliance=_invert(B, M) if least > ZERO * np.abs(M).max() else None,
+        isotropic=bool(np.linalg.norm(D - nearest) <= ZERO_STIFFNESS * np.linalg.norm(D)),
+        compliance=_invert(B, M) if least > ZERO_STIFFNESS * np.abs(M).max() else None,
     )
 
 
 def _stiffness(material: Material) -> Array:
     """D at the reference, (3, 3, 3, 3)."""
-    at = evaluate(material, np.eye(3))
-    if not at.finite.all():
+    reference = evaluate(material, np.eye(3))
+    if not reference.finite.all():
         raise ValueError("psi, its stress or its tangent is no finite number at F = I.")
-    p = -np.trace(at.P[0]) / 3 if material.incompressible else 0.0
-    A = total_tangent(at.A, at.F, np.array([p]))[0]
-    return A - np.einsum("ik,jl->ijkl", np.eye(3), at.P[0] + p * np.eye(3))
+    p = -np.trace(reference.P[0]) / 3 if material.incompressible else 0.0
+    A = total_tangent(reference.A, reference.F, np.array([p]))[0]
+    return A - np.einsum("ik,jl->ijkl", np.eye(3), reference.P[0] + p * np.eye(3))
 
 
 def _strains(incompressible: bool) -> Array:

@@ -12,11 +12,11 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.tables import number, state, table
+from dolfinx_feti.runtime.tables import number, state, table
 from dolfinx_feti.workshop.checks import Check, Law, check_law, show
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.ellipticity import Ellipticity, scan_ellipticity
-from dolfinx_feti.workshop.moduli import ZERO, Moduli, small_strain_moduli
+from dolfinx_feti.workshop.moduli import ZERO_STIFFNESS, Moduli, small_strain_moduli
 from dolfinx_feti.workshop.paths import STANDARD_PATHS, Path
 
 __all__ = ["Report", "check"]
@@ -89,15 +89,15 @@ def check(
         raise ValueError(f"strain = {strain}: give a positive number, such as 0.3.")
     tests = [(make, ranges[symbol]) for symbol in ranges for make in STANDARD_PATHS[symbol]]
     law = partial(evaluate, replace(material, kappa=0.0))  # a large κ would hide deviations
-    found = check_law(law, strain=strain, incompressible=material.incompressible, seed=seed)
-    found.append(_check_finite_along(law, [make(values) for make, values in tests]))
+    checks = check_law(law, strain=strain, incompressible=material.incompressible, seed=seed)
+    checks.append(_check_finite_along(law, [make(values) for make, values in tests]))
     if not law(np.eye(3)).finite.all():
-        return Report(material, tuple(found), None, ())
+        return Report(material, tuple(checks), None, ())
     moduli = small_strain_moduli(material)
     scans = tuple(scan_ellipticity(material, make, values) for make, values in tests)
-    found.append(_check_stiffness(moduli))
-    found += [_check_ellipticity(scan) for scan in scans]
-    return Report(material, tuple(found), moduli, scans)
+    checks.append(_check_stiffness(moduli))
+    checks += [_check_ellipticity(scan) for scan in scans]
+    return Report(material, tuple(checks), moduli, scans)
 
 
 def _check_finite_along(law: Law, paths: Sequence[Path]) -> Check:
@@ -114,7 +114,7 @@ def _check_finite_along(law: Law, paths: Sequence[Path]) -> Check:
 
 def _check_stiffness(moduli: Moduli) -> Check:
     """Whether the reference is stable: the least eigenvalue of its stiffness is positive."""
-    name, zero = "stiffness at rest positive", ZERO * np.abs(moduli.stiffness).max()
+    name, zero = "stiffness at rest positive", ZERO_STIFFNESS * np.abs(moduli.stiffness).max()
     if moduli.least > zero:
         return Check(name, "pass", moduli.least, None, "kPa")
     if moduli.least < -zero:

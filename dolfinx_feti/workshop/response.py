@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.tables import state, table
+from dolfinx_feti.runtime.tables import state, table
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.equilibrium import cofactor, equilibrate
 from dolfinx_feti.workshop.paths import Path
@@ -84,16 +84,16 @@ def respond(material: Material, path: Path) -> Response:
     Raises:
         ValueError: The material is incompressible, and the path has no free entries.
     """
-    found = equilibrate(material, path.F, path.free)
+    equilibria = equilibrate(material, path.F, path.free)
     R, n = path.frame, len(path.F)
-    psi, P, F = np.full(n, np.nan), np.full((n, 3, 3), np.nan), R.T @ found.F @ R
-    if found.converged.any():
-        at = evaluate(material, found.F[found.converged])
-        p = found.p[found.converged, None, None] if material.incompressible else 0.0
-        psi[found.converged] = at.psi
-        P[found.converged] = R.T @ (at.P + p * cofactor(at.F)) @ R
+    psi, P, F = np.full(n, np.nan), np.full((n, 3, 3), np.nan), R.T @ equilibria.F @ R
+    if equilibria.converged.any():
+        states = evaluate(material, equilibria.F[equilibria.converged])
+        p = equilibria.p[equilibria.converged, None, None] if material.incompressible else 0.0
+        psi[equilibria.converged] = states.psi
+        P[equilibria.converged] = R.T @ (states.P + p * cofactor(states.F)) @ R
     sigma = P @ F.transpose(0, 2, 1) / _volume_ratio(F)[:, None, None]
-    return Response(path, F, found.p, psi, P, sigma, found.converged)
+    return Response(path, F, equilibria.p, psi, P, sigma, equilibria.converged)
 
 
 def _volume_ratio(F: Array) -> Array:

@@ -1,12 +1,14 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The commands of the benchmarks: each is there as a module and as a file, and explains itself."""
+"""The commands of the benchmarks, and the pages of the documentation that they have made."""
 
 from __future__ import annotations
 
+import importlib
 import re
 import runpy
+import shutil
 import sys
 
 import pytest
@@ -15,31 +17,61 @@ from wall_files import ROOT
 pytest.importorskip("matplotlib")
 pytestmark = pytest.mark.serial
 
-COMMANDS = sorted(path.stem for path in (ROOT / "benchmarks").glob("[a-z]*.py"))
+STUDIES = sorted(path.parent.name for path in (ROOT / "benchmarks").glob("*/run.py"))
 PAGES = [ROOT / "Makefile", ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+RESULTS = ROOT / "docs/results"
+
+#: Studies, and the files of their pages.
+MADE = {
+    "cube": ("linear", "linear.json", "solvers.json"),
+    "compare": ("speed", "speed.json"),
+    "nonlinear": ("nonlinear", "nonlinear.json"),
+    "scaling": ("scaling", "scaling.json"),
+    "load_stepping": ("loading", "loading.json"),
+    "subdomains": ("subdomains", "subdomains.json"),
+}
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", STUDIES)
 def test_command_explains_itself(name, monkeypatch, capsys):
-    """As ``python3 -m benchmarks.compare --help`` and ``python3 benchmarks/compare.py --help``."""
-    file = str(ROOT / "benchmarks" / f"{name}.py")
-    monkeypatch.setattr(sys, "argv", [file, "--help"])
-    monkeypatch.delitem(sys.modules, f"benchmarks.{name}", raising=False)
-    for run, what in ((runpy.run_module, f"benchmarks.{name}"), (runpy.run_path, file)):
+    """As ``python3 -m benchmarks.compare --help`` and ``python3 benchmarks/compare --help``."""
+    folder = str(ROOT / "benchmarks" / name)
+    monkeypatch.setattr(sys, "argv", [folder, "--help"])
+    for run, what in ((runpy.run_module, f"benchmarks.{name}"), (runpy.run_path, folder)):
         with pytest.raises(SystemExit) as caught:
             run(what, run_name="__main__")
         said = capsys.readouterr().out
         assert caught.value.code == 0
         assert said.startswith(f"usage: {name} ")
-        assert "--json" in said or "--output" in said
+        assert "--json" in said
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_page_explains_itself(name, capsys):
+    page = importlib.import_module(f"benchmarks.{name}.page")
+    with pytest.raises(SystemExit) as caught:
+        page.main(["--help"])
+    said = capsys.readouterr().out
+    assert caught.value.code == 0
+    assert said.startswith(f"usage: benchmarks.{name}.page ")
+    assert "--output" in said
 
 
 def test_commands_that_are_documented_exist():
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
-    named = set(re.findall(r"-m benchmarks\.(\w+)", text)) | set(
-        re.findall(r"benchmarks/(\w+)\.py", text)
-    )
-    assert named <= set(COMMANDS), named
-    assert {"compare", "linear", "report", "tube", "load_stepping"} <= named
+    named = re.findall(r"-m\s+benchmarks\.(\w+(?:\.\w+)?)", text)
+    modules = {f"benchmarks.{name}" for name in named}
+    assert modules >= {f"benchmarks.{name}" for name in STUDIES}
+    assert not [name for name in modules if importlib.util.find_spec(name) is None]
     files = re.findall(r"(?<!tests/)(?:benchmarks|demos|meshes)/\w+(?:/\w+)*\.py", text)
     assert not [name for name in set(files) if not (ROOT / name).is_file()]
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_page_of_the_documentation_is_that_of_its_records(name, tmp_path):
+    """Its text by hand stays."""
+    page, *records = MADE[name]
+    shutil.copy(RESULTS / f"{page}.md", tmp_path)
+    module = importlib.import_module(f"benchmarks.{name}.page")
+    module.main([*(str(RESULTS / file) for file in records), "--output", str(tmp_path)])
+    assert (tmp_path / f"{page}.md").read_text() == (RESULTS / f"{page}.md").read_text()

@@ -11,10 +11,10 @@ from pathlib import Path
 from collective import COMM
 from wall_files import on_first
 
-from benchmarks import cube
 from benchmarks.common import machine
-from benchmarks.unit_cube import paper
-from benchmarks.unit_cube.case import Case
+from benchmarks.cube import paper
+from benchmarks.cube import run as cube
+from benchmarks.cube.case import Case
 
 #: A study of a second, with a subdomain for each of three processes.
 SMALL = ["--subdomains-per-edge", "2", "--pc", "dirichlet", "--type", "all_floating"]

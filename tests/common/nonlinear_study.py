@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from benchmarks.common import machine
-from benchmarks.nonlinear_tables import paper
+from benchmarks.nonlinear import paper
 
 __all__ = ["EVERYTHING", "record_of"]
 

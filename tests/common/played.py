@@ -95,6 +95,7 @@ class Played:
         self.attempts: list[Attempt] = []
         self._cost, self._fails, self._inside_out = cost, fails, inside_out
         self._norms: dict[float, tuple[float, float, float]] = {}
+        self._renewed = False
         self.load = self._equilibrium = start
         self._set(*truth(start))
 
@@ -115,6 +116,9 @@ class Played:
         self._norms[norm] = (self.load, *self.state())
         return norm
 
+    def renew(self) -> None:
+        self._renewed = True
+
     def solve(
         self,
         *,
@@ -122,6 +126,7 @@ class Played:
         first_tangent: tuple[float, float, float] | None = None,
         renew: bool = True,
     ) -> None:
+        renewed, self._renewed = renew or self._renewed, False
         before = self._equilibrium
         domain = first_tangent is None and self._inside_out(self.load)
         self.solver.setConvergedReason(
@@ -138,7 +143,7 @@ class Played:
                 first_tangent,
                 self.state(),
                 not fails,
-                renew,
+                renewed,
             )
         )
         for it in range(cost := self._cost(abs(self.load - before))):

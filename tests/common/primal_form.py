@@ -13,11 +13,13 @@ import numpy.typing as npt
 import scipy.linalg
 from collective import COMM, whole
 from hand_torn import HandTorn
+from modes import modes_of
 
-from dolfinx_feti.feti.coarse.averaged import AveragedColumns, AveragedSpace
-from dolfinx_feti.feti.copies import Copies
-from dolfinx_feti.feti.dual_form import DualForm
-from dolfinx_feti.feti.krylov.primal import Outcome, PrimalSystem, conjugate_gradients
+from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
+from dolfinx_feti.feti.dual.form import DualForm
+from dolfinx_feti.feti.gluing.copies import Copies
+from dolfinx_feti.feti.primal.cg import Outcome, PrimalSystem, conjugate_gradients
+from dolfinx_feti.feti.primal.deflation import DeflatedSpace
 
 Array = npt.NDArray[np.float64]
 
@@ -27,6 +29,7 @@ class PrimalForm:
     """A primal system and the parts that it is made of."""
 
     parts: DualForm
+    space: AveragedSpace
     system: PrimalSystem
 
     @property
@@ -39,13 +42,13 @@ class PrimalForm:
         Returns:
             The torn solution, (n,), and how conjugate gradients ended.
         """
-        torn, Γ, S = self.parts.torn, self.copies.dofs, self.parts.preconditioner
+        torn, Γ, S = self.parts.torn, self.copies.dofs, self.parts.operator
         u_D = np.where(torn.dirichlet, u_D, 0.0)
-        f = np.where(torn.dirichlet, 0.0, self.parts.gluing.delta * b - torn.multiply(u_D))
+        f = np.where(torn.dirichlet, 0.0, self.parts.delta * b - torn.multiply(u_D))
         outcome = cg(self.system, S.condense(f)[Γ], **how)
         u = np.zeros(torn.n)
         u[Γ] = outcome.x
-        u = S.complete(u, f)
+        u = S.extend(u, f)
         return u + u_D, outcome
 
 
@@ -61,32 +64,32 @@ def create(
     parts: DualForm, more: Callable[[DualForm, Copies], list[Array]] | None = None
 ) -> PrimalForm:
     """Build the primal form of a FETI system, with E and further columns in the coarse space."""
-    M = parts.preconditioner
-    copies = Copies(parts.torn, M.interface, parts.gluing.delta)
+    S = parts.operator
+    copies = Copies(parts.torn, S.interface, parts.delta)
 
     def torn(t: Array) -> Array:
         u = np.zeros(parts.torn.n)
         u[copies.dofs] = t
         return u
 
-    pairs = zip(parts.modes.E, parts.inverse.dofs, M.interface, strict=True)
+    pairs = zip(modes_of(parts).E, parts.operator.dofs, S.interface, strict=True)
     U = [E[np.isin(dofs, Γ)] for E, dofs, Γ in pairs]
     if more is not None:
         U = [np.hstack(pair) for pair in zip(U, more(parts, copies), strict=True)]
-    space = AveragedSpace(AveragedColumns(copies, U), M, prefix="test_feti_coarse_")
+    space = AveragedSpace(AveragedColumns(copies, U), S, prefix="test_feti_coarse_")
     system = PrimalSystem(
         copies,
-        space,
-        multiply=lambda t: M.multiply(torn(t))[copies.dofs],
+        DeflatedSpace(space, copies, S.multiply_many, None),
+        multiply=lambda t: S.multiply(torn(t))[copies.dofs],
         solve=lambda t: parts.inverse.solve(torn(t))[copies.dofs],
     )
-    return PrimalForm(parts, system)
+    return PrimalForm(parts, space, system)
 
 
 def destroy(form: PrimalForm) -> None:
     """Free what the form owns."""
-    form.system.space.destroy()
-    form.system.space.V.destroy()
+    form.space.destroy()
+    form.space.V.destroy()
     form.copies.destroy()
 
 
@@ -99,7 +102,7 @@ class Dense:
         S: Schur complements, (n, n).
         delta: Weights, (n,).
         S_ρ: Regularised Schur complements, (n, n).
-        E: Stand-ins of the kernels, (n, k).
+        E: Regularised kernels, (n, k).
     """
 
     T: Array
@@ -139,7 +142,7 @@ def reference(problem: HandTorn, form: PrimalForm) -> Dense:
     parts, Γ = form.parts, form.copies.dofs
     start = parts.torn.start
     rows = whole(Γ + start)
-    held = whole(parts.inverse.fixed)
+    held = whole(parts.pattern.dofs.fixed)
     inside = np.setdiff1d(np.flatnonzero(~held), rows)
     K, interior = problem.K_torn, np.ix_(inside, inside)
     free = np.concatenate([rows, inside])
@@ -150,12 +153,12 @@ def reference(problem: HandTorn, form: PrimalForm) -> Dense:
 
     ρ_R = np.zeros((parts.torn.n, 0))
     R_all = ρ_R
-    for R, ρ, dofs in zip(parts.modes.R, parts.modes.rho, parts.inverse.dofs, strict=True):
+    for R, ρ, dofs in zip(modes_of(parts).R, modes_of(parts).rho, parts.operator.dofs, strict=True):
         columns = np.zeros((parts.torn.n, R.shape[1]))
         columns[dofs] = R
         R_all, ρ_R = np.hstack([R_all, columns]), np.hstack([ρ_R, ρ * columns])
     R_all, ρ_R = (scipy.linalg.block_diag(*COMM.allgather(part)) for part in (R_all, ρ_R))
-    if not parts.matrices.condensed:
+    if not parts.operator.eliminated:
         K_ρ = K + ρ_R @ R_all.T
         S_ρ = condensed(K_ρ)
         E = np.zeros_like(R_all)

@@ -24,7 +24,6 @@ def jumps(
     dirichlet: npt.NDArray[np.bool_],
     *,
     all_floating: bool,
-    redundant: bool = True,
 ) -> Array:
     """Form the jump operator, (m, n): differences of copies, then Dirichlet rows.
 
@@ -32,14 +31,12 @@ def jumps(
         to_global: Dof of each torn one, (n,).
         dirichlet: Which *dofs* have a prescribed value, (dofs,).
         all_floating: Whether each copy of a Dirichlet dof has a row.
-        redundant: All pairs of copies or neighbouring ones.
     """
     rows = []
     unit = np.eye(len(to_global))
     for dof in np.flatnonzero(~dirichlet):
         copies = np.flatnonzero(to_global == dof)
-        pairs = itertools.combinations(copies, 2) if redundant else itertools.pairwise(copies)
-        rows += [unit[i] - unit[j] for i, j in pairs]
+        rows += [unit[i] - unit[j] for i, j in itertools.combinations(copies, 2)]
     if all_floating:
         rows += [unit[i] for i in np.flatnonzero(dirichlet[to_global])]
     return np.array(rows).reshape(-1, len(to_global))

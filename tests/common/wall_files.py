@@ -14,7 +14,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti import collective
+from dolfinx_feti.runtime import collective
 from dolfinx_feti.wall import Wall, read_wall
 from meshes.tube import create_tube
 

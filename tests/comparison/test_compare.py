@@ -21,7 +21,7 @@ import ufl
 import dolfinx_feti
 from dolfinx_feti import compare, loads
 from dolfinx_feti.comparison import assembled_system, create_mumps, measure, run, solvers
-from dolfinx_feti.petsc_options import inserted
+from dolfinx_feti.runtime.petsc_options import inserted
 
 RTOL = 1e-9
 #: What is lost between residual and error on these small bodies.

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import mmap
 import time
@@ -14,9 +15,9 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from collective import COMM, agree, dense, equal, small, whole
+from hand_torn import random_values
 from problems import cube, elasticity, owned
 
-from dolfinx_feti import cost as comparison
 from dolfinx_feti.comparison import (
     PeakMemory,
     assembled_system,
@@ -25,6 +26,9 @@ from dolfinx_feti.comparison import (
     relative_residual,
     timed_solve,
 )
+from dolfinx_feti.runtime import cost as comparison
+from dolfinx_feti.runtime.petsc_library import function
+from dolfinx_feti.runtime.petsc_options import inserted
 
 SEED = 8363
 MIB = 2**20
@@ -100,6 +104,28 @@ def test_mumps(torn_grid, symmetric):
     equal(whole(x.array_r), problem.solve(b), 1e-10)
     for made in (ksp, K, f, x):
         made.destroy()
+
+
+def test_mumps_reads_its_options(torn_grid):
+    """Those of the factor, too: ordering by METIS, and the work space in place of our own."""
+    problem = torn_grid((2, 2), (2, 2), components=2)
+    K, f = assembled_system(problem.A, problem.vector(random_values(problem)))
+    with inserted("mumps_", {"mat_mumps_icntl_7": 5, "mat_mumps_icntl_14": 77}):
+        ksp = create_mumps(K)
+        ksp.setUp()
+        factor = ksp.getPC().getFactorMatrix()
+        agree((factor.getMumpsIcntl(7), factor.getMumpsIcntl(14)) == (5, 77))
+        agree(all(map(option_used, ("mumps_mat_mumps_icntl_7", "mumps_mat_mumps_icntl_14"))))
+    for made in (ksp, K, f):
+        made.destroy()
+
+
+def option_used(name):
+    """Ask PETSc whether an option of the database, without its dash, has been read."""
+    arguments = (ctypes.c_void_p, ctypes.c_char_p, ctypes.POINTER(ctypes.c_int))
+    used = ctypes.c_int()
+    agree(function("PetscOptionsUsed", arguments)(None, name.encode(), ctypes.byref(used)) == 0)
+    return bool(used.value)
 
 
 def test_beside_a_linear_problem(solve):

@@ -28,7 +28,7 @@ pytest.importorskip("matplotlib")
 
 PICTURES = ("wall.png", "fibres.png", "convergence.png")
 #: A wall as small as can be, with both layers.
-TUBE = "--geometry tube --size 1 --pressure 2 --steps 3 --subdomains 4".split()
+TUBE = "--mesh tube --size 1 --pressure 2 --steps 3 --subdomains 4".split()
 #: Its numbers, on any number of processes.
 TUBE_DOFS, TUBE_DISPLACEMENT = 1680, 0.03652351  # mm
 #: Demos that import nothing of their folder, with the picture that each draws.
@@ -169,13 +169,12 @@ def check_tube(folder: Path, processes: int) -> None:
     summary = read_summary(folder)
     agree(summary["processes"] == processes)
     agree(summary["pressure_mmhg"] == 2.0 and summary["load_steps"][-1] == 2.0)
-    agree(summary["subdomains"] >= 4 and summary["geometry"] == "tube")
+    agree(summary["subdomains"] >= 4 and summary["mesh"] == "tube")
     agree(summary["newton_iterations"] >= len(summary["load_steps"]) >= 2)
     agree(summary["linear_iterations"] >= 5 * summary["newton_iterations"])
     agree(0.0 < summary["max_linear_ratio"] <= 1.0)
     agree(0.0 < summary["newton_residual"] <= 1e-8, summary["newton_residual"])
     agree(summary["seconds_linear_feti"] > 0.0 and summary["seconds_linear_mumps"] > 0.0)
-    agree(sum(summary["iterations_per_newton"]) <= summary["linear_iterations"])
     agree(0.0 < summary["difference_to_mumps"] <= 1e-6)
     agree(summary["seconds"] > 0.0)
     for cost in summary["last_step"].values():
@@ -202,7 +201,6 @@ def test_artery_from_the_command_line(tmp_path):
     status, said = run_alone("demos/demo_artery.py", *TUBE, "--output", str(tmp_path), "-log_view")
     agree(status == 0, said)
     agree("FETISolve" in said and "A Newton step at 2 mmHg" in said, said)
-    agree("This takes less than two minutes" in said, said)
     agree(
         re.search(r"load step 2: \d.* of 2 mmHg, .* linear iterations, residual .* left", said),
         said,
@@ -213,9 +211,9 @@ def test_artery_from_the_command_line(tmp_path):
 def test_vessel(run, tmp_path):
     """What the demo takes if it is not told, on as coarse a mesh as there is."""
     few = "--size 2 --degree 1 --pressure 0.5 --steps 1 --subdomains 8".split()
-    run("demo_artery.py", *few, "--output", tmp_path)
+    demo = run("demo_artery.py", *few, "--output", tmp_path)
     summary = read_summary(tmp_path)
-    agree(summary["geometry"] == "vessel" and summary["least_quality"] >= 0.1)
+    agree(summary["mesh"] == "vessel" and demo["quality"].minimum >= 0.1)
     agree(summary["pressure_mmhg"] == 0.5 and summary["max_linear_ratio"] <= 1.0)
     check_pictures(tmp_path)
 
@@ -226,7 +224,7 @@ def test_wall_of_ones_own_and_options_of_the_solver(run, tmp_path):
     report = demo["problem"].solver.getKSP().getPythonContext().report()
     agree(report.options.type == "classical" and report.options.pc_type == "lumped")
     summary = read_summary(tmp_path)
-    agree(summary["geometry"] == str(EXAMPLE) and summary["cells"] == 336)
+    agree(summary["mesh"] == str(EXAMPLE) and demo["mesh"].topology.index_map(3).size_global == 336)
     agree(summary["pressure_mmhg"] == 0.5 and summary["max_linear_ratio"] <= 1.0)
 
 
@@ -235,27 +233,6 @@ def test_picture_that_cannot_be_written_ends_all_processes(run, tmp_path):
     on_first(lambda: (tmp_path / "wall.png").mkdir())
     with raises(IsADirectoryError, "wall.png"):
         run("demo_artery.py", *LEAST, "--output", tmp_path)
-
-
-def test_artery_goes_on_from_a_checkpoint(run, tmp_path, capsys):
-    """To a higher pressure; the steps before count, and what was written then stays."""
-    pytest.importorskip("adios4dolfinx")
-    words = [*LEAST, "--output", tmp_path, "--checkpoint", tmp_path / "run"]
-    run("demo_artery.py", *words)
-    first = read_summary(tmp_path)
-    run("demo_artery.py", *words, "--pressure", "1", "--restart")
-    summary = read_summary(tmp_path)
-    agree(summary["load_steps"][: len(first["load_steps"])] == first["load_steps"])
-    agree(summary["pressure_mmhg"] == 1.0 and summary["max_linear_ratio"] <= 1.0)
-    agree(summary["newton_iterations"] > first["newton_iterations"])
-    names = {path.stem for path in tmp_path.glob("wall*.[bx]*")}
-    agree(names == {"wall", "wall_from_0.5_mmHg"}, names)
-    for other, match in (
-        (["--kappa", "10", "--restart"], "of another problem: κ .kPa. is 1000.0 there and 10.0"),
-        (["--degree", "2", "--restart"], "is one of another problem: elements are"),
-        ([], "holds the checkpoint of an earlier run"),
-    ):
-        refused(run, capsys, match, *words, *other)
 
 
 # -- what they refuse
@@ -273,7 +250,7 @@ def wrong_command_line(run, capsys, *arguments: str) -> str:
 @pytest.mark.serial
 @pytest.mark.parametrize("value", ["nan", "inf", "-1", "0", "abc"])
 def test_numbers_that_are_not_positive(run, capsys, value):
-    for option in ("--pressure", "--size", "--kappa", "--c"):
+    for option in ("--pressure", "--size", "--kappa"):
         said = wrong_command_line(run, capsys, option, value)
         agree(f"argument {option}: '{value}' is not a positive number" in said, said)
 
@@ -290,13 +267,10 @@ def test_counts_that_are_none(run, capsys, value):
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
-        (["--geometry", "cube"], "invalid choice: 'cube'"),
         (["--degree", "3"], "invalid choice: "),
         (["--presure", "10"], "unrecognized arguments: --presure 10"),
         (["ten"], "unrecognized arguments: ten"),
-        (["--restart"], "--restart: it needs --checkpoint FOLDER"),
-        (["--wall", "wall.toml", "--c", "3"], "--c: the file of --wall says it"),
-        (["--wall", "wall.toml", "--pressure", "9"], "--pressure: the file of --wall says it"),
+        (["--wall", "wall.toml", "--mesh", "tube"], "--mesh: not allowed with argument --wall"),
     ],
 )
 def test_unknown_words(run, capsys, arguments, match):
@@ -323,7 +297,7 @@ def test_mesh_with_a_missing_tag(run, tmp_path, capsys):
         write_msh(path, mesh, {k: v for k, v in NUMBERS.items() if k != "lumen"})
 
     on_first(write)
-    match = "no surface 'lumen' for the pressure; it has outer, opening_1, opening_2: .*--wall"
+    match = "surfaces.lumen.: the wall has no surface 'lumen'; it has outer, opening_1, opening_2"
     refused(run, capsys, match, "--mesh", path, "--output", tmp_path / "run")
 
 
@@ -361,7 +335,7 @@ def test_wrong_options_of_the_solver(run, tmp_path, capsys, options, match):
 )
 def test_options_with_one_dash_are_petscs(monkeypatch, line, solver, rest):
     monkeypatch.syspath_prepend(str(DEMOS))
-    parse = runpy.run_path(str(DEMOS / "artery/arguments.py"))["parse"]
+    parse = runpy.run_path(str(DEMOS / "artery_arguments.py"))["parse"]
     own, found, others = parse(line.split())
     agree((found, others) == (solver, rest), (found, others))
-    agree(own.pressure == (3.0 if "--pressure" in line else 10.0))
+    agree(own.pressure == (3.0 if "--pressure" in line else None))

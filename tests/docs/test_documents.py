@@ -10,14 +10,21 @@ import importlib
 import importlib.util
 import re
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
+from dolfinx_feti.feti.options import FETIOptions
+
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "dolfinx_feti"
 FOLDERS = ("benchmarks", "demos", "docs", "dolfinx_feti", "meshes", "scripts", "tests")
-DOCUMENTS = [ROOT / "README.md", *ROOT.glob("*/README.md"), *sorted((ROOT / "docs").rglob("*.md"))]
+DOCUMENTS = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md")),
+    *ROOT.glob("*/README.md"),
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
 
 pytestmark = pytest.mark.serial
 
@@ -62,7 +69,7 @@ def imported(source: str) -> Iterator[tuple[str, str]]:
 @every_document
 def test_paths_exist(document):
     named = list(paths(document.read_text(encoding="utf-8")))
-    tops = (ROOT, PACKAGE)  # the rooms of README.md are folders of the package
+    tops = (ROOT, PACKAGE)  # pages name folders of the package without its name, too
     missing = [path for path in named if not any((top / path).exists() for top in tops)]
     assert not missing
 
@@ -75,9 +82,10 @@ def test_links_lead_somewhere(document):
 
 @every_document
 def test_commands_name_modules_that_exist(document):
-    modules = re.findall(r"-m ((?:benchmarks|meshes)\.\w+)", document.read_text(encoding="utf-8"))
-    files = [ROOT / f"{module.replace('.', '/')}.py" for module in modules]
-    assert not [file for file in files if not file.exists()]
+    modules = re.findall(
+        r"-m\s+((?:benchmarks|meshes)[.\w]+\w)", document.read_text(encoding="utf-8")
+    )
+    assert not [name for name in modules if importlib.util.find_spec(name) is None]
 
 
 @every_document
@@ -94,6 +102,14 @@ def test_names_of_the_api_exist():
     for module, cell in rows:
         for name in re.findall(r"`(\w+)`", cell):
             assert hasattr(importlib.import_module(module), name), f"{module}.{name}"
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/options.md"])
+def test_options_and_their_defaults_are_those_of_the_code(page):
+    table = (ROOT / page).read_text(encoding="utf-8").partition("| values, the default first |")[2]
+    rows = re.findall(r"^\| `feti_(\w+)` \| `?([\w.]+)", table.partition("\n\n")[0], re.M)
+    assert len(rows) == len(dict(rows))
+    assert dict(rows) == {option.name: str(option.default) for option in fields(FETIOptions)}
 
 
 def test_moved_modules_are_where_the_changelog_says():

@@ -33,13 +33,12 @@ def difference(u, expected):
         (1, "dirichlet"),
         (1, "lumped"),
         (1, "identity"),
-        (1, "none"),
         (2, "dirichlet"),
         (2, "lumped"),
     ],
 )
 def test_all_options(kind, degree, pc_type, feti):
-    """Elasticity on tetrahedra with every scaling, gluing and weight of the projection."""
+    """Elasticity on tetrahedra with every scaling and weight of the projection."""
     problem = elasticity(cube(3, 2), degree=degree, stretched=True)
     linear = dolfinx_feti.LinearProblem(
         problem.a, problem.L, bcs=problem.bcs, subdomains=6, petsc_options_prefix="set_up_"
@@ -47,13 +46,10 @@ def test_all_options(kind, degree, pc_type, feti):
     expected = problem.solve_directly()
     linear.solve()
     x = linear.A.createVecRight()
-    for scaling, gluing, q in itertools.product(
-        ("stiffness", "multiplicity"),
-        ("full", "nonred"),
-        ("preconditioner", "diagonal", "identity"),
+    for scaling, q in itertools.product(
+        ("stiffness", "multiplicity"), ("preconditioner", "diagonal", "identity")
     ):
-        options = {"type": kind, "pc_type": pc_type, "scaling": scaling}
-        options |= {"gluing": gluing, "coarse_q": q}
+        options = {"type": kind, "pc_type": pc_type, "scaling": scaling, "coarse_q": q}
         names = {f"feti_{name}": value for name, value in options.items()}
         ksp = feti(linear.A, ksp_rtol=1e-10, **names)
         ksp.solve(linear.b, x)

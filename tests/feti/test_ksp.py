@@ -9,12 +9,12 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from collective import COMM, agree, equal, raises, small
+from collective import COMM, agree, dense, equal, raises, small
 from hand_torn import random_values, solve
 
 from dolfinx_feti import FETI
 from dolfinx_feti.feti.inertia import Inertia
-from dolfinx_feti.petsc_options import inserted
+from dolfinx_feti.runtime.petsc_options import inserted
 
 SEED = 101013
 
@@ -99,10 +99,7 @@ def test_view(torn_grid, feti, tmp_path):
     ksp.destroy()
     for kind, expected in (
         ("classical", ["2 of dimension 0, 2 of dimension 3", "dofs", "subdomains            4\n"]),
-        (
-            "all_floating",
-            ["4 of dimension 3; 4 exact", "full gluing", "coarse size           12\n"],
-        ),
+        ("all_floating", ["4 of dimension 3; 4 exact", "dual form", "coarse size           12\n"]),
     ):
         ksp = feti(problem.A, feti_type=kind)
         solve(ksp, problem, random_values(problem))
@@ -143,7 +140,7 @@ def test_log_events(torn_grid, feti):
     problem.local.scale(2.0)
     solve(ksp, problem, random_values(problem))
     found = np.array(counts()) - before
-    equal(found[:7], [3, 2, 2, 3, 3, 2, 2])
+    equal(found[:7], [3, 5, 2, 3, 3, 2, 2])
     agree(found[7:].min() > 0, found)
 
 
@@ -267,3 +264,58 @@ def test_assembled_matrix_is_refused(torn_grid):
         context.setUp(ksp)
     ksp.destroy()
     assembled.destroy()
+
+
+@pytest.mark.parametrize("formulation", ["dual", "primal"])
+def test_monitor_of_one_process(formulation, torn_grid, feti):
+    """As after ``if comm.rank == 0: ksp.setMonitor(…)``: it sees all iterations, and none waits."""
+    problem = torn_grid((2, 2), (3, 3), components=2)
+    ksp = feti(problem.A, feti_formulation=formulation)
+    norms = []
+    if COMM.rank == 0:
+        ksp.setMonitor(lambda ksp, its, norm: norms.append(norm))
+    solve(ksp, problem, random_values(problem))
+    agree(ksp.getConvergedReason() > 0)
+    agree(len(norms) == (ksp.getIterationNumber() + 1 if COMM.rank == 0 else 0), len(norms))
+
+
+def test_symmetry_is_looked_at_after_a_failed_set_up(torn_grid, feti):
+    """NaN, and then a matrix that is not symmetric any more."""
+    problem = torn_grid((2, 2), (3, 3))
+    ksp = feti(problem.A, ksp_rtol=1e-10)
+    values = random_values(problem)
+    solve(ksp, problem, values)
+    keep = problem.local.copy()
+    problem.local.scale(np.nan)
+    reason, _ = solve(ksp, problem, values)
+    agree(reason == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED)
+    rows = problem.local.getSize()[0]
+    keep.copy(problem.local, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+    weight = problem.local.createVecLeft()
+    weight.array[:] = 1.0 + 0.05 * np.cos(np.arange(rows))
+    problem.local.diagonalScale(weight)
+    reason, x = solve(ksp, problem, values)
+    agree(reason > 0, ksp.getPythonContext().message)
+    agree(not ksp.getPythonContext().form.pattern.symmetric)
+    whole_matrix = PETSc.Mat()
+    problem.A.convert("aij", whole_matrix)
+    K, free = dense(whole_matrix), ~problem.dirichlet
+    equal((K @ x)[free], values[free], 1e-8)
+    for owned in (keep, weight, whole_matrix):
+        owned.destroy()
+
+
+@pytest.mark.parametrize("formulation", ["dual", "primal"])
+def test_advice_is_that_of_the_form(formulation, torn_grid, feti):
+    """The remedy for an indefinite matrix has an effect on the form in force."""
+
+    def push(K, dofs):
+        K[0] -= 0.3 * np.abs(K[0]).max() * np.eye(len(K[0]))
+
+    problem = torn_grid((2, 2), (3, 3), components=2, change=push)
+    options = {"feti_dual_ksp_type": "cg"} if formulation == "dual" else {}
+    ksp = feti(problem.A, feti_formulation=formulation, **options)
+    reason, _ = solve(ksp, problem, random_values(problem))
+    agree(reason < 0)
+    advice = {"dual": "feti_dual_ksp_type gmres", "primal": "feti_formulation dual"}
+    agree(advice[formulation] in ksp.getPythonContext().message, ksp.getPythonContext().message)

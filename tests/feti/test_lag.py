@@ -16,6 +16,8 @@ import pytest
 from collective import agree, equal
 from hand_torn import COMM, HandTorn, random_values, solve
 
+from dolfinx_feti import FETI
+from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.report import table
 
 Array = npt.NDArray[np.float64]
@@ -44,11 +46,10 @@ def scale(problem: HandTorn, factors: Sequence[float]) -> None:
 def primal(torn_grid: Callable[..., HandTorn], feti: Callable[..., PETSc.KSP]) -> Callable:
     """Make a problem and a KSP in the primal form whose preconditioner lasts."""
 
-    def create(**options: object) -> tuple[HandTorn, PETSc.KSP]:
+    def create(*, newton: bool = True, **options: object) -> tuple[HandTorn, PETSc.KSP]:
         problem = torn_grid(**GRID)
         given = {"feti_formulation": "primal", "ksp_rtol": 1e-11, **options}
-        ksp = feti(problem.A, **given)
-        ksp.getPythonContext().lasting = True
+        ksp = feti(problem.A, FETI(newton=newton), **given)
         return problem, ksp
 
     return create
@@ -114,26 +115,83 @@ def test_never_lasts(options, primal):
 
 
 def test_lasts_only_if_asked(primal):
-    problem, ksp = primal()
-    ksp.getPythonContext().lasting = False
+    problem, ksp = primal(newton=False)
     ages = [check(problem, ksp)]
     scale(problem, [1.1, 1.0, 1.0, 1.0])
     agree([*ages, check(problem, ksp)] == [0, 0])
 
 
 @every_type
-def test_ends_where_iterations_grow(kind, primal):
-    """Another material: the solve is given up or slow, and either way the next one is fresh."""
+def test_ends_where_iterations_grow(kind, primal, monkeypatch):
+    """Another material: a solve that is given up is repeated, and its iterations count."""
     problem, ksp = primal(feti_type=kind)
     check(problem, ksp)
     scale(problem, [1e4, 1.0, 1e-3, 1e2])
-    first = check(problem, ksp)
+    with monkeypatch.context() as patience:
+        patience.setattr("dolfinx_feti.feti.lasting.HOPELESS", 1.0)
+        agree(check(problem, ksp) == 0, "the preconditioner of the first material is of no use")
     spent = ksp.getIterationNumber()
     scale(problem, [1.01, 1.0, 1.0, 1.0])
-    second = check(problem, ksp)
-    agree(0 in (first, second), (first, second))
-    if first == 0:  # those of the attempt that was given up count
-        agree(spent > ksp.getIterationNumber(), (spent, ksp.getIterationNumber()))
+    agree(check(problem, ksp) == 1, "that of the repeated solve lasts: what was spent before it")
+    agree(spent > ksp.getIterationNumber(), (spent, ksp.getIterationNumber()))
+
+
+def test_slow_solve_ends_the_life_of_a_preconditioner(primal, monkeypatch):
+    """Not at once, but with the next matrix."""
+    monkeypatch.setattr("dolfinx_feti.feti.lasting.HOPELESS", 1e3)
+    problem, ksp = primal()
+    check(problem, ksp)
+    scale(problem, [1e3, 1.0, 1e-2, 1e1])
+    agree(check(problem, ksp) == 1)
+    scale(problem, [1.01, 1.0, 1.0, 1.0])
+    agree(check(problem, ksp) == 0)
+
+
+def test_maximum_holds_for_all_attempts_together(primal, monkeypatch):
+    monkeypatch.setattr("dolfinx_feti.feti.lasting.HOPELESS", 1.0)
+    problem, ksp = primal()
+    values = random_values(problem)
+    solve(ksp, problem, values)
+    scale(problem, [1e4, 1.0, 1e-3, 1e2])
+    solve(ksp, problem, values)
+    most = ksp.getIterationNumber() - 1
+    problem, ksp = primal(ksp_max_it=most)
+    solve(ksp, problem, values)
+    scale(problem, [1e4, 1.0, 1e-3, 1e2])
+    reason, _ = solve(ksp, problem, values)
+    agree(reason == Reason.DIVERGED_MAX_IT and ksp.getIterationNumber() == most, reason)
+
+
+def test_set_up_that_fails_with_an_old_preconditioner_is_repeated(primal, monkeypatch):
+    """The present matrix may still be set up on its own."""
+    problem, ksp = primal()
+    check(problem, ksp)
+    scale(problem, [1.1, 1.0, 1.0, 1.0])
+
+    def fail(*args: object, **kwargs: object) -> None:
+        raise SetUpError("the coarse problem could not be factored")
+
+    monkeypatch.setattr("dolfinx_feti.feti.lasting.create_lagged_form", fail)
+    agree(check(problem, ksp) == 0)
+
+
+def test_other_form_that_cannot_be_set_up(torn_grid, feti, monkeypatch):
+    """A reason and a message, no exception out of the solve."""
+
+    def push(K: list[Array], dofs: list[npt.NDArray[np.int64]]) -> None:
+        K[1] -= 0.002 * np.diag(K[1].diagonal())
+
+    def fail(*args: object, **kwargs: object) -> None:
+        raise SetUpError("no dual form today")
+
+    problem = torn_grid(**GRID, change=push)
+    ksp = feti(problem.A, FETI(newton=True), ksp_rtol=1e-11)
+    check(problem, ksp)
+    scale(problem, [1.0, 1.0, -1.0, 1.0])
+    monkeypatch.setattr("dolfinx_feti.feti.lasting.create_dual_form", fail)
+    reason, _ = solve(ksp, problem, random_values(problem))
+    agree(reason == Reason.DIVERGED_PCSETUP_FAILED, reason)
+    agree("no dual form today" in ksp.getPythonContext().message)
 
 
 def test_indefinite_matrix_is_told(primal, caplog):
@@ -155,8 +213,7 @@ def test_other_form_where_matrix_turns_indefinite(torn_grid, feti):
         K[1] -= 0.002 * np.diag(K[1].diagonal())  # D of this subdomain gets negative eigenvalues
 
     problem = torn_grid(**GRID, change=push)
-    ksp = feti(problem.A, ksp_rtol=1e-11)
-    ksp.getPythonContext().lasting = True
+    ksp = feti(problem.A, FETI(newton=True), ksp_rtol=1e-11)
     check(problem, ksp)
     agree(ksp.getPythonContext().report().formulation == "primal")
     scale(problem, [1.0, 1.0, -1.0, 1.0])

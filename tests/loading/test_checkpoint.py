@@ -169,7 +169,7 @@ def test_damaged_states(tmp_path, state, damage):
             )
 
     on_first(spoil)
-    with raises(ValueError, "state.bp/data.* is missing or damaged: begin anew in another folder"):
+    with raises(ValueError, "state.bp/data.* is missing or damaged: start again in another folder"):
         opened(tmp_path)
 
 

@@ -94,6 +94,20 @@ def test_bar_goes_when_the_way_ends(played, terminal):
     agree(terminal.getvalue() == written)
 
 
+def test_one_monitor_however_many_loads(played, terminal):
+    """The user's own stays, too; each load has its own bar."""
+    problem, seen = played(), []
+    problem.solver.setMonitor(lambda snes, its, norm: seen.append(its))
+    for load in (1.0, 2.0, 3.0):
+        problem.follow([load], Steps(first=1.0, least=1.0))
+    monitors = len(problem.solver.getMonitor())
+    agree(monitors == (2 if COMM.rank == 0 else 1), monitors)
+    agree(seen == [0, 0, 0], seen)
+    shown = [line.split("%")[1] for line in lines(terminal.getvalue()) if "Newton" in line]
+    loads = ["0 → 1 of 1", "1 → 2 of 2", "2 → 3 of 3"] if COMM.rank == 0 else []
+    agree([text.split("  ")[1] for text in shown] == loads, shown)
+
+
 def test_bar_makes_room_for_other_output(played, terminal):
     """Where ``on_step`` is called, the line is empty."""
     cleared = []

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from bodies import two_wells
 from collective import COMM, agree, equal, small
-from problems import cube, elasticity, poisson
+from problems import Problem, cube, dirichlet, elasticity, poisson
 from walls import tube, wall
 
 import dolfinx
@@ -135,6 +135,18 @@ def test_picture(dim, simplices):
     agree(figure.axes[0].collections and figure.axes[-1].get_ylabel() == "residual of a subdomain")
 
 
+def test_line():
+    """An interval: a segment for each cell, drawn in the plane."""
+    pytest.importorskip("matplotlib")
+    V = dolfinx.fem.functionspace(dolfinx.mesh.create_unit_interval(COMM, 16), ("Lagrange", 1))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    left = dirichlet(V, lambda x: np.isclose(x[0], 0.0))
+    found = linear(Problem(V, u.dx(0) * v.dx(0) * ufl.dx, v * ufl.dx, [left]), 3).diagnose()
+    agree(found.surface.corners.shape == (16, 2, 2) and not found.surface.corners[..., 1].any())
+    small(np.abs(np.diff(found.surface.corners[..., 0])).sum() - 1.0, 1e-14)
+    agree(len(found.plot().axes[0].collections) == 1)
+
+
 # -- advice: a problem that gets it, and one that does not
 
 
@@ -156,7 +168,7 @@ def test_many_iterations(monkeypatch):
     """Without a preconditioner there are many."""
     monkeypatch.setattr(advice, "FEW_DOFS", 0)
     body = elasticity(cube(3, 4))
-    weak = {"feti_pc_type": "none", "feti_coarse_modes": 0, "feti_stagnation": 999}
+    weak = {"feti_pc_type": "identity", "feti_coarse_modes": 0}
     monkeypatch.setattr(advice, "MANY_ITERATIONS", 40)
     agree("iterations" in quantities(linear(body, 8 * COMM.size, ksp_rtol=1e-12, **weak)))
     agree("iterations" not in quantities(linear(body, 2 * COMM.size)))

@@ -17,7 +17,7 @@ import dolfinx
 import ufl
 
 import dolfinx_feti
-from dolfinx_feti.petsc_options import inserted
+from dolfinx_feti.runtime.petsc_options import inserted
 
 
 def create(problem, **changes):

@@ -73,7 +73,7 @@ def test_one_subdomain_a_cell():
     few, many = wall(tube(around=6, along=1), degree=1), wall(tube(around=6, along=1), degree=1)
     few.inflate(few.problem(2, TIGHT), [2.0])
     cells = COMM.allreduce(few.p.function_space.dofmap.index_map.size_local)
-    problem = many.problem(cells, {**TIGHT, "feti_stagnation": 1000})
+    problem = many.problem(cells, TIGHT)
     many.inflate(problem, [2.0])
     agree(COMM.allreduce(problem.decomposition.count) == cells)
     equal(by_place(many.u), by_place(few.u), 1e-8)

@@ -15,7 +15,7 @@ from collective import COMM, agree, equal, raises
 from problems import cube, elasticity, owned, poisson
 
 from dolfinx_feti import ConvergenceError, LinearProblem
-from dolfinx_feti.petsc_options import inserted
+from dolfinx_feti.runtime.petsc_options import inserted
 
 DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 SNES = {"snes_type": "newtonls", "snes_linesearch_type": "none"}

@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from bodies import PREFIX, block, yeoh
-from collective import COMM, agree, raises
+from collective import COMM, agree, equal, raises
 from problems import Problem, cube, poisson
 from walls import tube, wall
 
@@ -111,3 +112,17 @@ def test_condensation(name, monkeypatch):
         monkeypatch.setattr(Condensation, name, broken)
     with raises(FloatingPointError, "on purpose"):
         problem.solve()
+
+
+def test_potential(monkeypatch):
+    """The pressure is the user's again, on all processes."""
+    body = wall(tube(), degree=1)
+    problem = body.problem(4)
+    system = problem._system
+    body.p.x.array[:] = before = np.arange(len(body.p.x.array), dtype=float)
+    potential = broken if LAST else lambda _: 1.0
+    monkeypatch.setattr(system, "_energy", object())
+    monkeypatch.setattr(dolfinx.fem, "assemble_scalar", potential)
+    with raises(FloatingPointError, "on purpose"):
+        system.potential()
+    equal(body.p.x.array, before)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from dolfinx_feti.problems.shift import GROWTH, LEAST, MOST, fallen, raised
+from dolfinx_feti.problems.shift import LARGEST_SHIFT, LEAST_SHIFT, SHIFT_GROWTH, fallen, raised
 
 
 @pytest.mark.serial
@@ -16,20 +16,24 @@ def test_it_grows_from_nothing_to_the_largest():
     while sigma is not None:
         seen.append(sigma)
         sigma = raised(sigma)
-    assert seen == [LEAST * GROWTH**k for k in range(8)] and seen[-1] == MOST
+    assert seen == [LEAST_SHIFT * SHIFT_GROWTH**k for k in range(8)] and seen[-1] == LARGEST_SHIFT
 
 
 @pytest.mark.serial
 @pytest.mark.parametrize(("grown", "steps"), [(True, 9), (False, 5)])
 def test_it_falls_to_nothing(grown, steps):
-    sigma, seen = MOST, []
+    sigma, seen = LARGEST_SHIFT, []
     while sigma > 0.0:
         sigma = fallen(sigma, grown=grown)
         seen.append(sigma)
-    assert len(seen) == steps and all(s >= LEAST / GROWTH for s in seen[:-1])
+    assert len(seen) == steps and all(s >= LEAST_SHIFT / SHIFT_GROWTH for s in seen[:-1])
     assert fallen(0.0, grown=grown) == 0.0
 
 
 @pytest.mark.serial
 def test_what_falls_slowly_had_to_grow():
-    assert fallen(MOST, grown=True) == MOST / GROWTH > fallen(MOST, grown=False)
+    assert (
+        fallen(LARGEST_SHIFT, grown=True)
+        == LARGEST_SHIFT / SHIFT_GROWTH
+        > fallen(LARGEST_SHIFT, grown=False)
+    )

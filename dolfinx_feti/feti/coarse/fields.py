@@ -3,21 +3,18 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Columns of all subdomains on the interface of each: their averages, and their scaled jumps.
 
-With the copies of its dofs averaged, a column of a subdomain reaches into its neighbours, and no
-further. So each subdomain sees
-
 .. math:: W_i = (T V)_i, \quad V = T^⊤ δ\, U, \qquad \text{or} \qquad
           (B_D^⊤ B\, U)_i = U_i - (T V)_i
 
-as a block of its own columns and those of its neighbours, one panel each (``panels``). The first is
-the coarse space of the primal form (``averaged``), the second what the preconditioner of the dual
-form sees of G (``weighted``): on a dof with a prescribed value, where no copies are averaged, it is
-U itself.
+with columns U_i of each subdomain, (n_i, k_i). With the copies of its dofs averaged, a column
+reaches into the neighbours, and no further: :math:`W_i` has one block of columns for each of them
+(``panels``). The averages are the coarse space of the primal form, the jumps what the
+preconditioner of the dual form sees of G. On a dof with a prescribed value, where no copies are
+averaged, the jump is U itself.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,120 +23,110 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.feti.copies import Copies
-from dolfinx_feti.feti.panels import Panels
+from dolfinx_feti.feti.coarse.near import joined
+from dolfinx_feti.feti.gluing.copies import Copies
+from dolfinx_feti.feti.subdomain.panels import Panels
 
 __all__ = ["Fields", "averaged_fields", "jump_fields"]
 
 Array = npt.NDArray[np.float64]
-Numbers = npt.NDArray[np.int64]
+Integers = npt.NDArray[np.integer]
 
 
+@dataclass(frozen=True, slots=True)
 class Fields:
-    """What each subdomain sees of the columns, formed when it is asked for: together it is large.
+    """The columns near each subdomain, by pairs of a row and a subdomain with columns on it.
+
+    Each :math:`W_i` is formed when it is asked for: together they are large.
 
     Attributes:
-        numbers: Numbers of the columns of each subdomain over all processes, ascending, (c_i,).
+        blocks: Rows of each subdomain.
+        row: Row of each pair, ascending, (pairs,).
+        first: Number of the subdomain's first column over all processes, (pairs,).
+        count: Number of its columns, (pairs,).
+        values: Values of these columns in the row, in the first ``count`` entries, (pairs, most).
     """
 
-    def __init__(self, copies: Copies, pairs: _Pairs) -> None:
-        """Sort out whose columns there are.
-
-        Args:
-            copies: Copies of the interface dofs.
-            pairs: What there is on their rows.
-        """
-        self._rows = copies.blocks
-        self._pairs = pairs
-        self.numbers: list[Numbers] = []
-        self._panels: list[list[Numbers]] = []  # the pairs of each owner, for each subdomain
-        ends = np.searchsorted(pairs.row, [rows.start for rows in self._rows] + [copies.n])
-        for start, stop in itertools.pairwise(ends):
-            owners, at, group = np.unique(
-                pairs.first[start:stop], return_index=True, return_inverse=True
-            )
-            width = pairs.count[start:stop][at]
-            before = np.cumsum(width) - width
-            self.numbers.append(np.arange(width.sum()) + np.repeat(owners - before, width))
-            order = np.argsort(group, kind="stable") + start
-            self._panels.append(np.split(order, np.cumsum(np.bincount(group))[:-1]))
+    blocks: Sequence[slice]
+    row: Integers
+    first: Integers
+    count: Integers
+    values: Array
 
     def __len__(self) -> int:
         """Return the number of subdomains."""
-        return len(self.numbers)
-
-    def memory(self) -> float:
-        """Return the memory of what there is on the rows in MiB."""
-        return self._pairs.values.nbytes / 2**20
+        return len(self.blocks)
 
     def __getitem__(self, i: int) -> Panels:
-        """Return the columns of subdomain i, a panel for each owner, (n_i, c_i)."""
-        rows, pairs = self._rows[i], self._pairs
-        if len(self.numbers[i]) == 0:
-            return Panels(rows.stop - rows.start, [], [])
+        """Return the columns near subdomain i, by their owners, (n_i, c_i)."""
+        rows, owners = self.blocks[i], self._owners(i)
         return Panels(
             rows.stop - rows.start,
-            [pairs.row[panel] - rows.start for panel in self._panels[i]],
-            [pairs.values[panel, : pairs.count[panel[0]]].T.copy() for panel in self._panels[i]],
+            [self.row[pairs] - rows.start for pairs in owners],
+            [self.values[pairs, : self.count[pairs[0]]].T.copy() for pairs in owners],
         )
+
+    @property
+    def numbers(self) -> list[npt.NDArray[np.int64]]:
+        """Numbers of the columns near each subdomain over all processes, ascending, (c_i,)."""
+        pairs = [[pairs[0] for pairs in self._owners(i)] for i in range(len(self))]
+        return [
+            joined([self.first[p] + np.arange(self.count[p]) for p in each], np.int64)
+            for each in pairs
+        ]
+
+    def _owners(self, i: int) -> list[Integers]:
+        """Return the pairs of subdomain i, by the owner of their columns, ascending."""
+        rows = self.blocks[i]
+        start, stop = np.searchsorted(self.row, [rows.start, rows.stop])
+        if start == stop:
+            return []
+        _, owner = np.unique(self.first[start:stop], return_inverse=True)
+        pairs = start + np.argsort(owner, kind="stable")
+        return np.split(pairs, np.cumsum(np.bincount(owner))[:-1])
 
 
 def averaged_fields(copies: Copies, U: Sequence[Array]) -> Fields:
-    """Return the averaged columns of all subdomains, T V, subdomain by subdomain.
+    """Return the averaged columns of all subdomains, T V. Collective.
 
     Args:
         copies: Copies of the interface dofs.
         U: For each subdomain its columns, (n_i, k_i), numbered on over subdomains and processes.
-
-    Note:
-        Collective.
     """
-    return Fields(copies, _averages(copies, U))
+    own = _own_fields(copies, U)
+    first, count = (
+        copies.values(numbers.astype(np.float64)).astype(np.int64)
+        for numbers in (own.first, own.count)
+    )
+    some = count > 0
+    values = np.empty((np.count_nonzero(some), own.values.shape[1]))
+    for j in range(values.shape[1]):
+        values[:, j] = copies.values(copies.delta * own.values[:, j])[some]
+    return Fields(copies.blocks, copies.row[some], first[some], count[some], values)
 
 
 def jump_fields(copies: Copies, U: Sequence[Array]) -> Fields:
-    """Return the scaled jumps of the columns of all subdomains, B_Dᵀ B U = U − T V.
+    """Return the scaled jumps of the columns of all subdomains, B_Dᵀ B U = U − T V. Collective.
 
     The arguments are those of :func:`averaged_fields`.
-
-    Note:
-        Collective.
     """
-    averages, own = _averages(copies, U), _own(copies, U)
-    values, at = -averages.values, averages.row
-    itself = averages.first == own.first[at]
-    values[itself] += own.values[at[itself]]
-    rest = own.count > 0  # rows with a prescribed value
-    rest[at[itself]] = False
-    row = np.concatenate([at, np.flatnonzero(rest)])
+    own, mean = _own_fields(copies, U), averaged_fields(copies, U)
+    values, diagonal = -mean.values, mean.first == own.first[mean.row]
+    values[diagonal] += own.values[mean.row[diagonal]]
+    alone = own.count > 0
+    alone[mean.row[diagonal]] = False  # rows with a prescribed value are left
+    row = np.concatenate([mean.row, own.row[alone]])
     order = np.argsort(row, kind="stable")
-    pairs = _Pairs(
+    return Fields(
+        copies.blocks,
         row[order],
-        np.concatenate([averages.first, own.first[rest]])[order],
-        np.concatenate([averages.count, own.count[rest]])[order],
-        np.concatenate([values, own.values[rest]])[order],
+        np.concatenate([mean.first, own.first[alone]])[order],
+        np.concatenate([mean.count, own.count[alone]])[order],
+        np.concatenate([values, own.values[alone]])[order],
     )
-    return Fields(copies, pairs)
 
 
-@dataclass(frozen=True, slots=True)
-class _Pairs:
-    """What columns of single subdomains, of those that have any, have on single rows.
-
-    Attributes:
-        row: Row of the interface, ascending, (pairs,).
-        first: First column of the subdomain, (pairs,).
-        count: Its number of columns, (pairs,).
-        values: Their values, in the first ``count`` entries, (pairs, most).
-    """
-
-    row: npt.NDArray[np.integer]
-    first: Numbers
-    count: Numbers
-    values: Array
-
-
-def _own(copies: Copies, U: Sequence[Array]) -> _Pairs:
+def _own_fields(copies: Copies, U: Sequence[Array]) -> Fields:
     """Return the columns of each subdomain on its own rows."""
     count = np.array([U_i.shape[1] for U_i in U], dtype=np.int64)
     first = copies.comm.scan(int(count.sum())) - count.sum() + np.cumsum(count) - count
@@ -148,17 +135,5 @@ def _own(copies: Copies, U: Sequence[Array]) -> _Pairs:
     values = np.zeros((copies.n, most))
     for U_i, rows in zip(U, copies.blocks, strict=True):
         values[rows, : U_i.shape[1]] = U_i
-    return _Pairs(np.arange(copies.n), np.repeat(first, sizes), np.repeat(count, sizes), values)
-
-
-def _averages(copies: Copies, U: Sequence[Array]) -> _Pairs:
-    """Return δ U at each copy of each row. Collective."""
-    own = _own(copies, U)
-    first, count = (copies.values(of.astype(np.float64)) for of in (own.first, own.count))
-    some = count > 0
-    values = np.empty((np.count_nonzero(some), own.values.shape[1]))
-    for j in range(values.shape[1]):
-        values[:, j] = copies.values(copies.delta * own.values[:, j])[some]
-    return _Pairs(
-        copies.row[some], first[some].astype(np.int64), count[some].astype(np.int64), values
-    )
+    row = np.arange(copies.n)
+    return Fields(copies.blocks, row, np.repeat(first, sizes), np.repeat(count, sizes), values)

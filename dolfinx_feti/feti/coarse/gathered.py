@@ -1,13 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A small distributed system, of which every few processes hold a copy.
+"""A small distributed system N x = b, of which each group of processes factors a copy.
 
-The coarse matrix N has a few rows per subdomain. Spread over all processes it is mostly messages;
-on one of them it would have all others send to that one and wait for it. So each group of
-processes, one for about :data:`ROWS` rows, factors N for itself: a solve is one collective call
-that gives the right-hand side to all, and each process takes what it needs from its own group. What
-fails in a factorisation fails on all processes.
+A coarse matrix has a few rows per subdomain. Spread over all processes it is mostly messages; on
+one of them, all others would send to that one and wait. A group has a process for about
+:data:`ROWS` rows: a solve is one collective call that gives b to all, and each process takes its
+part of x from its own group.
 """
 
 from __future__ import annotations
@@ -17,18 +16,17 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_feti.collective import on_all, reason
-from dolfinx_feti.errors import FactorError, SetUpError
-from dolfinx_feti.events import event
-from dolfinx_feti.feti.subdomain.direct import (
-    WORK_SPACE,
-    Pivots,
-    failure,
+from dolfinx_feti.errors import SetUpError
+from dolfinx_feti.feti.subdomain.factors.direct import (
+    factor_with_work_space,
     mebibytes,
     pivots_of,
     prepare_mumps,
-    set_zero_pivot,
+    set_default_factor,
 )
+from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.runtime.collective import on_all, reason
+from dolfinx_feti.runtime.events import event
 
 __all__ = ["GatheredSolver"]
 
@@ -46,10 +44,10 @@ class GatheredSolver:
     def __init__(
         self, N: PETSc.Mat, *, prefix: str, symmetric: bool, zero: float | None = None
     ) -> None:
-        """Gather the rows and factor.
+        """Gather the rows and factor. Collective.
 
         Args:
-            N: Matrix, (K, K), distributed anyhow.
+            N: Matrix, (K, K), distributed in any way.
             prefix: Options prefix of the solver.
             symmetric: Whether N is symmetric (Cholesky) or not (LU).
             zero: MUMPS takes a pivot below this multiple of the norm of N for zero, and solves
@@ -57,9 +55,6 @@ class GatheredSolver:
 
         Raises:
             SetUpError: The options are wrong, or the factorisation failed; on all processes.
-
-        Note:
-            Collective.
         """
         comm, total = N.comm.tompi4py(), N.getSize()[0]
         self._world, self._own = comm, slice(*N.getOwnershipRange())
@@ -101,20 +96,12 @@ class GatheredSolver:
         x.array[:] = self._solution.array_r[self._own] if solved else np.nan
 
     def memory(self) -> float | None:
-        """Return the memory of the factor in MiB; None where the solver does not tell.
-
-        Note:
-            Collective.
-        """
+        """Return the memory of the factor in MiB; None if the solver has no figure. Collective."""
         used = 0.0 if self.ksp is None else mebibytes(self.ksp.getPC())
         return self._world.bcast(used)
 
     def pivots(self) -> Pivots:
-        """Return the number of negative and zero pivots; None where the factor does not tell.
-
-        Note:
-            Collective.
-        """
+        """Return how many pivots are negative and zero; None if not known. Collective."""
         counts = Pivots(0, 0) if self.ksp is None else pivots_of(self.ksp.getPC())
         return self._world.bcast(counts)
 
@@ -129,7 +116,7 @@ class GatheredSolver:
 
 
 def _group(rank: int, processes: int, rows: int) -> int:
-    """Return the group of a process: so many consecutive ones that each has about ROWS rows."""
+    """Return the group of a process: consecutive ones, with about ROWS rows each."""
     size = min(processes, max(1, -(-rows // ROWS)))
     return min(rank // size, processes // size - 1)
 
@@ -148,32 +135,16 @@ def _copy_of_rows(N: PETSc.Mat, rows: slice, group: MPI.Comm) -> PETSc.Mat:
 
 
 def _factor(N: PETSc.Mat, prefix: str, symmetric: bool, zero: float | None) -> PETSc.KSP:
-    """Set the solver up, with more work space for MUMPS if it runs out of it."""
-    cause = ""
-    for percent in WORK_SPACE:
-        ksp = _create_ksp(N, prefix, symmetric, percent)
-        if zero is not None:
-            set_zero_pivot(ksp.getPC(), zero)
-        ksp.setUp()
-        pc = ksp.getPC()
-        failed = pc.getFailedReason()
-        if not failed:
-            return ksp
-        cause = failure(pc)
-        ksp.destroy()
-        if failed != PETSc.PC.FailedReason.FACTOR_OUTMEMORY:
-            break
-    raise FactorError(cause)
+    """Set the solver of a group up."""
 
+    def create(percent: int) -> PETSc.KSP:
+        ksp = PETSc.KSP().create(N.comm)
+        ksp.setOptionsPrefix(prefix)
+        ksp.setOperators(N)
+        ksp.setType(PETSc.KSP.Type.PREONLY)
+        set_default_factor(ksp.getPC(), symmetric)
+        ksp.setFromOptions()
+        prepare_mumps(ksp.getPC(), percent, zero)
+        return ksp
 
-def _create_ksp(N: PETSc.Mat, prefix: str, symmetric: bool, percent: int) -> PETSc.KSP:
-    ksp = PETSc.KSP().create(N.comm)
-    ksp.setOptionsPrefix(prefix)
-    ksp.setOperators(N)
-    ksp.setType(PETSc.KSP.Type.PREONLY)
-    pc = ksp.getPC()
-    pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
-    pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
-    ksp.setFromOptions()
-    prepare_mumps(pc, percent)
-    return ksp
+    return factor_with_work_space(create)

@@ -3,19 +3,19 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The coarse columns near each subdomain: its own and those of its neighbours.
 
-Subdomain i sees :math:`c_i` of the columns of all subdomains, and has them as one dense block
-:math:`W_i`, (n_i, c_i). With the boolean :math:`C_i` that picks them, coarse matrices are
+Subdomain i has :math:`c_i` of the columns of all subdomains as one dense block :math:`W_i`,
+(n_i, c_i). With the boolean :math:`C_i` that picks them, coarse matrices are assembled from
+*element matrices* as in the finite element method,
 
-.. math:: \sum_i C_i^⊤ (W_i^⊤ S_i W_i)\, C_i,
+.. math:: \sum_i C_i^⊤ (W_i^⊤ S_i W_i)\, C_i.
 
-assembled from *element matrices* as finite elements are: the work grows with the number of
-subdomains, and no sparse product is needed. The columns of a subdomain go together: its rows have
-the same columns in the sum, one group after the other, so that where an entry goes follows from two
-groups.
+The work grows with the number of subdomains, and no sparse product is needed. All columns of a
+subdomain are near another one or none, so that its rows in the sum have the same columns.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -24,9 +24,9 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse
 
-from dolfinx_feti.feti.copies import consecutive, star_forest
+from dolfinx_feti.feti.gluing.copies import consecutive, star_forest
+from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.torn import create_torn_matrix
 
 __all__ = ["NearColumns", "joined"]
@@ -43,15 +43,12 @@ class NearColumns:
     """
 
     def __init__(self, numbers: Sequence[Numbers], counts: Sequence[int], comm: MPI.Comm) -> None:
-        """Find the owners of the columns.
+        """Find the owners of the columns. Collective.
 
         Args:
             numbers: Numbers of the columns near each subdomain, all or none of an owner's.
             counts: Number of columns of each subdomain's own.
             comm: Communicator.
-
-        Note:
-            Collective.
         """
         self._comm = comm
         self._numbers = list(numbers)
@@ -77,43 +74,15 @@ class NearColumns:
         return near
 
     def sum(self, elements: Iterable[Array]) -> PETSc.Mat:
-        """Assemble an element matrix for each subdomain, (c_i, c_i), into a matrix, (K, K).
+        """Assemble an element matrix of each subdomain, (c_i, c_i), into one, (K, K). Collective.
 
         Args:
-            elements: The element matrices, one after the other.
+            elements: The element matrices, one after the other; none is kept. Not collective.
 
-        Returns:
-            The matrix, distributed as the columns are; the caller destroys it.
-
-        Note:
-            Collective.
+        Raises:
+            Exception: What the elements of a process raise, on all processes.
         """
-        owners = [np.unique(self._owner(numbers)) for numbers in self._numbers]
-        near = np.unique(joined(owners, np.int64))  # whose columns this process sees
-        first, width = self._first[near], np.diff(self._first)[near]
-        panels = _neighbours([np.searchsorted(near, of) for of in owners], len(near))
-        panel = np.repeat(np.arange(len(near)), np.diff(panels.indptr))  # of each group
-        before = _ends(width[panels.indices])  # columns of all panels before each group
-        shift = before[:-1] - before[panels.indptr[panel]]  # columns of its own panel before it
-        row = _ends(width)  # first row of each panel
-        indptr = _ends(np.repeat(np.diff(before[panels.indptr]), width))
-        data, places = np.zeros(indptr[-1]), panel * len(near) + panels.indices
-        for numbers, element in zip(self._numbers, elements, strict=True):
-            of, group = np.unique(self._owner(numbers), return_inverse=True)
-            a = np.searchsorted(near, of)
-            own = numbers - first[a][group]  # number of each column among its owner's
-            at = shift[np.searchsorted(places, a[:, None] * len(near) + a)]
-            data[(indptr[row[a][group] + own])[:, None] + at[group][:, group] + own] += element
-        columns = np.repeat(row[panels.indices] - before[:-1], width[panels.indices])
-        columns += np.arange(before[-1])
-        indices = np.empty(len(data), dtype=PETSc.IntType)
-        for k, w in enumerate(width):
-            rows = indices[indptr[row[k]] : indptr[row[k] + w]].reshape(w, -1)
-            rows[:] = columns[slice(*before[panels.indptr[k : k + 2]])]
-        csr = (indptr.astype(PETSc.IntType), indices, data)
-        K = PETSc.Mat().createAIJWithArrays((row[-1], row[-1]), csr, comm=PETSc.COMM_SELF)
-        pairs = zip(first, width, strict=True)
-        numbers = joined([np.arange(f, f + w) for f, w in pairs], np.int64)
+        K, numbers = on_subdomains(lambda: self._sum_of_own(elements), self._comm)
         torn = create_torn_matrix(K, numbers, (self._size, self._total), comm=self._comm)
         A = PETSc.Mat()
         torn.convert("aij", A)
@@ -121,30 +90,37 @@ class NearColumns:
         K.destroy()
         return A
 
-    def _owner(self, numbers: Numbers) -> Numbers:
-        """Return the owner of each column."""
-        return np.searchsorted(self._first, numbers, side="right") - 1
+    def _sum_of_own(self, elements: Iterable[Array]) -> tuple[PETSc.Mat, Numbers]:
+        """Sum the element matrices of this process; return the numbers of the columns, too."""
+        reached: dict[int, list[Numbers]] = {}  # by the rows of each owner
+        for numbers in self._numbers:
+            for a, _ in self._owners(numbers):
+                reached.setdefault(a, []).append(numbers)
+        columns = {a: np.unique(np.concatenate(reached[a])) for a in sorted(reached)}
+        width = np.diff(self._first)
+        rows = {a: np.zeros((width[a], len(columns[a]))) for a in columns}
+        for numbers, element in zip(self._numbers, elements, strict=True):
+            for a, own in self._owners(numbers):
+                rows[a][:, np.searchsorted(columns[a], numbers)] += element[own]
+        every = joined([np.arange(*self._first[a : a + 2]) for a in columns], np.int64)
+        local = [np.searchsorted(every, columns[a]) for a in columns]
+        indices = [np.tile(c, width[a]) for a, c in zip(columns, local, strict=True)]
+        length = joined([np.full(width[a], len(columns[a])) for a in columns], np.int64)
+        indptr = np.concatenate([[0], np.cumsum(length)]).astype(PETSc.IntType)
+        csr = (indptr, joined(indices, PETSc.IntType), joined([R.ravel() for R in rows.values()]))
+        n = len(every)
+        return PETSc.Mat().createAIJWithArrays((n, n), csr, comm=PETSc.COMM_SELF), every
+
+    def _owners(self, numbers: Numbers) -> list[tuple[int, slice]]:
+        """Return the owners of columns, and where theirs are."""
+        owner = np.searchsorted(self._first, numbers, side="right") - 1
+        starts = np.flatnonzero(np.diff(owner, prepend=-1))
+        places = [slice(*part) for part in itertools.pairwise([*starts, len(numbers)])]
+        return list(zip(map(int, owner[starts]), places, strict=True))
 
     def destroy(self) -> None:
         """Free the star forest."""
         self._forest.destroy()
-
-
-def _neighbours(seen: Sequence[Numbers], count: int) -> scipy.sparse.csr_array:
-    """Return which owners are seen together, (count, count), columns ascending."""
-    indptr = _ends(np.array([len(owners) for owners in seen], dtype=np.int64))
-    together = joined(seen, np.int64)
-    sees = scipy.sparse.csr_array(
-        (np.ones(len(together)), together, indptr), shape=(len(seen), count)
-    )
-    pairs = scipy.sparse.csr_array(sees.T @ sees)
-    pairs.sort_indices()
-    return pairs
-
-
-def _ends(sizes: Numbers) -> Numbers:
-    """Return 0 and where parts of these sizes, one after the other, end."""
-    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
 
 
 def joined(parts: Sequence[npt.NDArray[Any]], dtype: npt.DTypeLike = float) -> npt.NDArray[Any]:

@@ -4,34 +4,46 @@
 """Blocks cut out of the local matrix, and dense blocks put into a distributed one.
 
 Whatever is done per subdomain can fail on one process alone. :func:`named` adds the number of
-the subdomain to the error; ``setup`` makes it one error on all processes.
+the subdomain to the error; :func:`on_subdomains` makes it one error on all processes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
-from dolfinx_feti.collective import reason
-from dolfinx_feti.errors import FactorError
+from dolfinx_feti.errors import FactorError, SetUpError
+from dolfinx_feti.runtime.collective import on_all, reason
 from dolfinx_feti.torn import Torn
 
-__all__ = ["block_columns", "index_set", "named", "own_columns", "product_many", "sparse_block"]
+__all__ = [
+    "as_slice",
+    "index_set",
+    "named",
+    "on_subdomains",
+    "own_columns",
+    "product_many",
+    "sparse_block",
+]
 
+T = TypeVar("T")
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
 
 class named:  # noqa: N801
-    """Context that lets errors of the work inside name the subdomain.
+    """Context that lets errors of the work inside name the subdomain, by its number.
 
-    Whatever the work raises (LAPACK, ARPACK, SciPy, MUMPS, memory) becomes a ``FactorError``. Not
-    collective: the caller reduces.
+    Whatever the work raises (LAPACK, ARPACK, SciPy, MUMPS) becomes a ``FactorError``, but for a
+    ``MemoryError``. Not collective: the caller reduces. A generator would leave a reference cycle
+    through the traceback.
     """
 
     def __init__(self, subdomain: int) -> None:
@@ -42,20 +54,38 @@ class named:  # noqa: N801
         """Begin the work."""
 
     def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
-        """Name the subdomain in an error.
-
-        Raises:
-            FactorError: The work has raised an error.
-        """
+        """Name the subdomain in an error."""
         if isinstance(error, Exception):
-            kind = "" if isinstance(error, FactorError) else f"{type(error).__name__}: "
-            text = f"subdomain {self._subdomain}: {kind}{reason(error)}"
-            raise FactorError(text) from error
+            name = "" if isinstance(error, FactorError) else f"{type(error).__name__}: "
+            kind = MemoryError if isinstance(error, MemoryError) else FactorError
+            raise kind(f"subdomain {self._subdomain}: {name}{reason(error)}") from error
+
+
+def on_subdomains(work: Callable[[], T], comm: MPI.Comm) -> T:
+    """Do work on the subdomains of each process; an error on one is one on all. Collective.
+
+    Raises:
+        SetUpError: With the error of the first process that met one.
+    """
+    try:
+        return on_all(work, comm)
+    except Exception as error:
+        remedy = "look at coefficients and supports, or take other subdomains"
+        if isinstance(error, MemoryError):
+            remedy = "take more processes, or smaller subdomains"
+        raise SetUpError(f"Work on a subdomain failed ({reason(error)}): {remedy}.") from error
 
 
 def index_set(rows: Indices) -> PETSc.IS:
     """Turn rows into an index set; the caller destroys it."""
     return PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
+
+
+def as_slice(rows: Indices) -> slice | Indices:
+    """Turn consecutive rows into a slice, which numpy copies without an index."""
+    if len(rows) and rows[-1] - rows[0] + 1 == len(rows):
+        return slice(int(rows[0]), int(rows[-1]) + 1)
+    return rows
 
 
 def sparse_block(K: PETSc.Mat, rows: Indices, columns: Indices) -> scipy.sparse.csr_array:
@@ -83,50 +113,26 @@ def product_many(K: PETSc.Mat, rows: Indices, columns: Indices, X: Array) -> Arr
     return Y
 
 
-def block_columns(
-    torn: Torn,
-    rows: Sequence[Indices],
-    blocks: Sequence[tuple[Array, Indices]],
-    sizes: tuple[int, int],
-) -> PETSc.Mat:
-    """Put dense blocks into one distributed matrix, (n_torn, K); rows not named are empty.
+def own_columns(torn: Torn, rows: Sequence[Indices], blocks: Sequence[Array]) -> PETSc.Mat:
+    """Give each block columns of its own, consecutive, in one matrix, (n_torn, Σ c_i). Collective.
 
     Args:
         torn: The torn matrix.
-        rows: Torn dofs of each block, no dof twice.
-        blocks: For each block its values, (rows, columns), and its columns, ascending.
-        sizes: Number of columns of this process and of all.
-
-    Note:
-        Collective.
+        rows: Torn dofs of each block, no dof twice; all other rows of the matrix are empty.
+        blocks: Their values, (rows, c_i).
     """
     width = np.zeros(torn.n, dtype=np.int64)
-    for dofs, (_, columns) in zip(rows, blocks, strict=True):
-        width[dofs] = len(columns)
+    for dofs, block in zip(rows, blocks, strict=True):
+        width[dofs] = block.shape[1]
     first = np.concatenate(([0], np.cumsum(width)))
     values, column = np.empty(first[-1]), np.empty(first[-1], dtype=PETSc.IntType)
-    for dofs, (block, columns) in zip(rows, blocks, strict=True):
-        at = first[dofs][:, None] + np.arange(len(columns))
-        values[at], column[at] = block, columns
+    size = sum(block.shape[1] for block in blocks)
+    start = torn.comm.scan(size) - size
+    for dofs, block in zip(rows, blocks, strict=True):
+        own = np.arange(block.shape[1])
+        at = first[dofs][:, None] + own
+        values[at], column[at] = block, start + own
+        start += len(own)
     csr = (first.astype(PETSc.IntType), column, values)
-    return PETSc.Mat().createAIJ(((torn.n, None), sizes), csr=csr, comm=torn.A.comm)
-
-
-def own_columns(torn: Torn, rows: Sequence[Indices], blocks: Sequence[Array]) -> PETSc.Mat:
-    """Give each block columns of its own, consecutive: one distributed matrix, (n_torn, Σ c_i).
-
-    Args:
-        torn: The torn matrix.
-        rows: Torn dofs of each block, no dof twice.
-        blocks: Their values, (rows, c_i).
-
-    Note:
-        Collective.
-    """
-    count = np.array([block.shape[1] for block in blocks], dtype=np.int64)
-    size = int(count.sum())
-    first = torn.comm.scan(size) - size + np.cumsum(count) - count
-    ends = zip(first, first + count, strict=True)
-    numbers: list[Indices] = [np.arange(*pair, dtype=np.int32) for pair in ends]
-    columns = list(zip(blocks, numbers, strict=True))
-    return block_columns(torn, rows, columns, (size, torn.comm.allreduce(size)))
+    sizes = ((torn.n, None), (size, None))
+    return PETSc.Mat().createAIJ(sizes, csr=csr, comm=torn.A.comm)

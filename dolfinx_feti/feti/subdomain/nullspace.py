@@ -3,83 +3,84 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The null space of a block: motions without energy beyond those that are known.
 
-A few P2–P0 cells move without energy in more than rigid ways (the deviator of the strain vanishes
-for conformal maps, and the change of volume is only felt in the mean of a cell), and so do parts
-that hang together in a point or along an edge. A factor of such a block is worthless, and does not
-say so: rounding turns the pivots that should be zero into tiny ones. What tells is the growth of
-random vectors. The null vectors are singular vectors of the block scaled by its diagonal d,
+With the block scaled by its diagonal d and an orthonormal basis :math:`\hat R` of
+:math:`d^{-1/2} R` for the known modes R, null vectors are
 
 .. math:: \|(d^{-1/2} K d^{-1/2} + \hat R \hat R^⊤)\, \hat y\| ≤ 10^{-12}\, \|\hat y\|,
           \qquad y = d^{-1/2}\, \hat y,
 
-with an orthonormal basis :math:`\hat R` of :math:`d^{-1/2} R` for the known modes R; found among
-all if the block is small, else among a few from inverse iteration with that matrix and
-:math:`10^{-9} I`.
+found among all singular vectors if the block is small, else by inverse iteration with that matrix
+and :math:`10^{-9} I`. A few P2–P0 cells have some beyond the rigid ones, and so have parts that are
+connected in a point or along an edge only. Rounding turns the zero pivots of such a block into tiny
+ones; what tells is the growth of random vectors in a solve.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.errors import FactorError
-from dolfinx_feti.feti.subdomain.sparse.factors import Factors
+from dolfinx_feti.feti.gluing.dofs import Dofs
+from dolfinx_feti.feti.subdomain.blocks import named, sparse_block
+from dolfinx_feti.feti.subdomain.factors.direct import Choice
+from dolfinx_feti.feti.subdomain.factors.pivoted import factor_with_pivots
+from dolfinx_feti.feti.subdomain.factors.protocol import Factor
+from dolfinx_feti.torn import Torn
 
-__all__ = ["factor_tells_singular", "null_space"]
+__all__ = ["factor_tells_singular", "interior_kernel", "null_space"]
 
 Array = npt.NDArray[np.float64]
 Solve = Callable[[Array], Array]
 
-#: A growth of a scaled random vector that no regular block reaches.
-GROWTH = 1e11
+#: A growth of a scaled random vector that no regular block reaches: its condition would be worse.
+SINGULAR_GROWTH = 1e11
 
 #: Random vectors, of which one would nearly always do.
-LOOK = 2
+PROBES = 2
 
-#: A singular value of the scaled block below this is zero.
-ZERO = 1e-12
+#: A singular value of the scaled block below this is zero: rounding in a block of some 1000 dofs.
+NULL = 1e-12
 
-#: Blocks up to this size have all their singular vectors computed.
-DENSE = 600
+#: Blocks of up to so many dofs have all their singular vectors computed.
+ALL_VECTORS = 600
+
+#: Share of the stiffness above which the interface feels a motion of the interior without energy:
+#: none of a positive semi-definite matrix.
+FELT = 1e-5
 
 #: Inverse iteration: share of the diagonal that is added, vectors at first, and rounds.
 SHIFT, VECTORS, ROUNDS = 1e-9, 8, 5
 
 
-def factor_tells_singular(factors: Factors, i: int, d: Array) -> bool:
-    """Tell whether a factored block is singular up to rounding.
-
-    Args:
-        factors: The factors.
-        i: Number of the block.
-        d: Its absolute diagonal, (n,).
-    """
+def factor_tells_singular(factor: Factor, d: Array) -> bool:
+    """Tell whether a factored block of absolute diagonal d, (n,), is singular up to rounding."""
     if len(d) == 0:
         return False
     d = _positive(d)
-    if factors.pivots(i).zero:
+    if factor.pivots.zero:
         return True
-    X = np.random.default_rng(len(d)).standard_normal((len(d), LOOK))
+    X = np.random.default_rng(len(d)).standard_normal((len(d), PROBES))
     root = np.sqrt(d)[:, None]
-    grown = np.linalg.norm(root * factors.solve_many(i, root * X)) / np.linalg.norm(X)
-    return not grown <= GROWTH  # a NaN is no sign of health
+    grown = np.linalg.norm(root * factor.solve(root * X)) / np.linalg.norm(X)
+    return not grown <= SINGULAR_GROWTH  # a NaN is no sign of health
 
 
 def null_space(
-    factors: Factors, i: int, multiply: Solve, d: Array, R: Array | None = None, rho: float = 1.0
+    multiply: Solve,
+    refactor: Callable[[Array, Array], Factor],
+    d: Array,
+    R: Array | None = None,
 ) -> Array:
     """Find the null space of the block K, but for the modes R.
 
     Args:
-        factors: The factors of the block; of a shifted one afterwards, if it is large and there
-            is a null space.
-        i: Number of the block.
         multiply: Applies K to columns, (n, r) → (n, r).
-        d: Its absolute diagonal, (n,).
+        refactor: Factors K + R̂ R̂ᵀ plus a diagonal, given R̂, (n, k), and the diagonal, (n,).
+        d: The absolute diagonal of K, (n,).
         R: Columns R, (n, k); none if not given.
-        rho: The stiffness ρ that the factors have, for the time afterwards.
 
     Returns:
         Null vectors, (n, any number).
@@ -89,22 +90,56 @@ def null_space(
     """
     d = _positive(d)
     n, root = len(d), np.sqrt(d)[:, None]
-    R = np.zeros((n, 0)) if R is None else R
-
-    known = np.linalg.qr(R / root)[0]
+    known = np.linalg.qr((np.zeros((n, 0)) if R is None else R) / root)[0]
 
     def scaled(X: Array) -> Array:
         return multiply(X / root) / root + known @ (known.T @ X)  # d^-½ K d^-½ + R̂ R̂ᵀ
 
-    if n <= DENSE:
+    if n <= ALL_VECTORS:
         values, vectors = _singular(scaled(np.eye(n)))
     else:
-        factors.update_block(i, root * known, shift=SHIFT * d)  # the same matrix, unscaled
-        values, vectors = _smallest(scaled, lambda X: root * factors.solve_many(i, root * X), n)
-    zero = values <= ZERO
-    if n > DENSE and not np.any(zero):
-        factors.update_block(i, R, rho)
-    return vectors[:, zero] / root
+        factor = refactor(root * known, SHIFT * d)  # the same matrix, unscaled
+        values, vectors = _smallest(scaled, lambda X: root * factor.solve(root * X), n)
+        factor.destroy()
+    return vectors[:, values <= NULL] / root
+
+
+def interior_kernel(torn: Torn, dofs: Dofs, choice: Choice, factors: Sequence[Factor]) -> Array:
+    """Return motions of the interior without energy that the interface does not feel, (n, r).
+
+    With r > 0 the assembled matrix is singular.
+
+    Raises:
+        FactorError: The interface feels a motion. Not collective: the caller reduces.
+    """
+    diagonal = np.abs(torn.diagonal())
+    columns = [np.zeros((torn.n, 0))]
+    for i, factor in enumerate(factors):
+        I = dofs.interior[i]  # noqa: E741
+        if factor_tells_singular(factor, diagonal[I]):
+            with named(torn.first + i):
+                columns.append(_null_motions(torn, dofs, choice, i, diagonal[I]))
+    return np.hstack(columns)
+
+
+def _null_motions(torn: Torn, dofs: Dofs, choice: Choice, i: int, d: Array) -> Array:
+    """Return the null vectors of K_II of subdomain i on the torn dofs, (n, r)."""
+    Γ, I = dofs.interface[i], dofs.interior[i]  # noqa: E741
+    K_II, K_ΓI = sparse_block(torn.K, I, I), sparse_block(torn.K, Γ, I)
+
+    def refactor(R: Array, shift: Array) -> Factor:
+        return factor_with_pivots(torn.K, I, choice, R, 1.0, shift)
+
+    Y = null_space(lambda X: K_II @ X, refactor, d)
+    force = K_ΓI @ Y
+    if np.abs(force).max(initial=0.0) > FELT * np.abs(K_II.data).max() * np.abs(Y).max():
+        raise FactorError(
+            "the matrix of its interior is singular, though the assembled one need not be: take "
+            "other subdomains, or the options feti_interior keep and feti_pc_type lumped"
+        )
+    motions = np.zeros((torn.n, Y.shape[1]))
+    motions[I] = Y
+    return motions
 
 
 def _smallest(apply: Solve, invert: Solve, n: int) -> tuple[Array, Array]:
@@ -118,7 +153,7 @@ def _smallest(apply: Solve, invert: Solve, n: int) -> tuple[Array, Array]:
         for _ in range(ROUNDS):
             X = np.linalg.qr(invert(X))[0]
         values, Y = _singular(apply(X))
-        if count >= n or np.any(values > ZERO):
+        if count >= n or np.any(values > NULL):
             return values, X @ Y
         count *= 2
 

@@ -14,64 +14,48 @@ the kernel. For *any* K, put :math:`s = R^⊤ u` and
           u = K^+(f - B^⊤ λ) + E s, \qquad E^⊤(f - B^⊤ λ) = D s.
 
 With :math:`K R = 0` these are :math:`E = R`, :math:`D = 0` and the paper's equations
-(eq. 39, Augustin_eq:localSolutions; eq. 40). A factor with pivots carries R as a border
-(``factors``; fronts do otherwise, see ``regularised``), and one solve with the border yields E and
-D at once, without cancellation:
+(eq. 39, Augustin_eq:localSolutions; eq. 40). Without cancellation, with E' that of :math:`K^⊤`,
 
-.. math:: \begin{pmatrix} K & ρ R \\ ρ R^⊤ & -ρ I \end{pmatrix}
-          \begin{pmatrix} E \\ -D/ρ \end{pmatrix} =
-          \begin{pmatrix} 0 \\ ρ I \end{pmatrix}.
+.. math:: W = K R, \qquad E = R - K_ρ^{-1} W, \qquad D = E'^⊤ W.
 
-R is a function of the present matrix alone, so that a run that is restarted goes on like the one
-that it continues. It holds
+R is a function of the present matrix alone. It holds the rigid body modes that Dirichlet dofs leave
+(``kernel``), the null vectors beyond them (``nullspace``), the modes in which the subdomain buckles
+(``buckling``), so that :math:`K_ρ` is positive definite, and soft ones (``soft``). With the
+eigenvalues :math:`δ < 0` and eigenvectors y of D, the columns
 
-1. the rigid body modes that Dirichlet dofs leave (``kernel``),
-2. the null vectors of K beyond them (``nullspace``), which count as kernel, too,
-3. the modes in which the subdomain buckles, which makes K_ρ positive definite, with a ρ that lifts
-   the most negative of them, and leaves the negative curvature to D; and soft ones, for speed
-   (``enrichment``).
+.. math:: Z = 2 R y \sqrt{-δ}, \qquad K_+ = K + Z Z^⊤
 
-With the eigenvalues :math:`δ < 0` and eigenvectors y of D,
-
-.. math:: K_+ = K + Z Z^⊤, \qquad Z = 2 R y \sqrt{-δ},
-
-is positive semi-definite: these *props* hold a subdomain that would buckle alone, and the
-preconditioner is built on them. (:math:`K + R y (-δ) y^⊤ R^⊤` would just do; the work hardly
-depends on how much more there is.)
-
-Fixing dofs (Brzobohatý et al. 2011) keep the sparsity as well, but are too weak a support: held in
-a few points, a compressed subdomain still gives way, and K_ρ gets more negative eigenvalues.
+*stabilise* a subdomain that would buckle alone: :math:`K_+` is positive semi-definite. In the place
+of K stands S where the interior is eliminated (``operator``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.errors import FactorError
-from dolfinx_feti.events import event
-from dolfinx_feti.feti.subdomain.blocks import named
-from dolfinx_feti.feti.subdomain.direct import sum_pivots
-from dolfinx_feti.feti.subdomain.enrichment import (
-    Basis,
-    Enrichment,
-    append_orthonormal,
-    buckling_modes,
-    join,
-    soft_modes,
-)
+from dolfinx_feti.feti.gluing.dofs import Dofs
+from dolfinx_feti.feti.subdomain.blocks import as_slice, named
+from dolfinx_feti.feti.subdomain.buckling import buckling_modes
+from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_pivots
 from dolfinx_feti.feti.subdomain.kernel import kernel_basis
-from dolfinx_feti.feti.subdomain.matrices import SubdomainMatrices
-from dolfinx_feti.feti.subdomain.modes import Modes, SubdomainModes
+from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, null_space
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.feti.subdomain.operator import Operator
+from dolfinx_feti.feti.subdomain.orthonormal import append_orthonormal, orthonormal
+from dolfinx_feti.feti.subdomain.soft import Basis, join, soft_modes
+from dolfinx_feti.runtime.events import event
 
-__all__ = ["PseudoInverse"]
+__all__ = ["PseudoInverse", "create_pseudo_inverse"]
 
 Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
+Solve = Callable[[Array], Array]
 
 #: ‖K R‖ below this multiple of ‖K‖‖R‖ counts as zero: rounding of the assembly.
 KERNEL_TOLERANCE = 1e-12
@@ -86,234 +70,224 @@ LIFT = 2.0
 DEFECT_TOLERANCE = 1e-13
 
 
+@dataclass(frozen=True, slots=True)
 class PseudoInverse:
-    """K⁺ of every subdomain; S⁺ where the interior is eliminated.
+    """K⁺ of every subdomain of one matrix; S⁺ where the interior is eliminated.
 
     Attributes:
-        fixed: Mask of the torn dofs that are fixed in the local matrices (classical), (n,).
-        dofs: Torn dofs of each subdomain on which K⁺ lives: all free ones, or Γ.
+        modes: Those of each subdomain.
+        factors: Factors of K_ρ, without soft modes.
+        rows: The dofs of each subdomain, a slice where they are consecutive.
     """
 
-    def __init__(
-        self,
-        torn: Torn,
-        matrices: SubdomainMatrices,
-        fixed: npt.NDArray[np.bool_],
-        glued: Indices,
-        *,
-        symmetric: bool,
-        enrichment: Enrichment,
-    ) -> None:
-        """Take the matrices of the subdomains; nothing is factored yet.
-
-        Args:
-            torn: The torn matrix.
-            matrices: The matrices of the subdomains, K or S.
-            fixed: Mask of the torn dofs that are fixed in the local matrices, (n,).
-            glued: Torn dofs of the interface.
-            symmetric: Whether K is symmetric.
-            enrichment: Which elastic modes join R.
-        """
-        self._torn = torn
-        self._symmetric = symmetric
-        self._matrices = matrices
-        self._factors = matrices.factors
-        self._free = [rows[~fixed[rows]] for rows in torn.subdomains]
-        self._glued = np.zeros(torn.n, dtype=bool)
-        self._glued[glued] = True
-        self._enrichment = enrichment
-        self.fixed = fixed
-        self.dofs = matrices.dofs
-        self._raised = 0  # negative eigenvalues that soft modes have made positive
-        none = [np.zeros((len(dofs), 0)) for dofs in self.dofs]
-        self._soft: list[tuple[Array, Array]] = [(Y, Y) for Y in none]  # Y and E_Y
-
-    def update(self, near_kernel: Array, *, single: bool = False) -> Modes:
-        """Find the modes of the current matrices and factor.
-
-        Args:
-            near_kernel: Rigid body modes on the torn dofs, (n, number of modes).
-            single: Whether the factors are then stored in single precision, where that does; the
-                modes are of double precision.
-
-        Raises:
-            FactorError: Some work on a subdomain failed. Not collective: the caller reduces.
-        """
-        weight = np.where(self._glued, self._torn.stiffness(), 0.0)
-        candidates = [
-            kernel_basis(near_kernel[dofs], self.fixed[dofs]) for dofs in self._torn.subdomains
-        ]
-        defects = self._defects(candidates)
-        self._raised, found = 0, []
-        for i, (R, defect) in enumerate(zip(candidates, defects, strict=True)):
-            with named(self._torn.first + i):
-                found.append(self._regularise(i, R, defect, weight[self.dofs[i]]))
-                if single:
-                    self._matrices.to_single(i)
-        return Modes(self.dofs, tuple(found), self._symmetric)
+    modes: tuple[SubdomainModes, ...]
+    factors: tuple[Factor, ...]
+    rows: tuple[slice | npt.NDArray[np.int32], ...]
 
     def solve(self, y: Array, *, up_to_soft_modes: bool = False) -> Array:
         """Apply the generalised inverse, K⁺ y, (n,), or K⁺ Y, (n, r); zero on fixed dofs.
 
-        Several columns go through each factor together, which is read from memory once.
-
-        Args:
-            y: Forces on the torn dofs.
-            up_to_soft_modes: Whether K⁺ y may have any share of E_Y, for y of one column.
+        The result may have any share of E_Y if it is wanted ``up_to_soft_modes``.
         """
         x = np.zeros_like(y)
-        if y.ndim == 1:
-            with event("FETILocalSolve"):
-                self._factors.solve(y, x)
-            if up_to_soft_modes:
-                return x
-            for dofs, (Y, E_Y) in zip(self.dofs, self._soft, strict=True):
-                if Y.shape[1]:
-                    x_i = x[dofs]
-                    x[dofs] = x_i - E_Y @ (Y.T @ x_i)
-            return x
-        for i, dofs in enumerate(self.dofs):
-            x[dofs] = self.solve_many(i, y[dofs])
+        with event("FETILocalSolve"):
+            for i, rows in enumerate(self.rows):
+                x[rows] = self.factors[i].solve(y[rows])
+        if not up_to_soft_modes:
+            for rows, modes in zip(self.rows, self.modes, strict=True):
+                if modes.soft:
+                    x[rows] -= modes.E_Y @ (modes.Y.T @ x[rows])
         return x
 
-    def solve_many(self, i: int, Y: Array) -> Array:
+    def solve_many(self, i: int, F: Array) -> Array:
         """Apply the generalised inverse of subdomain i to columns on its dofs, (n_i, r)."""
-        X = self._factors.solve_many(i, Y)
-        soft, E_soft = self._soft[i]
-        return X - E_soft @ (soft.T @ X)
+        X, modes = self.factors[i].solve(F), self.modes[i]
+        return np.asarray(X - modes.E_Y @ (modes.Y.T @ X)) if modes.soft else X
 
     def negative(self) -> int | None:
         """Count the negative eigenvalues of all K_ρ of this process; None if not known."""
-        negative = sum_pivots(self._factors.pivots(i) for i in range(len(self.dofs))).negative
-        return None if negative is None else negative - self._raised
+        negative = sum_pivots(factor.pivots for factor in self.factors).negative
+        lifted = sum(modes.lifted for modes in self.modes)
+        return None if negative is None else negative - lifted
 
-    def _regularise(self, i: int, R: Array, defect: float, weight: Array) -> SubdomainModes:
-        """Find the modes of subdomain i, and leave the factor of its K_ρ.
+    def memory(self) -> float:
+        """Return the memory of the factors of this process in MiB."""
+        return sum(factor.memory() for factor in self.factors)
 
-        Args:
-            i: Number of the subdomain.
-            R: Its rigid body modes on all free dofs, (n_free, k).
-            defect: ‖K R‖.
-            weight: Stiffness of its interface dofs, zero on the others, (n_i,).
-        """
-        scale = self._matrices.diagonal(i)
-        rho = float(scale.mean()) if len(scale) else 1.0
-        rigid = self._matrices.restrict(i, R)
-        kernel = self._with_null_vectors(i, rigid, rho)
-        R, rho = self._with_buckling_modes(i, kernel, rho)
-        exact = defect <= KERNEL_TOLERANCE * rho and R is kernel
-        basis = self._basis(i, R, rho, exact=exact)
-        basis = self._with_soft_modes(i, basis, rho, weight)
-        return SubdomainModes(
-            *basis,
-            props=basis.R @ _negative_directions(basis.D, rho),
-            exact=exact and basis.R is kernel,
-            rho=rho,
-            rigid=rigid.shape[1],
-            null=kernel.shape[1] - rigid.shape[1],
-        )
+    def destroy(self) -> None:
+        """Free the factors."""
+        for factor in self.factors:
+            factor.destroy()
 
-    def _with_null_vectors(self, i: int, R: Array, rho: float) -> Array:
-        """Factor K_ρ, and append to R the null vectors that it still has."""
-        try:
-            self._factors.update_block(i, R, rho)
-            singular = self._is_singular(i)
-        except FactorError:  # a solver that stops at a zero pivot
-            singular = True
-        if not singular:
-            return R
 
-        def multiply(X: Array) -> Array:
-            return self._matrices.multiply_many(i, X)
+def create_pseudo_inverse(
+    operator: Operator,
+    dofs: Dofs,
+    near_kernel: Array,
+    *,
+    symmetric: bool,
+    soft: int,
+    threshold: float,
+) -> PseudoInverse:
+    """Find the modes of every subdomain and factor K_ρ.
 
-        Y = null_space(self._factors, i, multiply, self._matrices.diagonal(i), R, rho)
-        R = append_orthonormal(R, Y)
-        self._factors.update_block(i, R, rho)
-        if Y.shape[1] and self._is_singular(i):
-            raise FactorError("the regularised matrix stays singular with its null vectors")
-        return R
+    Args:
+        operator: The matrices of the subdomains.
+        dofs: The dofs of each subdomain.
+        near_kernel: Rigid body modes on the torn dofs, (n, number of modes).
+        symmetric: Whether K is symmetric.
+        soft: Most soft modes of a subdomain.
+        threshold: Share of the interface stiffness below which a mode is soft.
 
-    def _is_singular(self, i: int) -> bool:
-        """Tell whether the factored K_ρ of subdomain i is singular up to rounding."""
-        return factor_tells_singular(self._factors, i, self._matrices.diagonal(i))
+    Raises:
+        FactorError: Some work on a subdomain failed. Not collective: the caller reduces.
+    """
+    torn = operator.torn
+    weight = np.where(dofs.glued, torn.stiffness(), 0.0)
+    rigid = [kernel_basis(near_kernel[rows], dofs.fixed[rows]) for rows in torn.subdomains]
+    defects = _defects(operator, dofs, rigid, symmetric=symmetric)
+    if operator.eliminated:
+        rigid = [orthonormal(R[on]) for R, on in zip(rigid, dofs.on_interface, strict=True)]
+    factors, modes = [], []
+    for i, (R, defect) in enumerate(zip(rigid, defects, strict=True)):
+        with named(torn.first + i):
+            K = _Block(operator, i, operator.diagonal(i), symmetric)
+            stiffness = weight[operator.dofs[i]]
+            find = partial(soft_modes, weight=stiffness, most=soft, threshold=threshold)
+            factor, of_block = _regularise(K, R, defect, find)
+        factors.append(factor)
+        modes.append(of_block)
+    return PseudoInverse(
+        tuple(modes), tuple(factors), tuple(as_slice(rows) for rows in operator.dofs)
+    )
 
-    def _with_buckling_modes(self, i: int, R: Array, rho: float) -> tuple[Array, float]:
-        """Append buckling modes to R until K_ρ is positive definite, and factor it; return R, ρ."""
-        for _ in range(ENRICHMENTS):
-            negative = self._factors.pivots(i).negative
-            if not (self._enrichment.buckling and negative):
-                break
-            more = append_orthonormal(R, self._buckling_modes(i, R, rho, negative))
-            needed = max(rho, LIFT * self._most_negative(i, more))
-            if more.shape[1] == R.shape[1] and needed == rho:
-                break
-            self._factors.update_block(i, more, needed)
-            if self._is_singular(i):  # a border that the factor cannot tell from zero
-                self._factors.update_block(i, R, rho)
-                break
-            R, rho = more, needed
-        return R, rho
 
-    def _buckling_modes(self, i: int, R: Array, rho: float, count: int) -> Array:
-        """Approximate eigenvectors of negative eigenvalues of the factored K_ρ, (n_i, k)."""
+class _Block(NamedTuple):
+    """The matrix K of one subdomain, or its S.
 
-        def solve(X: Array) -> Array:
-            return self._factors.solve_many(i, X)
+    Attributes:
+        operator: The matrices of all subdomains.
+        i: Number of the subdomain.
+        diagonal: The absolute diagonal of K, (n,).
+        symmetric: Whether K is symmetric.
+    """
 
-        def multiply(X: Array) -> Array:
-            return self._matrices.multiply_many(i, X) + rho * (R @ (R.T @ X))  # K_ρ X
+    operator: Operator
+    i: int
+    diagonal: Array
+    symmetric: bool
 
-        return buckling_modes(solve, multiply, len(R), count)
+    def factor(self, R: Array, rho: float, shift: Array | None = None) -> Factor:
+        return self.operator.factor(self.i, R, rho, shift)
 
-    def _most_negative(self, i: int, R: Array) -> float:
-        """Return −μ of the most negative eigenvalue μ of Rᵀ K R; below zero if all are positive."""
-        values = np.linalg.eigvalsh(R.T @ self._matrices.multiply_many(i, R))
-        return -float(values.min(initial=np.inf))
+    def product(self, X: Array) -> Array:
+        return self.operator.local_product(self.i, X)
 
-    def _with_soft_modes(self, i: int, basis: Basis, rho: float, weight: Array) -> Basis:
-        """Let soft modes join R, by an update of the inverse."""
-        choice = self._enrichment
+    def is_singular(self, factor: Factor) -> bool:
+        return factor_tells_singular(factor, self.diagonal)
 
-        def solve(X: Array, *, transpose: bool = False) -> Array:
-            return self._factors.solve_many(i, X, transpose=transpose)
 
-        k = basis.R.shape[1]
-        soft = soft_modes(solve, weight, choice.soft, choice.threshold)
-        Y = append_orthonormal(basis.R, soft)[:, k:]
-        if Y.shape[1]:
-            Z = solve(Y)
-            Z_left = Z if self._symmetric else solve(Y, transpose=True)
-            basis = join(basis, Y, Z, Z_left, rho)
-            C = basis.D[k:, k:]
-            self._raised += int(np.count_nonzero(np.linalg.eigvalsh(C) < 0.0))  # Haynsworth
-        self._soft[i] = basis.R[:, k:], basis.E[:, k:]
+def _regularise(
+    K: _Block, rigid: Array, defect: float, find_soft: Callable[[Solve], Array]
+) -> tuple[Factor, SubdomainModes]:
+    """Factor K_ρ without soft modes, and find all modes; the defect of the rigid ones is ‖K R‖."""
+    rho = float(K.diagonal.mean()) if len(K.diagonal) else 1.0
+    factor, kernel = _with_null_vectors(K, rigid, rho)
+    factor, R, rho = _with_buckling_modes(K, factor, kernel, rho)
+    exact = defect <= KERNEL_TOLERANCE * rho and R is kernel
+    stiff = _basis(K, factor, R, rho, exact=exact)
+    basis = _with_soft_modes(K, factor, stiff, rho, find_soft(factor.solve))
+    soft = basis.R.shape[1] - R.shape[1]
+    C = basis.D[R.shape[1] :, R.shape[1] :]
+    return factor, SubdomainModes(
+        *basis,
+        stabilisation=basis.R @ _negative_directions(basis.D, rho),
+        exact=exact and soft == 0,
+        rho=rho,
+        rigid=rigid.shape[1],
+        null=kernel.shape[1] - rigid.shape[1],
+        soft=soft,
+        lifted=int(np.count_nonzero(np.linalg.eigvalsh(C) < 0.0)),  # Haynsworth
+    )
+
+
+def _with_null_vectors(K: _Block, R: Array, rho: float) -> tuple[Factor, Array]:
+    """Factor K_ρ, and append to R the null vectors that it still has; return both."""
+    try:
+        factor = K.factor(R, rho)
+        if not K.is_singular(factor):
+            return factor, R
+        factor.destroy()
+    except FactorError:  # a solver that stops at a zero pivot
+        pass
+    Y = null_space(K.product, lambda known, shift: K.factor(known, 1.0, shift), K.diagonal, R)
+    R = append_orthonormal(R, Y)
+    factor = K.factor(R, rho)
+    if Y.shape[1] and K.is_singular(factor):
+        raise FactorError("the regularised matrix stays singular with its null vectors")
+    return factor, R
+
+
+def _with_buckling_modes(
+    K: _Block, factor: Factor, R: Array, rho: float
+) -> tuple[Factor, Array, float]:
+    """Append buckling modes to R until K_ρ is positive definite; return its factor, R and ρ."""
+    for _ in range(ENRICHMENTS):
+        negative = factor.pivots.negative
+        if not (K.symmetric and negative):
+            break
+        more = append_orthonormal(R, _buckling_modes(K, factor, R, rho, negative))
+        lowest = np.linalg.eigvalsh(more.T @ K.product(more)).min(initial=np.inf)
+        needed = max(rho, -LIFT * float(lowest))
+        if more.shape[1] == R.shape[1] and needed == rho:
+            break
+        raised = K.factor(more, needed)
+        if K.is_singular(raised):  # a border that the factor cannot tell from zero
+            raised.destroy()
+            break
+        factor.destroy()
+        factor, R, rho = raised, more, needed
+    return factor, R, rho
+
+
+def _buckling_modes(K: _Block, factor: Factor, R: Array, rho: float, count: int) -> Array:
+    """Approximate eigenvectors of negative eigenvalues of the factored K_ρ, (n, k)."""
+
+    def multiply(X: Array) -> Array:
+        return K.product(X) + rho * (R @ (R.T @ X))  # K_ρ X
+
+    return buckling_modes(factor.solve, multiply, len(R), count)
+
+
+def _basis(K: _Block, factor: Factor, R: Array, rho: float, *, exact: bool) -> Basis:
+    """Return R with E and D of the factored K_ρ; R and 0 where K R = 0."""
+    if exact:
+        return Basis(R, R, R, np.zeros((R.shape[1], R.shape[1])))
+    W = K.product(R)  # W = K R
+    E = R - factor.solve(W)  # E = R − K_ρ⁻¹ W
+    E_left = E if K.symmetric else rho * factor.solve(R, transpose=True)
+    D = E_left.T @ W  # D = E'ᵀ W
+    return Basis(R, E, E_left, 0.5 * (D + D.T) if K.symmetric else D)
+
+
+def _with_soft_modes(K: _Block, factor: Factor, basis: Basis, rho: float, soft: Array) -> Basis:
+    """Let soft modes join R, by an update of the inverse."""
+    Y = append_orthonormal(basis.R, soft)[:, basis.R.shape[1] :]
+    if Y.shape[1] == 0:
         return basis
+    Z = factor.solve(Y)
+    return join(basis, Y, Z, Z if K.symmetric else factor.solve(Y, transpose=True), rho)
 
-    def _basis(self, i: int, R: Array, rho: float, *, exact: bool) -> Basis:
-        """Return R with E and D of the factored K_ρ; R and 0 where K R = 0."""
-        if exact:
-            return Basis(R, R, R, np.zeros((R.shape[1], R.shape[1])))
-        x, mu = self._factors.solve_border(i)
-        E, D = rho * x, -(rho**2) * mu
-        if self._symmetric:
-            return Basis(R, E, E, 0.5 * (D + D.T))
-        return Basis(R, E, rho * self._factors.solve_many(i, R, transpose=True), D)
 
-    def _defects(self, R: Sequence[Array]) -> list[float]:
-        """Return ‖K R‖ of every subdomain, and if it is larger ‖Kᵀ R‖."""
-        images = [self._multiply(R)]
-        if not self._symmetric:
-            images.append(self._multiply(R, transpose=True))
-        norms = [[float(np.linalg.norm(KR)) for KR in image] for image in images]
-        return [max(of_one) for of_one in zip(*norms, strict=True)]
-
-    def _multiply(self, X: Sequence[Array], *, transpose: bool = False) -> list[Array]:
-        """Return K_i X_i on the free dofs of every subdomain."""
-        columns = np.zeros((self._torn.n, max((X_i.shape[1] for X_i in X), default=0)))
-        for dofs, X_i in zip(self._free, X, strict=True):
-            columns[dofs, : X_i.shape[1]] = X_i
-        image = self._torn.multiply(columns, transpose=transpose)
-        return [image[dofs, : X_i.shape[1]] for dofs, X_i in zip(self._free, X, strict=True)]
+def _defects(operator: Operator, dofs: Dofs, R: Sequence[Array], *, symmetric: bool) -> list[float]:
+    """Return ‖K R‖ of every subdomain on its free dofs, and if it is larger ‖Kᵀ R‖."""
+    columns = np.zeros((operator.torn.n, max((R_i.shape[1] for R_i in R), default=0)))
+    for rows, R_i in zip(dofs.free, R, strict=True):
+        columns[rows, : R_i.shape[1]] = R_i
+    images = [operator.torn.multiply(columns)]
+    if not symmetric:
+        images.append(operator.torn.multiply(columns, transpose=True))
+    return [max(float(np.linalg.norm(image[rows])) for image in images) for rows in dofs.free]
 
 
 def _negative_directions(D: Array, rho: float) -> Array:

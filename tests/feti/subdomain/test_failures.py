@@ -17,12 +17,12 @@ from collective import COMM, agree, raises
 
 from dolfinx_feti.errors import FactorError, SetUpError
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.setup import Pattern, factor
-from dolfinx_feti.feti.subdomain import elimination
+from dolfinx_feti.feti.pattern import create_pattern
+from dolfinx_feti.feti.setup import set_up
+from dolfinx_feti.feti.subdomain import analysis
 from dolfinx_feti.feti.subdomain.blocks import named
-from dolfinx_feti.feti.subdomain.dense import DenseFactors, pack
-from dolfinx_feti.feti.subdomain.sparse import regularised
-from dolfinx_feti.feti.subdomain.sparse.factors import BlockFactors
+from dolfinx_feti.feti.subdomain.factors.dense import PackedMatrix, pack
+from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
 
 GRID = {"subdomains": (3, 2), "cells": (5, 2), "components": 2}
 LAST = COMM.rank == COMM.size - 1
@@ -38,16 +38,17 @@ ERRORS = {
 
 #: Where the set-up calls LAPACK, ARPACK, SciPy and MUMPS, subdomain by subdomain.
 PLACES = {
+    "analysis": ("factors.multifrontal.Fronts.__init__", "eliminate"),
     "kernel": ("pseudoinverse.kernel_basis", "keep"),
     "null space": ("pseudoinverse.factor_tells_singular", "keep"),
     "soft modes": ("pseudoinverse.soft_modes", "eliminate"),
-    "border": ("pseudoinverse.PseudoInverse._basis", "keep"),
-    "fronts": ("sparse.fronts.Fronts.factor", "eliminate"),
-    "fronts of K": ("sparse.fronts.Fronts.factor", "keep"),
-    "Schur complement": ("elimination.schur_complement", "eliminate"),
-    "dense interior": ("elimination.DenseElimination._eliminate", "eliminate"),
-    "interior kernel": ("matrices.factor_tells_singular", "eliminate"),
-    "factor": ("sparse.factors.create_factor", "keep"),
+    "regularised kernel": ("pseudoinverse._basis", "keep"),
+    "fronts": ("factors.multifrontal.Fronts.factor", "eliminate"),
+    "fronts of K": ("factors.multifrontal.Fronts.factor", "keep"),
+    "columns": ("elimination.factor_with_pivots", "eliminate"),
+    "dense interior": ("elimination.DenseFactor", "eliminate"),
+    "interior kernel": ("nullspace.factor_tells_singular", "eliminate"),
+    "factor": ("factors.pivoted.create_factor", "keep"),
 }
 
 
@@ -64,15 +65,13 @@ def fail_on_last(monkeypatch, place, error):
 @pytest.mark.parametrize("place", PLACES.values(), ids=PLACES)
 def test_every_place_may_fail(place, torn_grid, parts, monkeypatch):
     where, interior = place
-    if where.startswith(("elimination.schur", "sparse.fronts")):
-        monkeypatch.setattr(elimination, "SMALL", -1)
-    if where.startswith("elimination.schur"):
-        monkeypatch.setattr(elimination, "load_fronts_for", lambda *_: None)
-    if where.startswith("sparse.factors"):
-        monkeypatch.setattr(regularised, "load_fronts_for", lambda *_: None)
+    if where != "elimination.DenseFactor":
+        monkeypatch.setattr(analysis, "SMALL", -1)
+    if where.endswith(("factor_with_pivots", "create_factor")):
+        monkeypatch.setattr(analysis, "load_fronts_for", lambda *_: None)
     fail_on_last(monkeypatch, where, ERRORS["LAPACK"])
     A = torn_grid(**GRID).A
-    with raises(SetUpError, "A local factorisation failed .*SVD did not converge"):
+    with raises(SetUpError, "Work on a subdomain failed .*SVD did not converge"):
         parts(A, interior=interior)
 
 
@@ -117,11 +116,11 @@ def test_failure_leaves_no_circle(torn_grid, monkeypatch, without_collector):
     """A circle through the traceback, on one process, would free PETSc's objects out of step."""
     fail_on_last(monkeypatch, "pseudoinverse.soft_modes", ERRORS["LAPACK"])
     problem = torn_grid(**GRID)
-    system = Pattern(problem.A, FETIOptions(), "test_")
-    watched = weakref.ref(system)
+    system = create_pattern(problem.A, FETIOptions(), "test_")
+    watched = weakref.ref(system.torn)
     text = ""
     try:
-        factor(system)
+        set_up(system)
     except SetUpError as error:
         text = str(error)
     system.destroy()
@@ -139,28 +138,26 @@ def test_names_of_subdomains():
 
 def test_not_enough_work_space(torn_grid, parts, monkeypatch):
     """MUMPS fails for real with too little work space, and gets more of it."""
-    monkeypatch.setattr(regularised, "load_fronts_for", lambda *_: None)
-    monkeypatch.setattr("dolfinx_feti.feti.subdomain.direct.WORK_SPACE", (-99, 50))
+    monkeypatch.setattr(analysis, "load_fronts_for", lambda *_: None)
+    monkeypatch.setattr("dolfinx_feti.feti.subdomain.factors.direct.WORK_SPACE", (-99, 50))
     problem = torn_grid((2, 2), (12, 12), components=2)
     expected = np.random.default_rng(1).standard_normal(len(problem.dirichlet))
     system = parts(problem.A, interior="keep")
-    agree(system.matrices.memory() > 0.0 and expected.size)
-    monkeypatch.setattr("dolfinx_feti.feti.subdomain.direct.WORK_SPACE", (-99,))
+    agree(system.memory() > 0.0 and expected.size)
+    monkeypatch.setattr("dolfinx_feti.feti.subdomain.factors.direct.WORK_SPACE", (-99,))
     with raises(SetUpError, r"subdomain \d: not enough memory or work space .*INFOG"):
         parts(problem.A, interior="keep")
 
 
 def test_memory_is_in_mebibytes(torn_grid, parts, monkeypatch):
     """MUMPS counts in units of 10⁶ bytes, the dense blocks in bytes."""
-    monkeypatch.setattr(regularised, "load_fronts_for", lambda *_: None)
+    monkeypatch.setattr(analysis, "load_fronts_for", lambda *_: None)
     system = parts(torn_grid((2, 2), (12, 12), components=2).A, interior="keep")
-    factors = system.matrices.factors
-    agree(isinstance(factors, BlockFactors))
-    blocks = [block._pc.getFactorMatrix() for block in factors._blocks]
-    millions = sum(F.getMumpsInfog(22) for F in blocks)
-    agree(abs(factors.memory() - millions / 1.048576) < 1e-9 * max(millions, 1))
-    dense = DenseFactors([np.arange(512, dtype=np.int32)])
-    dense.set_block(0, pack(np.eye(512)))
+    factors = system.inverse.factors
+    agree(all(isinstance(factor, PivotedFactor) for factor in factors))
+    millions = sum(factor._pc.getFactorMatrix().getMumpsInfog(22) for factor in factors)
+    agree(abs(system.inverse.memory() - millions / 1.048576) < 1e-9 * max(millions, 1))
+    dense = PackedMatrix(pack(np.eye(512)), 512, np.empty(0))
     agree(dense.memory() == 256 * 513 * 8 / 2**20)
 
 
@@ -171,6 +168,6 @@ def test_other_solvers_do_not_tell(torn_grid, parts):
         system = parts(torn_grid(**GRID).A, interior="keep", type="classical")
     finally:
         options.delValue("pc_factor_mat_solver_type")
-    counts = [system.matrices.factors.pivots(i) for i in range(len(system.torn.subdomains))]
+    counts = [factor.pivots for factor in system.inverse.factors]
     agree(all(count == (None, None) for count in counts), counts)
     agree(system.inverse.negative() is None or not counts)

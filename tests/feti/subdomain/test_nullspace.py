@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 from petsc4py import PETSc
 
 import numpy as np
@@ -14,14 +12,17 @@ import pytest
 import scipy.linalg
 from collective import COMM, agree, equal, norm, small, whole
 from mixed import solve_assembled
+from modes import modes_of
 from walls import tube, wall
 
 from dolfinx_feti.feti.subdomain import nullspace
-from dolfinx_feti.feti.subdomain.dense import DenseFactors, pack
+from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor, PackedMatrix, pack
+from dolfinx_feti.feti.subdomain.factors.direct import Choice
+from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, load_fronts
+from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
+from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
 from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, null_space
-from dolfinx_feti.feti.subdomain.sparse.factors import BlockFactors
-from dolfinx_feti.feti.subdomain.sparse.fronts import load_fronts
-from dolfinx_feti.feti.subdomain.sparse.regularised import RegularisedFactors
+from dolfinx_feti.runtime.petsc_library import rows_of
 
 SEED = 60221
 
@@ -40,81 +41,85 @@ def singular(n, nullity, spread, *, softest=1e-6):
     return K, Q[:, :nullity] / root[:, None], np.abs(K.diagonal())
 
 
-def factors_of(K, kind):
-    """Factors of one block that is the whole matrix."""
-    rows = np.arange(len(K), dtype=np.int32)
-    if kind == "dense":
-        factors = DenseFactors([rows])
-        factors.set_block(0, pack(K))
-        return factors, None
-    M = PETSc.Mat().createAIJ(K.shape, nnz=len(K), comm=PETSc.COMM_SELF)
-    M.setValues(rows, rows, K)
-    M.assemble()
-    factors = BlockFactors(M, [rows], prefix="null_", symmetric=True)
-    if kind == "fronts":
-        torn = SimpleNamespace(K=M, n=len(K))
-        factors = RegularisedFactors(torn, [rows], factors, load_fronts(COMM))
-    return factors, M
+@pytest.fixture
+def factor_of():
+    """What factors a matrix as one block, given R, ρ and a shift; all is freed in the end."""
+    made = []
+
+    def create(K, kind):
+        rows = np.arange(len(K), dtype=np.int32)
+        if kind == "dense":
+            S = PackedMatrix(pack(K), len(K), np.empty(len(K) ** 2))
+            return lambda R=None, rho=1.0, shift=None: DenseFactor(S, R, rho, shift)
+        M = PETSc.Mat().createAIJ(K.shape, nnz=len(K), comm=PETSc.COMM_SELF)
+        M.setValues(rows, rows, K)
+        M.assemble()
+        made.append(M)
+
+        def factor(R=None, rho=1.0, shift=None):
+            if kind == "fronts" and shift is None:
+                R = K[:, :0] if R is None else R
+                with rows_of(M) as of_M:
+                    fronts = Fronts(load_fronts(COMM), of_M, rows, rows, 1, rows[:0])
+                    by_fronts = factor_by_fronts(fronts, of_M, np.empty(fronts.work), R, rho)
+                if by_fronts is not None:
+                    return by_fronts
+            made.append(PivotedFactor(M, rows, Choice("null_", True, 8), R, rho, shift))
+            return made[-1]
+
+        return factor
+
+    yield create
+    for owned in made:
+        owned.destroy()
+
+
+def refactored(factor):
+    return lambda known, shift: factor(known, 1.0, shift)
 
 
 @every_size
 @every_kind
 @pytest.mark.parametrize("spread", [0.0, 3.0])
 @pytest.mark.parametrize(("known", "unknown"), [(0, 0), (3, 0), (0, 2), (3, 3), (1, 14)])
-def test_null_vectors_are_found(dense, kind, spread, known, unknown, monkeypatch):
+def test_null_vectors_are_found(dense, kind, spread, known, unknown, factor_of, monkeypatch):
     """All of them but those that are known, whatever the scales."""
-    monkeypatch.setattr(nullspace, "DENSE", dense)
+    monkeypatch.setattr(nullspace, "ALL_VECTORS", dense)
     K, null, d = singular(50, known + unknown, spread)
     R = np.linalg.qr(null[:, :known])[0]
-    factors, matrix = factors_of(K, kind)
-    rho = float(d.mean())
-    factors.update_block(0, R, rho)
-    agree(factor_tells_singular(factors, 0, d) == (unknown > 0))
-    before = factors.solve_many(0, np.ones((50, 2)))
-    Y = null_space(factors, 0, lambda X: K @ X, d, R, rho)
+    factor = factor_of(K, kind)
+    agree(factor_tells_singular(factor(R, float(d.mean())), d) == (unknown > 0))
+    Y = null_space(lambda X: K @ X, refactored(factor), d, R)
     agree(Y.shape == (50, unknown), Y.shape)
     root = np.sqrt(d)[:, None]
     both = np.linalg.qr(root * np.hstack([R, Y]))[0]
     expected = np.linalg.qr(root * null)[0]
     small(np.linalg.norm(expected - both @ (both.T @ expected)), 1e-6)
-    if unknown == 0:  # the factor is as it was
-        equal(factors.solve_many(0, np.ones((50, 2))), before, 1e-12)
-    factors.destroy()
-    if matrix is not None:
-        matrix.destroy()
 
 
 @every_kind
 @pytest.mark.parametrize("softest", [1e-9, -1e-9])
-def test_soft_and_buckling_modes_are_no_null_vectors(kind, softest):
+def test_soft_and_buckling_modes_are_no_null_vectors(kind, softest, factor_of):
     K, _, d = singular(40, 0, 2.0, softest=abs(softest))
     if softest < 0.0:
         values, Q = np.linalg.eigh(K)
         K = K - 2.0 * values[0] * np.outer(Q[:, 0], Q[:, 0])
-    factors, matrix = factors_of(K, kind)
-    factors.update_block(0)
-    agree(not factor_tells_singular(factors, 0, d))
-    agree(null_space(factors, 0, lambda X: K @ X, d).shape[1] == 0)
-    factors.destroy()
-    if matrix is not None:
-        matrix.destroy()
+    factor = factor_of(K, kind)
+    agree(not factor_tells_singular(factor(), d))
+    agree(null_space(lambda X: K @ X, refactored(factor), d).shape[1] == 0)
 
 
-def test_right_null_vectors_of_an_unsymmetric_matrix():
+def test_right_null_vectors_of_an_unsymmetric_matrix(factor_of):
     rng = np.random.default_rng(SEED)
     K = rng.standard_normal((30, 28)) @ rng.standard_normal((28, 30))
-    factors, matrix = factors_of(K, "pivots")
-    Y = null_space(factors, 0, lambda X: K @ X, np.abs(K.diagonal()))
+    Y = null_space(lambda X: K @ X, refactored(factor_of(K, "pivots")), np.abs(K.diagonal()))
     agree(Y.shape == (30, 2))
     small(np.abs(K @ Y).max(), 1e-10 * np.abs(K).max() * np.abs(Y).max())
-    factors.destroy()
-    matrix.destroy()
 
 
 def test_an_empty_block_is_regular():
-    factors = DenseFactors([np.zeros(0, dtype=np.int32)])
-    factors.update_block(0)
-    agree(not factor_tells_singular(factors, 0, np.zeros(0)))
+    factor = DenseFactor(PackedMatrix(np.zeros(0), 0, np.zeros(0)))
+    agree(not factor_tells_singular(factor, np.zeros(0)))
 
 
 # ---- a few P2–P0 cells ----------------------------------------------------------------------
@@ -137,21 +142,21 @@ def test_kernel_of_a_few_cells(subdomains, kappa, interior, parts):
     problem._system.residual()
     problem._system.linearise()
     system = parts(problem.A, interior=interior, coarse_modes=0)
-    torn, modes = system.torn, system.modes
+    torn, modes = system.torn, modes_of(system)
     expected = []
     for K in torn.blocks(torn.subdomains):
         K = K.toarray()
         root = np.sqrt(K.diagonal())
         scaled = K / root[:, None] / root
         expected.append(scipy.linalg.null_space(scaled, rcond=1e-11).shape[1])
-    equal(modes.kernels, expected)
+    equal(np.array(modes.kernel, dtype=np.int64), expected)
     agree(len(whole(np.array(expected))) >= subdomains and COMM.allreduce(sum(expected)) > 0)
     agree(subdomains < CELLS or set(expected) <= {9}, expected)
     agree(all(modes.exact))
     small(max((np.abs(D).max(initial=0.0) for D in modes.D), default=0.0), 0.0)
     error = 0.0
     for i, (E, rho) in enumerate(zip(modes.E, modes.rho, strict=True)):
-        image = system.matrices.multiply_many(i, E)
+        image = system.operator.local_product(i, E)
         error = max(error, np.abs(image).max(initial=0.0) / rho)
     small(error, 1e-11)
 

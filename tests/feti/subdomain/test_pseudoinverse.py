@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 import scipy.linalg
 from collective import agree, equal, small, whole
+from modes import modes_of
 
-from dolfinx_feti.feti.formulation import set_up
+from dolfinx_feti.feti.dual.form import create_dual_form
+from dolfinx_feti.feti.setup import set_up
+from dolfinx_feti.feti.subdomain import analysis, pseudoinverse
 from dolfinx_feti.feti.subdomain.kernel import kernel_basis
-from dolfinx_feti.feti.subdomain.sparse import regularised
 
 SEED = 271104
 
@@ -21,7 +23,13 @@ SEED = 271104
 def way(request, monkeypatch):
     """Subdomains are factored by fronts, or with pivots."""
     if request.param == "pivots":
-        monkeypatch.setattr(regularised, "load_fronts_for", lambda *_: None)
+        monkeypatch.setattr(analysis, "load_fronts_for", lambda *_: None)
+
+
+@pytest.fixture
+def unenriched(monkeypatch):
+    """No buckling modes join the kernels."""
+    monkeypatch.setattr(pseudoinverse, "ENRICHMENTS", 0)
 
 
 def prestress(sizes, seed=SEED):
@@ -54,13 +62,13 @@ CHANGES = {
 def modes(system):
     """Orthonormal candidates of each subdomain on its free dofs."""
     torn, near = system.torn, system.torn.near_kernel()
-    return [kernel_basis(near[rows], system.inverse.fixed[rows]) for rows in torn.subdomains]
+    return [kernel_basis(near[rows], system.pattern.dofs.fixed[rows]) for rows in torn.subdomains]
 
 
 def blocks(problem, system):
     """Local matrices of this process on the free dofs."""
     K, start = problem.K_torn, system.torn.start
-    return [K[np.ix_(start + dofs, start + dofs)] for dofs in system.inverse.dofs]
+    return [K[np.ix_(start + dofs, start + dofs)] for dofs in system.operator.dofs]
 
 
 def apply(system, y):
@@ -73,12 +81,12 @@ def test_generalised_inverse_solves_balanced_problems(components, kind, torn_gri
     """K K⁺ K = K and K R = 0."""
     problem = torn_grid((2, 2), (3, 2), components=components)
     system = parts(problem.A, type=kind)
-    torn, inverse, found = system.torn, system.inverse, system.modes
-    x = np.where(inverse.fixed, 0.0, np.random.default_rng(SEED).standard_normal(torn.n))
-    Kx = np.where(inverse.fixed, 0.0, torn.multiply(x))
+    torn, fixed, found = system.torn, system.pattern.dofs.fixed, modes_of(system)
+    x = np.where(fixed, 0.0, np.random.default_rng(SEED).standard_normal(torn.n))
+    Kx = np.where(fixed, 0.0, torn.multiply(x))
     back = apply(system, Kx)
-    equal(whole(back[inverse.fixed]), np.zeros(len(whole(back[inverse.fixed]))))
-    again = np.where(inverse.fixed, 0.0, torn.multiply(back))
+    equal(whole(back[fixed]), np.zeros(len(whole(back[fixed]))))
+    again = np.where(fixed, 0.0, torn.multiply(back))
     equal(whole(again), whole(Kx), 1e-11)
     pairs = zip(blocks(problem, system), found.E, strict=True)
     error = max((np.abs(K @ E).max(initial=0.0) for K, E in pairs), default=0.0)
@@ -88,17 +96,17 @@ def test_generalised_inverse_solves_balanced_problems(components, kind, torn_gri
 
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
-def test_algebra_is_exact_for_any_matrix(change, kind, torn_grid, parts):
+def test_algebra_is_exact_for_any_matrix(change, kind, torn_grid, parts, unenriched):
     """E and D satisfy RᵀE = I − D/ρ and K E = R D, and K⁺ that of K + ρ R Rᵀ."""
     problem = torn_grid((2, 2), (2, 2), components=2, change=change)
-    system = parts(problem.A, type=kind, indefinite="gmres")
-    found = system.modes
+    system = parts(problem.A, type=kind)
+    found = modes_of(system)
     y = np.random.default_rng(SEED + 2).standard_normal(system.torn.n)
     x = apply(system, y)
     everything = zip(
         blocks(problem, system),
         modes(system),
-        found.dofs,
+        system.operator.dofs,
         found.E,
         found.D,
         found.rho,
@@ -124,15 +132,15 @@ def test_defect_is_there_as_soon_as_the_modes_leave_the_kernel(torn_grid, parts)
     """Only the changed subdomain is not exact; its defect is RᵀK R up to second order."""
     problem = torn_grid((2, 2), (2, 2), components=2, change=prestress((0.0, 1e-5, 0.0, 0.0)))
     system = parts(problem.A)
-    equal(whole(np.array(system.modes.exact)), [True, False, True, True])
+    equal(whole(np.array(modes_of(system).exact)), [True, False, True, True])
     agree(
         all(
             exact or 1e3 * np.abs(D - R.T @ K @ R).max() < np.abs(D).max() > 1e-7 * np.abs(K).max()
             for K, R, D, exact in zip(
                 blocks(problem, system),
                 modes(system),
-                system.modes.D,
-                system.modes.exact,
+                modes_of(system).D,
+                modes_of(system).exact,
                 strict=True,
             )
         )
@@ -142,13 +150,15 @@ def test_defect_is_there_as_soon_as_the_modes_leave_the_kernel(torn_grid, parts)
 @pytest.mark.parametrize(
     "change", [*CHANGES.values(), prestress((0.3, 0.5, 0.2, 0.4))], ids=[*CHANGES, "strong"]
 )
-def test_negative_eigenvalues_are_counted(change, torn_grid, parts):
+def test_negative_eigenvalues_are_counted(change, torn_grid, parts, unenriched):
     """The factor's inertia against a dense eigensolver."""
     problem = torn_grid((2, 2), (2, 3), components=2, change=change)
-    system = parts(problem.A, indefinite="gmres")
+    system = parts(problem.A)
     expected = sum(
         np.count_nonzero(np.linalg.eigvalsh(K + rho * R @ R.T) < 0.0)
-        for K, R, rho in zip(blocks(problem, system), modes(system), system.modes.rho, strict=True)
+        for K, R, rho in zip(
+            blocks(problem, system), modes(system), modes_of(system).rho, strict=True
+        )
     )
     agree(system.inverse.negative() == expected, (system.inverse.negative(), expected))
 
@@ -161,18 +171,20 @@ def crushed(K, dofs):
 
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
 @pytest.mark.parametrize("change", [CHANGES["random"], crushed], ids=["random", "crushed"])
-def test_buckling_modes_join_the_kernel(change, kind, torn_grid, parts):
+def test_buckling_modes_join_the_kernel(change, kind, torn_grid, parts, monkeypatch):
     """Enriched by its negative eigenvectors K_ρ is positive definite, and the algebra stays exact.
 
     K E = R D means Eᵀ K E = D − D²/ρ with whatever columns R has got, and whatever ρ they need.
     """
     problem = torn_grid((2, 2), (2, 2), components=2, change=change)
-    plain = parts(problem.A, type=kind, indefinite="gmres")
+    with monkeypatch.context() as patch:
+        patch.setattr(pseudoinverse, "ENRICHMENTS", 0)
+        plain = parts(problem.A, type=kind)
     system = parts(problem.A, type=kind)
-    found = system.modes
+    found = modes_of(system)
     total = whole(np.array([plain.inverse.negative(), system.inverse.negative()]))
     agree(total[::2].sum() > 0 and total[1::2].sum() == 0, total)
-    wider = whole(found.dimensions) - whole(plain.modes.dimensions)
+    wider = whole(found.dimensions) - whole(modes_of(plain).dimensions)
     agree(wider.min() >= 0 and wider.sum() >= total[::2].sum(), wider)
     errors = [0.0]
     for K, E, D, rho in zip(blocks(problem, system), found.E, found.D, found.rho, strict=True):
@@ -183,19 +195,19 @@ def test_buckling_modes_join_the_kernel(change, kind, torn_grid, parts):
 def test_negative_defects_are_counted(torn_grid, parts):
     problem = torn_grid((2, 2), (2, 2), components=2, change=CHANGES["softening"])
     system = parts(problem.A)
-    counted = system.torn.comm.allreduce(system.modes.negative_defects)
+    counted = system.torn.comm.allreduce(modes_of(system).negative_defects)
     agree(counted == 12, counted)  # the three modes of each subdomain
 
 
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
 @pytest.mark.parametrize("change", ["softening", "random"])
-def test_props_hold_what_buckles(change, kind, torn_grid, parts):
+def test_what_buckles_is_stabilised(change, kind, torn_grid, parts):
     """K + Z Zᵀ has no negative eigenvalue, K has."""
     problem = torn_grid((2, 2), (2, 2), components=2, change=CHANGES[change])
     system = parts(problem.A, type=kind)
-    agree(system.torn.comm.allreduce(system.modes.negative_defects) > 0)
+    agree(system.torn.comm.allreduce(modes_of(system).negative_defects) > 0)
     lowest = {1.0: np.inf, 0.0: np.inf}
-    for K, Z in zip(blocks(problem, system), system.modes.props, strict=True):
+    for K, Z in zip(blocks(problem, system), modes_of(system).stabilisation, strict=True):
         for share in lowest:
             value = np.linalg.eigvalsh(K + share * Z @ Z.T)[0] / np.abs(K).max()
             lowest[share] = min(lowest[share], value)
@@ -207,14 +219,14 @@ def test_unsymmetric_matrices_have_two_kernels(torn_grid, parts):
     """K E = R D and Kᵀ E_left = R Dᵀ."""
     problem = torn_grid((2, 2), (2, 2), components=2, change=unsymmetric)
     system = parts(problem.A)
-    found = system.modes
-    agree(not system.symmetric)
+    found = modes_of(system)
+    agree(not system.pattern.symmetric)
     y = np.random.default_rng(SEED + 3).standard_normal(system.torn.n)
     x = apply(system, y)
     errors = [0.0]
     for i, (K, R) in enumerate(zip(blocks(problem, system), modes(system), strict=True)):
         E, E_left, D, rho = found.E[i], found.E_left[i], found.D[i], found.rho[i]
-        dofs, scale = found.dofs[i], np.abs(K).max()
+        dofs, scale = system.operator.dofs[i], np.abs(K).max()
         errors += [
             np.abs(K @ E - R @ D).max() / scale,
             np.abs(K.T @ E_left - R @ D.T).max() / scale,
@@ -228,12 +240,12 @@ def test_values_are_refreshed_and_the_pattern_kept(torn_grid, pattern):
     """After K has changed, the same pattern gives what a new system gives."""
     problem = torn_grid((2, 2), (2, 2), components=2)
     read = pattern(problem.A)
-    system = set_up(read)
+    system = create_dual_form(read, set_up(read))
     y = np.random.default_rng(SEED + 4).standard_normal(system.torn.n)
     before = apply(system, y)
     system.destroy()
     problem.local.scale(2.0)
-    system = set_up(read)
+    system = create_dual_form(read, set_up(read))
     equal(
         whole(apply(system, system.torn.multiply(before))),
         whole(before - rigid(system, before)),
@@ -241,11 +253,11 @@ def test_values_are_refreshed_and_the_pattern_kept(torn_grid, pattern):
     )
     system.destroy()
     problem.local.shift(0.1)
-    system = set_up(read)
-    agree(not any(system.modes.exact))
+    system = create_dual_form(read, set_up(read))
+    agree(not any(modes_of(system).exact))
     x = apply(system, y)
     residual = y - system.torn.multiply(x)
-    for R, dofs, rho in zip(modes(system), system.inverse.dofs, system.modes.rho, strict=True):
+    for R, dofs, rho in zip(modes(system), system.operator.dofs, modes_of(system).rho, strict=True):
         residual[dofs] -= rho * R @ (R.T @ x[dofs])
     small(np.abs(residual).max(initial=0.0), 1e-11)
     system.destroy()
@@ -254,7 +266,7 @@ def test_values_are_refreshed_and_the_pattern_kept(torn_grid, pattern):
 def rigid(system, x):
     """Part of x in the kernels."""
     part = np.zeros_like(x)
-    for R, dofs in zip(modes(system), system.inverse.dofs, strict=True):
+    for R, dofs in zip(modes(system), system.operator.dofs, strict=True):
         part[dofs] = R @ (R.T @ x[dofs])
     return part
 
@@ -263,6 +275,6 @@ def test_dense_null_space_agrees_with_the_kernel(torn_grid, parts):
     problem = torn_grid((2, 1, 1), (1, 2, 1), components=3)
     system = parts(problem.A)
     null = [scipy.linalg.null_space(K, rcond=1e-10) for K in blocks(problem, system)]
-    pairs = list(zip(null, system.modes.E, strict=True))
+    pairs = list(zip(null, modes_of(system).E, strict=True))
     agree(all(N.shape == E.shape for N, E in pairs))
     small(max((np.abs(N @ (N.T @ E) - E).max() for N, E in pairs), default=0.0), 1e-11)

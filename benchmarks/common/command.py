@@ -1,0 +1,163 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Command lines of the studies: a parser that prints on one process, options that they share.
+
+Numbers are read by :mod:`meshes.arguments`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+from mpi4py import MPI
+
+from benchmarks.common.records import Record, Records
+from dolfinx_feti.loading import Checkpoint
+from dolfinx_feti.runtime.collective import on_first
+from meshes.arguments import positive
+from meshes.walls import CREATE
+
+__all__ = [
+    "add_mesh",
+    "add_records",
+    "count_or_zero",
+    "create_parser",
+    "names",
+    "one_of",
+    "open_checkpoint",
+    "open_records",
+    "parse_words",
+    "say",
+    "several",
+    "some_of",
+]
+
+
+def create_parser(name: str, description: str | None, comm: MPI.Comm) -> argparse.ArgumentParser:
+    """Create a parser; only the first process prints."""
+    parser = _Parser(
+        name,
+        description=description,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.rank = comm.rank
+    return parser
+
+
+def add_records(parser: argparse.ArgumentParser, *, memory: bool = False) -> None:
+    """Add the options for the file of records, repeated cases and the memory."""
+    add = parser.add_argument
+    add("--json", type=Path, metavar="FILE", help="records, added to what the file holds")
+    add("--again", action="store_true", help="also run cases that the file has")
+    if memory:
+        add("--memory", type=positive, default=math.inf, metavar="MIB", help="take no more")
+
+
+def add_mesh(parser: argparse.ArgumentParser) -> None:
+    """Add the options for the mesh of a wall."""
+    add = parser.add_argument
+    add("--geometry", choices=tuple(CREATE), default="vessel")
+    add("--size", type=positive, default=None, help="length of the elements' edges [mm]")
+    add("--folder", type=Path, default=Path("build/walls"), help="where meshes are kept")
+
+
+def parse_words(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
+    """Parse the command line; words with a single dash are left to PETSc."""
+    args, petsc = parser.parse_known_args(argv)
+    unknown = [word for word in petsc if word.startswith("--")]
+    if unknown:
+        parser.error(f"unrecognized arguments: {' '.join(unknown)}")
+    return args
+
+
+def open_records(
+    path: Path | None,
+    parser: argparse.ArgumentParser,
+    comm: MPI.Comm,
+    known: Callable[[Record], bool] = lambda _record: True,
+) -> Records:
+    """Open the file of ``--json``, whose records are ``known``, or end with the parser's error.
+
+    Collective.
+    """
+    try:
+        records = Records(path, comm)
+    except ValueError as error:
+        parser.error(str(error))
+    if not all(map(known, records)):
+        parser.error(f"--json '{path}' holds records of another study: name another file")
+    return records
+
+
+def open_checkpoint(
+    folder: Path | None,
+    parser: argparse.ArgumentParser,
+    comm: MPI.Comm,
+    *,
+    parameters: Record,
+    restart: bool,
+) -> Checkpoint | None:
+    """Open the folder of ``--checkpoint``, or end with the parser's error. Collective.
+
+    A continued run must share the ``parameters`` with the earlier one.
+    """
+    if folder is None:
+        return None
+    try:
+        return Checkpoint(folder, comm, parameters=parameters, restart=restart)
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+
+
+def say(text: str, comm: MPI.Comm, file: IO[str] | None = None) -> None:
+    """Print a line on the first process; what fails there fails on all. Collective."""
+    on_first(lambda: print(text, file=file, flush=True), comm)
+
+
+def several(single: Callable[[str], object]) -> Callable[[str], list[object]]:
+    """Return a type for values separated by commas."""
+    return lambda text: list(dict.fromkeys(single(word.strip()) for word in text.split(",")))
+
+
+def some_of(choices: Sequence[object]) -> Callable[[str], list[object]]:
+    """Return a type for some of some values, separated by commas."""
+    return several(one_of(choices))
+
+
+def one_of(choices: Sequence[object]) -> Callable[[str], object]:
+    """Return a type for one of some values."""
+
+    def read(text: str) -> object:
+        if text not in map(str, choices):
+            raise argparse.ArgumentTypeError(f"{text!r} is none of: {names(choices)}")
+        return next(choice for choice in choices if text == str(choice))
+
+    return read
+
+
+def count_or_zero(text: str) -> int:
+    """Read a number 0, 1, 2, …."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number 0, 1, 2, …")
+    return int(text)
+
+
+def names(choices: Sequence[object]) -> str:
+    """List some values."""
+    return ", ".join(map(str, choices))
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that prints on the first process only."""
+
+    rank = 0
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        if self.rank == 0:
+            super()._print_message(message, file)

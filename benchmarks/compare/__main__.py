@@ -1,0 +1,14 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""``python3 -m benchmarks.compare``; words with a single dash are options of PETSc."""
+
+import sys
+
+import petsc4py
+
+petsc4py.init([word for word in sys.argv if not word.startswith("--")])
+
+from benchmarks.compare.run import main
+
+main()

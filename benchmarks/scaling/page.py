@@ -1,0 +1,183 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The page of the scaling study: seconds, counts, a model of both, and the paper's figure.
+
+    python3 -m benchmarks.scaling.page build/scaling.json --output build/results
+
+writes ``scaling.md`` and ``scaling.png`` (Augustin_fig:scaling).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+from benchmarks.common.pages import Fields, groups, section, write_page
+from benchmarks.common.plots import COLOURS, OPEN, curve, picture
+from benchmarks.common.records import Record
+from benchmarks.common.walls.first_step import ARTERIES, CHOICES
+from benchmarks.common.walls.first_step import TYPES as NAMES
+from benchmarks.scaling import paper
+from benchmarks.scaling.model import KRYLOV, Machine, Model, create_model, efficiency
+from benchmarks.scaling.run import TYPES, is_known
+
+__all__ = ["main"]
+
+#: What cases share that differ in their number of processes alone.
+CASE = ("geometry", "size", "subdomains", "layers", "choices")
+
+PARTS = ("local", "krylov", "total")
+
+#: Microseconds, GB/s and Gflop/s.
+UNITS = {"latency": 1e6, "bandwidth": 1e-9, "stream": 1e-9, "rate": 1e-9}
+
+STYLES = {"local": {"color": COLOURS[2]}, "krylov": {"color": COLOURS[0]}, "total": {"color": "k"}}
+
+#: Processes that the model is asked for, beyond the paper's.
+FURTHER = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class _Series:
+    """Cases that differ in their number of processes alone, in rising order, and their model."""
+
+    layers: int
+    choices: str
+    measured: list[Record]
+    counted: list[Record]
+    model: Model | None
+
+    def section(self, rows: Sequence[Fields], **fields: object) -> list[dict[str, object]]:
+        """Return a section with its names, and what the first case has."""
+        first = (self.measured or self.counted)[0]
+        return section(rows, **(first | self.names | fields))
+
+    @property
+    def names(self) -> dict[str, str]:
+        """Its names on the page."""
+        kind = NAMES[TYPES[self.layers]]
+        return {"kind": kind, "chosen": CHOICES[self.choices], "artery": ARTERIES[self.layers]}
+
+
+def _fields(records: Sequence[Record]) -> Fields:
+    every = list(_series(records))
+    modelled = [s for s in every if s.model is not None]
+    return {
+        "cluster": {name: value * UNITS[name] for name, value in asdict(Machine()).items()},
+        "measured": [part for s in every for part in s.section(list(_times(s)))],
+        "modelled": [
+            part
+            for s in modelled
+            for dofs, mesh in _meshes(s)
+            for part in s.section(list(_model_rows(s, dofs)), dofs=dofs, mesh=mesh)
+        ],
+        "limits": section(row for s in modelled for row in _limits(s)),
+        "counted": [part for s in every for part in s.section(list(_counts(s)))],
+        "balance": section(
+            r | s.names for s in every for r in s.counted if int(r["processes"]) > 1
+        ),
+        "first_processes": paper.FIRST,
+    }
+
+
+def _series(records: Sequence[Record]) -> Iterator[_Series]:
+    """Yield the series, the paper's choices first."""
+    found = sorted(groups(records, *CASE), key=lambda s: (list(CHOICES).index(s[0][-1]), s[0][-2]))
+    for (*_, layers, choices), mine in found:
+        mine.sort(key=lambda record: record["processes"])
+        tasks = [[r for r in mine if r["task"] == task] for task in ("measure", "count")]
+        yield _Series(layers, choices, *tasks, create_model(*tasks))
+
+
+def _times(series: _Series) -> Iterator[dict[str, object]]:
+    """Yield seconds and efficiencies of the measured cases, and what the model foresees."""
+    for r in series.measured:
+        first, P = series.measured[0], int(r["processes"])
+        model = series.model.predict(P) if series.model else None
+        s, s_1 = ({part: record[f"seconds_{part}"] for part in PARTS} for record in (r, first))
+        eff = {part: efficiency(first["processes"], s_1[part], P, s[part]) for part in PARTS}
+        foreseen = {part: getattr(model, part) for part in PARTS} if model else {}
+        yield {"P": P, "s": s, "eff": eff, "model": foreseen}
+
+
+def _meshes(series: _Series) -> list[tuple[int, str]]:
+    """Return the dofs that the model is asked for."""
+    measured = int(series.model.base["dofs"])
+    own, papers = "the measured mesh", "as many dofs as the paper's mesh"
+    return [(measured, own), (paper.DOFS[series.layers], papers)]
+
+
+def _model_rows(series: _Series, dofs: int) -> Iterator[dict[str, object]]:
+    """Yield the model's seconds and efficiencies beside the paper's."""
+    theirs, refined = paper.TIMES[series.layers], dofs / series.model.base["dofs"]
+    first = series.model.predict(paper.FIRST, refined)
+    for P in (*theirs, FURTHER):
+        foreseen = series.model.predict(P, refined)
+        yield {
+            "P": P,
+            "s": {part: getattr(foreseen, part) for part in (*PARTS, "coarse")},
+            "eff": _efficiencies(first, P, foreseen),
+            "paper": _efficiencies(theirs[paper.FIRST], P, theirs[P]) if P in theirs else {},
+        }
+
+
+def _efficiencies(first: object, P: int, times: object) -> dict[str, float]:
+    """Return the efficiencies of the parts, those of the paper's first number being 1."""
+    return {
+        part: efficiency(paper.FIRST, getattr(first, part), P, getattr(times, part))
+        for part in PARTS
+    }
+
+
+def _limits(series: _Series) -> Iterator[dict[str, object]]:
+    """Yield the shares of the parts in all of the time and in the iterations [%]."""
+    for dofs, _ in _meshes(series):
+        for P in (max(paper.TIMES[series.layers]), FURTHER):
+            foreseen = series.model.predict(P, dofs / series.model.base["dofs"])
+            parts = {"total": foreseen.shares(), "Krylov": foreseen.shares(KRYLOV)}
+            for whole, shares in parts.items():
+                percent = {name: 100 * share for name, share in shares.items()}
+                yield series.names | {"dofs": dofs, "P": P, "whole": whole, "share": percent}
+
+
+def _counts(series: _Series) -> Iterator[Record]:
+    """Yield the counted cases."""
+    for r in series.counted:
+        yield r | {"kilobytes": r["setup"]["bytes"]["max"] / 1e3}
+
+
+def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
+    """Draw measured points, the model's curves, and the paper's points, with its choices."""
+    of_layers = {s.layers: s for s in _series(records) if s.choices == "paper"}
+    if not any(series.measured for series in of_layers.values()):
+        return []
+    legend = {"local": STYLES["local"], "global Krylov method": STYLES["krylov"]}
+    legend |= {"total": STYLES["total"], "measured": {"marker": "s", "ls": ""}}
+    legend |= {"model": {}, "the paper's": OPEN}
+    processes = [2**k for k in range(10)]
+    with picture(folder / "scaling.png", 1, 2, legend, sharex=True) as axes:
+        axes[0, 0].set_ylabel("seconds of a load step")
+        for ax, (layers, kind) in zip(axes[0], TYPES.items(), strict=True):
+            ax.set(title=f"{NAMES[kind]}; the paper's {ARTERIES[layers]}", xlabel="processes")
+            ax.set_yscale("log")
+            ax.set_xscale("log", base=2)
+            for part, style in STYLES.items():
+                theirs = paper.TIMES[layers].items()
+                curve(ax, [(P, getattr(times, part)) for P, times in theirs], **(style | OPEN))
+                series = of_layers.get(layers)
+                measured = series.measured if series else []
+                points = [(r["processes"], r[f"seconds_{part}"]) for r in measured]
+                curve(ax, points, **style, marker="s", ls="")
+                if series and series.model:
+                    foreseen = [(P, getattr(series.model.predict(P), part)) for P in processes]
+                    curve(ax, foreseen, **style)
+    return [{"picture": "scaling.png"}]
+
+
+main = partial(write_page, __file__, "scaling", known=is_known, fields=_fields, draw=_draw)
+
+if __name__ == "__main__":
+    main()

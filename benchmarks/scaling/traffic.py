@@ -1,0 +1,144 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Messages, bytes, neighbours and reductions of each process, counted below PETSc and mpi4py.
+
+PETSc's own log does not see what mpi4py sends, so both are counted where they meet: a small C
+library takes the place of MPI's functions by the profiling interface that the standard provides
+(``traffic.c``). It is compiled when it is needed, and comes into a run by ``LD_PRELOAD``; a run
+without it sends the same messages. What MUMPS sends is called from Fortran and not counted: its
+factors of the subdomains are each on one process, and so is that of the coarse problem up to 4000
+unknowns.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["COUNTERS", "compile_library", "gather", "since_reset", "start_count"]
+
+SOURCE = Path(__file__).with_name("traffic.c")
+
+#: Names of the counters; ``traffic.c`` says what counts.
+COUNTERS = ("messages", "bytes", "neighbours", "reductions", "contributed", "others")
+
+_B, _RB = "const void *b, N n, MPI_Datatype t", "void *rb, N rn, MPI_Datatype rt"
+_TO, _OP = "int to, int tag, MPI_Comm c", "void *rb, N n, MPI_Datatype t, MPI_Op o"
+_BV = "const void *b, const N *n, const D *d, MPI_Datatype t"
+_RBV = "void *rb, const N *rn, const D *rd, MPI_Datatype rt"
+_OWN = "collective(b == MPI_IN_PLACE ? 0 : size_of(n, t), c)"
+_ALL = "collective(size_of(n, t), c)"
+_NEIGHBOURS = (
+    "int *to, out = neighbours(c, &to); for (int i = 0; i < out; i++) "
+    "sent({}, world_rank(to[i], c)); free(to)"
+)
+
+#: Functions, their parameters, and what counts them. N and D are int, and in those that end in _c,
+#: which MPI has since version 4, MPI_Count and MPI_Aint; R is a request.
+FUNCTIONS = (
+    ("Send Ssend Bsend Rsend", f"{_B}, {_TO}", "message(size_of(n, t), to, c)"),
+    ("Isend Issend Ibsend Irsend", f"{_B}, {_TO}, R", "message(size_of(n, t), to, c)"),
+    ("Send_init Ssend_init Rsend_init Bsend_init", f"{_B}, {_TO}, R",
+     "persistent(*r, size_of(n, t), to, c)"),
+    ("Sendrecv", f"{_B}, int to, int tag, {_RB}, int from, int rtag, MPI_Comm c, MPI_Status *s",
+     "message(size_of(n, t), to, c)"),
+    ("Allreduce Scan Exscan", f"const void *b, {_OP}, MPI_Comm c", _ALL),
+    ("Iallreduce", f"const void *b, {_OP}, MPI_Comm c, R", _ALL),
+    ("Reduce", f"const void *b, {_OP}, int root, MPI_Comm c", _ALL),
+    ("Reduce_scatter_block", f"const void *b, {_OP}, MPI_Comm c",
+     "collective(ranks(c) * size_of(n, t), c)"),
+    ("Bcast", "void *b, N n, MPI_Datatype t, int root, MPI_Comm c",
+     "collective(rank(c) == root ? size_of(n, t) : 0, c)"),
+    ("Gather Scatter", f"{_B}, {_RB}, int root, MPI_Comm c", _OWN),
+    ("Gatherv", f"{_B}, void *rb, const N *rn, const D *d, MPI_Datatype rt, int root, MPI_Comm c",
+     _OWN),
+    ("Allgather", f"{_B}, {_RB}, MPI_Comm c", _OWN),
+    ("Allgatherv", f"{_B}, void *rb, const N *rn, const D *d, MPI_Datatype rt, MPI_Comm c", _OWN),
+    ("Iallgatherv", f"{_B}, void *rb, const N *rn, const D *d, MPI_Datatype rt, MPI_Comm c, R",
+     _OWN),
+    ("Alltoall", f"{_B}, {_RB}, MPI_Comm c",
+     "collective(b == MPI_IN_PLACE ? 0 : ranks(c) * size_of(n, t), c)"),
+    ("Alltoallv", f"{_BV}, {_RBV}, MPI_Comm c",
+     "double sum = 0; for (int i = 0; b != MPI_IN_PLACE && i < ranks(c); i++) "
+     "sum += size_of(n[i], t); collective(sum, c)"),
+    ("Neighbor_alltoall", f"{_B}, {_RB}, MPI_Comm c", _NEIGHBOURS.format("size_of(n, t)")),
+    ("Neighbor_alltoallv", f"{_BV}, {_RBV}, MPI_Comm c", _NEIGHBOURS.format("size_of(n[i], t)")),
+    ("Ineighbor_alltoallv", f"{_BV}, {_RBV}, MPI_Comm c, R",
+     _NEIGHBOURS.format("size_of(n[i], t)")),
+)  # fmt: skip
+BARRIERS = (
+    ("Barrier", "MPI_Comm c", "collective(0, c)"),
+    ("Ibarrier", "MPI_Comm c, R", "collective(0, c)"),
+)
+
+
+def compile_library(folder: Path) -> Path:
+    """Compile the library for the MPI of this machine into a folder, and return its path.
+
+    Raises:
+        FileNotFoundError: There is no ``mpicc``.
+        subprocess.CalledProcessError: It does not compile.
+    """
+    library = folder / "libtraffic.so"
+    if shutil.which("mpicc") is None:
+        raise FileNotFoundError("mpicc is missing, which counting messages needs")
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = [*_functions(BARRIERS + FUNCTIONS, "", "int", "int"), "#if MPI_VERSION >= 4"]
+    lines += [*_functions(FUNCTIONS, "_c", "MPI_Count", "MPI_Aint"), "#endif", ""]
+    (folder / "functions.h").write_text("\n".join(lines))
+    words = ["mpicc", "-std=c11", "-O2", "-Wall", "-shared", "-fPIC", f"-I{folder}"]
+    subprocess.run([*words, "-o", str(library), str(SOURCE)], check=True)
+    return library.resolve()
+
+
+def _functions(
+    table: tuple[tuple[str, str, str], ...], ending: str, count: str, displacement: str
+) -> Iterator[str]:
+    """Write functions that call the true ones and count."""
+    types = {"N": count, "D": displacement, "R": "MPI_Request *r"}
+    for names, parameters, counted in table:
+        typed = re.sub(r"\b[NDR]\b", lambda found: types[found[0]], parameters)
+        words = ", ".join(re.findall(r"(\w+)(?=,|$)", typed))
+        for name in names.split():
+            yield (
+                f"int MPI_{name}{ending}({typed}) {{ int error = PMPI_{name}{ending}({words}); "
+                f"{counted}; return error; }}"
+            )
+
+
+def start_count() -> None:
+    """Count from zero on."""
+    library = _library()
+    if library is not None:
+        library.traffic_reset()
+
+
+def since_reset() -> npt.NDArray[np.float64]:
+    """Return what was counted, (counters,); zeros without the library."""
+    values = np.zeros(len(COUNTERS))
+    library = _library()
+    if library is not None:
+        library.traffic_read(values.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
+    return values
+
+
+def gather(counts: npt.NDArray[np.float64], comm: MPI.Comm) -> npt.NDArray[np.float64]:
+    """Return the counts of all processes on all of them, (processes, counters). Collective."""
+    return np.array(comm.allgather(counts))
+
+
+def _library() -> ctypes.CDLL | None:
+    """Return the library if it was loaded before the program."""
+    named = [word for word in os.environ.get("LD_PRELOAD", "").split(":") if "libtraffic" in word]
+    return ctypes.CDLL(named[0]) if named else None

@@ -1,0 +1,213 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""One run of the scaling study on the processes that mpirun has started.
+
+`benchmarks.scaling` starts it, as ``python3 -m benchmarks.scaling.worker CASE FILE``, with the
+case as JSON, and reads the record from the file. A run *measures* the load step to 0.2 mmHg, or
+*counts*: the tangent at rest is set up once, and solved with a few iterations and with some more;
+the difference is what an iteration sends, whatever the machine and however many processes share a
+core.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from unittest import mock
+
+import petsc4py
+
+petsc4py.init(sys.argv[:1])
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.common.clock import Events
+from benchmarks.common.machine import fix_partitions
+from benchmarks.common.records import Record
+from benchmarks.common.walls import first_step
+from benchmarks.common.walls.problem import WallProblem, right_hand_side
+from benchmarks.scaling.traffic import COUNTERS, gather, since_reset, start_count
+from dolfinx_feti import loads
+from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.runtime.collective import on_first
+from dolfinx_feti.wall.fibres import fibre_frame
+from meshes.walls import create_wall
+
+__all__ = ["main"]
+
+Array = npt.NDArray[np.float64]
+
+#: Iterations of the two solves whose difference is counted, after one that makes all buffers.
+WARM, FEW, MORE = 2, 5, 25
+
+#: Load [mmHg]; under the paper's, 1 mmHg, a thin wall at rest would buckle.
+PRESSURE = 0.2
+
+#: Newton steps at most, the paper's. With its tangent, which leaves out that of the pressure, CG
+#: solves their systems, but on a thin wall they come only some way to the solution.
+STEPS = 5
+
+#: The coarse solver's own solve, whose calls are counted.
+SOLVE = GatheredSolver.solve
+
+#: Log events of the phases.
+FACTOR, COARSE, KRYLOV = EVENTS = ("FETIFactor", "FETICoarse", "FETISolve")
+
+
+def measure(case: Record, comm: MPI.Comm) -> Record:
+    """Measure a load step; seconds are those of the slowest process. Collective.
+
+    The same load step on a tiny tube comes before it, so that all forms are compiled, and the mesh
+    is generated.
+    """
+    PETSc.Log.begin()
+    create_wall(case["geometry"], comm, size=case["size"], folder=Path(str(case["folder"])))
+    tiny, _ = _create(case | {"geometry": "tube", "size": 1.0, "subdomains": comm.size}, comm)
+    first_step.load(tiny, PRESSURE, in_part=True)
+    comm.Barrier()
+    started = time.perf_counter()
+    body, reading = _create(case, comm)
+    comm.Barrier()
+    created = time.perf_counter()
+    phases = Events(EVENTS, comm)
+    first_step.load(body, PRESSURE, in_part=True)
+    comm.Barrier()
+    ended = time.perf_counter()
+    spent = phases.seconds()
+    own = sum(step.seconds_assembly for step in body.problem.history)
+    assembly = comm.allreduce(own, op=MPI.MAX)
+    its = [step.linear_iterations for step in body.problem.history]
+    return _sizes(body) | {
+        "newton_iterations": len(its),
+        "linear_iterations_per_newton": its,
+        "linear_iterations_mean": float(np.mean(its)),
+        "seconds_reading": reading,
+        "seconds_input": created - started,
+        "seconds_local": assembly + spent[FACTOR],
+        "seconds_coarse": spent[COARSE],
+        "seconds_krylov": spent[KRYLOV],
+        "seconds_total": ended - started,
+    }
+
+
+def count(case: Record, comm: MPI.Comm) -> Record:
+    """Count what set-up and iterations send, and how evenly the work is spread. Collective."""
+    logging.getLogger("dolfinx_feti").setLevel(logging.CRITICAL)  # it is not to converge
+    PETSc.Log.begin()
+    body, _ = _create(case, comm)
+    body.problem.linearise()
+    body.pressure.value = loads.mmhg(PRESSURE)
+    b = right_hand_side(body)
+    x = b.duplicate()
+    ksp = body.problem.solver.getKSP()
+    ksp.setOperators(body.problem.A)
+    setup = _counted(ksp.setUp, comm)
+    _iterate(ksp, b, x, WARM)
+    few, more = (_counted(lambda n=n: _iterate(ksp, b, x, n), comm) for n in (FEW, MORE))
+    each = (more - few) / (MORE - FEW)  # (processes, counters)
+    coarse = coarse_work(lambda n: _iterate(ksp, b, x, n), comm)
+    K = body.problem.A.getISLocalMat()
+    entries = np.array(comm.allgather(K.getInfo()["nz_used"]))
+    balance = {
+        "entries of K": _balance(entries),
+        "flops of set-up": _balance(setup[:, -1]),
+        "flops of an iteration": _balance(each[:, -1]),
+        "bytes of an iteration": _balance(each[:, COUNTERS.index("bytes")]),
+    }
+    sent = {"setup": _summary(setup), "iteration": _summary(each)}
+    most = float(more[:, COUNTERS.index("neighbours")].max())
+    return _sizes(body) | coarse | sent | {"neighbours": most, "balance": balance}
+
+
+def _create(case: Record, comm: MPI.Comm) -> tuple[WallProblem, float]:
+    """Tear the wall of a case; return the problem and the seconds of reading and distributing."""
+    started = time.perf_counter()
+    folder = Path(str(case["folder"]))
+    wall, _ = create_wall(case["geometry"], comm, size=case["size"], folder=folder)
+    reading = time.perf_counter() - started
+    own = {"feti_type": case["type"], "feti_pc_type": case["pc"], "snes_max_it": STEPS}
+    if case["choices"] == "default" and case["task"] == "count":
+        own["feti_formulation"] = "primal"  # that of every Newton step after the first one
+    body = first_step.create(wall, fibre_frame(wall), case, case["subdomains"], own)
+    return body, reading
+
+
+def _iterate(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, iterations: int) -> None:
+    """Solve with so many iterations, no fewer."""
+    ksp.setTolerances(rtol=1e-30, atol=0.0, max_it=iterations)
+    ksp.solve(b, x)
+    done = ksp.getPythonContext().iterations
+    if done != iterations:
+        raise RuntimeError(f"the solver took {done} iterations in place of {iterations}")
+
+
+def _counted(work: Callable[[], object], comm: MPI.Comm) -> Array:
+    """Return counters and flops of some work, (processes, counters + 1)."""
+    before = PETSc.Log.getFlops()
+    start_count()
+    work()
+    return gather(np.append(since_reset(), PETSc.Log.getFlops() - before), comm)
+
+
+def coarse_work(iterate: Callable[[int], object], comm: MPI.Comm) -> Record:
+    """Return the coarse solves of an iteration, and entries and flops of MUMPS's coarse factor."""
+    calls, factor = [], [0.0, 0.0]
+
+    def solve(solver: GatheredSolver, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        if solver.ksp is not None:
+            F = solver.ksp.getPC().getFactorMatrix()
+            entries = F.getMumpsInfog(29)
+            factor[:] = entries if entries >= 0 else -1e6 * entries, F.getMumpsRinfog(3)
+        SOLVE(solver, b, x)
+
+    with mock.patch.object(GatheredSolver, "solve", autospec=True, side_effect=solve) as counted:
+        for iterations in (FEW, MORE):
+            counted.reset_mock()
+            iterate(iterations)
+            calls.append(counted.call_count)
+    entries, flops = comm.bcast(factor)
+    return {
+        "coarse_solves": (calls[1] - calls[0]) / (MORE - FEW),
+        "coarse_entries": float(entries),
+        "coarse_flops": float(flops),
+    }
+
+
+def _summary(counts: Array) -> Record:
+    """Return mean and greatest of each counter over the processes."""
+    return {
+        name: {"mean": float(column.mean()), "max": float(column.max())}
+        for name, column in zip(COUNTERS, counts.T, strict=False)
+    }
+
+
+def _balance(values: Array) -> float:
+    """Return the greatest over the mean."""
+    return float(values.max() / values.mean()) if values.mean() > 0.0 else 1.0
+
+
+def _sizes(body: WallProblem) -> Record:
+    report = body.problem.solver.getKSP().getPythonContext().report()
+    return first_step.sizes(body) | {"coarse_mib": report.coarse_mib}
+
+
+def main(words: list[str]) -> None:
+    """Run a case, and write its record."""
+    comm = MPI.COMM_WORLD
+    fix_partitions()
+    case = json.loads(words[0])
+    record = {"measure": measure, "count": count}[case["task"]](case, comm)
+    on_first(lambda: Path(words[1]).write_text(json.dumps(record)), comm)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,184 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The two-layer tube at a given length, whole or a quarter of it, and how far it is from the truth.
+
+Its supports (:mod:`benchmarks.common.walls.supports`) let it slide in the planes of its ends, so
+that it remains a tube, and :mod:`benchmarks.tube.oracle` knows its radius, volume and stress.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import basix
+import dolfinx
+import ufl
+from ufl.core.expr import Expr
+
+from benchmarks.common.walls.clamped import INTERFACE, tube_fibres
+from benchmarks.common.walls.problem import WallProblem, create_wall_problem
+from benchmarks.common.walls.supports import slide
+from benchmarks.tube.oracle import Tube
+from dolfinx_feti import kinematics
+from dolfinx_feti.output import Patches, create_patches, recovered_field
+from dolfinx_feti.wall import Wall
+from meshes.tube import ADVENTITIA, INNER_RADIUS, count_around
+from meshes.walls import create_tube_wall
+
+__all__ = ["TANGENTS", "InflatedTube", "create_inflated_tube", "create_slice"]
+
+Array = npt.NDArray[np.float64]
+
+QUADRATURE = 4  # degree
+TANGENTS = ("symmetric", "full", "none")
+OUTER_RADIUS = INTERFACE + ADVENTITIA
+
+
+@dataclass(frozen=True, slots=True)
+class InflatedTube(WallProblem):
+    """The problem of a tube, and what is compared."""
+
+    frame: tuple[Expr, Expr]  # e_r and e_θ in the reference
+    patches: Patches  # where the stress is recovered, layer by layer
+    radii: Array  # of the quadrature points in the owned cells [mm], (cells, points)
+    weights: Array  # volume that each of these points stands for [mm³], (cells, points)
+    layer: npt.NDArray[np.int64]  # 0 for the cells of the media, 1 for the others, (cells,)
+
+    @property
+    def recovered_stress(self) -> dolfinx.fem.Function:
+        """The Cauchy stress, recovered with the normal of the deformed wall [kPa]."""
+        F = kinematics.deformation_gradient(self.u)
+        return recovered_field(self.stress, self.patches, normal=ufl.inv(F).T * self.frame[0])
+
+    def compare(self, truth: Tube) -> dict[str, float]:
+        """Hold radius, thickness, volume and stress against the truth. Collective.
+
+        Errors of stresses are those in the L2 norm over the wall, relative to that of the truth.
+        """
+        inner, outer = (self._radial(radius) for radius in (INNER_RADIUS, OUTER_RADIUS))
+        comm = self.u.function_space.mesh.comm
+        J = self.at_points(kinematics.jacobian(kinematics.deformation_gradient(self.u)))
+        return {
+            "u_r_inner": float(inner.mean()),
+            "u_r_inner_exact": float(truth.inner_displacement),
+            "u_r_inner_error": float(np.abs(inner / truth.inner_displacement - 1.0).max()),
+            "thickness": float(OUTER_RADIUS - INNER_RADIUS + outer.mean() - inner.mean()),
+            "thickness_exact": float(truth.thickness),
+            "min_J": comm.allreduce(float(J.min(initial=np.inf)), op=MPI.MIN),
+            "max_J": comm.allreduce(float(J.max(initial=-np.inf)), op=MPI.MAX),
+            "mean_J": self._integral(J) / self._integral(np.ones_like(J)),
+            "mean_J_exact": float(truth.mean_jacobian),
+            **self.stress_errors(truth, self.stress, "stress"),
+            **self.stress_errors(truth, self.recovered_stress, "recovered"),
+        }
+
+    def stress_errors(self, truth: Tube, stress: Expr, name: str) -> dict[str, float]:
+        """Return the errors of σ_rr and σ_θθ [kPa] in the L2 norm, relative. Collective."""
+        errors = {}
+        exact = _stresses(truth, self.radii, self.layer)
+        for ending, e, there in zip(("rr", "tt"), self.frame, exact, strict=True):
+            difference = self.at_points(ufl.inner(e, stress * e)) - there
+            error, norm = (self._integral(values**2) for values in (difference, there))
+            errors[f"{name}_{ending}_error"] = float(np.sqrt(error / norm))
+        return errors
+
+    def at_points(self, expression: Expr) -> Array:
+        """Evaluate a scalar at the quadrature points, (cells, points). Collective."""
+        return _at_points(expression, self.u.function_space.mesh, self.patches.points)
+
+    def _integral(self, values: Array) -> float:
+        return self.u.function_space.mesh.comm.allreduce(float((self.weights * values).sum()))
+
+    def _radial(self, radius: float) -> Array:
+        """Return u_r at the nodes at a radius, none of them on a chord; on all processes."""
+        V = self.u.function_space
+        n = V.dofmap.index_map.size_local
+        x, u = V.tabulate_dof_coordinates()[:n], self.u.x.array.reshape(-1, 3)[:n]
+        r = np.hypot(x[:, 0], x[:, 1])
+        outwards = np.einsum("ij,ij->i", x[:, :2], u[:, :2]) / r
+        parts = V.mesh.comm.allgather(outwards[np.isclose(r, radius, rtol=1e-9)])
+        return np.concatenate(parts)
+
+
+def create_slice(comm: MPI.Comm, *, size: float, quarter: bool) -> Wall:
+    """Mesh a tube as long as its elements, or a quarter of it. Collective."""
+    around = count_around(size, quarter=True) * (1 if quarter else 4)
+    return create_tube_wall(comm, length=size, size=size, quarter=quarter, around=around)
+
+
+def create_inflated_tube(
+    wall: Wall,
+    *,
+    degree: int,
+    c: float,
+    kappa: float,
+    subdomains: int,
+    tangent: str = "symmetric",
+    options: dict[str, object] | None = None,
+) -> InflatedTube:
+    """Build the tube on a wall of :func:`create_slice`; the options have the prefix ``tube_``."""
+    mesh = wall.mesh
+    body = create_wall_problem(
+        wall,
+        degree=degree,
+        c=c,
+        kappa=kappa,
+        subdomains=subdomains,
+        options=options or {},
+        prefix="tube_",
+        fibres=tube_fibres(mesh),
+        hold=slide,
+        tangent=tangent,
+        axis=(0.0, 0.0, 1.0),
+    )
+    x = ufl.SpatialCoordinate(mesh)
+    r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
+    e_r = ufl.as_vector([x[0] / r, x[1] / r, 0.0])
+    e_t = ufl.as_vector([-x[1] / r, x[0] / r, 0.0])
+    points, weights = basix.make_quadrature(basix.CellType.tetrahedron, QUADRATURE)
+    patches = create_patches(mesh, wall.cell_tags, degree=QUADRATURE)
+    layer = np.zeros(len(patches.volumes), dtype=np.int64)
+    outer = wall.cell_tags.find(wall.layers["adventitia"])
+    layer[outer[outer < len(layer)]] = 1
+    known = {field.name: getattr(body, field.name) for field in fields(body)}
+    return InflatedTube(
+        **known,
+        frame=(e_r, e_t),
+        patches=patches,
+        radii=_at_points(r, mesh, points),
+        weights=patches.volumes[:, None] * 6.0 * weights,
+        layer=layer,
+    )
+
+
+def _at_points(expression: Expr, mesh: dolfinx.mesh.Mesh, points: Array) -> Array:
+    """Evaluate a scalar in the owned cells, (cells, points)."""
+    owned = np.arange(mesh.topology.index_map(3).size_local, dtype=np.int32)
+    values = dolfinx.fem.Expression(expression, points).eval(mesh, owned)
+    return np.asarray(values).reshape(len(owned), len(points))
+
+
+def _stresses(truth: Tube, r: Array, layer: npt.NDArray[np.int64]) -> tuple[Array, Array]:
+    """Return the true σ_rr and σ_θθ at reference radii, from tables of each layer.
+
+    Chords lie inside their circle: below a layer its stress is continued with the slope there.
+    """
+    rr, tt = np.zeros_like(r), np.zeros_like(r)
+    for i, part in enumerate(truth.wall.layers):
+        table = np.linspace(part.inner, part.outer, 100)
+        table[0] += 1e-9  # at an interface the oracle takes the inner layer
+        values = np.array([truth.stress(R) for R in table])
+        slopes = (values[1] - values[0]) / (table[1] - table[0])
+        here = r[layer == i]
+        below = np.minimum(here - table[0], 0.0)
+        rr[layer == i], tt[layer == i] = (
+            np.interp(here, table, column) + slope * below
+            for column, slope in zip(values.T, slopes, strict=True)
+        )
+    return rr, tt

@@ -1,0 +1,121 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The inflated tube against its semi-analytical solution at the same κ.
+
+    python3 -m benchmarks.tube --pressures 10,100,300 --c 3 --kappa 1000 --quarter \
+        --subdomains 8 --json build/tube.json
+
+A record for each pressure: radius, thickness, volume and stress beside the truth, and what it took
+to get there from rest, failed attempts included. A run that does not arrive leaves a record of
+where it ended. With --checkpoint FOLDER a run that was killed is continued by --restart.
+
+Options with a single dash are PETSc's, with the prefix `tube_`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from mpi4py import MPI
+
+from benchmarks.common import command
+from benchmarks.common.records import Record
+from benchmarks.tube.inflated_tube import TANGENTS, create_inflated_tube, create_slice
+from benchmarks.tube.oracle import KPA_PER_MMHG, Wall, inflate
+from dolfinx_feti import ConvergenceError
+from dolfinx_feti.loading import LoadStep, Steps
+from dolfinx_feti.loading.load_steps import load_step
+from meshes.arguments import count, positive
+
+__all__ = ["STEPS", "main"]
+
+STEPS = Steps(first=10.0, least=0.5, growth=2.0)
+
+
+def main(argv: Sequence[str] | None = None) -> list[Record]:
+    """Inflate a tube; return a record for each pressure reached, and one of the failure, if any."""
+    comm = MPI.COMM_WORLD
+    parser = command.create_parser("tube", __doc__, comm)
+    add = parser.add_argument
+    pressures = {"type": command.several(positive), "default": [10.0, 100.0, 300.0]}
+    add("--pressures", **pressures, help="[mmHg], rising")
+    add("--c", type=positive, default=3.0, help="[kPa], 3")
+    add("--kappa", type=positive, default=1000.0, help="[kPa], 1000")
+    add("--size", type=positive, default=0.09, help="length of the elements' edges [mm], 0.09")
+    add("--degree", type=command.one_of((1, 2)), default=2, help="of the displacements, 2")
+    add("--quarter", action="store_true", help="only a quarter, between planes of symmetry")
+    add("--tangent", choices=TANGENTS, default="symmetric", help="of the follower pressure")
+    add("--subdomains", type=count, default=8, help="over all processes, 8")
+    add("--checkpoint", type=Path, metavar="FOLDER", help="keep each load step")
+    add("--restart", action="store_true", help="continue from the checkpoint")
+    add("--json", type=Path, metavar="FILE", help="records, added to what the file holds")
+    args = command.parse_words(parser, argv)
+    if args.pressures != sorted(args.pressures):
+        parser.error(f"argument --pressures: {args.pressures} do not rise")
+    if args.restart and args.checkpoint is None:
+        parser.error("argument --restart: it needs --checkpoint FOLDER, the run to continue")
+    names = ("c", "kappa", "size", "degree", "quarter", "subdomains", "tangent")
+    case: Record = {name: getattr(args, name) for name in names} | {"processes": comm.size}
+    file = command.open_records(args.json, parser, comm)
+    physics = {name: case[name] for name in ("c", "kappa", "degree")}
+    checkpoint = command.open_checkpoint(
+        args.checkpoint, parser, comm, parameters=physics, restart=args.restart
+    )
+    tube = create_inflated_tube(
+        create_slice(comm, size=args.size, quarter=args.quarter),
+        **{name: case[name] for name in ("degree", "c", "kappa", "subdomains", "tangent")},
+    )
+    records: list[Record] = []
+    steps: list[LoadStep] = []
+    if checkpoint is not None and checkpoint.record is not None:
+        steps = [load_step(step) for step in checkpoint.record["steps"]]
+
+    def put(pressure: float, found: Record) -> None:
+        key = case | {"pressure_mmhg": pressure}
+        records.append(file.put(key, key | _cost(steps) | found))
+        command.say(_line(records[-1]), comm)
+
+    def report(step: LoadStep) -> None:
+        steps.append(step)
+        if step.load in args.pressures:
+            truth = inflate(step.load * KPA_PER_MMHG, Wall(c=args.c, kappa=args.kappa))
+            put(step.load, tube.compare(truth))
+
+    try:
+        tube.inflate(args.pressures, STEPS, on_step=report, checkpoint=checkpoint)
+    except ConvergenceError as error:
+        reached = steps[-1].load if steps else 0.0
+        missed = next(pressure for pressure in args.pressures if pressure > reached)
+        put(missed, {"reached_mmhg": reached, "error": str(error)})
+    return records
+
+
+def _cost(steps: Sequence[LoadStep]) -> Record:
+    """Count what load steps took, their failed attempts included."""
+    newton = [s for step in steps for s in step.all_steps]
+    return {
+        "steps": len(steps),
+        "failures": sum(step.failures for step in steps),
+        "newton_iterations": len(newton),
+        "linear_iterations": sum(s.linear_iterations for s in newton),
+        "max_linear_residual": max((s.linear_residual for s in newton), default=0.0),
+        "linear_methods": sorted({s.linear_method for s in newton}),
+        "seconds": sum(step.seconds for step in steps),
+    }
+
+
+def _line(record: Record) -> str:
+    """Format a record as a line."""
+    cost = (
+        f"{record['steps']:3d} steps {record['newton_iterations']:4d} Newton "
+        f"{record['linear_iterations']:6d} FETI"
+    )
+    if "error" in record:
+        return f"{record['reached_mmhg']:7.1f} mmHg {cost}, and no further: {record['error']}"
+    error = record["u_r_inner"] / record["u_r_inner_exact"] - 1.0
+    return (
+        f"{record['pressure_mmhg']:7.1f} mmHg {cost}  u_r {record['u_r_inner']:.5f} mm "
+        f"({100 * error:+.2f} %)  J {record['min_J']:.3f} … {record['max_J']:.3f}"
+    )

@@ -1,8 +1,0 @@
-# Copyright (C) 2026 the dolfinx_feti authors
-#
-# SPDX-License-Identifier: LGPL-3.0-or-later
-"""The paper's linear study: elasticity on the unit cube, torn into subcubes.
-
-In the order of the data: fundamental, problem, memory, case, study, solvers, paper, groups, growth,
-checks, tables, plots.
-"""

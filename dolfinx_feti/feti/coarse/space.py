@@ -1,0 +1,296 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The averaged coarse space and its Galerkin matrix.
+
+.. math:: V = T^⊤ δ\, U, \qquad A_0 = V^⊤ A V = \sum_i W_i^⊤ S_i W_i, \qquad W_i = (T V)_i
+
+(Mandel 1993, Fragakis and Papadrakakis 2003) with columns :math:`U_i` of each subdomain on its
+interface, (n_i, k_i): its regularised kernel E (``pseudoinverse``) and others, such as those of
+``adaptive``. :math:`W_i` holds the columns of subdomain i and those of its neighbours, (n_i, c_i).
+With :math:`Y_i = S_i W_i` the projection
+
+.. math:: z ← z - V A_0^{-1} (A V)^⊤ z, \qquad (A V)^⊤ z = \sum_i Y_i^⊤ (T z)_i
+
+of the primal method takes two dense products for each subdomain, a coarse solve, and an average.
+To both methods A₀ may prove that A is indefinite: A has at least as many negative eigenvalues. V
+serves any matrix, :class:`AveragedColumns`; A V and A₀ are of one, :class:`AveragedSpace`.
+
+The columns are scaled to energy one. Dependent ones of a subdomain are dropped: combinations with
+an energy below :data:`LEAST_ENERGY`, by its block on the diagonal of A₀. Columns of several
+subdomains may depend on each other, too: pivots below :data:`ZERO_PIVOT` are left out of the
+solution. Negative eigenvalues and curvatures count only if they are those of :math:`A_0 + ε`, with
+a diagonal ε just above rounding, :math:`\sum_i \|S_i\|_F \|W_i\|^2` times its unit for each column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+
+from dolfinx_feti.feti.coarse.fields import averaged_fields
+from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.feti.coarse.near import NearColumns, joined
+from dolfinx_feti.feti.gluing.copies import Copies, consecutive
+from dolfinx_feti.feti.subdomain.blocks import on_subdomains
+from dolfinx_feti.feti.subdomain.operator import Operator
+from dolfinx_feti.feti.subdomain.orthonormal import diagonalising, unit_scale
+
+__all__ = [
+    "EPS",
+    "MARGIN",
+    "AveragedColumns",
+    "AveragedSpace",
+    "estimated_norms",
+    "negative_curvature",
+]
+
+Array = npt.NDArray[np.float64]
+
+#: Energy below which a combination of the columns of a subdomain, of unit energy each, is dropped.
+LEAST_ENERGY = 1e-6
+
+#: A pivot of A₀ below this multiple of its norm is that of a column that depends on others.
+ZERO_PIVOT = 1e-8
+
+#: Multiple of a bound of rounding errors by which an energy has to be negative.
+MARGIN = 10.0
+
+#: Unit of rounding.
+EPS = float(np.finfo(np.float64).eps)
+
+#: Search of a negative direction by conjugate gradients: steps for each unknown, and share of the
+#: first residual at which none is left. With positive curvatures only, the component of the
+#: residual along an eigenvector of a negative eigenvalue grows; a random one begins with more.
+STEPS, NO_RESIDUAL = 3, 1e-10
+
+
+class AveragedColumns:
+    """V = Tᵀ δ U.
+
+    Attributes:
+        copies: Copies of the interface dofs.
+        size: Number of columns of this process.
+        total: Number of columns over all processes.
+        columns: For each subdomain :math:`U_i`, (n_i, k_i).
+        own: Where they stand among those of this process.
+        W: For each subdomain :math:`W_i = (T V)_i`, (n_i, c_i).
+        near: Which columns these are.
+    """
+
+    def __init__(self, copies: Copies, U: Sequence[Array]) -> None:
+        """Average the columns U_i of each subdomain on its interface, (n_i, k_i). Collective."""
+        counts = [U_i.shape[1] for U_i in U]
+        self.copies = copies
+        self.columns = [np.asfortranarray(U_i) for U_i in U]
+        self.own = consecutive(counts)
+        self.size = sum(counts)
+        self.total = copies.comm.allreduce(self.size)
+        self.W = averaged_fields(copies, self.columns)
+        self.near = NearColumns(self.W.numbers, counts, copies.comm)
+
+    def restrict(self, r: Array) -> Array:
+        """Return Vᵀ r of an assembled residual given by copies, (n,) → (size,)."""
+        t = self.copies.delta * r
+        blocks = zip(self.columns, self.copies.blocks, strict=True)
+        return joined([U.T @ t[rows] for U, rows in blocks])
+
+    def prolong(self, y: Array) -> Array:
+        """Return the copies of V y, (size,) → (n,). Collective."""
+        t = np.empty(self.copies.n)
+        for U, rows, own in zip(self.columns, self.copies.blocks, self.own, strict=True):
+            t[rows] = U @ y[own]
+        return self.copies.average(t)
+
+    def destroy(self) -> None:
+        """Free the star forest."""
+        self.near.destroy()
+
+
+class AveragedSpace:
+    """V, A V and the factored A₀.
+
+    Attributes:
+        V: The columns.
+        total: Number of columns over all processes.
+        combinations: Those of the columns of this process that A₀ belongs to, block-diagonal,
+            (size, up to size).
+        dropped: Number of dependent columns, over all processes.
+        AV: For each subdomain :math:`Y_i`, (n_i, c_i).
+        A_0: The Galerkin matrix of the independent combinations.
+        solver: Its factors.
+    """
+
+    def __init__(
+        self,
+        V: AveragedColumns,
+        S: Operator,
+        *,
+        prefix: str,
+        combinations: scipy.sparse.csr_array | None = None,
+    ) -> None:
+        """Form and factor the Galerkin matrix. Collective.
+
+        Args:
+            V: The columns; the caller destroys them after this.
+            S: Applies S_i.
+            prefix: Options prefix of the coarse solver.
+            combinations: Those that another matrix has shown to be independent; None to look for
+                them.
+
+        Raises:
+            Exception: What the work on a subdomain raises, on all processes.
+        """
+        self.V = V
+        self.total = V.total
+        self.AV: list[Array] = []
+
+        def elements() -> Iterator[Array]:
+            for i in range(len(V.W)):
+                W_i = V.W[i]
+                self.AV.append(S.multiply_panels(i, W_i))  # Y = S W
+                yield W_i.overlap(self.AV[i])  # Wᵀ Y
+
+        energies = V.near.sum(elements())
+        self.combinations = _independent(energies, V.own) if combinations is None else combinations
+        self.A_0 = _change_of_basis(energies, self.combinations)
+        self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self.dropped = V.total - self.A_0.getSize()[0]
+        self._x, self._y = self.A_0.createVecs()
+        self.solver = GatheredSolver(self.A_0, prefix=prefix, symmetric=True, zero=ZERO_PIVOT)
+        self._negative = self.solver.pivots().negative
+        self._shifted: PETSc.Mat | None = None
+        if self._negative != 0:  # perhaps by rounding, or not known
+            self._shifted = self._with_rounding(S)
+            if self._negative is not None:
+                solver = GatheredSolver(self._shifted, prefix=prefix, symmetric=True)
+                self._negative = solver.pivots().negative
+                solver.destroy()
+
+    def initial_guess(self, r: Array) -> Array:
+        """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective."""
+        return self.V.prolong(self.solve(self.V.restrict(r)))
+
+    def correct(self, z: Array, r: Array) -> Array:
+        """Return z + V A₀⁻¹ (Vᵀ r − (A V)ᵀ z), of and by copies, (n,). Collective.
+
+        It is the projection of z, and takes out what rounding leaves of r along V.
+        """
+        blocks = zip(self.AV, self.V.copies.blocks, strict=True)
+        energies = self.V.near.to_owners(joined([Y.T @ z[rows] for Y, rows in blocks]))  # (A V)ᵀ z
+        return z + self.V.prolong(self.solve(self.V.restrict(r) - energies))
+
+    def solve(self, e: Array) -> Array:
+        """Return A₀⁻¹ e, both (size,). Collective."""
+        self._y.array[:] = self.combinations.T @ e
+        self.solver.solve(self._y, self._x)
+        return np.asarray(self.combinations @ self._x.array_r)
+
+    def negative(self) -> int | None:
+        """Count the negative eigenvalues of A₀, which A has at least; None if not known."""
+        return self._negative
+
+    def negative_direction(self) -> Array | None:
+        """Return a field v with vᵀ A v < 0 by copies, (n,); None if not known. Collective."""
+        if self._negative == 0 or self._shifted is None:
+            return None
+        p = negative_curvature(self._shifted)
+        return None if p is None else self.V.prolong(np.asarray(self.combinations @ p))
+
+    def destroy(self) -> None:
+        """Free A V, matrices and solver; the columns stay."""
+        self.AV.clear()
+        for owned in (self.solver, self.A_0, self._x, self._y, self._shifted):
+            if owned is not None:
+                owned.destroy()
+
+    def _with_rounding(self, S: Operator) -> PETSc.Mat:
+        """Return A₀ + ε. Collective."""
+        W, copies = self.V.W, self.V.copies
+        norms = on_subdomains(lambda: estimated_norms(copies, S.multiply_many), copies.comm)
+        bounds = [EPS * norm * W[i].squares() for i, norm in enumerate(norms)]
+        columns = self.V.near.to_owners(joined(bounds))
+        self._x.array[:] = MARGIN * (self.combinations.multiply(self.combinations).T @ columns)
+        shifted = self.A_0.copy()
+        shifted.setDiagonal(self._x, addv=PETSc.InsertMode.ADD_VALUES)
+        return shifted
+
+
+def negative_curvature(A: PETSc.Mat) -> Array | None:
+    """Look for a p with pᵀ A p < 0 by conjugate gradients, (N,), beyond rounding. Collective.
+
+    Return its rows on this process; None if the residual vanishes first, or curvature does.
+    """
+    r, q = A.createVecs()
+    r.array[:] = np.random.default_rng(A.comm.rank).standard_normal(len(r.array_r))
+    p, ρ, direction = r.copy(), r.dot(r), None
+    rounding, least = MARGIN * EPS * A.norm(PETSc.NormType.INFINITY), NO_RESIDUAL**2 * ρ
+    for _ in range(STEPS * A.getSize()[0]):
+        A.mult(p, q)
+        curvature = p.dot(q)
+        if curvature <= 0.0:
+            if curvature < -rounding * p.dot(p):
+                direction = p.array_r.copy()
+            break
+        r.axpy(-ρ / curvature, q)
+        ρ, last = r.dot(r), ρ
+        if ρ <= least:
+            break
+        p.aypx(ρ / last, r)
+    for owned in (r, q, p):
+        owned.destroy()
+    return direction
+
+
+def estimated_norms(copies: Copies, multiply: Callable[[int, Array], Array]) -> list[float]:
+    """Return norms of the size of ‖S_i‖_F of each subdomain, by a product with a random vector."""
+    sizes = [rows.stop - rows.start for rows in copies.blocks]
+    ω = [np.random.default_rng(n).standard_normal((n, 1)) for n in sizes]
+    return [float(np.linalg.norm(multiply(i, ω_i))) for i, ω_i in enumerate(ω)]
+
+
+def _independent(A: PETSc.Mat, blocks: Sequence[slice]) -> scipy.sparse.csr_array:
+    """Return columns, or combinations, of energy ±1 that are independent in each diagonal block."""
+    indptr, indices, values = A.getDiagonalBlock().getValuesCSR()
+    size = A.getLocalSize()[0]
+    local = scipy.sparse.csr_array((values, indices, indptr), shape=(size, size))
+    combinations = [_unit_energy(local[rows][:, rows].toarray()) for rows in blocks]
+    if not combinations:
+        return scipy.sparse.csr_array((0, 0))
+    basis = scipy.sparse.csr_array(scipy.sparse.block_diag(combinations, format="csr"))
+    basis.eliminate_zeros()
+    return basis
+
+
+def _unit_energy(H: Array) -> Array:
+    """Return B with entries ±1 on the diagonal of Bᵀ H B, diagonal itself if none is dropped."""
+    θ, B = diagonalising(H, LEAST_ENERGY)
+    return np.diag(unit_scale(H)) if len(θ) == len(H) else B / np.sqrt(np.abs(θ))
+
+
+def _change_of_basis(A: PETSc.Mat, basis: scipy.sparse.csr_array) -> PETSc.Mat:
+    """Return Bᵀ A B, with the rows and columns of the block-diagonal B of each process; free A."""
+    size, comm = basis.shape[1], A.comm.tompi4py()
+    if comm.allreduce(size == basis.shape[0] and basis.nnz == size, op=MPI.LAND):
+        scale = A.createVecRight()
+        scale.array[:] = basis.diagonal()
+        A.diagonalScale(scale, scale)
+        scale.destroy()
+        return A
+    before, total = comm.scan(size) - size, comm.allreduce(size)
+    csr = (
+        basis.indptr.astype(PETSc.IntType),
+        (basis.indices + before).astype(PETSc.IntType),
+        basis.data,
+    )
+    B = PETSc.Mat().createAIJ((A.getSizes()[0], (size, total)), csr=csr, comm=A.comm)
+    A_0 = A.ptap(B)
+    for owned in (A, B):
+        owned.destroy()
+    return A_0

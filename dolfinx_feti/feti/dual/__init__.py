@@ -1,0 +1,8 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The dual form: multipliers, the paper's method.
+
+In the order of the data: linear_map, preconditioner, weighted, coarse, system,
+stopping, krylov, form.
+"""

@@ -1,0 +1,183 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The coarse problem and the projection.
+
+.. math:: G = B E, \qquad e = E^⊤ f, \qquad N = G^⊤ Q\, G + D, \qquad
+          P = I - Q\, G\, N^{-1} G^⊤
+
+(eq. 43; eq. 44, Augustin_eq:projection, has Q = I and D = 0). N couples neighbouring subdomains
+only: it is a sparse, distributed matrix of the size of all kernels together. Q weighs the
+projection:
+
+- ``identity``, the paper's Q = I;
+- ``diagonal``, :math:`Q = \operatorname{diag}(q)` with :math:`q = \operatorname{diag}(B_D
+  \operatorname{diag}(k) B_D^⊤)` from the stiffness k of the scaling;
+- ``preconditioner``, :math:`Q = M + ε \operatorname{diag}(q)`: M alone can vanish on G, as for
+  subdomains in a row that move by turns to and fro.
+
+With D = 0, P is the projection onto :math:`G^⊤ λ = 0`. Under prestress D ≠ 0 and the pair (λ, s)
+obeys :math:`G^⊤ λ + D s = e` instead (``pseudoinverse``); N carries D.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+
+from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.feti.coarse.near import joined
+from dolfinx_feti.feti.dual.preconditioner.base import Preconditioner
+from dolfinx_feti.feti.dual.weighted import WeightedColumns
+from dolfinx_feti.feti.gluing.jump import Gluing
+from dolfinx_feti.feti.gluing.weights import Weights
+from dolfinx_feti.feti.subdomain.blocks import own_columns
+from dolfinx_feti.feti.subdomain.modes import SubdomainModes
+from dolfinx_feti.torn import Torn
+
+__all__ = ["Coarse"]
+
+Array = npt.NDArray[np.float64]
+
+DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+
+#: Share of the diagonal weight in Q = M + ε diag(q).
+EPSILON = 0.01
+
+
+class Coarse:
+    """G, Q and the factored N.
+
+    Attributes:
+        G: :math:`B E`, (m, K).
+        G_left: The same from :math:`K^⊤`; the identical matrix if K is symmetric.
+        q: Diagonal part of Q, (m,).
+        MG: :math:`M G`, if Q has M in it beside the diagonal.
+        N: :math:`G_{left}^⊤ Q G + D`, (K, K).
+        D: Defect of the kernels, block diagonal, (K, K).
+        size: Number of coarse unknowns of this process.
+        exact: Whether D = 0: all modes are in the kernels.
+    """
+
+    def __init__(
+        self,
+        gluing: Gluing,
+        weights: Weights,
+        modes: Sequence[SubdomainModes],
+        preconditioner: Preconditioner,
+        *,
+        q: str,
+        symmetric: bool,
+        prefix: str,
+    ) -> None:
+        """Form and factor the coarse matrix. Collective.
+
+        Args:
+            gluing: B.
+            weights: δ and B_D.
+            modes: E and D of every subdomain.
+            preconditioner: M, for Q = M.
+            q: ``identity``, ``diagonal`` or ``preconditioner``.
+            symmetric: Whether K is symmetric.
+            prefix: Options prefix of the coarse solver.
+        """
+        self._torn, self._dofs = preconditioner.operator.torn, preconditioner.operator.dofs
+        self._modes, torn = modes, self._torn
+        self.size = sum(m.E.shape[1] for m in modes)
+        self.start = torn.comm.scan(self.size) - self.size
+        self.total = torn.comm.allreduce(self.size)
+        self.exact = torn.comm.allreduce(all(m.exact for m in modes), op=MPI.LAND)
+        self.G = self._jump_of(gluing.B, [m.E for m in modes])
+        self.G_left = self.G
+        if not symmetric:
+            self.G_left = self._jump_of(gluing.B, [m.E_left for m in modes])
+        self.q = _weight(torn, weights.B_D, q)
+        self.MG: WeightedColumns | None = None
+        if q == "preconditioner":
+            self.MG = WeightedColumns(weights.delta, modes, preconditioner, symmetric=symmetric)
+        weighed = self.G.copy()
+        weighed.diagonalScale(L=self.q)
+        self.D = self._block_diagonal([m.D for m in modes])
+        self.N = self.G_left.transposeMatMult(weighed)  # N = Gᵀ q G, the diagonal part of Q
+        weighed.destroy()
+        if self.MG is not None:
+            self.N.axpy(1.0, self.MG.galerkin_matrix, structure=DIFFERENT)  # Gᵀ M G
+            self.MG.galerkin_matrix.destroy()
+        self.N.axpy(1.0, self.D, structure=DIFFERENT)
+        self.N.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+        self.solver = GatheredSolver(self.N, prefix=prefix, symmetric=symmetric)
+        self._s, self._e = self.N.createVecs()
+
+    def solve(self, e: Array) -> Array:
+        """Return N⁻¹ e for the local part of a right-hand side, (K,). Collective."""
+        self._e.array[:] = e
+        self.solver.solve(self._e, self._s)
+        return self._s.array_r.copy()
+
+    def restrict(self, f: Array) -> Array:
+        """Return the load of the kernels, e = Eᵀ f, (n,) → (K,)."""
+        pairs = zip(self._modes, self._dofs, strict=True)
+        return joined([m.E_left.T @ f[dofs] for m, dofs in pairs])
+
+    def prolong(self, s: Array) -> Array:
+        """Return the motion of the kernels, E s, (K,) → (n,)."""
+        u = np.zeros(self._torn.n)
+        first = 0
+        for modes, dofs in zip(self._modes, self._dofs, strict=True):
+            last = first + modes.E.shape[1]
+            u[dofs], first = modes.E @ s[first:last], last
+        return u
+
+    def _jump_of(self, B: PETSc.Mat, E: list[Array]) -> PETSc.Mat:
+        """Form B E from the kernels of all subdomains."""
+        columns = own_columns(self._torn, self._dofs, E)
+        G = B.matMult(columns)  # G = B E
+        columns.destroy()
+        return G
+
+    def _block_diagonal(self, blocks: list[Array]) -> PETSc.Mat:
+        """Assemble a block for each subdomain, (k_i, k_i), into a matrix, (K, K)."""
+        blocks = [block for block in blocks if len(block)]
+        local = scipy.sparse.csr_array(
+            scipy.sparse.block_diag(blocks, format="csr") if blocks else (0, 0)
+        )
+        csr = (
+            local.indptr.astype(PETSc.IntType),
+            (local.indices + self.start).astype(PETSc.IntType),
+            local.data,
+        )
+        sizes = (self.size, self.total)
+        return PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=self._torn.A.comm)
+
+    def destroy(self) -> None:
+        """Free matrices and solver."""
+        self.solver.destroy()
+        matrices = (self.G, self.G_left, self.N, self.D, self.MG)
+        vectors = (self.q, self._s, self._e)
+        for owned in {id(M): M for M in (*matrices, *vectors) if M is not None}.values():
+            owned.destroy()
+
+
+def _weight(torn: Torn, B_D: PETSc.Mat, q: str) -> PETSc.Vec:
+    """Form the diagonal part of Q, (m,)."""
+    weight = B_D.createVecLeft()
+    if q == "identity":
+        weight.set(1.0)
+        return weight
+    stiffness = B_D.createVecRight()
+    stiffness.array[:] = torn.stiffness()
+    indptr, indices, values = B_D.getValuesCSR()
+    csr = (indptr, indices, values**2)
+    squared = PETSc.Mat().createAIJ(B_D.getSizes(), csr=csr, comm=torn.A.comm)
+    squared.mult(stiffness, weight)  # q = diag(B_D diag(k) B_Dᵀ)
+    if q == "preconditioner":
+        weight.scale(EPSILON)
+    stiffness.destroy()
+    squared.destroy()
+    return weight

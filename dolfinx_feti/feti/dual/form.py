@@ -1,0 +1,295 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The dual form: the dual system set up for a matrix, and a displacement recovered from it.
+
+.. math:: d = B K^+ f - c, \quad e = E^⊤ f, \qquad u = K^+(f - B^⊤ λ) + E s
+
+(eq. 39, Augustin_eq:localSolutions; eq. 47 for the start, eq. 48 for s), on the interface alone
+where the interior is eliminated. The copies that the Krylov method leaves apart are averaged,
+:math:`u ← u - E_Γ B_D^⊤ (B u - c)`, and then one vector of the assembled problem holds u.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.errors import SetUpError
+from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
+from dolfinx_feti.feti.dual.coarse import Coarse
+from dolfinx_feti.feti.dual.krylov import Method, choose_method, solve
+from dolfinx_feti.feti.dual.preconditioner.base import Preconditioner
+from dolfinx_feti.feti.dual.preconditioner.dirichlet import Dirichlet
+from dolfinx_feti.feti.dual.preconditioner.identity import Identity
+from dolfinx_feti.feti.dual.preconditioner.lumped import Lumped
+from dolfinx_feti.feti.dual.system import DualSystem
+from dolfinx_feti.feti.gluing.copies import Copies
+from dolfinx_feti.feti.inertia import Inertia
+from dolfinx_feti.feti.pattern import Pattern
+from dolfinx_feti.feti.regularity.singularity import require_regular
+from dolfinx_feti.feti.setup import Setup
+from dolfinx_feti.feti.solution import Monitor, Solution
+from dolfinx_feti.feti.subdomain.modes import SubdomainModes
+from dolfinx_feti.feti.subdomain.operator import Operator
+from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
+from dolfinx_feti.runtime.events import event
+from dolfinx_feti.torn import Torn
+
+__all__ = ["DualForm", "balanced_start", "create_dual_form", "load", "recover"]
+
+Array = npt.NDArray[np.float64]
+
+PRECONDITIONERS: dict[str, Callable[..., Preconditioner]] = {
+    "dirichlet": Dirichlet,
+    "identity": Identity,
+    "lumped": Lumped,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class DualForm:
+    """The dual form of one matrix.
+
+    Attributes:
+        pattern: What depends on the pattern.
+        setup: The parts of the matrix.
+        preconditioner: M.
+        coarse: G and N.
+        inertia: Negative eigenvalues.
+        krylov: The Krylov method.
+        dual: The dual system with its constraint preconditioner.
+    """
+
+    pattern: Pattern
+    setup: Setup
+    preconditioner: Preconditioner
+    coarse: Coarse
+    inertia: Inertia
+    krylov: Method
+    dual: DualSystem
+
+    formulation = "dual"
+    solves_indefinite = True
+
+    @property
+    def torn(self) -> Torn:
+        """Subdomains and copies."""
+        return self.pattern.torn
+
+    @property
+    def operator(self) -> Operator:
+        """S, and K_II⁻¹."""
+        return self.setup.operator
+
+    @property
+    def inverse(self) -> PseudoInverse:
+        """K⁺."""
+        return self.setup.inverse
+
+    @property
+    def modes(self) -> tuple[SubdomainModes, ...]:
+        """R, E and D of each subdomain."""
+        return self.setup.inverse.modes
+
+    @property
+    def delta(self) -> Array:
+        """Weight δ of every torn dof, (n,)."""
+        return self.setup.weights.delta
+
+    @property
+    def method(self) -> str:
+        """Name of the Krylov method."""
+        return self.krylov.type
+
+    @property
+    def users_test(self) -> bool:
+        """Whether the user's own tolerance of the Krylov method decides."""
+        return self.krylov.users_test
+
+    def solve(
+        self, r: PETSc.Vec, u_D: Array, *, target: float, max_it: int, monitor: Monitor
+    ) -> tuple[Array, Solution]:
+        """Solve for an assembled right-hand side. Collective.
+
+        Args:
+            r: Assembled right-hand side, (N,).
+            u_D: Prescribed values on the torn Dirichlet dofs, (n,).
+            target: Wanted norm of the residual of the assembled system.
+            max_it: Most iterations.
+            monitor: Called with (iteration, norm of the residual of the assembled system).
+
+        Returns:
+            u with single-valued copies, (n,), and how the Krylov method ended.
+        """
+        f = load(self, r, u_D)
+        f_K, c = self.operator.load(f), self.pattern.gluing.gap(u_D)
+        pair, rest = balanced_start(self, f_K, c)
+        correction, solution = solve(
+            self.dual, rest, self.krylov, target=target, max_it=max_it, monitor=monitor
+        )
+        u = recover(self, pair + correction, f_K, c)
+        u = self.operator.complete(u, f)
+        return np.where(self.pattern.dofs.fixed, u_D, u), solution
+
+    def memory(self) -> float:
+        """Return the memory of all factors of this process in MiB."""
+        return self.operator.memory() + self.inverse.memory()
+
+    def destroy(self) -> None:
+        """Free everything but the pattern."""
+        for owned in (self.dual, self.coarse, self.preconditioner, self.setup):
+            owned.destroy()
+
+
+def create_dual_form(pattern: Pattern, setup: Setup) -> DualForm:
+    """Build the coarse problem and the dual system of the present matrix. Collective.
+
+    Args:
+        pattern: What depends on the pattern.
+        setup: The parts of the matrix, which belong to the form from now on.
+
+    Returns:
+        The form; the caller destroys it before the pattern.
+
+    Raises:
+        SetUpError: The assembled problem is singular, or the options do not fit the matrix; the
+            parts are destroyed then.
+    """
+    options, torn, modes = pattern.options, pattern.torn, setup.inverse.modes
+    prefix = pattern.prefix + "coarse_"
+    with ExitStack() as owned:
+        owned.callback(setup.destroy)
+        create = PRECONDITIONERS[options.pc_type]
+        preconditioner = create(setup.operator, setup.weights, [m.stabilisation for m in modes])
+        owned.callback(preconditioner.destroy)
+        with event("FETICoarse"):
+            coarse = Coarse(
+                pattern.gluing,
+                setup.weights,
+                modes,
+                preconditioner,
+                q=options.coarse_q,
+                symmetric=pattern.symmetric,
+                prefix=prefix,
+            )
+            owned.callback(coarse.destroy)
+            require_regular(
+                torn,
+                pattern.bodies,
+                setup.near_kernel,
+                coarse.N,
+                coarse.solver,
+                prolong=coarse.prolong,
+                extend=setup.operator.complete,
+                delta=setup.weights.delta,
+                symmetric=pattern.symmetric,
+                definite=_semidefinite(pattern, setup),
+                prefix=prefix,
+            )
+        inertia = setup.inertia
+        if pattern.symmetric:
+            proved = _negative_assembled(pattern, setup, prefix)
+            inertia = replace(inertia, assembled=proved)
+        method = choose_method(
+            torn.comm,
+            definite=pattern.symmetric and inertia.definite,
+            prefix=pattern.prefix + "dual_",
+        )
+        _check_method(method, pattern)
+        dual = DualSystem(
+            pattern.gluing,
+            setup.inverse,
+            preconditioner,
+            coarse,
+            frozen=coarse.exact and coarse.MG is None and method.is_cg,
+        )
+        owned.pop_all()
+    return DualForm(pattern, setup, preconditioner, coarse, inertia, method, dual)
+
+
+def load(form: DualForm, r: PETSc.Vec, u_D: Array) -> Array:
+    """Share an assembled right-hand side, (N,), among the copies, f = δ T r, (n,).
+
+    Fixed dofs (classical FETI) have no equation; their prescribed values u_D, (n,), move to the
+    right.
+    """
+    torn = form.torn
+    f = form.delta * torn.tear(r)
+    f -= torn.multiply(np.where(form.pattern.dofs.fixed, u_D, 0.0))
+    f[torn.dirichlet] = 0.0
+    return f
+
+
+def balanced_start(form: DualForm, f: Array, c: Array) -> tuple[Array, Array]:
+    """Find a balanced pair and the jump that it leaves, for a load f on the dofs of K⁺ and a gap c.
+
+    Returns:
+        The pair :math:`s_0 = N^{-1} e, λ_0 = Q G s_0`, with :math:`G^⊤ λ_0 + D s_0 = e`, (m + K,),
+        and the right-hand side (d − F λ₀ + G s₀, 0) of its correction, (m + K,). For D = 0 any s is
+        balanced, and s₀ is the best for λ₀.
+    """
+    dual, coarse = form.dual, form.coarse
+    s = coarse.solve(coarse.restrict(f))  # s₀ = N⁻¹ e, e = Eᵀ f
+    pair = np.concatenate([dual.weighted_jump(s), s])  # λ₀ = Q G s₀
+    d = dual.B @ form.inverse.solve(f) - c  # d = B K⁺ f − c
+    r = d - dual.jump(pair)  # d − F λ₀ + G s₀
+    if dual.exact:
+        r, w = dual.project(r)
+        pair[dual.m :] += w
+    return pair, np.concatenate([r, np.zeros(len(s))])
+
+
+def recover(form: DualForm, pair: Array, f: Array, c: Array) -> Array:
+    """Return u, (n,), on the dofs of K⁺, with single-valued copies, of a pair (λ, s), (m + K,)."""
+    dual, coarse = form.dual, form.coarse
+    lam, s = dual.split(pair)
+    u = form.inverse.solve(f - dual.B.T @ lam)
+    u += coarse.prolong(s)  # u = K⁺ (f − Bᵀ λ) + E s
+    jump = dual.B @ u - c  # B u − c
+    if dual.exact:
+        jump, w = dual.project(jump)
+        u -= coarse.prolong(w)  # s, at last
+    w = form.preconditioner.B_D.T @ jump
+    return np.asarray(u - form.preconditioner.extend(w))  # u ← u − E_Γ B_Dᵀ (B u − c)
+
+
+def _semidefinite(pattern: Pattern, setup: Setup) -> bool:
+    """Tell whether all K_i are known to be symmetric positive semi-definite."""
+    inside = setup.inertia.interior == 0 or not setup.operator.eliminated
+    return pattern.symmetric and setup.inertia.definite and inside
+
+
+def _negative_assembled(pattern: Pattern, setup: Setup, prefix: str) -> int | None:
+    """Count negative eigenvalues that the assembled matrix is proved to have; None if not known.
+
+    Those of K_II, and of A₀ for the motions E of the subdomains with their copies averaged.
+    """
+    S, inside = setup.operator, setup.inertia.interior
+    if setup.inertia.definite:  # all K_i are positive semi-definite, but perhaps inside
+        return inside or 0
+    if inside is None:
+        return None
+    copies = Copies(pattern.torn, S.interface, setup.weights.delta)
+    E = [m.E[on] for m, on in zip(setup.inverse.modes, S.on_interface, strict=True)]
+    V = AveragedColumns(copies, E)
+    space = AveragedSpace(V, S, prefix=prefix)
+    negative = space.negative()
+    for owned in (space, V, copies):
+        owned.destroy()
+    return None if negative is None else inside + negative
+
+
+def _check_method(method: Method, pattern: Pattern) -> None:
+    """Refuse a Krylov method for symmetric systems if the matrix is not."""
+    if not pattern.symmetric and method.is_symmetric:
+        raise SetUpError(
+            f"The matrix is not symmetric, but -{pattern.prefix}dual_ksp_type is {method.type}, "
+            f"which takes it to be: use -{pattern.prefix}dual_ksp_type gmres."
+        )

@@ -1,0 +1,178 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Krylov methods: CG where the system is positive definite, GMRES otherwise.
+
+Conjugate gradients are safe as long as the dual system is positive definite on the balanced pairs
+(λ, s), that is if neither a regularised subdomain nor the defect D has a negative eigenvalue
+(``definite``); otherwise GMRES takes over. ``stopping`` decides when they end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.feti.dual.stopping import StoppingTest
+from dolfinx_feti.feti.dual.system import DualSystem
+from dolfinx_feti.feti.solution import Monitor, Solution
+from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.petsc_options import inserted
+
+__all__ = ["Method", "choose_method", "solve"]
+
+Array = npt.NDArray[np.float64]
+
+#: Methods that precondition nothing but their residuals.
+CG = ("cg", "fcg", "pipecg")
+
+#: Methods for symmetric systems.
+SYMMETRIC = (*CG, "minres", "symmlq")
+
+#: Vectors that GMRES keeps before it begins anew.
+RESTART = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A Krylov method as the options have it.
+
+    Attributes:
+        type: PETSc's name of it.
+        prefix: Options prefix, ``…feti_dual_``.
+        users_test: Whether the user's own ``ksp_rtol`` or ``ksp_atol`` decides, not the residual of
+            the assembled system.
+    """
+
+    type: str
+    prefix: str
+    users_test: bool
+
+    @property
+    def is_cg(self) -> bool:
+        """Whether the preconditioner is only applied to residuals."""
+        return self.type in CG
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether the method takes the system to be symmetric."""
+        return self.type in SYMMETRIC
+
+
+def choose_method(comm: MPI.Comm, *, definite: bool, prefix: str) -> Method:
+    """Read the choice of a Krylov method from the options; CG is safe if ``definite``. Collective.
+
+    Raises:
+        PETSc.Error: The options ask for a method that PETSc does not have.
+    """
+    own = PETSc.Options(prefix)
+    ksp = _create_ksp(comm, "cg" if definite else "gmres", prefix, directions=1)
+    kind = ksp.getType()
+    ksp.destroy()
+    users_test = any(own.hasName(f"ksp_{key}") for key in ("rtol", "atol"))
+    return Method(kind, prefix, users_test)
+
+
+def solve(
+    system: DualSystem,
+    b: Array,
+    method: Method,
+    *,
+    target: float,
+    max_it: int,
+    monitor: Monitor,
+) -> tuple[Array, Solution]:
+    """Solve 𝒜 x = b. Collective.
+
+    Args:
+        system: The system with its preconditioner.
+        b: Local part of the right-hand side.
+        method: The Krylov method.
+        target: Wanted norm of the residual of the assembled system.
+        max_it: Most iterations.
+        monitor: Called with (iteration, norm of the residual of the assembled system).
+
+    Returns:
+        The local part of the best iterate, and how the method ended.
+    """
+    context = _Context(system)
+    ksp = _create_ksp(system.comm, method.type, method.prefix, directions=max_it)
+    mat = PETSc.Mat().createPython(((system.size, None),) * 2, context, comm=system.comm)
+    mat.setUp()
+    ksp.setOperators(mat)
+    ksp.getPC().setPythonContext(context)
+    rhs, x = mat.createVecs()
+    rhs.array[:] = b
+    norm = rhs.norm()
+    test = StoppingTest(
+        system,
+        lambda: context.norm,
+        target=target,
+        max_it=max_it,
+        cg=method.is_cg,
+        first=system.unbalanced(b) / norm if norm and not method.is_cg else 0.0,
+        monitor=monitor,
+    )
+    if method.users_test:
+        ksp.setTolerances(max_it=min(max_it, ksp.getTolerances()[3]))
+        ksp.setMonitor(lambda _ksp, its, rnorm: test.measure(its, rnorm))
+    else:
+        ksp.setTolerances(max_it=max_it)
+        ksp.setConvergenceTest(test)
+    with event("FETIIterations"):
+        ksp.solve(rhs, x)
+    reason = ksp.getConvergedReason()
+    best = x.array_r.copy() if reason > 0 or test.best is None else test.best
+    its = ksp.getIterationNumber()
+    ritz = _ritz_values(ksp) if method.is_cg and its > 0 else (np.nan, np.nan)
+    for owned in (ksp, mat, rhs, x):
+        owned.destroy()
+    return best, Solution(reason, its, ritz)
+
+
+class _Context:
+    """The system as PETSc calls it: context of a Mat and of a PC.
+
+    Attributes:
+        norm: Residual of the assembled system that the vector which was last preconditioned leaves.
+    """
+
+    def __init__(self, system: DualSystem) -> None:
+        self._system = system
+        self.norm = np.inf
+
+    def mult(self, _mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        y.array[:] = self._system.multiply(x.array_r)
+
+    def apply(self, _pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
+        z.array[:], self.norm = self._system.precondition(r.array_r)
+
+
+def _create_ksp(comm: MPI.Comm, kind: str, prefix: str, *, directions: int) -> PETSc.KSP:
+    """Create a KSP with the user's options; flexible CG keeps so many directions by default."""
+    ksp = PETSc.KSP().create(comm)
+    ksp.setOptionsPrefix(prefix)
+    ksp.setType(kind)
+    ksp.setGMRESRestart(RESTART)
+    ksp.getPC().setType(PETSc.PC.Type.PYTHON)
+    ksp.setComputeSingularValues(True)
+    full = {} if PETSc.Options(prefix).hasName("ksp_fcg_mmax") else {"ksp_fcg_mmax": directions}
+    with inserted(prefix, full):
+        ksp.setFromOptions()
+    if ksp.getType() in ("gmres", "fgmres"):
+        ksp.setPCSide(PETSc.PC.Side.RIGHT)  # its residual then is the jump
+    return ksp
+
+
+def _ritz_values(ksp: PETSc.KSP) -> tuple[float, float]:
+    """Return the extreme Ritz values; nan if CG has met a NaN."""
+    try:
+        high, low = ksp.computeExtremeSingularValues()
+    except PETSc.Error:  # LAPACK does not accept the coefficients
+        return np.nan, np.nan
+    return low, high

@@ -1,0 +1,126 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""When a Krylov method stops: the residual of the assembled system, its stagnation, and NaN.
+
+Every application of a system's preconditioner to a residual also tells the norm
+:math:`\|T^⊤ t\|` of the residual of the *assembled* system that it leaves. CG, which preconditions
+its residuals, stops on it; where this norm is only an estimate (``exact`` is False) the residual is
+formed once more before. GMRES knows the norm of the jump only: the residual of the assembled system
+is measured when the proportion last seen promises convergence, and every few iterations. Where the
+residual that GMRES updates departs from the true one, the method ends, for a fresh start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.feti.dual.system import DualSystem
+from dolfinx_feti.feti.solution import STAGNATION, Monitor
+
+__all__ = ["StoppingTest"]
+
+Array = npt.NDArray[np.float64]
+Reason = PETSc.KSP.ConvergedReason
+
+#: By how much the proportion of the two residuals may have fallen before GMRES measures it.
+OPTIMISM = 0.1
+
+#: Iterations between two measurements in GMRES.
+INTERVAL = 10
+
+#: Quotient of true and updated residual above which GMRES starts afresh.
+DEPARTED = 2.0
+
+
+class StoppingTest:
+    """Convergence test of a KSP.
+
+    Attributes:
+        best: The iterate with the least residual, where the method has it at hand (CG); else None.
+    """
+
+    def __init__(
+        self,
+        system: DualSystem,
+        last_norm: Callable[[], float],
+        *,
+        target: float,
+        max_it: int,
+        cg: bool,
+        first: float,
+        monitor: Monitor,
+    ) -> None:
+        """Prepare a test for one solve.
+
+        Args:
+            system: The system.
+            last_norm: Returns the residual of the assembled system that the vector which was last
+                preconditioned leaves.
+            target: Wanted norm of the residual of the assembled system.
+            max_it: Most iterations.
+            cg: Whether the preconditioner is only applied to residuals.
+            first: Proportion of that residual to the method's own norm at the start, if not ``cg``.
+            monitor: Called with (iteration, norm of the residual of the assembled system).
+        """
+        self._system, self._last_norm = system, last_norm
+        self._target, self._max_it = target, max_it
+        self._cg, self._monitor = cg, monitor
+        self._proportion = 1.0 if cg else first
+        self._least = (np.inf, 0)
+        self._next = np.inf if cg else INTERVAL
+        self.best: Array | None = None
+
+    def measure(self, its: int, rnorm: float) -> float:
+        """Return the norm of the residual of the assembled system, in GMRES an estimate."""
+        if not self._cg and its == 1:
+            # right preconditioning: what was applied last is the first jump, scaled to one
+            self._proportion = OPTIMISM * self._last_norm()
+        norm = self._indicator(rnorm) * self._proportion
+        self._monitor(its, norm)
+        return norm
+
+    def __call__(self, ksp: PETSc.KSP, its: int, rnorm: float) -> int:
+        """Return the converged reason after an iteration."""
+        norm = self.measure(its, rnorm)
+        if not np.isfinite(rnorm) or np.isinf(norm):
+            return Reason.DIVERGED_NANORINF
+        sure = self._cg and self._system.exact
+        if not sure and (norm <= self._target or its >= self._next):
+            norm, true = self._measure_again(ksp, rnorm)
+            self._next = its + INTERVAL
+            if self._departed(ksp, norm, true, rnorm):
+                return Reason.CONVERGED_ITS
+        if norm <= self._target or rnorm == 0.0:
+            return Reason.CONVERGED_RTOL
+        if norm < self._least[0]:
+            self._least = (norm, its)
+            self.best = ksp.getSolution().array_r.copy() if self._cg else None
+        if its - self._least[1] >= STAGNATION:
+            return Reason.DIVERGED_BREAKDOWN
+        if its >= self._max_it:
+            return Reason.DIVERGED_MAX_IT
+        return Reason.ITERATING
+
+    def _measure_again(self, ksp: PETSc.KSP, rnorm: float) -> tuple[float, float]:
+        """Form the residual of the present iterate; return its two norms."""
+        indicator = self._indicator(rnorm)  # before another vector is preconditioned
+        r = ksp.buildResidual()
+        norm, true = self._system.unbalanced(r.array_r), r.norm()
+        r.destroy()
+        self._proportion = norm / indicator if indicator > 0.0 else 0.0
+        return norm, true
+
+    def _departed(self, ksp: PETSc.KSP, norm: float, true: float, rnorm: float) -> bool:
+        """Tell whether the method's own residual is not that of its iterate any more."""
+        own = not self._cg and ksp.getNormType() == PETSc.KSP.NormType.UNPRECONDITIONED
+        return own and norm > self._target and true > DEPARTED * rnorm
+
+    def _indicator(self, rnorm: float) -> float:
+        """Return what is known of the residual without a further product."""
+        return self._last_norm() if self._cg else rnorm

@@ -1,0 +1,154 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The dual system and its preconditioner, in the pair (λ, s).
+
+.. math:: \begin{pmatrix} F & -G \\ -G^⊤ & -D \end{pmatrix}
+          \begin{pmatrix} λ \\ s \end{pmatrix} =
+          \begin{pmatrix} d \\ -e \end{pmatrix}, \qquad
+          F = B K^+ B^⊤, \quad d = B K^+ f - c
+
+is the paper's system (eq. 41; eq. 42, Augustin_eq:classicalFetiF; eq. 43) with the
+defect D of the kernels in its corner (``pseudoinverse``). The first residual is the jump
+:math:`r = B u - c`, the second the balance of the subdomains (eq. 40). The *constraint
+preconditioner* keeps the second one zero in every iterate, so that a Krylov method only sees the
+jump; with :math:`N = G^⊤ Q G + D` it is
+
+.. math:: w = N^{-1} G^⊤ Q r, \quad y = M (r - G w), \quad v = N^{-1}(G^⊤ y - D w), \quad
+          z = (y - Q G v,\; -w - v).
+
+For D = 0 its λ-part is :math:`P M P^⊤ r`, the projected method of the paper (eq. 45,
+Augustin_eq:dualProblem), in which s plays no part before the end: conjugate gradients then leave s
+as it is (``frozen``), or rounding errors in it might grow without bound.
+
+Where Q has M in it, Q stands for M: :math:`z = (Q (r - G w), -w)` is balanced as it is,
+:math:`G^⊤ Q r - N w = 0`, with one coarse solve. Here s is never frozen: w is to shrink with r, or
+its rounding errors would unbalance z.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.feti.dual.coarse import Coarse
+from dolfinx_feti.feti.dual.linear_map import LinearMap
+from dolfinx_feti.feti.dual.preconditioner.base import Preconditioner
+from dolfinx_feti.feti.gluing.jump import Gluing
+from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
+from dolfinx_feti.runtime.collective import total
+
+__all__ = ["DualSystem"]
+
+Array = npt.NDArray[np.float64]
+
+
+class DualSystem:
+    """The dual system and its constraint preconditioner on the local parts of (λ, s), (m + K,).
+
+    Attributes:
+        comm: Communicator of the torn matrix.
+        m: Multipliers of this process.
+        size: Multipliers and coarse unknowns of this process, m + K.
+        exact: Whether D = 0, so that s may change alone.
+        frozen: Whether the preconditioner leaves s as it is.
+        B: Jumps, (m, n).
+        G: B E, (m, K).
+    """
+
+    def __init__(
+        self,
+        gluing: Gluing,
+        inverse: PseudoInverse,
+        preconditioner: Preconditioner,
+        coarse: Coarse,
+        *,
+        frozen: bool,
+    ) -> None:
+        """Take B, K⁺, M, and G, Q, D and N; for D = 0 the preconditioner may leave s frozen."""
+        self._inverse = inverse
+        self._M = preconditioner
+        self._coarse = coarse
+        self._torn = preconditioner.operator.torn
+        self.comm = self._torn.comm
+        self.exact, self.frozen = coarse.exact, frozen
+        self.B, self.G = LinearMap(gluing.B), LinearMap(coarse.G)
+        self._D, self._q = LinearMap(coarse.D), coarse.q.array_r.copy()
+        self._G_left = self.G if coarse.G_left is coarse.G else LinearMap(coarse.G_left)
+        self.m = self.B.shape[0]
+        self.size = self.m + coarse.size
+
+    # -- the system -------------------------------------------------------------------------------
+
+    def split(self, x: Array) -> tuple[Array, Array]:
+        """Return views of λ, (m,), and s, (K,)."""
+        return x[: self.m], x[self.m :]
+
+    def flexibility(self, lam: Array) -> Array:
+        """Apply the flexibility, F λ = B K⁺ Bᵀ λ, (m,)."""
+        return self.B @ self._inverse.solve(self.B.T @ lam)  # B K⁺ Bᵀ λ
+
+    def jump(self, x: Array) -> Array:
+        """Compute the jump of pairs, F λ − G s, (m + K,) → (m,)."""
+        lam, s = self.split(x)
+        return self.flexibility(lam) - self.G @ s  # F λ − G s
+
+    def weighted_jump(self, s: Array) -> Array:
+        """Return Q G s, (K,) → (m,)."""
+        diagonal = self._q * (self.G @ s)  # q G s
+        MG = self._coarse.MG
+        return diagonal if MG is None else diagonal + MG.multiply(s)
+
+    def multiply(self, x: Array) -> Array:
+        """Apply the dual system to a balanced pair, (F λ − G s, 0).
+
+        The second part, Gᵀ λ + D s, is zero up to rounding, which must not enter a Krylov method.
+        """
+        return np.concatenate([self.jump(x), np.zeros(self.size - self.m)])
+
+    # -- its preconditioner -----------------------------------------------------------------------
+
+    def precondition(self, x: Array) -> tuple[Array, float]:
+        """Apply the constraint preconditioner to a residual (r, 0). Collective.
+
+        Returns:
+            z, (m + K,), and the norm ‖Tᵀ t‖ of the residual of the assembled system that the jump
+            r leaves once s is best, see :mod:`~dolfinx_feti.feti.dual.preconditioner.base`.
+        """
+        r, w = self.project(x[: self.m])
+        y, t = self._M.apply(r)  # y = M (r − G w)
+        if self._coarse.MG is not None:
+            return np.concatenate([y + self._q * r, -w]), self._norm(t)  # (Q (r − G w), −w)
+        v = self._coarse.solve(self._G_left.T @ y - self._D @ w)  # v = N⁻¹ (Gᵀ y − D w)
+        s = np.zeros_like(w) if self.frozen else -w - v
+        return np.concatenate([y - self.weighted_jump(v), s]), self._norm(t)  # (y − Q G v, −w − v)
+
+    def project(self, r: Array) -> tuple[Array, Array]:
+        """Take from a jump what a motion of the kernels can remove, r − G w; return it and w."""
+        e = self._restrict(r)
+        w = self._coarse.solve(e)  # w = N⁻¹ Gᵀ Q r
+        return r - self.G @ w, w
+
+    def unbalanced(self, x: Array) -> float:
+        """Return the residual of the assembled system, ‖Tᵀ t‖, that a residual (r, 0) leaves."""
+        r = self.project(x[: self.m])[0] if self.exact else x[: self.m]
+        return self._norm(self._M.apply(r)[1])
+
+    def _restrict(self, r: Array) -> Array:
+        """Return Gᵀ Q r, (m,) → (K,)."""
+        weighed, MG = self._q * r, self._coarse.MG
+        if MG is None:
+            return self._G_left.T @ weighed
+        if self._G_left is self.G:
+            return self.G.T @ weighed + MG.restrict(r)
+        return self._G_left.T @ (weighed + self._M.apply(r)[0])
+
+    def _norm(self, t: Array) -> float:
+        """Return ‖Tᵀ t‖ on the free dofs for a torn force, (n,)."""
+        force = self._torn.assemble(np.where(self._torn.dirichlet, 0.0, t))
+        return float(np.sqrt(total(float(force @ force), self.comm)))
+
+    def destroy(self) -> None:
+        """Free the work vectors."""
+        for owned in (self.B, self.G, self._D, self._G_left):
+            owned.destroy()

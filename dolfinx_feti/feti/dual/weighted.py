@@ -1,0 +1,87 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""M G as dense blocks, one for each subdomain, for Q = M.
+
+.. math:: W_i = (B_D^⊤ G)_i, \quad Y_i = (S_i + Y_Z Y_Z^⊤)\, W_i, \qquad
+          M G\, s = B_D\, Y s, \quad G^⊤ M\, r = Y^⊤ B_D^⊤ r, \quad
+          G^⊤ M\, G = \sum_i W_i^⊤ Y_i
+
+with the columns near each subdomain (``near``). As a sparse matrix M G has in each row the columns
+of two subdomains and all of their neighbours: many times as many entries as the blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.feti.coarse.fields import jump_fields
+from dolfinx_feti.feti.coarse.near import NearColumns, joined
+from dolfinx_feti.feti.dual.preconditioner.base import Preconditioner
+from dolfinx_feti.feti.gluing.copies import Copies
+from dolfinx_feti.feti.subdomain.modes import SubdomainModes
+
+__all__ = ["WeightedColumns"]
+
+Array = npt.NDArray[np.float64]
+
+
+class WeightedColumns:
+    """M G for G = B E.
+
+    Attributes:
+        blocks: For each subdomain :math:`Y_i`, (n_i, c_i).
+        galerkin_matrix: Gᵀ M G, (K, K), with G from Kᵀ on the left.
+    """
+
+    def __init__(
+        self,
+        delta: Array,
+        modes: Sequence[SubdomainModes],
+        preconditioner: Preconditioner,
+        *,
+        symmetric: bool,
+    ) -> None:
+        """Form the blocks, for weights δ, (n,), and E of every subdomain. Collective."""
+        operator = preconditioner.operator
+        self._M, self._torn = preconditioner, operator.torn
+        self._copies = Copies(operator.torn, operator.interface, delta)
+        on_interface = operator.on_interface
+        E = [m.E[on] for m, on in zip(modes, on_interface, strict=True)]
+        W = W_left = jump_fields(self._copies, E)
+        if not symmetric:
+            E_left = [m.E_left[on] for m, on in zip(modes, on_interface, strict=True)]
+            W_left = jump_fields(self._copies, E_left)
+        counts = [E_i.shape[1] for E_i in E]
+        self._near = NearColumns(W.numbers, counts, operator.torn.comm)
+        self.blocks: list[Array] = []
+
+        def elements() -> Iterator[Array]:
+            for i in range(len(W)):
+                W_i = W[i]
+                self.blocks.append(preconditioner.image(i, W_i))  # Y = (S + Y_Z Y_Zᵀ) W
+                yield (W_i if W_left is W else W_left[i]).overlap(self.blocks[i])
+
+        self.galerkin_matrix = self._near.sum(elements())
+
+    def multiply(self, s: Array) -> Array:
+        """Return M G s, (K,) → (m,). Collective."""
+        near, copies = self._near.from_owners(s), self._copies
+        t = np.zeros(self._torn.n)
+        blocks = zip(self.blocks, self._near.blocks, strict=True)
+        t[copies.dofs] = joined([Y @ near[columns] for Y, columns in blocks])
+        return self._M.B_D @ t  # B_D Y s
+
+    def restrict(self, r: Array) -> Array:
+        """Return Gᵀ M r for a symmetric M, (m,) → (K,). Collective."""
+        w = (self._M.B_D.T @ r)[self._copies.dofs]  # w = B_Dᵀ r
+        blocks = zip(self.blocks, self._copies.blocks, strict=True)
+        return self._near.to_owners(joined([Y.T @ w[rows] for Y, rows in blocks]))
+
+    def destroy(self) -> None:
+        """Free the star forests."""
+        self._near.destroy()
+        self._copies.destroy()

@@ -1,0 +1,101 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Gluing: the jump operator B, which depends on the pattern alone.
+
+Continuity across the interface and, for all-floating FETI, the Dirichlet conditions are rows of
+
+.. math:: B u = c, \qquad B = \begin{pmatrix} B_{jump} \\ B_{Dirichlet} \end{pmatrix}, \quad
+          c = \begin{pmatrix} 0 \\ u_D \end{pmatrix}
+
+(eq. 34, Augustin_eq:jumpConstraints, eq. 35, eq. 37, Augustin_eq:jumpoperatorAF). The gluing is
+fully redundant: a dof with d copies gives d (d − 1)/2 rows, one for each pair. A Dirichlet dof is
+not glued: all-floating FETI gives it one row per copy, classical FETI none.
+"""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.torn import Torn
+
+__all__ = ["Gluing", "sum_over_copies"]
+
+Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+
+class Gluing:
+    """The jump operator of a torn matrix.
+
+    Attributes:
+        B: Jumps, (m, n_torn) over all processes, entries ±1.
+        glued: Torn dofs that occur in B, the interface Γ (eq. 31, Augustin_eq:skeleton), (n_Γ,).
+    """
+
+    def __init__(self, torn: Torn, *, all_floating: bool) -> None:
+        """Build B, with Dirichlet dofs as rows if ``all_floating``. Collective."""
+        constrained = torn.dirichlet & all_floating
+        self._dirichlet_dofs = np.flatnonzero(constrained)
+        ids = torn.gather((torn.start + np.arange(torn.n)).astype(np.float64)).astype(np.int64)
+        pairs = _pairs(torn)
+        order = np.argsort(ids[pairs], axis=1)  # the columns of a row ascend
+        self._pairs = np.take_along_axis(pairs, order, axis=1)
+        self._signs = np.where(order == 0, 1.0, -1.0)
+        self._ids = ids[self._pairs]
+        self._start = torn.start
+        self.B = self.create_jumps(torn, self._signs)
+        several = (sum_over_copies(torn, np.ones(torn.n)) > 1.5) & ~torn.dirichlet
+        self.glued = np.flatnonzero(several | constrained).astype(np.int32)
+
+    def create_jumps(self, torn: Torn, values: Array) -> PETSc.Mat:
+        """Create a matrix of B's pattern, (m, n_torn), with ones in the Dirichlet rows. Collective.
+
+        The values are those of the rows of pairs, (pairs, 2).
+        """
+        single = self._dirichlet_dofs
+        rows = len(self._pairs)
+        ends = np.concatenate([2 * np.arange(rows + 1), 2 * rows + np.arange(1, len(single) + 1)])
+        columns = np.concatenate([self._ids.ravel(), self._start + single])
+        data = np.concatenate([values.ravel(), np.ones(len(single))])
+        csr = (ends.astype(PETSc.IntType), columns.astype(PETSc.IntType), data)
+        sizes = ((len(ends) - 1, None), (torn.n, None))
+        return PETSc.Mat().createAIJ(sizes, csr=csr, comm=torn.A.comm)
+
+    def scaled(self, copies: Array) -> Array:
+        """Return (δ_j, −δ_i) for (1, −1), (pairs, 2), with δ as ``Torn.gather`` orders it."""
+        return np.asarray(self._signs * copies[self._pairs[:, ::-1]])
+
+    def gap(self, u_D: Array) -> Array:
+        """Return c of :math:`B u = c`, (m,), for prescribed values on torn Dirichlet dofs, (n,)."""
+        return np.concatenate([np.zeros(len(self._pairs)), u_D[self._dirichlet_dofs]])
+
+    def destroy(self) -> None:
+        """Free the matrix."""
+        self.B.destroy()
+
+
+def sum_over_copies(torn: Torn, t: Array) -> Array:
+    """Sum over the copies of each dof and hand the sum back to every copy, T Tᵀ t. Collective."""
+    x = torn.A.createVecRight()
+    x.array[:] = torn.assemble(t)
+    total = torn.tear(x)
+    x.destroy()
+    return total
+
+
+def _pairs(torn: Torn) -> Integers:
+    """Return all pairs of copies of the free dofs owned, by their places in ``gather``."""
+    free = torn.gather((~torn.dirichlet).astype(np.float64)) > 0.5
+    degree = torn.multiplicity()
+    first = np.cumsum(degree, dtype=np.int64) - degree
+    pairs = [np.zeros((0, 2), dtype=np.int64)]
+    for d in np.unique(degree[degree > 1]):
+        copies = first[degree == d][:, None] + np.arange(d)
+        copies = copies[free[copies[:, 0]]]
+        i, j = np.triu_indices(d, 1)
+        pairs.append(np.stack([copies[:, i], copies[:, j]], axis=-1).reshape(-1, 2))
+    return np.concatenate(pairs)

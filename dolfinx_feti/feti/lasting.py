@@ -1,0 +1,210 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What outlives its matrix, for how long, and when it is made anew: decided here alone.
+
+- The *pattern* lasts until the pattern of the matrix changes, or its symmetry.
+- The *preconditioner* of the primal form serves up to ``feti_lag`` later matrices of Newton's
+  method, as long as the iterations for a digit stay near those of its first solve.
+- The *Ritz vectors* of each solve, up to ``feti_deflation``, serve the next matrices of Newton's
+  method, with this preconditioner or a new one.
+
+All end with :meth:`Lasting.renew`. A solve that fails with an old preconditioner is tried again
+with a new one, and one that meets an indefinite matrix in the primal form, if ``auto`` has chosen
+it, is tried again in the dual form.
+"""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_feti.errors import SetUpError, SingularError
+from dolfinx_feti.feti.dual.form import create_dual_form
+from dolfinx_feti.feti.form import Form, takes_primal
+from dolfinx_feti.feti.options import FETIOptions
+from dolfinx_feti.feti.pattern import Pattern, create_pattern
+from dolfinx_feti.feti.primal.deflation import DeflatedSpace
+from dolfinx_feti.feti.primal.form import PrimalForm, create_lagged_form, create_primal_form
+from dolfinx_feti.feti.setup import set_up, set_up_operator
+from dolfinx_feti.feti.solution import RitzVectors
+from dolfinx_feti.torn import State, state_of
+
+__all__ = ["Lasting"]
+
+Reason = PETSc.KSP.ConvergedReason
+
+#: Growth of the iterations for a digit that ends the life of a preconditioner, and the one that
+#: ends a solve with it.
+GROWN, HOPELESS = 4.0 / 3.0, 3.0
+
+#: Digits beyond which no residual falls.
+MOST_DIGITS = 13.0
+
+
+class Lasting:
+    """The owner of the pattern, the form and the Ritz vectors of a solver.
+
+    Attributes:
+        form: The method set up for the last matrix; None before the first one, and after a failure.
+        age: Matrices since the one that the preconditioner belongs to.
+        may_change: Whether a matrix that turns out indefinite is solved in the dual form.
+    """
+
+    def __init__(self, options: FETIOptions, prefix: str, *, newton: bool, saddles: bool) -> None:
+        """Begin with nothing.
+
+        Args:
+            options: The choices made.
+            prefix: Options prefix of the KSP.
+            newton: Whether the matrices are those of Newton's method: then preconditioner and Ritz
+                vectors serve later ones.
+            saddles: Whether a solution is wanted where the matrix is indefinite.
+        """
+        self._options, self._prefix = options, prefix
+        self._newton = newton
+        self.may_change = options.formulation == "auto" and saddles
+        self._pattern: Pattern | None = None
+        self._state: State | None = None  # of the matrix that pattern and form belong to
+        self.form: Form | None = None
+        self._primal: PrimalForm | None = None  # the form, if it is primal
+        self._vectors: RitzVectors | None = None
+        self._outdated = False
+        self.age = 0
+        # Iterations for a digit in the first solve with the preconditioner, and in that with the
+        # last matrix, if there was one.
+        self._first = np.nan
+        self._last: float | None = None
+
+    @property
+    def deflation(self) -> DeflatedSpace | None:
+        """The coarse space with the Ritz vectors of earlier solves, in the primal form."""
+        return None if self._primal is None else self._primal.deflation
+
+    def renew(self) -> None:
+        """Let the next matrix have a preconditioner of its own, and no Ritz vectors."""
+        self._outdated, self._vectors = True, None
+
+    def take(self, A: PETSc.Mat) -> None:
+        """Bring the form up to the state of a torn matrix. Collective.
+
+        Raises:
+            SetUpError: It cannot be set up; there is no form then.
+        """
+        state, known = state_of(A), self._state
+        has_pattern = known is not None and known.pattern == state.pattern
+        has_form = has_pattern and self.form is not None and known == state
+        comm = A.comm.tompi4py()
+        if comm.allreduce(has_form, op=MPI.LAND):
+            return
+        self._state = None
+        if not comm.allreduce(has_pattern, op=MPI.LAND) or self._symmetry_has_changed():
+            self.destroy()
+            self._pattern = create_pattern(A, self._options, self._prefix)
+        self._state = state
+        assert self._pattern is not None
+        self._take_into_form(self._pattern)
+
+    def record(
+        self, reason: int, iterations: int, residual: float, vectors: RitzVectors | None
+    ) -> None:
+        """Note how a solve went; its residual is ‖b − A x‖/‖b‖."""
+        self._vectors = vectors
+        digits = -np.log10(residual) if 0.0 < residual < 1.0 else np.nan
+        self._last = iterations / digits
+        if reason > 0 and np.isnan(self._first):
+            self._first = self._last
+
+    def most_iterations(self, max_it: int, rtol: float) -> int:
+        """Return the most iterations of a solve: with an old preconditioner it may end early."""
+        if not self.age or np.isnan(self._first * rtol):
+            return max_it
+        digits = np.clip(-np.log10(max(rtol, 10.0**-MOST_DIGITS)), 1.0, None)
+        return min(max_it, int(np.ceil(HOPELESS * digits * self._first)))
+
+    def try_again(self, reason: int) -> bool:
+        """Prepare another solve after one has failed; tell whether there is one. Collective.
+
+        Raises:
+            SetUpError: What is tried cannot be set up; there is no form then.
+        """
+        pattern, primal, form = self._pattern, self._primal, self.form
+        if pattern is None or form is None:
+            return False
+        if reason == Reason.DIVERGED_INDEFINITE_MAT and not form.solves_indefinite:
+            if not self.may_change:
+                return False  # no preconditioner changes the curvature
+            if primal is not None and not self.age:
+                self.form = self._primal = None
+                self.form = create_dual_form(pattern, primal.keep_setup())
+                return True
+        if not self.age:
+            return False
+        self.renew()
+        self._take_into_form(pattern)
+        return True
+
+    def _symmetry_has_changed(self) -> bool:
+        """Tell whether the matrix is symmetric where the last one was not, or the other way."""
+        pattern = self._pattern
+        return pattern is None or pattern.torn.is_symmetric() != pattern.symmetric
+
+    def _take_into_form(self, pattern: Pattern) -> None:
+        """Set up the form of the present matrix, with the preconditioner of the last if it lasts.
+
+        Raises:
+            SetUpError: It cannot be set up; there is no form then.
+        """
+        form, primal = self.form, self._primal
+        lasts = primal is not None and self._preconditioner_lasts()
+        self.form = self._primal = self._last = None
+        if primal is not None and lasts:
+            try:
+                self.form = self._primal = self._lagged(pattern, primal)
+                self.age += 1
+                return
+            except SingularError:
+                raise
+            except SetUpError:
+                pass  # the present matrix may still be set up on its own
+        elif form is not None:
+            form.destroy()
+        self._outdated, self.age, self._first = False, 0, np.nan
+        setup = set_up(pattern)
+        if takes_primal(pattern, setup.inertia):
+            self.form = self._primal = create_primal_form(
+                pattern, setup, self._vectors if self._most else None, most=self._most
+            )
+        else:
+            self.form = create_dual_form(pattern, setup)
+
+    def _lagged(self, pattern: Pattern, last: PrimalForm) -> PrimalForm:
+        """Set up the present matrix with the preconditioner of the last form, which is used up."""
+        preconditioner = last.keep_preconditioner()
+        try:
+            near_kernel, operator = set_up_operator(pattern)
+        except SetUpError:
+            preconditioner.destroy()
+            raise
+        return create_lagged_form(
+            pattern, near_kernel, operator, preconditioner, self._vectors, most=self._most
+        )
+
+    @property
+    def _most(self) -> int:
+        """Ritz vectors that a solve leaves to later ones, at most."""
+        return self._options.deflation if self._newton else 0
+
+    def _preconditioner_lasts(self) -> bool:
+        """Tell whether the preconditioner of the last matrix serves another one."""
+        young = self._newton and not self._outdated and self.age < self._options.lag
+        return young and (self._last is None or self._last <= GROWN * self._first)
+
+    def destroy(self) -> None:
+        """Free everything."""
+        for owned in (self.form, self._pattern):
+            if owned is not None:
+                owned.destroy()
+        self.form = self._primal = self._pattern = self._vectors = self._state = None

@@ -1,0 +1,94 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What depends on the pattern of a torn matrix alone: dofs, gluing, and orders of elimination."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from petsc4py import PETSc
+
+from dolfinx_feti.errors import SetUpError
+from dolfinx_feti.feti.gluing.bodies import Bodies, find_bodies
+from dolfinx_feti.feti.gluing.dofs import Dofs, sort_dofs
+from dolfinx_feti.feti.gluing.jump import Gluing
+from dolfinx_feti.feti.options import FETIOptions
+from dolfinx_feti.feti.subdomain.analysis import Analysis, analyse
+from dolfinx_feti.runtime.connectivity import has_joined_copies
+from dolfinx_feti.runtime.events import event
+from dolfinx_feti.torn import Torn
+
+__all__ = ["Pattern", "create_pattern"]
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """The symbolic part of the method; no number of a matrix is in it.
+
+    Attributes:
+        options: The choices made.
+        prefix: Options prefix of the sub-solvers, ``…feti_``.
+        torn: Subdomains and copies; its products are those of the present matrix.
+        symmetric: Whether K is symmetric, which the factors rely on.
+        bodies: The connected components of the assembled problem.
+        gluing: The jumps B.
+        dofs: Interface and interior of each subdomain.
+        analysis: How the blocks of the subdomains are factored.
+    """
+
+    options: FETIOptions
+    prefix: str
+    torn: Torn
+    symmetric: bool
+    bodies: Bodies
+    gluing: Gluing
+    dofs: Dofs
+    analysis: Analysis
+
+    def destroy(self) -> None:
+        """Free everything."""
+        self.gluing.destroy()
+        self.torn.destroy()
+
+
+def create_pattern(A: PETSc.Mat, options: FETIOptions, prefix: str) -> Pattern:
+    """Build what depends on the pattern. Collective.
+
+    Args:
+        A: Torn matrix.
+        options: Choices.
+        prefix: Prefix of the KSP, to which ``feti_`` and the sub-solver's name are added.
+
+    Raises:
+        SetUpError: A subdomain holds two copies of a dof; or K is not symmetric, but has to be.
+    """
+    prefix += "feti_"
+    torn = Torn(A)
+    if has_joined_copies(A, torn.subdomains):
+        torn.destroy()
+        raise SetUpError(
+            "A subdomain holds two copies of a dof: the local matrix couples subdomains that "
+            "share it. Remove these entries, or tear the mesh so that they are one subdomain."
+        )
+    symmetric = torn.is_symmetric()
+    if not symmetric and options.interior == "eliminate":
+        torn.destroy()
+        raise SetUpError(
+            f"The matrix is not symmetric, but -{prefix}interior is eliminate, which takes it to "
+            "be: let it be keep or auto."
+        )
+    with event("FETIGluing"):
+        gluing = Gluing(torn, all_floating=options.all_floating)
+    dofs = sort_dofs(torn, gluing.glued, all_floating=options.all_floating)
+    with event("FETIFactor"):
+        analysis = analyse(
+            torn,
+            dofs,
+            options.interior,
+            symmetric=symmetric,
+            with_interior=options.pc_type == "dirichlet",
+            prefix=prefix,
+        )
+    bodies = find_bodies(torn)
+    return Pattern(options, prefix, torn, symmetric, bodies, gluing, dofs, analysis)

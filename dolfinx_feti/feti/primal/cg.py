@@ -1,0 +1,177 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Conjugate gradients on the assembled interface, preconditioned by FETI's local solves.
+
+.. math:: z = Π\, T^⊤ δ\, K_ρ^{-1} δ\, T r, \qquad A = T^⊤ S T,
+
+with the projection Π of ``deflation``: P-FETI (Fragakis and Papadrakakis 2003), which is the
+balancing method (Mandel 1993) with the kernels of FETI. All residuals are orthogonal to V, and
+with V from E alone and D = 0 the eigenvalues are those of the projected dual operator and ones
+(Sousedík and Mandel 2008), so none is below one.
+
+:math:`K_ρ` is positive definite whatever D is, since modes that buckle have joined R
+(``pseudoinverse``). So the method is safe if A is positive definite; if A is not, A₀ shows it or
+the method meets a direction p with :math:`p^⊤ A p ≤ 0`, and returns it. The residual of the
+interface is that of the whole assembled system, because displacements inside are in balance.
+
+An iteration waits for all processes three times: in the coarse problem, for :math:`r^⊤ z`, and for
+:math:`p^⊤ A p` together with the products that give :math:`\|r - α A p\|`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from dolfinx_feti.feti.gluing.copies import Copies
+from dolfinx_feti.feti.primal.deflation import DeflatedSpace, Trace
+from dolfinx_feti.feti.solution import STAGNATION, Monitor
+
+__all__ = ["Outcome", "PrimalSystem", "conjugate_gradients"]
+
+#: Share of ‖r‖² below which rounding would be felt in ‖r − α q‖² = ‖r‖² − 2 α rᵀ q + α² ‖q‖².
+CANCELLED = 1e-8
+
+Array = npt.NDArray[np.float64]
+Reason = PETSc.KSP.ConvergedReason
+
+
+@dataclass(frozen=True, slots=True)
+class PrimalSystem:
+    """A and its preconditioner; vectors are copies on the torn interface, (n,).
+
+    Attributes:
+        copies: Copies of the interface dofs.
+        space: The coarse space V, and W.
+        multiply: Applies S of every subdomain, (n,) → (n,).
+        solve: Applies :math:`K_ρ^{-1}` of every subdomain, restricted to the interface,
+            (n,) → (n,).
+    """
+
+    copies: Copies
+    space: DeflatedSpace
+    multiply: Callable[[Array], Array]
+    solve: Callable[[Array], Array]
+
+    def residual(self, f: Array, x: Array) -> Array:
+        """Return b − A x, with b = Tᵀ f for a torn load f. Collective."""
+        return self.copies.sum(f - self.multiply(x))  # Tᵀ (f − S T x)
+
+    def precondition(self, r: Array) -> tuple[Array, float]:
+        """Return z = Π Tᵀ δ K_ρ⁻¹ δ T r + V A₀⁻¹ Vᵀ r, that for rounding, and rᵀ z. Collective."""
+        w = self.solve(self.copies.delta * r)  # w = K_ρ⁻¹ δ T r
+        return self.space.correct_with_product(self.copies.average(w), r)
+
+    def norm(self, r: Array) -> float:
+        """Return ‖r‖ of the assembled vector. Collective."""
+        return float(np.sqrt(self.copies.dot(r, r)))
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The end of conjugate gradients.
+
+    Attributes:
+        x: The iterate with the least residual, by its copies, (n,).
+        reason: PETSc's converged reason.
+        iterations: Number of iterations.
+        norm: ‖b − A x‖.
+        eigenvalues: Ritz values of the preconditioned operator, ascending, (iterations,).
+        trace: The first iterations.
+        direction: A direction p with pᵀ A p ≤ 0, by its copies, if one was met.
+    """
+
+    x: Array
+    reason: int
+    iterations: int
+    norm: float
+    eigenvalues: Array
+    trace: Trace
+    direction: Array | None = None
+
+
+def conjugate_gradients(
+    system: PrimalSystem,
+    f: Array,
+    *,
+    target: float,
+    max_it: int,
+    monitor: Monitor,
+    traced: int = 0,
+) -> Outcome:
+    """Solve A x = Tᵀ f. Collective.
+
+    Args:
+        system: The assembled interface problem.
+        f: Torn load, condensed to the interface, (n,); not summed over copies.
+        target: Wanted norm of the residual.
+        max_it: Most iterations.
+        monitor: Called with (iteration, ‖b − A x‖).
+        traced: Iterations whose vectors are kept, at most.
+    """
+    copies, space = system.copies, system.space
+    x = space.initial_guess(copies.sum(f))
+    p: Array = np.zeros_like(x)
+    ρ = np.inf
+    r = system.residual(f, x)
+    norm = system.norm(r)
+    monitor(0, norm)
+    α: list[float] = []
+    β: list[float] = []
+    R, Z = np.empty((2, traced, len(x)))  # a row takes memory once it is written
+    direction = space.negative_direction()
+    best, least, at = x, norm, 0
+    reason = Reason.ITERATING if direction is None else Reason.DIVERGED_INDEFINITE_MAT
+    while not reason and not (reason := _reason(norm, target, len(α), max_it)):
+        last = ρ
+        z, ρ = system.precondition(r)
+        β.append(ρ / last)
+        p = z + β[-1] * p
+        q = copies.sum(system.multiply(p))  # q = A p
+        curvature, rr, rq, qq = copies.dots((p, q), (r, r), (r, q), (q, q))
+        if ρ <= 0.0:
+            reason = Reason.DIVERGED_INDEFINITE_PC
+        elif curvature <= 0.0:
+            reason, direction = Reason.DIVERGED_INDEFINITE_MAT, p
+        else:
+            if len(α) < traced:
+                R[len(α)], Z[len(α)] = r / np.sqrt(ρ), z / np.sqrt(ρ)
+            α.append(ρ / curvature)
+            x = x + α[-1] * p
+            r -= α[-1] * q
+            squared = rr - α[-1] * (2.0 * rq - α[-1] * qq)  # ‖r − α q‖²
+            norm = np.sqrt(squared) if squared > CANCELLED * rr else system.norm(r)
+            monitor(len(α), norm)
+            if norm < least:
+                best, least, at = x, norm, len(α)
+            elif len(α) - at >= STAGNATION:
+                reason = Reason.DIVERGED_BREAKDOWN
+    k = min(len(α), traced)
+    trace = Trace(R[:k], Z[:k], np.array(α[:k]), np.array(β[:k]))
+    return Outcome(best, reason, len(α), least, ritz_values(α, β), trace, direction)
+
+
+def _reason(norm: float, target: float, its: int, max_it: int) -> int:
+    """Return the converged reason after an iteration."""
+    if not np.isfinite(norm):
+        return Reason.DIVERGED_NANORINF
+    if norm <= target:
+        return Reason.CONVERGED_RTOL
+    return Reason.DIVERGED_MAX_IT if its == max_it else Reason.ITERATING
+
+
+def ritz_values(α: list[float], β: list[float]) -> Array:
+    """Return the eigenvalues of Lanczos' matrix from the coefficients of conjugate gradients."""
+    if not α or not np.all(np.isfinite(α)):
+        return np.zeros(0)
+    a, b = np.array(α), np.array(β[1 : len(α)])
+    diagonal = 1.0 / a
+    diagonal[1:] += b / a[:-1]
+    return scipy.linalg.eigvalsh_tridiagonal(diagonal, np.sqrt(b) / a[:-1])

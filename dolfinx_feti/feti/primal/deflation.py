@@ -1,0 +1,193 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Deflation of the primal form: small eigenvalues that one Newton step leaves to the next.
+
+.. math:: x_0 = V A_0^{-1} V^⊤ b + W H^{-1} W^⊤ b, \qquad
+          Π = I - V A_0^{-1} (A V)^⊤ - W H^{-1} (A W)^⊤, \qquad H = W^⊤ A W,
+
+with fields W near the eigenvectors, A-orthogonal to V, keep all residuals orthogonal to W, and
+conjugate gradients no longer see that part of the spectrum (Saad et al. 2000).
+
+W holds Ritz vectors of the smallest Ritz values in the span of the W of the last solve and its
+preconditioned residuals :math:`Z = Π M R`, :math:`M = T^⊤ δ K_ρ^{-1} δ T`. With
+:math:`Q = M^{-1} W` and :math:`W^⊤ Q = I`, as an earlier choice has left them, :math:`M^{-1} Z =
+R + Q N` and
+
+.. math:: (W, Z)^⊤ A\, (W, Z) = \begin{pmatrix} H & 0 \\ 0 & Z^⊤ A Z \end{pmatrix}, \qquad
+          (W, Z)^⊤ M^{-1} (W, Z) = \begin{pmatrix} I & N \\ N^⊤ & Z^⊤ R + N^⊤ N \end{pmatrix},
+          \qquad N = Q^⊤ Z.
+
+No product is needed: for r and z with :math:`r^⊤ z = 1`, the coefficients α, β of the iterations
+and the directions p give
+
+.. math:: A p_j = (r_j - \sqrt{β_{j+1}}\, r_{j+1}) / α_j, \qquad z_j = p_j - \sqrt{β_j}\, p_{j-1}.
+
+The Gram matrices are formed in full, since rounding spoils the orthogonality of the residuals. For
+the next matrix W is balanced again and multiplied, all columns at once. Q stays: as long as K_ρ and
+V last it is exact, and for others the matrix above still is a scalar product.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.feti.coarse.space import EPS, MARGIN, AveragedSpace, estimated_norms
+from dolfinx_feti.feti.gluing.copies import Copies
+from dolfinx_feti.feti.solution import RitzVectors
+from dolfinx_feti.feti.subdomain.blocks import on_subdomains
+from dolfinx_feti.feti.subdomain.orthonormal import diagonalising, symmetric_part
+from dolfinx_feti.runtime.collective import total, total_of
+from dolfinx_feti.runtime.events import event
+
+__all__ = ["DeflatedSpace", "Trace"]
+
+Array = npt.NDArray[np.float64]
+
+#: Ritz value below which a vector is worth its place: what V leaves begins at about one.
+DEFLATED = 0.8
+
+#: Share of the largest squared size below which a combination of W lies in V.
+INSIDE = 1e-10
+
+#: Energy below which a combination of fields of unit energy repeats others: their products have
+#: lost ten digits to the iterations.
+LOST_ENERGY = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """The first k iterations of a solve; the vectors are scaled to rᵀ z = 1, by their copies.
+
+    Attributes:
+        R: Residuals r, (k, n).
+        Z: Preconditioned residuals z, (k, n).
+        alpha: α of each, (k,).
+        beta: β of each, (k,).
+    """
+
+    R: Array
+    Z: Array
+    alpha: Array
+    beta: Array
+
+
+class DeflatedSpace:
+    """The coarse space of conjugate gradients: V and Ritz vectors W, if there are any."""
+
+    def __init__(
+        self,
+        space: AveragedSpace,
+        copies: Copies,
+        multiply: Callable[[int, Array], Array],
+        vectors: RitzVectors | None,
+    ) -> None:
+        """Balance the vectors and multiply them with the present matrix. Collective.
+
+        Args:
+            space: The coarse space V.
+            copies: Copies of the interface dofs.
+            multiply: Applies S_i to columns, ``multiply(i, X)``, (n_i, c) → (n_i, c).
+            vectors: What earlier solves have left, if there were any.
+
+        Raises:
+            Exception: What the work on a subdomain raises, on all processes.
+        """
+        self._space, self._copies = space, copies
+        self._direction: Array | None = None
+        with event("FETIRecycling"):
+            vectors = vectors or RitzVectors(np.zeros((copies.n, 0)), np.zeros((copies.n, 0)))
+            W, zero = np.empty_like(vectors.W), np.zeros(copies.n)
+            for j in range(W.shape[1]):
+                W[:, j] = space.correct(vectors.W[:, j], zero)  # W ← W − V A₀⁻¹ (A V)ᵀ W
+            squares, Y = np.linalg.eigh(self._product(W, copies.delta[:, None] * W))
+            Y = Y[:, squares > INSIDE * squares.max(initial=0.0)]
+            self._W, self._Q = W @ Y, vectors.Q @ Y
+            self._SW = on_subdomains(lambda: _images(copies, multiply, self._W), copies.comm)
+            self._H = symmetric_part(self._product(self._W, self._SW))  # H = Wᵀ A W
+            values, Y = diagonalising(self._H, LOST_ENERGY)
+            self._inverse = (Y / values) @ Y.T  # H⁻¹
+            if values.min(initial=0.0) < 0.0:
+                v = self._W @ Y[:, 0]  # vᵀ A v = values[0]
+                if values[0] < -MARGIN * self._rounding(multiply, v):
+                    self._direction = v
+
+    @property
+    def count(self) -> int:
+        """Number of vectors W."""
+        return self._W.shape[1]
+
+    def initial_guess(self, r: Array) -> Array:
+        """Return (V A₀⁻¹ Vᵀ + W H⁻¹ Wᵀ) r of an assembled residual, by copies, (n,). Collective."""
+        x = self._space.initial_guess(r)
+        if not self.count:
+            return x
+        overlap = self._product(self._W, self._copies.delta * r)  # Wᵀ r
+        return np.asarray(x + self._W @ (self._inverse @ overlap))
+
+    def correct_with_product(self, z: Array, r: Array) -> tuple[Array, float]:
+        """Return z + V A₀⁻¹ (Vᵀ r − (A V)ᵀ z) + W H⁻¹ (Wᵀ r − (A W)ᵀ z), (n,), and rᵀ of it.
+
+        All by copies; both products of W and that with r take one reduction. Collective.
+        """
+        z, r = self._space.correct(z, r), self._copies.delta * r
+        own = np.concatenate([[r @ z], self._W.T @ r, self._SW.T @ z])
+        product, of_r, of_z = np.split(total_of(own, self._copies.comm), [1, 1 + self.count])
+        c = self._inverse @ (of_r - of_z)
+        return np.asarray(z + self._W @ c), float(product[0] + of_r @ c)
+
+    def negative_direction(self) -> Array | None:
+        """Return a field v with vᵀ A v < 0, (n,), or None if none is known. Collective."""
+        v = self._space.negative_direction()
+        return self._direction if v is None else v
+
+    def ritz_vectors(self, trace: Trace, *, most: int) -> RitzVectors:
+        """Choose at most ``most`` vectors that the iterations leave to later solves. Collective."""
+        k, r = len(trace.Z) - 1, self.count  # A p takes the next residual
+        if k < 1:
+            return RitzVectors(self._W, self._Q)
+        α, root = trace.alpha, np.sqrt(trace.beta)
+        Z, R, δ = trace.Z[:k].T, trace.R.T, self._copies.delta[:, None]
+        G = self._product(Z, δ * R)  # Zᵀ R, (k, k + 1)
+        N = self._product(δ * self._Q, Z)  # N = Qᵀ Z
+        if not (np.isfinite(G).all() and np.isfinite(N).all()):
+            return RitzVectors(self._W, self._Q)
+        B = (G[:, :k] - root[1 : k + 1] * G[:, 1:]) / α[:k]  # B = Zᵀ A P
+        C = B - root[:k] * np.pad(B, ((0, 0), (1, 0)))[:, :k]  # C = Zᵀ A Z
+        A = np.block([[self._H, np.zeros((r, k))], [np.zeros((k, r)), symmetric_part(C)]])
+        S = np.block([[np.eye(r), N], [N.T, symmetric_part(G[:, :k]) + N.T @ N]])
+        values, T = diagonalising(S, LOST_ENERGY)
+        T /= np.sqrt(np.abs(values))  # Tᵀ S T = I
+        θ, Y = np.linalg.eigh(symmetric_part(T.T @ A @ T))
+        T_W, T_Z = np.split(T @ Y[:, : min(most, np.count_nonzero(θ < DEFLATED))], [r])
+        return RitzVectors(
+            np.asfortranarray(self._W @ T_W + Z @ T_Z),
+            np.asfortranarray(self._Q @ (T_W + N @ T_Z) + R[:, :k] @ T_Z),  # M⁻¹ Z = R + Q N
+        )
+
+    def memory(self) -> float:
+        """Return the memory of the vectors of this process in MiB."""
+        return (self._W.nbytes + self._SW.nbytes + self._Q.nbytes) / 2**20
+
+    def _rounding(self, multiply: Callable[[int, Array], Array], v: Array) -> float:
+        """Return a bound of the rounding errors of vᵀ A v. Collective."""
+        copies = self._copies
+        norms = on_subdomains(lambda: estimated_norms(copies, multiply), copies.comm)
+        squares = [float(v[rows] @ v[rows]) for rows in copies.blocks]
+        return EPS * total(float(np.dot(norms, squares)), copies.comm)
+
+    def _product(self, X: Array, Y: Array) -> Array:
+        """Return Xᵀ Y over all processes."""
+        return total_of(X.T @ Y, self._copies.comm)
+
+
+def _images(copies: Copies, multiply: Callable[[int, Array], Array], W: Array) -> Array:
+    """Return S W, (n, k)."""
+    SW = np.empty_like(W)
+    for i, rows in enumerate(copies.blocks):
+        SW[rows] = multiply(i, W[rows])
+    return SW

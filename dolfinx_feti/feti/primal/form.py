@@ -1,0 +1,324 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The primal form: the assembled interface problem set up for a matrix, and solved for a load.
+
+.. math:: A\, x = T^⊤ \hat f_Γ, \qquad A = T^⊤ S\, T, \qquad
+          \hat f_Γ = f_Γ - K_{ΓI} K_{II}^{-1} f_I, \qquad f = δ\, T r - K u_D,
+
+by conjugate gradients with the preconditioner of ``cg``; then :math:`u_Γ = T x` and
+:math:`u_I = K_{II}^{-1} (f_I - K_{IΓ} u_Γ)`. The coarse space holds the averaged motions E of the
+subdomains and columns that bound what averages cost (``adaptive``).
+
+:math:`K_ρ^{-1}`, the columns of V and the weights δ make a preconditioner of A whatever matrix they
+belong to. So a form has an operator of now, S, with A V and A₀, and a preconditioner of now or of
+an earlier matrix. In the same way Ritz vectors of solves with earlier matrices join V
+(``deflation``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+
+from dolfinx_feti.errors import SetUpError
+from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
+from dolfinx_feti.feti.gluing.copies import Copies
+from dolfinx_feti.feti.gluing.weights import Weights
+from dolfinx_feti.feti.inertia import Inertia
+from dolfinx_feti.feti.pattern import Pattern
+from dolfinx_feti.feti.primal.adaptive import adaptive_columns
+from dolfinx_feti.feti.primal.cg import PrimalSystem, conjugate_gradients
+from dolfinx_feti.feti.primal.deflation import DeflatedSpace
+from dolfinx_feti.feti.regularity.singularity import require_held
+from dolfinx_feti.feti.setup import Setup, sum_if_known
+from dolfinx_feti.feti.solution import Monitor, RitzVectors, Solution
+from dolfinx_feti.feti.subdomain.modes import SubdomainModes
+from dolfinx_feti.feti.subdomain.operator import Operator
+from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
+from dolfinx_feti.runtime.events import event
+
+__all__ = [
+    "PrimalForm",
+    "PrimalPreconditioner",
+    "create_lagged_form",
+    "create_primal_form",
+    "solve_on_interface",
+]
+
+Array = npt.NDArray[np.float64]
+Reason = PETSc.KSP.ConvergedReason
+
+#: Iterations that are kept for each of the Ritz vectors that may come of them.
+TRACED = 4
+
+#: Cost χ₀ of an average above which a column joins the coarse space (``adaptive``).
+COST = 1.1
+
+
+@dataclass(frozen=True, slots=True)
+class PrimalPreconditioner:
+    """What preconditions A, of the matrix for which it was made.
+
+    Attributes:
+        weights: δ.
+        inverse: K_ρ⁻¹, and R, E, D of each subdomain.
+        inertia: Negative eigenvalues of K_ρ, D and K_II.
+        copies: Copies of the interface dofs.
+        V: The averaged columns.
+        combinations: Those of the columns of this process that are independent; None before the
+            first matrix.
+    """
+
+    weights: Weights
+    inverse: PseudoInverse
+    inertia: Inertia
+    copies: Copies
+    V: AveragedColumns
+    combinations: scipy.sparse.csr_array | None = None
+
+    def solve(self, t: Array) -> Array:
+        """Return K_ρ⁻¹ t restricted to the interface, by copies, (n,) → (n,), up to soft modes.
+
+        They are among the columns of V: the projection makes up for any share of them.
+        """
+        y = np.zeros(len(self.weights.delta))
+        y[self.copies.dofs] = t
+        return self.inverse.solve(y, up_to_soft_modes=True)[self.copies.dofs]
+
+    def destroy(self) -> None:
+        """Free everything."""
+        for owned in (self.V, self.copies, self.inverse, self.weights):
+            owned.destroy()
+
+
+@dataclass(frozen=True, slots=True)
+class PrimalForm:
+    """The primal form of one matrix.
+
+    Attributes:
+        pattern: What depends on the pattern.
+        near_kernel: Rigid body modes on the torn dofs, (n, k).
+        operator: S, and K_II⁻¹, of this matrix.
+        preconditioner: K_ρ⁻¹, V and δ, of this matrix or an earlier one.
+        coarse: V, A V and A₀.
+        deflation: The same, and Ritz vectors of earlier solves.
+        inertia: Negative eigenvalues.
+        most: Ritz vectors that a solve leaves to those of later matrices, at most.
+    """
+
+    pattern: Pattern
+    near_kernel: Array
+    operator: Operator
+    preconditioner: PrimalPreconditioner
+    coarse: AveragedSpace
+    deflation: DeflatedSpace
+    inertia: Inertia
+    most: int
+
+    formulation = "primal"
+    solves_indefinite = False
+    method = "cg"
+    users_test = False
+
+    @property
+    def delta(self) -> Array:
+        """Weight δ of every torn dof, (n,)."""
+        return self.preconditioner.weights.delta
+
+    @property
+    def modes(self) -> tuple[SubdomainModes, ...]:
+        """R, E and D of each subdomain."""
+        return self.preconditioner.inverse.modes
+
+    @property
+    def system(self) -> PrimalSystem:
+        """A and its preconditioner on copies of the interface dofs."""
+        operator, copies = self.operator, self.preconditioner.copies
+
+        def multiply(t: Array) -> Array:
+            u = np.zeros(operator.torn.n)
+            u[copies.dofs] = t
+            return operator.multiply(u)[copies.dofs]
+
+        return PrimalSystem(copies, self.deflation, multiply, self.preconditioner.solve)
+
+    def solve(
+        self, r: PETSc.Vec, u_D: Array, *, target: float, max_it: int, monitor: Monitor
+    ) -> tuple[Array, Solution]:
+        """Solve for an assembled right-hand side, (N,), and prescribed values, (n,). Collective.
+
+        See :meth:`DualForm.solve <dolfinx_feti.feti.dual.form.DualForm.solve>`.
+        """
+        torn, Γ = self.pattern.torn, self.preconditioner.copies.dofs
+        f = self.delta * torn.tear(r) - torn.multiply(u_D)
+        f[torn.dirichlet] = 0.0  # f = δ T r − K u_D
+        with event("FETIIterations"):
+            outcome = conjugate_gradients(
+                self.system,
+                self.operator.condense(f)[Γ],
+                target=target,
+                max_it=max_it,
+                monitor=monitor,
+                traced=TRACED * self.most,
+            )
+        with event("FETIRecycling"):
+            left = self.deflation.ritz_vectors(outcome.trace, most=self.most)
+        u = np.zeros(torn.n)
+        u[Γ] = outcome.x
+        spectrum = outcome.eigenvalues
+        ends = (float(spectrum[0]), float(spectrum[-1])) if len(spectrum) else (np.nan, np.nan)
+        reason = outcome.reason
+        if reason == Reason.DIVERGED_INDEFINITE_PC and self.preconditioner.inertia.local == 0:
+            reason = Reason.CONVERGED_ITS  # rounding: a fresh start on what is left
+        solution = Solution(reason, outcome.iterations, ends, left)
+        return self.operator.extend(u, f) + u_D, solution
+
+    def memory(self) -> float:
+        """Return the memory of all factors of this process in MiB."""
+        return self.operator.memory() + self.preconditioner.inverse.memory()
+
+    def keep_preconditioner(self) -> PrimalPreconditioner:
+        """Free all but the preconditioner, and return it."""
+        self.coarse.destroy()
+        self.operator.destroy()
+        return replace(self.preconditioner, combinations=self.coarse.combinations)
+
+    def keep_setup(self) -> Setup:
+        """Free the coarse space; return the parts, if the preconditioner is of this matrix."""
+        own = self.preconditioner
+        for owned in (self.coarse, own.V, own.copies):
+            owned.destroy()
+        return Setup(self.near_kernel, self.operator, own.weights, own.inverse, own.inertia)
+
+    def destroy(self) -> None:
+        """Free everything but the pattern."""
+        for owned in (self.coarse, self.operator, self.preconditioner):
+            owned.destroy()
+
+
+def create_primal_form(
+    pattern: Pattern, setup: Setup, vectors: RitzVectors | None = None, *, most: int = 0
+) -> PrimalForm:
+    """Build the coarse space of the present matrix. Collective.
+
+    Args:
+        pattern: What depends on the pattern.
+        setup: The parts of the matrix, which belong to the form from now on.
+        vectors: What solves with earlier matrices have left.
+        most: Ritz vectors that a solve leaves to those of later matrices, at most.
+
+    Returns:
+        The form; the caller destroys it before the pattern.
+
+    Raises:
+        SetUpError: The matrix is not symmetric, S is not there, or a body is not held; the parts
+            are destroyed then.
+    """
+    torn, options, S = pattern.torn, pattern.options, setup.operator
+    if not pattern.symmetric or options.pc_type != "dirichlet":
+        setup.destroy()
+        raise SetUpError(
+            f"-{pattern.prefix}formulation is primal, which takes a symmetric matrix and "
+            f"-{pattern.prefix}pc_type dirichlet: let it be dual or auto."
+        )
+    copies = Copies(torn, S.interface, setup.weights.delta)
+    try:
+        with event("FETICoarse"):
+            require_held(torn, pattern.bodies, setup.near_kernel, definite=False)
+            adaptive = adaptive_columns(
+                copies,
+                S.multiply_many,
+                partial(solve_on_interface, S, setup.inverse),
+                most=options.coarse_adaptive,
+                threshold=COST,
+            )
+            E = [m.E[on] for m, on in zip(setup.inverse.modes, S.on_interface, strict=True)]
+            U = [np.hstack(pair) for pair in zip(E, adaptive, strict=True)]
+            V = AveragedColumns(copies, U)
+    except SetUpError:
+        copies.destroy()
+        setup.destroy()
+        raise
+    preconditioner = PrimalPreconditioner(setup.weights, setup.inverse, setup.inertia, copies, V)
+    return _create(pattern, setup.near_kernel, S, preconditioner, vectors, most)
+
+
+def create_lagged_form(
+    pattern: Pattern,
+    near_kernel: Array,
+    operator: Operator,
+    preconditioner: PrimalPreconditioner,
+    vectors: RitzVectors | None = None,
+    *,
+    most: int = 0,
+) -> PrimalForm:
+    """Build the form of the present matrix with the preconditioner of an earlier one. Collective.
+
+    Args:
+        pattern: What depends on the pattern.
+        near_kernel: Rigid body modes of the present matrix on the torn dofs, (n, k).
+        operator: S of the present matrix, which belongs to the form from now on.
+        preconditioner: That of an earlier matrix, likewise.
+        vectors: What solves with earlier matrices have left.
+        most: Ritz vectors that a solve leaves to those of later matrices, at most.
+
+    Raises:
+        SetUpError: A body is not held; operator and preconditioner are destroyed then.
+    """
+    try:
+        with event("FETICoarse"):
+            require_held(pattern.torn, pattern.bodies, near_kernel, definite=False)
+    except SetUpError:
+        operator.destroy()
+        preconditioner.destroy()
+        raise
+    return _create(pattern, near_kernel, operator, preconditioner, vectors, most)
+
+
+def _create(
+    pattern: Pattern,
+    near_kernel: Array,
+    S: Operator,
+    preconditioner: PrimalPreconditioner,
+    vectors: RitzVectors | None,
+    most: int,
+) -> PrimalForm:
+    """Form A V and A₀ of the present matrix."""
+    V, copies = preconditioner.V, preconditioner.copies
+    try:
+        with event("FETICoarse"):
+            space = AveragedSpace(
+                V, S, prefix=pattern.prefix + "coarse_", combinations=preconditioner.combinations
+            )
+    except SetUpError:
+        S.destroy()
+        preconditioner.destroy()
+        raise
+    negative = space.negative()
+    inside = sum_if_known(S.negative_interior(), pattern.torn.comm)
+    proved = None if negative is None or inside is None else negative + inside
+    return PrimalForm(
+        pattern=pattern,
+        near_kernel=near_kernel,
+        operator=S,
+        preconditioner=preconditioner,
+        coarse=space,
+        deflation=DeflatedSpace(space, copies, S.multiply_many, vectors),
+        inertia=replace(preconditioner.inertia, interior=inside, assembled=proved),
+        most=most,
+    )
+
+
+def solve_on_interface(S: Operator, inverse: PseudoInverse, i: int, F: Array) -> Array:
+    """Return S_ρ⁻¹ F for forces on the interface of subdomain i, (n_Γ, k): K_ρ⁻¹ F, there."""
+    on = S.on_interface[i]
+    Y = np.zeros((len(on), F.shape[1]))
+    Y[on] = F
+    return inverse.solve_many(i, Y)[on]

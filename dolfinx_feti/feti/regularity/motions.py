@@ -1,0 +1,221 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Motions that nothing resists, tested on the assembled matrix, scaled by its diagonal d.
+
+.. math:: \hat A = d^{-1/2} A\, d^{-1/2}, \qquad \hat r = d^{1/2} r, \qquad
+          \|\hat A \hat r\| ≤ τ\, \|\hat r\|,
+
+or, where A is known to be positive semi-definite, by the energy :math:`\hat r^⊤ \hat A \hat r`,
+which is not less than the smallest eigenvalue, and in which an error of r counts squared.
+Candidates are the rigid body modes of each body that vanish on the Dirichlet dofs next to it. A
+prestressed body has rigid motions that it resists; the test sees that, too.
+
+Long columns, of which each process has some rows, are compared by their triangular factors,
+:math:`X = Q R`, of each body: :math:`R^⊤ R = X^⊤ X` without the square, so that singular values
+come out to :math:`ε \|X\|`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.feti.gluing.bodies import Bodies
+from dolfinx_feti.feti.subdomain.kernel import UNSUPPORTED
+from dolfinx_feti.feti.subdomain.orthonormal import (
+    null_combinations,
+    orthonormalising,
+    symmetric_part,
+)
+from dolfinx_feti.torn import Torn
+
+__all__ = [
+    "Motions",
+    "free_motions",
+    "independent_columns",
+    "orthonormal_columns",
+    "triangles",
+    "unresisted",
+]
+
+Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+#: A scaled energy below this is rounding, as it counts the error of a motion squared.
+NO_ENERGY = 1e-14
+
+#: A scaled force below this is rounding, also that of coordinates far from the origin.
+NO_FORCE = 1e-12
+
+
+class ScaledOperator:
+    r"""The assembled matrix on its free dofs, scaled by its diagonal: :math:`d^{-1/2} A d^{-1/2}`.
+
+    Columns are single-valued fields on the torn dofs, zero on Dirichlet dofs.
+
+    Attributes:
+        share: Square root of a row's share in a sum over the copies of its dof, (n,).
+        root: :math:`d^{1/2}`, (n,).
+    """
+
+    def __init__(self, torn: Torn) -> None:
+        """Sum the diagonal. Collective."""
+        self._torn = torn
+        vector = torn.A.createVecRight()
+        vector.array[:] = torn.assemble(np.abs(torn.diagonal()))
+        d = torn.tear(vector)
+        vector.array[:] = 1.0 / torn.multiplicity()
+        self.share = np.sqrt(torn.tear(vector))
+        vector.destroy()
+        mean = torn.comm.allreduce(d.sum()) / max(torn.comm.allreduce(torn.n), 1)
+        self.root = np.sqrt(np.where(d > 0.0, d, mean or 1.0))
+
+    def sizes(self, X: Array) -> Array:
+        r"""Return rows whose norms are those of :math:`\hat r = d^{1/2} r`, (n, k)."""
+        return (self.share * self.root)[:, None] * X
+
+    def forces(self, X: Array) -> Array:
+        r"""Return rows whose norms are those of :math:`\hat A \hat r`, (n, k). Collective."""
+        torn, image = self._torn, np.empty_like(X)
+        vector = torn.A.createVecRight()
+        for j in range(X.shape[1]):
+            vector.array[:] = torn.assemble(torn.multiply(X[:, j]))
+            image[:, j] = torn.tear(vector)
+        vector.destroy()
+        image[torn.dirichlet] = 0.0
+        return image * (self.share / self.root)[:, None]
+
+
+@dataclass(frozen=True, slots=True)
+class Motions:
+    """Rigid motions of the bodies that nothing resists.
+
+    Attributes:
+        torn: The torn matrix.
+        bodies: Its bodies.
+        operator: The assembled matrix, scaled.
+        definite: Whether that is known to be positive semi-definite.
+        fields: Single-valued fields on the torn dofs; those of different bodies share columns,
+            (n, m).
+        dimensions: Number of motions of each body, in the first columns, (bodies,).
+    """
+
+    torn: Torn
+    bodies: Bodies
+    operator: ScaledOperator
+    definite: bool
+    fields: Array
+    dimensions: Integers
+
+    @property
+    def total(self) -> int:
+        """Number of motions of all bodies."""
+        return int(self.dimensions.sum())
+
+
+def free_motions(torn: Torn, bodies: Bodies, near_kernel: Array, *, definite: bool) -> Motions:
+    """Find the rigid motions that neither supports nor stiffness resist. Collective.
+
+    Args:
+        torn: The torn matrix.
+        bodies: Its bodies.
+        near_kernel: Rigid body modes on the torn dofs, (n, k).
+        definite: Whether the assembled matrix is known to be positive semi-definite.
+    """
+    operator, (dofs, body) = ScaledOperator(torn), bodies.supports.T
+    modes = operator.sizes(near_kernel)
+    on_supports = triangles(modes[dofs], body, bodies.count, torn.comm)
+    on_rest = triangles(modes, bodies.label, bodies.count, torn.comm)
+    on_all = np.concatenate([on_rest, on_supports], axis=1)
+    unsupported = [_vanishing(on_all[b], on_supports[b]) for b in range(bodies.count)]
+    fields = _combine(near_kernel, unsupported, bodies)
+    k, free = fields.shape[1], unsupported
+    if k:
+        both = np.hstack([operator.forces(fields), operator.sizes(fields)])
+        resisted = triangles(both, bodies.label, bodies.count, torn.comm)
+        free = [unresisted(R[:, :k], R[:, k:], definite=definite) for R in resisted]
+        fields = _combine(fields, free, bodies)
+    dimensions = np.array([C.shape[1] for C in free], dtype=np.int64)
+    return Motions(torn, bodies, operator, definite, fields, dimensions)
+
+
+def unresisted(forces: Array, sizes: Array, *, definite: bool) -> Array:
+    """Combine fields so that nothing resists them, (m, any number).
+
+    Args:
+        forces: Scaled forces of the fields, (rows, m), or their image under an orthogonal map.
+        sizes: The scaled fields, mapped alike, (rows, m).
+        definite: Whether their energy decides, and not their forces.
+    """
+    basis = orthonormalising(sizes)
+    if definite:
+        energy = (sizes @ basis).T @ (forces @ basis)
+        values, Y = np.linalg.eigh(symmetric_part(energy))
+        return np.asarray(basis @ Y[:, values <= NO_ENERGY])
+    return np.asarray(basis @ null_combinations(forces @ basis, NO_FORCE))
+
+
+def _vanishing(on_all: Array, on_supports: Array) -> Array:
+    """Combine modes, of size one on a body, that vanish on its Dirichlet dofs, (k, any number)."""
+    basis = orthonormalising(on_all)
+    return np.asarray(basis @ null_combinations(on_supports @ basis, UNSUPPORTED))
+
+
+def _combine(fields: Array, coefficients: list[Array], bodies: Bodies) -> Array:
+    """Combine fields, (n, k), body by body; zero on Dirichlet dofs and in columns a body lacks."""
+    combined = np.zeros((len(fields), max((C.shape[1] for C in coefficients), default=0)))
+    for b, C in enumerate(coefficients):
+        if C.shape[1]:
+            rows = bodies.label == b
+            combined[rows, : C.shape[1]] = fields[rows] @ C
+    return combined
+
+
+def triangles(X: Array, group: npt.NDArray[np.integer], count: int, comm: MPI.Comm) -> Array:
+    """Return R of each group of rows, (count, k, k), the same on all processes. Collective.
+
+    Args:
+        X: Rows of this process, (n, k).
+        group: Group of each row, (n,); rows of other numbers than 0 … count − 1 are left out.
+        count: Number of groups over all processes.
+        comm: Communicator.
+    """
+    k = X.shape[1]
+    own = np.zeros((count, k, k))
+    order = np.argsort(group, kind="stable")
+    ends = np.searchsorted(group[order], np.arange(count + 1))
+    for g in np.flatnonzero(np.diff(ends)):
+        own[g] = _triangle(X[order[ends[g] : ends[g + 1]]])
+    stacked = np.stack(comm.allgather(own), axis=1)  # (count, processes, k, k)
+    return np.array([_triangle(rows.reshape(-1, k)) for rows in stacked]).reshape(count, k, k)
+
+
+def orthonormal_columns(X: Array, comm: MPI.Comm) -> Array:
+    """Return an orthonormal basis of columns, by the rows of this process, (n, k). Collective."""
+    k = X.shape[1]
+    Q, R = np.linalg.qr(np.vstack([X, np.zeros((k, k))]))  # as many rows as columns, at least
+    Q_all, _ = np.linalg.qr(np.vstack(comm.allgather(R)))
+    return np.asarray(Q[: len(X)] @ Q_all[comm.rank * k : (comm.rank + 1) * k])
+
+
+def independent_columns(X: Array, tolerance: float, comm: MPI.Comm) -> Array:
+    """Return an orthonormal basis of columns of size one at most, by own rows, (n, k). Collective.
+
+    Combinations of size one that are smaller than the tolerance are left out.
+    """
+    R = triangles(X, np.zeros(len(X), dtype=np.int64), 1, comm)[0]
+    _, sigma, Vt = np.linalg.svd(R)
+    return orthonormal_columns(X @ Vt[sigma > tolerance].T, comm)
+
+
+def _triangle(X: Array) -> Array:
+    """Return R of X = Q R, (k, k)."""
+    k = X.shape[1]
+    if len(X) < k:
+        X = np.vstack([X, np.zeros((k, k))])
+    return np.asarray(np.linalg.qr(X, mode="r"))

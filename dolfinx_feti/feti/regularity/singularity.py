@@ -1,0 +1,263 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Is the assembled matrix singular? Three ways to a motion that nothing resists.
+
+1. *Rigid motions* of each body that its supports leave (``motions``).
+2. *Null vectors of N.* Where all :math:`K_i` are positive semi-definite, A w = 0 means
+   :math:`K_i w_i = 0`, so that w = E s with :math:`G s = 0, D s = 0` and N s = 0: the kernel of N
+   holds all of the kernel of A, mechanisms included that are not rigid.
+3. *Null vectors of* :math:`K_{II}`, if the interface does not feel them.
+
+Rounding hides the kernel of N: its factor has tiny pivots, and no zero one. A random vector grows
+in a solve more than with any regular problem. Then inverse iteration with
+
+.. math:: N + 10^{-12} \operatorname{diag}|N|
+
+finds near null vectors s. Each is made a field of the whole body, the copies of E s averaged, and
+tested on the assembled matrix like the rigid motions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.errors import SetUpError, SingularError
+from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.feti.gluing.bodies import Bodies
+from dolfinx_feti.feti.regularity.description import describe
+from dolfinx_feti.feti.regularity.motions import (
+    Motions,
+    free_motions,
+    independent_columns,
+    orthonormal_columns,
+    triangles,
+    unresisted,
+)
+from dolfinx_feti.torn import Torn
+
+__all__ = ["require_held", "require_regular", "require_regular_interior"]
+
+Array = npt.NDArray[np.float64]
+
+#: Growth of a random vector in the scaled N⁻¹ above which the assembled matrix is looked at: less
+#: than that of a singular block, as a look is all that follows.
+SUSPICIOUS_GROWTH = 1e8
+
+#: Backward error of a coarse solve above which the solver has failed.
+BACKWARD = 1e-8
+
+#: Inverse iteration with N: share of the diagonal that is added, spare vectors, rounds.
+COARSE_SHIFT, SPARE, ROUNDS = 1e-12, 8, 4
+
+#: Most motions that are looked for.
+MOST = 64
+
+#: Size below which a combination of fields of size one is rounding.
+DISTINCT = 1e-8
+
+#: Sine of the angle to the rigid motions below which a motion is one of them.
+NOT_RIGID = 1e-4
+
+NEARLY = (
+    "The assembled problem is singular up to rounding: it resists every motion, but one of them so "
+    "little that the coarse matrix has a zero pivot. Look at the Dirichlet conditions and for "
+    "coefficients that nearly vanish."
+)
+
+
+def require_regular(
+    torn: Torn,
+    bodies: Bodies,
+    near_kernel: Array,
+    N: PETSc.Mat,
+    solver: GatheredSolver,
+    *,
+    prolong: Callable[[Array], Array],
+    extend: Callable[[Array, Array], Array],
+    delta: Array,
+    symmetric: bool,
+    definite: bool,
+    prefix: str,
+) -> None:
+    """Look for motions that nothing resists. Collective.
+
+    Args:
+        torn: The torn matrix.
+        bodies: Its bodies.
+        near_kernel: Rigid body modes on the torn dofs, (n, k).
+        N: The coarse matrix, (K, K).
+        solver: Its factors.
+        prolong: Makes torn fields of coarse unknowns, E s, (K,) → (n,).
+        extend: Completes a field, (n,), on an interior that is eliminated, for a load, (n,).
+        delta: Weight δ of each torn dof, (n,).
+        symmetric: Whether K is symmetric.
+        definite: Whether all K_i are known to be positive semi-definite.
+        prefix: Options prefix of the coarse solver.
+
+    Raises:
+        SingularError: There are some; the message names them.
+        SetUpError: The coarse solver does not solve.
+    """
+    rigid = free_motions(torn, bodies, near_kernel, definite=definite)
+    growth, error = _growth_and_error(N, solver)
+    others = np.zeros((torn.n, 0))
+    sound = growth <= SUSPICIOUS_GROWTH and error <= BACKWARD
+    most = rigid.total + SPARE
+    while N.getSize()[0] and (rigid.total or not sound) and most <= MOST:
+        S = _null_vectors(N, most, symmetric=symmetric, prefix=prefix)
+        W = _averaged(torn, [delta * prolong(s) for s in S.T])
+        for w in W.T:
+            w[:] = np.where(torn.dirichlet, 0.0, extend(w, np.zeros(torn.n)))
+        others = _unresisted(W, rigid)
+        if others.shape[1] < SPARE or most >= N.getSize()[0]:
+            break
+        most *= 2
+    if rigid.total or others.shape[1]:
+        raise SingularError(describe(rigid, others))
+    if np.isinf(growth) and not error <= BACKWARD:
+        raise SingularError(NEARLY)
+    if not error <= BACKWARD:
+        raise SetUpError(
+            f"The coarse solver leaves a backward error of {error:.1e}: look at the options "
+            f"-{prefix}…, or let -{prefix}q be diagonal."
+        )
+
+
+def require_held(torn: Torn, bodies: Bodies, near_kernel: Array, *, definite: bool) -> None:
+    """Look for rigid motions alone; see :func:`require_regular`. Collective."""
+    rigid = free_motions(torn, bodies, near_kernel, definite=definite)
+    if rigid.total:
+        raise SingularError(describe(rigid, np.zeros((torn.n, 0))))
+
+
+def require_regular_interior(torn: Torn, bodies: Bodies, near_kernel: Array, kernel: Array) -> None:
+    """Refuse motions of the interior of a subdomain that its interface does not feel. Collective.
+
+    Args:
+        torn: The torn matrix.
+        bodies: Its bodies.
+        near_kernel: Rigid body modes on the torn dofs, (n, k).
+        kernel: Null vectors of all K_II of this process on the torn dofs, (n, r).
+
+    Raises:
+        SingularError: A process has any; the message names them.
+    """
+    counts = torn.comm.allgather(kernel.shape[1])
+    if not any(counts):
+        return
+    rigid = free_motions(torn, bodies, near_kernel, definite=False)
+    columns = [np.zeros((torn.n, count)) for count in counts]
+    columns[torn.comm.rank] = kernel
+    others = _unresisted(np.hstack(columns), rigid)
+    raise SingularError(describe(rigid, others))
+
+
+def _growth_and_error(N: PETSc.Mat, solver: GatheredSolver) -> tuple[float, float]:
+    """Solve with a random right-hand side; collective.
+
+    Returns:
+        Growth of a random vector in d^½ N⁻¹ d^½, d the diagonal of N, infinite with a zero pivot;
+        and the backward error ‖b − N x‖/(‖N‖‖x‖ + ‖b‖).
+    """
+    if N.getSize()[0] == 0:
+        return 1.0, 0.0
+    b, x = N.createVecs()
+    r, root = b.duplicate(), np.sqrt(_diagonal(N))
+    random = _random(N, 1)[:, 0]
+    b.array[:] = root * random
+    solver.solve(b, x)
+    N.mult(x, r)
+    r.axpy(-1.0, b)
+    error = r.norm() / (N.norm() * x.norm() + b.norm())
+    x.array[:] *= root
+    b.array[:] = random
+    growth = np.inf if solver.pivots().zero else x.norm() / b.norm()
+    for owned in (b, x, r):
+        owned.destroy()
+    return growth, error
+
+
+def _diagonal(N: PETSc.Mat) -> Array:
+    """Return the absolute diagonal of N, zeros taken for ones."""
+    diagonal = N.getDiagonal()
+    d = np.abs(diagonal.array_r)
+    diagonal.destroy()
+    return np.where(d > 0.0, d, 1.0)
+
+
+def _random(N: PETSc.Mat, count: int) -> Array:
+    """Return the process's rows of random columns, (K, count)."""
+    first, last = N.getOwnershipRange()
+    return np.random.default_rng(first).standard_normal((last - first, count))
+
+
+def _null_vectors(N: PETSc.Mat, count: int, *, symmetric: bool, prefix: str) -> Array:
+    """Approximate null vectors of the scaled N by inverse iteration; none if the solver fails."""
+    comm, d = N.comm.tompi4py(), _diagonal(N)
+    root, shifted = np.sqrt(d), N.copy()
+    b, x = N.createVecs()
+    b.array[:] = COARSE_SHIFT * d
+    shifted.setDiagonal(b, addv=PETSc.InsertMode.ADD_VALUES)
+    solver = GatheredSolver(shifted, prefix=prefix, symmetric=symmetric)
+    X = _random(N, min(count, N.getSize()[0]))
+    for _ in range(ROUNDS):
+        Y = np.empty_like(X)
+        for j in range(X.shape[1]):
+            b.array[:] = root * X[:, j]
+            solver.solve(b, x)
+            Y[:, j] = root * x.array_r
+        solved = comm.allreduce(bool(np.isfinite(Y).all()), op=MPI.LAND)
+        X = orthonormal_columns(Y, comm) if solved else Y[:, :0]
+    for owned in (solver, shifted, b, x):
+        owned.destroy()
+    return X / root[:, None]
+
+
+def _averaged(torn: Torn, columns: list[Array]) -> Array:
+    """Sum the copies of weighted fields, zero on Dirichlet dofs, (n, number). Collective."""
+    W, vector = np.zeros((torn.n, len(columns))), torn.A.createVecRight()
+    for w, column in zip(W.T, columns, strict=True):
+        vector.array[:] = torn.assemble(column)
+        w[:] = np.where(torn.dirichlet, 0.0, torn.tear(vector))
+    vector.destroy()
+    return W
+
+
+def _unresisted(W: Array, rigid: Motions) -> Array:
+    """Combine fields to motions that nothing resists, the rigid ones taken out. Collective."""
+    W, operator = _without(rigid, W), rigid.operator
+    m = W.shape[1]
+    if m == 0:
+        return W
+    both = np.hstack([operator.forces(W), operator.sizes(W)])
+    R = triangles(both, np.zeros(len(W), dtype=np.int64), 1, rigid.torn.comm)[0]
+    return np.asarray(W @ unresisted(R[:, :m], R[:, m:], definite=rigid.definite))
+
+
+def _without(rigid: Motions, W: Array) -> Array:
+    """Take the rigid motions out of fields; return a basis of what is left. Collective."""
+    if W.shape[1] == 0:
+        return W
+    comm, bodies = rigid.torn.comm, rigid.bodies
+    root = rigid.operator.sizes(np.ones((len(W), 1)))
+    X = root * W
+    size = np.sqrt(comm.allreduce((X**2).sum(axis=0)))
+    X = independent_columns(X / np.where(size > 0.0, size, 1.0), DISTINCT, comm)
+
+    def by_body(parts: Array) -> Array:
+        own = [np.bincount(bodies.label, part, bodies.count + 1) for part in parts.T]
+        return np.asarray(comm.allreduce(np.array(own)))
+
+    for _ in range(2):
+        for r in (root * rigid.fields).T[..., None]:  # (n, 1) each
+            square = by_body(r**2)
+            share = by_body(r * X) / np.where(square > 0.0, square, np.inf)
+            X = X - r * share[:, bodies.label].T  # X ← X − r (rᵀ X)/(rᵀ r)
+    return np.asarray(independent_columns(X, NOT_RIGID, comm) / root)

@@ -1,0 +1,56 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What a solve in either form of the method ends with, and what it tells on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["STAGNATION", "Monitor", "RitzVectors", "Solution"]
+
+Array = npt.NDArray[np.float64]
+
+#: Called with (iteration, norm of the residual of the assembled system).
+Monitor = Callable[[int, float], None]
+
+#: Iterations without a new least residual that end a solve.
+STAGNATION = 200
+
+
+@dataclass(frozen=True, slots=True)
+class RitzVectors:
+    """What a solve in the primal form leaves to later ones, by copies of the interface dofs.
+
+    Attributes:
+        W: Ritz vectors, (n, k).
+        Q: M⁻¹ W, with the M of the solves that W came from, (n, k).
+    """
+
+    W: Array
+    Q: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """How a solve has ended.
+
+    Attributes:
+        reason: PETSc's converged reason.
+        iterations: Number of iterations.
+        eigenvalues: Extreme Ritz values of CG, (λ_min, λ_max); nan for other methods.
+        ritz_vectors: What a solve in the primal form leaves to later ones.
+        residual: ‖b − A x‖/‖b − A x_D‖; nan where it is not measured.
+        rtol: Its largest value that the tolerances allow, likewise.
+    """
+
+    reason: int
+    iterations: int = 0
+    eigenvalues: tuple[float, float] = (np.nan, np.nan)
+    ritz_vectors: RitzVectors | None = None
+    residual: float = np.nan
+    rtol: float = np.nan

@@ -1,0 +1,136 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""What the pattern tells of the factors: whether the interior is eliminated, and in what order.
+
+An iteration needs :math:`K_ρ^{-1}` and S of every subdomain (``operator``). If the interior is
+*kept*, both are applied by sparse factors, of :math:`K_ρ` and of :math:`K_{II}`. If it is
+*eliminated*, S is formed, a dense block of the size of Γ. An iteration then reads packed
+triangles: several times less than the factors of a piece of a thin wall, or of a small one.
+``auto`` eliminates if S takes about the memory of the factors; see :data:`DENSITY`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.feti.gluing.dofs import Dofs
+from dolfinx_feti.feti.subdomain.blocks import on_subdomains
+from dolfinx_feti.feti.subdomain.factors.direct import Choice
+from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, load_fronts_for
+from dolfinx_feti.runtime.petsc_library import reads_in_place, rows_of
+from dolfinx_feti.torn import Torn
+
+__all__ = ["Analysis", "analyse", "worth_eliminating"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+
+#: Entries of S for each :math:`n^{4/3}`, which is how a sparse factor in three dimensions grows.
+DENSITY = 30.0
+
+#: Largest interface of a subdomain whose interior is eliminated: 32 MiB.
+LARGEST = 2048
+
+#: Interior of a subdomain up to which K_II is dense, too. An instance of MUMPS costs a millisecond,
+#: and a communicator; thousands of them slow down whatever MPI does.
+SMALL = 150
+
+#: Right-hand sides that MUMPS treats at once: for K_ρ, and for K_II whose interior is eliminated.
+RIGHT_HAND_SIDES = 32, 256
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """How the blocks of the subdomains are factored.
+
+    Attributes:
+        eliminated: Whether the interior is eliminated, and S is formed.
+        local: How K_ρ is factored with pivots.
+        interior: How K_II is factored with pivots; None if no K_II is.
+        dense_interior: Whether K_II is factored as a dense block.
+        local_fronts: The fronts of K_ρ; None if it has pivots from the start.
+        interior_fronts: The fronts of K_II, with Γ as what remains where S is formed; likewise.
+    """
+
+    eliminated: bool
+    local: Choice
+    interior: Choice | None
+    dense_interior: bool
+    local_fronts: list[Fronts] | None
+    interior_fronts: list[Fronts] | None
+
+
+def analyse(
+    torn: Torn, dofs: Dofs, choice: str, *, symmetric: bool, with_interior: bool, prefix: str
+) -> Analysis:
+    """Choose how to factor, and order the eliminations. Collective.
+
+    Args:
+        torn: The torn matrix.
+        dofs: The dofs of each subdomain.
+        choice: ``keep``, ``eliminate`` or ``auto``.
+        symmetric: Whether K is symmetric; otherwise ``auto`` keeps.
+        with_interior: Whether K_II is factored where the interior is kept.
+        prefix: Options prefix, to which ``local_`` (K_ρ) or ``dirichlet_`` (K_II) is added.
+    """
+    eliminated = choice == "eliminate"
+    if choice == "auto":
+        eliminated = symmetric and worth_eliminating(torn, dofs)
+    local = Choice(prefix + "local_", symmetric, RIGHT_HAND_SIDES[0])
+    interior = Choice(prefix + "dirichlet_", symmetric, RIGHT_HAND_SIDES[eliminated])
+    whole = [np.zeros(0, dtype=np.int32)] * len(dofs.free)
+    if eliminated:
+        largest = max(map(len, dofs.interior), default=0)
+        dense = bool(torn.comm.allreduce(largest, op=MPI.MAX) <= SMALL)
+        borders = [np.flatnonzero(on).astype(np.int32) for on in dofs.on_interface]
+        fronts = None if dense else _find_fronts(torn, dofs.free, borders, interior)
+        return Analysis(True, local, interior, dense, None, fronts)
+    fronts = _find_fronts(torn, dofs.interior, whole, interior) if with_interior else None
+    return Analysis(
+        eliminated=False,
+        local=local,
+        interior=interior if with_interior else None,
+        dense_interior=False,
+        local_fronts=_find_fronts(torn, dofs.free, whole, local),
+        interior_fronts=fronts,
+    )
+
+
+def _find_fronts(
+    torn: Torn, blocks: Sequence[Indices], interfaces: Sequence[Indices], choice: Choice
+) -> list[Fronts] | None:
+    """Find the fronts of disjoint blocks, whose interfaces are not eliminated. Collective.
+
+    There are none for unsymmetric matrices, where the options name a solver, and with indices of
+    64 bits in PETSc: rows would have to be copied for every block.
+    """
+    code = load_fronts_for(choice.prefix, torn.comm)
+    if code is None or not choice.symmetric or not reads_in_place():
+        return None
+
+    def find() -> list[Fronts]:
+        number = np.full(torn.n, -1, dtype=np.int32)
+        for rows in blocks:
+            number[rows] = np.arange(len(rows))
+        bs = torn.K.getBlockSize()
+        with rows_of(torn.K) as K:
+            pairs = zip(blocks, interfaces, strict=True)
+            return [Fronts(code, K, rows, number, bs, on) for rows, on in pairs]
+
+    return on_subdomains(find, torn.comm)
+
+
+def worth_eliminating(torn: Torn, dofs: Dofs) -> bool:
+    """Tell whether dense Schur complements take no more memory than sparse factors. Collective."""
+    n = np.array([len(rows) for rows in dofs.free], dtype=np.float64)
+    glued = np.array([len(rows) for rows in dofs.interface], dtype=np.float64)
+    dense, sparse = torn.comm.allreduce(np.array([(glued**2).sum(), (n ** (4 / 3)).sum()]))
+    largest = torn.comm.allreduce(glued.max(initial=0.0), op=MPI.MAX)
+    return bool(dense <= DENSITY * sparse and largest <= LARGEST)

@@ -1,0 +1,215 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Dense symmetric blocks in packed format, and the factors of their regularised companions.
+
+The Schur complement S of a subdomain is dense, and so is
+
+.. math:: S_ρ = S + ρ\, R R^⊤ = L L^⊤.
+
+A Krylov method reads both in every iteration, from one end to the other. So S and L stand in
+LAPACK's packed format, the lower triangle column by column; for factorisations and several columns
+at once they are unpacked into one work space. Where Cholesky's factorisation meets a pivot that is
+not positive, :math:`L Δ L^⊤` with Bunch and Kaufman's pivots takes its place, and tells the
+inertia. If that meets a zero, too, the pseudo-inverse does, of the matrix scaled by its diagonal.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg.blas as blas
+import scipy.linalg.lapack as lapack
+
+from dolfinx_feti.errors import FactorError
+from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.feti.subdomain.panels import Panels
+from dolfinx_feti.runtime.native import address_of
+
+__all__ = ["DenseFactor", "PackedMatrix", "pack"]
+
+Array = npt.NDArray[np.float64]
+
+#: Share of the largest eigenvalue of a scaled matrix below which one counts as zero.
+ZERO_EIGENVALUE = 1e-14
+
+#: Columns up to which a packed triangle is read once for each, rather than unpacked.
+FEW = 6
+
+#: Rows of a tile that is transposed at once: it fits into a fast cache. And what is below its
+#: diagonal.
+TILE = 96
+BELOW = np.tri(TILE, k=-1, dtype=bool)
+
+
+class PackedMatrix:
+    """A symmetric matrix S, (n, n), in packed format.
+
+    Attributes:
+        values: The lower triangle, column by column, (n (n + 1) / 2,).
+        n: Its size.
+        work: Work space that products overwrite, (at least n²,).
+    """
+
+    def __init__(self, values: Array, n: int, work: Array) -> None:
+        """Take over the entries.
+
+        Raises:
+            FactorError: There is NaN or Inf among them. Not collective: the caller reduces.
+        """
+        if not np.isfinite(values).all():
+            raise FactorError("a Schur complement has entries that are NaN or Inf")
+        self.values, self.n, self.work = values, n, work
+
+    def multiply(self, t: Array) -> Array:
+        """Return S t, (n,)."""
+        return blas.dspmv(self.n, 1.0, self.values, t, lower=1) if self.n else t
+
+    def multiply_many(self, X: Array) -> Array:
+        """Return S X for dense columns, (n, r)."""
+        if X.size == 0:
+            return np.zeros(X.shape)
+        if X.shape[1] <= FEW:
+            return np.column_stack([self.multiply(x) for x in X.T])
+        S = _unpack(self.values, self.n, self.work)
+        return blas.dsymm(1.0, S, np.asfortranarray(X), lower=1)
+
+    def multiply_panels(self, W: Panels) -> Array:
+        """Return S W for block-sparse columns, (n, r)."""
+        if self.n == 0:
+            return W.dense()
+        return W.product(_mirrored(_unpack(self.values, self.n, self.work)))
+
+    def memory(self) -> float:
+        """Return the memory of the entries in MiB."""
+        return self.values.nbytes / 2**20
+
+
+class DenseFactor:
+    """What applies the inverse of S + ρ R Rᵀ: see ``protocol``.
+
+    Attributes:
+        pivots: Numbers of negative and zero eigenvalues.
+    """
+
+    def __init__(
+        self, S: PackedMatrix, R: Array | None = None, rho: float = 1.0, shift: Array | None = None
+    ) -> None:
+        """Factor S + ρ R Rᵀ + diag(shift), with orthonormal R, (n, k), and a shift, (n,)."""
+        self._n, self._work = S.n, S.work
+        self._interchanges: npt.NDArray[np.int32] | None = None  # of Bunch and Kaufman
+        self._X: Array = np.zeros(0)  # L, packed; or that of L Δ Lᵀ, or the inverse, (n, n)
+        self.pivots = Pivots(0, 0)
+        if S.n == 0:
+            return
+        regularised = functools.partial(_regularised, S, R, rho, shift)
+        X, failed = lapack.dpotrf(regularised(), lower=1, overwrite_a=1, clean=0)
+        if not failed:
+            self._X = pack(X)  # L Lᵀ
+        elif not self._factor_indefinite(regularised().copy(order="F")):
+            self._invert(np.tril(regularised()))
+
+    def _factor_indefinite(self, S_ρ: Array) -> bool:
+        """Factor S_ρ = L Δ Lᵀ; return whether no block of Δ is zero."""
+        size = int(lapack.dsytrf_lwork(self._n, lower=1)[0])
+        X, interchanges, failed = lapack.dsytrf(S_ρ, lower=1, lwork=size, overwrite_a=1)
+        if not failed:
+            negative = np.count_nonzero(_pivot_eigenvalues(X, interchanges) < 0.0)
+            self._X, self._interchanges = X, interchanges
+            self.pivots = Pivots(int(negative), 0)
+        return not failed
+
+    def _invert(self, S_ρ: Array) -> None:
+        """Form the pseudo-inverse of S_ρ, scaled by its diagonal."""
+        root = np.sqrt(np.abs(S_ρ.diagonal()))
+        root[root == 0.0] = root.max() or 1.0
+        values, V = np.linalg.eigh(S_ρ / root[:, None] / root, UPLO="L")
+        zero = np.abs(values) <= ZERO_EIGENVALUE * np.abs(values).max()
+        negative = np.count_nonzero(values[~zero] < 0.0)
+        self.pivots = Pivots(int(negative), int(np.count_nonzero(zero)))
+        values[zero] = np.inf
+        V = V / root[:, None]
+        self._X = np.asfortranarray((V / values) @ V.T)
+
+    def solve(self, Y: Array, *, transpose: bool = False) -> Array:
+        """Return S_ρ⁻¹ Y, (n,) or (n, r)."""
+        if Y.size == 0:
+            return np.zeros(Y.shape)
+        if self._interchanges is not None:
+            rhs = Y if Y.ndim == 2 else Y[:, None]
+            return lapack.dsytrs(self._X, self._interchanges, rhs, lower=1)[0].reshape(Y.shape)
+        if self._X.ndim == 2:
+            return np.asarray(self._X @ Y)
+        if Y.ndim == 1:
+            x = blas.dtpsv(self._n, self._X, Y, lower=1)
+            return blas.dtpsv(self._n, self._X, x, lower=1, trans=1, overwrite_x=1)  # L⁻ᵀ L⁻¹ y
+        if Y.shape[1] <= FEW:
+            return np.column_stack([self.solve(y) for y in Y.T])
+        L = _unpack(self._X, self._n, self._work)
+        X = blas.dtrsm(1.0, L, np.asfortranarray(Y), lower=1)
+        return blas.dtrsm(1.0, L, X, lower=1, trans_a=1, overwrite_b=1)  # L⁻ᵀ L⁻¹ Y
+
+    def memory(self) -> float:
+        """Return the memory of the factor in MiB."""
+        return self._X.nbytes / 2**20
+
+    def destroy(self) -> None:
+        """Free the factor."""
+        self._X = np.zeros(0)
+
+
+def pack(S: Array) -> Array:
+    """Return the lower triangle of S, (n, n), column by column, (n (n + 1) / 2,)."""
+    return lapack.dtrttp(S, uplo="L")[0] if len(S) else np.zeros(0)
+
+
+def _regularised(S: PackedMatrix, R: Array | None, rho: float, shift: Array | None) -> Array:
+    """Return S + ρ R Rᵀ, shifted, in the lower triangle of the work space."""
+    X = _unpack(S.values, S.n, S.work)
+    if shift is not None:
+        X[np.diag_indices(S.n)] += shift
+    if R is None or R.shape[1] == 0:
+        return X
+    return blas.dsyrk(rho, R, beta=1.0, c=X, lower=1, overwrite_c=1)
+
+
+def _unpack(S: Array, n: int, work: Array) -> Array:
+    """Unpack a matrix into the work space: (n, n) in Fortran's order, below the diagonal.
+
+    SciPy's own dtpttr makes a new array, and fills it with zeros, which takes ten times as long.
+    """
+    size, info = ctypes.c_int(n), ctypes.c_int(0)
+    to_size, to_info = ctypes.addressof(size), ctypes.addressof(info)
+    _dtpttr()(b"L", to_size, S.ctypes.data, work.ctypes.data, to_size, to_info)
+    return work[: n * n].reshape((n, n), order="F")
+
+
+def _mirrored(L: Array) -> Array:
+    """Copy the lower triangle of a matrix in Fortran's order to the upper one."""
+    n, A = len(L), L.T
+    for first in range(0, n, TILE):
+        last = min(first + TILE, n)
+        A[last:, first:last] = A[first:last, last:].T
+        tile, size = A[first:last, first:last], last - first
+        np.copyto(tile, tile.T.copy(), where=BELOW[:size, :size])
+    return A
+
+
+@functools.cache
+def _dtpttr() -> Callable[..., None]:
+    kind = ctypes.CFUNCTYPE(None, ctypes.c_char_p, *[ctypes.c_void_p] * 5)
+    return kind(address_of("dtpttr"))
+
+
+def _pivot_eigenvalues(X: Array, interchanges: npt.NDArray[np.int32]) -> Array:
+    """Return the eigenvalues of the blocks of Δ, of one or two rows, in L Δ Lᵀ."""
+    d = X.diagonal().copy()
+    first = np.flatnonzero(interchanges < 0)[::2]  # the blocks of two rows take two entries
+    a, b, c = d[first], X[first + 1, first], d[first + 1]
+    mean, radius = 0.5 * (a + c), np.hypot(0.5 * (a - c), b)
+    d[first], d[first + 1] = mean - radius, mean + radius
+    return d

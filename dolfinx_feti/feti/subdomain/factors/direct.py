@@ -1,0 +1,157 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""One direct factorisation, with more work space if MUMPS runs out of it, and what it tells."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from petsc4py import PETSc
+
+from dolfinx_feti.errors import FactorError
+from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+
+__all__ = [
+    "Choice",
+    "create_factor",
+    "factor_with_work_space",
+    "mebibytes",
+    "pivots_of",
+    "prepare_mumps",
+    "set_default_factor",
+    "takes_ldlt",
+]
+
+#: Percent of work space that MUMPS gets for delayed pivots, one try after the other.
+WORK_SPACE = (10, 50, 200, 1000)
+
+Failed = PETSc.PC.FailedReason
+Solver = TypeVar("Solver", PETSc.PC, PETSc.KSP)
+
+FAILURES = {
+    Failed.FACTOR_STRUCT_ZEROPIVOT: "a zero pivot of the pattern",
+    Failed.FACTOR_NUMERIC_ZEROPIVOT: "a zero pivot",
+    Failed.FACTOR_OUTMEMORY: "not enough memory or work space",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What all factorisations of one kind have in common.
+
+    Attributes:
+        prefix: Options prefix.
+        symmetric: Whether the matrices are symmetric.
+        right_hand_sides: How many of them MUMPS treats at once.
+    """
+
+    prefix: str
+    symmetric: bool
+    right_hand_sides: int
+
+
+def takes_ldlt(choice: Choice) -> bool:
+    """Tell whether MUMPS factors by L Δ Lᵀ, unless PETSc lacks it: the options may name another."""
+    own = PETSc.Options(choice.prefix)
+    return (
+        choice.symmetric
+        and own.getString("pc_factor_mat_solver_type", "mumps") == "mumps"
+        and own.getString("pc_type", "cholesky") == "cholesky"
+    )
+
+
+def create_factor(matrix: PETSc.Mat, choice: Choice) -> PETSc.PC:
+    """Factor a sequential matrix, (n, n).
+
+    Raises:
+        FactorError: The factorisation failed.
+    """
+
+    def create(percent: int) -> PETSc.PC:
+        pc = PETSc.PC().create(PETSc.COMM_SELF)
+        pc.setOptionsPrefix(choice.prefix)
+        pc.setOperators(matrix)
+        set_default_factor(pc, choice.symmetric)
+        pc.setFromOptions()
+        prepare_mumps(pc, percent)
+        if _is_mumps(pc):
+            pc.getFactorMatrix().setMumpsIcntl(27, choice.right_hand_sides)
+        return pc
+
+    return factor_with_work_space(create)
+
+
+def factor_with_work_space(create: Callable[[int], Solver]) -> Solver:
+    """Create a solver for a percentage of work space and set it up; with more if MUMPS runs out.
+
+    Raises:
+        FactorError: The factorisation failed.
+    """
+    cause = ""
+    for percent in WORK_SPACE:
+        solver = create(percent)
+        solver.setUp()
+        pc = solver.getPC() if isinstance(solver, PETSc.KSP) else solver
+        failed = pc.getFailedReason()
+        if not failed:
+            return solver
+        cause = _failure(pc)
+        solver.destroy()  # PETSc does not call MUMPS again with a factor that has failed
+        if failed != Failed.FACTOR_OUTMEMORY:
+            break
+    raise FactorError(cause)
+
+
+def set_default_factor(pc: PETSc.PC, symmetric: bool) -> None:
+    """Let MUMPS factor, L Δ Lᵀ or L U, before the options are read."""
+    pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
+    pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+
+
+def prepare_mumps(pc: PETSc.PC, percent: int, zero: float | None = None) -> None:
+    """Let MUMPS, if it is the solver, have percents of work space, and count zero pivots.
+
+    Those below a multiple ``zero`` of the norm of the matrix are zero; None for exact zeros.
+    """
+    if _is_mumps(pc):
+        pc.setFactorSetUpSolverType()
+        F = pc.getFactorMatrix()
+        F.setMumpsIcntl(14, percent)
+        F.setMumpsIcntl(24, 1)  # count zero pivots instead of dividing by them
+        if zero is not None:
+            F.setMumpsCntl(3, zero)
+
+
+def _failure(pc: PETSc.PC) -> str:
+    """Say why a factorisation failed."""
+    reason = pc.getFailedReason()
+    text = FAILURES.get(reason, f"PETSc reports failed reason {reason}")
+    if _is_mumps(pc):
+        F = pc.getFactorMatrix()
+        text += f" (MUMPS: INFOG(1) = {F.getMumpsInfog(1)}, INFOG(2) = {F.getMumpsInfog(2)})"
+    return text
+
+
+def pivots_of(pc: PETSc.PC) -> Pivots:
+    """Read the numbers of negative and zero pivots off a factor; only MUMPS tells."""
+    if not _is_mumps(pc):
+        return Pivots(None, None)
+    F = pc.getFactorMatrix()
+    negative = F.getMumpsInfog(12) if pc.getType() == "cholesky" else None
+    return Pivots(negative, F.getMumpsInfog(28))
+
+
+def mebibytes(pc: PETSc.PC) -> float | None:
+    """Return the memory of a factor in MiB; None if the solver does not tell."""
+    if _is_mumps(pc):
+        return float(pc.getFactorMatrix().getMumpsInfog(22)) * 1e6 / 2**20  # units of 10⁶ bytes
+    if pc.getType() not in ("cholesky", "lu"):
+        return None
+    return float(pc.getFactorMatrix().getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["memory"]) / 2**20
+
+
+def _is_mumps(pc: PETSc.PC) -> bool:
+    return pc.getType() in ("cholesky", "lu") and pc.getFactorSolverType() == "mumps"

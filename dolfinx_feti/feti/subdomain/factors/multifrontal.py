@@ -1,0 +1,322 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The Schur complement and the factor of the interior at once: the multifrontal method.
+
+.. math:: K = \begin{pmatrix} K_{II} & K_{IΓ} \\ K_{ΓI} & K_{ΓΓ} \end{pmatrix}
+            = \begin{pmatrix} U^⊤ & \\ W^⊤ & I \end{pmatrix}
+              \begin{pmatrix} U & W \\ & S \end{pmatrix}, \qquad
+          K_{II} = U^⊤ U, \qquad S = K_{ΓΓ} - W^⊤ W
+
+(eq. 51) by Cholesky's factorisation that stops at the interface (Duff and Reid 1983; Liu 1992). The
+interior falls into groups of dofs, the *pivots* of a front, which are eliminated together; its
+*update rows* are the later dofs that these are coupled with, Γ included. A front is a small dense
+matrix,
+
+.. math:: \begin{pmatrix} P & Q \\ & C \end{pmatrix} \mapsto
+          U = \operatorname{chol} P, \quad W = U^{-⊤} Q, \quad C - W^⊤ W,
+
+and the last block, the *update matrix*, is added to the front of its parent, at the roots to S. The
+groups follow from nested dissection (METIS, Karypis and Kumar 1998, or PETSc). :class:`Fronts` are
+found once for a pattern, a :class:`FrontFactor` for every matrix whose :math:`K_{II}` is positive
+definite.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.errors import FactorError
+from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.runtime.connectivity import coupled_nodes, load_graph_code
+from dolfinx_feti.runtime.native import address_of, load, pointer
+from dolfinx_feti.runtime.petsc_library import Rows, function
+
+__all__ = ["FrontCode", "FrontFactor", "Fronts", "load_fronts", "load_fronts_for"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+Numbers = npt.NDArray[np.int64]
+
+#: Orderings of PETSc that are tried without METIS; that with the least estimate of time is taken.
+ORDERINGS = ("nd", "amd")
+
+#: Of METIS: the number of its options, and the code of success.
+METIS_OPTIONS, METIS_OK = 40, 1
+
+ROUTINES = ("dpotrf", "dtrtri", "dtrsm", "dtrmm", "dsyrk", "dgemm", "dtrsv", "dgemv")
+
+DECLARATIONS = """
+enum { DONE, NO_MEMORY, TOO_LARGE, INVALID, NOT_DEFINITE, NEW_PATTERN };
+typedef struct { int n_I, count, widest, last, *rank; int64_t entries, work; double seconds; ...; }
+    fronts;
+typedef struct { ...; } dense;
+int fronts_analyse(int, const int *, const int *, const int *, int, const int *, fronts **);
+int fronts_factor(const fronts *, int, const int *, const int *, const int *, const int *,
+                  const double *, const double *, double *, double *, double *, const dense *);
+void fronts_solve(const fronts *, const double *, int, double *, double *, const dense *);
+void fronts_free(fronts *);
+"""
+
+
+class FrontCode:
+    """The compiled code, with the routines of BLAS and LAPACK that it calls."""
+
+    def __init__(self, module: Any, graph: Any) -> None:
+        self.module = module
+        self.graph = graph
+        self.lib = module.lib
+        self._routines = module.ffi.new("intptr_t[]", [address_of(name) for name in ROUTINES])
+        self.blas = module.ffi.cast("dense *", self._routines)
+
+    def to(self, array: npt.NDArray[Any]) -> Any:
+        """Return a pointer to the entries of an array."""
+        return pointer(self.module, array)
+
+    def check(self, status: int) -> None:
+        """Raise the error that a status means.
+
+        Raises:
+            MemoryError: There is not enough memory.
+            FactorError: The matrix does not suit the analysis.
+        """
+        if status == self.lib.NO_MEMORY:
+            raise MemoryError("no memory for the fronts of a subdomain")
+        if status == self.lib.TOO_LARGE:
+            raise FactorError("the subdomain is too large for 32-bit indices: take more subdomains")
+        if status == self.lib.INVALID:
+            raise FactorError("the graph of the subdomain, or the order of its nodes, is invalid")
+        if status == self.lib.NEW_PATTERN:
+            raise FactorError("the pattern of the matrix has changed since it was analysed")
+
+
+def load_fronts(comm: MPI.Comm) -> FrontCode:
+    """Load the code, which is compiled at first use. Collective."""
+    graph = load_graph_code(comm)
+    return FrontCode(load(Path(__file__).with_name("multifrontal.c"), DECLARATIONS, comm), graph)
+
+
+def load_fronts_for(prefix: str, comm: MPI.Comm) -> FrontCode | None:
+    """Load the code, unless the options with this prefix name a solver. Collective."""
+    options = PETSc.Options(prefix)
+    named = options.hasName("pc_factor_mat_solver_type") or options.hasName("pc_type")
+    return None if named else load_fronts(comm)
+
+
+class Fronts:
+    """The fronts of one subdomain, of all matrices of a pattern; immutable.
+
+    Attributes:
+        code: The compiled code.
+        data: What it has found.
+        rows: Rows of the subdomain in the matrix, ascending, (n,).
+        ranks: Place of each dof of the interior in the order of elimination, (n_I,).
+        last: Pivots of the last front, among the dofs of the interior.
+        entries: Entries of the factor of K_II.
+        work: Entries of the work space of :meth:`factor`.
+    """
+
+    def __init__(
+        self,
+        code: FrontCode,
+        K: Rows,
+        rows: Indices,
+        number: Indices,
+        bs: int,
+        interface: Indices,
+    ) -> None:
+        """Find the fronts.
+
+        Args:
+            code: What :func:`load_fronts` returns.
+            K: Symmetric matrix that holds that of the subdomain, with both triangles, (N, N).
+            rows: Rows of the subdomain, ascending, (n,).
+            number: For each column its place among these rows, or a negative number, (N,).
+            bs: Size of the blocks, or nodes, that consecutive rows of K belong to.
+            interface: Which of the rows are Γ, ascending; none, and K_II is K.
+
+        Raises:
+            FactorError: The subdomain is too large.
+        """
+        n, blocks = len(rows), rows // bs
+        glued = np.zeros(n, dtype=bool)
+        glued[interface] = True
+        new = np.ones(n, dtype=bool)
+        new[1:] = (np.diff(blocks) != 0) | (np.diff(glued))
+        node = np.cumsum(new, dtype=np.int32) - 1
+        size = np.bincount(node).astype(np.int32)
+        graph = coupled_nodes(code.graph, K, rows, number, node, len(size))
+        data = _analyse(code, graph, size, np.flatnonzero(~glued[new]).astype(np.int32))
+        rank = np.frombuffer(code.module.ffi.buffer(data.rank, 4 * n), dtype=np.int32)
+        self.code, self.data = code, data
+        self.rows = rows
+        self.ranks = rank[~glued].copy()
+        self.last = np.argsort(self.ranks)[data.last :]
+        self.entries = int(data.entries)
+        self.work = int(data.work)
+        self._number = number
+        self._n_Γ = len(interface)
+
+    def factor(
+        self, K: Rows, work: Array, held: Array | None = None
+    ) -> tuple[FrontFactor, Array] | None:
+        """Factor K_II and form S.
+
+        Args:
+            K: Matrix of the same pattern, (N, N).
+            work: Work space, (at least ``work``,).
+            held: Added to K_II on the dofs ``last``, (len(last), len(last)).
+
+        Returns:
+            The factor, and S in packed format, (n_Γ (n_Γ + 1) / 2,), see ``dense``; None if K_II is
+            not positive definite.
+
+        Raises:
+            FactorError: K has an entry that the pattern does not have.
+        """
+        code, N = self.code, len(self._number)
+        if len(K.indptr) != N + 1:
+            code.check(code.lib.NEW_PATTERN)
+        if len(work) < self.work:
+            raise ValueError(f"work has {len(work)} entries, but {self.work} are needed")
+        if held is not None and held.shape != (len(self.last),) * 2:
+            raise ValueError(f"held has shape {held.shape}, but last {len(self.last)} dofs")
+        values = np.empty(self.entries)
+        S = np.zeros(self._n_Γ * (self._n_Γ + 1) // 2)
+        matrix = (self.rows, K.indptr, K.indices, self._number, K.values)
+        status = code.lib.fronts_factor(
+            self.data,
+            N,
+            *(code.to(array) for array in matrix),
+            code.module.ffi.NULL if held is None else code.to(held),
+            *(code.to(array) for array in (values, S, work)),
+            code.blas,
+        )
+        if status == code.lib.NOT_DEFINITE:
+            return None
+        code.check(status)
+        return FrontFactor(self, values), S
+
+
+@dataclass(frozen=True, slots=True)
+class FrontFactor:
+    """The factor of the K_II of one matrix; methods are those of ``Factor``.
+
+    Attributes:
+        fronts: The fronts that it was made with.
+        values: The rows of U, and of W in the interior, front by front, (entries,).
+    """
+
+    fronts: Fronts
+    values: Array
+
+    @property
+    def pivots(self) -> Pivots:
+        """Numbers of negative and zero eigenvalues."""
+        return Pivots(0, 0)
+
+    def memory(self) -> float:
+        """Return the memory of the factor in MiB."""
+        return self.values.nbytes / 2**20
+
+    def solve(self, Y: Array, *, transpose: bool = False) -> Array:
+        """Return K_II⁻¹ Y for one right-hand side, (n_I,), or several, (n_I, r)."""
+        code, fronts, ranks = self.fronts.code, self.fronts.data, self.fronts.ranks
+        X = np.empty(Y.shape, order="F")
+        X[ranks] = Y
+        columns = 1 if Y.ndim == 1 else Y.shape[1]
+        work = np.empty(max(1, fronts.widest * columns))
+        if X.size:
+            values, entries, space = (code.to(array) for array in (self.values, X, work))
+            code.lib.fronts_solve(fronts, values, columns, entries, space, code.blas)
+        return X[ranks]  # U⁻¹ U⁻ᵀ Y
+
+    def destroy(self) -> None:
+        """Do nothing: arrays are freed with the object."""
+
+
+def _analyse(
+    code: FrontCode, graph: tuple[Indices, Indices], size: Indices, interior: Indices
+) -> Any:
+    """Find the fronts of each ordering of the nodes of the interior, and return the best ones."""
+    best, made = None, code.module.ffi.new("fronts **")
+    for order in _orders(*graph, interior):
+        code.check(
+            code.lib.fronts_analyse(
+                len(size), *map(code.to, (size, *graph)), len(interior), code.to(order), made
+            )
+        )
+        fronts = code.module.ffi.gc(made[0], code.lib.fronts_free)
+        if best is None or fronts.seconds < best.seconds:
+            best = fronts
+    return best
+
+
+def _orders(ptr: Indices, adjacent: Indices, interior: Indices) -> list[Indices]:
+    """Order the nodes of the interior for elimination: by METIS, else in both ways of PETSc."""
+    place = np.full(len(ptr) - 1, -1, dtype=np.int32)
+    place[interior] = np.arange(len(interior))
+    row, column = np.repeat(place, np.diff(ptr)), place[adjacent]
+    inside = (row >= 0) & (column >= 0) & (row != column)
+    row, column = row[inside], column[inside]
+    if len(row) == 0:
+        return [interior]
+    begin = np.searchsorted(row, np.arange(len(interior) + 1))
+    symmetric = _is_symmetric(row, column, len(interior))
+    dissected = _dissect(begin, column) if symmetric else None
+    orders = _orders_of_petsc(begin, column) if dissected is None else [dissected]
+    return [interior[order] for order in orders]
+
+
+def _is_symmetric(row: Indices, column: Indices, n: int) -> bool:
+    """Tell, by random numbers, whether (j, i) is among the pairs wherever (i, j) is."""
+    x, y = np.random.default_rng(1998).integers(2**63, size=(2, n), dtype=np.uint64)
+    return bool(np.sum(x[row] * y[column]) == np.sum(x[column] * y[row]))  # modulo 2⁶⁴
+
+
+def _dissect(ptr: Numbers, adjacent: Indices) -> Indices | None:
+    """Order nodes by METIS's nested dissection; None where PETSc is not linked with METIS.
+
+    The graph has to be symmetric and without loops: with others METIS may never end. Its integers
+    have 32 or 64 bits; the options that it sets to −1 tell.
+    """
+    dissect = function("METIS_NodeND", (ctypes.c_void_p,) * 7)
+    set_options = function("METIS_SetDefaultOptions", (ctypes.c_void_p,))
+    if dissect is None or set_options is None:
+        return None
+    options = np.zeros(METIS_OPTIONS, dtype=np.int64)
+    set_options(options.ctypes.data)
+    kind = np.int64 if np.all(options == -1) else np.int32
+    n = np.array([len(ptr) - 1], dtype=kind)
+    graph = [part.astype(kind) for part in (ptr, adjacent)]
+    order, rank = np.empty((2, int(n[0])), dtype=kind)
+    pointers = [None if a is None else a.ctypes.data for a in (n, *graph, None, None, order, rank)]
+    done = dissect(*pointers) == METIS_OK
+    is_one = done and np.array_equal(np.sort(order), np.arange(len(order)))
+    return order.astype(np.int32) if is_one else None
+
+
+def _orders_of_petsc(ptr: Numbers, adjacent: Indices) -> list[Indices]:
+    """Order nodes in each of the ways that PETSc has."""
+    csr = (ptr.astype(PETSc.IntType), adjacent.astype(PETSc.IntType), np.ones(len(adjacent)))
+    graph = PETSc.Mat().createAIJ((len(ptr) - 1,) * 2, csr=csr, comm=PETSc.COMM_SELF)
+    orders = []
+    for name in ORDERINGS:
+        try:
+            order, columns = graph.getOrdering(name)
+        except PETSc.Error:  # a PETSc without SuiteSparse knows no amd
+            continue
+        orders.append(order.indices.astype(np.int32))
+        order.destroy()
+        columns.destroy()
+    graph.destroy()
+    return orders

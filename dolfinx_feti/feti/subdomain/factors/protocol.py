@@ -1,0 +1,64 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""What a factor of a block of one subdomain does, however the block is stored and factored.
+
+.. math:: x = (K + ρ\, R R^⊤ + \operatorname{diag} σ)^{-1} y
+
+with orthonormal columns R, a stiffness ρ and a shift σ, each of which may be missing. A factor
+belongs to one matrix and does not change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Factor", "Pivots", "sum_pivots"]
+
+Array = npt.NDArray[np.float64]
+
+
+class Pivots(NamedTuple):
+    """What a factor tells of its matrix; None where it does not tell.
+
+    Attributes:
+        negative: Number of negative eigenvalues.
+        zero: Number of pivots that are exactly zero; a singular matrix may have none.
+    """
+
+    negative: int | None
+    zero: int | None
+
+
+class Factor(Protocol):
+    """A factored block, (n, n)."""
+
+    @property
+    def pivots(self) -> Pivots:
+        """Numbers of negative and zero eigenvalues."""
+
+    def solve(self, Y: Array, *, transpose: bool = False) -> Array:
+        """Solve for one right-hand side, (n,), or several, (n, r)."""
+
+    def memory(self) -> float:
+        """Return the memory of the factor in MiB."""
+
+    def destroy(self) -> None:
+        """Free the factor."""
+
+
+def sum_pivots(counts: Iterable[Pivots]) -> Pivots:
+    """Add up what several factors tell: None as soon as one of them does not tell."""
+    all_counts = list(counts)
+    negative = [count.negative for count in all_counts]
+    zero = [count.zero for count in all_counts]
+    return Pivots(_sum(negative), _sum(zero))
+
+
+def _sum(numbers: list[int | None]) -> int | None:
+    known = [number for number in numbers if number is not None]
+    return sum(known) if len(known) == len(numbers) else None

@@ -1,0 +1,287 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The operator S of one matrix: the Schur complements of all subdomains of a process.
+
+Gluing and multipliers touch the interface Γ only. With the Schur complement
+
+.. math:: S = K_{ΓΓ} - K_{ΓI} K_{II}^{-1} K_{IΓ}, \qquad
+          \hat f_Γ = f_Γ - K_{ΓI} K_{II}^{-1} f_I, \qquad
+          u_I = K_{II}^{-1}(f_I - K_{IΓ} u_Γ)
+
+(eq. 50, Augustin_eq:DirichletVK; eq. 51) both methods can be written for :math:`S, \hat f_Γ, u_Γ`
+in the place of K, f, u.
+
+- :class:`KeptInterior`: S is applied with a sparse factor of :math:`K_{II}`, and the generalised
+  inverse is that of K, on all free dofs.
+- :class:`EliminatedInterior`: S is formed (``elimination``), a dense block of the size of Γ, and
+  the generalised inverse is that of S.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.feti.gluing.dofs import Dofs
+from dolfinx_feti.feti.subdomain.analysis import Analysis
+from dolfinx_feti.feti.subdomain.blocks import index_set, named, product_many
+from dolfinx_feti.feti.subdomain.elimination import eliminate, factor_interior
+from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor, PackedMatrix
+from dolfinx_feti.feti.subdomain.factors.pivoted import factor_with_pivots
+from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_pivots
+from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
+from dolfinx_feti.feti.subdomain.panels import Panels
+from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.petsc_library import rows_of
+from dolfinx_feti.torn import Torn
+
+__all__ = ["Operator", "create_operator"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+Mask = npt.NDArray[np.bool_]
+
+
+class Operator(ABC):
+    """S of every subdomain of this process, (n_Γ, n_Γ) each.
+
+    Attributes:
+        torn: The torn matrix.
+        eliminated: Whether the interior is eliminated.
+        dofs: Torn dofs of the matrix of each subdomain that is inverted: all free ones, or Γ.
+        on_interface: Mask of Γ among them.
+        interface: Γ of each subdomain.
+        interior: I of each subdomain.
+        interior_factors: Factors of K_II; none where S is not applied, and the interior kept.
+    """
+
+    eliminated: bool
+    dofs: list[Indices]
+    on_interface: list[Mask]
+
+    def __init__(self, torn: Torn, dofs: Dofs, interior_factors: Sequence[Factor]) -> None:
+        """Take what both ways have in common."""
+        self.torn = torn
+        self.interface, self.interior = dofs.interface, dofs.interior
+        self.interior_factors = interior_factors
+        self._glued = dofs.glued & ~dofs.fixed
+        self._diagonal = np.abs(torn.diagonal())
+
+    @abstractmethod
+    def multiply(self, t: Array) -> Array:
+        """Return S t, (n,) → (n,), for a t that is zero off the interface."""
+
+    @abstractmethod
+    def multiply_many(self, i: int, X: Array) -> Array:
+        """Return S_i X for columns on the interface, (n_Γ, r)."""
+
+    @abstractmethod
+    def multiply_panels(self, i: int, W: Panels) -> Array:
+        """Return S_i W for block-sparse columns on the interface, (n_Γ, r)."""
+
+    @abstractmethod
+    def local_product(self, i: int, X: Array) -> Array:
+        """Return the product of the matrix that is inverted, K_i or S_i, with columns, (n_i, r)."""
+
+    @abstractmethod
+    def factor(self, i: int, R: Array, rho: float, shift: Array | None = None) -> Factor:
+        """Factor the matrix that is inverted, K_i or S_i, plus ρ R Rᵀ and a shifted diagonal.
+
+        Raises:
+            FactorError: It failed. Not collective: the caller reduces.
+        """
+
+    @abstractmethod
+    def condense_many(self, i: int, X: Array) -> Array:
+        """Move forces X on ``dofs`` of subdomain i to its interface, (n_i, r) → (n_Γ, r)."""
+
+    def condense(self, f: Array) -> Array:
+        """Return f_Γ − K_ΓI K_II⁻¹ f_I, (n,), zero inside."""
+        Kx = self.torn.multiply(self._solve_inside(f))
+        return np.where(self._glued, f - Kx, 0.0)
+
+    def extend(self, u: Array, f: Array) -> Array:
+        """Return u with u_I = K_II⁻¹ (f_I − K_IΓ u_Γ) inside, (n,)."""
+        u = np.where(self._glued, u, 0.0)
+        return u + self._solve_inside(f - self.torn.multiply(u))
+
+    def load(self, f: Array) -> Array:
+        """Return the load on ``dofs``: f itself, (n,), or condensed to the interface."""
+        return self.condense(f) if self.eliminated else f
+
+    def complete(self, u: Array, f: Array) -> Array:
+        """Complete u, (n,), known on ``dofs``, where the load is f."""
+        return self.extend(u, f) if self.eliminated else u
+
+    def diagonal(self, i: int) -> Array:
+        """Return the absolute diagonal of K on ``dofs`` of subdomain i, (n_i,)."""
+        return self._diagonal[self.dofs[i]]
+
+    def negative_interior(self) -> int | None:
+        """Count the negative eigenvalues of all K_II of this process; None if not known."""
+        if len(self.interior_factors) < len(self.interior):
+            return None
+        return sum_pivots(factor.pivots for factor in self.interior_factors).negative
+
+    def _solve_inside(self, y: Array) -> Array:
+        """Return K_II⁻¹ y_I of every subdomain, zero elsewhere, (n,)."""
+        x = np.zeros_like(y)
+        for I, factor in zip(self.interior, self.interior_factors, strict=True):  # noqa: E741
+            x[I] = factor.solve(y[I])
+        return x
+
+    def memory(self) -> float:
+        """Return the memory of all factors of this process in MiB."""
+        return sum(factor.memory() for factor in self.interior_factors)
+
+    def destroy(self) -> None:
+        """Free the factors."""
+        for factor in self.interior_factors:
+            factor.destroy()
+
+
+class KeptInterior(Operator):
+    """S applied with a factor of K_II."""
+
+    eliminated = False
+
+    def __init__(
+        self, torn: Torn, dofs: Dofs, analysis: Analysis, interior_factors: Sequence[Factor]
+    ) -> None:
+        """Keep the interface rows of K, (n_Γ, n), where S is applied."""
+        super().__init__(torn, dofs, interior_factors)
+        self.dofs, self.on_interface = dofs.free, dofs.on_interface
+        self._analysis = analysis
+        fronts = analysis.local_fronts or []
+        self._work = np.empty(max((front.work for front in fronts), default=0))
+        self._Γ = np.concatenate([*dofs.interface, np.zeros(0, dtype=np.int32)])
+        self._rows: PETSc.Mat | None = None
+        self._columns: PETSc.Mat | None = None
+        if analysis.interior is not None:
+            on, everywhere = index_set(self._Γ), index_set(np.arange(torn.n, dtype=np.int32))
+            self._rows = torn.K.createSubMatrix(on, everywhere)  # K_Γ
+            if not analysis.interior.symmetric:
+                self._columns = torn.K.createSubMatrix(everywhere, on)
+            on.destroy()
+            everywhere.destroy()
+
+    def multiply(self, t: Array) -> Array:
+        Γ, St = self._Γ, np.zeros_like(t)
+        with event("FETISchurProduct"):
+            if self._columns is None:
+                y = _product(self._rows, t[Γ], transpose=True)  # y = K t
+            else:
+                y = _product(self._columns, t[Γ])
+            St[Γ] = y[Γ] - _product(self._rows, self._solve_inside(y))  # K_ΓΓ t − K_ΓI K_II⁻¹ y_I
+        return St
+
+    def multiply_many(self, i: int, X: Array) -> Array:
+        Γ, I, K = self.interface[i], self.interior[i], self.torn.K  # noqa: E741
+        Y = self.interior_factors[i].solve(product_many(K, I, Γ, X))  # K_II⁻¹ K_IΓ X
+        return product_many(K, Γ, Γ, X) - product_many(K, Γ, I, Y)
+
+    def multiply_panels(self, i: int, W: Panels) -> Array:
+        return self.multiply_many(i, W.dense())
+
+    def local_product(self, i: int, X: Array) -> Array:
+        return product_many(self.torn.K, self.dofs[i], self.dofs[i], X)  # K_i X
+
+    def factor(self, i: int, R: Array, rho: float, shift: Array | None = None) -> Factor:
+        fronts = self._analysis.local_fronts
+        if fronts is not None and shift is None and len(R):
+            with rows_of(self.torn.K) as K:
+                factored = factor_by_fronts(fronts[i], K, self._work, R, rho)
+            if factored is not None:
+                return factored
+        return factor_with_pivots(self.torn.K, self.dofs[i], self._analysis.local, R, rho, shift)
+
+    def condense_many(self, i: int, X: Array) -> Array:
+        inside = ~self.on_interface[i]
+        Y = self.interior_factors[i].solve(X[inside])
+        forces = product_many(self.torn.K, self.interface[i], self.interior[i], Y)
+        return X[~inside] - forces  # X_Γ − K_ΓI K_II⁻¹ X_I
+
+    def destroy(self) -> None:
+        super().destroy()
+        for owned in (self._rows, self._columns):
+            if owned is not None:
+                owned.destroy()
+
+
+class EliminatedInterior(Operator):
+    """S formed, in packed format."""
+
+    eliminated = True
+
+    def __init__(
+        self,
+        torn: Torn,
+        dofs: Dofs,
+        interior_factors: Sequence[Factor],
+        S: Sequence[PackedMatrix],
+    ) -> None:
+        """Take the Schur complements."""
+        super().__init__(torn, dofs, interior_factors)
+        self.dofs = dofs.interface
+        self.on_interface = [np.ones(len(rows), dtype=bool) for rows in self.dofs]
+        self._S = S
+
+    def multiply(self, t: Array) -> Array:
+        St = np.zeros_like(t)
+        with event("FETISchurProduct"):
+            for rows, S in zip(self.dofs, self._S, strict=True):
+                St[rows] = S.multiply(t[rows])
+        return St
+
+    def multiply_many(self, i: int, X: Array) -> Array:
+        return self._S[i].multiply_many(X)
+
+    def multiply_panels(self, i: int, W: Panels) -> Array:
+        return self._S[i].multiply_panels(W)
+
+    def local_product(self, i: int, X: Array) -> Array:
+        return self.multiply_many(i, X)
+
+    def factor(self, i: int, R: Array, rho: float, shift: Array | None = None) -> Factor:
+        return DenseFactor(self._S[i], R, rho, shift)
+
+    def condense_many(self, i: int, X: Array) -> Array:
+        return X
+
+    def memory(self) -> float:
+        return super().memory() + sum(S.memory() for S in self._S)
+
+
+def create_operator(torn: Torn, dofs: Dofs, analysis: Analysis) -> Operator:
+    """Factor K_II of the present matrix, and form S where the interior is eliminated.
+
+    Raises:
+        FactorError: A factorisation failed. Not collective: the caller reduces.
+    """
+    if not analysis.eliminated:
+        factors = factor_interior(torn, dofs, analysis) if analysis.interior else []
+        return KeptInterior(torn, dofs, analysis, factors)
+    largest = max((len(rows) for rows in dofs.interface), default=0)
+    work, S, factors = np.empty(largest**2), [], []
+    for i, (packed, factor) in enumerate(eliminate(torn, dofs, analysis)):
+        with named(torn.first + i):
+            S.append(PackedMatrix(packed, len(dofs.interface[i]), work))
+        factors.append(factor)
+    return EliminatedInterior(torn, dofs, factors, S)
+
+
+def _product(K: PETSc.Mat, x: Array, *, transpose: bool = False) -> Array:
+    """Return K x, or Kᵀ x, for a sequential matrix."""
+    y = np.zeros(K.getSize()[1 if transpose else 0])
+    x_vec = PETSc.Vec().createWithArray(np.ascontiguousarray(x), comm=PETSc.COMM_SELF)
+    y_vec = PETSc.Vec().createWithArray(y, comm=PETSc.COMM_SELF)
+    (K.multTranspose if transpose else K.mult)(x_vec, y_vec)
+    x_vec.destroy()
+    y_vec.destroy()
+    return y

@@ -1,0 +1,114 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Soft modes of a subdomain, which join its kernel by an update of the inverse.
+
+.. math:: K y = μ\, k_Γ\, y, \qquad μ < \text{threshold},
+
+with the stiffness :math:`k_Γ` of the interface dofs. A wall is a shell: its subdomains bend at a
+small fraction of the energy that the same jump costs the neighbour. A rough approximation is
+enough, as the algebra of ``pseudoinverse`` holds for any R.
+
+Orthonormal columns Y, orthogonal to R, join R without another factor (Sherman, Morrison and
+Woodbury): with
+
+.. math:: Z = K_ρ^{-1} Y, \quad Z' = K_ρ^{-⊤} Y, \quad C = (ρ^{-1} I + Y^⊤ Z)^{-1}, \quad
+          G = Y^⊤ E, \quad G' = Y^⊤ E',
+
+where E' is E of :math:`K^⊤`, those of (R, Y) are
+
+.. math:: (K_ρ + ρ\, Y Y^⊤)^{-1} = (I - E_Y Y^⊤)\, K_ρ^{-1}, \quad
+          (E - E_Y G,\; E_Y), \quad E_Y = Z C, \quad
+          \begin{pmatrix} D + G'^⊤ C G & -G'^⊤ C \\ -C G & C \end{pmatrix}.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
+
+__all__ = ["ALL_MODES", "Basis", "join", "soft_modes"]
+
+Array = npt.NDArray[np.float64]
+Solve = Callable[[Array], Array]
+
+#: Subdomains of up to so many dofs have all their eigenvectors computed.
+ALL_MODES = 200
+
+#: Powers of the operator and spare columns in a subspace iteration: more of either find more modes,
+#: but save no iterations.
+POWERS, SPARE = 2, 4
+
+
+class Basis(NamedTuple):
+    """The modes of a subdomain and what follows from them; see ``pseudoinverse``.
+
+    Attributes:
+        R: Orthonormal modes, (n, k).
+        E: The regularised kernel, (n, k).
+        E_left: That of the transposed matrix, (n, k).
+        D: Defect, (k, k).
+    """
+
+    R: Array
+    E: Array
+    E_left: Array
+    D: Array
+
+
+def soft_modes(solve: Solve, weight: Array, most: int, threshold: float) -> Array:
+    """Approximate the softest modes of a subdomain.
+
+    Args:
+        solve: Applies :math:`K_ρ^{-1}` to columns, (n, r) → (n, r).
+        weight: Stiffness of the interface dofs, zero on the others, (n,).
+        most: Most modes to return.
+        threshold: A mode is soft if its energy is below this share of its interface stiffness.
+
+    Returns:
+        Modes with μ below the threshold, (n, up to ``most``). With more than :data:`ALL_MODES` dofs
+        one that is close to it may be missed.
+    """
+    n, root = len(weight), np.sqrt(weight)
+    most = min(most, np.count_nonzero(weight) // 10)
+    if most == 0:
+        return np.zeros((n, 0))
+
+    X = np.random.default_rng(n).standard_normal((n, min(n, most + SPARE)))
+    for _ in range(POWERS):
+        X = np.eye(n) if n <= ALL_MODES else np.linalg.qr(X)[0]
+        Y = solve(root[:, None] * X)
+        image = root[:, None] * Y  # k^½ K_ρ⁻¹ k^½ X
+        values, vectors = np.linalg.eigh(symmetric_part(X.T @ image))  # 1/μ, by Rayleigh and Ritz
+        if n <= ALL_MODES:
+            break
+        X = image
+    soft = np.flatnonzero(values * threshold > 1.0)[-most:]
+    return np.asarray(Y @ vectors[:, soft])  # y = K_ρ⁻¹ k^½ X z
+
+
+def join(basis: Basis, Y: Array, Z: Array, Z_left: Array, rho: float) -> Basis:
+    """Let soft modes Y, orthonormal and orthogonal to R, join R.
+
+    Z is K_ρ⁻¹ Y, and Z_left is K_ρ⁻ᵀ Y, (n, k).
+    """
+    R, E, E_left, D = basis
+    C = np.linalg.inv(np.eye(Y.shape[1]) / rho + Y.T @ Z)
+    G, G_left = Y.T @ E, Y.T @ E_left
+    E_Y, E_Y_left = Z @ C, Z_left @ C.T
+    return Basis(
+        _side_by_side(R, Y),
+        _side_by_side(E - E_Y @ G, E_Y),
+        _side_by_side(E_left - E_Y_left @ G_left, E_Y_left),
+        np.block([[D + G_left.T @ C @ G, -G_left.T @ C], [-C @ G, C]]),
+    )
+
+
+def _side_by_side(X: Array, Y: Array) -> Array:
+    """Return (X, Y) column by column, so that slices of columns are read fast."""
+    return np.asfortranarray(np.hstack([X, Y]))

@@ -1,0 +1,150 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What all processes do together: work that fails on all if on one, and warnings said once."""
+
+from __future__ import annotations
+
+import logging
+import pickle
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["join", "on_all", "on_first", "reason", "total", "total_of", "warn"]
+
+T = TypeVar("T")
+logger = logging.getLogger("dolfinx_feti")
+
+
+def on_first(work: Callable[[], T], comm: MPI.Comm) -> T:
+    """Do something on the first process.
+
+    Args:
+        work: What is done; its result can be pickled.
+        comm: Communicator of all who wait for it.
+
+    Returns:
+        The result, on all processes.
+
+    Raises:
+        Exception: What the work raises, on all processes.
+
+    Note:
+        Collective.
+    """
+    parcel: tuple[bytes, Exception | None] = (b"", None)
+    own: Exception | None = None
+    if comm.rank == 0:
+        try:
+            parcel = (pickle.dumps(work()), None)
+        except Exception as caught:
+            own = caught
+            parcel = (b"", _portable(caught))
+    result, error = comm.bcast(parcel, root=0)
+    try:
+        if error is not None:
+            raise own or error
+    finally:
+        del parcel, own, error  # their tracebacks hold this frame, and with it what was made
+    return pickle.loads(result)
+
+
+def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
+    """Do something on all processes; if it fails on one of them, it has failed on all.
+
+    Args:
+        work: What each of them does.
+        comm: Communicator of all of them.
+
+    Returns:
+        The process's own result.
+
+    Raises:
+        Exception: What the work has raised, on all processes: on one where it has failed its own
+            error, elsewhere that of the first process where it has.
+
+    Note:
+        Collective. Work that is collective itself has to fail before it waits for another process,
+        or after.
+    """
+    result: Any = None
+    own: Exception | None = None
+    try:
+        result = work()
+    except Exception as caught:
+        own = caught
+    errors = comm.allgather(None if own is None else _portable(own))
+    first = next((rank for rank, error in enumerate(errors) if error is not None), None)
+    try:
+        if first is not None:
+            if own is None:
+                errors[first].add_note(f"Raised on process {first} of {comm.size}.")
+            raise own or errors[first]
+    finally:
+        del own, errors  # no cycle: all processes have to free PETSc's objects together
+    return result
+
+
+def _portable(error: Exception) -> Exception:
+    """Return an error that can be sent to other processes."""
+    try:
+        copy = pickle.loads(pickle.dumps(error))
+    except Exception:  # of a class that cannot be pickled or made again
+        copy = None
+    return error if isinstance(copy, Exception) else RuntimeError(reason(error))
+
+
+def total(value: float, comm: MPI.Comm) -> float:
+    """Sum a number of each process, in a single reduction of numbers, not of Python's objects.
+
+    Args:
+        value: The process's own.
+        comm: Communicator of all of them.
+
+    Note:
+        Collective.
+    """
+    return float(total_of(np.array([value], dtype=np.float64), comm)[0])
+
+
+def total_of(values: npt.NDArray[np.float64], comm: MPI.Comm) -> npt.NDArray[np.float64]:
+    """Sum the arrays of all processes, entry by entry; see :func:`total`.
+
+    Args:
+        values: The process's own, of one shape on all.
+        comm: Communicator of all of them.
+
+    Note:
+        Collective.
+    """
+    sum_ = np.array(values, dtype=np.float64, order="C")
+    comm.Allreduce(MPI.IN_PLACE, sum_)
+    return sum_
+
+
+def join(values: npt.ArrayLike, comm: MPI.Comm) -> npt.NDArray[Any]:
+    """Return the arrays of all processes, one after the other along the first axis. Collective."""
+    parts = [part for part in comm.allgather(np.asarray(values)) if len(part)]
+    return np.concatenate(parts) if parts else np.asarray(values)
+
+
+def reason(error: Exception) -> str:
+    """Say what went wrong, in one line."""
+    text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return " ".join(text.split()) or type(error).__name__
+
+
+def warn(text: str, comm: MPI.Comm) -> None:
+    """Log a warning on the first process, through Python's logger ``dolfinx_feti``.
+
+    Args:
+        text: The warning, with the remedy.
+        comm: Communicator of all to whom it applies.
+    """
+    if comm.rank == 0:
+        logger.warning(text)

@@ -1,0 +1,151 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What the pattern of a torn matrix tells: its blocks, and the copies of its dofs; and symmetry."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+import scipy.sparse.csgraph
+
+from dolfinx_feti.runtime.native import load, pointer
+from dolfinx_feti.runtime.petsc_library import Rows, rows_of
+
+__all__ = [
+    "block_graph",
+    "connected_blocks",
+    "copy_forest",
+    "coupled_nodes",
+    "has_joined_copies",
+    "is_symmetric",
+    "load_graph_code",
+]
+
+Indices = npt.NDArray[np.int32]
+
+DECLARATION = """
+int couple_nodes(int, int, const int *, const int *, const int *, const int *, const int *,
+                 int, int *, int *, int *);
+"""
+
+
+def load_graph_code(comm: MPI.Comm) -> Any:
+    """Load ``connectivity.c``, compiled at first use. Collective."""
+    return load(Path(__file__).with_name("connectivity.c"), DECLARATION, comm)
+
+
+def is_symmetric(K: PETSc.Mat) -> bool:
+    """Test xᵀ K y = yᵀ K x for one pair of random vectors, up to rounding.
+
+    Note:
+        Collective on K.
+    """
+    x, y = K.createVecs()
+    Kx, Ky = x.duplicate(), x.duplicate()
+    x.array[:], y.array[:] = np.random.default_rng(20140715).standard_normal((2, x.getLocalSize()))
+    K.mult(x, Kx)
+    K.mult(y, Ky)
+    skew = abs(y.dot(Kx) - x.dot(Ky))
+    scale = max(Kx.norm() * y.norm(), Ky.norm() * x.norm())
+    for v in (x, y, Kx, Ky):
+        v.destroy()
+    return bool(skew <= 1e-10 * scale)
+
+
+def connected_blocks(graph: scipy.sparse.csr_array, bs: int) -> list[Indices]:
+    """Find the connected components of a block-diagonal matrix.
+
+    Args:
+        graph: Which blocks of dofs the matrix couples, symmetric, (n / bs, n / bs).
+        bs: Size of these blocks.
+
+    Returns:
+        For each component its rows, ascending; components in the order of their first row.
+    """
+    if graph.shape[0] == 0:
+        return []
+    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    label = np.repeat(label, bs)
+    order = np.argsort(label, kind="stable").astype(np.int32)
+    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+
+
+def has_joined_copies(A: PETSc.Mat, subdomains: list[Indices]) -> bool:
+    """Tell whether a subdomain holds two copies of one dof, on any process. Collective.
+
+    Args:
+        A: Torn matrix.
+        subdomains: For each subdomain its torn dofs.
+    """
+    dofs = A.getLGMap()[0].getIndices()
+    joined = any(len(np.unique(dofs[rows])) < len(rows) for rows in subdomains)
+    return bool(A.comm.tompi4py().allreduce(joined, op=MPI.LOR))
+
+
+def block_graph(K: PETSc.Mat, code: Any) -> scipy.sparse.csr_array:
+    """Return which blocks of dofs a matrix couples, (n / bs, n / bs).
+
+    Args:
+        K: Sequential AIJ matrix, (n, n), of block size bs.
+        code: What :func:`load_graph_code` returns.
+    """
+    n, bs = K.getSize()[0], K.getBlockSize()
+    m, rows = n // bs, np.arange(n, dtype=np.int32)
+    with rows_of(K) as of_K:
+        indptr, indices = coupled_nodes(code, of_K, rows, rows, rows // bs, m)
+    return scipy.sparse.csr_array((np.ones(len(indices), dtype=bool), indices, indptr), (m, m))
+
+
+def coupled_nodes(
+    code: Any, K: Rows, rows: Indices, number: Indices, node: Indices, m: int
+) -> tuple[Indices, Indices]:
+    """Return the graph of nodes, groups of consecutive rows: its rows and columns, unsorted.
+
+    Args:
+        code: What :func:`load_graph_code` returns.
+        K: A symmetric matrix, (n, n).
+        rows: Rows that count, ascending, (k,).
+        number: For each column its place among these rows, or a negative number, (n,).
+        node: Node of each of these rows, ascending from 0 to m − 1, (k,).
+        m: Number of nodes.
+
+    Raises:
+        ValueError: The rows, numbers or nodes do not belong to this matrix.
+    """
+
+    def to(array: Indices) -> Any:
+        return pointer(code, array)
+
+    n, entries = len(K.indptr) - 1, -1
+    sizes = (m + 1, m, int(K.indptr[n]))
+    ptr, mark, adjacent = (np.empty(size, dtype=np.int32) for size in sizes)
+    if len(number) == n and len(node) == len(rows):
+        arrays = map(to, (rows, K.indptr, K.indices, number, node))
+        results = map(to, (ptr, adjacent, mark))
+        entries = code.lib.couple_nodes(n, len(rows), *arrays, m, *results)
+    if entries < 0:
+        raise ValueError(
+            f"the rows, numbers or nodes do not belong to this matrix, ({n}, {n}): rows and nodes "
+            "have to ascend, and columns of the matrix to be among the rows or to have no number"
+        )
+    return ptr, adjacent[:entries].copy()
+
+
+def copy_forest(A: PETSc.Mat) -> PETSc.SF:
+    """Build the star forest with the dofs as roots and their torn copies as leaves."""
+    lgmap = A.getLGMap()[0]
+    dofs = lgmap.getIndices()
+    ranges = A.getOwnershipRanges()
+    rank = np.searchsorted(ranges, dofs, side="right") - 1
+    remote = np.column_stack([rank, dofs - ranges[rank]]).astype(PETSc.IntType)
+    forest = PETSc.SF().create(A.comm)
+    forest.setGraph(A.getLocalSize()[0], None, remote)
+    return forest

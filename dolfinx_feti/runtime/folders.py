@@ -1,0 +1,65 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Checks that folders and files can be written, made before hours of computing."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from mpi4py import MPI
+
+from dolfinx_feti.runtime.collective import on_first, reason
+
+__all__ = ["try_to_write", "writable_folder"]
+
+
+def writable_folder(path: Path | str, comm: MPI.Comm) -> Path:
+    """Create a folder and check that a file can be written in it.
+
+    Args:
+        path: The folder; its parents are created, too.
+        comm: Communicator of all processes that will write there.
+
+    Returns:
+        The folder.
+
+    Raises:
+        OSError: It cannot be created, or nothing can be written in it.
+
+    Note:
+        Collective; the first process tries, and all processes raise or none.
+    """
+    return try_to_write(_write_in_folder, Path(path), "folder", comm)
+
+
+def try_to_write(attempt: Callable[[Path], object], path: Path, what: str, comm: MPI.Comm) -> Path:
+    """Let the first process try to write; all processes raise or none.
+
+    Args:
+        attempt: The attempt to write, called with the path.
+        path: Where to write.
+        what: ``file`` or ``folder``, for the message.
+        comm: Communicator of all processes that will write there.
+
+    Raises:
+        OSError: It failed.
+
+    Note:
+        Collective.
+    """
+    try:
+        on_first(lambda: attempt(path), comm)
+    except OSError as error:
+        raise OSError(
+            f"The output {what} {path} cannot be written ({reason(error)}): choose another one."
+        ) from error
+    return path
+
+
+def _write_in_folder(path: Path) -> None:
+    path.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=path) as file:
+        file.write(b"\0" * 4096)

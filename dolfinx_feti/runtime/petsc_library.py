@@ -1,0 +1,124 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Functions that petsc4py does not wrap: PETSc's, and those of libraries that it is linked with.
+
+They are looked up in what petsc4py has loaded.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Rows", "address_of_rows", "function", "nonzero_state", "reads_in_place", "rows_of"]
+
+_Handle, _Number = ctypes.c_void_p, ctypes.c_int
+_Numbers, _Doubles = ctypes.POINTER(ctypes.c_int), ctypes.POINTER(ctypes.c_double)
+_ROWS = (
+    _Handle, _Number, _Number, _Number, _Numbers,
+    ctypes.POINTER(_Numbers), ctypes.POINTER(_Numbers), _Numbers,
+)  # fmt: skip
+_READ = (_Handle, ctypes.POINTER(_Doubles))
+_ACCESS = (
+    ("MatGetRowIJ", _ROWS),
+    ("MatRestoreRowIJ", _ROWS),
+    ("MatSeqAIJGetArrayRead", _READ),
+    ("MatSeqAIJRestoreArrayRead", _READ),
+)
+
+
+class Rows(NamedTuple):
+    """A sparse matrix row by row.
+
+    Attributes:
+        indptr: Where each row begins, (n + 1,).
+        indices: Columns, (entries,).
+        values: Entries, (entries,).
+    """
+
+    indptr: npt.NDArray[np.int32]
+    indices: npt.NDArray[np.int32]
+    values: npt.NDArray[np.float64]
+
+
+@functools.cache
+def function(name: str, arguments: tuple[Any, ...]) -> Any:
+    """Look up a function of PETSc, or of a library that it is linked with, that returns a code.
+
+    Args:
+        name: Its name.
+        arguments: The types of its arguments, of ctypes.
+
+    Returns:
+        The function; None if there is none of this name.
+    """
+    try:
+        symbol = getattr(ctypes.CDLL(PETSc.__file__), name)
+    except (AttributeError, OSError):
+        return None
+    symbol.argtypes, symbol.restype = list(arguments), ctypes.c_int
+    return symbol
+
+
+def reads_in_place() -> bool:
+    """Tell whether :func:`rows_of` yields a matrix's own arrays, and not copies."""
+    available = all(function(*each) for each in _ACCESS)
+    return available and PETSc.IntType().itemsize == 4
+
+
+@contextmanager
+def rows_of(K: PETSc.Mat) -> Iterator[Rows]:
+    """Yield the arrays of a sequential AIJ matrix, its own if :func:`reads_in_place`.
+
+    Args:
+        K: The matrix; it stays as it is as long as the arrays are in use.
+
+    Raises:
+        RuntimeError: The matrix is not SeqAIJ.
+    """
+    n = K.getSize()[0]
+    if n == 0 or not reads_in_place():
+        indptr, indices, values = K.getValuesCSR()
+        yield Rows(indptr.astype(np.int32), indices.astype(np.int32), values)
+        return
+    rows, restore_rows, array, restore_array = (function(*each) for each in _ACCESS)
+    size, done = ctypes.c_int(), ctypes.c_int()
+    i, j, a = _Numbers(), _Numbers(), _Doubles()
+    pattern = (K.handle, 0, 0, 0, *map(ctypes.byref, (size, i, j, done)))
+    if rows(*pattern) or not done.value or array(K.handle, ctypes.byref(a)):
+        raise RuntimeError("PETSc does not hand out the rows of a matrix; it has to be SeqAIJ")
+    try:
+        indptr = np.ctypeslib.as_array(i, (n + 1,))
+        if indptr[-1] == 0:
+            yield Rows(indptr, np.zeros(0, dtype=np.int32), np.zeros(0))
+        else:
+            shape = (int(indptr[-1]),)
+            yield Rows(indptr, np.ctypeslib.as_array(j, shape), np.ctypeslib.as_array(a, shape))
+    finally:
+        restore_array(K.handle, ctypes.byref(a))
+        restore_rows(*pattern)
+
+
+def nonzero_state(K: PETSc.Mat) -> int:
+    """Return how often the places of a matrix's entries have changed; zero if PETSc cannot say."""
+    count = ctypes.c_int64()
+    get = function("MatGetNonzeroState", (_Handle, ctypes.POINTER(ctypes.c_int64)))
+    return count.value if get is not None and get(K.handle, ctypes.byref(count)) == 0 else 0
+
+
+def address_of_rows(K: PETSc.Mat) -> tuple[int, ...]:
+    """Return the number of entries of a matrix and, of SeqAIJ, where PETSc keeps its arrays."""
+    entries = int(K.getInfo()["nz_used"])
+    if not K.getType().startswith("seqaij") or K.getSize()[0] == 0 or not reads_in_place():
+        return (entries,)
+    with rows_of(K) as arrays:
+        return (entries, *(array.ctypes.data for array in arrays))

@@ -1,0 +1,97 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A wall under pressure: the materials of its layers, and the conditions on its surfaces."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from dolfinx_feti.wall.conditions import Condition
+from dolfinx_feti.wall.rigid import free_motions
+from dolfinx_feti.wall.wall import Wall
+
+__all__ = ["Case", "Tissue", "meant", "require"]
+
+
+@dataclass(frozen=True, slots=True)
+class Tissue:
+    """The material of a layer.
+
+    Attributes:
+        c: Stiffness of the matrix material [kPa].
+        k1: Stiffness of the fibres [kPa]; 0 for none.
+        k2: Exponent of the fibres [-].
+        angle: Of the fibres from the circumferential direction [degrees].
+    """
+
+    c: float
+    k1: float = 0.0
+    k2: float = 1.0
+    angle: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A wall under pressure.
+
+    Attributes:
+        mesh: Name of the mesh, as in the file.
+        layers: Their materials.
+        conditions: Those on the surfaces; the largest share of the pressure is 1.
+        pressure: Where to arrive [mmHg].
+        scale: Millimetres in the mesh's unit of length.
+        rate: By how much the pressure grows [mmHg/s]; None without dashpots.
+        axis: Axis of the prestretch; None for none.
+        stretch: The prestretch [-].
+        fibres: Arguments of :func:`~dolfinx_feti.wall.fibres.fibre_frame`.
+    """
+
+    mesh: str
+    layers: dict[str, Tissue]
+    conditions: dict[str, tuple[Condition, ...]]
+    pressure: float
+    scale: float = 1.0
+    rate: float | None = None
+    axis: str | None = None
+    stretch: float = 1.0
+    fibres: dict[str, Any] = field(default_factory=dict)
+
+    def check(self, wall: Wall) -> None:
+        """Compare names with those of the wall, and require that the wall is held.
+
+        Raises:
+            ValueError: A name is wrong, a layer is missing, or a rigid body motion is free. On all
+                processes.
+
+        Note:
+            Collective.
+        """
+        for kind, given, known in (
+            ("layer", self.layers, wall.layers),
+            ("surface", self.conditions, wall.surfaces),
+        ):
+            for name in given:
+                has = f"it has {', '.join(known) or 'none'}{meant(name, known)}"
+                require(name in known, f"[{kind}s.{name}]: the wall has no {kind} {name!r}; {has}")
+        for name in wall.layers:
+            require(name in self.layers, f"[layers.{name}] is missing: give the layer's material")
+        free = free_motions(wall, self.conditions)
+        message = f"nothing holds {free} of the wall's six rigid body motions; clamp a surface "
+        message += '(hold = "clamp") or give it springs with direction = "all"'
+        require(free == 0, f"[surfaces]: {message}")
+
+
+def require(holds: object, message: str) -> None:
+    """Raise a ValueError unless a condition holds."""
+    if not holds:
+        raise ValueError(message)
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """Ask whether a similar word was meant."""
+    close = difflib.get_close_matches(word, list(known), n=1)
+    return f" (did you mean {close[0]!r}?)" if close else ""

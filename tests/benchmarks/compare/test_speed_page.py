@@ -1,0 +1,153 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The page of the comparison of solvers: tables of known records."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from benchmarks.common import machine
+from benchmarks.compare import page as speed_page
+from benchmarks.compare.path import PHASES
+
+pytestmark = pytest.mark.serial
+
+MACHINE = machine.describe()
+
+
+def record_of(
+    solver: str,
+    *,
+    setup: float,
+    solve: float,
+    iterations: int = 1,
+    mib: float = 100.0,
+    geometry: str = "tube",
+    kappa: float = 1000.0,
+    dofs: int = 60_000,
+    processes: int = 2,
+    path: float | None = None,
+    note: str = "",
+) -> dict[str, object]:
+    """Return the record of a first Newton step, or of a path of three linear solves."""
+    case = {"solver": solver, "geometry": geometry, "kappa": kappa, "wanted_dofs": dofs}
+    case |= {"wanted_subdomains": None, "processes": processes, "threads": 3 - processes}
+    case |= {"path_mmhg": path, "dofs": dofs, "subdomains": 32, "newton_iterations": 1}
+    case["free_mib"] = 9_000.0
+    found = {"seconds_setup": setup, "seconds_solve": solve, "iterations": iterations}
+    found |= {"peak_mib": mib, "relative_residual": 3e-9, "difference_to_mumps": 2e-10}
+    if note:
+        found = {"relative_residual": None}
+    if path is not None:
+        found |= {"peak_mib": None, "newton_iterations": 3, "load_steps": 2, "linear_solves": 3}
+        found |= {"iterations_per_solve": [iterations] * 3, "seconds_assembly": 7.0}
+        found |= {"seconds_per_newton": (setup + solve) / 3.0}
+    found |= {"converged": not note, "note": note}
+    return case | found | {"machine": MACHINE, "date": "2026-01-02T03:04:05+00:00"}
+
+
+def write(tmp_path: Path, *records: dict[str, object], remark: str = "") -> str:
+    """Make the page of some records."""
+    (tmp_path / "records.json").write_text(json.dumps(records))
+    words = [str(tmp_path / "records.json"), "--output", str(tmp_path), "--remark", remark]
+    speed_page.main(words)
+    return (tmp_path / "speed.md").read_text()
+
+
+def test_ratios_are_those_of_the_faster_layouts(tmp_path):
+    """FETI 2 s on two processes; MUMPS 4 s on two, 2.5 s on threads: the better one is told."""
+    page = write(
+        tmp_path,
+        record_of("feti", setup=1.5, solve=0.5, iterations=34, mib=300.0),
+        record_of("feti", setup=2.0, solve=1.0, iterations=34, mib=250.0, processes=1),
+        record_of("mumps", setup=3.9, solve=0.1, mib=400.0),
+        record_of("mumps", setup=2.4, solve=0.1, mib=200.0, processes=1),
+        remark="Quiet.",
+    )
+    first, second = "**1 process × 2 threads** | 2.40 | 0.10", "2 processes | 3.90 | 0.10"
+    assert f"| MUMPS | {first} | 1 | 200 | 3e-9 | 0.80 | 1.50 |" in page
+    assert f"| MUMPS | {second} | 1 | 400 | 3e-9 | 0.50 | 0.75 |" in page
+    assert "| 32 | FETI | **2 processes** | 1.50 | 0.50 | 34 | 300 | 3e-9 | – | – |" in page
+    assert "Quiet." in page
+    assert MACHINE["processor"] in page
+    assert "Cases without a solution" not in page
+
+
+@pytest.mark.parametrize(("iterations", "outcome"), [(52, "yes"), (53, "**no**")])
+def test_growth_with_kappa(tmp_path, iterations, outcome):
+    """40 iterations may become 52, and not 53; the tube's do not count."""
+    page = write(
+        tmp_path,
+        record_of("feti", setup=1.0, solve=1.0, geometry="block", kappa=10.0, iterations=40),
+        record_of("feti", setup=1.0, solve=1.0, geometry="block", iterations=iterations),
+        record_of("feti", setup=1.0, solve=1.0, kappa=10.0, iterations=10),
+        record_of("feti", setup=1.0, solve=1.0, iterations=90),
+        record_of("mumps", setup=1.0, solve=1.0, geometry="block", kappa=10.0),
+        record_of("mumps", setup=1.0, solve=1.0, geometry="block"),
+    )
+    quotient = f"{iterations / 40:.2f}"
+    row = (
+        f"| block | 60 000 | 32 | FETI | 2 processes | 40 | {iterations} | {quotient} | {outcome} |"
+    )
+    assert row in page
+    assert "| tube | 60 000 | 32 | FETI | 2 processes | 10 | 90 | 9.00 | – |" in page
+    growth = page.split("## How the iterations grow")[1]
+    assert "MUMPS" not in growth
+
+
+def test_path(tmp_path):
+    page = write(
+        tmp_path,
+        record_of("feti", setup=2.0, solve=1.0, iterations=20, path=10.0),
+        record_of("mumps", setup=5.0, solve=1.0, path=10.0),
+    )
+    mumps = "| 2 | 3 | 3 | 1.0 | 5.00 | 1.00 | 6.0 | 2.00 | 0.50 | 7.0 |"
+    assert f"| tube | 1000 | 60 000 | – | 10 | MUMPS | 2 processes {mumps}" in page
+    assert "A Newton step:" not in page
+
+
+def test_phases(tmp_path):
+    """Each in percent, and the rest."""
+    spent = dict.fromkeys(PHASES, 0.0) | {"FETISchur": 1.0, "FETILocalSolve": 0.5}
+    feti = record_of("feti", setup=3.0, solve=1.0) | {"seconds_phases": spent}
+    page = write(tmp_path, feti, record_of("mumps", setup=1.0, solve=1.0))
+    (row,) = page.split("## Where FETI's time goes")[1].split("| --: |\n")[1].splitlines()[:1]
+    shares = [int(cell) for cell in row.split("|")[8:-1]]
+    assert shares == [0, 25, 0, 0, 0, 12, 0, 62]
+    assert "| first step | 2 processes | 4.00 |" in row
+    before = write(tmp_path, record_of("feti", setup=3.0, solve=1.0))
+    assert "Where FETI's time goes" not in before
+
+
+def test_failures_are_shown(tmp_path):
+    """With the reason; a path, too, and what is left is compared."""
+    page = write(
+        tmp_path,
+        record_of("feti", setup=1.0, solve=1.0),
+        record_of("mumps", setup=0.0, solve=0.0, note="failed: out of memory"),
+        record_of("feti", setup=1.0, solve=1.0, path=10.0, note="failed: no equilibrium"),
+    )
+    assert "| MUMPS | 2 processes | failed | – |" in page
+    assert (
+        "| tube | 1000 | 60 000 | – | MUMPS | 2 processes | 9 000 | failed: out of memory |" in page
+    )
+    assert (
+        "| tube | 1000 | 60 000 | 10 | FETI | 2 processes | 9 000 | failed: no equilibrium |"
+        in page
+    )
+    heads = {line.count("|") for line in page.split("## Load paths")[1].splitlines()[4:7]}
+    assert len(heads) == 1, "rows as long as the head"
+
+
+def test_records_of_another_study(tmp_path, capsys):
+    (tmp_path / "other.json").write_text('[{"solver": "mumps", "kappa": 10.0}]')
+    with pytest.raises(SystemExit) as caught:
+        speed_page.main([str(tmp_path / "other.json"), "--output", str(tmp_path)])
+    assert caught.value.code == 2
+    assert "holds no records of benchmarks.compare" in capsys.readouterr().err

@@ -1,0 +1,125 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The benchmark of strong scaling: its records, what it refuses, its page."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+from benchmarks.common import machine
+from benchmarks.scaling import page as scaling_page
+from benchmarks.scaling import paper
+from benchmarks.scaling import run as scaling
+from benchmarks.scaling.run import TYPES
+from benchmarks.scaling.traffic import COUNTERS
+
+pytest.importorskip("gmsh")
+pytest.importorskip("matplotlib")
+pytestmark = pytest.mark.serial
+
+SMALL = "--geometry tube --size 1 --subdomains 4 --layers 2 --choices paper".split()
+
+
+@pytest.mark.skipif(not shutil.which("mpicc"), reason="there is no mpicc")
+def test_small_case_is_measured_and_counted(tmp_path, capsys):
+    file, folder = tmp_path / "scaling.json", str(tmp_path / "walls")
+    words = [*SMALL, "--processes", "1", "--count", "2", "--json", str(file), "--folder", folder]
+    status, said = scaling.main(words), capsys.readouterr().out
+    assert status == 0, said
+    counted, measured = json.loads(file.read_text())
+    assert (counted["task"], counted["processes"]) == ("count", 2)
+    assert counted["neighbours"] == 1
+    assert counted["iteration"]["messages"]["max"] >= 1
+    assert counted["iteration"]["reductions"]["max"] >= 1
+    assert counted["coarse_solves"] >= 1
+    assert all(1.0 <= value <= 2.0 for value in counted["balance"].values())
+    parts = [measured[f"seconds_{part}"] for part in ("local", "krylov", "coarse", "reading")]
+    assert min(parts) > 0.0
+    assert sum(parts) <= measured["seconds_total"]
+    assert len(measured["linear_iterations_per_newton"]) == measured["newton_iterations"] >= 2
+    assert scaling.main(words) == 0
+    assert capsys.readouterr().out.count("in the records already") == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--geometry", "cube"], "invalid choice"),
+        (["--processes", "two"], "not a number 0, 1"),
+        (["--processes", "100000"], "shared ones measure nothing"),
+        (["--processes", "1", "--count", "64", "--subdomains", "8"], "as many --subdomains"),
+        (["--layers", "3"], "none of"),
+        (["--json", "/dev/null/x.json"], "cannot be used"),
+    ],
+)
+def test_bad_words(words, said, capsys):
+    with pytest.raises(SystemExit) as caught:
+        scaling.main(words)
+    assert caught.value.code == 2
+    assert said in capsys.readouterr().err
+
+
+def test_file_of_another_study_is_refused(tmp_path, capsys):
+    file = tmp_path / "other.json"
+    file.write_text('[{"contact": "whole"}]')
+    with pytest.raises(SystemExit):
+        scaling.main(["--processes", "1", "--count", "0", "--json", str(file)])
+    assert "records of another study" in capsys.readouterr().err
+
+
+def test_missing_compiler_is_told(tmp_path, monkeypatch, capsys):
+    which = {"mpirun": "/usr/bin/mpirun"}.get
+    monkeypatch.setattr(shutil, "which", which)
+    with pytest.raises(SystemExit):
+        scaling.main(["--processes", "1", "--count", "2", "--folder", str(tmp_path)])
+    assert "mpicc is missing" in capsys.readouterr().err
+
+
+def test_page_of_the_papers_own_times(tmp_path):
+    """The paper's seconds as records, and counts that grow or do not."""
+    records = [
+        _measured(layers, processes, times)
+        for layers, by_processes in paper.TIMES.items()
+        for processes, times in by_processes.items()
+    ]
+    records += [_counted(layers, P) for layers in TYPES for P in (8, 64)]
+    file = tmp_path / "scaling.json"
+    file.write_text(json.dumps(records))
+    words = [str(file), "--output", str(tmp_path), "--remark", "Quiet."]
+    scaling_page.main(words)
+    page = (tmp_path / "scaling.md").read_text()
+    assert "| 512 | 12.70 | 1.003 | 67.60 | 0.606 | 161.00 | 0.394 |" in page
+    assert "| 512 | 23.90 | 0.949 | 297.20 | 0.497 | 667.40 | 0.305 |" in page
+    assert "| 8 | 6 | 10 | 8 | 10 | 10 | 10 | 2 | 10 | 10 | 0.01 | 10 |" in page
+    assert "| 64 | 6 | 10 | 64 | 10 | 10 | 10 | 2 | 10 | 10 | 0.01 | 10 |" in page
+    assert "Quiet." in page
+    assert (tmp_path / "scaling.png").stat().st_size > 20_000
+
+
+def _case(layers: int, processes: int, task: str) -> dict:
+    case = {"study": "scaling", "task": task, "geometry": "vessel", "size": None, "layers": layers}
+    case |= {"degree": 1, "kappa": 100.0, "type": TYPES[layers], "pc": "lumped"}
+    case |= {"choices": "paper", "subdomains": 512, "processes": processes}
+    case |= {"dofs": paper.DOFS[layers], "multipliers": 10**6, "coarse_size": 3072}
+    case |= {"subdomains_in_all": 512, "formulation": "dual", "machine": machine.describe()}
+    return case | {"date": "2026-01-02T03:04:05+00:00"}
+
+
+def _measured(layers: int, processes: int, times: paper.Times) -> dict:
+    seconds = {f"seconds_{part}": value for part, value in times._asdict().items()}
+    seconds |= {"seconds_coarse": 5.0, "seconds_reading": 1.0, "newton_iterations": 5}
+    its = {"linear_iterations_per_newton": [324] * 5, "linear_iterations_mean": 324.0}
+    return _case(layers, processes, "measure") | seconds | its
+
+
+def _counted(layers: int, processes: int) -> dict:
+    """Return counts of which the busiest process's messages grow with the processes."""
+    even = {name: {"mean": 10.0, "max": 10.0} for name in COUNTERS}
+    grown = even | {"messages": {"mean": 10.0, "max": float(processes)}}
+    found = {"setup": even, "iteration": grown, "neighbours": 6.0, "coarse_solves": 2.0}
+    found |= {"coarse_entries": 1e6, "coarse_flops": 1e9}
+    return _case(layers, processes, "count") | found | {"balance": {"entries of K": 1.1}}

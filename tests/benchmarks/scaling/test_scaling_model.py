@@ -1,0 +1,62 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The model of strong scaling: what it gives back, what shrinks, what grows."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.scaling import paper
+from benchmarks.scaling.model import PARTS, Machine, create_model, efficiency
+from benchmarks.scaling.traffic import COUNTERS
+
+pytestmark = pytest.mark.serial
+
+BASE = {"processes": 1, "subdomains_in_all": 512, "coarse_size": 3072, "newton_iterations": 5}
+BASE |= {"linear_iterations_per_newton": [300] * 5, "seconds_local": 400.0, "seconds_total": 2000.0}
+BASE |= {"seconds_krylov": 1300.0, "seconds_coarse": 20.0, "seconds_reading": 3.0}
+SENT = {"processes": 64, "coarse_solves": 2.0, "coarse_entries": 1e6, "coarse_flops": 1e9}
+SENT |= {"iteration": {name: {"mean": 10.0, "max": 10.0} for name in COUNTERS}}
+
+
+def test_papers_efficiencies():
+    """Closed form: the printed efficiencies of the paper's last rows."""
+    for layers, krylov, total in ((1, 0.606, 0.394), (2, 0.497, 0.305)):
+        first, last = (paper.TIMES[layers][P] for P in (paper.FIRST, 512))
+        assert efficiency(16, first.krylov, 512, last.krylov) == pytest.approx(krylov, abs=5e-4)
+        assert efficiency(16, first.total, 512, last.total) == pytest.approx(total, abs=5e-4)
+
+
+def test_model_gives_back_what_it_begins_with():
+    model = create_model([BASE], [SENT])
+    first = model.predict(1)
+    for part in ("local", "krylov", "coarse", "reading", "total"):
+        assert getattr(first, part) == pytest.approx(BASE[f"seconds_{part}"], rel=1e-12)
+    assert sum(first.shares().values()) == pytest.approx(1.0)
+    assert set(first.shares()) == set(PARTS)
+
+
+def test_work_shrinks_and_what_is_sent_does_not():
+    model = create_model([BASE], [SENT])
+    two, many, beyond = (model.predict(P) for P in (2, 512, 1024))
+    assert two.local == 256 * many.local == 200.0
+    assert many.messages == two.messages > 0.0
+    assert many.reductions == pytest.approx(9 * two.reductions)  # log₂ P
+    assert many.gathering == two.gathering > 0.0
+    assert many.coarse_factor == two.coarse_factor
+    assert beyond.coarse_factor == pytest.approx(2**1.5 * many.coarse_factor)  # 1024 subdomains
+    assert model.predict(3).local > 400.0 / 3  # 171 of 512 subdomains
+
+
+def test_faster_machine_and_finer_mesh():
+    slow, fast = (create_model([BASE], [SENT], Machine(latency=a)) for a in (1e-5, 1e-6))
+    assert slow.predict(512).reductions == pytest.approx(10 * fast.predict(512).reductions)
+    coarse, fine = (fast.predict(512, refined) for refined in (1.0, 8.0))
+    assert fine.local == 8 * coarse.local
+    assert fine.coarse_solves == coarse.coarse_solves
+
+
+def test_no_model_without_both():
+    assert create_model([], [SENT]) is None
+    assert create_model([BASE], []) is None

@@ -1,0 +1,147 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The semi-analytical tube against published digits, equilibrium and its own energy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.tube.oracle import KPA_PER_MMHG, Layer, Wall, inflate, stresses
+
+pytestmark = pytest.mark.serial
+
+# Inner displacement [mm] at p [mmHg] for κ = ∞, 1e5, 1000, 100 kPa, c = 3 kPa. These digits were
+# computed with the rounded factor of 0.133322 kPa per mmHg, which shows in the last of them.
+TABLE = {
+    10: (0.167176, 0.167184, 0.167893, 0.174218),
+    50: (0.461338, 0.461444, 0.471459, 0.543493),
+    100: (0.549638, 0.549960, 0.576991, 0.730442),
+    200: (0.618727, 0.619651, 0.681758, 0.964699),
+    300: (0.653172, 0.654834, 0.749316, 1.134336),
+}
+ROUNDED_KPA_PER_MMHG = 0.133322
+KAPPAS = (np.inf, 1e5, 1000.0, 100.0)
+
+
+@pytest.mark.parametrize("mmhg", TABLE)
+@pytest.mark.parametrize("column", range(len(KAPPAS)))
+def test_published_digits(mmhg, column):
+    tube = inflate(mmhg * ROUNDED_KPA_PER_MMHG, Wall(kappa=KAPPAS[column]))
+    assert abs(tube.inner_displacement - TABLE[mmhg][column]) <= 0.5e-6
+
+
+@pytest.mark.parametrize(
+    ("mmhg", "kappa", "mean"),
+    [(50, 1e3, 1.010), (100, 1e3, 1.022), (200, 1e3, 1.048), (300, 1e3, 1.074), (300, 1e2, 1.650)],
+)
+def test_published_volumes(mmhg, kappa, mean):
+    assert abs(inflate(mmhg * KPA_PER_MMHG, Wall(kappa=kappa)).mean_jacobian - mean) <= 0.5e-3
+
+
+def energy(wall: Wall, angle: float, stretch_r: float, stretch_t: float) -> float:
+    """W [kPa], without its volumetric part if κ is infinite."""
+    cosine2 = np.cos(np.radians(angle)) ** 2
+    J = stretch_r * stretch_t * wall.stretch
+    scale, square = J ** (-2.0 / 3.0), wall.stretch**2
+    E = max(scale * (stretch_t**2 * cosine2 + square * (1.0 - cosine2)) - 1.0, 0.0)
+    W = wall.c / 2.0 * (scale * (stretch_r**2 + stretch_t**2 + square) - 3.0)
+    W += wall.k1 / wall.k2 * np.expm1(wall.k2 * E * E)
+    return W + wall.kappa / 2.0 * (J - 1.0) ** 2 if np.isfinite(wall.kappa) else W
+
+
+@pytest.mark.parametrize("kappa", [np.inf, 1000.0])
+@pytest.mark.parametrize("angle", [29.0, 62.0])
+@pytest.mark.parametrize("stretch", [1.0, 1.15])
+@pytest.mark.parametrize(("stretch_r", "stretch_t"), [(0.8, 1.3), (1.2, 0.85), (0.9, 1.1)])
+def test_stresses_are_derivatives_of_the_energy(kappa, angle, stretch, stretch_r, stretch_t):
+    wall, h = Wall(kappa=kappa, stretch=stretch), 1e-5
+    differences = [
+        (
+            energy(wall, angle, stretch_r + a, stretch_t + b)
+            - energy(wall, angle, stretch_r - a, stretch_t - b)
+        )
+        / (2 * h)
+        for a, b in ((h, 0.0), (0.0, h))
+    ]
+    # h² times a third derivative, and rounding eps W / h
+    np.testing.assert_allclose(
+        stresses(wall, angle, stretch_r, stretch_t), differences, rtol=1e-7, atol=1e-7
+    )
+
+
+@pytest.mark.parametrize(
+    ("kappa", "stretch"), [*((kappa, 1.0) for kappa in KAPPAS), (np.inf, 1.2), (1000.0, 1.2)]
+)
+def test_equilibrium_and_surfaces(kappa, stretch):
+    pressure = 100 * KPA_PER_MMHG
+    tube = inflate(pressure, Wall(kappa=kappa, stretch=stretch))
+    inner, outer = tube.wall.layers[0].inner, tube.wall.layers[-1].outer
+    assert abs(tube.stress(inner)[0] + pressure) <= 1e-8 * pressure
+    assert abs(tube.stress(outer)[0]) <= 1e-8 * pressure
+    for R in (0.75, 0.9, 1.0, 1.08):  # r dσ_rr/dr = σ_θθ − σ_rr
+        h = 1e-4
+        slope = (tube.stress(R + h)[0] - tube.stress(R - h)[0]) / (
+            tube.radius(R + h) - tube.radius(R - h)
+        )
+        radial, hoop = tube.stress(R)
+        assert abs(tube.radius(R) * slope - (hoop - radial)) <= 1e-4 * abs(hoop - radial)
+
+
+@pytest.mark.parametrize("stretch", [0.9, 1.3])
+def test_tube_that_is_pulled_alone(stretch):
+    """Without fibres and pressure, and incompressible: uniaxial, r = R/√λ_z and no stress in it."""
+    tube = inflate(0.0, Wall(k1=1e-300, stretch=stretch))
+    for R in (0.71, 0.9, 1.1):
+        assert abs(tube.radius(R) * np.sqrt(stretch) / R - 1.0) <= 1e-10
+        np.testing.assert_allclose(tube.stress(R), 0.0, atol=1e-9)
+    nearly = inflate(0.0, Wall(k1=1e-300, kappa=1e5, stretch=stretch))
+    assert abs(nearly.mean_jacobian - 1.0) <= 1e-4
+    assert abs(nearly.radius(0.9) / tube.radius(0.9) - 1.0) <= 1e-4
+
+
+def test_law_of_laplace():
+    """The mean hoop stress carries the pressure on the lumen: ∫ σ_θθ dr = p r_i."""
+    pressure = 100 * KPA_PER_MMHG
+    for kappa in KAPPAS:
+        tube = inflate(pressure, Wall(kappa=kappa))
+        total = 0.0
+        for layer in tube.wall.layers:
+            points, weights = np.polynomial.legendre.leggauss(12)
+            half = (layer.outer - layer.inner) / 2
+            for x, w in zip(points, weights, strict=True):
+                R = layer.inner + half * (1 + x)
+                total += w * half * tube.stress(R)[1] * tube.jacobian(R) * R / tube.radius(R)
+        r_i = tube.radius(tube.wall.layers[0].inner)
+        assert abs(total - pressure * r_i) <= 1e-6 * pressure * r_i
+
+
+def test_large_kappa_tends_to_the_closed_form():
+    """The distance falls like 1/κ."""
+    pressure = 100 * KPA_PER_MMHG
+    limit = inflate(pressure, Wall())
+    gaps = [
+        inflate(pressure, Wall(kappa=k)).inner_displacement - limit.inner_displacement
+        for k in (1e5, 1e6)
+    ]
+    assert 9.5 < gaps[0] / gaps[1] < 10.5
+    swollen = inflate(pressure, Wall(kappa=1e6))
+    assert abs(swollen.thickness - limit.thickness) < 1e-5
+    np.testing.assert_allclose(swollen.stress(0.8), limit.stress(0.8), rtol=1e-3)
+
+
+def test_unloaded_tube_stays():
+    for kappa in KAPPAS:
+        tube = inflate(0.0, Wall(kappa=kappa))
+        assert abs(tube.inner_displacement) < 1e-9
+        assert abs(tube.thickness - 0.39) < 1e-9
+
+
+def test_one_layer_cut_in_two_is_one_layer():
+    pressure = 50 * KPA_PER_MMHG
+    whole = inflate(pressure, Wall(kappa=1000.0, layers=(Layer(0.71, 1.1, 40.0),)))
+    parts = inflate(
+        pressure, Wall(kappa=1000.0, layers=(Layer(0.71, 0.9, 40.0), Layer(0.9, 1.1, 40.0)))
+    )
+    assert abs(whole.inner_displacement - parts.inner_displacement) < 1e-9

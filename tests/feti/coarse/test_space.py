@@ -1,0 +1,210 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The averaged coarse space: dense matrices, negative curvature, work that fails on a process."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import primal_form
+import pytest
+import scipy.linalg
+from collective import COMM, agree, dense, equal, raises, small, whole
+
+from dolfinx_feti.errors import FactorError, SetUpError
+from dolfinx_feti.feti.coarse.fields import averaged_fields
+from dolfinx_feti.feti.coarse.space import AveragedSpace, negative_curvature
+
+SEED = 2003
+GRID = {"subdomains": (3, 2), "cells": (3, 2), "components": 2}
+every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+
+
+def random(n):
+    return np.random.default_rng(SEED + COMM.rank).standard_normal(n)
+
+
+@every_type
+def test_fields(kind, torn_grid, form):
+    """W = T V: on each subdomain its own columns and those of its neighbours, averaged."""
+    problem = torn_grid(**GRID)
+    primal = form(problem, type=kind, interior="eliminate", coarse_modes=2)
+    exact = primal_form.reference(problem, primal)
+    copies, start = primal.copies, COMM.scan(primal.copies.n) - primal.copies.n
+    expected = exact.T @ exact.V
+    worst = 0.0
+    fields = averaged_fields(copies, primal.space.V.columns)
+    for i, rows in enumerate(copies.blocks):
+        W = np.zeros((rows.stop - rows.start, expected.shape[1]))
+        W[:, fields.numbers[i]] = fields[i].dense()
+        local = expected[start + rows.start : start + rows.stop]
+        worst = max(worst, float(np.abs(W - local).max(initial=0.0)))
+    small(worst, 1e-10 * np.abs(expected).max())
+
+
+@every_type
+@pytest.mark.parametrize("interior", ["keep", "eliminate"])
+def test_galerkin_matrix_and_projection(kind, interior, torn_grid, form):
+    """A₀ = Vᵀ A V in a basis of unit energy; Π V = 0 and Vᵀ A Π = 0."""
+    problem = torn_grid(**GRID)
+    primal = form(problem, type=kind, interior=interior, coarse_modes=2)
+    exact = primal_form.reference(problem, primal)
+    space, copies = primal.space, primal.copies
+    basis = scipy.linalg.block_diag(*COMM.allgather(space.combinations.toarray()))
+    equal(dense(space.A_0), basis.T @ exact.V.T @ exact.A @ exact.V @ basis, 1e-10)
+    equal(dense(space.A_0).diagonal(), np.ones(space.A_0.getSize()[0]), 1e-12)
+    v, zero = space.V.prolong(random(space.V.size)), np.zeros(copies.n)
+    small(np.abs(space.correct(v, zero)).max(initial=0.0), 1e-9 * np.abs(whole(v)).max())
+    z = space.correct(copies.average(random(copies.n)), zero)
+    image = exact.V.T @ exact.A @ (exact.average @ whole(z))
+    small(np.abs(image).max(), 1e-9 * np.abs(exact.A).max() * np.abs(whole(z)).max())
+    r = copies.sum(random(copies.n))
+    agree(np.array_equal(space.initial_guess(r), space.correct(zero, r)))
+    start = exact.average @ whole(space.initial_guess(r))
+    equal(exact.V.T @ exact.A @ start, exact.V.T @ (exact.average @ whole(r)), 1e-9)
+
+
+@pytest.fixture
+def repeated(torn_grid, form):
+    """A form, and the same with all columns twice, a hair's breadth apart, and a zero one."""
+    problem = torn_grid(**GRID)
+    plain = form(problem, type="all_floating", interior="eliminate", coarse_modes=2)
+
+    def again(parts, copies):
+        columns = []
+        for U_i in plain.space.V.columns:
+            noise = 1e-12 * np.random.default_rng(SEED).standard_normal(U_i.shape)
+            columns.append(np.hstack([1e5 * (U_i + noise), 0.0 * U_i[:, :1]]))
+        return columns
+
+    twice = form(problem, again, type="all_floating", interior="eliminate", coarse_modes=2)
+    return plain, twice
+
+
+def test_dependent_columns_are_dropped(repeated):
+    """Columns that come twice, zero ones and large ones do no harm."""
+    plain, twice = repeated
+    space = twice.space
+    agree(space.dropped == plain.space.total + 6)
+    agree(plain.space.dropped == 0 and space.negative() == 0)
+    z, zero = plain.copies.average(random(plain.copies.n)), np.zeros(plain.copies.n)
+    equal(space.correct(z, zero), plain.space.correct(z, zero), 1e-7)
+
+
+def test_columns_and_their_choice_serve_another_matrix(repeated):
+    """V and its combinations with another S, here 2 S: the same projection, A₀ doubled."""
+    _, twice = repeated
+    space, copies = twice.space, twice.copies
+
+    class Doubled:
+        def multiply_panels(self, i, W):
+            return 2.0 * twice.parts.operator.multiply_panels(i, W)
+
+        def multiply_many(self, i, W):
+            return 2.0 * twice.parts.operator.multiply_many(i, W)
+
+    later = AveragedSpace(
+        space.V, Doubled(), prefix="test_feti_coarse_", combinations=space.combinations
+    )
+    agree(later.dropped == space.dropped > 0 and later.V is space.V)
+    equal(dense(later.A_0), 2.0 * dense(space.A_0), 1e-12)
+    z, zero = copies.average(random(copies.n)), np.zeros(copies.n)
+    equal(later.correct(z, zero), space.correct(z, zero), 1e-7)
+    later.destroy()
+
+
+def test_product_that_fails_on_one_process(torn_grid, form):
+    """S W of a subdomain of the last process: all raise, with the cause, and none waits."""
+    primal = form(torn_grid(**GRID), type="all_floating", interior="eliminate")
+    S = primal.parts.operator
+
+    class Failing:
+        multiply_many = S.multiply_many
+
+        def multiply_panels(self, i, W):
+            if COMM.rank == COMM.size - 1 and i == len(primal.copies.blocks) - 1:
+                raise FactorError("no memory for S W")
+            return S.multiply_panels(i, W)
+
+    with raises(SetUpError, "no memory for S W"):
+        AveragedSpace(primal.space.V, Failing(), prefix="test_feti_coarse_")
+    again = AveragedSpace(primal.space.V, S, prefix="test_feti_coarse_")
+    equal(dense(again.A_0), dense(primal.space.A_0))
+    again.destroy()
+
+
+# ---- negative curvature of A₀ ------------------------------------------------------------------
+
+
+def distributed(H):
+    """A dense symmetric matrix as one of PETSc's."""
+    n = len(H)
+    A = PETSc.Mat().createDense((n, n), comm=COMM)
+    first, last = A.getOwnershipRange()
+    rows, columns = np.split(np.arange(first, last + n, dtype=np.int32), [last - first])
+    A.setValues(rows, columns - last, H[first:last])
+    A.assemble()
+    return A
+
+
+def gram(n, rank, noise):
+    """The Gram matrix of n columns of size one, of which all beyond a rank repeat others."""
+    rng = np.random.default_rng(SEED)
+    X = rng.standard_normal((3 * n, rank)) @ rng.standard_normal((rank, n))
+    X = X / np.linalg.norm(X, axis=0) + noise * rng.standard_normal(X.shape)
+    return X.T @ X
+
+
+DEFINITE = {
+    "one unknown": np.array([[2.0]]),
+    "residual that underflows": np.diag(np.linspace(1.0, 1.1, 200)),
+    "condition 1e12": np.diag(np.geomspace(1e-12, 1.0, 60)),
+    "repeated columns": gram(40, 25, 1e-9),
+    "many repeated columns": gram(120, 20, 1e-10),
+}
+
+
+@pytest.mark.parametrize("H", DEFINITE.values(), ids=DEFINITE)
+def test_definite_matrix_has_no_negative_curvature(H):
+    """Conjugate gradients stop where what is left is rounding: of the residual or of pᵀ A p."""
+    A = distributed(H)
+    agree(negative_curvature(A) is None)
+    A.destroy()
+
+
+@pytest.mark.parametrize("least", [-1.0, -1e-3, -1e-6, -1e-10])
+def test_negative_eigenvalue_is_met(least, n=60):
+    Q = np.linalg.qr(np.random.default_rng(SEED).standard_normal((n, n)))[0]
+    H = Q * np.concatenate([[least], np.geomspace(1e-4, 1.0, n - 1)]) @ Q.T
+    A = distributed(0.5 * (H + H.T))
+    p = negative_curvature(A)
+    agree(p is not None)
+    p = whole(p)
+    agree(p @ H @ p < 0.0)
+    A.destroy()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02], ids=["definite", "indefinite"])
+def test_solver_that_does_not_count_pivots(share, torn_grid, form):
+    """Then the search alone decides, of A₀ + ε."""
+
+    def soften(K, dofs):
+        for K_i in K:
+            K_i -= share * np.abs(K_i).max() * np.eye(len(K_i))
+
+    options = PETSc.Options("test_feti_coarse_")
+    options["pc_factor_mat_solver_type"] = "petsc"
+    try:
+        problem = torn_grid((2, 2), (4, 4), components=2, change=soften)
+        primal = form(problem, type="classical", interior="eliminate", coarse_modes=0)
+    finally:
+        options.delValue("pc_factor_mat_solver_type")
+    agree(primal.space.negative() is None)
+    v = primal.space.negative_direction()
+    agree((v is None) == (share == 0.0))
+    if share:
+        exact = primal_form.reference(problem, primal)
+        v = exact.average @ whole(v)
+        agree(v @ exact.A @ v < 0.0)

@@ -1,0 +1,127 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The dual operator and the constraint preconditioner against dense formulas."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from collective import COMM, agree, dense, equal, matrix_of_map, small, whole
+
+from dolfinx_feti.feti.dual.system import DualSystem
+
+SEED = 744
+
+GRIDS = {
+    "Laplace": {"subdomains": (2, 2), "cells": (2, 2)},
+    "elasticity": {"subdomains": (2, 2), "cells": (1, 2), "components": 2},
+}
+CHANGES = {
+    "no prestress": None,
+    "prestress": lambda K, dofs: [np.fill_diagonal(k, 1.01 * k.diagonal()) for k in K],
+    "compression": lambda K, dofs: [np.fill_diagonal(k, 0.99 * k.diagonal()) for k in K],
+}
+every_grid = pytest.mark.parametrize("grid", GRIDS.values(), ids=GRIDS)
+every_change = pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+every_q = pytest.mark.parametrize("q", ["identity", "diagonal", "preconditioner"])
+
+
+def flexibility(system):
+    return matrix_of_map(system.dual.flexibility, system.dual.m)
+
+
+def constraint(dual):
+    """Constraint preconditioner from jumps to (λ, s), two matrices."""
+
+    def apply(r, part):
+        residual = np.concatenate([r, np.zeros(dual.size - dual.m)])
+        return dual.split(dual.precondition(residual)[0])[part]
+
+    return (matrix_of_map(lambda r, i=i: apply(r, i), dual.m) for i in (0, 1))
+
+
+@every_grid
+@every_type
+@every_change
+def test_flexibility_is_symmetric_and_that_of_the_definition(grid, kind, change, torn_grid, parts):
+    """F = B K⁺ Bᵀ is symmetric, and on balanced λ that of the Moore–Penrose inverse."""
+    problem = torn_grid(change=change, **grid)
+    system = parts(problem.A, type=kind)
+    F = flexibility(system)
+    equal(F, F.T, 1e-12)
+    if change is None:
+        small(min(np.linalg.eigvalsh(F)[0], 0.0), 1e-14 * np.abs(F).max())
+        B, G = dense(system.pattern.gluing.B), dense(system.coarse.G)
+        free = np.flatnonzero(np.any(B != 0, axis=0) | ~problem.dirichlet[problem.to_global])
+        K = problem.K_torn[np.ix_(free, free)]
+        expected = B[:, free] @ np.linalg.pinv(K, rcond=1e-10, hermitian=True) @ B[:, free].T
+        P = np.eye(len(F)) - G @ np.linalg.solve(G.T @ G, G.T)
+        equal(P @ F @ P, P @ expected @ P, 1e-10)
+        x = np.random.default_rng(SEED).standard_normal((len(F), 20))
+        agree(np.einsum("ij,ij->j", x, F @ x).min() >= 0.0)
+
+
+@every_grid
+@every_q
+@every_change
+@pytest.mark.parametrize("pc_type", ["dirichlet", "identity"])
+def test_constraint_preconditioner_is_the_inverse_it_stands_for(
+    grid, q, change, pc_type, torn_grid, parts
+):
+    """Its image is balanced, Gᵀz_λ + D z_s = 0, and P M Pᵀ r for D = 0; Q stands for M in Q."""
+    system = parts(torn_grid(change=change, **grid).A, pc_type=pc_type, coarse_q=q)
+    M = matrix_of_map(lambda r: system.preconditioner.apply(r)[0], system.dual.m)
+    if system.coarse.MG is not None:
+        M += np.diag(whole(system.coarse.q.array_r))
+    G, N, D = (dense(getattr(system.coarse, key)) for key in ("G", "N", "D"))
+    QG = matrix_of_map(system.dual.weighted_jump, system.coarse.size)
+    z_lam, z_s = constraint(system.dual)
+    scale = np.abs(z_lam).max()
+    small(np.abs(G.T @ z_lam + D @ z_s).max(), 1e-10 * max(scale, np.abs(D @ z_s).max()))
+    equal(z_lam, z_lam.T, 1e-10)
+    w = np.linalg.solve(N, QG.T)
+    y = M - M @ G @ w
+    v = np.linalg.solve(N, G.T @ y - D @ w)
+    equal(z_lam, y - QG @ v, 1e-10)
+    if change is None:
+        P = np.eye(len(G)) - QG @ np.linalg.solve(N, G.T)
+        equal(z_lam, P @ M @ P.T, 1e-10)
+    agree(system.dual.exact == (change is None))
+    agree(system.dual.frozen == (change is None and system.coarse.MG is None))
+    equal(z_s, np.zeros_like(z_s) if system.dual.frozen else -w - v, 1e-10)
+
+
+def test_eigenvalues_of_the_unfrozen_system_are_one_besides(torn_grid, parts):
+    """Besides those of P M Pᵀ F there is a one for each coarse unknown."""
+    system = parts(torn_grid((2, 2), (2, 2)).A, pc_type="identity")
+    unfrozen = DualSystem(
+        system.pattern.gluing, system.inverse, system.preconditioner, system.coarse, frozen=False
+    )
+    z_lam, z_s = constraint(unfrozen)
+    unfrozen.destroy()
+    F, G = flexibility(system), dense(system.coarse.G)
+    operator = np.hstack([F, -G])
+    preconditioned = np.vstack([z_lam @ operator, z_s @ operator])
+    values = np.sort(np.linalg.eigvals(preconditioned).real)
+    projected = np.sort(np.linalg.eigvals(z_lam @ F).real)
+    k = system.coarse.total
+    nonzero = projected[np.abs(projected) > 1e-10]
+    equal(values[np.abs(values) > 1e-10], np.sort(np.concatenate([nonzero, np.ones(k)])), 1e-7)
+
+
+@every_change
+def test_operator_is_the_jump_of_a_balanced_pair(change, torn_grid, parts):
+    """(F λ − G s, 0)."""
+    system = parts(torn_grid((2, 2), (2, 2), components=2, change=change).A)
+    dual = system.dual
+    rng = np.random.default_rng(SEED + 1)
+    lam, s = (
+        rng.standard_normal(COMM.allreduce(n))[COMM.scan(n) - n : COMM.scan(n)]
+        for n in (dual.m, dual.size - dual.m)
+    )
+    jump, zero = dual.split(dual.multiply(np.concatenate([lam, s])))
+    expected = flexibility(system) @ whole(lam) - dense(system.coarse.G) @ whole(s)
+    equal(whole(jump), expected, 1e-12)
+    equal(zero, np.zeros_like(zero))

@@ -1,0 +1,186 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Preconditioners against their dense definition."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse
+from collective import COMM, agree, dense, equal, matrix_of_map, small, whole
+from modes import modes_of
+
+from dolfinx_feti.feti.dual.form import create_dual_form
+from dolfinx_feti.feti.dual.weighted import WeightedColumns
+from dolfinx_feti.feti.setup import set_up
+
+SEED = 90210
+
+PROBLEMS = {
+    "elasticity": {"subdomains": (2, 2), "cells": (2, 3), "components": 2},
+    "one cell each": {"subdomains": (2, 2, 2), "cells": (1, 1, 1), "components": 3},
+    "Laplace": {"subdomains": (3,), "cells": (4,)},
+}
+every_problem = pytest.mark.parametrize("grid", PROBLEMS.values(), ids=PROBLEMS)
+every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+
+
+def unsymmetric(K, dofs):
+    rng = np.random.default_rng(SEED)
+    for K_i in K:
+        K_i += 0.05 * np.abs(K_i).max() * rng.standard_normal(K_i.shape) * (K_i != 0.0)
+
+
+def buckling(K, dofs):
+    """Take from each subdomain a share of its stiffness: its kernel becomes negative."""
+    for K_i in K:
+        K_i -= 0.02 * np.diag(np.diag(K_i))
+
+
+CHANGES = {"symmetric": None, "buckling": buckling, "unsymmetric": unsymmetric}
+
+
+def props_of(system):
+    """Z of all subdomains on all torn dofs, (n, q)."""
+    torn = system.torn
+    columns = [np.zeros((torn.n, 0))]
+    for dofs, Z in zip(system.operator.dofs, modes_of(system).stabilisation, strict=True):
+        columns.append(np.zeros((torn.n, Z.shape[1])))
+        columns[-1][dofs] = Z
+    return scipy.sparse.block_diag(COMM.allgather(np.hstack(columns))).toarray()
+
+
+def weight_of(problem, system, pc_type):
+    """Y of the definition on all torn dofs."""
+    K, Z = problem.K_torn, props_of(system)
+    fixed = whole(system.pattern.dofs.fixed)
+    glued = np.any(dense(system.pattern.gluing.B) != 0.0, axis=0)
+    if pc_type == "identity":
+        return np.abs(np.diag(K)[glued]).mean() * np.eye(len(K)) + Z @ Z.T
+    if pc_type == "lumped":
+        return K + Z @ Z.T
+    Y, inside = np.zeros_like(K), ~fixed & ~glued
+    glued &= ~fixed
+    K_II, K_ΓI = K[np.ix_(inside, inside)], K[np.ix_(glued, inside)]
+    X = np.linalg.solve(K_II, np.hstack([K[np.ix_(inside, glued)], Z[inside]]))
+    S, Y_Z = np.split(np.hstack([K[np.ix_(glued, glued)], Z[glued]]) - K_ΓI @ X, [glued.sum()], 1)
+    C2 = np.eye(Z.shape[1]) + Z[inside].T @ X[:, glued.sum() :]
+    Y[np.ix_(glued, glued)] = S + Y_Z @ np.linalg.solve((C2 + C2.T) / 2, Y_Z.T)
+    return Y
+
+
+def matrix(system):
+    return matrix_of_map(lambda r: system.preconditioner.apply(r)[0], system.dual.m)
+
+
+@every_problem
+@every_type
+@pytest.mark.parametrize("pc_type", ["identity", "lumped", "dirichlet"])
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_preconditioner_is_the_weighted_one(grid, kind, pc_type, change, torn_grid, parts):
+    """M = B_D Y B_Dᵀ, and no negative eigenvalue of a symmetric K shows."""
+    problem = torn_grid(change=change, **grid)
+    system = parts(problem.A, type=kind, pc_type=pc_type)
+    B_D = dense(system.setup.weights.B_D)
+    M = matrix(system)
+    equal(M, B_D @ weight_of(problem, system, pc_type) @ B_D.T, 1e-11)
+    if system.pattern.symmetric:
+        equal(M, M.T, 1e-12)
+        agree(np.linalg.eigvalsh(M)[0] > -1e-12 * np.abs(M).max())
+
+
+@every_problem
+@every_type
+@pytest.mark.parametrize("pc_type", ["identity", "lumped", "dirichlet"])
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_blocks_of_the_product_with_the_coarse_columns(
+    grid, kind, pc_type, change, torn_grid, parts
+):
+    """M G s, Gᵀ M r and Gᵀ M G of the blocks against M applied to each column of G."""
+    system = parts(torn_grid(change=change, **grid).A, type=kind, pc_type=pc_type)
+    coarse, M = system.coarse, matrix(system)
+    G, G_left = dense(coarse.G), dense(coarse.G_left)
+    equal(matrix_of_map(coarse.MG.multiply, coarse.size), M @ G, 1e-12)
+    if system.pattern.symmetric:
+        equal(matrix_of_map(coarse.MG.restrict, system.dual.m), G.T @ M, 1e-12)
+    whole_product = WeightedColumns(
+        system.delta, system.modes, system.preconditioner, symmetric=system.pattern.symmetric
+    )
+    equal(dense(whole_product.galerkin_matrix), G_left.T @ M @ G, 1e-12)
+    whole_product.destroy()
+
+
+@every_type
+@pytest.mark.parametrize("pc_type", ["identity", "lumped", "dirichlet"])
+@pytest.mark.parametrize("scaling", ["multiplicity", "stiffness"])
+def test_force_of_a_jump_is_the_residual_of_the_averaged_displacement(
+    kind, pc_type, scaling, torn_grid, parts
+):
+    """‖Tᵀ t‖ = ‖b − A x‖ where T x = u − E_Γ B_Dᵀ B u and u solves the torn equations."""
+    problem = torn_grid((2, 2), (3, 2), components=2, stiffness=lambda i: 7.0**i)
+    system = parts(problem.A, type=kind, pc_type=pc_type, scaling=scaling)
+    torn, inverse, gluing = system.torn, system.inverse, system.pattern.gluing
+    lam = np.random.default_rng(SEED + 1).standard_normal(gluing.B.getSize()[0])
+    reaction = system.dual.B.T @ lam[slice(*gluing.B.getOwnershipRange())]
+    force = np.where(system.pattern.dofs.fixed, 0.0, reaction)
+    for dofs, E in zip(system.operator.dofs, modes_of(system).E, strict=True):  # balanced: Eᵀ f = 0
+        force[dofs] -= E @ np.linalg.solve(E.T @ E, E.T @ force[dofs]) if E.size else 0.0
+    u = inverse.solve(force)
+    jump = system.dual.B @ u
+    averaged = u - system.preconditioner.extend(system.preconditioner.B_D.T @ jump)
+    t = system.preconditioner.apply(jump)[1]
+    free = torn.assemble(torn.dirichlet.astype(float)) == 0.0
+    expected = torn.assemble(force - torn.multiply(averaged))
+    equal(whole(np.where(free, torn.assemble(t), 0.0)), whole(np.where(free, expected, 0.0)), 1e-9)
+
+
+@every_type
+@pytest.mark.parametrize("pc_type", ["identity", "lumped", "dirichlet"])
+def test_stabilisation_bears_no_force(kind, pc_type, torn_grid, parts):
+    """The force of a jump is that of K itself, not of the stabilised subdomains."""
+    problem = torn_grid((2, 2), (3, 2), components=2, change=buckling)
+    system = parts(problem.A, type=kind, pc_type=pc_type)
+    agree(system.inertia.dual > 0)
+    jump = np.random.default_rng(SEED + 3).standard_normal(system.dual.m)
+    t = system.preconditioner.apply(jump)[1]
+    free = ~system.pattern.dofs.fixed
+    w = system.preconditioner.B_D.T @ jump
+    expected = system.torn.multiply(system.preconditioner.extend(w))
+    equal(whole(t[free]), whole(expected[free]), 1e-11)
+
+
+def test_extension_is_harmonic(torn_grid, parts):
+    """The extension of a rigid motion of the interface is that motion, without a force inside."""
+    problem = torn_grid((2, 2), (3, 3), components=2)
+    system = parts(problem.A)
+    pc, torn = system.preconditioner, system.torn
+    motion = torn.near_kernel() @ np.array([0.3, -1.1, 0.7])
+    w = np.zeros(torn.n)
+    w[system.pattern.gluing.glued] = motion[system.pattern.gluing.glued]
+    equal(whole(pc.extend(w)), whole(motion), 1e-12)
+    noise = np.random.default_rng(SEED + 2).standard_normal(torn.n)
+    w[system.pattern.gluing.glued] = noise[system.pattern.gluing.glued]
+    force = torn.multiply(pc.extend(w))
+    force[system.pattern.gluing.glued] = 0.0
+    small(np.abs(force).max(initial=0.0), 1e-11 * np.abs(problem.K_torn).max())
+
+
+def test_values_are_refreshed(torn_grid, pattern):
+    problem = torn_grid((2, 2), (2, 2), components=2)
+    read, found = pattern(problem.A), []
+    for _ in range(2):
+        system = create_dual_form(read, set_up(read))
+        found.append(matrix(system))
+        system.destroy()
+        problem.local.scale(3.0)
+    equal(found[1], 3.0 * found[0], 1e-12)
+
+
+def test_subdomains_may_have_no_interior(torn_grid, parts):
+    """Single cells in a row, held at both ends: the Schur complement is the matrix."""
+    ends = lambda x: (x[:, 0] == 0.0) | (x[:, 0] == 3.0)  # noqa: E731
+    problem = torn_grid((3, 1), (1, 1), components=2, fixed=ends)
+    system = parts(problem.A)
+    agree(all(len(rows) == 0 for rows in system.operator.interior))
+    equal(matrix(system), matrix(parts(problem.A, pc_type="lumped")), 1e-14)

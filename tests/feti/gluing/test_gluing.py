@@ -1,0 +1,205 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The jump operator: its rows from the definition, its counts, and the projections it makes."""
+
+from __future__ import annotations
+
+import numpy as np
+import paper_cube
+import pytest
+import reference
+from collective import agree, dense, equal, small, whole
+
+from dolfinx_feti.feti.gluing.jump import Gluing
+from dolfinx_feti.feti.gluing.weights import create_weights
+from dolfinx_feti.torn import Torn
+
+SEED = 5519
+
+every_type = pytest.mark.parametrize(
+    "all_floating", [True, False], ids=["all_floating", "classical"]
+)
+every_scaling = pytest.mark.parametrize(
+    "stiffness", [False, True], ids=["multiplicity", "stiffness"]
+)
+
+GRIDS = {
+    "bars": {"subdomains": (4,), "cells": (2,)},
+    "cross point": {"subdomains": (2, 2), "cells": (2, 1)},
+    "elasticity": {"subdomains": (3, 2), "cells": (1, 2), "components": 2},
+    "component-wise conditions": {
+        "subdomains": (2, 2),
+        "cells": (1, 1),
+        "components": 2,
+        "fixed": lambda x: x == 0.0,
+    },
+    "solid": {"subdomains": (2, 2, 2), "cells": (1, 1, 1), "components": 3},
+    "no condition": {
+        "subdomains": (2, 2),
+        "cells": (1, 1),
+        "fixed": lambda x: np.zeros(len(x), dtype=bool),
+    },
+}
+every_grid = pytest.mark.parametrize("grid", GRIDS.values(), ids=GRIDS)
+
+
+@pytest.fixture
+def glue(torn_grid):
+    """Glue a grid; K of subdomain i is scaled by 3ⁱ."""
+    made = []
+
+    def create(grid, *, all_floating=True):
+        problem = torn_grid(stiffness=lambda i: 3.0**i, **grid)
+        torn = Torn(problem.A)
+        gluing = Gluing(torn, all_floating=all_floating)
+        made.extend([gluing, torn])
+        return problem, torn, gluing
+
+    yield create
+    for owner in made:
+        owner.destroy()
+
+
+@pytest.fixture
+def weigh(glue):
+    """Glue a grid, and weigh its copies by the stiffness or alike."""
+    made = []
+
+    def create(grid, *, all_floating=True, stiffness=False):
+        problem, torn, gluing = glue(grid, all_floating=all_floating)
+        k = torn.stiffness() if stiffness else np.ones(torn.n)
+        made.append(create_weights(torn, gluing, k))
+        return problem, gluing, made[-1]
+
+    yield create
+    for owner in made:
+        owner.destroy()
+
+
+def normal_form(B):
+    """Rows of B without their order and sign."""
+    first = B[np.arange(len(B)), np.argmax(B != 0.0, axis=1)]
+    rows = B / first[:, None]
+    return rows[np.lexsort(rows.T)]
+
+
+@every_grid
+@every_type
+def test_rows_are_those_of_the_definition(grid, all_floating, glue):
+    problem, _, gluing = glue(grid, all_floating=all_floating)
+    B = dense(gluing.B)
+    expected = reference.jumps(problem.to_global, problem.dirichlet, all_floating=all_floating)
+    agree(B.shape == expected.shape, (B.shape, expected.shape))
+    agree(set(np.unique(B)) <= {-1.0, 0.0, 1.0})
+    equal(normal_form(B), normal_form(expected))
+    assembled = B @ problem.T
+    jump_rows = np.abs(B).sum(axis=1) == 2
+    equal(assembled[jump_rows], np.zeros_like(assembled[jump_rows]))  # B T = 0 off Γ_D
+    agree(np.linalg.matrix_rank(B) == np.linalg.matrix_rank(expected))
+
+
+@every_grid
+def test_counts(grid, glue):
+    """A dof with d copies has d (d − 1)/2 rows, a Dirichlet dof one a copy or none."""
+    problem, _, floating = glue(grid)
+    _, _, classical = glue(grid, all_floating=False)
+    d = problem.T.sum(axis=0).astype(int)
+    free = ~problem.dirichlet
+    jumps = (d * (d - 1) // 2)[free].sum()
+    agree(classical.B.getSize()[0] == jumps, (classical.B.getSize(), jumps))
+    agree(floating.B.getSize()[0] == jumps + d[~free].sum())
+
+
+@every_grid
+@every_type
+@every_scaling
+def test_scaled_jumps_make_a_projection(grid, all_floating, stiffness, weigh):
+    """B_DᵀB is a projection with the kernel of B, B B_Dᵀ B = B, and I − B_DᵀB averages."""
+    problem, gluing, weights = weigh(grid, all_floating=all_floating, stiffness=stiffness)
+    B, B_D = dense(gluing.B), dense(weights.B_D)
+    E = B_D.T @ B
+    equal(E @ E, E, 1e-13)
+    equal(B @ B_D.T @ B, B, 1e-13)
+    u = np.random.default_rng(SEED).standard_normal(len(E))
+    average = problem.T @ problem.T.T @ (whole(weights.delta) * u)
+    held = problem.dirichlet[problem.to_global]
+    average[held] = 0.0 if all_floating else u[held]
+    equal(u - E @ u, average, 1e-13)
+
+
+@every_grid
+@every_scaling
+def test_weights_of_the_copies_sum_to_one(grid, stiffness, weigh):
+    problem, _, weights = weigh(grid, stiffness=stiffness)
+    delta = whole(weights.delta)
+    equal(problem.T.T @ delta, np.ones(len(problem.dirichlet)), 1e-14)
+    k = np.diag(problem.K_torn) if stiffness else np.ones(len(delta))
+    equal(delta, k / (problem.T @ problem.T.T @ k), 1e-14)
+
+
+@every_grid
+@pytest.mark.parametrize("kind", ["some zero", "all zero", "far apart"])
+def test_any_stiffness_makes_a_projection(grid, kind, glue):
+    """A weight is never zero, negative or NaN, whatever the stiffness is."""
+    _, torn, gluing = glue(grid)
+    stiffness = {
+        "some zero": (np.arange(torn.n) % 2).astype(float),
+        "all zero": np.zeros(torn.n),
+        "far apart": 10.0 ** (100 * (np.arange(torn.n) % 3 - 1.0)),
+    }
+    weights = create_weights(torn, gluing, stiffness[kind])
+    B, B_D = dense(gluing.B), dense(weights.B_D)
+    agree(np.isfinite(B_D).all() and weights.delta.min(initial=1.0) > 0.0)
+    equal(B @ B_D.T @ B, B, 1e-13)
+    weights.destroy()
+
+
+@every_grid
+def test_a_copy_is_weighed_by_the_other_side(grid, weigh):
+    _, gluing, weights = weigh(grid, stiffness=True)
+    B, B_D, delta = dense(gluing.B), dense(weights.B_D), whole(weights.delta)
+    for row, scaled in zip(B, B_D, strict=True):
+        copies = np.flatnonzero(row)
+        expected = np.zeros_like(row)
+        expected[copies] = row[copies] * (delta[copies[::-1]] if len(copies) == 2 else 1.0)
+        np.testing.assert_allclose(scaled, expected, rtol=1e-14)
+
+
+@every_grid
+@every_type
+def test_interface_is_where_the_jump_operator_acts(grid, all_floating, glue):
+    _, torn, gluing = glue(grid, all_floating=all_floating)
+    glued = np.zeros(torn.n, dtype=bool)
+    glued[gluing.glued] = True
+    equal(whole(glued), np.any(dense(gluing.B) != 0.0, axis=0))
+
+
+@every_grid
+@every_type
+def test_gap_of_the_prescribed_values(grid, all_floating, glue):
+    """B u = c for the copies of any vector that has the prescribed values."""
+    problem, torn, gluing = glue(grid, all_floating=all_floating)
+    x = np.random.default_rng(SEED + 1).standard_normal(len(problem.dirichlet))
+    u = problem.T @ x
+    u_D = np.where(torn.dirichlet, u[torn.start : torn.start + torn.n], 0.0)
+    c = gluing.gap(u_D)
+    equal(dense(gluing.B) @ u, whole(c), 1e-15)
+    constrained = problem.dirichlet[problem.to_global].sum() * all_floating
+    agree(np.count_nonzero(np.abs(dense(gluing.B)).sum(axis=1) == 1.0) == constrained)
+
+
+# ---- the cube of the paper ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("components", [1, 3])
+def test_paper_counts_38052_multipliers_on_its_cube(components):
+    """8³ subdomains of one cell of 24 tetrahedra, clamped all round: 12 684 rows a component."""
+    problem = paper_cube.cube(8, 1, components)
+    torn = Torn(problem.A)
+    gluing = Gluing(torn, all_floating=True)
+    agree(len(whole(np.array([len(rows) for rows in torn.subdomains]))) == 512)
+    agree(gluing.B.getSize()[0] == 12_684 * components, gluing.B.getSize())
+    small(gluing.B.getSize()[1] - 512 * 15 * components, 0)
+    for owner in (gluing, torn, problem):
+        owner.destroy()

@@ -1,0 +1,160 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Adaptive columns: against dense eigenvectors, and what they do to the iterations."""
+
+from __future__ import annotations
+
+import itertools
+from functools import partial
+from types import SimpleNamespace
+
+import numpy as np
+import primal_form
+import pytest
+import scipy.linalg
+from collective import COMM, agree, equal, raises
+from hand_torn import gradients
+
+from dolfinx_feti.errors import SetUpError
+from dolfinx_feti.feti.primal.adaptive import DOFS, STEPS, adaptive_columns
+from dolfinx_feti.feti.primal.form import solve_on_interface
+
+SEED = 2013
+every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+
+
+class Subdomains:
+    """Subdomains with random weights δ, and spectra of S from 1e-6 to 1."""
+
+    def __init__(self, *sizes):
+        rng = np.random.default_rng(SEED)
+        ends = np.cumsum([0, *sizes])
+        blocks = [slice(a, b) for a, b in itertools.pairwise(ends)]
+        self.copies = SimpleNamespace(
+            blocks=blocks, delta=rng.uniform(0.2, 0.9, ends[-1]), comm=COMM
+        )
+        self.S = []
+        for n in sizes:
+            Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
+            self.S.append(Q * np.geomspace(1e-6, 1.0, n) @ Q.T)
+        self.S_ρ = [S + 1e-5 * np.eye(len(S)) for S in self.S]
+
+    def columns(self, most, threshold):
+        return adaptive_columns(
+            self.copies,
+            lambda i, U: self.S[i] @ U,
+            lambda i, F: np.linalg.solve(self.S_ρ[i], F),
+            most=most,
+            threshold=threshold,
+        )
+
+    def cost(self, i):
+        """(1 − δ) S (1 − δ)."""
+        given_up = 1.0 - self.copies.delta[self.copies.blocks[i]]
+        return given_up[:, None] * self.S[i] * given_up
+
+
+@pytest.mark.parametrize("threshold", [0.1, 1.0, 30.0])
+def test_eigenvectors_above_the_threshold(threshold):
+    """With room for all: as many as there are, with unit energy; the others cost less."""
+    body = Subdomains(12, 30)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dolfinx_feti.feti.primal.adaptive.DOFS", 1)
+        found = body.columns(30, threshold)
+    for i, U in enumerate(found):
+        χ = scipy.linalg.eigh(body.cost(i), body.S_ρ[i], eigvals_only=True)
+        agree(U.shape[1] == np.count_nonzero(χ > threshold))
+        equal(U.T @ body.S_ρ[i] @ U, np.eye(U.shape[1]), 1e-8)
+        equal(np.diag(U.T @ body.cost(i) @ U), χ[χ > threshold][::-1], 1e-6)
+        rest = scipy.linalg.null_space((body.S_ρ[i] @ U).T)
+        left = scipy.linalg.eigh(
+            rest.T @ body.cost(i) @ rest, rest.T @ body.S_ρ[i] @ rest, eigvals_only=True
+        )
+        agree(left.max() <= threshold * (1.0 + 1e-8))
+
+
+def test_few_columns_are_the_largest():
+    """A search with a tenth of the interface dofs comes near the largest eigenvalues."""
+    body = Subdomains(DOFS // 2)
+    (U,) = body.columns(120, 0.1)
+    χ = scipy.linalg.eigh(body.cost(0), body.S_ρ[0], eigvals_only=True)[::-1]
+    agree(0 < U.shape[1] <= 30)
+    found = np.diag(U.T @ body.cost(0) @ U)
+    agree(np.all(np.diff(found) <= 1e-8) and np.all(found <= χ[: len(found)] * (1.0 + 1e-8)))
+    agree(found[:4] @ np.ones(4) >= 0.8 * χ[:4].sum())
+
+
+def test_small_subdomains_have_few_columns():
+    """The square of their share of 640 interface dofs; no more than dofs; none if none."""
+    body = Subdomains(0, 1, 2, 7, DOFS // 4, DOFS // 2)
+    counts = [U.shape[1] for U in body.columns(48, 0.0)]
+    agree(counts == [0, 1, 2, STEPS, STEPS, 12], counts)
+    agree(all(U.shape == (len(S), 0) for U, S in zip(body.columns(0, 0.0), body.S, strict=True)))
+
+
+def test_subdomain_that_fails_on_one_process():
+    """All raise, with the cause, and none waits."""
+    body = Subdomains(20, 30)
+    if COMM.rank == COMM.size - 1:
+        body.S_ρ[1][:] = 0.0
+    with raises(SetUpError, "Singular matrix"):
+        body.columns(30, 0.1)
+
+
+def test_nothing_given_up_costs_nothing():
+    body = Subdomains(20)
+    body.copies.delta[:] = 1.0
+    (U,) = body.columns(9, 0.0)
+    agree(U.shape == (20, 0))
+
+
+def test_columns_do_not_depend_on_other_subdomains():
+    """Nor on how many a process holds: random numbers begin anew with each."""
+    together, alone = Subdomains(80, 80), Subdomains(80)
+    together.S[1], together.S_ρ[1] = alone.S[0], alone.S_ρ[0]
+    together.copies.delta[80:] = alone.copies.delta
+    equal(together.columns(36, 0.5)[1], alone.columns(36, 0.5)[0])
+
+
+def volume_changes(cells):
+    """K_p: ∫ div φ over each cell of a brick."""
+    shape = [n + 1 for n in cells]
+    number = np.arange(np.prod(shape)).reshape(shape)
+    corners = np.array(list(itertools.product((0, 1), repeat=2)))
+    mean = gradients(corners, np.full(2, 0.5))
+    K_p = np.zeros((np.prod(cells), number.size, 2))
+    for row, (i, j) in zip(K_p, itertools.product(*map(range, cells)), strict=True):
+        row[number[i : i + 2, j : j + 2].ravel()] = mean
+    return K_p.reshape(len(K_p), -1)
+
+
+@every_type
+@pytest.mark.parametrize("interior", ["keep", "eliminate"])
+def test_a_large_bulk_modulus_costs_few_iterations(kind, interior, torn_grid, form, monkeypatch):
+    """Where κ makes averages costly; where it does not, there are no columns."""
+    monkeypatch.setattr("dolfinx_feti.feti.primal.adaptive.DOFS", 40)
+    cells = (4, 4)
+    K_p = volume_changes(cells)
+    iterations = {}
+    for κ, adaptive in itertools.product((1e2, 1e6), (False, True)):
+
+        def stiffen(K, dofs, κ=κ):
+            for K_i in K:
+                K_i += κ * K_p.T @ K_p
+
+        def columns(parts, copies):
+            M = parts.operator
+            solve = partial(solve_on_interface, M, parts.inverse)
+            return adaptive_columns(copies, M.multiply_many, solve, most=18, threshold=1.2)
+
+        problem = torn_grid((4, 3), cells, components=2, change=stiffen)
+        more = columns if adaptive else None
+        primal = form(problem, more, type=kind, interior=interior, coarse_modes=0)
+        n = primal.copies.n
+        values = np.random.default_rng(SEED).standard_normal(COMM.allreduce(n))
+        outcome = primal_form.cg(primal.system, values[COMM.scan(n) - n :][:n])
+        agree(outcome.reason > 0)
+        iterations[κ, adaptive] = outcome.iterations
+    agree(iterations[1e2, True] <= iterations[1e2, False], iterations)
+    agree(iterations[1e6, True] < iterations[1e6, False], iterations)

@@ -1,0 +1,219 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Ritz vectors of the primal form: their algebra, what they save, and negative curvature."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, matrix_of_map, small, whole
+
+from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.feti.gluing import copies
+from dolfinx_feti.feti.primal import deflation
+from dolfinx_feti.feti.primal.cg import conjugate_gradients
+from dolfinx_feti.feti.primal.deflation import DEFLATED, DeflatedSpace, RitzVectors
+from dolfinx_feti.runtime import collective
+
+SEED = 2000
+FEW = 4
+
+#: The last residuals are orthogonal to V up to eps κ(A₀) of the first one, 1e7 times as large.
+SPOILT = 1e-3
+
+GRID = {"subdomains": (4, 3), "cells": (3, 3), "components": 2}
+Reason = PETSc.KSP.ConvergedReason
+
+
+def soften(share):
+    """Take a share of the stiffness from each subdomain: D gets negative eigenvalues."""
+
+    def change(K, dofs):
+        for K_i in K:
+            K_i -= share * np.abs(K_i).max() * np.eye(len(K_i))
+
+    return change
+
+
+every_change = pytest.mark.parametrize(
+    "change", [None, soften(0.0004)], ids=["no prestress", "compression"]
+)
+every_interior = pytest.mark.parametrize("interior", ["keep", "eliminate"])
+
+
+@pytest.fixture
+def form(form):
+    """Make the primal form of a problem without soft modes."""
+    return partial(form, coarse_modes=0)
+
+
+def random(n, columns=1, seed=SEED):
+    """Local rows of a block that is the same on any number of processes, (n, columns)."""
+    values = np.random.default_rng(seed).standard_normal((COMM.allreduce(n), columns))
+    last = COMM.scan(n)
+    return values[last - n : last]
+
+
+def assembled(primal, columns):
+    """Columns, by copies, of an assembled block, (n, columns)."""
+    block = random(primal.copies.n, columns)
+    return np.column_stack([primal.copies.average(t) for t in block.T])
+
+
+def slowed(primal):
+    """A system whose preconditioner all but misses a few directions: as many small eigenvalues."""
+    system, copies = primal.system, primal.copies
+    f = random(copies.n, FEW).T
+    r = [system.residual(t, system.space.initial_guess(copies.sum(t))) for t in f]  # balanced
+    X = copies.delta[:, None] * np.column_stack(r)
+    C = np.linalg.cholesky(COMM.allreduce(X.T @ X))
+    X = np.linalg.solve(C, X.T).T  # XᵀX = I
+
+    def weaken(t):
+        return t - 0.95 * X @ COMM.allreduce(X.T @ t)
+
+    return replace(system, solve=lambda t: weaken(system.solve(weaken(t))))
+
+
+def iterate(system, f, *, rtol=1e-10, max_it=200, traced=200):
+    target = rtol * system.norm(system.copies.sum(f))
+    return conjugate_gradients(
+        system, f, target=target, max_it=max_it, traced=traced, monitor=lambda its, norm: None
+    )
+
+
+def deflated(primal, system, vectors):
+    """The space with Ritz vectors, and the system with it."""
+    multiply = primal.parts.operator.multiply_many
+    space = DeflatedSpace(primal.space, primal.copies, multiply, vectors)
+    return space, replace(system, space=space)
+
+
+@pytest.mark.parametrize("count", [0, 5])
+def test_iteration_waits_three_times(count, monkeypatch, torn_grid, form):
+    """Once in the coarse problem, and twice for scalar products, with Ritz vectors or without."""
+    primal = form(torn_grid(**GRID))
+    W = assembled(primal, 5)[:, :count]
+    _, system = deflated(primal, primal.system, RitzVectors(W, W))
+    f, calls = random(primal.copies.n, seed=7)[:, 0], []
+    for module, name in ((copies, "total_of"), (deflation, "total_of"), (collective, "total_of")):
+        counted = getattr(module, name)
+        monkeypatch.setattr(
+            module, name, lambda values, comm, do=counted: calls.append(0) or do(values, comm)
+        )
+    solve = GatheredSolver.solve
+    monkeypatch.setattr(GatheredSolver, "solve", lambda *a: calls.append(1) or solve(*a))
+    ends = []
+    for iterations in (2, 6):
+        calls.clear()
+        agree(len(iterate(system, f, rtol=1e-300, max_it=iterations).trace.Z) == iterations)
+        ends.append(len(calls))
+    agree(ends[1] - ends[0] == 4 * 3, ends)
+
+
+@every_change
+@every_interior
+def test_start_and_projection(change, interior, torn_grid, form):
+    """Residuals are orthogonal to V and W from the start on, directions A-orthogonal to both."""
+    primal = form(torn_grid(change=change, **GRID), interior=interior)
+    W = assembled(primal, 5)
+    space, system = deflated(primal, primal.system, RitzVectors(W, W))
+    agree(space.count == 5)
+    δ, f = primal.copies.delta, random(primal.copies.n, seed=7)[:, 0]
+    r = system.residual(f, space.initial_guess(primal.copies.sum(f)))
+    small(np.abs(COMM.allreduce(W.T @ (δ * r))).max(), 1e-9 * system.norm(primal.copies.sum(f)))
+    zero = np.zeros(primal.copies.n)
+    z, _ = space.correct_with_product(assembled(primal, 6)[:, 5], zero)
+    Az = -system.residual(np.zeros_like(z), z)
+    small(np.abs(COMM.allreduce(W.T @ (δ * Az))).max(), 1e-9 * system.norm(Az) * np.abs(W).max())
+    equal(whole(space.correct_with_product(z, zero)[0]), whole(z), 1e-9)
+
+
+@every_change
+@pytest.mark.parametrize("first", [200, 7], ids=["all iterations", "a few"])
+def test_ritz_vectors(change, first, torn_grid, form):
+    """W = Π_V M Q, Wᵀ Q = I, and W diagonalises A; also where an earlier W was deflated."""
+    primal = form(torn_grid(change=change, **GRID), interior="eliminate")
+    slow, f = slowed(primal), random(primal.copies.n, seed=7)[:, 0]
+    exact = np.linalg.eigvals(
+        matrix_of_map(lambda x: slow.precondition(-slow.residual(0.0 * x, x))[0], primal.copies.n)
+    ).real
+    exact = np.sort(exact[(1e-8 < exact) & (exact < DEFLATED)])
+    agree(len(exact) >= FEW, exact)
+    vectors, system, δ = None, slow, primal.copies.delta
+    for most, traced in ((200 if first == 200 else 2, first), (200, 200)):
+        space, system = deflated(primal, slow, vectors)
+        trace = iterate(system, f, traced=traced, rtol=1e-7).trace
+        vectors = space.ritz_vectors(trace, most=most)
+        W, Q = vectors.W, vectors.Q
+        equal(COMM.allreduce(W.T @ (δ[:, None] * Q)), np.eye(W.shape[1]), SPOILT)
+        for w, q in zip(W.T, Q.T, strict=True):
+            equal(whole(slow.precondition(q)[0]), whole(w), SPOILT)
+        AW = np.column_stack([-slow.residual(0.0 * w, w) for w in W.T])
+        θ = COMM.allreduce(W.T @ (δ[:, None] * AW))
+        equal(θ, np.diag(np.diag(θ)), SPOILT)
+        agree(np.all(np.diag(θ) < DEFLATED))
+    agree(W.shape[1] == len(exact) and np.all(np.diag(θ) > 0.99 * exact), (np.diag(θ), exact))
+
+
+@every_interior
+def test_small_eigenvalues_are_gone(interior, torn_grid, form):
+    """The next load takes the iterations of the unspoilt preconditioner, to the same solution."""
+    primal = form(torn_grid(change=soften(0.0004), **GRID), interior=interior)
+    slow = slowed(primal)
+    loads = random(primal.copies.n, 2, seed=7).T
+    space, system = deflated(primal, slow, None)
+    before = iterate(system, loads[0])
+    vectors = space.ritz_vectors(before.trace, most=20)
+    _, system = deflated(primal, slow, vectors)
+    after, fresh = iterate(system, loads[1]), iterate(primal.system, loads[1])
+    equal(whole(after.x), whole(fresh.x), 1e-8)
+    agree(before.eigenvalues[0] < 0.1 and after.eigenvalues[0] > 0.9 * DEFLATED)
+    agree(after.iterations <= fresh.iterations + 2 < before.iterations)
+
+
+def test_nothing_to_learn_from(torn_grid, form):
+    """A solve of no iteration leaves what it was given, and one that ends in NaN, too."""
+    primal = form(torn_grid(**GRID), interior="eliminate")
+    W, n = assembled(primal, 3), primal.copies.n
+    for vectors in (None, RitzVectors(W, W)):
+        space, system = deflated(primal, primal.system, vectors)
+        for f in (np.zeros(n), np.full(n, np.nan)):
+            left = space.ritz_vectors(iterate(system, f).trace, most=20)
+            agree(left.W.shape == left.Q.shape == (n, space.count))
+
+
+def test_dependent_directions(torn_grid, form):
+    """Directions that repeat others, or lie in V, change nothing."""
+    primal = form(torn_grid(change=soften(0.0004), **GRID), interior="eliminate")
+    w, f = assembled(primal, 1)[:, 0], random(primal.copies.n, seed=7)[:, 0]
+    v = primal.space.initial_guess(primal.copies.sum(f))  # in V
+    W = np.column_stack([w, -2.0 * w, v, np.zeros_like(w)])
+    space, system = deflated(primal, primal.system, RitzVectors(W, W))
+    agree(space.negative_direction() is None)
+    outcome, plain = iterate(system, f), iterate(primal.system, f)
+    agree(outcome.reason > 0 and outcome.iterations <= plain.iterations + 2)
+    equal(whole(outcome.x), whole(plain.x), 1e-8)
+
+
+def test_negative_curvature(torn_grid, form):
+    """What W knows of an indefinite matrix ends a solve before its first iteration."""
+    problem = torn_grid((2, 2), (4, 4), components=2, change=soften(0.002))
+    primal = form(problem, interior="eliminate")
+    agree(primal.space.negative() == 0)
+    f = random(primal.copies.n)[:, 0]
+    p = iterate(primal.system, f).direction
+    W = np.column_stack([p, assembled(primal, 3)])
+    space, system = deflated(primal, primal.system, RitzVectors(W, W))
+    outcome = iterate(system, f)
+    agree(outcome.reason == Reason.DIVERGED_INDEFINITE_MAT and outcome.iterations == 0)
+    v = outcome.direction
+    Av = -system.residual(0.0 * v, v)
+    agree(primal.copies.dot(v, Av) < 0.0)
+    agree(space.ritz_vectors(outcome.trace, most=20).W.shape == W.shape)

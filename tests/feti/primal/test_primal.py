@@ -1,0 +1,173 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The primal form: its preconditioner against dense matrices, its spectrum, negative curvature."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import primal_form
+import pytest
+from collective import COMM, agree, dense, equal, matrix_of_map, small, whole
+
+SEED = 1993
+GRID = {"subdomains": (3, 2), "cells": (3, 2), "components": 2}
+Reason = PETSc.KSP.ConvergedReason
+
+
+def soften(share):
+    """Take a share of the stiffness from each subdomain: they buckle alone, or the whole does."""
+
+    def change(K, dofs):
+        for K_i in K:
+            K_i -= share * np.abs(K_i).max() * np.eye(len(K_i))
+
+    return change
+
+
+CHANGES = {
+    "no prestress": None,
+    "tension": lambda K, dofs: [np.fill_diagonal(k, 1.01 * k.diagonal()) for k in K],
+    "compression": soften(0.0001),
+}
+every_change = pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+every_interior = pytest.mark.parametrize("interior", ["keep", "eliminate"])
+
+
+def assembled(of_copies, exact):
+    """Take a map of copies, (n, n), to one of assembled vectors: average, map, copies."""
+    return exact.average @ of_copies @ exact.T
+
+
+def random(n, seed=SEED):
+    """Local part of a vector that is the same on any number of processes."""
+    values = np.random.default_rng(seed).standard_normal(COMM.allreduce(n))
+    last = COMM.scan(n)
+    return values[last - n : last]
+
+
+@every_change
+@every_type
+@every_interior
+def test_operator_and_preconditioner(change, kind, interior, torn_grid, form):
+    """A = Tᵀ S T and Π Tᵀ δ K_ρ⁻¹ δ T + V A₀⁻¹ Vᵀ, as they are defined."""
+    problem = torn_grid(change=change, **GRID)
+    primal = form(problem, type=kind, interior=interior, coarse_modes=2)
+    exact = primal_form.reference(problem, primal)
+    system, n = primal.system, primal.copies.n
+    zero = np.zeros(n)
+    A = -matrix_of_map(lambda x: system.residual(zero, x), n)
+    M = matrix_of_map(lambda r: system.precondition(r)[0], n)
+    equal(assembled(A, exact), exact.A, 1e-11)
+    equal(assembled(M, exact), exact.preconditioner + exact.coarse, 1e-9)
+
+
+@every_type
+@every_interior
+@pytest.mark.parametrize("modes", [0, 3])
+def test_spectrum(kind, interior, modes, torn_grid, form):
+    """Without prestress: none below one, and beyond one the eigenvalues of the dual method."""
+    problem = torn_grid(**GRID)
+    primal = form(problem, type=kind, interior=interior, coarse_modes=modes)
+    exact = primal_form.reference(problem, primal)
+    balanced = np.linalg.eigvals(exact.preconditioner @ exact.A).real
+    primal_values = np.sort(balanced[balanced > 1e-6])
+    agree(len(balanced) - len(primal_values) == np.linalg.matrix_rank(exact.V))
+    agree(primal_values.min() >= 1.0 - 1e-9)
+    if modes:
+        return  # soft modes have D ≠ 0
+    dual = primal.parts.dual
+    m = dual.m
+    F = matrix_of_map(lambda x: dual.B @ primal.parts.inverse.solve(dual.B.T @ x), m)
+    M = matrix_of_map(lambda x: primal.parts.preconditioner.apply(x)[0], m)
+    G = dense(primal.parts.coarse.G)
+    P = np.eye(len(F)) - M @ G @ np.linalg.pinv(G.T @ M @ G, rcond=1e-10, hermitian=True) @ G.T
+    dual_values = np.linalg.eigvals(P @ M @ P.T @ F).real
+    above = 1.0 + 1e-6
+    equal(primal_values[primal_values > above], np.sort(dual_values[dual_values > above]), 1e-7)
+
+
+@every_change
+@every_type
+@every_interior
+def test_solution(change, kind, interior, torn_grid, form):
+    """The solution, with values prescribed, is that of a direct solver."""
+    problem = torn_grid(change=change, **GRID)
+    primal = form(problem, type=kind, interior=interior, coarse_modes=2)
+    values = np.random.default_rng(SEED).standard_normal(len(problem.dirichlet))
+    b = problem.vector(values)
+    torn = primal.parts.torn.tear(b)
+    u, outcome = primal.solve(torn, torn)
+    agree(outcome.reason == Reason.CONVERGED_RTOL)
+    equal(whole(u), problem.T @ problem.solve(values), 1e-8)
+    b.destroy()
+
+
+@every_change
+def test_residuals_stay_balanced(change, torn_grid, form):
+    """Vᵀ r = 0 from the start on, and the projected directions are A-orthogonal to V."""
+    problem = torn_grid(change=change, **GRID)
+    primal = form(problem, type="all_floating", interior="eliminate")
+    exact = primal_form.reference(problem, primal)
+    system, copies = primal.system, primal.copies
+    f = random(copies.n)
+    b = copies.sum(f)
+    for iterations in (0, 3):
+        x = primal_form.cg(system, f, max_it=iterations).x
+        r = exact.average @ whole(system.residual(f, x))
+        small(np.abs(exact.V.T @ r).max(), 1e-10 * np.linalg.norm(whole(b)))
+    z, _ = system.precondition(system.residual(f, system.space.initial_guess(b)))
+    small(np.abs(exact.V.T @ exact.A @ (exact.average @ whole(z))).max(), 1e-8)
+
+
+@pytest.mark.parametrize(
+    ("share", "proved"), [(0.002, 0), (0.02, 3)], ids=["met by CG", "told by the coarse space"]
+)
+def test_negative_curvature(share, proved, torn_grid, form):
+    """An indefinite matrix is told by a direction with pᵀ A p ≤ 0, although K_ρ is definite."""
+    problem = torn_grid((2, 2), (4, 4), components=2, change=soften(share))
+    primal = form(problem, type="all_floating", interior="eliminate", coarse_modes=0)
+    exact = primal_form.reference(problem, primal)
+    agree(np.linalg.eigvalsh(exact.A)[0] < 0.0 < np.linalg.eigvalsh(exact.S_ρ)[0])
+    agree(primal.space.negative() == proved)
+    outcome = primal_form.cg(primal.system, random(primal.copies.n))
+    agree(outcome.reason == Reason.DIVERGED_INDEFINITE_MAT)
+    p = exact.average @ whole(outcome.direction)
+    agree(p @ exact.A @ p <= 0.0 and np.linalg.norm(p) > 0.0)
+
+
+def test_ritz_values(torn_grid, form):
+    """The coefficients of conjugate gradients tell the spectrum."""
+    problem = torn_grid((2, 2), (2, 2), components=2)
+    primal = form(problem, type="all_floating", interior="keep", coarse_modes=0)
+    exact = primal_form.reference(problem, primal)
+    values = np.linalg.eigvals(exact.preconditioner @ exact.A).real
+    ritz = primal_form.cg(primal.system, random(primal.copies.n), rtol=1e-13).eigenvalues
+    equal([ritz[0], ritz[-1]], [values[values > 1e-6].min(), values.max()], 1e-6)
+
+
+def test_most_iterations_and_nothing_to_do(torn_grid, form):
+    primal = form(torn_grid(**GRID), type="all_floating", interior="keep")
+    n = primal.copies.n
+    outcome = primal_form.cg(primal.system, random(n), max_it=2)
+    agree(outcome.reason == Reason.DIVERGED_MAX_IT and outcome.iterations == 2)
+    outcome = primal_form.cg(primal.system, np.zeros(n))
+    agree(outcome.reason > 0 and outcome.iterations == 0 and not outcome.x.any())
+    outcome = primal_form.cg(primal.system, np.full(n, np.nan))
+    agree(outcome.reason == Reason.DIVERGED_NANORINF)
+
+
+def test_no_subdomain_left_for_a_process(torn_grid, form):
+    """One subdomain has no interface: there is nothing to iterate for."""
+    problem = torn_grid((1, 1), (3, 2), components=2)
+    primal = form(problem, type="classical", interior="keep")
+    values = np.ones(len(problem.dirichlet))
+    b = problem.vector(values)
+    torn = primal.parts.torn.tear(b)
+    u, outcome = primal.solve(torn, torn)
+    agree(outcome.iterations == 0)
+    equal(whole(u), problem.T @ problem.solve(values), 1e-9)
+    b.destroy()

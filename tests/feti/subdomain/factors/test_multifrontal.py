@@ -1,0 +1,346 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Fronts: S and the factor of K_II at once, against dense algebra and against MUMPS."""
+
+from __future__ import annotations
+
+import ctypes
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+import scipy.sparse
+from collective import COMM, agree, equal, raises
+
+from dolfinx_feti.errors import FactorError
+from dolfinx_feti.feti.subdomain import analysis
+from dolfinx_feti.feti.subdomain.factors import multifrontal as fronts
+from dolfinx_feti.feti.subdomain.factors.dense import pack
+from dolfinx_feti.feti.subdomain.factors.multifrontal import (
+    FrontFactor,
+    Fronts,
+    load_fronts,
+    load_fronts_for,
+)
+from dolfinx_feti.runtime.petsc_library import Rows
+
+EPS = np.finfo(np.float64).eps
+ROUNDING = 100.0  # multiples of eps cond(K_II) that a solution may be off
+
+
+def grid(shape, bs, seed=3):
+    """Return a random definite matrix on a grid of nodes of bs dofs, and its Γ: one face."""
+    line = [
+        scipy.sparse.diags_array([1.0, 2.0, 1.0], offsets=[-1, 0, 1], shape=(k, k)) for k in shape
+    ]
+    graph = line[0]
+    for other in line[1:]:
+        graph = scipy.sparse.kron(graph, other)
+    pattern = scipy.sparse.kron(graph, np.ones((bs, bs))).tocsr()
+    pattern.data = np.random.default_rng(seed).standard_normal(pattern.nnz)
+    K = (pattern + pattern.T).tocsr()
+    K = (K + scipy.sparse.diags_array(np.abs(K).sum(axis=1) + 1.0)).tocsr()
+    K.sort_indices()
+    n, face = K.shape[0], bs * int(np.prod(shape[1:]))
+    return K, np.arange(n - face, n, dtype=np.int32)
+
+
+def arrays(K):
+    """Return a sparse matrix row by row."""
+    return Rows(K.indptr.astype(np.int32), K.indices.astype(np.int32), K.data)
+
+
+def analysed(K, Γ, bs, rows=None):
+    """Return the fronts of a sparse matrix, or of some of its rows."""
+    rows = np.arange(K.shape[0], dtype=np.int32) if rows is None else rows
+    number = np.full(K.shape[0], -1, dtype=np.int32)
+    number[rows] = np.arange(len(rows))
+    return Fronts(load_fronts(COMM), arrays(K), rows, number, bs, Γ)
+
+
+def factored(fronts, K, held=None):
+    """Return the factor and S; None if there is none."""
+    return fronts.factor(arrays(K), np.empty(fronts.work), held)
+
+
+def parts(K, Γ):
+    """Return I, and K_II, K_IΓ and K_ΓΓ as dense matrices."""
+    K = K.toarray()
+    I = np.setdiff1d(np.arange(len(K)), Γ)  # noqa: E741
+    return I, K[np.ix_(I, I)], K[np.ix_(I, Γ)], K[np.ix_(Γ, Γ)]
+
+
+def check(K, Γ, bs):
+    """Compare S and K_II⁻¹ with dense algebra; return the fronts."""
+    fronts = analysed(K, Γ, bs)
+    factor, S = factored(fronts, K)
+    _, K_II, K_IΓ, K_ΓΓ = parts(K, Γ)
+    tolerance = ROUNDING * EPS * np.linalg.cond(K_II) if len(K_II) else EPS
+    equal(S, pack(K_ΓΓ - K_IΓ.T @ np.linalg.solve(K_II, K_IΓ)), tolerance)
+    Y = np.random.default_rng(1).standard_normal((len(K_II), 3))
+    equal(K_II @ factor.solve(Y), Y, tolerance)
+    equal(factor.solve(Y[:, 0]), factor.solve(Y)[:, 0], tolerance)
+    agree(factor.memory() == 8 * fronts.entries / 2**20)
+    return fronts
+
+
+@pytest.mark.parametrize("bs", [1, 3])
+@pytest.mark.parametrize("shape", [(40,), (13, 9), (6, 5, 4), (2, 1, 2)])
+def test_schur_complement_and_factor(shape, bs):
+    """S = K_ΓΓ − K_ΓI K_II⁻¹ K_IΓ, and K_II K_II⁻¹ Y = Y, for one column and several."""
+    check(*grid(shape, bs), bs)
+
+
+@pytest.mark.parametrize("pivots", [1, 47, 48, 49, 96, 97, 130])
+def test_a_front_of_several_narrow_triangles(pivots):
+    """All dofs touch each other: one front, here with condition 1e8, a few triangles wide."""
+    n = pivots + 20
+    Q = np.linalg.qr(np.random.default_rng(n).standard_normal((n, n)))[0]
+    K = (Q * np.geomspace(1.0, 1e8, n)) @ Q.T
+    fronts = check(scipy.sparse.csr_array(0.5 * (K + K.T)), np.arange(pivots, n, dtype=np.int32), 1)
+    agree(fronts.data.count == 1 and len(fronts.last) == pivots)
+
+
+@pytest.mark.parametrize("bs", [1, 2, 3])
+def test_interface_that_cuts_nodes(bs):
+    """Single dofs of a node may be of Γ, and others missing."""
+    K, _ = grid((5, 5, 5), 3)
+    rng = np.random.default_rng(bs)
+    free = np.sort(rng.permutation(K.shape[0])[:-40])
+    Γ = np.sort(rng.permutation(len(free))[:60]).astype(np.int32)
+    _, S = factored(analysed(K, Γ, bs, free.astype(np.int32)), K)
+    _, K_II, K_IΓ, K_ΓΓ = parts(K[free][:, free], Γ)
+    equal(
+        S, pack(K_ΓΓ - K_IΓ.T @ np.linalg.solve(K_II, K_IΓ)), ROUNDING * EPS * np.linalg.cond(K_II)
+    )
+
+
+@pytest.mark.parametrize("metis", [True, False], ids=["METIS", "PETSc"])
+def test_orders(metis, monkeypatch):
+    """METIS orders where PETSc is linked with it; without it, or if it fails, PETSc does."""
+    found = fronts.function("METIS_NodeND", (ctypes.c_void_p,) * 7)
+    if not metis:
+        monkeypatch.setattr(fronts, "function", lambda *_: None)
+    ptr, adjacent, interior = grid_graph((7, 6, 5))
+    orders = fronts._orders(ptr, adjacent, interior)
+    agree(len(orders) == (1 if metis and found else 2))
+    agree(all(np.array_equal(np.sort(order), interior) for order in orders))
+    check(*grid((7, 6, 5), 3), 3)
+    one_way = adjacent.copy()
+    one_way[ptr[0] : ptr[1]] = 0  # the first node has no neighbours, though it is one of theirs
+    agree(len(fronts._orders(ptr, one_way, interior)) == 2)
+    if found and not metis:
+        monkeypatch.setattr(fronts, "function", lambda *_: lambda *_: -3)  # out of memory
+        agree(len(fronts._orders(ptr, adjacent, interior)) == 2)
+
+
+def grid_graph(shape):
+    """Return the graph of a grid, and the nodes off one face."""
+    K, Γ = grid(shape, 1)
+    return K.indptr, K.indices, np.arange(K.shape[0] - len(Γ), dtype=np.int32)
+
+
+def test_metis_saves_flops(monkeypatch):
+    """Its separators are smaller: on a cube the fronts take less time than those of PETSc."""
+    if fronts.function("METIS_NodeND", (ctypes.c_void_p,) * 7) is None:
+        pytest.skip("PETSc is not linked with METIS")
+    K, Γ = grid((12, 9, 9), 3)
+    dissected = analysed(K, Γ, 3).data.seconds
+    monkeypatch.setattr(fronts, "_dissect", lambda *_: None)
+    agree(dissected < analysed(K, Γ, 3).data.seconds)
+
+
+def test_interior_in_pieces_none_and_all():
+    """Γ through the middle, no interior, no interface, nothing at all."""
+    K, _ = grid((9, 4, 4), 3)
+    check(K, np.arange(4 * 48, 5 * 48, dtype=np.int32), 3)
+    check(K, np.arange(K.shape[0], dtype=np.int32), 3)
+    check(K, np.zeros(0, dtype=np.int32), 3)
+    check(K[:0][:, :0], np.zeros(0, dtype=np.int32), 3)
+
+
+def test_random_patterns():
+    """Any symmetric pattern, also one whose blocks are not full."""
+    rng = np.random.default_rng(5)
+    for n in range(2, 80, 7):
+        pattern = scipy.sparse.random_array((n, n), density=0.08, rng=rng)
+        K = (pattern + pattern.T).tocsr()
+        K = (K + scipy.sparse.diags_array(np.abs(K).sum(axis=1) + 1.0)).tocsr()
+        Γ = np.sort(rng.permutation(n)[: n // 3]).astype(np.int32)
+        check(K, Γ, 1 + n % 3)
+
+
+def test_two_matrices_of_one_pattern():
+    """One analysis, and two factors that live at the same time."""
+    K, Γ = grid((6, 5, 4), 3)
+    fronts = analysed(K, Γ, 3)
+    K_II = parts(K, Γ)[1]
+    Y = np.ones((len(K_II), 1))
+    (one, S), (four, S_four) = (factored(fronts, c * K) for c in (1.0, 4.0))
+    equal(S_four, 4.0 * S, 10 * EPS)
+    tolerance = ROUNDING * EPS * np.linalg.cond(K_II)
+    equal(K_II @ one.solve(Y), Y, tolerance)
+    equal(4.0 * K_II @ four.solve(Y), Y, tolerance)
+
+
+@pytest.mark.parametrize("shape", [(40,), (13, 9), (9, 7, 6)])
+def test_dofs_of_the_last_front(shape):
+    """What is held is added to K_II there, and they are more than a few."""
+    K, _ = grid(shape, 3)
+    fronts = analysed(K, np.zeros(0, dtype=np.int32), 3)
+    last = fronts.last
+    agree(len(last) >= 64)
+    held = np.cos(np.add.outer(last, last)) + len(last) * np.eye(len(last))
+    factor, _ = factored(fronts, K, held)
+    dense = K.toarray()
+    dense[np.ix_(last, last)] += held
+    Y = np.ones(len(dense))
+    equal(dense @ factor.solve(Y), Y, ROUNDING * EPS * np.linalg.cond(dense))
+
+
+def with_entries(K, i, j):
+    """Return K with 1 at (i, j) and (j, i), in its pattern."""
+    more = scipy.sparse.coo_array(([1.0, 1.0], ([i, j], [j, i])), K.shape)
+    return scipy.sparse.csr_array(K + more)
+
+
+def test_new_pattern_is_noticed():
+    """Entries outside of the fronts are refused, whatever couples them."""
+    K, Γ = grid((12, 5, 4), 1)
+    fronts = analysed(K, Γ, 1)
+    new = [(i, j) for i in range(0, 120, 7) for j in range(i + 60, 220, 11)]
+    refused = 0
+    for i, j in new:
+        try:
+            factor, _ = factored(fronts, with_entries(K, i, j))
+        except FactorError as error:
+            refused += "pattern of the matrix has changed" in str(error)
+        else:
+            Y = np.ones(len(fronts.ranks))
+            equal(parts(with_entries(K, i, j), Γ)[1] @ factor.solve(Y), Y, 1e-12)
+    agree(refused > len(new) // 2)
+
+
+def test_entries_that_couple_subdomains_are_refused():
+    """As when the pattern changes between the analysis and a factorisation, also out of range."""
+    K, Γ = grid((5, 4), 3)
+    n = K.shape[0]
+    both = scipy.sparse.csr_array(scipy.sparse.block_array([[K, None], [None, K]]))
+    number = np.tile(np.arange(n, dtype=np.int32), 2)
+    rows = np.arange(n, 2 * n, dtype=np.int32)
+    code = load_fronts(COMM)
+    for interface in (Γ, Γ[:0]):
+        fronts = Fronts(code, arrays(both), rows, number, 3, interface)
+        agree(factored(fronts, both) is not None)
+        for i in (0, n - 1):
+            with raises(FactorError, "pattern of the matrix has changed"):
+                factored(fronts, with_entries(both, i, n + i))
+            with raises(ValueError, "do not belong to this matrix"):
+                Fronts(code, arrays(with_entries(both, i, n + i)), rows, number, 3, interface)
+        for column in (-1, 2 * n, 2**31 - 1):
+            indptr, indices, values = arrays(both)
+            indices[-1] = column
+            with raises(FactorError, "pattern of the matrix has changed"):
+                fronts.factor(Rows(indptr, indices, values), np.empty(fronts.work))
+        with raises(FactorError, "pattern of the matrix has changed"):
+            factored(fronts, K)
+
+
+def test_work_space_and_held_block_have_their_sizes():
+    K, Γ = grid((5, 4), 3)
+    fronts = analysed(K, Γ, 3)
+    with raises(ValueError, f"work has 3 entries, but {fronts.work}"):
+        fronts.factor(arrays(K), np.empty(3))
+    with raises(ValueError, r"held has shape \(2, 2\)"):
+        fronts.factor(arrays(K), np.empty(fronts.work), np.eye(2))
+
+
+def analyse(ptr, adjacent, size, order):
+    """Return the status of an analysis."""
+    code = load_fronts(COMM)
+    made = code.module.ffi.new("fronts **")
+    ptr, adjacent, size, order = (np.array(a, dtype=np.int32) for a in (ptr, adjacent, size, order))
+    graph = map(code.to, (size, ptr, adjacent))
+    status = code.lib.fronts_analyse(len(size), *graph, len(order), code.to(order), made)
+    if status == 0:
+        code.lib.fronts_free(made[0])
+    code.check(status)
+
+
+def test_subdomain_that_is_too_large():
+    """More than 2³¹ dofs, or 2⁶⁰ entries, are refused before memory is asked for."""
+    for size in ([2**30, 2**30], [2**30, 2**30 - 1], [19 * 10**8, 1]):
+        with raises(FactorError, "too large .* take more subdomains"):
+            analyse([0, 1, 2], [1, 0], size, [0, 1])
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ([0, 1, 2], [2, 0], [1, 1], [0, 1]),
+        ([0, 1, 2], [-1, 0], [1, 1], [0, 1]),
+        ([0, 1, 2], [1, 0], [1, 0], [0, 1]),
+        ([0, 1, 2], [1, 0], [1, 1], [1, 1]),
+        ([0, 1, 2], [1, 0], [1, 1], [0, 2]),
+        ([0, 1, 2], [1, 0], [1, 1], [0, -1]),
+        ([0, 1, 2], [1, 0], [1, 1], [0, 1, 1]),
+    ],
+)
+def test_invalid_graphs_and_orders_are_refused(wrong):
+    analyse([0, 1, 2], [1, 0], [1, 1], [0, 1])
+    with raises(FactorError, "graph of the subdomain, or the order of its nodes, is invalid"):
+        analyse(*wrong)
+
+
+@pytest.mark.parametrize("wrong", ["negative", "zero", "nan"])
+def test_not_definite(wrong):
+    """A pivot that is not positive ends the factorisation, wherever it is met."""
+    K, Γ = grid((6, 5, 4), 3)
+    for dof in (0, 100, 290):
+        bad = K.copy()
+        bad[dof, dof] = {"negative": -1e3, "zero": 0.0, "nan": np.nan}[wrong]
+        if wrong == "zero":
+            bad.data[bad.indptr[dof] : bad.indptr[dof + 1]] = 0.0
+            bad = (bad.T.multiply(np.arange(K.shape[0]) != dof)).tocsr() + 0.0 * K
+        made = factored(analysed(K, Γ, 3), scipy.sparse.csr_array(bad))
+        agree(made is None or not np.isfinite(made[1]).all())
+        agree(wrong == "nan" or made is None)
+
+
+def buckled(factor):
+    """Return a change that lowers the stiffness of all dofs of every subdomain."""
+    return lambda K, dofs: [np.fill_diagonal(k, factor * k.diagonal()) for k in K]
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.5], ids=["definite", "indefinite"])
+def test_pivots_where_they_are_needed(factor, torn_grid, parts, monkeypatch):
+    """With fronts as with MUMPS: S, the inertia of K_II, loads and displacements inside."""
+    monkeypatch.setattr(analysis, "SMALL", -1)
+    problem = torn_grid((2, 2), (6, 5), components=2, change=buckled(factor))
+    by_fronts = parts(problem.A, type="all_floating", interior="eliminate").operator
+    monkeypatch.setattr(analysis, "load_fronts_for", lambda *_: None)
+    by_mumps = parts(problem.A, type="all_floating", interior="eliminate").operator
+    negative = by_fronts.negative_interior()
+    agree(negative == by_mumps.negative_interior())
+    agree(COMM.allreduce(negative) > 0 if factor < 1.0 else negative == 0)
+    fronts = [f for f in by_fronts.interior_factors if isinstance(f, FrontFactor)]
+    agree(COMM.allreduce(len(fronts)) < 4 if factor < 1.0 else len(fronts) == len(by_fronts.dofs))
+    agree(not any(isinstance(f, FrontFactor) for f in by_mumps.interior_factors))
+    f, u = np.random.default_rng(2 + COMM.rank).standard_normal(
+        (2, problem.A.getISLocalMat().getSize()[0])
+    )
+    equal(by_fronts.multiply(u), by_mumps.multiply(u), 1e-10)
+    equal(by_fronts.condense(f), by_mumps.condense(f), 1e-10)
+    equal(by_fronts.extend(u, f), by_mumps.extend(u, f), 1e-10)
+
+
+@pytest.mark.parametrize("name", ["pc_factor_mat_solver_type", "pc_type"])
+def test_options_that_name_a_solver_are_followed(name):
+    """Who names the solver of K_II gets it."""
+    agree(load_fronts_for("fronts_", COMM) is not None)
+    options = PETSc.Options("fronts_")
+    options[name] = {"pc_type": "cholesky"}.get(name, "mumps")
+    agree(load_fronts_for("fronts_", COMM) is None)
+    options.delValue(name)

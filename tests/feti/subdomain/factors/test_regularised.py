@@ -1,0 +1,160 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Factors of sparse regularised blocks, by fronts and with pivots, against dense algebra."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal
+
+from dolfinx_feti.feti.subdomain import analysis
+from dolfinx_feti.feti.subdomain.factors.direct import Choice
+from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor, Fronts, load_fronts
+from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
+from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
+from dolfinx_feti.runtime.petsc_library import rows_of
+
+SHAPE = (6, 5, 4)
+RHO = 3.0
+
+
+def spring_grid(shape, seed=11):
+    """Return the stiffness of springs between the nodes of a grid, and its null vector, (n, 1)."""
+    places = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
+    places = places.reshape(-1, len(shape))
+    near = np.abs(places[:, None] - places[None]).max(axis=2) == 1
+    stiffness = np.random.default_rng(seed).uniform(0.5, 2.0, near.shape) * near
+    stiffness = np.triu(stiffness) + np.triu(stiffness).T
+    K = np.diag(stiffness.sum(axis=1)) - stiffness
+    return K, np.full((len(K), 1), len(K) ** -0.5)
+
+
+def elastic(shape):
+    """Return three grids that do not know of each other, node by node, and their null vectors."""
+    K, one = spring_grid(shape)
+    return np.kron(K, np.eye(3) + 0.1), np.kron(one, np.eye(3))
+
+
+@pytest.fixture
+def factored():
+    """Factor one block, by fronts or with pivots, and free it in the end."""
+    made = []
+
+    def create(K, R, rho=RHO, pivots=False):
+        rows = np.arange(len(K), dtype=np.int32)
+        M = PETSc.Mat().createAIJ(K.shape, nnz=len(K), bsize=3, comm=PETSc.COMM_SELF)
+        M.setOption(PETSc.Mat.Option.IGNORE_ZERO_ENTRIES, True)
+        M.setValues(rows, rows, K)
+        M.assemble()
+        made.append(M)
+        if pivots:
+            made.append(PivotedFactor(M, rows, Choice("some_", True, 8), R, rho))
+            return made[-1]
+        with rows_of(M) as of_M:
+            fronts = Fronts(load_fronts(COMM), of_M, rows, rows, 3, rows[:0])
+            return factor_by_fronts(fronts, of_M, np.empty(fronts.work), R, rho)
+
+    yield create
+    for owned in made:
+        owned.destroy()
+
+
+CHANGES = {
+    "kernel": lambda K, R: K,
+    "prestress": lambda K, R: K + 1e-3 * np.diag(np.cos(np.arange(len(K)))),
+    "stiffer": lambda K, R: K + 0.1 * np.diag(K.diagonal()),
+    "no modes": lambda K, R: K + np.eye(len(K)),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_is_the_inverse_of_the_regularised_block(change, factored):
+    """K_ρ⁻¹ for one column and several."""
+    K, R = elastic(SHAPE)
+    K = change(K, R)
+    R = R[:, :0] if change is CHANGES["no modes"] else R
+    K_ρ = K + RHO * R @ R.T
+    tolerance = 1e2 * np.finfo(float).eps * np.linalg.cond(K_ρ)
+    Y = np.random.default_rng(5).standard_normal((len(K), 4))
+    for pivots in (False, True):
+        factor = factored(K, R, pivots=pivots)
+        agree(factor.memory() > 0.0 and factor.pivots == (0, 0))
+        X = factor.solve(Y)
+        equal(K_ρ @ X, Y, tolerance)
+        equal(factor.solve(Y[:, 1].copy()), X[:, 1], tolerance)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0], ids=["positive", "negative"])
+def test_negative_eigenvalues_are_counted(sign, factored):
+    """One of K_ρ, whichever way it is factored, as dense algebra has it."""
+    K, R = elastic(SHAPE)
+    y = np.linalg.eigh(K + RHO * R @ R.T)[1][:, 2]
+    bent = K - (1.0 + sign * 0.2) * (y @ K @ y) * np.outer(y, y)
+    for factor in (factored(bent, R), factored(bent, R, pivots=True)):
+        agree(factor is None or factor.pivots == (int(sign > 0.0), 0))
+
+
+def test_modes_that_weigh_more_in_the_last_front(factored):
+    """K_Q is positive definite, K_ρ is not: the correction tells."""
+    K = 0.01 * elastic(SHAPE)[0] + np.eye(120 * 3)
+    last = factored(K, np.zeros((len(K), 0))).last
+    others = np.setdiff1d(np.arange(len(K)), last)[: len(last)]
+    K[last, last] -= 1.5
+    R = np.zeros((len(K), len(last)))
+    R[last, np.arange(len(last))] = 0.2
+    R[others, np.arange(len(last))] = np.sqrt(1.0 - 0.2**2)
+    factor = factored(K, R)
+    negative = int(np.count_nonzero(np.linalg.eigvalsh(K + RHO * R @ R.T) < 0.0))
+    agree(factor.pivots == (negative, 0) and negative > 100)
+
+
+def test_modes_that_the_last_front_does_not_hold(factored):
+    """As of a second part that hangs on nothing: pivots take over."""
+    K, R = elastic((4, 3, 2))
+    n = len(K)
+    both = np.block([[K, np.zeros((n, n))], [np.zeros((n, n)), 2.0 * K]])
+    modes = np.block([[R, np.zeros(R.shape)], [np.zeros(R.shape), R]])
+    agree(factored(both, modes) is None)
+    factor = factored(both, modes, pivots=True)
+    Y = np.ones((2 * n, 2))
+    equal((both + RHO * modes @ modes.T) @ factor.solve(Y), Y, 1e-11)
+
+
+@pytest.mark.parametrize("image", [[-1.0, 1.0], [np.inf, 1.0], [np.nan, 1.0]], ids=str)
+def test_no_correction_of_a_singular_factor(image):
+    """Λ⁻¹ + Vᵀ Z is singular, or has no numbers, with V = I and Λ = diag(1, −1)."""
+    R = np.array([[1.0], [1.0]]) * np.sqrt(0.5)
+    front = SimpleNamespace(solve=lambda V: np.linalg.solve(V.T, np.diag(image)))
+    fronts = SimpleNamespace(last=np.array([1]), factor=lambda *_: (front, None))
+    agree(factor_by_fronts(fronts, None, None, R, 1.0) is None)
+
+
+@pytest.mark.parametrize("option", ["pc_factor_mat_solver_type", "pc_type"])
+def test_options_that_name_a_solver_are_followed(option, torn_grid, parts):
+    options = PETSc.Options("test_feti_local_")
+    options[option] = {"pc_type": "cholesky"}.get(option, "mumps")
+    try:
+        system = parts(torn_grid((2, 2), (4, 3)).A, interior="keep")
+        agree(all(isinstance(factor, PivotedFactor) for factor in system.inverse.factors))
+        inside = system.operator.interior_factors
+        agree(all(isinstance(factor, FrontFactor) for factor in inside))
+    finally:
+        options.delValue(option)
+
+
+def test_unsymmetric_matrices_and_long_indices_have_pivots(torn_grid, parts, monkeypatch):
+    def skew(K, dofs):
+        for k in K:
+            k += 0.01 * np.triu(np.ones(k.shape), 1) * (k != 0.0)
+
+    system = parts(torn_grid((2, 2), (4, 3), change=skew).A, interior="keep")
+    agree(all(isinstance(factor, PivotedFactor) for factor in system.inverse.factors))
+    monkeypatch.setattr(analysis, "reads_in_place", lambda: False)
+    system = parts(torn_grid((2, 2), (4, 3)).A, interior="keep")
+    agree(all(isinstance(factor, PivotedFactor) for factor in system.inverse.factors))

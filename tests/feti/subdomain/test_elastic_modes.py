@@ -1,0 +1,125 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Soft and buckling modes against dense eigenvectors, and what they do to a solve."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from collective import agree, equal, small
+
+from dolfinx_feti.feti.subdomain.buckling import buckling_modes
+from dolfinx_feti.feti.subdomain.soft import ALL_MODES, POWERS, Basis, join, soft_modes
+
+SEED = 1744
+SIZES = (60, ALL_MODES + 100)  # dense, and by subspace iteration or Lanczos' method
+
+every_size = pytest.mark.parametrize("n", SIZES)
+
+
+def matrix(n, values, most=2.0):
+    """A symmetric matrix with some given eigenvalues, others from 1 to most, and its vectors."""
+    rng = np.random.default_rng(SEED)
+    Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
+    spectrum = np.concatenate([values, np.geomspace(1.0, most, n - len(values))])
+    return (Q * spectrum) @ Q.T, Q[:, : len(values)]
+
+
+def solver(K):
+    inverse = np.linalg.inv(K)
+    return lambda X: inverse @ X
+
+
+def spans(Y, expected, tolerance):
+    """Assert that the columns Y span those expected."""
+    Q = np.linalg.qr(Y)[0]
+    agree(Y.shape == expected.shape, (Y.shape, expected.shape))
+    small(np.linalg.norm(expected - Q @ (Q.T @ expected), 2), tolerance)
+
+
+@every_size
+@pytest.mark.parametrize(("threshold", "count"), [(1e-4, 1), (1e-2, 2), (0.1, 3), (0.5, 4)])
+def test_soft_modes_are_those_below_the_threshold(n, threshold, count):
+    """With unit weights μ is an eigenvalue of K, and each power takes μ off the error.
+
+    Of a large subdomain one that is close to the threshold is not found for sure.
+    """
+    values = [5e-5, 5e-3, 5e-2, 0.3] if n <= ALL_MODES else [5e-5, 5e-3, 5e-2, 0.15]
+    K, modes = matrix(n, values)
+    Y = soft_modes(solver(K), np.ones(n), 12, threshold)
+    spans(Y, modes[:, :count], 1e-10 if n <= ALL_MODES else 10.0 * values[count - 1] ** POWERS)
+
+
+@every_size
+def test_soft_modes_are_the_softest_that_may_join(n):
+    K, modes = matrix(n, [1e-4, 1e-3, 2e-3, 5e-3])
+    spans(soft_modes(solver(K), np.ones(n), 2, 1e-2), modes[:, :2], 0.05)
+    agree(soft_modes(solver(K), np.ones(n), 0, 1e-2).shape == (n, 0))
+    agree(soft_modes(solver(K), np.ones(n), 12, 0.0).shape == (n, 0))
+
+
+@every_size
+def test_soft_is_measured_by_the_interface(n):
+    """K y = μ k y: the same K is soft beside a stiff interface only."""
+    K, modes = matrix(n, [0.05])
+    agree(soft_modes(solver(K), np.ones(n), 12, 1e-2).shape[1] == 0)
+    spans(soft_modes(solver(K), np.full(n, 10.0), 1, 1e-2), modes, 0.05)
+
+
+@every_size
+@pytest.mark.parametrize(
+    ("values", "most"), [((-0.5, -0.02, -1e-3), 2.0), ((-1e5, -1.0, -0.5), 1e5)]
+)
+def test_buckling_modes(values, most, n):
+    """The inverse shows those near zero, the matrix one that is far below."""
+    K, modes = matrix(n, values, most)
+    spans(
+        buckling_modes(solver(K), lambda X: K @ X, n, 3), modes, 1e-10 if n <= ALL_MODES else 0.05
+    )
+
+
+@pytest.mark.parametrize("skew", [0.0, 1.0], ids=["symmetric", "unsymmetric"])
+def test_soft_modes_join_as_if_they_had_been_factored(skew, n=40, rho=3.0):
+    """R, E and D after the update against those of K + ρ (R, Y)(R, Y)ᵀ, and its inverse."""
+    rng = np.random.default_rng(SEED)
+    part = rng.standard_normal((n, n))
+    K = part @ part.T + skew * (part - part.T)
+    R, Y = np.split(np.linalg.qr(rng.standard_normal((n, 5)))[0], [3], axis=1)
+
+    def dense(R):
+        inverse = np.linalg.inv(K + rho * R @ R.T)
+        E, E_left = rho * inverse @ R, rho * inverse.T @ R
+        return inverse, Basis(R, E, E_left, rho * (np.eye(R.shape[1]) - R.T @ E))
+
+    inverse, basis = dense(R)
+    expected_inverse, expected = dense(np.hstack([R, Y]))
+    found = join(basis, Y, inverse @ Y, inverse.T @ Y, rho)
+    for of_one, other in zip(found, expected, strict=True):
+        equal(of_one, other, 1e-10)
+    equal(inverse - found.E[:, 3:] @ (Y.T @ inverse), expected_inverse, 1e-10)
+
+
+@pytest.mark.parametrize("kind", ["all_floating", "classical"])
+def test_more_soft_modes_fewer_iterations(kind, torn_grid, feti):
+    """Slender subdomains bend softly; the solution stays what it is."""
+    problem = torn_grid((2, 3), (16, 2), components=2)
+    values = np.random.default_rng(SEED).standard_normal(len(problem.dirichlet))
+    iterations, sizes = [], []
+    for threshold in (0.0, 0.01, 0.5):
+        ksp = feti(
+            problem.A, feti_type=kind, feti_coarse_threshold=threshold, feti_coarse_modes=20,
+            ksp_rtol=1e-10,
+        )  # fmt: skip
+        b = problem.vector(values)
+        x = b.duplicate()
+        ksp.solve(b, x)
+        agree(ksp.getConvergedReason() > 0)
+        first, last = x.getOwnershipRange()
+        small(np.abs(x.array_r - problem.solve(values)[first:last]).max(initial=0.0), 1e-6)
+        iterations.append(ksp.getIterationNumber())
+        sizes.append(ksp.getPythonContext().report().coarse_size)
+        b.destroy()
+        x.destroy()
+    agree(sizes[0] < sizes[1] < sizes[2], sizes)
+    agree(iterations[2] < iterations[1] < iterations[0], iterations)

@@ -1,0 +1,54 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Columns that fall into panels, against the same columns as one dense matrix."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from collective import agree, equal
+
+from dolfinx_feti.feti.subdomain.factors.dense import TILE, PackedMatrix, pack
+from dolfinx_feti.feti.subdomain.panels import Panels
+
+SEED = 1815
+
+
+def some_panels(n):
+    """A whole panel, one on a few rows, one on a single row, and one of no columns."""
+    rng = np.random.default_rng(SEED)
+    rows = [np.arange(n), np.arange(0, n, 3), np.array([n - 1]), np.arange(2)]
+    widths = [4, 2, 1, 0]
+    values = [rng.standard_normal((k, len(of))) for k, of in zip(widths, rows, strict=True)]
+    W = np.zeros((n, 0))
+    for of, part in zip(rows, values, strict=True):
+        columns = np.zeros((n, len(part)))
+        columns[of] = part.T
+        W = np.hstack([W, columns])
+    return Panels(n, rows, values), W
+
+
+@pytest.mark.parametrize("n", [5, TILE, 2 * TILE + 7])
+def test_products_are_those_of_the_dense_columns(n):
+    """With S in packed format, the way that the Schur complements stand."""
+    panels, W = some_panels(n)
+    rng = np.random.default_rng(SEED)
+    S, Y = rng.standard_normal((n, n)), rng.standard_normal((n, 3))
+    S = S + S.T
+    agree(panels.shape == W.shape)
+    equal(panels.dense(), W)
+    equal(panels.overlap(Y), W.T @ Y, 1e-13 * n)
+    equal(panels.product(S), S @ W, 1e-13 * n)
+    equal(panels.squares(), (W**2).sum(axis=0), 1e-13 * n)
+    matrix = PackedMatrix(pack(S), n, np.empty(n * n))
+    equal(matrix.multiply_panels(panels), S @ W, 1e-13 * n)
+
+
+@pytest.mark.parametrize("n", [0, 3])
+def test_no_panels(n):
+    panels = Panels(n, [], [])
+    agree(panels.shape == (n, 0) == panels.dense().shape == panels.product(np.eye(n)).shape)
+    agree(panels.overlap(np.ones((n, 2))).shape == (0, 2) and len(panels.squares()) == 0)
+    matrix = PackedMatrix(pack(np.eye(n)), n, np.empty(n * n))
+    agree(matrix.multiply_panels(panels).shape == (n, 0))

@@ -1,0 +1,144 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What fails on one process fails on all."""
+
+from __future__ import annotations
+
+import errno
+import gc
+import os
+import re
+import weakref
+
+import numpy as np
+import pytest
+from collective import COMM, agree, raises
+
+from dolfinx_feti.runtime.collective import join, on_all, on_first, reason, total, total_of, warn
+
+
+def test_sum_over_all():
+    values = [0.1 * (rank + 1) for rank in range(COMM.size)]
+    agree(abs(total(values[COMM.rank], COMM) - sum(values)) <= 1e-15 * sum(values) * COMM.size)
+
+
+def test_sum_of_arrays_leaves_the_process_its_own():
+    own = np.arange(6.0).reshape(2, 3).T * (COMM.rank + 1)
+    before = own.copy()
+    found = total_of(own, COMM)
+    agree(np.array_equal(own, before) and found.shape == (3, 2))
+    agree(np.allclose(found, np.arange(6.0).reshape(2, 3).T * sum(range(1, COMM.size + 1))))
+
+
+def test_all_have_the_result_of_the_first():
+    ranks: list[int] = []
+
+    def work() -> tuple[str, int]:
+        ranks.append(COMM.rank)
+        return "done", COMM.rank
+
+    agree(on_first(work, COMM) == ("done", 0))
+    agree(ranks == [0] * (COMM.rank == 0), ranks)
+
+
+@pytest.mark.parametrize(
+    "error", [ValueError("size = -1"), FileNotFoundError(errno.ENOENT, "No such file", "wall.msh")]
+)
+def test_the_error_of_the_first_is_raised_on_all(error):
+    def work() -> None:
+        raise error
+
+    with raises(type(error), re.escape(str(error))):
+        on_first(work, COMM)
+
+
+def test_each_has_its_own_result():
+    agree(on_all(lambda: COMM.rank, COMM) == COMM.rank)
+
+
+def test_one_that_fails_is_enough():
+    last = COMM.size - 1
+
+    def work() -> None:
+        if COMM.rank == last:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "state.bp")
+
+    with raises(OSError, "No space left on device: 'state.bp'"):
+        on_all(work, COMM)
+
+
+def test_own_error_goes_before_those_of_others():
+    def work() -> None:
+        raise ValueError(f"on process {COMM.rank}")
+
+    with raises(ValueError, f"on process {COMM.rank}"):
+        on_all(work, COMM)
+
+
+class StubbornError(Exception):
+    """Cannot be made again from its arguments."""
+
+    def __init__(self, one: int, two: int) -> None:
+        super().__init__(f"{one} and\n {two}")
+
+
+@pytest.mark.parametrize("together", [on_first, on_all])
+def test_error_that_cannot_be_sent(together):
+    def work() -> None:
+        if COMM.rank == 0:
+            raise StubbornError(1, 2)
+
+    with raises(StubbornError if COMM.rank == 0 else RuntimeError, r"1 and\s+2"):
+        together(work, COMM)
+
+
+def test_result_that_cannot_be_sent():
+    with raises(Exception, "lambda"):
+        on_first(lambda: lambda: None, COMM)
+
+
+def test_a_warning_is_logged_once(caplog):
+    warn("too thin", COMM)
+    agree([record.message for record in caplog.records] == ["too thin"] * (COMM.rank == 0))
+
+
+@pytest.mark.parametrize("do", [on_all, on_first])
+def test_error_leaves_no_circle(do):
+    """What the work has made is freed as soon as the error is, without the collector."""
+
+    class Made:
+        pass
+
+    watched = []
+
+    def work() -> None:
+        made = Made()
+        watched.append(weakref.ref(made))
+        raise ValueError("no")
+
+    gc.collect()
+    gc.disable()
+    try:
+        do(work, COMM)
+    except (RuntimeError, ValueError):
+        pass
+    finally:
+        gc.enable()
+    agree(all(ref() is None for ref in watched))
+
+
+def test_reason_is_one_line_and_never_empty():
+    agree(reason(ValueError("two\n  lines")) == "two lines")
+    agree(reason(AssertionError()) == "AssertionError")
+    agree(reason(OSError(errno.EACCES, "Permission denied", "file")) == "Permission denied")
+
+
+@pytest.mark.parametrize("dtype", [float, int])
+def test_join(dtype):
+    """One after the other; who has none does not count, and there may be none at all."""
+    own = np.full((COMM.rank, 2), COMM.rank, dtype=dtype)
+    joined = join(own if COMM.rank else [], COMM)
+    counts = np.repeat(np.arange(COMM.size), np.arange(COMM.size))
+    agree(np.array_equal(joined.reshape(-1, 2), np.column_stack([counts, counts])), joined)
+    agree(len(join([], COMM)) == 0)

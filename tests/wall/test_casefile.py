@@ -1,0 +1,177 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Cases in TOML files: what they say, units, and what is refused in one line."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import pytest
+from collective import COMM, agree, equal, raises
+from demo_runs import DEMOS, EXAMPLE
+from wall_files import ROOT, on_first
+
+from dolfinx_feti import loads
+from dolfinx_feti.wall import (
+    Clamp,
+    Dashpot,
+    Pressure,
+    Slide,
+    Spring,
+    Tissue,
+    read_case,
+    read_wall,
+)
+
+LAYERS = "[layers.media]\nc = 3.0\n[layers.adventitia]\nc = 0.3\n"
+LEAST = f'mesh = "{EXAMPLE}"\n{LAYERS}[surfaces.lumen]\npressure = 1.0\n'
+CLAMP = '[surfaces.opening_1]\nhold = "clamp"\n'
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Read a case from a text."""
+
+    def case(text):
+        path = tmp_path / "wall.toml"
+        on_first(lambda: path.write_text(text, encoding="utf-8"))
+        return read_case(path, COMM)
+
+    return case
+
+
+def test_the_example():
+    case = read_case(DEMOS / "wall.toml", COMM)
+    agree(case.mesh == "tube" and case.scale == 1.0 and case.stretch == 1.0 and case.axis is None)
+    agree(case.layers["media"] == Tissue(3.0, 2.3632, 0.8393, 29.0), case.layers)
+    agree(case.layers["adventitia"] == Tissue(0.3, 0.562, 0.7112, 62.0), case.layers)
+    agree(case.pressure == 10.0 and case.rate == 100.0)
+    expected = {
+        "lumen": (Pressure(),),
+        "outer": (Spring(0.5), Dashpot(0.05)),
+        "opening_1": (Clamp(),),
+        "opening_2": (Spring(1.0, "all"), Slide()),
+    }
+    agree(case.conditions == expected, case.conditions)
+
+
+def test_the_documents_examples(read):
+    """The first is the demos' own, the second a wall of one layer."""
+    page = (ROOT / "docs/walls.md").read_text(encoding="utf-8")
+    first, second = re.findall(r"^```toml\n(.*?)^```", page, re.M | re.S)
+    agree(first in (DEMOS / "wall.toml").read_text(encoding="utf-8"))
+    case = read(second)
+    agree(case.layers["wall"] == Tissue(40.0))
+
+
+def test_units(read):
+    case = read(
+        LEAST.replace("= 3.0", '= "3 Pa"').replace("= 1.0", '= "2 kPa"')
+        + '[surfaces.outer]\nspring = "4 kPa/cm"\ndashpot = "5e6 Pa s/m"\npressure = "1 kPa"\n'
+        + '[surfaces.opening_1]\nhold = "slide"\nspring = "7 Pa/m"\n'
+        + '[loading]\nrate = "1 kPa/s"\n'
+    )
+    equal(case.layers["media"].c, 3e-3, 1e-12)
+    equal(case.pressure * loads.mmhg(1.0), 2.0, 1e-12)
+    equal(case.rate * loads.mmhg(1.0), 1.0, 1e-12)
+    share, spring, dashpot = case.conditions["outer"]
+    equal([share.share, spring.stiffness, dashpot.viscosity], [0.5, 0.4, 5.0], 1e-12)
+    agree(math.isclose(case.conditions["opening_1"][0].stiffness, 7e-6))
+    agree(case.layers["media"] == Tissue(case.layers["media"].c))
+
+
+def test_prestretch_and_fibres(read):
+    ends = '[fibres]\ninner = "in"\nends = ["a", "b"]\n'
+    case = read(LEAST + f'{ends}[prestretch]\naxis = "x"\nstretch = 1.2\n')
+    agree((case.axis, case.stretch) == ("x", 1.2))
+    agree(case.fibres == {"inner": "in", "ends": ["a", "b"]}, case.fibres)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        (
+            "pressure",
+            "pressures",
+            r"\[surfaces.lumen\] pressures = 1.0: there is no such key.*'pressure'",
+        ),
+        (
+            "pressure = 1.0",
+            'pressure = "1 bar"',
+            r"pressure = '1 bar': .* in mmHg, .*mmHg, kPa, Pa",
+        ),
+        ("pressure = 1.0", "pressure = -1", r"\[surfaces.lumen\] pressure = -1: give a positive"),
+        ("pressure = 1.0", "pressure = nan", "pressure = nan: give a positive number in mmHg"),
+        ("pressure = 1.0", "pressure = true", "pressure = True: give a positive"),
+        ("pressure = 1.0", "spring = 1.0", "surfaces: name the surface under pressure"),
+        ("pressure = 1.0", 'spring = "1 kPa"', r"\[surfaces.lumen\] spring = '1 kPa': .*kPa/mm"),
+        ("pressure = 1.0", 'hold = "glue"', r"hold = 'glue': choose one of 'clamp', 'slide'"),
+        ("pressure = 1.0", "", r"\[surfaces.lumen\] has no effect: give it"),
+        (
+            "pressure = 1.0",
+            'pressure = 1\nhold = "clamp"',
+            r"conditions\['lumen'\] holds a clamp and another",
+        ),
+        ("pressure = 1.0", 'pressure = 1\ndirection = "all"', "direction: has no effect without"),
+        ("pressure = 1.0", "pressure = 1\ndashpot = 1", r"\[loading\] rate is missing: dashpots"),
+        ("c = 3.0", "c = 0", r"\[layers.media\] c = 0: give a positive number in kPa"),
+        ("c = 3.0", "", r"\[layers.media\] c is missing: give a positive"),
+        ("c = 3.0", "c = 3.0\nk1 = 1.0", r"\[layers.media\] k2 is missing: fibres need k1, k2"),
+        (
+            "c = 3.0",
+            "c = 3\nk1 = 1\nk2 = 1\nangle = 100",
+            "angle = 100: give a number from 0 to 90",
+        ),
+        (LAYERS, "layers = 3\n", "layers = 3: this is to be a table"),
+        (LAYERS, "", "name the layers of the wall"),
+        ("mesh", "Mesh", "Mesh = .*no such key.*did you mean 'mesh'"),
+        (f'"{EXAMPLE}"', "3", "mesh = 3: give a text"),
+        ("[layers.media]", "scale = 0\n[layers.media]", "scale = 0: give a positive number"),
+        ("[layers.media]", "[layers.media", "is no TOML file: "),
+        (
+            LAYERS,
+            f'{LAYERS}[prestretch]\naxis = "r"\n',
+            r"\[prestretch\] axis = 'r': choose one of",
+        ),
+        (LAYERS, f'{LAYERS}[prestretch]\naxis = "z"\n', r"\[prestretch\] stretch is missing"),
+        (LAYERS, f'{LAYERS}[fibres]\nends = "a"\n', r"\[fibres\] ends = 'a': give a list of texts"),
+        (LAYERS, f"{LAYERS}[fibres]\nlumen = 1\n", r"\[fibres\] lumen = 1: there is no such key"),
+    ],
+)
+def test_what_is_refused(read, old, new, match):
+    """The message names the file, the table, the key, its value and the remedy."""
+    agree(old in LEAST)
+    with raises(ValueError, f"wall.toml.*{match}"):
+        read(LEAST.replace(old, new, 1))
+
+
+def test_no_file(tmp_path):
+    with raises(FileNotFoundError, "no file .*nowhere.toml: name a TOML file"):
+        read_case(tmp_path / "nowhere.toml", COMM)
+
+
+@pytest.mark.parametrize(
+    ("more", "match"),
+    [
+        ("", r"\[surfaces\]: nothing holds 6 of the wall's six rigid body motions"),
+        (CLAMP.replace("clamp", "slide"), r"nothing holds 3 of"),
+        (CLAMP.replace("opening_1", "openin_1"), r"\[surfaces.openin_1\]: the wall has no surface"),
+        (
+            CLAMP + "[layers.fat]\nc = 1\n",
+            r"\[layers.fat\]: the wall has no layer 'fat'; it has med",
+        ),
+    ],
+)
+def test_what_does_not_fit_the_wall(read, more, match):
+    wall = read_wall(EXAMPLE, COMM)
+    with raises(ValueError, match):
+        read(LEAST + more).check(wall)
+
+
+def test_what_fits_the_wall(read):
+    wall = read_wall(EXAMPLE, COMM)
+    read(LEAST + CLAMP).check(wall)
+    with raises(ValueError, r"\[layers.adventitia\] is missing"):
+        read(LEAST.replace("[layers.adventitia]\nc = 0.3\n", "") + CLAMP).check(wall)
