@@ -4,7 +4,7 @@
 """How far a load has come: a bar on a terminal, a line for each load step in the log.
 
 The time left follows from the pace of the last load steps: with the increments Δt_k of their loads,
-the seconds s_k that they took and the remaining distance d, it is d Σ s_k / Σ |Δt_k|.
+the seconds s_k that they took and the remaining distance d, it is d Σ s_k / Σ abs(Δt_k).
 """
 
 from __future__ import annotations
