@@ -13,6 +13,7 @@ from dolfinx_feti.feti import FETI
 from dolfinx_feti.mechanics import kinematics, loads, materials, supports
 from dolfinx_feti.problems.linear_problem import LinearProblem
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
+from dolfinx_feti.runtime.scotch import repeat_partitions
 from dolfinx_feti.torn import create_torn_matrix, set_near_kernel
 
 __version__ = "0.2.0"
@@ -29,3 +30,5 @@ __all__ = [
     "set_near_kernel",
     "supports",
 ]
+
+repeat_partitions()

@@ -29,7 +29,6 @@ __all__ = [
     "available_mib",
     "bandwidth",
     "describe",
-    "fix_partitions",
     "limited_memory",
     "now",
     "resident_mib",
@@ -38,10 +37,6 @@ __all__ = [
 
 PROC = Path("/proc")
 CGROUP = Path("/sys/fs/cgroup")
-
-#: What Scotch reads from the environment when it begins to partition; otherwise the clock gives it
-#: a seed, and the iterations differ from run to run by some ten per cent.
-SETTINGS = ("SCOTCH_DETERMINISTIC", "SCOTCH_RANDOM_FIXED_SEED", "SCOTCH_PTHREAD_NUMBER")
 
 #: Size of the array that is read to measure the bandwidth, larger than a cache [bytes].
 STREAM = 2**27
@@ -116,12 +111,6 @@ def describe() -> dict[str, str | int]:
         "dolfinx": dolfinx.__version__,
         "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
     }
-
-
-def fix_partitions() -> None:
-    """Let Scotch partition alike in every run; what the environment says already stays."""
-    for name in SETTINGS:
-        os.environ.setdefault(name, "1")
 
 
 def threads() -> int:

@@ -40,7 +40,7 @@ import dolfinx_feti
 from benchmarks.common import command
 from benchmarks.common.bodies import LoadedBody, create_clamped_block
 from benchmarks.common.clock import Events
-from benchmarks.common.machine import fix_partitions, limited_memory, threads
+from benchmarks.common.machine import limited_memory, threads
 from benchmarks.common.records import Record
 from benchmarks.common.walls import clamped
 from benchmarks.compare import path
@@ -63,7 +63,6 @@ FIRST_LOAD = {"tube": 1.0, "vessel": clamped.FIRST_PRESSURE, "block": 1.0}
 def main(argv: Sequence[str] | None = None) -> list[Record]:
     """Run the comparison, or what is left of it; return all records, those of the file, too."""
     comm = MPI.COMM_WORLD
-    fix_partitions()
     parser = _create_parser(comm)
     args = command.parse_words(parser, argv)
     possible = SOLVERS if args.path is None else path.SOLVERS

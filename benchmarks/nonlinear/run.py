@@ -34,7 +34,6 @@ import numpy as np
 
 from benchmarks.common import command
 from benchmarks.common.clock import Stopwatch
-from benchmarks.common.machine import fix_partitions
 from benchmarks.common.records import Record, Records
 from benchmarks.common.walls import first_step
 from benchmarks.common.walls.first_step import CHOICES, LAYERS, PRECONDITIONERS, TYPES
@@ -62,7 +61,6 @@ RIM = {"whole": "", "few": ", few points on the rim", "none": ", off the rim"}
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the study, or what is left of it; what a case came to is in its record."""
     comm = MPI.COMM_WORLD
-    fix_partitions()
     parser = _create_parser(comm)
     args = command.parse_words(parser, argv)
     records = command.open_records(args.json, parser, comm, is_known)

@@ -31,7 +31,6 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.common.clock import Events
-from benchmarks.common.machine import fix_partitions
 from benchmarks.common.records import Record
 from benchmarks.common.walls import first_step
 from benchmarks.common.walls.problem import WallProblem, right_hand_side
@@ -203,7 +202,6 @@ def _sizes(body: WallProblem) -> Record:
 def main(words: list[str]) -> None:
     """Run a case, and write its record."""
     comm = MPI.COMM_WORLD
-    fix_partitions()
     case = json.loads(words[0])
     record = {"measure": measure, "count": count}[case["task"]](case, comm)
     on_first(lambda: Path(words[1]).write_text(json.dumps(record)), comm)

@@ -95,13 +95,17 @@ def suggested_number(V: dolfinx.fem.FunctionSpace) -> int:
     return int(min(processes * max(1, round(dofs / (DOFS * processes))), cells))
 
 
-def decompose(mesh: dolfinx.mesh.Mesh, subdomains: int | npt.NDArray[np.integer]) -> Decomposition:
-    """Cut the mesh into subdomains.
+def decompose(
+    mesh: dolfinx.mesh.Mesh, subdomains: int | npt.NDArray[np.integer], *, seed: int = 0
+) -> Decomposition:
+    """Cut the mesh into subdomains, in the same way in every run.
 
     Args:
         mesh: The mesh, on any number of processes.
         subdomains: Their number over all processes (shared out in proportion to the cells, at
             least one per process), or the part of each owned cell, (n_cells,), of an integer type.
+        seed: Zero, or another number for another decomposition: the partitioner then counts the
+            cells from one that is drawn with it. Without effect on given parts.
 
     Returns:
         The decomposition. A given part that is not connected through facets becomes several
@@ -109,18 +113,19 @@ def decompose(mesh: dolfinx.mesh.Mesh, subdomains: int | npt.NDArray[np.integer]
 
     Raises:
         ValueError: More subdomains than cells, fewer than one, an array of the wrong length, or
-            parts below zero.
+            parts below zero; a seed that is no integer or below zero.
         TypeError: An array that is not of an integer type.
 
     Note:
         Collective; raises on all processes.
     """
     comm = mesh.comm
+    _check_seed(seed, comm)
     n_cells = mesh.topology.index_map(mesh.topology.dim).size_local
     graph = _facet_graph(mesh, n_cells)
     if isinstance(subdomains, (int, np.integer)):
         _check_number(int(subdomains), comm.allreduce(n_cells))
-        part = _partition(graph, _share(int(subdomains), n_cells, comm))
+        part = _partition(graph, _share(int(subdomains), n_cells, comm), seed)
         part = _join_splinters(graph, part)
     else:
         part = _check_parts(np.asarray(subdomains), n_cells, comm)
@@ -187,6 +192,12 @@ def _check_parts(part: npt.NDArray[np.generic], n_cells: int, comm: MPI.Comm) ->
     return np.unique(part, return_inverse=True)[1].astype(np.int32).reshape(-1)
 
 
+def _check_seed(seed: int, comm: MPI.Comm) -> None:
+    bad = not isinstance(seed, (int, np.integer)) or seed < 0
+    if comm.allreduce(bad, op=MPI.LOR):
+        raise ValueError(f"seed is {seed!r}: give zero or a positive integer.")
+
+
 def _share(subdomains: int, n_cells: int, comm: MPI.Comm) -> int:
     """Return this process's number of subdomains, in proportion to its cells."""
     last = comm.scan(n_cells)  # type: ignore[attr-defined]
@@ -212,15 +223,20 @@ def _facet_graph(mesh: dolfinx.mesh.Mesh, n_cells: int) -> scipy.sparse.csr_arra
     return graph
 
 
-def _partition(graph: scipy.sparse.csr_array, parts: int) -> Indices:
+def _partition(graph: scipy.sparse.csr_array, parts: int, seed: int) -> Indices:
     """Cut the graph into balanced parts with dolfinx's partitioner."""
     n_cells = graph.shape[0]
     if parts <= 1:
         return np.zeros(n_cells, dtype=np.int32)
     if parts == n_cells:
         return np.arange(n_cells, dtype=np.int32)
-    links = compat.adjacency(graph.indices.astype(np.int64), graph.indptr.astype(np.int32))
-    part = dolfinx.graph.partitioner()(MPI.COMM_SELF, parts, links, False).array
+    first = np.random.default_rng(seed).integers(1, n_cells) if seed else 0
+    cell = np.roll(np.arange(n_cells), first)
+    rolled = graph[cell][:, cell]
+    rolled.sort_indices()
+    links = compat.adjacency(rolled.indices.astype(np.int64), rolled.indptr.astype(np.int32))
+    part = np.empty(n_cells, dtype=np.int32)
+    part[cell] = dolfinx.graph.partitioner()(MPI.COMM_SELF, parts, links, False).array
     return np.unique(part, return_inverse=True)[1].astype(np.int32).reshape(-1)
 
 

@@ -80,6 +80,7 @@ class LinearProblem(TornProblem):
         jit_options: Mapping[str, object] | None = None,
         *,
         subdomains: int | npt.NDArray[np.integer] | None = None,
+        seed: int = 0,
         petsc_options_prefix: str | None = None,
         P: ufl.Form | None = None,
         kind: str | None = None,
@@ -97,6 +98,8 @@ class LinearProblem(TornProblem):
             jit_options: Options of the C compiler and its cache.
             subdomains: Their number over all processes, or a part per owned cell; about one for
                 2000 dofs if not given.
+            seed: Another number for another decomposition into as many subdomains; that of one
+                number is the same in every run.
             petsc_options_prefix: Non-empty prefix of all options, equal on all processes; one of
                 its own, ``linear_problem_0_`` and so on, if not given.
             P: Without effect, as a preconditioner of dolfinx's.
@@ -125,7 +128,7 @@ class LinearProblem(TornProblem):
         self._bilinear = a
         self.u = dolfinx.fem.Function(V) if u is None else u
         self.decomposition = decompose(
-            V.mesh, suggested_number(V) if subdomains is None else subdomains
+            V.mesh, suggested_number(V) if subdomains is None else subdomains, seed=seed
         )
         space = tear(V, self.decomposition)
         self._torn = assembly.torn_form(a, (space, space), self._compiler)

@@ -88,6 +88,7 @@ class NonlinearProblem(TornProblem):
         condense: dolfinx.fem.Function | None = None,
         energy: ufl.Form | None = None,
         subdomains: int | npt.NDArray[np.integer] | None = None,
+        seed: int = 0,
         petsc_options_prefix: str | None = None,
         petsc_options: Mapping[str, object] | None = None,
         quadrature_degree: int | None = None,
@@ -112,6 +113,8 @@ class NonlinearProblem(TornProblem):
                 one: F itself if that is an energy. It keeps Newton's method on the way down.
             subdomains: Their number over all processes, or a part per owned cell; about one for
                 2000 dofs if not given.
+            seed: Another number for another decomposition into as many subdomains; that of one
+                number is the same in every run.
             petsc_options_prefix: Non-empty prefix of all options, equal on all processes; one of
                 its own, ``nonlinear_problem_0_`` and so on, if not given.
             petsc_options: Options without prefix: ``snes_…``, ``feti_…``, see ``docs/options.md``.
@@ -145,7 +148,7 @@ class NonlinearProblem(TornProblem):
             warn_of_degree(forms, twice, comm)
         self.u = u
         self.decomposition = decompose(
-            V.mesh, suggested_number(V) if subdomains is None else subdomains
+            V.mesh, suggested_number(V) if subdomains is None else subdomains, seed=seed
         )
         self._compiler = Compiler(comm, form_compiler_options, jit_options)
         self._tangent = forms.J

@@ -12,7 +12,6 @@ import os
 import random
 import shutil
 import subprocess
-import sys
 import time
 from types import SimpleNamespace
 
@@ -20,8 +19,8 @@ import numpy as np
 import pytest
 from collective import COMM, agree, raises
 from problems import cube
+from programs import finish, start
 from states import check, opened, written
-from wall_files import ROOT
 
 import dolfinx
 
@@ -30,9 +29,6 @@ from dolfinx_feti.loading import states as module
 from dolfinx_feti.loading.checkpoint import Checkpoint
 
 pytest.importorskip("adios4dolfinx")
-
-#: What names the processes of a run to those that it starts.
-LAUNCHERS = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
 
 
 def test_full_disk(tmp_path, state, monkeypatch):
@@ -107,33 +103,8 @@ def test_killed_at_any_call(tmp_path, state, monkeypatch, name):
 
 
 def program(*words: object, processes: int = 1) -> subprocess.Popen[str]:
-    """Start `checkpoint_run.py` on some processes of its own."""
-    own = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHERS)}
-    own |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
-    own |= {
-        "OMPI_MCA_rmaps_base_oversubscribe": "1",
-        "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
-    }
-    own |= {"OMPI_MCA_mpi_yield_when_idle": "1"}
-    launch = ["mpirun", "-n", str(processes)] if processes > 1 else []
-    return subprocess.Popen(
-        [*launch, sys.executable, str(ROOT / "tests/common/checkpoint_run.py"), *map(str, words)],
-        cwd=ROOT,
-        env=own,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-
-
-def finish(process: subprocess.Popen[str], status: int = 0) -> str:
-    """Wait for a program; return what it said."""
-    try:
-        said, _ = process.communicate(timeout=300)
-    finally:
-        process.kill()
-    assert (process.returncode == 0) == (status == 0), said
-    return said
+    """Start the run with checkpoints."""
+    return start("checkpoint_run.py", *words, processes=processes)
 
 
 @pytest.mark.serial

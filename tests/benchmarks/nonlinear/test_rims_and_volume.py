@@ -13,7 +13,6 @@ from collective import COMM, agree, equal, raises
 
 import dolfinx
 
-from benchmarks.common.machine import fix_partitions
 from benchmarks.common.walls.volume import summarise, volume_ratios
 from benchmarks.nonlinear.rims import POINTS, partition
 from dolfinx_feti.wall import facets, openings
@@ -29,7 +28,6 @@ def points_on_rim(wall, part, number):
 
 
 def test_one_subdomain_loses_the_rim():
-    fix_partitions()
     wall = create_tube_wall(COMM, length=3.0, through=(1, 1), around=12, along=12)
     whole, few, none = (partition(wall, 6, contact) for contact in ("whole", "few", "none"))
     changed = np.unique(whole[whole != none])
