@@ -9,6 +9,7 @@ import ast
 import importlib
 import importlib.util
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -93,6 +94,21 @@ def test_blocks_import_what_exists(document):
     for source in blocks(document.read_text(encoding="utf-8")):
         for module, name in imported(source):
             assert hasattr(importlib.import_module(module), name), f"{module}.{name}"
+
+
+def test_pages_of_the_site_have_titles_of_their_own():
+    """Of the texts, and of the demos, whose heading is a comment."""
+    written = {ROOT / "docs/changelog.md", *(ROOT / "docs/demos").glob("*.md")}  # not by hand
+    pages = {*(ROOT / "docs").rglob("*.md"), *(ROOT / "demos").glob("demo_*.py")} - written
+    mark = {".md": "# ", ".py": "# # "}
+    headings = {
+        page: re.search(f"^{mark[page.suffix]}(.+)$", page.read_text(encoding="utf-8"), re.M)
+        for page in pages
+    }
+    assert not [page for page, found in headings.items() if found is None]
+    titles = Counter(found[1].casefold() for found in headings.values())
+    assert len(titles) > 30
+    assert not [title for title, times in titles.items() if times > 1]
 
 
 def test_names_of_the_api_exist():
