@@ -25,6 +25,8 @@ __all__ = [
     "isochoric_invariant_1",
     "isochoric_invariant_2",
     "isochoric_invariant_4",
+    "isochoric_invariant_5",
+    "isochoric_invariant_8",
     "isochoric_split",
     "jacobian",
     "right_cauchy_green",
@@ -109,6 +111,29 @@ def isochoric_invariant_4(C: Expr, a: Expr, J: Expr | None = None) -> Expr:
         J: Volume ratio, as in :func:`isochoric_invariant_1`.
     """
     return _volume_factor(C, J) * ufl.dot(a, C * a)
+
+
+def isochoric_invariant_5(C: Expr, a: Expr, J: Expr | None = None) -> Expr:
+    """Squared length of the strained fibre vector, Ī₅ = a·(C̄² a) = J^{-4/3} |C a|².
+
+    Args:
+        C: Right Cauchy-Green tensor, shape (d, d).
+        a: Fibre direction in the reference configuration, a *unit* vector, shape (d,).
+        J: Volume ratio, as in :func:`isochoric_invariant_1`.
+    """
+    return _volume_factor(C, J) ** 2 * ufl.dot(C * a, C * a)
+
+
+def isochoric_invariant_8(C: Expr, a: Expr, b: Expr, J: Expr | None = None) -> Expr:
+    """Shear of two directions that are normal to each other, Ī₈ = a·(C̄ b) = J^{-2/3} a·(C b).
+
+    Args:
+        C: Right Cauchy-Green tensor, shape (d, d).
+        a: First direction in the reference configuration, a *unit* vector, shape (d,).
+        b: Second direction.
+        J: Volume ratio, as in :func:`isochoric_invariant_1`.
+    """
+    return _volume_factor(C, J) * ufl.dot(a, C * b)
 
 
 def cauchy_stress(psi: Expr, F: Variable) -> Expr:

@@ -10,9 +10,11 @@ below. For nearly incompressible tissue (eq. 10, Augustin_eq:decompositionStrain
 
     Ψ(C) = Ψ̄(C̄) + Ψ_vol(J),   or with a pressure field   Ψ(C, p) = Ψ̄(C̄) + p (J − 1) − p²/(2κ).
 
-Isochoric energies Ψ̄ are :func:`neo_hookean`, :func:`mooney_rivlin`, :func:`holzapfel_gasser_ogden`
-and :func:`gasser_ogden_holzapfel`; the volumetric part is :func:`volumetric` or
-:func:`perturbed_lagrangian`; :func:`saint_venant_kirchhoff` is complete in itself.
+Isochoric energies Ψ̄ are :func:`neo_hookean` and :func:`mooney_rivlin`, of arteries
+:func:`holzapfel_gasser_ogden` and :func:`gasser_ogden_holzapfel`, of the heart's muscle
+:func:`guccione` and :func:`holzapfel_ogden`, to which :func:`active_tension` is added; the
+volumetric part is :func:`volumetric` or :func:`perturbed_lagrangian`; :func:`saint_venant_kirchhoff`
+is complete in itself.
 
 Parameters are floats, dolfinx constants (a new value needs no recompilation), or any UFL
 expression, such as a piecewise constant Function for layers. Floats are checked.
@@ -41,12 +43,17 @@ from dolfinx_feti.mechanics.kinematics import (
     isochoric_invariant_1,
     isochoric_invariant_2,
     isochoric_invariant_4,
+    isochoric_invariant_5,
+    isochoric_invariant_8,
 )
 
 __all__ = [
     "ArteryParameters",
+    "active_tension",
     "gasser_ogden_holzapfel",
+    "guccione",
     "holzapfel_gasser_ogden",
+    "holzapfel_ogden",
     "mooney_rivlin",
     "neo_hookean",
     "perturbed_lagrangian",
@@ -229,6 +236,117 @@ def gasser_ogden_holzapfel(
     return neo_hookean(C, c=c, J=J) + sum(_fibre_energy(E, k1, k2) for E in strains)
 
 
+def guccione(
+    C: Expr,
+    fibre: Expr,
+    *,
+    c: Parameter,
+    b_f: Parameter,
+    b_t: Parameter,
+    b_fs: Parameter,
+    J: Expr | None = None,
+) -> Expr:
+    """Isochoric energy of the heart's muscle, transversely isotropic about its fibres.
+
+    Ψ̄ = c/2 (exp Q − 1) with Q = b_f E_ff² + b_t (E_ss² + E_nn² + 2 E_sn²) + 2 b_fs (E_fs² + E_fn²)
+    and the strains Ē = ½ (C̄ − I) along the fibre f and any two directions s, n normal to it.
+    Source: Guccione, McCulloch, Waldman, J. Biomech. Eng. 113 (1991) 42-55, as in problem 1 of Land
+    et al., Proc. R. Soc. A 471 (2015) 20150641, where c = 2 kPa and b_f, b_t, b_fs = 8, 2, 4. An
+    isotropic energy has b_f = b_t = b_fs. Fibres resist compression, too: where they shorten much
+    (with these numbers under equibiaxial compression to 0.82), the energy is not elliptic.
+
+    Args:
+        C: Right Cauchy-Green tensor, shape (d, d).
+        fibre: Direction f in the reference configuration, a unit vector, shape (d,).
+        c: Stiffness [kPa], C in the paper; the shear modulus at small strains is c b/2, with b_t
+            across the fibres and b_fs along them.
+        b_f: Exponent along the fibres [-].
+        b_t: Exponent across the fibres [-].
+        b_fs: Exponent of shear along the fibres [-].
+        J: Volume ratio det F, as in :func:`neo_hookean`.
+
+    Raises:
+        ValueError: If a parameter is a number that is not positive.
+    """
+    _require_positive(c=c, b_f=b_f, b_t=b_t, b_fs=b_fs)
+    I1, I2 = isochoric_invariant_1(C, J), isochoric_invariant_2(C, J)
+    I4, I5 = isochoric_invariant_4(C, fibre, J), isochoric_invariant_5(C, fibre, J)
+    along = (I4 - 1) ** 2 / 4  # E_ff²
+    fibres = (I5 - 2 * I4 + 1) / 4  # |Ē f|² = E_ff² + E_fs² + E_fn²
+    total = (I1**2 - 2 * I2 - 2 * I1 + 3) / 4  # Ē : Ē
+    Q = b_f * along + b_t * (total - 2 * fibres + along) + 2 * b_fs * (fibres - along)
+    return c / 2 * (ufl.exp(Q) - 1)
+
+
+def holzapfel_ogden(
+    C: Expr,
+    fibre: Expr,
+    sheet: Expr,
+    *,
+    a: Parameter,
+    b: Parameter,
+    a_f: Parameter,
+    b_f: Parameter,
+    a_s: Parameter,
+    b_s: Parameter,
+    a_fs: Parameter,
+    b_fs: Parameter,
+    J: Expr | None = None,
+) -> Expr:
+    """Isochoric energy of the heart's muscle, orthotropic with fibres f in sheets s.
+
+    Ψ̄ = a/(2b) {exp[b (Ī₁ − 3)] − 1} + Σ_{i=f,s} a_i/(2b_i) {exp[b_i (Ī_4i − 1)²] − 1}
+    + a_fs/(2b_fs) {exp[b_fs Ī_8fs²] − 1} with Ī_4f = f·C̄ f, Ī_4s = s·C̄ s, Ī_8fs = f·C̄ s, where fibres
+    and sheets contribute only in tension, Ī_4i > 1. Source: Holzapfel, Ogden, Phil. Trans. R. Soc.
+    A 367 (2009) 3445-3475, where shear tests on a pig's myocardium give a, a_f, a_s, a_fs
+    = 0.059, 18.472, 2.481, 0.216 kPa and b, b_f, b_s, b_fs = 8.023, 16.026, 11.120, 11.436.
+
+    Args:
+        C: Right Cauchy-Green tensor, shape (d, d).
+        fibre: Direction f in the reference configuration, a unit vector, shape (d,).
+        sheet: Direction s in the sheet, a unit vector normal to f.
+        a: Stiffness of the matrix material [kPa].
+        b: Its exponent [-].
+        a_f: Stiffness of the fibres [kPa].
+        b_f: Their exponent [-].
+        a_s: Stiffness of the sheets along s [kPa].
+        b_s: Their exponent [-].
+        a_fs: Stiffness against shear of f and s [kPa].
+        b_fs: Its exponent [-].
+        J: Volume ratio det F, as in :func:`neo_hookean`.
+
+    Raises:
+        ValueError: If a parameter is a number that is not positive.
+    """
+    _require_positive(a=a, b=b, a_f=a_f, b_f=b_f, a_s=a_s, b_s=b_s, a_fs=a_fs, b_fs=b_fs)
+    matrix = a / (2 * b) * (ufl.exp(b * (isochoric_invariant_1(C, J) - 3)) - 1)
+    fibres = _fibre_energy(isochoric_invariant_4(C, fibre, J) - 1, a_f, b_f)
+    sheets = _fibre_energy(isochoric_invariant_4(C, sheet, J) - 1, a_s, b_s)
+    shear = _exponential(isochoric_invariant_8(C, fibre, sheet, J), a_fs, b_fs)
+    return matrix + fibres + sheets + shear
+
+
+def active_tension(C: Expr, fibre: Expr, *, tension: Parameter) -> Expr:
+    """Energy T_a/2 (I₄ − 1) of muscle fibres that contract with a tension of their own.
+
+    Added to a passive energy it adds T_a f ⊗ f to the second Piola-Kirchhoff stress, whatever the
+    stretch: T_a is the force per reference area over the stretch. I₄ = f·C f is not isochoric.
+    Source: problem 3 of Land et al., Proc. R. Soc. A 471 (2015) 20150641. It is no material by
+    itself, and a body that contracts is not free of stress at rest.
+
+    Args:
+        C: Right Cauchy-Green tensor, shape (d, d).
+        fibre: Direction f in the reference configuration, a unit vector, shape (d,).
+        tension: T_a [kPa], not negative; a dolfinx constant or Function to contract in steps.
+
+    Raises:
+        ValueError: If ``tension`` is a number that is negative or not finite.
+    """
+    if not isinstance(tension, Expr) and not 0.0 <= tension < math.inf:
+        raise ValueError(f"tension = {tension}: give a finite number that is not negative.")
+    return tension / 2 * (ufl.dot(fibre, C * fibre) - 1)
+
+
 def saint_venant_kirchhoff(C: Expr, *, lmbda: Parameter, mu: Parameter) -> Expr:
     """Complete, compressible energy Ψ = λ/2 (tr E)² + μ E : E with E = ½ (C − I).
 
@@ -249,8 +367,12 @@ def saint_venant_kirchhoff(C: Expr, *, lmbda: Parameter, mu: Parameter) -> Expr:
 
 def _fibre_energy(E: Expr, k1: Parameter, k2: Parameter) -> Expr:
     """Energy k₁/(2k₂) {exp[k₂ E²] − 1} of one family with strain E, zero in compression."""
-    stretched = k1 / (2 * k2) * (ufl.exp(k2 * E**2) - 1)
-    return ufl.conditional(ufl.gt(E, _FIBRE_SWITCH), stretched, 0.0)
+    return ufl.conditional(ufl.gt(E, _FIBRE_SWITCH), _exponential(E, k1, k2), 0.0)
+
+
+def _exponential(E: Expr, k1: Parameter, k2: Parameter) -> Expr:
+    """k₁/(2k₂) {exp[k₂ E²] − 1}."""
+    return k1 / (2 * k2) * (ufl.exp(k2 * E**2) - 1)
 
 
 def _require_positive(**parameters: Parameter) -> None:

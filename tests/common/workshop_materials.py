@@ -68,6 +68,24 @@ def fung(C, J, c=C, b=1.5):
     return c / (2 * b) * (ufl.exp(b * (I1 - 3)) - 1)
 
 
+def guccione(C, J):
+    """The heart's muscle, parameters of problem 1 of Land et al. (2015)."""
+    return materials.guccione(C, family(ANGLE), c=2.0, b_f=8.0, b_t=2.0, b_fs=4.0, J=J)
+
+
+def holzapfel_ogden(C, J):
+    """The heart's muscle, fitted to shear tests by Holzapfel and Ogden (2009)."""
+    directions = family(ANGLE), family(ANGLE + math.pi / 2)
+    fibres = {"a_f": 18.472, "b_f": 16.026, "a_s": 2.481, "b_s": 11.120}
+    shear = {"a_fs": 0.216, "b_fs": 11.436}
+    return materials.holzapfel_ogden(C, *directions, a=0.059, b=8.023, **fibres, **shear, J=J)
+
+
+def contracting(C, J, tension=5.0):
+    """Guccione's muscle with a tension of its own."""
+    return guccione(C, J) + materials.active_tension(C, family(ANGLE), tension=tension)
+
+
 def unsplit(C, c=C):
     """Neo-Hookean, but in I₁ in place of Ī₁, which is the same if incompressible."""
     return c / 2 * (ufl.tr(C) - 3)

@@ -63,6 +63,11 @@ def test_isochoric_invariants(with_jacobian):
     assert value(kin.isochoric_invariant_2(C, J)) == pytest.approx(minors, rel=1e-13)
     I4 = kin.isochoric_invariant_4(C, ufl.as_vector(a.tolist()), J)
     assert value(I4) == pytest.approx(a @ C_bar @ a, rel=1e-14)
+    b = np.array([0.8, 0.0, -0.6])
+    I5 = kin.isochoric_invariant_5(C, ufl.as_vector(a.tolist()), J)
+    I8 = kin.isochoric_invariant_8(C, *map(ufl.as_vector, (a.tolist(), b.tolist())), J)
+    assert value(I5) == pytest.approx(a @ C_bar @ C_bar @ a, rel=1e-14)
+    assert value(I8) == pytest.approx(a @ C_bar @ b, rel=1e-13)
 
 
 def test_isochoric_invariants_do_not_see_a_change_of_volume():

@@ -13,10 +13,13 @@ import numpy as np
 import pytest
 from workshop_materials import (
     C,
+    contracting,
     flat,
     fung,
     goh,
+    guccione,
     hgo,
+    holzapfel_ogden,
     linear,
     material,
     mooney_rivlin,
@@ -44,14 +47,26 @@ def outcomes(checks, *kinds):
 
 
 @pytest.mark.parametrize("kappa", [np.inf, 1000.0])
-@pytest.mark.parametrize("psi", [neo_hookean, mooney_rivlin, hgo, goh, oblique, fung])
+@pytest.mark.parametrize(
+    "psi", [neo_hookean, mooney_rivlin, hgo, goh, oblique, fung, holzapfel_ogden]
+)
 def test_good_materials_pass(psi, kappa):
     """Only the kink of fibres that do not push is worth a warning."""
     report = check(material(psi, kappa=kappa), n=9)
     assert report.ok
-    fibres = psi in (hgo, goh, oblique)
+    fibres = psi in (hgo, goh, oblique, holzapfel_ogden)
     assert outcomes(report.checks, "warn", "fail") == ({KINK} if fibres else set())
     assert report.moduli is not None and len(report.ellipticity) == 5
+
+
+def test_guccione_is_not_elliptic_where_its_fibres_shorten():
+    """They resist compression by exp(b_f E_ff²), and kink."""
+    report = check(material(guccione), n=9)
+    assert report.ok
+    warnings = {c.name: c.note for c in report.checks if c.outcome == "warn"}
+    lost = {"equibiaxial": "lost at λ = 0.8165", "simple shear": "lost at γ = -0.7174"}
+    assert warnings.keys() == {f"strongly elliptic, {path}" for path in lost}
+    assert all(note in warnings[f"strongly elliptic, {path}"] for path, note in lost.items())
 
 
 def test_large_kappa_hides_nothing():
@@ -79,6 +94,7 @@ BROKEN = {
         },
     ),
     "stress at rest": (stressed, {"stress-free reference"}),
+    "muscle that contracts": (contracting, {"stress-free reference"}),
     "waves that differences miss": (
         wavy,
         {"stress against differences", "tangent against differences"},
