@@ -12,9 +12,9 @@ below. For nearly incompressible tissue (eq. 10, Augustin_eq:decompositionStrain
 
 Isochoric energies Ψ̄ are :func:`neo_hookean` and :func:`mooney_rivlin`, of arteries
 :func:`holzapfel_gasser_ogden` and :func:`gasser_ogden_holzapfel`, of the heart's muscle
-:func:`guccione` and :func:`holzapfel_ogden`, to which :func:`active_tension` is added; the
-volumetric part is :func:`volumetric` or :func:`perturbed_lagrangian`; :func:`saint_venant_kirchhoff`
-is complete in itself.
+:func:`guccione` and :func:`holzapfel_ogden`, to which :func:`active_tension` is added. The
+volumetric part is :func:`volumetric` or :func:`perturbed_lagrangian`.
+:func:`saint_venant_kirchhoff` is complete in itself.
 
 Parameters are floats, dolfinx constants (a new value needs no recompilation), or any UFL
 expression, such as a piecewise constant Function for layers. Floats are checked.
@@ -296,10 +296,10 @@ def holzapfel_ogden(
     """Isochoric energy of the heart's muscle, orthotropic with fibres f in sheets s.
 
     Ψ̄ = a/(2b) {exp[b (Ī₁ − 3)] − 1} + Σ_{i=f,s} a_i/(2b_i) {exp[b_i (Ī_4i − 1)²] − 1}
-    + a_fs/(2b_fs) {exp[b_fs Ī_8fs²] − 1} with Ī_4f = f·C̄ f, Ī_4s = s·C̄ s, Ī_8fs = f·C̄ s, where fibres
-    and sheets contribute only in tension, Ī_4i > 1. Source: Holzapfel, Ogden, Phil. Trans. R. Soc.
-    A 367 (2009) 3445-3475, where shear tests on a pig's myocardium give a, a_f, a_s, a_fs
-    = 0.059, 18.472, 2.481, 0.216 kPa and b, b_f, b_s, b_fs = 8.023, 16.026, 11.120, 11.436.
+    + a_fs/(2b_fs) {exp[b_fs Ī_8fs²] − 1} with Ī_4f = f·C̄ f, Ī_4s = s·C̄ s, Ī_8fs = f·C̄ s, where
+    fibres and sheets contribute only in tension, Ī_4i > 1. Source: Holzapfel, Ogden, Phil. Trans.
+    R. Soc. A 367 (2009) 3445-3475, where shear tests on a pig's myocardium give a, a_f, a_s, a_fs =
+    0.059, 18.472, 2.481, 0.216 kPa and b, b_f, b_s, b_fs = 8.023, 16.026, 11.120, 11.436.
 
     Args:
         C: Right Cauchy-Green tensor, shape (d, d).

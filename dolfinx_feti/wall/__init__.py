@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Arterial walls: named layers and surfaces, conditions on these, and directions of fibres.
 
-In the order of the data: wallfile, wall, conditions, rigid, case, casefile, boundary, laplace,
-fibres.
+In the order of the data: wallfile, wall, tagged, conditions, rigid, case, casefile, boundary,
+laplace, fibres.
 """
 
 from dolfinx_feti.wall.boundary import Boundary, apply_conditions
@@ -12,6 +12,7 @@ from dolfinx_feti.wall.case import Case, Tissue
 from dolfinx_feti.wall.casefile import read_case
 from dolfinx_feti.wall.conditions import Clamp, Dashpot, Pressure, Slide, Spring
 from dolfinx_feti.wall.rigid import free_motions
+from dolfinx_feti.wall.tagged import create_wall
 from dolfinx_feti.wall.wall import (
     Wall,
     area,
@@ -35,6 +36,7 @@ __all__ = [
     "apply_conditions",
     "area",
     "by_layer",
+    "create_wall",
     "facets",
     "free_motions",
     "openings",

@@ -130,13 +130,15 @@ def apply_conditions(
         Dirichlet conditions, forms, and the constants and functions in them.
 
     Raises:
-        ValueError: The wall has no such surface, a clamp is not alone on its surface, a surface
-            that slides lies in no plane normal to x, y or z, or the wall cannot be stretched along
-            the axis. On all processes.
+        TypeError: There is no wall.
+        ValueError: u is no displacement of the wall, the wall has no such surface, a clamp is not
+            alone on its surface, a surface that slides lies in no plane normal to x, y or z, or the
+            wall cannot be stretched along the axis. On all processes.
 
     Note:
         Collective.
     """
+    _check_unknown(wall, u)
     given = by_surface(conditions)
     mesh, V = wall.mesh, u.function_space
     slides = {name: plane(wall, name) for name, found in given.items() if Slide() in found}
@@ -187,6 +189,20 @@ def apply_conditions(
         tangent += follower_pressure_tangent(share * p, u, v, du, part, kind)
     energy = supports + _potential(p, u, loaded, fitting[0]) if fitting else None
     return replace(boundary, tangent=tangent, energy=energy)
+
+
+def _check_unknown(wall: object, u: dolfinx.fem.Function) -> None:
+    """Require a wall and a displacement on its mesh."""
+    if not isinstance(wall, Wall):
+        raise TypeError(
+            f"wall is {wall!r}: make one by read_wall(path, comm), or of a mesh by "
+            "create_wall(mesh, cell_tags, facet_tags)."
+        )
+    if u.ufl_shape != (3,) or u.function_space.mesh._cpp_object != wall.mesh._cpp_object:
+        raise ValueError(
+            f"u has the shape {u.ufl_shape}, or lives on another mesh: take a Function of "
+            'functionspace(wall.mesh, ("Lagrange", 2, (3,))).'
+        )
 
 
 def _constant(mesh: dolfinx.mesh.Mesh, value: float) -> dolfinx.fem.Constant:

@@ -45,6 +45,9 @@ __all__ = [
 
 AXES = "xyz"
 
+#: The triangles of a facet, by the numbers of its corners.
+CUTS = {"tetrahedron": [[0, 1, 2]], "hexahedron": [[0, 1, 2], [1, 3, 2]]}
+
 #: How far a plane surface may reach out of its plane, relative to the extent of the wall.
 OUT_OF_PLANE = 1e-7
 
@@ -53,12 +56,19 @@ OUT_OF_PLANE = 1e-7
 class Wall:
     """A wall in millimetres.
 
+    :func:`read_wall` makes one of a file, and
+    :func:`~dolfinx_feti.wall.tagged.create_wall` one of a mesh and its tags.
+
     Attributes:
-        mesh: First-order tetrahedra, distributed.
+        mesh: Tetrahedra or hexahedra, distributed.
         cell_tags: The layer of each cell.
         facet_tags: The surface of each tagged facet.
         layers: The names of the layers and their tags.
         surfaces: The names of the surfaces and their tags.
+
+    Raises:
+        TypeError: An attribute is no mesh, or no tags.
+        ValueError: The mesh has other cells, or tags are of another dimension or mesh.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -67,10 +77,43 @@ class Wall:
     layers: dict[str, int]
     surfaces: dict[str, int]
 
+    def __post_init__(self) -> None:
+        """Check mesh and tags."""
+        _check_mesh(self.mesh)
+        for name in ("cell_tags", "facet_tags"):
+            _check_tags(name, getattr(self, name), self.mesh)
+        if (self.cell_tags.dim, self.facet_tags.dim) != (3, 2):
+            raise ValueError(
+                f"cell_tags are of dimension {self.cell_tags.dim} and facet_tags of "
+                f"{self.facet_tags.dim}: give those of the cells (3) first, then those of the "
+                "facets (2)."
+            )
+
     @property
     def names(self) -> dict[str, int]:
         """The tags of all layers and surfaces."""
         return self.surfaces | self.layers
+
+
+def _check_mesh(mesh: object) -> None:
+    """Require a body of tetrahedra or hexahedra in space."""
+    if not isinstance(mesh, dolfinx.mesh.Mesh):
+        raise TypeError(f"mesh is {mesh!r}: give a dolfinx.mesh.Mesh.")
+    cell, dim = mesh.topology.cell_name(), mesh.geometry.dim
+    if cell not in ("tetrahedron", "hexahedron") or dim != 3:
+        raise ValueError(
+            f"mesh has cells of type {cell} in {dim} dimensions, but a wall has tetrahedra or "
+            "hexahedra in space: elsewhere take the forms of dolfinx_feti.loads and .supports with "
+            "a measure of your own."
+        )
+
+
+def _check_tags(name: str, tags: object, mesh: dolfinx.mesh.Mesh) -> None:
+    """Require tags on a mesh."""
+    if not isinstance(tags, dolfinx.mesh.MeshTags):
+        raise TypeError(f"{name} is {tags!r}: give dolfinx.mesh.MeshTags.")
+    if tags.topology != mesh._cpp_object.topology:
+        raise ValueError(f"{name} belong to another mesh: give those of this one.")
 
 
 def read_wall(path: Path | str, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
@@ -168,7 +211,9 @@ def area(wall: Wall, name: str) -> float:
 
 
 def corners(wall: Wall, name: str) -> npt.NDArray[np.float64]:
-    """Return the corners of the owned facets of a surface [mm], (facets, 3, 3).
+    """Return the corners of the owned facets of a surface [mm], (triangles, 3, 3).
+
+    A quadrilateral is cut into two triangles; where edges are curved, their ends count.
 
     Args:
         wall: The wall.
@@ -182,7 +227,8 @@ def corners(wall: Wall, name: str) -> npt.NDArray[np.float64]:
     if not len(owned):  # dolfinx 0.9 divides by their number
         return np.zeros((0, 3, 3))
     nodes = dolfinx.mesh.entities_to_geometry(wall.mesh, 2, owned)
-    return np.asarray(wall.mesh.geometry.x[nodes])
+    cuts = CUTS[wall.mesh.topology.cell_name()]
+    return np.asarray(wall.mesh.geometry.x[nodes[:, cuts].reshape(-1, 3)])
 
 
 def extent(mesh: dolfinx.mesh.Mesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

@@ -1,0 +1,228 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Walls of meshes and their tags, of Gmsh's and of dolfinx's; conditions on them."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, raises
+from wall_files import ROOT
+
+import dolfinx
+import ufl
+
+from dolfinx_feti import LinearProblem, loads
+from dolfinx_feti.wall import (
+    Clamp,
+    Pressure,
+    Slide,
+    Spring,
+    Wall,
+    apply_conditions,
+    area,
+    by_layer,
+    create_wall,
+    free_motions,
+    surface_measure,
+)
+
+CELLS = [dolfinx.mesh.CellType.tetrahedron, dolfinx.mesh.CellType.hexahedron]
+SIZES = np.array([2.0, 1.0, 0.5])
+NAMES = {"end": (2, 4), "below": (2, 0), "left": (3, 7), "right": (3, 8)}
+
+
+def box(cell=CELLS[0]):
+    """A mesh with two layers, 7 and 8, and the surfaces 4 (x = 0), 5 (x = 2) and 0 (z = 0)."""
+    mesh = dolfinx.mesh.create_box(COMM, [np.zeros(3), SIZES], (4, 2, 2), cell)
+    cells = mesh.topology.index_map(3)
+    n = np.arange(cells.size_local + cells.num_ghosts, dtype=np.int32)
+    half = dolfinx.mesh.compute_midpoints(mesh, 3, n)[:, 0] > 1.0
+    cell_tags = dolfinx.mesh.meshtags(mesh, 3, n, np.where(half, 8, 7).astype(np.int32))
+    planes = ((4, 0, 0.0), (5, 0, 2.0), (0, 2, 0.0))
+    found = [
+        dolfinx.mesh.locate_entities_boundary(mesh, 2, lambda x, k=k, at=at: np.isclose(x[k], at))
+        for _, k, at in planes
+    ]
+    facets = np.concatenate(found)
+    values = np.repeat([tag for tag, *_ in planes], [len(f) for f in found]).astype(np.int32)
+    order = np.argsort(facets)
+    return mesh, cell_tags, dolfinx.mesh.meshtags(mesh, 2, facets[order], values[order])
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_names_by_hand(cell):
+    """What has no name is called by its number; names that nothing has are left out."""
+    wall = create_wall(*box(cell), NAMES | {"nothing": (2, 9), "edge": (1, 4)})
+    agree(wall.layers == {"left": 7, "right": 8}, wall.layers)
+    agree(wall.surfaces == {"end": 4, "below": 0, "surface_5": 5}, wall.surfaces)
+    found = [area(wall, name) for name in ("end", "surface_5", "below")]
+    equal(found, [0.5, 0.5, 2.0], 1e-13)
+    f = by_layer(wall, {"left": 1.0, "right": 3.0})
+    total = dolfinx.fem.assemble_scalar(dolfinx.fem.form(f * ufl.dx))
+    equal(COMM.allreduce(total), 2.0, 1e-13)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_without_layers_and_names(cell):
+    """The facets tagged 0 are no surface then."""
+    mesh, _, facet_tags = box(cell)
+    wall = create_wall(mesh, None, facet_tags)
+    agree((wall.layers, wall.surfaces) == ({"wall": 1}, {"surface_4": 4, "surface_5": 5}))
+    agree(free_motions(wall, {"surface_4": Clamp()}) == 0)
+    agree(free_motions(wall, {"surface_4": Slide()}) == 3)
+    agree(free_motions(wall, {"surface_4": Slide(), "surface_5": Spring(1.0, "all")}) == 0)
+
+
+def test_curved_edges_are_cut_short():
+    """Cells of second order: the corners of a facet are its first three nodes."""
+    gmsh = pytest.importorskip("gmsh")
+    wall = create_wall(*meshed(gmsh, order=2)[:3])
+    equal(area(wall, "surface_5"), 1.0, 1e-12)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_body_under_pressure(cell):
+    """Clamped at one end, sliding below, pressure and springs at the other: as in plain dolfinx."""
+    wall = create_wall(*box(cell), NAMES)
+    V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 1, (3,)))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    rest = dolfinx.fem.Function(V)
+    conditions = {"end": Clamp(), "below": Slide(), "surface_5": [Pressure(), Spring(2.0)]}
+    boundary = apply_conditions(wall, rest, conditions)
+    boundary.pressure.value = 0.1
+    inside = ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
+    ds, n = surface_measure(wall)(5), ufl.FacetNormal(wall.mesh)
+    springs = 2.0 * ufl.dot(u, n) * ufl.dot(v, n) * ds
+    springs += loads.follower_pressure_tangent(0.1, rest, v, u, ds, "full")
+    solutions = [
+        LinearProblem(inside + a, L, bcs=boundary.bcs, petsc_options={"ksp_rtol": 1e-10}).solve()
+        for a, L in (
+            (boundary.tangent, -boundary.residual),
+            (springs, -0.1 * ufl.dot(n, v) * ds),
+        )
+    ]
+    equal(*(f.x.array for f in solutions), 1e-7)
+
+
+# -- Gmsh's models
+
+
+def meshed(gmsh, order=1):
+    """A unit cube of one volume, two of whose faces have tags; dolfinx's mesh and tags of it."""
+    if COMM.rank == 0:
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.add("cube")
+        gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
+        gmsh.model.occ.synchronize()
+        gmsh.model.addPhysicalGroup(3, [1], 3, "muscle")
+        gmsh.model.addPhysicalGroup(2, [1], 4, "fixed")  # x = 0
+        gmsh.model.addPhysicalGroup(2, [3], 6, "muscle")  # y = 0, a name given twice
+        gmsh.model.addPhysicalGroup(2, [6], 5)  # z = 1, without a name
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
+        gmsh.model.mesh.generate(3)
+        gmsh.model.mesh.setOrder(order)
+    try:
+        return to_mesh(gmsh.model)
+    finally:
+        if COMM.rank == 0 and order > 1:
+            gmsh.finalize()
+
+
+def to_mesh(model):
+    """model_to_mesh of dolfinx 0.9 and of later ones."""
+    try:
+        from dolfinx.io import gmshio
+    except ImportError:
+        from dolfinx.io import gmsh as gmshio
+    return gmshio.model_to_mesh(model, COMM, 0)
+
+
+def test_names_of_physical_groups():
+    gmsh = pytest.importorskip("gmsh")
+    data = meshed(gmsh)
+    try:
+        wall = create_wall(*data[:3], gmsh.model)
+        model = gmsh.model if COMM.rank == 0 else None  # as model_to_mesh takes it
+        again = create_wall(*data[:3], model)
+    finally:
+        if COMM.rank == 0:
+            gmsh.finalize()
+    for found in (wall, again):
+        agree(found.layers == {"muscle": 3}, found.layers)
+        agree(found.surfaces == {"fixed": 4, "muscle": 6, "surface_5": 5}, found.surfaces)
+    equal([area(wall, "fixed"), area(wall, "surface_5")], [1.0, 1.0], 1e-12)
+    if hasattr(data, "physical_groups"):
+        agree(create_wall(*data[:3], data.physical_groups).surfaces["fixed"] == 4)
+    with raises(ValueError, "Gmsh model that no process has open: call create_wall before"):
+        create_wall(*data[:3], gmsh.model)
+
+
+def test_the_lines_of_the_page():
+    """docs/walls.md, from a model to a wall that is solved."""
+    pytest.importorskip("gmsh")
+    page = (ROOT / "docs/walls.md").read_text(encoding="utf-8")
+    section = page.partition("### A wall from a Gmsh model")[2].partition("\n### ")[0]
+    (code,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+    if not hasattr(dolfinx.io, "gmshio"):
+        code = code.replace("import gmshio", "import gmsh as gmshio")
+    names: dict[str, Any] = {}
+    exec(code, names)
+    wall, u = names["wall"], names["u"]
+    agree((set(wall.layers), set(wall.surfaces)) == ({"patch"}, {"rim", "above"}), wall.names)
+    agree(names["problem"].solver.getConvergedReason() > 0)
+    form = dolfinx.fem.form(u[2] * surface_measure(wall)(wall.surfaces["above"]))
+    sunk = COMM.allreduce(dolfinx.fem.assemble_scalar(form)) / area(wall, "above")
+    agree(-0.5 < sunk < -0.01, sunk)  # mm, in the mean
+
+
+# -- what is refused, on all processes
+
+
+def test_swapped_tags():
+    mesh, cell_tags, facet_tags = box()
+    for make in (create_wall, lambda *tags: Wall(*tags, layers={}, surfaces={})):
+        with raises(ValueError, "cell_tags are of dimension 2 and facet_tags of 3: give those of"):
+            make(mesh, facet_tags, cell_tags)
+
+
+def test_wrong_arguments():
+    mesh, cell_tags, facet_tags = box()
+    other = box()[2]
+    plane = dolfinx.mesh.create_unit_square(COMM, 3, 3)
+    none = np.zeros(0, dtype=np.int32)
+    empty = dolfinx.mesh.meshtags(mesh, 2, none, none)
+    half = dolfinx.mesh.meshtags(mesh, 3, *(a[:1] for a in (cell_tags.indices, cell_tags.values)))
+    for kind, arguments, match in (
+        (TypeError, (None, cell_tags, facet_tags), "mesh is None: give a dolfinx.mesh.Mesh"),
+        (TypeError, (None, None, facet_tags), "mesh is None"),
+        (TypeError, (mesh, cell_tags, None), "facet_tags is None: give dolfinx.mesh.MeshTags"),
+        (ValueError, (plane, None, facet_tags), "cells of type triangle in 2 dimensions"),
+        (ValueError, (mesh, cell_tags, other), "facet_tags belong to another mesh"),
+        (ValueError, (mesh, None, cell_tags), "cell_tags are of dimension 3 and facet_tags of 3"),
+        (ValueError, (mesh, half, facet_tags), "cell_tags leave .* cells without a layer"),
+        (ValueError, (mesh, cell_tags, empty), "facet_tags mark no surface"),
+        (ValueError, (mesh, cell_tags, facet_tags, {"end": 4}), r"names\['end'\] is 4: give the"),
+        (ValueError, (mesh, cell_tags, facet_tags, "end"), "names is 'end': give gmsh.model, or"),
+    ):
+        with raises(kind, match):
+            create_wall(*arguments)
+
+
+def test_conditions_need_a_wall_and_a_displacement():
+    mesh, *tags = box()
+    wall = create_wall(mesh, *tags, NAMES)
+    vectors = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    with raises(TypeError, r"wall is .*Mesh.*: make one by read_wall.*create_wall\(mesh"):
+        apply_conditions(mesh, dolfinx.fem.Function(vectors), {"end": Clamp()})
+    for V in (
+        dolfinx.fem.functionspace(mesh, ("Lagrange", 1)),
+        dolfinx.fem.functionspace(box()[0], ("Lagrange", 1, (3,))),
+    ):
+        with raises(ValueError, "u has the shape .*, or lives on another mesh"):
+            apply_conditions(wall, dolfinx.fem.Function(V), {"end": Clamp()})
