@@ -235,7 +235,7 @@ def report(step: LoadStep) -> None:
     boundary.advance(u)
     history.append(step)
     writer.write(step.load)
-    on_first(lambda: write_history(folder / "history.csv", history), comm)
+    write_history(folder / "history.csv", history, comm)
 
 
 # -

@@ -9,12 +9,10 @@ import csv
 from dataclasses import asdict
 
 import pytest
-from collective import agree
+from collective import COMM, agree, raises
 from played import STEP
 
 from dolfinx_feti.loading import LoadStep, write_history
-
-pytestmark = pytest.mark.serial
 
 STEPS = [
     LoadStep(0.5, 0.5, (STEP,), 0, (), 1.0),
@@ -22,11 +20,13 @@ STEPS = [
 ]
 
 
-def test_a_row_for_each_newton_step(tmp_path):
+@pytest.mark.parametrize("comm", [COMM, None])
+def test_a_row_for_each_newton_step(tmp_path, comm):
     """Those of failed attempts first; each with all that is known of it."""
-    path = tmp_path / "history.csv"
-    write_history(path, STEPS[:1])
-    write_history(path, STEPS)
+    path = tmp_path / "new/folder/history.csv"
+    write_history(path, STEPS[:1], comm)
+    write_history(path, STEPS, comm)
+    COMM.Barrier()
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     places = [(r["load_step"], r["load"], r["accepted"], r["newton_step"]) for r in rows]
@@ -42,9 +42,16 @@ def test_a_row_for_each_newton_step(tmp_path):
     )
     for row in rows:
         agree({name: str(value) for name, value in asdict(STEP).items()}.items() <= row.items())
-    agree([p.name for p in tmp_path.iterdir()] == ["history.csv"])
+    agree([p.name for p in path.parent.iterdir()] == ["history.csv"])
 
 
-def test_no_folder(tmp_path):
-    with pytest.raises(FileNotFoundError):
-        write_history(tmp_path / "nowhere/history.csv", STEPS)
+def test_what_cannot_be_written(tmp_path):
+    """A file in place of the folder, a folder in place of the file: an error on all processes."""
+    if COMM.rank == 0:
+        (tmp_path / "file").write_text("")
+        (tmp_path / "folder").mkdir()
+    COMM.Barrier()
+    for path in (tmp_path / "file/history.csv", tmp_path / "folder"):
+        with raises(OSError, f"output file {path} cannot be written .*: choose another one"):
+            write_history(path, STEPS, COMM)
+    agree(sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"])

@@ -1,0 +1,373 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Every public call of loading, output, diagnosis and comparison, on all processes together.
+
+A new public name without an entry fails; what is written is written where no folder is yet, and
+what cannot be written is an error on all processes.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import importlib
+import inspect
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rooms
+from collective import COMM, agree, equal, raises, small, whole
+from problems import cube, dirichlet, left
+
+import dolfinx
+import ufl
+
+from dolfinx_feti import LinearProblem, NonlinearProblem, comparison, kinematics, loading, materials
+from dolfinx_feti import output as out
+from dolfinx_feti.diagnosis import advice, figures, run, surface
+
+
+class Body:
+    """A block that is pulled; whatever is asked of it is made once."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.mesh = cube(3, 3)
+        V = dolfinx.fem.functionspace(self.mesh, ("Lagrange", 1, (3,)))
+        self.u, self.v = dolfinx.fem.Function(V, name="u"), ufl.TestFunction(V)
+        self.load = dolfinx.fem.Constant(self.mesh, 0.0)
+        self.F = kinematics.deformation_gradient(self.u)
+        C, self.J = kinematics.right_cauchy_green(self.F), kinematics.jacobian(self.F)
+        self.psi = materials.neo_hookean(C, c=3.0, J=self.J) + materials.volumetric(self.J, 10.0)
+        self.bcs = [dirichlet(V, left)]
+
+    @cached_property
+    def problem(self) -> NonlinearProblem:
+        """Under a load of the volume."""
+        energy = (self.psi - self.load * self.u[0]) * ufl.dx
+        return NonlinearProblem(energy, self.u, bcs=self.bcs, quadrature_degree=2, subdomains=6)
+
+    @cached_property
+    def steps(self) -> list[loading.LoadStep]:
+        """Load steps, kept in a folder that is not there yet."""
+        kept = {"checkpoint": self.checkpoint("kept/here")} if storage() else {}
+        first = loading.Steps(first=0.1, least=0.01)
+        return loading.follow_load(
+            self.problem, self.set_load, [0.1, 0.2], first, state=[self.u], **kept
+        )
+
+    def set_load(self, load: float) -> None:
+        self.load.value = load
+
+    def checkpoint(self, name: str, **options: object) -> loading.Checkpoint:
+        return loading.Checkpoint(self.folder / name, COMM, **options)
+
+    @cached_property
+    def linear(self) -> LinearProblem:
+        """Of the same block, with a solution."""
+        V = self.u.function_space
+        du = ufl.TrialFunction(V)
+        a = ufl.inner(ufl.sym(ufl.grad(du)), ufl.sym(ufl.grad(self.v))) * ufl.dx
+        problem = LinearProblem(a, self.v[0] * ufl.dx, bcs=self.bcs, subdomains=6)
+        problem.solve()
+        return problem
+
+    @cached_property
+    def assembled(self) -> tuple:
+        """K, f and the solution by MUMPS with its cost."""
+        A, b = self.linear.linear_system()
+        K, f = comparison.assembled_system(A, b)
+        return K, f, *comparison.measure(lambda: comparison.create_mumps(K), f)
+
+    @cached_property
+    def solver(self) -> tuple:
+        """A FETI solver that is kept, its solution and its system."""
+        A, b = self.linear.linear_system()
+        x = b.duplicate()
+        cost, ksp = comparison.timed_solve(self.linear.create_linear_solver, b, x)
+        return cost, ksp, A, b, x
+
+    @cached_property
+    def layers(self) -> dolfinx.mesh.MeshTags:
+        n = self.mesh.topology.index_map(3)
+        every = np.arange(n.size_local + n.num_ghosts, dtype=np.int32)
+        return dolfinx.mesh.meshtags(self.mesh, 3, every, np.full_like(every, 7))
+
+    @cached_property
+    def patches(self) -> out.Patches:
+        return out.create_patches(self.mesh, self.layers)
+
+    @cached_property
+    def stress(self) -> dolfinx.fem.Function:
+        return out.recovered_field(kinematics.cauchy_stress(self.psi, self.F), self.patches)
+
+
+def storage() -> bool:
+    """Whether checkpoints can be written here."""
+    try:
+        loading.checkpoint.choose_storage(COMM)
+    except ModuleNotFoundError:
+        return False
+    return True
+
+
+def same(value: object) -> None:
+    """Require something that is printed alike on all processes."""
+    agree(len(set(COMM.allgather(repr(value)))) == 1, value)
+
+
+# -- the calls, by the names of what they call
+
+
+def checkpoint(body: Body) -> None:
+    if not storage():
+        with raises(ModuleNotFoundError, "Checkpoints need"):
+            body.checkpoint("state")
+        return
+    body.checkpoint("state/here").write([body.u], {"load": 1.0})
+    again = body.checkpoint("state/here", restart=True)
+    again.read([body.u])
+    same(again.record)
+    for name in ("state/here", "file/state"):
+        with raises(OSError, "another|cannot|directory"):
+            body.checkpoint(name)
+
+
+def follow_load(body: Body) -> None:
+    same([(step.load, len(step.history)) for step in body.steps])
+    agree([step.load for step in body.steps] == [0.1, 0.2])
+
+
+def write_history(body: Body) -> None:
+    path = body.folder / "not/there/history.csv"
+    loading.write_history(path, body.steps, COMM)
+    with path.open(newline="") as file:
+        agree(len(list(csv.DictReader(file))) == sum(len(step.all_steps) for step in body.steps))
+    with raises(OSError, "cannot be written"):
+        loading.write_history(body.folder / "file/history.csv", body.steps, COMM)
+
+
+def field_writer(body: Body) -> None:
+    stress = {"stress": kinematics.stress_magnitude(body.F)}
+    with out.FieldWriter(body.folder / "new/fields", [body.u], stress) as writer:
+        writer.write(0.0)
+    agree(writer.path.exists())
+    with raises(OSError, "cannot be written"):
+        out.FieldWriter(body.folder / "file/fields", [body.u])
+
+
+def writable_folder(body: Body) -> None:
+    agree(out.writable_folder(body.folder / "a/b", COMM).is_dir())
+    with raises(OSError, "cannot be written"):
+        out.writable_folder(body.folder / "file", COMM)
+
+
+def cell_values(body: Body) -> None:
+    values = out.cell_values(ufl.SpatialCoordinate(body.mesh)[0], body.mesh)
+    equal(whole(values).mean(), 0.5, 1e-12)
+
+
+def create_patches(body: Body) -> None:
+    equal(COMM.allreduce(body.patches.volumes.sum()), 1.0, 1e-12)
+
+
+def recovered_field(body: Body) -> None:
+    agree(body.stress.x.array.size and np.isfinite(body.stress.x.array).all())
+
+
+def principal_values(body: Body) -> None:
+    values = out.principal_values(body.stress).x.array.reshape(-1, 3)
+    agree((np.diff(values, axis=1) >= 0.0).all())
+
+
+def components(body: Body) -> None:
+    found = out.components(body.stress, {"x": ufl.as_vector([1.0, 0.0, 0.0])})
+    equal(found["x"].x.array, body.stress.x.array.reshape(-1, 9)[:, 0], 1e-12)
+
+
+def layer_means(body: Body) -> None:
+    x = ufl.SpatialCoordinate(body.mesh)[0]
+    found = out.layer_means({"x": x}, body.patches, body.layers, {"all": 7})
+    same(found)
+    small(found["all"]["x"] - 0.5, 1e-12)
+
+
+def assembled_system(body: Body) -> None:
+    K, f, *_ = body.assembled
+    agree(K.getSize()[0] == f.getSize() == body.linear.A.getSize()[0])
+
+
+def measure(body: Body) -> None:
+    same(body.assembled[2].iterations)
+
+
+def relative_residual(body: Body) -> None:
+    K, f, _, x = body.assembled
+    small(comparison.relative_residual(K, f, x), 1e-10)
+
+
+def relative_difference(body: Body) -> None:
+    x, y = body.assembled[3], body.solver[4]
+    small(comparison.relative_difference(y, x), 1e-5)  # rtol times a condition number
+
+
+def creates(name: str, **options: object) -> Callable[[Body], None]:
+    """Solve with one of the solvers that are not FETI."""
+
+    def call(body: Body) -> None:
+        K, f, *_ = body.assembled
+        A = body.linear.A if name == "create_bddc" else K
+        ksp = getattr(comparison, name)(A, **options)
+        x = f.duplicate()
+        ksp.solve(f, x)
+        agree(ksp.getConvergedReason() > 0, ksp.getConvergedReason())
+        small(comparison.relative_residual(K, f, x), 1e-6)
+        ksp.destroy()
+
+    return call
+
+
+def create_hypre(body: Body) -> None:
+    if not comparison.solvers.missing("hypre"):
+        creates("create_hypre", rtol=1e-8)(body)
+
+
+def compare(body: Body) -> None:
+    found = comparison.compare(body.linear, ["feti", "mumps"])
+    same([(solved.solver, solved.converged) for solved in found.solved])
+    agree(all(solved.converged for solved in found.solved), found)
+
+
+def timed_solve(body: Body) -> None:
+    same(body.solver[0].iterations)
+
+
+def record_cost(body: Body) -> None:
+    cost = comparison.record_cost(body.solver[1], (0.0, 1.0, 3.0), comparison.PeakMemory())
+    same(cost)
+    agree((cost.seconds_setup, cost.seconds_solve) == (1.0, 2.0), cost)
+
+
+def peak_memory(body: Body) -> None:
+    peak = comparison.PeakMemory()
+    same((peak.mib(COMM), peak.mib_above_start(COMM)))
+
+
+def diagnose(body: Body) -> None:
+    for problem in (body.linear, body.problem):
+        found = run.diagnose(
+            problem.linear_system,
+            problem.create_linear_solver,
+            state=0.0,
+            decomposition=problem.decomposition,
+            prefix="diagnosed_",
+        )
+        same(str(found))
+
+
+def residual_shares(body: Body) -> None:
+    _, _, A, b, x = body.solver
+    small(np.linalg.norm(figures.residual_shares(A, b, x)) / b.norm(), 1e-7)
+
+
+def figures_of(body: Body) -> figures.Figures:
+    feti = body.solver[1].getPythonContext()
+    return figures.collect_figures(feti.form, feti.report())
+
+
+def collect_figures(body: Body) -> None:
+    same(figures_of(body))
+
+
+def advise(body: Body) -> None:
+    same(advice.advise(figures_of(body), iterations=10, prefix="advised_"))
+
+
+def visible_surface(body: Body) -> None:
+    same(surface.visible_surface(body.linear.decomposition))
+
+
+CALLS = {
+    "loading": {
+        "Checkpoint": checkpoint,
+        "follow_load": follow_load,
+        "write_history": write_history,
+    },
+    "output": {
+        "FieldWriter": field_writer,
+        "cell_values": cell_values,
+        "components": components,
+        "create_patches": create_patches,
+        "layer_means": layer_means,
+        "principal_values": principal_values,
+        "recovered_field": recovered_field,
+        "writable_folder": writable_folder,
+    },
+    "diagnosis": {
+        "advise": advise,
+        "collect_figures": collect_figures,
+        "diagnose": diagnose,
+        "residual_shares": residual_shares,
+        "visible_surface": visible_surface,
+    },
+    "comparison": {
+        "PeakMemory": peak_memory,
+        "assembled_system": assembled_system,
+        "compare": compare,
+        "create_bddc": creates("create_bddc", rtol=1e-8, symmetric=True, definite=True),
+        "create_gamg": creates("create_gamg", rtol=1e-8),
+        "create_hypre": create_hypre,
+        "create_mumps": creates("create_mumps"),
+        "measure": measure,
+        "record_cost": record_cost,
+        "relative_difference": relative_difference,
+        "relative_residual": relative_residual,
+        "timed_solve": timed_solve,
+    },
+}
+ALL = [(room, name) for room, calls in CALLS.items() for name in calls]
+
+
+def public(room: str) -> dict[str, object]:
+    """What a room declares: in its own ``__all__``, or in those of its files."""
+    folder = importlib.import_module(f"dolfinx_feti.{room}")
+    if not hasattr(folder, "__all__"):
+        names = [module.name for module in rooms.modules() if module.name.startswith(f"{room}.")]
+        modules = [importlib.import_module(f"dolfinx_feti.{name}") for name in names]
+        return {name: getattr(m, name) for m in modules for name in m.__all__}
+    return {name: getattr(folder, name) for name in folder.__all__}
+
+
+def works(thing: object) -> bool:
+    """Whether it is a function, or a class that is not mere data."""
+    return inspect.isfunction(thing) or (
+        inspect.isclass(thing) and not dataclasses.is_dataclass(thing)
+    )
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("room", CALLS)
+def test_every_public_name_has_its_call(room):
+    assert {name for name, thing in public(room).items() if works(thing)} == set(CALLS[room])
+
+
+@pytest.fixture(scope="module")
+def body(tmp_path_factory):
+    folder = COMM.bcast(tmp_path_factory.mktemp("calls"))
+    if COMM.rank == 0:
+        (folder / "file").write_text("in the way of a folder")
+    COMM.Barrier()
+    made = Body(folder)
+    yield made
+    for owned in (*made.assembled, *made.solver):
+        if hasattr(owned, "destroy") and owned is not made.linear.A:
+            owned.destroy()
+
+
+@pytest.mark.parametrize(("room", "name"), ALL)
+def test_call(body, room, name):
+    CALLS[room][name](body)
