@@ -3,6 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Linear and nonlinear problems with dolfinx's signatures; Newton's method.
 
-In the order of the data: arguments, history, solvers, torn_problem, linear_problem, forms, system,
-shift, line_search, newton, nonlinear_problem.
+In the order of the data: mixed, arguments, history, solvers, torn_problem, linear_problem, forms,
+system, shift, line_search, newton, nonlinear_problem.
 """

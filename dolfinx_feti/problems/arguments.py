@@ -14,6 +14,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.fem.checks import check_bcs, check_space
+from dolfinx_feti.problems.mixed import refuse_blocks, refuse_mixed_form, refuse_mixed_space
 from dolfinx_feti.runtime.collective import warn
 from dolfinx_feti.runtime.petsc_options import require_prefix
 
@@ -73,6 +74,7 @@ def checked_conditions(
         TypeError: V is not a continuous Lagrange space.
         ValueError: ``bcs`` is a condition alone, or holds something else or one on another space.
     """
+    refuse_mixed_space(V)
     check_space(V)
     if isinstance(bcs, dolfinx.fem.DirichletBC):
         raise ValueError("bcs is a Dirichlet condition alone: put it in a list, bcs=[bc].")
@@ -85,7 +87,7 @@ def checked_conditions(
 
 
 def require_forms(**forms: object) -> None:
-    """Refuse block forms and compiled ones.
+    """Refuse block forms, mixed ones and compiled ones.
 
     Args:
         forms: What should be forms of UFL, by the names of the arguments.
@@ -94,13 +96,14 @@ def require_forms(**forms: object) -> None:
         ValueError: One is something else.
     """
     for name, form in forms.items():
-        _refuse_blocks(name, form)
+        refuse_blocks(name, form)
         if isinstance(form, dolfinx.fem.Form):
             raise ValueError(
                 f"{name} is a compiled form, which cannot be torn any more: give the form of UFL."
             )
         if not isinstance(form, ufl.Form):
             raise ValueError(f"{name} is {form!r}: give a form of UFL.")
+        refuse_mixed_form(name, form)
 
 
 def require_function(u: object) -> None:
@@ -109,18 +112,9 @@ def require_function(u: object) -> None:
     Raises:
         ValueError: u is no function.
     """
-    _refuse_blocks("u", u)
+    refuse_blocks("u", u)
     if not isinstance(u, dolfinx.fem.Function):
         raise ValueError(f"u is {u!r}: give a dolfinx.fem.Function.")
-
-
-def _refuse_blocks(name: str, given: object) -> None:
-    if isinstance(given, Sequence):
-        raise ValueError(
-            f"{name} is a block of {len(given)}, but only a problem on one space is torn: let "
-            "NonlinearProblem(condense=p) eliminate a piecewise constant pressure, or solve the "
-            "blocks one after the other."
-        )
 
 
 def warn_unused(comm: MPI.Comm, *, entity_maps: object, **unused: object) -> None:

@@ -137,17 +137,22 @@ def test_several_meshes(heat, rubber):
 
 
 def test_blocks(heat, rubber):
-    message = "is a block of {}, but only a problem on one space is torn: .*condense=p"
-    with raises(ValueError, "^a " + message.format(2)):
+    """Of fields that are no displacement and pressure; see ``test_mixed`` for those."""
+    message = (
+        "is a block of 2, but only a problem on one .* is torn. Solve it by dolfinx, with MUMPS"
+    )
+    with raises(ValueError, "^a " + message):
         LinearProblem([[heat.a, None], [None, heat.a]], [heat.L, heat.L], subdomains=4)
-    with raises(ValueError, "^L " + message.format(1)):
+    with raises(ValueError, "^L is a list of one: take it out of the list"):
         LinearProblem(heat.a, [heat.L], subdomains=4)
-    with raises(ValueError, "^u " + message.format(2)):
+    with raises(ValueError, "^u " + message):
         LinearProblem(heat.a, heat.L, u=[heat.u, heat.u], subdomains=4)
-    with raises(ValueError, "^u " + message.format(2)):
+    with raises(ValueError, "^u " + message):
         NonlinearProblem([rubber.F, rubber.F], [rubber.u, rubber.u], subdomains=4)
-    with raises(ValueError, "^J " + message.format(1)):
+    with raises(ValueError, "^J is a list of one"):
         NonlinearProblem(rubber.F, rubber.u, J=[[rubber.J]], subdomains=4)
+    with raises(ValueError, "^J is a block: give the derivative of F_u in u alone, or leave it"):
+        NonlinearProblem(rubber.F, rubber.u, J=[[rubber.J, None], [None, None]], subdomains=4)
     with raises(ValueError, "^F is a sequence of 2 forms: .*condense=p"):
         NonlinearProblem([rubber.F, rubber.F], rubber.u, subdomains=4)
 
