@@ -1,0 +1,102 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The programs of docs/recipes.md, run one after the other, beside what is known by hand."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.optimize
+from collective import COMM, agree, small
+
+import dolfinx
+
+from dolfinx_feti import ConvergenceError
+from dolfinx_feti.loading import Steps, follow_load
+
+PAGE = Path(__file__).parents[2] / "docs/recipes.md"
+
+
+def program(heading: str) -> str:
+    """Return the block of Python below a heading."""
+    section = PAGE.read_text(encoding="utf-8").partition(f"\n## {heading}\n")[2]
+    (code,) = re.findall(r"^```python\n(.*?)^```", section.partition("\n## ")[0], re.M | re.S)
+    return code
+
+
+@pytest.fixture(scope="module")
+def names() -> dict[str, Any]:
+    """What the first program leaves."""
+    found: dict[str, Any] = {}
+    exec(program("Active tension"), found)
+    return found
+
+
+def length(u: dolfinx.fem.Function) -> float:
+    """Length along x of the block of 1 mm."""
+    x = u.function_space.tabulate_dof_coordinates()[:, 0]
+    return 1.0 + COMM.allreduce(u.x.array[0::3][x > 1.0 - 1e-9].max(initial=-1.0), op=max)
+
+
+def test_active_tension(names):
+    """The deformation is uniform: F = diag(λ, μ, μ) has the least energy of all λ, μ."""
+
+    def energy(logarithms):
+        stretches = along, across = np.exp(logarithms)
+        J = along * across**2
+        f, s = ((J ** (-1 / 3) * stretch) ** 2 / 2 - 0.5 for stretch in stretches)
+        passive = math.expm1(8.0 * f**2 + 2.0 * 2 * s**2) + 500.0 * (J - 1) ** 2
+        return passive + 6.0 / 2 * (along**2 - 1)
+
+    found = scipy.optimize.minimize(energy, [0.0, 0.0], method="Nelder-Mead", tol=1e-10)
+    small(length(names["u"]) - math.exp(found.x[0]), 1e-5)
+    agree("shortens to 0.79 of its length" in PAGE.read_text(encoding="utf-8"))
+    small(length(names["u"]) - 0.79, 0.005)
+
+
+def test_history(names):
+    """Up and down through the same load."""
+    lengths = {}
+
+    def keep(step):
+        lengths.setdefault(step.load, []).append(length(names["u"]))
+        scope["remember"](step)
+
+    scope = names | {"keep": keep}
+    code = program("A history that load steps leave behind")
+    exec(code.replace("on_step=remember", "on_step=keep"), scope)
+    up, down = lengths[1.0]
+    agree(down > up * 1.01, lengths)
+
+
+def test_failed_attempts_leave_the_history_alone(names):
+    """The third solve fails, and what it has changed of the state is restored."""
+    exec(program("A history that load steps leave behind"), names)
+    damage, problem, pull = names["damage"], names["problem"], names["pull"]
+    solve, before, tried = problem.solve, [], []
+
+    def fail_once(**arguments):
+        tried.append(damage.x.array.copy())
+        if len(tried) == 1:
+            raise ConvergenceError("told to fail")
+        return solve(**arguments)
+
+    before.append(damage.x.array.copy())
+    problem.solve = fail_once
+    (step,) = follow_load(
+        problem,
+        lambda load: setattr(pull, "value", load),
+        [1.1],
+        Steps(first=0.1, least=0.05),
+        state=[names["u"], names["p"]],
+        start=1.0,
+        on_step=names["remember"],
+    )[-1:]
+    agree(len(tried) >= 2 and step.load == 1.1)
+    agree(all(np.array_equal(found, before[0]) for found in tried[:2]))
