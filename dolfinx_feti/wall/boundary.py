@@ -131,9 +131,10 @@ def apply_conditions(
 
     Raises:
         TypeError: There is no wall.
-        ValueError: u is no displacement of the wall, the wall has no such surface, a clamp is not
-            alone on its surface, a surface that slides lies in no plane normal to x, y or z, or the
-            wall cannot be stretched along the axis. On all processes.
+        ValueError: u is no displacement of the wall, the wall has no such surface, one that is
+            loaded or supported lies inside the wall, a clamp is not alone on its surface, a surface
+            that slides lies in no plane normal to x, y or z, or the wall cannot be stretched along
+            the axis. On all processes.
 
     Note:
         Collective.
@@ -143,8 +144,10 @@ def apply_conditions(
     mesh, V = wall.mesh, u.function_space
     slides = {name: plane(wall, name) for name, found in given.items() if Slide() in found}
     clamps = [name for name, found in given.items() if Clamp() in found]
-    for name in given:
+    for name, found in given.items():
         facets(wall, name)  # must be there
+        if not {Clamp(), Slide()} & set(found):
+            _check_outside(wall, name)
     along = None if axis is None else _axis(axis, clamps, [k for k, _ in slides.values()])
     values = {name: _constant(mesh, 0.0) for name in slides}
     moved = dolfinx.fem.Function(V)
@@ -202,6 +205,20 @@ def _check_unknown(wall: object, u: dolfinx.fem.Function) -> None:
         raise ValueError(
             f"u has the shape {u.ufl_shape}, or lives on another mesh: take a Function of "
             'functionspace(wall.mesh, ("Lagrange", 2, (3,))).'
+        )
+
+
+def _check_outside(wall: Wall, name: str) -> None:
+    """Require a surface of the boundary, where forms of ``ds`` are integrated. Collective."""
+    topology = wall.mesh.topology
+    mine = facets(wall, name)
+    mine = mine[mine < topology.index_map(2).size_local]
+    outside = np.isin(mine, dolfinx.mesh.exterior_facet_indices(topology))
+    inside = wall.mesh.comm.allreduce(int((~outside).sum()))
+    if inside:
+        raise ValueError(
+            f"The surface {name!r} has {inside} facets inside the wall, where no pressure, spring "
+            "or dashpot acts: name a surface of its boundary."
         )
 
 

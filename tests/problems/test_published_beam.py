@@ -25,7 +25,7 @@ ACROSS, KAPPA, LOAD = 2, 1000.0, 0.004
 
 
 def documented() -> dict[str, float]:
-    """z [mm] by the number of dofs."""
+    """Return z [mm] by the number of dofs, of P2–P0."""
     rows = re.findall(r"^\| \d \| ([\d ]+) \| (4\.\d+) \|", PAGE.read_text(encoding="utf-8"), re.M)
     return {dofs.replace(" ", ""): float(z) for dofs, z in rows}
 

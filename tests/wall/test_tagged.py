@@ -214,6 +214,21 @@ def test_wrong_arguments():
             create_wall(*arguments)
 
 
+def test_loads_inside_the_wall():
+    """Where ``ds`` integrates nothing: an error, and no load that is silently zero."""
+    mesh, cell_tags, _ = box()
+    middle = np.sort(dolfinx.mesh.locate_entities(mesh, 2, lambda x: np.isclose(x[0], 1.0)))
+    tags = dolfinx.mesh.meshtags(mesh, 2, middle, np.ones_like(middle))
+    wall = create_wall(mesh, cell_tags, tags, {"middle": (2, 1)})
+    u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,))))
+    for condition in (Pressure(), [Spring(1.0)]):
+        with raises(
+            ValueError, "surface 'middle' has 8 facets inside the wall, where no pressure"
+        ):
+            apply_conditions(wall, u, {"middle": condition})
+    agree(len(apply_conditions(wall, u, {"middle": Clamp()}).bcs) == 1)
+
+
 def test_conditions_need_a_wall_and_a_displacement():
     mesh, *tags = box()
     wall = create_wall(mesh, *tags, NAMES)
