@@ -118,8 +118,9 @@ def set_near_kernel(
     Args:
         A: Torn matrix.
         modes: Linearly independent vectors; orthonormalised in place by Gram–Schmidt.
-        coordinates: Where the owned blocks of dofs are, (owned blocks, dimension of space); with
-            them, the message about a singular problem tells what moves, and where.
+        coordinates: Where the owned blocks of dofs are, (owned blocks, dimension of space), NaN for
+            dofs at no point; with them, the message about a singular problem tells what moves, and
+            where.
 
     Note:
         Collective.

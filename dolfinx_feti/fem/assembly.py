@@ -15,8 +15,9 @@ as PETSc's does; PETSc reads the same memory.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 from petsc4py import PETSc
 
@@ -46,6 +47,9 @@ __all__ = [
 
 #: Rows of dofs and not of blocks, as PETSc has them.
 EXPANDED = dolfinx.la.BlockMode.expanded  # type: ignore[attr-defined]
+
+#: Error of a dof of the constant 1.
+ROUNDING = 1e-12
 
 
 def torn_form(
@@ -193,15 +197,15 @@ def attach_near_kernel(A: PETSc.Mat, V: dolfinx.fem.FunctionSpace, u: Vector | N
 
     Args:
         A: Torn matrix on V.
-        V: Space with block size bs; rotations are included if bs is the spatial dimension.
+        V: Space with block size bs; rotations are included if bs is the spatial dimension. Dofs
+            may be values at points, or moments.
         u: Displacement at the dofs, (owned blocks, bs); zero if not given.
     """
     gdim, bs = V.mesh.geometry.dim, V.dofmap.index_map_bs
-    n = V.dofmap.index_map.size_local
-    x = V.tabulate_dof_coordinates()[:n, :gdim].copy()
+    one, x = _linear_fields(V)
     if bs == gdim and u is not None:
         x += u
-    modes = [np.broadcast_to(direction, (n, bs)) for direction in np.eye(bs)]
+    modes = [one[:, None] * direction for direction in np.eye(bs)]
     if bs == gdim:
         modes += [x @ spin.T for spin in _spins(gdim)]
     vectors = []
@@ -209,7 +213,24 @@ def attach_near_kernel(A: PETSc.Mat, V: dolfinx.fem.FunctionSpace, u: Vector | N
         vector = A.createVecRight()
         vector.array[:] = np.ravel(mode)
         vectors.append(vector)
+    x[one != 1.0] = np.nan  # such a dof is at no point
     set_near_kernel(A, vectors, x)
+
+
+def _linear_fields(V: dolfinx.fem.FunctionSpace) -> tuple[Vector, Vector]:
+    """Return the owned dofs of 1, (owned blocks,), and of the coordinates, (owned blocks, gdim)."""
+    gdim, n = V.mesh.geometry.dim, V.dofmap.index_map.size_local
+    if V.element.interpolation_ident:  # dofs are values at points
+        return np.ones(n), V.tabulate_dof_coordinates()[:n, :gdim].copy()
+    f, components = dolfinx.fem.Function(V), int(np.prod(V.value_shape))
+
+    def dofs(value: Callable[[Vector], Vector]) -> Vector:
+        f.interpolate(lambda x: np.broadcast_to(value(x), (components, x.shape[1])))
+        return f.x.array.reshape(-1, V.dofmap.index_map_bs)[:n, 0].copy()
+
+    one = dofs(lambda x: np.ones(x.shape[1]))
+    one[np.isclose(one, 1.0, rtol=0.0, atol=ROUNDING)] = 1.0
+    return one, np.stack([dofs(itemgetter(i)) for i in range(gdim)], axis=-1)
 
 
 def _spins(gdim: int) -> list[Vector]:

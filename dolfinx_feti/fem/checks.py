@@ -39,7 +39,10 @@ def check_scalar_type() -> None:
 
 
 def check_space(V: dolfinx.fem.FunctionSpace) -> None:
-    """Require a continuous, possibly blocked Lagrange element on a mesh in double precision.
+    """Require a continuous element, scalar or blocked, on a mesh in double precision.
+
+    Neither its degree nor where its dofs are plays a part: the torn space has the same element on
+    the same mesh, so that dolfinx permutes and transforms dofs as it does on V.
 
     Raises:
         TypeError: Another element or mesh.
@@ -50,11 +53,14 @@ def check_space(V: dolfinx.fem.FunctionSpace) -> None:
             "float64: create it with dtype=numpy.float64."
         )
     element = V.ufl_element()
-    family = getattr(element, "element_family", None)
-    if element.discontinuous or family != basix.ElementFamily.P:
+    parts = element.sub_elements or [element]  # of a blocked element one for each component
+    scalar = len(parts) == element.block_size and parts[0].reference_value_shape == ()
+    continuous = element.basix_sobolev_space == basix.SobolevSpace.H1 and not element.discontinuous
+    if not scalar or not continuous:
         raise TypeError(
-            f"The space has the element {element}, but tearing needs a continuous Lagrange "
-            "element, scalar or blocked: use ('Lagrange', k) or ('Lagrange', k, (dim,))."
+            f"The space has the element {element}, but tearing needs a continuous element, scalar "
+            "or blocked: use ('Lagrange', k) or ('Lagrange', k, (dim,)), perhaps enriched by "
+            "bubbles (basix.ufl.enriched_element)."
         )
 
 

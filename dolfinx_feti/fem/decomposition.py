@@ -151,7 +151,7 @@ def tear(V: dolfinx.fem.FunctionSpace, decomposition: Decomposition) -> TornSpac
     """Give every subdomain its own copy of the dofs of V.
 
     Args:
-        V: A (blocked) Lagrange or discontinuous Lagrange space on the decomposed mesh.
+        V: A scalar or blocked space on the decomposed mesh.
         decomposition: The decomposition of its mesh.
     """
     cells = V.dofmap.list

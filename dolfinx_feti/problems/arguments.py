@@ -71,7 +71,7 @@ def checked_conditions(
         The conditions.
 
     Raises:
-        TypeError: V is not a continuous Lagrange space.
+        TypeError: V is neither scalar nor blocked, or not continuous.
         ValueError: ``bcs`` is a condition alone, or holds something else or one on another space.
     """
     refuse_mixed_space(V)

@@ -14,6 +14,8 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+import basix
+import basix.ufl
 import dolfinx
 import dolfinx.fem.petsc
 import ufl
@@ -118,10 +120,45 @@ def everywhere(x: Array) -> npt.NDArray[np.bool_]:
     return np.full(x.shape[1], True)
 
 
+def with_bubbles(mesh: dolfinx.mesh.Mesh, degree: int = 1) -> basix.ufl._ElementBase:
+    """Enrich a Lagrange element on simplices by the bubble of the cell, and P2 by those of faces.
+
+    That is the MINI element's for degree 1, and in space P2 with five bubbles for degree 2.
+    """
+    cell, dim = mesh.basix_cell(), mesh.topology.dim
+    parts = [
+        basix.ufl.element("Lagrange", cell, degree),
+        basix.ufl.element("Bubble", cell, dim + 1),
+    ]
+    if degree == 2 and dim == 3:
+        parts.append(face_bubbles())
+    return basix.ufl.enriched_element(parts)
+
+
+def face_bubbles() -> basix.ufl._ElementBase:
+    """Span λ_i λ_j λ_k on the faces of a tetrahedron, with their values at the midpoints."""
+    cell = basix.CellType.tetrahedron
+    faces = basix.topology(cell)[2]
+    points, weights = basix.make_quadrature(cell, 6)
+    coordinates = np.column_stack([1.0 - points.sum(axis=1), points])
+    bubbles = np.array([coordinates[:, face].prod(axis=1) for face in faces])
+    basis = basix.tabulate_polynomials(basix.PolynomialType.legendre, cell, 3, points)
+    middle = np.array([basix.geometry(cell)[face].mean(axis=0) for face in faces])
+    none = [np.zeros((0, 3))], [np.zeros((0, 1, 0, 1))]
+    counts = [len(entities) for entities in basix.topology(cell)]
+    x = [none[0] * counts[0], none[0] * counts[1], [m[None] for m in middle], none[0]]
+    M = [none[1] * counts[0], none[1] * counts[1], [np.ones((1, 1, 1, 1))] * 4, none[1]]
+    return basix.ufl.custom_element(
+        cell, (), bubbles * weights @ basis.T, x, M, 0, basix.MapType.identity,
+        basix.SobolevSpace.H1, False, -1, 3,
+    )  # fmt: skip
+
+
 def elasticity(
     mesh: dolfinx.mesh.Mesh,
     *,
     degree: int = 1,
+    element: basix.ufl._ElementBase | None = None,
     nu: float = 0.3,
     stretched: bool = False,
     clamped: Marker | None = left,
@@ -131,13 +168,15 @@ def elasticity(
     Args:
         mesh: The body.
         degree: Degree of the Lagrange space.
+        element: Scalar element, in place of Lagrange's.
         nu: Poisson's ratio, with Young's modulus 210.
         stretched: Prescribe also an inhomogeneous u on the clamped part, one component on x₀ = 1,
             and put springs and a traction on the whole boundary.
         clamped: Where u is prescribed; None for nowhere.
     """
     dim = mesh.geometry.dim
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
+    scalar = element or basix.ufl.element("Lagrange", mesh.basix_cell(), degree)
+    V = dolfinx.fem.functionspace(mesh, basix.ufl.blocked_element(scalar, shape=(dim,)))
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     mu, lmbda = 210.0 / (2 * (1 + nu)), 210.0 * nu / ((1 + nu) * (1 - 2 * nu))
     eps = ufl.sym(ufl.grad(u))
@@ -163,11 +202,12 @@ def poisson(
     mesh: dolfinx.mesh.Mesh,
     *,
     degree: int = 1,
+    element: basix.ufl._ElementBase | None = None,
     stretched: bool = False,
     clamped: Marker | None = left,
 ) -> Problem:
     """Set up the Poisson equation; the arguments are those of :func:`elasticity`."""
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree))
+    V = dolfinx.fem.functionspace(mesh, element or ("Lagrange", degree))
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     x = ufl.SpatialCoordinate(mesh)
     a = (1.0 + x[0] ** 2) * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx

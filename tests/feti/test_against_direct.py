@@ -9,15 +9,29 @@ import itertools
 
 import numpy as np
 import pytest
-from collective import agree, norm, small, whole
-from problems import Cell, Problem, cube, dirichlet, elasticity, everywhere, left, owned, poisson
+from collective import agree, norm, raises, small, whole
+from problems import (
+    Cell,
+    Problem,
+    cube,
+    dirichlet,
+    elasticity,
+    everywhere,
+    left,
+    owned,
+    poisson,
+    with_bubbles,
+)
 
+import basix.ufl
 import dolfinx
 import ufl
 
 import dolfinx_feti
+from dolfinx_feti.fem.decomposition import tear
 
 every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+every_formulation = pytest.mark.parametrize("formulation", ["dual", "primal"])
 
 TOLERANCE = 1e-7  # for a residual of 1e-10 and condition numbers up to 1e3
 
@@ -82,6 +96,61 @@ def test_problems(create, kind, solve):
     linear = solve(problem, 7, {"feti_type": kind, "ksp_rtol": 1e-10})
     small(difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
     small(linear.solver.getPythonContext().residual, 1e-10)
+
+
+def serendipity(mesh):
+    """Moments on the edges in place of values at points."""
+    return basix.ufl.element("Serendipity", mesh.basix_cell(), 3)
+
+
+def enriched(equation, dim, n, element, cell=None, **kwargs):
+    mesh = cube(dim, n, cell)
+    return equation(mesh, element=element(mesh), **kwargs)
+
+
+ELEMENTS = {
+    "Poisson, P1 and bubble, triangles": lambda: enriched(poisson, 2, 7, with_bubbles),
+    "Poisson, P1 and bubble, tetrahedra": lambda: enriched(poisson, 3, 3, with_bubbles),
+    "elasticity, P1 and bubble, triangles": lambda: enriched(elasticity, 2, 6, with_bubbles),
+    "elasticity, P1 and bubble, tetrahedra": lambda: enriched(elasticity, 3, 3, with_bubbles),
+    "elasticity, P2 and face and cell bubbles": lambda: enriched(
+        elasticity, 3, 2, lambda mesh: with_bubbles(mesh, 2), stretched=True
+    ),
+    "Poisson, serendipity": lambda: enriched(
+        poisson, 2, 5, serendipity, Cell.quadrilateral, stretched=True
+    ),
+    "elasticity, serendipity in space": lambda: enriched(
+        elasticity, 3, 2, serendipity, Cell.hexahedron
+    ),
+}
+
+
+@every_formulation
+@pytest.mark.parametrize("create", ELEMENTS.values(), ids=ELEMENTS)
+def test_elements_other_than_lagrange(create, formulation, solve):
+    """Both forms; where there are bubbles of cells, these belong to the interior."""
+    problem = create()
+    linear = solve(problem, 7, {"feti_formulation": formulation, "ksp_rtol": 1e-10})
+    small(difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
+    form = linear.solver.getPythonContext().form
+    layout, dim = problem.V.dofmap.dof_layout, problem.V.mesh.topology.dim
+    inside = problem.V.dofmap.list[: problem.cells, layout.entity_dofs(dim, 0)].ravel()
+    torn = tear(problem.V, linear.decomposition).dof
+    bs = problem.V.dofmap.index_map_bs
+    on_interface = np.concatenate(form.operator.interface) // bs
+    agree(not np.isin(torn[on_interface], inside).any())
+
+
+@every_formulation
+@pytest.mark.parametrize("dim", [2, 3])
+def test_what_moves_with_moments_as_dofs(dim, formulation, solve):
+    """The message names the motion, of which some dofs have no value at a point."""
+    mesh = cube(dim, 2, Cell.quadrilateral if dim == 2 else Cell.hexahedron)
+    free = elasticity(mesh, element=serendipity(mesh), clamped=None)
+    bcs = [dirichlet(free.V, left, component=0)]
+    what = "a translation in y" if dim == 2 else "translations in y and z"
+    with raises(dolfinx_feti.ConvergenceError, what):
+        solve(Problem(free.V, free.a, free.L, bcs), 4, {"feti_formulation": formulation})
 
 
 @every_type

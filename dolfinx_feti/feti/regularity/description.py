@@ -5,9 +5,8 @@ r"""Description of the motions that nothing resists, for the message of an error
 
 .. math:: r(x) = a + ω × (x - c)
 
-fits a rigid motion of a body to the coordinates x of its dofs, (n,). The motions are combined to
-row echelon form in (ω, a): translations along axes, and rotations about axes through points. Where
-dofs have no directions in space (scalar problems), the motions are constants.
+fits a rigid motion of a body to the coordinates x of its dofs, (n,); row echelon form in (ω, a) has
+translations along axes, and rotations. Without directions in space, the motions are constants.
 """
 
 from __future__ import annotations
@@ -47,14 +46,14 @@ def describe(rigid: Motions, others: Array) -> str:
 def _body(rigid: Motions, x: Array | None, b: int) -> str:
     """Name the motions of one body."""
     torn, count, mine = rigid.torn, rigid.bodies.count, rigid.bodies.label == b
+    if x is not None:
+        mine &= np.isfinite(x[:, 0])  # the others are at no point
     names = _names(torn, mine, rigid.fields[:, : rigid.dimensions[b]], x)
+    said = f"the Dirichlet conditions leave {names} free"
     if count == 1:
-        return f"the Dirichlet conditions leave {names} free"
+        return said
     where = "" if x is None else f" around {_point(_extent(torn, x[mine])[0])}"
-    return (
-        f"in a part that is not connected to the rest ({b + 1} of {count}{where}) the "
-        f"Dirichlet conditions leave {names} free"
-    )
+    return f"in a part that is not connected to the rest ({b + 1} of {count}{where}) {said}"
 
 
 def _names(torn: Torn, mine: npt.NDArray[np.bool_], fields: Array, x: Array | None) -> str:
@@ -150,7 +149,7 @@ def _largest(torn: Torn, x: Array | None, w: Array) -> str:
     if x is None:
         return ""
     bs = torn.A.getBlockSize()
-    size = np.linalg.norm(w.reshape(-1, bs), axis=1)
+    size = np.where(np.isfinite(x[::bs, 0]), np.linalg.norm(w.reshape(-1, bs), axis=1), 0.0)
     i = int(size.argmax()) if len(size) else 0
     own = (float(size[i]), x[bs * i].tolist()) if len(size) else (-1.0, [])
     return f", largest at {_point(np.array(max(torn.comm.allgather(own))[1]))}"
