@@ -38,10 +38,10 @@ __all__ = [
     "assemble",
     "assemble_owned",
     "attach_near_kernel",
+    "create_csr",
     "create_local_matrix",
     "create_matis",
     "dirichlet_mask",
-    "require_no_coupling",
     "torn_form",
 ]
 
@@ -68,7 +68,7 @@ def torn_form(
     Note:
         Collective.
     """
-    require_no_coupling(form)
+    _require_no_coupling(form)
     replaced = {
         argument: ufl.Argument(spaces[argument.number()].V_torn, argument.number())
         for argument in form.arguments()
@@ -77,7 +77,7 @@ def torn_form(
     return compiler.form(ufl.replace(form, replaced))
 
 
-def require_no_coupling(form: ufl.Form) -> None:
+def _require_no_coupling(form: ufl.Form) -> None:
     """Refuse integrals that couple cells otherwise than by common dofs.
 
     Raises:
@@ -109,15 +109,34 @@ class LocalMatrix:
         self.mat.destroy()
 
 
-def create_local_matrix(space: TornSpace, compiler: Compiler | None = None) -> LocalMatrix:
-    """Allocate a matrix with the pattern of cell-wise assembly on a torn space.
+def create_csr(
+    spaces: tuple[TornSpace, TornSpace], compiler: Compiler | None = None
+) -> dolfinx.la.MatrixCSR:
+    """Allocate dolfinx's matrix with the pattern of cell-wise assembly on torn spaces.
 
     All dofs of a cell are coupled there, whether a form has an integral over that cell or not.
 
     Args:
-        space: The torn space.
+        spaces: Torn spaces of rows and columns, with blocks of the same size.
         compiler: How the form that has this pattern is compiled; with dolfinx's options if not
             given.
+
+    Note:
+        Collective.
+    """
+    v, u = _first(ufl.TestFunction(spaces[0].V)), _first(ufl.TrialFunction(spaces[1].V))
+    form = torn_form(v * u * ufl.dx(metadata={"quadrature_degree": 0}), spaces, compiler)
+    pattern = dolfinx.fem.create_sparsity_pattern(form)
+    pattern.finalize()
+    return dolfinx.la.matrix_csr(pattern, EXPANDED)
+
+
+def create_local_matrix(space: TornSpace, compiler: Compiler | None = None) -> LocalMatrix:
+    """Allocate the local matrix of a torn space.
+
+    Args:
+        space: The torn space.
+        compiler: See :func:`create_csr`.
 
     Returns:
         Zeros, which the caller destroys.
@@ -125,11 +144,7 @@ def create_local_matrix(space: TornSpace, compiler: Compiler | None = None) -> L
     Note:
         Collective.
     """
-    v, u = _first(ufl.TestFunction(space.V)), _first(ufl.TrialFunction(space.V))
-    form = torn_form(v * u * ufl.dx(metadata={"quadrature_degree": 0}), (space, space), compiler)
-    pattern = dolfinx.fem.create_sparsity_pattern(form)
-    pattern.finalize()
-    csr = dolfinx.la.matrix_csr(pattern, EXPANDED)
+    csr = create_csr((space, space), compiler)
     bs = space.V_torn.dofmap.index_map_bs
     n = len(space.dof) * bs
     indptr, indices = (a.astype(PETSc.IntType, copy=False) for a in (csr.indptr, csr.indices))

@@ -17,9 +17,9 @@ import ufl
 
 __all__ = [
     "check_bcs",
+    "check_condensed",
     "check_linear_forms",
     "check_nonlinear_forms",
-    "check_pressure_space",
     "check_scalar_type",
     "check_space",
 ]
@@ -113,18 +113,39 @@ def check_nonlinear_forms(F: ufl.Form, J: ufl.Form, u: dolfinx.fem.Function) -> 
         )
 
 
-def check_pressure_space(Q: dolfinx.fem.FunctionSpace) -> None:
-    """Require scalar piecewise constants, the space of a pressure that can be condensed.
+def check_condensed(fields: Sequence[dolfinx.fem.Function], u: dolfinx.fem.Function) -> None:
+    """Require different scalar fields on the mesh of u, with dofs that no two cells share.
 
     Raises:
-        TypeError: Another element.
+        TypeError: One is no function, or has another element.
+        ValueError: One is u, is given twice, or lives on another mesh.
     """
-    element = Q.ufl_element()
-    if not element.discontinuous or element.embedded_superdegree != 0 or Q.dofmap.bs != 1:
-        raise TypeError(
-            f"condense is a function with the element {element}, but only scalar piecewise "
-            "constants can be condensed cell by cell: use ('DG', 0)."
-        )
+    for i, p in enumerate(fields):
+        if not isinstance(p, dolfinx.fem.Function):
+            raise TypeError(
+                f"condense[{i}] is {p!r}: give a dolfinx.fem.Function, or several of them."
+            )
+        if p is u or any(p is other for other in fields[:i]):
+            raise ValueError(
+                f"condense[{i}] is '{p.name}', which is the unknown or given twice: give each "
+                "field beside the unknown once."
+            )
+        Q, mesh = p.function_space, u.function_space.mesh
+        if Q.mesh is not mesh:
+            raise ValueError(
+                f"condense is '{p.name}' on another mesh than the unknown: create it on the mesh "
+                "of the unknown."
+            )
+        dofmap = Q.dofmap
+        cells = mesh.topology.index_map(mesh.topology.dim).size_global
+        own = cells * dofmap.list.shape[1] == dofmap.index_map.size_global
+        if dofmap.bs != 1 or p.ufl_shape or not own:
+            raise TypeError(
+                f"condense is '{p.name}' with the element {Q.ufl_element()}, but only scalar "
+                "fields whose dofs no two cells share can be condensed cell by cell: use a "
+                "discontinuous element, such as ('DG', 0), ('DG', 1), or ('DPC', 1) on hexahedra, "
+                "and a list of several fields in the place of a vector."
+            )
 
 
 def check_bcs(V: dolfinx.fem.FunctionSpace, bcs: Sequence[dolfinx.fem.DirichletBC]) -> None:

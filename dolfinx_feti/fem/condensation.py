@@ -1,27 +1,29 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Static condensation of an element-wise constant pressure: P_k–P_0 elements.
+r"""Static condensation of fields that no two cells share, such as the pressure of P2–P0 elements.
 
-Newton's step for the pair (u, p) with p constant on each cell,
+Newton's step for a displacement u and the fields p, with n dofs in each cell in all,
 
 .. math:: \begin{pmatrix} K_{uu} & K_{up} \\ K_{pu} & K_{pp} \end{pmatrix}
           \begin{pmatrix} Δu \\ Δp \end{pmatrix} = -\begin{pmatrix} r_u \\ r_p \end{pmatrix},
 
-has a diagonal :math:`K_{pp}`, so that p is condensed cell by cell
-(eq. 29, Augustin_eq:volumetricVariationDis) without any fill-in:
+has a block-diagonal :math:`K_{pp}`, one block (n, n) for each cell, so that p is condensed cell by
+cell (eq. 29, Augustin_eq:volumetricVariationDis, for n = 1) without any fill-in:
 
 .. math:: K = K_{uu} - K_{up} K_{pp}^{-1} K_{pu}, \quad r = r_u - K_{up} K_{pp}^{-1} r_p, \quad
           Δp = -K_{pp}^{-1}(r_p + K_{pu} Δu).
 
-The last equation updates the pressure by its own linearised equation, so that Newton's iterates are
-those of the mixed problem. For the perturbed Lagrangian p (J − 1) − p²/(2κ),
-:math:`K_{pp} = -|τ|/κ` on a cell τ.
+The last equation updates the fields by their own linearised equations, so that Newton's iterates
+are those of the mixed problem. For the perturbed Lagrangian p (J − 1) − p²/(2κ) with p constant on
+a cell τ, :math:`K_{pp} = -|τ|/κ`. For a dilation θ beside p, Ψ(θ) + p (J − θ) (Simo, Taylor, Pister
+1985), the block is indefinite; it is solved by elimination with pivots.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,167 +32,305 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
-from dolfinx_feti.fem.assembly import LocalMatrix, require_no_coupling, torn_form
+from dolfinx_feti.fem.assembly import LocalMatrix, create_csr, torn_form
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace, into_cells, tear
+from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.native import load, pointer
 
 __all__ = ["Blocks", "Condensation"]
 
 Array = npt.NDArray[np.float64]
 
+#: Local steps in which fields with a nonlinear equation of their own come to satisfy it.
+LOCAL_STEPS = 20
+
 SOURCE = Path(__file__).with_name("condensation.c")
 DECLARATION = """
-int add_outer_products(int, int, int, int, const int *, const double *, const double *,
-                       const int64_t *, const int *, double *);
+int64_t solve_blocks(int, int, int, double *, double *, double *);
+int subtract_products(int, int, int, int, int, const int *, const double *, const double *,
+                      const int64_t *, const int *, double *);
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Blocks:
-    """What belongs to the pressure at one state (u, p), cell by cell.
+    """What belongs to the condensed fields at one state, cell by cell.
+
+    A cell has d dofs of u and n of the fields, one field after the other.
 
     Attributes:
-        k_up: K_upᵀ, (cells, dofs of a cell).
-        k_pu: K_pu, of the same shape.
-        k_pp: Diagonal of K_pp, (cells,).
-        r_p: Residual of the pressure, (cells,).
+        k_up: K_up, (cells, d, n).
+        slope: K_pp⁻¹ K_pu, (cells, n, d).
+        excess: K_pp⁻¹ r_p, (cells, n, 1).
     """
 
     k_up: Array
-    k_pu: Array
-    k_pp: Array
-    r_p: Array
+    slope: Array
+    excess: Array
 
 
 class Condensation:
-    """The blocks of the mixed tangent that belong to the pressure, cell by cell.
+    """The blocks of the mixed tangent that belong to the condensed fields, cell by cell.
 
     Attributes:
-        p: The pressure.
+        fields: The fields.
+        constraints: How many dofs on this process u is tied to: those of p, and not of a dilation.
     """
 
     def __init__(
         self,
         F_u: ufl.Form,
-        F_p: ufl.Form,
+        F_p: Sequence[ufl.Form],
         u: dolfinx.fem.Function,
-        p: dolfinx.fem.Function,
+        fields: Sequence[dolfinx.fem.Function],
         *,
         space: TornSpace,
         compiler: Compiler,
     ) -> None:
         """Derive and compile the blocks.
 
-        A row of K_pu or K_upᵀ is a linear form of its cell, where q and Δp are one.
-
         Args:
             F_u: Residual r_u, tested with v in V.
-            F_p: Residual r_p, tested with q in Q.
+            F_p: Residual of each field, tested in its space.
             u: Displacement.
-            p: Pressure, piecewise constant.
+            fields: The fields; no two cells share their dofs.
             space: Torn V.
             compiler: How the blocks are compiled.
 
         Raises:
-            ValueError: p does not occur in the residuals, they leave it undetermined, or couple the
-                pressures of two cells.
+            ValueError: A field does not occur in the residuals, they leave it undetermined, or
+                couple two cells.
 
         Note:
             Collective.
         """
-        V, Q = u.function_space, p.function_space
-        coefficients = (set(F_u.coefficients()), set(F_p.coefficients()))
-        if not all(p in names for names in coefficients):
-            raise ValueError(
-                f"condense is '{p.name}', which does not occur in the energy (or in both "
-                "residuals): pass the pressure of a mixed energy Π(u, p)."
-            )
-        require_no_coupling(F_p)  # or a row of K_pu is no linear form of a cell
-        self.p = p
-        one = ufl.as_ufl(1.0)
-        q, dp = F_p.arguments()[0], ufl.TrialFunction(Q)
-        with_one = ufl.replace(F_p, {q: one})
-        K_up = ufl.replace(ufl.derivative(F_u, p, dp), {dp: one})
-        K_pu = ufl.derivative(with_one, u, ufl.TestFunction(V))
-        K_pp = ufl.derivative(with_one, p, ufl.TestFunction(Q))
-        _require_blocks(p, K_up=K_up, K_pu=K_pu, K_pp=K_pp)
+        for p in fields:
+            if not any(p in _expanded(F).coefficients() for F in (F_u, *F_p)):
+                raise ValueError(
+                    f"condense is '{p.name}', which does not occur in the energy (or in the "
+                    "residuals): pass the pressure of a mixed energy Π(u, p)."
+                )
+        V = u.function_space
         each = into_cells(V.mesh)
-        cells = tear(V, each)
-        self._rows = tuple(torn_form(form, (cells,), compiler) for form in (K_up, K_pu))
-        self._K_pp, self._r_p = compiler.form(K_pp), compiler.form(F_p)
+        cells = _by_dof(tear(V, each))
+        torn = [tear(p.function_space, each) for p in fields]
+        du = ufl.TrialFunction(V)
+        trials = [ufl.TrialFunction(p.function_space) for p in fields]
+        K_up = [ufl.derivative(F_u, p, dp) for p, dp in zip(fields, trials, strict=True)]
+        K_pu = [ufl.derivative(F, u, du) for F in F_p]
+        K_pp = [
+            [ufl.derivative(F, p, dp) for p, dp in zip(fields, trials, strict=True)] for F in F_p
+        ]
+        _require_blocks(fields, K_up, K_pu, K_pp)
+        self.fields = tuple(fields)
+        self._linear = not any(
+            p in _expanded(K).coefficients() for row in K_pp for K in row for p in fields
+        )
+
+        def table(
+            forms: Sequence[Sequence[ufl.Form]],
+            rows: Sequence[TornSpace],
+            columns: Sequence[TornSpace],
+        ) -> list[list[_Block]]:
+            return [
+                [_Block.create(K, Q, P, compiler) for K, P in zip(row, columns, strict=True)]
+                for row, Q in zip(forms, rows, strict=True)
+            ]
+
+        self._K_up = table([K_up], [cells], torn)
+        self._K_pu = table([[K] for K in K_pu], torn, [cells])
+        self._K_pp = table(K_pp, torn, torn)
+        self._r_p = [torn_form(F, (Q,), compiler) for F, Q in zip(F_p, torn, strict=True)]
+        self._widths = [Q.V_torn.dofmap.list.shape[1] for Q in torn]
+        first = np.cumsum([0] + [len(p.x.array) for p in fields[:-1]])
+        places = [(f + Q.dof).reshape(each.count, -1) for f, Q in zip(first, torn, strict=True)]
+        self._place = np.concatenate(places, axis=1)  # in ``values``, (cells, n)
+        self.constraints = each.count * sum(
+            width for width, (K,) in zip(self._widths, self._K_pu, strict=True) if K.form
+        )
         self._bs = V.dofmap.index_map_bs
-        self._pressure_dof = Q.dofmap.list[: each.count, 0]
         self._node = np.sort(space.V_torn.dofmap.list[: each.count], axis=1)  # as in ``cells``
         self._code = load(SOURCE, DECLARATION, V.mesh.comm)
 
-    def assemble(self) -> Blocks:
-        """Assemble all blocks at the present (u, p)."""
-        k_up, k_pu = (self._of_dofs(form) for form in self._rows)
-        return Blocks(k_up, k_pu, self._of_cells(self._K_pp), self._of_cells(self._r_p))
+    # -- state ------------------------------------------------------------------------------------
 
-    def add_to(self, K: LocalMatrix, blocks: Blocks) -> None:
-        """Add the condensed block, K ← K − K_up K_pp⁻¹ K_pu.
+    def values(self) -> Array:
+        """Copy the dofs of all fields with their ghosts, one field after the other."""
+        return np.concatenate([p.x.array for p in self.fields])
+
+    def set_values(self, values: Array) -> None:
+        """Set the dofs of all fields, as in :meth:`values`."""
+        first = 0
+        for p in self.fields:
+            p.x.array[:] = values[first : first + len(p.x.array)]
+            first += len(p.x.array)
+
+    def relax(self) -> None:
+        """Let the fields satisfy their own equations at the present u, p ← p − K_pp⁻¹ r_p.
+
+        A step is enough where these are linear in p; where they are not, the step is repeated.
+        """
+        for _ in range(1 if self._linear else LOCAL_STEPS):
+            step = self._solved(self._residual())[:, :, 0]  # K_pp⁻¹ r_p
+            values = self.values()
+            values[self._place] -= step
+            self.set_values(values)
+            if np.abs(step).max(initial=0.0) <= 1e-10 * np.abs(values).max(initial=0.0):
+                break
+
+    # -- equations --------------------------------------------------------------------------------
+
+    def assemble(self) -> Blocks:
+        """Assemble all blocks at the present state.
+
+        Raises:
+            ValueError: K_pp is singular in a cell.
+        """
+        right = np.concatenate([_assembled(self._K_pu), self._residual()], axis=2)
+        solved = self._solved(right)  # K_pp⁻¹ (K_pu, r_p)
+        slope, excess = np.ascontiguousarray(solved[:, :, :-1]), solved[:, :, -1:].copy()
+        return Blocks(_assembled(self._K_up), slope, excess)
+
+    def subtract_from(self, K: LocalMatrix, blocks: Blocks) -> None:
+        """Condense, K ← K − K_up K_pp⁻¹ K_pu.
 
         Raises:
             ValueError: K has no place for it.
         """
-        left = -blocks.k_up / blocks.k_pp[:, None]  # −K_up K_pp⁻¹
         indptr, indices, values = K.csr.indptr, K.csr.indices, K.csr.data
-        arrays = (self._node, left, blocks.k_pu, indptr, indices, values)
-        n = (len(indptr) - 1) // self._bs
-        sizes = (*self._node.shape, self._bs, n)
-        if self._code.lib.add_outer_products(*sizes, *(pointer(self._code, a) for a in arrays)):
-            raise ValueError(f"K, of {n} nodes, does not couple all nodes of every cell")
+        arrays = (self._node, blocks.k_up, blocks.slope, indptr, indices, values)
+        nodes = (len(indptr) - 1) // self._bs
+        sizes = (*self._node.shape, self._bs, self._place.shape[1], nodes)
+        if self._code.lib.subtract_products(*sizes, *(pointer(self._code, a) for a in arrays)):
+            raise ValueError(f"K, of {nodes} nodes, does not couple all nodes of every cell")
         K.mat.stateIncrease()
 
     def residual(self, blocks: Blocks, n_torn: int) -> Array:
         """Return −K_up K_pp⁻¹ r_p on the torn dofs, (n_torn,)."""
-        cell = -blocks.k_up * (blocks.r_p / blocks.k_pp)[:, None]
+        cell = -blocks.k_up @ blocks.excess
         return np.bincount(self._dofs().ravel(), cell.ravel(), minlength=n_torn).astype(np.float64)
 
-    def relaxed(self) -> Array:
-        """Return the pressure that satisfies its own equation at the current u, p − K_pp⁻¹ r_p."""
-        p = self.p.x.array.copy()
-        p[self._pressure_dof] -= self._of_cells(self._r_p) / self._of_cells(self._K_pp)
-        return p
-
     def increment(self, blocks: Blocks, du: Array) -> Array:
-        """Return Δp = −K_pp⁻¹ (r_p + K_pu Δu) at the dofs of Q.
+        """Return Δp = −K_pp⁻¹ (r_p + K_pu Δu), as in :meth:`values`.
 
         Args:
             blocks: Of the state where the increment begins.
             du: Torn displacement increment, (n_torn,).
         """
-        dp = np.zeros(len(self.p.x.array))
-        slope = np.einsum("ij,ij->i", blocks.k_pu, du[self._dofs()])
-        dp[self._pressure_dof] = -(blocks.r_p + slope) / blocks.k_pp
+        dp = np.zeros(sum(len(p.x.array) for p in self.fields))
+        slope = blocks.slope @ du[self._dofs()][:, :, None]
+        dp[self._place] = -(blocks.excess + slope)[:, :, 0]
         return dp
 
     def _dofs(self) -> npt.NDArray[np.int32]:
-        """Return the torn dofs of each cell, as in the rows of K_pu, (cells, dofs of a cell)."""
+        """Return the torn dofs of each cell, as in the rows of K_up, (cells, d)."""
         n, k = self._node.shape
         dofs = self._node[:, :, None] * self._bs + np.arange(self._bs, dtype=np.int32)
         return dofs.reshape(n, k * self._bs)
 
-    def _of_dofs(self, form: dolfinx.fem.Form) -> Array:
-        """Assemble a linear form of each cell, (cells, dofs of a cell)."""
-        n, k = self._node.shape
-        rows = np.zeros(n * k * self._bs)
-        dolfinx.fem.assemble_vector(rows, form)
-        return rows.reshape(n, k * self._bs)
+    def _residual(self) -> Array:
+        """Assemble r_p, (cells, n, 1)."""
+        parts = [np.zeros((len(self._place), width)) for width in self._widths]
+        for part, form in zip(parts, self._r_p, strict=True):
+            dolfinx.fem.assemble_vector(part.reshape(-1), form)
+        return np.concatenate(parts, axis=1)[:, :, None]
 
-    def _of_cells(self, form: dolfinx.fem.Form) -> Array:
-        """Assemble a linear form on Q, (cells,)."""
-        values = np.zeros(len(self.p.x.array))
-        dolfinx.fem.assemble_vector(values, form)
-        return values[self._pressure_dof]
+    def _solved(self, right: Array) -> Array:
+        """Return K_pp⁻¹ X at the present state in the place of X, (cells, n, k).
+
+        Raises:
+            ValueError: K_pp is singular in a cell.
+        """
+        cells, n, k = right.shape
+        arrays = (_assembled(self._K_pp), right, np.zeros(n))
+        at = self._code.lib.solve_blocks(cells, n, k, *(pointer(self._code, a) for a in arrays))
+        if at >= 0:
+            raise ValueError(self._singular(*divmod(int(at), n)))
+        return right
+
+    def _singular(self, cell: int, column: int) -> str:
+        """Say where K_pp is singular, and what helps."""
+        p = self.fields[int(np.searchsorted(np.cumsum(self._widths), column, side="right"))]
+        mesh = p.function_space.mesh
+        cells = np.array([cell], dtype=np.int32)
+        middle = dolfinx.mesh.compute_midpoints(mesh, mesh.topology.dim, cells)[0]
+        place = ", ".join(f"{x:.4g}" for x in middle[: mesh.geometry.dim])
+        return (
+            f"condense: the block of '{p.name}' is singular in cell {cell} of process "
+            f"{mesh.comm.rank}, around ({place}), so that the equations there do not determine it: "
+            "give a pressure a term of its own, such as −p²/(2κ), and a dilation θ in Ψ(θ) + "
+            "p (J − θ) the element of p."
+        )
 
 
-def _require_blocks(p: dolfinx.fem.Function, **blocks: ufl.Form) -> None:
-    for name, block in blocks.items():
-        if ufl.algorithms.expand_derivatives(block).empty():
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """A bilinear form of each cell, with a matrix whose rows have the columns of their cell.
+
+    Attributes:
+        shape: (cells, rows of a cell, columns of a cell).
+        form: The form; None if it is zero.
+        csr: The matrix; None if it is zero.
+    """
+
+    shape: tuple[int, int, int]
+    form: dolfinx.fem.Form | None
+    csr: dolfinx.la.MatrixCSR | None
+
+    @classmethod
+    def create(
+        cls, form: ufl.Form, rows: TornSpace, columns: TornSpace, compiler: Compiler
+    ) -> _Block:
+        """Compile a form on spaces that are torn into cells."""
+        height, width = (space.V_torn.dofmap.list.shape[1] for space in (rows, columns))
+        shape = (rows.V_torn.dofmap.index_map.size_local // height, height, width)
+        if _expanded(form).empty():
+            return cls(shape, None, None)
+        spaces = (rows, columns)
+        return cls(shape, torn_form(form, spaces, compiler), create_csr(spaces, compiler))
+
+    def assemble(self) -> Array:
+        """Assemble; return the entries, (cells, rows, columns), which the next call overwrites."""
+        if self.form is None or self.csr is None:
+            return np.zeros(self.shape)
+        self.csr.data[:] = 0.0
+        dolfinx.fem.assemble_matrix(self.csr, self.form)  # type: ignore[arg-type]
+        return np.asarray(self.csr.data).reshape(self.shape)
+
+
+def _assembled(blocks: Sequence[Sequence[_Block]]) -> Array:
+    """Assemble the blocks of one matrix, (cells, rows, columns)."""
+    return np.block([[block.assemble() for block in row] for row in blocks])
+
+
+def _by_dof(space: TornSpace) -> TornSpace:
+    """Number the dofs of a torn space, not its nodes, as dolfinx's rectangular matrices need."""
+    V = space.V_torn
+    bs = V.dofmap.index_map_bs
+    dofs = V.dofmap.list[:, :, None] * bs + np.arange(bs, dtype=np.int32)
+    table = dofs.reshape(len(dofs), -1)
+    return replace(
+        space, V_torn=compat.create_function_space(V, table, len(space.dof) * bs, block_size=1)
+    )
+
+
+def _require_blocks(
+    fields: Sequence[dolfinx.fem.Function],
+    K_up: Sequence[ufl.Form],
+    K_pu: Sequence[ufl.Form],
+    K_pp: Sequence[Sequence[ufl.Form]],
+) -> None:
+    """Require that u meets a field, and each field one of them."""
+    names = ", ".join(f"'{p.name}'" for p in fields)
+    rows = {f"K_pp of '{p.name}'": row for p, row in zip(fields, K_pp, strict=True)}
+    for block, forms in {"K_up": K_up, "K_pu": K_pu, **rows}.items():
+        if all(_expanded(form).empty() for form in forms):
             raise ValueError(
-                f"condense is '{p.name}', but {name} is zero: condensation needs an energy with a "
+                f"condense is {names}, but {block} is zero: condensation needs an energy with a "
                 "term in both u and p and a term in p², such as p (J − 1) − p²/(2κ)."
             )
+
+
+def _expanded(form: ufl.Form) -> ufl.Form:
+    return ufl.algorithms.expand_derivatives(form)

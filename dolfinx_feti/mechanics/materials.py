@@ -110,11 +110,12 @@ def perturbed_lagrangian(J: Expr, p: Expr, kappa: Parameter) -> Expr:
 
     It is stationary in p at p = κ (J − 1) = ∂Ψ_vol/∂J (eq. 12, Augustin_eq:hydrostaticPressure,
     eq. 29, Augustin_eq:volumetricVariationDis), where it equals :func:`volumetric`. If p is
-    piecewise constant, this holds for the mean of J over each cell.
+    piecewise constant, this holds for the mean of J over each cell; if it is a polynomial in each
+    cell, for the projection of J onto these.
 
     Args:
         J: Volume ratio det F.
-        p: Hydrostatic pressure [kPa], positive in tension; a piecewise constant Function.
+        p: Hydrostatic pressure [kPa], positive in tension; a Function with jumps between cells.
         kappa: Penalty [kPa].
 
     Raises:

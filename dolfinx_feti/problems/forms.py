@@ -13,7 +13,7 @@ from mpi4py import MPI
 import dolfinx
 import ufl
 
-from dolfinx_feti.fem.checks import check_nonlinear_forms, check_pressure_space
+from dolfinx_feti.fem.checks import check_condensed, check_nonlinear_forms
 from dolfinx_feti.fem.quadrature import (
     estimated_quadrature_degree,
     limit_quadrature_degree,
@@ -34,13 +34,13 @@ class Forms:
 
     Attributes:
         F_u: Residual tested with v.
-        F_p: Residual tested with q, of a pressure that is condensed.
+        F_p: Residual of each field that is condensed, tested in its space.
         J: Tangent of F_u in u.
         energy: Their potential, if there is one.
     """
 
     F_u: ufl.Form
-    F_p: ufl.Form | None
+    F_p: tuple[ufl.Form, ...]
     J: ufl.Form
     energy: ufl.Form | None
 
@@ -50,23 +50,23 @@ def derive(
     u: dolfinx.fem.Function,
     *,
     J: ufl.Form | None,
-    condense: dolfinx.fem.Function | None,
+    condense: Sequence[dolfinx.fem.Function],
     energy: ufl.Form | None,
     degree: int | None,
 ) -> Forms:
     """Derive and check the forms.
 
     Args:
-        F: Residual, pair of residuals, or energy.
+        F: Residual, residuals of u and of each condensed field, or energy.
         u: Unknown.
         J: Tangent, if given.
-        condense: Pressure to be condensed.
+        condense: Fields to be condensed.
         energy: Potential in addition to residuals.
         degree: Highest quadrature degree of integrals that state none; None for no bound.
 
     Raises:
         ValueError: The forms do not fit each other, or the unknowns.
-        TypeError: The pressure is not piecewise constant.
+        TypeError: A field cannot be condensed.
     """
 
     def limited(form: ufl.Form) -> ufl.Form:
@@ -74,11 +74,10 @@ def derive(
 
     require_forms(**{} if isinstance(F, Sequence) else {"F": F})
     require_forms(**{n: f for n, f in {"J": J, "energy": energy}.items() if f is not None})
-    if condense is not None:
-        check_pressure_space(condense.function_space)
+    check_condensed(condense, u)
     energy = potential(F, energy)
     F_u, F_p = residuals(F, u, condense)
-    F_u, F_p = limited(F_u), None if F_p is None else limited(F_p)
+    F_u, F_p = limited(F_u), tuple(map(limited, F_p))
     J = ufl.derivative(F_u, u, ufl.TrialFunction(u.function_space)) if J is None else J
     check_nonlinear_forms(F_u, J, u)
     if energy is not None:
@@ -94,8 +93,7 @@ def warn_of_degree(forms: Forms, twice: int, comm: MPI.Comm) -> None:
         twice: Twice the polynomial degree of the unknown.
         comm: Communicator of the problem.
     """
-    residuals = [form for form in (forms.F_u, forms.F_p) if form is not None]
-    degree = max(map(estimated_quadrature_degree, residuals))
+    degree = max(map(estimated_quadrature_degree, (forms.F_u, *forms.F_p)))
     if degree > EXPLOSIVE * twice:
         warn(
             f"UFL estimates a quadrature degree of {degree} for F, which is slow to compile and to "
@@ -122,45 +120,45 @@ def potential(F: ufl.Form | Sequence[ufl.Form], energy: ufl.Form | None) -> ufl.
 
 
 def residuals(
-    F: ufl.Form | Sequence[ufl.Form], u: dolfinx.fem.Function, p: dolfinx.fem.Function | None
-) -> tuple[ufl.Form, ufl.Form | None]:
-    """Return the residuals tested with v and, for a condensed pressure, with q.
+    F: ufl.Form | Sequence[ufl.Form],
+    u: dolfinx.fem.Function,
+    condense: Sequence[dolfinx.fem.Function],
+) -> tuple[ufl.Form, tuple[ufl.Form, ...]]:
+    """Return the residuals tested with v and, for each condensed field, with its q.
 
     Args:
-        F: Residual, pair of residuals, or energy.
+        F: Residual, residuals, or energy.
         u: Unknown.
-        p: Pressure to be condensed.
+        condense: Fields to be condensed.
 
     Raises:
         ValueError: The forms do not fit ``condense``.
     """
     if not isinstance(F, ufl.Form):
         forms = list(F)
-        if p is None or len(forms) != 2 or any(len(form.arguments()) != 1 for form in forms):
+        wanted = [u.function_space, *(p.function_space for p in condense)]
+        if not condense or len(forms) != len(wanted) or any(len(f.arguments()) != 1 for f in forms):
             raise ValueError(
-                f"F is a sequence of {len(forms)} forms: give two residuals, tested with v and "
-                "with q, together with condense=p."
+                f"F is a sequence of {len(forms)} forms: give a residual tested with v and one for "
+                "each condensed field, tested with its q, together with condense=p."
             )
-        spaces = [form.arguments()[0].ufl_function_space() for form in forms]
-        if spaces != [u.function_space, p.function_space]:
+        if [form.arguments()[0].ufl_function_space() for form in forms] != wanted:
             raise ValueError("F holds residuals on other spaces: test them with v in V and q in Q.")
-        return forms[0], forms[1]
+        return forms[0], tuple(forms[1:])
     rank = len(F.arguments())
     if rank == 0 and u not in F.coefficients():
         raise ValueError(
             f"The unknown '{u.name}' does not occur in F: pass the Function that F is written in."
         )
-    if rank > 1 or (rank == 1 and p is not None):
+    if rank > 1 or (rank == 1 and condense):
         raise ValueError(
             f"F has {rank} arguments: give a residual or an energy; with condense=p an energy "
             "Π(u, p) or the pair of its residuals."
         )
     if rank == 1:
-        return F, None
-    F_u = ufl.derivative(F, u, ufl.TestFunction(u.function_space))
-    if p is None:
-        return F_u, None
-    return F_u, ufl.derivative(F, p, ufl.TestFunction(p.function_space))
+        return F, ()
+    F_u, *F_p = (ufl.derivative(F, f, ufl.TestFunction(f.function_space)) for f in (u, *condense))
+    return F_u, tuple(F_p)
 
 
 def default_volume_ratio(u: dolfinx.fem.Function) -> ufl.core.expr.Expr | None:

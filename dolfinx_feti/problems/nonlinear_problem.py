@@ -85,7 +85,7 @@ class NonlinearProblem(TornProblem):
         form_compiler_options: Mapping[str, object] | None = None,
         jit_options: Mapping[str, object] | None = None,
         *,
-        condense: dolfinx.fem.Function | None = None,
+        condense: dolfinx.fem.Function | Sequence[dolfinx.fem.Function] | None = None,
         energy: ufl.Form | None = None,
         subdomains: int | npt.NDArray[np.integer] | None = None,
         seed: int = 0,
@@ -101,14 +101,15 @@ class NonlinearProblem(TornProblem):
 
         Args:
             F: Residual; or an energy, whose derivatives are taken; with ``condense``, an energy
-                Π(u, p) or the pair of residuals (tested with v, tested with q).
+                Π(u, p) or the residuals (tested with v, and with the q of each condensed field).
             u: Unknown; holds the start and then the solution.
             bcs: Dirichlet conditions on u.
             J: Tangent of the residual tested with v, in u; derived from it if not given. A
                 symmetric one lets FETI use conjugate gradients.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the C compiler and its cache.
-            condense: Piecewise constant pressure that is eliminated cell by cell.
+            condense: Scalar field, or several, whose dofs no two cells share, such as a
+                discontinuous pressure: eliminated cell by cell, and updated with u.
             energy: Potential Π(u) or Π(u, p) whose derivatives are the residuals F, if they have
                 one: F itself if that is an energy. It keeps Newton's method on the way down.
             subdomains: Their number over all processes, or a part per owned cell; about one for
@@ -142,7 +143,8 @@ class NonlinearProblem(TornProblem):
         warn_unused(comm, P=P, kind=kind, entity_maps=entity_maps)
         self._prefix = agreed_prefix(petsc_options_prefix, "nonlinear_problem", comm)
         self._petsc_options = dict(petsc_options or {})
-        forms = derive(F, u, J=J, condense=condense, energy=energy, degree=quadrature_degree)
+        fields = _fields(condense)
+        forms = derive(F, u, J=J, condense=fields, energy=energy, degree=quadrature_degree)
         twice = 2 * V.ufl_element().embedded_superdegree
         if quadrature_degree is None:
             warn_of_degree(forms, twice, comm)
@@ -157,7 +159,7 @@ class NonlinearProblem(TornProblem):
             u,
             bcs=self.bcs,
             J=forms.J,
-            pressure=None if forms.F_p is None or condense is None else (forms.F_p, condense),
+            condense=list(zip(forms.F_p, fields, strict=True)),
             energy=forms.energy,
             volume_ratio=default_volume_ratio(u) if volume_ratio is None else volume_ratio,
             quadrature_degree=twice if quadrature_degree is None else quadrature_degree,
@@ -315,3 +317,12 @@ class NonlinearProblem(TornProblem):
             owned = vars(self).get(name)  # __init__ may have raised
             if owned is not None:
                 owned.destroy()
+
+
+def _fields(
+    condense: dolfinx.fem.Function | Sequence[dolfinx.fem.Function] | None,
+) -> tuple[dolfinx.fem.Function, ...]:
+    """Return the fields to be condensed: none, one, or several."""
+    if condense is None:
+        return ()
+    return tuple(condense) if isinstance(condense, Sequence) else (condense,)

@@ -69,7 +69,7 @@ class Tangent:
 
 
 class System:
-    """Residual and tangent of a displacement u and, if condensed, a pressure p.
+    """Residual and tangent of a displacement u and of what is condensed, such as a pressure p.
 
     The state is what the user's Functions hold.
 
@@ -89,7 +89,7 @@ class System:
         *,
         bcs: Sequence[dolfinx.fem.DirichletBC],
         J: ufl.Form,
-        pressure: tuple[ufl.Form, dolfinx.fem.Function] | None,
+        condense: Sequence[tuple[ufl.Form, dolfinx.fem.Function]],
         energy: ufl.Form | None,
         volume_ratio: ufl.core.expr.Expr | None,
         quadrature_degree: int,
@@ -103,7 +103,7 @@ class System:
             u: Unknown.
             bcs: Dirichlet conditions on V.
             J: Tangent of F_u in u.
-            pressure: Residual tested in Q and the pressure to be condensed.
+            condense: Residual of each field to be condensed, and the field.
             energy: Potential Π(u) or Π(u, p), if there is one.
             volume_ratio: Expression that has to be positive at every quadrature point.
             quadrature_degree: Degree of those points.
@@ -124,21 +124,16 @@ class System:
         self.residual_form = compiler.form(F_u)
         self._tangent = assembly.torn_form(J, (self._space, self._space), compiler)
         self.condensation = None
-        if pressure is not None:
-            F_p, p = pressure
+        if condense:
+            F_p, fields = zip(*condense, strict=True)
             self.condensation = Condensation(
-                F_u,
-                F_p,
-                u,
-                p,
-                space=self._space,
-                compiler=compiler,
+                F_u, F_p, u, fields, space=self._space, compiler=compiler
             )
         self._K = assembly.create_local_matrix(self._space, compiler)
         self._stiffness = np.zeros(self._K.mat.getSize()[0])
         self.A = assembly.create_matis(self._space, self._K.mat, self.bcs, self._stiffness)
         if self.condensation is not None:
-            set_condensed(self.A, self._n_cells)
+            set_condensed(self.A, self.condensation.constraints)
         self._energy = None if energy is None else compiler.form(energy)
         self._shift = 0.0
         self._volume_ratio = None
@@ -153,8 +148,8 @@ class System:
     # -- state ------------------------------------------------------------------------------------
 
     def state(self) -> tuple[Array, Array]:
-        """Copy the state, owned entries of u and all of p."""
-        p = self.condensation.p.x.array.copy() if self.condensation else np.zeros(0)
+        """Copy the state, owned entries of u and all of the condensed fields."""
+        p = self.condensation.values() if self.condensation else np.zeros(0)
         return self.u.x.array[: self.owned].copy(), p
 
     def set_state(self, state: tuple[Array, Array]) -> None:
@@ -162,11 +157,12 @@ class System:
         self.u.x.array[: self.owned] = state[0]
         self.u.x.scatter_forward()
         if self.condensation:
-            self.condensation.p.x.array[:] = state[1]
-            self.condensation.p.x.scatter_forward()
+            self.condensation.set_values(state[1])
+            for p in self.condensation.fields:
+                p.x.scatter_forward()
 
     def increment(self, here: Residual, du: Array) -> tuple[Array, Array]:
-        """Complete an increment of u by the pressure's own linearised equation.
+        """Complete an increment of u by the condensed fields' own linearised equations.
 
         Args:
             here: The residual where the increment begins.
@@ -230,13 +226,12 @@ class System:
         assert self._energy is not None
         if self.condensation is None:
             return float(dolfinx.fem.assemble_scalar(self._energy))
-        p = self.condensation.p.x
-        before = p.array.copy()
-        p.array[:] = self.condensation.relaxed()
+        before = self.condensation.values()
         try:
+            self.condensation.relax()
             return float(dolfinx.fem.assemble_scalar(self._energy))
         finally:
-            p.array[:] = before
+            self.condensation.set_values(before)
 
     # -- equations --------------------------------------------------------------------------------
 
@@ -291,7 +286,7 @@ class System:
         self._stiffness[:] = self._K.mat.getDiagonal().array_r
         self.A.query("stiffness").array[:] = self._stiffness
         if self.condensation is not None:
-            self.condensation.add_to(self._K, self.condensation.assemble())
+            self.condensation.subtract_from(self._K, self.condensation.assemble())
 
     def tangent(self) -> Tangent:
         """Name the tangent that the matrix holds now."""

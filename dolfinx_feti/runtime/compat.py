@@ -31,7 +31,10 @@ def adjacency(
 
 
 def create_function_space(
-    V: dolfinx.fem.FunctionSpace, table: npt.NDArray[np.int32], n_blocks: int
+    V: dolfinx.fem.FunctionSpace,
+    table: npt.NDArray[np.int32],
+    n_blocks: int,
+    block_size: int | None = None,
 ) -> dolfinx.fem.FunctionSpace:
     """Create a space like V with another dof map, on this process alone.
 
@@ -39,11 +42,13 @@ def create_function_space(
         V: Space whose mesh and element are shared.
         table: Dofs (blocks) of each cell, (n_cells, blocks per cell).
         n_blocks: Number of dof blocks.
+        block_size: Their size; that of V if not given.
     """
     old = V.dofmap
+    bs = old.bs if block_size is None else block_size
     index_map = dolfinx.cpp.common.IndexMap(MPI.COMM_SELF, n_blocks)
     links = adjacency(table)
-    dofmap = dolfinx.cpp.fem.DofMap(old.dof_layout, index_map, old.index_map_bs, links, old.bs)
+    dofmap = dolfinx.cpp.fem.DofMap(old.dof_layout, index_map, bs, links, bs)
     arguments = [V.mesh._cpp_object, V._cpp_object.element, dofmap]
     try:  # up to 0.9 the value shape is an argument
         space = dolfinx.cpp.fem.FunctionSpace_float64(*arguments, V.value_shape)

@@ -1,12 +1,15 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The mixed problem in (u, p), not condensed and not torn: Newton's method with a sparse LU.
+"""The mixed problem in u and p, not condensed and not torn: Newton's method with MUMPS.
 
 Each process solves the whole of it by itself. It shares no line with the package.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -14,7 +17,6 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
-import scipy.sparse.linalg
 from walls import Wall
 
 import dolfinx
@@ -23,63 +25,171 @@ import ufl
 
 Array = npt.NDArray[np.float64]
 
+#: Elements by name: cell, degree of u, condensed fields (of three, the first is a dilation).
+ELEMENTS = {
+    "p2-p1d": ("tetrahedron", 2, [("DG", 1)]),
+    "q1-p0": ("hexahedron", 1, [("DG", 0)]),
+    "q2-p1d": ("hexahedron", 2, [("DPC", 1)]),
+    "p2-p1d in 2D": ("triangle", 2, [("DG", 1)]),
+    "q2-p1d in 2D": ("quadrilateral", 2, [("DPC", 1)]),
+    "p2-p0-p0": ("tetrahedron", 2, [("DG", 0), ("DG", 0)]),
+    "q2-p1d-p1d": ("hexahedron", 2, [("DPC", 1), ("DPC", 1)]),
+}
 
-class Mixed:
-    """The blocks of a wall whose mesh lives on this process alone.
+
+@dataclass(frozen=True)
+class Block:
+    """A distorted block of rubber, clamped on the left, that has weight.
 
     Attributes:
-        wall: The wall.
+        u: Displacement.
+        fields: A pressure, or a dilation θ and a pressure.
+        energy: Π of all.
+        bcs: The clamping.
     """
 
-    def __init__(self, wall: Wall) -> None:
-        self.wall = wall
-        u, p = wall.u, wall.p
-        du, dp = ufl.TrialFunction(u.function_space), ufl.TrialFunction(p.function_space)
-        self._r = [compiled(form) for form in (wall.F_u, wall.F_p)]
+    u: dolfinx.fem.Function
+    fields: tuple[dolfinx.fem.Function, ...]
+    energy: ufl.Form
+    bcs: list[dolfinx.fem.DirichletBC]
+
+    @cached_property
+    def F_u(self) -> ufl.Form:
+        return ufl.derivative(self.energy, self.u, ufl.TestFunction(self.u.function_space))
+
+    @cached_property
+    def F_fields(self) -> tuple[ufl.Form, ...]:
+        tests = [ufl.TestFunction(p.function_space) for p in self.fields]
+        return tuple(
+            ufl.derivative(self.energy, p, q) for p, q in zip(self.fields, tests, strict=True)
+        )
+
+    @cached_property
+    def J(self) -> ufl.Form:
+        return ufl.derivative(self.F_u, self.u, ufl.TrialFunction(self.u.function_space))
+
+    def deform(self) -> None:
+        """Take a state that obeys no equation."""
+        d = len(self.u)
+        self.u.interpolate(
+            lambda x: 0.05 * np.stack([np.sin(2 * x[i - 1]) + x[0] * x[1] for i in range(d)])
+        )
+        for i, p in enumerate(self.fields, 1):
+            p.interpolate(lambda x, i=i: 1.0 + 0.1 * np.cos(3 * x[0]) + 0.05 * i * x[1])
+
+
+def block(comm: MPI.Comm, element: str, kappa: float, n: int = 3) -> Block:
+    """Make a block with some of ``ELEMENTS``.
+
+    Args:
+        comm: Communicator.
+        element: A name of theirs.
+        kappa: κ, over a shear modulus of 1.
+        n: Cells along each edge.
+    """
+    cell, degree, pressures = ELEMENTS[element]
+    kind = getattr(dolfinx.mesh.CellType, cell)
+    create = dolfinx.mesh.create_unit_cube if "hedron" in cell else dolfinx.mesh.create_unit_square
+    mesh = create(comm, *[n] * (3 if "hedron" in cell else 2), cell_type=kind)
+    x, d = mesh.geometry.x, mesh.geometry.dim
+    x[:, :d] += 0.05 * np.sin(3 * np.roll(x[:, :d], 1, axis=1)) * x[:, :1]
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (d,)))
+    u = dolfinx.fem.Function(V, name="u")
+    fields = tuple(
+        dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, Q), name=name)
+        for Q, name in zip(pressures, ("θ", "p")[-len(pressures) :], strict=True)
+    )
+    F = ufl.Identity(d) + ufl.grad(u)
+    J = ufl.det(F)
+    psi = (J ** (-2 / 3) * (ufl.inner(F, F) + 3 - d) - 3) / 2
+    if len(fields) == 1:
+        psi += fields[0] * (J - 1) - fields[0] ** 2 / (2 * kappa)
+    else:
+        θ, p = fields
+        psi += kappa / 2 * ((θ**2 - 1) / 2 - ufl.ln(θ)) + p * (J - θ)
+    energy = (psi + 0.1 * u[d - 1]) * ufl.dx(metadata={"quadrature_degree": 2 * degree})
+    left = dolfinx.mesh.locate_entities_boundary(mesh, d - 1, lambda x: np.isclose(x[0], 0.0))
+    dofs = dolfinx.fem.locate_dofs_topological(V, d - 1, left)
+    return Block(u, fields, energy, [dolfinx.fem.dirichletbc(np.zeros(d), dofs, V)])
+
+
+class Mixed:
+    """The blocks of a body whose mesh lives on this process alone.
+
+    Attributes:
+        body: A wall or a block.
+    """
+
+    def __init__(self, body: Wall | Block) -> None:
+        self.body = body
+        unknowns = (body.u, *body.fields)
+        trials = [ufl.TrialFunction(f.function_space) for f in unknowns]
+        rows = [compiled(form) for form in (body.F_u, *body.F_fields)]
+        self._r = rows
         self._K = [
-            [compiled(wall.J), compiled(ufl.derivative(wall.F_u, p, dp))],
             [
-                compiled(form)
-                for form in (ufl.derivative(wall.F_p, f, d) for f, d in ((u, du), (p, dp)))
-            ],
+                compiled(body.J if i == j == 0 else ufl.derivative(F, f, df))
+                for j, (f, df) in enumerate(zip(unknowns, trials, strict=True))
+            ]
+            for i, F in enumerate((body.F_u, *body.F_fields))
         ]
 
     def blocks(self) -> list[list[scipy.sparse.csr_array]]:
-        """Assemble K_uu, K_up and K_pu, K_pp without boundary conditions."""
-        return [[block(form) for form in row] for row in self._K]
+        """Assemble K_uu, K_up, … and so on, without boundary conditions."""
+        return [[assembled(form) for form in row] for row in self._K]
 
     def residual(self) -> Array:
-        """Assemble r_u and r_p without boundary conditions."""
+        """Assemble r_u, r_p without boundary conditions."""
         return np.concatenate([dolfinx.fem.assemble_vector(form).array.copy() for form in self._r])
 
     def step(self) -> tuple[Array, Array]:
         """Return Newton's step Δu, Δp from the present state."""
-        n = len(self.wall.u.x.array)
+        n = len(self.body.u.x.array)
         r = self.residual()
         K = scipy.sparse.block_array(self.blocks(), format="csc")
         step = np.zeros(len(r))
         fixed = np.zeros(len(r), dtype=bool)
-        for bc in self.wall.bcs:
+        for bc in self.body.bcs:
             gap = np.zeros(n)
-            bc.set(gap, self.wall.u.x.array, -1.0)  # u − g
+            bc.set(gap, self.body.u.x.array, -1.0)  # u − g
             dofs = bc._cpp_object.dof_indices()[0]
             step[dofs], fixed[dofs] = -gap[dofs], True
         free = ~fixed
-        rhs = -(r + K @ step)[free]
-        lu = scipy.sparse.linalg.splu(K[free][:, free])
-        step[free] = lu.solve(rhs)
-        step[free] += lu.solve(rhs - K[free][:, free] @ step[free])
+        step[free] = solve_sparse(K[free][:, free], -(r + K @ step)[free])
         return step[:n], step[n:]
 
     def solve(self, *, tolerance: float = 1e-12, steps: int = 12) -> None:
         """Take whole Newton steps until they are small."""
         for _ in range(steps):
             du, dp = self.step()
-            self.wall.u.x.array[:] += du
-            self.wall.p.x.array[:] += dp
-            if np.linalg.norm(du) <= tolerance * np.linalg.norm(self.wall.u.x.array):
+            self.body.u.x.array[:] += du
+            ends = np.cumsum([len(p.x.array) for p in self.body.fields])
+            for p, part in zip(self.body.fields, np.split(dp, ends[:-1]), strict=True):
+                p.x.array[:] += part
+            if np.linalg.norm(du) <= tolerance * np.linalg.norm(self.body.u.x.array):
                 return
         raise AssertionError(f"the reference did not converge: |du| = {np.linalg.norm(du)}")
+
+
+def solve_sparse(K: scipy.sparse.csr_array, b: Array) -> Array:
+    """Solve K x = b with MUMPS and one step of refinement, on this process alone."""
+    K = K.tocsr()
+    indptr, indices = (a.astype(PETSc.IntType) for a in (K.indptr, K.indices))
+    A = PETSc.Mat().createAIJ(K.shape, csr=(indptr, indices, K.data), comm=PETSc.COMM_SELF)
+    ksp = PETSc.KSP().create(PETSc.COMM_SELF)
+    ksp.setOperators(A)
+    ksp.setType(PETSc.KSP.Type.PREONLY)
+    ksp.getPC().setType(PETSc.PC.Type.LU)
+    ksp.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+    x, solution = np.zeros(len(b)), A.createVecRight()
+    for _ in range(2):
+        rhs = PETSc.Vec().createWithArray(b - K @ x, comm=PETSc.COMM_SELF)
+        ksp.solve(rhs, solution)
+        x += solution.array_r
+        rhs.destroy()
+    for owned in (ksp, A, solution):
+        owned.destroy()
+    return x
 
 
 def compiled(form: ufl.Form) -> dolfinx.fem.Form:
@@ -91,7 +201,7 @@ def compiled(form: ufl.Form) -> dolfinx.fem.Form:
     return form if comm.rank == 0 else dolfinx.fem.form(form)
 
 
-def block(form: dolfinx.fem.Form) -> scipy.sparse.csr_array:
+def assembled(form: dolfinx.fem.Form) -> scipy.sparse.csr_array:
     """Assemble a block; only PETSc's matrices take different numbers of components."""
     M = dolfinx.fem.petsc.assemble_matrix(form)
     M.assemble()
@@ -109,6 +219,16 @@ def by_place(f: dolfinx.fem.Function) -> Array:
     x = np.concatenate(comm.allgather(V.tabulate_dof_coordinates()[:n]))
     values = np.concatenate(comm.allgather(f.x.array[: n * bs].reshape(n, bs)))
     return values[np.lexsort(np.round(x, 6).T)]
+
+
+def by_cell(f: dolfinx.fem.Function) -> Array:
+    """Return the values of all processes on each cell, as the mesh was made, (cells, dofs)."""
+    V = f.function_space
+    mesh, comm = V.mesh, V.mesh.comm
+    n = mesh.topology.index_map(mesh.topology.dim).size_local
+    number = np.concatenate(comm.allgather(mesh.topology.original_cell_index[:n]))
+    values = np.concatenate(comm.allgather(f.x.array[V.dofmap.list[:n]]))
+    return values[np.argsort(number)]
 
 
 def solve_assembled(A: PETSc.Mat, b: PETSc.Vec) -> Array:

@@ -54,6 +54,16 @@ class Wall:
     F_p: ufl.Form
     J: ufl.Form
 
+    @property
+    def fields(self) -> tuple[dolfinx.fem.Function, ...]:
+        """What is condensed."""
+        return (self.p,)
+
+    @property
+    def F_fields(self) -> tuple[ufl.Form, ...]:
+        """Its residuals."""
+        return (self.F_p,)
+
     def problem(
         self,
         subdomains: int | npt.NDArray[np.integer],

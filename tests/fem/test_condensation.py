@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The pressure condensed cell by cell, against the mixed problem without condensation."""
+"""Fields condensed cell by cell, against the mixed problem without condensation."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from collective import COMM, agree, equal, raises
-from mixed import Mixed, by_place, solve_assembled
+from collective import COMM, agree, dense, equal, raises, small
+from mixed import ELEMENTS, Block, Mixed, block, by_cell, by_place, solve_assembled
 from problems import owned
 from walls import LUMEN, Wall, lumen_measure, tube, wall
 
@@ -33,7 +34,7 @@ def torn_system() -> Iterator[Callable[..., System]]:
     """Tear a wall, without a solver."""
     made = []
 
-    def create(body: Wall, subdomains: int = 5) -> System:
+    def create(body: Wall | Block, subdomains: int = 5) -> System:
         decomposition = decompose(body.u.function_space.mesh, subdomains)
         made.append(
             System(
@@ -41,7 +42,7 @@ def torn_system() -> Iterator[Callable[..., System]]:
                 body.u,
                 bcs=body.bcs,
                 J=body.J,
-                pressure=(body.F_p, body.p),
+                condense=list(zip(body.F_fields, body.fields, strict=True)),
                 energy=body.energy,
                 volume_ratio=None,
                 quadrature_degree=2,
@@ -91,6 +92,53 @@ def test_condensed_step_is_the_mixed_one(degree, kappa, torn_system):
         equal(by_place(field), by_place(reference), 1e-10)
 
 
+@pytest.mark.parametrize("kappa", [10.0, 1e5])
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_condensed_step_of_any_element_is_the_mixed_one(element, kappa, torn_system):
+    """Several pressures in a cell, and a dilation beside them, whose energy is not quadratic."""
+    body, alone = (block(comm, element, kappa) for comm in (COMM, MPI.COMM_SELF))
+    body.deform()
+    alone.deform()
+    alone.u.x.array[:], values = Mixed(alone).step()
+    place(alone, values)
+    du, values = step(torn_system(body))
+    body.u.x.array[: len(du)] = du
+    place(body, values)
+    tolerance = max(1e-10, 10 * np.finfo(float).eps * kappa)
+    equal(by_place(body.u), by_place(alone.u), tolerance)
+    for p, reference in zip(body.fields, alone.fields, strict=True):
+        equal(by_cell(p), by_cell(reference), tolerance)
+
+
+def place(body: Block, values: np.ndarray) -> None:
+    """Set the condensed fields, one after the other."""
+    ends = np.cumsum([len(p.x.array) for p in body.fields])
+    for p, part in zip(body.fields, np.split(values, ends[:-1]), strict=True):
+        p.x.array[:] = part
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("element", ["p2-p0", *ELEMENTS])
+def test_condensed_matrix(element, torn_system):
+    """To rounding it is K_uu − K_up K_pp⁻¹ K_pu, each block as dolfinx assembles it."""
+    if element == "p2-p0":
+        body = wall(tube())
+        deform(body)
+    else:
+        body = block(COMM, element, 1e3, n=2)
+        body.deform()
+    system = torn_system(body, 3)
+    system.linearise()
+    K = [[part.toarray() for part in row] for row in Mixed(body).blocks()]
+    K_up, K_pu = np.hstack(K[0][1:]), np.vstack([row[0] for row in K[1:]])
+    K_pp = np.block([row[1:] for row in K[1:]])
+    expected = K[0][0] - K_up @ np.linalg.solve(K_pp, K_pu)
+    A = system.A.convert("aij", out=PETSc.Mat())
+    actual = dense(A)
+    A.destroy()
+    equal(actual, expected, 1e-13)
+
+
 @degrees
 def test_blocks_are_those_of_ufl(degree, torn_system):
     """Rows of K_pu, K_pp and r_p against the derivatives that a user would write."""
@@ -128,7 +176,7 @@ def test_matrix_without_a_place_is_refused(wrong, torn_system):
     other = LocalMatrix(SimpleNamespace(indptr=indptr, indices=indices, data=values), system._K.mat)
     blocks = system.condensation.assemble()
     with raises(ValueError, r"K, of \d+ nodes, does not couple all nodes"):
-        system.condensation.add_to(other, blocks)
+        system.condensation.subtract_from(other, blocks)
 
 
 @degrees
@@ -160,6 +208,77 @@ def test_pressure_obeys_its_equation(degree):
     swelling, volume = (dolfinx.fem.assemble_vector(dolfinx.fem.form(f)).array for f in forms)
     n = len(owned(body.p))
     equal(owned(body.p), 1000.0 * swelling[:n] / volume[:n], 1e-7)
+
+
+@pytest.mark.parametrize("element", ["q2-p1d", "q2-p1d-p1d"])
+def test_several_pressures_solve_as_the_mixed_problem(element):
+    """Newton's method with FETI arrives where that of the mixed problem does."""
+    body, alone = (block(comm, element, 100.0, n=2) for comm in (COMM, MPI.COMM_SELF))
+    for other in (body, alone):
+        if len(other.fields) == 2:
+            other.fields[0].x.array[:] = 1.0  # θ at rest
+    NonlinearProblem(
+        body.energy,
+        body.u,
+        bcs=body.bcs,
+        condense=body.fields,
+        subdomains=4,
+        petsc_options={"snes_rtol": 1e-12, "snes_atol": 1e-14, "ksp_rtol": 1e-10},
+    ).solve()
+    Mixed(alone).solve()
+    equal(by_place(body.u), by_place(alone.u), 1e-9)
+    for p, reference in zip(body.fields, alone.fields, strict=True):
+        equal(by_cell(p), by_cell(reference), 1e-8)
+
+
+def test_potential_of_a_nonlinear_dilation(torn_system):
+    """Π(u) has the θ and p of its u: θ = J and p = Ψ′(θ) in each cell, and leaves those held."""
+    body = block(COMM, "p2-p0-p0", 100.0)
+    body.deform()
+    before = [p.x.array.copy() for p in body.fields]
+    system = torn_system(body)
+    value = system.potential()
+    for p, values in zip(body.fields, before, strict=True):
+        equal(p.x.array, values)
+    system.condensation.relax()
+    for form in body.F_fields:
+        r = dolfinx.fem.assemble_vector(dolfinx.fem.form(form)).array
+        small(np.abs(r[: len(owned(body.fields[0]))]).max(initial=0.0), 1e-12)
+    small(value / COMM.allreduce(integral(body.energy)) - 1.0, 1e-12)
+
+
+def integral(form: ufl.Form) -> float:
+    """Return the share of this process."""
+    return float(dolfinx.fem.assemble_scalar(dolfinx.fem.form(form)))
+
+
+@pytest.mark.parametrize("kappa", [1e-9, 1e9])
+def test_units_make_no_block_singular(kappa, torn_system):
+    """κ/2 (θ − 1)² + p (J − θ) has pivots that differ by κ²."""
+    body = block(COMM, "p2-p0-p0", kappa)
+    body.fields[0].x.array[:] = 1.0
+    torn_system(body).residual()
+
+
+def test_singular_block_is_refused(torn_system):
+    """More pressures than dilations leave one of them free; the cell and the field are named."""
+    body = block(COMM, "q2-p1d-p1d", 10.0)
+    mesh = body.u.function_space.mesh
+    θ = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)), name="θ")
+    θ.x.array[:] = 1.0
+    energy = ufl.replace(body.energy, {body.fields[0]: θ})
+    body = Block(body.u, (θ, body.fields[1]), energy, body.bcs)
+    system = torn_system(body)
+    where = r"is singular in cell 0 of process \d, around \(0\.\d+, 0\.\d+, 0\.\d+\)"
+    with raises(ValueError, f"condense: the block of 'p' {where}"):
+        system.residual()
+
+
+def test_pressure_that_is_no_number(torn_system):
+    """It makes a residual that is none, which Newton's method reports, and no singular block."""
+    body = block(COMM, "q2-p1d-p1d", 10.0)
+    body.fields[0].x.array[:] = np.nan
+    agree(np.isnan(torn_system(body).residual().condensed).any())
 
 
 def test_energy_is_as_good_as_residuals():

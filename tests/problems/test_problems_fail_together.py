@@ -103,7 +103,7 @@ def test_volume_ratio(monkeypatch):
         problem.solve()
 
 
-@pytest.mark.parametrize("name", ["assemble", "residual", "add_to"])
+@pytest.mark.parametrize("name", ["assemble", "residual", "subtract_from"])
 def test_condensation(name, monkeypatch):
     body = wall(tube(), degree=1)
     problem = body.problem(4)
