@@ -3,6 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The two-layer tube at a given length, whole or a quarter of it, and how far it is from the truth.
 
+Its elements are those of :data:`ELEMENTS`: P1–P0 and P2–P0 on tetrahedra with straight edges, and
+the second-order Q2–P1 on curved hexahedra, with a pressure that is linear in each cell.
 Its supports (:mod:`benchmarks.common.walls.supports`) let it slide in the planes of its ends, so
 that it remains a tube, and :mod:`benchmarks.tube.oracle` knows its radius, volume and stress.
 """
@@ -26,16 +28,38 @@ from benchmarks.common.walls.problem import WallProblem, create_wall_problem
 from benchmarks.common.walls.supports import slide
 from benchmarks.tube.oracle import Tube
 from dolfinx_feti import kinematics
-from dolfinx_feti.output import Patches, create_patches, recovered_field
-from dolfinx_feti.wall import Wall
+from dolfinx_feti.output import Patches, balanced_stress, create_patches, recovered_field
+from dolfinx_feti.wall import Wall, by_layer
+from dolfinx_feti.wall.fibres import ANGLES
+from meshes.bricks import create_brick_tube
 from meshes.tube import ADVENTITIA, INNER_RADIUS, count_around
 from meshes.walls import create_tube_wall
 
-__all__ = ["TANGENTS", "InflatedTube", "create_inflated_tube", "create_slice"]
+__all__ = ["ELEMENTS", "TANGENTS", "InflatedTube", "create_inflated_tube", "create_slice"]
 
 Array = npt.NDArray[np.float64]
 
 QUADRATURE = 4  # degree
+
+#: Hexahedra through the wall are shorter than tetrahedra, and around it, where they are curved,
+#: longer: with so many times the length and the number there are no more dofs.
+THROUGH, AROUND = 0.7, 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """A pair of elements: of which degree u is, what p is, and on which cells."""
+
+    degree: int
+    pressures: tuple[str, int] = ("DG", 0)
+    hexahedra: bool = False
+
+
+ELEMENTS = {
+    "p1-p0": Element(1),
+    "p2-p0": Element(2),
+    "q2-p1d": Element(2, ("DPC", 1), hexahedra=True),
+}
 TANGENTS = ("symmetric", "full", "none")
 OUTER_RADIUS = INTERFACE + ADVENTITIA
 
@@ -45,16 +69,22 @@ class InflatedTube(WallProblem):
     """The problem of a tube, and what is compared."""
 
     frame: tuple[Expr, Expr]  # e_r and e_θ in the reference
-    patches: Patches  # where the stress is recovered, layer by layer
+    patches: Patches | None  # where the stress is recovered, layer by layer; not where it need not
+    points: Array  # of the quadrature in the reference cell, (points, 3)
     radii: Array  # of the quadrature points in the owned cells [mm], (cells, points)
     weights: Array  # volume that each of these points stands for [mm³], (cells, points)
     layer: npt.NDArray[np.int64]  # 0 for the cells of the media, 1 for the others, (cells,)
 
     @property
-    def recovered_stress(self) -> dolfinx.fem.Function:
-        """The Cauchy stress, recovered with the normal of the deformed wall [kPa]."""
-        F = kinematics.deformation_gradient(self.u)
-        return recovered_field(self.stress, self.patches, normal=ufl.inv(F).T * self.frame[0])
+    def recovered_stress(self) -> Expr:
+        """The Cauchy stress, recovered with the normal of the deformed wall [kPa].
+
+        That of second-order elements is their own, with its pressure put right.
+        """
+        normal = ufl.inv(kinematics.deformation_gradient(self.u)).T * self.frame[0]
+        if self.patches is None:
+            return balanced_stress(self.stress, self.u, normal=normal, degree=QUADRATURE)
+        return recovered_field(self.stress, self.patches, normal=normal)
 
     def compare(self, truth: Tube) -> dict[str, float]:
         """Hold radius, thickness, volume and stress against the truth. Collective.
@@ -90,7 +120,7 @@ class InflatedTube(WallProblem):
 
     def at_points(self, expression: Expr) -> Array:
         """Evaluate a scalar at the quadrature points, (cells, points). Collective."""
-        return _at_points(expression, self.u.function_space.mesh, self.patches.points)
+        return _at_points(expression, self.u.function_space.mesh, self.points)
 
     def _integral(self, values: Array) -> float:
         return self.u.function_space.mesh.comm.allreduce(float((self.weights * values).sum()))
@@ -106,33 +136,45 @@ class InflatedTube(WallProblem):
         return np.concatenate(parts)
 
 
-def create_slice(comm: MPI.Comm, *, size: float, quarter: bool) -> Wall:
+def create_slice(
+    comm: MPI.Comm, *, size: float, quarter: bool, element: str = "p2-p0"
+) -> Wall:
     """Mesh a tube as long as its elements, or a quarter of it. Collective."""
     around = count_around(size, quarter=True) * (1 if quarter else 4)
+    if ELEMENTS[element].hexahedra:
+        return create_brick_tube(
+            comm,
+            length=size,
+            size=THROUGH * size,
+            quarter=quarter,
+            around=round(AROUND * around / 4) * 4,
+            along=1,
+        )
     return create_tube_wall(comm, length=size, size=size, quarter=quarter, around=around)
 
 
 def create_inflated_tube(
     wall: Wall,
     *,
-    degree: int,
     c: float,
     kappa: float,
     subdomains: int,
+    element: str = "p2-p0",
     tangent: str = "symmetric",
     options: dict[str, object] | None = None,
 ) -> InflatedTube:
     """Build the tube on a wall of :func:`create_slice`; the options have the prefix ``tube_``."""
-    mesh = wall.mesh
+    mesh, kind = wall.mesh, ELEMENTS[element]
     body = create_wall_problem(
         wall,
-        degree=degree,
+        degree=kind.degree,
+        pressures=kind.pressures,
         c=c,
         kappa=kappa,
         subdomains=subdomains,
         options=options or {},
         prefix="tube_",
-        fibres=tube_fibres(mesh),
+        fibres=_helices(wall) if kind.hexahedra else tube_fibres(mesh),
         hold=slide,
         tangent=tangent,
         axis=(0.0, 0.0, 1.0),
@@ -141,20 +183,35 @@ def create_inflated_tube(
     r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
     e_r = ufl.as_vector([x[0] / r, x[1] / r, 0.0])
     e_t = ufl.as_vector([-x[1] / r, x[0] / r, 0.0])
-    points, weights = basix.make_quadrature(basix.CellType.tetrahedron, QUADRATURE)
-    patches = create_patches(mesh, wall.cell_tags, degree=QUADRATURE)
-    layer = np.zeros(len(patches.volumes), dtype=np.int64)
+    cell = getattr(basix.CellType, mesh.topology.cell_name())
+    points, weights = basix.make_quadrature(cell, QUADRATURE)
+    volume = _at_points(abs(ufl.JacobianDeterminant(mesh)), mesh, points)
+    layer = np.zeros(len(volume), dtype=np.int64)
     outer = wall.cell_tags.find(wall.layers["adventitia"])
     layer[outer[outer < len(layer)]] = 1
     known = {field.name: getattr(body, field.name) for field in fields(body)}
     return InflatedTube(
         **known,
         frame=(e_r, e_t),
-        patches=patches,
+        patches=(
+            None
+            if kind.hexahedra
+            else create_patches(mesh, wall.cell_tags, degree=QUADRATURE)
+        ),
+        points=points,
         radii=_at_points(r, mesh, points),
-        weights=patches.volumes[:, None] * 6.0 * weights,
+        weights=volume * weights,
         layer=layer,
     )
+
+
+def _helices(wall: Wall) -> tuple[Expr, Expr]:
+    """Return both families of fibres with the direction that they have at each point."""
+    x = ufl.SpatialCoordinate(wall.mesh)
+    r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
+    α = by_layer(wall, {layer: np.deg2rad(angle) for layer, angle in ANGLES.items()})
+    around, along = ufl.as_vector([-x[1] / r, x[0] / r, 0.0]), ufl.as_vector([0.0, 0.0, 1.0])
+    return ufl.cos(α) * around + ufl.sin(α) * along, ufl.cos(α) * around - ufl.sin(α) * along
 
 
 def _at_points(expression: Expr, mesh: dolfinx.mesh.Mesh, points: Array) -> Array:

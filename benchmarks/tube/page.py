@@ -16,7 +16,7 @@ from benchmarks.common.records import Record
 
 __all__ = ["main"]
 
-CASE = ("quarter", "degree", "size", "c", "kappa", "tangent", "subdomains", "processes")
+CASE = ("quarter", "element", "size", "c", "kappa", "tangent", "subdomains", "processes")
 
 
 def _fields(records: Sequence[Record]) -> Fields:
@@ -34,7 +34,7 @@ def _fields(records: Sequence[Record]) -> Fields:
     return {"runs": runs, "machines": []}
 
 
-main = partial(write_page, __file__, "tube", known=lambda r: "tangent" in r, fields=_fields)
+main = partial(write_page, __file__, "tube", known=lambda r: "element" in r, fields=_fields)
 
 if __name__ == "__main__":
     main()

@@ -22,7 +22,7 @@ from mpi4py import MPI
 
 from benchmarks.common import command
 from benchmarks.common.records import Record
-from benchmarks.tube.inflated_tube import TANGENTS, create_inflated_tube, create_slice
+from benchmarks.tube.inflated_tube import ELEMENTS, TANGENTS, create_inflated_tube, create_slice
 from benchmarks.tube.oracle import KPA_PER_MMHG, Wall, inflate
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.loading import LoadStep, Steps
@@ -44,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
     add("--c", type=positive, default=3.0, help="[kPa], 3")
     add("--kappa", type=positive, default=1000.0, help="[kPa], 1000")
     add("--size", type=positive, default=0.09, help="length of the elements' edges [mm], 0.09")
-    add("--degree", type=command.one_of((1, 2)), default=2, help="of the displacements, 2")
+    add("--element", choices=ELEMENTS, default="p2-p0", help="displacements and pressure, p2-p0")
     add("--quarter", action="store_true", help="only a quarter, between planes of symmetry")
     add("--tangent", choices=TANGENTS, default="symmetric", help="of the follower pressure")
     add("--subdomains", type=count, default=8, help="over all processes, 8")
@@ -56,16 +56,19 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
         parser.error(f"argument --pressures: {args.pressures} do not rise")
     if args.restart and args.checkpoint is None:
         parser.error("argument --restart: it needs --checkpoint FOLDER, the run to continue")
-    names = ("c", "kappa", "size", "degree", "quarter", "subdomains", "tangent")
-    case: Record = {name: getattr(args, name) for name in names} | {"processes": comm.size}
+    names = ("c", "kappa", "size", "element", "quarter", "subdomains", "tangent")
+    case: Record = {name: getattr(args, name) for name in names} | {
+        "degree": ELEMENTS[args.element].degree,
+        "processes": comm.size,
+    }
     file = command.open_records(args.json, parser, comm)
-    physics = {name: case[name] for name in ("c", "kappa", "degree")}
+    physics = {name: case[name] for name in ("c", "kappa", "element")}
     checkpoint = command.open_checkpoint(
         args.checkpoint, parser, comm, parameters=physics, restart=args.restart
     )
     tube = create_inflated_tube(
-        create_slice(comm, size=args.size, quarter=args.quarter),
-        **{name: case[name] for name in ("degree", "c", "kappa", "subdomains", "tangent")},
+        create_slice(comm, size=args.size, quarter=args.quarter, element=args.element),
+        **{name: case[name] for name in ("element", "c", "kappa", "subdomains", "tangent")},
     )
     records: list[Record] = []
     steps: list[LoadStep] = []

@@ -3,10 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Output: recovered stresses, and fields for ParaView.
 
-In the order of the data: patches, stress, fields.
+In the order of the data: patches, stress, balance, fields.
 """
 
 from dolfinx_feti.runtime.folders import writable_folder
+from dolfinx_feti.output.balance import balanced_stress
 from dolfinx_feti.output.fields import FieldWriter, cell_values
 from dolfinx_feti.output.patches import Patches, create_patches
 from dolfinx_feti.output.stress import (
@@ -19,6 +20,7 @@ from dolfinx_feti.output.stress import (
 __all__ = [
     "FieldWriter",
     "Patches",
+    "balanced_stress",
     "cell_values",
     "components",
     "create_patches",

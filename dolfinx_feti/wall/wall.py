@@ -35,6 +35,7 @@ __all__ = [
     "area",
     "by_layer",
     "corners",
+    "distribute",
     "extent",
     "facets",
     "openings",
@@ -47,6 +48,14 @@ AXES = "xyz"
 
 #: The triangles of a facet, by the numbers of its corners.
 CUTS = {"tetrahedron": [[0, 1, 2]], "hexahedron": [[0, 1, 2], [1, 3, 2]]}
+
+#: Cell and order of the geometry by the number of nodes of a cell.
+CELLS = {
+    4: ("tetrahedron", 1),
+    10: ("tetrahedron", 2),
+    8: ("hexahedron", 1),
+    27: ("hexahedron", 2),
+}
 
 #: How far a plane surface may reach out of its plane, relative to the extent of the wall.
 OUT_OF_PLANE = 1e-7
@@ -140,22 +149,35 @@ def read_wall(path: Path | str, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
         )
     raw: list[RawWall] = []  # on the first process
     on_first(lambda: raw.append(read_raw_wall(Path(path))), comm)
-    return _distribute(raw[0] if raw else None, comm, scale)
+    return distribute(raw[0] if raw else None, comm, scale=scale)
 
 
-def _distribute(raw: RawWall | None, comm: MPI.Comm, scale: float) -> Wall:
-    """Create the distributed mesh and its tags from what the first process has read."""
-    empty = np.zeros((0, 4), dtype=np.int64)
+def distribute(raw: RawWall | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
+    """Create the distributed mesh and its tags from what the first process has.
+
+    Args:
+        raw: The whole wall on the first process, None on the others. Its cells are tetrahedra or
+            hexahedra of first or second order (see :data:`CELLS`), their nodes in dolfinx's order.
+        comm: Communicator of the mesh.
+        scale: Number of millimetres in the unit of its points.
+
+    Note:
+        Collective.
+    """
+    shapes = None if raw is None else (raw.cells.shape[1], raw.facets.shape[1])
+    names = None if raw is None else (raw.layer_names, raw.surface_names)
+    (width, facet_width), names = comm.bcast((shapes, names), root=0)
+    none = np.zeros(0, dtype=np.int64)
     points = np.zeros((0, 3)) if raw is None else scale * raw.points
-    cells, layers = (empty, empty[:, 0]) if raw is None else (raw.cells, raw.layers)
-    triangles, surfaces = (empty[:, :3], empty[:, 0]) if raw is None else (raw.facets, raw.surfaces)
-    element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,), dtype=np.float64)
+    cells = np.zeros((0, width), dtype=np.int64) if raw is None else raw.cells
+    facets = np.zeros((0, facet_width), dtype=np.int64) if raw is None else raw.facets
+    cell, order = CELLS[width]
+    element = basix.ufl.element("Lagrange", cell, order, shape=(3,), dtype=np.float64)
     mesh = dolfinx.mesh.create_mesh(comm, cells, x=points, e=ufl.Mesh(element))
-    names = comm.bcast(None if raw is None else (raw.layer_names, raw.surface_names), root=0)
     return Wall(
         mesh=mesh,
-        cell_tags=_tags(mesh, 3, cells, layers),
-        facet_tags=_tags(mesh, 2, triangles, surfaces),
+        cell_tags=_tags(mesh, 3, cells, none if raw is None else raw.layers),
+        facet_tags=_tags(mesh, 2, facets, none if raw is None else raw.surfaces),
         layers=names[0],
         surfaces=names[1],
     )

@@ -45,9 +45,9 @@ class RawWall:
 
     Attributes:
         points: Coordinates, (n, 3), in the file's unit.
-        cells: Tetrahedra, (m, 4).
+        cells: Tetrahedra, (m, 4), or what else ``wall.distribute`` takes.
         layers: The tag of each cell, (m,).
-        facets: Tagged triangles, (k, 3).
+        facets: Tagged triangles, (k, 3), or the facets of other cells.
         surfaces: Their tags, (k,).
         layer_names: Tags of the layers.
         surface_names: Tags of the surfaces.

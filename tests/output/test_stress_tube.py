@@ -40,7 +40,7 @@ class Found:
 def inflated(size: float, pressures: list[float]) -> dict[float, Found]:
     """Inflate a quarter tube, as long as its elements, and recover its stresses."""
     wall = create_slice(COMM, size=size, quarter=True)
-    tube = create_inflated_tube(wall, degree=2, c=3.0, kappa=KAPPA, subdomains=4)
+    tube = create_inflated_tube(wall, c=3.0, kappa=KAPPA, subdomains=4)
     found = {}
 
     def report(step) -> None:

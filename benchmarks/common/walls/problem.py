@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A two-layer wall under pressure, P_k–P_0 with fibres, as the paper's load stepping has it."""
+"""A two-layer wall under pressure, with fibres and a condensed pressure, as the paper's load stepping has it."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 import dolfinx
 import ufl
+from ufl.core.expr import Expr
 
 import dolfinx_feti
 from benchmarks.common.walls.supports import Hold, clamp_openings
@@ -33,11 +34,11 @@ class WallProblem:
 
     problem: dolfinx_feti.NonlinearProblem
     u: dolfinx.fem.Function  # displacement [mm]
-    p: dolfinx.fem.Function  # pressure of the element-wise volume constraint [kPa]
+    p: dolfinx.fem.Function  # pressure of the volume constraint in each cell [kPa]
     residual: ufl.Form  # of the displacements, before p is condensed [mN]
     pressure: dolfinx.fem.Constant  # in the lumen [kPa]
     bcs: list[dolfinx.fem.DirichletBC]
-    stress: ufl.core.expr.Expr  # Cauchy's σ [kPa]
+    stress: Expr  # Cauchy's σ [kPa]
 
     @property
     def dofs(self) -> int:
@@ -93,7 +94,8 @@ def create_wall_problem(
     subdomains: int | npt.NDArray[np.integer] | None,
     options: dict[str, object],
     prefix: str = "wall_",
-    fibres: tuple[dolfinx.fem.Function, dolfinx.fem.Function] | None = None,
+    fibres: tuple[Expr, Expr] | None = None,
+    pressures: tuple[str, int] = ("DG", 0),
     hold: Hold = clamp_openings,
     tangent: str = "symmetric",
     axis: tuple[float, float, float] | None = None,
@@ -110,13 +112,14 @@ def create_wall_problem(
         options: PETSc options of the problem.
         prefix: Their prefix.
         fibres: The two families of directions; from Laplace problems if not given.
+        pressures: Element of p.
         hold: Makes the Dirichlet conditions.
         tangent: Of the follower pressure, ``symmetric``, ``full`` or ``none``.
         axis: Direction along which the ends slide, see ``loads.pressure_potential``.
         potential: Let Newton's method know the potential, which keeps it on the way down.
     """
     V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", degree, (3,)))
-    Q = dolfinx.fem.functionspace(wall.mesh, ("DG", 0))
+    Q = dolfinx.fem.functionspace(wall.mesh, pressures)
     u, p = dolfinx.fem.Function(V, name="u"), dolfinx.fem.Function(Q, name="p")
     v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
     a1, a2 = fibres or fibre_families(wall, fibre_frame(wall))

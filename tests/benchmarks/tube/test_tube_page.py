@@ -13,7 +13,7 @@ from benchmarks.tube import page
 
 pytestmark = pytest.mark.serial
 
-CASE = {"c": 3.0, "kappa": 1000.0, "size": 0.09, "degree": 2, "quarter": True, "subdomains": 8}
+CASE = {"c": 3.0, "kappa": 1000.0, "size": 0.09, "element": "p2-p0", "quarter": True, "subdomains": 8}
 CASE |= {"tangent": "symmetric", "processes": 2, "steps": 1, "failures": 0, "seconds": 1.5}
 CASE |= {"newton_iterations": 4, "linear_iterations": 1234}
 ERRORS = [f"{which}_{of}_error" for which in ("stress", "recovered") for of in ("rr", "tt")]
@@ -27,7 +27,7 @@ def test_ratios_to_the_truth_and_a_run_that_did_not_arrive(tmp_path):
     (tmp_path / "tube.json").write_text(json.dumps([CASE | found, CASE | lost]))
     text = page.main([str(tmp_path / "tube.json"), "--output", str(tmp_path)])
     assert text == (tmp_path / "tube.md").read_text()
-    assert "## quarter, P2–P0, edges of 0.09 mm, c = 3 kPa, κ = 1000 kPa, symmetric" in text
+    assert "## quarter, p2-p0, edges of 0.09 mm, c = 3 kPa, κ = 1000 kPa, symmetric" in text
     assert "| 10 | 1 | 4 | 1 234 | 0.10100 | +1.0 % | 0.30000 | +0.0 % |" in text
     assert "- No further than 10 mmHg: No equilibrium was found." in text
     assert text.count("\n| 300 ") == 0

@@ -1,0 +1,55 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The tube of hexahedra: volumes, surfaces, numbers; straight and curved."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, raises
+
+import dolfinx
+import ufl
+
+from meshes.bricks import create_brick_tube
+
+
+def integrals(mesh: dolfinx.mesh.Mesh, tags: dolfinx.mesh.MeshTags, kind: str) -> dict[int, float]:
+    """Return volume or area of each tag."""
+    found = {}
+    measure = ufl.Measure(kind, mesh, subdomain_data=tags)
+    one = dolfinx.fem.Constant(mesh, 1.0)
+    for tag in np.unique(np.concatenate(COMM.allgather(np.unique(tags.values)))):
+        own = dolfinx.fem.assemble_scalar(dolfinx.fem.form(one * measure(int(tag))))
+        found[int(tag)] = COMM.allreduce(own)
+    return found
+
+
+@pytest.mark.parametrize("quarter", [False, True])
+@pytest.mark.parametrize("order", [1, 2])
+def test_brick_tube(order, quarter):
+    """Polygons of order 1 are those of the chords; parabolas miss a circle by (angle)⁴/480."""
+    n, L = (4, 1.0) if quarter else (16, 1.0)
+    wall = create_brick_tube(COMM, length=L, size=0.1, quarter=quarter, around=n, order=order)
+    mesh, angle = wall.mesh, 2 * np.pi / 16
+    r = np.array([0.71, 0.97, 1.10])
+    segments = n * r**2 * (np.sin(angle) if order == 1 else angle) / 2
+    tolerance = 1e-12 if order == 1 else angle**4 / 100
+    agree(mesh.topology.index_map(3).size_global == 4 * n * 10)
+    volume = integrals(mesh, wall.cell_tags, "dx")
+    equal([volume[wall.layers[k]] for k in ("media", "adventitia")], L * np.diff(segments), tolerance)
+    area = integrals(mesh, wall.facet_tags, "ds")
+    sides = n * r * L * (2 * np.sin(angle / 2) if order == 1 else angle)
+    expected = {"lumen": sides[0], "outer": sides[2]}
+    expected |= dict.fromkeys(("opening_1", "opening_2"), segments[2] - segments[0])
+    if quarter:
+        expected |= dict.fromkeys(("symmetry_x", "symmetry_y"), L * (r[2] - r[0]))
+    agree(set(wall.surfaces) == set(expected))
+    equal([area[wall.surfaces[name]] for name in expected], list(expected.values()), tolerance)
+
+
+@pytest.mark.parametrize("wrong", [{"order": 3}, {"size": -1.0}])
+def test_wrong_arguments(wrong):
+    with raises(ValueError, "give lengths above zero, and order 1 or 2"):
+        create_brick_tube(COMM, **({"length": 1.0, "size": 0.2} | wrong))
