@@ -18,12 +18,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, get_args
 
+import dolfinx
 import ufl
 from ufl.core.expr import Expr
+from ufl.core.multiindex import MultiIndex
+from ufl.corealg.traversal import traverse_unique_terminals
 
 from dolfinx_feti.mechanics.kinematics import deformation_gradient
+from dolfinx_feti.mechanics.rim import rim_is_held
 
 __all__ = [
     "enclosed_volume",
@@ -32,6 +36,9 @@ __all__ = [
     "mmhg",
     "pressure_potential",
 ]
+
+#: What of a pressure's derivative is taken.
+Kind = Literal["auto", "symmetric", "full", "none"]
 
 _KPA_PER_MMHG = 101.325 / 760.0
 
@@ -77,12 +84,16 @@ def follower_pressure_tangent(
     v: Expr,
     du: Expr,
     ds: ufl.Measure,
-    kind: Literal["symmetric", "none", "full"] = "symmetric",
+    kind: Kind = "auto",
+    *,
+    bcs: Sequence[dolfinx.fem.DirichletBC] | None = None,
 ) -> ufl.Form:
     """Derivative of :func:`follower_pressure` with respect to u, or a part of it.
 
     For a uniform p, a(du, v) = ∫ p (D cof(F)[Grad du] N)·v dA is symmetric up to a line integral
-    along the rim of the loaded surface, which vanishes if the surface is closed or its rim clamped.
+    along the rim of the loaded surface, see :mod:`~dolfinx_feti.mechanics.rim`. Where a rim is free
+    or on springs, its symmetric part is not the derivative, and Newton's method takes several times
+    as many steps with it.
 
     Args:
         p: Pressure [kPa].
@@ -90,20 +101,30 @@ def follower_pressure_tangent(
         v: Test function.
         du: Trial function on the same space.
         ds: Measure of the loaded part of the reference surface.
-        kind: ``"symmetric"``: ½ (a + aᵀ), keeps CG usable and Newton's method fast; ``"none"``: an
-            empty form as in the paper, at the price of many small load steps; ``"full"``: a
-            itself, which needs GMRES.
+        kind: ``"auto"``: ``"symmetric"`` if p is uniform and the surface is closed, or its rim
+            clamped or sliding in planes, and ``"full"`` otherwise; ``"symmetric"``: ½ (a + aᵀ),
+            with which every subdomain is symmetric, and the linear solver CG; ``"full"``: a itself,
+            which needs GMRES; ``"none"``: an empty form as in the paper, at the price of many small
+            load steps.
+        bcs: Dirichlet conditions of the problem, ``[]`` for none, from which ``"auto"`` knows
+            whether the rim is held. A closed surface needs none.
 
     Returns:
         Bilinear form, to be added to the internal tangent.
 
     Raises:
-        ValueError: If ``kind`` is none of these, or ``p`` a number that is not finite.
+        ValueError: If ``kind`` is none of these, ``p`` a number that is not finite, or ``"auto"``
+            cannot tell, because ``bcs`` is missing, u is no Function, or ds has no facets.
+
+    Note:
+        ``"auto"`` is collective.
     """
-    if kind not in ("symmetric", "none", "full"):
-        raise ValueError(f"kind = {kind!r}: choose 'symmetric', 'none' or 'full'.")
+    if kind not in get_args(Kind):
+        raise ValueError(f"kind = {kind!r}: choose 'auto', 'symmetric', 'full' or 'none'.")
     if kind == "none" or _is_zero(p):
         return ufl.Form([])
+    if kind == "auto":
+        kind = "symmetric" if _is_uniform(p) and _is_held(u, ds, bcs) else "full"
     a = ufl.derivative(follower_pressure(p, u, v, ds), u, du)
     return a if kind == "full" else 0.5 * (a + ufl.adjoint(a, (v, du)))
 
@@ -166,6 +187,42 @@ def _area_vector(u: Expr) -> Expr:
     """Deformed area per reference area times the deformed normal, J F⁻ᵀ N."""
     domain = ufl.domain.extract_unique_domain(u)
     return ufl.cofac(deformation_gradient(u)) * ufl.FacetNormal(domain)
+
+
+def _is_uniform(p: float | Expr) -> bool:
+    """Tell whether p is made of numbers and constants alone."""
+    if not isinstance(p, Expr):
+        return True
+    fixed = (ufl.Constant, ufl.constantvalue.ConstantValue, MultiIndex)
+    return all(isinstance(part, fixed) for part in traverse_unique_terminals(p))
+
+
+def _is_held(u: Expr, ds: ufl.Measure, bcs: Sequence[dolfinx.fem.DirichletBC] | None) -> bool:
+    """Tell whether the rim of a surface is held, or has none.
+
+    Raises:
+        ValueError: It cannot be told.
+    """
+    if not isinstance(u, dolfinx.fem.Function):
+        raise ValueError(
+            f"u is {u!r}: kind='auto' tries displacements out and needs a dolfinx.fem.Function; "
+            "give kind='symmetric' if the rim is held, kind='full' if it is free."
+        )
+    V = u.function_space
+    d, k = V.mesh.geometry.dim, V.ufl_element().embedded_superdegree
+    exact = ds(metadata={"quadrature_degree": d * max(k, V.mesh.geometry.cmap.degree)})
+
+    def virtual_work(w: Expr, v: Expr) -> ufl.Form:
+        return follower_pressure(1.0, w, v, exact)
+
+    held = rim_is_held(virtual_work, V, bcs or ())
+    if bcs is None and not held:
+        raise ValueError(
+            "The surface under pressure has a rim, and kind='auto' does not know whether it is "
+            "held: give bcs=, the Dirichlet conditions of the problem ([] for none), or "
+            "kind='symmetric' if the rim is held, kind='full' if it is free."
+        )
+    return held
 
 
 def _is_zero(p: float | Expr) -> bool:

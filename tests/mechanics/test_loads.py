@@ -126,7 +126,7 @@ def test_symmetric_tangent(dim):
     u, d, w = (function(V, f) for f in (bulge, wave, twist))
     v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
     full = loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(1), "full")
-    symmetric = loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(1))
+    symmetric = loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(1), "symmetric")
     a, a_T = scalar(full, d, w), scalar(full, w, d)
     assert abs(a - a_T) > 0.05  # an open surface whose rim moves
     assert scalar(symmetric, d, w) == pytest.approx((a + a_T) / 2, rel=1e-12)
@@ -143,6 +143,83 @@ def test_tangent_is_symmetric_when_the_rim_is_clamped(dim):
     full = loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(1), "full")
     assert abs(scalar(full, d, w)) > 1e-3
     assert scalar(full, d, w) == pytest.approx(scalar(full, w, d), rel=1e-11)
+
+
+def held(V, component=None, *, at):
+    """Hold V or a component of it on the facets at a place."""
+    mesh = V.mesh
+    part = V if component is None else V.sub(component)
+    facets = dolfinx.mesh.locate_entities_boundary(mesh, mesh.topology.dim - 1, at)
+    dofs = dolfinx.fem.locate_dofs_topological(part, mesh.topology.dim - 1, facets)
+    value = np.zeros(mesh.geometry.dim) if component is None else 0.1
+    return dolfinx.fem.dirichletbc(value, dofs, part)
+
+
+def end(k):
+    return lambda x: np.isclose(x[k], 0) | np.isclose(x[k], 1)
+
+
+def chosen(V, ds, **given):
+    """The kind that a tangent turns out to be."""
+    u, v, du = function(V, bulge), ufl.TestFunction(V), ufl.TrialFunction(V)
+    p = given.pop("p", PRESSURE)
+    auto = loads.follower_pressure_tangent(p, u, v, du, ds, **given)
+    kinds = ("symmetric", "full")
+    forms = {kind: loads.follower_pressure_tangent(p, u, v, du, ds, kind) for kind in kinds}
+    (kind,) = (kind for kind in kinds if forms[kind].signature() == auto.signature())
+    return kind
+
+
+@dims
+def test_kind_follows_from_the_rim(dim):
+    """The face x = 0 with all of its rim held, a part of it, or none; and sliding in planes."""
+    V, ds = cube(dim)
+    across = range(1, dim)
+    clamped = [held(V, at=end(k)) for k in across]
+    assert chosen(V, ds(1), bcs=clamped) == "symmetric"
+    assert chosen(V, ds(1), bcs=[held(V, k, at=end(k)) for k in across]) == "symmetric"
+    assert chosen(V, ds(1), bcs=[held(V, 0, at=end(k)) for k in across]) == "symmetric"
+    if dim == 3:  # these edges of the rim leave their plane
+        assert chosen(V, ds(1), bcs=[clamped[0], held(V, 1, at=end(2))]) == "full"
+    assert chosen(V, ds(1), bcs=[held(V, at=lambda x: np.isclose(x[1], 1))]) == "full"
+    assert chosen(V, ds(1), bcs=[held(V, at=lambda x: np.isclose(x[0], 1))]) == "full"
+    assert chosen(V, ds(1), bcs=[]) == "full"
+
+
+@dims
+def test_closed_surface_needs_no_conditions(dim):
+    V, ds = cube(dim)
+    assert chosen(V, ds) == "symmetric"
+    with pytest.raises(ValueError, match="has a rim, .* give bcs=, the Dirichlet conditions"):
+        chosen(V, ds(1))
+
+
+def test_quadrature_does_not_decide():
+    """Where the user's is not exact, the tangent of a clamped surface is a little unsymmetric."""
+    V, ds = cube(3)
+    bcs = [held(V, at=end(1)), held(V, at=end(2))]
+    assert chosen(V, ds(1, metadata={"quadrature_degree": 1}), bcs=bcs) == "symmetric"
+
+
+def test_pressure_that_varies_has_the_full_tangent():
+    """Whatever the rim does; constants and what is made of them do not vary."""
+    V, ds = cube(3)
+    bcs = [held(V, at=end(1)), held(V, at=end(2))]
+    p = dolfinx.fem.Constant(V.mesh, 0.0)
+    x = ufl.SpatialCoordinate(V.mesh)
+    assert chosen(V, ds(1), p=2.0 * p, bcs=bcs) == "symmetric"
+    assert chosen(V, ds(1), p=p * x[0], bcs=bcs) == "full"
+    scalar_field = dolfinx.fem.Function(dolfinx.fem.functionspace(V.mesh, ("DG", 0)))
+    assert chosen(V, ds(1), p=scalar_field, bcs=bcs) == "full"
+
+
+def test_rim_that_cannot_be_told():
+    V, ds = cube(3)
+    u, v, du = function(V, bulge), ufl.TestFunction(V), ufl.TrialFunction(V)
+    with pytest.raises(ValueError, match="needs a dolfinx.fem.Function; give kind='symmetric' if"):
+        loads.follower_pressure_tangent(PRESSURE, 2 * u, v, du, ds(1), bcs=[])
+    with pytest.raises(ValueError, match="ds has no facets: give the measure the facet tags"):
+        loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(7), bcs=[])
 
 
 def test_no_tangent():
