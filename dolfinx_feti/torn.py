@@ -22,6 +22,7 @@ coordinates        ``compose("coordinates")`` points of the assembled problem's 
                                               after the other; for messages only
 pressures          ``setAttr("pressures")``   number of pressures that have been condensed into the
                                               local matrix
+symmetry           ``setOption(SYMMETRIC)``   flag of the local matrix, if its form tells
 ================== ========================== =====================================================
 
 A subdomain is a connected component of the graph of the local matrix.
@@ -71,6 +72,7 @@ def create_torn_matrix(
     comm: MPI.Comm,
     dirichlet: npt.NDArray[np.integer] | None = None,
     stiffness: Array | None = None,
+    symmetric: bool | None = None,
 ) -> PETSc.Mat:
     """Wrap a block-diagonal local matrix as the MATIS :math:`A = T^⊤ K T`.
 
@@ -82,6 +84,7 @@ def create_torn_matrix(
         dirichlet: Global dofs with a prescribed value; in ``K`` they are left free.
         stiffness: Stiffness of each torn dof for the stiffness scaling, (n_torn,); the diagonal of
             ``K`` if not given.
+        symmetric: Whether ``K`` is, with all later entries, too; None: it is looked for each time.
 
     Returns:
         The torn matrix; the caller destroys it.
@@ -90,23 +93,24 @@ def create_torn_matrix(
         Collective on ``comm``.
     """
     bs = K.getBlockSize()
-    lgmap = PETSc.LGMap().create(
-        np.asarray(torn_to_global, dtype=PETSc.IntType), bsize=bs, comm=comm
-    )
+    blocks = np.asarray(torn_to_global, dtype=PETSc.IntType)
+    lgmap = PETSc.LGMap().create(blocks, bsize=bs, comm=comm)
     A = PETSc.Mat().create(comm)
     A.setSizes((sizes, sizes), bsize=bs)
     A.setType(PETSc.Mat.Type.IS)
     A.setISAllowRepeated(True)
     A.setLGMap(lgmap, lgmap)
     lgmap.destroy()
+    if symmetric is not None:
+        K.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+        K.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
     A.setISLocalMat(K)
     A.assemble()
     if dirichlet is not None:
         dofs = np.asarray(dirichlet, dtype=PETSc.IntType)
         A.compose("dirichlet", PETSc.IS().createGeneral(dofs, comm=comm))
     if stiffness is not None:
-        weight = PETSc.Vec().createWithArray(stiffness.copy(), comm=PETSc.COMM_SELF)
-        A.compose("stiffness", weight)
+        A.compose("stiffness", PETSc.Vec().createWithArray(stiffness.copy(), comm=PETSc.COMM_SELF))
     return A
 
 
@@ -251,11 +255,11 @@ class Torn:
         y = np.zeros(self.n)
         if not t.any():
             return y
-        t_vec = PETSc.Vec().createWithArray(np.ascontiguousarray(t), comm=PETSc.COMM_SELF)
-        y_vec = PETSc.Vec().createWithArray(y, comm=PETSc.COMM_SELF)
-        (self.K.multTranspose if transpose else self.K.mult)(t_vec, y_vec)
-        t_vec.destroy()
-        y_vec.destroy()
+        both = (np.ascontiguousarray(t), y)
+        vectors = [PETSc.Vec().createWithArray(a, comm=PETSc.COMM_SELF) for a in both]
+        (self.K.multTranspose if transpose else self.K.mult)(*vectors)
+        for vector in vectors:
+            vector.destroy()
         return y
 
     def _multiply_many(self, t: Array, *, transpose: bool) -> Array:
@@ -292,16 +296,14 @@ class Torn:
 
     def tear(self, x: PETSc.Vec) -> Array:
         """Copy an assembled vector to the subdomains, :math:`T x`, (n,)."""
-        torn = np.zeros(self.n)
-        root = np.ascontiguousarray(x.array_r)
+        torn, root = np.zeros(self.n), np.ascontiguousarray(x.array_r)
         self._sf.bcastBegin(MPI.DOUBLE, root, torn, MPI.REPLACE)
         self._sf.bcastEnd(MPI.DOUBLE, root, torn, MPI.REPLACE)
         return torn  # T x
 
     def assemble(self, torn: Array) -> Array:
         """Sum the copies of each owned dof, :math:`T^⊤ t`, (owned,)."""
-        root = np.zeros(self.owned)
-        leaf = np.ascontiguousarray(torn)
+        root, leaf = np.zeros(self.owned), np.ascontiguousarray(torn)
         self._sf.reduceBegin(MPI.DOUBLE, leaf, root, MPI.SUM)
         self._sf.reduceEnd(MPI.DOUBLE, leaf, root, MPI.SUM)
         return root  # Tᵀ t
@@ -321,8 +323,7 @@ class Torn:
 
     def gather(self, torn: Array) -> Array:
         """Gather the values of all copies on the owner of their dof, in the order of the dofs."""
-        copies = np.zeros(int(self.multiplicity().sum()))
-        leaf = np.ascontiguousarray(torn)
+        copies, leaf = np.zeros(int(self.multiplicity().sum())), np.ascontiguousarray(torn)
         self._sf.gatherBegin(MPI.DOUBLE, leaf, copies)
         self._sf.gatherEnd(MPI.DOUBLE, leaf, copies)
         return copies
@@ -340,9 +341,7 @@ class Torn:
                 f"{self.A.getBlockSize()} none can be guessed: attach the rigid body modes with "
                 "dolfinx_feti.set_near_kernel."
             )
-        if not modes:
-            return np.ones((self.n, 1))
-        return np.column_stack([self.tear(mode) for mode in modes])
+        return np.column_stack([self.tear(mode) for mode in modes] or [np.ones(self.n)])
 
     def coordinates(self) -> Array | None:
         """Return where each torn dof is, (n, dimension); None if not attached. Collective."""
@@ -383,7 +382,7 @@ class Torn:
 
     def is_symmetric(self) -> bool:
         """Tell whether the matrices of all subdomains are symmetric. Collective."""
-        return bool(self.comm.allreduce(is_symmetric(self.K), op=MPI.LAND))
+        return is_symmetric(self.A)
 
     def _dirichlet_mask(self) -> npt.NDArray[np.bool_]:
         dofs = self.A.query("dirichlet")

@@ -19,6 +19,7 @@ from dolfinx_feti.runtime.connectivity import (
     block_graph,
     connected_blocks,
     coupled_nodes,
+    is_symmetric,
     load_graph_code,
 )
 from dolfinx_feti.runtime.petsc_library import Rows
@@ -282,6 +283,54 @@ def test_symmetry_is_tested(torn_grid):
         torn = Torn(torn_grid((2, 2), (2, 2), change=change).A)
         agree(torn.is_symmetric() == expected)
         torn.destroy()
+
+
+@pytest.mark.parametrize("kappa", [1.0, 1e6])
+def test_skew_part_is_measured_entry_by_entry(kappa):
+    """Against the diagonal of its own rows: beside κ it is nothing, and still not rounding."""
+    rng = np.random.default_rng(SEED + 5)
+    n = 30
+    K = rng.standard_normal((n, n))
+    K = K @ K.T + n * np.eye(n)
+    K[:10, :10] *= kappa
+    K[np.abs(K) < 2.0] = 0.0  # gaps in the pattern
+    noise = 1e-14 * rng.standard_normal((n, n)) * np.sqrt(np.outer(K.diagonal(), K.diagonal()))
+    noise[K == 0.0] = 0.0
+
+    def symmetric(entries):
+        csr = scipy.sparse.csr_array(entries)
+        M = PETSc.Mat().createAIJ(
+            (n, n), csr=(csr.indptr, csr.indices, csr.data), comm=PETSc.COMM_SELF
+        )
+        A = create_torn_matrix(M, np.arange(n) + n * COMM.rank, (n, n * COMM.size), comm=COMM)
+        found = is_symmetric(A)
+        A.destroy()
+        M.destroy()
+        return found
+
+    agree(symmetric(K) and symmetric(K + noise))
+    for i, j in ((20, 25), (25, 20), (0, 29), (29, 0)):
+        skew = K.copy()
+        skew[i, j] += 1e-8 * np.sqrt(K[i, i] * K[j, j])
+        agree(not symmetric(skew), f"entry ({i}, {j})")
+
+
+def test_form_tells_of_symmetry(torn_grid):
+    """What is known counts; else it is looked for."""
+
+    def skew(K, _dofs):
+        K[-1][0, 1] += 1e-6
+
+    problem = torn_grid((2, 2), (2, 2), change=skew)
+    agree(not is_symmetric(problem.A))
+    K, lgmap = problem.A.getISLocalMat(), problem.A.getLGMap()[0]
+    sizes = problem.A.getSizes()[0]
+    for known in (True, False):
+        A = create_torn_matrix(K, lgmap.getBlockIndices(), sizes, comm=COMM, symmetric=known)
+        agree(is_symmetric(A) == known)
+        K.stateIncrease()
+        agree(is_symmetric(A) == known)
+        A.destroy()
 
 
 def test_blocked_matrix_without_near_kernel_is_refused(torn_grid):

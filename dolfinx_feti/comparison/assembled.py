@@ -25,8 +25,8 @@ def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
         b: Right-hand side, (N,).
 
     Returns:
-        K, (N, N), marked as symmetric if it is and with the near kernel of A, and f, (N,). The
-        caller destroys them.
+        K, (N, N), marked as symmetric if the matrices of all subdomains are, and with the near
+        kernel of A; and f, (N,). The caller destroys them.
 
     Note:
         Collective.
@@ -36,18 +36,20 @@ def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
     dirichlet = A.query("dirichlet")
     if dirichlet is not None:
         K.zeroRowsColumns(dirichlet.getIndices(), 1.0, b, f)
-    K.setOption(PETSc.Mat.Option.SYMMETRIC, is_symmetric(K))
+    if is_symmetric(A):
+        K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     near_kernel = A.getNearNullSpace()
     if near_kernel.handle:
         K.setNearNullSpace(near_kernel)
     return K, f
 
 
-def create_mumps(K: PETSc.Mat) -> PETSc.KSP:
+def create_mumps(K: PETSc.Mat, *, symmetric: bool | None = None) -> PETSc.KSP:
     """Create a direct solver, MUMPS on all processes of the matrix.
 
     Args:
-        K: Assembled matrix. If it is marked as symmetric, the factorisation is symmetric, too.
+        K: Assembled matrix.
+        symmetric: Whether the factorisation is; if K is marked as symmetric where not given.
 
     Returns:
         The KSP and its factor, with the prefix ``mumps_``; the caller destroys it.
@@ -57,7 +59,9 @@ def create_mumps(K: PETSc.Mat) -> PETSc.KSP:
     ksp.setOperators(K)
     ksp.setType(PETSc.KSP.Type.PREONLY)
     pc = ksp.getPC()
-    pc.setType(PETSc.PC.Type.CHOLESKY if all(K.isSymmetricKnown()) else PETSc.PC.Type.LU)
+    if symmetric is None:
+        symmetric = all(K.isSymmetricKnown())
+    pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
     pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
     pc.setFactorSetUpSolverType()
     factor = pc.getFactorMatrix()

@@ -31,8 +31,10 @@ class Solved:
         cost: What it took; None if PETSc raised an error.
         relative_residual: ‖f − K x‖/‖f‖ of the assembled system, on the free dofs; nan without a
             solution.
-        difference_to_direct: ‖x − x_d‖/‖x_d‖ to the direct solution; nan if there is none.
-        note: Why it failed, or an empty string.
+        difference_to_direct: ‖x − x_d‖/‖x_d‖ to the direct solution; nan if there is none whose
+            own residual is at most 1e-6.
+        note: Why it failed, or why the direct solution took LU or is no reference; or an empty
+            string.
     """
 
     solver: str

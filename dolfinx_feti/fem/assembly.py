@@ -176,6 +176,7 @@ def create_matis(
     K: PETSc.Mat,
     bcs: Sequence[dolfinx.fem.DirichletBC],
     stiffness: npt.NDArray[np.float64] | None = None,
+    symmetric: bool | None = None,
 ) -> PETSc.Mat:
     """Wrap the local matrix of a torn space as the torn matrix of the whole problem.
 
@@ -184,6 +185,7 @@ def create_matis(
         K: Its local matrix.
         bcs: Dirichlet conditions on V or on its components.
         stiffness: Stiffness of each torn dof for the stiffness scaling, (n_torn,).
+        symmetric: Whether ``K`` is known to be symmetric, by its form.
     """
     V = space.V
     bs = V.dofmap.index_map_bs
@@ -192,7 +194,13 @@ def create_matis(
     owned = np.flatnonzero(dirichlet_mask(V, bcs))
     dirichlet = owned + index_map.local_range[0] * bs
     return create_torn_matrix(
-        K, space.to_global, sizes, comm=V.mesh.comm, dirichlet=dirichlet, stiffness=stiffness
+        K,
+        space.to_global,
+        sizes,
+        comm=V.mesh.comm,
+        dirichlet=dirichlet,
+        stiffness=stiffness,
+        symmetric=symmetric,
     )
 
 

@@ -37,12 +37,14 @@ class Forms:
         F_p: Residual of each field that is condensed, tested in its space.
         J: Tangent of F_u in u.
         energy: Their potential, if there is one.
+        symmetric: True if J is the second derivative of an energy; None if nobody knows.
     """
 
     F_u: ufl.Form
     F_p: tuple[ufl.Form, ...]
     J: ufl.Form
     energy: ufl.Form | None
+    symmetric: bool | None
 
 
 def derive(
@@ -75,6 +77,7 @@ def derive(
     require_forms(**{} if isinstance(F, Sequence) else {"F": F})
     require_forms(**{n: f for n, f in {"J": J, "energy": energy}.items() if f is not None})
     check_condensed(condense, u)
+    symmetric = True if J is None and isinstance(F, ufl.Form) and not F.arguments() else None
     energy = potential(F, energy)
     F_u, F_p = residuals(F, u, condense)
     F_u, F_p = limited(F_u), tuple(map(limited, F_p))
@@ -82,7 +85,7 @@ def derive(
     check_nonlinear_forms(F_u, J, u)
     if energy is not None:
         energy = match_quadrature_degree(limited(energy), F_u)
-    return Forms(F_u, F_p, limited(J), energy)
+    return Forms(F_u, F_p, limited(J), energy, symmetric)
 
 
 def warn_of_degree(forms: Forms, twice: int, comm: MPI.Comm) -> None:

@@ -165,6 +165,7 @@ class NonlinearProblem(TornProblem):
             quadrature_degree=twice if quadrature_degree is None else quadrature_degree,
             decomposition=self.decomposition,
             compiler=self._compiler,
+            symmetric=forms.symmetric,
         )
         self.A = self._system.A
         self._newton = Newton(self._system)

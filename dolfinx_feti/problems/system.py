@@ -95,6 +95,7 @@ class System:
         quadrature_degree: int,
         decomposition: Decomposition,
         compiler: Compiler | None = None,
+        symmetric: bool | None = None,
     ) -> None:
         """Tear the space and compile all forms.
 
@@ -109,6 +110,7 @@ class System:
             quadrature_degree: Degree of those points.
             decomposition: Subdomain of each owned cell.
             compiler: How forms are compiled; with dolfinx's options if not given.
+            symmetric: Whether the tangent is known to be symmetric, by its form.
 
         Note:
             Collective.
@@ -131,7 +133,9 @@ class System:
             )
         self._K = assembly.create_local_matrix(self._space, compiler)
         self._stiffness = np.zeros(self._K.mat.getSize()[0])
-        self.A = assembly.create_matis(self._space, self._K.mat, self.bcs, self._stiffness)
+        self.A = assembly.create_matis(
+            self._space, self._K.mat, self.bcs, self._stiffness, symmetric
+        )
         if self.condensation is not None:
             set_condensed(self.A, self.condensation.constraints)
         self._energy = None if energy is None else compiler.form(energy)

@@ -2,6 +2,8 @@
 //
 // SPDX-License-Identifier: LGPL-3.0-or-later
 
+#include <math.h>
+
 // The graph of m nodes, groups of consecutive rows: two are coupled if any of their rows are.
 //
 // The matrix, (n, n), is given row by row. k of its rows count, ascending, and the columns with a
@@ -36,4 +38,45 @@ int couple_nodes(int n, int k, const int *rows, const int *indptr, const int *in
     }
     ptr[m] = entries;
     return entries;
+}
+
+// Whether a matrix, (n, n), with ascending columns in each row is symmetric up to rounding:
+//
+//     |a_ij − a_ji| ≤ tolerance √(s_i s_j),  s_i = |a_ii|, and no less than 1e-8 max_j |a_ij|.
+//
+// An entry that has no counterpart stands beside a zero. next has room for n entries, s for n.
+// Rows are read in order: what is next in row j is the entry that row i < j has to be compared
+// with. Returns 1 if it is, 0 if it is not, or −1 if the columns do not ascend below n.
+int is_symmetric(int n, const int *indptr, const int *indices, const double *a, double tolerance,
+                 int *next, double *s)
+{
+    for (int i = 0; i < n; ++i) {
+        double most = 0.0, diagonal = 0.0;
+        int last = -1;
+        for (int e = indptr[i]; e < indptr[i + 1]; last = indices[e++]) {
+            if (indices[e] <= last || indices[e] >= n) return -1;
+            most = fmax(most, fabs(a[e]));
+            if (indices[e] == i) diagonal = fabs(a[e]);
+        }
+        s[i] = sqrt(fmax(diagonal, 1e-8 * most));
+        next[i] = indptr[i];
+    }
+    for (int i = 0; i < n; ++i) {
+        for (int e = next[i]; e < indptr[i + 1]; ++e) {
+            const int j = indices[e];
+            if (j < i) {  // row j has no entry for it
+                if (!(fabs(a[e]) <= tolerance * s[i] * s[j])) return 0;
+                continue;
+            }
+            if (j == i) continue;
+            int m = next[j];
+            for (; m < indptr[j + 1] && indices[m] < i; ++m)
+                if (!(fabs(a[m]) <= tolerance * s[j] * s[indices[m]])) return 0;
+            const int both = m < indptr[j + 1] && indices[m] == i;
+            next[j] = m + both;
+            const double skew = both ? a[e] - a[m] : a[e];
+            if (!(fabs(skew) <= tolerance * s[i] * s[j])) return 0;
+        }
+    }
+    return 1;
 }

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, small
+from land_beam import beam
 from problems import cube, elasticity, poisson
 from walls import tube, wall
 
@@ -20,7 +21,14 @@ import ufl
 
 import dolfinx_feti
 from dolfinx_feti import compare, loads
-from dolfinx_feti.comparison import assembled_system, create_mumps, measure, run, solvers
+from dolfinx_feti.comparison import (
+    assembled,
+    assembled_system,
+    create_mumps,
+    measure,
+    run,
+    solvers,
+)
 from dolfinx_feti.runtime.petsc_options import inserted
 
 RTOL = 1e-9
@@ -163,6 +171,39 @@ def test_unsymmetric_matrix():
     body = replace(body, a=body.a + 5.0 * u.dx(0) * v * ufl.dx)
     names = ("feti", "mumps", "gamg", "bddc")
     all_agree(compare(linear(body, 4), names), names)
+
+
+@pytest.mark.parametrize("kappa", [1e2, 1e3, 1e4, 1e5])
+def test_small_skew_part_beside_a_large_bulk_modulus(kappa):
+    """Of a beam under its own pressure tangent: as κ grows, the load is less and less of ‖K‖."""
+    body = beam(kappa=kappa)
+    body.load.value = 0.0005
+    problem = body.problem("full", ksp_rtol=1e-6)
+    found = compare(problem, ["feti", "mumps"])
+    feti, mumps = found.solved
+    agree(not mumps.note and mumps.relative_residual < run.REFERENCE, found)
+    agree(feti.converged and feti.relative_residual <= 1.01e-6, found)
+    small(feti.difference_to_direct, 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("limit", "note"),
+    [
+        (run.REFERENCE, "by LU, as Cholesky leaves a residual of"),
+        (0.0, "; no reference: the residual is above"),
+    ],
+)
+def test_reference_is_held_to_its_residual(monkeypatch, limit, note):
+    """A matrix that is taken for symmetric and is not; and a residual that nobody reaches."""
+    monkeypatch.setattr(assembled, "is_symmetric", lambda _A: True)
+    monkeypatch.setattr(run, "REFERENCE", limit)
+    body = beam(kappa=1e4)
+    body.load.value = 0.0005
+    found = compare(body.problem("full", ksp_rtol=1e-6), ["feti", "mumps"])
+    feti, mumps = found.solved
+    agree(note in mumps.note and note in str(found), found)
+    small(mumps.relative_residual, 1e-6)
+    agree(np.isfinite(feti.difference_to_direct) == (limit > 0.0), found)
 
 
 @pytest.mark.serial
