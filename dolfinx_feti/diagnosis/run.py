@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -14,7 +14,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.diagnosis.advice import advise
+from dolfinx_feti.diagnosis.advice import Advice, advise
 from dolfinx_feti.diagnosis.figures import collect_figures, residual_shares
 from dolfinx_feti.diagnosis.result import Diagnosis, Seconds
 from dolfinx_feti.diagnosis.surface import visible_surface
@@ -36,6 +36,7 @@ def diagnose(
     state: Array | float,
     decomposition: Decomposition,
     prefix: str,
+    known: Sequence[Advice] = (),
 ) -> Diagnosis:
     """Assemble, set up a solver, solve with it, and gather what it tells.
 
@@ -46,6 +47,7 @@ def diagnose(
         state: The x of which the residual b − A x is shown, (owned,), or one value for all.
         decomposition: Subdomain of each owned cell.
         prefix: Options prefix of the problem.
+        known: Advice from what earlier solves have found.
 
     Note:
         Collective.
@@ -69,6 +71,9 @@ def diagnose(
     figures, report = None, feti.report()
     if feti.form is not None and report is not None:
         figures = collect_figures(feti.form, report)
+    advice: tuple[Advice, ...] = ()
+    if figures is not None:
+        advice = advise(figures, iterations=cost.iterations, prefix=prefix)
     diagnosis = Diagnosis(
         figures=figures,
         method=feti.method,
@@ -85,9 +90,7 @@ def diagnose(
         ),
         peak_mib=cost.peak_mib,
         residuals=residual_shares(A, b, x),
-        advice=()
-        if figures is None
-        else advise(figures, iterations=cost.iterations, prefix=prefix),
+        advice=(*known, *advice),
         surface=visible_surface(decomposition),
     )
     for owned in (ksp, load, solution, b, x):

@@ -17,10 +17,14 @@ is solved with the stiffness k of the dofs, with σ growing (``shift``) until no
 is left that can be proved (``space``), which is known before the first iteration, and ΔU leads
 downhill, ΔU·r < 0. In the next steps σ falls, to zero at the end. A tangent that turns out singular
 on the way counts as indefinite.
+
+Where Newton's method converges slowly, or not at all, the tangent is compared with the derivative
+(``derivative``), once in a solve.
 """
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,11 +36,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.feti.solver import FETI
+from dolfinx_feti.problems.derivative import Mismatch, difference_from_derivative
 from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
 from dolfinx_feti.problems.line_search import line_search
 from dolfinx_feti.problems.shift import fallen, raised
 from dolfinx_feti.problems.system import Residual, System, Tangent
-from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.runtime.compat import residual_is_nan
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_errors import python_errors
@@ -44,6 +49,9 @@ from dolfinx_feti.runtime.petsc_errors import python_errors
 __all__ = ["Newton", "Start"]
 
 Array = npt.NDArray[np.float64]
+#: So many steps, each of which leaves more than this share of the residual, are slow.
+SLOW_STEPS, SLOW = 3, 0.03
+
 Reason, LinearReason = PETSc.SNES.ConvergedReason, PETSc.KSP.ConvergedReason
 
 
@@ -88,6 +96,7 @@ class Newton:
         history: A record for each step of the last solve.
         message: What went wrong in it and what helps, or an empty string.
         residual: The (condensed) residual of its last iterate, (owned,).
+        mismatch: How the tangent is not the derivative, once a solve has found that; else None.
     """
 
     def __init__(self, system: System) -> None:
@@ -95,10 +104,13 @@ class Newton:
         self._system = system
         self._start = Start()
         self._shift = 0.0
+        self._du = np.zeros(system.owned)
         self._supported = False
         self.history: list[NewtonStep] = []
         self.message = ""
         self.residual = np.zeros(system.owned)
+        self.mismatch: Mismatch | None = None
+        self._compared = False
 
     @contextmanager
     def starting(self, start: Start) -> Iterator[None]:
@@ -112,10 +124,16 @@ class Newton:
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
         """Iterate from the state of the user's functions until the residual is small."""
         self.history, self.message, self._shift = [], "", 0.0
+        self._compared = self.mismatch is not None
         try:
             reason = self._iterate(snes, self._start)
         except _Stop as stop:
             reason, self.message = stop.reason, stop.message
+            if reason in _NOT_CLOSER and self.history:
+                self._system.linearise()
+                self._compare(self._system.residual(), self._du)
+            if reason in _NOT_CLOSER and self.mismatch is not None:
+                self.message = f"{stop.message.partition(':')[0]}: {self.mismatch}"
         snes.setConvergedReason(reason)
         x.array[:] = self._system.state()[0]
 
@@ -133,6 +151,8 @@ class Newton:
             if self.history or start.tangent is None:
                 with event("FETITangent"):
                     system.linearise()
+            if self._is_slow(norm):
+                self._compare(here, self._du)
             here, started = self._step(snes, here, norm, started)
             self.residual = here.condensed
             norm = system.norm(here.condensed)
@@ -171,12 +191,29 @@ class Newton:
             )
             self.history.append(step)
             self._shift = fallen(found.shift, grown=found.shift > self._shift)
+            self._du = found.du
             if end.alpha > 0.0:
                 return end.residual, solved
             larger = raised(found.shift) if system.has_potential else None
             if larger is None:
                 raise _Stop(Reason.DIVERGED_LINE_SEARCH, _NO_STEP)
             self._shift, started = larger, solved
+
+    def _is_slow(self, norm: float) -> bool:
+        """Tell whether each of the last steps has left much of the residual, now ‖r‖."""
+        last = self.history[-SLOW_STEPS:]
+        norms = [*(step.residual for step in last), norm]
+        left = (after / before for before, after in itertools.pairwise(norms))
+        return len(last) == SLOW_STEPS and all(SLOW < share < 1.0 for share in left)
+
+    def _compare(self, here: Residual, du: Array) -> None:
+        """Compare the tangent with the derivative along ΔU, once in a solve, and tell."""
+        if self._compared:
+            return
+        self._compared = True
+        self.mismatch = difference_from_derivative(self._system, here, du)
+        if self.mismatch is not None:
+            warn(str(self.mismatch), self._system.comm)
 
     def _direction(self, ksp: PETSc.KSP, r: Array) -> Direction:
         """Solve (K + σ diag|k|) ΔU = −r with the least σ that leads downhill.
@@ -218,6 +255,10 @@ class Newton:
         if on_the_way and (proved_negative(feti) or 0) > 0:
             return _TRIAL.format(feti.message.rstrip("."))
         return f"the linear solver: {feti.message}"
+
+
+#: Reasons that a tangent which is not the derivative can have; smaller steps do not help there.
+_NOT_CLOSER = (Reason.DIVERGED_MAX_IT, Reason.DIVERGED_LINE_SEARCH)
 
 
 class _Stop(Exception):  # noqa: N818

@@ -17,6 +17,7 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
+from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.checks import check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
@@ -204,6 +205,14 @@ class NonlinearProblem(TornProblem):
     def history(self) -> list[NewtonStep]:
         """What each Newton step of the last solve cost."""
         return self._newton.history
+
+    def _known_advice(self) -> tuple[Advice, ...]:
+        """Return the advice where a slow solve has found that J is not the derivative of F."""
+        found = self._newton.mismatch
+        if found is None:
+            return ()
+        quantity = "difference of J from the derivative of F"
+        return (Advice(found.remedy, quantity, found.size, found.error),)
 
     def residual_norm(self) -> float:
         """Return ‖r‖ of the present state under the present load.

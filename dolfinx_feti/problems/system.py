@@ -308,6 +308,24 @@ class System:
         diagonal.destroy()
         self._shift = sigma
 
+    def multiply(self, d: Array) -> Array:
+        """Return A d for the tangent that the matrix holds, (owned,).
+
+        Note:
+            Collective.
+        """
+        x, y = self.A.createVecs()
+        x.array[:] = d
+        self.A.mult(x, y)
+        product = y.array_r.copy()
+        x.destroy()
+        y.destroy()
+        return product
+
+    def free(self, r: Array) -> Array:
+        """Return a vector, (owned,), with zeros on Dirichlet dofs."""
+        return np.where(self._dirichlet, 0.0, r)
+
     def dot(self, a: Array, b: Array) -> float:
         """Return a·b of two vectors, (owned,).
 

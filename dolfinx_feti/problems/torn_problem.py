@@ -10,6 +10,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.diagnosis.result import Diagnosis
 from dolfinx_feti.diagnosis.run import diagnose
 from dolfinx_feti.fem.decomposition import Decomposition
@@ -46,6 +47,10 @@ class TornProblem:
         """Return the x of the present state, (owned,), or one value for all."""
         return 0.0
 
+    def _known_advice(self) -> tuple[Advice, ...]:
+        """Return what earlier solves have found."""
+        return ()
+
     def create_linear_solver(self) -> PETSc.KSP:
         """Create another FETI solver of A, with the options of this problem.
 
@@ -78,4 +83,5 @@ class TornProblem:
             state=self._approximation(),
             decomposition=self.decomposition,
             prefix=self._prefix,
+            known=self._known_advice(),
         )

@@ -190,7 +190,7 @@ def test_kind_follows_from_the_rim(dim):
 def test_closed_surface_needs_no_conditions(dim):
     V, ds = cube(dim)
     assert chosen(V, ds) == "symmetric"
-    with pytest.raises(ValueError, match="has a rim, .* give bcs=, the Dirichlet conditions"):
+    with pytest.raises(ValueError, match=r"has a rim, .* give bcs=, the Dirichlet conditions"):
         chosen(V, ds(1))
 
 
@@ -216,7 +216,9 @@ def test_pressure_that_varies_has_the_full_tangent():
 def test_rim_that_cannot_be_told():
     V, ds = cube(3)
     u, v, du = function(V, bulge), ufl.TestFunction(V), ufl.TrialFunction(V)
-    with pytest.raises(ValueError, match="needs a dolfinx.fem.Function; give kind='symmetric' if"):
+    with pytest.raises(
+        ValueError, match=r"needs a dolfinx\.fem\.Function; give kind='symmetric' if"
+    ):
         loads.follower_pressure_tangent(PRESSURE, 2 * u, v, du, ds(1), bcs=[])
     with pytest.raises(ValueError, match="ds has no facets: give the measure the facet tags"):
         loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(7), bcs=[])
