@@ -52,8 +52,8 @@ CHANGED = 1e-6
 REMEDIES = {
     "rim": "It is the symmetric part of it, as of a pressure whose surface has a free rim: take "
     "follower_pressure_tangent(…, bcs=bcs), or kind='full'.",
-    "term": "J lacks a term of F, such as the tangent of a pressure: add it, or leave J out, and it "
-    "is derived.",
+    "term": "J lacks a term of F, such as the tangent of a pressure: add it, or leave J out, which "
+    "is derived then.",
     "coefficient": "A coefficient of F changes with u from step to step, as in a monitor: write it "
     "as an expression in u, or change it between solves.",
 }
@@ -114,7 +114,7 @@ def difference_from_derivative(system: System, here: Residual, d: Array) -> Mism
         system.set_state((start[0] + sign * h * d, start[1] + sign * h * dp))
         ends.append(system.free(system.residual().force))
     system.set_state(start)
-    q = (ends[0] - ends[1]) / (2 * h)
+    q = np.divide(ends[0] - ends[1], 2 * h)
     bend = system.norm((ends[0] + ends[1] - 2 * r) / 2)  # e h
     if bend > CHANGED * system.norm(r):
         change = system.norm(system.free(system.residual().force) - r) / system.norm(r)
