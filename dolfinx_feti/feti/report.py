@@ -45,6 +45,7 @@ class Report:
         recycled: Ritz vectors of earlier solves, deflated in the last one.
         recycled_mib: Their memory in MiB.
         eigenvalues: (λ_min, λ_max) of the preconditioned operator.
+        floor: ‖b − A x‖/‖b‖ that rounding leaves, if that has ended the last solve; else nan.
     """
 
     options: FETIOptions
@@ -67,10 +68,16 @@ class Report:
     recycled: int
     recycled_mib: float
     eigenvalues: tuple[float, float]
+    floor: float
 
 
 def collect(
-    form: Form, ritz: DeflatedSpace | None, *, lag: int, eigenvalues: tuple[float, float]
+    form: Form,
+    ritz: DeflatedSpace | None,
+    *,
+    lag: int,
+    eigenvalues: tuple[float, float],
+    floor: float,
 ) -> Report:
     """Gather the figures of all processes. Collective."""
     pattern, solver = form.pattern, form.coarse.solver
@@ -105,6 +112,7 @@ def collect(
         recycled=0 if ritz is None else ritz.count,
         recycled_mib=comm.allreduce(0.0 if ritz is None else ritz.memory()),
         eigenvalues=eigenvalues,
+        floor=floor,
     )
 
 
@@ -140,6 +148,8 @@ def table(report: Report) -> str:
     ]
     if r.recycled:
         rows.append(("Ritz vectors", f"{r.recycled} deflated, {r.recycled_mib:.0f} MiB"))
+    if r.floor > 0.0:
+        rows.append(("residual", f"at the floor of rounding, {r.floor:.1e} of the load"))
     return "".join(f"  {name:<22}{value}\n" for name, value in rows)
 
 

@@ -46,6 +46,7 @@ class Solution:
         ritz_vectors: What a solve in the primal form leaves to later ones.
         residual: ‖b − A x‖/‖b − A x_D‖; nan where it is not measured.
         rtol: Its largest value that the tolerances allow, likewise.
+        floor: What rounding leaves of it, if that has ended the solve; else nan.
     """
 
     reason: int
@@ -54,3 +55,4 @@ class Solution:
     ritz_vectors: RitzVectors | None = None
     residual: float = np.nan
     rtol: float = np.nan
+    floor: float = np.nan

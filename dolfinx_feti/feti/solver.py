@@ -48,13 +48,11 @@ RESTARTS, GAIN = 10, 0.5
 #: What the Krylov method aims at below the tolerance: it sees the residual up to rounding.
 AIM = 0.7
 
-#: Relative residual below which CG's curvature is that of rounding.
-FLAT = 1e-13
+#: Multiple of the size of its rounding errors up to which a residual is nothing else, and share of
+#: ‖b‖ above which that leaves the solution in doubt.
+ROUNDED, DOUBTFUL = 4.0, 1e-3
 
 GMRES, DUAL = "use -{0}feti_dual_ksp_type gmres", "use -{0}feti_formulation dual"
-
-#: Reasons for which CG ends when a quadratic form is negative.
-CURVATURE = (Reason.DIVERGED_INDEFINITE_MAT, Reason.DIVERGED_INDEFINITE_PC)
 
 
 class FETI:
@@ -68,6 +66,7 @@ class FETI:
         iterations: Krylov iterations of the last solve, those of all attempts.
         residual: ‖b − A x‖/‖b − A x_D‖ of the last solve.
         rtol: Its largest value that the tolerances of the last solve allowed.
+        floor: What rounding leaves of it, if that has ended the solve; else nan.
         singular: Whether the set-up failed because the matrix is singular.
         eigenvalues: (λ_min, λ_max) of the preconditioned operator, by Lanczos from the CG
             coefficients; nan before a CG solve.
@@ -84,7 +83,7 @@ class FETI:
         """
         self.message = ""
         self.iterations = 0
-        self.residual = self.rtol = np.nan
+        self.residual = self.rtol = self.floor = np.nan
         self.singular = False
         self.eigenvalues = (np.nan, np.nan)
         self._newton, self._refuse = newton, refuse_indefinite
@@ -165,7 +164,7 @@ class FETI:
             spent += attempt.iterations
             attempt = self._attempt(ksp, b, x, spent)
         self.iterations = spent + attempt.iterations
-        self.residual, self.rtol = attempt.residual, attempt.rtol
+        self.residual, self.rtol, self.floor = attempt.residual, attempt.rtol, attempt.floor
         ksp.setIterationNumber(self.iterations)
         ksp.setConvergedReason(attempt.reason)
         if attempt.reason < 0 and not self._refused() and ksp.comm.rank == 0:
@@ -200,7 +199,9 @@ class FETI:
         if self._lasting is None or self.form is None:
             return None
         ritz = self._lasting.deflation
-        return collect(self.form, ritz, lag=self.age, eigenvalues=self.eigenvalues)
+        return collect(
+            self.form, ritz, lag=self.age, eigenvalues=self.eigenvalues, floor=self.floor
+        )
 
     def _tell(self, error: SetUpError) -> None:
         """Keep the message of a set-up that has failed."""
@@ -260,7 +261,7 @@ class FETI:
         monitor_from = outer_monitor(ksp)
         b.copy(r)
         x.set(0.0)
-        norm, iterations = np.inf, 0
+        norm, floor, iterations = np.inf, 0.0, 0
         solutions: list[Solution] = []
         for start in range(1 + RESTARTS):
             u, solution = form.solve(
@@ -281,7 +282,9 @@ class FETI:
             if not norm <= last:  # what was there before is better
                 x.array[:], norm = before, last
                 break
-            if solution.reason < 0 or form.users_test or norm <= target or norm > GAIN * last:
+            floor = 0.0 if norm <= target else ROUNDED * torn.rounding(b, x)
+            enough = norm <= max(target, floor)
+            if solution.reason < 0 or form.users_test or enough or norm > GAIN * last:
                 break
             u_D = np.zeros_like(u_D)
         r.destroy()
@@ -293,6 +296,7 @@ class FETI:
             iterations=iterations,
             residual=residual,
             rtol=rtol,
+            floor=floor / scale if target < norm <= floor else np.nan,
         )
         return self._judged(attempt, form, enough=bool(norm <= target) or form.users_test)
 
@@ -301,12 +305,12 @@ class FETI:
         reason, residual = attempt.reason, attempt.residual
         if not np.isfinite(residual):
             reason = Reason.DIVERGED_NANORINF
-        elif reason in CURVATURE and residual <= FLAT:
-            reason = Reason.DIVERGED_BREAKDOWN
-        elif reason > 0 and not enough:
+        elif attempt.floor <= DOUBTFUL:
+            reason = Reason.CONVERGED_HAPPY_BREAKDOWN
+        elif attempt.floor > DOUBTFUL or (reason > 0 and not enough):
             reason = Reason.DIVERGED_BREAKDOWN
         if reason < 0:
-            text = _remedy(reason, form).format(self._prefix)
+            text = _remedy(reason, form, floor=attempt.floor).format(self._prefix)
             if form.inertia.assembled:
                 text += (
                     "; the assembled matrix is indefinite, with at least "
@@ -316,13 +320,19 @@ class FETI:
         return replace(attempt, reason=reason)
 
 
-def _remedy(reason: int, form: Form) -> str:
+def _remedy(reason: int, form: Form, *, floor: float) -> str:
     """Say why a solve has failed, and what helps that is not in force."""
     options = form.pattern.options
     if reason == Reason.DIVERGED_NANORINF:
         return "a NaN or Inf met the Krylov method; look at the matrix and the load"
     if reason == Reason.DIVERGED_MAX_IT:
         return "no convergence within -{0}ksp_max_it iterations; raise it"
+    if floor > DOUBTFUL:
+        return (
+            f"rounding alone leaves a residual of {floor:.0e} ‖b‖, for the entries of A are too "
+            "large for b: lower a penalty such as κ (and let an augmented Lagrangian make up for "
+            "it), or scale the unknowns alike"
+        )
     if reason == Reason.DIVERGED_BREAKDOWN:
         if options.pc_type != "dirichlet":
             return "the residual stagnates; use -{0}feti_pc_type dirichlet"

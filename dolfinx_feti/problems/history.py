@@ -35,6 +35,9 @@ class NewtonStep:
         seconds_linear: Time for factors and Krylov method.
         linear_rtol: Largest ``linear_residual`` that was asked for; nan if it is not known.
         lag: Matrices since the one that the preconditioner belongs to.
+        floor: ‖r‖ that is rounding; nan if it is not known.
+        linear_floor: ``linear_residual`` that is rounding, if the linear solve has ended there
+            before ``linear_rtol``; else nan.
     """
 
     residual: float
@@ -51,6 +54,8 @@ class NewtonStep:
     seconds_linear: float
     linear_rtol: float = math.nan
     lag: int = 0
+    floor: float = math.nan
+    linear_floor: float = math.nan
 
 
 def record_step(
@@ -63,6 +68,7 @@ def record_step(
     iterations: Sequence[int],
     assembly: float,
     linear: float,
+    floor: float = math.nan,
 ) -> NewtonStep:
     """Record what a Newton step cost.
 
@@ -76,6 +82,7 @@ def record_step(
         iterations: Those of each linear solve.
         assembly: Seconds of assembly.
         linear: Seconds of the solves.
+        floor: ‖r‖ that is rounding.
     """
     return NewtonStep(
         residual=residual,
@@ -92,6 +99,8 @@ def record_step(
         seconds_linear=linear,
         linear_rtol=feti.rtol,
         lag=feti.age,
+        floor=floor,
+        linear_floor=feti.floor,
     )
 
 

@@ -20,6 +20,9 @@ on the way counts as indefinite.
 
 Where Newton's method converges slowly, or not at all, the tangent is compared with the derivative
 (``derivative``), once in a solve.
+
+A residual of the size of its rounding errors (``System.rounding``) is zero as far as anybody can
+tell: after a step Newton's method ends there, whatever the tolerances.
 """
 
 from __future__ import annotations
@@ -35,7 +38,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.feti.solver import FETI
+from dolfinx_feti.feti.solver import DOUBTFUL, FETI
 from dolfinx_feti.problems.derivative import Mismatch, difference_from_derivative
 from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
 from dolfinx_feti.problems.line_search import line_search
@@ -151,16 +154,20 @@ class Newton:
             if self.history or start.tangent is None:
                 with event("FETITangent"):
                     system.linearise()
+            floor = system.rounding()
+            if self.history and norm <= floor:
+                self._tell_of_rounding(floor, scale)
+                return Reason.CONVERGED_FNORM_ABS
             if self._is_slow(norm):
                 self._compare(here, self._du)
-            here, started = self._step(snes, here, norm, started)
+            here, started = self._step(snes, here, norm, floor, started)
             self.residual = here.condensed
             norm = system.norm(here.condensed)
             reason = _judge(snes, len(self.history), norm, scale)
         return reason
 
     def _step(
-        self, snes: PETSc.SNES, here: Residual, norm: float, started: float
+        self, snes: PETSc.SNES, here: Residual, norm: float, floor: float, started: float
     ) -> tuple[Residual, float]:
         """Take a step, with a larger shift where no step length is admissible, and record it.
 
@@ -168,6 +175,7 @@ class Newton:
             snes: The SNES.
             here: The residual; the matrix holds the tangent of the step.
             norm: ‖r‖.
+            floor: What rounding leaves of it; below, no step length has to be admissible.
             started: When the assembly began.
 
         Returns:
@@ -188,11 +196,12 @@ class Newton:
                 iterations=found.iterations,
                 assembly=assembled - started,
                 linear=solved - assembled,
+                floor=floor,
             )
             self.history.append(step)
             self._shift = fallen(found.shift, grown=found.shift > self._shift)
             self._du = found.du
-            if end.alpha > 0.0:
+            if end.alpha > 0.0 or norm <= floor:
                 return end.residual, solved
             larger = raised(found.shift) if system.has_potential else None
             if larger is None:
@@ -244,6 +253,11 @@ class Newton:
             sigma = raised(sigma)
         self._shift = 0.0
         raise _Stop(Reason.DIVERGED_LINEAR_SOLVE, self._linear_failure(feti))
+
+    def _tell_of_rounding(self, floor: float, scale: float) -> None:
+        """Warn if rounding leaves too much of the residual at the start, ``scale``."""
+        if floor > DOUBTFUL * scale:
+            warn(_ROUNDING.format(floor, scale), self._system.comm)
 
     def _linear_failure(self, feti: FETI) -> str:
         """Say why there is no direction, and what helps."""
@@ -326,5 +340,10 @@ _TRIAL = "the tangent at this trial state is indefinite: load in smaller steps (
 _NO_STEP = "no admissible step length was found: load in smaller steps"
 _NOT_A_NUMBER = (
     "the residual is NaN or Inf: begin with an admissible state, or load in smaller steps"
+)
+_ROUNDING = (
+    "Newton's method ends where rounding leaves a residual of {0:.0e}, and it began with {1:.0e}: the "
+    "equilibrium is doubtful. Load in larger steps, or lower a penalty such as κ and let an augmented "
+    "Lagrangian make up for it."
 )
 _TOO_MANY = "no convergence within {0} steps: load in smaller steps or raise snes_max_it"

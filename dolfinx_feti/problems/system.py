@@ -27,9 +27,9 @@ import ufl
 from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.condensation import Blocks, Condensation
-from dolfinx_feti.fem.decomposition import Decomposition, tear
+from dolfinx_feti.fem.decomposition import Decomposition, TornSpace, tear
 from dolfinx_feti.runtime.collective import on_all
-from dolfinx_feti.torn import set_condensed
+from dolfinx_feti.torn import rounding_squares, set_condensed
 
 __all__ = ["Residual", "System", "Tangent"]
 
@@ -148,6 +148,7 @@ class System:
         torn = self._space.dof[:, None] * bs + np.arange(bs)
         self._local = torn.ravel()  # local dof of V of each torn dof
         self.owned = V.dofmap.index_map.size_local * bs
+        self._size = cell_sizes(self._space, self._n_cells) if bs == V.mesh.geometry.dim else 0.0
 
     # -- state ------------------------------------------------------------------------------------
 
@@ -292,6 +293,26 @@ class System:
         if self.condensation is not None:
             self.condensation.subtract_from(self._K, self.condensation.assemble())
 
+    def rounding(self) -> float:
+        r"""Return the size of the rounding errors in the residual, by the tangent that is assembled.
+
+        .. math:: ε\, \Bigl\| \Bigl(\sum_j k_{ij}^2 (u_j^2 + h_j^2)\Bigr)^{1/2} \Bigr\|
+
+        Every :math:`u_j` is rounded, and the ones in F = I + Grad u are those of a displacement of
+        the size h of the cells.
+
+        Note:
+            Collective.
+        """
+        t = np.hypot(self.u.x.array[self._local], self._size)
+        sums = dolfinx.la.vector(
+            self.u.function_space.dofmap.index_map, self.u.function_space.dofmap.index_map_bs
+        )
+        squares = rounding_squares(self._K.mat, t)
+        sums.array[:] = np.bincount(self._local, squares, minlength=len(sums.array))
+        sums.scatter_reverse(dolfinx.la.InsertMode.add)
+        return float(np.sqrt(self.comm.allreduce(sums.array[: self.owned][~self._dirichlet].sum())))
+
     def tangent(self) -> Tangent:
         """Name the tangent that the matrix holds now."""
         return Tangent(self._K.mat.handle, self._K.mat.stateGet())
@@ -346,6 +367,15 @@ class System:
         """Free the matrices."""
         self.A.destroy()
         self._K.destroy()
+
+
+def cell_sizes(space: TornSpace, n_cells: int) -> Array:
+    """Return the greatest diameter of the cells around each torn dof, (n_torn,)."""
+    mesh, dofmap = space.V.mesh, space.V_torn.dofmap
+    h = mesh.h(mesh.topology.dim, np.arange(n_cells, dtype=np.int32))
+    size = np.zeros(len(space.dof))
+    np.maximum.at(size, dofmap.list[:n_cells], h[:, None])
+    return np.repeat(size, dofmap.index_map_bs)
 
 
 def quadrature_points(mesh: dolfinx.mesh.Mesh, degree: int) -> Array:

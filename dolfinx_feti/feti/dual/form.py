@@ -46,6 +46,11 @@ __all__ = ["DualForm", "balanced_start", "create_dual_form", "load", "recover"]
 
 Array = npt.NDArray[np.float64]
 
+Reason = PETSc.KSP.ConvergedReason
+
+#: Reasons for which CG ends when a quadratic form is negative.
+CURVATURE = (Reason.DIVERGED_INDEFINITE_MAT, Reason.DIVERGED_INDEFINITE_PC)
+
 PRECONDITIONERS: dict[str, Callable[..., Preconditioner]] = {
     "dirichlet": Dirichlet,
     "identity": Identity,
@@ -134,6 +139,8 @@ class DualForm:
         correction, solution = solve(
             self.dual, rest, self.krylov, target=target, max_it=max_it, monitor=monitor
         )
+        if solution.reason in CURVATURE and self.inertia.definite:
+            solution = replace(solution, reason=Reason.CONVERGED_ITS)  # rounding: a fresh start
         u = recover(self, pair + correction, f_K, c)
         u = self.operator.complete(u, f)
         return np.where(self.pattern.dofs.fixed, u_D, u), solution

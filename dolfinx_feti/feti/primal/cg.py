@@ -12,7 +12,7 @@ with V from E alone and D = 0 the eigenvalues are those of the projected dual op
 
 :math:`K_ρ` is positive definite whatever D is, since modes that buckle have joined R
 (``pseudoinverse``). So the method is safe if A is positive definite; if A is not, A₀ shows it or
-the method meets a direction p with :math:`p^⊤ A p ≤ 0`, and returns it. The residual of the
+the method meets a direction p with :math:`p^⊤ A p < 0` beyond rounding, and returns it. The residual of the
 interface is that of the whole assembled system, because displacements inside are in balance.
 
 An iteration waits for all processes three times: in the coarse problem, for :math:`r^⊤ z`, and for
@@ -30,6 +30,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
+from dolfinx_feti.feti.coarse.space import MARGIN
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace, Trace
 from dolfinx_feti.feti.solution import STAGNATION, Monitor
@@ -85,7 +86,7 @@ class Outcome:
         norm: ‖b − A x‖.
         eigenvalues: Ritz values of the preconditioned operator, ascending, (iterations,).
         trace: The first iterations.
-        direction: A direction p with pᵀ A p ≤ 0, by its copies, if one was met.
+        direction: A direction p with pᵀ A p < 0, by its copies, if one was met.
     """
 
     x: Array
@@ -139,7 +140,9 @@ def conjugate_gradients(
         if ρ <= 0.0:
             reason = Reason.DIVERGED_INDEFINITE_PC
         elif curvature <= 0.0:
-            reason, direction = Reason.DIVERGED_INDEFINITE_MAT, p
+            reason = Reason.CONVERGED_ITS  # by rounding: a fresh start on what is left
+            if curvature < -MARGIN * space.rounding(p):
+                reason, direction = Reason.DIVERGED_INDEFINITE_MAT, p
         else:
             if len(α) < traced:
                 R[len(α)], Z[len(α)] = r / np.sqrt(ρ), z / np.sqrt(ρ)

@@ -97,7 +97,7 @@ class DeflatedSpace:
         Raises:
             Exception: What the work on a subdomain raises, on all processes.
         """
-        self._space, self._copies = space, copies
+        self._space, self._copies, self._multiply = space, copies, multiply
         self._direction: Array | None = None
         with event("FETIRecycling"):
             vectors = vectors or RitzVectors(np.zeros((copies.n, 0)), np.zeros((copies.n, 0)))
@@ -113,7 +113,7 @@ class DeflatedSpace:
             self._inverse = (Y / values) @ Y.T  # H⁻¹
             if values.min(initial=0.0) < 0.0:
                 v = self._W @ Y[:, 0]  # vᵀ A v = values[0]
-                if values[0] < -MARGIN * self._rounding(multiply, v):
+                if values[0] < -MARGIN * self.rounding(v):
                     self._direction = v
 
     @property
@@ -173,10 +173,10 @@ class DeflatedSpace:
         """Return the memory of the vectors of this process in MiB."""
         return (self._W.nbytes + self._SW.nbytes + self._Q.nbytes) / 2**20
 
-    def _rounding(self, multiply: Callable[[int, Array], Array], v: Array) -> float:
-        """Return a bound of the rounding errors of vᵀ A v. Collective."""
+    def rounding(self, v: Array) -> float:
+        """Return a bound of the rounding errors of vᵀ A v, by copies, (n,). Collective."""
         copies = self._copies
-        norms = on_subdomains(lambda: estimated_norms(copies, multiply), copies.comm)
+        norms = on_subdomains(lambda: estimated_norms(copies, self._multiply), copies.comm)
         squares = [float(v[rows] @ v[rows]) for rows in copies.blocks]
         return EPS * total(float(np.dot(norms, squares)), copies.comm)
 
