@@ -261,7 +261,7 @@ class FETI:
         monitor_from = outer_monitor(ksp)
         b.copy(r)
         x.set(0.0)
-        norm, floor, iterations = np.inf, 0.0, 0
+        norm, rounding, iterations = np.inf, 0.0, 0
         solutions: list[Solution] = []
         for start in range(1 + RESTARTS):
             u, solution = form.solve(
@@ -282,19 +282,19 @@ class FETI:
             if not norm <= last:  # what was there before is better
                 x.array[:], norm = before, last
                 break
-            floor = 0.0 if norm <= target else ROUNDED * torn.rounding(b, x)
-            enough = norm <= max(target, floor)
+            rounding = 0.0 if norm <= target else torn.rounding(b, x)
+            enough = norm <= (ROUNDED * rounding if target < rounding else target)
             if solution.reason < 0 or form.users_test or enough or norm > GAIN * last:
                 break
             u_D = np.zeros_like(u_D)
         r.destroy()
         ksp.setResidualNorm(norm if np.isfinite(norm) else np.inf)
-        residual = norm / scale if scale > 0 else norm
+        floor, scale = ROUNDED * rounding, scale or 1.0
         attempt = replace(
             solutions[0],
             reason=solutions[-1].reason,
             iterations=iterations,
-            residual=residual,
+            residual=norm / scale,
             rtol=rtol,
             floor=floor / scale if target < norm <= floor else np.nan,
         )
