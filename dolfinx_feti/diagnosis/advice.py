@@ -37,6 +37,9 @@ IDLE = 0.5
 #: With more pressures than dofs, and the pressure this much stiffer than the rest, elements lock.
 PRESSURES, STIFFER = 1.0, 50.0
 
+#: Share of the load from which on a residual that is rounding costs digits that one might want.
+ROUNDING = 1e-6
+
 
 @dataclass(frozen=True, slots=True)
 class Advice:
@@ -113,6 +116,14 @@ def advise(figures: Figures, *, iterations: int, prefix: str) -> tuple[Advice, .
             "stiffness with the pressure over that without",
             figures.pressure_stiffness,
             STIFFER,
+        )
+    if report.floor > ROUNDING:
+        say(
+            "Lower a penalty such as κ, and let an augmented Lagrangian make up for it: rounding "
+            "ends the linear solve above its tolerance.",
+            "residual that is rounding",
+            report.floor,
+            ROUNDING,
         )
     if report.inertia.assembled:
         say(

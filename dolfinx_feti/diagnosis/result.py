@@ -94,7 +94,7 @@ class Diagnosis:
         s = self.seconds
         rows += [
             ("iterations", f"{self.iterations} ({self.method or 'none'})"),
-            ("residual", f"{self.relative_residual:.1e}"),
+            ("residual", f"{self.relative_residual:.1e}{self._rounding()}"),
             (
                 "time [s]",
                 f"assembly {s.assembly:.2f}, set-up {s.setup:.2f} (gluing {s.gluing:.2f}, factors "
@@ -106,6 +106,11 @@ class Diagnosis:
             rows.append(("failed", self.message))
         rows += [("advice", str(advice)) for advice in self.advice] or [("advice", "none")]
         return "\n".join(f"{name:<22}{value}" for name, value in rows)
+
+    def _rounding(self) -> str:
+        """Say whether the solve has ended at the rounding errors of the residual."""
+        floor = math.nan if self.figures is None else self.figures.report.floor
+        return f", at the floor of rounding, {floor:.1e}" if floor > 0.0 else ""
 
     def plot(self) -> Figure:
         """Draw the subdomains, coloured by their part in the residual of the present state.

@@ -8,15 +8,23 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from petsc4py import PETSc
+
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["STAGNATION", "Monitor", "RitzVectors", "Solution"]
+__all__ = ["CURVATURE", "STAGNATION", "Monitor", "RitzVectors", "Solution"]
 
 Array = npt.NDArray[np.float64]
 
 #: Called with (iteration, norm of the residual of the assembled system).
 Monitor = Callable[[int, float], None]
+
+#: Reasons for which CG ends when a quadratic form is negative.
+CURVATURE = (
+    PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT,
+    PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC,
+)
 
 #: Iterations without a new least residual that end a solve.
 STAGNATION = 200

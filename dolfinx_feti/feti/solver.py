@@ -28,9 +28,9 @@ from dolfinx_feti.feti.form import Form
 from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.lasting import Lasting
 from dolfinx_feti.feti.monitor import outer_monitor
-from dolfinx_feti.feti.options import check_outer_options, read_options
+from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
 from dolfinx_feti.feti.report import Report, collect, table
-from dolfinx_feti.feti.solution import Solution
+from dolfinx_feti.feti.solution import CURVATURE, Solution
 from dolfinx_feti.runtime.events import event
 
 __all__ = ["FETI"]
@@ -51,8 +51,6 @@ AIM = 0.7
 #: Multiple of the size of its rounding errors up to which a residual is nothing else, and share of
 #: ‖b‖ above which that leaves the solution in doubt.
 ROUNDED, DOUBTFUL = 4.0, 1e-3
-
-GMRES, DUAL = "use -{0}feti_dual_ksp_type gmres", "use -{0}feti_formulation dual"
 
 
 class FETI:
@@ -322,28 +320,28 @@ class FETI:
 
 def _remedy(reason: int, form: Form, *, floor: float) -> str:
     """Say why a solve has failed, and what helps that is not in force."""
-    options = form.pattern.options
-    if reason == Reason.DIVERGED_NANORINF:
-        return "a NaN or Inf met the Krylov method; look at the matrix and the load"
-    if reason == Reason.DIVERGED_MAX_IT:
-        return "no convergence within -{0}ksp_max_it iterations; raise it"
+    options, default = form.pattern.options, FETIOptions()
     if floor > DOUBTFUL:
         return (
             f"rounding alone leaves a residual of {floor:.0e} ‖b‖, for the entries of A are too "
             "large for b: lower a penalty such as κ (and let an augmented Lagrangian make up for "
             "it), or scale the unknowns alike"
         )
+    if reason == Reason.DIVERGED_NANORINF:
+        return "a NaN or Inf met the Krylov method; look at the matrix and the load"
+    if reason == Reason.DIVERGED_MAX_IT:
+        return "no convergence within -{0}ksp_max_it iterations; raise it"
     if reason == Reason.DIVERGED_BREAKDOWN:
-        if options.pc_type != "dirichlet":
-            return "the residual stagnates; use -{0}feti_pc_type dirichlet"
-        return "the residual stagnates; ask for less by -{0}ksp_rtol, or look at the scales of A"
+        better = [(name, getattr(default, name)) for name in ("pc_type", "scaling", "coarse_q")]
+        missing = [f"-{{0}}feti_{n} {v}" for n, v in better if getattr(options, n) != v]
+        less = "ask for less by -{0}ksp_rtol, or look at the scales of A"
+        return f"the residual stagnates; {'use ' + ' '.join(missing) if missing else less}"
+    if reason not in CURVATURE or form.method == "gmres":
+        return f"the Krylov method ended with reason {reason}"
+    remedy, asked = "use -{0}feti_formulation dual", ""
+    if form.solves_indefinite:
+        remedy = "use -{0}feti_dual_ksp_type gmres"
+        asked = f", or {form.method} was asked for although subdomains are"
     if reason == Reason.DIVERGED_INDEFINITE_MAT:
-        cause = "negative curvature in CG: the assembled matrix is indefinite"
-        if form.solves_indefinite:
-            return f"{cause}, or CG was asked for although subdomains are; {GMRES}"
-        return f"{cause}; {DUAL}"
-    if reason == Reason.DIVERGED_INDEFINITE_PC:
-        if form.solves_indefinite:
-            return f"the preconditioner is indefinite in CG; {GMRES}"
-        return f"the preconditioner is indefinite in CG; {DUAL}"
-    return f"the Krylov method ended with reason {reason}"
+        return f"negative curvature: the assembled matrix is indefinite{asked}; {remedy}"
+    return f"the preconditioner is indefinite; {remedy}"

@@ -22,7 +22,9 @@ Where Newton's method converges slowly, or not at all, the tangent is compared w
 (``derivative``), once in a solve.
 
 A residual of the size of its rounding errors (``System.rounding``) is zero as far as anybody can
-tell: after a step Newton's method ends there, whatever the tolerances.
+tell: after a step Newton's method ends there, whatever the tolerances. With a condensed pressure
+these errors grow with κ, those of the residual before condensation do not: it tells how far from
+equilibrium the state is.
 """
 
 from __future__ import annotations
@@ -156,7 +158,8 @@ class Newton:
                     system.linearise()
             floor = system.rounding()
             if self.history and norm <= floor:
-                self._tell_of_rounding(floor, scale)
+                if (force := system.norm(here.force)) > DOUBTFUL * scale:
+                    warn(_DOUBTFUL.format(force, scale), system.comm)
                 return Reason.CONVERGED_FNORM_ABS
             if self._is_slow(norm):
                 self._compare(here, self._du)
@@ -254,11 +257,6 @@ class Newton:
         self._shift = 0.0
         raise _Stop(Reason.DIVERGED_LINEAR_SOLVE, self._linear_failure(feti))
 
-    def _tell_of_rounding(self, floor: float, scale: float) -> None:
-        """Warn if rounding leaves too much of the residual at the start, ``scale``."""
-        if floor > DOUBTFUL * scale:
-            warn(_ROUNDING.format(floor, scale), self._system.comm)
-
     def _linear_failure(self, feti: FETI) -> str:
         """Say why there is no direction, and what helps."""
         if not feti.message:
@@ -341,9 +339,9 @@ _NO_STEP = "no admissible step length was found: load in smaller steps"
 _NOT_A_NUMBER = (
     "the residual is NaN or Inf: begin with an admissible state, or load in smaller steps"
 )
-_ROUNDING = (
-    "Newton's method ends where rounding leaves a residual of {0:.0e}, and it began with {1:.0e}: the "
-    "equilibrium is doubtful. Load in larger steps, or lower a penalty such as κ and let an augmented "
-    "Lagrangian make up for it."
+_DOUBTFUL = (
+    "Newton's method ends where all of the residual is rounding, with {0:.0e} of the {1:.0e} at its "
+    "start: the equilibrium is doubtful. Load in larger steps, or lower a penalty such as κ and let "
+    "an augmented Lagrangian make up for it."
 )
 _TOO_MANY = "no convergence within {0} steps: load in smaller steps or raise snes_max_it"

@@ -35,7 +35,7 @@ from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.pattern import Pattern
 from dolfinx_feti.feti.regularity.singularity import require_regular
 from dolfinx_feti.feti.setup import Setup
-from dolfinx_feti.feti.solution import Monitor, Solution
+from dolfinx_feti.feti.solution import CURVATURE, Monitor, Solution
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
@@ -45,11 +45,6 @@ from dolfinx_feti.torn import Torn
 __all__ = ["DualForm", "balanced_start", "create_dual_form", "load", "recover"]
 
 Array = npt.NDArray[np.float64]
-
-Reason = PETSc.KSP.ConvergedReason
-
-#: Reasons for which CG ends when a quadratic form is negative.
-CURVATURE = (Reason.DIVERGED_INDEFINITE_MAT, Reason.DIVERGED_INDEFINITE_PC)
 
 PRECONDITIONERS: dict[str, Callable[..., Preconditioner]] = {
     "dirichlet": Dirichlet,
@@ -140,7 +135,7 @@ class DualForm:
             self.dual, rest, self.krylov, target=target, max_it=max_it, monitor=monitor
         )
         if solution.reason in CURVATURE and self.inertia.definite:
-            solution = replace(solution, reason=Reason.CONVERGED_ITS)  # rounding: a fresh start
+            solution = replace(solution, reason=PETSc.KSP.ConvergedReason.CONVERGED_ITS)  # rounding: a fresh start
         u = recover(self, pair + correction, f_K, c)
         u = self.operator.complete(u, f)
         return np.where(self.pattern.dofs.fixed, u_D, u), solution

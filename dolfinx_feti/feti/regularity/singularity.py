@@ -126,7 +126,7 @@ def require_regular(
     if not error <= BACKWARD:
         raise SetUpError(
             f"The coarse solver leaves a backward error of {error:.1e}: look at the options "
-            f"-{prefix}…, or let -{prefix}q be diagonal."
+            f"-{prefix}…"
         )
 
 

@@ -1,0 +1,123 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Advice is never what is in force: all messages, with the options that they recommend."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from collective import COMM, agree
+from hand_torn import random_values, solve
+from problems import cube, elasticity
+
+from dolfinx_feti import LinearProblem
+from dolfinx_feti.diagnosis import advice
+from dolfinx_feti.feti.options import CHOICES, FETIOptions
+from dolfinx_feti.feti.solver import _remedy
+from dolfinx_feti.problems import newton
+
+Reason = PETSc.KSP.ConvergedReason
+REASONS = {value: name for name, value in vars(Reason).items() if name.startswith("DIVERGED")}
+GRID = {"subdomains": (3, 3), "cells": (2, 2), "components": 2}
+
+
+def recommended(message):
+    """Return the options with a value that a message recommends, and not those that it blames."""
+    return re.findall(r"(?<!but )-test_feti_(\w+) (\w+)", message)
+
+
+@pytest.mark.parametrize("method", ["cg", "gmres", "minres"])
+@pytest.mark.parametrize("floor", [np.nan, 1e-2])
+@pytest.mark.parametrize("reason", REASONS, ids=REASONS.values())
+def test_no_remedy_is_in_force(reason, floor, method):
+    """For each reason, with each choice of words and both forms."""
+    texts = set()
+    for values in itertools.product(*CHOICES.values()):
+        options = FETIOptions(**dict(zip(CHOICES, values, strict=True)))
+        for dual in {options.formulation != "primal", options.formulation == "dual"}:
+            form = SimpleNamespace(
+                pattern=SimpleNamespace(options=options), solves_indefinite=dual, method=method
+            )
+            text = _remedy(reason, form, floor=floor).format("test_")
+            texts.add(text)
+            force = {"dual_ksp_type": method, "formulation": "dual" if dual else "primal"}
+            for name, value in recommended(text):
+                agree(force.get(name, getattr(options, name, None)) != value, (text, options))
+                agree(name in force or value in CHOICES[name], text)
+    agree(all(texts) and "feti_stagnation" not in " ".join(texts))
+
+
+def test_advice_that_is_followed_is_not_repeated(torn_grid, feti):
+    """Iterations that do not suffice, and options that are worse than the defaults."""
+    problem = torn_grid(stiffness=lambda i: 1e6 ** (i % 2), **GRID)
+    options = {
+        "feti_pc_type": "identity",
+        "feti_scaling": "multiplicity",
+        "feti_coarse_q": "identity",
+        "feti_formulation": "dual",
+    }
+    said = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dolfinx_feti.feti.dual.stopping.STAGNATION", 3)
+        for _ in range(4):
+            ksp = feti(problem.A, **options)
+            reason, _ = solve(ksp, problem, random_values(problem))
+            said.append(ksp.getPythonContext().message)
+            if reason > 0:
+                break
+            new = recommended(said[-1])
+            agree(new and all(options[f"feti_{name}"] != value for name, value in new), said)
+            options |= {f"feti_{name}": value for name, value in new}
+    agree(len(said) > 1 and said[-1] == "", said)
+
+
+def test_unsymmetric_matrix_is_solved_as_its_message_says(torn_grid, feti):
+    def change(K, dofs):
+        K[-1] += 0.1 * np.triu(K[-1], 1)
+
+    problem, options = torn_grid(change=change, **GRID), {"feti_dual_ksp_type": "cg"}
+    ksp = feti(problem.A, **options)
+    agree(solve(ksp, problem, random_values(problem))[0] < 0)
+    new = recommended(ksp.getPythonContext().message)
+    agree(new == [("dual_ksp_type", "gmres")], ksp.getPythonContext().message)
+    ksp = feti(problem.A, **{f"feti_{name}": value for name, value in new})
+    agree(solve(ksp, problem, random_values(problem))[0] > 0, ksp.getPythonContext().message)
+
+
+@pytest.mark.parametrize("scaling", CHOICES["scaling"])
+@pytest.mark.parametrize("modes", [0, 12])
+def test_advice_of_a_diagnosis_is_not_in_force(scaling, modes):
+    """Whatever else is measured: a jump of the stiffness, and a large condition number."""
+    body = elasticity(cube(2, 8))
+    chosen = {"feti_scaling": scaling, "feti_coarse_modes": modes}
+    problem = LinearProblem(
+        body.a,
+        body.L,
+        bcs=body.bcs,
+        subdomains=2 * COMM.size,
+        petsc_options_prefix="test_",
+        petsc_options=chosen,
+    )
+    figures = problem.diagnose().figures
+    figures = replace(
+        figures, jump=1e9, report=replace(figures.report, eigenvalues=(1.0, 1e9), floor=1e-5)
+    )
+    said = advice.advise(figures, iterations=1000, prefix="test_")
+    new = recommended(" ".join(piece.text for piece in said))
+    agree(all(str(chosen[f"feti_{name}"]) != value for name, value in new), said)
+    agree(len(new) == (scaling == "multiplicity") + (modes == 0), said)
+    agree("residual that is rounding" in {piece.quantity for piece in said}, said)
+
+
+def test_newtons_messages_name_no_option_but_the_limit_of_steps():
+    texts = [text for name, text in vars(newton).items() if re.fullmatch("_[A-Z_]+", name)]
+    agree(len(texts) >= 7 and all(isinstance(text, str) for text in texts), texts)
+    agree(re.findall(r"snes_\w+|feti_\w+|ksp_\w+", " ".join(texts)) == ["snes_max_it"], texts)
