@@ -26,7 +26,7 @@ CURVATURE = (
     PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC,
 )
 
-#: Iterations without a new least residual that end a solve.
+#: Iterations without a new least residual that end a solve, for a fresh start.
 STAGNATION = 200
 
 

@@ -307,6 +307,8 @@ class FETI:
             reason = Reason.CONVERGED_HAPPY_BREAKDOWN
         elif attempt.floor > DOUBTFUL or (reason > 0 and not enough):
             reason = Reason.DIVERGED_BREAKDOWN
+        elif reason == Reason.CONVERGED_ITS and not form.users_test:
+            reason = Reason.CONVERGED_RTOL
         if reason < 0:
             text = _remedy(reason, form, floor=attempt.floor).format(self._prefix)
             if form.inertia.assembled:

@@ -127,7 +127,8 @@ def solve(
     with event("FETIIterations"):
         ksp.solve(rhs, x)
     reason = ksp.getConvergedReason()
-    best = x.array_r.copy() if reason > 0 or test.best is None else test.best
+    small = reason == PETSc.KSP.ConvergedReason.CONVERGED_RTOL
+    best = x.array_r.copy() if small or test.best is None else test.best
     its = ksp.getIterationNumber()
     ritz = _ritz_values(ksp) if method.is_cg and its > 0 else (np.nan, np.nan)
     for owned in (ksp, mat, rhs, x):

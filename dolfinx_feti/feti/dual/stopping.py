@@ -8,7 +8,8 @@ Every application of a system's preconditioner to a residual also tells the norm
 its residuals, stops on it; where this norm is only an estimate (``exact`` is False) the residual is
 formed once more before. GMRES knows the norm of the jump only: the residual of the assembled system
 is measured when the proportion last seen promises convergence, and every few iterations. Where the
-residual that GMRES updates departs from the true one, the method ends, for a fresh start.
+residual that GMRES updates departs from the true one, or none falls any more, the method ends with
+``CONVERGED_ITS``, for a fresh start.
 """
 
 from __future__ import annotations
@@ -102,7 +103,7 @@ class StoppingTest:
             self._least = (norm, its)
             self.best = ksp.getSolution().array_r.copy() if self._cg else None
         if its - self._least[1] >= STAGNATION:
-            return Reason.DIVERGED_BREAKDOWN
+            return Reason.CONVERGED_ITS  # for a fresh start
         if its >= self._max_it:
             return Reason.DIVERGED_MAX_IT
         return Reason.ITERATING

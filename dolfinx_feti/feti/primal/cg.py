@@ -81,7 +81,8 @@ class Outcome:
 
     Attributes:
         x: The iterate with the least residual, by its copies, (n,).
-        reason: PETSc's converged reason.
+        reason: PETSc's converged reason; ``CONVERGED_ITS`` where a fresh start on what is left may
+            lead further.
         iterations: Number of iterations.
         norm: ‖b − A x‖.
         eigenvalues: Ritz values of the preconditioned operator, ascending, (iterations,).
@@ -140,7 +141,7 @@ def conjugate_gradients(
         if ρ <= 0.0:
             reason = Reason.DIVERGED_INDEFINITE_PC
         elif curvature <= 0.0:
-            reason = Reason.CONVERGED_ITS  # by rounding: a fresh start on what is left
+            reason = Reason.CONVERGED_ITS  # by rounding
             if curvature < -MARGIN * space.rounding(p):
                 reason, direction = Reason.DIVERGED_INDEFINITE_MAT, p
         else:
@@ -155,7 +156,7 @@ def conjugate_gradients(
             if norm < least:
                 best, least, at = x, norm, len(α)
             elif len(α) - at >= STAGNATION:
-                reason = Reason.DIVERGED_BREAKDOWN
+                reason = Reason.CONVERGED_ITS
     k = min(len(α), traced)
     trace = Trace(R[:k], Z[:k], np.array(α[:k]), np.array(β[:k]))
     return Outcome(best, reason, len(α), least, ritz_values(α, β), trace, direction)
