@@ -1,0 +1,129 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Large κ, slender, lightly loaded: Newton's method ends where the residual is rounding, not above.
+
+The reference is Newton's method on the uncondensed system in (u, p), whose residual κ does not
+enter, with a sparse LU.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from beam import PRESSURE, beam
+from collective import COMM, agree, equal, raises
+from mixed import Mixed, by_place
+from walls import tube, wall
+
+import dolfinx_feti
+from dolfinx_feti import loads
+
+Reason = PETSc.SNES.ConvergedReason
+
+
+class Reference(Mixed):
+    """Newton's method that counts its steps."""
+
+    def follow(self, load: float) -> int:
+        """Take whole steps until the residual is 1e-8 of that at the start; return their number."""
+        self.wall.load.value = load
+        fixed = np.concatenate([bc._cpp_object.dof_indices()[0] for bc in self.wall.bcs])
+        start = None
+        for steps in range(40):
+            r = self.residual()
+            r[fixed] = 0.0
+            start = start or np.linalg.norm(r)
+            if np.linalg.norm(r) <= 1e-8 * start:
+                return steps
+            du, dp = self.step()
+            self.wall.u.x.array[:] += du
+            self.wall.p.x.array[:] += dp
+        raise AssertionError("the reference did not converge")
+
+
+def compare(create, pressures, kappa):
+    """Follow a path of loads with FETI and the reference; return all steps of FETI."""
+    body, reference = create(COMM), Reference(create(MPI.COMM_SELF))
+    problem, steps = body.problem(8), []
+    for load in pressures:
+        body.load.value = load
+        problem.solve()
+        steps += problem.history
+        allowed, expected = max(1e-10, problem.history[-1].floor), reference.follow(load)
+        agree(len(problem.history) <= expected, (load, len(problem.history), expected))
+        agree(problem.residual_norm() <= max(allowed, 1e-8 * problem.history[0].residual))
+        equal(by_place(body.u), by_place(reference.wall.u), 1e-7)
+    for step in steps:
+        agree(step.linear_residual <= np.fmax(step.linear_rtol, step.linear_floor), step)
+        agree(not step.linear_floor > 1e-7 * max(1.0, kappa / 1e4), step)
+    return steps
+
+
+@pytest.mark.parametrize(("kappa", "count"), [(1e3, 2), (1e4, 5), (1e5, 2), (1e6, 5)])
+def test_slender_beam(kappa, count):
+    """Land's beam at each κ, in as many steps as the reference."""
+    steps = compare(
+        lambda comm: beam(comm, kappa=kappa, tangent="symmetric"),
+        PRESSURE * np.arange(1, count + 1) / 5,
+        kappa,
+    )
+    agree((steps[0].linear_floor > 0.0) == (kappa > 1e4), steps[0])
+
+
+def test_tube_with_a_penalty_of_a_million_shear_moduli():
+    kappa = 3e6
+    compare(
+        lambda comm: wall(tube(comm), kappa=kappa), [loads.mmhg(5.0), loads.mmhg(10.0)], kappa
+    )
+
+
+def light_beam(options=None, *, kappa=1e6, load=PRESSURE):
+    body = beam(COMM, kappa=kappa, tangent="symmetric")
+    body.load.value = load
+    return body.problem(8, {"snes_atol": 0.0, **(options or {})})
+
+
+def test_equilibrium_is_solved_for_again():
+    """There the residual begins as rounding, and no step length has to be admissible."""
+    problem = light_beam(load=PRESSURE / 5)
+    problem.solve()
+    before = by_place(problem.u)
+    problem.solve()
+    agree(problem.solver.getConvergedReason() == Reason.CONVERGED_FNORM_ABS)
+    agree(len(problem.history) == 1 and problem.history[0].residual <= problem.history[0].floor)
+    equal(by_place(problem.u), before, 1e-7)
+
+
+def test_residual_above_rounding_is_not_converged(monkeypatch):
+    """Errors in the residual, 100 times those of rounding, on purpose."""
+    problem = light_beam({"snes_max_it": 15}, load=PRESSURE / 5)
+    system = problem._system
+    assembled, random = type(system).residual, np.random.default_rng(COMM.rank)
+
+    def disturbed(self):
+        here = assembled(self)
+        noise = random.standard_normal(self.owned) * ~self._dirichlet
+        scale = 100 * problem.history[-1].floor if problem.history else 0.0
+        return replace(here, condensed=here.condensed + scale / self.norm(noise) * noise)
+
+    monkeypatch.setattr(type(system), "residual", disturbed)
+    with raises(dolfinx_feti.ConvergenceError, "steps|step length"):
+        problem.solve()
+    last = problem.history[-1]
+    agree(last.residual > 10 * last.floor, last)
+
+
+def test_load_below_rounding_is_said(caplog):
+    """The pressure is less than what rounding leaves of the stress."""
+    problem = light_beam(load=1e-16 * PRESSURE)
+    with caplog.at_level(logging.WARNING, "dolfinx_feti"):
+        problem.solve()
+    said = COMM.bcast([record.getMessage() for record in caplog.records])
+    agree(len(said) == 1 and "doubtful" in said[0] and "larger steps" in said[0], said)
