@@ -296,19 +296,19 @@ class FETI:
             rtol=rtol,
             floor=floor / scale if target < norm <= floor else np.nan,
         )
-        return self._judged(attempt, form, enough=bool(norm <= target) or form.users_test)
+        return self._judged(attempt, form, enough=bool(norm <= target))
 
     def _judged(self, attempt: Solution, form: Form, *, enough: bool) -> Solution:
         """Return an attempt with the reason that its residual tells; a failure has a message."""
         reason, residual = attempt.reason, attempt.residual
         if not np.isfinite(residual):
             reason = Reason.DIVERGED_NANORINF
+        elif enough:
+            reason = Reason.CONVERGED_RTOL
         elif attempt.floor <= DOUBTFUL:
             reason = Reason.CONVERGED_HAPPY_BREAKDOWN
-        elif attempt.floor > DOUBTFUL or (reason > 0 and not enough):
+        elif attempt.floor > DOUBTFUL or (reason > 0 and not form.users_test):
             reason = Reason.DIVERGED_BREAKDOWN
-        elif reason == Reason.CONVERGED_ITS and not form.users_test:
-            reason = Reason.CONVERGED_RTOL
         if reason < 0:
             text = _remedy(reason, form, floor=attempt.floor).format(self._prefix)
             if form.inertia.assembled:

@@ -340,8 +340,8 @@ _NOT_A_NUMBER = (
     "the residual is NaN or Inf: begin with an admissible state, or load in smaller steps"
 )
 _DOUBTFUL = (
-    "Newton's method ends where all of the residual is rounding, with {0:.0e} of the {1:.0e} at its "
-    "start: the equilibrium is doubtful. Load in larger steps, or lower a penalty such as κ and let "
-    "an augmented Lagrangian make up for it."
+    "Newton's method ends where all of the residual is rounding, with {0:.0e} of the {1:.0e} that "
+    "it began with: the equilibrium is doubtful. Load in larger steps, or lower a penalty such as "
+    "κ and let an augmented Lagrangian make up for it."
 )
 _TOO_MANY = "no convergence within {0} steps: load in smaller steps or raise snes_max_it"

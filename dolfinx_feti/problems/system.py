@@ -294,7 +294,7 @@ class System:
             self.condensation.subtract_from(self._K, self.condensation.assemble())
 
     def rounding(self) -> float:
-        r"""Return the size of the rounding errors in the residual, by the tangent that is assembled.
+        r"""Return the size of the rounding errors of the residual, by the assembled tangent k.
 
         .. math:: ε\, \Bigl\| \Bigl(\sum_j k_{ij}^2 (u_j^2 + h_j^2)\Bigr)^{1/2} \Bigr\|
 

@@ -79,9 +79,7 @@ def test_slender_beam(kappa, count):
 
 def test_tube_with_a_penalty_of_a_million_shear_moduli():
     kappa = 3e6
-    compare(
-        lambda comm: wall(tube(comm), kappa=kappa), [loads.mmhg(5.0), loads.mmhg(10.0)], kappa
-    )
+    compare(lambda comm: wall(tube(comm), kappa=kappa), [loads.mmhg(5.0), loads.mmhg(10.0)], kappa)
 
 
 def light_beam(options=None, *, kappa=1e6, load=PRESSURE):

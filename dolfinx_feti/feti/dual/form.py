@@ -24,7 +24,7 @@ import numpy.typing as npt
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
 from dolfinx_feti.feti.dual.coarse import Coarse
-from dolfinx_feti.feti.dual.krylov import Method, choose_method, solve
+from dolfinx_feti.feti.dual.krylov import SYMMETRIC, Method, choose_method, solve
 from dolfinx_feti.feti.dual.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.dual.preconditioner.dirichlet import Dirichlet
 from dolfinx_feti.feti.dual.preconditioner.identity import Identity
@@ -134,8 +134,8 @@ class DualForm:
         correction, solution = solve(
             self.dual, rest, self.krylov, target=target, max_it=max_it, monitor=monitor
         )
-        if solution.reason in CURVATURE and self.inertia.definite:
-            solution = replace(solution, reason=PETSc.KSP.ConvergedReason.CONVERGED_ITS)  # rounding: a fresh start
+        if solution.reason in CURVATURE and self.inertia.definite:  # rounding: a fresh start
+            solution = replace(solution, reason=PETSc.KSP.ConvergedReason.CONVERGED_ITS)
         u = recover(self, pair + correction, f_K, c)
         u = self.operator.complete(u, f)
         return np.where(self.pattern.dofs.fixed, u_D, u), solution
@@ -166,6 +166,8 @@ def create_dual_form(pattern: Pattern, setup: Setup) -> DualForm:
     """
     options, torn, modes = pattern.options, pattern.torn, setup.inverse.modes
     prefix = pattern.prefix + "coarse_"
+    semidefinite = pattern.symmetric and setup.inertia.definite
+    semidefinite &= setup.inertia.interior == 0 or not setup.operator.eliminated
     with ExitStack() as owned:
         owned.callback(setup.destroy)
         create = PRECONDITIONERS[options.pc_type]
@@ -192,7 +194,7 @@ def create_dual_form(pattern: Pattern, setup: Setup) -> DualForm:
                 extend=setup.operator.complete,
                 delta=setup.weights.delta,
                 symmetric=pattern.symmetric,
-                definite=_semidefinite(pattern, setup),
+                definite=semidefinite,
                 prefix=prefix,
             )
         inertia = setup.inertia
@@ -262,12 +264,6 @@ def recover(form: DualForm, pair: Array, f: Array, c: Array) -> Array:
     return np.asarray(u - form.preconditioner.extend(w))  # u ← u − E_Γ B_Dᵀ (B u − c)
 
 
-def _semidefinite(pattern: Pattern, setup: Setup) -> bool:
-    """Tell whether all K_i are known to be symmetric positive semi-definite."""
-    inside = setup.inertia.interior == 0 or not setup.operator.eliminated
-    return pattern.symmetric and setup.inertia.definite and inside
-
-
 def _negative_assembled(pattern: Pattern, setup: Setup, prefix: str) -> int | None:
     """Count negative eigenvalues that the assembled matrix is proved to have; None if not known.
 
@@ -290,7 +286,7 @@ def _negative_assembled(pattern: Pattern, setup: Setup, prefix: str) -> int | No
 
 def _check_method(method: Method, pattern: Pattern) -> None:
     """Refuse a Krylov method for symmetric systems if the matrix is not."""
-    if not pattern.symmetric and method.is_symmetric:
+    if not pattern.symmetric and method.type in SYMMETRIC:
         raise SetUpError(
             f"The matrix is not symmetric, but -{pattern.prefix}dual_ksp_type is {method.type}, "
             f"which takes it to be: use -{pattern.prefix}dual_ksp_type gmres."

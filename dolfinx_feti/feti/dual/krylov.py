@@ -24,7 +24,7 @@ from dolfinx_feti.feti.solution import Monitor, Solution
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_options import inserted
 
-__all__ = ["Method", "choose_method", "solve"]
+__all__ = ["SYMMETRIC", "Method", "choose_method", "solve"]
 
 Array = npt.NDArray[np.float64]
 
@@ -57,11 +57,6 @@ class Method:
     def is_cg(self) -> bool:
         """Whether the preconditioner is only applied to residuals."""
         return self.type in CG
-
-    @property
-    def is_symmetric(self) -> bool:
-        """Whether the method takes the system to be symmetric."""
-        return self.type in SYMMETRIC
 
 
 def choose_method(comm: MPI.Comm, *, definite: bool, prefix: str) -> Method:

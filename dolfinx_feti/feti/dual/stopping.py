@@ -8,8 +8,7 @@ Every application of a system's preconditioner to a residual also tells the norm
 its residuals, stops on it; where this norm is only an estimate (``exact`` is False) the residual is
 formed once more before. GMRES knows the norm of the jump only: the residual of the assembled system
 is measured when the proportion last seen promises convergence, and every few iterations. Where the
-residual that GMRES updates departs from the true one, or none falls any more, the method ends with
-``CONVERGED_ITS``, for a fresh start.
+residual that GMRES updates departs from the true one, or none falls, a fresh start is to follow.
 """
 
 from __future__ import annotations

@@ -11,9 +11,9 @@ with V from E alone and D = 0 the eigenvalues are those of the projected dual op
 (Sousedík and Mandel 2008), so none is below one.
 
 :math:`K_ρ` is positive definite whatever D is, since modes that buckle have joined R
-(``pseudoinverse``). So the method is safe if A is positive definite; if A is not, A₀ shows it or
-the method meets a direction p with :math:`p^⊤ A p < 0` beyond rounding, and returns it. The residual of the
-interface is that of the whole assembled system, because displacements inside are in balance.
+(``pseudoinverse``). So the method is safe if A is positive definite; if not, A₀ shows it or the
+method meets a direction p with :math:`p^⊤ A p < 0` beyond rounding, and returns it. The residual of
+the interface is that of the whole assembled system, because displacements inside are in balance.
 
 An iteration waits for all processes three times: in the coarse problem, for :math:`r^⊤ z`, and for
 :math:`p^⊤ A p` together with the products that give :math:`\|r - α A p\|`.

@@ -3,29 +3,22 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Deflation of the primal form: small eigenvalues that one Newton step leaves to the next.
 
-.. math:: x_0 = V A_0^{-1} V^⊤ b + W H^{-1} W^⊤ b, \qquad
-          Π = I - V A_0^{-1} (A V)^⊤ - W H^{-1} (A W)^⊤, \qquad H = W^⊤ A W,
+.. math:: Π = I - V A_0^{-1} (A V)^⊤ - W H^{-1} (A W)^⊤, \qquad H = W^⊤ A W,
 
-with fields W near the eigenvectors, A-orthogonal to V, keep all residuals orthogonal to W, and
+with fields W near the eigenvectors, A-orthogonal to V, keeps all residuals orthogonal to W, so that
 conjugate gradients no longer see that part of the spectrum (Saad et al. 2000).
 
 W holds Ritz vectors of the smallest Ritz values in the span of the W of the last solve and its
 preconditioned residuals :math:`Z = Π M R`, :math:`M = T^⊤ δ K_ρ^{-1} δ T`. With
-:math:`Q = M^{-1} W` and :math:`W^⊤ Q = I`, as an earlier choice has left them, :math:`M^{-1} Z =
-R + Q N` and
-
-.. math:: (W, Z)^⊤ A\, (W, Z) = \begin{pmatrix} H & 0 \\ 0 & Z^⊤ A Z \end{pmatrix}, \qquad
-          (W, Z)^⊤ M^{-1} (W, Z) = \begin{pmatrix} I & N \\ N^⊤ & Z^⊤ R + N^⊤ N \end{pmatrix},
-          \qquad N = Q^⊤ Z.
-
-No product is needed: for r and z with :math:`r^⊤ z = 1`, the coefficients α, β of the iterations
-and the directions p give
+:math:`Q = M^{-1} W` and :math:`W^⊤ Q = I`, as an earlier choice has left them, :math:`N = Q^⊤ Z`
+gives :math:`M^{-1} Z = R + Q N` and the matrices of A and :math:`M^{-1}` (docs/theory.md). No
+product is needed: for :math:`r^⊤ z = 1`, the coefficients α, β and directions p of the iterations
+give
 
 .. math:: A p_j = (r_j - \sqrt{β_{j+1}}\, r_{j+1}) / α_j, \qquad z_j = p_j - \sqrt{β_j}\, p_{j-1}.
 
-The Gram matrices are formed in full, since rounding spoils the orthogonality of the residuals. For
-the next matrix W is balanced again and multiplied, all columns at once. Q stays: as long as K_ρ and
-V last it is exact, and for others the matrix above still is a scalar product.
+The Gram matrices are formed in full, since rounding spoils the orthogonality of the residuals. Q
+stays for the next matrices: the matrix of :math:`M^{-1}` still is a scalar product.
 """
 
 from __future__ import annotations

@@ -231,7 +231,6 @@ def create_primal_form(
     copies = Copies(torn, S.interface, setup.weights.delta)
     try:
         with event("FETICoarse"):
-            require_held(torn, pattern.bodies, setup.near_kernel, definite=False)
             adaptive = adaptive_columns(
                 copies,
                 S.multiply_many,
@@ -247,7 +246,7 @@ def create_primal_form(
         setup.destroy()
         raise
     preconditioner = PrimalPreconditioner(setup.weights, setup.inverse, setup.inertia, copies, V)
-    return _create(pattern, setup.near_kernel, S, preconditioner, vectors, most)
+    return create_lagged_form(pattern, setup.near_kernel, S, preconditioner, vectors, most=most)
 
 
 def create_lagged_form(
@@ -259,44 +258,24 @@ def create_lagged_form(
     *,
     most: int = 0,
 ) -> PrimalForm:
-    """Build the form of the present matrix with the preconditioner of an earlier one. Collective.
+    """Build the form of the present matrix with its preconditioner or an earlier one. Collective.
 
     Args:
         pattern: What depends on the pattern.
         near_kernel: Rigid body modes of the present matrix on the torn dofs, (n, k).
         operator: S of the present matrix, which belongs to the form from now on.
-        preconditioner: That of an earlier matrix, likewise.
+        preconditioner: That of this or an earlier matrix, likewise.
         vectors: What solves with earlier matrices have left.
         most: Ritz vectors that a solve leaves to those of later matrices, at most.
 
     Raises:
         SetUpError: A body is not held; operator and preconditioner are destroyed then.
     """
+    S, prefix, known = operator, pattern.prefix + "coarse_", preconditioner.combinations
     try:
         with event("FETICoarse"):
             require_held(pattern.torn, pattern.bodies, near_kernel, definite=False)
-    except SetUpError:
-        operator.destroy()
-        preconditioner.destroy()
-        raise
-    return _create(pattern, near_kernel, operator, preconditioner, vectors, most)
-
-
-def _create(
-    pattern: Pattern,
-    near_kernel: Array,
-    S: Operator,
-    preconditioner: PrimalPreconditioner,
-    vectors: RitzVectors | None,
-    most: int,
-) -> PrimalForm:
-    """Form A V and A₀ of the present matrix."""
-    V, copies = preconditioner.V, preconditioner.copies
-    try:
-        with event("FETICoarse"):
-            space = AveragedSpace(
-                V, S, prefix=pattern.prefix + "coarse_", combinations=preconditioner.combinations
-            )
+            space = AveragedSpace(preconditioner.V, S, prefix=prefix, combinations=known)
     except SetUpError:
         S.destroy()
         preconditioner.destroy()
@@ -310,7 +289,7 @@ def _create(
         operator=S,
         preconditioner=preconditioner,
         coarse=space,
-        deflation=DeflatedSpace(space, copies, S.multiply_many, vectors),
+        deflation=DeflatedSpace(space, preconditioner.copies, S.multiply_many, vectors),
         inertia=replace(preconditioner.inertia, interior=inside, assembled=proved),
         most=most,
     )
