@@ -55,7 +55,6 @@ __all__ = [
     "State",
     "Torn",
     "create_torn_matrix",
-    "rounding_squares",
     "set_condensed",
     "set_near_kernel",
     "state_of",
@@ -63,9 +62,6 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
-
-#: Unit of rounding.
-EPS = float(np.finfo(np.float64).eps)
 
 
 def create_torn_matrix(
@@ -157,18 +153,6 @@ def set_condensed(A: PETSc.Mat, pressures: int) -> None:
         pressures: How many on this process; all processes call this, or none.
     """
     A.setAttr("pressures", pressures)
-
-
-def rounding_squares(K: PETSc.Mat, t: Array) -> Array:
-    r"""Return the squares of the rounding errors of K t, :math:`ε^2 \sum_j k_{ij}^2 t_j^2`, (n,).
-
-    Every product and every :math:`t_j` is rounded by a share ε/2 at most. With signs at random the
-    errors of a row add up to this root, and what a direct solution leaves is about as large.
-    """
-    with rows_of(K) as csr:
-        entries = (csr.values**2, csr.indices, csr.indptr)
-        squares = scipy.sparse.csr_array(entries, shape=(len(t), len(t)))
-        return np.asarray(EPS**2 * (squares @ t**2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,13 +315,6 @@ class Torn:
         free = self.assemble(self.dirichlet.astype(np.float64)) < 0.5
         r.array[:] = np.where(free, b.array_r - self.assemble(force), 0.0)  # b − Tᵀ K T x
         return r
-
-    def rounding(self, b: PETSc.Vec, x: PETSc.Vec) -> float:
-        """Return the size of the rounding errors in :meth:`residual`. Collective."""
-        squares = rounding_squares(self.K, self.tear(x))
-        free = self.assemble(self.dirichlet.astype(np.float64)) < 0.5
-        own = (self.assemble(squares) + (EPS * b.array_r) ** 2)[free]
-        return float(np.sqrt(self.comm.allreduce(own.sum())))
 
     def multiplicity(self) -> Indices:
         """Count the copies of each owned dof, (owned,)."""

@@ -31,6 +31,7 @@ from dolfinx_feti.feti.monitor import outer_monitor
 from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
 from dolfinx_feti.feti.report import Report, collect, table
 from dolfinx_feti.feti.solution import CURVATURE, Solution
+from dolfinx_feti.rounding import residual_rounding
 from dolfinx_feti.runtime.events import event
 
 __all__ = ["FETI"]
@@ -280,7 +281,7 @@ class FETI:
             if not norm <= last:  # what was there before is better
                 x.array[:], norm = before, last
                 break
-            rounding = 0.0 if norm <= target else torn.rounding(b, x)
+            rounding = 0.0 if norm <= target else residual_rounding(torn, b, x)
             enough = norm <= (ROUNDED * rounding if target < rounding else target)
             if solution.reason < 0 or form.users_test or enough or norm > GAIN * last:
                 break

@@ -28,8 +28,9 @@ from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.condensation import Blocks, Condensation
 from dolfinx_feti.fem.decomposition import Decomposition, TornSpace, tear
+from dolfinx_feti.rounding import product_rounding
 from dolfinx_feti.runtime.collective import on_all
-from dolfinx_feti.torn import rounding_squares, set_condensed
+from dolfinx_feti.torn import set_condensed
 
 __all__ = ["Residual", "System", "Tangent"]
 
@@ -308,7 +309,7 @@ class System:
         sums = dolfinx.la.vector(
             self.u.function_space.dofmap.index_map, self.u.function_space.dofmap.index_map_bs
         )
-        squares = rounding_squares(self._K.mat, t)
+        squares = product_rounding(self._K.mat, t)
         sums.array[:] = np.bincount(self._local, squares, minlength=len(sums.array))
         sums.scatter_reverse(dolfinx.la.InsertMode.add)
         return float(np.sqrt(self.comm.allreduce(sums.array[: self.owned][~self._dirichlet].sum())))

@@ -91,6 +91,9 @@ def light_beam(options=None, *, kappa=1e6, load=PRESSURE):
 def test_equilibrium_is_solved_for_again():
     """There the residual begins as rounding, and no step length has to be admissible."""
     problem = light_beam(load=PRESSURE / 5)
+    found = problem.diagnose()
+    agree("at the floor of rounding" in str(found), found)
+    agree("residual that is rounding" in {piece.quantity for piece in found.advice}, found)
     problem.solve()
     before = by_place(problem.u)
     problem.solve()

@@ -81,8 +81,7 @@ class Outcome:
 
     Attributes:
         x: The iterate with the least residual, by its copies, (n,).
-        reason: PETSc's converged reason; ``CONVERGED_ITS`` where a fresh start on what is left may
-            lead further.
+        reason: PETSc's converged reason; ``CONVERGED_ITS`` asks for a fresh start.
         iterations: Number of iterations.
         norm: ‖b − A x‖.
         eigenvalues: Ritz values of the preconditioned operator, ascending, (iterations,).

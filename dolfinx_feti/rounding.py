@@ -1,0 +1,45 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Rounding errors of a residual: how far down any solver can get it.
+
+.. math:: δr = ε\, \Bigl\| \Bigl(b_i^2 + \sum_j k_{ij}^2\, x_j^2\Bigr)^{1/2} \Bigr\|
+
+for the residual :math:`b - T^⊤ K T x` on the free dofs. Every product and every entry of x is
+rounded by a share ε/2 at most; with signs at random the errors of a row add up to this root. What a
+direct solution leaves is about as large (docs/theory.md).
+"""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+
+from dolfinx_feti.runtime.petsc_library import rows_of
+from dolfinx_feti.torn import Torn
+
+__all__ = ["product_rounding", "residual_rounding"]
+
+Array = npt.NDArray[np.float64]
+
+#: Unit of rounding.
+EPS = float(np.finfo(np.float64).eps)
+
+
+def product_rounding(K: PETSc.Mat, t: Array) -> Array:
+    """Return the squares of the rounding errors of K t for a sequential matrix, (n,)."""
+    with rows_of(K) as csr:
+        entries = (csr.values**2, csr.indices, csr.indptr)
+        squares = scipy.sparse.csr_array(entries, shape=(len(t), len(t)))
+        return np.asarray(EPS**2 * (squares @ t**2))  # ε² Σⱼ kᵢⱼ² tⱼ²
+
+
+def residual_rounding(torn: Torn, b: PETSc.Vec, x: PETSc.Vec) -> float:
+    """Return δr of b − A x, zero on Dirichlet dofs, for assembled b and x, (N,). Collective."""
+    squares = torn.assemble(product_rounding(torn.K, torn.tear(x)))
+    free = torn.assemble(torn.dirichlet.astype(np.float64)) < 0.5
+    own = float((squares + (EPS * b.array_r) ** 2)[free].sum())
+    return float(np.sqrt(torn.comm.allreduce(own)))
