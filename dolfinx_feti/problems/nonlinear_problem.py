@@ -198,8 +198,10 @@ class NonlinearProblem(TornProblem):
         Raises:
             AttributeError: Always.
         """
-        hint = f"; {_OF_NEWTON_SOLVER}" if name in ("L", "a", "form") else ""
-        raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'{hint}")
+        message = f"'{type(self).__name__}' object has no attribute '{name}'"
+        if name in ("L", "a", "form"):  # Python would ask whether 'A' was meant
+            raise AttributeError(f"{message}; {_OF_NEWTON_SOLVER}", name=name, obj=None)
+        raise AttributeError(message)
 
     @property
     def history(self) -> list[NewtonStep]:

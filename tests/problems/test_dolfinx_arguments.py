@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import traceback
 from types import SimpleNamespace
 
 from mpi4py import MPI
@@ -183,6 +184,10 @@ def test_newton_solver(rubber):
     problem = NonlinearProblem(rubber.F, rubber.u, rubber.bcs, subdomains=4)
     with raises(AttributeError, "'L'; it drives Newton's method itself: call problem.solve()"):
         dolfinx.fem.petsc.create_vector(problem.L)
+    try:
+        problem.a  # noqa: B018
+    except AttributeError as error:
+        agree("Did you mean" not in "".join(traceback.format_exception(error)), error)
     with raises(AttributeError, "'NonlinearProblem' object has no attribute 'other'$"):
         problem.other  # noqa: B018
 
