@@ -39,10 +39,8 @@ class Beam:
         """Create the problem with a kind of the pressure's tangent, or with ``exact``, by UFL."""
         J = None
         if tangent != "exact":
-            v, du = (
-                ufl.TestFunction(self.u.function_space),
-                ufl.TrialFunction(self.u.function_space),
-            )
+            V = self.u.function_space
+            v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
             J = self.K + loads.follower_pressure_tangent(
                 self.load, self.u, v, du, self.ds, tangent, bcs=self.bcs
             )

@@ -323,7 +323,7 @@ def all_forms(w, pressure, ds):
         "F_u": F_u + loads.follower_pressure(pressure, w.u, w.v, ds),
         "F_p": F_p,
         "K_uu": ufl.derivative(F_u, w.u, w.du)
-        + loads.follower_pressure_tangent(pressure, w.u, w.v, w.du, ds),
+        + loads.follower_pressure_tangent(pressure, w.u, w.v, w.du, ds, "symmetric"),
         "K_up": K_up,
         "K_pu": ufl.adjoint(K_up),
         "K_pp": ufl.derivative(F_p, w.p, w.dp),
