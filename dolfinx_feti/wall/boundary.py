@@ -56,7 +56,7 @@ class Boundary:
     Attributes:
         bcs: Dirichlet conditions of what is clamped or slides.
         residual: Virtual work of pressure, springs and dashpots, to be added to that inside.
-        tangent: Its derivative; of the pressure's, the symmetric part if that is all of it in sum.
+        tangent: Its derivative; of a pressure's, the symmetric part if that is all of it in sum.
         energy: Its potential, to be added to that inside; None if the pressure has none.
         pressure: The wall's pressure [kPa], zero at first.
         time_step: Δt of the dashpots [s], infinite at first: they do not resist.
@@ -116,9 +116,9 @@ def apply_conditions(
 
     The forms hold ``ufl.TestFunction(V)`` and ``ufl.TrialFunction(V)`` of the space V of u, and
     state no quadrature degree. Whether a pressure has a potential −p V is found out by trying: at a
-    displacement that meets the Dirichlet conditions its derivative has to be the residual. Without
-    one, where rims are free or on springs, the tangent is not symmetric and needs GMRES; with its
-    symmetric part alone Newton's method would take tens of steps.
+    displacement that meets the Dirichlet conditions its derivative has to be the residual. Where
+    rims are free or on springs, which is tried, too, the tangent is not symmetric and needs GMRES;
+    with its symmetric part alone Newton's method would take tens of steps.
 
     Args:
         wall: The wall.
@@ -187,9 +187,9 @@ def apply_conditions(
     )
     normals = sorted({k for k, _ in slides.values()})
     fitting = [e for e in (None, *np.eye(3)[normals]) if _is_potential(boundary, V, loaded, e)]
-    kind: Literal["symmetric", "full"] = "symmetric" if fitting else "full"
+    kind: Literal["symmetric", "auto"] = "symmetric" if fitting else "auto"
     for share, part in loaded:
-        tangent += follower_pressure_tangent(share * p, u, v, du, part, kind)
+        tangent += follower_pressure_tangent(share * p, u, v, du, part, kind, bcs=bcs)
     energy = supports + _potential(p, u, loaded, fitting[0]) if fitting else None
     return replace(boundary, tangent=tangent, energy=energy)
 

@@ -136,6 +136,24 @@ def test_pressure_has_a_potential_where_its_rims_are_held(wall, quarter):
     agree(stretched.energy is not None)
 
 
+def test_tangent_follows_from_the_rim_where_there_is_no_potential(tmp_path):
+    """Planes of two normals off the origin: −p V fits neither, but the tangent is symmetric."""
+    wall = tube(tmp_path, length=LENGTH, size=0.5, quarter=True)
+    wall.mesh.geometry.x[:, :2] += (1.0, 2.0)
+    u, d, w = (displacement(wall) for _ in range(3))
+    d.interpolate(lambda x: np.sin([x[1] + x[2], 2 * x[0], x[0] + x[1]]))
+    w.interpolate(lambda x: np.cos([2 * x[2], x[0] + x[1], 3 * x[1]]))
+    for conditions, symmetric in ((QUARTER, True), (ENDS, False)):
+        boundary = apply_conditions(wall, u, {"lumen": Pressure()} | conditions)
+        boundary.pressure.value = 1.0
+        agree(boundary.energy is None)
+        a, a_T = (
+            value(ufl.action(ufl.action(boundary.tangent, second), first))
+            for first, second in ((d, w), (w, d))
+        )
+        agree((abs(a - a_T) <= 1e-12 * abs(a)) == symmetric, (conditions, a, a_T))
+
+
 def test_shares_of_the_pressure(wall):
     """The residual of a share is that share of the residual, and the outer one pushes back."""
     u, v = displacement(wall), displacement(wall)
