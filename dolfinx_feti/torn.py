@@ -23,6 +23,7 @@ coordinates        ``compose("coordinates")`` points of the assembled problem's 
 pressures          ``setAttr("pressures")``   number of pressures that have been condensed into the
                                               local matrix
 symmetry           ``setOption(SYMMETRIC)``   flag of the local matrix, if its form tells
+null space         ``setNullSpace``           orthonormal null vectors of A (``null_space``)
 ================== ========================== =====================================================
 
 A subdomain is a connected component of the graph of the local matrix.
@@ -51,14 +52,7 @@ from dolfinx_feti.runtime.connectivity import (
 )
 from dolfinx_feti.runtime.petsc_library import address_of_rows, nonzero_state, rows_of
 
-__all__ = [
-    "State",
-    "Torn",
-    "create_torn_matrix",
-    "set_condensed",
-    "set_near_kernel",
-    "state_of",
-]
+__all__ = ["State", "Torn", "create_torn_matrix", "set_condensed", "set_near_kernel", "state_of"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -122,9 +116,8 @@ def set_near_kernel(
     Args:
         A: Torn matrix.
         modes: Linearly independent vectors; orthonormalised in place by Gram–Schmidt.
-        coordinates: Where the owned blocks of dofs are, (owned blocks, dimension of space), NaN for
-            dofs at no point; with them, the message about a singular problem tells what moves, and
-            where.
+        coordinates: Where the owned blocks of dofs are, (owned blocks, dimension of space), NaN at
+            no point; with them, the message about a singular problem tells what moves, and where.
 
     Note:
         Collective.
@@ -164,7 +157,7 @@ class State:
 
     Attributes:
         pattern: Names the matrices, their entries' places, the numbering and the Dirichlet dofs.
-        values: Names the entries, the near kernel, the stiffness, coordinates and pressures.
+        values: Names the entries, near kernel, null space, stiffness, coordinates and pressures.
         objects: PETSc's objects behind the names, kept so that no new object gets their handles.
     """
 
@@ -180,8 +173,8 @@ def state_of(A: PETSc.Mat) -> State:
     """
     if A.getType() != PETSc.Mat.Type.IS:
         return State((A.handle,), (A.stateGet(),), (A,))
-    K, maps, near_kernel = A.getISLocalMat(), A.getLGMap(), A.getNearNullSpace()
-    modes = near_kernel.getVecs() if near_kernel.handle else []
+    K, maps, spaces = A.getISLocalMat(), A.getLGMap(), (A.getNearNullSpace(), A.getNullSpace())
+    modes = [mode for space in spaces if space.handle for mode in space.getVecs()]
     dirichlet, stiffness, coordinates = map(A.query, ("dirichlet", "stiffness", "coordinates"))
     pattern = (
         *((M.handle, M.getSizes(), M.getBlockSizes(), M.getType()) for M in (A, K)),
@@ -191,12 +184,12 @@ def state_of(A: PETSc.Mat) -> State:
         None if dirichlet is None else dirichlet.getIndices().tobytes(),
     )
     values = (
-        near_kernel.handle,
+        *(space.handle for space in spaces),
         A.getAttr("pressures"),
         *(each and (each.handle, each.stateGet()) for each in (A, K, stiffness, coordinates)),
         *((mode.handle, mode.stateGet()) for mode in modes),
     )
-    return State(pattern, values, (A, K, maps, near_kernel, modes, stiffness, coordinates))
+    return State(pattern, values, (A, K, maps, spaces, modes, stiffness, coordinates))
 
 
 class Torn:

@@ -76,7 +76,7 @@ class TornSpace:
     to_global: npt.NDArray[np.int64]
 
 
-def suggested_number(V: dolfinx.fem.FunctionSpace) -> int:
+def suggested_number(V: dolfinx.fem.FunctionSpace, least: int = 1) -> int:
     r"""Suggest a number of subdomains over all processes.
 
     .. math:: p = P\, \max(1, \operatorname{round}(N / (2000\, P)))
@@ -88,11 +88,12 @@ def suggested_number(V: dolfinx.fem.FunctionSpace) -> int:
 
     Args:
         V: Space of the unknown.
+        least: Fewest subdomains, as far as there are cells.
     """
     dofs = V.dofmap.index_map.size_global * V.dofmap.index_map_bs
     topology, processes = V.mesh.topology, V.mesh.comm.size
     cells = topology.index_map(topology.dim).size_global
-    return int(min(processes * max(1, round(dofs / (DOFS * processes))), cells))
+    return int(min(max(processes * max(1, round(dofs / (DOFS * processes))), least), cells))
 
 
 def decompose(

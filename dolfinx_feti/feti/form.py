@@ -3,10 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The protocol that both forms of the method keep, and the choice between them.
 
-The dual form is the paper's; its system is indefinite as soon as a subdomain would buckle alone.
-The primal form stays positive definite as long as the matrix is. ``auto`` takes it in that case,
-and where a pressure is condensed, if the matrix is symmetric, all K_ρ are positive definite, the
-preconditioner is Dirichlet's, and no Krylov method of the dual form is asked for.
+The system of the dual form is indefinite as soon as a subdomain would buckle alone. ``auto`` takes
+the primal form then, and where a pressure is condensed, if the matrix is symmetric, all K_ρ are
+positive definite, the preconditioner is Dirichlet's, and no dual Krylov method is asked for.
 """
 
 from __future__ import annotations

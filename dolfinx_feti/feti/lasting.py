@@ -10,8 +10,7 @@
   method, with this preconditioner or a new one.
 
 All end with :meth:`Lasting.renew`. A solve that fails with an old preconditioner is tried again
-with a new one, and one that meets an indefinite matrix in the primal form, if ``auto`` has chosen
-it, is tried again in the dual form.
+with a new one; one that meets an indefinite matrix in the primal form of ``auto``, in the dual one.
 """
 
 from __future__ import annotations
@@ -73,6 +72,7 @@ class Lasting:
         self._vectors: RitzVectors | None = None
         self._outdated = False
         self.age = 0
+        self._seen = False  # is the pattern in a table that the user has?
         # Iterations for a digit in the first solve with the preconditioner, and in that with the
         # last matrix, if there was one.
         self._first = np.nan
@@ -82,6 +82,12 @@ class Lasting:
     def deflation(self) -> DeflatedSpace | None:
         """The coarse space with the Ritz vectors of earlier solves, in the primal form."""
         return None if self._primal is None else self._primal.deflation
+
+    def first_look(self) -> bool:
+        """Tell whether this is the first look at a form of the present pattern."""
+        first = self.form is not None and not self._seen
+        self._seen = self._seen or first
+        return first
 
     def renew(self) -> None:
         """Let the next matrix have a preconditioner of its own, and no Ritz vectors."""
@@ -208,3 +214,4 @@ class Lasting:
             if owned is not None:
                 owned.destroy()
         self.form = self._primal = self._pattern = self._vectors = self._state = None
+        self._seen = False

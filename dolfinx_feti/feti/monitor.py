@@ -20,13 +20,12 @@ __all__ = ["outer_monitor"]
 def outer_monitor(ksp: PETSc.KSP) -> Callable[..., Monitor]:
     """Hand the inner iterations on to the monitors and the history of the outer KSP. Collective.
 
-    A monitor in Python, which may be set on one process alone, may raise there.
-
     Returns:
         ``monitor_from(done, *, show_start)``, the monitor of an inner solve after ``done``
         iterations, which shows its own start or not.
     """
     comm = ksp.comm.tompi4py()
+    # A monitor in Python, which may be set on one process alone, may raise there.
     users_own = comm.allreduce(bool(ksp.getMonitor()), op=MPI.LOR)
 
     def show(its: int, norm: float) -> None:

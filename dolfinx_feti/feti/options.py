@@ -17,14 +17,7 @@ from typing import Any, Literal, get_args, get_type_hints
 
 from petsc4py import PETSc
 
-__all__ = [
-    "CHOICES",
-    "SOLVERS",
-    "FETIOptions",
-    "check_outer_options",
-    "options_without_effect",
-    "read_options",
-]
+__all__ = ["CHOICES", "FETIOptions", "check_outer_options", "read_options"]
 
 #: Prefixes of the Krylov method for (λ, s), the factors of K_ρ and K_II, and the solver of N or A₀.
 SUBSOLVERS = {
@@ -39,18 +32,6 @@ RELATIVE = ("ksp_rtol", "snes_rtol")
 NOT_NEGATIVE = ("ksp_atol", "ksp_divtol", "snes_atol", "snes_stol")
 COUNTS = ("ksp_max_it", "ksp_gmres_restart", "snes_max_it", "snes_max_funcs")
 BELOW_ONE = math.nextafter(1.0, 0.0)
-
-#: Options that choose a solver, and the one value that changes nothing here.
-SOLVERS = {
-    "ksp_type": "python",
-    "ksp_python_type": "dolfinx_feti.FETI",
-    "pc_type": "none",
-    "snes_type": "python",
-    "snes_python_type": "dolfinx_feti.problems.newton.Newton",
-}
-
-#: How options of solvers begin that have no place here.
-FOREIGN = ("pc_", "mat_", "mg_", "snes_linesearch_")
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,27 +132,6 @@ def check_outer_options(prefix: str) -> None:
             f"Option -{prefix}pc_type is '{pc_type}', but no preconditioner of PETSc's fits a torn "
             f"matrix: leave it out. FETI has its own, -{prefix}feti_pc_type."
         )
-
-
-def options_without_effect(prefix: str) -> dict[str, str]:
-    """Find options that belong to another solver than FETI and Newton's method.
-
-    Args:
-        prefix: Prefix of the solver, not empty.
-
-    Returns:
-        Their values, by their names without the prefix.
-    """
-    under = {
-        key.removeprefix(prefix): value
-        for key, value in PETSc.Options().getAll().items()
-        if key.startswith(prefix)
-    }
-    return {
-        name: value
-        for name, value in under.items()
-        if (name not in SOLVERS and name.startswith(FOREIGN)) or value != SOLVERS.get(name, value)
-    }
 
 
 def _count(prefix: str, name: str, default: int) -> int:

@@ -3,8 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""What belongs to one matrix: weights, S, :math:`K_{II}^{-1}`, :math:`K_ρ^{-1}` and modes.
 
-Both methods begin here. A :class:`Setup` does not change; a later matrix has one of its own, or
-shares the half that preconditions (``primal``).
+Both methods begin here. A later matrix has one of its own, or shares half of it (``primal``).
 """
 
 from __future__ import annotations
@@ -142,5 +141,4 @@ def require_finite(torn: Torn) -> None:
 
 def sum_if_known(count: int | None, comm: MPI.Comm) -> int | None:
     """Add numbers of all processes; None if one of them is not known."""
-    counts = comm.allgather(count)
-    return None if None in counts else sum(counts)
+    return None if None in (counts := comm.allgather(count)) else sum(counts)

@@ -31,13 +31,17 @@ from dolfinx_feti.feti.monitor import outer_monitor
 from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
 from dolfinx_feti.feti.report import Report, collect, table
 from dolfinx_feti.feti.solution import CURVATURE, Solution
+from dolfinx_feti.null_space import take_out
 from dolfinx_feti.rounding import residual_rounding
 from dolfinx_feti.runtime.events import event
 
-__all__ = ["FETI"]
+__all__ = ["FETI", "VIEW_ONCE"]
 
 Reason = PETSc.KSP.ConvergedReason
 logger = logging.getLogger("dolfinx_feti")
+
+#: Attribute of a KSP that prints its table once, in place of PETSc at the end of each solve.
+VIEW_ONCE = "feti_view_once"
 
 #: Default relative tolerance on the residual of the assembled system.
 RTOL = 1e-8
@@ -52,6 +56,12 @@ AIM = 0.7
 #: Multiple of the size of its rounding errors up to which a residual is nothing else, and share of
 #: ‖b‖ above which that leaves the solution in doubt.
 ROUNDED, DOUBTFUL = 4.0, 1e-3
+
+#: Share of a load in the null space of A that is rounding.
+COMPATIBLE = 1e-10
+
+UNBALANCED = """the load is not orthogonal to the null space of A, so that nothing balances it; \
+with A.setTransposeNullSpace, too, PETSc takes that part out of each load"""
 
 
 class FETI:
@@ -166,6 +176,8 @@ class FETI:
         self.residual, self.rtol, self.floor = attempt.residual, attempt.rtol, attempt.floor
         ksp.setIterationNumber(self.iterations)
         ksp.setConvergedReason(attempt.reason)
+        if ksp.getAttr(VIEW_ONCE) and self._lasting.first_look():
+            self._print_table(ksp)
         if attempt.reason < 0 and not self._refused() and ksp.comm.rank == 0:
             # Newton's method takes some failures in its stride, and says what others mean.
             level = logging.DEBUG if self._newton else logging.WARNING
@@ -185,6 +197,14 @@ class FETI:
         if report is not None:
             for row in table(report).splitlines(keepends=True):
                 viewer.printfASCII(row)  # the viewer indents each call
+
+    def _print_table(self, ksp: PETSc.KSP) -> None:
+        """Print who solves, how well, and the table. Collective."""
+        screen, (rtol, atol, _, max_it) = PETSc.Viewer.STDOUT(ksp.comm), ksp.getTolerances()
+        screen.printfASCII(f"KSP Object: ({self._prefix}) on {ksp.comm.size} process(es)\n")
+        bounds = f"tolerances {rtol:g} relative, {atol:g} absolute, at most {max_it} iterations"
+        screen.printfASCII(f"  FETI, {bounds}\n")
+        self.view(ksp, screen)
 
     def destroy(self, ksp: PETSc.KSP | None = None) -> None:
         """Free everything."""
@@ -254,6 +274,11 @@ class FETI:
         x.array[:] = torn.assemble(delta * u_D)  # x_D
         r = torn.residual(b, x)
         scale = r.norm()
+        along = take_out(torn.A, r)
+        if along > COMPATIBLE * scale:
+            x.set(0.0)
+            incompatible = Solution(Reason.DIVERGED_NULL, residual=along / scale)
+            return self._judged(incompatible, form, enough=False)
         target = max(rtol * scale, atol)
         rtol = target / scale if scale > 0.0 else np.nan
         most = self._lasting.most_iterations(max_it - spent, rtol)
@@ -277,6 +302,7 @@ class FETI:
             x.array[:] += torn.assemble(delta * u)
             r.destroy()
             r = torn.residual(b, x)
+            take_out(torn.A, r)
             last, norm = norm, r.norm()
             if not norm <= last:  # what was there before is better
                 x.array[:], norm = before, last
@@ -287,6 +313,7 @@ class FETI:
                 break
             u_D = np.zeros_like(u_D)
         r.destroy()
+        take_out(torn.A, x)
         ksp.setResidualNorm(norm if np.isfinite(norm) else np.inf)
         floor, scale = ROUNDED * rounding, scale or 1.0
         attempt = replace(
@@ -332,6 +359,8 @@ def _remedy(reason: int, form: Form, *, floor: float) -> str:
         )
     if reason == Reason.DIVERGED_NANORINF:
         return "a NaN or Inf met the Krylov method; look at the matrix and the load"
+    if reason == Reason.DIVERGED_NULL:
+        return UNBALANCED
     if reason == Reason.DIVERGED_MAX_IT:
         return "no convergence within -{0}ksp_max_it iterations; raise it"
     if reason == Reason.DIVERGED_BREAKDOWN:

@@ -127,8 +127,9 @@ class LinearProblem(TornProblem):
         self._compiler = Compiler(comm, form_compiler_options, jit_options)
         self._bilinear = a
         self.u = dolfinx.fem.Function(V) if u is None else u
+        least = 1 if self.bcs else 2  # a null space is one of several subdomains together
         self.decomposition = decompose(
-            V.mesh, suggested_number(V) if subdomains is None else subdomains, seed=seed
+            V.mesh, suggested_number(V, least) if subdomains is None else subdomains, seed=seed
         )
         space = tear(V, self.decomposition)
         self._torn = assembly.torn_form(a, (space, space), self._compiler)

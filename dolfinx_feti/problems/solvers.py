@@ -4,7 +4,8 @@
 """PETSc's solvers with contexts of this package: made from options, and what fails in them.
 
 A script that was written for another solver sets options that choose it. They have no effect here,
-which is logged once; the script goes on with FETI.
+which is logged once; the script goes on with FETI. PETSc views a KSP at the end of each solve; the
+plain ``-ksp_view`` is FETI's here, which prints its table once.
 """
 
 from __future__ import annotations
@@ -15,12 +16,27 @@ from contextlib import contextmanager
 
 from petsc4py import PETSc
 
-from dolfinx_feti.feti.options import SOLVERS, options_without_effect, read_options
-from dolfinx_feti.feti.solver import FETI
+from dolfinx_feti.feti.options import read_options
+from dolfinx_feti.feti.solver import FETI, VIEW_ONCE
 from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.runtime.petsc_options import inserted, withheld
 
-__all__ = ["create_newton_solver", "create_solver"]
+__all__ = ["create_newton_solver", "create_solver", "options_without_effect"]
+
+#: Options that choose a solver, and the one value that changes nothing here.
+SOLVERS = {
+    "ksp_type": "python",
+    "ksp_python_type": "dolfinx_feti.FETI",
+    "pc_type": "none",
+    "snes_type": "python",
+    "snes_python_type": "dolfinx_feti.problems.newton.Newton",
+}
+
+#: How options of solvers begin that have no place here.
+FOREIGN = ("pc_", "mat_", "mg_", "snes_linesearch_")
+
+#: Values of ``-ksp_view`` that name the screen and no format.
+PLAIN = ("", "ascii", "true", "1")
 
 
 def create_solver(A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]) -> PETSc.KSP:
@@ -41,7 +57,7 @@ def create_solver(A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]
     ksp.setOptionsPrefix(prefix)
 
     def set_up() -> None:
-        with _options(A, prefix, petsc_options):
+        with _options(ksp, A, prefix, petsc_options):
             _attach(ksp, FETI(), A)
             _set_from_options(ksp, prefix)
 
@@ -71,7 +87,7 @@ def create_newton_solver(
     snes.setOptionsPrefix(prefix)
 
     def set_up() -> None:
-        with _options(A, prefix, petsc_options):
+        with _options(snes.getKSP(), A, prefix, petsc_options):
             snes.setType(PETSc.SNES.Type.PYTHON)
             snes.setPythonContext(newton)
             snes.setTolerances(rtol=1e-8, atol=1e-10, max_it=30)
@@ -83,6 +99,27 @@ def create_newton_solver(
     return snes
 
 
+def options_without_effect(prefix: str) -> dict[str, str]:
+    """Find options that belong to another solver than FETI and Newton's method.
+
+    Args:
+        prefix: Prefix of the solver, not empty.
+
+    Returns:
+        Their values, by their names without the prefix.
+    """
+    under = {
+        key.removeprefix(prefix): value
+        for key, value in PETSc.Options().getAll().items()
+        if key.startswith(prefix)
+    }
+    return {
+        name: value
+        for name, value in under.items()
+        if (name not in SOLVERS and name.startswith(FOREIGN)) or value != SOLVERS.get(name, value)
+    }
+
+
 def _attach(ksp: PETSc.KSP, feti: FETI, A: PETSc.Mat) -> None:
     ksp.setOperators(A)
     ksp.setType(PETSc.KSP.Type.PYTHON)
@@ -90,8 +127,10 @@ def _attach(ksp: PETSc.KSP, feti: FETI, A: PETSc.Mat) -> None:
 
 
 @contextmanager
-def _options(A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]) -> Iterator[None]:
-    """Insert options, but for those that choose another solver; these are logged."""
+def _options(
+    ksp: PETSc.KSP, A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]
+) -> Iterator[None]:
+    """Insert options, but for a plain view, and those that choose another solver, with a log."""
     with inserted(prefix, petsc_options):
         other = options_without_effect(prefix)
         if other:
@@ -101,7 +140,10 @@ def _options(A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]) -> 
                 f"-{prefix}feti_… chooses its parts, see docs/options.md.",
                 A.comm.tompi4py(),
             )
-        with withheld(prefix + name for name in {*SOLVERS, *other}):
+        view = PETSc.Options(prefix).getString("ksp_view", "none")
+        ksp.setAttr(VIEW_ONCE, view in PLAIN)
+        viewed = ["ksp_view"] if view in PLAIN else []
+        with withheld(prefix + name for name in {*SOLVERS, *other, *viewed}):
             yield
 
 

@@ -17,7 +17,8 @@ from collective import COMM, agree, equal, raises, whole
 from problems import cube, elasticity, owned, poisson
 
 import dolfinx_feti
-from dolfinx_feti.feti.options import FETIOptions, options_without_effect, read_options
+from dolfinx_feti.feti.options import FETIOptions, read_options
+from dolfinx_feti.problems.solvers import options_without_effect
 from dolfinx_feti.runtime.petsc_options import inserted, require_prefix, withheld
 
 KINDS = get_type_hints(FETIOptions)

@@ -6,11 +6,10 @@ r"""Columns of all subdomains on the interface of each: their averages, and thei
 .. math:: W_i = (T V)_i, \quad V = T^⊤ δ\, U, \qquad \text{or} \qquad
           (B_D^⊤ B\, U)_i = U_i - (T V)_i
 
-with columns U_i of each subdomain, (n_i, k_i). With the copies of its dofs averaged, a column
-reaches into the neighbours, and no further: :math:`W_i` has one block of columns for each of them
-(``panels``). The averages are the coarse space of the primal form, the jumps what the
-preconditioner of the dual form sees of G. On a dof with a prescribed value, where no copies are
-averaged, the jump is U itself.
+with columns U_i of each subdomain, (n_i, k_i). A column reaches into the neighbours, and no
+further: :math:`W_i` has one block of columns for each of them (``panels``). The averages are the
+coarse space of the primal form, the jumps what the preconditioner of the dual form sees of G. On a
+dof with a prescribed value the jump is U itself.
 """
 
 from __future__ import annotations

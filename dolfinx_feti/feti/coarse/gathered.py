@@ -3,10 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A small distributed system N x = b, of which each group of processes factors a copy.
 
-A coarse matrix has a few rows per subdomain. Spread over all processes it is mostly messages; on
-one of them, all others would send to that one and wait. A group has a process for about
-:data:`ROWS` rows: a solve is one collective call that gives b to all, and each process takes its
-part of x from its own group.
+A coarse matrix has a few rows per subdomain, and a group a process for about :data:`ROWS` rows: a
+solve is one collective call that gives b to all; each process takes its x from its own group.
 """
 
 from __future__ import annotations

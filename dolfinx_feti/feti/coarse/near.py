@@ -9,8 +9,7 @@ Subdomain i has :math:`c_i` of the columns of all subdomains as one dense block 
 
 .. math:: \sum_i C_i^⊤ (W_i^⊤ S_i W_i)\, C_i.
 
-The work grows with the number of subdomains, and no sparse product is needed. All columns of a
-subdomain are near another one or none, so that its rows in the sum have the same columns.
+All columns of a subdomain are near another one or none: its rows in the sum have the same columns.
 """
 
 from __future__ import annotations

@@ -16,11 +16,9 @@ of the primal method takes two dense products for each subdomain, a coarse solve
 To both methods A₀ may prove that A is indefinite: A has at least as many negative eigenvalues. V
 serves any matrix, :class:`AveragedColumns`; A V and A₀ are of one, :class:`AveragedSpace`.
 
-The columns are scaled to energy one. Dependent ones of a subdomain are dropped: combinations with
-an energy below :data:`LEAST_ENERGY`, by its block on the diagonal of A₀. Columns of several
-subdomains may depend on each other, too: pivots below :data:`ZERO_PIVOT` are left out of the
-solution. Negative eigenvalues and curvatures count only if they are those of :math:`A_0 + ε`, with
-a diagonal ε just above rounding, :math:`\sum_i \|S_i\|_F \|W_i\|^2` times its unit for each column.
+The columns are scaled to energy one; dependent ones of a subdomain are dropped, and pivots of A₀
+that are zero left out. Negative eigenvalues and curvatures count only if they are those of
+:math:`A_0 + ε`, with ε just above rounding, :math:`\sum_i \|S_i\|_F \|W_i\|^2` times its unit.
 """
 
 from __future__ import annotations

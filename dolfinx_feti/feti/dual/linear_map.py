@@ -3,9 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Distributed matrices that read as formulas: ``M @ x`` and ``M.T @ y`` on local arrays.
 
-Each process passes in its part of a vector and gets its part of the product. So the dual method is
-written in numpy arrays, :math:`F λ = B K^+ B^⊤ λ` as ``B @ inverse.solve(B.T @ lam)``, and no
-vector is shared between its parts.
+Each process passes in its part of a vector and gets its part of the product, in numpy arrays:
+:math:`F λ = B K^+ B^⊤ λ` is ``B @ inverse.solve(B.T @ lam)``.
 """
 
 from __future__ import annotations

@@ -18,12 +18,11 @@ jump; with :math:`N = G^⊤ Q G + D` it is
           z = (y - Q G v,\; -w - v).
 
 For D = 0 its λ-part is :math:`P M P^⊤ r`, the projected method of the paper (eq. 45,
-Augustin_eq:dualProblem), in which s plays no part before the end: conjugate gradients then leave s
-as it is (``frozen``), or rounding errors in it might grow without bound.
+Augustin_eq:dualProblem): conjugate gradients leave s as it is (``frozen``) till the end, or its
+rounding errors might grow.
 
-Where Q has M in it, Q stands for M: :math:`z = (Q (r - G w), -w)` is balanced as it is,
-:math:`G^⊤ Q r - N w = 0`, with one coarse solve. Here s is never frozen: w is to shrink with r, or
-its rounding errors would unbalance z.
+Where Q has M in it, :math:`z = (Q (r - G w), -w)` is balanced as it is, with one coarse solve. Here
+s is never frozen: w is to shrink with r, or its rounding errors would unbalance z.
 """
 
 from __future__ import annotations

@@ -7,8 +7,7 @@ r"""M G as dense blocks, one for each subdomain, for Q = M.
           M G\, s = B_D\, Y s, \quad G^⊤ M\, r = Y^⊤ B_D^⊤ r, \quad
           G^⊤ M\, G = \sum_i W_i^⊤ Y_i
 
-with the columns near each subdomain (``near``). As a sparse matrix M G has in each row the columns
-of two subdomains and all of their neighbours: many times as many entries as the blocks.
+with the columns near each subdomain (``near``): far fewer entries than M G as a sparse matrix.
 """
 
 from __future__ import annotations

@@ -7,9 +7,8 @@ The primal method keeps an assembled vector x of the interface as its copies T x
 
 .. math:: T T^⊤ t, \qquad T T^⊤ δ\, t, \qquad x^⊤ y = (T x)^⊤ δ\, (T y),
 
-the sum and the weighted average of all copies, and the scalar product, with the weights of
-``gluing``, for which :math:`T^⊤ δ\, T = I`. A dof with a prescribed value is not among the
-assembled ones: its copies sum to zero, whether a local matrix holds it (all-floating) or not.
+the sum and the weighted average of all copies, and the scalar product, with :math:`T^⊤ δ\, T = I`.
+A dof with a prescribed value is not among the assembled ones: its copies sum to zero.
 """
 
 from __future__ import annotations

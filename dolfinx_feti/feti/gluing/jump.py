@@ -8,9 +8,8 @@ Continuity across the interface and, for all-floating FETI, the Dirichlet condit
 .. math:: B u = c, \qquad B = \begin{pmatrix} B_{jump} \\ B_{Dirichlet} \end{pmatrix}, \quad
           c = \begin{pmatrix} 0 \\ u_D \end{pmatrix}
 
-(eq. 34, Augustin_eq:jumpConstraints, eq. 35, eq. 37, Augustin_eq:jumpoperatorAF). The gluing is
-fully redundant: a dof with d copies gives d (d − 1)/2 rows, one for each pair. A Dirichlet dof is
-not glued: all-floating FETI gives it one row per copy, classical FETI none.
+(eq. 34, Augustin_eq:jumpConstraints, eq. 35, eq. 37, Augustin_eq:jumpoperatorAF), fully redundant:
+d copies of a dof give d (d − 1)/2 rows, and those of a Dirichlet dof d, or none in classical FETI.
 """
 
 from __future__ import annotations

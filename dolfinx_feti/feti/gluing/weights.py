@@ -7,8 +7,7 @@ The scaled jump operator of the preconditioners weighs a copy by the *other* sid
 
 .. math:: δ_i = k_i / \sum_j k_j, \qquad (B_D)_{ij} = (δ_j, -δ_i),
 
-with k = 1 for multiplicity scaling, so that :math:`B_D^⊤ B` is a projection and
-:math:`u - B_D^⊤ B u` averages the copies. A Dirichlet row has weight one.
+or k = 1 for multiplicity: :math:`u - B_D^⊤ B u` averages copies. A Dirichlet row has weight one.
 """
 
 from __future__ import annotations

@@ -7,9 +7,8 @@ r"""Adaptive columns: coarse fields that bound what an average of copies costs.
 
 on the interface of a subdomain, (n_i,). The primal preconditioner averages local displacements
 :math:`w = S_ρ^{-1} δ\, T r`; to meet its neighbours, a subdomain gives up :math:`(1 - δ)\, w`,
-which may cost far more energy than w has: a change of volume pays for it with κ, and so does
-whatever is stiff where w is soft. With the eigenvectors u as columns U of the coarse space every
-residual is orthogonal to :math:`T^⊤ δ\, U`, so that :math:`U^⊤ S_ρ\, w = U^⊤ δ\, T r = 0`, and
+which may cost far more energy than w has, as a change of volume does. With the eigenvectors u as
+columns U of the coarse space, :math:`U^⊤ S_ρ\, w = U^⊤ δ\, T r = 0` for every residual, and
 
 .. math:: |(1 - δ)\, w|_S^2 ≤ χ_0\, |w|_{S_ρ}^2
 

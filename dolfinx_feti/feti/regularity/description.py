@@ -40,7 +40,8 @@ def describe(rigid: Motions, others: Array) -> str:
     if others.shape[1]:
         what = "a motion that is" if others.shape[1] == 1 else f"{others.shape[1]} motions that are"
         parts.append(f"nothing resists {what} not rigid{_largest(torn, x, others[:, 0])}")
-    return text + "; ".join(parts) + ". Add Dirichlet conditions, or connect what is loose."
+    remedy = "Add Dirichlet conditions, connect what is loose, or give A this null space"
+    return text + "; ".join(parts) + f". {remedy} (A.setNullSpace)."
 
 
 def _body(rigid: Motions, x: Array | None, b: int) -> str:

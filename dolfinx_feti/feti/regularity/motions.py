@@ -8,12 +8,10 @@ r"""Motions that nothing resists, tested on the assembled matrix, scaled by its 
 
 or, where A is known to be positive semi-definite, by the energy :math:`\hat r^⊤ \hat A \hat r`,
 which is not less than the smallest eigenvalue, and in which an error of r counts squared.
-Candidates are the rigid body modes of each body that vanish on the Dirichlet dofs next to it. A
-prestressed body has rigid motions that it resists; the test sees that, too.
+Candidates are the rigid body modes of each body that vanish on the Dirichlet dofs next to it.
 
-Long columns, of which each process has some rows, are compared by their triangular factors,
-:math:`X = Q R`, of each body: :math:`R^⊤ R = X^⊤ X` without the square, so that singular values
-come out to :math:`ε \|X\|`.
+Long columns are compared by their triangular factors, :math:`X = Q R`, of each body: singular
+values come out to :math:`ε \|X\|` then.
 """
 
 from __future__ import annotations
@@ -32,9 +30,11 @@ from dolfinx_feti.feti.subdomain.orthonormal import (
     orthonormalising,
     symmetric_part,
 )
+from dolfinx_feti.null_space import null_space
 from dolfinx_feti.torn import Torn
 
 __all__ = [
+    "NOT_RIGID",
     "Motions",
     "free_motions",
     "independent_columns",
@@ -51,6 +51,9 @@ NO_ENERGY = 1e-14
 
 #: A scaled force below this is rounding, also that of coordinates far from the origin.
 NO_FORCE = 1e-12
+
+#: Sine of the angle to given motions below which a motion is one of them.
+NOT_RIGID = 1e-4
 
 
 class ScaledOperator:
@@ -103,6 +106,7 @@ class Motions:
         fields: Single-valued fields on the torn dofs; those of different bodies share columns,
             (n, m).
         dimensions: Number of motions of each body, in the first columns, (bodies,).
+        null_space: What the matrix has been told to be its kernel, on the torn dofs, (n, k).
     """
 
     torn: Torn
@@ -111,6 +115,16 @@ class Motions:
     definite: bool
     fields: Array
     dimensions: Integers
+    null_space: Array
+
+    @property
+    def known(self) -> bool:
+        """Whether the null space is known to hold all of them. Collective."""
+        share, Z, W = self.operator.share[:, None], self.null_space, self.fields
+        rest = W - Z @ self.torn.comm.allreduce((share * Z).T @ (share * W))  # W − Z Zᵀ W
+        sizes = np.array([((share * X) ** 2).sum() for X in (rest, W)])
+        beyond, whole = self.torn.comm.allreduce(sizes)
+        return self.total <= Z.shape[1] and bool(beyond <= NOT_RIGID**2 * whole)
 
     @property
     def total(self) -> int:
@@ -127,6 +141,7 @@ def free_motions(torn: Torn, bodies: Bodies, near_kernel: Array, *, definite: bo
         near_kernel: Rigid body modes on the torn dofs, (n, k).
         definite: Whether the assembled matrix is known to be positive semi-definite.
     """
+    null_vectors = null_space(torn)
     operator, (dofs, body) = ScaledOperator(torn), bodies.supports.T
     modes = operator.sizes(near_kernel)
     on_supports = triangles(modes[dofs], body, bodies.count, torn.comm)
@@ -141,7 +156,7 @@ def free_motions(torn: Torn, bodies: Bodies, near_kernel: Array, *, definite: bo
         free = [unresisted(R[:, :k], R[:, k:], definite=definite) for R in resisted]
         fields = _combine(fields, free, bodies)
     dimensions = np.array([C.shape[1] for C in free], dtype=np.int64)
-    return Motions(torn, bodies, operator, definite, fields, dimensions)
+    return Motions(torn, bodies, operator, definite, fields, dimensions, null_vectors)
 
 
 def unresisted(forces: Array, sizes: Array, *, definite: bool) -> Array:

@@ -3,19 +3,15 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Is the assembled matrix singular? Three ways to a motion that nothing resists.
 
-1. *Rigid motions* of each body that its supports leave (``motions``).
+1. *Rigid motions* of each body that its supports leave (``motions``), but for a given null space.
 2. *Null vectors of N.* Where all :math:`K_i` are positive semi-definite, A w = 0 means
    :math:`K_i w_i = 0`, so that w = E s with :math:`G s = 0, D s = 0` and N s = 0: the kernel of N
    holds all of the kernel of A, mechanisms included that are not rigid.
 3. *Null vectors of* :math:`K_{II}`, if the interface does not feel them.
 
-Rounding hides the kernel of N: its factor has tiny pivots, and no zero one. A random vector grows
-in a solve more than with any regular problem. Then inverse iteration with
-
-.. math:: N + 10^{-12} \operatorname{diag}|N|
-
-finds near null vectors s. Each is made a field of the whole body, the copies of E s averaged, and
-tested on the assembled matrix like the rigid motions.
+Rounding hides the kernel of N, but a random vector grows in a solve more than with any regular
+problem. Then inverse iteration finds near null vectors s; the copies of E s are averaged, and the
+field is tested on the assembled matrix like the rigid motions.
 """
 
 from __future__ import annotations
@@ -33,6 +29,7 @@ from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.gluing.bodies import Bodies
 from dolfinx_feti.feti.regularity.description import describe
 from dolfinx_feti.feti.regularity.motions import (
+    NOT_RIGID,
     Motions,
     free_motions,
     independent_columns,
@@ -62,13 +59,15 @@ MOST = 64
 #: Size below which a combination of fields of size one is rounding.
 DISTINCT = 1e-8
 
-#: Sine of the angle to the rigid motions below which a motion is one of them.
-NOT_RIGID = 1e-4
-
 NEARLY = (
     "The assembled problem is singular up to rounding: it resists every motion, but one of them so "
     "little that the coarse matrix has a zero pivot. Look at the Dirichlet conditions and for "
     "coefficients that nearly vanish."
+)
+
+INSIDE = (
+    "The null space of A, or a part of it, lies inside of a subdomain that is not glued to others: "
+    "tear each body into two subdomains, at least."
 )
 
 
@@ -92,7 +91,7 @@ def require_regular(
         torn: The torn matrix.
         bodies: Its bodies.
         near_kernel: Rigid body modes on the torn dofs, (n, k).
-        N: The coarse matrix, (K, K).
+        N: The coarse matrix, regular along a null space that the matrix has been given, (K, K).
         solver: Its factors.
         prolong: Makes torn fields of coarse unknowns, E s, (K,) → (n,).
         extend: Completes a field, (n,), on an interior that is eliminated, for a load, (n,).
@@ -109,8 +108,8 @@ def require_regular(
     growth, error = _growth_and_error(N, solver)
     others = np.zeros((torn.n, 0))
     sound = growth <= SUSPICIOUS_GROWTH and error <= BACKWARD
-    most = rigid.total + SPARE
-    while N.getSize()[0] and (rigid.total or not sound) and most <= MOST:
+    most, known = rigid.total + SPARE, rigid.known
+    while N.getSize()[0] and not (known and sound) and most <= MOST:
         S = _null_vectors(N, most, symmetric=symmetric, prefix=prefix)
         W = _averaged(torn, [delta * prolong(s) for s in S.T])
         for w in W.T:
@@ -119,7 +118,7 @@ def require_regular(
         if others.shape[1] < SPARE or most >= N.getSize()[0]:
             break
         most *= 2
-    if rigid.total or others.shape[1]:
+    if not known or others.shape[1]:
         raise SingularError(describe(rigid, others))
     if np.isinf(growth) and not error <= BACKWARD:
         raise SingularError(NEARLY)
@@ -133,7 +132,7 @@ def require_regular(
 def require_held(torn: Torn, bodies: Bodies, near_kernel: Array, *, definite: bool) -> None:
     """Look for rigid motions alone; see :func:`require_regular`. Collective."""
     rigid = free_motions(torn, bodies, near_kernel, definite=definite)
-    if rigid.total:
+    if not rigid.known:
         raise SingularError(describe(rigid, np.zeros((torn.n, 0))))
 
 
@@ -153,6 +152,8 @@ def require_regular_interior(torn: Torn, bodies: Bodies, near_kernel: Array, ker
     if not any(counts):
         return
     rigid = free_motions(torn, bodies, near_kernel, definite=False)
+    if rigid.null_space.shape[1]:
+        raise SingularError(INSIDE)
     columns = [np.zeros((torn.n, count)) for count in counts]
     columns[torn.comm.rank] = kernel
     others = _unresisted(np.hstack(columns), rigid)

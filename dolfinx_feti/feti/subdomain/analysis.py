@@ -5,9 +5,8 @@ r"""What the pattern tells of the factors: whether the interior is eliminated, a
 
 An iteration needs :math:`K_ρ^{-1}` and S of every subdomain (``operator``). If the interior is
 *kept*, both are applied by sparse factors, of :math:`K_ρ` and of :math:`K_{II}`. If it is
-*eliminated*, S is formed, a dense block of the size of Γ. An iteration then reads packed
-triangles: several times less than the factors of a piece of a thin wall, or of a small one.
-``auto`` eliminates if S takes about the memory of the factors; see :data:`DENSITY`.
+*eliminated*, S is formed, a dense block of the size of Γ; ``auto`` does so if that takes about the
+memory of the factors, as for a piece of a thin wall, or a small one; see :data:`DENSITY`.
 """
 
 from __future__ import annotations
@@ -38,8 +37,7 @@ DENSITY = 30.0
 #: Largest interface of a subdomain whose interior is eliminated: 32 MiB.
 LARGEST = 2048
 
-#: Interior of a subdomain up to which K_II is dense, too. An instance of MUMPS costs a millisecond,
-#: and a communicator; thousands of them slow down whatever MPI does.
+#: Interior up to which K_II is dense, too: thousands of MUMPS's communicators slow MPI down.
 SMALL = 150
 
 #: Right-hand sides that MUMPS treats at once: for K_ρ, and for K_II whose interior is eliminated.

@@ -5,10 +5,8 @@ r"""Buckling modes of a subdomain, which join its kernel before another factoris
 
 .. math:: K_ρ\, y = μ\, y, \qquad μ < 0:
 
-a compressed subdomain gives way without its neighbours, although the assembled matrix is positive
-definite. A rough approximation of the eigenvectors is enough. Those near zero are at the lower end
-of the spectrum of the inverse; one far below zero is the last of them there, hidden next to zero,
-but stands alone at the lower end of the matrix.
+a compressed subdomain gives way alone. Rough eigenvectors are enough: those near zero are at the
+lower end of the spectrum of the inverse, one far below zero is at the lower end of the matrix.
 """
 
 from __future__ import annotations

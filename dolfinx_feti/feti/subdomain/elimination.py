@@ -3,11 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Elimination of the interior: the Schur complement and the factor of K_II of every subdomain.
 
-.. math:: S = K_{ΓΓ} - K_{ΓI} K_{II}^{-1} K_{IΓ}
-
-(eq. 51). Cholesky's factorisation by fronts that stops at the interface gives both
-(``multifrontal``). Small interiors are dense. Where :math:`K_{II}` is not positive definite, or the
-options name a solver, a factor with pivots solves for the columns of :math:`K_{IΓ}`.
+Cholesky's factorisation by fronts that stops at the interface gives both (eq. 51). Small interiors
+are dense. Where :math:`K_{II}` is not positive definite, or the options name a solver, a factor
+with pivots solves for the columns of :math:`K_{IΓ}`.
 """
 
 from __future__ import annotations

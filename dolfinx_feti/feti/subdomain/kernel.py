@@ -7,8 +7,7 @@ r"""The kernel of a subdomain: its rigid body modes that vanish on its Dirichlet
 
 (eq. 39, Augustin_eq:localSolutions). All-floating subdomains keep all candidates (six rigid body
 modes in 3-D, three in 2-D, the constant of a scalar problem); a classical one keeps those that
-vanish on its Dirichlet dofs. Under prestress the rotations leave the kernel and stay candidates,
-see ``pseudoinverse``.
+vanish on its Dirichlet dofs. Under prestress the rotations stay candidates.
 """
 
 from __future__ import annotations

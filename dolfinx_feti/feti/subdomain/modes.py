@@ -3,10 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The modes R of the subdomains, the regularised kernels E and the defects D, for one matrix.
 
-.. math:: E = ρ\, K_ρ^{-1} R, \qquad D = ρ\, (I - R^⊤ E),
-
-which ``pseudoinverse`` finds, and from which the coarse problem and the preconditioner are made.
-With :math:`K R = 0` they are :math:`E = R` and :math:`D = 0` (eq. 39, Augustin_eq:localSolutions).
+``pseudoinverse`` finds them (eq. 39, Augustin_eq:localSolutions), and the coarse problem and the
+preconditioner are made from them.
 """
 
 from __future__ import annotations

@@ -9,10 +9,9 @@ With the block scaled by its diagonal d and an orthonormal basis :math:`\hat R` 
 .. math:: \|(d^{-1/2} K d^{-1/2} + \hat R \hat R^⊤)\, \hat y\| ≤ 10^{-12}\, \|\hat y\|,
           \qquad y = d^{-1/2}\, \hat y,
 
-found among all singular vectors if the block is small, else by inverse iteration with that matrix
-and :math:`10^{-9} I`. A few P2–P0 cells have some beyond the rigid ones, and so have parts that are
-connected in a point or along an edge only. Rounding turns the zero pivots of such a block into tiny
-ones; what tells is the growth of random vectors in a solve.
+found among all singular vectors if the block is small, else by inverse iteration. A few P2–P0
+cells have some beyond the rigid ones, and so have parts connected in a point or along an edge only.
+What tells is the growth of random vectors in a solve, as rounding makes zero pivots tiny ones.
 """
 
 from __future__ import annotations
@@ -47,8 +46,7 @@ NULL = 1e-12
 #: Blocks of up to so many dofs have all their singular vectors computed.
 ALL_VECTORS = 600
 
-#: Share of the stiffness above which the interface feels a motion of the interior without energy:
-#: none of a positive semi-definite matrix.
+#: Share of the stiffness above which the interface feels a motion of the interior without energy.
 FELT = 1e-5
 
 #: Inverse iteration: share of the diagonal that is added, vectors at first, and rounds.

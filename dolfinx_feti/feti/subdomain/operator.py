@@ -34,7 +34,7 @@ from dolfinx_feti.feti.subdomain.blocks import index_set, named, product_many
 from dolfinx_feti.feti.subdomain.elimination import eliminate, factor_interior
 from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor, PackedMatrix
 from dolfinx_feti.feti.subdomain.factors.pivoted import factor_with_pivots
-from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_pivots
+from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
 from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
 from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.runtime.events import event
@@ -127,7 +127,7 @@ class Operator(ABC):
         """Count the negative eigenvalues of all K_II of this process; None if not known."""
         if len(self.interior_factors) < len(self.interior):
             return None
-        return sum_pivots(factor.pivots for factor in self.interior_factors).negative
+        return sum_negative(self.interior_factors)
 
     def _solve_inside(self, y: Array) -> Array:
         """Return K_II⁻¹ y_I of every subdomain, zero elsewhere, (n,)."""

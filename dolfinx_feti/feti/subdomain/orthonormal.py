@@ -6,8 +6,7 @@ r"""Orthonormal bases of columns, dependent ones dropped.
 .. math:: X = U Σ V^⊤, \qquad X B = U \text{ for } B = V Σ^{-1}, \qquad B^⊤ H B = Θ
 
 for columns X, (n, k), in Euclid's scalar product, and for a Gram matrix H, (k, k), in that of H,
-which is scaled to a unit diagonal first: then columns of any size count alike. For rows that are
-distributed see ``regularity.motions``.
+scaled to a unit diagonal first. For rows that are distributed see ``regularity.motions``.
 """
 
 from __future__ import annotations

@@ -6,9 +6,8 @@ r"""Block-sparse columns: panels, each with a few nonzero rows.
 .. math:: W = (W_1, W_2, …), \qquad S\, W_p = S_{:, r_p} (W_p)_{r_p}, \qquad
           W_p^⊤ Y = (W_p)_{r_p}^⊤ Y_{r_p}
 
-with the rows :math:`r_p` of panel p, (n, c) in all. On the interface of a subdomain, the coarse
-columns of a neighbour are zero but on the dofs that the two share. The products take a quarter of
-the flops of those with W as a dense matrix.
+with the rows :math:`r_p` of panel p, (n, c) in all: the coarse columns of a neighbour are zero but
+on the dofs that the two share.
 """
 
 from __future__ import annotations

@@ -25,8 +25,7 @@ eigenvalues :math:`δ < 0` and eigenvectors y of D, the columns
 
 .. math:: Z = 2 R y \sqrt{-δ}, \qquad K_+ = K + Z Z^⊤
 
-*stabilise* a subdomain that would buckle alone: :math:`K_+` is positive semi-definite. In the place
-of K stands S where the interior is eliminated (``operator``).
+*stabilise* a subdomain that would buckle alone. S replaces K where the interior is eliminated.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.gluing.dofs import Dofs
 from dolfinx_feti.feti.subdomain.blocks import as_slice, named
 from dolfinx_feti.feti.subdomain.buckling import buckling_modes
-from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_pivots
+from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
 from dolfinx_feti.feti.subdomain.kernel import kernel_basis
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, null_space
@@ -106,7 +105,7 @@ class PseudoInverse:
 
     def negative(self) -> int | None:
         """Count the negative eigenvalues of all K_ρ of this process; None if not known."""
-        negative = sum_pivots(factor.pivots for factor in self.factors).negative
+        negative = sum_negative(self.factors)
         lifted = sum(modes.lifted for modes in self.modes)
         return None if negative is None else negative - lifted
 

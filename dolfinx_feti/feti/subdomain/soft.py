@@ -5,9 +5,8 @@ r"""Soft modes of a subdomain, which join its kernel by an update of the inverse
 
 .. math:: K y = μ\, k_Γ\, y, \qquad μ < \text{threshold},
 
-with the stiffness :math:`k_Γ` of the interface dofs. A wall is a shell: its subdomains bend at a
-small fraction of the energy that the same jump costs the neighbour. A rough approximation is
-enough, as the algebra of ``pseudoinverse`` holds for any R.
+with the stiffness :math:`k_Γ` of the interface dofs: the subdomains of a thin wall bend easily. A
+rough approximation is enough, as the algebra of ``pseudoinverse`` holds for any R.
 
 Orthonormal columns Y, orthogonal to R, join R without another factor (Sherman, Morrison and
 Woodbury): with

@@ -8,19 +8,14 @@ r"""What the preconditioners of the dual operator have in common: M = B_D Y B_D�
           S_i = K_{ΓΓ} - K_{ΓI} K_{II}^{-1} K_{IΓ}
 
 (eq. 46, Augustin_eq:feti_preconditioner); the paper writes :math:`M^{-1}` for this matrix. A file
-of its own holds each Y: ``identity``, ``lumped``, ``dirichlet``.
-
-Under prestress a subdomain may buckle where the whole body does not, and M would be indefinite. So
-Y_i is that of the stabilised subdomain :math:`K_+ = K + Z Z^⊤` (``pseudoinverse``), with
-
-.. math:: Y_Z Y_Z^⊤, \qquad Y_Z = Z_Γ
-
-added or, where Y eliminates the interior, Z condensed to the interface (``dirichlet``).
+of its own holds each Y. Where a subdomain buckles alone, Y_i is that of the stabilised one,
+:math:`K_+ = K + Z Z^⊤` (``pseudoinverse``): :math:`Y_Z Y_Z^⊤` is added, with :math:`Y_Z = Z_Γ` or,
+where Y eliminates the interior, Z condensed to the interface (``dirichlet``).
 
 With the jump r = B u − c, the displacement :math:`u - E_Γ B_D^⊤ r`, whose copies agree, leaves the
 *unbalanced force* :math:`t = K E_Γ B_D^⊤ r`, so that :math:`\|T^⊤ t\|` is the residual of the
-*assembled* system. :math:`E_Γ` extends an interface displacement to the interior: harmonically for
-the Dirichlet preconditioner and wherever the interior is eliminated, by zero otherwise.
+*assembled* system. :math:`E_Γ` extends w harmonically to the interior for the Dirichlet
+preconditioner and where the interior is eliminated, by zero otherwise.
 """
 
 from __future__ import annotations

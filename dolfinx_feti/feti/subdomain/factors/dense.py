@@ -7,11 +7,11 @@ The Schur complement S of a subdomain is dense, and so is
 
 .. math:: S_ρ = S + ρ\, R R^⊤ = L L^⊤.
 
-A Krylov method reads both in every iteration, from one end to the other. So S and L stand in
-LAPACK's packed format, the lower triangle column by column; for factorisations and several columns
-at once they are unpacked into one work space. Where Cholesky's factorisation meets a pivot that is
-not positive, :math:`L Δ L^⊤` with Bunch and Kaufman's pivots takes its place, and tells the
-inertia. If that meets a zero, too, the pseudo-inverse does, of the matrix scaled by its diagonal.
+Both stand in LAPACK's packed format, the lower triangle column by column; for factorisations and
+several columns at once they are unpacked into one work space. Where Cholesky's factorisation meets
+a pivot that is not positive, :math:`L Δ L^⊤` with Bunch and Kaufman's pivots takes its place, and
+tells the inertia. If that meets a zero, too, the pseudo-inverse does, of the matrix scaled by its
+diagonal.
 """
 
 from __future__ import annotations

@@ -17,9 +17,7 @@ matrix,
           U = \operatorname{chol} P, \quad W = U^{-⊤} Q, \quad C - W^⊤ W,
 
 and the last block, the *update matrix*, is added to the front of its parent, at the roots to S. The
-groups follow from nested dissection (METIS, Karypis and Kumar 1998, or PETSc). :class:`Fronts` are
-found once for a pattern, a :class:`FrontFactor` for every matrix whose :math:`K_{II}` is positive
-definite.
+groups follow from nested dissection (METIS, Karypis and Kumar 1998, or PETSc), once for a pattern.
 """
 
 from __future__ import annotations

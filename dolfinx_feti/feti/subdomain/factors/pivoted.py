@@ -10,9 +10,8 @@ The regularised block has a border of k columns R,
           \begin{pmatrix} y \\ 0 \end{pmatrix} \quad ⟺ \quad
           (K + ρ R R^⊤)\, x = y, \; μ = R^⊤ x,
 
-which adds the dense :math:`ρ R R^⊤` at the price of k rows of the factor. The factor is
-:math:`L Δ L^⊤` (LU for an unsymmetric K): a loaded wall has subdomains with negative eigenvalues,
-and their number, the inertia, is read off Δ; the border contributes k.
+at the price of k rows of the factor, :math:`L Δ L^⊤` (LU for an unsymmetric K). The number of
+negative eigenvalues is read off Δ; the border contributes k.
 """
 
 from __future__ import annotations
@@ -56,11 +55,7 @@ class PivotedFactor:
         rho: float = 1.0,
         shift: Array | None = None,
     ) -> None:
-        """Factor ``K[rows, rows] + ρ R Rᵀ + diag(shift)`` for one row at least, R, (n, k), or none.
-
-        Raises:
-            FactorError: The factorisation failed. Not collective: the caller reduces.
-        """
+        """Factor ``K[rows, rows] + ρ R Rᵀ + diag(shift)`` for a row at least; R is (n, k)."""
         self._n, self._border = len(rows), 0 if R is None else R.shape[1]
         self._matrix = _block(K, rows, shift)
         if R is not None and self._border:
@@ -115,7 +110,11 @@ def factor_with_pivots(
     rho: float = 1.0,
     shift: Array | None = None,
 ) -> Factor:
-    """Factor ``K[rows, rows] + ρ R Rᵀ`` with pivots; it may be empty; see ``PivotedFactor``."""
+    """Factor ``K[rows, rows] + ρ R Rᵀ`` with pivots; it may be empty; see ``PivotedFactor``.
+
+    Raises:
+        FactorError: The factorisation failed. Not collective: the caller reduces.
+    """
     if len(rows) == 0:
         return DenseFactor(PackedMatrix(np.zeros(0), 0, np.zeros(0)))
     return PivotedFactor(K, rows, choice, R, rho, shift)

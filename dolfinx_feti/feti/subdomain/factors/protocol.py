@@ -17,7 +17,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Factor", "Pivots", "sum_pivots"]
+__all__ = ["Factor", "Pivots", "sum_negative"]
 
 Array = npt.NDArray[np.float64]
 
@@ -51,14 +51,8 @@ class Factor(Protocol):
         """Free the factor."""
 
 
-def sum_pivots(counts: Iterable[Pivots]) -> Pivots:
-    """Add up what several factors tell: None as soon as one of them does not tell."""
-    all_counts = list(counts)
-    negative = [count.negative for count in all_counts]
-    zero = [count.zero for count in all_counts]
-    return Pivots(_sum(negative), _sum(zero))
-
-
-def _sum(numbers: list[int | None]) -> int | None:
-    known = [number for number in numbers if number is not None]
-    return sum(known) if len(known) == len(numbers) else None
+def sum_negative(factors: Iterable[Factor]) -> int | None:
+    """Add up the negative eigenvalues of several factors; None if one of them does not tell."""
+    counts = [factor.pivots.negative for factor in factors]
+    known = [count for count in counts if count is not None]
+    return sum(known) if len(known) == len(counts) else None

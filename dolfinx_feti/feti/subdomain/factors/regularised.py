@@ -3,10 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The factor of a sparse regularised block by fronts, where that will do.
 
-Cholesky's factorisation by fronts (``multifrontal``) is three times as fast as one with pivots, but
-:math:`K_ρ = K + ρ R R^⊤` is dense. What is factored is K with the modes fixed in the last front
-alone, the separator that cuts the subdomain in two: a stronger support than a few fixing dofs
-(Brzobohatý et al. 2011). With an orthonormal basis Q of R on its dofs
+:math:`K_ρ = K + ρ R R^⊤` is dense. What is factored by fronts is K with the modes fixed in the last
+one alone, the separator that cuts the subdomain in two: a stronger support than a few fixing dofs
+(Brzobohatý et al. 2011), and three times as fast as a factor with pivots. With an orthonormal basis
+Q of R on its dofs
 
 .. math:: K_Q = K + ρ\, Q Q^⊤ = U^⊤ U,
 

@@ -1,0 +1,87 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The null space that a torn matrix has been given, as PETSc's ``setNullSpace`` takes it: checked.
+
+.. math:: A Z = 0, \qquad Z^⊤ Z = I, \qquad Z^⊤ b = 0, \qquad Z^⊤ x = 0
+
+with orthonormal columns Z of the assembled problem, (N, k). Both forms solve in the complement of
+Z; for a load that has a part in it there is no solution.
+"""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.errors import SetUpError
+from dolfinx_feti.torn import Torn
+
+__all__ = ["null_space", "take_out"]
+
+Array = npt.NDArray[np.float64]
+
+#: Error that rounding leaves in Zᵀ Z = I, and in A z = 0, scaled by the diagonal of A.
+ROUNDING = 1e-10
+
+
+def null_space(torn: Torn) -> Array:
+    """Return Z on the torn dofs, (n, k), without columns if none is attached. Collective.
+
+    Raises:
+        SetUpError: Z is not orthonormal, or A z = 0 does not hold; or A is not symmetric.
+    """
+    A, comm = torn.A, torn.comm
+    space = A.getNullSpace()
+    modes = list(space.getVecs()) if space.handle else []
+    if space.handle and space.hasConstant():
+        modes.append(A.createVecRight())
+        modes[-1].set(A.getSize()[0] ** -0.5)
+    Z = np.array([torn.tear(mode) for mode in modes]).reshape(len(modes), torn.n).T
+    if not modes:
+        return Z
+    gram = np.array([[first.dot(second) for first in modes] for second in modes])
+    if not np.abs(gram - np.eye(len(modes))).max() <= ROUNDING:
+        raise SetUpError(
+            "The vectors of the null space of A are not orthonormal, as PETSc takes them to be: "
+            "orthonormalise them first."
+        )
+    d = torn.assemble(np.abs(torn.diagonal()))
+    d = np.where(d > 0.0, d, 1.0)
+    held = torn.assemble(torn.dirichlet.astype(np.float64)) > 0.5
+    for j, mode in enumerate(modes):
+        z, force = mode.array_r, torn.assemble(torn.multiply(Z[:, j]))
+        squares = [(force**2 / d)[~held].sum(), (d * z**2)[held].sum(), (d * z**2).sum()]
+        resisted, moved, size = np.sqrt(comm.allreduce(np.array(squares)))
+        if not max(resisted, moved) <= ROUNDING * size:
+            what = "A resists it" if resisted >= moved else "it moves Dirichlet dofs"
+            raise SetUpError(
+                f"Vector {j} of the null space of A is no null vector, {what} (‖A z‖/‖z‖ = "
+                f"{max(resisted, moved) / size:.1e}, scaled by the diagonal of A): give "
+                "A.setNullSpace what nothing resists, and nothing else."
+            )
+    if not torn.is_symmetric():
+        raise SetUpError(
+            "A has a null space and is not symmetric, but only symmetric systems are solved in the "
+            "complement of one: prescribe as many dofs instead."
+        )
+    return Z
+
+
+def take_out(A: PETSc.Mat, v: PETSc.Vec) -> float:
+    """Take the part in the null space of A out of a vector, v ← v − Z Zᵀ v; return ‖Zᵀ v‖.
+
+    Note:
+        Collective.
+    """
+    space = A.getNullSpace()
+    if not space.handle:
+        return 0.0
+    part = v.copy()
+    space.remove(v)
+    part.axpy(-1.0, v)
+    size = part.norm()
+    part.destroy()
+    return float(size)
