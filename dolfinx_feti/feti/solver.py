@@ -201,9 +201,11 @@ class FETI:
     def _print_table(self, ksp: PETSc.KSP) -> None:
         """Print who solves, how well, and the table. Collective."""
         screen, (rtol, atol, _, max_it) = PETSc.Viewer.STDOUT(ksp.comm), ksp.getTolerances()
-        screen.printfASCII(f"KSP Object: ({self._prefix}) on {ksp.comm.size} process(es)\n")
-        bounds = f"tolerances {rtol:g} relative, {atol:g} absolute, at most {max_it} iterations"
-        screen.printfASCII(f"  FETI, {bounds}\n")
+        plural = "es" * (ksp.comm.size > 1)
+        screen.printfASCII(f"KSP Object: ({self._prefix}) {ksp.comm.size} MPI process{plural}\n")
+        screen.printfASCII(
+            f"  tolerances            rtol {rtol:g}, atol {atol:g}, max_it {max_it}\n"
+        )
         self.view(ksp, screen)
 
     def destroy(self, ksp: PETSc.KSP | None = None) -> None:
