@@ -1,17 +1,21 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The two-layer tube of hexahedra, with straight edges or with curved ones, on all processes.
+"""The two-layer tube of bricks, with straight edges or with curved ones, on all processes.
 
-Node (i, j, k) of a lattice is the i-th through the wall, the j-th around and the k-th along; a cell
-has (order + 1)³ of them, and lies on a circle at order + 1 places around. Layers, surfaces and
-lengths are those of :mod:`meshes.tube`.
+Node (i, j, k) of a lattice is the i-th through the wall, the j-th around and the k-th along; a
+brick has (order + 1)³ of them, and lies on a circle at order + 1 places around. It is a hexahedron,
+or cut into six tetrahedra along the paths of edges from its first corner to the last. Layers,
+surfaces and lengths are those of :mod:`meshes.tube`.
 """
 
 from __future__ import annotations
 
-import numpy as np
+import itertools
+
 from mpi4py import MPI
+
+import numpy as np
 
 import basix
 
@@ -36,8 +40,9 @@ def create_brick_tube(
     around: int | None = None,
     along: int | None = None,
     order: int = 2,
+    tetrahedra: bool = False,
 ) -> Wall:
-    """Mesh the tube with hexahedra.
+    """Mesh the tube with hexahedra, or with tetrahedra.
 
     Args:
         comm: Communicator of the mesh.
@@ -48,6 +53,7 @@ def create_brick_tube(
             that they are as long as wanted if not given.
         along: Elements along the axis; as for ``around``.
         order: Of the geometry: 1 for straight edges, 2 for curved ones.
+        tetrahedra: Six of them in place of each hexahedron.
 
     Raises:
         ValueError: A length is not positive, or the order is another one. On all processes.
@@ -65,17 +71,28 @@ def create_brick_tube(
         max(1, round(length / size)) if along is None else along,
     )
     raw: list[RawWall] = []  # on the first process
-    on_first(lambda: raw.append(_create(length, size, *counts, quarter=quarter, order=order)), comm)
+
+    def create() -> None:
+        shape = {"quarter": quarter, "order": order, "simplex": tetrahedra}
+        raw.append(_create(length, size, *counts, **shape))
+
+    on_first(create, comm)
     return distribute(raw[0] if raw else None, comm)
 
 
 def _create(
-    length: float, size: float, around: int, along: int, *, quarter: bool, order: int
+    length: float,
+    size: float,
+    around: int,
+    along: int,
+    *,
+    quarter: bool,
+    order: int,
+    simplex: bool,
 ) -> RawWall:
     """Return points, cells and surfaces of the whole tube."""
     through = [max(1, round(extent / size)) for extent in (MEDIA, ADVENTITIA)]
     heights, layers = sheets((MEDIA, ADVENTITIA), through, (TAGS["media"], TAGS["adventitia"]))
-    cells_each_way = (len(layers), around, along)
     columns = order * around + (1 if quarter else 0)
     s = np.interp(np.arange(order * len(layers) + 1) / order, np.arange(len(heights)), heights)
     angle = np.arange(columns) * (np.pi / 2 if quarter else 2 * np.pi) / (order * around)
@@ -94,11 +111,12 @@ def _create(
     }
     if quarter:
         faces |= {"symmetry_y": number[:, :1], "symmetry_x": number[:, -1:]}
-    facets = {name: _elements(np.squeeze(sheet), order) for name, sheet in faces.items()}
+    facets = {name: _elements(np.squeeze(f), order, simplex=simplex) for name, f in faces.items()}
+    cells = _elements(number, order, simplex=simplex)
     return RawWall(
         points=x.reshape(-1, 3),
-        cells=_elements(number, order),
-        layers=np.repeat(layers, cells_each_way[1] * cells_each_way[2]),
+        cells=cells,
+        layers=np.repeat(layers, len(cells) // len(layers)),
         facets=np.concatenate(list(facets.values())),
         surfaces=np.concatenate([np.full(len(f), TAGS[name]) for name, f in facets.items()]),
         layer_names={name: TAGS[name] for name in ("media", "adventitia")},
@@ -106,11 +124,21 @@ def _create(
     )
 
 
-def _elements(number: Indices, order: int) -> Indices:
+def _elements(number: Indices, order: int, *, simplex: bool) -> Indices:
     """Return the nodes of all cells of a lattice as dolfinx numbers them, (cells, nodes)."""
-    kind = basix.CellType.hexahedron if number.ndim == 3 else basix.CellType.quadrilateral
-    points: Points = basix.create_element(basix.ElementFamily.P, kind, order).points
+    offsets = order * _reference_nodes(number.ndim, order, simplex=simplex)
     cells = [(extent - 1) // order for extent in number.shape]
     first = order * np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1)
-    nodes = first.reshape(-1, 1, number.ndim) + np.rint(order * points).astype(np.int64)
-    return np.asarray(number[tuple(np.moveaxis(nodes, -1, 0))])
+    nodes = first.reshape(-1, 1, 1, number.ndim) + np.rint(offsets).astype(np.int64)
+    return np.asarray(number[tuple(np.moveaxis(nodes, -1, 0))].reshape(-1, offsets.shape[1]))
+
+
+def _reference_nodes(dim: int, order: int, *, simplex: bool) -> Points:
+    """Return the nodes of the cells of a unit brick, (cells, nodes, dim)."""
+    names = ("triangle", "tetrahedron") if simplex else ("quadrilateral", "hexahedron")
+    kind = getattr(basix.CellType, names[dim - 2])
+    points: Points = basix.create_element(basix.ElementFamily.P, kind, order).points
+    if not simplex:
+        return points[None]
+    steps = np.array([np.eye(dim)[list(path)] for path in itertools.permutations(range(dim))])
+    return np.asarray(points @ np.cumsum(steps, axis=1))

@@ -4,7 +4,8 @@
 """The two-layer tube at a given length, whole or a quarter of it, and how far it is from the truth.
 
 Its elements are those of :data:`ELEMENTS`: P1–P0 and P2–P0 on tetrahedra with straight edges, and
-the second-order Q2–P1 on curved hexahedra, with a pressure that is linear in each cell.
+with a pressure that is linear in each cell, on curved cells, Q2–P1 and quadratic tetrahedra with
+bubbles.
 Its supports (:mod:`benchmarks.common.walls.supports`) let it slide in the planes of its ends, so
 that it remains a tube, and :mod:`benchmarks.tube.oracle` knows its radius, volume and stress.
 """
@@ -28,6 +29,7 @@ from benchmarks.common.walls.problem import WallProblem, create_wall_problem
 from benchmarks.common.walls.supports import slide
 from benchmarks.tube.oracle import Tube
 from dolfinx_feti import kinematics
+from dolfinx_feti.fem.elements import quadratic_with_bubbles
 from dolfinx_feti.output import Patches, balanced_stress, create_patches, recovered_field
 from dolfinx_feti.wall import Wall, by_layer
 from dolfinx_feti.wall.fibres import ANGLES
@@ -41,24 +43,37 @@ Array = npt.NDArray[np.float64]
 
 QUADRATURE = 4  # degree
 
-#: Hexahedra through the wall are shorter than tetrahedra, and around it, where they are curved,
-#: longer: with so many times the length and the number there are no more dofs.
-THROUGH, AROUND = 0.7, 0.5
-
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """A pair of elements: of which degree u is, what p is, and on which cells."""
+    """A pair of elements, and the tube of curved cells that it is made for.
+
+    Attributes:
+        degree: That of u; with bubbles half of the quadrature's.
+        pressures: The element of p.
+        bricks: None for the tube of straight tetrahedra; else how long cells are through the wall,
+            and how many there are around it, as multiples of those.
+        bubbles: Whether quadratic tetrahedra have bubbles in cells, and on faces.
+    """
 
     degree: int
     pressures: tuple[str, int] = ("DG", 0)
-    hexahedra: bool = False
+    bricks: tuple[float, float] | None = None
+    bubbles: tuple[bool, bool] = (False, False)
+
+    @property
+    def tetrahedra(self) -> bool:
+        """Whether cells are tetrahedra."""
+        return self.pressures[0] == "DG"
 
 
+#: Curved cells can be longer around the wall; with these numbers there are no more dofs.
 ELEMENTS = {
     "p1-p0": Element(1),
     "p2-p0": Element(2),
-    "q2-p1d": Element(2, ("DPC", 1), hexahedra=True),
+    "q2-p1d": Element(2, ("DPC", 1), bricks=(0.7, 0.5)),
+    "p2b-p1d": Element(3, ("DG", 1), bricks=(0.9, 0.25), bubbles=(True, True)),
+    "p2c-p1d": Element(3, ("DG", 1), bricks=(0.9, 0.25), bubbles=(True, False)),
 }
 TANGENTS = ("symmetric", "full", "none")
 OUTER_RADIUS = INTERFACE + ADVENTITIA
@@ -141,14 +156,16 @@ def create_slice(
 ) -> Wall:
     """Mesh a tube as long as its elements, or a quarter of it. Collective."""
     around = count_around(size, quarter=True) * (1 if quarter else 4)
-    if ELEMENTS[element].hexahedra:
+    kind = ELEMENTS[element]
+    if kind.bricks is not None:
         return create_brick_tube(
             comm,
             length=size,
-            size=THROUGH * size,
+            size=kind.bricks[0] * size,
             quarter=quarter,
-            around=round(AROUND * around / 4) * 4,
+            around=4 * max(1, round(kind.bricks[1] * around / 4)),
             along=1,
+            tetrahedra=kind.tetrahedra,
         )
     return create_tube_wall(comm, length=size, size=size, quarter=quarter, around=around)
 
@@ -160,6 +177,7 @@ def create_inflated_tube(
     kappa: float,
     subdomains: int,
     element: str = "p2-p0",
+    volume_tolerance: float | None = None,
     tangent: str = "symmetric",
     options: dict[str, object] | None = None,
 ) -> InflatedTube:
@@ -169,12 +187,18 @@ def create_inflated_tube(
         wall,
         degree=kind.degree,
         pressures=kind.pressures,
+        element=(
+            quadratic_with_bubbles("tetrahedron", faces=kind.bubbles[1])
+            if kind.bubbles[0]
+            else None
+        ),
+        volume_tolerance=volume_tolerance,
         c=c,
         kappa=kappa,
         subdomains=subdomains,
         options=options or {},
         prefix="tube_",
-        fibres=_helices(wall) if kind.hexahedra else tube_fibres(mesh),
+        fibres=tube_fibres(mesh) if kind.bricks is None else _helices(wall),
         hold=slide,
         tangent=tangent,
         axis=(0.0, 0.0, 1.0),
@@ -195,7 +219,7 @@ def create_inflated_tube(
         frame=(e_r, e_t),
         patches=(
             None
-            if kind.hexahedra
+            if kind.bricks is not None
             else create_patches(mesh, wall.cell_tags, degree=QUADRATURE)
         ),
         points=points,

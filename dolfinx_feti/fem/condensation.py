@@ -18,6 +18,15 @@ The last equation updates the fields by their own linearised equations, so that 
 are those of the mixed problem. For the perturbed Lagrangian p (J − 1) − p²/(2κ) with p constant on
 a cell τ, :math:`K_{pp} = -|τ|/κ`. For a dilation θ beside p, Ψ(θ) + p (J − θ) (Simo, Taylor, Pister
 1985), the block is indefinite; it is solved by elimination with pivots.
+
+*Multipliers* make the material incompressible in the end, with the well-conditioned tangents of a
+small κ (augmented Lagrangian; Simo and Taylor 1991). The residual of p without deformation,
+:math:`r_p(0, p)`, is what compressibility contributes, −|τ| p/κ. It is taken from the pressure λ
+that was held last, so that only what p has changed since compresses the material:
+
+.. math:: r_p(u, p) - r_p(0, λ) = \int_τ (J - 1) - (p - λ)/κ, \qquad λ ← p.
+
+A field p of the state is the whole pressure at any time, and λ = p where J̄ = 1.
 """
 
 from __future__ import annotations
@@ -146,6 +155,10 @@ class Condensation:
         first = np.cumsum([0] + [len(p.x.array) for p in fields[:-1]])
         places = [(f + Q.dof).reshape(each.count, -1) for f, Q in zip(first, torn, strict=True)]
         self._place = np.concatenate(places, axis=1)  # in ``values``, (cells, n)
+        self._u = u
+        self._torn, self._compiler = torn, compiler
+        self._held = np.zeros((*self._place.shape, 1))  # r_p(0, λ)
+        self._mean = np.zeros(self._place.shape)  # of ∫ q f in each cell, that of f
         self.constraints = each.count * sum(
             width for width, (K,) in zip(self._widths, self._K_pu, strict=True) if K.form
         )
@@ -178,6 +191,50 @@ class Condensation:
             self.set_values(values)
             if np.abs(step).max(initial=0.0) <= 1e-10 * np.abs(values).max(initial=0.0):
                 break
+
+    def prepare_multipliers(self) -> None:
+        """Compile what tells the mean of a cell.
+
+        Note:
+            Collective.
+        """
+        means = []
+        for p, Q, (K_pu,) in zip(self.fields, self._torn, self._K_pu, strict=True):
+            one = dolfinx.fem.Function(p.function_space)
+            one.interpolate(lambda x: np.ones(x.shape[1]))
+            c = one.x.array[Q.dof].reshape(len(self._place), -1)
+            volumes = np.zeros_like(c)
+            form = torn_form(ufl.TestFunction(p.function_space) * ufl.dx, (Q,), self._compiler)
+            dolfinx.fem.assemble_vector(volumes.reshape(-1), form)
+            tied = 0.0 if K_pu.form is None else 1.0
+            means.append(tied * c / (c * volumes).sum(axis=1, keepdims=True))
+        self._mean = np.concatenate(means, axis=1)
+
+    def hold(self, values: Array) -> float:
+        """Let only by how much the fields differ from λ compress the material.
+
+        Args:
+            values: λ, as in :meth:`values`.
+
+        Returns:
+            The greatest change of the mean of r_p(0, λ) in a cell of this process. Where the state
+            solves the equations of the fields and λ becomes p, it is that of |J − 1|.
+        """
+        before, u, p = self._held, self._u.x.array.copy(), self.values()
+        self._held = np.zeros_like(before)
+        self._u.x.array[:] = 0.0
+        self.set_values(values)
+        try:
+            self._held = self._residual()  # r_p(0, λ)
+        finally:
+            self._u.x.array[:] = u
+            self.set_values(p)
+        change = (self._mean * (self._held - before)[:, :, 0]).sum(axis=1)
+        return float(np.abs(change).max(initial=0.0))
+
+    def held_potential(self) -> float:
+        """Return −p·r_p(0, λ) of this process, what multipliers add to the potential."""
+        return -float(np.vdot(self._held[:, :, 0], self.values()[self._place]))
 
     # -- equations --------------------------------------------------------------------------------
 
@@ -230,11 +287,11 @@ class Condensation:
         return dofs.reshape(n, k * self._bs)
 
     def _residual(self) -> Array:
-        """Assemble r_p, (cells, n, 1)."""
+        """Assemble r_p(u, p) − r_p(0, λ), (cells, n, 1)."""
         parts = [np.zeros((len(self._place), width)) for width in self._widths]
         for part, form in zip(parts, self._r_p, strict=True):
             dolfinx.fem.assemble_vector(part.reshape(-1), form)
-        return np.concatenate(parts, axis=1)[:, :, None]
+        return np.concatenate(parts, axis=1)[:, :, None] - self._held
 
     def _solved(self, right: Array) -> Array:
         """Return K_pp⁻¹ X at the present state in the place of X, (cells, n, k).

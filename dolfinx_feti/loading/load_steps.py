@@ -74,6 +74,7 @@ class Problem(Protocol):
 
     u: dolfinx.fem.Function
     solver: PETSc.SNES
+    volume_changes: list[float]
 
     @property
     def history(self) -> list[NewtonStep]:
@@ -277,7 +278,8 @@ class _Path:
         self._past = [*others, _Equilibrium(load, self._values())]
         self._met += [load] if load == target else []
         history = tuple(self._problem.history)
-        if failures == 0 and len(history) <= self._steps.quick:
+        extra = max(len(self._problem.volume_changes) - 1, 0)  # a step for each multiplier
+        if failures == 0 and len(history) - extra <= self._steps.quick:
             grown = self._steps.growth * abs(load - before)
             self._increment = max(self._increment, grown)
         seconds = time.perf_counter() - started

@@ -31,6 +31,7 @@ from dolfinx_feti.problems.arguments import (
 )
 from dolfinx_feti.problems.forms import default_volume_ratio, derive, warn_of_degree
 from dolfinx_feti.problems.history import NewtonStep
+from dolfinx_feti.problems.multipliers import accelerated
 from dolfinx_feti.problems.newton import Newton, Start
 from dolfinx_feti.problems.solvers import create_newton_solver
 from dolfinx_feti.problems.system import System, Tangent
@@ -46,6 +47,10 @@ _OF_NEWTON_SOLVER = (
     "it drives Newton's method itself: call problem.solve() in the place of "
     "dolfinx.nls.petsc.NewtonSolver"
 )
+
+
+#: Most updates of the multipliers, and what of its first residual a Newton solve leaves before one.
+UPDATES, ROUGH = 50, 0.1
 
 
 class NonlinearProblem(TornProblem):
@@ -71,6 +76,8 @@ class NonlinearProblem(TornProblem):
         bcs: The Dirichlet conditions; their values may change.
         P_mat: None, for FETI's preconditioner is no matrix.
         preconditioner: None.
+        volume_changes: The greatest |mean J − 1| of a cell after each Newton solve of the last
+            :meth:`solve` with a ``volume_tolerance``.
         decomposition: Subdomain of each owned cell.
     """
 
@@ -88,6 +95,7 @@ class NonlinearProblem(TornProblem):
         *,
         condense: dolfinx.fem.Function | Sequence[dolfinx.fem.Function] | None = None,
         energy: ufl.Form | None = None,
+        volume_tolerance: float | None = None,
         subdomains: int | npt.NDArray[np.integer] | None = None,
         seed: int = 0,
         petsc_options_prefix: str | None = None,
@@ -113,6 +121,9 @@ class NonlinearProblem(TornProblem):
                 discontinuous pressure: eliminated cell by cell, and updated with u.
             energy: Potential Π(u) or Π(u, p) whose derivatives are the residuals F, if they have
                 one: F itself if that is an energy. It keeps Newton's method on the way down.
+            volume_tolerance: Most that |J − 1| may be in the mean of each cell, J being 1 at u = 0:
+                multipliers then take the place of an ever larger κ, see :meth:`solve`. If not
+                given, the material is as compressible as its energy says.
             subdomains: Their number over all processes, or a part per owned cell; about one for
                 2000 dofs if not given.
             seed: Another number for another decomposition into as many subdomains; that of one
@@ -168,6 +179,11 @@ class NonlinearProblem(TornProblem):
             compiler=self._compiler,
             symmetric=forms.symmetric,
         )
+        if volume_tolerance is not None:
+            self._system.prepare_multipliers(volume_tolerance)
+        self._volume_tolerance = volume_tolerance
+        self._history: list[NewtonStep] = []
+        self.volume_changes: list[float] = []
         self.A = self._system.A
         self._newton = Newton(self._system)
         self.x, self.b = self.A.createVecs()
@@ -205,8 +221,8 @@ class NonlinearProblem(TornProblem):
 
     @property
     def history(self) -> list[NewtonStep]:
-        """What each Newton step of the last solve cost."""
-        return self._newton.history
+        """What each Newton step of the last solve cost, those after multipliers included."""
+        return self._history + self._newton.history
 
     def _known_advice(self) -> tuple[Advice, ...]:
         """Return the advice where a slow solve has found that J is not the derivative of F."""
@@ -222,6 +238,7 @@ class NonlinearProblem(TornProblem):
         Note:
             Collective.
         """
+        self._hold()
         return self._system.norm(self._system.residual().condensed)
 
     def linearise(self) -> Tangent:
@@ -251,6 +268,7 @@ class NonlinearProblem(TornProblem):
         Note:
             Collective.
         """
+        self._hold()
         residual = self._system.residual()
         self._system.linearise()
         b = self.A.createVecLeft()
@@ -265,6 +283,12 @@ class NonlinearProblem(TornProblem):
         renew: bool = True,
     ) -> dolfinx.fem.Function:
         """Iterate from the present u (and pressure) to the solution.
+
+        With a ``volume_tolerance`` the material is incompressible in the end (augmented Lagrangian;
+        Simo and Taylor 1991): after each Newton solve the pressure becomes the multiplier, λ ← p,
+        so that only what p changes further compresses the material. Until each cell keeps its
+        volume a Newton solve ends at a tenth of its first residual, often after one step. A solve
+        begins with λ = p: a state that is restored or read brings its multipliers along.
 
         Args:
             reference: A residual norm that the relative tolerance refers to if that of the start is
@@ -291,6 +315,19 @@ class NonlinearProblem(TornProblem):
         start = self._start(reference, first_tangent)
         if renew:
             self.renew()
+        self._history, self.volume_changes = [], []
+        if self._volume_tolerance is None:
+            self._run(start)
+        else:
+            self._run_with_multipliers(start, self._volume_tolerance)
+        return self.u
+
+    def _run(self, start: Start) -> None:
+        """Iterate by Newton's method.
+
+        Raises:
+            ConvergenceError: See :meth:`solve`.
+        """
         with (
             inserted(self._prefix, self._petsc_options),
             self._newton.starting(start),
@@ -301,7 +338,47 @@ class NonlinearProblem(TornProblem):
         if self.solver.getConvergedReason() < 0:
             message = self._newton.message.rstrip(".")
             raise ConvergenceError(f"Newton's method did not converge: {message}.")
-        return self.u
+
+    def _run_with_multipliers(self, start: Start, tolerance: float) -> None:
+        """Iterate by Newton's method and update the multipliers, in turn.
+
+        Args:
+            start: What the first Newton solve begins with.
+            tolerance: On |mean J − 1| of each cell.
+
+        Raises:
+            ConvergenceError: See :meth:`solve`.
+        """
+        rtol, atol, stol, most = self.solver.getTolerances()
+        scale = min(self.residual_norm(), start.reference)  # λ = p
+        end = max(atol, rtol * scale)
+        tolerance = max(tolerance, rtol)
+        try:
+            self.solver.setTolerances(rtol=ROUGH, atol=end)
+            multiplier, past = self._system.state()[1], []
+            for update in range(UPDATES):
+                if update:
+                    self._history += self._newton.history
+                    multiplier = accelerated(past, self._system.comm)
+                    self._system.hold_pressure(multiplier)
+                    start = Start()
+                self._run(start)
+                past.append((multiplier, self._system.state()[1]))
+                self.volume_changes.append(self._system.hold_pressure())
+                if self.volume_changes[-1] <= tolerance and self._system.norm(self.b.array_r) <= end:
+                    return
+        finally:
+            self.solver.setTolerances(rtol, atol, stol, most)
+        raise ConvergenceError(
+            f"After {UPDATES} updates of its multipliers the mean volume of a cell is still off by "
+            f"{self.volume_changes[-1]:.1e}: take a larger κ, which they converge with, or a "
+            f"larger volume_tolerance than {tolerance:g}."
+        )
+
+    def _hold(self) -> None:
+        """Let the present pressure be the multiplier, if there are multipliers."""
+        if self._volume_tolerance is not None:
+            self._system.hold_pressure()
 
     def renew(self) -> None:
         """Let the next solve begin with a preconditioner of its own, and no Ritz vectors."""

@@ -186,6 +186,41 @@ class System:
         whole.scatter_forward()
         return du, self.condensation.increment(here.blocks, whole.array[self._local])
 
+    def prepare_multipliers(self, tolerance: float) -> None:
+        """Let :meth:`hold_pressure` work.
+
+        Raises:
+            ValueError: The tolerance is not positive, or no pressure is condensed.
+
+        Note:
+            Collective.
+        """
+        if not tolerance > 0.0:
+            raise ValueError(f"volume_tolerance is {tolerance}: give a number above zero, or None.")
+        if self.condensation is None:
+            raise ValueError(
+                "volume_tolerance is given, but no pressure: pass condense=p, with p in the energy."
+            )
+        self.condensation.prepare_multipliers()
+
+    def hold_pressure(self, pressure: Array | None = None) -> float:
+        """Update the multipliers: only by how much p differs from λ compresses the material.
+
+        Args:
+            pressure: λ, as in :meth:`state`; p if not given.
+
+        Returns:
+            The greatest change of the mean compression of a cell: |mean J − 1| where the state
+            solves the equation of p, and λ becomes p.
+
+        Note:
+            Collective.
+        """
+        held = self.condensation
+        assert held is not None
+        change = on_all(lambda: held.hold(held.values() if pressure is None else pressure), self.comm)
+        return self.comm.allreduce(change, op=MPI.MAX)
+
     def moves_boundary(self, du: Array) -> bool:
         """Tell whether an increment of u, (owned,), moves Dirichlet dofs, more than by rounding.
 
@@ -235,7 +270,8 @@ class System:
         before = self.condensation.values()
         try:
             self.condensation.relax()
-            return float(dolfinx.fem.assemble_scalar(self._energy))
+            held = self.condensation.held_potential()
+            return float(dolfinx.fem.assemble_scalar(self._energy)) + held
         finally:
             self.condensation.set_values(before)
 

@@ -87,6 +87,7 @@ class Played:
         V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
         self.u = dolfinx.fem.Function(V)
         self.p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
+        self.volume_changes: list[float] = []
         self.solver = PETSc.SNES().create(COMM)
         self.solver.setTolerances(rtol=OWN, atol=1e-10, max_it=30)
         self.solver.getKSP().setTolerances(rtol=OWN)

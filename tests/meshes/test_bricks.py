@@ -28,15 +28,18 @@ def integrals(mesh: dolfinx.mesh.Mesh, tags: dolfinx.mesh.MeshTags, kind: str) -
 
 @pytest.mark.parametrize("quarter", [False, True])
 @pytest.mark.parametrize("order", [1, 2])
-def test_brick_tube(order, quarter):
+@pytest.mark.parametrize("tetrahedra", [False, True])
+def test_brick_tube(tetrahedra, order, quarter):
     """Polygons of order 1 are those of the chords; parabolas miss a circle by (angle)⁴/480."""
     n, L = (4, 1.0) if quarter else (16, 1.0)
-    wall = create_brick_tube(COMM, length=L, size=0.1, quarter=quarter, around=n, order=order)
+    wall = create_brick_tube(
+        COMM, length=L, size=0.1, quarter=quarter, around=n, order=order, tetrahedra=tetrahedra
+    )
     mesh, angle = wall.mesh, 2 * np.pi / 16
     r = np.array([0.71, 0.97, 1.10])
     segments = n * r**2 * (np.sin(angle) if order == 1 else angle) / 2
     tolerance = 1e-12 if order == 1 else angle**4 / 100
-    agree(mesh.topology.index_map(3).size_global == 4 * n * 10)
+    agree(mesh.topology.index_map(3).size_global == 4 * n * 10 * (6 if tetrahedra else 1))
     volume = integrals(mesh, wall.cell_tags, "dx")
     equal([volume[wall.layers[k]] for k in ("media", "adventitia")], L * np.diff(segments), tolerance)
     area = integrals(mesh, wall.facet_tags, "ds")

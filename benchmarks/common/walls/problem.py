@@ -13,6 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+import basix.ufl
 import dolfinx
 import ufl
 from ufl.core.expr import Expr
@@ -96,6 +97,8 @@ def create_wall_problem(
     prefix: str = "wall_",
     fibres: tuple[Expr, Expr] | None = None,
     pressures: tuple[str, int] = ("DG", 0),
+    volume_tolerance: float | None = None,
+    element: basix.ufl._ElementBase | None = None,
     hold: Hold = clamp_openings,
     tangent: str = "symmetric",
     axis: tuple[float, float, float] | None = None,
@@ -113,12 +116,18 @@ def create_wall_problem(
         prefix: Their prefix.
         fibres: The two families of directions; from Laplace problems if not given.
         pressures: Element of p.
+        element: Of each component of u, in place of Lagrange's; then k is half of the quadrature's
+            degree.
+        volume_tolerance: On |mean J − 1| of each cell, for multipliers in place of a large κ.
         hold: Makes the Dirichlet conditions.
         tangent: Of the follower pressure, ``symmetric``, ``full`` or ``none``.
         axis: Direction along which the ends slide, see ``loads.pressure_potential``.
         potential: Let Newton's method know the potential, which keeps it on the way down.
     """
-    V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", degree, (3,)))
+    lagrange = basix.ufl.element("Lagrange", wall.mesh.basix_cell(), degree)
+    V = dolfinx.fem.functionspace(
+        wall.mesh, basix.ufl.blocked_element(element or lagrange, shape=(3,))
+    )
     Q = dolfinx.fem.functionspace(wall.mesh, pressures)
     u, p = dolfinx.fem.Function(V, name="u"), dolfinx.fem.Function(Q, name="p")
     v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
@@ -132,7 +141,7 @@ def create_wall_problem(
     lumen = surface_measure(wall)(wall.surfaces["lumen"])
     pressure = dolfinx.fem.Constant(wall.mesh, 0.0)
     F_u = ufl.derivative(energy, u, v) + loads.follower_pressure(pressure, u, v, lumen)
-    F_u = limit_quadrature_degree(F_u)  # to that of the problem
+    F_u = limit_quadrature_degree(F_u, 2 * degree)  # to that of the problem
     K = ufl.derivative(ufl.derivative(energy, u, v), u, du)
     K += loads.follower_pressure_tangent(pressure, u, v, du, lumen, tangent)
     work = loads.pressure_potential(pressure, u, lumen, axis=axis)
@@ -143,6 +152,7 @@ def create_wall_problem(
         bcs=bcs,
         J=K,
         condense=p,
+        volume_tolerance=volume_tolerance,
         energy=energy + work if potential else None,
         subdomains=subdomains,
         petsc_options_prefix=prefix,

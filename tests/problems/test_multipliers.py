@@ -1,0 +1,177 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Multipliers: cells that keep their volume with a small κ, beside the incompressible problem."""
+
+from __future__ import annotations
+
+import math
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, raises, small
+from mixed import Block, Mixed, block, by_cell, by_place
+from problems import owned
+
+import dolfinx
+import ufl
+
+from dolfinx_feti import ConvergenceError, NonlinearProblem
+from dolfinx_feti.loading import Steps, follow_load
+from dolfinx_feti.problems import nonlinear_problem
+from dolfinx_feti.problems.multipliers import accelerated
+
+ELEMENTS = ["p2-p1d", "q2-p1d", "p2-p0-p0"]
+INCOMPRESSIBLE = 1e12
+TIGHT = {"snes_rtol": 1e-10, "snes_atol": 1e-14, "ksp_rtol": 1e-10}
+
+
+def at_rest(comm: MPI.Comm, element: str, kappa: float) -> Block:
+    """Make a block, with a dilation of one."""
+    body = block(comm, element, kappa, n=2)
+    if len(body.fields) == 2:
+        body.fields[0].x.array[:] = 1.0
+    return body
+
+
+def problem(body: Block, tolerance: float, **arguments: object) -> NonlinearProblem:
+    """Tear a block into four."""
+    return NonlinearProblem(
+        body.energy,
+        body.u,
+        bcs=body.bcs,
+        condense=body.fields,
+        volume_tolerance=tolerance,
+        subdomains=4,
+        petsc_options=TIGHT,
+        **arguments,
+    )
+
+
+def swelling(body: Block) -> float:
+    """Return the greatest |mean J − 1| of a cell of this process."""
+    u = body.u
+    mesh = u.function_space.mesh
+    q = ufl.TestFunction(dolfinx.fem.functionspace(mesh, ("DG", 0)))
+    J = ufl.det(ufl.Identity(len(u)) + ufl.grad(u))
+    dx = ufl.dx(mesh, metadata={"quadrature_degree": 4})
+    forms = (J - 1) * q * dx, q * dx
+    change, volume = (dolfinx.fem.assemble_vector(dolfinx.fem.form(f)).array for f in forms)
+    n = mesh.topology.index_map(mesh.topology.dim).size_local
+    return float(np.abs(change[:n] / volume[:n]).max(initial=0.0))
+
+
+@pytest.mark.parametrize("element", ELEMENTS[1:])
+def test_the_incompressible_solution(element):
+    """κ of ten times the shear modulus ends where the mixed problem with κ = ∞ does."""
+    body, alone = at_rest(COMM, element, 10.0), at_rest(MPI.COMM_SELF, element, INCOMPRESSIBLE)
+    solved = problem(body, 1e-9)
+    solved.solve()
+    small(swelling(body), 1e-9)
+    agree(2 <= len(solved.volume_changes) <= len(solved.history))
+    agree(solved.volume_changes[-1] <= 1e-9 < solved.volume_changes[-2])
+    Mixed(alone).solve(tolerance=1e-10)
+    equal(by_place(body.u), by_place(alone.u), 1e-7)
+    equal(by_cell(body.fields[-1]), by_cell(alone.fields[-1]), 1e-6)
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_slope_of_the_potential(element):
+    """With multipliers it is the residual, too, where θ and p obey their equations."""
+    body = at_rest(COMM, element, 10.0)
+    body.deform()
+    system = problem(body, 1e-6)._system
+    system.hold_pressure()
+    body.fields[-1].x.array[:] += 0.3
+    system.condensation.relax()
+    r, u = system.residual().condensed, owned(body.u).copy()
+    w = np.cos(np.arange(len(u)))
+    h, values = 1e-5, []
+    for sign in (1.0, -1.0):
+        body.u.x.array[: len(u)] = u + sign * h * w
+        body.u.x.scatter_forward()
+        values.append(system.potential())
+    free = np.ones(len(u), dtype=bool)
+    held = body.bcs[0].dof_indices()[0]
+    free[held[held < len(u)]] = False
+    body.u.x.array[: len(u)] = u
+    body.u.x.scatter_forward()
+    F = dolfinx.fem.assemble_vector(dolfinx.fem.form(body.F_u))
+    F.scatter_reverse(dolfinx.la.InsertMode.add)
+    equal(r[free], F.array[: len(u)][free], 1e-10)
+    slope = COMM.allreduce(float(F.array[: len(u)] @ w))
+    small((values[0] - values[1]) / (2 * h) / slope - 1.0, 1e-6)
+
+
+def test_a_state_brings_its_multipliers_along():
+    """An equilibrium that is put back is one, whatever was solved in between."""
+    body = at_rest(COMM, "p2-p0-p0", 10.0)
+    solved = problem(body, 1e-8)
+    solved.solve()
+    functions = (body.u, *body.fields)
+    before = [f.x.array.copy() for f in functions]
+    solved.bcs[0].g.value[:] = 0.02
+    solved.solve()
+    solved.bcs[0].g.value[:] = 0.0
+    for f, values in zip(functions, before, strict=True):
+        f.x.array[:] = values
+    small(solved.residual_norm(), 1e-7)
+    solved.solve()
+    agree(len(solved.history) <= 1)
+    equal(body.u.x.array, before[0], 1e-7)
+
+
+def test_load_steps():
+    """A rejected step and one that is halved: each cell keeps its volume at the end."""
+    body = at_rest(COMM, "q2-p1d", 10.0)
+    load = dolfinx.fem.Constant(body.u.function_space.mesh, 0.0)
+    body = Block(body.u, body.fields, body.energy + load * body.u[2] * ufl.dx, body.bcs)
+    solved = problem(body, 1e-6)
+    attempts = []
+
+    def set_load(value: float) -> None:
+        load.value = value
+        attempts.append(value)
+        first = attempts.count(0.4) == 1 and value == 0.4
+        solved.solver.setTolerances(max_it=1 if first else 30)
+
+    found = follow_load(
+        solved,
+        set_load,
+        [0.2, 0.4, 0.6],
+        Steps(first=0.2, least=0.05),
+        state=[body.u, *body.fields],
+    )
+    agree(sum(step.failures for step in found) == 1)
+    small(swelling(body), 1e-6)
+    agree(found[-1].load == 0.6)
+
+
+def test_a_kappa_that_is_too_small(monkeypatch):
+    monkeypatch.setattr(nonlinear_problem, "UPDATES", 2)
+    solved = problem(at_rest(COMM, "q2-p1d", 1.0), 1e-12)
+    with raises(ConvergenceError, "After 2 updates .* is still off by .*: take a larger κ"):
+        solved.solve()
+    agree(len(solved.volume_changes) == 2)
+    agree(solved.solver.getTolerances()[0] == TIGHT["snes_rtol"])
+
+
+def test_what_is_refused():
+    body = at_rest(COMM, "p2-p0-p0", 10.0)
+    for wrong in (0.0, -1.0, math.nan):
+        with raises(ValueError, "volume_tolerance is .*: give a number above zero, or None"):
+            problem(body, wrong)
+    with raises(ValueError, "volume_tolerance is given, but no pressure"):
+        NonlinearProblem(ufl.inner(body.u, body.u) * ufl.dx, body.u, volume_tolerance=1e-6)
+
+
+@pytest.mark.serial
+def test_acceleration_of_a_linear_update():
+    """Three rates: all are gone after four updates, as in GMRES."""
+    rate, λ, past = np.array([0.9, 0.7, 0.3, 0.9]), np.zeros(4), []
+    for _ in range(4):
+        past.append((λ, 1.0 + rate * (λ - 1.0)))
+        λ = accelerated(past, MPI.COMM_SELF)
+    small(np.abs(λ - 1.0).max(), 1e-10)
