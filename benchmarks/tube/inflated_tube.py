@@ -151,9 +151,7 @@ class InflatedTube(WallProblem):
         return np.concatenate(parts)
 
 
-def create_slice(
-    comm: MPI.Comm, *, size: float, quarter: bool, element: str = "p2-p0"
-) -> Wall:
+def create_slice(comm: MPI.Comm, *, size: float, quarter: bool, element: str = "p2-p0") -> Wall:
     """Mesh a tube as long as its elements, or a quarter of it. Collective."""
     around = count_around(size, quarter=True) * (1 if quarter else 4)
     kind = ELEMENTS[element]

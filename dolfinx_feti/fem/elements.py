@@ -12,11 +12,14 @@ the interface.
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 import basix
 import basix.ufl
 
 __all__ = ["quadratic_with_bubbles"]
+
+Array = npt.NDArray[np.floating]
 
 
 def quadratic_with_bubbles(cell: str, *, faces: bool = True) -> basix.ufl._ElementBase:
@@ -48,19 +51,19 @@ def quadratic_with_bubbles(cell: str, *, faces: bool = True) -> basix.ufl._Eleme
 def _face_bubbles() -> basix.ufl._ElementBase:
     """Return λ_i λ_j λ_k on the faces of a tetrahedron, with their values at the midpoints."""
     cell = basix.CellType.tetrahedron
-    topology, corners = basix.topology(cell), basix.geometry(cell)
-    x, w = basix.make_quadrature(cell, 6)
+    topology, corners = basix.topology(cell), np.asarray(basix.geometry(cell))
+    x, w = (np.asarray(part, dtype=np.float64) for part in basix.make_quadrature(cell, 6))
     λ = np.column_stack([1.0 - x.sum(axis=1), x])
     bubbles = np.array([λ[:, face].prod(axis=1) for face in topology[2]])
     legendre = basix.tabulate_polynomials(basix.PolynomialType.legendre, cell, 3, x)
-    points = [[np.zeros((0, 3)) for _ in entities] for entities in topology]
-    dofs = [[np.zeros((0, 1, 0, 1)) for _ in entities] for entities in topology]
+    points: list[list[Array]] = [[np.zeros((0, 3)) for _ in entities] for entities in topology]
+    dofs: list[list[Array]] = [[np.zeros((0, 1, 0, 1)) for _ in part] for part in topology]
     points[2] = [corners[face].mean(axis=0)[None] for face in topology[2]]
     dofs[2] = [np.ones((1, 1, 1, 1)) for _ in topology[2]]
     return basix.ufl.custom_element(
         cell,
         (),
-        (bubbles * w) @ legendre.T,  # the bubbles in orthonormal polynomials
+        (bubbles * w) @ np.asarray(legendre).T,  # the bubbles in orthonormal polynomials
         points,
         dofs,
         0,

@@ -66,7 +66,8 @@ def balanced_stress(
         dolfinx.fem.functionspace(mesh, ("DG" if simplex else "DPC", 1)), name="traction"
     )
     twice = 2 * V.ufl_element().embedded_superdegree
-    points, w = basix.make_quadrature(cell, twice if degree is None else degree)
+    rule = basix.make_quadrature(cell, twice if degree is None else degree)
+    points, w = (np.asarray(part, dtype=np.float64) for part in rule)
     values = ufl.as_vector([abs(ufl.JacobianDeterminant(mesh)), traction])
     owned = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
     at_points = Compiler(mesh.comm).expression(values, points).eval(mesh, owned)

@@ -22,7 +22,7 @@ from dolfinx_feti.fem.quadrature import (
 from dolfinx_feti.problems.arguments import require_forms
 from dolfinx_feti.runtime.collective import warn
 
-__all__ = ["Forms", "default_volume_ratio", "derive", "warn_of_degree"]
+__all__ = ["Forms", "condensed_fields", "default_volume_ratio", "derive", "warn_of_degree"]
 
 #: How often twice the polynomial degree an estimated quadrature degree may be without a warning.
 EXPLOSIVE = 3
@@ -45,6 +45,15 @@ class Forms:
     J: ufl.Form
     energy: ufl.Form | None
     symmetric: bool | None
+
+
+def condensed_fields(
+    condense: dolfinx.fem.Function | Sequence[dolfinx.fem.Function] | None,
+) -> tuple[dolfinx.fem.Function, ...]:
+    """Return the fields to be condensed: none, one, or several."""
+    if condense is None:
+        return ()
+    return tuple(condense) if isinstance(condense, Sequence) else (condense,)
 
 
 def derive(

@@ -29,7 +29,12 @@ from dolfinx_feti.problems.arguments import (
     require_function,
     warn_unused,
 )
-from dolfinx_feti.problems.forms import default_volume_ratio, derive, warn_of_degree
+from dolfinx_feti.problems.forms import (
+    condensed_fields,
+    default_volume_ratio,
+    derive,
+    warn_of_degree,
+)
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.multipliers import accelerated
 from dolfinx_feti.problems.newton import Newton, Start
@@ -155,7 +160,7 @@ class NonlinearProblem(TornProblem):
         warn_unused(comm, P=P, kind=kind, entity_maps=entity_maps)
         self._prefix = agreed_prefix(petsc_options_prefix, "nonlinear_problem", comm)
         self._petsc_options = dict(petsc_options or {})
-        fields = _fields(condense)
+        fields = condensed_fields(condense)
         forms = derive(F, u, J=J, condense=fields, energy=energy, degree=quadrature_degree)
         twice = 2 * V.ufl_element().embedded_superdegree
         if quadrature_degree is None:
@@ -355,7 +360,8 @@ class NonlinearProblem(TornProblem):
         tolerance = max(tolerance, rtol)
         try:
             self.solver.setTolerances(rtol=ROUGH, atol=end)
-            multiplier, past = self._system.state()[1], []
+            multiplier = self._system.state()[1]
+            past: list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]] = []
             for update in range(UPDATES):
                 if update:
                     self._history += self._newton.history
@@ -365,7 +371,8 @@ class NonlinearProblem(TornProblem):
                 self._run(start)
                 past.append((multiplier, self._system.state()[1]))
                 self.volume_changes.append(self._system.hold_pressure())
-                if self.volume_changes[-1] <= tolerance and self._system.norm(self.b.array_r) <= end:
+                solved = self._system.norm(self.b.array_r) <= end
+                if solved and self.volume_changes[-1] <= tolerance:
                     return
         finally:
             self.solver.setTolerances(rtol, atol, stol, most)
@@ -406,12 +413,3 @@ class NonlinearProblem(TornProblem):
             owned = vars(self).get(name)  # __init__ may have raised
             if owned is not None:
                 owned.destroy()
-
-
-def _fields(
-    condense: dolfinx.fem.Function | Sequence[dolfinx.fem.Function] | None,
-) -> tuple[dolfinx.fem.Function, ...]:
-    """Return the fields to be condensed: none, one, or several."""
-    if condense is None:
-        return ()
-    return tuple(condense) if isinstance(condense, Sequence) else (condense,)

@@ -216,9 +216,10 @@ class System:
         Note:
             Collective.
         """
-        held = self.condensation
-        assert held is not None
-        change = on_all(lambda: held.hold(held.values() if pressure is None else pressure), self.comm)
+        fields = self.condensation
+        assert fields is not None
+        multiplier = fields.values() if pressure is None else pressure
+        change = on_all(lambda: fields.hold(multiplier), self.comm)
         return self.comm.allreduce(change, op=MPI.MAX)
 
     def moves_boundary(self, du: Array) -> bool:

@@ -164,9 +164,11 @@ def distribute(raw: RawWall | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wa
     Note:
         Collective.
     """
-    shapes = None if raw is None else (raw.cells.shape[1], raw.facets.shape[1])
-    names = None if raw is None else (raw.layer_names, raw.surface_names)
-    (width, facet_width), names = comm.bcast((shapes, names), root=0)
+    head = None
+    if raw is not None:
+        widths = raw.cells.shape[1], raw.facets.shape[1]
+        head = (*widths, raw.layer_names, raw.surface_names)
+    width, facet_width, layer_names, surface_names = comm.bcast(head, root=0)
     none = np.zeros(0, dtype=np.int64)
     points = np.zeros((0, 3)) if raw is None else scale * raw.points
     cells = np.zeros((0, width), dtype=np.int64) if raw is None else raw.cells
@@ -178,8 +180,8 @@ def distribute(raw: RawWall | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wa
         mesh=mesh,
         cell_tags=_tags(mesh, 3, cells, none if raw is None else raw.layers),
         facet_tags=_tags(mesh, 2, facets, none if raw is None else raw.surfaces),
-        layers=names[0],
-        surfaces=names[1],
+        layers=layer_names,
+        surfaces=surface_names,
     )
 
 

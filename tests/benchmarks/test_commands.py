@@ -29,6 +29,7 @@ MADE = {
     "scaling": ("scaling", "scaling.json"),
     "load_stepping": ("loading", "loading.json"),
     "subdomains": ("subdomains", "subdomains.json"),
+    "inf_sup": ("inf_sup", "inf_sup.json"),
 }
 
 

@@ -41,7 +41,8 @@ def test_brick_tube(tetrahedra, order, quarter):
     tolerance = 1e-12 if order == 1 else angle**4 / 100
     agree(mesh.topology.index_map(3).size_global == 4 * n * 10 * (6 if tetrahedra else 1))
     volume = integrals(mesh, wall.cell_tags, "dx")
-    equal([volume[wall.layers[k]] for k in ("media", "adventitia")], L * np.diff(segments), tolerance)
+    volumes = [volume[wall.layers[name]] for name in ("media", "adventitia")]
+    equal(volumes, L * np.diff(segments), tolerance)
     area = integrals(mesh, wall.facet_tags, "ds")
     sides = n * r * L * (2 * np.sin(angle / 2) if order == 1 else angle)
     expected = {"lumen": sides[0], "outer": sides[2]}

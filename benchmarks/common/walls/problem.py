@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A two-layer wall under pressure, with fibres and a condensed pressure, as the paper's load stepping has it."""
+"""A two-layer wall with fibres and a condensed pressure, as the paper's load stepping has it."""
 
 from __future__ import annotations
 

@@ -20,8 +20,9 @@ from dolfinx_feti.runtime.petsc_options import inserted
 COARSE = ["--quarter", "--size", "0.26", "--subdomains", "4"]
 KEYS = set(
     "pressure_mmhg u_r_inner u_r_inner_exact newton_iterations linear_iterations "
-    "max_linear_residual steps min_J max_J kappa c size element degree subdomains processes tangent "
-    "thickness thickness_exact mean_J mean_J_exact stress_rr_error stress_tt_error".split()
+    "max_linear_residual steps min_J max_J kappa c size element degree subdomains processes "
+    "tangent augmented thickness thickness_exact mean_J mean_J_exact stress_rr_error "
+    "stress_tt_error".split()
 )
 
 

@@ -23,7 +23,9 @@ TYPES = ("all_floating", "classical")
 FLOOR = 1e-9
 
 
-def tube(size: float, element: str = "p1-p0", quarter: bool = False, **options: object) -> WallProblem:
+def tube(
+    size: float, element: str = "p1-p0", quarter: bool = False, **options: object
+) -> WallProblem:
     wall = create_slice(COMM, size=size, quarter=quarter)
     return create_inflated_tube(
         wall, element=element, c=6.0, kappa=1e5, subdomains=5, options=options
