@@ -114,7 +114,7 @@ def isochoric_invariant_4(C: Expr, a: Expr, J: Expr | None = None) -> Expr:
 
 
 def isochoric_invariant_5(C: Expr, a: Expr, J: Expr | None = None) -> Expr:
-    """Squared length of the strained fibre vector, Ī₅ = a·(C̄² a) = J^{-4/3} |C a|².
+    """Squared length of the strained fibre vector, Ī₅ = a·(C̄² a) = J^{-4/3} (C a)·(C a).
 
     Args:
         C: Right Cauchy-Green tensor, shape (d, d).

@@ -89,7 +89,7 @@ def _spaces(part: object) -> Iterator[dolfinx.fem.FunctionSpace]:
 
 def _instead(parts: Sequence[AbstractFiniteElement], names: Sequence[str] = ()) -> str:
     """Say what to do in place of a problem in several fields."""
-    only = ", but only a problem on one continuous Lagrange space is torn. "
+    only = ", but only a problem on one continuous space is torn. "
     vectors = [i for i, part in enumerate(parts) if len(part.reference_value_shape) == 1]
     if len(parts) != 2 or len(vectors) != 1 or parts[1 - vectors[0]].reference_value_shape:
         return f"{only}Solve it by dolfinx, with MUMPS or a field split."
