@@ -211,6 +211,7 @@ def _check_unknown(wall: object, u: dolfinx.fem.Function) -> None:
 def _check_outside(wall: Wall, name: str) -> None:
     """Require a surface of the boundary, where forms of ``ds`` are integrated. Collective."""
     topology = wall.mesh.topology
+    topology.create_connectivity(2, 3)
     mine = facets(wall, name)
     mine = mine[mine < topology.index_map(2).size_local]
     outside = np.isin(mine, dolfinx.mesh.exterior_facet_indices(topology))

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from functools import partial
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
-from ufl_values import value, variable
+from ufl_values import scalar, value, variable
 
+import dolfinx
 import ufl
 
 from dolfinx_feti import kinematics as kin
@@ -104,6 +107,18 @@ def test_tension_is_a_second_piola_kirchhoff_stress_along_the_fibre():
         piola(contracting, ANY), 60.0 * np.outer(ANY @ FIBRE, FIBRE), rtol=1e-13, atol=1e-13
     )
     assert value(contracting(variable(ANY), tension=0.0)) == 0.0
+
+
+def test_tension_of_a_part():
+    """A Function: T_a = 60 kPa in one half of a cube that is stretched by 1.2 along f."""
+    mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_WORLD, 2, 2, 2)
+    u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,))))
+    u.interpolate(lambda x: np.array([0.2, 0.0, 0.0])[:, None] * x)
+    tension = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
+    tension.interpolate(lambda x: 60.0 * (x[2] < 0.5))
+    C = kin.right_cauchy_green(kin.deformation_gradient(u))
+    psi = mat.active_tension(C, vector(np.eye(3)[0]), tension=tension)
+    assert scalar(psi * ufl.dx) == pytest.approx(0.5 * 30.0 * 0.44, rel=1e-12)
 
 
 # -- properties --------------------------------------------------------------------------------
