@@ -179,6 +179,13 @@ def recovered_field(body: Body) -> None:
     agree(body.stress.x.array.size and np.isfinite(body.stress.x.array).all())
 
 
+def balanced_stress(body: Body) -> None:
+    """The traction is constant in each cell of first order, and stays as it is."""
+    stress, n = kinematics.cauchy_stress(body.psi, body.F), ufl.as_vector([1.0, 0.0, 0.0])
+    both = (out.balanced_stress(stress, body.u, normal=n), stress)
+    equal(*(out.cell_values(s[0, 0], body.mesh) for s in both), 1e-9)
+
+
 def principal_values(body: Body) -> None:
     values = out.principal_values(body.stress).x.array.reshape(-1, 3)
     agree((np.diff(values, axis=1) >= 0.0).all())
@@ -299,6 +306,7 @@ CALLS = {
     },
     "output": {
         "FieldWriter": field_writer,
+        "balanced_stress": balanced_stress,
         "cell_values": cell_values,
         "components": components,
         "create_patches": create_patches,

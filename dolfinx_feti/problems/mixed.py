@@ -7,15 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import basix
 import dolfinx
 import ufl
 from ufl.finiteelement import AbstractFiniteElement
 
 __all__ = ["refuse_blocks", "refuse_mixed_form", "refuse_mixed_space"]
 
+#: Pressures that are condensed as they are.
+DISCONTINUOUS = {basix.ElementFamily.P: "DG", basix.ElementFamily.DPC: "DPC"}
+
 LINES = """\
     V = functionspace(mesh, ("Lagrange", {degree}, ({dim},)))
-    Q = functionspace(mesh, ("DG", 0))
+    Q = functionspace(mesh, {discontinuous})
     {u}, {p} = Function(V), Function(Q)
     v, q = TestFunction(V), TestFunction(Q)
     # F_u, F_p: the residuals, linear ones too, in these functions, tested with v and with q
@@ -96,10 +100,17 @@ def _instead(parts: Sequence[AbstractFiniteElement], names: Sequence[str] = ()) 
     k = vectors[0]
     ours = len(set(names)) == 2 and all(name.isidentifier() for name in names)
     u, p = (names[k], names[1 - k]) if ours else ("u", "p")
+    pressure = parts[1 - k]
+    family = DISCONTINUOUS.get(getattr(pressure, "element_family", None))
+    own = pressure.discontinuous and family is not None
     lines = LINES.format(
-        u=u, p=p, degree=max(2, parts[k].embedded_subdegree), dim=parts[k].reference_value_shape[0]
+        u=u,
+        p=p,
+        degree=max(2, parts[k].embedded_subdegree),
+        dim=parts[k].reference_value_shape[0],
+        discontinuous=f'("{family}", {pressure.embedded_subdegree})' if own else '("DG", 0)',
     )
     return (
-        f"{only}Condense a pressure that is constant in each cell:\n\n{lines}\n"
+        f"{only}Condense a discontinuous pressure:\n\n{lines}\n"
         f"F_p has to contain {p}, as in (J - 1 - {p}/kappa)*q, and bcs are conditions on V."
     )

@@ -117,6 +117,17 @@ def test_names_of_the_functions():
     agree('("Lagrange", 2, (2,))' in text and "condense=pressure)" in text, text)
 
 
+def test_a_discontinuous_pressure_stays():
+    mesh = cube(2, 2, Cell.quadrilateral)
+    cell = mesh.basix_cell()
+    for family, degree in (("DPC", 1), ("DG", 0), ("DG", 1)):
+        pair = [elements(mesh)[0], basix.ufl.element(family, cell, degree, discontinuous=True)]
+        W = dolfinx.fem.functionspace(mesh, basix.ufl.mixed_element(pair))
+        w, t = ufl.TrialFunction(W), ufl.TestFunction(W)
+        text = message(lambda w=w, t=t: LinearProblem(ufl.inner(w, t) * ufl.dx, t[0] * ufl.dx))
+        agree(f'Q = functionspace(mesh, ("{family}", {degree}))' in text, text)
+
+
 def test_other_fields_have_no_such_lines():
     mesh = cube(2, 2)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
