@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Classical and all-floating FETI methods for FEniCSx.
 
-In the order of the data: errors, runtime, torn, rounding, null_space, mechanics, workshop, wall, fem, feti,
-diagnosis, problems, loading, output, comparison.
+In the order of the data: errors, runtime, torn, rounding, null_space, mechanics, workshop, wall,
+fem, feti, diagnosis, problems, loading, output, comparison.
 """
 
 from dolfinx_feti.comparison.run import compare
