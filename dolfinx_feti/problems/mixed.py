@@ -15,7 +15,7 @@ from ufl.finiteelement import AbstractFiniteElement
 __all__ = ["refuse_blocks", "refuse_mixed_form", "refuse_mixed_space"]
 
 #: Pressures that are condensed as they are.
-DISCONTINUOUS = {basix.ElementFamily.P: "DG", basix.ElementFamily.DPC: "DPC"}
+DISCONTINUOUS: dict[object, str] = {basix.ElementFamily.P: "DG", basix.ElementFamily.DPC: "DPC"}
 
 LINES = """\
     V = functionspace(mesh, ("Lagrange", {degree}, ({dim},)))
@@ -100,17 +100,22 @@ def _instead(parts: Sequence[AbstractFiniteElement], names: Sequence[str] = ()) 
     k = vectors[0]
     ours = len(set(names)) == 2 and all(name.isidentifier() for name in names)
     u, p = (names[k], names[1 - k]) if ours else ("u", "p")
-    pressure = parts[1 - k]
-    family = DISCONTINUOUS.get(getattr(pressure, "element_family", None))
-    own = pressure.discontinuous and family is not None
     lines = LINES.format(
         u=u,
         p=p,
         degree=max(2, parts[k].embedded_subdegree),
         dim=parts[k].reference_value_shape[0],
-        discontinuous=f'("{family}", {pressure.embedded_subdegree})' if own else '("DG", 0)',
+        discontinuous=_discontinuous(parts[1 - k]),
     )
     return (
         f"{only}Condense a discontinuous pressure:\n\n{lines}\n"
         f"F_p has to contain {p}, as in (J - 1 - {p}/kappa)*q, and bcs are conditions on V."
     )
+
+
+def _discontinuous(pressure: AbstractFiniteElement) -> str:
+    """Name the element of a pressure that is condensed: its own, or constants in each cell."""
+    family = DISCONTINUOUS.get(getattr(pressure, "element_family", None))
+    if family is None or not pressure.discontinuous:
+        return '("DG", 0)'
+    return f'("{family}", {pressure.embedded_subdegree})'

@@ -146,7 +146,7 @@ def apply_conditions(
     clamps = [name for name, found in given.items() if Clamp() in found]
     for name, found in given.items():
         facets(wall, name)  # must be there
-        if not {Clamp(), Slide()} & set(found):
+        if any(isinstance(condition, Pressure | Spring | Dashpot) for condition in found):
             _check_outside(wall, name)
     along = None if axis is None else _axis(axis, clamps, [k for k, _ in slides.values()])
     values = {name: _constant(mesh, 0.0) for name in slides}

@@ -221,7 +221,7 @@ def test_loads_inside_the_wall():
     tags = dolfinx.mesh.meshtags(mesh, 2, middle, np.ones_like(middle))
     wall = create_wall(mesh, cell_tags, tags, {"middle": (2, 1)})
     u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,))))
-    for condition in (Pressure(), [Spring(1.0)]):
+    for condition in (Pressure(), [Slide(), Spring(1.0)]):
         with raises(ValueError, "surface 'middle' has 8 facets inside the wall, where no pressure"):
             apply_conditions(wall, u, {"middle": condition})
     agree(len(apply_conditions(wall, u, {"middle": Clamp()}).bcs) == 1)
