@@ -10,11 +10,12 @@ import os
 
 import numpy as np
 import pytest
+from bodies import block, yeoh
 from collective import agree, equal, raises
 from problems import cube, poisson
 from programs import finish, start
 
-from dolfinx_feti import LinearProblem
+from dolfinx_feti import LinearProblem, NonlinearProblem
 from dolfinx_feti.fem.decomposition import decompose
 from dolfinx_feti.runtime.scotch import SETTINGS, repeat_partitions
 
@@ -50,6 +51,13 @@ def test_seed_of_a_problem():
     changed = problem.V.mesh.comm.allreduce(int(np.count_nonzero(zero != one)))
     agree(changed > 0)
     equal(solved[1].u.x.array, solved[0].u.x.array, 1e-6)
+
+
+def test_seed_of_a_nonlinear_problem():
+    body = block(yeoh, (0.3, 0.1))
+    problem = NonlinearProblem(body.energy, body.u, body.bcs, subdomains=5, seed=2)
+    expected = decompose(body.u.function_space.mesh, 5, seed=2).subdomain
+    equal(problem.decomposition.subdomain, expected)
 
 
 @pytest.mark.parametrize("seed", [-1, 0.5, None, "clock"])
