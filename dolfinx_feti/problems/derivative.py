@@ -45,8 +45,8 @@ STEP = float(np.cbrt(np.finfo(float).eps))
 #: |cos| of the angle between d and q − J d below which these are orthogonal.
 ORTHOGONAL = 1e-4
 
-#: Share of r by which r has changed if it was not rounding, at the same state.
-CHANGED = 1e-6
+#: Share of r by which a coefficient has changed r, at the same state.
+CHANGED = 1e-3
 
 #: What is likely to be wrong, and what helps.
 REMEDIES = {

@@ -54,10 +54,13 @@ from dolfinx_feti.runtime.petsc_errors import python_errors
 __all__ = ["Newton", "Start"]
 
 Array = npt.NDArray[np.float64]
+Reason, LinearReason = PETSc.SNES.ConvergedReason, PETSc.KSP.ConvergedReason
+
 #: So many steps, each of which leaves more than this share of the residual, are slow.
 SLOW_STEPS, SLOW = 3, 0.03
 
-Reason, LinearReason = PETSc.SNES.ConvergedReason, PETSc.KSP.ConvergedReason
+#: How a solve ends that does not get closer, perhaps for a tangent that is not the derivative.
+NOT_CLOSER = (Reason.DIVERGED_MAX_IT, Reason.DIVERGED_LINE_SEARCH)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,10 +137,10 @@ class Newton:
             reason = self._iterate(snes, self._start)
         except _Stop as stop:
             reason, self.message = stop.reason, stop.message
-            if reason in _NOT_CLOSER and self.history:
+            if reason in NOT_CLOSER and self.history and not self._compared:
                 self._system.linearise()
                 self._compare(self._system.residual(), self._du)
-            if reason in _NOT_CLOSER and self.mismatch is not None:
+            if reason in NOT_CLOSER and self.mismatch is not None:
                 self.message = f"{stop.message.partition(':')[0]}: {self.mismatch}"
         snes.setConvergedReason(reason)
         x.array[:] = self._system.state()[0]
@@ -161,7 +164,7 @@ class Newton:
                 if (force := system.norm(here.force)) > DOUBTFUL * scale:
                     warn(_DOUBTFUL.format(force, scale), system.comm)
                 return Reason.CONVERGED_FNORM_ABS
-            if self._is_slow(norm):
+            if not self._compared and self._is_slow(norm):
                 self._compare(here, self._du)
             here, started = self._step(snes, here, norm, floor, started)
             self.residual = here.condensed
@@ -220,8 +223,6 @@ class Newton:
 
     def _compare(self, here: Residual, du: Array) -> None:
         """Compare the tangent with the derivative along ΔU, once in a solve, and tell."""
-        if self._compared:
-            return
         self._compared = True
         self.mismatch = difference_from_derivative(self._system, here, du)
         if self.mismatch is not None:
@@ -267,10 +268,6 @@ class Newton:
         if on_the_way and (proved_negative(feti) or 0) > 0:
             return _TRIAL.format(feti.message.rstrip("."))
         return f"the linear solver: {feti.message}"
-
-
-#: Reasons that a tangent which is not the derivative can have; smaller steps do not help there.
-_NOT_CLOSER = (Reason.DIVERGED_MAX_IT, Reason.DIVERGED_LINE_SEARCH)
 
 
 class _Stop(Exception):  # noqa: N818
