@@ -87,7 +87,9 @@ def _require_no_coupling(form: ufl.Form) -> None:
     for kind in sorted(kinds - {"cell", "exterior_facet"}):
         raise ValueError(
             f"The form has {kind.replace('_', '-')} integrals, which have no torn counterpart "
-            "(those over interior facets, dS, couple subdomains): use a form with dx and ds only."
+            "(those over interior facets, dS, couple subdomains): use a form with dx and ds only. "
+            "Values on a surface inside are integrated from one side, by a ds with the cells of "
+            "dolfinx_feti.fem.facets.one_side; jumps of gradients cannot be torn."
         )
 
 

@@ -20,6 +20,7 @@ import ufl
 
 from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.decomposition import decompose, tear
+from dolfinx_feti.fem.facets import one_side
 
 SEED = 27182
 
@@ -217,8 +218,41 @@ def test_interior_facet_integrals_are_refused():
     u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
     space = tear(problem.V, decompose(problem.V.mesh, 2))
     penalty = ufl.inner(ufl.jump(ufl.grad(u)), ufl.jump(ufl.grad(v))) * ufl.dS
-    with raises(ValueError, "interior-facet integrals"):
+    with raises(ValueError, r"interior-facet integrals.*dolfinx_feti\.fem\.facets\.one_side"):
         assembly.torn_form(problem.a + penalty, (space, space))
+
+
+@pytest.mark.parametrize("cell", [Cell.triangle, Cell.quadrilateral, Cell.tetrahedron])
+def test_surface_inside_from_one_side(cell):
+    """It is dolfinx's own integral over interior facets, of values; ends on the boundary count."""
+    mesh = cube(3 if cell == Cell.tetrahedron else 2, 4, cell)
+    problem = poisson(mesh, degree=2)
+    u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
+    k = dolfinx.fem.Function(problem.V)
+    k.interpolate(lambda x: 1.0 + x[1] ** 2)
+    tdim = mesh.topology.dim
+    facets = dolfinx.mesh.locate_entities(mesh, tdim - 1, lambda x: np.isclose(x[0], 0.5))
+    tags = dolfinx.mesh.meshtags(mesh, tdim - 1, facets, np.full(len(facets), 1, dtype=np.int32))
+    boundary = dolfinx.mesh.exterior_facet_indices(mesh.topology)
+    inside = ufl.Measure("dS", mesh, subdomain_data=tags)
+    surfaces = [(n, one_side(mesh, which)) for n, which in ((1, facets), (2, boundary))]
+    ds = ufl.Measure("ds", mesh, subdomain_data=surfaces)
+    by_dolfinx = problem.a + ufl.avg(k * u) * ufl.avg(v) * inside(1) + u * v * ufl.ds
+    from_one_side = problem.a + k * u * v * ds(1) + u * v * ds(2)
+    expected = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(by_dolfinx))
+    expected.assemble()
+    _, K, A = torn_matrix(type(problem)(problem.V, from_one_side, None, []))
+    assembled = PETSc.Mat()
+    A.convert("aij", assembled)
+    equal(dense(assembled), dense(expected), 1e-13)
+    without = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(problem.a + u * v * ufl.ds))
+    without.assemble()
+    agree(np.abs(dense(without) - dense(expected)).max() > 1e-2)
+    destroy(A, K, expected, assembled, without)
+
+
+def test_no_facets_from_one_side():
+    agree(one_side(cube(2, 3), np.zeros(0, dtype=np.int32)).shape == (0,))
 
 
 def test_tagged_measures_stay_the_users_own():
