@@ -6,7 +6,12 @@ r"""The null space that a torn matrix has been given, as PETSc's ``setNullSpace`
 .. math:: A Z = 0, \qquad Z^⊤ Z = I, \qquad Z^⊤ b = 0, \qquad Z^⊤ x = 0
 
 with orthonormal columns Z of the assembled problem, (N, k). Both forms solve in the complement of
-Z; for a load that has a part in it there is no solution.
+Z; for a load that has a part in it there is no solution. The coarse matrices of both have a null
+space of as many dimensions: with N S = 0, and a stiffness on the diagonal at k coarse unknowns,
+
+.. math:: (N + θ I_k)\, s = e, \qquad S^⊤ e = 0 \quad ⟹ \quad I_k s = 0, \; N s = e,
+
+where S is regular on these: :math:`S^⊤ (N + θ I_k)\, s = θ S^⊤ I_k s = 0`.
 """
 
 from __future__ import annotations
@@ -15,16 +20,20 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
+import scipy.linalg
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.torn import Torn
 
-__all__ = ["null_space", "take_out"]
+__all__ = ["anchor", "null_space", "take_out"]
 
 Array = npt.NDArray[np.float64]
 
 #: Error that rounding leaves in Zᵀ Z = I, and in A z = 0, scaled by the diagonal of A.
 ROUNDING = 1e-10
+
+#: Share of ‖N‖‖s‖ below which N s is rounding, also that of the kernels of the subdomains.
+NO_FORCE = 1e-8
 
 
 def null_space(torn: Torn) -> Array:
@@ -85,3 +94,37 @@ def take_out(A: PETSc.Mat, v: PETSc.Vec) -> float:
     size = part.norm()
     part.destroy()
     return float(size)
+
+
+def anchor(N: PETSc.Mat, S: Array) -> bool:
+    """Make a coarse matrix regular along its null vectors, by k entries more on its diagonal.
+
+    Args:
+        N: Coarse matrix, symmetric, (K, K).
+        S: Own rows of null vectors, (own rows, k).
+
+    Returns:
+        Whether N S = 0 holds; N is left as it is otherwise.
+
+    Note:
+        Collective.
+    """
+    if not S.shape[1]:
+        return True
+    comm, first, scale = N.comm.tompi4py(), N.getOwnershipRange()[0], N.norm() or 1.0
+    s, force = N.createVecs()
+    for column in S.T:
+        s.array[:] = column
+        N.mult(s, force)
+        if not force.norm() <= NO_FORCE * scale * s.norm():
+            return False
+    whole = np.vstack(comm.allgather(S))
+    chosen = scipy.linalg.qr(whole.T, mode="r", pivoting=True)[1][: S.shape[1]] - first
+    stiffness = np.where(np.isin(np.arange(len(S)), chosen), scale, 0.0)
+    rows = np.arange(len(S) + 1, dtype=PETSc.IntType)
+    csr = (rows, first + rows[:-1], stiffness)
+    more = PETSc.Mat().createAIJ(N.getSizes(), csr=csr, comm=N.comm)
+    N.axpy(1.0, more, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    for owned in (more, s, force):
+        owned.destroy()
+    return True

@@ -25,8 +25,8 @@ def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
         b: Right-hand side, (N,).
 
     Returns:
-        K, (N, N), marked as symmetric if the matrices of all subdomains are, and with the near
-        kernel of A; and f, (N,). The caller destroys them.
+        K, (N, N), marked as symmetric if the matrices of all subdomains are, with the near kernel
+        and the null space of A; and f, (N,), without its part in that. The caller destroys them.
 
     Note:
         Collective.
@@ -41,6 +41,10 @@ def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
     near_kernel = A.getNearNullSpace()
     if near_kernel.handle:
         K.setNearNullSpace(near_kernel)
+    null_space = A.getNullSpace()
+    if null_space.handle:
+        K.setNullSpace(null_space)
+        null_space.remove(f)
     return K, f
 
 
@@ -66,6 +70,7 @@ def create_mumps(K: PETSc.Mat, *, symmetric: bool | None = None) -> PETSc.KSP:
     pc.setFactorSetUpSolverType()
     factor = pc.getFactorMatrix()
     factor.setOptionsPrefix("mumps_")  # it was made before the options are read
+    factor.setMumpsIcntl(24, int(bool(K.getNullSpace().handle)))  # zero pivots are expected
     factor.setMumpsIcntl(14, 50)  # % more work space; less fails on two processes
     ksp.setFromOptions()
     return ksp

@@ -31,6 +31,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
+import scipy.sparse.linalg
 
 from dolfinx_feti.feti.coarse.fields import averaged_fields
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
@@ -39,6 +40,7 @@ from dolfinx_feti.feti.gluing.copies import Copies, consecutive
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.orthonormal import diagonalising, unit_scale
+from dolfinx_feti.null_space import anchor, null_space
 
 __all__ = [
     "EPS",
@@ -158,6 +160,7 @@ class AveragedSpace:
         energies = V.near.sum(elements())
         self.combinations = _independent(energies, V.own) if combinations is None else combinations
         self.A_0 = _change_of_basis(energies, self.combinations)
+        anchor(self.A_0, self._null_vectors(null_space(S.torn)[V.copies.dofs]))
         self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.dropped = V.total - self.A_0.getSize()[0]
         self._x, self._y = self.A_0.createVecs()
@@ -207,6 +210,15 @@ class AveragedSpace:
         for owned in (self.solver, self.A_0, self._x, self._y, self._shifted):
             if owned is not None:
                 owned.destroy()
+
+    def _null_vectors(self, Z: Array) -> Array:
+        """Return own rows of null vectors of A₀ for those of A on the interface, (n, k) each."""
+        pairs, B = zip(self.V.columns, self.V.copies.blocks, strict=True), self.combinations
+        s = np.vstack([Z[:0], *(np.linalg.pinv(U) @ Z[rows] for U, rows in pairs)])  # Z = U s
+        if not s.size:
+            return np.zeros((B.shape[1], Z.shape[1]))
+        y = scipy.sparse.linalg.spsolve((B.T @ B).tocsc(), B.T @ s)  # s = B y
+        return np.asarray(y).reshape(B.shape[1], Z.shape[1])
 
     def _with_rounding(self, S: Operator) -> PETSc.Mat:
         """Return A₀ + ε. Collective."""

@@ -19,8 +19,7 @@ projection:
 With D = 0, P is the projection onto :math:`G^⊤ λ = 0`. Under prestress D ≠ 0 and the pair (λ, s)
 obeys :math:`G^⊤ λ + D s = e` instead (``pseudoinverse``); N carries D.
 
-A null space of A is Z = E S on the subdomains, with N S = 0. *Anchored* by as many more entries on
-its diagonal, N is regular, and N s = e has the solution that is zero there, if :math:`S^⊤ e = 0`.
+A null space of A is Z = E S on the subdomains, with N S = 0, along which N is anchored.
 """
 
 from __future__ import annotations
@@ -32,20 +31,18 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 import scipy.sparse
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.coarse.near import joined
-from dolfinx_feti.feti.dual.linear_map import LinearMap
 from dolfinx_feti.feti.dual.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.dual.weighted import WeightedColumns
 from dolfinx_feti.feti.gluing.jump import Gluing
 from dolfinx_feti.feti.gluing.weights import Weights
 from dolfinx_feti.feti.subdomain.blocks import own_columns
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
-from dolfinx_feti.null_space import null_space
+from dolfinx_feti.null_space import anchor, null_space
 from dolfinx_feti.torn import Torn
 
 __all__ = ["Coarse"]
@@ -56,9 +53,6 @@ DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 
 #: Share of the diagonal weight in Q = M + ε diag(q).
 EPSILON = 0.01
-
-#: Share of ‖N‖‖s‖ below which N s is rounding.
-NO_FORCE = 1e-8
 
 
 class Coarse:
@@ -151,23 +145,10 @@ class Coarse:
         Raises:
             SetUpError: It is beyond the motions of the subdomains.
         """
-        if not Z.shape[1]:
-            return
         pairs = zip(self._modes, self._dofs, strict=True)
-        own = np.vstack([Z[:0], *(np.linalg.pinv(m.E) @ Z[dofs] for m, dofs in pairs)])  # S
-        N, scale, comm = LinearMap(self.N), self.N.norm() or 1.0, self._torn.comm
-        forces = np.array([N @ s for s in own.T])
-        force, size = comm.allreduce(np.array([(forces**2).sum(), (own**2).sum()]))
-        N.destroy()
-        if not force <= (NO_FORCE * scale) ** 2 * size:
+        S = np.vstack([Z[:0], *(np.linalg.pinv(m.E) @ Z[dofs] for m, dofs in pairs)])  # Z = E S
+        if not anchor(self.N, S):
             raise SetUpError("Subdomains resist the null space of A: use feti_formulation primal.")
-        S = np.vstack(comm.allgather(own))
-        anchored = scipy.linalg.qr(S.T, mode="r", pivoting=True)[1][: Z.shape[1]] - self.start
-        stiffness = np.where(np.isin(np.arange(self.size), anchored), scale, 0.0)
-        ends = np.cumsum([m.E.shape[1] for m in self._modes])[:-1]
-        more = self._block_diagonal([np.diag(part) for part in np.split(stiffness, ends)])
-        self.N.axpy(1.0, more, structure=DIFFERENT)
-        more.destroy()
 
     def _jump_of(self, B: PETSc.Mat, E: list[Array]) -> PETSc.Mat:
         """Form B E from the kernels of all subdomains."""
