@@ -17,6 +17,7 @@ __all__ = [
     "adjacency",
     "create_function_space",
     "geometry_dofmap",
+    "gmsh_permutation",
     "interpolation_points",
     "residual_is_nan",
 ]
@@ -61,6 +62,12 @@ def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int32]:
     """Return the nodes of each cell, (n_cells, nodes per cell), those of the first cell type."""
     geometry = mesh.geometry
     return np.asarray(geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap)
+
+
+def gmsh_permutation(cell: str, nodes: int) -> npt.NDArray[np.int64]:
+    """Return the places in Gmsh's order of the nodes in dolfinx's, (nodes,)."""
+    kind = getattr(dolfinx.mesh.CellType, cell)
+    return np.asarray(dolfinx.cpp.io.perm_gmsh(kind, nodes), dtype=np.int64)
 
 
 def interpolation_points(V: dolfinx.fem.FunctionSpace) -> npt.NDArray[np.float64]:

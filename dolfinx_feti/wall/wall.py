@@ -26,8 +26,8 @@ import dolfinx
 import dolfinx.io
 import ufl
 
-from dolfinx_feti.runtime.collective import on_first
-from dolfinx_feti.wall.wallfile import RawWall, read_raw_wall
+from dolfinx_feti.runtime.collective import on_all, on_first
+from dolfinx_feti.wall.wallfile import CELLS, RawWall, read_raw_wall
 
 __all__ = [
     "AXES",
@@ -48,14 +48,6 @@ AXES = "xyz"
 
 #: The triangles of a facet, by the numbers of its corners.
 CUTS = {"tetrahedron": [[0, 1, 2]], "hexahedron": [[0, 1, 2], [1, 3, 2]]}
-
-#: Cell and order of the geometry by the number of nodes of a cell.
-CELLS = {
-    4: ("tetrahedron", 1),
-    10: ("tetrahedron", 2),
-    8: ("hexahedron", 1),
-    27: ("hexahedron", 2),
-}
 
 #: How far a plane surface may reach out of its plane, relative to the extent of the wall.
 OUT_OF_PLANE = 1e-7
@@ -157,7 +149,7 @@ def distribute(raw: RawWall | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wa
 
     Args:
         raw: The whole wall on the first process, None on the others. Its cells are tetrahedra or
-            hexahedra of first or second order (see :data:`CELLS`), their nodes in dolfinx's order.
+            hexahedra of first or second order, their nodes in dolfinx's order.
         comm: Communicator of the mesh.
         scale: Number of millimetres in the unit of its points.
 
@@ -229,9 +221,11 @@ def area(wall: Wall, name: str) -> float:
     Note:
         Collective.
     """
-    a, b, c = np.moveaxis(corners(wall, name), 1, 0)
-    local = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
-    return wall.mesh.comm.allreduce(local)
+    facets(wall, name)  # must be there
+    one = dolfinx.fem.Constant(wall.mesh, np.float64(1.0))
+    surface = surface_measure(wall)(wall.surfaces[name])
+    form = on_all(lambda: dolfinx.fem.form(one * surface), wall.mesh.comm)
+    return wall.mesh.comm.allreduce(float(dolfinx.fem.assemble_scalar(form)))
 
 
 def corners(wall: Wall, name: str) -> npt.NDArray[np.float64]:

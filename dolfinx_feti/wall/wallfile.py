@@ -1,10 +1,11 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Wall files: tetrahedra with layers, triangles with surfaces, read on one process.
+"""Wall files: cells with layers, facets with surfaces, read on one process.
 
-A Gmsh file names layers and surfaces by its physical groups, as it likes. In other formats they are
-numbers in cell data: ``layer`` for the tetrahedra and ``surface`` for the triangles, or
+Cells are tetrahedra; those of a Gmsh file may also be hexahedra, or of second order, with curved
+edges. A Gmsh file names layers and surfaces by its physical groups, as it likes. In other formats
+they are numbers in cell data: ``layer`` for the tetrahedra and ``surface`` for the triangles, or
 ``gmsh:physical``, ``medit:ref`` or ``tag`` for both. :data:`NUMBERS` gives the names of numbers
 without names; others are called ``layer_7`` and ``surface_7``. ``meshes/README.md`` shows how to
 bring your own wall.
@@ -22,7 +23,25 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["NUMBERS", "RawWall", "read_raw_wall"]
+import basix
+
+from dolfinx_feti.runtime import compat
+
+__all__ = ["CELLS", "NUMBERS", "RawWall", "read_raw_wall"]
+
+#: Cell and order of the geometry by the number of nodes; and the same of facets.
+CELLS = {
+    4: ("tetrahedron", 1),
+    10: ("tetrahedron", 2),
+    8: ("hexahedron", 1),
+    27: ("hexahedron", 2),
+}
+FACETS = {
+    3: ("triangle", 1),
+    6: ("triangle", 2),
+    4: ("quadrilateral", 1),
+    9: ("quadrilateral", 2),
+}
 
 # Names of numbers without names; opening k has 10 + k.
 LAYER_NUMBERS = {"media": 1, "adventitia": 2}
@@ -45,9 +64,9 @@ class RawWall:
 
     Attributes:
         points: Coordinates, (n, 3), in the file's unit.
-        cells: Tetrahedra, (m, 4), or what else ``wall.distribute`` takes.
+        cells: Nodes of the cells in dolfinx's order, (m, 4), or as many as in :data:`CELLS`.
         layers: The tag of each cell, (m,).
-        facets: Tagged triangles, (k, 3), or the facets of other cells.
+        facets: Nodes of the tagged facets, (k, 3), or as many as theirs have.
         surfaces: Their tags, (k,).
         layer_names: Tags of the layers.
         surface_names: Tags of the surfaces.
@@ -71,8 +90,8 @@ def read_raw_wall(path: Path) -> RawWall:
     Raises:
         FileNotFoundError: There is no such file.
         ModuleNotFoundError: The reader, gmsh or meshio, is not installed.
-        ValueError: The file cannot be read, has cells other than tetrahedra with four points, or
-            has a cell without a layer's name, or no surface; the message lists those found.
+        ValueError: The file cannot be read, has other cells, or more than one kind, or has a cell
+            without a layer's name, or no surface; the message lists those found.
     """
     if not path.is_file():
         raise FileNotFoundError(f"There is no file {path}: give the path of a mesh of a wall")
@@ -84,7 +103,7 @@ def read_raw_wall(path: Path) -> RawWall:
     number[used] = np.arange(len(used))
     return RawWall(
         points=wall.points[used],
-        cells=cells.reshape(-1, 4).astype(np.int64),
+        cells=cells.reshape(wall.cells.shape).astype(np.int64),
         layers=wall.layers,
         facets=number[wall.facets],
         surfaces=wall.surfaces,
@@ -145,24 +164,27 @@ def _gmsh_model(path: Path) -> Iterator[ModuleType]:
 
 def _gmsh_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Indices, Indices, dict[str, int]]:
     """Return the elements of all physical groups of a dimension, their tags and the names' tags."""
-    elements: list[Indices] = [np.zeros((0, dim + 1), dtype=np.int64)]
+    elements: list[Indices] = []
     values: list[Indices] = [np.zeros(0, dtype=np.int64)]
     names = {}
+    known = CELLS if dim == 3 else FACETS
     for _, tag in gmsh.model.getPhysicalGroups(dim):
         names[gmsh.model.getPhysicalName(dim, tag)] = tag
         for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, tag):
             for element, _, nodes in zip(*gmsh.model.mesh.getElements(dim, entity), strict=True):
-                name, _, order, n_nodes, *_ = gmsh.model.mesh.getElementProperties(element)
-                if order != 1 or n_nodes != dim + 1:
+                name, _, _, n_nodes, *_ = gmsh.model.mesh.getElementProperties(element)
+                if n_nodes not in known or any(n_nodes != e.shape[1] for e in elements):
                     raise ValueError(
-                        f"{path} has elements of type {name}; a wall has first-order tetrahedra "
-                        "and triangles only"
+                        f"{path} has elements of type {name}; a wall has tetrahedra and triangles, "
+                        "or hexahedra and quadrilaterals, of one order, 1 or 2"
                     )
-                elements.append(nodes.astype(np.int64).reshape(-1, dim + 1))
+                order = compat.gmsh_permutation(known[n_nodes][0], n_nodes)
+                elements.append(nodes.astype(np.int64).reshape(-1, n_nodes)[:, order])
                 values.append(np.full(len(elements[-1]), tag))
     tags = np.concatenate(values)
     names.pop("", None)
-    return np.concatenate(elements), tags, names or _named(tags, dim)
+    none = np.zeros((0, dim + 1), dtype=np.int64)
+    return np.concatenate(elements) if elements else none, tags, names or _named(tags, dim)
 
 
 def _read_meshio(path: Path) -> RawWall:
@@ -247,23 +269,30 @@ def _check_names(path: Path, wall: RawWall) -> None:
 
 
 def _check_mesh(path: Path, wall: RawWall) -> None:
-    """Require cells of nonzero volume, and triangles that are faces of cells, each tagged once."""
-    edges = wall.points[wall.cells[:, 1:]] - wall.points[wall.cells[:, :1]]
+    """Require cells of nonzero volume, and facets that are faces of cells, each tagged once."""
+    cell = CELLS[wall.cells.shape[1]][0]
+    kind, kinds = {"tetrahedron": ("triangles", "tetrahedra")}.get(
+        cell, ("quadrilaterals", "hexahedra")
+    )
+    topology = basix.topology(getattr(basix.CellType, cell))
+    apexes = [1, 2, 3] if cell == "tetrahedron" else [1, 2, 4]
+    edges = wall.points[wall.cells[:, apexes]] - wall.points[wall.cells[:, :1]]
     volume = np.abs(np.linalg.det(edges))
     flat = int(np.sum(volume <= 1e-12 * np.linalg.norm(edges, axis=2).max(axis=1) ** 3))
     if flat:
-        raise ValueError(f"{flat} tetrahedra of {path} have no volume: improve the mesh")
-    faces = wall.cells[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3)
-    facets = np.unique(np.sort(wall.facets, axis=1), axis=0)
+        raise ValueError(f"{flat} {kinds} of {path} have no volume: improve the mesh")
+    corners = len(topology[2][0])
+    faces = wall.cells[:, topology[2]].reshape(-1, corners)
+    facets = np.unique(np.sort(wall.facets[:, :corners], axis=1), axis=0)
     if len(facets) < len(wall.facets):
         raise ValueError(
-            f"{len(wall.facets) - len(facets)} triangles of {path} have two tags: give each of "
+            f"{len(wall.facets) - len(facets)} {kind} of {path} have two tags: give each of "
             "them one surface"
         )
     n_faces = len(np.unique(np.sort(faces, axis=1), axis=0))
     strays = len(np.unique(np.sort(np.vstack([faces, facets]), axis=1), axis=0)) - n_faces
     if strays:
         raise ValueError(
-            f"{strays} tagged triangles of {path} are not faces of its tetrahedra: mesh volumes "
+            f"{strays} tagged {kind} of {path} are not faces of its {kinds}: mesh volumes "
             "and surfaces together"
         )
