@@ -103,14 +103,20 @@ def test_tangents_lead_to_one_state():
     agree(records["none"]["newton_iterations"] > records["full"]["newton_iterations"])
 
 
-def test_a_run_that_goes_on(tmp_path):
-    """The costs of the first part count."""
-    words = ["--checkpoint", tmp_path / "run"]
+@pytest.mark.parametrize("multipliers", [(), ("--augmented",)])
+def test_a_run_that_goes_on(tmp_path, multipliers):
+    """The costs of the first part count; multipliers are in the checkpoint."""
+    words = ["--checkpoint", tmp_path / "run", *multipliers]
     first = inflated("--pressures", 4, *words)[-1]
     last = inflated("--pressures", "4,12", *words, "--restart")
     agree([record["pressure_mmhg"] for record in last] == [12.0])
     agree(last[0]["steps"] > first["steps"] == 1)
     agree(last[0]["newton_iterations"] > first["newton_iterations"])
+    whole = inflated("--pressures", "4,12", *multipliers)[-1]
+    small(last[0]["u_r_inner"] / whole["u_r_inner"] - 1.0, 1e-6)
+    if multipliers:
+        agree(last[0]["volume_change"] <= 1e-6 and last[0]["updates"] > 1)
+        small(last[0]["mean_J"] - 1.0, 1e-6)
 
 
 def test_a_run_that_does_not_arrive(monkeypatch, tmp_path):
