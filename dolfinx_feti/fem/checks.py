@@ -131,7 +131,7 @@ def check_condensed(fields: Sequence[dolfinx.fem.Function], u: dolfinx.fem.Funct
                 "field beside the unknown once."
             )
         Q, mesh = p.function_space, u.function_space.mesh
-        if Q.mesh is not mesh:
+        if Q.mesh._cpp_object != mesh._cpp_object:
             raise ValueError(
                 f"condense is '{p.name}' on another mesh than the unknown: create it on the mesh "
                 "of the unknown."
