@@ -31,7 +31,15 @@ import dolfinx
 
 from dolfinx_feti.runtime import compat
 
-__all__ = ["Decomposition", "TornSpace", "decompose", "into_cells", "suggested_number", "tear"]
+__all__ = [
+    "Decomposition",
+    "TornSpace",
+    "cell_sizes",
+    "decompose",
+    "into_cells",
+    "suggested_number",
+    "tear",
+]
 
 Indices = npt.NDArray[np.int32]
 
@@ -166,6 +174,15 @@ def tear(V: dolfinx.fem.FunctionSpace, decomposition: Decomposition) -> TornSpac
     V_torn = compat.create_function_space(V, table, len(copies))
     to_global = V.dofmap.index_map.local_to_global(dof)
     return TornSpace(V, V_torn, dof, to_global)
+
+
+def cell_sizes(space: TornSpace, n_cells: int) -> npt.NDArray[np.float64]:
+    """Return the greatest diameter of the cells around each torn dof, (n_torn,)."""
+    mesh, dofmap = space.V.mesh, space.V_torn.dofmap
+    h = mesh.h(mesh.topology.dim, np.arange(n_cells, dtype=np.int32))
+    size = np.zeros(len(space.dof))
+    np.maximum.at(size, dofmap.list[:n_cells], h[:, None])
+    return np.repeat(size, dofmap.index_map_bs)
 
 
 def _check_number(subdomains: int, n_cells: int) -> None:

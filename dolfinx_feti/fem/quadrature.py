@@ -13,10 +13,18 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+import basix
+import dolfinx
 import ufl
 
-__all__ = ["estimated_quadrature_degree", "limit_quadrature_degree", "match_quadrature_degree"]
+__all__ = [
+    "estimated_quadrature_degree",
+    "limit_quadrature_degree",
+    "match_quadrature_degree",
+    "quadrature_points",
+]
 
 #: Names by which an integral states its quadrature.
 STATED = {"quadrature_degree", "quadrature_rule"}
@@ -123,3 +131,9 @@ def _estimated_degree(form: ufl.Form) -> int:
 def _polynomial_degree(function: ufl.Argument | ufl.Coefficient) -> int:
     """Return the degree of a function's element; zero for quadrature elements."""
     return function.ufl_element().embedded_superdegree or 0
+
+
+def quadrature_points(mesh: dolfinx.mesh.Mesh, degree: int) -> npt.NDArray[np.float64]:
+    """Return the points of the reference cell's quadrature rule, (points, dimension)."""
+    cell = getattr(basix.CellType, mesh.topology.cell_name())
+    return np.asarray(basix.make_quadrature(cell, degree)[0])

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Multipliers that make a material incompressible in the end: how fast they get there.
+r"""Multipliers that make a material incompressible in the end: their updates, accelerated.
 
 The update λ ← p(λ) of the augmented Lagrangian, with the pressure p(λ) of the equilibrium under
 λ, converges linearly, the faster the larger κ is beside the stiffness of the material. Anderson's
@@ -15,19 +15,63 @@ acceleration takes the combination of the last updates whose p − λ is least,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["accelerated"]
+from dolfinx_feti.errors import ConvergenceError
+from dolfinx_feti.problems.system import System
+
+__all__ = ["accelerated", "updated"]
 
 Array = npt.NDArray[np.float64]
 
+#: Most updates of a solve.
+UPDATES = 50
+
 #: How many updates are combined, and how small an eigenvalue of their products counts as zero.
 DEPTH, DEPENDENT = 6, 1e-12
+
+
+def updated(
+    system: System, solve: Callable[[int], bool], tolerance: float
+) -> Iterator[float]:
+    """Solve and update the multipliers in turn, until each cell keeps its volume.
+
+    Args:
+        system: The system; it begins with λ = p.
+        solve: Solves it after so many updates; tells whether to the end.
+        tolerance: On |mean J − 1| of each cell.
+
+    Yields:
+        The greatest |mean J − 1| of a cell after each solve.
+
+    Raises:
+        ConvergenceError: There were too many updates, or ``solve`` has failed.
+
+    Note:
+        Collective.
+    """
+    λ, change = system.state()[1], np.inf
+    past: list[tuple[Array, Array]] = []
+    for update in range(UPDATES):
+        if update:
+            λ = accelerated(past, system.comm)
+            system.hold_pressure(λ)
+        solved = solve(update)
+        past.append((λ, system.state()[1]))
+        change = system.hold_pressure()
+        yield change
+        if solved and change <= tolerance:
+            return
+    raise ConvergenceError(
+        f"After {UPDATES} updates of its multipliers the mean volume of a cell is still off by "
+        f"{change:.1e}: take a larger κ, which they converge with, or a larger volume_tolerance "
+        f"than {tolerance:g}."
+    )
 
 
 def accelerated(past: Sequence[tuple[Array, Array]], comm: MPI.Comm) -> Array:

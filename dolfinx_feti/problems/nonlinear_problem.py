@@ -36,7 +36,7 @@ from dolfinx_feti.problems.forms import (
     warn_of_degree,
 )
 from dolfinx_feti.problems.history import NewtonStep
-from dolfinx_feti.problems.multipliers import accelerated
+from dolfinx_feti.problems.multipliers import updated
 from dolfinx_feti.problems.newton import Newton, Start
 from dolfinx_feti.problems.solvers import create_newton_solver
 from dolfinx_feti.problems.system import System, Tangent
@@ -53,9 +53,8 @@ _OF_NEWTON_SOLVER = (
     "dolfinx.nls.petsc.NewtonSolver"
 )
 
-
-#: Most updates of the multipliers, and what of its first residual a Newton solve leaves before one.
-UPDATES, ROUGH = 50, 0.1
+#: What of its first residual a Newton solve leaves before the multipliers are updated.
+ROUGH = 0.1
 
 
 class NonlinearProblem(TornProblem):
@@ -345,11 +344,7 @@ class NonlinearProblem(TornProblem):
             raise ConvergenceError(f"Newton's method did not converge: {message}.")
 
     def _run_with_multipliers(self, start: Start, tolerance: float) -> None:
-        """Iterate by Newton's method and update the multipliers, in turn.
-
-        Args:
-            start: What the first Newton solve begins with.
-            tolerance: On |mean J − 1| of each cell.
+        """Iterate by Newton's method and update the multipliers, in turn, up to a tolerance.
 
         Raises:
             ConvergenceError: See :meth:`solve`.
@@ -357,30 +352,19 @@ class NonlinearProblem(TornProblem):
         rtol, atol, stol, most = self.solver.getTolerances()
         scale = min(self.residual_norm(), start.reference)  # λ = p
         end = max(atol, rtol * scale)
-        tolerance = max(tolerance, rtol)
+
+        def solve(update: int) -> bool:
+            if update:
+                self._history += self._newton.history
+            self._run(Start() if update else start)
+            return self._system.norm(self.b.array_r) <= end
+
         try:
             self.solver.setTolerances(rtol=ROUGH, atol=end)
-            multiplier = self._system.state()[1]
-            past: list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]] = []
-            for update in range(UPDATES):
-                if update:
-                    self._history += self._newton.history
-                    multiplier = accelerated(past, self._system.comm)
-                    self._system.hold_pressure(multiplier)
-                    start = Start()
-                self._run(start)
-                past.append((multiplier, self._system.state()[1]))
-                self.volume_changes.append(self._system.hold_pressure())
-                solved = self._system.norm(self.b.array_r) <= end
-                if solved and self.volume_changes[-1] <= tolerance:
-                    return
+            for change in updated(self._system, solve, max(tolerance, rtol)):
+                self.volume_changes.append(change)
         finally:
             self.solver.setTolerances(rtol, atol, stol, most)
-        raise ConvergenceError(
-            f"After {UPDATES} updates of its multipliers the mean volume of a cell is still off by "
-            f"{self.volume_changes[-1]:.1e}: take a larger κ, which they converge with, or a "
-            f"larger volume_tolerance than {tolerance:g}."
-        )
 
     def _hold(self) -> None:
         """Let the present pressure be the multiplier, if there are multipliers."""

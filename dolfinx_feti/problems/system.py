@@ -20,14 +20,14 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-import basix
 import dolfinx
 import ufl
 
 from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.condensation import Blocks, Condensation
-from dolfinx_feti.fem.decomposition import Decomposition, TornSpace, tear
+from dolfinx_feti.fem.decomposition import Decomposition, cell_sizes, tear
+from dolfinx_feti.fem.quadrature import quadrature_points
 from dolfinx_feti.rounding import product_rounding
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.torn import set_condensed
@@ -368,11 +368,7 @@ class System:
         self._shift = sigma
 
     def multiply(self, d: Array) -> Array:
-        """Return A d for the tangent that the matrix holds, (owned,).
-
-        Note:
-            Collective.
-        """
+        """Return A d for the tangent that the matrix holds, (owned,). Collective."""
         x, y = self.A.createVecs()
         x.array[:] = d
         self.A.mult(x, y)
@@ -386,37 +382,14 @@ class System:
         return np.where(self._dirichlet, 0.0, r)
 
     def dot(self, a: Array, b: Array) -> float:
-        """Return a·b of two vectors, (owned,).
-
-        Note:
-            Collective.
-        """
+        """Return a·b of two vectors, (owned,). Collective."""
         return float(self.comm.allreduce(a @ b))
 
     def norm(self, r: Array) -> float:
-        """Return ‖r‖ of a vector, (owned,).
-
-        Note:
-            Collective.
-        """
+        """Return ‖r‖ of a vector, (owned,). Collective."""
         return float(np.sqrt(self.dot(r, r)))
 
     def destroy(self) -> None:
         """Free the matrices."""
         self.A.destroy()
         self._K.destroy()
-
-
-def cell_sizes(space: TornSpace, n_cells: int) -> Array:
-    """Return the greatest diameter of the cells around each torn dof, (n_torn,)."""
-    mesh, dofmap = space.V.mesh, space.V_torn.dofmap
-    h = mesh.h(mesh.topology.dim, np.arange(n_cells, dtype=np.int32))
-    size = np.zeros(len(space.dof))
-    np.maximum.at(size, dofmap.list[:n_cells], h[:, None])
-    return np.repeat(size, dofmap.index_map_bs)
-
-
-def quadrature_points(mesh: dolfinx.mesh.Mesh, degree: int) -> Array:
-    """Return the points of the reference cell's quadrature rule, (points, dimension)."""
-    cell = getattr(basix.CellType, mesh.topology.cell_name())
-    return np.asarray(basix.make_quadrature(cell, degree)[0])

@@ -20,7 +20,7 @@ import ufl
 
 from dolfinx_feti import ConvergenceError, NonlinearProblem
 from dolfinx_feti.loading import Steps, follow_load
-from dolfinx_feti.problems import nonlinear_problem
+from dolfinx_feti.problems import multipliers
 from dolfinx_feti.problems.multipliers import accelerated
 
 ELEMENTS = ["p2-p1d", "q2-p1d", "p2-p0-p0"]
@@ -150,7 +150,7 @@ def test_load_steps():
 
 
 def test_a_kappa_that_is_too_small(monkeypatch):
-    monkeypatch.setattr(nonlinear_problem, "UPDATES", 2)
+    monkeypatch.setattr(multipliers, "UPDATES", 2)
     solved = problem(at_rest(COMM, "q2-p1d", 1.0), 1e-12)
     with raises(ConvergenceError, "After 2 updates .* is still off by .*: take a larger κ"):
         solved.solve()
