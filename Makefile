@@ -19,7 +19,7 @@ compare := -m benchmarks.compare --json build/speed.json
 comma := ,
 # What is built, compared with dense matrices and a direct solver: K K⁺ K = K and S of a subdomain, on one process;
 # B u = b, P² = P, F, M and the primal form, on two.
-identities_1 := tests/test_torn.py tests/feti/subdomain tests/feti/test_against_direct.py
+identities_1 := tests/torn tests/feti/subdomain tests/feti/test_against_direct.py
 identities_2 := $(filter-out %/subdomain/ %/regularity/,$(wildcard tests/feti/[a-z]*/))
 shell_scripts := scripts/with-fenicsx scripts/debian-tree scripts/run-tests .ci/run
 
@@ -40,7 +40,7 @@ sanitize: stopping = ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=
 sanitize: runtimes = $$(gcc -print-file-name=libasan.so):$$(gcc -print-file-name=libubsan.so):$$(gcc -print-file-name=libstdc++.so)
 sanitize: ## the tests that call the package's C code, with AddressSanitizer and UndefinedBehaviorSanitizer
 	$(with) sh -c 'DOLFINX_FETI_CFLAGS="$(flags)" LD_PRELOAD="$(runtimes)" $(stopping) OMP_NUM_THREADS=1 \
-	  XDG_CONFIG_HOME=tests/config python3 -m pytest -q -p no:cacheprovider tests/test_torn.py tests/runtime \
+	  XDG_CONFIG_HOME=tests/config python3 -m pytest -q -p no:cacheprovider tests/torn tests/runtime \
 	  tests/fem/test_condensation.py tests/feti/gluing tests/feti/subdomain $(ARGS)'
 
 bench: bench-linear bench-nonlinear bench-scaling bench-compare ## all benchmarks; what is finished is not run again

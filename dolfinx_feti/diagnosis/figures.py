@@ -26,7 +26,7 @@ import numpy.typing as npt
 from dolfinx_feti.feti.form import Form
 from dolfinx_feti.feti.report import Report
 from dolfinx_feti.runtime.collective import join
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Figures", "Spread", "collect_figures", "residual_shares"]
 

@@ -29,7 +29,7 @@ import ufl
 
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace
-from dolfinx_feti.torn import create_torn_matrix, set_near_kernel
+from dolfinx_feti.torn.matrix import create_torn_matrix, set_near_kernel
 
 Vector = npt.NDArray[np.float64]
 

@@ -29,7 +29,7 @@ from dolfinx_feti.feti.primal.deflation import DeflatedSpace
 from dolfinx_feti.feti.primal.form import PrimalForm, create_lagged_form, create_primal_form
 from dolfinx_feti.feti.setup import set_up, set_up_operator
 from dolfinx_feti.feti.solution import RitzVectors
-from dolfinx_feti.torn import State, state_of
+from dolfinx_feti.torn.matrix import State, state_of
 
 __all__ = ["Lasting"]
 

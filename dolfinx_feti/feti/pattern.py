@@ -17,7 +17,7 @@ from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.subdomain.analysis import Analysis, analyse
 from dolfinx_feti.runtime.connectivity import has_joined_copies
 from dolfinx_feti.runtime.events import event
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Pattern", "create_pattern"]
 

@@ -26,7 +26,7 @@ from dolfinx_feti.feti.subdomain.nullspace import interior_kernel
 from dolfinx_feti.feti.subdomain.operator import Operator, create_operator
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse, create_pseudo_inverse
 from dolfinx_feti.runtime.events import event
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Setup", "set_up", "set_up_operator", "sum_if_known"]
 

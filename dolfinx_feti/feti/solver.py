@@ -31,9 +31,9 @@ from dolfinx_feti.feti.monitor import outer_monitor
 from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
 from dolfinx_feti.feti.report import Report, collect, table
 from dolfinx_feti.feti.solution import CURVATURE, Solution
-from dolfinx_feti.null_space import take_out
-from dolfinx_feti.rounding import residual_rounding
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.torn.null_space import take_out
+from dolfinx_feti.torn.rounding import residual_rounding
 
 __all__ = ["FETI", "VIEW_ONCE"]
 

@@ -36,9 +36,7 @@ UPDATES = 50
 DEPTH, DEPENDENT = 6, 1e-12
 
 
-def updated(
-    system: System, solve: Callable[[int], bool], tolerance: float
-) -> Iterator[float]:
+def updated(system: System, solve: Callable[[int], bool], tolerance: float) -> Iterator[float]:
     """Solve and update the multipliers in turn, until each cell keeps its volume.
 
     Args:

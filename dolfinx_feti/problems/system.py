@@ -28,9 +28,9 @@ from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.condensation import Blocks, Condensation
 from dolfinx_feti.fem.decomposition import Decomposition, cell_sizes, tear
 from dolfinx_feti.fem.quadrature import quadrature_points
-from dolfinx_feti.rounding import product_rounding
 from dolfinx_feti.runtime.collective import on_all
-from dolfinx_feti.torn import set_condensed
+from dolfinx_feti.torn.matrix import set_condensed
+from dolfinx_feti.torn.rounding import product_rounding
 
 __all__ = ["Residual", "System", "Tangent"]
 

@@ -20,7 +20,7 @@ from hand_torn import HandTorn
 
 from dolfinx_feti import set_near_kernel
 from dolfinx_feti.runtime.petsc_library import function
-from dolfinx_feti.torn import set_condensed
+from dolfinx_feti.torn.matrix import set_condensed
 
 Change = Callable[[HandTorn], object]
 LAST = COMM.rank == COMM.size - 1

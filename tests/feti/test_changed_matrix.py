@@ -15,7 +15,7 @@ from hand_torn import random_values, solve
 
 from dolfinx_feti.comparison import assembled_system, create_mumps
 from dolfinx_feti.runtime.connectivity import has_joined_copies
-from dolfinx_feti.torn import Torn, create_torn_matrix, state_of
+from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, state_of
 
 CHANGES = {**PATTERN, **VALUES}
 OPTIONS = [

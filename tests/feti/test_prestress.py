@@ -22,7 +22,7 @@ from dolfinx_feti.fem.assembly import torn_form
 from dolfinx_feti.fem.decomposition import decompose, tear
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.steps import Steps
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 MILD, PHYSIOLOGICAL = (2.0, 10.0), (2.0, 10.0, 30.0)
 TIGHT = {"snes_rtol": 1e-10}

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.feti.gluing.copies import consecutive, star_forest
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
-from dolfinx_feti.torn import create_torn_matrix
+from dolfinx_feti.torn.matrix import create_torn_matrix
 
 __all__ = ["NearColumns", "joined"]
 

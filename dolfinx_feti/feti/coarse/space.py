@@ -40,7 +40,7 @@ from dolfinx_feti.feti.gluing.copies import Copies, consecutive
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.orthonormal import diagonalising, unit_scale
-from dolfinx_feti.null_space import anchor, null_space
+from dolfinx_feti.torn.null_space import anchor, null_space
 
 __all__ = [
     "EPS",

@@ -42,8 +42,8 @@ from dolfinx_feti.feti.gluing.jump import Gluing
 from dolfinx_feti.feti.gluing.weights import Weights
 from dolfinx_feti.feti.subdomain.blocks import own_columns
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
-from dolfinx_feti.null_space import anchor, null_space
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
+from dolfinx_feti.torn.null_space import anchor, null_space
 
 __all__ = ["Coarse"]
 

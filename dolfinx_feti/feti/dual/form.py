@@ -40,7 +40,7 @@ from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
 from dolfinx_feti.runtime.events import event
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["DualForm", "balanced_start", "create_dual_form", "load", "recover"]
 

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.runtime.collective import total, total_of
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Copies", "star_forest"]
 

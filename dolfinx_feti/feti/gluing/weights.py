@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.feti.gluing.jump import Gluing, sum_over_copies
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Weights", "create_weights"]
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.feti.regularity.motions import Motions
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["describe"]
 

@@ -30,8 +30,8 @@ from dolfinx_feti.feti.subdomain.orthonormal import (
     orthonormalising,
     symmetric_part,
 )
-from dolfinx_feti.null_space import null_space
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
+from dolfinx_feti.torn.null_space import null_space
 
 __all__ = [
     "NOT_RIGID",

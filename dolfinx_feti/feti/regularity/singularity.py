@@ -37,7 +37,7 @@ from dolfinx_feti.feti.regularity.motions import (
     triangles,
     unresisted,
 )
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["require_held", "require_regular", "require_regular_interior"]
 

@@ -24,7 +24,7 @@ from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.factors.direct import Choice
 from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, load_fronts_for
 from dolfinx_feti.runtime.petsc_library import reads_in_place, rows_of
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Analysis", "analyse", "worth_eliminating"]
 

@@ -21,7 +21,7 @@ import scipy.sparse
 
 from dolfinx_feti.errors import FactorError, SetUpError
 from dolfinx_feti.runtime.collective import on_all, reason
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 __all__ = [
     "as_slice",

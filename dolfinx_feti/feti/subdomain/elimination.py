@@ -23,7 +23,7 @@ from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
 from dolfinx_feti.feti.subdomain.factors.pivoted import factor_with_pivots
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor
 from dolfinx_feti.runtime.petsc_library import rows_of
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["eliminate", "factor_interior"]
 

@@ -27,7 +27,7 @@ from dolfinx_feti.feti.subdomain.blocks import named, sparse_block
 from dolfinx_feti.feti.subdomain.factors.direct import Choice
 from dolfinx_feti.feti.subdomain.factors.pivoted import factor_with_pivots
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["factor_tells_singular", "interior_kernel", "null_space"]
 

@@ -39,7 +39,7 @@ from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
 from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_library import rows_of
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Operator", "create_operator"]
 

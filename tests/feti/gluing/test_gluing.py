@@ -13,7 +13,7 @@ from collective import agree, dense, equal, small, whole
 
 from dolfinx_feti.feti.gluing.jump import Gluing
 from dolfinx_feti.feti.gluing.weights import create_weights
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 SEED = 5519
 

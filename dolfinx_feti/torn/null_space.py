@@ -23,7 +23,7 @@ import numpy.typing as npt
 import scipy.linalg
 
 from dolfinx_feti.errors import SetUpError
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["anchor", "null_space", "take_out"]
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 import scipy.sparse
 
 from dolfinx_feti.runtime.petsc_library import rows_of
-from dolfinx_feti.torn import Torn
+from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["product_rounding", "residual_rounding"]
 

@@ -23,7 +23,7 @@ from dolfinx_feti.runtime.connectivity import (
     load_graph_code,
 )
 from dolfinx_feti.runtime.petsc_library import Rows
-from dolfinx_feti.torn import Torn, create_torn_matrix, set_condensed
+from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, set_condensed
 
 SEED = 60914
 

@@ -1,0 +1,25 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The torn matrix, which finite elements hand over to the solver, and what is known of it at once.
+
+In the order of the data: matrix, rounding, null_space.
+"""
+
+from dolfinx_feti.torn.matrix import (
+    State,
+    Torn,
+    create_torn_matrix,
+    set_condensed,
+    set_near_kernel,
+    state_of,
+)
+
+__all__ = [
+    "State",
+    "Torn",
+    "create_torn_matrix",
+    "set_condensed",
+    "set_near_kernel",
+    "state_of",
+]
