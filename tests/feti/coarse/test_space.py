@@ -99,6 +99,8 @@ def test_columns_and_their_choice_serve_another_matrix(repeated):
     space, copies = twice.space, twice.copies
 
     class Doubled:
+        torn = twice.parts.operator.torn
+
         def multiply_panels(self, i, W):
             return 2.0 * twice.parts.operator.multiply_panels(i, W)
 
