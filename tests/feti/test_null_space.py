@@ -149,6 +149,35 @@ def test_what_a_condition_leaves(options):
 
 
 @pytest.mark.parametrize("formulation", ["dual", "primal"])
+def test_two_bodies(formulation):
+    """Each has a constant of its own; the sum of both is only a part of the null space."""
+    mesh = cube(2, 8)
+    cells = mesh.topology.index_map(2).size_local + mesh.topology.index_map(2).num_ghosts
+    gap = dolfinx.mesh.locate_entities(mesh, 2, lambda x: (x[0] > 0.37) & (x[0] < 0.63))
+    kept = np.setdiff1d(np.arange(cells), gap).astype(np.int32)
+    problem = poisson(dolfinx.mesh.create_submesh(mesh, 2, kept)[0], clamped=None)
+    linear = torn(problem, {"feti_formulation": formulation}, subdomains=12)
+    A, b = linear.linear_system()
+    x = problem.V.tabulate_dof_coordinates()[: b.getLocalSize(), 0]
+    constants = [A.createVecRight(), A.createVecRight()]
+    for z, of_body in zip(constants, (x < 0.5, x > 0.5), strict=True):
+        z.array[:] = of_body
+        z.normalize()
+    both = constants[0] + constants[1]
+    both.normalize()
+    A.setNullSpace(PETSc.NullSpace().create(vectors=[both], comm=A.comm))
+    with raises(ConvergenceError, "singular, with a kernel of dimension 2"):
+        linear.solve()
+    space = PETSc.NullSpace().create(vectors=constants, comm=A.comm)
+    A.setNullSpace(space)
+    A.setTransposeNullSpace(space)
+    u = owned(linear.solve())
+    space.remove(b)
+    equal(whole(u), least_squares(problem, b), TOLERANCE)
+    b.destroy()
+
+
+@pytest.mark.parametrize("formulation", ["dual", "primal"])
 def test_slender_and_free(formulation):
     """Bending costs next to nothing: what rounding leaves along the null space must not grow."""
     mesh = dolfinx.mesh.create_rectangle(COMM, [(0, 0), (100, 1)], (200, 2))
