@@ -46,7 +46,7 @@ bc = dolfinx.fem.dirichletbc(np.zeros(3), dolfinx.fem.locate_dofs_topological(V,
 
 # ## What has been built
 #
-# `ksp_view` is a flag, so its value is None. The table is written when the solve ends.
+# `ksp_view` is a flag, so its value is None. The table is written once, when the first solve ends.
 
 problem = LinearProblem(a, L, bcs=[bc], subdomains=16, petsc_options={"ksp_view": None})
 reference = problem.solve()
