@@ -338,7 +338,7 @@ _NOT_A_NUMBER = (
 )
 _DOUBTFUL = (
     "Newton's method ends where all of the residual is rounding, with {0:.0e} of the {1:.0e} that "
-    "it began with: the equilibrium is doubtful. Load in larger steps, or lower a penalty such as "
-    "κ and let an augmented Lagrangian make up for it."
+    "it began with: if the load has changed, the equilibrium is doubtful. Load in larger steps, or "
+    "lower a penalty such as κ and let an augmented Lagrangian make up for it."
 )
 _TOO_MANY = "no convergence within {0} steps: load in smaller steps or raise snes_max_it"
