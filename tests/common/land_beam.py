@@ -11,8 +11,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mpi4py import MPI
+
 import numpy as np
 from collective import COMM
+from walls import Wall
 
 import dolfinx
 import ufl
@@ -35,36 +38,45 @@ class Beam:
     F_p: ufl.Form
     K: ufl.Form
 
+    def tangent(self, kind: str) -> ufl.Form:
+        """Return the tangent of F_u in u with a kind of the pressure's."""
+        V = self.u.function_space
+        v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+        return self.K + loads.follower_pressure_tangent(
+            self.load, self.u, v, du, self.ds, kind, bcs=self.bcs
+        )
+
+    def wall(self, kind: str) -> Wall:
+        """Return the beam as the tests of walls have theirs."""
+        forms = (self.energy, self.F_u, self.F_p, self.tangent(kind))
+        return Wall(self.u, self.p, self.load, self.bcs, *forms)
+
     def problem(self, tangent: str, subdomains: int = 4, **options: object) -> NonlinearProblem:
         """Create the problem with a kind of the pressure's tangent, or with ``exact``, by UFL."""
-        J = None
-        if tangent != "exact":
-            V = self.u.function_space
-            v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
-            J = self.K + loads.follower_pressure_tangent(
-                self.load, self.u, v, du, self.ds, tangent, bcs=self.bcs
-            )
+        J = None if tangent == "exact" else self.tangent(tangent)
         return NonlinearProblem(
             [self.F_u, self.F_p],
             self.u,
             bcs=self.bcs,
             J=J,
             condense=self.p,
-            quadrature_degree=4,
             subdomains=subdomains,
             petsc_options=options,
         )
 
 
-def beam(*, kappa: float = 1000.0, cells: tuple[int, int, int] = (8, 1, 1)) -> Beam:
+def beam(
+    comm: MPI.Comm = COMM, *, kappa: float = 1000.0, cells: tuple[int, int, int] = (8, 1, 1)
+) -> Beam:
     """Set up the beam of 10 × 1 × 1 mm, P2–P0, clamped at x = 0, under a pressure on z = 0.
 
     Args:
+        comm: Communicator.
         kappa: κ [kPa].
         cells: Bricks along x, y and z, of six tetrahedra each.
     """
     corners = [np.zeros(3), np.array([10.0, 1.0, 1.0])]
-    mesh = dolfinx.mesh.create_box(COMM, corners, cells)
+    mesh = dolfinx.mesh.create_box(comm, corners, cells)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
     Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
     u, p = dolfinx.fem.Function(V), dolfinx.fem.Function(Q)
@@ -75,14 +87,16 @@ def beam(*, kappa: float = 1000.0, cells: tuple[int, int, int] = (8, 1, 1)) -> B
     )
     bc = dolfinx.fem.dirichletbc(np.zeros(3), dolfinx.fem.locate_dofs_topological(V, 2, clamped), V)
     tags = dolfinx.mesh.meshtags(mesh, 2, below, np.ones(len(below), dtype=np.int32))
-    ds = ufl.Measure("ds", mesh, subdomain_data=tags)(1)
+    metadata = {"quadrature_degree": 4}
+    ds = ufl.Measure("ds", mesh, subdomain_data=tags, metadata=metadata)(1)
     F = kinematics.deformation_gradient(u)
     J = kinematics.jacobian(F)
     E = (J ** (-2 / 3) * kinematics.right_cauchy_green(F) - ufl.Identity(3)) / 2
     across = E[1, 1] ** 2 + E[2, 2] ** 2 + 2 * E[1, 2] ** 2
     exponent = 8 * E[0, 0] ** 2 + 2 * across + 8 * (E[0, 1] ** 2 + E[0, 2] ** 2)
-    psi = 1.0 * (ufl.exp(exponent) - 1) + materials.perturbed_lagrangian(J, p, kappa)
-    energy, load = psi * ufl.dx, dolfinx.fem.Constant(mesh, 0.0)
+    kappa_ = dolfinx.fem.Constant(mesh, float(kappa))
+    psi = 1.0 * (ufl.exp(exponent) - 1) + materials.perturbed_lagrangian(J, p, kappa_)
+    energy, load = psi * ufl.dx(metadata=metadata), dolfinx.fem.Constant(mesh, 0.0)
     F_u = ufl.derivative(energy, u, v)
     return Beam(
         u=u,
