@@ -153,7 +153,10 @@ class Condensation:
         self._r_p = [torn_form(F, (Q,), compiler) for F, Q in zip(F_p, torn, strict=True)]
         self._widths = [Q.V_torn.dofmap.list.shape[1] for Q in torn]
         first = np.cumsum([0] + [len(p.x.array) for p in fields[:-1]])
-        places = [(f + Q.dof).reshape(each.count, -1) for f, Q in zip(first, torn, strict=True)]
+        places = [
+            (f + Q.dof).reshape(each.count, width)
+            for f, Q, width in zip(first, torn, self._widths, strict=True)
+        ]
         self._place = np.concatenate(places, axis=1)  # in ``values``, (cells, n)
         self._u = u
         self._torn, self._compiler = torn, compiler
@@ -200,9 +203,10 @@ class Condensation:
         """
         means = []
         for p, Q, (K_pu,) in zip(self.fields, self._torn, self._K_pu, strict=True):
+            width = Q.V_torn.dofmap.list.shape[1]
             one = dolfinx.fem.Function(p.function_space)
             one.interpolate(lambda x: np.ones(x.shape[1]))
-            c = one.x.array[Q.dof].reshape(len(self._place), -1)
+            c = one.x.array[Q.dof].reshape(len(self._place), width)
             volumes = np.zeros_like(c)
             form = torn_form(ufl.TestFunction(p.function_space) * ufl.dx, (Q,), self._compiler)
             dolfinx.fem.assemble_vector(volumes.reshape(-1), form)
@@ -366,7 +370,7 @@ def _by_dof(space: TornSpace) -> TornSpace:
     V = space.V_torn
     bs = V.dofmap.index_map_bs
     dofs = V.dofmap.list[:, :, None] * bs + np.arange(bs, dtype=np.int32)
-    table = dofs.reshape(len(dofs), -1)
+    table = dofs.reshape(len(dofs), dofs.shape[1] * bs)
     return replace(
         space, V_torn=compat.create_function_space(V, table, len(space.dof) * bs, block_size=1)
     )

@@ -23,7 +23,9 @@ import ufl
 
 from dolfinx_feti import NonlinearProblem, loads
 from dolfinx_feti.fem.assembly import LocalMatrix
-from dolfinx_feti.fem.decomposition import decompose
+from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.fem.condensation import Condensation
+from dolfinx_feti.fem.decomposition import decompose, into_cells, tear
 from dolfinx_feti.problems.system import System
 
 degrees = pytest.mark.parametrize("degree", [1, 2])
@@ -258,6 +260,23 @@ def test_units_make_no_block_singular(kappa, torn_system):
     body = block(COMM, "p2-p0-p0", kappa)
     body.fields[0].x.array[:] = 1.0
     torn_system(body).residual()
+
+
+def test_processes_without_cells():
+    """Of a single cell only one process has blocks; the others have none of the right shapes."""
+    mesh = dolfinx.mesh.create_unit_cube(COMM, 1, 1, 1, cell_type=dolfinx.mesh.CellType.hexahedron)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
+    p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DPC", 1)), name="p")
+    u = dolfinx.fem.Function(V, name="u")
+    energy = (ufl.inner(ufl.grad(u), ufl.grad(u)) + p * ufl.div(u) - p**2 / 20) * ufl.dx
+    F_u, F_p = (ufl.derivative(energy, f) for f in (u, p))
+    each = into_cells(mesh)
+    space, compiler = tear(V, each), Compiler(COMM)
+    condensation = Condensation(F_u, [F_p], u, [p], space=space, compiler=compiler)
+    condensation.prepare_multipliers()
+    condensation.relax()
+    agree(condensation.assemble().slope.shape == (each.count, 4, 81))
+    agree(condensation.hold(condensation.values()) == 0.0)
 
 
 def test_singular_block_is_refused(torn_system):
