@@ -109,10 +109,6 @@ ELEMENTS = {
     "DG 0": lambda cell: basix.ufl.element("DG", cell, 0),
     "discontinuous Lagrange": lambda cell: basix.ufl.element("P", cell, 1, discontinuous=True),
     "Crouzeix-Raviart": lambda cell: basix.ufl.element("CR", cell, 1),
-    "two fields": lambda cell: basix.ufl.mixed_element([basix.ufl.element("P", cell, 1)] * 2),
-    "Taylor-Hood": lambda cell: basix.ufl.mixed_element(
-        [basix.ufl.element("P", cell, 2, shape=(2,)), basix.ufl.element("P", cell, 1)]
-    ),
 }
 
 
