@@ -15,6 +15,7 @@ Options with a single dash are PETSc's, with the prefix `tube_`.
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -48,6 +49,8 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
     add("--kappa", type=positive, default=1000.0, help="[kPa], 1000")
     add("--size", type=positive, default=0.09, help="length of the elements' edges [mm], 0.09")
     add("--element", choices=ELEMENTS, default="p2-p0", help="displacements and pressure, p2-p0")
+    degree = {"dest": "element", "choices": ("p1-p0", "p2-p0"), "default": argparse.SUPPRESS}
+    add("--degree", type="p{}-p0".format, metavar="1|2", **degree, help="--element p1-p0 or p2-p0")
     add("--augmented", action="store_true", help="multipliers: the tube keeps its volume")
     add("--quarter", action="store_true", help="only a quarter, between planes of symmetry")
     add("--tangent", choices=TANGENTS, default="symmetric", help="of the follower pressure")

@@ -16,6 +16,7 @@ import scipy.optimize
 from collective import COMM, agree, small
 
 import dolfinx
+import ufl
 
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.loading import Steps, follow_load
@@ -100,3 +101,19 @@ def test_failed_attempts_leave_the_history_alone(names):
     )[-1:]
     agree(len(tried) >= 2 and step.load == 1.1)
     agree(all(np.array_equal(found, before[0]) for found in tried[:2]))
+
+
+def test_inertia(names):
+    """The energy of the impact, ½ ρ ∫ |v|² = ½ ρ (100 mm/s)² (1 + ¼ + ¼)/3 mm³, stays."""
+    exec(program("A history that load steps leave behind"), names)
+    names["damage"].x.array[:] = 0.0
+    exec(program("Inertia"), names)
+    v = names["velocity"]
+    kinetic = names["density"] / 2 * ufl.inner(v, v) * ufl.dx
+    energies = [
+        COMM.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(form)))
+        for form in (names["elastic"], kinetic)
+    ]
+    given = 0.5e-6 * 100.0**2 * 0.5
+    agree(min(energies) > 0.0, energies)
+    small(sum(energies) - given, 1e-4 * given)

@@ -40,6 +40,12 @@ def inflated(*words: object) -> list[dict[str, object]]:
     return tube.main([*COARSE, *map(str, words)])
 
 
+@pytest.mark.parametrize(("degree", "element"), [(1, "p1-p0"), (2, "p2-p0")])
+def test_degree_is_an_element(degree, element):
+    (record,) = tube.main([*COARSE, "--size", "0.3", "--pressures", "2", "--degree", str(degree)])
+    agree((record["element"], record["degree"]) == (element, degree), record)
+
+
 def test_records(tmp_path, capfd):
     """One for each pressure, in the file too, with costs from rest and the truth at its κ."""
     path = tmp_path / "new/tube.json"
