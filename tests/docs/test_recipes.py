@@ -103,6 +103,7 @@ def test_failed_attempts_leave_the_history_alone(names):
     agree(all(np.array_equal(found, before[0]) for found in tried[:2]))
 
 
+@pytest.mark.serial
 def test_inertia(names):
     """The energy of the impact, ½ ρ ∫ |v|² = ½ ρ (100 mm/s)² (1 + ¼ + ¼)/3 mm³, stays."""
     exec(program("A history that load steps leave behind"), names)

@@ -34,6 +34,7 @@ def recommended(message):
     return re.findall(r"(?<!but )-test_feti_(\w+) (\w+)", message)
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize("method", ["cg", "gmres", "minres"])
 @pytest.mark.parametrize("floor", [np.nan, 1e-2])
 @pytest.mark.parametrize("reason", REASONS, ids=REASONS.values())

@@ -19,6 +19,8 @@ import ufl
 from dolfinx_feti import kinematics as kin
 from dolfinx_feti import materials as mat
 
+pytestmark = pytest.mark.serial
+
 LAND = {"c": 2.0, "b_f": 8.0, "b_t": 2.0, "b_fs": 4.0}
 PIG = {
     "a": 0.059, "b": 8.023, "a_f": 18.472, "b_f": 16.026,

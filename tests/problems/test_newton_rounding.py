@@ -73,7 +73,15 @@ def compare(create, pressures, kappa):
     return steps
 
 
-@pytest.mark.parametrize(("kappa", "count"), [(1e3, 2), (1e4, 5), (1e5, 2), (1e6, 5)])
+@pytest.mark.parametrize(
+    ("kappa", "count"),
+    [
+        pytest.param(1e3, 2, marks=pytest.mark.serial),
+        pytest.param(1e4, 5, marks=pytest.mark.serial),
+        (1e5, 2),
+        pytest.param(1e6, 5, marks=pytest.mark.serial),
+    ],
+)
 def test_slender_beam(kappa, count):
     """Land's beam at each κ, in as many steps as the reference."""
     steps = compare(

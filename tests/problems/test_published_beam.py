@@ -12,6 +12,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 from collective import COMM, agree, small
 from land_beam import beam
 
@@ -31,6 +32,7 @@ def documented() -> dict[str, float]:
     return {dofs.replace(" ", ""): float(z) for dofs, z in rows}
 
 
+@pytest.mark.serial
 def test_end_of_the_beam():
     """With the package's material; the helper's own is written entry by entry."""
     by_hand = beam(kappa=KAPPA, cells=(10 * ACROSS, ACROSS, ACROSS))

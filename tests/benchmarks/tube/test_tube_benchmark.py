@@ -40,6 +40,7 @@ def inflated(*words: object) -> list[dict[str, object]]:
     return tube.main([*COARSE, *map(str, words)])
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize(("degree", "element"), [(1, "p1-p0"), (2, "p2-p0")])
 def test_degree_is_an_element(degree, element):
     (record,) = tube.main([*COARSE, "--size", "0.3", "--pressures", "2", "--degree", str(degree)])
@@ -72,6 +73,7 @@ def test_records(tmp_path, capfd):
     agree((" 10.0 mmHg" in said and said.count("\n") == 2) if COMM.rank == 0 else said == "", said)
 
 
+@pytest.mark.serial
 def test_refinement():
     """Errors of the second order: those of the chords in place of circles."""
     coarse, fine = (inflated("--pressures", 10, "--size", size)[-1] for size in (0.26, 0.13))
@@ -83,6 +85,7 @@ def test_refinement():
         agree(abs(errors[0]) >= rate * abs(errors[1]), (name, errors))
 
 
+@pytest.mark.serial
 def test_second_order_elements():
     """At κ = 1e5, and with no more dofs than P2–P0."""
     words = ("--pressures", 10, "--kappa", 1e5)
@@ -100,6 +103,7 @@ def test_the_whole_tube_is_four_quarters():
         small(whole[name] / quarter[name] - 1.0, 5e-3)
 
 
+@pytest.mark.serial
 def test_tangents_lead_to_one_state():
     records = {kind: inflated("--pressures", 4, "--tangent", kind)[-1] for kind in TANGENTS}
     for kind in ("full", "none"):
@@ -109,7 +113,9 @@ def test_tangents_lead_to_one_state():
     agree(records["none"]["newton_iterations"] > records["full"]["newton_iterations"])
 
 
-@pytest.mark.parametrize("multipliers", [(), ("--augmented",)])
+@pytest.mark.parametrize(
+    "multipliers", [(), pytest.param(("--augmented",), marks=pytest.mark.serial)]
+)
 def test_a_run_that_goes_on(tmp_path, multipliers):
     """The costs of the first part count; multipliers are in the checkpoint."""
     words = ["--checkpoint", tmp_path / "run", *multipliers]
