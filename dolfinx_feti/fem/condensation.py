@@ -222,7 +222,7 @@ class Condensation:
 
         Returns:
             The greatest change of the mean of r_p(0, λ) in a cell of this process. Where the state
-            solves the equations of the fields and λ becomes p, it is that of |J − 1|.
+            solves the equations of the fields and λ becomes p, it is that of abs(J − 1).
         """
         before, u, p = self._held, self._u.x.array.copy(), self.values()
         self._held = np.zeros_like(before)

@@ -42,10 +42,10 @@ def updated(system: System, solve: Callable[[int], bool], tolerance: float) -> I
     Args:
         system: The system; it begins with λ = p.
         solve: Solves it after so many updates; tells whether to the end.
-        tolerance: On |mean J − 1| of each cell.
+        tolerance: On abs(mean J − 1) of each cell.
 
     Yields:
-        The greatest |mean J − 1| of a cell after each solve.
+        The greatest abs(mean J − 1) of a cell after each solve.
 
     Raises:
         ConvergenceError: There were too many updates, or ``solve`` has failed.

@@ -80,7 +80,7 @@ class NonlinearProblem(TornProblem):
         bcs: The Dirichlet conditions; their values may change.
         P_mat: None, for FETI's preconditioner is no matrix.
         preconditioner: None.
-        volume_changes: The greatest |mean J − 1| of a cell after each Newton solve of the last
+        volume_changes: The greatest abs(mean J − 1) of a cell after each Newton solve of the last
             :meth:`solve` with a ``volume_tolerance``.
         decomposition: Subdomain of each owned cell.
     """
@@ -125,7 +125,7 @@ class NonlinearProblem(TornProblem):
                 discontinuous pressure: eliminated cell by cell, and updated with u.
             energy: Potential Π(u) or Π(u, p) whose derivatives are the residuals F, if they have
                 one: F itself if that is an energy. It keeps Newton's method on the way down.
-            volume_tolerance: Most that |J − 1| may be in the mean of each cell, J being 1 at u = 0:
+            volume_tolerance: Most that abs(J − 1) may be in the mean of each cell, J being 1 at u = 0:
                 multipliers then take the place of an ever larger κ, see :meth:`solve`. If not
                 given, the material is as compressible as its energy says.
             subdomains: Their number over all processes, or a part per owned cell; about one for

@@ -210,7 +210,7 @@ class System:
             pressure: λ, as in :meth:`state`; p if not given.
 
         Returns:
-            The greatest change of the mean compression of a cell: |mean J − 1| where the state
+            The greatest change of the mean compression of a cell: abs(mean J − 1) where the state
             solves the equation of p, and λ becomes p.
 
         Note:
