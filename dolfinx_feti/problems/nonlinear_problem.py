@@ -125,7 +125,7 @@ class NonlinearProblem(TornProblem):
                 discontinuous pressure: eliminated cell by cell, and updated with u.
             energy: Potential Π(u) or Π(u, p) whose derivatives are the residuals F, if they have
                 one: F itself if that is an energy. It keeps Newton's method on the way down.
-            volume_tolerance: Most that abs(J − 1) may be in the mean of each cell, J being 1 at u = 0:
+            volume_tolerance: Most that abs(J − 1) may be in the mean of each cell, J = 1 at u = 0:
                 multipliers then take the place of an ever larger κ, see :meth:`solve`. If not
                 given, the material is as compressible as its energy says.
             subdomains: Their number over all processes, or a part per owned cell; about one for
