@@ -30,14 +30,22 @@ from dolfinx_feti.runtime.petsc_options import inserted
 
 COMM = MPI.COMM_WORLD
 PREFIX = "test_"
+STUDIES = Path(__file__).parent / "benchmarks"
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out, on several processes, what is the work of the first one alone."""
-    if COMM.size > 1:
-        serial = [item for item in items if item.get_closest_marker("serial")]
-        config.hook.pytest_deselected(items=serial)
-        items[:] = [item for item in items if not item.get_closest_marker("serial")]
+    """Leave out, on several processes, what is the work of the first one alone.
+
+    Studies are tried on one and two.
+    """
+    left_out = {
+        item
+        for item in items
+        if (COMM.size > 1 and item.get_closest_marker("serial"))
+        or (COMM.size > 2 and STUDIES in item.path.parents)
+    }
+    config.hook.pytest_deselected(items=list(left_out))
+    items[:] = [item for item in items if item not in left_out]
 
 
 def pytest_collection_finish() -> None:
