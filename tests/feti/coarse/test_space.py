@@ -133,7 +133,7 @@ def test_product_that_fails_on_one_process(torn_grid, form):
     with raises(SetUpError, "no memory for S W"):
         AveragedSpace(primal.space.V, Failing(), prefix="test_feti_coarse_")
     again = AveragedSpace(primal.space.V, S, prefix="test_feti_coarse_")
-    equal(dense(again.A_0), dense(primal.space.A_0))
+    equal(dense(again.A_0), dense(primal.space.A_0), 1e-14)  # sums come in the order of messages
     again.destroy()
 
 
