@@ -179,9 +179,7 @@ class System:
         """
         if self.condensation is None or here.blocks is None:
             return du, np.zeros(0)
-        whole = dolfinx.la.vector(
-            self.u.function_space.dofmap.index_map, self.u.function_space.dofmap.index_map_bs
-        )
+        whole = self._vector()
         whole.array[: self.owned] = du
         whole.scatter_forward()
         return du, self.condensation.increment(here.blocks, whole.array[self._local])
@@ -289,9 +287,7 @@ class System:
         force = b.array[: self.owned].copy()
         r = force.copy()
         if blocks is not None:
-            b.array[:] = np.bincount(self._local, torn, minlength=len(b.array))
-            b.scatter_reverse(dolfinx.la.InsertMode.add)
-            r += b.array[: self.owned]
+            r += self._assembled(torn)
         for bc in self.bcs:
             bc.set(force, self.u.x.array, -1.0)
             bc.set(r, self.u.x.array, -1.0)
@@ -343,13 +339,20 @@ class System:
             Collective.
         """
         t = np.hypot(self.u.x.array[self._local], self._size)
-        sums = dolfinx.la.vector(
-            self.u.function_space.dofmap.index_map, self.u.function_space.dofmap.index_map_bs
-        )
-        squares = product_rounding(self._K.mat, t)
-        sums.array[:] = np.bincount(self._local, squares, minlength=len(sums.array))
+        squares = self._assembled(product_rounding(self._K.mat, t))
+        return float(np.sqrt(self.comm.allreduce(squares[~self._dirichlet].sum())))
+
+    def _vector(self) -> dolfinx.la.Vector:
+        """Create a vector of the dofs of u, with ghosts."""
+        dofmap = self.u.function_space.dofmap
+        return dolfinx.la.vector(dofmap.index_map, dofmap.index_map_bs)
+
+    def _assembled(self, torn: Array) -> Array:
+        """Sum the copies of each owned dof, (n_torn,) → (owned,). Collective."""
+        sums = self._vector()
+        sums.array[:] = np.bincount(self._local, torn, minlength=len(sums.array))
         sums.scatter_reverse(dolfinx.la.InsertMode.add)
-        return float(np.sqrt(self.comm.allreduce(sums.array[: self.owned][~self._dirichlet].sum())))
+        return sums.array[: self.owned].copy()
 
     def tangent(self) -> Tangent:
         """Name the tangent that the matrix holds now."""

@@ -21,7 +21,7 @@ import scipy.sparse
 from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["product_rounding", "residual_rounding"]
+__all__ = ["EPS", "product_rounding", "residual_rounding"]
 
 Array = npt.NDArray[np.float64]
 

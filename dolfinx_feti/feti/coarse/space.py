@@ -41,9 +41,9 @@ from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.orthonormal import diagonalising, unit_scale
 from dolfinx_feti.torn.null_space import anchor, null_space
+from dolfinx_feti.torn.rounding import EPS
 
 __all__ = [
-    "EPS",
     "MARGIN",
     "AveragedColumns",
     "AveragedSpace",
@@ -61,9 +61,6 @@ ZERO_PIVOT = 1e-8
 
 #: Multiple of a bound of rounding errors by which an energy has to be negative.
 MARGIN = 10.0
-
-#: Unit of rounding.
-EPS = float(np.finfo(np.float64).eps)
 
 #: Search of a negative direction by conjugate gradients: steps for each unknown, and share of the
 #: first residual at which none is left. With positive curvatures only, the component of the

@@ -29,13 +29,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.feti.coarse.space import EPS, MARGIN, AveragedSpace, estimated_norms
+from dolfinx_feti.feti.coarse.space import MARGIN, AveragedSpace, estimated_norms
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.solution import RitzVectors
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.orthonormal import diagonalising, symmetric_part
 from dolfinx_feti.runtime.collective import total, total_of
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.torn.rounding import EPS
 
 __all__ = ["DeflatedSpace", "Trace"]
 
