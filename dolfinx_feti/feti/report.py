@@ -39,6 +39,7 @@ class Report:
         inertia: Negative eigenvalues.
         interior: Whether the interior dofs are ``kept`` or ``eliminated``.
         coarse_size: Coarse unknowns.
+        coarse_solver: How the coarse problem is solved.
         coarse_mib: Memory of the factor of the coarse matrix in MiB; None if not known.
         coarse_inertia: Negative and zero eigenvalues of the coarse matrix; None if not known.
         factor_mib: Memory of all local factors in MiB.
@@ -62,6 +63,7 @@ class Report:
     inertia: Inertia
     interior: str
     coarse_size: int
+    coarse_solver: str
     coarse_mib: float | None
     coarse_inertia: Pivots
     factor_mib: float
@@ -106,6 +108,7 @@ def collect(
         inertia=form.inertia,
         interior="eliminated" if form.operator.eliminated else "kept",
         coarse_size=form.coarse.total,
+        coarse_solver=str(solver),
         coarse_mib=solver.memory(),
         coarse_inertia=solver.pivots(),
         factor_mib=comm.allreduce(form.memory()),
@@ -136,7 +139,7 @@ def table(report: Report) -> str:
         ("dofs", f"{r.dofs}, torn {r.torn_dofs}, a subdomain {r.dofs_local[0]}–{r.dofs_local[1]}"),
         ("kernels", f"{kernels}; {r.exact} exact; {r.elastic} elastic modes in addition"),
         ("multipliers", f"{r.multipliers}"),
-        ("coarse size", f"{r.coarse_size}"),
+        ("coarse size", f"{r.coarse_size}, {r.coarse_solver}"),
         (
             "negative eigenvalues",
             f"{_number(r.inertia.local)} in K_ρ, {r.inertia.defect} in D, "

@@ -1,10 +1,17 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A small distributed system N x = b, of which each group of processes factors a copy.
+r"""A small distributed system N x = b, of which each group of processes factors a copy.
 
 A coarse matrix has a few rows per subdomain, and a group a process for about :data:`ROWS` rows: a
 solve is one collective call that gives b to all; each process takes its x from its own group.
+
+Up to :data:`SPREAD` rows of N for each process, a process keeps its own rows of the inverse in
+place of the factor, and the call is followed by nothing but its share of one dense product,
+
+.. math:: x_p = (N^{-1})_p\, b.
+
+It then reads K²/P numbers in a solve, and not the entries of the factor twice.
 """
 
 from __future__ import annotations
@@ -13,10 +20,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.subdomain.factors.direct import (
     factor_with_work_space,
+    is_mumps,
     mebibytes,
     pivots_of,
     prepare_mumps,
@@ -28,8 +37,20 @@ from dolfinx_feti.runtime.events import event
 
 __all__ = ["GatheredSolver"]
 
+Array = npt.NDArray[np.float64]
+
 #: Rows that are worth a process.
 ROWS = 4000
+
+#: Rows of the inverse for each process, on average, up to which they are formed: in blocks, six of
+#: them take as long as one solve with the factor, and a matrix serves some thirty solves.
+SPREAD = 128
+
+#: Right-hand sides at a time.
+BLOCK = 64
+
+#: Condition number, of the norm of the largest row, above which the factor solves, and better.
+CONDITION = 1e10
 
 
 class GatheredSolver:
@@ -37,6 +58,7 @@ class GatheredSolver:
 
     Attributes:
         ksp: The solver of the process's group; None if there are no rows.
+        inverse: Own rows of N⁻¹, (own rows, K), if they are spread over the processes.
     """
 
     def __init__(
@@ -67,10 +89,13 @@ class GatheredSolver:
         self._b, self._x = self._matrix.createVecs()
         self._from_group, self._solution = PETSc.Scatter.toAll(self._x)
         self.ksp: PETSc.KSP | None = None
+        self.inverse: Array | None = None
 
         def factor() -> None:
             if total:
                 self.ksp = _factor(self._matrix, prefix, symmetric, zero)
+                if total <= SPREAD * comm.size and _is_factor(self.ksp):
+                    self.inverse = self._rows_of_inverse(self.ksp, symmetric)
 
         try:
             on_all(factor, comm)
@@ -80,6 +105,8 @@ class GatheredSolver:
                 f"The coarse problem could not be factored ({reason(error)}): look at the options "
                 f"-{prefix}…"
             ) from error
+        if self.inverse is not None and not self._is_accurate(N, self.inverse):
+            self.inverse = None
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve N x = b, both in N's own layout; where the solver fails, x is NaN."""
@@ -87,6 +114,9 @@ class GatheredSolver:
             return
         with event("FETICoarseSolve"):
             self._to_all.scatter(b, self._whole)
+            if self.inverse is not None:
+                x.array[:] = self.inverse @ self._whole.array_r  # x_p = (N⁻¹)_p b
+                return
             self._b.array[:] = self._whole.array_r[self._rows]
             self.ksp.solve(self._b, self._x)
             self._from_group.scatter(self._x, self._solution)
@@ -96,12 +126,52 @@ class GatheredSolver:
     def memory(self) -> float | None:
         """Return the memory of the factor in MiB; None if the solver has no figure. Collective."""
         used = 0.0 if self.ksp is None else mebibytes(self.ksp.getPC())
-        return self._world.bcast(used)
+        rows = 0 if self.inverse is None else self.inverse.nbytes
+        spread = self._world.allreduce(rows) / 2**20
+        return self._world.bcast(None if used is None else used + spread)
+
+    def __str__(self) -> str:
+        """Say how it solves."""
+        if self.inverse is not None:
+            return f"inverse spread over {self._world.size} process(es)"
+        return f"a factor on every {self._group.size} process(es)"
 
     def pivots(self) -> Pivots:
         """Return how many pivots are negative and zero; None if not known. Collective."""
         counts = Pivots(0, 0) if self.ksp is None else pivots_of(self.ksp.getPC())
         return self._world.bcast(counts)
+
+    def _rows_of_inverse(self, ksp: PETSc.KSP, symmetric: bool) -> Array:
+        """Return the process's rows of N⁻¹, (own rows, K). Collective on the group."""
+        owners = self._group.allgather(self._own)
+        rows, total = self._rows, len(self._whole.array_r)
+        F = ksp.getPC().getFactorMatrix()
+        F.setMumpsIcntl(9, 1 if symmetric else 0)  # N⊤: its columns are rows
+        parts: list[Array] = [np.empty((rows.stop - rows.start, 0))]
+        for first in range(owners[0].start, owners[-1].stop, BLOCK):
+            columns = np.arange(first, min(first + BLOCK, owners[-1].stop))
+            shape = ((rows.stop - rows.start, total), (None, len(columns)))
+            Y = PETSc.Mat().createDense(shape, comm=self._group)
+            Y.setUp()
+            here = (rows.start <= columns) & (columns < rows.stop)
+            Y.getDenseArray()[columns[here] - rows.start, np.flatnonzero(here)] = 1.0
+            Y.assemble()
+            X = Y.duplicate()
+            X.assemble()
+            ksp.matSolve(Y, X)  # N⊤ X = I, rows of the group
+            parts.append(X.getDenseArray().copy())
+            for owned in (X, Y):
+                owned.destroy()
+        F.setMumpsIcntl(9, 1)
+        X_rows, before = np.hstack(parts), owners[0].start
+        theirs = [X_rows[:, own.start - before : own.stop - before].T for own in owners]
+        return np.hstack(self._group.alltoall(theirs))
+
+    def _is_accurate(self, N: PETSc.Mat, inverse: Array) -> bool:
+        """Tell whether rounding leaves a solve with the inverse some digits. Collective."""
+        largest = np.abs(inverse).sum(axis=1).max(initial=0.0)
+        condition = largest * N.norm(PETSc.NormType.INFINITY)
+        return bool(self._world.allreduce(bool(condition <= CONDITION), op=MPI.LAND))
 
     def destroy(self) -> None:
         """Free solver, matrix and communicator."""
@@ -111,6 +181,11 @@ class GatheredSolver:
             if owned is not None:
                 owned.destroy()
         self._group.Free()
+
+
+def _is_factor(ksp: PETSc.KSP) -> bool:
+    """Tell whether the solver is a factor that takes blocks of right-hand sides."""
+    return ksp.getType() == PETSc.KSP.Type.PREONLY and is_mumps(ksp.getPC())
 
 
 def _group(rank: int, processes: int, rows: int) -> int:

@@ -18,6 +18,7 @@ __all__ = [
     "Choice",
     "create_factor",
     "factor_with_work_space",
+    "is_mumps",
     "mebibytes",
     "pivots_of",
     "prepare_mumps",
@@ -77,7 +78,7 @@ def create_factor(matrix: PETSc.Mat, choice: Choice) -> PETSc.PC:
         set_default_factor(pc, choice.symmetric)
         pc.setFromOptions()
         prepare_mumps(pc, percent)
-        if _is_mumps(pc):
+        if is_mumps(pc):
             pc.getFactorMatrix().setMumpsIcntl(27, choice.right_hand_sides)
         return pc
 
@@ -116,7 +117,7 @@ def prepare_mumps(pc: PETSc.PC, percent: int, zero: float | None = None) -> None
 
     Those below a multiple ``zero`` of the norm of the matrix are zero; None for exact zeros.
     """
-    if _is_mumps(pc):
+    if is_mumps(pc):
         pc.setFactorSetUpSolverType()
         F = pc.getFactorMatrix()
         F.setMumpsIcntl(14, percent)
@@ -129,7 +130,7 @@ def _failure(pc: PETSc.PC) -> str:
     """Say why a factorisation failed."""
     reason = pc.getFailedReason()
     text = FAILURES.get(reason, f"PETSc reports failed reason {reason}")
-    if _is_mumps(pc):
+    if is_mumps(pc):
         F = pc.getFactorMatrix()
         text += f" (MUMPS: INFOG(1) = {F.getMumpsInfog(1)}, INFOG(2) = {F.getMumpsInfog(2)})"
     return text
@@ -137,7 +138,7 @@ def _failure(pc: PETSc.PC) -> str:
 
 def pivots_of(pc: PETSc.PC) -> Pivots:
     """Read the numbers of negative and zero pivots off a factor; only MUMPS tells."""
-    if not _is_mumps(pc):
+    if not is_mumps(pc):
         return Pivots(None, None)
     F = pc.getFactorMatrix()
     negative = F.getMumpsInfog(12) if pc.getType() == "cholesky" else None
@@ -146,12 +147,13 @@ def pivots_of(pc: PETSc.PC) -> Pivots:
 
 def mebibytes(pc: PETSc.PC) -> float | None:
     """Return the memory of a factor in MiB; None if the solver does not tell."""
-    if _is_mumps(pc):
+    if is_mumps(pc):
         return float(pc.getFactorMatrix().getMumpsInfog(22)) * 1e6 / 2**20  # units of 10⁶ bytes
     if pc.getType() not in ("cholesky", "lu"):
         return None
     return float(pc.getFactorMatrix().getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["memory"]) / 2**20
 
 
-def _is_mumps(pc: PETSc.PC) -> bool:
+def is_mumps(pc: PETSc.PC) -> bool:
+    """Tell whether MUMPS factors."""
     return pc.getType() in ("cholesky", "lu") and pc.getFactorSolverType() == "mumps"
