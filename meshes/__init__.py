@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Meshes of artery walls, and the cube of the paper's linear study. See README.md.
 
-The generators of walls write files and need numpy and scipy, no FEniCSx and no Gmsh; ``walls``,
-``bricks`` and ``cube`` make distributed meshes of DOLFINx.
+The generators of walls write files; they need numpy and scipy, and dolfinx for XDMF alone.
+``walls``, ``bricks`` and ``cube`` make distributed meshes of DOLFINx.
 
 In the order of the data: arguments, surface, remesh, wall_mesh, layers, tube, vessel, walls,
 bricks, cube.

@@ -6,7 +6,7 @@
 Inner radius 0.71 mm, media 0.26 mm, adventitia 0.13 mm (the carotid artery of a rabbit, Holzapfel,
 Gasser, Ogden 2000); the axis is z, from 0 to the length.
 
-    python3 -m meshes.tube tube.msh --size 0.13 --length 3 [--quarter]
+    python3 -m meshes.tube tube.xdmf --size 0.13 --length 3 [--quarter]
 
 The lumen is a structured triangulation; :mod:`meshes.layers` grows the layers on it. Surfaces:
 `lumen`, `outer`, `opening_1` (z = 0), `opening_2` (z = length), and for the quarter `symmetry_x`
@@ -24,7 +24,7 @@ import numpy as np
 from meshes.arguments import count, positive, refusals
 from meshes.layers import grow, sheets
 from meshes.surface import Indices, Points
-from meshes.wall_mesh import TAGS, Quality, measure_quality, write_msh
+from meshes.wall_mesh import TAGS, Quality, measure_quality, write_mesh
 
 __all__ = ["count_around", "create_tube"]
 
@@ -43,10 +43,10 @@ def create_tube(
     around: int | None = None,
     along: int | None = None,
 ) -> Quality:
-    """Write the two-layer tube as a Gmsh file with named layers and surfaces.
+    """Write the two-layer tube with named layers and surfaces.
 
     Args:
-        path: The file, `*.msh`.
+        path: The file, `*.msh` for Gmsh's format, `*.xdmf` for one that all processes read.
         length: Length [mm].
         size: Wanted length of the edges [mm]; the numbers below follow from it if not given.
         quarter: Only the part with x ≥ 0 and y ≥ 0.
@@ -80,7 +80,7 @@ def create_tube(
     x, y = (axis * [radius, radius, 1] * scale for radius in (INNER_RADIUS, outer))
     layers = sheets((MEDIA, ADVENTITIA), through, (TAGS["media"], TAGS["adventitia"]))
     mesh = grow(x, y, t, through=layers, rim=rim)
-    write_msh(Path(path), mesh)
+    write_mesh(Path(path), mesh)
     quality = measure_quality(mesh)
     log.info("%s", quality)
     return quality
@@ -133,7 +133,7 @@ def _lumen(
 def main() -> None:
     """Write a tube from the command line."""
     parser = argparse.ArgumentParser("python3 -m meshes.tube", description="A two-layer tube.")
-    parser.add_argument("file", type=Path, help="the Gmsh file to write")
+    parser.add_argument("file", type=Path, help="the file to write, *.msh or *.xdmf")
     parser.add_argument("--length", type=positive, default=3.0, help="[mm]")
     parser.add_argument("--size", type=positive, default=0.13, help="of the elements [mm]")
     parser.add_argument("--quarter", action="store_true", help="only a quarter")

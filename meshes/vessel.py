@@ -6,7 +6,7 @@
 The lumen is `aneurysm_data.stl`, a cerebral artery with a sac and three openings, in millimetres.
 It comes with Debian's package gmsh-doc and with the Python wheel of gmsh, and is read from there.
 
-    python3 -m meshes.vessel vessel.msh --size 1.2 --thickness 1.0
+    python3 -m meshes.vessel vessel.xdmf --size 1.2 --thickness 1.0
 
 Another lumen with open ends is taken from an STL file, and the wall has the layers that are named:
 
@@ -38,7 +38,7 @@ from meshes.arguments import count, positive, refusals, share
 from meshes.layers import grow, improve_tops, sheets
 from meshes.remesh import remesh
 from meshes.surface import Indices, Points, edge_lengths, find_edges, read_stl, unit, vertex_normals
-from meshes.wall_mesh import TAGS, Quality, measure_quality, write_msh
+from meshes.wall_mesh import TAGS, Quality, measure_quality, write_mesh
 
 __all__ = ["create_vessel", "find_surface"]
 
@@ -62,10 +62,10 @@ def create_vessel(
     surface: Path | str | None = None,
     scale: float = 1.0,
 ) -> Quality:
-    """Write the wall of a vessel as a Gmsh file with named layers and surfaces.
+    """Write the wall of a vessel with named layers and surfaces.
 
     Args:
-        path: The file, `*.msh`.
+        path: The file, `*.msh` for Gmsh's format, `*.xdmf` for one that all processes read.
         size: Length of the triangles' edges on the lumen [mm]; 1.2 gives 40 000 tetrahedra.
         thickness: Thickness of the wall [mm].
         layers: The names of the layers from the inside out, and their shares of the thickness.
@@ -106,7 +106,7 @@ def create_vessel(
             f"tetrahedra has a quality of {quality.minimum:.3f}, less than {LEAST_QUALITY}: take a "
             "size of one to two times the thickness, or a thinner wall"
         )
-    write_msh(path, mesh, {name: TAGS[name] for name in TAGS if name not in LAYERS} | tags)
+    write_mesh(path, mesh, {name: TAGS[name] for name in TAGS if name not in LAYERS} | tags)
     return quality
 
 
@@ -206,7 +206,7 @@ def _directions(x: Points, t: Indices, rim: tuple[Indices, Indices]) -> Points:
 def main() -> None:
     """Write a vessel from the command line."""
     parser = argparse.ArgumentParser("python3 -m meshes.vessel", description="A vessel's wall.")
-    parser.add_argument("file", type=Path, help="the Gmsh file to write")
+    parser.add_argument("file", type=Path, help="the file to write, *.msh or *.xdmf")
     parser.add_argument("--size", type=positive, default=1.2, help="edges on the lumen [mm]")
     parser.add_argument("--thickness", type=positive, default=1.0, help="of the wall [mm]")
     parser.add_argument(

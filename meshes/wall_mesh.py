@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A wall as arrays, the quality of its tetrahedra, and a Gmsh file of it.
+"""A wall as arrays, the quality of its tetrahedra, and a file of it, Gmsh's or XDMF.
 
 The quality is Gmsh's minSICN, the signed inverse condition number of the map S from the regular
 tetrahedron,
@@ -22,7 +22,7 @@ import numpy as np
 
 from meshes.surface import Indices, Points
 
-__all__ = ["TAGS", "Quality", "WallMesh", "measure_quality", "write_msh"]
+__all__ = ["TAGS", "Quality", "WallMesh", "measure_quality", "write_mesh", "write_msh"]
 
 # Tags of the layers and surfaces; opening k has 10 + k.
 TAGS = {"media": 1, "adventitia": 2, "lumen": 3, "outer": 4, "symmetry_x": 5, "symmetry_y": 6}
@@ -106,11 +106,35 @@ def measure_quality(mesh: WallMesh) -> Quality:
     return Quality(
         points=len(mesh.points),
         cells=len(mesh.cells),
-        minimum=float(q.min()),
-        mean=float(q.mean()),
+        minimum=float(q.min(initial=1.0)),
+        mean=float(q.mean()) if len(q) else 1.0,
         histogram=tuple(int(n) for n in counts),
         volume=float(np.linalg.det(edges).sum() / 6),
     )
+
+
+def write_mesh(path: Path, mesh: WallMesh, names: Mapping[str, int] = TAGS) -> None:
+    """Write a file that all processes read if its name ends in .xdmf, else a Gmsh file.
+
+    Args:
+        path: The file, `*.xdmf`, which needs dolfinx, or `*.msh`; its folder is made.
+        mesh: The wall.
+        names: Tags of the names; those that the mesh does not have are left out.
+    """
+    if path.suffix != ".xdmf":
+        return write_msh(path, mesh, names)
+    from mpi4py import MPI
+
+    from dolfinx_feti.wall import write_wall
+    from dolfinx_feti.wall.reading import distribute
+    from dolfinx_feti.wall.wallfile import RawWall
+
+    layers, surfaces = (
+        {name: tag for name, tag in names.items() if np.any(tags == tag)}
+        for tags in (mesh.layers, mesh.surfaces)
+    )
+    arrays = (mesh.points, mesh.cells, mesh.layers, mesh.facets, mesh.surfaces)
+    write_wall(path, distribute(RawWall(*arrays, layers, surfaces), MPI.COMM_SELF))
 
 
 def write_msh(path: Path, mesh: WallMesh, names: Mapping[str, int] = TAGS) -> None:

@@ -1,7 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Walls on all processes: read from a file, which the first process generates if need be."""
+"""Walls on all processes: read from a file, which the first process generates if need be.
+
+A generated file is one that all processes read.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +14,16 @@ from pathlib import Path
 
 from mpi4py import MPI
 
+import numpy as np
+
+from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.wall import Wall, read_wall
-from dolfinx_feti.wall.wallfile import read_raw_wall
 from meshes.tube import create_tube
 from meshes.vessel import create_vessel
 from meshes.wall_mesh import Quality, WallMesh, measure_quality
 
-__all__ = ["CREATE", "create_tube_wall", "create_wall"]
+__all__ = ["CREATE", "create_tube_wall", "create_wall", "wall_quality"]
 
 #: Generators of walls by name.
 CREATE = {"vessel": create_vessel, "tube": create_tube}
@@ -50,8 +55,9 @@ def create_wall(
     Note:
         Collective.
     """
-    path, quality = on_first(lambda: _prepare(source, size, folder, scale), comm)
-    return read_wall(path, comm, scale=scale), quality
+    path = on_first(lambda: _prepare(source, size, folder), comm)
+    wall = read_wall(path, comm, scale=scale)
+    return wall, wall_quality(wall)
 
 
 def create_tube_wall(comm: MPI.Comm, **geometry: object) -> Wall:
@@ -71,22 +77,43 @@ def create_tube_wall(comm: MPI.Comm, **geometry: object) -> Wall:
 
         def write() -> Path:
             folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
-            path = Path(until_read.enter_context(folder)) / "tube.msh"
+            path = Path(until_read.enter_context(folder)) / "tube.xdmf"
             create_tube(path, **geometry)
             return path
 
         return read_wall(on_first(write, comm), comm)
 
 
-def _prepare(
-    source: str | Path, size: float | None, folder: Path, scale: float
-) -> tuple[Path, Quality]:
-    """Return the wall's file, generated if it is not there yet, and its elements' quality."""
+def wall_quality(wall: Wall) -> Quality:
+    """Return the quality of a wall's tetrahedra; of curved ones, that of their corners.
+
+    Args:
+        wall: The wall, of tetrahedra.
+
+    Note:
+        Collective.
+    """
+    mesh = wall.mesh
+    nodes = compat.geometry_dofmap(mesh)[: mesh.topology.index_map(3).size_local, :4]
+    none = np.zeros(0, dtype=np.int64)
+    own = WallMesh(mesh.geometry.x, nodes, none, none, none)
+    parts = [part for part in mesh.comm.allgather(measure_quality(own)) if part.cells]
+    cells = sum(part.cells for part in parts)
+    return Quality(
+        points=mesh.geometry.index_map().size_global,
+        cells=cells,
+        minimum=min(part.minimum for part in parts),
+        mean=sum(part.cells * part.mean for part in parts) / cells,
+        histogram=tuple(np.sum([part.histogram for part in parts], axis=0).tolist()),
+        volume=sum(part.volume for part in parts),
+    )
+
+
+def _prepare(source: str | Path, size: float | None, folder: Path) -> Path:
+    """Return the wall's file, generated if it is not there yet."""
     path = Path(source)
     if source in CREATE:
-        path = folder / (f"{source}.msh" if size is None else f"{source}_{size:g}.msh")
+        path = folder / (f"{source}.xdmf" if size is None else f"{source}_{size:g}.xdmf")
         if not path.is_file():
             CREATE[source](path, **({} if size is None else {"size": size}))
-    raw = read_raw_wall(path)
-    mesh = WallMesh(scale * raw.points, raw.cells, raw.layers, raw.facets, raw.surfaces)
-    return path, measure_quality(mesh)
+    return path

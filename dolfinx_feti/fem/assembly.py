@@ -29,6 +29,7 @@ import ufl
 
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace
+from dolfinx_feti.runtime.events import event
 from dolfinx_feti.torn.matrix import create_torn_matrix, set_near_kernel
 
 Vector = npt.NDArray[np.float64]
@@ -133,6 +134,7 @@ def create_csr(
     return dolfinx.la.matrix_csr(pattern, EXPANDED)
 
 
+@event("FETIPattern")
 def create_local_matrix(space: TornSpace, compiler: Compiler | None = None) -> LocalMatrix:
     """Allocate the local matrix of a torn space.
 

@@ -30,6 +30,7 @@ import scipy.sparse.csgraph
 import dolfinx
 
 from dolfinx_feti.runtime import compat
+from dolfinx_feti.runtime.events import event
 
 __all__ = [
     "Decomposition",
@@ -104,6 +105,7 @@ def suggested_number(V: dolfinx.fem.FunctionSpace, least: int = 1) -> int:
     return int(min(max(processes * max(1, round(dofs / (DOFS * processes))), least), cells))
 
 
+@event("FETITear")
 def decompose(
     mesh: dolfinx.mesh.Mesh, subdomains: int | npt.NDArray[np.integer], *, seed: int = 0
 ) -> Decomposition:
@@ -156,6 +158,7 @@ def into_cells(mesh: dolfinx.mesh.Mesh) -> Decomposition:
     return Decomposition(mesh, np.arange(n, dtype=np.int32), n, mesh.comm.scan(n) - n)
 
 
+@event("FETITear")
 def tear(V: dolfinx.fem.FunctionSpace, decomposition: Decomposition) -> TornSpace:
     """Give every subdomain its own copy of the dofs of V.
 

@@ -3,14 +3,15 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Arterial walls: named layers and surfaces, conditions on these, and directions of fibres.
 
-In the order of the data: wallfile, wall, tagged, conditions, rigid, case, casefile, boundary,
-laplace, fibres.
+In the order of the data: wallfile, wall, xdmf, reading, convert, tagged, conditions, rigid, case,
+casefile, boundary, laplace, fibres.
 """
 
 from dolfinx_feti.wall.boundary import Boundary, apply_conditions
 from dolfinx_feti.wall.case import Case, Tissue
 from dolfinx_feti.wall.casefile import read_case
 from dolfinx_feti.wall.conditions import Clamp, Dashpot, Pressure, Slide, Spring
+from dolfinx_feti.wall.reading import read_wall
 from dolfinx_feti.wall.rigid import free_motions
 from dolfinx_feti.wall.tagged import create_wall
 from dolfinx_feti.wall.wall import (
@@ -19,9 +20,9 @@ from dolfinx_feti.wall.wall import (
     by_layer,
     facets,
     openings,
-    read_wall,
     surface_measure,
 )
+from dolfinx_feti.wall.xdmf import write_wall
 
 __all__ = [
     "Boundary",
@@ -43,4 +44,5 @@ __all__ = [
     "read_case",
     "read_wall",
     "surface_measure",
+    "write_wall",
 ]

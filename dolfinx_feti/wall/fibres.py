@@ -37,6 +37,7 @@ import numpy.typing as npt
 
 import dolfinx
 
+from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_options import require_prefix
 from dolfinx_feti.wall.laplace import gradient, solve_laplace
 from dolfinx_feti.wall.wall import Wall, area, by_layer, facets, openings
@@ -68,6 +69,7 @@ class Frame:
     transmural: dolfinx.fem.Function
 
 
+@event("WallFibres")
 def fibre_frame(
     wall: Wall,
     *,

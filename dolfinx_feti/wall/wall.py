@@ -14,20 +14,16 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
 
-import basix.ufl
 import dolfinx
-import dolfinx.io
 import ufl
 
-from dolfinx_feti.runtime.collective import on_all, on_first
-from dolfinx_feti.wall.wallfile import CELLS, RawWall, read_raw_wall
+from dolfinx_feti.runtime.collective import on_all
 
 __all__ = [
     "AXES",
@@ -35,12 +31,10 @@ __all__ = [
     "area",
     "by_layer",
     "corners",
-    "distribute",
     "extent",
     "facets",
     "openings",
     "plane",
-    "read_wall",
     "surface_measure",
 ]
 
@@ -57,7 +51,7 @@ OUT_OF_PLANE = 1e-7
 class Wall:
     """A wall in millimetres.
 
-    :func:`read_wall` makes one of a file, and
+    :func:`~dolfinx_feti.wall.reading.read_wall` makes one of a file, and
     :func:`~dolfinx_feti.wall.tagged.create_wall` one of a mesh and its tags.
 
     Attributes:
@@ -115,82 +109,6 @@ def _check_tags(name: str, tags: object, mesh: dolfinx.mesh.Mesh) -> None:
         raise TypeError(f"{name} is {tags!r}: give dolfinx.mesh.MeshTags.")
     if tags.topology != mesh._cpp_object.topology:
         raise ValueError(f"{name} belong to another mesh: give those of this one.")
-
-
-def read_wall(path: Path | str, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
-    """Read a wall on one process and distribute it.
-
-    Args:
-        path: A Gmsh file (`*.msh`) with named physical groups, or a file of another format with
-            cell data; see :mod:`dolfinx_feti.wall.wallfile`.
-        comm: Communicator of the mesh.
-        scale: Number of millimetres in the file's unit of length (1000 if that is the metre).
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ModuleNotFoundError: gmsh or meshio is needed and not installed.
-        ValueError: The file does not hold a valid wall, or the scale is not positive.
-
-    Note:
-        Collective; raises on all processes or on none.
-    """
-    if not (np.isfinite(scale) and scale > 0):
-        raise ValueError(
-            f"scale={scale} is not a positive number: give the number of millimetres in the file's "
-            "unit of length"
-        )
-    raw: list[RawWall] = []  # on the first process
-    on_first(lambda: raw.append(read_raw_wall(Path(path))), comm)
-    return distribute(raw[0] if raw else None, comm, scale=scale)
-
-
-def distribute(raw: RawWall | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
-    """Create the distributed mesh and its tags from what the first process has.
-
-    Args:
-        raw: The whole wall on the first process, None on the others. Its cells are tetrahedra or
-            hexahedra of first or second order, their nodes in dolfinx's order.
-        comm: Communicator of the mesh.
-        scale: Number of millimetres in the unit of its points.
-
-    Note:
-        Collective.
-    """
-    head = None
-    if raw is not None:
-        widths = raw.cells.shape[1], raw.facets.shape[1]
-        head = (*widths, raw.layer_names, raw.surface_names)
-    width, facet_width, layer_names, surface_names = comm.bcast(head, root=0)
-    none = np.zeros(0, dtype=np.int64)
-    points = np.zeros((0, 3)) if raw is None else scale * raw.points
-    cells = np.zeros((0, width), dtype=np.int64) if raw is None else raw.cells
-    facets = np.zeros((0, facet_width), dtype=np.int64) if raw is None else raw.facets
-    cell, order = CELLS[width]
-    element = basix.ufl.element("Lagrange", cell, order, shape=(3,), dtype=np.float64)
-    mesh = dolfinx.mesh.create_mesh(comm, cells, x=points, e=ufl.Mesh(element))
-    return Wall(
-        mesh=mesh,
-        cell_tags=_tags(mesh, 3, cells, none if raw is None else raw.layers),
-        facet_tags=_tags(mesh, 2, facets, none if raw is None else raw.surfaces),
-        layers=layer_names,
-        surfaces=surface_names,
-    )
-
-
-def _tags(
-    mesh: dolfinx.mesh.Mesh,
-    dim: int,
-    entities: npt.NDArray[np.int64],
-    values: npt.NDArray[np.int64],
-) -> dolfinx.mesh.MeshTags:
-    """Distribute the tags of entities, each given by its points in the file."""
-    entities, values = np.ascontiguousarray(entities), values.astype(np.int32)
-    mesh.topology.create_entities(dim)
-    local, local_values = dolfinx.io.distribute_entity_data(mesh, dim, entities, values)
-    mesh.topology.create_connectivity(dim, 0)
-    mesh.topology.create_connectivity(dim, 3)
-    links = dolfinx.graph.adjacencylist(local)
-    return dolfinx.mesh.meshtags_from_entities(mesh, dim, links, local_values.astype(np.int32))
 
 
 def facets(wall: Wall, name: str) -> npt.NDArray[np.int32]:

@@ -331,6 +331,6 @@ def test_disk_errors_reach_all(tmp_path, monkeypatch):
     def broken(path):
         raise PermissionError(f"{path} may not be read")
 
-    monkeypatch.setattr("dolfinx_feti.wall.wall.read_raw_wall", broken)
+    monkeypatch.setattr("dolfinx_feti.wall.reading.read_raw_wall", broken)
     with raises(PermissionError, "may not be read"):
         read_wall(EXAMPLE, COMM)

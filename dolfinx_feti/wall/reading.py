@@ -1,0 +1,109 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Walls from files, of any format, distributed to all processes.
+
+PETSc's log shows the phases: ``WallRead``, ``WallPartition`` (the mesh is distributed) and
+``WallTags`` (layers and surfaces are).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import basix.ufl
+import dolfinx
+import dolfinx.io
+import ufl
+
+from dolfinx_feti.runtime.collective import on_first
+from dolfinx_feti.runtime.events import event
+from dolfinx_feti.wall.wall import Wall
+from dolfinx_feti.wall.wallfile import CELLS, RawWall, read_raw_wall
+from dolfinx_feti.wall.xdmf import is_parallel, read_parallel
+
+__all__ = ["distribute", "read_wall"]
+
+
+def read_wall(path: Path | str, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
+    """Read a wall: on all processes from XDMF, on one from other formats, to be distributed.
+
+    Args:
+        path: A file of :func:`~dolfinx_feti.wall.xdmf.write_wall` (`*.xdmf`), which no process
+            holds as a whole; a Gmsh file (`*.msh`) with named physical groups, or a file of another
+            format with cell data, see :mod:`dolfinx_feti.wall.wallfile`.
+        comm: Communicator of the mesh.
+        scale: Number of millimetres in the file's unit of length (1000 if that is the metre).
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ModuleNotFoundError: gmsh or meshio is needed and not installed.
+        ValueError: The file does not hold a valid wall, or the scale is not positive.
+
+    Note:
+        Collective; raises on all processes or on none.
+    """
+    if not (np.isfinite(scale) and scale > 0):
+        raise ValueError(
+            f"scale={scale} is not a positive number: give the number of millimetres in the file's "
+            "unit of length"
+        )
+    path = Path(path)
+    if on_first(lambda: path.is_file() and is_parallel(path), comm):
+        return read_parallel(path, comm, scale=scale)
+    raw: list[RawWall] = []  # on the first process
+    with event("WallRead"):
+        on_first(lambda: raw.append(read_raw_wall(path)), comm)
+    return distribute(raw[0] if raw else None, comm, scale=scale)
+
+
+def distribute(raw: RawWall | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
+    """Create the distributed mesh and its tags from what the first process has.
+
+    Args:
+        raw: The whole wall on the first process, None on the others. Its cells are tetrahedra or
+            hexahedra of first or second order, their nodes in dolfinx's order.
+        comm: Communicator of the mesh.
+        scale: Number of millimetres in the unit of its points.
+
+    Note:
+        Collective.
+    """
+    head = None
+    if raw is not None:
+        widths = raw.cells.shape[1], raw.facets.shape[1]
+        head = (*widths, raw.layer_names, raw.surface_names)
+    width, facet_width, layer_names, surface_names = comm.bcast(head, root=0)
+    none = np.zeros(0, dtype=np.int64)
+    points = np.zeros((0, 3)) if raw is None else scale * raw.points
+    cells = np.zeros((0, width), dtype=np.int64) if raw is None else raw.cells
+    facets = np.zeros((0, facet_width), dtype=np.int64) if raw is None else raw.facets
+    cell, order = CELLS[width]
+    element = basix.ufl.element("Lagrange", cell, order, shape=(3,), dtype=np.float64)
+    with event("WallPartition"):
+        mesh = dolfinx.mesh.create_mesh(comm, cells, x=points, e=ufl.Mesh(element))
+    with event("WallTags"):
+        layers = _tags(mesh, 3, cells, none if raw is None else raw.layers)
+        surfaces = _tags(mesh, 2, facets, none if raw is None else raw.surfaces)
+    return Wall(mesh, layers, surfaces, layer_names, surface_names)
+
+
+def _tags(
+    mesh: dolfinx.mesh.Mesh,
+    dim: int,
+    entities: npt.NDArray[np.int64],
+    values: npt.NDArray[np.int64],
+) -> dolfinx.mesh.MeshTags:
+    """Distribute the tags of entities, each given by its points in the file."""
+    entities, values = np.ascontiguousarray(entities), values.astype(np.int32)
+    mesh.topology.create_entities(dim)
+    local, local_values = dolfinx.io.distribute_entity_data(mesh, dim, entities, values)
+    mesh.topology.create_connectivity(dim, 0)
+    mesh.topology.create_connectivity(dim, 3)
+    links = dolfinx.graph.adjacencylist(local)
+    return dolfinx.mesh.meshtags_from_entities(mesh, dim, links, local_values.astype(np.int32))

@@ -1,0 +1,137 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A wall in XDMF and HDF5, which all processes read and write, each its own share of the rows.
+
+The mesh is the grid ``mesh``; layers and surfaces are dolfinx's tags of cells and facets, in the
+grids of these names; what the tags are called stands in the light data. ParaView shows all three
+grids. Cells are those of :data:`~dolfinx_feti.wall.wallfile.CELLS`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import basix.ufl
+import dolfinx
+import dolfinx.io
+import ufl
+
+from dolfinx_feti.runtime.collective import on_all, on_first, reason
+from dolfinx_feti.runtime.events import event
+from dolfinx_feti.wall.wall import Wall
+
+__all__ = ["is_parallel", "read_parallel", "write_wall"]
+
+#: Where the grids stand in the light data, and where the names do.
+DOMAIN, NAMES = "/Xdmf/Domain", "names"
+
+
+def is_parallel(path: Path) -> bool:
+    """Tell whether a file is one that :func:`write_wall` has written. Serial."""
+    if path.suffix != ".xdmf":
+        return False
+    try:
+        root = ElementTree.parse(path).getroot()
+    except (ElementTree.ParseError, UnicodeDecodeError):
+        return False
+    return root.find(f"Domain/Information[@Name='{NAMES}']") is not None
+
+
+def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
+    """Read a wall on all processes: each reads a P-th of cells, points and facets.
+
+    Args:
+        path: A file of :func:`write_wall`, `*.xdmf`, beside its HDF5 file.
+        comm: Communicator of the mesh.
+        scale: Number of millimetres in the file's unit of length.
+
+    Raises:
+        ValueError: The file, or the HDF5 file beside it, cannot be read. On all processes.
+
+    Note:
+        Collective. PETSc's log shows the phases as ``WallRead``, ``WallPartition`` and
+        ``WallTags``.
+    """
+    try:
+        file = on_all(lambda: dolfinx.io.XDMFFile(comm, path, "r"), comm)
+        with file:
+            with event("WallRead"):
+                shape, degree = file.read_cell_type("mesh", DOMAIN)
+                cells = file.read_topology_data("mesh", DOMAIN)
+                x = scale * file.read_geometry_data("mesh", DOMAIN)
+            element = basix.ufl.element("Lagrange", shape.name, degree, shape=(3,), dtype=x.dtype)
+            with event("WallPartition"):
+                mesh = dolfinx.mesh.create_mesh(comm, cells, x=x, e=ufl.Mesh(element))
+                mesh.topology.create_entities(2)
+                mesh.topology.create_connectivity(2, 3)
+            with event("WallTags"):
+                layers, surfaces = (file.read_meshtags(mesh, n) for n in ("layers", "surfaces"))
+            names = json.loads(file.read_information(NAMES, DOMAIN))
+    except RuntimeError as error:
+        raise ValueError(
+            f"{path} cannot be read ({reason(error)}): its HDF5 file has to lie beside it; convert "
+            "the wall anew by python3 -m dolfinx_feti.wall.convert"
+        ) from error
+    return Wall(mesh, layers, surfaces, *names)
+
+
+def write_wall(path: Path | str, wall: Wall) -> None:
+    """Write a wall for all processes to read, whatever their number.
+
+    Two files are written aside and put in place at the end, `wall.h5` beside `wall.xdmf`.
+
+    Args:
+        path: The file, `*.xdmf`; its folder is made.
+        wall: The wall. Its lengths are written in millimetres.
+
+    Raises:
+        ValueError: The path has another ending. On all processes.
+        OSError: The folder cannot be written in. On all processes.
+
+    Note:
+        Collective.
+    """
+    path, comm = Path(path), wall.mesh.comm
+    if path.suffix != ".xdmf":
+        raise ValueError(f"path={str(path)!r}: give a name that ends in .xdmf")
+    aside = on_first(lambda: _folder_aside(path), comm)
+    grids: dict[str, Any] = {
+        "mesh": wall.mesh,
+        "layers": wall.cell_tags,
+        "surfaces": wall.facet_tags,
+    }
+    called = [grid.name for grid in grids.values()]
+    try:
+        for name, grid in grids.items():
+            grid.name = name
+        with dolfinx.io.XDMFFile(comm, aside / path.name, "w") as file:
+            file.write_mesh(wall.mesh)
+            for tags in (wall.cell_tags, wall.facet_tags):
+                file.write_meshtags(tags, wall.mesh.geometry)
+            file.write_information(NAMES, json.dumps([wall.layers, wall.surfaces]), DOMAIN)
+        on_first(lambda: _put_in_place(aside, path), comm)
+    finally:
+        for name, grid in zip(called, grids.values(), strict=True):
+            grid.name = name
+        if comm.rank == 0:
+            shutil.rmtree(aside, ignore_errors=True)
+
+
+def _folder_aside(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return Path(tempfile.mkdtemp(prefix=f".{path.stem}-", dir=path.parent))
+
+
+def _put_in_place(aside: Path, path: Path) -> None:
+    """Move both files, that which names the other one last."""
+    for suffix in (".h5", ".xdmf"):
+        os.replace((aside / path.name).with_suffix(suffix), path.with_suffix(suffix))

@@ -1,0 +1,134 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Walls in XDMF: what is written is read, and each process reads and holds its share alone."""
+
+from __future__ import annotations
+
+import gc
+import re
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, raises, small
+from wall_files import ROOT, on_first
+
+import dolfinx
+import ufl
+
+from dolfinx_feti.wall import area, convert, read_wall, write_wall
+from dolfinx_feti.wall.wall import extent
+from meshes.bricks import create_brick_tube
+from meshes.walls import create_wall
+
+EXAMPLE = ROOT / "meshes/example.msh"
+
+
+def volumes(wall):
+    """Volume of each layer [mm³]."""
+    dx = ufl.Measure("dx", wall.mesh, subdomain_data=wall.cell_tags)
+    one = dolfinx.fem.Constant(wall.mesh, 1.0)
+    parts = {n: dolfinx.fem.form(one * dx(tag)) for n, tag in wall.layers.items()}
+    return {n: COMM.allreduce(dolfinx.fem.assemble_scalar(form)) for n, form in parts.items()}
+
+
+def same(one, other):
+    agree(list(one.names.items()) == list(other.names.items()), other.names)
+    for dim in (0, 3):
+        count = [w.mesh.topology.index_map(dim).size_global for w in (one, other)]
+        agree(count[0] == count[1], count)
+    for name in one.surfaces:
+        small(area(other, name) / area(one, name) - 1.0, 1e-11)
+    for name, volume in volumes(one).items():
+        small(volumes(other)[name] / volume - 1.0, 1e-11)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("tetrahedra", [True, False])
+def test_what_is_written_is_read(tmp_path, order, tetrahedra):
+    """Straight and curved tetrahedra and hexahedra, their layers and surfaces."""
+    shape = {"length": 0.6, "size": 0.3, "order": order, "tetrahedra": tetrahedra}
+    wall = create_brick_tube(COMM, **shape)
+    called = wall.mesh.name, wall.cell_tags.name, wall.facet_tags.name
+    path = COMM.bcast(tmp_path / "new" / "tube.xdmf")
+    write_wall(path, wall)
+    agree(called == (wall.mesh.name, wall.cell_tags.name, wall.facet_tags.name))
+    agree(sorted(p.name for p in path.parent.iterdir()) == ["tube.h5", "tube.xdmf"])
+    same(wall, read_wall(path, COMM))
+    equal(extent(read_wall(path, COMM, scale=10.0).mesh), 10.0 * np.array(extent(wall.mesh)), 1e-12)
+
+
+def test_convert(tmp_path, capsys):
+    path = COMM.bcast(tmp_path / "example.xdmf")
+    convert.main([str(EXAMPLE), str(path)])
+    wall = read_wall(EXAMPLE, COMM)
+    same(wall, read_wall(path, COMM))
+    convert.main([str(path), str(path), "--scale", "2"])
+    small(area(read_wall(path, COMM), "lumen") / area(wall, "lumen") - 4.0, 1e-11)
+    for words in (["nowhere.msh", str(path)], [str(EXAMPLE), "wall.vtu"]):
+        with pytest.raises(SystemExit, match="2"):
+            convert.main(words)
+        said = capsys.readouterr().err
+        agree(COMM.rank > 0 or re.search("There is no file nowhere.msh|ends in .xdmf", said), said)
+
+
+def test_generated_walls_are_read_by_all(tmp_path):
+    """Their quality does not depend on the number of processes."""
+    folder = COMM.bcast(tmp_path)
+    wall, quality = create_wall("tube", COMM, size=0.4, folder=folder)
+    agree((folder / "tube_0.4.xdmf").is_file() and (folder / "tube_0.4.h5").is_file())
+    alone = on_first(lambda: create_wall("tube", MPI.COMM_SELF, size=0.4, folder=folder)[1])
+    agree(quality.histogram == alone.histogram and quality.points == alone.points)
+    small(quality.mean - alone.mean, 1e-12)
+    small(quality.volume / sum(volumes(wall).values()) - 1.0, 1e-11)
+
+
+@pytest.mark.parametrize("harm", ["missing", "cut"])
+def test_damaged_file(tmp_path, harm):
+    path = COMM.bcast(tmp_path / "wall.xdmf")
+    write_wall(path, read_wall(EXAMPLE, COMM))
+    data = path.with_suffix(".h5")
+    on_first(lambda: data.unlink() if harm == "missing" else data.write_bytes(b"no HDF5"))
+    with raises(ValueError, "wall.xdmf cannot be read .*HDF5 file has to lie beside it"):
+        read_wall(path, COMM)
+
+
+def test_wrong_ending():
+    with raises(ValueError, "path='wall.h5': give a name that ends in .xdmf"):
+        write_wall("wall.h5", read_wall(EXAMPLE, COMM))
+
+
+def status(name: str) -> float:
+    """A line of the process's status [bytes]."""
+    return 1024.0 * int(re.search(rf"{name}:\s+(\d+)", Path("/proc/self/status").read_text())[1])
+
+
+def read_so_far() -> int:
+    """Bytes that this process has read."""
+    return int(re.search(r"rchar: (\d+)", Path("/proc/self/io").read_text())[1])
+
+
+@pytest.mark.skipif(not Path("/proc/self/io").exists(), reason="counted by Linux")
+def test_no_process_holds_the_whole_wall(tmp_path):
+    """On P processes each reads a P-th of the file; its memory is in proportion, too.
+
+    What reading takes beyond the bytes read is measured: six times as much at its peak.
+    """
+    path = COMM.bcast(tmp_path / "tube.xdmf")
+    small_one = path.with_name("small.xdmf")
+    write_wall(small_one, create_brick_tube(COMM, length=0.6, size=0.3, order=1, tetrahedra=True))
+    write_wall(path, create_brick_tube(COMM, length=3.0, size=0.075, order=1, tetrahedra=True))
+    read_wall(small_one, COMM)  # whatever is loaded at first
+    gc.collect()
+    size = path.with_suffix(".h5").stat().st_size
+    agree(size > 6e6)
+    Path("/proc/self/clear_refs").write_text("5")  # the peak begins here
+    held, read = status("VmRSS"), read_so_far()
+    wall = read_wall(path, COMM)
+    agree(read_so_far() - read < 1.05 * size / COMM.size + 1e5)
+    agree(status("VmHWM") - held < 8.0 * size / COMM.size + 8e6)
+    shares = COMM.allgather(wall.mesh.topology.index_map(3).size_local)
+    agree(max(shares) < 1.2 * sum(shares) / COMM.size)
