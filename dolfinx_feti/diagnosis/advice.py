@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dolfinx_feti.diagnosis.figures import Figures
-from dolfinx_feti.feti.options import FETIOptions
 
 __all__ = ["Advice", "advise"]
 
@@ -28,11 +27,6 @@ JUMP = 3000.0
 
 #: Condition number above which a coarse space without soft modes is too small.
 CONDITION = 100.0
-
-#: Iterations of GMRES from which an unsymmetric matrix is worth other options, and these: they
-#: halve the iterations on a block whose upper rim is free under pressure (``docs/why_slow.md``).
-MANY_UNSYMMETRIC = 50
-MODES, THRESHOLD = 40, 0.1
 
 #: Dofs of the process or subdomain that has the most, over the mean.
 UNEVEN = 2.0
@@ -115,14 +109,6 @@ def advise(figures: Figures, *, iterations: int, prefix: str) -> tuple[Advice, .
             condition,
             CONDITION,
         )
-    better = _options_without_symmetry(report.options, prefix)
-    if not figures.symmetric and iterations > MANY_UNSYMMETRIC and better:
-        say(
-            f"The matrix is not symmetric: take {better}.",
-            "iterations of GMRES",
-            iterations,
-            MANY_UNSYMMETRIC,
-        )
     if figures.pressures_per_dof > PRESSURES and figures.pressure_stiffness > STIFFER:
         say(
             "Take P2 displacements or a smaller κ: with more pressures than dofs, a nearly "
@@ -147,13 +133,3 @@ def advise(figures: Figures, *, iterations: int, prefix: str) -> tuple[Advice, .
             0,
         )
     return tuple(advice)
-
-
-def _options_without_symmetry(options: FETIOptions, prefix: str) -> str:
-    """Return the options for an unsymmetric matrix that are not in force."""
-    wanted = {
-        "type classical": options.all_floating,
-        f"coarse_modes {MODES}": options.coarse_modes < MODES,
-        f"coarse_threshold {THRESHOLD:g}": options.coarse_threshold < THRESHOLD,
-    }
-    return " ".join(f"-{prefix}feti_{option}" for option, other in wanted.items() if other)

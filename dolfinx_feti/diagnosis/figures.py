@@ -54,7 +54,6 @@ class Figures:
 
     Attributes:
         report: What ``-ksp_view`` shows.
-        symmetric: Whether the matrices of all subdomains are symmetric.
         dofs_subdomain: Dofs of a subdomain.
         interface: Share of a subdomain's dofs that are on its interface.
         subdomains_process: Subdomains of a process.
@@ -72,7 +71,6 @@ class Figures:
     """
 
     report: Report
-    symmetric: bool
     dofs_subdomain: Spread
     interface: Spread
     subdomains_process: Spread
@@ -109,7 +107,6 @@ def collect_figures(form: Form, report: Report) -> Figures:
     pressures, stiffness = _pressure(torn)
     return Figures(
         report=report,
-        symmetric=form.pattern.symmetric,
         dofs_subdomain=Spread.of(sizes),
         interface=Spread.of(on_interface),
         subdomains_process=Spread.of(join([len(torn.subdomains)], comm)),

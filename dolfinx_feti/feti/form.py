@@ -4,8 +4,8 @@
 """The protocol that both forms of the method keep, and the choice between them.
 
 The system of the dual form is indefinite as soon as a subdomain would buckle alone. ``auto`` takes
-the primal form then, and where a pressure is condensed, if the matrix is symmetric, all K_ρ are
-positive definite, the preconditioner is Dirichlet's, and no dual Krylov method is asked for.
+the primal form then, and where a pressure is condensed, if all K_ρ are positive definite; and with
+an unsymmetric matrix. The preconditioner has to be Dirichlet's, and no dual Krylov method asked for.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dolfinx_feti.feti.solution import Monitor, Solution
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.operator import Operator
 
-__all__ = ["Form", "takes_primal"]
+__all__ = ["Form", "may_take_primal", "takes_primal"]
 
 Array = npt.NDArray[np.float64]
 
@@ -83,14 +83,18 @@ class Form(Protocol):
         """Free everything but the pattern."""
 
 
-def takes_primal(pattern: Pattern, inertia: Inertia) -> bool:
-    """Tell whether a matrix is solved in the primal form."""
+def may_take_primal(pattern: Pattern) -> bool:
+    """Tell whether the options allow the primal form."""
     choice = pattern.options.formulation
     if choice != "auto":
         return choice == "primal"
-    if inertia.local != 0 or not pattern.symmetric:
-        return False
-    if inertia.definite and pattern.torn.pressures is None:
-        return False
     asked = any(PETSc.Options(pattern.prefix + "dual_").hasName(f"ksp_{key}") for key in ASKED)
     return pattern.options.pc_type == "dirichlet" and not asked
+
+
+def takes_primal(pattern: Pattern, inertia: Inertia) -> bool:
+    """Tell whether a symmetric matrix is solved in the primal form."""
+    if pattern.options.formulation != "auto":
+        return may_take_primal(pattern)
+    safe = inertia.local == 0 and may_take_primal(pattern)
+    return safe and (not inertia.definite or pattern.torn.pressures is not None)

@@ -22,11 +22,17 @@ import numpy as np
 
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.feti.dual.form import create_dual_form
-from dolfinx_feti.feti.form import Form, takes_primal
+from dolfinx_feti.feti.form import Form, may_take_primal, takes_primal
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.pattern import Pattern, create_pattern
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace
-from dolfinx_feti.feti.primal.form import PrimalForm, create_lagged_form, create_primal_form
+from dolfinx_feti.feti.primal.form import (
+    PrimalForm,
+    PrimalPreconditioner,
+    create_preconditioner,
+    create_preconditioner_of_part,
+    create_primal_form,
+)
 from dolfinx_feti.feti.setup import set_up, set_up_operator
 from dolfinx_feti.feti.solution import RitzVectors
 from dolfinx_feti.torn.matrix import State, state_of
@@ -168,7 +174,8 @@ class Lasting:
         self.form = self._primal = self._last = None
         if primal is not None and lasts:
             try:
-                self.form = self._primal = self._lagged(pattern, primal)
+                preconditioner = primal.keep_preconditioner()
+                self.form = self._primal = self._with(preconditioner, pattern)
                 self.age += 1
                 return
             except SingularError:
@@ -178,25 +185,48 @@ class Lasting:
         elif form is not None:
             form.destroy()
         self._outdated, self.age, self._first = False, 0, np.nan
-        setup = set_up(pattern)
-        if takes_primal(pattern, setup.inertia):
-            self.form = self._primal = create_primal_form(
-                pattern, setup, self._vectors if self._most else None, most=self._most
-            )
-        else:
-            self.form = create_dual_form(pattern, setup)
+        self.form = new = self._new_form(pattern)
+        self._primal = new if isinstance(new, PrimalForm) else None
 
-    def _lagged(self, pattern: Pattern, last: PrimalForm) -> PrimalForm:
-        """Set up the present matrix with the preconditioner of the last form, which is used up."""
-        preconditioner = last.keep_preconditioner()
+    def _new_form(self, pattern: Pattern) -> Form:
+        """Set up the form of the present matrix with a preconditioner of its own.
+
+        Raises:
+            SetUpError: It cannot be set up.
+        """
+        if not pattern.symmetric and may_take_primal(pattern):
+            try:
+                return self._with(create_preconditioner_of_part(pattern), pattern)
+            except SetUpError:  # ½ (K + Kᵀ) may be singular where K is not
+                if self._options.formulation == "primal":
+                    raise
+        setup = set_up(pattern)
+        if not pattern.symmetric or not takes_primal(pattern, setup.inertia):
+            return create_dual_form(pattern, setup)
+        return create_primal_form(
+            pattern,
+            setup.near_kernel,
+            setup.operator,
+            create_preconditioner(pattern, setup),
+            self._vectors,
+            most=self._most,
+        )
+
+    def _with(self, preconditioner: PrimalPreconditioner, pattern: Pattern) -> PrimalForm:
+        """Set up the present matrix with a preconditioner of another one.
+
+        Raises:
+            SetUpError: It cannot be set up; the preconditioner is destroyed then.
+        """
         try:
             near_kernel, operator = set_up_operator(pattern)
         except SetUpError:
             preconditioner.destroy()
             raise
-        return create_lagged_form(
+        return create_primal_form(
             pattern, near_kernel, operator, preconditioner, self._vectors, most=self._most
         )
+
 
     @property
     def _most(self) -> int:

@@ -5,7 +5,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import partial
 
 from petsc4py import PETSc
 
@@ -19,7 +23,7 @@ from dolfinx_feti.runtime.connectivity import has_joined_copies
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["Pattern", "create_pattern"]
+__all__ = ["Pattern", "create_pattern", "symmetric_part"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +39,7 @@ class Pattern:
         gluing: The jumps B.
         dofs: Interface and interior of each subdomain.
         analysis: How the blocks of the subdomains are factored.
+        of_part: The same of ½ (K + Kᵀ), if K is not symmetric and the options allow the primal form.
     """
 
     options: FETIOptions
@@ -45,6 +50,7 @@ class Pattern:
     gluing: Gluing
     dofs: Dofs
     analysis: Analysis
+    of_part: Analysis | None
 
     def destroy(self) -> None:
         """Free everything."""
@@ -81,14 +87,41 @@ def create_pattern(A: PETSc.Mat, options: FETIOptions, prefix: str) -> Pattern:
     with event("FETIGluing"):
         gluing = Gluing(torn, all_floating=options.all_floating)
     dofs = sort_dofs(torn, gluing.glued, all_floating=options.all_floating)
+    find = partial(
+        analyse,
+        dofs=dofs,
+        choice=options.interior,
+        with_interior=options.pc_type == "dirichlet",
+        prefix=prefix,
+    )
+    of_part: Analysis | None = None
     with event("FETIFactor"):
-        analysis = analyse(
-            torn,
-            dofs,
-            options.interior,
-            symmetric=symmetric,
-            with_interior=options.pc_type == "dirichlet",
-            prefix=prefix,
-        )
+        analysis = find(torn, symmetric=symmetric)
+        if not symmetric and options.formulation != "dual":
+            with _symmetric_part(torn) as part:
+                of_part = find(part, symmetric=True)
     bodies = find_bodies(torn)
-    return Pattern(options, prefix, torn, symmetric, bodies, gluing, dofs, analysis)
+    return Pattern(options, prefix, torn, symmetric, bodies, gluing, dofs, analysis, of_part)
+
+
+@contextmanager
+def symmetric_part(pattern: Pattern) -> Iterator[Pattern]:
+    """Let the present matrix be ½ (K + Kᵀ), of which nothing is left afterwards. Collective."""
+    assert pattern.of_part is not None
+    with _symmetric_part(pattern.torn) as torn:
+        yield replace(pattern, torn=torn, symmetric=True, analysis=pattern.of_part, of_part=None)
+
+
+@contextmanager
+def _symmetric_part(torn: Torn) -> Iterator[Torn]:
+    """Yield the torn matrix with ½ (K + Kᵀ) in the place of K."""
+    part, K = copy(torn), torn.K.copy()
+    transposed = torn.K.transpose(PETSc.Mat())
+    K.axpy(1.0, transposed, structure=PETSc.Mat.Structure.UNKNOWN_NONZERO_PATTERN)
+    K.scale(0.5)
+    transposed.destroy()
+    part.K = K
+    try:
+        yield part
+    finally:
+        K.destroy()

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["CURVATURE", "STAGNATION", "Monitor", "RitzVectors", "Solution"]
+__all__ = ["CURVATURE", "RESTART", "STAGNATION", "Monitor", "RitzVectors", "Solution"]
 
 Array = npt.NDArray[np.float64]
 
@@ -25,6 +25,9 @@ CURVATURE = (
     PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT,
     PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC,
 )
+
+#: Iterations after which GMRES begins anew, as it keeps a vector or two for each.
+RESTART = 200
 
 #: Iterations without a new least residual that end a solve, for a fresh start.
 STAGNATION = 200

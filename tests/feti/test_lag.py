@@ -171,7 +171,7 @@ def test_set_up_that_fails_with_an_old_preconditioner_is_repeated(primal, monkey
     def fail(*args: object, **kwargs: object) -> None:
         raise SetUpError("the coarse problem could not be factored")
 
-    monkeypatch.setattr("dolfinx_feti.feti.lasting.create_lagged_form", fail)
+    monkeypatch.setattr("dolfinx_feti.feti.lasting.set_up_operator", fail)
     agree(check(problem, ksp) == 0)
 
 

@@ -13,6 +13,7 @@ from hand_torn import random_values, solve
 
 from dolfinx_feti.feti.dual.form import balanced_start, load, recover
 from dolfinx_feti.feti.dual.krylov import solve as krylov_solve
+from dolfinx_feti.feti.options import CHOICES
 
 SEED = 101013
 
@@ -180,9 +181,12 @@ def test_unsymmetric_matrix_is_solved_by_gmres(kind, torn_grid, feti):
     problem = torn_grid((2, 2), (3, 2), components=2, change=change)
     values = random_values(problem)
     expected = problem.solve(values)
-    for q in ("preconditioner", "diagonal", "identity"):
-        ksp = feti(problem.A, feti_type=kind, feti_coarse_q=q, ksp_rtol=1e-11)
+    dual = [{"formulation": "dual", "coarse_q": q} for q in CHOICES["coarse_q"]]
+    for options in ({}, *dual):
+        given = {f"feti_{name}": value for name, value in options.items()}
+        ksp = feti(problem.A, feti_type=kind, ksp_rtol=1e-11, **given)
         reason, x = solve(ksp, problem, values)
-        agree(reason > 0, ksp.getPythonContext().message)
-        agree(ksp.getPythonContext().method == "gmres")
+        context = ksp.getPythonContext()
+        agree(reason > 0, context.message)
+        agree((context.method, context.form.formulation == "dual") == ("gmres", bool(options)))
         equal(x, expected, 1e-8)

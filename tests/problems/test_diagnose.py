@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from bodies import two_wells
 from collective import COMM, agree, equal, small
-from land_beam import beam
 from problems import Problem, cube, dirichlet, elasticity, poisson
 from walls import tube, wall
 
@@ -223,21 +222,6 @@ def test_no_soft_modes():
     agree("condition number" in quantities(linear(hard, 6 * COMM.size, **weak)))
     agree("condition number" not in quantities(linear(hard, 6 * COMM.size)))
     agree("condition number" not in quantities(linear(body, 6 * COMM.size, feti_coarse_modes=0)))
-
-
-def test_unsymmetric_matrix(monkeypatch):
-    """Under a pressure with a free rim; what is set already is not advised."""
-    body = beam()
-    body.load.value = 0.0005
-    monkeypatch.setattr(advice, "MANY_UNSYMMETRIC", 5)
-    quantity = "iterations of GMRES"
-    agree(quantity not in quantities(body.problem("symmetric")))
-    problem = body.problem("full", ksp_rtol=1e-6, feti_coarse_modes=40)
-    (said,) = (a.text for a in problem.diagnose().advice if a.quantity == quantity)
-    agree("feti_type classical" in said and "feti_coarse_threshold 0.1." in said, said)
-    agree("feti_coarse_modes" not in said, said)
-    best = {"feti_type": "classical", "feti_coarse_modes": 40, "feti_coarse_threshold": 0.1}
-    agree(quantity not in quantities(body.problem("full", ksp_rtol=1e-6, **best)))
 
 
 @pytest.mark.parametrize("degree", [1, 2])

@@ -8,9 +8,9 @@ r"""The averaged coarse space and its Galerkin matrix.
 (Mandel 1993, Fragakis and Papadrakakis 2003) with columns :math:`U_i` of each subdomain on its
 interface, (n_i, k_i): its regularised kernel E (``pseudoinverse``) and others, such as those of
 ``adaptive``. :math:`W_i` holds the columns of subdomain i and those of its neighbours, (n_i, c_i).
-With :math:`Y_i = S_i W_i` the projection
+With :math:`Y_i = S_i^⊤ W_i` the projection
 
-.. math:: z ← z - V A_0^{-1} (A V)^⊤ z, \qquad (A V)^⊤ z = \sum_i Y_i^⊤ (T z)_i
+.. math:: z ← z - V A_0^{-1} V^⊤ A\, z, \qquad V^⊤ A\, z = \sum_i Y_i^⊤ (T z)_i
 
 of the primal method takes two dense products for each subdomain, a coarse solve, and an average.
 To both methods A₀ may prove that A is indefinite: A has at least as many negative eigenvalues. V
@@ -130,6 +130,7 @@ class AveragedSpace:
         S: Operator,
         *,
         prefix: str,
+        symmetric: bool = True,
         combinations: scipy.sparse.csr_array | None = None,
     ) -> None:
         """Form and factor the Galerkin matrix. Collective.
@@ -138,6 +139,7 @@ class AveragedSpace:
             V: The columns; the caller destroys them after this.
             S: Applies S_i.
             prefix: Options prefix of the coarse solver.
+            symmetric: Whether K is; if not, A₀ is factored by LU and tells no negative eigenvalues.
             combinations: Those that another matrix has shown to be independent; None to look for
                 them.
 
@@ -151,20 +153,20 @@ class AveragedSpace:
         def elements() -> Iterator[Array]:
             for i in range(len(V.W)):
                 W_i = V.W[i]
-                self.AV.append(S.multiply_panels(i, W_i))  # Y = S W
-                yield W_i.overlap(self.AV[i])  # Wᵀ Y
+                self.AV.append(S.multiply_panels(i, W_i, transpose=not symmetric))  # Y = Sᵀ W
+                yield W_i.overlap(self.AV[i]).T  # Yᵀ W
 
         energies = V.near.sum(elements())
         self.combinations = _independent(energies, V.own) if combinations is None else combinations
         self.A_0 = _change_of_basis(energies, self.combinations)
         anchor(self.A_0, self._null_vectors(null_space(S.torn)[V.copies.dofs]))
-        self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self.dropped = V.total - self.A_0.getSize()[0]
         self._x, self._y = self.A_0.createVecs()
-        self.solver = GatheredSolver(self.A_0, prefix=prefix, symmetric=True, zero=ZERO_PIVOT)
+        self.solver = GatheredSolver(self.A_0, prefix=prefix, symmetric=symmetric, zero=ZERO_PIVOT)
         self._negative = self.solver.pivots().negative
         self._shifted: PETSc.Mat | None = None
-        if self._negative != 0:  # perhaps by rounding, or not known
+        if symmetric and self._negative != 0:  # perhaps by rounding, or not known
             self._shifted = self._with_rounding(S)
             if self._negative is not None:
                 solver = GatheredSolver(self._shifted, prefix=prefix, symmetric=True)
@@ -176,12 +178,12 @@ class AveragedSpace:
         return self.V.prolong(self.solve(self.V.restrict(r)))
 
     def correct(self, z: Array, r: Array) -> Array:
-        """Return z + V A₀⁻¹ (Vᵀ r − (A V)ᵀ z), of and by copies, (n,). Collective.
+        """Return z + V A₀⁻¹ Vᵀ (r − A z), of and by copies, (n,). Collective.
 
         It is the projection of z, and takes out what rounding leaves of r along V.
         """
         blocks = zip(self.AV, self.V.copies.blocks, strict=True)
-        energies = self.V.near.to_owners(joined([Y.T @ z[rows] for Y, rows in blocks]))  # (A V)ᵀ z
+        energies = self.V.near.to_owners(joined([Y.T @ z[rows] for Y, rows in blocks]))  # Vᵀ A z
         return z + self.V.prolong(self.solve(self.V.restrict(r) - energies))
 
     def solve(self, e: Array) -> Array:

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.feti.dual.stopping import StoppingTest
 from dolfinx_feti.feti.dual.system import DualSystem
-from dolfinx_feti.feti.solution import Monitor, Solution
+from dolfinx_feti.feti.solution import RESTART, Monitor, Solution
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_options import inserted
 
@@ -33,9 +33,6 @@ CG = ("cg", "fcg", "pipecg")
 
 #: Methods for symmetric systems.
 SYMMETRIC = (*CG, "minres", "symmlq")
-
-#: Vectors that GMRES keeps before it begins anew.
-RESTART = 200
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The primal form: conjugate gradients on the assembled interface.
+"""The primal form: conjugate gradients, or GMRES, on the assembled interface.
 
-In the order of the data: adaptive, deflation, cg, form.
+In the order of the data: adaptive, deflation, cg, gmres, form.
 """

@@ -35,7 +35,7 @@ from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace, Trace
 from dolfinx_feti.feti.solution import STAGNATION, Monitor
 
-__all__ = ["Outcome", "PrimalSystem", "conjugate_gradients"]
+__all__ = ["Outcome", "PrimalSystem", "conjugate_gradients", "converged_reason"]
 
 #: Share of ‖r‖² below which rounding would be felt in ‖r − α q‖² = ‖r‖² − 2 α rᵀ q + α² ‖q‖².
 CANCELLED = 1e-8
@@ -77,7 +77,7 @@ class PrimalSystem:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The end of conjugate gradients.
+    """The end of an iterative solution.
 
     Attributes:
         x: The iterate with the least residual, by its copies, (n,).
@@ -130,7 +130,7 @@ def conjugate_gradients(
     direction = space.negative_direction()
     best, least, at = x, norm, 0
     reason = Reason.ITERATING if direction is None else Reason.DIVERGED_INDEFINITE_MAT
-    while not reason and not (reason := _reason(norm, target, len(α), max_it)):
+    while not reason and not (reason := converged_reason(norm, target, len(α), max_it)):
         last = ρ
         z, ρ = system.precondition(r)
         β.append(ρ / last)
@@ -157,17 +157,24 @@ def conjugate_gradients(
             elif len(α) - at >= STAGNATION:
                 reason = Reason.CONVERGED_ITS
     k = min(len(α), traced)
-    trace = Trace(R[:k], Z[:k], np.array(α[:k]), np.array(β[:k]))
+    trace = Trace(R[:k], Z[: max(k - 1, 0)], _hessenberg(np.array(α[:k]), np.array(β[:k])))
     return Outcome(best, reason, len(α), least, ritz_values(α, β), trace, direction)
 
 
-def _reason(norm: float, target: float, its: int, max_it: int) -> int:
+def converged_reason(norm: float, target: float, its: int, max_it: int) -> int:
     """Return the converged reason after an iteration."""
     if not np.isfinite(norm):
         return Reason.DIVERGED_NANORINF
     if norm <= target:
         return Reason.CONVERGED_RTOL
     return Reason.DIVERGED_MAX_IT if its == max_it else Reason.ITERATING
+
+
+def _hessenberg(α: Array, β: Array) -> Array:
+    """Return H with A Z = R H for iterations that are scaled to rᵀ z = 1, (k, k − 1)."""
+    k, root = max(len(α) - 1, 0), np.sqrt(β)
+    L = (np.eye(k + 1, k) - np.diag(root[1:], -1)[:, :k]) / α[:k]
+    return L @ (np.eye(k) - np.diag(root[1:k], 1))  # A P = R L, z_j = p_j − √β_j p_{j−1}
 
 
 def ritz_values(α: list[float], β: list[float]) -> Array:

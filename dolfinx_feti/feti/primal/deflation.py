@@ -3,19 +3,17 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Deflation of the primal form: small eigenvalues that one Newton step leaves to the next.
 
-.. math:: Π = I - V A_0^{-1} (A V)^⊤ - W H^{-1} (A W)^⊤, \qquad H = W^⊤ A W,
+.. math:: Π = (I - W H^{-1} W^⊤ A)(I - V A_0^{-1} V^⊤ A), \qquad H = W^⊤ A W, \quad V^⊤ A W = 0,
 
-with fields W near the eigenvectors, A-orthogonal to V, keeps all residuals orthogonal to W, so that
-conjugate gradients no longer see that part of the spectrum (Saad et al. 2000).
+with fields W near the eigenvectors keeps all residuals orthogonal to W, so that conjugate gradients
+no longer see that part of the spectrum (Saad et al. 2000).
 
 W holds Ritz vectors of the smallest Ritz values in the span of the W of the last solve and its
 preconditioned residuals :math:`Z = Π M R`, :math:`M = T^⊤ δ K_ρ^{-1} δ T`. With
 :math:`Q = M^{-1} W` and :math:`W^⊤ Q = I`, as an earlier choice has left them, :math:`N = Q^⊤ Z`
 gives :math:`M^{-1} Z = R + Q N` and the matrices of A and :math:`M^{-1}` (docs/theory.md). No
-product is needed: for :math:`r^⊤ z = 1`, the coefficients α, β and directions p of the iterations
-give
-
-.. math:: A p_j = (r_j - \sqrt{β_{j+1}}\, r_{j+1}) / α_j, \qquad z_j = p_j - \sqrt{β_j}\, p_{j-1}.
+product is needed, as the iterations know :math:`A Z = R H`. Of an unsymmetric A the symmetric parts
+are taken.
 
 The Gram matrices are formed in full, since rounding spoils the orthogonality of the residuals. Q
 stays for the next matrices: the matrix of :math:`M^{-1}` still is a scalar product.
@@ -28,6 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import scipy.linalg
 
 from dolfinx_feti.feti.coarse.space import MARGIN, AveragedSpace, estimated_norms
 from dolfinx_feti.feti.gluing.copies import Copies
@@ -55,19 +54,17 @@ LOST_ENERGY = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """The first k iterations of a solve; the vectors are scaled to rᵀ z = 1, by their copies.
+    """The first k iterations of a solve, A Z = R H; vectors are rows, by their copies.
 
     Attributes:
-        R: Residuals r, (k, n).
+        R: Residuals r in any scale, (k + 1, n).
         Z: Preconditioned residuals z, (k, n).
-        alpha: α of each, (k,).
-        beta: β of each, (k,).
+        H: Their relation, (k + 1, k).
     """
 
     R: Array
     Z: Array
-    alpha: Array
-    beta: Array
+    H: Array
 
 
 class DeflatedSpace:
@@ -85,7 +82,7 @@ class DeflatedSpace:
         Args:
             space: The coarse space V.
             copies: Copies of the interface dofs.
-            multiply: Applies S_i to columns, ``multiply(i, X)``, (n_i, c) → (n_i, c).
+            multiply: Applies S_iᵀ to columns, ``multiply(i, X)``, (n_i, c) → (n_i, c).
             vectors: What earlier solves have left, if there were any.
 
         Raises:
@@ -97,14 +94,14 @@ class DeflatedSpace:
             vectors = vectors or RitzVectors(np.zeros((copies.n, 0)), np.zeros((copies.n, 0)))
             W, zero = np.empty_like(vectors.W), np.zeros(copies.n)
             for j in range(W.shape[1]):
-                W[:, j] = space.correct(vectors.W[:, j], zero)  # W ← W − V A₀⁻¹ (A V)ᵀ W
+                W[:, j] = space.correct(vectors.W[:, j], zero)  # W ← W − V A₀⁻¹ Vᵀ A W
             squares, Y = np.linalg.eigh(self._product(W, copies.delta[:, None] * W))
             Y = Y[:, squares > INSIDE * squares.max(initial=0.0)]
             self._W, self._Q = W @ Y, vectors.Q @ Y
             self._SW = on_subdomains(lambda: _images(copies, multiply, self._W), copies.comm)
-            self._H = symmetric_part(self._product(self._W, self._SW))  # H = Wᵀ A W
+            self._H = self._product(self._SW, self._W)  # H = Wᵀ A W
             values, Y = diagonalising(self._H, LOST_ENERGY)
-            self._inverse = (Y / values) @ Y.T  # H⁻¹
+            self._inverse = Y @ np.linalg.solve(Y.T @ self._H @ Y, Y.T)  # H⁻¹
             if values.min(initial=0.0) < 0.0:
                 v = self._W @ Y[:, 0]  # vᵀ A v = values[0]
                 if values[0] < -MARGIN * self.rounding(v):
@@ -116,15 +113,15 @@ class DeflatedSpace:
         return self._W.shape[1]
 
     def initial_guess(self, r: Array) -> Array:
-        """Return (V A₀⁻¹ Vᵀ + W H⁻¹ Wᵀ) r of an assembled residual, by copies, (n,). Collective."""
+        """Return x of V and W with Vᵀ (r − A x) = 0, Wᵀ (r − A x) = 0, by copies, (n,). Collective."""
         x = self._space.initial_guess(r)
         if not self.count:
             return x
-        overlap = self._product(self._W, self._copies.delta * r)  # Wᵀ r
-        return np.asarray(x + self._W @ (self._inverse @ overlap))
+        own = self._W.T @ (self._copies.delta * r) - self._SW.T @ x
+        return np.asarray(x + self._W @ (self._inverse @ total_of(own, self._copies.comm)))
 
     def correct_with_product(self, z: Array, r: Array) -> tuple[Array, float]:
-        """Return z + V A₀⁻¹ (Vᵀ r − (A V)ᵀ z) + W H⁻¹ (Wᵀ r − (A W)ᵀ z), (n,), and rᵀ of it.
+        """Return z ← z + V A₀⁻¹ Vᵀ (r − A z), then z + W H⁻¹ Wᵀ (r − A z), (n,), and rᵀ of it.
 
         All by copies; both products of W and that with r take one reduction. Collective.
         """
@@ -141,18 +138,15 @@ class DeflatedSpace:
 
     def ritz_vectors(self, trace: Trace, *, most: int) -> RitzVectors:
         """Choose at most ``most`` vectors that the iterations leave to later solves. Collective."""
-        k, r = len(trace.Z) - 1, self.count  # A p takes the next residual
+        k, r = len(trace.Z), self.count
         if k < 1:
             return RitzVectors(self._W, self._Q)
-        α, root = trace.alpha, np.sqrt(trace.beta)
-        Z, R, δ = trace.Z[:k].T, trace.R.T, self._copies.delta[:, None]
+        Z, R, δ = trace.Z.T, trace.R.T, self._copies.delta[:, None]
         G = self._product(Z, δ * R)  # Zᵀ R, (k, k + 1)
         N = self._product(δ * self._Q, Z)  # N = Qᵀ Z
         if not (np.isfinite(G).all() and np.isfinite(N).all()):
             return RitzVectors(self._W, self._Q)
-        B = (G[:, :k] - root[1 : k + 1] * G[:, 1:]) / α[:k]  # B = Zᵀ A P
-        C = B - root[:k] * np.pad(B, ((0, 0), (1, 0)))[:, :k]  # C = Zᵀ A Z
-        A = np.block([[self._H, np.zeros((r, k))], [np.zeros((k, r)), symmetric_part(C)]])
+        A = scipy.linalg.block_diag(self._H, G @ trace.H)  # Zᵀ A Z = Zᵀ R H
         S = np.block([[np.eye(r), N], [N.T, symmetric_part(G[:, :k]) + N.T @ N]])
         values, T = diagonalising(S, LOST_ENERGY)
         T /= np.sqrt(np.abs(values))  # Tᵀ S T = I

@@ -6,13 +6,13 @@ r"""The primal form: the assembled interface problem set up for a matrix, and so
 .. math:: A\, x = T^⊤ \hat f_Γ, \qquad A = T^⊤ S\, T, \qquad
           \hat f_Γ = f_Γ - K_{ΓI} K_{II}^{-1} f_I, \qquad f = δ\, T r - K u_D,
 
-by conjugate gradients with the preconditioner of ``cg``; then :math:`u_Γ = T x` and
-:math:`u_I = K_{II}^{-1} (f_I - K_{IΓ} u_Γ)`. The coarse space holds the averaged motions E of the
+by conjugate gradients with the preconditioner of ``cg``, or ``gmres`` if K is not symmetric; then
+:math:`u_Γ = T x` and :math:`u_I = K_{II}^{-1} (f_I - K_{IΓ} u_Γ)`. The coarse space holds the averaged motions E of the
 subdomains and columns that bound what averages cost (``adaptive``).
 
 :math:`K_ρ^{-1}`, the columns of V and the weights δ make a preconditioner of A whatever matrix they
-belong to. So a form has an operator of now, S, with A V and A₀, and a preconditioner of now or of
-an earlier matrix. In the same way Ritz vectors of solves with earlier matrices join V
+belong to. So a form has an operator of now, S, with Vᵀ A and A₀, and a preconditioner of now or of
+an earlier matrix; if K is not symmetric, of its symmetric part. In the same way Ritz vectors of solves with earlier matrices join V
 (``deflation``).
 """
 
@@ -32,12 +32,13 @@ from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.gluing.weights import Weights
 from dolfinx_feti.feti.inertia import Inertia
-from dolfinx_feti.feti.pattern import Pattern
+from dolfinx_feti.feti.pattern import Pattern, symmetric_part
 from dolfinx_feti.feti.primal.adaptive import adaptive_columns
 from dolfinx_feti.feti.primal.cg import PrimalSystem, conjugate_gradients
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace
+from dolfinx_feti.feti.primal.gmres import gmres
 from dolfinx_feti.feti.regularity.singularity import require_held
-from dolfinx_feti.feti.setup import Setup, sum_if_known
+from dolfinx_feti.feti.setup import Setup, set_up, sum_if_known
 from dolfinx_feti.feti.solution import Monitor, RitzVectors, Solution
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.operator import Operator
@@ -47,7 +48,8 @@ from dolfinx_feti.runtime.events import event
 __all__ = [
     "PrimalForm",
     "PrimalPreconditioner",
-    "create_lagged_form",
+    "create_preconditioner",
+    "create_preconditioner_of_part",
     "create_primal_form",
     "solve_on_interface",
 ]
@@ -123,9 +125,17 @@ class PrimalForm:
     most: int
 
     formulation = "primal"
-    solves_indefinite = False
-    method = "cg"
     users_test = False
+
+    @property
+    def method(self) -> str:
+        """PETSc's name of the Krylov method."""
+        return "cg" if self.pattern.symmetric else "gmres"
+
+    @property
+    def solves_indefinite(self) -> bool:
+        """Whether it solves with an indefinite matrix."""
+        return not self.pattern.symmetric
 
     @property
     def delta(self) -> Array:
@@ -160,7 +170,8 @@ class PrimalForm:
         f = self.delta * torn.tear(r) - torn.multiply(u_D)
         f[torn.dirichlet] = 0.0  # f = δ T r − K u_D
         with event("FETIIterations"):
-            outcome = conjugate_gradients(
+            iterate = conjugate_gradients if self.pattern.symmetric else gmres
+            outcome = iterate(
                 self.system,
                 self.operator.condense(f)[Γ],
                 target=target,
@@ -203,30 +214,23 @@ class PrimalForm:
             owned.destroy()
 
 
-def create_primal_form(
-    pattern: Pattern, setup: Setup, vectors: RitzVectors | None = None, *, most: int = 0
-) -> PrimalForm:
-    """Build the coarse space of the present matrix. Collective.
+def create_preconditioner(pattern: Pattern, setup: Setup) -> PrimalPreconditioner:
+    """Build the coarse columns of a symmetric matrix. Collective.
 
     Args:
         pattern: What depends on the pattern.
-        setup: The parts of the matrix, which belong to the form from now on.
-        vectors: What solves with earlier matrices have left.
-        most: Ritz vectors that a solve leaves to those of later matrices, at most.
-
-    Returns:
-        The form; the caller destroys it before the pattern.
+        setup: The parts of the matrix, which belong to the preconditioner from now on, but for the
+            operator.
 
     Raises:
-        SetUpError: The matrix is not symmetric, S is not there, or a body is not held; the parts
-            are destroyed then.
+        SetUpError: S is not there, or the work on a subdomain failed; all parts are destroyed then.
     """
     torn, options, S = pattern.torn, pattern.options, setup.operator
-    if not pattern.symmetric or options.pc_type != "dirichlet":
+    if options.pc_type != "dirichlet":
         setup.destroy()
         raise SetUpError(
-            f"-{pattern.prefix}formulation is primal, which takes a symmetric matrix and "
-            f"-{pattern.prefix}pc_type dirichlet: let it be dual or auto."
+            f"-{pattern.prefix}formulation is primal, which takes -{pattern.prefix}pc_type "
+            "dirichlet: let it be dual or auto."
         )
     copies = Copies(torn, S.interface, setup.weights.delta)
     try:
@@ -245,11 +249,23 @@ def create_primal_form(
         copies.destroy()
         setup.destroy()
         raise
-    preconditioner = PrimalPreconditioner(setup.weights, setup.inverse, setup.inertia, copies, V)
-    return create_lagged_form(pattern, setup.near_kernel, S, preconditioner, vectors, most=most)
+    return PrimalPreconditioner(setup.weights, setup.inverse, setup.inertia, copies, V)
 
 
-def create_lagged_form(
+def create_preconditioner_of_part(pattern: Pattern) -> PrimalPreconditioner:
+    """Build the preconditioner of the present matrix from ½ (K + Kᵀ). Collective.
+
+    Raises:
+        SetUpError: It cannot be set up.
+    """
+    with symmetric_part(pattern) as part:
+        setup = set_up(part)
+        preconditioner = create_preconditioner(part, setup)
+        setup.operator.destroy()
+    return preconditioner
+
+
+def create_primal_form(
     pattern: Pattern,
     near_kernel: Array,
     operator: Operator,
@@ -258,13 +274,13 @@ def create_lagged_form(
     *,
     most: int = 0,
 ) -> PrimalForm:
-    """Build the form of the present matrix with its preconditioner or an earlier one. Collective.
+    """Build the form of the present matrix with a preconditioner of it or another. Collective.
 
     Args:
         pattern: What depends on the pattern.
         near_kernel: Rigid body modes of the present matrix on the torn dofs, (n, k).
         operator: S of the present matrix, which belongs to the form from now on.
-        preconditioner: That of this or an earlier matrix, likewise.
+        preconditioner: That of this matrix, of its symmetric part, or of an earlier one, likewise.
         vectors: What solves with earlier matrices have left.
         most: Ritz vectors that a solve leaves to those of later matrices, at most.
 
@@ -275,7 +291,13 @@ def create_lagged_form(
     try:
         with event("FETICoarse"):
             require_held(pattern.torn, pattern.bodies, near_kernel, definite=False)
-            space = AveragedSpace(preconditioner.V, S, prefix=prefix, combinations=known)
+            space = AveragedSpace(
+                preconditioner.V,
+                S,
+                prefix=prefix,
+                symmetric=pattern.symmetric,
+                combinations=known,
+            )
     except SetUpError:
         S.destroy()
         preconditioner.destroy()
@@ -283,13 +305,14 @@ def create_lagged_form(
     negative = space.negative()
     inside = sum_if_known(S.negative_interior(), pattern.torn.comm)
     proved = None if negative is None or inside is None else negative + inside
+    transposed = partial(S.multiply_many, transpose=not pattern.symmetric)
     return PrimalForm(
         pattern=pattern,
         near_kernel=near_kernel,
         operator=S,
         preconditioner=preconditioner,
         coarse=space,
-        deflation=DeflatedSpace(space, preconditioner.copies, S.multiply_many, vectors),
+        deflation=DeflatedSpace(space, preconditioner.copies, transposed, vectors),
         inertia=replace(preconditioner.inertia, interior=inside, assembled=proved),
         most=most,
     )

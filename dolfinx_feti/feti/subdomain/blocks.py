@@ -98,15 +98,17 @@ def sparse_block(K: PETSc.Mat, rows: Indices, columns: Indices) -> scipy.sparse.
     return scipy.sparse.csr_array((values, indices, indptr), shape=(len(rows), len(columns)))
 
 
-def product_many(K: PETSc.Mat, rows: Indices, columns: Indices, X: Array) -> Array:
-    """Return ``K[rows, columns] X`` for a dense X, (len(columns), r)."""
+def product_many(
+    K: PETSc.Mat, rows: Indices, columns: Indices, X: Array, *, transpose: bool = False
+) -> Array:
+    """Return ``K[rows, columns] X``, or that of Kᵀ, for a dense X, (len(columns), r)."""
     if 0 in (len(rows), len(columns), X.shape[1]):
         return np.zeros((len(rows), X.shape[1]))
-    row_set, column_set = index_set(rows), index_set(columns)
+    row_set, column_set = map(index_set, (columns, rows) if transpose else (rows, columns))
     block = K.createSubMatrix(row_set, column_set)
     dense = PETSc.Mat().createDense(X.shape, array=np.asfortranarray(X), comm=PETSc.COMM_SELF)
     dense.assemble()
-    image = block.matMult(dense)
+    image = block.transposeMatMult(dense) if transpose else block.matMult(dense)
     Y = image.getDenseArray().copy()
     for owned in (row_set, column_set, block, dense, image):
         owned.destroy()

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import partial
 
 from petsc4py import PETSc
 
@@ -78,12 +79,12 @@ class Operator(ABC):
         """Return S t, (n,) → (n,), for a t that is zero off the interface."""
 
     @abstractmethod
-    def multiply_many(self, i: int, X: Array) -> Array:
-        """Return S_i X for columns on the interface, (n_Γ, r)."""
+    def multiply_many(self, i: int, X: Array, *, transpose: bool = False) -> Array:
+        """Return S_i X, or S_iᵀ X, for columns on the interface, (n_Γ, r)."""
 
     @abstractmethod
-    def multiply_panels(self, i: int, W: Panels) -> Array:
-        """Return S_i W for block-sparse columns on the interface, (n_Γ, r)."""
+    def multiply_panels(self, i: int, W: Panels, *, transpose: bool = False) -> Array:
+        """Return S_i W, or S_iᵀ W, for block-sparse columns on the interface, (n_Γ, r)."""
 
     @abstractmethod
     def local_product(self, i: int, X: Array) -> Array:
@@ -181,13 +182,14 @@ class KeptInterior(Operator):
             St[Γ] = y[Γ] - _product(self._rows, self._solve_inside(y))  # K_ΓΓ t − K_ΓI K_II⁻¹ y_I
         return St
 
-    def multiply_many(self, i: int, X: Array) -> Array:
-        Γ, I, K = self.interface[i], self.interior[i], self.torn.K  # noqa: E741
-        Y = self.interior_factors[i].solve(product_many(K, I, Γ, X))  # K_II⁻¹ K_IΓ X
-        return product_many(K, Γ, Γ, X) - product_many(K, Γ, I, Y)
+    def multiply_many(self, i: int, X: Array, *, transpose: bool = False) -> Array:
+        Γ, I = self.interface[i], self.interior[i]  # noqa: E741
+        K = partial(product_many, self.torn.K, transpose=transpose)
+        Y = self.interior_factors[i].solve(K(I, Γ, X), transpose=transpose)  # K_II⁻¹ K_IΓ X
+        return K(Γ, Γ, X) - K(Γ, I, Y)
 
-    def multiply_panels(self, i: int, W: Panels) -> Array:
-        return self.multiply_many(i, W.dense())
+    def multiply_panels(self, i: int, W: Panels, *, transpose: bool = False) -> Array:
+        return self.multiply_many(i, W.dense(), transpose=transpose)
 
     def local_product(self, i: int, X: Array) -> Array:
         return product_many(self.torn.K, self.dofs[i], self.dofs[i], X)  # K_i X
@@ -215,7 +217,7 @@ class KeptInterior(Operator):
 
 
 class EliminatedInterior(Operator):
-    """S formed, in packed format."""
+    """S formed, in packed format; it is symmetric."""
 
     eliminated = True
 
@@ -239,10 +241,10 @@ class EliminatedInterior(Operator):
                 St[rows] = S.multiply(t[rows])
         return St
 
-    def multiply_many(self, i: int, X: Array) -> Array:
+    def multiply_many(self, i: int, X: Array, *, transpose: bool = False) -> Array:
         return self._S[i].multiply_many(X)
 
-    def multiply_panels(self, i: int, W: Panels) -> Array:
+    def multiply_panels(self, i: int, W: Panels, *, transpose: bool = False) -> Array:
         return self._S[i].multiply_panels(W)
 
     def local_product(self, i: int, X: Array) -> Array:

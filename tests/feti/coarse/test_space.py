@@ -101,7 +101,7 @@ def test_columns_and_their_choice_serve_another_matrix(repeated):
     class Doubled:
         torn = twice.parts.operator.torn
 
-        def multiply_panels(self, i, W):
+        def multiply_panels(self, i, W, *, transpose):
             return 2.0 * twice.parts.operator.multiply_panels(i, W)
 
         def multiply_many(self, i, W):
@@ -125,7 +125,7 @@ def test_product_that_fails_on_one_process(torn_grid, form):
     class Failing:
         multiply_many = S.multiply_many
 
-        def multiply_panels(self, i, W):
+        def multiply_panels(self, i, W, *, transpose):
             if COMM.rank == COMM.size - 1 and i == len(primal.copies.blocks) - 1:
                 raise FactorError("no memory for S W")
             return S.multiply_panels(i, W)

@@ -112,7 +112,7 @@ def test_iteration_waits_three_times(count, monkeypatch, torn_grid, form):
     ends = []
     for iterations in (2, 6):
         calls.clear()
-        agree(len(iterate(system, f, rtol=1e-300, max_it=iterations).trace.Z) == iterations)
+        agree(len(iterate(system, f, rtol=1e-300, max_it=iterations).trace.R) == iterations)
         ends.append(len(calls))
     agree(ends[1] - ends[0] == 4 * 3, ends)
 

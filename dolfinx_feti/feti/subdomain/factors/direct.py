@@ -23,6 +23,7 @@ __all__ = [
     "pivots_of",
     "prepare_mumps",
     "set_default_factor",
+    "solve_many",
     "takes_ldlt",
 ]
 
@@ -124,6 +125,23 @@ def prepare_mumps(pc: PETSc.PC, percent: int, zero: float | None = None) -> None
         F.setMumpsIcntl(24, 1)  # count zero pivots instead of dividing by them
         if zero is not None:
             F.setMumpsCntl(3, zero)
+
+
+def solve_many(pc: PETSc.PC, B: PETSc.Mat, X: PETSc.Mat, *, transpose: bool = False) -> None:
+    """Solve for the columns of a dense B, (n, r), with a factor or its transpose."""
+    F = pc.getFactorMatrix()
+    if not transpose:
+        F.matSolve(B, X)
+    elif _is_mumps(pc):
+        F.setMumpsIcntl(9, 0)  # transposed, for all columns at once
+        F.matSolve(B, X)
+        F.setMumpsIcntl(9, 1)
+    else:
+        for j in range(B.getSize()[1]):
+            b, x = B.getDenseColumnVec(j, mode="r"), X.getDenseColumnVec(j, mode="w")
+            F.solveTranspose(b, x)
+            B.restoreDenseColumnVec(j, mode="r")
+            X.restoreDenseColumnVec(j, mode="w")
 
 
 def _failure(pc: PETSc.PC) -> str:

@@ -29,6 +29,7 @@ from dolfinx_feti.feti.subdomain.factors.direct import (
     create_factor,
     mebibytes,
     pivots_of,
+    solve_many,
     takes_ldlt,
 )
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, Pivots
@@ -76,9 +77,8 @@ class PivotedFactor:
             self._b.array[: self._n] = Y
             (F.solveTranspose if transpose else F.solve)(self._b, self._x)
             return self._x.array_r[: self._n].copy()
-        if transpose or Y.shape[1] == 0:
-            columns = [self.solve(y, transpose=transpose) for y in Y.T]
-            return np.column_stack(columns) if columns else np.zeros(Y.shape)
+        if Y.shape[1] == 0:
+            return np.zeros(Y.shape)
         padded = np.zeros((self._n + self._border, Y.shape[1]), order="F")
         padded[: self._n] = Y
         rhs = PETSc.Mat().createDense(padded.shape, array=padded, comm=PETSc.COMM_SELF)
@@ -86,7 +86,7 @@ class PivotedFactor:
         sol.setUp()
         rhs.assemble()
         sol.assemble()
-        F.matSolve(rhs, sol)
+        solve_many(self._pc, rhs, sol, transpose=transpose)
         X = sol.getDenseArray()[: self._n].copy()
         rhs.destroy()
         sol.destroy()
