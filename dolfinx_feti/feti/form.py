@@ -5,7 +5,8 @@
 
 The system of the dual form is indefinite as soon as a subdomain would buckle alone. ``auto`` takes
 the primal form then, and where a pressure is condensed, if all K_ρ are positive definite; and with
-an unsymmetric matrix. The preconditioner has to be Dirichlet's, and no dual Krylov method asked for.
+an unsymmetric matrix. The preconditioner has to be Dirichlet's, and no dual Krylov method asked
+for.
 """
 
 from __future__ import annotations
@@ -37,7 +38,6 @@ class Form(Protocol):
     """The method, set up for one matrix."""
 
     formulation: str  # dual or primal
-    solves_indefinite: bool  # whether it solves with an indefinite matrix
 
     @property
     def pattern(self) -> Pattern:
@@ -62,6 +62,10 @@ class Form(Protocol):
     @property
     def inertia(self) -> Inertia:
         """Negative eigenvalues."""
+
+    @property
+    def solves_indefinite(self) -> bool:
+        """Whether it solves with an indefinite matrix."""
 
     @property
     def method(self) -> str:

@@ -227,7 +227,6 @@ class Lasting:
             pattern, near_kernel, operator, preconditioner, self._vectors, most=self._most
         )
 
-
     @property
     def _most(self) -> int:
         """Ritz vectors that a solve leaves to later ones, at most."""

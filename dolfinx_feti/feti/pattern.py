@@ -39,7 +39,7 @@ class Pattern:
         gluing: The jumps B.
         dofs: Interface and interior of each subdomain.
         analysis: How the blocks of the subdomains are factored.
-        of_part: The same of ½ (K + Kᵀ), if K is not symmetric and the options allow the primal form.
+        of_part: The same of ½ (K + Kᵀ), if K is not symmetric and the primal form not ruled out.
     """
 
     options: FETIOptions

@@ -113,7 +113,7 @@ class DeflatedSpace:
         return self._W.shape[1]
 
     def initial_guess(self, r: Array) -> Array:
-        """Return x of V and W with Vᵀ (r − A x) = 0, Wᵀ (r − A x) = 0, by copies, (n,). Collective."""
+        """Return the x of V and W that leaves r − A x orthogonal to both, (n,). Collective."""
         x = self._space.initial_guess(r)
         if not self.count:
             return x

@@ -73,7 +73,7 @@ def gmres(
             break
         a[k] = (H[0, k] - H[1 : k + 1, k] @ a[:k]) / H[k + 1, k]  # a = R⁻ᵀ h
         k += 1
-        norm = first / np.sqrt(1.0 + a @ a)
+        norm = float(first / np.sqrt(1.0 + a @ a))
         monitor(k, norm)
         reason = converged_reason(norm, target, k, max_it)
         if not reason and k == most:
@@ -83,11 +83,11 @@ def gmres(
         x = x + Z[:k].T @ (y * (first / (1.0 + a @ a)))
     m = min(k, traced)
     trace = Trace(Q[: m + 1], Z[:m], H[: m + 1, :m])
-    return Outcome(x, reason, k, float(norm), np.zeros(0), trace)
+    return Outcome(x, reason, k, norm, np.zeros(0), trace)
 
 
 def _orthonormalised(copies: Copies, Q: Array, q: Array) -> tuple[Array, Array]:
-    """Return h with q = Σ h_j q_j, (k + 1,), and the last q_j of it, (n,), orthonormal to Q, (k, n).
+    """Return h with q = Σ h_j q_j, (k + 1,), and the last q_j, (n,), orthonormal to Q, (k, n).
 
     Gram–Schmidt, twice. Collective.
     """
