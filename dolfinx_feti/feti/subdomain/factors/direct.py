@@ -132,7 +132,7 @@ def solve_many(pc: PETSc.PC, B: PETSc.Mat, X: PETSc.Mat, *, transpose: bool = Fa
     F = pc.getFactorMatrix()
     if not transpose:
         F.matSolve(B, X)
-    elif _is_mumps(pc):
+    elif is_mumps(pc):
         F.setMumpsIcntl(9, 0)  # transposed, for all columns at once
         F.matSolve(B, X)
         F.setMumpsIcntl(9, 1)
