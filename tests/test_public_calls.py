@@ -81,7 +81,7 @@ class Body:
         """K, f and the solution by MUMPS with its cost."""
         A, b = self.linear.linear_system()
         K, f = comparison.assembled_system(A, b)
-        return K, f, *comparison.measure(lambda: comparison.create_mumps(K), f)
+        return K, f, *comparison.measure(lambda: comparison.create_direct(K), f)
 
     @cached_property
     def solver(self) -> tuple:
@@ -238,11 +238,6 @@ def creates(name: str, **options: object) -> Callable[[Body], None]:
     return call
 
 
-def create_hypre(body: Body) -> None:
-    if not comparison.solvers.missing("hypre"):
-        creates("create_hypre", rtol=1e-8)(body)
-
-
 def compare(body: Body) -> None:
     found = comparison.compare(body.linear, ["feti", "mumps"])
     same([(solved.solver, solved.converged) for solved in found.solved])
@@ -327,9 +322,8 @@ CALLS = {
         "assembled_system": assembled_system,
         "compare": compare,
         "create_bddc": creates("create_bddc", rtol=1e-8, symmetric=True, definite=True),
-        "create_gamg": creates("create_gamg", rtol=1e-8),
-        "create_hypre": create_hypre,
-        "create_mumps": creates("create_mumps"),
+        "create_direct": creates("create_direct"),
+        "create_multigrid": creates("create_multigrid", rtol=1e-8),
         "measure": measure,
         "record_cost": record_cost,
         "relative_difference": relative_difference,

@@ -44,7 +44,7 @@ Options = dict[str, object]
 
 @dataclass(frozen=True, slots=True)
 class LoadedBody:
-    """A nearly incompressible body, P2–P0: its problem, u [mm], p [kPa] and the load [kPa]."""
+    """A nearly incompressible body, P_k–P0: its problem, u [mm], p [kPa] and the load [kPa]."""
 
     problem: NonlinearProblem
     u: dolfinx.fem.Function
@@ -87,7 +87,7 @@ def create_block(
     comm: MPI.Comm, *, dofs: int, subdomains: int | None, options: Options
 ) -> NonlinearProblem:
     """Build a neo-Hookean unit cube, P2–P0, clamped at x = 0, a pressure of 1 mmHg on x = 1."""
-    mesh, u, p, energy = _neo_hookean(comm, dofs, KAPPA)
+    mesh, u, p, energy = _neo_hookean(comm, dofs, 2, KAPPA)
     v, q = ufl.TestFunction(u.function_space), ufl.TestFunction(p.function_space)
     du = ufl.TrialFunction(u.function_space)
     pressure = dolfinx.fem.Constant(mesh, loads.mmhg(1.0))
@@ -109,14 +109,20 @@ def create_block(
 
 
 def create_clamped_block(
-    comm: MPI.Comm, *, dofs: int, kappa: float, subdomains: int | None, options: Options
+    comm: MPI.Comm,
+    *,
+    dofs: int,
+    kappa: float,
+    subdomains: int | None,
+    options: Options,
+    degree: int = 2,
 ) -> LoadedBody:
-    """Build a neo-Hookean unit cube, P2–P0, clamped on five faces; options prefix ``block_``.
+    """Build a neo-Hookean unit cube, P_k–P0, clamped on five faces; options prefix ``block_``.
 
     A dead load t (e_x + e_y), which adds nothing to the tangent, waits for its size t on the sixth
     face, x = 1.
     """
-    mesh, u, p, energy = _neo_hookean(comm, dofs, kappa)
+    mesh, u, p, energy = _neo_hookean(comm, dofs, degree, kappa)
     load = dolfinx.fem.Constant(mesh, 0.0)
     problem = NonlinearProblem(
         energy - load * (u[0] + u[1]) * _loaded_face(mesh),
@@ -140,11 +146,11 @@ def _linear(
 
 
 def _neo_hookean(
-    comm: MPI.Comm, dofs: int, kappa: float
+    comm: MPI.Comm, dofs: int, degree: int, kappa: float
 ) -> tuple[dolfinx.mesh.Mesh, dolfinx.fem.Function, dolfinx.fem.Function, ufl.Form]:
-    """Return a mesh, u in P2, p in P0 and the energy of a nearly incompressible material."""
-    mesh = _unit_mesh(comm, dofs, 2, 3)
-    u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,))))
+    """Return a mesh, u in P_k, p in P0 and the energy of a nearly incompressible material."""
+    mesh = _unit_mesh(comm, dofs, degree, 3)
+    u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (3,))))
     p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
     F = kinematics.deformation_gradient(u)
     C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)

@@ -5,11 +5,13 @@
 
     python3 -m benchmarks.compare.page build/speed.json --output build/results
 
-writes ``speed.md``.
+writes ``speed.md``. The table of its section *FETI and the best of the others* also stands in
+``README.md``.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,15 +19,33 @@ from functools import partial
 from benchmarks.common.pages import Fields, groups, section, write_page
 from benchmarks.common.records import Record
 from benchmarks.compare.path import PHASES
-from benchmarks.compare.run import GEOMETRIES, is_known
+from benchmarks.compare.run import GEOMETRIES, is_known, seconds
+from dolfinx_feti.comparison import SETTINGS
 
 __all__ = ["main"]
 
 #: How the solvers are called, in the order of the tables.
-NAMES = {"feti": "FETI", "mumps": "MUMPS", "gamg": "GAMG", "hypre": "BoomerAMG", "bddc": "BDDC"}
+NAMES = {
+    "feti": "FETI",
+    "mumps": "MUMPS",
+    "mumps-blr": "MUMPS, low rank",
+    "cholmod": "CHOLMOD",
+    "pardiso": "PARDISO",
+    "gamg": "GAMG",
+    "gamg-elasticity": "GAMG, SOR",
+    "hypre": "BoomerAMG",
+    "hypre-elasticity": "BoomerAMG, HMIS",
+    "fieldsplit": "(u, p)",
+    "fieldsplit-augmented": "(u, p), augmented",
+    "bddc": "BDDC",
+    "bddc-deluxe": "BDDC, deluxe",
+}
+
+#: What tells the cases of a page apart, beside the layout.
+CASE = ("geometry", "degree", "kappa", "dofs", "wanted_subdomains", "path_mmhg", "loaded_mmhg")
 
 #: Volume stiffness at the ends of the comparison [kPa].
-KAPPAS = (10.0, 1000.0)
+KAPPAS = (10.0, 1000.0, 1e5)
 
 #: What the iterations may grow by from the lesser κ to the larger one.
 GROWTH = 1.3
@@ -33,23 +53,25 @@ GROWTH = 1.3
 
 @dataclass(frozen=True, slots=True)
 class _Group:
-    """The records of one body and size, in all layouts; of a load path if ``mmhg`` is its end."""
+    """The records of one case, in all layouts; of a load path if ``path_mmhg`` is its end."""
 
     geometry: str
+    degree: int
     kappa: float
     dofs: int
-    mmhg: float | None
+    wanted_subdomains: int | None
+    path_mmhg: float | None
+    loaded_mmhg: float | None
     records: list[Record]
 
     def of_solver(self, solver: str) -> list[Record]:
         """Return the records of a solver, the better layout first, failures at the end."""
-        mine = [record for record in self.records if record["solver"] == solver]
-        return sorted(mine, key=lambda r: _seconds(r) if r["converged"] else float("inf"))
+        return sorted((r for r in self.records if r["solver"] == solver), key=_whole)
 
-    def best(self, solver: str) -> Record | None:
-        """Return the record of a solver's better layout, if it came to a solution."""
-        mine = self.of_solver(solver)
-        return mine[0] if mine and mine[0]["converged"] else None
+    def best(self, *solvers: str) -> Record | None:
+        """Return the fastest record of some solvers that came to the solution."""
+        mine = [r for r in self.records if r["solver"] in solvers and math.isfinite(_whole(r))]
+        return min(mine, key=_whole, default=None)
 
     def rows(self) -> Iterator[dict[str, object]]:
         """Yield a row for each record, with FETI's better layout over it."""
@@ -64,16 +86,29 @@ class _Group:
                     row |= _ratios(feti, record)
                 yield row
 
+    def against_the_best(self) -> dict[str, object] | None:
+        """Return FETI's better layout and the best of all others, or None if one is not there."""
+        feti = self.best("feti")
+        other = self.best(*(name for name in NAMES if name != "feti"))
+        if feti is None or other is None:
+            return None
+        direct = self.best(*(n for n in NAMES if SETTINGS[n].family == "direct"))
+        its = {f"its_{k}": v for k, v in _row(other).items()}
+        memory = None if direct is None else _ratios(feti, direct)["memory_ratio"]
+        time = {"time_ratio": _ratios(feti, other)["time_ratio"]}
+        return _row(feti) | its | time | {"memory_ratio": memory}
+
 
 def _fields(records: Sequence[Record]) -> Fields:
     sorted_groups = _groups(records)
-    first = [group for group in sorted_groups if group.mmhg is None]
-    paths = [group for group in sorted_groups if group.mmhg is not None]
+    first = [group for group in sorted_groups if group.path_mmhg is None]
+    paths = [group for group in sorted_groups if group.path_mmhg is not None]
     steps = [
-        {"geometry": mine[0].geometry, "kappa": mine[0].kappa}
+        {"geometry": geometry, "kappa": kappa}
         | {"rows": [row for group in mine for row in group.rows()]}
-        for mine in _by_kappa(first)
+        for (geometry, kappa), mine in _by_kappa(first).items()
     ]
+    summary = [row for group in sorted_groups if (row := group.against_the_best()) is not None]
     phases = [
         _row(r) | _shares(r)
         for group in sorted_groups
@@ -82,54 +117,73 @@ def _fields(records: Sequence[Record]) -> Fields:
     ]
     lost = [_row(r) for group in sorted_groups for r in group.records if not r["converged"]]
     return {
+        "summary": section(summary),
         "steps": steps,
         "paths": section(row for group in paths for row in group.rows()),
         "phases": section(phases),
-        "growth": section(_growth(first), low=KAPPAS[0], high=KAPPAS[1], bound=GROWTH),
+        "growth": section(_growth(first), low=KAPPAS[0], bound=GROWTH),
         "failures": section(lost),
     }
 
 
 def _groups(records: Sequence[Record]) -> list[_Group]:
-    names = ("geometry", "kappa", "dofs", "path_mmhg")
-    found = [_Group(*key, mine) for key, mine in groups(records, *names)]
-    return sorted(found, key=lambda g: (GEOMETRIES.index(g.geometry), g.kappa, g.dofs, g.mmhg or 0))
+    found = [_Group(*key, mine) for key, mine in groups(records, *CASE)]
+    return sorted(found, key=_order)
 
 
-def _by_kappa(found: Sequence[_Group]) -> list[list[_Group]]:
+def _order(group: _Group) -> tuple[object, ...]:
+    loads = (group.path_mmhg or 0.0, group.loaded_mmhg or 0.0)
+    place = GEOMETRIES.index(group.geometry)
+    return place, group.kappa, *loads, -group.degree, group.dofs, group.wanted_subdomains or 0
+
+
+def _by_kappa(found: Sequence[_Group]) -> dict[tuple[str, float], list[_Group]]:
     """Collect the sizes of each body and κ."""
     keys = dict.fromkeys((group.geometry, group.kappa) for group in found)
-    return [[group for group in found if (group.geometry, group.kappa) == key] for key in keys]
+    return {key: [g for g in found if (g.geometry, g.kappa) == key] for key in keys}
 
 
 def _row(record: Record) -> dict[str, object]:
     """Return a record with names, layout and means; without results if it has failed."""
     row = dict(record) | {"name": NAMES[str(record["solver"])], "layout": _layout(record)}
-    path = record["path_mmhg"]
-    row["load"] = "first step" if path is None else f"to {path:g} mmHg"
-    if record["solver"] not in ("feti", "bddc"):
+    path, loaded = record["path_mmhg"], record["loaded_mmhg"]
+    row["load"] = "at rest" if path is None else f"path to {path:g} mmHg"
+    row["load"] = row["load"] if loaded is None else f"at {loaded:g} mmHg"
+    row["element"] = f"P{record['degree']}–P0"
+    if SETTINGS[str(record["solver"])].family != "torn":
         row["subdomains"] = None
     if not record["converged"]:
-        results = ("seconds_solve", "iterations", "peak_mib", "relative_residual")
-        results += ("linear_solves", "seconds_per_newton", "seconds_assembly")
+        results = ("seconds_solve", "iterations", "peak_mib", "relative_residual", "spread")
+        results += ("linear_solves", "seconds_per_newton", "seconds_assembly", "seconds_end_to_end")
         return row | dict.fromkeys(results) | {"seconds_setup": None, "setup": "failed"}
-    row |= {"seconds": _seconds(record), "setup": f"{record['seconds_setup']:.2f}"}
+    row |= {"seconds": seconds(record), "setup": f"{record['seconds_setup']:.2f}"}
+    row["spread"] = _spread(record)
     later = record.get("iterations_per_solve", [])[1:]
     return row | {"later": sum(later) / len(later) if later else None}
+
+
+def _spread(record: Record) -> str:
+    """Return the seconds, and the least and the most of all rounds."""
+    each = [sum(pair) for pair in record.get("seconds_rounds", []) if None not in pair]
+    if len(each) < 2:
+        return f"{_whole(record):.2f}"
+    return f"{_whole(record):.2f} ({min(each):.2f}–{max(each):.2f})"
 
 
 def _ratios(feti: Record, other: Record) -> dict[str, object]:
     """Return FETI's time and memory over those of another solver."""
     mine, its = feti["peak_mib"], other["peak_mib"]
     memory = mine / its if mine and its else None
-    return {"time_ratio": _seconds(feti) / _seconds(other), "memory_ratio": memory}
+    linear = seconds(feti) / seconds(other)
+    whole = _whole(feti) / _whole(other)
+    return {"time_ratio": whole, "linear_ratio": linear, "memory_ratio": memory}
 
 
 def _growth(first: Sequence[_Group]) -> Iterator[dict[str, object]]:
     """Pair the records of iterative solvers at both κ, for one solver, size and layout."""
-    names = ("solver", "geometry", "dofs", "wanted_subdomains", "processes", "threads")
+    names = ("solver", *(name for name in CASE if name != "kappa"), "processes", "threads")
     found = [r for group in first for solver in NAMES for r in group.of_solver(solver)]
-    iterative = [r for r in found if r["solver"] != "mumps" and r["converged"]]
+    iterative = [r for r in found if SETTINGS[r["solver"]].family != "direct" and r["converged"]]
     iterative.sort(key=lambda r: r["kappa"])
     for _, (low, *rest) in groups([r for r in iterative if r["kappa"] in KAPPAS], *names):
         for high in rest:
@@ -137,19 +191,21 @@ def _growth(first: Sequence[_Group]) -> Iterator[dict[str, object]]:
             bounded = low["geometry"] == "block" and low["solver"] == "feti"
             met = ("yes" if quotient <= GROWTH else "**no**") if bounded else None
             its = {"low_its": low["iterations"], "high_its": high["iterations"]}
+            its["high"] = high["kappa"]
             yield _row(low) | its | {"quotient": quotient, "met": met}
 
 
 def _shares(record: Record) -> dict[str, object]:
     """Return the shares of the phases in the time of a FETI solve, and the rest."""
     spent = record["seconds_phases"]
-    shares = {name: 100 * spent[name] / _seconds(record) for name in PHASES}
+    shares = {name: 100 * spent[name] / seconds(record) for name in PHASES}
     return shares | {"rest": 100 - sum(shares.values())}
 
 
-def _seconds(record: Record) -> float:
-    """Return the seconds of set-up and solution."""
-    return record["seconds_setup"] + record["seconds_solve"]
+def _whole(record: Record) -> float:
+    """Return the seconds that solvers are ranked by, of a path end to end; infinite if unsolved."""
+    solved = record["converged"] and not str(record["note"]).startswith("the residual is above")
+    return record.get("seconds_end_to_end", seconds(record)) if solved else math.inf
 
 
 def _layout(record: Record) -> str:

@@ -1,19 +1,22 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""A load path whose linear systems FETI and MUMPS solve both, each with a time of its own.
+r"""A load path whose linear systems FETI and a direct solver solve both, each with its own time.
 
 .. math:: A(U^k)\, ΔU = -r(U^k), \qquad U^{k+1} = U^k + α\, ΔU
 
 Newton's method goes on with FETI's ΔU, so that there is one path. Both solvers keep from one
 tangent to the next what they can: FETI its gluing, its coarse space and the factors of a few
-tangents (``feti_lag``), MUMPS its analysis.
+tangents (``feti_lag``), MUMPS its analysis. *End to end* is everything from the first to the last
+equilibrium, with the linear solves of one of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -25,15 +28,15 @@ from benchmarks.common.records import Record
 from dolfinx_feti import ConvergenceError, loads
 from dolfinx_feti.comparison import (
     assembled_system,
-    create_mumps,
+    create_direct,
     relative_difference,
     relative_residual,
     timed_solve,
 )
-from dolfinx_feti.loading import LoadStep, Steps, follow_load
+from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
 from dolfinx_feti.runtime.collective import on_all, reason
 
-__all__ = ["PHASES", "SOLVERS", "follow"]
+__all__ = ["PHASES", "SOLVERS", "follow", "load"]
 
 #: Log events of FETI that do not overlap, in the order of the method.
 PHASES = (
@@ -46,43 +49,57 @@ PHASES = (
     "FETICoarseSolve",
 )
 
-#: Solvers of a path: FETI drives Newton's method.
-SOLVERS = ("feti", "mumps")
+#: Solvers of a path: FETI drives Newton's method, and tangents may be indefinite on the way.
+SOLVERS = ("feti", "mumps", "pardiso")
 
 #: As in ``demos/demo_artery.py``: the first load step's share of the path, and the relative
 #: tolerances of Newton's method and of FETI before its end.
 FIRST, RTOL, LINEAR_RTOL = 0.1, 1e-3, 1e-4
 
 
-def follow(body: LoadedBody, mmhg: float, *, direct: bool) -> list[Record]:
-    """Load a body at rest [mmHg], and record what its systems cost FETI and MUMPS. Collective.
-
-    ``note`` says why the path or a solver came to no end.
-    """
-    problem, comm = body.problem, body.u.function_space.mesh.comm
-    mumps = _Direct() if direct else None
-    watch = Stopwatch(comm)
-    iterations: list[int] = []
-
-    def then(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        iterations.append(ksp.getIterationNumber())
-        if mumps is not None:
-            mumps.solve(problem.A, b, x)
+def load(
+    body: LoadedBody,
+    mmhg: float,
+    checkpoint: Checkpoint | None = None,
+    on_step: Callable[[LoadStep], object] | None = None,
+) -> None:
+    """Load a body at rest [mmHg], or go on from a checkpoint. Collective."""
 
     def set_load(value: float) -> None:
         body.load.value = loads.mmhg(value)
 
-    watch.hook(problem.solver.getKSP(), then)
-    phases = Events(PHASES, comm)
     first = FIRST * mmhg
     steps = Steps(first, least=first / 64, growth=1.15, quick=4, rtol=RTOL, linear_rtol=LINEAR_RTOL)
+    follow_load(
+        body.problem, set_load, [mmhg], steps,
+        state=[body.u, body.p], on_step=on_step, checkpoint=checkpoint, unit="mmHg",
+    )  # fmt: skip
+
+
+def follow(body: LoadedBody, mmhg: float, *, direct: Sequence[str]) -> list[Record]:
+    """Load a body at rest [mmHg], and record what its systems cost FETI and others. Collective.
+
+    ``note`` says why the path or a solver came to no end.
+    """
+    problem, comm = body.problem, body.u.function_space.mesh.comm
+    others = [_Direct(name) for name in direct]
+    watch = Stopwatch(comm)
+    iterations: list[int] = []
+    beside: list[float] = []
+
+    def then(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        iterations.append(ksp.getIterationNumber())
+        begun = time.perf_counter()
+        for other in others:
+            other.solve(problem.A, b, x)
+        beside.append(time.perf_counter() - begun)
+
+    watch.hook(problem.solver.getKSP(), then)
+    phases = Events(PHASES, comm)
     accepted: list[LoadStep] = []
-    note = ""
+    note, begun = "", time.perf_counter()
     try:
-        follow_load(
-            problem, set_load, [mmhg], steps,
-            state=[body.u, body.p], on_step=accepted.append, unit="mmHg",
-        )  # fmt: skip
+        load(body, mmhg, on_step=accepted.append)
     except ConvergenceError as error:
         note = f"failed: {reason(error)}"
     newton = [step for load_step in accepted for step in load_step.all_steps]
@@ -93,21 +110,24 @@ def follow(body: LoadedBody, mmhg: float, *, direct: bool) -> list[Record]:
         "seconds_assembly": sum(step.seconds_assembly for step in newton),
     }
     residuals = [step.linear_residual for step in newton]
-    difference = None if mumps is None else mumps.difference
-    cost = _cost(watch.each(), iterations, len(newton)) | _outcome(residuals, difference, note)
+    each = watch.each()
+    rest = comm.allreduce(time.perf_counter() - begun - sum(beside), op=MPI.MAX) - each.sum()
+    difference = others[0].difference if others else None
+    cost = _cost(each, iterations, len(newton), rest) | _outcome(residuals, difference, note)
     found = [{"solver": "feti"} | shared | cost | {"seconds_phases": phases.seconds()}]
-    if mumps is not None:
-        cost = _cost(np.array(mumps.seconds), mumps.iterations, len(newton))
-        cost |= _outcome(mumps.residuals, 0.0, mumps.note or note)
-        found.append({"solver": "mumps"} | shared | cost)
-        mumps.destroy()
+    for other in others:
+        cost = _cost(np.array(other.seconds), other.iterations, len(newton), rest)
+        cost |= _outcome(other.residuals, 0.0, other.note or note)
+        found.append({"solver": other.name} | shared | cost)
+        other.destroy()
     return found
 
 
 class _Direct:
-    """MUMPS on the tangents of a path: analysed once, factored for each."""
+    """A direct solver on the tangents of a path: analysed once, factored for each."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str) -> None:
+        self.name = name
         self.seconds: list[tuple[float, float]] = []  # analysis and factors, solution; each solve
         self.iterations: list[int] = []
         self.residuals: list[float] = []  # ‖f − K x‖/‖f‖
@@ -122,14 +142,13 @@ class _Direct:
             return
         K, f = assembled_system(A, b)
         if self._K is None:
-            self._K, self._ksp = K, create_mumps(K)
+            self._K = K
         else:
             K.copy(self._K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
             K.destroy()
-            self._ksp.setOperators(self._K)  # the matrix is another one
         x = f.duplicate()
         try:
-            cost, _ = on_all(lambda: timed_solve(lambda: self._ksp, f, x), f.comm.tompi4py())
+            cost, self._ksp = on_all(lambda: timed_solve(self._set_up, f, x), f.comm.tompi4py())
         except PETSc.Error as error:
             self.note = f"failed: {reason(error)}"
         else:
@@ -143,13 +162,22 @@ class _Direct:
         f.destroy()
         x.destroy()
 
+    def _set_up(self) -> PETSc.KSP:
+        """Return the solver, with an analysis if there was a matrix before."""
+        if self._ksp is None:
+            return create_direct(self._K, self.name)
+        self._ksp.setOperators(self._K)  # the matrix is another one
+        return self._ksp
+
     def destroy(self) -> None:
         """Free matrix and factors."""
         for owned in filter(None, (self._ksp, self._K)):
             owned.destroy()
 
 
-def _cost(each: npt.NDArray[np.float64], iterations: Sequence[int], newton: int) -> Record:
+def _cost(
+    each: npt.NDArray[np.float64], iterations: Sequence[int], newton: int, rest: float
+) -> Record:
     """Return what the solves of some Newton steps took, each set-up and solution, (solves, 2)."""
     setup, solve = each.reshape(-1, 2).T
     later = (setup + solve)[1:].sum()
@@ -160,6 +188,7 @@ def _cost(each: npt.NDArray[np.float64], iterations: Sequence[int], newton: int)
         "seconds_setup": setup.sum(),
         "seconds_solve": solve.sum(),
         "seconds_per_solve": (setup + solve).tolist(),
+        "seconds_end_to_end": rest + (setup + solve).sum(),
         "seconds_per_newton": later / (newton - 1) if newton > 1 else None,
     }
 

@@ -1,21 +1,22 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""FETI beside MUMPS, GAMG and others on the same matrices.
+"""FETI beside other solvers on the same matrices.
 
-The first Newton step of a body at rest, P2–P0, or with --path P all Newton steps up to P mmHg:
+The first Newton step of a body at rest; with --loaded P that of a body in equilibrium at P mmHg,
+under a hundredth more; or with --path P all Newton steps up to P mmHg:
 
     python3 -m benchmarks.compare --kappa 10,1000 --dofs 60000,184000 --json build/speed.json
-    python3 -m benchmarks.compare --geometry vessel --dofs 199000 --path 10 --json build/speed.json
+    python3 -m benchmarks.compare --geometry vessel --dofs 71000 --path 10 --json build/speed.json
 
 Bodies: the two-layer `tube` at 1 mmHg and `vessel` at 0.01 mmHg, and the neo-Hookean `block`,
-clamped on five faces, under a dead load of 1 mmHg on the sixth one.
+clamped on five faces, under a dead load of 1 mmHg on the sixth one; P2–P0, or P1–P0 by --degree 1.
 
-FETI gets the torn matrix; MUMPS (Cholesky) and GAMG (CG, six rigid body modes) the assembled one
-that PETSc converts from it. Both are there before a solver begins. `peak_mib` is the most memory
-that a solver took above that, from its creation to its solution, summed over the processes.
-`--solvers` also takes hypre (BoomerAMG) and bddc (PETSc's, on the torn matrix). On the path
-Newton's method goes on with FETI's solution, and MUMPS solves the same systems beside it.
+`--solvers` takes all that `dolfinx_feti.comparison` knows, which has their settings. Matrices are
+there before a solver begins. `peak_mib` is the most memory that a solver took above that, from its
+creation to its solution, summed over the processes. In each of the --rounds all solvers have their
+turn; the record has the round with the median time, and `seconds_rounds` those of all. On the path
+Newton's method goes on with FETI's solution, and a direct solver solves the same systems beside it.
 
 All κ have the same subdomains. A case that is in the file with all its solvers is not run again,
 unless by --again. A solver that fails, say for want of memory, is recorded with the reason.
@@ -45,16 +46,20 @@ from benchmarks.common.records import Record
 from benchmarks.common.walls import clamped
 from benchmarks.compare import path
 from dolfinx_feti import loads
-from dolfinx_feti.comparison.run import SOLVERS
+from dolfinx_feti.comparison import SOLVERS
+from dolfinx_feti.loading import Checkpoint
 from dolfinx_feti.output import writable_folder
 from meshes.arguments import count, positive
 
-__all__ = ["GEOMETRIES", "is_known", "main"]
+__all__ = ["GEOMETRIES", "is_known", "main", "seconds"]
 
 GEOMETRIES = ("tube", "vessel", "block")
 
 RTOL = 1e-8
 USUAL = ("feti", "mumps", "gamg")
+
+#: Share of its load by which that of a loaded body grows.
+MORE = 0.01
 
 #: Load of the first Newton step [mmHg].
 FIRST_LOAD = {"tube": 1.0, "vessel": clamped.FIRST_PRESSURE, "block": 1.0}
@@ -67,6 +72,8 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
     args = command.parse_words(parser, argv)
     possible = SOLVERS if args.path is None else path.SOLVERS
     solvers = args.solvers or [name for name in USUAL if name in possible]
+    if args.path is not None and args.loaded is not None:
+        parser.error("--path and --loaded exclude each other")
     if not set(solvers) <= set(possible):
         parser.error(f"--path takes no other solvers than {command.names(possible)}")
     if args.path is not None and "feti" not in solvers:
@@ -80,7 +87,7 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
                 body = _create_body(case, args.folder, comm)
             except ValueError as error:  # no such mesh, or fewer cells than subdomains
                 parser.error(str(error))
-            found = _run(case, body, solvers, args.memory, comm)
+            found = _run(case, body, solvers, args, comm)
             there = [file.keep(case | {"solver": r["solver"]}, r) for r in found]
         else:
             command.say(f"{_name(case)}: in the records already", comm)
@@ -92,7 +99,7 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
 
 def is_known(record: Record) -> bool:
     """Tell whether a record is one of this study."""
-    return {"solver", "geometry", "threads", "path_mmhg"} <= record.keys()
+    return {"solver", "geometry", "threads", "path_mmhg", "degree"} <= record.keys()
 
 
 def _plan(args: argparse.Namespace, processes: int) -> Iterator[Record]:
@@ -100,12 +107,14 @@ def _plan(args: argparse.Namespace, processes: int) -> Iterator[Record]:
     for dofs, kappa in product(args.dofs, args.kappa):
         yield {
             "geometry": args.geometry,
+            "degree": args.degree,
             "kappa": kappa,
             "wanted_dofs": dofs,
             "wanted_subdomains": args.subdomains,
             "processes": processes,
             "threads": threads(),
             "path_mmhg": args.path,
+            "loaded_mmhg": args.loaded,
         }
 
 
@@ -114,25 +123,34 @@ def _name(case: Record) -> str:
 
 
 def _run(
-    case: Record, body: LoadedBody, solvers: Sequence[str], memory: float, comm: MPI.Comm
+    case: Record,
+    body: LoadedBody,
+    solvers: Sequence[str],
+    args: argparse.Namespace,
+    comm: MPI.Comm,
 ) -> list[Record]:
-    """Run a case on its body at rest, in so much memory [MiB]; return a record for each solver."""
+    """Run a case on its body at rest, in so much memory; return a record for each solver."""
     dofmap = body.u.function_space.dofmap
     size: Record = {
         "dofs": dofmap.index_map.size_global * dofmap.index_map_bs,
         "subdomains": comm.allreduce(body.problem.decomposition.count),
     }
-    with limited_memory(comm, memory) as room:
-        if case["path_mmhg"] is None:
-            body.load.value = loads.mmhg(FIRST_LOAD[case["geometry"]])
-            found = _first_step(body, solvers)
+    if args.loaded is not None:
+        names = ("geometry", "degree", "kappa", "wanted_dofs")
+        place = args.folder / "_".join([*(str(case[n]) for n in names), f"{args.loaded:g}"])
+        path.load(body, args.loaded, Checkpoint(place, comm, restart=place.exists()))
+    with limited_memory(comm, args.memory) as room:
+        if args.path is not None:
+            found = path.follow(body, args.path, direct=[n for n in solvers if n != "feti"])
         else:
-            found = path.follow(body, case["path_mmhg"], direct="mumps" in solvers)
+            mmhg = FIRST_LOAD[case["geometry"]] if args.loaded is None else args.loaded
+            body.load.value = loads.mmhg(mmhg * (1.0 if args.loaded is None else 1.0 + MORE))
+            found = _median([_step(body, solvers) for _ in range(args.rounds)])
     size["free_mib"] = room if math.isfinite(room) else None
     return [case | size | record for record in found]
 
 
-def _first_step(body: LoadedBody, solvers: Sequence[str]) -> list[Record]:
+def _step(body: LoadedBody, solvers: Sequence[str]) -> list[Record]:
     """Solve the next Newton step with each solver."""
     ordered = [name for name in SOLVERS if name in solvers]  # FETI first
     phases = Events(path.PHASES, body.u.function_space.mesh.comm)
@@ -146,10 +164,29 @@ def _first_step(body: LoadedBody, solvers: Sequence[str]) -> list[Record]:
     return found
 
 
+def _median(rounds: Sequence[list[Record]]) -> list[Record]:
+    """Return the record of each solver's median round, with the seconds of all rounds."""
+    found = []
+    for several in zip(*rounds, strict=True):
+        ordered = sorted(several, key=seconds)
+        each = [[r.get("seconds_setup"), r.get("seconds_solve")] for r in several]
+        found.append(ordered[(len(ordered) - 1) // 2] | {"seconds_rounds": each})
+    return found
+
+
+def seconds(record: Record) -> float:
+    """Return the seconds of set-up and solution; infinite without a solution."""
+    if not record["converged"]:
+        return math.inf
+    return record["seconds_setup"] + record["seconds_solve"]
+
+
 def _create_body(case: Record, folder: Path, comm: MPI.Comm) -> LoadedBody:
     """Build a body at rest; FETI shows its parts (``ksp_view``) where it solves once only."""
-    options = {} if case["path_mmhg"] is not None else {"ksp_view": None}
+    once = case["path_mmhg"] is None and case["loaded_mmhg"] is None
+    options = {"ksp_view": None} if once else {}
     shared = {
+        "degree": case["degree"],
         "dofs": case["wanted_dofs"],
         "kappa": case["kappa"],
         "subdomains": case["wanted_subdomains"],
@@ -168,6 +205,7 @@ def _create_parser(comm: MPI.Comm) -> argparse.ArgumentParser:
     parser = command.create_parser("compare", __doc__, comm)
     add = parser.add_argument
     add("--geometry", choices=GEOMETRIES, default="tube")
+    add("--degree", type=command.one_of((1, 2)), default=2, help="of the displacement; 2")
     add("--kappa", type=command.several(positive), default=[1000.0], help="[kPa], 1000")
     add("--dofs", type=command.several(count), default=[180_000], help="approximate number; 180000")
     add("--subdomains", type=count, help="over all processes; about one for 2000 dofs")
@@ -176,7 +214,9 @@ def _create_parser(comm: MPI.Comm) -> argparse.ArgumentParser:
         type=command.some_of(SOLVERS),
         help=f"{command.names(SOLVERS)}; the first three",
     )
+    add("--rounds", type=count, default=1, help="in which the solvers alternate; 1")
     add("--path", type=positive, metavar="P", help="load steps to P mmHg in place of a first step")
-    add("--folder", type=Path, default=Path("build/walls"), help="where meshes are kept")
+    add("--loaded", type=positive, metavar="P", help="a step in the equilibrium at P mmHg")
+    add("--folder", type=Path, default=Path("build/walls"), help="for meshes and loaded states")
     command.add_records(parser, memory=True)
     return parser

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The assembled counterpart of a torn system, for other solvers; MUMPS as one of them."""
+"""The assembled counterpart of a torn system, and what a solution leaves of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from petsc4py import PETSc
 
 from dolfinx_feti.runtime.connectivity import is_symmetric
 
-__all__ = ["assembled_system", "create_mumps", "relative_difference", "relative_residual"]
+__all__ = ["assembled_system", "relative_difference", "relative_residual"]
 
 
 def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
@@ -46,34 +46,6 @@ def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
         K.setNullSpace(null_space)
         null_space.remove(f)
     return K, f
-
-
-def create_mumps(K: PETSc.Mat, *, symmetric: bool | None = None) -> PETSc.KSP:
-    """Create a direct solver, MUMPS on all processes of the matrix.
-
-    Args:
-        K: Assembled matrix.
-        symmetric: Whether the factorisation is; if K is marked as symmetric where not given.
-
-    Returns:
-        The KSP and its factor, with the prefix ``mumps_``; the caller destroys it.
-    """
-    ksp = PETSc.KSP().create(K.comm)
-    ksp.setOptionsPrefix("mumps_")
-    ksp.setOperators(K)
-    ksp.setType(PETSc.KSP.Type.PREONLY)
-    pc = ksp.getPC()
-    if symmetric is None:
-        symmetric = all(K.isSymmetricKnown())
-    pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
-    pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
-    pc.setFactorSetUpSolverType()
-    factor = pc.getFactorMatrix()
-    factor.setOptionsPrefix("mumps_")  # it was made before the options are read
-    factor.setMumpsIcntl(24, int(bool(K.getNullSpace().handle)))  # zero pivots are expected
-    factor.setMumpsIcntl(14, 50)  # % more work space; less fails on two processes
-    ksp.setFromOptions()
-    return ksp
 
 
 def relative_residual(K: PETSc.Mat, f: PETSc.Vec, x: PETSc.Vec) -> float:

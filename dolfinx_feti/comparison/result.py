@@ -33,8 +33,9 @@ class Solved:
             solution.
         difference_to_direct: ‖x − x_d‖/‖x_d‖ to the direct solution; nan if there is none whose
             own residual is at most 1e-6.
-        note: Why it failed, or why the direct solution took LU or is no reference; or an empty
-            string.
+        note: Why it failed, that its residual is above the tolerance, or why the direct solution
+            took LU or is no reference; or an empty string.
+        ordering: How a direct solver has ordered the rows; or an empty string.
     """
 
     solver: str
@@ -42,6 +43,7 @@ class Solved:
     relative_residual: float
     difference_to_direct: float
     note: str
+    ordering: str = ""
 
     @property
     def converged(self) -> bool:
@@ -78,6 +80,7 @@ class Comparison:
             | ({} if s.cost is None else asdict(s.cost))
             | {"relative_residual": s.relative_residual}
             | {"difference_to_direct": s.difference_to_direct, "note": s.note}
+            | ({"ordering": s.ordering} if s.ordering else {})
             for s in self.solved
         ]
         left_out = [

@@ -7,8 +7,9 @@ FETI and BDDC get the torn matrix, the others the assembled one,
 
 .. math:: K_{FF}\, x_F = f_F,
 
-with unit rows for the Dirichlet dofs D; prescribed values are on the right-hand side, and what is
-measured are the free dofs F. Torn and assembled matrix exist before a solver begins.
+with unit rows for the Dirichlet dofs D, or that before a pressure was condensed (``split``);
+prescribed values are on the right-hand side, and what is measured are the free dofs F, in the same
+system for all. The matrices exist before a solver begins.
 
 The direct solution is the reference of the others only if its own residual is small; otherwise the
 matrix is factored once more, by LU, and without success there is no reference.
@@ -17,6 +18,8 @@ matrix is factored once more, by LU, and without success there is no reference.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -25,32 +28,50 @@ import numpy as np
 
 from dolfinx_feti.comparison.assembled import (
     assembled_system,
-    create_mumps,
     relative_difference,
     relative_residual,
 )
 from dolfinx_feti.comparison.result import Comparison, Solved
-from dolfinx_feti.comparison.solvers import create_bddc, create_gamg, create_hypre, missing
+from dolfinx_feti.comparison.settings import SETTINGS, SOLVERS, USUAL, missing
+from dolfinx_feti.comparison.solvers import (
+    create_bddc,
+    create_direct,
+    create_multigrid,
+    ordering,
+)
+from dolfinx_feti.comparison.split import Split, create_fieldsplit, split
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.linear_problem import LinearProblem
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.runtime.collective import on_all, reason
-from dolfinx_feti.runtime.cost import Cost, measure
+from dolfinx_feti.runtime.cost import Cost, timed_solve
 
-__all__ = ["SOLVERS", "compare"]
+__all__ = ["compare"]
 
-SOLVERS = ("feti", "mumps", "gamg", "hypre", "bddc")
 DIRECT = "mumps"
 
 #: ‖f − K x‖/‖f‖ up to which a direct solution is a reference.
 REFERENCE = 1e-6
 
-Outcome = tuple[Cost | None, PETSc.Vec | None, str]
+#: By how much the residual may exceed the tolerance without a note.
+EXCESS = 1.1
+
+Problem = LinearProblem | NonlinearProblem
+
+
+@dataclass(frozen=True, slots=True)
+class _Outcome:
+    """What came of a solver: its cost, its solution if there is one, a note, and an ordering."""
+
+    cost: Cost | None
+    x: PETSc.Vec | None
+    note: str = ""
+    ordering: str = ""
 
 
 def compare(
-    problem: LinearProblem | NonlinearProblem,
-    solvers: Sequence[str] = ("feti", "mumps", "gamg", "bddc"),
+    problem: Problem,
+    solvers: Sequence[str] = USUAL,
     *,
     definite: bool | None = None,
 ) -> Comparison:
@@ -62,13 +83,13 @@ def compare(
 
     Args:
         problem: The problem.
-        solvers: Names out of ``feti``, ``mumps``, ``gamg``, ``hypre`` and ``bddc``.
-        definite: Whether the assembled matrix is symmetric positive definite, which spares MUMPS
-            and GAMG some work; by default if FETI is asked for and has proved it.
+        solvers: Names out of :data:`~dolfinx_feti.comparison.SOLVERS`.
+        definite: Whether the assembled matrix is symmetric positive definite, which spares other
+            solvers some work; by default if FETI is asked for and has proved it.
 
     Returns:
-        The comparison: ``print`` it, or take its ``records``. Solvers that this PETSc lacks are
-        left out and named; one that fails has a note.
+        The comparison: ``print`` it, or take its ``records``. Solvers that cannot be had are left
+        out and named; one that fails, or stays above the tolerance, has a note.
 
     Raises:
         TypeError: The problem is none of this package's.
@@ -85,11 +106,12 @@ def compare(
         )
     comm = problem.decomposition.mesh.comm
     names = _checked(solvers, comm)
-    left_out = tuple((name, why) for name in names if (why := missing(name)))
+    whys = {name: _missing(name, problem, comm) for name in names}
     A, b = problem.linear_system()
     K, f = assembled_system(A, b)
     dirichlet = A.query("dirichlet")
     _put_zero(f, dirichlet)
+    solutions: dict[str, _Outcome] = {}
     try:
         if not f.norm() > 0.0:
             raise ValueError(
@@ -99,112 +121,154 @@ def compare(
         ksp = problem.create_linear_solver()
         rtol = ksp.getTolerances()[0]
         ksp.destroy()
-        solutions = _solve_all(
-            [name for name in names if not missing(name)],
-            problem.create_linear_solver,
-            (A, b),
-            (K, f),
-            rtol=rtol,
-            definite=definite,
-        )
-        x_direct = solutions[DIRECT][1] if DIRECT in solutions else None
+        present = [name for name in names if not whys[name]]
+        solutions = _solve_all(present, problem, (A, b), (K, f), rtol=rtol, definite=definite)
+        x_direct = solutions[DIRECT].x if DIRECT in solutions else None
         if x_direct is not None and not relative_residual(K, f, x_direct) <= REFERENCE:
             x_direct = None
-        solved = []
-        for name, (cost, x, note) in solutions.items():
-            error = difference = np.nan
-            if x is not None:
-                _put_zero(x, dirichlet)
-                error = relative_residual(K, f, x)
-                if x_direct is not None:
-                    difference = relative_difference(x, x_direct)
-            solved.append(Solved(name, cost, error, difference, note))
-        for _, x, _ in solutions.values():
-            if x is not None:
-                x.destroy()
+        solved = [
+            _judged(name, solutions[name], (K, f), x_direct, dirichlet, rtol) for name in present
+        ]
         return Comparison(
             dofs=f.getSize(),
             subdomains=comm.allreduce(problem.decomposition.count),
             processes=comm.size,
             rtol=rtol,
-            solved=tuple(sorted(solved, key=lambda s: names.index(s.solver))),
-            left_out=left_out,
+            solved=tuple(solved),
+            left_out=tuple((name, why) for name, why in whys.items() if why),
         )
     finally:
-        for owned in (K, f, b):
+        for owned in (K, f, b, *(outcome.x for outcome in solutions.values() if outcome.x)):
             owned.destroy()
 
 
 def _solve_all(
     names: Sequence[str],
-    create_feti: Callable[[], PETSc.KSP],
+    problem: Problem,
     torn: tuple[PETSc.Mat, PETSc.Vec],
     assembled: tuple[PETSc.Mat, PETSc.Vec],
     *,
     rtol: float,
     definite: bool | None,
-) -> dict[str, Outcome]:
+) -> dict[str, _Outcome]:
     """Solve with each solver, FETI first: it knows whether the matrix is definite."""
     (A, b), (K, f) = torn, assembled
     symmetric = bool(all(K.isSymmetricKnown()))
-    solutions: dict[str, Outcome] = {}
+    solutions: dict[str, _Outcome] = {}
     if "feti" in names:
         contexts: list[FETI] = []
 
         def create() -> PETSc.KSP:
-            ksp = create_feti()
+            ksp = problem.create_linear_solver()
             contexts.append(ksp.getPythonContext())
             return ksp
 
         solutions["feti"] = _solve(create, b, lambda: contexts[0].message)
         if definite is None:
             definite = symmetric and _proved_definite(contexts[0])
-    definite = bool(definite)
-    if definite:
+    proved = bool(definite)
+    if proved:
         K.setOption(PETSc.Mat.Option.SPD, True)
-    others: dict[str, Callable[[], PETSc.KSP]] = {
-        "gamg": lambda: create_gamg(K, rtol=rtol),
-        "hypre": lambda: create_hypre(K, rtol=rtol),
-        "bddc": lambda: create_bddc(A, rtol=rtol, symmetric=symmetric, definite=definite),
-    }
+
+    uncondensed = _uncondensed(names, problem, K, A.query("dirichlet"))
+
+    def create_other(name: str) -> PETSc.KSP:
+        family = SETTINGS[name].family
+        if family == "direct":
+            return create_direct(K, name, definite=proved, rtol=rtol)
+        if family == "krylov":
+            return create_multigrid(K, name, rtol=rtol)
+        if family == "split":
+            return create_fieldsplit(uncondensed[0], name, rtol=rtol)
+        return create_bddc(A, name, rtol=rtol, symmetric=symmetric, definite=proved)
+
     for name in names:
         if name == DIRECT:
             solutions[name] = _solve_directly(K, f)
-        elif name in others:
-            solutions[name] = _solve(others[name], f, lambda: "")
+        elif name != "feti":
+            solutions[name] = _solve(partial(create_other, name), f)
+    for system in uncondensed:
+        system.destroy()
     return solutions
 
 
-def _solve(create: Callable[[], PETSc.KSP], b: PETSc.Vec, message: Callable[[], str]) -> Outcome:
+def _uncondensed(
+    names: Sequence[str], problem: Problem, K: PETSc.Mat, dirichlet: PETSc.IS | None
+) -> list[Split]:
+    """Return the system before the condensation, if solvers need it."""
+    if not any(SETTINGS[name].family == "split" for name in names):
+        return []
+    assert isinstance(problem, NonlinearProblem)
+    condensed = problem.condensed_blocks()
+    assert condensed is not None
+    dofs, blocks = condensed
+    return [split(K, dirichlet, dofs, blocks.k_up, blocks.slope)]
+
+
+def _solve(
+    create: Callable[[], PETSc.KSP], b: PETSc.Vec, message: Callable[[], str] = lambda: ""
+) -> _Outcome:
     """Solve with one solver; a failure becomes a note."""
+    x = b.duplicate()
     try:
-        cost, x = on_all(lambda: measure(create, b), b.comm.tompi4py())
-    except PETSc.Error as error:
-        return None, None, f"failed: {reason(error).splitlines()[-1]}"
-    if cost.converged_reason > 0:
-        return cost, x, ""
-    x.destroy()
-    return cost, None, f"failed: {message() or _name(cost.converged_reason)}"
-
-
-def _solve_directly(K: PETSc.Mat, f: PETSc.Vec) -> Outcome:
-    """Solve by MUMPS; once more, by LU, if what Cholesky leaves is too much."""
-    outcome = _solve(lambda: create_mumps(K), f, lambda: "")
-    cost, x, note = outcome
-    if x is None:
-        return outcome
-    error = relative_residual(K, f, x)
-    if not error <= REFERENCE and all(K.isSymmetricKnown()):
+        cost, ksp = on_all(lambda: timed_solve(create, b, x), b.comm.tompi4py())
+    except (PETSc.Error, RuntimeError) as error:
         x.destroy()
+        return _Outcome(None, None, f"failed: {reason(error).splitlines()[-1]}")
+    order = ordering(ksp)
+    ksp.destroy()
+    if cost.converged_reason > 0:
+        return _Outcome(cost, x, ordering=order)
+    x.destroy()
+    return _Outcome(cost, None, f"failed: {message() or _name(cost.converged_reason)}", order)
+
+
+def _solve_directly(K: PETSc.Mat, f: PETSc.Vec) -> _Outcome:
+    """Solve by MUMPS; once more, by LU, if what Cholesky leaves is too much."""
+    outcome = _solve(lambda: create_direct(K), f)
+    if outcome.x is None:
+        return outcome
+    note, error = "", relative_residual(K, f, outcome.x)
+    if not error <= REFERENCE and all(K.isSymmetricKnown()):
+        outcome.x.destroy()
         note = f"by LU, as Cholesky leaves a residual of {error:.0e}"
-        cost, x, failure = _solve(lambda: create_mumps(K, symmetric=False), f, lambda: "")
-        if x is None:
-            return cost, x, f"{note}; {failure}"
-        error = relative_residual(K, f, x)
+        outcome = _solve(lambda: create_direct(K, symmetric=False), f)
+        if outcome.x is None:
+            return replace(outcome, note=f"{note}; {outcome.note}")
+        error = relative_residual(K, f, outcome.x)
     if not error <= REFERENCE:
         nothing = f"no reference: the residual is above {REFERENCE:.0e}"
         note = f"{note}; {nothing}" if note else nothing
-    return cost, x, note
+    return replace(outcome, note=note)
+
+
+def _judged(
+    name: str,
+    outcome: _Outcome,
+    system: tuple[PETSc.Mat, PETSc.Vec],
+    x_direct: PETSc.Vec | None,
+    dirichlet: PETSc.IS | None,
+    rtol: float,
+) -> Solved:
+    """Measure the residual of a solution and its distance to the direct one, on the free dofs."""
+    error = difference = np.nan
+    note, x = outcome.note, outcome.x
+    if x is not None:
+        _put_zero(x, dirichlet)
+        error = relative_residual(*system, x)
+        if x_direct is not None:
+            difference = relative_difference(x, x_direct)
+        if error > EXCESS * rtol and not note:
+            note = f"the residual is above {rtol:.0e}"
+    return Solved(name, outcome.cost, error, difference, note, outcome.ordering)
+
+
+def _missing(name: str, problem: Problem, comm: MPI.Comm) -> str:
+    """Say why a solver cannot be had for a problem, or nothing if it can."""
+    condensed = isinstance(problem, NonlinearProblem) and problem.condenses
+    if SETTINGS[name].family == "split" and not condensed:
+        return "no field is condensed"
+    return missing(name, comm.size)
 
 
 def _proved_definite(feti: FETI) -> bool:

@@ -1,73 +1,120 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""PETSc's iterative solvers to compare FETI with, set up for elasticity: GAMG, BoomerAMG and BDDC.
+"""The solvers of an assembled matrix, and PETSc's BDDC of the torn one, with their settings.
 
-All of them run CG on a symmetric matrix and GMRES on another one, until the norm of the true
-residual has fallen by the same factor. Options with the prefixes ``gamg_``, ``hypre_``, ``bddc_``
-(and ``mumps_``, see ``assembled``) change them.
+Krylov methods are CG on a symmetric matrix and GMRES on another one, and lower the norm of the true
+residual. Each function returns a solver that is set up, with the prefix of its name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from petsc4py import PETSc
 
-from dolfinx_feti.runtime.petsc_options import inserted
+from dolfinx_feti.comparison.pardiso import Pardiso
+from dolfinx_feti.comparison.settings import in_force, prefix_of
 
-__all__ = ["create_bddc", "create_gamg", "create_hypre", "missing"]
+__all__ = ["MAX_IT", "create_bddc", "create_direct", "create_multigrid", "ordering"]
 
 MAX_IT = 2000
-
-#: Solvers that PETSc has from packages which it may be built without.
-PACKAGES = {"mumps": "mumps", "hypre": "hypre"}
 
 #: Parts of the interface of up to so many nodes are primal in BDDC as they are. PETSc's default is
 #: one dof; then set-up may fail, as a subdomain of a ragged partition is held too loosely.
 VERTEX_NODES = 2
 
-
-def create_gamg(K: PETSc.Mat, *, rtol: float) -> PETSc.KSP:
-    """Return a Krylov method with smoothed aggregation and the near kernel of the matrix.
-
-    Args:
-        K: Assembled matrix.
-        rtol: On the true residual.
-
-    Returns:
-        The KSP, with the prefix ``gamg_``; the caller destroys it.
-    """
-    return _krylov(K, "gamg_", PETSc.PC.Type.GAMG, rtol)
+#: MUMPS's orderings, by INFOG(7).
+ORDERINGS = {0: "AMD", 2: "AMF", 3: "SCOTCH", 4: "PORD", 5: "METIS", 6: "QAMD"}
 
 
-def create_hypre(K: PETSc.Mat, *, rtol: float) -> PETSc.KSP:
-    """Return a Krylov method with BoomerAMG, which takes the unknowns of a node together.
+def create_direct(
+    K: PETSc.Mat,
+    solver: str = "mumps",
+    *,
+    symmetric: bool | None = None,
+    definite: bool = False,
+    rtol: float = 1e-8,
+) -> PETSc.KSP:
+    """Factor a matrix.
 
     Args:
         K: Assembled matrix.
+        solver: ``mumps``, ``mumps-blr``, ``cholmod`` or ``pardiso``.
+        symmetric: Whether the factorisation is; if K is marked as symmetric where not given.
+        definite: Whether K is known to be symmetric positive definite, for PARDISO; the others are
+            told by the matrix.
+        rtol: On the true residual, where the factors are approximate.
+
+    Returns:
+        The KSP; the caller destroys it.
+
+    Note:
+        Collective.
+    """
+    if symmetric is None:
+        symmetric = all(K.isSymmetricKnown())
+    approximate = solver == "mumps-blr"
+    ksp = _krylov(K, solver, rtol) if approximate else PETSc.KSP().create(K.comm)
+    if not approximate:
+        ksp.setOptionsPrefix(prefix_of(solver))
+        ksp.setOperators(K)
+        ksp.setType(PETSc.KSP.Type.PREONLY)
+    pc = ksp.getPC()
+    with in_force(solver):
+        if solver == "pardiso":
+            pc.setType(PETSc.PC.Type.PYTHON)
+            pc.setPythonContext(Pardiso(symmetric=symmetric, definite=definite))
+        else:
+            pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
+            pc.setFactorSolverType(solver.split("-")[0])
+            pc.setFactorSetUpSolverType()
+            factor = pc.getFactorMatrix()
+            factor.setOptionsPrefix(prefix_of(solver))  # it was made before the options are read
+            if solver != "cholmod" and K.getNullSpace().handle:
+                factor.setMumpsIcntl(24, 1)  # zero pivots are expected
+        ksp.setFromOptions()
+        ksp.setUp()
+    return ksp
+
+
+def create_multigrid(K: PETSc.Mat, solver: str = "gamg", *, rtol: float) -> PETSc.KSP:
+    """Set up a Krylov method with algebraic multigrid.
+
+    Args:
+        K: Assembled matrix, with a near kernel.
+        solver: ``gamg``, ``gamg-elasticity``, ``hypre`` or ``hypre-elasticity``.
         rtol: On the true residual.
 
     Returns:
-        The KSP, with the prefix ``hypre_``; the caller destroys it.
+        The KSP; the caller destroys it.
+
+    Note:
+        Collective.
     """
-    return _krylov(K, "hypre_", PETSc.PC.Type.HYPRE, rtol)
+    ksp = _krylov(K, solver, rtol)
+    ksp.getPC().setType(solver.split("-")[0])
+    with in_force(solver):
+        ksp.setFromOptions()
+        ksp.setUp()
+    return ksp
 
 
-def create_bddc(A: PETSc.Mat, *, rtol: float, symmetric: bool, definite: bool) -> PETSc.KSP:
-    """Return a Krylov method with balancing domain decomposition by constraints.
+def create_bddc(
+    A: PETSc.Mat, solver: str = "bddc", *, rtol: float, symmetric: bool, definite: bool
+) -> PETSc.KSP:
+    """Set up a Krylov method with balancing domain decomposition by constraints.
 
     The subdomains are FETI's. Primal are small parts of the interface, and on edges and faces the
-    averages that PETSc takes from the near kernel; the local factors are MUMPS's, as FETI's.
+    averages that PETSc takes from the near kernel; the local factors are MUMPS's.
 
     Args:
         A: Torn matrix. The solver works on a copy with unit rows and columns at Dirichlet dofs.
+        solver: ``bddc`` or ``bddc-deluxe``.
         rtol: On the true residual.
         symmetric: Whether the assembled matrix is symmetric.
         definite: Whether it is known to be symmetric positive definite.
 
     Returns:
-        The KSP, with the prefix ``bddc_``; the caller destroys it.
+        The KSP; the caller destroys it.
 
     Note:
         Collective.
@@ -82,45 +129,35 @@ def create_bddc(A: PETSc.Mat, *, rtol: float, symmetric: bool, definite: bool) -
     near_kernel = A.getNearNullSpace()
     if near_kernel.handle:
         B.setNearNullSpace(near_kernel)
-    ksp = _krylov(
-        B,
-        "bddc_",
-        PETSc.PC.Type.BDDC,
-        rtol,
-        defaults={
-            "pc_bddc_vertex_size": VERTEX_NODES * A.getBlockSize(),
-            "pc_bddc_neumann_pc_factor_mat_solver_type": "mumps",
-            "pc_bddc_dirichlet_pc_factor_mat_solver_type": "mumps",
-        },
-    )
-    if dirichlet is not None:
-        ksp.getPC().setBDDCDirichletBoundaries(dirichlet)
+    ksp = _krylov(B, solver, rtol)
+    ksp.getPC().setType(PETSc.PC.Type.BDDC)
+    with in_force(solver, pc_bddc_vertex_size=VERTEX_NODES * A.getBlockSize()):
+        ksp.setFromOptions()
+        if dirichlet is not None:
+            ksp.getPC().setBDDCDirichletBoundaries(dirichlet)
+        ksp.setUp()
     B.destroy()  # the KSP keeps it
     return ksp
 
 
-def missing(name: str) -> str:
-    """Say why this PETSc has no solver of this name, or nothing if it has.
+def ordering(ksp: PETSc.KSP) -> str:
+    """Tell how the rows of a direct solver's matrix were ordered; nothing of another solver.
 
-    Args:
-        name: ``feti``, ``mumps``, ``gamg``, ``hypre`` or ``bddc``.
+    MUMPS tells by INFOG(7); CHOLMOD takes the better one of two, and does not tell which.
     """
-    package = PACKAGES.get(name)
-    if package is not None and not PETSc.Sys.hasExternalPackage(package):
-        return f"this PETSc was built without {package}"
-    return ""
+    pc = ksp.getPC()
+    if pc.getType() not in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU):
+        return ""
+    if pc.getFactorSolverType() != PETSc.Mat.SolverType.MUMPS:
+        return "AMD or METIS"
+    found = int(pc.getFactorMatrix().getMumpsInfog(7))
+    return ORDERINGS.get(found, f"INFOG(7) = {found}")
 
 
-def _krylov(
-    A: PETSc.Mat,
-    prefix: str,
-    preconditioner: str,
-    rtol: float,
-    defaults: Mapping[str, object] | None = None,
-) -> PETSc.KSP:
-    """Return CG or GMRES with a preconditioner, set from the options; those given are defaults."""
+def _krylov(A: PETSc.Mat, solver: str, rtol: float) -> PETSc.KSP:
+    """Return CG or GMRES on the true residual."""
     ksp = PETSc.KSP().create(A.comm)
-    ksp.setOptionsPrefix(prefix)
+    ksp.setOptionsPrefix(prefix_of(solver))
     ksp.setOperators(A)
     if all(A.isSymmetricKnown()):
         ksp.setType(PETSc.KSP.Type.CG)
@@ -129,9 +166,4 @@ def _krylov(
         ksp.setPCSide(PETSc.PC.Side.RIGHT)
     ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
     ksp.setTolerances(rtol=rtol, max_it=MAX_IT)
-    ksp.getPC().setType(preconditioner)
-    users = PETSc.Options(prefix)
-    unset = {k: v for k, v in (defaults or {}).items() if not users.hasName(k)}
-    with inserted(prefix, unset):
-        ksp.setFromOptions()
     return ksp

@@ -21,6 +21,7 @@ from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.checks import check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.fem.condensation import Blocks
 from dolfinx_feti.fem.decomposition import decompose, suggested_number
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.arguments import (
@@ -224,6 +225,11 @@ class NonlinearProblem(TornProblem):
         raise AttributeError(message)
 
     @property
+    def condenses(self) -> bool:
+        """Whether fields are condensed."""
+        return self._system.condensation is not None
+
+    @property
     def history(self) -> list[NewtonStep]:
         """What each Newton step of the last solve cost, those after multipliers included."""
         return self._history + self._newton.history
@@ -278,6 +284,15 @@ class NonlinearProblem(TornProblem):
         b = self.A.createVecLeft()
         b.array[:] = -residual.condensed
         return self.A, b
+
+    def condensed_blocks(self) -> tuple[npt.NDArray[np.int64], Blocks] | None:
+        """Assemble what was condensed into the matrix at the present state; None if nothing was.
+
+        Returns:
+            Global dofs of u in each owned cell, (cells, d), and the blocks K_up, K_pp⁻¹ K_pu and
+            K_pp⁻¹ r_p there.
+        """
+        return on_all(self._system.condensed_blocks, self._system.comm)
 
     def solve(
         self,

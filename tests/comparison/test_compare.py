@@ -18,16 +18,20 @@ from problems import cube, elasticity, poisson
 from walls import tube, wall
 
 import ufl
+from dolfinx.fem import petsc
 
 import dolfinx_feti
 from dolfinx_feti import compare, loads
 from dolfinx_feti.comparison import (
+    SOLVERS,
     assembled,
     assembled_system,
-    create_mumps,
+    create_direct,
     measure,
     run,
+    settings,
     solvers,
+    split,
 )
 from dolfinx_feti.runtime.petsc_options import inserted
 
@@ -71,7 +75,8 @@ def test_solvers_agree_on_a_linear_problem():
     agree(found.rtol == RTOL and found.processes == COMM.size and not found.left_out)
     agree(found.subdomains == COMM.allreduce(problem.decomposition.count))
     agree(found.dofs == 3 * 5**3)
-    agree(all(set(record) == KEYS for record in found.records), found.records)
+    agree(all(set(record) - {"ordering"} == KEYS for record in found.records), found.records)
+    agree(found.records[1]["ordering"] in solvers.ORDERINGS.values(), found.records)
     agree(json.loads(json.dumps(found.records, allow_nan=False)) == found.records)
     agree(all(name in str(found) for name in names) and "375 dofs" in str(found))
     agree(all(other == str(found) for other in COMM.allgather(str(found))))
@@ -126,9 +131,67 @@ def test_next_newton_step():
     A, b = problem.linear_system()
     K, f = assembled_system(A, b)
     small(f.norm() - problem.residual_norm(), 1e-12 * f.norm())
-    cost, x = measure(lambda: create_mumps(K), f)
+    cost, x = measure(lambda: create_direct(K), f)
     agree(cost.converged_reason > 0 and x.norm() > 0.0)
     for made in (K, f, b, x):
+        made.destroy()
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_everybody_solves_the_condensed_system(degree):
+    """In a loaded state; the uncondensed one is solved until that is, with κ/μ of 1000."""
+    body = wall(tube(around=8, along=2), degree=degree)
+    problem = body.problem(4, {"ksp_rtol": RTOL})
+    body.inflate(problem, [1.0])
+    body.load.value = loads.mmhg(1.2)
+    found = compare(problem, SOLVERS)
+    all_agree(found, [name for name in SOLVERS if name not in dict(found.left_out)])
+
+
+def test_condensation_undone():
+    """K_uu is the tangent that was assembled without a pressure, and K = K_uu − Cᵀ S."""
+    body = wall(tube(around=6, along=1), degree=2)
+    body.load.value = loads.mmhg(1.0)
+    problem = body.problem(3, {})
+    problem.solve()
+    A, b = problem.linear_system()
+    K, f = assembled_system(A, b)
+    dofs, blocks = problem.condensed_blocks()
+    system = split.split(K, A.query("dirichlet"), dofs, blocks.k_up, blocks.slope)
+    K_uu = petsc.assemble_matrix(problem.J, bcs=problem.bcs)
+    K_uu.assemble()
+    size = K_uu.norm()
+    K_uu.axpy(-1.0, system.K_uu)
+    small(K_uu.norm(), 1e-12 * K.norm())
+    agree(size < 0.5 * K.norm(), "κ is gone")
+    for made in (K_uu, K, f, b, system):
+        made.destroy()
+
+
+def test_settings_stand_back_behind_the_users():
+    """Of the levels of a multigrid, too, which PETSc makes when it is set up."""
+    problem = linear(elasticity(cube(3, 6)))
+    A, b = problem.linear_system()
+    K, f = assembled_system(A, b)
+    for options, kind in (({}, "sor"), ({"mg_levels_pc_type": "jacobi"}, "jacobi")):
+        with inserted("gamg_elasticity_", options):
+            ksp = solvers.create_multigrid(K, "gamg-elasticity", rtol=RTOL)
+        agree(ksp.getPC().getMGSmoother(1).getPC().getType() == kind)
+        ksp.destroy()
+    for made in (K, f, b):
+        made.destroy()
+
+
+def test_approximate_factors_are_a_preconditioner():
+    """MUMPS with low-rank blocks reads its settings, and CG makes up for them."""
+    problem = linear(elasticity(cube(3, 4)))
+    A, b = problem.linear_system()
+    K, f = assembled_system(A, b)
+    ksp = create_direct(K, "mumps-blr", rtol=RTOL)
+    factor = ksp.getPC().getFactorMatrix()
+    agree(factor.getMumpsIcntl(35) == 2 and factor.getMumpsCntl(7) == 1e-6)
+    agree(ksp.getType() == "cg")
+    for made in (ksp, K, f, b):
         made.destroy()
 
 
@@ -148,10 +211,10 @@ def test_feti_that_fails_says_why():
 
 
 def test_error_of_petsc_becomes_a_note(monkeypatch):
-    def refuse(_K):
+    def refuse(_K, **_options):
         raise PETSc.Error(56)
 
-    monkeypatch.setattr(run, "create_mumps", refuse)
+    monkeypatch.setattr(run, "create_direct", refuse)
     found = compare(linear(elasticity(cube(3, 3))), ["mumps", "feti"])
     mumps, feti = found.solved
     agree(mumps.cost is None and mumps.note.startswith("failed: ") and feti.converged, found)
@@ -159,7 +222,7 @@ def test_error_of_petsc_becomes_a_note(monkeypatch):
 
 
 def test_solver_that_petsc_lacks_is_named(monkeypatch):
-    def lacks(name):
+    def lacks(name, _processes):
         return "this PETSc was built without mumps" if name == "mumps" else ""
 
     monkeypatch.setattr(run, "missing", lacks)
@@ -169,10 +232,17 @@ def test_solver_that_petsc_lacks_is_named(monkeypatch):
     agree(found.records[1]["note"] == "left out: this PETSc was built without mumps")
 
 
-def test_missing_asks_petsc(monkeypatch):
-    monkeypatch.setitem(solvers.PACKAGES, "hypre", "a package that is not there")
-    agree(run.missing("hypre") == "this PETSc was built without a package that is not there")
-    agree(run.missing("feti") == run.missing("gamg") == run.missing("bddc") == "")
+def test_missing(monkeypatch):
+    """A package of PETSc, a module, several processes; a pressure that is not condensed."""
+    for name, what in (("hypre", "package"), ("pardiso", "module")):
+        lacking = replace(settings.SETTINGS[name], **{what: "nothing"})
+        monkeypatch.setitem(settings.SETTINGS, name, lacking)
+    agree(settings.missing("hypre", 1) == "this PETSc was built without nothing")
+    agree("there is no module nothing" in settings.missing("pardiso", 1))
+    agree(settings.missing("cholmod", 2) == "it runs on one process only")
+    agree(settings.missing("feti", 2) == settings.missing("gamg", 1) == "")
+    found = compare(linear(poisson(cube(2, 4)), 3), ["fieldsplit", "feti"])
+    agree(found.left_out == (("fieldsplit", "no field is condensed"),), found)
 
 
 def test_unsymmetric_matrix():
@@ -233,7 +303,7 @@ def test_picture():
 @pytest.mark.parametrize(
     ("names", "match"),
     [
-        (["feti", "pardiso"], "solvers has 'pardiso': choose from feti, mumps, gamg, hypre, bddc"),
+        (["feti", "umfpack"], "solvers has 'umfpack': choose from feti, mumps, mumps-blr, cholmod"),
         ([], "solvers is empty: choose from"),
         ("mumps", r"solvers is 'mumps': put the names in a list, solvers=\['mumps'\]"),
     ],

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The two-layer tube and vessel, P2–P0, clamped at their openings, with about so many dofs.
+"""The two-layer tube and vessel, P_k–P0, clamped at their openings, with about so many dofs.
 
 ``subdomains`` is their number over all processes, None for the package's rule; ``options`` are
 PETSc options, with the prefix ``tube_`` or ``vessel_``. All functions are collective.
@@ -35,8 +35,11 @@ __all__ = [
 LENGTH = 3.0  # mm, of the tube
 INTERFACE = INNER_RADIUS + MEDIA  # mm, between its layers
 
-#: Length of the elements' edges [mm] that gives the vessel so many displacement dofs.
-SIZE, DOFS = 2.0, 71_430
+#: Displacement dofs of the tube over the square of its elements along the axis, by degree.
+DOFS_ALONG = {1: 18.0, 2: 125.0}
+
+#: Length of the elements' edges [mm] that gives the vessel so many displacement dofs, by degree.
+SIZE, DOFS = 2.0, {1: 11_000, 2: 71_430}
 
 #: Pressure of a first Newton step of the vessel [mmHg]. Under a larger one the tangent of the thin
 #: wall at rest is indefinite without the tension that the pressure makes.
@@ -44,14 +47,20 @@ FIRST_PRESSURE = 0.01
 
 
 def create_clamped_tube(
-    comm: MPI.Comm, *, dofs: int, kappa: float, subdomains: int | None, options: dict[str, object]
+    comm: MPI.Comm,
+    *,
+    dofs: int,
+    kappa: float,
+    subdomains: int | None,
+    options: dict[str, object],
+    degree: int = 2,
 ) -> WallProblem:
     """Build the tube at rest, with three elements through its wall."""
-    along = max(2, round(np.sqrt(dofs / 125.0)))
+    along = max(2, round(np.sqrt(dofs / DOFS_ALONG[degree])))
     wall = create_tube_wall(comm, length=LENGTH, through=(2, 1), around=3 * along // 2, along=along)
     return create_wall_problem(
         wall,
-        degree=2,
+        degree=degree,
         c=materials.ArteryParameters().c,
         kappa=kappa,
         subdomains=subdomains,
@@ -69,6 +78,7 @@ def create_clamped_vessel(
     subdomains: int | None,
     options: dict[str, object],
     folder: Path,
+    degree: int = 2,
 ) -> WallProblem:
     """Build the vessel at rest, with one element through each layer.
 
@@ -77,11 +87,11 @@ def create_clamped_vessel(
     Raises:
         ValueError: For less than 50 000 dofs the elements would be too long for a wall of 1 mm.
     """
-    size = SIZE * (DOFS / dofs) ** 0.5  # it is a surface
+    size = SIZE * (DOFS[degree] / dofs) ** 0.5  # it is a surface
     wall, _ = create_wall("vessel", comm, size=size, folder=folder)
     return create_wall_problem(
         wall,
-        degree=2,
+        degree=degree,
         c=materials.ArteryParameters().c,
         kappa=kappa,
         subdomains=subdomains,

@@ -44,6 +44,10 @@ def read(path: Path) -> list[dict[str, object]]:
     return on_first(lambda: json.loads(path.read_text()))
 
 
+def broadcast_path(path: Path) -> str:
+    return COMM.bcast(str(path))
+
+
 def refuse(*_args, **_options):
     raise AssertionError("a body is made")
 
@@ -116,6 +120,26 @@ def test_block_is_clamped_on_five_faces():
     agree((held.reshape(n, 3) == ~inside[:, None]).all())
 
 
+def test_rounds():
+    """The record of the median round, with the seconds of all."""
+    words = [*SMALL, "--degree", "1", "--rounds", "3", "--solvers", "mumps,gamg"]
+    for record in compare.main(words):
+        each = [sum(pair) for pair in record["seconds_rounds"]]
+        agree(len(each) == 3 and record["degree"] == 1, record)
+        equal(record["seconds_setup"] + record["seconds_solve"], np.median(each), 1e-12)
+
+
+def test_loaded_body(tmp_path):
+    """All solve the step in its equilibrium; the second run finds that in the folder."""
+    folder = broadcast_path(tmp_path)
+    words = [*SMALL, "--kappa", "10", "--loaded", "2", "--solvers", "feti,mumps"]
+    first, again = (compare.main([*words, "--folder", folder]) for _ in range(2))
+    for record in first + again:
+        agree(record["converged"] and record["loaded_mmhg"] == 2.0, record)
+        small(record["relative_residual"], 1e-8)
+    agree(first[0]["iterations"] == again[0]["iterations"], (first, again))
+
+
 @pytest.mark.serial
 def test_vessel(tmp_path):
     """The coarsest that can be meshed."""
@@ -133,6 +157,8 @@ def test_path():
     for record in (feti, mumps):
         agree(record.keys() >= KEYS and record["converged"] and record["note"] == "", record)
         agree(record["path_mmhg"] == 2.0 and record["load_steps"] >= 2, record)
+        linear = record["seconds_setup"] + record["seconds_solve"]
+        agree(record["seconds_end_to_end"] > linear + record["seconds_assembly"], record)
         agree(record["linear_solves"] >= record["newton_iterations"] >= record["load_steps"])
         each = record["seconds_per_solve"]
         agree(len(each) == len(record["iterations_per_solve"]) == record["linear_solves"])
@@ -243,8 +269,10 @@ def test_vessel_that_is_too_coarse(tmp_path, capsys):
         (["--dofs", "-5"], "argument --dofs: '-5' is not a number 1, 2, 3"),
         (["--dofs", "1e5"], "argument --dofs: '1e5' is not a number 1, 2, 3"),
         (["--subdomains", "0"], "argument --subdomains: '0' is not a number 1, 2, 3"),
-        (["--solvers", "feti,pardiso"], "--solvers: 'pardiso' is none of: feti, mumps, gamg"),
-        (["--solvers", ""], "argument --solvers: '' is none of: feti, mumps, gamg"),
+        (["--solvers", "feti,umfpack"], "--solvers: 'umfpack' is none of: feti, mumps"),
+        (["--solvers", ""], "argument --solvers: '' is none of: feti, mumps"),
+        (["--loaded", "0"], "argument --loaded: '0' is not a positive number"),
+        (["--loaded", "1", "--path", "1"], "--path and --loaded exclude each other"),
         (["--kapa", "10"], "unrecognized arguments: --kapa"),
         (["--geometry", "cube"], "argument --geometry: invalid choice: 'cube'"),
         (["--memory", "0"], "argument --memory: '0' is not a positive number"),

@@ -1,0 +1,47 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""MKL's PARDISO as a preconditioner of PETSc, by the module pypardiso, if that is there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from petsc4py import PETSc
+
+import scipy.sparse
+
+__all__ = ["Pardiso"]
+
+#: Kinds of matrices: symmetric positive definite, symmetric, and any other.
+DEFINITE, SYMMETRIC, GENERAL = 2, -2, 11
+
+
+class Pardiso:
+    """Context of a PC whose application is A⁻¹; one process."""
+
+    def __init__(self, *, symmetric: bool, definite: bool) -> None:
+        """Choose the factorisation: Cholesky, LDLᵀ, or LU."""
+        self._kind = (DEFINITE if definite else SYMMETRIC) if symmetric else GENERAL
+        self._solver: Any = None
+        self._matrix = scipy.sparse.csr_matrix((0, 0))
+
+    def setUp(self, pc: PETSc.PC) -> None:
+        """Factor the matrix, of which PARDISO takes the upper half if it is symmetric."""
+        import pypardiso
+
+        A = pc.getOperators()[0]
+        rows, columns, values = A.getValuesCSR()
+        K = scipy.sparse.csr_matrix((values, columns, rows), shape=A.getSize())
+        self._matrix = K if self._kind == GENERAL else scipy.sparse.triu(K, format="csr")
+        self._solver = self._solver or pypardiso.PyPardisoSolver(mtype=self._kind)
+        self._solver.factorize(self._matrix)
+
+    def apply(self, _pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Solve."""
+        x.array[:] = self._solver.solve(self._matrix, b.array_r.copy())
+
+    def destroy(self, _pc: PETSc.PC) -> None:
+        """Free the factors."""
+        if self._solver is not None:
+            self._solver.free_memory(everything=True)
