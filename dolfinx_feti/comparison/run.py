@@ -198,10 +198,7 @@ def _uncondensed(
     """Return the system before the condensation, if solvers need it."""
     if not any(SETTINGS[name].family == "split" for name in names):
         return []
-    assert isinstance(problem, NonlinearProblem)
-    condensed = problem.condensed_blocks()
-    assert condensed is not None
-    dofs, blocks = condensed
+    dofs, blocks = problem.condensed_blocks()
     return [split(K, dirichlet, dofs, blocks.k_up, blocks.slope)]
 
 
@@ -265,8 +262,7 @@ def _judged(
 
 def _missing(name: str, problem: Problem, comm: MPI.Comm) -> str:
     """Say why a solver cannot be had for a problem, or nothing if it can."""
-    condensed = isinstance(problem, NonlinearProblem) and problem.condenses
-    if SETTINGS[name].family == "split" and not condensed:
+    if SETTINGS[name].family == "split" and not problem.condenses:
         return "no field is condensed"
     return missing(name, comm.size)
 

@@ -270,7 +270,7 @@ class Condensation:
     def residual(self, blocks: Blocks, n_torn: int) -> Array:
         """Return −K_up K_pp⁻¹ r_p on the torn dofs, (n_torn,)."""
         cell = -blocks.k_up @ blocks.excess
-        return np.bincount(self._dofs().ravel(), cell.ravel(), minlength=n_torn).astype(np.float64)
+        return np.bincount(self.dofs().ravel(), cell.ravel(), minlength=n_torn).astype(np.float64)
 
     def increment(self, blocks: Blocks, du: Array) -> Array:
         """Return Δp = −K_pp⁻¹ (r_p + K_pu Δu), as in :meth:`values`.
@@ -280,11 +280,11 @@ class Condensation:
             du: Torn displacement increment, (n_torn,).
         """
         dp = np.zeros(sum(len(p.x.array) for p in self.fields))
-        slope = blocks.slope @ du[self._dofs()][:, :, None]
+        slope = blocks.slope @ du[self.dofs()][:, :, None]
         dp[self._place] = -(blocks.excess + slope)[:, :, 0]
         return dp
 
-    def _dofs(self) -> npt.NDArray[np.int32]:
+    def dofs(self) -> npt.NDArray[np.int32]:
         """Return the torn dofs of each cell, as in the rows of K_up, (cells, d)."""
         n, k = self._node.shape
         dofs = self._node[:, :, None] * self._bs + np.arange(self._bs, dtype=np.int32)

@@ -21,7 +21,6 @@ from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.checks import check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.condensation import Blocks
 from dolfinx_feti.fem.decomposition import decompose, suggested_number
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.arguments import (
@@ -189,7 +188,7 @@ class NonlinearProblem(TornProblem):
         self._volume_tolerance = volume_tolerance
         self._history: list[NewtonStep] = []
         self.volume_changes: list[float] = []
-        self.A = self._system.A
+        self.A, self._condensation = self._system.A, self._system.condensation
         self._newton = Newton(self._system)
         self.x, self.b = self.A.createVecs()
         for name, owned in (("A", self.A), ("x", self.x), ("b", self.b)):
@@ -223,11 +222,6 @@ class NonlinearProblem(TornProblem):
         if name in ("L", "a", "form"):  # Python would ask whether 'A' was meant
             raise AttributeError(f"{message}; {_OF_NEWTON_SOLVER}", name=name, obj=None)
         raise AttributeError(message)
-
-    @property
-    def condenses(self) -> bool:
-        """Whether fields are condensed."""
-        return self._system.condensation is not None
 
     @property
     def history(self) -> list[NewtonStep]:
@@ -284,15 +278,6 @@ class NonlinearProblem(TornProblem):
         b = self.A.createVecLeft()
         b.array[:] = -residual.condensed
         return self.A, b
-
-    def condensed_blocks(self) -> tuple[npt.NDArray[np.int64], Blocks] | None:
-        """Assemble what was condensed into the matrix at the present state; None if nothing was.
-
-        Returns:
-            Global dofs of u in each owned cell, (cells, d), and the blocks K_up, K_pp⁻¹ K_pu and
-            K_pp⁻¹ r_p there.
-        """
-        return on_all(self._system.condensed_blocks, self._system.comm)
 
     def solve(
         self,

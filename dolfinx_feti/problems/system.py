@@ -276,19 +276,6 @@ class System:
 
     # -- equations --------------------------------------------------------------------------------
 
-    def condensed_blocks(self) -> tuple[npt.NDArray[np.int64], Blocks] | None:
-        """Assemble what was condensed at the present state; None if nothing is.
-
-        Returns:
-            Global dof of each row of K_up, (cells, d), and the blocks.
-        """
-        if self.condensation is None:
-            return None
-        dofmap = self.u.function_space.dofmap
-        bs, local = dofmap.index_map_bs, self._local[self.condensation._dofs()]
-        node = dofmap.index_map.local_to_global((local // bs).ravel().astype(np.int32))
-        return node.reshape(local.shape) * bs + local % bs, self.condensation.assemble()
-
     def residual(self) -> Residual:
         """Assemble the residual at the present state.
 

@@ -13,8 +13,10 @@ import numpy.typing as npt
 from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.diagnosis.result import Diagnosis
 from dolfinx_feti.diagnosis.run import diagnose
+from dolfinx_feti.fem.condensation import Blocks, Condensation
 from dolfinx_feti.fem.decomposition import Decomposition
 from dolfinx_feti.problems.solvers import create_solver
+from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["TornProblem"]
 
@@ -31,6 +33,7 @@ class TornProblem:
     decomposition: Decomposition
     _prefix: str
     _petsc_options: dict[str, object]
+    _condensation: Condensation | None = None
 
     def linear_system(self) -> tuple[PETSc.Mat, PETSc.Vec]:
         """Assemble the torn system of the next solve.
@@ -42,6 +45,30 @@ class TornProblem:
             Collective.
         """
         raise NotImplementedError
+
+    @property
+    def condenses(self) -> bool:
+        """Whether fields are condensed."""
+        return self._condensation is not None
+
+    def condensed_blocks(self) -> tuple[npt.NDArray[np.int32], Blocks]:
+        """Assemble what was condensed into the matrix, at the present state.
+
+        Returns:
+            Global dofs of u in each owned cell, (cells, d), and the blocks K_up, K_pp⁻¹ K_pu and
+            K_pp⁻¹ r_p there.
+
+        Raises:
+            ValueError: Nothing is condensed.
+
+        Note:
+            Collective.
+        """
+        if self._condensation is None:
+            raise ValueError("No field of this problem is condensed.")
+        torn = self._condensation.dofs()
+        dofs = self.A.getLGMap()[0].apply(torn.ravel()).reshape(torn.shape)
+        return dofs, on_all(self._condensation.assemble, self.A.comm.tompi4py())
 
     def _approximation(self) -> npt.NDArray[np.float64] | float:
         """Return the x of the present state, (owned,), or one value for all."""
