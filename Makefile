@@ -32,7 +32,7 @@ help: ## what can be made
 demo: ## inflate the artery's wall, next to a direct solver; pictures in output/artery/
 	$(with) $(python) demos/demo_artery.py $(ARGS)
 
-test: ## the whole suite on 1, 2 and 3 processes
+test: ## the whole suite on 1, 2 and 3 processes, and some of it on 4 and 8
 	$(with) scripts/run-tests $(ARGS)
 
 sanitize: flags = -O1 -g -fno-omit-frame-pointer -fsanitize=address,undefined -fno-sanitize-recover=all

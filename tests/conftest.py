@@ -34,16 +34,19 @@ STUDIES = Path(__file__).parent / "benchmarks"
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out, on several processes, what is the work of the first one alone.
+    """Leave out what is not tried on so many processes.
 
-    Studies are tried on one and two.
+    That is, on several, the work of the first one alone; studies on more than two; on more than
+    three all that is not marked with the number.
     """
-    left_out = {
-        item
-        for item in items
-        if (COMM.size > 1 and item.get_closest_marker("serial"))
-        or (COMM.size > 2 and STUDIES in item.path.parents)
-    }
+
+    def is_tried(item: pytest.Item) -> bool:
+        if marker := item.get_closest_marker("processes"):
+            return COMM.size in marker.args
+        most = 1 if item.get_closest_marker("serial") else 2 if STUDIES in item.path.parents else 3
+        return COMM.size <= most
+
+    left_out = {item for item in items if not is_tried(item)}
     config.hook.pytest_deselected(items=list(left_out))
     items[:] = [item for item in items if item not in left_out]
 

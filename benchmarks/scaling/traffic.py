@@ -65,6 +65,7 @@ FUNCTIONS = (
      _OWN),
     ("Allgather", f"{_B}, {_RB}, MPI_Comm c", _OWN),
     ("Allgatherv", f"{_B}, void *rb, const N *rn, const D *d, MPI_Datatype rt, MPI_Comm c", _OWN),
+    ("Iallgather", f"{_B}, {_RB}, MPI_Comm c, R", _OWN),
     ("Iallgatherv", f"{_B}, void *rb, const N *rn, const D *d, MPI_Datatype rt, MPI_Comm c, R",
      _OWN),
     ("Alltoall", f"{_B}, {_RB}, MPI_Comm c",

@@ -108,8 +108,11 @@ class GatheredSolver:
         if self.inverse is not None and not self._is_accurate(N, self.inverse):
             self.inverse = None
 
-    def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Solve N x = b, both in N's own layout; where the solver fails, x is NaN."""
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec, *, first: bool = False) -> None:
+        """Solve N x = b, both in N's own layout; where the solver fails, x is NaN.
+
+        Whether b is the ``first`` right-hand side of a Krylov method, does not matter here.
+        """
         if self.ksp is None:
             return
         with event("FETICoarseSolve"):

@@ -33,6 +33,7 @@ import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.linalg
 
+from dolfinx_feti.feti.coarse.clustered import create_coarse_solver
 from dolfinx_feti.feti.coarse.fields import averaged_fields
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.coarse.near import NearColumns, joined
@@ -159,11 +160,17 @@ class AveragedSpace:
         energies = V.near.sum(elements())
         self.combinations = _independent(energies, V.own) if combinations is None else combinations
         self.A_0 = _change_of_basis(energies, self.combinations)
-        anchor(self.A_0, self._null_vectors(null_space(S.torn)[V.copies.dofs]))
+        anchor(self.A_0, self._amplitudes(null_space(S.torn)[V.copies.dofs]))
         self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self.dropped = V.total - self.A_0.getSize()[0]
         self._x, self._y = self.A_0.createVecs()
-        self.solver = GatheredSolver(self.A_0, prefix=prefix, symmetric=symmetric, zero=ZERO_PIVOT)
+        self.solver = create_coarse_solver(
+            self.A_0,
+            lambda: (self._amplitudes(S.torn.near_kernel()[V.copies.dofs]), self._counts()),
+            prefix=prefix,
+            symmetric=symmetric,
+            zero=ZERO_PIVOT,
+        )
         self._negative = self.solver.pivots().negative
         self._shifted: PETSc.Mat | None = None
         if symmetric and self._negative != 0:  # perhaps by rounding, or not known
@@ -175,7 +182,7 @@ class AveragedSpace:
 
     def initial_guess(self, r: Array) -> Array:
         """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective."""
-        return self.V.prolong(self.solve(self.V.restrict(r)))
+        return self.V.prolong(self.solve(self.V.restrict(r), first=True))
 
     def correct(self, z: Array, r: Array) -> Array:
         """Return z + V A₀⁻¹ Vᵀ (r − A z), of and by copies, (n,). Collective.
@@ -186,10 +193,10 @@ class AveragedSpace:
         energies = self.V.near.to_owners(joined([Y.T @ z[rows] for Y, rows in blocks]))  # Vᵀ A z
         return z + self.V.prolong(self.solve(self.V.restrict(r) - energies))
 
-    def solve(self, e: Array) -> Array:
-        """Return A₀⁻¹ e, both (size,). Collective."""
+    def solve(self, e: Array, *, first: bool = False) -> Array:
+        """Return A₀⁻¹ e, both (size,), the first one of a Krylov method or a later. Collective."""
         self._y.array[:] = self.combinations.T @ e
-        self.solver.solve(self._y, self._x)
+        self.solver.solve(self._y, self._x, first=first)
         return np.asarray(self.combinations @ self._x.array_r)
 
     def negative(self) -> int | None:
@@ -210,8 +217,15 @@ class AveragedSpace:
             if owned is not None:
                 owned.destroy()
 
-    def _null_vectors(self, Z: Array) -> Array:
-        """Return own rows of null vectors of A₀ for those of A on the interface, (n, k) each."""
+    def _counts(self) -> npt.NDArray[np.int64]:
+        """Count the combinations of each subdomain."""
+        some = self.combinations.tocsc()
+        row = some.indices[some.indptr[:-1]]  # any of each column
+        ends = [own.stop for own in self.V.own]
+        return np.bincount(np.searchsorted(ends, row, side="right"), minlength=len(ends))
+
+    def _amplitudes(self, Z: Array) -> Array:
+        """Return own rows of y, with Z = V y, for fields of A on the interface, (n, k) each."""
         pairs, B = zip(self.V.columns, self.V.copies.blocks, strict=True), self.combinations
         s = np.vstack([Z[:0], *(np.linalg.pinv(U) @ Z[rows] for U, rows in pairs)])  # Z = U s
         if not s.size:

@@ -34,7 +34,7 @@ import numpy.typing as npt
 import scipy.sparse
 
 from dolfinx_feti.errors import SetUpError
-from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.feti.coarse.clustered import create_coarse_solver
 from dolfinx_feti.feti.coarse.near import joined
 from dolfinx_feti.feti.dual.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.dual.weighted import WeightedColumns
@@ -114,15 +114,28 @@ class Coarse:
             self.N.axpy(1.0, self.MG.galerkin_matrix, structure=DIFFERENT)  # Gᵀ M G
             self.MG.galerkin_matrix.destroy()
         self.N.axpy(1.0, self.D, structure=DIFFERENT)
-        self._anchor(null_space(torn))
+        if not anchor(self.N, self._amplitudes(null_space(torn))):
+            raise SetUpError("Subdomains resist the null space of A: use feti_formulation primal.")
         self.N.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
-        self.solver = GatheredSolver(self.N, prefix=prefix, symmetric=symmetric)
+        self.solver = create_coarse_solver(
+            self.N,
+            lambda: (
+                self._amplitudes(torn.near_kernel()),
+                np.array([m.E.shape[1] for m in modes], dtype=np.int64),
+            ),
+            prefix=prefix,
+            symmetric=symmetric,
+        )
         self._s, self._e = self.N.createVecs()
 
-    def solve(self, e: Array) -> Array:
-        """Return N⁻¹ e for the local part of a right-hand side, (K,). Collective."""
+    def solve(self, e: Array, *, first: bool = False) -> Array:
+        """Return N⁻¹ e for the local part of a right-hand side, (K,). Collective.
+
+        ``first`` tells that e is the first one of a Krylov method, to whose size those that follow
+        compare; without M in Q they are jumps and forces by turns, which do not.
+        """
         self._e.array[:] = e
-        self.solver.solve(self._e, self._s)
+        self.solver.solve(self._e, self._s, first=first or self.MG is None)
         return self._s.array_r.copy()
 
     def restrict(self, f: Array) -> Array:
@@ -139,16 +152,10 @@ class Coarse:
             u[dofs], first = modes.E @ s[first:last], last
         return u
 
-    def _anchor(self, Z: Array) -> None:
-        """Make N regular along a null space of A on the torn dofs, (n, k). Collective.
-
-        Raises:
-            SetUpError: It is beyond the motions of the subdomains.
-        """
+    def _amplitudes(self, Z: Array) -> Array:
+        """Return own rows of S, with Z = E S, for fields on the torn dofs, (n, k)."""
         pairs = zip(self._modes, self._dofs, strict=True)
-        S = np.vstack([Z[:0], *(np.linalg.pinv(m.E) @ Z[dofs] for m, dofs in pairs)])  # Z = E S
-        if not anchor(self.N, S):
-            raise SetUpError("Subdomains resist the null space of A: use feti_formulation primal.")
+        return np.vstack([Z[:0], *(np.linalg.pinv(m.E) @ Z[dofs] for m, dofs in pairs)])
 
     def _jump_of(self, B: PETSc.Mat, E: list[Array]) -> PETSc.Mat:
         """Form B E from the kernels of all subdomains."""

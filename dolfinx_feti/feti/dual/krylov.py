@@ -6,6 +6,10 @@ r"""Krylov methods: CG where the system is positive definite, GMRES otherwise.
 Conjugate gradients are safe as long as the dual system is positive definite on the balanced pairs
 (λ, s), that is if neither a regularised subdomain nor the defect D has a negative eigenvalue
 (``definite``); otherwise GMRES takes over. ``stopping`` decides when they end.
+
+An iteration of CG waits for all processes in each coarse solve, for the norm of the residual of the
+assembled system, and once for :math:`r^⊤ z` and :math:`z^⊤ 𝒜 z` together, of which
+:math:`p^⊤ 𝒜 p` follows (Chronopoulos and Gear 1989).
 """
 
 from __future__ import annotations
@@ -62,11 +66,10 @@ def choose_method(comm: MPI.Comm, *, definite: bool, prefix: str) -> Method:
     Raises:
         PETSc.Error: The options ask for a method that PETSc does not have.
     """
-    own = PETSc.Options(prefix)
     ksp = _create_ksp(comm, "cg" if definite else "gmres", prefix, directions=1)
     kind = ksp.getType()
     ksp.destroy()
-    users_test = any(own.hasName(f"ksp_{key}") for key in ("rtol", "atol"))
+    users_test = any(_given(prefix, f"ksp_{key}") for key in ("rtol", "atol"))
     return Method(kind, prefix, users_test)
 
 
@@ -110,6 +113,8 @@ def solve(
         first=system.unbalanced(b) / norm if norm and not method.is_cg else 0.0,
         monitor=monitor,
     )
+    if method.is_cg and not (method.users_test or _given(method.prefix, "ksp_norm_type")):
+        ksp.setNormType(PETSc.KSP.NormType.NATURAL)  # of rᵀ z, which CG has
     if method.users_test:
         ksp.setTolerances(max_it=min(max_it, ksp.getTolerances()[3]))
         ksp.setMonitor(lambda _ksp, its, rnorm: test.measure(its, rnorm))
@@ -147,19 +152,27 @@ class _Context:
 
 
 def _create_ksp(comm: MPI.Comm, kind: str, prefix: str, *, directions: int) -> PETSc.KSP:
-    """Create a KSP with the user's options; flexible CG keeps so many directions by default."""
+    """Create a KSP with the user's options; flexible CG keeps so many directions by default.
+
+    CG itself has one reduction an iteration for all its scalar products.
+    """
     ksp = PETSc.KSP().create(comm)
     ksp.setOptionsPrefix(prefix)
     ksp.setType(kind)
     ksp.setGMRESRestart(RESTART)
     ksp.getPC().setType(PETSc.PC.Type.PYTHON)
     ksp.setComputeSingularValues(True)
-    full = {} if PETSc.Options(prefix).hasName("ksp_fcg_mmax") else {"ksp_fcg_mmax": directions}
-    with inserted(prefix, full):
+    usual = {"ksp_fcg_mmax": directions, "ksp_cg_single_reduction": True}
+    with inserted(prefix, {k: v for k, v in usual.items() if not _given(prefix, k)}):
         ksp.setFromOptions()
     if ksp.getType() in ("gmres", "fgmres"):
         ksp.setPCSide(PETSc.PC.Side.RIGHT)  # its residual then is the jump
     return ksp
+
+
+def _given(prefix: str, name: str) -> bool:
+    """Tell whether the user's options have one of this name."""
+    return bool(PETSc.Options(prefix).hasName(name))
 
 
 def _ritz_values(ksp: PETSc.KSP) -> tuple[float, float]:

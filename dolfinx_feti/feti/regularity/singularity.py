@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError, SingularError
+from dolfinx_feti.feti.coarse.clustered import CoarseSolver
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.gluing.bodies import Bodies
 from dolfinx_feti.feti.regularity.description import describe
@@ -76,7 +77,7 @@ def require_regular(
     bodies: Bodies,
     near_kernel: Array,
     N: PETSc.Mat,
-    solver: GatheredSolver,
+    solver: CoarseSolver,
     *,
     prolong: Callable[[Array], Array],
     extend: Callable[[Array, Array], Array],
@@ -160,7 +161,7 @@ def require_regular_interior(torn: Torn, bodies: Bodies, near_kernel: Array, ker
     raise SingularError(describe(rigid, others))
 
 
-def _growth_and_error(N: PETSc.Mat, solver: GatheredSolver) -> tuple[float, float]:
+def _growth_and_error(N: PETSc.Mat, solver: CoarseSolver) -> tuple[float, float]:
     """Solve with a random right-hand side; collective.
 
     Returns:

@@ -117,6 +117,7 @@ def test_columns_and_their_choice_serve_another_matrix(repeated):
     later.destroy()
 
 
+@pytest.mark.processes(1, 2, 3, 4)
 def test_product_that_fails_on_one_process(torn_grid, form):
     """S W of a subdomain of the last process: all raise, with the cause, and none waits."""
     primal = form(torn_grid(**GRID), type="all_floating", interior="eliminate")

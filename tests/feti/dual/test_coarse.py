@@ -112,6 +112,7 @@ def test_coarse_matrix_couples_neighbours_only(torn_grid, parts):
         agree(N.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] <= 8 * (2 * width + 1))
 
 
+@pytest.mark.processes(1, 2, 3, 4, 8)
 @pytest.mark.parametrize("spread", [0, 128], ids=["factor", "inverse"])
 @pytest.mark.parametrize("rows", [1, 3, 4000])
 @pytest.mark.parametrize("symmetric", [True, False])
@@ -185,6 +186,7 @@ def test_inverse_serves_if_it_is_accurate(κ):
         owned.destroy()
 
 
+@pytest.mark.processes(1, 2, 3, 4, 8)
 def test_no_kernel_at_all(torn_grid, parts):
     """All subdomains touch the Dirichlet boundary: the coarse problem is empty."""
     problem = torn_grid((1, 4), (2, 2), components=2)
@@ -221,6 +223,7 @@ def random_definite(n):
     return X @ X.T + n * np.eye(n)
 
 
+@pytest.mark.processes(1, 2, 3, 4, 8)
 @pytest.mark.parametrize("rows", [20, 4000])
 def test_not_enough_work_space(rows, distributed, monkeypatch):
     """The first try fails for real, on all processes alike, and the second one succeeds."""
@@ -241,6 +244,7 @@ def test_not_enough_work_space(rows, distributed, monkeypatch):
         owned.destroy()
 
 
+@pytest.mark.processes(1, 2, 3, 4, 8)
 @pytest.mark.parametrize(
     "options", [{"ksp_type": "nonsense"}, {"pc_type": "no"}, {"pc_factor_mat_solver_type": "no"}]
 )
@@ -263,6 +267,7 @@ def test_wrong_options_of_the_coarse_solver(options, torn_grid, feti):
     agree("coarse problem could not be factored" in context.message, context.message)
 
 
+@pytest.mark.processes(1, 2, 3, 4, 8)
 def test_failed_solve_is_no_number(distributed):
     """Where the coarse solver diverges, all processes learn it from the solution."""
     with inserted("test_coarse_", {"ksp_type": "cg", "pc_type": "none", "ksp_max_it": 1}):

@@ -108,7 +108,7 @@ def test_iteration_waits_three_times(count, monkeypatch, torn_grid, form):
             module, name, lambda values, comm, do=counted: calls.append(0) or do(values, comm)
         )
     solve = GatheredSolver.solve
-    monkeypatch.setattr(GatheredSolver, "solve", lambda *a: calls.append(1) or solve(*a))
+    monkeypatch.setattr(GatheredSolver, "solve", lambda *a, **k: calls.append(1) or solve(*a, **k))
     ends = []
     for iterations in (2, 6):
         calls.clear()

@@ -24,7 +24,9 @@ from dolfinx_feti.feti.subdomain.blocks import named
 from dolfinx_feti.feti.subdomain.factors.dense import PackedMatrix, pack
 from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
 
-GRID = {"subdomains": (3, 2), "cells": (5, 2), "components": 2}
+many = pytest.mark.processes(1, 2, 3, 4, 8)
+
+GRID = {"subdomains": (4, 2), "cells": (5, 2), "components": 2}
 LAST = COMM.rank == COMM.size - 1
 
 #: Kinds of errors and what they are raised with; a raised one would keep its frames alive.
@@ -62,6 +64,7 @@ def fail_on_last(monkeypatch, place, error):
         monkeypatch.setattr(f"dolfinx_feti.feti.subdomain.{place}", fail)
 
 
+@many
 @pytest.mark.parametrize("place", PLACES.values(), ids=PLACES)
 def test_every_place_may_fail(place, torn_grid, parts, monkeypatch):
     where, interior = place
@@ -75,16 +78,18 @@ def test_every_place_may_fail(place, torn_grid, parts, monkeypatch):
         parts(A, interior=interior)
 
 
+@many
 @pytest.mark.parametrize("error", ERRORS.values(), ids=ERRORS)
 def test_every_error_is_one_on_all(error, torn_grid, parts, monkeypatch):
     fail_on_last(monkeypatch, "pseudoinverse.soft_modes", error)
     A = torn_grid(**GRID).A
-    first = min(i for i in range(6) if i * COMM.size // 6 == COMM.size - 1)
+    first = min(i for i in range(8) if i * COMM.size // 8 == COMM.size - 1)
     words = str(error[0](error[1])).split("(")[0].strip()
     with raises(SetUpError, rf"failed \(subdomain {first}: .*{words}"):
         parts(A)
 
 
+@many
 def test_solver_goes_on_when_the_cause_is_gone(torn_grid, feti, monkeypatch):
     """The failure is a negative reason with a message, and the next set-up succeeds."""
     problem = torn_grid(**GRID)

@@ -1,0 +1,255 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""A large coarse system N x = b: conjugate gradients with a third level, clusters of subdomains.
+
+.. math:: x_0 = Z A_1^{-1} Z^⊤ b, \qquad z = (I - Z A_1^{-1} (N Z)^⊤)\, D\, r, \qquad
+          A_1 = Z^⊤ N Z
+
+with the inverse D of diagonal blocks of N, and the rigid motions Z of each cluster of subdomains as
+combinations of their columns: the method of the primal form, one level up. A process holds its rows
+of N, Z and N Z, and its blocks; A₁ alone is gathered (``gathered``).
+
+The solves serve a Krylov method whose right-hand sides b shrink, and the error of each stays in its
+residual. So all are solved to the same size of error, :math:`\|b - N x\| ≤ τ \max \|b\|` over the
+right-hand sides since the first one, and take fewer iterations each time (Simoncini and Szyld
+2003).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from types import SimpleNamespace
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.runtime.collective import join, on_all, total
+from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.petsc_options import inserted
+
+__all__ = ["ClusteredSolver", "CoarseSolver", "create_coarse_solver"]
+
+Array = npt.NDArray[np.float64]
+Counts = npt.NDArray[np.int64]
+
+#: Rows above which N is not gathered any more.
+LARGE = 20_000
+
+#: Subdomains of a cluster, and rows of a diagonal block.
+SUBDOMAINS, BLOCK = 64, 128
+
+#: Share τ of the largest right-hand side that a solve leaves.
+TOLERANCE = 1e-9
+
+#: Most iterations.
+MOST = 500
+
+#: Multiple of the diagonal that is added to the blocks, which may be singular where columns depend.
+SHIFT = 1e-8
+
+
+class ClusteredSolver:
+    """Iterative solver for a symmetric positive definite matrix, which stays distributed.
+
+    Attributes:
+        clusters: Number of clusters over all processes.
+    """
+
+    def __init__(self, N: PETSc.Mat, motions: Array, counts: Counts, *, prefix: str) -> None:
+        """Find clusters, and invert blocks and A₁. Collective.
+
+        Args:
+            N: Matrix, (K, K); the caller destroys it after this.
+            motions: Rigid motions as combinations of the columns of N, (own rows, k).
+            counts: Rows of each subdomain of this process.
+            prefix: Options prefix of the solver of A₁.
+
+        Raises:
+            LinAlgError: A diagonal block is not positive definite; on all processes.
+            SetUpError: A₁ could not be factored; on all processes.
+        """
+        self._N, self._comm = N, N.comm.tompi4py()
+        self._blocks = on_all(lambda: _inverse_blocks(N), self._comm)
+        cluster = _clusters(N, counts, prefix)
+        self.clusters = 1 + self._comm.allreduce(int(cluster.max(initial=-1)), op=MPI.MAX)
+        self._Z = _columns(N, motions, np.repeat(cluster, counts), self.clusters)
+        self._NZ = N.matMult(self._Z)
+        A_1 = self._Z.transposeMatMult(self._NZ)  # A₁ = Zᵀ N Z
+        self._third = GatheredSolver(A_1, prefix=prefix, symmetric=True, zero=SHIFT)
+        self._e, self._c = A_1.createVecs()
+        A_1.destroy()
+        self._y, self._largest = N.createVecRight(), 0.0
+        self._ksp = PETSc.KSP().create(N.comm)
+        self._ksp.setOptionsPrefix(prefix)
+        self._ksp.setOperators(N)
+        self._ksp.setType(PETSc.KSP.Type.CG)
+        self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        self._ksp.setInitialGuessNonzero(True)
+        self._ksp.getPC().setType(PETSc.PC.Type.PYTHON)
+        self._ksp.getPC().setPythonContext(SimpleNamespace(apply=self._precondition))
+        with inserted(prefix, {"ksp_cg_single_reduction": True}):
+            self._ksp.setFromOptions()
+
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec, *, first: bool = False) -> None:
+        """Solve N x = b, both in N's own layout; where the solver fails, x is NaN.
+
+        ``first`` tells that the largest right-hand side is to be found anew, from b on.
+        """
+        with event("FETICoarseSolve"):
+            self._largest = max(0.0 if first else self._largest, b.norm())
+            self._ksp.setTolerances(rtol=0.0, atol=TOLERANCE * self._largest, max_it=MOST)
+            self._Z.multTranspose(b, self._e)
+            self._third.solve(self._e, self._c)
+            self._Z.mult(self._c, x)  # x₀ = Z A₁⁻¹ Zᵀ b
+            self._ksp.solve(b, x)
+        if self._ksp.getConvergedReason() < 0:
+            x.set(np.nan)
+
+    def _precondition(self, _pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
+        """Compute z = (I − Z A₁⁻¹ (N Z)ᵀ) D r."""
+        own, padded = r.array_r, np.zeros(self._blocks.shape[:2])
+        padded.ravel()[: len(own)] = own
+        self._y.array[:] = (self._blocks @ padded[:, :, None]).ravel()[: len(own)]  # y = D r
+        self._NZ.multTranspose(self._y, self._e)
+        self._third.solve(self._e, self._c)
+        self._Z.mult(self._c, z)
+        z.aypx(-1.0, self._y)  # z = y − Z A₁⁻¹ (N Z)ᵀ y
+
+    def is_definite(self) -> bool:
+        """Tell whether a random system is solved, with positive curvatures alone. Collective."""
+        b, x = self._N.createVecs()
+        x.array[:] = np.random.default_rng(self._comm.rank).standard_normal(len(x.array_r))
+        self._N.mult(x, b)  # in the range of N, where columns depend
+        self.solve(b, x, first=True)
+        self._largest = 0.0
+        for owned in (b, x):
+            owned.destroy()
+        return self._ksp.getConvergedReason() > 0 and not self._third.pivots().negative
+
+    def pivots(self) -> Pivots:
+        """Return that none is negative or zero: :meth:`is_definite` would have met it."""
+        return Pivots(0, 0)
+
+    def memory(self) -> float:
+        """Return the memory of D, Z, N Z and A₁ over all processes in MiB. Collective."""
+        entries = sum(M.getInfo()["nz_used"] for M in (self._Z, self._NZ))
+        own = self._blocks.nbytes + 12.0 * entries
+        return total(own, self._comm) / 2**20 + (self._third.memory() or 0.0)
+
+    def __str__(self) -> str:
+        """Say how it solves."""
+        return f"CG on {self.clusters} clusters of subdomains"
+
+    def destroy(self) -> None:
+        """Free solvers, matrices and vectors."""
+        owned = (self._ksp, self._third, self._Z, self._NZ, self._e, self._c, self._y)
+        for each in owned:
+            each.destroy()
+
+
+CoarseSolver = GatheredSolver | ClusteredSolver
+
+
+def create_coarse_solver(
+    N: PETSc.Mat,
+    motions: Callable[[], tuple[Array, Counts]],
+    *,
+    prefix: str,
+    symmetric: bool,
+    zero: float | None = None,
+) -> CoarseSolver:
+    """Create the solver for a coarse matrix of its size. Collective.
+
+    Args:
+        N: Coarse matrix, (K, K); the caller destroys it after the solver.
+        motions: Returns the rigid motions as combinations of the columns, (own rows, k), and the
+            rows of each subdomain of this process.
+        prefix: Options prefix of the solver; with a type of KSP or PC among them N is gathered.
+        symmetric: Whether N is symmetric.
+        zero: See :class:`~dolfinx_feti.feti.coarse.gathered.GatheredSolver`.
+
+    Raises:
+        SetUpError: The options are wrong, or a factorisation failed; on all processes.
+    """
+    own = PETSc.Options(prefix)
+    if symmetric and N.getSize()[0] > LARGE and not any(map(own.hasName, ("ksp_type", "pc_type"))):
+        with suppress(np.linalg.LinAlgError):
+            solver = ClusteredSolver(N, *motions(), prefix=prefix)
+            if solver.is_definite():
+                return solver
+            solver.destroy()
+    return GatheredSolver(N, prefix=prefix, symmetric=symmetric, zero=zero)
+
+
+def _inverse_blocks(N: PETSc.Mat) -> Array:
+    """Return the inverse blocks of own rows, as many in each, (blocks, BLOCK, BLOCK).
+
+    Raises:
+        LinAlgError: One is not positive definite.
+    """
+    indptr, indices, values = N.getDiagonalBlock().getValuesCSR()
+    n = len(indptr) - 1
+    row = np.repeat(np.arange(n), np.diff(indptr))
+    inside = row // BLOCK == indices // BLOCK
+    row, column = row[inside], indices[inside]
+    blocks = np.zeros((-(-n // BLOCK), BLOCK, BLOCK))
+    blocks[row // BLOCK, row % BLOCK, column % BLOCK] = values[inside]
+    diagonal = np.einsum("bii->bi", blocks)
+    diagonal *= 1.0 + SHIFT
+    diagonal[diagonal == 0.0] = 1.0  # also below the last row
+    np.linalg.cholesky(blocks)
+    return np.asarray(np.linalg.inv(blocks), dtype=np.float64)
+
+
+def _clusters(N: PETSc.Mat, counts: Counts, prefix: str) -> npt.NDArray[np.int32]:
+    """Return the cluster of each subdomain of this process, (subdomains,). Collective."""
+    comm = N.comm.tompi4py()
+    first = N.getOwnershipRange()[0] + np.cumsum(counts) - counts
+    starts = join(first, comm)  # of all subdomains
+    n, own = len(starts), comm.scan(len(counts)) - len(counts)
+    near = [
+        np.setdiff1d(np.searchsorted(starts, N.getRow(row)[0], side="right") - 1, own + i)
+        if counts[i]
+        else np.zeros(0, dtype=np.int64)
+        for i, row in enumerate(first.tolist())
+    ]
+    indptr = np.cumsum([0, *map(len, near)]).astype(PETSc.IntType)
+    indices = np.concatenate([*near, np.zeros(0)]).astype(PETSc.IntType)
+    sizes = (len(counts), n)
+    graph = PETSc.Mat().createAIJ(
+        (sizes, sizes), csr=(indptr, indices, np.ones(len(indices))), comm=N.comm
+    )
+    graph.convert("mpiadj")
+    partitioning = PETSc.MatPartitioning().create(N.comm)
+    partitioning.setOptionsPrefix(prefix)
+    partitioning.setAdjacency(graph)
+    with inserted(prefix, {"mat_partitioning_nparts": max(1, n // SUBDOMAINS)}):
+        partitioning.setFromOptions()
+    numbers = PETSc.IS()
+    partitioning.apply(numbers)
+    cluster = numbers.getIndices().copy()
+    for owned in (numbers, partitioning, graph):
+        owned.destroy()
+    return cluster
+
+
+def _columns(
+    N: PETSc.Mat, motions: Array, cluster: npt.NDArray[np.int32], clusters: int
+) -> PETSc.Mat:
+    """Return Z, (K, k clusters), for the cluster of each own row, (own rows,)."""
+    n, k = motions.shape
+    indices = k * cluster[:, None] + np.arange(k)
+    csr = (
+        np.arange(0, n * k + 1, k, dtype=PETSc.IntType),
+        indices.ravel().astype(PETSc.IntType),
+        motions.ravel(),
+    )
+    sizes = (N.getSizes()[0], (None, k * clusters))
+    return PETSc.Mat().createAIJ(sizes, csr=csr, comm=N.comm)

@@ -1,0 +1,108 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The third level: conjugate gradients on clusters of subdomains in place of a factor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from collective import COMM, agree, dense, equal, norm, small, whole
+from hand_torn import random_values, solve
+
+from dolfinx_feti.feti.coarse import clustered
+from dolfinx_feti.feti.coarse.clustered import TOLERANCE, ClusteredSolver
+from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.runtime.petsc_options import inserted
+
+pytestmark = pytest.mark.processes(1, 2, 3, 4, 8)
+
+GRID = {"subdomains": (6, 5), "cells": (3, 3), "components": 2}
+LAST = COMM.rank == COMM.size - 1
+
+#: With Q = M the dual form has one coarse solve an iteration, else two.
+FORMS = {
+    "Q = I": {"feti_formulation": "dual", "feti_coarse_q": "identity"},
+    "Q = M": {"feti_formulation": "dual"},
+    "primal": {"feti_formulation": "primal"},
+}
+
+
+@pytest.fixture
+def large(monkeypatch):
+    """Take every coarse matrix for a large one, and make several clusters of it."""
+    monkeypatch.setattr(clustered, "LARGE", 0)
+    monkeypatch.setattr(clustered, "SUBDOMAINS", 8)
+    monkeypatch.setattr(clustered, "BLOCK", 16)
+
+
+@pytest.mark.parametrize("options", FORMS.values(), ids=FORMS)
+def test_outer_iterations_are_those_of_an_exact_solve(options, torn_grid, feti, monkeypatch):
+    problem = torn_grid(**GRID)
+    values, found = random_values(problem), []
+    for rows in (20_000, 0):
+        monkeypatch.setattr(clustered, "LARGE", rows)
+        monkeypatch.setattr(clustered, "SUBDOMAINS", 8)
+        ksp = feti(problem.A, ksp_rtol=1e-8, **options)
+        reason, x = solve(ksp, problem, values)
+        agree(reason > 0, ksp.getPythonContext().message)
+        found.append((ksp.getPythonContext().iterations, x))
+        agree(("clusters" in ksp.getPythonContext().report().coarse_solver) == (rows == 0))
+    (exact, x), (its, x_clusters) = found
+    agree(its <= 1.15 * exact, found)
+    equal(x_clusters, x, 1e-6)
+
+
+def test_solves_leave_a_share_of_the_largest_right_hand_side(large, torn_grid, parts):
+    """Where right-hand sides shrink, so do iterations; the first one begins anew."""
+    coarse = parts(torn_grid(**GRID).A).coarse
+    agree(isinstance(coarse.solver, ClusteredSolver) and coarse.solver.clusters == 3)
+    agree(coarse.solver.memory() > 0.0 and coarse.solver.pivots() == (0, 0))
+    N, x = dense(coarse.N), coarse.N.createVecRight()
+    b = x.duplicate()
+    b.array[:] = np.random.default_rng(COMM.rank).standard_normal(len(b.array_r))
+    for scale, first, share in ((1.0, True, 1.0), (1e-4, False, 1e4), (1e-6, True, 1.0)):
+        b.scale(scale / b.norm())
+        coarse.solver.solve(b, x, first=first)
+        error = np.linalg.norm(whole(b.array_r) - N @ whole(x.array_r))
+        small(error, 1.01 * share * TOLERANCE * norm(b.array_r))
+    b.scale(1e-12)
+    coarse.solver.solve(b, x, first=False)
+    agree(coarse.solver._ksp.getIterationNumber() == 0)
+
+
+def test_indefinite_matrix_is_factored(large, torn_grid, form):
+    """A factor tells its inertia, and solves."""
+
+    def soften(K, dofs):
+        for K_i in K:
+            K_i -= 0.02 * np.abs(K_i).max() * np.eye(len(K_i))
+
+    problem = torn_grid((3, 2), (4, 4), components=2, change=soften)
+    space = form(problem, type="classical", interior="eliminate", coarse_modes=0).space
+    agree(isinstance(space.solver, GatheredSolver) and space.negative() > 0)
+
+
+def test_options_of_the_coarse_solver_ask_for_a_factor(large, torn_grid, parts):
+    with inserted("test_feti_coarse_", {"pc_type": "cholesky"}):
+        agree(isinstance(parts(torn_grid(**GRID).A).coarse.solver, GatheredSolver))
+
+
+def test_block_of_one_process_that_is_not_definite(large, torn_grid, parts, monkeypatch):
+    """All processes take the factor."""
+
+    def fail(*_):
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+
+    if LAST:
+        monkeypatch.setattr(np.linalg, "cholesky", fail)
+    agree(isinstance(parts(torn_grid(**GRID).A).coarse.solver, GatheredSolver))
+
+
+def test_more_processes_than_subdomains(large, torn_grid, feti):
+    """Some have no rows, no block and no cluster."""
+    problem = torn_grid((3, 1), (3, 3), components=2)
+    for options in FORMS.values():
+        ksp = feti(problem.A, feti_type="all_floating", **options)
+        reason, _ = solve(ksp, problem, random_values(problem))
+        agree(reason > 0, ksp.getPythonContext().message)
