@@ -142,6 +142,19 @@ def follow_load(body: Body) -> None:
     agree([step.load for step in body.steps] == [0.1, 0.2])
 
 
+def unload(body: Body) -> None:
+    """The block is the image of itself under a load that it carried before."""
+    body.set_load(0.0)
+    body.u.x.array[:] = 0.0
+    here = body.mesh.geometry.x.copy()
+    steps = loading.unload(
+        body.problem, body.set_load, [0.1], loading.Steps(first=0.1, least=0.1), state=[body.u]
+    )
+    same([step.load for step in steps])
+    agree(COMM.allreduce(float(np.abs(body.mesh.geometry.x - here).max())) > 1e-3)
+    body.mesh.geometry.x[:] = here
+
+
 def write_history(body: Body) -> None:
     path = body.folder / "not/there/history.csv"
     loading.write_history(path, body.steps, COMM)
@@ -297,6 +310,7 @@ CALLS = {
     "loading": {
         "Checkpoint": checkpoint,
         "follow_load": follow_load,
+        "unload": unload,
         "write_history": write_history,
     },
     "output": {

@@ -3,12 +3,14 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Load steps from equilibrium to equilibrium, and states that outlive a run.
 
-In the order of the data: states, identity, storage, checkpoint, steps, table, progress, load_steps.
+In the order of the data: states, identity, storage, checkpoint, steps, table, progress, load_steps,
+anderson, unloaded.
 """
 
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.loading.table import write_history
+from dolfinx_feti.loading.unloaded import unload
 
-__all__ = ["Checkpoint", "LoadStep", "Steps", "follow_load", "write_history"]
+__all__ = ["Checkpoint", "LoadStep", "Steps", "follow_load", "unload", "write_history"]

@@ -1,0 +1,279 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The wall without load of one that is known under load, as in a scan.
+
+The nodes x of the image are those of the loaded wall. Wanted are the nodes X of the wall without
+load, from which the load leads to the image, X + u(X) = x. The fixed point of Sellier (2011) and of
+Bols et al. (2013) takes forward solves only. With U = x − X it is
+
+.. math:: U^{k+1} = u(x - U^k),
+
+where u(X) is the displacement in equilibrium of the wall whose nodes are X, found from :math:`U^k`
+by Newton's method: one step of it, mostly. Without acceleration (``anderson``) it would contract as
+long as no stretch is above two.
+
+The load grows in steps, as on a wall that is inflated, and the image is the same at all loads:
+U is the unknown of a path like any other, which ``follow_load`` follows. The mesh moves in place
+(``fem.nodes``), to X where something is assembled, and back to the image afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+import ufl
+
+from dolfinx_feti.errors import ConvergenceError
+from dolfinx_feti.fem.nodes import Nodes
+from dolfinx_feti.loading.anderson import Anderson
+from dolfinx_feti.loading.checkpoint import Checkpoint
+from dolfinx_feti.loading.load_steps import Problem, follow_load
+from dolfinx_feti.loading.steps import LoadStep, Steps
+from dolfinx_feti.problems.history import NewtonStep
+from dolfinx_feti.problems.system import Tangent
+from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.compat import interpolation_points
+
+__all__ = ["unload"]
+
+Array = npt.NDArray[np.float64]
+Reason = PETSc.SNES.ConvergedReason
+
+#: What a forward solve leaves of its residual, and a linear solve in it, until the wall is found.
+#: Where κ is large nearly all of the residual is of the volume, and a rougher one would be blind.
+ROUGH, LINEAR = 0.1, 1e-5
+
+#: Forward solves at a load, at most.
+MOST = 25
+
+#: Halvings of a step that turns cells inside out.
+HALVINGS = 5
+
+
+def unload(
+    problem: Problem,
+    set_load: Callable[[float], object],
+    targets: Sequence[float],
+    steps: Steps,
+    *,
+    state: Sequence[dolfinx.fem.Function],
+    fibres: Sequence[dolfinx.fem.Function] = (),
+    tolerance: float = 1e-7,
+    start: float = 0.0,
+    on_move: Callable[[], object] | None = None,
+    on_step: Callable[[LoadStep], object] | None = None,
+    checkpoint: Checkpoint | None = None,
+    unit: str = "",
+) -> list[LoadStep]:
+    """Move the mesh, that of a wall under load, to where the wall is without it.
+
+    Afterwards the forms of the problem are those of the unloaded wall, and u is the displacement
+    that leads to the image. At the loads on the way the mesh is the image, and u leads to it from
+    the wall that would be without load if the image were of that load.
+
+    Args:
+        problem: The nonlinear problem, with u in a space of displacements.
+        set_load: Sets the load in the user's forms.
+        targets: Loads on the way; the last one is that of the image.
+        steps: How to choose the increments. Each load takes two to five Newton steps, which counts
+            in ``quick``.
+        state: All functions that a solve changes, u and a condensed pressure; zero at ``start``.
+        fibres: Unit vectors in the image, Functions of the mesh that the forms use: they follow
+            into the unloaded wall, a ← F⁻¹ a / |F⁻¹ a|.
+        tolerance: How far a node of the loaded wall may be from the image [mm]; on the way, so far
+            or as large a share of u as ``steps.rtol``.
+        start: The load at which the image is the unloaded wall.
+        on_move: Called on all processes when the mesh and the fibres have moved, for what else
+            depends on the mesh's shape.
+        on_step: Called at each load, as by ``follow_load``.
+        checkpoint: Where each load's state is kept, likewise.
+        unit: Name of the load's unit.
+
+    Returns:
+        The accepted steps; their histories hold the Newton steps of all forward solves.
+
+    Raises:
+        ValueError: See :func:`~dolfinx_feti.loading.load_steps.follow_load`; or the tolerance is
+            not positive.
+        ConvergenceError: No step of the least increment leads on; the mesh is the image.
+
+    Note:
+        Collective. Source: M. Sellier, Eng. Comput. 28 (2011); J. Bols et al., J. Comput. Appl.
+        Math. 246 (2013).
+    """
+    if not tolerance > 0.0:
+        raise ValueError(f"tolerance is {tolerance}: give a positive number of millimetres.")
+    unloading = _Unloading(problem, fibres, tolerance, on_move)
+    accepted = follow_load(
+        unloading,
+        set_load,
+        targets,
+        steps,
+        state=state,
+        start=start,
+        on_step=on_step,
+        checkpoint=checkpoint,
+        unit=unit,
+    )
+    unloading.move()
+    return accepted
+
+
+class _Unloading:
+    """The problem of the unloaded wall, with U = x − X as its unknown u.
+
+    Attributes:
+        u: U where a solve begins and ends, of all nodes.
+        solver: The SNES of the forward problem.
+        history: The Newton steps of all forward solves of the last solve.
+        volume_changes: What the last forward solve has left, see the problem.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        fibres: Sequence[dolfinx.fem.Function],
+        tolerance: float,
+        on_move: Callable[[], object] | None,
+    ) -> None:
+        self._problem = problem
+        self.u, self.solver = problem.u, problem.solver
+        V = problem.u.function_space
+        self._nodes, self._comm = Nodes(V.mesh), V.mesh.comm
+        self._owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+        self._fibres = [(a, a.x.array.copy(), _pulled_back(a, problem.u)) for a in fibres]
+        self._tolerance, self._on_move = tolerance, on_move
+        self.history: list[NewtonStep] = []
+        self.volume_changes: list[float] = []
+
+    def residual_norm(self) -> float:
+        """Return ‖r‖ of the loaded wall in the image."""
+        with self._moved():
+            return self._problem.residual_norm()
+
+    def linearise(self) -> Tangent:
+        """Assemble the forward problem's tangent."""
+        with self._moved():
+            return self._problem.linearise()
+
+    def renew(self) -> None:
+        """Let the next solve depend on none before."""
+        self._problem.renew()
+
+    def move(self) -> None:
+        """Move mesh and fibres to the unloaded wall."""
+        self._nodes.mesh.geometry.x[:] = self._nodes.first - self._nodes.displacement(self.u)
+        for a, image, pulled_back in self._fibres:
+            a.x.array[:] = image
+            a.interpolate(pulled_back)
+            a.x.scatter_forward()
+        if self._on_move is not None:
+            on_all(self._on_move, self._comm)
+
+    @contextmanager
+    def _moved(self) -> Iterator[None]:
+        """Let the mesh be the unloaded wall, and then the image again."""
+        try:
+            self.move()
+            yield
+        finally:
+            self._nodes.mesh.geometry.x[:] = self._nodes.first
+            for a, image, _ in self._fibres:
+                a.x.array[:] = image
+
+    def solve(
+        self,
+        *,
+        reference: float | None = None,
+        first_tangent: Tangent | None = None,
+        renew: bool = True,
+    ) -> dolfinx.fem.Function:
+        """Iterate until the loaded wall is the image, and in equilibrium."""
+        anderson, self.history = Anderson(self._comm, self._owned), []
+        nodes, close = self._nodes, False
+        self._require_admissible()
+        for _ in range(MOST):
+            U = self.u.x.array.copy()
+            with self._moved(), self._tolerances(reference if close else None):
+                try:
+                    self._problem.solve(first_tangent=first_tangent, renew=renew)
+                finally:
+                    self.history += self._problem.history
+                    self.volume_changes = self._problem.volume_changes
+                loaded = nodes.mesh.geometry.x + nodes.displacement(self.u)
+            distance = nodes.longest(loaded - nodes.first)
+            reached = distance <= self._allowed()
+            if reached and close:
+                return self.u
+            if not reached:
+                self._step(U, anderson.next(U, self.u.x.array - U))
+            if reference is None:
+                reference = self.history[0].residual
+            first_tangent, renew, close = None, False, reached
+        raise ConvergenceError(
+            f"{MOST} forward solves did not find the unloaded wall: the loaded one is "
+            f"{distance:.1e} mm off the image. Load in smaller steps."
+        )
+
+    def _allowed(self) -> float:
+        """Return how far a node of the loaded wall may be from the image."""
+        rtol = self.solver.getTolerances()[0]
+        return max(self._tolerance, rtol * self._nodes.longest(self._nodes.displacement(self.u)))
+
+    @contextmanager
+    def _tolerances(self, reference: float | None) -> Iterator[None]:
+        """Let forward solves be rough, or to their own tolerance relative to a residual."""
+        snes, ksp = self.solver, self.solver.getKSP()
+        before = [(solver, solver.getTolerances()) for solver in (snes, ksp)]
+        (rtol, atol, *_), (linear, *_) = (own for _, own in before)
+        if reference is None:
+            snes.setTolerances(rtol=max(rtol, ROUGH))
+            ksp.setTolerances(rtol=max(linear, LINEAR))
+        else:
+            snes.setTolerances(atol=max(atol, rtol * reference))
+        try:
+            yield
+        finally:
+            for solver, own in before:
+                solver.setTolerances(*own)
+
+    def _step(self, U: Array, new: Array) -> None:
+        """Go from U to new, or as far as no cell turns inside out."""
+        for halving in range(HALVINGS):
+            self.u.x.array[:] = U + (new - U) / 2**halving
+            if not self._inverted():
+                return
+        self._require_admissible()
+
+    def _require_admissible(self) -> None:
+        """Require an unloaded wall without cells that are inside out.
+
+        Raises:
+            ConvergenceError: There are some.
+        """
+        if inverted := self._inverted():
+            self.solver.setConvergedReason(Reason.DIVERGED_FUNCTION_DOMAIN)
+            raise ConvergenceError(
+                f"{inverted} cells of the unloaded wall would be inside out. Load in smaller steps."
+            )
+
+    def _inverted(self) -> int:
+        """Count the cells of the unloaded wall that are inside out."""
+        with self._moved():
+            return self._nodes.inverted()
+
+
+def _pulled_back(a: dolfinx.fem.Function, u: dolfinx.fem.Function) -> dolfinx.fem.Expression:
+    """Return F⁻¹ a / |F⁻¹ a|."""
+    F = ufl.Identity(len(u)) + ufl.grad(u)
+    A = ufl.inv(F) * a
+    points = interpolation_points(a.function_space)
+    return dolfinx.fem.Expression(A / ufl.sqrt(ufl.inner(A, A)), points)

@@ -1,0 +1,142 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The wall without load: what is unloaded and loaded again is the image."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, raises, small
+from walls import Wall, fibres, tube, wall
+
+import ufl
+
+from dolfinx_feti import ConvergenceError, NonlinearProblem, loads
+from dolfinx_feti.fem.nodes import Nodes
+from dolfinx_feti.loading import Checkpoint, Steps, follow_load, unload
+from dolfinx_feti.loading.anderson import Anderson
+from dolfinx_feti.output import cell_values
+
+#: Each load takes more than one forward solve.
+STEPS = Steps(first=10.0, least=1.0, rtol=1e-3, quick=8)
+
+
+class Scan:
+    """A small tube, imaged under pressure."""
+
+    def __init__(self, degree: int = 1) -> None:
+        self.body: Wall = wall(tube(around=6, along=2), degree=degree)
+        self.mesh = self.body.u.function_space.mesh
+        self.problem: NonlinearProblem = self.body.problem(4)
+        self.nodes = Nodes(self.mesh)
+
+    @property
+    def arguments(self) -> dict[str, object]:
+        return {"state": [self.body.u, self.body.p]}
+
+    def set_load(self, pressure: float) -> None:
+        self.body.load.value = loads.mmhg(pressure)
+
+    def rest(self) -> None:
+        self.set_load(0.0)
+        self.body.u.x.array[:] = 0.0
+        self.body.p.x.array[:] = 0.0
+
+    def inflate(self, target: float) -> int:
+        """Return the Newton steps that it took."""
+        steps = follow_load(self.problem, self.set_load, [target], STEPS, **self.arguments)
+        return sum(len(step.all_steps) for step in steps)
+
+    def distance(self) -> float:
+        """How far the loaded wall is from the image [mm]."""
+        loaded = self.mesh.geometry.x + self.nodes.displacement(self.body.u)
+        return self.nodes.longest(loaded - self.nodes.first)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_loaded_again_it_is_the_image(degree):
+    """For quadratic displacements on straight cells, too, at the nodes of the mesh."""
+    scan = Scan(degree)
+    inflation = scan.inflate(40.0)
+    scan.rest()
+    steps = unload(scan.problem, scan.set_load, [40.0], STEPS, **scan.arguments)
+    spent = sum(len(step.all_steps) for step in steps)
+    agree(spent <= 3 * inflation, (spent, inflation))
+    agree(scan.nodes.longest(scan.mesh.geometry.x - scan.nodes.first) > 0.01)
+    small(scan.distance(), 1e-12)  # u leads to the image
+    scan.rest()
+    scan.inflate(40.0)
+    small(scan.distance(), 1e-6)
+
+
+def test_fibres_follow():
+    """F A has the direction of the image's fibre in each cell, and A is a unit vector."""
+    scan = Scan()
+    a = fibres(scan.mesh, 1.0)
+    image = a.x.array.copy()
+    moves = []
+    unload(
+        scan.problem,
+        scan.set_load,
+        [10.0],
+        STEPS,
+        **scan.arguments,
+        fibres=[a],
+        on_move=lambda: moves.append(scan.nodes.longest(scan.mesh.geometry.x - scan.nodes.first)),
+    )
+    F = ufl.Identity(3) + ufl.grad(scan.body.u)
+    pushed, length = (cell_values(e, scan.mesh) for e in (F * a, ufl.sqrt(ufl.inner(a, a))))
+    equal(length, np.ones_like(length), 1e-12)
+    pushed /= np.linalg.norm(pushed, axis=1, keepdims=True)
+    equal(pushed, image.reshape(-1, 3)[: len(pushed)], 1e-12)
+    agree(moves[0] == 0.0 and moves[-1] > 0.0, moves)
+
+
+def test_path_that_goes_on(tmp_path):
+    """Its last part is that of one in one piece; the checkpoint is one of the image."""
+    pytest.importorskip("adios4dolfinx")
+    folder = COMM.bcast(tmp_path)
+    pieces, whole = Scan(), Scan()
+    for targets, restart in (([10.0], False), ([10.0, 20.0], True)):
+        pieces = Scan()
+        kept = Checkpoint(Path(folder) / "run", COMM, restart=restart)
+        unload(pieces.problem, pieces.set_load, targets, STEPS, **pieces.arguments, checkpoint=kept)
+    unload(whole.problem, whole.set_load, [10.0, 20.0], STEPS, **whole.arguments)
+    equal(pieces.mesh.geometry.x, whole.mesh.geometry.x, 1e-6)
+
+
+def test_failure_leaves_the_image():
+    """A wall that nothing unloads in one step: mesh, load and displacement are the last good."""
+    scan = Scan()
+    with raises(ConvergenceError, "No equilibrium was found beyond a load of 0"):
+        unload(scan.problem, scan.set_load, [4e4], Steps(first=4e4, least=2e4), **scan.arguments)
+    equal(scan.mesh.geometry.x, scan.nodes.first)
+    agree(float(scan.body.load.value) == 0.0 and not scan.body.u.x.array.any())
+
+
+def test_bad_tolerance():
+    scan = Scan()
+    for tolerance in (0.0, -1.0, np.nan):
+        with raises(ValueError, "tolerance is .*: give a positive number of millimetres"):
+            unload(scan.problem, scan.set_load, [1.0], STEPS, **scan.arguments, tolerance=tolerance)
+
+
+def test_inverted_cells_are_counted():
+    scan = Scan()
+    agree(scan.nodes.inverted() == 0)
+    scan.mesh.geometry.x[:, 0] *= -1.0
+    agree(scan.nodes.inverted() == scan.mesh.topology.index_map(3).size_global)
+
+
+@pytest.mark.serial
+def test_acceleration_ends_on_a_linear_map():
+    """With n unknowns after n + 1 evaluations, though the map itself does not contract."""
+    A = np.array([[-1.7, 0.4, 0.0], [0.1, 0.6, -0.2], [0.3, 0.0, 0.9]])
+    b = np.array([1.0, -2.0, 0.5])
+    anderson, U = Anderson(COMM, 3), np.zeros(3)
+    for _ in range(4):
+        U = anderson.next(U, A @ U + b - U)
+    equal(A @ U + b, U, 1e-10)
