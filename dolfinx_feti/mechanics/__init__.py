@@ -1,7 +1,8 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Mechanics of arterial walls in UFL: kinematics, materials, loads, supports.
+"""Mechanics of arterial walls in UFL: kinematics, materials, loads, supports, residual stress.
 
-In the order of the data: kinematics, materials, rim, loads, supports.
+In the order of the data: kinematics, residual_stress, materials, rim, loads,
+supports.
 """

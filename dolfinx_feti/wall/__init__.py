@@ -4,7 +4,7 @@
 """Arterial walls: named layers and surfaces, conditions on these, and directions of fibres.
 
 In the order of the data: wallfile, wall, xdmf, reading, convert, tagged, conditions, rigid, case,
-casefile, boundary, laplace, fibres.
+casefile, boundary, laplace, fibres, opening.
 """
 
 from dolfinx_feti.wall.boundary import Boundary, apply_conditions

@@ -26,12 +26,16 @@ class Tissue:
         k1: Stiffness of the fibres [kPa]; 0 for none.
         k2: Exponent of the fibres [-].
         angle: Of the fibres from the circumferential direction [degrees].
+        opening_angle: By which the layer opens when it is cut [degrees].
+        axial_stretch: Its prestretch along the vessel [-].
     """
 
     c: float
     k1: float = 0.0
     k2: float = 1.0
     angle: float = 0.0
+    opening_angle: float = 0.0
+    axial_stretch: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +48,7 @@ class Case:
         conditions: Those on the surfaces; the largest share of the pressure is 1.
         pressure: Where to arrive [mmHg].
         scale: Millimetres in the mesh's unit of length.
+        image: The pressure under which the wall has the shape of the mesh [mmHg]; 0 at rest.
         rate: By how much the pressure grows [mmHg/s]; None without dashpots.
         axis: Axis of the prestretch; None for none.
         stretch: The prestretch [-].
@@ -55,10 +60,16 @@ class Case:
     conditions: dict[str, tuple[Condition, ...]]
     pressure: float
     scale: float = 1.0
+    image: float = 0.0
     rate: float | None = None
     axis: str | None = None
     stretch: float = 1.0
     fibres: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def has_residual_stress(self) -> bool:
+        """Whether a layer opens, or becomes shorter, when it is cut out."""
+        return any(t.opening_angle or t.axial_stretch != 1.0 for t in self.layers.values())
 
     def check(self, wall: Wall) -> None:
         """Compare names with those of the wall, and require that the wall is held.

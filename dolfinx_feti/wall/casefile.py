@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A case in one TOML file: mesh, layers, surfaces, fibres, prestretch and loading.
+"""A case in one TOML file: mesh, layers, surfaces, fibres, prestretch, image and loading.
 
 `docs/walls.md` explains the keys, and `demos/wall.toml` is an example. A number is in the first
 unit of its key; a text such as ``"13 kPa"`` may have another one.
@@ -103,14 +103,19 @@ def _texts(value: Any) -> list[str]:
 TEXT = 'give a text, in quotation marks, as in mesh = "wall.msh"', lambda v: _texts([v])[0]
 STIFFNESS = _number({"kPa": 1.0, "Pa": 1e-3, "MPa": 1e3})
 SPRING = {"kPa/mm": 1.0, "kPa/cm": 0.1, "kPa/m": 1e-3, "Pa/mm": 1e-3, "Pa/m": 1e-6}
+DEGREES = {"degrees": 1.0, "rad": 180.0 / math.pi}
 LAYER = {
     "c": STIFFNESS,
     "k1": STIFFNESS,
     "k2": _number({"": 1.0}),
-    "angle": _number({"degrees": 1.0, "rad": 180.0 / math.pi}, 0.0, 90.0),
+    "angle": _number(DEGREES, 0.0, 90.0),
+    "opening_angle": _number(DEGREES, -359.0, 359.0),
+    "axial_stretch": _number({"": 1.0}),
 }
+FIBRES = ("k1", "k2", "angle")
+PRESSURE = _number({"mmHg": 1.0, "kPa": MMHG, "Pa": 1e-3 * MMHG})
 SURFACE = {
-    "pressure": _number({"mmHg": 1.0, "kPa": MMHG, "Pa": 1e-3 * MMHG}),
+    "pressure": PRESSURE,
     "spring": _number(SPRING),
     "dashpot": _number({unit.replace("/", " s/"): factor for unit, factor in SPRING.items()}),
     "direction": _choice("normal", "all"),
@@ -122,6 +127,7 @@ KEYS = {
     "scale": _number({"": 1.0}),
     "layers": {"*": LAYER},
     "surfaces": {"*": SURFACE},
+    "image": {"pressure": PRESSURE},
     "fibres": {"inner": TEXT, "outer": TEXT, "ends": ENDS, "inlet": TEXT},
     "prestretch": {"axis": _choice(*"xyz"), "stretch": _number({"": 1.0})},
     "loading": {"rate": _number({"mmHg/s": 1.0, "kPa/s": MMHG})},
@@ -159,8 +165,8 @@ def _create_case(words: dict[str, Any]) -> Case:
     require(layers, "name the layers of the wall and their materials, as [layers.media]")
     for name, layer in layers.items():
         _need(layer, f"layers.{name}", ["c"], "give a positive number in kPa")
-        if len(layer) > 1:
-            _need(layer, f"layers.{name}", LAYER, "fibres need k1, k2 and angle")
+        if any(key in layer for key in FIBRES):
+            _need(layer, f"layers.{name}", FIBRES, "fibres need k1, k2 and angle")
     pressures = {name: s["pressure"] for name, s in surfaces.items() if "pressure" in s}
     conditions: dict[str, tuple[Condition, ...]] = {}
     for name, s in surfaces.items():
@@ -187,6 +193,7 @@ def _create_case(words: dict[str, Any]) -> Case:
         conditions=conditions,
         pressure=max(pressures.values()),
         scale=words.get("scale", 1.0),
+        image=words.get("image", {}).get("pressure", 0.0),
         rate=None if loading is None else loading["rate"],
         fibres=words.get("fibres", {}),
         **words.get("prestretch", {}),

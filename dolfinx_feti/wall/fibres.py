@@ -42,7 +42,7 @@ from dolfinx_feti.runtime.petsc_options import require_prefix
 from dolfinx_feti.wall.laplace import gradient, solve_laplace
 from dolfinx_feti.wall.wall import Wall, area, by_layer, facets, openings
 
-__all__ = ["ANGLES", "Frame", "fibre_families", "fibre_frame"]
+__all__ = ["ANGLES", "Frame", "fibre_families", "fibre_frame", "frame_of", "potentials"]
 
 # Angle from the circumferential direction, in degrees (Holzapfel, Gasser, Ogden 2000).
 ANGLES = {"media": 29.0, "adventitia": 62.0}
@@ -101,6 +101,33 @@ def fibre_frame(
     Note:
         Collective.
     """
+    through, along = potentials(
+        wall,
+        inner=inner,
+        outer=outer,
+        ends=ends,
+        inlet=inlet,
+        petsc_options_prefix=petsc_options_prefix,
+        petsc_options=petsc_options,
+    )
+    return frame_of(wall, through, along)
+
+
+def potentials(
+    wall: Wall,
+    *,
+    inner: str = "lumen",
+    outer: str = "outer",
+    ends: Sequence[str] | None = None,
+    inlet: str | None = None,
+    petsc_options_prefix: str = "fibres_",
+    petsc_options: Mapping[str, object] | None = None,
+) -> tuple[dolfinx.fem.Function, dolfinx.fem.Function]:
+    """Return the two potentials of :func:`fibre_frame`, t through the wall and l along it (P2).
+
+    Arguments, errors and notes are those of :func:`fibre_frame`. On a mesh that moves afterwards
+    they stay with the material, and :func:`frame_of` has the frame of the moved wall.
+    """
     names = openings(wall) if ends is None else list(ends)
     for name in (inner, outer, *names):
         facets(wall, name)  # must be there
@@ -117,11 +144,29 @@ def fibre_frame(
     prefix = require_prefix(petsc_options_prefix)
     along_ends = {name: float(name != inlet) for name in names}
     through, along = (
-        gradient(solve_laplace(wall, values, prefix=prefix, petsc_options=petsc_options))
+        solve_laplace(wall, values, prefix=prefix, petsc_options=petsc_options)
         for values in ({inner: 0.0, outer: 1.0}, along_ends)
     )
-    e2 = _unit_directions(wall, through, np.zeros_like(through))
-    e1 = _unit_directions(wall, along, e2)
+    return through, along
+
+
+def frame_of(wall: Wall, through: dolfinx.fem.Function, along: dolfinx.fem.Function) -> Frame:
+    """Return the frame of two potentials on the mesh as it is.
+
+    Args:
+        wall: The wall.
+        through: The potential t.
+        along: The potential l.
+
+    Raises:
+        ArithmeticError: They leave cells without a direction.
+
+    Note:
+        Collective.
+    """
+    grad_t, grad_l = gradient(through), gradient(along)
+    e2 = _unit_directions(wall, grad_t, np.zeros_like(grad_t))
+    e1 = _unit_directions(wall, grad_l, e2)
     W = dolfinx.fem.functionspace(wall.mesh, ("DG", 0, (3,)))
     return Frame(
         circumferential=_function(W, np.asarray(np.cross(e1, e2)), "circumferential"),

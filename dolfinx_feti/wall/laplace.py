@@ -130,9 +130,10 @@ def _solve_once(
 
 
 def gradient(u: dolfinx.fem.Function) -> npt.NDArray[np.float64]:
-    """Return ∇u at the centroids of the local cells, (cells, 3)."""
-    W = dolfinx.fem.functionspace(u.function_space.mesh, ("DG", 0, (3,)))
+    """Return ∇u at the centroids of the local cells, (cells, 3), or (cells, 3, 3) of a vector."""
+    shape = (*u.ufl_shape, 3)
+    W = dolfinx.fem.functionspace(u.function_space.mesh, ("DG", 0, shape))
     g = dolfinx.fem.Function(W)
     g.interpolate(dolfinx.fem.Expression(ufl.grad(u), interpolation_points(W)))
     g.x.scatter_forward()
-    return np.asarray(g.x.array.reshape(-1, 3))
+    return np.asarray(g.x.array.reshape(-1, *shape))

@@ -1,0 +1,85 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Residual stress: the deformation of a wall is elastic beyond a part that costs no energy.
+
+.. math:: F = F_e\, G, \qquad Π = \int Ψ(F_e^⊤ F_e)\, \det G \,\mathrm d X .
+
+G leads from the reference configuration to the pieces that would be free of stress, were the wall
+cut. A layer of a tube that is cut along the axis opens by the angle α, to a sector of 2π − α; it
+becomes shorter by 1/Λ when it is cut out. Let its middle surface, of radius ρ₀, keep its length
+around. At the depth d from there, ρ = ρ₀ + d, and with k = 2π/(2π − α) the sector's radius R and
+the stretch around are (Holzapfel, Gasser, Ogden 2000, section 3)
+
+.. math:: R^2 = (k ρ_0)^2 + k Λ (ρ^2 - ρ_0^2), \qquad λ = k ρ / R, \qquad
+    G = λ^{-1} e_0 e_0^⊤ + Λ^{-1} e_1 e_1^⊤ + λ Λ\, e_2 e_2^⊤
+
+in the circumferential, longitudinal and transmural directions: det G = 1. λ depends on d/ρ₀, and is
+one where the wall is flat.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import ufl
+from ufl.core.expr import Expr
+
+__all__ = ["elastic_part", "opened", "residual_stretch"]
+
+
+def elastic_part(F: Expr, G: Expr) -> Expr:
+    """Elastic part of a deformation, F_e = F G⁻¹, shape (d, d), of which energies are written.
+
+    For the Cauchy stress by :func:`~dolfinx_feti.mechanics.kinematics.cauchy_stress`, F is the
+    ``ufl.variable`` of :func:`~dolfinx_feti.mechanics.kinematics.deformation_gradient`.
+
+    Args:
+        F: Deformation gradient, shape (d, d).
+        G: Its part without energy, a Function or an expression, shape (d, d).
+
+    Raises:
+        ValueError: The shapes differ.
+    """
+    if F.ufl_shape != G.ufl_shape:
+        raise ValueError(
+            f"G has the shape {G.ufl_shape} and F {F.ufl_shape}: give a tensor like F."
+        )
+    return F * ufl.inv(G)
+
+
+def residual_stretch(
+    curvature: Expr | float, depth: Expr, angle: Expr | float, stretch: Expr | float = 1.0
+) -> Expr:
+    """Stretch around that a wall which is closed has left of its opening angle, λ [-].
+
+    Args:
+        curvature: 1/ρ₀ of the layer's middle surface, around the vessel [1/mm].
+        depth: d from the middle surface, positive outwards [mm].
+        angle: Opening angle α [degrees], of the whole ring.
+        stretch: Axial prestretch Λ [-].
+
+    Raises:
+        ValueError: The angle is 360 degrees or more, or a number is not finite, or the stretch not
+            positive.
+    """
+    if not isinstance(angle, Expr) and not (math.isfinite(angle) and angle < 360.0):
+        raise ValueError(f"angle = {angle}: give less than 360 degrees.")
+    if not isinstance(stretch, Expr) and not 0.0 < stretch < math.inf:
+        raise ValueError(f"stretch = {stretch}: give a positive number, 1 for none.")
+    k = 360.0 / (360.0 - angle)
+    ratio = 1 + curvature * depth  # ρ/ρ₀
+    return k * ratio / ufl.sqrt(k**2 + k * stretch * (ratio**2 - 1))
+
+
+def opened(directions: Sequence[Expr], λ: Expr, stretch: Expr | float = 1.0) -> Expr:
+    """Part G of the deformation of a wall that was cut open, shape (3, 3), det G = 1.
+
+    Args:
+        directions: Circumferential, longitudinal and transmural, orthogonal unit vectors, (3,).
+        λ: Stretch around, see :func:`residual_stretch`.
+        stretch: Axial prestretch Λ [-].
+    """
+    e0, e1, e2 = (ufl.outer(e, e) for e in directions)
+    return e0 / λ + e1 / stretch + λ * stretch * e2

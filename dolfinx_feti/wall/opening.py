@@ -1,0 +1,151 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Residual stress of a wall whose layers, were they cut, would open by given angles.
+
+:mod:`~dolfinx_feti.mechanics.residual_stress` has the equations. What they need of a wall of any
+shape follows from the two potentials of its frame, t through the wall and l along it: the
+directions ê₀, ê₁, ê₂ in each cell, the depth below a layer's middle surface, (t − t₀)/|∇t| with the
+layer's mean t₀, and the curvature around the vessel, ê₀·(∇n ê₀), of the transmural directions n at
+the vertices. Where that is negative, as in a crotch, the wall counts as flat. The potentials stay
+with the material when the mesh moves, and the rest is found anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+import ufl
+
+from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
+from dolfinx_feti.wall.fibres import frame_of, potentials
+from dolfinx_feti.wall.laplace import gradient
+from dolfinx_feti.wall.wall import Wall, by_layer
+
+__all__ = ["Opening"]
+
+#: Curvature times depth, at most: beyond, a crotch counts like the inside of a thick tube.
+MOST = 0.5
+
+Array = npt.NDArray[np.float64]
+
+
+class Opening:
+    """The part G of the deformation that opening angles stand for, on a wall of any shape.
+
+    Attributes:
+        G: The tensor in UFL, shape (3, 3), det G = 1, for
+            :func:`~dolfinx_feti.mechanics.residual_stress.elastic_part`.
+        curvature: That of the layers' middle surfaces around the vessel [1/mm], in each cell.
+        angle: Opening angle of each cell [degrees]; its values may change.
+        middle: t of the middle surface of each cell's layer.
+        directions: ê₀, ê₁ and ê₂, vectors in each cell.
+        potentials: t and l of the wall, see :func:`~dolfinx_feti.wall.fibres.potentials`.
+    """
+
+    def __init__(
+        self,
+        wall: Wall,
+        angles: Mapping[str, float],
+        stretches: Mapping[str, float] | None = None,
+        *,
+        inner: str = "lumen",
+        outer: str = "outer",
+        ends: Sequence[str] | None = None,
+        inlet: str | None = None,
+    ) -> None:
+        """Find the potentials.
+
+        Args:
+            wall: The wall.
+            angles: Opening angle of each layer [degrees], below 360.
+            stretches: Axial prestretch of each layer [-]; 1 if not given.
+            inner: See :func:`~dolfinx_feti.wall.fibres.fibre_frame`, as for those that follow.
+            outer: The surface to which the transmural direction leads.
+            ends: The surfaces where the vessel was cut.
+            inlet: The opening where the vessel begins.
+
+        Raises:
+            ValueError: A layer has no angle or stretch, or one that is out of its range; or see
+                :func:`~dolfinx_feti.wall.fibres.fibre_frame`.
+            ArithmeticError: Likewise.
+
+        Note:
+            Collective.
+        """
+        stretches = dict.fromkeys(wall.layers, 1.0) if stretches is None else stretches
+        for name, angle in angles.items():
+            residual_stretch(0.0, ufl.as_ufl(0.0), angle, stretches.get(name, 1.0))  # checks them
+        self._wall = wall
+        self.angle, stretch = by_layer(wall, angles), by_layer(wall, stretches)
+        self.potentials = potentials(wall, inner=inner, outer=outer, ends=ends, inlet=inlet)
+        Q = self.angle.function_space
+        W = dolfinx.fem.functionspace(wall.mesh, ("DG", 0, (3,)))
+        self.curvature = dolfinx.fem.Function(Q, name="curvature")
+        self._thickness = dolfinx.fem.Function(Q)  # 1/|∇t|
+        self.middle = by_layer(wall, self._means())
+        self.directions = [dolfinx.fem.Function(W) for _ in range(3)]
+        depth = (self.potentials[0] - self.middle) * self._thickness
+        λ = residual_stretch(self.curvature, depth, self.angle, stretch)
+        self.G = opened(self.directions, λ, stretch)
+        self.update()
+
+    def update(self) -> None:
+        """Find directions, depths and curvatures of the mesh as it is.
+
+        Note:
+            Collective.
+        """
+        frame = frame_of(self._wall, *self.potentials)
+        directions = (frame.circumferential, frame.longitudinal, frame.transmural)
+        for mine, e in zip(self.directions, directions, strict=True):
+            mine.x.array[:] = e.x.array
+        size = np.linalg.norm(gradient(self.potentials[0]), axis=1)
+        self._thickness.x.array[:] = 1.0 / np.maximum(size, _mean(self._wall, size) / 4.0)
+        e0 = frame.circumferential.x.array.reshape(-1, 3)
+        around = np.einsum("ci,cij,cj->c", e0, gradient(self._normals()), e0)
+        most = 2.0 * MOST / self._thickness.x.array
+        self.curvature.x.array[:] = np.clip(around, 0.0, most)
+
+    def _means(self) -> dict[str, float]:
+        """Return the mean of t in each layer."""
+        wall, t = self._wall, self.potentials[0]
+        dx = ufl.Measure("dx", wall.mesh, subdomain_data=wall.cell_tags)
+        one = dolfinx.fem.Constant(wall.mesh, np.float64(1.0))
+        means = {}
+        for name, tag in wall.layers.items():
+            integrals = [
+                wall.mesh.comm.allreduce(
+                    float(dolfinx.fem.assemble_scalar(dolfinx.fem.form(f * dx(tag)))), op=MPI.SUM
+                )
+                for f in (t, one)
+            ]
+            means[name] = integrals[0] / integrals[1]
+        return means
+
+    def _normals(self) -> dolfinx.fem.Function:
+        """Return the transmural directions at the vertices, unit vectors (P1)."""
+        V = dolfinx.fem.functionspace(self._wall.mesh, ("Lagrange", 1, (3,)))
+        n = dolfinx.fem.Function(V)
+        sums = dolfinx.fem.assemble_vector(
+            dolfinx.fem.form(ufl.inner(self.directions[2], ufl.TestFunction(V)) * ufl.dx)
+        )
+        sums.scatter_reverse(dolfinx.la.InsertMode.add)
+        n.x.array[:] = sums.array
+        n.x.scatter_forward()
+        at = n.x.array.reshape(-1, 3)
+        at /= np.maximum(np.linalg.norm(at, axis=1, keepdims=True), np.finfo(float).tiny)
+        return n
+
+
+def _mean(wall: Wall, values: Array) -> float:
+    """Return the mean over the owned cells of all processes."""
+    own = values[: wall.mesh.topology.index_map(3).size_local]
+    sums = wall.mesh.comm.allreduce(np.array([own.sum(), len(own)]))
+    return float(sums[0] / sums[1])

@@ -1,0 +1,120 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Residual stress: a ring that is cut opens by its angle, and no stress is left."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from collective import COMM, agree, raises, small
+from ufl_values import scalar
+
+import dolfinx
+import ufl
+
+from dolfinx_feti import NonlinearProblem, kinematics, materials
+from dolfinx_feti.mechanics.residual_stress import elastic_part, opened, residual_stretch
+
+INNER, OUTER = 1.0, 1.4
+MIDDLE = (INNER + OUTER) / 2
+
+
+def half_ring(angle: float, stretch: float = 1.0):
+    """Half a ring in plane strain, held in the plane y = 0; its directions and their energy."""
+    mesh = dolfinx.mesh.create_rectangle(
+        COMM, [(INNER, 0.0), (OUTER, np.pi)], (4, 24), dolfinx.mesh.CellType.quadrilateral
+    )
+    r, θ = mesh.geometry.x[:, 0].copy(), mesh.geometry.x[:, 1].copy()
+    mesh.geometry.x[:, 0], mesh.geometry.x[:, 1] = r * np.cos(θ), r * np.sin(θ)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+    u = dolfinx.fem.Function(V)
+    x = ufl.SpatialCoordinate(mesh)
+    ρ = ufl.sqrt(ufl.inner(x, x))
+    λ = residual_stretch(1 / MIDDLE, ρ - MIDDLE, angle, stretch)
+    e0, e2 = ufl.as_vector([-x[1] / ρ, x[0] / ρ, 0]), ufl.as_vector([x[0] / ρ, x[1] / ρ, 0])
+    whole = opened([e0, ufl.as_vector([0, 0, 1]), e2], λ, stretch)
+    G = ufl.as_matrix([[whole[i, j] for j in range(2)] for i in range(2)])
+    F = kinematics.deformation_gradient(u)
+    F_e = elastic_part(F, G)
+    C, J = kinematics.right_cauchy_green(F_e), kinematics.jacobian(F_e)
+    psi = materials.neo_hookean(C, c=3.0, J=J) + materials.volumetric(J, kappa=30.0)
+    return u, F, psi
+
+
+def held(u: dolfinx.fem.Function, *, closed: bool) -> list[dolfinx.fem.DirichletBC]:
+    """Symmetry at y = 0 on the right, with one point fixed; the left end, too, where closed."""
+    V = u.function_space
+    ends = (lambda x: np.isclose(x[1], 0.0) & (x[0] > 0), lambda x: np.isclose(x[1], 0.0))
+    facets = dolfinx.mesh.locate_entities_boundary(V.mesh, 1, ends[closed])
+    bcs = [
+        dolfinx.fem.dirichletbc(
+            0.0, dolfinx.fem.locate_dofs_topological(V.sub(1), 1, facets), V.sub(1)
+        )
+    ]
+    W, _ = V.sub(0).collapse()
+    corner = dolfinx.fem.locate_dofs_geometrical(
+        (V.sub(0), W), lambda x: np.isclose(x[0], MIDDLE) & np.isclose(x[1], 0.0)
+    )
+    zero = dolfinx.fem.Function(W)
+    return [*bcs, dolfinx.fem.dirichletbc(zero, corner, V.sub(0))]
+
+
+def solve(angle: float, *, closed: bool, steps: int = 4):
+    u, F, psi = half_ring(angle)
+    bcs = held(u, closed=closed)
+    problem = NonlinearProblem(psi * ufl.dx, u, bcs=bcs, quadrature_degree=4, subdomains=4)
+    problem.solve()
+    return u, F, psi
+
+
+@pytest.mark.parametrize("angle", [30.0, -20.0])
+def test_ring_that_is_cut_opens_by_its_angle(angle):
+    """Half a ring turns its free end by half of the angle, and its energy vanishes."""
+    u, _, psi = solve(angle, closed=False)
+    V = u.function_space
+    X = V.tabulate_dof_coordinates()[:, :2]
+    end = np.isclose(X[:, 1], 0.0, atol=1e-12) & (X[:, 0] < 0)
+    x = (X + u.x.array.reshape(-1, 2))[end]
+    low, high = (COMM.allgather(x[np.argsort(X[end, 0])][i] if len(x) else None) for i in (0, -1))
+    pairs = [(a, b) for a, b in zip(low, high, strict=True) if a is not None]
+    points = np.array([p for pair in pairs for p in pair])
+    far = points[np.argmax(np.linalg.norm(points - points[0], axis=1))]
+    direction = far - points[0]
+    turned = np.degrees(np.arctan2(direction[1], abs(direction[0]))) * -np.sign(direction[0])
+    small(abs(turned) - abs(angle) / 2, 0.01 * abs(angle))
+    closed_energy = scalar(half_ring(angle)[2] * ufl.dx(metadata={"quadrature_degree": 4}))
+    left = scalar(psi * ufl.dx(metadata={"quadrature_degree": 4}))
+    small(left, 1e-3 * closed_energy)
+
+
+def test_closed_ring_is_stretched_outside_and_pressed_inside():
+    _, F, psi = solve(60.0, closed=True)
+    sigma = kinematics.cauchy_stress(psi, F)
+    mesh = ufl.domain.extract_unique_domain(F)
+    x = ufl.SpatialCoordinate(mesh)
+    ρ = ufl.sqrt(ufl.inner(x, x))
+    e = ufl.as_vector([-x[1] / ρ, x[0] / ρ])
+    hoop = ufl.inner(e, sigma * e)
+    dx = ufl.dx(metadata={"quadrature_degree": 4})
+    outside, inside = (
+        scalar(hoop / ρ * ufl.conditional(ufl.gt(s * (ρ - MIDDLE), 0), 1, 0) * dx) for s in (1, -1)
+    )
+    agree(outside > 0.0 > inside)
+    small(outside + inside, 0.05 * outside)  # no load is carried
+
+
+def test_no_angle_no_stretch():
+    *_, psi = half_ring(0.0)
+    small(scalar(psi * ufl.dx(metadata={"quadrature_degree": 4})), 1e-12)
+
+
+def test_bad_input():
+    for angle in (360.0, 400.0, np.nan):
+        with raises(ValueError, "angle = .*: give less than 360 degrees"):
+            residual_stretch(1.0, 0.1, angle)
+    for stretch in (0.0, -1.0, np.inf):
+        with raises(ValueError, "stretch = .*: give a positive number"):
+            residual_stretch(1.0, 0.1, 10.0, stretch)
+    with raises(ValueError, r"G has the shape \(2, 2\) and F \(3, 3\)"):
+        elastic_part(ufl.Identity(3), ufl.Identity(2))
