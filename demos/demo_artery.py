@@ -102,6 +102,11 @@ with refusals(parser):
     case, source, scale = None, args.mesh, 1.0
     if args.wall:
         case = read_case(args.wall, comm)
+        if case.image or case.has_residual_stress:
+            raise ValueError(
+                f"{args.wall}: leave out [image], opening_angle and axial_stretch: this wall is at "
+                "rest and free of stress"
+            )
         source = case.mesh if case.mesh in CREATE else args.wall.parent / case.mesh
         scale = case.scale
     wall, quality = create_wall(source, comm, size=args.size, folder=folder, scale=scale)

@@ -106,7 +106,7 @@ def unload(
         ConvergenceError: No step of the least increment leads on; the mesh is the image.
 
     Note:
-        Collective. Source: M. Sellier, Eng. Comput. 28 (2011); J. Bols et al., J. Comput. Appl.
+        Collective. Source: M. Sellier, J. Fluids Struct. 27 (2011); J. Bols et al., J. Comput. Appl.
         Math. 246 (2013).
     """
     if not tolerance > 0.0:
