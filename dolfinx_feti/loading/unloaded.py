@@ -106,8 +106,8 @@ def unload(
         ConvergenceError: No step of the least increment leads on; the mesh is the image.
 
     Note:
-        Collective. Source: M. Sellier, J. Fluids Struct. 27 (2011); J. Bols et al., J. Comput. Appl.
-        Math. 246 (2013).
+        Collective. Source: M. Sellier, J. Fluids Struct. 27 (2011); J. Bols et al., Journal of
+        Computational and Applied Mathematics 246 (2013).
     """
     if not tolerance > 0.0:
         raise ValueError(f"tolerance is {tolerance}: give a positive number of millimetres.")
