@@ -15,6 +15,13 @@ gives :math:`M^{-1} Z = R + Q N` and the matrices of A and :math:`M^{-1}` (docs/
 product is needed, as the iterations know :math:`A Z = R H`. Of an unsymmetric A the symmetric parts
 are taken.
 
+A first solve has no such vectors. Where stress softens the body it takes the softest fields of V,
+each corrected by the preconditioner, since V alone holds them with too much energy:
+
+.. math:: W = M A V c, \qquad A_0\, c = μ\, V^⊤ V c,
+
+with the least μ, by inverse iteration.
+
 The Gram matrices are formed in full, since rounding spoils the orthogonality of the residuals. Q
 stays for the next matrices: the matrix of :math:`M^{-1}` still is a scalar product.
 """
@@ -37,12 +44,16 @@ from dolfinx_feti.runtime.collective import total, total_of
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.torn.rounding import EPS
 
-__all__ = ["DeflatedSpace", "Trace"]
+__all__ = ["DeflatedSpace", "Trace", "soft_fields"]
 
 Array = npt.NDArray[np.float64]
+Solve = Callable[[int, Array], Array]
 
 #: Ritz value below which a vector is worth its place: what V leaves begins at about one.
 DEFLATED = 0.8
+
+#: Steps of inverse iteration in the coarse space: one more finds nothing more.
+INVERSE = 2
 
 #: Share of the largest squared size below which a combination of W lies in V.
 INSIDE = 1e-10
@@ -179,3 +190,44 @@ def _images(copies: Copies, multiply: Callable[[int, Array], Array], W: Array) -
     for i, rows in enumerate(copies.blocks):
         SW[rows] = multiply(i, W[rows])
     return SW
+
+
+def soft_fields(
+    space: AveragedSpace, copies: Copies, multiply: Solve, solve: Solve, *, count: int
+) -> RitzVectors:
+    """Return the softest fields of the coarse space, corrected, W = M A V c. Collective.
+
+    Args:
+        space: The coarse space V.
+        copies: Copies of the interface dofs.
+        multiply: Applies S_i to columns, ``multiply(i, X)``, (n_i, k) → (n_i, k).
+        solve: Applies S_ρ⁻¹ in the same way.
+        count: Number of fields, at most.
+
+    Raises:
+        Exception: What the work on a subdomain raises, on all processes.
+    """
+    V, δ, comm = space.V, copies.delta[:, None], copies.comm
+    c = np.random.default_rng(comm.rank).standard_normal((V.size, min(count, V.total)))
+    for step in range(INVERSE + 1):
+        X = _each(V.prolong, c, copies.n)  # V c
+        X = X @ _unit_energy(total_of(X.T @ (δ * X), comm))
+        if step < INVERSE:
+            c = _each(lambda x: space.solve(V.restrict(x)), X, V.size)  # c ← A₀⁻¹ Vᵀ V c
+    SX = on_subdomains(lambda: _images(copies, multiply, X), comm)
+    Q = _each(copies.sum, SX, copies.n)  # Q = A V c
+    Y = on_subdomains(lambda: _images(copies, solve, δ * Q), comm)
+    W = _each(copies.average, Y, copies.n)  # W = M Q
+    B = _unit_energy(total_of(W.T @ (δ * Q), comm))  # Wᵀ Q = I
+    return RitzVectors(np.asfortranarray(W @ B), np.asfortranarray(Q @ B))
+
+
+def _unit_energy(H: Array) -> Array:
+    """Return combinations B with Bᵀ H B = I, (k, k) → (k, up to k)."""
+    θ, B = diagonalising(H, INSIDE)
+    return np.asarray(B[:, θ > 0.0] / np.sqrt(θ[θ > 0.0]))
+
+
+def _each(apply: Callable[[Array], Array], X: Array, n: int) -> Array:
+    """Apply a collective function to each column, (m, k) → (n, k)."""
+    return np.array([apply(x) for x in X.T]).reshape(-1, n).T

@@ -21,6 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -35,7 +36,7 @@ from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.pattern import Pattern, symmetric_part
 from dolfinx_feti.feti.primal.adaptive import adaptive_columns
 from dolfinx_feti.feti.primal.cg import PrimalSystem, conjugate_gradients
-from dolfinx_feti.feti.primal.deflation import DeflatedSpace
+from dolfinx_feti.feti.primal.deflation import DeflatedSpace, soft_fields
 from dolfinx_feti.feti.primal.gmres import gmres
 from dolfinx_feti.feti.regularity.singularity import require_held
 from dolfinx_feti.feti.setup import Setup, set_up, sum_if_known
@@ -62,6 +63,10 @@ TRACED = 4
 
 #: Cost χ₀ of an average above which a column joins the coarse space (``adaptive``).
 COST = 1.1
+
+
+#: Multiple of −ρ below which an eigenvalue of D makes a body soft (``deflation``).
+SOFTENED = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,7 +307,12 @@ def create_primal_form(
         S.destroy()
         preconditioner.destroy()
         raise
-    negative = space.negative()
+    negative, copies = space.negative(), preconditioner.copies
+    count = pattern.options.deflation if pattern.symmetric and not negative else 0
+    if vectors is None and count and _softened(preconditioner.inverse, pattern):
+        solve = partial(solve_on_interface, S, preconditioner.inverse)
+        with event("FETIRecycling"):
+            vectors = soft_fields(space, copies, S.multiply_many, solve, count=count)
     inside = sum_if_known(S.negative_interior(), pattern.torn.comm)
     proved = None if negative is None or inside is None else negative + inside
     transposed = partial(S.multiply_many, transpose=not pattern.symmetric)
@@ -312,10 +322,16 @@ def create_primal_form(
         operator=S,
         preconditioner=preconditioner,
         coarse=space,
-        deflation=DeflatedSpace(space, preconditioner.copies, transposed, vectors),
+        deflation=DeflatedSpace(space, copies, transposed, vectors),
         inertia=replace(preconditioner.inertia, interior=inside, assembled=proved),
         most=most,
     )
+
+
+def _softened(inverse: PseudoInverse, pattern: Pattern) -> bool:
+    """Tell whether the stress softens some subdomain by a noticeable share of ρ. Collective."""
+    own = [np.linalg.eigvalsh(m.D).min(initial=0.0) < -SOFTENED * m.rho for m in inverse.modes]
+    return bool(pattern.torn.comm.allreduce(any(own), op=MPI.LOR))
 
 
 def solve_on_interface(S: Operator, inverse: PseudoInverse, i: int, F: Array) -> Array:
