@@ -15,7 +15,9 @@ ARGS ?=
 with := scripts/with-fenicsx
 python := $(if $(filter-out 1,$(NP)),env OMP_NUM_THREADS=1 mpirun -n $(NP) )python3
 threaded := env OMP_NUM_THREADS=$(NP) python3
-compare := -m benchmarks.compare --json build/speed.json
+compare := -m benchmarks.compare --json build/speed.json --rounds 5
+direct := feti,mumps,cholmod,pardiso
+iterative := feti,mumps,gamg,gamg-elasticity,hypre-elasticity,fieldsplit-augmented
 comma := ,
 # What is built, compared with dense matrices and a direct solver: K K⁺ K = K and S of a subdomain, on one process;
 # B u = b, P² = P, F, M and the primal form, on two.
@@ -50,17 +52,19 @@ bench-linear: ## the paper's linear study and what goes beyond it; report in bui
 	$(with) $(python) -m benchmarks.cube --solvers all --level 2,3 --json build/solvers.json
 	$(with) python3 -m benchmarks.cube.page build/linear.json build/solvers.json --output build/results
 
-bench-compare: ## FETI, MUMPS, GAMG and BDDC on the same matrices, time and memory; report in build/results/
-	$(with) $(python) $(compare) --kappa 10,1000 --dofs 60000,184000,411000 --solvers feti,mumps,gamg,bddc $(ARGS)
-	$(with) $(threaded) $(compare) --kappa 10,1000 --dofs 60000,184000,411000 --solvers feti,mumps $(ARGS)
-	$(with) $(python) $(compare) --geometry vessel --dofs 71000,199000 --solvers feti,mumps,gamg,bddc $(ARGS)
-	$(with) $(threaded) $(compare) --geometry vessel --dofs 71000,199000 --solvers feti,mumps $(ARGS)
-	$(with) $(python) $(compare) --geometry block --kappa 10,1000 --dofs 28000,73000,184000 --solvers feti,mumps,gamg,bddc $(ARGS)
-	$(with) $(threaded) $(compare) --geometry block --kappa 10,1000 --dofs 28000,73000,184000 --solvers feti,mumps $(ARGS)
-	$(with) $(python) $(compare) --path 10 --dofs 60000 $(ARGS)
-	$(with) $(threaded) $(compare) --path 10 --dofs 60000 $(ARGS)
-	$(with) $(python) $(compare) --path 10 --geometry vessel --dofs 71000 $(ARGS)
-	$(with) $(threaded) $(compare) --path 10 --geometry vessel --dofs 71000 $(ARGS)
+# Bodies and sizes of a first step, of loaded states, and of paths; the greatest κ is for direct solvers.
+bench-compare: ## FETI and other solvers on the same matrices, time and memory; report in build/results/
+	for body in "tube --dofs 60000,184000,411000" "vessel --dofs 71000,199000" "block --dofs 28000,73000,207000"; do \
+	  $(with) $(python) $(compare) --geometry $$body --kappa 10,1000 --solvers $(iterative) $(ARGS) && \
+	  $(with) $(python) $(compare) --geometry $$body --kappa 100000 --solvers feti,mumps $(ARGS) && \
+	  $(with) $(threaded) $(compare) --geometry $$body --kappa 10,1000,100000 --solvers $(direct) $(ARGS) || exit; \
+	done
+	for state in "vessel --dofs 71000 --loaded 10" "tube --dofs 60000 --loaded 100" "tube --degree 1 --dofs 60000" \
+	  "vessel --degree 1 --dofs 71000" "vessel --dofs 71000 --path 10" "tube --dofs 60000 --path 100"; do \
+	  $(with) $(python) $(compare) --geometry $$state --solvers feti,mumps $(ARGS) && \
+	  $(with) $(threaded) $(compare) --geometry $$state --solvers feti,mumps $(ARGS) || exit; \
+	done
+	for number in 16 512 1024; do $(with) $(python) $(compare) --dofs 184000 --subdomains $$number --solvers feti $(ARGS) || exit; done
 	$(with) python3 -m benchmarks.compare.page build/speed.json --output build/results
 
 bench-nonlinear: ## iterations and seconds per Newton step, tube and vessel; report in build/results/

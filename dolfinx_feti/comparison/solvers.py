@@ -146,6 +146,8 @@ def ordering(ksp: PETSc.KSP) -> str:
     MUMPS tells by INFOG(7); CHOLMOD takes the better one of two, and does not tell which.
     """
     pc = ksp.getPC()
+    if pc.getType() == PETSc.PC.Type.PYTHON:
+        return "METIS"  # PARDISO's default
     if pc.getType() not in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU):
         return ""
     if pc.getFactorSolverType() != PETSc.Mat.SolverType.MUMPS:
