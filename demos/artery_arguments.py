@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from meshes.arguments import count, positive
 
-__all__ = ["parse", "parser"]
+__all__ = ["Parser", "parse", "parser"]
 
 EPILOG = """Options with a single dash are PETSc's. Those of the solver, -feti_… -ksp_… -snes_…,
 need no prefix (-feti_type classical, -ksp_monitor); all others (-log_view) go to PETSc."""

@@ -86,6 +86,13 @@ GALLERY = [
         pictures=tuple(f"output/artery/{name}.png" for name in ("fibres", "convergence", "wall")),
     ),
     Page(
+        "demo_patient",
+        "Imaged at 80 mmHg: unloaded, with residual stress, brought back, and on to 120.",
+        WALLS,
+        arguments=("--case", "../../../demos/patient.toml"),
+        pictures=tuple(f"output/patient/{name}.png" for name in ("unloaded", "profiles", "stress")),
+    ),
+    Page(
         "demo_own_material",
         "Energies of your own: checked and inflated, one with a plaque.",
         WALLS,

@@ -170,13 +170,17 @@ class _Unloading:
 
     def move(self) -> None:
         """Move mesh and fibres to the unloaded wall."""
-        self._nodes.mesh.geometry.x[:] = self._nodes.first - self._nodes.displacement(self.u)
+        self._place()
         for a, image, pulled_back in self._fibres:
             a.x.array[:] = image
             a.interpolate(pulled_back)
             a.x.scatter_forward()
         if self._on_move is not None:
             on_all(self._on_move, self._comm)
+
+    def _place(self) -> None:
+        """Move the nodes alone."""
+        self._nodes.mesh.geometry.x[:] = self._nodes.first - self._nodes.displacement(self.u)
 
     @contextmanager
     def _moved(self) -> Iterator[None]:
@@ -267,8 +271,10 @@ class _Unloading:
 
     def _inverted(self) -> int:
         """Count the cells of the unloaded wall that are inside out."""
-        with self._moved():
-            return self._nodes.inverted()
+        self._place()
+        inverted = self._nodes.inverted()
+        self._nodes.mesh.geometry.x[:] = self._nodes.first
+        return inverted
 
 
 def _pulled_back(a: dolfinx.fem.Function, u: dolfinx.fem.Function) -> dolfinx.fem.Expression:

@@ -85,7 +85,7 @@ def check_pictures(folder: Path) -> None:
 def test_every_demo_has_its_test():
     """Whoever adds one adds a test here."""
     there = {path.name for path in DEMOS.glob("demo_*.py")}
-    agree(there == {*ALONE, "demo_artery.py", *SHARING})
+    agree(there == {*ALONE, "demo_artery.py", "demo_patient.py", *SHARING})
 
 
 # -- they run
