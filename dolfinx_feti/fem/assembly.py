@@ -9,8 +9,9 @@ r"""Assembly of the torn matrix: one form, one call, all subdomains of the proce
 those of the torn space; coefficients, constants, measures and normals stay. Dirichlet conditions
 (eq. 7, Augustin_eq:Dirichlet) never enter K: the matrix carries the list of their dofs (``torn``).
 
-dolfinx fills a matrix of its own, which finds the place of a block of entries three times as fast
-as PETSc's does; PETSc reads the same memory.
+The matrix is one of dolfinx's; PETSc reads the same memory. Integrals over all cells are added by a
+kernel of this package (``kernel``), with the places of their entries known beforehand, the others,
+and what only FFCx can compile, by dolfinx.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
+from pathlib import Path
 
 from petsc4py import PETSc
 
@@ -29,22 +31,36 @@ import ufl
 
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace
+from dolfinx_feti.fem.kernel import Kernel, create_kernel, separate
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.native import load, pointer
 from dolfinx_feti.torn.matrix import create_torn_matrix, set_near_kernel
 
 Vector = npt.NDArray[np.float64]
 
 __all__ = [
     "LocalMatrix",
+    "SplitForm",
     "assemble",
     "assemble_owned",
+    "assemble_vector",
     "attach_near_kernel",
     "create_csr",
     "create_local_matrix",
     "create_matis",
     "dirichlet_mask",
+    "dolfinx_form",
+    "integrate",
+    "locate",
+    "require_no_coupling",
+    "split_form",
     "torn_form",
 ]
+
+SOURCE = Path(__file__).with_name("places.c")
+DECLARATION = (
+    """int locate(int, int, int, int, const int *, const int64_t *, const int *, int *);"""
+)
 
 #: Rows of dofs and not of blocks, as PETSc has them.
 EXPANDED = dolfinx.la.BlockMode.expanded  # type: ignore[attr-defined]
@@ -53,14 +69,39 @@ EXPANDED = dolfinx.la.BlockMode.expanded  # type: ignore[attr-defined]
 ROUNDING = 1e-12
 
 
-def torn_form(
-    form: ufl.Form, spaces: Sequence[TornSpace], compiler: Compiler | None = None
-) -> dolfinx.fem.Form:
-    """Compile a form with its arguments on torn spaces.
+@dataclass(frozen=True, slots=True)
+class SplitForm:
+    """A form in two parts.
+
+    Attributes:
+        kernel: Integrals over all cells; None where FFCx alone can compile them.
+        rest: What dolfinx assembles; None for nothing.
+    """
+
+    kernel: Kernel | None
+    rest: dolfinx.fem.Form | None
+
+
+def split_form(form: ufl.Form, mesh: dolfinx.mesh.Mesh, compiler: Compiler) -> SplitForm:
+    """Compile an energy or a residual.
 
     Args:
-        form: Form with cell and exterior-facet integrals.
-        spaces: Torn space of each argument, by argument number.
+        form: The form.
+        mesh: Its mesh.
+        compiler: How.
+
+    Note:
+        Collective.
+    """
+    return _split(form, mesh, compiler, compiler.form)
+
+
+def torn_form(form: ufl.Form, space: TornSpace, compiler: Compiler | None = None) -> SplitForm:
+    """Compile a bilinear form for a torn space.
+
+    Args:
+        form: Form with cell and exterior-facet integrals, with both arguments in V.
+        space: Torn V.
         compiler: How; with dolfinx's options if not given.
 
     Raises:
@@ -69,16 +110,45 @@ def torn_form(
     Note:
         Collective.
     """
-    _require_no_coupling(form)
+    require_no_coupling(form)
+    own = compiler or Compiler(space.V.mesh.comm)
+    return _split(form, space.V.mesh, own, lambda rest: dolfinx_form(rest, (space, space), own))
+
+
+def _split(
+    form: ufl.Form,
+    mesh: dolfinx.mesh.Mesh,
+    compiler: Compiler,
+    compiled: Callable[[ufl.Form], dolfinx.fem.Form],
+) -> SplitForm:
+    """Compile the integrals over all cells as a kernel, if that can be, the others for dolfinx."""
+    inside, rest = separate(form)
+    kernel = None if inside.empty() else create_kernel([inside], mesh, compiler)
+    left = form if kernel is None else rest
+    return SplitForm(kernel, None if left.empty() else compiled(left))
+
+
+def dolfinx_form(
+    form: ufl.Form, spaces: Sequence[TornSpace], compiler: Compiler
+) -> dolfinx.fem.Form:
+    """Compile a form with its arguments on torn spaces.
+
+    Args:
+        form: Form with cell and exterior-facet integrals.
+        spaces: Torn space of each argument, by argument number.
+        compiler: How.
+
+    Note:
+        Collective.
+    """
     replaced = {
         argument: ufl.Argument(spaces[argument.number()].V_torn, argument.number())
         for argument in form.arguments()
     }
-    compiler = compiler or Compiler(spaces[0].V.mesh.comm)
     return compiler.form(ufl.replace(form, replaced))
 
 
-def _require_no_coupling(form: ufl.Form) -> None:
+def require_no_coupling(form: ufl.Form) -> None:
     """Refuse integrals that couple cells otherwise than by common dofs.
 
     Raises:
@@ -102,10 +172,14 @@ class LocalMatrix:
         csr: dolfinx's matrix.
         mat: PETSc's, sequential AIJ. What changes the entries by way of ``csr`` calls its
             ``stateIncrease``.
+        node: Torn nodes (blocks of dofs) of each owned cell, (cells, k).
+        place: Where the columns of a node are in the rows of another, (cells, k, k).
     """
 
     csr: dolfinx.la.MatrixCSR
     mat: PETSc.Mat
+    node: npt.NDArray[np.int32]
+    place: npt.NDArray[np.int32]
 
     def destroy(self) -> None:
         """Free PETSc's matrix."""
@@ -128,8 +202,9 @@ def create_csr(
         Collective.
     """
     v, u = _first(ufl.TestFunction(spaces[0].V)), _first(ufl.TrialFunction(spaces[1].V))
-    form = torn_form(v * u * ufl.dx(metadata={"quadrature_degree": 0}), spaces, compiler)
-    pattern = dolfinx.fem.create_sparsity_pattern(form)
+    form = v * u * ufl.dx(metadata={"quadrature_degree": 0})
+    compiled = dolfinx_form(form, spaces, compiler or Compiler(spaces[0].V.mesh.comm))
+    pattern = dolfinx.fem.create_sparsity_pattern(compiled)
     pattern.finalize()
     return dolfinx.la.matrix_csr(pattern, EXPANDED)
 
@@ -154,14 +229,62 @@ def create_local_matrix(space: TornSpace, compiler: Compiler | None = None) -> L
     indptr, indices = (a.astype(PETSc.IntType, copy=False) for a in (csr.indptr, csr.indices))
     mat = PETSc.Mat().createAIJWithArrays((n, n), (indptr, indices, csr.data), comm=PETSc.COMM_SELF)
     mat.setBlockSizes(bs, bs)  # an argument for it has no effect
-    return LocalMatrix(csr, mat)
+    return LocalMatrix(csr, mat, *locate(space, csr.indptr, csr.indices))
 
 
-def assemble(K: LocalMatrix, form: dolfinx.fem.Form) -> None:
+def locate(
+    space: TornSpace, indptr: npt.NDArray[np.int64], indices: npt.NDArray[np.int32]
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Return the nodes of each cell, and the places of their columns, see :class:`LocalMatrix`.
+
+    Args:
+        space: The torn space.
+        indptr: Where the rows of its matrix begin.
+        indices: Their columns, ascending.
+
+    Raises:
+        ValueError: The matrix does not couple all nodes of a cell.
+    """
+    topology, dofmap = space.V.mesh.topology, space.V_torn.dofmap
+    node = dofmap.list[: topology.index_map(topology.dim).size_local]
+    place = np.empty((*node.shape, node.shape[1]), dtype=np.int32)
+    bs = dofmap.index_map_bs
+    nodes = (len(indptr) - 1) // bs
+    code = load(SOURCE, DECLARATION, space.V.mesh.comm)
+    arrays = (pointer(code, a) for a in (node, indptr, indices, place))
+    if code.lib.locate(*node.shape, bs, nodes, *arrays):
+        raise ValueError(f"K, of {nodes} nodes, does not couple all nodes of every cell")
+    return node, place
+
+
+def assemble(K: LocalMatrix, form: SplitForm) -> None:
     """Fill a local matrix with a compiled torn form; older values are overwritten."""
     K.csr.data[:] = 0.0
-    dolfinx.fem.assemble_matrix(K.csr, form)  # type: ignore[arg-type]
+    if form.rest is not None:
+        dolfinx.fem.assemble_matrix(K.csr, form.rest)  # type: ignore[arg-type]
+    if form.kernel is not None:
+        form.kernel.add_to(np.asarray(K.csr.data, dtype=np.float64), K.csr.indptr, K.node, K.place)
     K.mat.stateIncrease()
+
+
+def assemble_vector(form: SplitForm, V: dolfinx.fem.FunctionSpace) -> dolfinx.la.Vector:
+    """Assemble a linear form tested in V over the cells of this process, with ghosts."""
+    if form.rest is None:
+        b = dolfinx.la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
+    else:
+        b = dolfinx.fem.assemble_vector(form.rest)
+    if form.kernel is not None:
+        (r,) = form.kernel.evaluate()
+        bs = V.dofmap.index_map_bs
+        dofs = V.dofmap.list[: len(r), :, None] * bs + np.arange(bs, dtype=np.int32)
+        b.array[:] += np.bincount(dofs.ravel(), r.ravel(), minlength=len(b.array))
+    return b
+
+
+def integrate(form: SplitForm) -> float:
+    """Return the integral over the cells of this process."""
+    total = 0.0 if form.rest is None else float(dolfinx.fem.assemble_scalar(form.rest))
+    return total + (0.0 if form.kernel is None else float(form.kernel.evaluate()[0].sum()))
 
 
 def assemble_owned(form: dolfinx.fem.Form) -> Vector:

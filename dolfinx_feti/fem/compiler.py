@@ -17,8 +17,12 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.native import processor_flags
 
 __all__ = ["Compiler"]
+
+#: Flags that leave NaN alone.
+FAST = ["-O3", "-fno-math-errno", "-fno-trapping-math"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +38,17 @@ class Compiler:
     comm: MPI.Comm
     form_compiler_options: Mapping[str, object] | None = None
     jit_options: Mapping[str, object] | None = None
+
+    def flags(self) -> list[str]:
+        """Return the flags of the C compiler for code of this package.
+
+        They are those of dolfinx's options where these are not the default ones. Else they are for
+        processors of this kind. Sums keep their order, and NaN are seen.
+        """
+        options = dolfinx.jit.get_options(_copy(self.jit_options))
+        flags = [str(flag) for flag in options["cffi_extra_compile_args"]]
+        default, _ = dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS["cffi_extra_compile_args"]
+        return [*(FAST + processor_flags() if flags == default else flags), "-Wno-psabi"]
 
     def form(self, form: ufl.Form) -> dolfinx.fem.Form:
         """Compile a form.

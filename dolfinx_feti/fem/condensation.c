@@ -88,46 +88,17 @@ int64_t solve_blocks(int m, int n, int k, double *A, double *X, double *scale)
     return -1;
 }
 
-// The first place from first on, up to last, whose entry is not less than a column.
-static const int *find(const int *first, const int *last, int64_t column)
-{
-    while (first < last) {
-        const int *middle = first + (last - first) / 2;
-        if (*middle < column)
-            first = middle + 1;
-        else
-            last = middle;
-    }
-    return first;
-}
-
 // K ← K − Σ_τ a b over m cells τ, each with a, (k bs, n), and b, (n, k bs), on its k nodes of bs
-// dofs.
-//
-// node has the nodes of each cell, ascending, (m, k). K is given row by row, for N nodes, with
-// ascending columns; it has a place for all pairs of nodes of a cell, and the rows of a node have
-// the same columns. Returns 0, or 1 if that does not hold; a part is subtracted then.
-int subtract_products(int m, int k, int bs, int n, int N, const int *node, const double *a,
-                      const double *b, const int64_t *indptr, const int *indices, double *values)
+// dofs. The columns of node j begin at a place, (m, k, k), in the rows of node i.
+void subtract_products(int m, int k, int bs, int n, const int *node, const int *place,
+                       const double *a, const double *b, const int64_t *indptr, double *values)
 {
-    for (int cell = 0; cell < m; ++cell, node += k, a += k * bs * n, b += k * bs * n)
-        for (int i = 0; i < k; ++i) {
-            if (node[i] < 0 || node[i] >= N) return 1;
-            const int64_t *const row = indptr + (int64_t)node[i] * bs;
-            const int *const columns = indices + row[0], *const last = indices + row[1];
-            const int *place = columns;
-            for (int p = 1; p < bs; ++p)
-                if (row[p + 1] - row[p] != row[1] - row[0]) return 1;
-            for (int j = 0; j < k; ++j) {
-                const int64_t column = (int64_t)node[j] * bs;
-                place = find(place, last, column);
-                if (last - place < bs || place[0] != column || place[bs - 1] != column + bs - 1)
-                    return 1;
-                for (int p = 0; p < bs; ++p)
+    for (int cell = 0; cell < m; ++cell, node += k, b += k * bs * n)
+        for (int i = 0; i < k; ++i, place += k)
+            for (int p = 0; p < bs; ++p, a += n) {
+                double *const row = values + indptr[(int64_t)node[i] * bs + p];
+                for (int j = 0; j < k; ++j)
                     for (int s = 0; s < n; ++s)
-                        subtract(bs, a[(i * bs + p) * n + s], b + (s * k + j) * bs,
-                                 values + row[p] + (place - columns));
+                        subtract(bs, a[s], b + (s * k + j) * bs, row + place[j]);
             }
-        }
-    return 0;
 }

@@ -31,8 +31,9 @@ A field p of the state is the whole pressure at any time, and λ = p where J̄ =
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -41,10 +42,10 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
-from dolfinx_feti.fem.assembly import LocalMatrix, create_csr, torn_form
+from dolfinx_feti.fem.assembly import LocalMatrix
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.decomposition import TornSpace, into_cells, tear
-from dolfinx_feti.runtime import compat
+from dolfinx_feti.fem.decomposition import TornSpace
+from dolfinx_feti.fem.tensors import CellTensors
 from dolfinx_feti.runtime.native import load, pointer
 
 __all__ = ["Blocks", "Condensation"]
@@ -57,8 +58,8 @@ LOCAL_STEPS = 20
 SOURCE = Path(__file__).with_name("condensation.c")
 DECLARATION = """
 int64_t solve_blocks(int, int, int, double *, double *, double *);
-int subtract_products(int, int, int, int, int, const int *, const double *, const double *,
-                      const int64_t *, const int *, double *);
+void subtract_products(int, int, int, int, const int *, const int *, const double *,
+                       const double *, const int64_t *, double *);
 """
 
 
@@ -121,9 +122,6 @@ class Condensation:
                     "residuals): pass the pressure of a mixed energy Π(u, p)."
                 )
         V = u.function_space
-        each = into_cells(V.mesh)
-        cells = _by_dof(tear(V, each))
-        torn = [tear(p.function_space, each) for p in fields]
         du = ufl.TrialFunction(V)
         trials = [ufl.TrialFunction(p.function_space) for p in fields]
         K_up = [ufl.derivative(F_u, p, dp) for p, dp in zip(fields, trials, strict=True)]
@@ -136,37 +134,21 @@ class Condensation:
         self._linear = not any(
             p in _expanded(K).coefficients() for row in K_pp for K in row for p in fields
         )
-
-        def table(
-            forms: Sequence[Sequence[ufl.Form]],
-            rows: Sequence[TornSpace],
-            columns: Sequence[TornSpace],
-        ) -> list[list[_Block]]:
-            return [
-                [_Block.create(K, Q, P, compiler) for K, P in zip(row, columns, strict=True)]
-                for row, Q in zip(forms, rows, strict=True)
-            ]
-
-        self._K_up = table([K_up], [cells], torn)
-        self._K_pu = table([[K] for K in K_pu], torn, [cells])
-        self._K_pp = table(K_pp, torn, torn)
-        self._r_p = [torn_form(F, (Q,), compiler) for F, Q in zip(F_p, torn, strict=True)]
-        self._widths = [Q.V_torn.dofmap.list.shape[1] for Q in torn]
+        tensors = [*K_up, *K_pu, *(K for row in K_pp for K in row), *F_p]
+        self._tensors = CellTensors(tensors, V.mesh, compiler)
+        cells = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
+        dofs = [p.function_space.dofmap.list[:cells] for p in fields]
+        self._widths = [each.shape[1] for each in dofs]
         first = np.cumsum([0] + [len(p.x.array) for p in fields[:-1]])
-        places = [
-            (f + Q.dof).reshape(each.count, width)
-            for f, Q, width in zip(first, torn, self._widths, strict=True)
-        ]
+        places = [f + each for f, each in zip(first, dofs, strict=True)]
         self._place = np.concatenate(places, axis=1)  # in ``values``, (cells, n)
-        self._u = u
-        self._torn, self._compiler = torn, compiler
+        self._u, self._compiler = u, compiler
         self._held = np.zeros((*self._place.shape, 1))  # r_p(0, λ)
         self._mean = np.zeros(self._place.shape)  # of ∫ q f in each cell, that of f
-        self.constraints = each.count * sum(
-            width for width, (K,) in zip(self._widths, self._K_pu, strict=True) if K.form
-        )
+        self._tied = [not _expanded(K).empty() for K in K_pu]
+        self.constraints = cells * int(np.dot(self._widths, self._tied))
         self._bs = V.dofmap.index_map_bs
-        self._node = np.sort(space.V_torn.dofmap.list[: each.count], axis=1)  # as in ``cells``
+        self._node = space.V_torn.dofmap.list[:cells]
         self._code = load(SOURCE, DECLARATION, V.mesh.comm)
 
     # -- state ------------------------------------------------------------------------------------
@@ -188,7 +170,8 @@ class Condensation:
         A step is enough where these are linear in p; where they are not, the step is repeated.
         """
         for _ in range(1 if self._linear else LOCAL_STEPS):
-            step = self._solved(self._residual())[:, :, 0]  # K_pp⁻¹ r_p
+            _, _, K_pp, r_p = self._assembled()
+            step = self._solved(K_pp, r_p)[:, :, 0]  # K_pp⁻¹ r_p
             values = self.values()
             values[self._place] -= step
             self.set_values(values)
@@ -201,18 +184,21 @@ class Condensation:
         Note:
             Collective.
         """
-        means = []
-        for p, Q, (K_pu,) in zip(self.fields, self._torn, self._K_pu, strict=True):
-            width = Q.V_torn.dofmap.list.shape[1]
+        ones = []
+        for p in self.fields:
             one = dolfinx.fem.Function(p.function_space)
             one.interpolate(lambda x: np.ones(x.shape[1]))
-            c = one.x.array[Q.dof].reshape(len(self._place), width)
-            volumes = np.zeros_like(c)
-            form = torn_form(ufl.TestFunction(p.function_space) * ufl.dx, (Q,), self._compiler)
-            dolfinx.fem.assemble_vector(volumes.reshape(-1), form)
-            tied = 0.0 if K_pu.form is None else 1.0
-            means.append(tied * c / (c * volumes).sum(axis=1, keepdims=True))
-        self._mean = np.concatenate(means, axis=1)
+            ones.append(one.x.array)
+        forms = [ufl.TestFunction(p.function_space) * ufl.dx for p in self.fields]
+        volumes = CellTensors(forms, self._u.function_space.mesh, self._compiler).assemble()
+        each = np.split(np.concatenate(ones)[self._place], np.cumsum(self._widths)[:-1], axis=1)
+        self._mean = np.concatenate(
+            [
+                tied * c / (c * volume).sum(axis=1, keepdims=True)
+                for tied, c, volume in zip(self._tied, each, volumes, strict=True)
+            ],
+            axis=1,
+        )
 
     def hold(self, values: Array) -> float:
         """Let only by how much the fields differ from λ compress the material.
@@ -229,7 +215,7 @@ class Condensation:
         self._u.x.array[:] = 0.0
         self.set_values(values)
         try:
-            self._held = self._residual()  # r_p(0, λ)
+            self._held = self._assembled()[3]  # r_p(0, λ)
         finally:
             self._u.x.array[:] = u
             self.set_values(p)
@@ -248,23 +234,17 @@ class Condensation:
         Raises:
             ValueError: K_pp is singular in a cell.
         """
-        right = np.concatenate([_assembled(self._K_pu), self._residual()], axis=2)
-        solved = self._solved(right)  # K_pp⁻¹ (K_pu, r_p)
+        K_up, K_pu, K_pp, r_p = self._assembled()
+        solved = self._solved(K_pp, np.concatenate([K_pu, r_p], axis=2))  # K_pp⁻¹ (K_pu, r_p)
         slope, excess = np.ascontiguousarray(solved[:, :, :-1]), solved[:, :, -1:].copy()
-        return Blocks(_assembled(self._K_up), slope, excess)
+        return Blocks(K_up, slope, excess)
 
     def subtract_from(self, K: LocalMatrix, blocks: Blocks) -> None:
-        """Condense, K ← K − K_up K_pp⁻¹ K_pu.
-
-        Raises:
-            ValueError: K has no place for it.
-        """
-        indptr, indices, values = K.csr.indptr, K.csr.indices, K.csr.data
-        arrays = (self._node, blocks.k_up, blocks.slope, indptr, indices, values)
-        nodes = (len(indptr) - 1) // self._bs
-        sizes = (*self._node.shape, self._bs, self._place.shape[1], nodes)
-        if self._code.lib.subtract_products(*sizes, *(pointer(self._code, a) for a in arrays)):
-            raise ValueError(f"K, of {nodes} nodes, does not couple all nodes of every cell")
+        """Condense, K ← K − K_up K_pp⁻¹ K_pu."""
+        indptr, values = K.csr.indptr, K.csr.data
+        arrays = (self._node, K.place, blocks.k_up, blocks.slope, indptr, values)
+        sizes = (*self._node.shape, self._bs, self._place.shape[1])
+        self._code.lib.subtract_products(*sizes, *(pointer(self._code, a) for a in arrays))
         K.mat.stateIncrease()
 
     def residual(self, blocks: Blocks, n_torn: int) -> Array:
@@ -290,21 +270,27 @@ class Condensation:
         dofs = self._node[:, :, None] * self._bs + np.arange(self._bs, dtype=np.int32)
         return dofs.reshape(n, k * self._bs)
 
-    def _residual(self) -> Array:
-        """Assemble r_p(u, p) − r_p(0, λ), (cells, n, 1)."""
-        parts = [np.zeros((len(self._place), width)) for width in self._widths]
-        for part, form in zip(parts, self._r_p, strict=True):
-            dolfinx.fem.assemble_vector(part.reshape(-1), form)
-        return np.concatenate(parts, axis=1)[:, :, None] - self._held
+    def _assembled(self) -> tuple[Array, Array, Array, Array]:
+        """Assemble K_up, (cells, d, n), K_pu, K_pp and r_p(u, p) − r_p(0, λ), (cells, n, 1)."""
+        n, parts = len(self.fields), self._tensors.assemble()
+        K_up, K_pu, K_pp, r_p = (parts[a:b] for a, b in itertools.pairwise((0, n, 2 * n, -n, None)))
+        rows = [np.concatenate(K_pp[i : i + n], axis=2) for i in range(0, n * n, n)]
+        residual = np.concatenate(r_p, axis=1)[:, :, None] - self._held
+        return (
+            np.concatenate(K_up, axis=2),
+            np.concatenate(K_pu, axis=1),
+            np.concatenate(rows, axis=1),
+            residual,
+        )
 
-    def _solved(self, right: Array) -> Array:
-        """Return K_pp⁻¹ X at the present state in the place of X, (cells, n, k).
+    def _solved(self, K_pp: Array, right: Array) -> Array:
+        """Return K_pp⁻¹ X in the place of X, (cells, n, k); K_pp is lost.
 
         Raises:
             ValueError: K_pp is singular in a cell.
         """
         cells, n, k = right.shape
-        arrays = (_assembled(self._K_pp), right, np.zeros(n))
+        arrays = (K_pp, right, np.zeros(n))
         at = self._code.lib.solve_blocks(cells, n, k, *(pointer(self._code, a) for a in arrays))
         if at >= 0:
             raise ValueError(self._singular(*divmod(int(at), n)))
@@ -323,57 +309,6 @@ class Condensation:
             "give a pressure a term of its own, such as −p²/(2κ), and a dilation θ in Ψ(θ) + "
             "p (J − θ) the element of p."
         )
-
-
-@dataclass(frozen=True, slots=True)
-class _Block:
-    """A bilinear form of each cell, with a matrix whose rows have the columns of their cell.
-
-    Attributes:
-        shape: (cells, rows of a cell, columns of a cell).
-        form: The form; None if it is zero.
-        csr: The matrix; None if it is zero.
-    """
-
-    shape: tuple[int, int, int]
-    form: dolfinx.fem.Form | None
-    csr: dolfinx.la.MatrixCSR | None
-
-    @classmethod
-    def create(
-        cls, form: ufl.Form, rows: TornSpace, columns: TornSpace, compiler: Compiler
-    ) -> _Block:
-        """Compile a form on spaces that are torn into cells."""
-        height, width = (space.V_torn.dofmap.list.shape[1] for space in (rows, columns))
-        shape = (rows.V_torn.dofmap.index_map.size_local // height, height, width)
-        if _expanded(form).empty():
-            return cls(shape, None, None)
-        spaces = (rows, columns)
-        return cls(shape, torn_form(form, spaces, compiler), create_csr(spaces, compiler))
-
-    def assemble(self) -> Array:
-        """Assemble; return the entries, (cells, rows, columns), which the next call overwrites."""
-        if self.form is None or self.csr is None:
-            return np.zeros(self.shape)
-        self.csr.data[:] = 0.0
-        dolfinx.fem.assemble_matrix(self.csr, self.form)  # type: ignore[arg-type]
-        return np.asarray(self.csr.data).reshape(self.shape)
-
-
-def _assembled(blocks: Sequence[Sequence[_Block]]) -> Array:
-    """Assemble the blocks of one matrix, (cells, rows, columns)."""
-    return np.block([[block.assemble() for block in row] for row in blocks])
-
-
-def _by_dof(space: TornSpace) -> TornSpace:
-    """Number the dofs of a torn space, not its nodes, as dolfinx's rectangular matrices need."""
-    V = space.V_torn
-    bs = V.dofmap.index_map_bs
-    dofs = V.dofmap.list[:, :, None] * bs + np.arange(bs, dtype=np.int32)
-    table = dofs.reshape(len(dofs), dofs.shape[1] * bs)
-    return replace(
-        space, V_torn=compat.create_function_space(V, table, len(space.dof) * bs, block_size=1)
-    )
 
 
 def _require_blocks(

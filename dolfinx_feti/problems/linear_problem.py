@@ -132,7 +132,7 @@ class LinearProblem(TornProblem):
             V.mesh, suggested_number(V, least) if subdomains is None else subdomains, seed=seed
         )
         space = tear(V, self.decomposition)
-        self._torn = assembly.torn_form(a, (space, space), self._compiler)
+        self._torn = assembly.torn_form(a, space, self._compiler)
         self.L = self._compiler.form(L)
         self._K = assembly.create_local_matrix(space, self._compiler)
         self.A = assembly.create_matis(space, self._K.mat, self.bcs)

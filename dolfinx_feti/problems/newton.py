@@ -158,7 +158,7 @@ class Newton:
         while reason == Reason.ITERATING:
             if self.history or start.tangent is None:
                 with event("FETITangent"):
-                    system.linearise()
+                    system.linearise(here)
             floor = system.rounding()
             if self.history and norm <= floor:
                 if (force := system.norm(here.force)) > DOUBTFUL * scale:

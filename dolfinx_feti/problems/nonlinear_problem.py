@@ -169,7 +169,7 @@ class NonlinearProblem(TornProblem):
             V.mesh, suggested_number(V) if subdomains is None else subdomains, seed=seed
         )
         self._compiler = Compiler(comm, form_compiler_options, jit_options)
-        self._tangent = forms.J
+        self._residual, self._tangent = forms.F_u, forms.J
         self._system = System(
             forms.F_u,
             u,
@@ -198,10 +198,14 @@ class NonlinearProblem(TornProblem):
             self._newton, feti, self.A, self._prefix, self._petsc_options
         )
 
-    @property
+    @cached_property
     def F(self) -> dolfinx.fem.Form:
-        """The compiled residual, tested with v, before a pressure is condensed into it."""
-        return self._system.residual_form
+        """The compiled residual, tested with v, before a pressure is condensed into it.
+
+        Note:
+            Collective the first time.
+        """
+        return self._compiler.form(self._residual)
 
     @cached_property
     def J(self) -> dolfinx.fem.Form:
@@ -274,7 +278,7 @@ class NonlinearProblem(TornProblem):
         """
         self._hold()
         residual = self._system.residual()
-        self._system.linearise()
+        self._system.linearise(residual)
         b = self.A.createVecLeft()
         b.array[:] = -residual.condensed
         return self.A, b

@@ -78,7 +78,6 @@ class System:
         u: Displacement (or another unknown).
         A: Torn tangent.
         bcs: Dirichlet conditions.
-        residual_form: F_u, compiled.
         comm: Communicator of the mesh.
         owned: Number of dofs that this process owns.
     """
@@ -124,8 +123,8 @@ class System:
         self._n_cells = len(decomposition.subdomain)
         self._space = tear(V, decomposition)
         compiler = compiler or Compiler(self.comm)
-        self.residual_form = compiler.form(F_u)
-        self._tangent = assembly.torn_form(J, (self._space, self._space), compiler)
+        self._residual = assembly.split_form(F_u, V.mesh, compiler)
+        self._tangent = assembly.torn_form(J, self._space, compiler)
         self.condensation = None
         if condense:
             F_p, fields = zip(*condense, strict=True)
@@ -139,7 +138,7 @@ class System:
         )
         if self.condensation is not None:
             set_condensed(self.A, self.condensation.constraints)
-        self._energy = None if energy is None else compiler.form(energy)
+        self._energy = energy if energy is None else assembly.split_form(energy, V.mesh, compiler)
         self._shift = 0.0
         self._volume_ratio = None
         if volume_ratio is not None:
@@ -265,12 +264,12 @@ class System:
         """Integrate the potential over the cells of this process."""
         assert self._energy is not None
         if self.condensation is None:
-            return float(dolfinx.fem.assemble_scalar(self._energy))
+            return assembly.integrate(self._energy)
         before = self.condensation.values()
         try:
             self.condensation.relax()
             held = self.condensation.held_potential()
-            return float(dolfinx.fem.assemble_scalar(self._energy)) + held
+            return assembly.integrate(self._energy) + held
         finally:
             self.condensation.set_values(before)
 
@@ -295,26 +294,29 @@ class System:
 
     def _own_residual(self) -> tuple[dolfinx.la.Vector, Array, Blocks | None]:
         """Assemble over the cells of this process: r_u, what condensation adds, and its blocks."""
-        b = dolfinx.fem.assemble_vector(self.residual_form)
+        b = assembly.assemble_vector(self._residual, self.u.function_space)
         if self.condensation is None:
             return b, np.zeros(0), None
         blocks = self.condensation.assemble()
         return b, self.condensation.residual(blocks, len(self._local)), blocks
 
-    def linearise(self) -> Tangent:
+    def linearise(self, here: Residual | None = None) -> Tangent:
         """Assemble the torn tangent and its near kernel at the present state.
+
+        Args:
+            here: The residual at this state, if it is known.
 
         Note:
             Collective.
         """
-        on_all(self._fill, self.comm)
+        on_all(lambda: self._fill(here), self.comm)
         bs = self.u.function_space.dofmap.index_map_bs
         assembly.attach_near_kernel(
             self.A, self.u.function_space, self.u.x.array[: self.owned].reshape(-1, bs)
         )
         return self.tangent()
 
-    def _fill(self) -> None:
+    def _fill(self, here: Residual | None) -> None:
         """Assemble the local matrix, and the stiffness that weighs the copies of a dof.
 
         The stiffness is the diagonal before the pressure is condensed into it: the κ-term on the
@@ -325,7 +327,8 @@ class System:
         self._stiffness[:] = self._K.mat.getDiagonal().array_r
         self.A.query("stiffness").array[:] = self._stiffness
         if self.condensation is not None:
-            self.condensation.subtract_from(self._K, self.condensation.assemble())
+            known = here.blocks if here is not None else None
+            self.condensation.subtract_from(self._K, known or self.condensation.assemble())
 
     def rounding(self) -> float:
         r"""Return the size of the rounding errors of the residual, by the assembled tangent k.

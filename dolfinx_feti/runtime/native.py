@@ -16,9 +16,11 @@ import hashlib
 import importlib.util
 import io
 import os
+import platform
 import shlex
 import sysconfig
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -31,12 +33,22 @@ from scipy.linalg import cython_blas, cython_lapack
 
 from dolfinx_feti.runtime.collective import on_all, on_first, reason
 
-__all__ = ["address_of", "load", "pointer"]
+__all__ = ["address_of", "load", "pointer", "processor_flags"]
+
+#: Machines of which the compiler knows ``-march=native``.
+MACHINES = ("x86_64", "aarch64")
 
 _loaded: dict[str, ModuleType] = {}
 
 
-def load(source: Path, declarations: str, comm: MPI.Comm) -> Any:
+def load(
+    source: Path,
+    declarations: str,
+    comm: MPI.Comm,
+    *,
+    generated: str = "",
+    flags: Sequence[str] = ("-O3",),
+) -> Any:
     """Compile a file, unless that is done, and load it.
 
     Args:
@@ -44,6 +56,8 @@ def load(source: Path, declarations: str, comm: MPI.Comm) -> Any:
         declarations: What of it is called and read, in C.
         comm: Communicator of all processes that load it. The first one compiles; others do only
             where they do not see its files.
+        generated: Code that takes the place of ``/* generated */`` in the file.
+        flags: For the compiler.
 
     Returns:
         The module, whose ``lib`` has the functions, and ``ffi`` the types.
@@ -54,8 +68,8 @@ def load(source: Path, declarations: str, comm: MPI.Comm) -> Any:
     Note:
         Collective.
     """
-    text = source.read_text(encoding="utf-8")
-    flags = ["-O3", *shlex.split(os.environ.get("DOLFINX_FETI_CFLAGS", ""))]
+    text = source.read_text(encoding="utf-8").replace("/* generated */", generated)
+    flags = [*flags, *shlex.split(os.environ.get("DOLFINX_FETI_CFLAGS", ""))]
     version = "\n".join([text, declarations, *flags, str(sysconfig.get_config_var("EXT_SUFFIX"))])
     name = f"{source.stem}_{hashlib.sha256(version.encode()).hexdigest()[:16]}"
 
@@ -73,6 +87,25 @@ def load(source: Path, declarations: str, comm: MPI.Comm) -> Any:
 
     on_first(lambda: bool(module()), comm)
     return on_all(module, comm)
+
+
+def processor_flags() -> list[str]:
+    """Return flags for code that runs on processors of this kind only.
+
+    One of them names the processor, so that the names of the code do: several kinds of machines may
+    share a cache. There are none where it is not known.
+    """
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n", maxsplit=1)[0]
+    except OSError:
+        return []
+    if platform.machine() not in MACHINES:
+        return []
+    known = [
+        line for line in lines.splitlines() if line.startswith(("model", "CPU", "flags", "Feat"))
+    ]
+    name = hashlib.sha256("\n".join(known).encode()).hexdigest()[:8]
+    return ["-march=native", f"-DPROCESSOR_{name}"]
 
 
 def pointer(module: Any, array: npt.NDArray[Any]) -> Any:

@@ -32,7 +32,7 @@ def cells(mesh):
 def torn_matrix(problem, subdomains=5):
     space = tear(problem.V, decompose(problem.V.mesh, subdomains))
     K = assembly.create_local_matrix(space)
-    assembly.assemble(K, assembly.torn_form(problem.a, (space, space)))
+    assembly.assemble(K, assembly.torn_form(problem.a, space))
     return space, K.mat, assembly.create_matis(space, K.mat, problem.bcs)
 
 
@@ -133,7 +133,7 @@ def test_values_are_overwritten():
     factor = dolfinx.fem.Constant(problem.V.mesh, 1.0)
     space = tear(problem.V, decompose(problem.V.mesh, 3))
     K = assembly.create_local_matrix(space)
-    form = assembly.torn_form(factor * problem.a, (space, space))
+    form = assembly.torn_form(factor * problem.a, space)
     assembly.assemble(K, form)
     before, state = K.mat.copy(), K.mat.stateGet()
     assembly.assemble(K, form)
@@ -151,7 +151,7 @@ def test_memory_is_shared():
     problem = poisson(cube(2, 4))
     space = tear(problem.V, decompose(problem.V.mesh, 3))
     K = assembly.create_local_matrix(space)
-    assembly.assemble(K, assembly.torn_form(problem.a, (space, space)))
+    assembly.assemble(K, assembly.torn_form(problem.a, space))
     mat, values = K.mat, K.csr.data.copy()
     mat.scale(2.0)
     agree(np.array_equal(K.csr.data, 2.0 * values))
@@ -171,6 +171,23 @@ def test_pattern_is_complete():
     agree(all(np.array_equal(row // 3 * 3, np.repeat(row[::3], 3)) for row in rows))
     agree(all(np.all(np.diff(row) > 0) for row in rows))
     destroy(A, K)
+
+
+@pytest.mark.parametrize("wrong", ["columns", "rows of a node", "nodes"])
+def test_matrix_without_a_place_is_refused(wrong):
+    """A pattern that does not couple the nodes of all cells is noticed, not written past."""
+    problem = elasticity(cube(3, 2))
+    space = tear(problem.V, decompose(problem.V.mesh, 2))
+    csr = assembly.create_csr((space, space))
+    indptr, indices = csr.indptr.copy(), csr.indices.copy()
+    if wrong == "columns":
+        indices[indptr[-4] :] = 0
+    elif wrong == "rows of a node":
+        indptr[1:-1:3] -= 3
+    else:
+        indptr = indptr[:-3]
+    with raises(ValueError, r"K, of \d+ nodes, does not couple all nodes"):
+        assembly.locate(space, indptr, indices)
 
 
 def test_cells_without_an_integral_have_their_place():
@@ -219,7 +236,7 @@ def test_interior_facet_integrals_are_refused():
     space = tear(problem.V, decompose(problem.V.mesh, 2))
     penalty = ufl.inner(ufl.jump(ufl.grad(u)), ufl.jump(ufl.grad(v))) * ufl.dS
     with raises(ValueError, r"interior-facet integrals.*dolfinx_feti\.fem\.facets\.one_side"):
-        assembly.torn_form(problem.a + penalty, (space, space))
+        assembly.torn_form(problem.a + penalty, space)
 
 
 @pytest.mark.parametrize("cell", [Cell.triangle, Cell.quadrilateral, Cell.tetrahedron])

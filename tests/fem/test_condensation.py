@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from types import SimpleNamespace
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -22,7 +21,6 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, loads
-from dolfinx_feti.fem.assembly import LocalMatrix
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.condensation import Condensation
 from dolfinx_feti.fem.decomposition import decompose, into_cells, tear
@@ -159,26 +157,6 @@ def test_blocks_are_those_of_ufl(degree, torn_system):
     for factor in (0.0, 1.0):
         _, dp = system.increment(here, factor * owned(w))
         equal(dp[:n], -(r_p + factor * slope)[:n] / K_pp[:n], 1e-12)
-
-
-@pytest.mark.parametrize("wrong", ["columns", "rows of a node", "nodes"])
-def test_matrix_without_a_place_is_refused(wrong, torn_system):
-    """A pattern that does not couple the nodes of all cells is noticed, not written past."""
-    body = wall(tube())
-    deform(body)
-    system = torn_system(body)
-    csr = system._K.csr
-    indptr, indices, values = csr.indptr.copy(), csr.indices.copy(), csr.data.copy()
-    if wrong == "columns":
-        indices[indptr[-4] :] = 0
-    elif wrong == "rows of a node":
-        indptr[1:-1:3] -= 3
-    else:
-        indptr = indptr[:-3]
-    other = LocalMatrix(SimpleNamespace(indptr=indptr, indices=indices, data=values), system._K.mat)
-    blocks = system.condensation.assemble()
-    with raises(ValueError, r"K, of \d+ nodes, does not couple all nodes"):
-        system.condensation.subtract_from(other, blocks)
 
 
 @degrees

@@ -18,7 +18,8 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import ConvergenceError, NonlinearProblem, loads
-from dolfinx_feti.fem.assembly import torn_form
+from dolfinx_feti.fem.assembly import dolfinx_form
+from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import decompose, tear
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.steps import Steps
@@ -137,7 +138,7 @@ def test_rotations_turn_the_internal_forces(degree):
     space = tear(V, problem.decomposition)
     internal = ufl.derivative(body.energy, body.u, ufl.TestFunction(V))
     f = np.zeros(3 * len(space.dof))
-    dolfinx.fem.assemble_vector(f, torn_form(internal, (space,)))
+    dolfinx.fem.assemble_vector(f, dolfinx_form(internal, (space,), Compiler(COMM)))
     x = V.tabulate_dof_coordinates() + body.u.x.array.reshape(-1, 3)
     torn = Torn(problem.A)
     for ω in np.eye(3):

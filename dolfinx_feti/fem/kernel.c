@@ -1,0 +1,198 @@
+// Copyright (C) 2026 the dolfinx_feti authors
+//
+// SPDX-License-Identifier: LGPL-3.0-or-later
+
+#include <float.h>
+#include <math.h>
+#include <stdint.h>
+#include <stdlib.h>
+
+// A number of each of LANES cells, and a mask of them, as vectors of GCC and Clang.
+enum { LANES = 8 };
+typedef double V __attribute__((vector_size(64)));
+typedef int64_t L __attribute__((vector_size(64)));
+
+#define BROADCAST(x) ((x) + (V){0.0})
+#define LANEWISE(f)                                     \
+    __attribute__((unused)) static V v_##f(V x)         \
+    {                                                   \
+        for (int l = 0; l < LANES; ++l) x[l] = f(x[l]); \
+        return x;                                       \
+    }
+LANEWISE(fabs)
+LANEWISE(sqrt)
+LANEWISE(exp)
+LANEWISE(log)
+LANEWISE(cos)
+LANEWISE(sin)
+LANEWISE(tan)
+LANEWISE(cosh)
+LANEWISE(sinh)
+LANEWISE(tanh)
+LANEWISE(acos)
+LANEWISE(asin)
+LANEWISE(atan)
+LANEWISE(erf)
+
+__attribute__((unused)) static V v_pow(V x, V y)
+{
+    for (int l = 0; l < LANES; ++l) x[l] = pow(x[l], y[l]);
+    return x;
+}
+
+// x where the mask is set, else y.
+static V choose(L mask, V x, V y) { return (V)((mask & (L)x) | (~mask & (L)y)); }
+
+// K ← J⁻¹; returns det J.
+__attribute__((unused)) static V inverse1(const V *J, V *K)
+{
+    K[0] = 1.0 / J[0];
+    return J[0];
+}
+
+__attribute__((unused)) static V inverse2(const V *J, V *K)
+{
+    const V det = J[0] * J[3] - J[1] * J[2], r = 1.0 / det;
+    K[0] = J[3] * r;
+    K[1] = -J[1] * r;
+    K[2] = -J[2] * r;
+    K[3] = J[0] * r;
+    return det;
+}
+
+__attribute__((unused)) static V inverse3(const V *J, V *K)
+{
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j) {
+            const int k = (i + 1) % 3, l = (i + 2) % 3, m = (j + 1) % 3, n = (j + 2) % 3;
+            K[j * 3 + i] = J[k * 3 + m] * J[l * 3 + n] - J[k * 3 + n] * J[l * 3 + m];
+        }
+    const V det = J[0] * K[0] + J[1] * K[3] + J[2] * K[6], r = 1.0 / det;
+    for (int i = 0; i < 9; ++i) K[i] *= r;
+    return det;
+}
+
+// J ← ∂x/∂ξ of nodes x, (n, d), with ∂ψ/∂ξ, (n, d).
+static inline void jacobian(int n, int d, const V *x, const double *dpsi, V *J)
+{
+    for (int i = 0; i < d; ++i)
+        for (int j = 0; j < d; ++j) {
+            V sum = {0.0};
+            for (int a = 0; a < n; ++a) sum += x[a * d + i] * dpsi[a * d + j];
+            J[i * d + j] = sum;
+        }
+}
+
+// B ← ∂φ/∂X = Kᵀ ∂φ/∂ξ of n basis functions, (n, d).
+__attribute__((unused)) static inline void gradients(int n, int d, const double *dphi, const V *K, V *B)
+{
+    for (int a = 0; a < n; ++a)
+        for (int i = 0; i < d; ++i) {
+            V sum = {0.0};
+            for (int j = 0; j < d; ++j) sum += dphi[a * d + j] * K[j * d + i];
+            B[a * d + i] = sum;
+        }
+}
+
+// Whether A_st = A_ts, to rounding, for n pairs of the factors, (points, width).
+__attribute__((unused)) static int symmetric(int points, int width, const V *A, int n,
+                                             const int (*pair)[2])
+{
+    V most = {0.0}, difference = {0.0};
+    for (int q = 0; q < points; ++q, A += width)
+        for (int i = 0; i < n; ++i) {
+            const V a = v_fabs(A[pair[i][0]]);
+            most = choose(a > most, a, most);
+            difference += v_fabs(A[pair[i][0]] - A[pair[i][1]]);
+        }
+    for (int l = 0; l < LANES; ++l)
+        if (!(difference[l] <= 64 * DBL_EPSILON * most[l])) return 0;
+    return 1;
+}
+
+// The code that kernel.py generates has its place here: NODES of a cell's geometry in GDIM
+// dimensions; a number of COEFFICIENTS, with NODES_OF a cell and BLOCK_OF components; FORMS, each of
+// which begins at FIRST among the SIZE entries of a cell; dofs in a BLOCK_OF_ROWS of the first form;
+// and tabulate(), which adds to these entries.
+/* generated */
+
+// What LANES cells gather, and the entries of their forms.
+typedef struct {
+    V *x, *w[COEFFICIENTS + 1], *out;
+} Lanes;
+
+static int create_lanes(Lanes *lanes)
+{
+    size_t n = NODES * GDIM + SIZE;
+    for (int f = 0; f < COEFFICIENTS; ++f) n += NODES_OF[f] * BLOCK_OF[f];
+    lanes->x = aligned_alloc(sizeof(V), n * sizeof(V));
+    if (!lanes->x) return 1;
+    V *next = lanes->x + NODES * GDIM;
+    for (int f = 0; f < COEFFICIENTS; next += NODES_OF[f] * BLOCK_OF[f], ++f) lanes->w[f] = next;
+    lanes->out = next;
+    return 0;
+}
+
+// Tabulate the cells from a first one on, of m in all; the last one fills up the lanes.
+static void visit(const Lanes *lanes, int first, int m, const double *x, const int *node,
+                  const double *const *w, const int *const *dof, const double *c)
+{
+    for (int l = 0; l < LANES; ++l) {
+        const int64_t cell = first + l < m ? first + l : m - 1;
+        for (int n = 0; n < NODES; ++n)
+            for (int i = 0; i < GDIM; ++i)
+                lanes->x[n * GDIM + i][l] = x[3 * (int64_t)node[cell * NODES + n] + i];
+        for (int f = 0; f < COEFFICIENTS; ++f)
+            for (int n = 0; n < NODES_OF[f]; ++n)
+                for (int i = 0, bs = BLOCK_OF[f]; i < bs; ++i)
+                    lanes->w[f][n * bs + i][l] = w[f][(int64_t)dof[f][cell * NODES_OF[f] + n] * bs + i];
+    }
+    for (int i = 0; i < SIZE; ++i) lanes->out[i] = (V){0.0};
+    tabulate(lanes->x, (const V *const *)lanes->w, c, lanes->out);
+}
+
+// out[f] ← the entries of form f in m cells, cell by cell, with the coordinates x, (·, 3), the
+// coefficients w and the constants c. Returns 0, or 1 without memory.
+int evaluate(int m, const double *x, const int *node, const double *const *w, const int *const *dof,
+             const double *c, double *const *out)
+{
+    Lanes lanes;
+    if (create_lanes(&lanes)) return 1;
+    for (int first = 0; first < m; first += LANES) {
+        visit(&lanes, first, m, x, node, w, dof, c);
+        for (int f = 0; f < FORMS; ++f) {
+            const int size = FIRST[f + 1] - FIRST[f];
+            double *to = out[f] + (int64_t)first * size;
+            for (int l = 0; l < LANES && first + l < m; ++l, to += size)
+                for (int i = 0; i < size; ++i) to[i] = lanes.out[FIRST[f] + i][l];
+        }
+    }
+    free(lanes.x);
+    return 0;
+}
+
+// K ← K + Σ_τ k over m cells τ, with the k of the only form. A cell has n blocks of dofs, (m, n); the
+// columns of block j begin at a place, (m, n, n), in the rows of block i. Returns 0, or 1 without
+// memory.
+int add(int m, const double *x, const int *node, const double *const *w, const int *const *dof,
+        const double *c, int n, const int *block, const int *place, const int64_t *indptr,
+        double *values)
+{
+    enum { BS = BLOCK_OF_ROWS };
+    Lanes lanes;
+    if (create_lanes(&lanes)) return 1;
+    for (int first = 0; first < m; first += LANES) {
+        visit(&lanes, first, m, x, node, w, dof, c);
+        for (int l = 0; l < LANES && first + l < m; ++l, block += n) {
+            const V *k = lanes.out;
+            for (int i = 0; i < n; ++i, place += n)
+                for (int p = 0; p < BS; ++p) {
+                    double *const row = values + indptr[(int64_t)block[i] * BS + p];
+                    for (int j = 0; j < n; ++j)
+                        for (int s = 0; s < BS; ++s, ++k) row[place[j] + s] += (*k)[l];
+                }
+        }
+    }
+    free(lanes.x);
+    return 0;
+}

@@ -1,0 +1,212 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Kernels of eight cells against dolfinx's matrices, vectors and scalars, to rounding."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from collective import COMM, agree, dense, equal
+from problems import Cell, cube
+
+import basix.ufl
+import dolfinx
+import dolfinx.fem.petsc
+import ufl
+
+from dolfinx_feti import kinematics, materials
+from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.fem.kernel import create_kernel, separate
+from dolfinx_feti.fem.tensors import CellTensors
+
+EPS = np.finfo(float).eps
+
+
+def curved(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.Mesh:
+    """Move the vertices, so that hexahedra are none with plane faces."""
+    x = mesh.geometry.x
+    x[:, 0] += 0.1 * x[:, 1] ** 2 - 0.05 * x[:, 0] * x[:, 2]
+    return mesh
+
+
+def displacement(mesh: dolfinx.mesh.Mesh, degree: int) -> dolfinx.fem.Function:
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (mesh.geometry.dim,)))
+    u = dolfinx.fem.Function(V)
+    u.interpolate(lambda x: 0.1 * np.stack([np.sin(x[1]), x[0] * x[1], x[0] ** 2])[: len(u)])
+    return u
+
+
+def artery(mesh: dolfinx.mesh.Mesh, degree: int, pressure: tuple) -> list[ufl.Form]:
+    """All forms of a fibre-reinforced wall; fibres, a pressure and a stiffness of each cell."""
+    u, p = (
+        displacement(mesh, degree),
+        dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, pressure)),
+    )
+    p.interpolate(lambda x: np.cos(3 * x[0]))
+    stiffness = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
+    stiffness.interpolate(lambda x: 2.0 + x[1])
+    gdim = mesh.geometry.dim
+    fibre = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0, (gdim,))))
+    fibre.interpolate(lambda x: np.stack([np.cos(x[0]), np.sin(x[0]), 0 * x[0]])[:gdim])
+    F = kinematics.deformation_gradient(u)
+    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+    e = ufl.as_vector([1.0, *[0.0] * (gdim - 1)])
+    psi = materials.holzapfel_gasser_ogden(C, fibre, e, c=stiffness, k1=2.0, k2=0.8, J=J)
+    energy = (psi + p * (J - 1) - p**2 / 20) * ufl.dx(metadata={"quadrature_degree": 2 * degree})
+    F_u, F_p = (ufl.derivative(energy, f) for f in (u, p))
+    return [energy, F_u, F_p, *(ufl.derivative(F, f) for F in (F_u, F_p) for f in (u, p))]
+
+
+def own(mesh: dolfinx.mesh.Mesh) -> list[ufl.Form]:
+    """Functions, conditions, coordinates, constants, rules that UFL chooses, and no symmetry."""
+    u = displacement(mesh, 2)
+    V = u.function_space
+    v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+    x, k = ufl.SpatialCoordinate(mesh), dolfinx.fem.Constant(mesh, [1.5, -0.5])
+    s = ufl.inner(ufl.grad(u), ufl.grad(u))
+    away = ufl.And(ufl.lt(x[0], 0.7), ufl.Not(ufl.Or(ufl.ge(s, 5.0), ufl.eq(k[0], 0.0))))
+    f = ufl.conditional(away, ufl.sqrt(1 + s), ufl.ln(2 + s)) + ufl.atan(s) * abs(u[0]) + s**-3
+    f += ufl.max_value(s, k[0]) + ufl.min_value(ufl.erf(s), x[1]) + (1 + s) ** 0.3 + ufl.cosh(s)
+    stress = f * ufl.grad(u) + k[1] * ufl.outer(x, u)
+    F = ufl.inner(stress, ufl.grad(v)) * ufl.dx(degree=3) + ufl.inner(s * u + x, v) * ufl.dx
+    return [F, ufl.derivative(F, u, du)]
+
+
+def bubbles(mesh: dolfinx.mesh.Mesh) -> list[ufl.Form]:
+    """An enriched element."""
+    cell = mesh.basix_cell()
+    parts = [basix.ufl.element("Lagrange", cell, 2), basix.ufl.element("Bubble", cell, 4)]
+    element = basix.ufl.blocked_element(basix.ufl.enriched_element(parts), shape=(3,))
+    V = dolfinx.fem.functionspace(mesh, element)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    return [ufl.inner(ufl.sym(ufl.grad(u)), ufl.grad(v)) * ufl.dx]
+
+
+BODIES: dict[str, Callable[[], list[ufl.Form]]] = {
+    "P2-P0": lambda: artery(cube(3, 2), 2, ("DG", 0)),
+    "P1-P0": lambda: artery(cube(3, 2), 1, ("DG", 0)),
+    "Q2-P1": lambda: artery(curved(cube(3, 2, Cell.hexahedron)), 2, ("DPC", 1)),
+    "P2-P1 in the plane": lambda: artery(cube(2, 3), 2, ("DG", 1)),
+    "Q2-P0 in the plane": lambda: artery(curved(cube(2, 3, Cell.quadrilateral)), 2, ("DG", 0)),
+    "own residual": lambda: own(curved(cube(2, 3))),
+    "bubbles": lambda: bubbles(cube(3, 1)),
+}
+
+
+def assembled(form: ufl.Form) -> np.ndarray:
+    """Dolfinx's scalar, or vector, or dense matrix, of this process."""
+    compiled = dolfinx.fem.form(form)
+    if len(form.arguments()) == 2:
+        matrix = dolfinx.fem.petsc.assemble_matrix(compiled)
+        matrix.assemble()
+        values = dense(matrix)
+        matrix.destroy()
+        return values
+    if form.arguments():
+        return np.asarray(dolfinx.fem.assemble_vector(compiled).array)
+    return np.array([dolfinx.fem.assemble_scalar(compiled)])
+
+
+def summed(form: ufl.Form, values: np.ndarray) -> np.ndarray:
+    """What a kernel has computed of a form, added to dense arrays, as in ``assembled``."""
+    if not form.arguments():
+        return values.sum(keepdims=True)
+    sizes, dofs = [], []
+    for argument in form.arguments():
+        V = argument.ufl_function_space()
+        bs = V.dofmap.index_map_bs
+        blocks = V.dofmap.list[: len(values), :, None] * bs + np.arange(bs)
+        dofs.append(blocks.reshape(len(values), -1))
+        sizes.append((V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts) * bs)
+    whole = np.zeros(sizes)
+    where = dofs[0] if len(dofs) == 1 else (dofs[0][:, :, None], dofs[1][:, None, :])
+    np.add.at(whole, where, values)
+    return whole
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
+def test_kernel_is_the_assembled_form(body):
+    """Energy, residuals and all blocks of the tangent, from one visit of each cell."""
+    forms = body()
+    mesh = forms[-1].arguments()[0].ufl_function_space().mesh
+    kernel = create_kernel(forms, mesh, Compiler(COMM))
+    for form, values in zip(forms, kernel.evaluate(), strict=True):
+        expected = assembled(form)
+        scale = np.abs(expected).max()
+        equal(summed(form, values) / scale, expected / scale, 200 * EPS)
+
+
+def test_only_integrals_over_all_cells():
+    mesh = cube(2, 2)
+    u = displacement(mesh, 1)
+    inside, rest = separate(u[0] * ufl.dx + u[1] * ufl.dx(3) + u[0] * ufl.ds)
+    agree([i.subdomain_id() for i in inside.integrals()] == ["everywhere"])
+    agree([i.integral_type() for i in rest.integrals()] == ["cell", "exterior_facet"])
+
+
+@pytest.mark.parametrize("what", ["second derivative", "size of cells", "Bessel", "edge element"])
+def test_what_only_ffcx_compiles(what):
+    """It goes to dolfinx, with the same values cell by cell."""
+    mesh = cube(2, 3)
+    u = displacement(mesh, 2)
+    f = {
+        "second derivative": lambda: ufl.div(ufl.grad(u[0])),
+        "size of cells": lambda: ufl.CellVolume(mesh),
+        "Bessel": lambda: ufl.bessel_J(1, u[0]),
+        "edge element": lambda: (
+            dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("N1curl", 1)))[0] + 1.0
+        ),
+    }[what]()
+    v, du = ufl.TestFunction(u.function_space), ufl.TrialFunction(u.function_space)
+    dx = ufl.dx(degree=2)
+    forms = [f * v[0] * dx, f * ufl.inner(ufl.grad(du), ufl.grad(v)) * dx]
+    agree(create_kernel(forms, mesh, Compiler(COMM)) is None)
+    require_equal(forms, mesh)
+
+
+def test_surfaces_of_cells():
+    """A term on the boundary is added to the values of its cells."""
+    u = displacement(cube(3, 2), 1)
+    v, du = ufl.TestFunction(u.function_space), ufl.TrialFunction(u.function_space)
+    forms = [u[0] * v[1] * (ufl.dx + ufl.ds), ufl.inner(du, v) * ufl.dx + du[0] * v[1] * ufl.ds]
+    require_equal(forms, u.function_space.mesh)
+
+
+def require_equal(forms: list[ufl.Form], mesh: dolfinx.mesh.Mesh) -> None:
+    """Require the values of dolfinx; on several processes it has those of others, too."""
+    parts = CellTensors(forms, mesh, Compiler(COMM)).assemble()
+    for form, values in zip(forms, parts, strict=True):
+        if COMM.size == 1:
+            equal(summed(form, values), assembled(form), 1e-13)
+
+
+def test_what_is_no_number_stays_none():
+    """A cell turned inside out has no energy, and neither residual nor tangent; others do."""
+    mesh = cube(3, 2)
+    energy, F_u, _, K, *_ = artery(mesh, 1, ("DG", 0))
+    V = K.arguments()[0].ufl_function_space()
+    (u,) = (f for f in F_u.coefficients() if f.function_space == V)
+    if mesh.topology.index_map(3).size_local:
+        u.x.array[3 * V.dofmap.list[0, 0]] += 1.5
+    cells = CellTensors([energy, F_u, K], mesh, Compiler(COMM)).assemble()
+    inverted = np.isnan(cells[0])
+    agree(COMM.allreduce(int(inverted.sum())) > 0)
+    for values in cells[1:]:
+        agree(np.array_equal(np.isnan(values).any(axis=tuple(range(1, values.ndim))), inverted))
+
+
+def test_values_at_the_time_of_evaluation():
+    """Coefficients, constants and the mesh may change."""
+    mesh = cube(2, 2)
+    u, k = displacement(mesh, 1), dolfinx.fem.Constant(mesh, 2.0)
+    tensors = CellTensors([k * u[0] * u[0] * ufl.dx], mesh, Compiler(COMM))
+    (before,) = tensors.assemble()
+    u.x.array[:] *= 3.0
+    k.value = 1.0
+    mesh.geometry.x[:] *= 2.0
+    (after,) = tensors.assemble()
+    equal(after, 18.0 * before, 1e-14)
