@@ -70,9 +70,6 @@ from meshes.walls import CREATE, create_wall
 comm = MPI.COMM_WORLD
 started = time.perf_counter()
 
-# Kernels for this processor, sums in any order: a third less time. NaN stay, unlike with -Ofast.
-FAST = "-O3 -march=native -fno-math-errno -fno-trapping-math -fno-signed-zeros -fassociative-math"
-
 logging.basicConfig(format="%(message)s", stream=sys.stdout)
 logging.getLogger("dolfinx_feti").setLevel(logging.INFO)  # a line for each load step
 
@@ -209,7 +206,6 @@ with refusals(parser):
         petsc_options_prefix="artery_",
         petsc_options=petsc_options,
         quadrature_degree=2 * args.degree,
-        jit_options={"cffi_extra_compile_args": FAST.split()},
     )
 parts = problem.decomposition
 subdomains = comm.allreduce(parts.count)

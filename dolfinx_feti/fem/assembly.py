@@ -122,9 +122,10 @@ def _split(
     compiled: Callable[[ufl.Form], dolfinx.fem.Form],
 ) -> SplitForm:
     """Compile the integrals over all cells as a kernel, if that can be, the others for dolfinx."""
-    inside, rest = separate(form)
+    expanded = ufl.algorithms.expand_derivatives(form)
+    inside, rest = separate(expanded)
     kernel = None if inside.empty() else create_kernel([inside], mesh, compiler)
-    left = form if kernel is None else rest
+    left = expanded if kernel is None else rest
     return SplitForm(kernel, None if left.empty() else compiled(left))
 
 

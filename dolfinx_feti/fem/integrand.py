@@ -131,6 +131,11 @@ class Point:
         self.factors: list[str] = []
         self.slots: set[Slot] = set()
 
+    @property
+    def gradients(self) -> set[int]:
+        """Elements whose functions have gradients here."""
+        return {slot.element for slot in self.slots if slot.direction != VALUE}
+
     def add(self, integrand: Expr, rank: int) -> dict[tuple[Slot, ...], int]:
         """Add an integrand.
 

@@ -46,6 +46,9 @@ __all__ = ["Kernel", "create_kernel", "separate"]
 
 Array = npt.NDArray[np.float64]
 
+#: Bytes of a vector of eight numbers, and most that the points of a rule may take of the stack.
+VECTOR, STACK = 64, 2 * 1024**2
+
 #: Number of a factor under the slots of the arguments.
 Factors = dict[tuple[Slot, ...], int]
 
@@ -204,6 +207,9 @@ def _generate(
     stages = []
     for number, (degree, point) in enumerate(points.items()):
         rule: Any = basix.make_quadrature(cell, degree)
+        gradients = sum(state.elements[e].dim * gdim for e in point.gradients)
+        if VECTOR * len(rule[1]) * (gradients + 2 * len(point.factors)) > STACK:
+            raise UnsupportedError
         body = [*_tables(rule, coordinate, state, point), *_at_points(point, gdim)]
         for form, factors in terms[degree]:
             body += _contraction(factors, first[form], shapes[form])
@@ -231,10 +237,9 @@ def _generate(
 
 def _degree(integral: ufl.Integral) -> int:
     """Return the quadrature degree, as FFCx chooses it."""
-    stated = int(integral.metadata().get("quadrature_degree", -1))
-    return (
-        stated if stated >= 0 else int(np.max(integral.metadata()["estimated_polynomial_degree"]))
-    )
+    known = integral.metadata()
+    stated = int(known.get("quadrature_degree", -1))
+    return stated if stated >= 0 else int(np.max(known["estimated_polynomial_degree"]))
 
 
 def _stage(number: int, points: int, body: Sequence[str]) -> str:
@@ -250,14 +255,13 @@ def _tables(rule: tuple[Any, Any], coordinate: Any, state: State, point: Point) 
     if any("psi[q][n]" in line for line in point.statements):
         lines.append(_table("psi", psi[0]))
     values = {slot.element for slot in point.slots if slot.direction == VALUE}
-    gradients = {slot.element for slot in point.slots if slot.direction != VALUE}
-    for e in sorted(values | gradients):
+    for e in sorted(values | point.gradients):
         element = state.elements[e]
         phi = np.asarray(element.tabulate(1, points))
         lines.append(f"enum {{ N{e} = {element.dim} }};")
         if e in values:
             lines.append(_table(f"phi{e}", phi[0]))
-        if e in gradients:
+        if e in point.gradients:
             lines.append(_table(f"dphi{e}", np.moveaxis(phi[1:], 0, -1)))
             lines.append(f"V B{e}[POINTS][N{e}][GDIM];")
     return lines
@@ -265,7 +269,6 @@ def _tables(rule: tuple[Any, Any], coordinate: Any, state: State, point: Point) 
 
 def _at_points(point: Point, gdim: int) -> list[str]:
     """Return the loop that computes gradients ∂φ and factors A at all points."""
-    gradients = {slot.element for slot in point.slots if slot.direction != VALUE}
     return [
         f"V A[POINTS][{len(point.factors) + 1}];",
         "for (int q = 0; q < POINTS; ++q) {",
@@ -273,7 +276,7 @@ def _at_points(point: Point, gdim: int) -> list[str]:
         "jacobian(NODES, GDIM, X, dpsi[q][0], J);",
         f"const V det = inverse{gdim}(J, K);",
         "(void)det;",
-        *(f"gradients(N{e}, GDIM, dphi{e}[q][0], K, B{e}[q][0]);" for e in sorted(gradients)),
+        *(f"gradients(N{e}, GDIM, dphi{e}[q][0], K, B{e}[q][0]);" for e in sorted(point.gradients)),
         *point.statements,
         *(f"A[q][{i}] = BROADCAST({name});" for i, name in enumerate(point.factors)),
         "}",

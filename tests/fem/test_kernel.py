@@ -148,7 +148,9 @@ def test_only_integrals_over_all_cells():
     agree([i.integral_type() for i in rest.integrals()] == ["cell", "exterior_facet"])
 
 
-@pytest.mark.parametrize("what", ["second derivative", "size of cells", "Bessel", "edge element"])
+@pytest.mark.parametrize(
+    "what", ["second derivative", "size of cells", "Bessel", "edge element", "points"]
+)
 def test_what_only_ffcx_compiles(what):
     """It goes to dolfinx, with the same values cell by cell."""
     mesh = cube(2, 3)
@@ -156,13 +158,14 @@ def test_what_only_ffcx_compiles(what):
     f = {
         "second derivative": lambda: ufl.div(ufl.grad(u[0])),
         "size of cells": lambda: ufl.CellVolume(mesh),
+        "points": lambda: 1.0 + u[0],
         "Bessel": lambda: ufl.bessel_J(1, u[0]),
         "edge element": lambda: (
             dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("N1curl", 1)))[0] + 1.0
         ),
     }[what]()
     v, du = ufl.TestFunction(u.function_space), ufl.TrialFunction(u.function_space)
-    dx = ufl.dx(degree=2)
+    dx = ufl.dx(degree=60 if what == "points" else 2)
     forms = [f * v[0] * dx, f * ufl.inner(ufl.grad(du), ufl.grad(v)) * dx]
     agree(create_kernel(forms, mesh, Compiler(COMM)) is None)
     require_equal(forms, mesh)
