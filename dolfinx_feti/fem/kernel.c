@@ -183,15 +183,15 @@ int add(int m, const double *x, const int *node, const double *const *w, const i
     if (create_lanes(&lanes)) return 1;
     for (int first = 0; first < m; first += LANES) {
         visit(&lanes, first, m, x, node, w, dof, c);
-        for (int l = 0; l < LANES && first + l < m; ++l, block += n) {
-            const V *k = lanes.out;
-            for (int i = 0; i < n; ++i, place += n)
-                for (int p = 0; p < BS; ++p) {
-                    double *const row = values + indptr[(int64_t)block[i] * BS + p];
+        const V *k = lanes.out;
+        for (int i = 0; i < n; ++i)
+            for (int p = 0; p < BS; ++p, k += n * BS)
+                for (int l = 0; l < LANES && first + l < m; ++l) {
+                    const int64_t at = (int64_t)(first + l) * n + i;
+                    double *const row = values + indptr[(int64_t)block[at] * BS + p];
                     for (int j = 0; j < n; ++j)
-                        for (int s = 0; s < BS; ++s, ++k) row[place[j] + s] += (*k)[l];
+                        for (int s = 0; s < BS; ++s) row[place[at * n + j] + s] += k[j * BS + s][l];
                 }
-        }
     }
     free(lanes.x);
     return 0;
