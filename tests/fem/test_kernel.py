@@ -165,7 +165,7 @@ def test_what_only_ffcx_compiles(what):
         ),
     }[what]()
     v, du = ufl.TestFunction(u.function_space), ufl.TrialFunction(u.function_space)
-    dx = ufl.dx(degree=60 if what == "points" else 2)
+    dx = ufl.dx(degree=100 if what == "points" else 2)
     forms = [f * v[0] * dx, f * ufl.inner(ufl.grad(du), ufl.grad(v)) * dx]
     agree(create_kernel(forms, mesh, Compiler(COMM)) is None)
     require_equal(forms, mesh)
