@@ -200,11 +200,7 @@ class NonlinearProblem(TornProblem):
 
     @cached_property
     def F(self) -> dolfinx.fem.Form:
-        """The compiled residual, tested with v, before a pressure is condensed into it.
-
-        Note:
-            Collective the first time.
-        """
+        """The compiled residual, without condensation; as ``J`` collective the first time."""
         return self._compiler.form(self._residual)
 
     @cached_property

@@ -310,10 +310,9 @@ class System:
             Collective.
         """
         on_all(lambda: self._fill(here), self.comm)
-        bs = self.u.function_space.dofmap.index_map_bs
-        assembly.attach_near_kernel(
-            self.A, self.u.function_space, self.u.x.array[: self.owned].reshape(-1, bs)
-        )
+        V = self.u.function_space
+        u = self.u.x.array[: self.owned].reshape(-1, V.dofmap.index_map_bs)
+        assembly.attach_near_kernel(self.A, V, u)
         return self.tangent()
 
     def _fill(self, here: Residual | None) -> None:
@@ -327,8 +326,8 @@ class System:
         self._stiffness[:] = self._K.mat.getDiagonal().array_r
         self.A.query("stiffness").array[:] = self._stiffness
         if self.condensation is not None:
-            known = here.blocks if here is not None else None
-            self.condensation.subtract_from(self._K, known or self.condensation.assemble())
+            blocks = (here and here.blocks) or self.condensation.assemble()
+            self.condensation.subtract_from(self._K, blocks)
 
     def rounding(self) -> float:
         r"""Return the size of the rounding errors of the residual, by the assembled tangent k.
