@@ -28,7 +28,7 @@ from meshes.surface import Indices, Points
 from meshes.tube import ADVENTITIA, INNER_RADIUS, MEDIA, count_around
 from meshes.wall_mesh import TAGS
 
-__all__ = ["create_brick_tube"]
+__all__ = ["create_brick_tube", "lattice_cells"]
 
 
 def create_brick_tube(
@@ -111,8 +111,10 @@ def _create(
     }
     if quarter:
         faces |= {"symmetry_y": number[:, :1], "symmetry_x": number[:, -1:]}
-    facets = {name: _elements(np.squeeze(f), order, simplex=simplex) for name, f in faces.items()}
-    cells = _elements(number, order, simplex=simplex)
+    facets = {
+        name: lattice_cells(np.squeeze(f), order, simplex=simplex) for name, f in faces.items()
+    }
+    cells = lattice_cells(number, order, simplex=simplex)
     return RawWall(
         points=x.reshape(-1, 3),
         cells=cells,
@@ -124,7 +126,7 @@ def _create(
     )
 
 
-def _elements(number: Indices, order: int, *, simplex: bool) -> Indices:
+def lattice_cells(number: Indices, order: int, *, simplex: bool) -> Indices:
     """Return the nodes of all cells of a lattice as dolfinx numbers them, (cells, nodes)."""
     offsets = order * _reference_nodes(number.ndim, order, simplex=simplex)
     cells = [(extent - 1) // order for extent in number.shape]

@@ -30,6 +30,7 @@ MADE = {
     "load_stepping": ("loading", "loading.json"),
     "subdomains": ("subdomains", "subdomains.json"),
     "inf_sup": ("inf_sup", "inf_sup.json"),
+    "published": ("published", "published.json"),
 }
 
 
