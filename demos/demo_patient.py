@@ -63,7 +63,7 @@ parser.add_argument("--degree", type=int, choices=(1, 2), default=1, help="of di
 parser.add_argument("--kappa", type=positive, default=1e3, help="penalty κ [kPa], 1000")
 parser.add_argument("--subdomains", type=count, help="over all processes")
 parser.add_argument("--output", type=Path, default=Path("output/patient"), help="a folder")
-args = parser.parse_args()
+args = parser.parse_args(sys.argv[1:])
 
 comm = MPI.COMM_WORLD
 started = time.perf_counter()
