@@ -14,16 +14,33 @@ not shrink is added:
     t_{local} = β\, t_1 / P, \qquad
     t_{iteration} = β\, t_1 / P + n_m (α + b/W) + n_r\, 2 α \log_2 P + n_c\, t_c(P),
 
-    t_c = 16\, L / V + 8\, K / W, \qquad t_{coarse} = t_1 / P + Φ / R,
-
 n_m messages of b bytes (the mean of the processes), n_r reductions and n_c coarse solves in an
-iteration are those that were counted on the most processes; α, W, V and R are in :class:`Machine`.
-β is the unevenness of whole subdomains, ⌈S/P⌉ P/S. The coarse matrix of K unknowns, with L entries
-in its factor and Φ operations to make it, is factored and solved by every process, as if by one;
-each solve gathers K numbers on all, which is one of the reductions. Beyond S processes there are as
-many subdomains as processes; K grows with them, L as K ln K and Φ as K^{3/2}, those of a wall,
-which is nearly two-dimensional. Reading the mesh is on one process; what else the program does is
-shared.
+iteration are those that were counted on the most processes; α, W, V, R and D are in
+:class:`Machine`. β is the unevenness of whole subdomains, ⌈S/P⌉ P/S.
+
+The coarse matrix of K unknowns, with L entries in its factor and Φ operations to make it, is solved
+as ``dolfinx_feti.feti.coarse.gathered`` does: each of the P/g groups, of g = ⌈K/4000⌉ processes,
+has a factor; up to 128 P unknowns a process keeps K/P rows of the inverse, of which six take the
+time of a solve. Each solve gathers K numbers on all, which is one of the reductions:
+
+.. math::
+
+    t_c = 8\, K / W + \begin{cases} 8\, K^2 / (P V) & K \le 128\, P \\ 16\, L / (g V) & K > 128\, P
+    \end{cases}, \qquad
+    t_{coarse} = t_1 / P + Φ / (g R) + \frac{K}{6 P} \frac{16\, L}{V} .
+
+Beyond S processes there are as many subdomains as processes; K grows with them, L as K ln K and Φ
+as K^{3/2}, those of a wall, which is nearly two-dimensional.
+
+The wall is read by all processes: the file's bytes at D; mesh and tags are made of them in t_1 / P.
+Partitioning, which one process does not do, takes t_2 on two for a bisection, and is a sequence of
+log₂ P bisections of n/P cells a process; what all of it sends was counted,
+
+.. math:: t_{reading} = t_1 / P + \text{bytes} / D + (2 t_2 - t_1) / P\, \log_2 P
+    + n_m α + b / W + n_r\, 2 α \log_2 P ,
+
+n_m and n_r being prolonged by what they grow from a number of processes to its double. What a load
+step of a tiny wall takes does not shrink. What else the program does is shared.
 
 A mesh with ρ times the dofs, in the same subdomains, takes ρ times the work, and ρ^{2/3} times the
 bytes; its factors take more than that, so that this is a cautious estimate of the efficiency.
@@ -36,8 +53,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 from benchmarks.common.records import Record
+from dolfinx_feti.feti.coarse.gathered import ROWS, SPREAD
 
 __all__ = ["KRYLOV", "PARTS", "Machine", "Model", "Prediction", "create_model", "efficiency"]
+
+#: Rows of the inverse that take the time of a solve with the factor.
+BLOCKED = 6.0
 
 
 #: Parts of the iterations.
@@ -52,6 +73,7 @@ class Machine:
     bandwidth: float = 2e9  # W, of a process into the network [bytes/s]
     stream: float = 5e9  # V, at which a process reads a factor [bytes/s]
     rate: float = 5e9  # R, at which a process factors [flops/s]
+    disk: float = 5e9  # D, of the file system to all processes together [bytes/s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +88,10 @@ class Prediction:
     gathering: float  # of the coarse right-hand sides, to all processes
     coarse_solves: float
     coarse_shared: float  # the part of the coarse set-up that all share
-    coarse_factor: float
+    coarse_factor: float  # and the rows of the inverse
     reading: float  # and distributing the mesh
     rest: float
+    fixed: float
 
     @property
     def krylov(self) -> float:
@@ -83,7 +106,7 @@ class Prediction:
     @property
     def total(self) -> float:
         """Seconds of the program."""
-        return self.local + self.krylov + self.coarse + self.reading + self.rest
+        return self.local + self.krylov + self.coarse + self.reading + self.rest + self.fixed
 
     def shares(self, names: Sequence[str] = ()) -> dict[str, float]:
         """Return the share of some parts in their sum; of all parts if there are no names."""
@@ -101,7 +124,9 @@ class Model:
     """The model with its numbers."""
 
     base: Record  # of the measured case on the fewest processes
+    two: Record  # on two, or the most below that
     sent: Record  # of the counted case on the most processes
+    before: Record  # of that on half as many, or less
     machine: Machine
 
     def predict(self, processes: int, refined: float = 1.0) -> Prediction:
@@ -111,13 +136,12 @@ class Model:
         solves = iterations * sent["coarse_solves"]
         subdomains = max(base["subdomains_in_all"], P)
         grown = subdomains / base["subdomains_in_all"]
-        K = base["coarse_size"]
-        longer = grown * math.log(grown * K) / math.log(K)
-        reading_factor = 16.0 * sent["coarse_entries"] / m.stream
-        factoring = base["newton_iterations"] * sent["coarse_flops"] / m.rate
+        gather, solve, factor = self._coarse(grown, P)
+        _, solved, factored = self._coarse(1.0, base["processes"])
         uneven = math.ceil(subdomains / P) * P / subdomains  # β
         share = refined * base["processes"] * uneven / P
-        parts = ("local", "krylov", "coarse", "reading")
+        steps = base["newton_iterations"]
+        parts = ("local", "krylov", "coarse", "reading", "fixed")
         rest = base["seconds_total"] - sum(base[f"seconds_{part}"] for part in parts)
         each, hops = sent["iteration"], math.log2(P)
         message = each["messages"]["mean"] * m.latency
@@ -125,16 +149,49 @@ class Model:
         return Prediction(
             processes=P,
             local=base["seconds_local"] * share,
-            work=max(0.0, base["seconds_krylov"] - solves * reading_factor) * share,
+            work=max(0.0, base["seconds_krylov"] - solves * solved) * share,
             messages=iterations * message if P > 1 else 0.0,
             reductions=iterations * each["reductions"]["max"] * 2.0 * m.latency * hops,
-            gathering=solves * 8.0 * grown * K / m.bandwidth if P > 1 else 0.0,
-            coarse_solves=solves * reading_factor * longer,
-            coarse_shared=max(0.0, base["seconds_coarse"] - factoring) * share,
-            coarse_factor=factoring * grown**1.5,
-            reading=refined * base["seconds_reading"],
+            gathering=solves * gather,
+            coarse_solves=solves * solve,
+            coarse_shared=max(0.0, base["seconds_coarse"] - steps * factored) * share,
+            coarse_factor=steps * factor,
+            reading=self._reading(P, refined),
             rest=max(0.0, rest) * share,
+            fixed=base["seconds_fixed"],
         )
+
+    def _coarse(self, grown: float, P: int) -> tuple[float, float, float]:
+        """Return the seconds of gathering, of a solve, and of a set-up, on P processes."""
+        sent, m = self.sent, self.machine
+        K = grown * self.base["coarse_size"]
+        longer = grown * math.log(K) / math.log(K / grown)
+        group = min(P, max(1, math.ceil(K / ROWS)))
+        factor = 16.0 * longer * sent["coarse_entries"] / m.stream  # read twice
+        make = grown**1.5 * sent["coarse_flops"] / (group * m.rate)
+        gather = 8.0 * K / m.bandwidth if P > 1 else 0.0
+        if K > SPREAD * P:
+            return gather, factor / group, make
+        return gather, 8.0 * K**2 / (P * m.stream), make + K / (BLOCKED * P) * factor
+
+    def _reading(self, P: int, refined: float) -> float:
+        """Return the seconds of reading and distributing the wall on P processes."""
+        m, most, fewer = self.machine, self.sent["processes"], self.before["processes"]
+        first, two = (r["seconds_reading"] * r["processes"] for r in (self.base, self.two))
+        hops = math.log2(P)
+        work = (first + max(0.0, two - first) * hops) / P
+        disk = self.sent["reading_bytes"] * most / m.disk
+        if P == 1:
+            return refined * first
+
+        def sent(name: str, kind: str = "mean") -> float:
+            now, then = (r["reading"][name][kind] for r in (self.sent, self.before))
+            slope = (now - then) / math.log2(most / fewer) if most > fewer else 0.0
+            return now + max(0.0, slope) * math.log2(P / most)
+
+        into_network = self.sent["reading"]["bytes"]["mean"] * most / (P * m.bandwidth)
+        waits = sent("messages") + 2.0 * hops * sent("reductions", "max")
+        return refined * (work + disk + into_network) + max(0.0, waits) * m.latency
 
 
 def create_model(
@@ -143,7 +200,10 @@ def create_model(
     """Make a model of cases in the order of their processes; None without both kinds."""
     if not measured or not counted:
         return None
-    return Model(measured[0], counted[-1], machine or Machine())
+    most, several = counted[-1], [r for r in counted if r["processes"] > 1] or counted
+    below = [r for r in several if 2 * r["processes"] <= most["processes"]] or several
+    two = [r for r in measured if r["processes"] <= 2][-1:] or measured[:1]
+    return Model(measured[0], two[0], most, below[-1], machine or Machine())
 
 
 def efficiency(first: int, seconds_first: float, processes: int, seconds: float) -> float:

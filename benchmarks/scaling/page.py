@@ -29,10 +29,13 @@ __all__ = ["main"]
 #: What cases share that differ in their number of processes alone.
 CASE = ("geometry", "size", "subdomains", "layers", "choices")
 
+#: Processes of weak scaling, as many dofs on each.
+WEAK = (512, 10_000)
+
 PARTS = ("local", "krylov", "total")
 
 #: Microseconds, GB/s and Gflop/s.
-UNITS = {"latency": 1e6, "bandwidth": 1e-9, "stream": 1e-9, "rate": 1e-9}
+UNITS = {"latency": 1e6, "bandwidth": 1e-9, "stream": 1e-9, "rate": 1e-9, "disk": 1e-9}
 
 STYLES = {"local": {"color": COLOURS[2]}, "krylov": {"color": COLOURS[0]}, "total": {"color": "k"}}
 
@@ -75,6 +78,17 @@ def _fields(records: Sequence[Record]) -> Fields:
             for part in s.section(list(_model_rows(s, dofs)), dofs=dofs, mesh=mesh)
         ],
         "limits": section(row for s in modelled for row in _limits(s)),
+        "weak": section(_weak(s) for s in modelled),
+        "once": section(r | s.names | {"s": r["seconds_once"]} for s in every for r in s.measured),
+        "reading": section(
+            {"P": P, "mb": r["reading_bytes"] / 1e6, "mib": r["reading_mib"], "sent": r["reading"]}
+            for P, r in sorted({r["processes"]: r for s in every for r in s.counted}.items())
+        ),
+        "converged": section(
+            r | {"kind": NAMES[r["type"]], "rounds": len(r["residuals"])}
+            for r in records
+            if r["task"] == "converge"
+        ),
         "counted": [part for s in every for part in s.section(list(_counts(s)))],
         "balance": section(
             r | s.names for s in every for r in s.counted if int(r["processes"]) > 1
@@ -87,6 +101,8 @@ def _series(records: Sequence[Record]) -> Iterator[_Series]:
     """Yield the series, the paper's choices first."""
     found = sorted(groups(records, *CASE), key=lambda s: (list(CHOICES).index(s[0][-1]), s[0][-2]))
     for (*_, layers, choices), mine in found:
+        if all(record["task"] == "converge" for record in mine):
+            continue
         mine.sort(key=lambda record: record["processes"])
         tasks = [[r for r in mine if r["task"] == task] for task in ("measure", "count")]
         yield _Series(layers, choices, *tasks, create_model(*tasks))
@@ -141,6 +157,23 @@ def _limits(series: _Series) -> Iterator[dict[str, object]]:
             for whole, shares in parts.items():
                 percent = {name: 100 * share for name, share in shares.items()}
                 yield series.names | {"dofs": dofs, "P": P, "whole": whole, "share": percent}
+
+
+def _weak(series: _Series) -> dict[str, object]:
+    """Return Krylov and coarse set-up on WEAK processes, the paper's dofs on the fewest."""
+    dofs, (few, many) = paper.DOFS[series.layers], WEAK
+    refined = dofs / series.model.base["dofs"]
+    first, last = (series.model.predict(P, refined * P / few) for P in WEAK)
+    t = [p.krylov + p.coarse for p in (first, last)]
+    dofs_many = dofs * many // few
+    return series.names | {
+        "few": few,
+        "many": many,
+        "dofs": dofs,
+        "dofs_many": dofs_many,
+        "t": t,
+        "eff": t[0] / t[1],
+    }
 
 
 def _counts(series: _Series) -> Iterator[Record]:

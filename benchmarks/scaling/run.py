@@ -9,7 +9,9 @@ The load step to 0.2 mmHg with κ = 100 kPa, P1–P0 and the lumped precondition
 scaling for nonlinear elasticity*, tables Augustin_tab:aorta_scaling and carotis_scaling):
 all-floating FETI on the wall of one layer, classical FETI on that of two. --processes are measured,
 at most as many as there are cores. --count are counted, any number on any machine: messages, bytes,
-neighbours, reductions and coarse solves of an iteration and of a set-up.
+neighbours, reductions and coarse solves of an iteration and of a set-up. --converge are taken to
+the end of the load step with one subdomain on each process. ``--predict DOFS PROCESSES`` runs
+nothing: it prints what the model makes of the records.
 
 Each number of processes is a program of its own, which this one starts with mpirun: so one command
 makes the table, a case that fails takes no other one along, and the library that counts is in no
@@ -35,6 +37,7 @@ from mpi4py import MPI
 from benchmarks.common import command
 from benchmarks.common.records import Record, Records
 from benchmarks.common.walls.first_step import CHOICES
+from benchmarks.scaling.predict import predict
 from benchmarks.scaling.traffic import compile_library
 from meshes.arguments import count
 
@@ -46,6 +49,9 @@ TYPES = {1: "all_floating", 2: "classical"}
 #: Environment of a process that mpirun has started, which another mpirun must not see.
 INHERITED = ("PMIX_", "PRTE_", "OMPI_COMM_WORLD_", "OMPI_FILE_", "OMPI_UNIVERSE_")
 
+#: Records of the page.
+KEPT = Path(__file__).parents[2] / "docs/results/scaling.json"
+
 #: Preconditioners of the two choices.
 PC = {"paper": "lumped", "default": "dirichlet"}
 
@@ -55,10 +61,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     comm = MPI.COMM_SELF
     parser = _create_parser(comm)
     args = command.parse_words(parser, argv)
+    if args.predict:
+        known = command.open_records(args.json or KEPT, parser, comm, is_known)
+        command.say("\n".join(predict(list(known), *args.predict)), comm)
+        return 0
     _check(args, parser)
     records = command.open_records(args.json, parser, comm, is_known)
     try:
-        library = compile_library(args.folder) if args.count else None
+        library = compile_library(args.folder) if args.count + args.converge else None
     except (OSError, subprocess.CalledProcessError) as error:
         parser.error(f"--count {args.count}: {error}; leave it out with --count 0")
     lost = 0
@@ -77,8 +87,11 @@ def is_known(record: Record) -> bool:
 
 def _plan(args: argparse.Namespace) -> Iterator[Record]:
     """Yield the cases: counted first, for that is quick."""
-    for task, numbers in (("count", args.count), ("measure", args.processes)):
+    tasks = {"converge": args.converge, "count": args.count, "measure": args.processes}
+    for task, numbers in tasks.items():
         for choices, layers, processes in itertools.product(args.choices, args.layers, numbers):
+            if task == "converge" and choices == "paper":  # five steps do not arrive
+                continue
             yield {
                 "study": "scaling",
                 "task": task,
@@ -90,7 +103,7 @@ def _plan(args: argparse.Namespace) -> Iterator[Record]:
                 "type": TYPES[layers],
                 "pc": PC[choices],
                 "choices": choices,
-                "subdomains": args.subdomains,
+                "subdomains": processes if task == "converge" else args.subdomains,
                 "processes": processes,
             }
 
@@ -105,7 +118,7 @@ def _run(
         words = ["mpirun", "-n", str(case["processes"]), "--oversubscribe"]
         environment = {k: v for k, v in os.environ.items() if not k.startswith(INHERITED)}
         environment["OMP_NUM_THREADS"] = "1"
-        if case["task"] == "count":
+        if case["task"] != "measure":
             words += ["-x", f"LD_PRELOAD={library}"]
             environment["OMPI_MCA_mpi_yield_when_idle"] = "1"
         words += [sys.executable, "-m", "benchmarks.scaling.worker", inside, str(file)]
@@ -125,7 +138,8 @@ def _check(args: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
     cores = len(os.sched_getaffinity(0))
     if MPI.COMM_WORLD.size > 1:
         parser.error("it starts mpirun itself: run it as python3 -m benchmarks.scaling")
-    args.processes, args.count = ([n for n in ns if n > 0] for ns in (args.processes, args.count))
+    for name in ("processes", "count", "converge"):
+        setattr(args, name, [n for n in getattr(args, name) if n > 0])
     if max(args.processes, default=0) > cores:
         parser.error(
             f"--processes {max(args.processes)}: there are {cores} cores, and shared ones measure "
@@ -146,6 +160,8 @@ def _create_parser(comm: MPI.Comm) -> argparse.ArgumentParser:
     add("--processes", type=numbers, default=[1, 2], help="to measure, 1,2; 0 for none")
     some = [1, 2, 4, 8, 16, 32, 64]
     add("--count", type=numbers, default=some, help="to count, 1,2,4,8,16,32,64; 0 for none")
+    add("--converge", type=numbers, default=[64], help="to take to the end, 64; 0 for none")
+    add("--predict", type=count, nargs=2, metavar=("DOFS", "PROCESSES"), help="print the model's")
     add("--subdomains", type=count, default=512, help="over all processes, 512")
     layers = {"type": command.some_of(tuple(TYPES)), "default": list(TYPES)}
     add("--layers", **layers, help="1 with all-floating FETI, 2 with classical, 1,2")
@@ -161,6 +177,11 @@ def _name(case: Record) -> str:
 
 def _line(record: Record) -> str:
     """Format what was found as a line."""
+    if record["task"] == "converge":
+        steps = record["linear_iterations_per_newton"]
+        return (
+            f"{record['multipliers']} multipliers, {len(steps)} Newton steps of {steps} iterations"
+        )
     if record["task"] == "count":
         sent = {name: record["iteration"][name]["max"] for name in ("messages", "bytes")}
         return (

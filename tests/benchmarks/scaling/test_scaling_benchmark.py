@@ -27,7 +27,8 @@ SMALL = "--geometry tube --size 1 --subdomains 4 --layers 2 --choices paper".spl
 @pytest.mark.skipif(not shutil.which("mpicc"), reason="there is no mpicc")
 def test_small_case_is_measured_and_counted(tmp_path, capsys):
     file, folder = tmp_path / "scaling.json", str(tmp_path / "walls")
-    words = [*SMALL, "--processes", "1", "--count", "2", "--json", str(file), "--folder", folder]
+    words = [*SMALL, "--processes", "1", "--count", "2", "--converge", "0"]
+    words += ["--json", str(file), "--folder", folder]
     status, said = scaling.main(words), capsys.readouterr().out
     assert status == 0, said
     counted, measured = json.loads(file.read_text())
@@ -36,6 +37,8 @@ def test_small_case_is_measured_and_counted(tmp_path, capsys):
     assert counted["iteration"]["messages"]["max"] >= 1
     assert counted["iteration"]["reductions"]["max"] >= 1
     assert counted["coarse_solves"] >= 1
+    assert counted["reading"]["messages"]["max"] >= 1
+    assert counted["reading_bytes"] < (tmp_path / "walls/tube_1.h5").stat().st_size
     assert all(1.0 <= value <= 2.0 for value in counted["balance"].values())
     parts = [measured[f"seconds_{part}"] for part in ("local", "krylov", "coarse", "reading")]
     assert min(parts) > 0.0
@@ -43,6 +46,21 @@ def test_small_case_is_measured_and_counted(tmp_path, capsys):
     assert len(measured["linear_iterations_per_newton"]) == measured["newton_iterations"] >= 2
     assert scaling.main(words) == 0
     assert capsys.readouterr().out.count("in the records already") == 2
+    assert scaling.main(["--predict", "3000000", "512", "--json", str(file)]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert len(said) == 3 and "classical, the paper's choices: " in said[-1], said
+
+
+@pytest.mark.skipif(not shutil.which("mpicc"), reason="there is no mpicc")
+def test_load_step_to_its_end_with_a_subdomain_each(tmp_path, capsys):
+    file, folder = tmp_path / "scaling.json", str(tmp_path / "walls")
+    words = "--geometry tube --size 1 --layers 1 --processes 0 --count 0 --converge 4".split()
+    status = scaling.main([*words, "--json", str(file), "--folder", folder])
+    assert status == 0, capsys.readouterr().out
+    (found,) = json.loads(file.read_text())
+    assert found["subdomains_in_all"] == found["subdomains"] == found["processes"] == 4
+    assert found["residuals"][-1] < 1e-4 * found["residuals"][0]
+    assert found["step"]["messages"]["max"] > 10 and found["neighbours"] <= 3
 
 
 @pytest.mark.parametrize(
@@ -112,8 +130,11 @@ def _case(layers: int, processes: int, task: str) -> dict:
 def _measured(layers: int, processes: int, times: paper.Times) -> dict:
     seconds = {f"seconds_{part}": value for part, value in times._asdict().items()}
     seconds |= {"seconds_coarse": 5.0, "seconds_reading": 1.0, "newton_iterations": 5}
+    seconds |= {"seconds_fixed": 0.1}
     its = {"linear_iterations_per_newton": [324] * 5, "linear_iterations_mean": 324.0}
-    return _case(layers, processes, "measure") | seconds | its
+    wall = [f"Wall{phase}" for phase in ("Read", "Partition", "Tags", "Fibres")]
+    once = dict.fromkeys([*wall, "FETITear", "FETIPattern", "FETIGluing"], 0.5)
+    return _case(layers, processes, "measure") | seconds | its | {"seconds_once": once}
 
 
 def _counted(layers: int, processes: int) -> dict:
@@ -121,5 +142,6 @@ def _counted(layers: int, processes: int) -> dict:
     even = {name: {"mean": 10.0, "max": 10.0} for name in COUNTERS}
     grown = even | {"messages": {"mean": 10.0, "max": float(processes)}}
     found = {"setup": even, "iteration": grown, "neighbours": 6.0, "coarse_solves": 2.0}
-    found |= {"coarse_entries": 1e6, "coarse_flops": 1e9}
+    found |= {"coarse_entries": 1e6, "coarse_flops": 1e9, "reading": even}
+    found |= {"reading_bytes": 1e6, "reading_mib": 10.0}
     return _case(layers, processes, "count") | found | {"balance": {"entries of K": 1.1}}

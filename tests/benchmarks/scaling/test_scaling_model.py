@@ -16,8 +16,12 @@ pytestmark = pytest.mark.serial
 BASE = {"processes": 1, "subdomains_in_all": 512, "coarse_size": 3072, "newton_iterations": 5}
 BASE |= {"linear_iterations_per_newton": [300] * 5, "seconds_local": 400.0, "seconds_total": 2000.0}
 BASE |= {"seconds_krylov": 1300.0, "seconds_coarse": 20.0, "seconds_reading": 3.0}
+BASE |= {"seconds_fixed": 2.0}
 SENT = {"processes": 64, "coarse_solves": 2.0, "coarse_entries": 1e6, "coarse_flops": 1e9}
-SENT |= {"iteration": {name: {"mean": 10.0, "max": 10.0} for name in COUNTERS}}
+SENT |= {
+    kind: {name: {"mean": 10.0, "max": 10.0} for name in COUNTERS}
+    for kind in ("iteration", "reading")
+} | {"reading_bytes": 1e6}
 
 
 def test_papers_efficiencies():
@@ -31,7 +35,7 @@ def test_papers_efficiencies():
 def test_model_gives_back_what_it_begins_with():
     model = create_model([BASE], [SENT])
     first = model.predict(1)
-    for part in ("local", "krylov", "coarse", "reading", "total"):
+    for part in ("local", "krylov", "coarse", "reading", "fixed", "total"):
         assert getattr(first, part) == pytest.approx(BASE[f"seconds_{part}"], rel=1e-12)
     assert sum(first.shares().values()) == pytest.approx(1.0)
     assert set(first.shares()) == set(PARTS)
@@ -44,9 +48,31 @@ def test_work_shrinks_and_what_is_sent_does_not():
     assert many.messages == two.messages > 0.0
     assert many.reductions == pytest.approx(9 * two.reductions)  # log₂ P
     assert many.gathering == two.gathering > 0.0
-    assert many.coarse_factor == two.coarse_factor
-    assert beyond.coarse_factor == pytest.approx(2**1.5 * many.coarse_factor)  # 1024 subdomains
+    assert beyond.gathering == 2 * many.gathering  # 1024 subdomains
     assert model.predict(3).local > 400.0 / 3  # 171 of 512 subdomains
+
+
+def test_coarse_solves_shrink_where_the_inverse_is_spread():
+    """Up to 128 unknowns a process; as many numbers a process, as subdomains grow with them."""
+    model = create_model([BASE], [SENT])
+    few, some, many, beyond = (model.predict(P) for P in (16, 256, 512, 1024))
+    solves = 1500 * SENT["coarse_solves"]
+    assert few.coarse_solves == pytest.approx(solves * 16e6 / Machine().stream)
+    assert some.coarse_solves == pytest.approx(solves * 8 * 3072**2 / 256 / Machine().stream)
+    assert some.coarse_solves == pytest.approx(2 * many.coarse_solves)
+    assert beyond.coarse_solves == pytest.approx(2 * many.coarse_solves)  # (2 K)²/(2 P)
+    assert few.coarse_factor < many.coarse_factor < some.coarse_factor  # rows of the inverse
+
+
+def test_partition_is_measured_on_two():
+    """A process alone does not partition; on P there are log₂ P bisections."""
+    two = BASE | {"processes": 2, "seconds_reading": 2.5}
+    ideal = Machine(latency=0.0, bandwidth=float("inf"), disk=float("inf"))
+    model = create_model([BASE, two], [SENT], ideal)
+    assert model.predict(2).reading == pytest.approx(2.5)
+    assert model.predict(64).reading == pytest.approx((3.0 + 6 * 2.0) / 64)
+    slow = create_model([BASE, two], [SENT])
+    assert slow.predict(64).reading > model.predict(64).reading
 
 
 def test_faster_machine_and_finer_mesh():
