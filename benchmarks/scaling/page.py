@@ -59,6 +59,11 @@ class _Series:
         return section(rows, **(first | self.names | fields))
 
     @property
+    def refined(self) -> float:
+        """The paper's dofs over those of the model's mesh."""
+        return paper.DOFS[self.layers] / self.model.base["dofs"]
+
+    @property
     def names(self) -> dict[str, str]:
         """Its names on the page."""
         kind = NAMES[TYPES[self.layers]]
@@ -74,8 +79,7 @@ def _fields(records: Sequence[Record]) -> Fields:
         "modelled": [
             part
             for s in modelled
-            for dofs, mesh in _meshes(s)
-            for part in s.section(list(_model_rows(s, dofs)), dofs=dofs, mesh=mesh)
+            for part in s.section(list(_model_rows(s)), dofs=paper.DOFS[s.layers])
         ],
         "limits": section(row for s in modelled for row in _limits(s)),
         "weak": section(_weak(s) for s in modelled),
@@ -119,16 +123,9 @@ def _times(series: _Series) -> Iterator[dict[str, object]]:
         yield {"P": P, "s": s, "eff": eff, "model": foreseen}
 
 
-def _meshes(series: _Series) -> list[tuple[int, str]]:
-    """Return the dofs that the model is asked for."""
-    measured = int(series.model.base["dofs"])
-    own, papers = "the measured mesh", "as many dofs as the paper's mesh"
-    return [(measured, own), (paper.DOFS[series.layers], papers)]
-
-
-def _model_rows(series: _Series, dofs: int) -> Iterator[dict[str, object]]:
-    """Yield the model's seconds and efficiencies beside the paper's."""
-    theirs, refined = paper.TIMES[series.layers], dofs / series.model.base["dofs"]
+def _model_rows(series: _Series) -> Iterator[dict[str, object]]:
+    """Yield the model's seconds and efficiencies beside the paper's, of as many dofs."""
+    theirs, refined = paper.TIMES[series.layers], series.refined
     first = series.model.predict(paper.FIRST, refined)
     for P in (*theirs, FURTHER):
         foreseen = series.model.predict(P, refined)
@@ -150,21 +147,19 @@ def _efficiencies(first: object, P: int, times: object) -> dict[str, float]:
 
 def _limits(series: _Series) -> Iterator[dict[str, object]]:
     """Yield the shares of the parts in all of the time and in the iterations [%]."""
-    for dofs, _ in _meshes(series):
-        for P in (max(paper.TIMES[series.layers]), FURTHER):
-            foreseen = series.model.predict(P, dofs / series.model.base["dofs"])
-            parts = {"total": foreseen.shares(), "Krylov": foreseen.shares(KRYLOV)}
-            for whole, shares in parts.items():
-                percent = {name: 100 * share for name, share in shares.items()}
-                yield series.names | {"dofs": dofs, "P": P, "whole": whole, "share": percent}
+    for P in (max(paper.TIMES[series.layers]), FURTHER):
+        foreseen = series.model.predict(P, series.refined)
+        parts = {"total": foreseen.shares(), "Krylov": foreseen.shares(KRYLOV)}
+        for whole, shares in parts.items():
+            percent = {name: 100 * share for name, share in shares.items()}
+            yield series.names | {"P": P, "whole": whole, "share": percent}
 
 
 def _weak(series: _Series) -> dict[str, object]:
     """Return Krylov and coarse set-up on WEAK processes, the paper's dofs on the fewest."""
     dofs, (few, many) = paper.DOFS[series.layers], WEAK
-    refined = dofs / series.model.base["dofs"]
-    first, last = (series.model.predict(P, refined * P / few) for P in WEAK)
-    t = [p.krylov + p.coarse for p in (first, last)]
+    foreseen = (series.model.predict(P, series.refined * P / few) for P in WEAK)
+    t = [p.krylov + p.coarse for p in foreseen]
     dofs_many = dofs * many // few
     return series.names | {
         "few": few,

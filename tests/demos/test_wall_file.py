@@ -11,7 +11,7 @@ from demo_runs import DEMOS, EXAMPLE, read_summary
 from wall_files import on_first
 
 from dolfinx_feti.wall.wallfile import NUMBERS, read_raw_wall
-from meshes.wall_mesh import WallMesh, write_msh
+from meshes.wall_mesh import WallMesh, write_mesh
 
 
 def test_case_in_a_file(run, tmp_path):
@@ -28,15 +28,15 @@ def test_case_in_a_file(run, tmp_path):
 
 
 def test_prestretch_of_one_layer(run, tmp_path):
-    """A wall without fibres is pulled, and then inflated beyond the pressure of the file."""
+    """A wall without fibres, which all processes read, is pulled, and then inflated beyond the pressure of the file."""
     names = {"wall": 1} | {k: v for k, v in NUMBERS.items() if v > 2}
 
     def write() -> None:
         raw = read_raw_wall(EXAMPLE)
         layers = np.ones_like(raw.layers)
         mesh = WallMesh(raw.points, raw.cells, layers, raw.facets, raw.surfaces)
-        write_msh(tmp_path / "own.msh", mesh, names)
-        text = 'mesh = "own.msh"\n[layers.wall]\nc = 20\n[surfaces.lumen]\npressure = 1\n'
+        write_mesh(tmp_path / "own.xdmf", mesh, names)
+        text = 'mesh = "own.xdmf"\n[layers.wall]\nc = 20\n[surfaces.lumen]\npressure = 1\n'
         text += '[surfaces.opening_1]\nhold = "clamp"\n[surfaces.opening_2]\nhold = "clamp"\n'
         text += '[prestretch]\naxis = "z"\nstretch = 1.1\n'
         (tmp_path / "own.toml").write_text(text)
