@@ -42,8 +42,8 @@ log₂ P bisections of n/P cells a process; what all of it sends was counted,
 n_m and n_r being prolonged by what they grow from a number of processes to its double. What a load
 step of a tiny wall takes does not shrink. What else the program does is shared.
 
-A mesh with ρ times the dofs, in the same subdomains, takes ρ times the work, and ρ^{2/3} times the
-bytes; its factors take more than that, so that this is a cautious estimate of the efficiency.
+A mesh with ρ times the dofs in each subdomain takes ρ times the work, and ρ^{2/3} times the bytes;
+its factors take more than that, so that this is a cautious estimate of the efficiency.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ class Model:
         rest = base["seconds_total"] - sum(base[f"seconds_{part}"] for part in parts)
         each, hops = sent["iteration"], math.log2(P)
         message = each["messages"]["mean"] * m.latency
-        message += refined ** (2.0 / 3.0) * each["bytes"]["mean"] / m.bandwidth
+        message += (refined / grown) ** (2.0 / 3.0) * each["bytes"]["mean"] / m.bandwidth
         return Prediction(
             processes=P,
             local=base["seconds_local"] * share,
