@@ -29,6 +29,17 @@ time of a solve. Each solve gathers K numbers on all, which is one of the reduct
     \end{cases}, \qquad
     t_{coarse} = t_1 / P + Φ / (g R) + \frac{K}{6 P} \frac{16\, L}{V} .
 
+Above 20 000 unknowns there is a third level (``coarse.clustered``): i₃ iterations of CG, each with
+K/P rows of N, an exchange with twice as many neighbours as were counted, two reductions, and a
+solve as above with the matrix of the clusters, of six unknowns for 64 subdomains,
+
+.. math::
+
+    t_c = i_3 \left( \frac{(12\, e + 8 · 128)\, K}{P V} + 2 n α + 4 α \log_2 P + t_c(K_1) \right),
+
+with i₃ and the entries e of a row in :data:`INNER` and :data:`ENTRIES`; its set-up is a product with
+few columns, which the processes share, and that of the small matrix.
+
 Beyond S processes there are as many subdomains as processes; K grows with them, L as K ln K and Φ
 as K^{3/2}, those of a wall, which is nearly two-dimensional.
 
@@ -53,12 +64,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 from benchmarks.common.records import Record
+from dolfinx_feti.feti.coarse.clustered import BLOCK, LARGE, SUBDOMAINS
 from dolfinx_feti.feti.coarse.gathered import ROWS, SPREAD
 
 __all__ = ["KRYLOV", "PARTS", "Machine", "Model", "Prediction", "create_model", "efficiency"]
 
 #: Rows of the inverse that take the time of a solve with the factor.
 BLOCKED = 6.0
+
+#: Iterations of the third level by the form outside, counted on a cube of 512 subdomains, and
+#: entries in a row of N, counted on a tube of 1024.
+INNER = {"dual": 26, "primal": 46}
+ENTRIES = 454
 
 
 #: Parts of the iterations.
@@ -136,8 +153,10 @@ class Model:
         solves = iterations * sent["coarse_solves"]
         subdomains = max(base["subdomains_in_all"], P)
         grown = subdomains / base["subdomains_in_all"]
-        gather, solve, factor = self._coarse(grown, P)
-        _, solved, factored = self._coarse(1.0, base["processes"])
+        K, L, flops = max(2, base["coarse_size"]), sent["coarse_entries"], sent["coarse_flops"]
+        longer = grown * math.log(grown * K) / math.log(K)
+        gather, solve, factor = self._coarse(grown * K, longer * L, grown**1.5 * flops, P)
+        _, solved, factored = self._coarse(K, L, flops, base["processes"])
         uneven = math.ceil(subdomains / P) * P / subdomains  # β
         share = refined * base["processes"] * uneven / P
         steps = base["newton_iterations"]
@@ -161,14 +180,17 @@ class Model:
             fixed=base["seconds_fixed"],
         )
 
-    def _coarse(self, grown: float, P: int) -> tuple[float, float, float]:
+    def _coarse(self, K: float, L: float, flops: float, P: int) -> tuple[float, float, float]:
         """Return the seconds of gathering, of a solve, and of a set-up, on P processes."""
-        sent, m = self.sent, self.machine
-        K = grown * self.base["coarse_size"]
-        longer = grown * math.log(K) / math.log(K / grown)
+        m = self.machine
+        if K > LARGE:
+            K_1 = 6.0 * P / SUBDOMAINS
+            gather, solve, make = self._coarse(K_1, K_1**2 / 2, K_1**3 / 3, P)
+            inner = (12.0 * ENTRIES + 8.0 * BLOCK) * K / (P * m.stream) + gather + solve
+            waits = 2.0 * self.sent["neighbours"] + 4.0 * math.log2(P)
+            return 0.0, INNER[self.sent["formulation"]] * (inner + waits * m.latency), make
         group = min(P, max(1, math.ceil(K / ROWS)))
-        factor = 16.0 * longer * sent["coarse_entries"] / m.stream  # read twice
-        make = grown**1.5 * sent["coarse_flops"] / (group * m.rate)
+        factor, make = 16.0 * L / m.stream, flops / (group * m.rate)  # read twice
         gather = 8.0 * K / m.bandwidth if P > 1 else 0.0
         if K > SPREAD * P:
             return gather, factor / group, make
