@@ -25,8 +25,8 @@ time of a solve. Each solve gathers K numbers on all, which is one of the reduct
 
 .. math::
 
-    t_c = 8\, K / W + \begin{cases} 8\, K^2 / (P V) & K \le 128\, P \\ 16\, L / (g V) & K > 128\, P
-    \end{cases}, \qquad
+    t_c = 8\, K / W + 8\, K^2 / (P V) \text{ up to } K = 128\, P,
+    \quad 8\, K / W + 16\, L / (g V) \text{ above}, \qquad
     t_{coarse} = t_1 / P + Φ / (g R) + \frac{K}{6 P} \frac{16\, L}{V} .
 
 Above 20 000 unknowns there is a third level (``coarse.clustered``): i₃ iterations of CG, each with
@@ -37,8 +37,8 @@ solve as above with the matrix of the clusters, of six unknowns for 64 subdomain
 
     t_c = i_3 \left( \frac{(12\, e + 8 · 128)\, K}{P V} + 2 n α + 4 α \log_2 P + t_c(K_1) \right),
 
-with i₃ and the entries e of a row in :data:`INNER` and :data:`ENTRIES`; its set-up is a product with
-few columns, which the processes share, and that of the small matrix.
+with i₃ and the entries e of a row in :data:`INNER` and :data:`ENTRIES`. Its set-up is that of the
+small matrix; a product with few columns is left out.
 
 Beyond S processes there are as many subdomains as processes; K grows with them, L as K ln K and Φ
 as K^{3/2}, those of a wall, which is nearly two-dimensional.
