@@ -28,7 +28,7 @@ def test_case_in_a_file(run, tmp_path):
 
 
 def test_prestretch_of_one_layer(run, tmp_path):
-    """A wall without fibres, which all processes read, is pulled, and then inflated beyond the pressure of the file."""
+    """A wall without fibres, which all read, is pulled, and inflated beyond the file's pressure."""
     names = {"wall": 1} | {k: v for k, v in NUMBERS.items() if v > 2}
 
     def write() -> None:
