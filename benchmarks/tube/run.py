@@ -81,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
     records: list[Record] = []
     steps: list[LoadStep] = []
     if checkpoint is not None and checkpoint.record is not None:
-        steps = [load_step(step) for step in checkpoint.record["steps"]]
+        steps = [load_step(step, LoadStep) for step in checkpoint.record["steps"]]
 
     def put(pressure: float, found: Record) -> None:
         key = case | {"pressure_mmhg": pressure}

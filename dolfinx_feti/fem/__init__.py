@@ -4,5 +4,5 @@
 """Finite elements: a mesh cut into subdomains, and forms assembled on them.
 
 In the order of the data: elements, quadrature, nodes, compiler, facets, decomposition, integrand,
-kernel, assembly, tensors, condensation, checks.
+kernel, assembly, tensors, condensation, internal_variables, checks.
 """

@@ -1,16 +1,29 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Load steps from equilibrium to equilibrium, and states that outlive a run.
+"""Load steps from equilibrium to equilibrium, time steps, and states that outlive a run.
 
 In the order of the data: states, identity, storage, checkpoint, steps, table, progress, load_steps,
-anderson, unloaded.
+anderson, unloaded, motion, energies, time_steps.
 """
 
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
+from dolfinx_feti.loading.motion import Motion
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.loading.table import write_history
+from dolfinx_feti.loading.time_steps import TimeStep, TimeSteps, follow_time
 from dolfinx_feti.loading.unloaded import unload
 
-__all__ = ["Checkpoint", "LoadStep", "Steps", "follow_load", "unload", "write_history"]
+__all__ = [
+    "Checkpoint",
+    "LoadStep",
+    "Motion",
+    "Steps",
+    "TimeStep",
+    "TimeSteps",
+    "follow_load",
+    "follow_time",
+    "unload",
+    "write_history",
+]

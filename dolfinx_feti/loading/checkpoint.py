@@ -113,7 +113,8 @@ class Checkpoint:
         Args:
             functions: The state.
             record: What belongs to it, such as the load: what JSON can hold.
-            past: Earlier values of the functions, their arrays with ghosts, the oldest first.
+            past: Earlier values of the functions, their arrays with ghosts, the oldest first; or
+                of the first few of them, if the others have no past.
 
         Raises:
             OSError: It cannot be written; the last state stays.
@@ -126,12 +127,17 @@ class Checkpoint:
         on_all(lambda: _check_past(functions, past), self._comm)
         problem = {"parameters": self._parameters, **describe(functions)}
         name = f"step-{self._count + 1:04d}"
-        head = {"format": FORMAT, "state": name, "past": len(past), **problem}
+        head = {
+            "format": FORMAT,
+            "state": name,
+            "past": [len(values) for values in past],
+            **problem,
+        }
         head["storage"] = self._storage.name
         latest = on_first(lambda: plain_record(head | {"record": dict(record)}), self._comm)
         self._count += 1
         part = self.folder / f"{name}.part"
-        size = (1 + len(past)) * sum(map(_size, functions))
+        size = sum(sum(map(_size, functions[: len(v)])) for v in [*past, functions])
         try:
             on_first(lambda: prepare(part, size), self._comm)
             self._write_state(part / self._storage.file, functions, past)
@@ -210,7 +216,7 @@ class Checkpoint:
         write = self._storage.write
         present = [f.x.array for f in functions]
         for t, values in enumerate([*past, present]):
-            for i, (f, array) in enumerate(zip(functions, values, strict=True)):
+            for i, (f, array) in enumerate(zip(functions, values, strict=False)):
                 copy = dolfinx.fem.Function(f.function_space)
                 copy.x.array[:] = array
                 on_all(partial(write, path, copy, time=float(t), name=f"state{i}"), self._comm)
@@ -222,9 +228,9 @@ class Checkpoint:
         read = self._storage.read
         found: list[list[Array]] = []
         assert self._latest is not None
-        for t in range(self._latest["past"] + 1):
+        for t, count in enumerate([*self._latest["past"], len(functions)]):
             found.append([])
-            for i, f in enumerate(functions):
+            for i, f in enumerate(functions[:count]):
                 copy = dolfinx.fem.Function(f.function_space)
                 on_all(partial(read, path, copy, time=float(t), name=f"state{i}"), self._comm)
                 found[-1].append(copy.x.array)
@@ -232,17 +238,17 @@ class Checkpoint:
 
 
 def _check_past(functions: Sequence[dolfinx.fem.Function], past: Sequence[Sequence[Array]]) -> None:
-    """Require an array of each function's size in each state of the past.
+    """Require arrays of the sizes of the first functions in each state of the past.
 
     Raises:
         ValueError: One is missing or has another size.
     """
     sizes = [len(f.x.array) for f in functions]
     for i, values in enumerate(past):
-        if [len(array) for array in values] != sizes:
+        if not values or [len(array) for array in values] != sizes[: len(values)]:
             raise ValueError(
                 f"past[{i}] holds arrays of {[len(a) for a in values]} values, but the functions "
-                f"have {sizes}: give the x.array of each, ghosts included."
+                f"have {sizes}: give the x.array of each or of the first, ghosts included."
             )
 
 

@@ -77,6 +77,13 @@ class Problem(Protocol):
     volume_changes: list[float]
 
     @property
+    def internal_variables(self) -> Sequence[dolfinx.fem.Function]:
+        """What the material remembers."""
+
+    def update_internal_variables(self) -> None:
+        """Let the material remember the present state."""
+
+    @property
     def history(self) -> list[NewtonStep]:
         """What each Newton step of the last solve cost."""
 
@@ -120,7 +127,8 @@ def follow_load(
         targets: Loads to be met exactly, one after the other.
         steps: How to choose the increments.
         state: All functions that a solve changes, u and a condensed pressure: they are restored
-            after a failure.
+            after a failure. Internal variables of the problem are none of them: they are updated
+            in each new equilibrium, before it is kept and ``on_step`` is called.
         start: The present load.
         unloading: Whether the load may turn back on its way through the targets.
         on_step: Called in each new equilibrium on all processes, for output.
@@ -162,6 +170,7 @@ def follow_load(
         for step in path.follow(targets, bar):
             accepted.append(step)
             bar.accept(step)
+            problem.update_internal_variables()
             if checkpoint is not None:
                 path.keep(checkpoint, accepted)
             if on_step is not None:
@@ -237,21 +246,22 @@ class _Path:
             "met": self._met,
             "steps": [asdict(step) for step in accepted],
         }
-        checkpoint.write(self._state, record, [known.values for known in self._past[:-1]])
+        functions = [*self._state, *self._problem.internal_variables]
+        checkpoint.write(functions, record, [known.values for known in self._past[:-1]])
         self._problem.renew()
 
     def restore(self, checkpoint: Checkpoint) -> list[LoadStep]:
         """Go where a checkpoint was written; return the steps that led there."""
         record: dict[str, Any] = checkpoint.record or {}
         try:
-            accepted = [load_step(step) for step in record["steps"]]
+            accepted = [load_step(step, LoadStep) for step in record["steps"]]
             loads, increment, met = record["loads"], record["increment"], record["met"]
         except (KeyError, TypeError) as error:
             raise ValueError(
                 f"The checkpoint in {checkpoint.folder} was not written by follow_load of this "
                 "version: name another folder."
             ) from error
-        past = checkpoint.read(self._state)
+        past = checkpoint.read([*self._state, *self._problem.internal_variables])
         values = [*past, self._values()]
         self._past = [_Equilibrium(*known) for known in zip(loads, values, strict=True)]
         self._increment, self._met = increment, met

@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 LATEST = "latest.json"
-FORMAT = 1
+FORMAT = 2
 
 #: Bytes that ADIOS2 or HDF5 may write in addition to the numbers.
 OVERHEAD = 1 << 20

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from dolfinx_feti.problems.history import NewtonStep
 
@@ -80,9 +80,12 @@ class LoadStep:
         return self.lost + self.history
 
 
-def load_step(record: Mapping[str, Any]) -> LoadStep:
-    """Return a load step from what ``asdict`` made of it."""
+Step = TypeVar("Step", bound=LoadStep)
+
+
+def load_step(record: Mapping[str, Any], kind: type[Step]) -> Step:
+    """Return a load step, or one of a more special kind, from what ``asdict`` made of it."""
     steps = {
         name: tuple(NewtonStep(**step) for step in record[name]) for name in ("history", "lost")
     }
-    return LoadStep(**{**record, **steps})
+    return kind(**{**record, **steps})

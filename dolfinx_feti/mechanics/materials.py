@@ -57,6 +57,7 @@ __all__ = [
     "mooney_rivlin",
     "neo_hookean",
     "perturbed_lagrangian",
+    "require_positive",
     "saint_venant_kirchhoff",
     "volumetric",
 ]
@@ -88,7 +89,7 @@ class ArteryParameters:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        _require_positive(**{f.name: getattr(self, f.name) for f in fields(self)})
+        require_positive(**{f.name: getattr(self, f.name) for f in fields(self)})
 
 
 def volumetric(J: Expr, kappa: Parameter) -> Expr:
@@ -101,7 +102,7 @@ def volumetric(J: Expr, kappa: Parameter) -> Expr:
     Raises:
         ValueError: If ``kappa`` is a number that is not positive.
     """
-    _require_positive(kappa=kappa)
+    require_positive(kappa=kappa)
     return kappa / 2 * (J - 1) ** 2
 
 
@@ -121,7 +122,7 @@ def perturbed_lagrangian(J: Expr, p: Expr, kappa: Parameter) -> Expr:
     Raises:
         ValueError: If ``kappa`` is a number that is not positive.
     """
-    _require_positive(kappa=kappa)
+    require_positive(kappa=kappa)
     return p * (J - 1) - p**2 / (2 * kappa)
 
 
@@ -137,7 +138,7 @@ def neo_hookean(C: Expr, *, c: Parameter, J: Expr | None = None) -> Expr:
     Raises:
         ValueError: If ``c`` is a number that is not positive.
     """
-    _require_positive(c=c)
+    require_positive(c=c)
     return c / 2 * (isochoric_invariant_1(C, J) - 3)
 
 
@@ -156,7 +157,7 @@ def mooney_rivlin(C: Expr, *, c10: Parameter, c01: Parameter, J: Expr | None = N
     Raises:
         ValueError: If a parameter is a number that is not positive.
     """
-    _require_positive(c10=c10, c01=c01)
+    require_positive(c10=c10, c01=c01)
     return c10 * (isochoric_invariant_1(C, J) - 3) + c01 * (isochoric_invariant_2(C, J) - 3)
 
 
@@ -189,7 +190,7 @@ def holzapfel_gasser_ogden(
     Raises:
         ValueError: If a parameter is a number that is not positive.
     """
-    _require_positive(c=c, k1=k1, k2=k2)
+    require_positive(c=c, k1=k1, k2=k2)
     families = (_fibre_energy(isochoric_invariant_4(C, a, J) - 1, k1, k2) for a in (a1, a2))
     return neo_hookean(C, c=c, J=J) + sum(families)
 
@@ -226,7 +227,7 @@ def gasser_ogden_holzapfel(
         ValueError: If a parameter is a number that is not positive, or ``dispersion`` one that is
             not between 0 and 1/3.
     """
-    _require_positive(c=c, k1=k1, k2=k2)
+    require_positive(c=c, k1=k1, k2=k2)
     if not isinstance(dispersion, Expr) and not 0.0 <= dispersion <= 1 / 3:
         raise ValueError(f"dispersion = {dispersion}: give a number between 0 and 1/3.")
     I1 = isochoric_invariant_1(C, J)
@@ -269,7 +270,7 @@ def guccione(
     Raises:
         ValueError: If a parameter is a number that is not positive.
     """
-    _require_positive(c=c, b_f=b_f, b_t=b_t, b_fs=b_fs)
+    require_positive(c=c, b_f=b_f, b_t=b_t, b_fs=b_fs)
     I1, I2 = isochoric_invariant_1(C, J), isochoric_invariant_2(C, J)
     I4, I5 = isochoric_invariant_4(C, fibre, J), isochoric_invariant_5(C, fibre, J)
     along = (I4 - 1) ** 2 / 4  # E_ff²
@@ -319,7 +320,7 @@ def holzapfel_ogden(
     Raises:
         ValueError: If a parameter is a number that is not positive.
     """
-    _require_positive(a=a, b=b, a_f=a_f, b_f=b_f, a_s=a_s, b_s=b_s, a_fs=a_fs, b_fs=b_fs)
+    require_positive(a=a, b=b, a_f=a_f, b_f=b_f, a_s=a_s, b_s=b_s, a_fs=a_fs, b_fs=b_fs)
     matrix = a / (2 * b) * (ufl.exp(b * (isochoric_invariant_1(C, J) - 3)) - 1)
     fibres = _fibre_energy(isochoric_invariant_4(C, fibre, J) - 1, a_f, b_f)
     sheets = _fibre_energy(isochoric_invariant_4(C, sheet, J) - 1, a_s, b_s)
@@ -361,7 +362,7 @@ def saint_venant_kirchhoff(C: Expr, *, lmbda: Parameter, mu: Parameter) -> Expr:
     Raises:
         ValueError: If a parameter is a number that is not positive.
     """
-    _require_positive(lmbda=lmbda, mu=mu)
+    require_positive(lmbda=lmbda, mu=mu)
     E = (C - ufl.Identity(C.ufl_shape[0])) / 2
     return lmbda / 2 * ufl.tr(E) ** 2 + mu * ufl.inner(E, E)
 
@@ -376,7 +377,7 @@ def _exponential(E: Expr, k1: Parameter, k2: Parameter) -> Expr:
     return k1 / (2 * k2) * (ufl.exp(k2 * E**2) - 1)
 
 
-def _require_positive(**parameters: Parameter) -> None:
+def require_positive(**parameters: Parameter) -> None:
     """Refuse numbers that are not finite and positive; UFL expressions are not checked."""
     for name, value in parameters.items():
         if isinstance(value, Expr):

@@ -16,8 +16,10 @@ acceleration takes the combination of the last updates whose p − λ is least,
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
@@ -25,15 +27,38 @@ import numpy.typing as npt
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.problems.system import System
 
-__all__ = ["accelerated", "updated"]
+__all__ = ["accelerated", "ending_roughly", "updated"]
 
 Array = npt.NDArray[np.float64]
+
+#: What of its first residual a Newton solve leaves before the multipliers are updated.
+ROUGH = 0.1
 
 #: Most updates of a solve.
 UPDATES = 50
 
 #: How many updates are combined, and how small an eigenvalue of their products counts as zero.
 DEPTH, DEPENDENT = 6, 1e-12
+
+
+@contextmanager
+def ending_roughly(snes: PETSc.SNES, scale: float) -> Iterator[tuple[float, float]]:
+    """Let a SNES end at a tenth of its first residual.
+
+    Args:
+        snes: The solver.
+        scale: ‖r‖ that its own relative tolerance refers to.
+
+    Yields:
+        ‖r‖ at which it would have ended, and its own relative tolerance.
+    """
+    rtol, atol, stol, most = snes.getTolerances()
+    end = max(atol, rtol * scale)
+    try:
+        snes.setTolerances(rtol=ROUGH, atol=end)
+        yield end, rtol
+    finally:
+        snes.setTolerances(rtol, atol, stol, most)
 
 
 def updated(system: System, solve: Callable[[int], bool], tolerance: float) -> Iterator[float]:

@@ -35,6 +35,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -51,7 +52,7 @@ from dolfinx_feti.runtime.compat import residual_is_nan
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_errors import python_errors
 
-__all__ = ["Newton", "Start"]
+__all__ = ["Newton", "Start", "checked_start"]
 
 Array = npt.NDArray[np.float64]
 Reason, LinearReason = PETSc.SNES.ConvergedReason, PETSc.KSP.ConvergedReason
@@ -74,6 +75,26 @@ class Start:
 
     reference: float = np.inf
     tangent: Tangent | None = None
+
+
+def checked_start(system: System, reference: float | None, tangent: Tangent | None) -> Start:
+    """Check what a solve is to begin with.
+
+    Raises:
+        ValueError: ``reference`` is negative, or the matrix no longer holds the tangent.
+
+    Note:
+        Collective.
+    """
+    if reference is not None and reference < 0.0:
+        raise ValueError(f"reference is {reference}: give the norm of a residual.")
+    replaced = tangent is not None and tangent != system.tangent()
+    if system.comm.allreduce(replaced, op=MPI.LOR):
+        raise ValueError(
+            "first_tangent names a tangent that this problem's matrix does not hold any more: "
+            "pass what linearise() has returned to the very next solve()."
+        )
+    return Start(np.inf if reference is None else float(reference), tangent)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -16,12 +15,14 @@ import numpy.typing as npt
 
 import dolfinx
 import ufl
+from ufl.core.expr import Expr
 
 from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.checks import check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import decompose, suggested_number
+from dolfinx_feti.fem.internal_variables import create_internal_variables
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.arguments import (
     agreed_prefix,
@@ -36,8 +37,8 @@ from dolfinx_feti.problems.forms import (
     warn_of_degree,
 )
 from dolfinx_feti.problems.history import NewtonStep
-from dolfinx_feti.problems.multipliers import updated
-from dolfinx_feti.problems.newton import Newton, Start
+from dolfinx_feti.problems.multipliers import ending_roughly, updated
+from dolfinx_feti.problems.newton import Newton, Start, checked_start
 from dolfinx_feti.problems.solvers import create_newton_solver
 from dolfinx_feti.problems.system import System, Tangent
 from dolfinx_feti.problems.torn_problem import TornProblem
@@ -52,9 +53,6 @@ _OF_NEWTON_SOLVER = (
     "it drives Newton's method itself: call problem.solve() in the place of "
     "dolfinx.nls.petsc.NewtonSolver"
 )
-
-#: What of its first residual a Newton solve leaves before the multipliers are updated.
-ROUGH = 0.1
 
 
 class NonlinearProblem(TornProblem):
@@ -100,12 +98,13 @@ class NonlinearProblem(TornProblem):
         condense: dolfinx.fem.Function | Sequence[dolfinx.fem.Function] | None = None,
         energy: ufl.Form | None = None,
         volume_tolerance: float | None = None,
+        internal_variables: Mapping[dolfinx.fem.Function, Expr] | None = None,
         subdomains: int | npt.NDArray[np.integer] | None = None,
         seed: int = 0,
         petsc_options_prefix: str | None = None,
         petsc_options: Mapping[str, object] | None = None,
         quadrature_degree: int | None = None,
-        volume_ratio: ufl.core.expr.Expr | None = None,
+        volume_ratio: Expr | None = None,
         P: ufl.Form | None = None,
         kind: str | None = None,
         entity_maps: Sequence[object] | None = None,
@@ -128,6 +127,8 @@ class NonlinearProblem(TornProblem):
             volume_tolerance: Most that abs(J − 1) may be in the mean of each cell, J = 1 at u = 0:
                 multipliers then take the place of an ever larger κ, see :meth:`solve`. If not
                 given, the material is as compressible as its energy says.
+            internal_variables: What the material remembers: Functions of quadrature points or of
+                cells (DG), each with its update in UFL, see :meth:`update_internal_variables`.
             subdomains: Their number over all processes, or a part per owned cell; about one for
                 2000 dofs if not given.
             seed: Another number for another decomposition into as many subdomains; that of one
@@ -186,6 +187,7 @@ class NonlinearProblem(TornProblem):
         if volume_tolerance is not None:
             self._system.prepare_multipliers(volume_tolerance)
         self._volume_tolerance = volume_tolerance
+        self._memory = create_internal_variables(internal_variables or {}, self._compiler)
         self._history: list[NewtonStep] = []
         self.volume_changes: list[float] = []
         self.A, self._condensation = self._system.A, self._system.condensation
@@ -316,7 +318,7 @@ class NonlinearProblem(TornProblem):
         Note:
             Collective.
         """
-        start = self._start(reference, first_tangent)
+        start = checked_start(self._system, reference, first_tangent)
         if renew:
             self.renew()
         self._history, self.volume_changes = [], []
@@ -349,47 +351,42 @@ class NonlinearProblem(TornProblem):
         Raises:
             ConvergenceError: See :meth:`solve`.
         """
-        rtol, atol, stol, most = self.solver.getTolerances()
         scale = min(self.residual_norm(), start.reference)  # λ = p
-        end = max(atol, rtol * scale)
+        with ending_roughly(self.solver, scale) as (end, rtol):
 
-        def solve(update: int) -> bool:
-            if update:
-                self._history += self._newton.history
-            self._run(Start() if update else start)
-            return self._system.norm(self.b.array_r) <= end
+            def solve(update: int) -> bool:
+                if update:
+                    self._history += self._newton.history
+                self._run(Start() if update else start)
+                return self._system.norm(self.b.array_r) <= end
 
-        try:
-            self.solver.setTolerances(rtol=ROUGH, atol=end)
             for change in updated(self._system, solve, max(tolerance, rtol)):
                 self.volume_changes.append(change)
-        finally:
-            self.solver.setTolerances(rtol, atol, stol, most)
 
     def _hold(self) -> None:
         """Let the present pressure be the multiplier, if there are multipliers."""
         if self._volume_tolerance is not None:
             self._system.hold_pressure()
 
+    @property
+    def internal_variables(self) -> tuple[dolfinx.fem.Function, ...]:
+        """The Functions that hold what the material remembers."""
+        return self._memory.functions
+
+    def update_internal_variables(self) -> None:
+        """Let each internal variable be its update at the present state, all at once.
+
+        Call it when a state is accepted, as ``follow_load`` and ``follow_time`` do: a solve changes
+        none of them, so that one that fails leaves nothing behind.
+
+        Note:
+            Collective.
+        """
+        self._memory.update()
+
     def renew(self) -> None:
         """Let the next solve begin with a preconditioner of its own, and no Ritz vectors."""
         self.solver.getKSP().getPythonContext().renew()
-
-    def _start(self, reference: float | None, tangent: Tangent | None) -> Start:
-        """Check what a solve is to begin with.
-
-        Raises:
-            ValueError: See :meth:`solve`.
-        """
-        if reference is not None and reference < 0.0:
-            raise ValueError(f"reference is {reference}: give the norm of a residual.")
-        replaced = tangent is not None and tangent != self._system.tangent()
-        if self._system.comm.allreduce(replaced, op=MPI.LOR):
-            raise ValueError(
-                "first_tangent names a tangent that this problem's matrix does not hold any more: "
-                "pass what linearise() has returned to the very next solve()."
-            )
-        return Start(np.inf if reference is None else float(reference), tangent)
 
     def __del__(self) -> None:
         """Free the PETSc objects."""

@@ -41,6 +41,12 @@ def equal(actual: npt.ArrayLike, expected: npt.ArrayLike, tolerance: float = 0.0
     agree(error <= tolerance * max(scale, 1e-300), f"{error} with a scale of {scale}")
 
 
+def uniform(values: npt.ArrayLike, value: float, tolerance: float) -> None:
+    """Assert on all processes that all entries have one value, to an absolute tolerance."""
+    error = np.abs(np.asarray(values) - value).max(initial=0.0)
+    agree(error <= tolerance, f"{error} > {tolerance}")
+
+
 @contextmanager
 def raises(kind: type[Exception], match: str) -> Iterator[None]:
     """Assert that every process raises this error with a message that fits."""

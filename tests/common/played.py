@@ -88,6 +88,8 @@ class Played:
         self.u = dolfinx.fem.Function(V)
         self.p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
         self.volume_changes: list[float] = []
+        self.internal_variables: tuple[dolfinx.fem.Function, ...] = ()
+        self.remembered: list[float] = []
         self.solver = PETSc.SNES().create(COMM)
         self.solver.setTolerances(rtol=OWN, atol=1e-10, max_it=30)
         self.solver.getKSP().setTolerances(rtol=OWN)
@@ -116,6 +118,9 @@ class Played:
         norm = 1.0 + len(self._norms)
         self._norms[norm] = (self.load, *self.state())
         return norm
+
+    def update_internal_variables(self) -> None:
+        self.remembered.append(self.load)
 
     def renew(self) -> None:
         self._renewed = True

@@ -28,3 +28,8 @@ def played() -> Iterator[Callable[..., Played]]:
 @pytest.fixture
 def state() -> State:
     return State()
+
+
+@pytest.fixture
+def adios() -> None:
+    pytest.importorskip("adios4dolfinx")

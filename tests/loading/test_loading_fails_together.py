@@ -82,11 +82,6 @@ def test_terminal_of_the_first_process(error, played, monkeypatch):
     agree(steps[-1].load == 1.0 and screen.tried == (COMM.rank == 0))
 
 
-@pytest.fixture
-def adios() -> None:
-    pytest.importorskip("adios4dolfinx")
-
-
 @pytest.mark.usefixtures("adios")
 def test_parameters_of_a_checkpoint(tmp_path):
     with raises(ValueError, r"parameters\['c'\] is <.*>: give numbers"):
@@ -99,7 +94,7 @@ def test_past_of_a_checkpoint(tmp_path, state):
     checkpoint = opened(tmp_path, restart=False)
     past = [state.set(1.0), state.set(2.0)]
     if LAST:
-        past[1] = past[1][:1]
+        past[1] = past[1][1:]
     with raises(ValueError, r"past\[1\] holds arrays of .* values, but the functions have"):
         checkpoint.write(state.functions, {}, past)
     agree(list(tmp_path.iterdir()) == [] and checkpoint.record is None)

@@ -1,0 +1,112 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Materials with memory: energies of one step, and what has to be remembered of it.
+
+With the internal variables ξₙ of the last state held, the stress at the end of a step is that of an
+energy Ψ(C; ξₙ), so that residual, tangent and line search are those of a hyperelastic material;
+``NonlinearProblem(internal_variables=…)`` takes the updates :math:`ξ_{n+1} = Ξ(C, ξ_n)`.
+
+*Viscosity*: isochoric overstresses Q_α, with their shares β_α and times τ_α (Prony series;
+Holzapfel 2000, sec. 6.10), are integrated over a step Δt by
+
+.. math:: Q_{α,n+1} = e^{-Δt/τ_α}\, Q_{α,n} + δ_α\, (S_{n+1} - S_n), \qquad
+          δ_α = β_α\, e^{-Δt/2τ_α}, \qquad S = 2\, ∂\barΨ/∂C,
+
+which is of second order in Δt, and exact where S rests. The stress :math:`S + \sum_α Q_α` is that
+of :math:`(1 + \sum_α δ_α)\, \barΨ + ½ \sum_α (e^{-Δt/τ_α} Q_{α,n} - δ_α S_n) : C`.
+
+*Damage*: the stress (1 − d) S of a material that softens with the largest energy m that it has ever
+had, :math:`d = d_∞ (1 - e^{-m/W})`, :math:`m = \max(m_n, Ψ)` (discontinuous softening; Simo 1987),
+is that of
+
+.. math:: φ(Ψ) = \begin{cases} (1 - d(m_n))\, Ψ & Ψ ≤ m_n \\
+          φ(m_n) + (1 - d_∞)(Ψ - m_n) + d_∞ W (e^{-m_n/W} - e^{-Ψ/W}) & \text{else.} \end{cases}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import ufl
+from ufl.core.expr import Expr
+from ufl.variable import Variable
+
+from dolfinx_feti.mechanics.materials import Parameter, require_positive
+
+__all__ = ["MaxwellBranch", "damaged", "viscoelastic"]
+
+
+@dataclass(frozen=True, slots=True)
+class MaxwellBranch:
+    """A spring and a dashpot in a row, beside the elastic material.
+
+    Attributes:
+        Q: Its overstress [kPa], (d, d), a Function of quadrature points or cells; zero at first.
+        share: Stiffness of the spring over that of the elastic material, β [-].
+        time: Relaxation time τ [s].
+
+    Raises:
+        ValueError: If a parameter is a number that is not positive.
+    """
+
+    Q: Expr
+    share: Parameter
+    time: Parameter
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        require_positive(share=self.share, time=self.time)
+
+
+def viscoelastic(
+    psi: Expr, F: Variable, S_n: Expr, branches: Sequence[MaxwellBranch], *, dt: Expr
+) -> tuple[Expr, dict[Expr, Expr]]:
+    """Energy of a step of a viscoelastic material (Holzapfel 2000, sec. 6.10).
+
+    Args:
+        psi: Energy Ψ̄ of the elastic material that is left after all relaxation, in F.
+        F: Deformation gradient, a ``ufl.variable``, as ``kinematics.deformation_gradient`` is.
+        S_n: Stress S of the last state [kPa], (d, d), a Function like the overstresses; zero for a
+            start at rest.
+        branches: Overstresses, with their shares and times.
+        dt: Length Δt of the step [s], a dolfinx Constant.
+
+    Returns:
+        The energy, and the updates of S_n and of all Q.
+    """
+    S = ufl.inv(F) * ufl.diff(psi, F)  # S = F⁻¹ ∂Ψ̄/∂F
+    energy, updates = psi, {S_n: S}
+    C = F.T * F
+    for branch in branches:
+        fades = ufl.exp(-dt / branch.time)
+        δ = branch.share * ufl.exp(-dt / (2 * branch.time))
+        H = fades * branch.Q - δ * S_n
+        energy += δ * psi + ufl.inner(H, C) / 2  # δ Ψ̄ + ½ H : C
+        updates[branch.Q] = H + δ * S  # Q ← e^{−Δt/τ} Q + δ (S − S_n)
+    return energy, updates
+
+
+def damaged(psi: Expr, m: Expr, *, d_max: Parameter, W: Parameter) -> tuple[Expr, dict[Expr, Expr]]:
+    """Energy of a step of a material that its largest energy so far has softened (Simo 1987).
+
+    Args:
+        psi: Energy Ψ of the intact material [kPa], not negative.
+        m: The largest Ψ so far [kPa], a scalar Function of quadrature points or cells; zero at
+            first.
+        d_max: The most that d becomes, d_∞ < 1 [-].
+        W: Energy scale of the damage [kPa].
+
+    Returns:
+        The energy, and the update of m.
+
+    Raises:
+        ValueError: If a parameter is a number that is not positive.
+    """
+    require_positive(d_max=d_max, W=W)
+    before, now = ufl.exp(-m / W), ufl.exp(-psi / W)
+    unloaded = (1 - d_max * (1 - before)) * psi
+    loaded = (1 - d_max * (1 - before)) * m + (1 - d_max) * (psi - m) + d_max * W * (before - now)
+    φ = ufl.conditional(ufl.le(psi, m), unloaded, loaded)
+    return φ, {m: ufl.max_value(m, psi)}

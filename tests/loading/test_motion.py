@@ -1,0 +1,223 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Motion: the generalised-α method beside MUMPS, closed forms, and its own restart."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, raises, small, uniform
+from problems import cube, dirichlet, left
+
+import dolfinx
+import ufl
+
+from dolfinx_feti import ConvergenceError, NonlinearProblem, kinematics, materials
+from dolfinx_feti.loading import Checkpoint, Motion, TimeSteps, follow_time
+
+DENSITY = 1e-6  # kg/mm³
+END = 4e-4  # s
+
+
+class Swinging:
+    """A block that is held at one face and begins to move, perhaps with its pressure condensed."""
+
+    def __init__(self, *, rho: float = 0.8, pressure: bool = False, subdomains: int = 4) -> None:
+        self.mesh = cube(3, 2)
+        V = dolfinx.fem.functionspace(self.mesh, ("Lagrange", 2, (3,)))
+        self.u, v = dolfinx.fem.Function(V, name="u"), ufl.TestFunction(V)
+        self.t = dolfinx.fem.Constant(self.mesh, 0.0)
+        F = kinematics.deformation_gradient(self.u)
+        J = kinematics.jacobian(F)
+        dx = ufl.dx(metadata={"quadrature_degree": 4})
+        psi = materials.neo_hookean(F.T * F, c=3.0, J=J)
+        self.state, condense = [self.u], None
+        if pressure:
+            p = dolfinx.fem.Function(dolfinx.fem.functionspace(self.mesh, ("DG", 0)), name="p")
+            self.state.append(p)
+            psi, condense = psi + materials.perturbed_lagrangian(J, p, kappa=100.0), p
+        else:
+            psi += materials.volumetric(J, 10.0)
+        self.elastic = psi * dx
+        self.forces = 10.0 * self.t / END * v[1] * dx  # kPa/mm
+        self.motion = Motion(self.u, DENSITY, rho=rho)
+        load = ufl.action(self.forces, self.u)
+        self.bcs = [dirichlet(V, left)]
+        self.problem = NonlinearProblem(
+            self.elastic - load + self.motion.inertia,
+            self.u,
+            bcs=self.bcs,
+            condense=condense,
+            subdomains=subdomains,
+            quadrature_degree=4,
+            petsc_options={"snes_rtol": 1e-11, "ksp_rtol": 1e-10},
+        )
+        self.motion.velocity.interpolate(lambda x: 100.0 * np.stack([0 * x[0], x[0], 0 * x[0]]))
+
+    def set_time(self, t: float) -> None:
+        self.t.value = t
+
+    def follow(self, steps: TimeSteps, targets=(END,), **arguments):
+        return follow_time(
+            self.problem,
+            self.motion,
+            self.set_time,
+            list(targets),
+            steps,
+            state=self.state,
+            energy=self.elastic,
+            forces=self.forces,
+            **arguments,
+        )
+
+    def owned(self) -> np.ndarray:
+        dofmap = self.u.function_space.dofmap
+        return self.u.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs].copy()
+
+
+def fixed(dt: float) -> TimeSteps:
+    return TimeSteps(first=dt, least=dt / 8.0)
+
+
+@pytest.mark.parametrize("pressure", [False, True])
+def test_direct_solver(pressure):
+    """One subdomain is one direct solve: 1e-8 apart after eight steps."""
+    found = []
+    for subdomains in (4, 1):
+        block = Swinging(pressure=pressure, subdomains=subdomains)
+        steps = block.follow(fixed(END / 8.0))
+        agree(len(steps) == 8 and steps[-1].load == END)
+        found.append(block.owned())
+    scale = math.sqrt(COMM.allreduce(float(found[1] @ found[1])))
+    small(math.sqrt(COMM.allreduce(float(np.sum((found[0] - found[1]) ** 2)))) / scale, 1e-8)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("rho", [1.0, 0.8, 0.0])
+def test_second_order_and_balance(rho):
+    """Halving Δt divides errors by four, and what lacks in the balance of energies, too."""
+    found, lost = [], []
+    for n in (8, 16, 32):
+        block = Swinging(rho=rho)
+        begun = block.motion.kinetic_energy()
+        steps = block.follow(fixed(END / n))
+        found.append(block.owned())
+        work = sum(step.work for step in steps)
+        lost.append(abs(begun + work - steps[-1].kinetic - steps[-1].stored) / begun)
+    ratio = np.linalg.norm(found[0] - found[1]) / np.linalg.norm(found[1] - found[2])
+    agree(3.2 < ratio < 4.8, ratio)
+    agree(lost[2] < lost[0] / 10.0, lost)
+
+
+def test_free_flight():
+    """Without forces a free body keeps its velocity; with a mass no subdomain has a kernel."""
+    mesh = cube(3, 2)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    u = dolfinx.fem.Function(V)
+    F = kinematics.deformation_gradient(u)
+    J = kinematics.jacobian(F)
+    psi = materials.neo_hookean(F.T * F, c=3.0, J=J) + materials.volumetric(J, 10.0)
+    motion = Motion(u, DENSITY)
+    problem = NonlinearProblem(psi * ufl.dx + motion.inertia, u, quadrature_degree=2, subdomains=4)
+    motion.velocity.interpolate(lambda x: np.stack([3.0 + 0 * x[0], -2.0 + 0 * x[0], 0 * x[0]]))
+    follow_time(problem, motion, lambda t: None, [1e-2], fixed(2.5e-3), state=[u])
+    uniform(u.x.array[0::3], 0.03, 1e-8)
+    uniform(u.x.array[1::3], -0.02, 1e-8)
+    uniform(motion.velocity.x.array[0::3], 3.0, 1e-6)
+
+
+def test_initial_acceleration():
+    """A body at rest under a load per mass of g begins with g."""
+    mesh = cube(3, 2)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
+    u = dolfinx.fem.Function(V)
+    F = kinematics.deformation_gradient(u)
+    J = kinematics.jacobian(F)
+    psi = materials.neo_hookean(F.T * F, c=3.0, J=J) + materials.volumetric(J, 10.0)
+    motion = Motion(u, DENSITY)
+    energy = (psi + DENSITY * 9810.0 * u[2]) * ufl.dx
+    problem = NonlinearProblem(energy + motion.inertia, u, quadrature_degree=4, subdomains=4)
+    motion.start(problem.F, [])
+    uniform(motion.acceleration.x.array[2::3], -9810.0, 1e-6)
+    uniform(motion.acceleration.x.array[0::3], 0.0, 1e-6)
+
+
+def test_damping():
+    """A dashpot under all of a rigid body: v falls as e^{−ηt/ρ}, to second order."""
+    mesh = cube(3, 1)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    u, v = dolfinx.fem.Function(V), ufl.TestFunction(V)
+    F = kinematics.deformation_gradient(u)
+    J = kinematics.jacobian(F)
+    psi = materials.neo_hookean(F.T * F, c=3.0, J=J) + materials.volumetric(J, 10.0)
+    motion = Motion(u, DENSITY)
+    eta = 1e-3  # kPa s/mm²
+    residual = ufl.derivative(psi * ufl.dx + motion.inertia, u, v)
+    residual += eta * ufl.inner(motion.rate, v) * ufl.dx
+    problem = NonlinearProblem(residual, u, quadrature_degree=2, subdomains=2)
+    motion.velocity.interpolate(lambda x: np.stack([1.0 + 0 * x[0], 0 * x[0], 0 * x[0]]))
+    follow_time(problem, motion, lambda t: None, [1e-3], fixed(2.5e-5), state=[u])
+    uniform(motion.velocity.x.array[0::3], math.exp(-1.0), 1e-3)
+
+
+def test_adapted_steps():
+    """Each step keeps its tolerance, and the lengths vary."""
+    block = Swinging()
+    tolerance = 2e-5
+    steps = block.follow(
+        TimeSteps(first=END / 2, least=END / 512, longest=END, tolerance=tolerance)
+    )
+    agree(max(step.error for step in steps) <= tolerance and steps[-1].load == END)
+    agree(sum(step.failures for step in steps) >= 1)
+    agree(max(s.increment for s in steps) > 1.2 * min(s.increment for s in steps))
+
+
+def test_no_step_is_short_enough():
+    block = Swinging()
+    before = block.owned()
+    with raises(ConvergenceError, r"is the least allowed. A step of .* estimated error"):
+        block.follow(TimeSteps(first=END, least=END / 2, tolerance=1e-12))
+    equal(block.owned(), before, 0.0)
+    small(float(block.t.value), 0.0)
+
+
+@pytest.mark.usefixtures("adios")
+def test_restart(tmp_path):
+    """A run that goes on has the same steps and ends in the same state."""
+    folder = COMM.bcast(str(tmp_path))
+    whole = Swinging(pressure=True)
+    with_stop = Checkpoint(f"{folder}/one", COMM)
+    steps = whole.follow(fixed(END / 4.0), [END / 2.0, END], checkpoint=with_stop)
+    part = Swinging(pressure=True)
+    part.follow(fixed(END / 4.0), [END / 2.0], checkpoint=Checkpoint(f"{folder}/two", COMM))
+    again = Swinging(pressure=True)
+    checkpoint = Checkpoint(f"{folder}/two", COMM, restart=True)
+    found = again.follow(fixed(END / 4.0), [END / 2.0, END], checkpoint=checkpoint)
+    agree(len(found) == len(steps) == 4)
+    equal(again.owned(), whole.owned(), 1e-13)
+    equal([s.kinetic for s in found], [s.kinetic for s in steps], 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"first": 1.0, "least": 2.0}, "least=2.0, first=1.0"),
+        ({"first": 1.0, "least": 0.5, "longest": 0.7}, "longest=0.7"),
+        ({"first": 1.0, "least": 0.5, "tolerance": 0.0}, "tolerance=0.0: give a positive"),
+        ({"first": 1.0, "least": 0.5, "growth": 0.9}, "growth=0.9"),
+    ],
+)
+def test_bad_steps(arguments, message):
+    with raises(ValueError, message):
+        TimeSteps(**arguments)
+
+
+def test_bad_motion():
+    block = Swinging()
+    with raises(ValueError, "rho=1.5: give a spectral radius"):
+        Motion(block.u, DENSITY, rho=1.5)
+    with raises(ValueError, "turns back"):
+        block.follow(fixed(END), [END, END / 2])
