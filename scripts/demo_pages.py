@@ -70,6 +70,8 @@ GALLERY = [
     Page("demo_hyperelasticity", "NonlinearProblem instead of dolfinx's.", LARGE),
     Page("demo_thick_tube", "Inflated, and compared with the closed form.", LARGE),
     Page("demo_load_steps", "Adaptive load steps; a run that goes on after its end.", LARGE),
+    Page("demo_memory", "Relaxation, damage, growth and active tension, in closed form.", LARGE),
+    Page("demo_pulse", "Inertia, adapted time steps, and a balance of energies.", LARGE),
     Page("demo_nearly_incompressible", "Iterations over κ, compared with multigrid.", METHOD),
     Page("demo_jumps", "A checkerboard of soft and stiff squares.", METHOD),
     Page("demo_torn_matrix", "A MATIS of your own, compared with PCBDDC.", METHOD),

@@ -306,11 +306,34 @@ def visible_surface(body: Body) -> None:
     same(surface.visible_surface(body.linear.decomposition))
 
 
+def motion(body: Body) -> None:
+    small(loading.Motion(body.u, 1e-6).kinetic_energy(), 0.0)
+
+
+def follow_time(body: Body) -> None:
+    """Two steps of a free block, with a checkpoint where states can be kept."""
+    u = dolfinx.fem.Function(body.u.function_space)
+    moving = loading.Motion(u, 1.0)
+    energy = ufl.inner(ufl.grad(u), ufl.grad(u)) * ufl.dx
+    problem = NonlinearProblem(energy + moving.inertia, u, quadrature_degree=2, subdomains=6)
+    moving.velocity.x.array[:] = 1.0
+    kept = {"checkpoint": body.checkpoint("moving/here")} if storage() else {}
+    steps = loading.TimeSteps(first=0.1, least=0.01)
+    found = loading.follow_time(problem, moving, lambda t: None, [0.2], steps, state=[u], **kept)
+    same([step.kinetic for step in found])
+    agree(len(found) == 2 and np.allclose(u.x.array, 0.2))
+
+
 CALLS = {
     "loading": {
         "Checkpoint": checkpoint,
+        "Motion": motion,
         "follow_load": follow_load,
+<<<<<<< HEAD
         "unload": unload,
+=======
+        "follow_time": follow_time,
+>>>>>>> 28193fa (Motion with inertia by the generalised-α method: fixed and adapted time steps, checkpoints, a balance of energies; demos of memory and of a pulse)
         "write_history": write_history,
     },
     "output": {
