@@ -311,11 +311,10 @@ def motion(body: Body) -> None:
 
 
 def follow_time(body: Body) -> None:
-    """Two steps of a free block, with a checkpoint where states can be kept."""
     u = dolfinx.fem.Function(body.u.function_space)
     moving = loading.Motion(u, 1.0)
-    energy = ufl.inner(ufl.grad(u), ufl.grad(u)) * ufl.dx
-    problem = NonlinearProblem(energy + moving.inertia, u, quadrature_degree=2, subdomains=6)
+    energy = ufl.inner(ufl.grad(u), ufl.grad(u)) * ufl.dx + moving.inertia
+    problem = NonlinearProblem(energy, u, quadrature_degree=2, subdomains=6)
     moving.velocity.x.array[:] = 1.0
     kept = {"checkpoint": body.checkpoint("moving/here")} if storage() else {}
     steps = loading.TimeSteps(first=0.1, least=0.01)
