@@ -34,7 +34,7 @@ import time
 
 import petsc4py
 
-from artery_arguments import parse, parser
+from common.arguments import parse, parser
 
 args, petsc_options, rest = parse(sys.argv[1:])
 petsc4py.init([sys.argv[0], *rest])
@@ -42,8 +42,8 @@ petsc4py.init([sys.argv[0], *rest])
 from mpi4py import MPI
 
 import numpy as np
-from drawing import pictures
-from drawing.render import gather_cells
+from common import pictures
+from common.render import gather_cells
 
 import dolfinx
 import ufl

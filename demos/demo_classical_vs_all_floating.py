@@ -30,7 +30,7 @@ from mpi4py import MPI
 
 import matplotlib.pyplot as plt
 import numpy as np
-from drawing.render import gather_cells, paint, shrunk, skin, surface
+from common.render import gather_cells, paint, shrunk, skin, surface
 from matplotlib.colors import to_rgba_array
 
 import dolfinx

@@ -31,8 +31,8 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-from drawing import pictures
-from drawing.render import gather_cells
+from common import pictures
+from common.render import gather_cells
 
 import dolfinx
 import ufl

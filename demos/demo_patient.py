@@ -36,9 +36,9 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from artery_arguments import Parser
-from drawing import patient as pictures
-from drawing.render import gather_cells
+from common.arguments import Parser
+from common import patient as pictures
+from common.render import gather_cells
 
 import dolfinx
 import ufl

@@ -337,7 +337,7 @@ def test_wrong_options_of_the_solver(run, tmp_path, capsys, options, match):
 )
 def test_options_with_one_dash_are_petscs(monkeypatch, line, solver, rest):
     monkeypatch.syspath_prepend(str(DEMOS))
-    parse = runpy.run_path(str(DEMOS / "artery_arguments.py"))["parse"]
+    parse = runpy.run_path(str(DEMOS / "common/arguments.py"))["parse"]
     own, found, others = parse(line.split())
     agree((found, others) == (solver, rest), (found, others))
     agree(own.pressure == (3.0 if "--pressure" in line else None))

@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
-from drawing.render import Cells, paint, principal_view, skin, surface
+from common.render import Cells, paint, principal_view, skin, surface
 
 __all__ = ["draw_profiles", "draw_stress", "draw_unloaded"]
 

@@ -18,7 +18,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgba_array
 
 from dolfinx_feti.loading import LoadStep
-from drawing.render import Array, Cells, bars, paint, principal_view, shrunk, skin, surface
+from common.render import Array, Cells, bars, paint, principal_view, shrunk, skin, surface
 
 __all__ = ["draw_convergence", "draw_fibres", "draw_wall"]
 
