@@ -36,8 +36,8 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from common.arguments import Parser
 from common import patient as pictures
+from common.arguments import Parser
 from common.render import gather_cells
 
 import dolfinx

@@ -17,8 +17,8 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgba_array
 
-from dolfinx_feti.loading import LoadStep
 from common.render import Array, Cells, bars, paint, principal_view, shrunk, skin, surface
+from dolfinx_feti.loading import LoadStep
 
 __all__ = ["draw_convergence", "draw_fibres", "draw_wall"]
 

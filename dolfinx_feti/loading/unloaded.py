@@ -135,7 +135,10 @@ class _Unloading:
         solver: The SNES of the forward problem.
         history: The Newton steps of all forward solves of the last solve.
         volume_changes: What the last forward solve has left, see the problem.
+        internal_variables: None: loads of a wall whose shape is looked for are no history.
     """
+
+    internal_variables: tuple[dolfinx.fem.Function, ...] = ()
 
     def __init__(
         self,
@@ -153,6 +156,9 @@ class _Unloading:
         self._tolerance, self._on_move = tolerance, on_move
         self.history: list[NewtonStep] = []
         self.volume_changes: list[float] = []
+
+    def update_internal_variables(self) -> None:
+        """Remember nothing."""
 
     def residual_norm(self) -> float:
         """Return ‖r‖ of the loaded wall in the image."""
