@@ -9,8 +9,9 @@
 study; ``tube``, the inflated tube beside its semi-analytical solution; ``compare``, FETI beside
 other solvers; ``nonlinear``, iterations per Newton step; ``scaling``, strong scaling;
 ``load_stepping``, walls up to 300 mmHg; ``subdomains``, how many; ``inf_sup``, which elements are
-stable; ``published``, numbers that others have published. A study knows itself and ``common``.
+stable; ``published``, numbers that others have published; ``random_walls``, robustness. A study
+knows itself and ``common``.
 
 In the order of the data: common, cube, tube, compare, nonlinear, scaling, load_stepping,
-subdomains, inf_sup, published.
+subdomains, inf_sup, published, random_walls.
 """

@@ -31,6 +31,7 @@ MADE = {
     "subdomains": ("subdomains", "subdomains.json"),
     "inf_sup": ("inf_sup", "inf_sup.json"),
     "published": ("published", "published.json"),
+    "random_walls": ("random_walls", "random_walls.json"),
 }
 
 

@@ -1,0 +1,34 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Three random walls to 120 mmHg: a bifurcation, a plaque, openings on springs."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from collective import agree
+
+from benchmarks.random_walls import page, run
+
+pytestmark = pytest.mark.serial
+
+
+def test_walls_arrive(tmp_path):
+    path = tmp_path / "random_walls.json"
+    words = ["--seeds", "3", "--json", str(path)]
+    first = run.main(words)
+    agree(run.main(words) == first == json.loads(path.read_text()))
+    agree(all(record["reached"] == run.MMHG and not record["error"] for record in first))
+    agree(all(record["newton"] <= run.MOST for record in first))
+    text = page.main([str(path), "--output", str(tmp_path)])
+    agree("**3 of 3 walls arrive, 3 with at most 80 Newton steps**" in text, text)
+
+
+def test_seeds_draw_all_kinds():
+    drawn = [run.draw(seed) for seed in range(20)]
+    agree({(chance.branches, chance.sac) for chance in drawn} >= {(2, True), (3, True), (3, False)})
+    agree({len(chance.layers) for chance in drawn} == {1, 2, 3})
+    agree(max(chance.plaque for chance in drawn) > 300)
+    agree(any(all(chance.springs) for chance in drawn), any(not any(c.springs) for c in drawn))
