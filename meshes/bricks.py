@@ -39,6 +39,8 @@ def create_brick_tube(
     quarter: bool = False,
     around: int | None = None,
     along: int | None = None,
+    through: tuple[int, int] | None = None,
+    growth: float = 1.0,
     order: int = 2,
     tetrahedra: bool = False,
 ) -> Wall:
@@ -52,6 +54,9 @@ def create_brick_tube(
         around: Elements around the circumference (a quarter of it for the quarter); about so many
             that they are as long as wanted if not given.
         along: Elements along the axis; as for ``around``.
+        through: Elements through media and adventitia; as for ``around``.
+        growth: Of the elements through the media: their thickness outside over that at the lumen,
+            where stresses are steep; on finer meshes the same.
         order: Of the geometry: 1 for straight edges, 2 for curved ones.
         tetrahedra: Six of them in place of each hexahedron.
 
@@ -61,12 +66,13 @@ def create_brick_tube(
     Note:
         Collective.
     """
-    if not (length > 0 and size > 0) or order not in (1, 2):
+    if not (length > 0 and size > 0 and growth > 0) or order not in (1, 2):
         raise ValueError(
-            f"length={length}, size={size}, order={order}: give lengths above zero, and order 1 or "
-            "2."
+            f"length={length}, size={size}, growth={growth}, order={order}: give lengths and a "
+            "growth above zero, and order 1 or 2."
         )
     counts = (
+        through or tuple(max(1, round(extent / size)) for extent in (MEDIA, ADVENTITIA)),
         count_around(size, quarter=quarter) if around is None else around,
         max(1, round(length / size)) if along is None else along,
     )
@@ -74,7 +80,7 @@ def create_brick_tube(
 
     def create() -> None:
         shape = {"quarter": quarter, "order": order, "simplex": tetrahedra}
-        raw.append(_create(length, size, *counts, **shape))
+        raw.append(_create(length, *counts, growth=growth, **shape))
 
     on_first(create, comm)
     return distribute(raw[0] if raw else None, comm)
@@ -82,17 +88,21 @@ def create_brick_tube(
 
 def _create(
     length: float,
-    size: float,
+    through: tuple[int, int],
     around: int,
     along: int,
     *,
+    growth: float,
     quarter: bool,
     order: int,
     simplex: bool,
 ) -> RawWall:
     """Return points, cells and surfaces of the whole tube."""
-    through = [max(1, round(extent / size)) for extent in (MEDIA, ADVENTITIA)]
     heights, layers = sheets((MEDIA, ADVENTITIA), through, (TAGS["media"], TAGS["adventitia"]))
+    if growth != 1.0:
+        media = heights[: through[0] + 1]
+        ξ = media / media[-1]
+        media[:] = media[-1] * (growth**ξ - 1.0) / (growth - 1.0)
     columns = order * around + (1 if quarter else 0)
     s = np.interp(np.arange(order * len(layers) + 1) / order, np.arange(len(heights)), heights)
     angle = np.arange(columns) * (np.pi / 2 if quarter else 2 * np.pi) / (order * around)

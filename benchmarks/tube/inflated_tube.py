@@ -5,19 +5,20 @@
 
 Its elements are those of :data:`ELEMENTS`: P1–P0 and P2–P0 on tetrahedra with straight edges, and
 with a pressure that is linear in each cell, on curved cells, Q2–P1 and quadratic tetrahedra with
-bubbles.
+bubbles; or with one that is linear and continuous, as Taylor and Hood have it.
 Its supports (:mod:`benchmarks.common.walls.supports`) let it slide in the planes of its ends, so
 that it remains a tube, and :mod:`benchmarks.tube.oracle` knows its radius, volume and stress.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import CubicSpline
 
 import basix
 import dolfinx
@@ -28,6 +29,7 @@ from benchmarks.common.walls.clamped import INTERFACE, tube_fibres
 from benchmarks.common.walls.problem import WallProblem, create_wall_problem
 from benchmarks.common.walls.supports import slide
 from benchmarks.tube.oracle import Tube
+from benchmarks.tube.taylor_hood import TaylorHood
 from dolfinx_feti import kinematics
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
 from dolfinx_feti.output import Patches, balanced_stress, create_patches, recovered_field
@@ -42,6 +44,8 @@ __all__ = ["ELEMENTS", "TANGENTS", "InflatedTube", "create_inflated_tube", "crea
 Array = npt.NDArray[np.float64]
 
 QUADRATURE = 4  # degree
+STANDARD = 0.09  # mm
+GROWTH = 8.0  # of the thickness of curved cells through the media
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,38 +55,39 @@ class Element:
     Attributes:
         degree: That of u; with bubbles half of the quadrature's.
         pressures: The element of p.
-        bricks: None for the tube of straight tetrahedra; else how long cells are through the wall,
-            and how many there are around it, as multiples of those.
+        bricks: None for the tube of straight tetrahedra; else how many there are through the media,
+            the adventitia and around a quarter at :data:`STANDARD` size.
         bubbles: Whether quadratic tetrahedra have bubbles in cells, and on faces.
+        tetrahedra: Or else hexahedra.
     """
 
     degree: int
     pressures: tuple[str, int] = ("DG", 0)
-    bricks: tuple[float, float] | None = None
+    bricks: tuple[int, int, int] | None = None
     bubbles: tuple[bool, bool] = (False, False)
-
-    @property
-    def tetrahedra(self) -> bool:
-        """Whether cells are tetrahedra."""
-        return self.pressures[0] == "DG"
+    tetrahedra: bool = True
 
 
-#: Curved cells can be longer around the wall; with these numbers there are no more dofs.
+#: Curved cells can be longer around the wall and outside, where stresses are even; with these
+#: numbers there are no more dofs.
 ELEMENTS = {
     "p1-p0": Element(1),
     "p2-p0": Element(2),
-    "q2-p1d": Element(2, ("DPC", 1), bricks=(0.7, 0.5)),
-    "p2b-p1d": Element(3, ("DG", 1), bricks=(0.9, 0.25), bubbles=(True, True)),
-    "p2c-p1d": Element(3, ("DG", 1), bricks=(0.9, 0.25), bubbles=(True, False)),
+    "q2-p1d": Element(2, ("DPC", 1), bricks=(5, 1, 8), tetrahedra=False),
+    "p2b-p1d": Element(3, ("DG", 1), bricks=(5, 1, 4), bubbles=(True, True)),
+    "p2c-p1d": Element(3, ("DG", 1), bricks=(5, 1, 4), bubbles=(True, False)),
+    "p2-p1": Element(2, ("Lagrange", 1), bricks=(5, 1, 8)),
+    "q2-q1": Element(2, ("Lagrange", 1), bricks=(5, 1, 8), tetrahedra=False),
 }
 TANGENTS = ("symmetric", "full", "none")
 OUTER_RADIUS = INTERFACE + ADVENTITIA
 
 
 @dataclass(frozen=True, slots=True)
-class InflatedTube(WallProblem):
+class InflatedTube:
     """The problem of a tube, and what is compared."""
 
+    body: WallProblem | TaylorHood
     frame: tuple[Expr, Expr]  # e_r and e_θ in the reference
     patches: Patches | None  # where the stress is recovered, layer by layer; not where it need not
     points: Array  # of the quadrature in the reference cell, (points, 3)
@@ -91,15 +96,20 @@ class InflatedTube(WallProblem):
     layer: npt.NDArray[np.int64]  # 0 for the cells of the media, 1 for the others, (cells,)
 
     @property
+    def mesh(self) -> dolfinx.mesh.Mesh:
+        """That of the tube."""
+        return self.body.u.function_space.mesh
+
+    @property
     def recovered_stress(self) -> Expr:
         """The Cauchy stress, recovered with the normal of the deformed wall [kPa].
 
         That of second-order elements is their own, with its pressure put right.
         """
-        normal = ufl.inv(kinematics.deformation_gradient(self.u)).T * self.frame[0]
+        normal = ufl.inv(kinematics.deformation_gradient(self.body.u)).T * self.frame[0]
         if self.patches is None:
-            return balanced_stress(self.stress, self.u, normal=normal, degree=QUADRATURE)
-        return recovered_field(self.stress, self.patches, normal=normal)
+            return balanced_stress(self.body.stress, self.body.u, normal=normal, degree=QUADRATURE)
+        return recovered_field(self.body.stress, self.patches, normal=normal)
 
     def compare(self, truth: Tube) -> dict[str, float]:
         """Hold radius, thickness, volume and stress against the truth. Collective.
@@ -107,8 +117,8 @@ class InflatedTube(WallProblem):
         Errors of stresses are those in the L2 norm over the wall, relative to that of the truth.
         """
         inner, outer = (self._radial(radius) for radius in (INNER_RADIUS, OUTER_RADIUS))
-        comm = self.u.function_space.mesh.comm
-        J = self.at_points(kinematics.jacobian(kinematics.deformation_gradient(self.u)))
+        comm = self.mesh.comm
+        J = self.at_points(kinematics.jacobian(kinematics.deformation_gradient(self.body.u)))
         return {
             "u_r_inner": float(inner.mean()),
             "u_r_inner_exact": float(truth.inner_displacement),
@@ -119,7 +129,7 @@ class InflatedTube(WallProblem):
             "max_J": comm.allreduce(float(J.max(initial=-np.inf)), op=MPI.MAX),
             "mean_J": self._integral(J) / self._integral(np.ones_like(J)),
             "mean_J_exact": float(truth.mean_jacobian),
-            **self.stress_errors(truth, self.stress, "stress"),
+            **self.stress_errors(truth, self.body.stress, "stress"),
             **self.stress_errors(truth, self.recovered_stress, "recovered"),
         }
 
@@ -135,16 +145,16 @@ class InflatedTube(WallProblem):
 
     def at_points(self, expression: Expr) -> Array:
         """Evaluate a scalar at the quadrature points, (cells, points). Collective."""
-        return _at_points(expression, self.u.function_space.mesh, self.points)
+        return _at_points(expression, self.mesh, self.points)
 
     def _integral(self, values: Array) -> float:
-        return self.u.function_space.mesh.comm.allreduce(float((self.weights * values).sum()))
+        return self.mesh.comm.allreduce(float((self.weights * values).sum()))
 
     def _radial(self, radius: float) -> Array:
         """Return u_r at the nodes at a radius, none of them on a chord; on all processes."""
-        V = self.u.function_space
+        V = self.body.u.function_space
         n = V.dofmap.index_map.size_local
-        x, u = V.tabulate_dof_coordinates()[:n], self.u.x.array.reshape(-1, 3)[:n]
+        x, u = V.tabulate_dof_coordinates()[:n], self.body.u.x.array.reshape(-1, 3)[:n]
         r = np.hypot(x[:, 0], x[:, 1])
         outwards = np.einsum("ij,ij->i", x[:, :2], u[:, :2]) / r
         parts = V.mesh.comm.allgather(outwards[np.isclose(r, radius, rtol=1e-9)])
@@ -153,18 +163,21 @@ class InflatedTube(WallProblem):
 
 def create_slice(comm: MPI.Comm, *, size: float, quarter: bool, element: str = "p2-p0") -> Wall:
     """Mesh a tube as long as its elements, or a quarter of it. Collective."""
-    around = count_around(size, quarter=True) * (1 if quarter else 4)
-    kind = ELEMENTS[element]
+    kind, quarters = ELEMENTS[element], 1 if quarter else 4
     if kind.bricks is not None:
+        media, adventitia, around = (max(1, round(n * STANDARD / size)) for n in kind.bricks)
         return create_brick_tube(
             comm,
             length=size,
-            size=kind.bricks[0] * size,
+            size=size,
             quarter=quarter,
-            around=4 * max(1, round(kind.bricks[1] * around / 4)),
+            around=around * quarters,
             along=1,
+            through=(media, adventitia),
+            growth=GROWTH,
             tetrahedra=kind.tetrahedra,
         )
+    around = count_around(size, quarter=True) * quarters
     return create_tube_wall(comm, length=size, size=size, quarter=quarter, around=around)
 
 
@@ -181,25 +194,30 @@ def create_inflated_tube(
 ) -> InflatedTube:
     """Build the tube on a wall of :func:`create_slice`; the options have the prefix ``tube_``."""
     mesh, kind = wall.mesh, ELEMENTS[element]
-    body = create_wall_problem(
-        wall,
-        degree=kind.degree,
-        pressures=kind.pressures,
-        element=(
-            quadratic_with_bubbles("tetrahedron", faces=kind.bubbles[1])
-            if kind.bubbles[0]
-            else None
-        ),
-        volume_tolerance=volume_tolerance,
-        c=c,
-        kappa=kappa,
-        subdomains=subdomains,
-        options=options or {},
-        prefix="tube_",
-        fibres=tube_fibres(mesh) if kind.bricks is None else _helices(wall),
-        hold=slide,
-        tangent=tangent,
-        axis=(0.0, 0.0, 1.0),
+    fibres = tube_fibres(mesh) if kind.bricks is None else _helices(wall)
+    body = (
+        TaylorHood(wall, c=c, kappa=kappa, fibres=fibres)
+        if kind.pressures[0] == "Lagrange"
+        else create_wall_problem(
+            wall,
+            degree=kind.degree,
+            pressures=kind.pressures,
+            element=(
+                quadratic_with_bubbles("tetrahedron", faces=kind.bubbles[1])
+                if kind.bubbles[0]
+                else None
+            ),
+            volume_tolerance=volume_tolerance,
+            c=c,
+            kappa=kappa,
+            subdomains=subdomains,
+            options=options or {},
+            prefix="tube_",
+            fibres=fibres,
+            hold=slide,
+            tangent=tangent,
+            axis=(0.0, 0.0, 1.0),
+        )
     )
     x = ufl.SpatialCoordinate(mesh)
     r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
@@ -211,9 +229,8 @@ def create_inflated_tube(
     layer = np.zeros(len(volume), dtype=np.int64)
     outer = wall.cell_tags.find(wall.layers["adventitia"])
     layer[outer[outer < len(layer)]] = 1
-    known = {field.name: getattr(body, field.name) for field in fields(body)}
     return InflatedTube(
-        **known,
+        body,
         frame=(e_r, e_t),
         patches=(
             None
@@ -244,20 +261,14 @@ def _at_points(expression: Expr, mesh: dolfinx.mesh.Mesh, points: Array) -> Arra
 
 
 def _stresses(truth: Tube, r: Array, layer: npt.NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return the true σ_rr and σ_θθ at reference radii, from tables of each layer.
+    """Return the true σ_rr and σ_θθ at reference radii, from splines through each layer.
 
-    Chords lie inside their circle: below a layer its stress is continued with the slope there.
+    Chords lie inside their circle: below a layer its stress is continued.
     """
     rr, tt = np.zeros_like(r), np.zeros_like(r)
     for i, part in enumerate(truth.wall.layers):
-        table = np.linspace(part.inner, part.outer, 100)
-        table[0] += 1e-9  # at an interface the oracle takes the inner layer
-        values = np.array([truth.stress(R) for R in table])
-        slopes = (values[1] - values[0]) / (table[1] - table[0])
-        here = r[layer == i]
-        below = np.minimum(here - table[0], 0.0)
-        rr[layer == i], tt[layer == i] = (
-            np.interp(here, table, column) + slope * below
-            for column, slope in zip(values.T, slopes, strict=True)
-        )
+        R = np.linspace(part.inner, part.outer, 100)
+        R[0] += 1e-9  # at an interface the oracle takes the inner layer
+        values = CubicSpline(R, [truth.stress(x) for x in R])(r[layer == i])
+        rr[layer == i], tt[layer == i] = np.moveaxis(values, -1, 0)
     return rr, tt

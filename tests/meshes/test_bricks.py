@@ -53,7 +53,17 @@ def test_brick_tube(tetrahedra, order, quarter):
     equal([area[wall.surfaces[name]] for name in expected], list(expected.values()), tolerance)
 
 
-@pytest.mark.parametrize("wrong", [{"order": 3}, {"size": -1.0}])
+def test_growth():
+    """Three elements of 1, 2 and 4 parts of the media: twice as thick over a third of it."""
+    wall = create_brick_tube(
+        COMM, length=1.0, size=1.0, quarter=True, around=2, through=(3, 1), growth=8.0, order=1
+    )
+    radii = COMM.allgather(np.unique(np.round(np.hypot(*wall.mesh.geometry.x[:, :2].T), 12)))
+    expected = [*(0.71 + 0.26 * np.array([0, 1, 3, 7]) / 7), 1.10]
+    equal(np.unique(np.concatenate(radii)), expected, 1e-11)
+
+
+@pytest.mark.parametrize("wrong", [{"order": 3}, {"size": -1.0}, {"growth": 0.0}])
 def test_wrong_arguments(wrong):
-    with raises(ValueError, "give lengths above zero, and order 1 or 2"):
+    with raises(ValueError, "give lengths and a growth above zero, and order 1 or 2"):
         create_brick_tube(COMM, **({"length": 1.0, "size": 0.2} | wrong))

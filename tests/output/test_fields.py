@@ -186,7 +186,9 @@ def test_two_fields_of_one_name(u, tmp_path):
 @pytest.mark.parametrize("kind", KINDS)
 def test_place_below_a_file(u, tmp_path, kind):
     on_first(lambda: (tmp_path / "notes").write_text("mine"))
-    with raises(OSError, r"folder .*notes/run cannot be written \(Not a directory\): choose another"):
+    with raises(
+        OSError, r"folder .*notes/run cannot be written \(Not a directory\): choose another"
+    ):
         FieldWriter(tmp_path / "notes/run/wall", [u], kind=kind)
     agree((tmp_path / "notes").read_text() == "mine")
 

@@ -298,7 +298,9 @@ def test_bad_meshes_and_layers():
         create_patches(mesh, degree=2)
     with raises(ValueError, "tags of dimension 2, or of another mesh"):
         create_patches(mesh, split(cube(2, 6)))
-    facets = dolfinx.mesh.meshtags(mesh, 1, np.arange(1, dtype=np.int32), np.ones(1, dtype=np.int32))
+    facets = dolfinx.mesh.meshtags(
+        mesh, 1, np.arange(1, dtype=np.int32), np.ones(1, dtype=np.int32)
+    )
     with raises(ValueError, "tags of dimension 1, or of another mesh"):
         create_patches(mesh, facets)
     layers = split(mesh)

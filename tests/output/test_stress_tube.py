@@ -46,16 +46,16 @@ def inflated(size: float, pressures: list[float]) -> dict[float, Found]:
     def report(step) -> None:
         if step.load in pressures:
             truth = inflate(step.load * KPA_PER_MMHG, Wall(kappa=KAPPA))
-            plain = recovered_field(tube.stress, tube.patches)
+            plain = recovered_field(tube.body.stress, tube.patches)
             errors = tube.compare(truth) | tube.stress_errors(truth, plain, "plain")
             hoop = components(tube.recovered_stress, {"hoop": tube.frame[1]})
-            J = kinematics.jacobian(kinematics.deformation_gradient(tube.u))
+            J = kinematics.jacobian(kinematics.deformation_gradient(tube.body.u))
             means = layer_means(hoop, tube.patches, wall.cell_tags, wall.layers, weight=J)
             found[step.load] = Found(
                 errors, (means["media"]["hoop"], mean_hoop(truth)), pressure_errors(tube, truth)
             )
 
-    tube.inflate(pressures, STEPS, on_step=report)
+    tube.body.inflate(pressures, STEPS, on_step=report)
     return found
 
 
@@ -79,7 +79,7 @@ def pressure_errors(tube: InflatedTube, truth: Tube) -> tuple[float, float]:
     def norm(values) -> float:
         return np.sqrt(COMM.allreduce(float((weights * values**2).sum())))
 
-    fields = (tube.p, recovered_field(tube.p, tube.patches))
+    fields = (tube.body.p, recovered_field(tube.body.p, tube.patches))
     values = [tube.at_points(p)[tube.layer == 0] for p in fields]
     return tuple(norm(p - there) / norm(there) for p in values)
 

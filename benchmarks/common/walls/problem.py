@@ -26,7 +26,7 @@ from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
 from dolfinx_feti.wall import Wall, surface_measure
 from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
 
-__all__ = ["WallProblem", "create_wall_problem", "right_hand_side"]
+__all__ = ["WallProblem", "create_wall_problem", "right_hand_side", "wall_energy"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +86,17 @@ def right_hand_side(body: WallProblem) -> PETSc.Vec:
     return b
 
 
+def wall_energy(
+    wall: Wall, F: Expr, p: Expr, *, c: float, kappa: float, fibres: tuple[Expr, Expr] | None
+) -> Expr:
+    """Return the energy Ψ(F, p) of the wall's tissue [kPa]."""
+    a1, a2 = fibres or fibre_families(wall, fibre_frame(wall))
+    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+    artery = materials.ArteryParameters(c=c)
+    psi = materials.holzapfel_gasser_ogden(C, a1, a2, c=artery.c, k1=artery.k1, k2=artery.k2, J=J)
+    return psi + materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(wall.mesh, kappa))
+
+
 def create_wall_problem(
     wall: Wall,
     *,
@@ -131,12 +142,8 @@ def create_wall_problem(
     Q = dolfinx.fem.functionspace(wall.mesh, pressures)
     u, p = dolfinx.fem.Function(V, name="u"), dolfinx.fem.Function(Q, name="p")
     v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
-    a1, a2 = fibres or fibre_families(wall, fibre_frame(wall))
     F = kinematics.deformation_gradient(u)
-    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
-    artery = materials.ArteryParameters(c=c)
-    psi = materials.holzapfel_gasser_ogden(C, a1, a2, c=artery.c, k1=artery.k1, k2=artery.k2, J=J)
-    psi += materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(wall.mesh, kappa))
+    psi = wall_energy(wall, F, p, c=c, kappa=kappa, fibres=fibres)
     energy = psi * ufl.dx
     lumen = surface_measure(wall)(wall.surfaces["lumen"])
     pressure = dolfinx.fem.Constant(wall.mesh, 0.0)

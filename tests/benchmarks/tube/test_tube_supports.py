@@ -29,7 +29,7 @@ def tube(
     wall = create_slice(COMM, size=size, quarter=quarter)
     return create_inflated_tube(
         wall, element=element, c=6.0, kappa=1e5, subdomains=5, options=options
-    )
+    ).body
 
 
 def eigenvalues(body: WallProblem) -> np.ndarray:
