@@ -36,13 +36,18 @@ from dolfinx_feti.comparison import assembled_system, relative_residual
 from dolfinx_feti.output import writable_folder
 
 comm = MPI.COMM_WORLD
-mesh = dolfinx.mesh.create_box(comm, [(0.0, 0.0, 0.0), (3.0, 1.0, 1.0)], (12, 4, 4))
+mesh = dolfinx.mesh.create_box(
+    comm,
+    [(0.0, 0.0, 0.0), (3.0, 1.0, 1.0)],
+    (12, 4, 4),
+    cell_type=dolfinx.mesh.CellType.hexahedron,
+)
 # -
 
 # ## A pressure in each cell
 #
 # Linear elements for the displacement alone would *lock*. Here u is quadratic and a pressure p is
-# constant in each cell, with the energy
+# linear in each cell, with the energy
 #
 # $$ Π(u, p) = \int_Ω μ\, e : e + p \operatorname{div} u - \frac{p^2}{2κ} - f · u \,\mathrm dX,
 #    \qquad e = ε - \tfrac13 \operatorname{tr}(ε)\, I . $$
@@ -60,7 +65,7 @@ mesh = dolfinx.mesh.create_box(comm, [(0.0, 0.0, 0.0), (3.0, 1.0, 1.0)], (12, 4,
 MU = 1.0
 V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
 u = dolfinx.fem.Function(V, name="u")
-p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)), name="p")
+p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DPC", 1)), name="p")
 kappa = dolfinx.fem.Constant(mesh, 1.0)
 
 e = ufl.dev(ufl.sym(ufl.grad(u)))

@@ -35,11 +35,12 @@ Fields = Mapping[str, Any]
 MARK = re.compile(r" *<!-- (\w+) -->$")
 BEGIN, END = "<!-- What follows is written by hand. -->", "<!-- To here. -->"
 
-#: Formats of values: a whole number in groups of three digits, four digits, the deviation of a
-#: quotient from one, a share, an order of magnitude, and a verdict.
+#: Formats of values: a whole number in groups of three digits, four digits, a share in two digits,
+#: the deviation of a quotient from one, a share, an order of magnitude, and a verdict.
 FORMS: dict[str, Callable[[Any], str]] = {
     "count": lambda value: f"{value:,.0f}".replace(",", " "),
     "number": lambda value: f"{value:.4g}",
+    "percent": lambda value: f"{100 * value:.2g} %",
     "off": lambda value: f"{100 * (value - 1):+.1f} %".replace("-", "−"),
     "share": lambda value: f"{100 * value:.1f} %",
     "short": lambda value: f"{value:.0e}".replace("e-0", "e-"),

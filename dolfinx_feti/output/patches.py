@@ -315,7 +315,7 @@ def _check_mesh(mesh: dolfinx.mesh.Mesh) -> None:
         raise TypeError(
             f"The mesh has cells of type {cell} with {nodes} nodes in {mesh.geometry.dim} "
             "dimensions, but patches are made for triangles in the plane and for tetrahedra, with "
-            "straight edges."
+            "straight edges. The stress of other cells is recovered by balanced_stress."
         )
 
 

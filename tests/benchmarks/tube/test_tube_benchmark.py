@@ -101,8 +101,8 @@ def test_taylor_hood_on_the_same_cells():
     (_, record), (_, ours) = (inflated(*words, "--element", e) for e in ("q2-q1", "q2-p1d"))
     agree(record["linear_methods"] == ["mumps"] and record["steps"] == 2, record)
     agree(record["newton_iterations"] == record["linear_iterations"] and record["dofs"] > 0)
-    small(record["u_r_inner"] / ours["u_r_inner"] - 1.0, 1e-3)
-    agree(ours["recovered_tt_error"] < record["recovered_tt_error"] < 0.05, record)
+    small(record["u_r_inner"] / ours["u_r_inner"] - 1.0, 0.01)
+    agree(ours["recovered_tt_error"] < record["recovered_tt_error"] < 0.1, record)
 
 
 def test_the_whole_tube_is_four_quarters():
