@@ -25,7 +25,6 @@ from ufl.variable import Variable
 from benchmarks.common.walls.problem import wall_energy
 from benchmarks.common.walls.supports import slide
 from dolfinx_feti import ConvergenceError, kinematics, loads
-from dolfinx_feti.comparison import create_mumps
 from dolfinx_feti.fem.quadrature import limit_quadrature_degree
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps
 from dolfinx_feti.problems.history import NewtonStep
@@ -74,7 +73,10 @@ class TaylorHood:
         self._r, self._J = (dolfinx.fem.form(form) for form in (r, ufl.derivative(r, w)))
         self._w, self._bcs = w, slide(wall, W.sub(0))
         self._K = dolfinx.fem.petsc.create_matrix(self._J)
-        self._lu = create_mumps(self._K)
+        self._lu = PETSc.KSP().create(wall.mesh.comm)
+        self._lu.setType(PETSc.KSP.Type.PREONLY)
+        self._lu.getPC().setType(PETSc.PC.Type.LU)
+        self._lu.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
 
     def inflate(
         self,
@@ -129,6 +131,7 @@ class TaylorHood:
             self._K.zeroEntries()
             dolfinx.fem.petsc.assemble_matrix(self._K, self._J, bcs=self._bcs)
             self._K.assemble()
+            self._lu.setOperators(self._K)
             assembled = time.perf_counter()
             dw = r.duplicate()
             self._lu.solve(r, dw)
