@@ -106,10 +106,11 @@ def test_against_the_best(tmp_path):
     assert f"{case} at 10 mmHg | 60 000 | 1 | 2.00 | MUMPS | 2 processes | 1.00 | 2.00" in summary
 
 
-def test_readme_has_the_table_of_the_page():
+def test_readme_has_the_rows_of_the_page_with_kappa_1000():
     page = (ROOT / "docs/results/speed.md").read_text(encoding="utf-8")
     table = page.split("## FETI and the best of the others")[1].split("\n## ")[0]
-    rows = [line for line in table.splitlines() if line.startswith("|")]
+    head, dashes, *rows = (line for line in table.splitlines() if line.startswith("|"))
+    rows = [head, dashes, *(row for row in rows if "| 1000 |" in row)]
     assert "\n".join(rows) in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
