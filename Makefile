@@ -43,7 +43,7 @@ sanitize: runtimes = $$(gcc -print-file-name=libasan.so):$$(gcc -print-file-name
 sanitize: ## the tests that call the package's C code, with AddressSanitizer and UndefinedBehaviorSanitizer
 	$(with) sh -c 'DOLFINX_FETI_CFLAGS="$(flags)" LD_PRELOAD="$(runtimes)" $(stopping) OMP_NUM_THREADS=1 \
 	  XDG_CONFIG_HOME=tests/config python3 -m pytest -q -p no:cacheprovider tests/torn tests/runtime \
-	  tests/fem/test_condensation.py tests/fem/test_kernel.py tests/fem/test_assembly.py tests/feti/gluing tests/feti/subdomain $(ARGS)'
+	  tests/fem/test_condensation.py tests/fem/test_cell_kernels.py tests/fem/test_assembly.py tests/feti/gluing tests/feti/subdomain $(ARGS)'
 
 bench: bench-linear bench-nonlinear bench-scaling bench-compare ## all benchmarks; what is finished is not run again
 

@@ -233,9 +233,9 @@ def scalar_element(V: dolfinx.fem.FunctionSpace) -> tuple[basix.ufl._ElementBase
     scalar = element.sub_elements[0] if block > 1 else element
     if (
         not isinstance(V, dolfinx.fem.FunctionSpace)
+        or scalar.has_custom_quadrature  # a function of quadrature points
         or scalar.map_type != basix.MapType.identity
         or scalar.polyset_type != basix.PolysetType.standard
-        or scalar.has_custom_quadrature
         or scalar.reference_value_size != 1
         or element.reference_value_size != block
         or V.element.needs_dof_transformations

@@ -230,4 +230,4 @@ def _unit_energy(H: Array) -> Array:
 
 def _each(apply: Callable[[Array], Array], X: Array, n: int) -> Array:
     """Apply a collective function to each column, (m, k) → (n, k)."""
-    return np.array([apply(x) for x in X.T]).reshape(-1, n).T
+    return np.array([apply(x) for x in X.T]).reshape(X.shape[1], n).T
