@@ -21,12 +21,14 @@ import rooms
 from collective import COMM, agree, equal, raises, small, whole
 from pulled_body import Body, storage
 
+import basix.ufl
 import dolfinx
 import ufl
 
-from dolfinx_feti import NonlinearProblem, comparison, kinematics, loading
+from dolfinx_feti import NonlinearProblem, comparison, kinematics, loading, materials
 from dolfinx_feti import output as out
 from dolfinx_feti.diagnosis import advice, figures, run, surface
+from dolfinx_feti.mechanics.residual_stress import elastic_part
 
 
 def same(value: object) -> None:
@@ -67,6 +69,30 @@ def unload(body: Body) -> None:
     same([step.load for step in steps])
     agree(COMM.allreduce(float(np.abs(body.mesh.geometry.x - here).max())) > 1e-3)
     body.mesh.geometry.x[:] = here
+
+
+def prestress(body: Body) -> None:
+    """The block stays where it is under a load, with G at points of quadrature."""
+    u = dolfinx.fem.Function(body.u.function_space)
+    element = basix.ufl.quadrature_element("tetrahedron", value_shape=(3, 3), degree=2)
+    G = dolfinx.fem.Function(dolfinx.fem.functionspace(body.mesh, element))
+    G.x.array[:] = np.tile(np.eye(3).ravel(), len(G.x.array) // 9)
+    F = elastic_part(kinematics.deformation_gradient(u), G)
+    load = dolfinx.fem.Constant(body.mesh, 0.0)
+    psi = materials.neo_hookean(F.T * F, c=3.0, J=ufl.det(F)) + materials.volumetric(
+        ufl.det(F), 10.0
+    )
+    energy = (psi * ufl.det(G) - load * u[0]) * ufl.dx
+    problem = NonlinearProblem(energy, u, bcs=body.bcs, quadrature_degree=2, subdomains=6)
+
+    def set_load(value: float) -> None:
+        load.value = value
+
+    first = loading.Steps(first=0.1, least=0.1)
+    steps = loading.prestress(problem, set_load, [0.1], first, G=G, state=[u])
+    same([step.load for step in steps])
+    agree(not u.x.array.any() and len(steps) == 1)
+    small(problem.residual_norm(), 1e-7 * steps[0].history[0].residual)
 
 
 def write_history(body: Body) -> None:
@@ -243,6 +269,7 @@ CALLS = {
         "Motion": motion,
         "follow_load": follow_load,
         "follow_time": follow_time,
+        "prestress": prestress,
         "unload": unload,
         "write_history": write_history,
     },

@@ -43,7 +43,8 @@ class Nodes:
         self.mesh = mesh
         self.first: Array = np.array(mesh.geometry.x, dtype=np.float64)
         self._W = dolfinx.fem.functionspace(mesh, mesh.ufl_domain().ufl_coordinate_element())
-        points = quadrature_points(mesh, mesh.geometry.dim * mesh.geometry.cmap.degree)
+        degree = self._W.ufl_element().degree
+        points = quadrature_points(mesh, mesh.geometry.dim * degree)
         self._determinant = dolfinx.fem.Expression(ufl.JacobianDeterminant(mesh), points)
         self._sign = np.sign(self._determinants())
 

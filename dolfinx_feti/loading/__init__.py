@@ -4,12 +4,13 @@
 """Load steps from equilibrium to equilibrium, time steps, and states that outlive a run.
 
 In the order of the data: states, identity, storage, checkpoint, steps, table, progress, load_steps,
-anderson, unloaded, motion, energies, time_steps.
+anderson, unloaded, prestressed, motion, energies, time_steps.
 """
 
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.motion import Motion
+from dolfinx_feti.loading.prestressed import prestress
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.loading.table import write_history
 from dolfinx_feti.loading.time_steps import TimeStep, TimeSteps, follow_time
@@ -24,6 +25,7 @@ __all__ = [
     "TimeSteps",
     "follow_load",
     "follow_time",
+    "prestress",
     "unload",
     "write_history",
 ]

@@ -148,8 +148,24 @@ def test_only_integrals_over_all_cells():
     agree([i.integral_type() for i in rest.integrals()] == ["cell", "exterior_facet"])
 
 
+def at_points(mesh: dolfinx.mesh.Mesh, shape: tuple[int, ...]) -> dolfinx.fem.Function:
+    """Values at the points of quadrature of degree 2."""
+    element = basix.ufl.quadrature_element(mesh.topology.cell_name(), value_shape=shape, degree=2)
+    f = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element))
+    f.x.array[:] = np.linspace(1.0, 2.0, len(f.x.array))
+    return f
+
+
 @pytest.mark.parametrize(
-    "what", ["second derivative", "size of cells", "Bessel", "edge element", "points"]
+    "what",
+    [
+        "second derivative",
+        "size of cells",
+        "Bessel",
+        "edge element",
+        "points",
+        "quadrature element",
+    ],
 )
 def test_what_only_ffcx_compiles(what):
     """It goes to dolfinx, with the same values cell by cell."""
@@ -159,6 +175,7 @@ def test_what_only_ffcx_compiles(what):
         "second derivative": lambda: ufl.div(ufl.grad(u[0])),
         "size of cells": lambda: ufl.CellVolume(mesh),
         "points": lambda: 1.0 + u[0],
+        "quadrature element": lambda: ufl.tr(at_points(mesh, (3, 3))),
         "Bessel": lambda: ufl.bessel_J(1, u[0]),
         "edge element": lambda: (
             dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("N1curl", 1)))[0] + 1.0

@@ -1,0 +1,196 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Prestress of a wall that is known under load, as in a scan, without the wall that has no load.
+
+The image is in balance with its load, and its displacement is zero: what leads to it from pieces
+without stress is no displacement, but the inverse of a G, as of residual stress
+(:mod:`~dolfinx_feti.mechanics.residual_stress`),
+
+.. math:: F_e = F\, G^{-1}, \qquad Π = \int Ψ(F_e)\, \det G \,\mathrm d x .
+
+Under a load that the image does not balance it moves by u. The modified updated Lagrangian
+formulation of Gee, Förster and Wall (2010) keeps the deformation, and takes the wall back to the
+image,
+
+.. math:: G \leftarrow G\, F(u)^{-1}, \qquad u \leftarrow 0,
+
+which leaves F_e as it was. On the image that stress is in balance but for a share of grad u, which
+moves the wall again, by less: this is a fixed point of G, found at each load with Anderson's
+acceleration. G is the unknown of a path of loads, which ``follow_load`` follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from mpi4py import MPI
+
+import numpy as np
+
+import dolfinx
+import ufl
+
+from dolfinx_feti.errors import ConvergenceError
+from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.fem.internal_variables import create_internal_variables
+from dolfinx_feti.loading.anderson import Anderson
+from dolfinx_feti.loading.checkpoint import Checkpoint
+from dolfinx_feti.loading.load_steps import Problem, follow_load
+from dolfinx_feti.loading.steps import LoadStep, Steps
+from dolfinx_feti.problems.history import NewtonStep
+from dolfinx_feti.problems.system import Tangent
+from dolfinx_feti.runtime.collective import on_all
+
+__all__ = ["prestress"]
+
+#: Solves at a load, at most.
+MOST = 50
+
+
+def prestress(
+    problem: Problem,
+    set_load: Callable[[float], object],
+    targets: Sequence[float],
+    steps: Steps,
+    *,
+    G: dolfinx.fem.Function,
+    state: Sequence[dolfinx.fem.Function],
+    tolerance: float = 1e-8,
+    start: float = 0.0,
+    on_step: Callable[[LoadStep], object] | None = None,
+    checkpoint: Checkpoint | None = None,
+    unit: str = "",
+) -> list[LoadStep]:
+    """Find the G with which a wall under load is in balance where it is, u = 0.
+
+    Afterwards ``follow_load`` goes on from the last load with the same problem.
+
+    Args:
+        problem: The nonlinear problem, with energies in F G⁻¹ per volume of the image, and zero as
+            the value of all Dirichlet conditions of u.
+        set_load: Sets the load in the user's forms.
+        targets: Loads on the way; the last one is that of the image.
+        steps: How to choose the increments. Each load takes several Newton steps, which counts in
+            ``quick``.
+        G: Inverse of the deformation that leads to the image, a Function of discontinuous elements
+            (("DG", k − 1) for u of degree k) or of points of quadrature, shape (d, d); the identity
+            at ``start``.
+        state: All functions that a solve changes, u and a condensed pressure; zero at ``start``.
+        tolerance: How far a solve may still move the wall [mm]; on the way, so far or as large a
+            share of the load's first displacement as ``steps.rtol``.
+        start: The load at which the image is without stress.
+        on_step: Called at each load, as by ``follow_load``.
+        checkpoint: Where each load's state is kept, likewise.
+        unit: Name of the load's unit.
+
+    Returns:
+        The accepted steps; their histories hold the Newton steps of all solves.
+
+    Raises:
+        TypeError: G is no Function.
+        ValueError: See :func:`~dolfinx_feti.loading.load_steps.follow_load`; or the tolerance is
+            not positive, or G has another shape, dofs that cells share, or det G ≤ 0 somewhere.
+        ConvergenceError: No step of the least increment leads on.
+
+    Note:
+        Collective. Internal variables of the problem stay as they are. Source: M. W. Gee, C.
+        Förster, W. A. Wall, International Journal for Numerical Methods in Biomedical Engineering
+        26 (2010).
+    """
+    if not tolerance > 0.0:
+        raise ValueError(f"tolerance is {tolerance}: give a positive number of millimetres.")
+    on_all(lambda: _check(G, problem.u), problem.u.function_space.mesh.comm)
+    return follow_load(
+        _Prestressing(problem, G, tolerance),
+        set_load,
+        targets,
+        steps,
+        state=[*state, G],
+        start=start,
+        on_step=on_step,
+        checkpoint=checkpoint,
+        unit=unit,
+    )
+
+
+class _Prestressing:
+    """The problem of the image's balance, with G as its unknown, and u = 0 at the end.
+
+    Attributes:
+        u: Displacement from the image [mm].
+        solver: The SNES of the problem.
+        history: The Newton steps of all solves of the last load.
+        volume_changes: What the last solve has left, see the problem.
+        internal_variables: None: G is an unknown, and the loads on the way are no history.
+    """
+
+    internal_variables: tuple[dolfinx.fem.Function, ...] = ()
+
+    def __init__(self, problem: Problem, G: dolfinx.fem.Function, tolerance: float) -> None:
+        self._problem, self._tolerance = problem, tolerance
+        self.u, self.solver = problem.u, problem.solver
+        self._comm = self.u.function_space.mesh.comm
+        F = ufl.Identity(len(self.u)) + ufl.grad(self.u)
+        self._update = create_internal_variables({G: G * ufl.inv(F)}, Compiler(self._comm))
+        W, self._G = G.function_space, G
+        self._owned = W.dofmap.index_map.size_local * W.dofmap.index_map_bs
+        self.residual_norm, self.linearise = problem.residual_norm, problem.linearise
+        self.renew = problem.renew
+        self.history: list[NewtonStep] = []
+        self.volume_changes: list[float] = []
+
+    def update_internal_variables(self) -> None:
+        """Remember nothing."""
+
+    def solve(
+        self,
+        *,
+        reference: float | None = None,
+        first_tangent: Tangent | None = None,
+        renew: bool = True,
+    ) -> dolfinx.fem.Function:
+        """Solve, and take the wall back to the image, until it stays there."""
+        anderson = Anderson(self._comm, self._owned)
+        self.history, allowed = [], 0.0
+        for _ in range(MOST):
+            try:
+                self._problem.solve(reference=reference, first_tangent=first_tangent, renew=renew)
+            finally:
+                self.history += self._problem.history
+                self.volume_changes = self._problem.volume_changes
+            moved, before = self._moved(), self._G.x.array.copy()
+            self._update.update()  # G ← G F⁻¹
+            self.u.x.array[:] = 0.0
+            allowed = allowed or max(self._tolerance, self.solver.getTolerances()[0] * moved)
+            if moved <= allowed:
+                return self.u
+            self._G.x.array[:] = anderson.next(before, self._G.x.array - before)
+            if reference is None:
+                reference = self.history[0].residual
+            first_tangent, renew = None, False
+        raise ConvergenceError(
+            f"{MOST} solves did not balance the image: the last one moved it by {moved:.1e} mm. "
+            "Load in smaller steps."
+        )
+
+    def _moved(self) -> float:
+        """Return the length of the longest displacement of a dof [mm]."""
+        lengths = np.linalg.norm(self.u.x.array.reshape(-1, len(self.u)), axis=1)
+        return self._comm.allreduce(float(lengths.max(initial=0.0)), op=MPI.MAX)
+
+
+def _check(G: dolfinx.fem.Function, u: dolfinx.fem.Function) -> None:
+    """Require a Function with the shape of grad u that can be inverted.
+
+    Raises:
+        TypeError, ValueError: See :func:`prestress`.
+    """
+    if not isinstance(G, dolfinx.fem.Function):
+        raise TypeError(f"G is {G!r}: give a Function, the identity at first.")
+    d = len(u)
+    if G.ufl_shape != (d, d):
+        raise ValueError(f"G has the shape {G.ufl_shape}: give a Function of the shape {(d, d)}.")
+    least = np.linalg.det(G.x.array.reshape(-1, d, d)).min(initial=np.inf)
+    if not least > 0.0:
+        raise ValueError(f"det G = {least:.3g} somewhere: let G be the identity at first.")
