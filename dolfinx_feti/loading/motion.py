@@ -116,7 +116,8 @@ class Motion:
         f, a = M.createVecs()
         f.array[:] = -b.array[: f.getLocalSize()]
         for bc in bcs:
-            f.array[bc.dof_indices()[0][: bc.dof_indices()[1]]] = 0.0
+            dofs, _ = bc.dof_indices()
+            f.array[dofs[dofs < f.getLocalSize()]] = 0.0
         ksp = PETSc.KSP().create(M.comm)
         ksp.setOperators(M)
         ksp.setType(PETSc.KSP.Type.CG)
