@@ -152,18 +152,15 @@ class _Context:
 
 
 def _create_ksp(comm: MPI.Comm, kind: str, prefix: str, *, directions: int) -> PETSc.KSP:
-    """Create a KSP with the user's options; flexible CG keeps so many directions by default.
-
-    CG itself has one reduction an iteration for all its scalar products.
-    """
+    """Create a KSP with the user's options; flexible CG keeps so many directions by default."""
     ksp = PETSc.KSP().create(comm)
     ksp.setOptionsPrefix(prefix)
     ksp.setType(kind)
     ksp.setGMRESRestart(RESTART)
     ksp.getPC().setType(PETSc.PC.Type.PYTHON)
     ksp.setComputeSingularValues(True)
-    usual = {"ksp_fcg_mmax": directions, "ksp_cg_single_reduction": True}
-    with inserted(prefix, {k: v for k, v in usual.items() if not _given(prefix, k)}):
+    usual = {} if _given(prefix, "ksp_fcg_mmax") else {"ksp_fcg_mmax": directions}
+    with inserted(prefix, usual):
         ksp.setFromOptions()
     if ksp.getType() in ("gmres", "fgmres"):
         ksp.setPCSide(PETSc.PC.Side.RIGHT)  # its residual then is the jump

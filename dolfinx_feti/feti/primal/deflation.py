@@ -55,7 +55,7 @@ DEFLATED = 0.8
 #: Steps of inverse iteration in the coarse space: one more finds nothing more.
 INVERSE = 2
 
-#: Share of the largest squared size below which a combination of W lies in V.
+#: Share of the largest squared size below which what is outside of V of a combination of W is none.
 INSIDE = 1e-10
 
 #: Energy below which a combination of fields of unit energy repeats others: their products have
@@ -106,8 +106,9 @@ class DeflatedSpace:
             W, zero = np.empty_like(vectors.W), np.zeros(copies.n)
             for j in range(W.shape[1]):
                 W[:, j] = space.correct(vectors.W[:, j], zero)  # W ← W − V A₀⁻¹ Vᵀ A W
+            sizes = self._product(vectors.W, copies.delta[:, None] * vectors.W).diagonal()
             squares, Y = np.linalg.eigh(self._product(W, copies.delta[:, None] * W))
-            Y = Y[:, squares > INSIDE * squares.max(initial=0.0)]
+            Y = Y[:, squares > INSIDE * sizes.max(initial=0.0)]
             self._W, self._Q = W @ Y, vectors.Q @ Y
             self._SW = on_subdomains(lambda: _images(copies, multiply, self._W), copies.comm)
             self._H = self._product(self._SW, self._W)  # H = Wᵀ A W
