@@ -54,7 +54,7 @@ class Motion:
         velocity: v of the last state, a Function; an initial velocity is set here.
         acceleration: a of the last state, a Function.
         dt: Δt, a Constant, for materials whose memory fades with time.
-        inertia: Form ½ ∫ ρ c |u − ũ|², to be added to an energy; its derivative is added to a
+        inertia: Form ½ ∫ ρ c (u − ũ)², to be added to an energy; its derivative is added to a
             residual, and its second derivative to a tangent.
         rate: The velocity in u, d (u − û), for forces that damp.
     """
@@ -189,7 +189,7 @@ class Motion:
         return u - self._last
 
     def kinetic_energy(self) -> float:
-        """Return ½ ∫ ρ |v|².
+        """Return ½ ∫ ρ v².
 
         Note:
             Collective.

@@ -87,7 +87,7 @@ def unload(
             in ``quick``.
         state: All functions that a solve changes, u and a condensed pressure; zero at ``start``.
         fibres: Unit vectors in the image, Functions of the mesh that the forms use: they follow
-            into the unloaded wall, a ← F⁻¹ a / |F⁻¹ a|.
+            into the unloaded wall, a ← F⁻¹ a / ‖F⁻¹ a‖.
         tolerance: How far a node of the loaded wall may be from the image [mm]; on the way, so far
             or as large a share of u as ``steps.rtol``.
         start: The load at which the image is the unloaded wall.
@@ -284,7 +284,7 @@ class _Unloading:
 
 
 def _pulled_back(a: dolfinx.fem.Function, u: dolfinx.fem.Function) -> dolfinx.fem.Expression:
-    """Return F⁻¹ a / |F⁻¹ a|."""
+    """Return F⁻¹ a / ‖F⁻¹ a‖."""
     F = ufl.Identity(len(u)) + ufl.grad(u)
     A = ufl.inv(F) * a
     points = interpolation_points(a.function_space)

@@ -5,7 +5,7 @@
 
 :mod:`~dolfinx_feti.mechanics.residual_stress` has the equations. What they need of a wall of any
 shape follows from the two potentials of its frame, t through the wall and l along it: the
-directions ê₀, ê₁, ê₂ in each cell, the depth below a layer's middle surface, (t − t₀)/|∇t| with the
+directions ê₀, ê₁, ê₂ in each cell, the depth below a layer's middle surface, (t − t₀)/‖∇t‖ with the
 layer's mean t₀, and the curvature around the vessel, ê₀·(∇n ê₀), of the transmural directions n at
 the vertices. Where that is negative, as in a crotch, the wall counts as flat. The potentials stay
 with the material when the mesh moves, and the rest is found anew.
