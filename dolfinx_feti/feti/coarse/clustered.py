@@ -11,9 +11,13 @@ combinations of their columns: the method of the primal form, one level up. A pr
 of N, Z and N Z, and its blocks; A₁ alone is gathered (``gathered``).
 
 The solves serve a Krylov method whose right-hand sides b shrink, and the error of each stays in its
-residual. So all are solved to the same size of error, :math:`\|b - N x\| ≤ τ \max \|b\|` over the
-right-hand sides since the first one, and take fewer iterations each time (Simoncini and Szyld
-2003).
+residual. So all are solved to the same size of error, and take fewer iterations each time
+(Simoncini and Szyld 2003); but no error may be large beside its own right-hand side, or the
+directions of the Krylov method are not conjugate any more, at last not even of positive energy,
+
+.. math:: \|b - N x\| ≤ \min(τ \max \|b\|,\; δ \|b\|)
+
+with the largest of the right-hand sides since the first one.
 """
 
 from __future__ import annotations
@@ -27,8 +31,10 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse
 
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.feti.coarse.near import joined
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 from dolfinx_feti.runtime.collective import join, on_all, total
 from dolfinx_feti.runtime.events import event
@@ -47,6 +53,9 @@ SUBDOMAINS, BLOCK = 64, 128
 
 #: Share τ of the largest right-hand side that a solve leaves.
 TOLERANCE = 1e-9
+
+#: Share δ of the present one that it leaves at most.
+RELATIVE = 1e-3
 
 #: Most iterations.
 MOST = 500
@@ -103,8 +112,10 @@ class ClusteredSolver:
         ``first`` tells that the largest right-hand side is to be found anew, from b on.
         """
         with event("FETICoarseSolve"):
-            self._largest = max(0.0 if first else self._largest, b.norm())
-            self._ksp.setTolerances(rtol=0.0, atol=TOLERANCE * self._largest, max_it=MOST)
+            size = b.norm()
+            self._largest = max(0.0 if first else self._largest, size)
+            error = min(TOLERANCE * self._largest, RELATIVE * size)
+            self._ksp.setTolerances(rtol=0.0, atol=error, max_it=MOST)
             self._Z.multTranspose(b, self._e)
             self._third.solve(self._e, self._c)
             self._Z.mult(self._c, x)  # x₀ = Z A₁⁻¹ Zᵀ b
@@ -163,6 +174,7 @@ def create_coarse_solver(
     *,
     prefix: str,
     symmetric: bool,
+    definite: bool = False,
     zero: float | None = None,
 ) -> CoarseSolver:
     """Create the solver for a coarse matrix of its size. Collective.
@@ -173,6 +185,7 @@ def create_coarse_solver(
             rows of each subdomain of this process.
         prefix: Options prefix of the solver; with a type of KSP or PC among them N is gathered.
         symmetric: Whether N is symmetric.
+        definite: Whether N is known to be positive semi-definite; else a random system is solved.
         zero: See :class:`~dolfinx_feti.feti.coarse.gathered.GatheredSolver`.
 
     Raises:
@@ -182,7 +195,7 @@ def create_coarse_solver(
     if symmetric and N.getSize()[0] > LARGE and not any(map(own.hasName, ("ksp_type", "pc_type"))):
         with suppress(np.linalg.LinAlgError):
             solver = ClusteredSolver(N, *motions(), prefix=prefix)
-            if solver.is_definite():
+            if definite or solver.is_definite():
                 return solver
             solver.destroy()
     return GatheredSolver(N, prefix=prefix, symmetric=symmetric, zero=zero)
@@ -196,11 +209,12 @@ def _inverse_blocks(N: PETSc.Mat) -> Array:
     """
     indptr, indices, values = N.getDiagonalBlock().getValuesCSR()
     n = len(indptr) - 1
-    row = np.repeat(np.arange(n), np.diff(indptr))
-    inside = row // BLOCK == indices // BLOCK
-    row, column = row[inside], indices[inside]
+    local = scipy.sparse.csr_array((values, indices, indptr), (n, n))
     blocks = np.zeros((-(-n // BLOCK), BLOCK, BLOCK))
-    blocks[row // BLOCK, row % BLOCK, column % BLOCK] = values[inside]
+    for i, block in enumerate(blocks):
+        rows = slice(i * BLOCK, min((i + 1) * BLOCK, n))
+        size = rows.stop - rows.start
+        block[:size, :size] = local[rows][:, rows].toarray()
     diagonal = np.einsum("bii->bi", blocks)
     diagonal *= 1.0 + SHIFT
     diagonal[diagonal == 0.0] = 1.0  # also below the last row
@@ -212,16 +226,17 @@ def _clusters(N: PETSc.Mat, counts: Counts, prefix: str) -> npt.NDArray[np.int32
     """Return the cluster of each subdomain of this process, (subdomains,). Collective."""
     comm = N.comm.tompi4py()
     first = N.getOwnershipRange()[0] + np.cumsum(counts) - counts
-    starts = join(first, comm)  # of all subdomains
+    starts = join(first, comm)  # of all subdomains; one without rows begins with the next one
     n, own = len(starts), comm.scan(len(counts)) - len(counts)
-    near = [
-        np.setdiff1d(np.searchsorted(starts, N.getRow(row)[0], side="right") - 1, own + i)
-        if counts[i]
-        else np.zeros(0, dtype=np.int64)
-        for i, row in enumerate(first.tolist())
-    ]
-    indptr = np.cumsum([0, *map(len, near)]).astype(PETSc.IntType)
-    indices = np.concatenate([*near, np.zeros(0)]).astype(PETSc.IntType)
+    rows = first[counts > 0]
+    columns = [N.getRow(row)[0] for row in rows.tolist()]
+    subdomain = np.repeat(own + np.flatnonzero(counts), [len(row) for row in columns])
+    near = np.searchsorted(starts, joined(columns, np.int64), side="right") - 1
+    new = (np.diff(near, prepend=-1) != 0) | (np.diff(subdomain, prepend=-1) != 0)
+    new &= near != subdomain
+    indices = near[new].astype(PETSc.IntType)
+    lengths = np.bincount(subdomain[new] - own, minlength=len(counts))
+    indptr = np.cumsum(np.append(0, lengths)).astype(PETSc.IntType)
     sizes = (len(counts), n)
     graph = PETSc.Mat().createAIJ(
         (sizes, sizes), csr=(indptr, indices, np.ones(len(indices))), comm=N.comm

@@ -22,67 +22,82 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.feti.coarse.near import joined
 from dolfinx_feti.feti.gluing.copies import Copies
-from dolfinx_feti.feti.subdomain.panels import Panels
+from dolfinx_feti.feti.subdomain.panels import PanelCode, Panels, load_panels
 
 __all__ = ["Fields", "averaged_fields", "jump_fields"]
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
 Integers = npt.NDArray[np.integer]
 
 
 @dataclass(frozen=True, slots=True)
 class Fields:
-    """The columns near each subdomain, by pairs of a row and a subdomain with columns on it.
+    """The columns near each subdomain: a panel for each subdomain whose columns are there.
 
     Each :math:`W_i` is formed when it is asked for: together they are large.
 
     Attributes:
-        blocks: Rows of each subdomain.
-        row: Row of each pair, ascending, (pairs,).
+        code: Products of panels.
+        sizes: Rows of each subdomain, (subdomains,).
+        panels: Where the panels of each subdomain begin, and the end, (subdomains + 1,).
+        owner: Number of the first column of each panel over all processes, ascending in each
+            subdomain, (panels,).
+        count: Number of its columns, (panels,).
+        first: Where each panel begins among the rows, and the end, (panels + 1,).
+        row: Rows of each panel in its subdomain, (pairs,).
+        values: Values of the columns in the row, in the first ``count`` entries, (pairs, most).
+    """
+
+    code: PanelCode
+    sizes: Integers
+    panels: Integers
+    owner: Integers
+    count: Indices
+    first: Indices
+    row: Indices
+    values: Array
+
+    def __len__(self) -> int:
+        """Return the number of subdomains."""
+        return len(self.sizes)
+
+    def __getitem__(self, i: int) -> Panels:
+        """Return the columns near subdomain i, by their owners, (n_i, c_i)."""
+        start, stop = self.panels[i], self.panels[i + 1]
+        first = self.first[start : stop + 1]
+        pairs = slice(first[0], first[-1])
+        return Panels(
+            self.code,
+            int(self.sizes[i]),
+            first - first[0],
+            self.row[pairs],
+            self.count[start:stop],
+            self.values[pairs],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Pairs:
+    """Pairs of a row and a subdomain with columns on it.
+
+    Attributes:
+        row: Row of each pair, (pairs,).
         first: Number of the subdomain's first column over all processes, (pairs,).
         count: Number of its columns, (pairs,).
         values: Values of these columns in the row, in the first ``count`` entries, (pairs, most).
     """
 
-    blocks: Sequence[slice]
     row: Integers
     first: Integers
     count: Integers
     values: Array
 
-    def __len__(self) -> int:
-        """Return the number of subdomains."""
-        return len(self.blocks)
-
-    def __getitem__(self, i: int) -> Panels:
-        """Return the columns near subdomain i, by their owners, (n_i, c_i)."""
-        rows, owners = self.blocks[i], self._owners(i)
-        return Panels(
-            rows.stop - rows.start,
-            [self.row[pairs] - rows.start for pairs in owners],
-            [self.values[pairs, : self.count[pairs[0]]].T.copy() for pairs in owners],
-        )
-
-    @property
-    def numbers(self) -> list[npt.NDArray[np.int64]]:
-        """Numbers of the columns near each subdomain over all processes, ascending, (c_i,)."""
-        pairs = [[pairs[0] for pairs in self._owners(i)] for i in range(len(self))]
-        return [
-            joined([self.first[p] + np.arange(self.count[p]) for p in each], np.int64)
-            for each in pairs
-        ]
-
-    def _owners(self, i: int) -> list[Integers]:
-        """Return the pairs of subdomain i, by the owner of their columns, ascending."""
-        rows = self.blocks[i]
-        start, stop = np.searchsorted(self.row, [rows.start, rows.stop])
-        if start == stop:
-            return []
-        _, owner = np.unique(self.first[start:stop], return_inverse=True)
-        pairs = start + np.argsort(owner, kind="stable")
-        return np.split(pairs, np.cumsum(np.bincount(owner))[:-1])
+    def __getitem__(self, chosen: Integers) -> _Pairs:
+        """Return some of the pairs, by their numbers."""
+        row, first, count = self.row[chosen], self.first[chosen], self.count[chosen]
+        return _Pairs(row, first, count, self.values[chosen])
 
 
 def averaged_fields(copies: Copies, U: Sequence[Array]) -> Fields:
@@ -92,16 +107,7 @@ def averaged_fields(copies: Copies, U: Sequence[Array]) -> Fields:
         copies: Copies of the interface dofs.
         U: For each subdomain its columns, (n_i, k_i), numbered on over subdomains and processes.
     """
-    own = _own_fields(copies, U)
-    first, count = (
-        copies.values(numbers.astype(np.float64)).astype(np.int64)
-        for numbers in (own.first, own.count)
-    )
-    some = count > 0
-    values = np.empty((np.count_nonzero(some), own.values.shape[1]))
-    for j in range(values.shape[1]):
-        values[:, j] = copies.values(copies.delta * own.values[:, j])[some]
-    return Fields(copies.blocks, copies.row[some], first[some], count[some], values)
+    return _by_panels(copies, _averaged_pairs(copies, _own_pairs(copies, U)))
 
 
 def jump_fields(copies: Copies, U: Sequence[Array]) -> Fields:
@@ -109,24 +115,24 @@ def jump_fields(copies: Copies, U: Sequence[Array]) -> Fields:
 
     The arguments are those of :func:`averaged_fields`.
     """
-    own, mean = _own_fields(copies, U), averaged_fields(copies, U)
+    own = _own_pairs(copies, U)
+    mean = _averaged_pairs(copies, own)
     values, diagonal = -mean.values, mean.first == own.first[mean.row]
     values[diagonal] += own.values[mean.row[diagonal]]
     alone = own.count > 0
     alone[mean.row[diagonal]] = False  # rows with a prescribed value are left
-    row = np.concatenate([mean.row, own.row[alone]])
-    order = np.argsort(row, kind="stable")
-    return Fields(
-        copies.blocks,
-        row[order],
-        np.concatenate([mean.first, own.first[alone]])[order],
-        np.concatenate([mean.count, own.count[alone]])[order],
-        np.concatenate([values, own.values[alone]])[order],
+    rest = own[np.flatnonzero(alone)]
+    jump = _Pairs(
+        np.concatenate([mean.row, rest.row]),
+        np.concatenate([mean.first, rest.first]),
+        np.concatenate([mean.count, rest.count]),
+        np.concatenate([values, rest.values]),
     )
+    return _by_panels(copies, jump)
 
 
-def _own_fields(copies: Copies, U: Sequence[Array]) -> Fields:
-    """Return the columns of each subdomain on its own rows."""
+def _own_pairs(copies: Copies, U: Sequence[Array]) -> _Pairs:
+    """Pair all rows, ascending, with their own subdomain."""
     count = np.array([U_i.shape[1] for U_i in U], dtype=np.int64)
     first = copies.comm.scan(int(count.sum())) - count.sum() + np.cumsum(count) - count
     sizes = [rows.stop - rows.start for rows in copies.blocks]
@@ -135,4 +141,37 @@ def _own_fields(copies: Copies, U: Sequence[Array]) -> Fields:
     for U_i, rows in zip(U, copies.blocks, strict=True):
         values[rows, : U_i.shape[1]] = U_i
     row = np.arange(copies.n)
-    return Fields(copies.blocks, row, np.repeat(first, sizes), np.repeat(count, sizes), values)
+    return _Pairs(row, np.repeat(first, sizes), np.repeat(count, sizes), values)
+
+
+def _averaged_pairs(copies: Copies, own: _Pairs) -> _Pairs:
+    """Pair the rows with all subdomains that share them, with δ times their columns. Collective."""
+    first, count = (
+        copies.values(numbers.astype(np.float64)).astype(np.int64)
+        for numbers in (own.first, own.count)
+    )
+    some = count > 0
+    values = np.empty((np.count_nonzero(some), own.values.shape[1]))
+    for j in range(values.shape[1]):
+        values[:, j] = copies.values(copies.delta * own.values[:, j])[some]
+    return _Pairs(copies.row[some], first[some], count[some], values)
+
+
+def _by_panels(copies: Copies, pairs: _Pairs) -> Fields:
+    """Sort pairs into the panels of each subdomain. Collective."""
+    ends = np.array([rows.stop for rows in copies.blocks], dtype=np.int64)
+    sizes = np.diff(ends, prepend=0)
+    block = np.searchsorted(ends, pairs.row, side="right")
+    order = np.argsort(block * (1 + pairs.first.max(initial=0)) + pairs.first, kind="stable")
+    pairs, block = pairs[order], block[order]
+    starts = np.flatnonzero(np.diff(block, prepend=-1) | np.diff(pairs.first, prepend=-1))
+    return Fields(
+        code=load_panels(copies.comm),
+        sizes=sizes,
+        panels=np.searchsorted(block[starts], np.arange(len(ends) + 1)),
+        owner=pairs.first[starts],
+        count=pairs.count[starts].astype(np.int32),
+        first=np.append(starts, len(order)).astype(np.int32),
+        row=(pairs.row - (ends - sizes)[block]).astype(np.int32),
+        values=pairs.values,
+    )

@@ -16,6 +16,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -23,15 +25,26 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse
 
-from dolfinx_feti.feti.gluing.copies import consecutive, star_forest
+from dolfinx_feti.feti.coarse.fields import Fields
+from dolfinx_feti.feti.gluing.copies import star_forest
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
+from dolfinx_feti.runtime.native import load, pointer
 from dolfinx_feti.torn.matrix import create_torn_matrix
 
 __all__ = ["NearColumns", "joined"]
 
 Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.integer]
 Numbers = npt.NDArray[np.int64]
+
+DECLARATIONS = """
+void add_element(int, const int *, const double *, const int *, const int *, const int *,
+                 const int *, const int64_t *, double *);
+void write_columns(int, const int *, const int *, const int *, const int *, const int *,
+                   const int64_t *, int *);
+"""
 
 
 class NearColumns:
@@ -41,22 +54,21 @@ class NearColumns:
         blocks: Columns of each subdomain among those near all of them, (near,).
     """
 
-    def __init__(self, numbers: Sequence[Numbers], counts: Sequence[int], comm: MPI.Comm) -> None:
+    def __init__(self, W: Fields, counts: Sequence[int], comm: MPI.Comm) -> None:
         """Find the owners of the columns. Collective.
 
         Args:
-            numbers: Numbers of the columns near each subdomain, all or none of an owner's.
+            W: The columns near each subdomain.
             counts: Number of columns of each subdomain's own.
             comm: Communicator.
         """
-        self._comm = comm
-        self._numbers = list(numbers)
+        self._comm, self._W = comm, W
+        self._code = load(Path(__file__).with_name("near.c"), DECLARATIONS, comm)
         self._size = sum(counts)
         self._total = comm.allreduce(self._size)
-        every = np.concatenate(comm.allgather(np.array(counts, dtype=np.int64)))
-        self._first = np.concatenate(([0], np.cumsum(every[every > 0])))  # of each owner, and end
-        self.blocks = consecutive([len(near) for near in self._numbers])
-        self._forest = star_forest(joined(self._numbers, np.int64), self._size, comm)
+        end = np.cumsum(np.append(0, W.count))  # of the columns of each panel
+        self.blocks = list(itertools.starmap(slice, itertools.pairwise(end[W.panels].tolist())))
+        self._forest = star_forest(_expanded(W.owner, W.count), self._size, comm)
 
     def to_owners(self, near: Array) -> Array:
         """Sum what subdomains have for the columns near them, (near,), at the owners, (size,)."""
@@ -91,35 +103,44 @@ class NearColumns:
 
     def _sum_of_own(self, elements: Iterable[Array]) -> tuple[PETSc.Mat, Numbers]:
         """Sum the element matrices of this process; return the numbers of the columns, too."""
-        reached: dict[int, list[Numbers]] = {}  # by the rows of each owner
-        for numbers in self._numbers:
-            for a, _ in self._owners(numbers):
-                reached.setdefault(a, []).append(numbers)
-        columns = {a: np.unique(np.concatenate(reached[a])) for a in sorted(reached)}
-        width = np.diff(self._first)
-        rows = {a: np.zeros((width[a], len(columns[a]))) for a in columns}
-        for numbers, element in zip(self._numbers, elements, strict=True):
-            for a, own in self._owners(numbers):
-                rows[a][:, np.searchsorted(columns[a], numbers)] += element[own]
-        every = joined([np.arange(*self._first[a : a + 2]) for a in columns], np.int64)
-        local = [np.searchsorted(every, columns[a]) for a in columns]
-        indices = [np.tile(c, width[a]) for a, c in zip(columns, local, strict=True)]
-        length = joined([np.full(width[a], len(columns[a])) for a in columns], np.int64)
-        indptr = np.concatenate([[0], np.cumsum(length)]).astype(PETSc.IntType)
-        csr = (indptr, joined(indices, PETSc.IntType), joined([R.ravel() for R in rows.values()]))
-        n = len(every)
-        return PETSc.Mat().createAIJWithArrays((n, n), csr, comm=PETSc.COMM_SELF), every
-
-    def _owners(self, numbers: Numbers) -> list[tuple[int, slice]]:
-        """Return the owners of columns, and where theirs are."""
-        owner = np.searchsorted(self._first, numbers, side="right") - 1
-        starts = np.flatnonzero(np.diff(owner, prepend=-1))
-        places = [slice(*part) for part in itertools.pairwise([*starts, len(numbers)])]
-        return list(zip(map(int, owner[starts]), places, strict=True))
+        W, to, lib = self._W, partial(pointer, self._code), self._code.lib
+        first, local = np.unique(W.owner, return_inverse=True)  # owners near this process
+        owner, width = local.astype(np.int32), np.zeros(len(first), dtype=np.int32)
+        width[owner] = W.count
+        near = scipy.sparse.csr_array(
+            (np.ones(len(owner), dtype=np.int32), owner, W.panels), (len(W), len(first))
+        )
+        graph = scipy.sparse.csr_array(near.T @ near)  # owners that are near one subdomain
+        graph.sort_indices()
+        ptr, adjacent = (a.astype(np.int32, copy=False) for a in (graph.indptr, graph.indices))
+        places = np.cumsum(width[adjacent]) - width[adjacent]
+        length = np.diff(np.append(places, width[adjacent].sum())[ptr])  # of a row of each owner
+        place = (places - np.repeat(places[ptr[:-1]], np.diff(ptr))).astype(np.int32)
+        start = np.cumsum(np.append(0, width * length))
+        rows = tuple(map(to, (width, ptr, adjacent, place, start)))
+        values = np.zeros(start[-1])
+        for i, element in enumerate(elements):
+            panels = slice(W.panels[i], W.panels[i + 1])
+            E = np.ascontiguousarray(element)
+            lib.add_element(panels.stop - panels.start, to(owner[panels]), to(E), *rows, to(values))
+        indices = np.empty(len(values), dtype=np.int32)
+        columns = (np.cumsum(width) - width).astype(np.int32)
+        lib.write_columns(len(width), to(columns), *rows, to(indices))
+        n = int(width.sum())
+        indptr = np.append(0, np.cumsum(np.repeat(length, width)))
+        csr = tuple(array.astype(PETSc.IntType, copy=False) for array in (indptr, indices))
+        K = PETSc.Mat().createAIJWithArrays((n, n), (*csr, values), comm=PETSc.COMM_SELF)
+        return K, _expanded(first, width)
 
     def destroy(self) -> None:
         """Free the star forest."""
         self._forest.destroy()
+
+
+def _expanded(first: Integers, count: Integers) -> Numbers:
+    """Return the numbers of columns, ``count`` of them from each ``first`` on."""
+    end = np.cumsum(count)
+    return np.arange(count.sum()) + np.repeat(first - end + count, count)
 
 
 def joined(parts: Sequence[npt.NDArray[Any]], dtype: npt.DTypeLike = float) -> npt.NDArray[Any]:

@@ -91,7 +91,7 @@ class AveragedColumns:
         self.size = sum(counts)
         self.total = copies.comm.allreduce(self.size)
         self.W = averaged_fields(copies, self.columns)
-        self.near = NearColumns(self.W.numbers, counts, copies.comm)
+        self.near = NearColumns(self.W, counts, copies.comm)
 
     def restrict(self, r: Array) -> Array:
         """Return Vᵀ r of an assembled residual given by copies, (n,) → (size,)."""

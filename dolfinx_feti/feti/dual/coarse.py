@@ -50,6 +50,7 @@ __all__ = ["Coarse"]
 Array = npt.NDArray[np.float64]
 
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 
 #: Share of the diagonal weight in Q = M + ε diag(q).
 EPSILON = 0.01
@@ -78,6 +79,7 @@ class Coarse:
         *,
         q: str,
         symmetric: bool,
+        definite: bool,
         prefix: str,
     ) -> None:
         """Form and factor the coarse matrix. Collective.
@@ -89,6 +91,7 @@ class Coarse:
             preconditioner: M, for Q = M.
             q: ``identity``, ``diagonal`` or ``preconditioner``.
             symmetric: Whether K is symmetric.
+            definite: Whether all K_i are known to be positive semi-definite, and so is N.
             prefix: Options prefix of the coarse solver.
         """
         self._torn, self._dofs = preconditioner.operator.torn, preconditioner.operator.dofs
@@ -110,10 +113,11 @@ class Coarse:
         self.D = self._block_diagonal([m.D for m in modes])
         self.N = self.G_left.transposeMatMult(weighed)  # N = Gᵀ q G, the diagonal part of Q
         weighed.destroy()
-        if self.MG is not None:
-            self.N.axpy(1.0, self.MG.galerkin_matrix, structure=DIFFERENT)  # Gᵀ M G
-            self.MG.galerkin_matrix.destroy()
         self.N.axpy(1.0, self.D, structure=DIFFERENT)
+        if self.MG is not None:  # Gᵀ M G couples more subdomains
+            part, self.N = self.N, self.MG.galerkin_matrix
+            self.N.axpy(1.0, part, structure=SUBSET if self.MG.complete else DIFFERENT)
+            part.destroy()
         if not anchor(self.N, self._amplitudes(null_space(torn))):
             raise SetUpError("Subdomains resist the null space of A: use feti_formulation primal.")
         self.N.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
@@ -125,6 +129,7 @@ class Coarse:
             ),
             prefix=prefix,
             symmetric=symmetric,
+            definite=definite,
         )
         self._s, self._e = self.N.createVecs()
 
@@ -154,8 +159,19 @@ class Coarse:
 
     def _amplitudes(self, Z: Array) -> Array:
         """Return own rows of S, with Z = E S, for fields on the torn dofs, (n, k)."""
-        pairs = zip(self._modes, self._dofs, strict=True)
-        return np.vstack([Z[:0], *(np.linalg.pinv(m.E) @ Z[dofs] for m, dofs in pairs)])
+        if not Z.shape[1]:
+            return np.zeros((self.size, 0))
+        E = [m.E for m in self._modes]
+        images = [E_i.T @ Z[dofs] for E_i, dofs in zip(E, self._dofs, strict=True)]
+        S: list[Array] = [Z[:0]] * len(E)
+        for k in {E_i.shape[1] for E_i in E}:  # together, as many columns in each
+            alike = [i for i, E_i in enumerate(E) if E_i.shape[1] == k]
+            gram = np.stack([E[i].T @ E[i] for i in alike])
+            inverse = np.linalg.pinv(gram, hermitian=True)
+            S_k = inverse @ np.stack([images[i] for i in alike])  # (Eᵀ E)⁺ Eᵀ Z
+            for i, j in enumerate(alike):
+                S[j] = S_k[i]
+        return np.vstack([Z[:0], *S])
 
     def _jump_of(self, B: PETSc.Mat, E: list[Array]) -> PETSc.Mat:
         """Form B E from the kernels of all subdomains."""

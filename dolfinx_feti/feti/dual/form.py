@@ -181,6 +181,7 @@ def create_dual_form(pattern: Pattern, setup: Setup) -> DualForm:
                 preconditioner,
                 q=options.coarse_q,
                 symmetric=pattern.symmetric,
+                definite=semidefinite,
                 prefix=prefix,
             )
             owned.callback(coarse.destroy)

@@ -14,6 +14,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 
@@ -34,6 +36,7 @@ class WeightedColumns:
     Attributes:
         blocks: For each subdomain :math:`Y_i`, (n_i, c_i).
         galerkin_matrix: Gᵀ M G, (K, K), with G from Kᵀ on the left.
+        complete: Whether all columns are near some subdomain, and no row of it is empty.
     """
 
     def __init__(
@@ -55,7 +58,7 @@ class WeightedColumns:
             E_left = [m.E_left[on] for m, on in zip(modes, on_interface, strict=True)]
             W_left = jump_fields(self._copies, E_left)
         counts = [E_i.shape[1] for E_i in E]
-        self._near = NearColumns(W.numbers, counts, operator.torn.comm)
+        self._near = NearColumns(W, counts, operator.torn.comm)
         self.blocks: list[Array] = []
 
         def elements() -> Iterator[Array]:
@@ -65,6 +68,8 @@ class WeightedColumns:
                 yield (W_i if W_left is W else W_left[i]).overlap(self.blocks[i])
 
         self.galerkin_matrix = self._near.sum(elements())
+        reached = self._near.to_owners(np.ones(int(W.count.sum())))
+        self.complete = operator.torn.comm.allreduce(bool(np.all(reached > 0.0)), op=MPI.LAND)
 
     def multiply(self, s: Array) -> Array:
         """Return M G s, (K,) → (m,). Collective."""

@@ -7,66 +7,107 @@ r"""Block-sparse columns: panels, each with a few nonzero rows.
           W_p^⊤ Y = (W_p)_{r_p}^⊤ Y_{r_p}
 
 with the rows :math:`r_p` of panel p, (n, c) in all: the coarse columns of a neighbour are zero but
-on the dofs that the two share.
+on the dofs that the two share. A small subdomain has dozens of panels of a few rows, so that the
+products are C (``panels.c``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.feti.gluing.copies import consecutive
+from dolfinx_feti.runtime.native import address_of, load, pointer
 
-__all__ = ["Panels"]
+__all__ = ["PanelCode", "Panels", "load_panels"]
 
 Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.integer]
+Indices = npt.NDArray[np.int32]
+
+DECLARATIONS = """
+void panels_product(int, int, const int *, const int *, const int *, int, const double *,
+                    const double *, double *, double *, void *);
+void panels_overlap(int, int, const int *, const int *, const int *, int, const double *,
+                    int, const double *, double *, double *, void *);
+"""
 
 
+class PanelCode:
+    """The compiled code, with the routine of BLAS that it calls."""
+
+    def __init__(self, module: Any) -> None:
+        self.module, self.lib = module, module.lib
+        self.gemm = module.ffi.cast("void *", address_of("dgemm"))
+
+
+def load_panels(comm: MPI.Comm) -> PanelCode:
+    """Load the code, which is compiled at first use. Collective."""
+    return PanelCode(load(Path(__file__).with_name("panels.c"), DECLARATIONS, comm))
+
+
+@dataclass(frozen=True, slots=True)
 class Panels:
     """W, (n, c), panel by panel.
 
     Attributes:
-        shape: n and c.
+        code: What :func:`load_panels` returns.
+        n: Number of rows of W.
+        first: Where each panel begins among ``row``, and the end, (panels + 1,).
+        row: Rows of each panel, each row once, (m,).
+        count: Columns of each panel, (panels,).
+        values: What each panel has on its rows, in the first ``count`` entries, (m, most).
     """
 
-    def __init__(self, n: int, rows: Sequence[Integers], values: Sequence[Array]) -> None:
-        """Take the panels.
+    code: PanelCode
+    n: int
+    first: Indices
+    row: Indices
+    count: Indices
+    values: Array
 
-        Args:
-            n: Number of rows of W.
-            rows: Rows of each panel, each row once, (m_p,).
-            values: What each panel has on them, transposed, (c_p, m_p).
-        """
-        columns = consecutive([len(panel) for panel in values])
-        reached = [slice(n) if len(r) == n else r for r in rows]
-        self._panels = list(zip(columns, reached, values, strict=True))
-        self.shape = n, sum(len(panel) for panel in values)
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Return n and c."""
+        return self.n, int(self.count.sum())
 
     def dense(self) -> Array:
         """Return W, (n, c)."""
         W = np.zeros(self.shape[::-1])
-        for columns, rows, values in self._panels:
-            W[columns, rows] = values
+        count = np.repeat(self.count, np.diff(self.first))  # by the entries of row
+        start = np.repeat(np.cumsum(self.count) - self.count, np.diff(self.first))
+        for j in range(int(self.count.max(initial=0))):
+            some = count > j
+            W[start[some] + j, self.row[some]] = self.values[some, j]
         return W.T
 
     def product(self, S: Array) -> Array:
         """Return S W, (n, c), for a symmetric S, (n, n), given row by row."""
-        Y = np.empty(self.shape[::-1])
-        for columns, rows, values in self._panels:
-            np.matmul(values, S[rows], out=Y[columns])  # (S W_p)ᵀ = W_pᵀ S
+        Y, work = np.empty(self.shape[::-1]), np.empty((self.n, self.n))
+        to, code = self._to, self.code
+        code.lib.panels_product(*self._pointers(), to(S), to(Y), to(work), code.gemm)
         return Y.T
 
     def overlap(self, Y: Array) -> Array:
         """Return Wᵀ Y, (n, r) → (c, r)."""
-        E = np.empty((self.shape[1], Y.shape[1]))
-        for columns, rows, values in self._panels:
-            np.matmul(values, Y[rows], out=E[columns])  # W_pᵀ Y
+        E, columns = np.empty((self.shape[1], Y.shape[1])), np.ascontiguousarray(Y.T)
+        work, to, code = np.empty(columns.shape), self._to, self.code
+        arrays = to(columns), to(E), to(work)
+        code.lib.panels_overlap(*self._pointers(), len(columns), *arrays, code.gemm)
         return E
 
     def squares(self) -> Array:
         """Return the squares of the norms of all columns, (c,)."""
-        squares = [(values**2).sum(axis=1) for _, _, values in self._panels]
-        return np.concatenate([np.zeros(0), *squares])
+        return np.asarray((self.dense() ** 2).sum(axis=0))
+
+    def _pointers(self) -> tuple[Any, ...]:
+        sizes = self.n, len(self.count)
+        arrays = map(self._to, (self.first, self.row, self.count))
+        return *sizes, *arrays, self.values.shape[1], self._to(self.values)
+
+    def _to(self, array: npt.NDArray[Any]) -> Any:
+        return pointer(self.code.module, array)

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from collective import agree, equal
+from collective import COMM, agree, equal
 
 from dolfinx_feti.feti.subdomain.factors.dense import TILE, PackedMatrix, pack
-from dolfinx_feti.feti.subdomain.panels import Panels
+from dolfinx_feti.feti.subdomain.panels import Panels, load_panels
 
 SEED = 1815
 
@@ -20,13 +20,22 @@ def some_panels(n):
     rng = np.random.default_rng(SEED)
     rows = [np.arange(n), np.arange(0, n, 3), np.array([n - 1]), np.arange(2)]
     widths = [4, 2, 1, 0]
-    values = [rng.standard_normal((k, len(of))) for k, of in zip(widths, rows, strict=True)]
+    values = [rng.standard_normal((len(of), max(widths))) for of in rows]
     W = np.zeros((n, 0))
-    for of, part in zip(rows, values, strict=True):
-        columns = np.zeros((n, len(part)))
-        columns[of] = part.T
+    for k, of, part in zip(widths, rows, values, strict=True):
+        columns = np.zeros((n, k))
+        columns[of] = part[:, :k]
         W = np.hstack([W, columns])
-    return Panels(n, rows, values), W
+    return of_panels(n, rows, widths, values), W
+
+
+def of_panels(n, rows, widths, values):
+    first = np.cumsum([0, *map(len, rows)])
+    first, rows, widths = (
+        np.asarray(array, dtype=np.int32) for array in (first, np.concatenate([*rows, []]), widths)
+    )
+    code = load_panels(COMM)
+    return Panels(code, n, first, rows, widths, np.vstack([*values, np.zeros((0, 4))]))
 
 
 @pytest.mark.parametrize("n", [5, TILE, 2 * TILE + 7])
@@ -47,7 +56,7 @@ def test_products_are_those_of_the_dense_columns(n):
 
 @pytest.mark.parametrize("n", [0, 3])
 def test_no_panels(n):
-    panels = Panels(n, [], [])
+    panels = of_panels(n, [], [], [])
     agree(panels.shape == (n, 0) == panels.dense().shape == panels.product(np.eye(n)).shape)
     agree(panels.overlap(np.ones((n, 2))).shape == (0, 2) and len(panels.squares()) == 0)
     matrix = PackedMatrix(pack(np.eye(n)), n, np.empty(n * n))

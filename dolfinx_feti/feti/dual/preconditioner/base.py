@@ -70,8 +70,8 @@ class Preconditioner(ABC):
 
     def image(self, i: int, W: Panels) -> Array:
         """Return (Y_i + Y_Z Y_Zᵀ) W for columns on the interface, (n_Γ, r) → (n_Γ, r)."""
-        Y_Z = self.stabilisation[i]
-        return self.multiply_panels(i, W) + Y_Z @ W.overlap(Y_Z).T
+        Y, Y_Z = self.multiply_panels(i, W), self.stabilisation[i]
+        return Y + Y_Z @ W.overlap(Y_Z).T if Y_Z.shape[1] else Y
 
     @abstractmethod
     def multiply(self, w: Array) -> Array:
