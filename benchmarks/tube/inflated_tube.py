@@ -12,6 +12,7 @@ that it remains a tube, and :mod:`benchmarks.tube.oracle` knows its radius, volu
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -28,10 +29,11 @@ from ufl.core.expr import Expr
 from benchmarks.common.walls.clamped import INTERFACE, tube_fibres
 from benchmarks.common.walls.problem import WallProblem, create_wall_problem
 from benchmarks.common.walls.supports import slide
-from benchmarks.tube.oracle import Tube
+from benchmarks.tube.oracle import Layer, Tube
 from benchmarks.tube.taylor_hood import TaylorHood
 from dolfinx_feti import kinematics
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
+from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
 from dolfinx_feti.output import Patches, balanced_stress, create_patches, recovered_field
 from dolfinx_feti.wall import Wall, by_layer
 from dolfinx_feti.wall.fibres import ANGLES
@@ -39,7 +41,14 @@ from meshes.bricks import create_brick_tube
 from meshes.tube import ADVENTITIA, INNER_RADIUS, count_around
 from meshes.walls import create_tube_wall
 
-__all__ = ["ELEMENTS", "TANGENTS", "InflatedTube", "create_inflated_tube", "create_slice"]
+__all__ = [
+    "ELEMENTS",
+    "TANGENTS",
+    "InflatedTube",
+    "create_inflated_tube",
+    "create_slice",
+    "residual_part",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -191,8 +200,12 @@ def create_inflated_tube(
     volume_tolerance: float | None = None,
     tangent: str = "symmetric",
     options: dict[str, object] | None = None,
+    G: Expr | None = None,
 ) -> InflatedTube:
-    """Build the tube on a wall of :func:`create_slice`; the options have the prefix ``tube_``."""
+    """Build the tube on a wall of :func:`create_slice`; the options have the prefix ``tube_``.
+
+    G is the part of its deformation without energy, as of :func:`residual_part`.
+    """
     mesh, kind = wall.mesh, ELEMENTS[element]
     fibres = tube_fibres(mesh) if kind.bricks is None else _helices(wall)
     body = (
@@ -214,15 +227,13 @@ def create_inflated_tube(
             options=options or {},
             prefix="tube_",
             fibres=fibres,
+            G=G,
             hold=slide,
             tangent=tangent,
             axis=(0.0, 0.0, 1.0),
         )
     )
-    x = ufl.SpatialCoordinate(mesh)
-    r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
-    e_r = ufl.as_vector([x[0] / r, x[1] / r, 0.0])
-    e_t = ufl.as_vector([-x[1] / r, x[0] / r, 0.0])
+    r, e_r, e_t = _polar(mesh)
     cell = getattr(basix.CellType, mesh.topology.cell_name())
     points, weights = basix.make_quadrature(cell, QUADRATURE)
     volume = _at_points(abs(ufl.JacobianDeterminant(mesh)), mesh, points)
@@ -244,13 +255,34 @@ def create_inflated_tube(
     )
 
 
+def _polar(mesh: dolfinx.mesh.Mesh) -> tuple[Expr, Expr, Expr]:
+    """Return the distance from the axis, e_r and e_θ at each point."""
+    x = ufl.SpatialCoordinate(mesh)
+    r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
+    e_r, e_t = ufl.as_vector([x[0], x[1], 0.0]) / r, ufl.as_vector([-x[1], x[0], 0.0]) / r
+    return r, e_r, e_t
+
+
 def _helices(wall: Wall) -> tuple[Expr, Expr]:
     """Return both families of fibres with the direction that they have at each point."""
-    x = ufl.SpatialCoordinate(wall.mesh)
-    r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
+    _, _, around = _polar(wall.mesh)
     α = by_layer(wall, {layer: np.deg2rad(angle) for layer, angle in ANGLES.items()})
-    around, along = ufl.as_vector([-x[1] / r, x[0] / r, 0.0]), ufl.as_vector([0.0, 0.0, 1.0])
+    along = ufl.as_vector([0.0, 0.0, 1.0])
     return ufl.cos(α) * around + ufl.sin(α) * along, ufl.cos(α) * around - ufl.sin(α) * along
+
+
+def residual_part(wall: Wall, layers: Sequence[Layer]) -> Expr:
+    """Return G of layers that open, media and adventitia, as it is at each point."""
+    r, e_r, e_t = _polar(wall.mesh)
+    middle, angle, stretch = (
+        by_layer(wall, dict(zip(("media", "adventitia"), values, strict=True)))
+        for values in zip(
+            *(((part.inner + part.outer) / 2, part.opening, part.stretch) for part in layers),
+            strict=True,
+        )
+    )
+    λ = residual_stretch(1 / middle, r - middle, angle, stretch)
+    return opened([e_t, ufl.as_vector([0.0, 0.0, 1.0]), e_r], λ, stretch)
 
 
 def _at_points(expression: Expr, mesh: dolfinx.mesh.Mesh, points: Array) -> Array:

@@ -13,6 +13,12 @@ and the energy per unit reference volume is
 
     W = κ/2 (J − 1)² + c/2 (J^{-2/3} (λ_r² + λ_θ² + λ_z²) − 3) + k₁/k₂ (exp(k₂ ⟨Ī₄ − 1⟩²) − 1).
 
+A layer that opens by an angle α when it is cut, and is stretched by Λ along the axis when it is put
+in, has residual stress: W is that of the elastic stretches λ_r/G_r, λ_θ/G_θ, λ_z/G_z, where with
+its middle radius ρ₀ and k = 2π/(2π − α)
+
+    G_θ = 1/λ,  G_z = 1/Λ,  G_r = λ Λ,  λ = k R / √((k ρ₀)² + k Λ (R² − ρ₀²)).
+
 With P_rR = ∂W/∂λ_r and P_θΘ = ∂W/∂λ_θ equilibrium is d(R P_rR)/dR = P_θΘ; r and R P_rR are
 continuous between the layers, P_rR = −p λ_z r/R on the inner surface and 0 on the outer one.
 :func:`compressible` shoots on the inner radius. For κ → ∞ the tube is isochoric,
@@ -40,11 +46,19 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """One layer of the wall: reference radii [mm] and the fibres' angle [degrees]."""
+    """One layer of the wall: reference radii [mm], the fibres' angle, the opening angle, and Λ."""
 
     inner: float
     outer: float
-    angle: float
+    angle: float  # degrees
+    opening: float = 0.0  # degrees
+    stretch: float = 1.0
+
+    def free(self, R: float) -> tuple[float, float, float]:
+        """Return G_r, G_θ, G_z at a radius, the stretches towards the layer without stress."""
+        k, middle = 360.0 / (360.0 - self.opening), (self.inner + self.outer) / 2.0
+        λ = k * R / np.sqrt((k * middle) ** 2 + k * self.stretch * (R**2 - middle**2))
+        return λ * self.stretch, 1.0 / λ, 1.0 / self.stretch
 
 
 LAYERS = (Layer(0.71, 0.97, 29.0), Layer(0.97, 1.10, 62.0))
@@ -96,13 +110,15 @@ def inflate(pressure: float, wall: Wall) -> Tube:
     return (compressible if np.isfinite(wall.kappa) else incompressible)(pressure, wall)
 
 
-def stresses(wall: Wall, angle: float, stretch_r: float, stretch_t: float) -> tuple[float, float]:
+def stresses(
+    wall: Wall, angle: float, stretch_r: float, stretch_t: float, stretch_z: float
+) -> tuple[float, float]:
     """First Piola stresses P_rR = ∂W/∂λ_r and P_θΘ = ∂W/∂λ_θ [kPa], without κ if it is infinite."""
     cosine2 = np.cos(np.radians(angle)) ** 2
-    J = stretch_r * stretch_t * wall.stretch
+    J = stretch_r * stretch_t * stretch_z
     scale = J ** (-2.0 / 3.0)
-    I1 = stretch_r**2 + stretch_t**2 + wall.stretch**2
-    I4 = scale * (stretch_t**2 * cosine2 + wall.stretch**2 * (1.0 - cosine2))
+    I1 = stretch_r**2 + stretch_t**2 + stretch_z**2
+    I4 = scale * (stretch_t**2 * cosine2 + stretch_z**2 * (1.0 - cosine2))
     E = max(I4 - 1.0, 0.0)
     fibre = 2.0 * wall.k1 * E * np.exp(wall.k2 * E * E)  # dW/dĪ₄, both families
     P_r = wall.c * scale * (stretch_r - I1 / (3.0 * stretch_r))
@@ -110,9 +126,18 @@ def stresses(wall: Wall, angle: float, stretch_r: float, stretch_t: float) -> tu
     P_t = wall.c * scale * (stretch_t - I1 / (3.0 * stretch_t))
     P_t += fibre * (2.0 * scale * stretch_t * cosine2 - 2.0 * I4 / (3.0 * stretch_t))
     if np.isfinite(wall.kappa):
-        P_r += wall.kappa * (J - 1.0) * stretch_t * wall.stretch
-        P_t += wall.kappa * (J - 1.0) * stretch_r * wall.stretch
+        P_r += wall.kappa * (J - 1.0) * stretch_t * stretch_z
+        P_t += wall.kappa * (J - 1.0) * stretch_r * stretch_z
     return P_r, P_t
+
+
+def _stresses(
+    wall: Wall, layer: Layer, R: float, stretch_r: float, stretch_t: float
+) -> tuple[float, float]:
+    """P_rR and P_θΘ [kPa] of a layer with residual stress."""
+    G_r, G_t, G_z = layer.free(R)
+    P_r, P_t = stresses(wall, layer.angle, stretch_r / G_r, stretch_t / G_t, wall.stretch / G_z)
+    return P_r / G_r, P_t / G_t  # ∂W/∂λ at det G = 1
 
 
 def incompressible(pressure: float, wall: Wall) -> Tube:
@@ -127,7 +152,7 @@ def incompressible(pressure: float, wall: Wall) -> Tube:
         """(σ_θθ − σ_rr)/r · dr/dR, σ_θθ − σ_rr = λ_θ P_θΘ − λ_r P_rR on λ_r = 1/(λ_θ λ_z)."""
         r = radius(R, r_i)
         stretch_r, stretch_t = R / (r * λ), r / R
-        P_r, P_t = stresses(wall, wall.layers[_layer_at(wall, R)].angle, stretch_r, stretch_t)
+        P_r, P_t = _stresses(wall, _layer_at(wall, R), R, stretch_r, stretch_t)
         return (P_t * stretch_t - P_r * stretch_r) * stretch_r / r
 
     def carried(r_i: float, R: float) -> float:
@@ -151,10 +176,10 @@ def compressible(pressure: float, wall: Wall) -> Tube:
 
     def at(R: float) -> tuple[float, float, float, float]:
         """λ_r, λ_θ, P_rR, P_θΘ."""
-        i = _layer_at(wall, R)
-        r, RP = solutions[i].sol(R)
-        stretch_r = _radial_stretch(wall, wall.layers[i].angle, r / R, RP / R)
-        return stretch_r, r / R, *stresses(wall, wall.layers[i].angle, stretch_r, r / R)
+        layer = _layer_at(wall, R)
+        r, RP = solutions[wall.layers.index(layer)].sol(R)
+        stretch_r = _radial_stretch(wall, layer, R, r / R, RP / R)
+        return stretch_r, r / R, *_stresses(wall, layer, R, stretch_r, r / R)
 
     def stress(R: float) -> tuple[float, float]:
         stretch_r, stretch_t, P_r, P_t = at(R)
@@ -173,9 +198,9 @@ def _integrate(pressure: float, wall: Wall, r_i: float, dense: bool = False) -> 
     solutions: list[Any] = []
     for layer in wall.layers:
 
-        def slope(R: float, y: Floats, angle: float = layer.angle) -> list[float]:
-            stretch_r = _radial_stretch(wall, angle, y[0] / R, y[1] / R)
-            return [stretch_r, stresses(wall, angle, stretch_r, y[0] / R)[1]]
+        def slope(R: float, y: Floats, layer: Layer = layer) -> list[float]:
+            stretch_r = _radial_stretch(wall, layer, R, y[0] / R, y[1] / R)
+            return [stretch_r, _stresses(wall, layer, R, stretch_r, y[0] / R)[1]]
 
         ends = (layer.inner, layer.outer)
         tolerances = {"rtol": 1e-10, "atol": 1e-12}
@@ -184,17 +209,17 @@ def _integrate(pressure: float, wall: Wall, r_i: float, dense: bool = False) -> 
     return solutions
 
 
-def _layer_at(wall: Wall, R: float) -> int:
-    """Index of the layer around R; the nearest one outside the wall."""
+def _layer_at(wall: Wall, R: float) -> Layer:
+    """The layer around R; the nearest one outside the wall."""
     interfaces = [layer.outer for layer in wall.layers[:-1]]
-    return int(np.searchsorted(interfaces, R))
+    return wall.layers[np.searchsorted(interfaces, R)]
 
 
-def _radial_stretch(wall: Wall, angle: float, stretch_t: float, P: float) -> float:
+def _radial_stretch(wall: Wall, layer: Layer, R: float, stretch_t: float, P: float) -> float:
     """The λ_r at which P_rR has a given value, near J = 1."""
 
     def residual(stretch_r: float) -> float:
-        return stresses(wall, angle, stretch_r, stretch_t)[0] - P
+        return _stresses(wall, layer, R, stretch_r, stretch_t)[0] - P
 
     low, high = (near / (stretch_t * wall.stretch) for near in (0.9, 1.1))
     while residual(low) > 0:

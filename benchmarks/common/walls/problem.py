@@ -23,6 +23,7 @@ from benchmarks.common.walls.supports import Hold, clamp_openings
 from dolfinx_feti import kinematics, loads, materials
 from dolfinx_feti.fem.quadrature import limit_quadrature_degree
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
+from dolfinx_feti.mechanics.residual_stress import elastic_part
 from dolfinx_feti.wall import Wall, surface_measure
 from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
 
@@ -37,6 +38,7 @@ class WallProblem:
     u: dolfinx.fem.Function  # displacement [mm]
     p: dolfinx.fem.Function  # pressure of the volume constraint in each cell [kPa]
     residual: ufl.Form  # of the displacements, before p is condensed [mN]
+    constraint: ufl.Form  # the residual of p
     pressure: dolfinx.fem.Constant  # in the lumen [kPa]
     bcs: list[dolfinx.fem.DirichletBC]
     stress: Expr  # Cauchy's σ [kPa]
@@ -87,10 +89,18 @@ def right_hand_side(body: WallProblem) -> PETSc.Vec:
 
 
 def wall_energy(
-    wall: Wall, F: Expr, p: Expr, *, c: float, kappa: float, fibres: tuple[Expr, Expr] | None
+    wall: Wall,
+    F: Expr,
+    p: Expr,
+    *,
+    c: float,
+    kappa: float,
+    fibres: tuple[Expr, Expr] | None,
+    G: Expr | None = None,
 ) -> Expr:
-    """Return the energy Ψ(F, p) of the wall's tissue [kPa]."""
+    """Return the energy Ψ(F, p) of the wall's tissue [kPa], with the residual stress of a G."""
     a1, a2 = fibres or fibre_families(wall, fibre_frame(wall))
+    F = F if G is None else elastic_part(F, G)
     C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
     artery = materials.ArteryParameters(c=c)
     psi = materials.holzapfel_gasser_ogden(C, a1, a2, c=artery.c, k1=artery.k1, k2=artery.k2, J=J)
@@ -107,6 +117,7 @@ def create_wall_problem(
     options: dict[str, object],
     prefix: str = "wall_",
     fibres: tuple[Expr, Expr] | None = None,
+    G: Expr | None = None,
     pressures: tuple[str, int] = ("DG", 0),
     volume_tolerance: float | None = None,
     element: basix.ufl._ElementBase | None = None,
@@ -126,6 +137,7 @@ def create_wall_problem(
         options: PETSc options of the problem.
         prefix: Their prefix.
         fibres: The two families of directions; from Laplace problems if not given.
+        G: Part of the deformation without energy, det G = 1.
         pressures: Element of p.
         element: Of each component of u, in place of Lagrange's; then k is half of the quadrature's
             degree.
@@ -143,18 +155,19 @@ def create_wall_problem(
     u, p = dolfinx.fem.Function(V, name="u"), dolfinx.fem.Function(Q, name="p")
     v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
     F = kinematics.deformation_gradient(u)
-    psi = wall_energy(wall, F, p, c=c, kappa=kappa, fibres=fibres)
+    psi = wall_energy(wall, F, p, c=c, kappa=kappa, fibres=fibres, G=G)
     energy = psi * ufl.dx
     lumen = surface_measure(wall)(wall.surfaces["lumen"])
     pressure = dolfinx.fem.Constant(wall.mesh, 0.0)
     F_u = ufl.derivative(energy, u, v) + loads.follower_pressure(pressure, u, v, lumen)
-    F_u = limit_quadrature_degree(F_u, 2 * degree)  # to that of the problem
+    F_p = ufl.derivative(energy, p, q)
+    F_u, F_p = (limit_quadrature_degree(form, 2 * degree) for form in (F_u, F_p))  # the problem's
     K = ufl.derivative(ufl.derivative(energy, u, v), u, du)
     K += loads.follower_pressure_tangent(pressure, u, v, du, lumen, tangent)
     work = loads.pressure_potential(pressure, u, lumen, axis=axis)
     bcs = hold(wall, V)
     problem = dolfinx_feti.NonlinearProblem(
-        [F_u, ufl.derivative(energy, p, q)],
+        [F_u, F_p],
         u,
         bcs=bcs,
         J=K,
@@ -166,4 +179,5 @@ def create_wall_problem(
         petsc_options=options,
         quadrature_degree=2 * degree,
     )
-    return WallProblem(problem, u, p, F_u, pressure, bcs, kinematics.cauchy_stress(psi, F))
+    stress = kinematics.cauchy_stress(psi, F)
+    return WallProblem(problem, u, p, F_u, F_p, pressure, bcs, stress)

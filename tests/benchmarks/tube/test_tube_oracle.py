@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from benchmarks.tube.oracle import KPA_PER_MMHG, Layer, Wall, inflate, stresses
+from benchmarks.tube.oracle import KPA_PER_MMHG, LAYERS, Layer, Wall, inflate, stresses
 
 pytestmark = pytest.mark.serial
 
@@ -67,16 +69,26 @@ def test_stresses_are_derivatives_of_the_energy(kappa, angle, stretch, stretch_r
     ]
     # h² times a third derivative, and rounding eps W / h
     np.testing.assert_allclose(
-        stresses(wall, angle, stretch_r, stretch_t), differences, rtol=1e-7, atol=1e-7
+        stresses(wall, angle, stretch_r, stretch_t, stretch), differences, rtol=1e-7, atol=1e-7
     )
 
 
-@pytest.mark.parametrize(
-    ("kappa", "stretch"), [*((kappa, 1.0) for kappa in KAPPAS), (np.inf, 1.2), (1000.0, 1.2)]
+STRESSED = (
+    replace(LAYERS[0], opening=160.0, stretch=1.1),
+    replace(LAYERS[1], opening=-30.0, stretch=1.1),
 )
-def test_equilibrium_and_surfaces(kappa, stretch):
+
+
+@pytest.mark.parametrize(
+    ("kappa", "stretch", "layers"),
+    [
+        *((kappa, 1.0, LAYERS) for kappa in KAPPAS),
+        *((kappa, 1.2, layers) for kappa in (np.inf, 1000.0) for layers in (LAYERS, STRESSED)),
+    ],
+)
+def test_equilibrium_and_surfaces(kappa, stretch, layers):
     pressure = 100 * KPA_PER_MMHG
-    tube = inflate(pressure, Wall(kappa=kappa, stretch=stretch))
+    tube = inflate(pressure, Wall(kappa=kappa, stretch=stretch, layers=layers))
     inner, outer = tube.wall.layers[0].inner, tube.wall.layers[-1].outer
     assert abs(tube.stress(inner)[0] + pressure) <= 1e-8 * pressure
     assert abs(tube.stress(outer)[0]) <= 1e-8 * pressure
@@ -99,6 +111,27 @@ def test_tube_that_is_pulled_alone(stretch):
     nearly = inflate(0.0, Wall(k1=1e-300, kappa=1e5, stretch=stretch))
     assert abs(nearly.mean_jacobian - 1.0) <= 1e-4
     assert abs(nearly.radius(0.9) / tube.radius(0.9) - 1.0) <= 1e-4
+
+
+@pytest.mark.parametrize("kappa", [np.inf, 1000.0])
+def test_prestretched_layer_is_a_tube_that_is_pulled(kappa):
+    """Without stress it is a tube, R² = ρ₀² + Λ (ρ² − ρ₀²); pulled by Λ this is ours."""
+    stretch, (inner, outer), middle = 1.3, (0.8, 1.1), 0.95
+    free = [np.sqrt(middle**2 + stretch * (ρ**2 - middle**2)) for ρ in (inner, outer)]
+    ours = inflate(5.0, Wall(kappa=kappa, layers=(Layer(inner, outer, 40.0, stretch=stretch),)))
+    pulled = inflate(5.0, Wall(kappa=kappa, layers=(Layer(*free, 40.0),), stretch=stretch))
+    for ρ, R in zip((inner, outer), free, strict=True):
+        assert abs(ours.radius(ρ) - pulled.radius(R)) <= 1e-8
+        np.testing.assert_allclose(ours.stress(ρ), pulled.stress(R), atol=1e-6)
+
+
+def test_opening_evens_the_hoop_stress():
+    """Under load; without it the stress is compression inside and tension outside the media."""
+    loaded = [inflate(100 * KPA_PER_MMHG, Wall(layers=each)) for each in (LAYERS, STRESSED)]
+    whole, cut = (tube.stress(0.71)[1] / tube.stress(0.97)[1] for tube in loaded)
+    assert cut < 0.5 * whole
+    rest = inflate(0.0, Wall(layers=STRESSED))
+    assert rest.stress(0.71)[1] < 0.0 < rest.stress(0.97)[1]
 
 
 def test_law_of_laplace():
