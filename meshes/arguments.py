@@ -1,16 +1,16 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Numbers on a command line: of the generators, and of the demos and benchmarks that call them."""
+"""The words of a command line: of generators, and of demos and benchmarks that call them."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-__all__ = ["count", "positive", "refusals", "share"]
+__all__ = ["count", "parse_all", "positive", "refusals", "share", "without_petsc"]
 
 
 def count(text: str) -> int:
@@ -49,6 +49,34 @@ def share(text: str) -> tuple[str, float]:
     if not name:
         raise argparse.ArgumentTypeError(f"{text!r} has no name: give it as in media=2")
     return name, positive(number or "1")
+
+
+def without_petsc(words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return a command's own words and PETSc's: those with a single dash, and a value after each.
+
+    A word that follows neither is the command's own, ``50`` in ``-log_view --pressures 10 50``; so
+    is ``-h``.
+    """
+    own: list[str] = []
+    petsc: list[str] = []
+    may_follow = False
+    for word in words:
+        option = word[:1] == "-" and word[1:2].isalpha() and word != "-h"
+        of_petsc = option or (may_follow and word[:2] != "--")
+        (petsc if of_petsc else own).append(word)
+        may_follow = option
+    return own, petsc
+
+
+def parse_all(parser: argparse.ArgumentParser, own: Sequence[str]) -> argparse.Namespace:
+    """Parse words of which none may be left over, or end with the parser's error."""
+    args, left = parser.parse_known_args(own)
+    if left:
+        options = [word for word in own[: own.index(left[0])] if word[:2] == "--"]
+        stray = options and left[0][:2] != "--"
+        after = f" after {options[-1]}: it takes no more than one word" if stray else ""
+        parser.error(f"unrecognized arguments: {' '.join(left)}{after}")
+    return args
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO, Any
@@ -19,7 +20,7 @@ from mpi4py import MPI
 from benchmarks.common.records import Record, Records
 from dolfinx_feti.loading import Checkpoint
 from dolfinx_feti.runtime.collective import on_first
-from meshes.arguments import positive
+from meshes.arguments import parse_all, positive, without_petsc
 from meshes.walls import CREATE
 
 __all__ = [
@@ -69,11 +70,8 @@ def add_mesh(parser: argparse.ArgumentParser) -> None:
 
 def parse_words(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
     """Parse the command line; words with a single dash are left to PETSc."""
-    args, petsc = parser.parse_known_args(argv)
-    unknown = [word for word in petsc if word.startswith("--")]
-    if unknown:
-        parser.error(f"unrecognized arguments: {' '.join(unknown)}")
-    return args
+    own, _ = without_petsc(sys.argv[1:] if argv is None else argv)
+    return parse_all(parser, own)
 
 
 def open_records(

@@ -7,7 +7,9 @@ import sys
 
 import petsc4py
 
-petsc4py.init([word for word in sys.argv if not word.startswith("--")])
+from meshes.arguments import without_petsc
+
+petsc4py.init([sys.argv[0], *without_petsc(sys.argv[1:])[1]])
 
 from benchmarks.nonlinear.run import main
 

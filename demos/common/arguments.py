@@ -12,7 +12,7 @@ from typing import IO, NoReturn
 
 from mpi4py import MPI
 
-from meshes.arguments import count, positive
+from meshes.arguments import count, parse_all, positive, without_petsc
 
 __all__ = ["Parser", "parse", "parser"]
 
@@ -47,15 +47,14 @@ parser.add_argument("--help", action="help", help="show this text")
 
 def parse(words: Sequence[str]) -> tuple[argparse.Namespace, dict[str, str | None], list[str]]:
     """Return the demo's own options, the solver's by name, and the others for PETSc."""
-    args, others = parser.parse_known_args(words)
+    own, petsc = without_petsc(words)
+    args = parse_all(parser, own)
     options: dict[str, str | None] = {}
-    for word in others:
+    for word in petsc:
         if word[:1] == "-" and word[1:2].isalpha():
             options[word[1:]] = None
-        elif options and word[:2] != "--":
-            options[[*options][-1]] = word
         else:
-            parser.error(f"unrecognized arguments: {' '.join(others)}")
+            options[[*options][-1]] = word
     solver = {k: v for k, v in options.items() if k.startswith(("feti_", "ksp_", "snes_"))}
     rest = [w for k, v in options.items() if k not in solver for w in (f"-{k}", v) if w is not None]
     return args, solver, rest

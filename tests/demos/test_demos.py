@@ -272,6 +272,7 @@ def test_counts_that_are_none(run, capsys, value):
         (["--degree", "3"], "invalid choice: "),
         (["--presure", "10"], "unrecognized arguments: --presure 10"),
         (["ten"], "unrecognized arguments: ten"),
+        (["-ksp_monitor", "--pressure", "10", "50"], "arguments: 50 after --pressure"),
         (["--wall", "wall.toml", "--mesh", "tube"], "--mesh: not allowed with argument --wall"),
     ],
 )
