@@ -29,9 +29,9 @@ time of a solve. Each solve gathers K numbers on all, which is one of the reduct
     \quad 8\, K / W + 16\, L / (g V) \text{ above}, \qquad
     t_{coarse} = t_1 / P + Φ / (g R) + \frac{K}{6 P} \frac{16\, L}{V} .
 
-Above 20 000 unknowns there is a third level (``coarse.clustered``): i₃ iterations of CG, each with
-K/P rows of N, an exchange with twice as many neighbours as were counted, two reductions, and a
-solve as above with the matrix of the clusters, of six unknowns for 64 subdomains,
+Where ``coarse.clustered`` takes clusters, i₃ iterations of CG take the place, each with K/P rows of
+N, an exchange with twice as many neighbours as were counted, two reductions, and a solve as above
+with the matrix of the clusters, of six unknowns for 64 subdomains,
 
 .. math::
 
@@ -64,7 +64,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 from benchmarks.common.records import Record
-from dolfinx_feti.feti.coarse.clustered import BLOCK, LARGE, SUBDOMAINS
+from dolfinx_feti.feti.coarse.clustered import BLOCK, SUBDOMAINS, takes_clusters
 from dolfinx_feti.feti.coarse.gathered import ROWS, SPREAD
 
 __all__ = ["KRYLOV", "PARTS", "Machine", "Model", "Prediction", "create_model", "efficiency"]
@@ -183,7 +183,7 @@ class Model:
     def _coarse(self, K: float, L: float, flops: float, P: int) -> tuple[float, float, float]:
         """Return the seconds of gathering, of a solve, and of a set-up, on P processes."""
         m = self.machine
-        if K > LARGE:
+        if takes_clusters(round(K), P):
             K_1 = 6.0 * P / SUBDOMAINS
             gather, solve, make = self._coarse(K_1, K_1**2 / 2, K_1**3 / 3, P)
             inner = (12.0 * ENTRIES + 8.0 * BLOCK) * K / (P * m.stream) + gather + solve

@@ -204,12 +204,12 @@ def coarse_work(iterate: Callable[[int], object], comm: MPI.Comm) -> Record:
     """Return the coarse solves of an iteration, and entries and flops of MUMPS's coarse factor."""
     calls, factor = [], [0.0, 0.0]
 
-    def solve(solver: GatheredSolver, b: PETSc.Vec, x: PETSc.Vec, **how: bool) -> None:
+    def solve(solver: GatheredSolver, b: PETSc.Vec, x: PETSc.Vec, **how: float) -> float:
         if solver.ksp is not None:
             F = solver.ksp.getPC().getFactorMatrix()
             entries = F.getMumpsInfog(29)
             factor[:] = entries if entries >= 0 else -1e6 * entries, F.getMumpsRinfog(3)
-        SOLVE(solver, b, x, **how)
+        return SOLVE(solver, b, x, **how)
 
     with mock.patch.object(GatheredSolver, "solve", autospec=True, side_effect=solve) as counted:
         for iterations in (FEW, MORE):

@@ -33,20 +33,22 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
-from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.feti.coarse.gathered import SPREAD, GatheredSolver
 from dolfinx_feti.feti.coarse.near import joined
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
-from dolfinx_feti.runtime.collective import join, on_all, total
+from dolfinx_feti.runtime.collective import join, on_all, total, total_of
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_options import inserted
 
-__all__ = ["ClusteredSolver", "CoarseSolver", "create_coarse_solver"]
+__all__ = ["ClusteredSolver", "CoarseSolver", "create_coarse_solver", "takes_clusters"]
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
 
-#: Rows above which N is not gathered any more.
-LARGE = 20_000
+#: Rows above which N is not gathered any more; and the multiple of them where its inverse can be
+#: spread over so many processes that a solve, a collective call and K²/P numbers, is over before
+#: the inner iterations have waited for each other.
+LARGE, WIDE = 20_000, 4
 
 #: Subdomains of a cluster, and rows of a diagonal block.
 SUBDOMAINS, BLOCK = 64, 128
@@ -106,13 +108,19 @@ class ClusteredSolver:
         with inserted(prefix, {"ksp_cg_single_reduction": True}):
             self._ksp.setFromOptions()
 
-    def solve(self, b: PETSc.Vec, x: PETSc.Vec, *, first: bool = False) -> None:
+    def solve(
+        self, b: PETSc.Vec, x: PETSc.Vec, *, first: bool = False, addend: float = 0.0
+    ) -> float:
         """Solve N x = b, both in N's own layout; where the solver fails, x is NaN.
 
         ``first`` tells that the largest right-hand side is to be found anew, from b on.
+
+        Returns:
+            The sum of the ``addend`` of all processes.
         """
         with event("FETICoarseSolve"):
-            size = b.norm()
+            square, sum_ = total_of(np.array([b.array_r @ b.array_r, addend]), self._comm)
+            size = float(np.sqrt(square))
             self._largest = max(0.0 if first else self._largest, size)
             error = min(TOLERANCE * self._largest, RELATIVE * size)
             self._ksp.setTolerances(rtol=0.0, atol=error, max_it=MOST)
@@ -122,6 +130,7 @@ class ClusteredSolver:
             self._ksp.solve(b, x)
         if self._ksp.getConvergedReason() < 0:
             x.set(np.nan)
+        return float(sum_)
 
     def _precondition(self, _pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Compute z = (I − Z A₁⁻¹ (N Z)ᵀ) D r."""
@@ -192,13 +201,19 @@ def create_coarse_solver(
         SetUpError: The options are wrong, or a factorisation failed; on all processes.
     """
     own = PETSc.Options(prefix)
-    if symmetric and N.getSize()[0] > LARGE and not any(map(own.hasName, ("ksp_type", "pc_type"))):
+    large = takes_clusters(N.getSize()[0], N.comm.size)
+    if symmetric and large and not any(map(own.hasName, ("ksp_type", "pc_type"))):
         with suppress(np.linalg.LinAlgError):
             solver = ClusteredSolver(N, *motions(), prefix=prefix)
             if definite or solver.is_definite():
                 return solver
             solver.destroy()
     return GatheredSolver(N, prefix=prefix, symmetric=symmetric, zero=zero)
+
+
+def takes_clusters(rows: int, processes: int) -> bool:
+    """Tell whether the third level solves with a definite matrix, and not a factor or inverse."""
+    return rows > LARGE * (WIDE if rows <= SPREAD * processes else 1)
 
 
 def _inverse_blocks(N: PETSc.Mat) -> Array:

@@ -4,7 +4,8 @@
 r"""A small distributed system N x = b, of which each group of processes factors a copy.
 
 A coarse matrix has a few rows per subdomain, and a group a process for about :data:`ROWS` rows: a
-solve is one collective call that gives b to all; each process takes its x from its own group.
+solve is one collective call that gives b to all, and with it a number that each process adds to a
+sum; each process takes its x from its own group.
 
 Up to :data:`SPREAD` rows of N for each process, a process keeps its own rows of the inverse in
 place of the factor, and the call is followed by nothing but its share of one dense product,
@@ -81,9 +82,10 @@ class GatheredSolver:
         self._group = comm.Split(_group(comm.rank, comm.size, total), comm.rank)
         rank, size = self._group.rank, self._group.size
         self._rows = slice(total * rank // size, total * (rank + 1) // size)
-        layout = N.createVecRight()
-        self._to_all, self._whole = PETSc.Scatter.toAll(layout)
-        layout.destroy()
+        self._counts = np.array(comm.allgather(self._own.stop - self._own.start)) + 1
+        self._last = np.cumsum(self._counts) - 1  # places of the numbers that travel with b
+        self._is_b = np.ones(total + comm.size, dtype=bool)
+        self._is_b[self._last] = False
         self._matrix = _copy_of_rows(N, self._rows, self._group)
         self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self._b, self._x = self._matrix.createVecs()
@@ -108,23 +110,29 @@ class GatheredSolver:
         if self.inverse is not None and not self._is_accurate(N, self.inverse):
             self.inverse = None
 
-    def solve(self, b: PETSc.Vec, x: PETSc.Vec, *, first: bool = False) -> None:
+    def solve(
+        self, b: PETSc.Vec, x: PETSc.Vec, *, first: bool = False, addend: float = 0.0
+    ) -> float:
         """Solve N x = b, both in N's own layout; where the solver fails, x is NaN.
 
         Whether b is the ``first`` right-hand side of a Krylov method, does not matter here.
+
+        Returns:
+            The sum of the ``addend`` of all processes.
         """
-        if self.ksp is None:
-            return
         with event("FETICoarseSolve"):
-            self._to_all.scatter(b, self._whole)
+            gathered = np.empty(len(self._is_b))
+            self._world.Allgatherv(np.append(b.array_r, addend), (gathered, self._counts))
+            whole, sum_ = gathered[self._is_b], float(gathered[self._last].sum())
             if self.inverse is not None:
-                x.array[:] = self.inverse @ self._whole.array_r  # x_p = (N⁻¹)_p b
-                return
-            self._b.array[:] = self._whole.array_r[self._rows]
-            self.ksp.solve(self._b, self._x)
-            self._from_group.scatter(self._x, self._solution)
-        solved = self.ksp.getConvergedReason() > 0
-        x.array[:] = self._solution.array_r[self._own] if solved else np.nan
+                x.array[:] = self.inverse @ whole  # x_p = (N⁻¹)_p b
+            elif self.ksp is not None:
+                self._b.array[:] = whole[self._rows]
+                self.ksp.solve(self._b, self._x)
+                self._from_group.scatter(self._x, self._solution)
+                solved = self.ksp.getConvergedReason() > 0
+                x.array[:] = self._solution.array_r[self._own] if solved else np.nan
+        return sum_
 
     def memory(self) -> float | None:
         """Return the memory of the factor in MiB; None if the solver has no figure. Collective."""
@@ -147,7 +155,7 @@ class GatheredSolver:
     def _rows_of_inverse(self, ksp: PETSc.KSP, symmetric: bool) -> Array:
         """Return the process's rows of N⁻¹, (own rows, K). Collective on the group."""
         owners = self._group.allgather(self._own)
-        rows, total = self._rows, len(self._whole.array_r)
+        rows, total = self._rows, int(self._is_b.sum())
         F = ksp.getPC().getFactorMatrix()
         F.setMumpsIcntl(9, 1 if symmetric else 0)  # N⊤: its columns are rows
         parts: list[Array] = [np.empty((rows.stop - rows.start, 0))]
@@ -178,9 +186,7 @@ class GatheredSolver:
 
     def destroy(self) -> None:
         """Free solver, matrix and communicator."""
-        for owned in (self._to_all, self._whole, self._from_group, self._solution):
-            owned.destroy()
-        for owned in (self.ksp, self._matrix, self._b, self._x):
+        for owned in (self.ksp, self._matrix, self._b, self._x, self._from_group, self._solution):
             if owned is not None:
                 owned.destroy()
         self._group.Free()

@@ -139,9 +139,14 @@ class Coarse:
         ``first`` tells that e is the first one of a Krylov method, to whose size those that follow
         compare; without M in Q they are jumps and forces by turns, which do not.
         """
+        return self.solve_and_sum(e, 0.0, first=first)[0]
+
+    def solve_and_sum(self, e: Array, addend: float, *, first: bool = False) -> tuple[Array, float]:
+        """Solve, and sum a number of each process, without a further reduction. Collective."""
         self._e.array[:] = e
-        self.solver.solve(self._e, self._s, first=first or self.MG is None)
-        return self._s.array_r.copy()
+        first = first or self.MG is None
+        sum_ = self.solver.solve(self._e, self._s, first=first, addend=addend)
+        return self._s.array_r.copy(), sum_
 
     def restrict(self, f: Array) -> Array:
         """Return the load of the kernels, e = Eᵀ f, (n,) → (K,)."""

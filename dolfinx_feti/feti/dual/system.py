@@ -118,9 +118,11 @@ class DualSystem:
         y, t = self._M.apply(r)  # y = M (r − G w)
         if self._coarse.MG is not None:
             return np.concatenate([y + self._q * r, -w]), self._norm(t)  # (Q (r − G w), −w)
-        v = self._coarse.solve(self._G_left.T @ y - self._D @ w)  # v = N⁻¹ (Gᵀ y − D w)
+        e = self._G_left.T @ y - self._D @ w
+        v, square = self._coarse.solve_and_sum(e, self._square(t))  # v = N⁻¹ (Gᵀ y − D w)
         s = np.zeros_like(w) if self.frozen else -w - v
-        return np.concatenate([y - self.weighted_jump(v), s]), self._norm(t)  # (y − Q G v, −w − v)
+        z = np.concatenate([y - self.weighted_jump(v), s])  # (y − Q G v, −w − v)
+        return z, float(np.sqrt(square))
 
     def project(self, r: Array) -> tuple[Array, Array]:
         """Take from a jump what a motion of the kernels can remove, r − G w; return it and w."""
@@ -144,8 +146,12 @@ class DualSystem:
 
     def _norm(self, t: Array) -> float:
         """Return ‖Tᵀ t‖ on the free dofs for a torn force, (n,)."""
+        return float(np.sqrt(total(self._square(t), self.comm)))
+
+    def _square(self, t: Array) -> float:
+        """Return the process's part of ‖Tᵀ t‖²."""
         force = self._torn.assemble(np.where(self._torn.dirichlet, 0.0, t))
-        return float(np.sqrt(total(float(force @ force), self.comm)))
+        return float(force @ force)
 
     def destroy(self) -> None:
         """Free the work vectors."""

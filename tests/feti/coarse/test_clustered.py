@@ -11,7 +11,12 @@ from collective import COMM, agree, dense, equal, norm, small, whole
 from hand_torn import random_values, solve
 
 from dolfinx_feti.feti.coarse import clustered
-from dolfinx_feti.feti.coarse.clustered import RELATIVE, TOLERANCE, ClusteredSolver
+from dolfinx_feti.feti.coarse.clustered import (
+    RELATIVE,
+    TOLERANCE,
+    ClusteredSolver,
+    takes_clusters,
+)
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.runtime.petsc_options import inserted
 
@@ -61,6 +66,19 @@ def test_directions_stay_conjugate(large, torn_grid, feti):
     reason, _ = solve(ksp, problem, random_values(problem))
     found = ksp.getPythonContext()
     agree(reason > 0 and found.eigenvalues[0] > 0.5, (found.message, found.eigenvalues))
+
+
+@pytest.mark.processes(1)
+def test_switch_heeds_rows_and_processes():
+    """A factor, a spread inverse up to four times as large, or clusters."""
+    for rows, processes, expected in (
+        (20_000, 1, False),
+        (20_001, 1, True),
+        (78_000, 512, True),
+        (78_000, 10_000, False),
+        (80_001, 10_000, True),
+    ):
+        assert takes_clusters(rows, processes) == expected
 
 
 def test_solves_leave_a_share_of_the_largest_right_hand_side(large, torn_grid, parts):

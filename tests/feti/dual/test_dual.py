@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from collective import COMM, agree, dense, equal, matrix_of_map, small, whole
 
+from dolfinx_feti.feti.dual import system
 from dolfinx_feti.feti.dual.system import DualSystem
 
 SEED = 744
@@ -125,3 +126,15 @@ def test_operator_is_the_jump_of_a_balanced_pair(change, torn_grid, parts):
     expected = flexibility(system) @ whole(lam) - dense(system.coarse.G) @ whole(s)
     equal(whole(jump), expected, 1e-12)
     equal(zero, np.zeros_like(zero))
+
+
+@every_q
+def test_preconditioner_waits_for_no_norm(q, torn_grid, parts, monkeypatch):
+    """The norm of the assembled residual travels with the coarse right-hand side, if it can."""
+    dual = parts(torn_grid(**GRIDS["elasticity"]).A, type="all_floating", coarse_q=q).dual
+    r = np.random.default_rng(SEED + COMM.rank).standard_normal(dual.size)
+    expected, calls, sum_ = dual.unbalanced(r), [], system.total
+    monkeypatch.setattr(system, "total", lambda *part: calls.append(0) or sum_(*part))
+    norm = dual.precondition(r)[1]
+    equal(norm, expected, 1e-12)
+    agree(len(calls) == (q == "preconditioner"))
