@@ -24,7 +24,7 @@ __all__ = ["Anderson"]
 Array = npt.NDArray[np.float64]
 
 #: Differences that are kept.
-DEPTH = 5
+DEPTH = 20
 
 #: Directions of a smaller share of the largest eigenvalue are rounding.
 SMALL = 1e-12

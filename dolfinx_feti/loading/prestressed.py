@@ -36,7 +36,8 @@ from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.internal_variables import create_internal_variables
 from dolfinx_feti.loading.anderson import Anderson
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.load_steps import Problem, follow_load
+from dolfinx_feti.loading.load_steps import follow_load
+from dolfinx_feti.loading.path import Problem
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.system import Tangent

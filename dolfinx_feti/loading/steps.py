@@ -12,21 +12,17 @@ from typing import Any, TypeVar
 
 from dolfinx_feti.problems.history import NewtonStep
 
-__all__ = ["LoadStep", "Steps", "load_step"]
+__all__ = ["Lengths", "LoadStep", "Step", "Steps", "load_step"]
 
 
 @dataclass(frozen=True, slots=True)
-class Steps:
-    """How to choose the increments of the load, in the unit of the load.
+class Lengths:
+    """How long the steps of a path are, in the unit of its load or time.
 
     Attributes:
         first: The first increment.
         least: The increment below which there is no further halving.
-        growth: Factor of the increment after a quick step.
-        quick: Newton steps that count as quick.
-        rtol: Newton's relative tolerance at the loads on the way; None for the solver's own.
-        linear_rtol: Relative tolerance of the linear solves there, likewise. Little is gained from
-            one far below ``rtol``.
+        growth: Factor of the increment from one step to the next, at most.
 
     Raises:
         ValueError: A number is out of its range.
@@ -35,9 +31,6 @@ class Steps:
     first: float
     least: float
     growth: float = 1.5
-    quick: int = 6
-    rtol: float | None = None
-    linear_rtol: float | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -48,6 +41,29 @@ class Steps:
             )
         if not 1.0 <= self.growth < math.inf:
             raise ValueError(f"growth={self.growth} is not a number of 1 or more.")
+
+
+@dataclass(frozen=True, slots=True)
+class Steps(Lengths):
+    """How to choose the increments of the load; they grow after a quick step.
+
+    Attributes:
+        quick: Newton steps that count as quick.
+        rtol: Newton's relative tolerance at the loads on the way; None for the solver's own.
+        linear_rtol: Relative tolerance of the linear solves there, likewise. Little is gained from
+            one far below ``rtol``.
+
+    Raises:
+        ValueError: A number is out of its range.
+    """
+
+    quick: int = 6
+    rtol: float | None = None
+    linear_rtol: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        Lengths.__post_init__(self)
         for name in ("rtol", "linear_rtol"):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < 1.0:

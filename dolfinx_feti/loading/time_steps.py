@@ -8,69 +8,67 @@ state with a shorter one. After a good one the length becomes
 
 .. math:: Δt ← Δt\, \max(½, \min(g,\ 0.9\, (\mathrm{tol}/e)^{1/3})),
 
-g being the most that it may grow by, up to the longest. The wanted times are met exactly.
+g being the most that it may grow by, up to the longest. The wanted times are met exactly. Each step
+tells the terms of the balance of energies,
+
+.. math:: T_{n+1} - T_n + Π_{n+1} - Π_n = W + O(Δt^3), \qquad
+          W = ½\, (f_n + f_{n+1}) · (u_{n+1} - u_n),
+
+with the kinetic energy T, the energy Π that the material stores, and external forces f.
 """
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import dataclass
 from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
 
 import dolfinx
 import ufl
 
 from dolfinx_feti.errors import ConvergenceError
+from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.energies import Energies, create_energies
-from dolfinx_feti.loading.load_steps import Problem, check_loads
 from dolfinx_feti.loading.motion import Motion
-from dolfinx_feti.loading.progress import Progress
-from dolfinx_feti.loading.steps import LoadStep, load_step
+from dolfinx_feti.loading.path import Path, Problem, check_places
+from dolfinx_feti.loading.steps import Lengths, LoadStep
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["TimeStep", "TimeSteps", "follow_time"]
+
+Array = npt.NDArray[np.float64]
 
 #: Share of the length that the error estimate asks for, and the least of the last one.
 SAFETY, SHORTEST = 0.9, 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class TimeSteps:
-    """How to choose the lengths of time steps.
+class TimeSteps(Lengths):
+    """How to choose the lengths of time steps [s].
 
     Attributes:
-        first: The first one [s].
-        least: The length below which there is no further halving [s].
         longest: The longest [s]; the first one if not given.
         tolerance: Most that the estimated error of the displacement may be in a step [mm]; if not
             given, steps are as long as the first one unless they fail.
-        growth: Factor by which a step is longer than the last one, at most.
 
     Raises:
         ValueError: A number is out of its range.
     """
 
-    first: float
-    least: float
     longest: float | None = None
     tolerance: float | None = None
-    growth: float = 1.5
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if not 0.0 < self.least <= self.first <= self.most < math.inf:
-            raise ValueError(
-                f"least={self.least}, first={self.first}, longest={self.longest}: lengths are "
-                "positive numbers in this order."
-            )
+        Lengths.__post_init__(self)
+        if not self.first <= self.most < math.inf:
+            raise ValueError(f"longest={self.longest} is no number above first={self.first}.")
         if self.tolerance is not None and not 0.0 < self.tolerance < math.inf:
             raise ValueError(f"tolerance={self.tolerance}: give a positive length.")
-        if not 1.0 <= self.growth < math.inf:
-            raise ValueError(f"growth={self.growth} is not a number of 1 or more.")
 
     @property
     def most(self) -> float:
@@ -93,6 +91,62 @@ class TimeStep(LoadStep):
     stored: float
     work: float
     error: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Energies:
+    """Compiled forms of the balance of energies.
+
+    Attributes:
+        u: The displacement.
+        energy: Π; None if it is not followed.
+        forces: f, tested with v; None if they are not followed.
+    """
+
+    u: dolfinx.fem.Function
+    energy: dolfinx.fem.Form | None
+    forces: dolfinx.fem.Form | None
+
+    def stored(self) -> float:
+        """Return Π of the present state; NaN if it is not followed.
+
+        Note:
+            Collective.
+        """
+        if self.energy is None:
+            return math.nan
+        comm = self.u.function_space.mesh.comm
+        return float(comm.allreduce(dolfinx.fem.assemble_scalar(self.energy)))
+
+    def present_forces(self) -> Array:
+        """Return f of the present state, (owned,); NaN if they are not followed.
+
+        Note:
+            Collective.
+        """
+        dofmap = self.u.function_space.dofmap
+        f = dolfinx.la.vector(dofmap.index_map, dofmap.index_map_bs)
+        owned = dofmap.index_map.size_local * dofmap.index_map_bs
+        if self.forces is None:
+            f.array[:] = math.nan
+        else:
+            dolfinx.fem.assemble_vector(f.array, self.forces)
+            f.scatter_reverse(dolfinx.la.InsertMode.add)
+        return np.asarray(f.array[:owned])
+
+    def work(self, before: Array, after: Array, moved: Array) -> float:
+        """Return the work W of the forces in a step.
+
+        Args:
+            before: f at its beginning, (owned,).
+            after: f at its end, (owned,).
+            moved: u_{n+1} − u_n, with ghosts.
+
+        Note:
+            Collective.
+        """
+        W = (before + after) @ moved[: len(after)] / 2.0
+        return float(self.u.function_space.mesh.comm.allreduce(W))
 
 
 class MovingProblem(Problem, Protocol):
@@ -152,134 +206,84 @@ def follow_time(
         Collective.
     """
     comm = problem.u.function_space.mesh.comm
-    on_all(lambda: check_loads(start, targets, unloading=False), comm)
-    path = _Path(
+    on_all(lambda: check_places(start, targets, unloading=False), comm)
+    compiler = Compiler(comm)
+    path = _Times(
         problem,
-        motion,
-        lambda t: on_all(lambda: set_time(t), comm),
+        set_time,
         steps,
+        motion=motion,
+        energies=_Energies(
+            problem.u, *(None if f is None else compiler.form(f) for f in (energy, forces))
+        ),
         state=state,
-        t=start,
-        energies=create_energies(problem.u, energy, forces),
+        start=start,
     )
-    accepted: list[TimeStep] = []
-    if checkpoint is not None and checkpoint.restart:
-        accepted = path.restore(checkpoint)
-    else:
-        path.begin()
-    with Progress(
-        problem.solver, comm, loads=[path.t, *targets], unit=unit, number=len(accepted)
-    ) as bar:
-        for target in targets:
-            while path.t < target:
-                step = path.advance(target, bar)
-                accepted.append(step)
-                bar.accept(step)
-                if checkpoint is not None:
-                    path.keep(checkpoint, accepted)
-                if on_step is not None:
-                    on_all(partial(on_step, step), comm)
-    return accepted
+    return path.follow(targets, on_step=on_step, checkpoint=checkpoint, unit=unit)
 
 
-class _Path:
-    """The last state and the length of the next step."""
+class _Times(Path[TimeStep, TimeSteps]):
+    """States of a motion; its velocity and acceleration lead to the next one."""
+
+    kind = TimeStep
+    words = (
+        "follow_time",
+        "The motion was not found beyond the time",
+        "Allow shorter steps, or a larger tolerance.",
+    )
 
     def __init__(
         self,
         problem: MovingProblem,
-        motion: Motion,
         set_time: Callable[[float], object],
         steps: TimeSteps,
         *,
+        motion: Motion,
+        energies: _Energies,
         state: Sequence[dolfinx.fem.Function],
-        t: float,
-        energies: Energies,
+        start: float,
     ) -> None:
-        self._problem, self._motion, self._set_time, self._steps = problem, motion, set_time, steps
-        self._state, self._energies = list(state), energies
-        self._length = steps.first
-        self.t = float(t)
-        problem.renew()
+        super().__init__(problem, set_time, steps, state=state, start=start)
+        self._motion, self._energies = motion, energies
+        self._balance = problem.F, list(problem.bcs)
+
+    def _is_met(self, target: float) -> bool:
+        return self.at >= target
 
     @property
     def _kept(self) -> list[dolfinx.fem.Function]:
-        """All that a restart needs."""
-        moving = (self._motion.velocity, self._motion.acceleration)
-        return [*self._state, *moving, *self._problem.internal_variables]
+        return [*super()._kept, self._motion.velocity, self._motion.acceleration]
 
-    def begin(self) -> None:
+    def _begin(self, *, restarted: bool) -> None:
         """Find the initial acceleration."""
-        self._set_time(self.t)
-        self._motion.start(self._problem.F, list(self._problem.bcs))
+        if not restarted:
+            self._set_place(self.at)
+            self._motion.start(*self._balance)
+        self._forces = self._energies.present_forces()
 
-    def keep(self, checkpoint: Checkpoint, accepted: Sequence[TimeStep]) -> None:
-        """Write the state; the next solve depends on nothing else."""
-        steps = [asdict(step) for step in accepted]
-        checkpoint.write(self._kept, {"t": self.t, "length": self._length, "steps": steps})
-        self._problem.renew()
-
-    def restore(self, checkpoint: Checkpoint) -> list[TimeStep]:
-        """Go where a checkpoint was written; return the steps that led there."""
-        record: dict[str, Any] = checkpoint.record or {}
-        try:
-            accepted = [load_step(step, TimeStep) for step in record["steps"]]
-            self.t, self._length = record["t"], record["length"]
-        except (KeyError, TypeError) as error:
-            raise ValueError(
-                f"The checkpoint in {checkpoint.folder} was not written by follow_time of this "
-                "version: name another folder."
-            ) from error
-        checkpoint.read(self._kept)
-        self._set_time(self.t)
-        return accepted
-
-    def advance(self, target: float, bar: Progress) -> TimeStep:
-        """Make the next step."""
-        started, failures, lost = time.perf_counter(), 0, []
-        last, forces = [f.x.array.copy() for f in self._state], self._energies.present_forces()
-        while True:
-            count = math.ceil((target - self.t) / self._length * (1.0 - 1e-12))
-            dt = (target - self.t) / max(count, 1)
-            bar.attempt(self.t, self.t + dt)
-            try:
-                error = self._attempt(dt)
-                break
-            except ConvergenceError as failure:
-                failures += 1
-                lost += self._problem.history
-                bar.refuse(self.t + dt, failure)
-                for f, array in zip(self._state, last, strict=True):
-                    f.x.array[:] = array
-                self._set_time(self.t)
-                self._problem.renew()
-                self._shorten(dt, failure)
-        self._problem.update_internal_variables()
-        moved = self._motion.leave()
-        self.t = target if count <= 1 else self.t + dt
-        self._set_time(self.t)
-        self._lengthen(dt, error)
+    def _arrive(self, step: dict[str, Any]) -> TimeStep:
+        """Go from the balance of forces to the end of the step."""
+        error, moved = self._motion.error(), self._motion.leave()
+        self._set_place(step["load"])
+        self._lengthen(step["increment"], error)
+        before, self._forces = self._forces, self._energies.present_forces()
         return TimeStep(
-            load=self.t,
-            increment=dt,
-            history=tuple(self._problem.history),
-            failures=failures,
-            lost=tuple(lost),
-            seconds=time.perf_counter() - started,
+            **step,
             kinetic=self._motion.kinetic_energy(),
             stored=self._energies.stored(),
-            work=self._energies.work(forces, moved),
+            work=self._energies.work(before, self._forces, moved),
             error=error,
         )
 
-    def _attempt(self, dt: float) -> float:
-        """Balance the forces of a step; return the estimated error.
+    def _attempt(self, to: float, target: float) -> None:
+        """Balance the forces of a step.
 
         Raises:
-            ConvergenceError: It failed, or the error is too large.
+            ConvergenceError: It failed, or its estimated error is too large.
         """
+        dt = to - self.at
         between = self._motion.enter(dt)
-        self._set_time(self.t + between)
+        self._set_place(self.at + between)
         reference = self._problem.residual_norm()
         self._motion.predict()
         self._problem.solve(reference=reference, renew=False)
@@ -289,24 +293,9 @@ class _Path:
                 f"A step of {dt:g} has an estimated error of {error:.1e} in the displacement, "
                 f"and {most:g} is allowed."
             )
-        return error
-
-    def _shorten(self, dt: float, failure: ConvergenceError) -> None:
-        """Halve the length, down to the least.
-
-        Raises:
-            ConvergenceError: It was the least.
-        """
-        if dt <= self._steps.least * (1.0 + 1e-12):
-            raise ConvergenceError(
-                f"The motion was not found beyond the time {self.t:g}: a step of {dt:g} failed, "
-                f"too, and {self._steps.least:g} is the least allowed. {failure} Allow shorter "
-                "steps, or a larger tolerance."
-            ) from failure
-        self._length = max(dt / 2.0, self._steps.least)
 
     def _lengthen(self, dt: float, error: float) -> None:
-        """Choose the length of the next step."""
+        """Choose the next length."""
         factor, most = self._steps.growth, self._steps.tolerance
         if most is not None and error > 0.0:
             factor = min(factor, max(SHORTEST, SAFETY * (most / error) ** (1.0 / 3.0)))

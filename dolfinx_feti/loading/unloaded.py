@@ -20,6 +20,7 @@ U is the unknown of a path like any other, which ``follow_load`` follows. The me
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -35,7 +36,8 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.nodes import Nodes
 from dolfinx_feti.loading.anderson import Anderson
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.load_steps import Problem, follow_load
+from dolfinx_feti.loading.load_steps import follow_load
+from dolfinx_feti.loading.path import Problem
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.system import Tangent
@@ -45,14 +47,15 @@ from dolfinx_feti.runtime.compat import interpolation_points
 __all__ = ["unload"]
 
 Array = npt.NDArray[np.float64]
-Reason = PETSc.SNES.ConvergedReason
+#: Why a solve ends that begins with a cell inside out.
+OUTSIDE = PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
 
 #: What a forward solve leaves of its residual, and a linear solve in it, until the wall is found.
 #: Where κ is large nearly all of the residual is of the volume, and a rougher one would be blind.
 ROUGH, LINEAR = 0.1, 1e-5
 
 #: Forward solves at a load, at most.
-MOST = 25
+MOST = 50
 
 #: Halvings of a step that turns cells inside out.
 HALVINGS = 5
@@ -208,13 +211,19 @@ class _Unloading:
     ) -> dolfinx.fem.Function:
         """Iterate until the loaded wall is the image, and in equilibrium."""
         anderson, self.history = Anderson(self._comm, self._owned), []
-        nodes, close = self._nodes, False
+        nodes, close, distance = self._nodes, False, math.inf
+        last: Array | None = None  # U of the solve before
         self._require_admissible()
         for _ in range(MOST):
             U = self.u.x.array.copy()
             with self._moved(), self._tolerances(reference if close else None):
                 try:
                     self._problem.solve(first_tangent=first_tangent, renew=renew)
+                except ConvergenceError:
+                    if last is None or self.solver.getConvergedReason() != OUTSIDE:
+                        raise
+                    self.u.x.array[:] = (U + last) / 2.0
+                    continue
                 finally:
                     self.history += self._problem.history
                     self.volume_changes = self._problem.volume_changes
@@ -227,7 +236,7 @@ class _Unloading:
                 self._step(U, anderson.next(U, self.u.x.array - U))
             if reference is None:
                 reference = self.history[0].residual
-            first_tangent, renew, close = None, False, reached
+            first_tangent, renew, close, last = None, False, reached, U
         raise ConvergenceError(
             f"{MOST} forward solves did not find the unloaded wall: the loaded one is "
             f"{distance:.1e} mm off the image. Load in smaller steps."
@@ -270,7 +279,7 @@ class _Unloading:
             ConvergenceError: There are some.
         """
         if inverted := self._inverted():
-            self.solver.setConvergedReason(Reason.DIVERGED_FUNCTION_DOMAIN)
+            self.solver.setConvergedReason(OUTSIDE)
             raise ConvergenceError(
                 f"{inverted} cells of the unloaded wall would be inside out. Load in smaller steps."
             )
