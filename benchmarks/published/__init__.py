@@ -3,5 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Numbers that others have published, computed again.
 
-In the order of the data: ellipsoid, cases, run, page.
+In the order of the data: body, mumps, ellipsoid, revolved, stressed_tube, cases, run, result_file,
+page.
 """

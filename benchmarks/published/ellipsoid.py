@@ -29,7 +29,15 @@ from dolfinx_feti.wall.reading import distribute
 from dolfinx_feti.wall.wallfile import RawWall
 from meshes.bricks import lattice_cells
 
-__all__ = ["create_ellipsoid", "ellipsoid_fibre"]
+__all__ = [
+    "LONG",
+    "THICKNESS",
+    "create_ellipsoid",
+    "ellipsoid_fibre",
+    "fraction",
+    "helix",
+    "meridian",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -37,30 +45,54 @@ SHORT, LONG, THICKNESS, BASE = 7.0, 17.0, 3.0, 5.0  # mm
 SQUARE = 0.3  # half the edge of the square in the disc of radius 1
 
 
-def create_ellipsoid(comm: MPI.Comm, n: int) -> Wall:
-    """Mesh the ellipsoid with n bricks through the wall and 8 n around; surfaces lumen and base.
+def create_ellipsoid(comm: MPI.Comm, n: int, through: int | None = None) -> Wall:
+    """Mesh the ellipsoid with n bricks through the wall, or so many, and 8 n around.
 
-    Collective.
+    Its surfaces are lumen and base. Collective.
     """
-    return distribute(_create(n) if comm.rank == 0 else None, comm)
+    return distribute(_create(n, through or n) if comm.rank == 0 else None, comm)
 
 
 def ellipsoid_fibre(mesh: dolfinx.mesh.Mesh) -> Expr:
-    """Return the direction of the fibres [-]. Collective."""
-    through = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 2)))
-    through.interpolate(_fraction)
+    """Return the direction of the fibres [-], (3,). Collective."""
+    t = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 2)))
+    t.interpolate(lambda x: fraction(np.hypot(x[0], x[1]), x[2]))
     x = ufl.SpatialCoordinate(mesh)
     r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
-    short, long = SHORT + THICKNESS * through, LONG + THICKNESS * through
     e_r, e_t = ufl.as_vector([x[0], x[1], 0]) / r, ufl.as_vector([-x[1], x[0], 0]) / r
-    up = -short * x[2] / long * e_r + ufl.as_vector([0, 0, long * r / short])  # ∂x/∂μ
-    α = np.pi / 2 - np.pi * through
-    return ufl.sin(α) * up / ufl.sqrt(ufl.dot(up, up)) + ufl.cos(α) * e_t
+    f = helix(t, r, x[2])
+    return f[0] * e_r + f[1] * e_t + f[2] * ufl.as_vector([0, 0, 1])
 
 
-def _create(n: int) -> RawWall:
+def helix(t: Expr, r: Expr, z: Expr) -> tuple[Expr, Expr, Expr]:
+    """Return the components of f along e_r, e_θ and e_z at a fraction t of the wall."""
+    short, long = SHORT + THICKNESS * t, LONG + THICKNESS * t
+    up = (-short * z / long, long * r / short)  # ∂x/∂μ
+    size = ufl.sqrt(up[0] ** 2 + up[1] ** 2)
+    α = np.pi / 2 - np.pi * t
+    return ufl.sin(α) * up[0] / size, ufl.cos(α), ufl.sin(α) * up[1] / size
+
+
+def fraction(r: Array, z: Array) -> Array:
+    """Return t at points, by bisection of (r/r_s)² + (z/r_l)² = 1."""
+    low, high = np.full(r.shape, -0.1), np.full(r.shape, 1.1)
+    for _ in range(60):
+        t = (low + high) / 2
+        at = (r / (SHORT + THICKNESS * t)) ** 2 + (z / (LONG + THICKNESS * t)) ** 2
+        low, high = np.where(at > 1, t, low), np.where(at > 1, high, t)
+    return (low + high) / 2
+
+
+def meridian(t: Array, s: Array) -> tuple[Array, Array]:
+    """Return r and z at the fractions t through the wall and s from the apex to the base."""
+    short, long = SHORT + THICKNESS * t, LONG + THICKNESS * t
+    μ = s * (np.pi - np.arccos(BASE / long))
+    return short * np.sin(μ), -long * np.cos(μ)
+
+
+def _create(n: int, through: int) -> RawWall:
     """Return the points, cells and surfaces."""
-    t = np.linspace(0.0, 1.0, 2 * n + 1)
+    t = np.linspace(0.0, 1.0, 2 * through + 1)
     s = np.linspace(-1.0, 1.0, 4 * n + 1)
     square = SQUARE * np.stack(np.meshgrid(s, s, indexing="ij"), axis=-1)
     ρ = np.linspace(0.0, 1.0, 6 * n + 1)[:, None, None]
@@ -97,20 +129,6 @@ def _create(n: int) -> RawWall:
 def _place(t: Array, disc: Array) -> Array:
     """Lay points of the unit disc, (j, k, 2), over the ellipsoids of t, (i, 1, 1)."""
     ρ = np.linalg.norm(disc, axis=-1)
-    short, long = SHORT + THICKNESS * t, LONG + THICKNESS * t
-    μ = ρ * (np.pi - np.arccos(BASE / long))
+    r, z = meridian(t, ρ)
     outwards = disc / np.maximum(ρ, 1e-300)[..., None]
-    return np.concatenate(
-        [(short * np.sin(μ))[..., None] * outwards, (-long * np.cos(μ))[..., None]], axis=-1
-    )
-
-
-def _fraction(x: Array) -> Array:
-    """Return t at points (3, n), by bisection of (r/r_s)² + (z/r_l)² = 1."""
-    low, high = np.full(x.shape[1], -0.1), np.full(x.shape[1], 1.1)
-    for _ in range(60):
-        t = (low + high) / 2
-        r = (x[0] ** 2 + x[1] ** 2) / (SHORT + THICKNESS * t) ** 2
-        outside = r + (x[2] / (LONG + THICKNESS * t)) ** 2 > 1
-        low, high = np.where(outside, t, low), np.where(outside, high, t)
-    return (low + high) / 2
+    return np.concatenate([r[..., None] * outwards, z[..., None]], axis=-1)

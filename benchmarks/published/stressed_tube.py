@@ -1,0 +1,61 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A quarter of the tube of :mod:`benchmarks.tube` with residual stress, to 100 mmHg.
+
+The media opens by 160 degrees, the adventitia by 60, and they are stretched by 5 and 2 % along the
+axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+from benchmarks.published.body import Body
+from benchmarks.tube.inflated_tube import (
+    create_inflated_tube,
+    create_slice,
+    residual_part,
+)
+from benchmarks.tube.oracle import KPA_PER_MMHG, LAYERS, Wall, inflate
+from dolfinx_feti.wall import facets
+
+__all__ = ["create_stressed_tube"]
+
+PRESSURE = 100.0 * KPA_PER_MMHG
+KAPPA = 1e5  # kPa
+MEDIA, ADVENTITIA = (
+    replace(layer, opening=angle, stretch=stretch)
+    for layer, angle, stretch in zip(LAYERS, (160.0, 60.0), (1.05, 1.02), strict=True)
+)
+
+
+def create_stressed_tube(comm: MPI.Comm, *, size: float, subdomains: int = 4) -> Body:
+    """Build the tube with bricks of a size [mm]."""
+    layers = (MEDIA, ADVENTITIA)
+    element = "q2-p1d"
+    wall = create_slice(comm, size=size, quarter=True, element=element)
+    G = residual_part(wall, layers)
+    tube = create_inflated_tube(
+        wall, c=3.0, kappa=KAPPA, subdomains=subdomains, element=element, G=G
+    )
+    body = tube.body
+    truth = inflate(PRESSURE, Wall(kappa=KAPPA, layers=layers))
+
+    def measure() -> dict[str, float]:
+        found = tube.compare(truth)
+        return {
+            "u_r": found["u_r_inner"] / found["u_r_inner_exact"],
+            "hoop": found["recovered_tt_error"],
+            "radial": found["recovered_rr_error"],
+        }
+
+    def set_load(share: float) -> None:
+        body.pressure.value = share * PRESSURE
+
+    planes = {"opening_1": 2, "opening_2": 2, "symmetry_x": 0, "symmetry_y": 1}
+    held = [(component, facets(wall, name)) for name, component in planes.items()]
+    residuals = (body.residual, body.constraint)
+    return Body(body.u, body.p, residuals, held, body.problem, set_load, measure)
