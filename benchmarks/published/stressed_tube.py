@@ -13,13 +13,13 @@ from dataclasses import replace
 
 from mpi4py import MPI
 
-from benchmarks.published.body import Body
-from benchmarks.tube.inflated_tube import (
+from benchmarks.common.walls.inflated_tube import (
     create_inflated_tube,
     create_slice,
     residual_part,
 )
-from benchmarks.tube.oracle import KPA_PER_MMHG, LAYERS, Wall, inflate
+from benchmarks.common.walls.oracle import KPA_PER_MMHG, LAYERS, Wall, inflate
+from benchmarks.published.body import Body
 from dolfinx_feti.wall import facets
 
 __all__ = ["create_stressed_tube"]

@@ -3,5 +3,5 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The inflated tube beside its semi-analytical solution.
 
-In the order of the data: oracle, taylor_hood, inflated_tube, run, page.
+In the order of the data: run, page.
 """

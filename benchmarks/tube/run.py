@@ -23,9 +23,14 @@ from mpi4py import MPI
 
 from benchmarks.common import command
 from benchmarks.common.records import Record
+from benchmarks.common.walls.inflated_tube import (
+    ELEMENTS,
+    TANGENTS,
+    create_inflated_tube,
+    create_slice,
+)
+from benchmarks.common.walls.oracle import KPA_PER_MMHG, Wall, inflate
 from benchmarks.common.walls.problem import WallProblem
-from benchmarks.tube.inflated_tube import ELEMENTS, TANGENTS, create_inflated_tube, create_slice
-from benchmarks.tube.oracle import KPA_PER_MMHG, Wall, inflate
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.loading import LoadStep, Steps
 from dolfinx_feti.loading.load_steps import load_step

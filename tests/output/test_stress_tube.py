@@ -13,8 +13,8 @@ import pytest
 from collective import COMM, agree, small
 
 from benchmarks.tube.run import STEPS
-from benchmarks.tube.inflated_tube import InflatedTube, create_inflated_tube, create_slice
-from benchmarks.tube.oracle import KPA_PER_MMHG, Tube, Wall, inflate
+from benchmarks.common.walls.inflated_tube import InflatedTube, create_inflated_tube, create_slice
+from benchmarks.common.walls.oracle import KPA_PER_MMHG, Tube, Wall, inflate
 from dolfinx_feti import kinematics
 from dolfinx_feti.output import components, layer_means, recovered_field
 

@@ -12,8 +12,8 @@ from walls import INNER, Wall, tube, wall
 
 import dolfinx
 
-from benchmarks.tube.oracle import KPA_PER_MMHG, inflate
-from benchmarks.tube.oracle import Wall as Oracle
+from benchmarks.common.walls.oracle import KPA_PER_MMHG, inflate
+from benchmarks.common.walls.oracle import Wall as Oracle
 from dolfinx_feti import NonlinearProblem
 
 PRESSURES = (1.0, 10.0, 25.0, 50.0)

@@ -13,8 +13,8 @@ import dolfinx
 import ufl
 
 from benchmarks.common.walls.clamped import tube_fibres
-from benchmarks.tube.inflated_tube import create_slice
-from benchmarks.tube.oracle import Wall, inflate
+from benchmarks.common.walls.inflated_tube import create_slice
+from benchmarks.common.walls.oracle import Wall, inflate
 from dolfinx_feti import NonlinearProblem, kinematics, loads, materials
 from dolfinx_feti.wall import Pressure, Slide, apply_conditions
 

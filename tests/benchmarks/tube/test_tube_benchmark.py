@@ -12,9 +12,9 @@ import pytest
 from collective import COMM, agree, small
 from wall_files import on_first
 
+from benchmarks.common.walls.inflated_tube import TANGENTS
+from benchmarks.common.walls.oracle import KPA_PER_MMHG, Wall, inflate
 from benchmarks.tube import run as tube
-from benchmarks.tube.inflated_tube import TANGENTS
-from benchmarks.tube.oracle import KPA_PER_MMHG, Wall, inflate
 from dolfinx_feti.runtime.petsc_options import inserted
 
 COARSE = ["--quarter", "--size", "0.26", "--subdomains", "4"]

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.tube.oracle import KPA_PER_MMHG, LAYERS, Layer, Wall, inflate, stresses
+from benchmarks.common.walls.oracle import KPA_PER_MMHG, LAYERS, Layer, Wall, inflate, stresses
 
 pytestmark = pytest.mark.serial
 

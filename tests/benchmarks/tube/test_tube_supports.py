@@ -12,8 +12,8 @@ from collective import COMM, agree, dense, norm, raises, small, whole
 import dolfinx
 
 from benchmarks.common.walls import supports
+from benchmarks.common.walls.inflated_tube import create_inflated_tube, create_slice
 from benchmarks.common.walls.problem import WallProblem
-from benchmarks.tube.inflated_tube import create_inflated_tube, create_slice
 from dolfinx_feti import loads
 from dolfinx_feti.comparison import assembled_system, create_direct
 from meshes.walls import create_tube_wall

@@ -7,7 +7,8 @@ Its elements are those of :data:`ELEMENTS`: P1–P0 and P2–P0 on tetrahedra wi
 with a pressure that is linear in each cell, on curved cells, Q2–P1 and quadratic tetrahedra with
 bubbles; or with one that is linear and continuous, as Taylor and Hood have it.
 Its supports (:mod:`benchmarks.common.walls.supports`) let it slide in the planes of its ends, so
-that it remains a tube, and :mod:`benchmarks.tube.oracle` knows its radius, volume and stress.
+that it remains a tube, and :mod:`benchmarks.common.walls.oracle` knows its radius, volume and
+stress.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ import ufl
 from ufl.core.expr import Expr
 
 from benchmarks.common.walls.clamped import INTERFACE, tube_fibres
+from benchmarks.common.walls.oracle import Layer, Tube
 from benchmarks.common.walls.problem import WallProblem, create_wall_problem
 from benchmarks.common.walls.supports import slide
-from benchmarks.tube.oracle import Layer, Tube
-from benchmarks.tube.taylor_hood import TaylorHood
+from benchmarks.common.walls.taylor_hood import TaylorHood
 from dolfinx_feti import kinematics
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
 from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
