@@ -93,9 +93,10 @@ def _fields(records: Sequence[Record]) -> Fields:
             for r in records
             if r["task"] == "converge"
         ),
-        "counted": [part for s in every for part in s.section(list(_counts(s)))],
-        "balance": section(
-            r | s.names for s in every for r in s.counted if int(r["processes"]) > 1
+        "counted": section(
+            r | s.names | {"kilobytes": r["setup"]["bytes"]["max"] / 1e3}
+            for s in every
+            for r in s.counted
         ),
         "first_processes": paper.FIRST,
     }
@@ -169,12 +170,6 @@ def _weak(series: _Series) -> dict[str, object]:
         "t": t,
         "eff": t[0] / t[1],
     }
-
-
-def _counts(series: _Series) -> Iterator[Record]:
-    """Yield the counted cases."""
-    for r in series.counted:
-        yield r | {"kilobytes": r["setup"]["bytes"]["max"] / 1e3}
 
 
 def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:

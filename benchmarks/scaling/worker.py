@@ -108,7 +108,7 @@ def measure(case: Record, comm: MPI.Comm) -> Record:
 
 
 def count(case: Record, comm: MPI.Comm) -> Record:
-    """Count what set-up and iterations send, and how evenly the work is spread. Collective."""
+    """Count what set-up and iterations send, on each process. Collective."""
     logging.getLogger("dolfinx_feti").setLevel(logging.CRITICAL)  # it is not to converge
     PETSc.Log.begin()
     wall: list[Wall] = []
@@ -130,18 +130,10 @@ def count(case: Record, comm: MPI.Comm) -> Record:
     few, more = (_counted(lambda n=n: _iterate(ksp, b, x, n), comm) for n in (FEW, MORE))
     each = (more - few) / (MORE - FEW)  # (processes, counters)
     coarse = coarse_work(lambda n: _iterate(ksp, b, x, n), comm)
-    K = body.problem.A.getISLocalMat()
-    entries = np.array(comm.allgather(K.getInfo()["nz_used"]))
-    balance = {
-        "entries of K": _balance(entries),
-        "flops of set-up": _balance(setup[:, -1]),
-        "flops of an iteration": _balance(each[:, -1]),
-        "bytes of an iteration": _balance(each[:, COUNTERS.index("bytes")]),
-    }
     sent = {"setup": _summary(setup), "iteration": _summary(each), "reading": _summary(reading)}
     sent |= {"reading_mib": mib, "reading_bytes": read}
     most = float(more[:, COUNTERS.index("neighbours")].max())
-    return _sizes(body) | coarse | sent | {"neighbours": most, "balance": balance}
+    return _sizes(body) | coarse | sent | {"neighbours": most}
 
 
 def converge(case: Record, comm: MPI.Comm) -> Record:
@@ -193,11 +185,10 @@ def _iterate(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, iterations: int) -> Non
 
 
 def _counted(work: Callable[[], object], comm: MPI.Comm) -> Array:
-    """Return counters and flops of some work, (processes, counters + 1)."""
-    before = PETSc.Log.getFlops()
+    """Return the counters of some work, (processes, counters)."""
     start_count()
     work()
-    return gather(np.append(since_reset(), PETSc.Log.getFlops() - before), comm)
+    return gather(since_reset(), comm)
 
 
 def coarse_work(iterate: Callable[[int], object], comm: MPI.Comm) -> Record:
@@ -230,11 +221,6 @@ def _summary(counts: Array) -> Record:
         name: {"mean": float(column.mean()), "max": float(column.max())}
         for name, column in zip(COUNTERS, counts.T, strict=False)
     }
-
-
-def _balance(values: Array) -> float:
-    """Return the greatest over the mean."""
-    return float(values.max() / values.mean()) if values.mean() > 0.0 else 1.0
 
 
 def _sizes(body: WallProblem) -> Record:

@@ -39,7 +39,6 @@ def test_small_case_is_measured_and_counted(tmp_path, capsys):
     assert counted["coarse_solves"] >= 1
     assert counted["reading"]["messages"]["max"] >= 1
     assert counted["reading_bytes"] < (tmp_path / "walls/tube_1.h5").stat().st_size
-    assert all(1.0 <= value <= 2.0 for value in counted["balance"].values())
     parts = [measured[f"seconds_{part}"] for part in ("local", "krylov", "coarse", "reading")]
     assert min(parts) > 0.0
     assert sum(parts) <= measured["seconds_total"]
@@ -144,4 +143,4 @@ def _counted(layers: int, processes: int) -> dict:
     found = {"setup": even, "iteration": grown, "neighbours": 6.0, "coarse_solves": 2.0}
     found |= {"coarse_entries": 1e6, "coarse_flops": 1e9, "reading": even}
     found |= {"reading_bytes": 1e6, "reading_mib": 10.0}
-    return _case(layers, processes, "count") | found | {"balance": {"entries of K": 1.1}}
+    return _case(layers, processes, "count") | found
