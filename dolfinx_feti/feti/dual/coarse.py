@@ -136,15 +136,13 @@ class Coarse:
     def solve(self, e: Array, *, first: bool = False) -> Array:
         """Return N⁻¹ e for the local part of a right-hand side, (K,). Collective.
 
-        ``first`` tells that e is the first one of a Krylov method, to whose size those that follow
-        compare; without M in Q they are jumps and forces by turns, which do not.
+        ``first`` tells that e does not compare to those before, in size and unit.
         """
         return self.solve_and_sum(e, 0.0, first=first)[0]
 
     def solve_and_sum(self, e: Array, addend: float, *, first: bool = False) -> tuple[Array, float]:
         """Solve, and sum a number of each process, without a further reduction. Collective."""
         self._e.array[:] = e
-        first = first or self.MG is None
         sum_ = self.solver.solve(self._e, self._s, first=first, addend=addend)
         return self._s.array_r.copy(), sum_
 

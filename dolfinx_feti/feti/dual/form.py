@@ -213,7 +213,7 @@ def create_dual_form(pattern: Pattern, setup: Setup) -> DualForm:
             setup.inverse,
             preconditioner,
             coarse,
-            frozen=coarse.exact and coarse.MG is None and method.is_cg,
+            cg=method.is_cg,
         )
         owned.pop_all()
     return DualForm(pattern, setup, preconditioner, coarse, inertia, method, dual)

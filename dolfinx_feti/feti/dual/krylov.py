@@ -7,9 +7,10 @@ Conjugate gradients are safe as long as the dual system is positive definite on 
 (λ, s), that is if neither a regularised subdomain nor the defect D has a negative eigenvalue
 (``definite``); otherwise GMRES takes over. ``stopping`` decides when they end.
 
-An iteration of CG waits for all processes in each coarse solve, for the norm of the residual of the
-assembled system, and once for :math:`r^⊤ z` and :math:`z^⊤ 𝒜 z` together, of which
-:math:`p^⊤ 𝒜 p` follows (Chronopoulos and Gear 1989).
+An iteration of CG waits for all processes in each coarse solve, one of which sums the norm of the
+residual of the assembled system if there are two, and for :math:`r^⊤ z` and :math:`p^⊤ 𝒜 p`. With
+``ksp_cg_single_reduction`` these are one, as the latter follows of :math:`z^⊤ 𝒜 z`
+(Chronopoulos and Gear 1989).
 """
 
 from __future__ import annotations

@@ -68,6 +68,19 @@ def test_directions_stay_conjugate(large, torn_grid, feti):
     agree(reason > 0 and found.eigenvalues[0] > 0.5, (found.message, found.eigenvalues))
 
 
+@pytest.mark.parametrize("method", ["cg", "gmres"])
+def test_unit_vectors_of_gmres_are_no_residuals(method, large, torn_grid, parts):
+    """Each of its coarse solves is as exact as its own right-hand side asks for."""
+    with inserted("test_feti_", {"dual_ksp_type": method}):
+        dual = parts(torn_grid(**GRID).A).dual
+    agree(dual.shrinking == (method == "cg"))
+    r = np.random.default_rng(COMM.rank).standard_normal(dual.size)
+    z, _ = dual.precondition(r)
+    later, _ = dual.precondition(1e-5 * r)
+    error = norm(1e5 * later - z) / norm(z)
+    agree(error <= 1e-6 or (dual.shrinking and error <= 1e-2), error)
+
+
 @pytest.mark.processes(1)
 def test_switch_heeds_rows_and_processes():
     """A factor, a spread inverse up to four times as large, or clusters."""

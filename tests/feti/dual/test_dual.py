@@ -98,7 +98,7 @@ def test_eigenvalues_of_the_unfrozen_system_are_one_besides(torn_grid, parts):
     """Besides those of P M Pᵀ F there is a one for each coarse unknown."""
     system = parts(torn_grid((2, 2), (2, 2)).A, pc_type="identity")
     unfrozen = DualSystem(
-        system.pattern.gluing, system.inverse, system.preconditioner, system.coarse, frozen=False
+        system.pattern.gluing, system.inverse, system.preconditioner, system.coarse, cg=False
     )
     z_lam, z_s = constraint(unfrozen)
     unfrozen.destroy()
