@@ -1,14 +1,18 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Residual stress of a wall whose layers, were they cut, would open by given angles.
+r"""Residual stress of a wall whose layers, were they cut, would open by given angles.
 
 :mod:`~dolfinx_feti.mechanics.residual_stress` has the equations. What they need of a wall of any
 shape follows from the two potentials of its frame, t through the wall and l along it: the
-directions ê₀, ê₁, ê₂ in each cell, the depth below a layer's middle surface, (t − t₀)/‖∇t‖ with the
-layer's mean t₀, and the curvature around the vessel, ê₀·(∇n ê₀), of the transmural directions n at
-the vertices. Where that is negative, as in a crotch, the wall counts as flat. The potentials stay
-with the material when the mesh moves, and the rest is found anew.
+directions ê₀, ê₁, ê₂ in each cell, the curvature around the vessel, κ = ê₀·(∇n ê₀), of the
+transmural directions n at the vertices, and with the mean t₀ of a layer, which is that of its
+middle surface,
+
+.. math:: ρ / ρ_0 = \exp\left(κ\, (t - t_0) / \|∇t\|\right) .
+
+A tube has it exactly: there t grows with ln ρ. Where κ is negative, as in a crotch, the wall counts
+as flat. The potentials stay with the material when the mesh moves, and the rest is found anew.
 """
 
 from __future__ import annotations
@@ -30,7 +34,7 @@ from dolfinx_feti.wall.wall import Wall, by_layer
 
 __all__ = ["Opening"]
 
-#: Curvature times depth, at most: beyond, a crotch counts like the inside of a thick tube.
+#: Curvature times depth, at most: beyond, a bend counts like the inside of a thick tube.
 MOST = 0.5
 
 Array = npt.NDArray[np.float64]
@@ -42,7 +46,7 @@ class Opening:
     Attributes:
         G: The tensor in UFL, shape (3, 3), det G = 1, for
             :func:`~dolfinx_feti.mechanics.residual_stress.elastic_part`.
-        curvature: That of the layers' middle surfaces around the vessel [1/mm], in each cell.
+        curvature: κ, around the vessel [1/mm], in each cell.
         angle: Opening angle of each cell [degrees]; its values may change.
         middle: t of the middle surface of each cell's layer.
         directions: ê₀, ê₁ and ê₂, vectors in each cell.
@@ -92,12 +96,12 @@ class Opening:
         self.middle = by_layer(wall, self._means())
         self.directions = [dolfinx.fem.Function(W) for _ in range(3)]
         depth = (self.potentials[0] - self.middle) * self._thickness
-        λ = residual_stretch(self.curvature, depth, self.angle, stretch)
+        λ = residual_stretch(1.0, ufl.exp(self.curvature * depth) - 1, self.angle, stretch)
         self.G = opened(self.directions, λ, stretch)
         self.update()
 
     def update(self) -> None:
-        """Find directions, depths and curvatures of the mesh as it is.
+        """Find directions, slopes and curvatures of the mesh as it is.
 
         Note:
             Collective.
@@ -132,9 +136,10 @@ class Opening:
     def _normals(self) -> dolfinx.fem.Function:
         """Return the transmural directions at the vertices, unit vectors (P1)."""
         V = dolfinx.fem.functionspace(self._wall.mesh, ("Lagrange", 1, (3,)))
-        n = dolfinx.fem.Function(V)
+        n, slope = dolfinx.fem.Function(V), ufl.grad(self.potentials[0])
+        dx = ufl.dx(metadata={"quadrature_rule": "vertex", "quadrature_degree": 1})
         sums = dolfinx.fem.assemble_vector(
-            dolfinx.fem.form(ufl.inner(self.directions[2], ufl.TestFunction(V)) * ufl.dx)
+            dolfinx.fem.form(ufl.inner(slope, ufl.TestFunction(V)) * dx)
         )
         sums.scatter_reverse(dolfinx.la.InsertMode.add)
         n.x.array[:] = sums.array

@@ -15,6 +15,7 @@ import ufl
 from dolfinx_feti.output import cell_values
 from dolfinx_feti.wall import Wall, read_wall
 from dolfinx_feti.wall.opening import Opening
+from meshes.bricks import create_brick_tube
 
 ANGLES = {"media": 120.0, "adventitia": 60.0}
 
@@ -41,6 +42,24 @@ def test_tube(wall):
     opening.update()
     x /= scale
     equal(opening.curvature.x.array[:n] * scale, before, 1e-9)
+
+
+def test_stretch_around_is_that_of_a_tube():
+    """Of a quarter, in cells at the planes of symmetry, too; t₀ is 0.4 % off the middle radius."""
+    shape = {"length": 0.18, "size": 0.18, "around": 4, "along": 1, "through": (3, 1)}
+    wall = create_brick_tube(COMM, quarter=True, **shape)
+    opening = Opening(wall, ANGLES, {"media": 1.1, "adventitia": 1.0})
+    e0 = opening.directions[0]
+    x = ufl.SpatialCoordinate(wall.mesh)
+    r, λ = (
+        cell_values(each, wall.mesh)
+        for each in (ufl.sqrt(x[0] ** 2 + x[1] ** 2), 1 / ufl.inner(e0, opening.G * e0))
+    )
+    for name, middle, k, stretch in (("media", 0.84, 1.5, 1.1), ("adventitia", 1.035, 1.2, 1.0)):
+        cells = wall.cell_tags.find(wall.layers[name])
+        ρ = r[cells[cells < len(r)]]
+        exact = k * ρ / np.sqrt((k * middle) ** 2 + k * stretch * (ρ**2 - middle**2))
+        equal(λ[cells[cells < len(r)]], exact, 3e-3)
 
 
 def test_inside_is_pressed_and_outside_pulled(wall):
