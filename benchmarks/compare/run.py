@@ -55,7 +55,6 @@ __all__ = ["GEOMETRIES", "is_known", "main", "seconds"]
 
 GEOMETRIES = ("tube", "vessel", "block")
 
-RTOL = 1e-8
 USUAL = ("feti", "mumps", "gamg")
 
 #: Share of its load by which that of a loaded body grows.
@@ -190,7 +189,7 @@ def _create_body(case: Record, folder: Path, comm: MPI.Comm) -> LoadedBody:
         "dofs": case["wanted_dofs"],
         "kappa": case["kappa"],
         "subdomains": case["wanted_subdomains"],
-        "options": {"ksp_rtol": RTOL} | options,
+        "options": options,
     }
     if case["geometry"] == "block":
         return create_clamped_block(comm, **shared)

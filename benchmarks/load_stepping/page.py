@@ -14,13 +14,13 @@ solver, the seconds of a load step.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
 from matplotlib.axes import Axes
 
-from benchmarks.common.pages import Fields, groups, write_page
+from benchmarks.common.pages import Fields, groups, section, write_page
 from benchmarks.common.plots import COLOURS, curve, picture
 from benchmarks.common.records import Record
 from benchmarks.load_stepping.points import NAMES
@@ -35,18 +35,23 @@ VARIANTS = {
 DIRECT = "one subdomain, direct"
 POINTS = {name: {"color": colour} for name, colour in zip(NAMES, COLOURS, strict=True)}
 
+#: What tells one wall with its solver from another.
+RUN = ("geometry", "size", "degree", "subdomains", "type")
+
 
 def _fields(records: Sequence[Record]) -> Fields:
-    runs = groups(records, "geometry", "size", "degree", "subdomains", "type")
+    runs = groups(records, *RUN, "augmented")
     by_pressure = [sorted(mine, key=lambda step: step["pressure_mmhg"]) for _, mine in runs]
     first = {name: records[0][name] for name in ("c", "kappa")}
-    return first | {"runs": [_run(steps) for steps in by_pressure]}
+    pairs = section(row for _, mine in groups(records, *RUN) for row in _price(mine))
+    return first | {"runs": [_run(steps) for steps in by_pressure], "multipliers": pairs}
 
 
 def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
     """Draw a picture for each mesh and degree that FETI ran on."""
     pictures = []
-    for (geometry, size, degree), mine in groups(records, "geometry", "size", "degree"):
+    plain = [step for step in records if not step["augmented"]]
+    for (geometry, size, degree), mine in groups(plain, "geometry", "size", "degree"):
         if any(_variant(step) != DIRECT for step in mine):
             name, mesh = str(geometry), str(geometry)
             if size is not None:  # the generator's default
@@ -63,6 +68,7 @@ def _run(steps: Sequence[Record]) -> dict[str, object]:
     mean = [step["linear_iterations_mean"] for step in steps]
     return dict(steps[-1]) | {
         "variant": _variant(steps[0]),
+        "with_multipliers": " (λ)" if steps[0]["augmented"] else "",
         "load_steps": len(steps),
         "newton": sum(step["newton_iterations"] for step in steps),
         "linear": sum(step["linear_iterations"] for step in steps),
@@ -71,6 +77,24 @@ def _run(steps: Sequence[Record]) -> dict[str, object]:
         "worst": max(step["max_linear_residual"] for step in steps),
         "seconds_in_all": sum(seconds),
     }
+
+
+def _price(steps: Sequence[Record]) -> Iterator[dict[str, object]]:
+    """Hold a run with multipliers against the one without, where both have been."""
+    runs = [[step for step in steps if step["augmented"] is kind] for kind in (True, False)]
+    most = [max((step["pressure_mmhg"] for step in run), default=0.0) for run in runs]
+    if min(most) > 0.0:
+        both = [[step for step in run if step["pressure_mmhg"] <= min(most)] for run in runs]
+        newton, without = (sum(step["newton_iterations"] for step in run) for run in both)
+        ends = [step[name] for step in both[0] for name in ("min_J", "max_J")]
+        yield dict(both[0][-1]) | {
+            "variant": _variant(steps[0]),
+            "pressure_mmhg": min(most),
+            "worst": max(abs(J - 1.0) for J in ends),
+            "newton": newton,
+            "without": without,
+            "ratio": newton / without,
+        }
 
 
 def _variant(step: Record) -> str:

@@ -5,7 +5,8 @@
 
 - The *pattern* lasts until the pattern of the matrix changes, or its symmetry.
 - The *preconditioner* of the primal form serves up to ``feti_lag`` later matrices of Newton's
-  method, as long as the iterations for a digit stay near those of its first solve.
+  method, until the iterations that its age has cost, beyond those that its first solve takes for a
+  digit, are worth a new one: then no later moment would have been better by more than half.
 - The *Ritz vectors* of each solve, up to ``feti_deflation``, serve the next matrices of Newton's
   method, with this preconditioner or a new one.
 
@@ -41,9 +42,11 @@ __all__ = ["Lasting"]
 
 Reason = PETSc.KSP.ConvergedReason
 
-#: Growth of the iterations for a digit that ends the life of a preconditioner, and the one that
-#: ends a solve with it.
-GROWN, HOPELESS = 4.0 / 3.0, 3.0
+#: Iterations that the set-up of a preconditioner costs as much as.
+RENEWAL = 40
+
+#: Growth of the iterations for a digit that ends a solve with an old preconditioner.
+HOPELESS = 3.0
 
 #: Digits beyond which no residual falls.
 MOST_DIGITS = 13.0
@@ -79,10 +82,9 @@ class Lasting:
         self._outdated = False
         self.age = 0
         self._seen = False  # is the pattern in a table that the user has?
-        # Iterations for a digit in the first solve with the preconditioner, and in that with the
-        # last matrix, if there was one.
-        self._first = np.nan
-        self._last: float | None = None
+        # Iterations for a digit in the first solve with the preconditioner, and those beyond that
+        # rate in all solves since.
+        self._first, self._excess = np.nan, 0.0
 
     @property
     def deflation(self) -> DeflatedSpace | None:
@@ -125,9 +127,9 @@ class Lasting:
         """Note how a solve went; its residual is ‖b − A x‖/‖b‖."""
         self._vectors = vectors
         digits = -np.log10(residual) if 0.0 < residual < 1.0 else np.nan
-        self._last = iterations / digits
         if reason > 0 and np.isnan(self._first):
-            self._first = self._last
+            self._first = iterations / digits
+        self._excess += np.fmax(iterations - digits * self._first, 0.0)
 
     def most_iterations(self, max_it: int, rtol: float) -> int:
         """Return the most iterations of a solve: with an old preconditioner it may end early."""
@@ -171,7 +173,7 @@ class Lasting:
         """
         form, primal = self.form, self._primal
         lasts = primal is not None and self._preconditioner_lasts()
-        self.form = self._primal = self._last = None
+        self.form = self._primal = None
         if primal is not None and lasts:
             try:
                 preconditioner = primal.keep_preconditioner()
@@ -184,7 +186,7 @@ class Lasting:
                 pass  # the present matrix may still be set up on its own
         elif form is not None:
             form.destroy()
-        self._outdated, self.age, self._first = False, 0, np.nan
+        self._outdated, self.age, self._first, self._excess = False, 0, np.nan, 0.0
         self.form = new = self._new_form(pattern)
         self._primal = new if isinstance(new, PrimalForm) else None
 
@@ -235,7 +237,7 @@ class Lasting:
     def _preconditioner_lasts(self) -> bool:
         """Tell whether the preconditioner of the last matrix serves another one."""
         young = self._newton and not self._outdated and self.age < self._options.lag
-        return young and (self._last is None or self._last <= GROWN * self._first)
+        return young and self._excess < RENEWAL
 
     def destroy(self) -> None:
         """Free everything."""

@@ -50,8 +50,8 @@ class Steps(Lengths):
     Attributes:
         quick: Newton steps that count as quick.
         rtol: Newton's relative tolerance at the loads on the way; None for the solver's own.
-        linear_rtol: Relative tolerance of the linear solves there, likewise. Little is gained from
-            one far below ``rtol``.
+        linear_rtol: Relative tolerance of the linear solves there, likewise. Nothing is gained from
+            one below ``rtol``.
 
     Raises:
         ValueError: A number is out of its range.

@@ -62,10 +62,12 @@ class LineSearchResult:
     Attributes:
         alpha: α; zero if no step length is admissible.
         residual: The residual at U + α ΔU, the present state.
+        potential: Π there; nan if it is not known.
     """
 
     alpha: float
     residual: Residual
+    potential: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,16 +79,18 @@ class _Trial:
         residual: The residual there; None where a cell is inside out.
         ratio: g(α)/g(0); nan where a cell is inside out.
         accepted: Whether the step may end there.
+        potential: Π there; nan if nobody had to know.
     """
 
     alpha: float
     residual: Residual | None
     ratio: float
     accepted: bool
+    potential: float = np.nan
 
 
 def line_search(
-    system: System, residual: Residual, du: Array, *, lengthen: bool
+    system: System, residual: Residual, du: Array, *, lengthen: bool, potential: float = np.nan
 ) -> LineSearchResult:
     """Find a step length, and move there; stay if none is admissible.
 
@@ -95,18 +99,21 @@ def line_search(
         residual: Its residual where the step begins.
         du: ΔU, (owned,).
         lengthen: Whether a step that is too short may be doubled.
+        potential: Π where the step begins; nan if it is not known.
 
     Note:
         Collective.
     """
     start = system.state()
-    move = _mover(system, residual, du)
+    if system.has_potential and np.isnan(potential):
+        potential = system.potential()
+    move = _mover(system, residual, du, potential)
     trial = move(1.0)
     while not trial.accepted:
         shorter = trial.alpha * _shortening(trial.ratio)
         if shorter < SHORTEST:
             system.set_state(start)
-            return LineSearchResult(0.0, residual)
+            return LineSearchResult(0.0, residual, potential)
         trial = move(shorter)
     while lengthen and trial.ratio > CURVATURE_CONDITION and 1.0 <= trial.alpha < LONGEST:
         longer = move(2.0 * trial.alpha)
@@ -115,14 +122,15 @@ def line_search(
             break
         trial = longer
     assert trial.residual is not None
-    return LineSearchResult(trial.alpha, trial.residual)
+    return LineSearchResult(trial.alpha, trial.residual, trial.potential)
 
 
-def _mover(system: System, residual: Residual, du: Array) -> Callable[[float], _Trial]:
+def _mover(
+    system: System, residual: Residual, du: Array, height: float
+) -> Callable[[float], _Trial]:
     """Return the function that goes to U + α ΔU and judges the state there."""
     start, step = system.state(), system.increment(residual, du)
     slope = system.dot(du, residual.condensed)  # g(0) < 0
-    height = system.potential() if system.has_potential else np.nan
     only_down = abs(slope) > POTENTIAL_ROUNDING * abs(height) and not system.moves_boundary(du)
 
     def move(alpha: float) -> _Trial:
@@ -131,10 +139,11 @@ def _mover(system: System, residual: Residual, du: Array) -> Callable[[float], _
             return _Trial(alpha, None, np.nan, accepted=False)
         moved = system.residual()
         ratio = system.dot(du, moved.force) / slope if slope else 0.0  # g(α)/g(0)
-        accepted = not only_down and -ETA <= ratio <= 1.0 + ETA
+        accepted, there = not only_down and -ETA <= ratio <= 1.0 + ETA, np.nan
         if not accepted and system.has_potential:
-            accepted = system.potential() <= height + DESCENT * alpha * slope
-        return _Trial(alpha, moved, ratio, accepted)
+            there = system.potential()
+            accepted = there <= height + DESCENT * alpha * slope
+        return _Trial(alpha, moved, ratio, accepted, there)
 
     return move
 

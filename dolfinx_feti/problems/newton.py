@@ -18,6 +18,15 @@ is left that can be proved (``space``), which is known before the first iteratio
 downhill, ΔU·r < 0. In the next steps σ falls, to zero at the end. A tangent that turns out singular
 on the way counts as indefinite.
 
+A linear solve is no more accurate than the step deserves. Beside its own tolerance,
+
+.. math:: \|r_k + K' ΔU\| ≤ 0.1\, \max\Bigl(r_\text{end}, \;
+          \min\Bigl(\frac{\|r_k\|}{\|r_{k-1}\|}, \frac 1{100}\Bigr)^2 \|r_k\|\Bigr)
+
+is enough: a tenth of what Newton's method aims at, or of what it leaves where it converges
+quadratically (Eisenstat and Walker 1996, choice 2). The first step knows of no earlier one, and the
+second term is zero. Options that state how accurate linear solves are, are kept to.
+
 Where Newton's method converges slowly, or not at all, the tangent is compared with the derivative
 (``derivative``), once in a solve.
 
@@ -46,6 +55,7 @@ from dolfinx_feti.problems.derivative import Mismatch, difference_from_derivativ
 from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
 from dolfinx_feti.problems.line_search import line_search
 from dolfinx_feti.problems.shift import fallen, raised
+from dolfinx_feti.problems.solvers import no_closer_than
 from dolfinx_feti.problems.system import Residual, System, Tangent
 from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.runtime.compat import residual_is_nan
@@ -60,6 +70,10 @@ Reason, LinearReason = PETSc.SNES.ConvergedReason, PETSc.KSP.ConvergedReason
 #: So many steps, each of which leaves more than this share of the residual, are slow.
 SLOW_STEPS, SLOW = 3, 0.03
 
+#: Share of the residual which Newton's method aims at, or expects, that a linear solve may leave;
+#: and the least drop of the residual that it expects.
+LEFT, DROP = 0.1, 0.01
+
 #: How a solve ends that does not get closer, perhaps for a tangent that is not the derivative.
 NOT_CLOSER = (Reason.DIVERGED_MAX_IT, Reason.DIVERGED_LINE_SEARCH)
 
@@ -71,10 +85,12 @@ class Start:
     Attributes:
         reference: Most that the residual at the start counts in the relative tolerance.
         tangent: The tangent of the first step, which the matrix holds; None for that of the start.
+        aim: ‖r‖ that linear solves aim at, if Newton's method aims at a larger one for now.
     """
 
     reference: float = np.inf
     tangent: Tangent | None = None
+    aim: float = np.inf
 
 
 def checked_start(system: System, reference: float | None, tangent: Tangent | None) -> Start:
@@ -132,7 +148,7 @@ class Newton:
         """Take the system; the state stays in the user's functions."""
         self._system = system
         self._start = Start()
-        self._shift = 0.0
+        self._shift, self._potential = 0.0, np.nan
         self._du = np.zeros(system.owned)
         self._supported = False
         self.history: list[NewtonStep] = []
@@ -152,7 +168,7 @@ class Newton:
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
         """Iterate from the state of the user's functions until the residual is small."""
-        self.history, self.message, self._shift = [], "", 0.0
+        self.history, self.message, self._shift, self._potential = [], "", 0.0, np.nan
         self._compared = self.mismatch is not None
         try:
             reason = self._iterate(snes, self._start)
@@ -187,7 +203,9 @@ class Newton:
                 return Reason.CONVERGED_FNORM_ABS
             if not self._compared and self._is_slow(norm):
                 self._compare(here, self._du)
-            here, started = self._step(snes, here, norm, floor, started)
+            aim = min(_aim(snes, scale), start.aim)
+            with no_closer_than(self._forcing(norm), LEFT * aim, snes.getKSP()):
+                here, started = self._step(snes, here, norm, floor, started)
             self.residual = here.condensed
             norm = system.norm(here.condensed)
             reason = _judge(snes, len(self.history), norm, scale)
@@ -213,7 +231,10 @@ class Newton:
             assembled = time.perf_counter()
             found = self._direction(ksp, here.condensed)
             solved = time.perf_counter()
-            end = line_search(system, here, found.du, lengthen=found.shift > 0.0)
+            end = line_search(
+                system, here, found.du, lengthen=found.shift > 0.0, potential=self._potential
+            )
+            self._potential = end.potential
             step = record_step(
                 ksp.getPythonContext(),
                 residual=norm,
@@ -234,6 +255,12 @@ class Newton:
             if larger is None:
                 raise _Stop(Reason.DIVERGED_LINE_SEARCH, _NO_STEP)
             self._shift, started = larger, solved
+
+    def _forcing(self, norm: float) -> float:
+        """Return the share of ‖r‖ that a linear solve may leave, where ‖r‖ is far from the end."""
+        if not self.history:
+            return 0.0
+        return LEFT * min(norm / self.history[-1].residual, DROP) ** 2
 
     def _is_slow(self, norm: float) -> bool:
         """Tell whether each of the last steps has left much of the residual, now ‖r‖."""
@@ -324,6 +351,12 @@ def _judge(snes: PETSc.SNES, its: int, norm: float, scale: float) -> int:
     if its >= max_it:
         raise _Stop(Reason.DIVERGED_MAX_IT, _TOO_MANY.format(max_it))
     return Reason.ITERATING
+
+
+def _aim(snes: PETSc.SNES, scale: float) -> float:
+    """Return the ‖r‖ that Newton's method aims at."""
+    rtol, atol, *_ = snes.getTolerances()
+    return max(rtol * scale, atol)
 
 
 def _monitor(snes: PETSc.SNES, its: int, norm: float) -> None:

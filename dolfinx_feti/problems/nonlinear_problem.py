@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 from petsc4py import PETSc
@@ -357,7 +358,7 @@ class NonlinearProblem(TornProblem):
             def solve(update: int) -> bool:
                 if update:
                     self._history += self._newton.history
-                self._run(Start() if update else start)
+                self._run(replace(Start() if update else start, aim=end))
                 return self._system.norm(self.b.array_r) <= end
 
             for change in updated(self._system, solve, max(tolerance, rtol)):

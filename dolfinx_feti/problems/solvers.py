@@ -21,7 +21,7 @@ from dolfinx_feti.feti.solver import FETI, VIEW_ONCE
 from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.runtime.petsc_options import inserted, withheld
 
-__all__ = ["create_newton_solver", "create_solver", "options_without_effect"]
+__all__ = ["create_newton_solver", "create_solver", "no_closer_than", "options_without_effect"]
 
 #: Options that choose a solver, and the one value that changes nothing here.
 SOLVERS = {
@@ -31,6 +31,9 @@ SOLVERS = {
     "snes_type": "python",
     "snes_python_type": "dolfinx_feti.problems.newton.Newton",
 }
+
+#: Options that state how accurate linear solves are.
+LINEAR_TOLERANCES = ("ksp_rtol", "ksp_atol", "snes_ksp_ew")
 
 #: How options of solvers begin that have no place here.
 FOREIGN = ("pc_", "mat_", "mg_", "snes_linesearch_")
@@ -97,6 +100,19 @@ def create_newton_solver(
 
     on_all(set_up, A.comm.tompi4py())
     return snes
+
+
+@contextmanager
+def no_closer_than(rtol: float, atol: float, ksp: PETSc.KSP) -> Iterator[None]:
+    """Let a solver end at larger tolerances, unless options state how accurate it is to be."""
+    own_rtol, own_atol, *_ = ksp.getTolerances()
+    options = PETSc.Options(ksp.getOptionsPrefix())
+    if not any(options.hasName(name) for name in LINEAR_TOLERANCES):
+        ksp.setTolerances(rtol=max(own_rtol, rtol), atol=max(own_atol, atol))
+    try:
+        yield
+    finally:
+        ksp.setTolerances(rtol=own_rtol, atol=own_atol)
 
 
 def options_without_effect(prefix: str) -> dict[str, str]:

@@ -60,7 +60,7 @@ def check_every_step(
         The FETI iterations of each step.
     """
     body = wall(tube(), degree=degree, tangent=tangent, kappa=kappa)
-    problem = body.problem(subdomains, options)
+    problem = body.problem(subdomains, {"ksp_rtol": 1e-8} | options)
     witness = Witness(problem)
     steps = body.inflate(problem, pressures)
     agree(len(steps) == len(witness.errors) >= 2 * len(pressures))
@@ -103,7 +103,7 @@ def test_up_to_300_mmhg(kind, kappa):
     agree(steps[-1].load == 300.0 and len(steps) <= 15, [step.load for step in steps])
     agree(len(newton) <= 80 and sum(iterations) <= 5000, (len(newton), sum(iterations)))
     agree(np.median(iterations) <= 2 * iterations[0], iterations)
-    small(max(step.linear_residual for each in steps for step in each.history), 1e-8)
+    small(max(s.linear_residual / s.linear_rtol for each in steps for s in each.history), 1.0)
     agree(newton[-1].negative > newton[0].negative)
 
 

@@ -63,6 +63,7 @@ def search(system: OneUnknown, du: float, *, lengthen: bool = False) -> tuple[fl
     """Search along ΔU; return α and the residual; the state is the one found."""
     found = line_search(system, system.residual(), np.array([du]), lengthen=lengthen)
     assert system.u == found.alpha * du and found.residual.condensed[0] == system._r(system.u)
+    assert np.isnan(found.potential) or found.potential == system.potential()
     return found.alpha, float(found.residual.condensed[0])
 
 
@@ -103,6 +104,9 @@ def test_a_potential_has_to_fall():
     """By g alone the whole step would be taken, beyond the pit at 0.2."""
     system = OneUnknown(lambda u: -1.0, potential=lambda u: (u - 0.2) ** 2)
     assert search(system, 1.0)[0] == 0.25
+    system.u = 0.0
+    given = line_search(system, system.residual(), np.ones(1), lengthen=False, potential=0.04)
+    assert given.potential == system.potential() < 0.04, "what was known, and what is known now"
     free = OneUnknown(lambda u: -1.0)
     assert search(free, 1.0)[0] == 1.0
 
