@@ -186,7 +186,7 @@ def inflate(name: str, material: Callable[[Expr, Expr], Expr]) -> dict[str, floa
         "load_steps": len(steps),
         "newton_steps": len(newton),
         "feti_iterations": sum(s.linear_iterations for s in newton),
-        "max_linear_residual": max(s.linear_residual for s in newton),
+        "max_linear_ratio": max(s.linear_residual / s.linear_rtol for s in newton),
         "difference_to_mumps": feti.difference_to_direct,
         "max_displacement_mm": comm.allreduce(furthest, op=MPI.MAX),
     }
@@ -199,7 +199,8 @@ results = {"fibres": inflate("fibres", fibres), "plaque": inflate("plaque", plaq
 
 # ## What it cost
 #
-# Every linear system was solved to 1e-8, and the first step towards 1 mmHg more is that of MUMPS.
+# Every linear system was solved to its tolerance, and the first step towards 1 mmHg more is that of
+# MUMPS.
 
 # +
 if comm.rank == 0:
@@ -208,6 +209,6 @@ if comm.rank == 0:
         row = "".join(f"{result[figure]:>12.4g}" for result in results.values())
         print(f"{figure.replace('_', ' '):<22}{row}", flush=True)
 for result in results.values():
-    assert result["max_linear_residual"] <= 1e-8
+    assert result["max_linear_ratio"] <= 1.0
     assert result["difference_to_mumps"] <= 1e-6
 assert results["plaque"]["max_displacement_mm"] > 0.1

@@ -30,21 +30,40 @@ from dolfinx_feti.runtime.petsc_options import inserted
 
 COMM = MPI.COMM_WORLD
 PREFIX = "test_"
-STUDIES = Path(__file__).parent / "benchmarks"
+TESTS = Path(__file__).parent
+
+#: What belongs to one cell, one subdomain or one material, or is a whole study: a third process has
+#: nothing to tell that two have not. Gluing, coarse spaces and decompositions are no part of it.
+AT_MOST_TWO = [
+    TESTS / name
+    for name in (
+        "benchmarks",
+        "comparison",
+        "demos",
+        "fem/test_cell_kernels.py",
+        "feti/subdomain",
+        "feti/test_against_direct.py",
+        "feti/test_options.py",
+        "mechanics",
+        "meshes",
+    )
+]
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out what is not tried on so many processes.
 
-    That is, on several, the work of the first one alone; studies on more than two; on more than
-    three all that is not marked with the number.
+    That is, on several, the work of the first one alone; on more than two, ``AT_MOST_TWO``; on more
+    than three all that is not marked with the number.
     """
 
     def is_tried(item: pytest.Item) -> bool:
         if marker := item.get_closest_marker("processes"):
             return COMM.size in marker.args
-        most = 1 if item.get_closest_marker("serial") else 2 if STUDIES in item.path.parents else 3
-        return COMM.size <= most
+        if item.get_closest_marker("serial"):
+            return COMM.size == 1
+        few = any(path in (item.path, *item.path.parents) for path in AT_MOST_TWO)
+        return COMM.size <= (2 if few else 3)
 
     left_out = {item for item in items if not is_tried(item)}
     config.hook.pytest_deselected(items=list(left_out))

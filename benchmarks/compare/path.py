@@ -7,8 +7,9 @@ r"""A load path whose linear systems FETI and a direct solver solve both, each w
 
 Newton's method goes on with FETI's ΔU, so that there is one path. Both solvers keep from one
 tangent to the next what they can: FETI its gluing, its coarse space and the factors of a few
-tangents (``feti_lag``), MUMPS its analysis. *End to end* is everything from the first to the last
-equilibrium, with the linear solves of one of them.
+tangents (``feti_lag``), MUMPS its analysis. FETI is as accurate as each step deserves (``newton``):
+its residual in a record is that of the roughest solve. *End to end* is everything from the first to
+the last equilibrium, with the linear solves of one of them.
 """
 
 from __future__ import annotations

@@ -120,12 +120,13 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
 def _cost(steps: Sequence[LoadStep]) -> Record:
     """Count what load steps took, their failed attempts included."""
     newton = [s for step in steps for s in step.all_steps]
+    ratios = [s.linear_residual / s.linear_rtol for s in newton if s.linear_rtol > 0.0]
     return {
         "steps": len(steps),
         "failures": sum(step.failures for step in steps),
         "newton_iterations": len(newton),
         "linear_iterations": sum(s.linear_iterations for s in newton),
-        "max_linear_residual": max((s.linear_residual for s in newton), default=0.0),
+        "max_linear_ratio": max(ratios, default=0.0),
         "linear_methods": sorted({s.linear_method for s in newton}),
         "seconds": sum(step.seconds for step in steps),
     }
