@@ -33,7 +33,7 @@ from benchmarks.common.walls.oracle import KPA_PER_MMHG, Wall, inflate
 from benchmarks.common.walls.problem import WallProblem
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.loading import LoadStep, Steps
-from dolfinx_feti.loading.load_steps import load_step
+from dolfinx_feti.loading.steps import load_step
 from meshes.arguments import count, positive
 
 __all__ = ["STEPS", "main"]
