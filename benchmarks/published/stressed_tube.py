@@ -13,6 +13,8 @@ from dataclasses import replace
 
 from mpi4py import MPI
 
+from ufl.core.expr import Expr
+
 from benchmarks.common.walls.inflated_tube import (
     create_inflated_tube,
     create_slice,
@@ -20,7 +22,9 @@ from benchmarks.common.walls.inflated_tube import (
 )
 from benchmarks.common.walls.oracle import KPA_PER_MMHG, LAYERS, Wall, inflate
 from benchmarks.published.body import Body
+from dolfinx_feti.wall import Wall as Mesh
 from dolfinx_feti.wall import facets
+from dolfinx_feti.wall.opening import Opening
 
 __all__ = ["create_stressed_tube"]
 
@@ -32,12 +36,14 @@ MEDIA, ADVENTITIA = (
 )
 
 
-def create_stressed_tube(comm: MPI.Comm, *, size: float, subdomains: int = 4) -> Body:
-    """Build the tube with bricks of a size [mm]."""
+def create_stressed_tube(
+    comm: MPI.Comm, *, size: float, subdomains: int = 4, by_shape: bool = False
+) -> Body:
+    """Build the tube with bricks of a size [mm]; G at each point, or found from its shape."""
     layers = (MEDIA, ADVENTITIA)
     element = "q2-p1d"
     wall = create_slice(comm, size=size, quarter=True, element=element)
-    G = residual_part(wall, layers)
+    G = _by_shape(wall) if by_shape else residual_part(wall, layers)
     tube = create_inflated_tube(
         wall, c=3.0, kappa=KAPPA, subdomains=subdomains, element=element, G=G
     )
@@ -59,3 +65,10 @@ def create_stressed_tube(comm: MPI.Comm, *, size: float, subdomains: int = 4) ->
     held = [(component, facets(wall, name)) for name, component in planes.items()]
     residuals = (body.residual, body.constraint)
     return Body(body.u, body.p, residuals, held, body.problem, set_load, measure)
+
+
+def _by_shape(wall: Mesh) -> Expr:
+    """Return the G that the package finds for a wall of any shape."""
+    layers = {"media": MEDIA, "adventitia": ADVENTITIA}
+    angles = {name: layer.opening for name, layer in layers.items()}
+    return Opening(wall, angles, {name: layer.stretch for name, layer in layers.items()}).G

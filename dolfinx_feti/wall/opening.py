@@ -6,8 +6,7 @@ r"""Residual stress of a wall whose layers, were they cut, would open by given a
 :mod:`~dolfinx_feti.mechanics.residual_stress` has the equations. What they need of a wall of any
 shape follows from the two potentials of its frame, t through the wall and l along it: the
 directions ê₀, ê₁, ê₂ in each cell, the curvature around the vessel, κ = ê₀·(∇n ê₀), of the
-transmural directions n at the vertices, and with the mean t₀ of a layer, which is that of its
-middle surface,
+transmural directions n at the vertices, and with t₀ of a layer's middle surface, a mean,
 
 .. math:: ρ / ρ_0 = \exp\left(κ\, (t - t_0) / \|∇t\|\right) .
 
@@ -118,17 +117,21 @@ class Opening:
         self.curvature.x.array[:] = np.clip(around, 0.0, most)
 
     def _means(self) -> dict[str, float]:
-        """Return the mean of t in each layer."""
+        """Return the mean of t in each layer, weighted by ‖∇t‖^½.
+
+        So weighted it is t at the middle radius of a tube, up to (h/ρ₀)⁴.
+        """
         wall, t = self._wall, self.potentials[0]
-        dx = ufl.Measure("dx", wall.mesh, subdomain_data=wall.cell_tags)
-        one = dolfinx.fem.Constant(wall.mesh, np.float64(1.0))
+        metadata = {"quadrature_degree": 4}
+        dx = ufl.Measure("dx", wall.mesh, subdomain_data=wall.cell_tags, metadata=metadata)
+        weight = ufl.inner(ufl.grad(t), ufl.grad(t)) ** 0.25
         means = {}
         for name, tag in wall.layers.items():
             integrals = [
                 wall.mesh.comm.allreduce(
                     float(dolfinx.fem.assemble_scalar(dolfinx.fem.form(f * dx(tag)))), op=MPI.SUM
                 )
-                for f in (t, one)
+                for f in (t * weight, weight)
             ]
             means[name] = integrals[0] / integrals[1]
         return means
