@@ -18,7 +18,6 @@
 # the image again.
 #
 #     mpirun -n 2 python3 demos/demo_patient.py
-#     mpirun -n 2 python3 demos/demo_patient.py --degree 2 --kappa 1e5  # keeps the volume; longer
 #     python3 demos/demo_patient.py --case my_wall.toml --output output/mine
 #
 # One file says it all: mesh, layers, surroundings and pressures (`demos/patient.toml`), and
@@ -36,6 +35,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
+import numpy as np
 from common import patient as pictures
 from common.arguments import Parser
 from common.render import gather_cells
@@ -58,9 +58,7 @@ from meshes.walls import CREATE, create_wall
 
 parser = Parser("demo_patient.py", allow_abbrev=False)
 parser.add_argument("--case", type=Path, default=Path("demos/patient.toml"), help="a TOML file")
-parser.add_argument("--size", type=positive, default=2.0, help="edges of a mesh made here [mm], 2")
-parser.add_argument("--degree", type=int, choices=(1, 2), default=1, help="of displacements, 1")
-parser.add_argument("--kappa", type=positive, default=1e3, help="penalty κ [kPa], 1000")
+parser.add_argument("--size", type=positive, default=2.5, help="edges of a mesh made here [mm]")
 parser.add_argument("--subdomains", type=count, help="over all processes")
 parser.add_argument("--output", type=Path, default=Path("output/patient"), help="a folder")
 args = parser.parse_args(sys.argv[1:])
@@ -106,9 +104,12 @@ imaged = [a.x.array.copy() for a in fibres]
 # $$
 # \Pi(u, p) = \int_\Omega \bar\Psi(F_e^\top F_e) + p\,(J - 1) - \frac{p^2}{2\kappa}\,\mathrm d X .
 # $$
+#
+# With P2–P0 and $\kappa = 10^5$ kPa each cell keeps its volume, in the mean, to less than one per
+# cent.
 
 # +
-V = dolfinx.fem.functionspace(mesh, ("Lagrange", args.degree, (3,)))
+V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
 Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
 u, p = dolfinx.fem.Function(V, name="displacement"), dolfinx.fem.Function(Q, name="p")
 v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
@@ -117,7 +118,7 @@ F_e = elastic_part(F, opening.G)
 C, J = kinematics.right_cauchy_green(F_e), kinematics.jacobian(F_e)
 tissue = {"c": by_layer(wall, c), "k1": by_layer(wall, k1), "k2": by_layer(wall, k2)}
 psi = materials.holzapfel_gasser_ogden(C, *fibres, **tissue, J=J)
-psi += materials.perturbed_lagrangian(J, p, args.kappa)
+psi += materials.perturbed_lagrangian(J, p, kappa=1e5)
 energy = psi * ufl.dx
 boundary = apply_conditions(wall, u, case.conditions, axis=case.axis)
 problem = NonlinearProblem(
@@ -129,7 +130,7 @@ problem = NonlinearProblem(
     energy=None if boundary.energy is None else energy + boundary.energy,
     subdomains=args.subdomains,
     petsc_options_prefix="patient_",
-    quadrature_degree=2 * args.degree,
+    quadrature_degree=4,
 )
 
 
@@ -147,30 +148,13 @@ def set_load(mmhg: float) -> None:
 # opens is found anew for each shape.
 
 # +
-increments = {"first": case.image / 10, "least": case.image / 640, "growth": 1.15}
-rough = {"rtol": 1e-3, "linear_rtol": 1e-4}  # on the way
+increments = {"first": case.image / 10, "least": case.image / 640}
+rough = {"rtol": 1e-2, "linear_rtol": 1e-4}  # on the way
 loading, unloading = (Steps(**increments, **rough, quick=quick) for quick in (4, 8))
-follow = {"state": [u, p], "unit": "mmHg"}
-
-
-def unloaded() -> list[LoadStep]:
-    """Find the wall without load of the image; u leads back to it."""
-    mesh.geometry.x[:] = nodes.first
-    for a, image in zip(fibres, imaged, strict=True):
-        a.x.array[:] = image
-    u.x.array[:], p.x.array[:] = 0.0, 0.0
-    return unload(
-        problem,
-        set_load,
-        [case.image],
-        unloading,
-        fibres=fibres,
-        on_move=opening.update,
-        **follow,
-    )
-
-
-found = unloaded()
+following = {"state": [u, p], "unit": "mmHg"}
+of_shape = {"fibres": fibres, "on_move": opening.update}
+found = unload(problem, set_load, [case.image], unloading, **of_shape, **following)
+to_the_image = [f.x.array.copy() for f in (u, p)]
 receded = nodes.longest(mesh.geometry.x - nodes.first)
 walls = {"image and unloaded wall": gather_cells(u, {})}
 # -
@@ -188,6 +172,15 @@ hoop /= ufl.inner(circumferential, circumferential)
 magnitude = kinematics.stress_magnitude(sigma)
 through = opening.potentials[0]
 layer = by_layer(wall, {name: float(i) for i, name in enumerate(wall.layers)})
+dx = ufl.dx(metadata={"quadrature_degree": 4})
+volume, change = (dolfinx.fem.form(f * q * dx) for f in (1.0, kinematics.jacobian(F) - 1))
+changes = {}
+
+
+def volume_change() -> float:
+    """Return the greatest |mean J − 1| of a cell."""
+    sizes, changed = (dolfinx.fem.assemble_vector(form).array for form in (volume, change))
+    return comm.allreduce(float(np.abs(changed / sizes).max(initial=0.0)), op=MPI.MAX)
 
 
 def observe(name: str) -> None:
@@ -195,27 +188,41 @@ def observe(name: str) -> None:
     stress = {"stress": cell_values(magnitude, mesh), "hoop": cell_values(hoop, mesh)}
     stress |= {"depth": cell_values(through, mesh), "layer": cell_values(layer, mesh)}
     walls[name] = gather_cells(u, stress)
+    changes[name] = volume_change()
 
 
 u.x.array[:], p.x.array[:] = 0.0, 0.0
-back = follow_load(problem, set_load, [case.image], loading, **follow)
+back = follow_load(problem, set_load, [case.image], loading, **following)
 off = nodes.longest(mesh.geometry.x + nodes.displacement(u) - nodes.first)
 observe(f"{case.image:g} mmHg")
-on = follow_load(problem, set_load, [case.pressure], loading, start=case.image, **follow)
+on = follow_load(problem, set_load, [case.pressure], loading, start=case.image, **following)
 observe(f"{case.pressure:g} mmHg")
 # -
 
 # ## The same wall without residual stress
 #
-# Its unloaded shape is another. u leads from there to the image, which is in equilibrium: the load
-# goes on from 80 mmHg.
+# Its unloaded shape is another. At 80 mmHg the image stays where it is while the opening angles go
+# to zero: they are the load of a path that leads from the one unloaded wall to the other.
 
 # +
-opening.angle.x.array[:] = 0.0
-opening.update()
-found_without = unloaded()
+angle = opening.angle.x.array.copy()
+
+
+def set_opening(share: float) -> None:
+    """Set the opening angles to a share of those in the file."""
+    opening.angle.x.array[:] = share * angle
+
+
+mesh.geometry.x[:] = nodes.first
+for a, image in zip(fibres, imaged, strict=True):
+    a.x.array[:] = image
+for f, values in zip((u, p), to_the_image, strict=True):
+    f.x.array[:] = values
+set_load(case.image)
+closing = Steps(first=0.5, least=0.01, quick=8, **rough)
+closed = unload(problem, set_opening, [0.0], closing, start=1.0, state=[u, p], **of_shape)
 observe(f"{case.image:g} mmHg, no residual stress")
-follow_load(problem, set_load, [case.pressure], loading, start=case.image, **follow)
+follow_load(problem, set_load, [case.pressure], loading, start=case.image, **following)
 observe(f"{case.pressure:g} mmHg, no residual stress")
 # -
 
@@ -234,19 +241,36 @@ def draw() -> None:
 on_first(draw, comm)
 
 
-def newton_steps(steps: list[LoadStep]) -> int:
-    """Count Newton steps, those of failed attempts included."""
-    return sum(len(step.all_steps) for step in steps)
+def cost(steps: list[LoadStep]) -> dict[str, int]:
+    """Count load steps, Newton steps and FETI's iterations, those of failed attempts included."""
+    newton = [step for load_step in steps for step in load_step.all_steps]
+    return {
+        "load_steps": sum(1 + step.failures for step in steps),
+        "newton_steps": len(newton),
+        "iterations": sum(step.linear_iterations for step in newton),
+    }
 
 
+paths = {"unloading": found, "back to the image": back, "on": on, "without residual stress": closed}
 summary = {
     "dofs": V.dofmap.index_map.size_global * 3,
     "unloaded_wall_receded_by_mm": receded,
     "loaded_wall_off_the_image_mm": off,
-    "newton_steps": {name: newton_steps(s) for name, s in {"unload": found, "load": back}.items()},
+    "worst_mean_volume_change": changes,
+    "cost": {name: cost(steps) for name, steps in paths.items()},
     "seconds": time.perf_counter() - started,
 }
 on_first(lambda: (folder / "summary.json").write_text(json.dumps(summary, indent=1) + "\n"), comm)
+rows = {"dofs of u": f"{summary['dofs']}"}
+rows["image off the unloaded wall, at most"] = f"{receded:.3f} mm"
+rows[f"image off the wall loaded to {case.image:g} mmHg, at most"] = f"{off:.1e} mm"
+rows |= {f"|mean J − 1|, worst cell, {name}": f"{worst:.1e}" for name, worst in changes.items()}
+rows |= {
+    f"load steps, Newton steps, iterations: {name}": "{}, {}, {}".format(*spent.values())
+    for name, spent in summary["cost"].items()
+}
+rows["time"] = f"{summary['seconds']:.0f} s"
 if comm.rank == 0:
-    print(json.dumps(summary, indent=1))
+    print("\n".join(f"{what:<66}{value:>14}" for what, value in rows.items()))
 assert off <= 1e-3
+assert max(changes.values()) <= 0.01

@@ -93,10 +93,13 @@ def test_every_demo_has_its_test():
 # -- they run
 
 
-@pytest.mark.skipif(COMM.size != 2, reason="on one process `make docs` runs them")
+@pytest.mark.processes(2)
 @pytest.mark.parametrize("name", sorted(ALONE))
 def test_demos_that_stand_alone(run, on_folder, name):
-    """Each ends in its own assertions; the first process has drawn its picture."""
+    """Each ends in its own assertions; the first process has drawn its picture.
+
+    On one process ``make docs`` runs them.
+    """
     from matplotlib.image import imread
 
     if name == "demo_load_steps.py":
@@ -192,6 +195,7 @@ def check_tube(folder: Path, processes: int) -> None:
     agree(float(rows[-1]["load"]) == 2.0 and int(rows[-1]["accepted"]) == 1, rows[-1])
 
 
+@pytest.mark.processes(2)
 def test_artery(run, tmp_path):
     run("demo_artery.py", *TUBE, "--output", tmp_path)
     check_tube(tmp_path, COMM.size)
@@ -210,6 +214,7 @@ def test_artery_from_the_command_line(tmp_path):
     check_tube(tmp_path, 1)
 
 
+@pytest.mark.processes(1)
 def test_vessel(run, tmp_path):
     """What the demo takes if it is not told, on as coarse a mesh as there is."""
     few = "--size 2 --degree 1 --pressure 0.5 --steps 1 --subdomains 8".split()

@@ -125,6 +125,7 @@ def newton_by_hand(residual: ufl.Form, w: dolfinx.fem.Function, bcs) -> None:
     raise AssertionError(f"Newton's method by hand does not converge: {length}")
 
 
+@pytest.mark.processes(1, 2)
 def test_pulse_beside_mumps():
     """A pulse in the quarter of a tube, with dashpots outside: FETI, and dolfinx with MUMPS alone.
 
@@ -203,6 +204,7 @@ def test_second_order_and_balance(rho):
     agree(lost[2] < lost[0] / 10.0, lost)
 
 
+@pytest.mark.processes(1, 2)
 def test_free_flight():
     """Without forces a free body keeps its velocity; with a mass no subdomain has a kernel."""
     mesh = cube(3, 2)
@@ -236,6 +238,7 @@ def test_initial_acceleration():
     uniform(motion.acceleration.x.array[0::3], 0.0, 1e-6)
 
 
+@pytest.mark.processes(1, 2)
 def test_damping():
     """A dashpot under all of a rigid body: v falls as e^{−ηt/ρ}, to second order."""
     mesh = cube(3, 1)
@@ -254,6 +257,7 @@ def test_damping():
     uniform(motion.velocity.x.array[0::3], math.exp(-1.0), 1e-3)
 
 
+@pytest.mark.processes(1, 2)
 def test_adapted_steps():
     """Each step keeps its tolerance, and the lengths vary."""
     block = Swinging()
@@ -266,6 +270,7 @@ def test_adapted_steps():
     agree(max(s.increment for s in steps) > 1.2 * min(s.increment for s in steps))
 
 
+@pytest.mark.processes(1, 2)
 def test_no_step_is_short_enough():
     block = Swinging()
     before = block.owned()

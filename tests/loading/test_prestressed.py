@@ -123,6 +123,7 @@ def unloaded():
     return stress, scan.mean_hoop_stress()
 
 
+@pytest.mark.processes(1, 2)
 def test_image_in_balance(unloaded):
     """It stays, its hoop stress is p r/h in the mean, and like that of the unloaded wall."""
     scan = Scan()
@@ -138,6 +139,7 @@ def test_image_in_balance(unloaded):
     small(scan.mean_hoop_stress() / at_120 - 1.0, 0.01)
 
 
+@pytest.mark.processes(1, 2)
 def test_lines_of_the_page():
     """They lead to 120 mmHg."""
     scan = Scan()
@@ -145,6 +147,7 @@ def test_lines_of_the_page():
     agree(float(scan.load.value) == loads.mmhg(120.0) and scan.moved() > 0.03)
 
 
+@pytest.mark.processes(1, 2)
 def test_path_that_goes_on(tmp_path):
     """G is in the checkpoint: the second part goes on where the first one ended."""
     pytest.importorskip("adios4dolfinx")
@@ -157,6 +160,7 @@ def test_path_that_goes_on(tmp_path):
     equal(pieces.G.x.array, whole.G.x.array, 1e-8)
 
 
+@pytest.mark.processes(1, 2)
 def test_failure_leaves_the_last_balance():
     """A load that nothing carries: G, load and displacement are the last good."""
     scan = Scan()
