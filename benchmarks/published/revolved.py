@@ -57,8 +57,8 @@ def solve_revolved(
     mesh = dolfinx.mesh.create_mesh(
         MPI.COMM_SELF,
         lattice_cells(number, 2, simplex=False),
-        points.reshape(-1, 2),
-        ufl.Mesh(curved),
+        x=points.reshape(-1, 2),
+        e=ufl.Mesh(curved),
     )
     quadratic = basix.ufl.element("Lagrange", "quadrilateral", 2)
     linear = basix.ufl.element("DPC", "quadrilateral", 1)
@@ -103,10 +103,10 @@ def solve_revolved(
     solve = create_newton(ufl.derivative(work, w), w, bcs)
     for share.value in np.linspace(0, 1, STEPS + 1)[1:]:
         solve()
-    V, place = W.sub(0).collapse()
-    x0 = V.tabulate_dof_coordinates()
+    moved = w.sub(0).collapse()
+    x0 = moved.function_space.tabulate_dof_coordinates()
     found = []
     for z in meridian(np.array([0.0, 0.5, 1.0]), np.zeros(3))[1]:
         node = int(np.argmin(np.hypot(x0[:, 0], x0[:, 1] - z)))
-        found.append(float(z + w.x.array[place[2 * node + 1]]))
+        found.append(float(z + moved.x.array[2 * node + 1]))
     return found
