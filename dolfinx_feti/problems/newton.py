@@ -18,14 +18,9 @@ is left that can be proved (``space``), which is known before the first iteratio
 downhill, ΔU·r < 0. In the next steps σ falls, to zero at the end. A tangent that turns out singular
 on the way counts as indefinite.
 
-A linear solve is no more accurate than the step deserves. Beside its own tolerance,
-
-.. math:: \|r_k + K' ΔU\| ≤ 0.1\, \max\Bigl(r_\text{end}, \;
-          \min\Bigl(\frac{\|r_k\|}{\|r_{k-1}\|}, \frac 1{100}\Bigr)^2 \|r_k\|\Bigr)
-
-is enough: a tenth of what Newton's method aims at, or of what it leaves where it converges
-quadratically (Eisenstat and Walker 1996, choice 2). The first step knows of no earlier one, and the
-second term is zero. Options that state how accurate linear solves are, are kept to.
+A linear solve is no more accurate than the step deserves: beside its own tolerance, a tenth of the
+residual that Newton's method aims at is enough, ‖r + K' ΔU‖ ≤ 0.1 r_end. Options that state how
+accurate linear solves are, are kept to.
 
 Where Newton's method converges slowly, or not at all, the tangent is compared with the derivative
 (``derivative``), once in a solve.
@@ -70,9 +65,8 @@ Reason, LinearReason = PETSc.SNES.ConvergedReason, PETSc.KSP.ConvergedReason
 #: So many steps, each of which leaves more than this share of the residual, are slow.
 SLOW_STEPS, SLOW = 3, 0.03
 
-#: Share of the residual which Newton's method aims at, or expects, that a linear solve may leave;
-#: and the least drop of the residual that it expects.
-LEFT, DROP = 0.1, 0.01
+#: Share of the residual that Newton's method aims at which a linear solve may leave.
+LEFT = 0.1
 
 #: How a solve ends that does not get closer, perhaps for a tangent that is not the derivative.
 NOT_CLOSER = (Reason.DIVERGED_MAX_IT, Reason.DIVERGED_LINE_SEARCH)
@@ -204,7 +198,7 @@ class Newton:
             if not self._compared and self._is_slow(norm):
                 self._compare(here, self._du)
             aim = min(_aim(snes, scale), start.aim)
-            with no_closer_than(self._forcing(norm), LEFT * aim, snes.getKSP()):
+            with no_closer_than(LEFT * aim, snes.getKSP()):
                 here, started = self._step(snes, here, norm, floor, started)
             self.residual = here.condensed
             norm = system.norm(here.condensed)
@@ -255,12 +249,6 @@ class Newton:
             if larger is None:
                 raise _Stop(Reason.DIVERGED_LINE_SEARCH, _NO_STEP)
             self._shift, started = larger, solved
-
-    def _forcing(self, norm: float) -> float:
-        """Return the share of ‖r‖ that a linear solve may leave, where ‖r‖ is far from the end."""
-        if not self.history:
-            return 0.0
-        return LEFT * min(norm / self.history[-1].residual, DROP) ** 2
 
     def _is_slow(self, norm: float) -> bool:
         """Tell whether each of the last steps has left much of the residual, now ‖r‖."""

@@ -103,16 +103,16 @@ def create_newton_solver(
 
 
 @contextmanager
-def no_closer_than(rtol: float, atol: float, ksp: PETSc.KSP) -> Iterator[None]:
-    """Let a solver end at larger tolerances, unless options state how accurate it is to be."""
-    own_rtol, own_atol, *_ = ksp.getTolerances()
+def no_closer_than(norm: float, ksp: PETSc.KSP) -> Iterator[None]:
+    """Let a solver end at a residual norm, unless options state how accurate it is to be."""
+    _, atol, *_ = ksp.getTolerances()
     options = PETSc.Options(ksp.getOptionsPrefix())
     if not any(options.hasName(name) for name in LINEAR_TOLERANCES):
-        ksp.setTolerances(rtol=max(own_rtol, rtol), atol=max(own_atol, atol))
+        ksp.setTolerances(atol=max(atol, norm))
     try:
         yield
     finally:
-        ksp.setTolerances(rtol=own_rtol, atol=own_atol)
+        ksp.setTolerances(atol=atol)
 
 
 def options_without_effect(prefix: str) -> dict[str, str]:
