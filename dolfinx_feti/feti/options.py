@@ -60,7 +60,7 @@ class FETIOptions:
     coarse_q: Literal["preconditioner", "diagonal", "identity"] = "preconditioner"
     coarse_modes: int = 12
     coarse_threshold: float = 0.01
-    coarse_adaptive: int = 36
+    coarse_adaptive: int = 72
     lag: int = 6
     deflation: int = 20
 

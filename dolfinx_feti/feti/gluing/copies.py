@@ -43,6 +43,7 @@ class Copies:
         delta: Weight δ of each copy, zero with a prescribed value, (n,).
         row: The rows once for each of their copies, themselves included, ascending, (pairs,).
             Rows with a prescribed value do not occur.
+        copy: These copies, by their rows numbered on over all processes, (pairs,).
     """
 
     def __init__(self, torn: Torn, interface: Sequence[Indices], delta: Array) -> None:
@@ -58,8 +59,8 @@ class Copies:
         self.blocks = consecutive([len(dofs) for dofs in interface])
         self.n = len(self.dofs)
         self.delta = np.where(torn.dirichlet, 0.0, delta)[self.dofs]
-        self.row, copy = _pairs(torn, self.dofs)
-        self._forest = star_forest(copy, self.n, self.comm)
+        self.row, self.copy = _pairs(torn, self.dofs)
+        self._forest = star_forest(self.copy, self.n, self.comm)
 
     def values(self, t: Array) -> Array:
         """Return t, (n,), at each copy of each row, (pairs,). Collective."""

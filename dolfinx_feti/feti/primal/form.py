@@ -18,6 +18,7 @@ solves with earlier matrices join V (``deflation``).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -35,6 +36,7 @@ from dolfinx_feti.feti.gluing.weights import Weights
 from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.pattern import Pattern, symmetric_part
 from dolfinx_feti.feti.primal.adaptive import adaptive_columns
+from dolfinx_feti.feti.primal.assembled import assembled_products
 from dolfinx_feti.feti.primal.cg import PrimalSystem, conjugate_gradients
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace, soft_fields
 from dolfinx_feti.feti.primal.gmres import gmres
@@ -52,7 +54,7 @@ __all__ = [
     "create_preconditioner",
     "create_preconditioner_of_part",
     "create_primal_form",
-    "solve_on_interface",
+    "solver_on_interface",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -62,7 +64,7 @@ Reason = PETSc.KSP.ConvergedReason
 TRACED = 4
 
 #: Cost χ₀ of an average above which a column joins the coarse space (``adaptive``).
-COST = 1.1
+COST = 3.0
 
 
 #: Multiple of −ρ below which an eigenvalue of D makes a body soft (``deflation``).
@@ -240,14 +242,15 @@ def create_preconditioner(pattern: Pattern, setup: Setup) -> PrimalPreconditione
     copies = Copies(torn, S.interface, setup.weights.delta)
     try:
         with event("FETICoarse"):
+            E = [m.E[on] for m, on in zip(setup.inverse.modes, S.on_interface, strict=True)]
             adaptive = adaptive_columns(
                 copies,
-                S.multiply_many,
-                partial(solve_on_interface, S, setup.inverse),
+                assembled_products(S, copies),
+                partial(solver_on_interface, S, setup.inverse),
+                E,
                 most=options.coarse_adaptive,
                 threshold=COST,
             )
-            E = [m.E[on] for m, on in zip(setup.inverse.modes, S.on_interface, strict=True)]
             U = [np.hstack(pair) for pair in zip(E, adaptive, strict=True)]
             V = AveragedColumns(copies, U)
     except SetUpError:
@@ -310,9 +313,11 @@ def create_primal_form(
     negative, copies = space.negative(), preconditioner.copies
     count = pattern.options.deflation if pattern.symmetric and not negative else 0
     if vectors is None and count and _softened(preconditioner.inverse, pattern):
-        solve = partial(solve_on_interface, S, preconditioner.inverse)
+        solver = partial(solver_on_interface, S, preconditioner.inverse)
         with event("FETIRecycling"):
-            vectors = soft_fields(space, copies, S.multiply_many, solve, count=count)
+            vectors = soft_fields(
+                space, copies, S.multiply_many, lambda i, F: solver(i)(F), count=count
+            )
     inside = sum_if_known(S.negative_interior(), pattern.torn.comm)
     proved = None if negative is None or inside is None else negative + inside
     transposed = partial(S.multiply_many, transpose=not pattern.symmetric)
@@ -334,9 +339,16 @@ def _softened(inverse: PseudoInverse, pattern: Pattern) -> bool:
     return bool(pattern.torn.comm.allreduce(any(own), op=MPI.LOR))
 
 
-def solve_on_interface(S: Operator, inverse: PseudoInverse, i: int, F: Array) -> Array:
-    """Return S_ρ⁻¹ F for forces on the interface of subdomain i, (n_Γ, k): K_ρ⁻¹ F, there."""
-    on = S.on_interface[i]
-    Y = np.zeros((len(on), F.shape[1]))
-    Y[on] = F
-    return inverse.solve_many(i, Y)[on]
+def solver_on_interface(S: Operator, inverse: PseudoInverse, i: int) -> Callable[[Array], Array]:
+    """Return what applies S_ρ⁻¹ of subdomain i to forces, (n_Γ, k): K_ρ⁻¹ on the interface.
+
+    It serves until the inverse of another subdomain is applied.
+    """
+    on, solve = S.on_interface[i], inverse.solver(i)
+
+    def solve_on_interface(F: Array) -> Array:
+        Y = np.zeros((len(on), F.shape[1]))
+        Y[on] = F
+        return solve(Y)[on]
+
+    return solve if on.all() else solve_on_interface

@@ -6,7 +6,8 @@ r"""What the pattern tells of the factors: whether the interior is eliminated, a
 An iteration needs :math:`K_ρ^{-1}` and S of every subdomain (``operator``). If the interior is
 *kept*, both are applied by sparse factors, of :math:`K_ρ` and of :math:`K_{II}`. If it is
 *eliminated*, S is formed, a dense block of the size of Γ; ``auto`` does so if that takes about the
-memory of the factors, as for a piece of a thin wall, or a small one; see :data:`DENSITY`.
+memory of the factors, as for a piece of a thin wall, or a small one; see :data:`DENSITY`. Where a
+pressure is condensed it does so for any that is not too large: adaptive columns need S.
 """
 
 from __future__ import annotations
@@ -126,9 +127,13 @@ def _find_fronts(
 
 
 def worth_eliminating(torn: Torn, dofs: Dofs) -> bool:
-    """Tell whether dense Schur complements take no more memory than sparse factors. Collective."""
+    """Tell whether S of every subdomain is wanted, and small. Collective.
+
+    It is wanted where it takes about the memory of sparse factors, or a pressure is condensed.
+    """
     n = np.array([len(rows) for rows in dofs.free], dtype=np.float64)
     glued = np.array([len(rows) for rows in dofs.interface], dtype=np.float64)
     dense, sparse = torn.comm.allreduce(np.array([(glued**2).sum(), (n ** (4 / 3)).sum()]))
     largest = torn.comm.allreduce(glued.max(initial=0.0), op=MPI.MAX)
-    return bool(dense <= DENSITY * sparse and largest <= LARGEST)
+    wanted = dense <= DENSITY * sparse or torn.pressures is not None
+    return bool(wanted and largest <= LARGEST)

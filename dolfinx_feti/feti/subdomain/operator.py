@@ -46,6 +46,7 @@ __all__ = ["Operator", "create_operator"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
+Integers = npt.NDArray[np.integer]
 Mask = npt.NDArray[np.bool_]
 
 
@@ -246,6 +247,14 @@ class EliminatedInterior(Operator):
 
     def multiply_panels(self, i: int, W: Panels, *, transpose: bool = False) -> Array:
         return self._S[i].multiply_panels(W)
+
+    def block(self, i: int, rows: Integers) -> Array:
+        """Return the lower triangle of a block of S_i, row by row, (m (m + 1) / 2,)."""
+        return self._S[i].block(rows)
+
+    def unpacked(self, i: int, work: Array) -> Array:
+        """Return S_i, (n_Γ, n_Γ) in Fortran's order, below its diagonal, in a work space."""
+        return self._S[i].unpacked(work)
 
     def local_product(self, i: int, X: Array) -> Array:
         return self.multiply_many(i, X)

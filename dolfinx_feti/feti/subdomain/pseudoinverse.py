@@ -42,6 +42,7 @@ from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.gluing.dofs import Dofs
 from dolfinx_feti.feti.subdomain.blocks import as_slice, named
 from dolfinx_feti.feti.subdomain.buckling import buckling_modes
+from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
 from dolfinx_feti.feti.subdomain.kernel import kernel_basis
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
@@ -98,10 +99,21 @@ class PseudoInverse:
                     x[rows] -= modes.E_Y @ (modes.Y.T @ x[rows])
         return x
 
-    def solve_many(self, i: int, F: Array) -> Array:
-        """Apply the generalised inverse of subdomain i to columns on its dofs, (n_i, r)."""
-        X, modes = self.factors[i].solve(F), self.modes[i]
-        return np.asarray(X - modes.E_Y @ (modes.Y.T @ X)) if modes.soft else X
+    def solver(self, i: int) -> Solve:
+        """Return what applies the generalised inverse of subdomain i to columns, (n_i, r).
+
+        It serves until the inverse of another one is applied.
+        """
+        factor, modes = self.factors[i], self.modes[i]
+        solve = factor.solver() if isinstance(factor, DenseFactor) else factor.solve
+        if not modes.soft:
+            return solve
+
+        def without_soft_modes(F: Array) -> Array:
+            X = solve(F)
+            return np.asarray(X - modes.E_Y @ (modes.Y.T @ X))
+
+        return without_soft_modes
 
     def negative(self) -> int | None:
         """Count the negative eigenvalues of all K_ρ of this process; None if not known."""

@@ -19,7 +19,7 @@ from dolfinx_feti.feti.gluing import copies
 from dolfinx_feti.feti.primal import deflation
 from dolfinx_feti.feti.primal.cg import conjugate_gradients
 from dolfinx_feti.feti.primal.deflation import DEFLATED, DeflatedSpace, RitzVectors, soft_fields
-from dolfinx_feti.feti.primal.form import solve_on_interface
+from dolfinx_feti.feti.primal.form import solver_on_interface
 from dolfinx_feti.runtime import collective
 
 SEED = 2000
@@ -225,8 +225,8 @@ def test_soft_fields(interior, torn_grid, form):
     """W = M Q, Q in the range of A V, Wᵀ Q = I; they raise the least eigenvalue."""
     primal = form(torn_grid(**GRID, change=soften(0.0004)), interior=interior)
     S, copies, system = primal.parts.operator, primal.copies, primal.system
-    solve = partial(solve_on_interface, S, primal.parts.inverse)
-    found = soft_fields(primal.space, copies, S.multiply_many, solve, count=FEW)
+    solver = partial(solver_on_interface, S, primal.parts.inverse)
+    found = soft_fields(primal.space, copies, S.multiply_many, lambda i, F: solver(i)(F), count=FEW)
     agree(found.W.shape == (copies.n, FEW))
     equal(COMM.allreduce(found.W.T @ (copies.delta[:, None] * found.Q)), np.eye(FEW), 1e-8)
     for w, q in zip(found.W.T, found.Q.T, strict=True):

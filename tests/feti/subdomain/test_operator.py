@@ -231,11 +231,18 @@ def test_part_without_an_interface_is_singular(torn_grid, feti):
 
 
 @pytest.mark.parametrize(
-    ("n", "on_interface", "worth"),
-    [(45, 42, True), (3300, 950, True), (8900, 2300, False), (1300, 700, False)],
-    ids=["small", "part of a thin wall", "large cube", "compact"],
+    ("n", "on_interface", "condensed", "worth"),
+    [
+        (45, 42, False, True),
+        (3300, 950, False, True),
+        (1300, 700, False, False),
+        (1300, 700, True, True),
+        (8900, 2300, True, False),
+    ],
+    ids=["small", "part of a thin wall", "compact", "compact, with a pressure", "large"],
 )
-def test_choice(n, on_interface, worth):
-    """Dense blocks for thin walls and small subdomains, sparse factors for compact large ones."""
+def test_choice(n, on_interface, condensed, worth):
+    """Dense blocks for thin walls, small subdomains, and condensed pressures; not if too large."""
     dofs = SimpleNamespace(free=[np.arange(n)] * 2, interface=[np.arange(on_interface)] * 2)
-    agree(worth_eliminating(SimpleNamespace(comm=COMM), dofs) == worth)
+    torn = SimpleNamespace(comm=COMM, pressures=object() if condensed else None)
+    agree(worth_eliminating(torn, dofs) == worth)

@@ -33,6 +33,7 @@ from dolfinx_feti.runtime.native import address_of
 __all__ = ["DenseFactor", "PackedMatrix", "pack"]
 
 Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.integer]
 
 #: Share of the largest eigenvalue of a scaled matrix below which one counts as zero.
 ZERO_EIGENVALUE = 1e-14
@@ -83,6 +84,16 @@ class PackedMatrix:
         if self.n == 0:
             return W.dense()
         return W.product(_mirrored(_unpack(self.values, self.n, self.work)))
+
+    def block(self, rows: Integers) -> Array:
+        """Return the lower triangle of the block with rows in any order, (m (m + 1) / 2,)."""
+        row, column = np.tril_indices(len(rows))
+        i, j = np.maximum(rows[row], rows[column]), np.minimum(rows[row], rows[column])
+        return self.values[i + j * (2 * self.n - j - 1) // 2]
+
+    def unpacked(self, work: Array) -> Array:
+        """Return S, (n, n) in Fortran's order, below its diagonal, in another work space."""
+        return _unpack(self.values, self.n, work)
 
     def memory(self) -> float:
         """Return the memory of the entries in MiB."""
@@ -149,9 +160,19 @@ class DenseFactor:
             return blas.dtpsv(self._n, self._X, x, lower=1, trans=1, overwrite_x=1)  # L⁻ᵀ L⁻¹ y
         if Y.shape[1] <= FEW:
             return np.column_stack([self.solve(y) for y in Y.T])
+        return self.solver()(Y)
+
+    def solver(self) -> Callable[[Array], Array]:
+        """Return what applies S_ρ⁻¹ to columns, (n, r), until the work space serves another one."""
+        if self._X.ndim == 2 or self._n == 0:
+            return self.solve
         L = _unpack(self._X, self._n, self._work)
-        X = blas.dtrsm(1.0, L, np.asfortranarray(Y), lower=1)
-        return blas.dtrsm(1.0, L, X, lower=1, trans_a=1, overwrite_b=1)  # L⁻ᵀ L⁻¹ Y
+
+        def solve(Y: Array) -> Array:
+            X = blas.dtrsm(1.0, L, np.asfortranarray(Y), lower=1)
+            return np.asarray(blas.dtrsm(1.0, L, X, lower=1, trans_a=1, overwrite_b=1))
+
+        return solve  # L⁻ᵀ L⁻¹ Y
 
     def memory(self) -> float:
         """Return the memory of the factor in MiB."""

@@ -1,0 +1,188 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""What a subdomain sees of the assembled interface: its own S and the shares of its neighbours.
+
+.. math:: T_i\, A\, T_i^⊤ = S_i + \sum_{j ≠ i} T_i T_j^⊤ S_j\, T_j T_i^⊤, \qquad A = T^⊤ S\, T,
+
+(n_i, n_i): of each neighbour j the block of :math:`S_j` with the m rows that both have. Blocks of
+S are given by their lower triangles, row by row, (m (m + 1) / 2,), with the rows in the order that
+they have in subdomain i. Those of neighbours on other processes take a message for each process.
+
+Where S is not formed the neighbours are taken to be like the subdomain itself, with the share of
+the stiffness of each dof that δ tells,
+
+.. math:: T_i\, A\, T_i^⊤ ≈ δ^{-1/2} S_i\, δ^{-1/2}.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg.blas as blas
+
+from dolfinx_feti.feti.gluing.copies import Copies
+from dolfinx_feti.feti.subdomain.blocks import on_subdomains
+from dolfinx_feti.feti.subdomain.operator import EliminatedInterior, Operator
+
+__all__ = ["Share", "assembled_products", "shares_of_neighbours"]
+
+Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+Multiply = Callable[[Array], Array]
+
+#: Returns a block of S, ``block(j, rows)``, for rows in any order.
+Block = Callable[[int, Integers], Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """The share of a neighbour.
+
+    Attributes:
+        rows: Rows of the subdomain that the neighbour has, too, ascending, (m,).
+        S: The block of the neighbour's S, (m (m + 1) / 2,).
+    """
+
+    rows: Integers
+    S: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Common:
+    """Rows that a subdomain of this process, i, has in common with another one, j.
+
+    Attributes:
+        i: Number of the subdomain, over all processes.
+        j: That of the other one.
+        rank: The process of the other one.
+        rows: Rows in subdomain i, (m,).
+        copies: The same in subdomain j, (m,).
+    """
+
+    i: int
+    j: int
+    rank: int
+    rows: Integers
+    copies: Integers
+
+    @property
+    def entries(self) -> int:
+        """Entries of the block."""
+        m = len(self.rows)
+        return m * (m + 1) // 2
+
+
+def assembled_products(S: Operator, copies: Copies) -> Callable[[int], Multiply]:
+    """Prepare the products with the assembled A on each subdomain. Collective.
+
+    Returns:
+        What returns, for subdomain i of this process, what applies :math:`T_i A T_i^⊤` to columns,
+        (n_i, k) → (n_i, k), until it is asked for that of another one. Not collective.
+
+    Raises:
+        SetUpError: The work on a subdomain failed, on all processes.
+    """
+    if not isinstance(S, EliminatedInterior):
+        return lambda i: _like_itself(S, i, copies.delta[copies.blocks[i]])
+    shares = shares_of_neighbours(copies, S.block)
+    work = np.empty(max((b.stop - b.start for b in copies.blocks), default=0) ** 2)
+
+    def product(i: int) -> Multiply:
+        A = S.unpacked(i, work)
+        entries = A.ravel(order="K")  # column by column
+        for share in shares(i):
+            row, column = np.tril_indices(len(share.rows))
+            entries[share.rows[row] + len(A) * share.rows[column]] += share.S
+        return lambda X: np.asarray(blas.dsymm(1.0, A, np.asfortranarray(X), lower=1))
+
+    return product
+
+
+def _like_itself(S: Operator, i: int, delta: Array) -> Multiply:
+    """Return what applies δ^−½ S_i δ^−½; δ is zero with a prescribed value, and on no other dof."""
+    root = np.where(delta > 0.0, delta, 1.0)[:, None] ** -0.5
+    return lambda X: root * S.multiply_many(i, root * X)
+
+
+def shares_of_neighbours(copies: Copies, block: Block) -> Callable[[int], list[Share]]:
+    """Exchange the blocks of S between processes. Collective.
+
+    Args:
+        copies: Copies of the interface dofs.
+        block: Returns a block of the S of subdomain j of this process. Not collective.
+
+    Returns:
+        What finds the shares of all neighbours of subdomain i of this process. Not collective.
+
+    Raises:
+        SetUpError: The work on a subdomain failed, on all processes.
+    """
+    comm = copies.comm
+    common, first = _common_rows(copies)
+    remote = [pair for pair in common if pair.rank != comm.rank]
+    received = _exchange(remote, lambda j, rows: block(j - first, rows), comm)
+
+    def shares(i: int) -> list[Share]:
+        return [
+            Share(pair.rows, received[i + first, pair.j])
+            if pair.rank != comm.rank
+            else Share(pair.rows, block(pair.j - first, pair.copies))
+            for pair in by_subdomain[i]
+        ]
+
+    by_subdomain: list[list[_Common]] = [[] for _ in copies.blocks]
+    for pair in common:
+        by_subdomain[pair.i - first].append(pair)
+    return shares
+
+
+def _common_rows(copies: Copies) -> tuple[list[_Common], int]:
+    """Find the rows that subdomains have in common; return the number of the first one, too."""
+    comm = copies.comm
+    sizes = comm.allgather(np.array([b.stop - b.start for b in copies.blocks], dtype=np.int64))
+    rank_of = np.repeat(np.arange(comm.size), [len(own) for own in sizes])
+    start = np.concatenate([[0], np.cumsum(np.concatenate(sizes))])
+    first = sum(len(own) for own in sizes[: comm.rank])
+    row = start[first] + copies.row
+    i, j = (np.searchsorted(start, n, side="right") - 1 for n in (row, copies.copy))
+    order = np.lexsort((row, j, i))
+    order = order[i[order] != j[order]]
+    ends = np.flatnonzero(np.diff(i[order]) | np.diff(j[order])) + 1
+    common = []
+    for pair in np.split(order, ends) if len(order) else []:
+        a, b = int(i[pair[0]]), int(j[pair[0]])
+        rows, others = row[pair] - start[a], copies.copy[pair] - start[b]
+        common.append(_Common(a, b, int(rank_of[b]), rows, others))
+    return common, first
+
+
+def _exchange(
+    remote: Sequence[_Common], block: Block, comm: MPI.Comm
+) -> dict[tuple[int, int], Array]:
+    """Send blocks to the processes of neighbours; return theirs, by i and j. Collective."""
+
+    def outgoing(rank: int) -> Array:
+        """Return the blocks for a process, in the order of its subdomains."""
+        pairs = sorted((p for p in remote if p.rank == rank), key=lambda p: (p.j, p.i))
+        return np.concatenate([block(p.i, p.rows[np.argsort(p.copies)]) for p in pairs])
+
+    ranks = sorted({pair.rank for pair in remote})
+    sent = on_subdomains(lambda: [outgoing(rank) for rank in ranks], comm)
+    got: list[Array] = [
+        np.empty(len(blocks)) for blocks in sent
+    ]  # blocks are of one size both ways
+    requests = [comm.Irecv(b, source=rank) for b, rank in zip(got, ranks, strict=True)]
+    requests += [comm.Isend(b, dest=rank) for b, rank in zip(sent, ranks, strict=True)]
+    MPI.Request.Waitall(requests)
+    received: dict[tuple[int, int], Array] = {}
+    for rank, blocks in zip(ranks, got, strict=True):
+        pairs = [pair for pair in remote if pair.rank == rank]  # by i, then j
+        ends = np.cumsum([pair.entries for pair in pairs])[:-1]
+        received.update(zip([(p.i, p.j) for p in pairs], np.split(blocks, ends), strict=True))
+    return received
