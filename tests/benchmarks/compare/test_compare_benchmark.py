@@ -98,12 +98,12 @@ def test_several_sizes():
 
 
 def test_block(tmp_path):
-    """Both κ; more iterations at the larger one, with a load that has something to do."""
+    """Both κ; hardly more iterations at the larger one, with a load that has something to do."""
     words = ["--geometry", "block", "--dofs", "3000", "--subdomains", "8", "--kappa", "10,1000"]
     records = compare.main([*words, "--solvers", "feti,mumps"])
     agree([r["kappa"] for r in records if r["solver"] == "feti"] == [10.0, 1000.0])
     agree(all(r["geometry"] == "block" and r["dofs"] == 2187 for r in records), records)
-    agree(records[2]["iterations"] > records[0]["iterations"] > 5)
+    agree(5 < records[2]["iterations"] <= 1.25 * records[0]["iterations"])
     small(max(record["difference_to_mumps"] for record in records), 1e-6)
 
 
