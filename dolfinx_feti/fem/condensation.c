@@ -93,12 +93,14 @@ int64_t solve_blocks(int m, int n, int k, double *A, double *X, double *scale)
 void subtract_products(int m, int k, int bs, int n, const int *node, const int *place,
                        const double *a, const double *b, const int64_t *indptr, double *values)
 {
-    for (int cell = 0; cell < m; ++cell, node += k, b += k * bs * n)
+    const int width = k * bs;
+    double product[width];  // a row of a b
+    for (int cell = 0; cell < m; ++cell, node += k, b += width * n)
         for (int i = 0; i < k; ++i, place += k)
             for (int p = 0; p < bs; ++p, a += n) {
                 double *const row = values + indptr[(int64_t)node[i] * bs + p];
-                for (int j = 0; j < k; ++j)
-                    for (int s = 0; s < n; ++s)
-                        subtract(bs, a[s], b + (s * k + j) * bs, row + place[j]);
+                for (int q = 0; q < width; ++q) product[q] = a[0] * b[q];
+                for (int s = 1; s < n; ++s) subtract(width, -a[s], b + s * width, product);
+                for (int j = 0; j < k; ++j) subtract(bs, 1.0, product + j * bs, row + place[j]);
             }
 }
