@@ -6,8 +6,7 @@ r"""The nonlinear system that Newton's method sees: residual, torn tangent, stat
 .. math:: K'(U)\, ΔU = \mathcal F - K(U), \qquad U ← U + ΔU
 
 (eq. 26, Augustin_eq:LGS; eq. 28 for the entries), with a pressure condensed from both sides if
-there is one (``condensation``); prescribed values (eq. 7, Augustin_eq:Dirichlet) are met by the
-residual.
+there is one (``condensation``); residuals meet prescribed values (eq. 7, Augustin_eq:Dirichlet).
 """
 
 from __future__ import annotations
@@ -341,8 +340,8 @@ class System:
             Collective.
         """
         t = np.hypot(self.u.x.array[self._local], self._size)
-        squares = self._assembled(product_rounding(self._K.mat, t))
-        return float(np.sqrt(self.comm.allreduce(squares[~self._dirichlet].sum())))
+        squares = self.free(self._assembled(product_rounding(self._K.mat, t)))
+        return float(np.sqrt(self.comm.allreduce(squares.sum())))
 
     def _vector(self) -> dolfinx.la.Vector:
         """Create a vector of the dofs of u, with ghosts."""
@@ -378,8 +377,8 @@ class System:
         x.array[:] = d
         self.A.mult(x, y)
         product = y.array_r.copy()
-        x.destroy()
-        y.destroy()
+        for owned in (x, y):
+            owned.destroy()
         return product
 
     def free(self, r: Array) -> Array:
@@ -387,8 +386,9 @@ class System:
         return np.where(self._dirichlet, 0.0, r)
 
     def dot(self, a: Array, b: Array) -> float:
-        """Return a·b of two vectors, (owned,). Collective."""
-        return float(self.comm.allreduce(a @ b))
+        """Return a·b of two vectors, (owned,), of finite entries or not. Collective."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return float(self.comm.allreduce(a @ b))
 
     def norm(self, r: Array) -> float:
         """Return ‖r‖ of a vector, (owned,). Collective."""
