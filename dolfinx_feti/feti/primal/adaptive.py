@@ -42,8 +42,8 @@ Multiply = Callable[[Array], Array]
 #: Steps of the Krylov method, at least and at most; each finds as many columns.
 STEPS = 3, 6
 
-#: Interface dofs of a subdomain that may have all columns; one with a share of these dofs has the
-#: square of that share, as the coarse matrix of many subdomains would cost more than it saves.
+#: Interface dofs of a subdomain that may have all columns; one with a share of these dofs has that
+#: share of them, as the coarse matrix of many subdomains would cost more than it saves.
 DOFS = 640
 
 #: Energy below which a combination of new columns of unit energy repeats others: the square root of
