@@ -152,7 +152,7 @@ def test_iterations_end_the_life_of_a_preconditioner(primal, monkeypatch):
             scale(problem, [1.01, 1.0, 1.0, 1.0])
         agree(ages == ([1, 2, 3] if worth > 10.0 else [1, 0, 1]), (worth, ages, spent))
         excess.append(spent[1] - spent[0])
-    agree(excess[0] == excess[1] > 5.0, excess)
+    agree(abs(excess[0] - excess[1]) <= 1 and min(excess) > 5.0, excess)  # 1: sums on 3 processes
 
 
 def test_maximum_holds_for_all_attempts_together(primal, monkeypatch):
