@@ -20,8 +20,8 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 
 # What the scripts may use as it is; everything else they find is played, or is not there.
 REAL_TOOLS = (
-    "awk basename bash cat chmod cp cut dirname echo env flock grep head mkdir mktemp mv printf "
-    "realpath rm sed sh sha256sum sleep sync tail tee timeout touch tr true"
+    "awk basename bash cat chmod cp cut dirname echo env find flock grep head mkdir mktemp mv "
+    "printf realpath rm sed sh sha256sum sleep sync tail tee timeout touch tr true"
 ).split()
 
 # By default: root on Debian, with space and network, without FEniCSx. $CALLS records all calls.

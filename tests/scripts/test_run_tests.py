@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
+import time
 from pathlib import Path
 
 import pytest
@@ -50,3 +52,23 @@ def test_a_failure_on_any_process_is_one(first: int, second: int, patience: floa
     assert f"np 2: {'FAILED' if failed else 'ok'}, said by 0" in result.stdout
     # The second speaks when the first has nothing to complain of.
     assert ("said by 1" in result.stdout) == (first == 0 and second != 0)
+
+
+def test_kernels_of_a_killed_run_are_compiled_again() -> None:
+    """A source without its mark of completion, unless another run may be at it."""
+    with tempfile.TemporaryDirectory(prefix="dolfinx_feti-") as folder:
+        machine = Machine.create(Path(folder).resolve())
+        machine.play("python3", "echo passed")
+        cache = Path(folder).resolve() / "fenics"
+        cache.mkdir()
+        for name, age in (("ready", 3600), ("killed", 3600), ("begun", 0)):
+            source = cache / f"libffcx_{name}.c"
+            source.touch()
+            os.utime(source, (time.time() - age,) * 2)
+        (cache / "libffcx_ready.c.cached").touch()
+        result = machine.run(
+            "scripts/run-tests", DOLFINX_FETI_TEST_PROCESSES="1", XDG_CACHE_HOME=folder
+        )
+        left = sorted(path.name for path in cache.glob("*.c"))
+    assert result.returncode == 0
+    assert left == ["libffcx_begun.c", "libffcx_ready.c"]
