@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -32,8 +33,9 @@ COMM = MPI.COMM_WORLD
 PREFIX = "test_"
 TESTS = Path(__file__).parent
 
-#: What belongs to one cell, one subdomain or one material, or is a whole study: a third process has
-#: nothing to tell that two have not. Gluing, coarse spaces and decompositions are no part of it.
+#: What belongs to one cell, one subdomain or one material, is a whole study, or stands upon the
+#: solver: a third process has nothing to tell that two have not. Gluing, coarse spaces and
+#: decompositions, which may join three processes at a node, are no part of it.
 AT_MOST_TWO = [
     TESTS / name
     for name in (
@@ -41,11 +43,16 @@ AT_MOST_TWO = [
         "comparison",
         "demos",
         "fem/test_cell_kernels.py",
+        "fem/test_condensation.py",
         "feti/subdomain",
         "feti/test_against_direct.py",
         "feti/test_options.py",
+        "loading",
         "mechanics",
         "meshes",
+        "output",
+        "problems",
+        "workshop",
     )
 ]
 
@@ -53,8 +60,8 @@ AT_MOST_TWO = [
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out what is not tried on so many processes.
 
-    That is, on several, the work of the first one alone; on more than two, ``AT_MOST_TWO``; on more
-    than three all that is not marked with the number.
+    That is, on several, the work of the first one alone, and what :func:`each_choice` leaves out;
+    on more than two, ``AT_MOST_TWO``; on more than three all that is not marked with the number.
     """
 
     def is_tried(item: pytest.Item) -> bool:
@@ -65,9 +72,42 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         few = any(path in (item.path, *item.path.parents) for path in AT_MOST_TWO)
         return COMM.size <= (2 if few else 3)
 
-    left_out = {item for item in items if not is_tried(item)}
+    tried = [item for item in items if is_tried(item)]
+    if COMM.size > 1:
+        tests: dict[object, list[pytest.Item]] = {}
+        for item in tried:
+            test = item if item.get_closest_marker("processes") else item.nodeid.split("[")[0]
+            tests.setdefault(test, []).append(item)
+        chosen = {item for same in tests.values() for item in each_choice(same)}
+        tried = [item for item in tried if item in chosen]
+    left_out = set(items).difference(tried)
     config.hook.pytest_deselected(items=list(left_out))
-    items[:] = [item for item in items if item not in left_out]
+    items[:] = tried
+
+
+def each_choice(items: list[pytest.Item]) -> Iterable[pytest.Item]:
+    """Choose as few of a test's parametrisations as have every value of every parameter.
+
+    One process tries all combinations. Two try each value with the first others that need one, and
+    three with the last ones, so that the two have different combinations where there are more.
+    """
+    rest = items if COMM.size == 2 else items[::-1]
+    missing = set[object]().union(*map(values, rest))
+    while missing:
+        item = max(rest, key=lambda item: len(values(item) & missing))
+        missing -= values(item)
+        yield item
+
+
+def values(item: pytest.Item) -> set[object]:
+    """Return what a test is given; parameters that are listed together are one value."""
+    given = getattr(item, "callspec", None)
+    if given is None:
+        return {item}
+    together = [re.findall(r"\w+", str(mark.args[0])) for mark in item.iter_markers("parametrize")]
+    fixtures = given.params.keys() - {name for names in together for name in names}
+    together += [[name] for name in fixtures]
+    return {tuple((name, id(given.params[name])) for name in names) for names in together}
 
 
 def pytest_collection_finish() -> None:
