@@ -46,13 +46,17 @@ AT_MOST_TWO = [
         "fem/test_condensation.py",
         "feti/subdomain",
         "feti/test_against_direct.py",
+        "feti/test_free_rim.py",
         "feti/test_options.py",
+        "feti/test_prestress.py",
+        "feti/test_view.py",
         "loading",
         "mechanics",
         "meshes",
         "output",
         "problems",
-        "workshop",
+        "wall/test_conditions.py",
+        "wall/test_curved_wall.py",
     )
 ]
 

@@ -18,6 +18,8 @@ from benchmarks.common.walls.oracle import KPA_PER_MMHG, Tube, Wall, inflate
 from dolfinx_feti import kinematics
 from dolfinx_feti.output import components, layer_means, recovered_field
 
+pytestmark = pytest.mark.serial  # on two, test_stress.py recovers from both
+
 KAPPA = 1000.0
 
 

@@ -88,6 +88,7 @@ def test_all_solvers_solve_the_same_system(tmp_path, capfd):
     agree(ok, said)
 
 
+@pytest.mark.serial
 def test_several_sizes():
     """Two sizes, and not all solvers."""
     words = ["--dofs", "900,3000", "--subdomains", "4", "--solvers", "mumps,gamg"]
@@ -97,6 +98,7 @@ def test_several_sizes():
     small(max(record["difference_to_mumps"] for record in records), 1e-6)
 
 
+@pytest.mark.serial
 def test_block(tmp_path):
     """Both κ; hardly more iterations at the larger one, with a load that has something to do."""
     words = ["--geometry", "block", "--dofs", "3000", "--subdomains", "8", "--kappa", "10,1000"]
@@ -202,6 +204,7 @@ def test_solver_without_memory_is_recorded():
     agree(free["converged"] and free["note"] == "", free)
 
 
+@pytest.mark.serial
 def test_records_of_other_runs_are_kept(tmp_path):
     path = tmp_path / "compare.json"
     arguments = [*SMALL, "--solvers", "gamg", "--json", str(path)]

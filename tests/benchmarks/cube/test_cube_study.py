@@ -34,6 +34,7 @@ def test_patterns_of_stiff_subcubes():
     agree(stiff["layer"].sum() == 16 and stiff["layer"][:, :, 2].all())
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize(("degree", "levels"), [(1, (2, 3)), (2, (1, 2))])
 def test_error_converges_to_the_fundamental_solution(degree, levels, study_of):
     """Order two for linear and three for quadratic elements."""
@@ -108,6 +109,7 @@ def test_kernels_of_all_dimensions_in_one_decomposition(feti, tmp_path):
     problem.destroy()
 
 
+@pytest.mark.serial
 def test_stiffness_scaling_and_weight_bear_a_jump(study_of):
     """Neither the scaling alone nor the weight Q alone does."""
     choices = ["--scaling", "multiplicity,stiffness", "--coarse-q", "identity,diagonal"]
@@ -119,6 +121,7 @@ def test_stiffness_scaling_and_weight_bear_a_jump(study_of):
     agree(bounded < 20.0 and min(condition.values()) > 10 * bounded, (bounded, condition))
 
 
+@pytest.mark.serial
 def test_reorthogonalisation_gives_the_same_condition_number(study_of):
     study_of(*SMALL, "--level", "2")
     _, records = study_of(*SMALL, "--level", "2", "--reorthogonalize")

@@ -49,6 +49,7 @@ def test_both_variants_and_their_figures(tmp_path):
     agree(on_first(lambda: (tmp_path / "loading_tube_1_p2.png").stat().st_size) > 20_000)
 
 
+@pytest.mark.serial
 def test_direct_run_alone_has_no_picture(tmp_path):
     """There are no iterations to draw; its load steps are in the table."""
     run(tmp_path, "--type", "classical")
@@ -72,6 +73,7 @@ def test_seconds_of_a_suspended_run_are_left_out(tmp_path):
     assert row.endswith("| – |")
 
 
+@pytest.mark.serial
 def test_what_is_there_is_not_run_again(tmp_path, capsys):
     first = run(tmp_path, "--type", "classical")
     capsys.readouterr()

@@ -48,6 +48,7 @@ def test_both_variants_with_both_choices(tmp_path, capsys):
     agree("4 case(s) are in the records already" in said, said)
 
 
+@pytest.mark.serial
 def test_iterations_are_cut_off_and_allowed_later(tmp_path):
     words = ["--type", "classical", "--choices", "default"]
     (first,) = run(tmp_path, *words, "--most-iterations", "2")

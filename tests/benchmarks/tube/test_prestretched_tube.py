@@ -18,6 +18,8 @@ from benchmarks.common.walls.oracle import Wall, inflate
 from dolfinx_feti import NonlinearProblem, kinematics, loads, materials
 from dolfinx_feti.wall import Pressure, Slide, apply_conditions
 
+pytestmark = pytest.mark.serial
+
 KAPPA, STRETCH, PRESSURE, SIZE = 1000.0, 1.15, 10.0, 0.26  # kPa, -, mmHg, mm
 CONDITIONS = {"lumen": Pressure()} | {
     name: Slide() for name in ("opening_1", "opening_2", "symmetry_x", "symmetry_y")

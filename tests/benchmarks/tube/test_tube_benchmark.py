@@ -95,6 +95,7 @@ def test_second_order_elements():
         agree(record[name] <= 0.5 * old[name], (name, record[name], old[name]))
 
 
+@pytest.mark.serial
 def test_taylor_hood_on_the_same_cells():
     """MUMPS on u and p together leads to the same tube, with less accurate stresses."""
     words = ("--pressures", "5,10", "--kappa", 1e5)
@@ -105,6 +106,7 @@ def test_taylor_hood_on_the_same_cells():
     agree(ours["recovered_tt_error"] < record["recovered_tt_error"] < 0.1, record)
 
 
+@pytest.mark.serial
 def test_the_whole_tube_is_four_quarters():
     whole = tube.main(["--size", "0.26", "--subdomains", "6", "--pressures", "5"])[-1]
     quarter = inflated("--pressures", 5)[-1]
@@ -141,6 +143,7 @@ def test_a_run_that_goes_on(tmp_path, multipliers):
         small(last[0]["mean_J"] - 1.0, 1e-6)
 
 
+@pytest.mark.serial
 def test_a_run_that_does_not_arrive(monkeypatch, tmp_path):
     """A record says how far it came; JSON without numbers that are none."""
     monkeypatch.setattr(tube, "STEPS", tube.Steps(first=400.0, least=400.0))
