@@ -37,8 +37,8 @@ with the matrix of the clusters, of six unknowns for 64 subdomains,
 
     t_c = i_3 \left( \frac{(12\, e + 8 · 128)\, K}{P V} + 2 n α + 4 α \log_2 P + t_c(K_1) \right),
 
-with i₃ and the entries e of a row in :data:`INNER` and :data:`ENTRIES`. Its set-up is that of the
-small matrix; a product with few columns is left out.
+with i₃ and the entries e of a row in :data:`INNER`. Its set-up is that of the small matrix; a
+product with few columns is left out.
 
 Beyond S processes there are as many subdomains as processes; K grows with them, L as K ln K and Φ
 as K^{3/2}, those of a wall, which is nearly two-dimensional.
@@ -64,7 +64,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 from benchmarks.common.records import Record
-from dolfinx_feti.feti.coarse.clustered import BLOCK, SUBDOMAINS, takes_clusters
+from dolfinx_feti.feti.coarse.clustered import BLOCK, RIGID, SUBDOMAINS, takes_clusters
 from dolfinx_feti.feti.coarse.gathered import ROWS, SPREAD
 
 __all__ = ["KRYLOV", "PARTS", "Machine", "Model", "Prediction", "create_model", "efficiency"]
@@ -72,10 +72,10 @@ __all__ = ["KRYLOV", "PARTS", "Machine", "Model", "Prediction", "create_model", 
 #: Rows of the inverse that take the time of a solve with the factor.
 BLOCKED = 6.0
 
-#: Iterations of the third level by the form outside, counted on a cube of 512 subdomains, and
-#: entries in a row of N, counted on a tube of 1024.
-INNER = {"dual": 26, "primal": 46}
-ENTRIES = 454
+#: Iterations of the third level in a solve, on average, and entries in a row of N, with rigid
+#: motions alone and with further columns: counted on a cube of 4096 subdomains, Q = M, and on a
+#: tube of 1024 in the primal form.
+INNER = {False: (39, 594), True: (131, 982)}
 
 
 #: Parts of the iterations.
@@ -183,12 +183,14 @@ class Model:
     def _coarse(self, K: float, L: float, flops: float, P: int) -> tuple[float, float, float]:
         """Return the seconds of gathering, of a solve, and of a set-up, on P processes."""
         m = self.machine
-        if takes_clusters(round(K), P):
+        columns = self.base["coarse_size"] / self.base["subdomains_in_all"]
+        if takes_clusters(round(K), P, columns):
+            inner, entries = INNER[columns > RIGID]
             K_1 = 6.0 * P / SUBDOMAINS
             gather, solve, make = self._coarse(K_1, K_1**2 / 2, K_1**3 / 3, P)
-            inner = (12.0 * ENTRIES + 8.0 * BLOCK) * K / (P * m.stream) + gather + solve
+            each = (12.0 * entries + 8.0 * BLOCK) * K / (P * m.stream) + gather + solve
             waits = 2.0 * self.sent["neighbours"] + 4.0 * math.log2(P)
-            return 0.0, INNER[self.sent["formulation"]] * (inner + waits * m.latency), make
+            return 0.0, inner * (each + waits * m.latency), make
         group = min(P, max(1, math.ceil(K / ROWS)))
         factor, make = 16.0 * L / m.stream, flops / (group * m.rate)  # read twice
         gather = 8.0 * K / m.bandwidth if P > 1 else 0.0

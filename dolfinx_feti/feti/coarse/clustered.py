@@ -50,6 +50,12 @@ Counts = npt.NDArray[np.int64]
 #: the inner iterations have waited for each other.
 LARGE, WIDE = 20_000, 4
 
+#: Columns of a subdomain, on average, up to which rigid motions are most of them. Clusters see
+#: nothing of further ones: inner iterations are five times as many, and pay for themselves from so
+#: many processes on that each has at most FEW rows, as a factor is of one group of them; or above
+#: HUGE rows, where a factor would take gigabytes.
+RIGID, FEW, HUGE = 10.0, 1500, 100_000
+
 #: Subdomains of a cluster, and rows of a diagonal block.
 SUBDOMAINS, BLOCK = 64, 128
 
@@ -179,7 +185,8 @@ CoarseSolver = GatheredSolver | ClusteredSolver
 
 def create_coarse_solver(
     N: PETSc.Mat,
-    motions: Callable[[], tuple[Array, Counts]],
+    counts: Counts,
+    motions: Callable[[], Array],
     *,
     prefix: str,
     symmetric: bool,
@@ -190,8 +197,8 @@ def create_coarse_solver(
 
     Args:
         N: Coarse matrix, (K, K); the caller destroys it after the solver.
-        motions: Returns the rigid motions as combinations of the columns, (own rows, k), and the
-            rows of each subdomain of this process.
+        counts: Rows of each subdomain of this process.
+        motions: Returns the rigid motions as combinations of the columns, (own rows, k).
         prefix: Options prefix of the solver; with a type of KSP or PC among them N is gathered.
         symmetric: Whether N is symmetric.
         definite: Whether N is known to be positive semi-definite; else a random system is solved.
@@ -200,20 +207,28 @@ def create_coarse_solver(
     Raises:
         SetUpError: The options are wrong, or a factorisation failed; on all processes.
     """
-    own = PETSc.Options(prefix)
-    large = takes_clusters(N.getSize()[0], N.comm.size)
+    own, rows = PETSc.Options(prefix), N.getSize()[0]
+    subdomains = N.comm.tompi4py().allreduce(np.count_nonzero(counts))
+    large = takes_clusters(rows, N.comm.size, rows / max(1, subdomains))
     if symmetric and large and not any(map(own.hasName, ("ksp_type", "pc_type"))):
         with suppress(np.linalg.LinAlgError):
-            solver = ClusteredSolver(N, *motions(), prefix=prefix)
+            solver = ClusteredSolver(N, motions(), counts, prefix=prefix)
             if definite or solver.is_definite():
                 return solver
             solver.destroy()
     return GatheredSolver(N, prefix=prefix, symmetric=symmetric, zero=zero)
 
 
-def takes_clusters(rows: int, processes: int) -> bool:
-    """Tell whether the third level solves with a definite matrix, and not a factor or inverse."""
-    return rows > LARGE * (WIDE if rows <= SPREAD * processes else 1)
+def takes_clusters(rows: int, processes: int, columns: float) -> bool:
+    """Tell whether the third level solves with a definite matrix, and not a factor or inverse.
+
+    Args:
+        rows: K.
+        processes: Number of processes.
+        columns: Columns of a subdomain, on average.
+    """
+    pays = columns <= RIGID or rows <= FEW * processes or rows > HUGE
+    return pays and rows > LARGE * (WIDE if rows <= SPREAD * processes else 1)
 
 
 def _inverse_blocks(N: PETSc.Mat) -> Array:

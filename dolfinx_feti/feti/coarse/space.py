@@ -166,7 +166,8 @@ class AveragedSpace:
         self._x, self._y = self.A_0.createVecs()
         self.solver = create_coarse_solver(
             self.A_0,
-            lambda: (self._amplitudes(S.torn.near_kernel()[V.copies.dofs]), self._counts()),
+            self._counts(),
+            lambda: self._amplitudes(S.torn.near_kernel()[V.copies.dofs]),
             prefix=prefix,
             symmetric=symmetric,
             zero=ZERO_PIVOT,

@@ -123,10 +123,8 @@ class Coarse:
         self.N.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self.solver = create_coarse_solver(
             self.N,
-            lambda: (
-                self._amplitudes(torn.near_kernel()),
-                np.array([m.E.shape[1] for m in modes], dtype=np.int64),
-            ),
+            np.array([m.E.shape[1] for m in modes], dtype=np.int64),
+            lambda: self._amplitudes(torn.near_kernel()),
             prefix=prefix,
             symmetric=symmetric,
             definite=definite,

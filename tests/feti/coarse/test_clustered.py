@@ -37,6 +37,7 @@ FORMS = {
 def large(monkeypatch):
     """Take every coarse matrix for a large one, and make several clusters of it."""
     monkeypatch.setattr(clustered, "LARGE", 0)
+    monkeypatch.setattr(clustered, "HUGE", 0)
     monkeypatch.setattr(clustered, "SUBDOMAINS", 8)
     monkeypatch.setattr(clustered, "BLOCK", 16)
 
@@ -47,6 +48,7 @@ def test_outer_iterations_are_those_of_an_exact_solve(options, torn_grid, feti, 
     values, found = random_values(problem), []
     for rows in (20_000, 0):
         monkeypatch.setattr(clustered, "LARGE", rows)
+        monkeypatch.setattr(clustered, "HUGE", rows)
         monkeypatch.setattr(clustered, "SUBDOMAINS", 8)
         ksp = feti(problem.A, ksp_rtol=1e-8, **options)
         reason, x = solve(ksp, problem, values)
@@ -83,15 +85,25 @@ def test_unit_vectors_of_gmres_are_no_residuals(method, large, torn_grid, parts)
 
 @pytest.mark.processes(1)
 def test_switch_heeds_rows_and_processes():
-    """A factor, a spread inverse up to four times as large, or clusters."""
-    for rows, processes, expected in (
-        (20_000, 1, False),
-        (20_001, 1, True),
-        (78_000, 512, True),
-        (78_000, 10_000, False),
-        (80_001, 10_000, True),
+    """A factor, a spread inverse up to four times as large, or clusters.
+
+    With columns that are no rigid motions, a factor on few processes, up to 100 000 rows.
+    """
+    for rows, processes, columns, expected in (
+        (20_000, 1, 6.0, False),
+        (20_001, 1, 6.0, True),
+        (78_000, 512, 6.0, True),
+        (78_000, 10_000, 6.0, False),
+        (80_001, 10_000, 6.0, True),
+        (21_818, 1, 21.3, False),
+        (21_818, 8, 21.3, False),
+        (21_818, 64, 21.3, True),
+        (78_000, 32, 21.3, False),
+        (78_000, 64, 21.3, True),
+        (78_000, 10_000, 21.3, False),
+        (100_001, 2, 21.3, True),
     ):
-        assert takes_clusters(rows, processes) == expected
+        assert takes_clusters(rows, processes, columns) == expected
 
 
 def test_solves_leave_a_share_of_the_largest_right_hand_side(large, torn_grid, parts):
