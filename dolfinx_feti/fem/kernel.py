@@ -14,6 +14,9 @@ reference configuration. Where A_q is symmetric at all points of eight cells, to
 one half is copied.
 
 Values agree with dolfinx's to rounding, and what is no number there is none here.
+
+Forms that differ in functions, constants and meshes alone have one signature, and their code is
+generated once in a run.
 """
 
 from __future__ import annotations
@@ -52,6 +55,12 @@ VECTOR, STACK = 64, 2 * 1024**2
 #: Number of a factor under the slots of the arguments.
 Factors = dict[tuple[Slot, ...], int]
 
+#: Shapes of forms, which of their coefficients and constants are gathered, and the code.
+Generated = tuple[tuple[tuple[int, ...], ...], list[int], list[int], str]
+
+#: By signatures, and by the places of each form's coefficients and constants among those of all.
+_generated: dict[object, Generated] = {}
+
 SOURCE = Path(__file__).with_name("kernel.c")
 STATE = """int, const double *, const int *, const double *const *, const int *const *,
            const double *"""
@@ -68,13 +77,15 @@ class Kernel:
     Attributes:
         shapes: Dofs of a cell for each argument of each form.
         mesh: The mesh.
-        state: What the integrands are written in.
+        functions: Coefficients that are gathered.
+        constants: Constants.
         code: The compiled module.
     """
 
     shapes: tuple[tuple[int, ...], ...]
     mesh: dolfinx.mesh.Mesh
-    state: State
+    functions: Sequence[dolfinx.fem.Function]
+    constants: Sequence[dolfinx.fem.Constant]
     code: Any
 
     def evaluate(self) -> list[Array]:
@@ -110,14 +121,14 @@ class Kernel:
 
     def _state(self) -> tuple[Any, ...]:
         """Return what is gathered: number of cells, geometry, coefficients, constants."""
-        topology, functions = self.mesh.topology, self.state.functions
-        constants = [np.ravel(c.value) for c in self.state.constants]
+        topology = self.mesh.topology
+        constants = [np.ravel(c.value) for c in self.constants]
         return (
             topology.index_map(topology.dim).size_local,
             pointer(self.code, self.mesh.geometry.x),
             pointer(self.code, compat.geometry_dofmap(self.mesh)),
-            self._pointers("double *", [f.x.array for f in functions]),
-            self._pointers("int *", [f.function_space.dofmap.list for f in functions]),
+            self._pointers("double *", [f.x.array for f in self.functions]),
+            self._pointers("int *", [f.function_space.dofmap.list for f in self.functions]),
             pointer(self.code, np.concatenate([np.zeros(0), *constants])),
         )
 
@@ -164,25 +175,45 @@ def create_kernel(
     Note:
         Collective.
     """
+    functions = list(dict.fromkeys(f for form in forms for f in form.coefficients()))
+    constants = list(dict.fromkeys(c for form in forms for c in form.constants()))
+    alone = all(form.ufl_domains() == (mesh.ufl_domain(),) for form in forms) and all(
+        isinstance(f, dolfinx.fem.Function)
+        and f.function_space.mesh._cpp_object == mesh._cpp_object
+        for f in functions
+    )
+    if mesh.topology.dim != mesh.geometry.dim or not alone:
+        return None
+    key = tuple(
+        (
+            form.signature(),
+            *map(functions.index, form.coefficients()),
+            *map(constants.index, form.constants()),
+        )
+        for form in forms
+    )
     try:
-        shapes, state, text = _generate(forms, mesh)
+        if key not in _generated:
+            _generated[key] = _generate(forms, mesh, functions, constants)
     except UnsupportedError:
         return None
+    shapes, used, held, text = _generated[key]
     code = load(SOURCE, DECLARATION, compiler.comm, generated=text, flags=compiler.flags())
-    return Kernel(shapes, mesh, state, code)
+    return Kernel(shapes, mesh, [functions[i] for i in used], [constants[i] for i in held], code)
 
 
 def _generate(
-    forms: Sequence[ufl.Form], mesh: dolfinx.mesh.Mesh
-) -> tuple[tuple[tuple[int, ...], ...], State, str]:
-    """Return the shapes of all forms, what they are written in, and the code.
+    forms: Sequence[ufl.Form],
+    mesh: dolfinx.mesh.Mesh,
+    functions: Sequence[dolfinx.fem.Function],
+    constants: Sequence[dolfinx.fem.Constant],
+) -> Generated:
+    """Write the code for forms with these coefficients and constants.
 
     Raises:
         UnsupportedError: Only FFCx can compile an integrand.
     """
     gdim, cell = mesh.geometry.dim, mesh.basix_cell()
-    if mesh.topology.dim != gdim:
-        raise UnsupportedError
     state, points = State(), dict[int, Point]()
     terms: dict[int, list[tuple[int, Factors]]] = {}
     for number, form in enumerate(forms):
@@ -197,9 +228,6 @@ def _generate(
             point = points.setdefault(degree, Point(state))
             found = point.add(integral.integrand(), len(form.arguments()))
             terms.setdefault(degree, []).append((number, found))
-    meshes = {space.mesh._cpp_object for space in (f.function_space for f in state.functions)}
-    if meshes - {mesh._cpp_object} or any(f.ufl_domains() != (mesh.ufl_domain(),) for f in forms):
-        raise UnsupportedError
     spaces = [[scalar_element(a.ufl_function_space()) for a in f.arguments()] for f in forms]
     shapes = tuple(tuple(e.dim * block for e, block in row) for row in spaces)
     first = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)])
@@ -232,7 +260,9 @@ def _generate(
     head += [f"static const int {name}[] = {_braces(n)};" for name, n in lists.items()]
     calls = [f"stage{number}(X, W, c, out);" for number in range(len(stages))]
     signature = "static void tabulate(const V *X, const V *const *W, const double *c, V *out)"
-    return shapes, state, "\n".join([*head, *stages, signature, "{", *calls, "}", ""])
+    text = "\n".join([*head, *stages, signature, "{", *calls, "}", ""])
+    gathered = [functions.index(f) for f in state.functions]
+    return shapes, gathered, [constants.index(c) for c in state.constants], text
 
 
 def _degree(integral: ufl.Integral) -> int:

@@ -18,6 +18,7 @@ import dolfinx.fem.petsc
 import ufl
 
 from dolfinx_feti import kinematics, materials
+from dolfinx_feti.fem import kernel
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.kernel import create_kernel, separate
 from dolfinx_feti.fem.tensors import CellTensors
@@ -138,6 +139,43 @@ def test_kernel_is_the_assembled_form(body):
         expected = assembled(form)
         scale = np.abs(expected).max()
         equal(summed(form, values) / scale, expected / scale, 200 * EPS)
+
+
+def test_code_is_generated_once(monkeypatch):
+    """For other functions, constants and meshes; and again where the forms share others."""
+    generated = []
+    generate = kernel._generate
+
+    def counted(*arguments):
+        generated.append(arguments)
+        return generate(*arguments)
+
+    monkeypatch.setattr(kernel, "_generate", counted)
+    monkeypatch.setattr(kernel, "_generated", {})
+
+    def check(n: int, order: Callable[..., tuple], count: int) -> None:
+        mesh = cube(2, n)
+        f, g = displacement(mesh, 1), displacement(mesh, 1)
+        g.x.array[:] += n
+        a, b = (dolfinx.fem.Constant(mesh, value * n) for value in (2.0, 5.0))
+        v = ufl.TestFunction(f.function_space)
+        forms = [
+            c * ufl.dot(first, second) * first[0] * v[1] * ufl.dx
+            for first, second, c in order((f, g, a), (g, f, b))
+        ]
+        for form, values in zip(
+            forms, create_kernel(forms, mesh, Compiler(COMM)).evaluate(), strict=True
+        ):
+            cells = dolfinx.fem.assemble_vector(dolfinx.fem.form(form)).array
+            if COMM.size == 1:
+                equal(summed(form, values), cells, 1e-13)
+        agree(len(generated) == count, len(generated))
+
+    for n in (2, 3):
+        check(n, lambda one, other: (one, other), 1)
+    for n in (2, 3):
+        check(n, lambda one, other: (one, (*one[:2], other[2])), 2)
+    check(2, lambda one, other: (other, one), 3)
 
 
 def test_only_integrals_over_all_cells():

@@ -125,9 +125,8 @@ def test_tangents_lead_to_one_state():
     agree(records["none"]["newton_iterations"] > records["full"]["newton_iterations"])
 
 
-@pytest.mark.parametrize(
-    "multipliers", [(), pytest.param(("--augmented",), marks=pytest.mark.serial)]
-)
+@pytest.mark.serial
+@pytest.mark.parametrize("multipliers", [(), ("--augmented",)])
 def test_a_run_that_goes_on(tmp_path, multipliers):
     """The costs of the first part count; multipliers are in the checkpoint."""
     words = ["--checkpoint", tmp_path / "run", *multipliers]
