@@ -82,7 +82,10 @@ def test_p1(subdomains):
     small(max(iterations) / max(iterations[0], 5), 2.0)  # the coarse space nearly solves
 
 
-@pytest.mark.parametrize(("kind", "kappa"), [("all_floating", 1000.0), ("classical", 1e5)])
+@pytest.mark.parametrize(
+    ("kind", "kappa"),
+    [("all_floating", 1000.0), pytest.param("classical", 1e5, marks=pytest.mark.serial)],
+)
 def test_up_to_300_mmhg(kind, kappa):
     """In few load steps, each linear system exact, and the iterations as at rest."""
     body = wall(tube(), kappa=kappa)

@@ -61,8 +61,13 @@ class Scan:
         return self.nodes.longest(loaded - self.nodes.first)
 
 
-@pytest.mark.processes(1, 2)
-@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize(
+    "degree",
+    [
+        pytest.param(1, marks=pytest.mark.processes(1, 2)),
+        pytest.param(2, marks=pytest.mark.serial),
+    ],
+)
 def test_loaded_again_it_is_the_image(degree):
     """For quadratic displacements on straight cells, too, at the nodes of the mesh."""
     scan = Scan(degree)
