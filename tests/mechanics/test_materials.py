@@ -345,7 +345,6 @@ def test_all_forms_compile_within_30_seconds():
     assert comm.allreduce(seconds, MPI.MAX) < 30
 
 
-@pytest.mark.serial
 def test_forms_by_finite_differences():
     """K_uu, K_up and K_pu against differences of the residual, F_u and F_p against the energy's."""
     w = wall(MPI.COMM_WORLD, metadata={"quadrature_degree": 4})
