@@ -26,7 +26,7 @@ from dolfinx_feti.feti.solution import Monitor, Solution
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.operator import Operator
 
-__all__ = ["Form", "may_take_primal", "takes_primal"]
+__all__ = ["Form", "may_take_primal", "prefers_primal", "takes_primal"]
 
 Array = npt.NDArray[np.float64]
 
@@ -96,9 +96,15 @@ def may_take_primal(pattern: Pattern) -> bool:
     return pattern.options.pc_type == "dirichlet" and not asked
 
 
+def prefers_primal(pattern: Pattern) -> bool:
+    """Tell whether a symmetric matrix takes the primal form unless a K_ρ is indefinite."""
+    condensed = pattern.torn.pressures is not None
+    return may_take_primal(pattern) and (condensed or pattern.options.formulation == "primal")
+
+
 def takes_primal(pattern: Pattern, inertia: Inertia) -> bool:
     """Tell whether a symmetric matrix is solved in the primal form."""
     if pattern.options.formulation != "auto":
         return may_take_primal(pattern)
     safe = inertia.local == 0 and may_take_primal(pattern)
-    return safe and (not inertia.definite or pattern.torn.pressures is not None)
+    return safe and (not inertia.definite or prefers_primal(pattern))

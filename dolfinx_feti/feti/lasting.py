@@ -23,7 +23,7 @@ import numpy as np
 
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.feti.dual.form import create_dual_form
-from dolfinx_feti.feti.form import Form, may_take_primal, takes_primal
+from dolfinx_feti.feti.form import Form, may_take_primal, prefers_primal, takes_primal
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.pattern import Pattern, create_pattern
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace
@@ -34,7 +34,7 @@ from dolfinx_feti.feti.primal.form import (
     create_preconditioner_of_part,
     create_primal_form,
 )
-from dolfinx_feti.feti.setup import set_up, set_up_operator
+from dolfinx_feti.feti.setup import refined, set_up, set_up_operator
 from dolfinx_feti.feti.solution import RitzVectors
 from dolfinx_feti.torn.matrix import State, state_of
 
@@ -152,7 +152,7 @@ class Lasting:
                 return False  # no preconditioner changes the curvature
             if primal is not None and not self.age:
                 self.form = self._primal = None
-                self.form = create_dual_form(pattern, primal.keep_setup())
+                self.form = create_dual_form(pattern, refined(pattern, primal.keep_setup()))
                 return True
         if not self.age:
             return False
@@ -202,9 +202,9 @@ class Lasting:
             except SetUpError:  # ½ (K + Kᵀ) may be singular where K is not
                 if self._options.formulation == "primal":
                     raise
-        setup = set_up(pattern)
+        setup = set_up(pattern, rough=prefers_primal(pattern))
         if not pattern.symmetric or not takes_primal(pattern, setup.inertia):
-            return create_dual_form(pattern, setup)
+            return create_dual_form(pattern, refined(pattern, setup))
         return create_primal_form(
             pattern,
             setup.near_kernel,

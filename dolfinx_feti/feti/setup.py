@@ -9,7 +9,7 @@ Both methods begin here. A later matrix has one of its own, or shares half of it
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 
@@ -28,7 +28,7 @@ from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse, create_pseu
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["Setup", "set_up", "set_up_operator", "sum_if_known"]
+__all__ = ["Setup", "refined", "set_up", "set_up_operator", "sum_if_known"]
 
 Array = npt.NDArray[np.float64]
 
@@ -44,6 +44,7 @@ class Setup:
         inverse: K_ρ⁻¹, and R, E, D of each subdomain.
         inertia: Negative eigenvalues of K_ρ, D and K_II; those of the assembled matrix are not yet
             known.
+        rough: Whether the inverse only preconditions, in single precision where that will do.
     """
 
     near_kernel: Array
@@ -51,6 +52,7 @@ class Setup:
     weights: Weights
     inverse: PseudoInverse
     inertia: Inertia
+    rough: bool
 
     def destroy(self) -> None:
         """Free everything."""
@@ -58,11 +60,12 @@ class Setup:
             owned.destroy()
 
 
-def set_up(pattern: Pattern) -> Setup:
+def set_up(pattern: Pattern, *, rough: bool = False) -> Setup:
     """Take the present matrix into the parts that both methods share. Collective.
 
     Args:
         pattern: What depends on its pattern.
+        rough: Whether the inverse only preconditions, in single precision where that will do.
 
     Returns:
         The parts; the caller destroys them before the pattern.
@@ -79,26 +82,57 @@ def set_up(pattern: Pattern) -> Setup:
             k = torn.stiffness() if options.scaling == "stiffness" else np.ones(torn.n)
             weights = create_weights(torn, pattern.gluing, k)
         owned.callback(weights.destroy)
-        with event("FETIFactor"), event("FETIModes"):
-            inverse = on_subdomains(
-                lambda: create_pseudo_inverse(
-                    operator,
-                    pattern.dofs,
-                    near_kernel,
-                    symmetric=pattern.symmetric,
-                    soft=options.coarse_modes,
-                    threshold=options.coarse_threshold,
-                ),
-                torn.comm,
-            )
+        inverse, inertia = _invert(pattern, near_kernel, operator, rough=rough)
         owned.pop_all()
-    inertia = Inertia(
+    return Setup(near_kernel, operator, weights, inverse, inertia, rough)
+
+
+def refined(pattern: Pattern, setup: Setup) -> Setup:
+    """Return the parts of the present matrix with an inverse in double precision. Collective.
+
+    Args:
+        pattern: What depends on the pattern.
+        setup: The parts, which belong to those that are returned from now on.
+
+    Raises:
+        SetUpError: A factorisation failed; all parts are destroyed then.
+    """
+    if not setup.rough:
+        return setup
+    setup.inverse.destroy()
+    try:
+        inverse, inertia = _invert(pattern, setup.near_kernel, setup.operator, rough=False)
+    except SetUpError:
+        setup.weights.destroy()
+        setup.operator.destroy()
+        raise
+    return replace(setup, inverse=inverse, inertia=inertia, rough=False)
+
+
+def _invert(
+    pattern: Pattern, near_kernel: Array, operator: Operator, *, rough: bool
+) -> tuple[PseudoInverse, Inertia]:
+    """Factor all K_ρ, and find the modes; count negative eigenvalues. Collective."""
+    torn, options = pattern.torn, pattern.options
+    with event("FETIFactor"), event("FETIModes"):
+        inverse = on_subdomains(
+            lambda: create_pseudo_inverse(
+                operator,
+                pattern.dofs,
+                near_kernel,
+                symmetric=pattern.symmetric,
+                soft=options.coarse_modes,
+                threshold=options.coarse_threshold,
+                rough=rough,
+            ),
+            torn.comm,
+        )
+    return inverse, Inertia(
         local=sum_if_known(inverse.negative(), torn.comm),
         defect=torn.comm.allreduce(sum(m.stabilisation.shape[1] for m in inverse.modes)),
         interior=sum_if_known(operator.negative_interior(), torn.comm),
         assembled=None,
     )
-    return Setup(near_kernel, operator, weights, inverse, inertia)
 
 
 def set_up_operator(pattern: Pattern) -> tuple[Array, Operator]:

@@ -45,8 +45,6 @@ ALONE = {
     "demo_thick_tube.py": "thick_tube/pressure.png",
     "demo_torn_matrix.py": "torn_matrix/temperature.png",
 }
-#: Those that take longest, tried on one process; what they call is tried on several elsewhere.
-LONG = ("demo_jumps.py", "demo_memory.py", "demo_nearly_incompressible.py", "demo_pulse.py")
 SHARING = ("demo_classical_vs_all_floating.py", "demo_own_material.py")
 LEAST = ["--mesh", str(EXAMPLE), *"--degree 1 --pressure 0.5 --steps 1 --subdomains 4".split()]
 
@@ -95,17 +93,12 @@ def test_every_demo_has_its_test():
 # -- they run
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.processes(1 if name in LONG else 2))
-        for name in sorted(ALONE)
-    ],
-)
+@pytest.mark.processes(2)
+@pytest.mark.parametrize("name", sorted(ALONE))
 def test_demos_that_stand_alone(run, on_folder, name):
     """Each ends in its own assertions; the first process has drawn its picture.
 
-    On one process ``make docs`` runs all of them.
+    On one process ``make docs`` runs them.
     """
     from matplotlib.image import imread
 
@@ -148,7 +141,6 @@ def test_linear_elasticity_from_the_command_line():
     agree(status == 0 and "difference to MUMPS" in said, said)
 
 
-@pytest.mark.processes(1)
 def test_classical_vs_all_floating(run, tmp_path):
     """Its own assertions, the numbers of one process, and a picture."""
     from matplotlib.image import imread

@@ -28,7 +28,7 @@ def write_case(folder, image: float):
     return path
 
 
-@pytest.mark.processes(1)
+@pytest.mark.processes(2)
 def test_back_to_the_image(run, tmp_path):
     """The image again, for less than three inflations, with the volume kept; three pictures."""
     from matplotlib.image import imread

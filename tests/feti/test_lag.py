@@ -19,6 +19,7 @@ from hand_torn import COMM, HandTorn, random_values, solve
 from dolfinx_feti import FETI
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.report import table
+from dolfinx_feti.torn.matrix import set_condensed
 
 Array = npt.NDArray[np.float64]
 Reason = PETSc.KSP.ConvergedReason
@@ -214,13 +215,16 @@ def test_indefinite_matrix_is_told(primal, caplog):
     agree(not caplog.records, "it is for Newton's method to say what this means")
 
 
-def test_other_form_where_matrix_turns_indefinite(torn_grid, feti):
-    """``auto`` goes over to the dual form, with factors of its own."""
+@pytest.mark.parametrize("condensed", [False, True])
+def test_other_form_where_matrix_turns_indefinite(condensed, torn_grid, feti):
+    """``auto`` goes over to the dual form, with factors of its own, in double precision."""
 
     def push(K: list[Array], dofs: list[npt.NDArray[np.int64]]) -> None:
         K[1] -= 0.002 * np.diag(K[1].diagonal())  # D of this subdomain gets negative eigenvalues
 
     problem = torn_grid(**GRID, change=push)
+    if condensed:
+        set_condensed(problem.A, 3)
     ksp = feti(problem.A, FETI(newton=True), ksp_rtol=1e-11)
     check(problem, ksp)
     agree(ksp.getPythonContext().report().formulation == "primal")

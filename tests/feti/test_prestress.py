@@ -82,10 +82,7 @@ def test_p1(subdomains):
     small(max(iterations) / max(iterations[0], 5), 2.0)  # the coarse space nearly solves
 
 
-@pytest.mark.parametrize(
-    ("kind", "kappa"),
-    [("all_floating", 1000.0), pytest.param("classical", 1e5, marks=pytest.mark.serial)],
-)
+@pytest.mark.parametrize(("kind", "kappa"), [("all_floating", 1000.0), ("classical", 1e5)])
 def test_up_to_300_mmhg(kind, kappa):
     """In few load steps, each linear system exact, and the iterations as at rest."""
     body = wall(tube(), kappa=kappa)

@@ -122,7 +122,6 @@ KINDS = {
 }
 
 
-@pytest.mark.serial
 @every_type
 @pytest.mark.parametrize("problem", KINDS.values(), ids=KINDS)
 @pytest.mark.parametrize("q", ["preconditioner", "identity"])
@@ -141,7 +140,6 @@ def test_condition_grows_no_faster_than_a_squared_logarithm(problem, q, kind, to
     agree(lumped[-1] > 3.0 * dirichlet[-1], (dirichlet, lumped))
 
 
-@pytest.mark.serial
 @every_type
 @pytest.mark.parametrize("components", [1, 2])
 def test_condition_is_bounded_in_the_number_of_subdomains(components, kind, torn_grid, feti):

@@ -61,13 +61,8 @@ class Scan:
         return self.nodes.longest(loaded - self.nodes.first)
 
 
-@pytest.mark.parametrize(
-    "degree",
-    [
-        pytest.param(1, marks=pytest.mark.processes(1, 2)),
-        pytest.param(2, marks=pytest.mark.serial),
-    ],
-)
+@pytest.mark.processes(1, 2)
+@pytest.mark.parametrize("degree", [1, 2])
 def test_loaded_again_it_is_the_image(degree):
     """For quadratic displacements on straight cells, too, at the nodes of the mesh."""
     scan = Scan(degree)

@@ -127,7 +127,6 @@ def test_coefficient_that_changes_with_u():
 # -- what is not there
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("kind", ["full", "exact", "auto"])
 def test_right_tangent_of_a_beam(caplog, kind):
     """Which is slow in the middle of large steps."""

@@ -90,7 +90,6 @@ def test_slender_beam(kappa, count):
     agree((steps[0].linear_floor > 0.0) == (kappa > 1e4), steps[0])
 
 
-@pytest.mark.serial
 def test_tube_with_a_penalty_of_a_million_shear_moduli():
     kappa = 3e6
     compare(lambda comm: wall(tube(comm), kappa=kappa), [loads.mmhg(5.0), loads.mmhg(10.0)], kappa)

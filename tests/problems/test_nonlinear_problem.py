@@ -174,7 +174,6 @@ def stretched(degree: int, *, given: int | None = None, **metadata: object) -> n
     return by_place(u)
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("degree", [1, 2])
 def test_quadrature(degree):
     """The argument bounds the degrees of integrals that state none; without it they are UFL's."""
@@ -204,7 +203,6 @@ def test_default_quadrature_is_that_of_dolfinx(degree):
     small(norm(r.array[: len(owned(u))]), 1e-10 * size)
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize(
     ("degree", "material", "given", "expected"),
     [

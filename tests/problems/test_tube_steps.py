@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from collective import COMM, agree, small
 from mixed import by_place
 from walls import INNER, Wall, tube, wall
@@ -54,7 +53,6 @@ def check_radius(body: Wall, problem: NonlinearProblem, pressure: float, kappa: 
     return float(actual.mean())
 
 
-@pytest.mark.serial
 def test_radius_under_pressure():
     """u_r within 2 % of the truth for its κ, with symmetry conditions on single components.
 

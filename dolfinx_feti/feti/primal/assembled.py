@@ -91,7 +91,8 @@ def assembled_products(S: Operator, copies: Copies) -> Callable[[int], Multiply]
     if not isinstance(S, EliminatedInterior):
         return lambda i: _like_itself(S, i, copies.delta[copies.blocks[i]])
     shares = shares_of_neighbours(copies, S.block)
-    work = np.empty(max((b.stop - b.start for b in copies.blocks), default=0) ** 2)
+    largest = max((b.stop - b.start for b in copies.blocks), default=0)
+    work = np.empty(largest**2, dtype=np.float32)
 
     def product(i: int) -> Multiply:
         A = S.unpacked(i, work)
@@ -99,7 +100,9 @@ def assembled_products(S: Operator, copies: Copies) -> Callable[[int], Multiply]
         for share in shares(i):
             row, column = np.tril_indices(len(share.rows))
             entries[share.rows[row] + len(A) * share.rows[column]] += share.S
-        return lambda X: np.asarray(blas.dsymm(1.0, A, np.asfortranarray(X), lower=1))
+        return lambda X: np.asarray(
+            blas.ssymm(1.0, A, np.asfortranarray(X, dtype=np.float32), lower=1), dtype=np.float64
+        )
 
     return product
 

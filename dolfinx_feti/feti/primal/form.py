@@ -81,6 +81,7 @@ class PrimalPreconditioner:
         inertia: Negative eigenvalues of K_ρ, D and K_II.
         copies: Copies of the interface dofs.
         V: The averaged columns.
+        rough: Whether K_ρ⁻¹ may be in single precision.
         combinations: Those of the columns of this process that are independent; None before the
             first matrix.
     """
@@ -90,6 +91,7 @@ class PrimalPreconditioner:
     inertia: Inertia
     copies: Copies
     V: AveragedColumns
+    rough: bool
     combinations: scipy.sparse.csr_array | None = None
 
     def solve(self, t: Array) -> Array:
@@ -213,7 +215,8 @@ class PrimalForm:
         own = self.preconditioner
         for owned in (self.coarse, own.V, own.copies):
             owned.destroy()
-        return Setup(self.near_kernel, self.operator, own.weights, own.inverse, own.inertia)
+        parts = own.weights, own.inverse, own.inertia, own.rough
+        return Setup(self.near_kernel, self.operator, *parts)
 
     def destroy(self) -> None:
         """Free everything but the pattern."""
@@ -257,7 +260,7 @@ def create_preconditioner(pattern: Pattern, setup: Setup) -> PrimalPreconditione
         copies.destroy()
         setup.destroy()
         raise
-    return PrimalPreconditioner(setup.weights, setup.inverse, setup.inertia, copies, V)
+    return PrimalPreconditioner(setup.weights, setup.inverse, setup.inertia, copies, V, setup.rough)
 
 
 def create_preconditioner_of_part(pattern: Pattern) -> PrimalPreconditioner:
@@ -267,7 +270,7 @@ def create_preconditioner_of_part(pattern: Pattern) -> PrimalPreconditioner:
         SetUpError: It cannot be set up.
     """
     with symmetric_part(pattern) as part:
-        setup = set_up(part)
+        setup = set_up(part, rough=True)
         preconditioner = create_preconditioner(part, setup)
         setup.operator.destroy()
     return preconditioner

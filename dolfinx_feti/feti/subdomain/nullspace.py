@@ -29,7 +29,7 @@ from dolfinx_feti.feti.subdomain.factors.pivoted import factor_with_pivots
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["factor_tells_singular", "interior_kernel", "null_space"]
+__all__ = ["factor_tells_singular", "growth", "interior_kernel", "null_space"]
 
 Array = npt.NDArray[np.float64]
 Solve = Callable[[Array], Array]
@@ -57,13 +57,15 @@ def factor_tells_singular(factor: Factor, d: Array) -> bool:
     """Tell whether a factored block of absolute diagonal d, (n,), is singular up to rounding."""
     if len(d) == 0:
         return False
+    return bool(factor.pivots.zero) or not growth(factor, d) <= SINGULAR_GROWTH  # or it is NaN
+
+
+def growth(factor: Factor, d: Array) -> float:
+    """Return how random vectors grow in a solve with a factored block that is scaled by d, (n,)."""
     d = _positive(d)
-    if factor.pivots.zero:
-        return True
     X = np.random.default_rng(len(d)).standard_normal((len(d), PROBES))
     root = np.sqrt(d)[:, None]
-    grown = np.linalg.norm(root * factor.solve(root * X)) / np.linalg.norm(X)
-    return not grown <= SINGULAR_GROWTH  # a NaN is no sign of health
+    return float(np.linalg.norm(root * factor.solve(root * X)) / np.linalg.norm(X))
 
 
 def null_space(

@@ -37,6 +37,7 @@ from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor, PackedMatrix
 from dolfinx_feti.feti.subdomain.factors.pivoted import factor_with_pivots
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
 from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
+from dolfinx_feti.feti.subdomain.factors.single import factor_in_single
 from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_library import rows_of
@@ -47,6 +48,7 @@ __all__ = ["Operator", "create_operator"]
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 Integers = npt.NDArray[np.integer]
+Single = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 
@@ -98,6 +100,10 @@ class Operator(ABC):
         Raises:
             FactorError: It failed. Not collective: the caller reduces.
         """
+
+    def factor_in_single(self, i: int, R: Array, rho: float) -> Factor | None:
+        """Factor it plus ρ R Rᵀ in single precision; None where that is not done, or fails."""
+        return None
 
     @abstractmethod
     def condense_many(self, i: int, X: Array) -> Array:
@@ -252,8 +258,8 @@ class EliminatedInterior(Operator):
         """Return the lower triangle of a block of S_i, row by row, (m (m + 1) / 2,)."""
         return self._S[i].block(rows)
 
-    def unpacked(self, i: int, work: Array) -> Array:
-        """Return S_i, (n_Γ, n_Γ) in Fortran's order, below its diagonal, in a work space."""
+    def unpacked(self, i: int, work: Single) -> Single:
+        """Return S_i in single precision, (n_Γ, n_Γ) in Fortran's order, below its diagonal."""
         return self._S[i].unpacked(work)
 
     def local_product(self, i: int, X: Array) -> Array:
@@ -261,6 +267,9 @@ class EliminatedInterior(Operator):
 
     def factor(self, i: int, R: Array, rho: float, shift: Array | None = None) -> Factor:
         return DenseFactor(self._S[i], R, rho, shift)
+
+    def factor_in_single(self, i: int, R: Array, rho: float) -> Factor | None:
+        return factor_in_single(self._S[i], R, rho)
 
     def condense_many(self, i: int, X: Array) -> Array:
         return X

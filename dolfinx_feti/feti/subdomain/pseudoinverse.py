@@ -44,9 +44,10 @@ from dolfinx_feti.feti.subdomain.blocks import as_slice, named
 from dolfinx_feti.feti.subdomain.buckling import buckling_modes
 from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
+from dolfinx_feti.feti.subdomain.factors.single import ROUNDING, SingleFactor
 from dolfinx_feti.feti.subdomain.kernel import kernel_basis
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
-from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, null_space
+from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, growth, null_space
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.orthonormal import append_orthonormal, orthonormal
 from dolfinx_feti.feti.subdomain.soft import Basis, join, soft_modes
@@ -65,6 +66,9 @@ ENRICHMENTS = 3
 
 #: ρ is at least this multiple of the most negative curvature that it has to lift above zero.
 LIFT = 2.0
+
+#: Error of a solve in single precision up to which it preconditions.
+ROUGH = 0.1
 
 #: An eigenvalue of D above this multiple of −ρ counts as zero: rounding of the local solves.
 DEFECT_TOLERANCE = 1e-13
@@ -105,7 +109,9 @@ class PseudoInverse:
         It serves until the inverse of another one is applied.
         """
         factor, modes = self.factors[i], self.modes[i]
-        solve = factor.solver() if isinstance(factor, DenseFactor) else factor.solve
+        solve: Solve = factor.solve
+        if isinstance(factor, DenseFactor | SingleFactor):
+            solve = factor.solver()
         if not modes.soft:
             return solve
 
@@ -139,6 +145,7 @@ def create_pseudo_inverse(
     symmetric: bool,
     soft: int,
     threshold: float,
+    rough: bool,
 ) -> PseudoInverse:
     """Find the modes of every subdomain and factor K_ρ.
 
@@ -149,6 +156,7 @@ def create_pseudo_inverse(
         symmetric: Whether K is symmetric.
         soft: Most soft modes of a subdomain.
         threshold: Share of the interface stiffness below which a mode is soft.
+        rough: Whether the inverse only preconditions: single precision may do then.
 
     Raises:
         FactorError: Some work on a subdomain failed. Not collective: the caller reduces.
@@ -162,7 +170,7 @@ def create_pseudo_inverse(
     factors, modes = [], []
     for i, (R, defect) in enumerate(zip(rigid, defects, strict=True)):
         with named(torn.first + i):
-            K = _Block(operator, i, operator.diagonal(i), symmetric)
+            K = _Block(operator, i, operator.diagonal(i), symmetric, rough)
             stiffness = weight[operator.dofs[i]]
             find = partial(soft_modes, weight=stiffness, most=soft, threshold=threshold)
             factor, of_block = _regularise(K, R, defect, find)
@@ -181,15 +189,24 @@ class _Block(NamedTuple):
         i: Number of the subdomain.
         diagonal: The absolute diagonal of K, (n,).
         symmetric: Whether K is symmetric.
+        rough: Whether single precision may do.
     """
 
     operator: Operator
     i: int
     diagonal: Array
     symmetric: bool
+    rough: bool
 
     def factor(self, R: Array, rho: float, shift: Array | None = None) -> Factor:
         return self.operator.factor(self.i, R, rho, shift)
+
+    def factor_in_single(self, R: Array, rho: float) -> Factor | None:
+        factor = self.operator.factor_in_single(self.i, R, rho) if self.rough else None
+        if factor is None or growth(factor, self.diagonal) * ROUNDING <= ROUGH:
+            return factor
+        factor.destroy()
+        return None
 
     def product(self, X: Array) -> Array:
         return self.operator.local_product(self.i, X)
@@ -224,6 +241,9 @@ def _regularise(
 
 def _with_null_vectors(K: _Block, R: Array, rho: float) -> tuple[Factor, Array]:
     """Factor K_ρ, and append to R the null vectors that it still has; return both."""
+    single = K.factor_in_single(R, rho)
+    if single is not None:
+        return single, R
     try:
         factor = K.factor(R, rho)
         if not K.is_singular(factor):

@@ -40,7 +40,7 @@ def test_products_with_the_assembled_matrix(kind, interior, torn_grid, form):
             A = root[:, None] * exact.S[np.ix_(rows, rows)] * root
         found = product(i)(np.eye(len(rows)))
         worst = max(worst, float(np.abs(found - A).max(initial=0.0) / np.abs(A).max(initial=1.0)))
-    small(worst, 1e-10)
+    small(worst, 1e-10 if interior == "keep" else 1e-6)  # A is unpacked in single precision
 
 
 def test_a_block_that_fails_on_one_process(torn_grid, form):

@@ -12,8 +12,10 @@ from collective import agree, equal, small, whole
 from modes import modes_of
 
 from dolfinx_feti.feti.dual.form import create_dual_form
-from dolfinx_feti.feti.setup import set_up
+from dolfinx_feti.feti.setup import refined, set_up
 from dolfinx_feti.feti.subdomain import analysis, pseudoinverse
+from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor
+from dolfinx_feti.feti.subdomain.factors.single import SingleFactor
 from dolfinx_feti.feti.subdomain.kernel import kernel_basis
 
 SEED = 271104
@@ -278,3 +280,26 @@ def test_dense_null_space_agrees_with_the_kernel(torn_grid, parts):
     pairs = list(zip(null, modes_of(system).E, strict=True))
     agree(all(N.shape == E.shape for N, E in pairs))
     small(max((np.abs(N @ (N.T @ E) - E).max() for N, E in pairs), default=0.0), 1e-11)
+
+
+@pytest.mark.parametrize("stiff", [0.0, 1e9], ids=["even", "stiff"])
+def test_rough_factors_only_where_they_precondition(stiff, torn_grid, pattern):
+    """Single precision, but double where a stiff tie would have it round the rest away."""
+
+    def tie(K, dofs):
+        for K_i in K:
+            K_i[:2, :2] += stiff * np.abs(K_i).max() * np.array([[1.0, -1.0], [-1.0, 1.0]])
+
+    problem = torn_grid((2, 2), (2, 2), components=2, change=tie)
+    read = pattern(problem.A, interior="eliminate")
+    rough = set_up(read, rough=True)
+    kinds = {type(factor) for factor in rough.inverse.factors}
+    agree(kinds <= {DenseFactor if stiff else SingleFactor}, kinds)
+    y = np.random.default_rng(SEED + 5).standard_normal(read.torn.n)
+    approximate = rough.inverse.solve(y)
+    fine = refined(read, rough)
+    agree({type(factor) for factor in fine.inverse.factors} <= {DenseFactor})
+    agree(refined(read, fine) is fine)
+    exact = fine.inverse.solve(y)
+    small(np.abs(approximate - exact).max(initial=0.0) / np.abs(exact).max(initial=1.0), 1e-4)
+    fine.destroy()

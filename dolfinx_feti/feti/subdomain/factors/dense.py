@@ -19,6 +19,7 @@ from __future__ import annotations
 import ctypes
 import functools
 from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -30,9 +31,10 @@ from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.runtime.native import address_of
 
-__all__ = ["DenseFactor", "PackedMatrix", "pack"]
+__all__ = ["DenseFactor", "PackedMatrix", "pack", "unpack"]
 
 Array = npt.NDArray[np.float64]
+Real = TypeVar("Real", np.float32, np.float64)
 Integers = npt.NDArray[np.integer]
 
 #: Share of the largest eigenvalue of a scaled matrix below which one counts as zero.
@@ -76,14 +78,14 @@ class PackedMatrix:
             return np.zeros(X.shape)
         if X.shape[1] <= FEW:
             return np.column_stack([self.multiply(x) for x in X.T])
-        S = _unpack(self.values, self.n, self.work)
+        S = unpack(self.values, self.n, self.work)
         return blas.dsymm(1.0, S, np.asfortranarray(X), lower=1)
 
     def multiply_panels(self, W: Panels) -> Array:
         """Return S W for block-sparse columns, (n, r)."""
         if self.n == 0:
             return W.dense()
-        return W.product(_mirrored(_unpack(self.values, self.n, self.work)))
+        return W.product(_mirrored(unpack(self.values, self.n, self.work)))
 
     def block(self, rows: Integers) -> Array:
         """Return the lower triangle of the block with rows in any order, (m (m + 1) / 2,)."""
@@ -91,9 +93,9 @@ class PackedMatrix:
         i, j = np.maximum(rows[row], rows[column]), np.minimum(rows[row], rows[column])
         return self.values[i + j * (2 * self.n - j - 1) // 2]
 
-    def unpacked(self, work: Array) -> Array:
-        """Return S, (n, n) in Fortran's order, below its diagonal, in another work space."""
-        return _unpack(self.values, self.n, work)
+    def unpacked(self, work: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return S in single precision, (n, n) in Fortran's order, in another work space."""
+        return unpack(self.values.astype(np.float32), self.n, work)
 
     def memory(self) -> float:
         """Return the memory of the entries in MiB."""
@@ -166,7 +168,7 @@ class DenseFactor:
         """Return what applies S_ρ⁻¹ to columns, (n, r), until the work space serves another one."""
         if self._X.ndim == 2 or self._n == 0:
             return self.solve
-        L = _unpack(self._X, self._n, self._work)
+        L = unpack(self._X, self._n, self._work)
 
         def solve(Y: Array) -> Array:
             X = blas.dtrsm(1.0, L, np.asfortranarray(Y), lower=1)
@@ -190,7 +192,7 @@ def pack(S: Array) -> Array:
 
 def _regularised(S: PackedMatrix, R: Array | None, rho: float, shift: Array | None) -> Array:
     """Return S + ρ R Rᵀ, shifted, in the lower triangle of the work space."""
-    X = _unpack(S.values, S.n, S.work)
+    X = unpack(S.values, S.n, S.work)
     if shift is not None:
         X[np.diag_indices(S.n)] += shift
     if R is None or R.shape[1] == 0:
@@ -198,14 +200,15 @@ def _regularised(S: PackedMatrix, R: Array | None, rho: float, shift: Array | No
     return blas.dsyrk(rho, R, beta=1.0, c=X, lower=1, overwrite_c=1)
 
 
-def _unpack(S: Array, n: int, work: Array) -> Array:
-    """Unpack a matrix into the work space: (n, n) in Fortran's order, below the diagonal.
+def unpack(S: npt.NDArray[Real], n: int, work: npt.NDArray[Real]) -> npt.NDArray[Real]:
+    """Unpack a matrix into a work space: (n, n) in Fortran's order, below the diagonal.
 
-    SciPy's own dtpttr makes a new array, and fills it with zeros, which takes ten times as long.
+    Both are in double or in single precision. SciPy's own dtpttr makes a new array, and fills it
+    with zeros, which takes ten times as long.
     """
     size, info = ctypes.c_int(n), ctypes.c_int(0)
     to_size, to_info = ctypes.addressof(size), ctypes.addressof(info)
-    _dtpttr()(b"L", to_size, S.ctypes.data, work.ctypes.data, to_size, to_info)
+    _tpttr(S.dtype.char)(b"L", to_size, S.ctypes.data, work.ctypes.data, to_size, to_info)
     return work[: n * n].reshape((n, n), order="F")
 
 
@@ -221,9 +224,9 @@ def _mirrored(L: Array) -> Array:
 
 
 @functools.cache
-def _dtpttr() -> Callable[..., None]:
+def _tpttr(precision: str) -> Callable[..., None]:
     kind = ctypes.CFUNCTYPE(None, ctypes.c_char_p, *[ctypes.c_void_p] * 5)
-    return kind(address_of("dtpttr"))
+    return kind(address_of({"d": "dtpttr", "f": "stpttr"}[precision]))
 
 
 def _pivot_eigenvalues(X: Array, interchanges: npt.NDArray[np.int32]) -> Array:

@@ -1,0 +1,75 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Cholesky factors in single precision, against dense inverses and factors in double."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor, PackedMatrix, pack
+from dolfinx_feti.feti.subdomain.factors.single import ROUNDING, factor_in_single
+from dolfinx_feti.feti.subdomain.nullspace import growth
+
+RHO = 2.0
+
+
+def block(n: int, least: float, scale: float = 1.0) -> tuple[PackedMatrix, np.ndarray, np.ndarray]:
+    """Return S, packed and dense, with eigenvalues from ``least`` to 1 times a scale, and R."""
+    rng = np.random.default_rng(n)
+    Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
+    S = scale * (Q * np.geomspace(least, 1.0, n)) @ Q.T
+    R = np.linalg.qr(rng.standard_normal((n, min(n, 3))))[0]
+    return PackedMatrix(pack(np.asfortranarray(S)), n, np.empty(n * n)), S, R
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-60, 1e60])
+@pytest.mark.parametrize("n", [1, 2, 40])
+def test_inverse_up_to_rounding_in_single_precision(n, scale):
+    """Columns and a vector, whatever the units; S stays as it is."""
+    packed, S, R = block(n, 1e-3, scale)
+    before = packed.values.copy()
+    factor = factor_in_single(packed, R, RHO * scale)
+    S_ρ = S + RHO * scale * R @ R.T
+    exact = np.linalg.inv(S_ρ)
+    Y = np.random.default_rng(1).standard_normal((n, 5)) / scale
+    bound = 10.0 * ROUNDING * np.linalg.cond(S_ρ)
+    for y, solved in (
+        (Y, factor.solver()(Y)),
+        (Y, factor.solve(Y)),
+        (Y[:, 0], factor.solve(Y[:, 0])),
+    ):
+        assert solved.dtype == np.float64
+        assert np.linalg.norm(solved - exact @ y) <= bound * np.linalg.norm(exact @ y)
+    assert not factor.solve(0.0 * Y).any()
+    assert np.array_equal(packed.values, before)
+    assert factor.pivots == (0, 0)
+
+
+def test_half_the_memory():
+    packed, _, R = block(40, 1e-3)
+    single, double = factor_in_single(packed, R, RHO), DenseFactor(packed, R, RHO)
+    assert single.memory() == 0.5 * double.memory()
+    single.destroy()
+    assert single.memory() == 0.0
+
+
+def test_error_is_that_of_the_growth():
+    """A solve is off by about ε times the growth of random vectors, which is found with it."""
+    for least in (1e-1, 1e-3, 1e-5):
+        packed, S, R = block(60, least)
+        factor, double = factor_in_single(packed, R, RHO), DenseFactor(packed, R, RHO)
+        y = np.random.default_rng(2).standard_normal(60)
+        error = np.linalg.norm(factor.solve(y) - double.solve(y)) / np.linalg.norm(double.solve(y))
+        stiffest = np.linalg.norm(S + RHO * R @ R.T, 2) / S.diagonal().mean()
+        assert error <= ROUNDING * stiffest * growth(factor, S.diagonal())
+
+
+def test_no_factor_of_an_indefinite_or_an_empty_matrix():
+    packed, _, R = block(20, 1e-3)
+    packed.values[0] = -1.0
+    assert factor_in_single(packed, R, RHO) is None
+    assert (
+        factor_in_single(PackedMatrix(np.zeros(0), 0, np.zeros(0)), np.zeros((0, 0)), 1.0) is None
+    )
