@@ -7,9 +7,10 @@ r"""A load path whose linear systems FETI and a direct solver solve both, each w
 
 Newton's method goes on with FETI's ΔU, so that there is one path. Both solvers keep from one
 tangent to the next what they can: FETI its gluing, its coarse space and the factors of a few
-tangents (``feti_lag``), MUMPS its analysis. FETI is as accurate as each step deserves (``newton``):
-its residual in a record is that of the roughest solve. *End to end* is everything from the first to
-the last equilibrium, with the linear solves of one of them.
+tangents (``feti_lag``), MUMPS its analysis. A tangent that Newton's method keeps is factored once.
+FETI is as accurate as each step deserves (``newton``): its residual in a record is that of the
+roughest solve. *End to end* is everything from the first to the last equilibrium, with the linear
+solves of one of them.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from dolfinx_feti.comparison import (
 )
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
 from dolfinx_feti.runtime.collective import on_all, reason
+from dolfinx_feti.torn.matrix import State, state_of
 
 __all__ = ["PHASES", "SOLVERS", "follow", "load"]
 
@@ -135,6 +137,7 @@ class _Direct:
         self.difference: float | None = None  # ‖x_FETI − x‖/‖x‖ of the last solve
         self.note = ""  # why it failed; then it solves no more
         self._K: PETSc.Mat | None = None
+        self._state: State | None = None  # of the torn matrix behind it
         self._ksp: PETSc.KSP | None = None
 
     def solve(self, A: PETSc.Mat, b: PETSc.Vec, x_feti: PETSc.Vec) -> None:
@@ -145,8 +148,10 @@ class _Direct:
         if self._K is None:
             self._K = K
         else:
-            K.copy(self._K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            if state_of(A) != self._state:  # PETSc factors a matrix anew that has been written to
+                K.copy(self._K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
             K.destroy()
+        self._state = state_of(A)
         x = f.duplicate()
         try:
             cost, self._ksp = on_all(lambda: timed_solve(self._set_up, f, x), f.comm.tompi4py())
@@ -167,7 +172,7 @@ class _Direct:
         """Return the solver, with an analysis if there was a matrix before."""
         if self._ksp is None:
             return create_direct(self._K, self.name)
-        self._ksp.setOperators(self._K)  # the matrix is another one
+        self._ksp.setOperators(self._K)  # perhaps the matrix is another one
         return self._ksp
 
     def destroy(self) -> None:

@@ -121,7 +121,8 @@ class _Loads(Path[LoadStep, Steps]):
         """Let the increment grow after a quick step."""
         found, steps = LoadStep(**step), self._steps
         extra = max(len(self._problem.volume_changes) - 1, 0)  # a step for each multiplier
-        if found.failures == 0 and len(found.history) - extra <= steps.quick:
+        tangents = sum(step.tangent_lag == 0 for step in found.history)
+        if found.failures == 0 and tangents - extra <= steps.quick:
             self._length = max(self._length, steps.growth * abs(found.increment))
         return found
 

@@ -48,7 +48,7 @@ class Steps(Lengths):
     """How to choose the increments of the load; they grow after a quick step.
 
     Attributes:
-        quick: Newton steps that count as quick.
+        quick: Newton steps with a new tangent up to which a load step counts as quick.
         rtol: Newton's relative tolerance at the loads on the way; None for the solver's own.
         linear_rtol: Relative tolerance of the linear solves there, likewise. Nothing is gained from
             one below ``rtol``.

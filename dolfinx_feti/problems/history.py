@@ -5,13 +5,17 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dolfinx_feti.feti.solver import FETI
 
-__all__ = ["NewtonStep", "proved_negative", "record_step"]
+__all__ = ["NewtonStep", "is_slow", "proved_negative", "record_step", "share_left"]
+
+#: So many steps, each of which leaves more than this share of the residual, are slow.
+SLOW_STEPS, SLOW = 3, 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +42,7 @@ class NewtonStep:
         floor: ‖r‖ that is rounding; nan if it is not known.
         linear_floor: ``linear_residual`` that is rounding, if the linear solve has ended there
             before ``linear_rtol``; else nan.
+        tangent_lag: Steps that the tangent had served before; 0 for a new one.
     """
 
     residual: float
@@ -56,6 +61,7 @@ class NewtonStep:
     lag: int = 0
     floor: float = math.nan
     linear_floor: float = math.nan
+    tangent_lag: int = 0
 
 
 def record_step(
@@ -69,6 +75,7 @@ def record_step(
     assembly: float,
     linear: float,
     floor: float = math.nan,
+    tangent_lag: int = 0,
 ) -> NewtonStep:
     """Record what a Newton step cost.
 
@@ -83,6 +90,7 @@ def record_step(
         assembly: Seconds of assembly.
         linear: Seconds of the solves.
         floor: ‖r‖ that is rounding.
+        tangent_lag: Steps that the tangent had served before.
     """
     return NewtonStep(
         residual=residual,
@@ -101,9 +109,27 @@ def record_step(
         lag=feti.age,
         floor=floor,
         linear_floor=feti.floor,
+        tangent_lag=tangent_lag,
     )
 
 
 def proved_negative(feti: FETI) -> int | None:
     """Return the negative eigenvalues that the assembled matrix has at least; None if not known."""
     return None if feti.inertia is None else feti.inertia.assembled
+
+
+def share_left(history: Sequence[NewtonStep], norm: float) -> float:
+    """Return the share of the residual, now ‖r‖, that the last step has left.
+
+    It is infinite before the first step, and after one that was shortened or took a shift.
+    """
+    whole = history and history[-1].step_length == 1.0 and history[-1].shift == 0.0
+    return norm / history[-1].residual if whole else math.inf
+
+
+def is_slow(history: Sequence[NewtonStep], norm: float) -> bool:
+    """Tell whether each of the last steps has left much of the residual, now ‖r‖."""
+    last = history[-SLOW_STEPS:]
+    norms = [*(step.residual for step in last), norm]
+    left = (after / before for before, after in itertools.pairwise(norms))
+    return len(last) == SLOW_STEPS and all(SLOW < share < 1.0 for share in left)

@@ -27,6 +27,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 
@@ -50,6 +52,9 @@ CURVATURE_CONDITION = 0.9
 
 #: Share of the potential below which its change is rounding.
 POTENTIAL_ROUNDING = 1e-9
+
+#: Share of the greatest displacement below which one of a Dirichlet dof is rounding.
+MOVED = 1e-10
 
 #: Share of the slope by which a step has to lower the potential (Armijo).
 DESCENT = 1e-4
@@ -131,7 +136,7 @@ def _mover(
     """Return the function that goes to U + α ΔU and judges the state there."""
     start, step = system.state(), system.increment(residual, du)
     slope = system.dot(du, residual.condensed)  # g(0) < 0
-    only_down = abs(slope) > POTENTIAL_ROUNDING * abs(height) and not system.moves_boundary(du)
+    only_down = abs(slope) > POTENTIAL_ROUNDING * abs(height) and not _moves_boundary(system, du)
 
     def move(alpha: float) -> _Trial:
         system.set_state((start[0] + alpha * step[0], start[1] + alpha * step[1]))
@@ -146,6 +151,15 @@ def _mover(
         return _Trial(alpha, moved, ratio, accepted, there)
 
     return move
+
+
+def _moves_boundary(system: System, du: Array) -> bool:
+    """Tell whether an increment, (owned,), moves Dirichlet dofs beyond rounding. Collective."""
+    most, moved = (
+        system.comm.allreduce(float(np.abs(part).max(initial=0.0)), op=MPI.MAX)
+        for part in (du, du[system.dirichlet])
+    )
+    return moved > MOVED * most
 
 
 def _shortening(ratio: float) -> float:

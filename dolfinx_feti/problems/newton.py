@@ -18,9 +18,14 @@ is left that can be proved (``space``), which is known before the first iteratio
 downhill, ΔU·r < 0. In the next steps σ falls, to zero at the end. A tangent that turns out singular
 on the way counts as indefinite.
 
+A step keeps the tangent of the last one if that leads to the end in two steps, should each leave
+the share of the residual that the last step has left: no assembly, no factors, no coarse matrix.
+Fields are then condensed by the K_up and K_pp of this tangent, or κ would multiply by how much they
+have changed.
+
 A linear solve is no more accurate than the step deserves: beside its own tolerance, a tenth of the
-residual that Newton's method aims at is enough, ‖r + K' ΔU‖ ≤ 0.1 r_end. Options that state how
-accurate linear solves are, are kept to.
+residual that Newton's method aims at, or that a step with a kept tangent leaves, is enough,
+‖r + K' ΔU‖ ≤ 0.1 r_end. Options that state how accurate linear solves are, are kept to.
 
 Where Newton's method converges slowly, or not at all, the tangent is compared with the derivative
 (``derivative``), once in a solve.
@@ -33,7 +38,6 @@ equilibrium the state is.
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -47,10 +51,16 @@ import numpy.typing as npt
 
 from dolfinx_feti.feti.solver import DOUBTFUL, FETI
 from dolfinx_feti.problems.derivative import Mismatch, difference_from_derivative
-from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
+from dolfinx_feti.problems.history import (
+    NewtonStep,
+    is_slow,
+    proved_negative,
+    record_step,
+    share_left,
+)
 from dolfinx_feti.problems.line_search import line_search
 from dolfinx_feti.problems.shift import fallen, raised
-from dolfinx_feti.problems.solvers import no_closer_than
+from dolfinx_feti.problems.solvers import no_closer_than, solved
 from dolfinx_feti.problems.system import Residual, System, Tangent
 from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.runtime.compat import residual_is_nan
@@ -62,11 +72,12 @@ __all__ = ["Newton", "Start", "checked_start"]
 Array = npt.NDArray[np.float64]
 Reason, LinearReason = PETSc.SNES.ConvergedReason, PETSc.KSP.ConvergedReason
 
-#: So many steps, each of which leaves more than this share of the residual, are slow.
-SLOW_STEPS, SLOW = 3, 0.03
-
 #: Share of the residual that Newton's method aims at which a linear solve may leave.
 LEFT = 0.1
+
+#: Steps in which the last tangent has to lead to the end to be kept: together they cost less than
+#: one with a new tangent; and the share of the residual that each is taken to leave at least.
+KEPT, LEAST_SHARE = 2, 0.1
 
 #: How a solve ends that does not get closer, perhaps for a tangent that is not the derivative.
 NOT_CLOSER = (Reason.DIVERGED_MAX_IT, Reason.DIVERGED_LINE_SEARCH)
@@ -187,7 +198,11 @@ class Newton:
             raise _Stop(Reason.DIVERGED_FUNCTION_DOMAIN, _INVERTED)
         reason = _judge(snes, 0, norm, scale)
         while reason == Reason.ITERATING:
-            if self.history or start.tangent is None:
+            aim = min(_aim(snes, scale), start.aim)
+            share = share_left(self.history, norm)
+            kept = norm * share**KEPT <= aim
+            left = norm * max(share, LEAST_SHARE) if kept else 0.0
+            if not kept and (self.history or start.tangent is None):
                 with event("FETITangent"):
                     system.linearise(here)
             floor = system.rounding()
@@ -195,18 +210,24 @@ class Newton:
                 if (force := system.norm(here.force)) > DOUBTFUL * scale:
                     warn(_DOUBTFUL.format(force, scale), system.comm)
                 return Reason.CONVERGED_FNORM_ABS
-            if not self._compared and self._is_slow(norm):
+            if not kept and not self._compared and is_slow(self.history, norm):
                 self._compare(here, self._du)
-            aim = min(_aim(snes, scale), start.aim)
-            with no_closer_than(LEFT * aim, snes.getKSP()):
-                here, started = self._step(snes, here, norm, floor, started)
+            with no_closer_than(LEFT * max(aim, left), snes.getKSP()):
+                here, started = self._step(snes, here, norm, floor, started, kept=kept)
             self.residual = here.condensed
             norm = system.norm(here.condensed)
             reason = _judge(snes, len(self.history), norm, scale)
         return reason
 
     def _step(
-        self, snes: PETSc.SNES, here: Residual, norm: float, floor: float, started: float
+        self,
+        snes: PETSc.SNES,
+        here: Residual,
+        norm: float,
+        floor: float,
+        started: float,
+        *,
+        kept: bool,
     ) -> tuple[Residual, float]:
         """Take a step, with a larger shift where no step length is admissible, and record it.
 
@@ -216,17 +237,19 @@ class Newton:
             norm: ‖r‖.
             floor: What rounding leaves of it; below, no step length has to be admissible.
             started: When the assembly began.
+            kept: Whether the tangent is that of the step before.
 
         Returns:
             The residual where the step ends, and when its assembly began.
         """
         system, ksp = self._system, snes.getKSP()
+        seen = system.seen_by_tangent(here) if kept else here
         while True:
             assembled = time.perf_counter()
-            found = self._direction(ksp, here.condensed)
+            found = self._direction(ksp, seen.condensed)
             solved = time.perf_counter()
             end = line_search(
-                system, here, found.du, lengthen=found.shift > 0.0, potential=self._potential
+                system, seen, found.du, lengthen=found.shift > 0.0, potential=self._potential
             )
             self._potential = end.potential
             step = record_step(
@@ -239,23 +262,17 @@ class Newton:
                 assembly=assembled - started,
                 linear=solved - assembled,
                 floor=floor,
+                tangent_lag=self.history[-1].tangent_lag + 1 if kept else 0,
             )
             self.history.append(step)
             self._shift = fallen(found.shift, grown=found.shift > self._shift)
             self._du = found.du
-            if end.alpha > 0.0 or norm <= floor:
-                return end.residual, solved
+            if end.alpha > 0.0 or norm <= floor or kept:
+                return end.residual if end.alpha > 0.0 else here, solved
             larger = raised(found.shift) if system.has_potential else None
             if larger is None:
                 raise _Stop(Reason.DIVERGED_LINE_SEARCH, _NO_STEP)
             self._shift, started = larger, solved
-
-    def _is_slow(self, norm: float) -> bool:
-        """Tell whether each of the last steps has left much of the residual, now ‖r‖."""
-        last = self.history[-SLOW_STEPS:]
-        norms = [*(step.residual for step in last), norm]
-        left = (after / before for before, after in itertools.pairwise(norms))
-        return len(last) == SLOW_STEPS and all(SLOW < share < 1.0 for share in left)
 
     def _compare(self, here: Residual, du: Array) -> None:
         """Compare the tangent with the derivative along ΔU, once in a solve, and tell."""
@@ -277,7 +294,7 @@ class Newton:
         while sigma is not None:
             if sigma > 0.0:
                 system.shift(sigma)
-            du = _solve(ksp, system.A, -r)
+            du = solved(ksp, system.A, -r)
             reason = ksp.getConvergedReason()
             failed = reason == LinearReason.DIVERGED_PCSETUP_FAILED
             if sigma == 0.0:
@@ -351,18 +368,6 @@ def _monitor(snes: PETSc.SNES, its: int, norm: float) -> None:
     """Call the monitors, which may be the user's own."""
     with python_errors():
         snes.monitor(its, norm)
-
-
-def _solve(ksp: PETSc.KSP, A: PETSc.Mat, b: Array) -> Array:
-    """Solve A x = b; return x, (owned,)."""
-    rhs, x = A.createVecs()
-    rhs.array[:] = b
-    ksp.setOperators(A)
-    ksp.solve(rhs, x)
-    solution = x.array_r.copy()
-    rhs.destroy()
-    x.destroy()
-    return solution
 
 
 _INVERTED = (

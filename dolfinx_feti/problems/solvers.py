@@ -16,12 +16,23 @@ from contextlib import contextmanager
 
 from petsc4py import PETSc
 
+import numpy as np
+import numpy.typing as npt
+
 from dolfinx_feti.feti.options import read_options
 from dolfinx_feti.feti.solver import FETI, VIEW_ONCE
 from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.runtime.petsc_options import inserted, withheld
 
-__all__ = ["create_newton_solver", "create_solver", "no_closer_than", "options_without_effect"]
+__all__ = [
+    "create_newton_solver",
+    "create_solver",
+    "no_closer_than",
+    "options_without_effect",
+    "solved",
+]
+
+Array = npt.NDArray[np.float64]
 
 #: Options that choose a solver, and the one value that changes nothing here.
 SOLVERS = {
@@ -113,6 +124,18 @@ def no_closer_than(norm: float, ksp: PETSc.KSP) -> Iterator[None]:
         yield
     finally:
         ksp.setTolerances(atol=atol)
+
+
+def solved(ksp: PETSc.KSP, A: PETSc.Mat, b: Array) -> Array:
+    """Solve A x = b; return x, (owned,). Collective."""
+    rhs, x = A.createVecs()
+    rhs.array[:] = b
+    ksp.setOperators(A)
+    ksp.solve(rhs, x)
+    solution = x.array_r.copy()
+    rhs.destroy()
+    x.destroy()
+    return solution
 
 
 def options_without_effect(prefix: str) -> dict[str, str]:

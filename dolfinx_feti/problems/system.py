@@ -12,7 +12,7 @@ there is one (``condensation``); residuals meet prescribed values (eq. 7, August
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 
@@ -34,9 +34,6 @@ from dolfinx_feti.torn.rounding import product_rounding
 __all__ = ["Residual", "System", "Tangent"]
 
 Array = npt.NDArray[np.float64]
-
-#: Share of the greatest displacement below which one of a Dirichlet dof is rounding.
-MOVED = 1e-10
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +75,7 @@ class System:
         A: Torn tangent.
         bcs: Dirichlet conditions.
         comm: Communicator of the mesh.
+        dirichlet: Mask of the Dirichlet dofs, (owned,).
         owned: Number of dofs that this process owns.
     """
 
@@ -118,7 +116,7 @@ class System:
         self.u = u
         self.bcs = list(bcs)
         self.comm = V.mesh.comm
-        self._dirichlet = assembly.dirichlet_mask(V, self.bcs)
+        self.dirichlet = assembly.dirichlet_mask(V, self.bcs)
         self._n_cells = len(decomposition.subdomain)
         self._space = tear(V, decomposition)
         compiler = compiler or Compiler(self.comm)
@@ -139,6 +137,7 @@ class System:
             set_condensed(self.A, self.condensation.constraints)
         self._energy = energy if energy is None else assembly.split_form(energy, V.mesh, compiler)
         self._shift = 0.0
+        self._blocks: Blocks | None = None  # of the tangent
         self._volume_ratio = None
         if volume_ratio is not None:
             points = quadrature_points(V.mesh, quadrature_degree)
@@ -218,18 +217,6 @@ class System:
         change = on_all(lambda: fields.hold(multiplier), self.comm)
         return self.comm.allreduce(change, op=MPI.MAX)
 
-    def moves_boundary(self, du: Array) -> bool:
-        """Tell whether an increment of u, (owned,), moves Dirichlet dofs, more than by rounding.
-
-        Note:
-            Collective.
-        """
-        most, moved = (
-            self.comm.allreduce(float(np.abs(part).max(initial=0.0)), op=MPI.MAX)
-            for part in (du, du[self._dirichlet])
-        )
-        return moved > MOVED * most
-
     def least_volume_ratio(self) -> float:
         """Return the least det F over all quadrature points; inf if none is watched.
 
@@ -299,6 +286,18 @@ class System:
         blocks = self.condensation.assemble()
         return b, self.condensation.residual(blocks, len(self._local)), blocks
 
+    def seen_by_tangent(self, here: Residual) -> Residual:
+        """Return a residual whose fields are condensed by K_up and K_pp of the matrix's tangent.
+
+        Note:
+            Collective.
+        """
+        if self.condensation is None or here.blocks is None or self._blocks is None:
+            return here
+        blocks = replace(self._blocks, excess=here.blocks.excess)
+        condensed = self._assembled(self.condensation.residual(blocks, len(self._local)))
+        return Residual(here.force + self.free(condensed), here.force, blocks)
+
     def linearise(self, here: Residual | None = None) -> Tangent:
         """Assemble the torn tangent and its near kernel at the present state.
 
@@ -325,8 +324,8 @@ class System:
         self._stiffness[:] = self._K.mat.getDiagonal().array_r
         self.A.query("stiffness").array[:] = self._stiffness
         if self.condensation is not None:
-            blocks = (here and here.blocks) or self.condensation.assemble()
-            self.condensation.subtract_from(self._K, blocks)
+            self._blocks = (here and here.blocks) or self.condensation.assemble()
+            self.condensation.subtract_from(self._K, self._blocks)
 
     def rounding(self) -> float:
         r"""Return the size of the rounding errors of the residual, by the assembled tangent k.
@@ -383,7 +382,7 @@ class System:
 
     def free(self, r: Array) -> Array:
         """Return a vector, (owned,), with zeros on Dirichlet dofs."""
-        return np.where(self._dirichlet, 0.0, r)
+        return np.where(self.dirichlet, 0.0, r)
 
     def dot(self, a: Array, b: Array) -> float:
         """Return a·b of two vectors, (owned,), of finite entries or not. Collective."""

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
@@ -29,7 +31,8 @@ class OneUnknown:
     ) -> None:
         self.u = 0.0
         self.visited: list[float] = []
-        self._r, self._potential, self._inverted, self._held = r, potential, inverted, held
+        self._r, self._potential, self._inverted = r, potential, inverted
+        self.comm, self.dirichlet = MPI.COMM_SELF, np.array([held])
         self.has_potential = potential is not None
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
@@ -51,9 +54,6 @@ class OneUnknown:
 
     def potential(self) -> float:
         return self._potential(self.u)
-
-    def moves_boundary(self, du: np.ndarray) -> bool:
-        return self._held
 
     def dot(self, a: np.ndarray, b: np.ndarray) -> float:
         return float(a @ b)

@@ -64,7 +64,9 @@ def compare(create, pressures, kappa):
         problem.solve()
         steps += problem.history
         allowed, expected = max(1e-10, problem.history[-1].floor), reference.follow(load)
-        agree(len(problem.history) <= expected, (load, len(problem.history), expected))
+        tangents = [step.tangent_lag for step in problem.history].count(0)
+        agree(tangents <= expected, (load, tangents, expected))
+        agree(len(problem.history) <= expected + 2, (load, problem.history, expected))
         agree(problem.residual_norm() <= max(allowed, 1e-8 * problem.history[0].residual))
         equal(by_place(body.u), by_place(reference.body.u), 1e-7)
     for step in steps:
@@ -123,7 +125,7 @@ def test_residual_above_rounding_is_not_converged(monkeypatch):
 
     def disturbed(self):
         here = assembled(self)
-        noise = random.standard_normal(self.owned) * ~self._dirichlet
+        noise = random.standard_normal(self.owned) * ~self.dirichlet
         scale = 100 * problem.history[-1].floor if problem.history else 0.0
         return replace(here, condensed=here.condensed + scale / self.norm(noise) * noise)
 
