@@ -86,7 +86,7 @@ def _fields(records: Sequence[Record]) -> Fields:
         "once": section(r | s.names | {"s": r["seconds_once"]} for s in every for r in s.measured),
         "reading": section(
             {"P": P, "mb": r["reading_bytes"] / 1e6, "mib": r["reading_mib"], "sent": r["reading"]}
-            for P, r in sorted({r["processes"]: r for s in every for r in s.counted}.items())
+            for P, r in sorted({r["processes"]: r for s in modelled for r in s.counted}.items())
         ),
         "converged": section(
             r | {"kind": NAMES[r["type"]], "rounds": len(r["residuals"])}
@@ -94,23 +94,40 @@ def _fields(records: Sequence[Record]) -> Fields:
             if r["task"] == "converge"
         ),
         "counted": section(
-            r | s.names | {"kilobytes": r["setup"]["bytes"]["max"] / 1e3}
+            r | s.names | {"kilobytes": r["setup"]["bytes"]["max"] / 1e3, "grown": grown}
             for s in every
-            for r in s.counted
+            for r, grown in zip(s.counted, _growth(s.counted, "messages_to_each"), strict=True)
         ),
+        "coarse": section(_coarse([r for r in records if r["task"] == "coarse"])),
         "first_processes": paper.FIRST,
     }
 
 
 def _series(records: Sequence[Record]) -> Iterator[_Series]:
     """Yield the series, the paper's choices first."""
-    found = sorted(groups(records, *CASE), key=lambda s: (list(CHOICES).index(s[0][-1]), s[0][-2]))
+    walls = [record for record in records if record["task"] != "coarse"]
+    found = sorted(groups(walls, *CASE), key=lambda s: (list(CHOICES).index(s[0][-1]), s[0][-2]))
     for (*_, layers, choices), mine in found:
         if all(record["task"] == "converge" for record in mine):
             continue
         mine.sort(key=lambda record: record["processes"])
         tasks = [[r for r in mine if r["task"] == task] for task in ("measure", "count")]
         yield _Series(layers, choices, *tasks, create_model(*tasks))
+
+
+def _coarse(records: Sequence[Record]) -> Iterator[dict[str, object]]:
+    """Yield the memory of the coarse problem, and what it is of that on the fewest processes."""
+    rising = sorted(records, key=lambda record: record["processes"])
+    most = [{"most": record["coarse_peak_mib"]["max"]} for record in rising]
+    for record, grown in zip(rising, _growth(most, "most"), strict=True):
+        yield record | {"grown": grown}
+
+
+def _growth(records: Sequence[Record], name: str) -> list[float | None]:
+    """Return each record's number over that of the first which has one."""
+    numbers = [record.get(name) for record in records]
+    first = next((number for number in numbers if number), None)
+    return [number / first if number and first else None for number in numbers]
 
 
 def _times(series: _Series) -> Iterator[dict[str, object]]:
@@ -174,7 +191,7 @@ def _weak(series: _Series) -> dict[str, object]:
 
 def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
     """Draw measured points, the model's curves, and the paper's points, with its choices."""
-    of_layers = {s.layers: s for s in _series(records) if s.choices == "paper"}
+    of_layers = {s.layers: s for s in _series(records) if s.choices == "paper" and s.measured}
     if not any(series.measured for series in of_layers.values()):
         return []
     legend = {"local": STYLES["local"], "global Krylov method": STYLES["krylov"]}

@@ -10,8 +10,9 @@ scaling for nonlinear elasticity*, tables Augustin_tab:aorta_scaling and carotis
 all-floating FETI on the wall of one layer, classical FETI on that of two. --processes are measured,
 at most as many as there are cores. --count are counted, any number on any machine: messages, bytes,
 neighbours, reductions and coarse solves of an iteration and of a set-up. --converge are taken to
-the end of the load step with one subdomain on each process. ``--predict DOFS PROCESSES`` runs
-nothing: it prints what the model makes of the records.
+the end of the load step with one subdomain on each process, and --coarse set the cube up with 2048
+on each, for the memory of the coarse problem. ``--predict DOFS PROCESSES`` runs nothing: it prints
+what the model makes of the records.
 
 Each number of processes is a program of its own, which this one starts with mpirun: so one command
 makes the table, a case that fails takes no other one along, and the library that counts is in no
@@ -39,6 +40,7 @@ from benchmarks.common.records import Record, Records
 from benchmarks.common.walls.first_step import CHOICES
 from benchmarks.scaling.predict import predict
 from benchmarks.scaling.traffic import compile_library
+from benchmarks.scaling.weak import EACH
 from meshes.arguments import count
 
 __all__ = ["INHERITED", "TYPES", "is_known", "main"]
@@ -107,6 +109,11 @@ def _plan(args: argparse.Namespace) -> Iterator[Record]:
                 "processes": processes,
             }
 
+    for processes in args.coarse:
+        own = {"study": "scaling", "task": "coarse", "geometry": "cube", "type": "all_floating"}
+        own |= {"choices": "paper", "pc": "dirichlet", "subdomains": EACH * processes}
+        yield own | {"processes": processes}
+
 
 def _run(
     case: Record, args: argparse.Namespace, records: Records, library: Path | None, comm: MPI.Comm
@@ -118,8 +125,9 @@ def _run(
         words = ["mpirun", "-n", str(case["processes"]), "--oversubscribe"]
         environment = {k: v for k, v in os.environ.items() if not k.startswith(INHERITED)}
         environment["OMP_NUM_THREADS"] = "1"
-        if case["task"] != "measure":
+        if case["task"] in ("count", "converge"):
             words += ["-x", f"LD_PRELOAD={library}"]
+        if case["task"] != "measure":
             environment["OMPI_MCA_mpi_yield_when_idle"] = "1"
         words += [sys.executable, "-m", "benchmarks.scaling.worker", inside, str(file)]
         ended = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
@@ -138,8 +146,10 @@ def _check(args: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
     cores = len(os.sched_getaffinity(0))
     if MPI.COMM_WORLD.size > 1:
         parser.error("it starts mpirun itself: run it as python3 -m benchmarks.scaling")
-    for name in ("processes", "count", "converge"):
+    for name in ("processes", "count", "converge", "coarse"):
         setattr(args, name, [n for n in getattr(args, name) if n > 0])
+    if any(round((EACH * P) ** (1.0 / 3.0)) ** 3 != EACH * P for P in args.coarse):
+        parser.error(f"--coarse {args.coarse}: {EACH} subcubes on each of 2, 16, 54, … make a cube")
     if max(args.processes, default=0) > cores:
         parser.error(
             f"--processes {max(args.processes)}: there are {cores} cores, and shared ones measure "
@@ -161,6 +171,7 @@ def _create_parser(comm: MPI.Comm) -> argparse.ArgumentParser:
     some = [1, 2, 4, 8, 16, 32, 64]
     add("--count", type=numbers, default=some, help="to count, 1,2,4,8,16,32,64; 0 for none")
     add("--converge", type=numbers, default=[64], help="to take to the end, 64; 0 for none")
+    add("--coarse", type=numbers, default=[2, 16], help="for the coarse memory, 2,16; 0 for none")
     add("--predict", type=count, nargs=2, metavar=("DOFS", "PROCESSES"), help="print the model's")
     add("--subdomains", type=count, default=512, help="over all processes, 512")
     layers = {"type": command.some_of(tuple(TYPES)), "default": list(TYPES)}
@@ -181,6 +192,11 @@ def _line(record: Record) -> str:
         steps = record["linear_iterations_per_newton"]
         return (
             f"{record['multipliers']} multipliers, {len(steps)} Newton steps of {steps} iterations"
+        )
+    if record["task"] == "coarse":
+        return (
+            f"{record['coarse_size']} coarse unknowns, {record['coarse_solver']}, "
+            f"{record['coarse_peak_mib']['max']:.0f} MiB at most"
         )
     if record["task"] == "count":
         sent = {name: record["iteration"][name]["max"] for name in ("messages", "bytes")}

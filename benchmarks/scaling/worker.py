@@ -7,7 +7,8 @@
 case as JSON, and reads the record from the file. A run *measures* the load step to 0.2 mmHg, or
 takes it to its end with one subdomain on each process (*converge*), or *counts*: the tangent at
 rest is set up once, and solved with a few iterations and with some more; the difference is what an
-iteration sends, whatever the machine and however many processes share a core.
+iteration sends, whatever the machine and however many processes share a core. The memory of the
+*coarse* problem is that of a cube (``weak``).
 """
 
 from __future__ import annotations
@@ -32,10 +33,12 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.common.clock import Events
+from benchmarks.common.machine import PeakMemory
 from benchmarks.common.records import Record
 from benchmarks.common.walls import first_step
 from benchmarks.common.walls.problem import WallProblem, right_hand_side
 from benchmarks.scaling.traffic import COUNTERS, gather, since_reset, start_count
+from benchmarks.scaling.weak import coarse_problem
 from dolfinx_feti import loads
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.runtime.collective import on_first
@@ -113,11 +116,10 @@ def count(case: Record, comm: MPI.Comm) -> Record:
     PETSc.Log.begin()
     wall: list[Wall] = []
     _read(case | {"geometry": "tube", "size": 1.0}, comm)  # whatever is loaded at first
-    before = _own("status", "VmRSS"), _own("io", "rchar")
-    Path("/proc/self/clear_refs").write_text("5")  # the peak begins here
+    peak, before = PeakMemory(), _bytes_read()
     reading = _counted(lambda: wall.append(_read(case, comm)), comm)
-    held = _own("status", "VmHWM") - before[0], _own("io", "rchar") - before[1]
-    mib, read = comm.allreduce(held[0], op=MPI.MAX) / 1024, comm.allreduce(held[1], op=MPI.MAX)
+    held = peak.mib_above_start(MPI.COMM_SELF), _bytes_read() - before
+    mib, read = (comm.allreduce(number, op=MPI.MAX) for number in held)
     body = _create(case, comm, wall[0])
     body.problem.linearise()
     body.pressure.value = loads.mmhg(PRESSURE)
@@ -132,8 +134,10 @@ def count(case: Record, comm: MPI.Comm) -> Record:
     coarse = coarse_work(lambda n: _iterate(ksp, b, x, n), comm)
     sent = {"setup": _summary(setup), "iteration": _summary(each), "reading": _summary(reading)}
     sent |= {"reading_mib": mib, "reading_bytes": read}
-    most = float(more[:, COUNTERS.index("neighbours")].max())
-    return _sizes(body) | coarse | sent | {"neighbours": most}
+    met, messages = more[:, COUNTERS.index("neighbours")], each[:, COUNTERS.index("messages")]
+    sent |= {"neighbours": float(met.max()), "neighbours_mean": float(met.mean())}
+    sent |= {"messages_to_each": float(messages.sum() / max(met.sum(), 1.0))}
+    return _sizes(body) | coarse | sent
 
 
 def converge(case: Record, comm: MPI.Comm) -> Record:
@@ -155,9 +159,9 @@ def converge(case: Record, comm: MPI.Comm) -> Record:
     }
 
 
-def _own(file: str, name: str) -> int:
-    """Return a number that Linux keeps of this process."""
-    return int(re.search(rf"{name}:\s+(\d+)", Path(f"/proc/self/{file}").read_text())[1])
+def _bytes_read() -> int:
+    """Return what this process has read by any call to the system."""
+    return int(re.search(r"rchar:\s+(\d+)", Path("/proc/self/io").read_text())[1])
 
 
 def _read(case: Record, comm: MPI.Comm) -> Wall:
@@ -232,7 +236,8 @@ def main(words: list[str]) -> None:
     """Run a case, and write its record."""
     comm = MPI.COMM_WORLD
     case = json.loads(words[0])
-    record = {"measure": measure, "count": count, "converge": converge}[case["task"]](case, comm)
+    tasks = {"measure": measure, "count": count, "converge": converge, "coarse": coarse_problem}
+    record = tasks[case["task"]](case, comm)
     on_first(lambda: Path(words[1]).write_text(json.dumps(record)), comm)
 
 

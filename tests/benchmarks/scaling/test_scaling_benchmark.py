@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import shutil
 
+from mpi4py import MPI
+
 import pytest
 
 from benchmarks.common import machine
@@ -16,6 +18,7 @@ from benchmarks.scaling import paper
 from benchmarks.scaling import run as scaling
 from benchmarks.scaling.run import TYPES
 from benchmarks.scaling.traffic import COUNTERS
+from benchmarks.scaling.weak import coarse_problem
 
 pytest.importorskip("gmsh")
 pytest.importorskip("matplotlib")
@@ -28,7 +31,7 @@ SMALL = "--geometry tube --size 1 --subdomains 4 --layers 2 --choices paper".spl
 def test_small_case_is_measured_and_counted(tmp_path, capsys):
     file, folder = tmp_path / "scaling.json", str(tmp_path / "walls")
     words = [*SMALL, "--processes", "1", "--count", "2", "--converge", "0"]
-    words += ["--json", str(file), "--folder", folder]
+    words += ["--coarse", "0", "--json", str(file), "--folder", folder]
     status, said = scaling.main(words), capsys.readouterr().out
     assert status == 0, said
     counted, measured = json.loads(file.read_text())
@@ -37,6 +40,7 @@ def test_small_case_is_measured_and_counted(tmp_path, capsys):
     assert counted["iteration"]["messages"]["max"] >= 1
     assert counted["iteration"]["reductions"]["max"] >= 1
     assert counted["coarse_solves"] >= 1
+    assert counted["messages_to_each"] == counted["iteration"]["messages"]["mean"]  # a neighbour
     assert counted["reading"]["messages"]["max"] >= 1
     assert counted["reading_bytes"] < (tmp_path / "walls/tube_1.h5").stat().st_size
     parts = [measured[f"seconds_{part}"] for part in ("local", "krylov", "coarse", "reading")]
@@ -54,12 +58,21 @@ def test_small_case_is_measured_and_counted(tmp_path, capsys):
 def test_load_step_to_its_end_with_a_subdomain_each(tmp_path, capsys):
     file, folder = tmp_path / "scaling.json", str(tmp_path / "walls")
     words = "--geometry tube --size 1 --layers 1 --processes 0 --count 0 --converge 4".split()
+    words += ["--coarse", "0"]
     status = scaling.main([*words, "--json", str(file), "--folder", folder])
     assert status == 0, capsys.readouterr().out
     (found,) = json.loads(file.read_text())
     assert found["subdomains_in_all"] == found["subdomains"] == found["processes"] == 4
     assert found["residuals"][-1] < 1e-4 * found["residuals"][0]
     assert found["step"]["messages"]["max"] > 10 and found["neighbours"] <= 3
+
+
+def test_memory_of_a_coarse_problem():
+    """Of four subcubes along an edge."""
+    found = coarse_problem({"subdomains": 64}, MPI.COMM_WORLD)
+    assert found["subdomains_in_all"] == 64 and found["coarse_size"] == 6 * 64
+    peak = found["coarse_peak_mib"]
+    assert 0.0 < peak["mean"] == peak["max"] < 100.0
 
 
 @pytest.mark.parametrize(
@@ -70,6 +83,7 @@ def test_load_step_to_its_end_with_a_subdomain_each(tmp_path, capsys):
         (["--processes", "100000"], "shared ones measure nothing"),
         (["--processes", "1", "--count", "64", "--subdomains", "8"], "as many --subdomains"),
         (["--layers", "3"], "none of"),
+        (["--coarse", "3"], "make a cube"),
         (["--json", "/dev/null/x.json"], "cannot be used"),
     ],
 )
@@ -104,6 +118,7 @@ def test_page_of_the_papers_own_times(tmp_path):
         for processes, times in by_processes.items()
     ]
     records += [_counted(layers, P) for layers in TYPES for P in (8, 64)]
+    records += [_coarse(P, mean, most) for P, mean, most in ((16, 55.0, 60.0), (2, 40.0, 50.0))]
     file = tmp_path / "scaling.json"
     file.write_text(json.dumps(records))
     words = [str(file), "--output", str(tmp_path), "--remark", "Quiet."]
@@ -111,8 +126,10 @@ def test_page_of_the_papers_own_times(tmp_path):
     page = (tmp_path / "scaling.md").read_text()
     assert "| 512 | 12.70 | 1.003 | 67.60 | 0.606 | 161.00 | 0.394 |" in page
     assert "| 512 | 23.90 | 0.949 | 297.20 | 0.497 | 667.40 | 0.305 |" in page
-    assert "| 8 | 6 | 10 | 8 | 10 | 10 | 10 | 2 | 10 | 10 | 0.01 | 10 |" in page
-    assert "| 64 | 6 | 10 | 64 | 10 | 10 | 10 | 2 | 10 | 10 | 0.01 | 10 |" in page
+    assert "| 8 | 6 | 5 | 2 | 1 | 10 | 8 | 10 | 10 | 10 | 2 | 10 | 10 | 0.01 | 10 |" in page
+    assert "| 64 | 6 | 5 | 2.2 | 1.1 | 10 | 64 | 10 | 10 | 10 | 2 | 10 | 10 | 0.01 | 10 |" in page
+    assert "| 2 | 4 096 | 24 576 | clusters | 40 | 50 | 1 |" in page
+    assert "| 16 | 32 768 | 196 608 | clusters | 55 | 60 | 1.2 |" in page
     assert "Quiet." in page
     assert (tmp_path / "scaling.png").stat().st_size > 20_000
 
@@ -141,6 +158,16 @@ def _counted(layers: int, processes: int) -> dict:
     even = {name: {"mean": 10.0, "max": 10.0} for name in COUNTERS}
     grown = even | {"messages": {"mean": 10.0, "max": float(processes)}}
     found = {"setup": even, "iteration": grown, "neighbours": 6.0, "coarse_solves": 2.0}
+    found |= {"neighbours_mean": 5.0, "messages_to_each": 2.2 if processes == 64 else 2.0}
     found |= {"coarse_entries": 1e6, "coarse_flops": 1e9, "reading": even}
     found |= {"reading_bytes": 1e6, "reading_mib": 10.0}
     return _case(layers, processes, "count") | found
+
+
+def _coarse(processes: int, mean: float, most: float) -> dict:
+    case = {"study": "scaling", "task": "coarse", "geometry": "cube", "type": "all_floating"}
+    case |= {"choices": "paper", "subdomains": 2048 * processes, "processes": processes}
+    found = {"subdomains_in_all": 2048 * processes, "coarse_size": 12_288 * processes}
+    found |= {"coarse_solver": "clusters", "coarse_peak_mib": {"mean": mean, "max": most}}
+    found |= {"machine": machine.describe(), "date": "2026-01-02T03:04:05+00:00"}
+    return case | found
