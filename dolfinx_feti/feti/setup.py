@@ -44,7 +44,6 @@ class Setup:
         inverse: K_ρ⁻¹, and R, E, D of each subdomain.
         inertia: Negative eigenvalues of K_ρ, D and K_II; those of the assembled matrix are not yet
             known.
-        rough: Whether the inverse only preconditions, in single precision where that will do.
     """
 
     near_kernel: Array
@@ -52,7 +51,6 @@ class Setup:
     weights: Weights
     inverse: PseudoInverse
     inertia: Inertia
-    rough: bool
 
     def destroy(self) -> None:
         """Free everything."""
@@ -84,7 +82,7 @@ def set_up(pattern: Pattern, *, rough: bool = False) -> Setup:
         owned.callback(weights.destroy)
         inverse, inertia = _invert(pattern, near_kernel, operator, rough=rough)
         owned.pop_all()
-    return Setup(near_kernel, operator, weights, inverse, inertia, rough)
+    return Setup(near_kernel, operator, weights, inverse, inertia)
 
 
 def refined(pattern: Pattern, setup: Setup) -> Setup:
@@ -97,7 +95,7 @@ def refined(pattern: Pattern, setup: Setup) -> Setup:
     Raises:
         SetUpError: A factorisation failed; all parts are destroyed then.
     """
-    if not setup.rough:
+    if not pattern.torn.comm.allreduce(setup.inverse.rough, op=MPI.LOR):
         return setup
     setup.inverse.destroy()
     try:
@@ -106,7 +104,7 @@ def refined(pattern: Pattern, setup: Setup) -> Setup:
         setup.weights.destroy()
         setup.operator.destroy()
         raise
-    return replace(setup, inverse=inverse, inertia=inertia, rough=False)
+    return replace(setup, inverse=inverse, inertia=inertia)
 
 
 def _invert(

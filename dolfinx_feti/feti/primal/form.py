@@ -81,7 +81,6 @@ class PrimalPreconditioner:
         inertia: Negative eigenvalues of K_ρ, D and K_II.
         copies: Copies of the interface dofs.
         V: The averaged columns.
-        rough: Whether K_ρ⁻¹ may be in single precision.
         combinations: Those of the columns of this process that are independent; None before the
             first matrix.
     """
@@ -91,7 +90,6 @@ class PrimalPreconditioner:
     inertia: Inertia
     copies: Copies
     V: AveragedColumns
-    rough: bool
     combinations: scipy.sparse.csr_array | None = None
 
     def solve(self, t: Array) -> Array:
@@ -215,8 +213,7 @@ class PrimalForm:
         own = self.preconditioner
         for owned in (self.coarse, own.V, own.copies):
             owned.destroy()
-        parts = own.weights, own.inverse, own.inertia, own.rough
-        return Setup(self.near_kernel, self.operator, *parts)
+        return Setup(self.near_kernel, self.operator, own.weights, own.inverse, own.inertia)
 
     def destroy(self) -> None:
         """Free everything but the pattern."""
@@ -260,7 +257,7 @@ def create_preconditioner(pattern: Pattern, setup: Setup) -> PrimalPreconditione
         copies.destroy()
         setup.destroy()
         raise
-    return PrimalPreconditioner(setup.weights, setup.inverse, setup.inertia, copies, V, setup.rough)
+    return PrimalPreconditioner(setup.weights, setup.inverse, setup.inertia, copies, V)
 
 
 def create_preconditioner_of_part(pattern: Pattern) -> PrimalPreconditioner:

@@ -121,6 +121,11 @@ class PseudoInverse:
 
         return without_soft_modes
 
+    @property
+    def rough(self) -> bool:
+        """Whether some factor of this process is in single precision."""
+        return any(isinstance(factor, SingleFactor) for factor in self.factors)
+
     def negative(self) -> int | None:
         """Count the negative eigenvalues of all K_ρ of this process; None if not known."""
         negative = sum_negative(self.factors)
