@@ -12,13 +12,13 @@ from mpi4py import MPI
 import numpy as np
 
 from benchmarks.common.clock import Clock
+from benchmarks.common.cube import CubeProblem, create_problem, l2_error, tear
 from benchmarks.common.machine import PeakMemory
 from benchmarks.common.records import Record
 from benchmarks.cube.memory import Estimate, estimate
-from benchmarks.cube.problem import CubeProblem, create_problem, l2_error
 from dolfinx_feti import LinearProblem
 
-__all__ = ["LEVELS", "Case", "run", "solve", "tear"]
+__all__ = ["LEVELS", "Case", "run", "solve"]
 
 #: Levels of refinement, n = 2^(level − 1) cells along an edge of a subcube.
 LEVELS = range(1, 6)
@@ -144,18 +144,6 @@ def solve(problem: CubeProblem, options: dict[str, object]) -> tuple[LinearProbl
         "lambda_max": _number(high),
         "relative_residual": feti.residual,
     } | clock.record()
-
-
-def tear(problem: CubeProblem, options: dict[str, object]) -> LinearProblem:
-    """Tear a problem into its subcubes. Collective."""
-    return LinearProblem(
-        problem.a,
-        problem.L,
-        bcs=problem.bcs,
-        subdomains=problem.part,
-        petsc_options_prefix="cube_",
-        petsc_options=options,
-    )
 
 
 def _number(value: float) -> float | None:

@@ -30,10 +30,10 @@ from contextlib import suppress
 from mpi4py import MPI
 
 from benchmarks.common import command
+from benchmarks.common.cube import PATTERNS
 from benchmarks.common.records import Record, Records
 from benchmarks.cube.case import LEVELS, Case
 from benchmarks.cube.plan import SETS, plan
-from benchmarks.cube.problem import PATTERNS
 from benchmarks.cube.solvers import SOLVERS, solve
 from benchmarks.cube.study import run_all
 from dolfinx_feti.feti.options import CHOICES

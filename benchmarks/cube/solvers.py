@@ -15,9 +15,10 @@ from dataclasses import replace
 from mpi4py import MPI
 
 import dolfinx_feti
+from benchmarks.common.cube import tear
 from benchmarks.common.machine import PeakMemory, bandwidth, limited_memory
 from benchmarks.common.records import Record
-from benchmarks.cube.case import Case, tear
+from benchmarks.cube.case import Case
 from benchmarks.cube.case import solve as feti
 from dolfinx_feti.runtime.collective import on_first
 

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from mpi4py import MPI
 
 from benchmarks.common import command
+from benchmarks.common.cube import CubeProblem
 from benchmarks.common.machine import available_mib, bandwidth, resident_mib
 from benchmarks.common.records import Record, Records
 from benchmarks.cube.case import Case, run
-from benchmarks.cube.problem import CubeProblem
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.runtime.collective import on_first
 

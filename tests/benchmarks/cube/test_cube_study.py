@@ -16,7 +16,7 @@ from collective import COMM, agree, small
 from linear_study import SMALL
 from wall_files import on_first
 
-from benchmarks.cube.problem import PATTERNS
+from benchmarks.common.cube import PATTERNS
 
 #: What a record has to hold, whatever else it holds.
 KEYS = (

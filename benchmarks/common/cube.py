@@ -26,10 +26,11 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
+from dolfinx_feti import LinearProblem
 from dolfinx_feti.runtime import compat
 from meshes.cube import create_cube
 
-__all__ = ["PATTERNS", "CubeProblem", "create_problem", "l2_error"]
+__all__ = ["PATTERNS", "CubeProblem", "create_problem", "l2_error", "tear"]
 
 YOUNG, POISSON = 210.0, 0.45
 
@@ -96,6 +97,18 @@ def create_problem(
         L=ufl.inner(zero, v) * ufl.dx,
         bcs=[dolfinx.fem.dirichletbc(values, dofs)],
         exact=exact,
+    )
+
+
+def tear(problem: CubeProblem, options: dict[str, object]) -> LinearProblem:
+    """Tear a problem into its subcubes. Collective."""
+    return LinearProblem(
+        problem.a,
+        problem.L,
+        bcs=problem.bcs,
+        subdomains=problem.part,
+        petsc_options_prefix="cube_",
+        petsc_options=options,
     )
 
 
