@@ -137,13 +137,14 @@ class Progress:
         self.clear()
         if self._first:
             newton = step.all_steps
-            tangents = sum(s.tangent_lag == 0 for s in newton)
+            new = sum(s.tangent_lag == 0 for s in newton)
+            tangents = f"{new} tangent{'s' * (new != 1)}"
             linear = sum(s.linear_iterations for s in newton)
             failed = f" after {step.failures} failed attempt(s)" * (step.failures > 0)
             remaining = self._time_left()
             logger.info(
                 f"load step {self._number}: {step.load:.5g} of {self._goal}{failed}, {len(newton)} "
-                f"Newton steps with {tangents} tangents, {linear} linear iterations, "
+                f"Newton steps with {tangents}, {linear} linear iterations, "
                 f"residual {self._snes.getFunctionNorm():.1e}, {step.seconds:.1f} s"
                 f"{f', {remaining}' * bool(remaining)}"
             )
