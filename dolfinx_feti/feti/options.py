@@ -60,7 +60,7 @@ class FETIOptions:
     coarse_q: Literal["preconditioner", "diagonal", "identity"] = "preconditioner"
     coarse_modes: int = 12
     coarse_threshold: float = 0.01
-    coarse_adaptive: int = 72
+    coarse_adaptive: int = 108
     lag: int = 6
     deflation: int = 20
 

@@ -122,6 +122,7 @@ def _invert(
                 soft=options.coarse_modes,
                 threshold=options.coarse_threshold,
                 rough=rough,
+                adaptive=options.coarse_adaptive > 0,
             ),
             torn.comm,
         )

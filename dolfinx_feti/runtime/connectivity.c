@@ -55,7 +55,7 @@ int is_symmetric(int n, const int *indptr, const int *indices, const double *a, 
         int last = -1;
         for (int e = indptr[i]; e < indptr[i + 1]; last = indices[e++]) {
             if (indices[e] <= last || indices[e] >= n) return -1;
-            most = fmax(most, fabs(a[e]));
+            if (fabs(a[e]) > most) most = fabs(a[e]);
             if (indices[e] == i) diagonal = fabs(a[e]);
         }
         s[i] = sqrt(fmax(diagonal, 1e-8 * most));

@@ -14,7 +14,7 @@ dof with a prescribed value the jump is U itself.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -30,6 +30,9 @@ __all__ = ["Fields", "averaged_fields", "jump_fields"]
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 Integers = npt.NDArray[np.integer]
+
+#: What gives the j-th column of the subdomain of every pair in the row, zero beyond its last, (pairs,).
+Column = Callable[[int], Array]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +50,8 @@ class Fields:
         count: Number of its columns, (panels,).
         first: Where each panel begins among the rows, and the end, (panels + 1,).
         row: Rows of each panel in its subdomain, (pairs,).
-        values: Values of the columns in the row, in the first ``count`` entries, (pairs, most).
+        start: Where the values of each panel begin, and the end, (panels + 1,).
+        values: Values of the columns, panel by panel, row by row.
     """
 
     code: PanelCode
@@ -57,6 +61,7 @@ class Fields:
     count: Indices
     first: Indices
     row: Indices
+    start: Integers
     values: Array
 
     def __len__(self) -> int:
@@ -66,15 +71,14 @@ class Fields:
     def __getitem__(self, i: int) -> Panels:
         """Return the columns near subdomain i, by their owners, (n_i, c_i)."""
         start, stop = self.panels[i], self.panels[i + 1]
-        first = self.first[start : stop + 1]
-        pairs = slice(first[0], first[-1])
+        first, begin = self.first[start : stop + 1], self.start[start : stop + 1]
         return Panels(
             self.code,
             int(self.sizes[i]),
             first - first[0],
-            self.row[pairs],
+            self.row[first[0] : first[-1]],
             self.count[start:stop],
-            self.values[pairs],
+            self.values[begin[0] : begin[-1]],
         )
 
 
@@ -86,18 +90,15 @@ class _Pairs:
         row: Row of each pair, (pairs,).
         first: Number of the subdomain's first column over all processes, (pairs,).
         count: Number of its columns, (pairs,).
-        values: Values of these columns in the row, in the first ``count`` entries, (pairs, most).
     """
 
     row: Integers
     first: Integers
     count: Integers
-    values: Array
 
     def __getitem__(self, chosen: Integers) -> _Pairs:
         """Return some of the pairs, by their numbers."""
-        row, first, count = self.row[chosen], self.first[chosen], self.count[chosen]
-        return _Pairs(row, first, count, self.values[chosen])
+        return _Pairs(self.row[chosen], self.first[chosen], self.count[chosen])
 
 
 def averaged_fields(copies: Copies, U: Sequence[Array]) -> Fields:
@@ -107,7 +108,7 @@ def averaged_fields(copies: Copies, U: Sequence[Array]) -> Fields:
         copies: Copies of the interface dofs.
         U: For each subdomain its columns, (n_i, k_i), numbered on over subdomains and processes.
     """
-    return _by_panels(copies, _averaged_pairs(copies, _own_pairs(copies, U)))
+    return _by_panels(copies, *_averaged_pairs(copies, *_own_pairs(copies, U)))
 
 
 def jump_fields(copies: Copies, U: Sequence[Array]) -> Fields:
@@ -115,49 +116,60 @@ def jump_fields(copies: Copies, U: Sequence[Array]) -> Fields:
 
     The arguments are those of :func:`averaged_fields`.
     """
-    own = _own_pairs(copies, U)
-    mean = _averaged_pairs(copies, own)
-    values, diagonal = -mean.values, mean.first == own.first[mean.row]
-    values[diagonal] += own.values[mean.row[diagonal]]
+    own, column = _own_pairs(copies, U)
+    mean, average = _averaged_pairs(copies, own, column)
+    diagonal = mean.first == own.first[mean.row]
     alone = own.count > 0
     alone[mean.row[diagonal]] = False  # rows with a prescribed value are left
     rest = own[np.flatnonzero(alone)]
-    jump = _Pairs(
+    pairs = _Pairs(
         np.concatenate([mean.row, rest.row]),
         np.concatenate([mean.first, rest.first]),
         np.concatenate([mean.count, rest.count]),
-        np.concatenate([values, rest.values]),
     )
-    return _by_panels(copies, jump)
+
+    def jump(j: int) -> Array:
+        u = column(j)
+        return np.concatenate([np.where(diagonal, u[mean.row], 0.0) - average(j), u[rest.row]])
+
+    return _by_panels(copies, pairs, jump)
 
 
-def _own_pairs(copies: Copies, U: Sequence[Array]) -> _Pairs:
-    """Pair all rows, ascending, with their own subdomain."""
+def _own_pairs(copies: Copies, U: Sequence[Array]) -> tuple[_Pairs, Column]:
+    """Pair all rows, ascending, with their own subdomain. Collective."""
     count = np.array([U_i.shape[1] for U_i in U], dtype=np.int64)
     first = copies.comm.scan(int(count.sum())) - count.sum() + np.cumsum(count) - count
     sizes = [rows.stop - rows.start for rows in copies.blocks]
-    most = copies.comm.allreduce(int(count.max(initial=0)), op=MPI.MAX)
-    values = np.zeros((copies.n, most))
-    for U_i, rows in zip(U, copies.blocks, strict=True):
-        values[rows, : U_i.shape[1]] = U_i
-    row = np.arange(copies.n)
-    return _Pairs(row, np.repeat(first, sizes), np.repeat(count, sizes), values)
+
+    def column(j: int) -> Array:
+        values = np.zeros(copies.n)
+        for U_i, rows in zip(U, copies.blocks, strict=True):
+            if j < U_i.shape[1]:
+                values[rows] = U_i[:, j]
+        return values
+
+    pairs = _Pairs(np.arange(copies.n), np.repeat(first, sizes), np.repeat(count, sizes))
+    return pairs, column
 
 
-def _averaged_pairs(copies: Copies, own: _Pairs) -> _Pairs:
-    """Pair the rows with all subdomains that share them, with δ times their columns. Collective."""
+def _averaged_pairs(copies: Copies, own: _Pairs, column: Column) -> tuple[_Pairs, Column]:
+    """Pair the rows with all subdomains that share them, with δ times their columns. Collective.
+
+    The result's columns are collective, too.
+    """
     first, count = (
         copies.values(numbers.astype(np.float64)).astype(np.int64)
         for numbers in (own.first, own.count)
     )
     some = count > 0
-    values = np.empty((np.count_nonzero(some), own.values.shape[1]))
-    for j in range(values.shape[1]):
-        values[:, j] = copies.values(copies.delta * own.values[:, j])[some]
-    return _Pairs(copies.row[some], first[some], count[some], values)
+
+    def average(j: int) -> Array:
+        return np.asarray(copies.values(copies.delta * column(j))[some])
+
+    return _Pairs(copies.row[some], first[some], count[some]), average
 
 
-def _by_panels(copies: Copies, pairs: _Pairs) -> Fields:
+def _by_panels(copies: Copies, pairs: _Pairs, column: Column) -> Fields:
     """Sort pairs into the panels of each subdomain. Collective."""
     ends = np.array([rows.stop for rows in copies.blocks], dtype=np.int64)
     sizes = np.diff(ends, prepend=0)
@@ -165,6 +177,12 @@ def _by_panels(copies: Copies, pairs: _Pairs) -> Fields:
     order = np.argsort(block * (1 + pairs.first.max(initial=0)) + pairs.first, kind="stable")
     pairs, block = pairs[order], block[order]
     starts = np.flatnonzero(np.diff(block, prepend=-1) | np.diff(pairs.first, prepend=-1))
+    end = np.cumsum(pairs.count)
+    values = np.empty(pairs.count.sum())
+    most = copies.comm.allreduce(int(pairs.count.max(initial=0)), op=MPI.MAX)
+    for j in range(most):
+        some = pairs.count > j
+        values[(end - pairs.count)[some] + j] = column(j)[order][some]
     return Fields(
         code=load_panels(copies.comm),
         sizes=sizes,
@@ -173,5 +191,6 @@ def _by_panels(copies: Copies, pairs: _Pairs) -> Fields:
         count=pairs.count[starts].astype(np.int32),
         first=np.append(starts, len(order)).astype(np.int32),
         row=(pairs.row - (ends - sizes)[block]).astype(np.int32),
-        values=pairs.values,
+        start=np.append((end - pairs.count)[starts], len(values)),
+        values=values,
     )

@@ -43,7 +43,7 @@ from dolfinx_feti.feti.primal.gmres import gmres
 from dolfinx_feti.feti.regularity.singularity import require_held
 from dolfinx_feti.feti.setup import Setup, set_up, sum_if_known
 from dolfinx_feti.feti.solution import Monitor, RitzVectors, Solution
-from dolfinx_feti.feti.subdomain.modes import SubdomainModes
+from dolfinx_feti.feti.subdomain.modes import SubdomainModes, is_softened
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
 from dolfinx_feti.runtime.events import event
@@ -65,10 +65,6 @@ TRACED = 4
 
 #: Cost χ₀ of an average above which a column joins the coarse space (``adaptive``).
 COST = 3.0
-
-
-#: Multiple of −ρ below which an eigenvalue of D makes a body soft (``deflation``).
-SOFTENED = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,8 +331,8 @@ def create_primal_form(
 
 def _softened(inverse: PseudoInverse, pattern: Pattern) -> bool:
     """Tell whether the stress softens some subdomain by a noticeable share of ρ. Collective."""
-    own = [np.linalg.eigvalsh(m.D).min(initial=0.0) < -SOFTENED * m.rho for m in inverse.modes]
-    return bool(pattern.torn.comm.allreduce(any(own), op=MPI.LOR))
+    own = any(is_softened(modes.D, modes.rho) for modes in inverse.modes)
+    return bool(pattern.torn.comm.allreduce(own, op=MPI.LOR))
 
 
 def solver_on_interface(S: Operator, inverse: PseudoInverse, i: int) -> Callable[[Array], Array]:

@@ -14,9 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["SubdomainModes"]
+__all__ = ["SubdomainModes", "is_softened"]
 
 Array = npt.NDArray[np.float64]
+
+#: Multiple of −ρ below which an eigenvalue of D tells of a stress that softens the subdomain.
+SOFTENED = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,3 +66,8 @@ class SubdomainModes:
     def kernel(self) -> int:
         """Number of modes that are not elastic: rigid body modes and null vectors."""
         return self.rigid + self.null
+
+
+def is_softened(D: Array, rho: float) -> bool:
+    """Tell whether the stress softens a subdomain by a noticeable share of ρ, from D, (k, k)."""
+    return bool(np.linalg.eigvalsh(0.5 * (D + D.T)).min(initial=0.0) < -SOFTENED * rho)

@@ -4,7 +4,7 @@
 //
 // Products of block-sparse columns W = (W_1, W_2, …), (n, c). Panel p has count[p] columns, nonzero
 // on the rows row[first[p]], …, row[first[p + 1] − 1], each row once; there its values stand row by
-// row, width of them for each row, the first count[p] of which count.
+// row, and those of the next panel behind them.
 
 #include <string.h>
 
@@ -13,8 +13,7 @@ typedef void (*dgemm)(char *, char *, int *, int *, int *, double *, double *, i
 
 // Yᵀ = (S W)ᵀ, (c, n) row by row, for a symmetric S, (n, n); work has room for n² entries.
 void panels_product(int n, int panels, const int *first, const int *row, const int *count,
-                    int width, const double *values, const double *S, double *Y, double *work,
-                    dgemm gemm)
+                    const double *values, const double *S, double *Y, double *work, dgemm gemm)
 {
     double one = 1.0, zero = 0.0;
     for (int p = 0; p < panels; Y += (size_t)n * count[p++]) {
@@ -25,15 +24,16 @@ void panels_product(int n, int panels, const int *first, const int *row, const i
         }
         for (int e = 0; e < m; ++e)
             memcpy(work + (size_t)n * e, S + (size_t)n * row[first[p] + e], sizeof(double) * n);
-        double *W = (double *)values + (size_t)width * first[p];
-        gemm("N", "T", &n, &k, &m, &one, work, &n, W, &width, &zero, Y, &n); // S[:, r_p] (W_p)_r
+        double *W = (double *)values;
+        gemm("N", "T", &n, &k, &m, &one, work, &n, W, &k, &zero, Y, &n); // S[:, r_p] (W_p)_r
+        values += (size_t)m * k;
     }
 }
 
 // E = Wᵀ Y, (c, r) row by row, for Yᵀ, (r, n) row by row; work has room for n r entries.
 void panels_overlap(int n, int panels, const int *first, const int *row, const int *count,
-                    int width, const double *values, int r, const double *Y, double *E,
-                    double *work, dgemm gemm)
+                    const double *values, int r, const double *Y, double *E, double *work,
+                    dgemm gemm)
 {
     double one = 1.0, zero = 0.0;
     for (int p = 0; p < panels; E += (size_t)r * count[p++]) {
@@ -45,7 +45,8 @@ void panels_overlap(int n, int panels, const int *first, const int *row, const i
         const int *rows = row + first[p];
         for (int j = 0; j < r; ++j)
             for (int e = 0; e < m; ++e) work[(size_t)m * j + e] = Y[(size_t)n * j + rows[e]];
-        double *W = (double *)values + (size_t)width * first[p];
-        gemm("T", "T", &r, &k, &m, &one, work, &m, W, &width, &zero, E, &r); // (W_p)_rᵀ Y_r
+        double *W = (double *)values;
+        gemm("T", "T", &r, &k, &m, &one, work, &m, W, &k, &zero, E, &r); // (W_p)_rᵀ Y_r
+        values += (size_t)m * k;
     }
 }

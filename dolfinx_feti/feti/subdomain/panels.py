@@ -30,10 +30,10 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
 DECLARATIONS = """
-void panels_product(int, int, const int *, const int *, const int *, int, const double *,
+void panels_product(int, int, const int *, const int *, const int *, const double *,
                     const double *, double *, double *, void *);
-void panels_overlap(int, int, const int *, const int *, const int *, int, const double *,
-                    int, const double *, double *, double *, void *);
+void panels_overlap(int, int, const int *, const int *, const int *, const double *, int,
+                    const double *, double *, double *, void *);
 """
 
 
@@ -60,7 +60,7 @@ class Panels:
         first: Where each panel begins among ``row``, and the end, (panels + 1,).
         row: Rows of each panel, each row once, (m,).
         count: Columns of each panel, (panels,).
-        values: What each panel has on its rows, in the first ``count`` entries, (m, most).
+        values: What the panels have on their rows, one after the other, row by row.
     """
 
     code: PanelCode
@@ -78,11 +78,13 @@ class Panels:
     def dense(self) -> Array:
         """Return W, (n, c)."""
         W = np.zeros(self.shape[::-1])
-        count = np.repeat(self.count, np.diff(self.first))  # by the entries of row
-        start = np.repeat(np.cumsum(self.count) - self.count, np.diff(self.first))
+        rows = np.diff(self.first)
+        count = np.repeat(self.count, rows)  # by the entries of row
+        column = np.repeat(np.cumsum(self.count) - self.count, rows)
+        start = np.cumsum(count) - count
         for j in range(int(self.count.max(initial=0))):
             some = count > j
-            W[start[some] + j, self.row[some]] = self.values[some, j]
+            W[column[some] + j, self.row[some]] = self.values[start[some] + j]
         return W.T
 
     def product(self, S: Array) -> Array:
@@ -107,7 +109,7 @@ class Panels:
     def _pointers(self) -> tuple[Any, ...]:
         sizes = self.n, len(self.count)
         arrays = map(self._to, (self.first, self.row, self.count))
-        return *sizes, *arrays, self.values.shape[1], self._to(self.values)
+        return *sizes, *arrays, self._to(self.values)
 
     def _to(self, array: npt.NDArray[Any]) -> Any:
         return pointer(self.code.module, array)

@@ -20,7 +20,8 @@ With :math:`K R = 0` these are :math:`E = R`, :math:`D = 0` and the paper's equa
 
 R is a function of the present matrix alone. It holds the rigid body modes that Dirichlet dofs leave
 (``kernel``), the null vectors beyond them (``nullspace``), the modes in which the subdomain buckles
-(``buckling``), so that :math:`K_ρ` is positive definite, and soft ones (``soft``). With the
+(``buckling``), so that :math:`K_ρ` is positive definite, and soft ones (``soft``): the dual form
+needs them always, the primal form, which has adaptive columns, where stress softens. With the
 eigenvalues :math:`δ < 0` and eigenvectors y of D, the columns
 
 .. math:: Z = 2 R y \sqrt{-δ}, \qquad K_+ = K + Z Z^⊤
@@ -46,7 +47,7 @@ from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
 from dolfinx_feti.feti.subdomain.factors.single import ROUNDING, SingleFactor
 from dolfinx_feti.feti.subdomain.kernel import kernel_basis
-from dolfinx_feti.feti.subdomain.modes import SubdomainModes
+from dolfinx_feti.feti.subdomain.modes import SubdomainModes, is_softened
 from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, growth, null_space
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.orthonormal import append_orthonormal, orthonormal
@@ -151,6 +152,7 @@ def create_pseudo_inverse(
     soft: int,
     threshold: float,
     rough: bool,
+    adaptive: bool,
 ) -> PseudoInverse:
     """Find the modes of every subdomain and factor K_ρ.
 
@@ -162,6 +164,8 @@ def create_pseudo_inverse(
         soft: Most soft modes of a subdomain.
         threshold: Share of the interface stiffness below which a mode is soft.
         rough: Whether the inverse only preconditions: single precision may do then.
+        adaptive: Whether adaptive columns stand beside one that does: they find the soft modes of a
+            subdomain that no stress softens.
 
     Raises:
         FactorError: Some work on a subdomain failed. Not collective: the caller reduces.
@@ -178,7 +182,7 @@ def create_pseudo_inverse(
             K = _Block(operator, i, operator.diagonal(i), symmetric, rough)
             stiffness = weight[operator.dofs[i]]
             find = partial(soft_modes, weight=stiffness, most=soft, threshold=threshold)
-            factor, of_block = _regularise(K, R, defect, find)
+            factor, of_block = _regularise(K, R, defect, find, adaptive=adaptive)
         factors.append(factor)
         modes.append(of_block)
     return PseudoInverse(
@@ -221,7 +225,12 @@ class _Block(NamedTuple):
 
 
 def _regularise(
-    K: _Block, rigid: Array, defect: float, find_soft: Callable[[Solve], Array]
+    K: _Block,
+    rigid: Array,
+    defect: float,
+    find_soft: Callable[[Solve], Array],
+    *,
+    adaptive: bool,
 ) -> tuple[Factor, SubdomainModes]:
     """Factor K_ρ without soft modes, and find all modes; the defect of the rigid ones is ‖K R‖."""
     rho = float(K.diagonal.mean()) if len(K.diagonal) else 1.0
@@ -229,17 +238,19 @@ def _regularise(
     factor, R, rho = _with_buckling_modes(K, factor, kernel, rho)
     exact = defect <= KERNEL_TOLERANCE * rho and R is kernel
     stiff = _basis(K, factor, R, rho, exact=exact)
-    basis = _with_soft_modes(K, factor, stiff, rho, find_soft(factor.solve))
-    soft = basis.R.shape[1] - R.shape[1]
+    found_beside = adaptive and isinstance(factor, SingleFactor) and not is_softened(stiff.D, rho)
+    soft = R[:, :0] if found_beside else find_soft(factor.solve)
+    basis = _with_soft_modes(K, factor, stiff, rho, soft)
+    found = basis.R.shape[1] - R.shape[1]
     C = basis.D[R.shape[1] :, R.shape[1] :]
     return factor, SubdomainModes(
         *basis,
         stabilisation=basis.R @ _negative_directions(basis.D, rho),
-        exact=exact and soft == 0,
+        exact=exact and found == 0,
         rho=rho,
         rigid=rigid.shape[1],
         null=kernel.shape[1] - rigid.shape[1],
-        soft=soft,
+        soft=found,
         lifted=int(np.count_nonzero(np.linalg.eigvalsh(C) < 0.0)),  # Haynsworth
     )
 

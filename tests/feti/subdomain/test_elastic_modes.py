@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from collective import agree, equal, small
+from collective import COMM, agree, equal, small
 
+from dolfinx_feti.feti.setup import set_up
 from dolfinx_feti.feti.subdomain.buckling import buckling_modes
 from dolfinx_feti.feti.subdomain.soft import ALL_MODES, POWERS, Basis, join, soft_modes
 
@@ -123,3 +124,22 @@ def test_more_soft_modes_fewer_iterations(kind, torn_grid, feti):
         x.destroy()
     agree(sizes[0] < sizes[1] < sizes[2], sizes)
     agree(iterations[2] < iterations[1] < iterations[0], iterations)
+
+
+@pytest.mark.parametrize(
+    ("taken", "adaptive", "found"),
+    [(0.0, 9, False), (0.0, 0, True), (1e-6, 9, False), (1e-3, 9, True)],
+    ids=["at rest", "no adaptive columns", "hardly softened", "softened"],
+)
+def test_adaptive_columns_take_the_place_of_soft_modes(taken, adaptive, found, torn_grid, pattern):
+    """In the primal form; not where stress takes a share of the stiffness away."""
+
+    def soften(K, dofs):
+        for K_i in K:
+            K_i -= taken * np.abs(K_i).max() * np.eye(len(K_i))
+
+    problem = torn_grid((2, 3), (16, 2), components=2, change=soften)
+    options = {"interior": "eliminate", "coarse_adaptive": adaptive, "coarse_threshold": 0.5}
+    setup = set_up(pattern(problem.A, **options), rough=True)
+    agree((COMM.allreduce(sum(modes.soft for modes in setup.inverse.modes)) > 0) == found)
+    setup.destroy()

@@ -20,11 +20,11 @@ def some_panels(n):
     rng = np.random.default_rng(SEED)
     rows = [np.arange(n), np.arange(0, n, 3), np.array([n - 1]), np.arange(2)]
     widths = [4, 2, 1, 0]
-    values = [rng.standard_normal((len(of), max(widths))) for of in rows]
+    values = [rng.standard_normal((len(of), k)) for of, k in zip(rows, widths, strict=True)]
     W = np.zeros((n, 0))
     for k, of, part in zip(widths, rows, values, strict=True):
         columns = np.zeros((n, k))
-        columns[of] = part[:, :k]
+        columns[of] = part
         W = np.hstack([W, columns])
     return of_panels(n, rows, widths, values), W
 
@@ -35,7 +35,7 @@ def of_panels(n, rows, widths, values):
         np.asarray(array, dtype=np.int32) for array in (first, np.concatenate([*rows, []]), widths)
     )
     code = load_panels(COMM)
-    return Panels(code, n, first, rows, widths, np.vstack([*values, np.zeros((0, 4))]))
+    return Panels(code, n, first, rows, widths, np.concatenate([*map(np.ravel, values), []]))
 
 
 @pytest.mark.parametrize("n", [5, TILE, 2 * TILE + 7])
