@@ -43,7 +43,7 @@ from dolfinx_feti.feti.primal.gmres import gmres
 from dolfinx_feti.feti.regularity.singularity import require_held
 from dolfinx_feti.feti.setup import Setup, set_up, sum_if_known
 from dolfinx_feti.feti.solution import Monitor, RitzVectors, Solution
-from dolfinx_feti.feti.subdomain.modes import SubdomainModes, is_softened
+from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
 from dolfinx_feti.runtime.events import event
@@ -330,8 +330,8 @@ def create_primal_form(
 
 
 def _softened(inverse: PseudoInverse, pattern: Pattern) -> bool:
-    """Tell whether the stress softens some subdomain by a noticeable share of ρ. Collective."""
-    own = any(is_softened(modes.D, modes.rho) for modes in inverse.modes)
+    """Tell whether the stress softens some subdomain. Collective."""
+    own = any(modes.softened for modes in inverse.modes)
     return bool(pattern.torn.comm.allreduce(own, op=MPI.LOR))
 
 

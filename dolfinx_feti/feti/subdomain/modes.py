@@ -14,12 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["SubdomainModes", "is_softened"]
+__all__ = ["SubdomainModes"]
 
 Array = npt.NDArray[np.float64]
-
-#: Multiple of −ρ below which an eigenvalue of D tells of a stress that softens the subdomain.
-SOFTENED = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +30,7 @@ class SubdomainModes:
         D: Defect of the kernel, (k, k); zero while K R = 0.
         stabilisation: Columns Z of K₊ = K + Z Zᵀ, (n_i, negative eigenvalues of D).
         exact: Whether K R = 0 holds.
+        softened: Whether stress softens the rigid motions by a noticeable share of the stiffness.
         rho: The stiffness ρ.
         rigid: Number of rigid body modes, the first ones of R.
         null: Number of further null vectors, the next ones.
@@ -46,6 +44,7 @@ class SubdomainModes:
     D: Array
     stabilisation: Array
     exact: bool
+    softened: bool
     rho: float
     rigid: int
     null: int
@@ -66,8 +65,3 @@ class SubdomainModes:
     def kernel(self) -> int:
         """Number of modes that are not elastic: rigid body modes and null vectors."""
         return self.rigid + self.null
-
-
-def is_softened(D: Array, rho: float) -> bool:
-    """Tell whether the stress softens a subdomain by a noticeable share of ρ, from D, (k, k)."""
-    return bool(np.linalg.eigvalsh(0.5 * (D + D.T)).min(initial=0.0) < -SOFTENED * rho)

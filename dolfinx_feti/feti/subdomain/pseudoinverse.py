@@ -47,10 +47,10 @@ from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
 from dolfinx_feti.feti.subdomain.factors.single import ROUNDING, SingleFactor
 from dolfinx_feti.feti.subdomain.kernel import kernel_basis
-from dolfinx_feti.feti.subdomain.modes import SubdomainModes, is_softened
+from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, growth, null_space
 from dolfinx_feti.feti.subdomain.operator import Operator
-from dolfinx_feti.feti.subdomain.orthonormal import append_orthonormal, orthonormal
+from dolfinx_feti.feti.subdomain.orthonormal import append_orthonormal, orthonormal, symmetric_part
 from dolfinx_feti.feti.subdomain.soft import Basis, join, soft_modes
 from dolfinx_feti.runtime.events import event
 
@@ -70,6 +70,10 @@ LIFT = 2.0
 
 #: Error of a solve in single precision up to which it preconditions.
 ROUGH = 0.1
+
+#: Share of the mean stiffness of the interface dofs that a stress takes away where it softens a
+#: subdomain.
+SOFTENED = 5e-4
 
 #: An eigenvalue of D above this multiple of −ρ counts as zero: rounding of the local solves.
 DEFECT_TOLERANCE = 1e-13
@@ -179,8 +183,8 @@ def create_pseudo_inverse(
     factors, modes = [], []
     for i, (R, defect) in enumerate(zip(rigid, defects, strict=True)):
         with named(torn.first + i):
-            K = _Block(operator, i, operator.diagonal(i), symmetric, rough)
             stiffness = weight[operator.dofs[i]]
+            K = _Block(operator, i, operator.diagonal(i), stiffness, symmetric, rough)
             find = partial(soft_modes, weight=stiffness, most=soft, threshold=threshold)
             factor, of_block = _regularise(K, R, defect, find, adaptive=adaptive)
         factors.append(factor)
@@ -197,6 +201,7 @@ class _Block(NamedTuple):
         operator: The matrices of all subdomains.
         i: Number of the subdomain.
         diagonal: The absolute diagonal of K, (n,).
+        stiffness: That of the interface dofs before a pressure is condensed, else zero, (n,).
         symmetric: Whether K is symmetric.
         rough: Whether single precision may do.
     """
@@ -204,6 +209,7 @@ class _Block(NamedTuple):
     operator: Operator
     i: int
     diagonal: Array
+    stiffness: Array
     symmetric: bool
     rough: bool
 
@@ -238,7 +244,8 @@ def _regularise(
     factor, R, rho = _with_buckling_modes(K, factor, kernel, rho)
     exact = defect <= KERNEL_TOLERANCE * rho and R is kernel
     stiff = _basis(K, factor, R, rho, exact=exact)
-    found_beside = adaptive and isinstance(factor, SingleFactor) and not is_softened(stiff.D, rho)
+    softened = _is_softened(K, stiff.D)
+    found_beside = adaptive and isinstance(factor, SingleFactor) and not softened
     soft = R[:, :0] if found_beside else find_soft(factor.solve)
     basis = _with_soft_modes(K, factor, stiff, rho, soft)
     found = basis.R.shape[1] - R.shape[1]
@@ -247,6 +254,7 @@ def _regularise(
         *basis,
         stabilisation=basis.R @ _negative_directions(basis.D, rho),
         exact=exact and found == 0,
+        softened=softened,
         rho=rho,
         rigid=rigid.shape[1],
         null=kernel.shape[1] - rigid.shape[1],
@@ -315,6 +323,15 @@ def _basis(K: _Block, factor: Factor, R: Array, rho: float, *, exact: bool) -> B
     E_left = E if K.symmetric else rho * factor.solve(R, transpose=True)
     D = E_left.T @ W  # D = E'ᵀ W
     return Basis(R, E, E_left, 0.5 * (D + D.T) if K.symmetric else D)
+
+
+def _is_softened(K: _Block, D: Array) -> bool:
+    """Tell whether stress takes a noticeable share of the stiffness away, from D, (k, k)."""
+    glued = K.stiffness > 0.0
+    if not glued.any():
+        return False
+    lowest = np.linalg.eigvalsh(symmetric_part(D)).min(initial=0.0)
+    return bool(lowest < -SOFTENED * K.stiffness[glued].mean())
 
 
 def _with_soft_modes(K: _Block, factor: Factor, basis: Basis, rho: float, soft: Array) -> Basis:
