@@ -27,13 +27,14 @@ typedef struct {
     int inside;     // update rows of the interior, which come first
     int children;   // fronts whose update matrix is added to this one
     int64_t begin;  // where the update rows begin in fronts.rows
-    int64_t factor; // where the rows of U and of W in the interior begin in the factor
+    int64_t factor; // where U, packed, and then the rows of W in the interior begin in the factor
 } front;
 
 typedef struct {
     int n, n_I;      // dofs, dofs of the interior
     int count;       // fronts, children before parents
     int widest;      // most update rows of a front
+    int thickest;    // most pivots of a front
     int last;        // rank of the first pivot of the last front
     int *rank, *dof; // rank of each dof, and back, (n)
     int *rows;       // ranks of the update rows of all fronts, ascending in each
@@ -55,7 +56,7 @@ typedef struct {
                  int *);
     void (*gemm)(char *, char *, int *, int *, int *, double *, double *, int *, double *, int *,
                  double *, double *, int *);
-    void (*trsv)(char *, char *, char *, int *, double *, int *, double *, int *);
+    void (*tpsv)(char *, char *, char *, int *, double *, double *, int *);
     void (*gemv)(char *, int *, int *, double *, double *, int *, double *, int *, double *,
                  double *, int *);
 } dense;
@@ -230,7 +231,8 @@ static int find_sizes(tree *t, fronts *f)
         if (work > f->work) f->work = work;
         F[1].first = F->first + F->p;
         F[1].begin = F->begin + q;
-        F[1].factor = F->factor + p * (p + F->inside);
+        F[1].factor = F->factor + p * (p + 1) / 2 + p * F->inside;
+        if (p > f->thickest) f->thickest = p;
         if (f->work > most || F[1].factor > most) return TOO_LARGE;
         for (int c = 0; c < F->children; ++c) {
             const int64_t u = waiting[--depth];
@@ -410,9 +412,16 @@ static int eliminate(int p, int q, double *P, double *C, const dense *blas)
     return DONE;
 }
 
-// Factor K; held, (p, p), is added to the p pivots of the last front, unless NULL. L takes the rows
-// of U and of W in the interior; S, packed, comes as zeros; work has room for f->work. NEW_PATTERN
-// is returned for an entry of K outside of the fronts.
+// (U, W), (p, p + inside), as a factor has them: U packed, column by column, then W.
+static void store(int p, int inside, const double *U, double *L)
+{
+    for (int j = 0; j < p; L += ++j) memcpy(L, U + (int64_t)p * j, (j + 1) * sizeof(double));
+    memcpy(L, U + (int64_t)p * p, (int64_t)p * inside * sizeof(double));
+}
+
+// Factor K; held, (p, p), is added to the p pivots of the last front, unless NULL. L takes U of each
+// front, packed, and the rows of W in the interior; S, packed, comes as zeros; work has room for
+// f->work. NEW_PATTERN is returned for an entry of K outside of the fronts.
 int fronts_factor(const fronts *f, int N, const int *rows, const int *indptr,
                   const int *indices, const int *number, const double *values, const double *held,
                   double *L, double *S, double *work, const dense *blas)
@@ -444,7 +453,7 @@ int fronts_factor(const fronts *f, int N, const int *rows, const int *indptr,
             for (int64_t j = 0; j < (int64_t)p * p; ++j) P[j] += held[j];
         if (!status) status = eliminate(p, q, P, C, blas);
         if (status) break;
-        memcpy(L + F->factor, P, p * ((int64_t)p + F->inside) * sizeof(double));
+        store(p, F->inside, P, L + F->factor);
         if (F->inside) {
             memmove(top, C, (int64_t)q * q * sizeof(double));
             top += (int64_t)q * q;
@@ -460,16 +469,18 @@ int fronts_factor(const fronts *f, int N, const int *rows, const int *indptr,
 
 // --- solution -----------------------------------------------------------------------------------
 
-// y = U⁻¹ y or, transposed, U⁻ᵀ y, for k columns, (p, k), of n rows
+// y = U⁻¹ y or, transposed, U⁻ᵀ y, for k columns, (p, k), of n rows; work has room for p² entries
 static void solve_triangle(char *transposed, int p, int k, double *U, double *y, int n,
-                           const dense *blas)
+                           double *work, const dense *blas)
 {
     double one = 1.0;
     int stride = 1;
-    if (k == 1)
-        blas->trsv("U", transposed, "N", &p, U, &p, y, &stride);
-    else
-        blas->trsm("L", "U", transposed, "N", &p, &k, &one, U, &p, y, &n);
+    if (k == 1) {
+        blas->tpsv("U", transposed, "N", &p, U, y, &stride);
+        return;
+    }
+    for (int j = 0; j < p; U += ++j) memcpy(work + (int64_t)p * j, U, (j + 1) * sizeof(double));
+    blas->trsm("L", "U", transposed, "N", &p, &k, &one, work, &p, y, &n);
 }
 
 // Z = a W X + c Z or, transposed, a Wᵀ X + c Z, for W, (p, q), and k columns of n and m rows
@@ -483,25 +494,26 @@ static void multiply(char *transposed, double a, int p, int q, int k, double *W,
         blas->gemm(transposed, "N", &rows, &k, &inner, &a, W, &p, X, &n, &c, Z, &m);
 }
 
-// Y = U⁻¹ U⁻ᵀ Y for k columns, (n_I, k), by ranks; work has room for f->widest k.
+// Y = U⁻¹ U⁻ᵀ Y for k columns, (n_I, k), by ranks; work has room for f->widest k, and for several
+// columns f->thickest² at least.
 void fronts_solve(const fronts *f, const double *L, int k, double *Y, double *work,
                   const dense *blas)
 {
     const int n = f->n_I;
     for (const front *F = f->front; F < f->front + f->count; ++F) { // U⁻ᵀ
         const int p = F->p, q = F->inside, *const rows = f->rows + F->begin;
-        double *U = (double *)L + F->factor, *W = U + (int64_t)p * p, *y = Y + F->first;
-        solve_triangle("T", p, k, U, y, n, blas);
+        double *U = (double *)L + F->factor, *W = U + (int64_t)p * (p + 1) / 2, *y = Y + F->first;
+        solve_triangle("T", p, k, U, y, n, work, blas);
         if (q) multiply("T", 1.0, p, q, k, W, y, n, 0.0, work, q, blas);
         for (int c = 0; c < k; ++c)
             for (int j = 0; j < q; ++j) Y[(int64_t)n * c + rows[j]] -= work[(int64_t)q * c + j];
     }
     for (const front *F = f->front + f->count; F-- > f->front;) { // U⁻¹
         const int p = F->p, q = F->inside, *const rows = f->rows + F->begin;
-        double *U = (double *)L + F->factor, *W = U + (int64_t)p * p, *y = Y + F->first;
+        double *U = (double *)L + F->factor, *W = U + (int64_t)p * (p + 1) / 2, *y = Y + F->first;
         for (int c = 0; c < k; ++c)
             for (int j = 0; j < q; ++j) work[(int64_t)q * c + j] = Y[(int64_t)n * c + rows[j]];
         if (q) multiply("N", -1.0, p, q, k, W, work, q, 1.0, y, n, blas);
-        solve_triangle("N", p, k, U, y, n, blas);
+        solve_triangle("N", p, k, U, y, n, work, blas);
     }
 }

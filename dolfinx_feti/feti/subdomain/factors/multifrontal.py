@@ -51,12 +51,12 @@ ORDERINGS = ("nd", "amd")
 #: Of METIS: the number of its options, and the code of success.
 METIS_OPTIONS, METIS_OK = 40, 1
 
-ROUTINES = ("dpotrf", "dtrtri", "dtrsm", "dtrmm", "dsyrk", "dgemm", "dtrsv", "dgemv")
+ROUTINES = ("dpotrf", "dtrtri", "dtrsm", "dtrmm", "dsyrk", "dgemm", "dtpsv", "dgemv")
 
 DECLARATIONS = """
 enum { DONE, NO_MEMORY, TOO_LARGE, INVALID, NOT_DEFINITE, NEW_PATTERN };
-typedef struct { int n_I, count, widest, last, *rank; int64_t entries, work; double seconds; ...; }
-    fronts;
+typedef struct { int n_I, count, widest, thickest, last, *rank; int64_t entries, work;
+    double seconds; ...; } fronts;
 typedef struct { ...; } dense;
 int fronts_analyse(int, const int *, const int *, const int *, int, const int *, fronts **);
 int fronts_factor(const fronts *, int, const int *, const int *, const int *, const int *,
@@ -211,7 +211,7 @@ class FrontFactor:
 
     Attributes:
         fronts: The fronts that it was made with.
-        values: The rows of U, and of W in the interior, front by front, (entries,).
+        values: U, packed, and the rows of W in the interior, front by front, (entries,).
     """
 
     fronts: Fronts
@@ -232,7 +232,7 @@ class FrontFactor:
         X = np.empty(Y.shape, order="F")
         X[ranks] = Y
         columns = 1 if Y.ndim == 1 else Y.shape[1]
-        work = np.empty(max(1, fronts.widest * columns))
+        work = np.empty(max(fronts.widest * columns, fronts.thickest**2, 1))
         if X.size:
             values, entries, space = (code.to(array) for array in (self.values, X, work))
             code.lib.fronts_solve(fronts, values, columns, entries, space, code.blas)
