@@ -42,7 +42,7 @@ from benchmarks.scaling.weak import coarse_problem
 from dolfinx_feti import loads
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.runtime.collective import on_first
-from dolfinx_feti.wall import Wall
+from dolfinx_feti.wall import Wall, read_wall, write_wall
 from dolfinx_feti.wall.fibres import fibre_frame
 from meshes.walls import create_wall
 
@@ -78,7 +78,7 @@ def measure(case: Record, comm: MPI.Comm) -> Record:
     is generated.
     """
     PETSc.Log.begin()
-    create_wall(case["geometry"], comm, size=case["size"], folder=Path(str(case["folder"])))
+    _written(case, comm)
     tiny = case | {"geometry": "tube", "size": 1.0, "subdomains": comm.size}
     for _ in range(2):  # the second time for what does not depend on the mesh
         comm.Barrier()
@@ -116,6 +116,7 @@ def count(case: Record, comm: MPI.Comm) -> Record:
     PETSc.Log.begin()
     wall: list[Wall] = []
     _read(case | {"geometry": "tube", "size": 1.0}, comm)  # whatever is loaded at first
+    _written(case, comm)
     peak, before = PeakMemory(), _bytes_read()
     reading = _counted(lambda: wall.append(_read(case, comm)), comm)
     held = peak.mib_above_start(MPI.COMM_SELF), _bytes_read() - before
@@ -165,9 +166,18 @@ def _bytes_read() -> int:
 
 
 def _read(case: Record, comm: MPI.Comm) -> Wall:
-    """Read the wall of a case, generated at first."""
-    folder = Path(str(case["folder"]))
-    return create_wall(case["geometry"], comm, size=case["size"], folder=folder)[0]
+    """Read the wall of a case from the file that as many processes have written."""
+    return read_wall(_written(case, comm), comm)
+
+
+def _written(case: Record, comm: MPI.Comm) -> Path:
+    """Return the file of a case's wall by so many processes, which is written at first."""
+    folder, name = Path(str(case["folder"])), f"{case['geometry']}_{case['size']:g}_{comm.size}"
+    path = folder / f"{name}.xdmf"
+    if not comm.bcast(path.is_file()):
+        wall, _ = create_wall(case["geometry"], comm, size=case["size"], folder=folder)
+        write_wall(path, wall)
+    return path
 
 
 def _create(case: Record, comm: MPI.Comm, wall: Wall | None = None) -> WallProblem:

@@ -4,8 +4,12 @@
 """A wall in XDMF and HDF5, which all processes read and write, each its own share of the rows.
 
 The mesh is the grid ``mesh``; layers and surfaces are dolfinx's tags of cells and facets, in the
-grids of these names; what the tags are called stands in the light data. ParaView shows all three
-grids. Cells are those of :data:`~dolfinx_feti.wall.wallfile.CELLS`.
+grids of these names; what the tags are called, and how many cells each process has written, stands
+in the light data. ParaView shows all three grids. Cells are those of
+:data:`~dolfinx_feti.wall.wallfile.CELLS`.
+
+A process writes its part of the mesh in consecutive rows. As many processes as have written a file
+take these parts again, and nothing has to be partitioned.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ import os
 import shutil
 import tempfile
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +27,9 @@ from mpi4py import MPI
 
 import basix.ufl
 import dolfinx
+import dolfinx.graph
 import dolfinx.io
+import numpy as np
 import ufl
 
 from dolfinx_feti.runtime.collective import on_all, on_first, reason
@@ -31,7 +38,7 @@ from dolfinx_feti.wall.wall import Wall
 
 __all__ = ["is_parallel", "read_parallel", "write_wall"]
 
-#: Where the grids stand in the light data, and where the names do.
+#: Where the grids stand in the light data, and where names and numbers of cells do.
 DOMAIN, NAMES = "/Xdmf/Domain", "names"
 
 
@@ -48,6 +55,9 @@ def is_parallel(path: Path) -> bool:
 
 def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
     """Read a wall on all processes: each reads a P-th of cells, points and facets.
+
+    The parts of the mesh are those of the processes that wrote the file, if they were as many;
+    else the mesh is partitioned.
 
     Args:
         path: A file of :func:`write_wall`, `*.xdmf`, beside its HDF5 file.
@@ -68,14 +78,16 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
                 shape, degree = file.read_cell_type("mesh", DOMAIN)
                 cells = file.read_topology_data("mesh", DOMAIN)
                 x = scale * file.read_geometry_data("mesh", DOMAIN)
+            *names, parts = [*json.loads(file.read_information(NAMES, DOMAIN)), []][:3]
             element = basix.ufl.element("Lagrange", shape.name, degree, shape=(3,), dtype=x.dtype)
             with event("WallPartition"):
-                mesh = dolfinx.mesh.create_mesh(comm, cells, x=x, e=ufl.Mesh(element))
+                mesh = dolfinx.mesh.create_mesh(
+                    comm, cells, x=x, e=ufl.Mesh(element), partitioner=_keep(parts, len(cells), comm)
+                )
                 mesh.topology.create_entities(2)
                 mesh.topology.create_connectivity(2, 3)
             with event("WallTags"):
                 layers, surfaces = (file.read_meshtags(mesh, n) for n in ("layers", "surfaces"))
-            names = json.loads(file.read_information(NAMES, DOMAIN))
     except RuntimeError as error:
         raise ValueError(
             f"{path} cannot be read ({reason(error)}): its HDF5 file has to lie beside it; convert "
@@ -117,13 +129,35 @@ def write_wall(path: Path | str, wall: Wall) -> None:
             file.write_mesh(wall.mesh)
             for tags in (wall.cell_tags, wall.facet_tags):
                 file.write_meshtags(tags, wall.mesh.geometry)
-            file.write_information(NAMES, json.dumps([wall.layers, wall.surfaces]), DOMAIN)
+            parts = comm.allgather(wall.mesh.topology.index_map(3).size_local)
+            file.write_information(NAMES, json.dumps([wall.layers, wall.surfaces, parts]), DOMAIN)
         on_first(lambda: _put_in_place(aside, path), comm)
     finally:
         for name, grid in zip(called, grids.values(), strict=True):
             grid.name = name
         if comm.rank == 0:
             shutil.rmtree(aside, ignore_errors=True)
+
+
+def _keep(parts: Sequence[int], rows: int, comm: MPI.Comm) -> Callable[..., Any] | None:
+    """Return the partitioner that keeps the parts of a file; None if others read it than wrote it.
+
+    Args:
+        parts: Cells of each process that wrote the file.
+        rows: Cells that this process has read, in the order of the processes.
+        comm: Communicator of those that read.
+    """
+    if comm.size == 1 or comm.size != len(parts):
+        return None
+    first = comm.scan(rows) - rows
+    process = np.searchsorted(np.cumsum(parts), first + np.arange(rows), side="right")
+
+    def keep(*_: Any) -> Any:
+        offsets = np.arange(rows + 1, dtype=np.int32)
+        found = dolfinx.graph.adjacencylist(process.astype(np.int32), offsets)
+        return getattr(found, "_cpp_object", found)
+
+    return keep
 
 
 def _folder_aside(path: Path) -> Path:

@@ -8,18 +8,19 @@ from __future__ import annotations
 import gc
 import re
 from pathlib import Path
+from unittest import mock
 
 from mpi4py import MPI
 
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, small
-from wall_files import ROOT, on_first
+from wall_files import ROOT, centroids, on_first
 
 import dolfinx
 import ufl
 
-from dolfinx_feti.wall import area, convert, read_wall, write_wall
+from dolfinx_feti.wall import area, convert, read_wall, write_wall, xdmf
 from dolfinx_feti.wall.wall import extent
 from meshes.bricks import create_brick_tube
 from meshes.walls import create_wall
@@ -32,7 +33,8 @@ def volumes(wall):
     dx = ufl.Measure("dx", wall.mesh, subdomain_data=wall.cell_tags)
     one = dolfinx.fem.Constant(wall.mesh, 1.0)
     parts = {n: dolfinx.fem.form(one * dx(tag)) for n, tag in wall.layers.items()}
-    return {n: COMM.allreduce(dolfinx.fem.assemble_scalar(form)) for n, form in parts.items()}
+    comm = wall.mesh.comm
+    return {n: comm.allreduce(dolfinx.fem.assemble_scalar(form)) for n, form in parts.items()}
 
 
 def same(one, other):
@@ -59,6 +61,36 @@ def test_what_is_written_is_read(tmp_path, order, tetrahedra):
     agree(sorted(p.name for p in path.parent.iterdir()) == ["tube.h5", "tube.xdmf"])
     same(wall, read_wall(path, COMM))
     equal(extent(read_wall(path, COMM, scale=10.0).mesh), 10.0 * np.array(extent(wall.mesh)), 1e-12)
+
+
+def test_parts_are_those_that_were_written(tmp_path):
+    """As many processes as wrote a file have its parts again, however uneven they are."""
+    path, keep = COMM.bcast(tmp_path / "tube.xdmf"), xdmf._keep
+    wall = create_brick_tube(COMM, length=0.6, size=0.15, order=1, tetrahedra=True)
+    total = wall.mesh.topology.index_map(3).size_global
+    uneven = np.diff(np.linspace(0.0, total**0.5, COMM.size + 1).astype(int) ** 2).tolist()
+    uneven[-1] += total - sum(uneven)
+    write_wall(path, wall)
+    with mock.patch.object(xdmf, "_keep", lambda _, rows, comm: keep(uneven, rows, comm)):
+        torn = read_wall(path, COMM)
+    write_wall(path, torn)
+    again = read_wall(path, COMM)
+    agree(again.mesh.topology.index_map(3).size_local == uneven[COMM.rank])
+    equal(sorted(centroids(again).tolist()), sorted(centroids(torn).tolist()), 1e-12)
+    same(wall, again)
+
+
+def test_others_partition_anew(tmp_path):
+    """One process reads what several have written, and the other way round."""
+    path = COMM.bcast(tmp_path / "tube.xdmf")
+    wall = create_brick_tube(COMM, length=0.6, size=0.3, order=1, tetrahedra=True)
+    write_wall(path, wall)
+    alone = on_first(lambda: volumes(read_wall(path, MPI.COMM_SELF)))
+    on_first(lambda: write_wall(path, read_wall(path, MPI.COMM_SELF)))
+    again = read_wall(path, COMM)
+    same(wall, again)
+    for name, volume in volumes(again).items():
+        small(alone[name] / volume - 1.0, 1e-11)
 
 
 def test_convert(tmp_path, capsys):

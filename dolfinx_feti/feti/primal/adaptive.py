@@ -40,7 +40,7 @@ Array = npt.NDArray[np.float64]
 Multiply = Callable[[Array], Array]
 
 #: Steps of the Krylov method, at least and at most; each finds as many columns.
-STEPS = 3, 6
+STEPS = 3, 9
 
 #: Interface dofs of a subdomain that may have all columns; one with a share of these dofs has that
 #: share of them, as the coarse matrix of many subdomains would cost more than it saves.

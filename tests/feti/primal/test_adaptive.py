@@ -119,7 +119,7 @@ def test_the_search_goes_on_while_most_is_wanted(threshold):
 
 def test_small_subdomains_have_few_columns():
     """Their share of 640 interface dofs; no more than dofs; none if none."""
-    body = Subdomains(0, 1, 2, 7, DOFS // 4, DOFS // 2)
+    body = Subdomains(0, 1, 2, 2 * STEPS[1], DOFS // 4, DOFS // 2)
     counts = [U.shape[1] for U in body.columns(48, 0.0)]
     agree(counts == [0, 1, 2, STEPS[1], 12, 24], counts)
     agree(all(U.shape == (len(S), 0) for U, S in zip(body.columns(0, 0.0), body.S_ρ, strict=True)))
