@@ -43,9 +43,10 @@ product with few columns is left out.
 Beyond S processes there are as many subdomains as processes; K grows with them, L as K ln K and Φ
 as K^{3/2}, those of a wall, which is nearly two-dimensional.
 
-The wall is read by all processes: the file's bytes at D; mesh and tags are made of them in t_1 / P.
-Partitioning, which one process does not do, takes t_2 on two for a bisection, and is a sequence of
-log₂ P bisections of n/P cells a process; what all of it sends was counted,
+The wall is read by all processes from the file that as many have written, so that nothing is
+partitioned: the file's bytes at D; mesh and tags are made of them in t_1 / P. What two processes
+take beyond that, t_2 each, is for what they exchange, and is taken log₂ P times; what all of it
+sends was counted,
 
 .. math:: t_{reading} = t_1 / P + \text{bytes} / D + (2 t_2 - t_1) / P\, \log_2 P
     + n_m α + b / W + n_r\, 2 α \log_2 P ,

@@ -21,20 +21,23 @@ class Pardiso:
     """Context of a PC whose application is A⁻¹; one process."""
 
     def __init__(self, *, symmetric: bool, definite: bool) -> None:
-        """Choose the factorisation: Cholesky, LDLᵀ, or LU."""
+        """Choose the factorisation: Cholesky, LDLᵀ, or LU.
+
+        Raises:
+            ImportError: The module finds no MKL.
+        """
+        import pypardiso
+
         self._kind = (DEFINITE if definite else SYMMETRIC) if symmetric else GENERAL
-        self._solver: Any = None
+        self._solver: Any = pypardiso.PyPardisoSolver(mtype=self._kind)
         self._matrix = scipy.sparse.csr_matrix((0, 0))
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Factor the matrix, of which PARDISO takes the upper half if it is symmetric."""
-        import pypardiso
-
         A = pc.getOperators()[0]
         rows, columns, values = A.getValuesCSR()
         K = scipy.sparse.csr_matrix((values, columns, rows), shape=A.getSize())
         self._matrix = K if self._kind == GENERAL else scipy.sparse.triu(K, format="csr")
-        self._solver = self._solver or pypardiso.PyPardisoSolver(mtype=self._kind)
         self._solver.factorize(self._matrix)
 
     def apply(self, _pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
@@ -43,5 +46,4 @@ class Pardiso:
 
     def destroy(self, _pc: PETSc.PC) -> None:
         """Free the factors."""
-        if self._solver is not None:
-            self._solver.free_memory(everything=True)
+        self._solver.free_memory(everything=True)

@@ -209,7 +209,7 @@ def _solve(
     x = b.duplicate()
     try:
         cost, ksp = on_all(lambda: timed_solve(create, b, x), b.comm.tompi4py())
-    except (PETSc.Error, RuntimeError) as error:
+    except (PETSc.Error, RuntimeError, ImportError) as error:
         x.destroy()
         return _Outcome(None, None, f"failed: {reason(error).splitlines()[-1]}")
     order = ordering(ksp)

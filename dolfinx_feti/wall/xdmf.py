@@ -25,11 +25,12 @@ from typing import Any
 
 from mpi4py import MPI
 
+import numpy as np
+
 import basix.ufl
 import dolfinx
 import dolfinx.graph
 import dolfinx.io
-import numpy as np
 import ufl
 
 from dolfinx_feti.runtime.collective import on_all, on_first, reason
@@ -81,9 +82,9 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
             *names, parts = [*json.loads(file.read_information(NAMES, DOMAIN)), []][:3]
             element = basix.ufl.element("Lagrange", shape.name, degree, shape=(3,), dtype=x.dtype)
             with event("WallPartition"):
-                mesh = dolfinx.mesh.create_mesh(
-                    comm, cells, x=x, e=ufl.Mesh(element), partitioner=_keep(parts, len(cells), comm)
-                )
+                keep = _keep(parts, len(cells), comm)
+                domain = ufl.Mesh(element)
+                mesh = dolfinx.mesh.create_mesh(comm, cells, x=x, e=domain, partitioner=keep)
                 mesh.topology.create_entities(2)
                 mesh.topology.create_connectivity(2, 3)
             with event("WallTags"):
@@ -149,7 +150,7 @@ def _keep(parts: Sequence[int], rows: int, comm: MPI.Comm) -> Callable[..., Any]
     """
     if comm.size == 1 or comm.size != len(parts):
         return None
-    first = comm.scan(rows) - rows
+    first = sum(comm.allgather(rows)[: comm.rank])
     process = np.searchsorted(np.cumsum(parts), first + np.arange(rows), side="right")
 
     def keep(*_: Any) -> Any:

@@ -31,7 +31,7 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 Integers = npt.NDArray[np.integer]
 
-#: What gives the j-th column of the subdomain of every pair in the row, zero beyond its last, (pairs,).
+#: Gives the j-th column of each pair's subdomain in the pair's row, zero beyond the last, (pairs,).
 Column = Callable[[int], Array]
 
 
