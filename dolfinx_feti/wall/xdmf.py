@@ -79,7 +79,7 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
                 shape, degree = file.read_cell_type("mesh", DOMAIN)
                 cells = file.read_topology_data("mesh", DOMAIN)
                 x = scale * file.read_geometry_data("mesh", DOMAIN)
-            *names, parts = [*json.loads(file.read_information(NAMES, DOMAIN)), []][:3]
+            of_layers, of_surfaces, *parts = json.loads(file.read_information(NAMES, DOMAIN))
             element = basix.ufl.element("Lagrange", shape.name, degree, shape=(3,), dtype=x.dtype)
             with event("WallPartition"):
                 keep = _keep(parts, len(cells), comm)
@@ -94,7 +94,7 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
             f"{path} cannot be read ({reason(error)}): its HDF5 file has to lie beside it; convert "
             "the wall anew by python3 -m dolfinx_feti.wall.convert"
         ) from error
-    return Wall(mesh, layers, surfaces, *names)
+    return Wall(mesh, layers, surfaces, of_layers, of_surfaces)
 
 
 def write_wall(path: Path | str, wall: Wall) -> None:
@@ -131,7 +131,8 @@ def write_wall(path: Path | str, wall: Wall) -> None:
             for tags in (wall.cell_tags, wall.facet_tags):
                 file.write_meshtags(tags, wall.mesh.geometry)
             parts = comm.allgather(wall.mesh.topology.index_map(3).size_local)
-            file.write_information(NAMES, json.dumps([wall.layers, wall.surfaces, parts]), DOMAIN)
+            light = json.dumps([wall.layers, wall.surfaces, *parts])
+            file.write_information(NAMES, light, DOMAIN)
         on_first(lambda: _put_in_place(aside, path), comm)
     finally:
         for name, grid in zip(called, grids.values(), strict=True):
@@ -141,17 +142,18 @@ def write_wall(path: Path | str, wall: Wall) -> None:
 
 
 def _keep(parts: Sequence[int], rows: int, comm: MPI.Comm) -> Callable[..., Any] | None:
-    """Return the partitioner that keeps the parts of a file; None if others read it than wrote it.
+    """Return the partitioner that keeps the parts of a file; None if the mesh is to be partitioned.
 
     Args:
-        parts: Cells of each process that wrote the file.
+        parts: Cells of each process that wrote the file; none where it does not say.
         rows: Cells that this process has read, in the order of the processes.
         comm: Communicator of those that read.
     """
-    if comm.size == 1 or comm.size != len(parts):
+    before = np.cumsum([0, *comm.allgather(rows)])
+    if comm.size == 1 or comm.size != len(parts) or sum(parts) != before[-1]:
         return None
-    first = sum(comm.allgather(rows)[: comm.rank])
-    process = np.searchsorted(np.cumsum(parts), first + np.arange(rows), side="right")
+    row = before[comm.rank] + np.arange(rows)
+    process = np.searchsorted(np.cumsum(parts), row, side="right")
 
     def keep(*_: Any) -> Any:
         offsets = np.arange(rows + 1, dtype=np.int32)

@@ -25,6 +25,9 @@ from dolfinx_feti.wall.wall import extent
 from meshes.bricks import create_brick_tube
 from meshes.walls import create_wall
 
+#: The end of the light data's list: how many cells each process has written.
+PARTS = re.compile(r'(, \d+)*\]" />')
+
 EXAMPLE = ROOT / "meshes/example.msh"
 
 
@@ -81,7 +84,7 @@ def test_parts_are_those_that_were_written(tmp_path):
 
 
 def test_others_partition_anew(tmp_path):
-    """One process reads what several have written, and the other way round."""
+    """One process reads what several have written, the other way round, and without any parts."""
     path = COMM.bcast(tmp_path / "tube.xdmf")
     wall = create_brick_tube(COMM, length=0.6, size=0.3, order=1, tetrahedra=True)
     write_wall(path, wall)
@@ -89,6 +92,9 @@ def test_others_partition_anew(tmp_path):
     on_first(lambda: write_wall(path, read_wall(path, MPI.COMM_SELF)))
     again = read_wall(path, COMM)
     same(wall, again)
+    for parts in ("", ", 1" * COMM.size):  # none, and those of another mesh
+        on_first(lambda parts=parts: path.write_text(PARTS.sub(parts + ']" />', path.read_text())))
+        same(wall, read_wall(path, COMM))
     for name, volume in volumes(again).items():
         small(alone[name] / volume - 1.0, 1e-11)
 

@@ -70,15 +70,15 @@ class Fields:
 
     def __getitem__(self, i: int) -> Panels:
         """Return the columns near subdomain i, by their owners, (n_i, c_i)."""
-        start, stop = self.panels[i], self.panels[i + 1]
-        first, begin = self.first[start : stop + 1], self.start[start : stop + 1]
+        begin, end = self.panels[i], self.panels[i + 1]
+        first, start = self.first[begin : end + 1], self.start[begin : end + 1]
         return Panels(
             self.code,
             int(self.sizes[i]),
             first - first[0],
             self.row[first[0] : first[-1]],
-            self.count[start:stop],
-            self.values[begin[0] : begin[-1]],
+            self.count[begin:end],
+            self.values[start[0] : start[-1]],
         )
 
 
@@ -108,7 +108,9 @@ def averaged_fields(copies: Copies, U: Sequence[Array]) -> Fields:
         copies: Copies of the interface dofs.
         U: For each subdomain its columns, (n_i, k_i), numbered on over subdomains and processes.
     """
-    return _by_panels(copies, *_averaged_pairs(copies, *_own_pairs(copies, U)))
+    own, column = _own_pairs(copies, U)
+    mean, average = _averaged_pairs(copies, own)
+    return _by_panels(copies, mean, lambda j: average(column(j)))
 
 
 def jump_fields(copies: Copies, U: Sequence[Array]) -> Fields:
@@ -117,7 +119,7 @@ def jump_fields(copies: Copies, U: Sequence[Array]) -> Fields:
     The arguments are those of :func:`averaged_fields`.
     """
     own, column = _own_pairs(copies, U)
-    mean, average = _averaged_pairs(copies, own, column)
+    mean, average = _averaged_pairs(copies, own)
     diagonal = mean.first == own.first[mean.row]
     alone = own.count > 0
     alone[mean.row[diagonal]] = False  # rows with a prescribed value are left
@@ -130,7 +132,7 @@ def jump_fields(copies: Copies, U: Sequence[Array]) -> Fields:
 
     def jump(j: int) -> Array:
         u = column(j)
-        return np.concatenate([np.where(diagonal, u[mean.row], 0.0) - average(j), u[rest.row]])
+        return np.concatenate([np.where(diagonal, u[mean.row], 0.0) - average(u), u[rest.row]])
 
     return _by_panels(copies, pairs, jump)
 
@@ -152,10 +154,11 @@ def _own_pairs(copies: Copies, U: Sequence[Array]) -> tuple[_Pairs, Column]:
     return pairs, column
 
 
-def _averaged_pairs(copies: Copies, own: _Pairs, column: Column) -> tuple[_Pairs, Column]:
-    """Pair the rows with all subdomains that share them, with δ times their columns. Collective.
+def _averaged_pairs(copies: Copies, own: _Pairs) -> tuple[_Pairs, Callable[[Array], Array]]:
+    """Pair the rows with all subdomains that share them. Collective.
 
-    The result's columns are collective, too.
+    Return also what gives δ u of each pair's subdomain in the pair's row, of a column u of all
+    subdomains, (n,) → (pairs,). It is collective, too.
     """
     first, count = (
         copies.values(numbers.astype(np.float64)).astype(np.int64)
@@ -163,8 +166,8 @@ def _averaged_pairs(copies: Copies, own: _Pairs, column: Column) -> tuple[_Pairs
     )
     some = count > 0
 
-    def average(j: int) -> Array:
-        return np.asarray(copies.values(copies.delta * column(j))[some])
+    def average(u: Array) -> Array:
+        return np.asarray(copies.values(copies.delta * u)[some])
 
     return _Pairs(copies.row[some], first[some], count[some]), average
 

@@ -20,8 +20,8 @@ With :math:`K R = 0` these are :math:`E = R`, :math:`D = 0` and the paper's equa
 
 R is a function of the present matrix alone. It holds the rigid body modes that Dirichlet dofs leave
 (``kernel``), the null vectors beyond them (``nullspace``), the modes in which the subdomain buckles
-(``buckling``), so that :math:`K_ρ` is positive definite, and soft ones (``soft``): the dual form
-needs them always, the primal form, which has adaptive columns, where stress softens. With the
+(``buckling``), so that :math:`K_ρ` is positive definite, and soft ones (``soft``). The primal form,
+which has adaptive columns, looks for soft modes only where stress softens a subdomain. With the
 eigenvalues :math:`δ < 0` and eigenvectors y of D, the columns
 
 .. math:: Z = 2 R y \sqrt{-δ}, \qquad K_+ = K + Z Z^⊤
@@ -71,7 +71,7 @@ LIFT = 2.0
 #: Error of a solve in single precision up to which it preconditions.
 ROUGH = 0.1
 
-#: Share of the mean stiffness of the interface dofs that a stress takes away where it softens a
+#: Share of the mean stiffness of the interface dofs by which D is negative where stress softens a
 #: subdomain.
 SOFTENED = 5e-4
 
@@ -168,8 +168,8 @@ def create_pseudo_inverse(
         soft: Most soft modes of a subdomain.
         threshold: Share of the interface stiffness below which a mode is soft.
         rough: Whether the inverse only preconditions: single precision may do then.
-        adaptive: Whether adaptive columns stand beside one that does: they find the soft modes of a
-            subdomain that no stress softens.
+        adaptive: Whether there are adaptive columns, too, if the inverse only preconditions. They
+            find the soft modes of a subdomain that no stress softens.
 
     Raises:
         FactorError: Some work on a subdomain failed. Not collective: the caller reduces.
@@ -245,8 +245,8 @@ def _regularise(
     exact = defect <= KERNEL_TOLERANCE * rho and R is kernel
     stiff = _basis(K, factor, R, rho, exact=exact)
     softened = _is_softened(K, stiff.D)
-    found_beside = adaptive and isinstance(factor, SingleFactor) and not softened
-    soft = R[:, :0] if found_beside else find_soft(factor.solve)
+    columns_suffice = adaptive and isinstance(factor, SingleFactor) and not softened
+    soft = R[:, :0] if columns_suffice else find_soft(factor.solve)
     basis = _with_soft_modes(K, factor, stiff, rho, soft)
     found = basis.R.shape[1] - R.shape[1]
     C = basis.D[R.shape[1] :, R.shape[1] :]
@@ -322,11 +322,11 @@ def _basis(K: _Block, factor: Factor, R: Array, rho: float, *, exact: bool) -> B
     E = R - factor.solve(W)  # E = R − K_ρ⁻¹ W
     E_left = E if K.symmetric else rho * factor.solve(R, transpose=True)
     D = E_left.T @ W  # D = E'ᵀ W
-    return Basis(R, E, E_left, 0.5 * (D + D.T) if K.symmetric else D)
+    return Basis(R, E, E_left, symmetric_part(D) if K.symmetric else D)
 
 
 def _is_softened(K: _Block, D: Array) -> bool:
-    """Tell whether stress takes a noticeable share of the stiffness away, from D, (k, k)."""
+    """Tell whether stress softens the subdomain, from D, (k, k)."""
     glued = K.stiffness > 0.0
     if not glued.any():
         return False
@@ -356,6 +356,6 @@ def _defects(operator: Operator, dofs: Dofs, R: Sequence[Array], *, symmetric: b
 
 def _negative_directions(D: Array, rho: float) -> Array:
     """Return 2 y √−δ for the eigenvalues δ < 0 of D, above rounding."""
-    δ, y = np.linalg.eigh(0.5 * (D + D.T))
+    δ, y = np.linalg.eigh(symmetric_part(D))
     negative = δ < -DEFECT_TOLERANCE * rho
     return np.asarray(2.0 * y[:, negative] * np.sqrt(-δ[negative]))

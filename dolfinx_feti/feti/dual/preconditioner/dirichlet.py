@@ -19,6 +19,7 @@ import numpy.typing as npt
 import scipy.linalg
 
 from dolfinx_feti.feti.dual.preconditioner.base import Preconditioner
+from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
 from dolfinx_feti.feti.subdomain.panels import Panels
 
 __all__ = ["Dirichlet"]
@@ -58,7 +59,7 @@ class Dirichlet(Preconditioner):
         X = self.operator.interior_factors[i].solve(Z[inside])  # X = K_II⁻¹ Z_I
         try:
             C2 = np.eye(Z.shape[1]) + Z[inside].T @ X
-            C = np.linalg.cholesky(0.5 * (C2 + C2.T))
+            C = np.linalg.cholesky(symmetric_part(C2))
         except np.linalg.LinAlgError:  # K_II itself is indefinite
             return Z[~inside]
         Y = self.to_interface(i, Z)

@@ -232,7 +232,8 @@ class FrontFactor:
         X = np.empty(Y.shape, order="F")
         X[ranks] = Y
         columns = 1 if Y.ndim == 1 else Y.shape[1]
-        work = np.empty(max(fronts.widest * columns, fronts.thickest**2, 1))
+        triangle = fronts.thickest**2 if columns > 1 else 0
+        work = np.empty(max(fronts.widest * columns, triangle, 1))
         if X.size:
             values, entries, space = (code.to(array) for array in (self.values, X, work))
             code.lib.fronts_solve(fronts, values, columns, entries, space, code.blas)

@@ -28,6 +28,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor, Fronts
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
 from dolfinx_feti.runtime.petsc_library import Rows
 
 __all__ = ["RegularisedFactor", "factor_by_fronts"]
@@ -99,7 +100,7 @@ def factor_by_fronts(
     if not np.isfinite(Z).all():
         return None
     inverse = np.diag(np.repeat([1.0, -1.0], k) / rho) + V.T @ Z  # Λ⁻¹ + Vᵀ Z
-    inverse = 0.5 * (inverse + inverse.T)
+    inverse = symmetric_part(inverse)
     try:
         C = np.linalg.inv(inverse)
     except np.linalg.LinAlgError:
