@@ -5,7 +5,10 @@
 
 from __future__ import annotations
 
+import importlib.machinery
 import json
+import sys
+import types
 from dataclasses import replace
 
 from petsc4py import PETSc
@@ -243,6 +246,21 @@ def test_missing(monkeypatch):
     agree(settings.missing("feti", 2) == settings.missing("gamg", 1) == "")
     found = compare(linear(poisson(cube(2, 4)), 3), ["fieldsplit", "feti"])
     agree(found.left_out == (("fieldsplit", "no field is condensed"),), found)
+
+
+@pytest.mark.serial
+def test_pardiso_without_mkl(monkeypatch):
+    """The note says what its module says."""
+
+    def find_mkl(**_):
+        raise ImportError("Shared library mkl_rt not found")
+
+    module = types.ModuleType("pypardiso")
+    module.PyPardisoSolver = find_mkl
+    module.__spec__ = importlib.machinery.ModuleSpec("pypardiso", None)
+    monkeypatch.setitem(sys.modules, "pypardiso", module)
+    (record,) = compare(linear(poisson(cube(2, 4)), 3), ["pardiso"]).records
+    agree("mkl_rt not found" in record["note"], record["note"])
 
 
 def test_unsymmetric_matrix():
