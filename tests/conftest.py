@@ -172,7 +172,15 @@ def parts(pattern: Callable[..., Pattern]) -> Iterator[Callable[..., DualForm]]:
 
 
 @pytest.fixture
-def form(parts: Callable[..., DualForm]) -> Iterator[Callable[..., primal_form.PrimalForm]]:
+def double_products(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep A V in double precision, so that identities hold to its rounding."""
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.space._precision", lambda V: np.float64)
+
+
+@pytest.fixture
+def form(
+    parts: Callable[..., DualForm], double_products: None
+) -> Iterator[Callable[..., primal_form.PrimalForm]]:
     """Build the primal form of a torn problem, see :func:`primal_form.create`."""
     made: list[primal_form.PrimalForm] = []
 

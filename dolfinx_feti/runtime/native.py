@@ -116,7 +116,9 @@ def pointer(module: Any, array: npt.NDArray[Any]) -> Any:
     """
     if not (array.flags.c_contiguous or array.flags.f_contiguous):
         raise ValueError(f"array of shape {array.shape} is not contiguous")
-    kind = {"f8": "double[]", "i4": "int[]", "i8": "int64_t[]"}[array.dtype.str[1:]]
+    kind = {"f4": "float[]", "f8": "double[]", "i4": "int[]", "i8": "int64_t[]"}[
+        array.dtype.str[1:]
+    ]
     return module.ffi.from_buffer(kind, array.ravel(order="K"))
 
 

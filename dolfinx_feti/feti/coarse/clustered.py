@@ -34,9 +34,9 @@ import numpy.typing as npt
 import scipy.sparse
 
 from dolfinx_feti.feti.coarse.gathered import SPREAD, GatheredSolver
-from dolfinx_feti.feti.coarse.near import joined
+from dolfinx_feti.feti.coarse.graph import coupled_subdomains
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
-from dolfinx_feti.runtime.collective import join, on_all, total, total_of
+from dolfinx_feti.runtime.collective import on_all, total, total_of
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_options import inserted
 
@@ -216,7 +216,8 @@ def create_coarse_solver(
             if definite or solver.is_definite():
                 return solver
             solver.destroy()
-    return GatheredSolver(N, prefix=prefix, symmetric=symmetric, zero=zero)
+    blocks = counts if symmetric else None
+    return GatheredSolver(N, prefix=prefix, symmetric=symmetric, zero=zero, counts=blocks)
 
 
 def takes_clusters(rows: int, processes: int, columns: float) -> bool:
@@ -254,23 +255,10 @@ def _inverse_blocks(N: PETSc.Mat) -> Array:
 
 def _clusters(N: PETSc.Mat, counts: Counts, prefix: str) -> npt.NDArray[np.int32]:
     """Return the cluster of each subdomain of this process, (subdomains,). Collective."""
-    comm = N.comm.tompi4py()
-    first = N.getOwnershipRange()[0] + np.cumsum(counts) - counts
-    starts = join(first, comm)  # of all subdomains; one without rows begins with the next one
-    n, own = len(starts), comm.scan(len(counts)) - len(counts)
-    rows = first[counts > 0]
-    columns = [N.getRow(row)[0] for row in rows.tolist()]
-    subdomain = np.repeat(own + np.flatnonzero(counts), [len(row) for row in columns])
-    near = np.searchsorted(starts, joined(columns, np.int64), side="right") - 1
-    new = (np.diff(near, prepend=-1) != 0) | (np.diff(subdomain, prepend=-1) != 0)
-    new &= near != subdomain
-    indices = near[new].astype(PETSc.IntType)
-    lengths = np.bincount(subdomain[new] - own, minlength=len(counts))
-    indptr = np.cumsum(np.append(0, lengths)).astype(PETSc.IntType)
+    n, indptr, indices = coupled_subdomains(N, counts)
     sizes = (len(counts), n)
-    graph = PETSc.Mat().createAIJ(
-        (sizes, sizes), csr=(indptr, indices, np.ones(len(indices))), comm=N.comm
-    )
+    csr = (indptr.astype(PETSc.IntType), indices.astype(PETSc.IntType), np.ones(len(indices)))
+    graph = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=N.comm)
     graph.convert("mpiadj")
     partitioning = PETSc.MatPartitioning().create(N.comm)
     partitioning.setOptionsPrefix(prefix)

@@ -13,6 +13,8 @@ With :math:`Y_i = S_i^⊤ W_i` the projection
 .. math:: z ← z - V A_0^{-1} V^⊤ A\, z, \qquad V^⊤ A\, z = \sum_i Y_i^⊤ (T z)_i
 
 of the primal method takes two dense products for each subdomain, a coarse solve, and an average.
+It is a step of the preconditioner, and reads all Y: single precision will do, unless A₀ is solved
+with iteratively. It may be singular, where columns depend, and has to have Vᵀ A z in its range.
 To both methods A₀ may prove that A is indefinite: A has at least as many negative eigenvalues. V
 serves any matrix, :class:`AveragedColumns`; A V and A₀ are of one, :class:`AveragedSpace`.
 
@@ -33,7 +35,7 @@ import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.linalg
 
-from dolfinx_feti.feti.coarse.clustered import create_coarse_solver
+from dolfinx_feti.feti.coarse.clustered import create_coarse_solver, takes_clusters
 from dolfinx_feti.feti.coarse.fields import averaged_fields
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.coarse.near import NearColumns, joined
@@ -120,7 +122,7 @@ class AveragedSpace:
         combinations: Those of the columns of this process that A₀ belongs to, block-diagonal,
             (size, up to size).
         dropped: Number of dependent columns, over all processes.
-        AV: For each subdomain :math:`Y_i`, (n_i, c_i).
+        AV: For each subdomain :math:`Y_i^⊤`, (c_i, n_i), in single precision if A₀ is factored.
         A_0: The Galerkin matrix of the independent combinations.
         solver: Its factors.
     """
@@ -149,13 +151,15 @@ class AveragedSpace:
         """
         self.V = V
         self.total = V.total
-        self.AV: list[Array] = []
+        self.AV: list[npt.NDArray[np.floating]] = []
+        precision = _precision(V)
 
         def elements() -> Iterator[Array]:
             for i in range(len(V.W)):
                 W_i = V.W[i]
-                self.AV.append(S.multiply_panels(i, W_i, transpose=not symmetric))  # Y = Sᵀ W
-                yield W_i.overlap(self.AV[i]).T  # Yᵀ W
+                Y = S.multiply_panels(i, W_i, transpose=not symmetric)  # Y = Sᵀ W
+                self.AV.append(np.ascontiguousarray(Y.T, dtype=precision))
+                yield W_i.overlap(Y, symmetric=symmetric).T  # Yᵀ W
 
         energies = V.near.sum(elements())
         self.combinations = _independent(energies, V.own) if combinations is None else combinations
@@ -188,10 +192,13 @@ class AveragedSpace:
     def correct(self, z: Array, r: Array) -> Array:
         """Return z + V A₀⁻¹ Vᵀ (r − A z), of and by copies, (n,). Collective.
 
-        It is the projection of z, and takes out what rounding leaves of r along V.
+        It is the projection of z, up to rounding of A V, and takes out what that leaves of r along
+        V.
         """
+        product = self.V.W.code.rows_product
         blocks = zip(self.AV, self.V.copies.blocks, strict=True)
-        energies = self.V.near.to_owners(joined([Y.T @ z[rows] for Y, rows in blocks]))  # Vᵀ A z
+        near = joined([product(Y, z[rows]) for Y, rows in blocks])
+        energies = self.V.near.to_owners(near)  # Vᵀ A z
         return z + self.V.prolong(self.solve(self.V.restrict(r) - energies))
 
     def solve(self, e: Array, *, first: bool = False) -> Array:
@@ -277,6 +284,14 @@ def estimated_norms(copies: Copies, multiply: Callable[[int, Array], Array]) -> 
     sizes = [rows.stop - rows.start for rows in copies.blocks]
     ω = [np.random.default_rng(n).standard_normal((n, 1)) for n in sizes]
     return [float(np.linalg.norm(multiply(i, ω_i))) for i, ω_i in enumerate(ω)]
+
+
+def _precision(V: AveragedColumns) -> npt.DTypeLike:
+    """Choose the precision of A V. Collective."""
+    comm = V.copies.comm
+    subdomains = comm.allreduce(sum(U.shape[1] > 0 for U in V.columns))
+    clusters = takes_clusters(V.total, comm.size, V.total / max(1, subdomains))
+    return np.float64 if clusters else np.float32
 
 
 def _independent(A: PETSc.Mat, blocks: Sequence[slice]) -> scipy.sparse.csr_array:

@@ -19,6 +19,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 
@@ -29,12 +32,24 @@ import scipy.linalg.blas as blas
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.operator import EliminatedInterior, Operator
+from dolfinx_feti.runtime.native import load, pointer
 
-__all__ = ["Share", "assembled_products", "shares_of_neighbours"]
+__all__ = [
+    "Share",
+    "assembled_products",
+    "load_block_code",
+    "packed_blocks",
+    "shares_of_neighbours",
+]
 
 Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
+Integers = npt.NDArray[np.int32]
 Multiply = Callable[[Array], Array]
+
+DECLARATIONS = """
+void copy_block(int, const double *, int, const int *, double *);
+void add_block(int, float *, int, const int *, const double *);
+"""
 
 #: Returns a block of S, ``block(j, rows)``, for rows in any order.
 Block = Callable[[int, Integers], Array]
@@ -90,21 +105,39 @@ def assembled_products(S: Operator, copies: Copies) -> Callable[[int], Multiply]
     """
     if not isinstance(S, EliminatedInterior):
         return lambda i: _like_itself(S, i, copies.delta[copies.blocks[i]])
-    shares = shares_of_neighbours(copies, S.block)
+    code = load_block_code(copies.comm)
+    to = partial(pointer, code)
+    shares = shares_of_neighbours(copies, packed_blocks(code, S))
     largest = max((b.stop - b.start for b in copies.blocks), default=0)
     work = np.empty(largest**2, dtype=np.float32)
 
     def product(i: int) -> Multiply:
         A = S.unpacked(i, work)
-        entries = A.ravel(order="K")  # column by column
         for share in shares(i):
-            row, column = np.tril_indices(len(share.rows))
-            entries[share.rows[row] + len(A) * share.rows[column]] += share.S
+            code.lib.add_block(len(A), to(A), len(share.rows), to(share.rows), to(share.S))
         return lambda X: np.asarray(
             blas.ssymm(1.0, A, np.asfortranarray(X, dtype=np.float32), lower=1), dtype=np.float64
         )
 
     return product
+
+
+def load_block_code(comm: MPI.Comm) -> Any:
+    """Load ``assembled.c``, compiled at first use. Collective."""
+    return load(Path(__file__).with_name("assembled.c"), DECLARATIONS, comm)
+
+
+def packed_blocks(code: Any, S: EliminatedInterior) -> Block:
+    """Return what copies a block of S of a subdomain of this process."""
+    to = partial(pointer, code)
+
+    def block(j: int, rows: Integers) -> Array:
+        m = len(rows)
+        entries = np.empty(m * (m + 1) // 2)
+        code.lib.copy_block(len(S.dofs[j]), to(S.packed(j)), m, to(rows), to(entries))
+        return entries
+
+    return block
 
 
 def _like_itself(S: Operator, i: int, delta: Array) -> Multiply:
@@ -160,7 +193,8 @@ def _common_rows(copies: Copies) -> tuple[list[_Common], int]:
     common = []
     for pair in np.split(order, ends) if len(order) else []:
         a, b = int(i[pair[0]]), int(j[pair[0]])
-        rows, others = row[pair] - start[a], copies.copy[pair] - start[b]
+        rows = (row[pair] - start[a]).astype(np.int32)
+        others = (copies.copy[pair] - start[b]).astype(np.int32)
         common.append(_Common(a, b, int(rank_of[b]), rows, others))
     return common, first
 

@@ -30,6 +30,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +50,14 @@ __all__ = ["DeflatedSpace", "Trace", "soft_fields"]
 
 Array = npt.NDArray[np.float64]
 Solve = Callable[[int, Array], Array]
+
+
+class Multiply(Protocol):
+    """Applies S_i to columns, (n_i, c) → (n_i, c), or its transpose."""
+
+    def __call__(self, i: int, X: Array, *, transpose: bool = False) -> Array:
+        """Return S_i X, or S_iᵀ X."""
+
 
 #: Ritz value below which a vector is worth its place: what V leaves begins at about one.
 DEFLATED = 0.8
@@ -85,16 +95,20 @@ class DeflatedSpace:
         self,
         space: AveragedSpace,
         copies: Copies,
-        multiply: Callable[[int, Array], Array],
+        multiply: Multiply,
         vectors: RitzVectors | None,
+        *,
+        symmetric: bool = True,
     ) -> None:
         """Balance the vectors and multiply them with the present matrix. Collective.
 
         Args:
             space: The coarse space V.
             copies: Copies of the interface dofs.
-            multiply: Applies S_iᵀ to columns, ``multiply(i, X)``, (n_i, c) → (n_i, c).
+            multiply: Applies S_i to columns, ``multiply(i, X)``, (n_i, c) → (n_i, c), and S_iᵀ with
+                ``transpose=True``.
             vectors: What earlier solves have left, if there were any.
+            symmetric: Whether S is symmetric.
 
         Raises:
             Exception: What the work on a subdomain raises, on all processes.
@@ -103,14 +117,16 @@ class DeflatedSpace:
         self._direction: Array | None = None
         with event("FETIRecycling"):
             vectors = vectors or RitzVectors(np.zeros((copies.n, 0)), np.zeros((copies.n, 0)))
-            W, zero = np.empty_like(vectors.W), np.zeros(copies.n)
+            W = vectors.W.copy(order="F")
+            SW = on_subdomains(lambda: _images(copies, multiply, W), copies.comm)
             for j in range(W.shape[1]):
-                W[:, j] = space.correct(vectors.W[:, j], zero)  # W ← W − V A₀⁻¹ Vᵀ A W
+                W[:, j] -= space.initial_guess(copies.sum(SW[:, j]))  # W ← W − V A₀⁻¹ Vᵀ A W
             sizes = self._product(vectors.W, copies.delta[:, None] * vectors.W).diagonal()
             squares, Y = np.linalg.eigh(self._product(W, copies.delta[:, None] * W))
             Y = Y[:, squares > INSIDE * sizes.max(initial=0.0)]
             self._W, self._Q = W @ Y, vectors.Q @ Y
-            self._SW = on_subdomains(lambda: _images(copies, multiply, self._W), copies.comm)
+            transposed = partial(multiply, transpose=True) if not symmetric else multiply
+            self._SW = on_subdomains(lambda: _images(copies, transposed, self._W), copies.comm)
             self._H = self._product(self._SW, self._W)  # H = Wᵀ A W
             values, Y = diagonalising(self._H, LOST_ENERGY)
             self._inverse = Y @ np.linalg.solve(Y.T @ self._H @ Y, Y.T)  # H⁻¹

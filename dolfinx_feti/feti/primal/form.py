@@ -316,14 +316,15 @@ def create_primal_form(
             )
     inside = sum_if_known(S.negative_interior(), pattern.torn.comm)
     proved = None if negative is None or inside is None else negative + inside
-    transposed = partial(S.multiply_many, transpose=not pattern.symmetric)
     return PrimalForm(
         pattern=pattern,
         near_kernel=near_kernel,
         operator=S,
         preconditioner=preconditioner,
         coarse=space,
-        deflation=DeflatedSpace(space, copies, transposed, vectors),
+        deflation=DeflatedSpace(
+            space, copies, S.multiply_many, vectors, symmetric=pattern.symmetric
+        ),
         inertia=replace(preconditioner.inertia, interior=inside, assembled=proved),
         most=most,
     )

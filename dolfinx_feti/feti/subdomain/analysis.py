@@ -23,7 +23,11 @@ import numpy.typing as npt
 from dolfinx_feti.feti.gluing.dofs import Dofs
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.factors.direct import Choice
-from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, load_fronts_for
+from dolfinx_feti.feti.subdomain.factors.multifrontal import (
+    Fronts,
+    create_fronts,
+    load_fronts_for,
+)
 from dolfinx_feti.runtime.petsc_library import reads_in_place, rows_of
 from dolfinx_feti.torn.matrix import Torn
 
@@ -121,7 +125,7 @@ def _find_fronts(
         bs = torn.K.getBlockSize()
         with rows_of(torn.K) as K:
             pairs = zip(blocks, interfaces, strict=True)
-            return [Fronts(code, K, rows, number, bs, on) for rows, on in pairs]
+            return [create_fronts(code, K, rows, number, bs, on) for rows, on in pairs]
 
     return on_subdomains(find, torn.comm)
 

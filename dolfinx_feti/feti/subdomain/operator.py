@@ -47,7 +47,6 @@ __all__ = ["Operator", "create_operator"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
-Integers = npt.NDArray[np.integer]
 Single = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
@@ -254,9 +253,9 @@ class EliminatedInterior(Operator):
     def multiply_panels(self, i: int, W: Panels, *, transpose: bool = False) -> Array:
         return self._S[i].multiply_panels(W)
 
-    def block(self, i: int, rows: Integers) -> Array:
-        """Return the lower triangle of a block of S_i, row by row, (m (m + 1) / 2,)."""
-        return self._S[i].block(rows)
+    def packed(self, i: int) -> Array:
+        """Return S_i in packed format, (n_Γ (n_Γ + 1) / 2,)."""
+        return self._S[i].values
 
     def unpacked(self, i: int, work: Single) -> Single:
         """Return S_i in single precision, (n_Γ, n_Γ) in Fortran's order, below its diagonal."""

@@ -6,6 +6,7 @@
 // on the rows row[first[p]], …, row[first[p + 1] − 1], each row once; there its values stand row by
 // row, and those of the next panel behind them.
 
+#include <stddef.h>
 #include <string.h>
 
 typedef void (*dgemm)(char *, char *, int *, int *, int *, double *, double *, int *, double *,
@@ -30,23 +31,40 @@ void panels_product(int n, int panels, const int *first, const int *row, const i
     }
 }
 
-// E = Wᵀ Y, (c, r) row by row, for Yᵀ, (r, n) row by row; work has room for n r entries.
+// E = Wᵀ Y, (c, r) row by row, for Yᵀ, (r, n) row by row; work has room for n r entries. If E is
+// symmetric, what is above the diagonal blocks is copied from below.
 void panels_overlap(int n, int panels, const int *first, const int *row, const int *count,
                     const double *values, int r, const double *Y, double *E, double *work,
-                    dgemm gemm)
+                    int symmetric, dgemm gemm)
 {
     double one = 1.0, zero = 0.0;
-    for (int p = 0; p < panels; E += (size_t)r * count[p++]) {
-        int m = first[p + 1] - first[p], k = count[p];
-        if (!m || !k || !r) {
+    for (int p = 0, c = 0; p < panels; E += (size_t)r * count[p++]) {
+        int m = first[p + 1] - first[p], k = count[p], before = c, columns = r;
+        c += k;
+        if (symmetric) columns = c;
+        if (!m || !k || !columns) {
             memset(E, 0, sizeof(double) * (size_t)r * k);
             continue;
         }
         const int *rows = row + first[p];
-        for (int j = 0; j < r; ++j)
+        for (int j = 0; j < columns; ++j)
             for (int e = 0; e < m; ++e) work[(size_t)m * j + e] = Y[(size_t)n * j + rows[e]];
         double *W = (double *)values;
-        gemm("T", "T", &r, &k, &m, &one, work, &m, W, &k, &zero, E, &r); // (W_p)_rᵀ Y_r
+        gemm("T", "T", &columns, &k, &m, &one, work, &m, W, &k, &zero, E, &r); // (W_p)_rᵀ Y_r
         values += (size_t)m * k;
+        for (int j = 0; symmetric && j < before; ++j)
+            for (int l = 0; l < k; ++l)
+                E[before + l - (ptrdiff_t)r * (before - j)] = E[j + (ptrdiff_t)r * l];
+    }
+}
+
+// e = Y z for Y, (c, n) row by row in single precision; the sums are in double precision.
+void rows_product(int c, int n, const float *Y, const double *z, double *e)
+{
+    for (; c > 0; --c, Y += n) {
+        double sum = 0.0;
+#pragma omp simd reduction(+ : sum)
+        for (int i = 0; i < n; ++i) sum += Y[i] * z[i];
+        *e++ = sum;
     }
 }

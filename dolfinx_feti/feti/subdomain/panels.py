@@ -14,6 +14,7 @@ products are C (``panels.c``).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,8 @@ DECLARATIONS = """
 void panels_product(int, int, const int *, const int *, const int *, const double *,
                     const double *, double *, double *, void *);
 void panels_overlap(int, int, const int *, const int *, const int *, const double *, int,
-                    const double *, double *, double *, void *);
+                    const double *, double *, double *, int, void *);
+void rows_product(int, int, const float *, const double *, double *);
 """
 
 
@@ -44,10 +46,19 @@ class PanelCode:
         self.module, self.lib = module, module.lib
         self.gemm = module.ffi.cast("void *", address_of("dgemm"))
 
+    def rows_product(self, Y: npt.NDArray[np.floating], z: Array) -> Array:
+        """Return Y z, (c,), for Y, (c, n), in any precision, with sums in double precision."""
+        if Y.dtype == np.float64:
+            return np.asarray(Y @ z)
+        to, e = partial(pointer, self.module), np.empty(len(Y))
+        self.lib.rows_product(*Y.shape, to(Y), to(np.ascontiguousarray(z)), to(e))
+        return e
+
 
 def load_panels(comm: MPI.Comm) -> PanelCode:
     """Load the code, which is compiled at first use. Collective."""
-    return PanelCode(load(Path(__file__).with_name("panels.c"), DECLARATIONS, comm))
+    source, flags = Path(__file__).with_name("panels.c"), ("-O3", "-fopenmp-simd")
+    return PanelCode(load(source, DECLARATIONS, comm, flags=flags))
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,12 +105,12 @@ class Panels:
         code.lib.panels_product(*self._pointers(), to(S), to(Y), to(work), code.gemm)
         return Y.T
 
-    def overlap(self, Y: Array) -> Array:
-        """Return Wᵀ Y, (n, r) → (c, r)."""
+    def overlap(self, Y: Array, *, symmetric: bool = False) -> Array:
+        """Return Wᵀ Y, (n, r) → (c, r); with r = c it may be known to be ``symmetric``."""
         E, columns = np.empty((self.shape[1], Y.shape[1])), np.ascontiguousarray(Y.T)
         work, to, code = np.empty(columns.shape), self._to, self.code
         arrays = to(columns), to(E), to(work)
-        code.lib.panels_overlap(*self._pointers(), len(columns), *arrays, code.gemm)
+        code.lib.panels_overlap(*self._pointers(), len(columns), *arrays, symmetric, code.gemm)
         return E
 
     def squares(self) -> Array:

@@ -69,6 +69,22 @@ def test_galerkin_matrix_and_projection(kind, interior, torn_grid, form):
     equal(exact.V.T @ exact.A @ start, exact.V.T @ (exact.average @ whole(r)), 1e-9)
 
 
+def test_projection_in_single_precision(torn_grid, form, monkeypatch):
+    """A V stands in single precision unless A₀ is solved with iteratively; A₀ stays as it is."""
+    problem = torn_grid(**GRID)
+    double = form(problem, type="all_floating", interior="eliminate", coarse_modes=2)
+    monkeypatch.undo()
+    for large, precision in ((10**6, np.float32), (0, np.float64)):
+        monkeypatch.setattr("dolfinx_feti.feti.coarse.clustered.LARGE", large)
+        single = form(problem, type="all_floating", interior="eliminate", coarse_modes=2)
+        agree(all(Y.dtype == precision for Y in single.space.AV))
+        equal(dense(single.space.A_0), dense(double.space.A_0), 1e-12)
+        r = double.copies.sum(random(double.copies.n))
+        z = double.copies.average(random(double.copies.n))
+        error = 1e-6 if precision == np.float32 else 1e-8
+        equal(single.space.correct(z, r), double.space.correct(z, r), error)
+
+
 @pytest.fixture
 def repeated(torn_grid, form):
     """A form, and the same with all columns twice, a hair's breadth apart, and a zero one."""

@@ -14,6 +14,7 @@ from modes import modes_of
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.feti.coarse.whole import WholeFactor, whole_factor
 from dolfinx_feti.runtime.petsc_options import inserted
 
 SEED = 33107
@@ -118,9 +119,9 @@ def test_coarse_matrix_couples_neighbours_only(torn_grid, parts):
 @pytest.mark.parametrize("symmetric", [True, False])
 def test_gathered_solver_solves_on_any_number_of_processes(rows, symmetric, spread, monkeypatch):
     """A distributed tridiagonal system with about ``rows`` rows on a process."""
-    monkeypatch.setattr("dolfinx_feti.feti.coarse.gathered.ROWS", rows)
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.group.ROWS", rows)
     monkeypatch.setattr("dolfinx_feti.feti.coarse.gathered.SPREAD", spread)
-    monkeypatch.setattr("dolfinx_feti.feti.coarse.gathered.BLOCK", 2)
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.group.BLOCK", 2)
     n = 7
     A = 3.0 * np.eye(n) - np.eye(n, k=1) - (1.0 if symmetric else 0.3) * np.eye(n, k=-1)
     N = PETSc.Mat().createAIJ((n, n), comm=COMM)
@@ -131,7 +132,7 @@ def test_gathered_solver_solves_on_any_number_of_processes(rows, symmetric, spre
     N.assemble()
     solver = GatheredSolver(N, prefix="test_coarse_", symmetric=symmetric)
     active = min(COMM.size, -(-n // rows))
-    agree(active <= solver.ksp.comm.size < 2 * active)
+    agree(active <= solver.factor.ksp.comm.size < 2 * active)
     if spread:
         equal(solver.inverse, np.linalg.inv(A)[slice(*N.getOwnershipRange())], 1e-14)
     agree((solver.inverse is not None) == bool(spread) == ("inverse" in str(solver)))
@@ -146,6 +147,49 @@ def test_gathered_solver_solves_on_any_number_of_processes(rows, symmetric, spre
     agree(solver.memory() >= 0.0)
     for owned in (solver, N, b, x):
         owned.destroy()
+
+
+@pytest.mark.processes(1, 2, 3, 4, 8)
+@pytest.mark.parametrize("spread", [0, 128], ids=["factor", "inverse"])
+@pytest.mark.parametrize("kind", ["definite", "one block", "singular", "indefinite", "large"])
+def test_whole_factor_where_it_will_do(kind, spread, distributed, monkeypatch):
+    """Blocks of subdomains, some of which have none; MUMPS factors what is not definite."""
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.gathered.SPREAD", spread)
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.whole.MOST", 10 if kind == "large" else 2**25)
+    sizes = [np.array([2, 0, 3, 1]) if kind != "one block" else np.array([0, 3])] * COMM.size
+    subdomain = np.repeat(np.arange(len(np.concatenate(sizes))), np.concatenate(sizes))
+    n = len(subdomain)
+    A = random_definite(n)
+    if kind != "one block":
+        A[np.abs(subdomain[:, None] - subdomain) > 3] = 0.0  # of a strip
+    A += n * np.eye(n)
+    if kind == "singular":
+        A[1], A[:, 1] = A[0], A[:, 0]
+        A[1, 1] = A[0, 0]
+    if kind == "indefinite":
+        A[0, 0] *= -1.0
+    N = distributed(A, len(subdomain) // COMM.size)
+    how = {"prefix": "test_coarse_", "symmetric": True, "zero": 1e-8}
+    solver = GatheredSolver(N, counts=sizes[COMM.rank], **how)
+    agree(isinstance(solver.factor, WholeFactor) == (kind in ("definite", "one block")))
+    agree((solver.inverse is not None) == (spread > 0), kind)
+    expected = {"singular": (0, 1), "indefinite": (1, 0)}.get(kind, (0, 0))
+    agree(solver.pivots() == expected, (kind, solver.pivots(), expected))
+    agree(solver.memory() >= 0.0)
+    b, x = N.createVecs()
+    solution = np.random.default_rng(SEED).standard_normal(n)
+    b.array[:] = (A @ solution)[slice(*b.getOwnershipRange())]
+    solver.solve(b, x)
+    equal(A @ whole(x.array_r), A @ solution, 1e-12)
+    for owned in (solver, b, x):
+        owned.destroy()
+
+
+def test_options_name_a_solver_in_place_of_the_whole_factor(distributed):
+    N = distributed(random_definite(3 * COMM.size), 3)
+    for option in ({"ksp_type": "cg"}, {"pc_type": "lu"}, {"pc_factor_mat_solver_type": "petsc"}):
+        with inserted("test_coarse_", option):
+            agree(whole_factor(N, np.array([3]), prefix="test_coarse_", zero=None) is None)
 
 
 @pytest.mark.parametrize(("shift", "inertia"), [(0.0, (0, 1)), (-1.5, (3, 0)), (-10.0, (7, 0))])
@@ -204,8 +248,8 @@ def distributed():
     """Distribute a dense matrix by rows."""
     made = []
 
-    def create(A):
-        N = PETSc.Mat().createAIJ(A.shape, comm=COMM)
+    def create(A, own=None):
+        N = PETSc.Mat().createAIJ(((own, len(A)), (own, len(A))), comm=COMM)
         N.setUp()
         for i in range(*N.getOwnershipRange()):
             N.setValues(i, range(len(A)), A[i])
@@ -227,7 +271,7 @@ def random_definite(n):
 @pytest.mark.parametrize("rows", [20, 4000])
 def test_not_enough_work_space(rows, distributed, monkeypatch):
     """The first try fails for real, on all processes alike, and the second one succeeds."""
-    monkeypatch.setattr("dolfinx_feti.feti.coarse.gathered.ROWS", rows)
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.group.ROWS", rows)
     monkeypatch.setattr("dolfinx_feti.feti.subdomain.factors.direct.WORK_SPACE", (-99,))
     A = random_definite(60)
     N = distributed(A)
@@ -295,7 +339,7 @@ def test_coarse_solver_that_does_not_solve(torn_grid, feti):
 def test_memory_is_in_mebibytes_or_not_known(distributed):
     N = distributed(random_definite(60))
     solver = GatheredSolver(N, prefix="test_coarse_", symmetric=True)
-    millions = COMM.bcast(solver.ksp.getPC().getFactorMatrix().getMumpsInfog(22))
+    millions = COMM.bcast(solver.factor.ksp.getPC().getFactorMatrix().getMumpsInfog(22))
     small(solver.memory() - millions / 1.048576 - 8 * 60**2 / 2**20, 1e-9 * max(millions, 1))
     solver.destroy()
     with inserted("test_coarse_", {"ksp_type": "cg", "pc_type": "jacobi"}):

@@ -39,7 +39,7 @@ def unsymmetric(share, *, skew=True):
 
 
 @pytest.fixture
-def form(pattern):
+def form(pattern, double_products):
     """Make the primal form of a torn matrix that is not symmetric."""
     made = []
 

@@ -18,7 +18,7 @@ from walls import tube, wall
 from dolfinx_feti.feti.subdomain import nullspace
 from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor, PackedMatrix, pack
 from dolfinx_feti.feti.subdomain.factors.direct import Choice
-from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, load_fronts
+from dolfinx_feti.feti.subdomain.factors.multifrontal import create_fronts, load_fronts
 from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
 from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
 from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, null_space
@@ -60,7 +60,7 @@ def factor_of():
             if kind == "fronts" and shift is None:
                 R = K[:, :0] if R is None else R
                 with rows_of(M) as of_M:
-                    fronts = Fronts(load_fronts(COMM), of_M, rows, rows, 1, rows[:0])
+                    fronts = create_fronts(load_fronts(COMM), of_M, rows, rows, 1, rows[:0])
                     by_fronts = factor_by_fronts(fronts, of_M, np.empty(fronts.work), R, rho)
                 if by_fronts is not None:
                     return by_fronts

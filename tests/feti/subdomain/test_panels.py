@@ -48,7 +48,12 @@ def test_products_are_those_of_the_dense_columns(n):
     agree(panels.shape == W.shape)
     equal(panels.dense(), W)
     equal(panels.overlap(Y), W.T @ Y, 1e-13 * n)
+    E = panels.overlap(S @ W, symmetric=True)
+    equal(E, W.T @ S @ W, 1e-13 * n**2)
     equal(panels.product(S), S @ W, 1e-13 * n)
+    single = S.astype(np.float32)
+    for rows in (S, single):
+        equal(panels.code.rows_product(rows, Y[:, 0]), rows.astype(np.float64) @ Y[:, 0], 1e-13 * n)
     equal(panels.squares(), (W**2).sum(axis=0), 1e-13 * n)
     matrix = PackedMatrix(pack(S), n, np.empty(n * n))
     equal(matrix.multiply_panels(panels), S @ W, 1e-13 * n)

@@ -35,7 +35,6 @@ __all__ = ["DenseFactor", "PackedMatrix", "pack", "unpack"]
 
 Array = npt.NDArray[np.float64]
 Real = TypeVar("Real", np.float32, np.float64)
-Integers = npt.NDArray[np.integer]
 
 #: Share of the largest eigenvalue of a scaled matrix below which one counts as zero.
 ZERO_EIGENVALUE = 1e-14
@@ -86,12 +85,6 @@ class PackedMatrix:
         if self.n == 0:
             return W.dense()
         return W.product(_mirrored(unpack(self.values, self.n, self.work)))
-
-    def block(self, rows: Integers) -> Array:
-        """Return the lower triangle of the block with rows in any order, (m (m + 1) / 2,)."""
-        row, column = np.tril_indices(len(rows))
-        i, j = np.maximum(rows[row], rows[column]), np.minimum(rows[row], rows[column])
-        return self.values[i + j * (2 * self.n - j - 1) // 2]
 
     def unpacked(self, work: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return S in single precision, (n, n) in Fortran's order, in another work space."""

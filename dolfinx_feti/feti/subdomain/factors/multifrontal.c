@@ -12,6 +12,7 @@
 // in the order of elimination; those of Γ come last. Matrices are stored column by column.
 
 #include <limits.h>
+#include <math.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
@@ -465,6 +466,18 @@ int fronts_factor(const fronts *f, int N, const int *rows, const int *indptr,
     }
     free(place);
     return status;
+}
+
+// Least square of a diagonal entry of U; infinite without any
+double fronts_least_pivot(const fronts *f, const double *L)
+{
+    double least = INFINITY;
+    for (const front *F = f->front; F < f->front + f->count; ++F) {
+        const double *U = L + F->factor;
+        for (int j = 0; j < F->p; U += ++j)
+            if (U[j] * U[j] < least) least = U[j] * U[j];
+    }
+    return least;
 }
 
 // --- solution -----------------------------------------------------------------------------------

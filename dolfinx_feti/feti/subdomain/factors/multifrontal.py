@@ -39,7 +39,14 @@ from dolfinx_feti.runtime.connectivity import coupled_nodes, load_graph_code
 from dolfinx_feti.runtime.native import address_of, load, pointer
 from dolfinx_feti.runtime.petsc_library import Rows, function
 
-__all__ = ["FrontCode", "FrontFactor", "Fronts", "load_fronts", "load_fronts_for"]
+__all__ = [
+    "FrontCode",
+    "FrontFactor",
+    "Fronts",
+    "create_fronts",
+    "load_fronts",
+    "load_fronts_for",
+]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -62,6 +69,7 @@ int fronts_analyse(int, const int *, const int *, const int *, int, const int *,
 int fronts_factor(const fronts *, int, const int *, const int *, const int *, const int *,
                   const double *, const double *, double *, double *, double *, const dense *);
 void fronts_solve(const fronts *, const double *, int, double *, double *, const dense *);
+double fronts_least_pivot(const fronts *, const double *);
 void fronts_free(fronts *);
 """
 
@@ -126,43 +134,39 @@ class Fronts:
     def __init__(
         self,
         code: FrontCode,
-        K: Rows,
         rows: Indices,
         number: Indices,
-        bs: int,
-        interface: Indices,
+        size: Indices,
+        graph: tuple[Indices, Indices],
+        glued: npt.NDArray[np.bool_],
+        *,
+        thorough: bool = False,
     ) -> None:
         """Find the fronts.
 
         Args:
             code: What :func:`load_fronts` returns.
-            K: Symmetric matrix that holds that of the subdomain, with both triangles, (N, N).
-            rows: Rows of the subdomain, ascending, (n,).
+            rows: Rows of the subdomain in a matrix, (N, N), ascending, (n,).
             number: For each column its place among these rows, or a negative number, (N,).
-            bs: Size of the blocks, or nodes, that consecutive rows of K belong to.
-            interface: Which of the rows are Γ, ascending; none, and K_II is K.
+            size: Number of rows of each node: consecutive ones, eliminated together, (m,).
+            graph: Nodes that each one is coupled with: where they begin, (m + 1,), and numbers.
+            glued: Which nodes are Γ, (m,); none, and K_II is K.
+            thorough: Whether all orderings are tried: worth it for a few nodes of many rows.
 
         Raises:
             FactorError: The subdomain is too large.
         """
-        n, blocks = len(rows), rows // bs
-        glued = np.zeros(n, dtype=bool)
-        glued[interface] = True
-        new = np.ones(n, dtype=bool)
-        new[1:] = (np.diff(blocks) != 0) | (np.diff(glued))
-        node = np.cumsum(new, dtype=np.int32) - 1
-        size = np.bincount(node).astype(np.int32)
-        graph = coupled_nodes(code.graph, K, rows, number, node, len(size))
-        data = _analyse(code, graph, size, np.flatnonzero(~glued[new]).astype(np.int32))
-        rank = np.frombuffer(code.module.ffi.buffer(data.rank, 4 * n), dtype=np.int32)
+        data = _analyse(code, graph, size, np.flatnonzero(~glued).astype(np.int32), thorough)
+        of_rows = np.repeat(glued, size)
+        rank = np.frombuffer(code.module.ffi.buffer(data.rank, 4 * len(rows)), dtype=np.int32)
         self.code, self.data = code, data
         self.rows = rows
-        self.ranks = rank[~glued].copy()
+        self.ranks = rank[~of_rows].copy()
         self.last = np.argsort(self.ranks)[data.last :]
         self.entries = int(data.entries)
         self.work = int(data.work)
         self._number = number
-        self._n_Γ = len(interface)
+        self._n_Γ = int(np.count_nonzero(of_rows))
 
     def factor(
         self, K: Rows, work: Array, held: Array | None = None
@@ -226,6 +230,11 @@ class FrontFactor:
         """Return the memory of the factor in MiB."""
         return self.values.nbytes / 2**20
 
+    def least_pivot(self) -> float:
+        """Return the least square of a diagonal entry of U: what elimination leaves of K_II's."""
+        code = self.fronts.code
+        return float(code.lib.fronts_least_pivot(self.fronts.data, code.to(self.values)))
+
     def solve(self, Y: Array, *, transpose: bool = False) -> Array:
         """Return K_II⁻¹ Y for one right-hand side, (n_I,), or several, (n_I, r)."""
         code, fronts, ranks = self.fronts.code, self.fronts.data, self.fronts.ranks
@@ -243,12 +252,43 @@ class FrontFactor:
         """Do nothing: arrays are freed with the object."""
 
 
+def create_fronts(
+    code: FrontCode, K: Rows, rows: Indices, number: Indices, bs: int, interface: Indices
+) -> Fronts:
+    """Find the fronts of a subdomain.
+
+    Args:
+        code: What :func:`load_fronts` returns.
+        K: Symmetric matrix that holds that of the subdomain, with both triangles, (N, N).
+        rows: Rows of the subdomain, ascending, (n,).
+        number: For each column its place among these rows, or a negative number, (N,).
+        bs: Size of the blocks, or nodes, that consecutive rows of K belong to.
+        interface: Which of the rows are Γ, ascending; none, and K_II is K.
+
+    Raises:
+        FactorError: The subdomain is too large.
+    """
+    n, blocks = len(rows), rows // bs
+    glued = np.zeros(n, dtype=bool)
+    glued[interface] = True
+    new = np.ones(n, dtype=bool)
+    new[1:] = (np.diff(blocks) != 0) | (np.diff(glued))
+    node = np.cumsum(new, dtype=np.int32) - 1
+    size = np.bincount(node).astype(np.int32)
+    graph = coupled_nodes(code.graph, K, rows, number, node, len(size))
+    return Fronts(code, rows, number, size, graph, glued[new])
+
+
 def _analyse(
-    code: FrontCode, graph: tuple[Indices, Indices], size: Indices, interior: Indices
+    code: FrontCode,
+    graph: tuple[Indices, Indices],
+    size: Indices,
+    interior: Indices,
+    thorough: bool,
 ) -> Any:
     """Find the fronts of each ordering of the nodes of the interior, and return the best ones."""
     best, made = None, code.module.ffi.new("fronts **")
-    for order in _orders(*graph, interior):
+    for order in _orders(*graph, interior, thorough):
         code.check(
             code.lib.fronts_analyse(
                 len(size), *map(code.to, (size, *graph)), len(interior), code.to(order), made
@@ -260,8 +300,8 @@ def _analyse(
     return best
 
 
-def _orders(ptr: Indices, adjacent: Indices, interior: Indices) -> list[Indices]:
-    """Order the nodes of the interior for elimination: by METIS, else in both ways of PETSc."""
+def _orders(ptr: Indices, adjacent: Indices, interior: Indices, thorough: bool) -> list[Indices]:
+    """Order the nodes of the interior for elimination: by METIS, else, or too, as PETSc does."""
     place = np.full(len(ptr) - 1, -1, dtype=np.int32)
     place[interior] = np.arange(len(interior))
     row, column = np.repeat(place, np.diff(ptr)), place[adjacent]
@@ -272,7 +312,9 @@ def _orders(ptr: Indices, adjacent: Indices, interior: Indices) -> list[Indices]
     begin = np.searchsorted(row, np.arange(len(interior) + 1))
     symmetric = _is_symmetric(row, column, len(interior))
     dissected = _dissect(begin, column) if symmetric else None
-    orders = _orders_of_petsc(begin, column) if dissected is None else [dissected]
+    orders = [] if dissected is None else [dissected]
+    if thorough or dissected is None:
+        orders += _orders_of_petsc(begin, column)
     return [interior[order] for order in orders]
 
 

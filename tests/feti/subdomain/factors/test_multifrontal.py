@@ -20,7 +20,7 @@ from dolfinx_feti.feti.subdomain.factors import multifrontal as fronts
 from dolfinx_feti.feti.subdomain.factors.dense import pack
 from dolfinx_feti.feti.subdomain.factors.multifrontal import (
     FrontFactor,
-    Fronts,
+    create_fronts,
     load_fronts,
     load_fronts_for,
 )
@@ -57,7 +57,7 @@ def analysed(K, Γ, bs, rows=None):
     rows = np.arange(K.shape[0], dtype=np.int32) if rows is None else rows
     number = np.full(K.shape[0], -1, dtype=np.int32)
     number[rows] = np.arange(len(rows))
-    return Fronts(load_fronts(COMM), arrays(K), rows, number, bs, Γ)
+    return create_fronts(load_fronts(COMM), arrays(K), rows, number, bs, Γ)
 
 
 def factored(fronts, K, held=None):
@@ -124,16 +124,16 @@ def test_orders(metis, monkeypatch):
     if not metis:
         monkeypatch.setattr(fronts, "function", lambda *_: None)
     ptr, adjacent, interior = grid_graph((7, 6, 5))
-    orders = fronts._orders(ptr, adjacent, interior)
+    orders = fronts._orders(ptr, adjacent, interior, False)
     agree(len(orders) == (1 if metis and found else 2))
     agree(all(np.array_equal(np.sort(order), interior) for order in orders))
     check(*grid((7, 6, 5), 3), 3)
     one_way = adjacent.copy()
     one_way[ptr[0] : ptr[1]] = 0  # the first node has no neighbours, though it is one of theirs
-    agree(len(fronts._orders(ptr, one_way, interior)) == 2)
+    agree(len(fronts._orders(ptr, one_way, interior, False)) == 2)
     if found and not metis:
         monkeypatch.setattr(fronts, "function", lambda *_: lambda *_: -3)  # out of memory
-        agree(len(fronts._orders(ptr, adjacent, interior)) == 2)
+        agree(len(fronts._orders(ptr, adjacent, interior, False)) == 2)
 
 
 def grid_graph(shape):
@@ -232,13 +232,15 @@ def test_entries_that_couple_subdomains_are_refused():
     rows = np.arange(n, 2 * n, dtype=np.int32)
     code = load_fronts(COMM)
     for interface in (Γ, Γ[:0]):
-        fronts = Fronts(code, arrays(both), rows, number, 3, interface)
+        fronts = create_fronts(code, arrays(both), rows, number, 3, interface)
         agree(factored(fronts, both) is not None)
         for i in (0, n - 1):
             with raises(FactorError, "pattern of the matrix has changed"):
                 factored(fronts, with_entries(both, i, n + i))
             with raises(ValueError, "do not belong to this matrix"):
-                Fronts(code, arrays(with_entries(both, i, n + i)), rows, number, 3, interface)
+                create_fronts(
+                    code, arrays(with_entries(both, i, n + i)), rows, number, 3, interface
+                )
         for column in (-1, 2 * n, 2**31 - 1):
             indptr, indices, values = arrays(both)
             indices[-1] = column

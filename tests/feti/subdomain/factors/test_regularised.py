@@ -15,7 +15,7 @@ from collective import COMM, agree, equal
 
 from dolfinx_feti.feti.subdomain import analysis
 from dolfinx_feti.feti.subdomain.factors.direct import Choice
-from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor, Fronts, load_fronts
+from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor, create_fronts, load_fronts
 from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
 from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
 from dolfinx_feti.runtime.petsc_library import rows_of
@@ -57,7 +57,7 @@ def factored():
             made.append(PivotedFactor(M, rows, Choice("some_", True, 8), R, rho))
             return made[-1]
         with rows_of(M) as of_M:
-            fronts = Fronts(load_fronts(COMM), of_M, rows, rows, 3, rows[:0])
+            fronts = create_fronts(load_fronts(COMM), of_M, rows, rows, 3, rows[:0])
             return factor_by_fronts(fronts, of_M, np.empty(fronts.work), R, rho)
 
     yield create

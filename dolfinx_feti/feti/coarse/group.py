@@ -1,0 +1,179 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""A factor of a coarse matrix N, (K, K), on each group of processes, of any solver of PETSc.
+
+A coarse matrix has a few rows per subdomain, and a group a process for about :data:`ROWS` rows.
+MUMPS, which factors unless the options name another, tells the inertia of an indefinite matrix, and
+leaves out pivots that are zero.
+"""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.errors import SetUpError
+from dolfinx_feti.feti.subdomain.factors.direct import (
+    factor_with_work_space,
+    is_mumps,
+    mebibytes,
+    pivots_of,
+    prepare_mumps,
+    set_default_factor,
+)
+from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.runtime.collective import on_all, reason
+
+__all__ = ["GroupFactor"]
+
+Array = npt.NDArray[np.float64]
+
+#: Rows that are worth a process.
+ROWS = 4000
+
+#: Right-hand sides at a time.
+BLOCK = 64
+
+
+class GroupFactor:
+    """The factor of the process's group.
+
+    Attributes:
+        ksp: The solver; None if there are no rows.
+    """
+
+    def __init__(
+        self, N: PETSc.Mat, *, prefix: str, symmetric: bool, zero: float | None = None
+    ) -> None:
+        """Gather the rows and factor. Collective.
+
+        Args:
+            N: Matrix, (K, K), distributed in any way.
+            prefix: Options prefix of the solver.
+            symmetric: Whether N is symmetric (Cholesky) or not (LU).
+            zero: MUMPS takes a pivot below this multiple of the norm of N for zero, and solves
+                without its row and column; None for exact zeros only.
+
+        Raises:
+            SetUpError: The options are wrong, or the factorisation failed; on all processes.
+        """
+        comm, total = N.comm.tompi4py(), N.getSize()[0]
+        self._own, self._symmetric = slice(*N.getOwnershipRange()), symmetric
+        self._group = comm.Split(_group(comm.rank, comm.size, total), comm.rank)
+        rank, size = self._group.rank, self._group.size
+        self._rows = slice(total * rank // size, total * (rank + 1) // size)
+        self._matrix = _copy_of_rows(N, self._rows, self._group)
+        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+        self._b, self._x = self._matrix.createVecs()
+        self._from_group, self._solution = PETSc.Scatter.toAll(self._x)
+        self.ksp: PETSc.KSP | None = None
+
+        def factor() -> None:
+            if total:
+                self.ksp = _factor(self._matrix, prefix, symmetric, zero)
+
+        try:
+            on_all(factor, comm)
+        except Exception as error:
+            self.destroy()
+            raise SetUpError(
+                f"The coarse problem could not be factored ({reason(error)}): look at the options "
+                f"-{prefix}…"
+            ) from error
+
+    @property
+    def pivots(self) -> Pivots:
+        """Numbers of negative and zero pivots; None if not known."""
+        return Pivots(0, 0) if self.ksp is None else pivots_of(self.ksp.getPC())
+
+    def solve(self, b: Array) -> Array:
+        """Return own rows of N⁻¹ b for the whole of b, (K,); NaN where the solver fails."""
+        assert self.ksp is not None
+        self._b.array[:] = b[self._rows]
+        self.ksp.solve(self._b, self._x)
+        self._from_group.scatter(self._x, self._solution)
+        own = self._solution.array_r[self._own]
+        return own if self.ksp.getConvergedReason() > 0 else np.full_like(own, np.nan)
+
+    def rows_of_inverse(self) -> Array | None:
+        """Return own rows of N⁻¹, (own rows, K); None if MUMPS does not factor."""
+        ksp = self.ksp
+        if ksp is None or ksp.getType() != PETSc.KSP.Type.PREONLY or not is_mumps(ksp.getPC()):
+            return None
+        owners = self._group.allgather(self._own)
+        rows, total = self._rows, self._matrix.getSize()[0]
+        F = ksp.getPC().getFactorMatrix()
+        F.setMumpsIcntl(9, 1 if self._symmetric else 0)  # N⊤: its columns are rows
+        parts: list[Array] = [np.empty((rows.stop - rows.start, 0))]
+        for first in range(owners[0].start, owners[-1].stop, BLOCK):
+            columns = np.arange(first, min(first + BLOCK, owners[-1].stop))
+            shape = ((rows.stop - rows.start, total), (None, len(columns)))
+            Y = PETSc.Mat().createDense(shape, comm=self._group)
+            Y.setUp()
+            here = (rows.start <= columns) & (columns < rows.stop)
+            Y.getDenseArray()[columns[here] - rows.start, np.flatnonzero(here)] = 1.0
+            Y.assemble()
+            X = Y.duplicate()
+            X.assemble()
+            ksp.matSolve(Y, X)  # N⊤ X = I, rows of the group
+            parts.append(X.getDenseArray().copy())
+            for owned in (X, Y):
+                owned.destroy()
+        F.setMumpsIcntl(9, 1)
+        X_rows, before = np.hstack(parts), owners[0].start
+        theirs = [X_rows[:, own.start - before : own.stop - before].T for own in owners]
+        return np.hstack(self._group.alltoall(theirs))
+
+    def memory(self) -> float | None:
+        """Return the memory of the factor in MiB; None if the solver has no figure."""
+        return 0.0 if self.ksp is None else mebibytes(self.ksp.getPC())
+
+    def __str__(self) -> str:
+        """Say where the factors are."""
+        return f"a factor on every {self._group.size} process(es)"
+
+    def destroy(self) -> None:
+        """Free solver, matrix and communicator."""
+        for owned in (self.ksp, self._matrix, self._b, self._x, self._from_group, self._solution):
+            if owned is not None:
+                owned.destroy()
+        self._group.Free()
+
+
+def _group(rank: int, processes: int, rows: int) -> int:
+    """Return the group of a process: consecutive ones, with about ROWS rows each."""
+    size = min(processes, max(1, -(-rows // ROWS)))
+    return min(rank // size, processes // size - 1)
+
+
+def _copy_of_rows(N: PETSc.Mat, rows: slice, group: MPI.Comm) -> PETSc.Mat:
+    """Return a copy of N, distributed over a group whose process has these rows. Collective."""
+    total = N.getSize()[0]
+    count = rows.stop - rows.start
+    taken = PETSc.IS().createStride(count, first=rows.start, step=1, comm=PETSc.COMM_SELF)
+    all_ = PETSc.IS().createStride(total, first=0, step=1, comm=PETSc.COMM_SELF)
+    (local,) = N.createSubMatrices(taken, all_)
+    csr = local.getValuesCSR()
+    for owned in (local, taken, all_):
+        owned.destroy()
+    return PETSc.Mat().createAIJ(((count, total), (count, total)), csr=csr, comm=group)
+
+
+def _factor(N: PETSc.Mat, prefix: str, symmetric: bool, zero: float | None) -> PETSc.KSP:
+    """Set the solver of a group up."""
+
+    def create(percent: int) -> PETSc.KSP:
+        ksp = PETSc.KSP().create(N.comm)
+        ksp.setOptionsPrefix(prefix)
+        ksp.setOperators(N)
+        ksp.setType(PETSc.KSP.Type.PREONLY)
+        set_default_factor(ksp.getPC(), symmetric)
+        ksp.setFromOptions()
+        prepare_mumps(ksp.getPC(), percent, zero)
+        return ksp
+
+    return factor_with_work_space(create)
