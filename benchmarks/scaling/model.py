@@ -19,9 +19,10 @@ iteration are those that were counted on the most processes; α, W, V, R and D a
 :class:`Machine`. β is the unevenness of whole subdomains, ⌈S/P⌉ P/S.
 
 The coarse matrix of K unknowns, with L entries in its factor and Φ operations to make it, is solved
-as ``dolfinx_feti.feti.coarse.gathered`` does: each of the P/g groups, of g = ⌈K/4000⌉ processes,
-has a factor; up to 128 P unknowns a process keeps K/P rows of the inverse, of which six take the
-time of a solve. Each solve gathers K numbers on all, which is one of the reductions:
+as ``dolfinx_feti.feti.coarse.gathered`` does: each process has a factor, g = 1, up to 2²⁵ entries,
+beyond that each of the P/g groups of g = ⌈K/4000⌉ processes; up to 128 P unknowns a process keeps
+K/P rows of the inverse, of which six take the time of a solve. Each solve gathers K numbers on all,
+which is one of the reductions:
 
 .. math::
 
@@ -66,7 +67,9 @@ from dataclasses import dataclass, fields
 
 from benchmarks.common.records import Record
 from dolfinx_feti.feti.coarse.clustered import BLOCK, RIGID, SUBDOMAINS, takes_clusters
-from dolfinx_feti.feti.coarse.gathered import ROWS, SPREAD
+from dolfinx_feti.feti.coarse.gathered import SPREAD
+from dolfinx_feti.feti.coarse.group import ROWS
+from dolfinx_feti.feti.coarse.whole import MOST
 
 __all__ = ["KRYLOV", "PARTS", "Machine", "Model", "Prediction", "create_model", "efficiency"]
 
@@ -90,7 +93,7 @@ class Machine:
     latency: float = 2e-6  # α, of a message [s]
     bandwidth: float = 2e9  # W, of a process into the network [bytes/s]
     stream: float = 5e9  # V, at which a process reads a factor [bytes/s]
-    rate: float = 5e9  # R, at which a process factors [flops/s]
+    rate: float = 1e10  # R, at which a process factors by fronts [flops/s]
     disk: float = 5e9  # D, of the file system to all processes together [bytes/s]
 
 
@@ -192,7 +195,7 @@ class Model:
             each = (12.0 * entries + 8.0 * BLOCK) * K / (P * m.stream) + gather + solve
             waits = 2.0 * self.sent["neighbours"] + 4.0 * math.log2(P)
             return 0.0, inner * (each + waits * m.latency), make
-        group = min(P, max(1, math.ceil(K / ROWS)))
+        group = 1 if L <= MOST else min(P, max(1, math.ceil(K / ROWS)))
         factor, make = 16.0 * L / m.stream, flops / (group * m.rate)  # read twice
         gather = 8.0 * K / m.bandwidth if P > 1 else 0.0
         if K > SPREAD * P:

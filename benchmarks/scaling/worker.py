@@ -41,6 +41,8 @@ from benchmarks.scaling.traffic import COUNTERS, gather, since_reset, start_coun
 from benchmarks.scaling.weak import coarse_problem
 from dolfinx_feti import loads
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.feti.coarse.group import GroupFactor
+from dolfinx_feti.feti.coarse.whole import WholeFactor
 from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.wall import Wall, read_wall, write_wall
 from dolfinx_feti.wall.fibres import fibre_frame
@@ -206,12 +208,15 @@ def _counted(work: Callable[[], object], comm: MPI.Comm) -> Array:
 
 
 def coarse_work(iterate: Callable[[int], object], comm: MPI.Comm) -> Record:
-    """Return the coarse solves of an iteration, and entries and flops of MUMPS's coarse factor."""
+    """Return the coarse solves of an iteration, and entries and flops of the coarse factor."""
     calls, factor = [], [0.0, 0.0]
 
     def solve(solver: GatheredSolver, b: PETSc.Vec, x: PETSc.Vec, **how: float) -> float:
-        if solver.ksp is not None:
-            F = solver.ksp.getPC().getFactorMatrix()
+        if isinstance(solver.factor, WholeFactor):
+            fronts = solver.factor.fronts
+            factor[:] = fronts.entries, fronts.flops
+        elif isinstance(solver.factor, GroupFactor) and solver.factor.ksp is not None:
+            F = solver.factor.ksp.getPC().getFactorMatrix()
             entries = F.getMumpsInfog(29)
             factor[:] = entries if entries >= 0 else -1e6 * entries, F.getMumpsRinfog(3)
         return SOLVE(solver, b, x, **how)

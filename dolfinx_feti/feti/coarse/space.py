@@ -13,8 +13,9 @@ With :math:`Y_i = S_i^⊤ W_i` the projection
 .. math:: z ← z - V A_0^{-1} V^⊤ A\, z, \qquad V^⊤ A\, z = \sum_i Y_i^⊤ (T z)_i
 
 of the primal method takes two dense products for each subdomain, a coarse solve, and an average.
-It is a step of the preconditioner, and reads all Y: single precision will do, unless A₀ is solved
-with iteratively. It may be singular, where columns depend, and has to have Vᵀ A z in its range.
+It is a step of the preconditioner, and reads all Y: single precision will do, unless z comes from a
+preconditioner of another matrix, which may be large where A is stiff, or A₀ is solved with
+iteratively: it may be singular, where columns depend, and has to have Vᵀ A z in its range.
 To both methods A₀ may prove that A is indefinite: A has at least as many negative eigenvalues. V
 serves any matrix, :class:`AveragedColumns`; A V and A₀ are of one, :class:`AveragedSpace`.
 
@@ -122,7 +123,7 @@ class AveragedSpace:
         combinations: Those of the columns of this process that A₀ belongs to, block-diagonal,
             (size, up to size).
         dropped: Number of dependent columns, over all processes.
-        AV: For each subdomain :math:`Y_i^⊤`, (c_i, n_i), in single precision if A₀ is factored.
+        AV: For each subdomain :math:`Y_i^⊤`, (c_i, n_i), in single precision where that does.
         A_0: The Galerkin matrix of the independent combinations.
         solver: Its factors.
     """
@@ -152,7 +153,7 @@ class AveragedSpace:
         self.V = V
         self.total = V.total
         self.AV: list[npt.NDArray[np.floating]] = []
-        precision = _precision(V)
+        precision = _precision(V) if combinations is None else np.float64
 
         def elements() -> Iterator[Array]:
             for i in range(len(V.W)):

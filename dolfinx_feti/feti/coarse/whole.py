@@ -43,10 +43,15 @@ MOST = 2**25
 
 
 class WholeFactor:
-    """U, on every process."""
+    """U, on every process.
+
+    Attributes:
+        fronts: Those of N.
+    """
 
     def __init__(self, factor: FrontFactor, own: slice) -> None:
         """Take the factor, and the rows of this process."""
+        self.fronts = factor.fronts
         self._factor, self._own = factor, own
 
     @property
@@ -60,7 +65,7 @@ class WholeFactor:
 
     def rows_of_inverse(self) -> Array:
         """Return own rows of N⁻¹, (own rows, K)."""
-        unit = np.zeros((len(self._factor.fronts.rows), self._own.stop - self._own.start))
+        unit = np.zeros((len(self.fronts.rows), self._own.stop - self._own.start))
         np.fill_diagonal(unit[self._own], 1.0)
         return np.ascontiguousarray(self._factor.solve(unit).T)
 

@@ -88,11 +88,10 @@ def adaptive_columns(
         A, Q = assembled(i), np.linalg.qr(E[i])[0]
         F = np.random.default_rng(n).standard_normal((n, -(-wanted // last)))
         space = _krylov_spaces(F, solver(i), lambda U: δ * A(δ * U), Q)
-        for U, S_ρU, AU in itertools.islice(space, least - 1, last):
-            found = _ritz_vectors(U, S_ρU, AU, threshold)
-            if 2 * found.shape[1] <= U.shape[1]:
+        for U, H, C in itertools.islice(space, least - 1, last):
+            if 2 * np.count_nonzero(np.linalg.eigvalsh(C) > threshold) <= len(C):
                 break
-        return found[:, :wanted]
+        return _ritz_vectors(U, H, C, threshold)[:, :wanted]
 
     return on_subdomains(lambda: [columns(i) for i in range(len(copies.blocks))], copies.comm)
 
@@ -100,13 +99,14 @@ def adaptive_columns(
 def _krylov_spaces(
     F: Array, solve: Multiply, cost: Multiply, Q: Array
 ) -> Iterator[tuple[Array, Array, Array]]:
-    """Yield columns U of growing block Krylov spaces, S_ρ U, and δ T_i A T_iᵀ δ U, (n, k) each.
+    """Yield columns U of growing block Krylov spaces, (n, k), Uᵀ S_ρ U and Uᵀ δ T_i A T_iᵀ δ U.
 
     They are orthonormal but for rounding, Uᵀ S_ρ U ≈ I: a large χ would leave nothing of others.
     Forces are orthogonal to the orthonormal Q.
     """
     U: Array = np.zeros((len(F), 0))
-    S_ρU = AU = U
+    S_ρU = U
+    H = C = np.zeros((0, 0))
     while True:
         F = F / np.maximum(np.linalg.norm(F, axis=0), TINY)
         F = F - Q @ (Q.T @ F)
@@ -119,15 +119,22 @@ def _krylov_spaces(
         B = _unit_energy(X.T @ F)
         X, F = X @ B, F @ B
         U, S_ρU = np.hstack([U, X]), np.hstack([S_ρU, F])
+        H = _bordered(H, U.T @ F)
         F = cost(X)
-        AU = np.hstack([AU, F])
-        yield U, S_ρU, AU
+        C = _bordered(C, U.T @ F)
+        yield U, H, C
 
 
-def _ritz_vectors(U: Array, S_ρU: Array, AU: Array, threshold: float) -> Array:
+def _bordered(H: Array, columns: Array) -> Array:
+    """Return a symmetric H, (k, k), with further columns, (k + l, l), and their rows."""
+    k = len(H)
+    return np.block([[H, columns[:k]], [columns[:k].T, symmetric_part(columns[k:])]])
+
+
+def _ritz_vectors(U: Array, H: Array, C: Array, threshold: float) -> Array:
     """Return the Ritz vectors with values above a threshold, the largest first, (n, k)."""
-    B = _unit_energy(U.T @ S_ρU)
-    χ, Q = np.linalg.eigh(symmetric_part(B.T @ (U.T @ AU) @ B))
+    B = _unit_energy(H)
+    χ, Q = np.linalg.eigh(symmetric_part(B.T @ C @ B))
     return np.asarray(U @ (B @ Q[:, np.flatnonzero(χ > threshold)[::-1]]))
 
 

@@ -42,7 +42,8 @@ typedef struct {
     front *front;    // (count + 1)
     int64_t entries; // entries of the factor of K_II
     int64_t work;    // entries of the work space of a factorisation
-    double seconds;  // estimated time of a factorisation
+    double flops;    // of a factorisation
+    double seconds;  // its estimated time
 } fronts;
 
 // Routines of BLAS and LAPACK, with the arguments of Fortran
@@ -94,11 +95,12 @@ typedef struct {
     step *step;         // (m + 1)
 } tree;
 
+static double flops(double p, double q) { return p * p * p / 3 + p * p * q + p * q * q; }
+
 // Estimated time of a front: calls, sums of update matrices, rows of the factor, flops
 static double seconds(double p, double q)
 {
-    const double flops = p * p * p / 3 + p * p * q + p * q * q;
-    return 3e-6 + 1e-9 * q * q + 8e-9 * p * (p + q) + flops / 50e9;
+    return 3e-6 + 1e-9 * q * q + 8e-9 * p * (p + q) + flops(p, q) / 50e9;
 }
 
 // Number the steps: the interior in its order, then Γ.
@@ -245,6 +247,7 @@ static int find_sizes(tree *t, fronts *f)
         }
         if (F->q > f->widest) f->widest = F->q;
         f->last = F->first;
+        f->flops += flops(p, q);
         f->seconds += seconds(p, q);
     }
     f->n_I = f->front[f->count].first;

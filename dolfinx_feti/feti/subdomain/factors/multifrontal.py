@@ -63,7 +63,7 @@ ROUTINES = ("dpotrf", "dtrtri", "dtrsm", "dtrmm", "dsyrk", "dgemm", "dtpsv", "dg
 DECLARATIONS = """
 enum { DONE, NO_MEMORY, TOO_LARGE, INVALID, NOT_DEFINITE, NEW_PATTERN };
 typedef struct { int n_I, count, widest, thickest, last, *rank; int64_t entries, work;
-    double seconds; ...; } fronts;
+    double flops, seconds; ...; } fronts;
 typedef struct { ...; } dense;
 int fronts_analyse(int, const int *, const int *, const int *, int, const int *, fronts **);
 int fronts_factor(const fronts *, int, const int *, const int *, const int *, const int *,
@@ -129,6 +129,7 @@ class Fronts:
         last: Pivots of the last front, among the dofs of the interior.
         entries: Entries of the factor of K_II.
         work: Entries of the work space of :meth:`factor`.
+        flops: Operations of a factorisation.
     """
 
     def __init__(
@@ -165,6 +166,7 @@ class Fronts:
         self.last = np.argsort(self.ranks)[data.last :]
         self.entries = int(data.entries)
         self.work = int(data.work)
+        self.flops = float(data.flops)
         self._number = number
         self._n_Γ = int(np.count_nonzero(of_rows))
 
