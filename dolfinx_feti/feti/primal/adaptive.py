@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -88,25 +89,38 @@ def adaptive_columns(
         A, Q = assembled(i), np.linalg.qr(E[i])[0]
         F = np.random.default_rng(n).standard_normal((n, -(-wanted // last)))
         space = _krylov_spaces(F, solver(i), lambda U: δ * A(δ * U), Q)
-        for U, H, C in itertools.islice(space, least - 1, last):
-            if 2 * np.count_nonzero(np.linalg.eigvalsh(C) > threshold) <= len(C):
+        for krylov in itertools.islice(space, least - 1, last):
+            χ = np.linalg.eigvalsh(krylov.C)
+            if 2 * np.count_nonzero(χ > threshold) <= len(χ):
                 break
-        return _ritz_vectors(U, H, C, threshold)[:, :wanted]
+        return _ritz_vectors(krylov, threshold)[:, :wanted]
 
     return on_subdomains(lambda: [columns(i) for i in range(len(copies.blocks))], copies.comm)
 
 
-def _krylov_spaces(
-    F: Array, solve: Multiply, cost: Multiply, Q: Array
-) -> Iterator[tuple[Array, Array, Array]]:
-    """Yield columns U of growing block Krylov spaces, (n, k), Uᵀ S_ρ U and Uᵀ δ T_i A T_iᵀ δ U.
+class _Krylov(NamedTuple):
+    """A block Krylov space.
 
-    They are orthonormal but for rounding, Uᵀ S_ρ U ≈ I: a large χ would leave nothing of others.
-    Forces are orthogonal to the orthonormal Q.
+    Attributes:
+        U: Columns that span it, (n, k).
+        H: Uᵀ S_ρ U ≈ I, (k, k).
+        C: Uᵀ δ T_i A T_iᵀ δ U, (k, k).
+    """
+
+    U: Array
+    H: Array
+    C: Array
+
+
+def _krylov_spaces(F: Array, solve: Multiply, cost: Multiply, Q: Array) -> Iterator[_Krylov]:
+    """Yield growing spaces, whose forces are orthogonal to the orthonormal Q.
+
+    The columns are orthonormal but for rounding: a large χ would leave nothing of others.
     """
     U: Array = np.zeros((len(F), 0))
     S_ρU = U
-    H = C = np.zeros((0, 0))
+    H: Array = np.zeros((0, 0))
+    C: Array = H
     while True:
         F = F / np.maximum(np.linalg.norm(F, axis=0), TINY)
         F = F - Q @ (Q.T @ F)
@@ -122,7 +136,7 @@ def _krylov_spaces(
         H = _bordered(H, U.T @ F)
         F = cost(X)
         C = _bordered(C, U.T @ F)
-        yield U, H, C
+        yield _Krylov(U, H, C)
 
 
 def _bordered(H: Array, columns: Array) -> Array:
@@ -131,8 +145,9 @@ def _bordered(H: Array, columns: Array) -> Array:
     return np.block([[H, columns[:k]], [columns[:k].T, symmetric_part(columns[k:])]])
 
 
-def _ritz_vectors(U: Array, H: Array, C: Array, threshold: float) -> Array:
+def _ritz_vectors(space: _Krylov, threshold: float) -> Array:
     """Return the Ritz vectors with values above a threshold, the largest first, (n, k)."""
+    U, H, C = space
     B = _unit_energy(H)
     χ, Q = np.linalg.eigh(symmetric_part(B.T @ C @ B))
     return np.asarray(U @ (B @ Q[:, np.flatnonzero(χ > threshold)[::-1]]))
