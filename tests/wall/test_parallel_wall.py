@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gc
 import re
+from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
@@ -25,8 +26,8 @@ from dolfinx_feti.wall.wall import extent
 from meshes.bricks import create_brick_tube
 from meshes.walls import create_wall
 
-#: The end of the light data's list: how many cells each process has written.
-PARTS = re.compile(r'(, \d+)*\]" />')
+#: The end of the light data's list: the largest layer, and how many cells each process has written.
+PARTS = re.compile(r'(, (?:\d+|null))(, \d+)*\]" />')
 
 EXAMPLE = ROOT / "meshes/example.msh"
 
@@ -83,6 +84,31 @@ def test_parts_are_those_that_were_written(tmp_path):
     same(wall, again)
 
 
+@pytest.mark.parametrize("given", ["two", "one alone", "not all"])
+def test_largest_layer_is_left_out(tmp_path, given):
+    """Its tag is enough; that of a wall of one layer, or with cells without a tag, is written."""
+    wall = create_brick_tube(COMM, length=0.6, size=0.15, order=1, tetrahedra=True)
+    tags, mesh = wall.cell_tags, wall.mesh
+    values, some = tags.values.copy(), np.ones(len(tags.values), dtype=bool)
+    if given == "one alone":
+        values[:] = 7
+    if given == "not all":
+        some = tags.indices % 5 > 0
+    changed = dolfinx.mesh.meshtags(mesh, 3, tags.indices[some], values[some])
+    names = {"wall": 7} if given == "one alone" else wall.layers
+    wall = replace(wall, cell_tags=changed, layers=names)
+    written, largest = xdmf._without_largest(changed, mesh)
+    own = mesh.topology.index_map(3).size_local
+    size = [COMM.allreduce(np.count_nonzero(t.indices < own)) for t in (written, changed)]
+    agree((largest is None) == (given != "two") == (size[0] == size[1]), (largest, size))
+    agree(given != "two" or size[0] <= size[1] / 2)
+    path = COMM.bcast(tmp_path / "tube.xdmf")
+    write_wall(path, wall)
+    again = read_wall(path, COMM)
+    same(wall, again)
+    agree(COMM.allreduce(len(again.cell_tags.indices)) >= size[1])
+
+
 def test_others_partition_anew(tmp_path):
     """One process reads what several have written, the other way round, and without any parts."""
     path = COMM.bcast(tmp_path / "tube.xdmf")
@@ -93,7 +119,9 @@ def test_others_partition_anew(tmp_path):
     again = read_wall(path, COMM)
     same(wall, again)
     for parts in ("", ", 1" * COMM.size):  # none, and those of another mesh
-        on_first(lambda parts=parts: path.write_text(PARTS.sub(parts + ']" />', path.read_text())))
+        on_first(
+            lambda parts=parts: path.write_text(PARTS.sub(rf'\1{parts}]" />', path.read_text()))
+        )
         same(wall, read_wall(path, COMM))
     for name, volume in volumes(again).items():
         small(alone[name] / volume - 1.0, 1e-11)
@@ -162,7 +190,7 @@ def test_no_process_holds_the_whole_wall(tmp_path):
     read_wall(small_one, COMM)  # whatever is loaded at first
     gc.collect()
     size = path.with_suffix(".h5").stat().st_size
-    agree(size > 6e6)
+    agree(size > 4e6)
     Path("/proc/self/clear_refs").write_text("5")  # the peak begins here
     held, read = status("VmRSS"), read_so_far()
     wall = read_wall(path, COMM)
