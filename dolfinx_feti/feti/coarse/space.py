@@ -160,7 +160,8 @@ class AveragedSpace:
                 W_i = V.W[i]
                 Y = S.multiply_panels(i, W_i, transpose=not symmetric)  # Y = Sᵀ W
                 self.AV.append(np.ascontiguousarray(Y.T, dtype=precision))
-                yield W_i.overlap(Y, symmetric=symmetric).T  # Yᵀ W
+                E = W_i.overlap(Y, symmetric=symmetric)  # Wᵀ Y
+                yield E if symmetric else E.T
 
         energies = V.near.sum(elements())
         self.combinations = _independent(energies, V.own) if combinations is None else combinations
