@@ -93,7 +93,7 @@ class Machine:
     latency: float = 2e-6  # α, of a message [s]
     bandwidth: float = 2e9  # W, of a process into the network [bytes/s]
     stream: float = 5e9  # V, at which a process reads a factor [bytes/s]
-    rate: float = 1e10  # R, at which a process factors by fronts [flops/s]
+    rate: float = 2e10  # R, at which a process factors by fronts: 3.2e10 on a core here [flops/s]
     disk: float = 5e9  # D, of the file system to all processes together [bytes/s]
 
 
