@@ -42,19 +42,19 @@ void panels_overlap(int n, int panels, const int *first, const int *row, const i
         int m = first[p + 1] - first[p], k = count[p], before = c, columns = r;
         c += k;
         if (symmetric) columns = c;
-        if (!m || !k || !columns) {
+        if (m && k && columns) {
+            const int *rows = row + first[p];
+            for (int j = 0; j < columns; ++j)
+                for (int e = 0; e < m; ++e) work[(size_t)m * j + e] = Y[(size_t)n * j + rows[e]];
+            double *W = (double *)values;
+            gemm("T", "T", &columns, &k, &m, &one, work, &m, W, &k, &zero, E, &r); // (W_p)_rᵀ Y_r
+            values += (size_t)m * k;
+        } else
             memset(E, 0, sizeof(double) * (size_t)r * k);
-            continue;
-        }
-        const int *rows = row + first[p];
-        for (int j = 0; j < columns; ++j)
-            for (int e = 0; e < m; ++e) work[(size_t)m * j + e] = Y[(size_t)n * j + rows[e]];
-        double *W = (double *)values;
-        gemm("T", "T", &columns, &k, &m, &one, work, &m, W, &k, &zero, E, &r); // (W_p)_rᵀ Y_r
-        values += (size_t)m * k;
+        double *const whole = E - (ptrdiff_t)r * before;
         for (int j = 0; symmetric && j < before; ++j)
-            for (int l = 0; l < k; ++l)
-                E[before + l - (ptrdiff_t)r * (before - j)] = E[j + (ptrdiff_t)r * l];
+            for (int l = before; l < c; ++l)
+                whole[(ptrdiff_t)r * j + l] = whole[(ptrdiff_t)r * l + j];
     }
 }
 

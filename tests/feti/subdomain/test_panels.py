@@ -16,10 +16,10 @@ SEED = 1815
 
 
 def some_panels(n):
-    """A whole panel, one on a few rows, one on a single row, and one of no columns."""
+    """A whole panel, one on a few rows, one of no rows, one on a single row, one of no columns."""
     rng = np.random.default_rng(SEED)
-    rows = [np.arange(n), np.arange(0, n, 3), np.array([n - 1]), np.arange(2)]
-    widths = [4, 2, 1, 0]
+    rows = [np.arange(n), np.arange(0, n, 3), np.arange(0), np.array([n - 1]), np.arange(2)]
+    widths = [4, 2, 3, 1, 0]
     values = [rng.standard_normal((len(of), k)) for of, k in zip(rows, widths, strict=True)]
     W = np.zeros((n, 0))
     for k, of, part in zip(widths, rows, values, strict=True):
