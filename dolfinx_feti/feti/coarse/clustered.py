@@ -216,8 +216,7 @@ def create_coarse_solver(
             if definite or solver.is_definite():
                 return solver
             solver.destroy()
-    blocks = counts if symmetric else None
-    return GatheredSolver(N, prefix=prefix, symmetric=symmetric, zero=zero, counts=blocks)
+    return GatheredSolver(N, prefix=prefix, symmetric=symmetric, zero=zero, counts=counts)
 
 
 def takes_clusters(rows: int, processes: int, columns: float) -> bool:

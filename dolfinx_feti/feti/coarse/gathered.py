@@ -25,9 +25,11 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.group import GroupFactor
 from dolfinx_feti.feti.coarse.whole import whole_factor
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.runtime.collective import on_all, reason
 from dolfinx_feti.runtime.events import event
 
 __all__ = ["GatheredSolver"]
@@ -90,8 +92,8 @@ class GatheredSolver:
             symmetric: Whether N is symmetric (Cholesky) or not (LU).
             zero: A pivot below this multiple of the norm of N is zero, and N solved without its row
                 and column; None for exact zeros only.
-            counts: Rows of each subdomain of this process, coupled in blocks, if N is symmetric and
-                perhaps definite; None for another matrix.
+            counts: Rows of each subdomain of this process, which N couples in blocks; None for a
+                matrix without such blocks, or one that is known to be indefinite.
 
         Raises:
             SetUpError: The options are wrong, or the factorisation failed; on all processes.
@@ -103,10 +105,18 @@ class GatheredSolver:
         self._is_b = np.ones(total + comm.size, dtype=bool)
         self._is_b[self._last] = False
         self.inverse: Array | None = None
-        whole = None if counts is None else whole_factor(N, counts, prefix=prefix, zero=zero)
-        self.factor = whole or GroupFactor(N, prefix=prefix, symmetric=symmetric, zero=zero)
-        if 0 < total <= SPREAD * comm.size:
-            self.inverse = self.factor.rows_of_inverse()
+        whole = None
+        try:
+            if symmetric and counts is not None:
+                whole = whole_factor(N, counts, prefix=prefix, zero=zero)
+            self.factor = whole or GroupFactor(N, prefix=prefix, symmetric=symmetric, zero=zero)
+            if 0 < total <= SPREAD * comm.size:
+                self.inverse = self._inverse()
+        except Exception as error:
+            raise SetUpError(
+                f"The coarse problem could not be factored ({reason(error)}): look at the options "
+                f"-{prefix}…"
+            ) from error
         if self.inverse is not None and not self._is_accurate(N, self.inverse):
             self.inverse = None
 
@@ -146,6 +156,14 @@ class GatheredSolver:
     def pivots(self) -> Pivots:
         """Return how many pivots are negative and zero; None if not known. Collective."""
         return self._world.bcast(self.factor.pivots)
+
+    def _inverse(self) -> Array | None:
+        """Return own rows of N⁻¹, (own rows, K); free the factor if that fails. Collective."""
+        try:
+            return on_all(self.factor.rows_of_inverse, self._world)
+        except Exception:
+            self.factor.destroy()
+            raise
 
     def _is_accurate(self, N: PETSc.Mat, inverse: Array) -> bool:
         """Tell whether rounding leaves a solve with the inverse some digits. Collective."""

@@ -10,13 +10,11 @@ leaves out pivots that are zero.
 
 from __future__ import annotations
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.subdomain.factors.direct import (
     factor_with_work_space,
     is_mumps,
@@ -26,9 +24,9 @@ from dolfinx_feti.feti.subdomain.factors.direct import (
     set_default_factor,
 )
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
-from dolfinx_feti.runtime.collective import on_all, reason
+from dolfinx_feti.runtime.collective import on_all
 
-__all__ = ["GroupFactor"]
+__all__ = ["GroupFactor", "copy_of_rows"]
 
 Array = npt.NDArray[np.float64]
 
@@ -59,14 +57,18 @@ class GroupFactor:
                 without its row and column; None for exact zeros only.
 
         Raises:
-            SetUpError: The options are wrong, or the factorisation failed; on all processes.
+            Exception: The options are wrong, or the factorisation failed; on all processes.
         """
         comm, total = N.comm.tompi4py(), N.getSize()[0]
         self._own, self._symmetric = slice(*N.getOwnershipRange()), symmetric
         self._group = comm.Split(_group(comm.rank, comm.size, total), comm.rank)
         rank, size = self._group.rank, self._group.size
         self._rows = slice(total * rank // size, total * (rank + 1) // size)
-        self._matrix = _copy_of_rows(N, self._rows, self._group)
+        local, own = copy_of_rows(N, self._rows), (self._rows.stop - self._rows.start, total)
+        csr = local.getValuesCSR()
+        local.destroy()
+        self._matrix = PETSc.Mat().createAIJ((own, own), csr=csr, comm=self._group)
+        del csr
         self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self._b, self._x = self._matrix.createVecs()
         self._from_group, self._solution = PETSc.Scatter.toAll(self._x)
@@ -78,12 +80,9 @@ class GroupFactor:
 
         try:
             on_all(factor, comm)
-        except Exception as error:
+        except Exception:
             self.destroy()
-            raise SetUpError(
-                f"The coarse problem could not be factored ({reason(error)}): look at the options "
-                f"-{prefix}…"
-            ) from error
+            raise
 
     @property
     def pivots(self) -> Pivots:
@@ -150,17 +149,15 @@ def _group(rank: int, processes: int, rows: int) -> int:
     return min(rank // size, processes // size - 1)
 
 
-def _copy_of_rows(N: PETSc.Mat, rows: slice, group: MPI.Comm) -> PETSc.Mat:
-    """Return a copy of N, distributed over a group whose process has these rows. Collective."""
-    total = N.getSize()[0]
-    count = rows.stop - rows.start
+def copy_of_rows(N: PETSc.Mat, rows: slice) -> PETSc.Mat:
+    """Return a sequential copy of some rows of a distributed N, (rows, K). Collective."""
+    count, total = rows.stop - rows.start, N.getSize()[0]
     taken = PETSc.IS().createStride(count, first=rows.start, step=1, comm=PETSc.COMM_SELF)
     all_ = PETSc.IS().createStride(total, first=0, step=1, comm=PETSc.COMM_SELF)
     (local,) = N.createSubMatrices(taken, all_)
-    csr = local.getValuesCSR()
-    for owned in (local, taken, all_):
+    for owned in (taken, all_):
         owned.destroy()
-    return PETSc.Mat().createAIJ(((count, total), (count, total)), csr=csr, comm=group)
+    return local
 
 
 def _factor(N: PETSc.Mat, prefix: str, symmetric: bool, zero: float | None) -> PETSc.KSP:

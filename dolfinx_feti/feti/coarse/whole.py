@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.coarse.graph import coupled_subdomains
+from dolfinx_feti.feti.coarse.group import copy_of_rows
 from dolfinx_feti.feti.subdomain.factors.multifrontal import (
     FrontFactor,
     Fronts,
@@ -100,30 +101,17 @@ def whole_factor(
         MemoryError: There is not enough memory; on all processes.
     """
     comm, total = N.comm.tompi4py(), N.getSize()[0]
-    own = PETSc.Options(prefix)
-    code = load_fronts_for(prefix, N.comm.tompi4py())
-    if code is None or own.hasName("ksp_type") or not total:
+    code = load_fronts_for(prefix, comm)
+    if code is None or PETSc.Options(prefix).hasName("ksp_type") or not total:
         return None
     size, ptr, adjacent = _nodes(N, counts)
     rows = np.arange(total, dtype=np.int32)
-    fronts = on_all(
-        lambda: Fronts(
-            code,
-            rows,
-            rows,
-            size,
-            (ptr, adjacent),
-            np.zeros(len(size), dtype=bool),
-            thorough=True,
-        ),
-        comm,
-    )
+    graph, none = (ptr, adjacent), np.zeros(len(size), dtype=bool)
+    fronts = on_all(lambda: Fronts(code, rows, rows, size, graph, none, thorough=True), comm)
     if fronts.entries > MOST:
         return None
     least = (EPS * total if zero is None else zero) * N.norm(PETSc.NormType.INFINITY)
-    all_ = PETSc.IS().createStride(total, first=0, step=1, comm=PETSc.COMM_SELF)
-    (matrix,) = N.createSubMatrices(all_, all_)
-    all_.destroy()
+    matrix = copy_of_rows(N, slice(0, total))
 
     def factor() -> FrontFactor | None:
         with suppress(FactorError), rows_of(matrix) as of_N:
@@ -132,8 +120,10 @@ def whole_factor(
                 return factored[0]
         return None
 
-    factored = on_all(factor, comm)
-    matrix.destroy()
+    try:
+        factored = on_all(factor, comm)
+    finally:
+        matrix.destroy()
     everywhere = comm.allreduce(factored is not None, op=MPI.LAND)
     if factored is None or not everywhere:
         return None
