@@ -35,10 +35,10 @@ from dolfinx_feti.feti.subdomain.operator import EliminatedInterior, Operator
 from dolfinx_feti.runtime.native import load, pointer
 
 __all__ = [
+    "BlockCode",
     "Share",
     "assembled_products",
     "load_block_code",
-    "packed_blocks",
     "shares_of_neighbours",
 ]
 
@@ -66,6 +66,25 @@ class Share:
 
     rows: Integers
     S: Array
+
+
+class BlockCode:
+    """The compiled code."""
+
+    def __init__(self, module: Any) -> None:
+        self._lib, self._to = module.lib, partial(pointer, module)
+
+    def copy(self, S: EliminatedInterior, j: int, rows: Integers) -> Array:
+        """Return a block of S of subdomain j of this process, (m (m + 1) / 2,)."""
+        m, to = len(rows), self._to
+        entries = np.empty(m * (m + 1) // 2)
+        self._lib.copy_block(len(S.dofs[j]), to(S.packed(j)), m, to(rows), to(entries))
+        return entries
+
+    def add(self, A: npt.NDArray[np.float32], share: Share) -> None:
+        """Add a share to A, (n, n) in Fortran's order, below its diagonal."""
+        to, rows = self._to, share.rows
+        self._lib.add_block(len(A), to(A), len(rows), to(rows), to(share.S))
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,15 +125,14 @@ def assembled_products(S: Operator, copies: Copies) -> Callable[[int], Multiply]
     if not isinstance(S, EliminatedInterior):
         return lambda i: _like_itself(S, i, copies.delta[copies.blocks[i]])
     code = load_block_code(copies.comm)
-    to = partial(pointer, code)
-    shares = shares_of_neighbours(copies, packed_blocks(code, S))
+    shares = shares_of_neighbours(copies, partial(code.copy, S))
     largest = max((b.stop - b.start for b in copies.blocks), default=0)
     work = np.empty(largest**2, dtype=np.float32)
 
     def product(i: int) -> Multiply:
         A = S.unpacked(i, work)
         for share in shares(i):
-            code.lib.add_block(len(A), to(A), len(share.rows), to(share.rows), to(share.S))
+            code.add(A, share)
         return lambda X: np.asarray(
             blas.ssymm(1.0, A, np.asfortranarray(X, dtype=np.float32), lower=1), dtype=np.float64
         )
@@ -122,22 +140,9 @@ def assembled_products(S: Operator, copies: Copies) -> Callable[[int], Multiply]
     return product
 
 
-def load_block_code(comm: MPI.Comm) -> Any:
-    """Load ``assembled.c``, compiled at first use. Collective."""
-    return load(Path(__file__).with_name("assembled.c"), DECLARATIONS, comm)
-
-
-def packed_blocks(code: Any, S: EliminatedInterior) -> Block:
-    """Return what copies a block of S of a subdomain of this process."""
-    to = partial(pointer, code)
-
-    def block(j: int, rows: Integers) -> Array:
-        m = len(rows)
-        entries = np.empty(m * (m + 1) // 2)
-        code.lib.copy_block(len(S.dofs[j]), to(S.packed(j)), m, to(rows), to(entries))
-        return entries
-
-    return block
+def load_block_code(comm: MPI.Comm) -> BlockCode:
+    """Load the code, which is compiled at first use. Collective."""
+    return BlockCode(load(Path(__file__).with_name("assembled.c"), DECLARATIONS, comm))
 
 
 def _like_itself(S: Operator, i: int, delta: Array) -> Multiply:

@@ -125,7 +125,7 @@ class DeflatedSpace:
             squares, Y = np.linalg.eigh(self._product(W, copies.delta[:, None] * W))
             Y = Y[:, squares > INSIDE * sizes.max(initial=0.0)]
             self._W, self._Q = W @ Y, vectors.Q @ Y
-            transposed = partial(multiply, transpose=True) if not symmetric else multiply
+            transposed = partial(multiply, transpose=not symmetric)
             self._SW = on_subdomains(lambda: _images(copies, transposed, self._W), copies.comm)
             self._H = self._product(self._SW, self._W)  # H = Wᵀ A W
             values, Y = diagonalising(self._H, LOST_ENERGY)
