@@ -186,11 +186,11 @@ def test_no_process_holds_the_whole_wall(tmp_path):
     path = COMM.bcast(tmp_path / "tube.xdmf")
     small_one = path.with_name("small.xdmf")
     write_wall(small_one, create_brick_tube(COMM, length=0.6, size=0.3, order=1, tetrahedra=True))
-    write_wall(path, create_brick_tube(COMM, length=3.0, size=0.075, order=1, tetrahedra=True))
+    write_wall(path, create_brick_tube(COMM, length=4.0, size=0.075, order=1, tetrahedra=True))
     read_wall(small_one, COMM)  # whatever is loaded at first
     gc.collect()
     size = path.with_suffix(".h5").stat().st_size
-    agree(size > 4e6)
+    agree(size > 6e6)
     Path("/proc/self/clear_refs").write_text("5")  # the peak begins here
     held, read = status("VmRSS"), read_so_far()
     wall = read_wall(path, COMM)
