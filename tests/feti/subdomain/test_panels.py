@@ -40,7 +40,7 @@ def of_panels(n, rows, widths, values):
 
 @pytest.mark.parametrize("n", [5, TILE, 2 * TILE + 7])
 def test_products_are_those_of_the_dense_columns(n, monkeypatch):
-    """With S in packed format, the way that the Schur complements stand; all entries are written."""
+    """S is in packed format, as Schur complements are; every entry of a result is written."""
     monkeypatch.setattr(np, "empty", lambda shape, dtype=float: np.full(shape, np.nan, dtype))
     panels, W = some_panels(n)
     rng = np.random.default_rng(SEED)
