@@ -28,6 +28,8 @@ from dolfinx_feti.fem.condensation import Blocks, Condensation
 from dolfinx_feti.fem.decomposition import Decomposition, cell_sizes, tear
 from dolfinx_feti.fem.quadrature import quadrature_points
 from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.connectivity import diagonal_places, load_graph_code
+from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.torn.matrix import set_condensed
 from dolfinx_feti.torn.rounding import product_rounding
 
@@ -129,7 +131,9 @@ class System:
                 F_u, F_p, u, fields, space=self._space, compiler=compiler
             )
         self._K = assembly.create_local_matrix(self._space, compiler)
-        self._stiffness = np.zeros(self._K.mat.getSize()[0])
+        with rows_of(self._K.mat) as csr:
+            self._diagonal = diagonal_places(csr, load_graph_code(self.comm))
+        self._stiffness = np.zeros(len(self._diagonal))
         self.A = assembly.create_matis(
             self._space, self._K.mat, self.bcs, self._stiffness, symmetric
         )
@@ -321,7 +325,7 @@ class System:
         """
         assembly.assemble(self._K, self._tangent)
         self._shift = 0.0
-        self._stiffness[:] = self._K.mat.getDiagonal().array_r
+        self._stiffness[:] = self._K.csr.data[self._diagonal]
         self.A.query("stiffness").array[:] = self._stiffness
         if self.condensation is not None:
             self._blocks = (here and here.blocks) or self.condensation.assemble()
@@ -339,7 +343,7 @@ class System:
             Collective.
         """
         t = np.hypot(self.u.x.array[self._local], self._size)
-        squares = self.free(self._assembled(product_rounding(self._K.mat, t)))
+        squares = self.free(self._assembled(product_rounding(self._K.mat, t, self.comm)))
         return float(np.sqrt(self.comm.allreduce(squares.sum())))
 
     def _vector(self) -> dolfinx.la.Vector:

@@ -25,6 +25,7 @@ __all__ = [
     "connected_blocks",
     "copy_forest",
     "coupled_nodes",
+    "diagonal_places",
     "has_joined_copies",
     "is_symmetric",
     "load_graph_code",
@@ -35,6 +36,7 @@ Indices = npt.NDArray[np.int32]
 DECLARATION = """
 int couple_nodes(int, int, const int *, const int *, const int *, const int *, const int *,
                  int, int *, int *, int *);
+void find_diagonal(int, const int *, const int *, int *);
 int is_symmetric(int, const int *, const int *, const double *, double, int *, double *);
 """
 
@@ -130,6 +132,18 @@ def block_graph(K: PETSc.Mat, code: Any) -> scipy.sparse.csr_array:
     with rows_of(K) as of_K:
         indptr, indices = coupled_nodes(code, of_K, rows, rows, rows // bs, m)
     return scipy.sparse.csr_array((np.ones(len(indices), dtype=bool), indices, indptr), (m, m))
+
+
+def diagonal_places(K: Rows, code: Any) -> Indices:
+    """Return where the entries on the diagonal stand among all, (n,); −1 for a row without one.
+
+    Args:
+        K: A matrix, (n, n).
+        code: What :func:`load_graph_code` returns.
+    """
+    place = np.empty(len(K.indptr) - 1, dtype=np.int32)
+    code.lib.find_diagonal(len(place), *(pointer(code, a) for a in (K.indptr, K.indices, place)))
+    return place
 
 
 def coupled_nodes(

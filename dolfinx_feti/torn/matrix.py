@@ -47,6 +47,7 @@ from dolfinx_feti.runtime.connectivity import (
     block_graph,
     connected_blocks,
     copy_forest,
+    diagonal_places,
     is_symmetric,
     load_graph_code,
 )
@@ -236,6 +237,8 @@ class Torn:
         self.owned = A.getLocalSize()[0]
         code = load_graph_code(self.comm)
         self.graph = on_all(lambda: block_graph(self.K, code), self.comm)
+        with rows_of(self.K) as csr:
+            self._diagonal = diagonal_places(csr, code)
         self.subdomains = connected_blocks(self.graph, self.K.getBlockSize())
         self.first = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
         self._sf = copy_forest(A)
@@ -354,10 +357,8 @@ class Torn:
 
     def diagonal(self) -> Array:
         """Return the diagonal of K, (n,)."""
-        diagonal = self.K.getDiagonal()
-        values = diagonal.array_r.copy()
-        diagonal.destroy()
-        return values
+        with rows_of(self.K) as csr:
+            return np.where(self._diagonal < 0, 0.0, csr.values[self._diagonal])
 
     def stiffness(self) -> Array:
         """Return the stiffness of each torn dof for the scaling, (n,), not negative.

@@ -12,12 +12,15 @@ direct solution leaves is about as large (docs/theory.md).
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse
 
+from dolfinx_feti.runtime.native import load, pointer
 from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.torn.matrix import Torn
 
@@ -25,21 +28,27 @@ __all__ = ["EPS", "product_rounding", "residual_rounding"]
 
 Array = npt.NDArray[np.float64]
 
+DECLARATION = """
+void sum_squares(int, const int *, const int *, const double *, const double *, double *);
+"""
+
 #: Unit of rounding.
 EPS = float(np.finfo(np.float64).eps)
 
 
-def product_rounding(K: PETSc.Mat, t: Array) -> Array:
-    """Return the squares of the rounding errors of K t for a sequential matrix, (n,)."""
+def product_rounding(K: PETSc.Mat, t: Array, comm: MPI.Comm) -> Array:
+    """Return the squares of the rounding errors of K t for a sequential matrix, (n,). Collective."""
+    code = load(Path(__file__).with_name("rounding.c"), DECLARATION, comm)
+    squares = np.empty(len(t))
     with rows_of(K) as csr:
-        entries = (csr.values**2, csr.indices, csr.indptr)
-        squares = scipy.sparse.csr_array(entries, shape=(len(t), len(t)))
-        return np.asarray(EPS**2 * (squares @ t**2))  # ε² Σⱼ kᵢⱼ² tⱼ²
+        arrays = (csr.indptr, csr.indices, csr.values, np.ascontiguousarray(t), squares)
+        code.lib.sum_squares(len(t), *(pointer(code, array) for array in arrays))
+    return EPS**2 * squares  # ε² Σⱼ kᵢⱼ² tⱼ²
 
 
 def residual_rounding(torn: Torn, b: PETSc.Vec, x: PETSc.Vec) -> float:
     """Return δr of b − A x, zero on Dirichlet dofs, for assembled b and x, (N,). Collective."""
-    squares = torn.assemble(product_rounding(torn.K, torn.tear(x)))
+    squares = torn.assemble(product_rounding(torn.K, torn.tear(x), torn.comm))
     free = torn.assemble(torn.dirichlet.astype(np.float64)) < 0.5
     own = float((squares + (EPS * b.array_r) ** 2)[free].sum())
     return float(np.sqrt(torn.comm.allreduce(own)))

@@ -40,7 +40,7 @@ Indices = npt.NDArray[np.int32]
 Numbers = npt.NDArray[np.int64]
 
 #: Most entries of a factor that each process has for itself: 256 MiB.
-MOST = 2**25
+MOST = 2**26
 
 
 class WholeFactor:
