@@ -102,11 +102,12 @@ def bandwidth(comm: MPI.Comm) -> float:
 
 
 def describe() -> dict[str, str | int]:
-    """Name the processor, the memory and the versions."""
+    """Name the processor, the memory, the kernels of BLAS and the versions."""
     memory = _field(PROC / "meminfo", "MemTotal")
     return {
         "processor": _processor(),
         "memory_gib": round(memory / 2**10) if np.isfinite(memory) else 0,
+        "blas": _blas(),
         "python": platform.python_version(),
         "dolfinx": dolfinx.__version__,
         "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
@@ -127,6 +128,16 @@ def _processor() -> str:
     lines = _lines(PROC / "cpuinfo")
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return f"{len(names)} × {names[0]}" if names else platform.machine()
+
+
+def _blas() -> str:
+    """Name OpenBLAS's kernels, by the processor that they are made for; empty for another BLAS."""
+    maps = {line.split()[-1] for line in _lines(PROC / "self/maps") if "openblas" in line}
+    with suppress(AttributeError, OSError, StopIteration):
+        name = ctypes.CDLL(next(iter(maps))).openblas_get_corename
+        name.restype = ctypes.c_char_p
+        return f"OpenBLAS for {name().decode()}"
+    return ""
 
 
 def _field(file: Path, name: str) -> float:

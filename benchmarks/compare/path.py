@@ -1,22 +1,24 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""A load path whose linear systems FETI and a direct solver solve both, each with its own time.
+r"""A load path whose linear systems FETI and a direct solver solve, each in a run of its own.
 
 .. math:: A(U^k)\, ΔU = -r(U^k), \qquad U^{k+1} = U^k + α\, ΔU
 
-Newton's method goes on with FETI's ΔU, so that there is one path. Both solvers keep from one
-tangent to the next what they can: FETI its gluing, its coarse space and the factors of a few
-tangents (``feti_lag``), MUMPS its analysis. A tangent that Newton's method keeps is factored once.
-FETI is as accurate as each step deserves (``newton``): its residual in a record is that of the
-roughest solve. *End to end* is everything from the first to the last equilibrium, with the linear
-solves of one of them.
+Newton's method goes on with FETI's ΔU, so that there is one path. In a direct solver's run it takes
+them from FETI's, which is over: beside each other in one process, the solvers would wear out each
+other's memory. Both keep from one tangent to the next what they can: FETI its gluing, its coarse
+space and the factors of a few tangents (``feti_lag``), MUMPS its analysis. A tangent that Newton's
+method keeps is factored once. FETI is as accurate as each step deserves (``newton``): its residual
+in a record is that of the roughest solve. *End to end* is everything from the first to the last
+equilibrium, with the linear solves of the run's solver.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -27,7 +29,7 @@ import numpy.typing as npt
 from benchmarks.common.bodies import LoadedBody
 from benchmarks.common.clock import Events, Stopwatch
 from benchmarks.common.records import Record
-from dolfinx_feti import ConvergenceError, loads
+from dolfinx_feti import FETI, ConvergenceError, loads
 from dolfinx_feti.comparison import (
     assembled_system,
     create_direct,
@@ -79,51 +81,138 @@ def load(
     )  # fmt: skip
 
 
-def follow(body: LoadedBody, mmhg: float, *, direct: Sequence[str]) -> list[Record]:
+def follow(
+    body: LoadedBody,
+    mmhg: float,
+    *,
+    direct: Sequence[str] = (),
+    another: Callable[[], LoadedBody] | None = None,
+) -> list[Record]:
     """Load a body at rest [mmHg], and record what its systems cost FETI and others. Collective.
 
-    ``note`` says why the path or a solver came to no end.
-    """
-    problem, comm = body.problem, body.u.function_space.mesh.comm
-    others = [_Direct(name) for name in direct]
-    watch = Stopwatch(comm)
-    iterations: list[int] = []
-    beside: list[float] = []
+    Args:
+        body: The body, for FETI.
+        mmhg: The load at the end.
+        direct: Direct solvers.
+        another: Creates the same body at rest, once for each of them.
 
-    def then(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        iterations.append(ksp.getIterationNumber())
+    Returns:
+        A record for each solver; ``note`` says why the path or the solver came to no end.
+    """
+    comm, answers = body.u.function_space.mesh.comm, _Answers()
+    ksp = body.problem.solver.getKSP()
+    answers.listen(ksp.getPythonContext())
+    phases = Events(PHASES, comm)
+    watch, its = Stopwatch(comm), list[int]()
+    watch.hook(ksp, lambda ksp, _b, _x: its.append(ksp.getIterationNumber()))
+    run = _drive(body, mmhg)
+    each = watch.each()
+    cost = _cost(each, its, run, comm.allreduce(run.seconds, op=MPI.MAX) - each.sum())
+    outcome = _outcome(run.residuals, None, run.note)
+    feti = {"solver": "feti"} | cost | outcome | {"seconds_phases": phases.seconds()}
+    ksp.getPythonContext().destroy()
+    found: list[Record] = [feti]
+    for name in direct:
+        assert another is not None
+        body, other = another(), _Direct(name)
+        found.append(_follow_again(body, mmhg, answers, other))
+        feti["difference_to_mumps"] = feti["difference_to_mumps"] or other.difference
+        other.destroy()
+    return found
+
+
+def _follow_again(body: LoadedBody, mmhg: float, answers: _Answers, other: _Direct) -> Record:
+    """Follow the path again with FETI's answers; record what its systems cost another solver."""
+    problem, comm, beside = body.problem, body.u.function_space.mesh.comm, list[float]()
+
+    def then(_ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         begun = time.perf_counter()
-        for other in others:
-            other.solve(problem.A, b, x)
+        other.solve(problem.A, b, x)
         beside.append(time.perf_counter() - begun)
 
-    watch.hook(problem.solver.getKSP(), then)
-    phases = Events(PHASES, comm)
+    ksp = problem.solver.getKSP()
+    ksp.setPythonContext(_Answering(answers))
+    ksp.setPostSolve(then)
+    run = _drive(body, mmhg)
+    rest = comm.allreduce(run.seconds - sum(beside), op=MPI.MAX)
+    cost = _cost(np.array(other.seconds), other.iterations, run, rest)
+    return {"solver": other.name} | cost | _outcome(other.residuals, 0.0, other.note or run.note)
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """A run along the path: steps and seconds of Newton's method, seconds of all, and its end."""
+
+    load_steps: int
+    newton_steps: int
+    seconds_assembly: float
+    seconds: float
+    residuals: list[float]
+    note: str
+
+
+def _drive(body: LoadedBody, mmhg: float) -> _Run:
+    """Load a body at rest [mmHg]. Collective."""
     accepted: list[LoadStep] = []
     note, begun = "", time.perf_counter()
     try:
         load(body, mmhg, on_step=accepted.append)
     except ConvergenceError as error:
         note = f"failed: {reason(error)}"
+    seconds = time.perf_counter() - begun
     newton = [step for load_step in accepted for step in load_step.all_steps]
-    shared: Record = {
-        "peak_mib": None,
-        "newton_iterations": len(newton),
-        "load_steps": len(accepted),
-        "seconds_assembly": sum(step.seconds_assembly for step in newton),
-    }
+    assembly = sum(step.seconds_assembly for step in newton)
     residuals = [step.linear_residual for step in newton]
-    each = watch.each()
-    rest = comm.allreduce(time.perf_counter() - begun - sum(beside), op=MPI.MAX) - each.sum()
-    difference = others[0].difference if others else None
-    cost = _cost(each, iterations, len(newton), rest) | _outcome(residuals, difference, note)
-    found = [{"solver": "feti"} | shared | cost | {"seconds_phases": phases.seconds()}]
-    for other in others:
-        cost = _cost(np.array(other.seconds), other.iterations, len(newton), rest)
-        cost |= _outcome(other.residuals, 0.0, other.note or note)
-        found.append({"solver": other.name} | shared | cost)
-        other.destroy()
-    return found
+    return _Run(len(accepted), len(newton), assembly, seconds, residuals, note)
+
+
+class _Answers:
+    """What FETI has answered to each system of a path: what Newton's method sees of it, and x."""
+
+    #: Attributes of FETI that Newton's method looks at.
+    SEEN = (
+        "message",
+        "iterations",
+        "residual",
+        "rtol",
+        "floor",
+        "singular",
+        "condition_number",
+        "age",
+        "method",
+        "inertia",
+    )
+
+    def __init__(self) -> None:
+        self.each: list[tuple[dict[str, object], int, npt.NDArray[np.float64]]] = []
+
+    def listen(self, feti: FETI) -> None:
+        """Keep all answers from now on."""
+        solve = feti.solve
+
+        def solve_and_keep(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+            solve(ksp, b, x)
+            seen = {name: getattr(feti, name) for name in self.SEEN}
+            self.each.append((seen, ksp.getConvergedReason(), x.array_r.copy()))
+
+        feti.solve = solve_and_keep  # type: ignore[method-assign]
+
+
+class _Answering:
+    """Context of a KSP that gives FETI's answers again, one after the other."""
+
+    def __init__(self, answers: _Answers) -> None:
+        self._left = iter(answers.each)
+
+    def renew(self) -> None:
+        """Do nothing: FETI has done it."""
+
+    def solve(self, ksp: PETSc.KSP, _b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Give the next answer."""
+        seen, ended, x.array[:] = next(self._left)
+        vars(self).update(seen)
+        ksp.setIterationNumber(seen["iterations"])
+        ksp.setConvergedReason(ended)
 
 
 class _Direct:
@@ -185,12 +274,16 @@ class _Direct:
 
 
 def _cost(
-    each: npt.NDArray[np.float64], iterations: Sequence[int], newton: int, rest: float
+    each: npt.NDArray[np.float64], iterations: Sequence[int], run: _Run, rest: float
 ) -> Record:
-    """Return what the solves of some Newton steps took, each set-up and solution, (solves, 2)."""
+    """Return what the solves of a run took, each set-up and solution, (solves, 2), and the rest."""
     setup, solve = each.reshape(-1, 2).T
     later = (setup + solve)[1:].sum()
     return {
+        "peak_mib": None,
+        "newton_iterations": run.newton_steps,
+        "load_steps": run.load_steps,
+        "seconds_assembly": run.seconds_assembly,
         "linear_solves": len(setup),
         "iterations": sum(iterations),
         "iterations_per_solve": list(iterations),
@@ -198,7 +291,7 @@ def _cost(
         "seconds_solve": solve.sum(),
         "seconds_per_solve": (setup + solve).tolist(),
         "seconds_end_to_end": rest + (setup + solve).sum(),
-        "seconds_per_newton": later / (newton - 1) if newton > 1 else None,
+        "seconds_per_newton": later / (run.newton_steps - 1) if run.newton_steps > 1 else None,
     }
 
 

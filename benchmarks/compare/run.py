@@ -16,7 +16,8 @@ clamped on five faces, under a dead load of 1 mmHg on the sixth one; P2–P0, or
 there before a solver begins. `peak_mib` is the most memory that a solver took above that, from its
 creation to its solution, summed over the processes. In each of the --rounds all solvers have their
 turn; the record has the round with the median time, and `seconds_rounds` those of all. On the path
-Newton's method goes on with FETI's solution, and a direct solver solves the same systems beside it.
+Newton's method goes on with FETI's solutions; a direct solver has a run of its own, in which they
+are read, and it solves the same systems.
 
 All κ have the same subdomains. A case that is in the file with all its solvers is not run again,
 unless by --again. A solver that fails, say for want of memory, is recorded with the reason.
@@ -32,6 +33,7 @@ import argparse
 import json
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -140,7 +142,9 @@ def _run(
         path.load(body, args.loaded, Checkpoint(place, comm, restart=place.exists()))
     with limited_memory(comm, args.memory) as room:
         if args.path is not None:
-            found = path.follow(body, args.path, direct=[n for n in solvers if n != "feti"])
+            direct = [name for name in solvers if name != "feti"]
+            another = partial(_create_body, case, args.folder, comm)
+            found = path.follow(body, args.path, direct=direct, another=another)
         else:
             mmhg = FIRST_LOAD[case["geometry"]] if args.loaded is None else args.loaded
             body.load.value = loads.mmhg(mmhg * (1.0 if args.loaded is None else 1.0 + MORE))

@@ -37,7 +37,7 @@ EPS = float(np.finfo(np.float64).eps)
 
 
 def product_rounding(K: PETSc.Mat, t: Array, comm: MPI.Comm) -> Array:
-    """Return the squares of the rounding errors of K t for a sequential matrix, (n,). Collective."""
+    """Return the squares of rounding errors of K t for a sequential matrix, (n,). Collective."""
     code = load(Path(__file__).with_name("rounding.c"), DECLARATION, comm)
     squares = np.empty(len(t))
     with rows_of(K) as csr:
