@@ -39,7 +39,7 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 Numbers = npt.NDArray[np.int64]
 
-#: Most entries of a factor that each process has for itself: 256 MiB.
+#: Most entries of a factor that each process has for itself: 512 MiB.
 MOST = 2**26
 
 
