@@ -29,7 +29,6 @@ from dolfinx_feti.fem.decomposition import Decomposition, cell_sizes, tear
 from dolfinx_feti.fem.quadrature import quadrature_points
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.connectivity import diagonal_places, load_graph_code
-from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.torn.matrix import set_condensed
 from dolfinx_feti.torn.rounding import product_rounding
 
@@ -131,8 +130,7 @@ class System:
                 F_u, F_p, u, fields, space=self._space, compiler=compiler
             )
         self._K = assembly.create_local_matrix(self._space, compiler)
-        with rows_of(self._K.mat) as csr:
-            self._diagonal = diagonal_places(csr, load_graph_code(self.comm))
+        self._diagonal = diagonal_places(self._K.mat, load_graph_code(self.comm))
         self._stiffness = np.zeros(len(self._diagonal))
         self.A = assembly.create_matis(
             self._space, self._K.mat, self.bcs, self._stiffness, symmetric
@@ -368,10 +366,8 @@ class System:
         Args:
             sigma: σ, from zero on; it takes the place of an earlier one.
         """
-        diagonal = self._K.mat.getDiagonal()
-        diagonal.array[:] += (sigma - self._shift) * np.abs(self._stiffness)
-        self._K.mat.setDiagonal(diagonal)
-        diagonal.destroy()
+        self._K.csr.data[self._diagonal] += (sigma - self._shift) * np.abs(self._stiffness)
+        self._K.mat.stateIncrease()
         self._shift = sigma
 
     def multiply(self, d: Array) -> Array:

@@ -134,15 +134,17 @@ def block_graph(K: PETSc.Mat, code: Any) -> scipy.sparse.csr_array:
     return scipy.sparse.csr_array((np.ones(len(indices), dtype=bool), indices, indptr), (m, m))
 
 
-def diagonal_places(K: Rows, code: Any) -> Indices:
+def diagonal_places(K: PETSc.Mat, code: Any) -> Indices:
     """Return where the entries on the diagonal stand among all, (n,); −1 for a row without one.
 
     Args:
-        K: A matrix, (n, n).
+        K: Sequential AIJ matrix, (n, n).
         code: What :func:`load_graph_code` returns.
     """
-    place = np.empty(len(K.indptr) - 1, dtype=np.int32)
-    code.lib.find_diagonal(len(place), *(pointer(code, a) for a in (K.indptr, K.indices, place)))
+    place = np.empty(K.getSize()[0], dtype=np.int32)
+    with rows_of(K) as of_K:
+        arrays = (pointer(code, array) for array in (of_K.indptr, of_K.indices, place))
+        code.lib.find_diagonal(len(place), *arrays)
     return place
 
 

@@ -237,8 +237,7 @@ class Torn:
         self.owned = A.getLocalSize()[0]
         code = load_graph_code(self.comm)
         self.graph = on_all(lambda: block_graph(self.K, code), self.comm)
-        with rows_of(self.K) as csr:
-            self._diagonal = diagonal_places(csr, code)
+        self._diagonal = diagonal_places(self.K, code)
         self.subdomains = connected_blocks(self.graph, self.K.getBlockSize())
         self.first = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
         self._sf = copy_forest(A)

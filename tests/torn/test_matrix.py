@@ -19,13 +19,11 @@ from dolfinx_feti.runtime.connectivity import (
     block_graph,
     connected_blocks,
     coupled_nodes,
-    diagonal_places,
     is_symmetric,
     load_graph_code,
 )
 from dolfinx_feti.runtime.petsc_library import Rows
 from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, set_condensed
-from dolfinx_feti.torn.rounding import EPS, product_rounding
 
 SEED = 60914
 
@@ -315,35 +313,6 @@ def test_skew_part_is_measured_entry_by_entry(kappa):
         skew = K.copy()
         skew[i, j] += 1e-8 * np.sqrt(K[i, i] * K[j, j])
         agree(not symmetric(skew), f"entry ({i}, {j})")
-
-
-def test_places_of_the_diagonal():
-    """A row without a diagonal entry has none; columns may stand in any order."""
-    code = load_graph_code(COMM)
-    K = scipy.sparse.random_array((60, 60), density=0.2, rng=SEED, format="csr")
-    K.setdiag(np.arange(1.0, 61.0))
-    K = scipy.sparse.csr_array(K)
-    K.data[K.data == 7.0] = 0.0  # row 6 has no diagonal entry, once it is taken out
-    K.eliminate_zeros()
-    rng = np.random.default_rng(SEED)
-    for order in (np.sort, rng.permutation):
-        indices = np.concatenate([order(row) for row in np.split(K.indices, K.indptr[1:-1])])
-        row = np.repeat(np.arange(60), np.diff(K.indptr))
-        values = K.toarray()[row, indices]
-        place = diagonal_places(Rows(K.indptr.astype(np.int32), indices, values), code)
-        agree((place < 0).nonzero()[0].tolist() == [6], place)
-        equal(np.where(place < 0, 0.0, values[place]), K.diagonal())
-
-
-def test_rounding_of_a_product(torn_grid):
-    problem = torn_grid((2, 2), (3, 2), components=2)
-    torn = Torn(problem.A)
-    t = np.random.default_rng(SEED).standard_normal(len(problem.to_global))
-    mine = slice(torn.start, torn.start + torn.n)
-    found = whole(product_rounding(torn.K, t[mine], COMM))
-    equal(found / EPS**2, (problem.K_torn**2) @ t**2, 1e-13)
-    equal(whole(torn.diagonal()), problem.K_torn.diagonal())
-    torn.destroy()
 
 
 def test_columns_that_do_not_ascend_are_refused():
