@@ -208,8 +208,15 @@ class _Answering:
         """Do nothing: FETI has done it."""
 
     def solve(self, ksp: PETSc.KSP, _b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Give the next answer."""
-        seen, ended, x.array[:] = next(self._left)
+        """Give the next answer.
+
+        Raises:
+            RuntimeError: There is none: this run asks for more than FETI's did.
+        """
+        answer = next(self._left, None)
+        if answer is None:
+            raise RuntimeError("this run of the path goes on where FETI's has ended")
+        seen, ended, x.array[:] = answer
         vars(self).update(seen)
         ksp.setIterationNumber(seen["iterations"])
         ksp.setConvergedReason(ended)
