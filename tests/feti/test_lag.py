@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import logging
+import weakref
 from collections.abc import Callable, Sequence
 
 from petsc4py import PETSc
@@ -19,6 +20,7 @@ from hand_torn import COMM, HandTorn, random_values, solve
 from dolfinx_feti import FETI
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.report import table
+from dolfinx_feti.feti.subdomain.operator import create_operator
 from dolfinx_feti.torn.matrix import set_condensed
 
 Array = npt.NDArray[np.float64]
@@ -79,6 +81,26 @@ def test_serves_later_matrices(kind, interior, primal):
     scale(problem, [1.1, 1.0, 1.0, 1.0])
     ksp.getPythonContext().renew()
     agree(check(problem, ksp) == 0)
+
+
+@pytest.mark.parametrize("lag", [0, 6])
+def test_nothing_is_left_of_an_operator(lag, primal, monkeypatch):
+    """When that of the next matrix is set up: both would not fit into the memory."""
+    monkeypatch.setattr("dolfinx_feti.feti.subdomain.analysis.SMALL", -1)  # fronts for all
+    problem, ksp = primal(feti_interior="eliminate", feti_lag=lag)
+    left: list[bool] = []
+
+    def watched(*arguments: object) -> object:
+        left.extend(S() is not None for S in last)
+        return create_operator(*arguments)
+
+    last: list[weakref.ref] = []
+    monkeypatch.setattr("dolfinx_feti.feti.setup.create_operator", watched)
+    for factor in (1.0, 1.1, 0.9):
+        scale(problem, [factor, 1.0, 1.0, 1.0])
+        check(problem, ksp)
+        last = [weakref.ref(S) for S in ksp.getPythonContext().form.operator._S]
+    agree(not any(left) and COMM.allreduce(len(left)) == 8, left)
 
 
 @every_interior

@@ -276,6 +276,10 @@ class EliminatedInterior(Operator):
     def memory(self) -> float:
         return super().memory() + sum(S.memory() for S in self._S)
 
+    def destroy(self) -> None:
+        super().destroy()
+        self.interior_factors, self._S = (), ()  # a form may still name the operator
+
 
 def create_operator(torn: Torn, dofs: Dofs, analysis: Analysis) -> Operator:
     """Factor K_II of the present matrix, and form S where the interior is eliminated.
