@@ -19,7 +19,7 @@ iteration are those that were counted on the most processes; α, W, V, R and D a
 :class:`Machine`. β is the unevenness of whole subdomains, ⌈S/P⌉ P/S.
 
 The coarse matrix of K unknowns, with L entries in its factor and Φ operations to make it, is solved
-as ``dolfinx_feti.feti.coarse.gathered`` does: each process has a factor, g = 1, up to 2²⁵ entries,
+as ``dolfinx_feti.feti.coarse.gathered`` does: each process has a factor, g = 1, up to 2²⁶ entries,
 beyond that each of the P/g groups of g = ⌈K/4000⌉ processes; up to 128 P unknowns a process keeps
 K/P rows of the inverse, of which six take the time of a solve. Each solve gathers K numbers on all,
 which is one of the reductions:
