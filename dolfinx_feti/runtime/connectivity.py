@@ -55,6 +55,7 @@ def is_symmetric(A: PETSc.Mat) -> bool:
 
     Up to rounding, that is, entry by entry: |a_ij − a_ji| ≤ 1e-10 √(|a_ii| |a_jj|). Against ‖K‖,
     which is κ's, the skew part of a small load would be nothing, though it is what the load does.
+    The product of the skew part with a random vector tells in which rows to compare entries.
     The assembled matrix may be symmetric where the K_i are not, as with the full tangent of a
     pressure whose rim is clamped.
 
@@ -78,13 +79,13 @@ def is_symmetric(A: PETSc.Mat) -> bool:
 
 
 def _looks_symmetric(K: PETSc.Mat, code: Any) -> bool:
-    """Compare each entry of a sequential AIJ matrix with its counterpart."""
+    """Tell whether the entries of a sequential AIJ matrix equal their counterparts."""
     n = K.getSize()[0]
-    place, scale = np.empty(n, dtype=np.int32), np.empty(n)
+    place, work = np.empty(n, dtype=np.int32), np.empty(3 * n)
     with rows_of(K) as of_K:
         arrays = (pointer(code, array) for array in (of_K.indptr, of_K.indices, of_K.values))
-        work = (pointer(code, place), pointer(code, scale))
-        found = code.lib.is_symmetric(n, *arrays, ROUNDING, *work)
+        room = (pointer(code, place), pointer(code, work))
+        found = code.lib.is_symmetric(n, *arrays, ROUNDING, *room)
     if found < 0:
         raise ValueError("The columns in a row of the local matrix do not ascend: sort them.")
     return bool(found)

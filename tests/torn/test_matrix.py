@@ -313,6 +313,9 @@ def test_skew_part_is_measured_entry_by_entry(kappa):
         skew = K.copy()
         skew[i, j] += 1e-8 * np.sqrt(K[i, i] * K[j, j])
         agree(not symmetric(skew), f"entry ({i}, {j})")
+    circle = np.roll(np.eye(n), 1, axis=1)  # what a rigid motion does not feel: rows that sum to 0
+    roots = np.sqrt(np.outer(K.diagonal(), K.diagonal()))
+    agree(not symmetric(K + 1e-9 * (circle - circle.T) * roots))
 
 
 def test_columns_that_do_not_ascend_are_refused():
