@@ -64,7 +64,7 @@ Reason = PETSc.KSP.ConvergedReason
 TRACED = 4
 
 #: Cost χ₀ of an average above which a column joins the coarse space (``adaptive``).
-COST = 3.0
+COST = 3.5
 
 
 @dataclass(frozen=True, slots=True)
