@@ -130,7 +130,7 @@ class System:
                 F_u, F_p, u, fields, space=self._space, compiler=compiler
             )
         self._K = assembly.create_local_matrix(self._space, compiler)
-        # every node has a place in its own rows: create_local_matrix has looked
+        # none is missing: create_local_matrix has made sure that the nodes of a cell are coupled
         self._diagonal = diagonal_places(self._K.mat, load_graph_code(self.comm))
         self._stiffness = np.zeros(len(self._diagonal))
         self.A = assembly.create_matis(

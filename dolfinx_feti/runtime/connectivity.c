@@ -2,6 +2,7 @@
 //
 // SPDX-License-Identifier: LGPL-3.0-or-later
 
+#include <float.h>
 #include <math.h>
 #include <stdint.h>
 
@@ -82,20 +83,20 @@ static double random_number(uint64_t k)
 //
 // An entry that has no counterpart stands beside a zero. Entries are compared in the rows where
 //
-//     z = (A − Aᵀ) D⁻¹ ρ,  |z_i| > tolerance s_i,
+//     |Σ_j (a_ij − a_ji) y_j| > tolerance s_i,  |y_j| ≥ 1 / s_j,
 //
-// with random ρ and the roots D of the diagonal: in the others they are symmetric, unless they cancel.
-// place has room for n entries, work for 3 n. Returns 1 if it is, 0 if it is not, or −1 if the
-// columns do not ascend below n.
+// with random y: in the others none is off by more, unless several cancel. place has room for n
+// entries, work for 3 n. Returns 1 if it is, 0 if it is not, or −1 if the columns do not ascend
+// below n.
 int is_symmetric(int n, const int *indptr, const int *indices, const double *a, double tolerance,
                  int *place, double *work)
 {
     double *const s = work, *const y = work + n, *const z = y + n;
     find_diagonal(n, indptr, indices, place);
     for (int i = 0; i < n; ++i) {
-        const double diagonal = place[i] < 0 ? 0.0 : fabs(a[place[i]]);
-        s[i] = diagonal;
-        y[i] = random_number(i) / (diagonal > 0.0 ? sqrt(diagonal) : 1.0);
+        s[i] = place[i] < 0 ? 0.0 : fabs(a[place[i]]);
+        for (int e = indptr[i]; e < indptr[i + 1] && s[i] == 0.0; ++e) s[i] = 1e-8 * fabs(a[e]);
+        y[i] = random_number(i) / sqrt(fmax(s[i], DBL_MIN));
         z[i] = 0.0;
     }
     for (int i = 0; i < n; ++i) {

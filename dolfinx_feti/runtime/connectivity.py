@@ -84,8 +84,9 @@ def _looks_symmetric(K: PETSc.Mat, code: Any) -> bool:
     place, work = np.empty(n, dtype=np.int32), np.empty(3 * n)
     with rows_of(K) as of_K:
         arrays = (pointer(code, array) for array in (of_K.indptr, of_K.indices, of_K.values))
-        room = (pointer(code, place), pointer(code, work))
-        found = code.lib.is_symmetric(n, *arrays, ROUNDING, *room)
+        found = code.lib.is_symmetric(
+            n, *arrays, ROUNDING, pointer(code, place), pointer(code, work)
+        )
     if found < 0:
         raise ValueError("The columns in a row of the local matrix do not ascend: sort them.")
     return bool(found)

@@ -316,6 +316,12 @@ def test_skew_part_is_measured_entry_by_entry(kappa):
     circle = np.roll(np.eye(n), 1, axis=1)  # what a rigid motion does not feel: rows that sum to 0
     roots = np.sqrt(np.outer(K.diagonal(), K.diagonal()))
     agree(not symmetric(K + 1e-9 * (circle - circle.T) * roots))
+    for units in (1.0, 1e-12, 1e12):  # an entry without counterpart, and no diagonal on either side
+        saddle = units * K
+        saddle[[20, 25], [20, 25]] = saddle[20, 25] = saddle[25, 20] = 0.0
+        agree(symmetric(saddle))
+        saddle[20, 25] = 1e-15 * np.abs(saddle[[20, 25]]).max()
+        agree(not symmetric(saddle), f"in units of {units}")
 
 
 def test_columns_that_do_not_ascend_are_refused():
