@@ -100,7 +100,7 @@ class _Group:
 
 
 def _fields(records: Sequence[Record]) -> Fields:
-    sorted_groups = _groups(records)
+    sorted_groups = _groups([r for r in records if r["cost"] is None])
     first = [group for group in sorted_groups if group.path_mmhg is None]
     paths = [group for group in sorted_groups if group.path_mmhg is not None]
     steps = [
@@ -121,6 +121,7 @@ def _fields(records: Sequence[Record]) -> Fields:
         "steps": steps,
         "paths": section(row for group in paths for row in group.rows()),
         "phases": section(phases),
+        "choices": section(_choices([r for r in records if r["cost"] is not None])),
         "growth": section(_growth(first), low=KAPPAS[0], bound=GROWTH),
         "failures": section(lost),
     }
@@ -193,6 +194,18 @@ def _growth(first: Sequence[_Group]) -> Iterator[dict[str, object]]:
             its = {"low_its": low["iterations"], "high_its": high["iterations"]}
             its["high"] = high["kappa"]
             yield _row(low) | its | {"quotient": quotient, "met": met}
+
+
+def _choices(records: Sequence[Record]) -> Iterator[dict[str, object]]:
+    """Yield a row for each choice of FETI's, with its time and memory over those of MUMPS."""
+    names = (*(name for name in CASE if name != "wanted_subdomains"), "processes", "threads")
+    ordered = sorted(records, key=lambda r: (r["geometry"], r["dofs"], r["subdomains"], r["cost"]))
+    for _, mine in groups(ordered, *names):
+        solved = [r for r in mine if r["converged"]]
+        direct = next((r for r in solved if r["solver"] == "mumps"), None)
+        for record in solved:
+            if record["solver"] == "feti":
+                yield _row(record) | (_ratios(record, direct) if direct else {})
 
 
 def _shares(record: Record) -> dict[str, object]:

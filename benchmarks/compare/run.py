@@ -19,6 +19,9 @@ turn; the record has the round with the median time, and `seconds_rounds` those 
 Newton's method goes on with FETI's solutions; a direct solver has a run of its own, in which they
 are read, and it solves the same systems.
 
+With --cost FETI takes other bounds χ₀ for what an average may cost than its own, and so more or
+fewer coarse columns: with --subdomains these are the choices that its time and memory depend on.
+
 All κ have the same subdomains. A case that is in the file with all its solvers is not run again,
 unless by --again. A solver that fails, say for want of memory, is recorded with the reason.
 Processes and threads (OMP_NUM_THREADS) are those that it is started with: run it on two processes
@@ -36,6 +39,7 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
+from unittest import mock
 
 from mpi4py import MPI
 
@@ -49,6 +53,7 @@ from benchmarks.common.walls import clamped
 from benchmarks.compare import path
 from dolfinx_feti import loads
 from dolfinx_feti.comparison import SOLVERS
+from dolfinx_feti.feti.primal.form import COST
 from dolfinx_feti.loading import Checkpoint
 from dolfinx_feti.output import writable_folder
 from meshes.arguments import count, positive
@@ -79,6 +84,8 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
         parser.error(f"--path takes no other solvers than {command.names(possible)}")
     if args.path is not None and "feti" not in solvers:
         parser.error("--path needs feti among the --solvers: Newton's method goes on with it")
+    if args.path is not None and args.cost != [None]:
+        parser.error("--path and --cost exclude each other")
     file = command.open_records(args.json, parser, comm, is_known)
     records = []
     for case in _plan(args, comm.size):
@@ -100,12 +107,12 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
 
 def is_known(record: Record) -> bool:
     """Tell whether a record is one of this study."""
-    return {"solver", "geometry", "threads", "path_mmhg", "degree"} <= record.keys()
+    return {"solver", "geometry", "threads", "path_mmhg", "degree", "cost"} <= record.keys()
 
 
 def _plan(args: argparse.Namespace, processes: int) -> Iterator[Record]:
     """Yield the cases, small ones first."""
-    for dofs, kappa in product(args.dofs, args.kappa):
+    for dofs, kappa, cost in product(args.dofs, args.kappa, args.cost):
         yield {
             "geometry": args.geometry,
             "degree": args.degree,
@@ -116,6 +123,7 @@ def _plan(args: argparse.Namespace, processes: int) -> Iterator[Record]:
             "threads": threads(),
             "path_mmhg": args.path,
             "loaded_mmhg": args.loaded,
+            "cost": cost,
         }
 
 
@@ -148,7 +156,9 @@ def _run(
         else:
             mmhg = FIRST_LOAD[case["geometry"]] if args.loaded is None else args.loaded
             body.load.value = loads.mmhg(mmhg * (1.0 if args.loaded is None else 1.0 + MORE))
-            found = _median([_step(body, solvers) for _ in range(args.rounds)])
+            cost = COST if case["cost"] is None else case["cost"]
+            with mock.patch("dolfinx_feti.feti.primal.form.COST", cost):
+                found = _median([_step(body, solvers) for _ in range(args.rounds)])
     size["free_mib"] = room if math.isfinite(room) else None
     return [case | size | record for record in found]
 
@@ -212,6 +222,7 @@ def _create_parser(comm: MPI.Comm) -> argparse.ArgumentParser:
     add("--kappa", type=command.several(positive), default=[1000.0], help="[kPa], 1000")
     add("--dofs", type=command.several(count), default=[180_000], help="approximate number; 180000")
     add("--subdomains", type=count, help="over all processes; about one for 2000 dofs")
+    add("--cost", type=command.several(positive), default=[None], help=f"χ₀ of FETI, {COST:g}")
     add(
         "--solvers",
         type=command.some_of(SOLVERS),

@@ -66,7 +66,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 from benchmarks.common.records import Record
-from dolfinx_feti.feti.coarse.clustered import BLOCK, RIGID, SUBDOMAINS, takes_clusters
+from dolfinx_feti.feti.coarse.clustered import BLOCK, SUBDOMAINS, takes_clusters
 from dolfinx_feti.feti.coarse.gathered import SPREAD
 from dolfinx_feti.feti.coarse.group import ROWS
 from dolfinx_feti.feti.coarse.whole import MOST
@@ -81,6 +81,8 @@ BLOCKED = 6.0
 #: tube of 1024 in the primal form.
 INNER = {False: (39, 594), True: (131, 982)}
 
+#: Rigid motions of a subdomain.
+MOTIONS = 6
 
 #: Parts of the iterations.
 KRYLOV = ("work", "messages", "reductions", "gathering", "coarse_solves")
@@ -189,8 +191,8 @@ class Model:
         m = self.machine
         columns = self.base["coarse_size"] / self.base["subdomains_in_all"]
         if takes_clusters(round(K), P, columns):
-            inner, entries = INNER[columns > RIGID]
-            K_1 = 6.0 * P / SUBDOMAINS
+            inner, entries = INNER[columns > MOTIONS]
+            K_1 = MOTIONS * P / SUBDOMAINS
             gather, solve, make = self._coarse(K_1, K_1**2 / 2, K_1**3 / 3, P)
             each = (12.0 * entries + 8.0 * BLOCK) * K / (P * m.stream) + gather + solve
             waits = 2.0 * self.sent["neighbours"] + 4.0 * math.log2(P)

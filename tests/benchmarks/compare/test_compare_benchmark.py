@@ -19,6 +19,7 @@ from benchmarks.compare import path
 from benchmarks.compare import run as compare
 from benchmarks.compare.path import PHASES
 from dolfinx_feti import ConvergenceError
+from dolfinx_feti.feti.primal import form
 
 SMALL = ["--dofs", "900", "--subdomains", "4"]
 KEYS = {
@@ -129,6 +130,14 @@ def test_rounds():
         each = [sum(pair) for pair in record["seconds_rounds"]]
         agree(len(each) == 3 and record["degree"] == 1, record)
         equal(record["seconds_setup"] + record["seconds_solve"], np.median(each), 1e-12)
+
+
+def test_cost_of_an_average():
+    """A greater one leaves fewer columns, and more iterations; FETI has its own again after."""
+    words = [*SMALL, "--cost", "1.5,1e9", "--solvers", "feti"]
+    few, many = compare.main(words)
+    agree((few["cost"], many["cost"]) == (1.5, 1e9) and form.COST == compare.COST)
+    agree(few["iterations"] < many["iterations"], (few, many))
 
 
 def test_loaded_body(tmp_path):
@@ -283,6 +292,7 @@ def test_vessel_that_is_too_coarse(tmp_path, capsys):
         (["--path", "-1"], "argument --path: '-1' is not a positive number"),
         (["--path", "1", "--solvers", "feti,gamg"], "--path takes no other solvers than feti, mum"),
         (["--path", "1", "--solvers", "mumps"], "--path needs feti among the --solvers"),
+        (["--path", "1", "--cost", "6"], "--path and --cost exclude each other"),
     ],
 )
 def test_wrong_words(no_work, capsys, arguments, match):

@@ -41,7 +41,7 @@ def record_of(
     """Return the record of a first Newton step, or of a path of three linear solves."""
     case = {"solver": solver, "geometry": geometry, "kappa": kappa, "wanted_dofs": dofs}
     case |= {"wanted_subdomains": None, "processes": processes, "threads": 3 - processes}
-    case |= {"degree": 2, "loaded_mmhg": loaded}
+    case |= {"degree": 2, "loaded_mmhg": loaded, "cost": None}
     case |= {"path_mmhg": path, "dofs": dofs, "subdomains": 32, "newton_iterations": 1}
     case["free_mib"] = 9_000.0
     found = {"seconds_setup": setup, "seconds_solve": solve, "iterations": iterations}
@@ -104,6 +104,24 @@ def test_against_the_best(tmp_path):
     first = "34 | 2.00 (1.90–2.20) | GAMG | 2 processes | 5.00 (4.90–5.00) | 0.40 | 0.75 |"
     assert f"{case} at rest | 60 000 | {first}" in summary
     assert f"{case} at 10 mmHg | 60 000 | 1 | 2.00 | MUMPS | 2 processes | 1.00 | 2.00" in summary
+
+
+def test_choices_stand_beside_mumps_of_the_same_run(tmp_path):
+    """They are in no other table."""
+    own = [record_of("feti", setup=1.0, solve=1.0), record_of("mumps", setup=4.0, solve=0.0)]
+    other = [
+        record_of("feti", setup=2.0, solve=1.0, iterations=9, mib=300.0) | {"cost": 6.0},
+        record_of("feti", setup=1.0, solve=2.0, mib=150.0) | {"cost": 30.0, "subdomains": 8},
+        record_of("mumps", setup=6.0, solve=0.0, mib=200.0) | {"cost": 6.0},
+    ]
+    page = write(tmp_path, *own, *other)
+    before, table = page.split("## What other subdomains")
+    assert "| 2.00 | MUMPS | 2 processes | 4.00 | 0.50 |" in before
+    assert "| 3.00 |" not in before
+    first, second = (line for line in table.splitlines() if line.startswith("| tube |"))
+    assert first.endswith("| 8 | 30 | 1 | 1.00 | 2.00 | 3.00 | 150 | 0.50 | 0.75 |")
+    assert second.endswith("| 32 | 6 | 9 | 2.00 | 1.00 | 3.00 | 300 | 0.50 | 1.50 |")
+    assert "What other subdomains" not in write(tmp_path, *own)
 
 
 def test_readme_has_the_rows_of_the_page_with_kappa_1000():
