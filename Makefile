@@ -66,8 +66,7 @@ bench-compare: ## FETI and other solvers on the same matrices, time and memory; 
 	done
 	for number in 16 512 1024; do $(with) $(python) $(compare) --dofs 184000 --subdomains $$number --solvers feti $(ARGS) || exit; done
 	for body in "vessel --dofs 199000 --subdomains 100" "block --dofs 73000 --subdomains 36"; do \
-	  $(with) $(python) $(compare) --geometry $$body --cost 3.5 --solvers feti,mumps $(ARGS) && \
-	  $(with) $(python) $(compare) --geometry $$body --cost 6,10,30 --solvers feti $(ARGS) || exit; \
+	  $(with) $(python) $(compare) --geometry $$body --cost 3.5,6,10,30 --solvers feti,mumps $(ARGS) || exit; \
 	done
 	$(with) python3 -m benchmarks.compare.page build/speed.json --output build/results
 

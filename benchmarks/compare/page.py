@@ -21,6 +21,7 @@ from benchmarks.common.records import Record
 from benchmarks.compare.path import PHASES
 from benchmarks.compare.run import GEOMETRIES, is_known, seconds
 from dolfinx_feti.comparison import SETTINGS
+from dolfinx_feti.feti.primal.form import COST
 
 __all__ = ["main"]
 
@@ -115,13 +116,13 @@ def _fields(records: Sequence[Record]) -> Fields:
         for r in group.of_solver("feti")
         if r["converged"] and "seconds_phases" in r
     ]
-    lost = [_row(r) for group in sorted_groups for r in group.records if not r["converged"]]
+    lost = [_row(r) for group in _groups(records) for r in group.records if not r["converged"]]
     return {
         "summary": section(summary),
         "steps": steps,
         "paths": section(row for group in paths for row in group.rows()),
         "phases": section(phases),
-        "choices": section(_choices([r for r in records if r["cost"] is not None])),
+        "choices": section(_choices([r for r in records if r["cost"] is not None]), own=COST),
         "growth": section(_growth(first), low=KAPPAS[0], bound=GROWTH),
         "failures": section(lost),
     }
@@ -197,7 +198,7 @@ def _growth(first: Sequence[_Group]) -> Iterator[dict[str, object]]:
 
 
 def _choices(records: Sequence[Record]) -> Iterator[dict[str, object]]:
-    """Yield a row for each choice of FETI's, with its time and memory over those of MUMPS."""
+    """Yield a row for each choice of FETI's, beside MUMPS in the same layout."""
     names = (*(name for name in CASE if name != "wanted_subdomains"), "processes", "threads")
     ordered = sorted(records, key=lambda r: (r["geometry"], r["dofs"], r["subdomains"], r["cost"]))
     for _, mine in groups(ordered, *names):

@@ -119,8 +119,8 @@ def test_choices_stand_beside_mumps_of_the_same_run(tmp_path):
     assert "| 2.00 | MUMPS | 2 processes | 4.00 | 0.50 |" in before
     assert "| 3.00 |" not in before
     first, second = (line for line in table.splitlines() if line.startswith("| tube |"))
-    assert first.endswith("| 8 | 30 | 1 | 1.00 | 2.00 | 3.00 | 150 | 0.50 | 0.75 |")
-    assert second.endswith("| 32 | 6 | 9 | 2.00 | 1.00 | 3.00 | 300 | 0.50 | 1.50 |")
+    assert first.endswith("| 2 processes | 8 | 30 | 1 | 1.00 | 2.00 | 3.00 | 150 | 0.50 | 0.75 |")
+    assert second.endswith("| 2 processes | 32 | 6 | 9 | 2.00 | 1.00 | 3.00 | 300 | 0.50 | 1.50 |")
     assert "What other subdomains" not in write(tmp_path, *own)
 
 

@@ -64,6 +64,15 @@ def test_coarse_solves_shrink_where_the_inverse_is_spread():
     assert few.coarse_factor < many.coarse_factor < some.coarse_factor  # rows of the inverse
 
 
+def test_third_level_takes_more_iterations_with_further_columns():
+    """Eight columns a subdomain, which take it where rigid motions do."""
+    sent = SENT | {"neighbours": 10.0}
+    models = [create_model([BASE | {"coarse_size": 512 * columns}], [sent]) for columns in (6, 8)]
+    rigid, further = (model.predict(20_000) for model in models)
+    assert rigid.gathering == further.gathering == 0.0  # within the third level's iterations
+    assert further.coarse_solves > 131 / 39 * rigid.coarse_solves > 0.0
+
+
 def test_partition_is_measured_on_two():
     """A process alone does not partition; on P there are log₂ P bisections."""
     two = BASE | {"processes": 2, "seconds_reading": 2.5}
