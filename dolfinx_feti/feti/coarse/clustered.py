@@ -6,12 +6,17 @@ r"""A large coarse system N x = b: conjugate gradients with a third level, clust
 .. math:: x_0 = Z A_1^{-1} Z^⊤ b, \qquad z = (I - Z A_1^{-1} (N Z)^⊤)\, D\, r, \qquad
           A_1 = Z^⊤ N Z
 
-with the inverse D of diagonal blocks of N, and the rigid motions Z of each cluster of subdomains as
-combinations of their columns: the method of the primal form, one level up. A process holds its rows
-of N, Z and N Z, and its blocks; A₁ alone is gathered (``gathered``).
+with small systems D that overlap (``schwarz``), and the rigid motions Z of each cluster of
+subdomains as combinations of their columns: the method of the primal form, one level up. A process
+holds its rows of N, Z and N Z, and its blocks; A₁ alone is gathered (``gathered``).
 
-The solves serve a Krylov method whose right-hand sides b shrink, and the error of each stays in its
-residual. So all are solved to the same size of error, and take fewer iterations each time
+How exact has x to be? Its error e perturbs what V x corrects in the primal form, the preconditioned
+residual z. In the energy norm, which the inner iterations know, that has to stay small beside z,
+
+.. math:: \|V e\|_A = \|e\|_N ≤ ε \sqrt{r^⊤ z}.
+
+The other solves serve a Krylov method whose right-hand sides b shrink, and the error of each stays
+in its residual. So all are solved to the same size of error, and take fewer iterations each time
 (Simoncini and Szyld 2003); but no error may be large beside its own right-hand side, or the
 directions of the Krylov method are not conjugate any more, at last not even of positive energy,
 
@@ -31,16 +36,22 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse
 
 from dolfinx_feti.feti.coarse.gathered import SPREAD, GatheredSolver
-from dolfinx_feti.feti.coarse.graph import coupled_subdomains
+from dolfinx_feti.feti.coarse.graph import CoupledSubdomains, coupled_subdomains
+from dolfinx_feti.feti.coarse.schwarz import SHIFT, SchwarzBlocks
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
-from dolfinx_feti.runtime.collective import on_all, total, total_of
+from dolfinx_feti.runtime.collective import total, total_of
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_options import inserted
 
-__all__ = ["ClusteredSolver", "CoarseSolver", "create_coarse_solver", "takes_clusters"]
+__all__ = [
+    "ClusteredSolver",
+    "CoarseSolver",
+    "create_coarse_solver",
+    "number_of_clusters",
+    "takes_clusters",
+]
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
@@ -56,8 +67,17 @@ LARGE, WIDE = 20_000, 4
 #: HUGE rows, where a factor would take gigabytes.
 RIGID, FEW, HUGE = 10.0, 1500, 100_000
 
-#: Subdomains of a cluster, and rows of a diagonal block.
-SUBDOMAINS, BLOCK = 64, 128
+#: Subdomains of a cluster: FEWEST as long as the inverse of A₁ is spread over the processes, beyond
+#: that MOST.
+FEWEST, MOST = 8, 64
+
+#: Subdomains in a small system beside its own one, if there are more than rigid motions in N: both
+#: sides of an interface have columns for what is soft there, and so have nearly the same ones.
+OTHERS = 8
+
+#: Share ε of the energy norm of what a solution corrects. The norm of the preconditioned residual
+#: stands in for that of the error, which may be some ten times as large.
+ENERGY = 0.003
 
 #: Share τ of the largest right-hand side that a solve leaves.
 TOLERANCE = 1e-9
@@ -66,10 +86,7 @@ TOLERANCE = 1e-9
 RELATIVE = 1e-3
 
 #: Most iterations.
-MOST = 500
-
-#: Multiple of the diagonal that is added to the blocks, which may be singular where columns depend.
-SHIFT = 1e-8
+ITERATIONS = 500
 
 
 class ClusteredSolver:
@@ -93,13 +110,17 @@ class ClusteredSolver:
             SetUpError: A₁ could not be factored; on all processes.
         """
         self._N, self._comm = N, N.comm.tompi4py()
-        self._blocks = on_all(lambda: _inverse_blocks(N), self._comm)
-        cluster = _clusters(N, counts, prefix)
+        graph = coupled_subdomains(N, counts)
+        k = motions.shape[1]
+        further = N.getSize()[0] > k * (len(graph.starts) - 1)
+        self._schwarz = SchwarzBlocks(N, graph, OTHERS if further else 0)
+        cluster = _clusters(N, graph, prefix)
         self.clusters = 1 + self._comm.allreduce(int(cluster.max(initial=-1)), op=MPI.MAX)
         self._Z = _columns(N, motions, np.repeat(cluster, counts), self.clusters)
         self._NZ = N.matMult(self._Z)
         A_1 = self._Z.transposeMatMult(self._NZ)  # A₁ = Zᵀ N Z
-        self._third = GatheredSolver(A_1, prefix=prefix, symmetric=True, zero=SHIFT)
+        blocks = np.full(A_1.getLocalSize()[0] // max(1, k), k, dtype=np.int64)
+        self._third = GatheredSolver(A_1, prefix=prefix, symmetric=True, zero=SHIFT, counts=blocks)
         self._e, self._c = A_1.createVecs()
         A_1.destroy()
         self._y, self._largest = N.createVecRight(), 0.0
@@ -107,7 +128,6 @@ class ClusteredSolver:
         self._ksp.setOptionsPrefix(prefix)
         self._ksp.setOperators(N)
         self._ksp.setType(PETSc.KSP.Type.CG)
-        self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
         self._ksp.setInitialGuessNonzero(True)
         self._ksp.getPC().setType(PETSc.PC.Type.PYTHON)
         self._ksp.getPC().setPythonContext(SimpleNamespace(apply=self._precondition))
@@ -115,34 +135,47 @@ class ClusteredSolver:
             self._ksp.setFromOptions()
 
     def solve(
-        self, b: PETSc.Vec, x: PETSc.Vec, *, first: bool = False, addend: float = 0.0
+        self,
+        b: PETSc.Vec,
+        x: PETSc.Vec,
+        *,
+        first: bool = False,
+        addend: float | None = None,
+        energy: float | None = None,
     ) -> float:
         """Solve N x = b, both in N's own layout; where the solver fails, x is NaN.
 
-        ``first`` tells that the largest right-hand side is to be found anew, from b on.
+        ``first`` tells that the largest right-hand side is to be found anew, from b on. With an
+        ``energy``, this process's part of the rᵀ z of what x corrects, that sets the error.
 
         Returns:
-            The sum of the ``addend`` of all processes.
+            The sum of the ``addend`` of all processes, 0 if there are none.
         """
         with event("FETICoarseSolve"):
-            square, sum_ = total_of(np.array([b.array_r @ b.array_r, addend]), self._comm)
-            size = float(np.sqrt(square))
+            own = np.array([b.array_r @ b.array_r, addend or 0.0, energy or 0.0])
+            square, sum_, squared = total_of(own, self._comm)
+            size, norm = float(np.sqrt(square)), PETSc.KSP.NormType.UNPRECONDITIONED
             self._largest = max(0.0 if first else self._largest, size)
             error = min(TOLERANCE * self._largest, RELATIVE * size)
-            self._ksp.setTolerances(rtol=0.0, atol=error, max_it=MOST)
-            self._Z.multTranspose(b, self._e)
-            self._third.solve(self._e, self._c)
-            self._Z.mult(self._c, x)  # x₀ = Z A₁⁻¹ Zᵀ b
-            self._ksp.solve(b, x)
+            if energy is not None and squared > 0.0:
+                error, norm = ENERGY * float(np.sqrt(squared)), PETSc.KSP.NormType.NATURAL
+            self._solve(b, x, error, norm)
+        return float(sum_)
+
+    def _solve(self, b: PETSc.Vec, x: PETSc.Vec, error: float, norm: int) -> None:
+        """Solve N x = b up to an error in a norm. Collective."""
+        self._ksp.setNormType(norm)
+        self._ksp.setTolerances(rtol=0.0, atol=error, max_it=ITERATIONS)
+        self._Z.multTranspose(b, self._e)
+        self._third.solve(self._e, self._c)
+        self._Z.mult(self._c, x)  # x₀ = Z A₁⁻¹ Zᵀ b
+        self._ksp.solve(b, x)
         if self._ksp.getConvergedReason() < 0:
             x.set(np.nan)
-        return float(sum_)
 
     def _precondition(self, _pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Compute z = (I − Z A₁⁻¹ (N Z)ᵀ) D r."""
-        own, padded = r.array_r, np.zeros(self._blocks.shape[:2])
-        padded.ravel()[: len(own)] = own
-        self._y.array[:] = (self._blocks @ padded[:, :, None]).ravel()[: len(own)]  # y = D r
+        self._schwarz.apply(r, self._y)  # y = D r
         self._NZ.multTranspose(self._y, self._e)
         self._third.solve(self._e, self._c)
         self._Z.mult(self._c, z)
@@ -153,8 +186,7 @@ class ClusteredSolver:
         b, x = self._N.createVecs()
         x.array[:] = np.random.default_rng(self._comm.rank).standard_normal(len(x.array_r))
         self._N.mult(x, b)  # in the range of N, where columns depend
-        self.solve(b, x, first=True)
-        self._largest = 0.0
+        self._solve(b, x, RELATIVE * b.norm(), PETSc.KSP.NormType.UNPRECONDITIONED)
         for owned in (b, x):
             owned.destroy()
         return self._ksp.getConvergedReason() > 0 and not self._third.pivots().negative
@@ -166,7 +198,7 @@ class ClusteredSolver:
     def memory(self) -> float:
         """Return the memory of D, Z, N Z and A₁ over all processes in MiB. Collective."""
         entries = sum(M.getInfo()["nz_used"] for M in (self._Z, self._NZ))
-        own = self._blocks.nbytes + 12.0 * entries
+        own = self._schwarz.memory() + 12.0 * entries
         return total(own, self._comm) / 2**20 + (self._third.memory() or 0.0)
 
     def __str__(self) -> str:
@@ -175,7 +207,8 @@ class ClusteredSolver:
 
     def destroy(self) -> None:
         """Free solvers, matrices and vectors."""
-        owned = (self._ksp, self._third, self._Z, self._NZ, self._e, self._c, self._y)
+        solvers = (self._ksp, self._third, self._schwarz)
+        owned = (*solvers, self._Z, self._NZ, self._e, self._c, self._y)
         for each in owned:
             each.destroy()
 
@@ -231,38 +264,24 @@ def takes_clusters(rows: int, processes: int, columns: float) -> bool:
     return pays and rows > LARGE * (WIDE if rows <= SPREAD * processes else 1)
 
 
-def _inverse_blocks(N: PETSc.Mat) -> Array:
-    """Return the inverse blocks of own rows, as many in each, (blocks, BLOCK, BLOCK).
-
-    Raises:
-        LinAlgError: One is not positive definite.
-    """
-    indptr, indices, values = N.getDiagonalBlock().getValuesCSR()
-    n = len(indptr) - 1
-    local = scipy.sparse.csr_array((values, indices, indptr), (n, n))
-    blocks = np.zeros((-(-n // BLOCK), BLOCK, BLOCK))
-    for i, block in enumerate(blocks):
-        rows = slice(i * BLOCK, min((i + 1) * BLOCK, n))
-        size = rows.stop - rows.start
-        block[:size, :size] = local[rows][:, rows].toarray()
-    diagonal = np.einsum("bii->bi", blocks)
-    diagonal *= 1.0 + SHIFT
-    diagonal[diagonal == 0.0] = 1.0  # also below the last row
-    np.linalg.cholesky(blocks)
-    return np.asarray(np.linalg.inv(blocks), dtype=np.float64)
+def number_of_clusters(subdomains: int, processes: int) -> int:
+    """Return the number of clusters of so many subdomains, with six columns each."""
+    spread = SPREAD * processes // 6
+    return max(1, subdomains // MOST, min(subdomains // FEWEST, spread))
 
 
-def _clusters(N: PETSc.Mat, counts: Counts, prefix: str) -> npt.NDArray[np.int32]:
+def _clusters(N: PETSc.Mat, couples: CoupledSubdomains, prefix: str) -> npt.NDArray[np.int32]:
     """Return the cluster of each subdomain of this process, (subdomains,). Collective."""
-    n, indptr, indices = coupled_subdomains(N, counts)
-    sizes = (len(counts), n)
+    indptr, indices = couples.indptr, couples.indices
+    own, n = len(indptr) - 1, len(couples.starts) - 1
+    sizes = (own, n)
     csr = (indptr.astype(PETSc.IntType), indices.astype(PETSc.IntType), np.ones(len(indices)))
     graph = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=N.comm)
     graph.convert("mpiadj")
     partitioning = PETSc.MatPartitioning().create(N.comm)
     partitioning.setOptionsPrefix(prefix)
     partitioning.setAdjacency(graph)
-    with inserted(prefix, {"mat_partitioning_nparts": max(1, n // SUBDOMAINS)}):
+    with inserted(prefix, {"mat_partitioning_nparts": number_of_clusters(n, N.comm.size)}):
         partitioning.setFromOptions()
     numbers = PETSc.IS()
     partitioning.apply(numbers)
@@ -283,5 +302,6 @@ def _columns(
         indices.ravel().astype(PETSc.IntType),
         motions.ravel(),
     )
-    sizes = (N.getSizes()[0], (None, k * clusters))
+    own = clusters // N.comm.size + (N.comm.rank < clusters % N.comm.size)  # of A₁'s rows
+    sizes = (N.getSizes()[0], (k * own, k * clusters))
     return PETSc.Mat().createAIJ(sizes, csr=csr, comm=N.comm)

@@ -1,18 +1,16 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""A small distributed system N x = b, whose right-hand side is gathered on all processes.
+"""A small distributed system N x = b: a factor, or the inverse, spread over all processes.
 
-A solve is one collective call that gives b to all, and with it a number that each process adds to a
-sum; each process takes its x from a factor of N: its own (``whole``), or that of its group of
-processes (``group``) where N may be indefinite or is too large, or the options name a solver.
+With a factor a solve is one collective call that gives b to all, and with it a number that each
+process adds to a sum; each process takes its x from a factor of N: its own (``whole``), or that of
+its group of processes (``group``) where N may be indefinite or is too large, or the options name a
+solver.
 
-Up to :data:`SPREAD` rows of N for each process, a process keeps its own rows of the inverse in
-place of the factor, and the call is followed by nothing but its share of one dense product,
-
-.. math:: x_p = (N^{-1})_p\, b.
-
-It then reads K²/P numbers in a solve, and not the entries of the factor twice.
+Up to :data:`SPREAD` rows of N for each process, the inverse takes its place (``spread``). A process
+then reads K²/(2 P) numbers in a solve, and not the entries of the factor twice, and no process has
+the whole of b.
 """
 
 from __future__ import annotations
@@ -27,9 +25,10 @@ import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.group import GroupFactor
+from dolfinx_feti.feti.coarse.spread import SpreadInverse
 from dolfinx_feti.feti.coarse.whole import whole_factor
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
-from dolfinx_feti.runtime.collective import on_all, reason
+from dolfinx_feti.runtime.collective import on_all, reason, total
 from dolfinx_feti.runtime.events import event
 
 __all__ = ["GatheredSolver"]
@@ -70,7 +69,7 @@ class GatheredSolver:
 
     Attributes:
         factor: What solves on this process.
-        inverse: Own rows of N⁻¹, (own rows, K), if they are spread over the processes.
+        inverse: N⁻¹, if it is spread over the processes.
     """
 
     factor: CoarseFactor
@@ -84,7 +83,7 @@ class GatheredSolver:
         zero: float | None = None,
         counts: Counts | None = None,
     ) -> None:
-        """Factor, and form own rows of the inverse if that pays. Collective.
+        """Factor, and form the inverse if that pays. Collective.
 
         Args:
             N: Matrix, (K, K), distributed in any way.
@@ -104,41 +103,50 @@ class GatheredSolver:
         self._last = np.cumsum(self._counts) - 1  # places of the numbers that travel with b
         self._is_b = np.ones(total + comm.size, dtype=bool)
         self._is_b[self._last] = False
-        self.inverse: Array | None = None
-        whole = None
+        self.inverse: SpreadInverse | None = None
+        whole, rows = None, None
         try:
             if symmetric and counts is not None:
                 whole = whole_factor(N, counts, prefix=prefix, zero=zero)
             self.factor = whole or GroupFactor(N, prefix=prefix, symmetric=symmetric, zero=zero)
             if 0 < total <= SPREAD * comm.size:
-                self.inverse = self._inverse()
+                rows = self._rows_of_inverse()
         except Exception as error:
             raise SetUpError(
                 f"The coarse problem could not be factored ({reason(error)}): look at the options "
                 f"-{prefix}…"
             ) from error
-        if self.inverse is not None and not self._is_accurate(N, self.inverse):
-            self.inverse = None
+        if rows is not None and self._is_accurate(N, rows):
+            starts = np.append(0, np.cumsum(self._counts - 1))
+            self.inverse = SpreadInverse(rows, starts, symmetric=symmetric, comm=comm)
 
     def solve(
-        self, b: PETSc.Vec, x: PETSc.Vec, *, first: bool = False, addend: float = 0.0
+        self,
+        b: PETSc.Vec,
+        x: PETSc.Vec,
+        *,
+        first: bool = False,
+        addend: float | None = None,
+        energy: float | None = None,
     ) -> float:
         """Solve N x = b, both in N's own layout; where the solver fails, x is NaN.
 
-        Whether b is the ``first`` right-hand side of a Krylov method, does not matter here.
+        What sets the error of an iterative solver, ``first`` and ``energy``, does not matter here.
 
         Returns:
-            The sum of the ``addend`` of all processes.
+            The sum of the ``addend`` of all processes, 0 if there are none.
         """
         with event("FETICoarseSolve"):
-            gathered = np.empty(len(self._is_b))
-            self._world.Allgatherv(np.append(b.array_r, addend), (gathered, self._counts))
-            whole, sum_ = gathered[self._is_b], float(gathered[self._last].sum())
             if self.inverse is not None:
-                x.array[:] = self.inverse @ whole  # x_p = (N⁻¹)_p b
-            elif len(whole):
+                x.array[:] = self.inverse.solve(b.array_r)
+                return 0.0 if addend is None else total(addend, self._world)
+            gathered = np.empty(len(self._is_b))
+            own = np.append(b.array_r, 0.0 if addend is None else addend)
+            self._world.Allgatherv(own, (gathered, self._counts))
+            whole = gathered[self._is_b]
+            if len(whole):
                 x.array[:] = self.factor.solve(whole)
-        return sum_
+        return float(gathered[self._last].sum())
 
     def memory(self) -> float | None:
         """Return the memory of the factor in MiB; None if the solver has no figure. Collective."""
@@ -157,7 +165,7 @@ class GatheredSolver:
         """Return how many pivots are negative and zero; None if not known. Collective."""
         return self._world.bcast(self.factor.pivots)
 
-    def _inverse(self) -> Array | None:
+    def _rows_of_inverse(self) -> Array | None:
         """Return own rows of N⁻¹, (own rows, K); free the factor if that fails. Collective."""
         try:
             return on_all(self.factor.rows_of_inverse, self._world)
@@ -165,12 +173,14 @@ class GatheredSolver:
             self.factor.destroy()
             raise
 
-    def _is_accurate(self, N: PETSc.Mat, inverse: Array) -> bool:
+    def _is_accurate(self, N: PETSc.Mat, rows: Array) -> bool:
         """Tell whether rounding leaves a solve with the inverse some digits. Collective."""
-        largest = np.abs(inverse).sum(axis=1).max(initial=0.0)
+        largest = np.abs(rows).sum(axis=1).max(initial=0.0)
         condition = largest * N.norm(PETSc.NormType.INFINITY)
         return bool(self._world.allreduce(bool(condition <= CONDITION), op=MPI.LAND))
 
     def destroy(self) -> None:
-        """Free the factor."""
+        """Free factor and inverse."""
         self.factor.destroy()
+        if self.inverse is not None:
+            self.inverse.destroy()

@@ -24,12 +24,14 @@ class CoupledSubdomains(NamedTuple):
     """The subdomains that are coupled with each one of this process, without itself.
 
     Attributes:
-        total: Number of subdomains over all processes.
+        starts: First row of each subdomain of all processes, and K, (subdomains + 1,).
+        first: Number of the first subdomain of this process.
         indptr: Where those of each begin, and the end, (own subdomains + 1,).
         indices: Their numbers over all processes, ascending, (pairs,).
     """
 
-    total: int
+    starts: Numbers
+    first: int
     indptr: Numbers
     indices: Numbers
 
@@ -52,4 +54,5 @@ def coupled_subdomains(N: PETSc.Mat, counts: Numbers) -> CoupledSubdomains:
     new = (np.diff(near, prepend=-1) != 0) | (np.diff(subdomain, prepend=-1) != 0)
     new &= near != subdomain
     lengths = np.bincount(subdomain[new] - own, minlength=len(counts))
-    return CoupledSubdomains(len(starts), np.cumsum(np.append(0, lengths)), near[new])
+    starts = np.append(starts, N.getSize()[0])
+    return CoupledSubdomains(starts, own, np.cumsum(np.append(0, lengths)), near[new])

@@ -33,7 +33,7 @@ from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.runtime.native import load, pointer
 from dolfinx_feti.torn.matrix import create_torn_matrix
 
-__all__ = ["NearColumns", "joined"]
+__all__ = ["NearColumns", "expanded", "joined"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.integer]
@@ -68,7 +68,7 @@ class NearColumns:
         self._total = comm.allreduce(self._size)
         end = np.cumsum(np.append(0, W.count))  # of the columns of each panel
         self.blocks = list(itertools.starmap(slice, itertools.pairwise(end[W.panels].tolist())))
-        self._forest = star_forest(_expanded(W.owner, W.count), self._size, comm)
+        self._forest = star_forest(expanded(W.owner, W.count), self._size, comm)
 
     def to_owners(self, near: Array) -> Array:
         """Sum what subdomains have for the columns near them, (near,), at the owners, (size,)."""
@@ -130,14 +130,14 @@ class NearColumns:
         indptr = np.append(0, np.cumsum(np.repeat(length, width)))
         csr = tuple(array.astype(PETSc.IntType, copy=False) for array in (indptr, indices))
         K = PETSc.Mat().createAIJWithArrays((n, n), (*csr, values), comm=PETSc.COMM_SELF)
-        return K, _expanded(first, width)
+        return K, expanded(first, width)
 
     def destroy(self) -> None:
         """Free the star forest."""
         self._forest.destroy()
 
 
-def _expanded(first: Integers, count: Integers) -> Numbers:
+def expanded(first: Integers, count: Integers) -> Numbers:
     """Return the numbers of columns, ``count`` of them from each ``first`` on."""
     end = np.cumsum(count)
     return np.arange(count.sum()) + np.repeat(first - end + count, count)

@@ -201,12 +201,17 @@ class AveragedSpace:
         blocks = zip(self.AV, self.V.copies.blocks, strict=True)
         near = joined([product(Y, z[rows]) for Y, rows in blocks])
         energies = self.V.near.to_owners(near)  # Vᵀ A z
-        return z + self.V.prolong(self.solve(self.V.restrict(r) - energies))
+        energy = float(r @ (self.V.copies.delta * z))  # own part of rᵀ z
+        return z + self.V.prolong(self.solve(self.V.restrict(r) - energies, energy=energy))
 
-    def solve(self, e: Array, *, first: bool = False) -> Array:
-        """Return A₀⁻¹ e, both (size,), the first one of a Krylov method or a later. Collective."""
+    def solve(self, e: Array, *, first: bool = False, energy: float | None = None) -> Array:
+        """Return A₀⁻¹ e, both (size,), the first one of a Krylov method or a later. Collective.
+
+        With an ``energy``, this process's part of the rᵀ z of what it corrects, that sets the error
+        of an iterative solver.
+        """
         self._y.array[:] = self.combinations.T @ e
-        self.solver.solve(self._y, self._x, first=first)
+        self.solver.solve(self._y, self._x, first=first, energy=energy)
         return np.asarray(self.combinations @ self._x.array_r)
 
     def negative(self) -> int | None:

@@ -136,9 +136,11 @@ class Coarse:
 
         ``first`` tells that e does not compare to those before, in size and unit.
         """
-        return self.solve_and_sum(e, 0.0, first=first)[0]
+        return self.solve_and_sum(e, None, first=first)[0]
 
-    def solve_and_sum(self, e: Array, addend: float, *, first: bool = False) -> tuple[Array, float]:
+    def solve_and_sum(
+        self, e: Array, addend: float | None, *, first: bool = False
+    ) -> tuple[Array, float]:
         """Solve, and sum a number of each process, without a further reduction. Collective."""
         self._e.array[:] = e
         sum_ = self.solver.solve(self._e, self._s, first=first, addend=addend)

@@ -38,8 +38,7 @@ def large(monkeypatch):
     """Take every coarse matrix for a large one, and make several clusters of it."""
     monkeypatch.setattr(clustered, "LARGE", 0)
     monkeypatch.setattr(clustered, "HUGE", 0)
-    monkeypatch.setattr(clustered, "SUBDOMAINS", 8)
-    monkeypatch.setattr(clustered, "BLOCK", 16)
+    monkeypatch.setattr(clustered, "MOST", 8)
 
 
 @pytest.mark.parametrize("options", FORMS.values(), ids=FORMS)
@@ -49,7 +48,7 @@ def test_outer_iterations_are_those_of_an_exact_solve(options, torn_grid, feti, 
     for rows in (20_000, 0):
         monkeypatch.setattr(clustered, "LARGE", rows)
         monkeypatch.setattr(clustered, "HUGE", rows)
-        monkeypatch.setattr(clustered, "SUBDOMAINS", 8)
+        monkeypatch.setattr(clustered, "MOST", 8)
         ksp = feti(problem.A, ksp_rtol=1e-8, **options)
         reason, x = solve(ksp, problem, values)
         agree(reason > 0, ksp.getPythonContext().message)
