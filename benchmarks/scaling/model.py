@@ -19,27 +19,30 @@ iteration are those that were counted on the most processes; α, W, V, R and D a
 :class:`Machine`. β is the unevenness of whole subdomains, ⌈S/P⌉ P/S.
 
 The coarse matrix of K unknowns, with L entries in its factor and Φ operations to make it, is solved
-as ``dolfinx_feti.feti.coarse.gathered`` does: each process has a factor, g = 1, up to 2²⁶ entries,
-beyond that each of the P/g groups of g = ⌈K/4000⌉ processes; up to 128 P unknowns a process keeps
-K/P rows of the inverse, of which six take the time of a solve. Each solve gathers K numbers on all,
-which is one of the reductions:
+as ``dolfinx_feti.feti.coarse.gathered`` does: each process has a factor, c = 1, up to 2²⁶ entries,
+beyond that each of the P/c groups of c = ⌈K/4000⌉ processes. Up to 128 P unknowns a process keeps a
+block of K/g rows and columns of the inverse, where g groups of processes have g (g + 1)/2 pairs; it
+gathers and sums in two groups, an allreduce in each; of K/P rows of the inverse six take the time
+of a solve, and they are handed on. With a factor each solve gathers K numbers and one of each
+process on all, which is one of the reductions:
 
 .. math::
 
-    t_c = 8\, K / W + 8\, K^2 / (P V) \text{ up to } K = 128\, P,
-    \quad 8\, K / W + 16\, L / (g V) \text{ above}, \qquad
-    t_{coarse} = t_1 / P + Φ / (g R) + \frac{K}{6 P} \frac{16\, L}{V} .
+    t_c = 4 α \log_2 g + 32\, K / (g W) + 8\, K^2 / (g^2 V) \text{ up to } K = 128\, P,
+    \quad 8\, (K + P) / W + 16\, L / (c V) \text{ above}, \qquad
+    t_{coarse} = t_1 / P + Φ / (c R) + \frac{K}{6 P} \frac{16\, L}{V} + \frac{8\, K^2}{P W} .
 
 Where ``coarse.clustered`` takes clusters, i₃ iterations of CG take the place, each with K/P rows of
-N, an exchange with twice as many neighbours as were counted, two reductions, and a solve as above
-with the matrix of the clusters, of six unknowns for 64 subdomains,
+N and its small systems; m exchanges with twice as many neighbours as were counted for N, and with
+as many for the small systems, if they overlap, and for the clusters, there and back; a reduction;
+and a solve as above with the matrix of the clusters:
 
 .. math::
 
-    t_c = i_3 \left( \frac{(12\, e + 8 · 128)\, K}{P V} + 2 n α + 4 α \log_2 P + t_c(K_1) \right),
+    t_c = i_3 \left( \frac{(12\, e + 8\, d)\, K}{P V} + m n α + 2 α \log_2 P + t_c(K_1) \right),
 
-with i₃ and the entries e of a row in :data:`INNER`. Its set-up is that of the small matrix; a
-product with few columns is left out.
+with i₃, e, d and m in :data:`INNER`. Its set-up is that of the small matrix, with L and Φ prolonged
+from :data:`THIRD`, and a solve on trial.
 
 Beyond S processes there are as many subdomains as processes; K grows with them, L as K ln K and Φ
 as K^{3/2}, those of a wall, which is nearly two-dimensional.
@@ -66,20 +69,36 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 from benchmarks.common.records import Record
-from dolfinx_feti.feti.coarse.clustered import BLOCK, SUBDOMAINS, takes_clusters
+from dolfinx_feti.feti.coarse.clustered import number_of_clusters, takes_clusters
 from dolfinx_feti.feti.coarse.gathered import SPREAD
 from dolfinx_feti.feti.coarse.group import ROWS
+from dolfinx_feti.feti.coarse.spread import number_of_groups
 from dolfinx_feti.feti.coarse.whole import MOST
 
-__all__ = ["KRYLOV", "PARTS", "Machine", "Model", "Prediction", "create_model", "efficiency"]
+__all__ = [
+    "INNER",
+    "KRYLOV",
+    "PARTS",
+    "Machine",
+    "Model",
+    "Prediction",
+    "create_model",
+    "efficiency",
+]
 
 #: Rows of the inverse that take the time of a solve with the factor.
 BLOCKED = 6.0
 
-#: Iterations of the third level in a solve, on average, and entries in a row of N, with rigid
-#: motions alone and with further columns: counted on a cube of 4096 subdomains, Q = M, and on a
-#: tube of 1024 in the primal form.
-INNER = {False: (39, 594), True: (131, 982)}
+#: Iterations of the third level in a solve, on average; entries in a row of N and N Z; numbers for
+#: a row in the small systems; exchanges: with rigid motions alone, counted on a cube of 4096
+#: subdomains, Q = M, and with further columns, on a vessel of 2048 in the primal form, ten each.
+INNER = {False: (31, 650, 6, 4), True: (15, 233, 704, 6)}
+
+#: Rows of the clusters' matrix of that vessel, entries of its factor, and operations to make it.
+THIRD = (1536, 1.21e5, 1.03e7)
+
+#: Inner iterations of a solve on trial.
+TRIAL = 10
 
 #: Rigid motions of a subdomain.
 MOTIONS = 6
@@ -188,21 +207,26 @@ class Model:
 
     def _coarse(self, K: float, L: float, flops: float, P: int) -> tuple[float, float, float]:
         """Return the seconds of gathering, of a solve, and of a set-up, on P processes."""
-        m = self.machine
+        m, hops = self.machine, math.log2(P)
         columns = self.base["coarse_size"] / self.base["subdomains_in_all"]
         if takes_clusters(round(K), P, columns):
-            inner, entries = INNER[columns > MOTIONS]
-            K_1 = MOTIONS * P / SUBDOMAINS
-            gather, solve, make = self._coarse(K_1, K_1**2 / 2, K_1**3 / 3, P)
-            each = (12.0 * entries + 8.0 * BLOCK) * K / (P * m.stream) + gather + solve
-            waits = 2.0 * self.sent["neighbours"] + 4.0 * math.log2(P)
-            return 0.0, inner * (each + waits * m.latency), make
+            inner, entries, numbers, exchanges = INNER[columns > MOTIONS]
+            K_1 = MOTIONS * number_of_clusters(round(K / columns), P)
+            grown = K_1 / THIRD[0]
+            longer = grown * math.log(K_1) / math.log(THIRD[0])
+            gather, solve, make = self._coarse(K_1, longer * THIRD[1], grown**1.5 * THIRD[2], P)
+            waits = exchanges * self.sent["neighbours"] + 2.0 * hops
+            each = (12.0 * entries + 8.0 * numbers) * K / (P * m.stream) + waits * m.latency
+            return 0.0, inner * (each + gather + solve), make + TRIAL * (each + gather + solve)
         group = 1 if L <= MOST else min(P, max(1, math.ceil(K / ROWS)))
         factor, make = 16.0 * L / m.stream, flops / (group * m.rate)  # read twice
-        gather = 8.0 * K / m.bandwidth if P > 1 else 0.0
         if K > SPREAD * P:
+            gather = 8.0 * (K + P) / m.bandwidth if P > 1 else 0.0
             return gather, factor / group, make
-        return gather, 8.0 * K**2 / (P * m.stream), make + K / (BLOCKED * P) * factor
+        g = number_of_groups(P)
+        gather = 4.0 * m.latency * math.log2(g) + 32.0 * K / (g * m.bandwidth) if P > 1 else 0.0
+        handed = 8.0 * K**2 / (P * m.bandwidth) if P > 1 else 0.0
+        return gather, 8.0 * (K / g) ** 2 / m.stream, make + K / (BLOCKED * P) * factor + handed
 
     def _reading(self, P: int, refined: float) -> float:
         """Return the seconds of reading and distributing the wall on P processes."""

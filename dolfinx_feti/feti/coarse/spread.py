@@ -23,7 +23,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["SpreadInverse"]
+__all__ = ["SpreadInverse", "number_of_groups"]
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
@@ -138,9 +138,14 @@ class _Group:
         return self.comm.Ireduce_scatter(part, own, self._counts, MPI.SUM), own
 
 
+def number_of_groups(processes: int) -> int:
+    """Return the most groups for whose pairs there are processes, g (g + 1)/2 ≤ P."""
+    return (math.isqrt(8 * processes + 1) - 1) // 2
+
+
 def _pairs(processes: int) -> tuple[list[tuple[int, ...]], list[int]]:
     """Return the groups I ≤ J of each process, or one without a block, and where it is at home."""
-    g = (math.isqrt(8 * processes + 1) - 1) // 2
+    g = number_of_groups(processes)
     pairs: list[tuple[int, ...]] = [(i, j) for j in range(g) for i in range(j + 1)]
     home = [i if (j - i) % 2 else j for i, j in pairs]  # half of the pairs of each group
     further = [rank % g for rank in range(len(pairs), processes)]

@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from benchmarks.scaling import paper
-from benchmarks.scaling.model import PARTS, Machine, create_model, efficiency
+from benchmarks.scaling.model import INNER, PARTS, Machine, create_model, efficiency
 from benchmarks.scaling.traffic import COUNTERS
 
 pytestmark = pytest.mark.serial
@@ -47,30 +49,39 @@ def test_work_shrinks_and_what_is_sent_does_not():
     assert two.local == 256 * many.local == 200.0
     assert many.messages == two.messages > 0.0
     assert many.reductions == pytest.approx(9 * two.reductions)  # log₂ P
-    assert many.gathering == two.gathering > 0.0
-    assert beyond.gathering == 2 * many.gathering  # 1024 subdomains
+    solves, m = 1500 * SENT["coarse_solves"], Machine()
+    assert two.gathering == pytest.approx(solves * 8 * (3072 + 2) / m.bandwidth)  # on all
+    for found, K, g in ((many, 3072, 31), (beyond, 6144, 44)):  # in two of g groups
+        each = 4 * m.latency * math.log2(g) + 32 * K / g / m.bandwidth
+        assert found.gathering == pytest.approx(solves * each)
     assert model.predict(3).local > 400.0 / 3  # 171 of 512 subdomains
 
 
 def test_coarse_solves_shrink_where_the_inverse_is_spread():
-    """Up to 128 unknowns a process; as many numbers a process, as subdomains grow with them."""
+    """Up to 128 unknowns a process; 22 and 31 groups have 253 and 496 pairs."""
     model = create_model([BASE], [SENT])
-    few, some, many, beyond = (model.predict(P) for P in (16, 256, 512, 1024))
+    few, some, many = (model.predict(P) for P in (16, 256, 512))
     solves = 1500 * SENT["coarse_solves"]
     assert few.coarse_solves == pytest.approx(solves * 16e6 / Machine().stream)
-    assert some.coarse_solves == pytest.approx(solves * 8 * 3072**2 / 256 / Machine().stream)
-    assert some.coarse_solves == pytest.approx(2 * many.coarse_solves)
-    assert beyond.coarse_solves == pytest.approx(2 * many.coarse_solves)  # (2 K)²/(2 P)
+    assert some.coarse_solves == pytest.approx(solves * 8 * (3072 / 22) ** 2 / Machine().stream)
+    assert many.coarse_solves == pytest.approx(some.coarse_solves * (22 / 31) ** 2)
     assert few.coarse_factor < many.coarse_factor < some.coarse_factor  # rows of the inverse
 
 
-def test_third_level_takes_more_iterations_with_further_columns():
-    """Eight columns a subdomain, which take it where rigid motions do."""
+@pytest.mark.parametrize("columns", [6, 8])
+def test_third_level_reads_its_rows_and_waits(columns):
+    """20 000 subdomains in 2500 clusters, each exchange with the neighbours that were counted."""
     sent = SENT | {"neighbours": 10.0}
-    models = [create_model([BASE | {"coarse_size": 512 * columns}], [sent]) for columns in (6, 8)]
-    rigid, further = (model.predict(20_000) for model in models)
-    assert rigid.gathering == further.gathering == 0.0  # within the third level's iterations
-    assert further.coarse_solves > 131 / 39 * rigid.coarse_solves > 0.0
+    found = create_model([BASE | {"coarse_size": 512 * columns}], [sent]).predict(20_000)
+    assert found.gathering == 0.0  # within the third level's iterations
+    inner, entries, numbers, exchanges = INNER[columns > 6]
+    m, K_1, g = Machine(), 15_000, 199
+    each = (12 * entries + 8 * numbers) * columns / m.stream + 10 * exchanges * m.latency
+    each += 2 * m.latency * math.log2(20_000)
+    each += (
+        4 * m.latency * math.log2(g) + 32 * K_1 / g / m.bandwidth + 8 * (K_1 / g) ** 2 / m.stream
+    )
+    assert found.coarse_solves == pytest.approx(1500 * sent["coarse_solves"] * inner * each)
 
 
 def test_partition_is_measured_on_two():
