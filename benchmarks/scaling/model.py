@@ -92,7 +92,7 @@ BLOCKED = 6.0
 #: Iterations of the third level in a solve, on average; entries in a row of N and N Z; numbers for
 #: a row in the small systems; exchanges: with rigid motions alone, counted on a cube of 4096
 #: subdomains, Q = M, and with further columns, on a vessel of 2048 in the primal form, ten each.
-INNER = {False: (31, 650, 6, 4), True: (15, 233, 704, 6)}
+INNER = {False: (31, 650, 6, 4), True: (14, 235, 706, 6)}
 
 #: Rows of the clusters' matrix of that vessel, entries of its factor, and operations to make it.
 THIRD = (1536, 1.21e5, 1.03e7)

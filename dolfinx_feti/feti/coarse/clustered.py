@@ -146,7 +146,8 @@ class ClusteredSolver:
         """Solve N x = b, both in N's own layout; where the solver fails, x is NaN.
 
         ``first`` tells that the largest right-hand side is to be found anew, from b on. With an
-        ``energy``, this process's part of the rᵀ z of what x corrects, that sets the error.
+        ``energy``, this process's part of the rᵀ z of what x corrects, that sets the error, or the
+        share δ of b alone where it is not positive.
 
         Returns:
             The sum of the ``addend`` of all processes, 0 if there are none.
@@ -156,8 +157,10 @@ class ClusteredSolver:
             square, sum_, squared = total_of(own, self._comm)
             size, norm = float(np.sqrt(square)), PETSc.KSP.NormType.UNPRECONDITIONED
             self._largest = max(0.0 if first else self._largest, size)
-            error = min(TOLERANCE * self._largest, RELATIVE * size)
-            if energy is not None and squared > 0.0:
+            error = RELATIVE * size
+            if energy is None:
+                error = min(TOLERANCE * self._largest, error)
+            elif squared > 0.0:
                 error, norm = ENERGY * float(np.sqrt(squared)), PETSc.KSP.NormType.NATURAL
             self._solve(b, x, error, norm)
         return float(sum_)

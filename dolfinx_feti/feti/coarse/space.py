@@ -187,9 +187,13 @@ class AveragedSpace:
                 self._negative = solver.pivots().negative
                 solver.destroy()
 
-    def initial_guess(self, r: Array) -> Array:
-        """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective."""
-        return self.V.prolong(self.solve(self.V.restrict(r), first=True))
+    def initial_guess(self, r: Array, *, exact: bool = False) -> Array:
+        """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective.
+
+        What an iterative solver leaves of it, if it need not be ``exact``, is for corrections.
+        """
+        energy = None if exact else 0.0
+        return self.V.prolong(self.solve(self.V.restrict(r), first=True, energy=energy))
 
     def correct(self, z: Array, r: Array) -> Array:
         """Return z + V A₀⁻¹ Vᵀ (r − A z), of and by copies, (n,). Collective.
@@ -208,7 +212,7 @@ class AveragedSpace:
         """Return A₀⁻¹ e, both (size,), the first one of a Krylov method or a later. Collective.
 
         With an ``energy``, this process's part of the rᵀ z of what it corrects, that sets the error
-        of an iterative solver.
+        of an iterative solver; 0 on all processes if it is not known yet.
         """
         self._y.array[:] = self.combinations.T @ e
         self.solver.solve(self._y, self._x, first=first, energy=energy)
