@@ -180,7 +180,5 @@ class GatheredSolver:
         return bool(self._world.allreduce(bool(condition <= CONDITION), op=MPI.LAND))
 
     def destroy(self) -> None:
-        """Free factor and inverse."""
+        """Free the factor."""
         self.factor.destroy()
-        if self.inverse is not None:
-            self.inverse.destroy()

@@ -17,16 +17,24 @@ at home in one of them, with its rows. Processes beyond the pairs have rows and 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import cast
 
 from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["SpreadInverse", "number_of_groups"]
+from dolfinx_feti.feti.coarse.near import expanded
+
+__all__ = ["SpreadInverse", "number_of_groups", "pairs_of_groups"]
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
+
+
+#: Where the communicators of the groups are kept.
+_KEY = MPI.Comm.Create_keyval()
 
 
 class SpreadInverse:
@@ -43,12 +51,22 @@ class SpreadInverse:
             symmetric: Whether N is symmetric.
             comm: Communicator of N.
         """
-        pairs, home = _pairs(comm.size)
-        self._groups = [
-            _Group(number, starts, pairs, home, comm) for number in sorted(set(pairs[comm.rank]))
-        ]
-        blocks = [group.collect(rows) for group in self._groups]
-        self._blocks = blocks if len(pairs[comm.rank]) == 2 else []
+        pairs, home = pairs_of_groups(comm.size)
+        mine, size = pairs[comm.rank], np.diff(starts)
+        order = np.argsort(home, kind="stable")
+        grouped = expanded(starts[order], size[order])  # rows of all groups, one after the other
+        ends = np.cumsum(np.bincount(home, weights=size).astype(np.int64))
+        rows_of = np.split(grouped, ends)  # and none
+        self._groups = []
+        blocks = []
+        for number, own in _communicators(comm, pairs).items():
+            members = _members(pairs, number)
+            counts = np.where(home[members] == number, size[members], 0)
+            group = _Group(own, [int(count) for count in counts])
+            self._groups.append(group)
+            other = np.where(pairs[members, 1] < 0, -1, pairs[members].sum(axis=1) - number)
+            blocks.append(group.collect(rows, [rows_of[int(o)] for o in other]))
+        self._blocks = blocks if mine[1] >= 0 else []
         if symmetric and len(self._blocks) == 2:
             self._blocks[1] = self._blocks[0].T
 
@@ -66,76 +84,52 @@ class SpreadInverse:
             sums = [B @ b_J for B, b_J in zip(self._blocks, of_other, strict=True)]  # N⁻¹_IJ b_J
         else:
             sums = [np.zeros(len(whole)) for whole in of_other]
-        pairs = zip(self._groups, sums, strict=True)
-        summing = [group.sum(part) for group, part in pairs]
+        summing = [group.sum(part) for group, part in zip(self._groups, sums, strict=True)]
         MPI.Request.Waitall([request for request, _ in summing])
         return np.concatenate([own for _, own in summing])  # there are rows in one group alone
 
-    def destroy(self) -> None:
-        """Free the communicators."""
-        for group in self._groups:
-            group.comm.Free()
 
-
+@dataclass(frozen=True, slots=True)
 class _Group:
     """The processes that multiply with the rows or columns of a group, and have these rows.
 
     Attributes:
         comm: Their communicator.
+        counts: Rows of each, 0 for those that are at home in another group.
     """
 
-    def __init__(
-        self,
-        number: int,
-        starts: Counts,
-        pairs: list[tuple[int, ...]],
-        home: list[int],
-        world: MPI.Intracomm,
-    ) -> None:
-        """Find its members and their rows. Collective on them, in the order of the groups."""
-        members = [rank for rank, pair in enumerate(pairs) if number in pair]
-        group = world.Get_group()
-        those = group.Incl(members)
-        self.comm = world.Create_group(those, number)
-        those.Free()
-        group.Free()
-        size = np.diff(starts)
-        self._counts = [int(size[rank]) * (home[rank] == number) for rank in members]
-        self._own = self._counts[self.comm.rank]
+    comm: MPI.Intracomm
+    counts: list[int]
 
-        def columns(pair: tuple[int, ...]) -> Counts:
-            if len(pair) == 1:
-                return starts[:0]
-            other = sum(pair) - number
-            own = [np.arange(*starts[r : r + 2]) for r, at in enumerate(home) if at == other]
-            return np.concatenate(own)
+    @property
+    def own(self) -> int:
+        """Number of own rows."""
+        return self.counts[self.comm.rank]
 
-        self._columns = [columns(pairs[rank]) for rank in members]  # of the block of each
-
-    def collect(self, rows: Array) -> Array:
-        """Return the block of this group's rows and the other's columns. Collective.
+    def collect(self, rows: Array, columns: list[Counts]) -> Array:
+        """Return the block of this group's rows and this process's columns. Collective.
 
         Args:
             rows: Own rows of N⁻¹, (own rows, K).
+            columns: Columns of the block of each process.
         """
-        width = [len(columns) for columns in self._columns]
-        mine = width[self.comm.rank]
-        own = rows[: self._own]
-        sent = np.concatenate([own[:, columns].ravel() for columns in self._columns])
-        counts = [self._own * columns for columns in width], [rows * mine for rows in self._counts]
-        block = np.empty((sum(self._counts), mine))
-        self.comm.Alltoallv((sent, counts[0]), (block, counts[1]))
+        mine = len(columns[self.comm.rank])
+        own = rows[: self.own]
+        sent = np.concatenate([own[:, those].ravel() for those in columns])
+        block = np.empty((sum(self.counts), mine))
+        to, by = [self.own * len(those) for those in columns], [n * mine for n in self.counts]
+        self.comm.Alltoallv((sent, to), (block, by))
         return block
 
     def gather(self, b: Array) -> tuple[MPI.Request, Array]:
         """Begin to gather b of this group from own rows, (own rows,)."""
-        whole = np.empty(sum(self._counts))
-        return self.comm.Iallgatherv(b[: self._own], (whole, self._counts)), whole
+        whole = np.empty(sum(self.counts))
+        return self.comm.Iallgatherv(b[: self.own], (whole, self.counts)), whole
 
     def sum(self, part: Array) -> tuple[MPI.Request, Array]:
         """Begin to sum x of this group, and to hand out its rows."""
-        own = np.empty(self._own)
-        return self.comm.Ireduce_scatter(part, own, self._counts, MPI.SUM), own
+        own = np.empty(self.own)
+        return self.comm.Ireduce_scatter(part, own, self.counts, MPI.SUM), own
 
 
 def number_of_groups(processes: int) -> int:
@@ -143,10 +137,36 @@ def number_of_groups(processes: int) -> int:
     return (math.isqrt(8 * processes + 1) - 1) // 2
 
 
-def _pairs(processes: int) -> tuple[list[tuple[int, ...]], list[int]]:
-    """Return the groups I ≤ J of each process, or one without a block, and where it is at home."""
+def pairs_of_groups(processes: int) -> tuple[Counts, Counts]:
+    """Return the groups I ≤ J of each process, (P, 2), and where it is at home, (P,).
+
+    A process without a block has a group and −1.
+    """
     g = number_of_groups(processes)
-    pairs: list[tuple[int, ...]] = [(i, j) for j in range(g) for i in range(j + 1)]
-    home = [i if (j - i) % 2 else j for i, j in pairs]  # half of the pairs of each group
-    further = [rank % g for rank in range(len(pairs), processes)]
-    return pairs + [(i,) for i in further], home + further
+    second, first = np.tril_indices(g)
+    home = np.where((second - first) % 2, first, second)  # half of the pairs of each group
+    further = np.arange(len(first), processes) % g
+    alone = np.stack([further, np.full_like(further, -1)], axis=1)
+    return np.vstack([np.stack([first, second], axis=1), alone]), np.append(home, further)
+
+
+def _members(pairs: Counts, number: int) -> Counts:
+    """Return the processes of a group."""
+    return np.flatnonzero((pairs == number).any(axis=1))
+
+
+def _communicators(comm: MPI.Intracomm, pairs: Counts) -> dict[int, MPI.Intracomm]:
+    """Return those of the groups of this process, ascending. Collective.
+
+    They are kept with the communicator, as all matrices on it have the same ones.
+    """
+    if (kept := comm.Get_attr(_KEY)) is not None:
+        return cast("dict[int, MPI.Intracomm]", kept)
+    found, world = {}, comm.Get_group()
+    for number in sorted({int(i) for i in pairs[comm.rank] if i >= 0}):  # each after those before
+        group = world.Incl([int(member) for member in _members(pairs, number)])
+        found[number] = comm.Create_group(group, number)
+        group.Free()
+    world.Free()
+    comm.Set_attr(_KEY, found)
+    return found

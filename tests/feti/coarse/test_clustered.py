@@ -12,9 +12,11 @@ from hand_torn import random_values, solve
 
 from dolfinx_feti.feti.coarse import clustered
 from dolfinx_feti.feti.coarse.clustered import (
+    ENERGY,
     RELATIVE,
     TOLERANCE,
     ClusteredSolver,
+    number_of_clusters,
     takes_clusters,
 )
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
@@ -122,6 +124,41 @@ def test_solves_leave_a_share_of_the_largest_right_hand_side(large, torn_grid, p
     coarse.solver.solve(b, x, first=False)
     error = np.linalg.norm(whole(b.array_r) - N @ whole(x.array_r))
     small(error, 1.01 * RELATIVE * norm(b.array_r))
+
+
+def test_error_of_a_correction_is_a_share_of_the_energy_of_what_it_corrects(
+    large, torn_grid, parts
+):
+    """In the norm of N, up to the condition number; without an energy, a share of b alone."""
+    coarse = parts(torn_grid(**GRID).A).coarse
+    N, b = dense(coarse.N), coarse.N.createVecRight()
+    x = b.duplicate()
+    b.array[:] = np.random.default_rng(COMM.rank).standard_normal(len(b.array_r))
+    exact = np.linalg.solve(N, whole(b.array_r))
+    found = []
+    for energy in (1.0, 1e4, 1e8):
+        coarse.solver.solve(b, x, energy=energy / COMM.size)
+        e = whole(x.array_r) - exact
+        found.append(e @ N @ e)
+        agree(found[-1] <= (10.0 * ENERGY) ** 2 * energy, found)
+    agree(found[0] < found[1] < found[2], found)
+    coarse.solver.solve(b, x, energy=0.0)
+    error = np.linalg.norm(whole(b.array_r) - N @ whole(x.array_r))
+    agree(TOLERANCE * norm(b.array_r) < error <= 1.01 * RELATIVE * norm(b.array_r), error)
+
+
+@pytest.mark.processes(1)
+def test_clusters_are_small_where_the_inverse_of_their_matrix_is_spread():
+    """At most 128 rows a process, six for each cluster."""
+    for subdomains, processes, expected in (
+        (4096, 2, 64),
+        (4096, 16, 341),
+        (4096, 64, 512),
+        (32_768, 16, 512),
+        (10_000, 10_000, 1250),
+        (3, 8, 1),
+    ):
+        assert number_of_clusters(subdomains, processes) == expected
 
 
 def test_indefinite_matrix_is_factored(large, torn_grid, form):
