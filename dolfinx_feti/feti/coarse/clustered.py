@@ -79,6 +79,9 @@ OTHERS = 8
 #: stands in for that of the error, which may be some ten times as large.
 ENERGY = 0.003
 
+#: The same of what Z A₁⁻¹ Zᵀ b lacks, for an initial guess: no correction takes that out at once.
+START = 1e-5
+
 #: Share τ of the largest right-hand side that a solve leaves.
 TOLERANCE = 1e-9
 
@@ -147,7 +150,7 @@ class ClusteredSolver:
 
         ``first`` tells that the largest right-hand side is to be found anew, from b on. With an
         ``energy``, this process's part of the rᵀ z of what x corrects, that sets the error, or the
-        share δ of b alone where it is not positive.
+        energy of x itself if it is not positive.
 
         Returns:
             The sum of the ``addend`` of all processes, 0 if there are none.
@@ -157,26 +160,42 @@ class ClusteredSolver:
             square, sum_, squared = total_of(own, self._comm)
             size, norm = float(np.sqrt(square)), PETSc.KSP.NormType.UNPRECONDITIONED
             self._largest = max(0.0 if first else self._largest, size)
-            error = RELATIVE * size
-            if energy is None:
-                error = min(TOLERANCE * self._largest, error)
-            elif squared > 0.0:
-                error, norm = ENERGY * float(np.sqrt(squared)), PETSc.KSP.NormType.NATURAL
-            self._solve(b, x, error, norm)
+            error = min(TOLERANCE * self._largest, RELATIVE * size)
+            self._begin(b, x)
+            if energy is not None:
+                norm = PETSc.KSP.NormType.NATURAL
+                error = ENERGY * float(np.sqrt(max(0.0, squared)))
+                if error == 0.0:
+                    error = START * float(np.sqrt(self._energy_left(b, x)))
+            self._go_on(b, x, error, norm)
         return float(sum_)
 
-    def _solve(self, b: PETSc.Vec, x: PETSc.Vec, error: float, norm: int) -> None:
-        """Solve N x = b up to an error in a norm. Collective."""
-        self._ksp.setNormType(norm)
-        self._ksp.setTolerances(rtol=0.0, atol=error, max_it=ITERATIONS)
+    def _begin(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Compute x₀ = Z A₁⁻¹ Zᵀ b. Collective."""
         self._Z.multTranspose(b, self._e)
         self._third.solve(self._e, self._c)
-        self._Z.mult(self._c, x)  # x₀ = Z A₁⁻¹ Zᵀ b
+        self._Z.mult(self._c, x)
+
+    def _energy_left(self, b: PETSc.Vec, x: PETSc.Vec) -> float:
+        """Return ρᵀ z for the residual ρ = b − N x that x₀ leaves. Collective."""
+        ρ, z = self._N.createVecs()
+        self._N.mult(x, ρ)
+        ρ.aypx(-1.0, b)
+        self._precondition(None, ρ, z)
+        squared = max(0.0, float(ρ.dot(z)))
+        for owned in (ρ, z):
+            owned.destroy()
+        return squared
+
+    def _go_on(self, b: PETSc.Vec, x: PETSc.Vec, error: float, norm: int) -> None:
+        """Solve N x = b from x₀ on, up to an error in a norm; NaN if it fails. Collective."""
+        self._ksp.setNormType(norm)
+        self._ksp.setTolerances(rtol=0.0, atol=error, max_it=ITERATIONS)
         self._ksp.solve(b, x)
         if self._ksp.getConvergedReason() < 0:
             x.set(np.nan)
 
-    def _precondition(self, _pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
+    def _precondition(self, _pc: PETSc.PC | None, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Compute z = (I − Z A₁⁻¹ (N Z)ᵀ) D r."""
         self._schwarz.apply(r, self._y)  # y = D r
         self._NZ.multTranspose(self._y, self._e)
@@ -189,7 +208,8 @@ class ClusteredSolver:
         b, x = self._N.createVecs()
         x.array[:] = np.random.default_rng(self._comm.rank).standard_normal(len(x.array_r))
         self._N.mult(x, b)  # in the range of N, where columns depend
-        self._solve(b, x, RELATIVE * b.norm(), PETSc.KSP.NormType.UNPRECONDITIONED)
+        self._begin(b, x)
+        self._go_on(b, x, RELATIVE * b.norm(), PETSc.KSP.NormType.UNPRECONDITIONED)
         for owned in (b, x):
             owned.destroy()
         return self._ksp.getConvergedReason() > 0 and not self._third.pivots().negative

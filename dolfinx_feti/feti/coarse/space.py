@@ -190,7 +190,7 @@ class AveragedSpace:
     def initial_guess(self, r: Array, *, exact: bool = False) -> Array:
         """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective.
 
-        What an iterative solver leaves of it, if it need not be ``exact``, is for corrections.
+        An iterative solver may leave a share of its energy, if it need not be ``exact``.
         """
         energy = None if exact else 0.0
         return self.V.prolong(self.solve(self.V.restrict(r), first=True, energy=energy))
