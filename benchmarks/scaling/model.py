@@ -22,9 +22,9 @@ The coarse matrix of K unknowns, with L entries in its factor and Φ operations 
 as ``dolfinx_feti.feti.coarse.gathered`` does: each process has a factor, c = 1, up to 2²⁶ entries,
 beyond that each of the P/c groups of c = ⌈K/4000⌉ processes. Up to 128 P unknowns a process keeps a
 block of K/g rows and columns of the inverse, where g groups of processes have g (g + 1)/2 pairs; it
-gathers and sums in two groups, an allreduce in each; of K/P rows of the inverse six take the time
-of a solve, and they are handed on. With a factor each solve gathers K numbers and one of each
-process on all, which is one of the reductions:
+gathers and sums in two groups, which takes as long as an allreduce in each. Of the K/P rows of the
+inverse that a process forms, six take the time of a solve, and they are handed on. With a factor
+each solve gathers K numbers and one of each process on all, which is one of the reductions:
 
 .. math::
 
@@ -33,9 +33,9 @@ process on all, which is one of the reductions:
     t_{coarse} = t_1 / P + Φ / (c R) + \frac{K}{6 P} \frac{16\, L}{V} + \frac{8\, K^2}{P W} .
 
 Where ``coarse.clustered`` takes clusters, i₃ iterations of CG take the place, each with K/P rows of
-N and its small systems; m exchanges with twice as many neighbours as were counted for N, and with
-as many for the small systems, if they overlap, and for the clusters, there and back; a reduction;
-and a solve as above with the matrix of the clusters:
+N and its small systems, a reduction, a solve as above with the matrix of the clusters, and m n
+messages, with n neighbours as counted: 2 n for the rows of N, which reach farther, and there and
+back n each for the clusters and, where they overlap, for the small systems,
 
 .. math::
 

@@ -161,18 +161,18 @@ class ClusteredSolver:
             size, norm = float(np.sqrt(square)), PETSc.KSP.NormType.UNPRECONDITIONED
             self._largest = max(0.0 if first else self._largest, size)
             error = min(TOLERANCE * self._largest, RELATIVE * size)
-            self._begin(b, x)
+            self._on_clusters(self._Z, b, x)  # x₀ = Z A₁⁻¹ Zᵀ b
             if energy is not None:
                 norm = PETSc.KSP.NormType.NATURAL
                 error = ENERGY * float(np.sqrt(max(0.0, squared)))
                 if error == 0.0:
                     error = START * float(np.sqrt(self._energy_left(b, x)))
-            self._go_on(b, x, error, norm)
+            self._iterate(b, x, error, norm)
         return float(sum_)
 
-    def _begin(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Compute x₀ = Z A₁⁻¹ Zᵀ b. Collective."""
-        self._Z.multTranspose(b, self._e)
+    def _on_clusters(self, X: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Compute x = Z A₁⁻¹ Xᵀ b. Collective."""
+        X.multTranspose(b, self._e)
         self._third.solve(self._e, self._c)
         self._Z.mult(self._c, x)
 
@@ -187,7 +187,7 @@ class ClusteredSolver:
             owned.destroy()
         return squared
 
-    def _go_on(self, b: PETSc.Vec, x: PETSc.Vec, error: float, norm: int) -> None:
+    def _iterate(self, b: PETSc.Vec, x: PETSc.Vec, error: float, norm: int) -> None:
         """Solve N x = b from x₀ on, up to an error in a norm; NaN if it fails. Collective."""
         self._ksp.setNormType(norm)
         self._ksp.setTolerances(rtol=0.0, atol=error, max_it=ITERATIONS)
@@ -198,9 +198,7 @@ class ClusteredSolver:
     def _precondition(self, _pc: PETSc.PC | None, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Compute z = (I − Z A₁⁻¹ (N Z)ᵀ) D r."""
         self._schwarz.apply(r, self._y)  # y = D r
-        self._NZ.multTranspose(self._y, self._e)
-        self._third.solve(self._e, self._c)
-        self._Z.mult(self._c, z)
+        self._on_clusters(self._NZ, self._y, z)
         z.aypx(-1.0, self._y)  # z = y − Z A₁⁻¹ (N Z)ᵀ y
 
     def is_definite(self) -> bool:
@@ -208,8 +206,8 @@ class ClusteredSolver:
         b, x = self._N.createVecs()
         x.array[:] = np.random.default_rng(self._comm.rank).standard_normal(len(x.array_r))
         self._N.mult(x, b)  # in the range of N, where columns depend
-        self._begin(b, x)
-        self._go_on(b, x, RELATIVE * b.norm(), PETSc.KSP.NormType.UNPRECONDITIONED)
+        self._on_clusters(self._Z, b, x)
+        self._iterate(b, x, RELATIVE * b.norm(), PETSc.KSP.NormType.UNPRECONDITIONED)
         for owned in (b, x):
             owned.destroy()
         return self._ksp.getConvergedReason() > 0 and not self._third.pivots().negative
@@ -221,7 +219,7 @@ class ClusteredSolver:
     def memory(self) -> float:
         """Return the memory of D, Z, N Z and A₁ over all processes in MiB. Collective."""
         entries = sum(M.getInfo()["nz_used"] for M in (self._Z, self._NZ))
-        own = self._schwarz.memory() + 12.0 * entries
+        own = self._schwarz.nbytes + 12.0 * entries
         return total(own, self._comm) / 2**20 + (self._third.memory() or 0.0)
 
     def __str__(self) -> str:
@@ -293,23 +291,22 @@ def number_of_clusters(subdomains: int, processes: int) -> int:
     return max(1, subdomains // MOST, min(subdomains // FEWEST, spread))
 
 
-def _clusters(N: PETSc.Mat, couples: CoupledSubdomains, prefix: str) -> npt.NDArray[np.int32]:
+def _clusters(N: PETSc.Mat, graph: CoupledSubdomains, prefix: str) -> npt.NDArray[np.int32]:
     """Return the cluster of each subdomain of this process, (subdomains,). Collective."""
-    indptr, indices = couples.indptr, couples.indices
-    own, n = len(indptr) - 1, len(couples.starts) - 1
-    sizes = (own, n)
+    indptr, indices, n = graph.indptr, graph.indices, len(graph.starts) - 1
+    sizes = (len(indptr) - 1, n)
     csr = (indptr.astype(PETSc.IntType), indices.astype(PETSc.IntType), np.ones(len(indices)))
-    graph = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=N.comm)
-    graph.convert("mpiadj")
+    adjacency = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=N.comm)
+    adjacency.convert("mpiadj")
     partitioning = PETSc.MatPartitioning().create(N.comm)
     partitioning.setOptionsPrefix(prefix)
-    partitioning.setAdjacency(graph)
+    partitioning.setAdjacency(adjacency)
     with inserted(prefix, {"mat_partitioning_nparts": number_of_clusters(n, N.comm.size)}):
         partitioning.setFromOptions()
     numbers = PETSc.IS()
     partitioning.apply(numbers)
     cluster = numbers.getIndices().copy()
-    for owned in (numbers, partitioning, graph):
+    for owned in (numbers, partitioning, adjacency):
         owned.destroy()
     return cluster
 

@@ -117,7 +117,7 @@ class GatheredSolver:
                 f"-{prefix}…"
             ) from error
         if rows is not None and self._is_accurate(N, rows):
-            starts = np.append(0, np.cumsum(self._counts - 1))
+            starts = np.asarray(N.getOwnershipRanges(), dtype=np.int64)
             self.inverse = SpreadInverse(rows, starts, symmetric=symmetric, comm=comm)
 
     def solve(

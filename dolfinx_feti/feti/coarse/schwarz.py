@@ -75,9 +75,10 @@ class SchwarzBlocks:
         backward, add = PETSc.ScatterMode.REVERSE, PETSc.InsertMode.ADD_VALUES
         self._scatter.scatter(self._near, y, addv=add, mode=backward)
 
-    def memory(self) -> float:
-        """Return the memory of the blocks of this process in bytes."""
-        return float(sum(inverse.nbytes + places.nbytes for places, inverse in self._blocks))
+    @property
+    def nbytes(self) -> int:
+        """Memory of the blocks of this process in bytes."""
+        return sum(inverse.nbytes + places.nbytes for places, inverse in self._blocks)
 
     def destroy(self) -> None:
         """Free vector and scatter."""

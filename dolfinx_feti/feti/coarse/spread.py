@@ -32,7 +32,6 @@ __all__ = ["SpreadInverse", "number_of_groups", "pairs_of_groups"]
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
 
-
 #: Where the communicators of the groups are kept.
 _KEY = MPI.Comm.Create_keyval()
 
@@ -52,13 +51,12 @@ class SpreadInverse:
             comm: Communicator of N.
         """
         pairs, home = pairs_of_groups(comm.size)
-        mine, size = pairs[comm.rank], np.diff(starts)
+        size = np.diff(starts)
         order = np.argsort(home, kind="stable")
         grouped = expanded(starts[order], size[order])  # rows of all groups, one after the other
         ends = np.cumsum(np.bincount(home, weights=size).astype(np.int64))
         rows_of = np.split(grouped, ends)  # and none
-        self._groups = []
-        blocks = []
+        self._groups, blocks = [], []
         for number, own in _communicators(comm, pairs).items():
             members = _members(pairs, number)
             counts = np.where(home[members] == number, size[members], 0)
@@ -66,7 +64,7 @@ class SpreadInverse:
             self._groups.append(group)
             other = np.where(pairs[members, 1] < 0, -1, pairs[members].sum(axis=1) - number)
             blocks.append(group.collect(rows, [rows_of[int(o)] for o in other]))
-        self._blocks = blocks if mine[1] >= 0 else []
+        self._blocks = blocks if pairs[comm.rank, 1] >= 0 else []
         if symmetric and len(self._blocks) == 2:
             self._blocks[1] = self._blocks[0].T
 

@@ -69,7 +69,7 @@ def test_sum_of_inverse_blocks(others, chain, distributed):
     for _ in range(2):
         blocks.apply(r, y)
         equal(whole(y.array_r), D @ whole(r.array_r), 1e-12)
-    agree(blocks.memory() >= 8.0 * (SIZES**2).sum())
+    agree(blocks.nbytes >= 8 * (SIZES**2).sum())
     for owned in (blocks, r, y):
         owned.destroy()
 
