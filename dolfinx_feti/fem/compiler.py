@@ -22,7 +22,7 @@ from dolfinx_feti.runtime.native import processor_flags
 __all__ = ["Compiler"]
 
 #: Flags that leave NaN alone.
-FAST = ["-O3", "-fno-math-errno", "-fno-trapping-math"]
+FAST = ["-O3", "-fno-inline-small-functions", "-fno-math-errno", "-fno-trapping-math"]
 
 
 @dataclass(frozen=True, slots=True)
