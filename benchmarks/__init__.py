@@ -15,3 +15,5 @@ knows itself and ``common``.
 In the order of the data: common, cube, tube, compare, nonlinear, scaling, load_stepping,
 subdomains, inf_sup, published, random_walls.
 """
+
+from mpi4py import MPI  # noqa: F401  before all that is linked with the MPI library

@@ -33,13 +33,12 @@ import sys
 import time
 
 import petsc4py
+from mpi4py import MPI
 
 from common.arguments import parse, parser
 
 args, petsc_options, rest = parse(sys.argv[1:])
 petsc4py.init([sys.argv[0], *rest])
-
-from mpi4py import MPI
 
 import numpy as np
 from common import pictures

@@ -24,10 +24,10 @@ import sys
 from pathlib import Path
 
 import petsc4py
+from mpi4py import MPI
 
 petsc4py.init([word for word in sys.argv if word != "-f" and not word.endswith(".json")])
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import matplotlib.pyplot as plt

@@ -7,6 +7,21 @@ In the order of the data: errors, runtime, torn, mechanics, workshop, wall, fem,
 diagnosis, problems, loading, output, comparison.
 """
 
+try:
+    # First: the dolfinx of pip's wheels finds the MPI library that mpi4py has loaded.
+    from mpi4py import MPI  # noqa: F401
+    from petsc4py import PETSc  # noqa: F401
+
+    import dolfinx  # noqa: F401
+except ImportError as error:
+    raise ImportError(
+        f"dolfinx_feti needs dolfinx 0.9 to 0.11 with petsc4py ({error}). Any of these will do:\n"
+        '  pip, Python >= 3.12, Linux   pip install "dolfinx_feti[wheel]"\n'
+        "  conda                        conda install -c conda-forge fenics-dolfinx petsc4py\n"
+        "  Docker                       docker run -it dolfinx/dolfinx:stable\n"
+        "  Debian >= 13, Ubuntu         sudo apt install python3-dolfinx"
+    ) from error
+
 from dolfinx_feti.comparison.run import compare
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.feti import FETI

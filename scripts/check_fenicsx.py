@@ -19,6 +19,7 @@ for name in NEEDED + (DOCS if sys.argv[1:] == ["docs"] else []):
         sys.exit(f"it has no {name}")
 
 try:
+    from mpi4py import MPI  # noqa: F401  before all that is linked with the MPI library
     from petsc4py import PETSc
 
     import numpy as np

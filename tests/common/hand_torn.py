@@ -55,7 +55,7 @@ class HandTorn:
     @property
     def K_torn(self) -> Array:
         """Block-diagonal K, (n, n)."""
-        return scipy.sparse.block_diag(self.K).toarray()
+        return scipy.sparse.block_diag([*self.K, scipy.sparse.coo_array((0, 0))]).toarray()
 
     @property
     def to_global(self) -> npt.NDArray[np.int64]:

@@ -242,6 +242,8 @@ def test_missing(monkeypatch):
         monkeypatch.setitem(settings.SETTINGS, name, lacking)
     agree(settings.missing("hypre", 1) == "this PETSc was built without nothing")
     agree("there is no module nothing" in settings.missing("pardiso", 1))
+    there = replace(settings.SETTINGS["cholmod"], package="")
+    monkeypatch.setitem(settings.SETTINGS, "cholmod", there)
     agree(settings.missing("cholmod", 2) == "it runs on one process only")
     agree(settings.missing("feti", 2) == settings.missing("gamg", 1) == "")
     found = compare(linear(poisson(cube(2, 4)), 3), ["fieldsplit", "feti"])

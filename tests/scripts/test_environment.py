@@ -288,10 +288,8 @@ def test_a_killed_set_up_is_cleared_by_the_next(slow: Machine) -> None:
 
 
 def test_one_version_of_ruff_and_of_the_package() -> None:
-    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]
-    (ruff,) = (
-        need for need in project["optional-dependencies"]["lint"] if need.startswith("ruff==")
-    )
+    groups = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["dependency-groups"]
+    (ruff,) = (need for need in groups["lint"] if need.startswith("ruff=="))
     assert ruff in (CHECKOUT / "scripts/debian-packages").read_text().split()
     assert f"\nversion: {dolfinx_feti.__version__}\n" in (CHECKOUT / "CITATION.cff").read_text()
 

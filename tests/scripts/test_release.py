@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shutil
@@ -37,7 +38,7 @@ import dolfinx, ufl
 import dolfinx_feti
 
 home = Path(dolfinx_feti.__file__)
-assert home.is_relative_to(sys.prefix), home
+assert home.is_relative_to(sys.path[0]), home
 assert (home.parent / "py.typed").is_file()
 mesh = dolfinx.mesh.create_unit_square(MPI.COMM_WORLD, 8, 8)
 V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
@@ -113,11 +114,41 @@ def test_wheel_holds_the_package_alone(wheel):
 
 
 def test_wheel_serves_where_there_is_no_checkout(wheel, tmp_path):
-    run(sys.executable, "-m", "venv", "--without-pip", "--system-site-packages", "it", cwd=tmp_path)
-    python = tmp_path / "it/bin/python"
-    pip = [sys.executable, "-m", "pip", "--python", python, "install"]
-    run(*pip, "--no-deps", "--no-index", "--no-build-isolation", wheel, cwd=tmp_path)
-    assert run(python, "-c", USE, cwd=tmp_path).split()[-1] == dolfinx_feti.__version__
+    """In a folder of its own: a virtual environment would not find MPI beside its parent."""
+    offline = ("--no-deps", "--no-index", "--no-build-isolation")
+    run(sys.executable, "-m", "pip", "install", *offline, "--target", "it", wheel, cwd=tmp_path)
+    code = f"import sys; sys.path.insert(0, {str(tmp_path / 'it')!r}){USE}"
+    assert run(sys.executable, "-c", code, cwd=tmp_path).split()[-1] == dolfinx_feti.__version__
+
+
+@pytest.mark.parametrize("lacking", ["mpi4py", "petsc4py", "dolfinx"])
+def test_without_dolfinx_one_message_opens_each_door(lacking):
+    code = f"import sys; sys.modules[{lacking!r}] = None; import dolfinx_feti"
+    command = [sys.executable, "-c", code]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    message = result.stderr[result.stderr.rindex("ImportError: ") :]
+    for door in "dolfinx_feti[wheel]", "conda install", "docker run", "apt install":
+        assert message.count(door) == 1
+    assert lacking in message
+
+
+def test_dependencies_are_what_the_package_imports():
+    """Those that PyPI lacks, or that pip would have to build, come with dolfinx."""
+    trees = (ast.parse(path.read_text()) for path in (ROOT / "dolfinx_feti").rglob("*.py"))
+    names = {
+        (node.module or "" if isinstance(node, ast.ImportFrom) else alias.name).split(".")[0]
+        for tree in trees
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for alias in node.names
+    }
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    needs = [re.match(r"[\w-]+", need)[0] for need in project["dependencies"]]
+    with_dolfinx = {"basix", "dolfinx", "ffcx", "petsc4py", "ufl"}
+    at_choice = {"matplotlib", "mpl_toolkits", "pypardiso"}
+    own = {"dolfinx_feti", *sys.stdlib_module_names}
+    assert names - own - at_choice == set(needs) | with_dolfinx
+    assert all(">=" in need for need in project["dependencies"])
 
 
 def test_changelog_begins_with_the_version():

@@ -41,7 +41,7 @@ from dolfinx_feti.feti.coarse.fields import averaged_fields
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.coarse.near import NearColumns, joined
 from dolfinx_feti.feti.gluing.copies import Copies, consecutive
-from dolfinx_feti.feti.subdomain.blocks import on_subdomains
+from dolfinx_feti.feti.subdomain.blocks import block_diagonal, on_subdomains
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.orthonormal import diagonalising, unit_scale
 from dolfinx_feti.torn.null_space import anchor, null_space
@@ -311,9 +311,7 @@ def _independent(A: PETSc.Mat, blocks: Sequence[slice]) -> scipy.sparse.csr_arra
     size = A.getLocalSize()[0]
     local = scipy.sparse.csr_array((values, indices, indptr), shape=(size, size))
     combinations = [_unit_energy(local[rows][:, rows].toarray()) for rows in blocks]
-    if not combinations:
-        return scipy.sparse.csr_array((0, 0))
-    basis = scipy.sparse.csr_array(scipy.sparse.block_diag(combinations, format="csr"))
+    basis = block_diagonal(combinations)
     basis.eliminate_zeros()
     return basis
 

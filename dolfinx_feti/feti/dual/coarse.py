@@ -31,7 +31,6 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.clustered import create_coarse_solver
@@ -40,7 +39,7 @@ from dolfinx_feti.feti.dual.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.dual.weighted import WeightedColumns
 from dolfinx_feti.feti.gluing.jump import Gluing
 from dolfinx_feti.feti.gluing.weights import Weights
-from dolfinx_feti.feti.subdomain.blocks import own_columns
+from dolfinx_feti.feti.subdomain.blocks import block_diagonal, own_columns
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.null_space import anchor, null_space
@@ -185,10 +184,7 @@ class Coarse:
 
     def _block_diagonal(self, blocks: list[Array]) -> PETSc.Mat:
         """Assemble a block for each subdomain, (k_i, k_i), into a matrix, (K, K)."""
-        blocks = [block for block in blocks if len(block)]
-        local = scipy.sparse.csr_array(
-            scipy.sparse.block_diag(blocks, format="csr") if blocks else (0, 0)
-        )
+        local = block_diagonal([block for block in blocks if len(block)])
         csr = (
             local.indptr.astype(PETSc.IntType),
             (local.indices + self.start).astype(PETSc.IntType),

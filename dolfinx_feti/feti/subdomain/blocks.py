@@ -25,6 +25,7 @@ from dolfinx_feti.torn.matrix import Torn
 
 __all__ = [
     "as_slice",
+    "block_diagonal",
     "index_set",
     "named",
     "on_subdomains",
@@ -36,6 +37,12 @@ __all__ = [
 T = TypeVar("T")
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
+
+
+def block_diagonal(blocks: Sequence[Array]) -> scipy.sparse.csr_array:
+    """Return dense blocks, (r_i, c_i), as the diagonal of a sparse matrix; zeros are stored."""
+    # The empty block makes the result a sparse array, also where there is no other.
+    return scipy.sparse.block_diag([*blocks, scipy.sparse.coo_array((0, 0))], format="csr")
 
 
 class named:  # noqa: N801

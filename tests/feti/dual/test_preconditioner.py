@@ -48,7 +48,7 @@ def props_of(system):
     for dofs, Z in zip(system.operator.dofs, modes_of(system).stabilisation, strict=True):
         columns.append(np.zeros((torn.n, Z.shape[1])))
         columns[-1][dofs] = Z
-    return scipy.sparse.block_diag(COMM.allgather(np.hstack(columns))).toarray()
+    return scipy.linalg.block_diag(*COMM.allgather(np.hstack(columns)))
 
 
 def weight_of(problem, system, pc_type):

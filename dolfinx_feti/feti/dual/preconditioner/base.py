@@ -25,10 +25,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse
 
 from dolfinx_feti.feti.dual.linear_map import LinearMap
 from dolfinx_feti.feti.gluing.weights import Weights
+from dolfinx_feti.feti.subdomain.blocks import block_diagonal
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.panels import Panels
 
@@ -55,9 +55,7 @@ class Preconditioner(ABC):
         self.B_D = LinearMap(weights.B_D)
         self.stabilisation = [self.condense_stabilisation(i, Z_i) for i, Z_i in enumerate(Z)]
         self._Γ = np.concatenate([*operator.interface, np.zeros(0, dtype=np.int32)])
-        blocks = self.stabilisation
-        together = scipy.sparse.block_diag(blocks, format="csr") if blocks else (0, 0)
-        self._Y_Z = scipy.sparse.csr_array(together)
+        self._Y_Z = block_diagonal(self.stabilisation)
 
     def apply(self, r: Array) -> tuple[Array, Array]:
         """Return z = M r, (m,), and the unbalanced force t, (n,), of a jump r, (m,). Collective."""
