@@ -23,7 +23,7 @@ comma := ,
 # B u = b, P² = P, F, M and the primal form, on two.
 identities_1 := tests/torn tests/feti/subdomain tests/feti/test_against_direct.py
 identities_2 := $(filter-out %/subdomain/ %/regularity/,$(wildcard tests/feti/[a-z]*/))
-shell_scripts := scripts/with-fenicsx scripts/debian-tree scripts/run-tests .ci/run
+shell_scripts := scripts/with-fenicsx scripts/debian-tree .ci/run
 
 .PHONY: help demo test sanitize figures bench bench-compare bench-linear bench-nonlinear bench-scaling lint check docs clean
 
@@ -35,7 +35,7 @@ demo: ## inflate the artery's wall, next to a direct solver; pictures in output/
 	$(with) $(python) demos/demo_artery.py $(ARGS)
 
 test: ## the whole suite on 1, 2 and 3 processes, and some of it on 4 and 8
-	$(with) scripts/run-tests $(ARGS)
+	$(with) python3 scripts/run_tests.py $(ARGS)
 
 sanitize: flags = -O1 -g -fno-omit-frame-pointer -fsanitize=address,undefined -fno-sanitize-recover=all
 sanitize: stopping = ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1
@@ -109,8 +109,8 @@ changed = $(sort $(shell git diff --name-only --diff-filter=d $$(git merge-base 
 
 check: ## lint of what has changed since main, and the tests of identities; under a minute
 	$(call lint_files,$(filter %.py,$(changed)),$(filter %.py %.md %.toml %.c,$(changed)),$(filter $(shell_scripts),$(changed)))
-	$(with) env DOLFINX_FETI_TEST_PROCESSES=1 scripts/run-tests $(identities_1) $(ARGS)
-	$(with) env DOLFINX_FETI_TEST_PROCESSES=2 scripts/run-tests $(identities_2) $(ARGS)
+	$(with) env DOLFINX_FETI_TEST_PROCESSES=1 python3 scripts/run_tests.py $(identities_1) $(ARGS)
+	$(with) env DOLFINX_FETI_TEST_PROCESSES=2 python3 scripts/run_tests.py $(identities_2) $(ARGS)
 
 docs: export FENICSX_PACKAGES = docs
 docs: ## the site in build/docs/, with every demo executed, looked at in a browser; about 5 minutes

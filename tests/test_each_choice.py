@@ -22,6 +22,8 @@ def test_combination(letter, one, other):
 
 def test_each_choice():
     """All combinations on one process; else four, with all letters and all of the pairs."""
+    if not TRIED:
+        pytest.skip("test_combination, whose choice this looks at, is not selected")
     if COMM.size == 1:
         agree(sorted(TRIED) == sorted(itertools.product(LETTERS, PAIRS)), TRIED)
     else:

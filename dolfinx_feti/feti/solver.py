@@ -252,7 +252,8 @@ class FETI:
         if form is None:
             x.set(0.0)
             return Solution(Reason.DIVERGED_PCSETUP_FAILED)
-        if self._refused():
+        other_form = form.inertia.indefinite and lasting.may_change and not form.solves_indefinite
+        if self._refused() or other_form:
             x.set(0.0)
             return Solution(Reason.DIVERGED_INDEFINITE_MAT)
         with event("FETISolve"):
@@ -295,7 +296,6 @@ class FETI:
                 target=AIM * target,
                 max_it=most - iterations,
                 monitor=monitor_from(spent + iterations, show_start=spent + start == 0),
-                saddles=not self._refuse,
             )
             solutions.append(solution)
             iterations += solution.iterations

@@ -9,7 +9,7 @@ import itertools
 
 import numpy as np
 import pytest
-from collective import agree, norm, raises, small, whole
+from collective import agree, norm, raises, small
 from problems import (
     Cell,
     Problem,
@@ -156,9 +156,7 @@ def test_what_moves_with_moments_as_dofs(dim, formulation, solve):
 @every_type
 def test_symmetry_conditions_of_a_quarter(kind, solve):
     """One component on each of three faces: no subdomain is clamped, the body is."""
-    mesh = cube(3, 3)
-    V = elasticity(mesh).V
-    free = elasticity(mesh, clamped=None)
+    free = elasticity(cube(3, 3), clamped=None)
     bcs = [
         dirichlet(free.V, lambda x, j=j: np.isclose(x[j], 0.0), lambda x: 0.1 * x[0], component=j)
         for j in range(3)
@@ -166,7 +164,6 @@ def test_symmetry_conditions_of_a_quarter(kind, solve):
     problem = Problem(free.V, free.a, free.L, bcs)
     linear = solve(problem, 12, {"feti_type": kind, "ksp_rtol": 1e-10})
     small(difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
-    agree(V.mesh is mesh)
 
 
 @every_type
@@ -278,4 +275,3 @@ def test_second_solve_sees_new_coefficients_and_values(solve):
     for k.value, load.value, g.value in ((1.0, 1.0, 0.0), (1.0, -2.0, 0.5), (30.0, 3.0, -1.0)):
         linear.solve()
         small(difference(owned(linear.u), changing.solve_directly()), TOLERANCE)
-    agree(len(whole(owned(linear.u))) > 0)

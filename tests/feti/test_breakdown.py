@@ -11,7 +11,6 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-import scipy.linalg
 from collective import agree, equal, raises, whole
 from problems import cube, elasticity, owned, poisson
 
@@ -355,4 +354,3 @@ def test_indefinite_form_is_solved_or_said(solve):
     equal(owned(linear.u), wave.solve_directly(), 1e-7)
     with raises(dolfinx_feti.ConvergenceError, "feti_dual_ksp_type gmres"):
         solve(wave, 6, {"feti_dual_ksp_type": "cg"})
-    agree(scipy.linalg.norm(owned(linear.u)) < np.inf)

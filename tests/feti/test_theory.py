@@ -95,8 +95,9 @@ def test_no_eigenvalue_below_one(grid, kind, torn_grid, feti):
         ("preconditioner", "diagonal", "identity"),
     ):
         options = {"pc_type": pc_type, "scaling": scaling, "coarse_q": q}
-        low, _ = spectrum(feti, problem, type=kind, **options)
-        agree(not low < 1.0 - ROUNDING, (options, low))  # nan if no iteration is needed
+        low, high = spectrum(feti, problem, type=kind, **options)
+        exact = len(grid["subdomains"]) == 1 and np.isnan(high)  # in a row, no iteration is needed
+        agree(exact or low >= 1.0 - ROUNDING, (options, low))
 
 
 @pytest.mark.parametrize("grid", [GRIDS["cross points"], GRIDS["plane strain"]])

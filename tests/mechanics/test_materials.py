@@ -6,8 +6,6 @@
 from __future__ import annotations
 
 import dataclasses
-import tempfile
-import time
 from functools import partial
 
 from mpi4py import MPI
@@ -331,18 +329,15 @@ def all_forms(w, pressure, ds):
 
 
 @pytest.mark.serial
-def test_all_forms_compile_within_30_seconds():
-    comm = MPI.COMM_WORLD
-    w = wall(comm, metadata={"quadrature_degree": 4})
-    with tempfile.TemporaryDirectory() as own:
-        cache = comm.bcast(own)
-        start = time.perf_counter()
-        pressure = dolfinx.fem.Constant(w.u.function_space.mesh, 1.3)
-        for form in all_forms(w, pressure, ufl.ds(metadata={"quadrature_degree": 4})).values():
-            dolfinx.fem.form(form, jit_options={"cache_dir": cache})
-        seconds = time.perf_counter() - start
-        comm.Barrier()
-    assert comm.allreduce(seconds, MPI.MAX) < 30
+def test_code_of_all_forms_is_short(tmp_path):
+    """Compilation takes time in proportion to the code, of which UFL could make much more."""
+    w = wall(MPI.COMM_WORLD, metadata={"quadrature_degree": 4})
+    pressure = dolfinx.fem.Constant(w.u.function_space.mesh, 1.3)
+    forms = all_forms(w, pressure, ufl.ds(metadata={"quadrature_degree": 4}))
+    for form in forms.values():
+        dolfinx.fem.form(form, jit_options={"cache_dir": tmp_path})
+    code = {path.name: path.stat().st_size for path in tmp_path.rglob("*.c")}
+    assert 0 < sum(code.values()) < 900_000, code
 
 
 def test_forms_by_finite_differences():

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import gc
-import time
 import weakref
 
 from mpi4py import MPI
@@ -243,17 +242,13 @@ def test_explosive_quadrature(degree, material, given, expected, caplog, monkeyp
 
 
 @pytest.mark.serial
-def test_forms_compile_quickly(tmp_path, monkeypatch):
+def test_code_of_a_problem_is_short(tmp_path, monkeypatch):
     """All forms of a P2–P0 problem of two layers of HGO, on an empty cache."""
     default = dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS
-    monkeypatch.setitem(default, "cache_dir", (str(tmp_path / "fenics"), "an empty cache"))
-    body = wall(tube(), degree=2)
-    COMM.Barrier()
-    start = time.perf_counter()
-    body.problem(4)
-    seconds = time.perf_counter() - start
-    agree(any((tmp_path / "fenics").iterdir()), "the cache is not the one that was measured")
-    small(seconds, 60.0)
+    monkeypatch.setitem(default, "cache_dir", (str(tmp_path), "an empty cache"))
+    wall(tube(), degree=2).problem(4)
+    code = {path.name: path.stat().st_size for path in tmp_path.rglob("*.c")}
+    agree(0 < sum(code.values()) < 350_000, code)
 
 
 def test_nothing_is_left_behind():

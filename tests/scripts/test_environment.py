@@ -210,11 +210,77 @@ def test_own_python_has_to_have_what_the_docs_need(machine: Machine) -> None:
     assert machine.run("true").returncode == 0
     assert not machine.calls("debootstrap")
     result = machine.run("true", FENICSX_PACKAGES="docs", FENICSX_SUITE="trixie")
-    assert "asks for a Debian tree" in result.stderr
+    assert "FENICSX_SUITE is trixie" in result.stderr
     machine.play("id", "echo 1000")
     result = machine.run("true", FENICSX_PACKAGES="docs", DOLFINX_FETI_ENV="/nowhere")
     assert result.returncode == OWN_FAILURE
     assert "it has no myst_nb" in result.stderr and "scripts/debian-packages-docs" in result.stderr
+
+
+# ---- the virtual environment ------------------------------------------------------------------
+
+#: A Python without dolfinx that can make an environment, whose Python has it.
+PYTHON = """
+    case "$*" in
+        *check_fenicsx*) echo "it has no dolfinx" >&2; exit 1 ;;
+        *requirements*) shift; echo numpy; echo "dolfinx-solver-real; groups: $*" ;;
+        -m*venv*)
+            mkdir -p "$3/bin"
+            printf '#!/bin/sh\necho "environment $*" >>"$CALLS"; exit 0\n' >"$3/bin/python3"
+            chmod +x "$3/bin/python3" ;;
+    esac
+    """
+
+
+@pytest.fixture
+def visitor(machine: Machine) -> Machine:
+    """A machine on which nobody is root, with Python and a compiler."""
+    machine.play("id", "echo 1000")
+    machine.play("cc", "")
+    machine.play("python3", PYTHON)
+    return machine
+
+
+def test_without_root_pip_brings_dolfinx(visitor: Machine) -> None:
+    result = visitor.run("sh", "-c", 'echo "$VIRTUAL_ENV,$PYTHONPATH"; python3 it')
+    assert result.returncode == 0
+    assert result.stdout == f"{visitor.trees}/pip,{visitor.checkout}\n"
+    first, check, it = visitor.calls("environment")
+    assert "install" in first and "numpy dolfinx-solver-real; groups: test lint" in first
+    assert "check_fenicsx" in check and it == "environment it"
+    again = visitor.run("true", FENICSX_SUITE="pip")
+    assert (again.returncode, again.stderr) == (0, "")
+    assert len(visitor.calls("environment")) == 3
+    assert visitor.left() == {"pip"}
+    assert visitor.run("true", FENICSX_PACKAGES="docs").returncode == 0
+    assert "groups: test lint docs" in visitor.calls("environment")[3]
+    assert visitor.left() == {"pip", "pip-docs"}
+
+
+def test_pip_in_place_of_a_tree(visitor: Machine) -> None:
+    """Where mounting is not allowed, or if asked for; not where a suite of Debian is."""
+    visitor.play("id", "echo 0")
+    assert visitor.run("true", FENICSX_SUITE="pip").returncode == 0
+    assert visitor.left() == {"pip"}
+    visitor.play("unshare", "exit 1")
+    assert visitor.run("true").returncode == 0
+    assert visitor.run("true", FENICSX_SUITE="trixie").returncode == OWN_FAILURE
+    assert not visitor.calls("debootstrap")
+
+
+@pytest.mark.parametrize("lacking", ["compiler", "Python", "network"])
+def test_no_environment(visitor: Machine, lacking: str) -> None:
+    if lacking == "compiler":
+        (visitor.bin / "cc").unlink()
+    elif lacking == "Python":
+        visitor.play("python3", 'case "$*" in *ensurepip*|*check*) exit 1 ;; esac')
+    else:
+        visitor.play("python3", PYTHON.replace("exit 0", "echo ERROR: no route; exit 1"))
+    result = visitor.run("true", FENICSX_SUITE="pip")
+    assert result.returncode == OWN_FAILURE
+    cause = "ERROR: no route" if lacking == "network" else "Python 3.12 or newer .* compiler"
+    assert re.search(f"cannot set up a virtual environment: .*{cause}", result.stderr, re.DOTALL)
+    assert visitor.left() == set()
 
 
 # ---- two at once, and interruptions ---------------------------------------------------------

@@ -1,74 +1,128 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""`scripts/run-tests` with a played `mpirun` and `pytest`."""
+"""`scripts/run_tests.py` on small suites of its own, with the real mpirun and pytest."""
 
 from __future__ import annotations
 
 import os
-import tempfile
+import shutil
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import pytest
-from fake_machine import Machine
 
 pytestmark = pytest.mark.serial
 
-# Two processes; like the real one, it ends the first as soon as the second leaves with a failure.
-MPIRUN = """
-    [ "$1" != --version ] || exit 0
-    shift 2
-    "$@" & first=$!
-    OMPI_COMM_WORLD_RANK=1 "$@" || { status=$?; kill $first; exit $status; }
-    wait $first
-    """
-# The second waits for the first to speak; {patience} lets the first be the last to leave.
-PYTEST = """
-    if [ "$OMPI_COMM_WORLD_RANK" = 1 ]; then
-        while ! grep -q said build/tests/np2.rank0.log; do sleep 0.02; done
-        echo "said by 1"
-        exit {second}
-    fi
-    echo "said by 0"
-    sleep {patience}
-    exit {first}
-    """
+SCRIPT = Path(__file__).resolve().parents[2] / "scripts/run_tests.py"
+HEAD = """
+import os, time
+from mpi4py import MPI
+import pytest
+comm = MPI.COMM_WORLD
+"""
 
 
-@pytest.mark.parametrize(
-    ("first", "second", "patience"),
-    [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0.2), (0, 139, 1)],
-    ids=["passed", "first", "both", "second", "crash"],
-)
-def test_a_failure_on_any_process_is_one(first: int, second: int, patience: float) -> None:
-    with tempfile.TemporaryDirectory(prefix="dolfinx_feti-") as folder:
-        machine = Machine.create(Path(folder).resolve())
-        machine.play("mpirun", MPIRUN)
-        machine.play("python3", PYTEST.format(first=first, second=second, patience=patience))
-        result = machine.run("scripts/run-tests", DOLFINX_FETI_TEST_PROCESSES="2")
-    failed = first != 0 or second != 0
-    assert (result.returncode != 0) == failed
-    assert f"np 2: {'FAILED' if failed else 'ok'}, said by 0" in result.stdout
-    # The second speaks when the first has nothing to complain of.
-    assert ("said by 1" in result.stdout) == (first == 0 and second != 0)
+def run(folder: Path, suite: str, np: int = 2, **variables: str) -> subprocess.CompletedProcess:
+    """Run a suite in a checkout of its own; nothing of the MPI around this test may reach it."""
+    (folder / "scripts").mkdir()
+    (folder / "tests").mkdir()
+    script = shutil.copy(SCRIPT, folder / "scripts")
+    (folder / "tests/test_suite.py").write_text(HEAD + suite)
+    around = ("OMPI_M", "OMPI_C", "PMI", "PRTE_", "PYTEST", "MPI")
+    own = {key: value for key, value in os.environ.items() if not key.startswith(around)}
+    own |= {"DOLFINX_FETI_TEST_PROCESSES": str(np), **variables}
+    own |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
+    command = [sys.executable, script, "tests/test_suite.py"]
+    return subprocess.run(command, env=own, capture_output=True, text=True, timeout=120)
 
 
-def test_kernels_of_a_killed_run_are_compiled_again() -> None:
+#: Suites on two processes: patience, lines of the output, and whether they pass.
+SUITES = {
+    "passing": (
+        "def test_one(): comm.Barrier()\ndef test_two(): pytest.skip('no')",
+        {},
+        ["np 2: 1 passed, 0 failed, 1 skipped in"],
+        True,
+    ),
+    "a failure on all does not keep the others from running": (
+        "def test_one(): assert comm.size == 3\ndef test_two(): comm.Barrier()",
+        {},
+        ["assert 2 == 3", "np 2: 1 passed, 1 failed, 0 skipped in"],
+        False,
+    ),
+    "a failure on one for which the other waits": (
+        "def test_one():\n    assert comm.rank == 0\n    comm.Barrier()",
+        {"DOLFINX_FETI_TEST_GRACE": "1"},
+        ["assert 1 == 0", "stopped: other processes are still in tests/test_suite.py::test_one"],
+        False,
+    ),
+    "a failure on one alone": (
+        "def test_one(): assert comm.rank == 0\ndef test_two(): pass",
+        {},
+        ["assert 1 == 0", "np 2: 2 passed, 1 failed, 0 skipped in"],
+        False,
+    ),
+    "a hang": (
+        "def test_one():\n    if comm.rank: comm.recv(source=0)",
+        {"DOLFINX_FETI_TEST_PATIENCE": "4"},
+        ["stopped: no test has finished for 4 s"],
+        False,
+    ),
+    "slow, with progress": (
+        "@pytest.mark.parametrize('i', range(5))\ndef test_one(i): time.sleep(1.5)",
+        {"DOLFINX_FETI_TEST_PATIENCE": "5"},
+        ["np 2: 5 passed, 0 failed, 0 skipped in"],
+        True,
+    ),
+    "a crash": (
+        "def test_one():\n    if comm.rank: os.abort()\n    comm.Barrier()",
+        {},
+        ["error: pytest or mpirun ended with status"],
+        False,
+    ),
+    "no import": (
+        "import nothing_of_this_name",
+        {},
+        ["No module named 'nothing_of_this_name'"],
+        False,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SUITES)
+def test_suite(tmp_path, name):
+    """What is shown as it happens, the table at the end, and the exit status."""
+    suite, variables, lines, passes = SUITES[name]
+    result = run(tmp_path, suite, **variables)
+    assert result.stderr == ""
+    for line in lines:
+        assert line in result.stdout, result.stdout
+    assert result.returncode == (0 if passes else 1)
+    assert result.stdout.splitlines()[-1].split()[:2] == ["2", "ok" if passes else "FAILED"]
+
+
+def test_all_numbers_of_processes_are_tried_after_a_failure(tmp_path):
+    result = run(
+        tmp_path, "def test_one(): assert comm.size == 2", DOLFINX_FETI_TEST_PROCESSES="1 2"
+    )
+    assert result.returncode == 1
+    table = [line.split()[:4] for line in result.stdout.splitlines()[-2:]]
+    assert table == [["1", "FAILED", "0", "1"], ["2", "ok", "1", "0"]]
+
+
+def test_kernels_of_a_killed_run_are_compiled_again(tmp_path):
     """A source without its mark of completion, unless another run may be at it."""
-    with tempfile.TemporaryDirectory(prefix="dolfinx_feti-") as folder:
-        machine = Machine.create(Path(folder).resolve())
-        machine.play("python3", "echo passed")
-        cache = Path(folder).resolve() / "fenics"
-        cache.mkdir()
-        for name, age in (("ready", 3600), ("killed", 3600), ("begun", 0)):
-            source = cache / f"libffcx_{name}.c"
-            source.touch()
-            os.utime(source, (time.time() - age,) * 2)
-        (cache / "libffcx_ready.c.cached").touch()
-        result = machine.run(
-            "scripts/run-tests", DOLFINX_FETI_TEST_PROCESSES="1", XDG_CACHE_HOME=folder
-        )
-        left = sorted(path.name for path in cache.glob("*.c"))
-    assert result.returncode == 0
+    cache = tmp_path / "fenics"
+    cache.mkdir()
+    for name, age in (("ready", 3600), ("killed", 3600), ("begun", 0)):
+        source = cache / f"libffcx_{name}.c"
+        source.touch()
+        os.utime(source, (time.time() - age,) * 2)
+    (cache / "libffcx_ready.c.cached").touch()
+    suite = "def test_one(): pass"
+    assert run(tmp_path, suite, np=1, XDG_CACHE_HOME=str(tmp_path)).returncode == 0
+    left = sorted(path.name for path in cache.glob("*.c"))
     assert left == ["libffcx_begun.c", "libffcx_ready.c"]

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from functools import partial
 
@@ -251,12 +250,11 @@ def test_text():
     assert "psi as it is" in str(check(material(saint_venant, kappa=0.0), n=5))
 
 
-def test_seconds():
-    """A check with all states of two families of fibres, once compiled."""
+def test_a_check_compiles_nothing(monkeypatch):
+    """All states of two families of fibres go through the one energy that is compiled."""
     user = material(hgo)
-    start = time.perf_counter()
-    check(user)
-    assert time.perf_counter() - start < 10
+    monkeypatch.delattr("dolfinx.fem.Expression")
+    assert check(user).ok
 
 
 @pytest.mark.parametrize(

@@ -163,27 +163,17 @@ class PrimalForm:
         return PrimalSystem(copies, self.deflation, multiply, self.preconditioner.solve)
 
     def solve(
-        self,
-        r: PETSc.Vec,
-        u_D: Array,
-        *,
-        target: float,
-        max_it: int,
-        monitor: Monitor,
-        saddles: bool = True,
+        self, r: PETSc.Vec, u_D: Array, *, target: float, max_it: int, monitor: Monitor
     ) -> tuple[Array, Solution]:
         """Solve for an assembled right-hand side, (N,), and prescribed values, (n,). Collective.
 
-        See :meth:`DualForm.solve <dolfinx_feti.feti.dual.form.DualForm.solve>`. With ``saddles``,
-        negative curvature in the coarse space is no obstacle.
+        See :meth:`DualForm.solve <dolfinx_feti.feti.dual.form.DualForm.solve>`.
         """
         torn, Γ = self.pattern.torn, self.preconditioner.copies.dofs
         f = self.delta * torn.tear(r) - torn.multiply(u_D)
         f[torn.dirichlet] = 0.0  # f = δ T r − K u_D
         with event("FETIIterations"):
-            iterate = partial(conjugate_gradients, saddles=saddles)
-            if not self.pattern.symmetric:
-                iterate = partial(gmres)
+            iterate = conjugate_gradients if self.pattern.symmetric else gmres
             outcome = iterate(
                 self.system,
                 self.operator.condense(f)[Γ],

@@ -146,9 +146,8 @@ def test_not_enough_work_space(torn_grid, parts, monkeypatch):
     monkeypatch.setattr(analysis, "load_fronts_for", lambda *_: None)
     monkeypatch.setattr("dolfinx_feti.feti.subdomain.factors.direct.WORK_SPACE", (-99, 50))
     problem = torn_grid((2, 2), (12, 12), components=2)
-    expected = np.random.default_rng(1).standard_normal(len(problem.dirichlet))
-    system = parts(problem.A, interior="keep")
-    agree(system.memory() > 0.0 and expected.size)
+    factors = parts(problem.A, interior="keep").inverse.factors
+    agree(all(factor.memory() > 0.0 for factor in factors))
     monkeypatch.setattr("dolfinx_feti.feti.subdomain.factors.direct.WORK_SPACE", (-99,))
     with raises(SetUpError, r"subdomain \d: not enough memory or work space .*INFOG"):
         parts(problem.A, interior="keep")
@@ -174,8 +173,8 @@ def test_other_solvers_do_not_tell(torn_grid, parts):
     finally:
         options.delValue("pc_factor_mat_solver_type")
     counts = [factor.pivots for factor in system.inverse.factors]
-    agree(all(count == (None, None) for count in counts), counts)
-    agree(system.inverse.negative() is None or not counts)
+    agree(len(counts) > 0 and all(count == (None, None) for count in counts), counts)
+    agree(system.inverse.negative() is None)
 
 
 def test_interior_that_only_seems_singular(torn_grid, parts, monkeypatch):
