@@ -28,6 +28,7 @@ from ufl.corealg.traversal import traverse_unique_terminals
 
 from dolfinx_feti.mechanics.kinematics import deformation_gradient
 from dolfinx_feti.mechanics.rim import rim_is_held
+from dolfinx_feti.mechanics.values import require_within
 
 __all__ = [
     "enclosed_volume",
@@ -49,8 +50,7 @@ def mmhg(value: float) -> float:
     Raises:
         ValueError: If ``value`` is not a finite number.
     """
-    if not math.isfinite(value):
-        raise ValueError(f"value = {value}: give a finite pressure in mmHg.")
+    require_within(-math.inf, math.inf, {"value": value}, remedy="a finite pressure in mmHg")
     return value * _KPA_PER_MMHG
 
 
@@ -234,6 +234,5 @@ def _is_zero(p: float | Expr) -> bool:
     """
     if isinstance(p, Expr):
         return False
-    if not math.isfinite(p):
-        raise ValueError(f"p = {p}: give a finite pressure or a UFL expression.")
+    require_within(-math.inf, math.inf, {"p": p}, remedy="a finite pressure or a UFL expression")
     return p == 0

@@ -31,9 +31,7 @@ Note: quadrature
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
-from numbers import Real
 from typing import TypeAlias
 
 import ufl
@@ -46,6 +44,7 @@ from dolfinx_feti.mechanics.kinematics import (
     isochoric_invariant_5,
     isochoric_invariant_8,
 )
+from dolfinx_feti.mechanics.values import require_not_negative, require_positive, require_within
 
 __all__ = [
     "ArteryParameters",
@@ -57,7 +56,6 @@ __all__ = [
     "mooney_rivlin",
     "neo_hookean",
     "perturbed_lagrangian",
-    "require_positive",
     "saint_venant_kirchhoff",
     "volumetric",
 ]
@@ -228,8 +226,7 @@ def gasser_ogden_holzapfel(
             not between 0 and 1/3.
     """
     require_positive(c=c, k1=k1, k2=k2)
-    if not isinstance(dispersion, Expr) and not 0.0 <= dispersion <= 1 / 3:
-        raise ValueError(f"dispersion = {dispersion}: give a number between 0 and 1/3.")
+    require_within(0.0, 1 / 3, {"dispersion": dispersion}, remedy="a number between 0 and 1/3")
     I1 = isochoric_invariant_1(C, J)
     strains = (
         dispersion * (I1 - 3) + (1 - 3 * dispersion) * (isochoric_invariant_4(C, a, J) - 1)
@@ -344,8 +341,7 @@ def active_tension(C: Expr, fibre: Expr, *, tension: Parameter) -> Expr:
     Raises:
         ValueError: If ``tension`` is a number that is negative or not finite.
     """
-    if not isinstance(tension, Expr) and not 0.0 <= tension < math.inf:
-        raise ValueError(f"tension = {tension}: give a finite number that is not negative.")
+    require_not_negative(tension=tension)
     return tension / 2 * (ufl.dot(fibre, C * fibre) - 1)
 
 
@@ -375,14 +371,3 @@ def _fibre_energy(E: Expr, k1: Parameter, k2: Parameter) -> Expr:
 def _exponential(E: Expr, k1: Parameter, k2: Parameter) -> Expr:
     """k₁/(2k₂) {exp[k₂ E²] − 1}."""
     return k1 / (2 * k2) * (ufl.exp(k2 * E**2) - 1)
-
-
-def require_positive(**parameters: Parameter) -> None:
-    """Refuse numbers that are not finite and positive; UFL expressions are not checked."""
-    for name, value in parameters.items():
-        if isinstance(value, Expr):
-            continue
-        if not isinstance(value, Real):
-            raise TypeError(f"{name} = {value!r}: expected a number or a UFL expression.")
-        if not 0.0 < float(value) < math.inf:
-            raise ValueError(f"{name} = {value}: give a positive, finite material parameter.")

@@ -33,7 +33,8 @@ import ufl
 from ufl.core.expr import Expr
 from ufl.variable import Variable
 
-from dolfinx_feti.mechanics.materials import Parameter, require_positive
+from dolfinx_feti.mechanics.materials import Parameter
+from dolfinx_feti.mechanics.values import require_positive, require_within
 
 __all__ = ["MaxwellBranch", "damaged", "viscoelastic"]
 
@@ -75,7 +76,11 @@ def viscoelastic(
 
     Returns:
         The energy, and the updates of S_n and of all Q.
+
+    Raises:
+        ValueError: ``dt`` is a number that is not positive.
     """
+    require_positive(dt=dt)
     S = ufl.inv(F) * ufl.diff(psi, F)  # S = F⁻¹ ∂Ψ̄/∂F
     energy, updates = psi, {S_n: S}
     C = F.T * F
@@ -102,9 +107,10 @@ def damaged(psi: Expr, m: Expr, *, d_max: Parameter, W: Parameter) -> tuple[Expr
         The energy, and the update of m.
 
     Raises:
-        ValueError: If a parameter is a number that is not positive.
+        ValueError: If ``d_max`` is a number that is not between 0 and 1, or ``W`` not positive.
     """
-    require_positive(d_max=d_max, W=W)
+    require_within(0.0, 1.0, {"d_max": d_max}, ends=False)
+    require_positive(W=W)
     before, now = ufl.exp(-m / W), ufl.exp(-psi / W)
     unloaded = (1 - d_max * (1 - before)) * psi
     loaded = (1 - d_max * (1 - before)) * m + (1 - d_max) * (psi - m) + d_max * W * (before - now)

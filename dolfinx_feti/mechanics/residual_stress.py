@@ -26,6 +26,8 @@ from collections.abc import Sequence
 import ufl
 from ufl.core.expr import Expr
 
+from dolfinx_feti.mechanics.values import require_positive, require_within
+
 __all__ = ["elastic_part", "opened", "residual_stretch"]
 
 
@@ -64,10 +66,9 @@ def residual_stretch(
         ValueError: The angle is 360 degrees or more, or a number is not finite, or the stretch not
             positive.
     """
-    if not isinstance(angle, Expr) and not (math.isfinite(angle) and angle < 360.0):
-        raise ValueError(f"angle = {angle}: give less than 360 degrees.")
-    if not isinstance(stretch, Expr) and not 0.0 < stretch < math.inf:
-        raise ValueError(f"stretch = {stretch}: give a positive number, 1 for none.")
+    require_within(-math.inf, math.inf, {"curvature": curvature}, remedy="a finite number")
+    require_within(-math.inf, 360.0, {"angle": angle}, ends=False, remedy="less than 360 degrees")
+    require_positive(stretch=stretch)
     k = 360.0 / (360.0 - angle)
     ratio = 1 + curvature * depth  # ρ/ρ₀
     return k * ratio / ufl.sqrt(k**2 + k * stretch * (ratio**2 - 1))
@@ -80,6 +81,10 @@ def opened(directions: Sequence[Expr], λ: Expr, stretch: Expr | float = 1.0) ->
         directions: Circumferential, longitudinal and transmural, orthogonal unit vectors, (3,).
         λ: Stretch around, see :func:`residual_stretch`.
         stretch: Axial prestretch Λ [-].
+
+    Raises:
+        ValueError: The stretch is a number that is not positive.
     """
+    require_positive(stretch=stretch)
     e0, e1, e2 = (ufl.outer(e, e) for e in directions)
     return e0 / λ + e1 / stretch + λ * stretch * e2

@@ -19,11 +19,12 @@ Units: k in kPa/mm, η in kPa s/mm, Δt in s, lengths in mm.
 
 from __future__ import annotations
 
-import math
 from typing import Literal, get_args
 
 import ufl
 from ufl.core.expr import Expr
+
+from dolfinx_feti.mechanics.values import require_not_negative
 
 __all__ = ["Direction", "dashpot_energy", "spring_energy"]
 
@@ -50,7 +51,7 @@ def spring_energy(
         ValueError: If ``stiffness`` is a number that is negative or not finite, or the direction is
             neither.
     """
-    _require_not_negative(stiffness=stiffness)
+    require_not_negative(stiffness=stiffness)
     return stiffness / 2 * _square(u, direction) * ds
 
 
@@ -80,7 +81,7 @@ def dashpot_energy(
         ValueError: If ``viscosity`` is a number that is negative or not finite, ``time_step`` one
             that is not positive, or the direction is neither.
     """
-    _require_not_negative(viscosity=viscosity)
+    require_not_negative(viscosity=viscosity)
     if not isinstance(time_step, Expr) and not time_step > 0.0:
         raise ValueError(f"time_step = {time_step}: give a positive number of seconds.")
     return viscosity / (2 * time_step) * _square(u - last, direction) * ds
@@ -93,9 +94,3 @@ def _square(u: Expr, direction: Direction) -> Expr:
     if direction == "all":
         return ufl.inner(u, u)
     return ufl.inner(u, ufl.FacetNormal(ufl.domain.extract_unique_domain(u))) ** 2
-
-
-def _require_not_negative(**parameters: float | Expr) -> None:
-    for name, value in parameters.items():
-        if not isinstance(value, Expr) and not 0.0 <= value < math.inf:
-            raise ValueError(f"{name} = {value}: give a finite number that is not negative.")

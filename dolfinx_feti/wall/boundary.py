@@ -28,6 +28,7 @@ from dolfinx_feti.mechanics.loads import (
     pressure_potential,
 )
 from dolfinx_feti.mechanics.supports import dashpot_energy, spring_energy
+from dolfinx_feti.mechanics.values import require_within
 from dolfinx_feti.wall.conditions import (
     Clamp,
     Condition,
@@ -89,8 +90,9 @@ class Boundary:
         """
         if self.axis is None:
             raise ValueError("There is no axis to stretch along: give apply_conditions(axis=…).")
-        if not 0.0 < stretch < math.inf:
-            raise ValueError(f"stretch={stretch}: give a positive number, 1 for a wall at rest.")
+        remedy = "a positive number, 1 for a wall at rest"
+        given = {"stretch": stretch}
+        require_within(0.0, math.inf, given, ends=False, remedy=remedy, sign="=")
         V = self.moved.function_space
         least = float(extent(V.mesh)[0][self.axis])
         X = V.tabulate_dof_coordinates()[:, self.axis]

@@ -10,9 +10,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from dolfinx_feti.wall.conditions import Condition
+from dolfinx_feti.mechanics.values import require_not_negative, require_positive, require_within
+from dolfinx_feti.wall.conditions import Condition, Dashpot
 from dolfinx_feti.wall.rigid import free_motions
-from dolfinx_feti.wall.wall import Wall
+from dolfinx_feti.wall.wall import AXES, Wall
 
 __all__ = ["Case", "Tissue", "meant", "require"]
 
@@ -36,6 +37,13 @@ class Tissue:
     angle: float = 0.0
     opening_angle: float = 0.0
     axial_stretch: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        require_positive(c=self.c, k2=self.k2, axial_stretch=self.axial_stretch)
+        require_not_negative(k1=self.k1)
+        require_within(0.0, 90.0, {"angle": self.angle})
+        require_within(-360.0, 360.0, {"opening_angle": self.opening_angle}, ends=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +73,21 @@ class Case:
     axis: str | None = None
     stretch: float = 1.0
     fibres: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        require_positive(pressure=self.pressure, scale=self.scale, stretch=self.stretch)
+        require_not_negative(image=self.image)
+        if self.rate is not None:
+            require_positive(rate=self.rate)
+        require(self.axis in (None, *AXES), f"axis={self.axis!r}: choose 'x', 'y', 'z' or None")
+        has = f"stretch={self.stretch}: has no effect without an axis"
+        require(self.axis or self.stretch == 1.0, has)
+        dashpots = any(isinstance(c, Dashpot) for given in self.conditions.values() for c in given)
+        has = (
+            "no dashpot has an effect without it" if dashpots else "has no effect without dashpots"
+        )
+        require(dashpots == (self.rate is not None), f"rate={self.rate}: {has}")
 
     @property
     def has_residual_stress(self) -> bool:

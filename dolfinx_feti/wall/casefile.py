@@ -60,7 +60,7 @@ def _read_case(path: Path) -> Case:
         words = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise FileNotFoundError(f"There is no file {path}: name a TOML file") from error
-    except ValueError as error:  # neither TOML nor text
+    except (ValueError, RecursionError) as error:  # neither TOML nor text
         raise ValueError(f"{path} is no TOML file: {error}") from error
     try:
         return _create_case(_values(words, KEYS))
@@ -148,7 +148,7 @@ def _values(table: dict[str, Any], keys: dict[str, Any], name: str = "") -> dict
             continue
         try:
             values[key] = ask[1](value)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, OverflowError, TypeError, ValueError) as error:
             raise ValueError(f"{where}: {ask[0]}") from error
     return values
 
@@ -182,9 +182,11 @@ def _create_case(words: dict[str, Any]) -> Case:
         require(spring or dashpot or "direction" not in s, message)
     by_surface(conditions)  # nothing acts on a clamped surface
     require(pressures, "surfaces: name the surface under pressure, as [surfaces.lumen]")
-    loading = words.get("loading", {}) if any("dashpot" in s for s in surfaces.values()) else None
-    if loading is not None:
-        _need(loading, "loading", ["rate"], "dashpots need the rate of the pressure [mmHg/s]")
+    rate = words.get("loading", {}).get("rate")
+    if any("dashpot" in s for s in surfaces.values()):
+        require(rate, "[loading] rate is missing: dashpots need the rate of the pressure [mmHg/s]")
+    else:
+        require(rate is None, f"[loading] rate = {rate}: has no effect without a dashpot")
     if "prestretch" in words:
         _need(words["prestretch"], "prestretch", ["axis", "stretch"], "both are needed")
     return Case(
@@ -194,7 +196,7 @@ def _create_case(words: dict[str, Any]) -> Case:
         pressure=max(pressures.values()),
         scale=words.get("scale", 1.0),
         image=words.get("image", {}).get("pressure", 0.0),
-        rate=None if loading is None else loading["rate"],
+        rate=rate,
         fibres=words.get("fibres", {}),
         **words.get("prestretch", {}),
     )

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from typing import get_args
 
 from dolfinx_feti.mechanics.supports import Direction
+from dolfinx_feti.mechanics.values import require_within
 
 __all__ = [
     "Clamp",
@@ -34,6 +35,8 @@ __all__ = [
     "Spring",
     "by_surface",
 ]
+
+NOT_ZERO = "a finite number other than zero"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +51,9 @@ class Pressure:
 
     def __post_init__(self) -> None:
         """Check the value."""
-        if not math.isfinite(self.share) or self.share == 0.0:
-            raise ValueError(f"share={self.share}: give a finite number other than zero.")
+        require_within(-math.inf, math.inf, {"share": self.share}, remedy=NOT_ZERO, sign="=")
+        if self.share == 0.0:
+            raise ValueError(f"share={self.share}: give {NOT_ZERO}.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +134,6 @@ def by_surface(conditions: Conditions) -> dict[str, tuple[Condition, ...]]:
 
 def _check_support(direction: str, **value: float) -> None:
     """Require a positive value and a direction."""
-    for name, number in value.items():
-        if not 0.0 < number < math.inf:
-            raise ValueError(f"{name}={number}: give a positive number.")
+    require_within(0.0, math.inf, value, ends=False, remedy="a positive number", sign="=")
     if direction not in get_args(Direction):
         raise ValueError(f"direction={direction!r}: choose 'normal' or 'all'.")

@@ -131,6 +131,9 @@ def potentials(
     names = openings(wall) if ends is None else list(ends)
     for name in (inner, outer, *names):
         facets(wall, name)  # must be there
+    given = [inner, outer, *names]
+    if len(set(given)) < len(given):
+        raise ValueError(f"inner={inner!r}, outer={outer!r} and ends={names} name a surface twice")
     if len(names) < 2:
         raise ValueError(
             f"The wall has the openings {', '.join(names) or 'none'}: the longitudinal direction "

@@ -9,6 +9,8 @@ PETSc's log shows the phases: ``WallRead``, ``WallPartition`` (the mesh is distr
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from mpi4py import MPI
@@ -30,7 +32,13 @@ from dolfinx_feti.wall.xdmf import is_parallel, read_parallel
 __all__ = ["distribute", "read_wall"]
 
 
-def read_wall(path: Path | str, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
+def read_wall(
+    path: Path | str,
+    comm: MPI.Comm,
+    *,
+    scale: float = 1.0,
+    names: Mapping[str, tuple[int, int]] | None = None,
+) -> Wall:
     """Read a wall: on all processes from XDMF, on one from other formats, to be distributed.
 
     Args:
@@ -39,6 +47,8 @@ def read_wall(path: Path | str, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
             format with cell data, see :mod:`dolfinx_feti.wall.wallfile`.
         comm: Communicator of the mesh.
         scale: Number of millimetres in the file's unit of length (1000 if that is the metre).
+        names: Dimension and number of each name, as ``{"lumen": (2, 3), "media": (3, 1)}``, in a
+            file that has numbers only; others are called ``layer_7`` and ``surface_7``.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -58,8 +68,24 @@ def read_wall(path: Path | str, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
         return read_parallel(path, comm, scale=scale)
     raw: list[RawWall] = []  # on the first process
     with event("WallRead"):
-        on_first(lambda: raw.append(read_raw_wall(path)), comm)
+        on_first(lambda: raw.append(_renamed(read_raw_wall(path), names or {})), comm)
     return distribute(raw[0] if raw else None, comm, scale=scale)
+
+
+def _renamed(raw: RawWall, names: Mapping[str, tuple[int, int]]) -> RawWall:
+    """Give names to numbers, in place of those of the file."""
+    mine = [{n: t for n, (d, t) in names.items() if d == dim} for dim in (3, 2)]
+    theirs = (raw.layer_names, raw.surface_names)
+    layers, surfaces = (
+        {n: t for n, t in known.items() if t not in given.values()} | given
+        for given, known in zip(mine, theirs, strict=True)
+    )
+    tags = raw.layers, raw.surfaces
+    return replace(
+        raw,
+        layer_names={n: t for n, t in layers.items() if np.any(tags[0] == t)},
+        surface_names={n: t for n, t in surfaces.items() if np.any(tags[1] == t)},
+    )
 
 
 def distribute(raw: RawWall | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:

@@ -22,7 +22,7 @@ import numpy as np
 import dolfinx
 
 from dolfinx_feti.runtime.collective import on_all
-from dolfinx_feti.wall.wall import Wall
+from dolfinx_feti.wall.wall import Wall, named_tags
 
 __all__ = ["Groups", "create_wall"]
 
@@ -147,7 +147,6 @@ def _known(names: Groups | Model | None) -> list[Group] | None:
 def _named(groups: list[Group], tags: dolfinx.mesh.MeshTags, comm: MPI.Comm) -> dict[str, int]:
     """Return the names of all tags that occur, but for 0. Collective."""
     present = {int(tag) for part in comm.allgather(np.unique(tags.values)) for tag in part}
-    named = {name: tag for name, dim, tag in groups if dim == tags.dim and tag in present}
-    kind = "layer" if tags.dim == 3 else "surface"
-    nameless = sorted(present - {0, *named.values()})
-    return named | {f"{kind}_{tag}": tag for tag in nameless}
+    return named_tags(
+        {name: tag for name, dim, tag in groups if dim == tags.dim}, present, tags.dim
+    )

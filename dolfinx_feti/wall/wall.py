@@ -11,8 +11,9 @@ tube.
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -23,6 +24,7 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
+from dolfinx_feti.mechanics.values import require_within
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = [
@@ -33,6 +35,7 @@ __all__ = [
     "corners",
     "extent",
     "facets",
+    "named_tags",
     "openings",
     "plane",
     "surface_measure",
@@ -124,6 +127,20 @@ def facets(wall: Wall, name: str) -> npt.NDArray[np.int32]:
     if name not in wall.surfaces:
         raise ValueError(f"The wall has no surface {name!r}; it has {', '.join(wall.surfaces)}")
     return np.asarray(wall.facet_tags.find(wall.surfaces[name]))
+
+
+def named_tags(names: Mapping[str, int], tags: Iterable[int], dim: int) -> dict[str, int]:
+    """Name the tags that occur: as given, the others ``layer_7`` or ``surface_7``.
+
+    Args:
+        names: Tags of some names.
+        tags: The tags that occur; 0 without a name counts as none.
+        dim: 3 for layers, 2 for surfaces.
+    """
+    present = {int(tag) for tag in tags}
+    named = {name: tag for name, tag in names.items() if tag in present}
+    kind = "layer" if dim == 3 else "surface"
+    return named | {f"{kind}_{tag}": tag for tag in sorted(present - {0, *named.values()})}
 
 
 def openings(wall: Wall) -> list[str]:
@@ -230,8 +247,9 @@ def by_layer(wall: Wall, values: Mapping[str, float]) -> dolfinx.fem.Function:
         values: A value for each layer of the wall.
 
     Raises:
-        ValueError: A layer has no value, or a value names no layer.
+        ValueError: A layer has no value, a value names no layer, or it is not finite.
     """
+    require_within(-math.inf, math.inf, values, remedy="a finite number")
     if set(values) != set(wall.layers):
         raise ValueError(
             f"values are given for {', '.join(values) or 'nothing'}, but the wall has the layers "

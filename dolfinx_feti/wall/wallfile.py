@@ -4,18 +4,19 @@
 """Wall files: cells with layers, facets with surfaces, read on one process.
 
 Cells are tetrahedra; those of a Gmsh file may also be hexahedra, or of second order, with curved
-edges. A Gmsh file names layers and surfaces by its physical groups, as it likes. In other formats
-they are numbers in cell data: ``layer`` for the tetrahedra and ``surface`` for the triangles, or
-``gmsh:physical``, ``medit:ref`` or ``tag`` for both. :data:`NUMBERS` gives the names of numbers
-without names; others are called ``layer_7`` and ``surface_7``. ``meshes/README.md`` shows how to
-bring your own wall.
+edges. A Gmsh file names layers and surfaces by its physical groups. In other formats they are
+numbers in cell data: ``layer`` for the tetrahedra and ``surface`` for the triangles, or
+``gmsh:physical``, ``medit:ref`` or ``tag`` for both. Numbers without names are called ``layer_7``
+and ``surface_7``. ``meshes/README.md`` shows how to bring your own wall.
+
+What is read is checked here, on one process: dolfinx takes a broken mesh as it is, and may crash.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -26,8 +27,9 @@ import numpy.typing as npt
 import basix
 
 from dolfinx_feti.runtime import compat
+from dolfinx_feti.wall.wall import named_tags
 
-__all__ = ["CELLS", "NUMBERS", "RawWall", "read_raw_wall"]
+__all__ = ["CELLS", "RawWall", "read_raw_wall"]
 
 #: Cell and order of the geometry by the number of nodes; and the same of facets.
 CELLS = {
@@ -43,16 +45,14 @@ FACETS = {
     9: ("quadrilateral", 2),
 }
 
-# Names of numbers without names; opening k has 10 + k.
-LAYER_NUMBERS = {"media": 1, "adventitia": 2}
-SURFACE_NUMBERS = {"lumen": 3, "outer": 4, "symmetry_x": 5, "symmetry_y": 6}
-SURFACE_NUMBERS |= {f"opening_{k}": 10 + k for k in range(1, 90)}
-NUMBERS = LAYER_NUMBERS | SURFACE_NUMBERS
-
 CELL_DATA = {
     "tetra": ("layer", "gmsh:physical", "medit:ref", "tag"),
     "triangle": ("surface", "gmsh:physical", "medit:ref", "tag"),
 }
+
+#: Volume of a cell, over the cube of its longest edge, that counts as none.
+FLAT = 1e-12
+
 HELP = "meshes/README.md explains how to name layers and surfaces"
 
 Indices = npt.NDArray[np.int64]
@@ -90,39 +90,31 @@ def read_raw_wall(path: Path) -> RawWall:
     Raises:
         FileNotFoundError: There is no such file.
         ModuleNotFoundError: The reader, gmsh or meshio, is not installed.
-        ValueError: The file cannot be read, has other cells, or more than one kind, or has a cell
-            without a layer's name, or no surface; the message lists those found.
+        ValueError: The file cannot be read, has other cells, or more than one kind, has a cell
+            without a layer's name, or no surface, or its mesh is broken; the message says how.
     """
     if not path.is_file():
         raise FileNotFoundError(f"There is no file {path}: give the path of a mesh of a wall")
     wall = _read_gmsh(path) if path.suffix == ".msh" else _read_meshio(path)
     _check_names(path, wall)
-    _check_mesh(path, wall)
+    _check_points(path, wall)
+    _check_cells(path, wall)
+    _check_faces(path, wall)
     used, cells = np.unique(wall.cells, return_inverse=True)
     number = np.full(len(wall.points), -1)
     number[used] = np.arange(len(used))
-    return RawWall(
+    return replace(
+        wall,
         points=wall.points[used],
         cells=cells.reshape(wall.cells.shape).astype(np.int64),
-        layers=wall.layers,
         facets=number[wall.facets],
-        surfaces=wall.surfaces,
-        layer_names=_used(wall.layer_names, wall.layers),
-        surface_names=_used(wall.surface_names, wall.surfaces),
     )
-
-
-def _used(names: dict[str, int], tags: Indices) -> dict[str, int]:
-    """Leave out the names that nothing has."""
-    return {name: tag for name, tag in names.items() if np.any(tags == tag)}
 
 
 def _read_gmsh(path: Path) -> RawWall:
     """Read the physical groups of a Gmsh file."""
     with _gmsh_model(path) as gmsh:
         tags, points, _ = gmsh.model.mesh.getNodes()
-        number = np.zeros(int(tags.max(initial=0)) + 1, dtype=np.int64)
-        number[tags] = np.arange(len(tags))
         cells, layers, layer_names = _gmsh_groups(gmsh, path, 3)
         facets, surfaces, surface_names = _gmsh_groups(gmsh, path, 2)
         n_cells = sum(len(elements) for elements in gmsh.model.mesh.getElements(3)[1])
@@ -130,6 +122,10 @@ def _read_gmsh(path: Path) -> RawWall:
         raise ValueError(
             f"{n_cells - len(cells)} cells of {path} are in no physical volume; {HELP}"
         )
+    number = np.full(
+        int(max(tags.max(initial=0), cells.max(initial=0), facets.max(initial=0))) + 1, -1
+    )
+    number[tags] = np.arange(len(tags))
     return RawWall(
         points=points.reshape(-1, 3),
         cells=number[cells],
@@ -166,16 +162,29 @@ def _gmsh_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Indices, Indic
     """Return the elements of all physical groups of a dimension, their tags and the names' tags."""
     elements: list[Indices] = []
     values: list[Indices] = [np.zeros(0, dtype=np.int64)]
-    names = {}
+    names: dict[str, int] = {}
+    group_of: dict[int, str] = {}
     known = CELLS if dim == 3 else FACETS
     for _, tag in gmsh.model.getPhysicalGroups(dim):
-        names[gmsh.model.getPhysicalName(dim, tag)] = tag
+        name = gmsh.model.getPhysicalName(dim, tag)
+        if name and name in names:
+            raise ValueError(
+                f"{path} has two physical groups of dimension {dim} that are called {name!r}: "
+                "join them, or give each a name of its own"
+            )
+        names[name] = tag
         for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, tag):
+            first = group_of.setdefault(entity, name or str(tag))
+            if first != (name or str(tag)):
+                raise ValueError(
+                    f"{'Volume' if dim == 3 else 'Surface'} {entity} of {path} is in two physical "
+                    f"groups, {first!r} and {name or str(tag)!r}: leave it in one of them"
+                )
             for element, _, nodes in zip(*gmsh.model.mesh.getElements(dim, entity), strict=True):
-                name, _, _, n_nodes, *_ = gmsh.model.mesh.getElementProperties(element)
+                kind, _, _, n_nodes, *_ = gmsh.model.mesh.getElementProperties(element)
                 if n_nodes not in known or any(n_nodes != e.shape[1] for e in elements):
                     raise ValueError(
-                        f"{path} has elements of type {name}; a wall has tetrahedra and triangles, "
+                        f"{path} has elements of type {kind}; a wall has tetrahedra and triangles, "
                         "or hexahedra and quadrilaterals, of one order, 1 or 2"
                     )
                 order = compat.gmsh_permutation(known[n_nodes][0], n_nodes)
@@ -184,7 +193,9 @@ def _gmsh_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Indices, Indic
     tags = np.concatenate(values)
     names.pop("", None)
     none = np.zeros((0, dim + 1), dtype=np.int64)
-    return np.concatenate(elements) if elements else none, tags, names or _named(tags, dim)
+    found = {name: tag for name, tag in names.items() if np.any(tags == tag)}
+    cells = np.concatenate(elements) if elements else none
+    return cells, tags, found if names else named_tags({}, tags, dim)
 
 
 def _read_meshio(path: Path) -> RawWall:
@@ -204,14 +215,16 @@ def _read_meshio(path: Path) -> RawWall:
     surfaces = _cell_data(path, mesh, "triangle")
     tagged = surfaces > 0
     facets = mesh.cells_dict.get("triangle", np.zeros((0, 3), dtype=np.int64))
+    if mesh.points.ndim != 2 or mesh.points.shape[1] != 3:
+        raise ValueError(f"{path} has points of shape {mesh.points.shape}: a wall lies in space")
     return RawWall(
         points=np.asarray(mesh.points, dtype=np.float64),
         cells=mesh.cells_dict["tetra"].astype(np.int64),
         layers=layers,
         facets=facets[tagged].astype(np.int64),
         surfaces=surfaces[tagged],
-        layer_names=_named(layers, 3),
-        surface_names=_named(surfaces, 2),
+        layer_names=named_tags({}, layers[layers > 0], 3),
+        surface_names=named_tags({}, surfaces[tagged], 2),
     )
 
 
@@ -226,16 +239,6 @@ def _cell_data(path: Path, mesh: Any, kind: str) -> Indices:
         f"{path} has no cell data {' or '.join(CELL_DATA[kind])} for its {kind} cells; "
         f"found: {', '.join(mesh.cell_data) or 'none'}. {HELP}"
     )
-
-
-def _named(tags: Indices, dim: int) -> dict[str, int]:
-    """Name the numbers of layers (dimension 3) or surfaces (2) that occur."""
-    numbers = LAYER_NUMBERS if dim == 3 else SURFACE_NUMBERS
-    kind = "layer" if dim == 3 else "surface"
-    name_of = {tag: name for name, tag in numbers.items()}
-    present = {int(tag) for tag in tags if tag > 0}
-    named = {name: tag for name, tag in numbers.items() if tag in present}
-    return named | {f"{kind}_{tag}": tag for tag in sorted(present - name_of.keys())}
 
 
 def _import(name: str, path: Path) -> ModuleType:
@@ -268,29 +271,84 @@ def _check_names(path: Path, wall: RawWall) -> None:
         )
 
 
-def _check_mesh(path: Path, wall: RawWall) -> None:
-    """Require cells of nonzero volume, and facets that are faces of cells, each tagged once."""
-    cell = CELLS[wall.cells.shape[1]][0]
-    kind, kinds = {"tetrahedron": ("triangles", "tetrahedra")}.get(
-        cell, ("quadrilaterals", "hexahedra")
+def _words(wall: RawWall) -> tuple[str, str]:
+    """Return what cells and facets are called."""
+    if CELLS[wall.cells.shape[1]][0] == "tetrahedron":
+        return "tetrahedra", "triangles"
+    return "hexahedra", "quadrilaterals"
+
+
+def _check_points(path: Path, wall: RawWall) -> None:
+    """Require cells and facets of the same kind, whose points exist and are finite."""
+    cells, facets = _words(wall)
+    kinds = CELLS[wall.cells.shape[1]], FACETS.get(wall.facets.shape[1], ("", 0))
+    if len(wall.facets) and kinds[1] != (
+        {"tetrahedra": "triangle"}.get(cells, facets[:-1]),
+        kinds[0][1],
+    ):
+        raise ValueError(
+            f"{path} has {cells} of order {kinds[0][1]}, but facets with {wall.facets.shape[1]} "
+            f"nodes: a wall has {facets} of that order"
+        )
+    for what, nodes in ((cells, wall.cells), (facets, wall.facets)):
+        lost = int(np.sum(((nodes < 0) | (nodes >= len(wall.points))).any(axis=1)))
+        if lost:
+            raise ValueError(f"{lost} {what} of {path} have points that are not in the file")
+    wrong = int(np.sum(~np.isfinite(wall.points[np.unique(wall.cells)]).all(axis=1)))
+    if wrong:
+        raise ValueError(f"{wrong} points of {path} have coordinates that are not finite")
+
+
+def _check_cells(path: Path, wall: RawWall) -> None:
+    """Require cells that occur once, have a volume, and are not turned inside out."""
+    cells, (kind, order) = _words(wall)[0], CELLS[wall.cells.shape[1]]
+    again = len(wall.cells) - len(np.unique(np.sort(wall.cells, axis=1), axis=0))
+    if again:
+        raise ValueError(f"{again} {cells} of {path} occur twice: put each into one layer")
+    cell = getattr(basix.CellType, kind)
+    element = basix.create_element(
+        basix.ElementFamily.P, cell, order, basix.LagrangeVariant.equispaced
     )
-    topology = basix.topology(getattr(basix.CellType, cell))
-    apexes = [1, 2, 3] if cell == "tetrahedron" else [1, 2, 4]
-    edges = wall.points[wall.cells[:, apexes]] - wall.points[wall.cells[:, :1]]
-    volume = np.abs(np.linalg.det(edges))
-    flat = int(np.sum(volume <= 1e-12 * np.linalg.norm(edges, axis=2).max(axis=1) ** 3))
+    points, weights = (
+        np.asarray(part, dtype=np.float64) for part in basix.make_quadrature(cell, 4)
+    )
+    dφ = np.asarray(element.tabulate(1, points), dtype=np.float64)[
+        1:, :, :, 0
+    ]  # (3, points, nodes)
+    x = wall.points[wall.cells]
+    det = np.linalg.det(np.einsum("jqn,cni->cqij", dφ, x))  # det ∂x/∂X, (cells, points)
+    size = np.ptp(x, axis=1).max(axis=1) ** 3
+    flat = int(np.sum(np.abs(det @ weights) <= FLAT * size))
     if flat:
-        raise ValueError(f"{flat} {kinds} of {path} have no volume: improve the mesh")
+        raise ValueError(f"{flat} {cells} of {path} have no volume: improve the mesh")
+    side = np.where((det > 0.0).all(axis=1), 1, np.where((det < 0.0).all(axis=1), -1, 0))
+    inverted = min(np.sum(side != 1), np.sum(side != -1))
+    if inverted:
+        raise ValueError(
+            f"{inverted} {cells} of {path} are inverted, in part or against the others: improve "
+            "the mesh, or number their nodes as in the other cells"
+        )
+
+
+def _check_faces(path: Path, wall: RawWall) -> None:
+    """Require faces of no more than two cells, and facets that are faces, each tagged once."""
+    kinds, kind = _words(wall)
+    topology = basix.topology(getattr(basix.CellType, CELLS[wall.cells.shape[1]][0]))
     corners = len(topology[2][0])
-    faces = wall.cells[:, topology[2]].reshape(-1, corners)
+    every = np.sort(wall.cells[:, topology[2]].reshape(-1, corners), axis=1)
+    faces, cells_of_face = np.unique(every, axis=0, return_counts=True)
+    crowded = int(np.sum(cells_of_face > 2))
+    if crowded:
+        raise ValueError(
+            f"{crowded} {kind} of {path} are faces of more than two {kinds}: cells overlap there"
+        )
     facets = np.unique(np.sort(wall.facets[:, :corners], axis=1), axis=0)
     if len(facets) < len(wall.facets):
         raise ValueError(
             f"{len(wall.facets) - len(facets)} {kind} of {path} have two tags: give each of "
             "them one surface"
         )
-    n_faces = len(np.unique(np.sort(faces, axis=1), axis=0))
-    strays = len(np.unique(np.sort(np.vstack([faces, facets]), axis=1), axis=0)) - n_faces
+    strays = len(np.unique(np.vstack([faces, facets]), axis=0)) - len(faces)
     if strays:
         raise ValueError(
             f"{strays} tagged {kind} of {path} are not faces of its {kinds}: mesh volumes "

@@ -27,6 +27,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+import numpy.typing as npt
 
 import basix.ufl
 import dolfinx
@@ -39,6 +40,8 @@ from dolfinx_feti.runtime.events import event
 from dolfinx_feti.wall.wall import Wall
 
 __all__ = ["is_parallel", "read_parallel", "write_wall"]
+
+Array = npt.NDArray[Any]
 
 #: Where the grids stand in the light data, and where names and numbers of cells do.
 DOMAIN, NAMES = "/Xdmf/Domain", "names"
@@ -83,6 +86,7 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
             light = json.loads(file.read_information(NAMES, DOMAIN))
             of_layers, of_surfaces, largest, *parts = light
             element = basix.ufl.element("Lagrange", shape.name, degree, shape=(3,), dtype=x.dtype)
+            _check_rows(cells, x, element.dim // 3, comm)
             with event("WallPartition"):
                 keep = _keep(parts, len(cells), comm)
                 domain = ufl.Mesh(element)
@@ -93,12 +97,25 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
                 layers, surfaces = (file.read_meshtags(mesh, n) for n in ("layers", "surfaces"))
                 if largest is not None:
                     layers = _with_largest(layers, largest, mesh)
-    except RuntimeError as error:
+        return Wall(mesh, layers, surfaces, of_layers, of_surfaces)
+    except (RuntimeError, TypeError, ValueError) as error:
         raise ValueError(
             f"{path} cannot be read ({reason(error)}): its HDF5 file has to lie beside it; convert "
             "the wall anew by python3 -m dolfinx_feti.wall.convert"
         ) from error
-    return Wall(mesh, layers, surfaces, of_layers, of_surfaces)
+
+
+def _check_rows(cells: Array, x: Array, nodes: int, comm: MPI.Comm) -> None:
+    """Require cells of existing points, which are finite: dolfinx would crash. Collective."""
+    n_points = comm.allreduce(len(x))
+    wrong = cells.ndim != 2 or cells.shape[1] != nodes or x.ndim != 2 or x.shape[1] != 3
+    wrong = wrong or bool(np.any((cells < 0) | (cells >= n_points)))
+    if comm.allreduce(bool(wrong), op=MPI.LOR):
+        raise ValueError("it has cells with points that are not in the file")
+    if not comm.allreduce(bool(np.isfinite(x).all()), op=MPI.LAND):
+        raise ValueError("it has coordinates that are not finite")
+    if not comm.allreduce(len(cells)):
+        raise ValueError("it has no cells")
 
 
 def write_wall(path: Path | str, wall: Wall) -> None:

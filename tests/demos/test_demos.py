@@ -20,8 +20,8 @@ from collective import COMM, agree, raises, small
 from demo_runs import DEMOS, EXAMPLE, read_summary, refused
 from wall_files import ROOT, on_first
 
-from dolfinx_feti.wall.wallfile import NUMBERS, read_raw_wall
-from meshes.wall_mesh import WallMesh, write_msh
+from dolfinx_feti.wall.wallfile import read_raw_wall
+from meshes.wall_mesh import TAGS, WallMesh, write_msh
 
 pytest.importorskip("gmsh")
 pytest.importorskip("matplotlib")
@@ -302,7 +302,7 @@ def test_mesh_with_a_missing_tag(run, tmp_path, capsys):
     def write() -> None:
         raw = read_raw_wall(EXAMPLE)
         mesh = WallMesh(raw.points, raw.cells, raw.layers, raw.facets, raw.surfaces)
-        write_msh(path, mesh, {k: v for k, v in NUMBERS.items() if k != "lumen"})
+        write_msh(path, mesh, {k: v for k, v in TAGS.items() if k != "lumen"})
 
     on_first(write)
     match = "surfaces.lumen.: the wall has no surface 'lumen'; it has outer, opening_1, opening_2"

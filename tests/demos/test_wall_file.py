@@ -10,8 +10,8 @@ from collective import agree, small
 from demo_runs import DEMOS, EXAMPLE, read_summary
 from wall_files import on_first
 
-from dolfinx_feti.wall.wallfile import NUMBERS, read_raw_wall
-from meshes.wall_mesh import WallMesh, write_mesh
+from dolfinx_feti.wall.wallfile import read_raw_wall
+from meshes.wall_mesh import TAGS, WallMesh, write_mesh
 
 
 def test_case_in_a_file(run, tmp_path):
@@ -29,7 +29,7 @@ def test_case_in_a_file(run, tmp_path):
 
 def test_prestretch_of_one_layer(run, tmp_path):
     """A wall without fibres, which all read, is pulled, and inflated beyond the file's pressure."""
-    names = {"wall": 1} | {k: v for k, v in NUMBERS.items() if v > 2}
+    names = {"wall": 1} | {k: v for k, v in TAGS.items() if v > 2}
 
     def write() -> None:
         raw = read_raw_wall(EXAMPLE)

@@ -12,9 +12,7 @@ import pytest
 from collective import agree, raises
 from wall_files import ROOT, on_first
 
-from dolfinx_feti.wall.wallfile import NUMBERS
 from meshes import tube, vessel, wall_mesh
-from meshes.wall_mesh import TAGS
 
 pytestmark = pytest.mark.serial
 
@@ -50,11 +48,6 @@ def test_command_line_of_the_tube(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["prog", str(tmp_path / "new" / "w.msh"), *words])
     on_first(tube.main)
     agree((tmp_path / "new" / "w.msh").read_text().startswith("$MeshFormat\n2.2 "))
-
-
-def test_tags_are_the_readers():
-    """Generators and reader agree on numbers without sharing code."""
-    agree(TAGS == NUMBERS)
 
 
 @pytest.mark.parametrize(

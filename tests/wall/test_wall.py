@@ -25,10 +25,11 @@ from dolfinx_feti.wall import (
     surface_measure,
 )
 from dolfinx_feti.wall.wall import plane
-from dolfinx_feti.wall.wallfile import NUMBERS, read_raw_wall
+from dolfinx_feti.wall.wallfile import read_raw_wall
 from meshes.wall_mesh import TAGS, WallMesh, write_msh
 
 EXAMPLE = ROOT / "meshes/example.msh"
+GROUPS = {name: (3 if tag < 3 else 2, tag) for name, tag in TAGS.items()}
 AROUND, LENGTH, RADII = 14, 1.0, np.array([0.71, 0.97, 1.10])
 ANGLE = 2 * np.pi / AROUND
 
@@ -49,7 +50,7 @@ def owned(wall, dim):
     return wall.mesh.topology.index_map(dim).size_local
 
 
-def read_changed(tmp_path, mesh, names=NUMBERS):
+def read_changed(tmp_path, mesh, names=TAGS):
     """Write a wall and read it back."""
     on_first(lambda: write_msh(tmp_path / "wall.msh", mesh, names))
     return read_wall(tmp_path / "wall.msh", COMM)
@@ -99,7 +100,7 @@ def test_surface_measure(wall):
 
 def test_names(wall):
     agree(wall.layers == {"media": 1, "adventitia": 2})
-    agree(wall.names == {k: NUMBERS[k] for k in wall.names} and len(wall.names) == 6)
+    agree(wall.names == {k: TAGS[k] for k in wall.names} and len(wall.names) == 6)
     agree(openings(wall) == ["opening_1", "opening_2"])
     with raises(ValueError, "no surface 'lume'; it has lumen, outer"):
         facets(wall, "lume")
@@ -151,7 +152,7 @@ def test_the_readmes_meshio_example(tmp_path, monkeypatch, wall, raw, suffix):
     arrays = (raw.points, raw.cells, raw.layers, raw.facets, raw.surfaces)
     monkeypatch.chdir(tmp_path)
     on_first(lambda: exec(code, {"arrays": arrays}))
-    other = read_wall(tmp_path / f"own_wall.{suffix}", COMM)
+    other = read_wall(tmp_path / f"own_wall.{suffix}", COMM, names=GROUPS)
     agree(other.names == wall.names)
     equal([area(other, n) for n in wall.surfaces], [area(wall, n) for n in wall.surfaces], 1e-9)
     count = [len(whole(w.cell_tags.find(1))) for w in (wall, other)]
@@ -165,11 +166,14 @@ def test_one_number_for_cells_and_triangles(tmp_path, wall, raw, suffix, name):
     cells = [("tetra", raw.cells), ("triangle", raw.facets)]
     data = {name: [raw.layers, raw.surfaces]}
     on_first(lambda: meshio.Mesh(raw.points, cells, cell_data=data).write(path))
-    agree(read_wall(path, COMM).names == wall.names)
+    agree(read_wall(path, COMM, names=GROUPS).names == wall.names)
 
 
 def test_numbers_without_names(tmp_path, wall, raw):
-    agree(read_changed(tmp_path, raw, {}).names == wall.names)
+    """They get no anatomy that the file does not have."""
+    other = read_changed(tmp_path, raw, {})
+    agree(other.layers == {"layer_1": 1, "layer_2": 2}, other.layers)
+    agree(set(other.surfaces) == {f"surface_{wall.surfaces[n]}" for n in wall.surfaces})
 
 
 def test_names_with_other_numbers(tmp_path, raw):
@@ -195,9 +199,8 @@ def test_numbers_that_have_no_names(tmp_path, raw):
     layers = np.where(raw.layers == 1, 1, 7)
     surfaces = np.where(raw.surfaces == 4, 400, raw.surfaces)
     other = read_changed(tmp_path, replace(raw, layers=layers, surfaces=surfaces), {})
-    agree(other.layers == {"media": 1, "layer_7": 7}, other.layers)
-    openings = {"opening_1": 11, "opening_2": 12}
-    agree(other.surfaces == {"lumen": 3, **openings, "surface_400": 400}, other.surfaces)
+    agree(other.layers == {"layer_1": 1, "layer_7": 7}, other.layers)
+    agree(other.surfaces == {f"surface_{k}": k for k in (3, 11, 12, 400)}, other.surfaces)
 
 
 def test_planes(wall):

@@ -1,0 +1,214 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Broken meshes and cases, each of which has to end in one error on all processes."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+from wall_files import ROOT
+
+from dolfinx_feti.wall import read_wall, write_wall
+from dolfinx_feti.wall.wallfile import read_raw_wall
+from meshes.wall_mesh import WallMesh, write_msh
+
+EXAMPLE = ROOT / "meshes/example.msh"
+CASE = (ROOT / "demos/wall.toml").read_text(encoding="utf-8")
+
+Write = Callable[[Path], Path]
+
+#: A file writer under the name of the file, and what the error has to say.
+BROKEN: dict[str, tuple[Write, str]] = {}
+
+
+def example() -> WallMesh:
+    """Return the example as arrays."""
+    found = read_raw_wall(EXAMPLE)
+    return WallMesh(found.points, found.cells, found.layers, found.facets, found.surfaces)
+
+
+def broken(name: str, match: str) -> Callable[[Write], Write]:
+    """Enter a writer into the table."""
+
+    def enter(write: Write) -> Write:
+        BROKEN[name] = (write, match)
+        return write
+
+    return enter
+
+
+def text(name: str, content: bytes | str, match: str) -> None:
+    """Enter a file of this content."""
+
+    def write(folder: Path) -> Path:
+        path = folder / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    BROKEN[name] = (write, match)
+
+
+def changed(name: str, match: str, **arrays: Callable[[WallMesh], np.ndarray]) -> None:
+    """Enter the example with other arrays."""
+
+    def write(folder: Path) -> Path:
+        mesh = example()
+        write_msh(folder / name, replace(mesh, **{k: f(mesh) for k, f in arrays.items()}))
+        return folder / name
+
+    BROKEN[name] = (write, match)
+
+
+def with_rows(rows: np.ndarray, at: object, values: object) -> np.ndarray:
+    """Return an array with other rows."""
+    other = np.array(rows)
+    other[at] = values
+    return other
+
+
+# -- text
+
+MSH = EXAMPLE.read_bytes()
+NOISE = np.random.default_rng(71).bytes(4000)
+HEAD = b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"
+
+text("empty.msh", b"", "empty.msh")
+text("nonsense.msh", "no mesh at all\n", "nonsense.msh")
+text("noise.msh", NOISE, "noise.msh")
+text("head_alone.msh", HEAD, "has no ")
+text("noise_behind_the_head.msh", HEAD + b"$Nodes\n" + NOISE, "noise_behind_the_head.msh")
+text("binary_where_text_is_expected.msh", MSH[:600] + NOISE + MSH[4600:], "binary_where_text")
+text("cut_in_the_nodes.msh", MSH[:3000], "cut_in_the_nodes.msh")
+text("cut_in_the_elements.msh", MSH[:15000], "cut_in_the_elements.msh")
+text("other_version.msh", MSH.replace(b"2.2 0 8", b"9.7 0 8", 1), "other_version.msh")
+text("no_groups.msh", MSH.replace(b"$PhysicalNames", b"$Comments", 1), "no_groups.msh|no named")
+text("one_name_twice.msh", MSH.replace(b"adventitia", b"media"), "no name for some cells|called")
+text("empty.vtu", b"", "cannot read .*empty.vtu")
+text("noise.vtu", NOISE, "cannot read .*noise.vtu")
+text("noise.xdmf", NOISE, "cannot read .*noise.xdmf")
+text("noise.mesh", NOISE, "noise.mesh")
+text("unknown.dat0", "3 4 5\n", "cannot read .*unknown.dat0")
+
+# -- meshes
+
+changed("nan.msh", "coordinates that are not finite|cannot read",
+        points=lambda m: with_rows(m.points, 5, np.nan))  # fmt: skip
+changed("infinite.msh", "coordinates that are not finite|cannot read",
+        points=lambda m: with_rows(m.points, 5, [1e999, 0, 0]))  # fmt: skip
+changed("plane.msh", "have no volume", points=lambda m: m.points * [1, 1, 0])
+changed("inverted.msh", "3 tetrahedra of .* are inverted",
+        cells=lambda m: with_rows(m.cells, slice(3), m.cells[:3, [1, 0, 2, 3]]))  # fmt: skip
+changed("folded.msh", "are inverted|no volume",
+        points=lambda m: with_rows(
+            m.points, m.cells[0, 0], 3.0 * m.points[m.cells[0, 0]] + 1.0))  # fmt: skip
+changed("cell_twice.msh", "1 tetrahedra of .* occur twice",
+        cells=lambda m: np.vstack([m.cells, m.cells[:1]]),
+        layers=lambda m: np.append(m.layers, 3 - m.layers[0]))  # fmt: skip
+changed("non_manifold.msh", "faces of more than two tetrahedra|inverted",
+        points=lambda m: np.vstack([m.points, [[9.0, 9, 9], [9, 9, 10]]]),
+        cells=lambda m: np.vstack(
+            [m.cells, [[*m.cells[0, :3], len(m.points) + k] for k in (0, 1)]]),
+        layers=lambda m: np.append(m.layers, [1, 1]))  # fmt: skip
+changed("lost_points.msh", "points that are not in the file|cannot read",
+        cells=lambda m: with_rows(m.cells, 7, m.cells[7] + len(m.points)))  # fmt: skip
+changed("facet_twice.msh", "triangles of .* have two tags",
+        facets=lambda m: np.vstack([m.facets, m.facets[:2]]),
+        surfaces=lambda m: np.append(m.surfaces, [12, 12]))  # fmt: skip
+changed("cells_without_group.msh", "5 cells of .* are in no physical volume",
+        layers=lambda m: np.where(np.arange(len(m.cells)) < 5, 0, m.layers))  # fmt: skip
+changed("surfaces_alone.msh", "no named layer",
+        cells=lambda m: m.cells[:0], layers=lambda m: m.layers[:0])  # fmt: skip
+changed("no_surface.msh", "no named surface",
+        facets=lambda m: m.facets[:0], surfaces=lambda m: m.surfaces[:0])  # fmt: skip
+
+
+def box(path: Path, *groups: tuple[int, str], dim: int = 3) -> Path:
+    """Write a box, or its square, with groups of dimension and name."""
+    import gmsh
+
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        make = gmsh.model.occ.addBox if dim == 3 else gmsh.model.occ.addRectangle
+        make(0, 0, 0, 1, 1, *[1] * (dim - 2))
+        gmsh.model.occ.synchronize()
+        for of, name in groups:
+            gmsh.model.addPhysicalGroup(of, [1], name=name)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
+        gmsh.model.mesh.generate(dim)
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+    return path
+
+
+@broken("two_groups.msh", "Volume 1 of .* is in two physical groups, 'media' and 'tissue'")
+def _two_groups(folder: Path) -> Path:
+    groups = (3, "media"), (3, "tissue"), (2, "lumen")
+    return box(folder / "two_groups.msh", *groups)
+
+
+@broken("surface_in_two_groups.msh", "Surface 1 of .* is in two physical groups")
+def _surface_in_two_groups(folder: Path) -> Path:
+    groups = (3, "media"), (2, "lumen"), (2, "outer")
+    return box(folder / "surface_in_two_groups.msh", *groups)
+
+
+@broken("square.msh", "no named layer")
+def _square(folder: Path) -> Path:
+    return box(folder / "square.msh", (2, "media"), (1, "lumen"), dim=2)
+
+
+def damaged(name: str, change: Callable[[Path], object], match: str = "cannot be read") -> None:
+    """Enter a file of write_wall that is changed."""
+
+    def write(folder: Path) -> Path:
+        path = folder / name
+        write_wall(path, read_wall(EXAMPLE, MPI.COMM_SELF))
+        change(path)
+        return path
+
+    BROKEN[name] = (write, match)
+
+
+def rewrite(key: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
+    """Change a table of the HDF5 file."""
+
+    def work(path: Path) -> None:
+        import h5py
+
+        with h5py.File(path.with_suffix(".h5"), "a") as file:
+            file[key][...] = change(file[key][...])
+
+    return work
+
+
+damaged("no_data.xdmf", lambda p: p.with_suffix(".h5").unlink())
+damaged("noise_for_data.xdmf", lambda p: p.with_suffix(".h5").write_bytes(NOISE))
+damaged("cut_data.xdmf", lambda p: os.truncate(p.with_suffix(".h5"), 5000))
+damaged("no_names.xdmf", lambda p: p.write_text(p.read_text().replace("[{", "[[")))
+damaged("nan.xdmf", rewrite("Mesh/mesh/geometry", lambda x: x * np.nan), "not finite")
+damaged("lost_points.xdmf", rewrite("Mesh/mesh/topology", lambda t: t + 10**6), "not in the file")
+
+# -- cases
+
+for name, content, match in (
+    ("empty.toml", b"", "mesh is missing"),
+    ("noise.toml", NOISE, "is no TOML file"),
+    ("cut.toml", CASE[: CASE.index("= 3.0") + 1], "is no TOML file"),
+    ("deep.toml", "a = " + "[" * 5000, "is no TOML file"),
+    ("tables.toml", CASE.replace("[layers.media]", "[[layers.media]]"), "to be a table"),
+    ("nan.toml", CASE.replace("c = 3.0", "c = nan"), "c = nan: give a positive"),
+    ("huge.toml", CASE.replace("c = 3.0", f"c = 1{'0' * 400}"), "give a positive"),
+    ("date.toml", CASE.replace("c = 3.0", "c = 2026-11-26"), "give a positive"),
+    ("no_dashpot.toml", re.sub("\ndashpot.*", "", CASE), "rate = 100.0: has no effect without a"),
+):
+    text(name, content, match)

@@ -1,0 +1,53 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A folder of broken meshes and cases: one error each, on all processes, and no crash."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from broken_walls import BROKEN, EXAMPLE, example
+from collective import COMM, agree, equal, raises
+from wall_files import on_first
+
+from dolfinx_feti.wall import area, read_case, read_wall
+from meshes.wall_mesh import write_msh
+
+
+def test_there_are_thirty():
+    agree(len(BROKEN) >= 30, len(BROKEN))
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken(tmp_path, name):
+    """The error names the file, in one line."""
+    write, match = BROKEN[name]
+    path = on_first(lambda: write(tmp_path))
+    read = read_case if path.suffix == ".toml" else read_wall
+    with pytest.raises((ValueError, OSError)) as caught:
+        read(path, COMM)
+    said = str(caught.value)
+    agree(name in said, said)
+    with raises(type(caught.value), match):
+        raise caught.value
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e-9, 1e6])
+def test_nothing_depends_on_the_unit_of_length(tmp_path, scale):
+    """A wall in metres is as good as one in millimetres."""
+    path = tmp_path / "wall.msh"
+
+    def write():
+        mesh = example()
+        write_msh(path, replace(mesh, points=scale * mesh.points))
+
+    on_first(write)
+    wall, same = read_wall(path, COMM), read_wall(EXAMPLE, COMM)
+    equal(
+        np.array([area(wall, n) for n in same.surfaces]) / scale**2,
+        [area(same, n) for n in same.surfaces],
+        1e-9,
+    )
