@@ -46,7 +46,7 @@ import ufl
 from dolfinx_feti import NonlinearProblem, kinematics, loads, materials
 from dolfinx_feti.fem.nodes import Nodes
 from dolfinx_feti.loading import LoadStep, Steps, follow_load, unload
-from dolfinx_feti.mechanics.residual_stress import elastic_part
+from dolfinx_feti.mechanics.residual_stress import elastic_part, stress_free_direction
 from dolfinx_feti.output import cell_values
 from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.runtime.folders import writable_folder
@@ -85,6 +85,9 @@ with refusals(parser):
             f"{args.case}: [image] pressure = {case.image:g}: give a number above zero, and below "
             f"the {case.pressure:g} mmHg of [surfaces], where to arrive"
         )
+    for key, given in (("[prestretch]", case.axis), ("[loading] rate", case.rate)):
+        if given is not None:
+            raise ValueError(f"{args.case}: {key} has no effect in this demo: leave it out")
 tissues = case.layers.items()
 c, k1, k2, angles, opening_angles, stretches = (
     {name: getattr(tissue, key) for name, tissue in tissues}
@@ -99,10 +102,11 @@ imaged = [a.x.array.copy() for a in fibres]
 # ## Energy, load and tissue
 #
 # The wall would be free of stress if it were cut. From its reference configuration, G leads there,
-# and $F_e = F G^{-1}$ is what the material feels:
+# and $F_e = F G^{-1}$ is what the material feels. A fibre of the image has the direction
+# $A = G a/|G a|$ in the pieces:
 #
 # $$
-# \Pi(u, p) = \int_\Omega \bar\Psi(F_e^\top F_e) + p\,(J - 1) - \frac{p^2}{2\kappa}\,\mathrm d X .
+# \Pi(u, p) = \int_\Omega \bar\Psi(F_e^\top F_e, A) + p\,(J - 1) - \frac{p^2}{2\kappa}\,\mathrm dX .
 # $$
 #
 # With P2–P0 and $\kappa = 10^5$ kPa each cell keeps its volume, in the mean, to less than one per
@@ -117,7 +121,8 @@ F = kinematics.deformation_gradient(u)
 F_e = elastic_part(F, opening.G)
 C, J = kinematics.right_cauchy_green(F_e), kinematics.jacobian(F_e)
 tissue = {"c": by_layer(wall, c), "k1": by_layer(wall, k1), "k2": by_layer(wall, k2)}
-psi = materials.holzapfel_gasser_ogden(C, *fibres, **tissue, J=J)
+in_pieces = (stress_free_direction(a, opening.G) for a in fibres)
+psi = materials.holzapfel_gasser_ogden(C, *in_pieces, **tissue, J=J)
 psi += materials.perturbed_lagrangian(J, p, kappa=1e5)
 energy = psi * ufl.dx
 boundary = apply_conditions(wall, u, case.conditions, axis=case.axis)

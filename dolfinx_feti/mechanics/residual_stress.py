@@ -16,6 +16,11 @@ the stretch around are (Holzapfel, Gasser, Ogden 2000, section 3)
 
 in the circumferential, longitudinal and transmural directions: det G = 1. λ depends on d/ρ₀, and is
 one where the wall is flat.
+
+*Directions.* An energy of :math:`F_e` is that of the pieces, and takes the directions of fibres in
+the pieces. A direction a of the reference configuration, such as one that was seen in an image, is
+:math:`A = G a / |G a|` there (:func:`stress_free_direction`). The directions ê of G itself are
+those of the reference configuration; along them the two agree.
 """
 
 from __future__ import annotations
@@ -28,11 +33,14 @@ from ufl.core.expr import Expr
 
 from dolfinx_feti.mechanics.values import require_positive, require_within
 
-__all__ = ["elastic_part", "opened", "residual_stretch"]
+__all__ = ["elastic_part", "opened", "residual_stretch", "stress_free_direction"]
 
 
 def elastic_part(F: Expr, G: Expr) -> Expr:
     """Elastic part of a deformation, F_e = F G⁻¹, shape (d, d), of which energies are written.
+
+    It leads from the pieces that are free of stress to the deformed body. Fibres in an energy of
+    F_e are those of the pieces, see :func:`stress_free_direction`.
 
     For the Cauchy stress by :func:`~dolfinx_feti.mechanics.kinematics.cauchy_stress`, F is the
     ``ufl.variable`` of :func:`~dolfinx_feti.mechanics.kinematics.deformation_gradient`.
@@ -49,6 +57,27 @@ def elastic_part(F: Expr, G: Expr) -> Expr:
             f"G has the shape {G.ufl_shape} and F {F.ufl_shape}: give a tensor like F."
         )
     return F * ufl.inv(G)
+
+
+def stress_free_direction(a: Expr, G: Expr) -> Expr:
+    """Direction in the pieces without stress of a line of the reference configuration, G a/|G a|.
+
+    Args:
+        a: Direction in the reference configuration, of any length but zero, shape (d,).
+        G: From the reference configuration to the pieces, shape (d, d).
+
+    Returns:
+        Unit vector, shape (d,).
+
+    Raises:
+        ValueError: The shapes do not fit.
+    """
+    if G.ufl_shape != 2 * a.ufl_shape:
+        raise ValueError(
+            f"G has the shape {G.ufl_shape} and a {a.ufl_shape}: give (d, d) and (d,)."
+        )
+    A = G * a
+    return A / ufl.sqrt(ufl.inner(A, A))
 
 
 def residual_stretch(

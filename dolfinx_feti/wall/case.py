@@ -26,7 +26,7 @@ class Tissue:
         c: Stiffness of the matrix material [kPa].
         k1: Stiffness of the fibres [kPa]; 0 for none.
         k2: Exponent of the fibres [-].
-        angle: Of the fibres from the circumferential direction [degrees].
+        angle: Of the fibres from the circumferential direction in the wall as meshed [degrees].
         opening_angle: By which the layer opens when it is cut [degrees].
         axial_stretch: Its prestretch along the vessel [-].
     """

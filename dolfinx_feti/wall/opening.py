@@ -44,11 +44,13 @@ class Opening:
 
     Attributes:
         G: The tensor in UFL, shape (3, 3), det G = 1, for
-            :func:`~dolfinx_feti.mechanics.residual_stress.elastic_part`.
+            :func:`~dolfinx_feti.mechanics.residual_stress.elastic_part`. It leads from the wall as
+            meshed to the pieces without stress; fibres of the wall as meshed are taken there by
+            :func:`~dolfinx_feti.mechanics.residual_stress.stress_free_direction`.
         curvature: κ, around the vessel [1/mm], in each cell.
         angle: Opening angle of each cell [degrees]; its values may change.
         middle: t of the middle surface of each cell's layer.
-        directions: ê₀, ê₁ and ê₂, vectors in each cell.
+        directions: ê₀, ê₁ and ê₂ of the wall as meshed, vectors in each cell.
         potentials: t and l of the wall, see :func:`~dolfinx_feti.wall.fibres.potentials`.
     """
 

@@ -31,6 +31,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.mechanics.values import require_positive
+
 __all__ = [
     "STANDARD_PATHS",
     "Path",
@@ -152,6 +154,7 @@ def inflation(
     Raises:
         ValueError: As :func:`biaxial`.
     """
+    require_positive(axial=axial)
     return biaxial(stretch, axial, along=along, across=across, name="inflation–extension")
 
 

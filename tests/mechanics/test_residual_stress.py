@@ -14,7 +14,12 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, materials
-from dolfinx_feti.mechanics.residual_stress import elastic_part, opened, residual_stretch
+from dolfinx_feti.mechanics.residual_stress import (
+    elastic_part,
+    opened,
+    residual_stretch,
+    stress_free_direction,
+)
 
 INNER, OUTER = 1.0, 1.4
 MIDDLE = (INNER + OUTER) / 2
@@ -109,6 +114,54 @@ def test_no_angle_no_stretch():
     small(scalar(psi * ufl.dx(metadata={"quadrature_degree": 4})), 1e-12)
 
 
+def pieces_of(G: np.ndarray, a: np.ndarray) -> tuple[dolfinx.mesh.Mesh, np.ndarray]:
+    """A fibre as two points of the reference configuration, moved to the pieces by y = G X."""
+    mesh = dolfinx.mesh.create_unit_cube(COMM, 1, 1, 1)
+    mesh.geometry.x[:] = mesh.geometry.x @ G.T
+    here, there = np.zeros(3), 0.3 * a
+    A = G @ there - G @ here
+    A = A / np.linalg.norm(A)
+    return mesh, A
+
+
+@pytest.mark.parametrize("angle", [0.0, 29.0, 62.0])
+def test_an_oblique_fibre_of_the_image(angle):
+    """The stress in the image is that of the pieces, each a body of its own that is put back.
+
+    The pieces are meshed as they are, with the fibre drawn through two points of the image.
+    """
+    G = np.diag([1 / 1.3, 1 / 1.1, 1.43])  # opens and becomes shorter
+    a = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0.0])
+    F_0 = np.array([[1.1, 0.05, 0.0], [0.0, 1.2, 0.02], [0.01, 0.0, 0.8]])
+    dx = ufl.dx(metadata={"quadrature_degree": 1})
+
+    def hoop(mesh, F, F_e, fibre):
+        variable = ufl.variable(F)
+        F_e = F_e(variable)
+        C, J = kinematics.right_cauchy_green(F_e), kinematics.jacobian(F_e)
+        psi = materials.neo_hookean(C, c=3.0, J=J)
+        I_4 = kinematics.isochoric_invariant_4(C, fibre, J)
+        psi += 20.0 * (I_4 - 1) ** 2
+        sigma = kinematics.cauchy_stress(psi, variable)
+        one = dolfinx.fem.Constant(mesh, 1.0)
+        return np.array([scalar(sigma[i, j] * one * dx) for i, j in ((0, 0), (0, 1), (1, 1))])
+
+    image = dolfinx.mesh.create_unit_cube(COMM, 1, 1, 1)
+    pieces, A = pieces_of(G, a)
+    F, G_ufl, a_ufl = (ufl.as_tensor(t.tolist()) for t in (F_0, G, a))
+
+    def in_image(fibre):
+        return hoop(image, F, lambda F: elastic_part(F, G_ufl), fibre)
+
+    back = ufl.as_tensor((F_0 @ np.linalg.inv(G)).tolist())
+    volume = np.linalg.det(G)  # of the pieces, over that of the image
+    exact = hoop(pieces, back, lambda F: F, ufl.as_vector(A.tolist())) / volume
+    found = in_image(stress_free_direction(a_ufl, G_ufl))
+    small(np.abs(found - exact).max(), 1e-12 * np.abs(exact).max())
+    if angle:
+        agree(np.abs(in_image(a_ufl) - exact).max() > 0.02 * np.abs(exact).max())
+
+
 def test_bad_input():
     for angle in (360.0, 400.0, np.nan):
         with raises(ValueError, "angle = .*: give less than 360 degrees"):
@@ -116,5 +169,7 @@ def test_bad_input():
     for stretch in (0.0, -1.0, np.inf):
         with raises(ValueError, "stretch = .*: give a positive number"):
             residual_stretch(1.0, 0.1, 10.0, stretch)
+    with raises(ValueError, r"G has the shape \(3, 3\) and a \(2,\)"):
+        stress_free_direction(ufl.as_vector([1, 0]), ufl.Identity(3))
     with raises(ValueError, r"G has the shape \(2, 2\) and F \(3, 3\)"):
         elastic_part(ufl.Identity(3), ufl.Identity(2))

@@ -1,0 +1,114 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Values without a meaning, each refused with its name, by every public constructor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import ufl
+
+from dolfinx_feti import loads, materials, supports, workshop
+from dolfinx_feti.mechanics import memory
+from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
+from dolfinx_feti.wall import Case, Clamp, Dashpot, Pressure, Spring, Tissue
+
+I = ufl.Identity(3)  # noqa: E741
+E = ufl.as_vector([1, 0, 0])
+F = ufl.variable(I)
+NAN, INF = float("nan"), float("inf")
+
+POSITIVE, NOT_NEGATIVE = (0.0, -1.0, NAN, INF), (-1.0, NAN, INF)
+
+
+def case(**values: object) -> Case:
+    """Return a case that is right but for these values."""
+    conditions = {"lumen": (Pressure(),), "end": (Clamp(),), **values.pop("conditions", {})}
+    return Case("tube", {"media": Tissue(3.0)}, conditions, **{"pressure": 100.0, **values})
+
+
+HGO = {"c": 3.0, "k1": 2.0, "k2": 1.0}
+OGDEN = dict.fromkeys(("a", "b", "a_f", "b_f", "a_s", "b_s", "a_fs", "b_fs"), 1.0)
+GUCCIONE = dict.fromkeys(("c", "b_f", "b_t", "b_fs"), 1.0)
+
+#: A call, the arguments that are right, and the wrong values of some.
+Row = tuple[Callable[..., object], dict[str, object], dict[str, tuple[object, ...]]]
+
+TABLE: list[Row] = [
+    (Tissue, HGO, {
+        "c": POSITIVE, "k1": NOT_NEGATIVE, "k2": POSITIVE, "angle": (-1.0, 91.0, NAN),
+        "opening_angle": (360.0, -360.0, NAN), "axial_stretch": POSITIVE}),
+    (case, {}, {
+        "pressure": POSITIVE, "scale": POSITIVE, "image": NOT_NEGATIVE, "stretch": (*POSITIVE, 1.2),
+        "axis": ("r", 1), "rate": (*POSITIVE, 10.0)}),
+    (Pressure, {}, {"share": (0.0, NAN, INF)}),
+    (Spring, {"stiffness": 1.0}, {"stiffness": POSITIVE, "direction": ("along", None)}),
+    (Dashpot, {"viscosity": 1.0}, {"viscosity": POSITIVE, "direction": ("along", None)}),
+    (loads.mmhg, {}, {"value": (NAN, INF)}),
+    (materials.ArteryParameters, {}, dict.fromkeys(HGO, POSITIVE)),
+    (materials.neo_hookean, {"C": I}, {"c": POSITIVE}),
+    (materials.mooney_rivlin, {"C": I, "c10": 1.0, "c01": 1.0}, {"c10": POSITIVE, "c01": POSITIVE}),
+    (materials.volumetric, {"J": ufl.det(I)}, {"kappa": POSITIVE}),
+    (materials.perturbed_lagrangian, {"J": ufl.det(I), "p": ufl.det(I)}, {"kappa": POSITIVE}),
+    (materials.holzapfel_gasser_ogden, {"C": I, "a1": E, "a2": E, **HGO},
+     dict.fromkeys(HGO, POSITIVE)),
+    (materials.gasser_ogden_holzapfel, {"C": I, "a1": E, "a2": E, "dispersion": 0.1, **HGO},
+     {"dispersion": (-0.1, 0.4, NAN), "k2": POSITIVE}),
+    (materials.guccione, {"C": I, "fibre": E, **GUCCIONE}, dict.fromkeys(GUCCIONE, POSITIVE)),
+    (materials.holzapfel_ogden, {"C": I, "fibre": E, "sheet": E, **OGDEN},
+     dict.fromkeys(OGDEN, POSITIVE)),
+    (materials.active_tension, {"C": I, "fibre": E}, {"tension": NOT_NEGATIVE}),
+    (materials.saint_venant_kirchhoff, {"C": I, "lmbda": 1.0, "mu": 1.0},
+     {"lmbda": POSITIVE, "mu": POSITIVE}),
+    (memory.MaxwellBranch, {"Q": I, "share": 1.0, "time": 1.0},
+     {"share": POSITIVE, "time": POSITIVE}),
+    (memory.viscoelastic, {"psi": ufl.tr(F), "F": F, "S_n": I, "branches": []}, {"dt": POSITIVE}),
+    (memory.damaged, {"psi": ufl.tr(I), "m": ufl.tr(I), "d_max": 0.5, "W": 1.0},
+     {"d_max": (0.0, 1.0, 5, NAN), "W": POSITIVE}),
+    (residual_stretch, {"curvature": 1.0, "depth": ufl.tr(I), "angle": 10.0},
+     {"curvature": (NAN, INF), "angle": (360.0, NAN, -INF), "stretch": POSITIVE}),
+    (opened, {"directions": [E, E, E], "λ": ufl.tr(I)}, {"stretch": POSITIVE}),
+    (supports.spring_energy, {"u": E, "ds": ufl.ds, "stiffness": 1.0},
+     {"stiffness": NOT_NEGATIVE, "direction": ("along",)}),
+    (supports.dashpot_energy,
+     {"u": E, "last": E, "ds": ufl.ds, "viscosity": 1.0, "time_step": 1.0, "direction": "all"},
+     {"viscosity": NOT_NEGATIVE, "time_step": (0.0, -1.0, NAN), "direction": ("along",)}),
+    (workshop.uniaxial, {"stretch": [1.0]},
+     {"stretch": (0.0, NAN, []), "along": ((0, 0, 0), (NAN, 0, 0), (1, 0))}),
+    (workshop.biaxial, {"stretch": [1.0], "stretch_2": 1.0},
+     {"stretch_2": (0.0, INF, [1.0, 2.0]), "across": ((1, 0, 0),)}),
+    (workshop.simple_shear, {"shear": [0.1]}, {"shear": (NAN, []), "across": ((0, 0, 0),)}),
+    (workshop.inflation, {"stretch": [1.0]}, {"axial": POSITIVE}),
+]  # fmt: skip
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("call", "right", "name", "wrong"),
+    [
+        pytest.param(call, right, name, value, id=f"{call.__name__}-{name}-{value}")
+        for call, right, columns in TABLE
+        for name, values in columns.items()
+        for value in values
+    ],
+)
+def test_refused_with_its_name(call, right, name, wrong):
+    with pytest.raises((ValueError, TypeError), match=rf"\b{name}\b"):
+        call(**{**right, name: wrong})
+
+
+@pytest.mark.serial
+def test_what_has_no_effect_in_a_case():
+    """A rate belongs to dashpots, and a stretch to an axis."""
+    dashpot = {"outer": (Dashpot(0.1),)}
+    with pytest.raises(ValueError, match="rate=None: no dashpot has an effect without it"):
+        case(conditions=dashpot)
+    assert case(conditions=dashpot, rate=10.0).rate == 10.0
+    assert case(axis="x", stretch=1.2).stretch == 1.2
+    with pytest.raises(TypeError, match="c = '3 kPa': expected a number"):
+        Tissue("3 kPa")
+    assert np.isfinite(Tissue(3.0).k2)
