@@ -3,6 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Finite elements: a mesh cut into subdomains, and forms assembled on them.
 
-In the order of the data: elements, quadrature, nodes, compiler, facets, decomposition, integrand,
-kernel, assembly, tensors, condensation, internal_variables, checks.
+In the order of the data: elements, quadrature, nodes, compiler, facets, decomposition, regions,
+integrand, contraction, kernel, assembly, tensors, condensation, internal_variables, checks.
 """

@@ -9,9 +9,9 @@ r"""Assembly of the torn matrix: one form, one call, all subdomains of the proce
 those of the torn space; coefficients, constants, measures and normals stay. Dirichlet conditions
 (eq. 7, Augustin_eq:Dirichlet) never enter K: the matrix carries the list of their dofs (``torn``).
 
-The matrix is one of dolfinx's; PETSc reads the same memory. Integrals over all cells are added by a
-kernel of this package (``kernel``), with the places of their entries known beforehand, the others,
-and what only FFCx can compile, by dolfinx.
+The matrix is one of dolfinx's; PETSc reads the same memory. Integrals over cells are added by
+kernels of this package (``kernel``), one for each region, with the places of their entries known
+beforehand, the others, and what only FFCx can compile, by dolfinx.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ import ufl
 
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace
-from dolfinx_feti.fem.kernel import Kernel, create_kernel, separate
+from dolfinx_feti.fem.kernel import Kernel, create_kernel
+from dolfinx_feti.fem.regions import separate
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.native import load, pointer
 from dolfinx_feti.torn.matrix import create_torn_matrix, set_near_kernel
@@ -74,11 +75,11 @@ class SplitForm:
     """A form in two parts.
 
     Attributes:
-        kernel: Integrals over all cells; None where FFCx alone can compile them.
+        kernels: Integrals over cells, one kernel for each region.
         rest: What dolfinx assembles; None for nothing.
     """
 
-    kernel: Kernel | None
+    kernels: tuple[Kernel, ...]
     rest: dolfinx.fem.Form | None
 
 
@@ -121,12 +122,16 @@ def _split(
     compiler: Compiler,
     compiled: Callable[[ufl.Form], dolfinx.fem.Form],
 ) -> SplitForm:
-    """Compile the integrals over all cells as a kernel, if that can be, the others for dolfinx."""
-    expanded = ufl.algorithms.expand_derivatives(form)
-    inside, rest = separate(expanded)
-    kernel = None if inside.empty() else create_kernel([inside], mesh, compiler)
-    left = expanded if kernel is None else rest
-    return SplitForm(kernel, None if left.empty() else compiled(left))
+    """Compile the integrals over cells as kernels, if that can be, the others for dolfinx."""
+    kernels = []
+    regions, rest = separate(ufl.algorithms.expand_derivatives(form), mesh)
+    for region in regions:
+        kernel = create_kernel([region.inside], mesh, compiler, region.cells)
+        if kernel is None:
+            rest = rest + region.form
+        else:
+            kernels.append(kernel)
+    return SplitForm(tuple(kernels), None if rest.empty() else compiled(rest))
 
 
 def dolfinx_form(
@@ -263,8 +268,8 @@ def assemble(K: LocalMatrix, form: SplitForm) -> None:
     K.csr.data[:] = 0.0
     if form.rest is not None:
         dolfinx.fem.assemble_matrix(K.csr, form.rest)  # type: ignore[arg-type]
-    if form.kernel is not None:
-        form.kernel.add_to(np.asarray(K.csr.data, dtype=np.float64), K.csr.indptr, K.node, K.place)
+    for kernel in form.kernels:
+        kernel.add_to(np.asarray(K.csr.data, dtype=np.float64), K.csr.indptr, K.node, K.place)
     K.mat.stateIncrease()
 
 
@@ -274,10 +279,10 @@ def assemble_vector(form: SplitForm, V: dolfinx.fem.FunctionSpace) -> dolfinx.la
         b = dolfinx.la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
     else:
         b = dolfinx.fem.assemble_vector(form.rest)
-    if form.kernel is not None:
-        (r,) = form.kernel.evaluate()
-        bs = V.dofmap.index_map_bs
-        dofs = V.dofmap.list[: len(r), :, None] * bs + np.arange(bs, dtype=np.int32)
+    bs = V.dofmap.index_map_bs
+    for kernel in form.kernels:
+        (r,) = kernel.evaluate()
+        dofs = V.dofmap.list[kernel.rows][:, :, None] * bs + np.arange(bs, dtype=np.int32)
         b.array[:] += np.bincount(dofs.ravel(), r.ravel(), minlength=len(b.array))
     return b
 
@@ -285,7 +290,7 @@ def assemble_vector(form: SplitForm, V: dolfinx.fem.FunctionSpace) -> dolfinx.la
 def integrate(form: SplitForm) -> float:
     """Return the integral over the cells of this process."""
     total = 0.0 if form.rest is None else float(dolfinx.fem.assemble_scalar(form.rest))
-    return total + (0.0 if form.kernel is None else float(form.kernel.evaluate()[0].sum()))
+    return total + sum(float(kernel.evaluate()[0].sum()) for kernel in form.kernels)
 
 
 def assemble_owned(form: dolfinx.fem.Form) -> Vector:

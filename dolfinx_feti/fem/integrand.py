@@ -132,6 +132,11 @@ class Point:
         self.slots: set[Slot] = set()
 
     @property
+    def values(self) -> set[int]:
+        """Elements whose functions have values here."""
+        return {slot.element for slot in self.slots if slot.direction == VALUE}
+
+    @property
     def gradients(self) -> set[int]:
         """Elements whose functions have gradients here."""
         return {slot.element for slot in self.slots if slot.direction != VALUE}
@@ -198,6 +203,8 @@ class Point:
     def _terminal(self, node: Expr) -> tuple[str, str]:
         """Return name and type of a number, or of what a cell gathers."""
         if isinstance(node, (classes.ScalarValue, classes.Zero)):
+            if not np.isfinite(float(node)):
+                raise UnsupportedError(f"the number {node}")
             return repr(float(node)), "double"
         terminal = analyse_modified_terminal(node)
         known, component = terminal.terminal, terminal.flat_component
@@ -230,7 +237,7 @@ def scalar_element(V: dolfinx.fem.FunctionSpace) -> tuple[basix.ufl._ElementBase
     """
     element = V.ufl_element()
     block = element.block_size
-    scalar = element.sub_elements[0] if block > 1 else element
+    scalar = element.sub_elements[0] if element.sub_elements else element
     if (
         not isinstance(V, dolfinx.fem.FunctionSpace)
         or scalar.has_custom_quadrature  # a function of quadrature points
@@ -238,6 +245,7 @@ def scalar_element(V: dolfinx.fem.FunctionSpace) -> tuple[basix.ufl._ElementBase
         or scalar.polyset_type != basix.PolysetType.standard
         or scalar.reference_value_size != 1
         or element.reference_value_size != block
+        or int(np.prod(V.value_shape)) != block  # a symmetric tensor
         or V.element.needs_dof_transformations
     ):
         raise UnsupportedError

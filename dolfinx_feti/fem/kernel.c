@@ -94,19 +94,33 @@ __attribute__((unused)) static inline void gradients(int n, int d, const double 
         }
 }
 
-// Whether A_st = A_ts, to rounding, for n pairs of the factors, (points, width).
-__attribute__((unused)) static int symmetric(int points, int width, const V *A, int n,
-                                             const int (*pair)[2])
+// The greatest |A_i| at all points, of factors A, (points, width).
+static V greatest(int points, int width, const V *A, int i)
 {
-    V most = {0.0}, difference = {0.0};
-    for (int q = 0; q < points; ++q, A += width)
-        for (int i = 0; i < n; ++i) {
-            const V a = v_fabs(A[pair[i][0]]);
-            most = choose(a > most, a, most);
-            difference += v_fabs(A[pair[i][0]] - A[pair[i][1]]);
-        }
-    for (int l = 0; l < LANES; ++l)
-        if (!(difference[l] <= 64 * DBL_EPSILON * most[l])) return 0;
+    V most = {0.0};
+    for (int q = 0; q < points; ++q) {
+        const V a = v_fabs(A[q * width + i]);
+        most = choose(a > most, a, most);
+    }
+    return most;
+}
+
+// Whether A_st = A_ts, to rounding, for n pairs of the factors, (points, width). A pair names A_st,
+// A_ts, A_ss, A_tt, or -1 for a factor that is zero: rounding errors are a share of |A_st| or of
+// |A_ss A_tt|^½, which have one unit, whatever the units of the slots s and t.
+__attribute__((unused)) static int symmetric(int points, int width, const V *A, int n,
+                                             const int (*pair)[4])
+{
+    for (int i = 0; i < n; ++i, ++pair) {
+        V difference = {0.0}, size = greatest(points, width, A, (*pair)[0]);
+        for (int q = 0; q < points; ++q)
+            difference += v_fabs(A[q * width + (*pair)[0]] - A[q * width + (*pair)[1]]);
+        if ((*pair)[2] >= 0 && (*pair)[3] >= 0)
+            size += v_sqrt(greatest(points, width, A, (*pair)[2])) *
+                    v_sqrt(greatest(points, width, A, (*pair)[3]));
+        for (int l = 0; l < LANES; ++l)
+            if (!(difference[l] <= 64 * DBL_EPSILON * size[l])) return 0;
+    }
     return 1;
 }
 
@@ -133,12 +147,15 @@ static int create_lanes(Lanes *lanes)
     return 0;
 }
 
-// Tabulate the cells from a first one on, of m in all; the last one fills up the lanes.
-static void visit(const Lanes *lanes, int first, int m, const double *x, const int *node,
-                  const double *const *w, const int *const *dof, const double *c)
+// Tabulate cells from place first on, of m places in all, and return them; the last one fills up the
+// lanes. The cells are all from 0 on, or those of a list.
+static void visit(const Lanes *lanes, int first, int m, const int *list, const double *x,
+                  const int *node, const double *const *w, const int *const *dof, const double *c,
+                  int64_t *cells)
 {
     for (int l = 0; l < LANES; ++l) {
-        const int64_t cell = first + l < m ? first + l : m - 1;
+        const int place = first + l < m ? first + l : m - 1;
+        const int64_t cell = cells[l] = list ? list[place] : place;
         for (int n = 0; n < NODES; ++n)
             for (int i = 0; i < GDIM; ++i)
                 lanes->x[n * GDIM + i][l] = x[3 * (int64_t)node[cell * NODES + n] + i];
@@ -152,14 +169,16 @@ static void visit(const Lanes *lanes, int first, int m, const double *x, const i
 }
 
 // out[f] ← the entries of form f in m cells, cell by cell, with the coordinates x, (·, 3), the
-// coefficients w and the constants c. Returns 0, or 1 without memory.
-int evaluate(int m, const double *x, const int *node, const double *const *w, const int *const *dof,
+// coefficients w and the constants c. The cells are the first ones, or those of a list, if there is
+// one. Returns 0, or 1 without memory.
+int evaluate(int m, const int *list, const double *x, const int *node, const double *const *w, const int *const *dof,
              const double *c, double *const *out)
 {
     Lanes lanes;
+    int64_t cell[LANES];
     if (create_lanes(&lanes)) return 1;
     for (int first = 0; first < m; first += LANES) {
-        visit(&lanes, first, m, x, node, w, dof, c);
+        visit(&lanes, first, m, list, x, node, w, dof, c, cell);
         for (int f = 0; f < FORMS; ++f) {
             const int size = FIRST[f + 1] - FIRST[f];
             double *to = out[f] + (int64_t)first * size;
@@ -171,23 +190,24 @@ int evaluate(int m, const double *x, const int *node, const double *const *w, co
     return 0;
 }
 
-// K ← K + Σ_τ k over m cells τ, with the k of the only form. A cell has n blocks of dofs, (m, n); the
+// K ← K + Σ_τ k over m cells τ, as in evaluate(), with the k of the only form. A cell has n blocks of dofs, (m, n); the
 // columns of block j begin at a place, (m, n, n), in the rows of block i. Returns 0, or 1 without
 // memory.
-int add(int m, const double *x, const int *node, const double *const *w, const int *const *dof,
+int add(int m, const int *list, const double *x, const int *node, const double *const *w, const int *const *dof,
         const double *c, int n, const int *block, const int *place, const int64_t *indptr,
         double *values)
 {
     enum { BS = BLOCK_OF_ROWS };
     Lanes lanes;
+    int64_t cell[LANES];
     if (create_lanes(&lanes)) return 1;
     for (int first = 0; first < m; first += LANES) {
-        visit(&lanes, first, m, x, node, w, dof, c);
+        visit(&lanes, first, m, list, x, node, w, dof, c, cell);
         const V *k = lanes.out;
         for (int i = 0; i < n; ++i)
             for (int p = 0; p < BS; ++p, k += n * BS)
                 for (int l = 0; l < LANES && first + l < m; ++l) {
-                    const int64_t at = (int64_t)(first + l) * n + i;
+                    const int64_t at = cell[l] * n + i;
                     double *const row = values + indptr[(int64_t)block[at] * BS + p];
                     for (int j = 0; j < n; ++j)
                         for (int s = 0; s < BS; ++s) row[place[at * n + j] + s] += k[j * BS + s][l];

@@ -11,7 +11,8 @@ processor does in one to four instructions, and a tangent is contracted in two s
 
 with the factors A_q at the quadrature points (``integrand``), weighted, and gradients in the
 reference configuration. Where A_q is symmetric at all points of eight cells, to rounding, K is, and
-one half is copied.
+one half is copied. Many points are visited a few at a time, which bounds what they take of the
+stack.
 
 Values agree with dolfinx's to rounding, and what is no number there is none here.
 
@@ -21,6 +22,7 @@ generated once in a run.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,35 +36,30 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.integrand import (
-    VALUE,
-    Point,
-    Slot,
-    State,
-    UnsupportedError,
-    scalar_element,
-)
+from dolfinx_feti.fem.contraction import Factors, braces, contraction
+from dolfinx_feti.fem.integrand import Point, State, UnsupportedError, scalar_element
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.native import load, pointer
 
-__all__ = ["Kernel", "create_kernel", "separate"]
+__all__ = ["Kernel", "create_kernel"]
 
 Array = npt.NDArray[np.float64]
 
-#: Bytes of a vector of eight numbers, and most that the points of a rule may take of the stack.
-VECTOR, STACK = 64, 2 * 1024**2
+#: Bytes of a vector of eight numbers; of the stack that points take at a time, and most that all
+#: points of a rule would take.
+VECTOR, STACK, MOST = 64, 256 * 1024, 2 * 1024**2
 
-#: Number of a factor under the slots of the arguments.
-Factors = dict[tuple[Slot, ...], int]
+_log = logging.getLogger(__name__)
 
 #: Shapes of forms, which of their coefficients and constants are gathered, and the code.
 Generated = tuple[tuple[tuple[int, ...], ...], list[int], list[int], str]
 
-#: By signatures, and by the places of each form's coefficients and constants among those of all.
-_generated: dict[object, Generated] = {}
+#: By signatures, and by the places of each form's coefficients and constants among those of all;
+#: None where only FFCx can compile an integrand.
+_generated: dict[object, Generated | None] = {}
 
 SOURCE = Path(__file__).with_name("kernel.c")
-STATE = """int, const double *, const int *, const double *const *, const int *const *,
+STATE = """int, const int *, const double *, const int *, const double *const *, const int *const *,
            const double *"""
 DECLARATION = f"""
 int evaluate({STATE}, double *const *);
@@ -80,6 +77,7 @@ class Kernel:
         functions: Coefficients that are gathered.
         constants: Constants.
         code: The compiled module.
+        cells: The cells; None for all that this process owns.
     """
 
     shapes: tuple[tuple[int, ...], ...]
@@ -87,9 +85,17 @@ class Kernel:
     functions: Sequence[dolfinx.fem.Function]
     constants: Sequence[dolfinx.fem.Constant]
     code: Any
+    cells: npt.NDArray[np.int32] | None = None
+
+    @property
+    def rows(self) -> npt.NDArray[np.int32] | slice:
+        """The kernel's cells in a table of all cells."""
+        topology = self.mesh.topology
+        owned = topology.index_map(topology.dim).size_local
+        return slice(owned) if self.cells is None else self.cells
 
     def evaluate(self) -> list[Array]:
-        """Integrate over each owned cell at the present state.
+        """Integrate over each cell at the present state.
 
         Returns:
             For each form (cells, …), with the dofs of a cell for each argument, in the order of the
@@ -120,11 +126,12 @@ class Kernel:
         self._require(self.code.lib.add(*self._state(), node.shape[1], *arrays))
 
     def _state(self) -> tuple[Any, ...]:
-        """Return what is gathered: number of cells, geometry, coefficients, constants."""
-        topology = self.mesh.topology
+        """Return what is gathered: cells, geometry, coefficients, constants."""
+        topology, cells = self.mesh.topology, self.cells
         constants = [np.ravel(c.value) for c in self.constants]
         return (
-            topology.index_map(topology.dim).size_local,
+            topology.index_map(topology.dim).size_local if cells is None else len(cells),
+            self.code.ffi.NULL if cells is None else pointer(self.code, cells),
             pointer(self.code, self.mesh.geometry.x),
             pointer(self.code, compat.geometry_dofmap(self.mesh)),
             self._pointers("double *", [f.x.array for f in self.functions]),
@@ -144,30 +151,19 @@ class Kernel:
             raise MemoryError("no memory for eight cells")
 
 
-def separate(form: ufl.Form) -> tuple[ufl.Form, ufl.Form]:
-    """Separate the integrals over all cells, by a rule of basix, from the others."""
-    inside = [
-        integral.integral_type() == "cell"
-        and integral.subdomain_id() == "everywhere"
-        and integral.metadata().get("quadrature_rule", "default") == "default"
-        for integral in form.integrals()
-    ]
-    parts = tuple(
-        ufl.Form([i for i, chosen in zip(form.integrals(), inside, strict=True) if chosen is part])
-        for part in (True, False)
-    )
-    return parts[0], parts[1]
-
-
 def create_kernel(
-    forms: Sequence[ufl.Form], mesh: dolfinx.mesh.Mesh, compiler: Compiler
+    forms: Sequence[ufl.Form],
+    mesh: dolfinx.mesh.Mesh,
+    compiler: Compiler,
+    cells: npt.NDArray[np.int32] | None = None,
 ) -> Kernel | None:
-    """Compile forms of integrals over all cells.
+    """Compile forms of integrals over cells.
 
     Args:
-        forms: The forms, see :func:`separate`.
+        forms: The forms, see :func:`~dolfinx_feti.fem.regions.separate`.
         mesh: Their mesh.
         compiler: Whose flags for the C compiler are taken.
+        cells: Owned cells that are integrated over; all if not given.
 
     Returns:
         The kernel; None where only FFCx can compile an integrand.
@@ -177,12 +173,9 @@ def create_kernel(
     """
     functions = list(dict.fromkeys(f for form in forms for f in form.coefficients()))
     constants = list(dict.fromkeys(c for form in forms for c in form.constants()))
-    alone = all(form.ufl_domains() == (mesh.ufl_domain(),) for form in forms) and all(
-        isinstance(f, dolfinx.fem.Function)
-        and f.function_space.mesh._cpp_object == mesh._cpp_object
-        for f in functions
-    )
-    if mesh.topology.dim != mesh.geometry.dim or not alone:
+    alone = all(form.ufl_domains() == (mesh.ufl_domain(),) for form in forms)
+    gathered = alone and all(_is_gathered(f, mesh) for f in functions)
+    if mesh.topology.dim != mesh.geometry.dim or not gathered:
         return None
     key = tuple(
         (
@@ -192,14 +185,36 @@ def create_kernel(
         )
         for form in forms
     )
-    try:
-        if key not in _generated:
+    if key not in _generated:
+        try:
             _generated[key] = _generate(forms, mesh, functions, constants)
-    except UnsupportedError:
+        except Exception as error:  # FFCx is asked, and says what it does not know
+            _log.debug("FFCx compiles cell integrals: %r", error)
+            _generated[key] = None
+    generated = _generated[key]
+    if generated is None:
         return None
-    shapes, used, held, text = _generated[key]
+    shapes, used, held, text = generated
     code = load(SOURCE, DECLARATION, compiler.comm, generated=text, flags=compiler.flags())
-    return Kernel(shapes, mesh, [functions[i] for i in used], [constants[i] for i in held], code)
+    gathers = [functions[i] for i in used], [constants[i] for i in held]
+    return Kernel(shapes, mesh, *gathers, code, cells)
+
+
+def _is_gathered(f: ufl.Coefficient, mesh: dolfinx.mesh.Mesh) -> bool:
+    """Whether a function's dofs in a cell are blocks of doubles, one for each of its element.
+
+    Those of a vector in a mixed space, of which a dof map has single dofs, are not.
+    """
+    if not isinstance(f, dolfinx.fem.Function) or f.x.array.dtype != np.float64:
+        return False
+    V, element = f.function_space, f.function_space.ufl_element()
+    bs = 0 if element.is_mixed else element.block_size
+    blocks = V.dofmap.list.shape[1]
+    return bool(
+        V.mesh._cpp_object == mesh._cpp_object
+        and V.dofmap.bs == bs
+        and blocks * bs == V.element.space_dimension
+    )
 
 
 def _generate(
@@ -224,6 +239,8 @@ def _generate(
             do_append_everywhere_integrals=False,
         )
         for integral in (i for group in data.integral_data for i in group.integrals):
+            if any(e.has_custom_quadrature for e in ufl.algorithms.extract_elements(integral)):
+                raise UnsupportedError("points of a quadrature element")
             degree = _degree(integral)
             point = points.setdefault(degree, Point(state))
             found = point.add(integral.integrand(), len(form.arguments()))
@@ -234,14 +251,12 @@ def _generate(
     coordinate = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
     stages = []
     for number, (degree, point) in enumerate(points.items()):
-        rule: Any = basix.make_quadrature(cell, degree)
-        gradients = sum(state.elements[e].dim * gdim for e in point.gradients)
-        if VECTOR * len(rule[1]) * (gradients + 2 * len(point.factors)) > STACK:
-            raise UnsupportedError
-        body = [*_tables(rule, coordinate, state, point), *_at_points(point, gdim)]
+        rule, chunk = _rule(cell, degree, VECTOR * _vectors(state, point, gdim))
+        body = _at_points(state, point, gdim)
         for form, factors in terms[degree]:
-            body += _contraction(factors, first[form], shapes[form])
-        stages.append(_stage(number, len(rule[1]), body))
+            body += contraction(factors, point.factors, first[form], shapes[form])
+        tables = _tables(rule, coordinate, state, point)
+        stages.append(_stage(number, len(rule[1]), chunk, tables, body))
     used = [scalar_element(f.function_space) for f in state.functions]
     sizes = {
         "NODES": coordinate.dim,
@@ -257,7 +272,7 @@ def _generate(
         "FIRST": first.tolist(),
     }
     head = [f"#define {name} {n}" for name, n in sizes.items()]
-    head += [f"static const int {name}[] = {_braces(n)};" for name, n in lists.items()]
+    head += [f"static const int {name}[] = {braces(n)};" for name, n in lists.items()]
     calls = [f"stage{number}(X, W, c, out);" for number in range(len(stages))]
     signature = "static void tabulate(const V *X, const V *const *W, const double *c, V *out)"
     text = "\n".join([*head, *stages, signature, "{", *calls, "}", ""])
@@ -272,125 +287,89 @@ def _degree(integral: ufl.Integral) -> int:
     return stated if stated >= 0 else int(np.max(known["estimated_polynomial_degree"]))
 
 
-def _stage(number: int, points: int, body: Sequence[str]) -> str:
+def _vectors(state: State, point: Point, gdim: int) -> int:
+    """Count what a stage holds at each point: gradients, factors, and half of their products."""
+    gradients = sum(state.elements[e].dim * gdim for e in point.gradients)
+    return gradients + 2 * len(point.factors) + 1
+
+
+def _rule(cell: Any, degree: int, each: int) -> tuple[tuple[Array, Array], int]:
+    """Return a quadrature rule, and how many of its points are visited at a time.
+
+    Where these are not all, points without weight fill it up.
+
+    Args:
+        cell: The reference cell.
+        degree: Degree of the rule.
+        each: Bytes of the stack that a point takes.
+
+    Raises:
+        UnsupportedError: There are too many points.
+    """
+    points, weights = map(np.asarray, basix.make_quadrature(cell, degree))
+    if each * len(weights) > MOST:
+        raise UnsupportedError(f"{len(weights)} points")
+    parts = -(-len(weights) // max(1, STACK // each))
+    chunk = -(-len(weights) // parts)
+    missing = parts * chunk - len(weights)
+    points = np.concatenate([points, np.repeat(points[-1:], missing, axis=0)])
+    return (points, np.concatenate([weights, np.zeros(missing)])), chunk
+
+
+def _stage(number: int, points: int, chunk: int, tables: dict[str, Array], body: list[str]) -> str:
+    """Return the function of a quadrature rule."""
     signature = f"static void stage{number}(const V *X, const V *const *W, const double *c, V *out)"
-    return "\n".join([signature, "{", f"enum {{ POINTS = {points} }};", *body, "}"])
+    lines = [signature, "{", f"enum {{ POINTS = {chunk} }};"]
+    if points == chunk:
+        lines += [_table(name, values) for name, values in tables.items()]
+        return "\n".join([*lines, *body, "}"])
+    lines += [_table(f"all_{name}", values) for name, values in tables.items()]
+    lines.append(f"for (int first = 0; first < {points}; first += POINTS) {{")
+    for name, values in tables.items():
+        size = "".join(f"[{n}]" for n in values.shape[1:])
+        lines.append(f"const double (*const {name}){size} = all_{name} + first;")
+    return "\n".join([*lines, *body, "}", "}"])
 
 
-def _tables(rule: tuple[Any, Any], coordinate: Any, state: State, point: Point) -> list[str]:
+def _tables(rule: tuple[Any, Any], coordinate: Any, state: State, point: Point) -> dict[str, Array]:
     """Return the weights, and the basis functions of geometry, ψ, and fields, φ, at all points."""
     points, weights = rule
     psi = coordinate.tabulate(1, points)
-    lines = [_table("weight", weights), _table("dpsi", np.moveaxis(psi[1:], 0, -1))]
+    tables = {"weight": weights, "dpsi": np.moveaxis(psi[1:], 0, -1)}
     if any("psi[q][n]" in line for line in point.statements):
-        lines.append(_table("psi", psi[0]))
-    values = {slot.element for slot in point.slots if slot.direction == VALUE}
-    for e in sorted(values | point.gradients):
-        element = state.elements[e]
-        phi = np.asarray(element.tabulate(1, points))
-        lines.append(f"enum {{ N{e} = {element.dim} }};")
-        if e in values:
-            lines.append(_table(f"phi{e}", phi[0]))
+        tables["psi"] = psi[0]
+    for e in sorted(point.values | point.gradients):
+        phi = np.asarray(state.elements[e].tabulate(1, points))
+        if e in point.values:
+            tables[f"phi{e}"] = phi[0]
         if e in point.gradients:
-            lines.append(_table(f"dphi{e}", np.moveaxis(phi[1:], 0, -1)))
-            lines.append(f"V B{e}[POINTS][N{e}][GDIM];")
-    return lines
+            tables[f"dphi{e}"] = np.moveaxis(phi[1:], 0, -1)
+    return tables
 
 
-def _at_points(point: Point, gdim: int) -> list[str]:
+def _at_points(state: State, point: Point, gdim: int) -> list[str]:
     """Return the loop that computes gradients ∂φ and factors A at all points."""
+    gradients = sorted(point.gradients)
     return [
+        *(
+            f"enum {{ N{e} = {state.elements[e].dim} }};"
+            for e in sorted(point.values | point.gradients)
+        ),
+        *(f"V B{e}[POINTS][N{e}][GDIM];" for e in gradients),
         f"V A[POINTS][{len(point.factors) + 1}];",
         "for (int q = 0; q < POINTS; ++q) {",
         "V J[GDIM * GDIM], K[GDIM * GDIM];",
         "jacobian(NODES, GDIM, X, dpsi[q][0], J);",
         f"const V det = inverse{gdim}(J, K);",
         "(void)det;",
-        *(f"gradients(N{e}, GDIM, dphi{e}[q][0], K, B{e}[q][0]);" for e in sorted(point.gradients)),
+        *(f"gradients(N{e}, GDIM, dphi{e}[q][0], K, B{e}[q][0]);" for e in gradients),
         *point.statements,
         *(f"A[q][{i}] = BROADCAST({name});" for i, name in enumerate(point.factors)),
         "}",
     ]
 
 
-def _contraction(factors: Factors, first: int, shape: tuple[int, ...]) -> list[str]:
-    """Return the loops that add one form to what is computed of it from ``first`` on."""
-    match len(shape):
-        case 0:
-            return [
-                f"for (int q = 0; q < POINTS; ++q) out[{first}] += A[q][{i}];"
-                for i in factors.values()
-            ]
-        case 1:
-            return _vector(factors, first)
-    return _matrix(factors, first, shape[1])
-
-
-def _vector(factors: Factors, first: int) -> list[str]:
-    """r[ai] = Σ_qJ P_q[iJ] ∂_J φ_a."""
-    rows: dict[int, list[str]] = {}
-    for (v,), i in factors.items():
-        rows.setdefault(v.component, []).append(f"A[q][{i}] * {v.basis('a')}")
-    lines = []
-    for (v,), _ in list(factors.items())[:1]:
-        lines.append(f"for (int a = 0; a < N{v.element}; ++a) {{")
-        for component, products in rows.items():
-            lines += [
-                "{",
-                "V s = {0.0};",
-                f"for (int q = 0; q < POINTS; ++q) s += {' + '.join(products)};",
-                f"out[{first} + a * {v.block} + {component}] += s;",
-                "}",
-            ]
-        lines.append("}")
-    return lines
-
-
-def _matrix(factors: Factors, first: int, width: int) -> list[str]:
-    """T_qa[i, kL] = Σ_J A_q[iJ, kL] ∂_J φ_a, then K[ai, bk] = Σ_qL T_qa[i, kL] ∂_L φ_b."""
-    if not factors:
-        return []
-    v, u = next(iter(factors))
-    halves: dict[tuple[int, Slot], list[str]] = {}
-    for (row, column), i in factors.items():
-        halves.setdefault((row.component, column), []).append(f"A[q][{i}] * {row.basis('a')}")
-    wholes: dict[tuple[int, int], list[str]] = {}
-    for t, (i, column) in enumerate(halves):
-        basis = column.basis("b")
-        wholes.setdefault((i, column.component), []).append(f"T[q][{t}] * {basis}")
-    square = v.element == u.element and v.block == u.block
-    lines = ["{", f"const int half = {_symmetry(factors) if square else 0};"]
-    lines += [f"for (int a = 0; a < N{v.element}; ++a) {{", f"V T[POINTS][{len(halves)}];"]
-    lines.append("for (int q = 0; q < POINTS; ++q) {")
-    lines += [f"T[q][{t}] = {' + '.join(p)};" for t, p in enumerate(halves.values())]
-    lines += ["}", f"for (int b = half ? a : 0; b < N{u.element}; ++b) {{"]
-    lines += [f"V s{j} = {{0.0}};" for j in range(len(wholes))]
-    lines.append("for (int q = 0; q < POINTS; ++q) {")
-    lines += [f"s{j} += {' + '.join(p)};" for j, p in enumerate(wholes.values())]
-    lines.append("}")
-    for j, (i, k) in enumerate(wholes):
-        at, to = f"a * {v.block} + {i}", f"b * {u.block} + {k}"
-        lines.append(f"out[{first} + ({at}) * {width} + {to}] += s{j};")
-        if square:
-            lines.append(f"if (half && a != b) out[{first} + ({to}) * {width} + {at}] += s{j};")
-    return [*lines, "}", "}", "}"]
-
-
-def _symmetry(factors: Factors) -> str:
-    """Return the question whether A_st = A_ts at all points, to rounding."""
-    pairs = [(i, factors.get((u, v))) for (v, u), i in factors.items() if v != u]
-    if not pairs or any(other is None for _, other in pairs):
-        return str(int(not pairs))
-    array = f"(const int[][2]){_braces(pairs)}"
-    return f"symmetric(POINTS, sizeof A[0] / sizeof(V), A[0], {len(pairs)}, {array})"
-
-
 def _table(name: str, values: Array) -> str:
     """Return the definition of a table."""
     size = "".join(f"[{n}]" for n in values.shape)
-    return f"static const double {name}{size} = {_braces(values.tolist())};"
-
-
-def _braces(values: object) -> str:
-    """Return numbers, or rows of them, in C."""
-    return repr(values).translate(str.maketrans("[]()", "{}{}"))
+    return f"static const double {name}{size} = {braces(values.tolist())};"

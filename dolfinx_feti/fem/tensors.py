@@ -17,7 +17,8 @@ import ufl
 from dolfinx_feti.fem.assembly import create_csr, dolfinx_form, require_no_coupling
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace, into_cells, tear
-from dolfinx_feti.fem.kernel import create_kernel, separate
+from dolfinx_feti.fem.kernel import Kernel, create_kernel
+from dolfinx_feti.fem.regions import Region, separate
 from dolfinx_feti.runtime import compat
 
 __all__ = ["CellTensors"]
@@ -50,15 +51,23 @@ class CellTensors:
         self._shapes = [
             (cells, *(_width(a.ufl_function_space()) for a in form.arguments())) for form in forms
         ]
-        parts = [separate(ufl.algorithms.expand_derivatives(form)) for form in forms]
-        inside = [part for part, _ in parts if not part.empty()]
-        self._kernel = create_kernel(inside, mesh, compiler) if inside else None
-        left = [rest for _, rest in parts] if self._kernel else forms
-        self._inside = [i for i, (part, _) in enumerate(parts) if not part.empty()]
+        parts = [separate(ufl.algorithms.expand_derivatives(form), mesh) for form in forms]
+        rest = {i: others for i, (_, others) in enumerate(parts)}
+        groups: dict[tuple[int, int] | None, dict[int, Region]] = {}
+        for i, (regions, _) in enumerate(parts):
+            for region in regions:
+                groups.setdefault(region.name, {})[i] = region
+        self._kernels: list[tuple[list[int], Kernel]] = []
+        for group in groups.values():
+            inside = [region.inside for region in group.values()]
+            cells = next(iter(group.values())).cells
+            kernel = create_kernel(inside, mesh, compiler, cells)
+            if kernel is None:
+                rest |= {i: rest[i] + region.form for i, region in group.items()}
+            else:
+                self._kernels.append((list(group), kernel))
         self._rest = {
-            i: _Rest.create(form, compiler)
-            for i, form in enumerate(left)
-            if not ufl.algorithms.expand_derivatives(form).empty()
+            i: _Rest.create(form, compiler) for i, form in rest.items() if not form.empty()
         }
 
     def assemble(self) -> list[Array]:
@@ -69,9 +78,9 @@ class CellTensors:
             element.
         """
         values = [np.zeros(shape) for shape in self._shapes]
-        if self._kernel is not None:
-            for i, part in zip(self._inside, self._kernel.evaluate(), strict=True):
-                values[i] = part
+        for numbers, kernel in self._kernels:
+            for i, part in zip(numbers, kernel.evaluate(), strict=True):
+                values[i][kernel.rows] += part
         for i, rest in self._rest.items():
             values[i] += rest.assemble()
         return values

@@ -20,7 +20,8 @@ import ufl
 from dolfinx_feti import kinematics, materials
 from dolfinx_feti.fem import kernel
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.kernel import create_kernel, separate
+from dolfinx_feti.fem.kernel import create_kernel
+from dolfinx_feti.fem.regions import separate
 from dolfinx_feti.fem.tensors import CellTensors
 
 EPS = np.finfo(float).eps
@@ -178,12 +179,21 @@ def test_code_is_generated_once(monkeypatch):
     check(2, lambda one, other: (other, one), 3)
 
 
-def test_only_integrals_over_all_cells():
+def test_regions_and_the_rest():
+    """A number with data is a region, an integral over several numbers belongs to each."""
     mesh = cube(2, 2)
     u = displacement(mesh, 1)
-    inside, rest = separate(u[0] * ufl.dx + u[1] * ufl.dx(3) + u[0] * ufl.ds)
-    agree([i.subdomain_id() for i in inside.integrals()] == ["everywhere"])
-    agree([i.integral_type() for i in rest.integrals()] == ["cell", "exterior_facet"])
+    cells = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
+    tags = dolfinx.mesh.meshtags(mesh, 2, cells, (cells % 3).astype(np.int32))
+    dx = ufl.Measure("dx", mesh, subdomain_data=tags)
+    form = u[0] * (dx + dx((1, 2)) + dx(2)) + u[0] * ufl.ds + u[1] * dx(scheme="vertex")
+    regions, rest = separate(form, mesh)
+    names = [region.name and region.name[0] for region in regions]
+    agree(names == [1, 2, None] and regions[2].cells is None, names)
+    agree(np.array_equal(regions[0].cells, cells[1::3]))
+    agree([i.integral_type() for i in rest.integrals()] == ["exterior_facet", "cell"])
+    regions, rest = separate(u[0] * ufl.dx + u[0] * ufl.dx(3), mesh)  # dolfinx tells what 3 is
+    agree(len(regions) == len(rest.integrals()) == 1)
 
 
 def at_points(mesh: dolfinx.mesh.Mesh, shape: tuple[int, ...]) -> dolfinx.fem.Function:

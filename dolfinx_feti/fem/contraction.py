@@ -1,0 +1,111 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""From the factors at quadrature points to the entries of a cell, in C.
+
+.. math:: r[ai] = \sum_{q J} P_q[iJ]\, ∂_J φ_a, \qquad
+          K[ai, bk] = \sum_{q L} \Bigl(\sum_J A_q[iJ, kL]\, ∂_J φ_a\Bigr)\, ∂_L φ_b.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dolfinx_feti.fem.integrand import Slot
+
+__all__ = ["Factors", "braces", "contraction"]
+
+#: Number of a factor under the slots of the arguments.
+Factors = dict[tuple[Slot, ...], int]
+
+
+def contraction(
+    factors: Factors, names: Sequence[str], first: int, shape: tuple[int, ...]
+) -> list[str]:
+    """Return the loops that add one form to what is computed of it.
+
+    Args:
+        factors: Its factors.
+        names: Name of each factor.
+        first: Where the form begins.
+        shape: Dofs of a cell for each argument.
+    """
+    match len(shape):
+        case 0:
+            return [
+                f"for (int q = 0; q < POINTS; ++q) out[{first}] += A[q][{i}];"
+                for i in factors.values()
+            ]
+        case 1:
+            return _vector(factors, first)
+    return _matrix(factors, names, first, shape[1])
+
+
+def _vector(factors: Factors, first: int) -> list[str]:
+    """r[ai] = Σ_qJ P_q[iJ] ∂_J φ_a."""
+    rows: dict[int, list[str]] = {}
+    for (v,), i in factors.items():
+        rows.setdefault(v.component, []).append(f"A[q][{i}] * {v.basis('a')}")
+    lines = []
+    for (v,), _ in list(factors.items())[:1]:
+        lines.append(f"for (int a = 0; a < N{v.element}; ++a) {{")
+        for component, products in rows.items():
+            lines += [
+                "{",
+                "V s = {0.0};",
+                f"for (int q = 0; q < POINTS; ++q) s += {' + '.join(products)};",
+                f"out[{first} + a * {v.block} + {component}] += s;",
+                "}",
+            ]
+        lines.append("}")
+    return lines
+
+
+def _matrix(factors: Factors, names: Sequence[str], first: int, width: int) -> list[str]:
+    """T_qa[i, kL] = Σ_J A_q[iJ, kL] ∂_J φ_a, then K[ai, bk] = Σ_qL T_qa[i, kL] ∂_L φ_b."""
+    if not factors:
+        return []
+    v, u = next(iter(factors))
+    halves: dict[tuple[int, Slot], list[str]] = {}
+    for (row, column), i in factors.items():
+        halves.setdefault((row.component, column), []).append(f"A[q][{i}] * {row.basis('a')}")
+    wholes: dict[tuple[int, int], list[str]] = {}
+    for t, (i, column) in enumerate(halves):
+        basis = column.basis("b")
+        wholes.setdefault((i, column.component), []).append(f"T[q][{t}] * {basis}")
+    square = v.element == u.element and v.block == u.block
+    lines = ["{", f"const int half = {_symmetry(factors, names) if square else 0};"]
+    lines += [f"for (int a = 0; a < N{v.element}; ++a) {{", f"V T[POINTS][{len(halves)}];"]
+    lines.append("for (int q = 0; q < POINTS; ++q) {")
+    lines += [f"T[q][{t}] = {' + '.join(p)};" for t, p in enumerate(halves.values())]
+    lines += ["}", f"for (int b = half ? a : 0; b < N{u.element}; ++b) {{"]
+    lines += [f"V s{j} = {{0.0}};" for j in range(len(wholes))]
+    lines.append("for (int q = 0; q < POINTS; ++q) {")
+    lines += [f"s{j} += {' + '.join(p)};" for j, p in enumerate(wholes.values())]
+    lines.append("}")
+    for j, (i, k) in enumerate(wholes):
+        at, to = f"a * {v.block} + {i}", f"b * {u.block} + {k}"
+        lines.append(f"out[{first} + ({at}) * {width} + {to}] += s{j};")
+        if square:
+            lines.append(f"if (half && a != b) out[{first} + ({to}) * {width} + {at}] += s{j};")
+    return [*lines, "}", "}", "}"]
+
+
+def _symmetry(factors: Factors, names: Sequence[str]) -> str:
+    """Return the question whether A_st = A_ts at all points, to rounding."""
+    pairs = []
+    for (v, u), i in factors.items():
+        j = factors.get((u, v))
+        if j is None:
+            return "0"
+        if i < j and names[i] != names[j]:
+            pairs.append((i, j, factors.get((v, v), -1), factors.get((u, u), -1)))
+    if not pairs:
+        return "1"
+    array = f"(const int[][4]){braces(pairs)}"
+    return f"symmetric(POINTS, sizeof A[0] / sizeof(V), A[0], {len(pairs)}, {array})"
+
+
+def braces(values: object) -> str:
+    """Return numbers, or rows of them, in C."""
+    return repr(values).translate(str.maketrans("[]()", "{}{}"))
