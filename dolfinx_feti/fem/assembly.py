@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from operator import itemgetter
 from pathlib import Path
 
 from petsc4py import PETSc
@@ -35,7 +34,7 @@ from dolfinx_feti.fem.kernel import Kernel, create_kernel
 from dolfinx_feti.fem.regions import separate
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.native import load, pointer
-from dolfinx_feti.torn.matrix import create_torn_matrix, set_near_kernel
+from dolfinx_feti.torn.matrix import create_torn_matrix
 
 Vector = npt.NDArray[np.float64]
 
@@ -45,7 +44,6 @@ __all__ = [
     "assemble",
     "assemble_owned",
     "assemble_vector",
-    "attach_near_kernel",
     "create_csr",
     "create_local_matrix",
     "create_matis",
@@ -65,9 +63,6 @@ DECLARATION = (
 
 #: Rows of dofs and not of blocks, as PETSc has them.
 EXPANDED = dolfinx.la.BlockMode.expanded  # type: ignore[attr-defined]
-
-#: Error of a dof of the constant 1.
-ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -346,58 +341,6 @@ def dirichlet_mask(
         dofs, _ = bc._cpp_object.dof_indices()
         mask[dofs[dofs < len(mask)]] = True
     return mask
-
-
-def attach_near_kernel(A: PETSc.Mat, V: dolfinx.fem.FunctionSpace, u: Vector | None = None) -> None:
-    """Attach constants and, for displacements, the rotations of the deformed body.
-
-    Args:
-        A: Torn matrix on V.
-        V: Space with block size bs; rotations are included if bs is the spatial dimension. Dofs
-            may be values at points, or moments.
-        u: Displacement at the dofs, (owned blocks, bs); zero if not given.
-    """
-    gdim, bs = V.mesh.geometry.dim, V.dofmap.index_map_bs
-    one, x = _linear_fields(V)
-    if bs == gdim and u is not None:
-        x += u
-    modes = [one[:, None] * direction for direction in np.eye(bs)]
-    if bs == gdim:
-        modes += [x @ spin.T for spin in _spins(gdim)]
-    vectors = []
-    for mode in modes:
-        vector = A.createVecRight()
-        vector.array[:] = np.ravel(mode)
-        vectors.append(vector)
-    x[one != 1.0] = np.nan  # such a dof is at no point
-    set_near_kernel(A, vectors, x)
-
-
-def _linear_fields(V: dolfinx.fem.FunctionSpace) -> tuple[Vector, Vector]:
-    """Return the owned dofs of 1, (owned blocks,), and of the coordinates, (owned blocks, gdim)."""
-    gdim, n = V.mesh.geometry.dim, V.dofmap.index_map.size_local
-    if V.element.interpolation_ident:  # dofs are values at points
-        return np.ones(n), V.tabulate_dof_coordinates()[:n, :gdim].copy()
-    f, components = dolfinx.fem.Function(V), int(np.prod(V.value_shape))
-
-    def dofs(value: Callable[[Vector], Vector]) -> Vector:
-        f.interpolate(lambda x: np.broadcast_to(value(x), (components, x.shape[1])))
-        return f.x.array.reshape(-1, V.dofmap.index_map_bs)[:n, 0].copy()
-
-    one = dofs(lambda x: np.ones(x.shape[1]))
-    one[np.isclose(one, 1.0, rtol=0.0, atol=ROUNDING)] = 1.0
-    return one, np.stack([dofs(itemgetter(i)) for i in range(gdim)], axis=-1)
-
-
-def _spins(gdim: int) -> list[Vector]:
-    """Return a basis of the skew matrices, each (gdim, gdim)."""
-    spins: list[Vector] = []
-    for i in range(gdim):
-        for j in range(i):
-            spin = np.zeros((gdim, gdim))
-            spin[i, j], spin[j, i] = 1.0, -1.0
-            spins.append(spin)
-    return spins
 
 
 def _first(argument: ufl.Argument) -> ufl.core.expr.Expr:

@@ -22,6 +22,7 @@ from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.checks import check_linear_forms, check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import decompose, suggested_number, tear
+from dolfinx_feti.fem.near_kernel import attach_near_kernel
 from dolfinx_feti.problems.arguments import (
     agreed_prefix,
     checked_conditions,
@@ -207,7 +208,7 @@ class LinearProblem(TornProblem):
         """Assemble A, its near kernel, and b."""
         V = self.u.function_space
         on_all(lambda: assembly.assemble(self._K, self._torn), V.mesh.comm)
-        assembly.attach_near_kernel(self.A, V)
+        attach_near_kernel(self.A, V)
         load = assembly.assemble_owned(self.L)
         for bc in self.bcs:
             bc.set(load)

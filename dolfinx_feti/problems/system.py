@@ -26,6 +26,7 @@ from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.condensation import Blocks, Condensation
 from dolfinx_feti.fem.decomposition import Decomposition, cell_sizes, tear
+from dolfinx_feti.fem.near_kernel import attach_near_kernel
 from dolfinx_feti.fem.quadrature import quadrature_points
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.connectivity import diagonal_places, load_graph_code
@@ -313,7 +314,7 @@ class System:
         on_all(lambda: self._fill(here), self.comm)
         V = self.u.function_space
         u = self.u.x.array[: self.owned].reshape(-1, V.dofmap.index_map_bs)
-        assembly.attach_near_kernel(self.A, V, u)
+        attach_near_kernel(self.A, V, u)
         return self.tangent()
 
     def _fill(self, here: Residual | None) -> None:

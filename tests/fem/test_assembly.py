@@ -21,6 +21,7 @@ import ufl
 from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.decomposition import decompose, tear
 from dolfinx_feti.fem.facets import one_side
+from dolfinx_feti.fem.near_kernel import attach_near_kernel
 
 SEED = 27182
 
@@ -77,7 +78,7 @@ def test_local_matrices_have_the_rigid_modes_as_kernel(create):
     problem = create()
     cell_part = ufl.Form([i for i in problem.a.integrals() if i.integral_type() == "cell"])
     space, K, A = torn_matrix(type(problem)(problem.V, cell_part, problem.L, problem.bcs))
-    assembly.attach_near_kernel(A, problem.V)
+    attach_near_kernel(A, problem.V)
     modes = A.getNearNullSpace().getVecs()
     bs, dim = problem.V.dofmap.index_map_bs, problem.V.mesh.geometry.dim
     agree(len(modes) == (1 if bs == 1 else bs * (bs + 1) // 2), len(modes))
@@ -106,7 +107,7 @@ def test_rotations_follow_the_deformed_body():
     n = V.dofmap.index_map.size_local
     x = V.tabulate_dof_coordinates()[:n]
     u = 0.3 * np.stack([x[:, 1] ** 2, np.sin(x[:, 0]), x[:, 0] * x[:, 2]], axis=-1)
-    assembly.attach_near_kernel(A, V, u)
+    attach_near_kernel(A, V, u)
     modes = np.column_stack([whole(mode.array_r) for mode in A.getNearNullSpace().getVecs()])
     for axis in np.eye(3):
         rotation = whole(np.cross(axis, x + u).ravel())
@@ -123,7 +124,7 @@ def test_mesh_of_vector_values_without_rotations():
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     problem = type(poisson(cube(2, 2)))(V, ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, None, [])
     _, K, A = torn_matrix(problem)
-    assembly.attach_near_kernel(A, V)
+    attach_near_kernel(A, V)
     agree(len(A.getNearNullSpace().getVecs()) == 2)
     destroy(A, K)
 

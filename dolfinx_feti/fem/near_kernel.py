@@ -1,0 +1,77 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The near kernel: constants and, for a displacement, rotations, as dofs of a space."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from operator import itemgetter
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+
+from dolfinx_feti.torn.matrix import set_near_kernel
+
+__all__ = ["attach_near_kernel"]
+
+Vector = npt.NDArray[np.float64]
+
+#: Error of a dof of the constant 1.
+ROUNDING = 1e-12
+
+
+def attach_near_kernel(A: PETSc.Mat, V: dolfinx.fem.FunctionSpace, u: Vector | None = None) -> None:
+    """Attach constants and, for displacements, the rotations of the deformed body.
+
+    Args:
+        A: Torn matrix on V.
+        V: Space with block size bs; rotations are included if bs is the spatial dimension. Dofs
+            may be values at points, or moments.
+        u: Displacement at the dofs, (owned blocks, bs); zero if not given.
+    """
+    gdim, bs = V.mesh.geometry.dim, V.dofmap.index_map_bs
+    one, x = _linear_fields(V)
+    if bs == gdim and u is not None:
+        x += u
+    modes = [one[:, None] * direction for direction in np.eye(bs)]
+    if bs == gdim:
+        modes += [x @ spin.T for spin in _spins(gdim)]
+    vectors = []
+    for mode in modes:
+        vector = A.createVecRight()
+        vector.array[:] = np.ravel(mode)
+        vectors.append(vector)
+    x[one != 1.0] = np.nan  # such a dof is at no point
+    set_near_kernel(A, vectors, x)
+
+
+def _linear_fields(V: dolfinx.fem.FunctionSpace) -> tuple[Vector, Vector]:
+    """Return the owned dofs of 1, (owned blocks,), and of the coordinates, (owned blocks, gdim)."""
+    gdim, n = V.mesh.geometry.dim, V.dofmap.index_map.size_local
+    if V.element.interpolation_ident:  # dofs are values at points
+        return np.ones(n), V.tabulate_dof_coordinates()[:n, :gdim].copy()
+    f, components = dolfinx.fem.Function(V), int(np.prod(V.value_shape))
+
+    def dofs(value: Callable[[Vector], Vector]) -> Vector:
+        f.interpolate(lambda x: np.broadcast_to(value(x), (components, x.shape[1])))
+        return f.x.array.reshape(-1, V.dofmap.index_map_bs)[:n, 0].copy()
+
+    one = dofs(lambda x: np.ones(x.shape[1]))
+    one[np.isclose(one, 1.0, rtol=0.0, atol=ROUNDING)] = 1.0
+    return one, np.stack([dofs(itemgetter(i)) for i in range(gdim)], axis=-1)
+
+
+def _spins(gdim: int) -> list[Vector]:
+    """Return a basis of the skew matrices, each (gdim, gdim)."""
+    spins: list[Vector] = []
+    for i in range(gdim):
+        for j in range(i):
+            spin = np.zeros((gdim, gdim))
+            spin[i, j], spin[j, i] = 1.0, -1.0
+            spins.append(spin)
+    return spins
