@@ -131,8 +131,7 @@ class System:
                 F_u, F_p, u, fields, space=self._space, compiler=compiler
             )
         self._K = assembly.create_local_matrix(self._space, compiler)
-        # none is missing: create_local_matrix has made sure that the nodes of a cell are coupled
-        self._diagonal = diagonal_places(self._K.mat, load_graph_code(self.comm))
+        self._diagonal = diagonal_places(self._K.mat, load_graph_code(self.comm))  # none is missing
         self._stiffness = np.zeros(len(self._diagonal))
         self.A = assembly.create_matis(
             self._space, self._K.mat, self.bcs, self._stiffness, symmetric
