@@ -30,7 +30,7 @@ import ufl
 
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace
-from dolfinx_feti.fem.kernel import Kernel, create_kernel
+from dolfinx_feti.fem.kernels.kernel import Kernel, create_kernel
 from dolfinx_feti.fem.regions import separate
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.native import load, pointer

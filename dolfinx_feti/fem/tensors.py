@@ -17,7 +17,7 @@ import ufl
 from dolfinx_feti.fem.assembly import create_csr, dolfinx_form, require_no_coupling
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace, into_cells, tear
-from dolfinx_feti.fem.kernel import Kernel, create_kernel
+from dolfinx_feti.fem.kernels.kernel import Kernel, create_kernel
 from dolfinx_feti.fem.regions import Region, separate
 from dolfinx_feti.runtime import compat
 

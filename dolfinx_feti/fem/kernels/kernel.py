@@ -36,8 +36,8 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.contraction import Factors, braces, contraction
-from dolfinx_feti.fem.integrand import Point, State, UnsupportedError, scalar_element
+from dolfinx_feti.fem.kernels.contraction import Factors, braces, contraction
+from dolfinx_feti.fem.kernels.integrand import Point, State, UnsupportedError, scalar_element
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.native import load, pointer
 

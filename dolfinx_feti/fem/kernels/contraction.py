@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dolfinx_feti.fem.integrand import Slot
+from dolfinx_feti.fem.kernels.integrand import Slot
 
 __all__ = ["Factors", "braces", "contraction"]
 
