@@ -18,8 +18,8 @@ import dolfinx.fem.petsc
 import ufl
 
 from dolfinx_feti import kinematics, materials
-from dolfinx_feti.fem.kernels import kernel
 from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.fem.kernels import kernel
 from dolfinx_feti.fem.kernels.kernel import create_kernel
 from dolfinx_feti.fem.regions import separate
 from dolfinx_feti.fem.tensors import CellTensors
