@@ -15,7 +15,9 @@ import numpy.typing as npt
 
 import dolfinx
 import ufl
+from ufl.corealg.traversal import traverse_unique_terminals
 
+from dolfinx_feti.fem.quadrature import quadrature_rule, same_points
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.native import processor_flags
 
@@ -79,20 +81,40 @@ class Compiler:
             points: Where it is evaluated in the reference cell, (points, dimension).
 
         Raises:
+            ValueError: It has no value at these points: it holds a quantity of facets, or data at
+                other quadrature points. On all processes.
             Exception: It cannot be compiled, on all processes.
 
         Note:
             Collective.
         """
-        return on_all(
-            lambda: dolfinx.fem.Expression(
+
+        def compiled() -> dolfinx.fem.Expression:
+            _check_points(expression, points)
+            return dolfinx.fem.Expression(
                 expression,
                 points,
                 comm=self.comm,
                 form_compiler_options=_copy(self.form_compiler_options),
                 jit_options=_copy(self.jit_options),
-            ),
-            self.comm,
+            )
+
+        return on_all(compiled, self.comm)
+
+
+def _check_points(expression: ufl.core.expr.Expr, points: npt.NDArray[np.float64]) -> None:
+    """Require that an expression has values at points inside cells: FFCx compares their number."""
+    for terminal in traverse_unique_terminals(expression):
+        if isinstance(terminal, ufl.geometry.GeometricFacetQuantity):
+            raise ValueError(
+                f"The expression holds {terminal}, which lives on facets: evaluate it on a submesh "
+                "of facets, or replace it by a field of the cells."
+            )
+    rule = quadrature_rule(expression)
+    if rule is not None and not same_points(rule[0], points):
+        raise ValueError(
+            f"The expression holds data at {len(rule[0])} quadrature points, but is evaluated at "
+            f"{len(points)} others: project the data first, or take the same quadrature."
         )
 
 

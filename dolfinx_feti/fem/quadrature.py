@@ -9,7 +9,7 @@ on quadratic elements its estimate makes the compiled code a thousand times slow
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,8 @@ __all__ = [
     "limit_quadrature_degree",
     "match_quadrature_degree",
     "quadrature_points",
+    "quadrature_rule",
+    "same_points",
 ]
 
 #: Names by which an integral states its quadrature.
@@ -137,3 +139,37 @@ def quadrature_points(mesh: dolfinx.mesh.Mesh, degree: int) -> npt.NDArray[np.fl
     """Return the points of the reference cell's quadrature rule, (points, dimension)."""
     cell = getattr(basix.CellType, mesh.topology.cell_name())
     return np.asarray(basix.make_quadrature(cell, degree)[0])
+
+
+def quadrature_rule(
+    expression: ufl.core.expr.Expr,
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None:
+    """Return points and weights of the quadrature elements in an expression; None without any.
+
+    Raises:
+        ValueError: There are several rules, so that the expression has a value at no point.
+    """
+    coefficients = ufl.algorithms.extract_coefficients(expression)
+    rules = [rule for f in coefficients for rule in _rules(f.ufl_element())]
+    for points, _ in rules[1:]:
+        if not same_points(points, rules[0][0]):
+            raise ValueError(
+                f"The expression combines data at {len(rules[0][0])} and at {len(points)} other "
+                "quadrature points: give all of them the same quadrature element."
+            )
+    return rules[0] if rules else None
+
+
+def same_points(points: npt.ArrayLike, others: npt.ArrayLike) -> bool:
+    """Tell whether two sets of points of the reference cell are the same, in the same order."""
+    return np.shape(points) == np.shape(others) and np.allclose(points, others, rtol=0, atol=1e-12)
+
+
+def _rules(element: Any) -> Iterator[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
+    """Return the rules of an element and of the elements that it is made of."""
+    if element.has_custom_quadrature:
+        points, weights = element.custom_quadrature()
+        yield np.asarray(points), np.asarray(weights)
+    else:
+        for part in element.sub_elements:
+            yield from _rules(part)

@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Output: recovered stresses, and fields for ParaView.
 
-In the order of the data: patches, stress, balance, fields.
+In the order of the data: patches, stress, balance, points, fields.
 """
 
 from dolfinx_feti.runtime.folders import writable_folder

@@ -4,16 +4,22 @@
 """Output for ParaView: all fields in one file, step by step.
 
 Where dolfinx has ADIOS2 the format is VTX, a folder `name.bp` (ParaView 5.12 or newer): every field
-is interpolated cell by cell into discontinuous linear functions, so that displacements, stresses
-and cell data share one file and nothing is smoothed. Elsewhere it is XDMF, `name.xdmf` with
-`name.h5`: continuous fields at the vertices, the others with one value per cell.
+becomes a function that is discontinuous and of the degree of the cells' geometry, so that
+displacements, stresses and cell data share one file and nothing is smoothed. Elsewhere, and for
+prisms, it is XDMF, `name.xdmf` with `name.h5`: continuous fields at the nodes of the cells, the
+others with one value per cell.
+
+Data at quadrature points, and expressions with them, are projected to these functions in each cell,
+or written where they are, to `name_points.xdmf` (:mod:`~dolfinx_feti.output.points`). Data on facets
+are fields of a submesh, which has a file of its own; those of a submesh of vertices are points.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
+from typing import Literal
 
 from mpi4py import MPI
 
@@ -23,14 +29,25 @@ import numpy.typing as npt
 import basix
 import dolfinx
 import dolfinx.io
+import ufl
 from ufl.core.expr import Expr
+from ufl.domain import extract_domains
 
-from dolfinx_feti.runtime.compat import interpolation_points
+from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.fem.quadrature import quadrature_rule, same_points
+from dolfinx_feti.output.points import PointCloud, projection
+from dolfinx_feti.runtime.collective import on_all, reason
+from dolfinx_feti.runtime.compat import geometry_degree, geometry_dofmap, interpolation_points
 from dolfinx_feti.runtime.folders import try_to_write, writable_folder
 
 __all__ = ["FieldWriter", "cell_values"]
 
+Array = npt.NDArray[np.float64]
+
 SUFFIXES = {"vtx": ".bp", "xdmf": ".xdmf"}
+
+#: Cells of VTX files.
+VTX_CELLS = ("interval", "triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
 
 class FieldWriter:
@@ -45,6 +62,7 @@ class FieldWriter:
 
     Attributes:
         path: The file or folder to open in ParaView.
+        points: The file of the values at points; None without any.
     """
 
     def __init__(
@@ -54,42 +72,56 @@ class FieldWriter:
         expressions: Mapping[str, Expr] | None = None,
         *,
         kind: str | None = None,
+        quadrature: Literal["project", "points"] = "project",
     ) -> None:
         """Open the file.
 
         Args:
             path: Its name without suffix.
-            functions: Scalars and vectors to write, under their own names.
+            functions: Functions to write, under their own names, of any element.
             expressions: UFL expressions to write, by name; they are evaluated cell by cell.
             kind: ``vtx`` or ``xdmf``; by default VTX where dolfinx has ADIOS2, XDMF elsewhere.
+            quadrature: How data at quadrature points are written: ``project`` to the functions of
+                the file in each cell, linear ones (VTX) or means (XDMF); or at the ``points``.
 
         Raises:
-            ValueError: The kind is unknown, there is no function, or two fields have one name.
+            ValueError: ``kind`` or ``quadrature`` is unknown or the mesh has cells that it cannot
+                show, there is no function, two fields have one name, or a field cannot be written:
+                it is mixed, lives on another mesh or on facets, or has several quadrature rules.
             OSError: The file cannot be created.
 
         Note:
             Collective.
         """
-        kind = kind or ("vtx" if dolfinx.has_adios2 else "xdmf")
         expressions = expressions or {}
         names = [*(f.name for f in functions), *expressions]
-        if kind not in SUFFIXES:
-            raise ValueError(f"kind={kind!r}: choose 'vtx' or 'xdmf'.")
         if not functions or len(set(names)) < len(names):
             raise ValueError(
                 f"The fields are named {names}: give at least one function, and distinct names."
             )
-        mesh = functions[0].function_space.mesh
-        self.path = _writable_place(Path(path), kind, mesh.comm)
-        self._sources: list[dolfinx.fem.Function | dolfinx.fem.Expression] = list(functions)
-        self._copies = [_output_function(f, kind) for f in functions]
-        for name, expression in expressions.items():
-            copy = _cellwise_function(mesh, expression.ufl_shape, name, kind)
-            points = interpolation_points(copy.function_space)
-            self._sources.append(dolfinx.fem.Expression(expression, points))
-            self._copies.append(copy)
-        self._file: dolfinx.io.VTXWriter | dolfinx.io.XDMFFile
-        if kind == "vtx":
+        if quadrature not in ("project", "points"):
+            raise ValueError(f"quadrature={quadrature!r}: choose 'project' or 'points'.")
+        self._mesh = mesh = functions[0].function_space.mesh
+        self._kind = _checked_kind(kind, mesh)
+        self._updates: list[Callable[[], object]] = []
+        self._copies: list[dolfinx.fem.Function] = []
+        self._at_points: dict[str, Callable[[], Array]] = {}
+        self._x: Callable[[], Array] | None = None
+        self._rule: Array | None = None
+        for name, field in [*zip(names, functions, strict=False), *expressions.items()]:
+            self._add(name, field, quadrature)
+        self.path = _writable_place(Path(path), self._kind, mesh.comm)
+        self.points: Path | None = None
+        self._file: dolfinx.io.VTXWriter | dolfinx.io.XDMFFile | None = None
+        self._cloud: PointCloud | None = None
+        if self._at_points:
+            place = self.path.with_name(f"{Path(path).name}_points.xdmf")
+            for file in (place, place.with_suffix(".bin")):
+                try_to_write(_append_nothing, file, "file", mesh.comm)
+            self._cloud, self.points = PointCloud(place, mesh.comm), place
+        if not self._copies:
+            self.path = self.points or self.path
+        elif self._kind == "vtx":
             self._file = dolfinx.io.VTXWriter(mesh.comm, self.path, self._copies)
         else:
             self._file = dolfinx.io.XDMFFile(mesh.comm, self.path, "w")
@@ -104,21 +136,27 @@ class FieldWriter:
         Note:
             Collective.
         """
-        for source, copy in zip(self._sources, self._copies, strict=False):
-            copy.interpolate(source)
+        for update in self._updates:
+            update()
         if isinstance(self._file, dolfinx.io.XDMFFile):
             for copy in self._copies:
                 self._file.write_function(copy, t)
-        else:
+        elif self._file is not None:
             self._file.write(t)
+        if self._cloud is not None and self._x is not None:
+            x = self._x()
+            values = {name: value().reshape(len(x), -1) for name, value in self._at_points.items()}
+            self._cloud.write(float(t), x, values)
 
     def close(self) -> None:
-        """Close the file.
+        """Close the files.
 
         Note:
             Collective.
         """
-        self._file.close()
+        for file in (self._file, self._cloud):
+            if file is not None:
+                file.close()
 
     def __enter__(self) -> FieldWriter:
         """Return the writer."""
@@ -133,22 +171,153 @@ class FieldWriter:
         """Close the file."""
         self.close()
 
+    def _add(self, name: str, field: dolfinx.fem.Function | Expr, quadrature: str) -> None:
+        """Find out how a field is written, and try it once."""
+        mesh = self._mesh
+        try:
+            _check_field(field, mesh)
+            rule = on_all(lambda: quadrature_rule(field), mesh.comm)
+            if mesh.topology.dim == 0:
+                self._add_at_vertices(name, field)
+            elif rule is not None and quadrature == "points":
+                self._add_at_points(name, field, rule[0])
+            else:
+                continuous = isinstance(field, dolfinx.fem.Function) and _is_continuous(field)
+                degree = geometry_degree(mesh) if self._kind == "vtx" or continuous else 0
+                family = "Lagrange" if continuous and self._kind == "xdmf" else "DG"
+                space = dolfinx.fem.functionspace(mesh, (family, degree, field.ufl_shape))
+                copy = dolfinx.fem.Function(space, name=name)
+                update = _projector(field, copy, rule) if rule else _interpolator(field, copy)
+                update()
+                self._copies.append(copy)
+                self._updates.append(update)
+        except (NotImplementedError, RuntimeError, TypeError, ValueError) as error:
+            raise ValueError(f"The field {name!r} cannot be written: {reason(error)}") from error
 
-def cell_values(expression: Expr, mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.float64]:
+    def _add_at_vertices(self, name: str, field: dolfinx.fem.Function | Expr) -> None:
+        """Write the values of a function on a mesh of points."""
+        if not isinstance(field, dolfinx.fem.Function):
+            raise ValueError("it is an expression on a mesh of points, where only functions live.")
+        mesh, V = self._mesh, field.function_space
+        n = mesh.topology.index_map(0).size_local
+        nodes, dofs = geometry_dofmap(mesh)[:n, 0], V.dofmap.list[:n, 0]
+        self._x = lambda: np.asarray(mesh.geometry.x[nodes], dtype=np.float64)
+        self._at_points[name] = lambda: field.x.array.reshape(-1, V.dofmap.bs)[dofs]
+
+    def _add_at_points(self, name: str, field: Expr, points: Array) -> None:
+        """Write the values at quadrature points, the same ones for all fields of the file."""
+        mesh, gdim = self._mesh, self._mesh.geometry.dim
+        if self._rule is None:
+            at = _evaluator(ufl.SpatialCoordinate(mesh), mesh, points)
+            self._x = lambda: np.pad(at().reshape(-1, gdim), ((0, 0), (0, 3 - gdim)))
+            self._rule = points
+        elif not same_points(self._rule, points):
+            raise ValueError("its quadrature points are others than those of the fields before it.")
+        self._at_points[name] = _evaluator(field, mesh, points)
+
+
+def cell_values(expression: Expr, mesh: dolfinx.mesh.Mesh) -> Array:
     """Evaluate a UFL expression at the centroids of the cells.
 
     Args:
-        expression: A scalar or vector.
+        expression: A scalar or vector; of data at quadrature points their mean is taken.
         mesh: Its mesh.
 
     Returns:
         Values in the owned cells, (n_cells, …).
+
+    Note:
+        Collective.
     """
+    rule = quadrature_rule(expression)
     cell = getattr(basix.CellType, mesh.topology.cell_name())
-    centroid = np.asarray(basix.geometry(cell)).mean(axis=0, keepdims=True)
-    owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
-    values = dolfinx.fem.Expression(expression, centroid).eval(mesh, owned)
-    return np.asarray(values).reshape(len(owned), *expression.ufl_shape)
+    points = np.asarray(basix.geometry(cell)).mean(axis=0, keepdims=True)
+    points, weights = (points, np.ones(1)) if rule is None else rule
+    values = _evaluator(expression, mesh, points)()
+    means = np.tensordot(values, weights / weights.sum(), axes=(1, 0))
+    return np.asarray(means).reshape(len(values), *expression.ufl_shape)
+
+
+def _checked_kind(kind: str | None, mesh: dolfinx.mesh.Mesh) -> str:
+    """Return the format of the file."""
+    cell = mesh.topology.cell_name()
+    kind = kind or ("vtx" if dolfinx.has_adios2 and cell in VTX_CELLS else "xdmf")
+    if kind not in SUFFIXES:
+        raise ValueError(f"kind={kind!r}: choose 'vtx' or 'xdmf'.")
+    if kind == "vtx" and cell not in (*VTX_CELLS, "point"):
+        raise ValueError(f"kind='vtx': VTX has no cells of type {cell}; choose kind='xdmf'.")
+    degree = geometry_degree(mesh)
+    if kind == "xdmf" and degree > (1 if cell in ("prism", "pyramid") else 2):
+        raise ValueError(f"kind='xdmf': XDMF has no {cell} of degree {degree}; choose kind='vtx'.")
+    return kind
+
+
+def _check_field(field: dolfinx.fem.Function | Expr, mesh: dolfinx.mesh.Mesh) -> None:
+    """Require a field on the mesh, of one element."""
+    if any(domain != mesh.ufl_domain() for domain in extract_domains(field)):
+        raise ValueError("it lives on another mesh than the first function; open a file for each.")
+    if ufl.algorithms.extract_arguments(field):
+        raise ValueError("it holds a test or trial function.")
+    if isinstance(field, dolfinx.fem.Function) and _is_mixed(field):
+        raise ValueError("its space is mixed; write its parts, f.sub(0), f.sub(1), …")
+
+
+def _is_mixed(f: dolfinx.fem.Function) -> bool:
+    """Tell whether a function is made of parts of different meaning."""
+    element = f.function_space.ufl_element()
+    return element.num_sub_elements > 1 and element.block_size == 1
+
+
+def _is_continuous(f: dolfinx.fem.Function) -> bool:
+    """Tell whether a function has one value at each point."""
+    space = f.function_space.ufl_element().basix_sobolev_space
+    return space in (basix.SobolevSpace.H1, basix.SobolevSpace.H2, basix.SobolevSpace.H3)
+
+
+def _evaluator(field: Expr, mesh: dolfinx.mesh.Mesh, points: Array) -> Callable[[], Array]:
+    """Return a function that evaluates a field in the owned cells, (cells, points, components)."""
+    on_mesh = dolfinx.fem.Constant(mesh, np.float64(1.0)) * field  # a number knows no mesh
+    compiled = Compiler(mesh.comm).expression(on_mesh, points)
+    cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
+
+    def values() -> Array:
+        if not len(cells):
+            return np.zeros((0, len(points), int(np.prod(field.ufl_shape))))
+        return np.asarray(compiled.eval(mesh, cells)).reshape(len(cells), len(points), -1)
+
+    return values
+
+
+def _interpolator(
+    field: dolfinx.fem.Function | Expr, copy: dolfinx.fem.Function
+) -> Callable[[], object]:
+    """Return a function that interpolates a field without data at quadrature points."""
+    V = copy.function_space
+    if isinstance(field, dolfinx.fem.Function) and _has_identity_map(field):
+        return lambda: copy.interpolate(field)
+    on_mesh = dolfinx.fem.Constant(V.mesh, np.float64(1.0)) * field
+    compiled = Compiler(V.mesh.comm).expression(on_mesh, interpolation_points(V))
+    return lambda: copy.interpolate(compiled)
+
+
+def _has_identity_map(f: dolfinx.fem.Function) -> bool:
+    return bool(f.function_space.ufl_element().pullback == ufl.identity_pullback)
+
+
+def _projector(
+    field: Expr, copy: dolfinx.fem.Function, rule: tuple[Array, Array]
+) -> Callable[[], object]:
+    """Return a function that projects data at quadrature points in each cell."""
+    V, (points, weights) = copy.function_space, rule
+    φ = V.element.basix_element.tabulate(0, points)[0, :, :, 0]
+    project, values = projection(φ, weights), _evaluator(field, V.mesh, points)
+
+    def update() -> None:
+        coefficients = np.einsum("iq,cqk->cik", project, values())  # c = Π f
+        copy.x.array.reshape(-1, V.dofmap.bs)[V.dofmap.list[: len(coefficients)]] = coefficients
+        copy.x.scatter_forward()
+
+    return update
 
 
 def _writable_place(path: Path, kind: str, comm: MPI.Comm) -> Path:
@@ -168,20 +337,3 @@ def _writable_place(path: Path, kind: str, comm: MPI.Comm) -> Path:
 
 def _append_nothing(path: Path) -> None:
     path.open("ab").close()
-
-
-def _output_function(f: dolfinx.fem.Function, kind: str) -> dolfinx.fem.Function:
-    """Return a function of the same shape and name on the space that the format supports."""
-    V = f.function_space
-    if kind == "vtx" or V.ufl_element().discontinuous:
-        return _cellwise_function(V.mesh, f.ufl_shape, f.name, kind)
-    space = dolfinx.fem.functionspace(V.mesh, ("Lagrange", 1, f.ufl_shape))
-    return dolfinx.fem.Function(space, name=f.name)
-
-
-def _cellwise_function(
-    mesh: dolfinx.mesh.Mesh, shape: tuple[int, ...], name: str, kind: str
-) -> dolfinx.fem.Function:
-    """Return a discontinuous function, linear for VTX and constant for XDMF."""
-    space = dolfinx.fem.functionspace(mesh, ("DG", 1 if kind == "vtx" else 0, shape))
-    return dolfinx.fem.Function(space, name=name)

@@ -16,6 +16,7 @@ import dolfinx
 __all__ = [
     "adjacency",
     "create_function_space",
+    "geometry_degree",
     "geometry_dofmap",
     "gmsh_permutation",
     "interpolation_points",
@@ -56,6 +57,12 @@ def create_function_space(
     except TypeError:
         space = dolfinx.cpp.fem.FunctionSpace_float64(*arguments)
     return dolfinx.fem.FunctionSpace(V.mesh, V.ufl_element(), space)
+
+
+def geometry_degree(mesh: dolfinx.mesh.Mesh) -> int:
+    """Return the degree of the geometry of the cells, 1 where edges are straight."""
+    geometry = mesh.geometry
+    return int((geometry.cmaps[0] if hasattr(geometry, "cmaps") else geometry.cmap).degree)
 
 
 def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int32]:

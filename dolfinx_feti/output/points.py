@@ -1,0 +1,125 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Data at quadrature points: projected in each cell, or written as a cloud of points.
+
+With points :math:`ξ_q` and weights :math:`w_q`, and a basis :math:`φ_i` of the space that a file
+shows, the projection of the values :math:`f_q` minimises
+
+.. math:: \sum_q w_q \Big(\sum_i c_i φ_i(ξ_q) - f_q\Big)^2
+
+in each cell. It reproduces the functions of that space, as far as the points determine them.
+
+A cloud is an XDMF file whose heavy data are raw numbers: points and values, step after step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import cast
+from xml.sax.saxutils import quoteattr
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.runtime.collective import on_first
+
+__all__ = ["PointCloud", "projection"]
+
+Array = npt.NDArray[np.float64]
+
+#: XDMF's names of values with so many components; others are matrices.
+TYPES = {1: "Scalar", 3: "Vector", 9: "Tensor"}
+
+
+def projection(φ: Array, weights: Array) -> Array:
+    """Return the map from values at quadrature points to the coefficients of a basis.
+
+    Args:
+        φ: Values of the basis at the points, (points, basis).
+        weights: Weights of the points; equal ones count if one is not positive.
+
+    Returns:
+        The map, (basis, points).
+    """
+    w = np.sqrt(weights if np.all(weights > 0.0) else np.ones(len(weights)))
+    return np.asarray(np.linalg.pinv(w[:, None] * φ) * w)  # (√W Φ)⁺ √W
+
+
+class PointCloud:
+    """Values at points, step by step, in `name.xdmf` and `name.bin`; each process writes its own.
+
+    Attributes:
+        path: The file to open in ParaView.
+    """
+
+    def __init__(self, path: Path, comm: MPI.Comm) -> None:
+        """Open the files.
+
+        Args:
+            path: The file, `*.xdmf`.
+            comm: Communicator of all processes that write.
+
+        Note:
+            Collective.
+        """
+        self.path = path
+        self._comm = comm
+        everyone = cast(MPI.Intracomm, comm)
+        mode = MPI.MODE_CREATE | MPI.MODE_WRONLY
+        self._file = MPI.File.Open(everyone, str(path.with_suffix(".bin")), mode)
+        self._file.Set_size(0)
+        self._end = 0
+        self._grids: list[str] = []
+
+    def write(self, t: float, x: Array, fields: Mapping[str, Array]) -> None:
+        """Append a step.
+
+        Args:
+            t: Its time.
+            x: The points of this process, (n, 3).
+            fields: Values at them by name, (n, k).
+
+        Note:
+            Collective.
+        """
+        n = self._comm.allreduce(len(x))
+        grid = [
+            f'<Grid GridType="Uniform"><Time Value="{t!r}"/>',
+            f'<Topology TopologyType="Polyvertex" NumberOfElements="{n}"/>',
+            f'<Geometry GeometryType="XYZ">{self._append(x)}</Geometry>',
+        ]
+        for name, values in fields.items():
+            kind = f'AttributeType="{TYPES.get(values.shape[1], "Matrix")}" Center="Node"'
+            item = self._append(values)
+            grid.append(f"<Attribute Name={quoteattr(name)} {kind}>{item}</Attribute>")
+        self._file.Sync()
+        self._grids.append("\n".join([*grid, "</Grid>"]))
+        text = "\n".join(
+            [
+                '<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>',
+                '<Grid GridType="Collection" CollectionType="Temporal">',
+                *self._grids,
+                "</Grid>\n</Domain></Xdmf>\n",
+            ]
+        )
+        on_first(lambda: self.path.write_text(text, encoding="utf-8"), self._comm)
+
+    def _append(self, values: Array) -> str:
+        """Append the rows of all processes to the heavy data; return the item that refers to them."""
+        rows = self._comm.allgather(len(values))
+        width = 8 * values.shape[1]
+        start = self._end + width * sum(rows[: self._comm.rank])
+        self._file.Write_at_all(start, np.ascontiguousarray(values, dtype="<f8"))
+        seek, self._end = self._end, self._end + width * sum(rows)
+        return (
+            f'<DataItem Dimensions="{sum(rows)} {values.shape[1]}" NumberType="Float" Precision="8" '
+            f'Format="Binary" Endian="Little" Seek="{seek}">{self.path.stem}.bin</DataItem>'
+        )
+
+    def close(self) -> None:
+        """Close the files. Collective."""
+        self._file.Close()
