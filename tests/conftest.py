@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -26,6 +27,7 @@ import dolfinx_feti
 from dolfinx_feti.feti.dual.form import DualForm, create_dual_form
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.pattern import Pattern, create_pattern
+from dolfinx_feti.feti.primal.cg import Outcome, conjugate_gradients
 from dolfinx_feti.feti.setup import set_up
 from dolfinx_feti.runtime.petsc_options import inserted
 
@@ -154,6 +156,16 @@ def torn_grid() -> Iterator[Callable[..., hand_torn.HandTorn]]:
     yield create
     for problem in made:
         problem.destroy()
+
+
+@pytest.fixture
+def cautious(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the primal form end where its coarse space shows negative curvature."""
+
+    def iterate(*args: Any, saddles: bool, **kwargs: Any) -> Outcome:
+        return conjugate_gradients(*args, **kwargs)
+
+    monkeypatch.setattr("dolfinx_feti.feti.primal.form.conjugate_gradients", iterate)
 
 
 @pytest.fixture

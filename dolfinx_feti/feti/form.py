@@ -76,9 +76,19 @@ class Form(Protocol):
         """Whether the user's own tolerance of the Krylov method decides."""
 
     def solve(
-        self, r: PETSc.Vec, u_D: Array, *, target: float, max_it: int, monitor: Monitor
+        self,
+        r: PETSc.Vec,
+        u_D: Array,
+        *,
+        target: float,
+        max_it: int,
+        monitor: Monitor,
+        saddles: bool = True,
     ) -> tuple[Array, Solution]:
-        """Solve for an assembled right-hand side, (N,), and prescribed values, (n,). Collective."""
+        """Solve for an assembled right-hand side, (N,), and prescribed values, (n,). Collective.
+
+        Without ``saddles`` a solve with a matrix that is proved to be indefinite is in vain.
+        """
 
     def memory(self) -> float:
         """Return the memory of all factors of this process in MiB."""

@@ -252,8 +252,7 @@ class FETI:
         if form is None:
             x.set(0.0)
             return Solution(Reason.DIVERGED_PCSETUP_FAILED)
-        other_form = form.inertia.indefinite and lasting.may_change and not form.solves_indefinite
-        if self._refused() or other_form:
+        if self._refused():
             x.set(0.0)
             return Solution(Reason.DIVERGED_INDEFINITE_MAT)
         with event("FETISolve"):
@@ -296,6 +295,7 @@ class FETI:
                 target=AIM * target,
                 max_it=most - iterations,
                 monitor=monitor_from(spent + iterations, show_start=spent + start == 0),
+                saddles=not self._refuse,
             )
             solutions.append(solution)
             iterations += solution.iterations

@@ -306,7 +306,7 @@ def test_symmetry_is_looked_at_after_a_failed_set_up(torn_grid, feti):
 
 
 @pytest.mark.parametrize("formulation", ["dual", "primal"])
-def test_advice_is_that_of_the_form(formulation, torn_grid, feti):
+def test_advice_is_that_of_the_form(formulation, torn_grid, feti, cautious):
     """The remedy for an indefinite matrix has an effect on the form in force."""
 
     def push(K, dofs):

@@ -206,7 +206,7 @@ def test_set_up_that_fails_with_an_old_preconditioner_is_repeated(primal, monkey
     agree(check(problem, ksp) == 0)
 
 
-def test_other_form_that_cannot_be_set_up(torn_grid, feti, monkeypatch):
+def test_other_form_that_cannot_be_set_up(torn_grid, feti, monkeypatch, cautious):
     """A reason and a message, no exception out of the solve."""
 
     def push(K: list[Array], dofs: list[npt.NDArray[np.int64]]) -> None:
@@ -238,7 +238,7 @@ def test_indefinite_matrix_is_told(primal, caplog):
 
 
 @pytest.mark.parametrize("condensed", [False, True])
-def test_other_form_where_matrix_turns_indefinite(condensed, torn_grid, feti):
+def test_other_form_where_matrix_turns_indefinite(condensed, torn_grid, feti, cautious):
     """``auto`` goes over to the dual form, with factors of its own, in double precision."""
 
     def push(K: list[Array], dofs: list[npt.NDArray[np.int64]]) -> None:

@@ -114,7 +114,14 @@ class DualForm:
         return self.krylov.users_test
 
     def solve(
-        self, r: PETSc.Vec, u_D: Array, *, target: float, max_it: int, monitor: Monitor
+        self,
+        r: PETSc.Vec,
+        u_D: Array,
+        *,
+        target: float,
+        max_it: int,
+        monitor: Monitor,
+        saddles: bool = True,
     ) -> tuple[Array, Solution]:
         """Solve for an assembled right-hand side. Collective.
 
@@ -124,6 +131,7 @@ class DualForm:
             target: Wanted norm of the residual of the assembled system.
             max_it: Most iterations.
             monitor: Called with (iteration, norm of the residual of the assembled system).
+            saddles: Without effect, as the method takes indefinite matrices.
 
         Returns:
             u with single-valued copies, (n,), and how the Krylov method ended.

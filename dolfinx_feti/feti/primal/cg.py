@@ -12,7 +12,10 @@ with V from E alone and D = 0 the eigenvalues are those of the projected dual op
 
 :math:`K_ρ` is positive definite whatever D is, since modes that buckle have joined R
 (``pseudoinverse``). So the method is safe if A is positive definite; if not, A₀ shows it or the
-method meets a direction p with :math:`p^⊤ A p < 0` beyond rounding, and returns it. The residual of
+method meets a direction p with :math:`p^⊤ A p < 0` beyond rounding, and returns it. An indefinite A
+is solved with where A₀ has as many negative eigenvalues, for all p are A-orthogonal to V: A is
+positive definite on them (Sylvester's law of inertia for A in V and its complement). Where it has
+one or two less, as near a limit point, α is negative as often. The residual of
 the interface is that of the whole assembled system, because displacements inside are in balance.
 
 An iteration waits for all processes three times: in the coarse problem, for :math:`r^⊤ z`, and for
@@ -39,6 +42,9 @@ __all__ = ["Outcome", "PrimalSystem", "conjugate_gradients", "converged_reason"]
 
 #: Share of ‖r‖² below which rounding would be felt in ‖r − α q‖² = ‖r‖² − 2 α rᵀ q + α² ‖q‖².
 CANCELLED = 1e-8
+
+#: Negative curvatures, one for each negative eigenvalue that A₀ misses, with which a solve goes on.
+FEW = 2
 
 Array = npt.NDArray[np.float64]
 Reason = PETSc.KSP.ConvergedReason
@@ -106,6 +112,7 @@ def conjugate_gradients(
     max_it: int,
     monitor: Monitor,
     traced: int = 0,
+    saddles: bool = False,
 ) -> Outcome:
     """Solve A x = Tᵀ f. Collective.
 
@@ -116,6 +123,7 @@ def conjugate_gradients(
         max_it: Most iterations.
         monitor: Called with (iteration, ‖b − A x‖).
         traced: Iterations whose vectors are kept, at most.
+        saddles: Whether to go on where A has negative eigenvalues.
     """
     copies, space = system.copies, system.space
     x = space.initial_guess(copies.sum(f))
@@ -127,7 +135,8 @@ def conjugate_gradients(
     α: list[float] = []
     β: list[float] = []
     R, Z = np.empty((2, traced, len(x)))  # a row takes memory once it is written
-    direction = space.negative_direction()
+    direction = None if saddles else space.negative_direction()
+    left = FEW * saddles
     best, least, at = x, norm, 0
     reason = Reason.ITERATING if direction is None else Reason.DIVERGED_INDEFINITE_MAT
     while not reason and not (reason := converged_reason(norm, target, len(α), max_it)):
@@ -139,11 +148,12 @@ def conjugate_gradients(
         curvature, rr, rq, qq = copies.dots((p, q), (r, r), (r, q), (q, q))
         if ρ <= 0.0:
             reason = Reason.DIVERGED_INDEFINITE_PC
-        elif curvature <= 0.0:
+        elif curvature <= 0.0 and not (real := curvature < -MARGIN * space.rounding(p)):
             reason = Reason.CONVERGED_ITS  # by rounding
-            if curvature < -MARGIN * space.rounding(p):
-                reason, direction = Reason.DIVERGED_INDEFINITE_MAT, p
+        elif curvature <= 0.0 and real and not left:
+            reason, direction = Reason.DIVERGED_INDEFINITE_MAT, p
         else:
+            left -= curvature < 0.0
             if len(α) < traced:
                 R[len(α)], Z[len(α)] = r / np.sqrt(ρ), z / np.sqrt(ρ)
             α.append(ρ / curvature)

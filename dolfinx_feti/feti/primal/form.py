@@ -163,17 +163,27 @@ class PrimalForm:
         return PrimalSystem(copies, self.deflation, multiply, self.preconditioner.solve)
 
     def solve(
-        self, r: PETSc.Vec, u_D: Array, *, target: float, max_it: int, monitor: Monitor
+        self,
+        r: PETSc.Vec,
+        u_D: Array,
+        *,
+        target: float,
+        max_it: int,
+        monitor: Monitor,
+        saddles: bool = True,
     ) -> tuple[Array, Solution]:
         """Solve for an assembled right-hand side, (N,), and prescribed values, (n,). Collective.
 
-        See :meth:`DualForm.solve <dolfinx_feti.feti.dual.form.DualForm.solve>`.
+        See :meth:`DualForm.solve <dolfinx_feti.feti.dual.form.DualForm.solve>`. With ``saddles``,
+        negative curvature in the coarse space is no obstacle.
         """
         torn, Γ = self.pattern.torn, self.preconditioner.copies.dofs
         f = self.delta * torn.tear(r) - torn.multiply(u_D)
         f[torn.dirichlet] = 0.0  # f = δ T r − K u_D
         with event("FETIIterations"):
-            iterate = conjugate_gradients if self.pattern.symmetric else gmres
+            iterate = partial(conjugate_gradients, saddles=saddles)
+            if not self.pattern.symmetric:
+                iterate = partial(gmres)
             outcome = iterate(
                 self.system,
                 self.operator.condense(f)[Γ],

@@ -1,0 +1,280 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""A few scalar unknowns s beside the x of a torn matrix: a bordered system, by block elimination.
+
+.. math:: A\, x + B\, s = b, \quad C^⊤ x + D\, s = d: \qquad
+          A\, y = b, \; A\, X = B, \quad (D - C^⊤ X)\, s = d - C^⊤ y, \quad x = y - X s
+
+with columns B, C, (N, m), of any units. Each column of X is one more right-hand side for factors
+and coarse space that are there. It starts from that of the last matrix, and is as accurate as its
+share in the residual of the first equation demands: :math:`\|B_k - A X_k\|\, |s_k|` counts, the
+second equation holds up to rounding whatever X is. So where A is nearly singular, as at a limit
+point, y and X are large and inaccurate, but x and s are not (Keller 1983).
+
+Where A is singular, or has no Dirichlet dof, point springs hold the motions of its near kernel W,
+
+.. math:: (A + E κ E^⊤)\, x + B\, s - E\, t = b, \qquad t = κ E^⊤ x,
+
+and their forces t are further scalars, so that the springs leave x as it is. The columns E are unit
+vectors of dofs in which W has full rank, far from each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from dolfinx_feti.runtime.collective import total_of
+from dolfinx_feti.torn.matrix import Torn
+
+__all__ = ["Border", "BorderedSolver"]
+
+Array = npt.NDArray[np.float64]
+Reason = PETSc.KSP.ConvergedReason
+
+#: Corrections of X at most; the first one often is the last. The share of B that X may leave
+#: whatever s is, and by what factor a correction aims below what is wanted.
+CORRECTIONS, ROUGH, AIM = 4, 1e-2, 0.7
+
+#: Size of a scaled singular value of D − Cᵀ X below which the bordered matrix is singular.
+SINGULAR = 1e-12
+
+#: Share of a mode's largest entry below which dofs do not hold it.
+HOLDS = 1e-3
+
+DEPENDENT = (
+    "the bordered matrix is singular: the equations of the scalars contradict each other, depend "
+    "on each other, or do not depend on the unknowns"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Border:
+    """What m scalars add to a matrix; rows of B and C that this process owns.
+
+    Attributes:
+        B: Columns, (owned, m); rows of Dirichlet dofs count as zero.
+        C: Rows of the equations, transposed, (owned, m).
+        D: Corner, (m, m).
+    """
+
+    B: Array
+    C: Array
+    D: Array
+
+
+class BorderedSolver:
+    """Solves bordered systems with a FETI KSP, one after the other.
+
+    Attributes:
+        message: What went wrong beside the KSP's own failures, or an empty string.
+        iterations: Krylov iterations of the last solve, of all right-hand sides.
+    """
+
+    def __init__(self) -> None:
+        """Begin with nothing known."""
+        self.message = ""
+        self.iterations = 0
+        self._X: Array | None = None
+        self._springs: _Springs | None = None
+
+    def solve(
+        self, ksp: PETSc.KSP, A: PETSc.Mat, b: Array, border: Border, d: Array
+    ) -> tuple[Array, Array]:
+        """Solve, to the tolerances of the KSP. Collective.
+
+        Args:
+            ksp: A KSP with a FETI context; its converged reason is that of the bordered system.
+            A: Torn matrix. If it is singular, its diagonal has springs from now on.
+            b: First right-hand side, with prescribed values on Dirichlet dofs, (owned,).
+            border: B, C and D.
+            d: Second right-hand side, (m,).
+
+        Returns:
+            x, (owned,), and s, (m,).
+        """
+        comm, m = A.comm.tompi4py(), len(d)
+        self.iterations, self.message = 0, ""
+        free = _free(A)
+        if self._springs is None and comm.allreduce(bool(free.all()), op=MPI.LAND):
+            self._springs = _Springs(A)
+        if self._springs is not None:
+            self._springs.add(A)
+        y = self._solved(ksp, A, b)
+        if ksp.getPythonContext().singular and self._springs is None:
+            self._springs = _Springs(A)
+            self._springs.add(A)
+            y = self._solved(ksp, A, b)
+        whole = border if self._springs is None else self._springs.extended(border)
+        d = np.concatenate([d, np.zeros(len(whole.D) - m)])
+        B = np.where(free[:, None], whole.B, 0.0)
+        X = np.zeros_like(B)
+        if self._springs is not None:
+            X[:, m:] = self._springs.start
+        if self._X is not None and self._X.shape == X.shape:
+            X = self._X
+        X = np.where(free[:, None], X, 0.0)
+        rtol, atol, *_ = tolerances = ksp.getTolerances()
+        size_b, *sizes = _norms(np.column_stack([np.where(free, b, 0.0), B]), comm)
+        if ksp.getConvergedReason() < 0:
+            return y, np.zeros(m)
+        e = d - total_of(whole.C.T @ y, comm)  # d − Cᵀ y
+        wanted = (rtol if self._X is None else ROUGH) * np.array(sizes)
+        rest = B - _product(A, X, free)
+        for _ in range(CORRECTIONS):
+            for k in np.flatnonzero(_norms(rest, comm) > wanted):
+                ksp.setTolerances(rtol=0.0, atol=AIM * wanted[k])
+                X[:, k] += self._solved(ksp, A, rest[:, k])
+                ksp.setTolerances(*tolerances)
+                if ksp.getConvergedReason() < 0:
+                    return y, np.zeros(m)
+                rest[:, k : k + 1] = B[:, k : k + 1] - _product(A, X[:, k : k + 1], free)
+            s = self._scalars(whole, X, e, comm)
+            target = max(rtol * (size_b + float(np.abs(s) @ sizes)), atol)
+            wanted = np.fmin(target / _no_zeros(len(s) * np.abs(s)), ROUGH * np.array(sizes))
+            if self.message or np.all(_norms(rest, comm) <= wanted):
+                break
+        self._X = X
+        if self.message:
+            ksp.setConvergedReason(Reason.DIVERGED_BREAKDOWN)
+        return y - X @ s, s[:m]
+
+    def _solved(self, ksp: PETSc.KSP, A: PETSc.Mat, b: Array) -> Array:
+        """Return A⁻¹ b, (owned,). Collective."""
+        x, rhs = A.createVecs()
+        rhs.array[:] = b
+        ksp.setOperators(A)
+        ksp.solve(rhs, x)
+        self.iterations += ksp.getPythonContext().iterations
+        solution = x.array_r.copy()
+        for vector in (x, rhs):
+            vector.destroy()
+        return solution
+
+    def _scalars(self, border: Border, X: Array, d: Array, comm: MPI.Comm) -> Array:
+        """Return s = (D − Cᵀ X)⁻¹ d, (m,), by the matrix with rows and columns of size one."""
+        S = border.D - total_of(border.C.T @ X, comm)
+        rows, columns = np.ones(len(S)), np.ones(len(S))
+        for _ in range(5):
+            T = np.abs(rows[:, None] * S * columns)
+            rows /= np.sqrt(_no_zeros(T.max(axis=1)))
+            columns /= np.sqrt(_no_zeros(T.max(axis=0)))
+        U, σ, Vt = np.linalg.svd(rows[:, None] * S * columns)
+        if not (np.isfinite(σ).all() and σ[-1] > SINGULAR * σ[0]):
+            self.message = DEPENDENT
+            return np.zeros(len(d))
+        return columns * (Vt.T @ ((U.T @ (rows * d)) / σ))
+
+
+class _Springs:
+    """Point springs that hold the near kernel of a matrix.
+
+    Attributes:
+        start: −A⁻¹ E, if A with the springs resists W by these alone, (owned, k).
+    """
+
+    def __init__(self, A: PETSc.Mat) -> None:
+        """Choose the dofs. Collective."""
+        torn = Torn(A)
+        comm, free = torn.comm, ~torn.dirichlet
+        W = torn.near_kernel()
+        share = 1.0 / np.sqrt(_torn(torn, torn.multiplicity()))
+        columns = np.where(free[:, None], W, 0.0)
+        most = np.sqrt(_no_zeros(comm.allreduce((share[:, None] ** 2 * columns**2).sum(axis=0))))
+        columns = columns / most
+        own = _pivots(columns, columns.shape[1])
+        candidates = comm.allgather(columns[own])
+        ends = np.cumsum([len(rows) for rows in candidates])
+        chosen = _pivots(np.vstack(candidates), columns.shape[1])
+        mine = chosen[(chosen >= ends[comm.rank] - len(own)) & (chosen < ends[comm.rank])]
+        self._dofs = own[mine - (ends[comm.rank] - len(own))]
+        place = np.searchsorted(chosen, mine) if len(chosen) else mine
+        k = len(chosen)
+        stiffness = _torn(torn, torn.assemble(torn.stiffness()))
+        self._κ = np.zeros(k)
+        self._κ[place] = stiffness[self._dofs]
+        self._κ = comm.allreduce(self._κ)
+        self._own = self._κ[place]
+        E = np.zeros((torn.n, k))
+        E[self._dofs, place] = 1.0
+        self._E = np.column_stack([torn.assemble(column) for column in E.T])  # (owned, k)
+        held = comm.allreduce(E.T @ W)  # Eᵀ W
+        modes = np.column_stack([torn.assemble(share**2 * w) for w in W.T])
+        self.start = -modes @ np.linalg.pinv(held) / self._κ  # −W (Eᵀ W)⁻¹ κ⁻¹
+        self._state = -1
+        torn.destroy()
+
+    def add(self, A: PETSc.Mat) -> None:
+        """Add the springs to the diagonal of a matrix that has been assembled anew."""
+        K = A.getISLocalMat()
+        if K.stateGet() != self._state:
+            for dof, κ in zip(self._dofs, self._own, strict=True):
+                K.setValue(dof, dof, κ, addv=PETSc.InsertMode.ADD_VALUES)
+            K.assemble()
+            K.stateIncrease()
+            self._state = K.stateGet()
+
+    def extended(self, border: Border) -> Border:
+        """Return a border with the forces t as further scalars: t/κ − Eᵀ x = 0."""
+        B, C = (np.hstack([columns, -self._E]) for columns in (border.B, border.C))
+        return Border(B, C, scipy.linalg.block_diag(border.D, np.diag(1.0 / self._κ)))
+
+
+def _pivots(X: Array, most: int) -> npt.NDArray[np.int64]:
+    """Return rows of X that span those that are not small, ascending, (up to most,)."""
+    if not len(X):
+        return np.zeros(0, dtype=np.int64)
+    _, R, order = scipy.linalg.qr(X.T, mode="economic", pivoting=True)
+    size = np.abs(np.diag(R))
+    return np.sort(order[: np.count_nonzero(size > HOLDS * size.max(initial=0.0))][:most])
+
+
+def _torn(torn: Torn, values: npt.NDArray[np.number]) -> Array:
+    """Return the copies of owned values, (owned,) → (n,). Collective."""
+    x = torn.A.createVecRight()
+    x.array[:] = values
+    copies = torn.tear(x)
+    x.destroy()
+    return copies
+
+
+def _free(A: PETSc.Mat) -> npt.NDArray[np.bool_]:
+    """Return the mask of the dofs that are not prescribed, (owned,). Collective."""
+    mark, dirichlet = A.createVecRight(), A.query("dirichlet")
+    if dirichlet is not None:
+        indices = dirichlet.getIndices()
+        mark.setValues(indices, np.ones(len(indices)))
+    mark.assemble()
+    free = mark.array_r < 0.5
+    mark.destroy()
+    return free
+
+
+def _product(A: PETSc.Mat, X: Array, free: npt.NDArray[np.bool_]) -> Array:
+    """Return A X with zeros on Dirichlet dofs, (owned, k). Collective."""
+    x, y = A.createVecs()
+    Y = np.zeros_like(X)
+    for k in range(X.shape[1]):
+        x.array[:] = X[:, k]
+        A.mult(x, y)
+        Y[:, k] = np.where(free, y.array_r, 0.0)
+    for vector in (x, y):
+        vector.destroy()
+    return Y
+
+
+def _norms(X: Array, comm: MPI.Comm) -> Array:
+    """Return the norms of columns over all processes, (k,)."""
+    return np.sqrt(total_of((X**2).sum(axis=0), comm))
+
+
+def _no_zeros(x: npt.ArrayLike) -> Array:
+    """Return numbers with ones in place of zeros."""
+    return np.where(np.asarray(x) == 0.0, 1.0, x)

@@ -1,0 +1,167 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Bordered systems against a dense solve: regular, indefinite, nearly singular and singular A."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+import scipy.linalg
+from collective import agree, equal, small, whole
+
+from dolfinx_feti import FETI
+from dolfinx_feti.feti.bordered import Border, BorderedSolver
+
+Reason = PETSc.KSP.ConvergedReason
+GRID = {"subdomains": (3, 2), "cells": (3, 3), "components": 2}
+forms = pytest.mark.parametrize("form", ["dual", "primal", "auto"])
+RTOL = 1e-10
+
+
+def border(problem, m=2, *, symmetric=True, units=1.0, seed=3):
+    """Smooth columns without Dirichlet rows, whole."""
+    x, bs = problem.x, len(problem.dirichlet) // len(problem.x)
+    waves = np.random.default_rng(seed).standard_normal((m, bs, x.shape[1] + 1))
+    columns = [np.sin(x @ w[:, :-1].T / 3 + w[:, -1]).ravel() for w in waves]
+    B = np.column_stack(columns) * units ** np.arange(m)
+    C = B if symmetric else B[:, ::-1] + 0.2
+    return np.where(problem.dirichlet[:, None], 0.0, B), C, np.zeros((m, m))
+
+
+def dense_solve(problem, b, B, C, D, d):
+    """Solve the assembled bordered system; prescribed values are in b."""
+    K, free = problem.T.T @ problem.K_torn @ problem.T, ~problem.dirichlet
+    known = np.where(free, 0.0, b)
+    M = np.block([[assembled(problem)[0], B[free]], [C[free].T, D]])
+    scale = np.concatenate([np.ones(free.sum()), 1 / np.linalg.norm(B, axis=0)])
+    rows = np.concatenate([np.ones(free.sum()), 1 / np.linalg.norm(C, axis=0)])
+    f = np.concatenate([(b - K @ known)[free], d - C.T @ known])
+    z = scale * np.linalg.solve(rows[:, None] * M * scale, rows * f)
+    known[free] = z[: free.sum()]
+    return known, z[free.sum() :]
+
+
+def bordered(problem, ksp, b, B, C, D, d, solver=None):
+    rows = slice(*problem.A.getOwnershipRange())
+    solver = solver or BorderedSolver()
+    x, s = solver.solve(ksp, problem.A, b[rows], Border(B[rows], C[rows], D), d)
+    return whole(x), s, solver
+
+
+def check(problem, ksp, system, tolerance=1e-6):
+    x, s, solver = bordered(problem, ksp, *system)
+    message = solver.message or ksp.getPythonContext().message
+    agree(ksp.getConvergedReason() > 0, message)
+    x_0, s_0 = dense_solve(problem, *system)
+    equal(x, x_0, tolerance)
+    small(np.abs(s / s_0 - 1.0).max(), tolerance)
+    return solver
+
+
+def softened(share):
+    def change(K, dofs):
+        for K_i in K:
+            K_i -= share * np.abs(K_i).max() * np.eye(len(K_i))
+
+    return change
+
+
+def assembled(problem):
+    """Return A on the free dofs, and their mask."""
+    K, free = problem.T.T @ problem.K_torn @ problem.T, ~problem.dirichlet
+    return K[np.ix_(free, free)], free
+
+
+@forms
+@pytest.mark.parametrize("symmetric", [True, False])
+@pytest.mark.parametrize("units", [1.0, 1e6, 1e-9])
+def test_regular_matrix(form, symmetric, units, torn_grid, feti):
+    """Columns in units that differ by many orders, prescribed values, a corner."""
+    problem = torn_grid(**GRID)
+    B, C, D = border(problem, symmetric=symmetric, units=units)
+    rng = np.random.default_rng(1)
+    b, d = rng.standard_normal(len(B)), rng.standard_normal(2) * units ** np.arange(2)
+    D = D - 1e-3 * np.diag(units ** (2.0 * np.arange(2)))
+    ksp = feti(problem.A, feti_formulation=form, ksp_rtol=RTOL)
+    check(problem, ksp, (b, B, C, D, d))
+
+
+@forms
+def test_one_negative_eigenvalue(form, torn_grid, feti):
+    """A is indefinite, and the bordered matrix as regular as ever: a branch past a limit point."""
+    problem = torn_grid(change=softened(0.008), **GRID)
+    agree(np.count_nonzero(np.linalg.eigvalsh(assembled(problem)[0]) < 0.0) == 1)
+    b = np.random.default_rng(1).standard_normal(len(problem.dirichlet))
+    ksp = feti(problem.A, feti_formulation=form, ksp_rtol=RTOL)
+    check(problem, ksp, (b, *border(problem), np.array([0.3, -0.2])))
+    if form == "primal":
+        agree(ksp.getPythonContext().method == "cg")
+
+
+@forms
+@pytest.mark.parametrize("distance", [1e-4, 1e-8, -1e-6])
+def test_nearly_singular(form, distance, torn_grid, feti):
+    """At a limit point: the smallest eigenvalue of A is any distance from zero."""
+    problem = torn_grid(**GRID)
+    K, free = assembled(problem)
+    copies = problem.T.sum(axis=0)[free]
+    least = scipy.linalg.eigh(K, np.diag(copies), eigvals_only=True)[0]
+
+    def soften(K, dofs):
+        for K_i in K:
+            K_i -= (1.0 - distance) * least * np.eye(len(K_i))
+
+    problem = torn_grid(change=soften, **GRID)
+    rng = np.random.default_rng(1)
+    system = (rng.standard_normal(len(problem.dirichlet)), *border(problem, 1), np.array([0.3]))
+    ksp = feti(problem.A, feti_formulation=form, ksp_rtol=RTOL)
+    check(problem, ksp, system, 1e-5)
+
+
+@forms
+@pytest.mark.parametrize("rolls", [False, True])
+def test_floating_body(form, rolls, torn_grid, feti):
+    """No condition, or one on a component; mean values and a rotation fix the rest."""
+
+    def fixed(x):
+        mask = np.zeros((len(x), 2), dtype=bool)
+        mask[:, 0] = rolls & (x[:, 0] == 0.0)
+        return mask
+
+    problem = torn_grid(fixed=fixed, **GRID)
+    modes = problem.modes[:, 1:2] if rolls else problem.modes
+    B = np.where(problem.dirichlet[:, None], 0.0, modes)
+    m = B.shape[1]
+    rng = np.random.default_rng(1)
+    system = (rng.standard_normal(len(B)), B, modes, np.zeros((m, m)), rng.standard_normal(m))
+    ksp = feti(problem.A, feti_formulation=form, ksp_rtol=RTOL)
+    check(problem, ksp, system)
+
+
+def test_last_solution_serves_the_next_matrix(torn_grid, feti):
+    """The second system differs a little: its further right-hand sides take few iterations."""
+    problem = torn_grid(**GRID)
+    rng = np.random.default_rng(1)
+    b, d = rng.standard_normal(len(problem.dirichlet)), np.array([0.3, 0.2])
+    ksp = feti(problem.A, FETI(newton=True), ksp_rtol=1e-8)
+    B, C, D = border(problem)
+    _, _, solver = bordered(problem, ksp, b, B, C, D, d)
+    first = solver.iterations
+    problem.local.scale(1.0 + 1e-4)
+    bordered(problem, ksp, b, B, C, D, d, solver)
+    agree(solver.iterations < 0.85 * first, (solver.iterations, first))
+
+
+@pytest.mark.parametrize("kind", ["twice", "nothing"])
+def test_dependent_constraints(kind, torn_grid, feti):
+    problem = torn_grid(**GRID)
+    B, _, D = border(problem)
+    B[:, 1] = B[:, 0] if kind == "twice" else 0.0
+    b = np.random.default_rng(1).standard_normal(len(B))
+    ksp = feti(problem.A, ksp_rtol=RTOL)
+    _, _, solver = bordered(problem, ksp, b, B, B.copy(), D, np.array([0.3, 0.2]))
+    agree(ksp.getConvergedReason() == Reason.DIVERGED_BREAKDOWN)
+    agree("depend on each other" in solver.message)
