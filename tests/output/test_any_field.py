@@ -1,0 +1,236 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Any field for ParaView: data at quadrature points, on facets and at vertices, every element."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from collective import agree, equal, raises
+from problems import cube, with_bubbles
+
+import basix.ufl
+import dolfinx
+import ufl
+
+from dolfinx_feti.output import FieldWriter, cell_values, create_patches, recovered_field
+from dolfinx_feti.runtime.compat import interpolation_points
+
+Array = npt.NDArray[np.float64]
+
+TIMES = (0.0, 1.5, 4.0)
+ROUNDING = 100 * np.finfo(float).eps
+
+needs_adios2 = pytest.mark.skipif(not dolfinx.has_adios2, reason="dolfinx has no ADIOS2")
+KINDS = [pytest.param("vtx", marks=needs_adios2), "xdmf"]
+
+
+# -- data at quadrature points
+
+
+def at_points(mesh: dolfinx.mesh.Mesh, degree: int, name: str = "S") -> dolfinx.fem.Function:
+    """Return 1 + x₀ − 2 x₁ at quadrature points."""
+    cell = mesh.topology.cell_name()
+    element = basix.ufl.quadrature_element(cell, value_shape=(), degree=degree)
+    S = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element), name=name)
+    x = ufl.SpatialCoordinate(mesh)
+    at = interpolation_points(S.function_space)
+    S.interpolate(dolfinx.fem.Expression(1 + x[0] - 2 * x[1], at))
+    return S
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "tetrahedron", "hexahedron"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_data_at_quadrature_points_are_projected(tmp_path, kind, cell, degree):
+    """A linear field is projected to itself; by one point, or to a constant, to its mean."""
+    shape = getattr(dolfinx.mesh.CellType, cell)
+    mesh = cube(2 if cell in ("triangle", "quadrilateral") else 3, 2, shape)
+    S, x = at_points(mesh, degree), ufl.SpatialCoordinate(mesh)
+    with FieldWriter(tmp_path / "o", [S], {"twice": 2 * S * (1 + x[0]) / (1 + x[0])}, kind=kind) as writer:
+        S.x.array[:] *= 3.0  # after the writer was made
+        writer.write(0.0)
+        exact = dolfinx.fem.Function(writer._copies[0].function_space)
+        exact.interpolate(lambda x: 3 * (1 + x[0] - 2 * x[1]))
+        mean = np.mean(exact.x.array[exact.function_space.dofmap.list], axis=1, keepdims=True)
+        for copy, factor in zip(writer._copies, (1, 2), strict=True):
+            dofs = copy.function_space.dofmap.list
+            wanted = exact.x.array[dofs] if degree > 1 else np.broadcast_to(mean, dofs.shape)
+            equal(copy.x.array[dofs], factor * wanted, 100 * ROUNDING)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("kind", KINDS)
+def test_data_at_quadrature_points_are_written_there(tmp_path, kind, dim):
+    """Read back: points and values, step after step, beside the fields of the cells."""
+    mesh = cube(dim, 2)
+    S = at_points(mesh, 3)
+    v = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1)), name="v")
+    fields = {"S e": S * ufl.as_vector([1, 2, 3])}
+    with FieldWriter(tmp_path / "o", [v, S], fields, kind=kind, quadrature="points") as writer:
+        for t in TIMES:
+            writer.write(t)
+            S.x.array[:] *= 2.0
+    agree(writer.points == tmp_path / "o_points.xdmf" and writer.path.exists())
+    grids = ElementTree.parse(writer.points).findall(".//Grid[Attribute]")
+    equal([float(grid.find("Time").get("Value")) for grid in grids], TIMES)
+    for k, grid in enumerate(grids):
+        x, s, se = (heavy(tmp_path, item) for item in grid.iter("DataItem"))
+        agree(len(x) == S.function_space.dofmap.index_map.size_global)
+        equal(s[:, 0], 2**k * (1 + x[:, 0] - 2 * x[:, 1]), 2**k * ROUNDING)
+        equal(se, s * [1, 2, 3], 2**k * ROUNDING)
+        agree(not k or dim == 3 or len(np.unique(x.round(9), axis=0)) == len(x))
+
+
+def heavy(folder: Path, item: ElementTree.Element) -> Array:
+    """Return the numbers of a DataItem."""
+    shape = [int(n) for n in item.get("Dimensions").split()]
+    start = int(item.get("Seek"))
+    return np.fromfile(folder / item.text, "<f8", np.prod(shape), offset=start).reshape(shape)
+
+
+def test_data_at_vertices_and_on_facets(tmp_path):
+    """A submesh of facets is shown as a mesh, one of vertices as points."""
+    mesh = cube(3, 2)
+    for dim, name in ((0, "points"), (2, "facets")):
+        mesh.topology.create_entities(dim)
+        mesh.topology.create_connectivity(dim, 3)
+        mine = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
+        part = dolfinx.mesh.create_submesh(mesh, dim, mine)[0]
+        f = dolfinx.fem.Function(dolfinx.fem.functionspace(part, ("DG", min(dim, 1))), name="f")
+        f.interpolate(lambda x: x[0] - x[2])
+        with FieldWriter(tmp_path / name, [f]) as writer:
+            writer.write(0.0)
+        agree(writer.path.exists())
+    grid = ElementTree.parse(tmp_path / "points_points.xdmf").find(".//Grid[Attribute]")
+    x, values = (heavy(tmp_path, item) for item in grid.iter("DataItem"))
+    agree(len(x) == 27)
+    equal(values[:, 0], x[:, 0] - x[:, 2], ROUNDING)
+
+
+def test_cell_values_of_data_at_quadrature_points_are_means():
+    mesh = cube(3, 2)
+    centroids = cell_values(ufl.SpatialCoordinate(mesh), mesh)
+    equal(
+        cell_values(2 * at_points(mesh, 2), mesh),
+        2 * (1 + centroids[:, 0] - 2 * centroids[:, 1]),
+        ROUNDING,
+    )
+
+
+def test_no_copies_of_data_at_other_points():
+    """Four quadrature points are not the four vertices, for a recovered field, either."""
+    mesh = cube(3, 2)
+    patches = create_patches(mesh, degree=4)
+    other = at_points(mesh, 5)
+    with raises(ValueError, "data at .* quadrature points, but is evaluated at .* others"):
+        recovered_field(2 * other, patches)
+    same = recovered_field(2 * at_points(mesh, 4), patches)
+    exact = dolfinx.fem.Function(same.function_space)
+    exact.interpolate(lambda x: 2 * (1 + x[0] - 2 * x[1]))
+    equal(same.x.array, exact.x.array, 100 * ROUNDING)
+
+
+# -- elements and cells
+
+ELEMENTS = {
+    "P1": ("Lagrange", 1, ()),
+    "P2 vector": ("Lagrange", 2, (3,)),
+    "P2 tensor": ("Lagrange", 2, (3, 3)),
+    "symmetric": ("Lagrange", 2, (3, 3), True),
+    "six": ("Lagrange", 1, (6,)),
+    "DG0": ("DG", 0, ()),
+    "DG2 tensor": ("DG", 2, (3, 3)),
+    "N1curl": ("N1curl", 1),
+    "RT": ("RT", 1),
+    "CR": ("CR", 1),
+}
+
+
+def element_of(name: str) -> object:
+    if name == "bubble":
+        return with_bubbles(cube(3, 1))
+    family, degree, *shape = ELEMENTS[name]
+    if len(shape) == 2:
+        return basix.ufl.element(family, "tetrahedron", degree, shape=shape[0], symmetry=shape[1])
+    return (family, degree, *shape)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_element_on_straight_and_curved_cells(tmp_path, kind, order):
+    """Constant fields are written as such, by one writer."""
+    mesh = curved(3, 1, order)
+    functions = []
+    for name in (*ELEMENTS, "bubble"):
+        f = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element_of(name)), name=name)
+        f.x.array[:] = 2.0
+        if name in ("N1curl", "RT", "bubble"):  # degrees of freedom that are no values
+            size = int(np.prod(f.ufl_shape))
+            f.interpolate(lambda x, size=size: np.full((size, x.shape[1]), 2.0))
+        functions.append(f)
+    with FieldWriter(tmp_path / "o", functions, {"two": ufl.as_ufl(2.0)}, kind=kind) as writer:
+        writer.write(0.0)
+        for copy in writer._copies:
+            equal(copy.x.array, np.full_like(copy.x.array, 2.0), 100 * ROUNDING)
+    agree(writer.path.exists())
+
+
+def curved(dim: int, n: int, order: int) -> dolfinx.mesh.Mesh:
+    """Return the unit cube with a geometry of some order."""
+    straight = cube(dim, n)
+    V = dolfinx.fem.functionspace(straight, ("Lagrange", order, (dim,)))
+    x = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, :dim]
+    cells = V.dofmap.list[: straight.topology.index_map(dim).size_local]
+    nodes = V.dofmap.index_map.local_to_global(cells.ravel()).reshape(cells.shape)
+    element = basix.ufl.element("Lagrange", straight.topology.cell_name(), order, shape=(dim,))
+    return dolfinx.mesh.create_mesh(straight.comm, nodes.astype(np.int64), x=x, e=element)
+
+
+# -- what is refused
+
+
+def refused_field(mesh: dolfinx.mesh.Mesh, name: str) -> tuple[list, dict]:
+    """Return functions and expressions of which one cannot be written."""
+    first = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1)), name="first")
+    x = ufl.SpatialCoordinate(mesh)
+    match name:
+        case "mixed":
+            parts = [basix.ufl.element("Lagrange", "tetrahedron", k) for k in (2, 1)]
+            mixed = dolfinx.fem.functionspace(mesh, basix.ufl.mixed_element(parts))
+            return [first, dolfinx.fem.Function(mixed, name="mixed")], {}
+        case "another mesh":
+            return [first], {"e": ufl.SpatialCoordinate(cube(3, 1))[0]}
+        case "facets":
+            return [first], {"e": x[0] * ufl.FacetNormal(mesh)}
+        case "argument":
+            return [first], {"e": ufl.TestFunction(first.function_space)}
+        case "two rules":
+            return [first], {"e": at_points(mesh, 2) * at_points(mesh, 3)}
+        case "derivative":
+            return [first], {"e": ufl.grad(at_points(mesh, 2))}
+    return [first, first], {}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "name, message",
+    [
+        ("mixed", r"'mixed' cannot be written: its space is mixed; write its parts, f.sub\(0\)"),
+        ("another mesh", "'e' cannot be written: it lives on another mesh than the first"),
+        ("facets", "'e' cannot be written: The expression holds .*, which lives on facets"),
+        ("argument", "'e' cannot be written: it holds a test or trial function"),
+        ("two rules", r"'e' cannot be written: The expression combines data at \d+ and at \d+ other"),
+        ("derivative", "'e' cannot be written: "),
+        ("twice", r"named \['first', 'first'\]: give at least one function, and distinct"),
+    ],
+)
+def test_refused_when_the_writer_is_made(tmp_path, kind, name, message):
+    with raises(ValueError, message):
+        FieldWriter(tmp_path / "wall", *refused_field(cube(3, 1), name), kind=kind)
+    agree(not list(tmp_path.iterdir()))
