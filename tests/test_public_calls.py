@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 import rooms
 from collective import COMM, agree, equal, raises, small, whole
-from pulled_body import Body, storage
+from pulled_body import Body
 
 import basix.ufl
 import dolfinx
@@ -40,10 +40,6 @@ def same(value: object) -> None:
 
 
 def checkpoint(body: Body) -> None:
-    if not storage():
-        with raises(ModuleNotFoundError, "Checkpoints need"):
-            body.checkpoint("state")
-        return
     body.checkpoint("state/here").write([body.u], {"load": 1.0})
     again = body.checkpoint("state/here", restart=True)
     again.read([body.u])
@@ -256,7 +252,7 @@ def follow_time(body: Body) -> None:
     energy = ufl.inner(ufl.grad(u), ufl.grad(u)) * ufl.dx + moving.inertia
     problem = NonlinearProblem(energy, u, quadrature_degree=2, subdomains=6)
     moving.velocity.x.array[:] = 1.0
-    kept = {"checkpoint": body.checkpoint("moving/here")} if storage() else {}
+    kept = {"checkpoint": body.checkpoint("moving/here")}
     steps = loading.TimeSteps(first=0.1, least=0.01)
     found = loading.follow_time(problem, moving, lambda t: None, [0.2], steps, state=[u], **kept)
     same([step.kinetic for step in found])

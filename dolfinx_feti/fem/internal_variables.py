@@ -7,16 +7,21 @@ r"""Internal variables: what a material remembers, as Functions with an update i
 
 at the points of each Function's own element: those of the quadrature, or of a discontinuous
 polynomial. All Ξ are evaluated before any ξ changes, so that updates may refer to each other.
+
+Variables in the balance of forces are those in the forms of the problem, and those that their Ξ
+depend on. The others only observe: they may be updated while the balance still has to be shown.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from mpi4py import MPI
 
 import dolfinx
+import ufl
+from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
 from dolfinx_feti.fem.compiler import Compiler
@@ -33,35 +38,45 @@ class InternalVariables:
     Attributes:
         functions: ξ, one Function each.
         updates: Ξ, compiled at the points of their elements.
+        balanced: Whether each is in the balance of forces.
     """
 
     functions: tuple[dolfinx.fem.Function, ...]
     updates: tuple[dolfinx.fem.Expression, ...]
+    balanced: tuple[bool, ...]
 
-    def update(self) -> None:
+    def update(self, *, balanced: bool | None = None) -> None:
         """Let every ξ be its Ξ of the present state.
+
+        Args:
+            balanced: Only those that are in the balance of forces, or only those that are not.
 
         Note:
             Collective.
         """
         found = []
-        for ξ, update in zip(self.functions, self.updates, strict=True):
-            new = dolfinx.fem.Function(ξ.function_space)
-            new.interpolate(update)
-            found.append(new.x.array)
-        for ξ, array in zip(self.functions, found, strict=True):
+        for ξ, update, in_balance in zip(self.functions, self.updates, self.balanced, strict=True):
+            if balanced is None or balanced == in_balance:
+                new = dolfinx.fem.Function(ξ.function_space)
+                new.interpolate(update)
+                found.append((ξ, new.x.array))
+        for ξ, array in found:
             ξ.x.array[:] = array
             ξ.x.scatter_forward()
 
 
 def create_internal_variables(
-    updates: Mapping[dolfinx.fem.Function, Expr], compiler: Compiler
+    updates: Mapping[dolfinx.fem.Function, Expr],
+    compiler: Compiler,
+    *,
+    coefficients: Collection[dolfinx.fem.Function] = (),
 ) -> InternalVariables:
     """Check and compile the updates of internal variables.
 
     Args:
         updates: The update Ξ of each Function ξ, in UFL, of ξ's shape.
         compiler: How they are compiled.
+        coefficients: Functions in the balance of forces.
 
     Raises:
         TypeError: A key is no Function.
@@ -76,7 +91,12 @@ def create_internal_variables(
         compiler.expression(update, interpolation_points(ξ.function_space))
         for ξ, update in updates.items()
     ]
-    return InternalVariables(tuple(updates), tuple(compiled))
+    reached = [ξ for ξ in updates if ξ in coefficients]
+    for ξ in reached:  # grows on the way
+        behind = extract_coefficients(ufl.as_ufl(updates[ξ]))
+        reached += [other for other in behind if other in updates and other not in reached]
+    balanced = tuple(ξ in reached for ξ in updates)
+    return InternalVariables(tuple(updates), tuple(compiled), balanced)
 
 
 def _check(updates: Mapping[dolfinx.fem.Function, Expr], comm: MPI.Comm) -> None:

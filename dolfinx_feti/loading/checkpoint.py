@@ -1,18 +1,23 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Checkpoints: states in a folder, from which a run that was killed goes on.
+"""Checkpoints: the last state of a run in one file, from which a run that was killed goes on.
 
-A state is written cell by cell in the order of the input mesh, by one of several libraries
-(``storage``), so that another number of processes reads it with the same mesh. A file names
-the mesh, elements and parameters that it belongs to (``identity``); ``states`` replaces the last
-one as a whole.
+The file is a NumPy archive, written by the first process and replaced as a whole. For each process
+p that wrote it holds ``p/cells``, the places of its cells in the input mesh, ``p/dofs i``, the
+dofs of these cells in the function i, and ``p/values i t``, the function at the instant t. A
+process that reads finds its own cells in it, so any number of processes restart on the same input
+mesh. ``head.json`` names what the state belongs to: mesh, elements, forms, constants, parameters
+and version.
 """
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Mapping, Sequence
+import contextlib
+import json
+import os
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,27 +31,23 @@ import dolfinx
 
 from dolfinx_feti.loading.identity import (
     describe,
+    describe_forms,
+    other_forms,
+    other_mesh,
     other_parameters,
-    other_problem,
     plain,
-    plain_record,
+    plain_parameters,
 )
-from dolfinx_feti.loading.states import (
-    FORMAT,
-    LATEST,
-    check_files,
-    last_number,
-    prepare,
-    publish,
-    read_latest,
-)
-from dolfinx_feti.loading.storage import choose_storage
-from dolfinx_feti.runtime.collective import on_all, on_first, reason
+from dolfinx_feti.problems.content import Content
+from dolfinx_feti.runtime.collective import on_all, on_first, reason, warn
+from dolfinx_feti.runtime.compat import package_version
 from dolfinx_feti.runtime.folders import writable_folder
 
 __all__ = ["Checkpoint"]
 
 Array = npt.NDArray[np.float64]
+
+FILE, FORMAT = "state.npz", 3
 
 
 class Checkpoint:
@@ -58,7 +59,7 @@ class Checkpoint:
         follow_load(problem, set_load, [300.0], steps, state=[u, p], checkpoint=checkpoint)
 
     Attributes:
-        folder: The folder.
+        folder: The folder; its file is ``state.npz``.
         record: The record of the last :meth:`write`; None before the first one.
         restart: Whether the run goes on from what the folder held.
     """
@@ -70,20 +71,20 @@ class Checkpoint:
         *,
         parameters: Mapping[str, object] | None = None,
         restart: bool = False,
+        allow_changes: bool = False,
     ) -> None:
         """Open the folder, before there is a mesh.
 
         Args:
-            folder: Where the states are kept; it is made, with those above it.
+            folder: Where the state is kept; it is made, with those above it.
             comm: Communicator of the mesh.
             parameters: What else makes the problem: numbers, strings, and lists of them under
                 names. A state of other parameters is refused.
             restart: Go on from the state in the folder, which then has to be there; otherwise there
                 must be none.
+            allow_changes: Go on although parameters, forms, or constants in them have changed.
 
         Raises:
-            ModuleNotFoundError: There is no library to write states with, or not the one that wrote
-                the state in the folder.
             OSError: The folder cannot be written, holds a state already, or none to go on from.
             ValueError: What it holds is no checkpoint, damaged, or one of other parameters.
 
@@ -91,22 +92,28 @@ class Checkpoint:
             Collective; raises on all processes.
         """
         self._comm = comm
-        self.restart = restart
-        self._parameters = on_all(lambda: plain(parameters or {}), comm)
+        self.restart, self._allow_changes = restart, allow_changes
+        self._parameters = on_all(lambda: plain_parameters(parameters or {}), comm)
         self.folder = Path(folder)
-        self._latest: dict[str, Any] | None = on_first(self._open, comm)
-        latest = self._latest
-        writer = None if latest is None else str(latest.get("storage", "adios4dolfinx"))
-        self._storage = choose_storage(comm, writer)
-        self._count: int = on_first(lambda: last_number(self.folder), comm)
-        self.record: dict[str, Any] | None = self._latest and self._latest["record"]
+        self._path = self.folder / FILE
+        self._head: dict[str, Any] | None = on_first(self._open, comm)
         writable_folder(self.folder, comm)
+        if self._head is not None and self._head["version"] != (here := package_version()):
+            warn(f"{self._path} is of dolfinx_feti {self._head['version']}, this is {here}.", comm)
+
+    @property
+    def record(self) -> dict[str, Any] | None:
+        """The record of the last :meth:`write`; None before the first one."""
+        return None if self._head is None else self._head["record"]
 
     def write(
         self,
         functions: Sequence[dolfinx.fem.Function],
         record: Mapping[str, object],
         past: Sequence[Sequence[Array]] = (),
+        *,
+        content: Content | None = None,
+        moving: Sequence[int] = (),
     ) -> None:
         """Keep the present state in place of the last one.
 
@@ -115,78 +122,79 @@ class Checkpoint:
             record: What belongs to it, such as the load: what JSON can hold.
             past: Earlier values of the functions, their arrays with ghosts, the oldest first; or
                 of the first few of them, if the others have no past.
+            content: What the forms of the problem hold, by which a restart knows it.
+            moving: Places of the constants in them that the steps change, which a restart may
+                begin with other values of.
 
         Raises:
             OSError: It cannot be written; the last state stays.
             TypeError: The record of the first process has more in it than JSON holds.
-            ValueError: A process has no cell, or ``past`` holds other arrays than the functions'.
+            ValueError: ``past`` holds other arrays than the functions'.
 
         Note:
             Collective; raises on all processes.
         """
         on_all(lambda: _check_past(functions, past), self._comm)
-        problem = {"parameters": self._parameters, **describe(functions)}
-        name = f"step-{self._count + 1:04d}"
         head = {
             "format": FORMAT,
-            "state": name,
+            "version": package_version(),
+            "processes": self._comm.size,
             "past": [len(values) for values in past],
-            **problem,
+            "parameters": self._parameters,
+            **describe(functions),
+            **describe_forms(content, moving),
         }
-        head["storage"] = self._storage.name
-        latest = on_first(lambda: plain_record(head | {"record": dict(record)}), self._comm)
-        self._count += 1
-        part = self.folder / f"{name}.part"
-        size = sum(sum(map(_size, functions[: len(v)])) for v in [*past, functions])
+        head = on_first(lambda: plain(head | {"record": dict(record)}), self._comm)
         try:
-            on_first(lambda: prepare(part, size), self._comm)
-            self._write_state(part / self._storage.file, functions, past)
-            latest = on_first(lambda: publish(part, latest), self._comm)
+            self._write(head, functions, past)
         except Exception as error:
-            on_first(lambda: shutil.rmtree(part, ignore_errors=True), self._comm)
-            kept = "there is none yet" if self._latest is None else "the one before it is kept"
+            kept = "there is none yet" if self._head is None else "the one before it is kept"
             raise OSError(
-                f"The checkpoint {part} cannot be written ({reason(error)}): {kept}."
+                f"The checkpoint {self._path} cannot be written ({reason(error)}): {kept}."
             ) from error
-        self._latest, self.record = latest, latest["record"]
+        self._head = head
 
-    def read(self, functions: Sequence[dolfinx.fem.Function]) -> list[list[Array]]:
+    def read(
+        self, functions: Sequence[dolfinx.fem.Function], *, content: Content | None = None
+    ) -> list[list[Array]]:
         """Set the functions to the state in the folder.
 
         Args:
             functions: The state, on the same mesh and elements; any number of processes.
+            content: What the forms of the problem hold.
 
         Returns:
             The earlier values.
 
         Raises:
-            ValueError: The state is of another mesh or other elements, damaged, or there is none,
-                or a process has no cell. The functions are left as they were.
+            ValueError: The state is of another mesh, of other elements, forms or constants,
+                damaged, or there is none. The functions are left as they were.
 
         Note:
             Collective; raises on all processes.
         """
-        if self._latest is None:
+        if self._head is None:
             raise ValueError(f"There is no state in {self.folder} yet: write one first.")
-        latest, present = self._latest, describe(functions)
-        self._refuse(self._comm.bcast(other_problem(latest, present), root=0))
-        path = self.folder / latest["state"] / self._storage.file
+        head, here = self._head, describe(functions)
+        differences = on_first(lambda: other_mesh(head, here), self._comm)
+        if content is not None and head["forms"] is not None and not self._allow_changes:
+            differences += other_forms(head, describe_forms(content, head["moving"]))
+        self._refuse(differences)
         try:
-            values = self._read_state(path, functions)
+            values = on_all(lambda: self._read(head, functions), self._comm)
         except Exception as error:
-            raise ValueError(f"{path} cannot be read ({reason(error)}).") from error
+            raise ValueError(f"{self._path} cannot be read ({reason(error)}).") from error
         for f, array in zip(functions, values.pop(), strict=True):
             f.x.array[:] = array
         return values
 
     def _open(self) -> dict[str, Any] | None:
         """Read what the folder holds; on the first process."""
-        path = self.folder / LATEST
-        if not path.exists():
+        if not self._path.exists():
             if self.restart:
                 raise FileNotFoundError(
-                    f"There is no {path} to restart from: name the folder of an earlier run, or "
-                    "start again."
+                    f"There is no {self._path} to restart from: name the folder of an earlier run, "
+                    "or start again."
                 )
             return None
         if not self.restart:
@@ -194,47 +202,130 @@ class Checkpoint:
                 f"{self.folder} holds the checkpoint of an earlier run: restart from it, or name "
                 "another folder."
             )
-        latest = read_latest(path)
-        check_files(self.folder, latest)
-        self._refuse(other_parameters(latest["parameters"], self._parameters))
-        return latest
+        try:
+            with zipfile.ZipFile(self._path) as file:
+                damaged, head = file.testzip(), json.loads(file.read("head.json"))
+        except (KeyError, ValueError, zipfile.BadZipFile):
+            damaged, head = None, {}
+        if damaged is not None or not isinstance(head, dict) or head.get("format") != FORMAT:
+            raise ValueError(
+                f"{self._path} is damaged, or no checkpoint of this version: name another folder, "
+                "or start again."
+            )
+        if not self._allow_changes:
+            self._refuse(other_parameters(head["parameters"], self._parameters))
+        return head
 
     def _refuse(self, differences: list[str]) -> None:
         if differences:
             raise ValueError(
                 f"The checkpoint in {self.folder} is one of another problem: "
-                f"{'; '.join(differences)}. Restart with that problem, or name another folder."
+                f"{'; '.join(differences)}. Restart with that problem, or name another folder; "
+                "allow_changes=True accepts other parameters, forms and constants."
             )
 
-    def _write_state(
+    def _write(
         self,
-        path: Path,
+        head: Mapping[str, Any],
         functions: Sequence[dolfinx.fem.Function],
         past: Sequence[Sequence[Array]],
     ) -> None:
-        """Write the functions, one instant of time for each equilibrium."""
-        write = self._storage.write
-        present = [f.x.array for f in functions]
-        for t, values in enumerate([*past, present]):
-            for i, (f, array) in enumerate(zip(functions, values, strict=False)):
-                copy = dolfinx.fem.Function(f.function_space)
-                copy.x.array[:] = array
-                on_all(partial(write, path, copy, time=float(t), name=f"state{i}"), self._comm)
+        """Write the state beside the last one, bring it to the disk, and let it take its place."""
+        part = self._path.with_suffix(".part")
+        opened: list[zipfile.ZipFile] = []  # on the first process
 
-    def _read_state(
-        self, path: Path, functions: Sequence[dolfinx.fem.Function]
+        def put(name: str, parts: Sequence[npt.NDArray[np.generic]]) -> None:
+            for p, array in enumerate(parts):
+                with opened[0].open(f"{p}/{name}.npy", "w", force_zip64=True) as file:
+                    np.lib.format.write_array(file, array, allow_pickle=False)
+
+        def publish() -> None:
+            opened[0].writestr("head.json", json.dumps(head))
+            opened[0].close()
+            _sync(part)
+            os.replace(part, self._path)
+            _sync(self.folder)
+
+        on_first(lambda: opened.append(zipfile.ZipFile(part, "w")), self._comm)
+        try:
+            for name, array in _arrays(functions, past):
+                on_first(partial(put, name, _gathered(array, self._comm)), self._comm)
+            on_first(publish, self._comm)
+        finally:
+            for file in opened:
+                with contextlib.suppress(OSError):  # a disk that is full fails once more
+                    file.close()
+                part.unlink(missing_ok=True)
+
+    def _read(
+        self, head: Mapping[str, Any], functions: Sequence[dolfinx.fem.Function]
     ) -> list[list[Array]]:
-        """Read all instants, the present one at the end."""
-        read = self._storage.read
-        found: list[list[Array]] = []
-        assert self._latest is not None
-        for t, count in enumerate([*self._latest["past"], len(functions)]):
-            found.append([])
-            for i, f in enumerate(functions[:count]):
-                copy = dolfinx.fem.Function(f.function_space)
-                on_all(partial(read, path, copy, time=float(t), name=f"state{i}"), self._comm)
-                found[-1].append(copy.x.array)
+        """Read all instants, the present one at the end; each process for its cells and ghosts."""
+        counts = [*head["past"], len(functions)]
+        found = [[np.zeros_like(f.x.array) for f in functions[:count]] for count in counts]
+        mine = np.asarray(functions[0].function_space.mesh.topology.original_cell_index)
+        with np.load(self._path, allow_pickle=False) as file:
+            for p in range(head["processes"]):
+                _, here, there = np.intersect1d(mine, file[f"{p}/cells"], return_indices=True)
+                if len(here) == 0:
+                    continue
+                turned = file[f"{p}/turned"][there]
+                for i, f in enumerate(functions):
+                    dofs = file[f"{p}/dofs {i}"][there]
+                    for t, count in enumerate(counts):
+                        if i < count:
+                            _copy(file[f"{p}/values {i} {t}"], dofs, turned, found[t][i], f, here)
         return found
+
+
+def _arrays(
+    functions: Sequence[dolfinx.fem.Function], past: Sequence[Sequence[Array]]
+) -> Iterator[tuple[str, npt.NDArray[np.generic]]]:
+    """Yield what this process writes."""
+    mesh = functions[0].function_space.mesh
+    owned = mesh.topology.index_map(mesh.topology.dim).size_local
+    yield "cells", np.asarray(mesh.topology.original_cell_index)[:owned]
+    yield "turned", _turned(mesh)[:owned]
+    for i, f in enumerate(functions):
+        yield f"dofs {i}", np.asarray(f.function_space.dofmap.list)[:owned]
+        for t, values in enumerate([*past, [g.x.array for g in functions]]):
+            if i < len(values):
+                yield f"values {i} {t}", values[i]
+
+
+def _turned(mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.uint32]:
+    """Return how the edges and faces of each cell are turned, which numbers of vertices decide."""
+    mesh.topology.create_entity_permutations()
+    return np.asarray(mesh.topology.get_cell_permutation_info(), dtype=np.uint32)
+
+
+def _copy(
+    values: Array,
+    dofs: npt.NDArray[np.int32],
+    turned: npt.NDArray[np.uint32],
+    found: Array,
+    f: dolfinx.fem.Function,
+    cells: npt.NDArray[np.int64],
+) -> None:
+    """Copy the values of cells, through those of the reference cell where an element needs it."""
+    bs, element = f.function_space.dofmap.bs, f.function_space.element
+    of_cells = values.reshape(-1, bs)[dofs]  # (cells, dofs, bs)
+    if element.needs_dof_transformations:
+        flat = of_cells.ravel()
+        element.Tt_apply(flat, turned, bs)
+        element.Tt_inv_apply(flat, _turned(f.function_space.mesh)[cells], bs)
+        of_cells = flat.reshape(of_cells.shape)
+    found.reshape(-1, bs)[f.function_space.dofmap.list[cells]] = of_cells
+
+
+def _gathered(
+    array: npt.NDArray[np.generic], comm: MPI.Comm
+) -> list[npt.NDArray[np.generic]]:
+    """Bring the arrays of all processes to the first one, one message each."""
+    if comm.rank > 0:
+        comm.send(array, 0)
+        return []
+    return [array, *(comm.recv(source=rank) for rank in range(1, comm.size))]
 
 
 def _check_past(functions: Sequence[dolfinx.fem.Function], past: Sequence[Sequence[Array]]) -> None:
@@ -252,9 +343,10 @@ def _check_past(functions: Sequence[dolfinx.fem.Function], past: Sequence[Sequen
             )
 
 
-def _size(f: dolfinx.fem.Function) -> int:
-    """Return the bytes of a function: values, and each cell's dofs, offset and permutation."""
-    V = f.function_space
-    cells = V.mesh.topology.index_map(V.mesh.topology.dim).size_global
-    values = V.dofmap.index_map.size_global * V.dofmap.index_map_bs
-    return 8 * values + cells * (8 * V.dofmap.list.shape[1] * V.dofmap.bs + 12)
+def _sync(path: Path) -> None:
+    """Bring a file or a folder to the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

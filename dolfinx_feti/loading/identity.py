@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The identity of a problem: mesh, elements and parameters, and in what two problems differ."""
+"""The identity of a problem: mesh, elements, forms, constants, and in what two problems differ."""
 
 from __future__ import annotations
 
@@ -15,9 +15,18 @@ import numpy as np
 
 import dolfinx
 
+from dolfinx_feti.problems.content import Content
 from dolfinx_feti.runtime.compat import geometry_dofmap
 
-__all__ = ["describe", "other_parameters", "other_problem", "plain", "plain_record"]
+__all__ = [
+    "describe",
+    "describe_forms",
+    "other_forms",
+    "other_mesh",
+    "other_parameters",
+    "plain",
+    "plain_parameters",
+]
 
 #: How closely the mesh has to agree, relative to its extent: digits that a file of text may lose.
 CLOSE = 1e-10
@@ -26,28 +35,16 @@ CLOSE = 1e-10
 def describe(functions: Sequence[dolfinx.fem.Function]) -> dict[str, Any]:
     """Describe mesh and elements, equally for any number of processes.
 
-    Args:
-        functions: Functions on one mesh.
-
     Returns:
         Numbers of cells and vertices; the mean over the cells of their vertices, each weighted by a
         number that follows from its place in the input, so that it depends on their order;
         the extent of the mesh, and the elements.
-
-    Raises:
-        ValueError: A process has no cell, which the libraries that write states do not know how
-            to handle.
 
     Note:
         Collective.
     """
     mesh = functions[0].function_space.mesh
     cells = mesh.topology.index_map(mesh.topology.dim)
-    if mesh.comm.allreduce(cells.size_local, op=MPI.MIN) == 0:
-        raise ValueError(
-            f"{cells.size_global} cells on {mesh.comm.size} processes leave one without a cell: "
-            "checkpoints need fewer processes or a finer mesh."
-        )
     nodes = geometry_dofmap(mesh)[: cells.size_local]
     place = np.asarray(mesh.topology.original_cell_index)[: cells.size_local, None]
     place = place * nodes.shape[1] + np.arange(nodes.shape[1])
@@ -64,7 +61,19 @@ def describe(functions: Sequence[dolfinx.fem.Function]) -> dict[str, Any]:
     }
 
 
-def other_problem(saved: Mapping[str, Any], present: Mapping[str, Any]) -> list[str]:
+def describe_forms(content: Content | None, moving: Sequence[int]) -> dict[str, Any]:
+    """Describe forms and the constants in them that the steps leave alone."""
+    if content is None:
+        return {"forms": None, "moving": list(moving), "constants": {}}
+    constants = {
+        str(i): np.asarray(c.value).tolist()
+        for i, c in enumerate(content.constants)
+        if i not in moving
+    }
+    return {"forms": content.signature(), "moving": list(moving), "constants": constants}
+
+
+def other_mesh(saved: Mapping[str, Any], present: Mapping[str, Any]) -> list[str]:
     """Say in what mesh and elements differ."""
     differences = [
         f"{name} are {saved[name]} there and {present[name]} here"
@@ -78,6 +87,17 @@ def other_problem(saved: Mapping[str, Any], present: Mapping[str, Any]) -> list[
     return differences
 
 
+def other_forms(saved: Mapping[str, Any], present: Mapping[str, Any]) -> list[str]:
+    """Say in what forms and constants differ."""
+    if saved["forms"] != present["forms"]:
+        return ["its forms, such as the energy of a material, or numbers in them, are others"]
+    return [
+        f"a Constant of the forms is {value} there and {present['constants'][i]} here"
+        for i, value in saved["constants"].items()
+        if value != present["constants"][i]
+    ]
+
+
 def other_parameters(saved: Mapping[str, Any], present: Mapping[str, Any]) -> list[str]:
     """Say which parameters differ."""
     names = sorted(saved.keys() | present.keys())
@@ -87,7 +107,7 @@ def other_parameters(saved: Mapping[str, Any], present: Mapping[str, Any]) -> li
     return [f"{name} is {a} there and {b} here" for name, a, b in values if a != b]
 
 
-def plain(parameters: Mapping[str, object]) -> dict[str, Any]:
+def plain_parameters(parameters: Mapping[str, object]) -> dict[str, Any]:
     """Return parameters as they come back from a file.
 
     Raises:
@@ -95,15 +115,15 @@ def plain(parameters: Mapping[str, object]) -> dict[str, Any]:
     """
     for name, value in parameters.items():
         try:
-            plain_record({name: value})
+            plain({name: value})
         except TypeError as error:
             raise ValueError(
                 f"parameters[{name!r}] is {value!r}: give numbers, strings, or lists of them."
             ) from error
-    return plain_record(parameters)
+    return plain(parameters)
 
 
-def plain_record(record: Mapping[str, object]) -> dict[str, Any]:
+def plain(record: Mapping[str, object]) -> dict[str, Any]:
     """Return what JSON makes of a record, and of NumPy's numbers and arrays in it.
 
     Raises:

@@ -38,8 +38,11 @@ import dolfinx
 
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.path import Path, Place, Problem, check_places
+from dolfinx_feti.loading.motion import motions_in
+from dolfinx_feti.loading.state import Snapshot, State
+from dolfinx_feti.loading.stepper import Problem, Stepper, check_places
 from dolfinx_feti.loading.steps import LoadStep, Steps
+from dolfinx_feti.mechanics.supports import DASHPOTS
 from dolfinx_feti.problems.system import Tangent
 from dolfinx_feti.runtime.collective import on_all
 
@@ -56,7 +59,7 @@ def follow_load(
     targets: Sequence[float],
     steps: Steps,
     *,
-    state: Sequence[dolfinx.fem.Function],
+    state: Sequence[dolfinx.fem.Function] = (),
     start: float = 0.0,
     unloading: bool = False,
     on_step: Callable[[LoadStep], object] | None = None,
@@ -70,13 +73,14 @@ def follow_load(
         set_load: Sets the load in the user's forms.
         targets: Loads to be met exactly, one after the other.
         steps: How to choose the increments.
-        state: All functions that a solve changes, u and a condensed pressure: they are restored
-            after a failure. Internal variables of the problem are none of them: they are updated
-            in each new equilibrium, before it is kept and ``on_step`` is called.
+        state: Functions that a solve changes beside u and what is condensed: these are known.
+            Internal variables and dashpots of the problem are none of them: they advance by
+            themselves in each new equilibrium, after ``on_step`` is called and before it is kept.
         start: The present load.
         unloading: Whether the load may turn back on its way through the targets.
-        on_step: Called in each new equilibrium on all processes, for output.
-        checkpoint: Where each new equilibrium is kept, before ``on_step`` is called. If it was
+        on_step: Called in each new equilibrium on all processes, for output; the order of events is
+            that of :mod:`~dolfinx_feti.loading.stepper`.
+        checkpoint: Where each new equilibrium is kept, after ``on_step`` is called. If it was
             opened to restart, the state in it takes the place of the present one and of
             ``start``, and the targets it has met before are left out.
         unit: Name of the load's unit, for the bar that shows the progress on a terminal and for the
@@ -91,18 +95,20 @@ def follow_load(
         OSError: A checkpoint cannot be written; state and load are those of the last equilibrium.
         ConvergenceError: No step of the least increment leads on; state and load are those of the
             last equilibrium.
-        Exception: What ``set_load`` or ``on_step`` raise, on all processes if on one.
+        BaseException: What ``set_load`` or ``on_step`` raise, on all processes if on one;
+            KeyboardInterrupt or SystemExit after Ctrl-C or SIGTERM. The state is the last one.
 
     Note:
         Collective.
     """
     comm = problem.u.function_space.mesh.comm
     on_all(lambda: check_places(start, targets, unloading=unloading), comm)
-    path = _Loads(problem, set_load, steps, state=state, start=start)
-    return path.follow(targets, on_step=on_step, checkpoint=checkpoint, unit=unit)
+    return _Loads(problem, set_load, steps, state, start).follow(
+        targets, on_step=on_step, checkpoint=checkpoint, unit=unit
+    )
 
 
-class _Loads(Path[LoadStep, Steps]):
+class _Loads(Stepper[LoadStep, Steps]):
     """Equilibria; a parabola through the last three of them predicts the next one."""
 
     order = 2
@@ -112,6 +118,35 @@ class _Loads(Path[LoadStep, Steps]):
         "No equilibrium was found beyond a load of",
         "Allow smaller increments, or refine the mesh.",
     )
+
+    def __init__(
+        self,
+        problem: Problem,
+        set_load: Callable[[float], object],
+        steps: Steps,
+        unknowns: Sequence[dolfinx.fem.Function],
+        start: float,
+    ) -> None:
+        self._dashpots = {
+            last: DASHPOTS[last].u
+            for last in problem.content.coefficients
+            if last in DASHPOTS and isinstance(DASHPOTS[last].u, dolfinx.fem.Function)
+        }
+        histories = [*problem.internal_variables, *self._dashpots]
+        state = State(start, problem.content, unknowns=unknowns, histories=histories)
+        super().__init__(problem, set_load, steps, state)
+
+    def _begin(self, targets: Sequence[float], *, restarted: bool) -> None:
+        """Let the state be one of rest."""
+        for motion in motions_in(self._problem.content.coefficients):
+            motion.stop()
+        if not restarted:
+            self._advance()
+
+    def _advance(self) -> None:
+        """Let dashpots take the present displacement for the last one."""
+        for last, u in self._dashpots.items():
+            last.x.array[:] = u.x.array
 
     def _is_met(self, target: float) -> bool:
         rough = self._steps.rtol is not None
@@ -132,7 +167,7 @@ class _Loads(Path[LoadStep, Steps]):
             if len(self._past) > self.order:
                 self._set_place(to)
                 reference = self._problem.residual_norm()
-                self._set_values(extrapolate(self._past, to))
+                self.state.set_unknowns(extrapolate(self._past, to))
                 if self._solved(reference):
                     return
                 self._restore()
@@ -171,11 +206,11 @@ class _Loads(Path[LoadStep, Steps]):
         self._problem.solve(reference=reference, first_tangent=first_tangent, renew=False)
 
 
-def extrapolate(past: Sequence[Place], load: float) -> list[Array]:
+def extrapolate(past: Sequence[Snapshot], load: float) -> list[Array]:
     """Extend the polynomial through equilibria to another load."""
     weights = []
     for i, here in enumerate(past):
         others = [other.at for j, other in enumerate(past) if j != i]
         weights.append(math.prod((load - t) / (here.at - t) for t in others))
-    columns = zip(*(place.values for place in past), strict=True)
+    columns = zip(*(place.unknowns for place in past), strict=True)
     return [sum(w * array for w, array in zip(weights, arrays, strict=True)) for arrays in columns]

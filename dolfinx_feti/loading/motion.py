@@ -1,23 +1,32 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Motion with inertia: the generalised-α method (Chung and Hulbert 1993).
+r"""Motion with inertia: the generalised-α method in the form of Arnold and Brüls (2007).
 
-.. math:: M a_{n+1-α_m} + F(u_{n+1-α_f};\, t_{n+1-α_f}) = 0, \qquad
-          w_{n+1-α} = (1 - α)\, w_{n+1} + α\, w_n,
+Forces are balanced at the end of a step, by the acceleration ü there, and Newmark's formulas take
+another one, a, which follows ü with the numerical damping of Chung and Hulbert (1993):
 
-with Newmark's formulas, :math:`u_{n+1} = u_n + Δt\, v_n + Δt^2 ((½ - β) a_n + β a_{n+1})` and
-:math:`v_{n+1} = v_n + Δt ((1 - γ) a_n + γ a_{n+1})`. The unknown u of the problem is
-:math:`u_{n+1-α_f}`, so that its forms stay as they are, and mass and damping are affine in it:
+.. math:: M \ddot u_{n+1} + F(u_{n+1}, v_{n+1};\, t_{n+1}) = 0, \qquad
+          (1 - α_m)\, a_{n+1} + α_m a_n = (1 - α_f)\, \ddot u_{n+1} + α_f \ddot u_n, \\
+          u_{n+1} = u_n + Δt\, v_n + Δt^2 ((½ - β) a_n + β a_{n+1}), \qquad
+          v_{n+1} = v_n + Δt ((1 - γ) a_n + γ a_{n+1}).
 
-.. math:: a_{n+1-α_m} = c\, (u - \tilde u), \qquad v_{n+1-α_f} = d\, (u - \hat u), \qquad
+So prescribed values are met, and memory is that of t_{n+1}. The unknown of the problem is u_{n+1},
+in which mass and damping are affine:
+
+.. math:: \ddot u_{n+1} = c\, (u - \tilde u), \qquad v_{n+1} = d\, (u - \hat u), \qquad
           c = \frac{1 - α_m}{(1 - α_f)\, β\, Δt^2}, \qquad d = \frac{γ}{β\, Δt}.
 
 With the spectral radius ρ_∞ at high frequencies, α_m = (2 ρ_∞ − 1)/(ρ_∞ + 1), α_f = ρ_∞/(ρ_∞ + 1),
 γ = ½ − α_m + α_f and β = ¼ (1 − α_m + α_f)²: of second order, and stable for linear problems.
+As a is the acceleration at the time t + (α_m − α_f) Δt, the distance a − ü is scaled with Δt where
+that changes, which keeps the order.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from weakref import WeakKeyDictionary, ref
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -31,8 +40,9 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinx_feti.errors import ConvergenceError
+from dolfinx_feti.mechanics.supports import DASHPOTS
 
-__all__ = ["Motion"]
+__all__ = ["Motion", "motions_in"]
 
 Array = npt.NDArray[np.float64]
 
@@ -50,9 +60,10 @@ class Motion:
         follow_time(problem, motion, set_time, [0.1], TimeSteps(first=1e-3, least=1e-5), state=[u])
 
     Attributes:
-        u: The displacement; on the way to the end of a step, that at :math:`t_{n+1-α_f}`.
+        u: The displacement.
         velocity: v of the last state, a Function; an initial velocity is set here.
-        acceleration: a of the last state, a Function.
+        acceleration: ü of the last state, a Function, with which forces are in balance.
+        filtered: a of the last state, a Function.
         dt: Δt, a Constant, for materials whose memory fades with time.
         inertia: Form ½ ∫ ρ c (u − ũ)², to be added to an energy; its derivative is added to a
             residual, and its second derivative to a tangent.
@@ -77,25 +88,71 @@ class Motion:
         self.u = u
         self.velocity = dolfinx.fem.Function(V, name="velocity")
         self.acceleration = dolfinx.fem.Function(V, name="acceleration")
-        self.dt = dolfinx.fem.Constant(V.mesh, np.float64(0.0))
+        self.filtered = dolfinx.fem.Function(V, name="filtered_acceleration")
+        self.dt, self._c, self._d = (
+            dolfinx.fem.Constant(V.mesh, np.float64(0.0)) for _ in range(3)
+        )
         self._ahead, self._behind = dolfinx.fem.Function(V), dolfinx.fem.Function(V)  # ũ, û
-        self._c, self._d = (dolfinx.fem.Constant(V.mesh, np.float64(0.0)) for _ in range(2))
         self._α_m, self._α_f = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
         self._γ = 0.5 - self._α_m + self._α_f
         self._β = 0.25 * (1.0 - self._α_m + self._α_f) ** 2
         self._last: Array = u.x.array.copy()  # u_n
+        self._dashpots: list[tuple[dolfinx.fem.Function, dolfinx.fem.Constant]] = []
         self._density = density
         difference, v = u - self._ahead, self.velocity
         self.inertia = density * self._c / 2 * ufl.inner(difference, difference) * ufl.dx
         self.rate = self._d * (u - self._behind)
         self._kinetic = dolfinx.fem.form(density / 2 * ufl.inner(v, v) * ufl.dx)
+        MOTIONS[self._ahead] = ref(self)
 
-    def start(self, residual: dolfinx.fem.Form, bcs: list[dolfinx.fem.DirichletBC]) -> None:
-        """Let the initial acceleration balance the forces, M a = −F(u).
+    @property
+    def changes(self) -> list[dolfinx.fem.Function]:
+        """The Functions that a restart needs, beside u."""
+        return [self.velocity, self.acceleration, self.filtered]
+
+    def drive(self, coefficients: Sequence[dolfinx.fem.Function]) -> None:
+        """Let dashpots of this displacement resist its velocity.
 
         Args:
-            residual: F(u; v) with the inertia in it.
-            bcs: Conditions of the problem; their dofs have no acceleration.
+            coefficients: Functions of the problem's forms; last displacements of dashpots among
+                them, see :func:`~dolfinx_feti.mechanics.supports.dashpot_energy`.
+
+        Raises:
+            ValueError: The time step of a dashpot is a number, or its displacement another one.
+        """
+        self._dashpots = []
+        for last in coefficients:
+            found = DASHPOTS.get(last)
+            if found is None:
+                continue
+            if found.u is not self.u or not isinstance(found.time_step, dolfinx.fem.Constant):
+                raise ValueError(
+                    "A dashpot of another displacement, or with a number as its time step, cannot "
+                    "follow the motion: give it the displacement of the Motion and a Constant."
+                )
+            self._dashpots.append((last, found.time_step))
+
+    def stop(self) -> None:
+        """Leave inertia and rates out, for equilibria."""
+        self._c.value = self._d.value = 0.0
+        for _, time_step in self._dashpots:
+            time_step.value = np.inf
+
+    def hold(self) -> None:
+        """Let inertia and rates be those of the last state, with the present u."""
+        c, d = float(self._c.value), float(self._d.value) or 1.0
+        ahead = self.acceleration.x.array / c if c > 0.0 else 0.0
+        self._ahead.x.array[:] = self.u.x.array - ahead
+        self._set_rate(d, self.u.x.array - self.velocity.x.array / d)
+
+    def start(
+        self, residual: dolfinx.fem.Form, bcs: Sequence[dolfinx.fem.DirichletBC]
+    ) -> None:
+        """Let the initial acceleration balance the forces, those of dashpots too, M ü = −F(u, v).
+
+        Args:
+            residual: F(u, v; δu) with the inertia in it.
+            bcs: Conditions of the problem; their dofs keep the acceleration that they have.
 
         Raises:
             ConvergenceError: The mass matrix could not be solved with: a density is not positive.
@@ -103,21 +160,25 @@ class Motion:
         Note:
             Collective.
         """
-        V = self.u.function_space
-        self._ahead.x.array[:] = self.u.x.array  # no inertia
-        self._d.value, self._behind.x.array[:] = 0.0, 0.0
+        V, ü = self.u.function_space, self.acceleration
+        fixed = np.unique(np.concatenate([bc.dof_indices()[0] for bc in bcs] or [[]])).astype(int)
+        given = ü.x.array[fixed].copy()
+        ü.x.array[:] = 0.0
+        self._c.value = 0.0
+        self.hold()
+        ü.x.array[fixed] = given
         test, trial = ufl.TestFunction(V), ufl.TrialFunction(V)
-        mass = dolfinx.fem.form(self._density * ufl.inner(trial, test) * ufl.dx)
-        M = dolfinx.fem.petsc.assemble_matrix(mass, bcs)
+        mass = self._density * ufl.inner(trial, test) * ufl.dx
+        M = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(mass), list(bcs))
         M.assemble()
         b = dolfinx.la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
         dolfinx.fem.assemble_vector(b.array, residual)
+        dolfinx.fem.assemble_vector(b.array, dolfinx.fem.form(ufl.action(mass, ü)))
         b.scatter_reverse(dolfinx.la.InsertMode.add)
         f, a = M.createVecs()
-        f.array[:] = -b.array[: f.getLocalSize()]
-        for bc in bcs:
-            dofs, _ = bc.dof_indices()
-            f.array[dofs[dofs < f.getLocalSize()]] = 0.0
+        owned = f.getLocalSize()
+        f.array[:] = -b.array[:owned]
+        f.array[fixed[fixed < owned]] = given[fixed < owned]
         ksp = PETSc.KSP().create(M.comm)
         ksp.setOperators(M)
         ksp.setType(PETSc.KSP.Type.CG)
@@ -125,42 +186,40 @@ class Motion:
         ksp.setTolerances(rtol=MASS_RTOL, max_it=MASS_ITERATIONS)
         ksp.solve(f, a)
         solved = ksp.getConvergedReason() > 0
-        self.acceleration.x.array[: a.getLocalSize()] = a.array_r
-        self.acceleration.x.scatter_forward()
-        for owned in (ksp, M, f, a):
-            owned.destroy()
+        ü.x.array[:owned] = a.array_r
+        ü.x.scatter_forward()
+        self.filtered.x.array[:] = ü.x.array
+        self.dt.value = 0.0
+        for owned_object in (ksp, M, f, a):
+            owned_object.destroy()
         if not solved:
             raise ConvergenceError(
                 "The mass matrix could not be solved with for the initial acceleration: give a "
                 "positive density in all cells."
             )
 
-    def enter(self, dt: float) -> float:
+    def enter(self, dt: float) -> None:
         """Enter a step: let u be the displacement that is looked for, beginning with u_n.
 
         Args:
             dt: Its length Δt.
-
-        Returns:
-            The time from the beginning of the step at which forces are balanced, (1 − α_f) Δt.
         """
-        v, a, u = self.velocity.x.array, self.acceleration.x.array, self.u.x.array
-        α_m, α_f, β, γ = self._α_m, self._α_f, self._β, self._γ
+        v, ü, u = (f.x.array for f in (self.velocity, self.acceleration, self.u))
+        α_m, α_f, β, γ, last = self._α_m, self._α_f, self._β, self._γ, float(self.dt.value)
+        a = self.filtered.x.array
+        a[:] = ü + (dt / last if last > 0.0 else 1.0) * (a - ü)
         c = (1.0 - α_m) / ((1.0 - α_f) * β * dt**2)
         d = γ / (β * dt)
-        self.dt.value, self._c.value, self._d.value = dt, c, d
+        self.dt.value, self._c.value = dt, c
         self._last = u.copy()
         free = u + dt * v + dt**2 * (0.5 - β) * a  # u_{n+1} without a_{n+1}
-        self._ahead.x.array[:] = α_f * u + (1.0 - α_f) * free - α_m / c * a
-        past = α_f * u + (1.0 - α_f) * free  # where a_{n+1} = 0
-        rate = v + (1.0 - α_f) * dt * (1.0 - γ) * a  # v_{n+1−α_f}, there
-        self._behind.x.array[:] = past - rate / d
-        return (1.0 - α_f) * dt
+        self._ahead.x.array[:] = free - (α_m * a - α_f * ü) / ((1.0 - α_f) * c)
+        self._set_rate(d, free - (v + dt * (1.0 - γ) * a) / d)
 
     def predict(self) -> None:
         """Let the iteration begin where a constant acceleration leads."""
-        v, a, dt = self.velocity.x.array, self.acceleration.x.array, float(self.dt.value)
-        self.u.x.array[:] = self._last + (1.0 - self._α_f) * (dt * v + dt**2 / 2.0 * a)
+        v, a, dt = self.velocity.x.array, self.filtered.x.array, float(self.dt.value)
+        self.u.x.array[:] = self._last + dt * v + dt**2 / 2.0 * a
 
     def error(self) -> float:
         """Estimate the error of the displacement in this step, (β − 1/6) Δt² (a_{n+1} − a_n).
@@ -171,22 +230,23 @@ class Motion:
         Note:
             Collective.
         """
-        change = np.abs(self._next()[1] - self.acceleration.x.array).max(initial=0.0)
+        change = np.abs(self._next() - self.filtered.x.array).max(initial=0.0)
         largest = self.u.function_space.mesh.comm.allreduce(change, op=MPI.MAX)
         return abs(self._β - 1.0 / 6.0) * float(self.dt.value) ** 2 * largest
 
     def leave(self) -> Array:
-        """Go to the end of the step: u, velocity and acceleration are those of t_{n+1}.
+        """Go to the end of the step: velocity and accelerations are those of t_{n+1}.
 
         Returns:
             How far the step has led, u_{n+1} − u_n, with ghosts.
         """
-        u, a = self._next()
-        dt, γ = float(self.dt.value), self._γ
-        self.velocity.x.array[:] += dt * ((1.0 - γ) * self.acceleration.x.array + γ * a)
-        self.acceleration.x.array[:] = a
-        self.u.x.array[:] = u
-        return u - self._last
+        a, dt, γ = self._next(), float(self.dt.value), self._γ
+        self.velocity.x.array[:] += dt * ((1.0 - γ) * self.filtered.x.array + γ * a)
+        self.acceleration.x.array[:] = float(self._c.value) * (
+            self.u.x.array - self._ahead.x.array
+        )
+        self.filtered.x.array[:] = a
+        return self.u.x.array - self._last
 
     def kinetic_energy(self) -> float:
         """Return ½ ∫ ρ v².
@@ -197,9 +257,25 @@ class Motion:
         comm = self.u.function_space.mesh.comm
         return float(comm.allreduce(dolfinx.fem.assemble_scalar(self._kinetic)))
 
-    def _next(self) -> tuple[Array, Array]:
-        """Return u and a at the end of the step."""
-        dt, β, last = float(self.dt.value), self._β, self._last
-        v, a = self.velocity.x.array, self.acceleration.x.array
-        u = np.asarray((self.u.x.array - self._α_f * last) / (1.0 - self._α_f))
-        return u, np.asarray((u - last - dt * v - dt**2 * (0.5 - β) * a) / (β * dt**2))
+    def _next(self) -> Array:
+        """Return a_{n+1}."""
+        dt, β = float(self.dt.value), self._β
+        v, a = self.velocity.x.array, self.filtered.x.array
+        free = self._last + dt * v + dt**2 * (0.5 - β) * a
+        return np.asarray((self.u.x.array - free) / (β * dt**2))
+
+    def _set_rate(self, d: float, behind: Array) -> None:
+        """Let d (u − û) be the velocity, and that of dashpots, (u − u⁰)/Δt, too."""
+        self._d.value, self._behind.x.array[:] = d, behind
+        for last, time_step in self._dashpots:
+            last.x.array[:], time_step.value = behind, 1.0 / d
+
+
+#: Each motion by the ũ in its inertia, by which the forms of a problem tell that they have it.
+MOTIONS: WeakKeyDictionary[dolfinx.fem.Function, ref[Motion]] = WeakKeyDictionary()
+
+
+def motions_in(coefficients: Sequence[dolfinx.fem.Function]) -> list[Motion]:
+    """Return the motions whose inertia is in forms with these Functions."""
+    found = (MOTIONS[f]() for f in coefficients if f in MOTIONS)
+    return [motion for motion in found if motion is not None]

@@ -37,7 +37,7 @@ from dolfinx_feti.fem.internal_variables import create_internal_variables
 from dolfinx_feti.loading.anderson import Anderson
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
-from dolfinx_feti.loading.path import Problem
+from dolfinx_feti.loading.stepper import Problem
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.system import Tangent
@@ -131,6 +131,7 @@ class _Prestressing:
     def __init__(self, problem: Problem, G: dolfinx.fem.Function, tolerance: float) -> None:
         self._problem, self._tolerance = problem, tolerance
         self.u, self.solver = problem.u, problem.solver
+        self.content = problem.content
         self._comm = self.u.function_space.mesh.comm
         F = ufl.Identity(len(self.u)) + ufl.grad(self.u)
         self._update = create_internal_variables({G: G * ufl.inv(F)}, Compiler(self._comm))
@@ -141,7 +142,7 @@ class _Prestressing:
         self.history: list[NewtonStep] = []
         self.volume_changes: list[float] = []
 
-    def update_internal_variables(self) -> None:
+    def update_internal_variables(self, *, balanced: bool | None = None) -> None:
         """Remember nothing."""
 
     def solve(

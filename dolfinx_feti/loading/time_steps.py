@@ -33,8 +33,9 @@ import ufl
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.motion import Motion
-from dolfinx_feti.loading.path import Path, Problem, check_places
+from dolfinx_feti.loading.motion import Motion, motions_in
+from dolfinx_feti.loading.state import State
+from dolfinx_feti.loading.stepper import Problem, Stepper, check_places
 from dolfinx_feti.loading.steps import Lengths, LoadStep
 from dolfinx_feti.runtime.collective import on_all
 
@@ -163,7 +164,7 @@ def follow_time(
     targets: Sequence[float],
     steps: TimeSteps,
     *,
-    state: Sequence[dolfinx.fem.Function],
+    state: Sequence[dolfinx.fem.Function] = (),
     start: float = 0.0,
     energy: ufl.Form | None = None,
     forces: ufl.Form | None = None,
@@ -178,17 +179,17 @@ def follow_time(
     Args:
         problem: The nonlinear problem, with the inertia of ``motion`` in its forms.
         motion: Its motion.
-        set_time: Sets loads and conditions to those of a time, also between the steps.
+        set_time: Sets loads and conditions to those of a time. At first it is called for times in
+            the first step, too: dofs under conditions begin with the velocity of their values.
         targets: Times to be met exactly, ascending.
         steps: How to choose the lengths of the steps.
-        state: All functions that a solve changes, u and a condensed pressure. The pressure stays
-            that of the last balance of forces, between the last times.
+        state: Functions that a solve changes beside u and what is condensed: these are known.
         start: The present time.
         energy: What the material stores, for the balance kinetic + stored − work of each step.
         forces: External forces, tested with v, for the same: their work is integrated by the
             trapezoidal rule.
         on_step: Called at the end of each step on all processes, for output.
-        checkpoint: Where each new state is kept, before ``on_step`` is called. If it was opened to
+        checkpoint: Where each new state is kept, after ``on_step`` is called. If it was opened to
             restart, the state in it takes the place of the present one.
         unit: Name of the unit of time.
 
@@ -196,34 +197,53 @@ def follow_time(
         The accepted steps, those before a restart included.
 
     Raises:
-        ValueError: A time is not finite, or they do not ascend, or a checkpoint is one of another
+        ValueError: A time is not finite, or they do not ascend, or the forms do not hold the
+            inertia of the motion, or a dashpot cannot follow it, or a checkpoint is one of another
             problem.
         OSError: A checkpoint cannot be written.
         ConvergenceError: No step of the least length leads on; the state is that of its beginning.
-        Exception: What ``set_time`` or ``on_step`` raise, on all processes if on one.
+        BaseException: What ``set_time`` or ``on_step`` raise, on all processes if on one;
+            KeyboardInterrupt or SystemExit after Ctrl-C or SIGTERM. The state is the last one.
 
     Note:
         Collective.
     """
     comm = problem.u.function_space.mesh.comm
-    on_all(lambda: check_places(start, targets, unloading=False), comm)
+    on_all(lambda: _check(problem, motion, start, targets), comm)
     compiler = Compiler(comm)
-    path = _Times(
-        problem,
-        set_time,
-        steps,
-        motion=motion,
-        energies=_Energies(
-            problem.u, *(None if f is None else compiler.form(f) for f in (energy, forces))
-        ),
-        state=state,
-        start=start,
+    energies = _Energies(
+        problem.u, *(None if f is None else compiler.form(f) for f in (energy, forces))
     )
-    return path.follow(targets, on_step=on_step, checkpoint=checkpoint, unit=unit)
+    histories = [*problem.internal_variables, *motion.changes]
+    owned = State(
+        start, problem.content, unknowns=state, histories=histories, numbers=[motion.dt]
+    )
+    return _Times(problem, set_time, steps, owned, motion, energies).follow(
+        targets, on_step=on_step, checkpoint=checkpoint, unit=unit
+    )
 
 
-class _Times(Path[TimeStep, TimeSteps]):
-    """States of a motion; its velocity and acceleration lead to the next one."""
+def _check(
+    problem: MovingProblem, motion: Motion, start: float, targets: Sequence[float]
+) -> None:
+    """Require times that ascend, and a problem with the inertia of the motion.
+
+    Raises:
+        ValueError: See :func:`follow_time`.
+    """
+    check_places(start, targets, unloading=False)
+    if any(target < start for target in targets):
+        raise ValueError(f"start={start}, targets={list(targets)}: times ascend from the start.")
+    if motion.u is not problem.u or motions_in(problem.content.coefficients) != [motion]:
+        raise ValueError(
+            "The forms of the problem do not hold the inertia of this Motion, or not of it alone: "
+            "add motion.inertia to the energy, or its derivative to the residual."
+        )
+    motion.drive(problem.content.coefficients)
+
+
+class _Times(Stepper[TimeStep, TimeSteps]):
+    """States of a motion; its velocity and accelerations lead to the next one."""
 
     kind = TimeStep
     words = (
@@ -237,34 +257,51 @@ class _Times(Path[TimeStep, TimeSteps]):
         problem: MovingProblem,
         set_time: Callable[[float], object],
         steps: TimeSteps,
-        *,
+        state: State,
         motion: Motion,
         energies: _Energies,
-        state: Sequence[dolfinx.fem.Function],
-        start: float,
     ) -> None:
-        super().__init__(problem, set_time, steps, state=state, start=start)
+        super().__init__(problem, set_time, steps, state)
         self._motion, self._energies = motion, energies
         self._balance = problem.F, list(problem.bcs)
 
     def _is_met(self, target: float) -> bool:
         return self.at >= target
 
-    @property
-    def _kept(self) -> list[dolfinx.fem.Function]:
-        return [*super()._kept, self._motion.velocity, self._motion.acceleration]
-
-    def _begin(self, *, restarted: bool) -> None:
+    def _begin(self, targets: Sequence[float], *, restarted: bool) -> None:
         """Find the initial acceleration."""
-        if not restarted:
+        if restarted or not targets:
+            self._motion.hold()
+        else:
+            self._move_conditions(min(self._length, targets[0] - self.at))
             self._set_place(self.at)
             self._motion.start(*self._balance)
         self._forces = self._energies.present_forces()
 
+    def _move_conditions(self, dt: float) -> None:
+        """Let dofs under conditions begin as their values do, by differences in a step Δt."""
+        if dt <= 0.0:
+            return
+        values = []
+        for place in (self.at, self.at + dt / 2.0, self.at + dt):
+            self._set_place(place)
+            values.append(self._problem.u.x.array.copy())
+            for bc in self._balance[1]:
+                bc.set(values[-1])
+        g0, g1, g2 = values
+        fixed = np.unique(np.concatenate([bc.dof_indices()[0] for bc in self._balance[1]] or [[]]))
+        fixed = fixed.astype(np.int64)
+        v, ü = self._motion.velocity.x.array, self._motion.acceleration.x.array
+        v[fixed] = ((4.0 * g1 - 3.0 * g0 - g2) / dt)[fixed]
+        ü[fixed] = (4.0 * (g0 - 2.0 * g1 + g2) / dt**2)[fixed]
+
+    def _restored(self) -> None:
+        """Let inertia and rates be those of the state."""
+        self._motion.hold()
+
     def _arrive(self, step: dict[str, Any]) -> TimeStep:
         """Go from the balance of forces to the end of the step."""
         error, moved = self._motion.error(), self._motion.leave()
-        self._set_place(step["load"])
         self._lengthen(step["increment"], error)
         before, self._forces = self._forces, self._energies.present_forces()
         return TimeStep(
@@ -282,8 +319,8 @@ class _Times(Path[TimeStep, TimeSteps]):
             ConvergenceError: It failed, or its estimated error is too large.
         """
         dt = to - self.at
-        between = self._motion.enter(dt)
-        self._set_place(self.at + between)
+        self._motion.enter(dt)
+        self._set_place(to)
         reference = self._problem.residual_norm()
         self._motion.predict()
         self._problem.solve(reference=reference, renew=False)

@@ -37,7 +37,7 @@ from dolfinx_feti.fem.nodes import Nodes
 from dolfinx_feti.loading.anderson import Anderson
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
-from dolfinx_feti.loading.path import Problem
+from dolfinx_feti.loading.stepper import Problem
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.system import Tangent
@@ -152,6 +152,7 @@ class _Unloading:
     ) -> None:
         self._problem = problem
         self.u, self.solver = problem.u, problem.solver
+        self.content = problem.content
         V = problem.u.function_space
         self._nodes, self._comm = Nodes(V.mesh), V.mesh.comm
         self._owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
@@ -160,7 +161,7 @@ class _Unloading:
         self.history: list[NewtonStep] = []
         self.volume_changes: list[float] = []
 
-    def update_internal_variables(self) -> None:
+    def update_internal_variables(self, *, balanced: bool | None = None) -> None:
         """Remember nothing."""
 
     def residual_norm(self) -> float:

@@ -19,14 +19,33 @@ Units: k in kPa/mm, η in kPa s/mm, Δt in s, lengths in mm.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal, get_args
+from weakref import WeakKeyDictionary
 
 import ufl
 from ufl.core.expr import Expr
 
 from dolfinx_feti.mechanics.values import require_not_negative
 
-__all__ = ["Direction", "dashpot_energy", "spring_energy"]
+__all__ = ["DASHPOTS", "Dashpots", "Direction", "dashpot_energy", "spring_energy"]
+
+
+@dataclass(frozen=True, slots=True)
+class Dashpots:
+    """What ẇ = (w − w⁰)/Δt of dashpots is made of.
+
+    Attributes:
+        u: The displacement.
+        time_step: Δt [s].
+    """
+
+    u: Expr
+    time_step: float | Expr
+
+
+#: By their last displacement u⁰, those that a path of loads or times advances.
+DASHPOTS: WeakKeyDictionary[Expr, Dashpots] = WeakKeyDictionary()
 
 #: Which part of the displacement is resisted.
 Direction = Literal["normal", "all"]
@@ -68,9 +87,10 @@ def dashpot_energy(
     Args:
         viscosity: η per reference area [kPa s/mm], not negative.
         u: Displacement [mm], shape (d,).
-        last: Displacement at the end of the last time step [mm], a Function of its own.
-        time_step: Δt [s]; a constant can change from step to step, and one of infinity leaves the
-            dashpots without effect.
+        last: Displacement at the end of the last time step [mm], a Function of its own, which
+            ``follow_load`` and ``follow_time`` advance; with inertia so that ẇ is the velocity.
+        time_step: Δt [s]; a Constant can change from step to step, and one of infinity leaves the
+            dashpots without effect. ``follow_time`` sets it.
         ds: Measure of the surface.
         direction: See :func:`spring_energy`.
 
@@ -84,6 +104,7 @@ def dashpot_energy(
     require_not_negative(viscosity=viscosity)
     if not isinstance(time_step, Expr) and not time_step > 0.0:
         raise ValueError(f"time_step = {time_step}: give a positive number of seconds.")
+    DASHPOTS[last] = Dashpots(u, time_step)
     return viscosity / (2 * time_step) * _square(u - last, direction) * ds
 
 

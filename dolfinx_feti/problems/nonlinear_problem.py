@@ -31,6 +31,7 @@ from dolfinx_feti.problems.arguments import (
     require_function,
     warn_unused,
 )
+from dolfinx_feti.problems.content import content_of
 from dolfinx_feti.problems.forms import (
     condensed_fields,
     default_volume_ratio,
@@ -77,6 +78,7 @@ class NonlinearProblem(TornProblem):
         b: The residual of the last iterate, with the pressure condensed into it.
         x: The last iterate, without ghosts; u has memory of its own.
         bcs: The Dirichlet conditions; their values may change.
+        content: Unknowns, and the Functions and Constants in the forms.
         P_mat: None, for FETI's preconditioner is no matrix.
         preconditioner: None.
         volume_changes: The greatest abs(mean J − 1) of a cell after each Newton solve of the last
@@ -188,7 +190,10 @@ class NonlinearProblem(TornProblem):
         if volume_tolerance is not None:
             self._system.prepare_multipliers(volume_tolerance)
         self._volume_tolerance = volume_tolerance
-        self._memory = create_internal_variables(internal_variables or {}, self._compiler)
+        self.content = content_of((u, *fields), (forms.F_u, *forms.F_p, forms.energy))
+        self._memory = create_internal_variables(
+            internal_variables or {}, self._compiler, coefficients=self.content.coefficients
+        )
         self._history: list[NewtonStep] = []
         self.volume_changes: list[float] = []
         self.A, self._condensation = self._system.A, self._system.condensation
@@ -374,16 +379,19 @@ class NonlinearProblem(TornProblem):
         """The Functions that hold what the material remembers."""
         return self._memory.functions
 
-    def update_internal_variables(self) -> None:
+    def update_internal_variables(self, *, balanced: bool | None = None) -> None:
         """Let each internal variable be its update at the present state, all at once.
 
         Call it when a state is accepted, as ``follow_load`` and ``follow_time`` do: a solve changes
         none of them, so that one that fails leaves nothing behind.
 
+        Args:
+            balanced: Only those on which the balance of forces depends, or only the others.
+
         Note:
             Collective.
         """
-        self._memory.update()
+        self._memory.update(balanced=balanced)
 
     def renew(self) -> None:
         """Let the next solve begin with a preconditioner of its own, and no Ritz vectors."""

@@ -32,17 +32,17 @@ def on_first(work: Callable[[], T], comm: MPI.Comm) -> T:
         The result, on all processes.
 
     Raises:
-        Exception: What the work raises, on all processes.
+        BaseException: What the work raises, on all processes.
 
     Note:
         Collective.
     """
-    parcel: tuple[bytes, Exception | None] = (b"", None)
-    own: Exception | None = None
+    parcel: tuple[bytes, BaseException | None] = (b"", None)
+    own: BaseException | None = None
     if comm.rank == 0:
         try:
             parcel = (pickle.dumps(work()), None)
-        except Exception as caught:
+        except BaseException as caught:  # Ctrl-C, too, is told to all
             own = caught
             parcel = (b"", _portable(caught))
     result, error = comm.bcast(parcel, root=0)
@@ -65,7 +65,7 @@ def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
         The process's own result.
 
     Raises:
-        Exception: What the work has raised, on all processes: on one where it has failed its own
+        BaseException: What the work has raised, on all processes: on one where it has failed its own
             error, elsewhere that of the first process where it has.
 
     Note:
@@ -73,10 +73,10 @@ def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
         or after.
     """
     result: Any = None
-    own: Exception | None = None
+    own: BaseException | None = None
     try:
         result = work()
-    except Exception as caught:
+    except BaseException as caught:  # Ctrl-C, too, ends work on all
         own = caught
     errors = comm.allgather(None if own is None else _portable(own))
     first = next((rank for rank, error in enumerate(errors) if error is not None), None)
@@ -90,13 +90,13 @@ def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
     return result
 
 
-def _portable(error: Exception) -> Exception:
+def _portable(error: BaseException) -> BaseException:
     """Return an error that can be sent to other processes."""
     try:
         copy = pickle.loads(pickle.dumps(error))
     except Exception:  # of a class that cannot be pickled or made again
         copy = None
-    return error if isinstance(copy, Exception) else RuntimeError(reason(error))
+    return error if isinstance(copy, BaseException) else RuntimeError(reason(error))
 
 
 def total(value: float, comm: MPI.Comm) -> float:
@@ -133,7 +133,7 @@ def join(values: npt.ArrayLike, comm: MPI.Comm) -> npt.NDArray[Any]:
     return np.concatenate(parts) if parts else np.asarray(values)
 
 
-def reason(error: Exception) -> str:
+def reason(error: BaseException) -> str:
     """Say what went wrong, in one line."""
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return " ".join(text.split()) or type(error).__name__

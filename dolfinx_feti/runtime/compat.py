@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import sys
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -20,6 +22,7 @@ __all__ = [
     "geometry_dofmap",
     "gmsh_permutation",
     "interpolation_points",
+    "package_version",
     "residual_is_nan",
 ]
 
@@ -81,6 +84,11 @@ def interpolation_points(V: dolfinx.fem.FunctionSpace) -> npt.NDArray[np.float64
     """Return the element's interpolation points: a method up to 0.9, an attribute from 0.10 on."""
     points = V.element.interpolation_points
     return np.asarray(points() if callable(points) else points)
+
+
+def package_version() -> str:
+    """Return the version of dolfinx_feti, which is imported by then."""
+    return str(sys.modules["dolfinx_feti"].__version__)
 
 
 def residual_is_nan() -> int:

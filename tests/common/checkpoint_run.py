@@ -43,7 +43,7 @@ def run_wall(folder: Path, target: float, *words: str) -> None:
     body = wall(tube(around=4, along=2), degree=1)
     if "small" in words:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 19, 1 << 19))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 12, 1 << 12))
     steps = follow_load(
         body.problem(3, {"snes_rtol": 1e-12, "ksp_rtol": 1e-10}),
         lambda mmhg: setattr(body.load, "value", loads.mmhg(mmhg)),

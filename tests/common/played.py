@@ -20,6 +20,7 @@ import dolfinx
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.steps import LoadStep, Steps
+from dolfinx_feti.problems.content import Content
 from dolfinx_feti.problems.history import NewtonStep
 
 ROUNDING = 1e-12
@@ -89,6 +90,7 @@ class Played:
         self.p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
         self.volume_changes: list[float] = []
         self.internal_variables: tuple[dolfinx.fem.Function, ...] = ()
+        self.content = Content((self.u, self.p))
         self.remembered: list[float] = []
         self.solver = PETSc.SNES().create(COMM)
         self.solver.setTolerances(rtol=OWN, atol=1e-10, max_it=30)
@@ -119,8 +121,9 @@ class Played:
         self._norms[norm] = (self.load, *self.state())
         return norm
 
-    def update_internal_variables(self) -> None:
-        self.remembered.append(self.load)
+    def update_internal_variables(self, *, balanced: bool | None = None) -> None:
+        if balanced:
+            self.remembered.append(self.load)
 
     def renew(self) -> None:
         self._renewed = True

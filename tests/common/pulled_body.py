@@ -18,7 +18,7 @@ import ufl
 from dolfinx_feti import LinearProblem, NonlinearProblem, comparison, kinematics, loading, materials
 from dolfinx_feti import output as out
 
-__all__ = ["Body", "storage"]
+__all__ = ["Body"]
 
 
 class Body:
@@ -44,7 +44,7 @@ class Body:
     @cached_property
     def steps(self) -> list[loading.LoadStep]:
         """Load steps, kept in a folder that is not there yet."""
-        kept = {"checkpoint": self.checkpoint("kept/here")} if storage() else {}
+        kept = {"checkpoint": self.checkpoint("kept/here")}
         first = loading.Steps(first=0.1, least=0.01)
         return loading.follow_load(
             self.problem, self.set_load, [0.1, 0.2], first, state=[self.u], **kept
@@ -94,12 +94,3 @@ class Body:
     @cached_property
     def stress(self) -> dolfinx.fem.Function:
         return out.recovered_field(kinematics.cauchy_stress(self.psi, self.F), self.patches)
-
-
-def storage() -> bool:
-    """Whether checkpoints can be written here."""
-    try:
-        loading.checkpoint.choose_storage(COMM)
-    except ModuleNotFoundError:
-        return False
-    return True

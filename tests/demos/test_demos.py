@@ -102,8 +102,6 @@ def test_demos_that_stand_alone(run, on_folder, name):
     """
     from matplotlib.image import imread
 
-    if name == "demo_load_steps.py":
-        pytest.importorskip("adios4dolfinx")
     run(name)
     options = PETSc.Options()
     for key in options.getAll():

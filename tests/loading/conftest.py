@@ -28,8 +28,3 @@ def played() -> Iterator[Callable[..., Played]]:
 @pytest.fixture
 def state() -> State:
     return State()
-
-
-@pytest.fixture
-def adios() -> None:
-    pytest.importorskip("adios4dolfinx")

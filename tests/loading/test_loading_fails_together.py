@@ -79,17 +79,15 @@ def test_terminal_of_the_first_process(error, played, monkeypatch):
     screen = NoTerminal(error)
     monkeypatch.setattr("dolfinx_feti.loading.progress.sys", SimpleNamespace(stderr=screen))
     steps = played(cost=lambda increment: 2).follow([1.0], STEPS)
-    agree(steps[-1].load == 1.0 and screen.tried == (COMM.rank == 0))
+    agree(steps[-1].load == 1.0 and (screen.tried > 0) == (COMM.rank == 0))
 
 
-@pytest.mark.usefixtures("adios")
 def test_parameters_of_a_checkpoint(tmp_path):
     with raises(ValueError, r"parameters\['c'\] is <.*>: give numbers"):
         opened(tmp_path / "run", restart=False, c=object() if LAST else 3.0)
     agree(not (tmp_path / "run").exists())
 
 
-@pytest.mark.usefixtures("adios")
 def test_past_of_a_checkpoint(tmp_path, state):
     checkpoint = opened(tmp_path, restart=False)
     past = [state.set(1.0), state.set(2.0)]
@@ -100,7 +98,6 @@ def test_past_of_a_checkpoint(tmp_path, state):
     agree(list(tmp_path.iterdir()) == [] and checkpoint.record is None)
 
 
-@pytest.mark.usefixtures("adios")
 def test_record_of_a_checkpoint(tmp_path, state):
     """That of the first process counts."""
     checkpoint = opened(tmp_path, restart=False)

@@ -150,7 +150,6 @@ def test_lines_of_the_page():
 @pytest.mark.processes(1, 2)
 def test_path_that_goes_on(tmp_path):
     """G is in the checkpoint: the second part goes on where the first one ended."""
-    pytest.importorskip("adios4dolfinx")
     folder = Path(COMM.bcast(tmp_path)) / "run"
     pieces, whole = Scan(), Scan()
     for targets, restart in (([10.0], False), ([10.0, 20.0], True)):

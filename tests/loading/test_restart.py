@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -19,8 +20,6 @@ from walls import tube, wall
 from dolfinx_feti import loads
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
-
-pytest.importorskip("adios4dolfinx")
 
 
 def follow(
@@ -48,8 +47,8 @@ def test_a_restart_goes_the_way_of_one_run(tmp_path):
         """Ends the run."""
 
     class Stopping(Checkpoint):
-        def write(self, functions, record, past=()) -> None:
-            super().write(functions, record, past)
+        def write(self, functions, record, past=(), **options) -> None:
+            super().write(functions, record, past, **options)
             if len(record["steps"]) == 3:
                 raise StoppedError
 
@@ -72,10 +71,20 @@ def test_a_target_that_was_met_on_the_way(rtol, tmp_path):
     """It is solved again if it was met roughly; otherwise there is nothing left to do."""
     whole, _ = follow(tmp_path, 3.0, restart=False, rtol=rtol)
     on_the_way = next(s.load for s in whole if s.load > 1.0)
-    latest = on_first(lambda: json.loads((tmp_path / "latest.json").read_text()))
-    agree(latest["record"]["met"] == [0.0, 1.0, 3.0] and on_the_way < 3.0)
-    latest["record"]["met"] = [0.0, 1.0]
-    on_first(lambda: (tmp_path / "latest.json").write_text(json.dumps(latest)))
+    path = tmp_path / "state.npz"
+    head = on_first(lambda: json.loads(zipfile.ZipFile(path).read("head.json")))
+    agree(head["record"]["met"] == [0.0, 1.0, 3.0] and on_the_way < 3.0)
+    head["record"]["met"] = [0.0, 1.0]
+
+    def change() -> None:
+        with zipfile.ZipFile(path) as old:
+            names = [name for name in old.namelist() if name != "head.json"]
+            arrays = {name: old.read(name) for name in names}
+        with zipfile.ZipFile(path, "w") as new:
+            for name, data in (arrays | {"head.json": json.dumps(head)}).items():
+                new.writestr(name, data)
+
+    on_first(change)
     again, body = follow(tmp_path, 3.0, restart=True, rtol=rtol)
     more = [] if rtol is None else [0.0]
     agree([s.increment for s in again] == [*(s.increment for s in whole), *more])

@@ -104,7 +104,6 @@ def test_fibres_follow():
 @pytest.mark.processes(1, 2)
 def test_path_that_goes_on(tmp_path):
     """Its last part is that of one in one piece; the checkpoint is one of the image."""
-    pytest.importorskip("adios4dolfinx")
     folder = COMM.bcast(tmp_path)
     pieces, whole = Scan(), Scan()
     for targets, restart in (([10.0], False), ([10.0, 20.0], True)):

@@ -84,7 +84,6 @@ def test_what_is_there_is_not_run_again(tmp_path, capsys):
 
 def test_run_goes_on_from_its_checkpoint(tmp_path, capsys):
     """Steps are counted from rest; to begin anew needs another folder."""
-    pytest.importorskip("adios4dolfinx")
     words = ["--type", "classical", "--checkpoint", str(tmp_path / "kept")]
     first = run(tmp_path, *words, "--pressure", "5")
     whole_way = run(tmp_path, *words, "--pressure", "8", "--subdomains", "3")

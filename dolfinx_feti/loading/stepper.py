@@ -1,12 +1,22 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A path through wanted loads or times: attempts, each shorter than the one that failed before.
+"""Steps through wanted loads or times: the order of events in a step.
 
-What is left to the next wanted place is divided into equal steps that are not longer than the
-present length, so that it is met exactly. After a failure the last state is restored and the length
-halved, down to the least. ``load_steps`` and ``time_steps`` say what a step is, and how long the
-next one may be.
+1. *Solve*: u balances the new load with the memory and the dashpots of the last state. After a
+   failure the last state is restored and the length halved, down to the least.
+2. *Arrive*: velocities and accelerations are those of the end of the step, and so are internal
+   variables that the balance does not depend on.
+3. *Show*: ``on_step`` is called. Stresses and reactions that it evaluates are those that were
+   balanced: memory and dashpots are still those of the last state.
+4. *Remember*: memory and dashpots advance. From here on the new state is the last one. A step that
+   ``on_step`` has been called for is remembered even if that raises.
+5. *Keep*: the checkpoint is written. A restart shows a step again that was not kept.
+
+Whatever is raised in between, Ctrl-C and SIGTERM included, leaves the last state: load, unknowns,
+memory, and conditions. What is left to the next wanted place is divided into equal steps that are
+not longer than the present length, so that it is met exactly. ``load_steps`` and ``time_steps``
+say what a step is, and how long the next one may be.
 """
 
 from __future__ import annotations
@@ -14,30 +24,31 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.loading.checkpoint import Checkpoint
+from dolfinx_feti.loading.interrupts import Interrupts
 from dolfinx_feti.loading.progress import Progress
+from dolfinx_feti.loading.state import State
 from dolfinx_feti.loading.steps import Lengths, Step, load_step
+from dolfinx_feti.problems.content import Content
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.system import Tangent
-from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.collective import on_all, reason
 
-__all__ = ["Path", "Place", "Problem", "check_places"]
-
-Array = npt.NDArray[np.float64]
+__all__ = ["Problem", "Stepper", "check_places"]
 
 #: What the last digits of a length are worth, relative to it and to where it begins.
 ROUNDING = 1e-12
@@ -51,13 +62,14 @@ class Problem(Protocol):
     u: dolfinx.fem.Function
     solver: PETSc.SNES
     volume_changes: list[float]
+    content: Content
 
     @property
     def internal_variables(self) -> Sequence[dolfinx.fem.Function]:
         """What the material remembers."""
 
-    def update_internal_variables(self) -> None:
-        """Let the material remember the present state."""
+    def update_internal_variables(self, *, balanced: bool | None = None) -> None:
+        """Let the material remember the present state, in what is balanced or what is not."""
 
     @property
     def history(self) -> list[NewtonStep]:
@@ -82,20 +94,14 @@ class Problem(Protocol):
         """Let the next solve depend on none before."""
 
 
-class Place(NamedTuple):
-    """A load or time, and the values of all functions there."""
-
-    at: float
-    values: list[Array]
-
-
-class Path(ABC, Generic[Step, AnyLengths]):
-    """The last places and the length of the next step.
+class Stepper(ABC, Generic[Step, AnyLengths]):
+    """The state, the last ones before it, and the length of the next step.
 
     Attributes:
-        order: So many places before the present one are kept.
+        state: All that a step changes.
+        order: So many states before the present one are kept.
         kind: Class of the steps.
-        words: The function that follows such a path, and what a failure at the least length says
+        words: The function that takes the steps, and what a failure at the least length says
             first and last.
     """
 
@@ -108,23 +114,21 @@ class Path(ABC, Generic[Step, AnyLengths]):
         problem: Problem,
         set_place: Callable[[float], object],
         steps: AnyLengths,
-        *,
-        state: Sequence[dolfinx.fem.Function],
-        start: float,
+        state: State,
     ) -> None:
-        """Begin with the present state, see the function that follows."""
+        """Begin with the present state, see the function that takes the steps."""
         self._comm: MPI.Comm = problem.u.function_space.mesh.comm
-        self._problem, self._state = problem, list(state)
-        self._set_place = lambda place: on_all(lambda: set_place(place), self._comm)
+        self._problem, self.state, self._user = problem, state, set_place
         self._steps, self._length = steps, steps.first
-        self._past = [Place(float(start), self._values())]
+        self._interrupts = Interrupts()
+        self._past = [state.copy()]
         self._met = [self.at]
         problem.renew()
 
     @property
     def at(self) -> float:
         """The present load or time."""
-        return self._past[-1].at
+        return self.state.at
 
     def follow(
         self,
@@ -143,21 +147,31 @@ class Path(ABC, Generic[Step, AnyLengths]):
         if checkpoint is not None and checkpoint.restart:
             accepted = self._recall(checkpoint)
             targets = self._unmet(targets)
-        self._begin(restarted=bool(accepted))
         snes, places, number = self._problem.solver, [self.at, *targets], len(accepted)
-        with Progress(snes, self._comm, loads=places, unit=unit, number=number) as bar:
+        with (
+            self._interrupts,
+            self._whole_steps(),
+            Progress(snes, self._comm, self._interrupts, loads=places, unit=unit, number=number)
+            as bar,
+        ):
+            self._begin(targets, restarted=bool(accepted))
+            self._past[-1] = self.state.copy()
             for target in map(float, targets):
                 while not self._is_met(target):
-                    step = self._advance(target, bar)
+                    step = self._reach(target, bar)
                     accepted.append(step)
                     bar.accept(step)
+                    try:
+                        if on_step is not None:
+                            on_all(partial(on_step, step), self._comm)
+                    finally:
+                        self._remember(step.load, target)
                     if checkpoint is not None:
                         self._keep(checkpoint, accepted)
-                    if on_step is not None:
-                        on_all(partial(on_step, step), self._comm)
+                    on_all(self._interrupts.check, self._comm)
         return accepted
 
-    # -- what a kind of path says
+    # -- what a kind of steps says
 
     @abstractmethod
     def _attempt(self, to: float, target: float) -> None:
@@ -165,24 +179,25 @@ class Path(ABC, Generic[Step, AnyLengths]):
 
     @abstractmethod
     def _arrive(self, step: dict[str, Any]) -> Step:
-        """Choose the next length; return the step, which the present state is the end of."""
+        """Go to the end of the step, and choose the next length; return the step."""
 
     @abstractmethod
     def _is_met(self, target: float) -> bool:
         """Tell whether nothing is left to do up to a target."""
 
-    def _begin(self, *, restarted: bool) -> None:
+    def _begin(self, targets: Sequence[float], *, restarted: bool) -> None:
         """Prepare the first step."""
 
-    @property
-    def _kept(self) -> list[dolfinx.fem.Function]:
-        """What a restart needs, the state first."""
-        return [*self._state, *self._problem.internal_variables]
+    def _advance(self) -> None:
+        """Advance histories of this kind's own; on this process alone."""
+
+    def _restored(self) -> None:
+        """Set what follows from a state that has been restored; on this process alone."""
 
     # -- what they share
 
-    def _advance(self, target: float, bar: Progress) -> Step:
-        """Find the next state."""
+    def _reach(self, target: float, bar: Progress) -> Step:
+        """Find the next state, and arrive there."""
         started, before = time.perf_counter(), self.at
         failures, lost = 0, []
         while True:
@@ -198,20 +213,57 @@ class Path(ABC, Generic[Step, AnyLengths]):
                 self._problem.renew()
                 bar.refuse(to, error)
                 self._shorten(abs(to - before), error)
-        self._problem.update_internal_variables()
-        step = {
-            "load": to,
-            "increment": to - before,
-            "history": tuple(self._problem.history),
-            "failures": failures,
-            "lost": tuple(lost),
-            "seconds": time.perf_counter() - started,
-        }
-        found = self._arrive(step)
-        past = [place for place in self._past[-self.order :] if place.at != to]
-        self._past = [*past[: self.order], Place(to, self._values())]
-        self._met += [to] if to == target else []
+        on_all(self._interrupts.check, self._comm)
+        found = self._arrive(
+            {
+                "load": to,
+                "increment": to - before,
+                "history": tuple(self._problem.history),
+                "failures": failures,
+                "lost": tuple(lost),
+                "seconds": time.perf_counter() - started,
+            }
+        )
+        self._problem.update_internal_variables(balanced=False)
         return found
+
+    def _remember(self, to: float, target: float) -> None:
+        """Advance the histories; from here on the new state is the one to go back to."""
+        self._problem.update_internal_variables(balanced=True)
+        self._advance()
+        self.state.at = to
+        past = [s for s in self._past[-self.order :] if s.at != to]
+        self._past = [*past[: self.order], self.state.copy()]
+        self._met += [to] if to == target else []
+
+    def _set_place(self, place: float) -> None:
+        """Set load and conditions, or raise on all processes."""
+
+        def work() -> None:
+            self._interrupts.check()
+            self._user(place)
+
+        on_all(work, self._comm)
+
+    def _restore(self) -> None:
+        """Go back to the last state, after a failure of all processes."""
+        self._set_place(self.at)
+        self.state.restore(self._past[-1])
+        self._restored()
+
+    @contextmanager
+    def _whole_steps(self) -> Iterator[None]:
+        """Leave the last state behind, whatever is raised; each process for itself."""
+        try:
+            yield
+        except BaseException as error:
+            try:
+                self._user(self._past[-1].at)
+            except Exception as second:  # the first one is what went wrong
+                error.add_note(f"Conditions could not be set back: {reason(second)}")
+            self.state.restore(self._past[-1])
+            self._restored()
+            raise
 
     def _next(self, target: float) -> float:
         """Return where the next attempt leads, to the target itself at the end."""
@@ -240,47 +292,37 @@ class Path(ABC, Generic[Step, AnyLengths]):
                 del left[0]
         return left
 
-    def _restore(self) -> None:
-        """Go back to the last place."""
-        self._set_values(self._past[-1].values)
-        self._set_place(self.at)
-
-    def _values(self) -> list[Array]:
-        return [f.x.array.copy() for f in self._state]
-
-    def _set_values(self, values: list[Array]) -> None:
-        for f, array in zip(self._state, values, strict=True):
-            f.x.array[:] = array
-
     def _keep(self, checkpoint: Checkpoint, accepted: Sequence[Step]) -> None:
-        """Write the last places, the present one at the end, and how they were found.
+        """Write the state, the last ones before it, and how they were found.
 
         The next solve depends on nothing else, so that a restart repeats it.
         """
         record = {
-            "loads": [place.at for place in self._past],
+            "kind": self.words[0],
             "increment": self._length,
             "met": self._met,
             "steps": [asdict(step) for step in accepted],
         }
-        checkpoint.write(self._kept, record, [place.values for place in self._past[:-1]])
+        self.state.write(checkpoint, self._past[:-1], record)
         self._problem.renew()
 
     def _recall(self, checkpoint: Checkpoint) -> list[Step]:
         """Go where a checkpoint was written; return the steps that led there."""
         record: dict[str, Any] = checkpoint.record or {}
         try:
+            if record["kind"] != self.words[0]:
+                raise KeyError(record["kind"])
             accepted = [load_step(step, self.kind) for step in record["steps"]]
-            loads, length, met = record["loads"], record["increment"], record["met"]
+            past = self.state.read(checkpoint)
         except (KeyError, TypeError) as error:
             raise ValueError(
                 f"The checkpoint in {checkpoint.folder} was not written by {self.words[0]} of "
                 "this version: name another folder."
             ) from error
-        values = [*checkpoint.read(self._kept), self._values()]
-        self._past = [Place(*known) for known in zip(loads, values, strict=True)]
-        self._length, self._met = length, met
+        self._length, self._met = record["increment"], record["met"]
+        self._past = [*past, self.state.copy()]
         self._set_place(self.at)
+        self.state.restore(self._past[-1])
         return accepted
 
 
