@@ -318,9 +318,7 @@ def _copy(
     found.reshape(-1, bs)[f.function_space.dofmap.list[cells]] = of_cells
 
 
-def _gathered(
-    array: npt.NDArray[np.generic], comm: MPI.Comm
-) -> list[npt.NDArray[np.generic]]:
+def _gathered(array: npt.NDArray[np.generic], comm: MPI.Comm) -> list[npt.NDArray[np.generic]]:
     """Bring the arrays of all processes to the first one, one message each."""
     if comm.rank > 0:
         comm.send(array, 0)

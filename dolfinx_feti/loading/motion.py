@@ -42,7 +42,7 @@ from ufl.core.expr import Expr
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.mechanics.supports import DASHPOTS
 
-__all__ = ["Motion", "motions_in"]
+__all__ = ["Motion", "fixed_dofs", "motions_in"]
 
 Array = npt.NDArray[np.float64]
 
@@ -145,9 +145,7 @@ class Motion:
         self._ahead.x.array[:] = self.u.x.array - ahead
         self._set_rate(d, self.u.x.array - self.velocity.x.array / d)
 
-    def start(
-        self, residual: dolfinx.fem.Form, bcs: Sequence[dolfinx.fem.DirichletBC]
-    ) -> None:
+    def start(self, residual: dolfinx.fem.Form, bcs: Sequence[dolfinx.fem.DirichletBC]) -> None:
         """Let the initial acceleration balance the forces, those of dashpots too, M ü = −F(u, v).
 
         Args:
@@ -161,7 +159,7 @@ class Motion:
             Collective.
         """
         V, ü = self.u.function_space, self.acceleration
-        fixed = np.unique(np.concatenate([bc.dof_indices()[0] for bc in bcs] or [[]])).astype(int)
+        fixed = fixed_dofs(bcs)
         given = ü.x.array[fixed].copy()
         ü.x.array[:] = 0.0
         self._c.value = 0.0
@@ -242,9 +240,7 @@ class Motion:
         """
         a, dt, γ = self._next(), float(self.dt.value), self._γ
         self.velocity.x.array[:] += dt * ((1.0 - γ) * self.filtered.x.array + γ * a)
-        self.acceleration.x.array[:] = float(self._c.value) * (
-            self.u.x.array - self._ahead.x.array
-        )
+        self.acceleration.x.array[:] = float(self._c.value) * (self.u.x.array - self._ahead.x.array)
         self.filtered.x.array[:] = a
         return self.u.x.array - self._last
 
@@ -269,6 +265,13 @@ class Motion:
         self._d.value, self._behind.x.array[:] = d, behind
         for last, time_step in self._dashpots:
             last.x.array[:], time_step.value = behind, 1.0 / d
+
+
+def fixed_dofs(bcs: Sequence[dolfinx.fem.DirichletBC]) -> npt.NDArray[np.int32]:
+    """Return the dofs under conditions, ghosts included."""
+    return np.unique(
+        np.concatenate([np.empty(0, dtype=np.int32), *(bc.dof_indices()[0] for bc in bcs)])
+    )
 
 
 #: Each motion by the ũ in its inertia, by which the forms of a problem tell that they have it.

@@ -151,8 +151,9 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
         with (
             self._interrupts,
             self._whole_steps(),
-            Progress(snes, self._comm, self._interrupts, loads=places, unit=unit, number=number)
-            as bar,
+            Progress(
+                snes, self._comm, self._interrupts, loads=places, unit=unit, number=number
+            ) as bar,
         ):
             self._begin(targets, restarted=bool(accepted))
             self._past[-1] = self.state.copy()

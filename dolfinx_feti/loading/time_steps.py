@@ -33,7 +33,7 @@ import ufl
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.motion import Motion, motions_in
+from dolfinx_feti.loading.motion import Motion, fixed_dofs, motions_in
 from dolfinx_feti.loading.state import State
 from dolfinx_feti.loading.stepper import Problem, Stepper, check_places
 from dolfinx_feti.loading.steps import Lengths, LoadStep
@@ -215,17 +215,13 @@ def follow_time(
         problem.u, *(None if f is None else compiler.form(f) for f in (energy, forces))
     )
     histories = [*problem.internal_variables, *motion.changes]
-    owned = State(
-        start, problem.content, unknowns=state, histories=histories, numbers=[motion.dt]
-    )
+    owned = State(start, problem.content, unknowns=state, histories=histories, numbers=[motion.dt])
     return _Times(problem, set_time, steps, owned, motion, energies).follow(
         targets, on_step=on_step, checkpoint=checkpoint, unit=unit
     )
 
 
-def _check(
-    problem: MovingProblem, motion: Motion, start: float, targets: Sequence[float]
-) -> None:
+def _check(problem: MovingProblem, motion: Motion, start: float, targets: Sequence[float]) -> None:
     """Require times that ascend, and a problem with the inertia of the motion.
 
     Raises:
@@ -289,8 +285,7 @@ class _Times(Stepper[TimeStep, TimeSteps]):
             for bc in self._balance[1]:
                 bc.set(values[-1])
         g0, g1, g2 = values
-        fixed = np.unique(np.concatenate([bc.dof_indices()[0] for bc in self._balance[1]] or [[]]))
-        fixed = fixed.astype(np.int64)
+        fixed = fixed_dofs(self._balance[1])
         v, ü = self._motion.velocity.x.array, self._motion.acceleration.x.array
         v[fixed] = ((4.0 * g1 - 3.0 * g0 - g2) / dt)[fixed]
         ü[fixed] = (4.0 * (g0 - 2.0 * g1 + g2) / dt**2)[fixed]

@@ -65,8 +65,8 @@ def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
         The process's own result.
 
     Raises:
-        BaseException: What the work has raised, on all processes: on one where it has failed its own
-            error, elsewhere that of the first process where it has.
+        BaseException: What the work has raised, on all processes: where it has failed, its own
+            error; elsewhere that of the first process where it has.
 
     Note:
         Collective. Work that is collective itself has to fail before it waits for another process,
