@@ -245,11 +245,7 @@ class NonlinearProblem(TornProblem):
         return (Advice(found.remedy, quantity, found.size, found.error),)
 
     def residual_norm(self) -> float:
-        """Return ‖r‖ of the present state under the present load.
-
-        Note:
-            Collective.
-        """
+        """Return ‖r‖ of the present state under the present load. Collective."""
         self._hold()
         return self._system.norm(self._system.residual().condensed)
 
@@ -380,16 +376,10 @@ class NonlinearProblem(TornProblem):
         return self._memory.functions
 
     def update_internal_variables(self, *, balanced: bool | None = None) -> None:
-        """Let each internal variable be its update at the present state, all at once.
+        """Let each internal variable be its update at the present state, all at once. Collective.
 
         Call it when a state is accepted, as ``follow_load`` and ``follow_time`` do: a solve changes
-        none of them, so that one that fails leaves nothing behind.
-
-        Args:
-            balanced: Only those on which the balance of forces depends, or only the others.
-
-        Note:
-            Collective.
+        none of them. With ``balanced`` only those that the balance of forces depends on, or not.
         """
         self._memory.update(balanced=balanced)
 
