@@ -4,5 +4,6 @@
 """Finite elements: a mesh cut into subdomains, and forms assembled on them.
 
 In the order of the data: elements, quadrature, nodes, compiler, facets, decomposition, regions,
-kernels, assembly, near_kernel, tensors, condensation, internal_variables, checks.
+kernels, assembly, near_kernel, tensors, condensation, internal_variables, checks,
+content.
 """

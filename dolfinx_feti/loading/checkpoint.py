@@ -29,6 +29,7 @@ import numpy.typing as npt
 
 import dolfinx
 
+from dolfinx_feti.fem.content import Content
 from dolfinx_feti.loading.identity import (
     describe,
     describe_forms,
@@ -38,7 +39,6 @@ from dolfinx_feti.loading.identity import (
     plain,
     plain_parameters,
 )
-from dolfinx_feti.problems.content import Content
 from dolfinx_feti.runtime.collective import on_all, on_first, reason, warn
 from dolfinx_feti.runtime.compat import package_version
 from dolfinx_feti.runtime.folders import writable_folder

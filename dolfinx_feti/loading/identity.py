@@ -15,7 +15,7 @@ import numpy as np
 
 import dolfinx
 
-from dolfinx_feti.problems.content import Content
+from dolfinx_feti.fem.content import Content
 from dolfinx_feti.runtime.compat import geometry_dofmap
 
 __all__ = [

@@ -20,8 +20,8 @@ import numpy.typing as npt
 
 import dolfinx
 
+from dolfinx_feti.fem.content import Content
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.problems.content import Content
 
 __all__ = ["Number", "Snapshot", "State"]
 

@@ -38,12 +38,12 @@ import numpy as np
 import dolfinx
 
 from dolfinx_feti.errors import ConvergenceError
+from dolfinx_feti.fem.content import Content
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.interrupts import Interrupts
 from dolfinx_feti.loading.progress import Progress
 from dolfinx_feti.loading.state import State
 from dolfinx_feti.loading.steps import Lengths, Step, load_step
-from dolfinx_feti.problems.content import Content
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.system import Tangent
 from dolfinx_feti.runtime.collective import on_all, reason

@@ -22,6 +22,7 @@ from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.checks import check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.fem.content import content_of
 from dolfinx_feti.fem.decomposition import decompose, suggested_number
 from dolfinx_feti.fem.internal_variables import create_internal_variables
 from dolfinx_feti.feti.solver import FETI
@@ -31,7 +32,6 @@ from dolfinx_feti.problems.arguments import (
     require_function,
     warn_unused,
 )
-from dolfinx_feti.problems.content import content_of
 from dolfinx_feti.problems.forms import (
     condensed_fields,
     default_volume_ratio,

@@ -18,9 +18,9 @@ from problems import cube
 import dolfinx
 
 from dolfinx_feti import ConvergenceError
+from dolfinx_feti.fem.content import Content
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.steps import LoadStep, Steps
-from dolfinx_feti.problems.content import Content
 from dolfinx_feti.problems.history import NewtonStep
 
 ROUNDING = 1e-12
