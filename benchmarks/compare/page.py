@@ -18,9 +18,9 @@ from functools import partial
 
 from benchmarks.common.pages import Fields, groups, section, write_page
 from benchmarks.common.records import Record
+from benchmarks.compare.opponents import DIRECT
 from benchmarks.compare.path import PHASES
 from benchmarks.compare.run import GEOMETRIES, is_known, seconds
-from dolfinx_feti.comparison import SETTINGS
 from dolfinx_feti.feti.primal.form import COST
 
 __all__ = ["main"]
@@ -34,12 +34,9 @@ NAMES = {
     "pardiso": "PARDISO",
     "gamg": "GAMG",
     "gamg-elasticity": "GAMG, SOR",
-    "hypre": "BoomerAMG",
     "hypre-elasticity": "BoomerAMG, HMIS",
-    "fieldsplit": "(u, p)",
     "fieldsplit-augmented": "(u, p), augmented",
     "bddc": "BDDC",
-    "bddc-deluxe": "BDDC, deluxe",
 }
 
 #: What tells the cases of a page apart, beside the layout.
@@ -93,7 +90,7 @@ class _Group:
         other = self.best(*(name for name in NAMES if name != "feti"))
         if feti is None or other is None:
             return None
-        direct = self.best(*(n for n in NAMES if SETTINGS[n].family == "direct"))
+        direct = self.best(*DIRECT)
         its = {f"its_{k}": v for k, v in _row(other).items()}
         memory = None if direct is None else _ratios(feti, direct)["memory_ratio"]
         time = {"time_ratio": _ratios(feti, other)["time_ratio"]}
@@ -152,7 +149,7 @@ def _row(record: Record) -> dict[str, object]:
     row["load"] = "at rest" if path is None else f"path to {path:g} mmHg"
     row["load"] = row["load"] if loaded is None else f"at {loaded:g} mmHg"
     row["element"] = f"P{record['degree']}–P0"
-    if SETTINGS[str(record["solver"])].family != "torn":
+    if record["solver"] not in ("feti", "bddc"):
         row["subdomains"] = None
     if not record["converged"]:
         results = ("seconds_solve", "iterations", "peak_mib", "relative_residual", "spread")
@@ -185,7 +182,7 @@ def _growth(first: Sequence[_Group]) -> Iterator[dict[str, object]]:
     """Pair the records of iterative solvers at both κ, for one solver, size and layout."""
     names = ("solver", *(name for name in CASE if name != "kappa"), "processes", "threads")
     found = [r for group in first for solver in NAMES for r in group.of_solver(solver)]
-    iterative = [r for r in found if SETTINGS[r["solver"]].family != "direct" and r["converged"]]
+    iterative = [r for r in found if r["solver"] not in DIRECT and r["converged"]]
     iterative.sort(key=lambda r: r["kappa"])
     for _, (low, *rest) in groups([r for r in iterative if r["kappa"] in KAPPAS], *names):
         for high in rest:

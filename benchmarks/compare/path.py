@@ -29,10 +29,11 @@ import numpy.typing as npt
 from benchmarks.common.bodies import LoadedBody
 from benchmarks.common.clock import Events, Stopwatch
 from benchmarks.common.records import Record
+from benchmarks.compare.opponents import OPPONENTS
 from dolfinx_feti import FETI, ConvergenceError, loads
 from dolfinx_feti.comparison import (
     assembled_system,
-    create_direct,
+    create_solver,
     relative_difference,
     relative_residual,
     timed_solve,
@@ -270,7 +271,7 @@ class _Direct:
     def _set_up(self) -> PETSc.KSP:
         """Return the solver, with an analysis if there was a matrix before."""
         if self._ksp is None:
-            return create_direct(self._K, self.name)
+            return create_solver(self._K, self.name, OPPONENTS[self.name])
         self._ksp.setOperators(self._K)  # perhaps the matrix is another one
         return self._ksp
 

@@ -12,7 +12,7 @@ under a hundredth more; or with --path P all Newton steps up to P mmHg:
 Bodies: the two-layer `tube` at 1 mmHg and `vessel` at 0.01 mmHg, and the neo-Hookean `block`,
 clamped on five faces, under a dead load of 1 mmHg on the sixth one; P2–P0, or P1–P0 by --degree 1.
 
-`--solvers` takes all that `dolfinx_feti.comparison` knows, which has their settings. Matrices are
+`--solvers` takes those of `benchmarks/compare/opponents.py`, which has their settings. Matrices are
 there before a solver begins. `peak_mib` is the most memory that a solver took above that, from its
 creation to its solution, summed over the processes. In each of the --rounds all solvers have their
 turn; the record has the round with the median time, and `seconds_rounds` those of all. On the path
@@ -51,8 +51,9 @@ from benchmarks.common.machine import limited_memory, threads
 from benchmarks.common.records import Record
 from benchmarks.common.walls import clamped
 from benchmarks.compare import path
+from benchmarks.compare.opponents import OPPONENTS
+from benchmarks.compare.split import blocks_of
 from dolfinx_feti import loads
-from dolfinx_feti.comparison import SOLVERS
 from dolfinx_feti.feti.primal.form import COST
 from dolfinx_feti.loading import Checkpoint
 from dolfinx_feti.output import writable_folder
@@ -76,7 +77,7 @@ def main(argv: Sequence[str] | None = None) -> list[Record]:
     comm = MPI.COMM_WORLD
     parser = _create_parser(comm)
     args = command.parse_words(parser, argv)
-    possible = SOLVERS if args.path is None else path.SOLVERS
+    possible = tuple(OPPONENTS) if args.path is None else path.SOLVERS
     solvers = args.solvers or [name for name in USUAL if name in possible]
     if args.path is not None and args.loaded is not None:
         parser.error("--path and --loaded exclude each other")
@@ -165,9 +166,12 @@ def _run(
 
 def _step(body: LoadedBody, solvers: Sequence[str]) -> list[Record]:
     """Solve the next Newton step with each solver."""
-    ordered = [name for name in SOLVERS if name in solvers]  # FETI first
+    ordered = {name: options for name, options in OPPONENTS.items() if name in solvers}
+    if "pardiso" in ordered:
+        ordered["pardiso"] = {**ordered["pardiso"], "definite": True}
     phases = Events(path.PHASES, body.u.function_space.mesh.comm)
-    found = dolfinx_feti.compare(body.problem, ordered, definite=True).records
+    with blocks_of(body.problem):
+        found = dolfinx_feti.compare(body.problem, ordered, definite=True).records
     spent = phases.seconds()
     for record in found:
         if record["solver"] == "feti":
@@ -225,8 +229,8 @@ def _create_parser(comm: MPI.Comm) -> argparse.ArgumentParser:
     add("--cost", type=command.several(positive), default=[None], help=f"χ₀ of FETI, {COST:g}")
     add(
         "--solvers",
-        type=command.some_of(SOLVERS),
-        help=f"{command.names(SOLVERS)}; the first three",
+        type=command.some_of(tuple(OPPONENTS)),
+        help=f"{command.names(tuple(OPPONENTS))}; the first three",
     )
     add("--rounds", type=count, default=1, help="in which the solvers alternate; 1")
     add("--path", type=positive, metavar="P", help="load steps to P mmHg in place of a first step")

@@ -14,9 +14,9 @@ or, step by step::
 
     A, b = problem.linear_system()
     K, f = assembled_system(A, b)
-    cost, x = measure(lambda: create_direct(K), f)
+    cost, x = measure(lambda: create_solver(K), f)
 
-In the order of the data: assembled, settings, pardiso, solvers, split, result, run.
+In the order of the data: assembled, solvers, result, run.
 """
 
 from dolfinx_feti.comparison.assembled import (
@@ -24,26 +24,20 @@ from dolfinx_feti.comparison.assembled import (
     relative_difference,
     relative_residual,
 )
-from dolfinx_feti.comparison.result import Comparison, Solved
+from dolfinx_feti.comparison.result import Comparison, SolverResult
 from dolfinx_feti.comparison.run import compare
-from dolfinx_feti.comparison.settings import SETTINGS, SOLVERS, USUAL, Settings
-from dolfinx_feti.comparison.solvers import create_bddc, create_direct, create_multigrid
+from dolfinx_feti.comparison.solvers import SOLVERS, create_solver
 from dolfinx_feti.runtime.cost import Cost, PeakMemory, measure, record_cost, timed_solve
 
 __all__ = [
-    "SETTINGS",
     "SOLVERS",
-    "USUAL",
     "Comparison",
     "Cost",
     "PeakMemory",
-    "Settings",
-    "Solved",
+    "SolverResult",
     "assembled_system",
     "compare",
-    "create_bddc",
-    "create_direct",
-    "create_multigrid",
+    "create_solver",
     "measure",
     "record_cost",
     "relative_difference",

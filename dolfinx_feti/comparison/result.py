@@ -15,7 +15,7 @@ from dolfinx_feti.runtime.tables import Cell, json_value, table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Comparison", "Solved"]
+__all__ = ["Comparison", "SolverResult"]
 
 HEAD = (
     "solver", "iterations", "set-up [s]", "solve [s]", "memory [MiB]", "residual", "difference", "",
@@ -23,7 +23,7 @@ HEAD = (
 
 
 @dataclass(frozen=True, slots=True)
-class Solved:
+class SolverResult:
     """One solver's part in a comparison.
 
     Attributes:
@@ -68,7 +68,7 @@ class Comparison:
     subdomains: int
     processes: int
     rtol: float
-    solved: tuple[Solved, ...]
+    solved: tuple[SolverResult, ...]
     left_out: tuple[tuple[str, str], ...]
 
     @property
@@ -133,7 +133,7 @@ class Comparison:
         return figure
 
 
-def _row(solved: Solved) -> list[Cell]:
+def _row(solved: SolverResult) -> list[Cell]:
     """Return a row of the table."""
     cost = solved.cost
     if cost is None:

@@ -7,9 +7,8 @@ FETI and BDDC get the torn matrix, the others the assembled one,
 
 .. math:: K_{FF}\, x_F = f_F,
 
-with unit rows for the Dirichlet dofs D, or that before a pressure was condensed (``split``);
-prescribed values are on the right-hand side, and what is measured are the free dofs F, in the same
-system for all. The matrices exist before a solver begins.
+with unit rows for the Dirichlet dofs D; prescribed values are on the right-hand side, and what is
+measured are the free dofs F, in the same system for all. The matrices exist before a solver begins.
 
 The direct solution is the reference of the others only if its own residual is small; otherwise the
 matrix is factored once more, by LU, and without success there is no reference.
@@ -17,7 +16,7 @@ matrix is factored once more, by LU, and without success there is no reference.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -31,15 +30,8 @@ from dolfinx_feti.comparison.assembled import (
     relative_difference,
     relative_residual,
 )
-from dolfinx_feti.comparison.result import Comparison, Solved
-from dolfinx_feti.comparison.settings import SETTINGS, SOLVERS, USUAL, missing
-from dolfinx_feti.comparison.solvers import (
-    create_bddc,
-    create_direct,
-    create_multigrid,
-    ordering,
-)
-from dolfinx_feti.comparison.split import Split, create_fieldsplit, split
+from dolfinx_feti.comparison.result import Comparison, SolverResult
+from dolfinx_feti.comparison.solvers import SOLVERS, create_solver, missing, ordering, takes_torn
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.linear_problem import LinearProblem
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
@@ -56,7 +48,8 @@ REFERENCE = 1e-6
 #: By how much the residual may exceed the tolerance without a note.
 EXCESS = 1.1
 
-Problem = LinearProblem | NonlinearProblem
+#: Options of PETSc by the name of the solver.
+Solvers = Mapping[str, Mapping[str, object]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +63,8 @@ class _Outcome:
 
 
 def compare(
-    problem: Problem,
-    solvers: Sequence[str] = USUAL,
+    problem: LinearProblem | NonlinearProblem,
+    solvers: Sequence[str] | Solvers = tuple(SOLVERS),
     *,
     definite: bool | None = None,
 ) -> Comparison:
@@ -83,13 +76,15 @@ def compare(
 
     Args:
         problem: The problem.
-        solvers: Names out of :data:`~dolfinx_feti.comparison.SOLVERS`.
+        solvers: Names out of :data:`~dolfinx_feti.comparison.SOLVERS`, or a dict of names and
+            PETSc's options, such as ``{"feti": {}, "amg": {"pc_type": "hypre"}}``; without options
+            they are those of that table.
         definite: Whether the assembled matrix is symmetric positive definite, which spares other
             solvers some work; by default if FETI is asked for and has proved it.
 
     Returns:
-        The comparison: ``print`` it, or take its ``records``. Solvers that cannot be had are left
-        out and named; one that fails, or stays above the tolerance, has a note.
+        The comparison: ``print`` it, or take its ``records``. Solvers that PETSc was built without
+        are left out and named; one that fails, or stays above the tolerance, has a note.
 
     Raises:
         TypeError: The problem is none of this package's.
@@ -105,13 +100,14 @@ def compare(
             "dolfinx_feti.NonlinearProblem."
         )
     comm = problem.decomposition.mesh.comm
-    names = _checked(solvers, comm)
-    whys = {name: _missing(name, problem, comm) for name in names}
+    wanted = _checked(solvers, comm)
+    whys = {name: missing(options) for name, options in wanted.items()}
+    present = {name: options for name, options in wanted.items() if not whys[name]}
     A, b = problem.linear_system()
     K, f = assembled_system(A, b)
     dirichlet = A.query("dirichlet")
     _put_zero(f, dirichlet)
-    solutions: dict[str, _Outcome] = {}
+    outcomes: dict[str, _Outcome] = {}
     try:
         if not f.norm() > 0.0:
             raise ValueError(
@@ -121,85 +117,51 @@ def compare(
         ksp = problem.create_linear_solver()
         rtol = ksp.getTolerances()[0]
         ksp.destroy()
-        present = [name for name in names if not whys[name]]
-        solutions = _solve_all(present, problem, (A, b), (K, f), rtol=rtol, definite=definite)
-        x_direct = solutions[DIRECT].x if DIRECT in solutions else None
+        if "feti" in present:  # first: it knows whether the matrix is definite
+            outcomes["feti"], proved = _solve_by_feti(problem.create_linear_solver, b)
+            definite = proved if definite is None else definite
+        symmetric = bool(all(K.isSymmetricKnown()))
+        marks = {"symmetric": symmetric, "definite": bool(definite) and symmetric}
+        if marks["definite"]:
+            K.setOption(PETSc.Mat.Option.SPD, True)
+        for name, options in present.items():
+            if name == DIRECT and options is SOLVERS[DIRECT]:
+                outcomes[name] = _solve_directly(K, f)
+            elif name != "feti":
+                M = A if takes_torn(name, options) else K
+                create = partial(create_solver, M, name, options, rtol=rtol, **marks)
+                outcomes[name] = _solve(create, f)
+        x_direct = outcomes[DIRECT].x if DIRECT in outcomes else None
         if x_direct is not None and not relative_residual(K, f, x_direct) <= REFERENCE:
             x_direct = None
-        solved = [
-            _judged(name, solutions[name], (K, f), x_direct, dirichlet, rtol) for name in present
+        results = [
+            _judged(name, outcomes[name], (K, f), x_direct, dirichlet, rtol) for name in present
         ]
         return Comparison(
             dofs=f.getSize(),
             subdomains=comm.allreduce(problem.decomposition.count),
             processes=comm.size,
             rtol=rtol,
-            solved=tuple(solved),
+            solved=tuple(results),
             left_out=tuple((name, why) for name, why in whys.items() if why),
         )
     finally:
-        for owned in (K, f, b, *(outcome.x for outcome in solutions.values() if outcome.x)):
+        for owned in (K, f, b, *(outcome.x for outcome in outcomes.values() if outcome.x)):
             owned.destroy()
 
 
-def _solve_all(
-    names: Sequence[str],
-    problem: Problem,
-    torn: tuple[PETSc.Mat, PETSc.Vec],
-    assembled: tuple[PETSc.Mat, PETSc.Vec],
-    *,
-    rtol: float,
-    definite: bool | None,
-) -> dict[str, _Outcome]:
-    """Solve with each solver, FETI first: it knows whether the matrix is definite."""
-    (A, b), (K, f) = torn, assembled
-    symmetric = bool(all(K.isSymmetricKnown()))
-    solutions: dict[str, _Outcome] = {}
-    if "feti" in names:
-        contexts: list[FETI] = []
+def _solve_by_feti(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> tuple[_Outcome, bool]:
+    """Solve, and tell whether the subdomains prove the assembled matrix to be definite."""
+    contexts: list[FETI] = []
 
-        def create() -> PETSc.KSP:
-            ksp = problem.create_linear_solver()
-            contexts.append(ksp.getPythonContext())
-            return ksp
+    def create_and_keep() -> PETSc.KSP:
+        ksp = create()
+        contexts.append(ksp.getPythonContext())
+        return ksp
 
-        solutions["feti"] = _solve(create, b, lambda: contexts[0].message)
-        if definite is None:
-            definite = symmetric and _proved_definite(contexts[0])
-    proved = bool(definite)
-    if proved:
-        K.setOption(PETSc.Mat.Option.SPD, True)
-
-    uncondensed = _uncondensed(names, problem, K, A.query("dirichlet"))
-
-    def create_other(name: str) -> PETSc.KSP:
-        family = SETTINGS[name].family
-        if family == "direct":
-            return create_direct(K, name, definite=proved, rtol=rtol)
-        if family == "krylov":
-            return create_multigrid(K, name, rtol=rtol)
-        if family == "split":
-            return create_fieldsplit(uncondensed[0], name, rtol=rtol)
-        return create_bddc(A, name, rtol=rtol, symmetric=symmetric, definite=proved)
-
-    for name in names:
-        if name == DIRECT:
-            solutions[name] = _solve_directly(K, f)
-        elif name != "feti":
-            solutions[name] = _solve(partial(create_other, name), f)
-    for system in uncondensed:
-        system.destroy()
-    return solutions
-
-
-def _uncondensed(
-    names: Sequence[str], problem: Problem, K: PETSc.Mat, dirichlet: PETSc.IS | None
-) -> list[Split]:
-    """Return the system before the condensation, if solvers need it."""
-    if not any(SETTINGS[name].family == "split" for name in names):
-        return []
-    dofs, blocks = problem.condensed_blocks()
-    return [split(K, dirichlet, dofs, blocks.k_up, blocks.slope)]
+    outcome = _solve(create_and_keep, b, lambda: contexts[0].message)
+    inertia = contexts[0].inertia
+    return outcome, inertia is not None and inertia.definite and not inertia.interior
 
 
 def _solve(
@@ -222,14 +184,14 @@ def _solve(
 
 def _solve_directly(K: PETSc.Mat, f: PETSc.Vec) -> _Outcome:
     """Solve by MUMPS; once more, by LU, if what Cholesky leaves is too much."""
-    outcome = _solve(lambda: create_direct(K), f)
+    outcome = _solve(lambda: create_solver(K), f)
     if outcome.x is None:
         return outcome
     note, error = "", relative_residual(K, f, outcome.x)
     if not error <= REFERENCE and all(K.isSymmetricKnown()):
         outcome.x.destroy()
         note = f"by LU, as Cholesky leaves a residual of {error:.0e}"
-        outcome = _solve(lambda: create_direct(K, symmetric=False), f)
+        outcome = _solve(lambda: create_solver(K, symmetric=False), f)
         if outcome.x is None:
             return replace(outcome, note=f"{note}; {outcome.note}")
         error = relative_residual(K, f, outcome.x)
@@ -246,7 +208,7 @@ def _judged(
     x_direct: PETSc.Vec | None,
     dirichlet: PETSc.IS | None,
     rtol: float,
-) -> Solved:
+) -> SolverResult:
     """Measure the residual of a solution and its distance to the direct one, on the free dofs."""
     error = difference = np.nan
     note, x = outcome.note, outcome.x
@@ -257,20 +219,7 @@ def _judged(
             difference = relative_difference(x, x_direct)
         if error > EXCESS * rtol and not note:
             note = f"the residual is above {rtol:.0e}"
-    return Solved(name, outcome.cost, error, difference, note, outcome.ordering)
-
-
-def _missing(name: str, problem: Problem, comm: MPI.Comm) -> str:
-    """Say why a solver cannot be had for a problem, or nothing if it can."""
-    if SETTINGS[name].family == "split" and not problem.condenses:
-        return "no field is condensed"
-    return missing(name, comm.size)
-
-
-def _proved_definite(feti: FETI) -> bool:
-    """Tell whether the subdomains of a solver prove the assembled matrix to be definite."""
-    inertia = feti.inertia
-    return inertia is not None and inertia.definite and not inertia.interior
+    return SolverResult(name, outcome.cost, error, difference, note, outcome.ordering)
 
 
 def _name(reason: int) -> str:
@@ -279,8 +228,8 @@ def _name(reason: int) -> str:
     return next((k for k, v in names if v == reason and k.startswith("DIVERGED")), str(reason))
 
 
-def _checked(solvers: Sequence[str], comm: MPI.Comm) -> list[str]:
-    """Check the names of solvers, and that all processes have the same.
+def _checked(solvers: Sequence[str] | Solvers, comm: MPI.Comm) -> Solvers:
+    """Return the options of each solver, and check that all processes have the same solvers.
 
     Raises:
         ValueError: Some are unknown, there are none, or they differ.
@@ -295,11 +244,15 @@ def _checked(solvers: Sequence[str], comm: MPI.Comm) -> list[str]:
             )
     if isinstance(names, str):
         raise ValueError(f"solvers is {names!r}: put the names in a list, solvers=[{names!r}].")
-    unknown = [name for name in names if name not in SOLVERS]
+    given = solvers if isinstance(solvers, Mapping) else {}
+    unknown = [name for name in names if name not in SOLVERS and not given.get(name)]
     if unknown or not names:
         what = f"solvers has {unknown[0]!r}" if unknown else "solvers is empty"
-        raise ValueError(f"{what}: choose from {', '.join(SOLVERS)}.")
-    return names
+        known = ", ".join(SOLVERS)
+        raise ValueError(
+            f"{what}: choose from {known}, or give a dict of names and PETSc's options."
+        )
+    return {name: given.get(name) or SOLVERS[name] for name in names}
 
 
 def _put_zero(x: PETSc.Vec, dofs: PETSc.IS | None) -> None:

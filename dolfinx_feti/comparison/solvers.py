@@ -1,20 +1,42 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The solvers of an assembled matrix, and PETSc's BDDC of the torn one, with their settings.
+"""The solvers that FETI is compared with: PETSc's, each a dict of its options.
 
-Krylov methods are CG on a symmetric matrix and GMRES on another one, and lower the norm of the true
-residual. Each function returns a solver that is set up, with the prefix of its name.
+A Krylov method is CG on a symmetric matrix and GMRES on another one, unless the options say
+otherwise, and lowers the norm of the true residual. Options have the prefix of the solver's name;
+the user's own in PETSc's database prevail.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
 from petsc4py import PETSc
 
-from dolfinx_feti.comparison.pardiso import Pardiso
-from dolfinx_feti.comparison.settings import in_force, prefix_of
+from dolfinx_feti.runtime.petsc_options import inserted
 
-__all__ = ["MAX_IT", "create_bddc", "create_direct", "create_multigrid", "ordering"]
+__all__ = ["SOLVERS", "create_solver", "missing", "ordering", "prefix_of"]
+
+#: Solvers that a comparison takes if it is not told, and their options without prefix. A Cholesky
+#: factorisation becomes LU where the matrix is not symmetric. BDDC gets the torn matrix, the others
+#: get the assembled one.
+SOLVERS: dict[str, Mapping[str, object]] = {
+    "feti": {},
+    "mumps": {
+        "ksp_type": "preonly",
+        "pc_type": "cholesky",
+        "pc_factor_mat_solver_type": "mumps",
+        "mat_mumps_icntl_14": 50,
+    },
+    "gamg": {"pc_type": "gamg"},
+    "bddc": {
+        "pc_type": "bddc",
+        "pc_bddc_neumann_pc_factor_mat_solver_type": "mumps",
+        "pc_bddc_dirichlet_pc_factor_mat_solver_type": "mumps",
+    },
+}
 
 MAX_IT = 2000
 
@@ -26,118 +48,78 @@ VERTEX_NODES = 2
 ORDERINGS = {0: "AMD", 2: "AMF", 3: "SCOTCH", 4: "PORD", 5: "METIS", 6: "QAMD"}
 
 
-def create_direct(
-    K: PETSc.Mat,
+def create_solver(
+    A: PETSc.Mat,
     solver: str = "mumps",
+    options: Mapping[str, object] | None = None,
     *,
+    rtol: float = 1e-8,
     symmetric: bool | None = None,
     definite: bool = False,
-    rtol: float = 1e-8,
 ) -> PETSc.KSP:
-    """Factor a matrix.
+    """Set up a solver.
 
     Args:
-        K: Assembled matrix.
-        solver: ``mumps``, ``mumps-blr``, ``cholmod`` or ``pardiso``.
-        symmetric: Whether the factorisation is; if K is marked as symmetric where not given.
-        definite: Whether K is known to be symmetric positive definite, for PARDISO; the others are
-            told by the matrix.
-        rtol: On the true residual, where the factors are approximate.
+        A: Assembled matrix; for BDDC the torn one, of which it takes a copy.
+        solver: Its name, which makes the prefix of its options.
+        options: Options of PETSc, without prefix; those of :data:`SOLVERS` if not given.
+        rtol: Relative tolerance of a Krylov method, on the true residual.
+        symmetric: Whether the matrix is; if A is marked as symmetric where not given.
+        definite: Whether the assembled matrix is known to be symmetric positive definite.
 
     Returns:
-        The KSP; the caller destroys it.
+        The KSP, set up; the caller destroys it.
 
     Note:
         Collective.
     """
-    if symmetric is None:
-        symmetric = all(K.isSymmetricKnown())
-    approximate = solver == "mumps-blr"
-    ksp = _krylov(K, solver, rtol) if approximate else PETSc.KSP().create(K.comm)
-    if not approximate:
-        ksp.setOptionsPrefix(prefix_of(solver))
-        ksp.setOperators(K)
-        ksp.setType(PETSc.KSP.Type.PREONLY)
-    pc = ksp.getPC()
-    with in_force(solver):
-        if solver == "pardiso":
-            pc.setType(PETSc.PC.Type.PYTHON)
-            pc.setPythonContext(Pardiso(symmetric=symmetric, definite=definite))
-        else:
-            pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
-            pc.setFactorSolverType(solver.split("-")[0])
+    options = dict(SOLVERS[solver] if options is None else options)
+    prefix = prefix_of(solver)
+    symmetric = bool(all(A.isSymmetricKnown())) if symmetric is None else symmetric
+    if not symmetric and options.get("pc_type") == "cholesky":
+        options["pc_type"] = "lu"
+    if options.get("pc_factor_mat_solver_type") == "mumps" and A.getNullSpace().handle:
+        options.setdefault("mat_mumps_icntl_24", 1)  # zero pivots are expected
+    torn, dirichlet = _is_bddc(prefix, options), None
+    if torn:
+        A, dirichlet = _with_unit_rows(A, symmetric, definite), A.query("dirichlet")
+        options.setdefault("pc_bddc_vertex_size", VERTEX_NODES * A.getBlockSize())
+    ksp = PETSc.KSP().create(A.comm)
+    ksp.setOptionsPrefix(prefix)
+    ksp.setOperators(A)
+    ksp.setType(PETSc.KSP.Type.CG if symmetric else PETSc.KSP.Type.GMRES)
+    ksp.setTolerances(rtol=rtol, max_it=MAX_IT)
+    with _in_force(prefix, options):
+        ksp.setFromOptions()
+        if ksp.getType() not in (PETSc.KSP.Type.PREONLY, PETSc.KSP.Type.PYTHON):
+            if ksp.getType() == PETSc.KSP.Type.GMRES:
+                ksp.setPCSide(PETSc.PC.Side.RIGHT)
+            ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        pc = ksp.getPC()
+        if pc.getType() in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU):
             pc.setFactorSetUpSolverType()
-            factor = pc.getFactorMatrix()
-            factor.setOptionsPrefix(prefix_of(solver))  # it was made before the options are read
-            if solver != "cholmod" and K.getNullSpace().handle:
-                factor.setMumpsIcntl(24, 1)  # zero pivots are expected
-        ksp.setFromOptions()
-        ksp.setUp()
-    return ksp
-
-
-def create_multigrid(K: PETSc.Mat, solver: str = "gamg", *, rtol: float) -> PETSc.KSP:
-    """Set up a Krylov method with algebraic multigrid.
-
-    Args:
-        K: Assembled matrix, with a near kernel.
-        solver: ``gamg``, ``gamg-elasticity``, ``hypre`` or ``hypre-elasticity``.
-        rtol: On the true residual.
-
-    Returns:
-        The KSP; the caller destroys it.
-
-    Note:
-        Collective.
-    """
-    ksp = _krylov(K, solver, rtol)
-    ksp.getPC().setType(solver.split("-")[0])
-    with in_force(solver):
-        ksp.setFromOptions()
-        ksp.setUp()
-    return ksp
-
-
-def create_bddc(
-    A: PETSc.Mat, solver: str = "bddc", *, rtol: float, symmetric: bool, definite: bool
-) -> PETSc.KSP:
-    """Set up a Krylov method with balancing domain decomposition by constraints.
-
-    The subdomains are FETI's. Primal are small parts of the interface, and on edges and faces the
-    averages that PETSc takes from the near kernel; the local factors are MUMPS's.
-
-    Args:
-        A: Torn matrix. The solver works on a copy with unit rows and columns at Dirichlet dofs.
-        solver: ``bddc`` or ``bddc-deluxe``.
-        rtol: On the true residual.
-        symmetric: Whether the assembled matrix is symmetric.
-        definite: Whether it is known to be symmetric positive definite.
-
-    Returns:
-        The KSP; the caller destroys it.
-
-    Note:
-        Collective.
-    """
-    dirichlet = A.query("dirichlet")
-    B = A.duplicate(copy=True)
-    if dirichlet is not None:
-        B.zeroRowsColumns(dirichlet.getIndices(), 1.0)
-    B.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
-    if definite:
-        B.setOption(PETSc.Mat.Option.SPD, True)
-    near_kernel = A.getNearNullSpace()
-    if near_kernel.handle:
-        B.setNearNullSpace(near_kernel)
-    ksp = _krylov(B, solver, rtol)
-    ksp.getPC().setType(PETSc.PC.Type.BDDC)
-    with in_force(solver, pc_bddc_vertex_size=VERTEX_NODES * A.getBlockSize()):
-        ksp.setFromOptions()
+            pc.getFactorMatrix().setOptionsPrefix(prefix)  # it was made before options are read
         if dirichlet is not None:
-            ksp.getPC().setBDDCDirichletBoundaries(dirichlet)
+            pc.setBDDCDirichletBoundaries(dirichlet)
         ksp.setUp()
-    B.destroy()  # the KSP keeps it
+    if torn:
+        A.destroy()  # the KSP keeps it
     return ksp
+
+
+def prefix_of(solver: str) -> str:
+    """Return the prefix of a solver's options, ``gamg_elasticity_`` of ``gamg-elasticity``."""
+    return solver.replace("-", "_") + "_"
+
+
+def missing(options: Mapping[str, object]) -> str:
+    """Say which package the options of a solver need that this PETSc lacks; nothing if none."""
+    named = [options.get("pc_factor_mat_solver_type"), options.get("pc_type")]
+    for package in named:
+        external = package in ("mumps", "cholmod", "superlu_dist", "hypre", "ml")
+        if external and not PETSc.Sys.hasExternalPackage(str(package)):
+            return f"this PETSc was built without {package}"
+    return ""
 
 
 def ordering(ksp: PETSc.KSP) -> str:
@@ -146,8 +128,6 @@ def ordering(ksp: PETSc.KSP) -> str:
     MUMPS tells by INFOG(7); CHOLMOD takes the better one of two, and does not tell which.
     """
     pc = ksp.getPC()
-    if pc.getType() == PETSc.PC.Type.PYTHON:
-        return "METIS"  # PARDISO's default
     if pc.getType() not in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU):
         return ""
     if pc.getFactorSolverType() != PETSc.Mat.SolverType.MUMPS:
@@ -156,16 +136,36 @@ def ordering(ksp: PETSc.KSP) -> str:
     return ORDERINGS.get(found, f"INFOG(7) = {found}")
 
 
-def _krylov(A: PETSc.Mat, solver: str, rtol: float) -> PETSc.KSP:
-    """Return CG or GMRES on the true residual."""
-    ksp = PETSc.KSP().create(A.comm)
-    ksp.setOptionsPrefix(prefix_of(solver))
-    ksp.setOperators(A)
-    if all(A.isSymmetricKnown()):
-        ksp.setType(PETSc.KSP.Type.CG)
-    else:
-        ksp.setType(PETSc.KSP.Type.GMRES)
-        ksp.setPCSide(PETSc.PC.Side.RIGHT)
-    ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
-    ksp.setTolerances(rtol=rtol, max_it=MAX_IT)
-    return ksp
+def takes_torn(solver: str, options: Mapping[str, object]) -> bool:
+    """Tell whether a solver works on the torn matrix."""
+    return _is_bddc(prefix_of(solver), options)
+
+
+def _is_bddc(prefix: str, options: Mapping[str, object]) -> bool:
+    wanted = PETSc.Options(prefix).getString("pc_type", str(options.get("pc_type", "")))
+    return bool(wanted == PETSc.PC.Type.BDDC)
+
+
+def _with_unit_rows(A: PETSc.Mat, symmetric: bool, definite: bool) -> PETSc.Mat:
+    """Return a copy of a torn matrix with unit rows and columns at Dirichlet dofs."""
+    dirichlet, near_kernel = A.query("dirichlet"), A.getNearNullSpace()
+    B = A.duplicate(copy=True)
+    if dirichlet is not None:
+        B.zeroRowsColumns(dirichlet.getIndices(), 1.0)
+    B.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+    if definite:
+        B.setOption(PETSc.Mat.Option.SPD, True)
+    if near_kernel.handle:
+        B.setNearNullSpace(near_kernel)
+    return B
+
+
+@contextmanager
+def _in_force(prefix: str, options: Mapping[str, object]) -> Iterator[None]:
+    """Put options into PETSc's database for a while, behind the user's.
+
+    PETSc reads options of a multigrid's levels, or of a factor, when the solver is set up.
+    """
+    users = PETSc.Options(prefix)
+    with inserted(prefix, {k: v for k, v in options.items() if not users.hasName(k)}):
+        yield

@@ -71,7 +71,7 @@ class Body:
         """K, f and the solution by MUMPS with its cost."""
         A, b = self.linear.linear_system()
         K, f = comparison.assembled_system(A, b)
-        return K, f, *comparison.measure(lambda: comparison.create_direct(K), f)
+        return K, f, *comparison.measure(lambda: comparison.create_solver(K), f)
 
     @cached_property
     def solver(self) -> tuple:

@@ -5,10 +5,7 @@
 
 from __future__ import annotations
 
-import importlib.machinery
 import json
-import sys
-import types
 from dataclasses import replace
 
 from petsc4py import PETSc
@@ -21,20 +18,16 @@ from problems import cube, elasticity, poisson
 from walls import tube, wall
 
 import ufl
-from dolfinx.fem import petsc
 
 import dolfinx_feti
 from dolfinx_feti import compare, loads
 from dolfinx_feti.comparison import (
-    SOLVERS,
     assembled,
     assembled_system,
-    create_direct,
+    create_solver,
     measure,
     run,
-    settings,
     solvers,
-    split,
 )
 from dolfinx_feti.runtime.petsc_options import inserted
 
@@ -109,7 +102,8 @@ def test_problem_goes_on_after_a_comparison(solve):
 
 
 def test_order_is_the_users():
-    found = compare(linear(poisson(cube(2, 6))), ["mumps", "hypre", "feti"])
+    solvers = {"mumps": {}, "hypre": {"pc_type": "hypre"}, "feti": {}}
+    found = compare(linear(poisson(cube(2, 6))), solvers)
     names = [solved.solver for solved in found.solved] + [name for name, _ in found.left_out]
     agree(sorted(names) == ["feti", "hypre", "mumps"] and names[0] == "mumps", names)
     agree(all(solved.converged for solved in found.solved), found)
@@ -134,68 +128,40 @@ def test_next_newton_step():
     A, b = problem.linear_system()
     K, f = assembled_system(A, b)
     small(f.norm() - problem.residual_norm(), 1e-12 * f.norm())
-    cost, x = measure(lambda: create_direct(K), f)
+    cost, x = measure(lambda: create_solver(K), f)
     agree(cost.converged_reason > 0 and x.norm() > 0.0)
     for made in (K, f, b, x):
         made.destroy()
 
 
-@pytest.mark.parametrize("degree", [1, 2])
-def test_everybody_solves_the_condensed_system(degree):
-    """In a loaded state; the uncondensed one is solved until that is, with κ/μ of 1000."""
-    body = wall(tube(around=8, along=2), degree=degree)
-    problem = body.problem(4, {"ksp_rtol": RTOL})
-    body.inflate(problem, [1.0])
-    body.load.value = loads.mmhg(1.2)
-    found = compare(problem, SOLVERS)
-    all_agree(found, [name for name in SOLVERS if name not in dict(found.left_out)])
-
-
-def test_condensation_undone():
-    """K_uu is the tangent that was assembled without a pressure, and K = K_uu − Cᵀ S."""
-    body = wall(tube(around=6, along=1), degree=2)
-    body.load.value = loads.mmhg(1.0)
-    problem = body.problem(3, {})
-    problem.solve()
-    A, b = problem.linear_system()
-    K, f = assembled_system(A, b)
-    dofs, blocks = problem.condensed_blocks()
-    system = split.split(K, A.query("dirichlet"), dofs, blocks.k_up, blocks.slope)
-    K_uu = petsc.assemble_matrix(problem.J, bcs=problem.bcs)
-    K_uu.assemble()
-    size = K_uu.norm()
-    K_uu.axpy(-1.0, system.K_uu)
-    small(K_uu.norm(), 1e-12 * K.norm())
-    agree(size < 0.5 * K.norm(), "κ is gone")
-    for made in (K_uu, K, f, b, system):
-        made.destroy()
-
-
-def test_settings_stand_back_behind_the_users():
+def test_options_stand_back_behind_the_users():
     """Of the levels of a multigrid, too, which PETSc makes when it is set up."""
     problem = linear(elasticity(cube(3, 6)))
     A, b = problem.linear_system()
     K, f = assembled_system(A, b)
-    for options, kind in (({}, "sor"), ({"mg_levels_pc_type": "jacobi"}, "jacobi")):
-        with inserted("gamg_elasticity_", options):
-            ksp = solvers.create_multigrid(K, "gamg-elasticity", rtol=RTOL)
+    for users, kind in (({}, "sor"), ({"mg_levels_pc_type": "jacobi"}, "jacobi")):
+        with inserted("my_amg_", users):
+            own = {"pc_type": "gamg", "mg_levels_pc_type": "sor"}
+            ksp = create_solver(K, "my-amg", own, rtol=RTOL)
         agree(ksp.getPC().getMGSmoother(1).getPC().getType() == kind)
         ksp.destroy()
     for made in (K, f, b):
         made.destroy()
 
 
-def test_approximate_factors_are_a_preconditioner():
-    """MUMPS with low-rank blocks reads its settings, and CG makes up for them."""
-    problem = linear(elasticity(cube(3, 4)))
-    A, b = problem.linear_system()
-    K, f = assembled_system(A, b)
-    ksp = create_direct(K, "mumps-blr", rtol=RTOL)
-    factor = ksp.getPC().getFactorMatrix()
-    agree(factor.getMumpsIcntl(35) == 2 and factor.getMumpsCntl(7) == 1e-6)
-    agree(ksp.getType() == "cg")
-    for made in (ksp, K, f, b):
-        made.destroy()
+def test_solvers_of_ones_own():
+    """A dict of PETSc's options, one a solver, beside those that are known by name."""
+    own = {
+        "feti": {},
+        "mumps": None,
+        "jacobi": {"pc_type": "jacobi"},
+        "mumps-blr": {
+            "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps",
+            "mat_mumps_icntl_35": 2, "mat_mumps_cntl_7": 1e-6,
+        },
+        "bddc-deluxe": {"pc_type": "bddc", "pc_bddc_use_deluxe_scaling": True},
+    }  # fmt: skip
+    all_agree(compare(linear(elasticity(cube(3, 3)), 4), own), own)
 
 
 def test_solver_that_fails_has_a_note():
@@ -214,10 +180,10 @@ def test_feti_that_fails_says_why():
 
 
 def test_error_of_petsc_becomes_a_note(monkeypatch):
-    def refuse(_K, **_options):
+    def refuse(*_, **_options):
         raise PETSc.Error(56)
 
-    monkeypatch.setattr(run, "create_direct", refuse)
+    monkeypatch.setattr(run, "create_solver", refuse)
     found = compare(linear(elasticity(cube(3, 3))), ["mumps", "feti"])
     mumps, feti = found.solved
     agree(mumps.cost is None and mumps.note.startswith("failed: ") and feti.converged, found)
@@ -225,44 +191,15 @@ def test_error_of_petsc_becomes_a_note(monkeypatch):
 
 
 def test_solver_that_petsc_lacks_is_named(monkeypatch):
-    def lacks(name, _processes):
-        return "this PETSc was built without mumps" if name == "mumps" else ""
+    def lacks(options):
+        factors = options.get("pc_factor_mat_solver_type")
+        return "this PETSc was built without mumps" if factors == "mumps" else ""
 
     monkeypatch.setattr(run, "missing", lacks)
     found = compare(linear(elasticity(cube(3, 3))), ["mumps", "gamg"])
     agree([solved.solver for solved in found.solved] == ["gamg"])
     agree("left out: mumps, this PETSc was built without mumps" in str(found))
     agree(found.records[1]["note"] == "left out: this PETSc was built without mumps")
-
-
-def test_missing(monkeypatch):
-    """A package of PETSc, a module, several processes; a pressure that is not condensed."""
-    for name, what in (("hypre", "package"), ("pardiso", "module")):
-        lacking = replace(settings.SETTINGS[name], **{what: "nothing"})
-        monkeypatch.setitem(settings.SETTINGS, name, lacking)
-    agree(settings.missing("hypre", 1) == "this PETSc was built without nothing")
-    agree("there is no module nothing" in settings.missing("pardiso", 1))
-    there = replace(settings.SETTINGS["cholmod"], package="")
-    monkeypatch.setitem(settings.SETTINGS, "cholmod", there)
-    agree(settings.missing("cholmod", 2) == "it runs on one process only")
-    agree(settings.missing("feti", 2) == settings.missing("gamg", 1) == "")
-    found = compare(linear(poisson(cube(2, 4)), 3), ["fieldsplit", "feti"])
-    agree(found.left_out == (("fieldsplit", "no field is condensed"),), found)
-
-
-@pytest.mark.serial
-def test_pardiso_without_mkl(monkeypatch):
-    """The note says what its module says."""
-
-    def find_mkl(**_):
-        raise ImportError("Shared library mkl_rt not found")
-
-    module = types.ModuleType("pypardiso")
-    module.PyPardisoSolver = find_mkl
-    module.__spec__ = importlib.machinery.ModuleSpec("pypardiso", None)
-    monkeypatch.setitem(sys.modules, "pypardiso", module)
-    (record,) = compare(linear(poisson(cube(2, 4)), 3), ["pardiso"]).records
-    agree("mkl_rt not found" in record["note"], record["note"])
 
 
 def test_unsymmetric_matrix():
@@ -323,7 +260,11 @@ def test_picture():
 @pytest.mark.parametrize(
     ("names", "match"),
     [
-        (["feti", "umfpack"], "solvers has 'umfpack': choose from feti, mumps, mumps-blr, cholmod"),
+        (
+            ["feti", "umfpack"],
+            "solvers has 'umfpack': choose from feti, mumps, gamg, bddc, or give",
+        ),
+        ({"feti": {}, "mine": {}}, "solvers has 'mine': choose from .* or give a dict of names"),
         ([], "solvers is empty: choose from"),
         ("mumps", r"solvers is 'mumps': put the names in a list, solvers=\['mumps'\]"),
     ],

@@ -21,7 +21,7 @@ from problems import cube, elasticity, owned
 from dolfinx_feti.comparison import (
     PeakMemory,
     assembled_system,
-    create_direct,
+    create_solver,
     measure,
     relative_residual,
     timed_solve,
@@ -97,7 +97,7 @@ def test_mumps(torn_grid, symmetric):
     problem = torn_grid((2, 2), (2, 2), components=2, change=None if symmetric else skew)
     b = np.random.default_rng(SEED + 1).standard_normal(len(problem.dirichlet))
     K, f = assembled_system(problem.A, problem.vector(b))
-    ksp = create_direct(K)
+    ksp = create_solver(K)
     agree(ksp.getPC().getType() == ("cholesky" if symmetric else "lu"))
     x = f.duplicate()
     ksp.solve(f, x)
@@ -111,7 +111,7 @@ def test_mumps_reads_its_options(torn_grid):
     problem = torn_grid((2, 2), (2, 2), components=2)
     K, f = assembled_system(problem.A, problem.vector(random_values(problem)))
     with inserted("mumps_", {"mat_mumps_icntl_7": 5, "mat_mumps_icntl_14": 77}):
-        ksp = create_direct(K)
+        ksp = create_solver(K)
         ksp.setUp()
         factor = ksp.getPC().getFactorMatrix()
         agree((factor.getMumpsIcntl(7), factor.getMumpsIcntl(14)) == (5, 77))
@@ -133,7 +133,7 @@ def test_beside_a_linear_problem(solve):
     body = elasticity(cube(3, 3), degree=2, stretched=True)
     linear = solve(body, 6, {"ksp_rtol": 1e-11})
     K, f = assembled_system(linear.A, linear.b)
-    cost, x = measure(lambda: create_direct(K), f)
+    cost, x = measure(lambda: create_solver(K), f)
     equal(x.array_r, body.solve_directly(), 1e-10)
     equal(owned(linear.u), x.array_r, 1e-8)
     small(relative_residual(K, f, x), 1e-12)
@@ -187,7 +187,7 @@ def test_timed_solver_is_kept(torn_grid):
     problem = torn_grid((3, 2), (2, 2))
     K, f = assembled_system(problem.A, problem.vector(np.ones(len(problem.dirichlet))))
     x = f.duplicate()
-    first, ksp = timed_solve(lambda: create_direct(K), f, x)
+    first, ksp = timed_solve(lambda: create_solver(K), f, x)
     small(relative_residual(K, f, x), 1e-12)
     factor = ksp.getPC().getFactorMatrix().handle
     x.set(0.0)

@@ -13,7 +13,7 @@ from changes import PATTERN, VALUES, no_dirichlet, replaced, scaled_copy, stiffn
 from collective import COMM, agree, equal, whole
 from hand_torn import random_values, solve
 
-from dolfinx_feti.comparison import assembled_system, create_direct
+from dolfinx_feti.comparison import assembled_system, create_solver
 from dolfinx_feti.runtime.connectivity import has_joined_copies
 from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, state_of
 
@@ -39,7 +39,7 @@ def problem(torn_grid):
 def solve_directly(problem, b):
     """Solve the assembled system of the present torn matrix."""
     K, f = assembled_system(problem.A, problem.vector(b))
-    ksp = create_direct(K)
+    ksp = create_solver(K)
     x = f.duplicate()
     ksp.solve(f, x)
     values = whole(x.array_r)

@@ -22,7 +22,7 @@ import dolfinx.fem.petsc
 import ufl
 
 from dolfinx_feti import LinearProblem, NonlinearProblem
-from dolfinx_feti.comparison import create_direct
+from dolfinx_feti.comparison import create_solver
 
 MU, KAPPA = 1.0, 100.0
 
@@ -179,7 +179,7 @@ def direct(mesh, V, Q):
     b = dolfinx.fem.petsc.assemble_vector(dolfinx.fem.form(L))
     b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
     dolfinx.fem.petsc.set_bc(b, [bc])  # of the value 0: nothing to lift
-    ksp = create_direct(A)
+    ksp = create_solver(A)
     w, x = dolfinx.fem.Function(W), b.duplicate()
     ksp.solve(b, x)
     w.x.array[: x.getLocalSize()] = x.array_r

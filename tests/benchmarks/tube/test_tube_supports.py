@@ -15,7 +15,7 @@ from benchmarks.common.walls import supports
 from benchmarks.common.walls.inflated_tube import create_inflated_tube, create_slice
 from benchmarks.common.walls.problem import WallProblem
 from dolfinx_feti import loads
-from dolfinx_feti.comparison import assembled_system, create_direct
+from dolfinx_feti.comparison import assembled_system, create_solver
 from meshes.walls import create_tube_wall
 
 TYPES = ("all_floating", "classical")
@@ -98,7 +98,7 @@ def test_both_variants_find_the_solution_of_a_direct_solver(kind):
     ksp.solve(b, x)
     agree(ksp.getConvergedReason() > 0, ksp.getPythonContext().message)
     K, f = assembled_system(body.problem.A, b)
-    mumps = create_direct(K)
+    mumps = create_solver(K)
     y = f.duplicate()
     mumps.solve(f, y)
     x.axpy(-1.0, y)

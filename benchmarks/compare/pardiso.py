@@ -20,24 +20,30 @@ DEFINITE, SYMMETRIC, GENERAL = 2, -2, 11
 class Pardiso:
     """Context of a PC whose application is A⁻¹; one process."""
 
-    def __init__(self, *, symmetric: bool, definite: bool) -> None:
-        """Choose the factorisation: Cholesky, LDLᵀ, or LU.
+    def __init__(self) -> None:
+        """Find MKL.
 
         Raises:
-            ImportError: The module finds no MKL.
+            ImportError: The module finds none.
         """
         import pypardiso
 
-        self._kind = (DEFINITE if definite else SYMMETRIC) if symmetric else GENERAL
-        self._solver: Any = pypardiso.PyPardisoSolver(mtype=self._kind)
+        self._create = pypardiso.PyPardisoSolver
+        self._solver: Any = None
         self._matrix = scipy.sparse.csr_matrix((0, 0))
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Factor the matrix, of which PARDISO takes the upper half if it is symmetric."""
         A = pc.getOperators()[0]
+        kind = GENERAL
+        if all(A.isSymmetricKnown()):
+            definite = PETSc.Options(pc.getOptionsPrefix()).getBool("definite", False)
+            kind = DEFINITE if definite else SYMMETRIC
+        if self._solver is None:
+            self._solver = self._create(mtype=kind)
         rows, columns, values = A.getValuesCSR()
         K = scipy.sparse.csr_matrix((values, columns, rows), shape=A.getSize())
-        self._matrix = K if self._kind == GENERAL else scipy.sparse.triu(K, format="csr")
+        self._matrix = K if kind == GENERAL else scipy.sparse.triu(K, format="csr")
         self._solver.factorize(self._matrix)
 
     def apply(self, _pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
@@ -46,4 +52,5 @@ class Pardiso:
 
     def destroy(self, _pc: PETSc.PC) -> None:
         """Free the factors."""
-        self._solver.free_memory(everything=True)
+        if self._solver is not None:
+            self._solver.free_memory(everything=True)

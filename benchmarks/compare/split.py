@@ -18,7 +18,7 @@ The preconditioner eliminates x by one V-cycle of smoothed aggregation for :math
 knows no κ, and takes for the Schur complement :math:`I - S K_{uu}^{-1} C^⊤` the blocks of the cells
 in :math:`I - S\, (\operatorname{diag} K_{uu})^{-1} C^⊤`. For P2–P0 these are a multiple of
 :math:`1 + κ/μ`, that is the mass matrix times −(1/κ + 1/μ) before the division, with the μ of each
-cell. *Augmented* is the same system with :math:`θ C^⊤` times its second row taken from the first:
+cell. The system is *augmented*: :math:`θ C^⊤` times its second row is taken from the first,
 
 .. math:: K_θ = K_{uu} - θ\, C^⊤ S = (1 - θ) K_{uu} + θ K, \qquad C_θ = (1 - θ)\, C,
 
@@ -27,7 +27,8 @@ with so little κ in it that multigrid bears it, which makes up for an element t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from petsc4py import PETSc
@@ -35,19 +36,34 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.comparison.settings import in_force, prefix_of
-from dolfinx_feti.comparison.solvers import MAX_IT
+from dolfinx_feti import LinearProblem, NonlinearProblem
 
-__all__ = ["Split", "create_fieldsplit", "split"]
+__all__ = ["Split", "Uncondensed", "blocks_of", "split"]
 
 Reason = PETSc.KSP.ConvergedReason
 
 #: Directions that FGMRES keeps.
 RESTART = 100
 
+#: Mean of θ κ/μ over the cells.
+AUGMENTATION = 2.5
+
 #: Where FGMRES's own residual is below this multiple of the tolerance, that of the condensed system
 #: is computed at each so many iterations.
 NEAR, EACH = 10.0, 3
+
+#: The problem whose pressure was condensed into the matrix, innermost last.
+_PROBLEMS: list[LinearProblem | NonlinearProblem] = []
+
+
+@contextmanager
+def blocks_of(problem: LinearProblem | NonlinearProblem) -> Iterator[None]:
+    """Let solvers that are set up meanwhile take what was condensed from this problem."""
+    _PROBLEMS.append(problem)
+    try:
+        yield
+    finally:
+        _PROBLEMS.pop()
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,11 +83,6 @@ class Split:
     C: PETSc.Mat
     S: PETSc.Mat
     shape: tuple[int, int]
-
-    def destroy(self) -> None:
-        """Free what is not the condensed matrix."""
-        for owned in (self.K_uu, self.C, self.S):
-            owned.destroy()
 
 
 def split(
@@ -119,34 +130,27 @@ def split(
     return Split(K, K_uu, C, S, (slope.shape[1], slope.shape[2]))
 
 
-def create_fieldsplit(system: Split, solver: str = "fieldsplit", *, rtol: float) -> PETSc.KSP:
-    """Set up FGMRES with a Schur complement for the uncondensed system.
-
-    Args:
-        system: The system, which has to outlive the solver.
-        solver: ``fieldsplit`` or ``fieldsplit-augmented``, whose option ``augmentation`` is the
-            mean of θ κ/μ, over the cells.
-        rtol: On the true residual of the condensed system.
-
-    Returns:
-        A KSP for the condensed system, with FGMRES inside; the caller destroys it.
-
-    Note:
-        Collective.
-    """
-    inner, owned, up = _fgmres(system, solver)
-    ksp = PETSc.KSP().createPython(_Condensed(inner, owned, up), comm=system.K.comm)
-    ksp.setOperators(system.K)
-    ksp.setTolerances(rtol=rtol, max_it=MAX_IT)
-    ksp.getPC().setType(PETSc.PC.Type.NONE)
-    return ksp
-
-
-class _Condensed:
+class Uncondensed:
     """Context of a KSP: FGMRES inside, until the residual of the condensed system is small."""
 
-    def __init__(self, inner: PETSc.KSP, owned: Sequence[PETSc.Mat], up: PETSc.Mat) -> None:
-        self._inner, self._owned, self._up = inner, owned, up
+    def __init__(self) -> None:
+        """Own nothing yet."""
+        self._owned: list[PETSc.Object] = []
+
+    def setUp(self, ksp: PETSc.KSP) -> None:
+        """Set up FGMRES on the uncondensed system.
+
+        Raises:
+            RuntimeError: No field is condensed.
+        """
+        problem = _PROBLEMS[-1] if _PROBLEMS else None
+        if problem is None or not problem.condenses:
+            raise RuntimeError("no field is condensed")
+        dofs, blocks = problem.condensed_blocks()
+        fixed = problem.A.query("dirichlet")
+        system = split(ksp.getOperators()[0], fixed, dofs, blocks.k_up, blocks.slope)
+        self._inner, owned, self._up = _fgmres(system, f"{ksp.getOptionsPrefix()}inner_")
+        self._owned = [self._inner, *owned, system.K_uu, system.C, system.S]
 
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve K x = b."""
@@ -177,46 +181,44 @@ class _Condensed:
 
     def destroy(self, _ksp: PETSc.KSP) -> None:
         """Free the solver inside."""
-        for owned in (self._inner, *self._owned):
+        for owned in self._owned:
             owned.destroy()
 
 
-def _fgmres(system: Split, solver: str) -> tuple[PETSc.KSP, list[PETSc.Mat], PETSc.Mat]:
+def _fgmres(system: Split, prefix: str) -> tuple[PETSc.KSP, list[PETSc.Mat], PETSc.Mat]:
     """Set up FGMRES on the uncondensed system; return it, the matrices that it has, and C_θᵀ."""
     comm = system.K.comm
     q = _cell_blocks(system)
-    with in_force(solver):
-        wanted = PETSc.Options(prefix_of(solver)).getReal("augmentation", 0.0)
-        mean = comm.tompi4py().allreduce(float(np.trace(q, axis1=1, axis2=2).sum()))
-        θ = min(1.0, wanted * system.C.getSize()[0] / mean) if mean > 0.0 else 0.0
-        K_θ = system.K_uu.duplicate(copy=True)
-        K_θ.scale(1.0 - θ)
-        K_θ.axpy(θ, system.K, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        if system.K_uu.getNearNullSpace().handle:
-            K_θ.setNearNullSpace(system.K_uu.getNearNullSpace())
-        one = np.eye(system.shape[0])
-        schur = one + (1.0 - θ) * q @ np.linalg.inv(one + θ * q)  # I − S K_θ⁻¹ C_θᵀ, by the cells
-        unit, blocks = (
-            _block_diagonal(system.C, block) for block in (np.broadcast_to(one, q.shape), schur)
-        )
-        up = system.C.transpose(PETSc.Mat())
-        up.scale(1.0 - θ)  # C_θᵀ
-        A = PETSc.Mat().createNest([[K_θ, up], [system.S, unit]], comm=comm)
-        ksp = PETSc.KSP().create(comm)
-        ksp.setOptionsPrefix(prefix_of(solver))
-        ksp.setOperators(A)
-        ksp.setType(PETSc.KSP.Type.FGMRES)
-        ksp.setGMRESRestart(RESTART)
-        pc = ksp.getPC()
-        pc.setType(PETSc.PC.Type.FIELDSPLIT)
-        pc.setFieldSplitType(PETSc.PC.CompositeType.SCHUR)
-        rows, _ = A.getNestISs()
-        pc.setFieldSplitIS(("0", rows[0]), ("1", rows[1]))
-        pc.setFieldSplitSchurPreType(PETSc.PC.FieldSplitSchurPreType.USER, blocks)
-        ksp.setFromOptions()
-        ksp.setUp()
-        for part in pc.getFieldSplitSubKSP():
-            part.setUp()
+    mean = comm.tompi4py().allreduce(float(np.trace(q, axis1=1, axis2=2).sum()))
+    θ = min(1.0, AUGMENTATION * system.C.getSize()[0] / mean) if mean > 0.0 else 0.0
+    K_θ = system.K_uu.duplicate(copy=True)
+    K_θ.scale(1.0 - θ)
+    K_θ.axpy(θ, system.K, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+    if system.K_uu.getNearNullSpace().handle:
+        K_θ.setNearNullSpace(system.K_uu.getNearNullSpace())
+    one = np.eye(system.shape[0])
+    schur = one + (1.0 - θ) * q @ np.linalg.inv(one + θ * q)  # I − S K_θ⁻¹ C_θᵀ, by the cells
+    unit, blocks = (
+        _block_diagonal(system.C, block) for block in (np.broadcast_to(one, q.shape), schur)
+    )
+    up = system.C.transpose(PETSc.Mat())
+    up.scale(1.0 - θ)  # C_θᵀ
+    A = PETSc.Mat().createNest([[K_θ, up], [system.S, unit]], comm=comm)
+    ksp = PETSc.KSP().create(comm)
+    ksp.setOptionsPrefix(prefix)
+    ksp.setOperators(A)
+    ksp.setType(PETSc.KSP.Type.FGMRES)
+    ksp.setGMRESRestart(RESTART)
+    pc = ksp.getPC()
+    pc.setType(PETSc.PC.Type.FIELDSPLIT)
+    pc.setFieldSplitType(PETSc.PC.CompositeType.SCHUR)
+    rows, _ = A.getNestISs()
+    pc.setFieldSplitIS(("0", rows[0]), ("1", rows[1]))
+    pc.setFieldSplitSchurPreType(PETSc.PC.FieldSplitSchurPreType.USER, blocks)
+    ksp.setFromOptions()
+    ksp.setUp()
+    for part in pc.getFieldSplitSubKSP():
+        part.setUp()
     return ksp, [A, K_θ, up, unit, blocks], up
 
 
