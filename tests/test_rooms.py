@@ -113,7 +113,7 @@ def test_mechanics_knows_no_feti():
     use_dolfinx = {
         name for name in in_room("mechanics") if "dolfinx" in foreign(MODULES[name].path)
     }
-    assert use_dolfinx == {"mechanics.rim", "mechanics.loads"}
+    assert use_dolfinx == {"mechanics.loads"}
 
 
 def test_workshop_knows_no_solver():

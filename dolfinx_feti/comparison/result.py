@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 from dolfinx_feti.runtime.cost import Cost
+from dolfinx_feti.runtime.pictures import create_figure
 from dolfinx_feti.runtime.tables import Cell, json_value, table
 
 if TYPE_CHECKING:
@@ -112,14 +113,7 @@ class Comparison:
         costs = {s.solver: s.cost for s in self.solved if s.cost is not None and s.converged}
         if not costs:
             raise ValueError("No solver converged: there is nothing to draw; print the comparison.")
-        try:
-            from matplotlib.figure import Figure
-        except ImportError as error:
-            raise ImportError(
-                "Pictures need matplotlib: install it (apt install python3-matplotlib, or pip "
-                "install matplotlib), or draw the records with another tool."
-            ) from error
-        figure = Figure(figsize=(8.0, 3.2), layout="constrained")
+        figure = create_figure(8.0, 3.2)
         times, memory = figure.subplots(1, 2)
         names = list(costs)
         setup = [cost.seconds_setup for cost in costs.values()]

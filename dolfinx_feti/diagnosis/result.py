@@ -15,6 +15,7 @@ import numpy.typing as npt
 from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.diagnosis.figures import Figures, Spread
 from dolfinx_feti.diagnosis.surface import Surface
+from dolfinx_feti.runtime.pictures import create_figure
 from dolfinx_feti.runtime.tables import json_value
 
 if TYPE_CHECKING:
@@ -121,23 +122,17 @@ class Diagnosis:
         Raises:
             ImportError: matplotlib is not installed.
         """
-        try:
-            from matplotlib.cm import ScalarMappable
-            from matplotlib.collections import PolyCollection
-            from matplotlib.colors import LogNorm
-            from matplotlib.figure import Figure
-            from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-        except ImportError as error:
-            raise ImportError(
-                "Pictures need matplotlib: install it (apt install python3-matplotlib, or pip "
-                "install matplotlib), or draw the residuals with another tool."
-            ) from error
+        figure = create_figure(6.0, 4.5)
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.collections import PolyCollection
+        from matplotlib.colors import LogNorm
+        from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
         corners, values = self.surface.corners, self.residuals[self.surface.subdomain]
         most = values.max() if values.max() > 0.0 else 1.0
         least = max(values.min(), 1e-6 * most)
         colour = ScalarMappable(LogNorm(min(least, 0.999 * most), most), "viridis")
         colours = colour.to_rgba(np.maximum(values, least))
-        figure = Figure(figsize=(6.0, 4.5), layout="constrained")
         low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
         ax: Any
         if corners.shape[-1] == 2:

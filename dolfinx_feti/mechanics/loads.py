@@ -11,14 +11,21 @@ Sign convention: a residual is *internal minus external* virtual work, R(u; v) =
 (eq. 20, Augustin_eq:WeakReference, with everything on the left), and an energy is
 Π = Π_int − W_ext. The forms returned here are to be **added**.
 
+The tangent a of a uniform pressure p is symmetric up to a line integral along the deformed rim,
+a(du, v) − a(v, du) = p ∮ (v × du)·dx, which vanishes if the surface is closed, if its rim is
+clamped, and if it slides in a plane. No rule is needed to tell: the difference is assembled for one
+du, at one displacement, and looked at in all dofs that no Dirichlet condition holds.
+
 Units: pressure in kPa, lengths in mm, hence forces in mN.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal, get_args
+
+import numpy as np
 
 import dolfinx
 import ufl
@@ -27,21 +34,35 @@ from ufl.core.multiindex import MultiIndex
 from ufl.corealg.traversal import traverse_unique_terminals
 
 from dolfinx_feti.mechanics.kinematics import deformation_gradient
-from dolfinx_feti.mechanics.rim import rim_is_held
 from dolfinx_feti.mechanics.values import require_within
 
 __all__ = [
     "enclosed_volume",
     "follower_pressure",
     "follower_pressure_tangent",
+    "free_norm",
     "mmhg",
     "pressure_potential",
+    "rim_is_held",
+    "wave",
 ]
 
 #: What of a pressure's derivative is taken.
 Kind = Literal["auto", "symmetric", "full", "none"]
 
 _KPA_PER_MMHG = 101.325 / 760.0
+
+#: How closely two forces agree that are one, relative to their norm.
+SAME = 1e-9
+
+#: Wave vectors of displacements without any symmetry, in the extent of the mesh; their size there.
+WAVES = np.array(
+    [
+        [[5.1, 3.7, -4.3], [-2.9, 6.1, 3.3], [4.7, -3.1, 5.3]],
+        [[3.3, -5.9, 4.1], [6.7, 2.3, -3.7], [-4.9, 5.3, 2.9]],
+    ]
+)
+AMPLITUDE = 0.02
 
 
 def mmhg(value: float) -> float:
@@ -91,9 +112,8 @@ def follower_pressure_tangent(
     """Derivative of :func:`follower_pressure` with respect to u, or a part of it.
 
     For a uniform p, a(du, v) = ∫ p (D cof(F)[Grad du] N)·v dA is symmetric up to a line integral
-    along the rim of the loaded surface, see :mod:`~dolfinx_feti.mechanics.rim`. Where a rim is free
-    or on springs, its symmetric part is not the derivative, and Newton's method takes several times
-    as many steps with it.
+    along the rim of the loaded surface. Where a rim is free or on springs, its symmetric part is
+    not the derivative, and Newton's method takes several times as many steps with it.
 
     Args:
         p: Pressure [kPa].
@@ -183,6 +203,65 @@ def pressure_potential(
     return ufl.Form([]) if _is_zero(p) else -p * volume
 
 
+def rim_is_held(
+    virtual_work: Callable[[dolfinx.fem.Function, Expr], ufl.Form],
+    V: dolfinx.fem.FunctionSpace,
+    bcs: Sequence[dolfinx.fem.DirichletBC],
+) -> bool:
+    """Tell whether the tangent of a uniform pressure is symmetric in all dofs that are free.
+
+    Args:
+        virtual_work: R(w; v) of the pressure one, a form in a displacement w and a test function v,
+            with exact quadrature.
+        V: Space of displacements.
+        bcs: Dirichlet conditions on V and on its components.
+
+    Raises:
+        ValueError: The surface has no facets.
+
+    Note:
+        Collective.
+    """
+    held = np.concatenate([np.zeros(0, dtype=np.int32), *(bc.dof_indices()[0] for bc in bcs)])
+    w, d = (wave(V, k) for k in (0, 1))
+    for bc in bcs:
+        bc.set(w.x.array)
+    d.x.array[held] = 0.0
+    v = ufl.TestFunction(V)
+    a = ufl.derivative(virtual_work(w, v), w, d)  # a(d, v)
+    a_T = ufl.derivative(virtual_work(w, d), w, v)  # a(v, d)
+    skew, whole = (free_norm(form, held) for form in (a - a_T, a))
+    if whole == 0.0 and free_norm(virtual_work(w, v), held[:0]) == 0.0:
+        raise ValueError(
+            "ds has no facets: give the measure the facet tags, ufl.Measure('ds', mesh, "
+            "subdomain_data=tags), and a tag that is among them."
+        )
+    return skew <= SAME * whole
+
+
+def wave(V: dolfinx.fem.FunctionSpace, which: int = 0) -> dolfinx.fem.Function:
+    """Return a displacement in which nothing is symmetric. Collective."""
+    mesh, dim = V.mesh, V.mesh.geometry.dim
+    x = np.asarray(mesh.geometry.x, dtype=np.float64)
+    low = np.min(mesh.comm.allgather(x.min(axis=0, initial=np.inf)), axis=0)
+    high = np.max(mesh.comm.allgather(x.max(axis=0, initial=-np.inf)), axis=0)
+    length = float(np.linalg.norm(high - low))
+    w, vectors = dolfinx.fem.Function(V), WAVES[which, :dim] / length
+    w.interpolate(
+        lambda x: AMPLITUDE * length * np.sin(vectors @ (x - low[:, None]) + 0.4)  # (d, points)
+    )
+    return w
+
+
+def free_norm(form: ufl.Form, held: np.ndarray) -> float:
+    """Return the norm of a linear form in the dofs that are not held. Collective."""
+    b = dolfinx.fem.assemble_vector(dolfinx.fem.form(form))
+    b.scatter_reverse(dolfinx.la.InsertMode.add)
+    owned = b.index_map.size_local * b.block_size
+    b.array[held] = 0.0
+    return float(np.sqrt(b.index_map.comm.allreduce(float(b.array[:owned] @ b.array[:owned]))))
+
+
 def _area_vector(u: Expr) -> Expr:
     """Deformed area per reference area times the deformed normal, J F⁻ᵀ N."""
     domain = ufl.domain.extract_unique_domain(u)
@@ -213,10 +292,7 @@ def _is_held(u: Expr, ds: ufl.Measure, bcs: Sequence[dolfinx.fem.DirichletBC] | 
     degree = max(element.embedded_superdegree for element in elements)
     exact = ds(metadata={"quadrature_degree": V.mesh.geometry.dim * degree})
 
-    def virtual_work(w: Expr, v: Expr) -> ufl.Form:
-        return follower_pressure(1.0, w, v, exact)
-
-    held = rim_is_held(virtual_work, V, bcs or ())
+    held = rim_is_held(lambda w, v: follower_pressure(1.0, w, v, exact), V, bcs or ())
     if bcs is None and not held:
         raise ValueError(
             "The surface under pressure has a rim, and kind='auto' does not know whether it is "

@@ -4,5 +4,6 @@
 """What all other folders use: processes, compiled code, PETSc, versions.
 
 In the order of the data: compat, scotch, collective, events, native, petsc_errors,
-petsc_library, petsc_options, folders, connectivity, tables, cost.
+petsc_library, petsc_options, folders, connectivity, tables, pictures,
+cost.
 """

@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Arterial walls: named layers and surfaces, conditions on these, and directions of fibres.
 
-In the order of the data: wall, wallfile, xdmf, reading, convert, tagged, conditions, rigid, case,
+In the order of the data: wall, wallfile, xdmf, reading, convert, tagged, conditions, case,
 casefile, boundary, laplace, fibres, opening.
 """
 
@@ -12,7 +12,6 @@ from dolfinx_feti.wall.case import Case, Tissue
 from dolfinx_feti.wall.casefile import read_case
 from dolfinx_feti.wall.conditions import Clamp, Dashpot, Pressure, Slide, Spring
 from dolfinx_feti.wall.reading import read_wall
-from dolfinx_feti.wall.rigid import free_motions
 from dolfinx_feti.wall.tagged import create_wall
 from dolfinx_feti.wall.wall import (
     Wall,
@@ -39,7 +38,6 @@ __all__ = [
     "by_layer",
     "create_wall",
     "facets",
-    "free_motions",
     "openings",
     "read_case",
     "read_wall",

@@ -14,18 +14,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from petsc4py import PETSc
-
 import numpy as np
 
 import dolfinx
-import dolfinx.fem.petsc
 import ufl
 
 from dolfinx_feti.mechanics.loads import (
+    SAME,
     follower_pressure,
     follower_pressure_tangent,
+    free_norm,
     pressure_potential,
+    wave,
 )
 from dolfinx_feti.mechanics.supports import dashpot_energy, spring_energy
 from dolfinx_feti.mechanics.values import require_within
@@ -42,9 +42,6 @@ from dolfinx_feti.wall.conditions import (
 from dolfinx_feti.wall.wall import AXES, Wall, extent, facets, plane, surface_measure
 
 __all__ = ["Boundary", "apply_conditions"]
-
-#: How closely two residuals agree that are one, relative to their norm.
-SAME = 1e-9
 
 #: Pressures: share and measure of each surface.
 Loaded = Sequence[tuple[dolfinx.fem.Constant, ufl.Measure]]
@@ -309,11 +306,7 @@ def _is_potential(
     """
     if not loaded:
         return True
-    low, high = extent(V.mesh)
-    w, v, one = dolfinx.fem.Function(V), ufl.TestFunction(V), _constant(V.mesh, 1.0)
-    length = float(np.linalg.norm(high - low))
-    wave = np.array([[5.1, 3.7, -4.3], [-2.9, 6.1, 3.3], [4.7, -3.1, 5.3]]) / length
-    w.interpolate(lambda x: 0.02 * length * np.sin(wave @ (x - low[:, None]) + 0.4))
+    w, v, one = wave(V), ufl.TestFunction(V), _constant(V.mesh, 1.0)
     if boundary.axis is not None:
         boundary.set_stretch(1.1)
     for bc in boundary.bcs:
@@ -322,17 +315,7 @@ def _is_potential(
         boundary.set_stretch(1.0)
     follower = sum((follower_pressure(share * one, w, v, ds) for share, ds in loaded), ufl.Form([]))
     slope = ufl.derivative(_potential(one, w, loaded, axis), w, v)
-    norms = [_free_norm(form, boundary.bcs) for form in (slope - follower, follower)]
+    none = np.zeros(0, dtype=np.int32)
+    held = np.concatenate([none, *(bc.dof_indices()[0] for bc in boundary.bcs)])
+    norms = [free_norm(form, held) for form in (slope - follower, follower)]
     return norms[0] <= SAME * norms[1]
-
-
-def _free_norm(form: ufl.Form, bcs: Sequence[dolfinx.fem.DirichletBC]) -> float:
-    """Return the norm of a linear form in the dofs that no condition holds."""
-    b = dolfinx.fem.petsc.assemble_vector(dolfinx.fem.form(form))
-    b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-    for bc in bcs:
-        dofs, _ = bc.dof_indices()
-        b.array[dofs[dofs < b.getLocalSize()]] = 0.0
-    norm = b.norm()
-    b.destroy()
-    return float(norm)

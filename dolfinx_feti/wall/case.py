@@ -12,7 +12,6 @@ from typing import Any
 
 from dolfinx_feti.mechanics.values import require_not_negative, require_positive, require_within
 from dolfinx_feti.wall.conditions import Condition, Dashpot
-from dolfinx_feti.wall.rigid import free_motions
 from dolfinx_feti.wall.wall import AXES, Wall
 
 __all__ = ["Case", "Tissue", "meant", "require"]
@@ -95,14 +94,10 @@ class Case:
         return any(t.opening_angle or t.axial_stretch != 1.0 for t in self.layers.values())
 
     def check(self, wall: Wall) -> None:
-        """Compare names with those of the wall, and require that the wall is held.
+        """Compare names with those of the wall.
 
         Raises:
-            ValueError: A name is wrong, a layer is missing, or a rigid body motion is free. On all
-                processes.
-
-        Note:
-            Collective.
+            ValueError: A name is wrong, or a layer is missing.
         """
         for kind, given, known in (
             ("layer", self.layers, wall.layers),
@@ -113,10 +108,6 @@ class Case:
                 require(name in known, f"[{kind}s.{name}]: the wall has no {kind} {name!r}; {has}")
         for name in wall.layers:
             require(name in self.layers, f"[layers.{name}] is missing: give the layer's material")
-        free = free_motions(wall, self.conditions)
-        message = f"nothing holds {free} of the wall's six rigid body motions; clamp a surface "
-        message += '(hold = "clamp") or give it springs with direction = "all"'
-        require(free == 0, f"[surfaces]: {message}")
 
 
 def require(holds: object, message: str) -> None:

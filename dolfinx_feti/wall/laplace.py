@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from petsc4py import PETSc
 
@@ -86,42 +86,29 @@ def solve_laplace(
     b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
     dolfinx.fem.petsc.set_bc(b, bcs)
     solution = dolfinx.fem.Function(V)
+    x = A.createVecRight()
+    attempts = [{**OPTIONS, **petsc_options}] if petsc_options else [OPTIONS, DIRECT]
     try:
-        attempts = [{**OPTIONS, **petsc_options}] if petsc_options else [OPTIONS, DIRECT]
-        _solve_system(A, b, solution, prefix=prefix, attempts=attempts)
+        for options in attempts:
+            reason, iterations = _solve(A, b, x, prefix, options)
+            if reason > 0:
+                break
+        else:
+            raise ArithmeticError(
+                f"A Laplace problem for the fibres was not solved (reason {reason} after "
+                f"{iterations} iterations): make sure that every part of the wall touches an "
+                f"opening, or choose another solver with -{prefix}ksp_type and -{prefix}pc_type"
+            )
+        solution.x.array[: x.getLocalSize()] = x.array_r
     finally:
-        A.destroy()
-        b.destroy()
+        for owned in (A, b, x):
+            owned.destroy()
+    solution.x.scatter_forward()
     return solution
 
 
-def _solve_system(
-    A: PETSc.Mat,
-    b: PETSc.Vec,
-    solution: dolfinx.fem.Function,
-    *,
-    prefix: str,
-    attempts: Sequence[Mapping[str, object]],
-) -> None:
-    """Solve A u = b with the first of some solvers, given by options, that converges."""
-    x = A.createVecRight()
-    for options in attempts:
-        reason, iterations = _solve_once(A, b, x, prefix=prefix, options=options)
-        if reason > 0:
-            break
-    else:
-        raise ArithmeticError(
-            f"A Laplace problem for the fibres was not solved (reason {reason} after {iterations} "
-            "iterations): make sure that every part of the wall touches an opening, or choose "
-            f"another solver with -{prefix}ksp_type and -{prefix}pc_type"
-        )
-    solution.x.array[: x.getLocalSize()] = x.array_r
-    solution.x.scatter_forward()
-    x.destroy()
-
-
-def _solve_once(
-    A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, *, prefix: str, options: Mapping[str, object]
+def _solve(
+    A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, prefix: str, options: Mapping[str, object]
 ) -> tuple[int, int]:
     """Solve A x = b with the options under the prefix; return PETSc's reason and iterations."""
     ksp = PETSc.KSP().create(A.comm)

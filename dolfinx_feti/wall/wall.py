@@ -32,7 +32,6 @@ __all__ = [
     "Wall",
     "area",
     "by_layer",
-    "corners",
     "extent",
     "facets",
     "named_tags",
@@ -42,9 +41,6 @@ __all__ = [
 ]
 
 AXES = "xyz"
-
-#: The triangles of a facet, by the numbers of its corners.
-CUTS = {"tetrahedron": [[0, 1, 2]], "hexahedron": [[0, 1, 2], [1, 3, 2]]}
 
 #: How far a plane surface may reach out of its plane, relative to the extent of the wall.
 OUT_OF_PLANE = 1e-7
@@ -163,27 +159,6 @@ def area(wall: Wall, name: str) -> float:
     return wall.mesh.comm.allreduce(float(dolfinx.fem.assemble_scalar(form)))
 
 
-def corners(wall: Wall, name: str) -> npt.NDArray[np.float64]:
-    """Return the corners of the owned facets of a surface [mm], (triangles, 3, 3).
-
-    A quadrilateral is cut into two triangles; where edges are curved, their ends count.
-
-    Args:
-        wall: The wall.
-        name: Name of the surface.
-
-    Raises:
-        ValueError: The wall has no such surface.
-    """
-    entities = facets(wall, name)
-    owned = entities[entities < wall.mesh.topology.index_map(2).size_local]
-    if not len(owned):  # dolfinx 0.9 divides by their number
-        return np.zeros((0, 3, 3))
-    nodes = dolfinx.mesh.entities_to_geometry(wall.mesh, 2, owned)
-    cuts = CUTS[wall.mesh.topology.cell_name()]
-    return np.asarray(wall.mesh.geometry.x[nodes[:, cuts].reshape(-1, 3)])
-
-
 def extent(mesh: dolfinx.mesh.Mesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return the least and the greatest coordinates of a mesh [mm], (3,) each.
 
@@ -208,7 +183,12 @@ def plane(wall: Wall, name: str) -> tuple[int, float]:
         Collective.
     """
     low, high = extent(wall.mesh)
-    below, above = _bounds(corners(wall, name).reshape(-1, 3), wall.mesh.comm)
+    entities = facets(wall, name)
+    x: npt.NDArray[np.float64] = np.zeros((0, 3))
+    if len(entities):  # dolfinx 0.9 divides by their number
+        nodes = dolfinx.mesh.entities_to_geometry(wall.mesh, 2, entities)
+        x = np.asarray(wall.mesh.geometry.x[nodes.ravel()], dtype=np.float64)
+    below, above = _bounds(x, wall.mesh.comm)
     thick = above - below
     k = int(np.argmin(thick))
     if not 0.0 <= thick[k] <= OUT_OF_PLANE * np.linalg.norm(high - low):

@@ -11,15 +11,13 @@ Example::
     curve = respond(material, uniaxial(np.linspace(0.8, 1.6, 41)))
 
 In the order of the data: compiled, directions, paths, equilibrium, response, moduli, ellipticity,
-checks, report, data, intervals, fitting, plots.
+checks, report, fitting, plots.
 """
 
 from dolfinx_feti.workshop.checks import Check
 from dolfinx_feti.workshop.compiled import Material, States, compile_material, evaluate
-from dolfinx_feti.workshop.data import DataSet, data_set
 from dolfinx_feti.workshop.ellipticity import Ellipticity, least_eigenvalues, scan_ellipticity
-from dolfinx_feti.workshop.fitting import Fit, fit
-from dolfinx_feti.workshop.intervals import Parameter
+from dolfinx_feti.workshop.fitting import Estimate, Fit, fit
 from dolfinx_feti.workshop.moduli import Compliance, Moduli, small_strain_moduli
 from dolfinx_feti.workshop.paths import (
     Path,
@@ -32,17 +30,17 @@ from dolfinx_feti.workshop.paths import (
 )
 from dolfinx_feti.workshop.plots import plot_fit, plot_responses
 from dolfinx_feti.workshop.report import Report, check
-from dolfinx_feti.workshop.response import Response, respond
+from dolfinx_feti.workshop.response import DataSet, Response, data_set, respond
 
 __all__ = [
     "Check",
     "Compliance",
     "DataSet",
     "Ellipticity",
+    "Estimate",
     "Fit",
     "Material",
     "Moduli",
-    "Parameter",
     "Path",
     "Report",
     "Response",

@@ -6,6 +6,12 @@
 The parameters θ minimise Σ w² (s(θ) − ŝ)² over all measured stresses ŝ of all data sets, with the
 stresses s(θ) of equilibria: lateral stretches and pressures are solved for at every trial θ. The
 method is scipy's trust-region method with bounds.
+
+With the Jacobian R of the n weighted residuals in the m parameters and their sum of squares q at
+the minimum, the covariance of the parameters is s² (Rᵀ R)⁻¹, s² = q/(n − m), and the confidence
+intervals are those of Student's t with n − m degrees of freedom (Seber, Wild, Nonlinear Regression,
+1989, ch. 5). They hold to first order, for noise that is independent and equal in all residuals
+after weighting.
 """
 
 from __future__ import annotations
@@ -18,23 +24,50 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import scipy.optimize
+import scipy.stats
 
 from ufl.core.expr import Expr
 
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.runtime.tables import Cell, state, table
 from dolfinx_feti.workshop.compiled import Material, compile_material
-from dolfinx_feti.workshop.data import DataSet, r_squared, rms_error, stresses
-from dolfinx_feti.workshop.intervals import Parameter, estimate
 from dolfinx_feti.workshop.paths import refine
-from dolfinx_feti.workshop.response import Response, respond
+from dolfinx_feti.workshop.response import (
+    DataSet,
+    Response,
+    r_squared,
+    respond,
+    rms_error,
+    stresses,
+)
 
-__all__ = ["Fit", "fit"]
+__all__ = ["Estimate", "Fit", "covariance", "estimate", "fit"]
 
 Array = npt.NDArray[np.float64]
 
 #: Distance from a bound, relative to the parameter, at which it is on the bound.
 TOUCH = 1e-6
+
+#: Singular value of the Jacobian with unit columns below which parameters cannot be told apart.
+BLIND = 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A fitted parameter.
+
+    Attributes:
+        name: Its name.
+        value: Its value.
+        low: Lower end of the confidence interval; None if the value is on a bound, which leaves
+            no interval, and infinite if the data do not determine the parameter.
+        high: Upper end, likewise.
+    """
+
+    name: str
+    value: float
+    low: float | None
+    high: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +85,7 @@ class Fit:
     """
 
     material: Material
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[Estimate, ...]
     covariance: Array
     confidence: float
     data: tuple[DataSet, ...]
@@ -139,11 +172,57 @@ def fit(
     best = trial(optimum.x)
     reach = TOUCH * np.maximum(np.abs(optimum.x), np.abs(first))
     free = (np.abs(optimum.x - limits) > reach).all(axis=0)
-    parameters, covariance = estimate(
-        best.parameters, optimum.jac, 2 * optimum.cost, free, confidence
-    )
+    estimates, C = estimate(best.parameters, optimum.jac, 2 * optimum.cost, free, confidence)
     responses = tuple(respond(best, d.path) for d in data)
-    return Fit(best, parameters, covariance, confidence, data, responses, int(optimum.nfev))
+    return Fit(best, estimates, C, confidence, data, responses, int(optimum.nfev))
+
+
+def estimate(
+    values: Mapping[str, float],
+    R: Array,
+    squares: float,
+    free: npt.NDArray[np.bool_],
+    confidence: float,
+) -> tuple[tuple[Estimate, ...], Array]:
+    """Return the parameters with their confidence intervals, and their covariance (m, m).
+
+    Args:
+        values: Values of the m parameters at the minimum.
+        R: Jacobian of the residuals there, (n, m), n > m.
+        squares: Sum of the squared residuals.
+        free: Which parameters are not on a bound, (m,); the others count as known.
+        confidence: Level of the intervals, such as 0.95.
+    """
+    freedom = len(R) - int(free.sum())
+    full = np.full((len(free), len(free)), np.nan)
+    full[np.ix_(free, free)] = covariance(R[:, free], squares / freedom)
+    t = float(scipy.stats.t.ppf((1 + confidence) / 2, freedom))
+    half = t * np.sqrt(np.diag(full))
+    parameters = tuple(
+        Estimate(name, value, value - float(h), value + float(h))
+        if f
+        else Estimate(name, value, None, None)
+        for (name, value), h, f in zip(values.items(), half, free, strict=True)
+    )
+    return parameters, full
+
+
+def covariance(R: Array, variance: float) -> Array:
+    """Return s² (Rᵀ R)⁻¹, infinite for parameters that the residuals do not determine.
+
+    Args:
+        R: Jacobian, (n, m).
+        variance: s².
+    """
+    lengths = np.linalg.norm(R, axis=0)
+    lengths[lengths == 0] = 1.0
+    _, s, Vt = np.linalg.svd(R / lengths, full_matrices=False)
+    seen = s > BLIND * s.max(initial=0.0)
+    V = Vt[seen].T / s[seen]
+    result = variance * (V @ V.T) / np.outer(lengths, lengths)
+    blind = (np.abs(Vt[~seen]) > 1e-3).any(axis=0)
+    result[blind], result[:, blind] = np.inf, np.inf
+    return result
 
 
 def _minimise(
@@ -217,7 +296,7 @@ def _limits(start: Mapping[str, float], bounds: Mapping[str, tuple[float, float]
     return limits
 
 
-def _remark(parameter: Parameter) -> str:
+def _remark(parameter: Estimate) -> str:
     """Return what a reader of the table has to know."""
     if parameter.low is None:
         return "on its bound"

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from dolfinx_feti.workshop.data import Measure, stresses
+from dolfinx_feti.runtime.pictures import create_figure
 from dolfinx_feti.workshop.fitting import Fit
-from dolfinx_feti.workshop.response import Response
+from dolfinx_feti.workshop.response import Measure, Response, stresses
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,8 +46,8 @@ def plot_responses(
     if len(names) != len(responses):
         raise ValueError(f"names = {names}: give one for each of the {len(responses)} responses.")
     letter, title = _letter(measure)
-    figure = _figure(1)
-    ax = figure.axes[0]
+    figure = create_figure(4.8, 3.8)
+    ax = figure.subplots()
     for name, response in zip(names, responses, strict=True):
         for column, (i, j) in zip(
             stresses(response, measure).T, response.path.measured, strict=True
@@ -72,7 +72,9 @@ def plot_fit(fit: Fit) -> Figure:
     Raises:
         ImportError: matplotlib is not installed.
     """
-    figure = _figure(len(fit.data))
+    panels = len(fit.data)
+    figure = create_figure(4.8 * panels, 3.8)
+    figure.subplots(1, panels)
     for ax, data, curve in zip(figure.axes, fit.data, fit.curves(), strict=True):
         letter, title = _letter(data.measure)
         computed = stresses(curve, data.measure)
@@ -96,21 +98,3 @@ def _letter(measure: Measure) -> tuple[str, str]:
     if measure not in LETTERS:
         raise ValueError(f"measure = {measure!r}: choose 'cauchy' or 'piola'.")
     return LETTERS[measure]
-
-
-def _figure(panels: int) -> Figure:
-    """Return a figure with panels side by side, apart from the windows of pyplot.
-
-    Raises:
-        ImportError: matplotlib is not installed.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError(
-            "Pictures need matplotlib: install it (apt install python3-matplotlib, or pip install "
-            "matplotlib), or draw the arrays of the response with another tool."
-        ) from error
-    figure = Figure(figsize=(4.8 * panels, 3.8), layout="constrained")
-    figure.subplots(1, panels)
-    return figure

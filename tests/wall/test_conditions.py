@@ -25,7 +25,6 @@ from dolfinx_feti.wall import (
     Spring,
     apply_conditions,
     area,
-    free_motions,
 )
 
 LENGTH, PRESSURE = 1.0, 0.3
@@ -165,23 +164,6 @@ def test_shares_of_the_pressure(wall):
         boundary.pressure.value = 3.0
         results.append(value(ufl.action(boundary.residual, v)) / share)
     equal(results, np.full(3, results[0]), 1e-12)
-
-
-# -- rigid body motions
-
-
-def test_free_motions(wall, quarter):
-    for conditions, free in (
-        ({}, 6),
-        ({"lumen": Pressure(), "outer": Dashpot(1.0)}, 6),
-        ({"opening_1": Slide()}, 3),
-        (ENDS, 3),
-        ({"opening_1": Clamp()}, 0),
-        ({"outer": Spring(1e-3, "all")}, 0),
-        ({"opening_1": Spring(1.0)}, 3),
-    ):
-        agree(free_motions(wall, conditions) == free, (conditions, free))
-    agree(free_motions(quarter, QUARTER) == 0)
 
 
 # -- a problem

@@ -27,7 +27,6 @@ from dolfinx_feti.wall import (
     area,
     by_layer,
     create_wall,
-    free_motions,
     surface_measure,
 )
 
@@ -73,9 +72,6 @@ def test_without_layers_and_names(cell):
     mesh, _, facet_tags = box(cell)
     wall = create_wall(mesh, None, facet_tags)
     agree((wall.layers, wall.surfaces) == ({"wall": 1}, {"surface_4": 4, "surface_5": 5}))
-    agree(free_motions(wall, {"surface_4": Clamp()}) == 0)
-    agree(free_motions(wall, {"surface_4": Slide()}) == 3)
-    agree(free_motions(wall, {"surface_4": Slide(), "surface_5": Spring(1.0, "all")}) == 0)
 
 
 def test_curved_edges_are_cut_short():

@@ -25,8 +25,8 @@ from dolfinx_feti.workshop import (
     simple_shear,
     uniaxial,
 )
-from dolfinx_feti.workshop.data import stresses
-from dolfinx_feti.workshop.intervals import estimate
+from dolfinx_feti.workshop.fitting import estimate
+from dolfinx_feti.workshop.response import stresses
 
 pytestmark = pytest.mark.serial
 
