@@ -64,7 +64,7 @@ from dolfinx_feti.wall import (
 )
 from dolfinx_feti.wall.fibres import ANGLES, fibre_families, fibre_frame
 from meshes.arguments import refusals
-from meshes.walls import CREATE, create_wall
+from meshes.walls import CREATE, open_wall
 
 comm = MPI.COMM_WORLD
 started = time.perf_counter()
@@ -105,7 +105,7 @@ with refusals(parser):
             )
         source = case.mesh if case.mesh in CREATE else args.wall.parent / case.mesh
         scale = case.scale
-    wall, quality = create_wall(source, comm, size=args.size, folder=folder, scale=scale)
+    wall, quality = open_wall(source, comm, size=args.size, folder=folder, scale=scale)
     if case is None:
         angles = {name: angle for name, angle in ANGLES.items() if name in wall.layers}
         case = Case(

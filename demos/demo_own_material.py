@@ -45,7 +45,7 @@ from dolfinx_feti.wall import facets, openings, surface_measure
 from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
 from dolfinx_feti.workshop import check, compile_material
 from meshes.arguments import positive
-from meshes.walls import create_wall
+from meshes.walls import open_wall
 
 Expr = ufl.core.expr.Expr
 
@@ -57,7 +57,7 @@ args = parser.parse_args()
 
 comm = MPI.COMM_WORLD
 folder = writable_folder(args.output, comm)
-wall, _ = create_wall("tube", comm, size=args.size, folder=folder)
+wall, _ = open_wall("tube", comm, size=args.size, folder=folder)
 mesh = wall.mesh
 lumen = surface_measure(wall)(wall.surfaces["lumen"])
 rims = np.concatenate([facets(wall, name) for name in openings(wall)])

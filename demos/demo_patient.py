@@ -54,7 +54,7 @@ from dolfinx_feti.wall import apply_conditions, by_layer, read_case
 from dolfinx_feti.wall.fibres import fibre_families, frame_of
 from dolfinx_feti.wall.opening import Opening
 from meshes.arguments import count, positive, refusals
-from meshes.walls import CREATE, create_wall
+from meshes.walls import CREATE, open_wall
 
 parser = Parser("demo_patient.py", allow_abbrev=False)
 parser.add_argument("--case", type=Path, default=Path("demos/patient.toml"), help="a TOML file")
@@ -78,7 +78,7 @@ with refusals(parser):
     folder = writable_folder(args.output, comm)
     case = read_case(args.case, comm)
     source = case.mesh if case.mesh in CREATE else args.case.parent / case.mesh
-    wall, quality = create_wall(source, comm, size=args.size, folder=folder, scale=case.scale)
+    wall, quality = open_wall(source, comm, size=args.size, folder=folder, scale=case.scale)
     case.check(wall)
     if not 0.0 < case.image < case.pressure:
         raise ValueError(

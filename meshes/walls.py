@@ -23,13 +23,13 @@ from meshes.tube import create_tube
 from meshes.vessel import create_vessel
 from meshes.wall_mesh import Quality, WallMesh, measure_quality
 
-__all__ = ["CREATE", "create_tube_wall", "create_wall", "wall_quality"]
+__all__ = ["CREATE", "create_tube_wall", "open_wall", "wall_quality"]
 
 #: Generators of walls by name.
 CREATE = {"vessel": create_vessel, "tube": create_tube}
 
 
-def create_wall(
+def open_wall(
     source: str | Path,
     comm: MPI.Comm,
     *,

@@ -39,7 +39,7 @@ from dolfinx_feti.output import writable_folder
 from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.wall import Wall
 from meshes.arguments import count, positive
-from meshes.walls import create_wall
+from meshes.walls import open_wall
 
 __all__ = ["main"]
 
@@ -61,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = command.parse_words(parser, argv)
     records = command.open_records(args.json, parser, comm)
     folder = writable_folder(args.folder, comm)
-    wall, _ = create_wall(args.geometry, comm, size=args.size, folder=folder)
+    wall, _ = open_wall(args.geometry, comm, size=args.size, folder=folder)
     shared = {name: getattr(args, name) for name in (*PHYSICS, "subdomains", "rtol")}
     lost = 0
     for kind in args.type:

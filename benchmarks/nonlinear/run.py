@@ -45,7 +45,7 @@ from dolfinx_feti.output import writable_folder
 from dolfinx_feti.wall import Wall
 from dolfinx_feti.wall.fibres import Frame, fibre_frame
 from meshes.arguments import count, positive
-from meshes.walls import create_wall
+from meshes.walls import open_wall
 
 __all__ = ["is_known", "is_solved", "main"]
 
@@ -117,7 +117,7 @@ def _run_all(
 ) -> None:
     """Run cases on one wall, each decomposition made once; the records are written after each."""
     folder = writable_folder(args.folder, comm)
-    wall, _ = create_wall(args.geometry, comm, size=args.size, folder=folder)
+    wall, _ = open_wall(args.geometry, comm, size=args.size, folder=folder)
     frame = fibre_frame(wall)
     contacts = dict.fromkeys(str(case["contact"]) for case in cases)
     parts = {contact: partition(wall, args.subdomains, contact) for contact in contacts}

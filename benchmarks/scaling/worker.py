@@ -46,7 +46,7 @@ from dolfinx_feti.feti.coarse.whole import WholeFactor
 from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.wall import Wall, read_wall, write_wall
 from dolfinx_feti.wall.fibres import fibre_frame
-from meshes.walls import create_wall
+from meshes.walls import open_wall
 
 __all__ = ["main"]
 
@@ -177,7 +177,7 @@ def _written(case: Record, comm: MPI.Comm) -> Path:
     folder, name = Path(str(case["folder"])), f"{case['geometry']}_{case['size']:g}_{comm.size}"
     path = folder / f"{name}.xdmf"
     if not comm.bcast(path.is_file()):
-        wall, _ = create_wall(case["geometry"], comm, size=case["size"], folder=folder)
+        wall, _ = open_wall(case["geometry"], comm, size=case["size"], folder=folder)
         write_wall(path, wall)
     return path
 

@@ -39,7 +39,7 @@ from ufl.domain import extract_domains
 from dolfinx_feti.runtime.compat import geometry_dofmap, interpolation_points
 from dolfinx_feti.fem.compiler import Compiler
 
-__all__ = ["Incidence", "Patches", "Spread", "create_patches", "fit", "moments"]
+__all__ = ["Incidence", "Patches", "Scatter", "create_patches", "recover", "moments"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -81,7 +81,7 @@ class Incidence:
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class Scatter:
     """Where the data of each patch lie.
 
     Attributes:
@@ -107,8 +107,8 @@ class Patches:
         points: Quadrature points of the reference cell, (n_q, d).
         weights: Maps values at these points to their mean and to the means of the values times the
             reference coordinates relative to the centroid, (1 + d, n_q).
-        inside: Spread of the values inside the cells.
-        means: Spread of the means over the cells.
+        inside: Scatter of the values inside the cells.
+        means: Scatter of the means over the cells.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -117,8 +117,8 @@ class Patches:
     volumes: Array
     points: Array
     weights: Array
-    inside: Spread
-    means: Spread
+    inside: Scatter
+    means: Scatter
 
 
 def create_patches(
@@ -152,7 +152,7 @@ def create_patches(
     volumes = np.abs(np.linalg.det(edges)) * w.sum()
     inner = edges @ (weights[1:] @ points) @ np.swapaxes(edges, 1, 2)  # dx/dX cov(X, X) dx/dXᵀ
     inside, means = (
-        _spread(incidence, corners.mean(axis=1), volumes, covariance)
+        _scatter(incidence, corners.mean(axis=1), volumes, covariance)
         for covariance in (inner, np.zeros_like(inner))
     )
     return Patches(mesh, incidence, corners, volumes, points, weights, inside, means)
@@ -204,7 +204,7 @@ def moments(expression: Expr, patches: Patches) -> Array:
     return integrals
 
 
-def fit(patches: Patches, data: Array, *, means: bool, sweeps: int) -> Array:
+def recover(patches: Patches, data: Array, *, means: bool, sweeps: int) -> Array:
     """Fit a field that is continuous in each layer.
 
     Args:
@@ -230,7 +230,7 @@ def fit(patches: Patches, data: Array, *, means: bool, sweeps: int) -> Array:
 
 def _blend(patches: Patches, data: Array, nodes: Array, *, means: bool) -> Array:
     """Return Σ_v φ_v (m_v + G_v (x − x̄_v)) at the nodes of the owned cells, (n_c, nodes, m)."""
-    spread = patches.means if means else patches.inside
+    scatter = patches.means if means else patches.inside
     n_cells, n_rows, size = data.shape
     product = patches.corners.mean(axis=1)[:, :, None] * data[:, :1]  # means of x f
     if not means:
@@ -239,17 +239,17 @@ def _blend(patches: Patches, data: Array, nodes: Array, *, means: bool) -> Array
         patches.volumes[:, None]
         * np.concatenate([data[:, :1], product], axis=1).reshape(n_cells, n_rows * size)
     )
-    mean, product = np.split((sums / spread.volume).reshape(-1, n_rows, size), [1], axis=1)
-    slope = spread.inverse @ (product - spread.centre[:, :, None] * mean)  # cov(x, x)⁺ cov(x, f)
+    mean, product = np.split((sums / scatter.volume).reshape(-1, n_rows, size), [1], axis=1)
+    slope = scatter.inverse @ (product - scatter.centre[:, :, None] * mean)  # cov(x, x)⁺ cov(x, f)
     hats = np.column_stack([1.0 - nodes.sum(axis=1), nodes])
     x = hats @ patches.corners
     field = np.zeros((n_cells, len(nodes), size))
     for hat, v in zip(hats.T, patches.incidence.rows.T, strict=True):
-        field += hat[:, None] * (mean[v] + (x - spread.centre[v, None]) @ slope[v])
+        field += hat[:, None] * (mean[v] + (x - scatter.centre[v, None]) @ slope[v])
     return field
 
 
-def _spread(incidence: Incidence, x: Array, volumes: Array, inner: Array) -> Spread:
+def _scatter(incidence: Incidence, x: Array, volumes: Array, inner: Array) -> Scatter:
     """Sum up where the data lie.
 
     Args:
@@ -263,7 +263,7 @@ def _spread(incidence: Incidence, x: Array, volumes: Array, inner: Array) -> Spr
     volume = np.where(sums[:, :1] > 0, sums[:, :1], 1.0)  # a vertex may have no cell in a layer
     centre, product = np.split(sums[:, 1:] / volume, [x.shape[1]], axis=1)
     covariance = product.reshape(-1, *inner.shape[1:]) - centre[:, :, None] * centre[:, None]
-    return Spread(volume, centre, np.linalg.pinv(covariance, rcond=FLAT_PATCH, hermitian=True))
+    return Scatter(volume, centre, np.linalg.pinv(covariance, rcond=FLAT_PATCH, hermitian=True))
 
 
 def _create_incidence(mesh: dolfinx.mesh.Mesh, layer: Indices, layers: int) -> Incidence:

@@ -34,7 +34,7 @@ from ufl.core.expr import Expr
 
 from dolfinx_feti.runtime.compat import interpolation_points
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.output.patches import Patches, fit, moments
+from dolfinx_feti.output.patches import Patches, moments, recover
 
 __all__ = ["components", "layer_means", "principal_values", "recovered_field"]
 
@@ -94,10 +94,10 @@ def recovered_field(
             "what an earlier call for the same expression has returned, or None."
         )
     data = moments(expression, patches)
-    field = fit(patches, data, means=_constant_in_cells(data, patches), sweeps=SWEEPS)
+    field = recover(patches, data, means=_constant_in_cells(data, patches), sweeps=SWEEPS)
     if normal is not None:
         n = _recovered_normal(normal, patches)
-        means = fit(patches, data, means=True, sweeps=SWEEPS)
+        means = recover(patches, data, means=True, sweeps=SWEEPS)
         field += _along(n, means - field)
     dofs = V.dofmap.list[: len(field)]
     result.x.array.reshape(-1, field.shape[2])[dofs] = field
@@ -222,7 +222,7 @@ def layer_means(
 
 def _recovered_normal(normal: Expr, patches: Patches) -> Array:
     """Return unit normals at the nodes, (n_c, nodes, d)."""
-    n = fit(patches, moments(normal, patches), means=True, sweeps=1)
+    n = recover(patches, moments(normal, patches), means=True, sweeps=1)
     length = np.linalg.norm(n, axis=2, keepdims=True)
     wrong = patches.mesh.comm.allreduce(int((length == 0.0).sum()))
     if wrong:

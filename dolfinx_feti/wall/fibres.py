@@ -50,6 +50,9 @@ ANGLES = {"media": 29.0, "adventitia": 62.0}
 # Below this fraction of the median a gradient has no reliable direction (at stagnation points).
 WEAK = 2e-3
 
+# Relative difference below which two openings have the same area.
+SAME_AREA = 1e-9
+
 Vectors = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
@@ -140,8 +143,8 @@ def potentials(
             "needs at least two; name them by ends="
         )
     if inlet is None:
-        areas = [round(area(wall, name), 9) for name in names]
-        inlet = names[int(np.argmax(areas))]
+        areas = np.array([area(wall, name) for name in names])
+        inlet = names[int(np.argmax(areas >= (1.0 - SAME_AREA) * areas.max()))]
     if inlet not in names:
         raise ValueError(f"inlet={inlet!r} is not an opening; choose one of {', '.join(names)}")
     prefix = require_prefix(petsc_options_prefix)

@@ -20,7 +20,7 @@ from dolfinx_feti.workshop.ellipticity import Ellipticity, least_eigenvalues, sc
 from dolfinx_feti.workshop.fitting import Estimate, Fit, fit
 from dolfinx_feti.workshop.moduli import Compliance, Moduli, small_strain_moduli
 from dolfinx_feti.workshop.paths import (
-    Path,
+    MaterialTest,
     biaxial,
     equibiaxial,
     inflation,
@@ -40,8 +40,8 @@ __all__ = [
     "Estimate",
     "Fit",
     "Material",
+    "MaterialTest",
     "Moduli",
-    "Path",
     "Report",
     "Response",
     "States",

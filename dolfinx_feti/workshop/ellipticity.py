@@ -24,7 +24,7 @@ from dolfinx_feti.runtime.tables import Cell, table
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.directions import hemisphere, minimise, tangents
 from dolfinx_feti.workshop.equilibrium import equilibrate, stiffness_scale
-from dolfinx_feti.workshop.paths import Path
+from dolfinx_feti.workshop.paths import MaterialTest
 
 __all__ = ["Ellipticity", "least_eigenvalues", "scan_ellipticity"]
 
@@ -72,7 +72,7 @@ class Ellipticity:
 
 
 def scan_ellipticity(
-    material: Material, make_path: Callable[[npt.ArrayLike], Path], values: npt.ArrayLike
+    material: Material, make_path: Callable[[npt.ArrayLike], MaterialTest], values: npt.ArrayLike
 ) -> Ellipticity:
     """Follow the least eigenvalue of the acoustic tensor along a path.
 
@@ -132,7 +132,7 @@ def least_eigenvalues(F: Array, A: Array, *, incompressible: bool) -> tuple[Arra
     return values, normals, polarisations
 
 
-def _along(material: Material, path: Path) -> tuple[Array, Array, Array]:
+def _along(material: Material, path: MaterialTest) -> tuple[Array, Array, Array]:
     """Least eigenvalues with n and m; NaN where there is no equilibrium, or no finite tangent."""
     equilibria = equilibrate(material, path.F, path.free)
     n = len(path.F)

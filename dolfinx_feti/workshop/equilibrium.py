@@ -65,7 +65,7 @@ class Equilibrium:
 
 
 @dataclass(frozen=True, slots=True)
-class _Problem:
+class _Balance:
     """What does not change in Newton's method.
 
     Attributes:
@@ -82,7 +82,7 @@ class _Problem:
 
 
 @dataclass(frozen=True, slots=True)
-class _State:
+class _Trial:
     """Trial states, with residuals (n, m) and tangents (n, m, m) in x and p, without units."""
 
     F: Array
@@ -123,7 +123,7 @@ def equilibrate(material: Material, F: Array, free: Array) -> Equilibrium:
         )
     bare = replace(material, kappa=0.0)
     flexibility = None if material.kappa == 0 else 1 / material.kappa
-    problem = _Problem(bare, flexibility, free, np.float64(stiffness_scale(bare)))
+    problem = _Balance(bare, flexibility, free, np.float64(stiffness_scale(bare)))
     states = Equilibrium(F.copy(), np.zeros(len(F)), np.zeros(len(F), dtype=bool))
     for steps in LOAD_STEPS:
         left = np.flatnonzero(~states.converged)
@@ -153,7 +153,7 @@ def stiffness_scale(material: Material) -> float:
     return scale if 0.0 < scale < np.inf else 1.0
 
 
-def _approach(problem: _Problem, F: Array, steps: int) -> Equilibrium:
+def _approach(problem: _Balance, F: Array, steps: int) -> Equilibrium:
     """Go from the reference to F in equal steps; the first and only one starts from the guess."""
     free, at_rest = problem.free, np.broadcast_to(np.eye(3), F.shape)
     x = _entries(F if steps == 1 else at_rest, free)
@@ -169,7 +169,7 @@ def _approach(problem: _Problem, F: Array, steps: int) -> Equilibrium:
     return Equilibrium(state.F, state.p, alive)
 
 
-def _newton(problem: _Problem, F: Array, p: Array, alive: Mask) -> tuple[_State, Mask]:
+def _newton(problem: _Balance, F: Array, p: Array, alive: Mask) -> tuple[_Trial, Mask]:
     """Newton's method for the states that are alive, and which of them have converged."""
     state = _assemble(problem, F, p)
     done: Mask = np.zeros(len(F), dtype=bool)
@@ -186,7 +186,7 @@ def _newton(problem: _Problem, F: Array, p: Array, alive: Mask) -> tuple[_State,
     return state, done & np.isfinite(state.norm)
 
 
-def _increments(problem: _Problem, state: _State, going: Mask) -> tuple[Array, Array]:
+def _increments(problem: _Balance, state: _Trial, going: Mask) -> tuple[Array, Array]:
     """Newton increments of the free entries (n, k) and of p (n,); zero for states at rest."""
     k = len(problem.free)
     K = np.where(going[:, None, None], state.K, np.eye(state.r.shape[1]))
@@ -199,8 +199,8 @@ def _increments(problem: _Problem, state: _State, going: Mask) -> tuple[Array, A
 
 
 def _move(
-    problem: _Problem, state: _State, dx: Array, dp: Array, *, resting: Mask
-) -> tuple[_State, Mask]:
+    problem: _Balance, state: _Trial, dx: Array, dp: Array, *, resting: Mask
+) -> tuple[_Trial, Mask]:
     """Move by steps so short that the residuals decrease, and say where they do.
 
     States that rest take their last, full increment, whatever their residual.
@@ -216,13 +216,13 @@ def _move(
     return trial, moved
 
 
-def _assemble(problem: _Problem, F: Array, p: Array) -> _State:
+def _assemble(problem: _Balance, F: Array, p: Array) -> _Trial:
     """Residuals and tangents; p where it is NaN gets the value that suits F best."""
     free, scale = problem.free, problem.scale
     states, cof = evaluate(problem.energy, F), cofactor(F)
     r = _entries(states.P / scale, free)
     if problem.flexibility is None:
-        return _State(F, np.zeros(len(F)), r, _restrict(states.A / scale, free))
+        return _Trial(F, np.zeros(len(F)), r, _restrict(states.A / scale, free))
     volume = _entries(cof, free)
     best = -scale * (r * volume).sum(axis=1) / np.maximum((volume**2).sum(axis=1), COLLAPSED)
     p = np.where(np.isnan(p), best, p)
@@ -232,7 +232,7 @@ def _assemble(problem: _Problem, F: Array, p: Array) -> _State:
     K[:, -1, -1] = -scale * problem.flexibility
     gap = _pair(cof, F) / 3 - 1 - p * problem.flexibility
     r = np.column_stack((r + (p / scale)[:, None] * volume, gap))
-    return _State(F, p, r, K)
+    return _Trial(F, p, r, K)
 
 
 def _cofactor_tangent(F: Array) -> Array:

@@ -35,7 +35,7 @@ from dolfinx_feti.mechanics.values import require_positive
 
 __all__ = [
     "STANDARD_PATHS",
-    "Path",
+    "MaterialTest",
     "biaxial",
     "equibiaxial",
     "inflation",
@@ -52,7 +52,7 @@ OUT_OF_PLANE = ((2, 2), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True, slots=True)
-class Path:
+class MaterialTest:
     """A path of homogeneous deformations.
 
     Attributes:
@@ -74,7 +74,7 @@ class Path:
     measured: tuple[tuple[int, int], ...]
 
 
-def uniaxial(stretch: npt.ArrayLike, *, along: Sequence[float] = E1) -> Path:
+def uniaxial(stretch: npt.ArrayLike, *, along: Sequence[float] = E1) -> MaterialTest:
     """Uniaxial tension or compression.
 
     Args:
@@ -99,7 +99,7 @@ def biaxial(
     along: Sequence[float] = E1,
     across: Sequence[float] = E2,
     name: str = "biaxial",
-) -> Path:
+) -> MaterialTest:
     """Biaxial tension of a sheet.
 
     Args:
@@ -124,14 +124,14 @@ def biaxial(
 
 def equibiaxial(
     stretch: npt.ArrayLike, *, along: Sequence[float] = E1, across: Sequence[float] = E2
-) -> Path:
+) -> MaterialTest:
     """Equibiaxial tension of a sheet, see :func:`biaxial`."""
     return biaxial(stretch, stretch, along=along, across=across, name="equibiaxial")
 
 
 def pure_shear(
     stretch: npt.ArrayLike, *, along: Sequence[float] = E1, across: Sequence[float] = E2
-) -> Path:
+) -> MaterialTest:
     """Tension of a wide sheet that keeps its width (planar tension), see :func:`biaxial`."""
     return biaxial(stretch, 1.0, along=along, across=across, name="pure shear")
 
@@ -142,7 +142,7 @@ def inflation(
     axial: float = 1.1,
     along: Sequence[float] = E1,
     across: Sequence[float] = E2,
-) -> Path:
+) -> MaterialTest:
     """Inflation of a thin tube at a fixed axial stretch.
 
     Args:
@@ -160,7 +160,7 @@ def inflation(
 
 def simple_shear(
     shear: npt.ArrayLike, *, along: Sequence[float] = E1, across: Sequence[float] = E2
-) -> Path:
+) -> MaterialTest:
     """Simple shear, F = I + γ e₁ ⊗ e₂, with F₃₃ free.
 
     Args:
@@ -177,7 +177,7 @@ def simple_shear(
     return _path("simple shear", "γ", shear, F, OUT_OF_PLANE, (along, across), ((0, 1),))
 
 
-def refine(path: Path, n: int) -> Path:
+def refine(path: MaterialTest, n: int) -> MaterialTest:
     """Interpolate a path linearly at n states from its first to its last one, in their order."""
     known = np.linspace(0.0, 1.0, len(path.values))
     new = np.linspace(0.0, 1.0, n)
@@ -190,7 +190,7 @@ def refine(path: Path, n: int) -> Path:
 
 
 #: The paths along which :func:`~dolfinx_feti.workshop.report.check` goes, by their symbols.
-STANDARD_PATHS: Mapping[str, tuple[Callable[[npt.ArrayLike], Path], ...]] = {
+STANDARD_PATHS: Mapping[str, tuple[Callable[[npt.ArrayLike], MaterialTest], ...]] = {
     "λ": (uniaxial, equibiaxial, pure_shear, inflation),
     "γ": (simple_shear,),
 }
@@ -204,13 +204,13 @@ def _path(
     free: Sequence[tuple[int, int]],
     directions: tuple[npt.ArrayLike, npt.ArrayLike],
     measured: tuple[tuple[int, int], ...],
-) -> Path:
+) -> MaterialTest:
     """Return a path whose F and free entries are given in the loading frame."""
     R = _frame(*directions)
     units = np.zeros((len(free), 3, 3))
     for unit, entry in zip(units, free, strict=True):
         unit[entry] = 1.0
-    return Path(name, symbol, values, R @ F @ R.T, R @ units @ R.T, R, measured)
+    return MaterialTest(name, symbol, values, R @ F @ R.T, R @ units @ R.T, R, measured)
 
 
 def _frame(along: npt.ArrayLike, across: npt.ArrayLike) -> Array:

@@ -17,7 +17,7 @@ from dolfinx_feti.workshop.checks import Check, Law, check_law, show
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.ellipticity import Ellipticity, scan_ellipticity
 from dolfinx_feti.workshop.moduli import ZERO_STIFFNESS, Moduli, small_strain_moduli
-from dolfinx_feti.workshop.paths import STANDARD_PATHS, Path
+from dolfinx_feti.workshop.paths import STANDARD_PATHS, MaterialTest
 
 __all__ = ["Report", "check"]
 
@@ -100,7 +100,7 @@ def check(
     return Report(material, tuple(checks), moduli, scans)
 
 
-def _check_finite_along(law: Law, paths: Sequence[Path]) -> Check:
+def _check_finite_along(law: Law, paths: Sequence[MaterialTest]) -> Check:
     """Count the states of all paths, with guesses in their free entries, that are no numbers."""
     name, lost, first = "finite values along the paths", 0, ""
     for path in paths:

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from dolfinx_feti.runtime.tables import state, table
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.equilibrium import cofactor, equilibrate
-from dolfinx_feti.workshop.paths import Path
+from dolfinx_feti.workshop.paths import MaterialTest
 
 __all__ = [
     "DataSet",
@@ -53,7 +53,7 @@ class Response:
         converged: Whether the state was found, (n,).
     """
 
-    path: Path
+    path: MaterialTest
     F: Array
     p: Array
     psi: Array
@@ -86,7 +86,7 @@ class Response:
         return "\n".join(lines)
 
 
-def respond(material: Material, path: Path) -> Response:
+def respond(material: Material, path: MaterialTest) -> Response:
     """Compute the stresses of a material along a path.
 
     Args:
@@ -120,7 +120,7 @@ class DataSet:
         name: Name in tables and pictures.
     """
 
-    path: Path
+    path: MaterialTest
     stress: Array
     measure: Measure
     weight: float
@@ -128,7 +128,7 @@ class DataSet:
 
 
 def data_set(
-    path: Path,
+    path: MaterialTest,
     stress: npt.ArrayLike,
     *,
     measure: Measure,

@@ -10,10 +10,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from broken_walls import BROKEN, EXAMPLE, example
-from collective import COMM, agree, equal, raises
+from collective import COMM, agree, equal, raises, small, whole
+from problems import owned
 from wall_files import on_first
 
-from dolfinx_feti.wall import area, read_case, read_wall
+import dolfinx
+
+from dolfinx_feti.wall import (
+    Clamp,
+    Pressure,
+    Slide,
+    apply_conditions,
+    area,
+    read_case,
+    read_wall,
+)
+from dolfinx_feti.wall.fibres import Frame, fibre_frame
 from meshes.wall_mesh import write_msh
 
 
@@ -51,3 +63,17 @@ def test_nothing_depends_on_the_unit_of_length(tmp_path, scale):
         [area(same, n) for n in same.surfaces],
         1e-9,
     )
+    frames = fibre_frame(wall), fibre_frame(same)
+    for e, expected in zip(*(directions(frame) for frame in frames), strict=True):
+        small(np.abs(e - expected).max(), 1e-6)
+    for each in (wall, same):
+        V = dolfinx.fem.functionspace(each.mesh, ("Lagrange", 1, (3,)))
+        conditions = {"lumen": Pressure(), "opening_1": Clamp(), "opening_2": Slide()}
+        boundary = apply_conditions(each, dolfinx.fem.Function(V), conditions, axis="z")
+        agree(boundary.energy is not None, "the pressure has a potential")
+
+
+def directions(frame: Frame) -> list[np.ndarray]:
+    """The vectors of the owned cells, each sorted."""
+    parts = (frame.circumferential, frame.longitudinal, frame.transmural)
+    return [np.sort(whole(owned(f)).reshape(-1, 3), axis=0) for f in parts]

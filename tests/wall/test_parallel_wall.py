@@ -24,7 +24,7 @@ import ufl
 from dolfinx_feti.wall import area, convert, read_wall, write_wall, xdmf
 from dolfinx_feti.wall.wall import extent
 from meshes.bricks import create_brick_tube
-from meshes.walls import create_wall
+from meshes.walls import open_wall
 
 #: The end of the light data's list: the largest layer, and how many cells each process has written.
 PARTS = re.compile(r'(, (?:\d+|null))(, \d+)*\]" />')
@@ -144,9 +144,9 @@ def test_convert(tmp_path, capsys):
 def test_generated_walls_are_read_by_all(tmp_path):
     """Their quality does not depend on the number of processes."""
     folder = COMM.bcast(tmp_path)
-    wall, quality = create_wall("tube", COMM, size=0.4, folder=folder)
+    wall, quality = open_wall("tube", COMM, size=0.4, folder=folder)
     agree((folder / "tube_0.4.xdmf").is_file() and (folder / "tube_0.4.h5").is_file())
-    alone = on_first(lambda: create_wall("tube", MPI.COMM_SELF, size=0.4, folder=folder)[1])
+    alone = on_first(lambda: open_wall("tube", MPI.COMM_SELF, size=0.4, folder=folder)[1])
     agree(quality.histogram == alone.histogram and quality.points == alone.points)
     small(quality.mean - alone.mean, 1e-12)
     small(quality.volume / sum(volumes(wall).values()) - 1.0, 1e-11)

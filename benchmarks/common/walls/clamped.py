@@ -22,7 +22,7 @@ from benchmarks.common.walls.problem import WallProblem, create_wall_problem
 from dolfinx_feti import materials
 from dolfinx_feti.wall.fibres import ANGLES
 from meshes.tube import INNER_RADIUS, MEDIA
-from meshes.walls import create_tube_wall, create_wall
+from meshes.walls import create_tube_wall, open_wall
 
 __all__ = [
     "FIRST_PRESSURE",
@@ -88,7 +88,7 @@ def create_clamped_vessel(
         ValueError: For less than 50 000 dofs the elements would be too long for a wall of 1 mm.
     """
     size = SIZE * (DOFS[degree] / dofs) ** 0.5  # it is a surface
-    wall, _ = create_wall("vessel", comm, size=size, folder=folder)
+    wall, _ = open_wall("vessel", comm, size=size, folder=folder)
     return create_wall_problem(
         wall,
         degree=degree,
