@@ -124,6 +124,14 @@ changed("facet_twice.msh", "triangles of .* have two tags",
         surfaces=lambda m: np.append(m.surfaces, [12, 12]))  # fmt: skip
 changed("cells_without_group.msh", "5 cells of .* are in no physical volume",
         layers=lambda m: np.where(np.arange(len(m.cells)) < 5, 0, m.layers))  # fmt: skip
+changed("layer_without_name.msh", "no name for some cells.*nameless = 777",
+        layers=lambda m: np.where(np.arange(len(m.cells)) < 5, 777, m.layers))  # fmt: skip
+changed("flat_cell.msh", "1 tetrahedra of .* have no volume",
+        cells=lambda m: np.vstack([m.cells, m.cells[:1, [0, 1, 2, 2]]]),
+        layers=lambda m: np.append(m.layers, 1))  # fmt: skip
+changed("stray_facet.msh", "1 tagged triangles of .* are not faces",
+        facets=lambda m: np.vstack([m.facets, [[0, 1, len(m.points) - 1]]]),
+        surfaces=lambda m: np.append(m.surfaces, 3))  # fmt: skip
 changed("surfaces_alone.msh", "no named layer",
         cells=lambda m: m.cells[:0], layers=lambda m: m.layers[:0])  # fmt: skip
 changed("no_surface.msh", "no named surface",

@@ -64,9 +64,6 @@ def test_mmhg():
     assert loads.mmhg(1) == pytest.approx(0.1333223684, rel=1e-9)
     assert loads.mmhg(760) == pytest.approx(101.325, rel=1e-15)
     assert loads.mmhg(0) == 0
-    for bad in (float("nan"), float("inf")):
-        with pytest.raises(ValueError, match="value = "):
-            loads.mmhg(bad)
 
 
 @dims

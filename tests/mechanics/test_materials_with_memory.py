@@ -153,13 +153,6 @@ def test_damaged_energy_is_the_integral_of_its_stress():
         small(dolfinx.fem.assemble_scalar(form) - expected, 1e-12)
 
 
-def test_bad_parameters(block):
-    with raises(ValueError, "time = 0.0: give a positive"):
-        memory.MaxwellBranch(block.remembered((3, 3)), share=0.5, time=0.0)
-    with raises(ValueError, "d_max = -1"):
-        memory.damaged(block.psi, block.remembered(), d_max=-1, W=0.1)
-
-
 def test_bad_internal_variables(block):
     with raises(ValueError, r"internal variable 'ξ' has the shape \(3, 3\), but 'ξ' has \(\)"):
         block.problem(block.psi, {block.remembered(): block.F})

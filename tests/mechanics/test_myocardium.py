@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from mpi4py import MPI
 
 import numpy as np
@@ -148,25 +146,3 @@ def test_reference_state_is_free_of_energy_and_stress(energy):
 def test_change_of_volume_is_not_seen(energy):
     found = [value(energy(variable(s * ANY))) for s in (1.0, 1.3)]
     assert found[0] == pytest.approx(found[1], rel=1e-12)
-
-
-# -- parameters --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("bad", [0, -2.5, float("nan"), float("inf")])
-@pytest.mark.parametrize("name", sorted(LAND | PIG))
-def test_bad_parameters(name, bad):
-    C, a = variable(np.eye(3)), vector(FIBRE)
-    for law, good in (
-        (partial(mat.guccione, C, a), LAND),
-        (partial(mat.holzapfel_ogden, C, a, a), PIG),
-    ):
-        if name in good:
-            with pytest.raises(ValueError, match=f"^{name} = "):
-                law(**{**good, name: bad})
-
-
-@pytest.mark.parametrize("bad", [-1.0, float("nan"), float("inf")])
-def test_bad_tension(bad):
-    with pytest.raises(ValueError, match=r"tension = .*: give a finite number that is not"):
-        contracting(variable(np.eye(3)), tension=bad)

@@ -76,32 +76,3 @@ def test_dashpots_resist_the_rate(direction):
     assert scalar(energy) == 0.0
     step.value, last.x.array[:] = STEP, u.x.array
     assert scalar(energy) == 0.0
-
-
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
-        ({"stiffness": -1.0}, "stiffness = -1.0: give a finite number"),
-        ({"stiffness": float("nan")}, "stiffness = nan"),
-        ({"direction": "tangential"}, "direction = 'tangential': choose 'normal' or 'all'"),
-    ],
-)
-def test_bad_springs(change, match):
-    arguments = {"stiffness": 1.0, "u": constant(0, 0, 0), "ds": cube()[1]} | change
-    with pytest.raises(ValueError, match=match):
-        supports.spring_energy(**arguments)
-
-
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
-        ({"viscosity": float("inf")}, "viscosity = inf"),
-        ({"time_step": 0.0}, "time_step = 0.0: give a positive number of seconds"),
-        ({"time_step": float("nan")}, "time_step = nan"),
-    ],
-)
-def test_bad_dashpots(change, match):
-    u = constant(0, 0, 0)
-    arguments = {"viscosity": 1.0, "u": u, "last": u, "time_step": 1.0, "ds": cube()[1]} | change
-    with pytest.raises(ValueError, match=match):
-        supports.dashpot_energy(**arguments)

@@ -249,22 +249,6 @@ def test_bad_conditions(wall, conditions, match):
         apply_conditions(wall, displacement(wall), conditions)
 
 
-@pytest.mark.parametrize(
-    ("make", "match"),
-    [
-        (lambda: Spring(0.0), "stiffness=0.0: give a positive number"),
-        (lambda: Spring(float("nan")), "stiffness=nan"),
-        (lambda: Dashpot(-1.0), "viscosity=-1.0"),
-        (lambda: Spring(1.0, "radial"), "direction='radial': choose 'normal' or 'all'"),
-        (lambda: Pressure(0.0), "share=0.0"),
-        (lambda: Pressure(float("inf")), "share=inf"),
-    ],
-)
-def test_bad_values(make, match):
-    with raises(ValueError, match):
-        make()
-
-
 def test_bad_stretch(wall):
     u = displacement(wall)
     with raises(ValueError, "axis='r': choose 'x', 'y' or 'z'"):

@@ -276,45 +276,6 @@ def test_other_cells(tmp_path, suffix, kind):
         read_wall(path, COMM)
 
 
-def test_cells_without_layer(tmp_path, raw):
-    layers = np.where(np.arange(len(raw.cells)) < 5, 0, raw.layers)
-    with raises(ValueError, "5 cells of .* in no physical volume"):
-        read_changed(tmp_path, replace(raw, layers=layers))
-
-
-def test_layer_without_name(tmp_path, raw):
-    layers = np.where(np.arange(len(raw.cells)) < 5, 777, raw.layers)
-    with raises(ValueError, "no name for some cells.*nameless = 777"):
-        read_changed(tmp_path, replace(raw, layers=layers))
-
-
-def test_flat_cells(tmp_path, raw):
-    cells = np.vstack([raw.cells, raw.cells[:1, [0, 1, 2, 2]]])
-    layers = np.append(raw.layers, 1)
-    with raises(ValueError, "1 tetrahedra .* no volume"):
-        read_changed(tmp_path, replace(raw, cells=cells, layers=layers))
-
-
-def test_triangles_with_two_tags(tmp_path, raw):
-    twice = np.vstack([raw.facets, raw.facets[:3]])
-    surfaces = np.append(raw.surfaces, [12, 12, 12])
-    with raises(ValueError, "3 triangles .* two tags"):
-        read_changed(tmp_path, replace(raw, facets=twice, surfaces=surfaces))
-
-
-def test_triangles_off_the_cells(tmp_path, raw):
-    stray = np.vstack([raw.facets, [[0, 1, len(raw.points) - 1]]])
-    with raises(ValueError, "1 tagged triangles .* not faces"):
-        read_changed(tmp_path, replace(raw, facets=stray, surfaces=np.append(raw.surfaces, 3)))
-
-
-@pytest.mark.parametrize("name", ["wall.msh", "wall.vtu", "wall.dat0"])
-def test_nonsense(tmp_path, name):
-    on_first(lambda: (tmp_path / name).write_text("no mesh at all\n"))
-    with raises(ValueError, rf"cannot read .*{name}|has no "):
-        read_wall(tmp_path / name, COMM)
-
-
 def test_no_file(tmp_path):
     with raises(FileNotFoundError, "There is no file .*nowhere.msh"):
         read_wall(tmp_path / "nowhere.msh", COMM)
