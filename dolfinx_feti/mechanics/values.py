@@ -41,7 +41,7 @@ def require_within(
     for name, value in values.items():
         if isinstance(value, Expr):
             continue
-        if not isinstance(value, Real):
+        if isinstance(value, bool) or not isinstance(value, Real):
             raise TypeError(f"{name}{sign}{value!r}: expected a number or a UFL expression.")
         x = float(value)
         if not (math.isfinite(x) and (low <= x <= high if ends else low < x < high)):

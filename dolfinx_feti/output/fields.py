@@ -16,6 +16,7 @@ are fields of a submesh, which has a file of its own; those of a submesh of vert
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -85,6 +86,7 @@ class FieldWriter:
                 the file in each cell, linear ones (VTX) or means (XDMF); or at the ``points``.
 
         Raises:
+            TypeError: ``functions`` holds something else.
             ValueError: ``kind`` or ``quadrature`` is unknown or the mesh has cells that it cannot
                 show, there is no function, two fields have one name, or a field cannot be written:
                 it is mixed, lives on another mesh or on facets, or has several quadrature rules.
@@ -94,6 +96,12 @@ class FieldWriter:
             Collective.
         """
         expressions = expressions or {}
+        for f in functions:
+            if not isinstance(f, dolfinx.fem.Function):
+                raise TypeError(
+                    f"functions holds {f!r}: give Functions of dolfinx. Tags of cells become one in "
+                    "the space ('DG', 0), tags of facets one on a submesh of these facets."
+                )
         names = [*(f.name for f in functions), *expressions]
         if not functions or len(set(names)) < len(names):
             raise ValueError(
@@ -133,9 +141,14 @@ class FieldWriter:
         Args:
             t: Time, or another quantity that orders the steps, such as the load.
 
+        Raises:
+            ValueError: It is not finite.
+
         Note:
             Collective.
         """
+        if not math.isfinite(t):
+            raise ValueError(f"t={t}: give a finite time or load.")
         for update in self._updates:
             update()
         if isinstance(self._file, dolfinx.io.XDMFFile):

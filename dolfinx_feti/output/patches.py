@@ -140,7 +140,7 @@ def create_patches(
         Collective.
     """
     _check_mesh(mesh)
-    if degree < 3:
+    if not degree >= 3:
         raise ValueError(f"degree={degree}: give a quadrature degree of 3 or more.")
     dim = mesh.topology.dim
     incidence = _create_incidence(mesh, *_layer_of_cells(mesh, layers))

@@ -184,6 +184,17 @@ def test_refused_options(u, tmp_path, options, message):
     agree(not list(tmp_path.iterdir()))
 
 
+def test_tags_and_a_time_that_is_no_number(u, tmp_path):
+    mesh = u.function_space.mesh
+    none = np.zeros(0, dtype=np.int32)
+    with raises(TypeError, "functions holds .*MeshTags.*: give Functions"):
+        FieldWriter(tmp_path / "wall", [u, dolfinx.mesh.meshtags(mesh, 2, none, none)])
+    with FieldWriter(tmp_path / "wall", [u]) as writer:
+        for t in (np.nan, np.inf):
+            with raises(ValueError, "t=.*: give a finite time"):
+                writer.write(t)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_place_below_a_file(u, tmp_path, kind):
     on_first(lambda: (tmp_path / "notes").write_text("mine"))

@@ -109,6 +109,7 @@ def test_what_has_no_effect_in_a_case():
         case(conditions=dashpot)
     assert case(conditions=dashpot, rate=10.0).rate == 10.0
     assert case(axis="x", stretch=1.2).stretch == 1.2
-    with pytest.raises(TypeError, match="c = '3 kPa': expected a number"):
-        Tissue("3 kPa")
+    for wrong in ("3 kPa", True, None):
+        with pytest.raises(TypeError, match=f"c = {wrong!r}: expected a number"):
+            Tissue(wrong)
     assert np.isfinite(Tissue(3.0).k2)
