@@ -4,10 +4,9 @@
 """A wall in XDMF and HDF5, which all processes read and write, each its own share of the rows.
 
 The mesh is the grid ``mesh``; layers and surfaces are dolfinx's tags of cells and facets, in the
-grids of these names. A cell that is tagged stands there with its vertices once more, so that those
-of the largest layer are left out: that layer's tag, what the tags are called, and how many cells
-each process has written, stand in the light data. ParaView shows all three grids. Cells are those
-of :data:`~dolfinx_feti.wall.wallfile.CELLS`.
+grids of these names. What the tags are called, and how many cells each process has written, is in
+the light data. ParaView shows all three grids. Cells are those of
+:data:`~dolfinx_feti.wall.wallfile.CELLS`.
 
 A process writes its part of the mesh in consecutive rows. As many processes as have written a file
 take these parts again, and nothing has to be partitioned.
@@ -84,7 +83,7 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
                 cells = file.read_topology_data("mesh", DOMAIN)
                 x = scale * file.read_geometry_data("mesh", DOMAIN)
             light = json.loads(file.read_information(NAMES, DOMAIN))
-            of_layers, of_surfaces, largest, *parts = light
+            of_layers, of_surfaces, parts = (light[k] for k in ("layers", "surfaces", "parts"))
             element = basix.ufl.element("Lagrange", shape.name, degree, shape=(3,), dtype=x.dtype)
             _check_rows(cells, x, element.dim // 3, comm)
             with event("WallPartition"):
@@ -95,10 +94,8 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
                 mesh.topology.create_connectivity(2, 3)
             with event("WallTags"):
                 layers, surfaces = (file.read_meshtags(mesh, n) for n in ("layers", "surfaces"))
-                if largest is not None:
-                    layers = _with_largest(layers, largest, mesh)
         return Wall(mesh, layers, surfaces, of_layers, of_surfaces)
-    except (RuntimeError, TypeError, ValueError) as error:
+    except (KeyError, RuntimeError, TypeError, ValueError) as error:
         raise ValueError(
             f"{path} cannot be read ({reason(error)}): its HDF5 file has to lie beside it; convert "
             "the wall anew by python3 -m dolfinx_feti.wall.convert"
@@ -135,13 +132,12 @@ def write_wall(path: Path | str, wall: Wall) -> None:
         Collective.
     """
     path, comm = Path(path), wall.mesh.comm
-    layers, largest = _without_largest(wall.cell_tags, wall.mesh)
     if path.suffix != ".xdmf":
         raise ValueError(f"path={str(path)!r}: give a name that ends in .xdmf")
     aside = on_first(lambda: _folder_aside(path), comm)
     grids: dict[str, Any] = {
         "mesh": wall.mesh,
-        "layers": layers,
+        "layers": wall.cell_tags,
         "surfaces": wall.facet_tags,
     }
     called = [grid.name for grid in grids.values()]
@@ -150,10 +146,10 @@ def write_wall(path: Path | str, wall: Wall) -> None:
             grid.name = name
         with dolfinx.io.XDMFFile(comm, aside / path.name, "w") as file:
             file.write_mesh(wall.mesh)
-            for tags in (layers, wall.facet_tags):
+            for tags in (wall.cell_tags, wall.facet_tags):
                 file.write_meshtags(tags, wall.mesh.geometry)
             parts = comm.allgather(wall.mesh.topology.index_map(3).size_local)
-            light = json.dumps([wall.layers, wall.surfaces, largest, *parts])
+            light = json.dumps({"layers": wall.layers, "surfaces": wall.surfaces, "parts": parts})
             file.write_information(NAMES, light, DOMAIN)
         on_first(lambda: _put_in_place(aside, path), comm)
     finally:
@@ -161,37 +157,6 @@ def write_wall(path: Path | str, wall: Wall) -> None:
             grid.name = name
         if comm.rank == 0:
             shutil.rmtree(aside, ignore_errors=True)
-
-
-def _without_largest(
-    tags: dolfinx.mesh.MeshTags, mesh: dolfinx.mesh.Mesh
-) -> tuple[dolfinx.mesh.MeshTags, int | None]:
-    """Leave out the cells with the tag of most cells, if there are others; return it, too.
-
-    It is None, and all tags are left, where there is one tag alone or a cell has none. Collective.
-    """
-    cells = mesh.topology.index_map(3)
-    own = tags.values[tags.indices < cells.size_local]
-    found = mesh.comm.allgather(np.unique(own, return_counts=True))
-    tag, where = np.unique(np.concatenate([t for t, _ in found]), return_inverse=True)
-    count = np.bincount(where, weights=np.concatenate([n for _, n in found]))
-    if len(tag) < 2 or count.sum() < cells.size_global:
-        return tags, None
-    largest = int(tag[np.argmax(count)])
-    others = tags.values != largest
-    return dolfinx.mesh.meshtags(mesh, 3, tags.indices[others], tags.values[others]), largest
-
-
-def _with_largest(
-    tags: dolfinx.mesh.MeshTags, largest: int, mesh: dolfinx.mesh.Mesh
-) -> dolfinx.mesh.MeshTags:
-    """Give the tag of most cells to those that have none."""
-    cells = mesh.topology.index_map(3)
-    values = np.full(cells.size_local + cells.num_ghosts, largest, dtype=np.int32)
-    values[tags.indices] = tags.values
-    whole = dolfinx.mesh.meshtags(mesh, 3, np.arange(len(values), dtype=np.int32), values)
-    whole.name = tags.name
-    return whole
 
 
 def _keep(parts: Sequence[int], rows: int, comm: MPI.Comm) -> Callable[..., Any] | None:

@@ -202,7 +202,7 @@ def rewrite(key: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[P
 damaged("no_data.xdmf", lambda p: p.with_suffix(".h5").unlink())
 damaged("noise_for_data.xdmf", lambda p: p.with_suffix(".h5").write_bytes(NOISE))
 damaged("cut_data.xdmf", lambda p: os.truncate(p.with_suffix(".h5"), 5000))
-damaged("no_names.xdmf", lambda p: p.write_text(p.read_text().replace("[{", "[[")))
+damaged("no_names.xdmf", lambda p: p.write_text(p.read_text().replace("surfaces&quot;", "&quot;")))
 damaged("nan.xdmf", rewrite("Mesh/mesh/geometry", lambda x: x * np.nan), "not finite")
 damaged("lost_points.xdmf", rewrite("Mesh/mesh/topology", lambda t: t + 10**6), "not in the file")
 
