@@ -229,12 +229,17 @@ def _read_meshio(path: Path) -> RawWall:
 
 
 def _cell_data(path: Path, mesh: Any, kind: str) -> Indices:
-    """Return the tags of the cells of one kind, rounded to integers."""
+    """Return the tags of the cells of one kind."""
     if kind not in mesh.cells_dict:
         return np.zeros(0, dtype=np.int64)
     for name in CELL_DATA[kind]:
         if kind in mesh.cell_data_dict.get(name, {}):
-            return np.rint(mesh.cell_data_dict[name][kind]).astype(np.int64).reshape(-1)
+            values = np.asarray(mesh.cell_data_dict[name][kind], dtype=np.float64)
+            if values.size != len(mesh.cells_dict[kind]) or np.any(values != np.rint(values)):
+                raise ValueError(
+                    f"{path}: the cell data {name!r} are not one integer for each {kind}"
+                )
+            return values.astype(np.int64).reshape(-1)
     raise ValueError(
         f"{path} has no cell data {' or '.join(CELL_DATA[kind])} for its {kind} cells; "
         f"found: {', '.join(mesh.cell_data) or 'none'}. {HELP}"
