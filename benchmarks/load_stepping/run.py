@@ -154,7 +154,7 @@ def _checkpoint(
     if args.checkpoint is None:
         return None
     folder = args.checkpoint / f"{case['geometry']}-{case['type']}"
-    kept = on_first(lambda: (folder / "latest.json").exists(), comm)
+    kept = on_first(lambda: (folder / "state.npz").exists(), comm)
     if kept and args.again:
         parser.error(f"--again begins anew, but {folder} holds a run: name another folder")
     physics = {name: case[name] for name in (*PHYSICS, "type")}
