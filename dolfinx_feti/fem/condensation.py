@@ -55,6 +55,9 @@ Array = npt.NDArray[np.float64]
 #: Local steps in which fields with a nonlinear equation of their own come to satisfy it.
 LOCAL_STEPS = 20
 
+#: Share of the greatest value of a field below which its local steps end.
+RELAXED = 1e-10
+
 SOURCE = Path(__file__).with_name("condensation.c")
 DECLARATION = """
 int64_t solve_blocks(int, int, int, double *, double *, double *);
@@ -175,7 +178,12 @@ class Condensation:
             values = self.values()
             values[self._place] -= step
             self.set_values(values)
-            if np.abs(step).max(initial=0.0) <= 1e-10 * np.abs(values).max(initial=0.0):
+            columns = np.cumsum(self._widths)[:-1]
+            fields = (np.split(np.abs(a), columns, axis=1) for a in (step, values[self._place]))
+            if all(
+                moved.max(initial=0.0) <= RELAXED * value.max(initial=0.0)
+                for moved, value in zip(*fields, strict=True)
+            ):
                 break
 
     def prepare_multipliers(self) -> None:

@@ -61,7 +61,7 @@ class Lasting:
         may_change: Whether a matrix that turns out indefinite is solved in the dual form.
     """
 
-    def __init__(self, options: FETIOptions, prefix: str, *, newton: bool, saddles: bool) -> None:
+    def __init__(self, options: FETIOptions, prefix: str, *, newton: bool) -> None:
         """Begin with nothing.
 
         Args:
@@ -69,11 +69,10 @@ class Lasting:
             prefix: Options prefix of the KSP.
             newton: Whether the matrices are those of Newton's method: then preconditioner and Ritz
                 vectors serve later ones.
-            saddles: Whether a solution is wanted where the matrix is indefinite.
         """
         self._options, self._prefix = options, prefix
         self._newton = newton
-        self.may_change = options.formulation == "auto" and saddles
+        self.may_change = options.formulation == "auto"
         self._pattern: Pattern | None = None
         self._state: State | None = None  # of the matrix that pattern and form belong to
         self.form: Form | None = None
@@ -138,8 +137,12 @@ class Lasting:
         digits = np.clip(-np.log10(max(rtol, 10.0**-MOST_DIGITS)), 1.0, None)
         return min(max_it, int(np.ceil(HOPELESS * digits * self._first)))
 
-    def try_again(self, reason: int) -> bool:
+    def try_again(self, reason: int, *, saddles: bool) -> bool:
         """Prepare another solve after one has failed; tell whether there is one. Collective.
+
+        Args:
+            reason: How it has failed.
+            saddles: Whether a solution is wanted where the matrix is indefinite.
 
         Raises:
             SetUpError: What is tried cannot be set up; there is no form then.
@@ -148,7 +151,7 @@ class Lasting:
         if pattern is None or form is None:
             return False
         if reason == Reason.DIVERGED_INDEFINITE_MAT and not form.solves_indefinite:
-            if not self.may_change:
+            if not (self.may_change and saddles):
                 return False  # no preconditioner changes the curvature
             if primal is not None and not self.age:
                 self.form = self._primal = None

@@ -77,6 +77,8 @@ class FETI:
         rtol: Its largest value that the tolerances of the last solve allowed.
         floor: What rounding leaves of it, if that has ended the solve; else nan.
         singular: Whether the set-up failed because the matrix is singular.
+        refuse_indefinite: Whether a solve ends before its first iteration, with the reason
+            ``DIVERGED_INDEFINITE_MAT``, if the assembled matrix is proved to be indefinite.
         eigenvalues: (λ_min, λ_max) of the preconditioned operator, by Lanczos from the CG
             coefficients; nan before a CG solve.
     """
@@ -87,15 +89,14 @@ class FETI:
         Args:
             newton: Whether the matrices are those of Newton's method: then preconditioner and Ritz
                 vectors serve later ones (``lasting``).
-            refuse_indefinite: Whether a solve ends before its first iteration, with the reason
-                ``DIVERGED_INDEFINITE_MAT``, if the assembled matrix is proved to be indefinite.
+            refuse_indefinite: See the class.
         """
         self.message = ""
         self.iterations = 0
         self.residual = self.rtol = self.floor = np.nan
         self.singular = False
         self.eigenvalues = (np.nan, np.nan)
-        self._newton, self._refuse = newton, refuse_indefinite
+        self._newton, self.refuse_indefinite = newton, refuse_indefinite
         self._lasting: Lasting | None = None
         self._prefix = ""
 
@@ -148,9 +149,7 @@ class FETI:
         self._prefix = ksp.getOptionsPrefix() or ""
         options = read_options(self._prefix)
         self.destroy()
-        self._lasting = Lasting(
-            options, self._prefix, newton=self._newton, saddles=not self._refuse
-        )
+        self._lasting = Lasting(options, self._prefix, newton=self._newton)
 
     def setUp(self, ksp: PETSc.KSP) -> None:
         """Build or refresh everything that depends on the matrix."""
@@ -230,13 +229,13 @@ class FETI:
 
     def _refused(self) -> bool:
         """Tell whether the matrix is proved to be indefinite, and nobody wants its solution."""
-        return self._refuse and self.inertia is not None and self.inertia.indefinite
+        return self.refuse_indefinite and self.inertia is not None and self.inertia.indefinite
 
     def _try_again(self, reason: int) -> bool:
         """Prepare another attempt after one has failed; tell whether there is one."""
         assert self._lasting is not None
         try:
-            again = self._lasting.try_again(reason)
+            again = self._lasting.try_again(reason, saddles=not self.refuse_indefinite)
         except SetUpError as error:
             self._tell(error)
             return True  # which ends with that reason
@@ -295,7 +294,7 @@ class FETI:
                 target=AIM * target,
                 max_it=most - iterations,
                 monitor=monitor_from(spent + iterations, show_start=spent + start == 0),
-                saddles=not self._refuse,
+                saddles=not self.refuse_indefinite,
             )
             solutions.append(solution)
             iterations += solution.iterations

@@ -10,7 +10,8 @@ The first steps begin with the tangent of the last equilibrium and the residual 
 (eq. 25, Augustin_eq:loadStepping), a prediction along the path: a tangent with the new load and the
 old stress can be indefinite although every equilibrium on the way is stable. Once three equilibria
 are known, a parabola through them predicts the next one, and saves half of the Newton steps; where
-it turns a cell inside out, the tangent of the last equilibrium takes its place again.
+it turns a cell inside out, or has an indefinite tangent and a larger residual than the last
+equilibrium, the tangent of that takes its place again. An attempt that crawls is cut.
 
 The increment Δt grows after a quick step, and is halved after a failure (``path``). On the way to
 the wanted loads equilibrium may be met more roughly than there (``Steps.rtol``). Newton's tolerance
@@ -40,7 +41,7 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.motion import motions_in
 from dolfinx_feti.loading.state import Snapshot, State
-from dolfinx_feti.loading.stepper import Problem, Stepper, check_places
+from dolfinx_feti.loading.stepper import ROUNDING, Problem, Stepper, check_places
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.mechanics.supports import DASHPOTS
 from dolfinx_feti.problems.system import Tangent
@@ -163,17 +164,18 @@ class _Loads(Stepper[LoadStep, Steps]):
 
     def _attempt(self, to: float, target: float) -> None:
         """Solve from a prediction, or else with the tangent of the last equilibrium."""
+        early = abs(to - self.at) > self._steps.least * (1.0 + ROUNDING)  # it can be shortened
         with self._tolerances(on_the_way=to != target):
             if len(self._past) > self.order:
                 self._set_place(to)
                 reference = self._problem.residual_norm()
                 self.state.set_unknowns(extrapolate(self._past, to))
-                if self._solved(reference):
+                if self._solved(reference, early=early):
                     return
                 self._restore()
             tangent = self._problem.linearise()
             self._set_place(to)
-            self._solve(first_tangent=tangent)
+            self._solve(first_tangent=tangent, give_up_early=early)
 
     @contextmanager
     def _tolerances(self, *, on_the_way: bool) -> Iterator[None]:
@@ -189,10 +191,10 @@ class _Loads(Stepper[LoadStep, Steps]):
             for solver, own in before:
                 solver.setTolerances(*own)
 
-    def _solved(self, reference: float) -> bool:
+    def _solved(self, reference: float, *, early: bool) -> bool:
         """Solve from a predicted state; tell whether it was admissible, raise if it led nowhere."""
         try:
-            self._solve(reference=reference)
+            self._solve(reference=reference, give_up_early=early)
         except ConvergenceError:
             if self._problem.solver.getConvergedReason() != Reason.DIVERGED_FUNCTION_DOMAIN:
                 raise
@@ -200,10 +202,19 @@ class _Loads(Stepper[LoadStep, Steps]):
         return True
 
     def _solve(
-        self, *, reference: float | None = None, first_tangent: Tangent | None = None
+        self,
+        *,
+        reference: float | None = None,
+        first_tangent: Tangent | None = None,
+        give_up_early: bool,
     ) -> None:
         """Solve with the preconditioner of the last solve, if it lasts."""
-        self._problem.solve(reference=reference, first_tangent=first_tangent, renew=False)
+        self._problem.solve(
+            reference=reference,
+            first_tangent=first_tangent,
+            renew=False,
+            give_up_early=give_up_early,
+        )
 
 
 def extrapolate(past: Sequence[Snapshot], load: float) -> list[Array]:

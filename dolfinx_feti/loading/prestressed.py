@@ -151,6 +151,7 @@ class _Prestressing:
         reference: float | None = None,
         first_tangent: Tangent | None = None,
         renew: bool = True,
+        give_up_early: bool = False,
     ) -> dolfinx.fem.Function:
         """Solve, and take the wall back to the image, until it stays there."""
         anderson = Anderson(self._comm, self._owned)

@@ -87,6 +87,7 @@ class Problem(Protocol):
         reference: float | None = None,
         first_tangent: Tangent | None = None,
         renew: bool = True,
+        give_up_early: bool = False,
     ) -> object:
         """Solve, or raise ConvergenceError."""
 

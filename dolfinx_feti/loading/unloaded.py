@@ -209,6 +209,7 @@ class _Unloading:
         reference: float | None = None,
         first_tangent: Tangent | None = None,
         renew: bool = True,
+        give_up_early: bool = False,
     ) -> dolfinx.fem.Function:
         """Iterate until the loaded wall is the image, and in equilibrium."""
         anderson, self.history = Anderson(self._comm, self._owned), []

@@ -4,5 +4,5 @@
 """Linear and nonlinear problems with dolfinx's signatures; Newton's method.
 
 In the order of the data: mixed, arguments, history, solvers, torn_problem, linear_problem, forms,
-system, shift, line_search, derivative, newton, multipliers, nonlinear_problem.
+system, direction, line_search, derivative, newton, multipliers, nonlinear_problem.
 """

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The history of a solve: what each Newton step cost."""
+"""The history of a solve: what each Newton step cost, and how Newton's method fails."""
 
 from __future__ import annotations
 
@@ -10,12 +10,72 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dolfinx_feti.feti.solver import FETI
+from petsc4py import PETSc
 
-__all__ = ["NewtonStep", "is_slow", "proved_negative", "record_step", "share_left"]
+from dolfinx_feti.feti.solver import FETI
+from dolfinx_feti.runtime.compat import residual_is_nan
+
+__all__ = [
+    "CRAWLING",
+    "NewtonStep",
+    "Stop",
+    "crawls",
+    "is_slow",
+    "proved_negative",
+    "record_step",
+    "share_left",
+]
 
 #: So many steps, each of which leaves more than this share of the residual, are slow.
 SLOW_STEPS, SLOW = 3, 0.03
+
+#: So many steps, each shorter than this, crawl.
+CRAWLING_STEPS, CRAWLING = 2, 0.1
+
+
+Reason = PETSc.SNES.ConvergedReason
+
+#: What helps, {0}, where the unknown is a displacement and where it is not.
+CLOSER = (
+    "begin closer to the solution, such as with that of another parameter",
+    "load in smaller steps",
+)
+
+#: PETSc's reason and the message of each failure, {0} for what helps.
+FAILURES: dict[str, tuple[int, str]] = {
+    "inverted": (
+        Reason.DIVERGED_FUNCTION_DOMAIN,
+        "the volume ratio det F is not positive at the start: begin with u = 0 or an admissible "
+        "state",
+    ),
+    "poor guess": (
+        Reason.DIVERGED_FUNCTION_DOMAIN,
+        "the tangent at the predicted state is indefinite: {0}",
+    ),
+    "crawls": (Reason.DIVERGED_LINE_SEARCH, "the step lengths stay below {1}: {0}"),
+    "no step": (Reason.DIVERGED_LINE_SEARCH, "no admissible step length was found: {0}"),
+    "not a number": (
+        residual_is_nan(),
+        "the residual is NaN or Inf: begin with an admissible state, or {0}",
+    ),
+    "too many": (
+        Reason.DIVERGED_MAX_IT,
+        "no convergence within {1} steps: {0} or raise snes_max_it",
+    ),
+    "indefinite": (
+        Reason.DIVERGED_LINEAR_SOLVE,
+        "the tangent is indefinite and a shift does not help: {0}",
+    ),
+    "singular": (
+        Reason.DIVERGED_LINEAR_SOLVE,
+        "the tangent at this trial state is singular or indefinite, although the body is held: {0}",
+    ),
+    "trial": (
+        Reason.DIVERGED_LINEAR_SOLVE,
+        "the tangent at this trial state is indefinite: {0} (linear solver: {1})",
+    ),
+    "linear": (Reason.DIVERGED_LINEAR_SOLVE, "the linear solver: {1}"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,13 +183,35 @@ def share_left(history: Sequence[NewtonStep], norm: float) -> float:
 
     It is infinite before the first step, and after one that was shortened or took a shift.
     """
-    whole = history and history[-1].step_length == 1.0 and history[-1].shift == 0.0
-    return norm / history[-1].residual if whole else math.inf
+    last = history[-1] if history else None
+    whole = last is not None and last.step_length == 1.0 and last.shift == 0.0 < last.residual
+    return norm / last.residual if last is not None and whole else math.inf
+
+
+def crawls(history: Sequence[NewtonStep]) -> bool:
+    """Tell whether the last steps were all short."""
+    last = history[-CRAWLING_STEPS:]
+    return len(last) == CRAWLING_STEPS and all(step.step_length < CRAWLING for step in last)
 
 
 def is_slow(history: Sequence[NewtonStep], norm: float) -> bool:
     """Tell whether each of the last steps has left much of the residual, now ‖r‖."""
     last = history[-SLOW_STEPS:]
     norms = [*(step.residual for step in last), norm]
-    left = (after / before for before, after in itertools.pairwise(norms))
-    return len(last) == SLOW_STEPS and all(SLOW < share < 1.0 for share in left)
+    pairs = itertools.pairwise(norms)
+    return len(last) == SLOW_STEPS and all(SLOW * before < r < before for before, r in pairs)
+
+
+class Stop(Exception):  # noqa: N818
+    """Newton's method ends here; raised on all processes.
+
+    Attributes:
+        reason: PETSc's reason.
+        message: What went wrong and what helps.
+    """
+
+    def __init__(self, failure: str, detail: object = "", *, is_displacement: bool) -> None:
+        """Take one of the ``FAILURES`` and what it tells beside what helps."""
+        self.reason, text = FAILURES[failure]
+        self.message = text.format(CLOSER[is_displacement], detail)
+        super().__init__(self.message)

@@ -4,30 +4,35 @@
 r"""The step length α of a Newton step ΔU.
 
 α is one unless the trial state U + α ΔU turns a cell inside out, meets a NaN, or overshoots: with
-:math:`g(α) = ΔU·r(U + α ΔU)` a step is taken once
+the work of the free dofs' forces, :math:`g(α) = ΔU_f·r_f(U + α ΔU)`, a step is taken once
 
-.. math:: -η ≤ g(α)/g(0) ≤ 1 + η,
+.. math:: -η ≤ g(α)/g_0 ≤ 1 + η, \qquad g_0 = ΔU_f·(r_f + K_{fD}\, ΔU_D),
 
-a search for the critical point of the energy along the step. With a condensed pressure, g(α) holds
-:math:`r_u(U + α ΔU, p + α Δp)` and not the condensed residual: what condensation adds grows with κ,
-though it is linear in Δp and the next step removes it.
+a search for the critical point of the energy along the step. Where no prescribed displacement
+moves, :math:`g_0 = g(0)`. Where they do, a step begins with forces that say nothing about what
+moving the boundary makes of them, perhaps with none: :math:`g_0` is what the free dofs would feel
+of it before they follow, and the step is taken if their forces stay as small. With a condensed
+pressure, g(α) holds :math:`r_u(U + α ΔU, p + α Δp)` and not the condensed residual: what
+condensation adds grows with κ, though it is linear in Δp and the next step removes it.
 
 If the problem has a potential Π (the strain energy, with the load's part), a step is taken if it
 lowers Π enough (Armijo),
 
-.. math:: Π(U + α ΔU) ≤ Π(U) + 10^{-4}\, α\, ΔU·r,
+.. math:: Π(U + α ΔU) ≤ Π_m + 10^{-4}\, α\, ΔU·r,
 
-with the condensed pressure that its own equation demands for either state; g then counts only while
-prescribed displacements move, and where the change of Π drowns in rounding. A step that a shift has
-made too short, :math:`g(α) > 0.9\, g(0)`, is doubled while Π falls (Wolfe's second condition).
+with the condensed pressure that its own equation demands for either state, and with Π_m = Π(U). A
+step without a shift whose g is within bounds need only stay below the highest Π of the last states
+(Grippo, Lampariello, Lucidi 1986): strictly downhill, a valley with kinks, as of a total variation,
+is descended in tiny steps. g is enough for such a step with a condensed pressure, which follows by
+its linearised equation and makes a way through (u, p) of whole steps; while prescribed
+displacements move; and where the change of Π drowns in rounding. A step that a shift has made too
+short, :math:`g(α) > 0.9\, g(0)`, is doubled while Π falls (Wolfe's second condition).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-
-from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
@@ -41,8 +46,11 @@ Array = npt.NDArray[np.float64]
 #: η: by how much g(α)/g(0) of an accepted step may leave the interval from zero to one.
 ETA = 0.8
 
-#: Shortest step that is tried, and the longest with a shift.
+#: Shortest step that is tried out of where the problem is defined, and the longest with a shift.
 SHORTEST, LONGEST = 1.0 / 1024, 16.0
+
+#: How often a step that overshoots is shortened: a first tangent can be far too soft.
+TRIALS = 40
 
 #: By what factors a step is shortened at least and at most.
 HALF, TENTH = 0.5, 0.1
@@ -52,9 +60,6 @@ CURVATURE_CONDITION = 0.9
 
 #: Share of the potential below which its change is rounding.
 POTENTIAL_ROUNDING = 1e-9
-
-#: Share of the greatest displacement below which one of a Dirichlet dof is rounding.
-MOVED = 1e-10
 
 #: Share of the slope by which a step has to lower the potential (Armijo).
 DESCENT = 1e-4
@@ -95,7 +100,13 @@ class _Trial:
 
 
 def line_search(
-    system: System, residual: Residual, du: Array, *, lengthen: bool, potential: float = np.nan
+    system: System,
+    residual: Residual,
+    du: Array,
+    *,
+    shifted: bool,
+    potential: float | None = None,
+    highest: float = -np.inf,
 ) -> LineSearchResult:
     """Find a step length, and move there; stay if none is admissible.
 
@@ -103,24 +114,28 @@ def line_search(
         system: The system; its state is the one where the step begins, then the one where it ends.
         residual: Its residual where the step begins.
         du: ΔU, (owned,).
-        lengthen: Whether a step that is too short may be doubled.
-        potential: Π where the step begins; nan if it is not known.
+        shifted: Whether a shift leads downhill, and may have made the step too short.
+        potential: Π where the step begins, nan if it is not known; None if it does not matter.
+        highest: Π that the step has to stay below, if that is higher.
 
     Note:
         Collective.
     """
     start = system.state()
-    if system.has_potential and np.isnan(potential):
-        potential = system.potential()
-    move = _mover(system, residual, du, potential)
-    trial = move(1.0)
+    height = np.nan if potential is None else potential
+    if potential is not None and np.isnan(height):
+        height = system.potential()
+    move = _mover(
+        system, residual, du, height, height if shifted else max(height, highest), shifted=shifted
+    )
+    trial, trials = move(1.0), 1
     while not trial.accepted:
         shorter = trial.alpha * _shortening(trial.ratio)
-        if shorter < SHORTEST:
+        if trials == TRIALS or (np.isnan(trial.ratio) and shorter < SHORTEST):
             system.set_state(start)
-            return LineSearchResult(0.0, residual, potential)
-        trial = move(shorter)
-    while lengthen and trial.ratio > CURVATURE_CONDITION and 1.0 <= trial.alpha < LONGEST:
+            return LineSearchResult(0.0, residual, height)
+        trial, trials = move(shorter), trials + 1
+    while shifted and trial.ratio > CURVATURE_CONDITION and 1.0 <= trial.alpha < LONGEST:
         longer = move(2.0 * trial.alpha)
         if not longer.accepted:
             trial = move(trial.alpha)
@@ -131,35 +146,39 @@ def line_search(
 
 
 def _mover(
-    system: System, residual: Residual, du: Array, height: float
+    system: System,
+    residual: Residual,
+    du: Array,
+    height: float,
+    highest: float,
+    *,
+    shifted: bool,
 ) -> Callable[[float], _Trial]:
     """Return the function that goes to U + α ΔU and judges the state there."""
     start, step = system.state(), system.increment(residual, du)
-    slope = system.dot(du, residual.condensed)  # g(0) < 0
-    only_down = abs(slope) > POTENTIAL_ROUNDING * abs(height) and not _moves_boundary(system, du)
+    free, lifted, moves = system.free(du), residual.condensed, system.boundary_moves(residual)
+    if moves:
+        lifted = lifted + system.multiply(du - free)  # r_f + K_fD ΔU_D
+    slope = system.dot(free, lifted)  # g_0 < 0
+    known = not (np.isnan(height) or moves)
+    rounded = abs(slope) <= POTENTIAL_ROUNDING * abs(height)
+    only_down = known and not rounded and (shifted or residual.blocks is None)
 
     def move(alpha: float) -> _Trial:
         system.set_state((start[0] + alpha * step[0], start[1] + alpha * step[1]))
         if system.least_volume_ratio() <= 0.0:
             return _Trial(alpha, None, np.nan, accepted=False)
         moved = system.residual()
-        ratio = system.dot(du, moved.force) / slope if slope else 0.0  # g(α)/g(0)
-        accepted, there = not only_down and -ETA <= ratio <= 1.0 + ETA, np.nan
-        if not accepted and system.has_potential:
+        ratio = system.dot(free, moved.force) / slope if slope else 0.0  # g(α)/g_0
+        bounded = -ETA <= ratio <= 1.0 + ETA
+        accepted, there = bounded and not only_down, np.nan
+        if not accepted and known:
             there = system.potential()
-            accepted = there <= height + DESCENT * alpha * slope
+            most = highest if bounded else height
+            accepted = there <= most + DESCENT * alpha * slope
         return _Trial(alpha, moved, ratio, accepted, there)
 
     return move
-
-
-def _moves_boundary(system: System, du: Array) -> bool:
-    """Tell whether an increment, (owned,), moves Dirichlet dofs beyond rounding. Collective."""
-    most, moved = (
-        system.comm.allreduce(float(np.abs(part).max(initial=0.0)), op=MPI.MAX)
-        for part in (du, du[system.dirichlet])
-    )
-    return moved > MOVED * most
 
 
 def _shortening(ratio: float) -> float:

@@ -16,23 +16,19 @@ acceleration takes the combination of the last updates whose p − λ is least,
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.problems.system import System
+from dolfinx_feti.runtime.collective import on_all
 
-__all__ = ["accelerated", "ending_roughly", "updated"]
+__all__ = ["accelerated", "hold", "prepare", "updated"]
 
 Array = npt.NDArray[np.float64]
-
-#: What of its first residual a Newton solve leaves before the multipliers are updated.
-ROUGH = 0.1
 
 #: Most updates of a solve.
 UPDATES = 50
@@ -41,24 +37,43 @@ UPDATES = 50
 DEPTH, DEPENDENT = 6, 1e-12
 
 
-@contextmanager
-def ending_roughly(snes: PETSc.SNES, scale: float) -> Iterator[tuple[float, float]]:
-    """Let a SNES end at a tenth of its first residual.
+def prepare(system: System, tolerance: float) -> None:
+    """Let :func:`hold` work.
+
+    Raises:
+        ValueError: The tolerance is not positive, or no pressure is condensed.
+
+    Note:
+        Collective.
+    """
+    if not tolerance > 0.0:
+        raise ValueError(f"volume_tolerance is {tolerance}: give a number above zero, or None.")
+    if system.condensation is None:
+        raise ValueError(
+            "volume_tolerance is given, but no pressure: pass condense=p, with p in the energy."
+        )
+    system.condensation.prepare_multipliers()
+
+
+def hold(system: System, pressure: Array | None = None) -> float:
+    """Update the multipliers: only by how much p differs from λ compresses the material.
 
     Args:
-        snes: The solver.
-        scale: ‖r‖ that its own relative tolerance refers to.
+        system: The system.
+        pressure: λ, as in ``System.state``; p if not given.
 
-    Yields:
-        ‖r‖ at which it would have ended, and its own relative tolerance.
+    Returns:
+        The greatest change of the mean compression of a cell: abs(mean J − 1) where the state
+        solves the equation of p, and λ becomes p.
+
+    Note:
+        Collective.
     """
-    rtol, atol, stol, most = snes.getTolerances()
-    end = max(atol, rtol * scale)
-    try:
-        snes.setTolerances(rtol=ROUGH, atol=end)
-        yield end, rtol
-    finally:
-        snes.setTolerances(rtol, atol, stol, most)
+    fields = system.condensation
+    assert fields is not None
+    multiplier = fields.values() if pressure is None else pressure
+    change = on_all(lambda: fields.hold(multiplier), system.comm)
+    return system.comm.allreduce(change, op=MPI.MAX)
 
 
 def updated(system: System, solve: Callable[[int], bool], tolerance: float) -> Iterator[float]:
@@ -80,13 +95,16 @@ def updated(system: System, solve: Callable[[int], bool], tolerance: float) -> I
     """
     λ, change = system.state()[1], np.inf
     past: list[tuple[Array, Array]] = []
+    sizes = (
+        [] if system.condensation is None else [len(p.x.array) for p in system.condensation.fields]
+    )
     for update in range(UPDATES):
         if update:
-            λ = accelerated(past, system.comm)
-            system.hold_pressure(λ)
+            λ = accelerated(past, system.comm, sizes)
+            hold(system, λ)
         solved = solve(update)
         past.append((λ, system.state()[1]))
-        change = system.hold_pressure()
+        change = hold(system)
         yield change
         if solved and change <= tolerance:
             return
@@ -97,18 +115,23 @@ def updated(system: System, solve: Callable[[int], bool], tolerance: float) -> I
     )
 
 
-def accelerated(past: Sequence[tuple[Array, Array]], comm: MPI.Comm) -> Array:
+def accelerated(past: Sequence[tuple[Array, Array]], comm: MPI.Comm, sizes: Sequence[int]) -> Array:
     """Return the next multipliers, this process's part.
 
     Args:
         past: Multipliers λ and the pressure p that came of them, one pair for each update.
         comm: Communicator of all parts.
+        sizes: Entries of each field. Fields have units of their own: each p − λ is relative to the
+            greatest one of its field.
 
     Note:
         Collective.
     """
     pairs = past[-DEPTH:]
     f = np.array([p - λ for λ, p in pairs])
+    for field in np.split(f, np.cumsum(sizes)[:-1], axis=1):
+        most = comm.allreduce(float(np.abs(field).max(initial=0.0)), op=MPI.MAX)
+        field /= most or 1.0
     changes, last = f[:-1] - f[-1], f[-1]
     product = comm.allreduce(changes @ np.column_stack([changes.T, last]))
     γ = np.linalg.lstsq(product[:, :-1], -product[:, -1], rcond=DEPENDENT)[0]

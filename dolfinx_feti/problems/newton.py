@@ -8,15 +8,7 @@ r"""Newton's method as a PETSc SNES, every step solved by FETI.
 (eq. 22, Augustin_eq:NewtonRecursion, and eq. 23, Augustin_eq:NewtonRecursion_h), with the step
 length α of ``line_search``.
 
-If the problem has a potential Π, Newton's method is kept on the way down: an indefinite tangent
-leads to a saddle or a maximum, and then
-
-.. math:: (K' + σ \operatorname{diag}|k|)\, ΔU = -r
-
-is solved with the stiffness k of the dofs, with σ growing (``shift``) until no negative eigenvalue
-is left that can be proved (``space``), which is known before the first iteration, and ΔU leads
-downhill, ΔU·r < 0. In the next steps σ falls, to zero at the end. A tangent that turns out singular
-on the way counts as indefinite.
+A step leads down a potential, if there is one (``direction``), by a length α (``line_search``).
 
 A step keeps the tangent of the last one if that leads to the end in two steps, should each leave
 the share of the residual that the last step has left: no assembly, no factors, no coarse matrix.
@@ -27,11 +19,18 @@ A linear solve is no more accurate than the step deserves: beside its own tolera
 residual that Newton's method aims at, or that a step with a kept tangent leaves, is enough,
 ‖r + K' ΔU‖ ≤ 0.1 r_end. Options that state how accurate linear solves are, are kept to.
 
+Forces are those of the free dofs. They are small beside
+
+.. math:: \max(\min(‖r^0‖, \text{reference}), ‖R‖/100)
+
+with the reactions R: a load begins with a residual that is a force of the problem, a prescribed
+displacement with none.
+
 Where Newton's method converges slowly, or not at all, the tangent is compared with the derivative
 (``derivative``), once in a solve.
 
-A residual of the size of its rounding errors (``System.rounding``) is zero as far as anybody can
-tell: after a step Newton's method ends there, whatever the tolerances. With a condensed pressure
+A residual of the size of its rounding errors (``System.rounding``) is zero to rounding accuracy:
+after a step Newton's method ends there, whatever the tolerances. With a condensed pressure
 these errors grow with κ, those of the residual before condensation do not: it tells how far from
 equilibrium the state is.
 """
@@ -49,28 +48,29 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.feti.solver import DOUBTFUL, FETI
+from dolfinx_feti.feti.solver import DOUBTFUL
 from dolfinx_feti.problems.derivative import Mismatch, difference_from_derivative
+from dolfinx_feti.problems.direction import Directions
 from dolfinx_feti.problems.history import (
+    CRAWLING,
     NewtonStep,
+    Stop,
+    crawls,
     is_slow,
-    proved_negative,
     record_step,
     share_left,
 )
 from dolfinx_feti.problems.line_search import line_search
-from dolfinx_feti.problems.shift import fallen, raised
-from dolfinx_feti.problems.solvers import no_closer_than, solved
+from dolfinx_feti.problems.solvers import RTOL, no_closer_than
 from dolfinx_feti.problems.system import Residual, System, Tangent
 from dolfinx_feti.runtime.collective import on_all, warn
-from dolfinx_feti.runtime.compat import residual_is_nan
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_errors import python_errors
 
 __all__ = ["Newton", "Start", "checked_start"]
 
 Array = npt.NDArray[np.float64]
-Reason, LinearReason = PETSc.SNES.ConvergedReason, PETSc.KSP.ConvergedReason
+Reason = PETSc.SNES.ConvergedReason
 
 #: Share of the residual that Newton's method aims at which a linear solve may leave.
 LEFT = 0.1
@@ -78,6 +78,15 @@ LEFT = 0.1
 #: Steps in which the last tangent has to lead to the end to be kept: together they cost less than
 #: one with a new tangent; and the share of the residual that each is taken to leave at least.
 KEPT, LEAST_SHARE = 2, 0.1
+
+#: Share of the reactions that counts as the load of a solve at least.
+LEAST_REACTION = 0.01
+
+#: Over so many states the highest potential has to fall.
+MEMORY = 8
+
+#: What of its first residual a rough solve leaves.
+ROUGH = 0.1
 
 #: How a solve ends that does not get closer, perhaps for a tangent that is not the derivative.
 NOT_CLOSER = (Reason.DIVERGED_MAX_IT, Reason.DIVERGED_LINE_SEARCH)
@@ -90,15 +99,19 @@ class Start:
     Attributes:
         reference: Most that the residual at the start counts in the relative tolerance.
         tangent: The tangent of the first step, which the matrix holds; None for that of the start.
-        aim: ‖r‖ that linear solves aim at, if Newton's method aims at a larger one for now.
+        rough: Whether to end at a tenth of the first residual; linear solves aim at the end still.
+        early: Whether to give up early: the caller has another start, or a shorter way.
     """
 
     reference: float = np.inf
     tangent: Tangent | None = None
-    aim: float = np.inf
+    rough: bool = False
+    early: bool = False
 
 
-def checked_start(system: System, reference: float | None, tangent: Tangent | None) -> Start:
+def checked_start(
+    system: System, reference: float | None, tangent: Tangent | None, *, early: bool
+) -> Start:
     """Check what a solve is to begin with.
 
     Raises:
@@ -115,25 +128,7 @@ def checked_start(system: System, reference: float | None, tangent: Tangent | No
             "first_tangent names a tangent that this problem's matrix does not hold any more: "
             "pass what linearise() has returned to the very next solve()."
         )
-    return Start(np.inf if reference is None else float(reference), tangent)
-
-
-@dataclass(frozen=True, slots=True)
-class Direction:
-    """Where a Newton step leads.
-
-    Attributes:
-        du: ΔU, (owned,).
-        shift: σ of the tangent that ΔU was solved with.
-        iterations: Those of each linear solve.
-        indefinite: Negative eigenvalues that the tangent without a shift is proved to have; None if
-            they are not known.
-    """
-
-    du: Array
-    shift: float
-    iterations: tuple[int, ...]
-    indefinite: int | None
+    return Start(np.inf if reference is None else float(reference), tangent, early=early)
 
 
 class Newton:
@@ -145,7 +140,9 @@ class Newton:
     Attributes:
         history: A record for each step of the last solve.
         message: What went wrong in it and what helps, or an empty string.
-        residual: The (condensed) residual of its last iterate, (owned,).
+        residual: The (condensed) residual of its last iterate, (owned,), with u − g on Dirichlet
+            dofs.
+        at_end: Whether that is within the SNES's own tolerances, also after a rough solve.
         mismatch: How the tangent is not the derivative, once a solve has found that; else None.
     """
 
@@ -153,12 +150,12 @@ class Newton:
         """Take the system; the state stays in the user's functions."""
         self._system = system
         self._start = Start()
-        self._shift, self._potential = 0.0, np.nan
+        self._directions, self._heights = Directions(system), [np.nan]  # Π of the last states
         self._du = np.zeros(system.owned)
-        self._supported = False
         self.history: list[NewtonStep] = []
         self.message = ""
         self.residual = np.zeros(system.owned)
+        self.at_end = False
         self.mismatch: Mismatch | None = None
         self._compared = False
 
@@ -173,11 +170,11 @@ class Newton:
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
         """Iterate from the state of the user's functions until the residual is small."""
-        self.history, self.message, self._shift, self._potential = [], "", 0.0, np.nan
+        self.history, self.message, self._heights = [], "", [np.nan]
         self._compared = self.mismatch is not None
         try:
             reason = self._iterate(snes, self._start)
-        except _Stop as stop:
+        except Stop as stop:
             reason, self.message = stop.reason, stop.message
             if reason in NOT_CLOSER and self.history and not self._compared:
                 self._system.linearise()
@@ -191,33 +188,78 @@ class Newton:
         """Take steps until the residual is small; return PETSc's reason for that."""
         system, started = self._system, time.perf_counter()
         here = system.residual()
-        self.residual = here.condensed
-        norm = system.norm(here.condensed)
-        scale = float(np.fmin(norm, start.reference))
+        self.residual = here.equations
+        first = norm = system.norm(here.condensed)
         if system.least_volume_ratio() <= 0.0:
-            raise _Stop(Reason.DIVERGED_FUNCTION_DOMAIN, _INVERTED)
-        reason = _judge(snes, 0, norm, scale)
-        while reason == Reason.ITERATING:
-            aim = min(_aim(snes, scale), start.aim)
-            share = share_left(self.history, norm)
-            kept = norm * share**KEPT <= aim
+            raise self._stop("inverted")
+        load = float(np.fmin(first, start.reference))
+        moved = system.boundary_moves(here)
+        poor = start.early and start.tangent is None and first > start.reference
+        self._directions.begin(moved=moved, refuse=poor, guess=bool(np.isfinite(start.reference)))
+        at_most = _share_of_reactions(snes, moved=moved)
+        while True:
+            moves = system.boundary_moves(here)
+            reaction = at_most * system.reaction(here)
+            scale = max(load, reaction)
+            rough = ROUGH * (scale if moved else first) if start.rough else 0.0
+            reason = self._judge(snes, norm, scale, rough, moves=moves)
+            if reason != Reason.ITERATING:
+                return reason
+            aim, share = _end(snes, scale), share_left(self.history, norm)
+            kept = not moves and norm * share**KEPT <= aim
             left = norm * max(share, LEAST_SHARE) if kept else 0.0
             if not kept and (self.history or start.tangent is None):
                 with event("FETITangent"):
                     system.linearise(here)
             floor = system.rounding()
-            if self.history and norm <= floor:
-                if (force := system.norm(here.force)) > DOUBTFUL * scale:
-                    warn(_DOUBTFUL.format(force, scale), system.comm)
+            if not moves and norm <= (floor if self.history else system.least_rounding()):
+                self.at_end = True
+                if (
+                    self.history
+                    and (force := system.norm(system.free(here.force))) > DOUBTFUL * load
+                ):
+                    warn(_DOUBTFUL.format(force, load), system.comm)
                 return Reason.CONVERGED_FNORM_ABS
             if not kept and not self._compared and is_slow(self.history, norm):
                 self._compare(here, self._du)
             with no_closer_than(LEFT * max(aim, left), snes.getKSP()):
-                here, started = self._step(snes, here, norm, floor, started, kept=kept)
-            self.residual = here.condensed
+                here, started = self._step(snes, here, norm, floor, started, kept=kept, moves=moves)
+            self.residual = here.equations
             norm = system.norm(here.condensed)
-            reason = _judge(snes, len(self.history), norm, scale)
-        return reason
+            if start.early and crawls(self.history):
+                raise self._stop("crawls", CRAWLING)
+
+    def _judge(
+        self, snes: PETSc.SNES, norm: float, scale: float, rough: float, *, moves: bool
+    ) -> int:
+        """Monitor the residual; return whether to go on, or PETSc's reason to end.
+
+        Args:
+            snes: The SNES.
+            norm: ‖r‖ of the free dofs.
+            scale: The force that the relative tolerance refers to.
+            rough: ‖r‖ at which a rough solve ends.
+            moves: Whether prescribed values are not met yet.
+
+        Raises:
+            Stop: The residual is no number, or there were too many steps.
+        """
+        rtol, atol, _, max_it = snes.getTolerances()
+        its = len(self.history)
+        snes.setIterationNumber(its)
+        snes.setFunctionNorm(norm)
+        snes.logConvergenceHistory(norm, snes.getKSP().getIterationNumber())
+        on_all(lambda: _monitor(snes, its, norm), snes.comm.tompi4py())
+        if not np.isfinite(norm):
+            raise self._stop("not a number")
+        self.at_end = not moves and norm <= max(atol, rtol * scale)
+        if self.at_end and norm <= atol:
+            return Reason.CONVERGED_FNORM_ABS
+        if self.at_end or (not moves and norm <= rough):
+            return Reason.CONVERGED_FNORM_RELATIVE
+        if its >= max_it:
+            raise self._stop("too many", max_it)
+        return Reason.ITERATING
 
     def _step(
         self,
@@ -228,6 +270,7 @@ class Newton:
         started: float,
         *,
         kept: bool,
+        moves: bool,
     ) -> tuple[Residual, float]:
         """Take a step, with a larger shift where no step length is admissible, and record it.
 
@@ -238,20 +281,28 @@ class Newton:
             floor: What rounding leaves of it; below, no step length has to be admissible.
             started: When the assembly began.
             kept: Whether the tangent is that of the step before.
+            moves: Whether the step moves the boundary.
 
         Returns:
             The residual where the step ends, and when its assembly began.
         """
         system, ksp = self._system, snes.getKSP()
         seen = system.seen_by_tangent(here) if kept else here
+        directions = self._directions.along(ksp, seen, moves=moves)
         while True:
             assembled = time.perf_counter()
-            found = self._direction(ksp, seen.condensed)
+            found = next(directions)
             solved = time.perf_counter()
+            height, shifted = self._heights[-1], found.shift > 0.0
             end = line_search(
-                system, seen, found.du, lengthen=found.shift > 0.0, potential=self._potential
+                system,
+                seen,
+                found.du,
+                shifted=shifted,
+                potential=None if found.plain else height,
+                highest=float(np.fmax.reduce(self._heights)),
             )
-            self._potential = end.potential
+            self._heights = [*self._heights[1 - MEMORY :], end.potential]
             step = record_step(
                 ksp.getPythonContext(),
                 residual=norm,
@@ -265,14 +316,10 @@ class Newton:
                 tangent_lag=self.history[-1].tangent_lag + 1 if kept else 0,
             )
             self.history.append(step)
-            self._shift = fallen(found.shift, grown=found.shift > self._shift)
             self._du = found.du
             if end.alpha > 0.0 or norm <= floor or kept:
                 return end.residual if end.alpha > 0.0 else here, solved
-            larger = raised(found.shift) if system.has_potential else None
-            if larger is None:
-                raise _Stop(Reason.DIVERGED_LINE_SEARCH, _NO_STEP)
-            self._shift, started = larger, solved
+            started = solved
 
     def _compare(self, here: Residual, du: Array) -> None:
         """Compare the tangent with the derivative along ΔU, once in a solve, and tell."""
@@ -281,84 +328,17 @@ class Newton:
         if self.mismatch is not None:
             warn(str(self.mismatch), self._system.comm)
 
-    def _direction(self, ksp: PETSc.KSP, r: Array) -> Direction:
-        """Solve (K + σ diag|k|) ΔU = −r with the least σ that leads downhill.
-
-        Raises:
-            _Stop: There is none.
-        """
-        system, feti = self._system, ksp.getPythonContext()
-        sigma: float | None = self._shift
-        iterations: list[int] = []
-        indefinite = None
-        while sigma is not None:
-            if sigma > 0.0:
-                system.shift(sigma)
-            du = solved(ksp, system.A, -r)
-            reason = ksp.getConvergedReason()
-            failed = reason == LinearReason.DIVERGED_PCSETUP_FAILED
-            if sigma == 0.0:
-                indefinite = proved_negative(feti)
-                self._supported = self._supported or not failed
-            if reason != LinearReason.DIVERGED_INDEFINITE_MAT:
-                iterations.append(feti.iterations)
-            uphill = system.has_potential and system.dot(du, r) >= 0.0
-            if reason > 0 and not uphill:
-                return Direction(du, sigma, tuple(iterations), indefinite)
-            if not system.has_potential or (failed and not (feti.singular and self.history)):
-                break
-            sigma = raised(sigma)
-        self._shift = 0.0
-        raise _Stop(Reason.DIVERGED_LINEAR_SOLVE, self._linear_failure(feti))
-
-    def _linear_failure(self, feti: FETI) -> str:
-        """Say why there is no direction, and what helps."""
-        if not feti.message:
-            return _INDEFINITE
-        on_the_way = self._supported or np.isfinite(self._start.reference)
-        if feti.singular and on_the_way:
-            return _SINGULAR
-        if on_the_way and (proved_negative(feti) or 0) > 0:
-            return _TRIAL.format(feti.message.rstrip("."))
-        return f"the linear solver: {feti.message}"
+    def _stop(self, failure: str, detail: object = "") -> Stop:
+        return Stop(failure, detail, is_displacement=self._system.is_displacement)
 
 
-class _Stop(Exception):  # noqa: N818
-    """Newton's method ends here; raised on all processes.
-
-    Attributes:
-        reason: PETSc's reason.
-        message: What went wrong and what helps.
-    """
-
-    def __init__(self, reason: int, message: str) -> None:
-        super().__init__(message)
-        self.reason, self.message = reason, message
+def _share_of_reactions(snes: PETSc.SNES, *, moved: bool) -> float:
+    """Return the share of the reactions that counts as a load, less in a rough solve."""
+    rtol, *_ = snes.getTolerances()
+    return LEAST_REACTION * (1.0 if moved or rtol <= RTOL else RTOL / rtol)
 
 
-def _judge(snes: PETSc.SNES, its: int, norm: float, scale: float) -> int:
-    """Monitor the residual; return whether to go on, or PETSc's reason to end.
-
-    Raises:
-        _Stop: The residual is no number, or there were too many steps.
-    """
-    rtol, atol, _, max_it = snes.getTolerances()
-    snes.setIterationNumber(its)
-    snes.setFunctionNorm(norm)
-    snes.logConvergenceHistory(norm, snes.getKSP().getIterationNumber())
-    on_all(lambda: _monitor(snes, its, norm), snes.comm.tompi4py())
-    if not np.isfinite(norm):
-        raise _Stop(residual_is_nan(), _NOT_A_NUMBER)
-    if norm <= atol:
-        return Reason.CONVERGED_FNORM_ABS
-    if norm <= rtol * scale:
-        return Reason.CONVERGED_FNORM_RELATIVE
-    if its >= max_it:
-        raise _Stop(Reason.DIVERGED_MAX_IT, _TOO_MANY.format(max_it))
-    return Reason.ITERATING
-
-
-def _aim(snes: PETSc.SNES, scale: float) -> float:
+def _end(snes: PETSc.SNES, scale: float) -> float:
     """Return the ‖r‖ that Newton's method aims at."""
     rtol, atol, *_ = snes.getTolerances()
     return max(rtol * scale, atol)
@@ -370,22 +350,8 @@ def _monitor(snes: PETSc.SNES, its: int, norm: float) -> None:
         snes.monitor(its, norm)
 
 
-_INVERTED = (
-    "the volume ratio det F is not positive at the start: begin with u = 0 or an admissible state"
-)
-_INDEFINITE = "the tangent is indefinite and a shift does not help: load in smaller steps"
-_SINGULAR = (
-    "the tangent at this trial state is singular or indefinite, although the body is held: load in "
-    "smaller steps"
-)
-_TRIAL = "the tangent at this trial state is indefinite: load in smaller steps (linear solver: {0})"
-_NO_STEP = "no admissible step length was found: load in smaller steps"
-_NOT_A_NUMBER = (
-    "the residual is NaN or Inf: begin with an admissible state, or load in smaller steps"
-)
 _DOUBTFUL = (
-    "Newton's method ends where all of the residual is rounding, with {0:.0e} of the {1:.0e} that "
-    "it began with: if the load has changed, the equilibrium is doubtful. Load in larger steps, or "
+    "Newton's method ends where all of the residual is rounding, with {0:.0e} of a load of "
+    "{1:.0e}: if the load has changed, the equilibrium is doubtful. Load in larger steps, or "
     "lower a penalty such as κ and let an augmented Lagrangian make up for it."
 )
-_TOO_MANY = "no convergence within {0} steps: load in smaller steps or raise snes_max_it"

@@ -39,7 +39,7 @@ from dolfinx_feti.problems.forms import (
     warn_of_degree,
 )
 from dolfinx_feti.problems.history import NewtonStep
-from dolfinx_feti.problems.multipliers import ending_roughly, updated
+from dolfinx_feti.problems.multipliers import hold, prepare, updated
 from dolfinx_feti.problems.newton import Newton, Start, checked_start
 from dolfinx_feti.problems.solvers import create_newton_solver
 from dolfinx_feti.problems.system import System, Tangent
@@ -188,7 +188,7 @@ class NonlinearProblem(TornProblem):
             symmetric=forms.symmetric,
         )
         if volume_tolerance is not None:
-            self._system.prepare_multipliers(volume_tolerance)
+            prepare(self._system, volume_tolerance)
         self._volume_tolerance = volume_tolerance
         self.content = content_of((u, *fields), (forms.F_u, *forms.F_p, forms.energy))
         self._memory = create_internal_variables(
@@ -280,7 +280,7 @@ class NonlinearProblem(TornProblem):
         residual = self._system.residual()
         self._system.linearise(residual)
         b = self.A.createVecLeft()
-        b.array[:] = -residual.condensed
+        b.array[:] = -residual.equations
         return self.A, b
 
     def solve(
@@ -289,6 +289,7 @@ class NonlinearProblem(TornProblem):
         reference: float | None = None,
         first_tangent: Tangent | None = None,
         renew: bool = True,
+        give_up_early: bool = False,
     ) -> dolfinx.fem.Function:
         """Iterate from the present u (and pressure) to the solution.
 
@@ -309,6 +310,8 @@ class NonlinearProblem(TornProblem):
             renew: Whether FETI's preconditioner and its Ritz vectors begin anew. If not, those of
                 the last solve serve on as long as ``-feti_lag`` lets them: faster where the state
                 has not changed much, and u depends on earlier solves, within the tolerance.
+            give_up_early: Whether to end at once where step lengths stay below 0.1, or where the
+                tangent of a bad guess is indefinite: a shorter increment is cheaper then.
 
         Returns:
             The unknown u.
@@ -320,7 +323,7 @@ class NonlinearProblem(TornProblem):
         Note:
             Collective.
         """
-        start = checked_start(self._system, reference, first_tangent)
+        start = checked_start(self._system, reference, first_tangent, early=give_up_early)
         if renew:
             self.renew()
         self._history, self.volume_changes = [], []
@@ -353,22 +356,22 @@ class NonlinearProblem(TornProblem):
         Raises:
             ConvergenceError: See :meth:`solve`.
         """
-        scale = min(self.residual_norm(), start.reference)  # λ = p
-        with ending_roughly(self.solver, scale) as (end, rtol):
+        reference = min(self.residual_norm(), start.reference)  # λ = p
+        rtol, *_ = self.solver.getTolerances()
 
-            def solve(update: int) -> bool:
-                if update:
-                    self._history += self._newton.history
-                self._run(replace(Start() if update else start, aim=end))
-                return self._system.norm(self.b.array_r) <= end
+        def solve(update: int) -> bool:
+            if update:
+                self._history += self._newton.history
+            self._run(replace(Start() if update else start, reference=reference, rough=True))
+            return self._newton.at_end
 
-            for change in updated(self._system, solve, max(tolerance, rtol)):
-                self.volume_changes.append(change)
+        for change in updated(self._system, solve, max(tolerance, rtol)):
+            self.volume_changes.append(change)
 
     def _hold(self) -> None:
         """Let the present pressure be the multiplier, if there are multipliers."""
         if self._volume_tolerance is not None:
-            self._system.hold_pressure()
+            hold(self._system)
 
     @property
     def internal_variables(self) -> tuple[dolfinx.fem.Function, ...]:

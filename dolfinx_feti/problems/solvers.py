@@ -25,6 +25,7 @@ from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.runtime.petsc_options import inserted, withheld
 
 __all__ = [
+    "RTOL",
     "create_newton_solver",
     "create_solver",
     "no_closer_than",
@@ -33,6 +34,9 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
+
+#: Default relative tolerance of Newton's method.
+RTOL = 1e-8
 
 #: Options that choose a solver, and the one value that changes nothing here.
 SOLVERS = {
@@ -104,7 +108,7 @@ def create_newton_solver(
         with _options(snes.getKSP(), A, prefix, petsc_options):
             snes.setType(PETSc.SNES.Type.PYTHON)
             snes.setPythonContext(newton)
-            snes.setTolerances(rtol=1e-8, atol=1e-10, max_it=30)
+            snes.setTolerances(rtol=RTOL, atol=1e-50, max_it=30)
             _attach(snes.getKSP(), feti, A)
             _set_from_options(snes, prefix)
             snes.getKSP().setErrorIfNotConverged(False)

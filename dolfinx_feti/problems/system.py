@@ -31,27 +31,37 @@ from dolfinx_feti.fem.quadrature import quadrature_points
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.connectivity import diagonal_places, load_graph_code
 from dolfinx_feti.torn.matrix import set_condensed
-from dolfinx_feti.torn.rounding import product_rounding
+from dolfinx_feti.torn.rounding import EPS, product_rounding
 
 __all__ = ["Residual", "System", "Tangent"]
 
 Array = npt.NDArray[np.float64]
 
+#: Share of the greatest displacement below which a missed Dirichlet value is rounding.
+MOVED = 1e-12
+
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """The residual at one state.
+    """The residual at one state. Forces and lengths are kept apart: they are never added.
 
     Attributes:
-        condensed: The right-hand side of Newton's step but for its sign, (owned,); u − g on
+        condensed: Forces of the free dofs with the fields condensed into them, (owned,); zero on
             Dirichlet dofs.
-        force: The residual before the pressure is condensed into it, (owned,).
-        blocks: What the condensed pressure needs, if there is one.
+        force: Forces before condensation, (owned,); reactions on Dirichlet dofs.
+        gap: u − g of the Dirichlet dofs, (owned,); zero on the free ones.
+        blocks: What the condensed fields need, if there are any.
     """
 
     condensed: Array
     force: Array
+    gap: Array
     blocks: Blocks | None
+
+    @property
+    def equations(self) -> Array:
+        """Newton's right-hand side but for its sign: a force, or a length, for each dof."""
+        return self.condensed + self.gap
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +89,7 @@ class System:
         comm: Communicator of the mesh.
         dirichlet: Mask of the Dirichlet dofs, (owned,).
         owned: Number of dofs that this process owns.
+        is_displacement: Whether u is one, with a det F to watch.
     """
 
     def __init__(
@@ -149,7 +160,8 @@ class System:
         torn = self._space.dof[:, None] * bs + np.arange(bs)
         self._local = torn.ravel()  # local dof of V of each torn dof
         self.owned = V.dofmap.index_map.size_local * bs
-        self._size = cell_sizes(self._space, self._n_cells) if bs == V.mesh.geometry.dim else 0.0
+        self.is_displacement = volume_ratio is not None
+        self._size: Array | float = 0.0  # h, of a displacement
 
     # -- state ------------------------------------------------------------------------------------
 
@@ -183,42 +195,6 @@ class System:
         whole.array[: self.owned] = du
         whole.scatter_forward()
         return du, self.condensation.increment(here.blocks, whole.array[self._local])
-
-    def prepare_multipliers(self, tolerance: float) -> None:
-        """Let :meth:`hold_pressure` work.
-
-        Raises:
-            ValueError: The tolerance is not positive, or no pressure is condensed.
-
-        Note:
-            Collective.
-        """
-        if not tolerance > 0.0:
-            raise ValueError(f"volume_tolerance is {tolerance}: give a number above zero, or None.")
-        if self.condensation is None:
-            raise ValueError(
-                "volume_tolerance is given, but no pressure: pass condense=p, with p in the energy."
-            )
-        self.condensation.prepare_multipliers()
-
-    def hold_pressure(self, pressure: Array | None = None) -> float:
-        """Update the multipliers: only by how much p differs from λ compresses the material.
-
-        Args:
-            pressure: λ, as in :meth:`state`; p if not given.
-
-        Returns:
-            The greatest change of the mean compression of a cell: abs(mean J − 1) where the state
-            solves the equation of p, and λ becomes p.
-
-        Note:
-            Collective.
-        """
-        fields = self.condensation
-        assert fields is not None
-        multiplier = fields.values() if pressure is None else pressure
-        change = on_all(lambda: fields.hold(multiplier), self.comm)
-        return self.comm.allreduce(change, op=MPI.MAX)
 
     def least_volume_ratio(self) -> float:
         """Return the least det F over all quadrature points; inf if none is watched.
@@ -273,13 +249,11 @@ class System:
         b, torn, blocks = on_all(self._own_residual, self.comm)
         b.scatter_reverse(dolfinx.la.InsertMode.add)
         force = b.array[: self.owned].copy()
-        r = force.copy()
-        if blocks is not None:
-            r += self._assembled(torn)
+        condensed = force if blocks is None else force + self._assembled(torn)
+        gap = np.zeros(self.owned)
         for bc in self.bcs:
-            bc.set(force, self.u.x.array, -1.0)
-            bc.set(r, self.u.x.array, -1.0)
-        return Residual(r, force, blocks)
+            bc.set(gap, self.u.x.array, -1.0)
+        return Residual(self.free(condensed), force, gap, blocks)
 
     def _own_residual(self) -> tuple[dolfinx.la.Vector, Array, Blocks | None]:
         """Assemble over the cells of this process: r_u, what condensation adds, and its blocks."""
@@ -299,7 +273,7 @@ class System:
             return here
         blocks = replace(self._blocks, excess=here.blocks.excess)
         condensed = self._assembled(self.condensation.residual(blocks, len(self._local)))
-        return Residual(here.force + self.free(condensed), here.force, blocks)
+        return replace(here, condensed=self.free(here.force + condensed), blocks=blocks)
 
     def linearise(self, here: Residual | None = None) -> Tangent:
         """Assemble the torn tangent and its near kernel at the present state.
@@ -324,6 +298,8 @@ class System:
         """
         assembly.assemble(self._K, self._tangent)
         self._shift = 0.0
+        if self.is_displacement:  # of the present mesh, which may have moved
+            self._size = cell_sizes(self._space, self._n_cells)
         self._stiffness[:] = self._K.csr.data[self._diagonal]
         self.A.query("stiffness").array[:] = self._stiffness
         if self.condensation is not None:
@@ -343,6 +319,18 @@ class System:
         """
         t = np.hypot(self.u.x.array[self._local], self._size)
         squares = self.free(self._assembled(product_rounding(self._K.mat, t, self.comm)))
+        return float(np.sqrt(self.comm.allreduce(squares.sum())))
+
+    def least_rounding(self) -> float:
+        r"""Return less than the rounding errors of the residual before condensation.
+
+        .. math:: ε\, \| k_{ii} (u_i^2 + h_i^2)^{1/2} \|
+
+        Note:
+            Collective.
+        """
+        t = np.hypot(self.u.x.array[self._local], self._size)
+        squares = self.free(self._assembled((EPS * self._stiffness * t) ** 2))
         return float(np.sqrt(self.comm.allreduce(squares.sum())))
 
     def _vector(self) -> dolfinx.la.Vector:
@@ -393,6 +381,18 @@ class System:
     def norm(self, r: Array) -> float:
         """Return ‖r‖ of a vector, (owned,). Collective."""
         return float(np.sqrt(self.dot(r, r)))
+
+    def reaction(self, here: Residual) -> float:
+        """Return the norm of the reactions on Dirichlet dofs. Collective."""
+        return self.norm(here.force - self.free(here.force))
+
+    def boundary_moves(self, here: Residual) -> bool:
+        """Tell whether Dirichlet values are missed by more than rounding of u. Collective."""
+        missed, reach = (
+            self.comm.allreduce(float(np.abs(each).max(initial=0.0)), op=MPI.MAX)
+            for each in (here.gap, self.u.x.array[: self.owned])
+        )
+        return missed > MOVED * reach
 
     def destroy(self) -> None:
         """Free the matrices."""

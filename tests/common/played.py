@@ -134,6 +134,7 @@ class Played:
         reference: float | None = None,
         first_tangent: tuple[float, float, float] | None = None,
         renew: bool = True,
+        give_up_early: bool = False,
     ) -> None:
         renewed, self._renewed = renew or self._renewed, False
         before = self._equilibrium

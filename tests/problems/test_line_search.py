@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 
@@ -27,12 +25,12 @@ class OneUnknown:
         *,
         potential: Callable[[float], float] | None = None,
         inverted: Callable[[float], bool] = lambda u: False,
-        held: bool = False,
+        moves: bool = False,
     ) -> None:
         self.u = 0.0
         self.visited: list[float] = []
         self._r, self._potential, self._inverted = r, potential, inverted
-        self.comm, self.dirichlet = MPI.COMM_SELF, np.array([held])
+        self._moves = moves
         self.has_potential = potential is not None
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
@@ -47,7 +45,16 @@ class OneUnknown:
 
     def residual(self) -> Residual:
         r = np.array([self._r(self.u)])
-        return Residual(r, r, None)
+        return Residual(r, r, np.zeros(1), None)
+
+    def boundary_moves(self, here: Residual) -> bool:
+        return self._moves
+
+    def multiply(self, d: np.ndarray) -> np.ndarray:
+        return 0.0 * d
+
+    def free(self, r: np.ndarray) -> np.ndarray:
+        return r
 
     def least_volume_ratio(self) -> float:
         return -1.0 if self._inverted(self.u) else 1.0
@@ -59,9 +66,11 @@ class OneUnknown:
         return float(a @ b)
 
 
-def search(system: OneUnknown, du: float, *, lengthen: bool = False) -> tuple[float, float]:
+def search(system: OneUnknown, du: float, *, shifted: bool = False) -> tuple[float, float]:
     """Search along ΔU; return α and the residual; the state is the one found."""
-    found = line_search(system, system.residual(), np.array([du]), lengthen=lengthen)
+    known = np.nan if system.has_potential else None
+    here, step = system.residual(), np.array([du])
+    found = line_search(system, here, step, shifted=shifted, potential=known)
     assert system.u == found.alpha * du and found.residual.condensed[0] == system._r(system.u)
     assert np.isnan(found.potential) or found.potential == system.potential()
     return found.alpha, float(found.residual.condensed[0])
@@ -105,7 +114,7 @@ def test_a_potential_has_to_fall():
     system = OneUnknown(lambda u: -1.0, potential=lambda u: (u - 0.2) ** 2)
     assert search(system, 1.0)[0] == 0.25
     system.u = 0.0
-    given = line_search(system, system.residual(), np.ones(1), lengthen=False, potential=0.04)
+    given = line_search(system, system.residual(), np.ones(1), shifted=False, potential=0.04)
     assert given.potential == system.potential() < 0.04, "what was known, and what is known now"
     free = OneUnknown(lambda u: -1.0)
     assert search(free, 1.0)[0] == 1.0
@@ -113,11 +122,11 @@ def test_a_potential_has_to_fall():
 
 @pytest.mark.serial
 @pytest.mark.parametrize(
-    ("held", "height"), [(True, 0.0), (False, 1e12)], ids=["boundary moves", "rounding"]
+    ("moves", "height"), [(True, 0.0), (False, 1e12)], ids=["boundary moves", "rounding"]
 )
-def test_where_the_potential_has_no_say(held, height):
+def test_where_the_potential_has_no_say(moves, height):
     """While prescribed displacements move, and where its change drowns in rounding."""
-    system = OneUnknown(lambda u: u - 1.0, potential=lambda u: height + u, held=held)
+    system = OneUnknown(lambda u: u - 1.0, potential=lambda u: height + u, moves=moves)
     assert search(system, 1.0)[0] == 1.0
 
 
@@ -128,6 +137,6 @@ def test_a_step_that_a_shift_has_made_short_is_doubled(pit, alpha):
     system = OneUnknown(
         lambda u: -1.0 if u < pit else 1.0, potential=lambda u: -min(u, pit) + max(u - pit, 0.0) / 4
     )
-    assert search(system, 1.0, lengthen=True)[0] == alpha
+    assert search(system, 1.0, shifted=True)[0] == alpha
     system.u = 0.0
     assert search(system, 1.0)[0] == 1.0

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from dolfinx_feti.problems.shift import LARGEST_SHIFT, LEAST_SHIFT, SHIFT_GROWTH, fallen, raised
+from dolfinx_feti.problems.direction import LARGEST_SHIFT, LEAST_SHIFT, SHIFT_GROWTH, fallen, raised
 
 
 @pytest.mark.serial

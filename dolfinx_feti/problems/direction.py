@@ -1,0 +1,175 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The direction of a Newton step: down a potential, if there is one.
+
+An indefinite tangent leads to a saddle or a maximum of the potential Π. Then
+
+.. math:: (K' + σ \operatorname{diag}|k|)\, ΔU = -r
+
+is solved with the stiffness k of the dofs, with σ growing until no negative eigenvalue
+is left that can be proved (``space``), which is known before the first iteration, and ΔU leads
+downhill, ΔU·r < 0. In the next steps σ falls, to zero at the end. A tangent that turns out singular
+on the way counts as indefinite.
+
+A plain step has no shift and leads where Newton's method leads: without a potential, while
+prescribed displacements move, for a few steps after that, as such a state is far from the path, and
+where all shifts are exhausted. A shift would hold the body back while its boundary moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_feti.feti.solver import FETI
+from dolfinx_feti.problems.history import Stop, proved_negative
+from dolfinx_feti.problems.solvers import solved
+from dolfinx_feti.problems.system import Residual, System
+
+__all__ = ["Direction", "Directions", "fallen", "raised"]
+
+Array = npt.NDArray[np.float64]
+Reason = PETSc.KSP.ConvergedReason
+
+#: So many plain steps with an indefinite tangent may follow those that have moved the boundary.
+PATIENCE = 3
+
+#: The first shift, its growth, and the largest one that is tried.
+LEAST_SHIFT, SHIFT_GROWTH = 1e-4, 4.0
+LARGEST_SHIFT = LEAST_SHIFT * SHIFT_GROWTH**7
+
+
+@dataclass(frozen=True, slots=True)
+class Direction:
+    """Where a Newton step leads.
+
+    Attributes:
+        du: ΔU, (owned,).
+        shift: σ of the tangent that ΔU was solved with.
+        iterations: Those of each linear solve.
+        indefinite: Negative eigenvalues that the tangent without a shift is proved to have; None if
+            they are not known.
+        plain: Whether it may lead anywhere, and not only down the potential.
+    """
+
+    du: Array
+    shift: float
+    iterations: tuple[int, ...]
+    indefinite: int | None
+    plain: bool
+
+
+class Directions:
+    """The directions of the steps of a solve.
+
+    From one solve to the next it keeps whether a tangent of the problem has been regular: then the
+    Dirichlet conditions are enough.
+    """
+
+    def __init__(self, system: System) -> None:
+        """Take the system."""
+        self._system = system
+        self._supported = False
+        self.begin(moved=False, refuse=False, guess=False)
+
+    def begin(self, *, moved: bool, refuse: bool, guess: bool) -> None:
+        """Begin another solve.
+
+        Args:
+            moved: Whether it moves the boundary.
+            refuse: Whether to end it where its first tangent is indefinite.
+            guess: Whether it begins in a guess: then a singular tangent there lacks no support.
+        """
+        self._shift, self._patience = 0.0, PATIENCE if moved else 0
+        self._refuse, self._guess, self._first = refuse, guess, True
+
+    def along(self, ksp: PETSc.KSP, here: Residual, *, moves: bool) -> Iterator[Direction]:
+        """Yield one direction after the other, until one of them leads on.
+
+        Args:
+            ksp: The linear solver, whose matrix holds the tangent.
+            here: The residual.
+            moves: Whether the step moves the boundary.
+
+        Raises:
+            Stop: There is no other.
+        """
+        system, feti = self._system, ksp.getPythonContext()
+        first, self._first = self._first, False
+        refuse = self._refuse and first
+        indefinite, iterations, leads = None, [], False
+        for sigma, plain in self._tries(moves=moves):
+            system.shift(sigma)
+            feti.refuse_indefinite = not plain or refuse
+            du = solved(ksp, system.A, -here.equations)
+            reason = ksp.getConvergedReason()
+            failed = reason == Reason.DIVERGED_PCSETUP_FAILED
+            if sigma == 0.0:
+                indefinite = proved_negative(feti)
+                self._supported = self._supported or not failed
+            if reason != Reason.DIVERGED_INDEFINITE_MAT:
+                iterations.append(feti.iterations)
+            elif refuse:
+                raise self._stop("poor guess")
+            leads = reason > 0 and (plain or system.dot(du, here.condensed) < 0.0)
+            if leads:
+                grown = sigma > self._shift
+                self._shift = fallen(sigma, grown=grown)
+                self._patience -= plain and not moves and indefinite != 0
+                yield Direction(du, sigma, tuple(iterations), indefinite, plain)
+                iterations = []
+            elif failed and (first or not feti.singular):
+                break
+        self._shift = 0.0
+        raise self._stop("no step") if leads else self._linear_failure(feti)
+
+    def _tries(self, *, moves: bool) -> Iterator[tuple[float, bool]]:
+        """Yield the shifts to be tried, and whether the direction is a plain one."""
+        down = self._system.has_potential and not moves
+        plain = not down or self._patience > 0
+        if plain:
+            yield 0.0, True
+        sigma: float | None = self._shift if down else None
+        while sigma is not None:
+            yield sigma, False
+            sigma = raised(sigma)
+        if not plain:
+            yield 0.0, True
+
+    def _linear_failure(self, feti: FETI) -> Stop:
+        """Say why there is no direction, and what helps."""
+        if not feti.message:
+            return self._stop("indefinite")
+        on_the_way = self._supported or self._guess
+        if feti.singular and on_the_way:
+            return self._stop("singular")
+        if on_the_way and (proved_negative(feti) or 0) > 0:
+            return self._stop("trial", feti.message.rstrip("."))
+        return self._stop("linear", feti.message)
+
+    def _stop(self, failure: str, detail: object = "") -> Stop:
+        return Stop(failure, detail, is_displacement=self._system.is_displacement)
+
+
+def raised(sigma: float) -> float | None:
+    """Return the next larger shift, or None if there is none to try."""
+    larger = max(LEAST_SHIFT, SHIFT_GROWTH * sigma)
+    return larger if larger <= LARGEST_SHIFT else None
+
+
+def fallen(sigma: float, *, grown: bool) -> float:
+    """Return the shift with which the next Newton step begins.
+
+    Args:
+        sigma: Shift of the last step.
+        grown: Whether it had to grow in that step; it then falls by one power of the growth and not
+            by two.
+    """
+    smaller = sigma / (SHIFT_GROWTH if grown else SHIFT_GROWTH**2)
+    return smaller if smaller >= LEAST_SHIFT / SHIFT_GROWTH else 0.0
