@@ -254,8 +254,13 @@ class FETI:
         if self._refused():
             x.set(0.0)
             return Solution(Reason.DIVERGED_INDEFINITE_MAT)
-        with event("FETISolve"):
-            attempt = self._solve(ksp, form, b, x, spent)
+        try:
+            with event("FETISolve"):
+                attempt = self._solve(ksp, form, b, x, spent)
+        except SetUpError as error:  # a coarse solver that took the place of another one
+            self._tell(error)
+            x.set(0.0)
+            return Solution(Reason.DIVERGED_PCSETUP_FAILED)
         self.eigenvalues = attempt.eigenvalues
         lasting.record(attempt.reason, attempt.iterations, attempt.residual, attempt.ritz_vectors)
         return attempt

@@ -10,26 +10,18 @@ with small systems D that overlap (``schwarz``), and the rigid motions Z of each
 subdomains as combinations of their columns: the method of the primal form, one level up. A process
 holds its rows of N, Z and N Z, and its blocks; A₁ alone is gathered (``gathered``).
 
-How exact has x to be? Its error e perturbs what V x corrects in the primal form, the preconditioned
-residual z. In the energy norm, which the inner iterations know, that has to stay small beside z,
-
-.. math:: \|V e\|_A = \|e\|_N ≤ ε \sqrt{r^⊤ z}.
-
-The other solves serve a Krylov method whose right-hand sides b shrink, and the error of each stays
-in its residual. So all are solved to the same size of error, and take fewer iterations each time
-(Simoncini and Szyld 2003); but no error may be large beside its own right-hand side, or the
-directions of the Krylov method are not conjugate any more, at last not even of positive energy,
-
-.. math:: \|b - N x\| ≤ \min(τ \max \|b\|,\; δ \|b\|)
-
-with the largest of the right-hand sides since the first one.
+Every solve leaves a share of its own right-hand side. Where the iterations stagnate, do not see a
+positive definite matrix, or meet NaN, a factor of N takes their place for good.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+from functools import partial
 from types import SimpleNamespace
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -40,6 +32,7 @@ import numpy.typing as npt
 from dolfinx_feti.feti.coarse.gathered import SPREAD, GatheredSolver
 from dolfinx_feti.feti.coarse.graph import CoupledSubdomains, coupled_subdomains
 from dolfinx_feti.feti.coarse.schwarz import SHIFT, SchwarzBlocks
+from dolfinx_feti.feti.solution import CURVATURE
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 from dolfinx_feti.runtime.collective import total, total_of
 from dolfinx_feti.runtime.events import event
@@ -55,6 +48,7 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
+Reason = PETSc.KSP.ConvergedReason
 
 #: Rows above which N is not gathered any more; and the multiple of them where its inverse can be
 #: spread over so many processes that a solve, a collective call and K²/P numbers, is over before
@@ -75,21 +69,14 @@ FEWEST, MOST = 8, 64
 #: sides of an interface have columns for what is soft there, and so have nearly the same ones.
 OTHERS = 8
 
-#: Share ε of the energy norm of what a solution corrects. The norm of the preconditioned residual
-#: stands in for that of the error, which may be some ten times as large.
-ENERGY = 0.003
-
-#: The same of what Z A₁⁻¹ Zᵀ b lacks, for an initial guess: no correction takes that out at once.
-START = 1e-5
-
-#: Share τ of the largest right-hand side that a solve leaves.
+#: Share of a right-hand side that a solve leaves. With more of it, directions of the Krylov method
+#: are not conjugate, and soft parts beside stiff ones are off by the quotient of stiffnesses.
 TOLERANCE = 1e-9
 
-#: Share δ of the present one that it leaves at most.
-RELATIVE = 1e-3
+#: Most iterations: with more of them a factor is faster.
+ITERATIONS = 100
 
-#: Most iterations.
-ITERATIONS = 500
+logger = logging.getLogger("dolfinx_feti")
 
 
 class ClusteredSolver:
@@ -97,9 +84,18 @@ class ClusteredSolver:
 
     Attributes:
         clusters: Number of clusters over all processes.
+        factor: What solves since the iterations have failed; None before.
     """
 
-    def __init__(self, N: PETSc.Mat, motions: Array, counts: Counts, *, prefix: str) -> None:
+    def __init__(
+        self,
+        N: PETSc.Mat,
+        motions: Array,
+        counts: Counts,
+        *,
+        prefix: str,
+        zero: float | None = None,
+    ) -> None:
         """Find clusters, and invert blocks and A₁. Collective.
 
         Args:
@@ -107,68 +103,80 @@ class ClusteredSolver:
             motions: Rigid motions as combinations of the columns of N, (own rows, k).
             counts: Rows of each subdomain of this process.
             prefix: Options prefix of the solver of A₁.
+            zero: See :class:`~dolfinx_feti.feti.coarse.gathered.GatheredSolver`, for the factor.
 
         Raises:
             LinAlgError: A diagonal block is not positive definite; on all processes.
             SetUpError: A₁ could not be factored; on all processes.
         """
         self._N, self._comm = N, N.comm.tompi4py()
+        self.factor: GatheredSolver | None = None
+        self._create_factor = partial(
+            GatheredSolver, N, prefix=prefix, symmetric=True, zero=zero, counts=counts
+        )
         graph = coupled_subdomains(N, counts)
         k = motions.shape[1]
         further = N.getSize()[0] > k * (len(graph.starts) - 1)
-        self._schwarz = SchwarzBlocks(N, graph, OTHERS if further else 0)
-        cluster = _clusters(N, graph, prefix)
-        self.clusters = 1 + self._comm.allreduce(int(cluster.max(initial=-1)), op=MPI.MAX)
-        self._Z = _columns(N, motions, np.repeat(cluster, counts), self.clusters)
-        self._NZ = N.matMult(self._Z)
-        A_1 = self._Z.transposeMatMult(self._NZ)  # A₁ = Zᵀ N Z
-        blocks = np.full(A_1.getLocalSize()[0] // max(1, k), k, dtype=np.int64)
-        self._third = GatheredSolver(A_1, prefix=prefix, symmetric=True, zero=SHIFT, counts=blocks)
-        self._e, self._c = A_1.createVecs()
-        A_1.destroy()
-        self._y, self._largest = N.createVecRight(), 0.0
-        self._ksp = PETSc.KSP().create(N.comm)
-        self._ksp.setOptionsPrefix(prefix)
-        self._ksp.setOperators(N)
-        self._ksp.setType(PETSc.KSP.Type.CG)
-        self._ksp.setInitialGuessNonzero(True)
-        self._ksp.getPC().setType(PETSc.PC.Type.PYTHON)
-        self._ksp.getPC().setPythonContext(SimpleNamespace(apply=self._precondition))
-        with inserted(prefix, {"ksp_cg_single_reduction": True}):
-            self._ksp.setFromOptions()
+        with ExitStack() as owned:
 
-    def solve(
-        self,
-        b: PETSc.Vec,
-        x: PETSc.Vec,
-        *,
-        first: bool = False,
-        addend: float | None = None,
-        energy: float | None = None,
-    ) -> float:
-        """Solve N x = b, both in N's own layout; where the solver fails, x is NaN.
+            def own(thing: Any) -> Any:
+                owned.callback(thing.destroy)
+                return thing
 
-        ``first`` tells that the largest right-hand side is to be found anew, from b on. With an
-        ``energy``, this process's part of the rᵀ z of what x corrects, that sets the error, or the
-        energy of x itself if it is not positive.
+            self._schwarz = own(SchwarzBlocks(N, graph, OTHERS if further else 0))
+            cluster = _clusters(N, graph, prefix)
+            self.clusters = 1 + self._comm.allreduce(int(cluster.max(initial=-1)), op=MPI.MAX)
+            self._Z = own(_columns(N, motions, np.repeat(cluster, counts), self.clusters))
+            self._NZ = own(N.matMult(self._Z))
+            A_1 = own(self._Z.transposeMatMult(self._NZ))  # A₁ = Zᵀ N Z
+            blocks = np.full(A_1.getLocalSize()[0] // max(1, k), k, dtype=np.int64)
+            self._third = own(
+                GatheredSolver(A_1, prefix=prefix, symmetric=True, zero=SHIFT, counts=blocks)
+            )
+            self._e, self._c = map(own, A_1.createVecs())
+            self._y = own(N.createVecRight())
+            self._ksp = own(PETSc.KSP().create(N.comm))
+            self._ksp.setOptionsPrefix(prefix)
+            self._ksp.setOperators(N)
+            self._ksp.setType(PETSc.KSP.Type.CG)
+            self._ksp.setInitialGuessNonzero(True)
+            self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+            self._ksp.setTolerances(rtol=TOLERANCE, atol=0.0, max_it=ITERATIONS)
+            self._ksp.getPC().setType(PETSc.PC.Type.PYTHON)
+            self._ksp.getPC().setPythonContext(SimpleNamespace(apply=self._precondition))
+            with inserted(prefix, {"ksp_cg_single_reduction": True}):
+                self._ksp.setFromOptions()
+            self._owned = owned.pop_all()
+
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec, addend: float = 0.0) -> float:
+        """Solve N x = b, both in N's own layout; by a factor from the first failure on. Collective.
 
         Returns:
-            The sum of the ``addend`` of all processes, 0 if there are none.
+            The sum of the ``addend`` of all processes.
+
+        Raises:
+            SetUpError: N could not be factored; on all processes.
         """
-        with event("FETICoarseSolve"):
-            own = np.array([b.array_r @ b.array_r, addend or 0.0, energy or 0.0])
-            square, sum_, squared = total_of(own, self._comm)
-            size, norm = float(np.sqrt(square)), PETSc.KSP.NormType.UNPRECONDITIONED
-            self._largest = max(0.0 if first else self._largest, size)
-            error = min(TOLERANCE * self._largest, RELATIVE * size)
-            self._on_clusters(self._Z, b, x)  # x₀ = Z A₁⁻¹ Zᵀ b
-            if energy is not None:
-                norm = PETSc.KSP.NormType.NATURAL
-                error = ENERGY * float(np.sqrt(max(0.0, squared)))
-                if error == 0.0:
-                    error = START * float(np.sqrt(self._energy_left(b, x)))
-            self._iterate(b, x, error, norm)
-        return float(sum_)
+        if self.factor is None:
+            with event("FETICoarseSolve"):
+                reason = self._iterate(b, x)
+            if reason > 0:
+                return total(addend, self._comm)
+            self.hand_over(reason)
+        assert self.factor is not None
+        return self.factor.solve(b, x, addend)
+
+    def hand_over(self, reason: int) -> None:
+        """Let a factor solve from now on, since the iterations have ended so. Collective.
+
+        Raises:
+            SetUpError: N could not be factored; on all processes.
+        """
+        self._owned.close()
+        self.factor = self._create_factor()
+        if self._comm.rank == 0:
+            text = "The coarse problem of %d rows is factored, as its iterations ended with reason "
+            logger.warning(text + "%d after %d.", self._N.getSize()[0], reason, ITERATIONS)
 
     def _on_clusters(self, X: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Compute x = Z A₁⁻¹ Xᵀ b. Collective."""
@@ -176,24 +184,11 @@ class ClusteredSolver:
         self._third.solve(self._e, self._c)
         self._Z.mult(self._c, x)
 
-    def _energy_left(self, b: PETSc.Vec, x: PETSc.Vec) -> float:
-        """Return ρᵀ z for the residual ρ = b − N x that x₀ leaves. Collective."""
-        ρ, z = self._N.createVecs()
-        self._N.mult(x, ρ)
-        ρ.aypx(-1.0, b)
-        self._precondition(None, ρ, z)
-        squared = max(0.0, float(ρ.dot(z)))
-        for owned in (ρ, z):
-            owned.destroy()
-        return squared
-
-    def _iterate(self, b: PETSc.Vec, x: PETSc.Vec, error: float, norm: int) -> None:
-        """Solve N x = b from x₀ on, up to an error in a norm; NaN if it fails. Collective."""
-        self._ksp.setNormType(norm)
-        self._ksp.setTolerances(rtol=0.0, atol=error, max_it=ITERATIONS)
+    def _iterate(self, b: PETSc.Vec, x: PETSc.Vec) -> int:
+        """Solve N x = b by conjugate gradients; return the converged reason. Collective."""
+        self._on_clusters(self._Z, b, x)  # x₀ = Z A₁⁻¹ Zᵀ b
         self._ksp.solve(b, x)
-        if self._ksp.getConvergedReason() < 0:
-            x.set(np.nan)
+        return int(self._ksp.getConvergedReason())
 
     def _precondition(self, _pc: PETSc.PC | None, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Compute z = (I − Z A₁⁻¹ (N Z)ᵀ) D r."""
@@ -201,37 +196,39 @@ class ClusteredSolver:
         self._on_clusters(self._NZ, self._y, z)
         z.aypx(-1.0, self._y)  # z = y − Z A₁⁻¹ (N Z)ᵀ y
 
-    def is_definite(self) -> bool:
-        """Tell whether a random system is solved, with positive curvatures alone. Collective."""
+    def trial(self) -> int:
+        """Solve a random system; return the converged reason, negative if N is not definite."""
         b, x = self._N.createVecs()
         x.array[:] = np.random.default_rng(self._comm.rank).standard_normal(len(x.array_r))
         self._N.mult(x, b)  # in the range of N, where columns depend
-        self._on_clusters(self._Z, b, x)
-        self._iterate(b, x, RELATIVE * b.norm(), PETSc.KSP.NormType.UNPRECONDITIONED)
+        reason = self._iterate(b, x)
         for owned in (b, x):
             owned.destroy()
-        return self._ksp.getConvergedReason() > 0 and not self._third.pivots().negative
+        indefinite = self._third.pivots().negative
+        return int(Reason.DIVERGED_INDEFINITE_MAT) if indefinite else reason
 
     def pivots(self) -> Pivots:
-        """Return that none is negative or zero: :meth:`is_definite` would have met it."""
-        return Pivots(0, 0)
+        """Return numbers of negative and zero pivots; :meth:`trial` has found none, or a factor."""
+        return Pivots(0, 0) if self.factor is None else self.factor.pivots()
 
-    def memory(self) -> float:
-        """Return the memory of D, Z, N Z and A₁ over all processes in MiB. Collective."""
+    def memory(self) -> float | None:
+        """Return the memory of D, Z, N Z and A₁, or of the factor, in MiB. Collective."""
+        if self.factor is not None:
+            return self.factor.memory()
         entries = sum(M.getInfo()["nz_used"] for M in (self._Z, self._NZ))
         own = self._schwarz.nbytes + 12.0 * entries
         return total(own, self._comm) / 2**20 + (self._third.memory() or 0.0)
 
     def __str__(self) -> str:
         """Say how it solves."""
-        return f"CG on {self.clusters} clusters of subdomains"
+        clusters = f"CG on {self.clusters} clusters of subdomains"
+        return clusters if self.factor is None else f"{self.factor}, as {clusters} has failed"
 
     def destroy(self) -> None:
         """Free solvers, matrices and vectors."""
-        solvers = (self._ksp, self._third, self._schwarz)
-        owned = (*solvers, self._Z, self._NZ, self._e, self._c, self._y)
-        for each in owned:
-            each.destroy()
+        self._owned.close()
+        if self.factor is not None:
+            self.factor.destroy()
 
 
 CoarseSolver = GatheredSolver | ClusteredSolver
@@ -244,7 +241,6 @@ def create_coarse_solver(
     *,
     prefix: str,
     symmetric: bool,
-    definite: bool = False,
     zero: float | None = None,
 ) -> CoarseSolver:
     """Create the solver for a coarse matrix of its size. Collective.
@@ -255,7 +251,6 @@ def create_coarse_solver(
         motions: Returns the rigid motions as combinations of the columns, (own rows, k).
         prefix: Options prefix of the solver; with a type of KSP or PC among them N is gathered.
         symmetric: Whether N is symmetric.
-        definite: Whether N is known to be positive semi-definite; else a random system is solved.
         zero: See :class:`~dolfinx_feti.feti.coarse.gathered.GatheredSolver`.
 
     Raises:
@@ -266,8 +261,11 @@ def create_coarse_solver(
     large = takes_clusters(rows, N.comm.size, rows / max(1, subdomains))
     if symmetric and large and not any(map(own.hasName, ("ksp_type", "pc_type"))):
         with suppress(np.linalg.LinAlgError):
-            solver = ClusteredSolver(N, motions(), counts, prefix=prefix)
-            if definite or solver.is_definite():
+            solver = ClusteredSolver(N, motions(), counts, prefix=prefix, zero=zero)
+            reason = solver.trial()
+            if reason not in CURVATURE:
+                if reason < 0:
+                    solver.hand_over(reason)
                 return solver
             solver.destroy()
     return GatheredSolver(N, prefix=prefix, symmetric=symmetric, zero=zero, counts=counts)

@@ -3,14 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A small distributed system N x = b: a factor, or the inverse, spread over all processes.
 
-With a factor a solve is one collective call that gives b to all, and with it a number that each
-process adds to a sum; each process takes its x from a factor of N: its own (``whole``), or that of
-its group of processes (``group``) where N may be indefinite or is too large, or the options name a
-solver.
-
-Up to :data:`SPREAD` rows of N for each process, the inverse takes its place (``spread``). A process
-then reads K²/(2 P) numbers in a solve, and not the entries of the factor twice, and no process has
-the whole of b.
+A solve is one collective call that gives b to all, and a number that each process adds to a sum.
+Each process takes its x from a factor of N: its own (``whole``), or that of its group of processes
+(``group``) where N may be indefinite or is too large, or the options name a solver. Up to :data:`SPREAD` rows of N for each process, its rows of
+the inverse take its place: it reads K²/P numbers in a solve, not the entries of the factor twice.
 """
 
 from __future__ import annotations
@@ -25,7 +21,6 @@ import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.group import GroupFactor
-from dolfinx_feti.feti.coarse.spread import SpreadInverse
 from dolfinx_feti.feti.coarse.whole import whole_factor
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 from dolfinx_feti.runtime.collective import on_all, reason, total
@@ -69,7 +64,7 @@ class GatheredSolver:
 
     Attributes:
         factor: What solves on this process.
-        inverse: N⁻¹, if it is spread over the processes.
+        inverse: Own rows of N⁻¹, (own rows, K), if they are formed.
     """
 
     factor: CoarseFactor
@@ -100,10 +95,9 @@ class GatheredSolver:
         comm, total = N.comm.tompi4py(), N.getSize()[0]
         self._world = comm
         self._counts = np.array(comm.allgather(N.getLocalSize()[0])) + 1
-        self._last = np.cumsum(self._counts) - 1  # places of the numbers that travel with b
         self._is_b = np.ones(total + comm.size, dtype=bool)
-        self._is_b[self._last] = False
-        self.inverse: SpreadInverse | None = None
+        self._is_b[np.cumsum(self._counts) - 1] = False  # the numbers that travel with b
+        self.inverse: Array | None = None
         whole, rows = None, None
         try:
             if symmetric and counts is not None:
@@ -117,36 +111,23 @@ class GatheredSolver:
                 f"-{prefix}…"
             ) from error
         if rows is not None and self._is_accurate(N, rows):
-            starts = np.asarray(N.getOwnershipRanges(), dtype=np.int64)
-            self.inverse = SpreadInverse(rows, starts, symmetric=symmetric, comm=comm)
+            self.inverse = rows
 
-    def solve(
-        self,
-        b: PETSc.Vec,
-        x: PETSc.Vec,
-        *,
-        first: bool = False,
-        addend: float | None = None,
-        energy: float | None = None,
-    ) -> float:
-        """Solve N x = b, both in N's own layout; where the solver fails, x is NaN.
-
-        What sets the error of an iterative solver, ``first`` and ``energy``, does not matter here.
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec, addend: float = 0.0) -> float:
+        """Solve N x = b, both in N's own layout; where the solver fails, x is NaN. Collective.
 
         Returns:
-            The sum of the ``addend`` of all processes, 0 if there are none.
+            The sum of the ``addend`` of all processes.
         """
         with event("FETICoarseSolve"):
-            if self.inverse is not None:
-                x.array[:] = self.inverse.solve(b.array_r)
-                return 0.0 if addend is None else total(addend, self._world)
             gathered = np.empty(len(self._is_b))
-            own = np.append(b.array_r, 0.0 if addend is None else addend)
-            self._world.Allgatherv(own, (gathered, self._counts))
+            self._world.Allgatherv(np.append(b.array_r, addend), (gathered, self._counts))
             whole = gathered[self._is_b]
-            if len(whole):
+            if self.inverse is not None:
+                x.array[:] = self.inverse @ whole
+            elif len(whole):
                 x.array[:] = self.factor.solve(whole)
-        return float(gathered[self._last].sum())
+        return float(gathered[~self._is_b].sum())
 
     def memory(self) -> float | None:
         """Return the memory of the factor in MiB; None if the solver has no figure. Collective."""

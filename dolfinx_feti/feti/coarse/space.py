@@ -187,13 +187,9 @@ class AveragedSpace:
                 self._negative = solver.pivots().negative
                 solver.destroy()
 
-    def initial_guess(self, r: Array, *, exact: bool = False) -> Array:
-        """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective.
-
-        An iterative solver may leave a share of its energy, if it need not be ``exact``.
-        """
-        energy = None if exact else 0.0
-        return self.V.prolong(self.solve(self.V.restrict(r), first=True, energy=energy))
+    def initial_guess(self, r: Array) -> Array:
+        """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective."""
+        return self.V.prolong(self.solve(self.V.restrict(r)))
 
     def correct(self, z: Array, r: Array) -> Array:
         """Return z + V A₀⁻¹ Vᵀ (r − A z), of and by copies, (n,). Collective.
@@ -205,17 +201,12 @@ class AveragedSpace:
         blocks = zip(self.AV, self.V.copies.blocks, strict=True)
         near = joined([product(Y, z[rows]) for Y, rows in blocks])
         energies = self.V.near.to_owners(near)  # Vᵀ A z
-        energy = float(r @ (self.V.copies.delta * z))  # own part of rᵀ z
-        return z + self.V.prolong(self.solve(self.V.restrict(r) - energies, energy=energy))
+        return z + self.V.prolong(self.solve(self.V.restrict(r) - energies))
 
-    def solve(self, e: Array, *, first: bool = False, energy: float | None = None) -> Array:
-        """Return A₀⁻¹ e, both (size,), the first one of a Krylov method or a later. Collective.
-
-        With an ``energy``, this process's part of the rᵀ z of what it corrects, that sets the error
-        of an iterative solver; 0 on all processes if it is not known yet.
-        """
+    def solve(self, e: Array) -> Array:
+        """Return A₀⁻¹ e, both (size,). Collective."""
         self._y.array[:] = self.combinations.T @ e
-        self.solver.solve(self._y, self._x, first=first, energy=energy)
+        self.solver.solve(self._y, self._x)
         return np.asarray(self.combinations @ self._x.array_r)
 
     def negative(self) -> int | None:
@@ -245,6 +236,8 @@ class AveragedSpace:
 
     def _amplitudes(self, Z: Array) -> Array:
         """Return own rows of y, with Z = V y, for fields of A on the interface, (n, k) each."""
+        if not Z.shape[1]:
+            return np.zeros((self.combinations.shape[1], 0))
         pairs, B = zip(self.V.columns, self.V.copies.blocks, strict=True), self.combinations
         s = np.vstack([Z[:0], *(np.linalg.pinv(U) @ Z[rows] for U, rows in pairs)])  # Z = U s
         if not s.size:

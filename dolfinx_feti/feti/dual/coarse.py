@@ -78,7 +78,6 @@ class Coarse:
         *,
         q: str,
         symmetric: bool,
-        definite: bool,
         prefix: str,
     ) -> None:
         """Form and factor the coarse matrix. Collective.
@@ -90,7 +89,6 @@ class Coarse:
             preconditioner: M, for Q = M.
             q: ``identity``, ``diagonal`` or ``preconditioner``.
             symmetric: Whether K is symmetric.
-            definite: Whether all K_i are known to be positive semi-definite, and so is N.
             prefix: Options prefix of the coarse solver.
         """
         self._torn, self._dofs = preconditioner.operator.torn, preconditioner.operator.dofs
@@ -126,23 +124,17 @@ class Coarse:
             lambda: self._amplitudes(torn.near_kernel()),
             prefix=prefix,
             symmetric=symmetric,
-            definite=definite,
         )
         self._s, self._e = self.N.createVecs()
 
-    def solve(self, e: Array, *, first: bool = False) -> Array:
-        """Return N⁻¹ e for the local part of a right-hand side, (K,). Collective.
+    def solve(self, e: Array) -> Array:
+        """Return N⁻¹ e for the local part of a right-hand side, (K,). Collective."""
+        return self.solve_and_sum(e, 0.0)[0]
 
-        ``first`` tells that e does not compare to those before, in size and unit.
-        """
-        return self.solve_and_sum(e, None, first=first)[0]
-
-    def solve_and_sum(
-        self, e: Array, addend: float | None, *, first: bool = False
-    ) -> tuple[Array, float]:
+    def solve_and_sum(self, e: Array, addend: float) -> tuple[Array, float]:
         """Solve, and sum a number of each process, without a further reduction. Collective."""
         self._e.array[:] = e
-        sum_ = self.solver.solve(self._e, self._s, first=first, addend=addend)
+        sum_ = self.solver.solve(self._e, self._s, addend)
         return self._s.array_r.copy(), sum_
 
     def restrict(self, f: Array) -> Array:

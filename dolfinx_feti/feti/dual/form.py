@@ -189,7 +189,6 @@ def create_dual_form(pattern: Pattern, setup: Setup) -> DualForm:
                 preconditioner,
                 q=options.coarse_q,
                 symmetric=pattern.symmetric,
-                definite=semidefinite,
                 prefix=prefix,
             )
             owned.callback(coarse.destroy)
@@ -249,7 +248,7 @@ def balanced_start(form: DualForm, f: Array, c: Array) -> tuple[Array, Array]:
         balanced, and s₀ is the best for λ₀.
     """
     dual, coarse = form.dual, form.coarse
-    s = coarse.solve(coarse.restrict(f), first=True)  # s₀ = N⁻¹ e, e = Eᵀ f
+    s = coarse.solve(coarse.restrict(f))  # s₀ = N⁻¹ e, e = Eᵀ f
     pair = np.concatenate([dual.weighted_jump(s), s])  # λ₀ = Q G s₀
     d = dual.B @ form.inverse.solve(f) - c  # d = B K⁺ f − c
     r = d - dual.jump(pair)  # d − F λ₀ + G s₀

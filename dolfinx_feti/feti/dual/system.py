@@ -51,8 +51,6 @@ class DualSystem:
         size: Multipliers and coarse unknowns of this process, m + K.
         exact: Whether D = 0, so that s may change alone.
         frozen: Whether the preconditioner leaves s as it is.
-        shrinking: Whether right-hand sides of the coarse problem shrink with the residual: CG has
-            those of its residuals, with M in Q no others, and GMRES those of unit vectors.
         B: Jumps, (m, n).
         G: B E, (m, K).
     """
@@ -72,8 +70,8 @@ class DualSystem:
         self._coarse = coarse
         self._torn = preconditioner.operator.torn
         self.comm = self._torn.comm
-        self.exact, alone = coarse.exact, coarse.MG is None
-        self.frozen, self.shrinking = cg and alone and coarse.exact, cg and not alone
+        self.exact = coarse.exact
+        self.frozen = cg and coarse.MG is None and coarse.exact
         self.B, self.G = LinearMap(gluing.B), LinearMap(coarse.G)
         self._D, self._q = LinearMap(coarse.D), coarse.q.array_r.copy()
         self._G_left = self.G if coarse.G_left is coarse.G else LinearMap(coarse.G_left)
@@ -122,7 +120,7 @@ class DualSystem:
         if self._coarse.MG is not None:
             return np.concatenate([y + self._q * r, -w]), self._norm(t)  # (Q (r − G w), −w)
         e = self._G_left.T @ y - self._D @ w
-        v, square = self._coarse.solve_and_sum(e, self._square(t), first=True)  # N⁻¹ (Gᵀ y − D w)
+        v, square = self._coarse.solve_and_sum(e, self._square(t))  # v = N⁻¹ (Gᵀ y − D w)
         s = np.zeros_like(w) if self.frozen else -w - v
         z = np.concatenate([y - self.weighted_jump(v), s])  # (y − Q G v, −w − v)
         return z, float(np.sqrt(square))
@@ -130,7 +128,7 @@ class DualSystem:
     def project(self, r: Array) -> tuple[Array, Array]:
         """Take from a jump what a motion of the kernels can remove, r − G w; return it and w."""
         e = self._restrict(r)
-        w = self._coarse.solve(e, first=not self.shrinking)  # w = N⁻¹ Gᵀ Q r
+        w = self._coarse.solve(e)  # w = N⁻¹ Gᵀ Q r
         return r - self.G @ w, w
 
     def unbalanced(self, x: Array) -> float:

@@ -121,7 +121,7 @@ class DeflatedSpace:
             SW = on_subdomains(lambda: _images(copies, multiply, W), copies.comm)
             for j in range(W.shape[1]):
                 AW = copies.sum(SW[:, j])
-                W[:, j] -= space.initial_guess(AW, exact=True)  # W ← W − V A₀⁻¹ Vᵀ A W
+                W[:, j] -= space.initial_guess(AW)  # W ← W − V A₀⁻¹ Vᵀ A W
             sizes = self._product(vectors.W, copies.delta[:, None] * vectors.W).diagonal()
             squares, Y = np.linalg.eigh(self._product(W, copies.delta[:, None] * W))
             Y = Y[:, squares > INSIDE * sizes.max(initial=0.0)]

@@ -50,21 +50,21 @@ def test_work_shrinks_and_what_is_sent_does_not():
     assert many.messages == two.messages > 0.0
     assert many.reductions == pytest.approx(9 * two.reductions)  # log₂ P
     solves, m = 1500 * SENT["coarse_solves"], Machine()
-    assert two.gathering == pytest.approx(solves * 8 * (3072 + 2) / m.bandwidth)  # on all
-    for found, K, g in ((many, 3072, 31), (beyond, 6144, 44)):  # in two of g groups
-        each = 4 * m.latency * math.log2(g) + 32 * K / g / m.bandwidth
+    assert two.gathering == pytest.approx(solves * 8 * 3072 / m.bandwidth)  # on all
+    for found, K, P in ((many, 3072, 512), (beyond, 6144, 1024)):
+        each = 2 * m.latency * math.log2(P) + 8 * K / m.bandwidth
         assert found.gathering == pytest.approx(solves * each)
     assert model.predict(3).local > 400.0 / 3  # 171 of 512 subdomains
 
 
 def test_coarse_solves_shrink_where_the_inverse_is_spread():
-    """Up to 128 unknowns a process; 22 and 31 groups have 253 and 496 pairs."""
+    """Up to 128 unknowns a process."""
     model = create_model([BASE], [SENT])
     few, some, many = (model.predict(P) for P in (16, 256, 512))
     solves = 1500 * SENT["coarse_solves"]
     assert few.coarse_solves == pytest.approx(solves * 16e6 / Machine().stream)
-    assert some.coarse_solves == pytest.approx(solves * 8 * (3072 / 22) ** 2 / Machine().stream)
-    assert many.coarse_solves == pytest.approx(some.coarse_solves * (22 / 31) ** 2)
+    assert some.coarse_solves == pytest.approx(solves * 8 * 3072**2 / 256 / Machine().stream)
+    assert many.coarse_solves == pytest.approx(some.coarse_solves / 2)
     assert few.coarse_factor < many.coarse_factor < some.coarse_factor  # rows of the inverse
 
 
@@ -75,12 +75,10 @@ def test_third_level_reads_its_rows_and_waits(columns):
     found = create_model([BASE | {"coarse_size": 512 * columns}], [sent]).predict(20_000)
     assert found.gathering == 0.0  # within the third level's iterations
     inner, entries, numbers, exchanges = INNER[columns > 6]
-    m, K_1, g = Machine(), 15_000, 199
+    m, K_1, P = Machine(), 15_000, 20_000
     each = (12 * entries + 8 * numbers) * columns / m.stream + 10 * exchanges * m.latency
     each += 2 * m.latency * math.log2(20_000)
-    each += (
-        4 * m.latency * math.log2(g) + 32 * K_1 / g / m.bandwidth + 8 * (K_1 / g) ** 2 / m.stream
-    )
+    each += 2 * m.latency * math.log2(P) + 8 * K_1 / m.bandwidth + 8 * K_1**2 / (P * m.stream)
     assert found.coarse_solves == pytest.approx(1500 * sent["coarse_solves"] * inner * each)
 
 

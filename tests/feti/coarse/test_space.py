@@ -14,7 +14,6 @@ import scipy.linalg
 from collective import COMM, agree, dense, equal, raises, small, whole
 
 from dolfinx_feti.errors import FactorError, SetUpError
-from dolfinx_feti.feti.coarse.clustered import ENERGY
 from dolfinx_feti.feti.coarse.fields import averaged_fields
 from dolfinx_feti.feti.coarse.space import AveragedSpace, negative_curvature
 
@@ -71,10 +70,7 @@ def test_galerkin_matrix_and_projection(kind, interior, torn_grid, form):
 
 
 def test_projection_in_single_precision(torn_grid, form, monkeypatch):
-    """A V stands in single precision unless A₀ is solved with iteratively; A₀ stays as it is.
-
-    An iterative solve leaves a share of the energy of what it corrects.
-    """
+    """A V stands in single precision unless A₀ is solved with iteratively; A₀ stays as it is."""
     problem = torn_grid(**GRID)
     double = form(problem, type="all_floating", interior="eliminate", coarse_modes=2)
     monkeypatch.undo()
@@ -83,18 +79,12 @@ def test_projection_in_single_precision(torn_grid, form, monkeypatch):
         single = form(problem, type="all_floating", interior="eliminate", coarse_modes=2)
         agree(all(Y.dtype == precision for Y in single.space.AV))
         equal(dense(single.space.A_0), dense(double.space.A_0), 1e-12)
-        copies, multiply = double.copies, double.system.multiply
+        copies = double.copies
         z = copies.average(random(copies.n))
         r = copies.sum(random(copies.n))
-        exact = [form.space.initial_guess(r, exact=True) for form in (single, double)]
-        equal(*exact, 1e-8)
-        if precision == np.float32:
-            equal(single.space.correct(z, r), double.space.correct(z, r), 1e-6)
-        else:
-            r = copies.sum(multiply(z))
-            error = single.space.correct(z, 2.0 * r) - double.space.correct(z, 2.0 * r)
-            energy = copies.dot(error, copies.sum(multiply(error)))
-            agree(0.0 < energy <= (10.0 * ENERGY) ** 2 * copies.dot(2.0 * r, z))
+        guesses = [form.space.initial_guess(r) for form in (single, double)]
+        equal(*guesses, 1e-7)
+        equal(single.space.correct(z, r), double.space.correct(z, r), 1e-6)
 
 
 @pytest.fixture
