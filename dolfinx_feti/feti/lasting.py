@@ -111,12 +111,14 @@ class Lasting:
         has_form = has_pattern and self.form is not None and known == state
         comm = A.comm.tompi4py()
         if comm.allreduce(has_form, op=MPI.LAND):
+            state.destroy()
             return
-        self._state = None
-        if not comm.allreduce(has_pattern, op=MPI.LAND) or self._symmetry_has_changed():
-            self.destroy()
-            self._pattern = create_pattern(A, self._options, self._prefix)
         self._state = state
+        if known is not None:
+            known.destroy()
+        if not comm.allreduce(has_pattern, op=MPI.LAND) or self._symmetry_has_changed():
+            self._end_pattern()
+            self._pattern = create_pattern(A, self._options, self._prefix)
         assert self._pattern is not None
         self._take_into_form(self._pattern)
 
@@ -126,7 +128,7 @@ class Lasting:
         """Note how a solve went; its residual is ‖b − A x‖/‖b‖."""
         self._vectors = vectors
         digits = -np.log10(residual) if 0.0 < residual < 1.0 else np.nan
-        if reason > 0 and np.isnan(self._first):
+        if reason > 0 and iterations and np.isnan(self._first):
             self._first = iterations / digits
         self._excess += np.fmax(iterations - digits * self._first, 0.0)
 
@@ -244,8 +246,15 @@ class Lasting:
 
     def destroy(self) -> None:
         """Free everything."""
+        self._end_pattern()
+        if self._state is not None:
+            self._state.destroy()
+            self._state = None
+
+    def _end_pattern(self) -> None:
+        """Free what belongs to the pattern."""
         for owned in (self.form, self._pattern):
             if owned is not None:
                 owned.destroy()
-        self.form = self._primal = self._pattern = self._vectors = self._state = None
+        self.form = self._primal = self._pattern = self._vectors = None
         self._seen = False

@@ -125,7 +125,8 @@ def check_outer_options(prefix: str) -> None:
         for name in NOT_NEGATIVE:
             _real(solver, name, 0.0, "a number ≥ 0", math.inf)
         for name in COUNTS:
-            _count(solver, name, 0)
+            if PETSc.Options(solver).getString(name, "") != "unlimited":
+                _count(solver, name, 0)
     pc_type = PETSc.Options(prefix).getString("pc_type", "none")
     if pc_type != "none":
         raise ValueError(

@@ -21,6 +21,7 @@ from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.subdomain.analysis import Analysis, analyse
 from dolfinx_feti.runtime.connectivity import has_joined_copies
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Pattern", "create_pattern", "symmetric_part"]
@@ -70,37 +71,37 @@ def create_pattern(A: PETSc.Mat, options: FETIOptions, prefix: str) -> Pattern:
         SetUpError: A subdomain holds two copies of a dof; or K is not symmetric, but has to be.
     """
     prefix += "feti_"
-    torn = Torn(A)
-    if has_joined_copies(A, torn.subdomains):
-        torn.destroy()
-        raise SetUpError(
-            "A subdomain holds two copies of a dof: the local matrix couples subdomains that "
-            "share it. Remove these entries, or tear the mesh so that they are one subdomain."
+    with Lifetime() as owned:
+        torn = owned.own(Torn(A))
+        if has_joined_copies(A, torn.subdomains):
+            raise SetUpError(
+                "A subdomain holds two copies of a dof: the local matrix couples subdomains that "
+                "share it. Remove these entries, or tear the mesh so that they are one subdomain."
+            )
+        symmetric = torn.is_symmetric()
+        if not symmetric and options.interior == "eliminate":
+            raise SetUpError(
+                f"The matrix is not symmetric, but -{prefix}interior is eliminate, which takes it "
+                "to be: let it be keep or auto."
+            )
+        with event("FETIGluing"):
+            gluing = owned.own(Gluing(torn, all_floating=options.all_floating))
+        dofs = sort_dofs(torn, gluing.glued, all_floating=options.all_floating)
+        find = partial(
+            analyse,
+            dofs=dofs,
+            choice=options.interior,
+            with_interior=options.pc_type == "dirichlet",
+            prefix=prefix,
         )
-    symmetric = torn.is_symmetric()
-    if not symmetric and options.interior == "eliminate":
-        torn.destroy()
-        raise SetUpError(
-            f"The matrix is not symmetric, but -{prefix}interior is eliminate, which takes it to "
-            "be: let it be keep or auto."
-        )
-    with event("FETIGluing"):
-        gluing = Gluing(torn, all_floating=options.all_floating)
-    dofs = sort_dofs(torn, gluing.glued, all_floating=options.all_floating)
-    find = partial(
-        analyse,
-        dofs=dofs,
-        choice=options.interior,
-        with_interior=options.pc_type == "dirichlet",
-        prefix=prefix,
-    )
-    of_part: Analysis | None = None
-    with event("FETIFactor"):
-        analysis = find(torn, symmetric=symmetric)
-        if not symmetric and options.formulation != "dual":
-            with _symmetric_part(torn) as part:
-                of_part = find(part, symmetric=True)
-    bodies = find_bodies(torn)
+        of_part: Analysis | None = None
+        with event("FETIFactor"):
+            analysis = find(torn, symmetric=symmetric)
+            if not symmetric and options.formulation != "dual":
+                with _symmetric_part(torn) as part:
+                    of_part = find(part, symmetric=True)
+        bodies = find_bodies(torn)
+        owned.pop_all()
     return Pattern(options, prefix, torn, symmetric, bodies, gluing, dofs, analysis, of_part)
 
 

@@ -32,6 +32,7 @@ A subdomain is a connected component of the graph of the local matrix.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 
 from mpi4py import MPI
@@ -164,7 +165,15 @@ class State:
 
     pattern: tuple[object, ...]
     values: tuple[object, ...]
-    objects: tuple[object, ...] = field(compare=False, repr=False)
+    objects: tuple[PETSc.Object, ...] = field(compare=False, repr=False)
+
+    def destroy(self) -> None:
+        """Give the objects up: all processes together, as some may have no other owner. Collective.
+
+        What Python's collector drops on several processes waits in PETSc's garbage.
+        """
+        for owned in self.objects:
+            owned.destroy()
 
 
 def state_of(A: PETSc.Mat) -> State:
@@ -173,7 +182,7 @@ def state_of(A: PETSc.Mat) -> State:
     The cost is that of the list of Dirichlet dofs, which is copied.
     """
     if A.getType() != PETSc.Mat.Type.IS:
-        return State((A.handle,), (A.stateGet(),), (A,))
+        return State((A.handle,), (A.stateGet(),), (copy(A),))
     K, maps, spaces = A.getISLocalMat(), A.getLGMap(), (A.getNearNullSpace(), A.getNullSpace())
     modes = [mode for space in spaces if space.handle for mode in space.getVecs()]
     dirichlet, stiffness, coordinates = map(A.query, ("dirichlet", "stiffness", "coordinates"))
@@ -190,7 +199,8 @@ def state_of(A: PETSc.Mat) -> State:
         *(each and (each.handle, each.stateGet()) for each in (A, K, stiffness, coordinates)),
         *((mode.handle, mode.stateGet()) for mode in modes),
     )
-    return State(pattern, values, (A, K, maps, spaces, modes, stiffness, coordinates))
+    vectors = (each for each in (stiffness, coordinates) if each is not None)
+    return State(pattern, values, (copy(A), K, *maps, *modes, *spaces, *vectors))
 
 
 class Torn:
@@ -223,7 +233,7 @@ class Torn:
                 f"The matrix has type '{A.getType()}', but FETI needs the torn matrix (MATIS): "
                 "make it with dolfinx_feti.create_torn_matrix, or use dolfinx_feti.LinearProblem."
             )
-        self.A = A
+        self.A = copy(A)  # another reference
         self.comm = A.comm.tompi4py()
         self.K = A.getISLocalMat()
         self.n, columns = self.K.getSize()
@@ -389,5 +399,6 @@ class Torn:
         return mask
 
     def destroy(self) -> None:
-        """Free the star forest; the matrix belongs to its creator."""
-        self._sf.destroy()
+        """Free the star forest, and give the matrix up."""
+        for owned in (self._sf, self.K, self.A):
+            owned.destroy()

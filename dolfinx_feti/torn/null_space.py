@@ -16,6 +16,8 @@ where S is regular on these: :math:`S^⊤ (N + θ I_k)\, s = θ S^⊤ I_k s = 0`
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -42,12 +44,20 @@ def null_space(torn: Torn) -> Array:
     Raises:
         SetUpError: Z is not orthonormal, or A z = 0 does not hold; or A is not symmetric.
     """
-    A, comm = torn.A, torn.comm
+    A = torn.A
     space = A.getNullSpace()
-    modes = list(space.getVecs()) if space.handle else []
-    if space.handle and space.hasConstant():
-        modes.append(A.createVecRight())
-        modes[-1].set(A.getSize()[0] ** -0.5)
+    with ExitStack() as owned:
+        modes = list(space.getVecs()) if space.handle else []
+        if space.handle and space.hasConstant():
+            modes.append(A.createVecRight())
+            owned.callback(modes[-1].destroy)
+            modes[-1].set(A.getSize()[0] ** -0.5)
+        return _checked(torn, modes)
+
+
+def _checked(torn: Torn, modes: list[PETSc.Vec]) -> Array:
+    """Return orthonormal null vectors of A on the torn dofs, (n, k); see :func:`null_space`."""
+    comm = torn.comm
     Z = np.array([torn.tear(mode) for mode in modes]).reshape(len(modes), torn.n).T
     if not modes:
         return Z
@@ -113,11 +123,15 @@ def anchor(N: PETSc.Mat, S: Array) -> bool:
         return True
     comm, first, scale = N.comm.tompi4py(), N.getOwnershipRange()[0], N.norm() or 1.0
     s, force = N.createVecs()
+    free = True
     for column in S.T:
         s.array[:] = column
         N.mult(s, force)
-        if not force.norm() <= NO_FORCE * scale * s.norm():
-            return False
+        free = free and force.norm() <= NO_FORCE * scale * s.norm()
+    for owned in (s, force):
+        owned.destroy()
+    if not free:
+        return False
     whole = np.vstack(comm.allgather(S))
     chosen = scipy.linalg.qr(whole.T, mode="r", pivoting=True)[1][: S.shape[1]] - first
     stiffness = np.where(np.isin(np.arange(len(S)), chosen), scale, 0.0)
@@ -125,6 +139,5 @@ def anchor(N: PETSc.Mat, S: Array) -> bool:
     csr = (rows, first + rows[:-1], stiffness)
     more = PETSc.Mat().createAIJ(N.getSizes(), csr=csr, comm=N.comm)
     N.axpy(1.0, more, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    for owned in (more, s, force):
-        owned.destroy()
+    more.destroy()
     return True

@@ -137,6 +137,17 @@ def test_never_lasts(options, primal):
     agree([*ages, check(problem, ksp)] == [0, 0])
 
 
+def test_solve_without_an_iteration_sets_no_rate(primal):
+    """The start is enough for a first matrix, and the next one takes as many as it needs."""
+    problem, ksp = primal()
+    ksp.setTolerances(atol=1e30)
+    reason, _ = solve(ksp, problem, random_values(problem))
+    agree(reason > 0 and ksp.getPythonContext().iterations == 0)
+    ksp.setTolerances(atol=0.0)
+    scale(problem, [1.5] * len(problem.K))
+    agree(check(problem, ksp) == 1)
+
+
 def test_lasts_only_if_asked(primal):
     problem, ksp = primal(newton=False)
     ages = [check(problem, ksp)]

@@ -14,6 +14,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from collective import COMM, agree
+from garbage import garbage
 from problems import cube, elasticity, poisson
 
 import dolfinx_feti
@@ -131,6 +132,50 @@ def test_operators_outlive_the_problem():
     collect()
     agree(np.array_equal(u.x.array, values))
     agree(A.handle == 0)  # destroyed with its problem, and says so
+
+
+FORMS = {
+    "dual": {"feti_formulation": "dual"},
+    "primal": {"feti_formulation": "primal"},
+    "Q = I": {"feti_coarse_q": "identity", "feti_formulation": "dual"},
+    "classical": {"feti_type": "classical", "feti_pc_type": "lumped"},
+    "no lag": {"feti_formulation": "primal", "feti_lag": 0},
+}
+
+
+@pytest.mark.parametrize("null_space", [False, True])
+@pytest.mark.parametrize("options", FORMS.values(), ids=FORMS)
+def test_nothing_waits_for_the_collector(options, null_space, torn_grid, feti):
+    """Near kernel, null space and matrix are replaced between solves; all owners end together."""
+    grid = {"subdomains": (3, 2), "cells": (2, 2)}
+    if null_space:
+        grid["fixed"] = lambda x: np.zeros(len(x), dtype=bool)
+        options = {**options, "feti_type": "all_floating"}
+    first = torn_grid(**grid)
+    PETSc.garbage_cleanup(first.A.comm)
+    ksp = feti(first.A, dolfinx_feti.FETI(newton=True), **options)
+    for step in range(4):
+        A = first.A if step < 2 else torn_grid(**grid).A
+        if null_space:
+            space = PETSc.NullSpace().create(constant=True, comm=A.comm)
+            A.setNullSpace(space)
+            space.destroy()
+        mode = A.createVecRight()
+        mode.set(1.0)
+        dolfinx_feti.set_near_kernel(A, [mode])
+        mode.destroy()
+        ksp.setOperators(A)
+        b, x = A.createVecs()
+        ksp.solve(b, x)
+        agree(ksp.getConvergedReason() > 0, ksp.getPythonContext().message)
+        for owned in (b, x):
+            owned.destroy()
+        if step == 3:
+            ksp.setOperators(first.A)
+            A.destroy()
+        agree(not garbage(COMM), garbage(COMM))
+    ksp.destroy()
+    agree(not garbage(COMM), garbage(COMM))
 
 
 @pytest.mark.parametrize("what", ["create", "solve", "refresh"])

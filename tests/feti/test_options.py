@@ -91,6 +91,11 @@ def test_numbers_of_petscs_own(name, wrong, wanted):
         read(**{name: wrong})
 
 
+@pytest.mark.parametrize("name", ["ksp_max_it", "snes_max_it", "snes_max_funcs"])
+def test_counts_without_a_bound(name):
+    read(**{name: "unlimited"})
+
+
 def test_another_preconditioner():
     with raises(ValueError, "-o_pc_type is 'lu', but no preconditioner .*leave it out.*_feti_pc_t"):
         read(pc_type="lu")

@@ -18,10 +18,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from functools import partial
 from types import SimpleNamespace
-from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -34,8 +33,9 @@ from dolfinx_feti.feti.coarse.graph import CoupledSubdomains, coupled_subdomains
 from dolfinx_feti.feti.coarse.schwarz import SHIFT, SchwarzBlocks
 from dolfinx_feti.feti.solution import CURVATURE
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
-from dolfinx_feti.runtime.collective import total, total_of
+from dolfinx_feti.runtime.collective import total
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_options import inserted
 
 __all__ = [
@@ -117,12 +117,8 @@ class ClusteredSolver:
         graph = coupled_subdomains(N, counts)
         k = motions.shape[1]
         further = N.getSize()[0] > k * (len(graph.starts) - 1)
-        with ExitStack() as owned:
-
-            def own(thing: Any) -> Any:
-                owned.callback(thing.destroy)
-                return thing
-
+        with Lifetime() as owned:
+            own = owned.own
             self._schwarz = own(SchwarzBlocks(N, graph, OTHERS if further else 0))
             cluster = _clusters(N, graph, prefix)
             self.clusters = 1 + self._comm.allreduce(int(cluster.max(initial=-1)), op=MPI.MAX)
@@ -133,7 +129,7 @@ class ClusteredSolver:
             self._third = own(
                 GatheredSolver(A_1, prefix=prefix, symmetric=True, zero=SHIFT, counts=blocks)
             )
-            self._e, self._c = map(own, A_1.createVecs())
+            self._e, self._c = (own(vector) for vector in A_1.createVecs())
             self._y = own(N.createVecRight())
             self._ksp = own(PETSc.KSP().create(N.comm))
             self._ksp.setOptionsPrefix(prefix)

@@ -5,8 +5,9 @@
 
 A solve is one collective call that gives b to all, and a number that each process adds to a sum.
 Each process takes its x from a factor of N: its own (``whole``), or that of its group of processes
-(``group``) where N may be indefinite or is too large, or the options name a solver. Up to :data:`SPREAD` rows of N for each process, its rows of
-the inverse take its place: it reads K²/P numbers in a solve, not the entries of the factor twice.
+(``group``) where N may be indefinite or is too large, or the options name a solver. Up to
+:data:`SPREAD` rows of N for each process, its rows of the inverse take its place: it reads K²/P
+numbers in a solve, not the entries of the factor twice.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.group import GroupFactor
 from dolfinx_feti.feti.coarse.whole import whole_factor
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
-from dolfinx_feti.runtime.collective import on_all, reason, total
+from dolfinx_feti.runtime.collective import on_all, reason
 from dolfinx_feti.runtime.events import event
 
 __all__ = ["GatheredSolver"]

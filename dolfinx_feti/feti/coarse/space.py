@@ -44,6 +44,7 @@ from dolfinx_feti.feti.gluing.copies import Copies, consecutive
 from dolfinx_feti.feti.subdomain.blocks import block_diagonal, on_subdomains
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.orthonormal import diagonalising, unit_scale
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.null_space import anchor, null_space
 from dolfinx_feti.torn.rounding import EPS
 
@@ -52,7 +53,6 @@ __all__ = [
     "AveragedColumns",
     "AveragedSpace",
     "estimated_norms",
-    "negative_curvature",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -65,11 +65,6 @@ ZERO_PIVOT = 1e-8
 
 #: Multiple of a bound of rounding errors by which an energy has to be negative.
 MARGIN = 10.0
-
-#: Search of a negative direction by conjugate gradients: steps for each unknown, and share of the
-#: first residual at which none is left. With positive curvatures only, the component of the
-#: residual along an eigenvector of a negative eigenvalue grows; a random one begins with more.
-STEPS, NO_RESIDUAL = 3, 1e-10
 
 
 class AveragedColumns:
@@ -122,7 +117,6 @@ class AveragedSpace:
         total: Number of columns over all processes.
         combinations: Those of the columns of this process that A₀ belongs to, block-diagonal,
             (size, up to size).
-        dropped: Number of dependent columns, over all processes.
         AV: For each subdomain :math:`Y_i^⊤`, (c_i, n_i), in single precision where that does.
         A_0: The Galerkin matrix of the independent combinations.
         solver: Its factors.
@@ -164,28 +158,31 @@ class AveragedSpace:
                 yield E if symmetric else E.T
 
         energies = V.near.sum(elements())
-        self.combinations = _independent(energies, V.own) if combinations is None else combinations
-        self.A_0 = _change_of_basis(energies, self.combinations)
-        anchor(self.A_0, self._amplitudes(null_space(S.torn)[V.copies.dofs]))
-        self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
-        self.dropped = V.total - self.A_0.getSize()[0]
-        self._x, self._y = self.A_0.createVecs()
-        self.solver = create_coarse_solver(
-            self.A_0,
-            self._counts(),
-            lambda: self._amplitudes(S.torn.near_kernel()[V.copies.dofs]),
-            prefix=prefix,
-            symmetric=symmetric,
-            zero=ZERO_PIVOT,
-        )
-        self._negative = self.solver.pivots().negative
-        self._shifted: PETSc.Mat | None = None
-        if symmetric and self._negative != 0:  # perhaps by rounding, or not known
-            self._shifted = self._with_rounding(S)
-            if self._negative is not None:
-                solver = GatheredSolver(self._shifted, prefix=prefix, symmetric=True)
+        with Lifetime() as owned:
+            own = owned.own
+            if combinations is None:
+                combinations = _independent(energies, V.own)
+            self.combinations = combinations
+            self.A_0 = own(_change_of_basis(energies, combinations))
+            anchor(self.A_0, self._amplitudes(null_space(S.torn)[V.copies.dofs]))
+            self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+            self._x, self._y = (own(vector) for vector in self.A_0.createVecs())
+            self.solver = own(
+                create_coarse_solver(
+                    self.A_0,
+                    self._counts(),
+                    lambda: self._amplitudes(S.torn.near_kernel()[V.copies.dofs]),
+                    prefix=prefix,
+                    symmetric=symmetric,
+                    zero=ZERO_PIVOT,
+                )
+            )
+            self._negative = self.solver.pivots().negative
+            if symmetric and self._negative:  # perhaps by rounding
+                shifted = own(self._with_rounding(S))
+                solver = own(GatheredSolver(shifted, prefix=prefix, symmetric=True))
                 self._negative = solver.pivots().negative
-                solver.destroy()
+            self._owned = owned.pop_all()
 
     def initial_guess(self, r: Array) -> Array:
         """Return V A₀⁻¹ Vᵀ r of an assembled residual, all given by copies, (n,). Collective."""
@@ -213,19 +210,10 @@ class AveragedSpace:
         """Count the negative eigenvalues of A₀, which A has at least; None if not known."""
         return self._negative
 
-    def negative_direction(self) -> Array | None:
-        """Return a field v with vᵀ A v < 0 by copies, (n,); None if not known. Collective."""
-        if self._negative == 0 or self._shifted is None:
-            return None
-        p = negative_curvature(self._shifted)
-        return None if p is None else self.V.prolong(np.asarray(self.combinations @ p))
-
     def destroy(self) -> None:
         """Free A V, matrices and solver; the columns stay."""
         self.AV.clear()
-        for owned in (self.solver, self.A_0, self._x, self._y, self._shifted):
-            if owned is not None:
-                owned.destroy()
+        self._owned.close()
 
     def _counts(self) -> npt.NDArray[np.int64]:
         """Count the combinations of each subdomain."""
@@ -255,32 +243,6 @@ class AveragedSpace:
         shifted = self.A_0.copy()
         shifted.setDiagonal(self._x, addv=PETSc.InsertMode.ADD_VALUES)
         return shifted
-
-
-def negative_curvature(A: PETSc.Mat) -> Array | None:
-    """Look for a p with pᵀ A p < 0 by conjugate gradients, (N,), beyond rounding. Collective.
-
-    Return its rows on this process; None if the residual vanishes first, or curvature does.
-    """
-    r, q = A.createVecs()
-    r.array[:] = np.random.default_rng(A.comm.rank).standard_normal(len(r.array_r))
-    p, ρ, direction = r.copy(), r.dot(r), None
-    rounding, least = MARGIN * EPS * A.norm(PETSc.NormType.INFINITY), NO_RESIDUAL**2 * ρ
-    for _ in range(STEPS * A.getSize()[0]):
-        A.mult(p, q)
-        curvature = p.dot(q)
-        if curvature <= 0.0:
-            if curvature < -rounding * p.dot(p):
-                direction = p.array_r.copy()
-            break
-        r.axpy(-ρ / curvature, q)
-        ρ, last = r.dot(r), ρ
-        if ρ <= least:
-            break
-        p.aypx(ρ / last, r)
-    for owned in (r, q, p):
-        owned.destroy()
-    return direction
 
 
 def estimated_norms(copies: Copies, multiply: Callable[[int, Array], Array]) -> list[float]:

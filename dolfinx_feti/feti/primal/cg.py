@@ -12,7 +12,7 @@ with V from E alone and D = 0 the eigenvalues are those of the projected dual op
 
 :math:`K_ρ` is positive definite whatever D is, since modes that buckle have joined R
 (``pseudoinverse``). So the method is safe if A is positive definite; if not, A₀ shows it or the
-method meets a direction p with :math:`p^⊤ A p < 0` beyond rounding, and returns it. An indefinite A
+method meets a direction p with :math:`p^⊤ A p < 0` beyond rounding. An indefinite A
 is solved with where A₀ has as many negative eigenvalues, for all p are A-orthogonal to V: A is
 positive definite on them (Sylvester's law of inertia for A in V and its complement). Where it has
 one or two less, as near a limit point, α is negative as often. The residual of
@@ -92,7 +92,6 @@ class Outcome:
         norm: ‖b − A x‖.
         eigenvalues: Ritz values of the preconditioned operator, ascending, (iterations,).
         trace: The first iterations.
-        direction: A direction p with pᵀ A p < 0, by its copies, if one was met.
     """
 
     x: Array
@@ -101,7 +100,6 @@ class Outcome:
     norm: float
     eigenvalues: Array
     trace: Trace
-    direction: Array | None = None
 
 
 def conjugate_gradients(
@@ -135,10 +133,10 @@ def conjugate_gradients(
     α: list[float] = []
     β: list[float] = []
     R, Z = np.empty((2, traced, len(x)))  # a row takes memory once it is written
-    direction = None if saddles else space.negative_direction()
     left = FEW * saddles
     best, least, at = x, norm, 0
-    reason = Reason.ITERATING if direction is None else Reason.DIVERGED_INDEFINITE_MAT
+    in_vain = space.indefinite and not saddles
+    reason = Reason.DIVERGED_INDEFINITE_MAT if in_vain else Reason.ITERATING
     while not reason and not (reason := converged_reason(norm, target, len(α), max_it)):
         last = ρ
         z, ρ = system.precondition(r)
@@ -151,7 +149,7 @@ def conjugate_gradients(
         elif curvature <= 0.0 and not (real := curvature < -MARGIN * space.rounding(p)):
             reason = Reason.CONVERGED_ITS  # by rounding
         elif curvature <= 0.0 and real and not left:
-            reason, direction = Reason.DIVERGED_INDEFINITE_MAT, p
+            reason = Reason.DIVERGED_INDEFINITE_MAT
         else:
             left -= curvature < 0.0
             if len(α) < traced:
@@ -168,7 +166,7 @@ def conjugate_gradients(
                 reason = Reason.CONVERGED_ITS
     k = min(len(α), traced)
     trace = Trace(R[:k], Z[: max(k - 1, 0)], _hessenberg(np.array(α[:k]), np.array(β[:k])))
-    return Outcome(best, reason, len(α), least, ritz_values(α, β), trace, direction)
+    return Outcome(best, reason, len(α), least, ritz_values(α, β), trace)
 
 
 def converged_reason(norm: float, target: float, its: int, max_it: int) -> int:

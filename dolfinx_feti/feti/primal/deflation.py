@@ -89,7 +89,11 @@ class Trace:
 
 
 class DeflatedSpace:
-    """The coarse space of conjugate gradients: V and Ritz vectors W, if there are any."""
+    """The coarse space of conjugate gradients: V and Ritz vectors W, if there are any.
+
+    Attributes:
+        indefinite: Whether A₀ or H proves that A has negative eigenvalues.
+    """
 
     def __init__(
         self,
@@ -114,7 +118,7 @@ class DeflatedSpace:
             Exception: What the work on a subdomain raises, on all processes.
         """
         self._space, self._copies, self._multiply = space, copies, multiply
-        self._direction: Array | None = None
+        self.indefinite = bool(space.negative())
         with event("FETIRecycling"):
             vectors = vectors or RitzVectors(np.zeros((copies.n, 0)), np.zeros((copies.n, 0)))
             W = vectors.W.copy(order="F")
@@ -133,8 +137,7 @@ class DeflatedSpace:
             self._inverse = Y @ np.linalg.solve(Y.T @ self._H @ Y, Y.T)  # H⁻¹
             if values.min(initial=0.0) < 0.0:
                 v = self._W @ Y[:, 0]  # vᵀ A v = values[0]
-                if values[0] < -MARGIN * self.rounding(v):
-                    self._direction = v
+                self.indefinite |= bool(values[0] < -MARGIN * self.rounding(v))
 
     @property
     def count(self) -> int:
@@ -159,11 +162,6 @@ class DeflatedSpace:
         product, of_r, of_z = np.split(total_of(own, self._copies.comm), [1, 1 + self.count])
         c = self._inverse @ (of_r - of_z)
         return np.asarray(z + self._W @ c), float(product[0] + of_r @ c)
-
-    def negative_direction(self) -> Array | None:
-        """Return a field v with vᵀ A v < 0, (n,), or None if none is known. Collective."""
-        v = self._space.negative_direction()
-        return self._direction if v is None else v
 
     def ritz_vectors(self, trace: Trace, *, most: int) -> RitzVectors:
         """Choose at most ``most`` vectors that the iterations leave to later solves. Collective."""

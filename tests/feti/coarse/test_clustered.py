@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
-import dolfinx
 import numpy as np
 import pytest
-import ufl
 from collective import COMM, agree, dense, equal, norm, small, whole
 from hand_torn import random_values, solve
+
+import dolfinx
+import ufl
 
 import dolfinx_feti
 from dolfinx_feti.feti.coarse import clustered
@@ -143,7 +144,7 @@ PATTERNS = {
 
 
 def stiffened_cube(n, grid, pattern, jump, subdomains=None):
-    """Set up a cube of n³ cells, whose modulus jumps on a grid; its cells are subdomains, or not."""
+    """Set up a cube of n³ cells, whose modulus jumps on a grid of cubes: subdomains, or not."""
     mesh = dolfinx.mesh.create_unit_cube(COMM, n, n, n)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
     E = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
