@@ -139,9 +139,7 @@ def set_near_kernel(
 
 
 def set_condensed(A: PETSc.Mat, pressures: int) -> None:
-    """Note that pressures have been condensed, cell by cell, into the local matrix.
-
-    ``-feti_formulation auto`` takes the primal form then.
+    """Note that pressures have been condensed into the local matrix; ``auto`` is primal then.
 
     Args:
         A: Torn matrix.
@@ -168,10 +166,7 @@ class State:
     objects: tuple[PETSc.Object, ...] = field(compare=False, repr=False)
 
     def destroy(self) -> None:
-        """Give the objects up: all processes together, as some may have no other owner. Collective.
-
-        What Python's collector drops on several processes waits in PETSc's garbage.
-        """
+        """Give the objects up; what Python drops waits in PETSc's garbage. Collective."""
         for owned in self.objects:
             owned.destroy()
 
