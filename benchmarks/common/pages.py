@@ -14,12 +14,14 @@ the page's. A heading that ends so stands for its section, up to the next headin
     | --: | --: |
     | {solver} | {seconds:.2f} | <!-- rows -->
 
-Text between :data:`BEGIN` and :data:`END` is by hand: a page that is written anew keeps it.
+A table of more than :data:`LONGEST` rows, or :data:`LARGEST` cells, goes into a file beside the
+page, as CSV, and the page has a link. Each number on a page comes from a record.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import re
 import string
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -28,12 +30,15 @@ from typing import Any
 
 from benchmarks.common.records import Record, read_records
 
-__all__ = ["FORMS", "Fields", "fill", "groups", "section", "write_page"]
+__all__ = ["FORMS", "Fields", "fill", "groups", "section", "set_aside", "write_page"]
 
 Fields = Mapping[str, Any]
 
 MARK = re.compile(r" *<!-- (\w+) -->$")
-BEGIN, END = "<!-- What follows is written by hand. -->", "<!-- To here. -->"
+TABLE = re.compile(r"(?:^\|.*\n)+", re.M)
+
+#: Rows and cells of a table that a page shows.
+LONGEST, LARGEST = 8, 50
 
 #: Formats of values: a whole number in groups of three digits, four digits, a share in two digits,
 #: the deviation of a quotient from one, a share, an order of magnitude, and a verdict.
@@ -82,7 +87,7 @@ def write_page(
     fields: Callable[[Sequence[Record]], Fields],
     draw: Callable[[Sequence[Record], Path], Sequence[Fields]] = lambda _records, _folder: (),
 ) -> str:
-    """Write the page that a command line asks for, and return it.
+    """Write the page that a command line asks for; return it with all of its tables.
 
     Args:
         module: The study's ``page.py``, beside its template ``page.md``.
@@ -97,27 +102,50 @@ def write_page(
     parser = argparse.ArgumentParser(f"{study}.page", description=f"Write the page {name}.md.")
     parser.add_argument("records", type=Path, nargs="+", metavar="JSON", help=f"files of {study}")
     parser.add_argument("--output", type=Path, required=True, metavar="FOLDER")
-    parser.add_argument("--remark", help="text by hand; what the page has, if not given")
     args = parser.parse_args(arguments)
     page = args.output / f"{name}.md"
     try:
         records = [r for path in args.records for r in read_records(path, known, study)]
         args.output.mkdir(parents=True, exist_ok=True)
-        remark = _by_hand(page) if args.remark is None else args.remark
         values = {**_provenance(records), **fields(records)}
         values["pictures"] = draw(records, args.output)
-        values["remark"] = f"{BEGIN}\n\n{remark}\n\n{END}" if remark else f"{BEGIN}\n{END}"
-        text = fill(template.read_text(encoding="utf-8"), values)
+        filled = fill(template.read_text(encoding="utf-8"), values)
+        text, tables = set_aside(filled, name)
         page.write_text(text, encoding="utf-8")
+        _write_tables(args.output / "tables", name, tables)
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    return text
+    return filled
 
 
-def _by_hand(page: Path) -> str:
-    """Return the text of a page that is by hand, if there is one."""
-    text = page.read_text(encoding="utf-8") if page.is_file() else ""
-    return text.partition(BEGIN)[2].partition(END)[0].strip()
+def set_aside(text: str, name: str) -> tuple[str, list[list[list[str]]]]:
+    """Replace long tables by links to files; return the text, and the cells of each table."""
+    tables: list[list[list[str]]] = []
+
+    def link(found: re.Match[str]) -> str:
+        rows = [line.strip("| ").split(" | ") for line in found[0].splitlines()]
+        if len(rows) - 2 <= LONGEST and (len(rows) - 2) * len(rows[0]) <= LARGEST:
+            return found[0]
+        tables.append([[_plain(cell) for cell in row] for row in [rows[0], *rows[2:]]])
+        number = f"{len(rows) - 2} row{'s' if len(rows) > 3 else ''}"
+        return f"[Table of {number}](tables/{name}_{len(tables)}.csv)\n"
+
+    return TABLE.sub(link, text), tables
+
+
+def _plain(cell: str) -> str:
+    """Return a cell without marks of Markdown, and its numbers without groups of digits."""
+    return re.sub(r"(?<=\d) (?=\d{3}\b)", "", cell.strip().replace("**", ""))
+
+
+def _write_tables(folder: Path, name: str, tables: Sequence[Sequence[Sequence[str]]]) -> None:
+    """Write the tables of a page in the place of its earlier ones."""
+    for old in folder.glob(f"{name}_*.csv"):
+        old.unlink()
+    for number, rows in enumerate(tables, start=1):
+        folder.mkdir(exist_ok=True)
+        with (folder / f"{name}_{number}.csv").open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)
 
 
 def _provenance(records: Sequence[Record]) -> dict[str, object]:

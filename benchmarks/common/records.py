@@ -7,11 +7,15 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from mpi4py import MPI
 
+import dolfinx_feti
 from benchmarks.common.machine import describe, now
 from dolfinx_feti.runtime.collective import on_first, reason
 
@@ -78,8 +82,25 @@ class Records:
         return record
 
     def keep(self, key: Record, found: Record) -> Record:
-        """Put what came of a case, with the machine and the date. Collective."""
-        return self.put(key, key | found | {"machine": describe(), "date": now()})
+        """Put what came of a case, with what it takes to run it again. Collective."""
+        made = {"machine": describe(), "date": now(), "version": dolfinx_feti.__version__}
+        made |= {"commit": commit(), "command": shlex.join(sys.orig_argv)}
+        return self.put(key, key | found | made)
+
+
+def commit() -> str | None:
+    """Return the commit of the checkout, with a plus if files differ from it; None outside one."""
+    try:
+        said = subprocess.run(
+            ["git", "describe", "--always", "--abbrev=12", "--exclude=*", "--dirty=+"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            check=True,
+            text=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return said.stdout.strip()
 
 
 def read_records(path: Path, known: Callable[[Record], bool], writer: str) -> list[Record]:

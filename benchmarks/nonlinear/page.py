@@ -62,6 +62,8 @@ def _wall(records: Sequence[Record]) -> dict[str, object]:
     most = {name: max((r[name] for r in known), default=0) for name in ("dofs", "cells")}
     edges = "" if first["size"] is None else f", edges of {first['size']:g} mm"
     names = {"artery": ARTERIES[layers], "wall": LAYERS[layers], "edges": edges}
+    names |= dict(zip(("their_cells", "their_vertices"), paper.MESHES[layers], strict=True))
+    names |= {"their_subdomains": paper.SUBDOMAINS[layers, degree]}
     return {name: first[name] for name in WALL} | most | names | {"rows": rows}
 
 

@@ -11,7 +11,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["SOLVES", "Solve"]
+__all__ = ["MESHES", "SOLVES", "SUBDOMAINS", "Solve"]
+
+#: Tetrahedra and vertices of the paper's meshes, by layers: the aorta, the carotid artery.
+MESHES = {1: (5_418_594, 1_055_901), 2: (9_195_336, 1_621_365)}
+
+#: Subdomains, by layers and degree.
+SUBDOMAINS = {(1, 1): 480, (1, 2): 480, (2, 1): 512, (2, 2): 1024}
 
 
 class Solve(NamedTuple):

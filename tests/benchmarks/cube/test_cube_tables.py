@@ -27,7 +27,7 @@ SECTIONS |= {"more", "costs", "refused"}
 def text(*records: dict) -> str:
     """Return the page of some records."""
     template = Path(page.__file__).with_suffix(".md").read_text()
-    return fill(template, fields(records) | {"remark": "", "machines": []})
+    return fill(template, fields(records) | {"machines": []})
 
 
 def test_tables_hold_the_papers_values_against_ours():
