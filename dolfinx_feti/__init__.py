@@ -31,7 +31,7 @@ from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.runtime.scotch import repeat_partitions
 from dolfinx_feti.torn.matrix import create_torn_matrix, set_near_kernel
 
-__version__ = "0.2.0"
+__version__ = "0.1.0"
 __all__ = [
     "FETI",
     "ConvergenceError",

@@ -49,6 +49,15 @@ def test_command_explains_itself(name, monkeypatch, capsys):
         assert "--json" in said
 
 
+def test_studies_are_listed(capsys):
+    runpy.run_module("benchmarks", run_name="__main__")
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(STUDIES)
+    for name, line in zip(STUDIES, lines, strict=True):
+        assert line.startswith(f"python3 -m benchmarks.{name} ")
+        assert re.search(r"[.:] \(\d+ cases", line), line
+
+
 @pytest.mark.parametrize("name", STUDIES)
 def test_page_explains_itself(name, capsys):
     page = importlib.import_module(f"benchmarks.{name}.page")
