@@ -13,7 +13,7 @@ stable; ``published``, numbers that others have published; ``random_walls``, rob
 knows itself and ``common``.
 
 In the order of the data: common, cube, tube, compare, nonlinear, scaling, load_stepping,
-subdomains, inf_sup, published, random_walls.
+subdomains, inf_sup, published, random_walls, run.
 """
 
 from mpi4py import MPI  # noqa: F401  before all that is linked with the MPI library

@@ -3,5 +3,5 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """FETI beside MUMPS, GAMG and others on the same matrices.
 
-In the order of the data: pardiso, split, opponents, path, run, page.
+In the order of the data: pardiso, split, opponents, path, run, page, figure.
 """
