@@ -21,7 +21,7 @@
 #     mpirun -n 2 python3 demos/demo_artery.py --mesh tube -feti_pc_type lumped -snes_monitor
 #
 # `--mesh FILE` takes a wall of your own (`meshes/README.md`), and `--wall FILE.toml` its layers and
-# the conditions on its surfaces, too (`docs/walls.md`; `demos/wall.toml` is an example). `--help`
+# the conditions on its surfaces, too (`docs/cases.md`; `demos/wall.toml` is an example). `--help`
 # lists all options.
 #
 # Units: mm, kPa, and hence mN; pressures on the command line are in mmHg.

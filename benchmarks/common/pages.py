@@ -38,7 +38,7 @@ MARK = re.compile(r" *<!-- (\w+) -->$")
 TABLE = re.compile(r"(?:^\|.*\n)+", re.M)
 
 #: Rows and cells of a table that a page shows.
-LONGEST, LARGEST = 8, 50
+LONGEST, LARGEST = 8, 30
 
 #: Formats of values: a whole number in groups of three digits, four digits, a share in two digits,
 #: the deviation of a quotient from one, a share, an order of magnitude, and a verdict.

@@ -52,11 +52,12 @@ def _fields(records: Sequence[Record]) -> Fields:
             r | {f"{name}_ratio": r[name] / r[f"{name}_exact"] for name in names if name in r}
             for r in sorted(mine, key=lambda r: r["pressure_mmhg"])
         ]
-        lost = [r for r in rows if "error" in r]
         case = dict(zip(CASE, key, strict=True)) | {"body": "quarter" if key[0] else "whole tube"}
         case["with_multipliers"] = ", multipliers" if case["augmented"] else ""
-        runs.append(case | {"rows": [r for r in rows if "error" not in r], "lost": lost})
-    return {"runs": runs, "ways": [{"rows": _ways(records)}]}
+        runs += [case | row for row in rows]
+    arrived = [run for run in runs if "error" not in run]
+    lost = [run for run in runs if "error" in run]
+    return {"runs": arrived, "lost": lost, "ways": [{"rows": _ways(records)}]}
 
 
 def _ways(records: Sequence[Record]) -> list[Fields]:

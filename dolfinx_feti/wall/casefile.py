@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A case in one TOML file: mesh, layers, surfaces, fibres, prestretch, image and loading.
 
-`docs/walls.md` explains the keys, and `demos/wall.toml` is an example. A number is in the first
+`docs/cases.md` explains the keys, and `demos/wall.toml` is an example. A number is in the first
 unit of its key; a text such as ``"13 kPa"`` may have another one.
 """
 

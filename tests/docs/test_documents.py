@@ -111,6 +111,29 @@ def test_pages_of_the_site_have_titles_of_their_own():
     assert not [title for title, times in titles.items() if times > 1]
 
 
+#: Pages that may be longer than others: theory and what is made of the code or the paper.
+LONG = {"theory", "notation", "equations", "modules", "references"}
+
+#: Words of a page, of a page of results with its many sections, and of all pages.
+BOUND, RESULTS, TOTAL = 900, 1400, 50_000
+
+
+def test_pages_are_short():
+    """A visitor reads a page to its end."""
+    words = {
+        path.relative_to(ROOT / "docs"): len(path.read_text(encoding="utf-8").split())
+        for path in (ROOT / "docs").rglob("*.md")
+        if "demos" not in path.parts
+    }
+    long = {
+        str(path): n
+        for path, n in words.items()
+        if n > (RESULTS if "results" in path.parts else BOUND) and path.stem not in LONG
+    }
+    assert not long
+    assert sum(words.values()) <= TOTAL
+
+
 def test_names_of_the_api_exist():
     table = (ROOT / "docs/api.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(dolfinx_feti[\w.]*)` \| (.+) \|$", table, re.M)

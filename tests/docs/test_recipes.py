@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The programs of docs/recipes.md, run one after the other, beside what is known by hand."""
+"""The programs of docs/mechanics_recipes.md in their order, beside what is known by hand."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import dolfinx
 
 from dolfinx_feti import ConvergenceError
 
-PAGE = Path(__file__).parents[2] / "docs/recipes.md"
+PAGE = Path(__file__).parents[2] / "docs/mechanics_recipes.md"
 
 
 def program(heading: str) -> str:

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What ``-ksp_view`` prints: one table for a solver, of the shape that docs/usage.md shows."""
+"""What ``-ksp_view`` prints: one table for a solver, of the shape that docs/reading.md shows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from problems import cube, elasticity, poisson
 
 from dolfinx_feti.runtime.petsc_options import inserted
 
-USAGE = Path(__file__).parents[2] / "docs" / "usage.md"
+DOCS = Path(__file__).parents[2] / "docs"
 
 #: Lines of a terminal.
 SCREEN = 24
@@ -62,23 +62,26 @@ def test_view_that_is_asked_for(solve, printed):
         agree("multipliers" in printed())
 
 
-def blocks(heading, language):
-    """Return the blocks of code below a heading of docs/usage.md."""
-    section = USAGE.read_text(encoding="utf-8").partition(f"\n## {heading}\n")[2]
+def blocks(page, heading, language):
+    """Return the blocks of code below a heading of a page."""
+    section = (DOCS / page).read_text(encoding="utf-8").partition(f"\n## {heading}\n")[2]
     return re.findall(rf"^```{language}\n(.*?)^```", section.partition("\n## ")[0], re.M | re.S)
 
 
 @pytest.mark.serial
 @pytest.mark.parametrize(
-    ("heading", "prefix", "sample"),
-    [("A linear problem", "beam_", 0), ("A nonlinear problem", "wall_", 1)],
+    ("page", "heading", "prefix", "sample"),
+    [
+        ("usage.md", "A linear problem", "beam_", 0),
+        ("nonlinear.md", "A nonlinear problem", "wall_", 1),
+    ],
 )
-def test_sample_of_the_documentation(heading, prefix, sample, printed):
-    """The programs of the page print their tables once, line by line as the page has them."""
-    program = max(blocks(heading, "python"), key=len)
+def test_sample_of_the_documentation(page, heading, prefix, sample, printed):
+    """The programs of the pages print their tables once, line by line as reading.md has them."""
+    program = max(blocks(page, heading, "python"), key=len)
     with inserted(prefix, {"ksp_view": None}):
-        exec(compile(program, str(USAGE), "exec"), {})
-    shown, said = blocks("Reading `-ksp_view`", "")[sample], printed()
+        exec(compile(program, page, "exec"), {})
+    shown, said = blocks("reading.md", "Reading `-ksp_view`", "")[sample], printed()
     agree(said.count("KSP Object") == 1, said)
     agree(shape(shown) == shape(said) and len(shape(said)) >= 10, (shown, said))
 

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Prestress, by the lines of docs/scan.md: an image that stays where it is under its load."""
+"""Prestress, by the lines of docs/prestress.md: an image that stays where it is under its load."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from dolfinx_feti import ConvergenceError, NonlinearProblem, kinematics, loads, 
 from dolfinx_feti.loading import Checkpoint, Steps, follow_load, prestress, unload
 from dolfinx_feti.output import cell_values
 
-PAGE = Path(__file__).parents[2] / "docs/scan.md"
+PAGE = Path(__file__).parents[2] / "docs/prestress.md"
 INCREMENTS: dict[str, float] = {"first": 10.0, "least": 1.0, "rtol": 1e-2}
 STEPS = Steps(**INCREMENTS, quick=8)
 

@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A beam of heart muscle that bends, problem 1 of Land et al. (2015), on a coarse mesh.
 
-Published are 4.0 to 4.2 mm. P2–P0 is of first order there: docs/compressibility.md has finer ones.
+Published are 4.0 to 4.2 mm. P2–P0 is of first order there: docs/beam.md has finer ones.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import ufl
 from dolfinx_feti import NonlinearProblem, kinematics, materials
 from dolfinx_feti.loading import Steps, follow_load
 
-PAGE = Path(__file__).parents[2] / "docs/compressibility.md"
+PAGE = Path(__file__).parents[2] / "docs/beam.md"
 ACROSS, KAPPA, LOAD = 2, 1000.0, 0.004
 LAND = {"c": 2.0, "b_f": 8.0, "b_t": 2.0, "b_fs": 4.0}
 
