@@ -60,7 +60,7 @@ def test_the_example():
 def test_the_documents_examples(read):
     """The first is the demos' own, the second a wall of one layer."""
     page = (ROOT / "docs/cases.md").read_text(encoding="utf-8")
-    first, second = re.findall(r"^```toml\n(.*?)^```", page, re.M | re.S)
+    first, second, _ = re.findall(r"^```toml\n(.*?)^```", page, re.M | re.S)
     agree(first in (DEMOS / "wall.toml").read_text(encoding="utf-8"))
     case = read(second)
     agree(case.layers["wall"] == Tissue(40.0))
