@@ -60,7 +60,7 @@ def elastic_part(F: Expr, G: Expr) -> Expr:
 
 
 def stress_free_direction(a: Expr, G: Expr) -> Expr:
-    """Direction in the pieces without stress of a line of the reference configuration, ``G a/|G a|``.
+    """Direction in the stress-free pieces of a line of the reference configuration, ``G a/|G a|``.
 
     Args:
         a: Direction in the reference configuration, of any length but zero, shape (d,).
