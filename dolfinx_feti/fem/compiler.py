@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
 
 from mpi4py import MPI
 
@@ -19,9 +21,11 @@ from ufl.corealg.traversal import traverse_unique_terminals
 
 from dolfinx_feti.fem.quadrature import quadrature_rule, same_points
 from dolfinx_feti.runtime.collective import on_all
-from dolfinx_feti.runtime.native import processor_flags
+from dolfinx_feti.runtime.native import announced, processor_flags
 
 __all__ = ["Compiler"]
+
+T = TypeVar("T")
 
 #: Flags that leave NaN alone.
 FAST = ["-O3", "-fno-inline-small-functions", "-fno-math-errno", "-fno-trapping-math"]
@@ -53,6 +57,12 @@ class Compiler:
         default, _ = dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS["cffi_extra_compile_args"]
         return [*(FAST if flags == default else flags), *processor_flags(), "-Wno-psabi"]
 
+    def cache(self) -> Path | None:
+        """Return the folder for compiled code, if dolfinx's options state one."""
+        folder = dolfinx.jit.get_options(_copy(self.jit_options))["cache_dir"]
+        default, _ = dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS["cache_dir"]
+        return None if folder == default else Path(folder).expanduser()
+
     def form(self, form: ufl.Form) -> dolfinx.fem.Form:
         """Compile a form.
 
@@ -62,13 +72,13 @@ class Compiler:
         Note:
             Collective.
         """
-        return on_all(
+        return self._compile(
+            "a form",
             lambda: dolfinx.fem.form(
                 form,
                 form_compiler_options=_copy(self.form_compiler_options),
                 jit_options=_copy(self.jit_options),
             ),
-            self.comm,
         )
 
     def expression(
@@ -99,7 +109,18 @@ class Compiler:
                 jit_options=_copy(self.jit_options),
             )
 
-        return on_all(compiled, self.comm)
+        return self._compile("an expression", compiled)
+
+    def _compile(self, what: str, work: Callable[[], T]) -> T:
+        """Let dolfinx compile on all processes; the first one tells what takes long."""
+
+        def told() -> T:
+            if self.comm.rank:
+                return work()
+            with announced(what, dolfinx.jit.get_options(_copy(self.jit_options))["cache_dir"]):
+                return work()
+
+        return on_all(told, self.comm)
 
 
 def _check_points(expression: ufl.core.expr.Expr, points: npt.NDArray[np.float64]) -> None:

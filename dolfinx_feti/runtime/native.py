@@ -5,25 +5,32 @@
 
 The compiler is the one that FFCx calls, by way of cffi; ``DOLFINX_FETI_CFLAGS`` has further flags
 for it. What it makes is kept in ``$XDG_CACHE_HOME/dolfinx_feti`` (``~/.cache/dolfinx_feti`` without
-that variable), under a name that changes with the code, the flags and Python.
+that variable), or for this run only where that cannot be written. Its name changes with the code,
+the flags, the processor if they ask for its kind, cffi and Python.
 """
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import hashlib
 import importlib.util
 import io
+import logging
 import os
 import platform
+import re
 import shlex
+import shutil
 import sysconfig
 import tempfile
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 from mpi4py import MPI
 
@@ -33,12 +40,23 @@ from scipy.linalg import cython_blas, cython_lapack
 
 from dolfinx_feti.runtime.collective import on_all, on_first, reason
 
-__all__ = ["address_of", "load", "pointer", "processor_flags"]
+__all__ = ["address_of", "announced", "load", "pointer", "processor_flags"]
 
 #: Machines of which the compiler knows ``-march=native``.
 MACHINES = ("x86_64", "aarch64")
 
-_loaded: dict[str, ModuleType] = {}
+#: End of the names of Python's modules.
+SUFFIX = str(sysconfig.get_config_var("EXT_SUFFIX"))
+
+#: Seconds of a compilation without a word.
+PATIENCE = 2.0
+
+logger = logging.getLogger("dolfinx_feti")
+
+_loaded: dict[object, ModuleType] = {}
+
+#: Attribute of communicators.
+_SEEN = MPI.Comm.Create_keyval()
 
 
 def load(
@@ -48,16 +66,18 @@ def load(
     *,
     generated: str = "",
     flags: Sequence[str] = ("-O3",),
+    cache: Path | None = None,
 ) -> Any:
     """Compile a file, unless that is done, and load it.
 
     Args:
-        source: The file.
+        source: The file; files that it includes in quotes are beside it.
         declarations: What of it is called and read, in C.
         comm: Communicator of all processes that load it. The first one compiles; others do only
             where they do not see its files.
         generated: Code that takes the place of ``/* generated */`` in the file.
         flags: For the compiler.
+        cache: Folder in the place of the package's own.
 
     Returns:
         The module, whose ``lib`` has the functions, and ``ffi`` the types.
@@ -66,27 +86,55 @@ def load(
         RuntimeError: It cannot be compiled or loaded, on all processes.
 
     Note:
-        Collective.
+        Collective. Code that has been loaded with a communicator is found without communication.
     """
-    text = source.read_text(encoding="utf-8").replace("/* generated */", generated)
-    flags = [*flags, *shlex.split(os.environ.get("DOLFINX_FETI_CFLAGS", ""))]
-    version = "\n".join([text, declarations, *flags, str(sysconfig.get_config_var("EXT_SUFFIX"))])
-    name = f"{source.stem}_{hashlib.sha256(version.encode()).hexdigest()[:16]}"
+    flags = (*flags, *shlex.split(os.environ.get("DOLFINX_FETI_CFLAGS", "")))
+    key = source, declarations, generated, flags, cache
+    seen = _seen(comm)
+    if key in seen and key in _loaded:
+        return _loaded[key]
 
-    def module() -> ModuleType:
-        if name not in _loaded:
+    def module(path: str = "") -> str:
+        """Load the code, and return where it is."""
+        if key not in _loaded:
             try:
-                _loaded[name] = _import(name, _compiled(name, text, declarations, flags))
+                text = _text(source, generated)
+                known_by = [text, declarations, *flags, version("cffi"), SUFFIX]
+                name = hashlib.sha256("\n".join(known_by).encode()).hexdigest()[:16]
+                name = f"{source.stem}_{name}"
+                if not Path(path).is_file():
+                    path = str(_compiled(name, text, declarations, flags, cache))
+                _loaded[key] = _import(name, Path(path))
             except Exception as error:
                 raise RuntimeError(
                     f"{source.name} cannot be compiled ({reason(error)}): check the C compiler, "
                     "which FFCx needs, too (variable CC), and that the cache can be written "
                     "(variable XDG_CACHE_HOME)."
                 ) from error
-        return _loaded[name]
+        return str(_loaded[key].__file__)
 
-    on_first(lambda: bool(module()), comm)
-    return on_all(module, comm)
+    path = on_first(module, comm)
+    on_all(lambda: module(path), comm)
+    seen.add(key)
+    return _loaded[key]
+
+
+@contextlib.contextmanager
+def announced(what: str, where: object) -> Iterator[None]:
+    """Log that something is being compiled if that takes more than two seconds.
+
+    Args:
+        what: What is compiled.
+        where: Folder that keeps it.
+    """
+    message = f"compiling {what}, which is kept for later runs in {where}"
+    timer = threading.Timer(PATIENCE, logger.warning, [message])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def processor_flags() -> list[str]:
@@ -108,17 +156,24 @@ def processor_flags() -> list[str]:
     return ["-march=native", f"-DPROCESSOR_{name}"]
 
 
-def pointer(module: Any, array: npt.NDArray[Any]) -> Any:
+def pointer(module: Any, array: npt.NDArray[Any], *, order: str = "C") -> Any:
     """Return a C pointer to the entries of an array, which has to outlive it.
 
+    Args:
+        module: What :func:`load` returns.
+        array: An array of float32, float64, int32 or int64.
+        order: How the code reads it, by rows (C) or by columns (F).
+
     Raises:
-        ValueError: The entries are not consecutive.
+        ValueError: The entries are not consecutive in this order, or of another type.
     """
-    if not (array.flags.c_contiguous or array.flags.f_contiguous):
-        raise ValueError(f"array of shape {array.shape} is not contiguous")
-    kind = {"f4": "float[]", "f8": "double[]", "i4": "int[]", "i8": "int64_t[]"}[
+    if not array.flags.c_contiguous if order == "C" else not array.flags.f_contiguous:
+        raise ValueError(f"array of shape {array.shape} is not contiguous in {order} order")
+    kind = {"f4": "float[]", "f8": "double[]", "i4": "int[]", "i8": "int64_t[]"}.get(
         array.dtype.str[1:]
-    ]
+    )
+    if kind is None or not array.dtype.isnative:
+        raise ValueError(f"array of {array.dtype}: give float32, float64, int32 or int64")
     return module.ffi.from_buffer(kind, array.ravel(order="K"))
 
 
@@ -134,21 +189,51 @@ def address_of(name: str) -> int:
     return int(api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule)))
 
 
-def _compiled(name: str, text: str, declarations: str, flags: list[str]) -> Path:
+def _seen(comm: MPI.Comm) -> set[object]:
+    """Return what all processes of a communicator have loaded."""
+    seen: Any = comm.Get_attr(_SEEN)
+    if seen is None:
+        seen = set[object]()
+        comm.Set_attr(_SEEN, seen)
+    return cast(set[object], seen)
+
+
+def _text(source: Path, generated: str) -> str:
+    """Return a file with the generated code and the files that it includes."""
+    text = source.read_text(encoding="utf-8").replace("/* generated */", generated)
+    for header in re.findall(r'^#include "(.*)"$', text, flags=re.MULTILINE):
+        own = source.with_name(header).read_text(encoding="utf-8")
+        text = text.replace(f'#include "{header}"', own)
+    return text
+
+
+def _compiled(
+    name: str, text: str, declarations: str, flags: Sequence[str], cache: Path | None
+) -> Path:
     """Return the compiled file; others may be making the same one at the same time."""
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "dolfinx_feti"
-    kept = folder / (name + sysconfig.get_config_var("EXT_SUFFIX"))
+    own = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "dolfinx_feti"
+    folder = own if cache is None else cache
+    kept = folder / (name + SUFFIX)
     if kept.exists():
         return kept
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder) as work:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        work = tempfile.mkdtemp(dir=folder)
+    except OSError as error:
+        logger.info(f"compiled code is not kept: {reason(error)}")
+        folder = Path(tempfile.mkdtemp())
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        work, kept = tempfile.mkdtemp(dir=folder), folder / kept.name
+    try:
         builder = cffi.FFI()
         builder.cdef(declarations)
-        builder.set_source(name, text, extra_compile_args=flags)
+        builder.set_source(name, text, extra_compile_args=list(flags))
         output = io.StringIO()
-        with contextlib.redirect_stdout(output):
+        with contextlib.redirect_stdout(output), announced(name.rpartition("_")[0] + ".c", folder):
             made = builder.compile(tmpdir=work)
         Path(made).replace(kept)
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
     return kept
 
 

@@ -9,12 +9,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from collective import COMM, agree, dense, equal
+from cell_values import assembled, summed
+from collective import COMM, agree, equal
 from problems import Cell, cube
 
 import basix.ufl
 import dolfinx
-import dolfinx.fem.petsc
 import ufl
 
 from dolfinx_feti import kinematics, materials
@@ -98,37 +98,6 @@ BODIES: dict[str, Callable[[], list[ufl.Form]]] = {
 }
 
 
-def assembled(form: ufl.Form) -> np.ndarray:
-    """Dolfinx's scalar, or vector, or dense matrix, of this process."""
-    compiled = dolfinx.fem.form(form)
-    if len(form.arguments()) == 2:
-        matrix = dolfinx.fem.petsc.assemble_matrix(compiled)
-        matrix.assemble()
-        values = dense(matrix)
-        matrix.destroy()
-        return values
-    if form.arguments():
-        return np.asarray(dolfinx.fem.assemble_vector(compiled).array)
-    return np.array([dolfinx.fem.assemble_scalar(compiled)])
-
-
-def summed(form: ufl.Form, values: np.ndarray) -> np.ndarray:
-    """What a kernel has computed of a form, added to dense arrays, as in ``assembled``."""
-    if not form.arguments():
-        return values.sum(keepdims=True)
-    sizes, dofs = [], []
-    for argument in form.arguments():
-        V = argument.ufl_function_space()
-        bs = V.dofmap.index_map_bs
-        blocks = V.dofmap.list[: len(values), :, None] * bs + np.arange(bs)
-        dofs.append(blocks.reshape(len(values), -1))
-        sizes.append((V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts) * bs)
-    whole = np.zeros(sizes)
-    where = dofs[0] if len(dofs) == 1 else (dofs[0][:, :, None], dofs[1][:, None, :])
-    np.add.at(whole, where, values)
-    return whole
-
-
 @pytest.mark.serial
 @pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
 def test_kernel_is_the_assembled_form(body):
@@ -145,13 +114,13 @@ def test_kernel_is_the_assembled_form(body):
 def test_code_is_generated_once(monkeypatch):
     """For other functions, constants and meshes; and again where the forms share others."""
     generated = []
-    generate = kernel._generate
+    generate = kernel.generate
 
     def counted(*arguments):
         generated.append(arguments)
         return generate(*arguments)
 
-    monkeypatch.setattr(kernel, "_generate", counted)
+    monkeypatch.setattr(kernel, "generate", counted)
     monkeypatch.setattr(kernel, "_generated", {})
 
     def check(n: int, order: Callable[..., tuple], count: int) -> None:

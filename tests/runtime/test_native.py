@@ -6,10 +6,19 @@
 from __future__ import annotations
 
 import ctypes
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from mpi4py import MPI
 
 import numpy as np
+import pytest
 from collective import COMM, agree, raises
 
+from dolfinx_feti.fem import assembly
 from dolfinx_feti.runtime import native
 from dolfinx_feti.runtime.connectivity import load_graph_code
 
@@ -33,6 +42,10 @@ def test_compiled_once_and_kept(tmp_path, monkeypatch):
     agree(native.load(source, "void twice(int, double *);", COMM) is module)
     files = list((folder / "dolfinx_feti").iterdir())
     agree(len(files) == 1 and files[0].name.startswith("twice_"))
+    with monkeypatch.context() as patch:  # nothing is waited for, or read
+        patch.setattr(native, "on_first", lambda *_: agree(False))
+        patch.setattr(native, "_text", lambda *_: agree(False))
+        native.load(source, "void twice(int, double *);", COMM)
     monkeypatch.setattr(native, "_loaded", {})
     monkeypatch.setattr(native.cffi.FFI, "compile", lambda *_, **__: agree(False))
     native.load(source, "void twice(int, double *);", COMM).lib.twice(3, native.pointer(module, x))
@@ -78,13 +91,115 @@ def test_no_compiler(tmp_path, monkeypatch):
         load_graph_code(COMM)
 
 
-def test_arrays_with_gaps_are_refused():
-    """A copy would take what the code writes."""
+def test_arrays_of_another_layout_are_refused():
+    """A copy would take what the code writes, and the code reads rows or columns."""
     module = load_graph_code(COMM)
     x = np.zeros((4, 6))
-    agree(all(native.pointer(module, each) for each in (x, x.T, x[1:3])))
-    with raises(ValueError, r"shape \(4, 3\) is not contiguous"):
-        native.pointer(module, x[:, ::2])
+    agree(all(native.pointer(module, each) for each in (x, x[1:3], x[0])))
+    agree(all(native.pointer(module, each, order="F") for each in (x.T, x[0])))
+    for array, order in ((x[:, ::2], "C"), (x.T, "C"), (x, "F"), (x[0, ::2], "C")):
+        with raises(ValueError, f"not contiguous in {order} order"):
+            native.pointer(module, array, order=order)
+
+
+@pytest.mark.parametrize("dtype", ["c16", "u4", "i2", "?", ">f8"])
+def test_arrays_of_another_type_are_refused(dtype):
+    module = load_graph_code(COMM)
+    with raises(ValueError, "give float32, float64, int32 or int64"):
+        native.pointer(module, np.zeros(3, dtype=dtype))
+
+
+def test_communicators_of_some_processes():
+    """What one process has loaded alone does not keep it from waiting for the others."""
+    declaration = (
+        "int locate(int, int, int, int, const int *, const int64_t *, const int *, int *);"
+    )
+    source = Path(assembly.__file__).with_name("places.c")
+    flags = ("-O3", "-DANOTHER")
+    own = native.load(source, declaration, MPI.COMM_SELF, flags=flags) if COMM.rank == 0 else None
+    module = native.load(source, declaration, COMM, flags=flags)
+    agree(own in (None, module))
+
+
+def test_folder_that_cannot_be_written(tmp_path, monkeypatch):
+    """The code is compiled for this run."""
+    folder = COMM.bcast(tmp_path)
+    source = folder / "half.c"
+    if COMM.rank == 0:
+        source.write_text("int half(int n) { return n / 2; }", encoding="utf-8")
+        (folder / "file").touch()
+    COMM.barrier()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "file"))
+    agree(native.load(source, "int half(int);", COMM).lib.half(8) == 4)
+
+
+def test_cache_of_another_processor(tmp_path, monkeypatch):
+    """Its code has another name."""
+    folder = COMM.bcast(tmp_path)
+    source = folder / "one.c"
+    if COMM.rank == 0:
+        source.write_text("int one(void) { return 1; }", encoding="utf-8")
+    COMM.barrier()
+    for text in ("model name: A\nflags: avx2", "model name: B\nflags: avx512f"):
+        monkeypatch.setattr(native.Path, "read_text", reading(text))
+        flags = native.processor_flags()
+        monkeypatch.undo()
+        if COMM.rank == 0 and flags:
+            native.load(source, "int one(void);", MPI.COMM_SELF, flags=flags, cache=folder / "kept")
+    kept = COMM.bcast(sorted(p.name for p in (folder / "kept").glob("one_*")))
+    agree(len(kept) == (2 if native.platform.machine() in native.MACHINES else 0))
+
+
+def reading(text: str):
+    """A ``read_text`` of /proc/cpuinfo on another machine."""
+    read = Path.read_text
+    return lambda path, **how: text if path == Path("/proc/cpuinfo") else read(path, **how)
+
+
+@pytest.mark.serial
+def test_two_jobs_at_once(tmp_path):
+    """Both compile the same code, and both load a whole file."""
+    source = tmp_path / "three.c"
+    source.write_text("int three(void) { return 3; }", encoding="utf-8")
+    program = f"""
+from pathlib import Path
+from mpi4py import MPI
+from dolfinx_feti.runtime.native import load
+code = load(Path({str(source)!r}), "int three(void);", MPI.COMM_SELF)
+assert code.lib.three() == 3
+"""
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    jobs = [
+        subprocess.Popen([sys.executable, "-c", program], env=environment, stderr=subprocess.PIPE)
+        for _ in range(2)
+    ]
+    for job in jobs:
+        _, errors = job.communicate(timeout=120)
+        assert job.returncode == 0, errors.decode()
+    assert len(list((tmp_path / "dolfinx_feti").iterdir())) == 1
+
+
+def test_long_compilations_are_told(tmp_path, monkeypatch, caplog):
+    """On the first process, with what is compiled and where it is kept; short ones are not."""
+    folder = COMM.bcast(tmp_path)
+    source = folder / "slow.c"
+    if COMM.rank == 0:
+        source.write_text("int slow(void) { return 5; }", encoding="utf-8")
+    COMM.barrier()
+    compiled = native.cffi.FFI.compile
+
+    def slowly(*arguments, **options):
+        time.sleep(0.3)
+        return compiled(*arguments, **options)
+
+    monkeypatch.setattr(native.cffi.FFI, "compile", slowly)
+    for patience, lines in ((60.0, 0), (0.1, 1)):
+        monkeypatch.setattr(native, "PATIENCE", patience)
+        caplog.clear()
+        flags = (f"-DPATIENCE={patience}",)
+        native.load(source, "int slow(void);", COMM, flags=flags, cache=folder / "kept")
+        told = [m for m in caplog.messages if "slow.c" in m and str(folder / "kept") in m]
+        agree(len(told) == (lines if COMM.rank == 0 else 0), caplog.messages)
 
 
 def test_addresses_of_blas_and_lapack():

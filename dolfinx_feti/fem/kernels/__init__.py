@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Cell integrals as C code for eight cells at a time.
+"""Cell integrals of eight cells at a time.
 
-In the order of the data: integrand, contraction, kernel.
+In the order of the data: tape, integrand, contraction, code, kernel.
 """

@@ -20,13 +20,13 @@ Factors = dict[tuple[Slot, ...], int]
 
 
 def contraction(
-    factors: Factors, names: Sequence[str], first: int, shape: tuple[int, ...]
+    factors: Factors, values: Sequence[int], first: int, shape: tuple[int, ...]
 ) -> list[str]:
     """Return the loops that add one form to what is computed of it.
 
     Args:
         factors: Its factors.
-        names: Name of each factor.
+        values: The value of each factor.
         first: Where the form begins.
         shape: Dofs of a cell for each argument.
     """
@@ -38,7 +38,7 @@ def contraction(
             ]
         case 1:
             return _vector(factors, first)
-    return _matrix(factors, names, first, shape[1])
+    return _matrix(factors, values, first, shape[1])
 
 
 def _vector(factors: Factors, first: int) -> list[str]:
@@ -61,7 +61,7 @@ def _vector(factors: Factors, first: int) -> list[str]:
     return lines
 
 
-def _matrix(factors: Factors, names: Sequence[str], first: int, width: int) -> list[str]:
+def _matrix(factors: Factors, values: Sequence[int], first: int, width: int) -> list[str]:
     """T_qa[i, kL] = Σ_J A_q[iJ, kL] ∂_J φ_a, then K[ai, bk] = Σ_qL T_qa[i, kL] ∂_L φ_b."""
     if not factors:
         return []
@@ -74,7 +74,7 @@ def _matrix(factors: Factors, names: Sequence[str], first: int, width: int) -> l
         basis = column.basis("b")
         wholes.setdefault((i, column.component), []).append(f"T[q][{t}] * {basis}")
     square = v.element == u.element and v.block == u.block
-    lines = ["{", f"const int half = {_symmetry(factors, names) if square else 0};"]
+    lines = ["{", f"const int half = {_symmetry(factors, values) if square else 0};"]
     lines += [f"for (int a = 0; a < N{v.element}; ++a) {{", f"V T[POINTS][{len(halves)}];"]
     lines.append("for (int q = 0; q < POINTS; ++q) {")
     lines += [f"T[q][{t}] = {' + '.join(p)};" for t, p in enumerate(halves.values())]
@@ -91,14 +91,14 @@ def _matrix(factors: Factors, names: Sequence[str], first: int, width: int) -> l
     return [*lines, "}", "}", "}"]
 
 
-def _symmetry(factors: Factors, names: Sequence[str]) -> str:
+def _symmetry(factors: Factors, values: Sequence[int]) -> str:
     """Return the question whether A_st = A_ts at all points, to rounding."""
     pairs = []
     for (v, u), i in factors.items():
         j = factors.get((u, v))
         if j is None:
             return "0"
-        if i < j and names[i] != names[j]:
+        if i < j and values[i] != values[j]:
             pairs.append((i, j, factors.get((v, v), -1), factors.get((u, u), -1)))
     if not pairs:
         return "1"

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""UFL's integrands at a quadrature point as C, for as many cells at once as V has lanes.
+r"""UFL's integrands at a quadrature point as values of a tape.
 
 An integrand is linear in each argument. With the slots of an argument, its components and their
 derivatives :math:`v_s ∈ \{v_i, ∂_J v_i\}`, it is
@@ -36,35 +36,39 @@ from ufl.algorithms.map_integrands import map_integrand_dags
 from ufl.core.expr import Expr
 from ufl.corealg.multifunction import MultiFunction
 
+from dolfinx_feti.fem.kernels.tape import FUNCTIONS, Tape
+
 __all__ = ["VALUE", "Point", "Slot", "State", "UnsupportedError", "scalar_element"]
 
 #: The direction of a slot without derivative.
 VALUE = -1
 
-#: UFL's functions in C.
-FUNCTIONS = {
-    name: name for name in "sqrt exp cos sin tan cosh sinh tanh acos asin atan erf".split()
-}
-FUNCTIONS["ln"] = "log"
-
 #: Powers up to this one are products.
 POWER = 4
 
-_COMPARISONS = {
-    classes.LT: "<",
-    classes.GT: ">",
-    classes.LE: "<=",
-    classes.GE: ">=",
-    classes.EQ: "==",
-    classes.NE: "!=",
+#: Instructions for UFL's conditions.
+_CONDITIONS = {
+    classes.LT: "lt",
+    classes.GT: "gt",
+    classes.LE: "le",
+    classes.GE: "ge",
+    classes.EQ: "eq",
+    classes.NE: "ne",
+    classes.AndCondition: "and",
+    classes.OrCondition: "or",
+    classes.NotCondition: "not",
 }
+
+
+#: Instructions for UFL's functions.
+_VECTORISED = {"sqrt": "sqrt", "exp": "exp", "ln": "log"}
 
 
 class UnsupportedError(Exception):
     """An integrand has what only FFCx can compile."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, order=True)
 class Slot:
     """A component of a function, or its derivative.
 
@@ -111,11 +115,11 @@ class State:
 
 
 class Point:
-    """The statements of all integrands at a point of one quadrature rule.
+    """The values of all integrands at a point of one quadrature rule.
 
     Attributes:
-        statements: In C, in their order.
-        factors: Name of each factor.
+        tape: How they are computed.
+        factors: The factors, as references to its values.
         slots: All slots of arguments and coefficients.
     """
 
@@ -126,9 +130,9 @@ class Point:
             state: What the integrands are written in.
         """
         self._state = state
-        self._names: dict[Expr, tuple[str, str]] = {}
-        self.statements: list[str] = []
-        self.factors: list[str] = []
+        self._known: dict[Expr, int] = {}
+        self.tape = Tape()
+        self.factors: list[int] = []
         self.slots: set[Slot] = set()
 
     @property
@@ -166,15 +170,23 @@ class Point:
                 for operand in _operands(nodes[i]):
                     needed[graph.e2i[operand]] = True
         for node, needs in zip(nodes, needed, strict=True):
-            if needs and node not in self._names:
-                operands = [self._names[operand] for operand in _operands(node)]
-                self._names[node] = self._name(node, operands)
-        found = {}
-        for arguments, i in targets:
-            slots = tuple(self._slot(analyse_modified_terminal(nodes[a])) for a in arguments)
-            if not isinstance(nodes[i], classes.Zero):
+            if needs and node not in self._known:
+                operands = [self._known[operand] for operand in _operands(node)]
+                self._known[node] = self._value(node, operands)
+        factors = {
+            tuple(self._slot(analyse_modified_terminal(nodes[a])) for a in arguments): nodes[i]
+            for arguments, i in targets
+        }
+        found: dict[tuple[Slot, ...], int] = {}
+        for slots in sorted(factors):  # the order of a material's terms makes no other code
+            if isinstance(factors[slots], classes.Zero):
+                continue
+            factor, mirrored = self._known[factors[slots]], found.get(slots[::-1])
+            if mirrored is not None and self.factors[mirrored] == factor:
+                found[slots] = mirrored
+            else:
                 found[slots] = len(self.factors)
-                self.factors.append(self._names[nodes[i]][0])
+                self.factors.append(factor)
         return found
 
     def _slot(self, terminal: ModifiedTerminal) -> Slot:
@@ -182,51 +194,68 @@ class Point:
         self.slots.add(slot)
         return slot
 
-    def _name(self, node: Expr, operands: Sequence[tuple[str, str]]) -> tuple[str, str]:
-        """Return name and type of a node, after its statement if it needs one."""
+    def _value(self, node: Expr, a: Sequence[int]) -> int:
+        """Return an operation on its operands a."""
         if is_modified_terminal(node):
             return self._terminal(node)
-        kind = "V" if any(kind == "V" for _, kind in operands) else "double"
-        if isinstance(node, classes.Condition):
-            kind = "L"
-        elif isinstance(node, (classes.Conditional, classes.MaxValue, classes.MinValue)):
-            kind = "V"
-        code = _operation(node, [name for name, _ in operands], kind)
-        return self._state_that(f"const {kind} {{0}} = {code};"), kind
+        tape = self.tape
+        match node:
+            case classes.Sum():
+                return tape.add(*a)
+            case classes.Product():
+                return tape.multiply(*a)
+            case classes.Division():
+                return tape.divide(*a)
+            case classes.Power():
+                exponent = node.ufl_operands[1]
+                if isinstance(exponent, classes.ScalarValue):
+                    n = float(exponent)
+                    if abs(n) in range(1, POWER + 1):
+                        product = tape.power(a[0], int(abs(n)))
+                        return product if n > 0.0 else tape.divide(tape.number(1.0), product)
+                return tape.value("power", *a)
+            case classes.MathFunction() if node._name in _VECTORISED:
+                return tape.value(_VECTORISED[node._name], a[0])
+            case classes.MathFunction() if node._name in FUNCTIONS:
+                return tape.value("function", a[0], integers=[FUNCTIONS.index(node._name)])
+            case classes.Abs():
+                return tape.value("fabs", a[0])
+            case classes.Condition() if type(node) in _CONDITIONS:
+                return tape.value(_CONDITIONS[type(node)], *a)
+            case classes.Conditional():
+                return tape.choose(*a)
+            case classes.MaxValue():
+                return tape.choose(tape.value("gt", *a), *a)
+            case classes.MinValue():
+                return tape.choose(tape.value("lt", *a), *a)
+        raise UnsupportedError
 
-    def _state_that(self, statement: str) -> str:
-        """Add the statement of a new name; return the name."""
-        name = f"t{len(self.statements)}"
-        self.statements.append(statement.format(name))
-        return name
-
-    def _terminal(self, node: Expr) -> tuple[str, str]:
-        """Return name and type of a number, or of what a cell gathers."""
+    def _terminal(self, node: Expr) -> int:
+        """Return a number, or what a cell gathers."""
+        value = self.tape.value
         if isinstance(node, (classes.ScalarValue, classes.Zero)):
             if not np.isfinite(float(node)):
                 raise UnsupportedError(f"the number {node}")
-            return repr(float(node)), "double"
+            return self.tape.number(float(node))
         terminal = analyse_modified_terminal(node)
         known, component = terminal.terminal, terminal.flat_component
         if isinstance(known, classes.QuadratureWeight):
-            return "weight[q]", "double"
+            return value("weight")
         if isinstance(known, classes.JacobianDeterminant):
-            return "det", "V"
+            return value("determinant")
         if isinstance(known, dolfinx.fem.Constant):
             place = _place(self._state.constants, known)
             first = sum(int(np.prod(c.ufl_shape)) for c in self._state.constants[:place])
-            return f"c[{first + component}]", "double"
+            return value("constant", integers=[first + component])
         if isinstance(known, classes.SpatialCoordinate):
-            n, values, basis = "NODES", f"X[n * GDIM + {component}]", "psi[q][n]"
-        elif isinstance(known, dolfinx.fem.Function):
-            slot = self._slot(terminal)
-            place = _place(self._state.functions, known)
-            n, basis = f"N{slot.element}", slot.basis("n")
-            values = f"W[{place}][n * {slot.block} + {component}]"
-        else:
+            return value("coordinate", integers=[component])
+        if not isinstance(known, dolfinx.fem.Function):
             raise UnsupportedError
-        total = f"V {{0}} = {{{{0.0}}}}; for (int n = 0; n < {n}; ++n) {{0}} += {values} * {basis};"
-        return self._state_that(total), "V"
+        slot = self._slot(terminal)
+        where = [_place(self._state.functions, known), component, slot.block, slot.element]
+        if slot.direction == VALUE:
+            return value("value", integers=where)
+        return value("gradient", integers=[*where, slot.direction])
 
 
 def scalar_element(V: dolfinx.fem.FunctionSpace) -> tuple[basix.ufl._ElementBase, int]:
@@ -275,43 +304,3 @@ def _place(things: list[Any], thing: object) -> int:
 
 def _operands(node: Expr) -> tuple[Expr, ...]:
     return () if is_modified_terminal(node) else node.ufl_operands
-
-
-def _operation(node: Expr, a: Sequence[str], kind: str) -> str:
-    """Return an operation on its operands a, with a V for its result, a double, or a mask L."""
-    wide = [f"BROADCAST({name})" for name in a]
-    call = "v_" if kind == "V" else ""
-    match node:
-        case classes.Sum():
-            return " + ".join(a)
-        case classes.Product():
-            return " * ".join(a)
-        case classes.Division():
-            return " / ".join(a)
-        case classes.Power():
-            exponent = node.ufl_operands[1]
-            if isinstance(exponent, classes.ScalarValue):
-                n = abs(float(exponent))
-                if n in range(1, POWER + 1):
-                    product = " * ".join([a[0]] * int(n))
-                    return product if float(exponent) > 0.0 else f"1.0 / ({product})"
-            return f"{call}pow({', '.join(wide if kind == 'V' else a)})"
-        case classes.MathFunction() if node._name in FUNCTIONS:
-            return f"{call}{FUNCTIONS[node._name]}({a[0]})"
-        case classes.Abs():
-            return f"{call}fabs({a[0]})"
-        case classes.BinaryCondition() if type(node) in _COMPARISONS:
-            return f"{wide[0]} {_COMPARISONS[type(node)]} {wide[1]}"
-        case classes.AndCondition():
-            return " & ".join(a)
-        case classes.OrCondition():
-            return " | ".join(a)
-        case classes.NotCondition():
-            return f"~{a[0]}"
-        case classes.Conditional():
-            return f"choose({a[0]}, {wide[1]}, {wide[2]})"
-        case classes.MaxValue():
-            return f"choose({wide[0]} > {wide[1]}, {wide[0]}, {wide[1]})"
-        case classes.MinValue():
-            return f"choose({wide[0]} < {wide[1]}, {wide[0]}, {wide[1]})"
-    raise UnsupportedError

@@ -2,46 +2,7 @@
 //
 // SPDX-License-Identifier: LGPL-3.0-or-later
 
-#include <float.h>
-#include <math.h>
-#include <stdint.h>
-#include <stdlib.h>
-
-// A number of each of LANES cells, and a mask of them, as vectors of GCC and Clang.
-enum { LANES = 8 };
-typedef double V __attribute__((vector_size(64)));
-typedef int64_t L __attribute__((vector_size(64)));
-
-#define BROADCAST(x) ((x) + (V){0.0})
-#define LANEWISE(f)                                     \
-    __attribute__((unused)) static V v_##f(V x)         \
-    {                                                   \
-        for (int l = 0; l < LANES; ++l) x[l] = f(x[l]); \
-        return x;                                       \
-    }
-LANEWISE(fabs)
-LANEWISE(sqrt)
-LANEWISE(exp)
-LANEWISE(log)
-LANEWISE(cos)
-LANEWISE(sin)
-LANEWISE(tan)
-LANEWISE(cosh)
-LANEWISE(sinh)
-LANEWISE(tanh)
-LANEWISE(acos)
-LANEWISE(asin)
-LANEWISE(atan)
-LANEWISE(erf)
-
-__attribute__((unused)) static V v_pow(V x, V y)
-{
-    for (int l = 0; l < LANES; ++l) x[l] = pow(x[l], y[l]);
-    return x;
-}
-
-// x where the mask is set, else y.
-static V choose(L mask, V x, V y) { return (V)((mask & (L)x) | (~mask & (L)y)); }
+#include "tape.h"
 
 // K ← J⁻¹; returns det J.
 __attribute__((unused)) static V inverse1(const V *J, V *K)
@@ -94,6 +55,14 @@ __attribute__((unused)) static inline void gradients(int n, int d, const double 
         }
 }
 
+static V v_fabs(V x) { return choose(x < 0.0, -x, x); }
+
+static V v_sqrt(V x)
+{
+    for (int l = 0; l < LANES; ++l) x[l] = sqrt(x[l]);
+    return x;
+}
+
 // The greatest |A_i| at all points, of factors A, (points, width).
 static V greatest(int points, int width, const V *A, int i)
 {
@@ -127,31 +96,31 @@ __attribute__((unused)) static int symmetric(int points, int width, const V *A, 
 // The code that kernel.py generates has its place here: NODES of a cell's geometry in GDIM
 // dimensions; a number of COEFFICIENTS, with NODES_OF a cell and BLOCK_OF components; FORMS, each of
 // which begins at FIRST among the SIZE entries of a cell; dofs in a BLOCK_OF_ROWS of the first form;
-// and tabulate(), which adds to these entries.
+// and tabulate(), which adds to these entries what follows from the factors that tapes compute.
 /* generated */
 
 // What LANES cells gather, and the entries of their forms.
 typedef struct {
-    V *x, *w[COEFFICIENTS + 1], *out;
+    V *x, *w[COEFFICIENTS + 1], *out, *registers;
 } Lanes;
 
-static int create_lanes(Lanes *lanes)
+static int create_lanes(Lanes *lanes, const Program *program)
 {
-    size_t n = NODES * GDIM + SIZE;
+    size_t n = NODES * GDIM + SIZE + program->vectors;
     for (int f = 0; f < COEFFICIENTS; ++f) n += NODES_OF[f] * BLOCK_OF[f];
     lanes->x = aligned_alloc(sizeof(V), n * sizeof(V));
     if (!lanes->x) return 1;
     V *next = lanes->x + NODES * GDIM;
     for (int f = 0; f < COEFFICIENTS; next += NODES_OF[f] * BLOCK_OF[f], ++f) lanes->w[f] = next;
     lanes->out = next;
+    lanes->registers = next + SIZE;
     return 0;
 }
 
 // Tabulate cells from place first on, of m places in all, and return them; the last one fills up the
 // lanes. The cells are all from 0 on, or those of a list.
 static void visit(const Lanes *lanes, int first, int m, const int *list, const double *x,
-                  const int *node, const double *const *w, const int *const *dof, const double *c,
-                  int64_t *cells)
+                  const int *node, const double *const *w, const int *const *dof, const Program *program, int64_t *cells)
 {
     for (int l = 0; l < LANES; ++l) {
         const int place = first + l < m ? first + l : m - 1;
@@ -165,20 +134,20 @@ static void visit(const Lanes *lanes, int first, int m, const int *list, const d
                     lanes->w[f][n * bs + i][l] = w[f][(int64_t)dof[f][cell * NODES_OF[f] + n] * bs + i];
     }
     for (int i = 0; i < SIZE; ++i) lanes->out[i] = (V){0.0};
-    tabulate(lanes->x, (const V *const *)lanes->w, c, lanes->out);
+    tabulate(lanes->x, (const V *const *)lanes->w, program, lanes->registers, lanes->out);
 }
 
 // out[f] ← the entries of form f in m cells, cell by cell, with the coordinates x, (·, 3), the
-// coefficients w and the constants c. The cells are the first ones, or those of a list, if there is
+// coefficients w. The cells are the first ones, or those of a list, if there is
 // one. Returns 0, or 1 without memory.
 int evaluate(int m, const int *list, const double *x, const int *node, const double *const *w, const int *const *dof,
-             const double *c, double *const *out)
+             const Program *program, double *const *out)
 {
     Lanes lanes;
     int64_t cell[LANES];
-    if (create_lanes(&lanes)) return 1;
+    if (create_lanes(&lanes, program)) return 1;
     for (int first = 0; first < m; first += LANES) {
-        visit(&lanes, first, m, list, x, node, w, dof, c, cell);
+        visit(&lanes, first, m, list, x, node, w, dof, program, cell);
         for (int f = 0; f < FORMS; ++f) {
             const int size = FIRST[f + 1] - FIRST[f];
             double *to = out[f] + (int64_t)first * size;
@@ -194,15 +163,15 @@ int evaluate(int m, const int *list, const double *x, const int *node, const dou
 // columns of block j begin at a place, (m, n, n), in the rows of block i. Returns 0, or 1 without
 // memory.
 int add(int m, const int *list, const double *x, const int *node, const double *const *w, const int *const *dof,
-        const double *c, int n, const int *block, const int *place, const int64_t *indptr,
+        const Program *program, int n, const int *block, const int *place, const int64_t *indptr,
         double *values)
 {
     enum { BS = BLOCK_OF_ROWS };
     Lanes lanes;
     int64_t cell[LANES];
-    if (create_lanes(&lanes)) return 1;
+    if (create_lanes(&lanes, program)) return 1;
     for (int first = 0; first < m; first += LANES) {
-        visit(&lanes, first, m, list, x, node, w, dof, c, cell);
+        visit(&lanes, first, m, list, x, node, w, dof, program, cell);
         const V *k = lanes.out;
         for (int i = 0; i < n; ++i)
             for (int p = 0; p < BS; ++p, k += n * BS)

@@ -31,13 +31,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-import basix
 import dolfinx
 import ufl
 
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.kernels.contraction import Factors, braces, contraction
-from dolfinx_feti.fem.kernels.integrand import Point, State, UnsupportedError, scalar_element
+from dolfinx_feti.fem.kernels.code import Generated, generate
+from dolfinx_feti.fem.kernels.tape import load_interpreter
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.native import load, pointer
 
@@ -45,14 +44,7 @@ __all__ = ["Kernel", "create_kernel"]
 
 Array = npt.NDArray[np.float64]
 
-#: Bytes of a vector of eight numbers; of the stack that points take at a time, and most that all
-#: points of a rule would take.
-VECTOR, STACK, MOST = 64, 256 * 1024, 2 * 1024**2
-
 _log = logging.getLogger(__name__)
-
-#: Shapes of forms, which of their coefficients and constants are gathered, and the code.
-Generated = tuple[tuple[tuple[int, ...], ...], list[int], list[int], str]
 
 #: By signatures, and by the places of each form's coefficients and constants among those of all;
 #: None where only FFCx can compile an integrand.
@@ -60,8 +52,14 @@ _generated: dict[object, Generated | None] = {}
 
 SOURCE = Path(__file__).with_name("kernel.c")
 STATE = """int, const int *, const double *, const int *, const double *const *, const int *const *,
-           const double *"""
+           const Program *"""
 DECLARATION = f"""
+typedef struct {{
+    void *run;
+    const int *const *tape;
+    const double *c;
+    int vectors;
+}} Program;
 int evaluate({STATE}, double *const *);
 int add({STATE}, int, const int *, const int *, const int64_t *, double *);
 """
@@ -69,22 +67,24 @@ int add({STATE}, int, const int *, const int *, const int64_t *, double *);
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """Compiled code for the cell integrals of forms.
+    """Code and data for the cell integrals of forms.
 
     Attributes:
-        shapes: Dofs of a cell for each argument of each form.
+        generated: What is made of the forms.
         mesh: The mesh.
         functions: Coefficients that are gathered.
         constants: Constants.
         code: The compiled module.
+        interpreter: Address of what executes the tapes.
         cells: The cells; None for all that this process owns.
     """
 
-    shapes: tuple[tuple[int, ...], ...]
+    generated: Generated
     mesh: dolfinx.mesh.Mesh
     functions: Sequence[dolfinx.fem.Function]
     constants: Sequence[dolfinx.fem.Constant]
     code: Any
+    interpreter: int
     cells: npt.NDArray[np.int32] | None = None
 
     @property
@@ -102,7 +102,7 @@ class Kernel:
             element.
         """
         arguments = self._state()
-        results = [np.empty((arguments[0], *shape)) for shape in self.shapes]
+        results = [np.empty((arguments[0], *shape)) for shape in self.generated.shapes]
         out = self._pointers("double *", results)
         self._require(self.code.lib.evaluate(*arguments, out))
         return results
@@ -128,7 +128,6 @@ class Kernel:
     def _state(self) -> tuple[Any, ...]:
         """Return what is gathered: cells, geometry, coefficients, constants."""
         topology, cells = self.mesh.topology, self.cells
-        constants = [np.ravel(c.value) for c in self.constants]
         return (
             topology.index_map(topology.dim).size_local if cells is None else len(cells),
             self.code.ffi.NULL if cells is None else pointer(self.code, cells),
@@ -136,14 +135,22 @@ class Kernel:
             pointer(self.code, compat.geometry_dofmap(self.mesh)),
             self._pointers("double *", [f.x.array for f in self.functions]),
             self._pointers("int *", [f.function_space.dofmap.list for f in self.functions]),
-            pointer(self.code, np.concatenate([np.zeros(0), *constants])),
+            self._program(),
         )
+
+    def _program(self) -> Any:
+        """Return the tapes, and the present values of the constants."""
+        ffi, own = self.code.ffi, self.generated
+        values = np.concatenate([np.zeros(0), *(np.ravel(c.value) for c in self.constants)])
+        owners = self._pointers("int *", own.tapes), pointer(self.code, values)
+        run = ffi.cast("void *", self.interpreter)
+        return ffi.gc(ffi.new("Program *", [run, *owners, own.vectors]), lambda _: owners)
 
     def _pointers(self, kind: str, arrays: Sequence[npt.NDArray[Any]]) -> Any:
         """Return an array of pointers, which keeps what they point to alive."""
         ffi = self.code.ffi
-        owners = [ffi.from_buffer(a) for a in arrays]
-        return ffi.gc(ffi.new(f"{kind}[]", [ffi.cast(kind, o) for o in owners]), lambda _: owners)
+        owners = [pointer(self.code, a) for a in arrays]
+        return ffi.gc(ffi.new(f"{kind}[]", owners), lambda _: owners)
 
     @staticmethod
     def _require(failed: int) -> None:
@@ -187,17 +194,30 @@ def create_kernel(
     )
     if key not in _generated:
         try:
-            _generated[key] = _generate(forms, mesh, functions, constants)
+            _generated[key] = generate(forms, mesh, functions, constants)
         except Exception as error:  # FFCx is asked, and says what it does not know
             _log.debug("FFCx compiles cell integrals: %r", error)
             _generated[key] = None
     generated = _generated[key]
     if generated is None:
         return None
-    shapes, used, held, text = generated
-    code = load(SOURCE, DECLARATION, compiler.comm, generated=text, flags=compiler.flags())
-    gathers = [functions[i] for i in used], [constants[i] for i in held]
-    return Kernel(shapes, mesh, *gathers, code, cells)
+    code = load(
+        SOURCE,
+        DECLARATION,
+        compiler.comm,
+        generated=generated.text,
+        flags=compiler.flags(),
+        cache=compiler.cache(),
+    )
+    return Kernel(
+        generated,
+        mesh,
+        [functions[i] for i in generated.functions],
+        [constants[i] for i in generated.constants],
+        code,
+        load_interpreter(compiler.comm),
+        cells,
+    )
 
 
 def _is_gathered(f: ufl.Coefficient, mesh: dolfinx.mesh.Mesh) -> bool:
@@ -215,161 +235,3 @@ def _is_gathered(f: ufl.Coefficient, mesh: dolfinx.mesh.Mesh) -> bool:
         and V.dofmap.bs == bs
         and blocks * bs == V.element.space_dimension
     )
-
-
-def _generate(
-    forms: Sequence[ufl.Form],
-    mesh: dolfinx.mesh.Mesh,
-    functions: Sequence[dolfinx.fem.Function],
-    constants: Sequence[dolfinx.fem.Constant],
-) -> Generated:
-    """Write the code for forms with these coefficients and constants.
-
-    Raises:
-        UnsupportedError: Only FFCx can compile an integrand.
-    """
-    gdim, cell = mesh.geometry.dim, mesh.basix_cell()
-    state, points = State(), dict[int, Point]()
-    terms: dict[int, list[tuple[int, Factors]]] = {}
-    for number, form in enumerate(forms):
-        data = ufl.algorithms.compute_form_data(
-            form,
-            do_apply_integral_scaling=True,
-            do_apply_default_restrictions=False,
-            do_append_everywhere_integrals=False,
-        )
-        for integral in (i for group in data.integral_data for i in group.integrals):
-            if any(e.has_custom_quadrature for e in ufl.algorithms.extract_elements(integral)):
-                raise UnsupportedError("points of a quadrature element")
-            degree = _degree(integral)
-            point = points.setdefault(degree, Point(state))
-            found = point.add(integral.integrand(), len(form.arguments()))
-            terms.setdefault(degree, []).append((number, found))
-    spaces = [[scalar_element(a.ufl_function_space()) for a in f.arguments()] for f in forms]
-    shapes = tuple(tuple(e.dim * block for e, block in row) for row in spaces)
-    first = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)])
-    coordinate = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
-    stages = []
-    for number, (degree, point) in enumerate(points.items()):
-        rule, chunk = _rule(cell, degree, VECTOR * _vectors(state, point, gdim))
-        body = _at_points(state, point, gdim)
-        for form, factors in terms[degree]:
-            body += contraction(factors, point.factors, first[form], shapes[form])
-        tables = _tables(rule, coordinate, state, point)
-        stages.append(_stage(number, len(rule[1]), chunk, tables, body))
-    used = [scalar_element(f.function_space) for f in state.functions]
-    sizes = {
-        "NODES": coordinate.dim,
-        "GDIM": gdim,
-        "COEFFICIENTS": len(used),
-        "FORMS": len(forms),
-        "SIZE": int(first[-1]),
-        "BLOCK_OF_ROWS": spaces[0][0][1] if spaces[0] else 1,
-    }
-    lists = {
-        "NODES_OF": [e.dim for e, _ in used] + [0],
-        "BLOCK_OF": [block for _, block in used] + [0],
-        "FIRST": first.tolist(),
-    }
-    head = [f"#define {name} {n}" for name, n in sizes.items()]
-    head += [f"static const int {name}[] = {braces(n)};" for name, n in lists.items()]
-    calls = [f"stage{number}(X, W, c, out);" for number in range(len(stages))]
-    signature = "static void tabulate(const V *X, const V *const *W, const double *c, V *out)"
-    text = "\n".join([*head, *stages, signature, "{", *calls, "}", ""])
-    gathered = [functions.index(f) for f in state.functions]
-    return shapes, gathered, [constants.index(c) for c in state.constants], text
-
-
-def _degree(integral: ufl.Integral) -> int:
-    """Return the quadrature degree, as FFCx chooses it."""
-    known = integral.metadata()
-    stated = int(known.get("quadrature_degree", -1))
-    return stated if stated >= 0 else int(np.max(known["estimated_polynomial_degree"]))
-
-
-def _vectors(state: State, point: Point, gdim: int) -> int:
-    """Count what a stage holds at each point: gradients, factors, and half of their products."""
-    gradients = sum(state.elements[e].dim * gdim for e in point.gradients)
-    return gradients + 2 * len(point.factors) + 1
-
-
-def _rule(cell: Any, degree: int, each: int) -> tuple[tuple[Array, Array], int]:
-    """Return a quadrature rule, and how many of its points are visited at a time.
-
-    Where these are not all, points without weight fill it up.
-
-    Args:
-        cell: The reference cell.
-        degree: Degree of the rule.
-        each: Bytes of the stack that a point takes.
-
-    Raises:
-        UnsupportedError: There are too many points.
-    """
-    points, weights = map(np.asarray, basix.make_quadrature(cell, degree))
-    if each * len(weights) > MOST:
-        raise UnsupportedError(f"{len(weights)} points")
-    parts = -(-len(weights) // max(1, STACK // each))
-    chunk = -(-len(weights) // parts)
-    missing = parts * chunk - len(weights)
-    points = np.concatenate([points, np.repeat(points[-1:], missing, axis=0)])
-    return (points, np.concatenate([weights, np.zeros(missing)])), chunk
-
-
-def _stage(number: int, points: int, chunk: int, tables: dict[str, Array], body: list[str]) -> str:
-    """Return the function of a quadrature rule."""
-    signature = f"static void stage{number}(const V *X, const V *const *W, const double *c, V *out)"
-    lines = [signature, "{", f"enum {{ POINTS = {chunk} }};"]
-    if points == chunk:
-        lines += [_table(name, values) for name, values in tables.items()]
-        return "\n".join([*lines, *body, "}"])
-    lines += [_table(f"all_{name}", values) for name, values in tables.items()]
-    lines.append(f"for (int first = 0; first < {points}; first += POINTS) {{")
-    for name, values in tables.items():
-        size = "".join(f"[{n}]" for n in values.shape[1:])
-        lines.append(f"const double (*const {name}){size} = all_{name} + first;")
-    return "\n".join([*lines, *body, "}", "}"])
-
-
-def _tables(rule: tuple[Any, Any], coordinate: Any, state: State, point: Point) -> dict[str, Array]:
-    """Return the weights, and the basis functions of geometry, ψ, and fields, φ, at all points."""
-    points, weights = rule
-    psi = coordinate.tabulate(1, points)
-    tables = {"weight": weights, "dpsi": np.moveaxis(psi[1:], 0, -1)}
-    if any("psi[q][n]" in line for line in point.statements):
-        tables["psi"] = psi[0]
-    for e in sorted(point.values | point.gradients):
-        phi = np.asarray(state.elements[e].tabulate(1, points))
-        if e in point.values:
-            tables[f"phi{e}"] = phi[0]
-        if e in point.gradients:
-            tables[f"dphi{e}"] = np.moveaxis(phi[1:], 0, -1)
-    return tables
-
-
-def _at_points(state: State, point: Point, gdim: int) -> list[str]:
-    """Return the loop that computes gradients ∂φ and factors A at all points."""
-    gradients = sorted(point.gradients)
-    return [
-        *(
-            f"enum {{ N{e} = {state.elements[e].dim} }};"
-            for e in sorted(point.values | point.gradients)
-        ),
-        *(f"V B{e}[POINTS][N{e}][GDIM];" for e in gradients),
-        f"V A[POINTS][{len(point.factors) + 1}];",
-        "for (int q = 0; q < POINTS; ++q) {",
-        "V J[GDIM * GDIM], K[GDIM * GDIM];",
-        "jacobian(NODES, GDIM, X, dpsi[q][0], J);",
-        f"const V det = inverse{gdim}(J, K);",
-        "(void)det;",
-        *(f"gradients(N{e}, GDIM, dphi{e}[q][0], K, B{e}[q][0]);" for e in gradients),
-        *point.statements,
-        *(f"A[q][{i}] = BROADCAST({name});" for i, name in enumerate(point.factors)),
-        "}",
-    ]
-
-
-def _table(name: str, values: Array) -> str:
-    """Return the definition of a table."""
-    size = "".join(f"[{n}]" for n in values.shape)
-    return f"static const double {name}{size} = {braces(values.tolist())};"

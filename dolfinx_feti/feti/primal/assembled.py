@@ -84,7 +84,7 @@ class BlockCode:
     def add(self, A: npt.NDArray[np.float32], share: Share) -> None:
         """Add a share to A, (n, n) in Fortran's order, below its diagonal."""
         to, rows = self._to, share.rows
-        self._lib.add_block(len(A), to(A), len(rows), to(rows), to(share.S))
+        self._lib.add_block(len(A), to(A, order="F"), len(rows), to(rows), to(share.S))
 
 
 @dataclass(frozen=True, slots=True)

@@ -99,9 +99,10 @@ class Panels:
         return W.T
 
     def product(self, S: Array) -> Array:
-        """Return S W, (n, c), for a symmetric S, (n, n), given row by row."""
+        """Return S W, (n, c), for a symmetric S, (n, n)."""
         Y, work = np.empty(self.shape[::-1]), np.empty((self.n, self.n))
         to, code = self._to, self.code
+        S = S if S.flags.c_contiguous else S.T
         code.lib.panels_product(*self._pointers(), to(S), to(Y), to(work), code.gemm)
         return Y.T
 

@@ -85,8 +85,8 @@ class FrontCode:
         self.blas = module.ffi.cast("dense *", self._routines)
 
     def to(self, array: npt.NDArray[Any]) -> Any:
-        """Return a pointer to the entries of an array."""
-        return pointer(self.module, array)
+        """Return a pointer to the entries of an array, column by column."""
+        return pointer(self.module, array, order="F")
 
     def check(self, status: int) -> None:
         """Raise the error that a status means.
@@ -201,7 +201,7 @@ class Fronts:
             self.data,
             N,
             *(code.to(array) for array in matrix),
-            code.module.ffi.NULL if held is None else code.to(held),
+            code.module.ffi.NULL if held is None else code.to(np.asfortranarray(held)),
             *(code.to(array) for array in (values, S, work)),
             code.blas,
         )

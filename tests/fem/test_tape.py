@@ -1,0 +1,111 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Integrands as data: what is one value, and what another material costs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cell_values import assembled, summed
+from collective import COMM, agree, equal
+from problems import Cell, cube
+
+import dolfinx
+import ufl
+
+from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.fem.kernels.integrand import Point, State
+from dolfinx_feti.fem.kernels.kernel import create_kernel
+from dolfinx_feti.fem.kernels.tape import Tape
+from dolfinx_feti.runtime import native
+
+Expr = ufl.core.expr.Expr
+
+
+def test_order_and_sign_make_no_other_value():
+    """A b + c = c + b a; −(a − b) = b − a; a (−b) c = −(c a) b."""
+    tape = Tape()
+    a, b, c = (tape.value("constant", integers=[i]) for i in range(3))
+    agree(tape.add(tape.multiply(a, b), c) == tape.add(c, tape.multiply(b, a)))
+    agree(-tape.add(a, -b) == tape.add(b, -a))
+    agree(tape.multiply(tape.multiply(a, -b), c) == -tape.multiply(tape.multiply(c, a), b))
+    agree(tape.add(tape.add(a, b), c) == tape.add(tape.add(c, a), b))
+    agree(tape.add(a, b) != tape.add(a, -b))
+    agree(tape.multiply(tape.number(-1.0), a) == -a)
+    mask = tape.value("lt", a, b)
+    agree(tape.choose(mask, -c, tape.number(0.0)) == -tape.choose(mask, c, tape.number(0.0)))
+
+
+def fibres(u: dolfinx.fem.Function, k: Expr | float) -> Expr:
+    """Two families that do not push, in a matrix that keeps its volume."""
+    d = len(u)
+    F = ufl.Identity(d) + ufl.grad(u)
+    J = ufl.det(F)
+    C = J ** (-2.0 / 3.0) * F.T * F
+    psi = 1.5 * (ufl.tr(C) - 3) + 50.0 * (J - 1) ** 2
+    for sign in (1.0, -1.0):
+        a = ufl.as_vector([0.8, sign * 0.6, 0.0][:d])
+        E = ufl.dot(a, C * a) - 1
+        psi += ufl.conditional(ufl.gt(E, 0.0), k * (ufl.exp(0.8 * E**2) - 1), 0.0)
+    return psi
+
+
+def rubber(u: dolfinx.fem.Function, k: Expr | float) -> Expr:
+    """Other functions of other invariants, with terms on both sides of a branch."""
+    F = ufl.Identity(len(u)) + ufl.grad(u)
+    C, J = F.T * F, ufl.det(F)
+    second = (ufl.tr(C) ** 2 - ufl.tr(C * C)) / 2
+    branch = ufl.conditional(ufl.Or(ufl.lt(J, 1.0), ufl.ge(second, 3.1)), ufl.ln(J) ** 2, J**3 - 1)
+    return k * ufl.sqrt(second) + branch + ufl.cosh(ufl.tr(C) / 3) + abs(J - 1.1) ** 3.5
+
+
+def strained(cell: Cell, degree: int) -> dolfinx.fem.Function:
+    mesh = cube(3 if cell in (Cell.tetrahedron, Cell.hexahedron) else 2, 2, cell)
+    d = mesh.geometry.dim
+    u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (d,))))
+    u.interpolate(lambda x: 0.1 * np.stack([np.sin(x[1]), x[0] * x[1], x[0] ** 2])[:d])
+    return u
+
+
+def derivatives(psi: Expr, u: dolfinx.fem.Function, quadrature: int) -> list[ufl.Form]:
+    energy = psi * ufl.dx(degree=quadrature)
+    F = ufl.derivative(energy, u)
+    forms = [energy, F, ufl.derivative(F, u)]
+    return [ufl.algorithms.expand_derivatives(form) for form in forms]
+
+
+@pytest.mark.parametrize("energy", [fibres, rubber])
+def test_second_derivatives_are_symmetric(energy):
+    """45 factors stand for 81, and no symmetry has to be looked for."""
+    u = strained(Cell.tetrahedron, 1)
+    _, _, tangent = derivatives(energy(u, 2.0), u, 2)
+    data = ufl.algorithms.compute_form_data(tangent, do_apply_default_restrictions=False)
+    point = Point(State())
+    (integral,) = (i for group in data.integral_data for i in group.integrals)
+    found = point.add(integral.integrand(), 2)
+    agree(len(found) == 81 and len(point.factors) == 45, len(point.factors))
+    agree(all(found[u, v] == i for (v, u), i in found.items()))
+
+
+@pytest.mark.parametrize("cell", [Cell.tetrahedron, Cell.quadrilateral])
+def test_another_material_compiles_nothing(cell, monkeypatch):
+    """Numbers, constants and functions are data; values are dolfinx's, to rounding."""
+    u = strained(cell, 2)
+    mesh = u.function_space.mesh
+    k = dolfinx.fem.Constant(mesh, 3.5)
+    for quadrature in (1, 4):
+        for form in derivatives(fibres(u, 2.0) + k, u, quadrature):
+            create_kernel([form], mesh, Compiler(COMM))
+        monkeypatch.setattr(native, "_compiled", lambda *_: agree(False))
+        for psi in (fibres(u, 3.5) + k, fibres(u, k), rubber(u, k)):
+            forms = derivatives(psi, u, quadrature)
+            kernels = [create_kernel([form], mesh, Compiler(COMM)) for form in forms]
+        monkeypatch.undo()
+    k.value = 0.7
+    for form, kernel in zip(forms, kernels, strict=True):
+        (values,) = kernel.evaluate()
+        if COMM.size == 1:
+            expected = assembled(form)
+            scale = np.abs(expected).max()
+            equal(summed(form, values) / scale, expected / scale, 500 * np.finfo(float).eps)
