@@ -83,7 +83,8 @@ def read_options(prefix: str) -> FETIOptions:
         prefix: Prefix of the KSP, possibly empty.
 
     Raises:
-        ValueError: A value is not among the choices or no number, or an option does not exist.
+        ValueError: A value is not among the choices or no number, an option does not exist, or two
+            of them exclude each other.
     """
     check_outer_options(prefix)
     prefix += "feti_"
@@ -91,7 +92,14 @@ def read_options(prefix: str) -> FETIOptions:
     for field in fields(FETIOptions):
         values[field.name] = _value(prefix, field.name, field.default, KINDS[field.name])
     _reject_unknown(prefix)
-    return FETIOptions(**values)  # type: ignore[arg-type]
+    options = FETIOptions(**values)  # type: ignore[arg-type]
+    if options.formulation == "primal" and options.pc_type != "dirichlet":
+        raise ValueError(
+            f"Options -{prefix}formulation primal and -{prefix}pc_type {options.pc_type} exclude "
+            "each other: the primal form takes the dirichlet preconditioner. Let the formulation "
+            "be dual or auto."
+        )
+    return options
 
 
 def _value(prefix: str, name: str, default: Any, kind: Any) -> str | int | float:

@@ -53,6 +53,12 @@ Reason = PETSc.SNES.ConvergedReason
 
 Array = npt.NDArray[np.float64]
 
+#: What helps where the tangent turns indefinite, however short the step.
+LIMIT_POINT = (
+    "The tangent turns indefinite there, as at a limit point of the load: no equilibrium with a "
+    "larger load is near. Prescribe a displacement or a volume in place of the load."
+)
+
 
 def follow_load(
     problem: Problem,
@@ -148,6 +154,14 @@ class _Loads(Stepper[LoadStep, Steps]):
         """Let dashpots take the present displacement for the last one."""
         for last, u in self._dashpots.items():
             last.x.array[:] = u.x.array
+
+    def _remedy(self, error: ConvergenceError) -> str:
+        """Say what helps: the linear solver says it itself; at a limit point no increment does."""
+        if "the linear solver: " in str(error):
+            return ""
+        if "indefinite" in str(error) or any(step.indefinite for step in self._problem.history):
+            return LIMIT_POINT
+        return self.words[2]
 
     def _is_met(self, target: float) -> bool:
         rough = self._steps.rtol is not None

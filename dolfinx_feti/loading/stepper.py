@@ -279,12 +279,16 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
             ConvergenceError: It was the least.
         """
         if length <= self._steps.least + ROUNDING * (length + abs(self.at)):
-            _, lost, remedy = self.words
-            raise ConvergenceError(
-                f"{lost} {self.at:g}: an increment of {length:g} failed, too, and "
-                f"{self._steps.least:g} is the least allowed. {error} {remedy}"
-            ) from error
+            text = (
+                f"{self.words[1]} {self.at:g}: an increment of {length:g} failed, too, and "
+                f"{self._steps.least:g} is the least allowed. {error} {self._remedy(error)}"
+            )
+            raise ConvergenceError(text.rstrip()) from error
         self._length = max(length / 2.0, self._steps.least)
+
+    def _remedy(self, error: ConvergenceError) -> str:
+        """Say what helps after a failure at the least length."""
+        return self.words[2]
 
     def _unmet(self, targets: Sequence[float]) -> list[float]:
         """Return the targets without those that were met, in their order, before a restart."""

@@ -107,6 +107,7 @@ def line_search(
     shifted: bool,
     potential: float | None = None,
     highest: float = -np.inf,
+    early: bool = False,
 ) -> LineSearchResult:
     """Find a step length, and move there; stay if none is admissible.
 
@@ -117,6 +118,7 @@ def line_search(
         shifted: Whether a shift leads downhill, and may have made the step too short.
         potential: Π where the step begins, nan if it is not known; None if it does not matter.
         highest: Π that the step has to stay below, if that is higher.
+        early: Whether to give up early a step that overshoots, too.
 
     Note:
         Collective.
@@ -131,7 +133,7 @@ def line_search(
     trial, trials = move(1.0), 1
     while not trial.accepted:
         shorter = trial.alpha * _shortening(trial.ratio)
-        if trials == TRIALS or (np.isnan(trial.ratio) and shorter < SHORTEST):
+        if trials == TRIALS or (shorter < SHORTEST and (early or np.isnan(trial.ratio))):
             system.set_state(start)
             return LineSearchResult(0.0, residual, height)
         trial, trials = move(shorter), trials + 1

@@ -21,7 +21,7 @@ residual that Newton's method aims at, or that a step with a kept tangent leaves
 
 Forces are those of the free dofs. They are small beside
 
-.. math:: \max(\min(‖r^0‖, \text{reference}), ‖R‖/100)
+.. math:: \max(\min(‖r^0‖, \text{reference}), ‖R‖/10)
 
 with the reactions R: a load begins with a residual that is a force of the problem, a prescribed
 displacement with none.
@@ -80,7 +80,7 @@ LEFT = 0.1
 KEPT, LEAST_SHARE = 2, 0.1
 
 #: Share of the reactions that counts as the load of a solve at least.
-LEAST_REACTION = 0.01
+LEAST_REACTION = 0.1
 
 #: Over so many states the highest potential has to fall.
 MEMORY = 8
@@ -301,6 +301,7 @@ class Newton:
                 shifted=shifted,
                 potential=None if found.plain else height,
                 highest=float(np.fmax.reduce(self._heights)),
+                early=self._start.early,
             )
             self._heights = [*self._heights[1 - MEMORY :], end.potential]
             step = record_step(

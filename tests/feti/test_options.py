@@ -289,3 +289,11 @@ def test_two_problems_do_not_share_options():
     agree(second.solver.getPythonContext().report().options.pc_type == "identity")
     equal(whole(owned(first.u)), whole(owned(second.u)), 1e-6)
     agree(np.all(np.isfinite(owned(first.u))))
+
+
+@pytest.mark.parametrize("pc_type", ["lumped", "identity"])
+def test_options_that_exclude_each_other(pc_type):
+    """The primal form has one preconditioner; the error comes when the options are read."""
+    options = {"o_feti_formulation": "primal", "o_feti_pc_type": pc_type}
+    with inserted("", options), raises(ValueError, f"primal and -o_feti_pc_type {pc_type} exclude"):
+        read_options("o_")

@@ -156,3 +156,24 @@ def test_other_errors_are_left_alone(played):
     with raises(ZeroDivisionError, "not this load"):
         follow_load(problem, refuse, [1.0], Steps(first=0.2, least=0.1), state=[problem.u])
     small(problem.solver.getTolerances()[0] - OWN, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("said", "match"),
+    [
+        ("The tangent is indefinite.", "limit point .* Prescribe a displacement or a volume"),
+        ("It fails: the linear solver: add conditions.", "add conditions.$"),
+    ],
+)
+def test_remedy_fits_the_failure(played, said, match):
+    """At a limit point no increment helps, and an unsupported body has its advice already."""
+
+    def fails(before: float, load: float) -> bool:
+        if load > 0.5:
+            problem.u.x.array[:] = math.nan
+            raise ConvergenceError(said)
+        return False
+
+    problem = played(fails=fails)
+    with raises(ConvergenceError, match):
+        problem.follow([1.0], Steps(first=0.25, least=0.1))

@@ -239,12 +239,6 @@ def create_preconditioner(pattern: Pattern, setup: Setup) -> PrimalPreconditione
         SetUpError: S is not there, or the work on a subdomain failed; all parts are destroyed then.
     """
     torn, options, S = pattern.torn, pattern.options, setup.operator
-    if options.pc_type != "dirichlet":
-        setup.destroy()
-        raise SetUpError(
-            f"-{pattern.prefix}formulation is primal, which takes -{pattern.prefix}pc_type "
-            "dirichlet: let it be dual or auto."
-        )
     copies = Copies(torn, S.interface, setup.weights.delta)
     try:
         with event("FETICoarse"):
