@@ -339,12 +339,17 @@ class NonlinearProblem(TornProblem):
         Raises:
             ConvergenceError: See :meth:`solve`.
         """
-        with (
-            inserted(self._prefix, self._petsc_options),
-            self._newton.starting(start),
-            python_errors(),
-        ):
-            self.solver.solve(None, self.x)
+        try:
+            with (
+                inserted(self._prefix, self._petsc_options),
+                self._newton.starting(start),
+                python_errors(),
+            ):
+                self.solver.solve(None, self.x)
+        except BaseException:  # of a monitor, during which PETSc locks x
+            locked, self.x = self.x, self.x.duplicate()
+            locked.destroy()
+            raise
         self.b.array[:] = self._newton.residual
         if self.solver.getConvergedReason() < 0:
             message = self._newton.message.rstrip(".")

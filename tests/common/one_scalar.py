@@ -1,0 +1,288 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A block whose motion is one scalar, with memory, dashpots, a moving base, pressure and inertia.
+
+It fills the unit cube, moves along x alone, and has one cell in this direction: with the base at
+u = g and the other face at u = s the stretch is 1 + s − g everywhere. :class:`Scalar` integrates
+the same motion by hand, and :func:`exact` the differential equation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.integrate
+import scipy.optimize
+
+import basix.ufl
+import dolfinx
+import ufl
+
+from dolfinx_feti import NonlinearProblem, kinematics, materials, supports
+from dolfinx_feti.loading import Motion, Steps, TimeSteps, follow_load, follow_time
+from dolfinx_feti.mechanics import memory
+
+C1, KAPPA, TAU, DENSITY = 1.0, 3.0, 0.3, 0.05  # kPa, kPa, s, kg/mm³
+
+
+@dataclass(frozen=True)
+class Law:
+    """What is in a sequence.
+
+    Attributes:
+        inertia: ρ_∞ of the motion; None for equilibria.
+        share: Share of the Maxwell branch; 0 for no memory.
+        viscosity: Viscosity of the dashpots; 0 for none.
+        base: Amplitude of the base's motion.
+        pressure: Amplitude of the pressure.
+    """
+
+    inertia: float | None = None
+    share: float = 0.0
+    viscosity: float = 0.0
+    base: float = 0.0
+    pressure: float = 0.0
+
+    def g(self, t: float) -> float:
+        """Displacement of the base [mm]."""
+        return self.base * math.sin(2.0 * t) ** 2
+
+    def p(self, t: float) -> float:
+        """Pressure on the other face [kPa]."""
+        return self.pressure * (0.5 * t + math.sin(3.0 * t))
+
+
+def slope(stretch: float) -> float:
+    """∂Ψ̄/∂λ of ½ c (Ī₁ − 3) under F = diag(λ, 1, 1)."""
+    return 2.0 * C1 / 3.0 * (stretch ** (1.0 / 3.0) - stretch ** (-5.0 / 3.0))
+
+
+def volumetric(stretch: float) -> float:
+    """∂/∂λ of ½ κ (λ − 1)²."""
+    return KAPPA * (stretch - 1.0)
+
+
+@dataclass
+class Scalar:
+    """The same steps by hand; base and face are the entries 0 and 1."""
+
+    law: Law
+    t: float = 0.0
+    u: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    v: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    ü: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    a: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    S: float = 0.0
+    Q: float = 0.0
+    h: float = 0.0
+
+    def start(self, h: float) -> None:
+        """Begin a path, whose first step is about h."""
+        if self.law.inertia is None:
+            return
+        g = [self.law.g(self.t + x) for x in (0.0, h / 2.0, h)]
+        self.v[0] = (4.0 * g[1] - 3.0 * g[0] - g[2]) / h
+        self.ü[0] = 4.0 * (g[0] - 2.0 * g[1] + g[2]) / h**2
+        stretch = 1.0 + self.u[1] - self.u[0]
+        fades, δ = self._fading(self.h)
+        force = (1.0 + δ) * slope(stretch) + (fades * self.Q - δ * self.S) * stretch
+        force += volumetric(stretch) + self.law.p(self.t) + self.law.viscosity * self.v[1]
+        self.ü[1] = -(force + DENSITY * self.ü[0] / 6.0) / (DENSITY / 3.0)
+        self.a, self.h = self.ü.copy(), 0.0
+
+    def _fading(self, h: float) -> tuple[float, float]:
+        return math.exp(-h / TAU), self.law.share * math.exp(-h / (2.0 * TAU))
+
+    def step(self, h: float) -> None:
+        """Take a step of length h."""
+        law, last, t = self.law, self.u.copy(), self.t + h
+        fades, δ = self._fading(h)
+        if law.inertia is None:
+
+            def rates(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+                return (u - last) / h, np.zeros(2)
+
+        else:
+            ρ = law.inertia
+            α_m, α_f = (2.0 * ρ - 1.0) / (ρ + 1.0), ρ / (ρ + 1.0)
+            γ, β = 0.5 - α_m + α_f, 0.25 * (1.0 - α_m + α_f) ** 2
+            a = self.ü + (h / self.h if self.h > 0.0 else 1.0) * (self.a - self.ü)
+
+            def new_a(u: np.ndarray) -> np.ndarray:
+                return (u - last - h * self.v - h**2 * (0.5 - β) * a) / (β * h**2)
+
+            def rates(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+                v = self.v + h * ((1.0 - γ) * a + γ * new_a(u))
+                return v, ((1.0 - α_m) * new_a(u) + α_m * a - α_f * self.ü) / (1.0 - α_f)
+
+        def balance(s: float) -> float:
+            u = np.array([law.g(t), s])
+            stretch, (v, ü) = 1.0 + s - u[0], rates(u)
+            force = (1.0 + δ) * slope(stretch) + (fades * self.Q - δ * self.S) * stretch
+            force += volumetric(stretch) + law.p(t) + law.viscosity * v[1]
+            return force + DENSITY * (ü[1] / 3.0 + ü[0] / 6.0)
+
+        s = scipy.optimize.brentq(balance, last[1] - 0.6, last[1] + 0.6, xtol=1e-15, rtol=1e-14)
+        self.u = np.array([law.g(t), s])
+        v, ü = rates(self.u)
+        if law.inertia is not None:
+            self.a = new_a(self.u)
+        self.v, self.ü, self.t, self.h = v, ü, t, h
+        S = slope(1.0 + s - self.u[0]) / (1.0 + s - self.u[0])
+        self.Q, self.S = fades * self.Q + δ * (S - self.S), S
+
+
+def exact(law: Law, times: np.ndarray) -> np.ndarray:
+    """Displacement of the face by the differential equation, with Q̇ = −Q/τ + β Ṡ."""
+
+    def g(t: float, k: int) -> float:
+        """g, ġ and g̈."""
+        return law.base * (math.sin(2 * t) ** 2, 2 * math.sin(4 * t), 8 * math.cos(4 * t))[k]
+
+    def stress(stretch: float, z: float) -> float:
+        S = slope(stretch) / stretch
+        return slope(stretch) + (law.share * S - z) * stretch + volumetric(stretch)  # Q = β S − z
+
+    def change(t: float, y: np.ndarray) -> list[float]:
+        stretch = 1.0 + y[0] - g(t, 0)
+        ż = (law.share * slope(stretch) / stretch - y[1]) / TAU
+        force = stress(stretch, y[1]) + law.p(t)
+        if law.inertia is None:
+            return [-force / law.viscosity, ż]
+        force += law.viscosity * y[2]
+        return [y[2], ż, -(force + DENSITY * g(t, 2) / 6.0) / (DENSITY / 3.0)]
+
+    start = [0.0] * (2 if law.inertia is None else 3)
+    found = scipy.integrate.solve_ivp(
+        change, (0.0, times[-1]), start, t_eval=times, rtol=1e-10, atol=1e-12, method="LSODA"
+    )
+    return np.asarray(found.y[0])
+
+
+class Block:
+    """The block of finite elements, on a communicator."""
+
+    def __init__(self, comm: MPI.Comm, inertia: float | None) -> None:
+        self.comm = comm
+        self.mesh = mesh = dolfinx.mesh.create_box(
+            comm, [(0, 0, 0), (1, 1, 1)], (1, 3, 1), dolfinx.mesh.CellType.hexahedron
+        )
+        V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+        self.u = dolfinx.fem.Function(V, name="u")
+        self.dt, self.time_step, self.share, self.viscosity, self.g, self.p = (
+            dolfinx.fem.Constant(mesh, 0.0) for _ in range(6)
+        )
+        self.motion = None if inertia is None else Motion(self.u, DENSITY, rho=inertia)
+        if self.motion is not None:
+            self.dt = self.motion.dt
+        W = dolfinx.fem.functionspace(
+            mesh, basix.ufl.quadrature_element("hexahedron", value_shape=(3, 3), degree=2)
+        )
+        self.S, self.Q = dolfinx.fem.Function(W, name="S"), dolfinx.fem.Function(W, name="Q")
+        self.seen = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)), name="seen")
+        self.last = dolfinx.fem.Function(V, name="last")
+        F = kinematics.deformation_gradient(self.u)
+        C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+        psi, update = memory.viscoelastic(
+            materials.neo_hookean(C, c=C1, J=J),
+            F,
+            self.S,
+            [memory.MaxwellBranch(self.Q, share=self.share, time=TAU)],
+            dt=self.dt,
+        )
+        psi += materials.volumetric(J, KAPPA)
+        mesh.topology.create_connectivity(2, 3)
+        face = dolfinx.mesh.locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[0], 1.0))
+        tags = dolfinx.mesh.meshtags(mesh, 2, np.sort(face), np.ones(len(face), dtype=np.int32))
+        ds = ufl.Measure("ds", mesh, subdomain_data=tags)(1)
+        energy = psi * ufl.dx + self.p * self.u[0] * ds
+        energy += supports.dashpot_energy(
+            self.viscosity, self.u, self.last, self.time_step, ds, "all"
+        )
+        if self.motion is not None:
+            energy += self.motion.inertia
+
+        def held(k: int, value: dolfinx.fem.Constant | float, far: float) -> object:
+            part = V.sub(k)
+            dofs = dolfinx.fem.locate_dofs_geometrical(
+                (part, part.collapse()[0]), lambda x: x[0] < far
+            )
+            return dolfinx.fem.dirichletbc(value, dofs[0], part)
+
+        self.problem = NonlinearProblem(
+            ufl.derivative(energy, self.u, ufl.TestFunction(V)),
+            self.u,
+            bcs=[
+                held(0, self.g, 0.5),
+                held(1, 0.0, 2.0),
+                held(2, 0.0, 2.0),
+            ],
+            subdomains=3,
+            quadrature_degree=2,
+            internal_variables=update | {self.seen: F[0, 0]},
+            petsc_options={"snes_rtol": 1e-13, "snes_atol": 1e-14, "ksp_rtol": 1e-8},
+        )
+        x = V.tabulate_dof_coordinates()
+        self._face = 3 * np.flatnonzero(np.isclose(x[:, 0], 1.0))
+
+    def reset(self, law: Law, value: float = 0.0) -> None:
+        """Let all that a step changes have a value, and be of a law."""
+        changing = [self.u, self.S, self.Q, self.seen, self.last]
+        changing += [] if self.motion is None else self.motion.changes
+        for f in changing:
+            f.x.array[:] = value
+        self.dt.value = value
+        for constant in (self.g, self.p):
+            constant.value = value
+        self.time_step.value = np.inf
+        self.share.value, self.viscosity.value = law.share, law.viscosity
+
+    def face(self) -> tuple[float, float]:
+        """Return the least and the largest displacement of the face."""
+        mine = self.u.x.array[self._face]
+        least = self.comm.allreduce(float(mine.min(initial=np.inf)), op=MPI.MIN)
+        return least, self.comm.allreduce(float(mine.max(initial=-np.inf)), op=MPI.MAX)
+
+    def remembered(self) -> tuple[float, float, float]:
+        """Return S₁₁, Q₁₁ and the stretch that was seen, each equal at all points."""
+        values = []
+        for f, size in ((self.S, 9), (self.Q, 9), (self.seen, 1)):
+            mine = f.x.array[::size]
+            ends = [self.comm.allreduce(float(mine.min(initial=np.inf)), op=MPI.MIN)]
+            ends += [self.comm.allreduce(float(mine.max(initial=-np.inf)), op=MPI.MAX)]
+            assert ends[1] - ends[0] <= 1e-11, f.name
+            values.append(ends[0])
+        return values[0], values[1], values[2]
+
+    def follow(self, law: Law, targets, first: float, *, start: float = 0.0, growth: float = 1.0,
+               **arguments):  # fmt: skip
+        """Go through times; in equilibria the load is the time."""
+        known = [start]
+        checkpoint, on_step = arguments.get("checkpoint"), arguments.pop("on_step")
+        if checkpoint is not None and checkpoint.restart:
+            known = [checkpoint.record["loads"][-1]]
+
+        def set_time(t: float) -> None:
+            self.g.value, self.p.value = law.g(t), law.p(t)
+            if self.motion is None and t != known[0]:
+                self.dt.value = self.time_step.value = abs(t - known[0])
+
+        def shown(step) -> None:
+            known[0] = step.load
+            on_step(step)
+
+        lengths = {"first": first, "least": first / 64.0, "growth": growth}
+        if self.motion is None:
+            return follow_load(
+                self.problem, set_time, targets, Steps(**lengths), start=start, on_step=shown,
+                **arguments,
+            )  # fmt: skip
+        return follow_time(
+            self.problem, self.motion, set_time, targets, TimeSteps(**lengths, longest=4 * first),
+            start=start, on_step=shown, **arguments,
+        )  # fmt: skip

@@ -1,0 +1,278 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Random sequences of all that a path can have, beside one scalar that is integrated by hand.
+
+Memory, inertia, dashpots, a moving base, pressure, step lengths; steps that are refused, interrupts
+by exceptions and signals, and restarts on one process or on all of them.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+import shutil
+import signal
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from collective import COMM, agree, small
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+from one_scalar import Block, Law, Scalar, exact
+from programs import finish, start
+
+from dolfinx_feti import ConvergenceError
+from dolfinx_feti.loading import Checkpoint
+
+TOLERANCE = 1e-10
+
+
+class StopError(Exception):
+    """Ends a run in ``on_step``."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """What happens in an attempt, on the last process alone.
+
+    Attributes:
+        kind: ``refuse`` the step, ``interrupt`` it by an exception or by a ``signal``, or ``stop``
+            the run in ``on_step``.
+        newton: In which Newton step.
+        restart: Whether the run goes on from the checkpoint, instead of from what is in memory.
+        alone: Whether it then does so on one process.
+    """
+
+    kind: str
+    newton: int
+    restart: bool
+    alone: bool
+
+
+LAWS = st.builds(
+    Law,
+    inertia=st.sampled_from([None, None, 0.0, 0.8, 1.0]),
+    share=st.sampled_from([0.0, 0.5]),
+    viscosity=st.sampled_from([0.0, 0.3]),
+    base=st.sampled_from([0.0, 0.1]),
+    pressure=st.sampled_from([0.0, 0.4, -0.2]),
+)
+EVENTS = st.dictionaries(
+    st.integers(0, 7),
+    st.builds(
+        Event,
+        kind=st.sampled_from(["refuse", "interrupt", "signal", "stop"]),
+        newton=st.integers(0, 1),
+        restart=st.booleans(),
+        alone=st.booleans(),
+    ),
+    max_size=3,
+)
+GAPS = st.lists(st.sampled_from([0.02, 0.05, 0.07, 0.1]), min_size=1, max_size=3)
+
+
+@cache
+def block(alone: bool, inertia: float | None) -> Block:
+    """Return the block, on each process alone or on all, whose monitor calls the present event."""
+    made = Block(MPI.COMM_SELF if alone else COMM, inertia)
+    made.problem.solver.setMonitor(lambda snes, it, norm: MONITOR[0](it))
+    return made
+
+
+MONITOR: list[Callable[[int], object]] = [lambda it: None]
+
+
+class Run:
+    """A sequence on the way."""
+
+    def __init__(self, law: Law, targets: list[float], first: float, growth: float) -> None:
+        self.law, self.targets, self.first, self.growth = law, targets, first, growth
+        self.folder = Path(COMM.bcast(tempfile.mkdtemp()))
+        self.block = block(False, law.inertia)
+        self.block.reset(law)
+        self.scalar = Scalar(law)
+        self.known = {0.0: copy.deepcopy(self.scalar)}  # by time
+        self.increments: dict[float, float] = {}
+        self.place = self.folder / "all"
+        self.checkpoint = Checkpoint(self.place, COMM)
+        self.attempts = 0
+
+    def matches(self) -> None:
+        """Require state and memory of the scalar, at its time."""
+        at, scalar, block = self.scalar.t, self.scalar, self.block
+        least, most = block.face()
+        small(max(abs(least - scalar.u[1]), abs(most - scalar.u[1])), TOLERANCE)
+        small(abs(float(block.g.value) - self.law.g(at)), 0.0)
+        small(abs(float(block.p.value) - self.law.p(at)), 0.0)
+        stretch = 1.0 + scalar.u[1] - scalar.u[0]
+        expected = (scalar.S, scalar.Q, stretch if at > 0.0 else 0.0)
+        small(np.abs(np.subtract(block.remembered(), expected)).max(), TOLERANCE)
+
+    def on_step(self, event: Event | None) -> Callable[[object], None]:
+        def shown(step) -> None:
+            before = self.scalar.S
+            self.scalar.step(step.increment)
+            self.scalar.t = step.load
+            self.known[step.load] = copy.deepcopy(self.scalar)
+            self.increments[step.load] = step.increment
+            assert self.block.problem.residual_norm() <= TOLERANCE
+            assert abs(self.block.remembered()[0] - before) <= TOLERANCE
+            stretch = 1.0 + self.scalar.u[1] - self.scalar.u[0]
+            assert abs(self.block.remembered()[2] - stretch) <= TOLERANCE
+            assert max(abs(x - self.scalar.u[1]) for x in self.block.face()) <= TOLERANCE
+            if event is not None and event.kind == "stop" and self.acts():
+                raise StopError
+
+        return shown
+
+    def acts(self) -> bool:
+        comm = self.block.comm
+        return comm.rank == comm.size - 1
+
+    def go(self, event: Event | None, attempt: int) -> bool:
+        """Go on until an event ends it; return whether it is at the end."""
+        seen = [0]
+
+        def monitor(it: int) -> None:
+            seen[0] += it == 0
+            if event is None or seen[0] != 1 + attempt or it != event.newton or not self.acts():
+                return
+            seen[0] += 1  # once
+            if event.kind == "refuse":
+                raise ConvergenceError("refused")
+            if event.kind == "interrupt":
+                raise KeyboardInterrupt
+            if event.kind == "signal":
+                os.kill(os.getpid(), signal.SIGTERM)
+
+        start = self.scalar.t
+        left = [t for t in self.targets if t > start]
+        restart = self.checkpoint.restart
+        if not restart and left:
+            self.scalar.start(min(self.first, left[0] - start))
+        MONITOR[0] = monitor
+        try:
+            self.block.follow(
+                self.law, self.targets if restart else left, self.first,
+                start=0.0 if restart else start, growth=self.growth, checkpoint=self.checkpoint,
+                on_step=self.on_step(event),
+            )  # fmt: skip
+        except (KeyboardInterrupt, SystemExit, StopError):
+            return False
+        finally:
+            MONITOR[0] = lambda it: None
+            self.matches()
+        return True
+
+    def restart(self, alone: bool) -> None:
+        """Begin anew from the checkpoint, if there is one, with nonsense in memory."""
+        COMM.barrier()
+        old = self.folder / "all" if self.block.comm == COMM else self.folder / "alone 0"
+        new = self.folder / (f"alone {COMM.rank}" if alone else "all")
+        found = COMM.bcast((old / "state.npz").exists())
+        if found and (alone or COMM.rank == 0) and old != new:
+            new.mkdir(exist_ok=True)
+            shutil.copy(old / "state.npz", new / "state.npz")
+        COMM.barrier()
+        self.block = block(alone, self.law.inertia)
+        self.block.reset(self.law, 0.37 if found else 0.0)
+        self.block.g.value = self.block.p.value = 0.0
+        self.block.dt.value = 0.0
+        self.checkpoint = Checkpoint(new, self.block.comm, restart=found)
+        at = self.checkpoint.record["loads"][-1] if found else 0.0
+        self.scalar = copy.deepcopy(self.known[at])
+
+
+@pytest.mark.processes(1, 2)
+@settings(
+    max_examples=300 if COMM.size == 1 else int(os.environ.get("SEQ", 40)),
+    derandomize=True,
+    database=None,
+    deadline=None,
+    phases=[Phase.generate],
+    suppress_health_check=list(HealthCheck),
+)
+@given(law=LAWS, gaps=GAPS, first=st.sampled_from([0.03, 0.05, 0.1]),
+       growth=st.sampled_from([1.0, 1.5]), events=EVENTS)  # fmt: skip
+def test_sequence(law, gaps, first, growth, events):
+    """Each step, and each state that an interrupt or a restart leaves, is that of the scalar."""
+    targets = [round(t, 12) for t in np.cumsum(gaps)]
+    run = Run(law, targets, first, growth)
+    for attempt, event in sorted(events.items()):
+        if run.go(event, attempt):
+            break
+        if event.restart:
+            run.restart(event.alone)
+        else:
+            run.checkpoint.restart = False
+    else:
+        agree(run.go(None, 0))
+    small(run.scalar.t - targets[-1], 0.0)
+    COMM.barrier()
+    if COMM.rank == 0:
+        shutil.rmtree(run.folder)
+    if any(e.kind == "refuse" or not e.restart for e in events.values()):
+        return
+    undisturbed = Run(law, targets, first, growth)
+    agree(undisturbed.go(None, 0))
+    agree(undisturbed.increments == run.increments, (undisturbed.increments, run.increments))
+    small(undisturbed.scalar.u[1] - run.scalar.u[1], TOLERANCE)
+    COMM.barrier()
+    if COMM.rank == 0:
+        shutil.rmtree(undisturbed.folder)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("law", "order"),
+    [
+        (Law(1.0, 0.5, 0.3, 0.1, 0.4), 2),
+        (Law(0.8, 0.5, 0.3, 0.1, 0.4), 2),
+        (Law(0.0, 0.0, 0.3, 0.1, 0.0), 2),
+        (Law(0.8, 0.5, 0.0, 0.0, 0.4), 2),
+        (Law(None, 0.5, 0.3, 0.1, 0.4), 1),
+    ],
+)
+def test_order(law, order):
+    """Of the scalar, to which the steps are equal, beside the differential equation.
+
+    Long and short steps take turns. Dashpots without inertia are of first order.
+    """
+    errors = []
+    for n in (40, 80, 160):
+        scalar, found = Scalar(law), []
+        lengths = np.tile([1.4, 0.6, 1.0], n)[:n]
+        lengths *= 0.8 / lengths.sum()
+        scalar.start(lengths[0])
+        for h in lengths:
+            scalar.step(h)
+            found.append(scalar.u[1])
+        errors.append(np.abs(found - exact(law, np.minimum(np.cumsum(lengths), 0.8))).max())
+    ratios = np.divide(errors[:-1], errors[1:])
+    agree(np.all(ratios > 0.8 * 2.0**order), (errors, ratios))
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("kind", ["equilibria", "inertia"])
+def test_killed_and_restarted(tmp_path, kind):
+    """SIGKILL at random moments, restarts on 2, 3 and 1 processes, with all that there is."""
+    finish(start("composition_run.py", tmp_path / "whole", kind))
+    random, killed = np.random.default_rng(len(kind)), 0
+    for n in (1, 2, 3):
+        words = (tmp_path / "parts", kind, random.uniform(0.05, 0.6), random.integers(n))
+        process = start("composition_run.py", *words, processes=n)
+        process.communicate(timeout=120)
+        killed += process.returncode != 0
+    finish(start("composition_run.py", tmp_path / "parts", kind))
+    whole, parts = (np.load(tmp_path / f"{name}.npz") for name in ("whole", "parts"))
+    assert killed == 3
+    assert np.abs(whole["path"] - parts["path"]).max() == 0.0
+    assert np.abs(whole["found"] - parts["found"]).max() <= TOLERANCE
