@@ -8,6 +8,7 @@ A generated file is one that all processes read.
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
@@ -110,10 +111,13 @@ def wall_quality(wall: Wall) -> Quality:
 
 
 def _prepare(source: str | Path, size: float | None, folder: Path) -> Path:
-    """Return the wall's file, generated if it is not there yet."""
-    path = Path(source)
-    if source in CREATE:
-        path = folder / (f"{source}.xdmf" if size is None else f"{source}_{size:g}.xdmf")
-        if not path.is_file():
-            CREATE[source](path, **({} if size is None else {"size": size}))
+    """Return the wall's file, generated if it is not there yet as the generators would make it."""
+    if source not in CREATE:
+        return Path(source)
+    path = folder / (f"{source}.xdmf" if size is None else f"{source}_{size:g}.xdmf")
+    sources = b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py")))
+    stamp, made_by = path.with_suffix(".sha256"), hashlib.sha256(sources + repr(size).encode())
+    if not (path.is_file() and stamp.is_file() and stamp.read_text() == made_by.hexdigest()):
+        CREATE[str(source)](path, **({} if size is None else {"size": size}))
+        stamp.write_text(made_by.hexdigest())
     return path

@@ -94,8 +94,8 @@ def unload(
         tolerance: How far a node of the loaded wall may be from the image [mm]; on the way, so far
             or as large a share of u as ``steps.rtol``.
         start: The load at which the image is the unloaded wall.
-        on_move: Called on all processes when the mesh and the fibres have moved, for what else
-            depends on the mesh's shape.
+        on_move: Called on all processes when the mesh and the fibres have moved, to the unloaded
+            wall or back to the image, for what else depends on the mesh's shape.
         on_step: Called at each load, as by ``follow_load``.
         checkpoint: Where each load's state is kept, likewise.
         unit: Name of the load's unit.
@@ -188,6 +188,14 @@ class _Unloading:
         if self._on_move is not None:
             on_all(self._on_move, self._comm)
 
+    def _return(self) -> None:
+        """Move mesh and fibres to the image, and what else depends on it."""
+        self._nodes.mesh.geometry.x[:] = self._nodes.first
+        for a, image, _ in self._fibres:
+            a.x.array[:] = image
+        if self._on_move is not None:
+            on_all(self._on_move, self._comm)
+
     def _place(self) -> None:
         """Move the nodes alone."""
         self._nodes.mesh.geometry.x[:] = self._nodes.first - self._nodes.displacement(self.u)
@@ -199,9 +207,7 @@ class _Unloading:
             self.move()
             yield
         finally:
-            self._nodes.mesh.geometry.x[:] = self._nodes.first
-            for a, image, _ in self._fibres:
-                a.x.array[:] = image
+            self._return()
 
     def solve(
         self,

@@ -25,7 +25,10 @@ of a cell stands for x, and the mean for f.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+
+from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
@@ -39,7 +42,7 @@ from ufl.domain import extract_domains
 from dolfinx_feti.runtime.compat import geometry_dofmap, interpolation_points
 from dolfinx_feti.fem.compiler import Compiler
 
-__all__ = ["Incidence", "Patches", "Scatter", "create_patches", "recover", "moments"]
+__all__ = ["Incidence", "Patches", "Scatter", "create_patches", "recover", "moments", "present"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -124,7 +127,7 @@ class Patches:
 def create_patches(
     mesh: dolfinx.mesh.Mesh, layers: dolfinx.mesh.MeshTags | None = None, *, degree: int = 4
 ) -> Patches:
-    """Find the patches of a mesh.
+    """Find the patches of a mesh; fields are recovered where it is then, if it moves.
 
     Args:
         mesh: Triangles in the plane or tetrahedra, with straight edges.
@@ -144,12 +147,36 @@ def create_patches(
         raise ValueError(f"degree={degree}: give a quadrature degree of 3 or more.")
     dim = mesh.topology.dim
     incidence = _create_incidence(mesh, *_layer_of_cells(mesh, layers))
-    nodes = geometry_dofmap(mesh)[: len(incidence.rows)]
-    corners = np.asarray(mesh.geometry.x[nodes, :dim], dtype=np.float64)
-    edges = _edges(corners)
     points, w = (np.asarray(array, dtype=np.float64) for array in _quadrature(mesh, degree))
     weights = np.vstack([np.ones(len(points)), (points - 1.0 / (dim + 1)).T]) * w / w.sum()
-    volumes = np.abs(np.linalg.det(edges)) * w.sum()
+    return _measured(mesh, incidence, points, weights)
+
+
+def present(patches: Patches) -> Patches:
+    """Return the patches of the mesh where it is now, for it may have moved.
+
+    Note:
+        Collective.
+    """
+    same = np.array_equal(_corners(patches.mesh, patches.incidence), patches.corners)
+    if patches.mesh.comm.allreduce(same, op=MPI.LAND):
+        return patches
+    return _measured(patches.mesh, patches.incidence, patches.points, patches.weights)
+
+
+def _corners(mesh: dolfinx.mesh.Mesh, incidence: Incidence) -> Array:
+    """Return the vertices of the owned cells, (n_c, d + 1, d)."""
+    nodes = geometry_dofmap(mesh)[: len(incidence.rows)]
+    return np.asarray(mesh.geometry.x[nodes, : mesh.topology.dim], dtype=np.float64)
+
+
+def _measured(
+    mesh: dolfinx.mesh.Mesh, incidence: Incidence, points: Array, weights: Array
+) -> Patches:
+    """Measure the cells of the patches. Collective."""
+    corners = _corners(mesh, incidence)
+    edges = _edges(corners)
+    volumes = np.abs(np.linalg.det(edges)) / math.factorial(mesh.topology.dim)
     inner = edges @ (weights[1:] @ points) @ np.swapaxes(edges, 1, 2)  # dx/dX cov(X, X) dx/dXᵀ
     inside, means = (
         _scatter(incidence, corners.mean(axis=1), volumes, covariance)

@@ -34,7 +34,7 @@ from ufl.core.expr import Expr
 
 from dolfinx_feti.runtime.compat import interpolation_points
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.output.patches import Patches, moments, recover
+from dolfinx_feti.output.patches import Patches, moments, present, recover
 
 __all__ = ["components", "layer_means", "principal_values", "recovered_field"]
 
@@ -78,6 +78,7 @@ def recovered_field(
     Note:
         Collective.
     """
+    patches = present(patches)
     mesh = patches.mesh
     shape, dim = expression.ufl_shape, mesh.geometry.dim
     if normal is not None and (shape != (dim, dim) or normal.ufl_shape != (dim,)):
@@ -206,6 +207,7 @@ def layer_means(
         raise ValueError(
             f"fields: {', '.join(wrong) or 'none'}; give scalars, such as components of a stress."
         )
+    patches = present(patches)
     w = ufl.as_ufl(1.0) if weight is None else weight
     products = moments(ufl.as_vector([*(w * field for field in fields.values()), w]), patches)
     integrals = patches.volumes[:, None] * products[:, 0]

@@ -193,7 +193,7 @@ class Run:
 
 @pytest.mark.processes(1, 2)
 @settings(
-    max_examples=300 if COMM.size == 1 else int(os.environ.get("SEQ", 40)),
+    max_examples=300 if COMM.size == 1 else 40,
     derandomize=True,
     database=None,
     deadline=None,

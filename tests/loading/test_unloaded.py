@@ -99,6 +99,7 @@ def test_fibres_follow():
     pushed /= np.linalg.norm(pushed, axis=1, keepdims=True)
     equal(pushed, image.reshape(-1, 3)[: len(pushed)], 1e-12)
     agree(moves[0] == 0.0 and moves[-1] > 0.0, moves)
+    agree(all(moved == 0.0 for moved in moves[1::2]), moves)  # back to the image
 
 
 @pytest.mark.processes(1, 2)
@@ -117,10 +118,18 @@ def test_path_that_goes_on(tmp_path):
 @pytest.mark.processes(1, 2)
 def test_failure_leaves_the_image():
     """A wall that nothing unloads in one step: mesh, load and displacement are the last good."""
-    scan = Scan()
+    scan, seen = Scan(), []
     with raises(ConvergenceError, "No equilibrium was found beyond a load of 0"):
-        unload(scan.problem, scan.set_load, [4e4], Steps(first=4e4, least=2e4), **scan.arguments)
+        unload(
+            scan.problem,
+            scan.set_load,
+            [4e4],
+            Steps(first=4e4, least=2e4),
+            **scan.arguments,
+            on_move=lambda: seen.append(scan.mesh.geometry.x.copy()),
+        )
     equal(scan.mesh.geometry.x, scan.nodes.first)
+    equal(seen[-1], scan.nodes.first)
     agree(float(scan.body.load.value) == 0.0 and not scan.body.u.x.array.any())
 
 

@@ -345,3 +345,23 @@ def test_bad_components_and_means():
         layer_means({}, patches, layers, {"left": 7})
     with raises(ValueError, "no cell of the layer 'media' has its tag 1"):
         layer_means({"x": x[0]}, patches, layers, {"left": 7, "media": 1})
+
+
+def test_patches_follow_a_mesh_that_moves():
+    """As unload moves it: linear fields stay exact, and means are those over the new volumes."""
+    mesh = mesh_of(3)
+    layers = split(mesh)
+    patches = create_patches(mesh, layers)
+    x = mesh.geometry.x
+    x[:] = x @ np.array([[1.3, 0.2, 0.0], [0.1, 0.8, 0.3], [0.0, 0.4, 1.1]]) + 0.05 * x[:, ::-1] ** 2
+    expression = linear(mesh, step(layers, mesh))
+    moved, fresh = (
+        recovered_field(expression, p) for p in (patches, create_patches(mesh, layers))
+    )
+    equal(moved.x.array, fresh.x.array, 1e-14)
+    names = {"inner": 7, "outer": 3}
+    means = [
+        layer_means({"x": ufl.SpatialCoordinate(mesh)[0]}, p, layers, names)
+        for p in (patches, create_patches(mesh, layers))
+    ]
+    agree(means[0] == means[1], means)

@@ -23,6 +23,7 @@ import ufl
 
 from dolfinx_feti.wall import area, convert, read_wall, write_wall, xdmf
 from dolfinx_feti.wall.wall import extent
+from meshes import walls
 from meshes.bricks import create_brick_tube
 from meshes.walls import open_wall
 
@@ -143,6 +144,27 @@ def test_generated_walls_are_read_by_all(tmp_path):
     agree(quality.histogram == alone.histogram and quality.points == alone.points)
     small(quality.mean - alone.mean, 1e-12)
     small(quality.volume / sum(volumes(wall).values()) - 1.0, 1e-11)
+
+
+def test_generated_wall_is_kept_as_long_as_its_generator(tmp_path, monkeypatch):
+    """It is generated anew for another size of elements, or by other code."""
+    folder, made = COMM.bcast(tmp_path), []
+
+    def create(path, *, size):
+        made.append(size)
+        path.write_text("a wall")
+
+    monkeypatch.setitem(walls.CREATE, "tube", create)
+
+    def prepare(size):
+        on_first(lambda: walls._prepare("tube", size, folder))
+
+    for size in (0.4, 0.4, 0.5, 0.4 + 1e-9, 0.4 + 1e-9):
+        prepare(size)
+    on_first(lambda: (folder / "tube_0.4.sha256").write_text("of other code"))
+    prepare(0.4 + 1e-9)
+    expected = [0.4, 0.5, 0.4 + 1e-9, 0.4 + 1e-9]
+    agree(made == (expected if COMM.rank == 0 else []), made)
 
 
 @pytest.mark.parametrize("harm", ["missing", "cut"])

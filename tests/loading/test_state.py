@@ -1,0 +1,168 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What a path refuses when it begins, and what a restart knows of its problem."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, raises, small
+from one_scalar import Block, Law
+from problems import cube, dirichlet, left
+
+import basix.ufl
+import dolfinx
+import ufl
+
+from dolfinx_feti import NonlinearProblem, kinematics, materials, supports
+from dolfinx_feti.loading import Checkpoint, Motion, Steps, TimeSteps, follow_load, follow_time
+
+STEPS = Steps(first=0.5, least=0.1, growth=1.0)
+TIMES = TimeSteps(first=0.1, least=0.01)
+
+
+class Pulled:
+    """A block under a load of its volume, whose stiffness is a Constant and whose κ a number."""
+
+    def __init__(self, *, c: float = 3.0, kappa: float = 10.0) -> None:
+        self.mesh = cube(3, 2)
+        V = dolfinx.fem.functionspace(self.mesh, ("Lagrange", 1, (3,)))
+        self.u = dolfinx.fem.Function(V)
+        self.load, self.c = (dolfinx.fem.Constant(self.mesh, value) for value in (0.0, c))
+        F = kinematics.deformation_gradient(self.u)
+        C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+        psi = materials.neo_hookean(C, c=self.c, J=J) + materials.volumetric(J, kappa)
+        self.energy = (psi - self.load * self.u[0]) * ufl.dx
+        self.bcs = [dirichlet(V, left)]
+
+    def problem(self, more: ufl.Form | None = None) -> NonlinearProblem:
+        energy = self.energy if more is None else self.energy + more
+        return NonlinearProblem(energy, self.u, bcs=self.bcs, subdomains=2, quadrature_degree=2)
+
+    def set_load(self, load: float) -> None:
+        self.load.value = load
+
+    def follow(self, targets: list[float], checkpoint: Checkpoint | None = None):
+        return follow_load(self.problem(), self.set_load, targets, STEPS, checkpoint=checkpoint)
+
+
+@pytest.mark.parametrize(
+    ("other", "match"),
+    [
+        ({"c": 4.0}, "a Constant of the forms is 3.0 there and 4.0 here"),
+        ({"kappa": 20.0}, "its forms, such as the energy of a material, .* are others"),
+    ],
+)
+def test_restart_with_another_material(tmp_path, other, match):
+    """It is refused, unless the user says so; another load is none."""
+    Pulled().follow([0.5], Checkpoint(tmp_path, COMM))
+    with raises(ValueError, f"{match}.*allow_changes=True"):
+        Pulled(**other).follow([0.5, 1.0], Checkpoint(tmp_path, COMM, restart=True))
+    changed = Pulled(**other)
+    checkpoint = Checkpoint(tmp_path, COMM, restart=True, allow_changes=True)
+    agree([step.load for step in changed.follow([0.5, 1.0], checkpoint)] == [0.5, 1.0])
+    small(float(changed.load.value) - 1.0, 0.0)
+    agree(float(changed.c.value) == other.get("c", 3.0))
+
+
+@pytest.mark.parametrize(
+    "element",
+    [
+        ("Lagrange", 3, (3,)),
+        ("N1curl", 2),
+        ("RT", 3),
+        basix.ufl.quadrature_element("tetrahedron", degree=3),
+    ],
+    ids=str,
+)
+def test_elements_on_other_numbers_of_processes(tmp_path, element):
+    """Edges and faces are turned otherwise there: the field is the same."""
+
+    def create(comm):
+        mesh = dolfinx.mesh.create_unit_cube(comm, 2, 3, 2)
+        return dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element))
+
+    def value(x):
+        rows = np.stack([1 + x[0] * x[1], x[2] ** 2 - x[0], x[1] + 2 * x[2]])
+        return rows if f.ufl_shape else rows[0]
+
+    f, alone = create(COMM), create(MPI.COMM_SELF)
+    for g in (f, alone):
+        points = g.function_space.element.interpolation_points
+        if "quadrature" in str(element).lower():
+            x = ufl.SpatialCoordinate(g.function_space.mesh)
+            points = points() if callable(points) else points
+            g.interpolate(dolfinx.fem.Expression(1 + x[0] * x[1], points))
+        else:
+            g.interpolate(value)
+    Checkpoint(tmp_path, COMM).write([f], {})
+    before = alone.x.array.copy()
+    alone.x.array[:] = 0.0
+    Checkpoint(tmp_path, MPI.COMM_SELF, restart=True).read([alone])
+    equal(alone.x.array, before, 1e-13)
+
+
+def test_times_before_the_start():
+    block = Block(COMM, 0.8)
+    block.reset(Law(0.8))
+    with raises(ValueError, r"start=1.0, targets=\[0.7, 0.5\]: times ascend from the start"):
+        block.follow(Law(0.8), [0.7, 0.5], 0.1, start=1.0, on_step=None)
+
+
+def test_forms_without_the_motion():
+    body = Pulled()
+    motion = Motion(body.u, 1.0)
+    with raises(ValueError, "do not hold the inertia of this Motion"):
+        follow_time(body.problem(), motion, body.set_load, [0.1], TIMES)
+
+
+def test_dashpot_that_cannot_follow_a_motion():
+    body = Pulled()
+    motion, last = Motion(body.u, 1.0), dolfinx.fem.Function(body.u.function_space)
+    resists = supports.dashpot_energy(1.0, body.u, last, 0.1, ufl.ds(body.mesh))
+    with raises(ValueError, "with a number as its time step, cannot follow the motion"):
+        follow_time(body.problem(motion.inertia + resists), motion, body.set_load, [0.1], TIMES)
+
+
+def test_equilibria_after_a_motion():
+    """Inertia and velocities are left out, as if there had been none."""
+    body = Pulled()
+    motion, last = Motion(body.u, 1e-3), dolfinx.fem.Function(body.u.function_space)
+    dt = dolfinx.fem.Constant(body.mesh, np.inf)
+    resists = supports.dashpot_energy(1.0, body.u, last, dt, ufl.ds(body.mesh))
+    problem = body.problem(motion.inertia + resists)
+    problem.solver.setTolerances(rtol=1e-10)
+    follow_time(problem, motion, lambda t: body.set_load(t), [0.5], TIMES)
+    follow_load(problem, body.set_load, [1.0], STEPS, start=0.5)
+    other = Pulled()
+    other.follow([1.0])
+    equal(body.u.x.array, other.u.x.array, 1e-6)
+
+
+def test_memory_that_only_observes(tmp_path):
+    """A variable that no form holds is up to date in ``on_step``; the largest so far is one."""
+    body, seen = Pulled(), []
+    Q = dolfinx.fem.functionspace(body.mesh, ("DG", 0))
+    largest, twice = dolfinx.fem.Function(Q), dolfinx.fem.Function(Q)
+    F = kinematics.deformation_gradient(body.u)
+    problem = NonlinearProblem(
+        body.energy,
+        body.u,
+        bcs=body.bcs,
+        subdomains=2,
+        quadrature_degree=2,
+        internal_variables={largest: ufl.max_value(largest, F[0, 0]), twice: 2 * largest},
+    )
+
+    def on_step(step: object) -> None:
+        now = dolfinx.fem.Function(Q)
+        points = Q.element.interpolation_points
+        now.interpolate(dolfinx.fem.Expression(F[0, 0], points() if callable(points) else points))
+        seen.append(np.abs(largest.x.array - np.maximum(now.x.array, 0.0)).max(initial=0.0))
+
+    follow_load(problem, body.set_load, [0.5, 1.0], STEPS, on_step=on_step)
+    small(max(seen), 1e-12)
+    agree(COMM.allreduce(float(twice.x.array.max(initial=0.0)), op=max) > 2.0)
