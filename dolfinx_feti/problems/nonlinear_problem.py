@@ -334,11 +334,7 @@ class NonlinearProblem(TornProblem):
         return self.u
 
     def _run(self, start: Start) -> None:
-        """Iterate by Newton's method.
-
-        Raises:
-            ConvergenceError: See :meth:`solve`.
-        """
+        """Iterate by Newton's method, or raise ConvergenceError."""
         try:
             with (
                 inserted(self._prefix, self._petsc_options),
@@ -356,11 +352,7 @@ class NonlinearProblem(TornProblem):
             raise ConvergenceError(f"Newton's method did not converge: {message}.")
 
     def _run_with_multipliers(self, start: Start, tolerance: float) -> None:
-        """Iterate by Newton's method and update the multipliers, in turn, up to a tolerance.
-
-        Raises:
-            ConvergenceError: See :meth:`solve`.
-        """
+        """Iterate by Newton's method and update the multipliers, in turn, up to a tolerance."""
         reference = min(self.residual_norm(), start.reference)  # λ = p
         rtol, *_ = self.solver.getTolerances()
 
