@@ -4,7 +4,7 @@
 """Classical and all-floating FETI methods for FEniCSx.
 
 In the order of the data: errors, runtime, torn, mechanics, workshop, wall, fem, feti,
-diagnosis, problems, loading, output, comparison.
+diagnosis, scalars, problems, loading, output, comparison.
 """
 
 try:

@@ -69,6 +69,7 @@ GALLERY = [
     Page("demo_solver_options", "What -ksp_view says, and what options change.", FIRST),
     Page("demo_hyperelasticity", "NonlinearProblem instead of dolfinx's.", LARGE),
     Page("demo_thick_tube", "Inflated, and compared with the closed form.", LARGE),
+    Page("demo_balloon", "Filled through its limit point, with the pressure unknown.", LARGE),
     Page("demo_load_steps", "Adaptive load steps; a run that goes on after its end.", LARGE),
     Page("demo_memory", "Relaxation, damage, growth and active tension, in closed form.", LARGE),
     Page("demo_pulse", "Inertia, adapted time steps, and a balance of energies.", LARGE),

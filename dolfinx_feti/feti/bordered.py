@@ -34,7 +34,7 @@ import scipy.linalg
 from dolfinx_feti.runtime.collective import total_of
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["Border", "BorderedSolver"]
+__all__ = ["Border", "BorderedSolver", "solved"]
 
 Array = npt.NDArray[np.float64]
 Reason = PETSc.KSP.ConvergedReason
@@ -100,7 +100,7 @@ class BorderedSolver:
         Returns:
             x, (owned,), and s, (m,).
         """
-        comm, m = A.comm.tompi4py(), len(d)
+        comm, m, context = A.comm.tompi4py(), len(d), ksp.getPythonContext()
         self.iterations, self.message = 0, ""
         free = _free(A)
         if self._springs is None and comm.allreduce(bool(free.all()), op=MPI.LAND):
@@ -108,25 +108,53 @@ class BorderedSolver:
         if self._springs is not None:
             self._springs.add(A)
         y = self._solved(ksp, A, b)
-        if ksp.getPythonContext().singular and self._springs is None:
+        if context.singular and self._springs is None:
             self._springs = _Springs(A)
             self._springs.add(A)
             y = self._solved(ksp, A, b)
         whole = border if self._springs is None else self._springs.extended(border)
-        d = np.concatenate([d, np.zeros(len(whole.D) - m)])
-        B = np.where(free[:, None], whole.B, 0.0)
+        X, s, share = self._eliminated(ksp, A, b, y, whole, d, free)
+        context.iterations = self.iterations
+        if self.message:
+            ksp.setConvergedReason(Reason.DIVERGED_BREAKDOWN)
+            context.message = self.message
+        elif ksp.getConvergedReason() > 0:
+            context.residual = max(context.residual, share)
+        return y - X @ s, s[:m]
+
+    def _eliminated(
+        self,
+        ksp: PETSc.KSP,
+        A: PETSc.Mat,
+        b: Array,
+        y: Array,
+        border: Border,
+        d: Array,
+        free: npt.NDArray[np.bool_],
+    ) -> tuple[Array, Array, float]:
+        """Find X and s for y = A⁻¹ b, and what X leaves of the first equation. Collective.
+
+        Returns:
+            X, (owned, m), s, (m,), and ‖(B − A X) s‖/(‖b‖ + Σ ‖B_k‖ |s_k|), estimated.
+        """
+        comm, m = A.comm.tompi4py(), len(border.D)
+        d = np.concatenate([d, np.zeros(m - len(d))])
+        B = np.where(free[:, None], border.B, 0.0)
         X = np.zeros_like(B)
         if self._springs is not None:
-            X[:, m:] = self._springs.start
-        if self._X is not None and self._X.shape == X.shape:
+            X[:, m - self._springs.count :] = self._springs.start
+        fresh = self._X is None or self._X.shape != X.shape
+        if self._X is not None and not fresh:
             X = self._X
         X = np.where(free[:, None], X, 0.0)
-        rtol, atol, *_ = tolerances = ksp.getTolerances()
-        size_b, *sizes = _norms(np.column_stack([np.where(free, b, 0.0), B]), comm)
+        s: Array = np.zeros(m)
         if ksp.getConvergedReason() < 0:
-            return y, np.zeros(m)
-        e = d - total_of(whole.C.T @ y, comm)  # d − Cᵀ y
-        wanted = (rtol if self._X is None else ROUGH) * np.array(sizes)
+            return X, s, np.nan
+        rtol, atol, *_ = tolerances = ksp.getTolerances()
+        sizes = _norms(B, comm)
+        size_b = float(_norms(np.where(free, b, 0.0)[:, None], comm)[0])
+        e = d - total_of(border.C.T @ y, comm)  # d − Cᵀ y
+        wanted = (rtol if fresh else ROUGH) * sizes
         rest = B - _product(A, X, free)
         for _ in range(CORRECTIONS):
             for k in np.flatnonzero(_norms(rest, comm) > wanted):
@@ -134,29 +162,22 @@ class BorderedSolver:
                 X[:, k] += self._solved(ksp, A, rest[:, k])
                 ksp.setTolerances(*tolerances)
                 if ksp.getConvergedReason() < 0:
-                    return y, np.zeros(m)
+                    return X, np.zeros(m), np.nan
                 rest[:, k : k + 1] = B[:, k : k + 1] - _product(A, X[:, k : k + 1], free)
-            s = self._scalars(whole, X, e, comm)
-            target = max(rtol * (size_b + float(np.abs(s) @ sizes)), atol)
-            wanted = np.fmin(target / _no_zeros(len(s) * np.abs(s)), ROUGH * np.array(sizes))
-            if self.message or np.all(_norms(rest, comm) <= wanted):
+            s = self._scalars(border, X, e, comm)
+            scale, left = size_b + float(np.abs(s) @ sizes), _norms(rest, comm)
+            wanted = max(rtol * scale, atol) / _no_zeros(m * np.abs(s))
+            wanted = np.fmin(wanted, ROUGH * sizes)
+            if self.message or np.all(left <= wanted):
                 break
         self._X = X
-        if self.message:
-            ksp.setConvergedReason(Reason.DIVERGED_BREAKDOWN)
-        return y - X @ s, s[:m]
+        return X, s, float(np.abs(s) @ left) / (scale or 1.0)
 
     def _solved(self, ksp: PETSc.KSP, A: PETSc.Mat, b: Array) -> Array:
         """Return A⁻¹ b, (owned,). Collective."""
-        x, rhs = A.createVecs()
-        rhs.array[:] = b
-        ksp.setOperators(A)
-        ksp.solve(rhs, x)
+        x = solved(ksp, A, b)
         self.iterations += ksp.getPythonContext().iterations
-        solution = x.array_r.copy()
-        for vector in (x, rhs):
-            vector.destroy()
-        return solution
+        return x
 
     def _scalars(self, border: Border, X: Array, d: Array, comm: MPI.Comm) -> Array:
         """Return s = (D − Cᵀ X)⁻¹ d, (m,), by the matrix with rows and columns of size one."""
@@ -173,10 +194,23 @@ class BorderedSolver:
         return columns * (Vt.T @ ((U.T @ (rows * d)) / σ))
 
 
+def solved(ksp: PETSc.KSP, A: PETSc.Mat, b: Array) -> Array:
+    """Solve A x = b; return x, (owned,). Collective."""
+    rhs, x = A.createVecs()
+    rhs.array[:] = b
+    ksp.setOperators(A)
+    ksp.solve(rhs, x)
+    solution = x.array_r.copy()
+    rhs.destroy()
+    x.destroy()
+    return solution
+
+
 class _Springs:
     """Point springs that hold the near kernel of a matrix.
 
     Attributes:
+        count: Their number k.
         start: −A⁻¹ E, if A with the springs resists W by these alone, (owned, k).
     """
 
@@ -196,7 +230,7 @@ class _Springs:
         mine = chosen[(chosen >= ends[comm.rank] - len(own)) & (chosen < ends[comm.rank])]
         self._dofs = own[mine - (ends[comm.rank] - len(own))]
         place = np.searchsorted(chosen, mine) if len(chosen) else mine
-        k = len(chosen)
+        self.count = k = len(chosen)
         stiffness = _torn(torn, torn.assemble(torn.stiffness()))
         self._κ = np.zeros(k)
         self._κ[place] = stiffness[self._dofs]

@@ -145,6 +145,9 @@ class _Prestressing:
     def update_internal_variables(self, *, balanced: bool | None = None) -> None:
         """Remember nothing."""
 
+    def begin_step(self, length: float) -> None:
+        """Depend on no length of a step."""
+
     def solve(
         self,
         *,

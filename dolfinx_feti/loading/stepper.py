@@ -75,6 +75,9 @@ class Problem(Protocol):
     def history(self) -> list[NewtonStep]:
         """What each Newton step of the last solve cost."""
 
+    def begin_step(self, length: float) -> None:
+        """Tell what depends on it the length of the next step."""
+
     def residual_norm(self) -> float:
         """Return ‖r‖ of the present state under the present load."""
 
@@ -243,6 +246,8 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
 
         def work() -> None:
             self._interrupts.check()
+            if place != self.at:
+                self._problem.begin_step(place - self.at)
             self._user(place)
 
         on_all(work, self._comm)

@@ -164,6 +164,9 @@ class _Unloading:
     def update_internal_variables(self, *, balanced: bool | None = None) -> None:
         """Remember nothing."""
 
+    def begin_step(self, length: float) -> None:
+        """Depend on no length of a step."""
+
     def residual_norm(self) -> float:
         """Return ‖r‖ of the loaded wall in the image."""
         with self._moved():

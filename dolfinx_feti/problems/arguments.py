@@ -21,6 +21,7 @@ from dolfinx_feti.runtime.petsc_options import require_prefix
 __all__ = [
     "agreed_prefix",
     "checked_conditions",
+    "missing",
     "require_forms",
     "require_function",
     "warn_unused",
@@ -84,6 +85,18 @@ def checked_conditions(
             raise ValueError(f"bcs[{i}] is {bc!r}: give what dolfinx.fem.dirichletbc returns.")
     check_bcs(V, conditions)
     return conditions
+
+
+def missing(problem: object, name: str) -> AttributeError:
+    """Return the error for an attribute that dolfinx's ``NewtonSolver`` asks a problem for."""
+    message = f"'{type(problem).__name__}' object has no attribute '{name}'"
+    if name not in ("L", "a", "form"):  # Python would ask whether 'A' was meant
+        return AttributeError(message)
+    text = (
+        f"{message}; it drives Newton's method itself: call problem.solve() in the place of "
+        "dolfinx.nls.petsc.NewtonSolver"
+    )
+    return AttributeError(text, name=name, obj=None)
 
 
 def require_forms(**forms: object) -> None:

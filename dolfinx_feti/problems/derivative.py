@@ -111,7 +111,7 @@ def difference_from_derivative(system: System, here: Residual, d: Array) -> Mism
     dp = system.increment(here, d)[1] - system.increment(here, 0.0 * d)[1]  # δp = −K_pp⁻¹ K_pu d
     ends = []
     for sign in (1.0, -1.0):
-        system.set_state((start[0] + sign * h * d, start[1] + sign * h * dp))
+        system.set_state((start[0] + sign * h * d, start[1] + sign * h * dp, start[2]))
         ends.append(system.free(system.residual().force))
     system.set_state(start)
     q = np.divide(ends[0] - ends[1], 2 * h)

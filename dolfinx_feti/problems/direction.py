@@ -29,7 +29,6 @@ import numpy.typing as npt
 
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.history import Stop, proved_negative
-from dolfinx_feti.problems.solvers import solved
 from dolfinx_feti.problems.system import Residual, System
 
 __all__ = ["Direction", "Directions", "fallen", "raised"]
@@ -102,12 +101,12 @@ class Directions:
         """
         system, feti = self._system, ksp.getPythonContext()
         first, self._first = self._first, False
-        refuse = self._refuse and first
+        refuse = self._refuse and first and not system.scalars.size  # who lead on where K does not
         indefinite, iterations, leads = None, [], False
         for sigma, plain in self._tries(moves=moves):
             system.shift(sigma)
             feti.refuse_indefinite = not plain or refuse
-            du = solved(ksp, system.A, -here.equations)
+            du = system.scalars.solve(ksp, system.A, here.equations, here.scalar)
             reason = ksp.getConvergedReason()
             failed = reason == Reason.DIVERGED_PCSETUP_FAILED
             if sigma == 0.0:

@@ -64,6 +64,7 @@ def derive(
     condense: Sequence[dolfinx.fem.Function],
     energy: ufl.Form | None,
     degree: int | None,
+    work: Sequence[ufl.Form] = (),
 ) -> Forms:
     """Derive and check the forms.
 
@@ -74,6 +75,7 @@ def derive(
         condense: Fields to be condensed.
         energy: Potential in addition to residuals.
         degree: Highest quadrature degree of integrals that state none; None for no bound.
+        work: What scalar unknowns add to the residual of u; an energy is no potential then.
 
     Raises:
         ValueError: The forms do not fit each other, or the unknowns.
@@ -89,6 +91,10 @@ def derive(
     symmetric = True if J is None and isinstance(F, ufl.Form) and not F.arguments() else None
     energy = potential(F, energy)
     F_u, F_p = residuals(F, u, condense)
+    if work:
+        added = sum(work, ufl.Form([]))
+        J = J if J is None else J + ufl.derivative(added, u, ufl.TrialFunction(u.function_space))
+        F_u, energy, symmetric = F_u + added, None, None
     F_u, F_p = limited(F_u), tuple(map(limited, F_p))
     J = ufl.derivative(F_u, u, ufl.TrialFunction(u.function_space)) if J is None else J
     check_nonlinear_forms(F_u, J, u)

@@ -162,12 +162,14 @@ def _mover(
     if moves:
         lifted = lifted + system.multiply(du - free)  # r_f + K_fD ΔU_D
     slope = system.dot(free, lifted)  # g_0 < 0
+    if system.scalars.size:
+        slope = -abs(slope) - abs(system.dot(free, system.scalars.push()))
     known = not (np.isnan(height) or moves)
     rounded = abs(slope) <= POTENTIAL_ROUNDING * abs(height)
     only_down = known and not rounded and (shifted or residual.blocks is None)
 
     def move(alpha: float) -> _Trial:
-        system.set_state((start[0] + alpha * step[0], start[1] + alpha * step[1]))
+        system.set_state([a + alpha * b for a, b in zip(start, step, strict=True)])
         if system.least_volume_ratio() <= 0.0:
             return _Trial(alpha, None, np.nan, accepted=False)
         moved = system.residual()

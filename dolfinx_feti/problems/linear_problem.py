@@ -36,6 +36,10 @@ from dolfinx_feti.problems.torn_problem import TornProblem
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.petsc_errors import python_errors
 from dolfinx_feti.runtime.petsc_options import inserted
+from dolfinx_feti.scalars.border import ScalarSystem
+from dolfinx_feti.scalars.couplings import checked_couplings, works
+from dolfinx_feti.scalars.equations import Coupling, ScalarEquation
+from dolfinx_feti.scalars.real_spaces import is_real_function, separated_linear
 
 __all__ = ["LinearProblem"]
 
@@ -72,10 +76,10 @@ class LinearProblem(TornProblem):
 
     def __init__(
         self,
-        a: ufl.Form,
-        L: ufl.Form,
+        a: ufl.Form | Sequence[Sequence[ufl.Form | None]],
+        L: ufl.Form | Sequence[ufl.Form],
         bcs: Sequence[dolfinx.fem.DirichletBC] | None = None,
-        u: dolfinx.fem.Function | None = None,
+        u: dolfinx.fem.Function | Sequence[dolfinx.fem.Function] | None = None,
         petsc_options: Mapping[str, object] | None = None,
         form_compiler_options: Mapping[str, object] | None = None,
         jit_options: Mapping[str, object] | None = None,
@@ -83,6 +87,7 @@ class LinearProblem(TornProblem):
         subdomains: int | npt.NDArray[np.integer] | None = None,
         seed: int = 0,
         petsc_options_prefix: str | None = None,
+        scalars: Sequence[Coupling] = (),
         P: ufl.Form | None = None,
         kind: str | None = None,
         entity_maps: Sequence[object] | None = None,
@@ -90,10 +95,10 @@ class LinearProblem(TornProblem):
         """Tear the mesh and compile the forms.
 
         Args:
-            a: Bilinear form with cell and exterior-facet integrals.
-            L: Linear form.
+            a: Bilinear form with cell and exterior-facet integrals; or blocks, with u = [u, s].
+            L: Linear form; or blocks.
             bcs: Dirichlet conditions.
-            u: Function for the solution; created if not given.
+            u: Function for the solution; created if not given. Or [u, s], s on real spaces.
             petsc_options: Options without prefix, see ``docs/options.md``.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the C compiler and its cache.
@@ -103,6 +108,8 @@ class LinearProblem(TornProblem):
                 number is the same in every run.
             petsc_options_prefix: Non-empty prefix of all options, equal on all processes; one of
                 its own, ``linear_problem_0_`` and so on, if not given.
+            scalars: Scalar unknowns beside u with equations that are linear in both
+                (:mod:`dolfinx_feti.scalars`). Those on real spaces belong to u, a and L.
             P: Without effect, as a preconditioner of dolfinx's.
             kind: Without effect, as a type of dolfinx's matrices.
             entity_maps: None; several meshes cannot be torn.
@@ -115,9 +122,15 @@ class LinearProblem(TornProblem):
             Collective; raises on all processes.
         """
         check_scalar_type()
+        equations: list[ScalarEquation] = []
+        self._given = u
+        if isinstance(u, Sequence) and any(map(is_real_function, u)):
+            assert isinstance(a, Sequence) and isinstance(L, Sequence)
+            a, L, u, equations = separated_linear(a, L, u)
         require_forms(a=a, L=L)
         if u is not None:
             require_function(u)
+        assert isinstance(a, ufl.Form) and not isinstance(u, Sequence)
         check_linear_forms(a, L, u)
         V = a.arguments()[0].ufl_function_space()
         comm = V.mesh.comm
@@ -127,7 +140,7 @@ class LinearProblem(TornProblem):
         self._petsc_options = dict(petsc_options or {})
         self._compiler = Compiler(comm, form_compiler_options, jit_options)
         self._bilinear = a
-        self.u = dolfinx.fem.Function(V) if u is None else u
+        self.u: dolfinx.fem.Function = dolfinx.fem.Function(V) if u is None else u
         least = 1 if self.bcs else 2  # a null space is one of several subdomains together
         self.decomposition = decompose(
             V.mesh, suggested_number(V, least) if subdomains is None else subdomains, seed=seed
@@ -141,6 +154,10 @@ class LinearProblem(TornProblem):
         for name, owned in (("A", self.A), ("x", self.x), ("b", self.b)):
             owned.setOptionsPrefix(f"{self._prefix}{name}_")
         self.history: list[NewtonStep] = []
+        couplings = [*equations, *checked_couplings(scalars, self.bcs)]
+        free = ~assembly.dirichlet_mask(V, self.bcs)
+        work = sum(works(couplings), ufl.Form([]))
+        self._scalars = ScalarSystem(couplings, self.u, work, self._compiler, free=free)
         self.solver = create_solver(self.A, self._prefix, self._petsc_options)
 
     @cached_property
@@ -152,11 +169,11 @@ class LinearProblem(TornProblem):
         """
         return self._compiler.form(self._bilinear)
 
-    def solve(self) -> dolfinx.fem.Function:
+    def solve(self) -> dolfinx.fem.Function | Sequence[dolfinx.fem.Function]:
         """Assemble and solve.
 
         Returns:
-            The solution u.
+            The solution u, or [u, s] as it was given.
 
         Raises:
             ConvergenceError: FETI did not converge; u is left as it was.
@@ -168,7 +185,10 @@ class LinearProblem(TornProblem):
         self._assemble()
         assembled = time.perf_counter()
         with inserted(self._prefix, self._petsc_options), python_errors():
-            self.solver.solve(self.b, self.x)
+            if not self._scalars.size:
+                self.solver.solve(self.b, self.x)
+            else:
+                self._solve_with_scalars(self._scalars)
         solved = time.perf_counter()
         feti = self.solver.getPythonContext()
         self.history = [
@@ -184,9 +204,24 @@ class LinearProblem(TornProblem):
             )
         ]
         raise_if_diverged(self.solver)
+        self._scalars.set_values(self._scalars.increment)
         self.u.x.array[: self.x.getLocalSize()] = self.x.array_r
         self.u.x.scatter_forward()
-        return self.u
+        return self.u if self._given is None else self._given
+
+    def _solve_with_scalars(self, scalars: ScalarSystem) -> None:
+        """Solve for u and s, from zero: their equations are linear."""
+        u, s = self.u.x.array.copy(), scalars.values()
+        self.u.x.array[:] = 0.0
+        scalars.set_values(np.zeros(scalars.size))
+        try:
+            scalars.check()
+            scalars.linearise()
+            c = scalars.residual()
+            self.x.array[:] = scalars.solve(self.solver, self.A, -self.b.array_r, c)
+        finally:
+            self.u.x.array[:] = u
+            scalars.set_values(s)
 
     def linear_system(self) -> tuple[PETSc.Mat, PETSc.Vec]:
         """Assemble the torn system that :meth:`solve` solves.

@@ -29,6 +29,7 @@ from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.arguments import (
     agreed_prefix,
     checked_conditions,
+    missing,
     require_function,
     warn_unused,
 )
@@ -47,14 +48,11 @@ from dolfinx_feti.problems.torn_problem import TornProblem
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.petsc_errors import python_errors
 from dolfinx_feti.runtime.petsc_options import inserted
+from dolfinx_feti.scalars.couplings import all_equations, checked_couplings, works
+from dolfinx_feti.scalars.equations import Coupling
+from dolfinx_feti.scalars.real_spaces import separated
 
 __all__ = ["NonlinearProblem"]
-
-#: For scripts that hand the problem to dolfinx's solver.
-_OF_NEWTON_SOLVER = (
-    "it drives Newton's method itself: call problem.solve() in the place of "
-    "dolfinx.nls.petsc.NewtonSolver"
-)
 
 
 class NonlinearProblem(TornProblem):
@@ -92,7 +90,7 @@ class NonlinearProblem(TornProblem):
     def __init__(
         self,
         F: ufl.Form | Sequence[ufl.Form],
-        u: dolfinx.fem.Function,
+        u: dolfinx.fem.Function | Sequence[dolfinx.fem.Function],
         bcs: Sequence[dolfinx.fem.DirichletBC] | None = None,
         J: ufl.Form | None = None,
         form_compiler_options: Mapping[str, object] | None = None,
@@ -108,6 +106,7 @@ class NonlinearProblem(TornProblem):
         petsc_options: Mapping[str, object] | None = None,
         quadrature_degree: int | None = None,
         volume_ratio: Expr | None = None,
+        scalars: Sequence[Coupling] = (),
         P: ufl.Form | None = None,
         kind: str | None = None,
         entity_maps: Sequence[object] | None = None,
@@ -115,9 +114,10 @@ class NonlinearProblem(TornProblem):
         """Tear the mesh, derive and compile the forms.
 
         Args:
-            F: Residual; or an energy, whose derivatives are taken; with ``condense``, an energy
-                Π(u, p) or the residuals (tested with v, and with the q of each condensed field).
-            u: Unknown; holds the start and then the solution.
+            F: Residual, or residuals [F_u, F_s] of u and of scalars; or an energy, whose
+                derivatives are taken; with ``condense``, an energy Π(u, p) or the residuals (tested
+                with v, and with the q of each condensed field).
+            u: Unknown; holds the start and then the solution. Or [u, s], s on real spaces.
             bcs: Dirichlet conditions on u.
             J: Tangent of the residual tested with v, in u; derived from it if not given. A
                 symmetric one lets FETI use conjugate gradients.
@@ -144,6 +144,8 @@ class NonlinearProblem(TornProblem):
             volume_ratio: Expression that every iterate keeps positive at all points of a quadrature
                 of this degree, or of twice that of u; det(I + Grad u) if not given and u is a
                 displacement.
+            scalars: Scalar unknowns beside u with their equations, such as cavities whose volume is
+                prescribed (:mod:`dolfinx_feti.scalars`). Those on real spaces belong to u and F.
             P: Without effect, as a preconditioner of dolfinx's.
             kind: Without effect, as a type of dolfinx's matrices.
             entity_maps: None; several meshes cannot be torn.
@@ -156,7 +158,10 @@ class NonlinearProblem(TornProblem):
             Collective; raises on all processes.
         """
         check_scalar_type()
+        self._given = u
+        F, u, blocks = separated(F, u)
         require_function(u)
+        assert isinstance(u, dolfinx.fem.Function)
         V = u.function_space
         comm = V.mesh.comm
         self.bcs = on_all(lambda: checked_conditions(V, bcs), comm)
@@ -164,7 +169,9 @@ class NonlinearProblem(TornProblem):
         self._prefix = agreed_prefix(petsc_options_prefix, "nonlinear_problem", comm)
         self._petsc_options = dict(petsc_options or {})
         fields = condensed_fields(condense)
-        forms = derive(F, u, J=J, condense=fields, energy=energy, degree=quadrature_degree)
+        couplings = [*blocks, *checked_couplings(scalars, self.bcs)]
+        degree, work = quadrature_degree, works(couplings)
+        forms = derive(F, u, J=J, condense=fields, energy=energy, degree=degree, work=work)
         twice = 2 * V.ufl_element().embedded_superdegree
         if quadrature_degree is None:
             warn_of_degree(forms, twice, comm)
@@ -180,17 +187,19 @@ class NonlinearProblem(TornProblem):
             bcs=self.bcs,
             J=forms.J,
             condense=list(zip(forms.F_p, fields, strict=True)),
-            energy=forms.energy,
+            energy=None if couplings else forms.energy,
             volume_ratio=default_volume_ratio(u) if volume_ratio is None else volume_ratio,
             quadrature_degree=twice if quadrature_degree is None else quadrature_degree,
             decomposition=self.decomposition,
             compiler=self._compiler,
             symmetric=forms.symmetric,
+            scalars=couplings,
         )
         if volume_tolerance is not None:
             prepare(self._system, volume_tolerance)
         self._volume_tolerance = volume_tolerance
-        self.content = content_of((u, *fields), (forms.F_u, *forms.F_p, forms.energy))
+        parts = (forms.F_u, *forms.F_p, forms.energy, *all_equations(couplings))
+        self.content = content_of((u, *fields), parts)
         self._memory = create_internal_variables(
             internal_variables or {}, self._compiler, coefficients=self.content.coefficients
         )
@@ -213,23 +222,12 @@ class NonlinearProblem(TornProblem):
 
     @cached_property
     def J(self) -> dolfinx.fem.Form:
-        """The compiled tangent, for other uses: FETI has one on the torn space.
-
-        Note:
-            Collective the first time.
-        """
+        """The compiled tangent, for other uses: FETI has one on the torn space. Collective."""
         return self._compiler.form(self._tangent)
 
     def __getattr__(self, name: str) -> object:
-        """Answer a script that hands the problem to dolfinx's ``NewtonSolver``.
-
-        Raises:
-            AttributeError: Always.
-        """
-        message = f"'{type(self).__name__}' object has no attribute '{name}'"
-        if name in ("L", "a", "form"):  # Python would ask whether 'A' was meant
-            raise AttributeError(f"{message}; {_OF_NEWTON_SOLVER}", name=name, obj=None)
-        raise AttributeError(message)
+        """Answer a script that hands the problem to dolfinx's ``NewtonSolver``."""
+        raise missing(self, name)
 
     @property
     def history(self) -> list[NewtonStep]:
@@ -271,10 +269,7 @@ class NonlinearProblem(TornProblem):
 
         Returns:
             The tangent A, which stays the problem's own, and −r with the pressure condensed into
-            it, which the caller destroys.
-
-        Note:
-            Collective.
+            it, which the caller destroys. Collective.
         """
         self._hold()
         residual = self._system.residual()
@@ -290,7 +285,7 @@ class NonlinearProblem(TornProblem):
         first_tangent: Tangent | None = None,
         renew: bool = True,
         give_up_early: bool = False,
-    ) -> dolfinx.fem.Function:
+    ) -> dolfinx.fem.Function | Sequence[dolfinx.fem.Function]:
         """Iterate from the present u (and pressure) to the solution.
 
         With a ``volume_tolerance`` the material is incompressible in the end (augmented Lagrangian;
@@ -314,7 +309,7 @@ class NonlinearProblem(TornProblem):
                 tangent of a bad guess is indefinite: a shorter increment is cheaper then.
 
         Returns:
-            The unknown u.
+            The unknown u, or [u, s] as it was given.
 
         Raises:
             ConvergenceError: Newton's method or FETI failed; u holds the last good iterate.
@@ -324,6 +319,7 @@ class NonlinearProblem(TornProblem):
             Collective.
         """
         start = checked_start(self._system, reference, first_tangent, early=give_up_early)
+        self._system.scalars.check()
         if renew:
             self.renew()
         self._history, self.volume_changes = [], []
@@ -331,7 +327,7 @@ class NonlinearProblem(TornProblem):
             self._run(start)
         else:
             self._run_with_multipliers(start, self._volume_tolerance)
-        return self.u
+        return self._given
 
     def _run(self, start: Start) -> None:
         """Iterate by Newton's method, or raise ConvergenceError."""
@@ -372,8 +368,8 @@ class NonlinearProblem(TornProblem):
 
     @property
     def internal_variables(self) -> tuple[dolfinx.fem.Function, ...]:
-        """The Functions that hold what the material remembers."""
-        return self._memory.functions
+        """The Functions that hold what the material remembers, and scalars of a path."""
+        return (*self._memory.functions, *self._system.scalars.histories)
 
     def update_internal_variables(self, *, balanced: bool | None = None) -> None:
         """Let each internal variable be its update at the present state, all at once. Collective.
@@ -382,6 +378,12 @@ class NonlinearProblem(TornProblem):
         none of them. With ``balanced`` only those that the balance of forces depends on, or not.
         """
         self._memory.update(balanced=balanced)
+        if balanced is not False:
+            self._system.scalars.accept()
+
+    def begin_step(self, length: float) -> None:
+        """Tell the scalars, such as a Windkessel, the length of the next step of load or time."""
+        self._system.scalars.begin(length)
 
     def renew(self) -> None:
         """Let the next solve begin with a preconditioner of its own, and no Ritz vectors."""

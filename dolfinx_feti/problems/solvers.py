@@ -30,7 +30,6 @@ __all__ = [
     "create_solver",
     "no_closer_than",
     "options_without_effect",
-    "solved",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -128,18 +127,6 @@ def no_closer_than(norm: float, ksp: PETSc.KSP) -> Iterator[None]:
         yield
     finally:
         ksp.setTolerances(atol=atol)
-
-
-def solved(ksp: PETSc.KSP, A: PETSc.Mat, b: Array) -> Array:
-    """Solve A x = b; return x, (owned,). Collective."""
-    rhs, x = A.createVecs()
-    rhs.array[:] = b
-    ksp.setOperators(A)
-    ksp.solve(rhs, x)
-    solution = x.array_r.copy()
-    rhs.destroy()
-    x.destroy()
-    return solution
 
 
 def options_without_effect(prefix: str) -> dict[str, str]:

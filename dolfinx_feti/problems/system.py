@@ -12,7 +12,7 @@ there is one (``condensation``); residuals meet prescribed values (eq. 7, August
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from mpi4py import MPI
 
@@ -30,6 +30,8 @@ from dolfinx_feti.fem.near_kernel import attach_near_kernel
 from dolfinx_feti.fem.quadrature import quadrature_points
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.connectivity import diagonal_places, load_graph_code
+from dolfinx_feti.scalars.border import ScalarSystem
+from dolfinx_feti.scalars.equations import Coupling
 from dolfinx_feti.torn.matrix import set_condensed
 from dolfinx_feti.torn.rounding import EPS, product_rounding
 
@@ -51,12 +53,14 @@ class Residual:
         force: Forces before condensation, (owned,); reactions on Dirichlet dofs.
         gap: u − g of the Dirichlet dofs, (owned,); zero on the free ones.
         blocks: What the condensed fields need, if there are any.
+        scalar: What the equations of the scalars miss, (m,).
     """
 
     condensed: Array
     force: Array
     gap: Array
     blocks: Blocks | None
+    scalar: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def equations(self) -> Array:
@@ -106,6 +110,7 @@ class System:
         decomposition: Decomposition,
         compiler: Compiler | None = None,
         symmetric: bool | None = None,
+        scalars: Sequence[Coupling] = (),
     ) -> None:
         """Tear the space and compile all forms.
 
@@ -121,6 +126,7 @@ class System:
             decomposition: Subdomain of each owned cell.
             compiler: How forms are compiled; with dolfinx's options if not given.
             symmetric: Whether the tangent is known to be symmetric, by its form.
+            scalars: Scalar unknowns beside u and their equations.
 
         Note:
             Collective.
@@ -152,6 +158,7 @@ class System:
         self._energy = energy if energy is None else assembly.split_form(energy, V.mesh, compiler)
         self._shift = 0.0
         self._blocks: Blocks | None = None  # of the tangent
+        self.scalars = ScalarSystem(scalars, u, F_u, compiler, free=~self.dirichlet)
         self._volume_ratio = None
         if volume_ratio is not None:
             points = quadrature_points(V.mesh, quadrature_degree)
@@ -165,12 +172,12 @@ class System:
 
     # -- state ------------------------------------------------------------------------------------
 
-    def state(self) -> tuple[Array, Array]:
-        """Copy the state, owned entries of u and all of the condensed fields."""
+    def state(self) -> tuple[Array, Array, Array]:
+        """Copy the state: owned entries of u, all of the condensed fields, and the scalars."""
         p = self.condensation.values() if self.condensation else np.zeros(0)
-        return self.u.x.array[: self.owned].copy(), p
+        return self.u.x.array[: self.owned].copy(), p, self.scalars.values()
 
-    def set_state(self, state: tuple[Array, Array]) -> None:
+    def set_state(self, state: Sequence[Array]) -> None:
         """Set the state and update ghosts."""
         self.u.x.array[: self.owned] = state[0]
         self.u.x.scatter_forward()
@@ -178,8 +185,9 @@ class System:
             self.condensation.set_values(state[1])
             for p in self.condensation.fields:
                 p.x.scatter_forward()
+        self.scalars.set_values(state[2])
 
-    def increment(self, here: Residual, du: Array) -> tuple[Array, Array]:
+    def increment(self, here: Residual, du: Array) -> tuple[Array, Array, Array]:
         """Complete an increment of u by the condensed fields' own linearised equations.
 
         Args:
@@ -189,19 +197,16 @@ class System:
         Returns:
             Increments of the state, see :meth:`state`.
         """
+        ds = self.scalars.increment
         if self.condensation is None or here.blocks is None:
-            return du, np.zeros(0)
+            return du, np.zeros(0), ds
         whole = self._vector()
         whole.array[: self.owned] = du
         whole.scatter_forward()
-        return du, self.condensation.increment(here.blocks, whole.array[self._local])
+        return du, self.condensation.increment(here.blocks, whole.array[self._local]), ds
 
     def least_volume_ratio(self) -> float:
-        """Return the least det F over all quadrature points; inf if none is watched.
-
-        Note:
-            Collective.
-        """
+        """Return the least det F over all quadrature points, or inf. Collective."""
         return self.comm.allreduce(on_all(self._own_volume_ratio, self.comm), op=MPI.MIN)
 
     def _own_volume_ratio(self) -> float:
@@ -218,11 +223,7 @@ class System:
         return self._energy is not None
 
     def potential(self) -> float:
-        """Return the potential of u, Π(u) or Π(u, p) with the p that its own equation demands.
-
-        Note:
-            Collective.
-        """
+        """Return Π(u), or Π(u, p) with the p that its own equation demands. Collective."""
         return self.comm.allreduce(on_all(self._own_potential, self.comm))
 
     def _own_potential(self) -> float:
@@ -253,7 +254,7 @@ class System:
         gap = np.zeros(self.owned)
         for bc in self.bcs:
             bc.set(gap, self.u.x.array, -1.0)
-        return Residual(self.free(condensed), force, gap, blocks)
+        return Residual(self.free(condensed), force, gap, blocks, self.scalars.residual())
 
     def _own_residual(self) -> tuple[dolfinx.la.Vector, Array, Blocks | None]:
         """Assemble over the cells of this process: r_u, what condensation adds, and its blocks."""
@@ -264,11 +265,7 @@ class System:
         return b, self.condensation.residual(blocks, len(self._local)), blocks
 
     def seen_by_tangent(self, here: Residual) -> Residual:
-        """Return a residual whose fields are condensed by K_up and K_pp of the matrix's tangent.
-
-        Note:
-            Collective.
-        """
+        """Return a residual with fields condensed by the matrix's own K_up and K_pp. Collective."""
         if self.condensation is None or here.blocks is None or self._blocks is None:
             return here
         blocks = replace(self._blocks, excess=here.blocks.excess)
@@ -285,6 +282,7 @@ class System:
             Collective.
         """
         on_all(lambda: self._fill(here), self.comm)
+        self.scalars.linearise()
         V = self.u.function_space
         u = self.u.x.array[: self.owned].reshape(-1, V.dofmap.index_map_bs)
         attach_near_kernel(self.A, V, u)
@@ -350,14 +348,11 @@ class System:
         return Tangent(self._K.mat.handle, self._K.mat.stateGet())
 
     def shift(self, sigma: float) -> None:
-        """Let the tangent be K + σ diag|k|, with the stiffness k of its own dofs.
-
-        Args:
-            sigma: σ, from zero on; it takes the place of an earlier one.
-        """
-        self._K.csr.data[self._diagonal] += (sigma - self._shift) * np.abs(self._stiffness)
-        self._K.mat.stateIncrease()
-        self._shift = sigma
+        """Let the tangent be K + σ diag|k|, k the stiffness of its own dofs, with another σ ≥ 0."""
+        if sigma != self._shift:
+            self._K.csr.data[self._diagonal] += (sigma - self._shift) * np.abs(self._stiffness)
+            self._K.mat.stateIncrease()
+            self._shift = sigma
 
     def multiply(self, d: Array) -> Array:
         """Return A d for the tangent that the matrix holds, (owned,). Collective."""
@@ -383,16 +378,18 @@ class System:
         return float(np.sqrt(self.dot(r, r)))
 
     def reaction(self, here: Residual) -> float:
-        """Return the norm of the reactions on Dirichlet dofs. Collective."""
-        return self.norm(here.force - self.free(here.force))
+        """Return the norm of the reactions on Dirichlet dofs and of the scalars. Collective."""
+        reactions = self.norm(here.force - self.free(here.force))
+        return max(reactions, self.norm(self.free(self.scalars.force())))
 
     def boundary_moves(self, here: Residual) -> bool:
-        """Tell whether Dirichlet values are missed by more than rounding of u. Collective."""
+        """Tell whether Dirichlet values, or equations of scalars, are missed. Collective."""
         missed, reach = (
             self.comm.allreduce(float(np.abs(each).max(initial=0.0)), op=MPI.MAX)
             for each in (here.gap, self.u.x.array[: self.owned])
         )
-        return missed > MOVED * reach
+        u, h = self.u.x.array[: self.owned], np.max(self._size, initial=0.0)
+        return missed > MOVED * reach or not self.scalars.met(here.scalar, u, h)
 
     def destroy(self) -> None:
         """Free the matrices."""

@@ -125,6 +125,9 @@ class Played:
         if balanced:
             self.remembered.append(self.load)
 
+    def begin_step(self, length: float) -> None:
+        agree(length != 0.0)
+
     def renew(self) -> None:
         self._renewed = True
 

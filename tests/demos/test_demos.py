@@ -33,6 +33,7 @@ TUBE = "--mesh tube --size 1 --pressure 2 --steps 3 --subdomains 4".split()
 TUBE_DOFS, TUBE_DISPLACEMENT = 1680, 0.03652351  # mm
 #: Demos that import nothing of their folder, with the picture that each draws.
 ALONE = {
+    "demo_balloon.py": "balloon/curve.png",
     "demo_hyperelasticity.py": "hyperelasticity/block.png",
     "demo_jumps.py": "jumps/jumps.png",
     "demo_linear_elasticity.py": "beam/beam.png",

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ class OneUnknown:
         self._r, self._potential, self._inverted = r, potential, inverted
         self._moves = moves
         self.has_potential = potential is not None
+        self.scalars = SimpleNamespace(size=0)
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         return np.array([self.u]), NOTHING

@@ -1,0 +1,181 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Cavities with a volume that is prescribed, their pressure being the unknown.
+
+.. math:: V(u) = \bar V, \qquad r(u, p; v) = δΠ_{int} - p\, δV
+
+The pressure is the multiplier of the volume: with V from
+:func:`~dolfinx_feti.mechanics.loads.enclosed_volume` it is the follower pressure, and the tangent
+is symmetric. That holds where the surface is closed, or its rims are held as V requires, which is
+tried out.
+
+Units: volumes in mm³, pressures in kPa.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+import ufl
+
+from dolfinx_feti.mechanics.loads import (
+    SAME,
+    enclosed_volume,
+    follower_pressure,
+    free_norm,
+    wave,
+)
+from dolfinx_feti.scalars.equations import Constraint, ScalarEquation
+
+__all__ = ["Cavity"]
+
+
+class Cavity(Constraint):
+    """The lumen inside a surface.
+
+    Example::
+
+        cavity = Cavity(u, ds(lumen), volume=1.2 * initial)
+        problem = NonlinearProblem(F, u, bcs=bcs, scalars=[cavity])
+        problem.solve()
+        cavity.pressure.value, cavity.present_volume()
+
+    Attributes:
+        u: The displacement.
+        pressure: The unknown [kPa].
+        volume: What is prescribed [mm³]; its value may change between solves. None where a
+            Windkessel governs the volume.
+        form: V(u), a form of rank zero [mm³].
+        area: Area of the surface at rest [mm²].
+    """
+
+    def __init__(
+        self,
+        u: dolfinx.fem.Function,
+        ds: ufl.Measure,
+        volume: float | None = None,
+        *,
+        axis: Sequence[float] | None = None,
+        pressure: float = 0.0,
+    ) -> None:
+        """Take a surface; N points out of the wall, into the lumen.
+
+        Args:
+            u: The displacement [mm].
+            ds: Measure of the inner surface in the reference configuration.
+            volume: The volume to be enclosed [mm³].
+            axis: Direction of a tube's axis, normal to the planes of its open ends; without, a
+                surface is closed, or its rims lie in planes of symmetry through the origin.
+            pressure: Where the iteration begins [kPa].
+
+        Raises:
+            ValueError: The volume is not positive, the measure has no facets, or what they enclose
+                is not positive.
+
+        Note:
+            Collective.
+        """
+        if volume is not None and not 0.0 < volume < math.inf:
+            raise ValueError(f"volume={volume}: a cavity encloses a positive volume.")
+        V = u.function_space
+        degree = max(
+            element.embedded_superdegree
+            for element in (V.ufl_element(), V.mesh.ufl_domain().ufl_coordinate_element())
+        )
+        if "quadrature_degree" not in ds.metadata():
+            ds = ds(metadata={**ds.metadata(), "quadrature_degree": V.mesh.geometry.dim * degree})
+        self.u, self._ds = u, ds
+        self.form = enclosed_volume(u, ds, axis)
+        self._compiled = dolfinx.fem.form(self.form)
+        self.area = self._integral(
+            dolfinx.fem.form(dolfinx.fem.Constant(V.mesh, np.float64(1.0)) * ds)
+        )
+        if self.area == 0.0:
+            raise ValueError("ds has no facets: give the measure its tags and a tag among them.")
+        enclosed = self.present_volume()
+        if not enclosed > 0.0:
+            raise ValueError(
+                f"The surface of the cavity encloses {enclosed:g}, which is not positive: give the "
+                "inner surface of the wall; with open ends beside planes through the origin, give "
+                "axis=."
+            )
+        self.pressure = dolfinx.fem.Constant(V.mesh, np.float64(pressure))
+        self.volume = None if volume is None else dolfinx.fem.Constant(V.mesh, np.float64(volume))
+
+    def present_volume(self) -> float:
+        """Return the volume that the surface encloses now [mm³]. Collective."""
+        return self._integral(self._compiled)
+
+    def spread(self, value: ufl.core.expr.Expr) -> ufl.Form:
+        """Return a form whose integral over the surface is a constant value."""
+        return value / self.area * self._ds
+
+    @property
+    def work(self) -> ufl.Form:
+        """−p δV, tested with v."""
+        v = ufl.TestFunction(self.u.function_space)
+        return ufl.derivative(-self.pressure * self.form, self.u, v)
+
+    @property
+    def equation(self) -> ScalarEquation:
+        """V(u) = V̄, for the pressure."""
+        if self.volume is None:
+            raise ValueError("The cavity has no volume: give volume=, or a Windkessel.")
+        return ScalarEquation(self.pressure, (self.form - self.spread(self.volume),), self.work)
+
+    def check(self, bcs: Sequence[dolfinx.fem.DirichletBC]) -> None:
+        """Require a positive volume, and rims that are held as it needs.
+
+        Args:
+            bcs: Dirichlet conditions of the problem.
+
+        Raises:
+            ValueError: The volume is not positive, or the surface is open. On all processes.
+
+        Note:
+            Collective.
+        """
+        self.check_values()
+        V = self.u.function_space
+        v, w = ufl.TestFunction(V), wave(V)
+        held = np.concatenate([np.zeros(0, dtype=np.int32), *(bc.dof_indices()[0] for bc in bcs)])
+        for bc in bcs:
+            bc.set(w.x.array)
+        force = follower_pressure(1.0, w, v, self._ds)
+        gradient = ufl.derivative(-ufl.replace(self.form, {self.u: w}), w, v)  # −δV
+        if not free_norm(gradient - force, held) <= SAME * free_norm(force, held[:0]):
+            raise ValueError(
+                "The surface of the cavity is open: it has a rim that is neither clamped nor "
+                "slides in a plane of symmetry through the origin. Give axis= where open ends "
+                "slide in planes normal to it, hold the rim, or close the surface by a cap."
+            )
+
+    def check_values(self) -> None:
+        """Require a positive volume."""
+        if self.volume is not None and not 0.0 < float(self.volume.value) < math.inf:
+            raise ValueError(f"volume={self.volume.value}: a cavity encloses a positive volume.")
+
+    def facets(self) -> npt.NDArray[np.int32]:
+        """Return the facets of the surface on this process; none if the measure has no tags."""
+        tags, ids = self._ds.subdomain_data(), self._ds.subdomain_id()
+        wanted = ids if isinstance(ids, tuple) else (ids,)
+        if tags is None or not hasattr(tags, "find") or "everywhere" in wanted:
+            return np.zeros(0, dtype=np.int32)
+        return np.concatenate([tags.find(i) for i in wanted])
+
+    def overlaps(self, other: Cavity) -> bool:
+        """Tell whether two cavities share facets. Collective."""
+        shared = len(np.intersect1d(self.facets(), other.facets())) > 0
+        return bool(self.u.function_space.mesh.comm.allreduce(shared, op=MPI.LOR))
+
+    def _integral(self, form: dolfinx.fem.Form) -> float:
+        comm = self.u.function_space.mesh.comm
+        return float(comm.allreduce(dolfinx.fem.assemble_scalar(form)))

@@ -1,0 +1,68 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Mean values and rigid motions held by multipliers, for bodies that nothing else supports.
+
+.. math:: \int_Ω u - \bar u\; \mathrm dX = 0, \qquad \int_Ω X × u\; \mathrm dX = 0
+
+The multipliers are a force and a moment, spread over the body. They vanish where the loads balance
+each other: the solution is that with a null space.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+import dolfinx
+import ufl
+from ufl.core.expr import Expr
+
+from dolfinx_feti.scalars.equations import ScalarEquation
+
+__all__ = ["mean_value", "rigid_motions"]
+
+
+def mean_value(
+    u: dolfinx.fem.Function, value: float | Expr = 0.0, dx: ufl.Measure | None = None
+) -> ScalarEquation:
+    """Hold the mean of u, of each component, by a multiplier.
+
+    Args:
+        u: The unknown.
+        value: Its mean, a number or an expression of the shape of u.
+        dx: Measure of the part over which the mean is taken; the whole body if not given.
+    """
+    mesh, n = u.function_space.mesh, u.ufl_shape
+    dx = ufl.Measure("dx", mesh) if dx is None else dx
+    mean = ufl.as_ufl(value)
+    if mean.ufl_shape != n:
+        mean = mean * ufl.as_vector([1.0] * n[0])
+    λ = dolfinx.fem.Constant(mesh, np.zeros(n))
+    rest = u - mean
+    equations = tuple(rest[i] * dx for i in range(n[0])) if n else (rest * dx,)
+    return ScalarEquation(λ, equations, ufl.inner(λ, ufl.TestFunction(u.function_space)) * dx)
+
+
+def rigid_motions(u: dolfinx.fem.Function) -> ScalarEquation:
+    """Hold the rigid body motions of a displacement: three scalars in the plane, six in space.
+
+    Args:
+        u: The displacement.
+
+    Raises:
+        ValueError: u is no displacement of a body in the plane or in space.
+    """
+    mesh = u.function_space.mesh
+    d = mesh.geometry.dim
+    if u.ufl_shape != (d,) or d not in (2, 3):
+        raise ValueError(f"u has the shape {u.ufl_shape}: give a displacement in {d} components.")
+    x = ufl.SpatialCoordinate(mesh)
+    pairs = [(0, 1)] if d == 2 else [(1, 2), (2, 0), (0, 1)]
+    dx = ufl.Measure("dx", mesh)
+
+    def motions(w: Expr) -> list[Expr]:
+        return [*(w[i] for i in range(d)), *(x[i] * w[j] - x[j] * w[i] for i, j in pairs)]
+
+    λ = dolfinx.fem.Constant(mesh, np.zeros(d + len(pairs)))
+    work = ufl.inner(λ, ufl.as_vector(motions(ufl.TestFunction(u.function_space)))) * dx
+    return ScalarEquation(λ, tuple(w * dx for w in motions(u)), work)

@@ -1,0 +1,65 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The couplings of a problem, checked against each other and its Dirichlet conditions."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import dolfinx
+import ufl
+
+from dolfinx_feti.scalars.cavity import Cavity
+from dolfinx_feti.scalars.equations import Coupling
+from dolfinx_feti.scalars.windkessel import Windkessel
+
+__all__ = ["all_equations", "checked_couplings", "works"]
+
+
+def checked_couplings(
+    scalars: Sequence[Coupling], bcs: Sequence[dolfinx.fem.DirichletBC]
+) -> tuple[Coupling, ...]:
+    """Check what is known before the forms are compiled.
+
+    Args:
+        scalars: Couplings of a problem.
+        bcs: Its Dirichlet conditions.
+
+    Returns:
+        The couplings.
+
+    Raises:
+        ValueError: One is none or cannot be solved, or two cavities share facets.
+
+    Note:
+        Collective; raises on all processes.
+    """
+    if not isinstance(scalars, Sequence):
+        raise ValueError(f"scalars is {scalars!r} alone: put it in a list.")
+    for i, coupling in enumerate(scalars):
+        if not hasattr(coupling, "equation"):
+            raise ValueError(
+                f"scalars[{i}] is {coupling!r}: give a Cavity, Windkessel or ScalarEquation."
+            )
+        coupling.check(bcs)
+    cavities = [c.cavity if isinstance(c, Windkessel) else c for c in scalars]
+    for (i, one), (j, two) in itertools.combinations(enumerate(cavities), 2):
+        if isinstance(one, Cavity) and isinstance(two, Cavity) and one.overlaps(two):
+            raise ValueError(
+                f"scalars[{i}] and scalars[{j}] are cavities on the same facets: give each facet "
+                "to one of them."
+            )
+    return tuple(scalars)
+
+
+def works(couplings: Sequence[Coupling]) -> list[ufl.Form]:
+    """Return what couplings add to the residual of u."""
+    given = (coupling.equation.work for coupling in couplings)
+    return [work for work in given if work is not None]
+
+
+def all_equations(couplings: Sequence[Coupling]) -> list[ufl.Form]:
+    """Return the equations of all couplings."""
+    return [c for coupling in couplings for c in coupling.equation.equations]

@@ -1,0 +1,155 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Bodies with cavities: a spherical balloon, a block with bowls, and their exact pressures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from collective import COMM
+
+import basix.ufl
+import dolfinx
+import ufl
+
+from dolfinx_feti import NonlinearProblem, kinematics, materials
+from dolfinx_feti.scalars import Cavity
+from meshes.octant import create_octant
+
+Array = npt.NDArray[np.float64]
+INNER, OUTER = 1.0, 1.1
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """A body, its unknowns, conditions and energy.
+
+    Attributes:
+        u: Displacement.
+        p: Pressure in each cell, to be condensed.
+        bcs: Dirichlet conditions.
+        ds: Measure of the facets that have a tag.
+        energy: Π(u, p).
+    """
+
+    u: dolfinx.fem.Function
+    p: dolfinx.fem.Function
+    bcs: list[dolfinx.fem.DirichletBC]
+    ds: ufl.Measure
+    energy: ufl.Form
+
+    def problem(self, scalars, **options) -> NonlinearProblem:
+        """Return the problem with scalars."""
+        petsc = {"snes_max_it": 20, "snes_atol": 0.0} | options.pop("petsc_options", {})
+        keywords = {"subdomains": 6, "quadrature_degree": 4} | options
+        return NonlinearProblem(
+            self.energy,
+            self.u,
+            bcs=self.bcs,
+            condense=self.p,
+            scalars=scalars,
+            petsc_options=petsc,
+            **keywords,
+        )
+
+
+def body(
+    mesh: dolfinx.mesh.Mesh,
+    planes: list[tuple[int, float]],
+    surfaces: list[Callable[[Array], npt.NDArray[np.bool_]]],
+    *,
+    stiffness: float = 1.0,
+    kappa: float = 1e4,
+    pressure: tuple[str, int] = ("DG", 0),
+) -> Body:
+    """Return a body that slides in planes (axis, place); surface i has the tag i + 1."""
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
+    u = dolfinx.fem.Function(V, name="u")
+    p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, pressure), name="p")
+    zero, bcs = dolfinx.fem.Constant(mesh, 0.0), []
+    for axis, place in planes:
+        facets = dolfinx.mesh.locate_entities_boundary(
+            mesh, 2, lambda x, axis=axis, place=place: np.isclose(x[axis], place)
+        )
+        part = V.sub(axis)
+        dofs = dolfinx.fem.locate_dofs_topological(part, 2, facets)
+        bcs.append(dolfinx.fem.dirichletbc(zero, dofs, part))
+    marked = [dolfinx.mesh.locate_entities_boundary(mesh, 2, where) for where in surfaces]
+    facets = np.concatenate(marked)
+    values = np.repeat(np.arange(1, len(marked) + 1), [len(m) for m in marked]).astype(np.int32)
+    order = np.argsort(facets, kind="stable")
+    tags = dolfinx.mesh.meshtags(mesh, 2, facets[order], values[order])
+    ds = ufl.Measure("ds", mesh, subdomain_data=tags)
+    F = kinematics.deformation_gradient(u)
+    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+    psi = materials.neo_hookean(C, c=stiffness, J=J)
+    psi += materials.perturbed_lagrangian(J, p, kappa * stiffness)
+    return Body(u, p, bcs, ds, psi * ufl.dx)
+
+
+def balloon(divisions: int = 4, *, unit: float = 1.0, stiffness: float = 1.0) -> Body:
+    """Return an octant of a hollow sphere, its inner surface with the tag 1."""
+    mesh = create_octant(COMM, divisions, 1, INNER * unit, OUTER * unit)
+    return body(
+        mesh,
+        [(0, 0.0), (1, 0.0), (2, 0.0)],
+        [lambda x: np.isclose(np.linalg.norm(x, axis=0), INNER * unit)],
+        stiffness=stiffness,
+    )
+
+
+def balloon_pressure(stretch: float) -> float:
+    """Return P/μ of an incompressible neo-Hookean balloon at a stretch of its inner radius."""
+    outside = np.cbrt(1.0 + (stretch**3 - 1.0) * (INNER / OUTER) ** 3)
+    return float(np.subtract(*(2.0 / λ + 0.5 / λ**4 for λ in (outside, stretch))))
+
+
+def balloon_cavity(ball: Body, stretch: float = 1.0) -> Cavity:
+    """Return its cavity; the volume is that of a stretch of the inner radius."""
+    cavity = Cavity(ball.u, ball.ds(1), volume=1.0)
+    rest = cavity.present_volume()
+    assert cavity.volume is not None
+    cavity.volume.value = rest * stretch**3
+    return cavity
+
+
+def tube(cells: tuple[int, int] = (3, 6), *, stiffness: float = 1.0) -> Body:
+    """Return a quarter of a slice of a thick tube in plane strain, Q2–P1d, with the lumen's tag 1.
+
+    Its radii are 1 and 1.5, its length is 0.2; its energy is that of a neo-Hookean material with
+    the shear modulus ``stiffness``, nearly incompressible.
+    """
+    hexahedron = dolfinx.mesh.CellType.hexahedron
+    box = dolfinx.mesh.create_box(
+        COMM, [(1.0, 0.0, 0.0), (1.5, np.pi / 2, 0.2)], (*cells, 1), cell_type=hexahedron
+    )
+    quadratic = basix.ufl.element("Lagrange", "hexahedron", 2, shape=(3,))
+    nodes = dolfinx.fem.functionspace(box, quadratic)
+    owned, count = nodes.dofmap.index_map.size_local, box.topology.index_map(3).size_local
+    r, angle, z = nodes.tabulate_dof_coordinates()[:owned].T
+    number = nodes.dofmap.index_map.local_to_global(nodes.dofmap.list[:count].ravel())
+    mesh = dolfinx.mesh.create_mesh(
+        COMM,
+        cells=number.reshape(count, -1),
+        x=np.column_stack((r * np.cos(angle), r * np.sin(angle), z)),
+        e=quadratic,
+    )
+    planes = [(0, 0.0), (1, 0.0), (2, 0.0), (2, 0.2)]
+    lumen = [lambda x: np.isclose(np.hypot(x[0], x[1]), 1.0)]
+    return body(mesh, planes, lumen, stiffness=stiffness, pressure=("DPC", 1))
+
+
+def tube_volume(inner: float) -> float:
+    """Return the volume in the lumen of the slice at an inner radius."""
+    return np.pi / 4.0 * inner**2 * 0.2
+
+
+def tube_pressure(volume: float) -> float:
+    """Return P/μ of the incompressible tube with a volume in its lumen."""
+    square = volume / tube_volume(1.0)  # a², with A = 1
+    a, b = np.sqrt(square), np.sqrt(1.5**2 + square - 1.0) / 1.5  # stretches
+    return float(np.log(a / b) + (b**-2 - a**-2) / 2.0)

@@ -1,0 +1,163 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Cavities with prescribed volumes: through a limit point, in any units, several in one body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from collective import agree, equal, raises, small
+from inflated import balloon, balloon_cavity, balloon_pressure, body
+
+import dolfinx
+
+from dolfinx_feti import ConvergenceError, NonlinearProblem
+from dolfinx_feti.mechanics.loads import pressure_potential
+from dolfinx_feti.scalars import ArcLength, Cavity
+
+STRETCHES = [1.2, 1.38, 1.43, 1.6, 1.9, 2.2, 2.5]
+
+
+def inflate(ball, stretches, **options):
+    """Return the pressure at each stretch, and the Newton steps."""
+    cavity = balloon_cavity(ball)
+    rest = cavity.present_volume()
+    problem, pressures, steps = ball.problem([cavity], **options), [], 0
+    for stretch in stretches:
+        cavity.volume.value = rest * stretch**3
+        problem.solve()
+        steps += len(problem.history)
+        pressures.append(float(cavity.pressure.value))
+        small(abs(cavity.present_volume() / cavity.volume.value - 1.0), 1e-8)
+    return np.array(pressures), steps
+
+
+def test_balloon_through_its_limit_point():
+    """P grows up to 1.426, and falls then; every step converges on both branches."""
+    pressures, steps = inflate(balloon(), STRETCHES)
+    exact = np.array([balloon_pressure(stretch) for stretch in STRETCHES])
+    small(np.abs(pressures / exact - 1.0).max(), 5e-3)
+    agree(pressures.argmax() in (1, 2) and steps <= 60, (pressures, steps))
+
+
+@pytest.mark.parametrize("form", ["dual", "primal"])
+def test_both_forms(form):
+    """On both sides of the limit point and close to it."""
+    stretches = [1.2, 1.35, 1.425, 1.5]
+    options = {"feti_formulation": form, "snes_rtol": 1e-10}
+    pressures, _ = inflate(balloon(3), stretches, petsc_options=options)
+    expected, _ = inflate(balloon(3), stretches, petsc_options={"snes_rtol": 1e-10})
+    equal(pressures, expected, 1e-6)
+
+
+@pytest.mark.parametrize(("unit", "stiffness"), [(1e-3, 1.0), (1e3, 1e-6), (1.0, 1e9)])
+def test_law_of_units(unit, stiffness):
+    """Volumes scale by the cube of the length, pressures by the stiffness, steps not at all."""
+    expected, steps = inflate(balloon(3), [1.2, 1.35])
+    pressures, others = inflate(balloon(3, unit=unit, stiffness=stiffness), [1.2, 1.35])
+    equal(pressures / stiffness, expected, 1e-8)
+    agree(steps == others, (steps, others))
+
+
+BAD = {
+    "zero": (0.0, "encloses a positive volume"),
+    "negative": (-1.0, "encloses a positive volume"),
+    "no number": (np.nan, "encloses a positive volume"),
+}
+
+
+@pytest.mark.parametrize(("volume", "message"), BAD.values(), ids=BAD)
+def test_volumes_that_are_none(volume, message):
+    ball = balloon(2)
+    with raises(ValueError, message):
+        Cavity(ball.u, ball.ds(1), volume=volume)
+    cavity = balloon_cavity(ball)
+    problem = ball.problem([cavity])
+    cavity.volume.value = volume
+    with raises(ValueError, message):
+        problem.solve()
+
+
+def test_outer_surface():
+    ball = body(balloon(2).u.function_space.mesh, [], [lambda x: np.linalg.norm(x, axis=0) > 1.09])
+    with raises(ValueError, "not positive: give the inner surface"):
+        Cavity(ball.u, ball.ds(1), volume=1.0)
+
+
+def test_tag_without_facets():
+    ball = balloon(2)
+    with raises(ValueError, "no facets"):
+        Cavity(ball.u, ball.ds(7), volume=1.0)
+
+
+def test_open_surface():
+    """Without one plane of symmetry the rim there is free."""
+    ball = balloon(2)
+    del ball.bcs[1]
+    with raises(ValueError, "open"):
+        ball.problem([balloon_cavity(ball)])
+
+
+def test_two_cavities_on_the_same_facets():
+    ball = balloon(2)
+    with raises(ValueError, "same facets"):
+        ball.problem([balloon_cavity(ball, 1.1), balloon_cavity(ball, 1.2)])
+
+
+def test_volume_that_no_dof_changes():
+    """All of the surface is prescribed."""
+    ball = balloon(2)
+    V = ball.u.function_space
+    facets = dolfinx.mesh.locate_entities_boundary(
+        V.mesh, 2, lambda x: np.isclose(np.linalg.norm(x, axis=0), 1.0)
+    )
+    fixed = dolfinx.fem.locate_dofs_topological(V, 2, facets)
+    ball.bcs.append(dolfinx.fem.dirichletbc(np.zeros(3), fixed, V))
+    problem = ball.problem([balloon_cavity(ball, 1.1)])
+    with raises(ValueError, "neither depend on a dof of u that is free"):
+        problem.solve()
+
+
+def test_volume_out_of_reach():
+    """A failure says so, and the state is none that looks like a solution."""
+    ball = balloon(2)
+    problem = ball.problem([balloon_cavity(ball, 40.0)], petsc_options={"snes_max_it": 6})
+    with raises(ConvergenceError, "did not converge"):
+        problem.solve()
+
+
+def test_not_in_a_list():
+    ball = balloon(2)
+    with raises(ValueError, "put it in a list"):
+        ball.problem(balloon_cavity(ball))
+    with raises(ValueError, r"scalars\[0\] is 3"):
+        ball.problem([3])
+
+
+def test_the_same_by_arc_length():
+    """With the pressure as the load no step fails, and all lie on the exact curve."""
+    ball = balloon()
+    pressure = dolfinx.fem.Constant(ball.u.function_space.mesh, 0.0)
+    arc = ArcLength(ball.u, pressure)
+    problem = NonlinearProblem(
+        ball.energy + pressure_potential(pressure, ball.u, ball.ds(1)),
+        ball.u,
+        bcs=ball.bcs,
+        condense=ball.p,
+        subdomains=6,
+        quadrature_degree=4,
+        scalars=[arc],
+    )
+    volume = Cavity(ball.u, ball.ds(1))
+    rest, stretch, errors = volume.present_volume(), 1.0, []
+    while stretch < 2.5:
+        arc.begin(0.04 if stretch < 1.2 else 0.08)
+        problem.solve(renew=False)
+        arc.accept()
+        stretch = np.cbrt(volume.present_volume() / rest)
+        errors.append(float(pressure.value) / balloon_pressure(stretch) - 1.0)
+    small(np.abs(errors).max(), 5e-3)
+    agree(len(errors) < 20, len(errors))
+    with raises(ValueError, "give the scalar Constant"):
+        ArcLength(ball.u, 3.0)

@@ -1,0 +1,289 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Scalar unknowns in both problems: against dense and direct solves, on real spaces, bad ones."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from collective import COMM, agree, dense, equal, raises, small, whole
+from inflated import balloon, balloon_cavity, body
+from problems import cube, elasticity, owned, poisson
+
+import dolfinx
+import dolfinx.fem.petsc
+import ufl
+
+from dolfinx_feti import LinearProblem, NonlinearProblem
+from dolfinx_feti.scalars import Cavity, ScalarEquation, mean_value, rigid_motions
+
+EXACT = {"ksp_rtol": 1e-11, "snes_rtol": 1e-11}
+
+
+def null_space_solution(free, b_form):
+    """Solve with the null space given to A, as PETSc takes it; its part is taken out of b."""
+    linear = LinearProblem(free.a, b_form, subdomains=6, petsc_options={"ksp_rtol": 1e-12})
+    A, b = linear.linear_system()
+    space = PETSc.NullSpace().create(vectors=A.getNearNullSpace().getVecs(), comm=A.comm)
+    A.setNullSpace(space)
+    space.remove(b)
+    x = A.createVecRight()
+    linear.solver.solve(b, x)
+    agree(linear.solver.getConvergedReason() > 0)
+    return linear, x.array_r.copy()
+
+
+def twisted(V):
+    """Return a load without resultant and moment: opposite tractions on two faces."""
+    x, v = ufl.SpatialCoordinate(V.mesh), ufl.TestFunction(V)
+    force = ufl.as_vector([x[1] - 0.5, x[0] - 0.5, 0.0])
+    return ufl.inner(force, v) * ufl.dx
+
+
+@pytest.mark.parametrize("nonlinear", [False, True])
+def test_pure_neumann_body(nonlinear):
+    """Six mean values hold a body that nothing else holds: the solution with a null space."""
+    free = elasticity(cube(3, 3), clamped=None)
+    L = twisted(free.V)
+    linear, expected = null_space_solution(free, L)
+    u = dolfinx.fem.Function(free.V)
+    held = rigid_motions(u)
+    if nonlinear:
+        a = ufl.replace(free.a, {free.a.arguments()[1]: u})
+        NonlinearProblem(a - L, u, subdomains=6, scalars=[held], petsc_options=EXACT).solve()
+    else:
+        LinearProblem(free.a, L, u=u, subdomains=6, scalars=[held], petsc_options=EXACT).solve()
+    w = dolfinx.fem.Function(free.V)
+    w.x.array[: len(expected)] = expected
+    w.x.scatter_forward()
+    rest = owned(u) - owned(w)
+    for z in linear.A.getNearNullSpace().getVecs():
+        rest -= z.array_r * COMM.allreduce(float(z.array_r @ rest))
+    scale = np.sqrt(COMM.allreduce(float(owned(w) @ owned(w))))
+    small(np.sqrt(COMM.allreduce(float(rest @ rest))) / scale, 1e-8)
+    for c in held.equations:
+        small(abs(COMM.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(c)))), 1e-8 * scale)
+    small(np.abs(held.unknown.value).max(), 1e-8)
+
+
+def bordered_newton(F, u, bcs, unknown, c, steps=12):
+    """Newton's method of dolfinx's matrices: [K B; Cᵀ 0] by a dense solve, whole on all ranks."""
+    V = u.function_space
+    v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+    r, J = dolfinx.fem.form(F), dolfinx.fem.form(ufl.derivative(F, u, du))
+    s = ufl.variable(unknown)
+    B_form = dolfinx.fem.form(
+        ufl.Form(
+            [
+                i.reconstruct(integrand=ufl.diff(i.integrand(), s))
+                for i in ufl.replace(F, {unknown: s}).integrals()
+            ]
+        )
+    )
+    C_form, c_form = dolfinx.fem.form(ufl.derivative(c, u, v)), dolfinx.fem.form(c)
+    held = np.zeros(len(owned(u)), dtype=bool)
+    for bc in bcs:
+        dofs = bc.dof_indices()[0]
+        held[dofs[dofs < len(held)]] = True
+
+    def vector(form):
+        b = dolfinx.fem.assemble_vector(form)
+        b.scatter_reverse(dolfinx.la.InsertMode.add)
+        return whole(b.array[: len(held)])
+
+    first = COMM.scan(len(held)) - len(held)
+    for _ in range(steps):
+        A = dolfinx.fem.petsc.assemble_matrix(J, bcs=bcs)
+        A.assemble()
+        K, free = dense(A), ~whole(held)
+        A.destroy()
+        B, C = np.where(free, vector(B_form), 0.0), np.where(free, vector(C_form), 0.0)
+        rhs = np.append(
+            np.where(free, -vector(r), 0.0), -COMM.allreduce(dolfinx.fem.assemble_scalar(c_form))
+        )
+        M = PETSc.Mat().createAIJ((len(rhs), len(rhs)), comm=PETSc.COMM_SELF, nnz=len(rhs))
+        M.setValues(*[np.arange(len(rhs), dtype=np.int32)] * 2, np.block([[K, B[:, None]], [C, 0]]))
+        M.assemble()
+        ksp = PETSc.KSP().create(PETSc.COMM_SELF)
+        ksp.setOperators(M)
+        ksp.setType("preonly")
+        ksp.getPC().setType("lu")
+        ksp.getPC().setFactorSolverType("mumps")
+        x, b = M.createVecs()
+        b.array[:] = rhs
+        ksp.solve(b, x)
+        u.x.array[: len(held)] += x.array_r[first : first + len(held)]
+        u.x.scatter_forward()
+        unknown.value = unknown.value + x.array_r[-1]
+        for owned_object in (ksp, M, x, b):
+            owned_object.destroy()
+
+
+def compressible(ball):
+    """Return an energy without condensed pressure."""
+    F = ufl.Identity(3) + ufl.grad(ball.u)
+    J = ufl.det(F)
+    return (0.5 * (ufl.inner(F, F) - 3.0 - 2.0 * ufl.ln(J)) + 5.0 * (J - 1.0) ** 2) * ufl.dx(
+        metadata={"quadrature_degree": 4}
+    )
+
+
+def test_against_dolfinx_with_mumps():
+    """Same u and s as Newton's method with dolfinx's matrix, bordered, and MUMPS."""
+    ball = balloon(2)
+    cavity = balloon_cavity(ball, 1.1)
+    energy = compressible(ball)
+    problem = NonlinearProblem(
+        energy, ball.u, bcs=ball.bcs, subdomains=4, scalars=[cavity], petsc_options=EXACT
+    )
+    problem.solve()
+    other = balloon(2)
+    target = balloon_cavity(other, 1.1)
+    F = ufl.derivative(compressible(other), other.u, ufl.TestFunction(other.u.function_space))
+    (c,) = target.equation.equations
+    bordered_newton(F + target.work, other.u, other.bcs, target.pressure, c)
+    equal(owned(ball.u), owned(other.u), 1e-8)
+    small(abs(cavity.pressure.value / target.pressure.value - 1.0), 1e-8)
+
+
+def holes():
+    """A block with two cubes left out: two closed cavities."""
+    box = dolfinx.mesh.create_box(COMM, [(0.0, 0.0, 0.0), (5.0, 3.0, 3.0)], (5, 3, 3))
+    centres = dolfinx.mesh.compute_midpoints(box, 3, np.arange(_cells(box), dtype=np.int32))
+    inside = [np.abs(centres - c).max(axis=1) < 0.5 for c in ((1.5, 1.5, 1.5), (3.5, 1.5, 1.5))]
+    kept = np.flatnonzero(~(inside[0] | inside[1])).astype(np.int32)
+    mesh = dolfinx.mesh.create_submesh(box, 3, kept)[0]
+
+    def around(x):
+        near = np.abs(x[1:] - 1.5).max(axis=0) < 0.51
+        return near & (np.abs(x[0] - 1.5) < 0.51), near & (np.abs(x[0] - 3.5) < 0.51)
+
+    return body(
+        mesh, [(0, 0.0), (1, 0.0), (2, 0.0)], [lambda x: around(x)[0], lambda x: around(x)[1]],
+        kappa=50.0,
+    )  # fmt: skip
+
+
+def _cells(mesh):
+    index_map = mesh.topology.index_map(3)
+    return index_map.size_local + index_map.num_ghosts
+
+
+def test_two_cavities_with_different_volumes():
+    """One grows, the other one shrinks; the same on any number of processes."""
+    block = holes()
+    cavities = [
+        Cavity(block.u, block.ds(tag), volume=volume) for tag, volume in ((1, 1.15), (2, 0.9))
+    ]
+    for cavity in cavities:
+        small(abs(cavity.present_volume() - 1.0), 1e-12)
+    problem = block.problem(cavities, petsc_options={"snes_rtol": 1e-10})
+    problem.solve()
+    for cavity in cavities:
+        small(abs(cavity.present_volume() / cavity.volume.value - 1.0), 1e-8)
+    small(problem.residual_norm(), 1e-7)
+    pressures = [float(cavity.pressure.value) for cavity in cavities]
+    equal(pressures, PRESSURES, 1e-7)
+
+
+#: On one, two and three processes.
+PRESSURES = [0.17334586685, -0.13805268779]
+
+
+def times(form, factor):
+    """Multiply the integrands of a form."""
+    return ufl.Form([i.reconstruct(integrand=factor * i.integrand()) for i in form.integrals()])
+
+
+def test_scalars_on_a_real_space():
+    """A script for dolfinx and scifem: F in blocks, or a Lagrangian; the same as a cavity."""
+    scifem = pytest.importorskip("scifem")
+    results = []
+    for kind in ("cavity", "blocks", "Lagrangian"):
+        ball = balloon(2)
+        cavity = balloon_cavity(ball, 1.15)
+        energy, V = compressible(ball), ball.u.function_space
+        R = scifem.create_real_functionspace(V.mesh)
+        s, t = dolfinx.fem.Function(R), ufl.TestFunction(R)
+        (c,) = cavity.equation.equations
+        if kind == "cavity":
+            F, u, scalars = energy, ball.u, [cavity]
+        elif kind == "blocks":
+            v = ufl.TestFunction(V)
+            F_u = ufl.derivative(energy - times(cavity.form, s), ball.u, v)
+            F, u, scalars = [F_u, times(c, t)], [ball.u, s], []
+        else:
+            F, u, scalars = energy - times(c, s), [ball.u, s], []
+        problem = NonlinearProblem(
+            F, u, bcs=ball.bcs, subdomains=4, scalars=scalars, petsc_options=EXACT
+        )
+        agree(problem.solve() is u)
+        pressure = cavity.pressure.value if kind == "cavity" else s.x.array[0]
+        results.append((owned(ball.u), float(pressure)))
+    for u, pressure in results[1:]:
+        equal(u, results[0][0], 1e-8)
+        small(abs(pressure / results[0][1] - 1.0), 1e-8)
+
+
+def test_pure_neumann_poisson_on_a_real_space():
+    """Scifem's example: −Δu = f with a mean value, in blocks."""
+    scifem = pytest.importorskip("scifem")
+    free = poisson(cube(2, 8), clamped=None)
+    V = free.V
+    R = scifem.create_real_functionspace(V.mesh)
+    v, du = free.a.arguments()
+    t, ds = ufl.TestFunction(R), ufl.TrialFunction(R)
+    x = ufl.SpatialCoordinate(V.mesh)
+    f = ufl.cos(ufl.pi * x[0]) + 0.3
+    u, s = dolfinx.fem.Function(V), dolfinx.fem.Function(R)
+    a = [[free.a, ufl.inner(ds, v) * ufl.dx], [ufl.inner(du, t) * ufl.dx, None]]
+    L = [f * v * ufl.dx, 0.7 * t * ufl.dx]
+    problem = LinearProblem(a, L, u=[u, s], subdomains=6, petsc_options=EXACT)
+    agree(problem.solve()[0] is u)
+    mean = COMM.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(u * ufl.dx)))
+    small(abs(mean - 0.7), 1e-9)
+    load = COMM.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(f * ufl.dx(V.mesh))))
+    small(abs(s.x.array[0] - load), 1e-9)
+    w = dolfinx.fem.Function(V)
+    LinearProblem(
+        free.a, L[0], u=w, subdomains=6, scalars=[mean_value(w, 0.7)], petsc_options=EXACT
+    ).solve()
+    equal(owned(u), owned(w), 1e-8)
+
+
+def constraint(u, *values):
+    """Return means of the first component with these values, by multipliers on all of u."""
+    dx, v = ufl.Measure("dx", u.function_space.mesh), ufl.TestFunction(u.function_space)
+    made = []
+    for value in values:
+        λ = dolfinx.fem.Constant(u.function_space.mesh, np.float64(0.0))
+        made.append(ScalarEquation(λ, ((u - value) * dx,), λ * v * dx))
+    return made
+
+
+def test_constraints_that_depend_on_each_other():
+    """Twice the same, or a contradiction: one error, before the first solve."""
+    for values in ((0.0, 0.0), (0.0, 1.0)):
+        free = poisson(cube(2, 4))
+        u = dolfinx.fem.Function(free.V)
+        linear = LinearProblem(
+            free.a, free.L, bcs=free.bcs, u=u, subdomains=4, scalars=constraint(u, *values)
+        )
+        with raises(ValueError, r"equations \[0, 1\] depend on each other"):
+            linear.solve()
+
+
+def test_wrong_numbers_and_arguments():
+    free = poisson(cube(2, 2))
+    u, v = dolfinx.fem.Function(free.V), ufl.TestFunction(free.V)
+    two = dolfinx.fem.Constant(free.V.mesh, np.zeros(2))
+    with raises(ValueError, r"shape \(2,\) and 1 equations"):
+        ScalarEquation(two, (u * ufl.dx,))
+    one = dolfinx.fem.Constant(free.V.mesh, 0.0)
+    with raises(ValueError, "without test or trial functions"):
+        ScalarEquation(one, (v * ufl.dx,))
+    with raises(ValueError, "give a displacement"):
+        rigid_motions(u)
