@@ -10,10 +10,10 @@ study; ``tube``, the inflated tube beside its semi-analytical solution; ``compar
 other solvers; ``nonlinear``, iterations per Newton step; ``scaling``, strong scaling;
 ``load_stepping``, walls up to 300 mmHg; ``subdomains``, how many; ``inf_sup``, which elements are
 stable; ``published``, numbers that others have published; ``random_walls``, robustness. A study
-knows itself and ``common``.
+knows itself and ``common``. ``edit.py`` measures the first solve with a new energy.
 
 In the order of the data: common, cube, tube, compare, nonlinear, scaling, load_stepping,
-subdomains, inf_sup, published, random_walls, run.
+subdomains, inf_sup, published, random_walls, edit, run.
 """
 
 from mpi4py import MPI  # noqa: F401  before all that is linked with the MPI library
