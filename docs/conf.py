@@ -28,6 +28,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
     "sphinx_copybutton",
     "sphinx_design",
 ]
@@ -41,6 +42,18 @@ copybutton_exclude = ".linenos, .gp, .go"
 nb_execution_mode = "off"
 nb_merge_streams = True
 nb_ipywidgets_js: dict[str, dict[str, str]] = {}
+
+# With a network, signatures link to the pages of other projects: DOLFINX_FETI_LINKS=1 make docs.
+if os.environ.get("DOLFINX_FETI_LINKS"):
+    extensions.append("sphinx.ext.intersphinx")
+    intersphinx_mapping = {
+        "dolfinx": ("https://docs.fenicsproject.org/dolfinx/main/python", None),
+        "ufl": ("https://docs.fenicsproject.org/ufl/main", None),
+        "basix": ("https://docs.fenicsproject.org/basix/main/python", None),
+        "petsc4py": ("https://petsc.org/release/petsc4py", None),
+        "numpy": ("https://numpy.org/doc/stable", None),
+        "scipy": ("https://docs.scipy.org/doc/scipy", None),
+    }
 
 autoclass_content = "both"
 autodoc_member_order = "bysource"

@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "dolfinx_feti"
 FOLDERS = ("benchmarks", "demos", "docs", "dolfinx_feti", "meshes", "scripts", "tests")
 DOCUMENTS = [
-    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md")),
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "AGENTS.md")),
     *ROOT.glob("*/README.md"),
     *sorted((ROOT / "docs").rglob("*.md")),
 ]
