@@ -48,7 +48,12 @@ from dolfinx_feti.problems.torn_problem import TornProblem
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.petsc_errors import python_errors
 from dolfinx_feti.runtime.petsc_options import inserted
-from dolfinx_feti.scalars.couplings import all_equations, checked_couplings, works
+from dolfinx_feti.scalars.couplings import (
+    all_equations,
+    checked_couplings,
+    refuse_condensed_fields,
+    works,
+)
 from dolfinx_feti.scalars.equations import Coupling
 from dolfinx_feti.scalars.real_spaces import separated
 
@@ -172,6 +177,7 @@ class NonlinearProblem(TornProblem):
         couplings = [*blocks, *checked_couplings(scalars, self.bcs)]
         degree, work = quadrature_degree, works(couplings)
         forms = derive(F, u, J=J, condense=fields, energy=energy, degree=degree, work=work)
+        refuse_condensed_fields(couplings, fields, forms.F_p)
         twice = 2 * V.ufl_element().embedded_superdegree
         if quadrature_degree is None:
             warn_of_degree(forms, twice, comm)

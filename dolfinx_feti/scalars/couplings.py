@@ -15,7 +15,7 @@ from dolfinx_feti.scalars.cavity import Cavity
 from dolfinx_feti.scalars.equations import Coupling
 from dolfinx_feti.scalars.windkessel import Windkessel
 
-__all__ = ["all_equations", "checked_couplings", "works"]
+__all__ = ["all_equations", "checked_couplings", "refuse_condensed_fields", "works"]
 
 
 def checked_couplings(
@@ -52,6 +52,36 @@ def checked_couplings(
                 "to one of them."
             )
     return tuple(scalars)
+
+
+def refuse_condensed_fields(
+    couplings: Sequence[Coupling],
+    fields: Sequence[dolfinx.fem.Function],
+    residuals: Sequence[ufl.Form],
+) -> None:
+    """Require that scalars and condensed fields do not meet: a cell eliminates its fields alone.
+
+    Args:
+        couplings: Those of a problem.
+        fields: Its condensed fields.
+        residuals: The residual of each field.
+
+    Raises:
+        ValueError: An equation of scalars holds a field, or the residual of a field a scalar.
+    """
+    for field, F_p in zip(fields, residuals, strict=True):
+        for i, coupling in enumerate(couplings):
+            equation = coupling.equation
+            if any(field in c.coefficients() for c in equation.equations):
+                found = f"An equation of scalars[{i}] holds the condensed field {field.name}"
+            elif equation.unknown in F_p.constants():
+                found = f"The equation of the condensed field {field.name} holds scalars[{i}]"
+            else:
+                continue
+            raise ValueError(
+                f"{found}, which each cell eliminates alone: state it in u, such as κ (J − 1) for "
+                "a pressure, or do not condense the field."
+            )
 
 
 def works(couplings: Sequence[Coupling]) -> list[ufl.Form]:

@@ -287,3 +287,21 @@ def test_wrong_numbers_and_arguments():
         ScalarEquation(one, (v * ufl.dx,))
     with raises(ValueError, "give a displacement"):
         rigid_motions(u)
+
+
+def test_scalars_do_not_meet_condensed_fields():
+    """A cell eliminates its fields alone, so that neither equation may hold the other's unknown."""
+    octant = balloon(2)
+    one = dolfinx.fem.Constant(octant.u.function_space.mesh, 0.0)
+    dx = ufl.Measure("dx", octant.u.function_space.mesh)
+    v, q = (ufl.TestFunction(f.function_space) for f in (octant.u, octant.p))
+    mean = ScalarEquation(one, ((octant.p - 1.0) * dx,), one * ufl.div(v) * dx)
+    with raises(ValueError, r"scalars\[0\] holds the condensed field p"):
+        octant.problem([mean])
+    volume = ScalarEquation(one, (ufl.div(octant.u) * dx,), one * ufl.div(v) * dx)
+    residuals = [ufl.derivative(octant.energy, f, w) for f, w in ((octant.u, v), (octant.p, q))]
+    residuals[1] += one * q * dx
+    with raises(ValueError, r"condensed field p holds scalars\[0\]"):
+        NonlinearProblem(
+            residuals, octant.u, bcs=octant.bcs, condense=octant.p, scalars=[volume], subdomains=6
+        )
