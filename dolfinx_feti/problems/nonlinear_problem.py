@@ -48,12 +48,7 @@ from dolfinx_feti.problems.torn_problem import TornProblem
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.petsc_errors import python_errors
 from dolfinx_feti.runtime.petsc_options import inserted
-from dolfinx_feti.scalars.couplings import (
-    all_equations,
-    checked_couplings,
-    refuse_condensed_fields,
-    works,
-)
+from dolfinx_feti.scalars import couplings as coupled
 from dolfinx_feti.scalars.equations import Coupling
 from dolfinx_feti.scalars.real_spaces import separated
 
@@ -174,10 +169,10 @@ class NonlinearProblem(TornProblem):
         self._prefix = agreed_prefix(petsc_options_prefix, "nonlinear_problem", comm)
         self._petsc_options = dict(petsc_options or {})
         fields = condensed_fields(condense)
-        couplings = [*blocks, *checked_couplings(scalars, self.bcs)]
-        degree, work = quadrature_degree, works(couplings)
+        couplings = [*blocks, *coupled.checked_couplings(scalars, self.bcs)]
+        degree, work = quadrature_degree, coupled.works(couplings)
         forms = derive(F, u, J=J, condense=fields, energy=energy, degree=degree, work=work)
-        refuse_condensed_fields(couplings, fields, forms.F_p)
+        coupled.refuse_condensed_fields(couplings, fields, forms.F_p)
         twice = 2 * V.ufl_element().embedded_superdegree
         if quadrature_degree is None:
             warn_of_degree(forms, twice, comm)
@@ -204,7 +199,7 @@ class NonlinearProblem(TornProblem):
         if volume_tolerance is not None:
             prepare(self._system, volume_tolerance)
         self._volume_tolerance = volume_tolerance
-        parts = (forms.F_u, *forms.F_p, forms.energy, *all_equations(couplings))
+        parts = (forms.F_u, *forms.F_p, forms.energy, *coupled.all_equations(couplings))
         self.content = content_of((u, *fields), parts)
         self._memory = create_internal_variables(
             internal_variables or {}, self._compiler, coefficients=self.content.coefficients
