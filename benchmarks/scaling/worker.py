@@ -211,7 +211,7 @@ def coarse_work(iterate: Callable[[int], object], comm: MPI.Comm) -> Record:
     """Return the coarse solves of an iteration, and entries and flops of the coarse factor."""
     calls, factor = [], [0.0, 0.0]
 
-    def solve(solver: GatheredSolver, b: PETSc.Vec, x: PETSc.Vec, **how: float) -> float:
+    def solve(solver: GatheredSolver, b: PETSc.Vec, x: PETSc.Vec, addend: float = 0.0) -> float:
         if isinstance(solver.factor, WholeFactor):
             fronts = solver.factor.fronts
             factor[:] = fronts.entries, fronts.flops
@@ -219,7 +219,7 @@ def coarse_work(iterate: Callable[[int], object], comm: MPI.Comm) -> Record:
             F = solver.factor.ksp.getPC().getFactorMatrix()
             entries = F.getMumpsInfog(29)
             factor[:] = entries if entries >= 0 else -1e6 * entries, F.getMumpsRinfog(3)
-        return SOLVE(solver, b, x, **how)
+        return SOLVE(solver, b, x, addend)
 
     with mock.patch.object(GatheredSolver, "solve", autospec=True, side_effect=solve) as counted:
         for iterations in (FEW, MORE):
