@@ -214,11 +214,9 @@ class Newton:
             floor = system.rounding()
             if not moves and norm <= (floor if self.history else system.least_rounding()):
                 self.at_end = True
-                if (
-                    self.history
-                    and (force := system.norm(system.free(here.force))) > DOUBTFUL * load
-                ):
-                    warn(_DOUBTFUL.format(force, load), system.comm)
+                force, known = system.norm(system.free(here.force)), scale if moved else load
+                if self.history and force > DOUBTFUL * known:
+                    warn(_DOUBTFUL.format(force, known), system.comm)
                 return Reason.CONVERGED_FNORM_ABS
             if not kept and not self._compared and is_slow(self.history, norm):
                 self._compare(here, self._du)

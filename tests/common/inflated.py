@@ -91,7 +91,9 @@ def body(
     return Body(u, p, bcs, ds, psi * ufl.dx)
 
 
-def balloon(divisions: int = 4, *, unit: float = 1.0, stiffness: float = 1.0) -> Body:
+def balloon(
+    divisions: int = 4, *, unit: float = 1.0, stiffness: float = 1.0, kappa: float = 1e4
+) -> Body:
     """Return an octant of a hollow sphere, its inner surface with the tag 1."""
     mesh = create_octant(COMM, divisions, 1, INNER * unit, OUTER * unit)
     return body(
@@ -99,6 +101,7 @@ def balloon(divisions: int = 4, *, unit: float = 1.0, stiffness: float = 1.0) ->
         [(0, 0.0), (1, 0.0), (2, 0.0)],
         [lambda x: np.isclose(np.linalg.norm(x, axis=0), INNER * unit)],
         stiffness=stiffness,
+        kappa=kappa,
     )
 
 
