@@ -95,6 +95,7 @@ GALLERY = [
         arguments=("--case", "../../../demos/patient.toml"),
         pictures=tuple(f"output/patient/{name}.png" for name in ("unloaded", "profiles", "stress")),
     ),
+    Page("demo_windkessel", "Five beats of an artery, and its pressure–volume loop.", WALLS),
     Page(
         "demo_own_material",
         "Energies of your own: checked and inflated, one with a plaque.",

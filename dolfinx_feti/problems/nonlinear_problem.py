@@ -251,11 +251,9 @@ class NonlinearProblem(TornProblem):
     def linearise(self) -> Tangent:
         """Assemble the tangent at the present state and load, for the first step of a solve.
 
-        Call it in an equilibrium, *before* the load grows, and give it to :meth:`solve`. A tangent
-        with the new load and the old stress is that of a wall which the pressure already softens
-        and no tension stiffens yet; it can be indefinite although every state on the way is stable.
-        The tangent of the last equilibrium makes the first step the prediction along the path of
-        loading.
+        Call it in an equilibrium, *before* the load grows, and give it to :meth:`solve`: the first
+        step is then a prediction along the path. A tangent with the new load and the old stress can
+        be indefinite although every state on the way is stable.
 
         Returns:
             A name of the tangent, which the matrix holds until the next step is assembled.
@@ -298,9 +296,8 @@ class NonlinearProblem(TornProblem):
         Args:
             reference: A residual norm that the relative tolerance refers to if that of the start is
                 larger, such as :meth:`residual_norm` of the last equilibrium under the new load
-                where a guess begins with a far larger one: far out, a material that stiffens
-                exponentially begins with a residual of which no share is an equilibrium. One that
-                is NaN does not count.
+                where a guess begins with a far larger one, as in a material that stiffens
+                exponentially. One that is NaN does not count.
             first_tangent: The tangent of the first step, made by :meth:`linearise`; that of the
                 present state if not given.
             renew: Whether FETI's preconditioner and its Ritz vectors begin anew. If not, those of

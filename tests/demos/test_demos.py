@@ -45,6 +45,7 @@ ALONE = {
     "demo_solver_options.py": "solver_options/options.png",
     "demo_thick_tube.py": "thick_tube/pressure.png",
     "demo_torn_matrix.py": "torn_matrix/temperature.png",
+    "demo_windkessel.py": "windkessel/loop.png",
 }
 SHARING = ("demo_balloon.py", "demo_classical_vs_all_floating.py", "demo_own_material.py")
 LEAST = ["--mesh", str(EXAMPLE), *"--degree 1 --pressure 0.5 --steps 1 --subdomains 4".split()]
