@@ -1,0 +1,360 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Random forms from a seeded grammar: bodies, unknowns, coefficients, expressions, measures.
+
+A seed is a form: the same one on any number of processes.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from functools import cache
+
+import numpy as np
+from collective import COMM
+
+import basix
+import basix.ufl
+import dolfinx
+import ufl
+from ufl.core.expr import Expr
+
+from dolfinx_feti.fem.quadrature import limit_quadrature_degree
+
+Cell = dolfinx.mesh.CellType
+CELLS = ("interval", "triangle", "quadrilateral", "tetrahedron", "hexahedron", "prism")
+element = basix.ufl.element
+
+
+@cache
+def body(cell: str, curved: bool) -> tuple[dolfinx.mesh.Mesh, object, object, list]:
+    """A mesh of a few cells, tags of its cells and facets, and cells by number in a list."""
+    kind = getattr(Cell, cell)
+    if cell == "interval":
+        mesh = dolfinx.mesh.create_interval(COMM, 7, [0.0, 1.3])
+    elif cell in ("triangle", "quadrilateral"):
+        mesh = dolfinx.mesh.create_rectangle(COMM, [[0, 0], [1.2, 0.9]], [3, 2], kind)
+    else:
+        mesh = dolfinx.mesh.create_box(COMM, [[0, 0, 0], [1.1, 0.8, 0.9]], (2, 2, 1), kind)
+    if curved:
+        mesh = bent(mesh)
+    mesh.geometry.x[:, 0] += 0.06 * np.sin(3 * mesh.geometry.x[:, 1] + mesh.geometry.x[:, 2])
+    tdim = mesh.topology.dim
+    mesh.topology.create_connectivity(tdim - 1, tdim)
+    tags = []
+    for dim in (tdim, tdim - 1):
+        m = mesh.topology.index_map(dim)
+        entities = np.arange(m.size_local + m.num_ghosts, dtype=np.int32)
+        number = 1 + (m.local_to_global(entities) % 7 % 3).astype(np.int32)
+        tags.append(dolfinx.mesh.meshtags(mesh, dim, entities, number))
+    cells = np.arange(mesh.topology.index_map(tdim).size_local, dtype=np.int32)
+    return mesh, tags[0], tags[1], [(1, cells[::2]), (2, cells[1:3]), (3, cells[:0])]
+
+
+def bent(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.Mesh:
+    """The same cells, with quadratic geometry."""
+    cell, gdim = mesh.topology.cell_name(), mesh.geometry.dim
+    W = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (gdim,)))
+    owned = mesh.topology.index_map(mesh.topology.dim).size_local
+    nodes = W.dofmap.index_map
+    cells = nodes.local_to_global(W.dofmap.list[:owned].ravel()).reshape(owned, -1)
+    x = W.tabulate_dof_coordinates()[: nodes.size_local, :gdim].copy()
+    x[:, 0] += 0.1 * x[:, -1] ** 2
+    coordinate = element("Lagrange", cell, 2, shape=(gdim,))
+    return dolfinx.mesh.create_mesh(COMM, cells, *_in_order(coordinate, x))
+
+
+def _in_order(coordinate: object, x: np.ndarray) -> tuple[object, object]:
+    """The last arguments of create_mesh, whose order has changed with dolfinx 0.10."""
+    names = list(inspect.signature(dolfinx.mesh.create_mesh).parameters)
+    return (x, coordinate) if names[2] == "x" else (coordinate, x)
+
+
+class Grammar:
+    """Draws a form.
+
+    Attributes:
+        mesh: Its mesh.
+        V: Space of its arguments.
+        form: The form; of rank 0, 1 or 2.
+        text: What has been drawn, for a message.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self.rng = np.random.default_rng(seed)
+        cell, curved = self.one(CELLS), self.chance(0.25)
+        curved = curved and cell not in ("prism",) and COMM.size == 1
+        self.mesh, *self.data = body(cell, curved)
+        self.cell, self.gdim = cell, self.mesh.geometry.dim
+        self.text = [f"seed {seed}", cell + " curved" * curved]
+        self.degree: int | None = None  # of quadrature elements
+        self.V = self.space(self.unknown())
+        # UFL's estimate may need a hundred thousand points
+        self.form = limit_quadrature_degree(self.draw(int(self.rng.integers(3))), 6)
+
+    # -- choices ----------------------------------------------------------------------------------
+
+    def one(self, choices: Sequence):
+        return choices[int(self.rng.integers(len(choices)))]
+
+    def chance(self, p: float) -> bool:
+        return bool(self.rng.random() < p)
+
+    def unknown(self) -> object:
+        cell, g = self.cell, self.gdim
+        kinds = [
+            lambda: element("Lagrange", cell, 1),
+            lambda: element("Lagrange", cell, 2),
+            lambda: element("Lagrange", cell, 1, shape=(g,)),
+            lambda: element("Lagrange", cell, 2 if g < 3 else 1, shape=(g,)),
+            lambda: element("Lagrange", cell, 1, shape=(2,)),
+        ]
+        if cell != "prism":
+            kinds.append(lambda: element("Lagrange", cell, 3 if g < 3 else 2))
+            kinds.append(lambda: element("Lagrange", cell, 1, shape=(g, g), symmetry=g > 1))
+        if cell in ("triangle", "tetrahedron"):
+            kinds.append(self.with_bubbles)
+        return self.one(kinds)()
+
+    def with_bubbles(self) -> object:
+        parts = [element("Lagrange", self.cell, 1), element("Bubble", self.cell, self.gdim + 1)]
+        return basix.ufl.blocked_element(basix.ufl.enriched_element(parts), shape=(self.gdim,))
+
+    def space(self, e: object) -> dolfinx.fem.FunctionSpace:
+        return dolfinx.fem.functionspace(self.mesh, e)
+
+    def element(self) -> object:
+        """The element of a coefficient."""
+        cell, g = self.cell, self.gdim
+        k = int(self.rng.integers(1, 3))
+        kinds: list[Callable[[], object]] = [
+            lambda: element("Lagrange", cell, k),
+            lambda: element("Lagrange", cell, k, shape=(g,)),
+            lambda: element("Lagrange", cell, 1, shape=(g, g)),
+            lambda: element("DG", cell, 0),
+            lambda: element("DG", cell, k, shape=(2,)),
+            lambda: element("DG", cell, 0, shape=(g, g)),
+            lambda: element(
+                "Lagrange", cell, k, basix.LagrangeVariant.legendre, discontinuous=True
+            ),
+            self.quadrature,
+        ]
+        if g > 1:
+            kinds.append(lambda: element("Lagrange", cell, 1, shape=(g, g), symmetry=True))
+            kinds.append(lambda: element("DG", cell, 0, shape=(g, g), symmetry=True))
+        if cell in ("triangle", "tetrahedron"):
+            kinds += [
+                lambda: element("RT", cell, k),
+                lambda: element("N1curl", cell, k),
+                lambda: element("BDM", cell, 1),
+                lambda: element("CR", cell, 1),
+                lambda: element("Lagrange", cell, 3),
+                lambda: element("iso", cell, 4 - g),
+                lambda: element("Regge", cell, 1),
+                self.with_bubbles,
+            ]
+        if cell in ("quadrilateral", "hexahedron"):
+            kinds += [
+                lambda: element("RTCF" if g == 2 else "NCF", cell, 1),
+                lambda: element("RTCE" if g == 2 else "NCE", cell, 1),
+                lambda: element("DPC", cell, 1),
+                lambda: element("S", cell, 2),
+            ]
+        return self.one(kinds)()
+
+    def quadrature(self) -> object:
+        self.degree = self.degree or int(self.rng.integers(1, 4))
+        shape = self.one([(), (self.gdim,), (self.gdim, self.gdim)])
+        return basix.ufl.quadrature_element(self.cell, shape, degree=self.degree)
+
+    def mixed(self) -> object:
+        cell, g = self.cell, self.gdim
+        shape = (g,) if g > 1 else (2,)  # FFCx does not know a vector of one in a mixed element
+        vector = element("Lagrange", cell, int(self.rng.integers(1, 3)), shape=shape)
+        parts = [vector, element("Lagrange", cell, 1)]
+        if self.chance(0.3):
+            parts.append(element("DG", cell, 0, shape=(2,)))
+        if self.chance(0.3):
+            parts[1] = basix.ufl.mixed_element([parts[1], element("DG", cell, 0)])
+        if cell in ("triangle", "tetrahedron") and self.chance(0.3):
+            parts[0] = element("RT", cell, 1)
+        return basix.ufl.mixed_element(parts)
+
+    def function(self, e: object) -> dolfinx.fem.Function:
+        """A Function with numbers that its global dofs tell."""
+        f = dolfinx.fem.Function(self.space(e))
+        dofmap = f.function_space.dofmap
+        bs, m = dofmap.index_map_bs, dofmap.index_map
+        blocks = m.local_to_global(np.arange(m.size_local + m.num_ghosts, dtype=np.int32))
+        dofs = (blocks[:, None] * bs + np.arange(bs)).ravel()
+        f.x.array[:] = 0.3 + 0.5 * np.sin(1.7 * dofs + self.rng.random())
+        return f
+
+    # -- expressions ------------------------------------------------------------------------------
+
+    def coefficient(self) -> tuple[Expr, bool]:
+        """An expression of any shape, and whether it has a gradient."""
+        kind = self.one(["plain"] * 5 + ["split", "sub", "collapsed", "component", "constant", "x"])
+        self.text.append(kind)
+        if kind == "x":
+            return ufl.SpatialCoordinate(self.mesh), False
+        if kind == "constant":
+            shape = self.one([(), (self.gdim,), (2, 2), (3,)])
+            return dolfinx.fem.Constant(self.mesh, self.rng.random(shape) + 0.2), False
+        if kind == "component":
+            f = self.function(element("Lagrange", self.cell, 1, shape=(3,)))
+            return f.sub(int(self.rng.integers(3))), True
+        if kind == "plain":
+            e = self.element()
+            self.text.append(str(e))
+            return self.function(e), not e.has_custom_quadrature
+        w = self.function(self.mixed())
+        parts = w.function_space.num_sub_spaces
+        i = int(self.rng.integers(parts))
+        self.text.append(f"{w.function_space.ufl_element()}[{i}]")
+        if kind == "split":
+            return ufl.split(w)[i], True
+        if kind == "collapsed":
+            return w.sub(i).collapse(), True
+        return w.sub(i), True
+
+    def atom(self) -> Expr:
+        """A scalar expression of one coefficient."""
+        f, smooth = self.coefficient()
+        if smooth and self.chance(0.4):
+            f = ufl.grad(f)
+            if self.chance(0.4):
+                return ufl.inner(f, f)
+        if not f.ufl_shape:
+            return f
+        if len(set(f.ufl_shape)) == 1 and len(f.ufl_shape) == 2 and self.chance(0.4):
+            return self.one([ufl.tr, ufl.det])(f) if f.ufl_shape[0] > 1 else f[0, 0]
+        if self.chance(0.3):
+            return ufl.inner(f, f)
+        return f[tuple(int(self.rng.integers(n)) for n in f.ufl_shape)]
+
+    def scalar(self, depth: int = 2) -> Expr:
+        """A scalar expression."""
+        if depth == 0 or self.chance(0.25):
+            return self.atom()
+        a = self.scalar(depth - 1)
+        a = a / ufl.sqrt(4 + a**2) if self.chance(0.8) else a  # large arguments magnify rounding
+        unary: list[Callable[[Expr], Expr]] = [
+            lambda a: ufl.exp(-(a**2) / 9),
+            lambda a: ufl.sqrt(1 + a**2),
+            lambda a: ufl.ln(2 + a**2),
+            lambda a: ufl.sin(a / (1 + a**2)),
+            ufl.tanh,
+            ufl.atan,
+            ufl.erf,
+            abs,
+            ufl.sign,
+            lambda a: (1 + a**2) ** -1.5,
+            lambda a: a**3,
+            lambda a: 1 / (2 + a**2),
+            lambda a: ufl.bessel_J(1, a) if self.chance(0.2) else ufl.cosh(ufl.sin(a)),
+            lambda a: ufl.diff(v**2 * ufl.atan(v), v) if (v := ufl.variable(a)) is not None else a,
+        ]
+        if self.chance(0.5):
+            return self.one(unary)(a)
+        b = self.scalar(depth - 1)
+        binary: list[Callable[[Expr, Expr], Expr]] = [
+            lambda a, b: a + b,
+            lambda a, b: a * b,
+            lambda a, b: a - 2 * b,
+            lambda a, b: a / (1.5 + b**2),
+            ufl.max_value,
+            ufl.min_value,
+            lambda a, b: ufl.conditional(ufl.And(ufl.lt(a, b), ufl.gt(a, -0.2)), a, b * b),
+            lambda a, b: ufl.conditional(ufl.Or(ufl.ge(a, 0.3), ufl.Not(ufl.le(b, a))), 1.0, b),
+            lambda a, b: ufl.atan2(a, 2 + b**2) if self.chance(0.3) else a * b**2,
+        ]
+        return self.one(binary)(a, b)
+
+    def matrix(self) -> Expr:
+        """A tensor, (gdim, gdim)."""
+        g = self.gdim
+        return ufl.as_matrix(
+            [[self.atom() if i <= j else float(i) for j in range(g)] for i in range(g)]
+        )
+
+    # -- forms ------------------------------------------------------------------------------------
+
+    def measure(self, *, cells_only: bool = False) -> ufl.Measure:
+        """A measure over cells or facets."""
+        facets = not cells_only and self.cell != "prism" and self.chance(0.25)
+        cell_tags, facet_tags, cell_list = self.data
+        metadata: dict[str, object] = {}
+        if self.degree is not None:
+            metadata["quadrature_degree"] = self.degree
+        elif self.chance(0.6):
+            metadata["quadrature_degree"] = self.one([1, 2, 3, 4, np.int64(2), np.int32(3)])
+        elif self.chance(0.1) and self.cell not in ("interval", "prism"):
+            metadata["quadrature_rule"] = "vertex"
+        data, number = facet_tags if facets else cell_list if self.lists else cell_tags, None
+        if self.chance(0.4):
+            number = self.one(self.numbers)
+        self.text.append(f"{'ds' if facets else 'dx'}({number}) {metadata}")
+        dx = ufl.Measure(
+            "ds" if facets else "dx", self.mesh, subdomain_data=data, metadata=metadata
+        )
+        return dx if number is None else dx(number)
+
+    def draw(self, rank: int) -> ufl.Form:
+        self.lists = self.chance(0.3)
+        # dolfinx 0.9 loses integrals over a number that is in a tuple, too
+        self.numbers = self.one([[1, 2, 3, 7], [(1, 2), 3], [(2, 3), 1], [(1, 2, 3)]])
+        terms = int(self.rng.integers(1, 4))
+        v, u = ufl.TestFunction(self.V), ufl.TrialFunction(self.V)
+        if rank and self.chance(0.25):
+            return self.derived(rank, v, u)
+        integrands = [self.term(rank, v, u) for _ in range(terms)]
+        form = None
+        for integrand in integrands:
+            dx = self.measure(cells_only=self.degree is not None)
+            form = integrand * dx if form is None else form + integrand * dx
+        return form
+
+    def derived(self, rank: int, v: ufl.Argument, u: ufl.Argument) -> ufl.Form:
+        """The derivative of an energy."""
+        self.text.append("derived")
+        w = self.function(self.V.ufl_element())
+        w = dolfinx.fem.Function(self.V, w.x)
+        s = ufl.inner(ufl.grad(w), ufl.grad(w)) + self.scalar(1) * ufl.inner(w, w)
+        energy = self.one([lambda s: ufl.ln(2 + s**2), lambda s: s**2, lambda s: ufl.sqrt(1 + s)])(
+            s if self.chance(0.5) else s * s / 4 + 1
+        )
+        energy = energy * self.measure(cells_only=self.degree is not None)
+        F = ufl.derivative(energy, w, v)
+        return F if rank == 1 else ufl.derivative(F, w, u)
+
+    def term(self, rank: int, v: ufl.Argument, u: ufl.Argument) -> Expr:
+        c, shape = self.scalar(), self.V.value_shape
+        if rank == 0:
+            return c
+        at = tuple(int(self.rng.integers(n)) for n in shape)
+        first = v[at] if at else v
+        if rank == 1:
+            return c * self.one([first, first.dx(int(self.rng.integers(self.gdim)))])
+        other = tuple(int(self.rng.integers(n)) for n in shape)
+        second = u[other] if other else u
+        j = int(self.rng.integers(self.gdim))
+        choices = [
+            lambda: c * ufl.inner(u, v),
+            lambda: c * ufl.inner(ufl.grad(u), ufl.grad(v)),
+            lambda: ufl.inner(ufl.grad(second), self.matrix() * ufl.grad(first)),
+            lambda: c * second.dx(j) * first,
+            lambda: c * first.dx(j) * second,
+        ]
+        if shape == (self.gdim,):
+            choices += [
+                lambda: c * ufl.inner(ufl.sym(ufl.grad(u)), ufl.grad(v)) + ufl.div(u) * ufl.div(v),
+                lambda: ufl.inner(
+                    self.matrix() * ufl.grad(u), ufl.grad(v) + self.matrix() * ufl.grad(v)
+                ),
+            ]
+        if self.V.ufl_element().embedded_superdegree > 1:
+            choices.append(lambda: c * ufl.div(ufl.grad(second)) * first)
+        return self.one(choices)()
