@@ -37,7 +37,6 @@ __all__ = [
     "TornSpace",
     "cell_sizes",
     "decompose",
-    "into_cells",
     "suggested_number",
     "tear",
 ]
@@ -143,19 +142,6 @@ def decompose(
     subdomain = _facet_components(graph, part)
     count = int(subdomain.max(initial=-1)) + 1
     return Decomposition(mesh, subdomain, count, comm.scan(count) - count)
-
-
-def into_cells(mesh: dolfinx.mesh.Mesh) -> Decomposition:
-    """Let each owned cell be a subdomain.
-
-    Args:
-        mesh: The mesh.
-
-    Note:
-        Collective.
-    """
-    n = mesh.topology.index_map(mesh.topology.dim).size_local
-    return Decomposition(mesh, np.arange(n, dtype=np.int32), n, mesh.comm.scan(n) - n)
 
 
 @event("FETITear")

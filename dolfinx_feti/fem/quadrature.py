@@ -28,9 +28,6 @@ __all__ = [
     "same_points",
 ]
 
-#: Names by which an integral states its quadrature.
-STATED = {"quadrature_degree", "quadrature_rule"}
-
 #: Under type and part of the domain of integrals, whether a degree is stated, and the degree.
 Degrees = dict[tuple[str, object], tuple[bool, int]]
 
@@ -79,11 +76,12 @@ def match_quadrature_degree(energy: ufl.Form, residual: ufl.Form) -> ufl.Form:
 
 def _match(integral: ufl.Integral, known: Degrees) -> ufl.Integral:
     """The integral with the degree that is known for its type and part of the domain."""
-    metadata = integral.metadata()
-    key = (integral.integral_type(), integral.subdomain_id())
-    if STATED & metadata.keys() or key not in known:
+    parts = integral.subdomain_id()
+    kind, parts = integral.integral_type(), parts if isinstance(parts, tuple) else (parts,)
+    found = [known[kind, part][1] for part in parts if (kind, part) in known]
+    if _states(integral.metadata()) or not found:
         return integral
-    return integral.reconstruct(metadata={**metadata, "quadrature_degree": known[key][1]})
+    return _with_degree(integral, max(found))
 
 
 def _degrees(form: ufl.Form) -> Degrees:
@@ -107,27 +105,36 @@ def _degrees(form: ufl.Form) -> Degrees:
 
 def _degree(metadata: Mapping[str, Any]) -> tuple[bool, int]:
     """Return whether an integral states its degree, and the stated or estimated degree."""
-    stated = metadata.get("quadrature_degree")
-    if isinstance(stated, int) and stated >= 0:
+    stated = int(metadata.get("quadrature_degree", -1))  # FFCx takes a negative one for none
+    if stated >= 0:
         return True, stated
     return False, int(np.max(metadata["estimated_polynomial_degree"]))
 
 
+def _states(metadata: Mapping[str, Any]) -> bool:
+    """Return whether an integral states its quadrature."""
+    return "quadrature_rule" in metadata or int(metadata.get("quadrature_degree", -1)) >= 0
+
+
+def _with_degree(integral: ufl.Integral, degree: int) -> ufl.Integral:
+    return integral.reconstruct(metadata={**integral.metadata(), "quadrature_degree": degree})
+
+
 def _limit(integral: ufl.Integral, degree: int) -> ufl.Integral:
     """Return the integral with at most this quadrature degree, unless it states its own."""
-    metadata = integral.metadata()
-    if STATED & metadata.keys():
+    if _states(integral.metadata()):
         return integral
     expanded = ufl.algorithms.expand_derivatives(ufl.Form([integral]))
     if expanded.empty() or _estimated_degree(expanded) <= degree:
         return integral
-    return integral.reconstruct(metadata={**metadata, "quadrature_degree": degree})
+    return _with_degree(integral, degree)
 
 
 def _estimated_degree(form: ufl.Form) -> int:
-    """Return the degree that UFL estimates; tensor-product cells have one per direction."""
-    estimate = ufl.algorithms.estimate_total_polynomial_degree(form)
-    return max(estimate) if isinstance(estimate, tuple) else estimate
+    """Return the degree that UFL estimates, det ∂x/∂ξ of curved cells included."""
+    estimate = int(np.max(ufl.algorithms.estimate_total_polynomial_degree(form)))
+    curved = any(not domain.is_piecewise_linear_simplex_domain() for domain in form.ufl_domains())
+    return max(estimate, estimated_quadrature_degree(form)) if curved else estimate
 
 
 def _polynomial_degree(function: ufl.Argument | ufl.Coefficient) -> int:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ import ufl
 
 from dolfinx_feti.fem.assembly import create_csr, dolfinx_form, require_no_coupling
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.decomposition import TornSpace, into_cells, tear
+from dolfinx_feti.fem.decomposition import TornSpace
 from dolfinx_feti.fem.kernels.kernel import Kernel, create_kernel
 from dolfinx_feti.fem.regions import Region, separate
 from dolfinx_feti.runtime import compat
@@ -67,7 +67,9 @@ class CellTensors:
             else:
                 self._kernels.append((list(group), kernel))
         self._rest = {
-            i: _Rest.create(form, compiler) for i, form in rest.items() if not form.empty()
+            i: _Rest.create(form, self._shapes[i], compiler)
+            for i, form in rest.items()
+            if not form.empty()
         }
 
     def assemble(self) -> list[Array]:
@@ -88,45 +90,34 @@ class CellTensors:
 
 @dataclass(frozen=True, slots=True)
 class _Rest:
-    """A form that dolfinx assembles on spaces that are torn into cells.
+    """A form that dolfinx assembles, with dofs of its own for each cell, in the cell's order.
 
     Attributes:
         form: The form.
-        place: For each argument, where the dofs of a cell are among its torn ones, (cells, dofs).
+        shape: (cells, …) with the dofs of a cell for each argument.
         csr: The matrix of a bilinear form, whose rows have the columns of their cell.
     """
 
     form: dolfinx.fem.Form
-    place: tuple[npt.NDArray[np.int32], ...]
+    shape: tuple[int, ...]
     csr: dolfinx.la.MatrixCSR | None
 
     @classmethod
-    def create(cls, form: ufl.Form, compiler: Compiler) -> _Rest:
+    def create(cls, form: ufl.Form, shape: tuple[int, ...], compiler: Compiler) -> _Rest:
         """Compile a form."""
-        spaces = [_by_dof(a.ufl_function_space()) for a in form.arguments()]
+        spaces = [_broken(a.ufl_function_space(), shape[0]) for a in form.arguments()]
         matrix = create_csr((spaces[0], spaces[1]), compiler) if len(spaces) == 2 else None
-        cells = [
-            space.V_torn.dofmap.list[: space.V_torn.dofmap.index_map.size_local // _width(space.V)]
-            for space in spaces
-        ]
-        place = tuple(
-            dofs - dofs.min(axis=1, initial=np.iinfo(np.int32).max, keepdims=True) for dofs in cells
-        )
-        return cls(dolfinx_form(form, spaces, compiler), place, matrix)
+        return cls(dolfinx_form(form, spaces, compiler), shape, matrix)
 
     def assemble(self) -> Array:
         """Assemble, (cells, …)."""
-        shape = (len(self.place[0]), *(place.shape[1] for place in self.place))
         if self.csr is None:
-            vector = np.zeros(shape)
+            vector = np.zeros(self.shape)
             dolfinx.fem.assemble_vector(vector.reshape(-1), self.form)
-            return np.take_along_axis(vector, self.place[0], axis=1)
+            return vector
         self.csr.data[:] = 0.0
         dolfinx.fem.assemble_matrix(self.csr, self.form)  # type: ignore[arg-type]
-        rows, columns = self.place
-        cell = np.arange(len(rows))[:, None, None]
-        matrix = np.asarray(self.csr.data).reshape(shape)
-        return np.asarray(matrix[cell, rows[:, :, None], columns[:, None, :]])
+        return np.asarray(self.csr.data).reshape(self.shape)
 
 
 def _width(V: dolfinx.fem.FunctionSpace) -> int:
@@ -134,11 +125,10 @@ def _width(V: dolfinx.fem.FunctionSpace) -> int:
     return int(V.dofmap.list.shape[1]) * V.dofmap.bs
 
 
-def _by_dof(V: dolfinx.fem.FunctionSpace) -> TornSpace:
-    """Tear a space into cells and number its dofs, as dolfinx's rectangular matrices need."""
-    space = tear(V, into_cells(V.mesh))
-    bs = V.dofmap.index_map_bs
-    dofs = space.V_torn.dofmap.list[:, :, None] * bs + np.arange(bs, dtype=np.int32)
-    table = dofs.reshape(len(dofs), dofs.shape[1] * bs)
-    torn = compat.create_function_space(space.V_torn, table, len(space.dof) * bs, block_size=1)
-    return replace(space, V_torn=torn)
+def _broken(V: dolfinx.fem.FunctionSpace, cells: int) -> TornSpace:
+    """Give each owned cell dofs of its own; one by one, as dolfinx's rectangular matrices need."""
+    width = _width(V)
+    table = np.zeros((len(V.dofmap.list), width), dtype=np.int32)
+    table[:cells] = np.arange(cells * width, dtype=np.int32).reshape(cells, width)
+    torn = compat.create_function_space(V, table, cells * width, block_size=1)
+    return TornSpace(V, torn, table[:0].ravel(), table[:0].ravel().astype(np.int64))

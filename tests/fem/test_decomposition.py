@@ -17,7 +17,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.fem import decomposition
-from dolfinx_feti.fem.decomposition import decompose, into_cells, suggested_number, tear
+from dolfinx_feti.fem.decomposition import decompose, suggested_number, tear
 
 SEED = 31415
 
@@ -259,16 +259,3 @@ def test_suggested_number_is_not_that_of_more_than_all_cells(monkeypatch):
     monkeypatch.setattr(decomposition, "DOFS", 0.1)
     agree(suggested_number(V) == 8)
     agree(COMM.allreduce(decompose(V.mesh, suggested_number(V)).count) == 8)
-
-
-@every_mesh
-def test_every_cell_on_its_own(mesh):
-    """Numbered from process to process; a torn space has the dofs of each cell, ascending."""
-    mesh = cube(*mesh)
-    each = into_cells(mesh)
-    n = cells(mesh)
-    agree(np.array_equal(each.subdomain, np.arange(n)) and each.count == n)
-    agree(each.first == mesh.topology.index_map(mesh.topology.dim).local_range[0])
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2))
-    space = tear(V, each)
-    agree(np.array_equal(space.dof, np.sort(V.dofmap.list[:n], axis=1).ravel()))

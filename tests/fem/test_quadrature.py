@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 from collective import COMM, agree, small
 from problems import Cell, cube
+from random_forms import bent
 
 import dolfinx
 import ufl
 
-from dolfinx_feti.fem.quadrature import estimated_quadrature_degree, match_quadrature_degree
+from dolfinx_feti.fem.quadrature import (
+    estimated_quadrature_degree,
+    limit_quadrature_degree,
+    match_quadrature_degree,
+)
 
 
 def unknown(cell: Cell = Cell.triangle, degree: int = 2) -> dolfinx.fem.Function:
@@ -109,3 +114,28 @@ def test_part_without_a_residual():
     constant = dolfinx.fem.Constant(mesh, 1.0) * ufl.dx
     empty = ufl.derivative(constant, u, ufl.TestFunction(u.function_space))
     agree(match_quadrature_degree(constant, empty) == constant)
+
+
+@pytest.mark.parametrize("kind", [int, np.int32, np.int64])
+@pytest.mark.parametrize("cell", [Cell.triangle, Cell.quadrilateral])
+def test_a_bound_holds_on_curved_cells(cell, kind):
+    """The estimate has the degree of det ∂x/∂ξ in it; a stated degree of any integer type stays."""
+    mesh = bent(cube(2, 2, cell))
+    u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 2)))
+    for energy in (u**2, ufl.inner(ufl.grad(u), ufl.grad(u)), ufl.exp(u)):
+        limited = limit_quadrature_degree(energy * ufl.dx, kind(4))
+        agree(highest(limited) <= 4, highest(limited))
+    agree(highest(u * ufl.dx(degree=kind(7))) == 7)
+    agree(highest(limit_quadrature_degree(u * ufl.dx(degree=kind(7)), 4)) == 7)
+    agree(highest(limit_quadrature_degree(ufl.exp(u) * ufl.dx(degree=kind(-1)), 4)) == 4)
+
+
+def highest(form: ufl.Form) -> int:
+    """The degree by which FFCx integrates."""
+    data = ufl.algorithms.compute_form_data(
+        form, do_apply_integral_scaling=True, do_append_everywhere_integrals=False
+    )
+    found = [i.metadata() for group in data.integral_data for i in group.integrals]
+    stated = [int(m.get("quadrature_degree", -1)) for m in found]
+    estimated = [int(np.max(m["estimated_polynomial_degree"])) for m in found]
+    return max(s if s >= 0 else e for s, e in zip(stated, estimated, strict=True))
