@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import gc
+import logging
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
@@ -33,6 +34,9 @@ from dolfinx_feti.runtime.petsc_options import inserted
 
 COMM = MPI.COMM_WORLD
 PREFIX = "test_"
+
+# Whether a compilation takes long depends on the machine; what a test expects to be logged does not.
+logging.getLogger("dolfinx_feti.compilation").propagate = False
 TESTS = Path(__file__).parent
 
 #: What belongs to one cell, one subdomain or one material, is a whole study, or stands upon the

@@ -51,7 +51,7 @@ SUFFIX = str(sysconfig.get_config_var("EXT_SUFFIX"))
 #: Seconds of a compilation without a word.
 PATIENCE = 2.0
 
-logger = logging.getLogger("dolfinx_feti")
+logger = logging.getLogger("dolfinx_feti.compilation")
 
 _loaded: dict[object, ModuleType] = {}
 
