@@ -35,7 +35,7 @@ from dolfinx_feti.runtime.petsc_options import inserted
 COMM = MPI.COMM_WORLD
 PREFIX = "test_"
 
-# Whether a compilation takes long depends on the machine; what a test expects to be logged does not.
+# Whether a compilation takes long depends on the machine; what tests expect in the log does not.
 logging.getLogger("dolfinx_feti.compilation").propagate = False
 TESTS = Path(__file__).parent
 
