@@ -33,6 +33,7 @@ from dolfinx_feti.comparison.assembled import (
 from dolfinx_feti.comparison.result import Comparison, SolverResult
 from dolfinx_feti.comparison.solvers import SOLVERS, create_solver, missing, ordering, takes_torn
 from dolfinx_feti.feti.solver import FETI
+from dolfinx_feti.feti.subdomain.factors.direct import factor_failure
 from dolfinx_feti.problems.linear_problem import LinearProblem
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.runtime.collective import on_all, reason
@@ -174,12 +175,14 @@ def _solve(
     except (PETSc.Error, RuntimeError, ImportError) as error:
         x.destroy()
         return _Outcome(None, None, f"failed: {reason(error).splitlines()[-1]}")
-    order = ordering(ksp)
+    order, why = ordering(ksp), message() or _name(cost.converged_reason)
+    if cost.converged_reason == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED and order:
+        why = factor_failure(ksp.getPC())
     ksp.destroy()
     if cost.converged_reason > 0:
         return _Outcome(cost, x, ordering=order)
     x.destroy()
-    return _Outcome(cost, None, f"failed: {message() or _name(cost.converged_reason)}", order)
+    return _Outcome(cost, None, f"failed: {why}", order)
 
 
 def _solve_directly(K: PETSc.Mat, f: PETSc.Vec) -> _Outcome:

@@ -173,6 +173,17 @@ def test_solver_that_fails_has_a_note():
     agree("DIVERGED_MAX_IT" in str(found) and found.records[0]["converged"] is False)
 
 
+@pytest.mark.parametrize(("option", "value"), [("icntl_14", 10**8), ("icntl_23", 1)])
+def test_shortage_of_memory_is_named(option, value):
+    """MUMPS has a work space that no machine has, or a limit that is too low."""
+    with inserted("mumps_", {f"mat_mumps_{option}": value}):
+        found = compare(linear(elasticity(cube(3, 8))), ["mumps"])
+    helpful = {"icntl_14": "-mumps_mat_mumps_icntl_22 1", "icntl_23": "-mumps_mat_mumps_icntl_23"}
+    (mumps,) = found.solved
+    agree(not mumps.converged and "not enough memory or work space" in mumps.note, mumps)
+    agree(helpful[option] in mumps.note, mumps)
+
+
 def test_feti_that_fails_says_why():
     body = elasticity(cube(3, 3), clamped=None)
     found = compare(linear(body), ["feti"])

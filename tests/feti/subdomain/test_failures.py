@@ -35,7 +35,8 @@ ERRORS = {
     "ARPACK": (scipy.sparse.linalg.ArpackError, -9),
     "SciPy": (ValueError, "array must not contain infs or NaNs"),
     "memory": (MemoryError, "Unable to allocate 3 TiB"),
-    "MUMPS": (FactorError, "not enough memory or work space (MUMPS: INFOG(1) = -9)"),
+    "MUMPS": (MemoryError, "not enough memory or work space (MUMPS: INFOG(1) = -9)"),
+    "pivot": (FactorError, "a zero pivot (MUMPS: INFOG(1) = -10)"),
 }
 
 #: Where the set-up calls LAPACK, ARPACK, SciPy and MUMPS, subdomain by subdomain.
@@ -149,7 +150,9 @@ def test_not_enough_work_space(torn_grid, parts, monkeypatch):
     factors = parts(problem.A, interior="keep").inverse.factors
     agree(all(factor.memory() > 0.0 for factor in factors))
     monkeypatch.setattr("dolfinx_feti.feti.subdomain.factors.direct.WORK_SPACE", (-99,))
-    with raises(SetUpError, r"subdomain \d: not enough memory or work space .*INFOG"):
+    memory = r"MemoryError: not enough memory or work space .*INFOG\(1\) = -9"
+    remedy = r"raise -test_feti_\w+_mat_mumps_icntl_14, .*smaller subdomains"
+    with raises(SetUpError, rf"subdomain \d: {memory}.*{remedy}"):
         parts(problem.A, interior="keep")
 
 

@@ -17,6 +17,7 @@ from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 __all__ = [
     "Choice",
     "create_factor",
+    "factor_failure",
     "factor_with_work_space",
     "is_mumps",
     "mebibytes",
@@ -32,6 +33,16 @@ WORK_SPACE = (10, 50, 200, 1000)
 
 Failed = PETSc.PC.FailedReason
 Solver = TypeVar("Solver", PETSc.PC, PETSc.KSP)
+
+#: What helps where MUMPS's INFOG(1) tells of memory: more work space, factors on disk, no limit.
+MORE_SPACE = "raise -{}mat_mumps_icntl_14, the work space in percent"
+ON_DISK = "set -{}mat_mumps_icntl_22 1, which keeps factors on disk"
+NO_LIMIT = "raise -{}mat_mumps_icntl_23, the limit in MB, or leave it out"
+MEMORY = (
+    dict.fromkeys((-8, -9, -14, -17, -20), MORE_SPACE)
+    | dict.fromkeys((-5, -7, -13), ON_DISK)
+    | {-19: NO_LIMIT}
+)
 
 FAILURES = {
     Failed.FACTOR_STRUCT_ZEROPIVOT: "a zero pivot of the pattern",
@@ -91,20 +102,23 @@ def factor_with_work_space(create: Callable[[int], Solver]) -> Solver:
 
     Raises:
         FactorError: The factorisation failed.
+        MemoryError: Memory or work space ran out; with the option that helps.
     """
     cause = ""
     for percent in WORK_SPACE:
         solver = create(percent)
         solver.setUp()
         pc = solver.getPC() if isinstance(solver, PETSc.KSP) else solver
-        failed = pc.getFailedReason()
-        if not failed:
+        if not pc.getFailedReason():
             return solver
-        cause = _failure(pc)
+        cause, remedy = factor_failure(pc), _memory_remedy(pc)
+        memory = bool(remedy) or pc.getFailedReason() == Failed.FACTOR_OUTMEMORY
         solver.destroy()  # PETSc does not call MUMPS again with a factor that has failed
-        if failed != Failed.FACTOR_OUTMEMORY:
+        if not memory:
+            raise FactorError(cause)
+        if remedy != MORE_SPACE:
             break
-    raise FactorError(cause)
+    raise MemoryError(cause)
 
 
 def set_default_factor(pc: PETSc.PC, symmetric: bool) -> None:
@@ -144,14 +158,21 @@ def solve_many(pc: PETSc.PC, B: PETSc.Mat, X: PETSc.Mat, *, transpose: bool = Fa
             X.restoreDenseColumnVec(j, mode="w")
 
 
-def _failure(pc: PETSc.PC) -> str:
-    """Say why a factorisation failed."""
-    reason = pc.getFailedReason()
+def factor_failure(pc: PETSc.PC) -> str:
+    """Say why a factorisation failed and, where memory ran out in MUMPS, which option helps."""
+    reason, remedy = pc.getFailedReason(), _memory_remedy(pc)
     text = FAILURES.get(reason, f"PETSc reports failed reason {reason}")
+    if remedy:
+        text = FAILURES[Failed.FACTOR_OUTMEMORY]
     if is_mumps(pc):
         F = pc.getFactorMatrix()
         text += f" (MUMPS: INFOG(1) = {F.getMumpsInfog(1)}, INFOG(2) = {F.getMumpsInfog(2)})"
-    return text
+    return f"{text}: {remedy.format(pc.getOptionsPrefix() or '')}" if remedy else text
+
+
+def _memory_remedy(pc: PETSc.PC) -> str:
+    """Return what helps where MUMPS ran out of memory; nothing after another failure."""
+    return MEMORY.get(pc.getFactorMatrix().getMumpsInfog(1), "") if is_mumps(pc) else ""
 
 
 def pivots_of(pc: PETSc.PC) -> Pivots:
