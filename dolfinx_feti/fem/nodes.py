@@ -21,9 +21,17 @@ import ufl
 from dolfinx_feti.fem.quadrature import quadrature_points
 from dolfinx_feti.runtime.compat import geometry_dofmap
 
-__all__ = ["Nodes"]
+__all__ = ["Nodes", "diameter"]
 
 Array = npt.NDArray[np.float64]
+
+
+def diameter(mesh: dolfinx.mesh.Mesh) -> float:
+    """Return the diagonal of the box around the nodes of a mesh. Collective."""
+    x = mesh.geometry.x
+    corners = np.concatenate([x.max(axis=0, initial=-np.inf), (-x).max(axis=0, initial=-np.inf)])
+    mesh.comm.Allreduce(MPI.IN_PLACE, corners, op=MPI.MAX)
+    return float(np.linalg.norm(corners[:3] + corners[3:]))
 
 
 class Nodes:

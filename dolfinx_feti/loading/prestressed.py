@@ -34,6 +34,7 @@ import ufl
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.internal_variables import create_internal_variables
+from dolfinx_feti.fem.nodes import diameter
 from dolfinx_feti.loading.anderson import Anderson
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
@@ -78,8 +79,9 @@ def prestress(
             (("DG", k − 1) for u of degree k) or of points of quadrature, shape (d, d); the identity
             at ``start``.
         state: All functions that a solve changes, u and a condensed pressure; zero at ``start``.
-        tolerance: How far a solve may still move the wall [mm]; on the way, so far or as large a
-            share of the load's first displacement as ``steps.rtol``.
+        tolerance: How far a solve may still move the wall, over the diagonal of the box around it;
+            on the way, so far or as large a share of the load's first displacement as
+            ``steps.rtol``.
         start: The load at which the image is without stress.
         on_step: Called at each load, as by ``follow_load``.
         checkpoint: Where each load's state is kept, likewise.
@@ -100,7 +102,7 @@ def prestress(
         26 (2010).
     """
     if not tolerance > 0.0:
-        raise ValueError(f"tolerance is {tolerance}: give a positive number of millimetres.")
+        raise ValueError(f"tolerance is {tolerance}: give a positive share of the diameter.")
     on_all(lambda: _check(G, problem.u), problem.u.function_space.mesh.comm)
     return follow_load(
         _Prestressing(problem, G, tolerance),
@@ -119,7 +121,7 @@ class _Prestressing:
     """The problem of the image's balance, with G as its unknown, and u = 0 at the end.
 
     Attributes:
-        u: Displacement from the image [mm].
+        u: Displacement from the image.
         solver: The SNES of the problem.
         history: The Newton steps of all solves of the last load.
         volume_changes: What the last solve has left, see the problem.
@@ -129,8 +131,8 @@ class _Prestressing:
     internal_variables: tuple[dolfinx.fem.Function, ...] = ()
 
     def __init__(self, problem: Problem, G: dolfinx.fem.Function, tolerance: float) -> None:
-        self._problem, self._tolerance = problem, tolerance
-        self.u, self.solver = problem.u, problem.solver
+        self._problem, self.u, self.solver = problem, problem.u, problem.solver
+        self._tolerance = tolerance * diameter(self.u.function_space.mesh)
         self.content = problem.content
         self._comm = self.u.function_space.mesh.comm
         F = ufl.Identity(len(self.u)) + ufl.grad(self.u)
@@ -176,12 +178,12 @@ class _Prestressing:
                 reference = self.history[0].residual
             first_tangent, renew = None, False
         raise ConvergenceError(
-            f"{MOST} solves did not balance the image: the last one moved it by {moved:.1e} mm. "
+            f"{MOST} solves did not balance the image: the last one moved it by {moved:.1e}. "
             "Load in smaller steps."
         )
 
     def _moved(self) -> float:
-        """Return the length of the longest displacement of a dof [mm]."""
+        """Return the length of the longest displacement of a dof."""
         lengths = np.linalg.norm(self.u.x.array.reshape(-1, len(self.u)), axis=1)
         return self._comm.allreduce(float(lengths.max(initial=0.0)), op=MPI.MAX)
 

@@ -33,7 +33,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.errors import ConvergenceError
-from dolfinx_feti.fem.nodes import Nodes
+from dolfinx_feti.fem.nodes import Nodes, diameter
 from dolfinx_feti.loading.anderson import Anderson
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
@@ -91,8 +91,8 @@ def unload(
         state: All functions that a solve changes, u and a condensed pressure; zero at ``start``.
         fibres: Unit vectors in the image, Functions of the mesh that the forms use: they follow
             into the unloaded wall, a ← F⁻¹ a / ‖F⁻¹ a‖.
-        tolerance: How far a node of the loaded wall may be from the image [mm]; on the way, so far
-            or as large a share of u as ``steps.rtol``.
+        tolerance: How far a node of the loaded wall may be from the image, over the diagonal of
+            the box around that; on the way, so far or as large a share of u as ``steps.rtol``.
         start: The load at which the image is the unloaded wall.
         on_move: Called on all processes when the mesh and the fibres have moved, to the unloaded
             wall or back to the image, for what else depends on the mesh's shape.
@@ -113,7 +113,7 @@ def unload(
         Computational and Applied Mathematics 246 (2013).
     """
     if not tolerance > 0.0:
-        raise ValueError(f"tolerance is {tolerance}: give a positive number of millimetres.")
+        raise ValueError(f"tolerance is {tolerance}: give a positive share of the diameter.")
     unloading = _Unloading(problem, fibres, tolerance, on_move)
     accepted = follow_load(
         unloading,
@@ -157,7 +157,7 @@ class _Unloading:
         self._nodes, self._comm = Nodes(V.mesh), V.mesh.comm
         self._owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
         self._fibres = [(a, a.x.array.copy(), _pulled_back(a, problem.u)) for a in fibres]
-        self._tolerance, self._on_move = tolerance, on_move
+        self._tolerance, self._on_move = tolerance * diameter(V.mesh), on_move
         self.history: list[NewtonStep] = []
         self.volume_changes: list[float] = []
 
@@ -250,7 +250,7 @@ class _Unloading:
             first_tangent, renew, close, last = None, False, reached, U
         raise ConvergenceError(
             f"{MOST} forward solves did not find the unloaded wall: the loaded one is "
-            f"{distance:.1e} mm off the image. Load in smaller steps."
+            f"{distance:.1e} off the image. Load in smaller steps."
         )
 
     def _allowed(self) -> float:

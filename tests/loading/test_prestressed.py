@@ -36,7 +36,7 @@ def program() -> list[str]:
 class Scan:
     """A quarter of a tube in plane strain, imaged under pressure; P2–P0."""
 
-    def __init__(self, *, prestressed: bool = True) -> None:
+    def __init__(self, *, prestressed: bool = True, length: float = 1.0) -> None:
         self.mesh = mesh = tube(quarter=True, around=8, along=1, length=0.2)
         V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
         Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
@@ -77,6 +77,7 @@ class Scan:
             subdomains=4,
         )
         self.names["problem"] = self.problem
+        mesh.geometry.x[:] *= length
 
     def set_load(self, pressure: float) -> None:
         self.load.value = loads.mmhg(pressure)
@@ -159,6 +160,15 @@ def test_path_that_goes_on(tmp_path):
     equal(pieces.G.x.array, whole.G.x.array, 1e-8)
 
 
+def test_steps_are_the_same_in_any_unit_of_length():
+    """In millimetres, metres and micrometres."""
+    scans = [Scan(length=length) for length in (1.0, 1e-3, 1e3)]
+    taken = [[len(step.all_steps) for step in scan.prestress(20.0)] for scan in scans]
+    agree(taken[1] == taken[0] and taken[2] == taken[0], taken)
+    for scan in scans[1:]:
+        equal(scan.G.x.array, scans[0].G.x.array, 1e-8)
+
+
 @pytest.mark.processes(1, 2)
 def test_failure_leaves_the_last_balance():
     """A load that nothing carries: G, load and displacement are the last good."""
@@ -173,7 +183,7 @@ def test_failure_leaves_the_last_balance():
 def test_bad_input():
     scan = Scan()
     for tolerance in (0.0, -1.0, np.nan):
-        with raises(ValueError, "tolerance is .*: give a positive number of millimetres"):
+        with raises(ValueError, "tolerance is .*: give a positive share of the diameter"):
             scan.prestress(1.0, tolerance=tolerance)
 
     def other(*element: object) -> dolfinx.fem.Function:

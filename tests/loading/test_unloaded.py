@@ -33,10 +33,11 @@ def cost(steps: list[LoadStep]) -> tuple[int, int]:
 class Scan:
     """A small tube, imaged under pressure."""
 
-    def __init__(self, degree: int = 1) -> None:
+    def __init__(self, degree: int = 1, length: float = 1.0) -> None:
         self.body: Wall = wall(tube(around=6, along=2), degree=degree)
         self.mesh = self.body.u.function_space.mesh
         self.problem: NonlinearProblem = self.body.problem(4)
+        self.mesh.geometry.x[:] *= length
         self.nodes = Nodes(self.mesh)
 
     @property
@@ -115,6 +116,19 @@ def test_path_that_goes_on(tmp_path):
     equal(pieces.mesh.geometry.x, whole.mesh.geometry.x, 1e-6)
 
 
+def test_steps_are_the_same_in_any_unit_of_length():
+    """In millimetres, metres and micrometres."""
+    lengths = (1.0, 1e-3, 1e3)
+    scans = [Scan(length=length) for length in lengths]
+    taken = []
+    for scan in scans:
+        steps = unload(scan.problem, scan.set_load, [20.0], STEPS, **scan.arguments)
+        taken.append([len(step.all_steps) for step in steps])
+    agree(taken[1] == taken[0] and taken[2] == taken[0], taken)
+    for scan, length in zip(scans, lengths, strict=True):
+        equal(scan.mesh.geometry.x / length, scans[0].mesh.geometry.x, 1e-7)
+
+
 @pytest.mark.processes(1, 2)
 def test_failure_leaves_the_image():
     """A wall that nothing unloads in one step: mesh, load and displacement are the last good."""
@@ -136,7 +150,7 @@ def test_failure_leaves_the_image():
 def test_bad_tolerance():
     scan = Scan()
     for tolerance in (0.0, -1.0, np.nan):
-        with raises(ValueError, "tolerance is .*: give a positive number of millimetres"):
+        with raises(ValueError, "tolerance is .*: give a positive share of the diameter"):
             unload(scan.problem, scan.set_load, [1.0], STEPS, **scan.arguments, tolerance=tolerance)
 
 
