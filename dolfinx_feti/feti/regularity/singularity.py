@@ -72,6 +72,15 @@ INSIDE = (
 )
 
 
+#: Where the interface resists what the interior does not: yᵀ A y = 0 and A y ≠ 0.
+INTERIOR = (
+    "The matrix of the interior of a subdomain is singular ({} motions, of subdomains on process "
+    "{}), though the interface resists them: the assembled matrix is indefinite or nearly "
+    "singular. In Newton's method take smaller steps; otherwise take other subdomains, or the "
+    "options feti_interior keep and feti_pc_type lumped."
+)
+
+
 def require_regular(
     torn: Torn,
     bodies: Bodies,
@@ -158,6 +167,9 @@ def require_regular_interior(torn: Torn, bodies: Bodies, near_kernel: Array, ker
     columns = [np.zeros((torn.n, count)) for count in counts]
     columns[torn.comm.rank] = kernel
     others = _unresisted(np.hstack(columns), rigid)
+    if not rigid.total + others.shape[1]:
+        processes = ", ".join(str(rank) for rank in np.flatnonzero(counts))
+        raise SingularError(INTERIOR.format(sum(counts), processes))
     raise SingularError(describe(rigid, others))
 
 

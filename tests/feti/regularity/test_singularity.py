@@ -15,7 +15,7 @@ import pytest
 import scipy.linalg
 from collective import agree, equal, whole
 
-from dolfinx_feti.errors import SingularError
+from dolfinx_feti.errors import SetUpError, SingularError
 
 SEED = 4711
 Reason = PETSc.KSP.ConvergedReason
@@ -149,6 +149,30 @@ def test_prestressed_body(load, kind, torn_grid, parts):
         check(parts, problem.A, 2, "translations in x and y", type=kind)
     else:
         agree(parts(problem.A, type=kind).inertia.dual > 0)
+
+
+@every_type
+@pytest.mark.parametrize("stiff", [1.0, 1e6, 1e8])
+def test_interior_is_singular_and_the_whole_is_not(stiff, kind, torn_grid, parts):
+    """An indefinite tangent, far from an equilibrium: no kernel is claimed that there is not."""
+
+    def shift(K, dofs):
+        here, count = np.unique(np.concatenate(dofs), return_counts=True)
+        inner = np.flatnonzero(np.isin(dofs[0], here[count == 1]))
+        inner, last = inner[:-1], inner[-1]
+        K[0][inner, inner] -= np.linalg.eigvalsh(K[0][np.ix_(inner, inner)])[0]
+        for stored in (K[0][last], K[0][:, last]):
+            stored[inner] = 0.0  # the stiff dof is no part of the motion
+        K[0][last, last] = stiff
+
+    problem = torn_grid((2, 2), (4, 4), components=1, fixed=nowhere, change=shift)
+    values = np.linalg.eigvalsh(problem.T.T @ problem.K_torn @ problem.T)
+    agree(values[0] < 0.0 and np.abs(values).min() > 1e-4, values)
+    with pytest.raises(SetUpError) as caught:
+        parts(problem.A, type=kind, interior="eliminate")
+    said = str(caught.value)
+    agree("kernel of dimension" not in said and "interior" in said, said)
+    agree("other subdomains, or the options feti_interior keep" in said, said)
 
 
 # ---- several bodies, and mechanisms ---------------------------------------------------------
