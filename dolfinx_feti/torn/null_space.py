@@ -25,6 +25,7 @@ import numpy.typing as npt
 import scipy.linalg
 
 from dolfinx_feti.errors import SetUpError
+from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["anchor", "null_space", "take_out"]
@@ -133,7 +134,8 @@ def anchor(N: PETSc.Mat, S: Array) -> bool:
     if not free:
         return False
     whole = np.vstack(comm.allgather(S))
-    chosen = scipy.linalg.qr(whole.T, mode="r", pivoting=True)[1][: S.shape[1]] - first
+    pivots = on_all(lambda: scipy.linalg.qr(whole.T, mode="r", pivoting=True)[1], comm)
+    chosen = pivots[: S.shape[1]] - first
     stiffness = np.where(np.isin(np.arange(len(S)), chosen), scale, 0.0)
     rows = np.arange(len(S) + 1, dtype=PETSc.IntType)
     csr = (rows, first + rows[:-1], stiffness)

@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.subdomain.panels import PanelCode, Panels, load_panels
+from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["Fields", "averaged_fields", "jump_fields"]
 
@@ -181,7 +182,7 @@ def _by_panels(copies: Copies, pairs: _Pairs, column: Column) -> Fields:
     pairs, block = pairs[order], block[order]
     starts = np.flatnonzero(np.diff(block, prepend=-1) | np.diff(pairs.first, prepend=-1))
     end = np.cumsum(pairs.count)
-    values = np.empty(pairs.count.sum())
+    values = on_all(lambda: np.empty(pairs.count.sum()), copies.comm)  # or no memory for it
     most = copies.comm.allreduce(int(pairs.count.max(initial=0)), op=MPI.MAX)
     for j in range(most):
         some = pairs.count > j

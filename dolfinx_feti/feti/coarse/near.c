@@ -9,9 +9,10 @@
 #include <stdint.h>
 
 // Add an element matrix, row by row, whose rows and columns are those of some owners, ascending.
-void add_element(int owners, const int *owner, const double *element, const int *width,
-                 const int *ptr, const int *adjacent, const int *place, const int64_t *start,
-                 double *values)
+// Returns 0, or 1 where an owner is not adjacent to another one.
+int add_element(int owners, const int *owner, const double *element, const int *width,
+                const int *ptr, const int *adjacent, const int *place, const int64_t *start,
+                double *values)
 {
     for (int s = 0; s < owners; ++s) {
         const int a = owner[s];
@@ -19,12 +20,14 @@ void add_element(int owners, const int *owner, const double *element, const int 
         for (int i = 0; i < width[a]; ++i) {
             double *row = values + start[a] + i * length;
             for (int t = 0, e = ptr[a]; t < owners; ++t) {
-                while (adjacent[e] != owner[t]) ++e;
+                while (e < ptr[a + 1] && adjacent[e] != owner[t]) ++e;
+                if (e == ptr[a + 1]) return 1;
                 double *to = row + place[e];
                 for (int j = 0; j < width[owner[t]]; ++j) to[j] += *element++;
             }
         }
     }
+    return 0;
 }
 
 // Write the numbers of the columns of all entries, those of owner a from first[a] on.

@@ -40,8 +40,8 @@ Integers = npt.NDArray[np.integer]
 Numbers = npt.NDArray[np.int64]
 
 DECLARATIONS = """
-void add_element(int, const int *, const double *, const int *, const int *, const int *,
-                 const int *, const int64_t *, double *);
+int add_element(int, const int *, const double *, const int *, const int *, const int *,
+                const int *, const int64_t *, double *);
 void write_columns(int, const int *, const int *, const int *, const int *, const int *,
                    const int64_t *, int *);
 """
@@ -121,8 +121,12 @@ class NearColumns:
         values = np.zeros(start[-1])
         for i, element in enumerate(elements):
             panels = slice(W.panels[i], W.panels[i + 1])
-            E = np.ascontiguousarray(element)
-            lib.add_element(panels.stop - panels.start, to(owner[panels]), to(E), *rows, to(values))
+            size = int(W.count[panels].sum())
+            if element.shape != (size, size):
+                raise ValueError(f"element matrix {i} is {element.shape}, not ({size}, {size})")
+            E, own = np.ascontiguousarray(element), owner[panels]
+            if lib.add_element(len(own), to(own), to(E), *rows, to(values)):
+                raise ValueError(f"element matrix {i} couples owners that are not neighbours")
         indices = np.empty(len(values), dtype=np.int32)
         columns = (np.cumsum(width) - width).astype(np.int32)
         lib.write_columns(len(width), to(columns), *rows, to(indices))

@@ -161,7 +161,7 @@ class AveragedSpace:
         with Lifetime() as owned:
             own = owned.own
             if combinations is None:
-                combinations = _independent(energies, V.own)
+                combinations = on_subdomains(lambda: _independent(energies, V.own), V.copies.comm)
             self.combinations = combinations
             self.A_0 = own(_change_of_basis(energies, combinations))
             anchor(self.A_0, self._amplitudes(null_space(S.torn)[V.copies.dofs]))
@@ -226,6 +226,10 @@ class AveragedSpace:
         """Return own rows of y, with Z = V y, for fields of A on the interface, (n, k) each."""
         if not Z.shape[1]:
             return np.zeros((self.combinations.shape[1], 0))
+        return on_subdomains(lambda: self._fitted(Z), self.V.copies.comm)
+
+    def _fitted(self, Z: Array) -> Array:
+        """Do the work of :meth:`_amplitudes` on the subdomains of this process."""
         pairs, B = zip(self.V.columns, self.V.copies.blocks, strict=True), self.combinations
         s = np.vstack([Z[:0], *(np.linalg.pinv(U) @ Z[rows] for U, rows in pairs)])  # Z = U s
         if not s.size:

@@ -39,7 +39,7 @@ from dolfinx_feti.feti.dual.preconditioner.base import Preconditioner
 from dolfinx_feti.feti.dual.weighted import WeightedColumns
 from dolfinx_feti.feti.gluing.jump import Gluing
 from dolfinx_feti.feti.gluing.weights import Weights
-from dolfinx_feti.feti.subdomain.blocks import block_diagonal, own_columns
+from dolfinx_feti.feti.subdomain.blocks import block_diagonal, on_subdomains, own_columns
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.null_space import anchor, null_space
@@ -155,6 +155,10 @@ class Coarse:
         """Return own rows of S, with Z = E S, for fields on the torn dofs, (n, k)."""
         if not Z.shape[1]:
             return np.zeros((self.size, 0))
+        return on_subdomains(lambda: self._fitted(Z), self._torn.comm)
+
+    def _fitted(self, Z: Array) -> Array:
+        """Do the work of :meth:`_amplitudes` on the subdomains of this process."""
         E = [m.E for m in self._modes]
         images = [E_i.T @ Z[dofs] for E_i, dofs in zip(E, self._dofs, strict=True)]
         S: list[Array] = [Z[:0]] * len(E)

@@ -32,6 +32,7 @@ import scipy.linalg.blas as blas
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.operator import EliminatedInterior, Operator
+from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.native import load, pointer
 
 __all__ = [
@@ -50,6 +51,9 @@ DECLARATIONS = """
 void copy_block(int, const double *, int, const int *, double *);
 void add_block(int, float *, int, const int *, const double *);
 """
+
+#: Of the messages between neighbours.
+TAG = 51
 
 #: Returns a block of S, ``block(j, rows)``, for rows in any order.
 Block = Callable[[int, Integers], Array]
@@ -77,6 +81,7 @@ class BlockCode:
     def copy(self, S: EliminatedInterior, j: int, rows: Integers) -> Array:
         """Return a block of S of subdomain j of this process, (m (m + 1) / 2,)."""
         m, to = len(rows), self._to
+        _require_rows(rows, len(S.dofs[j]))
         entries = np.empty(m * (m + 1) // 2)
         self._lib.copy_block(len(S.dofs[j]), to(S.packed(j)), m, to(rows), to(entries))
         return entries
@@ -84,7 +89,16 @@ class BlockCode:
     def add(self, A: npt.NDArray[np.float32], share: Share) -> None:
         """Add a share to A, (n, n) in Fortran's order, below its diagonal."""
         to, rows = self._to, share.rows
+        _require_rows(rows, len(A))
+        if len(share.S) != len(rows) * (len(rows) + 1) // 2:
+            raise ValueError(f"a share of {len(share.S)} entries does not fit {len(rows)} rows")
         self._lib.add_block(len(A), to(A, order="F"), len(rows), to(rows), to(share.S))
+
+
+def _require_rows(rows: Integers, n: int) -> None:
+    """Refuse rows beyond a matrix of order n, before C reads there."""
+    if len(rows) and not (rows.min() >= 0 and rows.max() < n):
+        raise ValueError(f"rows {rows.min()} … {rows.max()} are not those of a matrix of order {n}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +156,8 @@ def assembled_products(S: Operator, copies: Copies) -> Callable[[int], Multiply]
 
 def load_block_code(comm: MPI.Comm) -> BlockCode:
     """Load the code, which is compiled at first use. Collective."""
-    return BlockCode(load(Path(__file__).with_name("assembled.c"), DECLARATIONS, comm))
+    module = load(Path(__file__).with_name("assembled.c"), DECLARATIONS, comm)
+    return on_all(lambda: BlockCode(module), comm)
 
 
 def _like_itself(S: Operator, i: int, delta: Array) -> Multiply:
@@ -219,9 +234,11 @@ def _exchange(
     got: list[Array] = [
         np.empty(len(blocks)) for blocks in sent
     ]  # blocks are of one size both ways
-    requests = [comm.Irecv(b, source=rank) for b, rank in zip(got, ranks, strict=True)]
-    requests += [comm.Isend(b, dest=rank) for b, rank in zip(sent, ranks, strict=True)]
+    own = comm.Dup()  # PETSc sends on comm, too
+    requests = [own.Irecv(b, source=rank, tag=TAG) for b, rank in zip(got, ranks, strict=True)]
+    requests += [own.Isend(b, dest=rank, tag=TAG) for b, rank in zip(sent, ranks, strict=True)]
     MPI.Request.Waitall(requests)
+    own.Free()
     received: dict[tuple[int, int], Array] = {}
     for rank, blocks in zip(ranks, got, strict=True):
         pairs = [pair for pair in remote if pair.rank == rank]  # by i, then j

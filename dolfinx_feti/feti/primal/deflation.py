@@ -33,6 +33,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
@@ -42,7 +44,7 @@ from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.solution import RitzVectors
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.orthonormal import diagonalising, symmetric_part
-from dolfinx_feti.runtime.collective import total, total_of
+from dolfinx_feti.runtime.collective import on_all, total, total_of
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.torn.rounding import EPS
 
@@ -127,17 +129,22 @@ class DeflatedSpace:
                 AW = copies.sum(SW[:, j])
                 W[:, j] -= space.initial_guess(AW)  # W ← W − V A₀⁻¹ Vᵀ A W
             sizes = self._product(vectors.W, copies.delta[:, None] * vectors.W).diagonal()
-            squares, Y = np.linalg.eigh(self._product(W, copies.delta[:, None] * W))
+            gram = self._product(W, copies.delta[:, None] * W)
+            squares, Y = on_all(lambda: np.linalg.eigh(gram), copies.comm)
             Y = Y[:, squares > INSIDE * sizes.max(initial=0.0)]
             self._W, self._Q = W @ Y, vectors.Q @ Y
             transposed = partial(multiply, transpose=not symmetric)
             self._SW = on_subdomains(lambda: _images(copies, transposed, self._W), copies.comm)
             self._H = self._product(self._SW, self._W)  # H = Wᵀ A W
-            values, Y = diagonalising(self._H, LOST_ENERGY)
-            self._inverse = Y @ np.linalg.solve(Y.T @ self._H @ Y, Y.T)  # H⁻¹
+            values, Y, self._inverse = on_all(self._inverted, copies.comm)
             if values.min(initial=0.0) < 0.0:
                 v = self._W @ Y[:, 0]  # vᵀ A v = values[0]
                 self.indefinite |= bool(values[0] < -MARGIN * self.rounding(v))
+
+    def _inverted(self) -> tuple[Array, Array, Array]:
+        """Return the values and combinations that diagonalise H, and H⁻¹."""
+        values, Y = diagonalising(self._H, LOST_ENERGY)
+        return values, Y, Y @ np.linalg.solve(Y.T @ self._H @ Y, Y.T)
 
     @property
     def count(self) -> int:
@@ -165,7 +172,7 @@ class DeflatedSpace:
 
     def ritz_vectors(self, trace: Trace, *, most: int) -> RitzVectors:
         """Choose at most ``most`` vectors that the iterations leave to later solves. Collective."""
-        k, r = len(trace.Z), self.count
+        k = len(trace.Z)
         if k < 1:
             return RitzVectors(self._W, self._Q)
         Z, R, δ = trace.Z.T, trace.R.T, self._copies.delta[:, None]
@@ -173,16 +180,22 @@ class DeflatedSpace:
         N = self._product(δ * self._Q, Z)  # N = Qᵀ Z
         if not (np.isfinite(G).all() and np.isfinite(N).all()):
             return RitzVectors(self._W, self._Q)
-        A = scipy.linalg.block_diag(self._H, G @ trace.H)  # Zᵀ A Z = Zᵀ R H
+        T_W, T_Z = on_all(lambda: self._softest(G, N, trace.H, most), self._copies.comm)
+        return RitzVectors(
+            np.asfortranarray(self._W @ T_W + Z @ T_Z),
+            np.asfortranarray(self._Q @ (T_W + N @ T_Z) + R[:, :k] @ T_Z),  # M⁻¹ Z = R + Q N
+        )
+
+    def _softest(self, G: Array, N: Array, H: Array, most: int) -> tuple[Array, Array]:
+        """Return the combinations of W and Z that are Ritz vectors of small values."""
+        k, r = N.shape[1], self.count
+        A = scipy.linalg.block_diag(self._H, G @ H)  # Zᵀ A Z = Zᵀ R H
         S = np.block([[np.eye(r), N], [N.T, symmetric_part(G[:, :k]) + N.T @ N]])
         values, T = diagonalising(S, LOST_ENERGY)
         T /= np.sqrt(np.abs(values))  # Tᵀ S T = I
         θ, Y = np.linalg.eigh(symmetric_part(T.T @ A @ T))
         T_W, T_Z = np.split(T @ Y[:, : min(most, np.count_nonzero(θ < DEFLATED))], [r])
-        return RitzVectors(
-            np.asfortranarray(self._W @ T_W + Z @ T_Z),
-            np.asfortranarray(self._Q @ (T_W + N @ T_Z) + R[:, :k] @ T_Z),  # M⁻¹ Z = R + Q N
-        )
+        return T_W, T_Z
 
     def memory(self) -> float:
         """Return the memory of the vectors of this process in MiB."""
@@ -227,20 +240,20 @@ def soft_fields(
     c = np.random.default_rng(comm.rank).standard_normal((V.size, min(count, V.total)))
     for step in range(INVERSE + 1):
         X = _each(V.prolong, c, copies.n)  # V c
-        X = X @ _unit_energy(total_of(X.T @ (δ * X), comm))
+        X = X @ _unit_energy(total_of(X.T @ (δ * X), comm), comm)
         if step < INVERSE:
             c = _each(lambda x: space.solve(V.restrict(x)), X, V.size)  # c ← A₀⁻¹ Vᵀ V c
     SX = on_subdomains(lambda: _images(copies, multiply, X), comm)
     Q = _each(copies.sum, SX, copies.n)  # Q = A V c
     Y = on_subdomains(lambda: _images(copies, solve, δ * Q), comm)
     W = _each(copies.average, Y, copies.n)  # W = M Q
-    B = _unit_energy(total_of(W.T @ (δ * Q), comm))  # Wᵀ Q = I
+    B = _unit_energy(total_of(W.T @ (δ * Q), comm), comm)  # Wᵀ Q = I
     return RitzVectors(np.asfortranarray(W @ B), np.asfortranarray(Q @ B))
 
 
-def _unit_energy(H: Array) -> Array:
-    """Return combinations B with Bᵀ H B = I, (k, k) → (k, up to k)."""
-    θ, B = diagonalising(H, INSIDE)
+def _unit_energy(H: Array, comm: MPI.Comm) -> Array:
+    """Return combinations B with Bᵀ H B = I, (k, k) → (k, up to k). Collective."""
+    θ, B = on_all(lambda: diagonalising(H, INSIDE), comm)
     return np.asarray(B[:, θ > 0.0] / np.sqrt(θ[θ > 0.0]))
 
 

@@ -30,6 +30,7 @@ from dolfinx_feti.feti.subdomain.orthonormal import (
     orthonormalising,
     symmetric_part,
 )
+from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.null_space import null_space
 
@@ -146,14 +147,17 @@ def free_motions(torn: Torn, bodies: Bodies, near_kernel: Array, *, definite: bo
     modes = operator.sizes(near_kernel)
     on_supports = triangles(modes[dofs], body, bodies.count, torn.comm)
     on_rest = triangles(modes, bodies.label, bodies.count, torn.comm)
-    on_all = np.concatenate([on_rest, on_supports], axis=1)
-    unsupported = [_vanishing(on_all[b], on_supports[b]) for b in range(bodies.count)]
+    whole = np.concatenate([on_rest, on_supports], axis=1)
+    unsupported = on_all(
+        lambda: [_vanishing(whole[b], on_supports[b]) for b in range(bodies.count)], torn.comm
+    )
     fields = _combine(near_kernel, unsupported, bodies)
     k, free = fields.shape[1], unsupported
     if k:
-        both = np.hstack([operator.forces(fields), operator.sizes(fields)])
-        resisted = triangles(both, bodies.label, bodies.count, torn.comm)
-        free = [unresisted(R[:, :k], R[:, k:], definite=definite) for R in resisted]
+        scaled = np.hstack([operator.forces(fields), operator.sizes(fields)])
+        resisted = triangles(scaled, bodies.label, bodies.count, torn.comm)
+        parts = [(R[:, :k], R[:, k:]) for R in resisted]
+        free = on_all(lambda: [unresisted(*of, definite=definite) for of in parts], torn.comm)
         fields = _combine(fields, free, bodies)
     dimensions = np.array([C.shape[1] for C in free], dtype=np.int64)
     return Motions(torn, bodies, operator, definite, fields, dimensions, null_vectors)
@@ -201,20 +205,27 @@ def triangles(X: Array, group: npt.NDArray[np.integer], count: int, comm: MPI.Co
         comm: Communicator.
     """
     k = X.shape[1]
-    own = np.zeros((count, k, k))
     order = np.argsort(group, kind="stable")
     ends = np.searchsorted(group[order], np.arange(count + 1))
-    for g in np.flatnonzero(np.diff(ends)):
-        own[g] = _triangle(X[order[ends[g] : ends[g + 1]]])
-    stacked = np.stack(comm.allgather(own), axis=1)  # (count, processes, k, k)
-    return np.array([_triangle(rows.reshape(-1, k)) for rows in stacked]).reshape(count, k, k)
+
+    def of_groups() -> Array:
+        own = np.zeros((count, k, k))
+        for g in np.flatnonzero(np.diff(ends)):
+            own[g] = _triangle(X[order[ends[g] : ends[g + 1]]])
+        return own
+
+    stacked = np.stack(comm.allgather(on_all(of_groups, comm)), axis=1)  # (count, processes, k, k)
+    whole = on_all(lambda: [_triangle(rows.reshape(-1, k)) for rows in stacked], comm)
+    return np.array(whole).reshape(count, k, k)
 
 
 def orthonormal_columns(X: Array, comm: MPI.Comm) -> Array:
     """Return an orthonormal basis of columns, by the rows of this process, (n, k). Collective."""
     k = X.shape[1]
-    Q, R = np.linalg.qr(np.vstack([X, np.zeros((k, k))]))  # as many rows as columns, at least
-    Q_all, _ = np.linalg.qr(np.vstack(comm.allgather(R)))
+    rows = np.vstack([X, np.zeros((k, k))])  # as many as columns, at least
+    Q, R = on_all(lambda: np.linalg.qr(rows), comm)
+    stacked = np.vstack(comm.allgather(R))
+    Q_all, _ = on_all(lambda: np.linalg.qr(stacked), comm)
     return np.asarray(Q[: len(X)] @ Q_all[comm.rank * k : (comm.rank + 1) * k])
 
 
@@ -224,7 +235,7 @@ def independent_columns(X: Array, tolerance: float, comm: MPI.Comm) -> Array:
     Combinations of size one that are smaller than the tolerance are left out.
     """
     R = triangles(X, np.zeros(len(X), dtype=np.int64), 1, comm)[0]
-    _, sigma, Vt = np.linalg.svd(R)
+    _, sigma, Vt = on_all(lambda: np.linalg.svd(R), comm)
     return orthonormal_columns(X @ Vt[sigma > tolerance].T, comm)
 
 

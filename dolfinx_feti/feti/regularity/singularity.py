@@ -38,6 +38,7 @@ from dolfinx_feti.feti.regularity.motions import (
     triangles,
     unresisted,
 )
+from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["require_held", "require_regular", "require_regular_interior"]
@@ -252,7 +253,9 @@ def _unresisted(W: Array, rigid: Motions) -> Array:
         return W
     both = np.hstack([operator.forces(W), operator.sizes(W)])
     R = triangles(both, np.zeros(len(W), dtype=np.int64), 1, rigid.torn.comm)[0]
-    return np.asarray(W @ unresisted(R[:, :m], R[:, m:], definite=rigid.definite))
+    parts = R[:, :m], R[:, m:]
+    C = on_all(lambda: unresisted(*parts, definite=rigid.definite), rigid.torn.comm)
+    return np.asarray(W @ C)
 
 
 def _without(rigid: Motions, W: Array) -> Array:

@@ -23,6 +23,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.native import address_of, load, pointer
 
 __all__ = ["PanelCode", "Panels", "load_panels"]
@@ -58,7 +59,8 @@ class PanelCode:
 def load_panels(comm: MPI.Comm) -> PanelCode:
     """Load the code, which is compiled at first use. Collective."""
     source, flags = Path(__file__).with_name("panels.c"), ("-O3", "-fopenmp-simd")
-    return PanelCode(load(source, DECLARATIONS, comm, flags=flags))
+    module = load(source, DECLARATIONS, comm, flags=flags)
+    return on_all(lambda: PanelCode(module), comm)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,10 +25,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse
 
 from dolfinx_feti.feti.dual.linear_map import LinearMap
 from dolfinx_feti.feti.gluing.weights import Weights
-from dolfinx_feti.feti.subdomain.blocks import block_diagonal
+from dolfinx_feti.feti.subdomain.blocks import block_diagonal, on_subdomains
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.panels import Panels
 
@@ -53,9 +54,15 @@ class Preconditioner(ABC):
         """Take K, S, B_D and the columns Z of K₊ = K + Z Zᵀ on the dofs of each matrix."""
         self.operator = operator
         self.B_D = LinearMap(weights.B_D)
-        self.stabilisation = [self.condense_stabilisation(i, Z_i) for i, Z_i in enumerate(Z)]
         self._Γ = np.concatenate([*operator.interface, np.zeros(0, dtype=np.int32)])
-        self._Y_Z = block_diagonal(self.stabilisation)
+        self.stabilisation, self._Y_Z = on_subdomains(
+            lambda: self._stabilisation(Z), operator.torn.comm
+        )
+
+    def _stabilisation(self, Z: Sequence[Array]) -> tuple[list[Array], scipy.sparse.csr_array]:
+        """Return Y_Z of each subdomain, and of all together."""
+        blocks = [self.condense_stabilisation(i, Z_i) for i, Z_i in enumerate(Z)]
+        return blocks, block_diagonal(blocks)
 
     def apply(self, r: Array) -> tuple[Array, Array]:
         """Return z = M r, (m,), and the unbalanced force t, (n,), of a jump r, (m,). Collective."""

@@ -35,6 +35,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.connectivity import coupled_nodes, load_graph_code
 from dolfinx_feti.runtime.native import address_of, load, pointer
 from dolfinx_feti.runtime.petsc_library import Rows, function
@@ -108,7 +109,8 @@ class FrontCode:
 def load_fronts(comm: MPI.Comm) -> FrontCode:
     """Load the code, which is compiled at first use. Collective."""
     graph = load_graph_code(comm)
-    return FrontCode(load(Path(__file__).with_name("multifrontal.c"), DECLARATIONS, comm), graph)
+    module = load(Path(__file__).with_name("multifrontal.c"), DECLARATIONS, comm)
+    return on_all(lambda: FrontCode(module, graph), comm)
 
 
 def load_fronts_for(prefix: str, comm: MPI.Comm) -> FrontCode | None:
