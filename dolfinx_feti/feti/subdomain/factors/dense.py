@@ -27,7 +27,7 @@ import scipy.linalg.blas as blas
 import scipy.linalg.lapack as lapack
 
 from dolfinx_feti.errors import FactorError
-from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.feti.subdomain.factors.protocol import Pivots, require_alive
 from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.runtime.native import address_of
 
@@ -143,6 +143,7 @@ class DenseFactor:
 
     def solve(self, Y: Array, *, transpose: bool = False) -> Array:
         """Return S_ρ⁻¹ Y, (n,) or (n, r)."""
+        require_alive(self._n >= 0)
         if Y.size == 0:
             return np.zeros(Y.shape)
         if self._interchanges is not None:
@@ -159,6 +160,7 @@ class DenseFactor:
 
     def solver(self) -> Callable[[Array], Array]:
         """Return what applies S_ρ⁻¹ to columns, (n, r), until the work space serves another one."""
+        require_alive(self._n >= 0)
         if self._X.ndim == 2 or self._n == 0:
             return self.solve
         L = unpack(self._X, self._n, self._work)
@@ -175,7 +177,7 @@ class DenseFactor:
 
     def destroy(self) -> None:
         """Free the factor."""
-        self._X = np.zeros(0)
+        self._X, self._n = np.zeros(0), -1
 
 
 def pack(S: Array) -> Array:

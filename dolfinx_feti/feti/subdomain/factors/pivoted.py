@@ -32,7 +32,7 @@ from dolfinx_feti.feti.subdomain.factors.direct import (
     solve_many,
     takes_ldlt,
 )
-from dolfinx_feti.feti.subdomain.factors.protocol import Factor, Pivots
+from dolfinx_feti.feti.subdomain.factors.protocol import Factor, Pivots, require_alive
 
 __all__ = ["PivotedFactor", "factor_with_pivots"]
 
@@ -72,6 +72,7 @@ class PivotedFactor:
 
     def solve(self, Y: Array, *, transpose: bool = False) -> Array:
         """Return K_ρ⁻¹ Y, or K_ρ⁻ᵀ Y, (n,) or (n, r)."""
+        require_alive(bool(self._pc))
         F = self._pc.getFactorMatrix()
         if Y.ndim == 1:
             self._b.array[: self._n] = Y

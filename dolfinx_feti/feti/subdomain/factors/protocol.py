@@ -17,7 +17,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Factor", "Pivots", "sum_negative"]
+__all__ = ["Factor", "Pivots", "require_alive", "sum_negative"]
 
 Array = npt.NDArray[np.float64]
 
@@ -48,7 +48,13 @@ class Factor(Protocol):
         """Return the memory of the factor in MiB."""
 
     def destroy(self) -> None:
-        """Free the factor."""
+        """Free the factor, which solves nothing from then on."""
+
+
+def require_alive(alive: bool) -> None:
+    """Refuse to solve with a destroyed factor, before a library reads memory that is free."""
+    if not alive:
+        raise RuntimeError("the factor has been destroyed: factor the matrix again")
 
 
 def sum_negative(factors: Iterable[Factor]) -> int | None:

@@ -20,7 +20,7 @@ import scipy.linalg.blas as blas
 import scipy.linalg.lapack as lapack
 
 from dolfinx_feti.feti.subdomain.factors.dense import PackedMatrix, unpack
-from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.feti.subdomain.factors.protocol import Pivots, require_alive
 
 __all__ = ["ROUNDING", "SingleFactor", "factor_in_single"]
 
@@ -46,6 +46,7 @@ class SingleFactor:
 
     def solve(self, Y: Array, *, transpose: bool = False) -> Array:
         """Return S_ρ⁻¹ Y, (n,) or (n, r)."""
+        require_alive(self._n >= 0)
         if Y.ndim == 2:
             return self.solver()(Y)
         y, size = _scaled(Y)
@@ -55,6 +56,7 @@ class SingleFactor:
 
     def solver(self) -> Callable[[Array], Array]:
         """Return what applies S_ρ⁻¹ to columns, (n, r), until the work space serves another one."""
+        require_alive(self._n >= 0)
         L = unpack(self._L, self._n, self._work.view(np.float32))
 
         def solve(Y: Array) -> Array:
@@ -71,7 +73,7 @@ class SingleFactor:
 
     def destroy(self) -> None:
         """Free the factor."""
-        self._L = np.zeros(0, dtype=np.float32)
+        self._L, self._n = np.zeros(0, dtype=np.float32), -1
 
 
 def factor_in_single(S: PackedMatrix, R: Array, rho: float) -> SingleFactor | None:

@@ -5,10 +5,14 @@
 
 from __future__ import annotations
 
+from petsc4py import PETSc
+
 import numpy as np
 import pytest
 
 from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor, PackedMatrix, pack
+from dolfinx_feti.feti.subdomain.factors.direct import Choice
+from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
 from dolfinx_feti.feti.subdomain.factors.single import ROUNDING, factor_in_single
 from dolfinx_feti.feti.subdomain.nullspace import growth
 
@@ -53,6 +57,33 @@ def test_half_the_memory():
     assert single.memory() == 0.5 * double.memory()
     single.destroy()
     assert single.memory() == 0.0
+
+
+@pytest.mark.parametrize("kind", ["single", "dense", "indefinite", "singular", "pivoted"])
+def test_destroyed_factor_raises(kind):
+    """A vector, columns of either number, and none; memory that is free is not read."""
+    packed, S, R = block(40, 1e-3)
+    matrix = PETSc.Mat().createDense(S.shape, array=S, comm=PETSc.COMM_SELF)
+    if kind == "single":
+        factor = factor_in_single(packed, R, RHO)
+    elif kind == "pivoted":
+        rows = np.arange(40, dtype=np.int32)
+        sparse = matrix.convert(PETSc.Mat.Type.SEQAIJ, PETSc.Mat())
+        factor = PivotedFactor(sparse, rows, Choice("some_", True, 8), R, RHO)
+        sparse.destroy()
+    else:
+        d = {"dense": 1.0, "indefinite": -1.0, "singular": 0.0}[kind]
+        S = np.diag(np.r_[d, np.ones(39)])
+        factor = DenseFactor(PackedMatrix(pack(np.asfortranarray(S)), 40, np.empty(1600)))
+    matrix.destroy()
+    shapes = [(40,), (40, 3), (40, 9), (40, 0)]
+    for shape in shapes:
+        assert np.isfinite(factor.solve(np.ones(shape))).all()
+    factor.destroy()
+    factor.destroy()
+    for shape in shapes:
+        with pytest.raises(RuntimeError, match="has been destroyed"):
+            factor.solve(np.ones(shape))
 
 
 def test_error_is_that_of_the_growth():
