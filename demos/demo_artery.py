@@ -98,10 +98,10 @@ with refusals(parser):
     case, source, scale = None, args.mesh, 1.0
     if args.wall:
         case = read_case(args.wall, comm)
-        if case.image or case.has_residual_stress:
+        if case.image or case.has_residual_stress or case.cavities:
             raise ValueError(
-                f"{args.wall}: leave out [image], opening_angle and axial_stretch: this wall is at "
-                "rest and free of stress"
+                f"{args.wall}: leave out [image], [cavity], opening_angle and axial_stretch: this "
+                "wall is at rest, free of stress, and under a given pressure"
             )
         source = case.mesh if case.mesh in CREATE else args.wall.parent / case.mesh
         scale = case.scale

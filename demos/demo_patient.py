@@ -85,8 +85,9 @@ with refusals(parser):
             f"{args.case}: [image] pressure = {case.image:g}: give a number above zero, and below "
             f"the {case.pressure:g} mmHg of [surfaces], where to arrive"
         )
-    for key, given in (("[prestretch]", case.axis), ("[loading] rate", case.rate)):
-        if given is not None:
+    others = {"[prestretch]": case.axis, "[loading] rate": case.rate, "[cavity]": case.cavities}
+    for key, given in others.items():
+        if given:
             raise ValueError(f"{args.case}: {key} has no effect in this demo: leave it out")
 tissues = case.layers.items()
 c, k1, k2, angles, opening_angles, stretches = (

@@ -10,7 +10,16 @@ windkessel, couplings.
 from dolfinx_feti.scalars.arc_length import ArcLength
 from dolfinx_feti.scalars.cavity import Cavity
 from dolfinx_feti.scalars.constraints import mean_value, rigid_motions
+from dolfinx_feti.scalars.couplings import create_cavities
 from dolfinx_feti.scalars.equations import ScalarEquation
 from dolfinx_feti.scalars.windkessel import Windkessel
 
-__all__ = ["ArcLength", "Cavity", "ScalarEquation", "Windkessel", "mean_value", "rigid_motions"]
+__all__ = [
+    "ArcLength",
+    "Cavity",
+    "ScalarEquation",
+    "Windkessel",
+    "create_cavities",
+    "mean_value",
+    "rigid_motions",
+]

@@ -1,12 +1,14 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The couplings of a problem, checked against each other and its Dirichlet conditions."""
+"""The couplings of a problem, checked against each other and its conditions, or those of a case."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+
+import numpy as np
 
 import dolfinx
 import ufl
@@ -14,8 +16,16 @@ import ufl
 from dolfinx_feti.scalars.cavity import Cavity
 from dolfinx_feti.scalars.equations import Coupling
 from dolfinx_feti.scalars.windkessel import Windkessel
+from dolfinx_feti.wall.case import Filling
+from dolfinx_feti.wall.wall import AXES, Wall, surface_measure
 
-__all__ = ["all_equations", "checked_couplings", "refuse_condensed_fields", "works"]
+__all__ = [
+    "all_equations",
+    "checked_couplings",
+    "create_cavities",
+    "refuse_condensed_fields",
+    "works",
+]
 
 
 def checked_couplings(
@@ -82,6 +92,30 @@ def refuse_condensed_fields(
                 f"{found}, which each cell eliminates alone: state it in u, such as κ (J − 1) for "
                 "a pressure, or do not condense the field."
             )
+
+
+def create_cavities(
+    wall: Wall, u: dolfinx.fem.Function, cavities: Mapping[str, Filling]
+) -> list[Cavity | Windkessel]:
+    """Return the cavities and Windkessels of a case, in its order, for ``scalars=``.
+
+    Args:
+        wall: The wall.
+        u: Its displacement [mm].
+        cavities: What fills them, by the name of their surface.
+
+    Raises:
+        ValueError: The surface of one encloses no volume.
+
+    Note:
+        Collective.
+    """
+    couplings: list[Cavity | Windkessel] = []
+    for name, given in cavities.items():
+        axis = None if given.axis is None else np.eye(3)[AXES.index(given.axis)]
+        cavity = Cavity(u, surface_measure(wall)(wall.surfaces[name]), given.volume, axis=axis)
+        couplings.append(Windkessel(cavity, **given.windkessel) if given.windkessel else cavity)
+    return couplings
 
 
 def works(couplings: Sequence[Coupling]) -> list[ufl.Form]:

@@ -8,7 +8,7 @@ casefile, boundary, laplace, fibres, opening.
 """
 
 from dolfinx_feti.wall.boundary import Boundary, apply_conditions
-from dolfinx_feti.wall.case import Case, Tissue
+from dolfinx_feti.wall.case import Case, Filling, Tissue
 from dolfinx_feti.wall.casefile import read_case
 from dolfinx_feti.wall.conditions import Clamp, Dashpot, Pressure, Slide, Spring
 from dolfinx_feti.wall.reading import read_wall
@@ -28,6 +28,7 @@ __all__ = [
     "Case",
     "Clamp",
     "Dashpot",
+    "Filling",
     "Pressure",
     "Slide",
     "Spring",

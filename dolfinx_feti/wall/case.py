@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A wall under pressure: the materials of its layers, and the conditions on its surfaces."""
+"""A wall and its load: materials of its layers, conditions on its surfaces, and its cavities."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from dolfinx_feti.mechanics.values import require_not_negative, require_positive, require_within
-from dolfinx_feti.wall.conditions import Condition, Dashpot
+from dolfinx_feti.wall.conditions import Condition, Dashpot, Pressure
 from dolfinx_feti.wall.wall import AXES, Wall
 
-__all__ = ["Case", "Tissue", "meant", "require"]
+__all__ = ["Case", "Filling", "Tissue", "meant", "require"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,20 +46,45 @@ class Tissue:
 
 
 @dataclass(frozen=True, slots=True)
+class Filling:
+    """What governs the volume of a cavity, whose pressure is an unknown: one of the first two.
+
+    Attributes:
+        volume: To be enclosed [mm³].
+        windkessel: Its resistance [kPa s/mm³], compliance [mm³/kPa], and perhaps impedance.
+        axis: That of a tube with open ends, ``"x"``, ``"y"`` or ``"z"``; None for a closed surface.
+    """
+
+    volume: float | None = None
+    windkessel: dict[str, float] = field(default_factory=dict)
+    axis: str | None = None
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if (self.volume is None) == (not self.windkessel):
+            raise ValueError(f"volume={self.volume}: give a volume or a windkessel, one of them")
+        if self.volume is not None:
+            require_positive(volume=self.volume)
+        require_positive(**self.windkessel)
+        require(self.axis in (None, *AXES), f"axis={self.axis!r}: choose 'x', 'y', 'z' or None")
+
+
+@dataclass(frozen=True, slots=True)
 class Case:
-    """A wall under pressure.
+    """A wall under pressure, or with cavities that are filled.
 
     Attributes:
         mesh: Name of the mesh, as in the file.
         layers: Their materials.
         conditions: Those on the surfaces; the largest share of the pressure is 1.
-        pressure: Where to arrive [mmHg].
+        pressure: Where to arrive [mmHg]; 0 where all pressures are those of cavities.
         scale: Millimetres in the mesh's unit of length.
         image: The pressure under which the wall has the shape of the mesh [mmHg]; 0 at rest.
         rate: By how much the pressure grows [mmHg/s]; None without dashpots.
         axis: Axis of the prestretch; None for none.
         stretch: The prestretch [-].
         fibres: Arguments of :func:`~dolfinx_feti.wall.fibres.fibre_frame`.
+        cavities: What fills them, by the name of their surface.
     """
 
     mesh: str
@@ -72,17 +97,26 @@ class Case:
     axis: str | None = None
     stretch: float = 1.0
     fibres: dict[str, Any] = field(default_factory=dict)
+    cavities: dict[str, Filling] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the values."""
-        require_positive(pressure=self.pressure, scale=self.scale, stretch=self.stretch)
+        require_positive(scale=self.scale, stretch=self.stretch)
+        if self.pressure or not self.cavities:
+            require_positive(pressure=self.pressure)
         require_not_negative(image=self.image)
         if self.rate is not None:
             require_positive(rate=self.rate)
         require(self.axis in (None, *AXES), f"axis={self.axis!r}: choose 'x', 'y', 'z' or None")
         has = f"stretch={self.stretch}: has no effect without an axis"
         require(self.axis or self.stretch == 1.0, has)
-        dashpots = any(isinstance(c, Dashpot) for given in self.conditions.values() for c in given)
+        for name in self.cavities:
+            loaded = any(isinstance(c, Pressure) for c in self.conditions.get(name, ()))
+            has = f"[surfaces.{name}] pressure: leave it out, [cavity.{name}] determines it"
+            require(not loaded, has)
+        dashpots = self.pressure > 0.0 and any(
+            isinstance(c, Dashpot) for given in self.conditions.values() for c in given
+        )
         has = (
             "no dashpot has an effect without it" if dashpots else "has no effect without dashpots"
         )
@@ -102,10 +136,12 @@ class Case:
         for kind, given, known in (
             ("layer", self.layers, wall.layers),
             ("surface", self.conditions, wall.surfaces),
+            ("surface", self.cavities, wall.surfaces),
         ):
+            table = "cavity" if given is self.cavities else f"{kind}s"
             for name in given:
                 has = f"it has {', '.join(known) or 'none'}{meant(name, known)}"
-                require(name in known, f"[{kind}s.{name}]: the wall has no {kind} {name!r}; {has}")
+                require(name in known, f"[{table}.{name}]: the wall has no {kind} {name!r}; {has}")
         for name in wall.layers:
             require(name in self.layers, f"[layers.{name}] is missing: give the layer's material")
 

@@ -20,7 +20,7 @@ from mpi4py import MPI
 
 from dolfinx_feti.mechanics.loads import mmhg
 from dolfinx_feti.runtime.collective import on_first
-from dolfinx_feti.wall.case import Case, Tissue, meant, require
+from dolfinx_feti.wall.case import Case, Filling, Tissue, meant, require
 from dolfinx_feti.wall.conditions import (
     Clamp,
     Condition,
@@ -121,12 +121,24 @@ SURFACE = {
     "direction": _choice("normal", "all"),
     "hold": _choice("clamp", "slide"),
 }
+#: A millilitre is 1000 mm³.
+WINDKESSEL = {
+    "resistance": _number({"kPa s/mm³": 1.0, "mmHg s/ml": 1e-3 / MMHG}),
+    "compliance": _number({"mm³/kPa": 1.0, "ml/mmHg": 1e3 * MMHG}),
+    "impedance": _number({"kPa s/mm³": 1.0, "mmHg s/ml": 1e-3 / MMHG}),
+}
+CAVITY = {
+    "volume": _number({"mm³": 1.0, "ml": 1e3}),
+    "axis": _choice(*"xyz"),
+    "windkessel": WINDKESSEL,
+}
 ENDS = 'give a list of texts, as ["opening_1", "opening_2"]', _texts
 KEYS = {
     "mesh": TEXT,
     "scale": _number({"": 1.0}),
     "layers": {"*": LAYER},
     "surfaces": {"*": SURFACE},
+    "cavity": {"*": CAVITY},
     "image": {"pressure": PRESSURE},
     "fibres": {"inner": TEXT, "outer": TEXT, "ends": ENDS, "inlet": TEXT},
     "prestretch": {"axis": _choice(*"xyz"), "stretch": _number({"": 1.0})},
@@ -181,22 +193,33 @@ def _create_case(words: dict[str, Any]) -> Case:
         message = f"[surfaces.{name}] direction: has no effect without a spring or a dashpot"
         require(spring or dashpot or "direction" not in s, message)
     by_surface(conditions)  # nothing acts on a clamped surface
-    require(pressures, "surfaces: name the surface under pressure, as [surfaces.lumen]")
+    cavities = words.get("cavity", {})
+    for name, given in cavities.items():
+        if "windkessel" in given:
+            place, why = f"cavity.{name}.windkessel", "give a positive number"
+            _need(given["windkessel"], place, ["resistance", "compliance"], why)
+        one = "give a volume or a windkessel, one of them"
+        require(("volume" in given) != ("windkessel" in given), f"[cavity.{name}]: {one}")
+    has = "surfaces: name the surface under pressure, as [surfaces.lumen], or a cavity"
+    require(pressures or cavities, has)
     rate = words.get("loading", {}).get("rate")
-    if any("dashpot" in s for s in surfaces.values()):
+    if pressures and any("dashpot" in s for s in surfaces.values()):
         require(rate, "[loading] rate is missing: dashpots need the rate of the pressure [mmHg/s]")
     else:
-        require(rate is None, f"[loading] rate = {rate}: has no effect without a dashpot")
+        require(
+            rate is None, f"[loading] rate = {rate}: has no effect without a dashpot and a pressure"
+        )
     if "prestretch" in words:
         _need(words["prestretch"], "prestretch", ["axis", "stretch"], "both are needed")
     return Case(
         mesh=words["mesh"],
         layers={name: Tissue(**layer) for name, layer in layers.items()},
         conditions=conditions,
-        pressure=max(pressures.values()),
+        pressure=max(pressures.values(), default=0.0),
         scale=words.get("scale", 1.0),
         image=words.get("image", {}).get("pressure", 0.0),
         rate=rate,
         fibres=words.get("fibres", {}),
+        cavities={name: Filling(**given) for name, given in cavities.items()},
         **words.get("prestretch", {}),
     )

@@ -13,10 +13,14 @@ from collective import COMM, agree, equal, raises
 from demo_runs import DEMOS, EXAMPLE
 from wall_files import ROOT, on_first
 
+import dolfinx
+
 from dolfinx_feti import loads
+from dolfinx_feti.scalars import Windkessel, create_cavities
 from dolfinx_feti.wall import (
     Clamp,
     Dashpot,
+    Filling,
     Pressure,
     Slide,
     Spring,
@@ -89,6 +93,51 @@ def test_prestretch_and_fibres(read):
     agree(case.fibres == {"inner": "in", "ends": ["a", "b"]}, case.fibres)
 
 
+CAVITY = LEAST.replace("[surfaces.lumen]\npressure = 1.0\n", "[cavity.lumen]\n")
+VESSELS = '[cavity.lumen.windkessel]\nresistance = "2 mmHg s/ml"\ncompliance = "1 ml/mmHg"\n'
+
+
+def test_cavities(read):
+    """A volume or a Windkessel, in any unit, of a wall whose ends are held."""
+    wall = read_wall(EXAMPLE, COMM)
+    u = dolfinx.fem.Function(dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 1, (3,))))
+    case = read(f'{CAVITY}volume = "2 ml"\n{CLAMP}')
+    case.check(wall)
+    (cavity,) = create_cavities(wall, u, case.cavities)
+    equal([case.pressure, float(cavity.volume.value)], [0.0, 2000.0], 1e-12)
+    case = read(CAVITY + VESSELS)
+    given, mmhg = case.cavities["lumen"].windkessel, loads.mmhg(1.0)
+    equal([given["resistance"], given["compliance"]], [2e-3 * mmhg, 1e3 / mmhg], 1e-12)
+    (windkessel,) = create_cavities(wall, u, case.cavities)
+    agree(isinstance(windkessel, Windkessel) and windkessel.cavity.present_volume() > 0.0)
+    # of a tube with open ends, by its axis
+    agree(read(f'{CAVITY}volume = 1\naxis = "x"\n').cavities["lumen"] == Filling(1.0, axis="x"))
+
+
+@pytest.mark.parametrize(
+    ("more", "match"),
+    [
+        ("", r"\[cavity.lumen\]: give a volume or a windkessel"),
+        ("volume = 1\n" + VESSELS, r"\[cavity.lumen\]: give a volume or a windkessel"),
+        ("volume = 0", r"\[cavity.lumen\] volume = 0: give a positive number in mm³"),
+        ('volume = "1 l"', "volume = '1 l': .*mm³, ml"),
+        ("volumes = 1", "volumes = 1: there is no such key.*'volume'"),
+        ('volume = 1\naxis = "r"', r"\[cavity.lumen\] axis = 'r': choose one of"),
+        (VESSELS.replace('"2 mmHg s/ml"', "-1"), r"lumen.windkessel\] resistance = -1: give a pos"),
+        (VESSELS.replace("compliance", "impedance"), r"impedance = '1 ml/mmHg': give a positive"),
+        ("windkessel = 3", "windkessel = 3: this is to be a table"),
+        ("[cavity.lumen.windkessel]\nresistance = 1", r"windkessel\] compliance is missing: give"),
+        (
+            "volume = 1\n[surfaces.lumen]\npressure = 1",
+            r"\[surfaces.lumen\] pressure: leave it out",
+        ),
+    ],
+)
+def test_cavities_that_are_refused(read, more, match):
+    with raises(ValueError, f"wall.toml.*{match}"):
+        read(CAVITY + more)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "match"),
     [
@@ -156,6 +205,10 @@ def test_no_file(tmp_path):
     ("more", "match"),
     [
         (CLAMP.replace("opening_1", "openin_1"), r"\[surfaces.openin_1\]: the wall has no surface"),
+        (
+            "[cavity.lume]\nvolume = 1\n",
+            r"\[cavity.lume\]: the wall has no surface 'lume'.*did you mean 'lumen'",
+        ),
         (
             CLAMP + "[layers.fat]\nc = 1\n",
             r"\[layers.fat\]: the wall has no layer 'fat'; it has med",
