@@ -79,7 +79,8 @@ def refuse_condensed_fields(
     Raises:
         ValueError: An equation of scalars holds a field, or the residual of a field a scalar.
     """
-    for field, F_p in zip(fields, residuals, strict=True):
+    for field, residual in zip(fields, residuals, strict=True):
+        F_p = ufl.algorithms.expand_derivatives(residual)  # works of scalars have no derivative
         for i, coupling in enumerate(couplings):
             equation = coupling.equation
             if any(field in c.coefficients() for c in equation.equations):
