@@ -32,6 +32,7 @@ from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace
 from dolfinx_feti.fem.kernels.kernel import Kernel, create_kernel
 from dolfinx_feti.fem.regions import separate
+from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.native import load, pointer
 from dolfinx_feti.torn.matrix import create_torn_matrix
@@ -51,6 +52,7 @@ __all__ = [
     "dolfinx_form",
     "integrate",
     "locate",
+    "prescribe",
     "require_no_coupling",
     "split_form",
     "torn_form",
@@ -153,15 +155,21 @@ def require_no_coupling(form: ufl.Form) -> None:
     """Refuse integrals that couple cells otherwise than by common dofs.
 
     Raises:
-        ValueError: The form has other integrals than those over cells and exterior facets.
+        ValueError: The form has other integrals than those over cells, exterior facets and points.
     """
     kinds = {integral.integral_type() for integral in form.integrals()}
-    for kind in sorted(kinds - {"cell", "exterior_facet"}):
+    if "vertex" in kinds and not compat.has_vertex_integrals():
+        raise ValueError(
+            "The form has integrals over vertices, dP, which dolfinx assembles from 0.10 on: "
+            "install that, or add the forces to the vector that problem.solver.solve takes."
+        )
+    for kind in sorted(kinds - {"cell", "exterior_facet", "vertex"}):
         raise ValueError(
             f"The form has {kind.replace('_', '-')} integrals, which have no torn counterpart "
-            "(those over interior facets, dS, couple subdomains): use a form with dx and ds only. "
-            "Values on a surface inside are integrated from one side, by a ds with the cells of "
-            "dolfinx_feti.fem.facets.one_side; jumps of gradients cannot be torn."
+            "(those over interior facets, dS, couple subdomains): use a form with dx and ds only, "
+            "and dP over vertices. Values on a surface inside, as of a membrane, are integrated "
+            "from one side, by a ds with the cells of dolfinx_feti.fem.facets.one_side. Jumps and "
+            "gradients across facets cannot be torn: solve such a problem by dolfinx, with MUMPS."
         )
 
 
@@ -315,21 +323,31 @@ def create_matis(
         stiffness: Stiffness of each torn dof for the stiffness scaling, (n_torn,).
         symmetric: Whether ``K`` is known to be symmetric, by its form.
     """
-    V = space.V
-    bs = V.dofmap.index_map_bs
-    index_map = V.dofmap.index_map
-    sizes = (index_map.size_local * bs, index_map.size_global * bs)
-    owned = np.flatnonzero(dirichlet_mask(V, bcs))
-    dirichlet = owned + index_map.local_range[0] * bs
-    return create_torn_matrix(
+    bs, index_map = space.V.dofmap.index_map_bs, space.V.dofmap.index_map
+    A = create_torn_matrix(
         K,
         space.to_global,
-        sizes,
-        comm=V.mesh.comm,
-        dirichlet=dirichlet,
+        (index_map.size_local * bs, index_map.size_global * bs),
+        comm=space.V.mesh.comm,
         stiffness=stiffness,
         symmetric=symmetric,
     )
+    prescribe(A, dirichlet_mask(space.V, bcs))
+    return A
+
+
+def prescribe(A: PETSc.Mat, dirichlet: npt.NDArray[np.bool_]) -> None:
+    """Let a torn matrix have these Dirichlet dofs, and no others.
+
+    Args:
+        A: The torn matrix.
+        dirichlet: Mask of the owned dofs, (owned,).
+
+    Note:
+        Collective.
+    """
+    dofs = np.flatnonzero(dirichlet) + A.getOwnershipRange()[0]
+    A.compose("dirichlet", PETSc.IS().createGeneral(dofs.astype(PETSc.IntType), comm=A.comm))
 
 
 def dirichlet_mask(

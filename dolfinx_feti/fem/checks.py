@@ -34,7 +34,8 @@ def check_scalar_type() -> None:
     if np.dtype(PETSc.ScalarType) != np.float64:
         raise TypeError(
             f"PETSc's scalars are {np.dtype(PETSc.ScalarType)}, but dolfinx_feti needs real double "
-            "precision (float64): point PETSC_DIR and PETSC_ARCH to such a build."
+            "precision (float64): point PETSC_DIR and PETSC_ARCH to such a build. There, a complex "
+            "unknown is a real one of two components; or solve it by dolfinx, with MUMPS."
         )
 
 
@@ -60,7 +61,8 @@ def check_space(V: dolfinx.fem.FunctionSpace) -> None:
         raise TypeError(
             f"The space has the element {element}, but tearing needs a continuous element, scalar "
             "or blocked: use ('Lagrange', k) or ('Lagrange', k, (dim,)), perhaps enriched by "
-            "bubbles (basix.ufl.enriched_element)."
+            "bubbles (basix.ufl.enriched_element). Solve methods that need H(div), H(curl) or "
+            "discontinuous unknowns by dolfinx, with MUMPS."
         )
 
 

@@ -28,6 +28,8 @@ ROUNDING = 1e-12
 def attach_near_kernel(A: PETSc.Mat, V: dolfinx.fem.FunctionSpace, u: Vector | None = None) -> None:
     """Attach constants and, for displacements, the rotations of the deformed body.
 
+    A near null space of the user's stays.
+
     Args:
         A: Torn matrix on V.
         V: Space with block size bs; rotations are included if bs is the spatial dimension. Dofs
@@ -41,13 +43,25 @@ def attach_near_kernel(A: PETSc.Mat, V: dolfinx.fem.FunctionSpace, u: Vector | N
     modes = [one[:, None] * direction for direction in np.eye(bs)]
     if bs == gdim:
         modes += [x @ spin.T for spin in _spins(gdim)]
+    x[one != 1.0] = np.nan  # such a dof is at no point
+    if _is_users(A):
+        points = PETSc.Vec().createMPI((x.size, None), comm=A.comm)
+        points.array[:] = x.ravel()
+        A.compose("coordinates", points)
+        return
     vectors = []
     for mode in modes:
         vector = A.createVecRight()
         vector.array[:] = np.ravel(mode)
         vectors.append(vector)
-    x[one != 1.0] = np.nan  # such a dof is at no point
     set_near_kernel(A, vectors, x)
+    A.setAttr("own near kernel", A.getNearNullSpace().handle)
+
+
+def _is_users(A: PETSc.Mat) -> bool:
+    """Whether A has a near null space that is not attached here."""
+    space = A.getNearNullSpace()
+    return bool(space.handle) and space.handle != A.getAttr("own near kernel")
 
 
 def _linear_fields(V: dolfinx.fem.FunctionSpace) -> tuple[Vector, Vector]:

@@ -6,9 +6,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from mpi4py import MPI
+
+import numpy as np
 
 import dolfinx
 import ufl
@@ -117,6 +119,26 @@ def require_forms(**forms: object) -> None:
         if not isinstance(form, ufl.Form):
             raise ValueError(f"{name} is {form!r}: give a form of UFL.")
         refuse_mixed_form(name, form)
+        require_real_data(name, form)
+
+
+def require_real_data(name: str, form: ufl.Form) -> None:
+    """Refuse coefficients and constants that are no real numbers in double precision.
+
+    Args:
+        name: Of the argument.
+        form: The form.
+
+    Raises:
+        TypeError: One has other numbers.
+    """
+    for f in (*form.coefficients(), *form.constants()):
+        dtype = np.dtype(getattr(f, "dtype", np.float64))
+        if dtype != np.float64:
+            raise TypeError(
+                f"{name} contains {f}, of type {dtype}, but forms are real (float64) here: give "
+                "its real and imaginary parts as two functions of dtype numpy.float64."
+            )
 
 
 def require_function(u: object) -> None:
@@ -130,26 +152,25 @@ def require_function(u: object) -> None:
         raise ValueError(f"u is {u!r}: give a dolfinx.fem.Function.")
 
 
-def warn_unused(comm: MPI.Comm, *, entity_maps: object, **unused: object) -> None:
+def warn_unused(comm: MPI.Comm, unused: Mapping[str, object]) -> None:
     """Log which arguments have no effect here, and refuse forms on several meshes.
 
     Args:
         comm: Communicator of the problem.
-        entity_maps: Refused, unless it is None or empty.
-        unused: Other arguments by their names; None stands for not given.
+        unused: Arguments by their names; None stands for not given.
 
     Raises:
         ValueError: There are maps between meshes.
     """
-    if entity_maps:
+    if unused["entity_maps"]:
         raise ValueError(
             "entity_maps relates several meshes, but only forms on one mesh can be torn: put "
             "coefficients on the mesh of the unknown."
         )
-    given = " and ".join(name for name, value in unused.items() if value is not None)
-    if given:
+    named = [k for k, value in unused.items() if k != "entity_maps" and value is not None]
+    if named:
         warn(
-            f"Without effect: {given}. FETI has a preconditioner and a matrix (MATIS) of its own; "
-            "leave it out.",
+            f"Without effect: {' and '.join(named)}. FETI has a preconditioner and a matrix "
+            "(MATIS) of its own; leave it out.",
             comm,
         )

@@ -67,14 +67,14 @@ class Direction:
 class Directions:
     """The directions of the steps of a solve.
 
-    From one solve to the next it keeps whether a tangent of the problem has been regular: then the
-    Dirichlet conditions are enough.
+    From one solve to the next it keeps with which Dirichlet dofs a tangent of the problem has been
+    regular: then these conditions are enough.
     """
 
     def __init__(self, system: System) -> None:
         """Take the system."""
         self._system = system
-        self._supported = False
+        self._enough: npt.NDArray[np.bool_] | None = None  # others have another mask
         self.begin(moved=False, refuse=False, guess=False)
 
     def begin(self, *, moved: bool, refuse: bool, guess: bool) -> None:
@@ -111,7 +111,7 @@ class Directions:
             failed = reason == Reason.DIVERGED_PCSETUP_FAILED
             if sigma == 0.0:
                 indefinite = proved_negative(feti)
-                self._supported = self._supported or not failed
+                self._enough = self._enough if failed else system.dirichlet
             if reason != Reason.DIVERGED_INDEFINITE_MAT:
                 iterations.append(feti.iterations)
             elif refuse:
@@ -145,7 +145,7 @@ class Directions:
         """Say why there is no direction, and what helps."""
         if not feti.message:
             return self._stop("indefinite")
-        on_the_way = self._supported or self._guess
+        on_the_way = self._enough is self._system.dirichlet or self._guess
         if feti.singular and on_the_way:
             return self._stop("singular")
         if on_the_way and (proved_negative(feti) or 0) > 0:

@@ -1,28 +1,50 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The forms of a nonlinear problem: residuals, tangent and energy from what the user gives."""
+r"""The forms of a problem: residuals, tangent and energy from what the user gives.
+
+A linear problem is one Newton step from zero:
+
+.. math:: \begin{pmatrix} A & A_{up} \\ A_{pu} & A_{pp} \end{pmatrix}
+          \begin{pmatrix} u \\ p \end{pmatrix} = \begin{pmatrix} L \\ L_p \end{pmatrix}
+
+is :math:`r(0) + r'(0)\, (u, p) = 0` with the residuals :math:`r_u = A_{up}\, p - L` and
+:math:`r_p = A_{pu}\, u + A_{pp}\, p - L_p`; A u is left out of :math:`r_u`, as it is zero there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 
 import dolfinx
 import ufl
+from ufl import classes
+from ufl.algorithms import extract_coefficients
+from ufl.core.expr import Expr
+from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinx_feti.fem.checks import check_condensed, check_nonlinear_forms
+from dolfinx_feti.fem.checks import check_condensed, check_linear_forms, check_nonlinear_forms
 from dolfinx_feti.fem.quadrature import (
     estimated_quadrature_degree,
     limit_quadrature_degree,
     match_quadrature_degree,
 )
-from dolfinx_feti.problems.arguments import require_forms
+from dolfinx_feti.problems.arguments import checked_conditions, require_forms
 from dolfinx_feti.runtime.collective import warn
 
-__all__ = ["Forms", "condensed_fields", "default_volume_ratio", "derive", "warn_of_degree"]
+__all__ = [
+    "Forms",
+    "LinearForms",
+    "condensed_fields",
+    "default_volume_ratio",
+    "derive",
+    "linear_forms",
+    "warn_of_degree",
+]
 
 #: How often twice the polynomial degree an estimated quadrature degree may be without a warning.
 EXPLOSIVE = 3
@@ -85,7 +107,8 @@ def derive(
     def limited(form: ufl.Form) -> ufl.Form:
         return form if degree is None else limit_quadrature_degree(form, degree)
 
-    require_forms(**{} if isinstance(F, Sequence) else {"F": F})
+    for form in [F] if not isinstance(F, Sequence) else F:
+        require_forms(F=form)
     require_forms(**{n: f for n, f in {"J": J, "energy": energy}.items() if f is not None})
     check_condensed(condense, u)
     symmetric = True if J is None and isinstance(F, ufl.Form) and not F.arguments() else None
@@ -179,9 +202,162 @@ def residuals(
     return F_u, tuple(F_p)
 
 
-def default_volume_ratio(u: dolfinx.fem.Function) -> ufl.core.expr.Expr | None:
+def default_volume_ratio(forms: Forms, u: dolfinx.fem.Function) -> Expr | None:
     """Return det(I + Grad u) of a displacement, None for another unknown."""
     gdim = u.function_space.mesh.geometry.dim
     if u.ufl_shape != (gdim,):
         return None
+    given = [form for form in (forms.F_u, forms.energy) if form is not None]
+    integrands = [integral.integrand() for form in given for integral in form.integrals()]
+    if not any(_is_kinematic(o, u) for i in integrands for o in unique_pre_traversal(i)):
+        return None
     return ufl.det(ufl.Identity(gdim) + ufl.grad(u))
+
+
+def _is_kinematic(o: Expr, u: dolfinx.fem.Function) -> bool:
+    """Whether an expression is one of a displacement alone.
+
+    These are I + Grad u, its determinant and inverse, and Grad uᵀ Grad u, of Green's strain. A
+    diffusion has none of them.
+    """
+    match o:
+        case classes.Determinant() | classes.Inverse() | classes.Cofactor():
+            return _has_gradient(o, u)
+        case classes.Sum():
+            identity = any(isinstance(term, classes.Identity) for term in _terms(o))
+            return identity and _has_gradient(o, u)
+        case classes.Dot() | classes.Product():
+            A, B = map(_matrix, o.ufl_operands)
+            transposed = any(_is_transposed(*pair) for pair in ((A, B), (B, A)))
+            return transposed and _has_gradient(B, u)
+    return False
+
+
+def _is_transposed(A: Expr, B: Expr) -> bool:
+    return isinstance(A, classes.Transposed) and bool(A.ufl_operands[0] == B)
+
+
+def _matrix(o: Expr) -> Expr:
+    """Return the matrix of an entry."""
+    return o.ufl_operands[0] if isinstance(o, classes.Indexed) else o
+
+
+def _terms(o: Expr) -> Iterator[Expr]:
+    """Yield the terms of a sum of sums."""
+    for term in o.ufl_operands:
+        if isinstance(term, classes.Sum):
+            yield from _terms(term)
+        else:
+            yield term
+
+
+def _has_gradient(o: Expr, u: dolfinx.fem.Function) -> bool:
+    """Whether there is a gradient of u in an expression."""
+    gradients = (part for part in unique_pre_traversal(o) if isinstance(part, classes.Grad))
+    return any(u in extract_coefficients(gradient) for gradient in gradients)
+
+
+@dataclass(frozen=True, slots=True)
+class LinearForms:
+    """The forms of a linear problem.
+
+    Attributes:
+        a: The block of u.
+        L: Its right-hand side.
+        u: Zero.
+        F_u: Residual at zero, tested in V.
+        condense: Residual of each field that is condensed, and the field, which is zero.
+    """
+
+    a: ufl.Form
+    L: ufl.Form
+    u: dolfinx.fem.Function
+    F_u: ufl.Form
+    condense: tuple[tuple[ufl.Form, dolfinx.fem.Function], ...]
+
+
+def linear_forms(
+    a: ufl.Form | Sequence[Sequence[ufl.Form | None]],
+    L: ufl.Form | Sequence[ufl.Form | None],
+    u: dolfinx.fem.Function | None,
+    fields: Sequence[dolfinx.fem.Function],
+) -> LinearForms:
+    """Check the forms and write them as residuals at zero.
+
+    Args:
+        a: Bilinear form; its blocks, or a form on a MixedFunctionSpace, if there are fields.
+        L: Linear form.
+        u: Function for the solution, if it is given.
+        fields: What is condensed.
+
+    Raises:
+        ValueError: The forms do not fit each other, u, or the fields.
+        TypeError: A field cannot be condensed.
+    """
+    if not fields:
+        require_forms(a=a, L=L)
+    rows, right = _blocks(a, L, len(fields) + 1)
+    require_forms(a=rows[0][0], L=right[0])
+    check_linear_forms(rows[0][0], right[0], u)
+    V = right[0].arguments()[0].ufl_function_space()
+    checked_conditions(V, None)
+    zero = dolfinx.fem.Function(V)
+    check_condensed(fields, zero)
+    state = [zero, *(dolfinx.fem.Function(p.function_space) for p in fields)]
+    for i, (row, f) in enumerate(zip(rows, state, strict=True)):
+        for j, (form, g) in enumerate(zip(row, state, strict=True)):
+            if form is None:
+                continue
+            require_forms(**{f"a[{i}][{j}]": form})
+            spaces = [v.ufl_function_space() for v in form.arguments()]
+            if spaces != [f.function_space, g.function_space]:
+                raise ValueError(
+                    f"a[{i}][{j}] has test and trial functions on other spaces: test row i in the "
+                    "space of unknown i, which are u and the fields of condense, in their order."
+                )
+    residuals = []
+    for i, row in enumerate(rows):
+        known = [(form, f) for form, f in zip(row, state, strict=True) if (i or f is not zero)]
+        terms = [ufl.action(form, f) for form, f in known if form]
+        terms += [-right[i]] if right[i] else []
+        residuals.append(sum(terms[1:], terms[0]) if terms else ufl.Form([]))
+    fields_at_zero = tuple(zip(residuals[1:], state[1:], strict=True))
+    return LinearForms(rows[0][0], right[0], zero, residuals[0], fields_at_zero)
+
+
+def _blocks(a: Any, L: Any, n: int) -> tuple[list[list[Any]], list[Any]]:
+    """Return the n × n blocks of a and the n of L, with arguments that know no other block.
+
+    Raises:
+        ValueError: There are others.
+    """
+    if n == 1:
+        return [[a]], [L]
+    if isinstance(a, ufl.Form):
+        a = [[_block(a, i, j) for j in range(n)] for i in range(n)]
+    if isinstance(L, ufl.Form):
+        L = [_block(L, i) for i in range(n)]
+    rows = list(a) if isinstance(a, Sequence) else []
+    fits = len(rows) == n and all(isinstance(row, Sequence) and len(row) == n for row in rows)
+    if not fits or not isinstance(L, Sequence) or len(L) != n or not rows[0][0] or not L[0]:
+        raise ValueError(
+            f"condense has {n - 1} field(s): give a as {n} × {n} blocks, such as "
+            f"[[a_uu, a_up], [a_pu, a_pp]], and L as {n} blocks, or both as forms on a "
+            "ufl.MixedFunctionSpace of V and the spaces of the fields."
+        )
+    whole = [[form and _block(form, None, None) for form in row] for row in [*rows, L]]
+    return whole[:n], whole[n]
+
+
+def _block(form: ufl.Form, *parts: int | None) -> ufl.Form | None:
+    """Return the block of parts of the test and the trial function; None if it is zero.
+
+    Its arguments are of their own spaces; a part None is any.
+    """
+    replaced = {}
+    for v in form.arguments():
+        same = parts[v.number()] in (v.part() or 0, None)
+        V, zero = v.ufl_function_space(), classes.Zero(v.ufl_shape)
+        replaced[v] = ufl.Argument(V, v.number()) if same else zero
+    block = ufl.algorithms.expand_derivatives(ufl.replace(form, replaced))
+    return None if block.empty() else block

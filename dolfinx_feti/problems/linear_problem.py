@@ -18,26 +18,20 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.errors import ConvergenceError
-from dolfinx_feti.fem import assembly
-from dolfinx_feti.fem.checks import check_linear_forms, check_scalar_type
+from dolfinx_feti.fem.checks import check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.decomposition import decompose, suggested_number, tear
-from dolfinx_feti.fem.near_kernel import attach_near_kernel
-from dolfinx_feti.problems.arguments import (
-    agreed_prefix,
-    checked_conditions,
-    require_forms,
-    require_function,
-    warn_unused,
-)
+from dolfinx_feti.fem.decomposition import decompose, suggested_number
+from dolfinx_feti.problems.arguments import checked_conditions, require_function
+from dolfinx_feti.problems.forms import condensed_fields, linear_forms
 from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
 from dolfinx_feti.problems.solvers import create_solver
+from dolfinx_feti.problems.system import Residual, System
 from dolfinx_feti.problems.torn_problem import TornProblem
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.petsc_errors import python_errors
 from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.scalars.border import ScalarSystem
-from dolfinx_feti.scalars.couplings import checked_couplings, works
+from dolfinx_feti.scalars.couplings import checked_couplings, refuse_condensed_fields, works
 from dolfinx_feti.scalars.equations import Coupling, ScalarEquation
 from dolfinx_feti.scalars.real_spaces import is_real_function, separated_linear
 
@@ -63,16 +57,9 @@ class LinearProblem(TornProblem):
         A: The torn matrix; ``A.mult`` is the assembled operator.
         b: The assembled right-hand side.
         x: The last solution, without ghosts; u has memory of its own.
-        L: The compiled linear form.
-        bcs: The Dirichlet conditions; their values may change.
-        P_mat: None, for FETI's preconditioner is no matrix.
-        preconditioner: None.
         decomposition: Subdomain of each owned cell.
         history: What the last solve cost, one record.
     """
-
-    P_mat: None = None
-    preconditioner: None = None
 
     def __init__(
         self,
@@ -84,6 +71,9 @@ class LinearProblem(TornProblem):
         form_compiler_options: Mapping[str, object] | None = None,
         jit_options: Mapping[str, object] | None = None,
         *,
+        condense: dolfinx.fem.Function | Sequence[dolfinx.fem.Function] | None = None,
+        near_null_space: PETSc.NullSpace | None = None,
+        null_space: PETSc.NullSpace | None = None,
         subdomains: int | npt.NDArray[np.integer] | None = None,
         seed: int = 0,
         petsc_options_prefix: str | None = None,
@@ -95,13 +85,20 @@ class LinearProblem(TornProblem):
         """Tear the mesh and compile the forms.
 
         Args:
-            a: Bilinear form with cell and exterior-facet integrals; or blocks, with u = [u, s].
-            L: Linear form; or blocks.
+            a: Bilinear form with integrals over cells, exterior facets and vertices; with
+                ``condense``, its blocks [[a_uu, a_up], [a_pu, a_pp]], or one form on a
+                ``ufl.MixedFunctionSpace(V, Q)``; blocks, too, with u = [u, s].
+            L: Linear form; with ``condense`` or u = [u, s] its blocks.
             bcs: Dirichlet conditions.
             u: Function for the solution; created if not given. Or [u, s], s on real spaces.
             petsc_options: Options without prefix, see ``docs/options.md``.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the C compiler and its cache.
+            condense: Functions, or one, for the fields beside u whose dofs no two cells share, such
+                as a discontinuous pressure: they are eliminated cell by cell.
+            near_null_space: What A nearly maps to zero, orthonormal; constants and rotations if not
+                given. As null_space, it may also be attached to ``A``.
+            null_space: What A maps to zero, orthonormal.
             subdomains: Their number over all processes, or a part per owned cell; about one for
                 2000 dofs if not given.
             seed: Another number for another decomposition into as many subdomains; that of one
@@ -122,52 +119,58 @@ class LinearProblem(TornProblem):
             Collective; raises on all processes.
         """
         check_scalar_type()
+        self._given, fields = u, condensed_fields(condense)
         equations: list[ScalarEquation] = []
-        self._given = u
         if isinstance(u, Sequence) and any(map(is_real_function, u)):
-            assert isinstance(a, Sequence) and isinstance(L, Sequence)
-            a, L, u, equations = separated_linear(a, L, u)
-        require_forms(a=a, L=L)
+            a, L, u, equations = separated_linear(a, L, u, fields)
         if u is not None:
             require_function(u)
-        assert isinstance(a, ufl.Form) and not isinstance(u, Sequence)
-        check_linear_forms(a, L, u)
-        V = a.arguments()[0].ufl_function_space()
-        comm = V.mesh.comm
-        self.bcs = on_all(lambda: checked_conditions(V, bcs), comm)
-        warn_unused(comm, P=P, kind=kind, entity_maps=entity_maps)
-        self._prefix = agreed_prefix(petsc_options_prefix, "linear_problem", comm)
-        self._petsc_options = dict(petsc_options or {})
-        self._compiler = Compiler(comm, form_compiler_options, jit_options)
-        self._bilinear = a
-        self.u: dolfinx.fem.Function = dolfinx.fem.Function(V) if u is None else u
-        least = 1 if self.bcs else 2  # a null space is one of several subdomains together
+        assert not isinstance(u, Sequence)
+        self._fields = fields
+        self._forms = forms = linear_forms(a, L, u, fields)
+        V, comm = forms.u.function_space, forms.u.function_space.mesh.comm
+        conditions = on_all(lambda: checked_conditions(V, bcs), comm)
+        super().__init__(
+            V,
+            "linear_problem",
+            prefix=petsc_options_prefix,
+            petsc_options=petsc_options,
+            compiler=Compiler(comm, form_compiler_options, jit_options),
+            unused={"P": P, "kind": kind, "entity_maps": entity_maps},
+        )
+        couplings = [*equations, *checked_couplings(scalars, conditions)]
+        refuse_condensed_fields(couplings, fields, [F_p for F_p, _ in forms.condense])
+        self.u = dolfinx.fem.Function(V) if u is None else u
+        least = 1 if conditions else 2  # a null space is one of several subdomains together
         self.decomposition = decompose(
             V.mesh, suggested_number(V, least) if subdomains is None else subdomains, seed=seed
         )
-        space = tear(V, self.decomposition)
-        self._torn = assembly.torn_form(a, space, self._compiler)
-        self.L = self._compiler.form(L)
-        self._K = assembly.create_local_matrix(space, self._compiler)
-        self.A = assembly.create_matis(space, self._K.mat, self.bcs)
-        self.x, self.b = self.A.createVecs()
-        for name, owned in (("A", self.A), ("x", self.x), ("b", self.b)):
-            owned.setOptionsPrefix(f"{self._prefix}{name}_")
+        system = System(
+            forms.F_u,
+            forms.u,
+            bcs=conditions,
+            J=forms.a,
+            condense=forms.condense,
+            decomposition=self.decomposition,
+            compiler=self._compiler,
+        )
+        self._hold_system(system, near_null_space, null_space)
         self.history: list[NewtonStep] = []
-        couplings = [*equations, *checked_couplings(scalars, self.bcs)]
-        free = ~assembly.dirichlet_mask(V, self.bcs)
         work = sum(works(couplings), ufl.Form([]))
-        self._scalars = ScalarSystem(couplings, self.u, work, self._compiler, free=free)
+        system.scalars = ScalarSystem(
+            couplings, self.u, work, self._compiler, free=~system.dirichlet
+        )
         self.solver = create_solver(self.A, self._prefix, self._petsc_options)
 
     @cached_property
     def a(self) -> dolfinx.fem.Form:
-        """The compiled bilinear form, for other uses: FETI has one on the torn space.
+        """The compiled bilinear form of u, for other uses; as ``L`` collective the first time."""
+        return self._compiler.form(self._forms.a)
 
-        Note:
-            Collective the first time.
-        """
-        return self._compiler.form(self._bilinear)
+    @cached_property
+    def L(self) -> dolfinx.fem.Form:
+        """The compiled linear form of u."""
+        return self._compiler.form(self._forms.L)
 
     def solve(self) -> dolfinx.fem.Function | Sequence[dolfinx.fem.Function]:
         """Assemble and solve.
@@ -182,13 +185,13 @@ class LinearProblem(TornProblem):
             Collective.
         """
         started = time.perf_counter()
-        self._assemble()
+        residual = self._assemble()
         assembled = time.perf_counter()
         with inserted(self._prefix, self._petsc_options), python_errors():
-            if not self._scalars.size:
+            if not self._system.scalars.size:
                 self.solver.solve(self.b, self.x)
             else:
-                self._solve_with_scalars(self._scalars)
+                self._solve_with_scalars(self._system.scalars)
         solved = time.perf_counter()
         feti = self.solver.getPythonContext()
         self.history = [
@@ -204,9 +207,13 @@ class LinearProblem(TornProblem):
             )
         ]
         raise_if_diverged(self.solver)
-        self._scalars.set_values(self._scalars.increment)
+        _, p, s = self._system.increment(residual, self.x.array_r)
+        self._system.scalars.set_values(s)
         self.u.x.array[: self.x.getLocalSize()] = self.x.array_r
         self.u.x.scatter_forward()
+        for field in self._fields:
+            field.x.array[:], p = np.split(p, [len(field.x.array)])
+            field.x.scatter_forward()
         return self.u if self._given is None else self._given
 
     def _solve_with_scalars(self, scalars: ScalarSystem) -> None:
@@ -239,22 +246,15 @@ class LinearProblem(TornProblem):
         """Return the last solution, (owned,)."""
         return np.asarray(self.u.x.array[: self.b.getLocalSize()])
 
-    def _assemble(self) -> None:
-        """Assemble A, its near kernel, and b."""
-        V = self.u.function_space
-        on_all(lambda: assembly.assemble(self._K, self._torn), V.mesh.comm)
-        attach_near_kernel(self.A, V)
-        load = assembly.assemble_owned(self.L)
+    def _assemble(self) -> Residual:
+        """Assemble A, its near kernel, and b, and return the residual at zero."""
+        residual = self._system.residual()
+        self._system.linearise(residual)
+        load = -residual.condensed
         for bc in self.bcs:
             bc.set(load)
         self.b.array[:] = load
-
-    def __del__(self) -> None:
-        """Free the PETSc objects."""
-        for name in ("solver", "A", "x", "b", "_K"):
-            owned = getattr(self, name, None)  # __init__ may have raised
-            if owned is not None:
-                owned.destroy()
+        return residual
 
 
 def raise_if_diverged(ksp: PETSc.KSP) -> None:

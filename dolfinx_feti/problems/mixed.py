@@ -17,6 +17,9 @@ __all__ = ["refuse_blocks", "refuse_mixed_form", "refuse_mixed_space"]
 #: Pressures that are condensed as they are.
 DISCONTINUOUS: dict[object, str] = {basix.ElementFamily.P: "DG", basix.ElementFamily.DPC: "DPC"}
 
+#: Spaces of fluxes and fields, whose parts are continuous across facets.
+FLUXES = (basix.SobolevSpace.HDiv, basix.SobolevSpace.HCurl)
+
 LINES = """\
     V = functionspace(mesh, ("Lagrange", {degree}, ({dim},)))
     Q = functionspace(mesh, {discontinuous})
@@ -94,6 +97,11 @@ def _spaces(part: object) -> Iterator[dolfinx.fem.FunctionSpace]:
 def _instead(parts: Sequence[AbstractFiniteElement], names: Sequence[str] = ()) -> str:
     """Say what to do in place of a problem in several fields."""
     only = ", but only a problem on one continuous space is torn. "
+    if any(part.basix_sobolev_space in FLUXES for part in parts):
+        return (
+            f"{only}Solve it by dolfinx, with MUMPS or a field split; or solve −div(k ∇p) = f for "
+            "p alone, in ('Lagrange', k), and interpolate the flux −k ∇p."
+        )
     vectors = [i for i, part in enumerate(parts) if len(part.reference_value_shape) == 1]
     if len(parts) != 2 or len(vectors) != 1 or parts[1 - vectors[0]].reference_value_shape:
         return f"{only}Solve it by dolfinx, with MUMPS or a field split."
@@ -108,8 +116,11 @@ def _instead(parts: Sequence[AbstractFiniteElement], names: Sequence[str] = ()) 
         discontinuous=_discontinuous(parts[1 - k]),
     )
     return (
-        f"{only}Condense a discontinuous pressure:\n\n{lines}\n"
-        f"F_p has to contain {p}, as in (J - 1 - {p}/kappa)*q, and bcs are conditions on V."
+        f"{only}Condense a discontinuous pressure of an elastic solid:\n\n{lines}\n"
+        f"F_p has to contain {p}, as in (J - 1 - {p}/kappa)*q, and bcs are conditions on V. The "
+        "blocks of a linear problem are taken as they are, LinearProblem(a, L, bcs=bcs, "
+        f"condense={p}). A pressure that is continuous, or has no term of its own, as in Stokes' "
+        "equations, is solved by dolfinx, with MUMPS or a field split."
     )
 
 

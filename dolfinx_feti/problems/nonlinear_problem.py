@@ -26,13 +26,7 @@ from dolfinx_feti.fem.content import content_of
 from dolfinx_feti.fem.decomposition import decompose, suggested_number
 from dolfinx_feti.fem.internal_variables import create_internal_variables
 from dolfinx_feti.feti.solver import FETI
-from dolfinx_feti.problems.arguments import (
-    agreed_prefix,
-    checked_conditions,
-    missing,
-    require_function,
-    warn_unused,
-)
+from dolfinx_feti.problems.arguments import checked_conditions, missing, require_function
 from dolfinx_feti.problems.forms import (
     condensed_fields,
     default_volume_ratio,
@@ -75,17 +69,11 @@ class NonlinearProblem(TornProblem):
         A: The torn tangent; ``A.mult`` is the assembled operator.
         b: The residual of the last iterate, with the pressure condensed into it.
         x: The last iterate, without ghosts; u has memory of its own.
-        bcs: The Dirichlet conditions; their values may change.
         content: Unknowns, and the Functions and Constants in the forms.
-        P_mat: None, for FETI's preconditioner is no matrix.
-        preconditioner: None.
         volume_changes: The greatest abs(mean J − 1) of a cell after each Newton solve of the last
             :meth:`solve` with a ``volume_tolerance``.
         decomposition: Subdomain of each owned cell.
     """
-
-    P_mat: None = None
-    preconditioner: None = None
 
     def __init__(
         self,
@@ -107,6 +95,8 @@ class NonlinearProblem(TornProblem):
         quadrature_degree: int | None = None,
         volume_ratio: Expr | None = None,
         scalars: Sequence[Coupling] = (),
+        near_null_space: PETSc.NullSpace | None = None,
+        null_space: PETSc.NullSpace | None = None,
         P: ufl.Form | None = None,
         kind: str | None = None,
         entity_maps: Sequence[object] | None = None,
@@ -142,10 +132,15 @@ class NonlinearProblem(TornProblem):
             quadrature_degree: Highest degree of the integrals that state none; UFL's estimates, as
                 in dolfinx, if not given.
             volume_ratio: Expression that every iterate keeps positive at all points of a quadrature
-                of this degree, or of twice that of u; det(I + Grad u) if not given and u is a
-                displacement.
+                of this degree, or of twice that of u. If not given, it is det(I + Grad u) where
+                the forms show that u is a displacement: they contain I + Grad u, Grad uᵀ Grad u, or
+                a determinant or inverse of an expression in Grad u.
             scalars: Scalar unknowns beside u with their equations, such as cavities whose volume is
                 prescribed (:mod:`dolfinx_feti.scalars`). Those on real spaces belong to u and F.
+            near_null_space: What the tangent nearly maps to zero, orthonormal; constants and the
+                rotations of the deformed body if not given. As null_space, it may also be attached
+                to ``A``.
+            null_space: What every tangent maps to zero, orthonormal.
             P: Without effect, as a preconditioner of dolfinx's.
             kind: Without effect, as a type of dolfinx's matrices.
             entity_maps: None; several meshes cannot be torn.
@@ -164,12 +159,17 @@ class NonlinearProblem(TornProblem):
         assert isinstance(u, dolfinx.fem.Function)
         V = u.function_space
         comm = V.mesh.comm
-        self.bcs = on_all(lambda: checked_conditions(V, bcs), comm)
-        warn_unused(comm, P=P, kind=kind, entity_maps=entity_maps)
-        self._prefix = agreed_prefix(petsc_options_prefix, "nonlinear_problem", comm)
-        self._petsc_options = dict(petsc_options or {})
+        conditions = on_all(lambda: checked_conditions(V, bcs), comm)
+        super().__init__(
+            V,
+            "nonlinear_problem",
+            prefix=petsc_options_prefix,
+            petsc_options=petsc_options,
+            compiler=Compiler(comm, form_compiler_options, jit_options),
+            unused={"P": P, "kind": kind, "entity_maps": entity_maps},
+        )
         fields = condensed_fields(condense)
-        couplings = [*blocks, *coupled.checked_couplings(scalars, self.bcs)]
+        couplings = [*blocks, *coupled.checked_couplings(scalars, conditions)]
         degree, work = quadrature_degree, coupled.works(couplings)
         forms = derive(F, u, J=J, condense=fields, energy=energy, degree=degree, work=work)
         coupled.refuse_condensed_fields(couplings, fields, forms.F_p)
@@ -180,24 +180,24 @@ class NonlinearProblem(TornProblem):
         self.decomposition = decompose(
             V.mesh, suggested_number(V) if subdomains is None else subdomains, seed=seed
         )
-        self._compiler = Compiler(comm, form_compiler_options, jit_options)
         self._residual, self._tangent = forms.F_u, forms.J
-        self._system = System(
+        system = System(
             forms.F_u,
             u,
-            bcs=self.bcs,
+            bcs=conditions,
             J=forms.J,
             condense=list(zip(forms.F_p, fields, strict=True)),
             energy=None if couplings else forms.energy,
-            volume_ratio=default_volume_ratio(u) if volume_ratio is None else volume_ratio,
+            volume_ratio=default_volume_ratio(forms, u) if volume_ratio is None else volume_ratio,
             quadrature_degree=twice if quadrature_degree is None else quadrature_degree,
             decomposition=self.decomposition,
             compiler=self._compiler,
             symmetric=forms.symmetric,
             scalars=couplings,
         )
+        self._hold_system(system, near_null_space, null_space)
         if volume_tolerance is not None:
-            prepare(self._system, volume_tolerance)
+            prepare(system, volume_tolerance)
         self._volume_tolerance = volume_tolerance
         parts = (forms.F_u, *forms.F_p, forms.energy, *coupled.all_equations(couplings))
         self.content = content_of((u, *fields), parts)
@@ -206,12 +206,8 @@ class NonlinearProblem(TornProblem):
         )
         self._history: list[NewtonStep] = []
         self.volume_changes: list[float] = []
-        self.A, self._condensation = self._system.A, self._system.condensation
-        self._newton = Newton(self._system)
-        self.x, self.b = self.A.createVecs()
-        for name, owned in (("A", self.A), ("x", self.x), ("b", self.b)):
-            owned.setOptionsPrefix(f"{self._prefix}{name}_")
-        feti = FETI(newton=True, refuse_indefinite=self._system.has_potential)
+        self._newton = Newton(system)
+        feti = FETI(newton=True, refuse_indefinite=system.has_potential)
         self.solver = create_newton_solver(
             self._newton, feti, self.A, self._prefix, self._petsc_options
         )
@@ -386,10 +382,3 @@ class NonlinearProblem(TornProblem):
     def renew(self) -> None:
         """Let the next solve begin with a preconditioner of its own, and no Ritz vectors."""
         self.solver.getKSP().getPythonContext().renew()
-
-    def __del__(self) -> None:
-        """Free the PETSc objects."""
-        for name in ("solver", "x", "b", "_system"):
-            owned = vars(self).get(name)  # __init__ may have raised
-            if owned is not None:
-                owned.destroy()

@@ -5,17 +5,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
+import dolfinx
+
 from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.diagnosis.result import Diagnosis
 from dolfinx_feti.diagnosis.run import diagnose
-from dolfinx_feti.fem.condensation import Blocks, Condensation
+from dolfinx_feti.fem.assembly import dirichlet_mask, prescribe
+from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.fem.condensation import Blocks
 from dolfinx_feti.fem.decomposition import Decomposition
+from dolfinx_feti.problems.arguments import agreed_prefix, checked_conditions, warn_unused
 from dolfinx_feti.problems.solvers import create_solver
+from dolfinx_feti.problems.system import System
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["TornProblem"]
@@ -25,15 +33,91 @@ class TornProblem:
     """A problem whose linear systems are torn.
 
     Attributes:
-        A: The torn matrix.
+        u: The unknown.
+        solver: PETSc's solver.
+        A: The torn matrix; ``A.mult`` is the assembled operator.
+        b: A vector of the assembled problem, as ``x`` without ghosts.
+        x: Another one.
+        P_mat: None, for FETI's preconditioner is no matrix.
+        preconditioner: None.
         decomposition: Subdomain of each owned cell.
     """
 
+    P_mat: None = None
+    preconditioner: None = None
+    u: dolfinx.fem.Function
+    solver: PETSc.KSP | PETSc.SNES
     A: PETSc.Mat
     decomposition: Decomposition
-    _prefix: str
-    _petsc_options: dict[str, object]
-    _condensation: Condensation | None = None
+    _system: System
+
+    def __init__(
+        self,
+        V: dolfinx.fem.FunctionSpace,
+        kind: str,
+        *,
+        prefix: str | None,
+        petsc_options: Mapping[str, object] | None,
+        compiler: Compiler,
+        unused: Mapping[str, object],
+    ) -> None:
+        """Check what both problems take.
+
+        Args:
+            V: Space of the unknown.
+            kind: Begins the prefix if none is given.
+            prefix: Prefix of all options.
+            petsc_options: Options without prefix.
+            compiler: How forms are compiled.
+            unused: Arguments without effect.
+
+        Raises:
+            ValueError: A bad prefix, or maps between meshes.
+        """
+        warn_unused(V.mesh.comm, unused)
+        self._prefix = agreed_prefix(prefix, kind, V.mesh.comm)
+        self._petsc_options = dict(petsc_options or {})
+        self._compiler = compiler
+
+    def _hold_system(
+        self,
+        system: System,
+        near_null_space: PETSc.NullSpace | None,
+        null_space: PETSc.NullSpace | None,
+    ) -> None:
+        """Take the torn system, and what the user knows of the kernel of its matrix."""
+        self._system, self.A = system, system.A
+        for given, attach in (
+            (near_null_space, self.A.setNearNullSpace),
+            (null_space, self.A.setNullSpace),
+        ):
+            if given is not None:
+                attach(given)
+        self.x, self.b = self.A.createVecs()
+        for name, owned in (("A", self.A), ("x", self.x), ("b", self.b)):
+            owned.setOptionsPrefix(f"{self._prefix}{name}_")
+
+    @property
+    def bcs(self) -> tuple[dolfinx.fem.DirichletBC, ...]:
+        """The Dirichlet conditions. Others may be assigned: the next solve meets them.
+
+        Raises:
+            ValueError: What is assigned is no list of conditions on the space of the unknown, or
+                leaves a scalar unknown without a solution.
+
+        Note:
+            Assignment is collective.
+        """
+        return tuple(self._system.bcs)
+
+    @bcs.setter
+    def bcs(self, bcs: Sequence[dolfinx.fem.DirichletBC] | None) -> None:
+        system, V = self._system, self._system.u.function_space
+        conditions = on_all(lambda: checked_conditions(V, bcs), V.mesh.comm)
+        dirichlet = dirichlet_mask(V, conditions)
+        system.scalars.prescribe(conditions, free=~dirichlet)
+        system.bcs, system.dirichlet = list(conditions), dirichlet
+        prescribe(self.A, dirichlet)
 
     def linear_system(self) -> tuple[PETSc.Mat, PETSc.Vec]:
         """Assemble the torn system of the next solve.
@@ -49,7 +133,7 @@ class TornProblem:
     @property
     def condenses(self) -> bool:
         """Whether fields are condensed."""
-        return self._condensation is not None
+        return self._system.condensation is not None
 
     def condensed_blocks(self) -> tuple[npt.NDArray[np.int32], Blocks]:
         """Assemble what was condensed into the matrix, at the present state.
@@ -64,11 +148,12 @@ class TornProblem:
         Note:
             Collective.
         """
-        if self._condensation is None:
+        condensation = self._system.condensation
+        if condensation is None:
             raise ValueError("No field of this problem is condensed.")
-        torn = self._condensation.dofs()
+        torn = condensation.dofs()
         dofs = self.A.getLGMap()[0].apply(torn.ravel()).reshape(torn.shape)
-        return dofs, on_all(self._condensation.assemble, self.A.comm.tompi4py())
+        return dofs, on_all(condensation.assemble, self.A.comm.tompi4py())
 
     def _approximation(self) -> npt.NDArray[np.float64] | float:
         """Return the x of the present state, (owned,), or one value for all."""
@@ -112,3 +197,10 @@ class TornProblem:
             prefix=self._prefix,
             known=self._known_advice(),
         )
+
+    def __del__(self) -> None:
+        """Free the PETSc objects."""
+        for name in ("solver", "x", "b", "_system"):
+            owned = vars(self).get(name)  # __init__ may have raised
+            if owned is not None:
+                owned.destroy()

@@ -21,6 +21,7 @@ __all__ = [
     "geometry_degree",
     "geometry_dofmap",
     "gmsh_permutation",
+    "has_vertex_integrals",
     "interpolation_points",
     "package_version",
     "residual_is_nan",
@@ -78,6 +79,12 @@ def gmsh_permutation(cell: str, nodes: int) -> npt.NDArray[np.int64]:
     """Return the places in Gmsh's order of the nodes in dolfinx's, (nodes,)."""
     kind = getattr(dolfinx.mesh.CellType, cell)
     return np.asarray(dolfinx.cpp.io.perm_gmsh(kind, nodes), dtype=np.int64)
+
+
+def has_vertex_integrals() -> bool:
+    """Tell whether dolfinx assembles integrals over vertices: from 0.10 on."""
+    major, minor, *_ = dolfinx.__version__.split(".")  # type: ignore[attr-defined]
+    return (int(major), int(minor)) >= (0, 10)
 
 
 def interpolation_points(V: dolfinx.fem.FunctionSpace) -> npt.NDArray[np.float64]:

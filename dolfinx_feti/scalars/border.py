@@ -92,9 +92,8 @@ class ScalarSystem:
         Note:
             Collective.
         """
-        self._couplings, self._free, self._checked = couplings, free, False
-        self._comm = compiler.comm
-        self._solver = BorderedSolver()
+        self._couplings, self._comm = couplings, compiler.comm
+        self._hold(free)
         v = ufl.TestFunction(u.function_space)
 
         def compiled(form: ufl.Form | None) -> dolfinx.fem.Form | None:
@@ -128,6 +127,29 @@ class ScalarSystem:
         self._owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
         self.border = self._zero()
         self.increment: Array = np.zeros(first)
+
+    def prescribe(
+        self, bcs: Sequence[dolfinx.fem.DirichletBC], *, free: npt.NDArray[np.bool_]
+    ) -> None:
+        """Meet other Dirichlet conditions.
+
+        Args:
+            bcs: The conditions.
+            free: Mask of the dofs that they leave free, (owned,).
+
+        Raises:
+            ValueError: A coupling has no solution with them.
+
+        Note:
+            Collective; raises on all processes.
+        """
+        for coupling in self._couplings:
+            coupling.check(bcs)
+        self._hold(free)
+
+    def _hold(self, free: npt.NDArray[np.bool_]) -> None:
+        """Begin with other free dofs: independence is to be checked, and springs to be found."""
+        self._free, self._checked, self._solver = free, False, BorderedSolver()
 
     def values(self) -> Array:
         """Return s, (m,)."""

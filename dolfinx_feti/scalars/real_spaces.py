@@ -89,9 +89,10 @@ def separated(
 
 
 def separated_linear(
-    a: Sequence[Sequence[ufl.Form | None]],
-    L: Sequence[ufl.Form],
+    a: ufl.Form | Sequence[Sequence[ufl.Form | None]],
+    L: ufl.Form | Sequence[ufl.Form | None],
     u: Sequence[dolfinx.fem.Function],
+    condensed: Sequence[dolfinx.fem.Function] = (),
 ) -> tuple[ufl.Form, ufl.Form, dolfinx.fem.Function, list[ScalarEquation]]:
     """Take the scalars out of a linear problem that is stated in blocks.
 
@@ -99,6 +100,7 @@ def separated_linear(
         a: Bilinear forms, a row for each of u.
         L: Linear forms.
         u: The unknown and the scalars.
+        condensed: Fields to be condensed: none, as blocks of three kinds have no order.
 
     Returns:
         a and L of the unknown, the unknown, and the equations of the scalars.
@@ -106,6 +108,16 @@ def separated_linear(
     Raises:
         ValueError: See :func:`separated`.
     """
+    if condensed:
+        raise ValueError(
+            "u holds scalars on real spaces, and condense is given: give the scalars by scalars=, "
+            "with a and L the blocks of u and the condensed fields."
+        )
+    if not isinstance(a, Sequence) or not isinstance(L, Sequence):
+        raise ValueError(
+            "u holds scalars on real spaces, but a and L are not blocks: give a as "
+            "[[a_uu, a_us], [a_su, a_ss]] and L as [L_u, L_s]."
+        )
     (k, *others) = [i for i, w in enumerate(u) if not is_real_function(w)] or [0]
     a_uu = a[k][k]
     if others or a_uu is None or len(a) != len(u) or len(L) != len(u):

@@ -117,7 +117,7 @@ def set_near_kernel(
 
     Args:
         A: Torn matrix.
-        modes: Linearly independent vectors; orthonormalised in place by Gram–Schmidt.
+        modes: Linearly independent vectors; orthonormalised in place.
         coordinates: Where the owned blocks of dofs are, (owned blocks, dimension of space), NaN at
             no point; with them, the message about a singular problem tells what moves, and where.
 
@@ -133,9 +133,8 @@ def set_near_kernel(
     A.setNearNullSpace(space)
     space.destroy()
     if coordinates is not None:
-        points = PETSc.Vec().createMPI((coordinates.size, None), comm=A.comm)
-        points.array[:] = coordinates.ravel()
-        A.compose("coordinates", points)
+        points = np.array(coordinates, dtype=np.float64).ravel()
+        A.compose("coordinates", PETSc.Vec().createWithArray(points, comm=A.comm))
 
 
 def set_condensed(A: PETSc.Mat, pressures: int) -> None:
@@ -334,14 +333,16 @@ class Torn:
         Raises:
             SetUpError: None is attached and the matrix is blocked.
         """
-        modes = self.A.getNearNullSpace().getVecs() if self.A.getNearNullSpace().handle else []
+        space = self.A.getNearNullSpace()
+        modes = [self.tear(mode) for mode in space.getVecs()] if space.handle else []
+        modes += [np.ones(self.n)] if space.handle and space.hasConstant() else []
         if not modes and self.A.getBlockSize() > 1:
             raise SetUpError(
                 "The torn matrix carries no near kernel, and with a block size of "
                 f"{self.A.getBlockSize()} none can be guessed: attach the rigid body modes with "
                 "dolfinx_feti.set_near_kernel."
             )
-        return np.column_stack([self.tear(mode) for mode in modes] or [np.ones(self.n)])
+        return np.column_stack(modes or [np.ones(self.n)])
 
     def coordinates(self) -> Array | None:
         """Return where each torn dof is, (n, dimension); None if not attached. Collective."""

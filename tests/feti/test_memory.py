@@ -194,7 +194,7 @@ def test_memory_does_not_grow(what, torn_grid, feti):
         elif what == "solve":
             linear.solve()
         else:
-            linear._K.mat.stateIncrease()
+            linear._system._K.mat.stateIncrease()
             linear.solver.getPythonContext().setUp(linear.solver)
         collect()
 
@@ -216,6 +216,6 @@ def test_one_copy_of_the_matrix():
     linear = create(elasticity(cube(3, 6)))
     linear.solve()
     report = linear.solver.getPythonContext().report()
-    nonzeros = COMM.allreduce(linear._K.mat.getInfo(PETSc.Mat.InfoType.LOCAL)["nz_used"])
+    nonzeros = COMM.allreduce(linear._system._K.mat.getInfo(PETSc.Mat.InfoType.LOCAL)["nz_used"])
     matrix = nonzeros * 12 / 2**20
     agree(report.factor_mib < 6 * max(matrix, report.subdomains), (report.factor_mib, matrix))

@@ -1,0 +1,300 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What a dolfinx script does besides solving: new conditions, kernels, points, condensed blocks."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, raises, small
+from problems import Cell, cube, dirichlet, elasticity, left, poisson, right
+
+import basix.ufl
+import dolfinx
+import dolfinx.fem.petsc
+import ufl
+
+from dolfinx_feti import LinearProblem, NonlinearProblem
+from dolfinx_feti.fem.elements import quadratic_with_bubbles
+from dolfinx_feti.runtime.compat import has_vertex_integrals
+
+RTOL = {"ksp_rtol": 1e-11, "snes_rtol": 1e-10}
+KINDS = [
+    {"feti_type": "all_floating"},
+    {"feti_type": "classical"},
+    {"feti_formulation": "primal"},
+]
+
+
+def direct(a, L, bcs):
+    """Solve by dolfinx, with a factor on one process or GMRES on several."""
+    solver = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
+    prefix = {"petsc_options_prefix": "direct_"} if has_vertex_integrals() else {}
+    before = PETSc.Options().getAll()
+    problem = dolfinx.fem.petsc.LinearProblem(a, L, bcs=bcs, petsc_options=solver, **prefix)
+    for name in PETSc.Options().getAll().keys() - before.keys():
+        PETSc.Options().delValue(name)  # dolfinx 0.9 leaves them
+    return problem.solve().x.array
+
+
+def residual_form(problem):
+    """The same problem as a residual, with its unknown."""
+    u = dolfinx.fem.Function(problem.V)
+    return ufl.action(problem.a, u) - problem.L, u
+
+
+@pytest.mark.parametrize("options", KINDS)
+@pytest.mark.parametrize("make", [poisson, elasticity])
+def test_conditions_are_replaced(make, options):
+    """More dofs, others, another value, one component, and the first ones again."""
+    body = make(cube(2, 6))
+    V, options = body.V, {**RTOL, **options}
+    F, w = residual_form(body)
+    first = [dirichlet(V, left)]
+    linear = LinearProblem(body.a, body.L, bcs=first, subdomains=4, petsc_options=options)
+    nonlinear = NonlinearProblem(F, w, bcs=first, subdomains=4, petsc_options=options)
+    second = [dirichlet(V, right)]
+    component = [dirichlet(V, right, component=1)] if V.dofmap.bs == 2 else []
+    for bcs in (first, [*first, *second], second, first + component, first):
+        linear.bcs = nonlinear.bcs = bcs
+        agree(list(linear.bcs) == list(nonlinear.bcs) == bcs)
+        expected = direct(body.a, body.L, bcs)
+        equal(linear.solve().x.array, expected, 1e-7)
+        nonlinear.solve()
+        equal(w.x.array, expected, 1e-7)
+    with raises(ValueError, r"bcs\[0\] lives on another function space"):
+        linear.bcs = [dirichlet(poisson(cube(2, 2)).V, left)]
+    agree(list(linear.bcs) == first)
+
+
+def test_vector_that_is_no_displacement():
+    """(1 + |u|²) Δu from 5 to 0: w + w³/3 is linear, in any unit of u; steps as in Newton's own."""
+    mesh = cube(2, 8)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    v, x = ufl.TestFunction(V), V.tabulate_dof_coordinates()[:, 0]
+    found = []
+    for unit in (1.0, 1e-3, 1e3):
+        u = dolfinx.fem.Function(V)
+        bcs = []
+        for at, value in ((0.0, 5.0 * unit), (1.0, 0.0)):
+            dofs = dolfinx.fem.locate_dofs_geometrical(V, lambda x, at=at: np.isclose(x[0], at))
+            bcs.append(dolfinx.fem.dirichletbc(np.array([value, 0.0]), dofs, V))
+        k = 1 + ufl.inner(u, u) / unit**2
+        form = k * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
+        NonlinearProblem(form, u, bcs=bcs, subdomains=4).solve()
+        found.append(u.x.array.reshape(-1, 2)[:, 0] / unit)
+        equal(found[-1], found[0], 1e-6)
+    middle = found[0][np.isclose(x[: len(found[0])], 0.5)]
+    agree(np.all(np.abs(middle - 3.8687) < 0.05), middle)
+
+
+def kinematic(u):
+    """Terms that only a displacement has, and how each is written."""
+    gdim = len(u)
+    F = ufl.Identity(gdim) + ufl.grad(u)
+    E = ufl.grad(u) + ufl.grad(u).T + ufl.grad(u).T * ufl.grad(u)
+    G = ufl.variable(F)
+    return {
+        "C": ufl.tr(F.T * F),
+        "J": ufl.ln(ufl.det(F)),
+        "Green": ufl.inner(E, E),
+        "turned": ufl.tr(ufl.grad(u) + ufl.Identity(gdim)) ** 2,
+        "variable": ufl.inner(G, G),
+    }
+
+
+def test_what_tells_a_displacement():
+    """Det F is watched where the forms have kinematics: in an energy, a residual, its parts."""
+    from dolfinx_feti.problems.forms import default_volume_ratio, derive
+
+    V = dolfinx.fem.functionspace(cube(2, 2), ("Lagrange", 1, (2,)))
+    u, v = dolfinx.fem.Function(V), ufl.TestFunction(V)
+
+    def watched(F):
+        forms = derive(F, u, J=None, condense=(), energy=None, degree=None)
+        return default_volume_ratio(forms, u) is not None
+
+    for name, term in kinematic(u).items():
+        agree(watched(term * ufl.dx), name)
+        agree(watched(ufl.derivative(term * ufl.dx, u, v)), name)
+    s = ufl.inner(ufl.grad(u), ufl.grad(u))
+    eps = ufl.sym(ufl.grad(u))
+    sigma = eps + 3 * ufl.tr(eps) * ufl.Identity(2)
+    for F in (s * ufl.dx, (1 + s) ** 1.5 * ufl.dx, ufl.inner(sigma, ufl.grad(v)) * ufl.dx):
+        agree(not watched(F), F)
+
+
+def rigid_body_modes(V):
+    """PETSc's own, of the dofs' points."""
+    x = PETSc.Vec().create(COMM)
+    n = V.dofmap.index_map.size_local
+    x.setSizes((2 * n, None), bsize=2)
+    x.setUp()
+    x.array[:] = V.tabulate_dof_coordinates()[:n, :2].ravel()
+    return PETSc.NullSpace().createRigidBody(x)
+
+
+@pytest.mark.parametrize("nonlinear", [False, True])
+@pytest.mark.parametrize("way", ["argument", "matrix"])
+def test_near_null_space_is_the_users(way, nonlinear):
+    body = elasticity(cube(2, 6))
+    given = rigid_body_modes(body.V)
+    argument = {"near_null_space": given} if way == "argument" else {}
+    bcs = [dirichlet(body.V, left)]
+    common = {"bcs": bcs, "subdomains": 4, "petsc_options": RTOL, **argument}
+    if nonlinear:
+        F, u = residual_form(body)
+        problem = NonlinearProblem(F, u, **common)
+    else:
+        problem = LinearProblem(body.a, body.L, **common)
+    if way == "matrix":
+        problem.A.setNearNullSpace(given)
+    for _ in range(2):
+        found = problem.solve().x.array
+        agree(problem.A.getNearNullSpace().handle == given.handle)
+        equal(found, direct(body.a, body.L, bcs), 1e-7)
+
+
+@pytest.mark.parametrize("nonlinear", [False, True])
+def test_null_space(nonlinear):
+    """Poisson's equation with natural conditions, for a load in balance; the mean is zero."""
+    mesh = cube(2, 8)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
+    u, v, x = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
+    a, L = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, ufl.cos(np.pi * x[0]) * v * ufl.dx
+    constant = PETSc.NullSpace().create(constant=True, comm=COMM)
+    common = {"null_space": constant, "subdomains": 4, "petsc_options": RTOL}
+    if nonlinear:
+        w = dolfinx.fem.Function(V)
+        found = NonlinearProblem(ufl.action(a, w) - L, w, **common).solve()
+    else:
+        found = LinearProblem(a, L, **common).solve()
+    points = V.tabulate_dof_coordinates()[:, 0]
+    small(np.abs(found.x.array - np.cos(np.pi * points) / np.pi**2).max(), 3e-3)
+
+
+def test_force_at_a_point():
+    """A load that no form has, added to the vector."""
+    body = elasticity(cube(2, 6))
+    bcs = [dirichlet(body.V, left)]
+    problem = LinearProblem(body.a, body.L, bcs=bcs, subdomains=4, petsc_options=RTOL)
+    corner = dolfinx.fem.locate_dofs_geometrical(
+        body.V, lambda x: np.isclose(x[0], 1.0) & np.isclose(x[1], 1.0)
+    )
+    owned = corner[corner < body.V.dofmap.index_map.size_local]
+    A, b = problem.linear_system()
+    b.array[2 * owned + 1] += 0.25
+    x = A.createVecRight()
+    problem.solver.solve(b, x)
+    r = A.createVecLeft()
+    A.mult(x, r)
+    free = np.ones(len(r.array), dtype=bool)
+    fixed, _ = bcs[0]._cpp_object.dof_indices()
+    free[fixed[fixed < len(free)]] = False
+    small(np.abs((r.array_r - b.array_r)[free]).max(initial=0.0), 1e-9)
+    agree(COMM.allreduce(len(owned)) == 1)
+    for each in (b, x, r):
+        each.destroy()
+
+
+@pytest.mark.skipif(not has_vertex_integrals(), reason="dolfinx 0.9 has no vertex integrals")
+def test_springs_at_points():
+    """K u v at some vertices, each once in any decomposition."""
+    mesh = cube(2, 6)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    mesh.topology.create_entities(0)
+    points = dolfinx.mesh.locate_entities(mesh, 0, lambda x: x[0] + x[1] < 0.6)
+    tags = dolfinx.mesh.meshtags(mesh, 0, points, np.full(len(points), 3, dtype=np.int32))
+    vertices = ufl.Measure("dP", mesh, subdomain_data=tags)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    a = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + 7.0 * ufl.inner(u, v) * vertices(3)
+    L = v[1] * ufl.dx + v[0] * vertices(3)
+    found = LinearProblem(a, L, subdomains=5, petsc_options=RTOL).solve().x.array
+    equal(found, direct(a, L, []), 1e-7)
+
+
+@pytest.mark.skipif(has_vertex_integrals(), reason="dolfinx assembles them")
+def test_springs_at_points_need_a_newer_dolfinx():
+    body = elasticity(cube(2, 2))
+    u, v = ufl.TrialFunction(body.V), ufl.TestFunction(body.V)
+    vertices = ufl.Measure("dP", body.V.mesh)
+    with raises(ValueError, "dP, which dolfinx assembles from 0.10 on"):
+        LinearProblem(body.a + ufl.inner(u, v) * vertices, body.L)
+
+
+@pytest.mark.parametrize("kind", ["function", "constant"])
+def test_complex_data_are_refused(kind):
+    mesh = cube(2, 2)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
+    f = dolfinx.fem.Function(V, dtype=np.complex128)
+    k = f if kind == "function" else dolfinx.fem.Constant(mesh, np.complex128(1.0 + 2.0j))
+    u, v, w = ufl.TrialFunction(V), ufl.TestFunction(V), dolfinx.fem.Function(V)
+    a = k * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
+    with raises(TypeError, "a contains .*complex128.* real and imaginary parts"):
+        LinearProblem(a, v * ufl.dx)
+    with raises(TypeError, "F contains .*complex128"):
+        NonlinearProblem(ufl.action(a, w), w)
+
+
+PAIRS = [
+    ("triangle", ("DG", 0), 1),
+    ("triangle", ("DG", 1), 1),
+    ("quadrilateral", ("DPC", 1), 1),
+    ("quadrilateral", ("DG", 0), 2),
+]
+
+
+@pytest.mark.parametrize("blocks", [False, True])
+@pytest.mark.parametrize(("cell", "pressure", "fields"), PAIRS)
+def test_condensed_linear_problem(cell, pressure, fields, blocks):
+    """Nearly incompressible elasticity is the nonlinear problem's first step; θ beside p, too."""
+    mesh = cube(2, 5, getattr(Cell, cell))
+    element = basix.ufl.element("Lagrange", cell, 2, shape=(2,))
+    if pressure == ("DG", 1):
+        element = basix.ufl.blocked_element(quadratic_with_bubbles(cell), shape=(2,))
+    V = dolfinx.fem.functionspace(mesh, element)
+    Q = [dolfinx.fem.functionspace(mesh, pressure) for _ in range(fields)]
+    found = [dolfinx.fem.Function(space) for space in Q]
+    bcs, f = [dirichlet(V, left)], ufl.as_vector([0.1, -1.0])
+
+    def left_side(u, v, p, q, theta=None, eta=None):
+        shear = 2 * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
+        if theta is None:
+            return shear + (p * ufl.div(v) + q * ufl.div(u) - p * q / 1e3) * ufl.dx
+        volume = p * ufl.div(v) + q * (ufl.div(u) - theta) + eta * (1e3 * theta - p)
+        return shear + volume * ufl.dx
+
+    W = ufl.MixedFunctionSpace(V, *Q)
+    trials, tests = ufl.TrialFunctions(W), ufl.TestFunctions(W)
+    pairs = [part for pair in zip(trials, tests, strict=True) for part in pair]
+    a, L = left_side(*pairs), ufl.inner(f, tests[0]) * ufl.dx
+    if blocks:
+        a, L = ufl.extract_blocks(a), [L, *[None] * fields]
+    condense = found[0] if fields == 1 else found
+    problem = LinearProblem(a, L, bcs=bcs, condense=condense, subdomains=4, petsc_options=RTOL)
+    agree(problem.condenses)
+    u = problem.solve()
+
+    state = [dolfinx.fem.Function(space) for space in (V, *Q)]
+    each = [ufl.TestFunction(space) for space in (V, *Q)]
+    terms = [part for pair in zip(state, each, strict=True) for part in pair]
+    whole = left_side(*terms) - ufl.inner(f, each[0]) * ufl.dx
+    zero = {v: ufl.classes.Zero(v.ufl_shape) for v in each}
+    F = [ufl.replace(whole, {v: z for v, z in zero.items() if v is not test}) for test in each]
+    NonlinearProblem(
+        F, state[0], bcs=bcs, condense=state[1:], subdomains=3, petsc_options=RTOL
+    ).solve()
+    for ours, theirs in zip([u, *found], state, strict=True):
+        equal(ours.x.array, theirs.x.array, 1e-6)
+
+
+def test_condensed_blocks_that_do_not_fit():
+    body = elasticity(cube(2, 2))
+    p = dolfinx.fem.Function(dolfinx.fem.functionspace(body.V.mesh, ("DG", 0)))
+    with raises(ValueError, r"give a as 2 × 2 blocks, such as \[\[a_uu, a_up\]"):
+        LinearProblem([[body.a]], [body.L], condense=p)
+    with raises(ValueError, r"a\[1\]\[1\] has test and trial functions on other spaces"):
+        LinearProblem([[body.a, None], [None, body.a]], [body.L, None], condense=p)
