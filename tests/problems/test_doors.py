@@ -20,6 +20,7 @@ import ufl
 from dolfinx_feti import LinearProblem, NonlinearProblem
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
 from dolfinx_feti.runtime.compat import has_vertex_integrals
+from dolfinx_feti.scalars import ScalarEquation
 
 RTOL = {"ksp_rtol": 1e-11, "snes_rtol": 1e-10}
 KINDS = [
@@ -298,3 +299,54 @@ def test_condensed_blocks_that_do_not_fit():
         LinearProblem([[body.a]], [body.L], condense=p)
     with raises(ValueError, r"a\[1\]\[1\] has test and trial functions on other spaces"):
         LinearProblem([[body.a, None], [None, body.a]], [body.L, None], condense=p)
+
+
+def test_condensed_linear_problem_beside_scalars():
+    """A mean displacement that is prescribed: the same as with p = κ div u put in by hand."""
+    mesh = cube(2, 4)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+    p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 1)), name="p")
+    bcs, kappa, dx = [dirichlet(V, left)], 1e2, ufl.Measure("dx", mesh)
+
+    def shear(u, v):
+        return 2 * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v)))
+
+    def solved(a, v, **condense):
+        u, s, w = dolfinx.fem.Function(V), dolfinx.fem.Constant(mesh, 0.0), ufl.TestFunction(V)
+        mean = ScalarEquation(s, ((u[1] - 0.1) * dx,), s * w[1] * dx)
+        common = {"u": u, "bcs": bcs, "subdomains": 4, "petsc_options": RTOL, **condense}
+        LinearProblem(a, v[0] * dx, scalars=[mean], **common).solve()
+        found = COMM.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(u[1] * dx)))
+        small(found - 0.1, 1e-9)
+        return u, s.value
+
+    W = ufl.MixedFunctionSpace(V, p.function_space)
+    (u, P), (v, q) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
+    a = (shear(u, v) + P * ufl.div(v) + q * (ufl.div(u) - P / kappa)) * dx
+    ours, force = solved(a, v, condense=p)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    theirs, other = solved((shear(u, v) + kappa * ufl.div(u) * ufl.div(v)) * dx, v)
+    equal(ours.x.array, theirs.x.array, 1e-7)
+    small(force / other - 1.0, 1e-7)
+    error = dolfinx.fem.form((p - kappa * ufl.div(theirs)) ** 2 * dx)
+    small(COMM.allreduce(dolfinx.fem.assemble_scalar(error)), 1e-9)
+
+
+def test_scalars_meet_other_conditions():
+    """New conditions, a cavity's kind of check included, and the first ones again."""
+    body = poisson(cube(2, 6))
+    V, some = body.V, [dirichlet(body.V, left)]
+    u, s = dolfinx.fem.Function(V), dolfinx.fem.Constant(V.mesh, 0.0)
+    dx = ufl.Measure("dx", V.mesh)
+    mean = ScalarEquation(s, ((u - 0.2) * dx,), s * ufl.TestFunction(V) * dx)
+    common = {"u": u, "scalars": [mean], "subdomains": 4, "petsc_options": RTOL}
+    problem = LinearProblem(body.a, body.L, bcs=some, **common)
+    first = problem.solve().x.array.copy()
+    problem.bcs = [dirichlet(V, lambda x: np.full(x.shape[1], True))]
+    with raises(ValueError, "neither depend on a dof of u that is free"):
+        problem.solve()
+    for bcs, expected in (([dirichlet(V, right)], None), (some, first)):
+        problem.bcs = bcs
+        again = problem.solve().x.array.copy()
+        fresh = LinearProblem(body.a, body.L, bcs=bcs, **common).solve().x.array
+        equal(again, fresh if expected is None else expected, 1e-7)
