@@ -31,8 +31,8 @@ KINDS = [
 
 
 def direct(a, L, bcs):
-    """Solve by dolfinx, with a factor on one process or GMRES on several."""
-    solver = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
+    """Solve by dolfinx, with a factor of the whole matrix on each process."""
+    solver = {"ksp_type": "preonly", "pc_type": "redundant"}
     prefix = {"petsc_options_prefix": "direct_"} if has_vertex_integrals() else {}
     before = PETSc.Options().getAll()
     problem = dolfinx.fem.petsc.LinearProblem(a, L, bcs=bcs, petsc_options=solver, **prefix)
