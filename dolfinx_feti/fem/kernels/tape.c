@@ -29,8 +29,23 @@ static void find_functions(void)
 #endif
 }
 
+// Σ a b − Σ a b + Σ c − Σ c at n points, whose sums are in the processor's registers.
+static inline __attribute__((always_inline)) void sum(const int *p, int K, V *R, int n)
+{
+#define FOR for (int k = 0; k < n; ++k)
+#define OF(i) R[(ptrdiff_t)K * p[i] + k]
+    V *const to = R + (ptrdiff_t)K * p[0], s[4] = {{0.0}};
+    const int *const end[] = {p + 5 + p[1], end[0] + p[2], end[1] + p[3], end[2] + p[4]};
+    for (p += 5; p < end[0]; p += 2) FOR s[k] += OF(0) * OF(1);
+    for (; p < end[1]; p += 2) FOR s[k] -= OF(0) * OF(1);
+    for (; p < end[2]; ++p) FOR s[k] += OF(0);
+    for (; p < end[3]; ++p) FOR s[k] -= OF(0);
+    FOR to[k] = s[k];
+}
+
 // Execute instructions at K points, from the point q on.
-static void at_points(const int *p, const Cells *cells, int q, int K, V *R, int width, V *A)
+static inline __attribute__((always_inline)) void at_points(const int *p, const Cells *cells, int q,
+                                                            int K, V *R, int width, V *A)
 {
 #define EACH for (int k = 0; k < K; ++k)
 #define AT(i) (R + (ptrdiff_t)K * p[i])
@@ -110,13 +125,12 @@ static void at_points(const int *p, const Cells *cells, int q, int K, V *R, int 
                 break;
             }
             case SUM: {
-                V *const to = AT(0);
-                const int *const end[] = {p + 5 + p[1], end[0] + p[2], end[1] + p[3], end[2] + p[4]};
-                EACH to[k] = (V){0.0};
-                for (p += 5; p < end[0]; p += 2) EACH to[k] += AT(0)[k] * x;
-                for (; p < end[1]; p += 2) EACH to[k] -= AT(0)[k] * x;
-                for (; p < end[2]; ++p) EACH to[k] += AT(0)[k];
-                for (; p < end[3]; ++p) EACH to[k] -= AT(0)[k];
+                int k = 0;
+                for (; k + 4 <= K; k += 4) sum(p, K, R + k, 4);
+                if (K - k == 3) sum(p, K, R + k, 3);
+                else if (K - k == 2) sum(p, K, R + k, 2);
+                else if (K - k == 1) sum(p, K, R + k, 1);
+                p += 5 + p[1] + p[2] + p[3] + p[4];
                 break;
             }
                 CASE(ADD, 3, x + y)
@@ -127,6 +141,8 @@ static void at_points(const int *p, const Cells *cells, int q, int K, V *R, int 
                 CASE(PRODUCT_SUM, 5, x * y + z * t)
                 CASE(PRODUCT_DIFFERENCE, 5, x * y - z * t)
                 CASE(PRODUCT, 3, x * y)
+                CASE(TRIPLE, 4, x * y * z)
+                CASE(QUADRUPLE, 5, x * y * (z * t))
                 CASE(QUOTIENT, 3, x / y)
                 CASE(LT, 3, x < y)
                 CASE(GT, 3, x > y)
@@ -161,14 +177,20 @@ static void at_points(const int *p, const Cells *cells, int q, int K, V *R, int 
                 for (int l = 0; l < LANES * K; ++l) NUMBERS(0)[l] = functions[p[2]](NUMBERS(1)[l]);
                 p += 3;
                 break;
-            default: return;
+            case END: return;
+            default: __builtin_unreachable();
         }
 }
 
 static void execute(const int *tape, const Cells *cells, int points, V *R, int width, V *A)
 {
-    for (int q = 0; q < points; q += *tape)
-        at_points(tape + 1, cells, q, points - q < *tape ? points - q : *tape, R, width, A);
+    for (int q = 0; q < points; q += *tape) {
+        const int K = points - q < *tape ? points - q : *tape;
+        if (K == 1)  // no loops over points
+            at_points(tape + 1, cells, q, 1, R, width, A);
+        else
+            at_points(tape + 1, cells, q, K, R, width, A);
+    }
 }
 
 // Return a Run.

@@ -40,7 +40,8 @@ FUNCTIONS = "cos sin tan cosh sinh tanh acos asin atan erf".split()
 _CODES = (
     "end store number constant coordinate determinant weight value gradient sum product quotient "
     "power fabs sqrt exp log function choose lt gt le ge eq ne and or not add subtract "
-    "multiply_add multiply_subtract subtract_product product_sum product_difference"
+    "multiply_add multiply_subtract subtract_product product_sum product_difference "
+    "triple quadruple"
 ).split()
 
 #: Sums of two terms, by how many operands of a b, −a b, c, −c they have.
@@ -53,6 +54,9 @@ _SHORT: dict[tuple[int, ...], str] = {
     (4, 0, 0, 0): "product_sum",
     (2, 2, 0, 0): "product_difference",
 }
+
+#: Products, by how many factors they have.
+_PRODUCTS = {2: "product", 3: "triple", 4: "quadruple"}
 
 #: The instructions, for C.
 HEADER = f"""
@@ -179,7 +183,7 @@ class Tape:
         Args:
             outputs: References to what is stored, in this order.
         """
-        instructions = self._instructions(outputs)
+        instructions = _depth_first(self._instructions(outputs), outputs)
         last = {a: v for v, groups in instructions.items() for group in groups for a in group}
         stores: dict[int, list[int]] = {}
         for i, a in enumerate(outputs):
@@ -195,7 +199,8 @@ class Tape:
             value = self._values[v]
             sizes = tuple(map(len, groups)) if value.name == "sum" else ()
             operands = [a for group in groups for a in group]
-            code += [_CODES.index(_SHORT.get(sizes, value.name)), register[v]]
+            name = _PRODUCTS.get(len(operands), "") if value.name == "product" else value.name
+            code += [_CODES.index(_SHORT.get(sizes, name)), register[v]]
             code += () if sizes in _SHORT else sizes
             code += [register[a] for a in operands]
             code += value.integers
@@ -209,26 +214,37 @@ class Tape:
     def _instructions(self, outputs: Sequence[int]) -> dict[int, list[list[int]]]:
         """Return the operands of each instruction, under the value that it computes.
 
-        Those of a sum are of four kinds, a b, −a b, c, −c. Sums and products that one sum alone
-        needs are part of its instruction.
+        Those of a sum are of four kinds, a b, −a b, c, −c. What one sum alone needs is part of its
+        instruction, and so are products that two need, and a product that one other needs.
         """
         values, uses = self._values, Counter(map(abs, outputs))
+        other = set(uses)  # what other instructions than sums need
         for v in reversed(range(len(values))):
             if uses[v]:
                 uses.update(map(abs, values[v].operands))
+                if values[v].name != "sum":
+                    other.update(values[v].operands)
         needed = [v for v in range(len(values)) if uses[v]]
         inner = {
             a
             for v in needed
             if values[v].name == "sum"
             for a in map(abs, values[v].operands)
-            if uses[a] == 1 and values[a].name in ("sum", "product")
+            if (values[a].name == "sum" and uses[a] == 1)
+            or (values[a].name == "product" and a not in other and uses[a] <= 2)
         }
+        products = {v: list(values[v].operands) for v in needed if values[v].name == "product"}
+        for v in reversed(sorted(products.keys() - inner)):
+            for a in products[v] * (v not in inner):
+                if uses[a] == 1 and a in products and len(products[v]) < 4:
+                    inner.add(a)
+                    products[v].remove(a)
+                    products[v] += products[a]
         found: dict[int, list[list[int]]] = {}
         for v in needed:
             if v in inner:
                 continue
-            found[v] = groups = [list(values[v].operands)]
+            found[v] = groups = [products.get(v) or list(values[v].operands)]
             if values[v].name != "sum":
                 continue
             terms, found[v] = groups[0], [[], [], [], []]
@@ -254,6 +270,23 @@ def load_interpreter(comm: MPI.Comm) -> int:
     source = Path(__file__).with_name("tape.c")
     code = load(source, "void *interpreter(void);", comm, generated=HEADER, flags=flags)
     return int(code.ffi.cast("intptr_t", code.lib.interpreter()))
+
+
+def _depth_first(
+    instructions: dict[int, list[list[int]]], outputs: Sequence[int]
+) -> dict[int, list[list[int]]]:
+    """Return instructions, each right after what it needs, so that few registers are in use."""
+    ordered: dict[int, list[list[int]]] = {}
+    stack = [abs(a) for a in reversed(outputs)]
+    while stack:
+        v = stack[-1]
+        operands = {a for group in instructions[v] for a in group} - ordered.keys()
+        if operands:
+            stack += sorted(operands)
+        else:
+            ordered[v] = instructions[v]
+            stack.pop()
+    return ordered
 
 
 def _by_number(a: int) -> tuple[int, int]:
