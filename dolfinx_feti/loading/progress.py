@@ -114,8 +114,7 @@ class Progress:
         self._number += 1
         self._steps.append(step)
         if self._bar is not None:
-            bar = self._bar
-            self._show(lambda: bar.update(abs(step.increment)))
+            self._bar.n = self._covered  # drawn with the next attempt
         newton = step.all_steps
         new = sum(s.tangent_lag == 0 for s in newton)
         tangents = f"{new} tangent{'s' * (new != 1)}"
