@@ -62,7 +62,7 @@ class NoTerminal(io.StringIO):
 
     def write(self, text: str) -> int:
         self.tried += 1
-        raise self.error
+        raise type(self.error)(*self.error.args)  # afresh: a traceback holds the SNES
 
 
 @pytest.mark.parametrize(
