@@ -36,7 +36,7 @@ COMM = MPI.COMM_WORLD
 PREFIX = "test_"
 
 # Whether a compilation takes long depends on the machine; what tests expect in the log does not.
-logging.getLogger("dolfinx_feti.compilation").propagate = False
+logging.getLogger("dolfinx_feti.compilation").disabled = True
 TESTS = Path(__file__).parent
 
 #: What belongs to one cell, one subdomain or one material, is a whole study, or stands upon the

@@ -110,6 +110,11 @@ class Motion:
         """The Functions that a restart needs, beside u."""
         return [self.velocity, self.acceleration, self.filtered]
 
+    @property
+    def numbers(self) -> list[dolfinx.fem.Constant]:
+        """The Constants that a step changes, those of the dashpots that it drives among them."""
+        return [self.dt, self._c, self._d, *(time_step for _, time_step in self._dashpots)]
+
     def drive(self, coefficients: Sequence[dolfinx.fem.Function]) -> None:
         """Let dashpots of this displacement resist its velocity.
 

@@ -68,7 +68,7 @@ class State:
         *,
         unknowns: Iterable[dolfinx.fem.Function] = (),
         histories: Iterable[dolfinx.fem.Function] = (),
-        numbers: Iterable[Number] = (),
+        numbers: Sequence[Number] = (),
     ) -> None:
         """Take what there is.
 
@@ -77,14 +77,15 @@ class State:
             content: The forms, with their unknowns and Constants.
             unknowns: Those that the user names; those of the forms that are not named follow.
             histories: Other Functions that a step changes.
-            numbers: Numbers that are no Constants of the forms.
+            numbers: Numbers that every step may change, Constants of the forms or not.
         """
         self.at, self._content = float(at), content
         self.unknowns = list(dict.fromkeys([*unknowns, *content.unknowns]))
         self.histories = [f for f in dict.fromkeys(histories) if f not in self.unknowns]
         self.numbers: list[Number] = list(dict.fromkeys([*content.constants, *numbers]))
         self._first = [np.array(number.value) for number in self.numbers]
-        self._moving = set(range(len(content.constants), len(self.numbers)))
+        changing = set(map(id, numbers))
+        self._moving = {i for i, number in enumerate(self.numbers) if id(number) in changing}
 
     def copy(self) -> Snapshot:
         """Return a copy."""

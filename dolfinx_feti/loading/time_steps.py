@@ -215,7 +215,9 @@ def follow_time(
         problem.u, *(None if f is None else compiler.form(f) for f in (energy, forces))
     )
     histories = [*problem.internal_variables, *motion.changes]
-    owned = State(start, problem.content, unknowns=state, histories=histories, numbers=[motion.dt])
+    owned = State(
+        start, problem.content, unknowns=state, histories=histories, numbers=motion.numbers
+    )
     return _Times(problem, set_time, steps, owned, motion, energies).follow(
         targets, on_step=on_step, checkpoint=checkpoint, unit=unit
     )

@@ -24,7 +24,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from collective import COMM, agree, small
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 from one_scalar import Block, Law, Scalar, exact
 from programs import finish, start
@@ -197,8 +197,15 @@ class Run:
     derandomize=True,
     database=None,
     deadline=None,
-    phases=[Phase.generate],
+    phases=[Phase.explicit, Phase.generate],
     suppress_health_check=list(HealthCheck),
+)
+@example(  # all steps are of one length
+    law=Law(inertia=1.0, base=0.1),
+    gaps=[0.02, 0.07, 0.07],
+    first=0.05,
+    growth=1.0,
+    events={0: Event("interrupt", 0, False, True), 1: Event("signal", 1, True, True)},
 )
 @given(law=LAWS, gaps=GAPS, first=st.sampled_from([0.03, 0.05, 0.1]),
        growth=st.sampled_from([1.0, 1.5]), events=EVENTS)  # fmt: skip

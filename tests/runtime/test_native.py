@@ -195,7 +195,7 @@ def test_long_compilations_are_told(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(native.cffi.FFI, "compile", slowly)
     for patience, lines in ((60.0, 0), (0.1, 1)):
         monkeypatch.setattr(native, "PATIENCE", patience)
-        monkeypatch.setattr(native.logger, "propagate", True)
+        monkeypatch.setattr(native.logger, "disabled", False)
         caplog.clear()
         flags = (f"-DPATIENCE={patience}",)
         native.load(source, "int slow(void);", COMM, flags=flags, cache=folder / "kept")
