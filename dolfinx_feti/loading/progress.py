@@ -90,7 +90,7 @@ class Progress:
             leave=False,
             position=0,
             dynamic_ncols=True,
-            bar_format="{percentage:3.0f} % {bar:24} {desc}{postfix}",
+            bar_format="{percentage:3.0f} % {bar:10} {desc}{postfix}",
         )
 
     def attempt(self, load: float, to: float) -> None:

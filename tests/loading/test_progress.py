@@ -29,6 +29,8 @@ def terminal(monkeypatch) -> Terminal:
     """Give each process a terminal as stderr."""
     screen = Terminal()
     monkeypatch.setattr("dolfinx_feti.loading.progress.sys", SimpleNamespace(stderr=screen))
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("LINES", "24")
     return screen
 
 
