@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.feti.coarse.gathered import SPREAD, GatheredSolver
-from dolfinx_feti.feti.coarse.graph import CoupledSubdomains, coupled_subdomains
+from dolfinx_feti.feti.coarse.near import CoupledSubdomains, coupled_subdomains
 from dolfinx_feti.feti.coarse.schwarz import SHIFT, SchwarzBlocks
 from dolfinx_feti.feti.solution import CURVATURE
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots

@@ -9,7 +9,8 @@ Subdomain i has :math:`c_i` of the columns of all subdomains as one dense block 
 
 .. math:: \sum_i C_i^⊤ (W_i^⊤ S_i W_i)\, C_i.
 
-All columns of a subdomain are near another one or none: its rows in the sum have the same columns.
+All columns of a subdomain are near another one or none: its rows in the sum have the same columns,
+so that one of them tells which subdomains it is coupled with.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import itertools
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -30,10 +31,11 @@ import scipy.sparse
 from dolfinx_feti.feti.coarse.fields import Fields
 from dolfinx_feti.feti.gluing.copies import star_forest
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
+from dolfinx_feti.runtime.collective import join
 from dolfinx_feti.runtime.native import load, pointer
 from dolfinx_feti.torn.matrix import create_torn_matrix
 
-__all__ = ["NearColumns", "expanded", "joined"]
+__all__ = ["CoupledSubdomains", "NearColumns", "coupled_subdomains", "expanded", "joined"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.integer]
@@ -150,3 +152,41 @@ def expanded(first: Integers, count: Integers) -> Numbers:
 def joined(parts: Sequence[npt.NDArray[Any]], dtype: npt.DTypeLike = float) -> npt.NDArray[Any]:
     """Concatenate arrays of one type, of which there may be none."""
     return np.concatenate([np.zeros(0, dtype), *parts], dtype=dtype)
+
+
+class CoupledSubdomains(NamedTuple):
+    """The subdomains that are coupled with each one of this process, without itself.
+
+    Attributes:
+        starts: First row of each subdomain of all processes, and K, (subdomains + 1,).
+        first: Number of the first subdomain of this process.
+        indptr: Where those of each begin, and the end, (own subdomains + 1,).
+        indices: Their numbers over all processes, ascending, (pairs,).
+    """
+
+    starts: Numbers
+    first: int
+    indptr: Numbers
+    indices: Numbers
+
+
+def coupled_subdomains(N: PETSc.Mat, counts: Numbers) -> CoupledSubdomains:
+    """Find which subdomains N couples; all rows of one have the same columns. Collective.
+
+    Args:
+        N: Coarse matrix, (K, K).
+        counts: Rows of each subdomain of this process.
+    """
+    comm = N.comm.tompi4py()
+    first = N.getOwnershipRange()[0] + np.cumsum(counts) - counts
+    starts = join(first, comm)  # of all subdomains; one without rows begins with the next one
+    own = comm.scan(len(counts)) - len(counts)
+    rows = first[counts > 0]
+    columns = [N.getRow(row)[0] for row in rows.tolist()]
+    subdomain = np.repeat(own + np.flatnonzero(counts), [len(row) for row in columns])
+    near = np.searchsorted(starts, joined(columns, np.int64), side="right") - 1
+    new = (np.diff(near, prepend=-1) != 0) | (np.diff(subdomain, prepend=-1) != 0)
+    new &= near != subdomain
+    lengths = np.bincount(subdomain[new] - own, minlength=len(counts))
+    starts = np.append(starts, N.getSize()[0])
+    return CoupledSubdomains(starts, own, np.cumsum(np.append(0, lengths)), near[new])

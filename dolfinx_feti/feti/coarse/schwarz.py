@@ -21,8 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
-from dolfinx_feti.feti.coarse.graph import CoupledSubdomains
-from dolfinx_feti.feti.coarse.near import expanded
+from dolfinx_feti.feti.coarse.near import CoupledSubdomains, expanded
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["SchwarzBlocks"]

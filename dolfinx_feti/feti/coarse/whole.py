@@ -21,8 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.errors import FactorError
-from dolfinx_feti.feti.coarse.graph import coupled_subdomains
 from dolfinx_feti.feti.coarse.group import copy_of_rows
+from dolfinx_feti.feti.coarse.near import coupled_subdomains
 from dolfinx_feti.feti.subdomain.factors.multifrontal import (
     FrontFactor,
     Fronts,

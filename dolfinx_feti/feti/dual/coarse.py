@@ -35,7 +35,7 @@ import numpy.typing as npt
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.clustered import create_coarse_solver
 from dolfinx_feti.feti.coarse.near import joined
-from dolfinx_feti.feti.dual.preconditioner.base import Preconditioner
+from dolfinx_feti.feti.dual.preconditioner import Preconditioner
 from dolfinx_feti.feti.dual.weighted import WeightedColumns
 from dolfinx_feti.feti.gluing.jump import Gluing
 from dolfinx_feti.feti.gluing.weights import Weights

@@ -25,10 +25,12 @@ from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
 from dolfinx_feti.feti.dual.coarse import Coarse
 from dolfinx_feti.feti.dual.krylov import SYMMETRIC, Method, choose_method, solve
-from dolfinx_feti.feti.dual.preconditioner.base import Preconditioner
-from dolfinx_feti.feti.dual.preconditioner.dirichlet import Dirichlet
-from dolfinx_feti.feti.dual.preconditioner.identity import Identity
-from dolfinx_feti.feti.dual.preconditioner.lumped import Lumped
+from dolfinx_feti.feti.dual.preconditioner import (
+    Dirichlet,
+    Identity,
+    Lumped,
+    Preconditioner,
+)
 from dolfinx_feti.feti.dual.system import DualSystem
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.inertia import Inertia

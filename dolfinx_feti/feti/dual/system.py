@@ -32,7 +32,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.feti.dual.coarse import Coarse
 from dolfinx_feti.feti.dual.linear_map import LinearMap
-from dolfinx_feti.feti.dual.preconditioner.base import Preconditioner
+from dolfinx_feti.feti.dual.preconditioner import Preconditioner
 from dolfinx_feti.feti.gluing.jump import Gluing
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
 from dolfinx_feti.runtime.collective import total
@@ -113,7 +113,7 @@ class DualSystem:
 
         Returns:
             z, (m + K,), and the norm ‖Tᵀ t‖ of the residual of the assembled system that the jump
-            r leaves once s is best, see :mod:`~dolfinx_feti.feti.dual.preconditioner.base`.
+            r leaves once s is best, see :mod:`~dolfinx_feti.feti.dual.preconditioner`.
         """
         r, w = self.project(x[: self.m])
         y, t = self._M.apply(r)  # y = M (r − G w)

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.feti.coarse.fields import jump_fields
 from dolfinx_feti.feti.coarse.near import NearColumns, joined
-from dolfinx_feti.feti.dual.preconditioner.base import Preconditioner
+from dolfinx_feti.feti.dual.preconditioner import Preconditioner
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 

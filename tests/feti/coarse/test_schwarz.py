@@ -12,7 +12,7 @@ import pytest
 import scipy.sparse
 from collective import COMM, agree, equal, raises, whole
 
-from dolfinx_feti.feti.coarse.graph import coupled_subdomains
+from dolfinx_feti.feti.coarse.near import coupled_subdomains
 from dolfinx_feti.feti.coarse.schwarz import SHIFT, SchwarzBlocks
 
 pytestmark = pytest.mark.processes(1, 2, 3, 4, 8)

@@ -15,7 +15,7 @@ from collective import COMM, agree, dense, equal, matrix_of_map, raises, small, 
 from modes import modes_of
 
 from dolfinx_feti.errors import FactorError
-from dolfinx_feti.feti.dual.preconditioner.dirichlet import Dirichlet
+from dolfinx_feti.feti.dual.preconditioner import Dirichlet
 from dolfinx_feti.feti.subdomain import analysis
 from dolfinx_feti.feti.subdomain.analysis import worth_eliminating
 from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor, PackedMatrix, pack
