@@ -42,7 +42,7 @@ from benchmarks.scaling.weak import coarse_problem
 from dolfinx_feti import loads
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.coarse.group import GroupFactor
-from dolfinx_feti.feti.coarse.whole import WholeFactor
+from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
 from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.wall import Wall, read_wall, write_wall
 from dolfinx_feti.wall.fibres import fibre_frame
@@ -212,7 +212,7 @@ def coarse_work(iterate: Callable[[int], object], comm: MPI.Comm) -> Record:
     calls, factor = [], [0.0, 0.0]
 
     def solve(solver: GatheredSolver, b: PETSc.Vec, x: PETSc.Vec, addend: float = 0.0) -> float:
-        if isinstance(solver.factor, WholeFactor):
+        if isinstance(solver.factor, FrontFactor):
             fronts = solver.factor.fronts
             factor[:] = fronts.entries, fronts.flops
         elif isinstance(solver.factor, GroupFactor) and solver.factor.ksp is not None:

@@ -6,13 +6,13 @@
 A solve is one collective call that gives b to all, and a number that each process adds to a sum.
 Each process takes its x from a factor of N: its own (``whole``), or that of its group of processes
 (``group``) where N may be indefinite or is too large, or the options name a solver. Up to
-:data:`SPREAD` rows of N for each process, its rows of the inverse take its place: it reads K²/P
-numbers in a solve, not the entries of the factor twice.
+:data:`SPREAD` rows of N for each process, its rows of the inverse take the place of its own factor:
+it reads K²/P numbers in a solve, not the entries of the factor twice.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from functools import partial
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -23,6 +23,7 @@ import numpy.typing as npt
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.group import GroupFactor
 from dolfinx_feti.feti.coarse.whole import whole_factor
+from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 from dolfinx_feti.runtime.collective import on_all, reason
 from dolfinx_feti.runtime.events import event
@@ -40,26 +41,6 @@ SPREAD = 128
 CONDITION = 1e10
 
 
-class CoarseFactor(Protocol):
-    """A factor of N that a process has, alone or with others. All but ``pivots`` is collective."""
-
-    @property
-    def pivots(self) -> Pivots:
-        """Numbers of negative and zero pivots."""
-
-    def solve(self, b: Array) -> Array:
-        """Return own rows of N⁻¹ b for the whole of b, (K,); NaN where the solver fails."""
-
-    def rows_of_inverse(self) -> Array | None:
-        """Return own rows of N⁻¹, (own rows, K); None if the solver does not give them."""
-
-    def memory(self) -> float | None:
-        """Return the memory of one factor in MiB; None if the solver has no figure."""
-
-    def destroy(self) -> None:
-        """Free it."""
-
-
 class GatheredSolver:
     """Direct solver for a matrix whose right-hand sides are gathered.
 
@@ -68,7 +49,7 @@ class GatheredSolver:
         inverse: Own rows of N⁻¹, (own rows, K), if they are formed.
     """
 
-    factor: CoarseFactor
+    factor: FrontFactor | GroupFactor
 
     def __init__(
         self,
@@ -98,14 +79,15 @@ class GatheredSolver:
         self._counts = np.array(comm.allgather(N.getLocalSize()[0])) + 1
         self._is_b = np.ones(total + comm.size, dtype=bool)
         self._is_b[np.cumsum(self._counts) - 1] = False  # the numbers that travel with b
+        self._own = slice(*N.getOwnershipRange())
         self.inverse: Array | None = None
         whole, rows = None, None
         try:
             if symmetric and counts is not None:
                 whole = whole_factor(N, counts, prefix=prefix, zero=zero)
+            if whole is not None and total <= SPREAD * comm.size:
+                rows = on_all(partial(self._rows_of_inverse, whole), comm)
             self.factor = whole or GroupFactor(N, prefix=prefix, symmetric=symmetric, zero=zero)
-            if 0 < total <= SPREAD * comm.size:
-                rows = self._rows_of_inverse()
         except Exception as error:
             raise SetUpError(
                 f"The coarse problem could not be factored ({reason(error)}): look at the options "
@@ -127,7 +109,7 @@ class GatheredSolver:
             if self.inverse is not None:
                 x.array[:] = self.inverse @ whole
             elif len(whole):
-                x.array[:] = self.factor.solve(whole)
+                x.array[:] = self.factor.solve(whole)[self._own]
         return float(gathered[~self._is_b].sum())
 
     def memory(self) -> float | None:
@@ -141,19 +123,18 @@ class GatheredSolver:
         """Say how it solves."""
         if self.inverse is not None:
             return f"inverse spread over {self._world.size} process(es)"
-        return str(self.factor)
+        group = isinstance(self.factor, GroupFactor)
+        return str(self.factor) if group else "a factor on every process"
 
     def pivots(self) -> Pivots:
         """Return how many pivots are negative and zero; None if not known. Collective."""
         return self._world.bcast(self.factor.pivots)
 
-    def _rows_of_inverse(self) -> Array | None:
-        """Return own rows of N⁻¹, (own rows, K); free the factor if that fails. Collective."""
-        try:
-            return on_all(self.factor.rows_of_inverse, self._world)
-        except Exception:
-            self.factor.destroy()
-            raise
+    def _rows_of_inverse(self, factor: FrontFactor) -> Array:
+        """Return own rows of N⁻¹, (own rows, K)."""
+        unit = np.zeros((len(self._is_b) - self._world.size, self._own.stop - self._own.start))
+        np.fill_diagonal(unit[self._own], 1.0)
+        return np.ascontiguousarray(factor.solve(unit).T)
 
     def _is_accurate(self, N: PETSc.Mat, rows: Array) -> bool:
         """Tell whether rounding leaves a solve with the inverse some digits. Collective."""

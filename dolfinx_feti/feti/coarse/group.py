@@ -17,7 +17,6 @@ import numpy.typing as npt
 
 from dolfinx_feti.feti.subdomain.factors.direct import (
     factor_with_work_space,
-    is_mumps,
     mebibytes,
     pivots_of,
     prepare_mumps,
@@ -32,9 +31,6 @@ Array = npt.NDArray[np.float64]
 
 #: Rows that are worth a process.
 ROWS = 4000
-
-#: Right-hand sides at a time.
-BLOCK = 64
 
 
 class GroupFactor:
@@ -60,7 +56,6 @@ class GroupFactor:
             Exception: The options are wrong, or the factorisation failed; on all processes.
         """
         comm, total = N.comm.tompi4py(), N.getSize()[0]
-        self._own, self._symmetric = slice(*N.getOwnershipRange()), symmetric
         self._group = comm.Split(_group(comm.rank, comm.size, total), comm.rank)
         rank, size = self._group.rank, self._group.size
         self._rows = slice(total * rank // size, total * (rank + 1) // size)
@@ -90,42 +85,13 @@ class GroupFactor:
         return Pivots(0, 0) if self.ksp is None else pivots_of(self.ksp.getPC())
 
     def solve(self, b: Array) -> Array:
-        """Return own rows of N⁻¹ b for the whole of b, (K,); NaN where the solver fails."""
+        """Return N⁻¹ b, (K,) → (K,); NaN where the solver fails. Collective."""
         assert self.ksp is not None
         self._b.array[:] = b[self._rows]
         self.ksp.solve(self._b, self._x)
         self._from_group.scatter(self._x, self._solution)
-        own = self._solution.array_r[self._own]
-        return own if self.ksp.getConvergedReason() > 0 else np.full_like(own, np.nan)
-
-    def rows_of_inverse(self) -> Array | None:
-        """Return own rows of N⁻¹, (own rows, K); None if MUMPS does not factor."""
-        ksp = self.ksp
-        if ksp is None or ksp.getType() != PETSc.KSP.Type.PREONLY or not is_mumps(ksp.getPC()):
-            return None
-        owners = self._group.allgather(self._own)
-        rows, total = self._rows, self._matrix.getSize()[0]
-        F = ksp.getPC().getFactorMatrix()
-        F.setMumpsIcntl(9, 1 if self._symmetric else 0)  # N⊤: its columns are rows
-        parts: list[Array] = [np.empty((rows.stop - rows.start, 0))]
-        for first in range(owners[0].start, owners[-1].stop, BLOCK):
-            columns = np.arange(first, min(first + BLOCK, owners[-1].stop))
-            shape = ((rows.stop - rows.start, total), (None, len(columns)))
-            Y = PETSc.Mat().createDense(shape, comm=self._group)
-            Y.setUp()
-            here = (rows.start <= columns) & (columns < rows.stop)
-            Y.getDenseArray()[columns[here] - rows.start, np.flatnonzero(here)] = 1.0
-            Y.assemble()
-            X = Y.duplicate()
-            X.assemble()
-            ksp.matSolve(Y, X)  # N⊤ X = I, rows of the group
-            parts.append(X.getDenseArray().copy())
-            for owned in (X, Y):
-                owned.destroy()
-        F.setMumpsIcntl(9, 1)
-        X_rows, before = np.hstack(parts), owners[0].start
-        theirs = [X_rows[:, own.start - before : own.stop - before].T for own in owners]
-        return np.hstack(self._group.alltoall(theirs))
+        x = self._solution.array_r
+        return x if self.ksp.getConvergedReason() > 0 else np.full_like(x, np.nan)
 
     def memory(self) -> float | None:
         """Return the memory of the factor in MiB; None if the solver has no figure."""

@@ -28,12 +28,11 @@ from dolfinx_feti.feti.subdomain.factors.multifrontal import (
     Fronts,
     load_fronts_for,
 )
-from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 from dolfinx_feti.runtime.collective import join, on_all
 from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.torn.rounding import EPS
 
-__all__ = ["WholeFactor", "whole_factor"]
+__all__ = ["whole_factor"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -43,49 +42,9 @@ Numbers = npt.NDArray[np.int64]
 MOST = 2**26
 
 
-class WholeFactor:
-    """U, on every process.
-
-    Attributes:
-        fronts: Those of N.
-    """
-
-    def __init__(self, factor: FrontFactor, own: slice) -> None:
-        """Take the factor, and the rows of this process."""
-        self.fronts = factor.fronts
-        self._factor, self._own = factor, own
-
-    @property
-    def pivots(self) -> Pivots:
-        """Numbers of negative and zero pivots."""
-        return self._factor.pivots
-
-    def solve(self, b: Array) -> Array:
-        """Return own rows of N⁻¹ b for the whole of b, (K,)."""
-        return self._factor.solve(b)[self._own]
-
-    def rows_of_inverse(self) -> Array:
-        """Return own rows of N⁻¹, (own rows, K)."""
-        unit = np.zeros((len(self.fronts.rows), self._own.stop - self._own.start))
-        np.fill_diagonal(unit[self._own], 1.0)
-        return np.ascontiguousarray(self._factor.solve(unit).T)
-
-    def memory(self) -> float:
-        """Return the memory of the factor in MiB."""
-        return self._factor.memory()
-
-    def __str__(self) -> str:
-        """Say where the factors are."""
-        return "a factor on every process"
-
-    def destroy(self) -> None:
-        """Free the factor."""
-        self._factor.destroy()
-
-
 def whole_factor(
     N: PETSc.Mat, counts: Numbers, *, prefix: str, zero: float | None
-) -> WholeFactor | None:
+) -> FrontFactor | None:
     """Factor a symmetric N on every process. Collective.
 
     Args:
@@ -124,10 +83,7 @@ def whole_factor(
         factored = on_all(factor, comm)
     finally:
         matrix.destroy()
-    everywhere = comm.allreduce(factored is not None, op=MPI.LAND)
-    if factored is None or not everywhere:
-        return None
-    return WholeFactor(factored, slice(*N.getOwnershipRange()))
+    return factored if comm.allreduce(factored is not None, op=MPI.LAND) else None
 
 
 def _nodes(N: PETSc.Mat, counts: Numbers) -> tuple[Indices, Indices, Indices]:
