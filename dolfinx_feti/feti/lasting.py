@@ -76,7 +76,6 @@ class Lasting:
         self._pattern: Pattern | None = None
         self._state: State | None = None  # of the matrix that pattern and form belong to
         self.form: Form | None = None
-        self._primal: PrimalForm | None = None  # the form, if it is primal
         self._vectors: RitzVectors | None = None
         self._outdated = False
         self.age = 0
@@ -88,7 +87,7 @@ class Lasting:
     @property
     def deflation(self) -> DeflatedSpace | None:
         """The coarse space with the Ritz vectors of earlier solves, in the primal form."""
-        return None if self._primal is None else self._primal.deflation
+        return self.form.deflation if isinstance(self.form, PrimalForm) else None
 
     def first_look(self) -> bool:
         """Tell whether this is the first look at a form of the present pattern."""
@@ -149,15 +148,15 @@ class Lasting:
         Raises:
             SetUpError: What is tried cannot be set up; there is no form then.
         """
-        pattern, primal, form = self._pattern, self._primal, self.form
+        pattern, form = self._pattern, self.form
         if pattern is None or form is None:
             return False
         if reason == Reason.DIVERGED_INDEFINITE_MAT and not form.solves_indefinite:
             if not (self.may_change and saddles):
                 return False  # no preconditioner changes the curvature
-            if primal is not None and not self.age:
-                self.form = self._primal = None
-                self.form = create_dual_form(pattern, refined(pattern, primal.keep_setup()))
+            if isinstance(form, PrimalForm) and not self.age:
+                self.form = None
+                self.form = create_dual_form(pattern, refined(pattern, form.keep_setup()))
                 return True
         if not self.age:
             return False
@@ -176,13 +175,10 @@ class Lasting:
         Raises:
             SetUpError: It cannot be set up; there is no form then.
         """
-        form, primal = self.form, self._primal
-        lasts = primal is not None and self._preconditioner_lasts()
-        self.form = self._primal = None
-        if primal is not None and lasts:
+        form, self.form = self.form, None
+        if isinstance(form, PrimalForm) and self._preconditioner_lasts():
             try:
-                preconditioner = primal.keep_preconditioner()
-                self.form = self._primal = self._with(preconditioner, pattern)
+                self.form = self._with(form.keep_preconditioner(), pattern)
                 self.age += 1
                 return
             except SingularError:
@@ -192,8 +188,7 @@ class Lasting:
         elif form is not None:
             form.destroy()
         self._outdated, self.age, self._first, self._excess = False, 0, np.nan, 0.0
-        self.form = new = self._new_form(pattern)
-        self._primal = new if isinstance(new, PrimalForm) else None
+        self.form = self._new_form(pattern)
 
     def _new_form(self, pattern: Pattern) -> Form:
         """Set up the form of the present matrix with a preconditioner of its own.
@@ -256,5 +251,5 @@ class Lasting:
         for owned in (self.form, self._pattern):
             if owned is not None:
                 owned.destroy()
-        self.form = self._primal = self._pattern = self._vectors = None
+        self.form = self._pattern = self._vectors = None
         self._seen = False
