@@ -31,7 +31,7 @@ A subdomain is a connected component of the graph of the local matrix.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field
 
@@ -40,7 +40,6 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.runtime.collective import on_all
@@ -272,26 +271,6 @@ class Torn:
         X.destroy()
         Y.destroy()
         return y
-
-    def blocks(self, rows: Sequence[Indices]) -> Iterator[scipy.sparse.csr_array]:
-        """Yield a copy of a diagonal block of each subdomain, one after the other.
-
-        Args:
-            rows: For each subdomain the torn dofs of its block.
-
-        Yields:
-            ``K[rows_i, rows_i]``, (n_i, n_i).
-        """
-        order = np.concatenate([*rows, np.zeros(0, dtype=np.int32)])
-        with rows_of(self.K) as csr:
-            entries = (csr.values, csr.indices, csr.indptr)
-            K = scipy.sparse.csr_array(entries, shape=(self.n, self.n))[order]
-        K = K[:, order]  # block-diagonal, one block after the other
-        first = 0
-        for rows_i in rows:
-            last = first + len(rows_i)
-            yield K[first:last, first:last]
-            first = last
 
     def tear(self, x: PETSc.Vec) -> Array:
         """Copy an assembled vector to the subdomains, :math:`T x`, (n,)."""

@@ -86,7 +86,6 @@ def test_serves_later_matrices(kind, interior, primal):
 @pytest.mark.parametrize("lag", [0, 6])
 def test_nothing_is_left_of_an_operator(lag, primal, monkeypatch):
     """When that of the next matrix is set up: both would not fit into the memory."""
-    monkeypatch.setattr("dolfinx_feti.feti.subdomain.analysis.SMALL", -1)  # fronts for all
     problem, ksp = primal(feti_interior="eliminate", feti_lag=lag)
     left: list[bool] = []
 

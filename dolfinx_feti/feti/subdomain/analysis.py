@@ -42,9 +42,6 @@ DENSITY = 30.0
 #: Largest interface of a subdomain whose interior is eliminated: 32 MiB.
 LARGEST = 2048
 
-#: Interior up to which K_II is dense, too: thousands of MUMPS's communicators slow MPI down.
-SMALL = 150
-
 #: Right-hand sides that MUMPS treats at once: for K_ρ, and for K_II whose interior is eliminated.
 RIGHT_HAND_SIDES = 32, 256
 
@@ -57,7 +54,6 @@ class Analysis:
         eliminated: Whether the interior is eliminated, and S is formed.
         local: How K_ρ is factored with pivots.
         interior: How K_II is factored with pivots; None if no K_II is.
-        dense_interior: Whether K_II is factored as a dense block.
         local_fronts: The fronts of K_ρ; None if it has pivots from the start.
         interior_fronts: The fronts of K_II, with Γ as what remains where S is formed; likewise.
     """
@@ -65,7 +61,6 @@ class Analysis:
     eliminated: bool
     local: Choice
     interior: Choice | None
-    dense_interior: bool
     local_fronts: list[Fronts] | None
     interior_fronts: list[Fronts] | None
 
@@ -90,17 +85,14 @@ def analyse(
     interior = Choice(prefix + "dirichlet_", symmetric, RIGHT_HAND_SIDES[eliminated])
     whole = [np.zeros(0, dtype=np.int32)] * len(dofs.free)
     if eliminated:
-        largest = max(map(len, dofs.interior), default=0)
-        dense = bool(torn.comm.allreduce(largest, op=MPI.MAX) <= SMALL)
         borders = [np.flatnonzero(on).astype(np.int32) for on in dofs.on_interface]
-        fronts = None if dense else _find_fronts(torn, dofs.free, borders, interior)
-        return Analysis(True, local, interior, dense, None, fronts)
+        fronts = _find_fronts(torn, dofs.free, borders, interior)
+        return Analysis(True, local, interior, None, fronts)
     fronts = _find_fronts(torn, dofs.interior, whole, interior) if with_interior else None
     return Analysis(
         eliminated=False,
         local=local,
         interior=interior if with_interior else None,
-        dense_interior=False,
         local_fronts=_find_fronts(torn, dofs.free, whole, local),
         interior_fronts=fronts,
     )

@@ -3,9 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Elimination of the interior: the Schur complement and the factor of K_II of every subdomain.
 
-Cholesky's factorisation by fronts that stops at the interface gives both (eq. 51). Small interiors
-are dense. Where :math:`K_{II}` is not positive definite, or the options name a solver, a factor
-with pivots solves for the columns of :math:`K_{IΓ}`.
+Cholesky's factorisation by fronts that stops at the interface gives both (eq. 51). Where
+:math:`K_{II}` is not positive definite, or the options name a solver, a factor with pivots solves
+for the columns of :math:`K_{IΓ}`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from dolfinx_feti.feti.gluing.dofs import Dofs
 from dolfinx_feti.feti.subdomain.analysis import Analysis
 from dolfinx_feti.feti.subdomain.blocks import named, sparse_block
-from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor, PackedMatrix, pack
+from dolfinx_feti.feti.subdomain.factors.dense import pack
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
 from dolfinx_feti.feti.subdomain.factors.pivoted import factor_with_pivots
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor
@@ -37,9 +37,6 @@ def eliminate(torn: Torn, dofs: Dofs, analysis: Analysis) -> Iterator[tuple[Arra
     Raises:
         FactorError: A factorisation failed. Not collective: the caller reduces.
     """
-    if analysis.dense_interior:
-        yield from _eliminate_dense(torn, dofs)
-        return
     for i, (factor, S) in enumerate(_factors(torn, dofs, analysis)):
         Γ, I = dofs.interface[i], dofs.interior[i]  # noqa: E741
         with named(torn.first + i):
@@ -47,19 +44,6 @@ def eliminate(torn: Torn, dofs: Dofs, analysis: Analysis) -> Iterator[tuple[Arra
                 X = factor.solve(sparse_block(torn.K, I, Γ).toarray(order="F"))  # K_II⁻¹ K_IΓ
                 K_ΓΓ = sparse_block(torn.K, Γ, Γ).toarray(order="F")
                 S = pack(K_ΓΓ - sparse_block(torn.K, Γ, I) @ X)  # K_ΓΓ − K_ΓI X
-        yield S, factor
-
-
-def _eliminate_dense(torn: Torn, dofs: Dofs) -> Iterator[tuple[Array, Factor]]:
-    """Do the work of :func:`eliminate` with dense blocks."""
-    work = np.empty(max((len(rows) for rows in dofs.interior), default=0) ** 2)
-    for i, block in enumerate(torn.blocks(dofs.free)):
-        with named(torn.first + i):
-            K, on = block.toarray(), dofs.on_interface[i]
-            K_II = PackedMatrix(pack(K[np.ix_(~on, ~on)]), np.count_nonzero(~on), work)
-            factor = DenseFactor(K_II)
-            X = factor.solve(K[np.ix_(~on, on)])  # X = K_II⁻¹ K_IΓ
-            S = pack(K[np.ix_(on, on)] - K[np.ix_(on, ~on)] @ X)  # S = K_ΓΓ − K_ΓI X
         yield S, factor
 
 

@@ -49,7 +49,6 @@ PLACES = {
     "fronts": ("factors.multifrontal.Fronts.factor", "eliminate"),
     "fronts of K": ("factors.multifrontal.Fronts.factor", "keep"),
     "columns": ("elimination.factor_with_pivots", "eliminate"),
-    "dense interior": ("elimination.DenseFactor", "eliminate"),
     "interior kernel": ("nullspace.factor_tells_singular", "eliminate"),
     "factor": ("factors.pivoted.create_factor", "keep"),
 }
@@ -69,8 +68,6 @@ def fail_on_last(monkeypatch, place, error):
 @pytest.mark.parametrize("place", PLACES.values(), ids=PLACES)
 def test_every_place_may_fail(place, torn_grid, parts, monkeypatch):
     where, interior = place
-    if where != "elimination.DenseFactor":
-        monkeypatch.setattr(analysis, "SMALL", -1)
     if where.endswith(("factor_with_pivots", "create_factor")):
         monkeypatch.setattr(analysis, "load_fronts_for", lambda *_: None)
     fail_on_last(monkeypatch, where, ERRORS["LAPACK"])

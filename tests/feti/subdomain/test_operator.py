@@ -98,11 +98,9 @@ def test_nan_is_no_schur_complement():
 
 @every_type
 @every_change
-@pytest.mark.parametrize("way", ["dense", "fronts", "pivots"])
+@pytest.mark.parametrize("way", ["fronts", "pivots"])
 def test_elimination_is_exact(kind, change, way, torn_grid, parts, monkeypatch):
     """S by all ways, S u_Γ = f̂ with K u = f inside, and the inertia of K_II."""
-    if way != "dense":
-        monkeypatch.setattr(analysis, "SMALL", -1)
     if way == "pivots":
         monkeypatch.setattr(analysis, "load_fronts_for", lambda *_: None)
     problem = torn_grid((2, 2), (4, 3), components=2, change=change)
@@ -160,15 +158,13 @@ def test_dual_system_is_that_of_the_kept_interior(kind, change, torn_grid, parts
 @every_type
 @every_change
 @pytest.mark.parametrize("pc_type", ["dirichlet", "lumped", "identity"])
-@pytest.mark.parametrize("most", [-1, analysis.SMALL], ids=["sparse", "dense"])
-def test_solutions_agree(kind, change, pc_type, most, torn_grid, feti, monkeypatch):
+def test_solutions_agree(kind, change, pc_type, torn_grid, feti):
     """Both ways to the same solution, and equally fast.
 
     The residuals are the same in exact arithmetic. In floating point, directions lose their
     orthogonality sooner or later, and with them the last digits their iteration: what is compared
     is when six digits were reached.
     """
-    monkeypatch.setattr(analysis, "SMALL", most)
     problem = torn_grid((2, 2), (4, 3), components=2, change=change)
     found, iterations = [], []
     for choice, past in (("keep", "kept"), ("eliminate", "eliminated")):

@@ -321,7 +321,6 @@ def buckled(factor):
 @pytest.mark.parametrize("factor", [1.0, 0.5], ids=["definite", "indefinite"])
 def test_pivots_where_they_are_needed(factor, torn_grid, parts, monkeypatch):
     """With fronts as with MUMPS: S, the inertia of K_II, loads and displacements inside."""
-    monkeypatch.setattr(analysis, "SMALL", -1)
     problem = torn_grid((2, 2), (6, 5), components=2, change=buckled(factor))
     by_fronts = parts(problem.A, type="all_floating", interior="eliminate").operator
     monkeypatch.setattr(analysis, "load_fronts_for", lambda *_: None)
