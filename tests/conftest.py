@@ -28,7 +28,7 @@ import dolfinx_feti
 from dolfinx_feti.feti.dual.form import DualForm, create_dual_form
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.pattern import Pattern, create_pattern
-from dolfinx_feti.feti.primal.cg import Outcome, conjugate_gradients
+from dolfinx_feti.feti.primal.cg import conjugate_gradients
 from dolfinx_feti.feti.setup import set_up
 from dolfinx_feti.runtime.petsc_options import inserted
 
@@ -166,7 +166,7 @@ def torn_grid() -> Iterator[Callable[..., hand_torn.HandTorn]]:
 def cautious(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the primal form end where its coarse space shows negative curvature."""
 
-    def iterate(*args: Any, saddles: bool, **kwargs: Any) -> Outcome:
+    def iterate(*args: Any, saddles: bool, **kwargs: Any) -> Any:
         return conjugate_gradients(*args, **kwargs)
 
     monkeypatch.setattr("dolfinx_feti.feti.primal.form.conjugate_gradients", iterate)

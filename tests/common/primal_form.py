@@ -18,8 +18,9 @@ from modes import modes_of
 from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
 from dolfinx_feti.feti.dual.form import DualForm
 from dolfinx_feti.feti.gluing.copies import Copies
-from dolfinx_feti.feti.primal.cg import Outcome, PrimalSystem, conjugate_gradients
+from dolfinx_feti.feti.primal.cg import PrimalSystem, conjugate_gradients
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace
+from dolfinx_feti.feti.solution import Solution
 
 Array = npt.NDArray[np.float64]
 
@@ -36,7 +37,7 @@ class PrimalForm:
     def copies(self) -> Copies:
         return self.system.copies
 
-    def solve(self, b: Array, u_D: Array, **how: object) -> tuple[Array, Outcome]:
+    def solve(self, b: Array, u_D: Array, **how: object) -> tuple[Array, Solution]:
         """Solve for an assembled right-hand side and prescribed values, both torn, (n,).
 
         Returns:
@@ -45,19 +46,22 @@ class PrimalForm:
         torn, Γ, S = self.parts.torn, self.copies.dofs, self.parts.operator
         u_D = np.where(torn.dirichlet, u_D, 0.0)
         f = np.where(torn.dirichlet, 0.0, self.parts.delta * b - torn.multiply(u_D))
-        outcome = cg(self.system, S.condense(f)[Γ], **how)
+        x, solution = cg(self.system, S.condense(f)[Γ], **how)
         u = np.zeros(torn.n)
-        u[Γ] = outcome.x
+        u[Γ] = x
         u = S.extend(u, f)
-        return u + u_D, outcome
+        return u + u_D, solution
 
 
-def cg(system: PrimalSystem, f: Array, *, rtol: float = 1e-10, max_it: int = 200) -> Outcome:
+def cg(
+    system: PrimalSystem, f: Array, *, rtol: float = 1e-10, max_it: int = 200
+) -> tuple[Array, Solution]:
     """Solve to a share of the norm of the right-hand side."""
     target = rtol * system.norm(system.copies.sum(f))
-    return conjugate_gradients(
+    x, solution, _ = conjugate_gradients(
         system, f, target=target, max_it=max_it, monitor=lambda its, norm: None
     )
+    return x, solution
 
 
 def create(

@@ -16,6 +16,7 @@ residual of the assembled system if there are two, and for :math:`r^⊤ z` and :
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -96,18 +97,17 @@ def solve(
     Returns:
         The local part of the best iterate, and how the method ended.
     """
-    context = _Context(system)
     ksp = _create_ksp(system.comm, method.type, method.prefix, directions=max_it)
+    context = SimpleNamespace(mult=system.mult, apply=system.apply)
     mat = PETSc.Mat().createPython(((system.size, None),) * 2, context, comm=system.comm)
     mat.setUp()
     ksp.setOperators(mat)
     ksp.getPC().setPythonContext(context)
     rhs, x = mat.createVecs()
     rhs.array[:] = b
-    norm = rhs.norm()
+    norm, system.norm = rhs.norm(), np.inf
     test = StoppingTest(
         system,
-        lambda: context.norm,
         target=target,
         max_it=max_it,
         cg=method.is_cg,
@@ -145,24 +145,6 @@ def _completed(system: DualSystem, b: Array, x: Array, best: Array) -> Array:
     z, _ = system.precondition(b - system.multiply(x))
     left = [system.unbalanced(b - system.multiply(each)) for each in (x + z, best)]
     return x + z if left[0] < left[1] else best
-
-
-class _Context:
-    """The system as PETSc calls it: context of a Mat and of a PC.
-
-    Attributes:
-        norm: Residual of the assembled system that the vector which was last preconditioned leaves.
-    """
-
-    def __init__(self, system: DualSystem) -> None:
-        self._system = system
-        self.norm = np.inf
-
-    def mult(self, _mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        y.array[:] = self._system.multiply(x.array_r)
-
-    def apply(self, _pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
-        z.array[:], self.norm = self._system.precondition(r.array_r)
 
 
 def _create_ksp(comm: MPI.Comm, kind: str, prefix: str, *, directions: int) -> PETSc.KSP:

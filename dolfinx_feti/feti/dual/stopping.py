@@ -13,8 +13,6 @@ residual that GMRES updates departs from the true one, or none falls, a fresh st
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from petsc4py import PETSc
 
 import numpy as np
@@ -48,7 +46,6 @@ class StoppingTest:
     def __init__(
         self,
         system: DualSystem,
-        last_norm: Callable[[], float],
         *,
         target: float,
         max_it: int,
@@ -60,15 +57,13 @@ class StoppingTest:
 
         Args:
             system: The system.
-            last_norm: Returns the residual of the assembled system that the vector which was last
-                preconditioned leaves.
             target: Wanted norm of the residual of the assembled system.
             max_it: Most iterations.
             cg: Whether the preconditioner is only applied to residuals.
             first: Proportion of that residual to the method's own norm at the start, if not ``cg``.
             monitor: Called with (iteration, norm of the residual of the assembled system).
         """
-        self._system, self._last_norm = system, last_norm
+        self._system = system
         self._target, self._max_it = target, max_it
         self._cg, self._monitor = cg, monitor
         self._proportion = 1.0 if cg else first
@@ -80,7 +75,7 @@ class StoppingTest:
         """Return the norm of the residual of the assembled system, in GMRES an estimate."""
         if not self._cg and its == 1:
             # right preconditioning: what was applied last is the first jump, scaled to one
-            self._proportion = OPTIMISM * self._last_norm()
+            self._proportion = OPTIMISM * self._system.norm
         norm = self._indicator(rnorm) * self._proportion
         self._monitor(its, norm)
         return norm
@@ -123,4 +118,4 @@ class StoppingTest:
 
     def _indicator(self, rnorm: float) -> float:
         """Return what is known of the residual without a further product."""
-        return self._last_norm() if self._cg else rnorm
+        return self._system.norm if self._cg else rnorm

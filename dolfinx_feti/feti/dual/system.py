@@ -27,6 +27,8 @@ s is never frozen: w is to shrink with r, or its rounding errors would unbalance
 
 from __future__ import annotations
 
+from petsc4py import PETSc
+
 import numpy as np
 import numpy.typing as npt
 
@@ -53,6 +55,7 @@ class DualSystem:
         frozen: Whether the preconditioner leaves s as it is.
         B: Jumps, (m, n).
         G: B E, (m, K).
+        norm: Residual of the assembled system that the vector which was last preconditioned leaves.
     """
 
     def __init__(
@@ -77,6 +80,7 @@ class DualSystem:
         self._G_left = self.G if coarse.G_left is coarse.G else LinearMap(coarse.G_left)
         self.m = self.B.shape[0]
         self.size = self.m + coarse.size
+        self.norm = np.inf
 
     # -- the system -------------------------------------------------------------------------------
 
@@ -105,6 +109,16 @@ class DualSystem:
         The second part, Gᵀ λ + D s, is zero up to rounding, which must not enter a Krylov method.
         """
         return np.concatenate([self.jump(x), np.zeros(self.size - self.m)])
+
+    # -- PETSc's calls ----------------------------------------------------------------------------
+
+    def mult(self, _mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Apply the system."""
+        y.array[:] = self.multiply(x.array_r)
+
+    def apply(self, _pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
+        """Apply the preconditioner."""
+        z.array[:], self.norm = self.precondition(r.array_r)
 
     # -- its preconditioner -----------------------------------------------------------------------
 

@@ -26,7 +26,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -90,32 +89,21 @@ def adaptive_columns(
         F = np.random.default_rng(n).standard_normal((n, -(-wanted // last)))
         space = _krylov_spaces(F, solver(i), lambda U: δ * A(δ * U), Q)
         for krylov in itertools.islice(space, least - 1, last):
-            χ = np.linalg.eigvalsh(krylov.C)
+            χ = np.linalg.eigvalsh(krylov[2])
             if 2 * np.count_nonzero(χ > threshold) <= len(χ):
                 break
-        return _ritz_vectors(krylov, threshold)[:, :wanted]
+        return _ritz_vectors(*krylov, threshold)[:, :wanted]
 
     return on_subdomains(lambda: [columns(i) for i in range(len(copies.blocks))], copies.comm)
 
 
-class _Krylov(NamedTuple):
-    """A block Krylov space.
-
-    Attributes:
-        U: Columns that span it, (n, k).
-        H: Uᵀ S_ρ U ≈ I, (k, k).
-        C: Uᵀ δ T_i A T_iᵀ δ U, (k, k).
-    """
-
-    U: Array
-    H: Array
-    C: Array
-
-
-def _krylov_spaces(F: Array, solve: Multiply, cost: Multiply, Q: Array) -> Iterator[_Krylov]:
+def _krylov_spaces(
+    F: Array, solve: Multiply, cost: Multiply, Q: Array
+) -> Iterator[tuple[Array, Array, Array]]:
     """Yield growing spaces, whose forces are orthogonal to the orthonormal Q.
 
-    The columns are orthonormal but for rounding: a large χ would leave nothing of others.
+    Each is U, (n, k), with Uᵀ S_ρ U ≈ I and Uᵀ δ T_i A T_iᵀ δ U, (k, k). The columns are
+    orthonormal but for rounding: a large χ would leave nothing of others.
     """
     U: Array = np.zeros((len(F), 0))
     S_ρU = U
@@ -136,7 +124,7 @@ def _krylov_spaces(F: Array, solve: Multiply, cost: Multiply, Q: Array) -> Itera
         H = _bordered(H, U.T @ F)
         F = cost(X)
         C = _bordered(C, U.T @ F)
-        yield _Krylov(U, H, C)
+        yield U, H, C
 
 
 def _bordered(H: Array, columns: Array) -> Array:
@@ -145,9 +133,8 @@ def _bordered(H: Array, columns: Array) -> Array:
     return np.block([[H, columns[:k]], [columns[:k].T, symmetric_part(columns[k:])]])
 
 
-def _ritz_vectors(space: _Krylov, threshold: float) -> Array:
+def _ritz_vectors(U: Array, H: Array, C: Array, threshold: float) -> Array:
     """Return the Ritz vectors with values above a threshold, the largest first, (n, k)."""
-    U, H, C = space
     B = _unit_energy(H)
     χ, Q = np.linalg.eigh(symmetric_part(B.T @ C @ B))
     return np.asarray(U @ (B @ Q[:, np.flatnonzero(χ > threshold)[::-1]]))

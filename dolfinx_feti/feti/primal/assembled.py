@@ -37,7 +37,6 @@ from dolfinx_feti.runtime.native import load, pointer
 
 __all__ = [
     "BlockCode",
-    "Share",
     "assembled_products",
     "load_block_code",
     "shares_of_neighbours",
@@ -58,18 +57,9 @@ TAG = 51
 #: Returns a block of S, ``block(j, rows)``, for rows in any order.
 Block = Callable[[int, Integers], Array]
 
-
-@dataclass(frozen=True, slots=True)
-class Share:
-    """The share of a neighbour.
-
-    Attributes:
-        rows: Rows of the subdomain that the neighbour has, too, ascending, (m,).
-        S: The block of the neighbour's S, (m (m + 1) / 2,).
-    """
-
-    rows: Integers
-    S: Array
+#: The share of a neighbour: rows of the subdomain that it has, too, ascending, (m,), and the block
+#: of its S, (m (m + 1) / 2,).
+Share = tuple[Integers, Array]
 
 
 class BlockCode:
@@ -88,11 +78,11 @@ class BlockCode:
 
     def add(self, A: npt.NDArray[np.float32], share: Share) -> None:
         """Add a share to A, (n, n) in Fortran's order, below its diagonal."""
-        to, rows = self._to, share.rows
+        to, (rows, S) = self._to, share
         _require_rows(rows, len(A))
-        if len(share.S) != len(rows) * (len(rows) + 1) // 2:
-            raise ValueError(f"a share of {len(share.S)} entries does not fit {len(rows)} rows")
-        self._lib.add_block(len(A), to(A, order="F"), len(rows), to(rows), to(share.S))
+        if len(S) != len(rows) * (len(rows) + 1) // 2:
+            raise ValueError(f"a share of {len(S)} entries does not fit {len(rows)} rows")
+        self._lib.add_block(len(A), to(A, order="F"), len(rows), to(rows), to(S))
 
 
 def _require_rows(rows: Integers, n: int) -> None:
@@ -118,12 +108,6 @@ class _Common:
     rank: int
     rows: Integers
     copies: Integers
-
-    @property
-    def entries(self) -> int:
-        """Entries of the block."""
-        m = len(self.rows)
-        return m * (m + 1) // 2
 
 
 def assembled_products(S: Operator, copies: Copies) -> Callable[[int], Multiply]:
@@ -186,9 +170,9 @@ def shares_of_neighbours(copies: Copies, block: Block) -> Callable[[int], list[S
 
     def shares(i: int) -> list[Share]:
         return [
-            Share(pair.rows, received[i + first, pair.j])
+            (pair.rows, received[i + first, pair.j])
             if pair.rank != comm.rank
-            else Share(pair.rows, block(pair.j - first, pair.copies))
+            else (pair.rows, block(pair.j - first, pair.copies))
             for pair in by_subdomain[i]
         ]
 
@@ -242,6 +226,6 @@ def _exchange(
     received: dict[tuple[int, int], Array] = {}
     for rank, blocks in zip(ranks, got, strict=True):
         pairs = [pair for pair in remote if pair.rank == rank]  # by i, then j
-        ends = np.cumsum([pair.entries for pair in pairs])[:-1]
+        ends = np.cumsum([len(p.rows) * (len(p.rows) + 1) // 2 for p in pairs])[:-1]
         received.update(zip([(p.i, p.j) for p in pairs], np.split(blocks, ends), strict=True))
     return received

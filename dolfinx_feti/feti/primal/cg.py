@@ -36,9 +36,9 @@ import scipy.linalg
 from dolfinx_feti.feti.coarse.space import MARGIN
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace, Trace
-from dolfinx_feti.feti.solution import STAGNATION, Monitor
+from dolfinx_feti.feti.solution import STAGNATION, Monitor, Solution
 
-__all__ = ["Outcome", "PrimalSystem", "conjugate_gradients", "converged_reason"]
+__all__ = ["PrimalSystem", "conjugate_gradients", "converged_reason"]
 
 #: Share of ‖r‖² below which rounding would be felt in ‖r − α q‖² = ‖r‖² − 2 α rᵀ q + α² ‖q‖².
 CANCELLED = 1e-8
@@ -81,27 +81,6 @@ class PrimalSystem:
         return float(np.sqrt(self.copies.dot(r, r)))
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """The end of an iterative solution.
-
-    Attributes:
-        x: The iterate with the least residual, by its copies, (n,).
-        reason: PETSc's converged reason; ``CONVERGED_ITS`` asks for a fresh start.
-        iterations: Number of iterations.
-        norm: ‖b − A x‖.
-        eigenvalues: Ritz values of the preconditioned operator, ascending, (iterations,).
-        trace: The first iterations.
-    """
-
-    x: Array
-    reason: int
-    iterations: int
-    norm: float
-    eigenvalues: Array
-    trace: Trace
-
-
 def conjugate_gradients(
     system: PrimalSystem,
     f: Array,
@@ -111,7 +90,7 @@ def conjugate_gradients(
     monitor: Monitor,
     traced: int = 0,
     saddles: bool = False,
-) -> Outcome:
+) -> tuple[Array, Solution, Trace]:
     """Solve A x = Tᵀ f. Collective.
 
     Args:
@@ -122,6 +101,10 @@ def conjugate_gradients(
         monitor: Called with (iteration, ‖b − A x‖).
         traced: Iterations whose vectors are kept, at most.
         saddles: Whether to go on where A has negative eigenvalues.
+
+    Returns:
+        The iterate with the least residual, by its copies, (n,), how the method ended, and its
+        first iterations. The reason ``CONVERGED_ITS`` asks for a fresh start.
     """
     copies, space = system.copies, system.space
     x = space.initial_guess(copies.sum(f))
@@ -166,7 +149,7 @@ def conjugate_gradients(
                 reason = Reason.CONVERGED_ITS
     k = min(len(α), traced)
     trace = Trace(R[:k], Z[: max(k - 1, 0)], _hessenberg(np.array(α[:k]), np.array(β[:k])))
-    return Outcome(best, reason, len(α), least, ritz_values(α, β), trace)
+    return best, Solution(reason, len(α), extreme_ritz_values(α, β)), trace
 
 
 def converged_reason(norm: float, target: float, its: int, max_it: int) -> int:
@@ -185,11 +168,12 @@ def _hessenberg(α: Array, β: Array) -> Array:
     return L @ (np.eye(k) - np.diag(root[1:k], 1))  # A P = R L, z_j = p_j − √β_j p_{j−1}
 
 
-def ritz_values(α: list[float], β: list[float]) -> Array:
-    """Return the eigenvalues of Lanczos' matrix from the coefficients of conjugate gradients."""
+def extreme_ritz_values(α: list[float], β: list[float]) -> tuple[float, float]:
+    """Return the extreme eigenvalues of Lanczos' matrix from the coefficients; nan if unknown."""
     if not α or not np.all(np.isfinite(α)):
-        return np.zeros(0)
+        return np.nan, np.nan
     a, b = np.array(α), np.array(β[1 : len(α)])
     diagonal = 1.0 / a
     diagonal[1:] += b / a[:-1]
-    return scipy.linalg.eigvalsh_tridiagonal(diagonal, np.sqrt(b) / a[:-1])
+    ritz = scipy.linalg.eigvalsh_tridiagonal(diagonal, np.sqrt(b) / a[:-1])
+    return float(ritz[0]), float(ritz[-1])

@@ -31,7 +31,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
 
 from mpi4py import MPI
 
@@ -53,13 +52,8 @@ __all__ = ["DeflatedSpace", "Trace", "soft_fields"]
 Array = npt.NDArray[np.float64]
 Solve = Callable[[int, Array], Array]
 
-
-class Multiply(Protocol):
-    """Applies S_i to columns, (n_i, c) → (n_i, c), or its transpose."""
-
-    def __call__(self, i: int, X: Array, *, transpose: bool = False) -> Array:
-        """Return S_i X, or S_iᵀ X."""
-
+#: Applies S_i to columns, ``multiply(i, X)``, (n_i, c) → (n_i, c), or its transpose.
+Multiply = Callable[..., Array]
 
 #: Ritz value below which a vector is worth its place: what V leaves begins at about one.
 DEFLATED = 0.8

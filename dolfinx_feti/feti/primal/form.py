@@ -184,7 +184,7 @@ class PrimalForm:
             iterate = partial(conjugate_gradients, saddles=saddles)
             if not self.pattern.symmetric:
                 iterate = partial(gmres)
-            outcome = iterate(
+            x, solution, trace = iterate(
                 self.system,
                 self.operator.condense(f)[Γ],
                 target=target,
@@ -193,15 +193,12 @@ class PrimalForm:
                 traced=TRACED * self.most,
             )
         with event("FETIRecycling"):
-            left = self.deflation.ritz_vectors(outcome.trace, most=self.most)
+            left = self.deflation.ritz_vectors(trace, most=self.most)
         u = np.zeros(torn.n)
-        u[Γ] = outcome.x
-        spectrum = outcome.eigenvalues
-        ends = (float(spectrum[0]), float(spectrum[-1])) if len(spectrum) else (np.nan, np.nan)
-        reason = outcome.reason
+        u[Γ], reason = x, solution.reason
         if reason == Reason.DIVERGED_INDEFINITE_PC and self.preconditioner.inertia.local == 0:
             reason = Reason.CONVERGED_ITS  # rounding: a fresh start on what is left
-        solution = Solution(reason, outcome.iterations, ends, left)
+        solution = replace(solution, reason=reason, ritz_vectors=left)
         return self.operator.extend(u, f) + u_D, solution
 
     def memory(self) -> float:

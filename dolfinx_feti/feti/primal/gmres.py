@@ -28,9 +28,9 @@ import numpy.typing as npt
 import scipy.linalg
 
 from dolfinx_feti.feti.gluing.copies import Copies
-from dolfinx_feti.feti.primal.cg import Outcome, PrimalSystem, converged_reason
+from dolfinx_feti.feti.primal.cg import PrimalSystem, converged_reason
 from dolfinx_feti.feti.primal.deflation import Trace
-from dolfinx_feti.feti.solution import RESTART, Monitor
+from dolfinx_feti.feti.solution import RESTART, Monitor, Solution
 from dolfinx_feti.runtime.collective import total_of
 from dolfinx_feti.torn.rounding import EPS
 
@@ -48,10 +48,10 @@ def gmres(
     max_it: int,
     monitor: Monitor,
     traced: int = 0,
-) -> Outcome:
+) -> tuple[Array, Solution, Trace]:
     """Solve A x = Tᵀ f for a torn load f, (n,). Collective.
 
-    The arguments are those of :func:`conjugate_gradients
+    Arguments and results are those of :func:`conjugate_gradients
     <dolfinx_feti.feti.primal.cg.conjugate_gradients>`.
     """
     copies = system.copies
@@ -83,7 +83,7 @@ def gmres(
         x = x + Z[:k].T @ (y * (first / (1.0 + a @ a)))
     m = min(k, traced)
     trace = Trace(Q[: m + 1], Z[:m], H[: m + 1, :m])
-    return Outcome(x, reason, k, norm, np.zeros(0), trace)
+    return x, Solution(reason, k), trace
 
 
 def _orthonormalised(copies: Copies, Q: Array, q: Array) -> tuple[Array, Array]:
