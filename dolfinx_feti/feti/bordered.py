@@ -12,12 +12,12 @@ share in the residual of the first equation demands: :math:`\|B_k - A X_k\|\, |s
 second equation holds up to rounding whatever X is. So where A is nearly singular, as at a limit
 point, y and X are large and inaccurate, but x and s are not (Keller 1983).
 
-Where A is singular, or has no Dirichlet dof, point springs hold the motions of its near kernel W,
+Where nothing resists some rigid motions W of its bodies, point springs do,
 
 .. math:: (A + E κ E^⊤)\, x + B\, s - E\, t = b, \qquad t = κ E^⊤ x,
 
 and their forces t are further scalars, so that the springs leave x as it is. The columns E are unit
-vectors of dofs in which W has full rank, far from each other.
+vectors of as many dofs, in which W has full rank.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
+from dolfinx_feti.feti.gluing.bodies import find_bodies
+from dolfinx_feti.feti.regularity.motions import free_motions
 from dolfinx_feti.runtime.collective import total_of
 from dolfinx_feti.torn.matrix import Torn
 
@@ -45,9 +47,6 @@ CORRECTIONS, ROUGH, AIM = 4, 1e-2, 0.7
 
 #: Size of a scaled singular value of D − Cᵀ X below which the bordered matrix is singular.
 SINGULAR = 1e-12
-
-#: Share of a mode's largest entry below which dofs do not hold it.
-HOLDS = 1e-3
 
 DEPENDENT = (
     "the bordered matrix is singular: the equations of the scalars contradict each other, depend "
@@ -92,7 +91,7 @@ class BorderedSolver:
 
         Args:
             ksp: A KSP with a FETI context; its converged reason is that of the bordered system.
-            A: Torn matrix. If it is singular, its diagonal has springs from now on.
+            A: Torn matrix. If rigid motions are free, its diagonal has springs from now on.
             b: First right-hand side, with prescribed values on Dirichlet dofs, (owned,).
             border: B, C and D.
             d: Second right-hand side, (m,).
@@ -100,19 +99,18 @@ class BorderedSolver:
         Returns:
             x, (owned,), and s, (m,).
         """
-        comm, m, context = A.comm.tompi4py(), len(d), ksp.getPythonContext()
+        m, context = len(d), ksp.getPythonContext()
         self.iterations, self.message = 0, ""
         free = _free(A)
-        if self._springs is None and comm.allreduce(bool(free.all()), op=MPI.LAND):
+        if self._springs is None:
             self._springs = _Springs(A)
-        if self._springs is not None:
-            self._springs.add(A)
+        self._springs.add(A)
         y = self._solved(ksp, A, b)
-        if context.singular and self._springs is None:
+        if context.singular and not self._springs.count:  # its supports have gone
             self._springs = _Springs(A)
             self._springs.add(A)
             y = self._solved(ksp, A, b)
-        whole = border if self._springs is None else self._springs.extended(border)
+        whole = self._springs.extended(border)
         X, s, share = self._eliminated(ksp, A, b, y, whole, d, free)
         context.iterations = self.iterations
         if self.message:
@@ -141,8 +139,8 @@ class BorderedSolver:
         d = np.concatenate([d, np.zeros(m - len(d))])
         B = np.where(free[:, None], border.B, 0.0)
         X = np.zeros_like(B)
-        if self._springs is not None:
-            X[:, m - self._springs.count :] = self._springs.start
+        if self._springs is not None and self._springs.count:
+            X[:, -self._springs.count :] = self._springs.start
         fresh = self._X is None or self._X.shape != X.shape
         if self._X is not None and not fresh:
             X = self._X
@@ -207,41 +205,33 @@ def solved(ksp: PETSc.KSP, A: PETSc.Mat, b: Array) -> Array:
 
 
 class _Springs:
-    """Point springs that hold the near kernel of a matrix.
+    """Point springs that hold the rigid motions W of a matrix, if nothing else does.
 
     Attributes:
-        count: Their number k.
-        start: −A⁻¹ E, if A with the springs resists W by these alone, (owned, k).
+        count: Their number k, that of W.
+        start: −A⁻¹ E, as these alone resist W, (owned, k).
     """
 
     def __init__(self, A: PETSc.Mat) -> None:
         """Choose the dofs. Collective."""
         torn = Torn(A)
-        comm, free = torn.comm, ~torn.dirichlet
-        W = torn.near_kernel()
-        share = 1.0 / np.sqrt(_torn(torn, torn.multiplicity()))
-        columns = np.where(free[:, None], W, 0.0)
-        most = np.sqrt(_no_zeros(comm.allreduce((share[:, None] ** 2 * columns**2).sum(axis=0))))
-        columns = columns / most
-        own = _pivots(columns, columns.shape[1])
-        candidates = comm.allgather(columns[own])
-        ends = np.cumsum([len(rows) for rows in candidates])
-        chosen = _pivots(np.vstack(candidates), columns.shape[1])
-        mine = chosen[(chosen >= ends[comm.rank] - len(own)) & (chosen < ends[comm.rank])]
-        self._dofs = own[mine - (ends[comm.rank] - len(own))]
-        place = np.searchsorted(chosen, mine) if len(chosen) else mine
-        self.count = k = len(chosen)
+        comm, W = torn.comm, _free_motions(torn)
+        self.count = k = W.shape[1]
+        own = _pivots(W, k)
+        candidates = comm.allgather(W[own])
+        last = sum(map(len, candidates[: comm.rank + 1]))
+        chosen = _pivots(np.vstack(candidates), k)
+        place = np.flatnonzero((chosen >= last - len(own)) & (chosen < last))
+        self._dofs = own[chosen[place] - (last - len(own))]
         stiffness = _torn(torn, torn.assemble(torn.stiffness()))
-        self._κ = np.zeros(k)
-        self._κ[place] = stiffness[self._dofs]
-        self._κ = comm.allreduce(self._κ)
-        self._own = self._κ[place]
-        E = np.zeros((torn.n, k))
+        E, κ = np.zeros((torn.n, k)), np.zeros(k)
         E[self._dofs, place] = 1.0
-        self._E = np.column_stack([torn.assemble(column) for column in E.T])  # (owned, k)
+        κ[place] = self._own = stiffness[self._dofs]
+        self._κ = comm.allreduce(κ)
+        self._E = _assembled(torn, E)
         held = comm.allreduce(E.T @ W)  # Eᵀ W
-        modes = np.column_stack([torn.assemble(share**2 * w) for w in W.T])
-        self.start = -modes @ np.linalg.pinv(held) / self._κ  # −W (Eᵀ W)⁻¹ κ⁻¹
+        share = 1.0 / _torn(torn, torn.multiplicity())
+        self.start = -_assembled(torn, share[:, None] * W) @ np.linalg.inv(held) / self._κ
         self._state = -1
         torn.destroy()
 
@@ -261,13 +251,31 @@ class _Springs:
         return Border(B, C, scipy.linalg.block_diag(border.D, np.diag(1.0 / self._κ)))
 
 
-def _pivots(X: Array, most: int) -> npt.NDArray[np.int64]:
-    """Return rows of X that span those that are not small, ascending, (up to most,)."""
-    if not len(X):
+def _free_motions(torn: Torn) -> Array:
+    """Return the rigid motions that nothing resists, one body after the other, (n, k)."""
+    bodies = find_bodies(torn)
+    rigid = free_motions(torn, bodies, torn.near_kernel(), definite=False)
+    columns = [
+        np.where(bodies.label == b, rigid.fields[:, j], 0.0)
+        for b, dimension in enumerate(rigid.dimensions)
+        for j in range(dimension)
+    ]
+    W = np.reshape(columns, (-1, torn.n)).T
+    largest = np.max(torn.comm.allgather(np.abs(W).max(axis=0, initial=0.0)), axis=0)
+    return np.asarray(W / largest)
+
+
+def _pivots(X: Array, k: int) -> npt.NDArray[np.int64]:
+    """Return rows of X, (n, k), that are as independent as can be, ascending, (up to k,)."""
+    if not X.size:
         return np.zeros(0, dtype=np.int64)
-    _, R, order = scipy.linalg.qr(X.T, mode="economic", pivoting=True)
-    size = np.abs(np.diag(R))
-    return np.sort(order[: np.count_nonzero(size > HOLDS * size.max(initial=0.0))][:most])
+    order = scipy.linalg.qr(X.T, mode="r", pivoting=True)[-1]
+    return np.sort(order[:k])
+
+
+def _assembled(torn: Torn, X: Array) -> Array:
+    """Return the sums of the copies of each column, (n, k) → (owned, k). Collective."""
+    return np.reshape([torn.assemble(x) for x in X.T], (-1, torn.owned)).T
 
 
 def _torn(torn: Torn, values: npt.NDArray[np.number]) -> Array:

@@ -43,11 +43,12 @@ def mean_value(
     return ScalarEquation(λ, equations, ufl.inner(λ, ufl.TestFunction(u.function_space)) * dx)
 
 
-def rigid_motions(u: dolfinx.fem.Function) -> ScalarEquation:
+def rigid_motions(u: dolfinx.fem.Function, dx: ufl.Measure | None = None) -> ScalarEquation:
     """Hold the rigid body motions of a displacement: three scalars in the plane, six in space.
 
     Args:
         u: The displacement.
+        dx: Measure of one body among several; the whole mesh if not given.
 
     Raises:
         ValueError: u is no displacement of a body in the plane or in space.
@@ -58,7 +59,7 @@ def rigid_motions(u: dolfinx.fem.Function) -> ScalarEquation:
         raise ValueError(f"u has the shape {u.ufl_shape}: give a displacement in {d} components.")
     x = ufl.SpatialCoordinate(mesh)
     pairs = [(0, 1)] if d == 2 else [(1, 2), (2, 0), (0, 1)]
-    dx = ufl.Measure("dx", mesh)
+    dx = ufl.Measure("dx", mesh) if dx is None else dx
 
     def motions(w: Expr) -> list[Expr]:
         return [*(w[i] for i in range(d)), *(x[i] * w[j] - x[j] * w[i] for i, j in pairs)]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from collective import COMM, agree, dense, equal, raises, small, whole
 from inflated import balloon, balloon_cavity, body
-from problems import cube, elasticity, owned, poisson
+from problems import cube, elasticity, left, owned, poisson
 
 import dolfinx
 import dolfinx.fem.petsc
@@ -67,6 +67,41 @@ def test_pure_neumann_body(nonlinear):
     for c in held.equations:
         small(abs(COMM.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(c)))), 1e-8 * scale)
     small(np.abs(held.unknown.value).max(), 1e-8)
+
+
+def two_blocks():
+    """Return two unit cubes that do not touch, and the measure of their cells, 1 and 2."""
+    box = dolfinx.mesh.create_box(COMM, [(0.0, 0.0, 0.0), (3.0, 1.0, 1.0)], (6, 2, 2))
+    outside = np.abs(midpoints(box)[:, 0] - 1.5) > 0.5
+    mesh = dolfinx.mesh.create_submesh(box, 3, np.flatnonzero(outside).astype(np.int32))[0]
+    body_of_cell = 1 + (midpoints(mesh)[:, 0] > 1.5).astype(np.int32)
+    cells = np.arange(len(body_of_cell), dtype=np.int32)
+    tags = dolfinx.mesh.meshtags(mesh, 3, cells, body_of_cell)
+    return mesh, ufl.Measure("dx", mesh, subdomain_data=tags)
+
+
+@pytest.mark.parametrize("clamped", [False, True])
+@pytest.mark.parametrize("form", ["dual", "primal"])
+def test_several_floating_bodies(form, clamped):
+    """Each floats alone, perhaps beside a clamped one; a load that is not balanced is returned."""
+    mesh, dx = two_blocks()
+    block = elasticity(mesh, clamped=left if clamped else None)
+    u, v = dolfinx.fem.Function(block.V), ufl.TestFunction(block.V)
+    x, force = ufl.SpatialCoordinate(mesh), np.array([0.0, 0.0, 0.1])
+    L = ufl.inner(dolfinx.fem.Constant(mesh, force), v) * dx
+    for k, middle in ((1, 0.5), (2, 2.5)):
+        L += (x[0] - middle) * v[0] * dx(k)  # in balance
+    held = [rigid_motions(u, dx(k)) for k in ((2,) if clamped else (1, 2))]
+    LinearProblem(
+        block.a, L, bcs=block.bcs, u=u, subdomains=6, scalars=held,
+        petsc_options=EXACT | {"feti_formulation": form},
+    ).solve()  # fmt: skip
+    equal(held[-1].unknown.value[:3], force, 1e-8)
+    for motions in held:
+        missed = [dolfinx.fem.assemble_scalar(dolfinx.fem.form(c)) for c in motions.equations]
+        small(np.abs(COMM.allreduce(np.array(missed))).max(), 1e-12)
+    size = COMM.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(ufl.inner(u, u) * dx(2))))
+    agree(size > 1e-8, size)
 
 
 def bordered_newton(F, u, bcs, unknown, c, steps=12):
@@ -152,7 +187,7 @@ def test_against_dolfinx_with_mumps():
 def holes():
     """A block with two cubes left out: two closed cavities."""
     box = dolfinx.mesh.create_box(COMM, [(0.0, 0.0, 0.0), (5.0, 3.0, 3.0)], (5, 3, 3))
-    centres = dolfinx.mesh.compute_midpoints(box, 3, np.arange(_cells(box), dtype=np.int32))
+    centres = midpoints(box)
     inside = [np.abs(centres - c).max(axis=1) < 0.5 for c in ((1.5, 1.5, 1.5), (3.5, 1.5, 1.5))]
     kept = np.flatnonzero(~(inside[0] | inside[1])).astype(np.int32)
     mesh = dolfinx.mesh.create_submesh(box, 3, kept)[0]
@@ -167,9 +202,11 @@ def holes():
     )  # fmt: skip
 
 
-def _cells(mesh):
+def midpoints(mesh):
+    """Return the midpoints of the cells on this process, (cells, 3)."""
     index_map = mesh.topology.index_map(3)
-    return index_map.size_local + index_map.num_ghosts
+    cells = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
+    return dolfinx.mesh.compute_midpoints(mesh, 3, cells)
 
 
 def test_two_cavities_with_different_volumes():
