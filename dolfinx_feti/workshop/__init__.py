@@ -10,15 +10,15 @@ Example::
     print(check(material))
     curve = respond(material, uniaxial(np.linspace(0.8, 1.6, 41)))
 
-In the order of the data: compiled, directions, paths, equilibrium, response, moduli, ellipticity,
-checks, report, fitting, plots.
+In the order of the data: compiled, paths, equilibrium, response, moduli, ellipticity, checks,
+report, fitting, plots.
 """
 
 from dolfinx_feti.workshop.checks import Check
 from dolfinx_feti.workshop.compiled import Material, States, compile_material, evaluate
 from dolfinx_feti.workshop.ellipticity import Ellipticity, least_eigenvalues, scan_ellipticity
-from dolfinx_feti.workshop.fitting import Estimate, Fit, fit
-from dolfinx_feti.workshop.moduli import Compliance, Moduli, small_strain_moduli
+from dolfinx_feti.workshop.fitting import Fit, fit
+from dolfinx_feti.workshop.moduli import Moduli, small_strain_moduli
 from dolfinx_feti.workshop.paths import (
     MaterialTest,
     biaxial,
@@ -28,16 +28,14 @@ from dolfinx_feti.workshop.paths import (
     simple_shear,
     uniaxial,
 )
-from dolfinx_feti.workshop.plots import plot_fit, plot_responses
+from dolfinx_feti.workshop.plots import plot_responses
 from dolfinx_feti.workshop.report import Report, check
-from dolfinx_feti.workshop.response import DataSet, Response, data_set, respond
+from dolfinx_feti.workshop.response import DataSet, Response, respond
 
 __all__ = [
     "Check",
-    "Compliance",
     "DataSet",
     "Ellipticity",
-    "Estimate",
     "Fit",
     "Material",
     "MaterialTest",
@@ -48,13 +46,11 @@ __all__ = [
     "biaxial",
     "check",
     "compile_material",
-    "data_set",
     "equibiaxial",
     "evaluate",
     "fit",
     "inflation",
     "least_eigenvalues",
-    "plot_fit",
     "plot_responses",
     "pure_shear",
     "respond",

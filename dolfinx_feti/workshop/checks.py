@@ -34,11 +34,12 @@ Law = Callable[[Array], States]
 
 #: Deviations that pass: of identities that hold to rounding, and of finite differences.
 IDENTITIES, DIFFERENCES = 1e-9, 1e-6
-#: Jump of the tangent at rest that is no rounding.
-KINK = 1e-3
 #: Increments of F in finite differences, and next to the reference.
 STEP, NEARBY = 6e-6, 1e-10
 N_STATES = 32
+
+UNIT, CONSTANT = "are the fibres unit vectors?", "no stress follows from it"
+KINK = "tension and compression differ at small strains, as with fibres that do not push"
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,20 +73,38 @@ def check_law(law: Law, *, strain: float, incompressible: bool, seed: int) -> li
         seed: Seed of the random numbers.
     """
     rng = np.random.default_rng(seed)
-    F = random_states(rng, N_STATES, strain, incompressible=incompressible)
-    states = law(F)
-    finite = _check_finite(states)
-    if not states.finite.any():
+    every = law(random_states(rng, N_STATES, strain, incompressible=incompressible))
+    finite = _check_finite(every)
+    if not every.finite.any():
         return [finite]
-    states, rest = law(F[states.finite]), law(np.eye(3)[None])
+    states, rest = law(every.F[every.finite]), law(np.eye(3)[None])
+    R, H = _rotations(rng, len(states.F)), rng.standard_normal((N_STATES, 3, 3))
     with np.errstate(all="ignore"):  # values at rest may be infinite
+        F, scale, scale_at_rest = states.F, _scale(states.A), _scale(rest.A)
+        stress = rest.P - (np.trace(rest.P[0]) / 3 if incompressible else 0.0) * np.eye(3)
+        below = np.maximum((rest.psi - states.psi) / scale, 0.0)
+        turned, frame = law(R @ F), "write psi in C and J"
+        tau = states.P @ F.transpose(0, 2, 1)  # P Fᵀ
+        asymmetry = states.A - states.A.transpose(0, 3, 4, 1, 2)
+        P, A = _differences(law, F)
+        near = law(np.eye(3) + NEARBY * 0.5 * (H + H.transpose(0, 2, 1)))
+        # κ, which may be far larger than the moduli of shear, does not count
+        shear = _scale(np.einsum("nijij->nij", rest.A) * (1 - np.eye(3)))
+        identities: list[tuple[str, Array, str]] = [
+            ("frame indifference of the energy", np.abs(turned.psi - states.psi), frame),
+            ("frame indifference of the stress", _largest(turned.P - R @ states.P), frame),
+            ("symmetry of the stress", _largest(tau - tau.transpose(0, 2, 1)), ""),
+            ("symmetry of the tangent", _largest(asymmetry), ""),
+        ]
         return [
             finite,
-            *_check_rest(rest, states, incompressible),
-            *_check_frame(law, states, _rotations(rng, len(states.F))),
-            *_check_symmetry(states),
-            *_check_derivatives(law, states),
-            _check_kink(law, rest, rng.standard_normal((N_STATES, 3, 3))),
+            judge("stress-free reference", _largest(stress) / scale_at_rest, note=UNIT),
+            judge("zero energy at the reference", np.abs(rest.psi) / scale_at_rest, warn=CONSTANT),
+            judge("least energy at the reference", below, F=F, warn="a wrong sign?"),
+            *(judge(name, d / scale, F=F, note=note) for name, d, note in identities),
+            judge("stress against differences", _largest(states.P - P) / scale, DIFFERENCES, F),
+            judge("tangent against differences", _largest(states.A - A) / scale, DIFFERENCES, F),
+            judge("tangent continuous at rest", _largest(near.A - rest.A) / shear, 1e-3, warn=KINK),
         ]
 
 
@@ -110,11 +129,11 @@ def random_states(
 def judge(
     name: str,
     deviations: Array,
-    bound: float,
+    bound: float = IDENTITIES,
     F: Array | None = None,
     *,
-    otherwise: str = "fail",
     note: str = "",
+    warn: str = "",
 ) -> Check:
     """Compare the largest of several deviations with a bound; one that is no number fails.
 
@@ -123,17 +142,17 @@ def judge(
         deviations: One per state, (n,).
         bound: The largest deviation that passes.
         F: The states, (n, 3, 3), if the worst one is to be shown.
-        otherwise: The outcome if a deviation is larger, ``warn`` or ``fail``.
-        note: What to add then.
+        note: What to add if a deviation is larger.
+        warn: The same for a property that good models may lack.
     """
     worst = int(np.where(np.isnan(deviations), np.inf, deviations).argmax())
     value = float(deviations[worst])
     if value <= bound:
         return Check(name, "pass", value, bound)
-    if np.isnan(value):
-        otherwise, note = "fail", "no number"
-    notes = [note] * bool(note) + ([] if F is None else [f"at {show(F[worst])}"])
-    return Check(name, otherwise, value, bound, "; ".join(notes))
+    lost = np.isnan(value)
+    notes = ["no number" if lost else note or warn, "" if F is None else f"at {show(F[worst])}"]
+    outcome = "warn" if warn and not lost else "fail"
+    return Check(name, outcome, value, bound, "; ".join(filter(None, notes)))
 
 
 def show(F: Array) -> str:
@@ -160,89 +179,16 @@ def _check_finite(states: States) -> Check:
     )
 
 
-def _check_rest(rest: States, states: States, incompressible: bool) -> list[Check]:
-    """Energy and stress at the reference, and energies below that."""
-    stress, scale = rest.P, _scale(rest.A)
-    if incompressible:
-        stress = stress - np.trace(stress[0]) / 3 * np.eye(3)
-    below = (rest.psi - states.psi) / _scale(states.A)
-    return [
-        judge(
-            "stress-free reference",
-            _largest(stress) / scale,
-            IDENTITIES,
-            note="are the fibres unit vectors?",
-        ),
-        judge(
-            "zero energy at the reference",
-            np.abs(rest.psi) / scale,
-            IDENTITIES,
-            otherwise="warn",
-            note="no stress follows from it",
-        ),
-        judge(
-            "least energy at the reference",
-            np.maximum(below, 0.0),
-            IDENTITIES,
-            states.F,
-            otherwise="warn",
-        ),
-    ]
-
-
-def _check_frame(law: Law, states: States, R: Array) -> list[Check]:
-    """Energies and stresses after rotations R, (n, 3, 3)."""
-    turned, scale = law(R @ states.F), _scale(states.A)
-    energy = np.abs(turned.psi - states.psi) / scale
-    stress = _largest(turned.P - R @ states.P) / scale
-    note = "write psi in C and J"
-    return [
-        judge("frame indifference of the energy", energy, IDENTITIES, states.F, note=note),
-        judge("frame indifference of the stress", stress, IDENTITIES, states.F, note=note),
-    ]
-
-
-def _check_symmetry(states: States) -> list[Check]:
-    """Kirchhoff stress P Fᵀ, and major symmetry of A."""
-    scale = _scale(states.A)
-    tau = states.P @ states.F.transpose(0, 2, 1)
-    stress = _largest(tau - tau.transpose(0, 2, 1)) / scale
-    tangent = _largest(states.A - states.A.transpose(0, 3, 4, 1, 2)) / scale
-    return [
-        judge("symmetry of the stress", stress, IDENTITIES, states.F),
-        judge("symmetry of the tangent", tangent, IDENTITIES, states.F),
-    ]
-
-
-def _check_derivatives(law: Law, states: States) -> list[Check]:
-    """P and A against central differences in all nine entries of F."""
-    scale = _scale(states.A)
-    P, A = np.empty_like(states.P), np.empty_like(states.A)
+def _differences(law: Law, F: Array) -> tuple[Array, Array]:
+    """P and A by central differences in all nine entries of F."""
+    P, A = np.empty((len(F), 3, 3)), np.empty((len(F), 3, 3, 3, 3))
     for i, j in np.ndindex(3, 3):
         H = np.zeros((3, 3))
         H[i, j] = STEP
-        up, down = law(states.F + H), law(states.F - H)
+        up, down = law(F + H), law(F - H)
         P[:, i, j] = (up.psi - down.psi) / (2 * STEP)
         A[..., i, j] = (up.P - down.P) / (2 * STEP)
-    stress, tangent = _largest(states.P - P) / scale, _largest(states.A - A) / scale
-    return [
-        judge("stress against differences", stress, DIFFERENCES, states.F),
-        judge("tangent against differences", tangent, DIFFERENCES, states.F),
-    ]
-
-
-def _check_kink(law: Law, rest: States, H: Array) -> Check:
-    """Tangents next to the reference, on several sides of it, against the one at the reference."""
-    near = law(np.eye(3) + NEARBY * 0.5 * (H + H.transpose(0, 2, 1)))
-    shear = np.einsum("nijij->nij", rest.A) * (1 - np.eye(3))
-    jump = _largest(near.A - rest.A) / _scale(shear)  # κ, which may be far larger, does not count
-    return judge(
-        "tangent continuous at rest",
-        jump,
-        KINK,
-        otherwise="warn",
-        note="tension and compression differ at small strains, as with fibres that do not push",
-    )
+    return P, A
 
 
 def _rotations(rng: np.random.Generator, n: int) -> Array:

@@ -20,55 +20,38 @@ import numpy as np
 import numpy.typing as npt
 import scipy.optimize
 
-from dolfinx_feti.runtime.tables import Cell, table
 from dolfinx_feti.workshop.compiled import Material, evaluate
-from dolfinx_feti.workshop.directions import hemisphere, minimise, tangents
 from dolfinx_feti.workshop.equilibrium import equilibrate, stiffness_scale
 from dolfinx_feti.workshop.paths import MaterialTest
 
 __all__ = ["Ellipticity", "least_eigenvalues", "scan_ellipticity"]
 
 Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 #: Eigenvalue, relative to the stiffness at rest, that counts as zero.
 ZERO_EIGENVALUE = 1e-10
 
+#: Directions of the first search, some 7° apart, and the distances of those around the best one
+#: that follow it [rad]: the error of an eigenvalue is the square of the last.
+N_DIRECTIONS, AROUND, DISTANCES = 400, 12, 0.1 * 0.6 ** np.arange(28)
+
 
 @dataclass(frozen=True, slots=True)
 class Ellipticity:
-    """The acoustic tensor along a path; ``str`` prints a table.
+    """The acoustic tensor along a path.
 
     Attributes:
-        name: Name of the path.
-        symbol: Letter of its values, λ or γ.
-        values: Stretches or amounts of shear, (n,).
+        path: The path.
         least: Least eigenvalue over all directions [kPa], (n,); NaN where no equilibrium was found.
-        normal: Unit normals n of the least eigenvalue, in the deformed body, (n, 3).
-        polarisation: Unit vectors m of the least eigenvalue, (n, 3).
         rest: The value nearest to the reference state.
         lost: Values at which strong ellipticity is first lost above and below the state at rest;
             empty if it is not.
     """
 
-    name: str
-    symbol: str
-    values: Array
+    path: MaterialTest
     least: Array
-    normal: Array
-    polarisation: Array
     rest: float
     lost: tuple[float, ...]
-
-    def __str__(self) -> str:
-        """Return a table of the least eigenvalues and their directions."""
-        head = [self.symbol, "least eigenvalue [kPa]", "n", "m"]
-        rows: list[list[Cell]] = [
-            [float(value), float(least), _vector(self.normal[k]), _vector(self.polarisation[k])]
-            for k, (value, least) in enumerate(zip(self.values, self.least, strict=True))
-        ]
-        where = " and ".join(f"{self.symbol} = {v:.4g}" for v in self.lost) or "nowhere"
-        return f"{self.name}\n{table(head, rows)}\nstrong ellipticity is lost at: {where}"
 
 
 def scan_ellipticity(
@@ -88,31 +71,23 @@ def scan_ellipticity(
     path = make_path(values)
     if (np.diff(path.values) <= 0).any():
         raise ValueError(f"values = {values!r}: give them in ascending order.")
-    least, normal, polarisation = _along(material, path)
     zero = ZERO_EIGENVALUE * stiffness_scale(material)
+
+    def margins(part: MaterialTest) -> Array:
+        return _along(material, part) - zero
+
+    least = margins(path)
     rest = int(np.linalg.norm(path.F - np.eye(3), axis=(1, 2)).argmin())
-
-    def margin(value: float) -> float:
-        return float(_along(material, make_path([value]))[0][0]) - zero
-
     lost = {
         first
         for side in (np.arange(rest, len(least)), np.arange(rest, -1, -1))
-        if (first := _first_loss(margin, path.values[side], least[side] - zero)) is not None
+        if (first := _first_loss(lambda v: margins(make_path(v)), path.values[side], least[side]))
+        is not None
     }
-    return Ellipticity(
-        path.name,
-        path.symbol,
-        path.values,
-        least,
-        normal,
-        polarisation,
-        float(path.values[rest]),
-        tuple(sorted(lost)),
-    )
+    return Ellipticity(path, least + zero, float(path.values[rest]), tuple(sorted(lost)))
 
 
-def least_eigenvalues(F: Array, A: Array, *, incompressible: bool) -> tuple[Array, Array, Array]:
+def least_eigenvalues(F: Array, A: Array, *, incompressible: bool) -> tuple[Array, Array]:
     """Minimise the eigenvalues of the acoustic tensor over all directions.
 
     Args:
@@ -121,73 +96,63 @@ def least_eigenvalues(F: Array, A: Array, *, incompressible: bool) -> tuple[Arra
         incompressible: Whether only polarisations m ⟂ n count.
 
     Returns:
-        Least eigenvalues [kPa], (n,), with their normals n and polarisations m, (n, 3) each.
+        Least eigenvalues [kPa], (n,), and their normals n, (n, 3).
     """
     J = np.linalg.det(F)[:, None, None, None, None]
     spatial = np.einsum("niJkL,njJ,nlL->nijkl", A, F, F, optimize=True) / J
-    directions = hemisphere()
-    bases = _polarisations(directions, incompressible)
-    minima = [_least(tensor, directions, bases, incompressible) for tensor in spatial]
-    values, normals, polarisations = (np.array(part) for part in zip(*minima, strict=True))
-    return values, normals, polarisations
+    z = (np.arange(N_DIRECTIONS) + 0.5) / N_DIRECTIONS  # a Fibonacci lattice; Q(−n) = Q(n)
+    φ = np.arange(N_DIRECTIONS) * np.pi * (3 - np.sqrt(5))
+    r = np.sqrt(1 - z**2)
+    lattice = np.column_stack((r * np.cos(φ), r * np.sin(φ), z))
+    n = np.broadcast_to(lattice, (len(F), *lattice.shape))
+    angle = np.linspace(0, 2 * np.pi, AROUND, endpoint=False)
+    ring = np.vstack((np.zeros(2), np.column_stack((np.cos(angle), np.sin(angle)))))
+    for distance in (None, *DISTANCES):
+        if distance is not None:
+            n = n + distance * ring @ _tangents(n).swapaxes(-1, -2)[:, 0]
+            n /= np.linalg.norm(n, axis=-1, keepdims=True)
+        Q = np.einsum("nijkl,naj,nal->naik", spatial, n, n, optimize=True)
+        if incompressible:
+            T = _tangents(n)
+            Q = T.swapaxes(-1, -2) @ Q @ T
+        values = np.linalg.eigvalsh(Q)[..., 0]
+        best = values.argmin(axis=1)[:, None]
+        n = np.take_along_axis(n, best[:, :, None], axis=1)
+    return np.take_along_axis(values, best, axis=1)[:, 0], n[:, 0]
 
 
-def _along(material: Material, path: MaterialTest) -> tuple[Array, Array, Array]:
-    """Least eigenvalues with n and m; NaN where there is no equilibrium, or no finite tangent."""
+def _along(material: Material, path: MaterialTest) -> Array:
+    """Least eigenvalues, (n,); NaN where there is no equilibrium, or no finite tangent."""
     equilibria = equilibrate(material, path.F, path.free)
-    n = len(path.F)
-    least, normal, polarisation = np.full(n, np.nan), *np.full((2, n, 3), np.nan)
+    least = np.full(len(path.F), np.nan)
     if equilibria.converged.any():
         states = evaluate(material, equilibria.F[equilibria.converged])
-        usable = np.flatnonzero(equilibria.converged)[states.finite]
-        if len(usable):
-            least[usable], normal[usable], polarisation[usable] = least_eigenvalues(
-                states.F[states.finite],
-                states.A[states.finite],
-                incompressible=material.incompressible,
-            )
-    return least, normal, polarisation
+        usable, fine = np.flatnonzero(equilibria.converged)[states.finite], states.finite
+        kind = material.incompressible
+        least[usable] = least_eigenvalues(states.F[fine], states.A[fine], incompressible=kind)[0]
+    return least
 
 
-def _least(
-    tensor: Array, directions: Array, bases: Array, incompressible: bool
-) -> tuple[float, Array, Array]:
-    """Least eigenvalue of one 𝒜 over all n: the best of many directions, refined."""
-    Q = np.einsum("ijkl,nj,nl->nik", tensor, directions, directions, optimize=True)
-    values = np.linalg.eigvalsh(bases.transpose(0, 2, 1) @ Q @ bases)[:, 0]
-    scale = np.abs(values).max() or 1.0
-
-    def eigenpair(n: Array) -> tuple[float, Array]:
-        B = _polarisations(n, incompressible)
-        Q = np.einsum("ijkl,j,l->ik", tensor, n, n)
-        w, V = np.linalg.eigh(B.T @ Q @ B)
-        return float(w[0]), B @ V[:, 0]
-
-    _, n = minimise(lambda n: eigenpair(n)[0] / scale, directions[values.argmin()])
-    value, m = eigenpair(n)
-    return value, n, m
+def _tangents(n: Array) -> Array:
+    """Return two orthonormal vectors normal to each direction, as columns, (…, 3, 2)."""
+    helper = np.eye(3)[np.abs(n).argmin(axis=-1)]
+    t1 = np.cross(n, helper)
+    t1 /= np.linalg.norm(t1, axis=-1, keepdims=True)
+    return np.stack((t1, np.cross(n, t1)), axis=-1)
 
 
-def _polarisations(n: Array, incompressible: bool) -> Array:
-    """Orthonormal basis of the polarisations, (…, 3, 2) or (…, 3, 3)."""
-    return tangents(n) if incompressible else np.broadcast_to(np.eye(3), (*n.shape, 3))
-
-
-def _first_loss(margin: Callable[[float], float], values: Array, margins: Array) -> float | None:
+def _first_loss(
+    margins: Callable[[list[float]], Array], values: Array, known: Array
+) -> float | None:
     """Where the margin first vanishes, starting at values[0]; None if not before it is NaN."""
-    gone = ~(margins > 0)
-    if not gone.any():
-        return None
+    gone = ~(known > 0)
     k = int(gone.argmax())
-    if np.isnan(margins[k]):
+    if not gone[k] or np.isnan(known[k]):
         return None
     if k == 0:
         return float(values[0])
+    ends = values[k - 1], values[k]
     try:
-        return float(scipy.optimize.brentq(margin, values[k - 1], values[k], xtol=1e-9))
+        return float(scipy.optimize.brentq(lambda v: float(margins([v])[0]), *ends, xtol=1e-9))
     except (RuntimeError, ValueError):  # no equilibrium somewhere between the two
         return float(values[k])
-
-
-def _vector(n: Array) -> str:
-    return "(" + ", ".join(f"{x:.3f}" for x in n + 0.0) + ")"

@@ -31,17 +31,9 @@ from ufl.core.expr import Expr
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.runtime.tables import Cell, state, table
 from dolfinx_feti.workshop.compiled import Material, compile_material
-from dolfinx_feti.workshop.paths import refine
-from dolfinx_feti.workshop.response import (
-    DataSet,
-    Response,
-    r_squared,
-    respond,
-    rms_error,
-    stresses,
-)
+from dolfinx_feti.workshop.response import DataSet, Response, respond, stresses
 
-__all__ = ["Estimate", "Fit", "covariance", "estimate", "fit"]
+__all__ = ["Fit", "fit", "uncertainty"]
 
 Array = npt.NDArray[np.float64]
 
@@ -53,49 +45,30 @@ BLIND = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
-    """A fitted parameter.
-
-    Attributes:
-        name: Its name.
-        value: Its value.
-        low: Lower end of the confidence interval; None if the value is on a bound, which leaves
-            no interval, and infinite if the data do not determine the parameter.
-        high: Upper end, likewise.
-    """
-
-    name: str
-    value: float
-    low: float | None
-    high: float | None
-
-
-@dataclass(frozen=True, slots=True)
 class Fit:
     """A fit; ``str`` prints its tables.
 
     Attributes:
         material: The material with the fitted parameters.
-        parameters: Values and confidence intervals.
+        intervals: Confidence interval of each parameter; NaN if it is on a bound, which leaves no
+            interval, and infinite if the data do not determine it.
         covariance: Covariance of the parameters, (m, m); NaN for one on a bound.
         confidence: Level of the intervals.
         data: The data sets.
         responses: The fitted stresses at the measured states, a response per data set.
-        evaluations: Number of times that all data sets were computed, but for derivatives.
     """
 
     material: Material
-    parameters: tuple[Estimate, ...]
+    intervals: dict[str, tuple[float, float]]
     covariance: Array
     confidence: float
     data: tuple[DataSet, ...]
     responses: tuple[Response, ...]
-    evaluations: int
 
     @property
     def values(self) -> dict[str, float]:
         """Values of the parameters by their names."""
-        return {p.name: p.value for p in self.parameters}
+        return dict(self.material.parameters)
 
     @property
     def correlation(self) -> Array:
@@ -106,24 +79,23 @@ class Fit:
 
     def __str__(self) -> str:
         """Return a table of the parameters and one of the data sets."""
+        parameters, sets = list[list[Cell]](), list[list[Cell]]()
+        for name, (low, high) in self.intervals.items():
+            bound = math.isnan(low)
+            remark = "on its bound" if bound else "not determined by the data" * math.isinf(low)
+            ends: list[Cell] = [None] * 2 if bound else [low, high]
+            parameters.append([name, self.values[name], *ends, remark])
+        for d, response in zip(self.data, self.responses, strict=True):
+            error = stresses(response, d.measure) - d.stress
+            variance = np.sum((d.stress - d.stress.mean(axis=0)) ** 2)
+            explained = 1 - np.sum(error**2) / variance if variance > 0 else math.nan
+            sets.append([d.name, len(error), float(np.sqrt(np.mean(error**2))), float(explained)])
         level = f"{100 * self.confidence:g} % confidence"
-        parameters: list[list[Cell]] = [
-            [p.name, p.value, p.low, p.high, _remark(p)] for p in self.parameters
-        ]
-        sets: list[list[Cell]] = [
-            [d.name, len(d.stress), rms_error(r, d), r_squared(r, d)]
-            for d, r in zip(self.data, self.responses, strict=True)
-        ]
-        return "\n\n".join(
-            [
-                table(["parameter", "value", level, "", ""], parameters),
-                table(["data set", "states", "rms error [kPa]", "R²"], sets),
-            ]
+        return (
+            table(["parameter", "value", level, "", ""], parameters)
+            + "\n\n"
+            + table(["data set", "states", "rms error [kPa]", "R²"], sets)
         )
-
-    def curves(self, n: int = 60) -> tuple[Response, ...]:
-        """Compute the fitted stresses at n states along the path of each data set."""
-        return tuple(respond(self.material, refine(d.path, n)) for d in self.data)
 
 
 def fit(
@@ -172,57 +144,39 @@ def fit(
     best = trial(optimum.x)
     reach = TOUCH * np.maximum(np.abs(optimum.x), np.abs(first))
     free = (np.abs(optimum.x - limits) > reach).all(axis=0)
-    estimates, C = estimate(best.parameters, optimum.jac, 2 * optimum.cost, free, confidence)
+    C, half = uncertainty(optimum.jac, 2 * optimum.cost, free, confidence)
+    ends = zip(names, (optimum.x - half).tolist(), (optimum.x + half).tolist(), strict=True)
+    intervals = {name: (low, high) for name, low, high in ends}
     responses = tuple(respond(best, d.path) for d in data)
-    return Fit(best, estimates, C, confidence, data, responses, int(optimum.nfev))
+    return Fit(best, intervals, C, confidence, data, responses)
 
 
-def estimate(
-    values: Mapping[str, float],
-    R: Array,
-    squares: float,
-    free: npt.NDArray[np.bool_],
-    confidence: float,
-) -> tuple[tuple[Estimate, ...], Array]:
-    """Return the parameters with their confidence intervals, and their covariance (m, m).
+def uncertainty(
+    R: Array, squares: float, free: npt.NDArray[np.bool_], confidence: float
+) -> tuple[Array, Array]:
+    """Return s² (Rᵀ R)⁻¹, (m, m), and half the widths of the confidence intervals, (m,).
+
+    Both are infinite for parameters that the residuals do not determine, and NaN on a bound.
 
     Args:
-        values: Values of the m parameters at the minimum.
-        R: Jacobian of the residuals there, (n, m), n > m.
+        R: Jacobian of the n residuals, (n, m), n > m.
         squares: Sum of the squared residuals.
         free: Which parameters are not on a bound, (m,); the others count as known.
         confidence: Level of the intervals, such as 0.95.
     """
     freedom = len(R) - int(free.sum())
-    full = np.full((len(free), len(free)), np.nan)
-    full[np.ix_(free, free)] = covariance(R[:, free], squares / freedom)
-    t = float(scipy.stats.t.ppf((1 + confidence) / 2, freedom))
-    half = t * np.sqrt(np.diag(full))
-    parameters = tuple(
-        Estimate(name, value, value - float(h), value + float(h))
-        if f
-        else Estimate(name, value, None, None)
-        for (name, value), h, f in zip(values.items(), half, free, strict=True)
-    )
-    return parameters, full
-
-
-def covariance(R: Array, variance: float) -> Array:
-    """Return s² (Rᵀ R)⁻¹, infinite for parameters that the residuals do not determine.
-
-    Args:
-        R: Jacobian, (n, m).
-        variance: s².
-    """
-    lengths = np.linalg.norm(R, axis=0)
+    lengths = np.linalg.norm(R[:, free], axis=0)
     lengths[lengths == 0] = 1.0
-    _, s, Vt = np.linalg.svd(R / lengths, full_matrices=False)
+    _, s, Vt = np.linalg.svd(R[:, free] / lengths, full_matrices=False)
     seen = s > BLIND * s.max(initial=0.0)
     V = Vt[seen].T / s[seen]
-    result = variance * (V @ V.T) / np.outer(lengths, lengths)
+    C = squares / freedom * (V @ V.T) / np.outer(lengths, lengths)  # s² (Rᵀ R)⁻¹
     blind = (np.abs(Vt[~seen]) > 1e-3).any(axis=0)
-    result[blind], result[:, blind] = np.inf, np.inf
-    return result
+    C[blind], C[:, blind] = np.inf, np.inf
+    covariance = np.full((len(free), len(free)), np.nan)
+    covariance[np.ix_(free, free)] = C
+    t = float(scipy.stats.t.ppf((1 + confidence) / 2, freedom))
+    return covariance, t * np.sqrt(np.diag(covariance))
 
 
 def _minimise(
@@ -294,10 +248,3 @@ def _limits(start: Mapping[str, float], bounds: Mapping[str, tuple[float, float]
         if not (low < high and low <= value <= high):
             raise ValueError(f"start has {name} = {value}, bounds ({low}, {high}): start inside.")
     return limits
-
-
-def _remark(parameter: Estimate) -> str:
-    """Return what a reader of the table has to know."""
-    if parameter.low is None:
-        return "on its bound"
-    return "" if math.isfinite(parameter.low) else "not determined by the data"

@@ -26,7 +26,7 @@ that of a thin tube: e₁ is the circumferential and e₂ the axial direction.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -40,7 +40,6 @@ __all__ = [
     "equibiaxial",
     "inflation",
     "pure_shear",
-    "refine",
     "simple_shear",
     "uniaxial",
 ]
@@ -175,18 +174,6 @@ def simple_shear(
     F = np.tile(np.eye(3), (len(shear), 1, 1))
     F[:, 0, 1] = shear
     return _path("simple shear", "γ", shear, F, OUT_OF_PLANE, (along, across), ((0, 1),))
-
-
-def refine(path: MaterialTest, n: int) -> MaterialTest:
-    """Interpolate a path linearly at n states from its first to its last one, in their order."""
-    known = np.linspace(0.0, 1.0, len(path.values))
-    new = np.linspace(0.0, 1.0, n)
-    F = path.F.reshape(len(known), 9)
-    return replace(
-        path,
-        values=np.interp(new, known, path.values),
-        F=np.column_stack([np.interp(new, known, entry) for entry in F.T]).reshape(n, 3, 3),
-    )
 
 
 #: The paths along which :func:`~dolfinx_feti.workshop.report.check` goes, by their symbols.

@@ -65,7 +65,7 @@ def brute_force(F, A, incompressible, n=200_000, seed=4099):
 def test_neo_hookean_is_elliptic_everywhere(make):
     """There m · Q(n) m = c |Fᵀ n|² for m ⟂ n, at least c times the smallest squared stretch."""
     scan = scan_ellipticity(material(neo_hookean), make, np.linspace(0.5, 2.0, 7))
-    stretches = np.linalg.svd(make(scan.values).F, compute_uv=False)
+    stretches = np.linalg.svd(scan.path.F, compute_uv=False)
     np.testing.assert_allclose(scan.least, C * stretches[:, -1] ** 2, rtol=1e-7)
     assert scan.lost == ()
 
@@ -78,11 +78,11 @@ def test_fibres_kink_in_compression(make):
     """
     scan = scan_ellipticity(material(reinforced), make, np.linspace(0.6, 1.4, 9))
     assert scan.lost == pytest.approx((KINK,), abs=1e-7)
-    shortest = scan.values[0]
+    shortest = scan.path.values[0]
     assert scan.least[0] == pytest.approx(shortest**2 * (C + 2 * FIBRE * (shortest**2 - 1)))
-    np.testing.assert_allclose(np.abs(scan.normal[0]), [1, 0, 0], atol=1e-5)
-    assert scan.polarisation[0, 0] == pytest.approx(0, abs=1e-5)
-    assert "lost at: λ = 0.7906" in str(scan)
+    at = evaluate(material(reinforced), scan.path.F[:1])  # the free entries are not its
+    _, normal = least_eigenvalues(at.F, at.A, incompressible=True)
+    np.testing.assert_allclose(np.abs(normal[0]), [1, 0, 0], atol=1e-5)
 
 
 def test_fibres_that_do_not_push_do_not_kink():
@@ -129,7 +129,7 @@ def test_compressed_saint_venant_kirchhoff(stretch):
     """The least eigenvalue is negative, with n and m neither along nor across the axis."""
     user = material(saint_venant, kappa=0.0)
     at = evaluate(user, bar([stretch]).F)
-    (least,), _, _ = least_eigenvalues(at.F, at.A, incompressible=False)
+    (least,), _ = least_eigenvalues(at.F, at.A, incompressible=False)
     found = brute_force(at.F[0], at.A[0], False)
     assert least < 0 and least <= found and found - least < 0.05
 
@@ -141,12 +141,12 @@ def test_least_eigenvalue_is_the_least_of_all(psi, kappa):
     F = rotation(23) @ np.diag([0.75, 1.4, 1 / (0.75 * 1.4)]) @ rotation(29)
     at = evaluate(user, F)
     incompressible = user.incompressible
-    (least,), (n,), (m,) = least_eigenvalues(at.F, at.A, incompressible=incompressible)
+    (least,), (n,) = least_eigenvalues(at.F, at.A, incompressible=incompressible)
     A = spatial(F, at.A[0])
-    assert np.einsum("ijkl,i,j,k,l", A, m, n, m, n) == pytest.approx(least, rel=1e-9)
-    assert np.linalg.norm(n) == pytest.approx(1) and np.linalg.norm(m) == pytest.approx(1)
-    if incompressible:
-        assert n @ m == pytest.approx(0, abs=1e-12)
+    Q = np.einsum("ijkl,j,l->ik", A, n, n)
+    normal_part = np.outer(n, n) * 1e9 if incompressible else 0.0  # leaves m ⟂ n
+    assert np.linalg.eigvalsh(Q + normal_part)[0] == pytest.approx(least, rel=1e-6)
+    assert np.linalg.norm(n) == pytest.approx(1)
     found = brute_force(F, at.A[0], incompressible)
     assert least <= found + 1e-12 and found - least < 0.02 * np.abs(A).max()
 

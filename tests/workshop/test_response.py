@@ -37,7 +37,7 @@ from dolfinx_feti.workshop import (
     uniaxial,
 )
 from dolfinx_feti.workshop.equilibrium import equilibrate
-from dolfinx_feti.workshop.paths import STANDARD_PATHS, refine
+from dolfinx_feti.workshop.paths import STANDARD_PATHS
 
 pytestmark = pytest.mark.serial
 
@@ -237,13 +237,6 @@ def test_table():
     assert lines[0] == "biaxial"
     assert lines[1].split()[0] == "λ" and "σ22 [kPa]" in lines[1]
     assert len(lines) == 4 and lines[3].split()[0] == "1.25"
-
-
-def test_refined_path_has_the_same_ends():
-    path = uniaxial([1.0, 1.1, 1.5])
-    fine = refine(path, 5)
-    np.testing.assert_allclose(fine.values, [1.0, 1.05, 1.1, 1.3, 1.5])
-    np.testing.assert_array_equal(fine.F[[0, 2, 4]], path.F)
 
 
 def test_path_without_free_entries_leaves_the_pressure_open():
