@@ -26,7 +26,7 @@ import ufl
 
 from dolfinx_feti import NonlinearProblem, comparison, kinematics, loading, materials
 from dolfinx_feti import output as out
-from dolfinx_feti.diagnosis import advice, figures, run, surface
+from dolfinx_feti.diagnosis import advice, figures, run
 from dolfinx_feti.mechanics.residual_stress import elastic_part
 
 
@@ -209,7 +209,6 @@ def diagnose(body: Body) -> None:
             problem.linear_system,
             problem.create_linear_solver,
             state=0.0,
-            decomposition=problem.decomposition,
             prefix="diagnosed_",
         )
         same(str(found))
@@ -231,10 +230,6 @@ def collect_figures(body: Body) -> None:
 
 def advise(body: Body) -> None:
     same(advice.advise(figures_of(body), iterations=10, prefix="advised_"))
-
-
-def visible_surface(body: Body) -> None:
-    same(surface.visible_surface(body.linear.decomposition))
 
 
 def motion(body: Body) -> None:
@@ -280,7 +275,6 @@ CALLS = {
         "collect_figures": collect_figures,
         "diagnose": diagnose,
         "residual_shares": residual_shares,
-        "visible_surface": visible_surface,
     },
     "comparison": {
         "PeakMemory": peak_memory,

@@ -1,20 +1,15 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What a comparison of solvers found: a table that prints itself, records, a picture."""
+"""What a comparison of solvers found: a table that prints itself, and records."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
 
 from dolfinx_feti.runtime.cost import Cost
-from dolfinx_feti.runtime.pictures import create_figure
 from dolfinx_feti.runtime.tables import Cell, json_value, table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["Comparison", "SolverResult"]
 
@@ -36,7 +31,6 @@ class SolverResult:
             own residual is at most 1e-6.
         note: Why it failed, that its residual is above the tolerance, or why the direct solution
             took LU or is no reference; or an empty string.
-        ordering: How a direct solver has ordered the rows; or an empty string.
     """
 
     solver: str
@@ -44,7 +38,6 @@ class SolverResult:
     relative_residual: float
     difference_to_direct: float
     note: str
-    ordering: str = ""
 
     @property
     def converged(self) -> bool:
@@ -81,7 +74,6 @@ class Comparison:
             | ({} if s.cost is None else asdict(s.cost))
             | {"relative_residual": s.relative_residual}
             | {"difference_to_direct": s.difference_to_direct, "note": s.note}
-            | ({"ordering": s.ordering} if s.ordering else {})
             for s in self.solved
         ]
         left_out = [
@@ -99,32 +91,6 @@ class Comparison:
         ]
         lines += [f"left out: {name}, {why}" for name, why in self.left_out]
         return "\n".join(lines)
-
-    def plot(self) -> Figure:
-        """Draw the times and the memory of the solvers that converged.
-
-        Returns:
-            A figure of matplotlib, to be saved by its ``savefig``.
-
-        Raises:
-            ImportError: matplotlib is not installed.
-            ValueError: No solver converged.
-        """
-        costs = {s.solver: s.cost for s in self.solved if s.cost is not None and s.converged}
-        if not costs:
-            raise ValueError("No solver converged: there is nothing to draw; print the comparison.")
-        figure = create_figure(8.0, 3.2)
-        times, memory = figure.subplots(1, 2)
-        names = list(costs)
-        setup = [cost.seconds_setup for cost in costs.values()]
-        times.bar(names, setup, label="set-up")
-        solve = [cost.seconds_solve for cost in costs.values()]
-        times.bar(names, solve, bottom=setup, label="solve")
-        times.set_ylabel("time [s]")
-        times.legend()
-        memory.bar(names, [cost.peak_mib for cost in costs.values()], color="tab:gray")
-        memory.set_ylabel("peak memory [MiB]")
-        return figure
 
 
 def _row(solved: SolverResult) -> list[Cell]:

@@ -31,7 +31,7 @@ from dolfinx_feti.comparison.assembled import (
     relative_residual,
 )
 from dolfinx_feti.comparison.result import Comparison, SolverResult
-from dolfinx_feti.comparison.solvers import SOLVERS, create_solver, missing, ordering, takes_torn
+from dolfinx_feti.comparison.solvers import SOLVERS, create_solver, missing, takes_torn
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.feti.subdomain.factors.direct import factor_failure
 from dolfinx_feti.problems.linear_problem import LinearProblem
@@ -55,12 +55,11 @@ Solvers = Mapping[str, Mapping[str, object]]
 
 @dataclass(frozen=True, slots=True)
 class _Outcome:
-    """What came of a solver: its cost, its solution if there is one, a note, and an ordering."""
+    """What came of a solver: its cost, its solution if there is one, and a note."""
 
     cost: Cost | None
     x: PETSc.Vec | None
     note: str = ""
-    ordering: str = ""
 
 
 def compare(
@@ -175,14 +174,15 @@ def _solve(
     except (PETSc.Error, RuntimeError, ImportError) as error:
         x.destroy()
         return _Outcome(None, None, f"failed: {reason(error).splitlines()[-1]}")
-    order, why = ordering(ksp), message() or _name(cost.converged_reason)
-    if cost.converged_reason == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED and order:
-        why = factor_failure(ksp.getPC())
+    pc, failed = ksp.getPC(), PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED
+    why = message() or _name(cost.converged_reason)
+    if cost.converged_reason == failed and pc.getType() in ("cholesky", "lu"):
+        why = factor_failure(pc)
     ksp.destroy()
     if cost.converged_reason > 0:
-        return _Outcome(cost, x, ordering=order)
+        return _Outcome(cost, x)
     x.destroy()
-    return _Outcome(cost, None, f"failed: {why}", order)
+    return _Outcome(cost, None, f"failed: {why}")
 
 
 def _solve_directly(K: PETSc.Mat, f: PETSc.Vec) -> _Outcome:
@@ -222,7 +222,7 @@ def _judged(
             difference = relative_difference(x, x_direct)
         if error > EXCESS * rtol and not note:
             note = f"the residual is above {rtol:.0e}"
-    return SolverResult(name, outcome.cost, error, difference, note, outcome.ordering)
+    return SolverResult(name, outcome.cost, error, difference, note)
 
 
 def _name(reason: int) -> str:

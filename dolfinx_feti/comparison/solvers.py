@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 from dolfinx_feti.runtime.petsc_options import inserted
 
-__all__ = ["SOLVERS", "create_solver", "missing", "ordering", "prefix_of"]
+__all__ = ["SOLVERS", "create_solver", "missing", "prefix_of", "takes_torn"]
 
 #: Solvers that a comparison takes if it is not told, and their options without prefix. A Cholesky
 #: factorisation becomes LU where the matrix is not symmetric. BDDC gets the torn matrix, the others
@@ -43,9 +43,6 @@ MAX_IT = 2000
 #: Parts of the interface of up to so many nodes are primal in BDDC as they are. PETSc's default is
 #: one dof; then set-up may fail, as a subdomain of a ragged partition is held too loosely.
 VERTEX_NODES = 2
-
-#: MUMPS's orderings, by INFOG(7).
-ORDERINGS = {0: "AMD", 2: "AMF", 3: "SCOTCH", 4: "PORD", 5: "METIS", 6: "QAMD"}
 
 
 def create_solver(
@@ -120,20 +117,6 @@ def missing(options: Mapping[str, object]) -> str:
         if external and not PETSc.Sys.hasExternalPackage(str(package)):
             return f"this PETSc was built without {package}"
     return ""
-
-
-def ordering(ksp: PETSc.KSP) -> str:
-    """Tell how the rows of a direct solver's matrix were ordered; nothing of another solver.
-
-    MUMPS tells by INFOG(7); CHOLMOD takes the better one of two, and does not tell which.
-    """
-    pc = ksp.getPC()
-    if pc.getType() not in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU):
-        return ""
-    if pc.getFactorSolverType() != PETSc.Mat.SolverType.MUMPS:
-        return "AMD or METIS"
-    found = int(pc.getFactorMatrix().getMumpsInfog(7))
-    return ORDERINGS.get(found, f"INFOG(7) = {found}")
 
 
 def takes_torn(solver: str, options: Mapping[str, object]) -> bool:

@@ -1,25 +1,19 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What a diagnosis found: a table that prints itself, a record, a picture of the subdomains."""
+"""What a diagnosis found: a table that prints itself, and a record."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.diagnosis.figures import Figures, Spread
-from dolfinx_feti.diagnosis.surface import Surface
-from dolfinx_feti.runtime.pictures import create_figure
 from dolfinx_feti.runtime.tables import json_value
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["Diagnosis", "Seconds"]
 
@@ -57,9 +51,9 @@ class Diagnosis:
         message: Why the solve failed, or an empty string.
         seconds: Time.
         peak_mib: Peak memory above mesh and matrix, of all processes together [MiB].
-        residuals: Part of each subdomain in the residual of the present state, (subdomains,).
+        residuals: Part of each subdomain in the residual of the present state, (subdomains,), in
+            the order of their numbers, ``decomposition.first + decomposition.subdomain``.
         advice: What would help.
-        surface: Polygons for the picture.
     """
 
     figures: Figures | None
@@ -71,7 +65,6 @@ class Diagnosis:
     peak_mib: float
     residuals: npt.NDArray[np.float64]
     advice: tuple[Advice, ...]
-    surface: Surface
 
     @property
     def records(self) -> list[dict[str, object]]:
@@ -112,41 +105,6 @@ class Diagnosis:
         """Say whether the solve has ended at the rounding errors of the residual."""
         floor = math.nan if self.figures is None else self.figures.report.floor
         return f", at the floor of rounding, {floor:.1e}" if floor > 0.0 else ""
-
-    def plot(self) -> Figure:
-        """Draw the subdomains, coloured by their part in the residual of the present state.
-
-        Returns:
-            A figure of matplotlib, to be saved by its ``savefig``.
-
-        Raises:
-            ImportError: matplotlib is not installed.
-        """
-        figure = create_figure(6.0, 4.5)
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.collections import PolyCollection
-        from matplotlib.colors import LogNorm
-        from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-
-        corners, values = self.surface.corners, self.residuals[self.surface.subdomain]
-        most = values.max() if values.max() > 0.0 else 1.0
-        least = max(values.min(), 1e-6 * most)
-        colour = ScalarMappable(LogNorm(min(least, 0.999 * most), most), "viridis")
-        colours = colour.to_rgba(np.maximum(values, least))
-        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-        ax: Any
-        if corners.shape[-1] == 2:
-            ax = figure.add_subplot()
-            ax.add_collection(PolyCollection(list(corners), facecolors=colours, edgecolors="face"))
-            ax.autoscale()
-            ax.set(aspect="equal")
-        else:
-            ax = figure.add_subplot(projection="3d")
-            ax.add_collection3d(Poly3DCollection(corners, facecolors=colours))
-            limits = zip(("xlim", "ylim", "zlim"), zip(low, high, strict=True), strict=True)
-            ax.set(**dict(limits), box_aspect=np.maximum(high - low, 1e-12))
-        figure.colorbar(colour, ax=ax, label="residual of a subdomain")
-        return figure
 
 
 def _rows(figures: Figures) -> list[tuple[str, str]]:

@@ -17,8 +17,6 @@ import numpy.typing as npt
 from dolfinx_feti.diagnosis.advice import Advice, advise
 from dolfinx_feti.diagnosis.figures import collect_figures, residual_shares
 from dolfinx_feti.diagnosis.result import Diagnosis, Seconds
-from dolfinx_feti.diagnosis.surface import visible_surface
-from dolfinx_feti.fem.decomposition import Decomposition
 from dolfinx_feti.runtime.cost import timed_solve
 from dolfinx_feti.runtime.events import seconds_of
 
@@ -34,7 +32,6 @@ def diagnose(
     create: Callable[[], PETSc.KSP],
     *,
     state: Array | float,
-    decomposition: Decomposition,
     prefix: str,
     known: Sequence[Advice] = (),
 ) -> Diagnosis:
@@ -45,7 +42,6 @@ def diagnose(
             random one is solved for.
         create: Creates the FETI solver.
         state: The x of which the residual b − A x is shown, (owned,), or one value for all.
-        decomposition: Subdomain of each owned cell.
         prefix: Options prefix of the problem.
         known: Advice from what earlier solves have found.
 
@@ -91,7 +87,6 @@ def diagnose(
         peak_mib=cost.peak_mib,
         residuals=residual_shares(A, b, x),
         advice=(*known, *advice),
-        surface=visible_surface(decomposition),
     )
     for owned in (ksp, load, solution, b, x):
         owned.destroy()

@@ -184,7 +184,7 @@ class TornProblem:
         logging is begun if it is not, for the times.
 
         Returns:
-            The diagnosis: ``print`` it, take its ``records``, or ``plot`` it.
+            The diagnosis: ``print`` it, or take its ``records``.
 
         Note:
             Collective.
@@ -193,7 +193,6 @@ class TornProblem:
             self.linear_system,
             self.create_linear_solver,
             state=self._approximation(),
-            decomposition=self.decomposition,
             prefix=self._prefix,
             known=self._known_advice(),
         )

@@ -4,5 +4,5 @@
 """What all other folders use: processes, compiled code, PETSc, versions.
 
 In the order of the data: compat, scotch, collective, lifetime, events, native, petsc_errors,
-petsc_library, petsc_options, folders, connectivity, tables, pictures, cost.
+petsc_library, petsc_options, folders, connectivity, tables, cost.
 """

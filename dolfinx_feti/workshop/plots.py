@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from dolfinx_feti.runtime.pictures import create_figure
 from dolfinx_feti.workshop.response import DataSet, Measure, Response, stresses
 
 if TYPE_CHECKING:
@@ -46,7 +45,14 @@ def plot_responses(
         raise ValueError(f"names = {names}: give one for each of the {len(responses)} responses.")
     named = zip(names, responses, strict=True)
     curves = [(name, r.path, stresses(r, measure)) for name, r in named]
-    figure = create_figure(4.8, 3.8)
+    try:
+        from matplotlib.figure import Figure  # without the windows of pyplot
+    except ImportError as error:
+        raise ImportError(
+            "Pictures need matplotlib: install it (apt install python3-matplotlib, or pip install "
+            "matplotlib), or draw the numbers with another tool."
+        ) from error
+    figure = Figure(figsize=(4.8, 3.8), layout="constrained")
     ax = figure.subplots()
     for parts, style in ((curves, "-"), ([(d.name, d.path, d.stress) for d in data], "o")):
         for name, path, values in parts:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from bodies import two_wells
 from collective import COMM, agree, equal, small
-from problems import Problem, cube, dirichlet, elasticity, poisson
+from problems import cube, elasticity, poisson
 from walls import tube, wall
 
 import dolfinx
@@ -117,34 +117,6 @@ def test_solve_that_fails():
     found = linear(elasticity(cube(3, 3), clamped=None), 4).diagnose()
     agree(found.figures is None and found.advice == () and "singular" in found.message)
     agree("singular" in str(found) and found.records[0]["figures"] is None)
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("simplices", [True, False])
-def test_picture(dim, simplices):
-    """A polygon for each cell in the plane, for each facet of the boundary in space."""
-    pytest.importorskip("matplotlib")
-    kinds = dolfinx.mesh.CellType
-    bricks = kinds.quadrilateral if dim == 2 else kinds.hexahedron
-    mesh = cube(dim, 4, None if simplices else bricks)
-    found = linear(poisson(mesh), 3).diagnose()
-    polygons = {2: 16, 3: 6 * 16}[dim] * (2 if simplices else 1)
-    agree(found.surface.corners.shape == (polygons, 3 if simplices else 4, dim))
-    agree(found.surface.subdomain.max() < len(found.residuals))
-    figure = found.plot()
-    agree(figure.axes[0].collections and figure.axes[-1].get_ylabel() == "residual of a subdomain")
-
-
-def test_line():
-    """An interval: a segment for each cell, drawn in the plane."""
-    pytest.importorskip("matplotlib")
-    V = dolfinx.fem.functionspace(dolfinx.mesh.create_unit_interval(COMM, 16), ("Lagrange", 1))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    left = dirichlet(V, lambda x: np.isclose(x[0], 0.0))
-    found = linear(Problem(V, u.dx(0) * v.dx(0) * ufl.dx, v * ufl.dx, [left]), 3).diagnose()
-    agree(found.surface.corners.shape == (16, 2, 2) and not found.surface.corners[..., 1].any())
-    small(np.abs(np.diff(found.surface.corners[..., 0])).sum() - 1.0, 1e-14)
-    agree(len(found.plot().axes[0].collections) == 1)
 
 
 # -- advice: a problem that gets it, and one that does not
