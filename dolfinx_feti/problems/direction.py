@@ -14,7 +14,9 @@ on the way counts as indefinite.
 
 A plain step has no shift and leads where Newton's method leads: without a potential, while
 prescribed displacements move, for a few steps after that, as such a state is far from the path, and
-where all shifts are exhausted. A shift would hold the body back while its boundary moves.
+where all shifts are exhausted. A shift would hold the body back while its boundary moves. Without a
+potential it is what is left where the plain solve fails, as of coefficients from 1 to 1e-16. A
+linear solve that stagnates below 1e-3 of the residual still leads on (inexact Newton).
 """
 
 from __future__ import annotations
@@ -38,6 +40,9 @@ Reason = PETSc.KSP.ConvergedReason
 
 #: So many plain steps with an indefinite tangent may follow those that have moved the boundary.
 PATIENCE = 3
+
+#: Share of the residual down to which a linear solve that stagnates there leads on.
+CLOSE = 1e-3
 
 #: The first shift, its growth, and the largest one that is tried.
 LEAST_SHIFT, SHIFT_GROWTH = 1e-4, 4.0
@@ -75,17 +80,19 @@ class Directions:
         """Take the system."""
         self._system = system
         self._enough: npt.NDArray[np.bool_] | None = None  # others have another mask
-        self.begin(moved=False, refuse=False, guess=False)
+        self.begin(moved=False, refuse=False, guess=False, shortens=False)
 
-    def begin(self, *, moved: bool, refuse: bool, guess: bool) -> None:
+    def begin(self, *, moved: bool, refuse: bool, guess: bool, shortens: bool) -> None:
         """Begin another solve.
 
         Args:
             moved: Whether it moves the boundary.
             refuse: Whether to end it where its first tangent is indefinite.
             guess: Whether it begins in a guess: then a singular tangent there lacks no support.
+            shortens: Whether the caller has a shorter way where a linear solve without a potential
+                fails.
         """
-        self._shift, self._patience = 0.0, PATIENCE if moved else 0
+        self._shift, self._patience, self._shortens = 0.0, PATIENCE if moved else 0, shortens
         self._refuse, self._guess, self._first = refuse, guess, True
 
     def along(self, ksp: PETSc.KSP, here: Residual, *, moves: bool) -> Iterator[Direction]:
@@ -116,7 +123,8 @@ class Directions:
                 iterations.append(feti.iterations)
             elif refuse:
                 raise self._stop("poor guess")
-            leads = reason > 0 and (plain or system.dot(du, here.condensed) < 0.0)
+            close = reason == Reason.DIVERGED_BREAKDOWN and feti.residual <= CLOSE
+            leads = (reason > 0 or close) and (plain or system.dot(du, here.condensed) < 0.0)
             if leads:
                 grown = sigma > self._shift
                 self._shift = fallen(sigma, grown=grown)
@@ -130,15 +138,15 @@ class Directions:
 
     def _tries(self, *, moves: bool) -> Iterator[tuple[float, bool]]:
         """Yield the shifts to be tried, and whether the direction is a plain one."""
-        down = self._system.has_potential and not moves
-        plain = not down or self._patience > 0
-        if plain:
+        down = self._system.has_potential
+        plain_first = not down or moves or self._patience > 0
+        if plain_first:
             yield 0.0, True
-        sigma: float | None = self._shift if down else None
-        while sigma is not None:
+        sigma: float | None = self._shift if down else LEAST_SHIFT
+        while sigma is not None and not moves and (down or not self._shortens):
             yield sigma, False
             sigma = raised(sigma)
-        if not plain:
+        if not plain_first:
             yield 0.0, True
 
     def _linear_failure(self, feti: FETI) -> Stop:

@@ -10,13 +10,12 @@ length α of ``line_search``.
 
 A step leads down a potential, if there is one (``direction``), by a length α (``line_search``).
 
-A step keeps the tangent of the last one if that leads to the end in two steps, should each leave
-the share of the residual that the last step has left: no assembly, no factors, no coarse matrix.
-Fields are then condensed by the K_up and K_pp of this tangent, or κ would multiply by how much they
-have changed.
+A step keeps a tangent that has served one step if it leads to the end, should it leave the share of
+the residual that it has left there: no assembly, no factors, no coarse matrix. Fields are then
+condensed by the K_up and K_pp of this tangent, or κ would multiply by how much they have changed.
 
 A linear solve is no more accurate than the step deserves: beside its own tolerance, a tenth of the
-residual that Newton's method aims at, or that a step with a kept tangent leaves, is enough,
+residual that Newton's method aims at is enough,
 ‖r + K' ΔU‖ ≤ 0.1 r_end. Options that state how accurate linear solves are, are kept to.
 
 Forces are those of the free dofs. They are small beside
@@ -74,10 +73,6 @@ Reason = PETSc.SNES.ConvergedReason
 
 #: Share of the residual that Newton's method aims at which a linear solve may leave.
 LEFT = 0.1
-
-#: Steps in which the last tangent has to lead to the end to be kept: together they cost less than
-#: one with a new tangent; and the share of the residual that each is taken to leave at least.
-KEPT, LEAST_SHARE = 2, 0.1
 
 #: Share of the reactions that counts as the load of a solve at least.
 LEAST_REACTION = 0.1
@@ -195,7 +190,8 @@ class Newton:
         load = float(np.fmin(first, start.reference))
         moved = system.boundary_moves(here)
         poor = start.early and start.tangent is None and first > start.reference
-        self._directions.begin(moved=moved, refuse=poor, guess=bool(np.isfinite(start.reference)))
+        guess = bool(np.isfinite(start.reference))
+        self._directions.begin(moved=moved, refuse=poor, guess=guess, shortens=start.early)
         at_most = _share_of_reactions(snes, moved=moved)
         while True:
             moves = system.boundary_moves(here)
@@ -206,8 +202,8 @@ class Newton:
             if reason != Reason.ITERATING:
                 return reason
             aim, share = _end(snes, scale), share_left(self.history, norm)
-            kept = not moves and norm * share**KEPT <= aim
-            left = norm * max(share, LEAST_SHARE) if kept else 0.0
+            fresh = bool(self.history) and self.history[-1].tangent_lag == 0
+            kept = not moves and fresh and norm * share <= aim
             if not kept and (self.history or start.tangent is None):
                 with event("FETITangent"):
                     system.linearise(here)
@@ -220,7 +216,7 @@ class Newton:
                 return Reason.CONVERGED_FNORM_ABS
             if not kept and not self._compared and is_slow(self.history, norm):
                 self._compare(here, self._du)
-            with no_closer_than(LEFT * max(aim, left), snes.getKSP()):
+            with no_closer_than(LEFT * aim, snes.getKSP()):
                 here, started = self._step(snes, here, norm, floor, started, kept=kept, moves=moves)
             self.residual = here.equations
             norm = system.norm(here.condensed)
@@ -297,7 +293,7 @@ class Newton:
                 seen,
                 found.du,
                 shifted=shifted,
-                potential=None if found.plain else height,
+                potential=height if system.has_potential and not found.plain else None,
                 highest=float(np.fmax.reduce(self._heights)),
                 early=self._start.early,
             )

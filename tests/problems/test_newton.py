@@ -53,9 +53,7 @@ def test_linear_solves_are_as_accurate_as_the_step_deserves():
         problem.solve()
         steps = problem.history
         r = np.array([step.residual for step in steps])
-        left = np.maximum(r / np.append(np.inf, r[:-1]), 0.1) * [s.tangent_lag > 0 for s in steps]
-        expected = 0.1 * np.maximum(1e-6 * r[0] / r, left)
-        for step, rtol in zip(steps, expected, strict=True):
+        for step, rtol in zip(steps, 1e-7 * r[0] / r, strict=True):
             small(step.linear_rtol / max(1e-8, 0.0 if options else rtol) - 1.0, 1e-12)
             small(step.linear_residual, step.linear_rtol)
         agree(problem.solver.getKSP().getTolerances()[:2] == (1e-8, 1e-50))
@@ -64,12 +62,12 @@ def test_linear_solves_are_as_accurate_as_the_step_deserves():
     agree(found[0][1] < found[1][1], found)
 
 
-@pytest.mark.parametrize("kappa", [1e2, 1e5])
+@pytest.mark.parametrize("kappa", [1e4, 1e5])
 def test_a_tangent_is_kept_where_it_leads_to_the_end(kappa, monkeypatch):
     """To the same solution in fewer tangents; a condensed pressure does not spoil it."""
     found = []
-    for steps in (newton.KEPT, 0):
-        monkeypatch.setattr(newton, "KEPT", steps)
+    for share_left in (newton.share_left, lambda *_: np.inf):
+        monkeypatch.setattr(newton, "share_left", share_left)
         body = wall(tube(), kappa=kappa, degree=2)
         problem = body.problem(4)
         body.load.value = loads.mmhg(20.0)
@@ -79,7 +77,7 @@ def test_a_tangent_is_kept_where_it_leads_to_the_end(kappa, monkeypatch):
     equal(u, expected, 1e-8)
     lags = [step.tangent_lag for step in history]
     agree(max(lags) > 0 and all(step.tangent_lag == 0 for step in all_new), lags)
-    agree(lags.count(0) < len(all_new) and len(history) <= len(all_new) + 2, (history, all_new))
+    agree(lags.count(0) < len(all_new) and len(history) <= len(all_new) + 1, (history, all_new))
     left = [after.residual / step.residual for step, after in itertools.pairwise(history)]
     kept = [share for share, lag in zip(left, lags, strict=False) if lag]
     agree(max(kept, default=0.0) < 0.3, kept)

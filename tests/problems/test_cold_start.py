@@ -1,0 +1,146 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Problems that have no load to cut, from zero: in at most twice the steps of SNES with ``bt``."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal
+from problems import Cell, cube, dirichlet, owned, right
+
+import dolfinx
+import dolfinx.fem.petsc
+import ufl
+
+from dolfinx_feti import NonlinearProblem
+
+#: Share by which the tangents' coefficients begin: size^(p/2 − 1) where u = 0.
+SMALL = 1e-4
+
+
+class Scalar:
+    """A scalar problem with an energy, and its solution by SNES with ``bt`` and a factor."""
+
+    def __init__(self, mesh: dolfinx.mesh.Mesh, degree: int = 1) -> None:
+        V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree))
+        self.u, self.v = dolfinx.fem.Function(V), ufl.TestFunction(V)
+        self.bcs = [dirichlet(V, lambda x: np.full(x.shape[1], True))]
+        self.dx = ufl.Measure("dx", mesh, metadata={"quadrature_degree": 2 * degree})
+
+    def p_laplace(self, p: float, load: float) -> None:
+        p, load = (dolfinx.fem.Constant(self.u.function_space.mesh, value) for value in (p, load))
+        size = SMALL + ufl.inner(ufl.grad(self.u), ufl.grad(self.u))
+        self.energy = (size ** (p / 2) / p - load * self.u) * self.dx
+
+    def total_variation(self, weight: float, smoothing: float) -> None:
+        V = self.u.function_space
+        g = dolfinx.fem.Function(V)
+        g.interpolate(lambda x: 1.0 * ((x[0] - 0.5) ** 2 + (x[1] - 0.5) ** 2 < 0.09))
+        weight, smoothing = (dolfinx.fem.Constant(V.mesh, value) for value in (weight, smoothing))
+        size = ufl.sqrt(ufl.inner(ufl.grad(self.u), ufl.grad(self.u)) + smoothing**2)
+        self.energy = ((self.u - g) ** 2 / 2 + weight * size) * self.dx
+
+    @cached_property
+    def residual(self) -> ufl.Form:
+        return ufl.derivative(self.energy, self.u, self.v)
+
+    def snes(self) -> tuple[int, np.ndarray]:
+        """Return the steps of SNES and its solution, (owned,)."""
+        F, J = map(dolfinx.fem.form, (self.residual, ufl.derivative(self.residual, self.u)))
+        A = dolfinx.fem.petsc.create_matrix(J)
+        x, r, n = A.createVecRight(), A.createVecLeft(), len(owned(self.u))
+
+        def residual(snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
+            self.u.x.array[:n] = x.array_r
+            self.u.x.scatter_forward()
+            b = dolfinx.fem.assemble_vector(F)
+            b.scatter_reverse(dolfinx.la.InsertMode.add)
+            for bc in self.bcs:
+                bc.set(b.array[:n], self.u.x.array[:n], -1.0)
+            r.array[:] = b.array[:n]
+
+        def tangent(snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
+            A.zeroEntries()
+            dolfinx.fem.petsc.assemble_matrix(A, J, bcs=self.bcs)
+            A.assemble()
+
+        snes = PETSc.SNES().create(COMM)
+        snes.setFunction(residual, r)
+        snes.setJacobian(tangent, A)
+        snes.setTolerances(rtol=1e-8, atol=1e-50, stol=0.0, max_it=100)
+        snes.getKSP().setType(PETSc.KSP.Type.PREONLY)
+        snes.getKSP().getPC().setType(PETSc.PC.Type.LU)
+        snes.getKSP().getPC().setFactorSolverType("mumps")
+        snes.solve(None, x)
+        agree(snes.getConvergedReason() > 0)
+        steps, solution = snes.getIterationNumber(), x.array.copy()
+        for made in (snes, A, x, r):
+            made.destroy()
+        return steps, solution
+
+    def compare(self, subdomains: int) -> None:
+        """Solve by the residual and by the energy, each from zero."""
+        most, expected = self.snes()
+        for F in (self.residual, self.energy):
+            self.u.x.array[:] = 0.0
+            options = {"snes_max_it": 2 * most}
+            NonlinearProblem(
+                F, self.u, bcs=self.bcs, subdomains=subdomains, petsc_options=options
+            ).solve()
+            equal(owned(self.u), expected, 1e-6)
+
+
+@pytest.mark.parametrize("p", [1.1, 1.5, 4.0, 10.0])
+@pytest.mark.parametrize(("load", "subdomains"), [(1.0, 2), (10.0, 7), (10.0, 16), (0.1, 2)])
+def test_p_laplace(p, load, subdomains):
+    """Coefficients from 1 to 1e-16, at which a linear solve stagnates or finds no pivot."""
+    problem = Scalar(cube(2, 16))
+    problem.p_laplace(p, load)
+    problem.compare(subdomains)
+
+
+def test_p_laplace_on_quadratic_quadrilaterals():
+    problem = Scalar(cube(2, 16, Cell.quadrilateral), degree=2)
+    problem.p_laplace(10.0, 10.0)
+    problem.compare(4)
+
+
+@pytest.mark.parametrize("weight", [1e-2, 1e-1])
+@pytest.mark.parametrize("smoothing", [1e-1, 1e-3])
+def test_total_variation(weight, smoothing):
+    problem = Scalar(cube(2, 16))
+    problem.total_variation(weight, smoothing)
+    problem.compare(4)
+
+
+@pytest.mark.parametrize("energy", [False, True])
+@pytest.mark.parametrize(("slides", "most"), [(False, 7), (True, 6)])
+def test_cube_pulled_at_once(energy, slides, most):
+    """From 1 to 2, nearly incompressible."""
+    mesh = cube(3, 3, Cell.hexahedron)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
+    u, p = (
+        dolfinx.fem.Function(space) for space in (V, dolfinx.fem.functionspace(mesh, ("DG", 0)))
+    )
+    F = ufl.Identity(3) + ufl.grad(u)
+    J = ufl.det(F)
+    psi = (J ** (-2 / 3) * ufl.inner(F, F) - 3) / 2 + p * (J - 1) - p**2 / 2e4
+    potential = psi * ufl.dx(metadata={"quadrature_degree": 4})
+    if slides:
+        planes = [dirichlet(V, lambda x, i=i: np.isclose(x[i], 0.0), component=i) for i in range(3)]
+        bcs = [*planes, dirichlet(V, right, lambda x: 1.0 + 0.0 * x[0], component=0)]
+    else:
+        ends = lambda x: np.isclose(x[0] * (1.0 - x[0]), 0.0)  # noqa: E731
+        bcs = [dirichlet(V, ends, lambda x: np.stack([x[0], 0.0 * x[0], 0.0 * x[0]]))]
+    residuals = [ufl.derivative(potential, f, ufl.TestFunction(f.function_space)) for f in (u, p)]
+    problem = NonlinearProblem(
+        potential if energy else residuals, u, bcs=bcs, condense=p, subdomains=4
+    )
+    problem.solve()
+    agree(len(problem.history) <= most, problem.history)
