@@ -6,12 +6,9 @@ r"""A large coarse system N x = b: conjugate gradients with a third level, clust
 .. math:: x_0 = Z A_1^{-1} Z^⊤ b, \qquad z = (I - Z A_1^{-1} (N Z)^⊤)\, D\, r, \qquad
           A_1 = Z^⊤ N Z
 
-with small systems D that overlap (``schwarz``), and the rigid motions Z of each cluster of
-subdomains as combinations of their columns: the method of the primal form, one level up. A process
-holds its rows of N, Z and N Z, and its blocks; A₁ alone is gathered (``gathered``).
-
-Every solve leaves a share of its own right-hand side. Where the iterations stagnate, do not see a
-positive definite matrix, or meet NaN, a factor of N takes their place for good.
+with small systems D that overlap (``schwarz``), and the rigid motions Z of each cluster as
+combinations of its subdomains' columns. A₁ alone is gathered (``gathered``). Where the iterations
+stagnate, do not see a positive definite matrix, or meet NaN, a factor of N solves for good.
 """
 
 from __future__ import annotations

@@ -6,22 +6,13 @@ r"""The averaged coarse space and its Galerkin matrix.
 .. math:: V = T^⊤ δ\, U, \qquad A_0 = V^⊤ A V = \sum_i W_i^⊤ S_i W_i, \qquad W_i = (T V)_i
 
 (Mandel 1993, Fragakis and Papadrakakis 2003) with columns :math:`U_i` of each subdomain on its
-interface, (n_i, k_i): its regularised kernel E (``pseudoinverse``) and others, such as those of
-``adaptive``. :math:`W_i` holds the columns of subdomain i and those of its neighbours, (n_i, c_i).
-With :math:`Y_i = S_i^⊤ W_i` the projection
-
-.. math:: z ← z - V A_0^{-1} V^⊤ A\, z, \qquad V^⊤ A\, z = \sum_i Y_i^⊤ (T z)_i
-
-of the primal method takes two dense products for each subdomain, a coarse solve, and an average.
-It is a step of the preconditioner, and reads all Y: single precision will do, unless z comes from a
-preconditioner of another matrix, which may be large where A is stiff, or A₀ is solved with
-iteratively: it may be singular, where columns depend, and has to have Vᵀ A z in its range.
-To both methods A₀ may prove that A is indefinite: A has at least as many negative eigenvalues. V
-serves any matrix, :class:`AveragedColumns`; A V and A₀ are of one, :class:`AveragedSpace`.
-
-The columns are scaled to energy one; dependent ones of a subdomain are dropped, and pivots of A₀
-that are zero left out. Negative eigenvalues and curvatures count only if they are those of
-:math:`A_0 + ε`, with ε just above rounding, :math:`\sum_i \|S_i\|_F \|W_i\|^2` times its unit.
+interface, (n_i, k_i), and :math:`W_i`, (n_i, c_i), those of its neighbours, too. The projection
+:math:`z ← z - V A_0^{-1} \sum_i Y_i^⊤ (T z)_i` reads :math:`Y_i = S_i^⊤ W_i`, in single precision
+unless z comes from a preconditioner of another matrix or A₀, which may be singular, is solved with
+iteratively. V serves any matrix, :class:`AveragedColumns`; A V and A₀ are of one,
+:class:`AveragedSpace`. A has at least as many negative eigenvalues as A₀; they count only if they
+are those of :math:`A_0 + ε`, with ε just above rounding, :math:`\sum_i \|S_i\|_F \|W_i\|^2` times
+its unit.
 """
 
 from __future__ import annotations

@@ -6,20 +6,11 @@ r"""The coarse problem and the projection.
 .. math:: G = B E, \qquad e = E^⊤ f, \qquad N = G^⊤ Q\, G + D, \qquad
           P = I - Q\, G\, N^{-1} G^⊤
 
-(eq. 43; eq. 44, Augustin_eq:projection, has Q = I and D = 0). N couples neighbouring subdomains
-only: it is a sparse, distributed matrix of the size of all kernels together. Q weighs the
-projection:
-
-- ``identity``, the paper's Q = I;
-- ``diagonal``, :math:`Q = \operatorname{diag}(q)` with :math:`q = \operatorname{diag}(B_D
-  \operatorname{diag}(k) B_D^⊤)` from the stiffness k of the scaling;
-- ``preconditioner``, :math:`Q = M + ε \operatorname{diag}(q)`: M alone can vanish on G, as for
-  subdomains in a row that move by turns to and fro.
-
-With D = 0, P is the projection onto :math:`G^⊤ λ = 0`. Under prestress D ≠ 0 and the pair (λ, s)
-obeys :math:`G^⊤ λ + D s = e` instead (``pseudoinverse``); N carries D.
-
-A null space of A is Z = E S on the subdomains, with N S = 0, along which N is anchored.
+(eq. 43; eq. 44, Augustin_eq:projection, has Q = I and D = 0). N, (K, K), is sparse and distributed;
+Q is ``identity``; ``diagonal``, :math:`q = \operatorname{diag}(B_D \operatorname{diag}(k) B_D^⊤)`
+with the stiffness k of the scaling; or ``preconditioner``, :math:`M + ε \operatorname{diag}(q)`, as
+M alone can vanish on G, for subdomains in a row that move by turns to and fro. Along a null space
+of A, Z = E S on the subdomains with N S = 0, N is anchored.
 """
 
 from __future__ import annotations

@@ -3,14 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Krylov methods: CG where the system is positive definite, GMRES otherwise.
 
-Conjugate gradients are safe as long as the dual system is positive definite on the balanced pairs
-(λ, s), that is if neither a regularised subdomain nor the defect D has a negative eigenvalue
-(``definite``); otherwise GMRES takes over. ``stopping`` decides when they end.
-
-An iteration of CG waits for all processes in each coarse solve, one of which sums the norm of the
-residual of the assembled system if there are two, and for :math:`r^⊤ z` and :math:`p^⊤ 𝒜 p`. With
-``ksp_cg_single_reduction`` these are one, as the latter follows of :math:`z^⊤ 𝒜 z`
-(Chronopoulos and Gear 1989).
+CG is safe if neither a regularised subdomain nor the defect D has a negative eigenvalue; see
+``stopping`` for their end. An iteration of CG waits for all processes in each coarse solve, one of
+which sums the norm of the residual of the assembled system if there are two, and for
+:math:`r^⊤ z` and :math:`p^⊤ 𝒜 p`.
 """
 
 from __future__ import annotations

@@ -8,21 +8,16 @@ r"""The dual system and its preconditioner, in the pair (λ, s).
           \begin{pmatrix} d \\ -e \end{pmatrix}, \qquad
           F = B K^+ B^⊤, \quad d = B K^+ f - c
 
-is the paper's system (eq. 41; eq. 42, Augustin_eq:classicalFetiF; eq. 43) with the
-defect D of the kernels in its corner (``pseudoinverse``). The first residual is the jump
-:math:`r = B u - c`, the second the balance of the subdomains (eq. 40). The *constraint
-preconditioner* keeps the second one zero in every iterate, so that a Krylov method only sees the
-jump; with :math:`N = G^⊤ Q G + D` it is
+(eq. 41; eq. 42, Augustin_eq:classicalFetiF; eq. 43) with the defect D of the kernels. The residual
+is the jump r = B u − c and the balance of the subdomains (eq. 40), which the *constraint
+preconditioner* keeps zero,
 
 .. math:: w = N^{-1} G^⊤ Q r, \quad y = M (r - G w), \quad v = N^{-1}(G^⊤ y - D w), \quad
           z = (y - Q G v,\; -w - v).
 
-For D = 0 its λ-part is :math:`P M P^⊤ r`, the projected method of the paper (eq. 45,
-Augustin_eq:dualProblem): conjugate gradients leave s as it is (``frozen``) till the end, or its
-rounding errors might grow.
-
-Where Q has M in it, :math:`z = (Q (r - G w), -w)` is balanced as it is, with one coarse solve. Here
-s is never frozen: w is to shrink with r, or its rounding errors would unbalance z.
+For D = 0 its λ-part is :math:`P M P^⊤ r` (eq. 45, Augustin_eq:dualProblem), and conjugate gradients
+leave s as it is (``frozen``) till the end, or its rounding errors might grow. Where Q has M in it,
+:math:`z = (Q (r - G w), -w)` is balanced as it is, and s never frozen: w is to shrink with r.
 """
 
 from __future__ import annotations

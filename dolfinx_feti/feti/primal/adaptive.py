@@ -5,21 +5,15 @@ r"""Adaptive columns: coarse fields that bound what an average of copies costs.
 
 .. math:: δ\, T_i A\, T_i^⊤ δ\, u = χ\, S_ρ\, u, \qquad χ > χ_0
 
-on the interface of a subdomain, (n_i,). The primal preconditioner adds up :math:`T_i^⊤ δ\, w_i` of
-local displacements :math:`w_i = S_ρ^{-1} δ\, T_i r`. With the eigenvectors u as columns U of the
-coarse space, :math:`U^⊤ S_ρ\, w = U^⊤ δ\, T r = 0` for every residual, and
-
-.. math:: |T_i^⊤ δ\, w|_A^2 ≤ χ_0\, |w|_{S_ρ}^2
-
-for any κ and any reason for a large χ, so that the largest eigenvalue of the preconditioned A is at
-most χ₀ times the number of subdomains that meet in a neighbourhood (Spillane and Rixen 2013). A
-block Krylov method from random forces F₀ approximates the largest χ,
+on the interface of a subdomain, (n_i,). With the u as columns U of the coarse space,
+:math:`|T_i^⊤ δ\, w|_A^2 ≤ χ_0\, |w|_{S_ρ}^2` for all local displacements w that are left (Spillane
+and Rixen 2013; docs/theory.md). A block Krylov method from random forces F₀ approximates the
+largest χ,
 
 .. math:: U_k = S_ρ^{-1} F_k, \qquad F_{k+1} = P\, δ\, T_i A\, T_i^⊤ δ\, U_k,
 
-with Rayleigh and Ritz's method on all :math:`U_k`; the projection P leaves out what the columns E
-that V has anyway see, :math:`E^⊤ F = 0`. It goes on as long as most of what it finds is wanted;
-iterations make up for a column that is missed.
+with Rayleigh and Ritz's method on all :math:`U_k`; P leaves out what the columns E that V has
+anyway see, :math:`E^⊤ F = 0`. It goes on as long as most of what it finds is wanted.
 """
 
 from __future__ import annotations

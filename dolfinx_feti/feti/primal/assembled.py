@@ -5,14 +5,10 @@ r"""What a subdomain sees of the assembled interface: its own S and the shares o
 
 .. math:: T_i\, A\, T_i^⊤ = S_i + \sum_{j ≠ i} T_i T_j^⊤ S_j\, T_j T_i^⊤, \qquad A = T^⊤ S\, T,
 
-(n_i, n_i): of each neighbour j the block of :math:`S_j` with the m rows that both have. Blocks of
-S are given by their lower triangles, row by row, (m (m + 1) / 2,), with the rows in the order that
-they have in subdomain i. Those of neighbours on other processes take a message for each process.
-
-Where S is not formed the neighbours are taken to be like the subdomain itself, with the share of
-the stiffness of each dof that δ tells,
-
-.. math:: T_i\, A\, T_i^⊤ ≈ δ^{-1/2} S_i\, δ^{-1/2}.
+(n_i, n_i): of each neighbour j the block of :math:`S_j` with the m rows that both have, its lower
+triangle row by row, (m (m + 1) / 2,), in one message for each process. Where S is not formed, the
+neighbours are taken to be like the subdomain itself,
+:math:`T_i A\, T_i^⊤ ≈ δ^{-1/2} S_i\, δ^{-1/2}`.
 """
 
 from __future__ import annotations

@@ -5,21 +5,14 @@ r"""Conjugate gradients on the assembled interface, preconditioned by FETI's loc
 
 .. math:: z = Π\, T^⊤ δ\, K_ρ^{-1} δ\, T r, \qquad A = T^⊤ S T,
 
-with the projection Π of ``deflation``: P-FETI (Fragakis and Papadrakakis 2003), which is the
-balancing method (Mandel 1993) with the kernels of FETI. All residuals are orthogonal to V, and
-with V from E alone and D = 0 the eigenvalues are those of the projected dual operator and ones
-(Sousedík and Mandel 2008), so none is below one.
-
-:math:`K_ρ` is positive definite whatever D is, since modes that buckle have joined R
-(``pseudoinverse``). So the method is safe if A is positive definite; if not, A₀ shows it or the
-method meets a direction p with :math:`p^⊤ A p < 0` beyond rounding. An indefinite A
-is solved with where A₀ has as many negative eigenvalues, for all p are A-orthogonal to V: A is
-positive definite on them (Sylvester's law of inertia for A in V and its complement). Where it has
-one or two less, as near a limit point, α is negative as often. The residual of
-the interface is that of the whole assembled system, because displacements inside are in balance.
-
-An iteration waits for all processes three times: in the coarse problem, for :math:`r^⊤ z`, and for
-:math:`p^⊤ A p` together with the products that give :math:`\|r - α A p\|`.
+with the projection Π of ``deflation``: P-FETI (Fragakis and Papadrakakis 2003), the balancing
+method (Mandel 1993) with the kernels of FETI. :math:`K_ρ` is positive definite, since modes that
+buckle have joined R, so that the method is safe if A is; if not, A₀ shows it or a direction p with
+:math:`p^⊤ A p < 0` beyond rounding. An indefinite A is solved with where A₀ has as many negative
+eigenvalues: A is positive definite on all p, which are A-orthogonal to V. Where it has one or two
+less, as near a limit point, α is negative as often. An iteration waits for all processes three
+times: in the coarse problem, for :math:`r^⊤ z`, and for :math:`p^⊤ A p` with the products that
+:math:`\|r - α A p\|` takes.
 """
 
 from __future__ import annotations

@@ -5,25 +5,16 @@ r"""Deflation of the primal form: small eigenvalues that one Newton step leaves 
 
 .. math:: Π = (I - W H^{-1} W^⊤ A)(I - V A_0^{-1} V^⊤ A), \qquad H = W^⊤ A W, \quad V^⊤ A W = 0,
 
-with fields W near the eigenvectors keeps all residuals orthogonal to W, so that conjugate gradients
-no longer see that part of the spectrum (Saad et al. 2000).
+with fields W near the eigenvectors keeps all residuals orthogonal to W (Saad et al. 2000). They are
+Ritz vectors of the smallest Ritz values in the span of the last W and of :math:`Z = Π M R`,
+:math:`M = T^⊤ δ K_ρ^{-1} δ T`. With :math:`Q = M^{-1} W`, :math:`W^⊤ Q = I` and
+:math:`N = Q^⊤ Z`, :math:`M^{-1} Z = R + Q N` and the iterations' :math:`A Z = R H` give both
+matrices without a product (docs/theory.md). Of an unsymmetric A the symmetric parts are taken. A
+first solve has the softest fields of V where stress softens the body, each corrected,
 
-W holds Ritz vectors of the smallest Ritz values in the span of the W of the last solve and its
-preconditioned residuals :math:`Z = Π M R`, :math:`M = T^⊤ δ K_ρ^{-1} δ T`. With
-:math:`Q = M^{-1} W` and :math:`W^⊤ Q = I`, as an earlier choice has left them, :math:`N = Q^⊤ Z`
-gives :math:`M^{-1} Z = R + Q N` and the matrices of A and :math:`M^{-1}` (docs/theory.md). No
-product is needed, as the iterations know :math:`A Z = R H`. Of an unsymmetric A the symmetric parts
-are taken.
+.. math:: W = M A V c, \qquad A_0\, c = μ\, V^⊤ V c.
 
-A first solve has no such vectors. Where stress softens the body it takes the softest fields of V,
-each corrected by the preconditioner, since V alone holds them with too much energy:
-
-.. math:: W = M A V c, \qquad A_0\, c = μ\, V^⊤ V c,
-
-with the least μ, by inverse iteration.
-
-The Gram matrices are formed in full, since rounding spoils the orthogonality of the residuals. Q
-stays for the next matrices: the matrix of :math:`M^{-1}` still is a scalar product.
+Gram matrices are formed in full, since rounding spoils the orthogonality of the residuals.
 """
 
 from __future__ import annotations

@@ -6,14 +6,10 @@ r"""The primal form: the assembled interface problem set up for a matrix, and so
 .. math:: A\, x = T^⊤ \hat f_Γ, \qquad A = T^⊤ S\, T, \qquad
           \hat f_Γ = f_Γ - K_{ΓI} K_{II}^{-1} f_I, \qquad f = δ\, T r - K u_D,
 
-by conjugate gradients with the preconditioner of ``cg``, or ``gmres`` if K is not symmetric; then
-:math:`u_Γ = T x` and :math:`u_I = K_{II}^{-1} (f_I - K_{IΓ} u_Γ)`. The coarse space holds the
-averaged motions E of the subdomains and columns that bound what averages cost (``adaptive``).
-
-:math:`K_ρ^{-1}`, the columns of V and the weights δ make a preconditioner of A whatever matrix they
-belong to. So a form has an operator of now, S, with Vᵀ A and A₀, and a preconditioner of now or of
-an earlier matrix; if K is not symmetric, of its symmetric part. In the same way Ritz vectors of
-solves with earlier matrices join V (``deflation``).
+by ``cg``, or ``gmres`` if K is not symmetric; then :math:`u_Γ = T x` and
+:math:`u_I = K_{II}^{-1} (f_I - K_{IΓ} u_Γ)`. S, Vᵀ A and A₀ are those of the present matrix;
+:math:`K_ρ^{-1}`, the columns of V and δ, which only precondition, may be of an earlier one, or of
+the symmetric part.
 """
 
 from __future__ import annotations

@@ -3,20 +3,17 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""GMRES on the assembled interface, for an unsymmetric matrix.
 
-The preconditioner of ``cg`` is that of the symmetric part ½ (K + Kᵀ); S, A and
-:math:`A_0 = V^⊤ A V` are those of K. With an orthonormal basis Q of residuals, and
+With the preconditioner of ``cg`` for the symmetric part, an orthonormal basis Q of residuals, and
 
 .. math:: z_j = Π\, T^⊤ δ\, K_ρ^{-1} δ\, T q_j, \qquad A Z_k = Q_{k+1} H, \qquad
           H = \begin{pmatrix} h^⊤ \\ R \end{pmatrix},
 
-the least residual of :math:`x_0 + Z_k y` is (Saad and Schultz 1986)
+the least residual of :math:`x_0 + Z_k y` is (Saad and Schultz 1986; Ayachour 2003)
 
 .. math:: a = R^{-⊤} h, \qquad y = \frac{\|r_0\|}{1 + a^⊤ a}\, R^{-1} a, \qquad
-          \|r_k\| = \frac{\|r_0\|}{\sqrt{1 + a^⊤ a}},
+          \|r_k\| = \frac{\|r_0\|}{\sqrt{1 + a^⊤ a}}.
 
-where R is triangular, so that a gains one entry in each iteration (Ayachour 2003). It takes two
-interface vectors an iteration, up to :data:`RESTART` of them; then a fresh start on the residual is
-to follow. An iteration waits for all processes four times, twice of them for scalar products.
+It keeps two interface vectors an iteration, up to :data:`RESTART`; then a fresh start follows.
 """
 
 from __future__ import annotations
