@@ -30,6 +30,7 @@ from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.pattern import Pattern, create_pattern
 from dolfinx_feti.feti.primal.cg import conjugate_gradients
 from dolfinx_feti.feti.setup import set_up
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_options import inserted
 
 COMM = MPI.COMM_WORLD
@@ -173,18 +174,21 @@ def cautious(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def parts(pattern: Callable[..., Pattern]) -> Iterator[Callable[..., DualForm]]:
+def lifetime() -> Iterator[Lifetime]:
+    """Own what a test makes."""
+    with Lifetime() as owner:
+        yield owner
+
+
+@pytest.fixture
+def parts(pattern: Callable[..., Pattern], lifetime: Lifetime) -> Callable[..., DualForm]:
     """Build the dual form of a torn matrix, with options as keywords."""
-    made: list[DualForm] = []
 
     def create(A: PETSc.Mat, **options: object) -> DualForm:
         read = pattern(A, **options)
-        made.append(create_dual_form(read, set_up(read)))
-        return made[-1]
+        return create_dual_form(read, set_up(read, lifetime, lifetime), lifetime)
 
-    yield create
-    for system in made:
-        system.destroy()
+    return create
 
 
 @pytest.fixture
@@ -216,15 +220,13 @@ def form(
 @pytest.fixture
 def pattern() -> Iterator[Callable[..., Pattern]]:
     """Read the pattern of a torn matrix, with options as keywords."""
-    made: list[Pattern] = []
+    with Lifetime() as owner:
 
-    def create(A: PETSc.Mat, **options: object) -> Pattern:
-        made.append(create_pattern(A, FETIOptions(**{"interior": "keep", **options}), PREFIX))
-        return made[-1]
+        def create(A: PETSc.Mat, **options: object) -> Pattern:
+            given = FETIOptions(**{"interior": "keep", **options})
+            return create_pattern(A, given, PREFIX, owner)
 
-    yield create
-    for read in made:
-        read.destroy()
+        yield create
 
 
 @pytest.fixture

@@ -12,17 +12,23 @@
 
 All end with :meth:`Lasting.renew`. A solve that fails with an old preconditioner is tried again
 with a new one; one that meets an indefinite matrix in the primal form of ``auto``, in the dual one.
+
+What makes parts with objects of PETSc hands them to one of three owners, of the pattern, of the
+preconditioner, or of the matrix. Nothing else ends them.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError, SingularError
-from dolfinx_feti.feti.dual.form import create_dual_form
+from dolfinx_feti.feti.dual.form import DualForm, create_dual_form
 from dolfinx_feti.feti.form import Form, may_take_primal, prefers_primal, takes_primal
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.pattern import Pattern, create_pattern
@@ -34,12 +40,15 @@ from dolfinx_feti.feti.primal.form import (
     create_preconditioner_of_part,
     create_primal_form,
 )
-from dolfinx_feti.feti.setup import refined, set_up, set_up_operator
+from dolfinx_feti.feti.setup import Setup, refined, set_up, set_up_operator
 from dolfinx_feti.feti.solution import RitzVectors
+from dolfinx_feti.feti.subdomain.operator import Operator
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import State, state_of
 
 __all__ = ["Lasting"]
 
+Array = npt.NDArray[np.float64]
 Reason = PETSc.KSP.ConvergedReason
 
 #: Iterations that the set-up of a preconditioner costs as much as.
@@ -73,6 +82,7 @@ class Lasting:
         self._options, self._prefix = options, prefix
         self._newton = newton
         self.may_change = options.formulation == "auto"
+        self._of_pattern, self._of_preconditioner, self._of_matrix = (Lifetime() for _ in range(3))
         self._pattern: Pattern | None = None
         self._state: State | None = None  # of the matrix that pattern and form belong to
         self.form: Form | None = None
@@ -117,9 +127,13 @@ class Lasting:
             known.destroy()
         if not comm.allreduce(has_pattern, op=MPI.LAND) or self._symmetry_has_changed():
             self._end_pattern()
-            self._pattern = create_pattern(A, self._options, self._prefix)
+            self._pattern = create_pattern(A, self._options, self._prefix, self._of_pattern)
         assert self._pattern is not None
-        self._take_into_form(self._pattern)
+        try:
+            self._take_into_form(self._pattern)
+        except Exception:
+            self._end_form()
+            raise
 
     def record(
         self, reason: int, iterations: int, residual: float, vectors: RitzVectors | None
@@ -151,17 +165,22 @@ class Lasting:
         pattern, form = self._pattern, self.form
         if pattern is None or form is None:
             return False
-        if reason == Reason.DIVERGED_INDEFINITE_MAT and not form.solves_indefinite:
-            if not (self.may_change and saddles):
-                return False  # no preconditioner changes the curvature
-            if isinstance(form, PrimalForm) and not self.age:
-                self.form = None
-                self.form = create_dual_form(pattern, refined(pattern, form.keep_setup()))
-                return True
-        if not self.age:
-            return False
-        self.renew()
-        self._take_into_form(pattern)
+        try:
+            if reason == Reason.DIVERGED_INDEFINITE_MAT and not form.solves_indefinite:
+                if not (self.may_change and saddles):
+                    return False  # no preconditioner changes the curvature
+                if isinstance(form, PrimalForm) and not self.age:
+                    self.form = None
+                    form.coarse.destroy()
+                    self.form = self._dual_form(pattern, form.setup)
+                    return True
+            if not self.age:
+                return False
+            self.renew()
+            self._take_into_form(pattern)
+        except Exception:
+            self._end_form()
+            raise
         return True
 
     def _symmetry_has_changed(self) -> bool:
@@ -175,18 +194,19 @@ class Lasting:
         Raises:
             SetUpError: It cannot be set up; there is no form then.
         """
-        form, self.form = self.form, None
-        if isinstance(form, PrimalForm) and self._preconditioner_lasts():
+        preconditioner = self._lasting_preconditioner()
+        self.form = None
+        self._of_matrix.close()
+        if preconditioner is not None:
             try:
-                self.form = self._with(form.keep_preconditioner(), pattern)
+                self.form = self._with(preconditioner, pattern)
                 self.age += 1
                 return
             except SingularError:
                 raise
             except SetUpError:
                 pass  # the present matrix may still be set up on its own
-        elif form is not None:
-            form.destroy()
+        self._end_form()
         self._outdated, self.age, self._first, self._excess = False, 0, np.nan, 0.0
         self.form = self._new_form(pattern)
 
@@ -198,46 +218,49 @@ class Lasting:
         """
         if not pattern.symmetric and may_take_primal(pattern):
             try:
-                return self._with(create_preconditioner_of_part(pattern), pattern)
+                part = create_preconditioner_of_part(pattern, self._of_preconditioner)
+                return self._with(part, pattern)
             except SetUpError:  # ½ (K + Kᵀ) may be singular where K is not
                 if self._options.formulation == "primal":
                     raise
-        setup = set_up(pattern, rough=prefers_primal(pattern))
+                self._end_form()
+        rough = prefers_primal(pattern)
+        setup = set_up(pattern, self._of_matrix, self._of_preconditioner, rough=rough)
         if not pattern.symmetric or not takes_primal(pattern, setup.inertia):
-            return create_dual_form(pattern, refined(pattern, setup))
-        return create_primal_form(
-            pattern,
-            setup.near_kernel,
-            setup.operator,
-            create_preconditioner(pattern, setup),
-            self._vectors,
-            most=self._most,
-        )
+            return self._dual_form(pattern, setup)
+        preconditioner = create_preconditioner(pattern, setup, self._of_preconditioner)
+        return self._primal_form(pattern, setup.near_kernel, setup.operator, preconditioner)
 
     def _with(self, preconditioner: PrimalPreconditioner, pattern: Pattern) -> PrimalForm:
         """Set up the present matrix with a preconditioner of another one.
 
         Raises:
-            SetUpError: It cannot be set up; the preconditioner is destroyed then.
+            SetUpError: It cannot be set up.
         """
-        try:
-            near_kernel, operator = set_up_operator(pattern)
-        except SetUpError:
-            preconditioner.destroy()
-            raise
-        return create_primal_form(
-            pattern, near_kernel, operator, preconditioner, self._vectors, most=self._most
+        return self._primal_form(
+            pattern, *set_up_operator(pattern, self._of_matrix), preconditioner
         )
 
-    @property
-    def _most(self) -> int:
-        """Ritz vectors that a solve leaves to later ones, at most."""
-        return self._options.deflation if self._newton else 0
+    def _primal_form(
+        self, pattern: Pattern, near_kernel: Array, S: Operator, own: PrimalPreconditioner
+    ) -> PrimalForm:
+        """Set up the primal form of S of the present matrix with a preconditioner."""
+        most = self._options.deflation if self._newton else 0
+        within, vectors = self._of_matrix, self._vectors
+        return create_primal_form(pattern, near_kernel, S, own, within, vectors, most=most)
 
-    def _preconditioner_lasts(self) -> bool:
-        """Tell whether the preconditioner of the last matrix serves another one."""
+    def _dual_form(self, pattern: Pattern, setup: Setup) -> DualForm:
+        """Set up the dual form of the present matrix."""
+        setup = refined(pattern, setup, self._of_preconditioner)
+        return create_dual_form(pattern, setup, self._of_matrix)
+
+    def _lasting_preconditioner(self) -> PrimalPreconditioner | None:
+        """Return the preconditioner of the last matrix if it serves another one."""
+        form = self.form
         young = self._newton and not self._outdated and self.age < self._options.lag
-        return young and self._excess < RENEWAL
+        if not isinstance(form, PrimalForm) or not young or self._excess >= RENEWAL:
+            return None
+        return replace(form.preconditioner, combinations=form.coarse.combinations)
 
     def destroy(self) -> None:
         """Free everything."""
@@ -246,10 +269,15 @@ class Lasting:
             self._state.destroy()
             self._state = None
 
+    def _end_form(self) -> None:
+        """Free what belongs to a matrix or to its preconditioner."""
+        self.form = None
+        self._of_matrix.close()
+        self._of_preconditioner.close()
+
     def _end_pattern(self) -> None:
-        """Free what belongs to the pattern."""
-        for owned in (self.form, self._pattern):
-            if owned is not None:
-                owned.destroy()
-        self.form = self._pattern = self._vectors = None
+        """Free what belongs to the pattern, too."""
+        self._end_form()
+        self._of_pattern.close()
+        self._pattern = self._vectors = None
         self._seen = False

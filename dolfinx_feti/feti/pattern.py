@@ -53,55 +53,49 @@ class Pattern:
     analysis: Analysis
     of_part: Analysis | None
 
-    def destroy(self) -> None:
-        """Free everything."""
-        self.gluing.destroy()
-        self.torn.destroy()
 
-
-def create_pattern(A: PETSc.Mat, options: FETIOptions, prefix: str) -> Pattern:
+def create_pattern(A: PETSc.Mat, options: FETIOptions, prefix: str, within: Lifetime) -> Pattern:
     """Build what depends on the pattern. Collective.
 
     Args:
         A: Torn matrix.
         options: Choices.
         prefix: Prefix of the KSP, to which ``feti_`` and the sub-solver's name are added.
+        within: Owner of the star forest and of B.
 
     Raises:
         SetUpError: A subdomain holds two copies of a dof; or K is not symmetric, but has to be.
     """
     prefix += "feti_"
-    with Lifetime() as owned:
-        torn = owned.own(Torn(A))
-        if has_joined_copies(A, torn.subdomains):
-            raise SetUpError(
-                "A subdomain holds two copies of a dof: the local matrix couples subdomains that "
-                "share it. Remove these entries, or tear the mesh so that they are one subdomain."
-            )
-        symmetric = torn.is_symmetric()
-        if not symmetric and options.interior == "eliminate":
-            raise SetUpError(
-                f"The matrix is not symmetric, but -{prefix}interior is eliminate, which takes it "
-                "to be: let it be keep or auto."
-            )
-        with event("FETIGluing"):
-            gluing = owned.own(Gluing(torn, all_floating=options.all_floating))
-        dofs = sort_dofs(torn, gluing.glued, all_floating=options.all_floating)
-        find = partial(
-            analyse,
-            dofs=dofs,
-            choice=options.interior,
-            with_interior=options.pc_type == "dirichlet",
-            prefix=prefix,
+    torn = within.own(Torn(A))
+    if has_joined_copies(A, torn.subdomains):
+        raise SetUpError(
+            "A subdomain holds two copies of a dof: the local matrix couples subdomains that "
+            "share it. Remove these entries, or tear the mesh so that they are one subdomain."
         )
-        of_part: Analysis | None = None
-        with event("FETIFactor"):
-            analysis = find(torn, symmetric=symmetric)
-            if not symmetric and options.formulation != "dual":
-                with _symmetric_part(torn) as part:
-                    of_part = find(part, symmetric=True)
-        bodies = find_bodies(torn)
-        owned.pop_all()
+    symmetric = torn.is_symmetric()
+    if not symmetric and options.interior == "eliminate":
+        raise SetUpError(
+            f"The matrix is not symmetric, but -{prefix}interior is eliminate, which takes it "
+            "to be: let it be keep or auto."
+        )
+    with event("FETIGluing"):
+        gluing = within.own(Gluing(torn, all_floating=options.all_floating))
+    dofs = sort_dofs(torn, gluing.glued, all_floating=options.all_floating)
+    find = partial(
+        analyse,
+        dofs=dofs,
+        choice=options.interior,
+        with_interior=options.pc_type == "dirichlet",
+        prefix=prefix,
+    )
+    of_part: Analysis | None = None
+    with event("FETIFactor"):
+        analysis = find(torn, symmetric=symmetric)
+        if not symmetric and options.formulation != "dual":
+            with _symmetric_part(torn) as part:
+                of_part = find(part, symmetric=True)
+    bodies = find_bodies(torn)
     return Pattern(options, prefix, torn, symmetric, bodies, gluing, dofs, analysis, of_part)
 
 

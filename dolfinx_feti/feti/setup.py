@@ -8,7 +8,6 @@ Both methods begin here. A later matrix has one of its own, or shares half of it
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -26,6 +25,7 @@ from dolfinx_feti.feti.subdomain.nullspace import interior_kernel
 from dolfinx_feti.feti.subdomain.operator import Operator, create_operator
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse, create_pseudo_inverse
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Setup", "refined", "set_up", "set_up_operator", "sum_if_known"]
@@ -52,63 +52,51 @@ class Setup:
     inverse: PseudoInverse
     inertia: Inertia
 
-    def destroy(self) -> None:
-        """Free everything."""
-        for owned in (self.inverse, self.weights, self.operator):
-            owned.destroy()
 
-
-def set_up(pattern: Pattern, *, rough: bool = False) -> Setup:
+def set_up(
+    pattern: Pattern, matrix: Lifetime, preconditioner: Lifetime, *, rough: bool = False
+) -> Setup:
     """Take the present matrix into the parts that both methods share. Collective.
 
     Args:
         pattern: What depends on its pattern.
+        matrix: Owner of S.
+        preconditioner: Owner of the weights and the inverse.
         rough: Whether the inverse only preconditions, in single precision where that will do.
-
-    Returns:
-        The parts; the caller destroys them before the pattern.
 
     Raises:
         SetUpError: A factorisation failed, a kernel is larger than its candidates, or the matrix is
             singular inside of a subdomain.
     """
     torn, options = pattern.torn, pattern.options
-    with ExitStack() as owned:
-        near_kernel, operator = set_up_operator(pattern)
-        owned.callback(operator.destroy)
-        with event("FETIGluing"):
-            k = torn.stiffness() if options.scaling == "stiffness" else np.ones(torn.n)
-            weights = create_weights(torn, pattern.gluing, k)
-        owned.callback(weights.destroy)
-        inverse, inertia = _invert(pattern, near_kernel, operator, rough=rough)
-        owned.pop_all()
+    near_kernel, operator = set_up_operator(pattern, matrix)
+    with event("FETIGluing"):
+        k = torn.stiffness() if options.scaling == "stiffness" else np.ones(torn.n)
+        weights = preconditioner.own(create_weights(torn, pattern.gluing, k))
+    inverse, inertia = _invert(pattern, near_kernel, operator, preconditioner, rough=rough)
     return Setup(near_kernel, operator, weights, inverse, inertia)
 
 
-def refined(pattern: Pattern, setup: Setup) -> Setup:
+def refined(pattern: Pattern, setup: Setup, within: Lifetime) -> Setup:
     """Return the parts of the present matrix with an inverse in double precision. Collective.
 
     Args:
         pattern: What depends on the pattern.
-        setup: The parts, which belong to those that are returned from now on.
+        setup: The parts, whose inverse ends if it is in single precision.
+        within: Owner of the new one.
 
     Raises:
-        SetUpError: A factorisation failed; all parts are destroyed then.
+        SetUpError: A factorisation failed.
     """
     if not pattern.torn.comm.allreduce(setup.inverse.rough, op=MPI.LOR):
         return setup
     setup.inverse.destroy()
-    try:
-        inverse, inertia = _invert(pattern, setup.near_kernel, setup.operator, rough=False)
-    except SetUpError:
-        setup.weights.destroy()
-        setup.operator.destroy()
-        raise
+    inverse, inertia = _invert(pattern, setup.near_kernel, setup.operator, within, rough=False)
     return replace(setup, inverse=inverse, inertia=inertia)
 
 
 def _invert(
-    pattern: Pattern, near_kernel: Array, operator: Operator, *, rough: bool
+    pattern: Pattern, near_kernel: Array, operator: Operator, within: Lifetime, *, rough: bool
 ) -> tuple[PseudoInverse, Inertia]:
     """Factor all K_ρ, and find the modes; count negative eigenvalues. Collective."""
     torn, options = pattern.torn, pattern.options
@@ -126,7 +114,7 @@ def _invert(
             ),
             torn.comm,
         )
-    return inverse, Inertia(
+    return within.own(inverse), Inertia(
         local=sum_if_known(inverse.negative(), torn.comm),
         defect=torn.comm.allreduce(sum(m.stabilisation.shape[1] for m in inverse.modes)),
         interior=sum_if_known(operator.negative_interior(), torn.comm),
@@ -134,8 +122,10 @@ def _invert(
     )
 
 
-def set_up_operator(pattern: Pattern) -> tuple[Array, Operator]:
+def set_up_operator(pattern: Pattern, within: Lifetime) -> tuple[Array, Operator]:
     """Take the present matrix into S alone; return the near kernel, (n, k), and S. Collective.
+
+    ``within`` owns S.
 
     Raises:
         SetUpError: A factorisation failed, or the matrix is singular inside of a subdomain.
@@ -143,18 +133,16 @@ def set_up_operator(pattern: Pattern) -> tuple[Array, Operator]:
     torn, dofs, analysis = pattern.torn, pattern.dofs, pattern.analysis
     require_finite(torn)
     with event("FETIFactor"), event("FETISchur"):
-        operator = on_subdomains(lambda: create_operator(torn, dofs, analysis), torn.comm)
+        operator = within.own(
+            on_subdomains(lambda: create_operator(torn, dofs, analysis), torn.comm)
+        )
     near_kernel = torn.near_kernel()
     if analysis.eliminated and analysis.interior is not None:
         choice = analysis.interior
-        try:
-            inside = on_subdomains(
-                lambda: interior_kernel(torn, dofs, choice, operator.interior_factors), torn.comm
-            )
-            require_regular_interior(torn, pattern.bodies, near_kernel, inside)
-        except SetUpError:
-            operator.destroy()
-            raise
+        inside = on_subdomains(
+            lambda: interior_kernel(torn, dofs, choice, operator.interior_factors), torn.comm
+        )
+        require_regular_interior(torn, pattern.bodies, near_kernel, inside)
     return near_kernel, operator
 
 

@@ -21,6 +21,7 @@ import dolfinx_feti
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.pattern import create_pattern
 from dolfinx_feti.feti.setup import set_up
+from dolfinx_feti.runtime.lifetime import Lifetime
 
 
 def create(problem, **options):
@@ -76,12 +77,13 @@ def test_matrix_is_its_owners_again(kind, pc_type, torn_grid):
     """After destroy() nothing refers to the torn matrix and to its local one."""
     problem = torn_grid((2, 2), (2, 2), components=2)
     before = problem.A.getRefCount(), problem.local.getRefCount()
-    pattern = create_pattern(problem.A, FETIOptions(type=kind, pc_type=pc_type), "memory_")
-    for _ in range(2):
-        system = set_up(pattern)
-        system.destroy()
-    pattern.destroy()
-    del pattern, system
+    with Lifetime() as owner:
+        options = FETIOptions(type=kind, pc_type=pc_type)
+        pattern = create_pattern(problem.A, options, "memory_", owner)
+        for _ in range(2):
+            with Lifetime() as matrix:
+                set_up(pattern, matrix, matrix)
+    del pattern
     collect()
     after = problem.A.getRefCount(), problem.local.getRefCount()
     agree(before == after, (before, after))

@@ -13,7 +13,6 @@ where the interior is eliminated. The copies that the Krylov method leaves apart
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
@@ -42,6 +41,7 @@ from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["DualForm", "balanced_start", "create_dual_form", "load", "recover"]
@@ -154,77 +154,63 @@ class DualForm:
         """Return the memory of all factors of this process in MiB."""
         return self.operator.memory() + self.inverse.memory()
 
-    def destroy(self) -> None:
-        """Free everything but the pattern."""
-        for owned in (self.dual, self.coarse, self.preconditioner, self.setup):
-            owned.destroy()
 
-
-def create_dual_form(pattern: Pattern, setup: Setup) -> DualForm:
+def create_dual_form(pattern: Pattern, setup: Setup, within: Lifetime) -> DualForm:
     """Build the coarse problem and the dual system of the present matrix. Collective.
 
     Args:
         pattern: What depends on the pattern.
-        setup: The parts of the matrix, which belong to the form from now on.
-
-    Returns:
-        The form; the caller destroys it before the pattern.
+        setup: The parts of the matrix.
+        within: Owner of M, the coarse problem, and the dual system.
 
     Raises:
-        SetUpError: The assembled problem is singular, or the options do not fit the matrix; the
-            parts are destroyed then.
+        SetUpError: The assembled problem is singular, or the options do not fit the matrix.
     """
     options, torn, modes = pattern.options, pattern.torn, setup.inverse.modes
     prefix = pattern.prefix + "coarse_"
     semidefinite = pattern.symmetric and setup.inertia.definite
     semidefinite &= setup.inertia.interior == 0 or not setup.operator.eliminated
-    with ExitStack() as owned:
-        owned.callback(setup.destroy)
-        create = PRECONDITIONERS[options.pc_type]
-        preconditioner = create(setup.operator, setup.weights, [m.stabilisation for m in modes])
-        owned.callback(preconditioner.destroy)
-        with event("FETICoarse"):
-            coarse = Coarse(
-                pattern.gluing,
-                setup.weights,
-                modes,
-                preconditioner,
-                q=options.coarse_q,
-                symmetric=pattern.symmetric,
-                prefix=prefix,
-            )
-            owned.callback(coarse.destroy)
-            require_regular(
-                torn,
-                pattern.bodies,
-                setup.near_kernel,
-                coarse.N,
-                coarse.solver,
-                prolong=coarse.prolong,
-                extend=setup.operator.complete,
-                delta=setup.weights.delta,
-                symmetric=pattern.symmetric,
-                definite=semidefinite,
-                prefix=prefix,
-            )
-        inertia = setup.inertia
-        if pattern.symmetric:
-            proved = _negative_assembled(pattern, setup, prefix)
-            inertia = replace(inertia, assembled=proved)
-        method = choose_method(
-            torn.comm,
-            definite=pattern.symmetric and inertia.definite,
-            prefix=pattern.prefix + "dual_",
-        )
-        _check_method(method, pattern)
-        dual = DualSystem(
+    create = PRECONDITIONERS[options.pc_type]
+    preconditioner = within.own(
+        create(setup.operator, setup.weights, [m.stabilisation for m in modes])
+    )
+    with event("FETICoarse"):
+        coarse = Coarse(
             pattern.gluing,
-            setup.inverse,
+            setup.weights,
+            modes,
             preconditioner,
-            coarse,
-            cg=method.is_cg,
+            q=options.coarse_q,
+            symmetric=pattern.symmetric,
+            prefix=prefix,
         )
-        owned.pop_all()
+        within.own(coarse)
+        require_regular(
+            torn,
+            pattern.bodies,
+            setup.near_kernel,
+            coarse.N,
+            coarse.solver,
+            prolong=coarse.prolong,
+            extend=setup.operator.complete,
+            delta=setup.weights.delta,
+            symmetric=pattern.symmetric,
+            definite=semidefinite,
+            prefix=prefix,
+        )
+    inertia = setup.inertia
+    if pattern.symmetric:
+        proved = _negative_assembled(pattern, setup, prefix)
+        inertia = replace(inertia, assembled=proved)
+    method = choose_method(
+        torn.comm,
+        definite=pattern.symmetric and inertia.definite,
+        prefix=pattern.prefix + "dual_",
+    )
+    _check_method(method, pattern)
+    dual = within.own(
+        DualSystem(pattern.gluing, setup.inverse, preconditioner, coarse, cg=method.is_cg)
+    )
     return DualForm(pattern, setup, preconditioner, coarse, inertia, method, dual)
 
 

@@ -25,7 +25,6 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
-from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.gluing.weights import Weights
@@ -43,6 +42,7 @@ from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.lifetime import Lifetime
 
 __all__ = [
     "PrimalForm",
@@ -92,11 +92,6 @@ class PrimalPreconditioner:
         y = np.zeros(len(self.weights.delta))
         y[self.copies.dofs] = t
         return self.inverse.solve(y, up_to_soft_modes=True)[self.copies.dofs]
-
-    def destroy(self) -> None:
-        """Free everything."""
-        for owned in (self.V, self.copies, self.inverse, self.weights):
-            owned.destroy()
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,69 +196,49 @@ class PrimalForm:
         """Return the memory of all factors of this process in MiB."""
         return self.operator.memory() + self.preconditioner.inverse.memory()
 
-    def keep_preconditioner(self) -> PrimalPreconditioner:
-        """Free all but the preconditioner, and return it."""
-        self.coarse.destroy()
-        self.operator.destroy()
-        return replace(self.preconditioner, combinations=self.coarse.combinations)
-
-    def keep_setup(self) -> Setup:
-        """Free the coarse space; return the parts, if the preconditioner is of this matrix."""
+    @property
+    def setup(self) -> Setup:
+        """The parts that the dual form takes, if the preconditioner is of this matrix."""
         own = self.preconditioner
-        for owned in (self.coarse, own.V, own.copies):
-            owned.destroy()
         return Setup(self.near_kernel, self.operator, own.weights, own.inverse, own.inertia)
 
-    def destroy(self) -> None:
-        """Free everything but the pattern."""
-        for owned in (self.coarse, self.operator, self.preconditioner):
-            owned.destroy()
 
-
-def create_preconditioner(pattern: Pattern, setup: Setup) -> PrimalPreconditioner:
+def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> PrimalPreconditioner:
     """Build the coarse columns of a symmetric matrix. Collective.
 
     Args:
         pattern: What depends on the pattern.
-        setup: The parts of the matrix, which belong to the preconditioner from now on, but for the
-            operator.
+        setup: The parts of the matrix.
+        within: Owner of the columns.
 
     Raises:
-        SetUpError: S is not there, or the work on a subdomain failed; all parts are destroyed then.
+        SetUpError: S is not there, or the work on a subdomain failed.
     """
     torn, options, S = pattern.torn, pattern.options, setup.operator
-    copies = Copies(torn, S.interface, setup.weights.delta)
-    try:
-        with event("FETICoarse"):
-            E = [m.E[on] for m, on in zip(setup.inverse.modes, S.on_interface, strict=True)]
-            adaptive = adaptive_columns(
-                copies,
-                assembled_products(S, copies),
-                partial(solver_on_interface, S, setup.inverse),
-                E,
-                most=options.coarse_adaptive,
-                threshold=COST,
-            )
-            U = [np.hstack(pair) for pair in zip(E, adaptive, strict=True)]
-            V = AveragedColumns(copies, U)
-    except SetUpError:
-        copies.destroy()
-        setup.destroy()
-        raise
+    copies = within.own(Copies(torn, S.interface, setup.weights.delta))
+    with event("FETICoarse"):
+        E = [m.E[on] for m, on in zip(setup.inverse.modes, S.on_interface, strict=True)]
+        adaptive = adaptive_columns(
+            copies,
+            assembled_products(S, copies),
+            partial(solver_on_interface, S, setup.inverse),
+            E,
+            most=options.coarse_adaptive,
+            threshold=COST,
+        )
+        U = [np.hstack(pair) for pair in zip(E, adaptive, strict=True)]
+        V = within.own(AveragedColumns(copies, U))
     return PrimalPreconditioner(setup.weights, setup.inverse, setup.inertia, copies, V)
 
 
-def create_preconditioner_of_part(pattern: Pattern) -> PrimalPreconditioner:
-    """Build the preconditioner of the present matrix from ½ (K + Kᵀ). Collective.
+def create_preconditioner_of_part(pattern: Pattern, within: Lifetime) -> PrimalPreconditioner:
+    """Build the preconditioner of the present matrix from ½ (K + Kᵀ), for its owner. Collective.
 
     Raises:
         SetUpError: It cannot be set up.
     """
-    with symmetric_part(pattern) as part:
-        setup = set_up(part, rough=True)
-        preconditioner = create_preconditioner(part, setup)
-        setup.operator.destroy()
-    return preconditioner
+    with symmetric_part(pattern) as part, Lifetime() as matrix:
+        return create_preconditioner(part, set_up(part, matrix, within, rough=True), within)
 
 
 def create_primal_form(
@@ -271,6 +246,7 @@ def create_primal_form(
     near_kernel: Array,
     operator: Operator,
     preconditioner: PrimalPreconditioner,
+    within: Lifetime,
     vectors: RitzVectors | None = None,
     *,
     most: int = 0,
@@ -280,29 +256,22 @@ def create_primal_form(
     Args:
         pattern: What depends on the pattern.
         near_kernel: Rigid body modes of the present matrix on the torn dofs, (n, k).
-        operator: S of the present matrix, which belongs to the form from now on.
-        preconditioner: That of this matrix, of its symmetric part, or of an earlier one, likewise.
+        operator: S of the present matrix.
+        preconditioner: That of this matrix, of its symmetric part, or of an earlier one.
+        within: Owner of A V and A₀.
         vectors: What solves with earlier matrices have left.
         most: Ritz vectors that a solve leaves to those of later matrices, at most.
 
     Raises:
-        SetUpError: A body is not held; operator and preconditioner are destroyed then.
+        SetUpError: A body is not held.
     """
     S, prefix, known = operator, pattern.prefix + "coarse_", preconditioner.combinations
-    try:
-        with event("FETICoarse"):
-            require_held(pattern.torn, pattern.bodies, near_kernel, definite=False)
-            space = AveragedSpace(
-                preconditioner.V,
-                S,
-                prefix=prefix,
-                symmetric=pattern.symmetric,
-                combinations=known,
-            )
-    except SetUpError:
-        S.destroy()
-        preconditioner.destroy()
-        raise
+    with event("FETICoarse"):
+        require_held(pattern.torn, pattern.bodies, near_kernel, definite=False)
+        space = AveragedSpace(
+            preconditioner.V, S, prefix=prefix, symmetric=pattern.symmetric, combinations=known
+        )
+        within.own(space)
     negative, copies = space.negative(), preconditioner.copies
     count = pattern.options.deflation if pattern.symmetric and not negative else 0
     if vectors is None and count and _softened(preconditioner.inverse, pattern):

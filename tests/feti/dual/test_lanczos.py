@@ -104,16 +104,14 @@ def test_ritz_values_are_the_ends_of_the_spectrum(kind, pc_type, torn_grid, feti
 
 
 @pytest.mark.parametrize("given", [None, "cg", "fcg", "gmres", "minres"])
-def test_options_decide_the_method(given, torn_grid):
+def test_options_decide_the_method(given, torn_grid, lifetime):
     """The user's own Krylov method stays."""
     problem = jumping(torn_grid)
     options = {} if given is None else {"feti_dual_ksp_type": given}
     with inserted("lanczos_", options):
-        pattern = create_pattern(problem.A, FETIOptions(), "lanczos_")
-        system = create_dual_form(pattern, set_up(pattern))
+        pattern = create_pattern(problem.A, FETIOptions(), "lanczos_", lifetime)
+        system = create_dual_form(pattern, set_up(pattern, lifetime, lifetime), lifetime)
     agree(system.method == (given or "cg"), given)
-    system.destroy()
-    pattern.destroy()
 
 
 @pytest.mark.parametrize("method", ["cg", "fcg"])

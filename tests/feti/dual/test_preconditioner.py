@@ -166,13 +166,13 @@ def test_extension_is_harmonic(torn_grid, parts):
     small(np.abs(force).max(initial=0.0), 1e-11 * np.abs(problem.K_torn).max())
 
 
-def test_values_are_refreshed(torn_grid, pattern):
+def test_values_are_refreshed(torn_grid, pattern, lifetime):
     problem = torn_grid((2, 2), (2, 2), components=2)
     read, found = pattern(problem.A), []
     for _ in range(2):
-        system = create_dual_form(read, set_up(read))
+        system = create_dual_form(read, set_up(read, lifetime, lifetime), lifetime)
         found.append(matrix(system))
-        system.destroy()
+        lifetime.close()
         problem.local.scale(3.0)
     equal(found[1], 3.0 * found[0], 1e-12)
 

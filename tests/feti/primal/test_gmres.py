@@ -39,20 +39,15 @@ def unsymmetric(share, *, skew=True):
 
 
 @pytest.fixture
-def form(pattern, double_products):
+def form(pattern, lifetime, double_products):
     """Make the primal form of a torn matrix that is not symmetric."""
-    made = []
 
     def create(problem, vectors=None, **options):
         read = pattern(problem.A, formulation="primal", interior="auto", **options)
-        preconditioner = create_preconditioner_of_part(read)
-        near_kernel, S = set_up_operator(read)
-        made.append(create_primal_form(read, near_kernel, S, preconditioner, vectors, most=20))
-        return made[-1]
+        parts = *set_up_operator(read, lifetime), create_preconditioner_of_part(read, lifetime)
+        return create_primal_form(read, *parts, lifetime, vectors, most=20)
 
-    yield create
-    for each in made:
-        each.destroy()
+    return create
 
 
 def random(n, seed=SEED):
@@ -101,17 +96,16 @@ def test_operator_and_preconditioner(kind, torn_grid, form):
 
 
 @pytest.mark.parametrize("solver", ["mumps", "petsc"])
-def test_transposed_products(solver, torn_grid, pattern):
+def test_transposed_products(solver, torn_grid, pattern, lifetime):
     """Sᵀ X of every subdomain, for all columns at once, and K_II⁻ᵀ."""
     problem = torn_grid(change=unsymmetric(0.1, skew=False), **GRID)
     with inserted("test_feti_dirichlet_", {"pc_factor_mat_solver_type": solver}):
         read = pattern(problem.A, formulation="primal", interior="auto")
-        _, S = set_up_operator(read)
+        _, S = set_up_operator(read, lifetime)
     for i, Γ in enumerate(S.interface):
         X, Y = np.random.default_rng(SEED).standard_normal((2, len(Γ), 3))
         agree(np.allclose(Y.T @ S.multiply_many(i, X), S.multiply_many(i, Y, transpose=True).T @ X))
         agree(S.multiply_many(i, X[:, :0], transpose=True).shape == (len(Γ), 0))
-    S.destroy()
 
 
 @pytest.mark.parametrize("count", [0, 4])

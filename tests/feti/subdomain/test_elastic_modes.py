@@ -131,7 +131,9 @@ def test_more_soft_modes_fewer_iterations(kind, torn_grid, feti):
     [(0.0, 9, False), (0.0, 0, True), (1e-6, 9, False), (1e-3, 9, True)],
     ids=["at rest", "no adaptive columns", "hardly softened", "softened"],
 )
-def test_adaptive_columns_take_the_place_of_soft_modes(taken, adaptive, found, torn_grid, pattern):
+def test_adaptive_columns_take_the_place_of_soft_modes(
+    taken, adaptive, found, torn_grid, pattern, lifetime
+):
     """In the primal form; not where stress takes a share of the stiffness away."""
 
     def soften(K, dofs):
@@ -140,6 +142,5 @@ def test_adaptive_columns_take_the_place_of_soft_modes(taken, adaptive, found, t
 
     problem = torn_grid((2, 3), (16, 2), components=2, change=soften)
     options = {"interior": "eliminate", "coarse_adaptive": adaptive, "coarse_threshold": 0.5}
-    setup = set_up(pattern(problem.A, **options), rough=True)
+    setup = set_up(pattern(problem.A, **options), lifetime, lifetime, rough=True)
     agree((COMM.allreduce(sum(modes.soft for modes in setup.inverse.modes)) > 0) == found)
-    setup.destroy()

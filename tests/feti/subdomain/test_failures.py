@@ -23,6 +23,7 @@ from dolfinx_feti.feti.subdomain import analysis
 from dolfinx_feti.feti.subdomain.blocks import named
 from dolfinx_feti.feti.subdomain.factors.dense import PackedMatrix, pack
 from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
+from dolfinx_feti.runtime.lifetime import Lifetime
 
 many = pytest.mark.processes(1, 2, 3, 4, 8)
 
@@ -119,14 +120,14 @@ def test_failure_leaves_no_circle(torn_grid, monkeypatch, without_collector):
     """A circle through the traceback, on one process, would free PETSc's objects out of step."""
     fail_on_last(monkeypatch, "pseudoinverse.soft_modes", ERRORS["LAPACK"])
     problem = torn_grid(**GRID)
-    system = create_pattern(problem.A, FETIOptions(), "test_")
+    text, owner = "", Lifetime()
+    system = create_pattern(problem.A, FETIOptions(), "test_", owner)
     watched = weakref.ref(system.torn)
-    text = ""
     try:
-        set_up(system)
+        set_up(system, owner, owner)
     except SetUpError as error:
         text = str(error)
-    system.destroy()
+    owner.close()
     agree("SVD did not converge" in text, text)
     del system
     agree(watched() is None)

@@ -238,31 +238,30 @@ def test_unsymmetric_matrices_have_two_kernels(torn_grid, parts):
     small(max(errors), 1e-10)
 
 
-def test_values_are_refreshed_and_the_pattern_kept(torn_grid, pattern):
+def test_values_are_refreshed_and_the_pattern_kept(torn_grid, pattern, lifetime):
     """After K has changed, the same pattern gives what a new system gives."""
     problem = torn_grid((2, 2), (2, 2), components=2)
     read = pattern(problem.A)
-    system = create_dual_form(read, set_up(read))
+    system = create_dual_form(read, set_up(read, lifetime, lifetime), lifetime)
     y = np.random.default_rng(SEED + 4).standard_normal(system.torn.n)
     before = apply(system, y)
-    system.destroy()
+    lifetime.close()
     problem.local.scale(2.0)
-    system = create_dual_form(read, set_up(read))
+    system = create_dual_form(read, set_up(read, lifetime, lifetime), lifetime)
     equal(
         whole(apply(system, system.torn.multiply(before))),
         whole(before - rigid(system, before)),
         1e-10,
     )
-    system.destroy()
+    lifetime.close()
     problem.local.shift(0.1)
-    system = create_dual_form(read, set_up(read))
+    system = create_dual_form(read, set_up(read, lifetime, lifetime), lifetime)
     agree(not any(modes_of(system).exact))
     x = apply(system, y)
     residual = y - system.torn.multiply(x)
     for R, dofs, rho in zip(modes(system), system.operator.dofs, modes_of(system).rho, strict=True):
         residual[dofs] -= rho * R @ (R.T @ x[dofs])
     small(np.abs(residual).max(initial=0.0), 1e-11)
-    system.destroy()
 
 
 def rigid(system, x):
@@ -283,7 +282,7 @@ def test_dense_null_space_agrees_with_the_kernel(torn_grid, parts):
 
 
 @pytest.mark.parametrize("stiff", [0.0, 1e9], ids=["even", "stiff"])
-def test_rough_factors_only_where_they_precondition(stiff, torn_grid, pattern):
+def test_rough_factors_only_where_they_precondition(stiff, torn_grid, pattern, lifetime):
     """Single precision, but double where a stiff tie would have it round the rest away."""
 
     def tie(K, dofs):
@@ -292,14 +291,13 @@ def test_rough_factors_only_where_they_precondition(stiff, torn_grid, pattern):
 
     problem = torn_grid((2, 2), (2, 2), components=2, change=tie)
     read = pattern(problem.A, interior="eliminate")
-    rough = set_up(read, rough=True)
+    rough = set_up(read, lifetime, lifetime, rough=True)
     kinds = {type(factor) for factor in rough.inverse.factors}
     agree(kinds <= {DenseFactor if stiff else SingleFactor}, kinds)
     y = np.random.default_rng(SEED + 5).standard_normal(read.torn.n)
     approximate = rough.inverse.solve(y)
-    fine = refined(read, rough)
+    fine = refined(read, rough, lifetime)
     agree({type(factor) for factor in fine.inverse.factors} <= {DenseFactor})
-    agree(refined(read, fine) is fine)
+    agree(refined(read, fine, lifetime) is fine)
     exact = fine.inverse.solve(y)
     small(np.abs(approximate - exact).max(initial=0.0) / np.abs(exact).max(initial=1.0), 1e-4)
-    fine.destroy()
