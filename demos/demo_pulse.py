@@ -156,7 +156,7 @@ steps = follow_time(
     TimeSteps(first=2e-5, least=1e-7, longest=1e-4, tolerance=2e-4),
     state=[u, p],
     energy=stored,
-    forces=-pushed - DASHPOT * ufl.inner(motion.velocity, v) * outside,
+    forces=-pushed,
     on_step=record,
 )
 # -
@@ -168,7 +168,7 @@ steps = follow_time(
 
 # +
 times, pressures, radii, kinetic, energies = np.array(rows).T
-work = np.cumsum([step.work for step in steps])
+work = np.cumsum([step.work - step.dissipated for step in steps])
 lacking = np.abs(kinetic + energies - begun - work).max() / np.abs(energies - begun).max()
 if comm.rank == 0:
     iterations = [step.linear_iterations for made in steps for step in made.history]

@@ -135,9 +135,10 @@ class _Loads(Stepper[LoadStep, Steps]):
         start: float,
     ) -> None:
         self._dashpots = {
-            last: DASHPOTS[last].u
+            last: dashpot.u
             for last in problem.content.coefficients
-            if last in DASHPOTS and isinstance(DASHPOTS[last].u, dolfinx.fem.Function)
+            for dashpot in DASHPOTS.get(last, ())
+            if isinstance(dashpot.u, dolfinx.fem.Function)
         }
         histories = [*problem.internal_variables, *self._dashpots]
         state = State(start, problem.content, unknowns=unknowns, histories=histories)

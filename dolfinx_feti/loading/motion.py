@@ -42,7 +42,7 @@ from ufl.core.expr import Expr
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.mechanics.supports import DASHPOTS
 
-__all__ = ["Motion", "fixed_dofs", "motions_in"]
+__all__ = ["Motion", "fixed_dofs", "motions_in", "owned_vector"]
 
 Array = npt.NDArray[np.float64]
 
@@ -98,6 +98,7 @@ class Motion:
         self._β = 0.25 * (1.0 - self._α_m + self._α_f) ** 2
         self._last: Array = u.x.array.copy()  # u_n
         self._dashpots: list[tuple[dolfinx.fem.Function, dolfinx.fem.Constant]] = []
+        self._damped = False
         self._density = density
         difference, v = u - self._ahead, self.velocity
         self.inertia = density * self._c / 2 * ufl.inner(difference, difference) * ufl.dx
@@ -126,16 +127,14 @@ class Motion:
             ValueError: The time step of a dashpot is a number, or its displacement another one.
         """
         self._dashpots = []
-        for last in coefficients:
-            found = DASHPOTS.get(last)
-            if found is None:
-                continue
+        for last, found in ((f, dashpot) for f in coefficients for dashpot in DASHPOTS.get(f, ())):
             if found.u is not self.u or not isinstance(found.time_step, dolfinx.fem.Constant):
                 raise ValueError(
                     "A dashpot of another displacement, or with a number as its time step, cannot "
                     "follow the motion: give it the displacement of the Motion and a Constant."
                 )
             self._dashpots.append((last, found.time_step))
+        self._damped = bool(self._dashpots) or self._behind in coefficients
 
     def stop(self) -> None:
         """Leave inertia and rates out, for equilibria."""
@@ -174,13 +173,9 @@ class Motion:
         mass = self._density * ufl.inner(trial, test) * ufl.dx
         M = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(mass), list(bcs))
         M.assemble()
-        b = dolfinx.la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
-        dolfinx.fem.assemble_vector(b.array, residual)
-        dolfinx.fem.assemble_vector(b.array, dolfinx.fem.form(ufl.action(mass, ü)))
-        b.scatter_reverse(dolfinx.la.InsertMode.add)
         f, a = M.createVecs()
         owned = f.getLocalSize()
-        f.array[:] = -b.array[:owned]
+        f.array[:] = -owned_vector(residual) - owned_vector(dolfinx.fem.form(ufl.action(mass, ü)))
         f.array[fixed[fixed < owned]] = given[fixed < owned]
         ksp = PETSc.KSP().create(M.comm)
         ksp.setOperators(M)
@@ -258,6 +253,24 @@ class Motion:
         comm = self.u.function_space.mesh.comm
         return float(comm.allreduce(dolfinx.fem.assemble_scalar(self._kinetic)))
 
+    def damping(self, residual: dolfinx.fem.Form) -> Array:
+        """Return the forces of dashpots in the present state, F(u, v) − F(u, 0), (owned,).
+
+        Args:
+            residual: F(u, v; δu).
+
+        Note:
+            Collective.
+        """
+        whole = owned_vector(residual)
+        if not self._damped:
+            return np.zeros_like(whole)
+        behind, d = self._behind.x.array.copy(), float(self._d.value)
+        self._set_rate(d, self.u.x.array)
+        elastic = owned_vector(residual)
+        self._set_rate(d, behind)
+        return whole - elastic
+
     def _next(self) -> Array:
         """Return a_{n+1}."""
         dt, β = float(self.dt.value), self._β
@@ -270,6 +283,13 @@ class Motion:
         self._d.value, self._behind.x.array[:] = d, behind
         for last, time_step in self._dashpots:
             last.x.array[:], time_step.value = behind, 1.0 / d
+
+
+def owned_vector(form: dolfinx.fem.Form) -> Array:
+    """Assemble a linear form, (owned,). Collective."""
+    b = dolfinx.fem.assemble_vector(form)
+    b.scatter_reverse(dolfinx.la.InsertMode.add)
+    return np.array(b.array[: b.index_map.size_local * b.block_size])
 
 
 def fixed_dofs(bcs: Sequence[dolfinx.fem.DirichletBC]) -> npt.NDArray[np.int32]:

@@ -11,10 +11,11 @@ state with a shorter one. After a good one the length becomes
 g being the most that it may grow by, up to the longest. The wanted times are met exactly. Each step
 tells the terms of the balance of energies,
 
-.. math:: T_{n+1} - T_n + Π_{n+1} - Π_n = W + O(Δt^3), \qquad
+.. math:: T_{n+1} - T_n + Π_{n+1} - Π_n + D = W + O(Δt^3), \qquad
           W = ½\, (f_n + f_{n+1}) · (u_{n+1} - u_n),
 
-with the kinetic energy T, the energy Π that the material stores, and external forces f.
+with the kinetic energy T, the energy Π that the material stores, external forces f, and D, the work
+on dashpots, which is that of their forces like W.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ import ufl
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.motion import Motion, fixed_dofs, motions_in
+from dolfinx_feti.loading.motion import Motion, fixed_dofs, motions_in, owned_vector
 from dolfinx_feti.loading.state import State
 from dolfinx_feti.loading.stepper import Problem, Stepper, check_places
 from dolfinx_feti.loading.steps import Lengths, LoadStep
@@ -85,69 +86,15 @@ class TimeStep(LoadStep):
         kinetic: Kinetic energy at its end.
         stored: Energy of the material at its end, if it was given; else NaN.
         work: Work of the external forces in it, if they were given; else NaN.
+        dissipated: Work on dashpots, and on all else in the forms that resists the rate.
         error: Estimated error of the displacement.
     """
 
     kinetic: float
     stored: float
     work: float
+    dissipated: float
     error: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Energies:
-    """Compiled forms of the balance of energies.
-
-    Attributes:
-        u: The displacement.
-        energy: Π; None if it is not followed.
-        forces: f, tested with v; None if they are not followed.
-    """
-
-    u: dolfinx.fem.Function
-    energy: dolfinx.fem.Form | None
-    forces: dolfinx.fem.Form | None
-
-    def stored(self) -> float:
-        """Return Π of the present state; NaN if it is not followed.
-
-        Note:
-            Collective.
-        """
-        if self.energy is None:
-            return math.nan
-        comm = self.u.function_space.mesh.comm
-        return float(comm.allreduce(dolfinx.fem.assemble_scalar(self.energy)))
-
-    def present_forces(self) -> Array:
-        """Return f of the present state, (owned,); NaN if they are not followed.
-
-        Note:
-            Collective.
-        """
-        dofmap = self.u.function_space.dofmap
-        f = dolfinx.la.vector(dofmap.index_map, dofmap.index_map_bs)
-        owned = dofmap.index_map.size_local * dofmap.index_map_bs
-        if self.forces is None:
-            f.array[:] = math.nan
-        else:
-            dolfinx.fem.assemble_vector(f.array, self.forces)
-            f.scatter_reverse(dolfinx.la.InsertMode.add)
-        return np.asarray(f.array[:owned])
-
-    def work(self, before: Array, after: Array, moved: Array) -> float:
-        """Return the work W of the forces in a step.
-
-        Args:
-            before: f at its beginning, (owned,).
-            after: f at its end, (owned,).
-            moved: u_{n+1} − u_n, with ghosts.
-
-        Note:
-            Collective.
-        """
-        W = (before + after) @ moved[: len(after)] / 2.0
-        return float(self.u.function_space.mesh.comm.allreduce(W))
 
 
 class MovingProblem(Problem, Protocol):
@@ -185,7 +132,8 @@ def follow_time(
         steps: How to choose the lengths of the steps.
         state: Functions that a solve changes beside u and what is condensed: these are known.
         start: The present time.
-        energy: What the material stores, for the balance kinetic + stored − work of each step.
+        energy: What the material stores, for the balance kinetic + stored + dissipated − work of
+            each step.
         forces: External forces, tested with v, for the same: their work is integrated by the
             trapezoidal rule.
         on_step: Called at the end of each step on all processes, for output.
@@ -210,15 +158,12 @@ def follow_time(
     """
     comm = problem.u.function_space.mesh.comm
     on_all(lambda: _check(problem, motion, start, targets), comm)
-    compiler = Compiler(comm)
-    energies = _Energies(
-        problem.u, *(None if f is None else compiler.form(f) for f in (energy, forces))
-    )
     histories = [*problem.internal_variables, *motion.changes]
     owned = State(
         start, problem.content, unknowns=state, histories=histories, numbers=motion.numbers
     )
-    return _Times(problem, set_time, steps, owned, motion, energies).follow(
+    forms = (None if f is None else Compiler(comm).form(f) for f in (energy, forces))
+    return _Times(problem, set_time, steps, owned, motion, *forms).follow(
         targets, on_step=on_step, checkpoint=checkpoint, unit=unit
     )
 
@@ -257,10 +202,11 @@ class _Times(Stepper[TimeStep, TimeSteps]):
         steps: TimeSteps,
         state: State,
         motion: Motion,
-        energies: _Energies,
+        energy: dolfinx.fem.Form | None,
+        forces: dolfinx.fem.Form | None,
     ) -> None:
         super().__init__(problem, set_time, steps, state)
-        self._motion, self._energies = motion, energies
+        self._motion, self._energy, self._external = motion, energy, forces
         self._balance = problem.F, list(problem.bcs)
 
     def _is_met(self, target: float) -> bool:
@@ -274,7 +220,14 @@ class _Times(Stepper[TimeStep, TimeSteps]):
             self._move_conditions(min(self._length, targets[0] - self.at))
             self._set_place(self.at)
             self._motion.start(*self._balance)
-        self._forces = self._energies.present_forces()
+        self._forces = self._present_forces()
+
+    def _present_forces(self) -> Array:
+        """Return external forces, NaN if they are not given, and those of dashpots, (2, owned)."""
+        damping = self._motion.damping(self._balance[0])
+        given = self._external
+        external = np.full_like(damping, math.nan) if given is None else owned_vector(given)
+        return np.stack([external, damping])
 
     def _move_conditions(self, dt: float) -> None:
         """Let dofs under conditions begin as their values do, by differences in a step Δt."""
@@ -300,12 +253,16 @@ class _Times(Stepper[TimeStep, TimeSteps]):
         """Go from the balance of forces to the end of the step."""
         error, moved = self._motion.error(), self._motion.leave()
         self._lengthen(step["increment"], error)
-        before, self._forces = self._forces, self._energies.present_forces()
+        before, self._forces = self._forces, self._present_forces()
+        W = (before + self._forces) @ moved[: before.shape[1]] / 2.0  # ½ (f_n + f_{n+1})·Δu
+        Π = math.nan if self._energy is None else dolfinx.fem.assemble_scalar(self._energy)
+        work, dissipated, stored = map(float, self._comm.allreduce(np.array([*W, Π])))
         return TimeStep(
             **step,
             kinetic=self._motion.kinetic_energy(),
-            stored=self._energies.stored(),
-            work=self._energies.work(before, self._forces, moved),
+            stored=stored,
+            work=work,
+            dissipated=dissipated,
             error=error,
         )
 

@@ -45,7 +45,7 @@ class Dashpots:
 
 
 #: By their last displacement u⁰, those that a path of loads or times advances.
-DASHPOTS: WeakKeyDictionary[Expr, Dashpots] = WeakKeyDictionary()
+DASHPOTS: WeakKeyDictionary[Expr, list[Dashpots]] = WeakKeyDictionary()
 
 #: Which part of the displacement is resisted.
 Direction = Literal["normal", "all"]
@@ -104,7 +104,7 @@ def dashpot_energy(
     require_not_negative(viscosity=viscosity)
     if not isinstance(time_step, Expr) and not time_step > 0.0:
         raise ValueError(f"time_step = {time_step}: give a positive number of seconds.")
-    DASHPOTS[last] = Dashpots(u, time_step)
+    DASHPOTS.setdefault(last, []).append(Dashpots(u, time_step))
     return viscosity / (2 * time_step) * _square(u - last, direction) * ds
 
 

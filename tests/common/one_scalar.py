@@ -80,6 +80,7 @@ class Scalar:
     S: float = 0.0
     Q: float = 0.0
     h: float = 0.0
+    dissipated: float = 0.0
 
     def start(self, h: float) -> None:
         """Begin a path, whose first step is about h."""
@@ -130,6 +131,7 @@ class Scalar:
         s = scipy.optimize.brentq(balance, last[1] - 0.6, last[1] + 0.6, xtol=1e-15, rtol=1e-14)
         self.u = np.array([law.g(t), s])
         v, ü = rates(self.u)
+        self.dissipated = law.viscosity * (self.v[1] + v[1]) / 2.0 * (s - last[1])
         if law.inertia is not None:
             self.a = new_a(self.u)
         self.v, self.ü, self.t, self.h = v, ü, t, h
@@ -137,8 +139,8 @@ class Scalar:
         self.Q, self.S = fades * self.Q + δ * (S - self.S), S
 
 
-def exact(law: Law, times: np.ndarray) -> np.ndarray:
-    """Displacement of the face by the differential equation, with Q̇ = −Q/τ + β Ṡ."""
+def exact(law: Law, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement of the face by the differential equation, with Q̇ = −Q/τ + β Ṡ; and ∫ η v² dt."""
 
     def g(t: float, k: int) -> float:
         """g, ġ and g̈."""
@@ -153,15 +155,16 @@ def exact(law: Law, times: np.ndarray) -> np.ndarray:
         ż = (law.share * slope(stretch) / stretch - y[1]) / TAU
         force = stress(stretch, y[1]) + law.p(t)
         if law.inertia is None:
-            return [-force / law.viscosity, ż]
+            return [-force / law.viscosity, ż, force**2 / law.viscosity]
         force += law.viscosity * y[2]
-        return [y[2], ż, -(force + DENSITY * g(t, 2) / 6.0) / (DENSITY / 3.0)]
+        ü = -(force + DENSITY * g(t, 2) / 6.0) / (DENSITY / 3.0)
+        return [y[2], ż, ü, law.viscosity * y[2] ** 2]
 
-    start = [0.0] * (2 if law.inertia is None else 3)
+    start = [0.0] * (3 if law.inertia is None else 4)
     found = scipy.integrate.solve_ivp(
         change, (0.0, times[-1]), start, t_eval=times, rtol=1e-10, atol=1e-12, method="LSODA"
     )
-    return np.asarray(found.y[0])
+    return found.y[0], found.y[-1]
 
 
 class Block:

@@ -20,8 +20,8 @@ import dolfinx
 import dolfinx.fem.petsc
 import ufl
 
-from dolfinx_feti import ConvergenceError, NonlinearProblem, kinematics, materials
-from dolfinx_feti.loading import Checkpoint, Motion, TimeSteps, follow_time
+from dolfinx_feti import ConvergenceError, NonlinearProblem, kinematics, materials, supports
+from dolfinx_feti.loading import Checkpoint, Motion, Steps, TimeSteps, follow_load, follow_time
 
 DENSITY = 1e-6  # kg/mm³
 END = 4e-4  # s
@@ -240,7 +240,7 @@ def test_initial_acceleration():
 
 @pytest.mark.processes(1, 2)
 def test_damping():
-    """A dashpot under all of a rigid body: v falls as e^{−ηt/ρ}, to second order."""
+    """A dashpot under all of a rigid body: v falls as e^{−ηt/ρ}, to second order, and takes ½ ρ v²."""
     mesh = cube(3, 1)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
     u, v = dolfinx.fem.Function(V), ufl.TestFunction(V)
@@ -253,8 +253,51 @@ def test_damping():
     residual += eta * ufl.inner(motion.rate, v) * ufl.dx
     problem = NonlinearProblem(residual, u, quadrature_degree=2, subdomains=2)
     motion.velocity.interpolate(lambda x: np.stack([1.0 + 0 * x[0], 0 * x[0], 0 * x[0]]))
-    follow_time(problem, motion, lambda t: None, [1e-3], fixed(2.5e-5), state=[u])
+    steps = follow_time(problem, motion, lambda t: None, [1e-3], fixed(2.5e-5), state=[u])
     uniform(motion.velocity.x.array[0::3], math.exp(-1.0), 1e-3)
+    taken = sum(step.dissipated for step in steps)
+    small(taken / (DENSITY / 2.0 * (1.0 - math.exp(-2.0))) - 1.0, 1e-3)
+    small(taken / (DENSITY / 2.0 - steps[-1].kinetic) - 1.0, 1e-3)
+
+
+@pytest.mark.parametrize("inertia", [True, False])
+def test_dashpots_with_one_last_displacement(inertia):
+    """Two surfaces, two time steps, one last displacement: both resist as one with both does."""
+    ends = []
+    for together in (True, False):
+        mesh = cube(3, 2)
+        V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+        u, last = dolfinx.fem.Function(V), dolfinx.fem.Function(V)
+        F = kinematics.deformation_gradient(u)
+        J = kinematics.jacobian(F)
+        psi = materials.neo_hookean(F.T * F, c=3.0, J=J) + materials.volumetric(J, 10.0)
+        push = dolfinx.fem.Constant(mesh, 0.0)
+        motion = Motion(u, 1e-3)
+        energy = (psi - push * u[0]) * ufl.dx
+        if inertia:
+            energy += motion.inertia
+        dts = [dolfinx.fem.Constant(mesh, 0.1) for _ in range(2)]
+        ds = ufl.ds(mesh)
+        if together:
+            energy += supports.dashpot_energy(0.5, u, last, dts[0], ds, "all")
+        else:
+            for eta, dt in zip((0.2, 0.3), dts, strict=True):
+                energy += supports.dashpot_energy(eta, u, last, dt, ds, "all")
+        problem = NonlinearProblem(
+            energy, u, bcs=[dirichlet(V, left)], quadrature_degree=2, subdomains=2,
+            petsc_options={"snes_rtol": 1e-12, "ksp_rtol": 1e-10},
+        )  # fmt: skip
+
+        def set_time(t: float, push=push) -> None:
+            push.value = t
+
+        if inertia:
+            steps = follow_time(problem, motion, set_time, [0.1, 0.3, 0.4], TimeSteps(0.1, 0.01))
+            ends.append(np.append(u.x.array, [step.dissipated for step in steps]))
+        else:
+            follow_load(problem, set_time, [0.1, 0.2], Steps(0.1, 0.1, 1.0))
+            ends.append(u.x.array.copy())
+    equal(ends[0], ends[1], 1e-10)
 
 
 @pytest.mark.processes(1, 2)
