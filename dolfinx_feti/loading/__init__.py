@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Load steps from equilibrium to equilibrium, time steps, and states that outlive a run.
 
-In the order of the data: identity, checkpoint, state, steps, table, interrupts, progress, stepper,
+In the order of the data: checkpoint, state, steps, interrupts, progress, stepper,
 motion, load_steps, anderson, unloaded, prestressed, time_steps.
 """
 
@@ -11,8 +11,7 @@ from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.motion import Motion
 from dolfinx_feti.loading.prestressed import prestress
-from dolfinx_feti.loading.steps import LoadStep, Steps
-from dolfinx_feti.loading.table import write_history
+from dolfinx_feti.loading.steps import LoadStep, Steps, write_history
 from dolfinx_feti.loading.time_steps import TimeStep, TimeSteps, follow_time
 from dolfinx_feti.loading.unloaded import unload
 

@@ -30,17 +30,8 @@ import numpy.typing as npt
 import dolfinx
 
 from dolfinx_feti.fem.content import Content
-from dolfinx_feti.loading.identity import (
-    describe,
-    describe_forms,
-    other_forms,
-    other_mesh,
-    other_parameters,
-    plain,
-    plain_parameters,
-)
 from dolfinx_feti.runtime.collective import on_all, on_first, reason, warn
-from dolfinx_feti.runtime.compat import package_version
+from dolfinx_feti.runtime.compat import geometry_dofmap, package_version
 from dolfinx_feti.runtime.folders import writable_folder
 
 __all__ = ["Checkpoint"]
@@ -48,6 +39,9 @@ __all__ = ["Checkpoint"]
 Array = npt.NDArray[np.float64]
 
 FILE, FORMAT = "state.npz", 3
+
+#: How closely the mesh has to agree, relative to its extent: digits that a file of text may lose.
+CLOSE = 1e-10
 
 
 class Checkpoint:
@@ -93,7 +87,7 @@ class Checkpoint:
         """
         self._comm = comm
         self.restart, self._allow_changes = restart, allow_changes
-        self._parameters = on_all(lambda: plain_parameters(parameters or {}), comm)
+        self._parameters = on_all(lambda: _plain_parameters(parameters or {}), comm)
         self.folder = Path(folder)
         self._path = self.folder / FILE
         self._head: dict[str, Any] | None = on_first(self._open, comm)
@@ -123,28 +117,24 @@ class Checkpoint:
             past: Earlier values of the functions, their arrays with ghosts, the oldest first; or
                 of the first few of them, if the others have no past.
             content: What the forms of the problem hold, by which a restart knows it.
-            moving: Places of the constants in them that the steps change, which a restart may
-                begin with other values of.
+            moving: Places of the constants in them whose values a restart need not share.
 
         Raises:
             OSError: It cannot be written; the last state stays.
             TypeError: The record of the first process has more in it than JSON holds.
-            ValueError: ``past`` holds other arrays than the functions'.
 
         Note:
             Collective; raises on all processes.
         """
-        on_all(lambda: _check_past(functions, past), self._comm)
         head = {
             "format": FORMAT,
             "version": package_version(),
             "processes": self._comm.size,
             "past": [len(values) for values in past],
             "parameters": self._parameters,
-            **describe(functions),
-            **describe_forms(content, moving),
+            **_describe(functions, content, moving),
         }
-        head = on_first(lambda: plain(head | {"record": dict(record)}), self._comm)
+        head = on_first(lambda: _plain(head | {"record": dict(record)}), self._comm)
         try:
             self._write(head, functions, past)
         except Exception as error:
@@ -175,11 +165,10 @@ class Checkpoint:
         """
         if self._head is None:
             raise ValueError(f"There is no state in {self.folder} yet: write one first.")
-        head, here = self._head, describe(functions)
-        differences = on_first(lambda: other_mesh(head, here), self._comm)
-        if content is not None and head["forms"] is not None and not self._allow_changes:
-            differences += other_forms(head, describe_forms(content, head["moving"]))
-        self._refuse(differences)
+        head = self._head
+        here = _describe(functions, content, head["moving"])
+        known = content is not None and head["forms"] is not None and not self._allow_changes
+        self._refuse(on_first(lambda: _differences(head, here, forms=known), self._comm))
         try:
             values = on_all(lambda: self._read(head, functions), self._comm)
         except Exception as error:
@@ -213,7 +202,9 @@ class Checkpoint:
                 "or start again."
             )
         if not self._allow_changes:
-            self._refuse(other_parameters(head["parameters"], self._parameters))
+            there, here = head["parameters"], self._parameters
+            values = [(n, *(p.get(n, "not given") for p in (there, here))) for n in sorted(there | here)]
+            self._refuse([f"{n} is {a} there and {b} here" for n, a, b in values if a != b])
         return head
 
     def _refuse(self, differences: list[str]) -> None:
@@ -326,19 +317,74 @@ def _gathered(array: npt.NDArray[np.generic], comm: MPI.Comm) -> list[npt.NDArra
     return [array, *(comm.recv(source=rank) for rank in range(1, comm.size))]
 
 
-def _check_past(functions: Sequence[dolfinx.fem.Function], past: Sequence[Sequence[Array]]) -> None:
-    """Require arrays of the sizes of the first functions in each state of the past.
+def _describe(
+    functions: Sequence[dolfinx.fem.Function], content: Content | None, moving: Sequence[int]
+) -> dict[str, Any]:
+    """Describe mesh, elements, forms, and Constants that no step moves, on any number of processes.
 
-    Raises:
-        ValueError: One is missing or has another size.
+    Of the coordinates it is the mean over the cells of their vertices, each weighted by a number
+    that follows from its place in the input, so that it depends on their order. Collective.
     """
-    sizes = [len(f.x.array) for f in functions]
-    for i, values in enumerate(past):
-        if not values or [len(array) for array in values] != sizes[: len(values)]:
+    mesh = functions[0].function_space.mesh
+    cells = mesh.topology.index_map(mesh.topology.dim)
+    nodes = geometry_dofmap(mesh)[: cells.size_local]
+    place = np.asarray(mesh.topology.original_cell_index)[: cells.size_local, None]
+    place = place * nodes.shape[1] + np.arange(nodes.shape[1])
+    weights = 2.0 * np.modf(place * ((np.sqrt(5.0) - 1.0) / 2.0))[0] - 1.0  # equidistributed
+    x = mesh.geometry.x
+    sums = mesh.comm.allreduce(np.einsum("ck,ckd->d", weights, x[nodes]), op=MPI.SUM)
+    constants = () if content is None else enumerate(content.constants)
+    return {
+        "cells": cells.size_global,
+        "vertices": mesh.geometry.index_map().size_global,
+        "elements": [str(f.function_space.ufl_element()) for f in functions],
+        "extent": mesh.comm.allreduce(float(np.abs(x).max(initial=0.0)), op=MPI.MAX),
+        "coordinates": (sums / cells.size_global).tolist(),
+        "forms": None if content is None else content.signature(),
+        "constants": {str(i): np.asarray(c.value).tolist() for i, c in constants if i not in moving},
+        "moving": list(moving),
+    }
+
+
+def _differences(there: Mapping[str, Any], here: Mapping[str, Any], *, forms: bool) -> list[str]:
+    """Say in what two problems differ."""
+    found = [
+        f"{name} are {there[name]} there and {here[name]} here"
+        for name in ("cells", "vertices", "elements")
+        if there[name] != here[name]
+    ]
+    x, y = ([head["extent"], *head["coordinates"]] for head in (there, here))
+    if not np.allclose(x, y, rtol=0.0, atol=CLOSE * x[0]):
+        found.append("the extent of the mesh or the order of its cells are others")
+    if forms and there["forms"] != here["forms"]:
+        found.append("its forms, such as the energy of a material, or numbers in them, are others")
+    elif forms:
+        values = [(value, here["constants"][i]) for i, value in there["constants"].items()]
+        found += [f"a Constant of the forms is {a} there and {b} here" for a, b in values if a != b]
+    return found
+
+
+def _plain_parameters(parameters: Mapping[str, object]) -> dict[str, Any]:
+    """Return parameters as they come back from a file."""
+    for name, value in parameters.items():
+        try:
+            _plain(value)
+        except TypeError as error:
             raise ValueError(
-                f"past[{i}] holds arrays of {[len(a) for a in values]} values, but the functions "
-                f"have {sizes}: give the x.array of each or of the first, ghosts included."
-            )
+                f"parameters[{name!r}] is {value!r}: give numbers, strings, or lists of them."
+            ) from error
+    return _plain(dict(parameters))
+
+
+def _plain(record: object) -> Any:
+    """Return what JSON makes of a record, and of NumPy's numbers and arrays in it."""
+
+    def of_numpy(value: object) -> object:
+        if isinstance(value, np.generic | np.ndarray):
+            return value.tolist()
+        raise TypeError(f"{value!r} is no number, string, or list")
+
+    return json.loads(json.dumps(record, default=of_numpy))
 
 
 def _sync(path: Path) -> None:

@@ -1,11 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""How far a load has come: tqdm's bar on a terminal, a line for each load step in the log.
-
-The time left follows from the pace of the last load steps: with the increments Δt_k of their loads,
-the seconds s_k that they took and the remaining distance d, it is d Σ s_k / Σ abs(Δt_k).
-"""
+"""Progress of a load: a bar (tqdm) on a terminal, and a line for each load step in the log."""
 
 from __future__ import annotations
 
@@ -14,7 +10,6 @@ import logging
 import math
 import sys
 from collections.abc import Callable, Sequence
-from types import TracebackType
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -29,7 +24,7 @@ __all__ = ["Progress"]
 
 logger = logging.getLogger("dolfinx_feti")
 
-#: How many load steps the pace is taken from.
+#: How many load steps the pace is taken from, from which the time left follows.
 RECENT = 3
 
 #: Attribute of the SNES that holds the progress of the load that is being followed.
@@ -72,18 +67,69 @@ class Progress:
             number: Load steps before this run.
         """
         self._length = math.fsum(abs(b - a) for a, b in itertools.pairwise(loads))
-        self._number, self._covered = number, 0.0
-        self._goal = f"{loads[-1]:g} {unit}".rstrip()
-        self._steps: list[LoadStep] = []
+        self._goal, self._number = f"{loads[-1]:g} {unit}".rstrip(), number
+        self._recent: list[LoadStep] = []
         self._snes, self._first, self._interrupts = snes, comm.rank == 0, interrupts
-        self._bar: tqdm | None = None
+        self._bar = tqdm(disable=True)
         if self._first and sys.stderr.isatty():
-            self._show(self._create_bar)
+            self._show(self._open)
         if not any(monitor is _report for monitor, _, _ in snes.getMonitor() or []):
             snes.setMonitor(_report)
         snes.setAttr(ATTRIBUTE, self)
 
-    def _create_bar(self) -> None:
+    def attempt(self, load: float, to: float) -> None:
+        """Say that a step from one load to another begins."""
+        left = self._left()
+        text = f"{left + ', ' if left else ''}{load:.4g} → {to:.4g} of {self._goal}"
+        self._show(lambda: self._bar.set_description_str(text))
+
+    def newton(self, its: int, norm: float) -> None:
+        """Show a Newton step with the residual before it, or let a signal end it."""
+        self._interrupts.check()
+        self._show(lambda: self._bar.set_postfix_str(f"Newton {its}  ‖r‖ = {norm:.1e}"))
+
+    def accept(self, step: LoadStep) -> None:
+        """Log a load step that has been accepted; the bar shows it with the next attempt."""
+        self._bar.n += abs(step.increment)
+        self._number += 1
+        self._recent = [*self._recent, step][-RECENT:]
+        newton = step.all_steps
+        new = sum(s.tangent_lag == 0 for s in newton)
+        linear = sum(s.linear_iterations for s in newton)
+        failed = f" after {step.failures} failed attempt(s)" * (step.failures > 0)
+        left = self._left()
+        self._log(
+            f"load step {self._number}: {step.load:.5g} of {self._goal}{failed}, {len(newton)} "
+            f"Newton steps with {new} tangent{'s' * (new != 1)}, {linear} linear iterations, "
+            f"residual {self._snes.getFunctionNorm():.1e}, {step.seconds:.1f} s"
+            f"{f', {left}' * bool(left)}"
+        )
+
+    def refuse(self, load: float, error: Exception) -> None:
+        """Log an attempt that failed."""
+        self._log(f"no equilibrium at {load:.5g}: {reason(error)}")
+
+    def close(self) -> None:
+        """Clear the line and fall silent."""
+        self._show(self._bar.close)
+        self._snes.setAttr(ATTRIBUTE, None)
+
+    def _left(self) -> str:
+        """Say the time left; nothing as long as it is not known, or at the end."""
+        pace = math.fsum(abs(step.increment) for step in self._recent)
+        distance = self._length - self._bar.n
+        if pace == 0.0 or distance <= 1e-12 * self._length:
+            return ""
+        seconds = distance / pace * math.fsum(step.seconds for step in self._recent)
+        return f"about {tqdm.format_interval(seconds)} left"
+
+    def _log(self, text: str) -> None:
+        """Log a line on the first process, and not into the bar."""
+        self._show(self._bar.clear)
+        if self._first:
+            logger.info(text)
+
+    def _open(self) -> None:
         self._bar = tqdm(
             total=self._length,
             file=sys.stderr,
@@ -93,81 +139,9 @@ class Progress:
             bar_format="{percentage:3.0f} % {bar:10} {desc}{postfix}",
         )
 
-    def attempt(self, load: float, to: float) -> None:
-        """Say that a step from one load to another begins."""
-        if self._bar is not None:
-            left = self._left()
-            text = f"{left + ', ' if left else ''}{load:.4g} → {to:.4g} of {self._goal}"
-            bar = self._bar
-            self._show(lambda: bar.set_description_str(text))
-
-    def newton(self, its: int, norm: float) -> None:
-        """Show a Newton step with the residual before it, or let a signal end it."""
-        self._interrupts.check()
-        if self._bar is not None:
-            bar = self._bar
-            self._show(lambda: bar.set_postfix_str(f"Newton {its}  ‖r‖ = {norm:.1e}"))
-
-    def accept(self, step: LoadStep) -> None:
-        """Log a load step that has been accepted."""
-        self._covered += abs(step.increment)
-        self._number += 1
-        self._steps.append(step)
-        if self._bar is not None:
-            self._bar.n = self._covered  # drawn with the next attempt
-        newton = step.all_steps
-        new = sum(s.tangent_lag == 0 for s in newton)
-        tangents = f"{new} tangent{'s' * (new != 1)}"
-        linear = sum(s.linear_iterations for s in newton)
-        failed = f" after {step.failures} failed attempt(s)" * (step.failures > 0)
-        left = self._left()
-        self._log(
-            f"load step {self._number}: {step.load:.5g} of {self._goal}{failed}, {len(newton)} "
-            f"Newton steps with {tangents}, {linear} linear iterations, "
-            f"residual {self._snes.getFunctionNorm():.1e}, {step.seconds:.1f} s"
-            f"{f', {left}' * bool(left)}"
-        )
-
-    def refuse(self, load: float, error: Exception) -> None:
-        """Log an attempt that failed."""
-        self._log(f"no equilibrium at {load:.5g}: {reason(error)}")
-
-    def _left(self) -> str:
-        """Say the time left; nothing as long as it is not known, or at the end."""
-        recent = self._steps[-RECENT:]
-        pace = math.fsum(abs(step.increment) for step in recent)
-        distance = self._length - self._covered
-        if pace == 0.0 or distance <= 1e-12 * self._length:
-            return ""
-        seconds = distance / pace * math.fsum(step.seconds for step in recent)
-        return f"about {tqdm.format_interval(seconds)} left"
-
-    def _log(self, text: str) -> None:
-        """Log a line on the first process, and not into the bar."""
-        if self._bar is not None:
-            self._show(self._bar.clear)
-        if self._first:
-            logger.info(text)
-
     def _show(self, draw: Callable[[], object]) -> None:
         """Draw; a terminal that fails is not drawn on again, as it is that of one process alone."""
         try:
             draw()
         except (OSError, ValueError):  # gone, closed, or without these characters
-            self._bar = None
-
-    def __enter__(self) -> Progress:
-        """Begin."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Clear the line and fall silent."""
-        if self._bar is not None:
-            self._show(self._bar.close)
-        self._bar = None
-        self._snes.setAttr(ATTRIBUTE, None)
+            self._bar.disable = True

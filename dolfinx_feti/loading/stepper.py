@@ -25,7 +25,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict
 from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
@@ -152,13 +152,10 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
             accepted = self._recall(checkpoint)
             targets = self._unmet(targets)
         snes, places, number = self._problem.solver, [self.at, *targets], len(accepted)
-        with (
-            self._interrupts,
-            self._whole_steps(),
-            Progress(
-                snes, self._comm, self._interrupts, loads=places, unit=unit, number=number
-            ) as bar,
-        ):
+        bar = Progress(
+            snes, self._comm, self._interrupts, loads=places, unit=unit, number=number
+        )
+        with closing(bar), self._interrupts, self._whole_steps():
             self._begin(targets, restarted=bool(accepted))
             self._past[-1] = self.state.copy()
             for target in map(float, targets):

@@ -88,16 +88,6 @@ def test_parameters_of_a_checkpoint(tmp_path):
     agree(not (tmp_path / "run").exists())
 
 
-def test_past_of_a_checkpoint(tmp_path, state):
-    checkpoint = opened(tmp_path, restart=False)
-    past = [state.set(1.0), state.set(2.0)]
-    if LAST:
-        past[1] = past[1][1:]
-    with raises(ValueError, r"past\[1\] holds arrays of .* values, but the functions have"):
-        checkpoint.write(state.functions, {}, past)
-    agree(list(tmp_path.iterdir()) == [] and checkpoint.record is None)
-
-
 def test_record_of_a_checkpoint(tmp_path, state):
     """That of the first process counts."""
     checkpoint = opened(tmp_path, restart=False)
