@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Anderson's acceleration of a fixed point U = g(U), with vectors that are distributed.
+r"""Problems that are fixed points U = g(U) of another one's solves, and Anderson's acceleration.
 
 Of the last differences :math:`Δ\mathcal U, Δ\mathcal F` of the iterates and of their residuals
 F = g(U) − U it takes the combination that leaves the least residual,
@@ -9,19 +9,28 @@ F = g(U) − U it takes the combination that leaves the least residual,
 .. math:: γ = \arg\min \|F - Δ\mathcal F\, γ\|, \qquad
     U ← U + F - (Δ\mathcal U + Δ\mathcal F)\, γ .
 
-Source: Walker and Ni, SIAM Journal on Numerical Analysis 49 (2011), eq. 2.2 with β = 1.
+Source: Walker and Ni, SIAM Journal on Numerical Analysis 49 (2011), formula 2.2 with β = 1.
 """
 
 from __future__ import annotations
 
-from mpi4py import MPI
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Anderson"]
+import dolfinx
+
+from dolfinx_feti.loading.stepper import Problem
+from dolfinx_feti.problems.history import NewtonStep
+from dolfinx_feti.problems.system import Tangent
+
+__all__ = ["MOST", "Anderson", "FixedPoint"]
 
 Array = npt.NDArray[np.float64]
+
+#: Solves at a load, at most.
+MOST = 50
 
 #: Differences that are kept.
 DEPTH = 20
@@ -30,17 +39,60 @@ DEPTH = 20
 SMALL = 1e-12
 
 
+class FixedPoint:
+    """What a path asks of a problem, with solves of another problem inside its own.
+
+    Attributes:
+        u: Displacement of the inner problem.
+        solver: Its SNES.
+        content: What its forms hold.
+        history: The Newton steps of all inner solves of the last solve.
+        volume_changes: What the last inner solve has left, see the problem.
+        internal_variables: None: loads on the way to a shape or a stress are no history.
+    """
+
+    internal_variables: tuple[dolfinx.fem.Function, ...] = ()
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem, self._comm = problem, problem.u.function_space.mesh.comm
+        self.u, self.solver, self.content = problem.u, problem.solver, problem.content
+        self.history: list[NewtonStep] = []
+        self.volume_changes: list[float] = []
+
+    def update_internal_variables(self, *, balanced: bool | None = None) -> None:
+        """Remember nothing."""
+
+    def begin_step(self, length: float) -> None:
+        """Depend on no length of a step."""
+
+    def renew(self) -> None:
+        """Let the next solve depend on none before."""
+        self._problem.renew()
+
+    def residual_norm(self) -> float:
+        """Return ‖r‖ of the inner problem."""
+        return self._problem.residual_norm()
+
+    def linearise(self) -> Tangent:
+        """Assemble the inner problem's tangent."""
+        return self._problem.linearise()
+
+    def _solve(self, **options: Any) -> None:
+        """Solve the inner problem."""
+        try:
+            self._problem.solve(**options)
+        finally:
+            self.history += self._problem.history
+            self.volume_changes = self._problem.volume_changes
+
+
 class Anderson:
-    """The last iterates of a fixed point."""
+    """The last iterates of a fixed point, vectors with the dofs of a space."""
 
-    def __init__(self, comm: MPI.Comm, owned: int) -> None:
-        """Begin with none.
-
-        Args:
-            comm: Communicator of the vectors.
-            owned: So many of their first entries are this process's own.
-        """
-        self._comm, self._owned = comm, owned
+    def __init__(self, space: dolfinx.fem.FunctionSpace) -> None:
+        """Begin with none."""
+        self._comm = space.mesh.comm
+        self._owned = space.dofmap.index_map.size_local * space.dofmap.index_map_bs
         self._last: tuple[Array, Array] | None = None
         self._differences: list[tuple[Array, Array]] = []  # ΔU, ΔF
 

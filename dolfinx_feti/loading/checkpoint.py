@@ -203,7 +203,9 @@ class Checkpoint:
             )
         if not self._allow_changes:
             there, here = head["parameters"], self._parameters
-            values = [(n, *(p.get(n, "not given") for p in (there, here))) for n in sorted(there | here)]
+            values = [
+                (n, *(p.get(n, "not given") for p in (there, here))) for n in sorted(there | here)
+            ]
             self._refuse([f"{n} is {a} there and {b} here" for n, a, b in values if a != b])
         return head
 
@@ -341,7 +343,9 @@ def _describe(
         "extent": mesh.comm.allreduce(float(np.abs(x).max(initial=0.0)), op=MPI.MAX),
         "coordinates": (sums / cells.size_global).tolist(),
         "forms": None if content is None else content.signature(),
-        "constants": {str(i): np.asarray(c.value).tolist() for i, c in constants if i not in moving},
+        "constants": {
+            str(i): np.asarray(c.value).tolist() for i, c in constants if i not in moving
+        },
         "moving": list(moving),
     }
 

@@ -41,7 +41,7 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.motion import motions_in
 from dolfinx_feti.loading.state import Snapshot, State
-from dolfinx_feti.loading.stepper import ROUNDING, Problem, Stepper, check_places
+from dolfinx_feti.loading.stepper import ROUNDING, Problem, Stepper, check_places, kept_tolerances
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.mechanics.supports import DASHPOTS
 from dolfinx_feti.problems.system import Tangent
@@ -195,16 +195,11 @@ class _Loads(Stepper[LoadStep, Steps]):
     @contextmanager
     def _tolerances(self, *, on_the_way: bool) -> Iterator[None]:
         """Let rougher tolerances hold where a load is on the way only."""
-        snes, steps = self._problem.solver, self._steps
-        before = [(solver, solver.getTolerances()) for solver in (snes, snes.getKSP())]
-        if on_the_way:
-            for (solver, own), rtol in zip(before, (steps.rtol, steps.linear_rtol), strict=True):
+        wanted = (self._steps.rtol, self._steps.linear_rtol) if on_the_way else (None, None)
+        with kept_tolerances(self._problem.solver) as before:
+            for (solver, own), rtol in zip(before, wanted, strict=True):
                 solver.setTolerances(rtol=max(rtol or 0.0, own[0]))
-        try:
             yield
-        finally:
-            for solver, own in before:
-                solver.setTolerances(*own)
 
     def _solved(self, reference: float, *, early: bool) -> bool:
         """Solve from a predicted state; tell whether it was admissible, raise if it led nowhere."""

@@ -35,19 +35,15 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.internal_variables import create_internal_variables
 from dolfinx_feti.fem.nodes import diameter
-from dolfinx_feti.loading.anderson import Anderson
+from dolfinx_feti.loading.anderson import MOST, Anderson, FixedPoint
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.stepper import Problem
 from dolfinx_feti.loading.steps import LoadStep, Steps
-from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.system import Tangent
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["prestress"]
-
-#: Solves at a load, at most.
-MOST = 50
 
 
 def prestress(
@@ -83,9 +79,9 @@ def prestress(
             on the way, so far or as large a share of the load's first displacement as
             ``steps.rtol``.
         start: The load at which the image is without stress.
-        on_step: Called at each load, as by ``follow_load``.
-        checkpoint: Where each load's state is kept, likewise.
-        unit: Name of the load's unit.
+        on_step: As of ``follow_load``.
+        checkpoint: Likewise.
+        unit: Likewise.
 
     Returns:
         The accepted steps; their histories hold the Newton steps of all solves.
@@ -117,38 +113,15 @@ def prestress(
     )
 
 
-class _Prestressing:
-    """The problem of the image's balance, with G as its unknown, and u = 0 at the end.
-
-    Attributes:
-        u: Displacement from the image.
-        solver: The SNES of the problem.
-        history: The Newton steps of all solves of the last load.
-        volume_changes: What the last solve has left, see the problem.
-        internal_variables: None: G is an unknown, and the loads on the way are no history.
-    """
-
-    internal_variables: tuple[dolfinx.fem.Function, ...] = ()
+class _Prestressing(FixedPoint):
+    """The problem of the image's balance, with G as its unknown, and u = 0 at the end."""
 
     def __init__(self, problem: Problem, G: dolfinx.fem.Function, tolerance: float) -> None:
-        self._problem, self.u, self.solver = problem, problem.u, problem.solver
+        super().__init__(problem)
         self._tolerance = tolerance * diameter(self.u.function_space.mesh)
-        self.content = problem.content
-        self._comm = self.u.function_space.mesh.comm
         F = ufl.Identity(len(self.u)) + ufl.grad(self.u)
+        self._G = G
         self._update = create_internal_variables({G: G * ufl.inv(F)}, Compiler(self._comm))
-        W, self._G = G.function_space, G
-        self._owned = W.dofmap.index_map.size_local * W.dofmap.index_map_bs
-        self.residual_norm, self.linearise = problem.residual_norm, problem.linearise
-        self.renew = problem.renew
-        self.history: list[NewtonStep] = []
-        self.volume_changes: list[float] = []
-
-    def update_internal_variables(self, *, balanced: bool | None = None) -> None:
-        """Remember nothing."""
-
-    def begin_step(self, length: float) -> None:
-        """Depend on no length of a step."""
 
     def solve(
         self,
@@ -159,14 +132,10 @@ class _Prestressing:
         give_up_early: bool = False,
     ) -> dolfinx.fem.Function:
         """Solve, and take the wall back to the image, until it stays there."""
-        anderson = Anderson(self._comm, self._owned)
+        anderson = Anderson(self._G.function_space)
         self.history, allowed = [], 0.0
         for _ in range(MOST):
-            try:
-                self._problem.solve(reference=reference, first_tangent=first_tangent, renew=renew)
-            finally:
-                self.history += self._problem.history
-                self.volume_changes = self._problem.volume_changes
+            self._solve(reference=reference, first_tangent=first_tangent, renew=renew)
             moved, before = self._moved(), self._G.x.array.copy()
             self._update.update()  # G ← G F⁻¹
             self.u.x.array[:] = 0.0

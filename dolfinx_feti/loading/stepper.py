@@ -48,7 +48,7 @@ from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.system import Tangent
 from dolfinx_feti.runtime.collective import on_all, reason
 
-__all__ = ["Problem", "Stepper", "check_places"]
+__all__ = ["Problem", "Stepper", "check_places", "kept_tolerances"]
 
 #: What the last digits of a length are worth, relative to it and to where it begins.
 ROUNDING = 1e-12
@@ -152,9 +152,7 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
             accepted = self._recall(checkpoint)
             targets = self._unmet(targets)
         snes, places, number = self._problem.solver, [self.at, *targets], len(accepted)
-        bar = Progress(
-            snes, self._comm, self._interrupts, loads=places, unit=unit, number=number
-        )
+        bar = Progress(snes, self._comm, self._interrupts, loads=places, unit=unit, number=number)
         with closing(bar), self._interrupts, self._whole_steps():
             self._begin(targets, restarted=bool(accepted))
             self._past[-1] = self.state.copy()
@@ -332,6 +330,17 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
         self._set_place(self.at)
         self.state.restore(self._past[-1])
         return accepted
+
+
+@contextmanager
+def kept_tolerances(snes: PETSc.SNES) -> Iterator[list[tuple[Any, tuple[float, ...]]]]:
+    """Yield a SNES and its KSP with their tolerances, which hold again afterwards."""
+    before = [(solver, solver.getTolerances()) for solver in (snes, snes.getKSP())]
+    try:
+        yield before
+    finally:
+        for solver, own in before:
+            solver.setTolerances(*own)
 
 
 def check_places(start: float, targets: Sequence[float], *, unloading: bool) -> None:

@@ -34,12 +34,11 @@ import ufl
 
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.nodes import Nodes, diameter
-from dolfinx_feti.loading.anderson import Anderson
+from dolfinx_feti.loading.anderson import MOST, Anderson, FixedPoint
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
-from dolfinx_feti.loading.stepper import Problem
+from dolfinx_feti.loading.stepper import Problem, kept_tolerances
 from dolfinx_feti.loading.steps import LoadStep, Steps
-from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.system import Tangent
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.compat import interpolation_points
@@ -53,9 +52,6 @@ OUTSIDE = PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
 #: What a forward solve leaves of its residual, and a linear solve in it, until the wall is found.
 #: Where κ is large nearly all of the residual is of the volume, and a rougher one would be blind.
 ROUGH, LINEAR = 0.1, 1e-5
-
-#: Forward solves at a load, at most.
-MOST = 50
 
 #: Halvings of a step that turns cells inside out.
 HALVINGS = 5
@@ -96,9 +92,9 @@ def unload(
         start: The load at which the image is the unloaded wall.
         on_move: Called on all processes when the mesh and the fibres have moved, to the unloaded
             wall or back to the image, for what else depends on the mesh's shape.
-        on_step: Called at each load, as by ``follow_load``.
-        checkpoint: Where each load's state is kept, likewise.
-        unit: Name of the load's unit.
+        on_step: As of ``follow_load``.
+        checkpoint: Likewise.
+        unit: Likewise.
 
     Returns:
         The accepted steps; their histories hold the Newton steps of all forward solves.
@@ -130,18 +126,8 @@ def unload(
     return accepted
 
 
-class _Unloading:
-    """The problem of the unloaded wall, with U = x − X as its unknown u.
-
-    Attributes:
-        u: U where a solve begins and ends, of all nodes.
-        solver: The SNES of the forward problem.
-        history: The Newton steps of all forward solves of the last solve.
-        volume_changes: What the last forward solve has left, see the problem.
-        internal_variables: None: loads of a wall whose shape is looked for are no history.
-    """
-
-    internal_variables: tuple[dolfinx.fem.Function, ...] = ()
+class _Unloading(FixedPoint):
+    """The problem of the unloaded wall, with U = x − X, of all nodes, as its unknown u."""
 
     def __init__(
         self,
@@ -150,36 +136,21 @@ class _Unloading:
         tolerance: float,
         on_move: Callable[[], object] | None,
     ) -> None:
-        self._problem = problem
-        self.u, self.solver = problem.u, problem.solver
-        self.content = problem.content
-        V = problem.u.function_space
-        self._nodes, self._comm = Nodes(V.mesh), V.mesh.comm
-        self._owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+        super().__init__(problem)
+        mesh = self.u.function_space.mesh
+        self._nodes = Nodes(mesh)
         self._fibres = [(a, a.x.array.copy(), _pulled_back(a, problem.u)) for a in fibres]
-        self._tolerance, self._on_move = tolerance * diameter(V.mesh), on_move
-        self.history: list[NewtonStep] = []
-        self.volume_changes: list[float] = []
-
-    def update_internal_variables(self, *, balanced: bool | None = None) -> None:
-        """Remember nothing."""
-
-    def begin_step(self, length: float) -> None:
-        """Depend on no length of a step."""
+        self._tolerance, self._on_move = tolerance * diameter(mesh), on_move
 
     def residual_norm(self) -> float:
         """Return ‖r‖ of the loaded wall in the image."""
         with self._moved():
-            return self._problem.residual_norm()
+            return super().residual_norm()
 
     def linearise(self) -> Tangent:
         """Assemble the forward problem's tangent."""
         with self._moved():
-            return self._problem.linearise()
-
-    def renew(self) -> None:
-        """Let the next solve depend on none before."""
-        self._problem.renew()
+            return super().linearise()
 
     def move(self) -> None:
         """Move mesh and fibres to the unloaded wall."""
@@ -221,7 +192,7 @@ class _Unloading:
         give_up_early: bool = False,
     ) -> dolfinx.fem.Function:
         """Iterate until the loaded wall is the image, and in equilibrium."""
-        anderson, self.history = Anderson(self._comm, self._owned), []
+        anderson, self.history = Anderson(self.u.function_space), []
         nodes, close, distance = self._nodes, False, math.inf
         last: Array | None = None  # U of the solve before
         self._require_admissible()
@@ -229,15 +200,12 @@ class _Unloading:
             U = self.u.x.array.copy()
             with self._moved(), self._tolerances(reference if close else None):
                 try:
-                    self._problem.solve(first_tangent=first_tangent, renew=renew)
+                    self._solve(first_tangent=first_tangent, renew=renew)
                 except ConvergenceError:
                     if last is None or self.solver.getConvergedReason() != OUTSIDE:
                         raise
                     self.u.x.array[:] = (U + last) / 2.0
                     continue
-                finally:
-                    self.history += self._problem.history
-                    self.volume_changes = self._problem.volume_changes
                 loaded = nodes.mesh.geometry.x + nodes.displacement(self.u)
             distance = nodes.longest(loaded - nodes.first)
             reached = distance <= self._allowed()
@@ -261,19 +229,13 @@ class _Unloading:
     @contextmanager
     def _tolerances(self, reference: float | None) -> Iterator[None]:
         """Let forward solves be rough, or to their own tolerance relative to a residual."""
-        snes, ksp = self.solver, self.solver.getKSP()
-        before = [(solver, solver.getTolerances()) for solver in (snes, ksp)]
-        (rtol, atol, *_), (linear, *_) = (own for _, own in before)
-        if reference is None:
-            snes.setTolerances(rtol=max(rtol, ROUGH))
-            ksp.setTolerances(rtol=max(linear, LINEAR))
-        else:
-            snes.setTolerances(atol=max(atol, rtol * reference))
-        try:
+        with kept_tolerances(self.solver) as ((snes, (rtol, atol, *_)), (ksp, (linear, *_))):
+            if reference is None:
+                snes.setTolerances(rtol=max(rtol, ROUGH))
+                ksp.setTolerances(rtol=max(linear, LINEAR))
+            else:
+                snes.setTolerances(atol=max(atol, rtol * reference))
             yield
-        finally:
-            for solver, own in before:
-                solver.setTolerances(*own)
 
     def _step(self, U: Array, new: Array) -> None:
         """Go from U to new, or as far as no cell turns inside out."""

@@ -90,7 +90,9 @@ def test_cells_in_another_order():
     x = np.column_stack([np.cos(2.3 * i), np.sin(2.3 * i), 0.6 * i])
     cells = i[:12, None] + i[:4]
     one, same, other, turned = (
-        module._describe([dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))], None, ())
+        module._describe(
+            [dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))], None, ()
+        )
         for mesh in (create_mesh(COMM, x, c) for c in (cells, cells, cells[::-1], cells[:, ::-1]))
     )
     agree(module._differences(one, same, forms=False) == [])

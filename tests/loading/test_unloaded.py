@@ -12,6 +12,7 @@ import pytest
 from collective import COMM, agree, equal, raises, small
 from walls import Wall, fibres, tube, wall
 
+import dolfinx
 import ufl
 
 from dolfinx_feti import ConvergenceError, NonlinearProblem, loads
@@ -186,7 +187,8 @@ def test_acceleration_ends_on_a_linear_map():
     n, random = 12, np.random.default_rng(1)
     A, b = random.uniform(-0.8, 0.8, (n, n)), random.uniform(-1.0, 1.0, n)
     agree(np.abs(np.linalg.eigvals(A)).max() > 1.2)
-    anderson, U = Anderson(COMM, n), np.zeros(n)
+    line = dolfinx.mesh.create_interval(COMM, n - 1, [0.0, 1.0])
+    anderson, U = Anderson(dolfinx.fem.functionspace(line, ("Lagrange", 1))), np.zeros(n)
     for _ in range(n + 1):
         U = anderson.next(U, A @ U + b - U)
     equal(A @ U + b, U, 1e-8)
