@@ -255,8 +255,8 @@ class _Times(Stepper[TimeStep, TimeSteps]):
         self._lengthen(step["increment"], error)
         before, self._forces = self._forces, self._present_forces()
         W = (before + self._forces) @ moved[: before.shape[1]] / 2.0  # ½ (f_n + f_{n+1})·Δu
-        Π = math.nan if self._energy is None else dolfinx.fem.assemble_scalar(self._energy)
-        work, dissipated, stored = map(float, self._comm.allreduce(np.array([*W, Π])))
+        mine = math.nan if self._energy is None else dolfinx.fem.assemble_scalar(self._energy)
+        work, dissipated, stored = map(float, self._comm.allreduce(np.array([*W, mine])))
         return TimeStep(
             **step,
             kinetic=self._motion.kinetic_energy(),

@@ -3,12 +3,14 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Kinematics of large deformations as UFL expressions.
 
-A body moves by x = X + u(X) (eq. 1). Everything here is a plain function of UFL expressions:
-nothing is compiled, nothing is stored. Source: Augustin, Holzapfel, Steinbach (2014), section
-*Modeling Arterial Tissues*. Gradients are taken in the reference configuration. Lengths are in mm
-and stresses in kPa throughout the package, though nothing in this file depends on it.
+A body moves by x = X + u(X) (eq. 1). Gradients are taken in the reference configuration, and so are
+directions a, b of fibres: unit vectors, shape (d,). In two dimensions the functions assume plane
+strain: the third stretch is one. Lengths are in mm and stresses in kPa throughout the package.
+Source: Augustin, Holzapfel, Steinbach (2014), section *Modeling Arterial Tissues*.
 
-In two dimensions the functions assume plane strain: the third stretch is one.
+The invariants take C, shape (d, d), and the volume ratio J = det F. If that is not given, √(det C)
+is used, which makes the tangent about a quarter more expensive and, as the absolute value of
+det F, hides an inverted element.
 """
 
 from __future__ import annotations
@@ -62,77 +64,41 @@ def green_lagrange(F: Expr) -> Expr:
 
 
 def isochoric_split(F: Expr) -> tuple[Expr, Expr]:
-    """Flory's split into a volumetric and an isochoric part.
+    """Return J and F̄ of Flory's split into a volumetric and an isochoric part.
 
     F = J^{1/3} F̄ with det F̄ = 1 (eq. 3, Augustin_eq:decompositionFlory), and with C̄ = F̄ᵀ F̄
-    accordingly C = J^{2/3} C̄ (eq. 4).
-
-    Args:
-        F: Deformation gradient, shape (d, d). In plane strain, d = 2, the exponent is still 1/3,
-            and the third diagonal entry of F̄, J^{-1/3}, is not part of the result.
-
-    Returns:
-        J and F̄.
+    accordingly C = J^{2/3} C̄ (eq. 4). In plane strain the third diagonal entry of F̄, J^{-1/3}, is
+    not part of the result.
     """
     J = jacobian(F)
     return J, J ** (-1.0 / 3.0) * F
 
 
 def isochoric_invariant_1(C: Expr, J: Expr | None = None) -> Expr:
-    """First isochoric invariant Ī₁ = tr C̄ = J^{-2/3} tr C.
-
-    Args:
-        C: Right Cauchy-Green tensor, shape (d, d).
-        J: Volume ratio det F. If not given, √(det C) is used, which makes the tangent about a
-            quarter more expensive and, as the absolute value of det F, hides an inverted element.
-    """
+    """First isochoric invariant Ī₁ = tr C̄ = J^{-2/3} tr C."""
     plane_strain = 3 - C.ufl_shape[0]
     return _volume_factor(C, J) * (ufl.tr(C) + plane_strain)
 
 
 def isochoric_invariant_2(C: Expr, J: Expr | None = None) -> Expr:
-    """Second isochoric invariant Ī₂ = ½ (Ī₁² − tr C̄²) = J^{-4/3} ½ ((tr C)² − tr C²).
-
-    Args:
-        C: Right Cauchy-Green tensor, shape (d, d).
-        J: Volume ratio, as in :func:`isochoric_invariant_1`.
-    """
+    """Second isochoric invariant Ī₂ = ½ (Ī₁² − tr C̄²) = J^{-4/3} ½ ((tr C)² − tr C²)."""
     plane_strain = 3 - C.ufl_shape[0]
     trace, trace_of_square = ufl.tr(C) + plane_strain, ufl.inner(C, C) + plane_strain
     return _volume_factor(C, J) ** 2 * (trace**2 - trace_of_square) / 2
 
 
 def isochoric_invariant_4(C: Expr, a: Expr, J: Expr | None = None) -> Expr:
-    """Squared isochoric stretch of a fibre family, Ī₄ = a·(C̄ a) = J^{-2/3} a·(C a).
-
-    Args:
-        C: Right Cauchy-Green tensor, shape (d, d).
-        a: Fibre direction in the reference configuration, a *unit* vector, shape (d,).
-        J: Volume ratio, as in :func:`isochoric_invariant_1`.
-    """
+    """Squared isochoric stretch of a fibre family, Ī₄ = a·(C̄ a) = J^{-2/3} a·(C a)."""
     return _volume_factor(C, J) * ufl.dot(a, C * a)
 
 
 def isochoric_invariant_5(C: Expr, a: Expr, J: Expr | None = None) -> Expr:
-    """Squared length of the strained fibre vector, Ī₅ = a·(C̄² a) = J^{-4/3} (C a)·(C a).
-
-    Args:
-        C: Right Cauchy-Green tensor, shape (d, d).
-        a: Fibre direction in the reference configuration, a *unit* vector, shape (d,).
-        J: Volume ratio, as in :func:`isochoric_invariant_1`.
-    """
+    """Squared length of the strained fibre vector, Ī₅ = a·(C̄² a) = J^{-4/3} (C a)·(C a)."""
     return _volume_factor(C, J) ** 2 * ufl.dot(C * a, C * a)
 
 
 def isochoric_invariant_8(C: Expr, a: Expr, b: Expr, J: Expr | None = None) -> Expr:
-    """Shear of two directions that are normal to each other, Ī₈ = a·(C̄ b) = J^{-2/3} a·(C b).
-
-    Args:
-        C: Right Cauchy-Green tensor, shape (d, d).
-        a: First direction in the reference configuration, a *unit* vector, shape (d,).
-        b: Second direction.
-        J: Volume ratio, as in :func:`isochoric_invariant_1`.
-    """
+    """Shear of two directions that are normal to each other, Ī₈ = a·(C̄ b) = J^{-2/3} a·(C b)."""
     return _volume_factor(C, J) * ufl.dot(a, C * b)
 
 
@@ -161,11 +127,7 @@ def cauchy_stress(psi: Expr, F: Variable) -> Expr:
 
 
 def stress_magnitude(sigma: Expr) -> Expr:
-    """Frobenius norm of a symmetric stress, σ_mag = √(σ : σ) (eq. 56, stressmag).
-
-    Args:
-        sigma: Cauchy stress [kPa], shape (d, d).
-    """
+    """Frobenius norm of a symmetric stress, σ_mag = √(σ : σ) (eq. 56, stressmag)."""
     return ufl.sqrt(ufl.inner(sigma, sigma))
 
 

@@ -16,8 +16,12 @@ Isochoric energies Ψ̄ are :func:`neo_hookean` and :func:`mooney_rivlin`, of ar
 volumetric part is :func:`volumetric` or :func:`perturbed_lagrangian`.
 :func:`saint_venant_kirchhoff` is complete in itself.
 
-Parameters are floats, dolfinx constants (a new value needs no recompilation), or any UFL
-expression, such as a piecewise constant Function for layers. Floats are checked.
+All take the right Cauchy-Green tensor C, shape (d, d), directions of fibres in the reference
+configuration, *unit* vectors of shape (d,), and the volume ratio J = det F: with it the tangent is
+cheaper and an inverted element gives NaN; without, √(det C) is used. Parameters are floats, dolfinx
+constants (a new value needs no recompilation), or any UFL expression, such as a piecewise constant
+Function for layers. A float that is not positive, or outside the range that is given, is a
+ValueError. Stiffnesses are in kPa, exponents have no unit.
 
 A distant trial state may overflow the exponential, and J ≤ 0 gives NaN. Nothing is clamped here:
 the nonlinear solver has to reject such a state.
@@ -91,15 +95,7 @@ class ArteryParameters:
 
 
 def volumetric(J: Expr, kappa: Parameter) -> Expr:
-    """Volumetric energy Ψ_vol = κ/2 (J − 1)² (eq. 14).
-
-    Args:
-        J: Volume ratio det F.
-        kappa: Penalty, like a bulk modulus [kPa].
-
-    Raises:
-        ValueError: If ``kappa`` is a number that is not positive.
-    """
+    """Volumetric energy Ψ_vol = κ/2 (J − 1)² (eq. 14) with a penalty κ, like a bulk modulus."""
     require_positive(kappa=kappa)
     return kappa / 2 * (J - 1) ** 2
 
@@ -110,15 +106,7 @@ def perturbed_lagrangian(J: Expr, p: Expr, kappa: Parameter) -> Expr:
     It is stationary in p at p = κ (J − 1) = ∂Ψ_vol/∂J (eq. 12, Augustin_eq:hydrostaticPressure,
     eq. 29, Augustin_eq:volumetricVariationDis), where it equals :func:`volumetric`. If p is
     piecewise constant, this holds for the mean of J over each cell; if it is a polynomial in each
-    cell, for the projection of J onto these.
-
-    Args:
-        J: Volume ratio det F.
-        p: Hydrostatic pressure [kPa], positive in tension; a Function with jumps between cells.
-        kappa: Penalty [kPa].
-
-    Raises:
-        ValueError: If ``kappa`` is a number that is not positive.
+    cell, for the projection of J onto these. p is positive in tension.
     """
     require_positive(kappa=kappa)
     return p * (J - 1) - p**2 / (2 * kappa)
@@ -127,14 +115,7 @@ def perturbed_lagrangian(J: Expr, p: Expr, kappa: Parameter) -> Expr:
 def neo_hookean(C: Expr, *, c: Parameter, J: Expr | None = None) -> Expr:
     """Isochoric neo-Hookean energy Ψ̄ = c/2 (Ī₁ − 3) (eq. 15, Augustin_eq:iso).
 
-    Args:
-        C: Right Cauchy-Green tensor, shape (d, d).
-        c: Stress-like parameter, the shear modulus at small strains [kPa].
-        J: Volume ratio det F. If given, the tangent is cheaper and inverted elements give NaN; if
-            not, √(det C) is used.
-
-    Raises:
-        ValueError: If ``c`` is a number that is not positive.
+    c is the shear modulus at small strains.
     """
     require_positive(c=c)
     return c / 2 * (isochoric_invariant_1(C, J) - 3)
@@ -145,15 +126,6 @@ def mooney_rivlin(C: Expr, *, c10: Parameter, c01: Parameter, J: Expr | None = N
 
     The shear modulus at small strains is 2 (c₁₀ + c₀₁). Source: Mooney, J. Appl. Phys. 11 (1940);
     Rivlin, Phil. Trans. R. Soc. A 241 (1948).
-
-    Args:
-        C: Right Cauchy-Green tensor, shape (d, d).
-        c10: Stress-like parameter of Ī₁ [kPa].
-        c01: Stress-like parameter of Ī₂ [kPa].
-        J: Volume ratio det F, as in :func:`neo_hookean`.
-
-    Raises:
-        ValueError: If a parameter is a number that is not positive.
     """
     require_positive(c10=c10, c01=c01)
     return c10 * (isochoric_invariant_1(C, J) - 3) + c01 * (isochoric_invariant_2(C, J) - 3)
@@ -174,19 +146,6 @@ def holzapfel_gasser_ogden(
     Ψ̄ = c/2 (Ī₁ − 3) + Σ_{i=4,6} k₁/(2k₂) {exp[k₂ (Ī_i − 1)²] − 1}, where a family contributes
     only in tension, Ī_i > 1 (eq. 15, Augustin_eq:iso, eq. 16, Augustin_eq:aniso_1, eq. 17,
     Augustin_eq:aniso_2).
-
-    Args:
-        C: Right Cauchy-Green tensor, shape (d, d).
-        a1: Direction of the first family in the reference configuration, a unit vector, shape (d,).
-        a2: Direction of the second family.
-        c: Stiffness of the matrix material [kPa].
-        k1: Stiffness of the fibres [kPa].
-        k2: Exponent of the fibres [-].
-        J: Volume ratio det F. If given, the tangent is cheaper and inverted elements give NaN; if
-            not, √(det C) is used.
-
-    Raises:
-        ValueError: If a parameter is a number that is not positive.
     """
     require_positive(c=c, k1=k1, k2=k2)
     families = (_fibre_energy(isochoric_invariant_4(C, a, J) - 1, k1, k2) for a in (a1, a2))
@@ -208,22 +167,8 @@ def gasser_ogden_holzapfel(
 
     Ψ̄ = c/2 (Ī₁ − 3) + Σ_{i=4,6} k₁/(2k₂) {exp[k₂ E_i²] − 1} with the mean strain of a family
     E_i = ϰ (Ī₁ − 3) + (1 − 3ϰ)(Ī_i − 1), which contributes only where E_i > 0. A dispersion ϰ = 0
-    is :func:`holzapfel_gasser_ogden`, and ϰ = 1/3 is isotropic. Source: Gasser, Ogden, Holzapfel,
-    J. R. Soc. Interface 3 (2006) 15-35.
-
-    Args:
-        C: Right Cauchy-Green tensor, shape (d, d).
-        a1: Mean direction of the first family in the reference configuration, a unit vector, (d,).
-        a2: Mean direction of the second family.
-        c: Stiffness of the matrix material [kPa].
-        k1: Stiffness of the fibres [kPa].
-        k2: Exponent of the fibres [-].
-        dispersion: ϰ, between 0 and 1/3 [-].
-        J: Volume ratio det F, as in :func:`neo_hookean`.
-
-    Raises:
-        ValueError: If a parameter is a number that is not positive, or ``dispersion`` one that is
-            not between 0 and 1/3.
+    is :func:`holzapfel_gasser_ogden`, and ϰ = 1/3, the largest, is isotropic. Source: Gasser,
+    Ogden, Holzapfel, J. R. Soc. Interface 3 (2006) 15-35.
     """
     require_positive(c=c, k1=k1, k2=k2)
     require_within(0.0, 1 / 3, {"dispersion": dispersion}, remedy="a number between 0 and 1/3")
@@ -251,21 +196,9 @@ def guccione(
     and the strains Ē = ½ (C̄ − I) along the fibre f and any two directions s, n normal to it.
     Source: Guccione, McCulloch, Waldman, J. Biomech. Eng. 113 (1991) 42-55, as in problem 1 of Land
     et al., Proc. R. Soc. A 471 (2015) 20150641, where c = 2 kPa and b_f, b_t, b_fs = 8, 2, 4. An
-    isotropic energy has b_f = b_t = b_fs. Fibres resist compression, too: where they shorten much
+    isotropic energy has b_f = b_t = b_fs. The shear modulus at small strains is c b/2, with b_t
+    across the fibres and b_fs along them. Fibres resist compression, too: where they shorten much
     (with these numbers under equibiaxial compression to 0.82), the energy is not elliptic.
-
-    Args:
-        C: Right Cauchy-Green tensor, shape (d, d).
-        fibre: Direction f in the reference configuration, a unit vector, shape (d,).
-        c: Stiffness [kPa], C in the paper; the shear modulus at small strains is c b/2, with b_t
-            across the fibres and b_fs along them.
-        b_f: Exponent along the fibres [-].
-        b_t: Exponent across the fibres [-].
-        b_fs: Exponent of shear along the fibres [-].
-        J: Volume ratio det F, as in :func:`neo_hookean`.
-
-    Raises:
-        ValueError: If a parameter is a number that is not positive.
     """
     require_positive(c=c, b_f=b_f, b_t=b_t, b_fs=b_fs)
     I1, I2 = isochoric_invariant_1(C, J), isochoric_invariant_2(C, J)
@@ -299,23 +232,6 @@ def holzapfel_ogden(
     fibres and sheets contribute only in tension, Ī_4i > 1. Source: Holzapfel, Ogden, Phil. Trans.
     R. Soc. A 367 (2009) 3445-3475, where shear tests on a pig's myocardium give a, a_f, a_s, a_fs =
     0.059, 18.472, 2.481, 0.216 kPa and b, b_f, b_s, b_fs = 8.023, 16.026, 11.120, 11.436.
-
-    Args:
-        C: Right Cauchy-Green tensor, shape (d, d).
-        fibre: Direction f in the reference configuration, a unit vector, shape (d,).
-        sheet: Direction s in the sheet, a unit vector normal to f.
-        a: Stiffness of the matrix material [kPa].
-        b: Its exponent [-].
-        a_f: Stiffness of the fibres [kPa].
-        b_f: Their exponent [-].
-        a_s: Stiffness of the sheets along s [kPa].
-        b_s: Their exponent [-].
-        a_fs: Stiffness against shear of f and s [kPa].
-        b_fs: Its exponent [-].
-        J: Volume ratio det F, as in :func:`neo_hookean`.
-
-    Raises:
-        ValueError: If a parameter is a number that is not positive.
     """
     require_positive(a=a, b=b, a_f=a_f, b_f=b_f, a_s=a_s, b_s=b_s, a_fs=a_fs, b_fs=b_fs)
     matrix = a / (2 * b) * (ufl.exp(b * (isochoric_invariant_1(C, J) - 3)) - 1)
@@ -332,14 +248,6 @@ def active_tension(C: Expr, fibre: Expr, *, tension: Parameter) -> Expr:
     stretch: T_a is the force per reference area over the stretch. I₄ = f·C f is not isochoric.
     Source: problem 3 of Land et al., Proc. R. Soc. A 471 (2015) 20150641. It is no material by
     itself, and a body that contracts is not free of stress at rest.
-
-    Args:
-        C: Right Cauchy-Green tensor, shape (d, d).
-        fibre: Direction f in the reference configuration, a unit vector, shape (d,).
-        tension: T_a [kPa], not negative; a dolfinx constant or Function to contract in steps.
-
-    Raises:
-        ValueError: If ``tension`` is a number that is negative or not finite.
     """
     require_not_negative(tension=tension)
     return tension / 2 * (ufl.dot(fibre, C * fibre) - 1)
@@ -348,15 +256,8 @@ def active_tension(C: Expr, fibre: Expr, *, tension: Parameter) -> Expr:
 def saint_venant_kirchhoff(C: Expr, *, lmbda: Parameter, mu: Parameter) -> Expr:
     """Complete, compressible energy Ψ = λ/2 (tr E)² + μ E : E with E = ½ (C − I).
 
-    Hooke's law extended to large strains; not polyconvex, and too soft in strong compression.
-
-    Args:
-        C: Right Cauchy-Green tensor, shape (d, d).
-        lmbda: First Lamé parameter λ [kPa].
-        mu: Second Lamé parameter μ [kPa].
-
-    Raises:
-        ValueError: If a parameter is a number that is not positive.
+    Hooke's law, with Lamé's parameters, extended to large strains; not polyconvex, and too soft in
+    strong compression.
     """
     require_positive(lmbda=lmbda, mu=mu)
     E = (C - ufl.Identity(C.ufl_shape[0])) / 2

@@ -240,7 +240,7 @@ def test_initial_acceleration():
 
 @pytest.mark.processes(1, 2)
 def test_damping():
-    """A dashpot under all of a rigid body: v falls as e^{−ηt/ρ}, to second order, and takes ½ ρ v²."""
+    """A dashpot under all of a rigid body: v falls as e^{−ηt/ρ}, and takes ½ ρ v² with it."""
     mesh = cube(3, 1)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
     u, v = dolfinx.fem.Function(V), ufl.TestFunction(V)
