@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Load steps from equilibrium to equilibrium, time steps, and states that outlive a run.
 
-In the order of the data: checkpoint, state, steps, interrupts, progress, stepper,
-motion, load_steps, anderson, unloaded, prestressed, time_steps.
+In the order of the data: checkpoint, state, steps, interrupts, progress, anderson, stepper,
+motion, load_steps, unloaded, prestressed, time_steps.
 """
 
 from dolfinx_feti.loading.checkpoint import Checkpoint

@@ -21,8 +21,8 @@ import numpy.typing as npt
 
 import dolfinx
 
-from dolfinx_feti.loading.stepper import Problem
 from dolfinx_feti.problems.history import NewtonStep
+from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.problems.system import Tangent
 
 __all__ = ["MOST", "Anderson", "FixedPoint"]
@@ -40,7 +40,7 @@ SMALL = 1e-12
 
 
 class FixedPoint:
-    """What a path asks of a problem, with solves of another problem inside its own.
+    """A problem that a path follows like a NonlinearProblem, with solves of one inside its own.
 
     Attributes:
         u: Displacement of the inner problem.
@@ -53,7 +53,7 @@ class FixedPoint:
 
     internal_variables: tuple[dolfinx.fem.Function, ...] = ()
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: NonlinearProblem) -> None:
         self._problem, self._comm = problem, problem.u.function_space.mesh.comm
         self.u, self.solver, self.content = problem.u, problem.solver, problem.content
         self.history: list[NewtonStep] = []
@@ -64,6 +64,17 @@ class FixedPoint:
 
     def begin_step(self, length: float) -> None:
         """Depend on no length of a step."""
+
+    def solve(
+        self,
+        *,
+        reference: float | None = None,
+        first_tangent: Tangent | None = None,
+        renew: bool = True,
+        give_up_early: bool = False,
+    ) -> dolfinx.fem.Function:
+        """Iterate; see :meth:`NonlinearProblem.solve`."""
+        raise NotImplementedError
 
     def renew(self) -> None:
         """Let the next solve depend on none before."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable
-from types import FrameType, TracebackType
+from types import FrameType
 
 __all__ = ["Interrupts"]
 
@@ -51,12 +51,7 @@ class Interrupts:
                 signal.signal(number, self._note)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Let signals have their usual effect."""
         for number in self._taken:
             signal.signal(number, DEFAULTS[number])
@@ -65,4 +60,4 @@ class Interrupts:
     def _note(self, number: int, frame: FrameType | None) -> None:
         """Note a signal; the next one is not."""
         self._noted = number
-        self.__exit__(None, None, None)
+        self.__exit__()

@@ -40,7 +40,7 @@ import dolfinx
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.motion import motions_in
-from dolfinx_feti.loading.state import Snapshot, State
+from dolfinx_feti.loading.state import PathState, Snapshot
 from dolfinx_feti.loading.stepper import ROUNDING, Problem, Stepper, check_places, kept_tolerances
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.mechanics.supports import DASHPOTS
@@ -141,7 +141,7 @@ class _Loads(Stepper[LoadStep, Steps]):
             if isinstance(dashpot.u, dolfinx.fem.Function)
         }
         histories = [*problem.internal_variables, *self._dashpots]
-        state = State(start, problem.content, unknowns=unknowns, histories=histories)
+        state = PathState(start, problem.content, unknowns=unknowns, histories=histories)
         super().__init__(problem, set_load, steps, state)
 
     def _begin(self, targets: Sequence[float], *, restarted: bool) -> None:

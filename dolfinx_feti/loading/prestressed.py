@@ -38,8 +38,8 @@ from dolfinx_feti.fem.nodes import diameter
 from dolfinx_feti.loading.anderson import MOST, Anderson, FixedPoint
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
-from dolfinx_feti.loading.stepper import Problem
 from dolfinx_feti.loading.steps import LoadStep, Steps
+from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.problems.system import Tangent
 from dolfinx_feti.runtime.collective import on_all
 
@@ -47,7 +47,7 @@ __all__ = ["prestress"]
 
 
 def prestress(
-    problem: Problem,
+    problem: NonlinearProblem,
     set_load: Callable[[float], object],
     targets: Sequence[float],
     steps: Steps,
@@ -116,7 +116,9 @@ def prestress(
 class _Prestressing(FixedPoint):
     """The problem of the image's balance, with G as its unknown, and u = 0 at the end."""
 
-    def __init__(self, problem: Problem, G: dolfinx.fem.Function, tolerance: float) -> None:
+    def __init__(
+        self, problem: NonlinearProblem, G: dolfinx.fem.Function, tolerance: float
+    ) -> None:
         super().__init__(problem)
         self._tolerance = tolerance * diameter(self.u.function_space.mesh)
         F = ufl.Identity(len(self.u)) + ufl.grad(self.u)

@@ -23,7 +23,7 @@ import dolfinx
 from dolfinx_feti.fem.content import Content
 from dolfinx_feti.loading.checkpoint import Checkpoint
 
-__all__ = ["Number", "Snapshot", "State"]
+__all__ = ["Number", "PathState", "Snapshot"]
 
 Array = npt.NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class Snapshot:
     numbers: list[Array]
 
 
-class State:
+class PathState:
     """Everything that a step changes.
 
     Attributes:

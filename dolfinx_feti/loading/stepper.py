@@ -28,24 +28,21 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict
 from functools import partial
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-import dolfinx
-
 from dolfinx_feti.errors import ConvergenceError
-from dolfinx_feti.fem.content import Content
+from dolfinx_feti.loading.anderson import FixedPoint
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.interrupts import Interrupts
 from dolfinx_feti.loading.progress import Progress
-from dolfinx_feti.loading.state import State
+from dolfinx_feti.loading.state import PathState
 from dolfinx_feti.loading.steps import Lengths, Step, load_step
-from dolfinx_feti.problems.history import NewtonStep
-from dolfinx_feti.problems.system import Tangent
+from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.runtime.collective import on_all, reason
 
 __all__ = ["Problem", "Stepper", "check_places", "kept_tolerances"]
@@ -53,49 +50,10 @@ __all__ = ["Problem", "Stepper", "check_places", "kept_tolerances"]
 #: What the last digits of a length are worth, relative to it and to where it begins.
 ROUNDING = 1e-12
 
+#: What a path can follow.
+Problem: TypeAlias = NonlinearProblem | FixedPoint
+
 AnyLengths = TypeVar("AnyLengths", bound=Lengths)
-
-
-class Problem(Protocol):
-    """What is asked of a problem; :class:`~dolfinx_feti.NonlinearProblem` has it."""
-
-    u: dolfinx.fem.Function
-    solver: PETSc.SNES
-    volume_changes: list[float]
-    content: Content
-
-    @property
-    def internal_variables(self) -> Sequence[dolfinx.fem.Function]:
-        """What the material remembers."""
-
-    def update_internal_variables(self, *, balanced: bool | None = None) -> None:
-        """Let the material remember the present state, in what is balanced or what is not."""
-
-    @property
-    def history(self) -> list[NewtonStep]:
-        """What each Newton step of the last solve cost."""
-
-    def begin_step(self, length: float) -> None:
-        """Tell what depends on it the length of the next step."""
-
-    def residual_norm(self) -> float:
-        """Return ‖r‖ of the present state under the present load."""
-
-    def linearise(self) -> Tangent:
-        """Assemble the tangent at the present state and load."""
-
-    def solve(
-        self,
-        *,
-        reference: float | None = None,
-        first_tangent: Tangent | None = None,
-        renew: bool = True,
-        give_up_early: bool = False,
-    ) -> object:
-        """Solve, or raise ConvergenceError."""
-
-    def renew(self) -> None:
-        """Let the next solve depend on none before."""
 
 
 class Stepper(ABC, Generic[Step, AnyLengths]):
@@ -118,7 +76,7 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
         problem: Problem,
         set_place: Callable[[float], object],
         steps: AnyLengths,
-        state: State,
+        state: PathState,
     ) -> None:
         """Begin with the present state, see the function that takes the steps."""
         self._comm: MPI.Comm = problem.u.function_space.mesh.comm

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,9 +35,10 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.motion import Motion, fixed_dofs, motions_in, owned_vector
-from dolfinx_feti.loading.state import State
-from dolfinx_feti.loading.stepper import Problem, Stepper, check_places
+from dolfinx_feti.loading.state import PathState
+from dolfinx_feti.loading.stepper import Stepper, check_places
 from dolfinx_feti.loading.steps import Lengths, LoadStep
+from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["TimeStep", "TimeSteps", "follow_time"]
@@ -97,15 +98,8 @@ class TimeStep(LoadStep):
     error: float
 
 
-class MovingProblem(Problem, Protocol):
-    """What is asked of a problem; :class:`~dolfinx_feti.NonlinearProblem` has it."""
-
-    F: dolfinx.fem.Form
-    bcs: Sequence[dolfinx.fem.DirichletBC]
-
-
 def follow_time(
-    problem: MovingProblem,
+    problem: NonlinearProblem,
     motion: Motion,
     set_time: Callable[[float], object],
     targets: Sequence[float],
@@ -159,7 +153,7 @@ def follow_time(
     comm = problem.u.function_space.mesh.comm
     on_all(lambda: _check(problem, motion, start, targets), comm)
     histories = [*problem.internal_variables, *motion.changes]
-    owned = State(
+    owned = PathState(
         start, problem.content, unknowns=state, histories=histories, numbers=motion.numbers
     )
     forms = (None if f is None else Compiler(comm).form(f) for f in (energy, forces))
@@ -168,7 +162,9 @@ def follow_time(
     )
 
 
-def _check(problem: MovingProblem, motion: Motion, start: float, targets: Sequence[float]) -> None:
+def _check(
+    problem: NonlinearProblem, motion: Motion, start: float, targets: Sequence[float]
+) -> None:
     """Require times that ascend, and a problem with the inertia of the motion.
 
     Raises:
@@ -197,10 +193,10 @@ class _Times(Stepper[TimeStep, TimeSteps]):
 
     def __init__(
         self,
-        problem: MovingProblem,
+        problem: NonlinearProblem,
         set_time: Callable[[float], object],
         steps: TimeSteps,
-        state: State,
+        state: PathState,
         motion: Motion,
         energy: dolfinx.fem.Form | None,
         forces: dolfinx.fem.Form | None,

@@ -37,8 +37,9 @@ from dolfinx_feti.fem.nodes import Nodes, diameter
 from dolfinx_feti.loading.anderson import MOST, Anderson, FixedPoint
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
-from dolfinx_feti.loading.stepper import Problem, kept_tolerances
+from dolfinx_feti.loading.stepper import kept_tolerances
 from dolfinx_feti.loading.steps import LoadStep, Steps
+from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.problems.system import Tangent
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.compat import interpolation_points
@@ -58,7 +59,7 @@ HALVINGS = 5
 
 
 def unload(
-    problem: Problem,
+    problem: NonlinearProblem,
     set_load: Callable[[float], object],
     targets: Sequence[float],
     steps: Steps,
@@ -131,7 +132,7 @@ class _Unloading(FixedPoint):
 
     def __init__(
         self,
-        problem: Problem,
+        problem: NonlinearProblem,
         fibres: Sequence[dolfinx.fem.Function],
         tolerance: float,
         on_move: Callable[[], object] | None,

@@ -16,7 +16,10 @@ a(du, v) − a(v, du) = p ∮ (v × du)·dx, which vanishes if the surface is cl
 clamped, and if it slides in a plane. No rule is needed to tell: the difference is assembled for one
 du, at one displacement, and looked at in all dofs that no Dirichlet condition holds.
 
-Units: pressure in kPa, lengths in mm, hence forces in mN.
+In all forms u is the displacement [mm], shape (d,), v a test function, p the pressure [kPa], which
+pushes against the wall where positive, and ds the measure of the loaded part of the reference
+surface. Its normal N points out of the wall; on the inner surface of a vessel that is into the
+lumen. Forces are in mN. A number p that is not finite is a ValueError, and zero an empty form.
 """
 
 from __future__ import annotations
@@ -78,21 +81,8 @@ def mmhg(value: float) -> float:
 def follower_pressure(p: float | Expr, u: Expr, v: Expr, ds: ufl.Measure) -> ufl.Form:
     """Residual of a pressure that follows the deformed surface.
 
-    −δW_ext = ∫ p (J F⁻ᵀ N)·v dA
-
-    Args:
-        p: Pressure [kPa], positive when it pushes against the wall. A dolfinx constant can change
-            from load step to load step without recompilation.
-        u: Displacement [mm], shape (d,).
-        v: Test function, shape (d,).
-        ds: Measure of the loaded part of the reference surface. N points out of the wall; on the
-            inner surface of a vessel that is into the lumen.
-
-    Returns:
-        Linear form, to be added to the internal virtual work; empty if ``p`` is the number zero.
-
-    Raises:
-        ValueError: If ``p`` is a number that is not finite.
+    −δW_ext = ∫ p (J F⁻ᵀ N)·v dA. A p that is a dolfinx Constant can change from load step to load
+    step without recompilation.
     """
     if _is_zero(p):
         return ufl.Form([])
@@ -116,11 +106,11 @@ def follower_pressure_tangent(
     not the derivative, and Newton's method takes several times as many steps with it.
 
     Args:
-        p: Pressure [kPa].
+        p: Pressure.
         u: Displacement, a Function.
         v: Test function.
         du: Trial function on the same space.
-        ds: Measure of the loaded part of the reference surface.
+        ds: Measure of the surface.
         kind: ``"auto"``: ``"symmetric"`` if p is uniform and the surface is closed, or its rim
             clamped or sliding in planes, and ``"full"`` otherwise; ``"symmetric"``: ½ (a + aᵀ),
             with which every subdomain is symmetric, and the linear solver CG; ``"full"``: a itself,
@@ -129,12 +119,9 @@ def follower_pressure_tangent(
         bcs: Dirichlet conditions of the problem, ``[]`` for none, from which ``"auto"`` knows
             whether the rim is held. A closed surface needs none.
 
-    Returns:
-        Bilinear form, to be added to the internal tangent.
-
     Raises:
-        ValueError: If ``kind`` is none of these, ``p`` a number that is not finite, or ``"auto"``
-            cannot tell, because ``bcs`` is missing, u is no Function, or ds has no facets.
+        ValueError: ``kind`` is none of these, or ``"auto"`` cannot tell, because ``bcs`` is
+            missing, u is no Function, or ds has no facets.
 
     Note:
         ``"auto"`` is collective.
@@ -159,16 +146,7 @@ def enclosed_volume(u: Expr, ds: ufl.Measure, axis: Sequence[float] | None = Non
     With an ``axis`` e, x is replaced by its part normal to e, and d by d − 1. Caps in planes normal
     to e then contribute nothing: V is the volume between such planes, and rims may slide in them.
 
-    Args:
-        u: Displacement [mm], shape (d,).
-        ds: Measure of the inner surface in the reference configuration.
-        axis: Direction of a tube's axis, of any nonzero length.
-
-    Returns:
-        Form of rank zero [mm³].
-
-    Raises:
-        ValueError: If ``axis`` has the wrong number of components or is zero.
+    The axis is given by as many numbers as there are dimensions, or it is a ValueError.
     """
     d = len(u)
     x = ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u)) + u
@@ -189,15 +167,6 @@ def pressure_potential(
     Its derivative is :func:`follower_pressure` for all variations that hold the rims as
     :func:`enclosed_volume` requires. On other surfaces, and for a p that varies over the surface, a
     follower pressure has no potential, and this form must not be used.
-
-    Args:
-        p: Pressure [kPa], a number or a constant.
-        u: Displacement [mm].
-        ds: Measure of the inner surface.
-        axis: Direction of a tube's axis, see :func:`enclosed_volume`.
-
-    Returns:
-        Form of rank zero [mN mm], to be added to the internal energy.
     """
     volume = enclosed_volume(u, ds, axis)
     return ufl.Form([]) if _is_zero(p) else -p * volume

@@ -14,7 +14,9 @@ They are to be **added** to the internal energy: residual and tangent follow by 
 and the tangent is symmetric and not negative. Source: P. Moireau et al., *External tissue support
 and fluid–structure simulation in blood flows*, Biomech. Model. Mechanobiol. 11 (2012).
 
-Units: k in kPa/mm, η in kPa s/mm, Δt in s, lengths in mm.
+Units: k in kPa/mm, η in kPa s/mm, Δt in s, lengths in mm, per reference area. A number that is
+negative or not finite is a ValueError, and so is another direction than ``"normal"``,
+w = (u·N) N, with which the wall slides freely along the tissue, or ``"all"``, w = u.
 """
 
 from __future__ import annotations
@@ -54,22 +56,7 @@ Direction = Literal["normal", "all"]
 def spring_energy(
     stiffness: float | Expr, u: Expr, ds: ufl.Measure, direction: Direction = "normal"
 ) -> ufl.Form:
-    """Energy of springs between a surface and a place at rest, ∫ k/2 w·w dA.
-
-    Args:
-        stiffness: k per reference area [kPa/mm], not negative.
-        u: Displacement [mm], shape (d,).
-        ds: Measure of the surface.
-        direction: ``"normal"``: w = (u·N) N, the wall slides freely along the tissue; ``"all"``:
-            w = u.
-
-    Returns:
-        Form of rank zero [mN mm].
-
-    Raises:
-        ValueError: If ``stiffness`` is a number that is negative or not finite, or the direction is
-            neither.
-    """
+    """Energy of springs between a surface and a place at rest, ∫ k/2 w·w dA [mN mm]."""
     require_not_negative(stiffness=stiffness)
     return stiffness / 2 * _square(u, direction) * ds
 
@@ -82,24 +69,17 @@ def dashpot_energy(
     ds: ufl.Measure,
     direction: Direction = "normal",
 ) -> ufl.Form:
-    """Incremental potential of dashpots, ∫ η/(2 Δt) (w − w⁰)·(w − w⁰) dA.
+    """Incremental potential of dashpots, ∫ η/(2 Δt) (w − w⁰)·(w − w⁰) dA [mN mm].
 
     Args:
-        viscosity: η per reference area [kPa s/mm], not negative.
-        u: Displacement [mm], shape (d,).
-        last: Displacement at the end of the last time step [mm], a Function of its own, which
+        viscosity: η per reference area.
+        u: Displacement, shape (d,).
+        last: Displacement at the end of the last time step, a Function of its own, which
             ``follow_load`` and ``follow_time`` advance; with inertia so that ẇ is the velocity.
-        time_step: Δt [s]; a Constant can change from step to step, and one of infinity leaves the
-            dashpots without effect. ``follow_time`` sets it.
+        time_step: Δt, positive; a Constant can change from step to step, and one of infinity leaves
+            the dashpots without effect. ``follow_time`` sets it.
         ds: Measure of the surface.
-        direction: See :func:`spring_energy`.
-
-    Returns:
-        Form of rank zero [mN mm].
-
-    Raises:
-        ValueError: If ``viscosity`` is a number that is negative or not finite, ``time_step`` one
-            that is not positive, or the direction is neither.
+        direction: Which part of the displacement is resisted.
     """
     require_not_negative(viscosity=viscosity)
     if not isinstance(time_step, Expr) and not time_step > 0.0:

@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Literal
 
 from mpi4py import MPI
@@ -116,6 +115,7 @@ class FieldWriter:
         self._at_points: dict[str, Callable[[], Array]] = {}
         self._x: Callable[[], Array] | None = None
         self._rule: Array | None = None
+        self._meshes = 0
         for name, field in [*zip(names, functions, strict=False), *expressions.items()]:
             self._add(name, field, quadrature)
         self.path = _writable_place(Path(path), self._kind, mesh.comm)
@@ -133,7 +133,7 @@ class FieldWriter:
             self._file = dolfinx.io.VTXWriter(mesh.comm, self.path, self._copies)
         else:
             self._file = dolfinx.io.XDMFFile(mesh.comm, self.path, "w")
-            self._file.write_mesh(mesh)
+            self._write_mesh(self._file)
 
     def write(self, t: float) -> None:
         """Write the current values.
@@ -152,8 +152,12 @@ class FieldWriter:
         for update in self._updates:
             update()
         if isinstance(self._file, dolfinx.io.XDMFFile):
+            same = np.array_equal(self._nodes, self._mesh.geometry.x)
+            if not self._mesh.comm.allreduce(same, op=MPI.LAND):
+                self._write_mesh(self._file)
+            grid = f"/Xdmf/Domain/Grid[@GridType='Uniform'][{self._meshes}]"
             for copy in self._copies:
-                self._file.write_function(copy, t)
+                self._file.write_function(copy, t, grid)
         elif self._file is not None:
             self._file.write(t)
         if self._cloud is not None and self._x is not None:
@@ -175,14 +179,17 @@ class FieldWriter:
         """Return the writer."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the file."""
         self.close()
+
+    def _write_mesh(self, file: dolfinx.io.XDMFFile) -> None:
+        """Write the mesh where it is now, for it may have moved, as one of its own name."""
+        mesh, self._meshes = self._mesh, self._meshes + 1
+        name = mesh.name
+        mesh.name += f"_{self._meshes}" * (self._meshes > 1)
+        file.write_mesh(mesh)
+        mesh.name, self._nodes = name, mesh.geometry.x.copy()
 
     def _add(self, name: str, field: dolfinx.fem.Function | Expr, quadrature: str) -> None:
         """Find out how a field is written, and try it once."""
@@ -271,14 +278,10 @@ def _check_field(field: dolfinx.fem.Function | Expr, mesh: dolfinx.mesh.Mesh) ->
         raise ValueError("it lives on another mesh than the first function; open a file for each.")
     if ufl.algorithms.extract_arguments(field):
         raise ValueError("it holds a test or trial function.")
-    if isinstance(field, dolfinx.fem.Function) and _is_mixed(field):
-        raise ValueError("its space is mixed; write its parts, f.sub(0), f.sub(1), …")
-
-
-def _is_mixed(f: dolfinx.fem.Function) -> bool:
-    """Tell whether a function is made of parts of different meaning."""
-    element = f.function_space.ufl_element()
-    return element.num_sub_elements > 1 and element.block_size == 1
+    if isinstance(field, dolfinx.fem.Function):
+        element = field.function_space.ufl_element()
+        if element.num_sub_elements > 1 and element.block_size == 1:
+            raise ValueError("its space is mixed; write its parts, f.sub(0), f.sub(1), …")
 
 
 def _is_continuous(f: dolfinx.fem.Function) -> bool:
@@ -306,15 +309,12 @@ def _interpolator(
 ) -> Callable[[], object]:
     """Return a function that interpolates a field without data at quadrature points."""
     V = copy.function_space
-    if isinstance(field, dolfinx.fem.Function) and _has_identity_map(field):
-        return lambda: copy.interpolate(field)
+    if isinstance(field, dolfinx.fem.Function):
+        if field.function_space.ufl_element().pullback == ufl.identity_pullback:
+            return lambda: copy.interpolate(field)
     on_mesh = dolfinx.fem.Constant(V.mesh, np.float64(1.0)) * field
     compiled = Compiler(V.mesh.comm).expression(on_mesh, interpolation_points(V))
     return lambda: copy.interpolate(compiled)
-
-
-def _has_identity_map(f: dolfinx.fem.Function) -> bool:
-    return bool(f.function_space.ufl_element().pullback == ufl.identity_pullback)
 
 
 def _projector(

@@ -147,7 +147,8 @@ def create_patches(
         raise ValueError(f"degree={degree}: give a quadrature degree of 3 or more.")
     dim = mesh.topology.dim
     incidence = _create_incidence(mesh, *_layer_of_cells(mesh, layers))
-    points, w = (np.asarray(array, dtype=np.float64) for array in _quadrature(mesh, degree))
+    rule = basix.make_quadrature(getattr(basix.CellType, mesh.topology.cell_name()), degree)
+    points, w = (np.asarray(array, dtype=np.float64) for array in rule)
     weights = np.vstack([np.ones(len(points)), (points - 1.0 / (dim + 1)).T]) * w / w.sum()
     return _measured(mesh, incidence, points, weights)
 
@@ -277,14 +278,7 @@ def _blend(patches: Patches, data: Array, nodes: Array, *, means: bool) -> Array
 
 
 def _scatter(incidence: Incidence, x: Array, volumes: Array, inner: Array) -> Scatter:
-    """Sum up where the data lie.
-
-    Args:
-        incidence: Vertices and cells of the layers.
-        x: Centroids of the cells, (n_c, d).
-        volumes: Volumes of the cells, (n_c,).
-        inner: cov(x, x) inside each cell, (n_c, d, d).
-    """
+    """Sum up where the data lie: centroids x, (n_c, d), and cov(x, x) inside each cell, (n_c, d, d)."""
     second = (x[:, :, None] * x[:, None] + inner).reshape(len(x), x.shape[1] ** 2)
     sums = incidence.over_patches(volumes[:, None] * np.column_stack([np.ones(len(x)), x, second]))
     volume = np.where(sums[:, :1] > 0, sums[:, :1], 1.0)  # a vertex may have no cell in a layer
@@ -294,13 +288,7 @@ def _scatter(incidence: Incidence, x: Array, volumes: Array, inner: Array) -> Sc
 
 
 def _create_incidence(mesh: dolfinx.mesh.Mesh, layer: Indices, layers: int) -> Incidence:
-    """Number the vertices of each layer on their own.
-
-    Args:
-        mesh: The mesh.
-        layer: Layer of each owned cell, from 0.
-        layers: Number of layers.
-    """
+    """Number the vertices of each layer on their own; layers of owned cells count from 0."""
     dim = mesh.topology.dim
     vertices = mesh.topology.index_map(0)
     of_cells = mesh.topology.connectivity(dim, 0).array.reshape(-1, dim + 1)[: len(layer)]
@@ -344,10 +332,6 @@ def _check_mesh(mesh: dolfinx.mesh.Mesh) -> None:
             "dimensions, but patches are made for triangles in the plane and for tetrahedra, with "
             "straight edges. The stress of other cells is recovered by balanced_stress."
         )
-
-
-def _quadrature(mesh: dolfinx.mesh.Mesh, degree: int) -> tuple[npt.ArrayLike, npt.ArrayLike]:
-    return basix.make_quadrature(getattr(basix.CellType, mesh.topology.cell_name()), degree)
 
 
 def _edges(corners: Array) -> Array:

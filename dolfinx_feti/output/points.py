@@ -57,15 +57,7 @@ class PointCloud:
     """
 
     def __init__(self, path: Path, comm: MPI.Comm) -> None:
-        """Open the files.
-
-        Args:
-            path: The file, `*.xdmf`.
-            comm: Communicator of all processes that write.
-
-        Note:
-            Collective.
-        """
+        """Open the files. Collective."""
         self.path = path
         self._comm = comm
         everyone = cast(MPI.Intracomm, comm)

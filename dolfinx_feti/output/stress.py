@@ -109,14 +109,11 @@ def recovered_field(
 def principal_values(
     stress: dolfinx.fem.Function, *, name: str = "principal_stresses"
 ) -> dolfinx.fem.Function:
-    """Return the principal values of a recovered stress, in ascending order.
+    """Return the principal values of a recovered stress, in ascending order; exact at the nodes.
 
     Args:
         stress: Made by :func:`recovered_field`; its symmetric part counts.
-        name: Name of the result.
-
-    Returns:
-        A function with d components; those of the nodes are exact.
+        name: Name of the result, which has d components.
 
     Raises:
         ValueError: The function is no recovered stress.

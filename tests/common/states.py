@@ -20,7 +20,7 @@ PARAMETERS = {"kappa": 1000.0, "layers": [29, 62], "law": "HGO"}
 ROUNDING = 1e-14
 
 
-class State:
+class Fields:
     """A quadratic vector and a number for each cell, in a cube."""
 
     def __init__(self, n: int = 2, *, degree: int = 2, scale: float = 1.0) -> None:
@@ -42,7 +42,7 @@ def opened(folder: Path, restart: bool = True, **other: object) -> Checkpoint:
     return Checkpoint(folder, COMM, parameters=PARAMETERS | other, restart=restart)
 
 
-def written(folder: Path, state: State, *times: float) -> Checkpoint:
+def written(folder: Path, state: Fields, *times: float) -> Checkpoint:
     """Write the states of some times, and leave the functions at zero."""
     checkpoint = opened(folder, restart=False)
     for t in times:
@@ -53,7 +53,7 @@ def written(folder: Path, state: State, *times: float) -> Checkpoint:
     return checkpoint
 
 
-def check(folder: Path, state: State, t: float) -> None:
+def check(folder: Path, state: Fields, t: float) -> None:
     """The folder holds the state of one time, on this number of processes."""
     checkpoint = opened(folder)
     past = checkpoint.read(state.functions)

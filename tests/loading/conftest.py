@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from played import Played
-from states import State
+from states import Fields
 
 
 @pytest.fixture
@@ -26,5 +26,5 @@ def played() -> Iterator[Callable[..., Played]]:
 
 
 @pytest.fixture
-def state() -> State:
-    return State()
+def state() -> Fields:
+    return Fields()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises
-from states import ROUNDING, State, check, content, opened, written
+from states import ROUNDING, Fields, check, content, opened, written
 from wall_files import on_first
 from walls import create_mesh
 
@@ -25,7 +25,7 @@ def test_round_trip(tmp_path, state):
     checkpoint = opened(tmp_path / "new/run", restart=False)
     agree(checkpoint.record is None)
     checkpoint.write(state.functions, record, before)
-    for other in (state, State()):
+    for other in (state, Fields()):
         for f in other.functions:
             f.x.array[:] = -1.0
         again = opened(tmp_path / "new/run")
@@ -75,7 +75,7 @@ def test_where_a_process_has_no_cell(tmp_path):
 )
 def test_another_mesh_or_element(tmp_path, state, other, match):
     written(tmp_path, state, 1.0)
-    before, other = content(tmp_path), State(**other)
+    before, other = content(tmp_path), Fields(**other)
     values = other.set(5.0)
     with raises(ValueError, f"is one of another problem: .*{match}.*, or name another folder"):
         opened(tmp_path).read(other.functions)
@@ -136,7 +136,7 @@ def test_nothing_to_restart_from(tmp_path):
     agree(not (tmp_path / "nowhere").exists())
     checkpoint = opened(tmp_path, restart=False)
     with raises(ValueError, "There is no state in .* yet"):
-        checkpoint.read(State().functions)
+        checkpoint.read(Fields().functions)
 
 
 @pytest.mark.parametrize("damage", ["empty", "short", "flipped", "other"])

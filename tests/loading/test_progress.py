@@ -24,6 +24,14 @@ class Terminal(io.StringIO):
         return True
 
 
+@pytest.fixture(autouse=True)
+def still(monkeypatch) -> None:
+    """Let no time pass, which a busy machine would show."""
+    monkeypatch.setattr(
+        "dolfinx_feti.loading.stepper.time", SimpleNamespace(perf_counter=lambda: 0.0)
+    )
+
+
 @pytest.fixture
 def terminal(monkeypatch) -> Terminal:
     """Give each process a terminal as stderr."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import tempfile
 from pathlib import Path
 from xml.etree import ElementTree
@@ -95,8 +96,12 @@ def read_xdmf(path: Path) -> list[dict[str, Array]]:
     def steps_on_first() -> list[dict[str, Array]]:
         found: dict[float, dict[str, Array]] = {}
         with h5py.File(path.with_suffix(".h5")) as file:
-            x, cells = (file[f"Mesh/mesh/{name}"][:] for name in ("geometry", "topology"))
-            for grid in ElementTree.parse(path).iterfind(".//Grid[Attribute]"):
+            root = ElementTree.parse(path)
+            meshes = [grid.get("Name") for grid in root.findall("./Domain/Grid[@GridType='Uniform']")]
+            for grid in root.iterfind(".//Grid[Attribute]"):
+                pointer = next(part.get("xpointer") for part in grid if "include" in part.tag)
+                place = f"Mesh/{meshes[int(re.findall(r'[0-9]+', pointer)[0]) - 1]}"
+                x, cells = (file[f"{place}/{name}"][:] for name in ("geometry", "topology"))
                 t, field = float(grid.find("Time").get("Value")), grid.find("Attribute")
                 mesh = {"t": t, "points": x, "centroids": x[cells].mean(axis=1)}
                 values = file[field.find("DataItem").text.split(":")[1]][:]
@@ -126,6 +131,19 @@ def test_vtx(u, tmp_path):
         equal(step["displacement"], displacement(x, t).T, ROUNDING)
         equal(step["divergence"][:, 0], divergence(x, t), ROUNDING)
         equal(step["layer"][:, 0], layer(step["centroids"].T), ROUNDING)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_mesh_that_moves(tmp_path, kind):
+    """Each step is shown where the mesh was then."""
+    mesh = cube(3, 2)
+    v = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1)), name="displacement")
+    with FieldWriter(tmp_path / "wall", [v], kind=kind) as writer:
+        for t in TIMES:
+            writer.write(t)
+            mesh.geometry.x[:] += 1.0
+    for k, step in enumerate(read(writer.path)):
+        equal(np.nanmin(step["points"], axis=0), np.full(3, k), ROUNDING)
 
 
 def test_xdmf(u, tmp_path):
