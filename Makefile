@@ -17,7 +17,7 @@ python := $(if $(filter-out 1,$(NP)),env OMP_NUM_THREADS=1 mpirun -n $(NP) )pyth
 threaded := env OMP_NUM_THREADS=$(NP) python3
 compare := -m benchmarks.compare --json build/speed.json --rounds 5
 direct := feti,mumps,cholmod,pardiso
-iterative := feti,mumps,gamg,gamg-elasticity,hypre-elasticity,fieldsplit-augmented
+iterative := feti,mumps,gamg,gamg-elasticity,hypre-elasticity
 comma := ,
 # What is built, compared with dense matrices and a direct solver: K K⁺ K = K and S of a subdomain, on one process;
 # B u = b, P² = P, F, M and the primal form, on two.
@@ -25,7 +25,7 @@ identities_1 := tests/torn tests/feti/subdomain tests/feti/test_against_direct.p
 identities_2 := $(filter-out %/subdomain/ %/regularity/,$(wildcard tests/feti/[a-z]*/))
 shell_scripts := scripts/with-fenicsx scripts/debian-tree .ci/run
 
-.PHONY: help demo test sanitize figures bench bench-compare bench-linear bench-nonlinear bench-scaling lint check docs clean
+.PHONY: help demo test sanitize figures bench bench-compare bench-linear bench-nonlinear bench-scaling bench-verification lint check docs clean
 
 help: ## what can be made
 	@awk -F ':.*## ' '/^[a-z-]+( build.*)?:.*## / { sub(/ build.*/, "", $$1); printf "  make %-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -45,12 +45,11 @@ sanitize: ## the tests that call the package's C code, with AddressSanitizer and
 	  XDG_CONFIG_HOME=tests/config python3 -m pytest -q -p no:cacheprovider tests/torn tests/runtime \
 	  tests/fem/test_condensation.py tests/fem/test_cell_kernels.py tests/fem/test_assembly.py tests/feti/gluing tests/feti/subdomain $(ARGS)'
 
-bench: bench-linear bench-nonlinear bench-scaling bench-compare ## all benchmarks; what is finished is not run again
+bench: bench-linear bench-nonlinear bench-scaling bench-compare bench-verification ## all benchmarks; what is finished is not run again
 
 bench-linear: ## the paper's linear study and what goes beyond it; report in build/results/
 	$(with) $(python) -m benchmarks.cube --sets all --json build/linear.json $(ARGS)
-	$(with) $(python) -m benchmarks.cube --solvers all --level 2,3 --json build/solvers.json
-	$(with) python3 -m benchmarks.cube.page build/linear.json build/solvers.json --output build/results
+	$(with) python3 -m benchmarks.cube --json build/linear.json --page build/results
 
 # Bodies and sizes of a first step, of loaded states, and of paths; the greatest κ is for direct solvers.
 bench-compare: ## FETI and other solvers on the same matrices, time and memory; report in build/results/
@@ -65,21 +64,33 @@ bench-compare: ## FETI and other solvers on the same matrices, time and memory; 
 	  $(with) $(threaded) $(compare) --geometry $$state --solvers feti,mumps $(ARGS) || exit; \
 	done
 	for number in 16 512 1024; do $(with) $(python) $(compare) --dofs 184000 --subdomains $$number --solvers feti $(ARGS) || exit; done
-	for body in "vessel --dofs 199000 --subdomains 100" "block --dofs 73000 --subdomains 36"; do \
-	  $(with) $(python) $(compare) --geometry $$body --cost 3.5,6,10,30 --solvers feti,mumps $(ARGS) || exit; \
+	for body in "tube --dofs 8000,30000,80000" "vessel --dofs 71430" "pillar --dofs 8000,30000,80000" \
+	  "cube --degree 1 --dofs 8000,30000,80000" "cube --dofs 8000,30000,80000" "square --degree 1 --dofs 30000" \
+	  "heat --degree 1 --dofs 30000"; do \
+	  $(with) env OMP_NUM_THREADS=1 python3 $(compare) --geometry $$body --per 500,1000,1500,2000,3000,4500,7000 $(ARGS) || exit; \
 	done
-	$(with) python3 -m benchmarks.compare.page build/speed.json --output build/results
+	$(with) python3 -m benchmarks.compare --json build/speed.json --page build/results
 
 bench-nonlinear: ## iterations and seconds per Newton step, tube and vessel; report in build/results/
 	for degree in 1 2; do \
 	  $(with) $(python) -m benchmarks.nonlinear --geometry tube --size 0.3 --subdomains 8 --degree $$degree --json build/nonlinear.json && \
 	  $(with) $(python) -m benchmarks.nonlinear --size 1.19 --subdomains 64 --pressure 0.2 --degree $$degree --json build/nonlinear.json $(ARGS) || exit; \
 	done
-	$(with) python3 -m benchmarks.nonlinear.page build/nonlinear.json --output build/results
+	$(with) python3 -m benchmarks.nonlinear --json build/nonlinear.json --page build/results
 
 bench-scaling: ## strong scaling on one and two processes, counts on up to 64; report in build/results/
 	$(with) python3 -m benchmarks.scaling --size 0.8 --processes $(if $(filter-out 1,$(NP)),1$(comma)$(NP),1) --json build/scaling.json $(ARGS)
-	$(with) python3 -m benchmarks.scaling.page build/scaling.json --output build/results
+	$(with) python3 -m benchmarks.scaling --json build/scaling.json --page build/results
+
+bench-verification: ## published numbers, the tube in closed form, inf-sup constants, random walls; report in build/results/
+	$(with) env OMP_NUM_THREADS=1 python3 -m benchmarks.verification --part published,inf-sup --json build/verification.json
+	for element in p2-p0 q2-p1d p2b-p1d p2-p1 q2-q1; do for size in 0.09 0.045; do \
+	  $(with) env OMP_NUM_THREADS=1 python3 -m benchmarks.verification --part tube --pressures 300 --kappa 1e5 --element $$element \
+	    --size $$size --subdomains 4 --json build/verification.json $(ARGS) || exit; \
+	done; done
+	$(with) env OMP_NUM_THREADS=1 python3 -m benchmarks.random_walls --json build/random_walls.json
+	$(with) python3 -m benchmarks.verification --json build/verification.json --page build/results
+	$(with) python3 -m benchmarks.random_walls --json build/random_walls.json --page build/results
 
 figures: direct = --type classical --subdomains 1
 figures: files = --json build/loading.json --checkpoint build/loading
@@ -90,7 +101,7 @@ figures: ## both variants up to 300 mmHg on tube and vessel, and the paper's fig
 	$(with) python3 -m benchmarks.load_stepping --size 1.2 --first 25 $(direct) $(files)/p1-direct
 	$(with) python3 -m benchmarks.load_stepping --size 1.6 $(direct) $(files)/p1-coarse-direct
 	$(with) python3 -m benchmarks.load_stepping --size 1.6 --degree 2 $(direct) $(files)/p2-direct
-	$(with) python3 -m benchmarks.load_stepping.page build/loading.json --output build/results
+	$(with) python3 -m benchmarks.load_stepping --json build/loading.json --page build/results
 
 # Of Python files, texts and shell scripts; .pre-commit-config.yaml has the same tools.
 define lint_files

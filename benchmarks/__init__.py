@@ -1,19 +1,13 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Benchmarks: a folder for each study, which writes records as JSON and makes a page of them.
+"""Benchmarks: a file for each study, on the harness ``common/study.py``, and its page's template.
 
-``python3 -m benchmarks.<study>`` runs a study (``run.py``, each with ``--help``), and
-``python3 -m benchmarks.<study>.page`` makes its page (``page.py``, from the template ``page.md``);
-``paper.py`` has the paper's numbers where there are some. The studies: ``cube``, the paper's linear
-study; ``tube``, the inflated tube beside its semi-analytical solution; ``compare``, FETI beside
-other solvers; ``nonlinear``, iterations per Newton step; ``scaling``, strong scaling;
-``load_stepping``, walls up to 300 mmHg; ``subdomains``, how many; ``inf_sup``, which elements are
-stable; ``published``, numbers that others have published; ``random_walls``, robustness. A study
-knows itself and ``common``. ``edit.py`` measures the first solve with a new energy.
+``python3 -m benchmarks`` lists the studies, ``python3 -m benchmarks.<study> --help`` says what one
+takes; ``--page FOLDER`` makes its page of records. A study knows itself and ``common``.
 
-In the order of the data: common, cube, tube, compare, nonlinear, scaling, load_stepping,
-subdomains, inf_sup, published, random_walls, edit, run.
+In the order of the data: common, cube, verification, compare, nonlinear, scaling, load_stepping,
+random_walls, edit.
 """
 
 from mpi4py import MPI  # noqa: F401  before all that is linked with the MPI library

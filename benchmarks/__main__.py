@@ -1,8 +1,39 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""``python3 -m benchmarks``: the list of studies."""
+"""``python3 -m benchmarks``: the studies, their commands, and what their records took."""
 
-from benchmarks.run import main
+from __future__ import annotations
 
-main()
+import ast
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+HERE = Path(__file__).parent
+RESULTS = HERE.parent / "docs/results"
+
+#: Files of records that are not called as the study.
+RECORDS = {"compare": "speed", "cube": "linear", "load_stepping": "loading"}
+
+
+def studies() -> Iterator[tuple[str, str, str]]:
+    """Yield the name of each study, what it measures, and what its records took."""
+    for path in sorted(HERE.glob("[a-z]*.py")):
+        about = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        records = RESULTS / f"{RECORDS.get(path.stem, path.stem)}.json"
+        took = _took(json.loads(records.read_text(encoding="utf-8"))) if records.is_file() else ""
+        yield path.stem, about.split("\n")[0], took
+
+
+def _took(records: list[dict[str, object]]) -> str:
+    """Say how many cases there are, and the sum of their seconds as far as they are known."""
+    names = ("seconds", "seconds_setup", "seconds_solve", "seconds_end_to_end", "seconds_total")
+    known = (record.get(name) for record in records for name in names)
+    seconds = sum(value for value in known if isinstance(value, int | float))
+    return f" ({len(records)} cases" + (f", at least {seconds / 60:.0f} min" * (seconds > 0)) + ")"
+
+
+if __name__ == "__main__":
+    for name, about, took in studies():
+        print(f"python3 -m benchmarks.{name:14s} {about}{took}")

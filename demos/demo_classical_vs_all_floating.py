@@ -14,7 +14,7 @@
 #
 # A cube is torn into 4 × 4 × 4 subcubes and glued together again, by both variants of the method
 # and with three preconditioners. It is the linear study of Augustin, Holzapfel, Steinbach (IJNME
-# 99, 2014) with an eighth of its subdomains; `benchmarks/cube/` is the whole of it.
+# 99, 2014) with an eighth of its subdomains; `benchmarks/cube.py` is the whole of it.
 #
 #     python3 demos/demo_classical_vs_all_floating.py
 #     mpirun -n 2 python3 demos/demo_classical_vs_all_floating.py FOLDER

@@ -177,34 +177,22 @@ def beside(path: Path, folder: str) -> set[Path]:
 
 @pytest.mark.parametrize("folder", ["meshes", "benchmarks"])
 def test_folders_beside_the_package_follow_their_order(folder):
-    """The command line of a study, ``__main__``, comes last, and knows nothing but its ``run``."""
+    """A command line, ``__main__``, comes last."""
     order = lined_up(ROOT / folder)
     commands = sorted((ROOT / folder).rglob("__main__.py"))
     named = {path for path in files(folder) if path.name != "__init__.py"}
     assert set(order) == named - set(commands)
     for place, path in enumerate(order):
         assert beside(path, folder) <= set(order[:place]), path
-    for path in commands:
-        assert beside(path, folder) == {path.with_name("run.py")}, path
 
 
-def test_studies_have_the_same_files():
-    """A command, what it runs, and a page with its template."""
-    studies = [path for path in (ROOT / "benchmarks").iterdir() if (path / "__init__.py").is_file()]
-    studies.remove(ROOT / "benchmarks/common")
-    assert len(studies) >= 7
-    for study in studies:
-        names = {path.name for path in study.iterdir()}
-        assert names >= {"__main__.py", "run.py", "page.py", "page.md"}, study
-
-
-def test_a_study_knows_only_itself_and_common():
-    """And nobody imports a command."""
-    common = ROOT / "benchmarks/common"
+def test_a_study_has_its_page_and_knows_only_common():
+    """A study that writes records has a template beside it; nobody imports a study."""
+    folder = ROOT / "benchmarks"
+    studies = set(folder.glob("[a-z]*.py"))
+    assert {path.with_suffix(".py") for path in folder.glob("*.md")} <= studies
     for path in files("benchmarks"):
-        for other in beside(path, "benchmarks"):
-            assert other.name != "__main__.py", path
-            assert path.parent == other.parent or common in other.parents, path
+        assert not beside(path, "benchmarks") & studies, path
 
 
 def test_meshes_and_package_know_nothing_of_those_who_use_them():

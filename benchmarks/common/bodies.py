@@ -25,15 +25,14 @@ from dolfinx_feti import LinearProblem, NonlinearProblem, kinematics, loads, mat
 
 __all__ = [
     "LoadedBody",
-    "create_block",
     "create_clamped_block",
     "create_cube",
     "create_heated_cube",
+    "create_pillar",
 ]
 
 POISSON = 0.3
 SHEAR_MODULUS = 1.0  # kPa
-KAPPA = 1000.0  # kPa
 
 #: Faces of a square or cube, as coordinate and its value: all of a cube's but x = 1.
 ONE_FACE = ((0, 0.0),)
@@ -44,17 +43,17 @@ Options = dict[str, object]
 
 @dataclass(frozen=True, slots=True)
 class LoadedBody:
-    """A nearly incompressible body, P_k–P0: its problem, u [mm], p [kPa] and the load [kPa]."""
+    """A body: its problem, and of a nearly incompressible one u [mm], p [kPa], the load [kPa]."""
 
-    problem: NonlinearProblem
+    problem: LinearProblem | NonlinearProblem
     u: dolfinx.fem.Function
-    p: dolfinx.fem.Function
-    load: dolfinx.fem.Constant
+    p: dolfinx.fem.Function | None = None
+    load: dolfinx.fem.Constant | None = None
 
 
 def create_cube(
     comm: MPI.Comm, *, dofs: int, degree: int, subdomains: int, options: Options, dim: int = 3
-) -> LinearProblem:
+) -> LoadedBody:
     """Build a unit cube, or square, of a compressible material, clamped at x = 0, in its weight."""
     mesh = _unit_mesh(comm, dofs, degree, dim)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
@@ -69,7 +68,7 @@ def create_cube(
 
 def create_heated_cube(
     comm: MPI.Comm, *, dofs: int, degree: int, subdomains: int | None, options: Options
-) -> LinearProblem:
+) -> LoadedBody:
     """Build Poisson's equation on the unit cube, heated inside and cooled at x = 0."""
     mesh = _unit_mesh(comm, 3 * dofs, degree, 3)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree))
@@ -83,19 +82,25 @@ def create_heated_cube(
     return _linear(a, L, cold, subdomains, options)
 
 
-def create_block(
-    comm: MPI.Comm, *, dofs: int, subdomains: int | None, options: Options
-) -> NonlinearProblem:
-    """Build a neo-Hookean unit cube, P2–P0, clamped at x = 0, a pressure of 1 mmHg on x = 1."""
-    mesh, u, p, energy = _neo_hookean(comm, dofs, 2, KAPPA)
+def create_pillar(
+    comm: MPI.Comm,
+    *,
+    dofs: int,
+    kappa: float,
+    subdomains: int | None,
+    options: Options,
+    degree: int = 2,
+) -> LoadedBody:
+    """Build a neo-Hookean unit cube, P_k–P0, clamped at x = 0, with a pressure on x = 1."""
+    mesh, u, p, energy = _neo_hookean(comm, dofs, degree, kappa)
     v, q = ufl.TestFunction(u.function_space), ufl.TestFunction(p.function_space)
     du = ufl.TrialFunction(u.function_space)
-    pressure = dolfinx.fem.Constant(mesh, loads.mmhg(1.0))
+    pressure = dolfinx.fem.Constant(mesh, 0.0)
     ds = _loaded_face(mesh)
     F_u = ufl.derivative(energy, u, v) + loads.follower_pressure(pressure, u, v, ds)
     K = ufl.derivative(ufl.derivative(energy, u, v), u, du)
     K += loads.follower_pressure_tangent(pressure, u, v, du, ds, "symmetric")
-    return NonlinearProblem(
+    problem = NonlinearProblem(
         [F_u, ufl.derivative(energy, p, q)],
         u,
         bcs=[_clamp(u.function_space)],
@@ -106,6 +111,7 @@ def create_block(
         petsc_options=options,
         quadrature_degree=4,
     )
+    return LoadedBody(problem, u, p, pressure)
 
 
 def create_clamped_block(
@@ -139,10 +145,11 @@ def create_clamped_block(
 
 def _linear(
     a: ufl.Form, L: ufl.Form, bc: dolfinx.fem.DirichletBC, subdomains: int | None, options: Options
-) -> LinearProblem:
-    return LinearProblem(
+) -> LoadedBody:
+    problem = LinearProblem(
         a, L, bcs=[bc], subdomains=subdomains, petsc_options_prefix="body_", petsc_options=options
     )
+    return LoadedBody(problem, problem.u)
 
 
 def _neo_hookean(

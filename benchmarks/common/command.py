@@ -10,29 +10,23 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO, Any
 
 from mpi4py import MPI
 
-from benchmarks.common.records import Record, Records
-from dolfinx_feti.loading import Checkpoint
 from dolfinx_feti.runtime.collective import on_first
-from meshes.arguments import parse_all, positive, without_petsc
+from meshes.arguments import positive
 from meshes.walls import CREATE
 
 __all__ = [
+    "add_memory",
     "add_mesh",
-    "add_records",
     "count_or_zero",
     "create_parser",
     "names",
     "one_of",
-    "open_checkpoint",
-    "open_records",
-    "parse_words",
     "say",
     "several",
     "some_of",
@@ -51,13 +45,11 @@ def create_parser(name: str, description: str | None, comm: MPI.Comm) -> argpars
     return parser
 
 
-def add_records(parser: argparse.ArgumentParser, *, memory: bool = False) -> None:
-    """Add the options for the file of records, repeated cases and the memory."""
-    add = parser.add_argument
-    add("--json", type=Path, metavar="FILE", help="records, added to what the file holds")
-    add("--again", action="store_true", help="also run cases that the file has")
-    if memory:
-        add("--memory", type=positive, default=math.inf, metavar="MIB", help="take no more")
+def add_memory(parser: argparse.ArgumentParser) -> None:
+    """Add the option for a limit on the memory."""
+    parser.add_argument(
+        "--memory", type=positive, default=math.inf, metavar="MIB", help="take no more"
+    )
 
 
 def add_mesh(parser: argparse.ArgumentParser) -> None:
@@ -66,51 +58,6 @@ def add_mesh(parser: argparse.ArgumentParser) -> None:
     add("--geometry", choices=tuple(CREATE), default="vessel")
     add("--size", type=positive, default=None, help="length of the elements' edges [mm]")
     add("--folder", type=Path, default=Path("build/walls"), help="where meshes are kept")
-
-
-def parse_words(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
-    """Parse the command line; words with a single dash are left to PETSc."""
-    own, _ = without_petsc(sys.argv[1:] if argv is None else argv)
-    return parse_all(parser, own)
-
-
-def open_records(
-    path: Path | None,
-    parser: argparse.ArgumentParser,
-    comm: MPI.Comm,
-    known: Callable[[Record], bool] = lambda _record: True,
-) -> Records:
-    """Open the file of ``--json``, whose records are ``known``, or end with the parser's error.
-
-    Collective.
-    """
-    try:
-        records = Records(path, comm)
-    except ValueError as error:
-        parser.error(str(error))
-    if not all(map(known, records)):
-        parser.error(f"--json '{path}' holds records of another study: name another file")
-    return records
-
-
-def open_checkpoint(
-    folder: Path | None,
-    parser: argparse.ArgumentParser,
-    comm: MPI.Comm,
-    *,
-    parameters: Record,
-    restart: bool,
-) -> Checkpoint | None:
-    """Open the folder of ``--checkpoint``, or end with the parser's error. Collective.
-
-    A continued run must share the ``parameters`` with the earlier one.
-    """
-    if folder is None:
-        return None
-    try:
-        return Checkpoint(folder, comm, parameters=parameters, restart=restart)
-    except (OSError, ValueError) as error:
-        parser.error(str(error))
 
 
 def say(text: str, comm: MPI.Comm, file: IO[str] | None = None) -> None:

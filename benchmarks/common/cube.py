@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The linear problem of the paper's cube: elasticity with the fundamental solution all round.
+r"""The paper's cube: elasticity with the fundamental solution all round, and its cases.
 
 Kelvin's fundamental solution is the displacement of the whole space under a unit force at
 :math:`x^*` in the direction of the first axis, and the exact solution in the cube:
@@ -16,7 +16,7 @@ Kelvin's fundamental solution is the displacement of the whole space under a uni
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from mpi4py import MPI
 
@@ -26,16 +26,24 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
+from benchmarks.common.clock import Clock
+from benchmarks.common.records import Record
 from dolfinx_feti import LinearProblem
 from dolfinx_feti.runtime import compat
 from meshes.cube import create_cube
 
-__all__ = ["PATTERNS", "CubeProblem", "create_problem", "l2_error", "tear"]
+__all__ = ["LEVELS", "PATTERNS", "Case", "CubeProblem", "create_problem", "l2_error", "solve"]
 
 YOUNG, POISSON = 210.0, 0.45
 
 #: Degree of the quadrature that measures the error.
 QUADRATURE = 6
+
+#: Levels of refinement, n = 2^(level − 1) cells along an edge of a subcube.
+LEVELS = range(1, 6)
+
+#: Relative reduction of the dual residual, the paper's.
+RTOL = 1e-8
 
 #: Which subcubes are stiff, by their places along the three axes and their number on an edge.
 PATTERNS = {
@@ -58,6 +66,70 @@ class CubeProblem:
     L: ufl.Form
     bcs: list[dolfinx.fem.DirichletBC]
     exact: ufl.core.expr.Expr
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Parameters of a case, those of the command line; the defaults are the paper's.
+
+    ``gluing`` has multipliers between all pairs of subdomains that share a dof, and
+    ``reorthogonalize`` is CG with full reorthogonalisation.
+    """
+
+    degree: int = 1
+    level: int = 1
+    subdomains_per_edge: int = 8
+    type: str = "all_floating"
+    pc: str = "dirichlet"
+    scaling: str = "multiplicity"
+    coarse_q: str = "identity"
+    gluing: str = "full"
+    interior: str = "auto"
+    coarse_modes: int = 0
+    reorthogonalize: bool = False
+    jump: float = 1.0
+    pattern: str = "none"
+    source: tuple[float, float, float] = (2.0, 2.0, 2.0)
+
+    def __str__(self) -> str:
+        """Name what distinguishes the case from the paper's own."""
+        words = [f"P{self.degree}, level {self.level}", f"{self.subdomains_per_edge}³ subdomains"]
+        words += [self.type, self.pc]
+        usual = asdict(Case())
+        kept = ("scaling", "coarse_q", "interior", "coarse_modes")
+        words += [str(getattr(self, name)) for name in kept if getattr(self, name) != usual[name]]
+        words += [f"{self.pattern} of {self.jump:g}"] * (self.pattern != "none")
+        words += ["reorthogonalized"] * self.reorthogonalize
+        return ", ".join(words)
+
+    def key(self) -> Record:
+        """Return the parameters as they stand in a record."""
+        return asdict(self) | {"source": list(self.source)}
+
+    def problem(self, comm: MPI.Comm) -> CubeProblem:
+        """Create its boundary value problem. Collective."""
+        return create_problem(
+            comm,
+            subdomains=self.subdomains_per_edge,
+            cells=2 ** (self.level - 1),
+            degree=self.degree,
+            source=self.source,
+            jump=self.jump,
+            pattern=self.pattern,
+        )
+
+    def options(self) -> dict[str, object]:
+        """Return the options of the solver."""
+        return {
+            "feti_type": self.type,
+            "feti_pc_type": self.pc,
+            "feti_scaling": self.scaling,
+            "feti_coarse_q": self.coarse_q,
+            "feti_interior": self.interior,
+            "feti_coarse_modes": self.coarse_modes,
+            **({"feti_dual_ksp_type": "fcg"} if self.reorthogonalize else {}),
+            "feti_dual_ksp_rtol": RTOL,
+        }
 
 
 def create_problem(
@@ -100,9 +172,10 @@ def create_problem(
     )
 
 
-def tear(problem: CubeProblem, options: dict[str, object]) -> LinearProblem:
-    """Tear a problem into its subcubes. Collective."""
-    return LinearProblem(
+def solve(problem: CubeProblem, options: dict[str, object]) -> tuple[LinearProblem, Record]:
+    """Tear a problem, solve it, and record what it took; options prefix ``cube_``. Collective."""
+    clock = Clock(problem.mesh.comm)
+    linear = LinearProblem(
         problem.a,
         problem.L,
         bcs=problem.bcs,
@@ -110,6 +183,28 @@ def tear(problem: CubeProblem, options: dict[str, object]) -> LinearProblem:
         petsc_options_prefix="cube_",
         petsc_options=options,
     )
+    clock.watch(linear.solver)
+    linear.solve()
+    feti = linear.solver.getPythonContext()
+    report = feti.report()
+    low, high = feti.eigenvalues
+    return linear, {
+        "subdomains": report.subdomains,
+        "dofs_local_max": report.dofs_local[1],
+        "dofs": report.dofs,
+        "dofs_torn": report.torn_dofs,
+        "multipliers": report.multipliers,
+        "coarse_size": report.coarse_size,
+        "coarse_mib": _number(report.coarse_mib),
+        "kernels": list(report.kernels),
+        "interior_is": report.interior,
+        "factor_mib": report.factor_mib,
+        "iterations": feti.iterations,
+        "condition_number": _number(feti.condition_number),
+        "lambda_min": _number(low),
+        "lambda_max": _number(high),
+        "relative_residual": feti.residual,
+    } | clock.record()
 
 
 def l2_error(u_h: dolfinx.fem.Function, u: ufl.core.expr.Expr) -> float:
@@ -131,3 +226,8 @@ def _fundamental_solution(mesh: dolfinx.mesh.Mesh, source: Sequence[float]) -> u
     scale = (1 + POISSON) / (8 * np.pi * YOUNG * (1 - POISSON))
     direction = ufl.as_vector([1.0, 0.0, 0.0])
     return scale * ((3 - 4 * POISSON) * direction / r + d[0] * d / r**3)
+
+
+def _number(value: float) -> float | None:
+    """JSON has no nan."""
+    return float(value) if np.isfinite(value) else None

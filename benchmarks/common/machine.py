@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The machine: the memory that it has, what a run takes of it, how fast it reads, its clock."""
+"""The machine: its name, its memory, and a limit on what a run takes of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import ctypes
 import os
 import platform
 import resource
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
@@ -22,24 +21,10 @@ import numpy as np
 
 import dolfinx
 
-from dolfinx_feti.comparison import PeakMemory
-
-__all__ = [
-    "PeakMemory",
-    "available_mib",
-    "bandwidth",
-    "describe",
-    "limited_memory",
-    "now",
-    "resident_mib",
-    "threads",
-]
+__all__ = ["available_mib", "describe", "limited_memory", "now", "threads"]
 
 PROC = Path("/proc")
 CGROUP = Path("/sys/fs/cgroup")
-
-#: Size of the array that is read to measure the bandwidth, larger than a cache [bytes].
-STREAM = 2**27
 
 
 def available_mib(comm: MPI.Comm) -> float:
@@ -80,25 +65,6 @@ def limited_memory(comm: MPI.Comm, most: float) -> Iterator[float]:
         yield room
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, before)
-
-
-def resident_mib(comm: MPI.Comm) -> float:
-    """Return the memory of all processes after giving free memory back [MiB]. Collective."""
-    _trim()
-    rss = _field(PROC / "self/status", "VmRSS")
-    return comm.allreduce(rss if np.isfinite(rss) else 0.0)
-
-
-def bandwidth(comm: MPI.Comm) -> float:
-    """Measure how fast all processes together read memory [bytes a second]. Collective."""
-    x = np.ones(STREAM // 8 // comm.size)
-    seconds = []
-    for _ in range(4):
-        comm.Barrier()
-        started = time.perf_counter()
-        x.dot(x)
-        seconds.append(comm.allreduce(time.perf_counter() - started, op=MPI.MAX))
-    return comm.size * x.nbytes / min(seconds)
 
 
 def describe() -> dict[str, str | int]:

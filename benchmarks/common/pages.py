@@ -20,17 +20,14 @@ page, as CSV, and the page has a link. Each number on a page comes from a record
 
 from __future__ import annotations
 
-import argparse
-import csv
 import re
 import string
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
-from benchmarks.common.records import Record, read_records
+from benchmarks.common.records import Record
 
-__all__ = ["FORMS", "Fields", "fill", "groups", "section", "set_aside", "write_page"]
+__all__ = ["FORMS", "Fields", "fill", "groups", "provenance", "section", "set_aside"]
 
 Fields = Mapping[str, Any]
 
@@ -78,46 +75,6 @@ def groups(
     yield from found.items()
 
 
-def write_page(
-    module: str,
-    name: str,
-    arguments: Sequence[str] | None = None,
-    *,
-    known: Callable[[Record], bool],
-    fields: Callable[[Sequence[Record]], Fields],
-    draw: Callable[[Sequence[Record], Path], Sequence[Fields]] = lambda _records, _folder: (),
-) -> str:
-    """Write the page that a command line asks for; return it with all of its tables.
-
-    Args:
-        module: The study's ``page.py``, beside its template ``page.md``.
-        name: Of the page.
-        arguments: The command line without the program's name; None for that of the process.
-        known: Tells whether a record is one of the study.
-        fields: Makes the values of the template.
-        draw: Draws pictures into a folder, and returns the field ``pictures``.
-    """
-    template = Path(module).with_suffix(".md")
-    study = f"benchmarks.{template.parent.name}"
-    parser = argparse.ArgumentParser(f"{study}.page", description=f"Write the page {name}.md.")
-    parser.add_argument("records", type=Path, nargs="+", metavar="JSON", help=f"files of {study}")
-    parser.add_argument("--output", type=Path, required=True, metavar="FOLDER")
-    args = parser.parse_args(arguments)
-    page = args.output / f"{name}.md"
-    try:
-        records = [r for path in args.records for r in read_records(path, known, study)]
-        args.output.mkdir(parents=True, exist_ok=True)
-        values = {**_provenance(records), **fields(records)}
-        values["pictures"] = draw(records, args.output)
-        filled = fill(template.read_text(encoding="utf-8"), values)
-        text, tables = set_aside(filled, name)
-        page.write_text(text, encoding="utf-8")
-        _write_tables(args.output / "tables", name, tables)
-    except (OSError, ValueError) as error:
-        parser.error(str(error))
-    return filled
-
-
 def set_aside(text: str, name: str) -> tuple[str, list[list[list[str]]]]:
     """Replace long tables by links to files; return the text, and the cells of each table."""
     tables: list[list[list[str]]] = []
@@ -138,17 +95,7 @@ def _plain(cell: str) -> str:
     return re.sub(r"(?<=\d) (?=\d{3}\b)", "", cell.strip().replace("**", ""))
 
 
-def _write_tables(folder: Path, name: str, tables: Sequence[Sequence[Sequence[str]]]) -> None:
-    """Write the tables of a page in the place of its earlier ones."""
-    for old in folder.glob(f"{name}_*.csv"):
-        old.unlink()
-    for number, rows in enumerate(tables, start=1):
-        folder.mkdir(exist_ok=True)
-        with (folder / f"{name}_{number}.csv").open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file, lineterminator="\n").writerows(rows)
-
-
-def _provenance(records: Sequence[Record]) -> dict[str, object]:
+def provenance(records: Sequence[Record]) -> dict[str, object]:
     """Return machines, number of cases and dates."""
     machines = dict.fromkeys(
         ", ".join(f"{key} {value}" for key, value in record["machine"].items())

@@ -53,10 +53,12 @@ class Records:
 
     def find(self, key: Record) -> Record | None:
         """Return the record that has these values, if there is one."""
-        for record in self._records:
-            if all(record.get(name, ...) == value for name, value in key.items()):
-                return record
-        return None
+        return next(iter(self.all(key)), None)
+
+    def all(self, key: Record) -> list[Record]:
+        """Return all records that have these values."""
+        same = key.items()
+        return [r for r in self._records if all(r.get(n, ...) == value for n, value in same)]
 
     def put(self, key: Record, record: Record) -> Record:
         """Put the first process's record in the place of that with the same key, and write it.

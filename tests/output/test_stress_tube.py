@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from collective import COMM, agree, small
 
-from benchmarks.tube.run import STEPS
+from benchmarks.common.verification.tube import STEPS
 from benchmarks.common.walls.inflated_tube import InflatedTube, create_inflated_tube, create_slice
 from benchmarks.common.walls.oracle import KPA_PER_MMHG, Tube, Wall, inflate
 from dolfinx_feti import kinematics
@@ -41,7 +41,7 @@ class Found:
 
 def inflated(size: float, pressures: list[float]) -> dict[float, Found]:
     """Inflate a quarter tube, as long as its elements, and recover its stresses."""
-    wall = create_slice(COMM, size=size, quarter=True)
+    wall = create_slice(COMM, size=size)
     tube = create_inflated_tube(wall, c=3.0, kappa=KAPPA, subdomains=4)
     found = {}
 

@@ -1,14 +1,13 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The two-layer tube at a given length, whole or a quarter of it, and how far it is from the truth.
+"""A quarter of the two-layer tube at a given length, and how far it is from the truth.
 
-Its elements are those of :data:`ELEMENTS`: P1–P0 and P2–P0 on tetrahedra with straight edges, and
-with a pressure that is linear in each cell, on curved cells, Q2–P1 and quadratic tetrahedra with
-bubbles; or with one that is linear and continuous, as Taylor and Hood have it.
-Its supports (:mod:`benchmarks.common.walls.supports`) let it slide in the planes of its ends, so
-that it remains a tube, and :mod:`benchmarks.common.walls.oracle` knows its radius, volume and
-stress.
+Its elements are those of :data:`ELEMENTS`: P2–P0 on tetrahedra with straight edges, and on curved
+cells Q2–P1 and quadratic tetrahedra with bubbles, whose pressure is linear in each cell, or linear
+and continuous, as Taylor and Hood have it. It slides in the planes of its ends and of symmetry
+(:mod:`benchmarks.common.walls.supports`), so that it remains a tube, and
+:mod:`benchmarks.common.walls.oracle` knows its radius, volume and stress.
 """
 
 from __future__ import annotations
@@ -28,10 +27,10 @@ import ufl
 from ufl.core.expr import Expr
 
 from benchmarks.common.walls.clamped import INTERFACE, tube_fibres
+from benchmarks.common.walls.mixed import TaylorHood
 from benchmarks.common.walls.oracle import Layer, Tube
 from benchmarks.common.walls.problem import WallProblem, create_wall_problem
 from benchmarks.common.walls.supports import slide
-from benchmarks.common.walls.taylor_hood import TaylorHood
 from dolfinx_feti import kinematics
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
 from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
@@ -44,7 +43,6 @@ from meshes.walls import create_tube_wall
 
 __all__ = [
     "ELEMENTS",
-    "TANGENTS",
     "InflatedTube",
     "create_inflated_tube",
     "create_slice",
@@ -67,29 +65,26 @@ class Element:
         pressures: The element of p.
         bricks: None for the tube of straight tetrahedra; else how many there are through the media,
             the adventitia and around a quarter at :data:`STANDARD` size.
-        bubbles: Whether quadratic tetrahedra have bubbles in cells, and on faces.
+        bubbles: Whether quadratic tetrahedra have bubbles in cells and on faces.
         tetrahedra: Or else hexahedra.
     """
 
     degree: int
     pressures: tuple[str, int] = ("DG", 0)
     bricks: tuple[int, int, int] | None = None
-    bubbles: tuple[bool, bool] = (False, False)
+    bubbles: bool = False
     tetrahedra: bool = True
 
 
 #: Curved cells can be longer around the wall and outside, where stresses are even; with these
 #: numbers there are no more dofs.
 ELEMENTS = {
-    "p1-p0": Element(1),
     "p2-p0": Element(2),
     "q2-p1d": Element(2, ("DPC", 1), bricks=(5, 1, 8), tetrahedra=False),
-    "p2b-p1d": Element(3, ("DG", 1), bricks=(5, 1, 4), bubbles=(True, True)),
-    "p2c-p1d": Element(3, ("DG", 1), bricks=(5, 1, 4), bubbles=(True, False)),
+    "p2b-p1d": Element(3, ("DG", 1), bricks=(5, 1, 4), bubbles=True),
     "p2-p1": Element(2, ("Lagrange", 1), bricks=(5, 1, 8)),
     "q2-q1": Element(2, ("Lagrange", 1), bricks=(5, 1, 8), tetrahedra=False),
 }
-TANGENTS = ("symmetric", "full", "none")
 OUTER_RADIUS = INTERFACE + ADVENTITIA
 
 
@@ -171,24 +166,24 @@ class InflatedTube:
         return np.concatenate(parts)
 
 
-def create_slice(comm: MPI.Comm, *, size: float, quarter: bool, element: str = "p2-p0") -> Wall:
-    """Mesh a tube as long as its elements, or a quarter of it. Collective."""
-    kind, quarters = ELEMENTS[element], 1 if quarter else 4
+def create_slice(comm: MPI.Comm, *, size: float, element: str = "p2-p0") -> Wall:
+    """Mesh a quarter of a tube as long as its elements. Collective."""
+    kind = ELEMENTS[element]
     if kind.bricks is not None:
         media, adventitia, around = (max(1, round(n * STANDARD / size)) for n in kind.bricks)
         return create_brick_tube(
             comm,
             length=size,
             size=size,
-            quarter=quarter,
-            around=around * quarters,
+            quarter=True,
+            around=around,
             along=1,
             through=(media, adventitia),
             growth=GROWTH,
             tetrahedra=kind.tetrahedra,
         )
-    around = count_around(size, quarter=True) * quarters
-    return create_tube_wall(comm, length=size, size=size, quarter=quarter, around=around)
+    around = count_around(size, quarter=True)
+    return create_tube_wall(comm, length=size, size=size, quarter=True, around=around)
 
 
 def create_inflated_tube(
@@ -199,7 +194,6 @@ def create_inflated_tube(
     subdomains: int,
     element: str = "p2-p0",
     volume_tolerance: float | None = None,
-    tangent: str = "symmetric",
     options: dict[str, object] | None = None,
     G: Expr | None = None,
 ) -> InflatedTube:
@@ -216,11 +210,7 @@ def create_inflated_tube(
             wall,
             degree=kind.degree,
             pressures=kind.pressures,
-            element=(
-                quadratic_with_bubbles("tetrahedron", faces=kind.bubbles[1])
-                if kind.bubbles[0]
-                else None
-            ),
+            element=(quadratic_with_bubbles("tetrahedron", faces=True) if kind.bubbles else None),
             volume_tolerance=volume_tolerance,
             c=c,
             kappa=kappa,
@@ -230,7 +220,6 @@ def create_inflated_tube(
             fibres=fibres,
             G=G,
             hold=slide,
-            tangent=tangent,
             axis=(0.0, 0.0, 1.0),
         )
     )

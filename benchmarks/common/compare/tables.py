@@ -1,0 +1,294 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The tables of the comparison, and its figure.
+
+    python3 -m benchmarks.common.compare.tables docs/results/speed.json docs/images/speed.png
+
+The figure shows seconds of one linear solve over dofs: first Newton steps with P2–P0 and κ = 1000
+kPa, each solver in its faster layout.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.common.compare.opponents import DIRECT
+from benchmarks.common.compare.path import PHASES
+from benchmarks.common.pages import Fields, groups, section
+from benchmarks.common.plots import COLOURS, Style, curve, picture
+from benchmarks.common.records import Record
+from dolfinx_feti.fem.decomposition import DOFS
+
+__all__ = ["CASE", "GEOMETRIES", "NAMES", "draw", "fields", "points", "seconds"]
+
+
+#: How the solvers are called, in the order of the tables.
+NAMES = {
+    "feti": "FETI",
+    "mumps": "MUMPS",
+    "mumps-blr": "MUMPS, low rank",
+    "cholmod": "CHOLMOD",
+    "pardiso": "PARDISO",
+    "gamg": "GAMG",
+    "gamg-elasticity": "GAMG, SOR",
+    "hypre-elasticity": "BoomerAMG, HMIS",
+    "fieldsplit-augmented": "(u, p), augmented",
+    "bddc": "BDDC",
+}
+
+#: What tells the cases of a page apart, beside the layout.
+CASE = ("geometry", "degree", "kappa", "dofs", "wanted_subdomains", "path_mmhg", "loaded_mmhg")
+
+#: Volume stiffness at the ends of the comparison [kPa].
+KAPPAS = (10.0, 1000.0, 1e5)
+
+#: Bodies that are compared, and those whose subdomains alone are varied.
+GEOMETRIES = ("tube", "vessel", "block", "pillar", "cube", "square", "heat")
+
+
+KAPPA = 1000.0
+
+#: What a plain first step of the package's own choice has none of.
+SPECIAL = ("loaded_mmhg", "path_mmhg", "wanted_subdomains", "per")
+
+BODIES = {"tube": "thin wall (tube)", "vessel": "branched vessel", "block": "compact block"}
+
+#: The curves: their solvers, the fastest of which counts, and how they look.
+CURVES: dict[str, tuple[tuple[str, ...], Style]] = {
+    "FETI": (("feti",), {"color": COLOURS[0], "marker": "o", "lw": 2}),
+    "direct: MUMPS, CHOLMOD or PARDISO": (
+        ("mumps", "cholmod", "pardiso"),
+        {"color": COLOURS[1], "marker": "s"},
+    ),
+    "multigrid: GAMG or BoomerAMG": (
+        ("gamg", "gamg-elasticity", "hypre", "hypre-elasticity"),
+        {"color": COLOURS[2], "marker": "^"},
+    ),
+}
+
+
+def seconds(record: Record) -> float:
+    """Return the seconds of set-up and solution; infinite without a solution."""
+    if not record["converged"]:
+        return math.inf
+    return record["seconds_setup"] + record["seconds_solve"]
+
+
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """The records of one case, in all layouts; of a load path if ``path_mmhg`` is its end."""
+
+    geometry: str
+    degree: int
+    kappa: float
+    dofs: int
+    wanted_subdomains: int | None
+    path_mmhg: float | None
+    loaded_mmhg: float | None
+    records: list[Record]
+
+    def of_solver(self, solver: str) -> list[Record]:
+        """Return the records of a solver, the better layout first, failures at the end."""
+        return sorted((r for r in self.records if r["solver"] == solver), key=_whole)
+
+    def best(self, *solvers: str) -> Record | None:
+        """Return the fastest record of some solvers that came to the solution."""
+        mine = [r for r in self.records if r["solver"] in solvers and math.isfinite(_whole(r))]
+        return min(mine, key=_whole, default=None)
+
+    def rows(self) -> Iterator[dict[str, object]]:
+        """Yield a row for each record, with FETI's better layout over it."""
+        feti = self.best("feti")
+        for solver in NAMES:
+            mine = self.of_solver(solver)
+            for record in mine:
+                row = _row(record)
+                if len(mine) > 1 and record is self.best(solver):
+                    row["layout"] = f"**{row['layout']}**"
+                if feti and record["converged"] and solver != "feti":
+                    row |= _ratios(feti, record)
+                yield row
+
+    def against_the_best(self) -> dict[str, object] | None:
+        """Return FETI's better layout and the best of all others, or None if one is not there."""
+        feti = self.best("feti")
+        other = self.best(*(name for name in NAMES if name != "feti"))
+        if feti is None or other is None:
+            return None
+        direct = self.best(*DIRECT)
+        its = {f"its_{k}": v for k, v in _row(other).items()}
+        memory = None if direct is None else _ratios(feti, direct)["memory_ratio"]
+        time = {"time_ratio": _ratios(feti, other)["time_ratio"]}
+        return _row(feti) | its | time | {"memory_ratio": memory}
+
+
+def fields(records: Sequence[Record]) -> Fields:
+    """Return the values of the page."""
+    sweep = [r for r in records if r.get("per")]
+    records = [r for r in records if not r.get("per")]
+    sorted_groups = _groups(records)
+    first = [group for group in sorted_groups if group.path_mmhg is None]
+    paths = [group for group in sorted_groups if group.path_mmhg is not None]
+    steps = [
+        {"geometry": geometry, "kappa": kappa}
+        | {"rows": [row for group in mine for row in group.rows()]}
+        for (geometry, kappa), mine in _by_kappa(first).items()
+    ]
+    summary = [row for group in sorted_groups if (row := group.against_the_best()) is not None]
+    phases = [
+        _row(r) | _shares(r)
+        for group in sorted_groups
+        for r in group.of_solver("feti")
+        if r["converged"] and "seconds_phases" in r
+    ]
+    lost = [_row(r) for group in _groups(records) for r in group.records if not r["converged"]]
+    return {
+        "summary": section(summary),
+        "steps": steps,
+        "paths": section(row for group in paths for row in group.rows()),
+        "phases": section(phases),
+        "sweep": section(_subdomains(sweep)),
+        "growth": section(_growth(first), low=KAPPAS[0]),
+        "failures": section(lost),
+    }
+
+
+def _groups(records: Sequence[Record]) -> list[_Group]:
+    found = [_Group(*key, mine) for key, mine in groups(records, *CASE)]
+    return sorted(found, key=_order)
+
+
+def _order(group: _Group) -> tuple[object, ...]:
+    loads = (group.path_mmhg or 0.0, group.loaded_mmhg or 0.0)
+    place = GEOMETRIES.index(group.geometry)
+    return place, group.kappa, *loads, -group.degree, group.dofs, group.wanted_subdomains or 0
+
+
+def _by_kappa(found: Sequence[_Group]) -> dict[tuple[str, float], list[_Group]]:
+    """Collect the sizes of each body and κ."""
+    keys = dict.fromkeys((group.geometry, group.kappa) for group in found)
+    return {key: [g for g in found if (g.geometry, g.kappa) == key] for key in keys}
+
+
+def _row(record: Record) -> dict[str, object]:
+    """Return a record with names, layout and means; without results if it has failed."""
+    row = dict(record) | {"name": NAMES[str(record["solver"])], "layout": _layout(record)}
+    path, loaded = record["path_mmhg"], record["loaded_mmhg"]
+    row["load"] = "at rest" if path is None else f"path to {path:g} mmHg"
+    row["load"] = row["load"] if loaded is None else f"at {loaded:g} mmHg"
+    row["element"] = f"P{record['degree']}–P0"
+    if record["solver"] not in ("feti", "bddc"):
+        row["subdomains"] = None
+    if not record["converged"]:
+        results = ("seconds_solve", "iterations", "peak_mib", "relative_residual", "spread")
+        results += ("linear_solves", "seconds_per_newton", "seconds_assembly", "seconds_end_to_end")
+        return row | dict.fromkeys(results) | {"seconds_setup": None, "setup": "failed"}
+    row |= {"seconds": seconds(record), "setup": f"{record['seconds_setup']:.2f}"}
+    row["spread"] = _spread(record)
+    later = record.get("iterations_per_solve", [])[1:]
+    return row | {"later": sum(later) / len(later) if later else None}
+
+
+def _spread(record: Record) -> str:
+    """Return the seconds, and the least and the most of all rounds."""
+    each = [sum(pair) for pair in record.get("seconds_rounds", []) if None not in pair]
+    if len(each) < 2:
+        return f"{_whole(record):.2f}"
+    return f"{_whole(record):.2f} ({min(each):.2f}–{max(each):.2f})"
+
+
+def _ratios(feti: Record, other: Record) -> dict[str, object]:
+    """Return FETI's time and memory over those of another solver."""
+    mine, its = feti["peak_mib"], other["peak_mib"]
+    memory = mine / its if mine and its else None
+    linear = seconds(feti) / seconds(other)
+    whole = _whole(feti) / _whole(other)
+    return {"time_ratio": whole, "linear_ratio": linear, "memory_ratio": memory}
+
+
+def _growth(first: Sequence[_Group]) -> Iterator[dict[str, object]]:
+    """Pair the records of iterative solvers at both κ, for one solver, size and layout."""
+    names = ("solver", *(name for name in CASE if name != "kappa"), "processes", "threads")
+    found = [r for group in first for solver in NAMES for r in group.of_solver(solver)]
+    iterative = [r for r in found if r["solver"] not in DIRECT and r["converged"]]
+    iterative.sort(key=lambda r: r["kappa"])
+    for _, (low, *rest) in groups([r for r in iterative if r["kappa"] in KAPPAS], *names):
+        for high in rest:
+            quotient = high["iterations"] / low["iterations"]
+            its = {"low_its": low["iterations"], "high_its": high["iterations"]}
+            its["high"] = high["kappa"]
+            yield _row(low) | its | {"quotient": quotient}
+
+
+def _shares(record: Record) -> dict[str, object]:
+    """Return the shares of the phases in the time of a FETI solve, and the rest."""
+    spent = record["seconds_phases"]
+    shares = {name: 100 * spent[name] / seconds(record) for name in PHASES}
+    return shares | {"rest": 100 - sum(shares.values())}
+
+
+def _whole(record: Record) -> float:
+    """Return the seconds that solvers are ranked by, of a path end to end; infinite if unsolved."""
+    solved = record["converged"] and not str(record["note"]).startswith("the residual is above")
+    return record.get("seconds_end_to_end", seconds(record)) if solved else math.inf
+
+
+def _layout(record: Record) -> str:
+    """Name processes and threads."""
+    processes, threads = record["processes"], record["threads"]
+    of_each = "" if threads == 1 else f" × {threads} threads"
+    return f"{processes} process{'' if processes == 1 else 'es'}{of_each}"
+
+
+def _subdomains(records: Sequence[Record]) -> list[dict[str, object]]:
+    """Return a row for each body, size and number of processes of a sweep over subdomains."""
+    rows = []
+    alike = ("geometry", "degree", "processes", "wanted_dofs")
+    for (geometry, degree, processes, wanted), mine in groups(records, *alike):
+        least = min(r["seconds_cpu"] for r in mine if r["converged"])
+        its = [r["iterations"] for r in mine if r["subdomains"] > 1]
+        rows.append(
+            {"place": (processes, GEOMETRIES.index(geometry), degree, wanted)}
+            | {"geometry": geometry, "degree": degree, "processes": processes}
+            | {"dofs": next(r["dofs"] for r in mine if r["per"] == DOFS)}
+            | {"at": {int(r["per"]): f"{r['seconds_cpu'] / least:.2f}" for r in mine}}
+            | {"fewest": min(its), "most": max(its)}
+        )
+    return sorted(rows, key=lambda row: row["place"])
+
+
+def points(
+    records: Sequence[Record], geometry: str, solvers: Sequence[str]
+) -> list[tuple[float, float]]:
+    """Return dofs and seconds of the fastest of some solvers on a body, by size."""
+    first_steps = [
+        record
+        for record in records
+        if (record["geometry"], record["kappa"], record["degree"]) == (geometry, KAPPA, 2)
+        and record["solver"] in solvers
+        and record["converged"]
+        and not any(record.get(name) for name in SPECIAL)
+    ]
+    found = groups(first_steps, "dofs")
+    return sorted((dofs, min(map(seconds, mine))) for (dofs,), mine in found)
+
+
+def draw(records: Sequence[Record], path: Path) -> None:
+    """Draw the panels of all bodies into a file."""
+    legend = {name: style for name, (_, style) in CURVES.items()}
+    with picture(path, 1, len(BODIES), legend, sharey=True) as axes:
+        for ax, (geometry, title) in zip(axes[0], BODIES.items(), strict=True):
+            for solvers, style in CURVES.values():
+                curve(ax, points(records, geometry, solvers), **style)
+            ax.set(title=title, xlabel="dofs", xscale="log", yscale="log")
+        axes[0, 0].set_ylabel("set-up and solve [s], two cores")
+
+
+if __name__ == "__main__":
+    draw(json.loads(Path(sys.argv[1]).read_text(encoding="utf-8")), Path(sys.argv[2]))

@@ -1,0 +1,230 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""One run of the scaling study on the processes that mpirun has started.
+
+`benchmarks.scaling` starts it, as ``python3 -m benchmarks.common.scaling.worker CASE FILE``, with
+the case as JSON, and reads the record from the file. A run *measures* the load step to 0.2 mmHg, or
+*counts*: the tangent at rest is set up once, and solved with a few iterations and with some more;
+the difference is what an iteration sends, whatever the machine and however many processes share a
+core.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import petsc4py
+
+petsc4py.init(sys.argv[:1])
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.common.clock import Events
+from benchmarks.common.records import Record
+from benchmarks.common.scaling.traffic import COUNTERS, gather, since_reset, start_count
+from benchmarks.common.walls import first_step
+from benchmarks.common.walls.problem import WallProblem, right_hand_side
+from dolfinx_feti import FETI, loads
+from dolfinx_feti.comparison import PeakMemory
+from dolfinx_feti.feti.coarse.group import GroupFactor
+from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
+from dolfinx_feti.runtime.collective import on_first
+from dolfinx_feti.wall import Wall, read_wall, write_wall
+from dolfinx_feti.wall.fibres import fibre_frame
+from meshes.walls import open_wall
+
+__all__ = ["main"]
+
+Array = npt.NDArray[np.float64]
+
+#: Iterations of the two solves whose difference is counted, after one that makes all buffers.
+WARM, FEW, MORE = 2, 5, 25
+
+#: Load [mmHg]; under the paper's, 1 mmHg, a thin wall at rest would buckle.
+PRESSURE = 0.2
+
+#: Newton steps at most, the paper's. With its tangent, which leaves out that of the pressure, CG
+#: solves their systems, but on a thin wall they come only some way to the solution.
+STEPS = 5
+
+#: Log events of the phases.
+FACTOR, COARSE, KRYLOV = EVENTS = ("FETIFactor", "FETICoarse", "FETISolve")
+
+#: Those of reading the wall, and all that come once, before the first load step.
+READING = ("WallRead", "WallPartition", "WallTags")
+ONCE = (*READING, "WallFibres", "FETITear", "FETIPattern", "FETIGluing", "FETICoarseSolve")
+
+
+def measure(case: Record, comm: MPI.Comm) -> Record:
+    """Measure a load step; seconds are those of the slowest process. Collective.
+
+    The same load step on a tiny tube comes before it, so that all forms are compiled, and the mesh
+    is generated.
+    """
+    PETSc.Log.begin()
+    _written(case, comm)
+    tiny = case | {"geometry": "tube", "size": 1.0, "subdomains": comm.size}
+    for _ in range(2):  # the second time for what does not depend on the mesh
+        comm.Barrier()
+        started = time.perf_counter()
+        first_step.load(_create(tiny, comm), PRESSURE, in_part=True)
+        fixed = time.perf_counter() - started
+    comm.Barrier()
+    started = time.perf_counter()
+    phases = Events((*EVENTS, *ONCE), comm)
+    body = _create(case, comm)
+    first_step.load(body, PRESSURE, in_part=True)
+    comm.Barrier()
+    ended = time.perf_counter()
+    spent = phases.seconds()
+    own = sum(step.seconds_assembly for step in body.problem.history)
+    assembly = comm.allreduce(own, op=MPI.MAX)
+    its = [step.linear_iterations for step in body.problem.history]
+    return _sizes(body) | {
+        "newton_iterations": len(its),
+        "linear_iterations_per_newton": its,
+        "linear_iterations_mean": float(np.mean(its)),
+        "seconds_reading": sum(spent[name] for name in READING),
+        "seconds_once": {name: spent[name] for name in ONCE},
+        "seconds_fixed": fixed,
+        "seconds_local": assembly + spent[FACTOR],
+        "seconds_coarse": spent[COARSE],
+        "seconds_krylov": spent[KRYLOV],
+        "seconds_total": ended - started,
+    }
+
+
+def count(case: Record, comm: MPI.Comm) -> Record:
+    """Count what set-up and iterations send, on each process. Collective."""
+    logging.getLogger("dolfinx_feti").setLevel(logging.CRITICAL)  # it is not to converge
+    PETSc.Log.begin()
+    wall: list[Wall] = []
+    _read(case | {"geometry": "tube", "size": 1.0}, comm)  # whatever is loaded at first
+    _written(case, comm)
+    peak, before = PeakMemory(), _bytes_read()
+    reading = _counted(lambda: wall.append(_read(case, comm)), comm)
+    held = peak.mib_above_start(MPI.COMM_SELF), _bytes_read() - before
+    mib, read = (comm.allreduce(number, op=MPI.MAX) for number in held)
+    body = _create(case, comm, wall[0])
+    body.problem.linearise()
+    body.pressure.value = loads.mmhg(PRESSURE)
+    b = right_hand_side(body)
+    x = b.duplicate()
+    ksp = body.problem.solver.getKSP()
+    ksp.setOperators(body.problem.A)
+    setup = _counted(ksp.setUp, comm)
+    _iterate(ksp, b, x, WARM)
+    first = _coarse_solves()
+    few = _counted(lambda: _iterate(ksp, b, x, FEW), comm)
+    middle = _coarse_solves()
+    more = _counted(lambda: _iterate(ksp, b, x, MORE), comm)
+    last = _coarse_solves()
+    each = (more - few) / (MORE - FEW)  # (processes, counters)
+    solves = ((last - middle) - (middle - first)) / (MORE - FEW)
+    entries, flops = comm.bcast(coarse_factor(ksp.getPythonContext()))
+    coarse = {"coarse_solves": solves, "coarse_entries": entries, "coarse_flops": flops}
+    sent = {"setup": _summary(setup), "iteration": _summary(each), "reading": _summary(reading)}
+    sent |= {"reading_mib": mib, "reading_bytes": read}
+    met, messages = more[:, COUNTERS.index("neighbours")], each[:, COUNTERS.index("messages")]
+    sent |= {"neighbours": float(met.max()), "neighbours_mean": float(met.mean())}
+    sent |= {"messages_to_each": float(messages.sum() / max(met.sum(), 1.0))}
+    return _sizes(body) | coarse | sent
+
+
+def _bytes_read() -> int:
+    """Return what this process has read by any call to the system."""
+    return int(re.search(r"rchar:\s+(\d+)", Path("/proc/self/io").read_text())[1])
+
+
+def _read(case: Record, comm: MPI.Comm) -> Wall:
+    """Read the wall of a case from the file that as many processes have written."""
+    return read_wall(_written(case, comm), comm)
+
+
+def _written(case: Record, comm: MPI.Comm) -> Path:
+    """Return the file of a case's wall by so many processes, which is written at first."""
+    folder, name = Path(str(case["folder"])), f"{case['geometry']}_{case['size']:g}_{comm.size}"
+    path = folder / f"{name}.xdmf"
+    if not comm.bcast(path.is_file()):
+        wall, _ = open_wall(case["geometry"], comm, size=case["size"], folder=folder)
+        write_wall(path, wall)
+    return path
+
+
+def _create(case: Record, comm: MPI.Comm, wall: Wall | None = None) -> WallProblem:
+    """Tear the wall of a case."""
+    wall = wall or _read(case, comm)
+    own = {"feti_type": case["type"], "feti_pc_type": case["pc"], "snes_max_it": STEPS}
+    if case["choices"] == "default" and case["task"] == "count":
+        own["feti_formulation"] = "primal"  # that of every Newton step after the first one
+    return first_step.create(wall, fibre_frame(wall), case, case["subdomains"], own)
+
+
+def _iterate(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, iterations: int) -> None:
+    """Solve with so many iterations, no fewer."""
+    ksp.setTolerances(rtol=1e-30, atol=0.0, max_it=iterations)
+    ksp.solve(b, x)
+    done = ksp.getPythonContext().iterations
+    if done != iterations:
+        raise RuntimeError(f"the solver took {done} iterations in place of {iterations}")
+
+
+def _counted(work: Callable[[], object], comm: MPI.Comm) -> Array:
+    """Return the counters of some work, (processes, counters)."""
+    start_count()
+    work()
+    return gather(since_reset(), comm)
+
+
+def coarse_factor(feti: FETI) -> tuple[float, float]:
+    """Return entries and flops of the factor of the coarse matrix; zeros without one."""
+    factor = getattr(feti.form.coarse.solver, "factor", None)
+    if isinstance(factor, FrontFactor):
+        return float(factor.fronts.entries), float(factor.fronts.flops)
+    if isinstance(factor, GroupFactor) and factor.ksp is not None:
+        F = factor.ksp.getPC().getFactorMatrix()
+        entries = F.getMumpsInfog(29)
+        return float(entries if entries >= 0 else -1e6 * entries), F.getMumpsRinfog(3)
+    return 0.0, 0.0
+
+
+def _coarse_solves() -> int:
+    """Return the coarse solves of this process so far."""
+    return PETSc.Log.Event("FETICoarseSolve").getPerfInfo()["count"]
+
+
+def _summary(counts: Array) -> Record:
+    """Return mean and greatest of each counter over the processes."""
+    return {
+        name: {"mean": float(column.mean()), "max": float(column.max())}
+        for name, column in zip(COUNTERS, counts.T, strict=False)
+    }
+
+
+def _sizes(body: WallProblem) -> Record:
+    report = body.problem.solver.getKSP().getPythonContext().report()
+    return first_step.sizes(body) | {"coarse_mib": report.coarse_mib}
+
+
+def main(words: list[str]) -> None:
+    """Run a case, and write its record."""
+    comm = MPI.COMM_WORLD
+    case = json.loads(words[0])
+    tasks = {"measure": measure, "count": count}
+    record = tasks[case["task"]](case, comm)
+    on_first(lambda: Path(words[1]).write_text(json.dumps(record)), comm)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,166 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The harness: what a study takes, the cases that its file lacks, one record each, and its page.
+
+    python3 -m benchmarks.NAME --json FILE                  run what the file lacks
+    python3 -m benchmarks.NAME --page FOLDER --json FILE …  write the page of what files hold
+
+A study is a module with an object :class:`Study` and a template beside it, ``NAME.md``, and ends in
+``if __name__ == "__main__": STUDY.main()``. Words with a single dash are options of PETSc.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from benchmarks.common.command import create_parser, say
+from benchmarks.common.pages import Fields, fill, provenance, set_aside
+from benchmarks.common.records import Record, Records, read_records
+from dolfinx_feti import ConvergenceError
+from meshes.arguments import parse_all, without_petsc
+
+__all__ = ["Keep", "Study"]
+
+#: Adds what was found to the key of a case, a further key first, and writes and shows the record.
+Keep = Callable[[Record, Record], Record]
+Arguments = argparse.Namespace
+
+
+def _no_options(_parser: argparse.ArgumentParser) -> None:
+    pass
+
+
+def _is_there(case: Record, records: Records, _args: Arguments) -> bool:
+    return records.find(case) is not None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Study:
+    """A study.
+
+    Attributes:
+        file: Its module.
+        about: Its docstring.
+        page: Name of its page.
+        known: Tells whether a record is one of the study.
+        cases: Yields what tells each case apart that a command line asks for, or ends with the
+            parser's error.
+        run: Measures a case and keeps a record, or several. Collective.
+        line: Formats a record.
+        fields: Makes the values of the template.
+        options: Adds options to the parser.
+        done: Tells whether the records have a case to its end.
+        draw: Draws pictures into a folder; returns the template's field ``pictures``.
+    """
+
+    file: str
+    about: str | None
+    page: str
+    known: Callable[[Record], bool]
+    cases: Callable[[Arguments, argparse.ArgumentParser, MPI.Comm], Iterable[Record]]
+    run: Callable[[Record, Keep, Arguments, MPI.Comm], object]
+    line: Callable[[Record], str]
+    fields: Callable[[Sequence[Record]], Fields]
+    options: Callable[[argparse.ArgumentParser], None] = _no_options
+    done: Callable[[Record, Records, Arguments], bool] = _is_there
+    draw: Callable[[Sequence[Record], Path], Sequence[Fields]] = lambda _records, _folder: ()
+
+    def main(
+        self, argv: Sequence[str] | None = None, comm: MPI.Comm = MPI.COMM_WORLD
+    ) -> list[Record]:
+        """Run a command line; return the records of its cases, also those that the file had.
+
+        Collective.
+
+        Raises:
+            SystemExit: The command line is wrong, or a case has no record: see the message.
+        """
+        parser = create_parser(Path(self.file).stem, self.about, comm)
+        add = parser.add_argument
+        add("--json", type=Path, nargs="+", default=[], metavar="FILE", help="records; added to")
+        add("--again", action="store_true", help="also run cases that the file has")
+        add("--page", type=Path, metavar="FOLDER", help="write the page of the files instead")
+        self.options(parser)
+        own, petsc = without_petsc(sys.argv[1:] if argv is None else argv)
+        args = parse_all(parser, own)
+        PETSc.Options().insertString(" ".join(petsc))
+        if args.page is not None:
+            try:
+                self.write_page(args.json, args.page)
+            except (OSError, ValueError) as error:
+                parser.error(str(error))
+            return []
+        if len(args.json) > 1:
+            parser.error("argument --json: one file takes the records; --page reads several")
+        try:
+            records = Records(args.json[0] if args.json else None, comm)
+        except ValueError as error:
+            parser.error(str(error))
+        if not all(map(self.known, records)):
+            parser.error(f"--json '{args.json[0]}' holds records of another study: name another")
+        found, lost = self._run_all(args, parser, records, comm)
+        if lost:
+            sys.exit(1)
+        return found
+
+    def _run_all(
+        self, args: Arguments, parser: argparse.ArgumentParser, records: Records, comm: MPI.Comm
+    ) -> tuple[list[Record], int]:
+        """Run the cases that the records lack; return their records, and how many have failed."""
+        found: list[Record] = []
+        lost = 0
+        try:
+            for case in self.cases(args, parser, comm):
+                if not args.again and self.done(case, records, args):
+                    for record in records.all(case):
+                        say(f"in the records already: {self.line(record)}", comm)
+                else:
+                    try:
+                        self.run(case, partial(self._keep, records, comm, case), args, comm)
+                    except ConvergenceError as error:
+                        say(f"failed: {case}: {error}", comm, sys.stderr)
+                        lost += 1
+                found += records.all(case)
+        except (OSError, ValueError) as error:  # of a file; fewer cells than subdomains
+            parser.error(str(error))
+        return found, lost
+
+    def _keep(
+        self, records: Records, comm: MPI.Comm, case: Record, key: Record, values: Record
+    ) -> Record:
+        record = records.keep(case | key, values)
+        say(self.line(record), comm)
+        return record
+
+    def write_page(self, files: Sequence[Path], folder: Path) -> str:
+        """Write the page of some files, its tables and pictures; return it with all tables.
+
+        Raises:
+            ValueError: A file holds something else than records of this study.
+        """
+        records = [r for path in files for r in read_records(path, self.known, self.page)]
+        folder.mkdir(parents=True, exist_ok=True)
+        values = {**provenance(records), **self.fields(records)}
+        values["pictures"] = self.draw(records, folder)
+        template = Path(self.file).with_suffix(".md").read_text(encoding="utf-8")
+        filled = fill(template, values)
+        text, tables = set_aside(filled, self.page)
+        (folder / f"{self.page}.md").write_text(text, encoding="utf-8")
+        for old in (folder / "tables").glob(f"{self.page}_[0-9]*.csv"):
+            old.unlink()
+        for number, rows in enumerate(tables, start=1):
+            path = folder / "tables" / f"{self.page}_{number}.csv"
+            path.parent.mkdir(exist_ok=True)
+            with path.open("w", encoding="utf-8", newline="") as file:
+                csv.writer(file, lineterminator="\n").writerows(rows)
+        return filled

@@ -1,0 +1,253 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The cases: bodies, how they are loaded, what is read off them, and what is published of it.
+
+Land et al., *Verification of cardiac mechanics software*, Proc. R. Soc. A 471 (2015) 20150641;
+Holzapfel, Gasser, Ogden, J. Elasticity 61 (2000) 1-48; Gasser, Ogden, Holzapfel, J. R. Soc.
+Interface 3 (2006) 15-35. Millimetres and kPa.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+from mpi4py import MPI
+
+import numpy as np
+
+import dolfinx
+import ufl
+from ufl.core.expr import Expr
+
+from benchmarks.common.verification.body import Body, create_block, create_body, displacement, plane
+from benchmarks.common.verification.ellipsoid import (
+    LONG,
+    THICKNESS,
+    create_ellipsoid,
+    ellipsoid_fibre,
+)
+from benchmarks.common.verification.revolved import solve_revolved
+from benchmarks.common.verification.stressed_tube import create_stressed_tube
+from dolfinx_feti import materials
+from dolfinx_feti.loading import Steps
+from dolfinx_feti.wall import facets
+
+__all__ = ["CASES", "Case", "Quantity"]
+
+Energy = Callable[[Expr, Expr, Expr, Expr], Expr]  # of C, J, the share of the load and f
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """What is measured, what is published of it, and between which numbers ours holds."""
+
+    name: str
+    published: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A body, who builds it on mesh n, its load steps, and what is measured, by key.
+
+    The limit is what is measured of a body of revolution in its meridian plane. Ours is judged on
+    the finest mesh, or on the one that was published.
+    """
+
+    name: str
+    source: str
+    quantities: Mapping[str, Quantity]
+    steps: Steps  # of the load, as a share
+    create: Callable[[MPI.Comm, int], Body]
+    limit: Callable[[], dict[str, float]] | None = None
+    judged: int | None = None
+
+
+def _within(name: str, published: str, value: float, share: float) -> Quantity:
+    """Return a quantity that holds within a share of the published value."""
+    low, high = sorted((value * (1 - share), value * (1 + share)))
+    return Quantity(name, published, low, high)
+
+
+def _steps(first: float) -> Steps:
+    """Return load steps that begin with a share of the load."""
+    return Steps(first, least=first / 64)
+
+
+# Land's beam and ellipsoids
+
+HEART = {"c": 2.0, "b_f": 8.0, "b_t": 2.0, "b_fs": 4.0}
+SOFT = {"c": 10.0, "b_f": 1.0, "b_t": 1.0, "b_fs": 1.0}
+APEX = {"inside": 0.0, "middle": 0.5, "outside": 1.0}  # fractions of the wall
+
+
+def _beam(comm: MPI.Comm, n: int) -> Body:
+    """Build the beam, bent by 4 Pa from below, clamped at x = 0."""
+    mesh = create_block(comm, (10.0, 1.0, 1.0), (10 * n, n, n))
+    e_x = ufl.as_vector([1.0, 0.0, 0.0])
+    return create_body(
+        mesh,
+        lambda C, J, _share: materials.guccione(C, e_x, **HEART, J=J),
+        kappa=1000.0,
+        held=[(None, plane(mesh, 0, 0.0))],
+        loaded=plane(mesh, 2, 0.0),
+        load=0.004,
+        measure=lambda u: {"tip": 1.0 + float(displacement(u, (10.0, 0.5, 1.0))[2])},
+    )
+
+
+def _inflated(C: Expr, J: Expr, _share: Expr, f: Expr) -> Expr:
+    """Return the energy of the ellipsoid that is inflated, isotropic."""
+    return materials.guccione(C, f, **SOFT, J=J)
+
+
+def _contracted(C: Expr, J: Expr, share: Expr, f: Expr) -> Expr:
+    """Return the energy of the ellipsoid whose fibres contract."""
+    return materials.guccione(C, f, **HEART, J=J) + materials.active_tension(
+        C, f, tension=60.0 * share
+    )
+
+
+def _ellipsoid(comm: MPI.Comm, n: int, *, energy: Energy, pressure: float, more: int = 0) -> Body:
+    """Build the ellipsoid, its base clamped, with so many bricks more than n through the wall."""
+    wall = create_ellipsoid(comm, n, n + more)
+    f = ellipsoid_fibre(wall.mesh)
+    places = {key: -LONG - THICKNESS * t for key, t in APEX.items()}
+    return create_body(
+        wall.mesh,
+        lambda C, J, share: energy(C, J, share, f),
+        kappa=1e5,
+        held=[(None, facets(wall, "base"))],
+        loaded=facets(wall, "lumen"),
+        load=pressure,
+        measure=lambda u: {
+            key: z + float(displacement(u, (0.0, 0.0, z))[2]) for key, z in places.items()
+        },
+    )
+
+
+def _limit(energy: Energy, pressure: float) -> dict[str, float]:
+    """Return what the ellipsoids tend to."""
+    found = solve_revolved(energy, pressure=pressure, kappa=1e5, through=8, along=32)
+    return dict(zip(APEX, found, strict=True))
+
+
+# The block in compression
+
+
+def _block(comm: MPI.Comm, n: int) -> Body:
+    """Build a quarter of the block, pressed on a quarter of its top, which is held sideways."""
+    mesh = create_block(comm, (50.0, 50.0, 50.0), (2 * n,) * 3)
+    pressed = dolfinx.mesh.locate_entities_boundary(
+        mesh, 2, lambda x: np.isclose(x[2], 50) & (x[0] < 25 + 1e-6) & (x[1] < 25 + 1e-6)
+    )
+    μ, λ = 1.61148, 499.92568
+    bottom, top = plane(mesh, 2, 0.0), plane(mesh, 2, 50.0)
+    return create_body(
+        mesh,
+        lambda C, J, _share: materials.neo_hookean(C, c=μ, J=J),
+        kappa=λ + 2 * μ / 3,
+        held=[
+            (0, plane(mesh, 0, 0.0)), (1, plane(mesh, 1, 0.0)), (2, bottom), (0, top), (1, top),
+        ],
+        loaded=np.sort(pressed),
+        load=(0.0, 0.0, -9.0),
+        measure=lambda u: {"top": -float(displacement(u, (0.0, 0.0, 50.0))[2])},
+    )  # fmt: skip
+
+
+# The tube, and the strip of the adventitia
+
+
+def _tube(comm: MPI.Comm, n: int, *, by_shape: bool) -> Body:
+    """Build a quarter of the tube with residual stress."""
+    return create_stressed_tube(comm, size=0.36 / 2**n, subdomains=4 ** (n - 1), by_shape=by_shape)
+
+
+ORACLE = {
+    "u_r": Quantity("u_r inside over the oracle's", "1", 0.998, 1.002),
+    "hoop": Quantity("error of σ_θθ in L²", "0", 0.0, 0.03),
+    "radial": Quantity("error of σ_rr in L²", "0", 0.0, 0.03),
+}
+
+
+ROUGH = Steps(0.001, least=1e-5, growth=2.0, rtol=1e-3, linear_rtol=1e-4)  # on the way
+ANGLE = np.radians(49.98)  # of the fibres from the axis, that is z
+ADVENTITIA = {"c": 7.64, "k1": 996.6, "k2": 524.6}
+
+
+def _strip(comm: MPI.Comm, n: int, *, dispersion: float) -> Body:
+    """Build an eighth of the strip of 3 x 0.5 x 10 mm, pulled by 2 N at an end that is gripped."""
+    mesh = create_block(comm, (1.5, 0.25, 5.0), (3 * n, 1, 10 * n))
+    a1, a2 = (ufl.as_vector([s * np.sin(ANGLE), 0.0, np.cos(ANGLE)]) for s in (1, -1))
+    end, middles = plane(mesh, 2, 5.0), [(0, 1.5), (1, 0.25), (2, 0.0)]
+    return create_body(
+        mesh,
+        lambda C, J, _share: materials.gasser_ogden_holzapfel(
+            C, a1, a2, **ADVENTITIA, dispersion=dispersion, J=J
+        ),
+        kappa=1e6,
+        held=[*((axis, plane(mesh, axis, x)) for axis, x in middles), (0, end), (1, end)],
+        loaded=end,
+        load=(0.0, 0.0, 2000.0 / 1.5),
+        grip=1e6,
+        measure=lambda u: {"end": float(displacement(u, (1.5, 0.25, 5.0))[2])},
+    )
+
+
+LAND = "Land et al. 2015, problem"
+PLACES = {key: f"z of the apex, {key} [mm]" for key in APEX}
+HGO = "Holzapfel, Gasser, Ogden 2000"
+PULSE = "pulse's documentation (FEniCS, P2–P1, one mesh)"
+IKARUS = "39.92 to 40.14 (Q2, continuous and discontinuous pressure, 4³ cells)"
+SVFSI = "svFSI-Tests 06-ustruct/02, its result file (Q1–Q1, 15 000 cells)"
+
+CASES = {
+    "land-1": Case(
+        "beam", f"{LAND} 1", {"tip": Quantity("z of (10, 0.5, 1) [mm]", "4.0 to 4.2", 4.0, 4.2)},
+        _steps(0.25), _beam,
+    ),
+    "land-2": Case(
+        "inflated ellipsoid", f"{LAND} 2",
+        {"inside": _within(PLACES["inside"], "−26.6, from a plot", -26.6, 0.005)},
+        _steps(0.1), partial(_ellipsoid, energy=_inflated, pressure=10.0),
+        partial(_limit, _inflated, 10.0),
+    ),
+    "land-3": Case(
+        "contracted ellipsoid", f"{LAND} 3",
+        {
+            "inside": _within(PLACES["inside"], f"−11.855, {PULSE}", -11.855, 0.05),
+            "middle": _within(PLACES["middle"], "about −14, from a plot", -14.0, 0.04),
+            "outside": _within(PLACES["outside"], f"−15.490, {PULSE}", -15.4904, 0.005),
+        },
+        _steps(0.05), partial(_ellipsoid, energy=_contracted, pressure=15.0, more=1),
+        partial(_limit, _contracted, 15.0),
+    ),
+    "tube": Case(
+        "tube with opening angles", f"one-dimensional oracle; {HGO}", ORACLE,
+        _steps(0.01), partial(_tube, by_shape=False),
+    ),
+    "tube-shape": Case(
+        "the same, G from the wall's shape", f"one-dimensional oracle; {HGO}", ORACLE,
+        _steps(0.01), partial(_tube, by_shape=True),
+    ),
+    "block": Case(
+        "block in compression", "Ikarus, tests of displacement and pressure",
+        {"top": Quantity("−u_z of the middle of the top [mm]", IKARUS, 39.92, 40.15)},
+        _steps(0.1), _block, judged=2,
+    ),
+    "strip": Case(
+        "adventitia strip", "Gasser, Ogden, Holzapfel 2006",
+        {"end": _within("u_z of the end [mm]", f"2.4543, {SVFSI}", 2.4543, 0.005)},
+        ROUGH, partial(_strip, dispersion=0.0),
+    ),
+    "strip-dispersed": Case(
+        "adventitia strip, ϰ = 0.226", "Gasser, Ogden, Holzapfel 2006",
+        {"end": _within("u_z of the end [mm]", f"1.3892, {SVFSI}", 1.3892, 0.005)},
+        ROUGH, partial(_strip, dispersion=0.226),
+    ),
+}  # fmt: skip

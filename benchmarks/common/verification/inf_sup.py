@@ -1,0 +1,166 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The inf-sup constants of pairs of elements on refined cubes.
+
+The constant of a pair on the unit cube, with u = 0 on the whole boundary, is β > 0 in
+
+    min over q of  max over v of  ∫ q div v / (‖∇v‖ ‖q‖) = β,
+
+over the q without a mean. β² is the least eigenvalue of B A⁻¹ Bᵀ q = β² M q with the stiffness A
+of v, the mass M of q and the coupling B. A pair whose β falls with the cells locks or
+oscillates. Pressures that no displacement feels are counted as *spurious*. One process computes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+import scipy.sparse
+import scipy.sparse.linalg
+
+import basix.ufl
+import dolfinx
+import dolfinx.fem.petsc
+import ufl
+
+from benchmarks.common import command
+from benchmarks.common.pages import Fields, groups
+from benchmarks.common.records import Record
+from benchmarks.common.study import Keep
+from dolfinx_feti.fem.elements import quadratic_with_bubbles
+from dolfinx_feti.runtime.collective import on_first
+from meshes.arguments import count
+
+__all__ = ["PAIRS", "cases", "constant", "fields", "known", "line", "options", "run"]
+
+
+Array = npt.NDArray[np.float64]
+
+#: β² below which a pressure is one that no displacement feels.
+NOTHING = 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Elements of each component of v and of q on a cell."""
+
+    name: str
+    cell: str
+    displacement: str | int  # degree, or bubbles
+    pressure: tuple[str, int]
+
+    @property
+    def element(self) -> basix.ufl._ElementBase:
+        """That of each component of v."""
+        if isinstance(self.displacement, int):
+            return basix.ufl.element("Lagrange", self.cell, self.displacement)
+        return quadratic_with_bubbles(self.cell, faces=self.displacement == "cells and faces")
+
+
+PAIRS = {
+    "p1-p0": Pair("P1–P0", "tetrahedron", 1, ("DG", 0)),
+    "p2-p0": Pair("P2–P0", "tetrahedron", 2, ("DG", 0)),
+    "p2-p1d": Pair("P2–P1disc", "tetrahedron", 2, ("DG", 1)),
+    "p2c-p1d": Pair("P2 with bubbles of cells–P1disc", "tetrahedron", "cells", ("DG", 1)),
+    "p2b-p1d": Pair(
+        "P2 with bubbles of cells and faces–P1disc", "tetrahedron", "cells and faces", ("DG", 1)
+    ),
+    "q1-p0": Pair("Q1–P0", "hexahedron", 1, ("DG", 0)),
+    "q2-p1d": Pair("Q2–P1disc", "hexahedron", 2, ("DPC", 1)),
+    "p2-p1": Pair("P2–P1, Taylor–Hood", "tetrahedron", 2, ("Lagrange", 1)),
+}
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this part."""
+    add = parser.add_argument
+    add("--pair", type=command.some_of(list(PAIRS)), default=list(PAIRS), help=",".join(PAIRS))
+    add("--cells", type=command.several(count), default=[2, 3, 4], help="along an edge; 2,3,4")
+
+
+def cases(
+    args: argparse.Namespace, _parser: argparse.ArgumentParser, _comm: MPI.Comm
+) -> Iterator[Record]:
+    """Yield the pairs on all meshes."""
+    for pair, cells in itertools.product(args.pair, args.cells):
+        yield {"pair": pair, "cells": cells}
+
+
+def run(case: Record, keep: Keep, _args: argparse.Namespace, comm: MPI.Comm) -> None:
+    """Compute a constant on the first process."""
+    found = on_first(lambda: constant(PAIRS[str(case["pair"])], int(case["cells"])), comm)
+    keep({}, found)
+
+
+def known(record: Record) -> bool:
+    """Tell whether a record is one of this part."""
+    return record.get("pair") in PAIRS
+
+
+def line(record: Record) -> str:
+    """Format a record."""
+    return (
+        f"{record['pair']:<8} {record['cells']} cells: β = {record['beta']:.4f}, "
+        f"{record['spurious']} spurious of {record['pressures']} pressures"
+    )
+
+
+def fields(records: Sequence[Record]) -> Fields:
+    """Return a row for each pair, in their order."""
+    rows = []
+    for (pair,), mine in groups(records, "pair"):
+        at = {int(r["cells"]): r for r in mine}
+        rows.append(
+            {"pair": pair, "name": PAIRS[pair].name, "most": max(r["spurious"] for r in mine)}
+            | {"at": {cells: f"{r['beta']:.3f}" for cells, r in at.items()}}
+        )
+    return {"pairs": sorted(rows, key=lambda row: list(PAIRS).index(str(row["pair"])))}
+
+
+def constant(pair: Pair, cells: int) -> Record:
+    """Compute β on a cube with so many bricks along an edge, each six tetrahedra or one hexahedron.
+
+    The β of a pair with spurious pressures is that of the others.
+    """
+    kind = getattr(dolfinx.mesh.CellType, pair.cell)
+    mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, cells, cells, cells, cell_type=kind)
+    V = dolfinx.fem.functionspace(mesh, basix.ufl.blocked_element(pair.element, shape=(3,)))
+    Q = dolfinx.fem.functionspace(mesh, pair.pressure)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    p, q = ufl.TrialFunction(Q), ufl.TestFunction(Q)
+    forms = ufl.inner(ufl.grad(u), ufl.grad(v)), q * ufl.div(u), p * q
+    A, B, M = (_assembled(form * ufl.dx) for form in forms)
+    mesh.topology.create_connectivity(2, 3)
+    boundary = dolfinx.mesh.exterior_facet_indices(mesh.topology)
+    fixed = dolfinx.fem.locate_dofs_topological(V, 2, boundary)
+    free = np.setdiff1d(np.arange(A.shape[0]), (3 * fixed[:, None] + np.arange(3)).ravel())
+    factor = scipy.sparse.linalg.splu(A[free][:, free].tocsc())
+    coupling = B[:, free].toarray()
+    S = coupling @ factor.solve(coupling.T)  # B A⁻¹ Bᵀ
+    λ = scipy.linalg.eigh((S + S.T) / 2, M.toarray(), eigvals_only=True)
+    felt = λ[λ > NOTHING]
+    return {
+        "beta": float(np.sqrt(felt[0])),
+        "spurious": len(λ) - len(felt) - 1,  # the constant is none
+        "displacements": len(free),
+        "pressures": len(λ),
+    }
+
+
+def _assembled(form: ufl.Form) -> scipy.sparse.csr_array:
+    """Assemble a bilinear form."""
+    M = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(form))
+    M.assemble()
+    indptr, indices, values = M.getValuesCSR()
+    K = scipy.sparse.csr_array((values, indices, indptr), shape=M.getSize())
+    M.destroy()
+    return K

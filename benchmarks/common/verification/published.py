@@ -1,0 +1,169 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Published numbers, computed again on refined meshes.
+
+    python3 -m benchmarks.verification --part published --case land-1,land-2 --mesh 1,2
+
+The load is followed to its end by FETI. From the state at :data:`BEFORE` of the load MUMPS goes to
+the end, too, by Newton's method in dolfinx alone: displacement and pressure in one matrix, and
+nothing of this package but the energy. Bodies of revolution are computed in their meridian plane,
+too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator, Sequence
+
+from mpi4py import MPI
+
+import numpy as np
+
+import basix.ufl
+import dolfinx
+import ufl
+
+from benchmarks.common import command
+from benchmarks.common.pages import Fields, groups
+from benchmarks.common.records import Record
+from benchmarks.common.study import Keep
+from benchmarks.common.verification.body import Body
+from benchmarks.common.verification.cases import CASES
+from benchmarks.common.walls.mixed import create_newton
+from dolfinx_feti.loading import LoadStep, follow_load
+from meshes.arguments import count
+
+__all__ = ["cases", "fields", "known", "line", "options", "run"]
+
+
+BEFORE = 0.995  # share of the load from which MUMPS goes on
+
+LIMIT = 0  # "mesh" of the record of a body of revolution in its meridian plane
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this part."""
+    add = parser.add_argument
+    add("--case", type=command.some_of(list(CASES)), default=list(CASES), help=",".join(CASES))
+    add("--mesh", type=command.several(count), default=[1, 2, 3], help="refinements; 1,2,3")
+
+
+def cases(
+    args: argparse.Namespace, _parser: argparse.ArgumentParser, comm: MPI.Comm
+) -> Iterator[Record]:
+    """Yield the cases on all meshes, and in their meridian plane."""
+    for case in args.case:
+        for mesh in (LIMIT, *args.mesh):
+            if mesh != LIMIT or CASES[case].limit is not None:
+                yield {"case": case, "mesh": mesh, "processes": comm.size}
+
+
+def run(case: Record, keep: Keep, _args: argparse.Namespace, comm: MPI.Comm) -> None:
+    """Load a body by both solvers, or in its meridian plane."""
+    keep({}, _compute(str(case["case"]), int(case["mesh"]), comm))
+
+
+def known(record: Record) -> bool:
+    """Tell whether a record is one of this part."""
+    return record.get("case") in CASES
+
+
+def line(record: Record) -> str:
+    """Format a record."""
+    values = ", ".join(f"{name} {value:.6g}" for name, value in record["values"].items())
+    return f"{record['case']} mesh {record['mesh']}: {values}"
+
+
+def _compute(case: str, mesh: int, comm: MPI.Comm) -> Record:
+    """Load a body by both solvers, or in its meridian plane."""
+    begun = time.perf_counter()
+    limit = CASES[case].limit
+    if mesh == LIMIT and limit is not None:
+        return {"values": limit()}
+    body = CASES[case].create(comm, mesh)
+    last: list[list[np.ndarray]] = []
+
+    def keep(step: LoadStep) -> None:
+        if step.load == BEFORE:
+            last.append([f.x.array.copy() for f in (body.u, body.p)])
+
+    accepted = follow_load(
+        body.problem, body.set_load, [BEFORE, 1.0], CASES[case].steps,
+        state=[body.u, body.p], on_step=keep,
+    )  # fmt: skip
+    newton = [step for load_step in accepted for step in load_step.all_steps]
+    seconds = time.perf_counter() - begun
+    values = body.measure()
+    body.u.x.array[:], body.p.x.array[:] = last[0]
+    _solve_by_mumps(body)
+    dofmap = body.u.function_space.dofmap
+    return {
+        "values": values,
+        "mumps": body.measure(),
+        "dofs": dofmap.index_map.size_global * dofmap.index_map_bs,
+        "subdomains": comm.allreduce(body.problem.decomposition.count),
+        "load_steps": len(accepted),
+        "newton": len(newton),
+        "iterations": sum(step.linear_iterations for step in newton),
+        "method": newton[-1].linear_method,
+        "seconds": seconds,
+    }
+
+
+def fields(records: Sequence[Record]) -> Fields:
+    """Return the cases in their order, with their meshes, and what is judged."""
+    sections, summary = [], []
+    by_case = {name: mine for (name,), mine in groups(records, "case")}
+    for name, case in CASES.items():
+        mine = by_case.get(name, [])
+        if not mine:
+            continue
+        limits = [record["values"] for record in mine if record["mesh"] == LIMIT]
+        meshes = sorted((r for r in mine if r["mesh"] > LIMIT), key=lambda r: int(r["mesh"]))
+        rows = []
+        for record in meshes:
+            cost = dict(record)  # on the first line of a mesh alone
+            for key, quantity in case.quantities.items():
+                value, mumps = (record[by][key] for by in ("values", "mumps"))
+                row = {"mesh": record["mesh"], "quantity": quantity.name, "value": value}
+                rows.append(cost | row | {"mumps": mumps, "apart": abs(mumps / value - 1)})
+                cost = {}
+        sections.append({"name": case.name, "source": case.source, "rows": rows})
+        for key, quantity in case.quantities.items():
+            judged = next((r for r in meshes if r["mesh"] == case.judged), meshes[-1])
+            value = judged["values"][key]
+            spread = {field: getattr(quantity, field) for field in ("published", "low", "high")}
+            ours = {"value": value, "holds": quantity.low <= value <= quantity.high}
+            words = {"name": case.name, "source": case.source, "quantity": quantity.name}
+            summary.append(words | spread | ours | {"limit": limits[0][key] if limits else None})
+    return {"cases": sections, "quantities": summary}
+
+
+def _solve_by_mumps(body: Body) -> None:
+    """Solve from the body's state, which is replaced. Collective.
+
+    Raises:
+        RuntimeError: Newton's method does not converge.
+    """
+    V, Q = body.u.function_space, body.p.function_space
+    elements = [space.ufl_element() for space in (V, Q)]
+    W = dolfinx.fem.functionspace(V.mesh, basix.ufl.mixed_element(elements))
+    w = dolfinx.fem.Function(W)
+    w.sub(0).interpolate(body.u)
+    w.sub(1).interpolate(body.p)
+    parts, tests = ufl.split(w), ufl.TestFunctions(W)
+    F = sum(
+        ufl.replace(form, {body.u: parts[0], body.p: parts[1], form.arguments()[0]: test})
+        for form, test in zip(body.residuals, tests, strict=True)
+    )
+    bcs = []
+    for component, facets in body.held:
+        part = W.sub(0) if component is None else W.sub(0).sub(component)
+        space, _ = part.collapse()
+        dofs = dolfinx.fem.locate_dofs_topological((part, space), 2, facets)
+        bcs.append(dolfinx.fem.dirichletbc(dolfinx.fem.Function(space), dofs, part))
+    create_newton(F, w, bcs)()
+    body.u.interpolate(w.sub(0).collapse())
+    body.p.interpolate(w.sub(1).collapse())

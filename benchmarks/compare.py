@@ -1,0 +1,227 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""FETI beside other solvers on the same matrices.
+
+The first Newton step of a body at rest; with --loaded P that of a body in equilibrium at P mmHg,
+under a hundredth more; or with --path P all Newton steps up to P mmHg:
+
+    python3 -m benchmarks.compare --kappa 10,1000 --dofs 60000,184000 --json build/speed.json
+    python3 -m benchmarks.compare --geometry vessel --dofs 71000 --path 10 --json build/speed.json
+    python3 -m benchmarks.compare --geometry cube --degree 1 --solvers feti --per 500,1000,2000
+
+Bodies: the two-layer `tube` at 1 mmHg and `vessel` at 0.01 mmHg, and the neo-Hookean `block`,
+clamped on five faces, under a dead load of 1 mmHg on the sixth one, and `pillar`, clamped on one,
+under a pressure of 1 mmHg; P_k–P0. Compressible and linear: `cube`, and `square` in two dimensions;
+Poisson's equation on a cube, `heat`.
+
+`--solvers` takes those of `benchmarks/common/compare/opponents.py`, which has their settings.
+Matrices are there before a solver begins. `peak_mib` is the most memory that a solver took above
+that, from its creation to its solution, summed over the processes. In each of the --rounds all
+solvers have their turn; the record has the round with the median time, and `seconds_rounds` those
+of all. On a path Newton's method goes on with FETI's solutions, and direct solvers solve the same
+systems. --per varies the dofs of a subdomain: `seconds_cpu` of FETI is processor time of the
+slowest process, the least of all rounds.
+
+All κ have the same subdomains. A case that is in the file with all its solvers is not run again. A
+solver that fails, say for want of memory, is recorded with the reason. Processes and threads
+(OMP_NUM_THREADS) are those that it is started with: run it on two processes and on one with two
+threads, and the page takes the better one of each solver. Options with a single dash are PETSc's,
+with the prefixes `tube_`, `vessel_`, `block_`, `body_` (FETI), `mumps_`, `gamg_`, …
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Iterator, Sequence
+from functools import partial
+from itertools import product
+from pathlib import Path
+
+from mpi4py import MPI
+
+import dolfinx_feti
+from benchmarks.common import bodies, command
+from benchmarks.common.bodies import LoadedBody
+from benchmarks.common.clock import Events
+from benchmarks.common.compare import path
+from benchmarks.common.compare.opponents import OPPONENTS
+from benchmarks.common.compare.tables import GEOMETRIES, fields, seconds
+from benchmarks.common.machine import limited_memory, threads
+from benchmarks.common.records import Record, Records
+from benchmarks.common.study import Keep, Study
+from benchmarks.common.walls import clamped
+from dolfinx_feti import loads
+from dolfinx_feti.loading import Checkpoint
+from dolfinx_feti.output import writable_folder
+from meshes.arguments import count, positive
+
+USUAL = ("feti", "mumps", "gamg")
+
+#: Share of its load by which that of a loaded body grows.
+MORE = 0.01
+
+#: Load of the first Newton step [mmHg].
+FIRST_LOAD = {"tube": 1.0, "vessel": clamped.FIRST_PRESSURE, "block": 1.0, "pillar": 1.0}
+
+
+def _options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--geometry", choices=GEOMETRIES, default="tube")
+    add("--degree", type=command.one_of((1, 2)), default=2, help="of the displacement; 2")
+    add("--kappa", type=command.several(positive), default=[1000.0], help="[kPa], 1000")
+    add("--dofs", type=command.several(count), default=[180_000], help="approximate number; 180000")
+    add("--subdomains", type=count, help="over all processes; about one for 2000 dofs")
+    add("--per", type=command.several(count), default=[None], help="dofs of a subdomain")
+    names = tuple(OPPONENTS)
+    add("--solvers", type=command.some_of(names), help=f"{command.names(names)}; the first three")
+    add("--rounds", type=count, default=1, help="in which the solvers alternate; 1")
+    add("--path", type=positive, metavar="P", help="load steps to P mmHg in place of a first step")
+    add("--loaded", type=positive, metavar="P", help="a step in the equilibrium at P mmHg")
+    add("--folder", type=Path, default=Path("build/walls"), help="for meshes and loaded states")
+    command.add_memory(parser)
+
+
+def _solvers(args: argparse.Namespace) -> list[str]:
+    """Return the solvers that a command line asks for."""
+    if args.per != [None]:
+        return ["feti"]
+    possible = tuple(OPPONENTS) if args.path is None else path.SOLVERS
+    return args.solvers or [name for name in USUAL if name in possible]
+
+
+def _cases(
+    args: argparse.Namespace, parser: argparse.ArgumentParser, comm: MPI.Comm
+) -> Iterator[Record]:
+    """Yield the cases, small ones first."""
+    solvers = _solvers(args)
+    if args.path is not None and args.loaded is not None:
+        parser.error("--path and --loaded exclude each other")
+    if (args.path or args.loaded) and args.geometry not in ("tube", "vessel", "block"):
+        parser.error(f"--geometry {args.geometry} goes without --path and --loaded")
+    if args.path is not None and not set(solvers) <= set(path.SOLVERS):
+        parser.error(f"--path takes no other solvers than {command.names(path.SOLVERS)}")
+    if args.path is not None and "feti" not in solvers:
+        parser.error("--path needs feti among the --solvers: Newton's method goes on with it")
+    linear = args.geometry in ("cube", "square", "heat")
+    for dofs, kappa, per in product(args.dofs, [None] if linear else args.kappa, args.per):
+        number = args.subdomains if per is None else max(comm.size, round(dofs / per))
+        yield {
+            "geometry": args.geometry,
+            "degree": args.degree,
+            "kappa": kappa,
+            "wanted_dofs": dofs,
+            "wanted_subdomains": number,
+            "processes": comm.size,
+            "threads": threads(),
+            "path_mmhg": args.path,
+            "loaded_mmhg": args.loaded,
+        } | ({} if per is None else {"per": per})
+
+
+def _done(case: Record, records: Records, args: argparse.Namespace) -> bool:
+    """Tell whether all solvers have a record."""
+    return all(records.find(case | {"solver": name}) is not None for name in _solvers(args))
+
+
+def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> None:
+    """Run a case on its body at rest, in so much memory. Collective."""
+    solvers, body = _solvers(args), _create_body(case, args.folder, comm)
+    dofmap = body.u.function_space.dofmap
+    size: Record = {
+        "dofs": dofmap.index_map.size_global * dofmap.index_map_bs,
+        "subdomains": comm.allreduce(body.problem.decomposition.count),
+    }
+    if args.loaded is not None:
+        names = ("geometry", "degree", "kappa", "wanted_dofs")
+        place = args.folder / "_".join([*(str(case[n]) for n in names), f"{args.loaded:g}"])
+        path.load(body, args.loaded, Checkpoint(place, comm, restart=place.exists()))
+    with limited_memory(comm, args.memory) as room:
+        if args.path is not None:
+            direct = [name for name in solvers if name != "feti"]
+            found = path.follow(body, args.path, direct=direct)
+        else:
+            if body.load is not None:
+                mmhg = FIRST_LOAD[args.geometry] if args.loaded is None else args.loaded
+                body.load.value = loads.mmhg(mmhg * (1.0 if args.loaded is None else 1.0 + MORE))
+            found = _median([_step(body, solvers) for _ in range(args.rounds)])
+    size["free_mib"] = room if math.isfinite(room) else None
+    for record in found:
+        keep({"solver": record["solver"]}, size | record)
+
+
+def _step(body: LoadedBody, solvers: Sequence[str]) -> list[Record]:
+    """Solve the next Newton step with each solver."""
+    comm = body.u.function_space.mesh.comm
+    ordered = {name: options for name, options in OPPONENTS.items() if name in solvers}
+    if "pardiso" in ordered:
+        ordered["pardiso"] = {**ordered["pardiso"], "definite": True}
+    phases, begun = Events(path.PHASES, comm), time.process_time()
+    found = dolfinx_feti.compare(body.problem, ordered, definite=True).records
+    cpu, spent = comm.allreduce(time.process_time() - begun, op=MPI.MAX), phases.seconds()
+    for record in found:
+        if record["solver"] == "feti":
+            record["seconds_phases"] = spent
+            record |= {"seconds_cpu": cpu} if len(found) == 1 else {}
+        difference = record.pop("difference_to_direct", None)
+        record |= {"difference_to_mumps": difference, "newton_iterations": 1}
+    return found
+
+
+def _median(rounds: Sequence[list[Record]]) -> list[Record]:
+    """Return the record of each solver's median round, with the seconds of all rounds."""
+    found = []
+    for several in zip(*rounds, strict=True):
+        ordered = sorted(several, key=seconds)
+        each = [[r.get("seconds_setup"), r.get("seconds_solve")] for r in several]
+        record = ordered[(len(ordered) - 1) // 2] | {"seconds_rounds": each}
+        if "seconds_cpu" in record:
+            record["seconds_cpu"] = min(r["seconds_cpu"] for r in several)
+        found.append(record)
+    return found
+
+
+def _create_body(case: Record, folder: Path, comm: MPI.Comm) -> LoadedBody:
+    """Build a body at rest; FETI shows its parts (``ksp_view``) where it solves once only."""
+    once = case["path_mmhg"] is None and case["loaded_mmhg"] is None and "per" not in case
+    shared = {
+        "degree": case["degree"],
+        "dofs": case["wanted_dofs"],
+        "subdomains": case["wanted_subdomains"],
+        "options": {"ksp_view": None} if once else {},
+    }
+    if case["geometry"] in ("cube", "square", "heat"):
+        shared["options"]["ksp_rtol"] = 1e-8
+        create = {"heat": bodies.create_heated_cube, "cube": bodies.create_cube}
+        flat = partial(bodies.create_cube, dim=2)
+        return create.get(str(case["geometry"]), flat)(comm, **shared)
+    shared["kappa"] = case["kappa"]
+    if case["geometry"] == "block":
+        return bodies.create_clamped_block(comm, **shared)
+    if case["geometry"] == "pillar":
+        return bodies.create_pillar(comm, **shared)
+    if case["geometry"] == "vessel":
+        wall = clamped.create_clamped_vessel(comm, **shared, folder=writable_folder(folder, comm))
+    else:
+        wall = clamped.create_clamped_tube(comm, **shared)
+    return LoadedBody(wall.problem, wall.u, wall.p, wall.pressure)
+
+
+STUDY = Study(
+    file=__file__,
+    about=__doc__,
+    page="speed",
+    known=lambda r: {"solver", "geometry", "threads", "path_mmhg", "degree"} <= r.keys(),
+    options=_options,
+    cases=_cases,
+    run=_run,
+    done=_done,
+    line=json.dumps,
+    fields=fields,
+)
+
+if __name__ == "__main__":
+    STUDY.main()

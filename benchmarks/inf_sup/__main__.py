@@ -1,8 +1,0 @@
-# Copyright (C) 2026 the dolfinx_feti authors
-#
-# SPDX-License-Identifier: LGPL-3.0-or-later
-"""``python3 -m benchmarks.inf_sup``."""
-
-from benchmarks.inf_sup.run import main
-
-main()

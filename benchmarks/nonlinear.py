@@ -1,0 +1,290 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The paper's nonlinear study: iterations and seconds per Newton step of a first load step.
+
+    mpirun -n 2 python3 -m benchmarks.nonlinear --geometry vessel --json build/nonlinear.json
+
+Both variants, three preconditioners and κ = 10, 100, 1000 kPa, with the paper's choices and with
+the package's own (section *Arterial model on a realistic mesh geometry*, tables
+Augustin_tab:aorta_linear, carotis_linear, aorta_quadratic, carotis_quadratic). A wall of one layer
+stands for the paper's aorta, one of two layers, at the highest κ, for its carotid artery. Last come
+decompositions in which one subdomain touches the clamped rim in three points, and not at all, at
+the lowest and the highest κ.
+
+The paper's choices include its tangent, without that of the pressure: CG solves all systems, and
+the first four Newton steps are taken. Its load is 1 mmHg, under which a thin wall at rest, which
+has no tension yet, would buckle: the vessel takes `--pressure 0.2`.
+
+A case whose Krylov method took more than --most-iterations is run again if more are allowed. One
+that fails is recorded with the reason.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from itertools import product
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from benchmarks.common import command, paper
+from benchmarks.common.clock import Stopwatch
+from benchmarks.common.pages import FORMS, Fields, groups, section
+from benchmarks.common.records import Record
+from benchmarks.common.study import Keep, Study
+from benchmarks.common.walls import first_step
+from benchmarks.common.walls.first_step import ARTERIES, CHOICES, LAYERS, PRECONDITIONERS, TYPES
+from benchmarks.common.walls.problem import WallProblem
+from benchmarks.common.walls.rims import CONTACTS, partition
+from benchmarks.common.walls.volume import summarise, volume_ratios
+from dolfinx_feti import ConvergenceError
+from dolfinx_feti.output import writable_folder
+from dolfinx_feti.wall.fibres import fibre_frame
+from meshes.arguments import count, positive
+from meshes.walls import open_wall
+
+__all__ = ["STUDY", "is_solved"]
+
+
+KAPPA = (10.0, 100.0, 1000.0)
+
+#: Most Newton steps: with the paper's tangent as many as it took at least.
+NEWTON_STEPS = {"paper": 4, "default": 20}
+
+#: How one subdomain meets the rim, see ``rims``.
+RIM = {"whole": "", "few": ", few points on the rim", "none": ", off the rim"}
+
+
+#: What a mesh and its decomposition are told by.
+WALL = ("geometry", "size", "degree", "layers", "subdomains", "processes", "pressure")
+
+
+def _options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+
+    def add_list(name: str, values: Sequence[object], about: str) -> None:
+        text = ",".join(map(str, values))
+        kind = command.some_of(values)
+        add(name, type=kind, default=list(values), help=f"{about}{text}")
+
+    command.add_mesh(parser)
+    add("--degree", type=command.one_of((1, 2)), default=1, help="of the displacements, 1")
+    add("--kappa", type=command.several(positive), default=list(KAPPA), help="[kPa], 10,100,1000")
+    add("--pressure", type=positive, default=1.0, help="the load [mmHg], 1")
+    add("--subdomains", type=count, default=32, help="over all processes, 32")
+    add_list("--layers", tuple(LAYERS), "of the wall, the paper's aorta and carotid artery: ")
+    add_list("--type", tuple(TYPES), "")
+    add_list("--pc", PRECONDITIONERS, "preconditioners, ")
+    add_list("--choices", tuple(CHOICES), "the paper's and the package's own, ")
+    add_list("--contact", CONTACTS, "of one subdomain with the rim: as it comes, points, none; ")
+    add("--most-iterations", type=count, default=10_000, help="of a linear solve, 10000")
+
+
+def _cases(
+    args: argparse.Namespace, _parser: argparse.ArgumentParser, comm: MPI.Comm
+) -> Iterator[Record]:
+    """Yield the cases that a command line asks for, the strong preconditioners first."""
+    usual: Record = {
+        "geometry": args.geometry,
+        "size": args.size,
+        "layers": 1,
+        "degree": args.degree,
+        "subdomains": args.subdomains,  # before a rim is cut off
+        "contact": "whole",
+        "kappa": max(args.kappa),
+        "pressure": args.pressure,
+        "type": "all_floating",
+        "pc": "dirichlet",
+        "choices": "paper",
+        "processes": comm.size,
+    }
+    for layers in args.layers if "whole" in args.contact else ():
+        for kappa in args.kappa if layers == 1 else [max(args.kappa)]:
+            for pc in sorted(args.pc, key=PRECONDITIONERS.index, reverse=True):
+                yield from _variants(usual | {"layers": layers, "kappa": kappa, "pc": pc}, args)
+    if 1 in args.layers and "dirichlet" in args.pc:
+        for contact in (contact for contact in CONTACTS[1:] if contact in args.contact):
+            for kappa in dict.fromkeys((min(args.kappa), max(args.kappa))):
+                yield from _variants(usual | {"contact": contact, "kappa": kappa}, args)
+
+
+def _variants(case: Record, args: argparse.Namespace) -> Iterator[Record]:
+    """Both variants with both choices."""
+    for choices, kind in product(args.choices, args.type):
+        yield case | {"choices": choices, "type": kind}
+
+
+def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> None:
+    """Load a wall, torn into parts, and record what it took. Collective.
+
+    The record is of the whole load step, or of the Newton steps before a linear solve that took
+    more than --most-iterations (``iterations_exceed``) or failed (``failure``).
+    """
+    folder = writable_folder(args.folder, comm)
+    wall, _ = open_wall(args.geometry, comm, size=args.size, folder=folder)
+    part = partition(wall, args.subdomains, str(case["contact"]))
+    most = args.most_iterations
+    own = {"feti_type": case["type"], "feti_pc_type": case["pc"], "ksp_max_it": most}
+    own["snes_max_it"] = NEWTON_STEPS[str(case["choices"])]
+    body = first_step.create(wall, fibre_frame(wall), case, part, own)
+    ksp = body.problem.solver.getKSP()
+    clock = "processor" if wall.mesh.comm.size == 1 else "wall"
+    watch = Stopwatch(wall.mesh.comm, clock=clock)
+    watch.hook(ksp)
+    found: Record = {}
+    try:
+        first_step.load(body, case["pressure"], in_part=case["choices"] == "paper")
+    except ConvergenceError as error:
+        if ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
+            found["iterations_exceed"] = most
+        else:
+            found["failure"] = str(error)
+    cells = wall.mesh.topology.index_map(3).size_global
+    found |= first_step.sizes(body) | {"cells": cells, "clock": clock}
+    found |= dict(_cost(body, watch))
+    if is_solved(found):
+        found |= summarise(volume_ratios(body.u), comm)
+    keep({}, found)
+
+
+def is_solved(record: Record) -> bool:
+    """Tell whether the wall arrived."""
+    return "failure" not in record and "iterations_exceed" not in record
+
+
+def _cost(body: WallProblem, watch: Stopwatch) -> Iterator[tuple[str, object]]:
+    """Yield iterations and seconds of the Newton steps that were completed."""
+    steps = body.problem.history
+    yield "newton_iterations", len(steps)
+    yield "linear_iterations_per_newton", [s.linear_iterations for s in steps]
+    yield "linear_methods", [s.linear_method for s in steps]
+    yield "linear_residuals", [s.linear_residual for s in steps]
+    yield "step_lengths", [s.step_length for s in steps]
+    if steps:
+        yield "linear_iterations_mean", float(np.mean([s.linear_iterations for s in steps]))
+        yield "seconds_assembly_per_newton", float(np.mean([s.seconds_assembly for s in steps]))
+    each = watch.each()
+    setup, krylov = map(float, each.sum(axis=0) / max(len(each), 1))
+    yield "seconds_setup_per_newton", setup
+    yield "seconds_krylov_per_newton", krylov
+
+
+def _line(record: Record) -> str:
+    """Format a record as a line."""
+    its = record["linear_iterations_per_newton"]
+    if "failure" in record:
+        end = f"failed after {len(its)} Newton steps: {record['failure']}"
+    elif "iterations_exceed" in record:
+        end = f"more than {record['iterations_exceed']} iterations in a linear solve"
+    else:
+        setup, krylov = (record[f"seconds_{part}_per_newton"] for part in ("setup", "krylov"))
+        end = (
+            f"{len(its)} Newton steps of {', '.join(map(str, its))} iterations, "
+            f"{setup:.2f} + {krylov:.2f} s each"
+        )
+    return (
+        f"{record['geometry']}, {record['layers']} layer(s), P{record['degree']}–P0, κ = "
+        f"{record['kappa']:g}, {record['type']}, {record['pc']}, {record['choices']}"
+        f"{RIM[str(record['contact'])]}: {end}"
+    )
+
+
+def _fields(records: Sequence[Record]) -> Fields:
+    usual = [record for record in records if record["contact"] == "whole"]
+    return {
+        "walls": [_newton_step(mine) for _, mine in groups(usual, *WALL)],
+        "volumes": section(_volumes(usual)),
+        "contacts": section(_contacts(records)),
+        "failures": section(_named(r) for r in records if not is_solved(r)),
+    }
+
+
+def _named(record: Record) -> Record:
+    """Return a record with the names of its parameters."""
+    return record | {
+        "kind": TYPES[str(record["type"])],
+        "wall": LAYERS[int(record["layers"])],
+        "chosen": CHOICES[str(record["choices"])],
+        "why": record.get("failure", f"more than {record.get('iterations_exceed')} iterations"),
+    }
+
+
+def _newton_step(records: Sequence[Record]) -> dict[str, object]:
+    """Return a Newton step on one wall, in the paper and here, with both choices."""
+    first = records[0]
+    layers, degree = int(first["layers"]), int(first["degree"])
+    by_case = {(r["type"], r["kappa"], r["pc"], r["choices"]): r for r in records}
+    rows = []
+    for kind, kappa, pc in product(TYPES, sorted({r["kappa"] for r in records}), PRECONDITIONERS):
+        ours = {name: by_case.get((kind, kappa, pc, name)) for name in CHOICES}
+        if any(ours.values()):
+            row = {"kind": TYPES[kind], "kappa": kappa, "pc": pc}
+            theirs = _papers(layers, degree, kind, kappa, pc)
+            rows.append(row | theirs | {name: _cells(r) for name, r in ours.items()})
+    known = [r for r in records if "multipliers" in r]
+    most = {name: max((r[name] for r in known), default=0) for name in ("dofs", "cells")}
+    edges = "" if first["size"] is None else f", edges of {first['size']:g} mm"
+    names = {"artery": ARTERIES[layers], "wall": LAYERS[layers], "edges": edges}
+    names |= dict(zip(("their_cells", "their_vertices"), paper.MESHES[layers], strict=True))
+    names |= {"their_subdomains": paper.SUBDOMAINS[layers, degree]}
+    return {name: first[name] for name in WALL} | most | names | {"rows": rows}
+
+
+def _papers(layers: int, degree: int, kind: str, kappa: float, pc: str) -> dict[str, object]:
+    solve = paper.NONLINEAR.get((layers, degree, kind, kappa, pc))
+    if solve is None:
+        return {}
+    its = FORMS["count"](solve.iterations) if solve.iterations else "> 10 000"
+    return {"their_its": its, "their_seconds": solve.seconds}
+
+
+def _cells(record: Record | None) -> dict[str, object]:
+    """Return mean iterations, those of each step, and seconds; or what was missing."""
+    if record is None:
+        return {}
+    if "iterations_exceed" in record:
+        return {"its": f"> {FORMS['count'](record['iterations_exceed'])}"}
+    if "failure" in record:
+        return {"its": "failed"}
+    steps = " ".join(map(str, record["linear_iterations_per_newton"]))
+    return record | {"its": FORMS["count"](record["linear_iterations_mean"]), "steps": steps}
+
+
+def _volumes(usual: Sequence[Record]) -> list[Record]:
+    """Return J by wall, which does not depend on how a system is solved."""
+    solved = [r for r in usual if is_solved(r) and r["choices"] == "default"]
+    rows = [_named(mine[0]) for _, mine in groups(solved, *WALL, "kappa")]
+    names = ("geometry", "layers", "kappa", "degree", "cells")
+    return sorted(rows, key=lambda r: tuple(r[name] for name in names))
+
+
+def _contacts(records: Sequence[Record]) -> Iterator[Record]:
+    """Yield the cases of a subdomain that touches the clamped rim in a few points, or not."""
+    touched = [r for r in records if r["contact"] != "whole"]
+    names = ("geometry", "degree", "kappa", "pc", "choices", "type")
+    for _, mine in sorted(groups(touched, *names), key=lambda item: item[0]):
+        yield _named(mine[0]) | {str(r["contact"]): _cells(r) for r in mine}
+
+
+STUDY = Study(
+    file=__file__,
+    about=__doc__,
+    page="nonlinear",
+    known=lambda record: "contact" in record and "linear_iterations_per_newton" in record,
+    options=_options,
+    cases=_cases,
+    run=_run,
+    done=lambda case, records, args: all(
+        r.get("iterations_exceed", args.most_iterations) >= args.most_iterations
+        for r in records.all(case) or [{"iterations_exceed": 0}]
+    ),
+    line=_line,
+    fields=_fields,
+)
+
+if __name__ == "__main__":
+    STUDY.main()

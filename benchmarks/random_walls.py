@@ -1,0 +1,292 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Random walls, from rest to 120 mmHg with the defaults.
+
+    python3 -m benchmarks.random_walls --seeds 20 --json build/random_walls.json
+
+A seed decides everything: a bent tube or a bifurcation, with a sac or not, one to three layers of
+their own stiffness and fibres, a plaque up to a thousand times stiffer or none, and openings that
+are clamped or on springs. A wall that does not arrive leaves a record with the message that the
+user would read.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+import ufl
+
+from benchmarks.common.pages import Fields, section
+from benchmarks.common.records import Record
+from benchmarks.common.study import Study
+from dolfinx_feti import ConvergenceError, NonlinearProblem, kinematics, loads, materials
+from dolfinx_feti.loading import LoadStep, Steps, follow_load
+from dolfinx_feti.runtime.collective import on_first
+from dolfinx_feti.wall import (
+    Clamp,
+    Pressure,
+    Spring,
+    Wall,
+    apply_conditions,
+    by_layer,
+    openings,
+    read_wall,
+)
+from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
+from meshes.arguments import count
+from meshes.vessel import create_vessel
+
+__all__ = ["STUDY", "Chance", "draw", "inflate"]
+
+
+MMHG, KAPPA, MOST = 120.0, 1000.0, 80  # load, bulk modulus [kPa], Newton steps
+
+LAYERS = ("intima", "media", "adventitia")
+
+STEPS = Steps(first=10.0, least=0.1)
+
+
+ALONG, ACROSS = 16, 10  # quadrilaterals along a branch, and in half of its circumference
+
+
+@dataclass(frozen=True, slots=True)
+class Chance:
+    """What a seed decides."""
+
+    branches: int
+    sac: bool
+    thickness: float  # mm
+    layers: tuple[str, ...]
+    c: tuple[float, ...]  # of each layer [kPa]
+    k1: tuple[float, ...]  # of each layer [kPa]
+    angles: tuple[float, ...]  # of the fibres of each layer [degrees]
+    plaque: float  # how many times as stiff; 1 for none
+    springs: tuple[float, ...]  # of each opening [kPa/mm]; 0 where it is clamped
+
+
+def draw(seed: int) -> Chance:
+    """Decide by a seed."""
+    random = np.random.default_rng(seed)
+    branches, layers = int(random.integers(2, 4)), int(random.integers(1, 4))
+    springs = random.random(branches) < 0.4
+    return Chance(
+        branches=branches,
+        sac=bool(random.random() < 0.5),
+        thickness=float(random.uniform(0.8, 1.1)),
+        layers=LAYERS[:layers],
+        c=tuple(random.uniform(10.0, 40.0, layers).tolist()),
+        k1=tuple(random.uniform(0.0, 40.0, layers).tolist()),
+        angles=tuple(random.uniform(10.0, 70.0, layers).tolist()),
+        plaque=float(10 ** random.uniform(1.0, 3.0)) if random.random() < 0.6 else 1.0,
+        springs=tuple((springs * 10 ** random.uniform(1.0, 3.0, branches)).tolist()),
+    )
+
+
+def inflate(seed: int, comm: MPI.Comm) -> Record:
+    """Bring a wall from rest to its pressure. Collective."""
+    chance, begun = draw(seed), time.perf_counter()
+    wall = _create(seed, chance, comm)
+    V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 2, (3,)))
+    u = dolfinx.fem.Function(V)
+    p = dolfinx.fem.Function(dolfinx.fem.functionspace(wall.mesh, ("DG", 0)))
+    v, q, du = ufl.TestFunction(V), ufl.TestFunction(p.function_space), ufl.TrialFunction(V)
+    held = {
+        name: Spring(stiffness, direction="all") if stiffness else Clamp()
+        for name, stiffness in zip(openings(wall), chance.springs, strict=True)
+    }
+    boundary = apply_conditions(wall, u, {"lumen": Pressure(), **held})
+    c, k1, angles = (
+        dict(zip(chance.layers, values, strict=True))
+        for values in (chance.c, chance.k1, chance.angles)
+    )
+    fibres = fibre_families(wall, fibre_frame(wall), angles)
+    F = kinematics.deformation_gradient(u)
+    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+    c, k1 = by_layer(wall, c), by_layer(wall, k1)
+    psi = materials.holzapfel_gasser_ogden(C, *fibres, c=c, k1=k1, k2=0.8393, J=J)
+    psi = _plaque(wall, seed, chance) * psi + materials.perturbed_lagrangian(
+        J, p, dolfinx.fem.Constant(wall.mesh, KAPPA)
+    )
+    energy = psi * ufl.dx
+    inside = ufl.derivative(energy, u, v)
+    problem = NonlinearProblem(
+        [inside + boundary.residual, ufl.derivative(energy, p, q)],
+        u,
+        bcs=boundary.bcs,
+        J=ufl.derivative(inside, u, du) + boundary.tangent,
+        condense=p,
+        energy=None if boundary.energy is None else energy + boundary.energy,
+        quadrature_degree=4,
+    )
+
+    def set_load(mmhg: float) -> None:
+        boundary.pressure.value = loads.mmhg(mmhg)
+
+    steps: list[LoadStep] = []
+    error = ""
+    try:
+        follow_load(
+            problem, set_load, [MMHG], STEPS, state=[u, p], on_step=steps.append, unit="mmHg"
+        )
+    except ConvergenceError as failure:
+        error = str(failure)
+    newton = [step for load_step in steps for step in load_step.all_steps]
+    largest = np.linalg.norm(u.x.array.reshape(-1, 3), axis=1).max(initial=0.0)
+    return {
+        "wall": _describe(chance),
+        "dofs": 3 * V.dofmap.index_map.size_global,
+        "subdomains": comm.allreduce(problem.decomposition.count),
+        "reached": steps[-1].load if steps else 0.0,
+        "load_steps": len(steps),
+        "newton": len(newton),
+        "iterations": sum(step.linear_iterations for step in newton),
+        "largest_displacement": comm.allreduce(float(largest), op=MPI.MAX),
+        "error": error,
+        "seconds": time.perf_counter() - begun,
+    }
+
+
+def _create(seed: int, chance: Chance, comm: MPI.Comm) -> Wall:
+    """Grow the wall on its lumen, on the first process, and distribute it."""
+    with ExitStack() as until_read:
+
+        def write() -> Path:
+            folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+            path = Path(until_read.enter_context(folder)) / "wall.xdmf"
+            random = np.random.default_rng([seed, 1])
+            lumen = create_lumen(random, branches=chance.branches, sac=chance.sac)
+            facets = np.zeros(
+                len(lumen), [("normal", "<f4", 3), ("x", "<f4", (3, 3)), ("n", "<u2")]
+            )
+            facets["x"] = lumen
+            surface = path.with_suffix(".stl")
+            surface.write_bytes(bytes(80) + np.uint32(len(lumen)).tobytes() + facets.tobytes())
+            create_vessel(
+                path,
+                size=1.6 * chance.thickness,
+                thickness=chance.thickness,
+                layers=dict.fromkeys(chance.layers, 1 / len(chance.layers)),
+                surface=surface,
+            )
+            return path
+
+        return read_wall(on_first(write, comm), comm)
+
+
+def _plaque(wall: Wall, seed: int, chance: Chance) -> dolfinx.fem.Function:
+    """Return how many times as stiff as its layer each cell is."""
+    factor = dolfinx.fem.Function(dolfinx.fem.functionspace(wall.mesh, ("DG", 0)))
+    random = np.random.default_rng([seed, 2])
+    angle, radius = random.uniform(0.0, 2 * np.pi), random.uniform(1.5, 2.5)
+    middle = 2.5 * np.array([np.cos(angle), np.sin(angle), 0.0]) + [0.0, 0.0, 2.0]
+
+    def near(x: np.ndarray) -> np.ndarray:
+        inside = np.linalg.norm(x.T - middle, axis=1) < radius
+        return np.where(inside, chance.plaque, 1.0)
+
+    factor.interpolate(near)
+    return factor
+
+
+def _describe(chance: Chance) -> str:
+    """Say in words what the seed has decided."""
+    words = ["bent tube" if chance.branches == 2 else "bifurcation"]
+    words += ["a sac"] if chance.sac else []
+    words += [f"{len(chance.layers)} layers" if len(chance.layers) > 1 else "1 layer"]
+    words += [f"a plaque {chance.plaque:.0f} times stiffer"] if chance.plaque > 1 else []
+    on_springs = sum(k > 0 for k in chance.springs)
+    words += [f"{on_springs} of {chance.branches} openings on springs"] if on_springs else []
+    return ", ".join(words)
+
+
+def create_lumen(
+    random: np.random.Generator, *, branches: int, sac: bool
+) -> npt.NDArray[np.float64]:
+    """Return triangles (n, 3, 3) [mm] that face outwards.
+
+    Args:
+        random: Draws angles and radii.
+        branches: 2 for a bent tube, 3 for a bifurcation.
+        sac: Whether there is a sac.
+    """
+    turn = 2 * np.pi / branches
+    angles = turn * (np.arange(branches) + random.uniform(-0.15, 0.15, branches))
+    radii, lengths = random.uniform(1.6, 2.4, branches), random.uniform(5.0, 7.0, branches)
+    gaps = np.diff(angles, append=angles[0] + 2 * np.pi)
+    φ = np.pi * np.arange(2 * ACROSS + 1)[:, None] / ACROSS  # down on the left, up on the right
+    s = np.linspace(0.0, 1.0, ALONG + 1)[:, None, None]
+    smooth = s**2 * (3 - 2 * s)
+    up = np.array([0.0, 0.0, 1.0])
+    grids = []
+    for k, angle in enumerate(angles):
+        left, right = _direction(angle + gaps[k] / 2), _direction(angle - gaps[k - 1] / 2)
+        side = np.where(φ <= np.pi, left, right)
+        arcs = radii.mean() * (np.abs(np.sin(φ)) * side + np.cos(φ) * up)
+        circle = radii[k] * (np.sin(φ) * _direction(angle + np.pi / 2) + np.cos(φ) * up)
+        axis = lengths[k] * s * _direction(angle)
+        grids.append(axis + (1 - smooth) * arcs + smooth * circle)
+    if sac:
+        top = grids[0][ALONG // 2, random.integers(2 * ACROSS)].copy()
+        outwards = top - lengths[0] / 2 * _direction(angles[0])
+        height = random.uniform(0.5, 0.8)
+        for grid in grids:
+            distance = np.sum((grid - top) ** 2, axis=-1, keepdims=True)
+            grid += height * np.exp(-distance / radii[0] ** 2) * outwards
+    grids = [np.round(grid, 5) for grid in grids]
+    triangles = []
+    for grid in grids:
+        grid[:, -1] = grid[:, 0]
+        a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
+        triangles += [np.stack(t, axis=-2).reshape(-1, 3, 3) for t in ((a, b, c), (a, c, d))]
+    return np.concatenate(triangles)
+
+
+def _direction(angle: float) -> npt.NDArray[np.float64]:
+    return np.array([np.cos(angle), np.sin(angle), 0.0])
+
+
+def _fields(records: Sequence[Record]) -> Fields:
+    """Return a row for each seed, in their order."""
+    rows = sorted(records, key=lambda record: int(record["seed"]))
+    failed = [row for row in rows if row["error"]]
+    return {
+        "rows": rows,
+        "arrived": len(rows) - len(failed),
+        "within": sum(not row["error"] and row["newton"] <= MOST for row in rows),
+        "failures": section(failed),
+        "mmhg": MMHG,
+        "most": MOST,
+    }
+
+
+def _line(record: Record) -> str:
+    end = record["error"] or f"{record['newton']} Newton steps, {record['seconds']:.0f} s"
+    return f"{record['seed']:>3} {record['wall']:<60} {record['dofs']} dofs: {end}"
+
+
+STUDY = Study(
+    file=__file__,
+    about=__doc__,
+    page="random_walls",
+    known=lambda record: "seed" in record and "wall" in record,
+    options=lambda parser: parser.add_argument("--seeds", type=count, default=20, help="20"),
+    cases=lambda args, _, comm: ({"seed": i, "processes": comm.size} for i in range(args.seeds)),
+    run=lambda case, keep, _, comm: keep({}, inflate(int(case["seed"]), comm)),
+    line=_line,
+    fields=_fields,
+)
+
+if __name__ == "__main__":
+    STUDY.main()

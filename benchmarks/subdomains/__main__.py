@@ -1,8 +1,0 @@
-# Copyright (C) 2026 the dolfinx_feti authors
-#
-# SPDX-License-Identifier: LGPL-3.0-or-later
-"""``python3 -m benchmarks.subdomains``."""
-
-from benchmarks.subdomains.run import main
-
-main()

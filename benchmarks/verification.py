@@ -1,0 +1,83 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Answers that are known otherwise: published numbers, a tube in closed form, inf-sup constants.
+
+    python3 -m benchmarks.verification --json build/verification.json
+    python3 -m benchmarks.verification --part published --case land-1 --mesh 1,2
+    python3 -m benchmarks.verification --part tube --element q2-p1d --kappa 1e5
+    python3 -m benchmarks.verification --part inf-sup --pair q2-p1d,p2-p0 --cells 2,4,6
+
+Options with a single dash are PETSc's; those of the tube have the prefix `tube_`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from types import ModuleType
+
+from mpi4py import MPI
+
+from benchmarks.common import command
+from benchmarks.common.pages import Fields
+from benchmarks.common.records import Record, Records
+from benchmarks.common.study import Keep, Study
+from benchmarks.common.verification import inf_sup, published, tube
+
+__all__ = ["STUDY"]
+
+PARTS = {"published": published, "tube": tube, "inf-sup": inf_sup}
+
+
+def _part(record: Record) -> ModuleType | None:
+    return next((part for part in PARTS.values() if part.known(record)), None)
+
+
+def _options(parser: argparse.ArgumentParser) -> None:
+    parts = {"type": command.some_of(list(PARTS)), "default": list(PARTS)}
+    parser.add_argument("--part", **parts, help=",".join(PARTS))
+    for part in PARTS.values():
+        part.options(parser)
+
+
+def _cases(
+    args: argparse.Namespace, parser: argparse.ArgumentParser, comm: MPI.Comm
+) -> Iterator[Record]:
+    for name in args.part:
+        yield from PARTS[name].cases(args, parser, comm)
+
+
+def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> None:
+    _part(case).run(case, keep, args, comm)
+
+
+def _done(case: Record, records: Records, args: argparse.Namespace) -> bool:
+    if _part(case) is tube:
+        return tube.done(case, records, args)
+    return records.find(case) is not None
+
+
+def _fields(records: Sequence[Record]) -> Fields:
+    fields: dict[str, object] = {}
+    for part in PARTS.values():
+        fields |= part.fields([record for record in records if _part(record) is part])
+    return fields
+
+
+STUDY = Study(
+    file=__file__,
+    about=__doc__,
+    page="verification",
+    known=lambda record: _part(record) is not None,
+    options=_options,
+    cases=_cases,
+    run=_run,
+    done=_done,
+    line=lambda record: _part(record).line(record),
+    fields=_fields,
+    draw=lambda records, folder: tube.draw([r for r in records if tube.known(r)], folder),
+)
+
+if __name__ == "__main__":
+    STUDY.main()

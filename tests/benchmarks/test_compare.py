@@ -1,0 +1,276 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The comparison of FETI with MUMPS, GAMG and others, small."""
+
+from __future__ import annotations
+
+import importlib.machinery
+import json
+import math
+import sys
+import types
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, small
+from problems import cube, poisson
+from wall_files import on_first
+from walls import tube, wall
+
+import dolfinx_feti
+from benchmarks import compare
+from benchmarks.common.bodies import create_clamped_block
+from benchmarks.common.compare import path
+from benchmarks.common.compare.opponents import OPPONENTS
+from benchmarks.common.compare.path import PHASES
+from dolfinx_feti import ConvergenceError, LinearProblem, loads
+
+pytest.importorskip("matplotlib")
+
+SMALL = ["--dofs", "900", "--subdomains", "4"]
+main = compare.STUDY.main
+
+
+KEYS = {
+    "solver",
+    "geometry",
+    "kappa",
+    "dofs",
+    "subdomains",
+    "processes",
+    "threads",
+    "newton_iterations",
+    "path_mmhg",
+    "iterations",
+    "seconds_setup",
+    "seconds_solve",
+    "peak_mib",
+    "relative_residual",
+    "difference_to_mumps",
+}
+
+
+def test_all_solvers_solve_the_same_system(tmp_path, capfd):
+    path = tmp_path / "new/compare.json"
+    records = main([*SMALL, "--kappa", "1000", "--json", str(path)])
+    agree([record["solver"] for record in records] == ["feti", "mumps", "gamg"])
+    feti, mumps, gamg = records
+    for record in records:
+        agree(record.keys() >= KEYS and record["converged_reason"] > 0, record)
+        agree(record["kappa"] == 1000.0 and record["dofs"] == feti["dofs"] > 500)
+        agree(record["processes"] == COMM.size and record["threads"] >= 1)
+        agree(record["path_mmhg"] is None and record["newton_iterations"] == 1)
+        agree(record["seconds_setup"] > 0.0 and record["seconds_solve"] > 0.0)
+        agree(record["peak_mib"] >= 0.0 or math.isnan(record["peak_mib"]), record)
+        small(record["relative_residual"], 1e-8)
+        small(record["difference_to_mumps"], 1e-6)
+    agree(mumps["iterations"] == 1 and mumps["difference_to_mumps"] == 0.0)
+    spent = feti["seconds_phases"]
+    agree(set(spent) == set(PHASES) and min(spent.values()) > 0.0, spent)
+    agree(sum(spent.values()) < feti["seconds_setup"] + feti["seconds_solve"], spent)
+    agree("seconds_phases" not in mumps.keys() | gamg.keys())
+    agree(10 < feti["iterations"] < gamg["iterations"], "κ is hard on GAMG")
+    agree(on_first(lambda: json.loads(path.read_text())) == records)
+    said = capfd.readouterr().out
+    if COMM.rank > 0:
+        ok = said == ""
+    else:
+        lines = [json.loads(line) for line in said.splitlines() if line.startswith("{")]
+        ok = lines == records and "all_floating" in said
+    agree(ok, said)
+
+
+@pytest.mark.serial
+def test_block(tmp_path):
+    """Both κ; hardly more iterations at the larger one, with a load that has something to do."""
+    words = ["--geometry", "block", "--dofs", "3000", "--subdomains", "8", "--kappa", "10,1000"]
+    records = main([*words, "--solvers", "feti,mumps"])
+    agree([r["kappa"] for r in records if r["solver"] == "feti"] == [10.0, 1000.0])
+    agree(all(r["geometry"] == "block" and r["dofs"] == 2187 for r in records), records)
+    agree(5 < records[2]["iterations"] <= 1.25 * records[0]["iterations"])
+    small(max(record["difference_to_mumps"] for record in records), 1e-6)
+
+
+def test_block_is_clamped_on_five_faces():
+    """The nodes of the sixth face that are on no other one are free."""
+    block = create_clamped_block(COMM, dofs=400, kappa=10.0, subdomains=None, options={})
+    V = block.u.function_space
+    n = V.dofmap.index_map.size_local
+    x = V.tabulate_dof_coordinates()[:n]
+    inside = (x[:, 1:] > 1e-6).all(axis=1) & (x[:, 1:] < 1 - 1e-6).all(axis=1) & (x[:, 0] > 1e-6)
+    held = np.zeros(3 * n, dtype=bool)
+    dofs, _ = block.problem.bcs[0].dof_indices()
+    held[dofs[dofs < 3 * n]] = True
+    agree((held.reshape(n, 3) == ~inside[:, None]).all())
+
+
+def test_rounds():
+    """The record of the median round, with the seconds of all."""
+    words = [*SMALL, "--degree", "1", "--rounds", "3", "--solvers", "mumps,gamg"]
+    for record in main(words):
+        each = [sum(pair) for pair in record["seconds_rounds"]]
+        agree(len(each) == 3 and record["degree"] == 1, record)
+        equal(record["seconds_setup"] + record["seconds_solve"], np.median(each), 1e-12)
+
+
+def test_loaded_body(tmp_path):
+    """All solve the step in its equilibrium; the second run finds that in the folder."""
+    folder = COMM.bcast(str(tmp_path))
+    words = [*SMALL, "--kappa", "10", "--loaded", "2", "--solvers", "feti,mumps"]
+    first, again = (main([*words, "--folder", folder]) for _ in range(2))
+    for record in first + again:
+        agree(record["converged"] and record["loaded_mmhg"] == 2.0, record)
+        small(record["relative_residual"], 1e-8)
+    agree(first[0]["iterations"] == again[0]["iterations"], (first, again))
+
+
+@pytest.mark.serial
+def test_vessel(tmp_path):
+    """The coarsest that can be meshed."""
+    pytest.importorskip("gmsh")
+    words = ["--geometry", "vessel", "--dofs", "50000", "--folder", str(tmp_path)]
+    (record,) = main([*words, "--solvers", "mumps"])
+    agree(record["converged"] and 45_000 < record["dofs"] < 55_000, record)
+    small(record["relative_residual"], 1e-8)
+
+
+def test_path():
+    """One Newton's method; FETI and MUMPS solve the same systems."""
+    feti, mumps = main([*SMALL, "--path", "2", "--kappa", "10"])
+    agree([feti["solver"], mumps["solver"]] == ["feti", "mumps"])
+    for record in (feti, mumps):
+        agree(record.keys() >= KEYS and record["converged"] and record["note"] == "", record)
+        agree(record["path_mmhg"] == 2.0 and record["load_steps"] >= 2, record)
+        linear = record["seconds_setup"] + record["seconds_solve"]
+        agree(record["seconds_end_to_end"] > linear + record["seconds_assembly"], record)
+        agree(record["linear_solves"] >= record["newton_iterations"] >= record["load_steps"])
+        each = record["seconds_per_solve"]
+        agree(len(each) == len(record["iterations_per_solve"]) == record["linear_solves"])
+        equal(sum(each), record["seconds_setup"] + record["seconds_solve"], 1e-12)
+        later = sum(each[1:]) / (record["newton_iterations"] - 1)
+        equal(record["seconds_per_newton"], later, 1e-12)
+        agree(record["seconds_assembly"] > 0.0 and record["seconds_setup"] > 0.0)
+    agree(mumps["iterations"] == mumps["linear_solves"] < feti["iterations"])
+    agree(min(feti["seconds_phases"].values()) > 0.0)
+    small(feti["relative_residual"], 0.1)  # what the roughest step deserves
+    small(mumps["relative_residual"], 1e-8)
+    small(feti["difference_to_mumps"], 0.1)
+
+
+def test_path_that_fails_is_recorded(monkeypatch):
+    """With the reason, and with what was solved before."""
+
+    def fold(problem, set_load, targets, *_args, **_options):
+        set_load(targets[0])
+        problem.solve()
+        raise ConvergenceError("No equilibrium\nwas found.")
+
+    monkeypatch.setattr(path, "follow_load", fold)
+    records = main([*SMALL, "--path", "0.1", "--kappa", "10"])
+    for record in records:
+        agree(not record["converged"], record)
+        agree(record["note"] == "failed: No equilibrium was found.", record)
+        agree(record["linear_solves"] >= 1 and record["newton_iterations"] == 0, record)
+
+
+def test_solver_without_memory_is_recorded():
+    """With the reason; the next solver has its turn, and the limit ends with the run."""
+    words = ["--dofs", "30000", "--subdomains", "4", "--kappa", "10"]
+    limit = 40.0 + 70.0 * COMM.size  # MiB; MUMPS takes from 100 on each of three to 150 alone
+    mumps, gamg = main([*words, "--solvers", "mumps,gamg", "--memory", f"{limit}"])
+    agree(not mumps["converged"] and mumps["note"].startswith("failed: "), mumps)
+    agree(mumps["free_mib"] == limit, mumps)
+    agree(mumps["relative_residual"] is None and gamg["difference_to_mumps"] is None)
+    agree(gamg["converged"] and gamg["note"] == "", gamg)
+    (free,) = main([*words, "--solvers", "mumps"])
+    agree(free["converged"] and free["note"] == "", free)
+
+
+@pytest.mark.parametrize("geometry", ["pillar", "cube", "square", "heat"])
+def test_sweep_over_subdomains(geometry, tmp_path):
+    """As many as were asked for; the page has the time over the least."""
+    path = tmp_path / "compare.json"
+    words = ["--geometry", geometry, "--dofs", "300", "--per", "100,2000", "--json", str(path)]
+    few, one = main([*words, "--degree", "1" if geometry == "heat" else "2"])
+    for record in (few, one):
+        agree(record["converged"] and record["seconds_cpu"] > 0.0, record)
+        agree(100 < record["dofs"] < 600 and record["solver"] == "feti", record)
+        agree(record["subdomains"] == max(COMM.size, round(300 / record["per"])), record)
+    if COMM.size == 1:
+        text = compare.STUDY.write_page([path], tmp_path)
+        agree(f"| {geometry} | {few['degree']} | 1 | {few['dofs']} | – | – |" in text, text)
+
+
+def test_records_of_other_threads_and_solvers_are_run(tmp_path, monkeypatch):
+    """What tells cases apart: κ, threads; and a solver that is not there yet."""
+    path = COMM.bcast(str(tmp_path / "compare.json"))
+    words = [*SMALL, "--solvers", "gamg", "--kappa", "10", "--json", path]
+    first = main(words)
+    agree(main(words) == first)
+    monkeypatch.setattr(compare, "_create_body", lambda *_: pytest.fail("a body is made"))
+    agree(main(words) == first)
+    for more in (["--kappa", "20"], ["--solvers", "gamg,mumps"], ["--again"]):
+        with pytest.raises(pytest.fail.Exception):
+            main([*words, *more])
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    with pytest.raises(pytest.fail.Exception):
+        main(words)
+
+
+RTOL = 1e-9
+
+#: Solvers of one process, and of modules that may not be there.
+ALONE = ("cholmod", "pardiso")
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_everybody_solves_the_condensed_system(degree):
+    """In a loaded state."""
+    body = wall(tube(around=8, along=2), degree=degree)
+    problem = body.problem(4, {"ksp_rtol": RTOL})
+    body.inflate(problem, [1.0])
+    body.load.value = loads.mmhg(1.2)
+    found = dolfinx_feti.compare(problem, OPPONENTS)
+    solved = [s for s in found.solved if s.solver not in ALONE]
+    agree(len(solved) >= 6, found)
+    agree(all(s.converged and not s.note for s in solved), found)
+    for each in solved:
+        small(each.relative_residual, 1.01 * RTOL)
+        small(each.difference_to_direct, 1e4 * RTOL)
+
+
+@pytest.mark.serial
+def test_pardiso(monkeypatch):
+    """By a module of its name; the note says what one without MKL says."""
+    module = types.ModuleType("pypardiso")
+    module.__spec__ = importlib.machinery.ModuleSpec("pypardiso", None)
+    monkeypatch.setitem(sys.modules, "pypardiso", module)
+    body = poisson(cube(2, 4))
+    problem = LinearProblem(body.a, body.L, bcs=body.bcs, subdomains=3)
+    chosen = {"mumps": {}, "pardiso": OPPONENTS["pardiso"]}
+    assert not dolfinx_feti.compare(problem, chosen).solved[1].converged
+    module.PyPardisoSolver = Direct
+    assert dolfinx_feti.compare(problem, chosen).solved[1].difference_to_direct < 1e-10
+
+
+class Direct:
+    """What PARDISO's module offers, by scipy."""
+
+    def __init__(self, mtype):
+        self.symmetric = mtype != 11
+
+    def factorize(self, A):
+        """Keep the factors of a matrix, given by its upper half if it is symmetric."""
+        from scipy.sparse import triu
+        from scipy.sparse.linalg import splu
+
+        self.factors = splu((A + triu(A, 1).T if self.symmetric else A).tocsc())
+
+    def solve(self, _A, b):
+        """Solve."""
+        return self.factors.solve(b)
+
+    def free_memory(self, everything):
+        """Free the factors."""
+        del self.factors

@@ -1,0 +1,210 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The linear study: errors, counts, condition numbers, its plan and its page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import paper_cube
+import pytest
+from collective import COMM, agree, small
+from wall_files import on_first
+
+from benchmarks import cube
+from benchmarks.common import paper
+from benchmarks.common.cube import PATTERNS, Case
+from benchmarks.common.pages import fill
+
+pytest.importorskip("matplotlib")
+
+#: A study of a second, with a subdomain for each of three processes.
+SMALL = ["--subdomains-per-edge", "2"]
+
+
+@pytest.fixture
+def study_of(tmp_path: Path) -> Callable[..., list[dict]]:
+    """Run the study of the cube, time and again with one file; return all of its records."""
+    file = COMM.bcast(str(tmp_path / "linear.json"))
+
+    def run(*words: object) -> list[dict]:
+        cube.STUDY.main([*map(str, words), "--json", file], COMM)
+        return on_first(lambda: json.loads(Path(file).read_text()))
+
+    return run
+
+
+#: What a record has to hold, whatever else it holds.
+KEYS = (
+    "degree level type pc scaling gluing subdomains dofs_local_max dofs multipliers coarse_size "
+    "iterations condition_number lambda_min lambda_max l2_error seconds_setup seconds_solve "
+    "peak_mib"
+).split()
+
+
+def test_patterns_of_stiff_subcubes():
+    place = np.stack(np.meshgrid(*3 * [np.arange(4)], indexing="ij"), axis=-1).reshape(-1, 3)
+    stiff = {name: mark(place, 4).reshape(4, 4, 4) for name, mark in PATTERNS.items()}
+    agree(not stiff["none"].any() and stiff["checkerboard"].sum() == 32)
+    agree(not np.any(stiff["checkerboard"][1:] & stiff["checkerboard"][:-1]))
+    agree(stiff["layer"].sum() == 16 and stiff["layer"][:, :, 2].all())
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(("degree", "levels"), [(1, (2, 3)), (2, (1, 2))])
+def test_error_converges_to_the_fundamental_solution(degree, levels, study_of):
+    """Order two for linear and three for quadratic elements."""
+    level = ",".join(map(str, levels))
+    records = study_of(*SMALL, "--degree", degree, "--level", level)
+    agree([r["level"] for r in records] == list(levels))
+    coarse, fine = (r["l2_error"] for r in records)
+    agree(np.log2(coarse / fine) > degree + 0.9, (coarse, fine))
+
+
+@pytest.mark.parametrize("kind", ["all_floating", "classical"])
+def test_records_say_what_the_hand_torn_cube_says(kind, study_of, feti):
+    """Two codes that share the solver alone agree on counts and on the condition number."""
+    records = study_of(
+        "--subdomains-per-edge", "3", "--type", kind, "--pc", "dirichlet,lumped,identity"
+    )
+    agree(len(records) == 3)
+    problem = paper_cube.cube(3, 1)
+    for record in records:
+        agree(set(KEYS) <= set(record), set(KEYS) - set(record))
+        options = {"type": kind, "pc_type": record["pc"], "scaling": "multiplicity"}
+        options |= {"coarse_q": "identity", "coarse_modes": 0, "dual_ksp_rtol": 1e-8}
+        ksp = feti(problem.A, **{f"feti_{name}": value for name, value in options.items()})
+        load = np.random.default_rng(5).standard_normal(len(problem.dirichlet))
+        b = problem.vector(np.where(problem.dirichlet, load, 0.0))
+        ksp.solve(b, problem.A.createVecRight())
+        context = ksp.getPythonContext()
+        found = context.report()
+        agree(record["multipliers"] == found.multipliers)
+        agree(record["coarse_size"] == found.coarse_size)
+        agree(record["dofs"] == found.dofs and record["dofs_local_max"] == 45)
+        agree(record["subdomains"] == 27 and record["kernels"] == list(found.kernels))
+        small(record["condition_number"] / context.condition_number - 1.0, 0.02)
+        small(record["lambda_max"] / record["lambda_min"] / record["condition_number"] - 1, 1e-12)
+        if record["pc"] != "identity":
+            agree(record["lambda_min"] > 1.0 - 1e-6, record["lambda_min"])
+    problem.destroy()
+
+
+@pytest.mark.serial
+def test_stiffness_scaling_and_weight_bear_a_jump(study_of):
+    """Neither the scaling alone nor the weight Q alone does."""
+    choices = ["--scaling", "multiplicity,stiffness", "--coarse-q", "identity,diagonal"]
+    jump = ["--jump", "1e4", "--pattern", "layer", "--level", "2"]
+    records = study_of(*SMALL, *choices, *jump)
+    agree(all(r["l2_error"] is None for r in records))
+    condition = {(r["scaling"], r["coarse_q"]): r["condition_number"] for r in records}
+    bounded = condition.pop(("stiffness", "diagonal"))
+    agree(bounded < 20.0 and min(condition.values()) > 10 * bounded, (bounded, condition))
+
+
+@pytest.mark.serial
+def test_reorthogonalisation_gives_the_same_condition_number(study_of):
+    study_of(*SMALL, "--level", "2")
+    records = study_of(*SMALL, "--level", "2", "--reorthogonalize")
+    agree([r["reorthogonalize"] for r in records] == [False, True])
+    plain, full = (r["condition_number"] for r in records)
+    small(plain / full - 1.0, 1e-3)
+
+
+def test_plan_holds_the_papers_table_first_and_no_case_twice():
+    plan = [case for each in cube.SETS.values() for case in each()]
+    agree(len(set(plan)) > 100)
+    agree(set(plan[:18]) == {Case(type=kind, pc=pc, level=level)
+                             for kind, pc, level in paper.LINEAR if level < 4})  # fmt: skip
+    agree({case.jump for case in plan} == {1.0, 1e2, 1e4, 1e6})
+    agree({case.subdomains_per_edge for case in plan} == {2, 4, 8, 16, 32})
+
+
+def test_sets_are_resumed(study_of, monkeypatch, capsys):
+    sets = {"few": lambda: (Case(subdomains_per_edge=2, level=level) for level in (1, 2))}
+    monkeypatch.setattr(cube, "SETS", sets)
+    records = study_of("--sets", "few")
+    agree([r["level"] for r in records] == [1, 2])
+    agree(all(0.0 < r["seconds_coarse"] < r["seconds_setup"] for r in records), records)
+    agree(study_of("--sets", "all") == records)
+    said = COMM.bcast(capsys.readouterr().out)
+    agree(said.count("in the records already") == 2, said)
+
+
+@pytest.mark.skipif(COMM.size == 1, reason="one process can have all subdomains")
+def test_more_processes_than_subdomains(capsys):
+    with pytest.raises(SystemExit):
+        cube.STUDY.main(["--subdomains-per-edge", "1"], COMM)
+    said = COMM.bcast(capsys.readouterr().err)
+    agree(f"gives 1 subdomain(s) to {COMM.size} processes" in said, said)
+
+
+def record_of(kind: str, pc: str, level: int, **changes: object) -> dict:
+    """Return a record with the paper's own values."""
+    its, condition = paper.LINEAR[kind, pc, level]
+    values = {"iterations": its, "condition_number": condition, "lambda_min": 1.0}
+    values |= {"lambda_max": condition, "l2_error": 0.5 * paper.L2_ERRORS[kind, level]}
+    values |= {"dofs": 1, "dofs_torn": 2, "multipliers": 38052, "coarse_size": 3072}
+    times = ("seconds_setup", "seconds_solve", "seconds_coarse", "cpu_seconds_setup")
+    values |= dict.fromkeys((*times, "cpu_seconds_solve", "coarse_mib", "peak_mib"), 1.0)
+    return Case(type=kind, pc=pc, level=level).key() | values | {"interior_is": "kept"} | changes
+
+
+#: The paper's whole table.
+EVERYTHING = [record_of(*key) for key in paper.LINEAR]
+
+
+def text(*records: dict) -> str:
+    """Return the page of some records."""
+    template = Path(cube.__file__).with_suffix(".md").read_text()
+    return fill(template, cube.STUDY.fields(records) | {"machines": []})
+
+
+@pytest.mark.serial
+def test_tables_hold_the_papers_values_against_ours():
+    agree(cube.deviations(EVERYTHING) == (0.0, 0))
+    small(cube.error_scale(EVERYTHING) - 2.0, 1e-12)
+    row = "| 3 | 2 | 38 052 | 140 (140) | 295.7 (295.7, +0.0 %) | 85 (85) |"
+    classical = text(*EVERYTHING).split("## P1, classical")[1]
+    agree(row in classical, classical)
+    worse = record_of("classical", "lumped", 3, condition_number=100.0, iterations=90)
+    agree(cube.deviations([worse])[1] == 5)
+    small(cube.deviations([worse])[0] - (1.0 - 100.0 / 105.9), 1e-12)
+    agree("90 (85) | 100 (105.9, −5.6 %) |" in text(worse), text(worse))
+
+
+@pytest.mark.serial
+def test_tables_are_made_of_what_is_there():
+    """A jump, another number of subdomains or level, another scaling: each in its own table."""
+    usual = record_of("all_floating", "dirichlet", 2)
+    names = {
+        "jumps": {"jump": 1e4, "pattern": "layer"},
+        "more": {"subdomains_per_edge": 4},
+        "larger": {"level": 1},
+        "choices": {"scaling": "stiffness"},
+    }
+    for name, change in names.items():
+        values = cube.STUDY.fields([usual, usual | change])
+        found = {other for other in names if values[other]}
+        agree(found == {name}, found)
+    agree("jump 1e+00" not in text())
+
+
+@pytest.mark.serial
+def test_growth_is_fitted_to_the_square_of_a_logarithm():
+    levels = np.arange(1, 5)
+    values = (2.0 + 0.7 * np.log(2.0 ** (levels - 1))) ** 2
+    records = [
+        record_of("classical", "dirichlet", int(level), condition_number=float(value))
+        for level, value in zip(levels, values, strict=True)
+    ]
+    a, b, worst = cube.fit_growth(records)
+    small(a - 2.0, 1e-13)
+    small(b - 0.7, 1e-13)
+    small(worst - 1.0, 1e-13)
+    records[-1]["condition_number"] *= 2.0
+    agree(cube.fit_growth(records)[2] > 1.1)

@@ -1,0 +1,240 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The harness of the studies: records, what is run, what is refused."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from collective import COMM, agree, raises, small
+from wall_files import on_first
+
+from benchmarks import compare, cube, load_stepping, nonlinear, random_walls, scaling, verification
+from benchmarks.common import command, machine
+from benchmarks.common import records as module
+from benchmarks.common.records import Records
+from benchmarks.common.study import Study
+from dolfinx_feti import ConvergenceError
+from meshes.arguments import count
+
+pytest.importorskip("matplotlib")
+
+
+def test_record_of_the_first_process_counts(tmp_path):
+    """Times differ from process to process; what is kept and returned does not."""
+    path = tmp_path / "new/records.json"
+    records = Records(path, COMM)
+    key = {"case": 1}
+    stored = records.put(key, key | {"seconds": float(COMM.rank)})
+    agree(stored == {"case": 1, "seconds": 0.0} == records.find(key), stored)
+    agree(on_first(lambda: json.loads(path.read_text())) == [stored])
+    again = records.put(key, key | {"seconds": 7.0})
+    agree(on_first(lambda: json.loads(path.read_text())) == [again], "in the place of the old one")
+    agree(Records(path, COMM).find(key) == again)
+
+
+def test_folder_that_is_gone_is_noticed_by_all_processes(tmp_path):
+    """The first process alone writes, and fails."""
+    records = Records(tmp_path / "folder/records.json", COMM)
+    records.put({"case": 1}, {"case": 1})
+    on_first(lambda: shutil.rmtree(tmp_path / "folder"))
+    with raises(OSError, "folder/records.json' cannot be written .No such file.*make room"):
+        records.put({"case": 2}, {"case": 2})
+
+
+def test_full_disk_leaves_the_file_as_it_was(tmp_path, monkeypatch):
+    path = tmp_path / "records.json"
+    records = Records(path, COMM)
+    records.put({"case": 1}, {"case": 1})
+    before = on_first(path.read_text)
+
+    def full(*_places: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(module.os, "replace", full if COMM.rank == 0 else os.replace)
+        with raises(OSError, "cannot be written .No space left on device.: make room"):
+            records.put({"case": 2}, {"case": 2})
+    agree(on_first(path.read_text) == before)
+    agree(on_first(lambda: [each.name for each in tmp_path.iterdir()]) == ["records.json"])
+    records.put({"case": 3}, {"case": 3})
+    agree(len(on_first(lambda: json.loads(path.read_text()))) == 3, "what was found is kept")
+
+
+def test_available_memory_is_what_the_kernel_and_the_container_leave(tmp_path, monkeypatch):
+    def write() -> None:
+        (tmp_path / "meminfo").write_text("MemTotal: 4096000 kB\nMemAvailable: 2048000 kB\n")
+
+    on_first(write)
+    monkeypatch.setattr(machine, "PROC", tmp_path)
+    monkeypatch.setattr(machine, "CGROUP", tmp_path)
+    small(machine.available_mib(COMM) - 2000.0, 1e-9)
+    on_first(lambda: (tmp_path / "memory.max").write_text(f"{900 * 2**20}\n"))
+    on_first(lambda: (tmp_path / "memory.current").write_text(f"{200 * 2**20}\n"))
+    small(machine.available_mib(COMM) - 700.0, 1e-9)
+    on_first(lambda: (tmp_path / "memory.max").write_text("max\n"))
+    small(machine.available_mib(COMM) - 2000.0, 1e-9)
+    on_first(lambda: (tmp_path / "meminfo").unlink())
+    agree(np.isinf(machine.available_mib(COMM)))
+
+
+def test_memory_that_is_limited_cannot_be_taken():
+    """Some is there, more than that is not, and afterwards all is as before."""
+    n = 2**23  # 64 MiB
+    with machine.limited_memory(COMM, 100.0 * COMM.size) as room:
+        agree(room <= 100.0 * COMM.size)
+        agree(np.ones(n)[-1] == 1.0)
+        with raises(MemoryError, "Unable to allocate"):
+            np.ones(16 * n)  # no gap that earlier tests have left holds so much
+    agree(np.ones(4 * n)[-1] == 1.0)
+
+
+class Broken(io.StringIO):
+    """A stream that takes nothing: a full disk behind it, or a terminal that is gone."""
+
+    def write(self, _text: str) -> int:
+        raise BrokenPipeError("nobody reads this")
+
+
+def test_line_that_cannot_be_printed_ends_all_processes():
+    """The first process alone prints."""
+    with raises(BrokenPipeError, "nobody reads this"):
+        command.say("a line", COMM, Broken())
+
+
+def squares(run=None, **changes: object) -> Study:
+    """Return a study that squares numbers."""
+
+    def square(case, keep, _args, _comm) -> None:
+        keep({}, {"square": case["x"] ** 2})
+
+    return Study(
+        file=str(Path(__file__).with_name("squares.py")),
+        about="Squares.",
+        page="squares",
+        known=lambda record: "x" in record,
+        options=lambda parser: parser.add_argument("--x", type=command.several(count)),
+        cases=lambda args, _parser, _comm: ({"x": x} for x in args.x),
+        run=run or square,
+        line=lambda record: f"{record['x']} {record.get('square')}",
+        fields=lambda records: {"rows": records},
+        **changes,
+    )
+
+
+def test_study_runs_what_its_file_lacks(tmp_path, capsys):
+    """And shows all; the records say what it takes to run them again."""
+    file = str(COMM.bcast(str(tmp_path / "new/squares.json")))
+    first = squares().main(["--x", "2", "--json", file], COMM)
+    agree([r["square"] for r in first] == [4] and first[0]["command"] and first[0]["version"])
+    said = COMM.bcast(capsys.readouterr().out)
+    agree(said == "2 4\n", said)
+    work = []
+    study = squares(run=lambda case, keep, *_: work.append(case) or keep({}, {"square": -1}))
+    records = study.main(["--x", "2,3", "--json", file], COMM)
+    agree([r["square"] for r in records] == [4, -1] and work == [{"x": 3}], records)
+    said = COMM.bcast(capsys.readouterr().out)
+    agree(said == "in the records already: 2 4\n3 -1\n", said)
+    again = study.main(["--x", "2", "--again", "--json", file], COMM)
+    agree(again[0]["square"] == -1)
+    agree(on_first(lambda: len(json.loads(Path(file).read_text()))) == 2)
+
+
+def test_study_goes_on_after_a_case_that_fails(tmp_path, capsys):
+    """Its exit status tells; what was found before and after is in the file."""
+    file = COMM.bcast(str(tmp_path / "squares.json"))
+
+    def run(case, keep, *_rest) -> None:
+        if case["x"] == 2:
+            raise ConvergenceError("two is too many")
+        keep({}, {"square": case["x"] ** 2})
+
+    with pytest.raises(SystemExit) as caught:
+        squares(run).main(["--x", "1,2,3", "--json", file], COMM)
+    said = COMM.bcast(capsys.readouterr().err)
+    agree(caught.value.code == 1 and "two is too many" in said, said)
+    agree(on_first(lambda: [r["x"] for r in json.loads(Path(file).read_text())]) == [1, 3])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("mine", "cannot be used"),
+        ('{"x": 1}', "cannot be used"),
+        ('[{"y": 1}]', "holds records of another study"),
+    ],
+)
+def test_file_of_something_else_is_refused(tmp_path, capsys, text, said):
+    """It stays as it is."""
+    file = Path(COMM.bcast(str(tmp_path / "other.json")))
+    on_first(lambda: file.write_text(text))
+    with pytest.raises(SystemExit) as caught:
+        squares().main(["--x", "1", "--json", str(file)], COMM)
+    found = COMM.bcast(capsys.readouterr().err)
+    agree(caught.value.code == 2 and said in found and "other.json" in found, found)
+    agree(on_first(file.read_text) == text)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("text", ["", "{}", "[]", "[1, 2]", '[{"y": 1}]'])
+def test_page_of_no_records(tmp_path, capsys, text):
+    (tmp_path / "file.json").write_text(text)
+    with pytest.raises(SystemExit) as caught:
+        squares().main(["--page", str(tmp_path), "--json", str(tmp_path / "file.json")])
+    assert caught.value.code == 2
+    assert "file.json holds no records of squares" in capsys.readouterr().err
+    assert not (tmp_path / "squares.md").exists()
+
+
+@pytest.mark.parametrize(
+    ("study", "words", "said"),
+    [
+        (compare, "--kappa 0", "argument --kappa: '0' is not a positive number"),
+        (compare, "--kappa nan", "argument --kappa: 'nan' is not a positive number"),
+        (compare, "--dofs 1e5", "argument --dofs: '1e5' is not a number 1, 2, 3"),
+        (compare, "--solvers feti,umfpack", "--solvers: 'umfpack' is none of: feti, mumps"),
+        (compare, "--loaded 1 --path 1", "--path and --loaded exclude each other"),
+        (compare, "--path 1 --solvers feti,gamg", "--path takes no other solvers than feti, mum"),
+        (compare, "--path 1 --solvers mumps", "--path needs feti among the --solvers"),
+        (compare, "--path 1 --geometry cube", "--geometry cube goes without --path"),
+        (compare, "--kapa 10", "unrecognized arguments: --kapa"),
+        (compare, "--geometry sphere", "invalid choice: 'sphere'"),
+        (compare, "--dofs 900 --subdomains 100000", "100000"),
+        (compare, "-log_view --kappa 10 50", "arguments: 50 after --kappa: it takes no more than"),
+        (compare, "50", "arguments: 50\n"),
+        (cube, "--level 0", "argument --level: '0' is none of: 1, 2, 3, 4, 5"),
+        (cube, "--pc ilu", "argument --pc: 'ilu' is none of: dirichlet, lumped, identity"),
+        (cube, "--jump 1e3", "give both, how stiff and which subdomains"),
+        (cube, "--sets jump", "argument --sets: 'jump' is none of: all, papers, choices, jumps"),
+        (nonlinear, "--geometry cube", "invalid choice"),
+        (nonlinear, "--most-iterations 0", "not a number 1"),
+        (nonlinear, "--geometry tube --size 1 --subdomains 100000", "100000"),
+        (load_stepping, "--pressure nan", "not a positive number"),
+        (load_stepping, "--type floating", "none of"),
+        (scaling, "--processes two", "not a number 0, 1"),
+        (scaling, "--processes 100000", "shared ones measure nothing"),
+        (scaling, "--processes 1 --count 64 --subdomains 8", "as many --subdomains"),
+        (verification, "--part tube --pressures 100,10", "[100.0, 10.0] do not rise"),
+        (verification, "--part tube --element q9", "invalid choice: 'q9'"),
+        (verification, "--part tube --element p2-p1 --augmented", "p2-p1 goes without --augmented"),
+        (verification, "--part bone", "'bone' is none of: published, tube, inf-sup"),
+        (verification, "--part inf-sup --pair q3-p2", "'q3-p2' is none of"),
+        (random_walls, "--seeds -1", "not a number 1, 2, 3"),
+    ],
+)
+@pytest.mark.serial
+def test_wrong_words_end_before_any_work(study, words, said, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as caught:
+        study.STUDY.main(words.split())
+    found = capsys.readouterr().err
+    assert caught.value.code == 2
+    assert said in found

@@ -1,0 +1,232 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Strong scaling: its records, the model of them, and counted messages."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from benchmarks import scaling
+from benchmarks.common import machine, paper
+from benchmarks.common.scaling.model import INNER, PARTS, Machine, create_model, efficiency
+from benchmarks.common.scaling.traffic import COUNTERS, compile_library
+
+pytest.importorskip("gmsh")
+pytest.importorskip("matplotlib")
+pytestmark = pytest.mark.serial
+
+SMALL = "--geometry tube --size 1 --subdomains 4 --layers 2 --choices paper".split()
+main = scaling.STUDY.main
+
+
+@pytest.mark.skipif(not shutil.which("mpicc"), reason="there is no mpicc")
+def test_small_case_is_measured_and_counted(tmp_path, capsys):
+    file, folder = tmp_path / "scaling.json", str(tmp_path / "walls")
+    words = [*SMALL, "--processes", "1", "--count", "2"]
+    words += ["--json", str(file), "--folder", folder]
+    main(words)
+    counted, measured = json.loads(file.read_text())
+    assert (counted["task"], counted["processes"]) == ("count", 2)
+    assert counted["neighbours"] == 1
+    assert counted["iteration"]["messages"]["max"] >= 1
+    assert counted["iteration"]["reductions"]["max"] >= 1
+    assert counted["coarse_solves"] >= 1
+    assert (counted["coarse_entries"] > 0) == (counted["coarse_size"] > 0)
+    assert counted["messages_to_each"] == counted["iteration"]["messages"]["mean"]  # a neighbour
+    assert counted["reading"]["messages"]["max"] >= 1
+    assert counted["reading_bytes"] < (tmp_path / "walls/tube_1.h5").stat().st_size
+    parts = [measured[f"seconds_{part}"] for part in ("local", "krylov", "coarse", "reading")]
+    assert min(parts) > 0.0
+    assert sum(parts) <= measured["seconds_total"]
+    assert len(measured["linear_iterations_per_newton"]) == measured["newton_iterations"] >= 2
+    capsys.readouterr()
+    main(words)
+    assert capsys.readouterr().out.count("in the records already") == 2
+    main(["--predict", "3000000", "512", "--json", str(file)])
+    said = capsys.readouterr().out.splitlines()
+    assert len(said) == 3 and "classical, the paper's choices: " in said[-1], said
+
+
+def test_page_of_the_papers_own_times(tmp_path):
+    """The paper's seconds as records, and counts that grow or do not."""
+    records = [
+        _measured(layers, processes, times)
+        for layers, by_processes in paper.TIMES.items()
+        for processes, times in by_processes.items()
+    ]
+    records += [_counted(layers, P) for layers in scaling.TYPES for P in (8, 64)]
+    file = tmp_path / "scaling.json"
+    file.write_text(json.dumps(records))
+    page = scaling.STUDY.write_page([file], tmp_path)
+    assert "| 512 | 12.70 | 1.003 | 67.60 | 0.606 | 161.00 | 0.394 |" in page
+    assert "| 512 | 23.90 | 0.949 | 297.20 | 0.497 | 667.40 | 0.305 |" in page
+    assert "| 8 | 6 | 5 | 2 | 1 | 10 | 8 | 10 | 10 | 10 | 2 | 10 | 10 | 0.01 | 10 |" in page
+    assert "| 64 | 6 | 5 | 2.2 | 1.1 | 10 | 64 | 10 | 10 | 10 | 2 | 10 | 10 | 0.01 | 10 |" in page
+    assert (tmp_path / "scaling.png").stat().st_size > 20_000
+
+
+def _case(layers: int, processes: int, task: str) -> dict:
+    case = {"study": "scaling", "task": task, "geometry": "vessel", "size": None, "layers": layers}
+    case |= {"degree": 1, "kappa": 100.0, "type": scaling.TYPES[layers], "pc": "lumped"}
+    case |= {"choices": "paper", "subdomains": 512, "processes": processes}
+    case |= {"dofs": paper.DOFS[layers], "multipliers": 10**6, "coarse_size": 3072}
+    case |= {"subdomains_in_all": 512, "formulation": "dual", "machine": machine.describe()}
+    return case | {"date": "2026-01-02T03:04:05+00:00"}
+
+
+def _measured(layers: int, processes: int, times: paper.Times) -> dict:
+    seconds = {f"seconds_{part}": value for part, value in times._asdict().items()}
+    seconds |= {"seconds_coarse": 5.0, "seconds_reading": 1.0, "newton_iterations": 5}
+    seconds |= {"seconds_fixed": 0.1}
+    its = {"linear_iterations_per_newton": [324] * 5, "linear_iterations_mean": 324.0}
+    wall = [f"Wall{phase}" for phase in ("Read", "Partition", "Tags", "Fibres")]
+    once = dict.fromkeys([*wall, "FETITear", "FETIPattern", "FETIGluing"], 0.5)
+    return _case(layers, processes, "measure") | seconds | its | {"seconds_once": once}
+
+
+def _counted(layers: int, processes: int) -> dict:
+    """Return counts of which the busiest process's messages grow with the processes."""
+    even = {name: {"mean": 10.0, "max": 10.0} for name in COUNTERS}
+    grown = even | {"messages": {"mean": 10.0, "max": float(processes)}}
+    found = {"setup": even, "iteration": grown, "neighbours": 6.0, "coarse_solves": 2.0}
+    found |= {"neighbours_mean": 5.0, "messages_to_each": 2.2 if processes == 64 else 2.0}
+    found |= {"coarse_entries": 1e6, "coarse_flops": 1e9, "reading": even}
+    found |= {"reading_bytes": 1e6, "reading_mib": 10.0}
+    return _case(layers, processes, "count") | found
+
+
+BASE = {"processes": 1, "subdomains_in_all": 512, "coarse_size": 3072, "newton_iterations": 5}
+BASE |= {"linear_iterations_per_newton": [300] * 5, "seconds_local": 400.0, "seconds_total": 2000.0}
+BASE |= {"seconds_krylov": 1300.0, "seconds_coarse": 20.0, "seconds_reading": 3.0}
+BASE |= {"seconds_fixed": 2.0}
+SENT = {"processes": 64, "coarse_solves": 2.0, "coarse_entries": 1e6, "coarse_flops": 1e9}
+SENT |= {
+    kind: {name: {"mean": 10.0, "max": 10.0} for name in COUNTERS}
+    for kind in ("iteration", "reading")
+} | {"reading_bytes": 1e6}
+
+
+def test_papers_efficiencies():
+    """Closed form: the printed efficiencies of the paper's last rows."""
+    for layers, krylov, total in ((1, 0.606, 0.394), (2, 0.497, 0.305)):
+        first, last = (paper.TIMES[layers][P] for P in (paper.FIRST, 512))
+        assert efficiency(16, first.krylov, 512, last.krylov) == pytest.approx(krylov, abs=5e-4)
+        assert efficiency(16, first.total, 512, last.total) == pytest.approx(total, abs=5e-4)
+
+
+def test_model_gives_back_what_it_begins_with():
+    model = create_model([BASE], [SENT])
+    first = model.predict(1)
+    for part in ("local", "krylov", "coarse", "reading", "fixed", "total"):
+        assert getattr(first, part) == pytest.approx(BASE[f"seconds_{part}"], rel=1e-12)
+    assert sum(first.shares().values()) == pytest.approx(1.0)
+    assert set(first.shares()) == set(PARTS)
+
+
+def test_work_shrinks_and_what_is_sent_does_not():
+    model = create_model([BASE], [SENT])
+    two, many, beyond = (model.predict(P) for P in (2, 512, 1024))
+    assert two.local == 256 * many.local == 200.0
+    assert many.messages == two.messages > 0.0
+    assert many.reductions == pytest.approx(9 * two.reductions)  # log₂ P
+    solves, m = 1500 * SENT["coarse_solves"], Machine()
+    assert two.gathering == pytest.approx(solves * 8 * 3072 / m.bandwidth)  # on all
+    for found, K, P in ((many, 3072, 512), (beyond, 6144, 1024)):
+        each = 2 * m.latency * math.log2(P) + 8 * K / m.bandwidth
+        assert found.gathering == pytest.approx(solves * each)
+    assert model.predict(3).local > 400.0 / 3  # 171 of 512 subdomains
+
+
+def test_coarse_solves_shrink_where_the_inverse_is_spread():
+    """Up to 128 unknowns a process."""
+    model = create_model([BASE], [SENT])
+    few, some, many = (model.predict(P) for P in (16, 256, 512))
+    solves = 1500 * SENT["coarse_solves"]
+    assert few.coarse_solves == pytest.approx(solves * 16e6 / Machine().stream)
+    assert some.coarse_solves == pytest.approx(solves * 8 * 3072**2 / 256 / Machine().stream)
+    assert many.coarse_solves == pytest.approx(some.coarse_solves / 2)
+    assert few.coarse_factor < many.coarse_factor < some.coarse_factor  # rows of the inverse
+
+
+@pytest.mark.parametrize("columns", [6, 8])
+def test_third_level_reads_its_rows_and_waits(columns):
+    """20 000 subdomains in 2500 clusters, each exchange with the neighbours that were counted."""
+    sent = SENT | {"neighbours": 10.0}
+    found = create_model([BASE | {"coarse_size": 512 * columns}], [sent]).predict(20_000)
+    assert found.gathering == 0.0  # within the third level's iterations
+    inner, entries, numbers, exchanges = INNER[columns > 6]
+    m, K_1, P = Machine(), 15_000, 20_000
+    each = (12 * entries + 8 * numbers) * columns / m.stream + 10 * exchanges * m.latency
+    each += 2 * m.latency * math.log2(20_000)
+    each += 2 * m.latency * math.log2(P) + 8 * K_1 / m.bandwidth + 8 * K_1**2 / (P * m.stream)
+    assert found.coarse_solves == pytest.approx(1500 * sent["coarse_solves"] * inner * each)
+
+
+def test_no_model_without_both():
+    assert create_model([], [SENT]) is None
+    assert create_model([BASE], []) is None
+
+
+PROGRAM = """
+import json, sys
+from dataclasses import asdict
+from mpi4py import MPI
+from petsc4py import PETSc
+import numpy as np
+from benchmarks.common.scaling.traffic import gather, since_reset, start_count
+
+comm = MPI.COMM_WORLD
+right, left = (comm.rank + 1) % comm.size, (comm.rank - 1) % comm.size
+found = {}
+
+def counted(name, work):
+    start_count()
+    work()
+    found[name] = gather(since_reset(), comm).tolist()
+
+counted("ring", lambda: comm.Sendrecv(np.ones(5), dest=right, recvbuf=np.ones(5), source=left))
+counted("sum", lambda: comm.Allreduce(MPI.IN_PLACE, np.ones(3)))
+counted("alone", lambda: MPI.COMM_SELF.Allreduce(MPI.IN_PLACE, np.ones(3)))
+half = comm.Split(comm.rank == 0)
+counted("pair", half.Barrier)
+request = comm.Send_init(np.ones(2), dest=right)
+
+def again():
+    for _ in range(3):
+        request.Start()
+        comm.Recv(np.ones(2), source=left)
+        request.Wait()
+
+counted("persistent", again)
+x = PETSc.Vec().createMPI((4, None), comm=comm)
+x.set(1.0)
+counted("dot", lambda: x.dot(x))
+if comm.rank == 0:
+    print(json.dumps(found))
+"""
+
+
+@pytest.mark.skipif(not shutil.which("mpicc"), reason="there is no mpicc")
+def test_known_messages(tmp_path):
+    library = compile_library(tmp_path)
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(scaling.INHERITED)}
+    words = ["mpirun", "-n", "3", "--oversubscribe", "-x", f"LD_PRELOAD={library}"]
+    words += [sys.executable, "-c", PROGRAM]
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    # messages, bytes, neighbours, reductions, contributed, others
+    assert found["ring"] == [[1, 40, 1, 0, 0, 0]] * 3
+    assert found["sum"] == [[0, 0, 0, 1, 24, 0]] * 3
+    assert found["alone"] == [[0] * 6] * 3
+    assert [each[3:] for each in found["pair"]] == [[0, 0, 0], [0, 0, 1], [0, 0, 1]]
+    assert found["persistent"] == [[3, 48, 1, 0, 0, 0]] * 3
+    assert [each[3] for each in found["dot"]] == [1, 1, 1]

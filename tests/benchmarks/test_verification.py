@@ -1,0 +1,202 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Verification in small: published numbers, the tube in closed form, inf-sup constants."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from collective import COMM, agree, small
+from wall_files import on_first
+
+import dolfinx
+import ufl
+
+from benchmarks.common.verification import inf_sup, tube
+from benchmarks.common.verification.cases import CASES
+from benchmarks.common.verification.ellipsoid import create_ellipsoid, ellipsoid_fibre
+from benchmarks.common.verification.revolved import solve_revolved
+from benchmarks.common.verification.stressed_tube import create_stressed_tube
+from benchmarks.common.walls.oracle import KPA_PER_MMHG, Wall, inflate
+from benchmarks.verification import STUDY
+from dolfinx_feti.loading import Steps, follow_load
+from dolfinx_feti.runtime.petsc_options import inserted
+
+pytest.importorskip("matplotlib")
+
+COARSE = ["--part", "tube", "--size", "0.26", "--subdomains", "4"]
+
+
+def inflated(*words: object) -> list[dict]:
+    """Inflate a coarse tube; return a record for each pressure."""
+    return STUDY.main([*COARSE, *map(str, words)])
+
+
+@pytest.mark.serial
+def test_records_and_their_page(tmp_path):
+    """The coarsest beam is outside of the published spread, and the page says so."""
+    path = tmp_path / "verification.json"
+    words = ["--case", "land-1", "--mesh", "1", "--pair", "q2-p1d,q1-p0", "--cells", "2"]
+    words += ["--part", "published,inf-sup", "--json", str(path)]
+    first = STUDY.main(words)
+    agree(STUDY.main(words) == first == json.loads(path.read_text()))
+    small(first[0]["mumps"]["tip"] / first[0]["values"]["tip"] - 1, 1e-6)
+    text = STUDY.write_page([path], tmp_path)
+    agree("| 4.0 to 4.2 | 4 to 4.2 | 4.215 | – | **no** |" in text, text)
+    agree("| Q2–P1disc | 0.395 | – | – | 0 |" in text, text)
+
+
+@pytest.mark.serial
+def test_one_displacement():
+    """2³ cubes, Q1–P0: a node moves; a pressure ±1 is felt by one component. ∫|∇φ|² = h/3 · 8/3."""
+    found = inf_sup.constant(inf_sup.PAIRS["q1-p0"], 2)
+    h = 0.5
+    energy = 3 * (2 / h) * (2 * h / 3) ** 2  # ∫|∇φ|² of the node's hat function
+    felt = h**2 / 4 * np.sqrt(8)  # ∫ ∂φ/∂x over a cell, times the root of the number of cells
+    small(found["beta"] - felt / np.sqrt(energy) / np.sqrt(h**3), 1e-12)
+    agree(found["spurious"] == 8 - 1 - 3 and found["displacements"] == 3)
+
+
+@pytest.mark.serial
+def test_stable_and_unstable_pairs():
+    stable, locking = (inf_sup.constant(inf_sup.PAIRS[name], 2) for name in ("q2-p1d", "p2-p1d"))
+    agree(stable["spurious"] == 0 and stable["beta"] > 0.3)
+    agree(locking["spurious"] > locking["displacements"])
+
+
+def integral(form: ufl.Form) -> float:
+    return COMM.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(form)))
+
+
+def test_ellipsoid():
+    """π r_s² (z − z³/(3 r_l²)) between apex and base, outer less inner; curved cells of order 2."""
+    mesh = create_ellipsoid(COMM, 2).mesh
+    inner, outer = (
+        np.pi * a**2 * (5 + b - (5**3 + b**3) / (3 * b**2)) for a, b in ((7, 17), (10, 20))
+    )
+    small(integral(1.0 * ufl.dx(mesh)) / (outer - inner) - 1, 1e-3)
+    f, x = ellipsoid_fibre(mesh), ufl.SpatialCoordinate(mesh)
+    length = integral((ufl.dot(f, f) - 1) ** 2 * ufl.dx(mesh, degree=4))
+    small(length / (outer - inner), 1e-12)
+    outwards = ufl.as_vector([x[0] / 8.5**2, x[1] / 8.5**2, x[2] / 18.5**2])  # of the middle
+    across = ufl.dot(f, outwards) ** 2 / ufl.dot(outwards, outwards)
+    small(integral(across * ufl.dx(mesh, degree=4)) / (outer - inner), 1e-2)
+
+
+@pytest.mark.serial
+def test_meridian_plane():
+    """Published of problem 2: −26.6; so coarse a mesh is 0.2 % off what it tends to."""
+    energy = CASES["land-2"].limit.args[0]
+    inside, middle, outside = solve_revolved(energy, pressure=10.0, kappa=1e5, through=2, along=8)
+    small(inside + 26.63, 0.06)
+    agree(outside < middle < inside, (outside, middle, inside))
+
+
+@pytest.mark.serial
+def test_tube_with_opening_angles():
+    """Coarser than the coarsest of the study, it is within 0.2 % of the oracle, and 3 %."""
+    tube = create_stressed_tube(COMM, size=0.13)
+    follow_load(tube.problem, tube.set_load, [1.0], Steps(0.02, least=1e-3), state=[tube.u, tube.p])
+    found = tube.measure()
+    small(found["u_r"] - 1, 2e-3)
+    small(max(found["hoop"], found["radial"]), 3e-2)
+
+
+KEYS = set(
+    "pressure_mmhg u_r_inner u_r_inner_exact newton_iterations linear_iterations "
+    "max_linear_ratio steps min_J max_J kappa c size element degree subdomains processes "
+    "augmented thickness thickness_exact mean_J mean_J_exact stress_rr_error "
+    "stress_tt_error".split()
+)
+
+
+def test_tube(tmp_path, capfd):
+    """One for each pressure, in the file too, with costs from rest and the truth at its κ."""
+    path = tmp_path / "new/tube.json"
+    records = inflated("--pressures", "2,10", "--c", 4, "--kappa", 500, "--json", path)
+    agree(on_first(lambda: json.loads(path.read_text())) == records and len(records) == 2)
+    for record, pressure in zip(records, (2.0, 10.0), strict=True):
+        agree(record.keys() >= KEYS, record)
+        agree(record["pressure_mmhg"] == pressure and record["processes"] == COMM.size)
+        agree("cg" in record["linear_methods"], record)
+        truth = inflate(pressure * KPA_PER_MMHG, Wall(c=4.0, kappa=500.0))
+        for name, exact in (
+            ("u_r_inner", truth.inner_displacement),
+            ("thickness", truth.thickness),
+            ("mean_J", truth.mean_jacobian),
+        ):
+            small(record[f"{name}_exact"] / exact - 1.0, 1e-12)
+            small(record[name] / exact - 1.0, 0.03)
+        agree(0.5 < record["min_J"] < record["mean_J"] < record["max_J"] < 1.5)
+        agree(0.0 < record["stress_tt_error"] < 0.3 and 0.0 < record["stress_rr_error"] < 0.6)
+        small(record["max_linear_ratio"], 1.0)
+    for name in ("steps", "newton_iterations", "linear_iterations"):
+        agree(0 < records[0][name] < records[1][name], "counted from rest")
+    said = capfd.readouterr().out
+    agree((" 10.0 mmHg" in said and said.count("\n") == 2) if COMM.rank == 0 else said == "", said)
+
+
+@pytest.mark.serial
+def test_refinement():
+    """Errors of the second order: those of the chords in place of circles."""
+    coarse, fine = (inflated("--pressures", 10, "--size", size)[-1] for size in (0.26, 0.13))
+    for name, rate in (("u_r_inner", 2.5), ("mean_J", 2.0), ("stress_tt_error", 1.4)):
+        errors = [
+            record[name] if name.endswith("error") else record[name] / record[f"{name}_exact"] - 1.0
+            for record in (coarse, fine)
+        ]
+        agree(abs(errors[0]) >= rate * abs(errors[1]), (name, errors))
+
+
+@pytest.mark.serial
+def test_second_order_elements():
+    """At κ = 1e5, and with no more dofs than P2–P0."""
+    words = ("--pressures", 10, "--kappa", 1e5)
+    record, old = (inflated(*words, "--element", e)[-1] for e in ("q2-p1d", "p2-p0"))
+    agree(record["u_r_inner_error"] <= 5e-4 and 0.98 <= record["min_J"] <= record["max_J"] <= 1.02)
+    for name in ("recovered_rr_error", "recovered_tt_error"):
+        agree(record[name] <= 0.5 * old[name], (name, record[name], old[name]))
+
+
+@pytest.mark.serial
+def test_taylor_hood_on_the_same_cells():
+    """MUMPS on u and p together leads to the same tube, with less accurate stresses."""
+    words = ("--pressures", "5,10", "--kappa", 1e5)
+    (_, record), (_, ours) = (inflated(*words, "--element", e) for e in ("q2-q1", "q2-p1d"))
+    agree(record["linear_methods"] == ["mumps"] and record["steps"] == 2, record)
+    agree(record["newton_iterations"] == record["linear_iterations"] and record["dofs"] > 0)
+    small(record["u_r_inner"] / ours["u_r_inner"] - 1.0, 0.01)
+    agree(ours["recovered_tt_error"] < record["recovered_tt_error"] < 0.1, record)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("multipliers", [(), ("--augmented",)])
+def test_a_run_that_goes_on(tmp_path, multipliers):
+    """The costs of the first part count; multipliers are in the checkpoint."""
+    words = ["--checkpoint", tmp_path / "run", *multipliers]
+    first = inflated("--pressures", 4, *words)[-1]
+    last = inflated("--pressures", "4,12", *words)
+    agree([record["pressure_mmhg"] for record in last] == [12.0])
+    agree(last[0]["steps"] > first["steps"] == 1)
+    agree(last[0]["newton_iterations"] > first["newton_iterations"])
+    whole = inflated("--pressures", "4,12", *multipliers)[-1]
+    small(last[0]["u_r_inner"] / whole["u_r_inner"] - 1.0, 1e-6)
+    if multipliers:
+        agree(last[0]["volume_change"] <= 1e-6 and last[0]["updates"] > 1)
+        small(last[0]["mean_J"] - 1.0, 1e-6)
+
+
+@pytest.mark.serial
+def test_a_run_that_does_not_arrive(monkeypatch, tmp_path):
+    """A record says how far it came; JSON without numbers that are none."""
+    monkeypatch.setattr(tube, "STEPS", Steps(first=400.0, least=400.0))
+    path = tmp_path / "tube.json"
+    with inserted("tube_", {"snes_max_it": 5}):
+        first, last = inflated("--pressures", "1,400", "--json", path)
+    agree(first["pressure_mmhg"] == 1.0 and "error" not in first)
+    agree(last["pressure_mmhg"] == 400.0 and last["reached_mmhg"] == 1.0)
+    agree("No equilibrium was found beyond" in last["error"] and "u_r_inner" not in last)
+    agree("NaN" not in on_first(path.read_text))
