@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import numpy as np
 import pytest
 from bodies import PREFIX, block, yeoh
@@ -93,6 +95,28 @@ def test_monitor_of_the_linear_solver(nonlinear):
     (problem.solver.getKSP() if nonlinear else problem.solver).setMonitor(monitor)
     with raises(ZeroDivisionError, "in the monitor"):
         problem.solve()
+
+
+@pytest.mark.parametrize("nonlinear", [True, False])
+def test_error_while_garbage_is_collected(nonlinear):
+    problem = block(yeoh, (0.3, 0.1)).problem() if nonlinear else cut(poisson(cube(2, 4)))
+
+    def monitor(ksp: object, its: int, norm: float) -> None:
+        for _ in range(100):
+            cycle: list[object] = []
+            cycle.append(cycle)
+        if its == 1:
+            raise ZeroDivisionError("in the monitor")
+
+    (problem.solver.getKSP() if nonlinear else problem.solver).setMonitor(monitor)
+    before = gc.get_threshold()
+    gc.set_threshold(1)
+    try:
+        with raises(ZeroDivisionError, "in the monitor"):
+            problem.solve()
+    finally:
+        gc.set_threshold(*before)
+    assert gc.isenabled()
 
 
 def test_volume_ratio(monkeypatch):
