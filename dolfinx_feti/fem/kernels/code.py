@@ -17,7 +17,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.fem.kernels.contraction import Factors, braces, contraction
-from dolfinx_feti.fem.kernels.integrand import Point, State, UnsupportedError, scalar_element
+from dolfinx_feti.fem.kernels.integrand import Input, Point, State, UnsupportedError, scalar_element
 
 __all__ = ["Generated", "generate"]
 
@@ -26,6 +26,9 @@ Array = npt.NDArray[np.float64]
 #: Bytes of a vector of eight numbers; of the stack that points take at a time, and most that all
 #: points of a rule would take.
 VECTOR, STACK, MOST = 64, 256 * 1024, 2 * 1024**2
+
+#: Most points of an instruction, and most groups of eight cells that have them.
+POINTS, GROUPS = 22, 12
 
 #: Of the functions that are generated: coordinates, coefficients, tapes, registers, entries.
 PARAMETERS = "const V *X, const V *const *W, const Program *program, V *R, V *out"
@@ -39,7 +42,9 @@ class Generated:
         shapes: Dofs of a cell for each argument of each form.
         functions: Which of their coefficients are gathered.
         constants: Which of their constants are read.
+        groups: Groups of eight cells that are visited at a time.
         tapes: The tape of each quadrature rule.
+        points: How many points an instruction of each has.
         vectors: Vectors that their registers take.
         text: What follows from their factors, in C.
     """
@@ -47,7 +52,9 @@ class Generated:
     shapes: tuple[tuple[int, ...], ...]
     functions: list[int]
     constants: list[int]
+    groups: int
     tapes: list[npt.NDArray[np.int32]]
+    points: list[int]
     vectors: int
     text: str
 
@@ -84,21 +91,30 @@ def generate(
     shapes = tuple(tuple(e.dim * block for e, block in row) for row in spaces)
     first = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)])
     coordinate = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
+    rules = {d: _rule(cell, d, _vectors(state, point, gdim)) for d, point in points.items()}
+    groups = min(rule.groups for rule in rules.values())
     stages: list[str] = []
-    tapes = []
+    tapes, at_once = [], []
     vectors = 0
     for number, (degree, point) in enumerate(points.items()):
-        program = point.tape.program(point.factors)
-        rule, chunk = _rule(cell, degree, VECTOR * _vectors(state, point, gdim))
+        rule = rules[degree].padded(groups)
+        at_once.append(groups * rule.points)
+        inputs = _inputs(state, point, gdim)
+        program = point.tape.program(point.factors, at_once[-1], inputs)
         tapes.append(program.code)
-        vectors = max(vectors, program.vectors)
-        body = _at_points(state, point, number)
+        vectors = max(vectors, program.vectors + len(inputs) * groups * rule.chunk)
+        body = _at_points(state, point, number, inputs)
+        body.append("for (int start = 0; start < COLUMNS; start += POINTS) {")
+        body.append("V *const entries = out + start / POINTS * SIZE;")
         for form, factors in terms[degree]:
             body += contraction(factors, point.factors, first[form], shapes[form])
-        tables = _tables(rule, coordinate, state, point)
-        stages.append(_stage(number, len(rule[1]), chunk, tables, body))
+        body.append("}")
+        tables = _tables(rule, groups, coordinate, state, point)
+        stages.append(_stage(number, rule, tables, body))
     used = [scalar_element(f.function_space) for f in state.functions]
     sizes = {
+        "GROUPS": groups,
+        "AFFINE": int(coordinate.degree == 1 and len(basix.topology(cell)[gdim][0]) == gdim + 1),
         "NODES": coordinate.dim,
         "GDIM": gdim,
         "INVERSE": f"inverse{gdim}",
@@ -121,7 +137,7 @@ def generate(
     text = "\n".join([*head, *stages, signature, "{", *calls, "}", ""])
     gathered = [functions.index(f) for f in state.functions]
     read = [constants.index(c) for c in state.constants]
-    return Generated(shapes, gathered, read, tapes, vectors, text)
+    return Generated(shapes, gathered, read, groups, tapes, at_once, vectors, text)
 
 
 def _degree(integral: ufl.Integral) -> int:
@@ -137,50 +153,83 @@ def _vectors(state: State, point: Point, gdim: int) -> int:
     return gradients + 2 * len(point.factors) + 1
 
 
-def _rule(cell: Any, degree: int, each: int) -> tuple[tuple[Array, Array], int]:
-    """Return a quadrature rule, and how many of its points are visited at a time.
+@dataclass(frozen=True, slots=True)
+class _Rule:
+    """A quadrature rule.
 
-    Where these are not all, points without weight fill it up.
+    Attributes:
+        x: Its points.
+        weights: Its weights.
+        visits: In how many visits a cell has all points.
+        groups: How many groups of cells an instruction can serve.
+        points: Points of a cell in an instruction.
+        chunk: Points of a cell in a visit.
+    """
+
+    x: Array
+    weights: Array
+    visits: int
+    groups: int
+    points: int = 0
+    chunk: int = 0
+
+    def padded(self, groups: int) -> _Rule:
+        """Fill the rule up with points without weight."""
+        chunk = -(-len(self.weights) // self.visits)
+        instructions = -(-chunk * groups // POINTS)
+        points = -(-chunk // instructions)
+        chunk = points * instructions
+        missing = self.visits * chunk - len(self.weights)
+        x = np.concatenate([self.x, np.repeat(self.x[-1:], missing, axis=0)])
+        weights = np.concatenate([self.weights, np.zeros(missing)])
+        return _Rule(x, weights, self.visits, groups, points, chunk)
+
+
+def _rule(cell: Any, degree: int, vectors: int) -> _Rule:
+    """Return a quadrature rule.
 
     Args:
         cell: The reference cell.
         degree: Degree of the rule.
-        each: Bytes of the stack that a point takes.
+        vectors: What a point takes of the stack.
 
     Raises:
         UnsupportedError: There are too many points.
     """
-    points, weights = map(np.asarray, basix.make_quadrature(cell, degree))
-    if each * len(weights) > MOST:
-        raise UnsupportedError(f"{len(weights)} points")
-    parts = -(-len(weights) // max(1, STACK // each))
-    chunk = -(-len(weights) // parts)
-    missing = parts * chunk - len(weights)
-    points = np.concatenate([points, np.repeat(points[-1:], missing, axis=0)])
-    return (points, np.concatenate([weights, np.zeros(missing)])), chunk
+    x, weights = map(np.asarray, basix.make_quadrature(cell, degree))
+    n, each = len(weights), VECTOR * vectors
+    if each * n > MOST:
+        raise UnsupportedError(f"{n} points")
+    visits = -(-n // max(1, STACK // each))
+    return _Rule(x, weights, visits, max(1, min(POINTS // n, GROUPS, STACK // (each * n))))
 
 
-def _stage(number: int, points: int, chunk: int, tables: dict[str, Array], body: list[str]) -> str:
+def _stage(number: int, rule: _Rule, tables: dict[str, Array], body: list[str]) -> str:
     """Return the function of a quadrature rule."""
-    lines = [f"static void stage{number}({PARAMETERS})", "{", f"enum {{ POINTS = {chunk} }};"]
-    if points == chunk:
+    lines = [f"static void stage{number}({PARAMETERS})", "{"]
+    lines.append(f"enum {{ POINTS = {rule.chunk}, COLUMNS = GROUPS * POINTS }};")
+    if rule.visits == 1:
         lines += [_table(name, values) for name, values in tables.items()]
         return "\n".join([*lines, *body, "}"])
     lines += [_table(f"all_{name}", values) for name, values in tables.items()]
-    lines.append(f"for (int first = 0; first < {points}; first += POINTS) {{")
+    lines.append(f"for (int first = 0; first < {len(rule.weights)}; first += POINTS) {{")
     for name, values in tables.items():
         size = "".join(f"[{n}]" for n in values.shape[1:])
         lines.append(f"const double (*const {name}){size} = all_{name} + first;")
     return "\n".join([*lines, *body, "}", "}"])
 
 
-def _tables(rule: tuple[Any, Any], coordinate: Any, state: State, point: Point) -> dict[str, Array]:
+def _tables(
+    rule: _Rule, groups: int, coordinate: Any, state: State, point: Point
+) -> dict[str, Array]:
     """Return the weights, and the basis functions of geometry, ψ, and fields, φ, at all points."""
-    points, weights = rule
-    psi = coordinate.tabulate(1, points)
-    tables = {"weight": weights, "psi": psi[0], "dpsi": np.moveaxis(psi[1:], 0, -1)}
+    x, weights = np.tile(rule.x, (groups, 1)), np.tile(rule.weights, groups)
+    psi = coordinate.tabulate(1, x)
+    tables = {"weight": weights, "dpsi": np.moveaxis(psi[1:], 0, -1)}
+    if (Input.COORDINATE, 0) in point.inputs:
+        tables["psi"] = psi[0]
     for e in sorted(point.values | point.gradients):
-        phi = np.asarray(state.elements[e].tabulate(1, points))
+        phi = np.asarray(state.elements[e].tabulate(1, x))
         if e in point.values:
             tables[f"phi{e}"] = phi[0]
         if e in point.gradients:
@@ -188,28 +237,59 @@ def _tables(rule: tuple[Any, Any], coordinate: Any, state: State, point: Point) 
     return tables
 
 
-def _at_points(state: State, point: Point, number: int) -> list[str]:
-    """Return the code that computes gradients ∂φ and, by a tape, factors A at all points."""
+def _inputs(state: State, point: Point, gdim: int) -> dict[tuple[int, ...], int]:
+    """Return the place of each input: kind, coefficient, component and direction."""
+    places: dict[tuple[int, ...], int] = {}
+    for kind, f in sorted(point.inputs):
+        components = {Input.WEIGHT: 1, Input.DETERMINANT: 1, Input.COORDINATE: gdim}.get(kind)
+        if components is None:
+            _, components = scalar_element(state.functions[f].function_space)
+        for component in range(components):
+            for direction in range(gdim if kind == Input.GRADIENT else 1):
+                places[kind, f, component, direction] = len(places)
+    return places
+
+
+def _at_points(
+    state: State, point: Point, number: int, inputs: dict[tuple[int, ...], int]
+) -> list[str]:
+    """Return the code that computes gradients ∂φ, inputs, and, by a tape, factors A at points."""
     gradients, width = sorted(point.gradients), len(point.factors) + 1
-    seen = [e in point.values | point.gradients for e in range(len(state.elements))]
-    phi = [f"phi{e}[0]" if e in point.values else "NULL" for e in range(len(seen))]
-    B = [f"B{e}[0][0]" if e in gradients else "NULL" for e in range(len(seen))]
-    dofs = [f"N{e}" if here else "0" for e, here in enumerate(seen)]
-    return [
-        *(f"enum {{ N{e} = {state.elements[e].dim} }};" for e, here in enumerate(seen) if here),
-        *(f"V B{e}[POINTS][N{e}][GDIM];" for e in gradients),
-        f"V A[POINTS][{width}], det[POINTS];",
-        "for (int q = 0; q < POINTS; ++q) {",
-        "V J[GDIM * GDIM], K[GDIM * GDIM];",
-        "jacobian(NODES, GDIM, X, dpsi[q][0], J);",
-        "det[q] = INVERSE(J, K);",
-        *(f"gradients(N{e}, GDIM, dphi{e}[q][0], K, B{e}[q][0]);" for e in gradients),
+    used = [e for e in range(len(state.elements)) if e in point.values | point.gradients]
+    lines = [
+        *(f"enum {{ N{e} = {state.elements[e].dim} }};" for e in used),
+        *(f"V B{e}[N{e}][GDIM][COLUMNS];" for e in gradients),
+        f"V A[{width}][COLUMNS], J[GDIM * GDIM], K[GDIM * GDIM] = {{{{0.0}}}}, det = {{0.0}};",
+        "for (int q = 0; q < COLUMNS; ++q) {",
+        "V *const H = R + q;",
+        "if (q % POINTS == 0 || !AFFINE) {",
+        "jacobian(NODES, GDIM, X + q / POINTS, GROUPS, dpsi[q][0], J);",
+        "det = INVERSE(J, K);",
         "}",
-        f"const double *const phi[] = {{{', '.join(phi)}}};",
-        f"const V *const B[] = {{{', '.join(B)}}};",
-        f"const int dofs[] = {{{', '.join(dofs)}}};",
-        "const Cells cells = {GDIM, NODES, X, W, program->c, weight, det, psi[0], phi, B, dofs};",
-        f"((Run *)program->run)(program->tape[{number}], &cells, POINTS, R, {width}, A[0]);",
+        *(f"gradients(N{e}, GDIM, dphi{e}[q][0], K, &B{e}[0][0][q], COLUMNS);" for e in gradients),
+    ]
+    for kind, f in sorted(point.inputs):
+        to = f"H + {inputs[kind, f, 0, 0]} * COLUMNS"
+        if kind == Input.WEIGHT:
+            lines.append(f"*({to}) = BROADCAST(weight[q]);")
+        elif kind == Input.DETERMINANT:
+            lines.append(f"*({to}) = det;")
+        elif kind == Input.COORDINATE:
+            lines.append(f"INTERPOLATE(NODES, GDIM, 1, X + q / POINTS, psi[q][a], {to});")
+        else:
+            element, block = scalar_element(state.functions[f].function_space)
+            e = state.elements.index(element)
+            d, basis = "1", f"phi{e}[q][a]"
+            if kind == Input.GRADIENT:
+                d, basis = "GDIM", f"B{e}[a][i][q]"
+            w = f"W[{f}] + q / POINTS"
+            lines.append(f"INTERPOLATE(N{e}, {block}, {d}, {w}, {basis}, {to});")
+    return [
+        *lines,
+        "}",
+        "const Data data = {COLUMNS, program->constants, R, A[0]};",
+        f"V *const registers = R + {len(inputs)} * COLUMNS;",
+        f"((Run *)program->run[{number}])(program->tape[{number}], registers, &data);",
     ]
 
 

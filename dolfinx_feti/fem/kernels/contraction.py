@@ -33,7 +33,7 @@ def contraction(
     match len(shape):
         case 0:
             return [
-                f"for (int q = 0; q < POINTS; ++q) out[{first}] += A[q][{i}];"
+                f"for (int q = start; q < start + POINTS; ++q) entries[{first}] += A[{i}][q];"
                 for i in factors.values()
             ]
         case 1:
@@ -45,7 +45,7 @@ def _vector(factors: Factors, first: int) -> list[str]:
     """r[ai] = Σ_qJ P_q[iJ] ∂_J φ_a."""
     rows: dict[int, list[str]] = {}
     for (v,), i in factors.items():
-        rows.setdefault(v.component, []).append(f"A[q][{i}] * {v.basis('a')}")
+        rows.setdefault(v.component, []).append(f"A[{i}][q] * {v.basis('a')}")
     lines = []
     for (v,), _ in list(factors.items())[:1]:
         lines.append(f"for (int a = 0; a < N{v.element}; ++a) {{")
@@ -53,8 +53,8 @@ def _vector(factors: Factors, first: int) -> list[str]:
             lines += [
                 "{",
                 "V s = {0.0};",
-                f"for (int q = 0; q < POINTS; ++q) s += {' + '.join(products)};",
-                f"out[{first} + a * {v.block} + {component}] += s;",
+                f"for (int q = start; q < start + POINTS; ++q) s += {' + '.join(products)};",
+                f"entries[{first} + a * {v.block} + {component}] += s;",
                 "}",
             ]
         lines.append("}")
@@ -68,26 +68,26 @@ def _matrix(factors: Factors, values: Sequence[int], first: int, width: int) -> 
     v, u = next(iter(factors))
     halves: dict[tuple[int, Slot], list[str]] = {}
     for (row, column), i in factors.items():
-        halves.setdefault((row.component, column), []).append(f"A[q][{i}] * {row.basis('a')}")
+        halves.setdefault((row.component, column), []).append(f"A[{i}][q] * {row.basis('a')}")
     wholes: dict[tuple[int, int], list[str]] = {}
     for t, (i, column) in enumerate(halves):
         basis = column.basis("b")
-        wholes.setdefault((i, column.component), []).append(f"T[q][{t}] * {basis}")
+        wholes.setdefault((i, column.component), []).append(f"T[{t}][q - start] * {basis}")
     square = v.element == u.element and v.block == u.block
     lines = ["{", f"const int half = {_symmetry(factors, values) if square else 0};"]
-    lines += [f"for (int a = 0; a < N{v.element}; ++a) {{", f"V T[POINTS][{len(halves)}];"]
-    lines.append("for (int q = 0; q < POINTS; ++q) {")
-    lines += [f"T[q][{t}] = {' + '.join(p)};" for t, p in enumerate(halves.values())]
+    lines += [f"for (int a = 0; a < N{v.element}; ++a) {{", f"V T[{len(halves)}][POINTS];"]
+    lines.append("for (int q = start; q < start + POINTS; ++q) {")
+    lines += [f"T[{t}][q - start] = {' + '.join(p)};" for t, p in enumerate(halves.values())]
     lines += ["}", f"for (int b = half ? a : 0; b < N{u.element}; ++b) {{"]
     lines += [f"V s{j} = {{0.0}};" for j in range(len(wholes))]
-    lines.append("for (int q = 0; q < POINTS; ++q) {")
+    lines.append("for (int q = start; q < start + POINTS; ++q) {")
     lines += [f"s{j} += {' + '.join(p)};" for j, p in enumerate(wholes.values())]
     lines.append("}")
     for j, (i, k) in enumerate(wholes):
         at, to = f"a * {v.block} + {i}", f"b * {u.block} + {k}"
-        lines.append(f"out[{first} + ({at}) * {width} + {to}] += s{j};")
+        lines.append(f"entries[{first} + ({at}) * {width} + {to}] += s{j};")
         if square:
-            lines.append(f"if (half && a != b) out[{first} + ({to}) * {width} + {at}] += s{j};")
+            lines.append(f"if (half && a != b) entries[{first} + ({to}) * {width} + {at}] += s{j};")
     return [*lines, "}", "}", "}"]
 
 
@@ -103,7 +103,7 @@ def _symmetry(factors: Factors, values: Sequence[int]) -> str:
     if not pairs:
         return "1"
     array = f"(const int[][4]){braces(pairs)}"
-    return f"symmetric(POINTS, sizeof A[0] / sizeof(V), A[0], {len(pairs)}, {array})"
+    return f"symmetric(POINTS, COLUMNS, A[0] + start, {len(pairs)}, {array})"
 
 
 def braces(values: object) -> str:

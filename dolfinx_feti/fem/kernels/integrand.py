@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ from ufl.corealg.multifunction import MultiFunction
 
 from dolfinx_feti.fem.kernels.tape import FUNCTIONS, Tape
 
-__all__ = ["VALUE", "Point", "Slot", "State", "UnsupportedError", "scalar_element"]
+__all__ = ["VALUE", "Input", "Point", "Slot", "State", "UnsupportedError", "scalar_element"]
 
 #: The direction of a slot without derivative.
 VALUE = -1
@@ -68,6 +69,12 @@ class UnsupportedError(Exception):
     """An integrand has what only FFCx can compile."""
 
 
+class Input(IntEnum):
+    """What a tape reads at a point: w, det ∂x/∂ξ, x, a coefficient, and its gradient."""
+
+    WEIGHT, DETERMINANT, COORDINATE, COEFFICIENT, GRADIENT = range(5)
+
+
 @dataclass(frozen=True, slots=True, order=True)
 class Slot:
     """A component of a function, or its derivative.
@@ -87,7 +94,7 @@ class Slot:
     def basis(self, node: str) -> str:
         """Return the basis function of a node, in C; a double for a value, else V."""
         e, d = self.element, self.direction
-        return f"phi{e}[q][{node}]" if d == VALUE else f"B{e}[q][{node}][{d}]"
+        return f"phi{e}[q][{node}]" if d == VALUE else f"B{e}[{node}][{d}][q]"
 
 
 class State:
@@ -121,6 +128,7 @@ class Point:
         tape: How they are computed.
         factors: The factors, as references to its values.
         slots: All slots of arguments and coefficients.
+        inputs: What the tape reads, each with the number of its coefficient, or 0.
     """
 
     def __init__(self, state: State) -> None:
@@ -134,6 +142,7 @@ class Point:
         self.tape = Tape()
         self.factors: list[int] = []
         self.slots: set[Slot] = set()
+        self.inputs: set[tuple[Input, int]] = set()
 
     @property
     def values(self) -> set[int]:
@@ -240,22 +249,26 @@ class Point:
         terminal = analyse_modified_terminal(node)
         known, component = terminal.terminal, terminal.flat_component
         if isinstance(known, classes.QuadratureWeight):
-            return value("weight")
+            return self._input(Input.WEIGHT)
         if isinstance(known, classes.JacobianDeterminant):
-            return value("determinant")
+            return self._input(Input.DETERMINANT)
         if isinstance(known, dolfinx.fem.Constant):
             place = _place(self._state.constants, known)
             first = sum(int(np.prod(c.ufl_shape)) for c in self._state.constants[:place])
             return value("constant", integers=[first + component])
         if isinstance(known, classes.SpatialCoordinate):
-            return value("coordinate", integers=[component])
+            return self._input(Input.COORDINATE, component=component)
         if not isinstance(known, dolfinx.fem.Function):
             raise UnsupportedError
         slot = self._slot(terminal)
-        where = [_place(self._state.functions, known), component, slot.block, slot.element]
+        function = _place(self._state.functions, known)
         if slot.direction == VALUE:
-            return value("value", integers=where)
-        return value("gradient", integers=[*where, slot.direction])
+            return self._input(Input.COEFFICIENT, function, component)
+        return self._input(Input.GRADIENT, function, component, slot.direction)
+
+    def _input(self, kind: Input, function: int = 0, component: int = 0, direction: int = 0) -> int:
+        self.inputs.add((kind, function))
+        return self.tape.value("input", integers=[kind, function, component, direction])
 
 
 def scalar_element(V: dolfinx.fem.FunctionSpace) -> tuple[basix.ufl._ElementBase, int]:

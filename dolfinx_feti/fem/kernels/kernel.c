@@ -33,27 +33,42 @@ __attribute__((unused)) static V inverse3(const V *J, V *K)
     return det;
 }
 
-// J ← ∂x/∂ξ of nodes x, (n, d), with ∂ψ/∂ξ, (n, d).
-static inline void jacobian(int n, int d, const V *x, const double *dpsi, V *J)
+// J ← ∂x/∂ξ of nodes x, (n, d), each after a step, with ∂ψ/∂ξ, (n, d).
+static inline void jacobian(int n, int d, const V *x, int step, const double *dpsi, V *J)
 {
     for (int i = 0; i < d; ++i)
         for (int j = 0; j < d; ++j) {
             V sum = {0.0};
-            for (int a = 0; a < n; ++a) sum += x[a * d + i] * dpsi[a * d + j];
+            for (int a = 0; a < n; ++a) sum += x[(a * d + i) * step] * dpsi[a * d + j];
             J[i * d + j] = sum;
         }
 }
 
-// B ← ∂φ/∂X = Kᵀ ∂φ/∂ξ of n basis functions, (n, d).
-__attribute__((unused)) static inline void gradients(int n, int d, const double *dphi, const V *K, V *B)
+// B ← ∂φ/∂X = Kᵀ ∂φ/∂ξ of n basis functions, (n, d), each after a step.
+__attribute__((unused)) static inline void gradients(int n, int d, const double *dphi, const V *K, V *B,
+                                                     int step)
 {
     for (int a = 0; a < n; ++a)
         for (int i = 0; i < d; ++i) {
             V sum = {0.0};
             for (int j = 0; j < d; ++j) sum += dphi[a * d + j] * K[j * d + i];
-            B[a * d + i] = sum;
+            B[(a * d + i) * step] = sum;
         }
 }
+
+// H[c, i] ← Σ_a w[a, c] B[a, i] with n basis functions, bs components, d directions; B is an expression in a
+// and i. There is space for H at the points of all groups.
+#define UNROLL _Pragma("GCC unroll 32")
+#define INTERPOLATE(n, bs, d, w, B, H)                                      \
+    do {                                                                    \
+        V sum[(bs) * (d)];                                                  \
+        UNROLL for (int j = 0; j < (bs) * (d); ++j) sum[j] = (V){0.0};      \
+        for (int a = 0; a < (n); ++a)                                       \
+            UNROLL for (int c = 0; c < (bs); ++c)                           \
+                UNROLL for (int i = 0; i < (d); ++i)                        \
+                    sum[c * (d) + i] += (w)[(a * (bs) + c) * GROUPS] * (B); \
+        UNROLL for (int j = 0; j < (bs) * (d); ++j) (H)[j * COLUMNS] = sum[j]; \
+    } while (0)
 
 static V v_fabs(V x) { return choose(x < 0.0, -x, x); }
 
@@ -63,30 +78,30 @@ static V v_sqrt(V x)
     return x;
 }
 
-// The greatest |A_i| at all points, of factors A, (points, width).
-static V greatest(int points, int width, const V *A, int i)
+// The greatest |a| at all points.
+static V greatest(int points, const V *a)
 {
     V most = {0.0};
     for (int q = 0; q < points; ++q) {
-        const V a = v_fabs(A[q * width + i]);
-        most = choose(a > most, a, most);
+        const V x = v_fabs(a[q]);
+        most = choose(x > most, x, most);
     }
     return most;
 }
 
-// Whether A_st = A_ts, to rounding, for n pairs of the factors, (points, width). A pair names A_st,
+// Whether A_st = A_ts, to rounding, for n pairs of the factors, (·, columns). A pair names A_st,
 // A_ts, A_ss, A_tt, or -1 for a factor that is zero: rounding errors are a share of |A_st| or of
 // |A_ss A_tt|^½, which have one unit, whatever the units of the slots s and t.
-__attribute__((unused)) static int symmetric(int points, int width, const V *A, int n,
+__attribute__((unused)) static int symmetric(int points, int columns, const V *A, int n,
                                              const int (*pair)[4])
 {
     for (int i = 0; i < n; ++i, ++pair) {
-        V difference = {0.0}, size = greatest(points, width, A, (*pair)[0]);
-        for (int q = 0; q < points; ++q)
-            difference += v_fabs(A[q * width + (*pair)[0]] - A[q * width + (*pair)[1]]);
+        const V *const a = A + (*pair)[0] * columns, *const b = A + (*pair)[1] * columns;
+        V difference = {0.0}, size = greatest(points, a);
+        for (int q = 0; q < points; ++q) difference += v_fabs(a[q] - b[q]);
         if ((*pair)[2] >= 0 && (*pair)[3] >= 0)
-            size += v_sqrt(greatest(points, width, A, (*pair)[2])) *
-                    v_sqrt(greatest(points, width, A, (*pair)[3]));
+            size += v_sqrt(greatest(points, A + (*pair)[2] * columns)) *
+                    v_sqrt(greatest(points, A + (*pair)[3] * columns));
         for (int l = 0; l < LANES; ++l)
             if (!(difference[l] <= 64 * DBL_EPSILON * size[l])) return 0;
     }
@@ -99,22 +114,41 @@ __attribute__((unused)) static int symmetric(int points, int width, const V *A, 
 // and tabulate(), which adds to these entries what follows from the factors that tapes compute.
 /* generated */
 
-// What LANES cells gather, and the entries of their forms.
+// Cells that are visited at a time.
+enum { CELLS = LANES * GROUPS };
+
+// What they gather, and the entries of their forms.
 typedef struct {
     V *x, *w[COEFFICIENTS + 1], *out, *registers;
 } Lanes;
 
 static int create_lanes(Lanes *lanes, const Program *program)
 {
-    size_t n = NODES * GDIM + SIZE + program->vectors;
-    for (int f = 0; f < COEFFICIENTS; ++f) n += NODES_OF[f] * BLOCK_OF[f];
+    size_t n = GROUPS * (NODES * GDIM + SIZE) + program->vectors;
+    for (int f = 0; f < COEFFICIENTS; ++f) n += GROUPS * NODES_OF[f] * BLOCK_OF[f];
     lanes->x = aligned_alloc(sizeof(V), n * sizeof(V));
     if (!lanes->x) return 1;
-    V *next = lanes->x + NODES * GDIM;
-    for (int f = 0; f < COEFFICIENTS; next += NODES_OF[f] * BLOCK_OF[f], ++f) lanes->w[f] = next;
+    V *next = lanes->x + GROUPS * NODES * GDIM;
+    for (int f = 0; f < COEFFICIENTS; next += GROUPS * NODES_OF[f] * BLOCK_OF[f], ++f) lanes->w[f] = next;
     lanes->out = next;
-    lanes->registers = next + SIZE;
+    lanes->registers = next + GROUPS * SIZE;
     return 0;
+}
+
+// to[node, component, ·] ← the values of LANES cells at their dofs, n a cell, each with components out of so
+// many values.
+static inline void gather(int n, int components, int values, const double *from, const int *dof,
+                          const int64_t *cell, V *to)
+{
+    for (int a = 0; a < n; ++a) {
+        const double *at[LANES];
+        for (int l = 0; l < LANES; ++l) at[l] = from + (int64_t)dof[cell[l] * n + a] * values;
+        for (int i = 0; i < components; ++i, to += GROUPS) {
+            V x;
+            for (int l = 0; l < LANES; ++l) x[l] = at[l][i];
+            *to = x;
+        }
+    }
 }
 
 // Tabulate cells from place first on, of m places in all, and return them; the last one fills up the
@@ -122,18 +156,16 @@ static int create_lanes(Lanes *lanes, const Program *program)
 static void visit(const Lanes *lanes, int first, int m, const int *list, const double *x,
                   const int *node, const double *const *w, const int *const *dof, const Program *program, int64_t *cells)
 {
-    for (int l = 0; l < LANES; ++l) {
-        const int place = first + l < m ? first + l : m - 1;
-        const int64_t cell = cells[l] = list ? list[place] : place;
-        for (int n = 0; n < NODES; ++n)
-            for (int i = 0; i < GDIM; ++i)
-                lanes->x[n * GDIM + i][l] = x[3 * (int64_t)node[cell * NODES + n] + i];
-        for (int f = 0; f < COEFFICIENTS; ++f)
-            for (int n = 0; n < NODES_OF[f]; ++n)
-                for (int i = 0, bs = BLOCK_OF[f]; i < bs; ++i)
-                    lanes->w[f][n * bs + i][l] = w[f][(int64_t)dof[f][cell * NODES_OF[f] + n] * bs + i];
+    for (int c = 0; c < CELLS; ++c) {
+        const int place = first + c < m ? first + c : m - 1;
+        cells[c] = list ? list[place] : place;
     }
-    for (int i = 0; i < SIZE; ++i) lanes->out[i] = (V){0.0};
+    for (int g = 0; g < GROUPS; ++g) {
+        gather(NODES, GDIM, 3, x, node, cells + g * LANES, lanes->x + g);
+        for (int f = 0; f < COEFFICIENTS; ++f)
+            gather(NODES_OF[f], BLOCK_OF[f], BLOCK_OF[f], w[f], dof[f], cells + g * LANES, lanes->w[f] + g);
+    }
+    for (int i = 0; i < GROUPS * SIZE; ++i) lanes->out[i] = (V){0.0};
     tabulate(lanes->x, (const V *const *)lanes->w, program, lanes->registers, lanes->out);
 }
 
@@ -144,15 +176,17 @@ int evaluate(int m, const int *list, const double *x, const int *node, const dou
              const Program *program, double *const *out)
 {
     Lanes lanes;
-    int64_t cell[LANES];
+    int64_t cell[CELLS];
     if (create_lanes(&lanes, program)) return 1;
-    for (int first = 0; first < m; first += LANES) {
+    for (int first = 0; first < m; first += CELLS) {
         visit(&lanes, first, m, list, x, node, w, dof, program, cell);
         for (int f = 0; f < FORMS; ++f) {
             const int size = FIRST[f + 1] - FIRST[f];
             double *to = out[f] + (int64_t)first * size;
-            for (int l = 0; l < LANES && first + l < m; ++l, to += size)
-                for (int i = 0; i < size; ++i) to[i] = lanes.out[FIRST[f] + i][l];
+            for (int c = 0; c < CELLS && first + c < m; ++c, to += size) {
+                const V *const from = lanes.out + c / LANES * SIZE + FIRST[f];
+                for (int i = 0; i < size; ++i) to[i] = from[i][c % LANES];
+            }
         }
     }
     free(lanes.x);
@@ -168,19 +202,21 @@ int add(int m, const int *list, const double *x, const int *node, const double *
 {
     enum { BS = BLOCK_OF_ROWS };
     Lanes lanes;
-    int64_t cell[LANES];
+    int64_t cell[CELLS];
     if (create_lanes(&lanes, program)) return 1;
-    for (int first = 0; first < m; first += LANES) {
+    for (int first = 0; first < m; first += CELLS) {
         visit(&lanes, first, m, list, x, node, w, dof, program, cell);
-        const V *k = lanes.out;
-        for (int i = 0; i < n; ++i)
-            for (int p = 0; p < BS; ++p, k += n * BS)
-                for (int l = 0; l < LANES && first + l < m; ++l) {
-                    const int64_t at = cell[l] * n + i;
-                    double *const row = values + indptr[(int64_t)block[at] * BS + p];
-                    for (int j = 0; j < n; ++j)
-                        for (int s = 0; s < BS; ++s) row[place[at * n + j] + s] += k[j * BS + s][l];
-                }
+        for (int g = 0; g < GROUPS; ++g) {
+            const V *k = lanes.out + g * SIZE;
+            for (int i = 0; i < n; ++i)
+                for (int p = 0; p < BS; ++p, k += n * BS)
+                    for (int l = 0; l < LANES && first + g * LANES + l < m; ++l) {
+                        const int64_t at = cell[g * LANES + l] * n + i;
+                        double *const row = values + indptr[(int64_t)block[at] * BS + p];
+                        for (int j = 0; j < n; ++j)
+                            for (int s = 0; s < BS; ++s) row[place[at * n + j] + s] += k[j * BS + s][l];
+                    }
+        }
     }
     free(lanes.x);
     return 0;

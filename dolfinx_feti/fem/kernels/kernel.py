@@ -12,7 +12,7 @@ processor does in one to four instructions, and a tangent is contracted in two s
 with the factors A_q at the quadrature points (``integrand``), weighted, and gradients in the
 reference configuration. Where A_q is symmetric at all points of eight cells, to rounding, K is, and
 one half is copied. Many points are visited a few at a time, which bounds what they take of the
-stack.
+stack; where a rule has few, several groups of eight cells are visited at once.
 
 Values agree with dolfinx's to rounding, and what is no number there is none here.
 
@@ -55,9 +55,9 @@ STATE = """int, const int *, const double *, const int *, const double *const *,
            const Program *"""
 DECLARATION = f"""
 typedef struct {{
-    void *run;
+    void *const *run;
     const int *const *tape;
-    const double *c;
+    const double *constants;
     int vectors;
 }} Program;
 int evaluate({STATE}, double *const *);
@@ -75,7 +75,7 @@ class Kernel:
         functions: Coefficients that are gathered.
         constants: Constants.
         code: The compiled module.
-        interpreter: Address of what executes the tapes.
+        interpreters: Address of what executes each tape.
         cells: The cells; None for all that this process owns.
     """
 
@@ -84,7 +84,7 @@ class Kernel:
     functions: Sequence[dolfinx.fem.Function]
     constants: Sequence[dolfinx.fem.Constant]
     code: Any
-    interpreter: int
+    interpreters: Sequence[int]
     cells: npt.NDArray[np.int32] | None = None
 
     @property
@@ -143,8 +143,9 @@ class Kernel:
         ffi, own = self.code.ffi, self.generated
         values = np.concatenate([np.zeros(0), *(np.ravel(c.value) for c in self.constants)])
         owners = self._pointers("int *", own.tapes), pointer(self.code, values)
-        run = ffi.cast("void *", self.interpreter)
-        return ffi.gc(ffi.new("Program *", [run, *owners, own.vectors]), lambda _: owners)
+        run = ffi.new("void *[]", [ffi.cast("void *", i) for i in self.interpreters])
+        program = ffi.new("Program *", [run, *owners, own.vectors])
+        return ffi.gc(program, lambda _: (run, owners))
 
     def _pointers(self, kind: str, arrays: Sequence[npt.NDArray[Any]]) -> Any:
         """Return an array of pointers, which keeps what they point to alive."""
@@ -155,7 +156,7 @@ class Kernel:
     @staticmethod
     def _require(failed: int) -> None:
         if failed:
-            raise MemoryError("no memory for eight cells")
+            raise MemoryError("no memory for the cells of a visit")
 
 
 def create_kernel(
@@ -215,7 +216,7 @@ def create_kernel(
         [functions[i] for i in generated.functions],
         [constants[i] for i in generated.constants],
         code,
-        load_interpreter(compiler.comm),
+        [load_interpreter(compiler.comm, n) for n in generated.points],
         cells,
     )
 

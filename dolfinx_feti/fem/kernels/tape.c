@@ -16,7 +16,7 @@ enum { WIDE = 4 };
 #define NAME(arguments, name) "_ZGVdN4" #arguments "_" #name
 #endif
 typedef double M __attribute__((vector_size(8 * WIDE)));
-static M (*many_exp)(M), (*many_log)(M), (*many_pow)(M, M);
+static M (*many_exp)(M), (*many_log)(M), (*many_power)(M, M);
 
 static void find_functions(void)
 {
@@ -25,172 +25,120 @@ static void find_functions(void)
     if (!library) return;
     *(void **)&many_exp = dlsym(library, NAME(v, exp));
     *(void **)&many_log = dlsym(library, NAME(v, log));
-    *(void **)&many_pow = dlsym(library, NAME(vv, pow));
+    *(void **)&many_power = dlsym(library, NAME(vv, pow));
 #endif
 }
 
-// Σ a b − Σ a b + Σ c − Σ c at n points, whose sums are in the processor's registers.
-static inline __attribute__((always_inline)) void sum(const int *p, int K, V *R, int n)
-{
-#define FOR for (int k = 0; k < n; ++k)
-#define OF(i) R[(ptrdiff_t)K * p[i] + k]
-    V *const to = R + (ptrdiff_t)K * p[0], s[4] = {{0.0}};
-    const int *const end[] = {p + 5 + p[1], end[0] + p[2], end[1] + p[3], end[2] + p[4]};
-    for (p += 5; p < end[0]; p += 2) FOR s[k] += OF(0) * OF(1);
-    for (; p < end[1]; p += 2) FOR s[k] -= OF(0) * OF(1);
-    for (; p < end[2]; ++p) FOR s[k] += OF(0);
-    for (; p < end[3]; ++p) FOR s[k] -= OF(0);
-    FOR to[k] = s[k];
-}
-
-// Execute instructions at K points, from the point q on.
-static inline __attribute__((always_inline)) void at_points(const int *p, const Cells *cells, int q,
-                                                            int K, V *R, int width, V *A)
-{
-#define EACH for (int k = 0; k < K; ++k)
-#define AT(i) (R + (ptrdiff_t)K * p[i])
+#define AT(i) ((V *)((char *)R + p[i]))
 #define NUMBERS(i) ((double *)AT(i))
-#define CASE(name, count, result)  \
-    case name: {                   \
-        V *const to = AT(0);       \
-        EACH to[k] = (V)(result);  \
-        p += count;                \
-        break;                     \
+#define EACH _Pragma("GCC unroll 32") for (int k = 0; k < POINTS; ++k)
+
+// An instruction at POINTS. It calls the next one, which has no frame of its own on the stack.
+#define INSTRUCTION(name) static void do_##name(const int *p, V *R, const Data *data, ptrdiff_t q)
+#define NEXT(n) instructions[p[n]](p + (n) + 1, R, data, q)
+
+// The name, how many numbers follow it on the tape, and the result.
+#define SIMPLE(name, count, result) \
+    INSTRUCTION(name)               \
+    {                               \
+        V *const to = AT(0);        \
+        EACH to[k] = (V)(result);   \
+        NEXT(count);                \
     }
-#define MANY(name, function)                                                                           \
-    case name:                                                                                         \
-        for (int l = 0; l < LANES * K; l += WIDE)                                                      \
-            if (many_##function)                                                                       \
-                *(M *)(NUMBERS(0) + l) = many_##function(*(M *)(NUMBERS(1) + l));                      \
-            else                                                                                       \
-                for (int i = l; i < l + WIDE; ++i) NUMBERS(0)[i] = function(NUMBERS(1)[i]);            \
-        p += 2;                                                                                        \
-        break;
 #define x AT(1)[k]
 #define y AT(2)[k]
 #define z AT(3)[k]
 #define t AT(4)[k]
-    for (;;) switch (*p++) {
-            case STORE:
-                EACH A[(q + k) * width + p[1]] = p[2] ? -AT(0)[k] : AT(0)[k];
-                p += 3;
-                break;
-            case NUMBER: {
-                double number;
-                memcpy(&number, p + 1, sizeof number);
-                EACH AT(0)[k] = BROADCAST(number);
-                p += 3;
-                break;
-            }
-                CASE(CONSTANT, 2, BROADCAST(cells->c[p[1]]))
-                CASE(WEIGHT, 1, BROADCAST(cells->weight[q + k]))
-                CASE(DETERMINANT, 1, cells->determinant[q + k])
-            case COORDINATE: {
-                const int n = cells->nodes, d = cells->dimensions;
-                EACH {
-                    V s = {0.0};
-                    for (int a = 0; a < n; ++a) s += cells->X[a * d + p[1]] * cells->psi[(q + k) * n + a];
-                    AT(0)[k] = s;
-                }
-                p += 2;
-                break;
-            }
-            case VALUE: {
-                const int n = cells->dofs[p[4]];
-                const V *const w = cells->W[p[1]] + p[2];
-                EACH {
-                    V s = {0.0};
-                    for (int a = 0; a < n; ++a) s += w[a * p[3]] * cells->phi[p[4]][(q + k) * n + a];
-                    AT(0)[k] = s;
-                }
-                p += 5;
-                break;
-            }
-            case GRADIENT: {
-                const int n = cells->dofs[p[4]], d = cells->dimensions, step = n * d;
-                const V *const w = cells->W[p[1]] + p[2], *B = cells->B[p[4]] + q * step + p[5];
-                int k = 0;
-                for (; k + 4 <= K; k += 4, B += 4 * step) {  // four sums hide the time of an addition
-                    V s[4] = {{0.0}};
-                    for (int a = 0; a < n; ++a)
-                        for (int i = 0; i < 4; ++i) s[i] += w[a * p[3]] * B[i * step + a * d];
-                    for (int i = 0; i < 4; ++i) AT(0)[k + i] = s[i];
-                }
-                for (; k < K; ++k, B += step) {
-                    V s = {0.0};
-                    for (int a = 0; a < n; ++a) s += w[a * p[3]] * B[a * d];
-                    AT(0)[k] = s;
-                }
-                p += 6;
-                break;
-            }
-            case SUM: {
-                int k = 0;
-                for (; k + 4 <= K; k += 4) sum(p, K, R + k, 4);
-                if (K - k == 3) sum(p, K, R + k, 3);
-                else if (K - k == 2) sum(p, K, R + k, 2);
-                else if (K - k == 1) sum(p, K, R + k, 1);
-                p += 5 + p[1] + p[2] + p[3] + p[4];
-                break;
-            }
-                CASE(ADD, 3, x + y)
-                CASE(SUBTRACT, 3, x - y)
-                CASE(MULTIPLY_ADD, 4, x * y + z)
-                CASE(MULTIPLY_SUBTRACT, 4, x * y - z)
-                CASE(SUBTRACT_PRODUCT, 4, z - x * y)
-                CASE(PRODUCT_SUM, 5, x * y + z * t)
-                CASE(PRODUCT_DIFFERENCE, 5, x * y - z * t)
-                CASE(PRODUCT, 3, x * y)
-                CASE(TRIPLE, 4, x * y * z)
-                CASE(QUADRUPLE, 5, x * y * (z * t))
-                CASE(QUOTIENT, 3, x / y)
-                CASE(LT, 3, x < y)
-                CASE(GT, 3, x > y)
-                CASE(LE, 3, x <= y)
-                CASE(GE, 3, x >= y)
-                CASE(EQ, 3, x == y)
-                CASE(NE, 3, x != y)
-                CASE(AND, 3, (L)x & (L)y)
-                CASE(OR, 3, (L)x | (L)y)
-                CASE(NOT, 2, ~(L)x)
-                CASE(CHOOSE, 4, choose((L)x, y, z))
-                MANY(EXP, exp)
-                MANY(LOG, log)
-            case POWER:
-                for (int l = 0; l < LANES * K; l += WIDE)
-                    if (many_pow)
-                        *(M *)(NUMBERS(0) + l) = many_pow(*(M *)(NUMBERS(1) + l), *(M *)(NUMBERS(2) + l));
-                    else
-                        for (int i = l; i < l + WIDE; ++i)
-                            NUMBERS(0)[i] = pow(NUMBERS(1)[i], NUMBERS(2)[i]);
-                p += 3;
-                break;
-            case FABS:
-                for (int l = 0; l < LANES * K; ++l) NUMBERS(0)[l] = fabs(NUMBERS(1)[l]);
-                p += 2;
-                break;
-            case SQRT:
-                for (int l = 0; l < LANES * K; ++l) NUMBERS(0)[l] = sqrt(NUMBERS(1)[l]);
-                p += 2;
-                break;
-            case FUNCTION:
-                for (int l = 0; l < LANES * K; ++l) NUMBERS(0)[l] = functions[p[2]](NUMBERS(1)[l]);
-                p += 3;
-                break;
-            case END: return;
-            default: __builtin_unreachable();
-        }
+SIMPLE(constant, 2, BROADCAST(data->constants[p[1]]))
+SIMPLE(input, 2, data->inputs[p[1] * data->points + q + k])
+SIMPLE(add, 3, x + y)
+SIMPLE(subtract, 3, x - y)
+SIMPLE(multiply_add, 4, x * y + z)
+SIMPLE(multiply_subtract, 4, x * y - z)
+SIMPLE(subtract_product, 4, z - x * y)
+SIMPLE(product_sum, 5, x * y + z * t)
+SIMPLE(product_difference, 5, x * y - z * t)
+SIMPLE(product, 3, x * y)
+SIMPLE(triple, 4, x * y * z)
+SIMPLE(quadruple, 5, x * y * (z * t))
+SIMPLE(quotient, 3, x / y)
+SIMPLE(lt, 3, x < y)
+SIMPLE(gt, 3, x > y)
+SIMPLE(le, 3, x <= y)
+SIMPLE(ge, 3, x >= y)
+SIMPLE(eq, 3, x == y)
+SIMPLE(ne, 3, x != y)
+SIMPLE(and, 3, (L)x & (L)y)
+SIMPLE(or, 3, (L)x | (L)y)
+SIMPLE(not, 2, ~(L)x)
+SIMPLE(choose, 4, choose((L)x, y, z))
+#undef x
+#undef y
+#undef z
+#undef t
+
+INSTRUCTION(end) { (void)p, (void)R, (void)data, (void)q; }
+
+INSTRUCTION(store)
+{
+    V *const to = data->A + p[1] * data->points + q;
+    if (p[2])
+        EACH to[k] = -AT(0)[k];
+    else
+        EACH to[k] = AT(0)[k];
+    NEXT(3);
 }
 
-static void execute(const int *tape, const Cells *cells, int points, V *R, int width, V *A)
+INSTRUCTION(number)
 {
-    for (int q = 0; q < points; q += *tape) {
-        const int K = points - q < *tape ? points - q : *tape;
-        if (K == 1)  // no loops over points
-            at_points(tape + 1, cells, q, 1, R, width, A);
-        else
-            at_points(tape + 1, cells, q, K, R, width, A);
+    double x;
+    memcpy(&x, p + 1, sizeof x);
+    EACH AT(0)[k] = BROADCAST(x);
+    NEXT(3);
+}
+
+// Σ a b − Σ a b + Σ c − Σ c, in the processor's registers.
+INSTRUCTION(sum)
+{
+    V *const to = AT(0), s[POINTS];
+    EACH s[k] = (V){0.0};
+    const int *const end[] = {p + 5 + p[1], end[0] + p[2], end[1] + p[3], end[2] + p[4]};
+    for (p += 5; p < end[0]; p += 2) EACH s[k] += AT(0)[k] * AT(1)[k];
+    for (; p < end[1]; p += 2) EACH s[k] -= AT(0)[k] * AT(1)[k];
+    for (; p < end[2]; ++p) EACH s[k] += AT(0)[k];
+    for (; p < end[3]; ++p) EACH s[k] -= AT(0)[k];
+    EACH to[k] = s[k];
+    NEXT(0);
+}
+
+#define WIDELY(name, count, many, one)                                              \
+    INSTRUCTION(name)                                                               \
+    {                                                                               \
+        for (int l = 0; l < LANES * POINTS; l += WIDE)                              \
+            if (many_##name)                                                        \
+                *(M *)(NUMBERS(0) + l) = many;                                      \
+            else                                                                    \
+                for (int i = l; i < l + WIDE; ++i) NUMBERS(0)[i] = one;             \
+        NEXT(count);                                                                \
     }
+#define MANY(i) *(M *)(NUMBERS(i) + l)
+WIDELY(exp, 2, many_exp(MANY(1)), exp(NUMBERS(1)[i]))
+WIDELY(log, 2, many_log(MANY(1)), log(NUMBERS(1)[i]))
+WIDELY(power, 3, many_power(MANY(1), MANY(2)), pow(NUMBERS(1)[i], NUMBERS(2)[i]))
+
+#define SINGLY(name, count, one)                                              \
+    INSTRUCTION(name)                                                         \
+    {                                                                         \
+        for (int l = 0; l < LANES * POINTS; ++l) NUMBERS(0)[l] = one;         \
+        NEXT(count);                                                          \
+    }
+SINGLY(fabs, 2, fabs(NUMBERS(1)[l]))
+SINGLY(sqrt, 2, sqrt(NUMBERS(1)[l]))
+SINGLY(function, 3, functions[p[2]](NUMBERS(1)[l]))
+
+static void execute(const int *tape, V *R, const Data *data)
+{
+    for (ptrdiff_t q = 0; q < data->points; q += POINTS) instructions[*tape](tape + 1, R, data, q);
 }
 
 // Return a Run.

@@ -4,6 +4,7 @@
 
 #include <float.h>
 #include <math.h>
+#include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
 
@@ -17,26 +18,25 @@ typedef int64_t L __attribute__((vector_size(64)));
 // x where the mask is set, else y.
 static inline V choose(L mask, V x, V y) { return (V)((mask & (L)x) | (~mask & (L)y)); }
 
-// What a tape reads of LANES cells: coordinates X of the nodes in a number of dimensions, coefficients W
-// and constants c; at each point the weight, det J, and the basis functions psi of the nodes; and of each
-// element, with its number of dofs, the basis functions phi and their gradients B.
+// What a tape reads at a number of points, constants and inputs, (·, points); and A, (·, points), which it
+// stores.
 typedef struct {
-    int dimensions, nodes;
-    const V *X, *const *W;
-    const double *c, *weight;
-    const V *determinant;
-    const double *psi, *const *phi;
-    const V *const *B;
-    const int *dofs;
-} Cells;
+    ptrdiff_t points;
+    const double *constants;
+    const V *inputs;
+    V *A;
+} Data;
 
-// Execute a tape at points, with registers R. It stores A, (points, width).
-typedef void Run(const int *tape, const Cells *cells, int points, V *R, int width, V *A);
+// An instruction of a tape, whose numbers are at p, with registers R, from the point q on.
+typedef void Instruction(const int *p, V *R, const Data *data, ptrdiff_t q);
 
-// The tape of each quadrature rule, what executes them, and their vectors of registers.
+// Execute a tape.
+typedef void Run(const int *tape, V *R, const Data *data);
+
+// The tape of each quadrature rule, what executes it, and the vectors of their inputs and registers.
 typedef struct {
-    void *run;  // a Run
+    void *const *run;  // of a Run each
     const int *const *tape;
-    const double *c;
+    const double *constants;
     int vectors;
 } Program;

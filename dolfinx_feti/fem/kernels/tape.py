@@ -18,8 +18,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 
 from mpi4py import MPI
@@ -31,14 +32,14 @@ from dolfinx_feti.runtime.native import load, processor_flags
 
 __all__ = ["FUNCTIONS", "Program", "Tape", "load_interpreter"]
 
-#: Bytes of a vector of eight numbers, and most of all registers; and most points of an instruction.
-VECTOR, CACHE, POINTS = 64, 384 * 1024, 16
+#: Bytes of a vector of eight numbers.
+VECTOR = 64
 
 #: Functions of one argument that C calls number by number.
 FUNCTIONS = "cos sin tan cosh sinh tanh acos asin atan erf".split()
 
 _CODES = (
-    "end store number constant coordinate determinant weight value gradient sum product quotient "
+    "end store number constant input sum product quotient "
     "power fabs sqrt exp log function choose lt gt le ge eq ne and or not add subtract "
     "multiply_add multiply_subtract subtract_product product_sum product_difference "
     "triple quadruple"
@@ -60,7 +61,8 @@ _PRODUCTS = {2: "product", 3: "triple", 4: "quadruple"}
 
 #: The instructions, for C.
 HEADER = f"""
-enum {{ {", ".join(name.upper() for name in _CODES)} }};
+static Instruction {", ".join(f"do_{name}" for name in _CODES)};
+static Instruction *const instructions[] = {{{", ".join(f"do_{name}" for name in _CODES)}}};
 static double (*const functions[])(double) = {{{", ".join(FUNCTIONS)}}};
 """
 
@@ -70,7 +72,7 @@ class Program:
     """What ``tape.c`` executes.
 
     Attributes:
-        code: Points that are visited at a time, and instructions with the numbers of registers.
+        code: Instructions with the places of registers, in bytes.
         vectors: Vectors of eight numbers that the registers take, one for each point.
     """
 
@@ -116,8 +118,16 @@ class Tape:
         return self._find(value, value)
 
     def add(self, a: int, b: int) -> int:
-        """Return a + b."""
-        terms = sorted((*self._nested("sum", a), *self._nested("sum", b)), key=_by_number)
+        """Return a + b, where c x + d x is (c + d) x for numbers c, d."""
+        terms = [*self._nested("sum", a), *self._nested("sum", b)]
+        numbers: dict[tuple[int, ...], float] = {}
+        for term in terms:
+            c, x = self._scaled(term)
+            numbers[x] = numbers.get(x, 0.0) + c
+        if len(numbers) < len(terms) and all(numbers.values()):
+            merged = [reduce(self.multiply, x, self.number(c)) for x, c in numbers.items()]
+            return reduce(self.add, merged)
+        terms.sort(key=_by_number)
         if terms[0] < 0:
             return -self.add(-a, -b)
         return self._commutative("sum", terms, (a, b))
@@ -136,6 +146,8 @@ class Tape:
     def divide(self, a: int, b: int) -> int:
         """Return a / b, a product with the reciprocals of the factors of b."""
         sign, a, b = _sign(a, b), abs(a), abs(b)
+        if self._numbers.get(b):
+            return sign * self.multiply(a, self.number(1.0 / self._numbers[b]))
         factors = [] if self._numbers.get(a) == 1.0 else list(self._nested("product", a))
         for f in self._nested("product", b):
             value = _Value("quotient", (self.number(1.0), f))
@@ -151,6 +163,13 @@ class Tape:
         if all(c < 0 or self._numbers.get(c) == 0.0 for c in (a, b)):
             return -self.value("choose", mask, abs(a), abs(b))
         return self.value("choose", mask, a, b)
+
+    def _scaled(self, a: int) -> tuple[float, tuple[int, ...]]:
+        """Return the number, and the other factors, whose product is a."""
+        numbers = self._numbers
+        factors = self._nested("product", abs(a))
+        c = math.prod(numbers[f] for f in factors if f in numbers)
+        return math.copysign(c, a), tuple(f for f in factors if f not in numbers)
 
     def _positive(self, a: int) -> int:
         """Return a reference without sign."""
@@ -177,12 +196,17 @@ class Tape:
             self._values.append(value)
         return number
 
-    def program(self, outputs: Sequence[int]) -> Program:
+    def program(
+        self, outputs: Sequence[int], points: int, inputs: Mapping[tuple[int, ...], int]
+    ) -> Program:
         """Write the instructions that compute values.
 
         Args:
             outputs: References to what is stored, in this order.
+            points: Points of an instruction.
+            inputs: The place of each input.
         """
+        size = VECTOR * points
         instructions = _depth_first(self._instructions(outputs), outputs)
         last = {a: v for v, groups in instructions.items() for group in groups for a in group}
         stores: dict[int, list[int]] = {}
@@ -200,15 +224,14 @@ class Tape:
             sizes = tuple(map(len, groups)) if value.name == "sum" else ()
             operands = [a for group in groups for a in group]
             name = _PRODUCTS.get(len(operands), "") if value.name == "product" else value.name
-            code += [_CODES.index(_SHORT.get(sizes, name)), register[v]]
+            code += [_CODES.index(_SHORT.get(sizes, name)), size * register[v]]
             code += () if sizes in _SHORT else sizes
-            code += [register[a] for a in operands]
-            code += value.integers
+            code += [size * register[a] for a in operands]
+            code += [inputs[value.integers]] if name == "input" else value.integers
             for i in stores.get(v, ()):
-                code += [_CODES.index("store"), register[v], abs(i) - 1, int(i < 0)]
+                code += [_CODES.index("store"), size * register[v], abs(i) - 1, int(i < 0)]
             free += {register[a] for a in (*operands, v) if last.get(a, v) == v}
-        points = min(max(CACHE // (VECTOR * count), 1), POINTS)
-        code = [points, *code, _CODES.index("end")]
+        code.append(_CODES.index("end"))
         return Program(np.array(code, dtype=np.int32), points * count)
 
     def _instructions(self, outputs: Sequence[int]) -> dict[int, list[list[int]]]:
@@ -260,15 +283,20 @@ class Tape:
         return found
 
 
-def load_interpreter(comm: MPI.Comm) -> int:
+def load_interpreter(comm: MPI.Comm, points: int) -> int:
     """Return the address of what executes a program in C.
+
+    Args:
+        comm: Communicator of all processes that load it.
+        points: Points of an instruction.
 
     Note:
         Collective.
     """
-    flags = ["-O3", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi", *processor_flags()]
-    source = Path(__file__).with_name("tape.c")
-    code = load(source, "void *interpreter(void);", comm, generated=HEADER, flags=flags)
+    flags = ["-O3", "-fno-math-errno", "-fno-trapping-math", "-fno-tree-loop-distribute-patterns"]
+    source, header = Path(__file__).with_name("tape.c"), f"enum {{ POINTS = {points} }};{HEADER}"
+    flags += ["-Wno-psabi", *processor_flags()]
+    code = load(source, "void *interpreter(void);", comm, generated=header, flags=flags)
     return int(code.ffi.cast("intptr_t", code.lib.interpreter()))
 
 
