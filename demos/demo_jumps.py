@@ -1,11 +1,3 @@
-# ---
-# jupyter:
-#   jupytext:
-#     text_representation:
-#       extension: .py
-#       format_name: light
-# ---
-
 # # Stiffness that jumps: why the scaling matters
 #
 # Copyright (C) 2026 the dolfinx_feti authors

@@ -1,11 +1,3 @@
-# ---
-# jupyter:
-#   jupytext:
-#     text_representation:
-#       extension: .py
-#       format_name: light
-# ---
-
 # # Load steps, checkpoints, and a run that was killed
 #
 # Copyright (C) 2026 the dolfinx_feti authors

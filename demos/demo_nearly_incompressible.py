@@ -1,11 +1,3 @@
-# ---
-# jupyter:
-#   jupytext:
-#     text_representation:
-#       extension: .py
-#       format_name: light
-# ---
-
 # # Nearly incompressible: κ from 10 to 100 000
 #
 # Copyright (C) 2026 the dolfinx_feti authors
@@ -52,14 +44,9 @@ mesh = dolfinx.mesh.create_box(
 # $$ Π(u, p) = \int_Ω μ\, e : e + p \operatorname{div} u - \frac{p^2}{2κ} - f · u \,\mathrm dX,
 #    \qquad e = ε - \tfrac13 \operatorname{tr}(ε)\, I . $$
 #
-# p is *condensed*: it has no neighbours, so it can be eliminated cell by cell, and the solver sees
-# displacements only. `condense=p` does that; an energy of u and p is all that is needed. It is
-# quadratic, so that Newton's method needs a single step, and κ is a constant that may change.
-#
-# Where a pressure is condensed, the solver takes the *primal* form of the method by itself
-# (`feti_formulation auto`): its coarse space has columns against whatever is costly to average
-# (`feti_coarse_adaptive`). The tolerance is 1e-7 instead of 1e-8: at the largest κ, the entries of
-# the matrix are so much larger than the load that rounding leaves a residual of 1e-8.
+# `condense=p` eliminates p cell by cell, so that the solver sees displacements only. The energy is
+# quadratic: Newton's method needs a single step. The tolerance is 1e-7 instead of 1e-8: at the
+# largest κ, rounding leaves a residual of 1e-8.
 
 # +
 MU = 1.0

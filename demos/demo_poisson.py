@@ -1,11 +1,3 @@
-# ---
-# jupyter:
-#   jupytext:
-#     text_representation:
-#       extension: .py
-#       format_name: light
-# ---
-
 # # Poisson's equation: FETI compared with dolfinx
 #
 # Copyright (C) 2026 the dolfinx_feti authors
@@ -138,12 +130,12 @@ gathered = comm.gather((corners.reshape(-1, 3), values, parts.first + parts.subd
 if comm.rank == 0:
     points, values, subdomain = (np.concatenate(part) for part in zip(*gathered, strict=True))
     triangles = Triangulation(*points[:, :2].T, np.arange(len(points)).reshape(-1, 3))
-    fig, (left, right) = plt.subplots(1, 2, figsize=(9, 4))
-    left.tripcolor(triangles, facecolors=subdomain % 20, cmap="tab20", edgecolor="w", lw=0.1)
+    fig, (left, right) = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
+    left.tripcolor(triangles, facecolors=subdomain % 20, cmap="tab20", edgecolor="face", lw=0.2)
     left.set_title("16 subdomains")
     shown = right.tripcolor(triangles, values, shading="gouraud", cmap="viridis")
     right.set_title("solution")
-    fig.colorbar(shown, ax=right)
+    fig.colorbar(shown, ax=right, label="u", shrink=0.8)
     for ax in (left, right):
         ax.set_aspect("equal")
         ax.set_axis_off()

@@ -1,11 +1,3 @@
-# ---
-# jupyter:
-#   jupytext:
-#     text_representation:
-#       extension: .py
-#       format_name: light
-# ---
-
 # # Options of the solver, and what -ksp_view says
 #
 # Copyright (C) 2026 the dolfinx_feti authors

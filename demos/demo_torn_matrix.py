@@ -1,11 +1,3 @@
-# ---
-# jupyter:
-#   jupytext:
-#     text_representation:
-#       extension: .py
-#       format_name: light
-# ---
-
 # # A torn matrix of your own, compared with PCBDDC
 #
 # Copyright (C) 2026 the dolfinx_feti authors
@@ -43,13 +35,9 @@ comm = MPI.COMM_WORLD
 # ## The torn matrix
 #
 # The plate is p × p squares of n × n bilinear elements. The matrix of one square is
-# $K_i = S ⊗ M + M ⊗ S$ with stiffness S and mass M in one dimension. No square knows its
-# neighbours, and none is fixed anywhere: the constant is in the kernel of every $K_i$. The local
-# matrix of a process holds the blocks of its squares,
-#
-# $$ K = \operatorname{diag}(K_1, …, K_p), \qquad A = T^⊤ K\, T, $$
-#
-# and `to_global` is T: the global dof of each torn one. That pair is a MATIS.
+# $K_i = S ⊗ M + M ⊗ S$ with stiffness S and mass M in one dimension; none is fixed anywhere. The
+# local matrix of a process holds the blocks of its squares, $K = \operatorname{diag}(K_1, …, K_p)$,
+# and `to_global` is T in $A = T^⊤ K\, T$: the global dof of each torn one. That pair is a MATIS.
 
 
 # +
@@ -63,30 +51,24 @@ p, n = 4, 16
 side = p * n + 1
 
 ends = np.array([1.0, *[2.0] * (n - 1), 1.0])
-mass = scipy.sparse.diags_array([np.ones(n), 2 * ends, np.ones(n)], offsets=[-1, 0, 1]) / (
-    6 * n * p
-)
-stiff = scipy.sparse.diags_array([-np.ones(n), ends, -np.ones(n)], offsets=[-1, 0, 1]) * (n * p)
+beside = np.ones(n)
+mass = scipy.sparse.diags_array([beside, 2 * ends, beside], offsets=[-1, 0, 1]) / (6 * n * p)
+stiff = scipy.sparse.diags_array([-beside, ends, -beside], offsets=[-1, 0, 1]) * (n * p)
 K_i = scipy.sparse.kron(stiff, mass) + scipy.sparse.kron(mass, stiff)
 
 mine = range(comm.rank, p * p, comm.size)  # squares of this process
 K = scipy.sparse.csr_array(scipy.sparse.block_diag([K_i for _ in mine]))
 nodes = np.arange(side**2).reshape(side, side)
-to_global = np.ravel(
-    [nodes[i * n :, j * n :][: n + 1, : n + 1] for i, j in (divmod(k, p) for k in mine)]
-)
+places = [divmod(k, p) for k in mine]
+to_global = np.ravel([nodes[i * n :, j * n :][: n + 1, : n + 1] for i, j in places])
 # -
 
 # ## What else the solver has to know
 #
-# The temperature is zero on the lower side. Those dofs stay **free** in the matrix, and are named
-# in `dirichlet`: all-floating FETI imposes their values by multipliers, classical FETI fixes them
-# itself. A row that was zeroed has no neighbours left, and would count as a subdomain of its own:
-# assemble without the conditions.
-#
-# Everything else hangs on the matrix as PETSc objects: `create_torn_matrix` *composes* the
-# Dirichlet dofs, and a stiffness for the scaling if there is a better one than the diagonal of K;
-# `set_near_kernel` attaches rigid body modes. With one dof per node the constant is taken.
+# The temperature is zero on the lower side. Assemble without the conditions: those dofs stay
+# **free** in the matrix, and are named in `dirichlet`. All-floating FETI imposes their values by
+# multipliers, classical FETI fixes them itself. With one dof per node the near kernel is the
+# constant; `set_near_kernel` attaches rigid body modes.
 
 # +
 owned = (side**2 + comm.rank) // comm.size
@@ -113,10 +95,8 @@ feti = ksp.getPythonContext()
 
 # ## PCBDDC on the same squares
 #
-# PETSc's balancing method takes a MATIS, too, with two differences. It wants one subdomain per
-# process: `A` with several squares in it is for it *one* subdomain with a disconnected matrix. And
-# it wants the conditions built in: `zeroRowsColumns` puts unit rows into the assembled matrix. So
-# the matrix is assembled again from the union of the squares of each process.
+# PETSc's balancing method takes a MATIS, too, but with one subdomain per process, and with the
+# conditions built in. So the matrix is assembled again from the squares of each process together.
 
 # +
 rows, local = np.unique(to_global, return_inverse=True)
@@ -143,9 +123,7 @@ balancing.setFromOptions()
 y = x.duplicate()
 balancing.solve(b, y)
 
-difference = y.copy()
-difference.axpy(-1.0, x)
-difference = difference.norm() / y.norm()
+difference = (y - x).norm() / y.norm()
 if comm.rank == 0:
     print(f"FETI, {p * p} subdomains: {feti.iterations} iterations")
     print(f"PCBDDC, {comm.size} subdomain(s): {balancing.getIterationNumber()} iterations")
@@ -154,8 +132,7 @@ assert ksp.getConvergedReason() > 0 and balancing.getConvergedReason() > 0
 assert difference < 1e-6
 # -
 
-# On one process PCBDDC has a single subdomain, which it factors: that is a direct solver. Run it on
-# several to compare iterations; with FETI, the number of subdomains does not depend on that.
+# On one process PCBDDC has a single subdomain, which it factors. Run it on several to compare.
 #
 # ## The temperature
 
@@ -164,12 +141,10 @@ folder = writable_folder(Path("output/torn_matrix"), comm)
 parts = comm.gather(x.array_r.copy())
 if comm.rank == 0:
     fig, ax = plt.subplots(figsize=(5.2, 4))
-    shown = ax.imshow(
-        np.concatenate(parts).reshape(side, side), origin="lower", extent=(0, 1, 0, 1)
-    )
-    for line in np.linspace(0, 1, p + 1):
-        ax.axhline(line, color="w", lw=0.8)
-        ax.axvline(line, color="w", lw=0.8)
-    ax.set_title("temperature, and the squares")
-    fig.colorbar(shown)
+    field = np.concatenate(parts).reshape(side, side)
+    shown = ax.imshow(field, origin="lower", extent=(0, 1, 0, 1))
+    ax.set(xticks=np.linspace(0, 1, p + 1), yticks=np.linspace(0, 1, p + 1))
+    ax.grid(color="w")
+    ax.set(title="the squares and the temperature", xlabel="x / length", ylabel="y / length")
+    fig.colorbar(shown, label="temperature / (heat length² / conductivity)")
     fig.savefig(folder / "temperature.png", dpi=150, bbox_inches="tight")

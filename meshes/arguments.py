@@ -9,8 +9,23 @@ import argparse
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import IO, NoReturn
 
-__all__ = ["count", "parse_all", "positive", "refusals", "share", "without_petsc"]
+from mpi4py import MPI
+
+__all__ = ["Parser", "count", "parse_all", "positive", "refusals", "share", "without_petsc"]
+
+
+class Parser(argparse.ArgumentParser):
+    """Speaks on the first process alone, and of an error in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with status 2."""
+        self.exit(2, f"{self.prog}: error: {message}; --help lists all options\n")
+
+    def _print_message(self, message: str, file: IO[str] | None = None) -> None:
+        if MPI.COMM_WORLD.rank == 0:
+            super()._print_message(message, file)
 
 
 def count(text: str) -> int:

@@ -19,12 +19,13 @@ import numpy as np
 
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.collective import on_first
-from dolfinx_feti.wall import Wall, read_wall
+from dolfinx_feti.wall import Case, Clamp, Pressure, Tissue, Wall, openings, read_case, read_wall
+from dolfinx_feti.wall.fibres import ANGLES
 from meshes.tube import create_tube
 from meshes.vessel import create_vessel
 from meshes.wall_mesh import Quality, WallMesh, measure_quality
 
-__all__ = ["CREATE", "create_tube_wall", "open_wall", "wall_quality"]
+__all__ = ["CREATE", "create_tube_wall", "open_case", "open_wall", "wall_quality"]
 
 #: Generators of walls by name.
 CREATE = {"vessel": create_vessel, "tube": create_tube}
@@ -59,6 +60,41 @@ def open_wall(
     path = on_first(lambda: _prepare(source, size, folder), comm)
     wall = read_wall(path, comm, scale=scale)
     return wall, wall_quality(wall)
+
+
+def open_case(
+    file: Path | None, mesh: str | Path, comm: MPI.Comm, *, size: float | None, folder: Path
+) -> tuple[Case, Wall, Quality]:
+    """Read a case and its wall; without a file, an artery with a mesh under 10 mmHg.
+
+    Args:
+        file: A TOML file of a wall (``docs/cases.md``), or None.
+        mesh: The source of a wall without a file, as in :func:`open_wall`.
+        comm: Communicator of the mesh.
+        size: Length of the elements' edges [mm]; None for the generator's default.
+        folder: Where generated walls are kept.
+
+    Raises:
+        Exception: Whatever is wrong with the file or the wall, on all processes.
+
+    Note:
+        Collective.
+    """
+    case, scale = None if file is None else read_case(file, comm), 1.0
+    if case is not None:
+        mesh = case.mesh if case.mesh in CREATE else file.parent / case.mesh
+        scale = case.scale
+    wall, quality = open_wall(mesh, comm, size=size, folder=folder, scale=scale)
+    if case is None:
+        angles = {name: angle for name, angle in ANGLES.items() if name in wall.layers}
+        case = Case(
+            mesh=str(mesh),
+            layers={name: Tissue(3.0, 2.3632, 0.8393, angle) for name, angle in angles.items()},
+            conditions={"lumen": (Pressure(),)} | {name: (Clamp(),) for name in openings(wall)},
+            pressure=10.0,
+        )
+    case.check(wall)
+    return case, wall, quality
 
 
 def create_tube_wall(comm: MPI.Comm, **geometry: object) -> Wall:

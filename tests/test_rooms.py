@@ -23,7 +23,7 @@ MODULES = {module.name: module for module in rooms.modules()}
 FINITE_ELEMENTS = {"basix", "dolfinx", "ffcx", "ufl"}
 LONGEST, FULLEST = 400, 15
 #: The gallery is flat: a folder for each demo would hide them.
-GALLERY = 17
+GALLERY = 18
 
 
 def files(*folders: str) -> list[Path]:

@@ -81,17 +81,6 @@ def test_all_solvers_solve_the_same_system(tmp_path, capfd):
     agree(ok, said)
 
 
-@pytest.mark.serial
-def test_block(tmp_path):
-    """Both κ; hardly more iterations at the larger one, with a load that has something to do."""
-    words = ["--geometry", "block", "--dofs", "3000", "--subdomains", "8", "--kappa", "10,1000"]
-    records = main([*words, "--solvers", "feti,mumps"])
-    agree([r["kappa"] for r in records if r["solver"] == "feti"] == [10.0, 1000.0])
-    agree(all(r["geometry"] == "block" and r["dofs"] == 2187 for r in records), records)
-    agree(5 < records[2]["iterations"] <= 1.25 * records[0]["iterations"])
-    small(max(record["difference_to_mumps"] for record in records), 1e-6)
-
-
 def test_block_is_clamped_on_five_faces():
     """The nodes of the sixth face that are on no other one are free."""
     block = create_clamped_block(COMM, dofs=400, kappa=10.0, subdomains=None, options={})

@@ -145,17 +145,6 @@ def test_work_shrinks_and_what_is_sent_does_not():
     assert model.predict(3).local > 400.0 / 3  # 171 of 512 subdomains
 
 
-def test_coarse_solves_shrink_where_the_inverse_is_spread():
-    """Up to 128 unknowns a process."""
-    model = create_model([BASE], [SENT])
-    few, some, many = (model.predict(P) for P in (16, 256, 512))
-    solves = 1500 * SENT["coarse_solves"]
-    assert few.coarse_solves == pytest.approx(solves * 16e6 / Machine().stream)
-    assert some.coarse_solves == pytest.approx(solves * 8 * 3072**2 / 256 / Machine().stream)
-    assert many.coarse_solves == pytest.approx(some.coarse_solves / 2)
-    assert few.coarse_factor < many.coarse_factor < some.coarse_factor  # rows of the inverse
-
-
 @pytest.mark.parametrize("columns", [6, 8])
 def test_third_level_reads_its_rows_and_waits(columns):
     """20 000 subdomains in 2500 clusters, each exchange with the neighbours that were counted."""
@@ -168,11 +157,6 @@ def test_third_level_reads_its_rows_and_waits(columns):
     each += 2 * m.latency * math.log2(20_000)
     each += 2 * m.latency * math.log2(P) + 8 * K_1 / m.bandwidth + 8 * K_1**2 / (P * m.stream)
     assert found.coarse_solves == pytest.approx(1500 * sent["coarse_solves"] * inner * each)
-
-
-def test_no_model_without_both():
-    assert create_model([], [SENT]) is None
-    assert create_model([BASE], []) is None
 
 
 PROGRAM = """

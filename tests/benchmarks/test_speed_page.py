@@ -12,7 +12,6 @@ import pytest
 
 from benchmarks.common import machine
 from benchmarks.common.compare import tables
-from benchmarks.common.compare.path import PHASES
 from benchmarks.compare import STUDY
 
 pytest.importorskip("matplotlib")
@@ -82,26 +81,6 @@ def test_ratios_are_those_of_the_faster_layouts(tmp_path):
     assert "Cases without a solution" not in page
 
 
-def test_against_the_best(tmp_path):
-    """Of all others that come to the solution, with the spread of the rounds, case by case."""
-    inaccurate = record_of("hypre", setup=0.1, solve=0.1)
-    page = write(
-        tmp_path,
-        record_of("feti", setup=1.5, solve=0.5, iterations=34, mib=300.0, rounds=(1.9, 2.0, 2.2)),
-        record_of("mumps", setup=9.0, solve=1.0, mib=600.0),
-        record_of("cholmod", setup=8.0, solve=0.0, mib=400.0, processes=1),
-        record_of("gamg", setup=4.0, solve=1.0, rounds=(4.9, 5.0)),
-        inaccurate | {"note": "the residual is above 1e-08"},
-        record_of("feti", setup=1.5, solve=0.5, loaded=10.0),
-        record_of("mumps", setup=0.5, solve=0.5, loaded=10.0),
-    )
-    summary = page.split("## FETI and the best of the others")[1].split("## ")[0]
-    case = "| tube | P2–P0 | 1000 |"
-    first = "34 | 2.00 (1.90–2.20) | GAMG | 2 processes | 5.00 (4.90–5.00) | 0.40 | 0.75 |"
-    assert f"{case} at rest | 60 000 | {first}" in summary
-    assert f"{case} at 10 mmHg | 60 000 | 1 | 2.00 | MUMPS | 2 processes | 1.00 | 2.00" in summary
-
-
 def test_figure_shows_the_fastest_of_plain_first_steps(tmp_path):
     """Not a path, nor another κ, nor subdomains or bounds that the user chose."""
     records = [
@@ -119,48 +98,6 @@ def test_figure_shows_the_fastest_of_plain_first_steps(tmp_path):
     assert tables.points(records, "block", direct) == []
     tables.draw(records, tmp_path / "speed.png")
     assert (tmp_path / "speed.png").stat().st_size > 10_000
-
-
-def test_growth_with_kappa(tmp_path):
-    """Of iterative solvers only."""
-    page = write(
-        tmp_path,
-        record_of("feti", setup=1.0, solve=1.0, geometry="block", kappa=10.0, iterations=40),
-        record_of("feti", setup=1.0, solve=1.0, geometry="block", iterations=52),
-        record_of("feti", setup=1.0, solve=1.0, kappa=10.0, iterations=10),
-        record_of("feti", setup=1.0, solve=1.0, iterations=90),
-        record_of("mumps", setup=1.0, solve=1.0, geometry="block", kappa=10.0),
-        record_of("mumps", setup=1.0, solve=1.0, geometry="block"),
-    )
-    case = "P2–P0 | 60 000 | 32 | FETI | 2 processes | 1000"
-    assert f"| block | {case} | 40 | 52 | 1.30 |" in page
-    assert f"| tube | {case} | 10 | 90 | 9.00 |" in page
-    growth = page.split("## How the iterations grow")[1]
-    assert "MUMPS" not in growth
-
-
-def test_path(tmp_path):
-    page = write(
-        tmp_path,
-        record_of("feti", setup=2.0, solve=1.0, iterations=20, path=10.0),
-        record_of("mumps", setup=5.0, solve=1.0, path=10.0),
-    )
-    mumps = "| 2 | 3 | 3 | 1.0 | 5.00 | 1.00 | 6.0 | 2.00 | 0.50 | 7.0 | 15.0 | 0.80 |"
-    assert f"| tube | 1000 | 60 000 | – | 10 | MUMPS | 2 processes {mumps}" in page
-    assert "A Newton step:" not in page
-
-
-def test_phases(tmp_path):
-    """Each in percent, and the rest."""
-    spent = dict.fromkeys(PHASES, 0.0) | {"FETISchur": 1.0, "FETILocalSolve": 0.5}
-    feti = record_of("feti", setup=3.0, solve=1.0) | {"seconds_phases": spent}
-    page = write(tmp_path, feti, record_of("mumps", setup=1.0, solve=1.0))
-    (row,) = page.split("## Where FETI's time goes")[1].split("| --: |\n")[1].splitlines()[:1]
-    shares = [int(cell) for cell in row.split("|")[8:-1]]
-    assert shares == [0, 25, 0, 0, 0, 12, 0, 62]
-    assert "| at rest | 2 processes | 4.00 |" in row
-    before = write(tmp_path, record_of("feti", setup=3.0, solve=1.0))
-    assert "Where FETI's time goes" not in before
 
 
 def test_failures_are_shown(tmp_path):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import re
-import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -20,13 +19,14 @@ from collective import COMM, agree, raises, small
 from demo_runs import DEMOS, EXAMPLE, read_summary, refused
 from wall_files import ROOT, on_first
 
+from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.wall.wallfile import read_raw_wall
 from meshes.wall_mesh import TAGS, WallMesh, write_msh
 
 pytest.importorskip("gmsh")
 pytest.importorskip("matplotlib")
 
-PICTURES = ("wall.png", "fibres.png", "convergence.png")
+PICTURES = ("wall.png", "fibres.png")
 #: A wall as small as can be, with both layers.
 TUBE = "--mesh tube --size 1 --pressure 2 --steps 3 --subdomains 4".split()
 #: Its numbers, on any number of processes.
@@ -34,6 +34,7 @@ TUBE_DOFS, TUBE_DISPLACEMENT = 1680, 0.03652351  # mm
 #: Demos that import nothing of their folder, with the picture that each draws.
 ALONE = {
     "demo_balloon.py": "balloon/curve.png",
+    "demo_growth.py": "growth/growth.png",
     "demo_hyperelasticity.py": "hyperelasticity/block.png",
     "demo_jumps.py": "jumps/jumps.png",
     "demo_linear_elasticity.py": "beam/beam.png",
@@ -150,7 +151,6 @@ def test_classical_vs_all_floating(run, tmp_path):
     for (kind, n), condition in expected.items():
         small(demo["condition"][kind, "dirichlet", n] / condition - 1.0, 0.01)
     agree(demo["solvers"]["all_floating", "lumped", 1][-1].multipliers == 3876)
-    small(demo["order"] - 2.0, 0.05)
     height, width, _ = on_first(lambda: imread(tmp_path / "cube.png")).shape
     agree(height > 500 and width > 800, (height, width))
 
@@ -161,7 +161,7 @@ def test_own_material(run, tmp_path):
 
     demo = run("demo_own_material.py", "--size", "1", "--pressure", "15", "--output", tmp_path)
     for result in demo["results"].values():
-        agree(result["load_steps"] >= 3 and result["newton_steps"] <= 20, result)
+        agree(result["load_steps"] >= 2, result)
         agree(0.0 < result["difference_to_mumps"] <= 1e-6, result)
     moved = {name: result["max_displacement_mm"] for name, result in demo["results"].items()}
     agree(moved["plaque"] < 0.5 * moved["fibres"], moved)
@@ -169,20 +169,12 @@ def test_own_material(run, tmp_path):
     agree(all(height > 500 and width > 800 for height, width, _ in shapes), shapes)
 
 
-def check_tube(folder: Path, processes: int) -> None:
+def check_tube(folder: Path) -> None:
     """Its summary has the numbers that are the same on any number of processes."""
     summary = read_summary(folder)
-    agree(summary["processes"] == processes)
-    agree(summary["pressure_mmhg"] == 2.0 and summary["load_steps"][-1] == 2.0)
-    agree(summary["subdomains"] >= 4 and summary["mesh"] == "tube")
-    agree(summary["newton_iterations"] >= len(summary["load_steps"]) >= 2)
-    agree(summary["linear_iterations"] >= 5 * summary["newton_iterations"])
-    agree(0.0 < summary["max_linear_ratio"] <= 1.0)
-    agree(0.0 < summary["newton_residual"] <= 1e-8, summary["newton_residual"])
-    agree(summary["seconds_linear_feti"] > 0.0 and summary["seconds_linear_mumps"] > 0.0)
-    agree(0.0 < summary["difference_to_mumps"] <= 1e-6)
-    agree(summary["seconds"] > 0.0)
-    for cost in summary["last_step"].values():
+    agree(summary["load_steps"][-1] == 2.0 and summary["subdomains"] >= 4, summary)
+    agree(summary["newton_iterations"] >= len(summary["load_steps"]) >= 2, summary)
+    for cost in summary["last_step"]:
         agree(cost["seconds_setup"] > 0.0 and cost["seconds_solve"] > 0.0, cost)
         agree(cost["converged_reason"] > 0 and cost["relative_residual"] <= 1e-8, cost)
     agree(summary["dofs"] == TUBE_DOFS, summary["dofs"])
@@ -191,14 +183,13 @@ def check_tube(folder: Path, processes: int) -> None:
     agree(any(folder.glob("wall.[bx]*")))
     rows = on_first(lambda: list(csv.DictReader((folder / "history.csv").read_text().splitlines())))
     agree(len(rows) == summary["newton_iterations"], len(rows))
-    agree(sum(int(row["linear_iterations"]) for row in rows) == summary["linear_iterations"])
     agree(float(rows[-1]["load"]) == 2.0 and int(rows[-1]["accepted"]) == 1, rows[-1])
 
 
 @pytest.mark.processes(2)
 def test_artery(run, tmp_path):
     run("demo_artery.py", *TUBE, "--output", tmp_path)
-    check_tube(tmp_path, COMM.size)
+    check_tube(tmp_path)
 
 
 @pytest.mark.serial
@@ -211,7 +202,7 @@ def test_artery_from_the_command_line(tmp_path):
         re.search(r"load step 2: \d.* of 2 mmHg, .* linear iterations, residual .* left", said),
         said,
     )
-    check_tube(tmp_path, 1)
+    check_tube(tmp_path)
 
 
 @pytest.mark.processes(1)
@@ -219,20 +210,18 @@ def test_vessel(run, tmp_path):
     """What the demo takes if it is not told, on as coarse a mesh as there is."""
     few = "--size 2 --degree 1 --pressure 0.5 --steps 1 --subdomains 8".split()
     demo = run("demo_artery.py", *few, "--output", tmp_path)
-    summary = read_summary(tmp_path)
-    agree(summary["mesh"] == "vessel" and demo["quality"].minimum >= 0.1)
-    agree(summary["pressure_mmhg"] == 0.5 and summary["max_linear_ratio"] <= 1.0)
+    agree(len(demo["case"].conditions) == 4 and demo["quality"].minimum >= 0.1)
+    agree(read_summary(tmp_path)["load_steps"][-1] == 0.5)
     check_pictures(tmp_path)
 
 
 def test_wall_of_ones_own_and_options_of_the_solver(run, tmp_path):
-    options = ["-feti_type", "classical", "-feti_pc_type", "lumped"]
-    demo = run("demo_artery.py", *LEAST, "--output", tmp_path, *options)
+    with inserted("artery_", {"feti_type": "classical", "feti_pc_type": "lumped"}):
+        demo = run("demo_artery.py", *LEAST, "--output", tmp_path)
     report = demo["problem"].solver.getKSP().getPythonContext().report()
     agree(report.options.type == "classical" and report.options.pc_type == "lumped")
-    summary = read_summary(tmp_path)
-    agree(summary["mesh"] == str(EXAMPLE) and demo["mesh"].topology.index_map(3).size_global == 336)
-    agree(summary["pressure_mmhg"] == 0.5 and summary["max_linear_ratio"] <= 1.0)
+    agree(demo["mesh"].topology.index_map(3).size_global == 336)
+    agree(read_summary(tmp_path)["load_steps"] == [0.5])
 
 
 def test_picture_that_cannot_be_written_ends_all_processes(run, tmp_path):
@@ -257,7 +246,7 @@ def wrong_command_line(run, capsys, *arguments: str) -> str:
 @pytest.mark.serial
 @pytest.mark.parametrize("value", ["nan", "inf", "-1", "0", "abc"])
 def test_numbers_that_are_not_positive(run, capsys, value):
-    for option in ("--pressure", "--size", "--kappa"):
+    for option in ("--pressure", "--size"):
         said = wrong_command_line(run, capsys, option, value)
         agree(f"argument {option}: '{value}' is not a positive number" in said, said)
 
@@ -278,7 +267,6 @@ def test_counts_that_are_none(run, capsys, value):
         (["--presure", "10"], "unrecognized arguments: --presure 10"),
         (["ten"], "unrecognized arguments: ten"),
         (["-ksp_monitor", "--pressure", "10", "50"], "arguments: 50 after --pressure"),
-        (["--wall", "wall.toml", "--mesh", "tube"], "--mesh: not allowed with argument --wall"),
     ],
 )
 def test_unknown_words(run, capsys, arguments, match):
@@ -312,38 +300,15 @@ def test_mesh_with_a_missing_tag(run, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        (["-feti_typ", "classical"], "-artery_feti_typ does not exist; did you mean .*feti_type"),
-        (["-feti_type", "classic"], "feti_type.*classic"),
-        (["--subdomains", "337"], "subdomains is 337, but the mesh has 336 cells"),
+        ({"feti_typ": "classical"}, "-artery_feti_typ does not exist; did you mean .*feti_type"),
+        ({"feti_type": "classic"}, "feti_type.*classic"),
     ],
 )
 def test_wrong_options_of_the_solver(run, tmp_path, capsys, options, match):
-    refused(run, capsys, match, *LEAST, "--output", tmp_path, *options)
+    with inserted("artery_", options):
+        refused(run, capsys, match, *LEAST, "--output", tmp_path)
 
 
-# -- whose options are whose
-
-
-@pytest.mark.serial
-@pytest.mark.parametrize(
-    ("line", "solver", "rest"),
-    [
-        ("", {}, []),
-        ("--pressure 3 -feti_type classical", {"feti_type": "classical"}, []),
-        ("-ksp_monitor --pressure 3", {"ksp_monitor": None}, []),
-        ("-ksp_monitor -snes_rtol 1e-9", {"ksp_monitor": None, "snes_rtol": "1e-9"}, []),
-        ("-feti_coarse_modes -1 --pressure 3", {"feti_coarse_modes": "-1"}, []),
-        (
-            "-log_view :log.txt -options_left no",
-            {},
-            ["-log_view", ":log.txt", "-options_left", "no"],
-        ),
-        ("-log_view --pressure 3 -ksp_view", {"ksp_view": None}, ["-log_view"]),
-    ],
-)
-def test_options_with_one_dash_are_petscs(monkeypatch, line, solver, rest):
-    monkeypatch.syspath_prepend(str(DEMOS))
-    parse = runpy.run_path(str(DEMOS / "common/arguments.py"))["parse"]
-    own, found, others = parse(line.split())
-    agree((found, others) == (solver, rest), (found, others))
-    agree(own.pressure == (3.0 if "--pressure" in line else None))
+def test_more_subdomains_than_cells(run, tmp_path, capsys):
+    match = "subdomains is 337, but the mesh has 336 cells"
+    refused(run, capsys, match, *LEAST, "--output", tmp_path, "--subdomains", "337")

@@ -15,7 +15,6 @@ pytest.importorskip("gmsh")
 pytest.importorskip("matplotlib")
 
 FEW = ["--subdomains", "4"]
-PATHS = ("unloading", "back to the image")
 
 
 def write_case(folder, image: float):
@@ -30,18 +29,15 @@ def write_case(folder, image: float):
 
 @pytest.mark.processes(2)
 def test_back_to_the_image(run, tmp_path):
-    """The image again, for less than three inflations, with the volume kept; three pictures."""
+    """The image again, for less than three inflations; two pictures."""
     from matplotlib.image import imread
 
     run("demo_patient.py", "--case", write_case(tmp_path, 80.0), *FEW, "--output", tmp_path)
     summary = read_summary(tmp_path)
     small(summary["loaded_wall_off_the_image_mm"], 1e-6)
     agree(summary["unloaded_wall_receded_by_mm"] > 1e-3, summary)
-    agree(len(summary["worst_mean_volume_change"]) == 4, summary)
-    small(max(summary["worst_mean_volume_change"].values()), 0.01)
-    for spent, once in zip(*(summary["cost"][k].values() for k in PATHS), strict=True):
-        agree(spent <= 3 * once, summary["cost"])
-    for name in ("unloaded", "stress", "profiles"):
+    agree(0 < summary["iterations_unloading"] <= 3 * summary["iterations_back"], summary)
+    for name in ("unloaded", "stress"):
         agree(on_first(lambda n=name: float(np.ptp(imread(tmp_path / f"{n}.png")))) > 0.5, name)
 
 

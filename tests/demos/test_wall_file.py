@@ -19,8 +19,7 @@ def test_case_in_a_file(run, tmp_path):
     few = "--size 1 --degree 1 --steps 2 --subdomains 4".split()
     demo = run("demo_artery.py", "--wall", DEMOS / "wall.toml", *few, "--output", tmp_path)
     summary = read_summary(tmp_path)
-    agree(summary["pressure_mmhg"] == 10.0 and summary["max_linear_ratio"] <= 1.0)
-    agree(summary["c_kpa"] == {"media": 3.0, "adventitia": 0.3})
+    agree({name: tissue.c for name, tissue in demo["tissues"]} == {"media": 3.0, "adventitia": 0.3})
     boundary = demo["boundary"]
     before, last = summary["load_steps"][-2:]
     small(float(boundary.time_step.value) - (last - before) / 100, 1e-12)
@@ -45,7 +44,7 @@ def test_prestretch_of_one_layer(run, tmp_path):
     few = "--degree 1 --steps 2 --subdomains 4 --pressure 2".split()
     demo = run("demo_artery.py", *few, "--output", tmp_path, "--wall", tmp_path / "own.toml")
     summary = read_summary(tmp_path)
-    agree(summary["load_steps"] == [1.0, 2.0] and summary["c_kpa"] == {"wall": 20.0}, summary)
+    agree(summary["load_steps"] == [1.0, 2.0] and demo["case"].layers["wall"].c == 20.0, summary)
     x = demo["V"].tabulate_dof_coordinates()
     top = demo["u"].x.array.reshape(-1, 3)[np.isclose(x[:, 2], 1.0)]
     small(float(np.abs(top - [0.0, 0.0, 0.1]).max(initial=0.0)), 1e-9)
