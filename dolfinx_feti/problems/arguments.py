@@ -1,22 +1,26 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The arguments that dolfinx's problem classes take, from 0.9 to 0.11: served, or answered."""
+"""The arguments that dolfinx's problem classes take, from 0.9 to 0.11: served, or answered.
+
+Only a problem on one continuous space is torn; several fields end in one message, see ``INSTEAD``.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from mpi4py import MPI
 
 import numpy as np
 
+import basix
 import dolfinx
 import ufl
+from ufl.finiteelement import AbstractFiniteElement
 
 from dolfinx_feti.fem.checks import check_bcs, check_space
-from dolfinx_feti.problems.mixed import refuse_blocks, refuse_mixed_form, refuse_mixed_space
 from dolfinx_feti.runtime.collective import warn
 from dolfinx_feti.runtime.petsc_options import require_prefix
 
@@ -28,6 +32,18 @@ __all__ = [
     "require_function",
     "warn_unused",
 ]
+
+#: What to do in place of a problem in several fields: with a pressure, with a flux, with others.
+INSTEAD = {
+    "pressure": "Condense a discontinuous pressure of an elastic solid, "
+    "NonlinearProblem([F_u, F_p], u, bcs=bcs, condense=p) or LinearProblem(a, L, bcs=bcs, "
+    "condense=p), with bcs on the space of u alone and p in F_p, as in (J - 1 - p/kappa)*q: see "
+    "docs/elements.md. A pressure that is continuous, or has no term of its own, as in Stokes' "
+    "equations, is solved by dolfinx, with MUMPS or a field split.",
+    "flux": "Solve it by dolfinx, with MUMPS or a field split; or solve −div(k ∇p) = f for p "
+    "alone, in ('Lagrange', k), and interpolate the flux −k ∇p.",
+    "other": "Solve it by dolfinx, with MUMPS or a field split.",
+}
 
 #: How many problems of each kind have been given a prefix.
 _made: Counter[str] = Counter()
@@ -77,7 +93,10 @@ def checked_conditions(
         TypeError: V is neither scalar nor blocked, or not continuous.
         ValueError: ``bcs`` is a condition alone, or holds something else or one on another space.
     """
-    refuse_mixed_space(V)
+    element = V.ufl_element()
+    parts = list(element.sub_elements)
+    if parts and getattr(element, "block_size", 1) == 1:
+        raise TypeError(f"The space has a mixed element of {len(parts)}{_instead(parts)}")
     check_space(V)
     if isinstance(bcs, dolfinx.fem.DirichletBC):
         raise ValueError("bcs is a Dirichlet condition alone: put it in a list, bcs=[bc].")
@@ -109,29 +128,63 @@ def require_forms(**forms: object) -> None:
 
     Raises:
         ValueError: One is something else.
+        TypeError: One has coefficients of other numbers than float64.
     """
     for name, form in forms.items():
-        refuse_blocks(name, form)
+        _refuse_blocks(name, form)
         if isinstance(form, dolfinx.fem.Form):
             raise ValueError(
                 f"{name} is a compiled form, which cannot be torn any more: give the form of UFL."
             )
         if not isinstance(form, ufl.Form):
             raise ValueError(f"{name} is {form!r}: give a form of UFL.")
-        refuse_mixed_form(name, form)
-        require_real_data(name, form)
+        tests = [v for v in form.arguments() if v.number() == 0]
+        if len(tests) > 1:
+            parts = [v.ufl_function_space().ufl_element() for v in tests]
+            raise ValueError(f"{name} has {len(parts)} test functions{_instead(parts)}")
+        _require_real_data(name, form)
 
 
-def require_real_data(name: str, form: ufl.Form) -> None:
-    """Refuse coefficients and constants that are no real numbers in double precision.
-
-    Args:
-        name: Of the argument.
-        form: The form.
+def _refuse_blocks(name: str, given: object) -> None:
+    """Refuse several forms or functions.
 
     Raises:
-        TypeError: One has other numbers.
+        ValueError: It is a list.
     """
+    if not isinstance(given, Sequence):
+        return
+    if len(given) == 1:
+        raise ValueError(f"{name} is a list of one: take it out of the list.")
+    if name == "J":
+        raise ValueError("J is a block: give the derivative of F_u in u alone, or leave it out.")
+    spaces = [next(_spaces(part), None) for part in given]
+    parts = [space.ufl_element() for space in spaces if space is not None]
+    raise ValueError(f"{name} is a block of {len(given)}{_instead(parts)}")
+
+
+def _spaces(part: object) -> Iterator[dolfinx.fem.FunctionSpace]:
+    """Yield the spaces of functions, and of the test functions of forms, in a row of blocks."""
+    if isinstance(part, dolfinx.fem.Function):
+        yield part.function_space
+    elif isinstance(part, ufl.Form):
+        yield from (argument.ufl_function_space() for argument in part.arguments()[:1])
+    elif isinstance(part, Sequence):
+        for entry in part:
+            yield from _spaces(entry)
+
+
+def _instead(parts: Sequence[AbstractFiniteElement]) -> str:
+    """Say what to do in place of a problem in several fields."""
+    ranks = sorted(len(part.reference_value_shape) for part in parts)
+    fluxes = (basix.SobolevSpace.HDiv, basix.SobolevSpace.HCurl)
+    kind = "pressure" if ranks == [0, 1] else "other"
+    if any(part.basix_sobolev_space in fluxes for part in parts):
+        kind = "flux"
+    return f", but only a problem on one continuous space is torn. {INSTEAD[kind]}"
+
+
+def _require_real_data(name: str, form: ufl.Form) -> None:
+    """Refuse coefficients and constants that are no real numbers in double precision."""
     for f in (*form.coefficients(), *form.constants()):
         dtype = np.dtype(getattr(f, "dtype", np.float64))
         if dtype != np.float64:
@@ -147,7 +200,7 @@ def require_function(u: object) -> None:
     Raises:
         ValueError: u is no function.
     """
-    refuse_blocks("u", u)
+    _refuse_blocks("u", u)
     if not isinstance(u, dolfinx.fem.Function):
         raise ValueError(f"u is {u!r}: give a dolfinx.fem.Function.")
 

@@ -38,7 +38,6 @@ from dolfinx_feti.runtime.collective import warn
 
 __all__ = [
     "Forms",
-    "LinearForms",
     "condensed_fields",
     "default_volume_ratio",
     "derive",
@@ -55,18 +54,25 @@ class Forms:
     """The forms of a problem.
 
     Attributes:
+        u: The unknown; a zero one of a linear problem.
         F_u: Residual tested with v.
-        F_p: Residual of each field that is condensed, tested in its space.
         J: Tangent of F_u in u.
+        condense: Residual of each field that is condensed, tested in its space, and the field.
         energy: Their potential, if there is one.
         symmetric: True if J is the second derivative of an energy; None if nobody knows.
     """
 
+    u: dolfinx.fem.Function
     F_u: ufl.Form
-    F_p: tuple[ufl.Form, ...]
     J: ufl.Form
-    energy: ufl.Form | None
-    symmetric: bool | None
+    condense: tuple[tuple[ufl.Form, dolfinx.fem.Function], ...] = ()
+    energy: ufl.Form | None = None
+    symmetric: bool | None = None
+
+    @property
+    def residuals(self) -> list[ufl.Form]:
+        """All of them: that of u and those of the fields."""
+        return [self.F_u, *(F_p for F_p, _ in self.condense)]
 
 
 def condensed_fields(
@@ -107,9 +113,11 @@ def derive(
     def limited(form: ufl.Form) -> ufl.Form:
         return form if degree is None else limit_quadrature_degree(form, degree)
 
-    for form in [F] if not isinstance(F, Sequence) else F:
+    for form in F if isinstance(F, Sequence) else [F]:
         require_forms(F=form)
-    require_forms(**{n: f for n, f in {"J": J, "energy": energy}.items() if f is not None})
+    for name, given in (("J", J), ("energy", energy)):
+        if given is not None:
+            require_forms(**{name: given})
     check_condensed(condense, u)
     symmetric = True if J is None and isinstance(F, ufl.Form) and not F.arguments() else None
     energy = potential(F, energy)
@@ -118,12 +126,13 @@ def derive(
         added = sum(work, ufl.Form([]))
         J = J if J is None else J + ufl.derivative(added, u, ufl.TrialFunction(u.function_space))
         F_u, energy, symmetric = F_u + added, None, None
-    F_u, F_p = limited(F_u), tuple(map(limited, F_p))
+    F_u = limited(F_u)
     J = ufl.derivative(F_u, u, ufl.TrialFunction(u.function_space)) if J is None else J
     check_nonlinear_forms(F_u, J, u)
     if energy is not None:
         energy = match_quadrature_degree(limited(energy), F_u)
-    return Forms(F_u, F_p, limited(J), energy, symmetric)
+    fields = tuple(zip(map(limited, F_p), condense, strict=True))
+    return Forms(u, F_u, limited(J), fields, energy, symmetric)
 
 
 def warn_of_degree(forms: Forms, twice: int, comm: MPI.Comm) -> None:
@@ -134,7 +143,7 @@ def warn_of_degree(forms: Forms, twice: int, comm: MPI.Comm) -> None:
         twice: Twice the polynomial degree of the unknown.
         comm: Communicator of the problem.
     """
-    degree = max(map(estimated_quadrature_degree, (forms.F_u, *forms.F_p)))
+    degree = max(map(estimated_quadrature_degree, forms.residuals))
     if degree > EXPLOSIVE * twice:
         warn(
             f"UFL estimates a quadrature degree of {degree} for F, which is slow to compile and to "
@@ -202,8 +211,9 @@ def residuals(
     return F_u, tuple(F_p)
 
 
-def default_volume_ratio(forms: Forms, u: dolfinx.fem.Function) -> Expr | None:
+def default_volume_ratio(forms: Forms) -> Expr | None:
     """Return det(I + Grad u) of a displacement, None for another unknown."""
+    u = forms.u
     gdim = u.function_space.mesh.geometry.dim
     if u.ufl_shape != (gdim,):
         return None
@@ -257,31 +267,12 @@ def _has_gradient(o: Expr, u: dolfinx.fem.Function) -> bool:
     return any(u in extract_coefficients(gradient) for gradient in gradients)
 
 
-@dataclass(frozen=True, slots=True)
-class LinearForms:
-    """The forms of a linear problem.
-
-    Attributes:
-        a: The block of u.
-        L: Its right-hand side.
-        u: Zero.
-        F_u: Residual at zero, tested in V.
-        condense: Residual of each field that is condensed, and the field, which is zero.
-    """
-
-    a: ufl.Form
-    L: ufl.Form
-    u: dolfinx.fem.Function
-    F_u: ufl.Form
-    condense: tuple[tuple[ufl.Form, dolfinx.fem.Function], ...]
-
-
 def linear_forms(
     a: ufl.Form | Sequence[Sequence[ufl.Form | None]],
     L: ufl.Form | Sequence[ufl.Form | None],
     u: dolfinx.fem.Function | None,
     fields: Sequence[dolfinx.fem.Function],
-) -> LinearForms:
+) -> tuple[Forms, ufl.Form]:
     """Check the forms and write them as residuals at zero.
 
     Args:
@@ -289,6 +280,9 @@ def linear_forms(
         L: Linear form.
         u: Function for the solution, if it is given.
         fields: What is condensed.
+
+    Returns:
+        The forms, with fields that are zero, and the right-hand side of u.
 
     Raises:
         ValueError: The forms do not fit each other, u, or the fields.
@@ -322,7 +316,7 @@ def linear_forms(
         terms += [-right[i]] if right[i] else []
         residuals.append(sum(terms[1:], terms[0]) if terms else ufl.Form([]))
     fields_at_zero = tuple(zip(residuals[1:], state[1:], strict=True))
-    return LinearForms(rows[0][0], right[0], zero, residuals[0], fields_at_zero)
+    return Forms(zero, residuals[0], rows[0][0], fields_at_zero), right[0]
 
 
 def _blocks(a: Any, L: Any, n: int) -> tuple[list[list[Any]], list[Any]]:

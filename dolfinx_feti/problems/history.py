@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from petsc4py import PETSc
 
@@ -22,7 +23,6 @@ __all__ = [
     "crawls",
     "is_slow",
     "proved_negative",
-    "record_step",
     "share_left",
 ]
 
@@ -123,54 +123,21 @@ class NewtonStep:
     linear_floor: float = math.nan
     tangent_lag: int = 0
 
-
-def record_step(
-    feti: FETI,
-    *,
-    residual: float,
-    step_length: float,
-    indefinite: int | None,
-    shift: float,
-    iterations: Sequence[int],
-    assembly: float,
-    linear: float,
-    floor: float = math.nan,
-    tangent_lag: int = 0,
-) -> NewtonStep:
-    """Record what a Newton step cost.
-
-    Args:
-        feti: Context of the KSP after the last linear solve of the step.
-        residual: ‖r‖ before the step.
-        step_length: α.
-        indefinite: Negative eigenvalues that the true tangent has at least, see ``coarse.space``;
-            None if they are not known.
-        shift: σ of the last solve.
-        iterations: Those of each linear solve.
-        assembly: Seconds of assembly.
-        linear: Seconds of the solves.
-        floor: ‖r‖ that is rounding.
-        tangent_lag: Steps that the tangent had served before.
-    """
-    return NewtonStep(
-        residual=residual,
-        step_length=step_length,
-        linear_method=feti.method,
-        linear_iterations=sum(iterations),
-        linear_residual=feti.residual,
-        condition_number=feti.condition_number,
-        negative=None if feti.inertia is None else feti.inertia.dual,
-        indefinite=indefinite,
-        shift=shift,
-        solves=len(iterations),
-        seconds_assembly=assembly,
-        seconds_linear=linear,
-        linear_rtol=feti.rtol,
-        lag=feti.age,
-        floor=floor,
-        linear_floor=feti.floor,
-        tangent_lag=tangent_lag,
-    )
+    @classmethod
+    def after(cls, feti: FETI, iterations: Sequence[int], **measured: Any) -> NewtonStep:
+        """Record a step after its last linear solve, with the iterations of each of them."""
+        return cls(
+            linear_method=feti.method,
+            linear_iterations=sum(iterations),
+            linear_residual=feti.residual,
+            condition_number=feti.condition_number,
+            negative=None if feti.inertia is None else feti.inertia.dual,
+            solves=len(iterations),
+            linear_rtol=feti.rtol,
+            lag=feti.age,
+            linear_floor=feti.floor,
+            **measured,
+        )
 
 
 def proved_negative(feti: FETI) -> int | None:

@@ -39,7 +39,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.problems.system import Residual, System
 
-__all__ = ["LineSearchResult", "line_search"]
+__all__ = ["Trial", "line_search"]
 
 Array = npt.NDArray[np.float64]
 
@@ -66,36 +66,21 @@ DESCENT = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
-class LineSearchResult:
-    """Where a line search ends.
+class Trial:
+    """A state U + α ΔU, the present one.
 
     Attributes:
-        alpha: α; zero if no step length is admissible.
-        residual: The residual at U + α ΔU, the present state.
+        alpha: α; zero where a search ends without an admissible step length.
+        residual: The residual there; where a cell is inside out, that of the start.
+        ratio: g(α)/g(0); nan where a cell is inside out.
+        accepted: Whether the step may end there.
         potential: Π there; nan if it is not known.
     """
 
     alpha: float
     residual: Residual
-    potential: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Trial:
-    """A state U + α ΔU that is tried.
-
-    Attributes:
-        alpha: α.
-        residual: The residual there; None where a cell is inside out.
-        ratio: g(α)/g(0); nan where a cell is inside out.
-        accepted: Whether the step may end there.
-        potential: Π there; nan if nobody had to know.
-    """
-
-    alpha: float
-    residual: Residual | None
-    ratio: float
-    accepted: bool
+    ratio: float = np.nan
+    accepted: bool = False
     potential: float = np.nan
 
 
@@ -108,7 +93,7 @@ def line_search(
     potential: float | None = None,
     highest: float = -np.inf,
     early: bool = False,
-) -> LineSearchResult:
+) -> Trial:
     """Find a step length, and move there; stay if none is admissible.
 
     Args:
@@ -135,7 +120,7 @@ def line_search(
         shorter = trial.alpha * _shortening(trial.ratio)
         if trials == TRIALS or (shorter < SHORTEST and (early or np.isnan(trial.ratio))):
             system.set_state(start)
-            return LineSearchResult(0.0, residual, height)
+            return Trial(0.0, residual, potential=height)
         trial, trials = move(shorter), trials + 1
     while shifted and trial.ratio > CURVATURE_CONDITION and 1.0 <= trial.alpha < LONGEST:
         longer = move(2.0 * trial.alpha)
@@ -143,8 +128,7 @@ def line_search(
             trial = move(trial.alpha)
             break
         trial = longer
-    assert trial.residual is not None
-    return LineSearchResult(trial.alpha, trial.residual, trial.potential)
+    return trial
 
 
 def _mover(
@@ -155,7 +139,7 @@ def _mover(
     highest: float,
     *,
     shifted: bool,
-) -> Callable[[float], _Trial]:
+) -> Callable[[float], Trial]:
     """Return the function that goes to U + α ΔU and judges the state there."""
     start, step = system.state(), system.increment(residual, du)
     free, lifted, moves = system.free(du), residual.condensed, system.boundary_moves(residual)
@@ -168,10 +152,10 @@ def _mover(
     rounded = abs(slope) <= POTENTIAL_ROUNDING * abs(height)
     only_down = known and not rounded and (shifted or residual.blocks is None)
 
-    def move(alpha: float) -> _Trial:
+    def move(alpha: float) -> Trial:
         system.set_state([a + alpha * b for a, b in zip(start, step, strict=True)])
         if system.least_volume_ratio() <= 0.0:
-            return _Trial(alpha, None, np.nan, accepted=False)
+            return Trial(alpha, residual)
         moved = system.residual()
         ratio = system.dot(free, moved.force) / slope if slope else 0.0  # g(α)/g_0
         bounded = -ETA <= ratio <= 1.0 + ETA
@@ -180,7 +164,7 @@ def _mover(
             there = system.potential()
             most = highest if bounded else height
             accepted = there <= most + DESCENT * alpha * slope
-        return _Trial(alpha, moved, ratio, accepted, there)
+        return Trial(alpha, moved, ratio, accepted, there)
 
     return move
 

@@ -19,13 +19,11 @@ import ufl
 
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.checks import check_scalar_type
-from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.decomposition import decompose, suggested_number
 from dolfinx_feti.problems.arguments import checked_conditions, require_function
 from dolfinx_feti.problems.forms import condensed_fields, linear_forms
-from dolfinx_feti.problems.history import NewtonStep, proved_negative, record_step
+from dolfinx_feti.problems.history import NewtonStep, proved_negative
 from dolfinx_feti.problems.solvers import create_solver
-from dolfinx_feti.problems.system import Residual, System
+from dolfinx_feti.problems.system import Residual
 from dolfinx_feti.problems.torn_problem import TornProblem
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.petsc_errors import python_errors
@@ -127,50 +125,42 @@ class LinearProblem(TornProblem):
             require_function(u)
         assert not isinstance(u, Sequence)
         self._fields = fields
-        self._forms = forms = linear_forms(a, L, u, fields)
-        V, comm = forms.u.function_space, forms.u.function_space.mesh.comm
-        conditions = on_all(lambda: checked_conditions(V, bcs), comm)
+        forms, self._load = linear_forms(a, L, u, fields)
+        self._bilinear, V = forms.J, forms.u.function_space
+        conditions = on_all(lambda: checked_conditions(V, bcs), V.mesh.comm)
+        couplings = [*equations, *checked_couplings(scalars, conditions)]
+        refuse_condensed_fields(couplings, fields, forms.residuals[1:])
         super().__init__(
-            V,
             "linear_problem",
+            forms,
+            conditions,
+            compilers=(form_compiler_options, jit_options),
             prefix=petsc_options_prefix,
             petsc_options=petsc_options,
-            compiler=Compiler(comm, form_compiler_options, jit_options),
+            subdomains=subdomains,
+            seed=seed,
+            near_null_space=near_null_space,
+            null_space=null_space,
             unused={"P": P, "kind": kind, "entity_maps": entity_maps},
+            least=1 if conditions else 2,  # a null space is one of several subdomains together
         )
-        couplings = [*equations, *checked_couplings(scalars, conditions)]
-        refuse_condensed_fields(couplings, fields, [F_p for F_p, _ in forms.condense])
         self.u = dolfinx.fem.Function(V) if u is None else u
-        least = 1 if conditions else 2  # a null space is one of several subdomains together
-        self.decomposition = decompose(
-            V.mesh, suggested_number(V, least) if subdomains is None else subdomains, seed=seed
-        )
-        system = System(
-            forms.F_u,
-            forms.u,
-            bcs=conditions,
-            J=forms.a,
-            condense=forms.condense,
-            decomposition=self.decomposition,
-            compiler=self._compiler,
-        )
-        self._hold_system(system, near_null_space, null_space)
         self.history: list[NewtonStep] = []
         work = sum(works(couplings), ufl.Form([]))
-        system.scalars = ScalarSystem(
-            couplings, self.u, work, self._compiler, free=~system.dirichlet
+        self._system.scalars = ScalarSystem(
+            couplings, self.u, work, self._compiler, free=~self._system.dirichlet
         )
         self.solver = create_solver(self.A, self._prefix, self._petsc_options)
 
     @cached_property
     def a(self) -> dolfinx.fem.Form:
         """The compiled bilinear form of u, for other uses; as ``L`` collective the first time."""
-        return self._compiler.form(self._forms.a)
+        return self._compiler.form(self._bilinear)
 
     @cached_property
     def L(self) -> dolfinx.fem.Form:
         """The compiled linear form of u."""
-        return self._compiler.form(self._forms.L)
+        return self._compiler.form(self._load)
 
     def solve(self) -> dolfinx.fem.Function | Sequence[dolfinx.fem.Function]:
         """Assemble and solve.
@@ -195,18 +185,19 @@ class LinearProblem(TornProblem):
         solved = time.perf_counter()
         feti = self.solver.getPythonContext()
         self.history = [
-            record_step(
+            NewtonStep.after(
                 feti,
+                [feti.iterations],
                 residual=self.b.norm(),
                 step_length=1.0,
                 indefinite=proved_negative(feti),
                 shift=0.0,
-                iterations=[feti.iterations],
-                assembly=assembled - started,
-                linear=solved - assembled,
+                seconds_assembly=assembled - started,
+                seconds_linear=solved - assembled,
             )
         ]
-        raise_if_diverged(self.solver)
+        if self.solver.getConvergedReason() < 0:
+            raise ConvergenceError(f"FETI did not converge: {feti.message}")
         _, p, s = self._system.increment(residual, self.x.array_r)
         self._system.scalars.set_values(s)
         self.u.x.array[: self.x.getLocalSize()] = self.x.array_r
@@ -231,14 +222,7 @@ class LinearProblem(TornProblem):
             scalars.set_values(s)
 
     def linear_system(self) -> tuple[PETSc.Mat, PETSc.Vec]:
-        """Assemble the torn system that :meth:`solve` solves.
-
-        Returns:
-            A, which stays the problem's own, and a copy of b, which the caller destroys.
-
-        Note:
-            Collective.
-        """
+        """Assemble A, the problem's own, and a b that the caller destroys. Collective."""
         self._assemble()
         return self.A, self.b.copy()
 
@@ -255,13 +239,3 @@ class LinearProblem(TornProblem):
             bc.set(load)
         self.b.array[:] = load
         return residual
-
-
-def raise_if_diverged(ksp: PETSc.KSP) -> None:
-    """Raise if a FETI solver did not converge.
-
-    Raises:
-        ConvergenceError: With the solver's message.
-    """
-    if ksp.getConvergedReason() < 0:
-        raise ConvergenceError(f"FETI did not converge: {ksp.getPythonContext().message}")

@@ -37,8 +37,6 @@ equilibrium the state is.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -56,7 +54,6 @@ from dolfinx_feti.problems.history import (
     Stop,
     crawls,
     is_slow,
-    record_step,
     share_left,
 )
 from dolfinx_feti.problems.line_search import line_search
@@ -133,6 +130,7 @@ class Newton:
     Dirichlet conditions are enough.
 
     Attributes:
+        start: What the next solve begins with: PETSc hands nothing on.
         history: A record for each step of the last solve.
         message: What went wrong in it and what helps, or an empty string.
         residual: The (condensed) residual of its last iterate, (owned,), with u − g on Dirichlet
@@ -144,7 +142,7 @@ class Newton:
     def __init__(self, system: System) -> None:
         """Take the system; the state stays in the user's functions."""
         self._system = system
-        self._start = Start()
+        self.start = Start()
         self._directions, self._heights = Directions(system), [np.nan]  # Π of the last states
         self._du = np.zeros(system.owned)
         self.history: list[NewtonStep] = []
@@ -154,21 +152,14 @@ class Newton:
         self.mismatch: Mismatch | None = None
         self._compared = False
 
-    @contextmanager
-    def starting(self, start: Start) -> Iterator[None]:
-        """Let a solve in this context begin with more than the state: PETSc hands nothing on."""
-        self._start = start
-        try:
-            yield
-        finally:
-            self._start = Start()
-
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
         """Iterate from the state of the user's functions until the residual is small."""
+        start, self.start = self.start, Start()
+        self._early = start.early
         self.history, self.message, self._heights = [], "", [np.nan]
         self._compared = self.mismatch is not None
         try:
-            reason = self._iterate(snes, self._start)
+            reason = self._iterate(snes, start)
         except Stop as stop:
             reason, self.message = stop.reason, stop.message
             if reason in NOT_CLOSER and self.history and not self._compared:
@@ -295,18 +286,18 @@ class Newton:
                 shifted=shifted,
                 potential=height if system.has_potential and not found.plain else None,
                 highest=float(np.fmax.reduce(self._heights)),
-                early=self._start.early,
+                early=self._early,
             )
             self._heights = [*self._heights[1 - MEMORY :], end.potential]
-            step = record_step(
+            step = NewtonStep.after(
                 ksp.getPythonContext(),
+                found.iterations,
                 residual=norm,
                 step_length=end.alpha,
                 indefinite=found.indefinite,
                 shift=found.shift,
-                iterations=found.iterations,
-                assembly=assembled - started,
-                linear=solved - assembled,
+                seconds_assembly=assembled - started,
+                seconds_linear=solved - assembled,
                 floor=floor,
                 tangent_lag=self.history[-1].tangent_lag + 1 if kept else 0,
             )

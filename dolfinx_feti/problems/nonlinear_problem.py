@@ -21,9 +21,7 @@ from ufl.core.expr import Expr
 from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.checks import check_scalar_type
-from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.content import content_of
-from dolfinx_feti.fem.decomposition import decompose, suggested_number
 from dolfinx_feti.fem.internal_variables import create_internal_variables
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.arguments import checked_conditions, missing, require_function
@@ -37,7 +35,7 @@ from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.multipliers import hold, prepare, updated
 from dolfinx_feti.problems.newton import Newton, Start, checked_start
 from dolfinx_feti.problems.solvers import create_newton_solver
-from dolfinx_feti.problems.system import System, Tangent
+from dolfinx_feti.problems.system import Tangent
 from dolfinx_feti.problems.torn_problem import TornProblem
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.petsc_errors import python_errors
@@ -160,46 +158,36 @@ class NonlinearProblem(TornProblem):
         V = u.function_space
         comm = V.mesh.comm
         conditions = on_all(lambda: checked_conditions(V, bcs), comm)
-        super().__init__(
-            V,
-            "nonlinear_problem",
-            prefix=petsc_options_prefix,
-            petsc_options=petsc_options,
-            compiler=Compiler(comm, form_compiler_options, jit_options),
-            unused={"P": P, "kind": kind, "entity_maps": entity_maps},
-        )
         fields = condensed_fields(condense)
         couplings = [*blocks, *coupled.checked_couplings(scalars, conditions)]
         degree, work = quadrature_degree, coupled.works(couplings)
         forms = derive(F, u, J=J, condense=fields, energy=energy, degree=degree, work=work)
-        coupled.refuse_condensed_fields(couplings, fields, forms.F_p)
+        coupled.refuse_condensed_fields(couplings, fields, forms.residuals[1:])
         twice = 2 * V.ufl_element().embedded_superdegree
         if quadrature_degree is None:
             warn_of_degree(forms, twice, comm)
-        self.u = u
-        self.decomposition = decompose(
-            V.mesh, suggested_number(V) if subdomains is None else subdomains, seed=seed
-        )
-        self._residual, self._tangent = forms.F_u, forms.J
-        system = System(
-            forms.F_u,
-            u,
-            bcs=conditions,
-            J=forms.J,
-            condense=list(zip(forms.F_p, fields, strict=True)),
-            energy=None if couplings else forms.energy,
-            volume_ratio=default_volume_ratio(forms, u) if volume_ratio is None else volume_ratio,
+        super().__init__(
+            "nonlinear_problem",
+            replace(forms, energy=None) if couplings else forms,
+            conditions,
+            couplings,
+            compilers=(form_compiler_options, jit_options),
+            prefix=petsc_options_prefix,
+            petsc_options=petsc_options,
+            subdomains=subdomains,
+            seed=seed,
+            near_null_space=near_null_space,
+            null_space=null_space,
+            unused={"P": P, "kind": kind, "entity_maps": entity_maps},
+            volume_ratio=default_volume_ratio(forms) if volume_ratio is None else volume_ratio,
             quadrature_degree=twice if quadrature_degree is None else quadrature_degree,
-            decomposition=self.decomposition,
-            compiler=self._compiler,
-            symmetric=forms.symmetric,
-            scalars=couplings,
         )
-        self._hold_system(system, near_null_space, null_space)
+        self.u, system = u, self._system
+        self._residual, self._tangent = forms.F_u, forms.J
         if volume_tolerance is not None:
             prepare(system, volume_tolerance)
         self._volume_tolerance = volume_tolerance
-        parts = (forms.F_u, *forms.F_p, forms.energy, *coupled.all_equations(couplings))
+        parts = (*forms.residuals, forms.energy, *coupled.all_equations(couplings))
         self.content = content_of((u, *fields), parts)
         self._memory = create_internal_variables(
             internal_variables or {}, self._compiler, coefficients=self.content.coefficients
@@ -325,12 +313,9 @@ class NonlinearProblem(TornProblem):
 
     def _run(self, start: Start) -> None:
         """Iterate by Newton's method, or raise ConvergenceError."""
+        self._newton.start = start
         try:
-            with (
-                inserted(self._prefix, self._petsc_options),
-                self._newton.starting(start),
-                python_errors(),
-            ):
+            with inserted(self._prefix, self._petsc_options), python_errors():
                 self.solver.solve(None, self.x)
         except BaseException:  # of a monitor, during which PETSc locks x
             locked, self.x = self.x, self.x.duplicate()

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 import dolfinx
-import ufl
+from ufl.core.expr import Expr
 
 from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.compiler import Compiler
@@ -28,6 +28,7 @@ from dolfinx_feti.fem.condensation import Blocks, Condensation
 from dolfinx_feti.fem.decomposition import Decomposition, cell_sizes, tear
 from dolfinx_feti.fem.near_kernel import attach_near_kernel
 from dolfinx_feti.fem.quadrature import quadrature_points
+from dolfinx_feti.problems.forms import Forms
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.connectivity import diagonal_places, load_graph_code
 from dolfinx_feti.scalars.border import ScalarSystem
@@ -98,41 +99,27 @@ class System:
 
     def __init__(
         self,
-        F_u: ufl.Form,
-        u: dolfinx.fem.Function,
+        forms: Forms,
         *,
         bcs: Sequence[dolfinx.fem.DirichletBC],
-        J: ufl.Form,
-        condense: Sequence[tuple[ufl.Form, dolfinx.fem.Function]],
         decomposition: Decomposition,
-        energy: ufl.Form | None = None,
-        volume_ratio: ufl.core.expr.Expr | None = None,
+        volume_ratio: Expr | None = None,
         quadrature_degree: int = 0,
         compiler: Compiler | None = None,
-        symmetric: bool | None = None,
         scalars: Sequence[Coupling] = (),
     ) -> None:
-        """Tear the space and compile all forms.
+        """Tear the space and compile all forms. Collective.
 
         Args:
-            F_u: Residual tested in V.
-            u: Unknown.
-            bcs: Dirichlet conditions on V.
-            J: Tangent of F_u in u.
-            condense: Residual of each field to be condensed, and the field.
-            energy: Potential Π(u) or Π(u, p), if there is one.
+            forms: Residuals, tangent and energy.
+            bcs: Dirichlet conditions on the space of u.
+            decomposition: Subdomain of each owned cell.
             volume_ratio: Expression that has to be positive at every quadrature point.
             quadrature_degree: Degree of those points.
-            decomposition: Subdomain of each owned cell.
             compiler: How forms are compiled; with dolfinx's options if not given.
-            symmetric: Whether the tangent is known to be symmetric, by its form.
             scalars: Scalar unknowns beside u and their equations.
-
-        Note:
-            Collective.
         """
-        V = u.function_space
-        self.u = u
+        self.u, V, F_u = forms.u, forms.u.function_space, forms.F_u
         self.bcs = list(bcs)
         self.comm = V.mesh.comm
         self.dirichlet = assembly.dirichlet_mask(V, self.bcs)
@@ -140,25 +127,27 @@ class System:
         self._space = tear(V, decomposition)
         compiler = compiler or Compiler(self.comm)
         self._residual = assembly.split_form(F_u, V.mesh, compiler)
-        self._tangent = assembly.torn_form(J, self._space, compiler)
+        self._tangent = assembly.torn_form(forms.J, self._space, compiler)
         self.condensation = None
-        if condense:
-            F_p, fields = zip(*condense, strict=True)
+        if forms.condense:
+            F_p, fields = zip(*forms.condense, strict=True)
             self.condensation = Condensation(
-                F_u, F_p, u, fields, space=self._space, compiler=compiler
+                F_u, F_p, self.u, fields, space=self._space, compiler=compiler
             )
         self._K = assembly.create_local_matrix(self._space, compiler)
         self._diagonal = diagonal_places(self._K.mat, load_graph_code(self.comm))  # none is missing
         self._stiffness = np.zeros(len(self._diagonal))
         self.A = assembly.create_matis(
-            self._space, self._K.mat, self.bcs, self._stiffness, symmetric
+            self._space, self._K.mat, self.bcs, self._stiffness, forms.symmetric
         )
         if self.condensation is not None:
             set_condensed(self.A, self.condensation.constraints)
+        energy = forms.energy
         self._energy = energy if energy is None else assembly.split_form(energy, V.mesh, compiler)
         self._shift = 0.0
         self._blocks: Blocks | None = None  # of the tangent
-        self.scalars = ScalarSystem(scalars, u, F_u, compiler, free=~self.dirichlet)
+        self.scalars = ScalarSystem(scalars, self.u, F_u, compiler, free=~self.dirichlet)
+        self.is_displacement = volume_ratio is not None
         self._volume_ratio = None
         if volume_ratio is not None:
             points = quadrature_points(V.mesh, quadrature_degree)
@@ -167,7 +156,6 @@ class System:
         torn = self._space.dof[:, None] * bs + np.arange(bs)
         self._local = torn.ravel()  # local dof of V of each torn dof
         self.owned = V.dofmap.index_map.size_local * bs
-        self.is_displacement = volume_ratio is not None
         self._size: Array | float = 0.0  # h, of a displacement
 
     # -- state ------------------------------------------------------------------------------------
@@ -242,11 +230,7 @@ class System:
     # -- equations --------------------------------------------------------------------------------
 
     def residual(self) -> Residual:
-        """Assemble the residual at the present state.
-
-        Note:
-            Collective.
-        """
+        """Assemble the residual at the present state. Collective."""
         b, torn, blocks = on_all(self._own_residual, self.comm)
         b.scatter_reverse(dolfinx.la.InsertMode.add)
         force = b.array[: self.owned].copy()
@@ -273,13 +257,9 @@ class System:
         return replace(here, condensed=self.free(here.force + condensed), blocks=blocks)
 
     def linearise(self, here: Residual | None = None) -> Tangent:
-        """Assemble the torn tangent and its near kernel at the present state.
+        """Assemble the torn tangent and its near kernel at the present state, of this residual.
 
-        Args:
-            here: The residual at this state, if it is known.
-
-        Note:
-            Collective.
+        Collective.
         """
         on_all(lambda: self._fill(here), self.comm)
         self.scalars.linearise()
@@ -310,26 +290,24 @@ class System:
         .. math:: ε\, \Bigl\| \Bigl(\sum_j k_{ij}^2 (u_j^2 + h_j^2)\Bigr)^{1/2} \Bigr\|
 
         Every :math:`u_j` is rounded, and the ones in F = I + Grad u are those of a displacement of
-        the size h of the cells.
-
-        Note:
-            Collective.
+        the size h of the cells. Collective.
         """
         t = np.hypot(self.u.x.array[self._local], self._size)
-        squares = self.free(self._assembled(product_rounding(self._K.mat, t, self.comm)))
-        return float(np.sqrt(self.comm.allreduce(squares.sum())))
+        return self._root(product_rounding(self._K.mat, t, self.comm))
 
     def least_rounding(self) -> float:
         r"""Return less than the rounding errors of the residual before condensation.
 
         .. math:: ε\, \| k_{ii} (u_i^2 + h_i^2)^{1/2} \|
 
-        Note:
-            Collective.
+        Collective.
         """
         t = np.hypot(self.u.x.array[self._local], self._size)
-        squares = self.free(self._assembled((EPS * self._stiffness * t) ** 2))
-        return float(np.sqrt(self.comm.allreduce(squares.sum())))
+        return self._root((EPS * self._stiffness * t) ** 2)
+
+    def _root(self, torn: Array) -> float:
+        """Return the root of the sum of squares of all free dofs, of (n_torn,). Collective."""
+        return float(np.sqrt(self.comm.allreduce(self.free(self._assembled(torn)).sum())))
 
     def _vector(self) -> dolfinx.la.Vector:
         """Create a vector of the dofs of u, with ghosts."""

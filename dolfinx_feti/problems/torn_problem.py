@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 import dolfinx
+from ufl.core.expr import Expr
 
 from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.diagnosis.result import Diagnosis
@@ -20,11 +21,13 @@ from dolfinx_feti.diagnosis.run import diagnose
 from dolfinx_feti.fem.assembly import dirichlet_mask, prescribe
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.condensation import Blocks
-from dolfinx_feti.fem.decomposition import Decomposition
+from dolfinx_feti.fem.decomposition import decompose, suggested_number
 from dolfinx_feti.problems.arguments import agreed_prefix, checked_conditions, warn_unused
+from dolfinx_feti.problems.forms import Forms
 from dolfinx_feti.problems.solvers import create_solver
 from dolfinx_feti.problems.system import System
 from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.scalars.equations import Coupling
 
 __all__ = ["TornProblem"]
 
@@ -47,52 +50,71 @@ class TornProblem:
     preconditioner: None = None
     u: dolfinx.fem.Function
     solver: PETSc.KSP | PETSc.SNES
-    A: PETSc.Mat
-    decomposition: Decomposition
-    _system: System
 
     def __init__(
         self,
-        V: dolfinx.fem.FunctionSpace,
         kind: str,
+        forms: Forms,
+        bcs: Sequence[dolfinx.fem.DirichletBC],
+        scalars: Sequence[Coupling] = (),
         *,
+        compilers: tuple[Mapping[str, object] | None, Mapping[str, object] | None],
         prefix: str | None,
         petsc_options: Mapping[str, object] | None,
-        compiler: Compiler,
-        unused: Mapping[str, object],
-    ) -> None:
-        """Check what both problems take.
-
-        Args:
-            V: Space of the unknown.
-            kind: Begins the prefix if none is given.
-            prefix: Prefix of all options.
-            petsc_options: Options without prefix.
-            compiler: How forms are compiled.
-            unused: Arguments without effect.
-
-        Raises:
-            ValueError: A bad prefix, or maps between meshes.
-        """
-        warn_unused(V.mesh.comm, unused)
-        self._prefix = agreed_prefix(prefix, kind, V.mesh.comm)
-        self._petsc_options = dict(petsc_options or {})
-        self._compiler = compiler
-
-    def _hold_system(
-        self,
-        system: System,
+        subdomains: int | npt.NDArray[np.integer] | None,
+        seed: int,
         near_null_space: PETSc.NullSpace | None,
         null_space: PETSc.NullSpace | None,
+        unused: Mapping[str, object],
+        least: int = 1,
+        volume_ratio: Expr | None = None,
+        quadrature_degree: int = 0,
     ) -> None:
-        """Take the torn system, and what the user knows of the kernel of its matrix."""
-        self._system, self.A = system, system.A
-        for given, attach in (
-            (near_null_space, self.A.setNearNullSpace),
-            (null_space, self.A.setNullSpace),
-        ):
-            if given is not None:
-                attach(given)
+        """Tear the mesh and compile the forms, from what both problems take.
+
+        Args:
+            kind: Begins the prefix if none is given.
+            forms: The forms, checked.
+            bcs: Dirichlet conditions, checked.
+            scalars: Scalar unknowns, checked.
+            compilers: Options of FFCx and of the C compiler.
+            prefix: Prefix of all options.
+            petsc_options: Options without prefix.
+            subdomains: See the problems, like seed, near_null_space and null_space.
+            seed: See the problems.
+            near_null_space: See the problems.
+            null_space: See the problems.
+            unused: Arguments without effect.
+            least: Fewest subdomains where their number is not given.
+            volume_ratio: See ``System``.
+            quadrature_degree: See ``System``.
+
+        Raises:
+            ValueError: A bad prefix or number of subdomains, or maps between meshes.
+        """
+        V = forms.u.function_space
+        comm = V.mesh.comm
+        warn_unused(comm, unused)
+        self._prefix = agreed_prefix(prefix, kind, comm)
+        self._petsc_options = dict(petsc_options or {})
+        self._compiler = Compiler(comm, *compilers)
+        self.decomposition = decompose(
+            V.mesh, suggested_number(V, least) if subdomains is None else subdomains, seed=seed
+        )
+        self._system = System(
+            forms,
+            bcs=bcs,
+            decomposition=self.decomposition,
+            volume_ratio=volume_ratio,
+            quadrature_degree=quadrature_degree,
+            compiler=self._compiler,
+            scalars=scalars,
+        )
+        self.A = self._system.A
+        if near_null_space is not None:
+            self.A.setNearNullSpace(near_null_space)
+        if null_space is not None:
+            self.A.setNullSpace(null_space)
         self.x, self.b = self.A.createVecs()
         for name, owned in (("A", self.A), ("x", self.x), ("b", self.b)):
             owned.setOptionsPrefix(f"{self._prefix}{name}_")

@@ -24,6 +24,7 @@ from dolfinx_feti import NonlinearProblem, loads
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.condensation import Condensation
 from dolfinx_feti.fem.decomposition import decompose, tear
+from dolfinx_feti.problems.forms import Forms
 from dolfinx_feti.problems.system import System
 
 degrees = pytest.mark.parametrize("degree", [1, 2])
@@ -38,14 +39,14 @@ def torn_system() -> Iterator[Callable[..., System]]:
         decomposition = decompose(body.u.function_space.mesh, subdomains)
         made.append(
             System(
-                body.F_u,
-                body.u,
+                Forms(
+                    body.u,
+                    body.F_u,
+                    body.J,
+                    tuple(zip(body.F_fields, body.fields, strict=True)),
+                    body.energy,
+                ),
                 bcs=body.bcs,
-                J=body.J,
-                condense=list(zip(body.F_fields, body.fields, strict=True)),
-                energy=body.energy,
-                volume_ratio=None,
-                quadrature_degree=2,
                 decomposition=decomposition,
             )
         )
