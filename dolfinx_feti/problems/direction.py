@@ -1,22 +1,15 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The direction of a Newton step: down a potential, if there is one.
-
-An indefinite tangent leads to a saddle or a maximum of the potential Π. Then
+r"""The direction of a Newton step: down a potential, if there is one (docs/theory.md).
 
 .. math:: (K' + σ \operatorname{diag}|k|)\, ΔU = -r
 
-is solved with the stiffness k of the dofs, with σ growing until no negative eigenvalue
-is left that can be proved (``space``), which is known before the first iteration, and ΔU leads
-downhill, ΔU·r < 0. In the next steps σ falls, to zero at the end. A tangent that turns out singular
-on the way counts as indefinite.
-
-A plain step has no shift and leads where Newton's method leads: without a potential, while
-prescribed displacements move, for a few steps after that, as such a state is far from the path, and
-where all shifts are exhausted. A shift would hold the body back while its boundary moves. Without a
-potential it is what is left where the plain solve fails, as of coefficients from 1 to 1e-16. A
-linear solve that stagnates below 1e-3 of the residual still leads on (inexact Newton).
+with the stiffness k of the dofs, and σ growing until no negative eigenvalue can be proved and ΔU
+leads downhill, ΔU·r < 0. A singular tangent counts as indefinite. A plain step, σ = 0, is taken
+without a potential, while prescribed displacements move and for a few steps after that, and where
+all shifts are exhausted. Without a potential a shift is what is left where the plain solve fails. A
+linear solve that stagnates below 1e-3 of the residual leads on.
 """
 
 from __future__ import annotations

@@ -1,32 +1,21 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The step length α of a Newton step ΔU.
+r"""The step length α of a Newton step ΔU (docs/theory.md).
 
 α is one unless the trial state U + α ΔU turns a cell inside out, meets a NaN, or overshoots: with
 the work of the free dofs' forces, :math:`g(α) = ΔU_f·r_f(U + α ΔU)`, a step is taken once
 
 .. math:: -η ≤ g(α)/g_0 ≤ 1 + η, \qquad g_0 = ΔU_f·(r_f + K_{fD}\, ΔU_D),
 
-a search for the critical point of the energy along the step. Where no prescribed displacement
-moves, :math:`g_0 = g(0)`. Where they do, a step begins with forces that say nothing about what
-moving the boundary makes of them, perhaps with none: :math:`g_0` is what the free dofs would feel
-of it before they follow, and the step is taken if their forces stay as small. With a condensed
-pressure, g(α) holds :math:`r_u(U + α ΔU, p + α Δp)` and not the condensed residual: what
-condensation adds grows with κ, though it is linear in Δp and the next step removes it.
-
-If the problem has a potential Π (the strain energy, with the load's part), a step is taken if it
-lowers Π enough (Armijo),
+with forces before condensation. With a potential Π a step has to lower it (Armijo),
 
 .. math:: Π(U + α ΔU) ≤ Π_m + 10^{-4}\, α\, ΔU·r,
 
-with the condensed pressure that its own equation demands for either state, and with Π_m = Π(U). A
-step without a shift whose g is within bounds need only stay below the highest Π of the last states
-(Grippo, Lampariello, Lucidi 1986): strictly downhill, a valley with kinks, as of a total variation,
-is descended in tiny steps. g is enough for such a step with a condensed pressure, which follows by
-its linearised equation and makes a way through (u, p) of whole steps; while prescribed
-displacements move; and where the change of Π drowns in rounding. A step that a shift has made too
-short, :math:`g(α) > 0.9\, g(0)`, is doubled while Π falls (Wolfe's second condition).
+Π_m = Π(U), or the highest Π of the last states if g is within bounds (Grippo, Lampariello, Lucidi
+1986); g alone counts for a plain step with a condensed pressure, while prescribed displacements
+move, and where the change of Π is rounding. A step that a shift has made too short is doubled while
+Π falls. SNES's ``cp`` and ``bt`` search without det F, add lengths u − g to forces, and know no Π.
 """
 
 from __future__ import annotations

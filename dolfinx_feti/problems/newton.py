@@ -1,37 +1,19 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Newton's method as a PETSc SNES, every step solved by FETI.
+r"""Newton's method as a PETSc SNES, every step solved by FETI (docs/theory.md).
 
 .. math:: K'(U^k)\, ΔU = \mathcal F - K(U^k), \qquad U^{k+1} = U^k + α\, ΔU
 
-(eq. 22, Augustin_eq:NewtonRecursion, and eq. 23, Augustin_eq:NewtonRecursion_h), with the step
-length α of ``line_search``.
-
-A step leads down a potential, if there is one (``direction``), by a length α (``line_search``).
-
-A step keeps a tangent that has served one step if it leads to the end, should it leave the share of
-the residual that it has left there: no assembly, no factors, no coarse matrix. Fields are then
-condensed by the K_up and K_pp of this tangent, or κ would multiply by how much they have changed.
-
-A linear solve is no more accurate than the step deserves: beside its own tolerance, a tenth of the
-residual that Newton's method aims at is enough,
-‖r + K' ΔU‖ ≤ 0.1 r_end. Options that state how accurate linear solves are, are kept to.
-
-Forces are those of the free dofs. They are small beside
+(eq. 22, Augustin_eq:NewtonRecursion, and eq. 23, Augustin_eq:NewtonRecursion_h), with ΔU of
+``direction`` and α of ``line_search``. Forces r of the free dofs are small beside
 
 .. math:: \max(\min(‖r^0‖, \text{reference}), ‖R‖/10)
 
-with the reactions R: a load begins with a residual that is a force of the problem, a prescribed
-displacement with none.
-
-Where Newton's method converges slowly, or not at all, the tangent is compared with the derivative
-(``derivative``), once in a solve.
-
-A residual of the size of its rounding errors (``System.rounding``) is zero to rounding accuracy:
-after a step Newton's method ends there, whatever the tolerances. With a condensed pressure
-these errors grow with κ, those of the residual before condensation do not: it tells how far from
-equilibrium the state is.
+with the reactions R. A step keeps a tangent that has served one step if it leads to the end, should
+it leave as large a share of r again. A linear solve may leave a tenth of the ‖r‖ at the end, unless
+options state its accuracy. Once in a solve that converges slowly or fails the tangent is compared
+with the derivative (``derivative``). After a step, a residual that is rounding ends the solve.
 """
 
 from __future__ import annotations

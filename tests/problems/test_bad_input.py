@@ -1,0 +1,346 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Bad input to both problems: an error that names argument, value and remedy, on all processes."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from collective import COMM, agree, raises
+from problems import Cell, Problem, cube, dirichlet, elasticity, left, poisson
+from walls import Wall, tube, wall
+
+import basix.ufl
+import dolfinx
+import ufl
+
+from dolfinx_feti import ConvergenceError, LinearProblem, NonlinearProblem, kinematics, materials
+from dolfinx_feti.runtime.petsc_options import inserted
+
+DEFAULTS = {"subdomains": 4, "petsc_options_prefix": "bad_"}
+
+
+def linear(problem: Problem, **changes: object) -> LinearProblem:
+    """Make a linear problem that is all right but for the changes."""
+    return LinearProblem(problem.a, problem.L, **({"bcs": problem.bcs} | DEFAULTS | changes))
+
+
+def nonlinear(problem: Problem, **changes: object) -> NonlinearProblem:
+    """Make the same one by its residual."""
+    u = dolfinx.fem.Function(problem.V)
+    F = ufl.action(problem.a, u) - problem.L
+    return NonlinearProblem(F, u, **({"bcs": problem.bcs} | DEFAULTS | changes))
+
+
+# ---- what both take -------------------------------------------------------------------------
+
+
+def other_condition(problem: Problem, component: int | None = None) -> dolfinx.fem.DirichletBC:
+    """Return a condition on a space that looks like V."""
+    other = dolfinx.fem.functionspace(problem.V.mesh, problem.V.ufl_element())
+    return dirichlet(other, left, component=component)
+
+
+#: Changes, the error and its message, of a plane displacement on 32 cells.
+COMMON = {
+    "no subdomain": (
+        lambda p: {"subdomains": 0},
+        ValueError,
+        "subdomains is 0, but the mesh has 32",
+    ),
+    "less": (
+        lambda p: {"subdomains": -1},
+        ValueError,
+        "subdomains is -1, but the mesh has 32 cells",
+    ),
+    "too many": (lambda p: {"subdomains": 33}, ValueError, "subdomains is 33, but the mesh has 32"),
+    "too long": (
+        lambda p: {"subdomains": np.zeros(p.cells + 1, dtype=np.int32)},
+        ValueError,
+        "subdomains has shape.*process.*owns",
+    ),
+    "too long on one process": (
+        lambda p: {"subdomains": np.zeros(p.cells + (COMM.rank == 0), dtype=np.int64)},
+        ValueError,
+        "subdomains has shape",
+    ),
+    "no integers": (
+        lambda p: {"subdomains": np.zeros(p.cells)},
+        TypeError,
+        "float64.*integers",
+    ),
+    "empty prefix": (
+        lambda p: {"petsc_options_prefix": ""},
+        ValueError,
+        "petsc_options_prefix is .*non-empty string",
+    ),
+    "no prefix": (
+        lambda p: {"petsc_options_prefix": 7},
+        ValueError,
+        "petsc_options_prefix is .*non-empty string",
+    ),
+    "another space": (
+        lambda p: {"bcs": [*p.bcs, other_condition(p)]},
+        ValueError,
+        r"bcs\[1\] lives on another function space than the unknown",
+    ),
+    "a component of it": (
+        lambda p: {"bcs": [other_condition(p, 1)]},
+        ValueError,
+        r"bcs\[0\] lives on another function space",
+    ),
+}
+
+
+@pytest.mark.parametrize("create", [linear, nonlinear])
+@pytest.mark.parametrize(("changes", "kind", "message"), COMMON.values(), ids=COMMON)
+def test_common(create, changes, kind, message):
+    problem = elasticity(cube(2, 4))
+    with raises(kind, message):
+        create(problem, **changes(problem))
+
+
+OPTIONS = [
+    ("feti_pctype", "lumped", "-bad_feti_pctype.*did you mean -bad_feti_pc_type"),
+    ("feti_type", "all_flotting", "takes one of: all_floating, classical"),
+    ("feti_scaling", "deluxe", "-bad_feti_scaling is 'deluxe'.*stiffness, multiplicity"),
+    ("ksp_rtol", "abc", "-bad_ksp_rtol is 'abc'; it takes a number ≥ 0 and < 1"),
+    ("ksp_max_it", "many", "-bad_ksp_max_it is 'many'; it takes a whole number"),
+    ("ksp_norm_type", "foo", "PETSc refuses one of the options -bad_…: .*foo"),
+]
+SNES = [
+    ("snes_max_it", 2.5, "-bad_snes_max_it is '2.5'; it takes a whole number"),
+    ("snes_monitor_cancel", "maybe", "PETSc refuses one of the options -bad_…: .*maybe"),
+]
+
+
+@pytest.mark.parametrize(
+    ("create", "name", "wrong", "message"),
+    [(c, *o) for c in (linear, nonlinear) for o in OPTIONS] + [(nonlinear, *o) for o in SNES],
+)
+def test_options(create, name, wrong, message):
+    """In the call and on the command line; the database is as before."""
+    problem, before = poisson(cube(2, 4)), PETSc.Options().getAll()
+    with raises(ValueError, message):
+        create(problem, petsc_options={name: wrong, "feti_formulation": "dual"})
+    agree(PETSc.Options().getAll() == before)
+    with inserted("bad_", {name: wrong}), raises(ValueError, message):
+        create(problem)
+
+
+ELEMENTS = {
+    "RT": lambda cell: basix.ufl.element("RT", cell, 1),
+    "N1curl": lambda cell: basix.ufl.element("N1curl", cell, 1),
+    "DG": lambda cell: basix.ufl.element("DG", cell, 1, shape=(2,)),
+    "DG 0": lambda cell: basix.ufl.element("DG", cell, 0),
+    "discontinuous Lagrange": lambda cell: basix.ufl.element("P", cell, 1, discontinuous=True),
+    "Crouzeix-Raviart": lambda cell: basix.ufl.element("CR", cell, 1),
+}
+
+
+@pytest.mark.parametrize("create", [linear, nonlinear])
+@pytest.mark.parametrize("element", ELEMENTS.values(), ids=ELEMENTS)
+def test_elements_that_cannot_be_torn(create, element):
+    mesh = cube(2, 3)
+    V = dolfinx.fem.functionspace(mesh, element(mesh.basix_cell()))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    form = ufl.inner(u, v) * ufl.dx
+    with raises(TypeError, "needs a continuous element, scalar or blocked: use .'Lagrange'"):
+        create(Problem(V, form, ufl.inner(dolfinx.fem.Function(V), v) * ufl.dx, []))
+
+
+@pytest.mark.parametrize("create", [linear, nonlinear])
+def test_interior_facet_integrals(create):
+    problem = poisson(cube(2, 4))
+    u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
+    penalty = ufl.avg(u) * ufl.avg(v) * ufl.dS
+    with raises(ValueError, r"interior-facet integrals, .*use a form with dx and ds only"):
+        create(Problem(problem.V, problem.a + penalty, problem.L, problem.bcs))
+
+
+@pytest.mark.parametrize("scalar", [np.complex128, np.float32])
+@pytest.mark.parametrize("create", [linear, nonlinear])
+def test_other_scalar_types(create, scalar, monkeypatch):
+    monkeypatch.setattr(PETSc, "ScalarType", scalar)
+    with raises(TypeError, f"{np.dtype(scalar)}.*real double precision"):
+        create(poisson(cube(2, 4)))
+
+
+@pytest.mark.parametrize("kind", ["all_floating", "classical"])
+@pytest.mark.parametrize("create", [linear, nonlinear])
+def test_no_condition_at_all(create, kind):
+    """The kernel is counted, and u stays."""
+    problem = create(elasticity(cube(2, 4), clamped=None), petsc_options={"feti_type": kind})
+    with raises(ConvergenceError, "singular, with a kernel of dimension 3.*Add Dirichlet cond"):
+        problem.solve()
+    agree(not problem.u.x.array.any())
+
+
+@pytest.mark.parametrize("create", [linear, nonlinear])
+def test_error_leaves_no_object_behind(create):
+    """__del__ copes with an __init__ that has raised."""
+    problem = poisson(cube(2, 4, Cell.quadrilateral))
+    for changes in ({"subdomains": 0}, {"petsc_options_prefix": ""}, {"bcs": [None]}):
+        with raises(ValueError, "subdomains|prefix|bcs"):
+            create(problem, **changes)
+
+
+# ---- a linear problem -----------------------------------------------------------------------
+
+
+def spaces() -> tuple[Problem, dolfinx.fem.FunctionSpace]:
+    """Return a problem and a space of higher degree on its mesh."""
+    problem = poisson(cube(2, 4))
+    return problem, dolfinx.fem.functionspace(problem.V.mesh, ("Lagrange", 2))
+
+
+def test_spaces_of_linear_forms():
+    problem, W = spaces()
+    V, u, w = problem.V, ufl.TrialFunction(problem.V), ufl.TestFunction(W)
+    for a, L, changes, message in (
+        (problem.a, problem.L, {"u": dolfinx.fem.Function(W)}, "u lives on another function space"),
+        (u * w * ufl.dx, problem.L, {}, "a has test and trial functions"),
+        (problem.a, 1.0 * w * ufl.dx, {}, "L has"),
+        (problem.L, problem.a, {}, "a has"),
+    ):
+        with raises(ValueError, message):
+            linear(Problem(V, a, L, problem.bcs), **changes)
+
+
+def test_mesh_in_single_precision():
+    mesh = dolfinx.mesh.create_unit_square(COMM, 3, 3, dtype=np.float32)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    with raises(TypeError, "float32.*float64"):
+        linear(Problem(V, u * v * ufl.dx, 1.0 * v * ufl.dx, []))
+
+
+def test_unsymmetric_matrix_with_cg():
+    problem = poisson(cube(2, 6))
+    u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
+    a = problem.a + 5.0 * u.dx(0) * v * ufl.dx
+    made = linear(
+        Problem(problem.V, a, problem.L, problem.bcs), petsc_options={"feti_dual_ksp_type": "cg"}
+    )
+    with raises(ConvergenceError, "not symmetric.*-bad_feti_dual_ksp_type gmres"):
+        made.solve()
+
+
+# ---- residuals, energies and condensed fields -----------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def body() -> Wall:
+    """A small wall of P1–P0 elements; no test moves it."""
+    return wall(tube(around=6, along=1), degree=1)
+
+
+def create(body: Wall, **changes: object) -> NonlinearProblem:
+    """Make a problem that is all right but for the changes."""
+    arguments = {"F": [body.F_u, body.F_p], "u": body.u, "bcs": body.bcs, "condense": body.p}
+    return NonlinearProblem(**(arguments | DEFAULTS | {"subdomains": 2} | changes))
+
+
+def space(body: Wall, *element: object) -> dolfinx.fem.FunctionSpace:
+    """Make another space on the mesh of the wall."""
+    return dolfinx.fem.functionspace(body.u.function_space.mesh, element)
+
+
+def solid(body: Wall) -> tuple[ufl.core.expr.Expr, ufl.core.expr.Expr]:
+    """Return an energy without a pressure, and det F."""
+    F = kinematics.deformation_gradient(body.u)
+    J = kinematics.jacobian(F)
+    return materials.neo_hookean(kinematics.right_cauchy_green(F), c=3.0, J=J), J
+
+
+def test_nothing_is_wrong(body):
+    """The other tests fail for the reason that they change, and for no other."""
+    create(body)
+
+
+def form_changes(body: Wall) -> list[tuple[dict[str, object], str]]:
+    """Return forms that do not fit, and the message of each."""
+    u, p, F_u, F_p = body.u, body.p, body.F_u, body.F_p
+    V, W = u.function_space, space(body, "Lagrange", 2, (3,))
+    one = dolfinx.fem.Constant(V.mesh, 1.0)
+    du, v, q = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.TestFunction(p.function_space)
+    psi, J = solid(body)
+    whole, twice = ((psi + kappa * (J - 1) ** 2) * ufl.dx for kappa in (1.0, 2.0))
+    inside = ufl.inner(ufl.jump(ufl.grad(u)), ufl.jump(ufl.grad(u))) * ufl.dS
+    alone = {"condense": None}
+    other = "F has a test or trial function on another function space than u"
+    return [
+        ({"F": ufl.inner(du, v) * ufl.dx, **alone}, "F has 2 arguments: give a residual or an"),
+        ({"F": F_u}, "F has 1 arguments: .*the pair of its residuals"),
+        (alone, "F is a sequence of 2 forms: .*condense=p"),
+        ({"F": [F_u, F_p, F_p]}, "F is a sequence of 3 forms: give a residual .* and one for"),
+        ({"F": [body.energy, F_p]}, "F is a sequence of 2 forms: give a residual "),
+        ({"F": [F_p, F_u]}, "residuals on other spaces: test them with v in V and q in Q"),
+        *(
+            ({"F": ufl.inner(u, ufl.TestFunction(space)) * ufl.dx, **alone}, other)
+            for space in (W, space(body, "Lagrange", 1, (3,)))
+        ),
+        ({"J": F_u}, "J has 1 test and trial functions, but takes 2"),
+        (
+            {"J": ufl.inner(ufl.TrialFunction(W), ufl.TestFunction(W)) * ufl.dx},
+            "J has a test or trial function on another function space than u",
+        ),
+        ({"F": one * ufl.dx, **alone}, "unknown 'u' does not occur in F"),
+        ({"F": one * v[2] * ufl.dx, **alone}, "unknown 'u' does not occur in F"),
+        ({"F": psi * ufl.dx + inside, **alone}, "interior-facet integrals, .*dx and ds only"),
+        ({"F": [F_u, F_p + ufl.jump(p) * ufl.jump(q) * ufl.dS]}, "interior-facet integrals"),
+        ({"F": whole, "energy": twice, **alone}, "energy is not F, .*: leave energy out"),
+        ({"quadrature_degree": -1}, "degree = -1"),
+    ]
+
+
+def test_forms(body):
+    for changes, message in form_changes(body):
+        with raises(ValueError, message):
+            create(body, **changes)
+
+
+def test_energy_given_twice(body):
+    """The same one is fine."""
+    psi, J = solid(body)
+    energy = (psi + (J - 1) ** 2) * ufl.dx
+    create(body, F=energy, energy=energy, condense=None)
+
+
+@pytest.mark.parametrize("element", [("Lagrange", 1), ("DG", 0, (3,)), ("CR", 1), ("RT", 1)])
+def test_space_of_the_pressure(body, element):
+    p = dolfinx.fem.Function(space(body, *element), name="π")
+    with raises(TypeError, r"condense is 'π' with the element .*use a discontinuous element"):
+        create(body, condense=p)
+
+
+def test_condensed_fields(body):
+    p, u = body.p, body.u
+    mesh = dolfinx.mesh.create_unit_cube(COMM, 2, 2, 2)
+    elsewhere = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)), name="q")
+    θ, absent = (dolfinx.fem.Function(p.function_space, name=name) for name in ("θ", "other"))
+    psi, J = solid(body)
+    for changes, kind, message in (
+        ({"condense": [p, p]}, ValueError, r"condense\[1\] is 'p', which is the unknown or given"),
+        ({"condense": u}, ValueError, r"condense\[0\] is 'u', which is the unknown"),
+        ({"condense": [7]}, TypeError, r"condense\[0\] is 7: give a dolfinx.fem.Function"),
+        ({"condense": elsewhere}, ValueError, "condense is 'q' on another mesh than the unknown"),
+        ({"condense": [θ, p]}, ValueError, "F is a sequence of 2 forms: .* one for each condensed"),
+        (
+            {"F": body.energy, "condense": absent},
+            ValueError,
+            "condense is 'other', which does not occur in the energy",
+        ),
+        ({"condense": absent}, ValueError, "condense is 'other', which does not occur in the"),
+        (
+            {"F": (psi + p * (J - 1)) * ufl.dx},  # a Lagrange multiplier has no diagonal
+            ValueError,
+            r"K_pp of 'p' is zero: .*such as p \(J − 1\) − p²/\(2κ\)",
+        ),
+        ({"F": (psi + p**2) * ufl.dx}, ValueError, "K_up is zero"),
+    ):
+        with raises(kind, message):
+            create(body, **changes)
