@@ -9,6 +9,7 @@ PETSc's log shows the phases: ``WallRead``, ``WallPartition`` (the mesh is distr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,7 @@ import dolfinx
 import dolfinx.io
 import ufl
 
+from dolfinx_feti.mechanics.values import require_within
 from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.wall.wall import Wall
@@ -58,11 +60,8 @@ def read_wall(
     Note:
         Collective; raises on all processes or on none.
     """
-    if not (np.isfinite(scale) and scale > 0):
-        raise ValueError(
-            f"scale={scale} is not a positive number: give the number of millimetres in the file's "
-            "unit of length"
-        )
+    remedy = "a positive number, the millimetres in the file's unit of length"
+    require_within(0.0, math.inf, {"scale": scale}, ends=False, remedy=remedy, sign="=")
     path = Path(path)
     if on_first(lambda: path.is_file() and is_parallel(path), comm):
         return read_parallel(path, comm, scale=scale)

@@ -29,7 +29,7 @@ import basix
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.wall.wall import named_tags
 
-__all__ = ["CELLS", "RawWall", "read_raw_wall"]
+__all__ = ["CELLS", "RawWall", "orientations", "read_raw_wall"]
 
 #: Cell and order of the geometry by the number of nodes; and the same of facets.
 CELLS = {
@@ -53,9 +53,14 @@ CELL_DATA = {
 #: Volume of a cell, over the cube of its longest edge, that counts as none.
 FLAT = 1e-12
 
+#: Cells that are looked at together, to save memory.
+MANY = 10_000
+
 HELP = "meshes/README.md explains how to name layers and surfaces"
 
+Points = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +77,7 @@ class RawWall:
         surface_names: Tags of the surfaces.
     """
 
-    points: npt.NDArray[np.float64]
+    points: Points
     cells: Indices
     layers: Indices
     facets: Indices
@@ -235,9 +240,10 @@ def _cell_data(path: Path, mesh: Any, kind: str) -> Indices:
     for name in CELL_DATA[kind]:
         if kind in mesh.cell_data_dict.get(name, {}):
             values = np.asarray(mesh.cell_data_dict[name][kind], dtype=np.float64)
-            if values.size != len(mesh.cells_dict[kind]) or np.any(values != np.rint(values)):
+            whole = (values == np.rint(values)) & (np.abs(values) <= np.iinfo(np.int32).max)
+            if values.size != len(mesh.cells_dict[kind]) or not whole.all():
                 raise ValueError(
-                    f"{path}: the cell data {name!r} are not one integer for each {kind}"
+                    f"{path}: the cell data {name!r} are not one integer of 32 bits for each {kind}"
                 )
             return values.astype(np.int64).reshape(-1)
     raise ValueError(
@@ -306,33 +312,42 @@ def _check_points(path: Path, wall: RawWall) -> None:
 
 def _check_cells(path: Path, wall: RawWall) -> None:
     """Require cells that occur once, have a volume, and are not turned inside out."""
-    cells, (kind, order) = _words(wall)[0], CELLS[wall.cells.shape[1]]
+    cells = _words(wall)[0]
     again = len(wall.cells) - len(np.unique(np.sort(wall.cells, axis=1), axis=0))
     if again:
         raise ValueError(f"{again} {cells} of {path} occur twice: put each into one layer")
-    cell = getattr(basix.CellType, kind)
-    element = basix.create_element(
-        basix.ElementFamily.P, cell, order, basix.LagrangeVariant.equispaced
-    )
-    points, weights = (
-        np.asarray(part, dtype=np.float64) for part in basix.make_quadrature(cell, 4)
-    )
-    dφ = np.asarray(element.tabulate(1, points), dtype=np.float64)[
-        1:, :, :, 0
-    ]  # (3, points, nodes)
-    x = wall.points[wall.cells]
-    det = np.linalg.det(np.einsum("jqn,cni->cqij", dφ, x))  # det ∂x/∂X, (cells, points)
-    size = np.ptp(x, axis=1).max(axis=1) ** 3
-    flat = int(np.sum(np.abs(det @ weights) <= FLAT * size))
-    if flat:
-        raise ValueError(f"{flat} {cells} of {path} have no volume: improve the mesh")
-    side = np.where((det > 0.0).all(axis=1), 1, np.where((det < 0.0).all(axis=1), -1, 0))
+    side, flat = orientations(wall.points, wall.cells)
+    if flat.any():
+        raise ValueError(f"{flat.sum()} {cells} of {path} have no volume: improve the mesh")
     inverted = min(np.sum(side != 1), np.sum(side != -1))
     if inverted:
         raise ValueError(
             f"{inverted} {cells} of {path} are inverted, in part or against the others: improve "
             "the mesh, or number their nodes as in the other cells"
         )
+
+
+def orientations(points: Points, cells: npt.NDArray[np.integer[Any]]) -> tuple[Indices, Mask]:
+    """Return the sign of det ∂x/∂X in each cell, 0 where it changes, and which have no volume.
+
+    Args:
+        points: Coordinates, (n, 3).
+        cells: Nodes of the cells in dolfinx's order, (m, 4), or as many as in :data:`CELLS`.
+    """
+    kind, order = CELLS[cells.shape[1]]
+    cell = getattr(basix.CellType, kind)
+    variant = basix.LagrangeVariant.equispaced
+    element = basix.create_element(basix.ElementFamily.P, cell, order, variant)
+    degree = 0 if (kind, order) == ("tetrahedron", 1) else 4
+    at, weights = (np.asarray(part, np.float64) for part in basix.make_quadrature(cell, degree))
+    dφ = np.asarray(element.tabulate(1, at), np.float64)[1:, :, :, 0]  # (3, points, nodes)
+    side, flat = np.zeros(len(cells), dtype=np.int64), np.zeros(len(cells), dtype=bool)
+    for k in range(0, len(cells), MANY):
+        x, part = points[cells[k : k + MANY]], slice(k, k + MANY)
+        det = np.linalg.det(np.einsum("jqn,cni->cqij", dφ, x))  # det ∂x/∂X, (cells, points)
+        side[part] = (det > 0.0).all(axis=1) * 1 - (det < 0.0).all(axis=1)
+        flat[part] = np.abs(det @ weights) <= FLAT * np.ptp(x, axis=1).max(axis=1) ** 3
+    return side, flat
 
 
 def _check_faces(path: Path, wall: RawWall) -> None:

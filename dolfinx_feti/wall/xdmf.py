@@ -34,16 +34,18 @@ import dolfinx.graph
 import dolfinx.io
 import ufl
 
+from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.collective import on_all, on_first, reason
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.wall.wall import Wall
+from dolfinx_feti.wall.wallfile import orientations
 
 __all__ = ["is_parallel", "read_parallel", "write_wall"]
 
 Array = npt.NDArray[Any]
 
 #: Where the grids stand in the light data, and where names and numbers of cells do.
-DOMAIN, NAMES = "/Xdmf/Domain", "names"
+DOMAIN, NAMES, TAGS = "/Xdmf/Domain", "names", ("layers", "surfaces")
 
 
 def is_parallel(path: Path) -> bool:
@@ -82,10 +84,11 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
                 shape, degree = file.read_cell_type("mesh", DOMAIN)
                 cells = file.read_topology_data("mesh", DOMAIN)
                 x = scale * file.read_geometry_data("mesh", DOMAIN)
+                facets = file.read_topology_data("surfaces", DOMAIN)
             light = json.loads(file.read_information(NAMES, DOMAIN))
-            of_layers, of_surfaces, parts = (light[k] for k in ("layers", "surfaces", "parts"))
+            names, parts = [_names(light[name]) for name in TAGS], light["parts"]
             element = basix.ufl.element("Lagrange", shape.name, degree, shape=(3,), dtype=x.dtype)
-            _check_rows(cells, x, element.dim // 3, comm)
+            _check_rows(cells, x, facets, element.dim // 3, comm)
             with event("WallPartition"):
                 keep = _keep(parts, len(cells), comm)
                 domain = ufl.Mesh(element)
@@ -93,26 +96,58 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
                 mesh.topology.create_entities(2)
                 mesh.topology.create_connectivity(2, 3)
             with event("WallTags"):
-                layers, surfaces = (file.read_meshtags(mesh, n) for n in ("layers", "surfaces"))
-        return Wall(mesh, layers, surfaces, of_layers, of_surfaces)
-    except (KeyError, RuntimeError, TypeError, ValueError) as error:
+                tags = [file.read_meshtags(mesh, name) for name in TAGS]
+            wall = Wall(mesh, *tags, *names)
+            _check_mesh(wall, comm.allreduce(len(facets)))
+        return wall
+    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise ValueError(
             f"{path} cannot be read ({reason(error)}): its HDF5 file has to lie beside it; convert "
             "the wall anew by python3 -m dolfinx_feti.wall.convert"
         ) from error
 
 
-def _check_rows(cells: Array, x: Array, nodes: int, comm: MPI.Comm) -> None:
-    """Require cells of existing points, which are finite: dolfinx would crash. Collective."""
+def _names(table: dict[str, int]) -> dict[str, int]:
+    """Return the tags of names, as they have to be."""
+    return {name: int(tag) for name, tag in table.items()}
+
+
+def _check_rows(cells: Array, x: Array, facets: Array, nodes: int, comm: MPI.Comm) -> None:
+    """Require what dolfinx needs not to crash: other cells, of finite points. Collective."""
     n_points = comm.allreduce(len(x))
     wrong = cells.ndim != 2 or cells.shape[1] != nodes or x.ndim != 2 or x.shape[1] != 3
-    wrong = wrong or bool(np.any((cells < 0) | (cells >= n_points)))
-    if comm.allreduce(bool(wrong), op=MPI.LOR):
-        raise ValueError("it has cells with points that are not in the file")
+    wrong = wrong or any(bool(np.any((e < 0) | (e >= n_points))) for e in (cells, facets))
+    if comm.allreduce(wrong, op=MPI.LOR):
+        raise ValueError("it has cells or facets with points that are not in the file")
     if not comm.allreduce(bool(np.isfinite(x).all()), op=MPI.LAND):
         raise ValueError("it has coordinates that are not finite")
     if not comm.allreduce(len(cells)):
         raise ValueError("it has no cells")
+    rows = np.sort(cells, axis=1)
+    place = rows[:, 0] * comm.size // n_points  # where all cells with this least node meet
+    rows = np.vstack(comm.alltoall([rows[place == rank] for rank in range(comm.size)]))
+    rows = rows[np.lexsort(rows.T)]
+    twice = bool((rows[1:] == rows[:-1]).all(axis=1).any() or (rows[:, 1:] == rows[:, :-1]).any())
+    if comm.allreduce(twice, op=MPI.LOR):
+        raise ValueError("it has cells that occur twice, or in which a point does")
+
+
+def _check_mesh(wall: Wall, n_facets: int) -> None:
+    """Require cells with a volume, and tags of its cells and facets with names. Collective."""
+    mesh, comm = wall.mesh, wall.mesh.comm
+    nodes = compat.geometry_dofmap(mesh)[: mesh.topology.index_map(3).size_local]
+    side, flat = orientations(np.asarray(mesh.geometry.x, dtype=np.float64), nodes)
+    broken = comm.allreduce(int(np.sum(flat | (side == 0))))
+    if broken:
+        raise ValueError(f"{broken} of its cells have no volume, or are turned inside out in part")
+    for tags, names in ((wall.cell_tags, wall.layers), (wall.facet_tags, wall.surfaces)):
+        owned = tags.values[tags.indices < mesh.topology.index_map(tags.dim).size_local]
+        present = {tag for part in comm.allgather(np.unique(owned).tolist()) for tag in part}
+        named = set(names.values())
+        lost = n_facets > comm.allreduce(len(owned)) if tags.dim == 2 else present - named
+        if lost or named - present:
+            kind = "layers" if tags.dim == 3 else "surfaces"
+            raise ValueError(f"its {kind} are not those of its mesh, or of its names")
 
 
 def write_wall(path: Path | str, wall: Wall) -> None:

@@ -138,13 +138,19 @@ changed("no_surface.msh", "no named surface",
         facets=lambda m: m.facets[:0], surfaces=lambda m: m.surfaces[:0])  # fmt: skip
 
 
-def box(path: Path, *groups: tuple[int, str], dim: int = 3) -> Path:
+def box(
+    path: Path,
+    *groups: tuple[int, str],
+    dim: int = 3,
+    options: dict[str, float] | None = None,
+) -> Path:
     """Write a box, or its square, with groups of dimension and name."""
     import gmsh
 
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     try:
-        gmsh.option.setNumber("General.Terminal", 0)
+        for option, value in {"General.Terminal": 0, **(options or {})}.items():
+            gmsh.option.setNumber(option, value)
         make = gmsh.model.occ.addBox if dim == 3 else gmsh.model.occ.addRectangle
         make(0, 0, 0, 1, 1, *[1] * (dim - 2))
         gmsh.model.occ.synchronize()
@@ -205,6 +211,57 @@ damaged("cut_data.xdmf", lambda p: os.truncate(p.with_suffix(".h5"), 5000))
 damaged("no_names.xdmf", lambda p: p.write_text(p.read_text().replace("surfaces&quot;", "&quot;")))
 damaged("nan.xdmf", rewrite("Mesh/mesh/geometry", lambda x: x * np.nan), "not finite")
 damaged("lost_points.xdmf", rewrite("Mesh/mesh/topology", lambda t: t + 10**6), "not in the file")
+damaged("one_point.xdmf", rewrite("Mesh/mesh/topology", lambda t: 0 * t), "occur twice")
+damaged("cell_twice.xdmf", rewrite("Mesh/mesh/topology", lambda t: np.vstack([t[-1:], t[1:]])))
+damaged("plane.xdmf", rewrite("Mesh/mesh/geometry", lambda x: x * [1, 1, 0]), "have no volume")
+damaged(
+    "lost_facets.xdmf", rewrite("MeshTags/surfaces/topology", lambda t: 0 * t - 1), "not in the"
+)
+damaged(
+    "stray_facets.xdmf", rewrite("MeshTags/surfaces/topology", lambda t: 0 * t), "surfaces are not"
+)
+damaged("nameless.xdmf", rewrite("MeshTags/layers/Values", lambda t: 777 + 0 * t), "layers are not")
+damaged("bare.xdmf", rewrite("MeshTags/surfaces/Values", lambda t: 777 + 0 * t), "surfaces are not")
+damaged("list.xdmf", lambda p: p.write_text(re.sub("{&quot;media.*?}", "[]", p.read_text())))
+damaged(
+    "no_tag.xdmf",
+    lambda p: p.write_text(p.read_text().replace("media&quot;: 1", "media&quot;: []")),
+)
+
+
+def with_tags(name: str, tag: float) -> None:
+    """Enter the example in a format of meshio, its first cell with another tag."""
+
+    def write(folder: Path) -> Path:
+        import meshio
+
+        mesh, layers = example(), example().layers.astype(float)
+        layers[0] = tag
+        blocks = [("tetra", mesh.cells), ("triangle", mesh.facets)]
+        data = {"tag": [layers, mesh.surfaces.astype(float)]}
+        meshio.Mesh(mesh.points, blocks, cell_data=data).write(folder / name)
+        return folder / name
+
+    BROKEN[name] = (write, "not one integer of 32 bits for each tetra")
+
+
+with_tags("huge_tag.vtu", 2.0**32 + 1.0)
+with_tags("infinite_tag.vtu", np.inf)
+with_tags("nan_tag.vtu", np.nan)
+
+
+@broken("cut_binary.msh", "gmsh cannot read .*cut_binary.msh")
+def _cut_binary(folder: Path) -> Path:
+    path = box(folder / "cut_binary.msh", (3, "media"), (2, "lumen"), options={"Mesh.Binary": 1})
+    os.truncate(path, path.stat().st_size // 2)
+    return path
+
+
+@broken("third_order.msh", "elements of type Tetrahedron 20")
+def _third_order(folder: Path) -> Path:
+    options = {"Mesh.ElementOrder": 3}
+    return box(folder / "third_order.msh", (3, "media"), (2, "lumen"), options=options)
+
 
 # -- cases
 
@@ -216,6 +273,14 @@ for name, content, match in (
     ("tables.toml", CASE.replace("[layers.media]", "[[layers.media]]"), "to be a table"),
     ("nan.toml", CASE.replace("c = 3.0", "c = nan"), "c = nan: give a positive"),
     ("huge.toml", CASE.replace("c = 3.0", f"c = 1{'0' * 400}"), "give a positive"),
+    ("utf16.toml", CASE.encode("utf-16"), "is no TOML file"),
+    (
+        "unit_twice.toml",
+        CASE.replace("c = 3.0", 'c = "3 kPa kPa"'),
+        "c = '3 kPa kPa': give a positive",
+    ),
+    ("inline.toml", CASE.replace("c = 3.0", "c = {kPa = 3}"), "give a positive number in kPa"),
+    ("tiny.toml", CASE.replace("c = 3.0", 'c = "1e-306 Pa"'), "c = '1e-306 Pa': give a positive"),
     ("date.toml", CASE.replace("c = 3.0", "c = 2026-11-26"), "give a positive"),
     ("no_dashpot.toml", re.sub("\ndashpot.*", "", CASE), "rate = 100.0: has no effect without a"),
 ):
