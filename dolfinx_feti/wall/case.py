@@ -62,7 +62,7 @@ class Filling:
     def __post_init__(self) -> None:
         """Check the values."""
         if (self.volume is None) == (not self.windkessel):
-            raise ValueError(f"volume={self.volume}: give a volume or a windkessel, one of them")
+            raise ValueError("give a volume or a windkessel, one of them")
         if self.volume is not None:
             require_positive(volume=self.volume)
         require_positive(**self.windkessel)
@@ -117,10 +117,10 @@ class Case:
         dashpots = self.pressure > 0.0 and any(
             isinstance(c, Dashpot) for given in self.conditions.values() for c in given
         )
-        has = (
-            "no dashpot has an effect without it" if dashpots else "has no effect without dashpots"
-        )
-        require(dashpots == (self.rate is not None), f"rate={self.rate}: {has}")
+        missing = "[loading] rate is missing: dashpots need the rate of the pressure [mmHg/s]"
+        require(self.rate or not dashpots, missing)
+        has = f"[loading] rate = {self.rate}: has no effect without a dashpot and a pressure"
+        require(dashpots or self.rate is None, has)
 
     @property
     def has_residual_stress(self) -> bool:

@@ -202,13 +202,6 @@ def _create_case(words: dict[str, Any]) -> Case:
         require(("volume" in given) != ("windkessel" in given), f"[cavity.{name}]: {one}")
     has = "surfaces: name the surface under pressure, as [surfaces.lumen], or a cavity"
     require(pressures or cavities, has)
-    rate = words.get("loading", {}).get("rate")
-    if pressures and any("dashpot" in s for s in surfaces.values()):
-        require(rate, "[loading] rate is missing: dashpots need the rate of the pressure [mmHg/s]")
-    else:
-        require(
-            rate is None, f"[loading] rate = {rate}: has no effect without a dashpot and a pressure"
-        )
     if "prestretch" in words:
         _need(words["prestretch"], "prestretch", ["axis", "stretch"], "both are needed")
     return Case(
@@ -218,7 +211,7 @@ def _create_case(words: dict[str, Any]) -> Case:
         pressure=max(pressures.values(), default=0.0),
         scale=words.get("scale", 1.0),
         image=words.get("image", {}).get("pressure", 0.0),
-        rate=rate,
+        rate=words.get("loading", {}).get("rate"),
         fibres=words.get("fibres", {}),
         cavities={name: Filling(**given) for name, given in cavities.items()},
         **words.get("prestretch", {}),

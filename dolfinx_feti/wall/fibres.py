@@ -38,7 +38,6 @@ import numpy.typing as npt
 import dolfinx
 
 from dolfinx_feti.runtime.events import event
-from dolfinx_feti.runtime.petsc_options import require_prefix
 from dolfinx_feti.wall.laplace import gradient, solve_laplace
 from dolfinx_feti.wall.wall import Wall, area, by_layer, facets, openings
 
@@ -80,8 +79,6 @@ def fibre_frame(
     outer: str = "outer",
     ends: Sequence[str] | None = None,
     inlet: str | None = None,
-    petsc_options_prefix: str = "fibres_",
-    petsc_options: Mapping[str, object] | None = None,
 ) -> Frame:
     """Return the local frame of a wall.
 
@@ -92,27 +89,15 @@ def fibre_frame(
         ends: The surfaces where the vessel was cut; None for those named `opening_…`.
         inlet: The opening where the vessel begins; None for the one with the largest area (the
             first of equal ones).
-        petsc_options_prefix: Prefix of the two linear solvers, the same on all processes.
-        petsc_options: Their options, without prefix; CG with GAMG to 1e-14 if not given, and MUMPS
-            where that fails.
 
     Raises:
-        ValueError: There are fewer than two openings, there is no such surface or inlet, or the
-            prefix is empty.
+        ValueError: There are fewer than two openings, or there is no such surface or inlet.
         ArithmeticError: A Laplace problem was not solved, or leaves cells without a direction.
 
     Note:
         Collective.
     """
-    through, along = potentials(
-        wall,
-        inner=inner,
-        outer=outer,
-        ends=ends,
-        inlet=inlet,
-        petsc_options_prefix=petsc_options_prefix,
-        petsc_options=petsc_options,
-    )
+    through, along = potentials(wall, inner=inner, outer=outer, ends=ends, inlet=inlet)
     return frame_of(wall, through, along)
 
 
@@ -123,8 +108,6 @@ def potentials(
     outer: str = "outer",
     ends: Sequence[str] | None = None,
     inlet: str | None = None,
-    petsc_options_prefix: str = "fibres_",
-    petsc_options: Mapping[str, object] | None = None,
 ) -> tuple[dolfinx.fem.Function, dolfinx.fem.Function]:
     """Return the two potentials of :func:`fibre_frame`, t through the wall and l along it (P2).
 
@@ -147,13 +130,8 @@ def potentials(
         inlet = names[int(np.argmax(areas >= (1.0 - SAME_AREA) * areas.max()))]
     if inlet not in names:
         raise ValueError(f"inlet={inlet!r} is not an opening; choose one of {', '.join(names)}")
-    prefix = require_prefix(petsc_options_prefix)
-    along_ends = {name: float(name != inlet) for name in names}
-    through, along = (
-        solve_laplace(wall, values, prefix=prefix, petsc_options=petsc_options)
-        for values in ({inner: 0.0, outer: 1.0}, along_ends)
-    )
-    return through, along
+    through = solve_laplace(wall, {inner: 0.0, outer: 1.0})
+    return through, solve_laplace(wall, {name: float(name != inlet) for name in names})
 
 
 def frame_of(wall: Wall, through: dolfinx.fem.Function, along: dolfinx.fem.Function) -> Frame:

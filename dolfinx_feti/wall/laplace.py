@@ -25,6 +25,9 @@ from dolfinx_feti.wall.wall import Wall, facets
 
 __all__ = ["gradient", "solve_laplace"]
 
+#: Of PETSc's options.
+PREFIX = "fibres_"
+
 # Solved to rounding, so that a nearly flat potential (in a sac) has a consistent direction.
 # Without couplings below the threshold in its aggregates GAMG takes two thirds of the time.
 OPTIONS: dict[str, object] = {
@@ -43,21 +46,15 @@ DIRECT: dict[str, object] = {
 }
 
 
-def solve_laplace(
-    wall: Wall,
-    values: Mapping[str, float],
-    *,
-    prefix: str,
-    petsc_options: Mapping[str, object] | None = None,
-) -> dolfinx.fem.Function:
-    """Solve Δu = 0 with values prescribed on some surfaces and zero flux through the others.
+def solve_laplace(wall: Wall, values: Mapping[str, float]) -> dolfinx.fem.Function:
+    """Solve Δu = 0 with values prescribed on some surfaces and zero flux through the others (P2).
+
+    CG with GAMG solves to 1e-14, and MUMPS what that does not; PETSc's options with the prefix
+    ``fibres_`` prevail.
 
     Args:
         wall: The wall.
         values: Value of u on each of these surfaces, by name.
-        prefix: Prefix of the solver, the same on all processes.
-        petsc_options: Its options, without prefix, which override CG with GAMG to 1e-14. Without
-            them MUMPS solves what CG does not.
 
     Raises:
         ArithmeticError: The solver did not converge.
@@ -67,37 +64,24 @@ def solve_laplace(
     """
     V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 2))
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    scalar = dolfinx.default_scalar_type
     a = dolfinx.fem.form(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx)
-    L = dolfinx.fem.form(
-        dolfinx.fem.Constant(wall.mesh, dolfinx.default_scalar_type(0)) * v * ufl.dx
-    )
-    bcs = [
-        dolfinx.fem.dirichletbc(
-            dolfinx.default_scalar_type(value),
-            dolfinx.fem.locate_dofs_topological(V, 2, facets(wall, name)),
-            V,
-        )
-        for name, value in values.items()
-    ]
+    L = dolfinx.fem.form(dolfinx.fem.Constant(wall.mesh, scalar(0)) * v * ufl.dx)
+    dofs = {name: dolfinx.fem.locate_dofs_topological(V, 2, facets(wall, name)) for name in values}
+    bcs = [dolfinx.fem.dirichletbc(scalar(t), dofs[name], V) for name, t in values.items()]
     A = dolfinx.fem.petsc.assemble_matrix(a, bcs=bcs)
     A.assemble()
     b = dolfinx.fem.petsc.assemble_vector(L)
     dolfinx.fem.petsc.apply_lifting(b, [a], [bcs])
     b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
     dolfinx.fem.petsc.set_bc(b, bcs)
-    solution = dolfinx.fem.Function(V)
-    x = A.createVecRight()
-    attempts = [{**OPTIONS, **petsc_options}] if petsc_options else [OPTIONS, DIRECT]
+    x, solution = A.createVecRight(), dolfinx.fem.Function(V)
     try:
-        for options in attempts:
-            reason, iterations = _solve(A, b, x, prefix, options)
-            if reason > 0:
-                break
-        else:
+        if not any((reason := _solve(A, b, x, options)) > 0 for options in (OPTIONS, DIRECT)):
             raise ArithmeticError(
-                f"A Laplace problem for the fibres was not solved (reason {reason} after "
-                f"{iterations} iterations): make sure that every part of the wall touches an "
-                f"opening, or choose another solver with -{prefix}ksp_type and -{prefix}pc_type"
+                f"A Laplace problem for the fibres was not solved (reason {reason}): make sure "
+                "that every part of the wall touches an opening, or choose another solver with "
+                f"-{PREFIX}ksp_type and -{PREFIX}pc_type"
             )
         solution.x.array[: x.getLocalSize()] = x.array_r
     finally:
@@ -107,18 +91,16 @@ def solve_laplace(
     return solution
 
 
-def _solve(
-    A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, prefix: str, options: Mapping[str, object]
-) -> tuple[int, int]:
-    """Solve A x = b with the options under the prefix; return PETSc's reason and iterations."""
-    ksp = PETSc.KSP().create(A.comm)
+def _solve(A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, options: Mapping[str, object]) -> int:
+    """Solve A x = b with the options, behind the user's; return PETSc's reason."""
+    ksp, users = PETSc.KSP().create(A.comm), PETSc.Options(PREFIX)
     try:
-        ksp.setOptionsPrefix(prefix)
+        ksp.setOptionsPrefix(PREFIX)
         ksp.setOperators(A)
-        with inserted(prefix, options):
+        with inserted(PREFIX, {k: v for k, v in options.items() if not users.hasName(k)}):
             ksp.setFromOptions()
             ksp.solve(b, x)
-        return ksp.getConvergedReason(), ksp.getIterationNumber()
+        return int(ksp.getConvergedReason())
     finally:
         ksp.destroy()
 

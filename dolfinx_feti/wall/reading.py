@@ -10,7 +10,7 @@ PETSc's log shows the phases: ``WallRead``, ``WallPartition`` (the mesh is distr
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +27,7 @@ import ufl
 from dolfinx_feti.mechanics.values import require_within
 from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.runtime.events import event
-from dolfinx_feti.wall.wall import Wall
+from dolfinx_feti.wall.wall import Group, Groups, Wall, checked_groups
 from dolfinx_feti.wall.wallfile import CELLS, RawWall, read_raw_wall
 from dolfinx_feti.wall.xdmf import is_parallel, read_parallel
 
@@ -39,7 +39,7 @@ def read_wall(
     comm: MPI.Comm,
     *,
     scale: float = 1.0,
-    names: Mapping[str, tuple[int, int]] | None = None,
+    names: Groups | None = None,
 ) -> Wall:
     """Read a wall: on all processes from XDMF, on one from other formats, to be distributed.
 
@@ -67,24 +67,22 @@ def read_wall(
         return read_parallel(path, comm, scale=scale)
     raw: list[RawWall] = []  # on the first process
     with event("WallRead"):
-        on_first(lambda: raw.append(_renamed(read_raw_wall(path), names or {})), comm)
+        on_first(
+            lambda: raw.append(_renamed(read_raw_wall(path), checked_groups(names or {}))), comm
+        )
     return distribute(raw[0] if raw else None, comm, scale=scale)
 
 
-def _renamed(raw: RawWall, names: Mapping[str, tuple[int, int]]) -> RawWall:
+def _renamed(raw: RawWall, groups: Sequence[Group]) -> RawWall:
     """Give names to numbers, in place of those of the file."""
-    mine = [{n: t for n, (d, t) in names.items() if d == dim} for dim in (3, 2)]
-    theirs = (raw.layer_names, raw.surface_names)
-    layers, surfaces = (
-        {n: t for n, t in known.items() if t not in given.values()} | given
-        for given, known in zip(mine, theirs, strict=True)
-    )
-    tags = raw.layers, raw.surfaces
-    return replace(
-        raw,
-        layer_names={n: t for n, t in layers.items() if np.any(tags[0] == t)},
-        surface_names={n: t for n, t in surfaces.items() if np.any(tags[1] == t)},
-    )
+
+    def named(dim: int, tags: npt.NDArray[np.int64], theirs: dict[str, int]) -> dict[str, int]:
+        mine = {name: tag for name, of, tag in groups if of == dim}
+        both = {n: t for n, t in theirs.items() if t not in mine.values()} | mine
+        return {name: tag for name, tag in both.items() if np.any(tags == tag)}
+
+    layers = named(3, raw.layers, raw.layer_names)
+    return replace(raw, layer_names=layers, surface_names=named(2, raw.surfaces, raw.surface_names))
 
 
 def distribute(raw: RawWall | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:

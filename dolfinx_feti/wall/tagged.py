@@ -10,10 +10,9 @@ come along with the mesh. A mesh of another origin has tags that are named by ha
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from numbers import Integral
-from typing import Protocol, TypeAlias
+from typing import Protocol
 
 from mpi4py import MPI
 
@@ -22,15 +21,9 @@ import numpy as np
 import dolfinx
 
 from dolfinx_feti.runtime.collective import on_all
-from dolfinx_feti.wall.wall import Wall, named_tags
+from dolfinx_feti.wall.wall import Group, Groups, Wall, checked_groups, named_tags
 
-__all__ = ["Groups", "create_wall"]
-
-#: Dimension and tag of each name.
-Groups: TypeAlias = Mapping[str, tuple[int, int]]
-
-#: Name, dimension and tag.
-Group: TypeAlias = tuple[str, int, int]
+__all__ = ["create_wall"]
 
 
 class Model(Protocol):
@@ -133,15 +126,7 @@ def _known(names: Groups | Model | None) -> list[Group] | None:
             return None
         groups = [(names.getPhysicalName(*pair), *pair) for pair in names.getPhysicalGroups()]
         return [group for group in groups if group[0]]
-    for name, pair in names.items():
-        if not (
-            isinstance(pair, Sequence) and [isinstance(n, Integral) for n in pair] == [True] * 2
-        ):
-            raise ValueError(
-                f"names[{name!r}] is {pair!r}: give the dimension and the tag, (2, 3) for facets "
-                "tagged 3."
-            )
-    return [(name, *pair) for name, pair in names.items() if name]
+    return checked_groups(names)
 
 
 def _named(groups: list[Group], tags: dolfinx.mesh.MeshTags, comm: MPI.Comm) -> dict[str, int]:

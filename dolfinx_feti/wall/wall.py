@@ -13,8 +13,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Integral
+from typing import TypeAlias
 
 from mpi4py import MPI
 
@@ -29,9 +31,12 @@ from dolfinx_feti.runtime.collective import on_all
 
 __all__ = [
     "AXES",
+    "Group",
+    "Groups",
     "Wall",
     "area",
     "by_layer",
+    "checked_groups",
     "extent",
     "facets",
     "named_tags",
@@ -41,6 +46,12 @@ __all__ = [
 ]
 
 AXES = "xyz"
+
+#: Dimension and tag of each name.
+Groups: TypeAlias = Mapping[str, tuple[int, int]]
+
+#: Name, dimension and tag.
+Group: TypeAlias = tuple[str, int, int]
 
 #: How far a plane surface may reach out of its plane, relative to the extent of the wall.
 OUT_OF_PLANE = 1e-7
@@ -137,6 +148,22 @@ def named_tags(names: Mapping[str, int], tags: Iterable[int], dim: int) -> dict[
     named = {name: tag for name, tag in names.items() if tag in present}
     kind = "layer" if dim == 3 else "surface"
     return named | {f"{kind}_{tag}": tag for tag in sorted(present - {0, *named.values()})}
+
+
+def checked_groups(names: Groups) -> list[Group]:
+    """Return name, dimension and tag of each group.
+
+    Raises:
+        ValueError: A name has something else.
+    """
+    for name, pair in names.items():
+        numbers = [isinstance(n, Integral) for n in pair] if isinstance(pair, Sequence) else []
+        if numbers != [True, True]:
+            raise ValueError(
+                f"names[{name!r}] is {pair!r}: give the dimension and the tag, (2, 3) for facets "
+                "tagged 3."
+            )
+    return [(name, *pair) for name, pair in names.items() if name]
 
 
 def openings(wall: Wall) -> list[str]:

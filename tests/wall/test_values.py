@@ -105,7 +105,7 @@ def test_refused_with_its_name(call, right, name, wrong):
 def test_what_has_no_effect_in_a_case():
     """A rate belongs to dashpots, and a stretch to an axis."""
     dashpot = {"outer": (Dashpot(0.1),)}
-    with pytest.raises(ValueError, match="rate=None: no dashpot has an effect without it"):
+    with pytest.raises(ValueError, match="rate is missing: dashpots need"):
         case(conditions=dashpot)
     assert case(conditions=dashpot, rate=10.0).rate == 10.0
     assert case(axis="x", stretch=1.2).stretch == 1.2
