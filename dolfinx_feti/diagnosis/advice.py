@@ -28,11 +28,8 @@ JUMP = 3000.0
 #: Condition number above which a coarse space without soft modes is too small.
 CONDITION = 100.0
 
-#: Dofs of the process or subdomain that has the most, over the mean.
+#: Dofs of the subdomain that has the most, over the mean.
 UNEVEN = 2.0
-
-#: Dofs of the process that has the fewest, over the mean.
-IDLE = 0.5
 
 #: With more pressures than dofs, and the pressure this much stiffer than the rest, elements lock.
 PRESSURES, STIFFER = 1.0, 50.0
@@ -85,14 +82,6 @@ def advise(figures: Figures, *, iterations: int, prefix: str) -> tuple[Advice, .
     ratio = figures.dofs_subdomain.most / mean
     if ratio > UNEVEN:
         say("Cut the mesh more evenly.", "largest subdomain over mean", ratio, UNEVEN)
-    ratio = figures.dofs_process.least / figures.dofs_process.mean
-    if ratio < IDLE:
-        say(
-            "Distribute the cells more evenly, or take fewer processes: one has little to do.",
-            "dofs of the idlest process over mean",
-            ratio,
-            IDLE,
-        )
     if report.options.scaling == "multiplicity" and figures.jump > JUMP:
         say(
             f"Weigh the copies by stiffness, -{prefix}feti_scaling stiffness.",

@@ -63,7 +63,6 @@ class Figures:
         jump: Greatest ratio of the stiffnesses of the copies of a dof.
         rigid: Rigid body modes of a subdomain.
         null: Null vectors in addition to them, of all subdomains.
-        elastic: Soft and buckling modes, of all subdomains.
         motions: What the rigid body modes are.
         pressures_per_dof: Condensed pressures over dofs without a prescribed value; zero without.
         pressure_stiffness: Factor by which the condensed pressure raises the diagonal of K, in the
@@ -80,7 +79,6 @@ class Figures:
     jump: float
     rigid: Spread
     null: int
-    elastic: int
     motions: str
     pressures_per_dof: float
     pressure_stiffness: float
@@ -116,7 +114,6 @@ def collect_figures(form: Form, report: Report) -> Figures:
         jump=_jump(torn),
         rigid=Spread.of(join([m.rigid for m in modes], comm)),
         null=comm.allreduce(sum(m.null for m in modes)),
-        elastic=report.elastic,
         motions=_motions(torn),
         pressures_per_dof=pressures,
         pressure_stiffness=stiffness,

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.diagnosis.figures import Figures, Spread
+from dolfinx_feti.feti.report import table
 from dolfinx_feti.runtime.tables import json_value
 
 __all__ = ["Diagnosis", "Seconds"]
@@ -67,93 +69,58 @@ class Diagnosis:
     advice: tuple[Advice, ...]
 
     @property
-    def records(self) -> list[dict[str, object]]:
+    def records(self) -> list[object]:
         """One record of all that was measured, to be written as JSON; None for what is unknown."""
-        record: dict[str, object] = {
-            "method": self.method,
-            "iterations": self.iterations,
-            "relative_residual": self.relative_residual,
-            "message": self.message,
-            "seconds": asdict(self.seconds),
-            "peak_mib": self.peak_mib,
-            "residuals": self.residuals.tolist(),
-            "advice": [asdict(advice) for advice in self.advice],
-            "figures": None if self.figures is None else asdict(self.figures),
-        }
-        return [{name: json_value(value) for name, value in record.items()}]
+        return [json_value({**asdict(self), "residuals": self.residuals.tolist()})]
 
     def __str__(self) -> str:
-        """Return the table and the advice."""
-        rows = [] if self.figures is None else _rows(self.figures)
+        """Return the solver's own report, what was measured, and the advice."""
         s = self.seconds
-        rows += [
+        rows = [
+            *([] if self.figures is None else _rows(self.figures)),
             ("iterations", f"{self.iterations} ({self.method or 'none'})"),
-            ("residual", f"{self.relative_residual:.1e}{self._rounding()}"),
+            ("residual", f"{self.relative_residual:.1e}"),
             (
                 "time [s]",
                 f"assembly {s.assembly:.2f}, set-up {s.setup:.2f} (gluing {s.gluing:.2f}, factors "
                 f"{s.factors:.2f}, coarse problem {s.coarse:.2f}), solve {s.solve:.2f}",
             ),
             ("peak memory [MiB]", "–" if math.isnan(self.peak_mib) else f"{self.peak_mib:.0f}"),
+            ("failed", self.message),
+            *([("advice", str(advice)) for advice in self.advice] or [("advice", "none")]),
         ]
-        if self.message:
-            rows.append(("failed", self.message))
-        rows += [("advice", str(advice)) for advice in self.advice] or [("advice", "none")]
-        return "\n".join(f"{name:<22}{value}" for name, value in rows)
-
-    def _rounding(self) -> str:
-        """Say whether the solve has ended at the rounding errors of the residual."""
-        floor = math.nan if self.figures is None else self.figures.report.floor
-        return f", at the floor of rounding, {floor:.1e}" if floor > 0.0 else ""
+        report = "" if self.figures is None else textwrap.dedent(table(self.figures.report))
+        return report + "\n".join(f"{name:<22}{value}" for name, value in rows if value)
 
 
 def _rows(figures: Figures) -> list[tuple[str, str]]:
-    """Return the rows that tell of the solver."""
-    r = figures.report
-    low, high = r.eigenvalues
-    condition = "not known" if not low > 0.0 else f"{high / low:.4g} ({low:.4g} … {high:.4g})"
+    """Return what the solver's report does not have."""
     copies = ", ".join(
         f"{n} of {m} {'copies' if m > 1 else 'copy'}"
         for m, n in enumerate(figures.multiplicities, start=1)
         if n
     )
-    kernels = ", ".join(f"{n} of dimension {k}" for k, n in enumerate(r.kernels) if n)
-    i = r.inertia
     pressure = ""
     if figures.pressures_per_dof:
         pressure = (
             f"{figures.pressures_per_dof:.2f} for each dof, which they make "
             f"{figures.pressure_stiffness:.4g} times as stiff"
         )
-    rows = [
-        ("dofs", f"{r.dofs}, torn {r.torn_dofs}, multipliers {r.multipliers}"),
-        ("subdomains", f"{r.subdomains}, dofs each {_spread(figures.dofs_subdomain)}"),
+    return [
+        ("dofs each", _spread(figures.dofs_subdomain)),
         ("interface", f"share of a subdomain's dofs {_spread(figures.interface, '.2f')}"),
         ("dofs with copies", copies),
-        ("jump of stiffness", f"{figures.jump:.4g}, weights by {r.options.scaling}"),
-        ("kernels", f"{kernels}; rigid body modes: {figures.motions}"),
-        ("further modes", f"{figures.null} null vectors, {figures.elastic} elastic"),
-        (
-            "negative eigenvalues",
-            f"{_known(i.local)} in K_ρ, {i.defect} in D, {_known(i.interior)} in K_II, "
-            f"{_known(i.assembled)} at least in A",
-        ),
+        ("jump of stiffness", f"{figures.jump:.4g}"),
+        ("rigid body modes", f"{figures.motions}; {figures.null} null vectors in addition"),
         ("pressures", pressure),
-        ("coarse problem", f"{r.coarse_size} unknowns, {r.formulation} form"),
-        ("condition number", condition),
         (
             "processes",
             f"subdomains {_spread(figures.subdomains_process)}, dofs "
             f"{_spread(figures.dofs_process)}, factors [MiB] {_spread(figures.factor_mib_process)}",
         ),
     ]
-    return [(name, value) for name, value in rows if value]
 
 
 def _spread(spread: Spread, form: str = ".0f") -> str:
     """Format the least, mean and most of something."""
     return f"{spread.least:{form}} … {spread.mean:{form}} … {spread.most:{form}}"
-
-
-def _known(count: int | None) -> str:
-    return "unknown" if count is None else str(count)
