@@ -150,8 +150,14 @@ def apply_conditions(
     along = None if axis is None else _axis(axis, clamps, [k for k, _ in slides.values()])
     values = {name: _constant(mesh, 0.0) for name in slides}
     moved = dolfinx.fem.Function(V)
-    bcs = [_slide(wall, V, name, slides[name][0], value) for name, value in values.items()]
-    bcs += [_clamp(wall, V, name, moved) for name in clamps]
+    bcs = []
+    for name, value in values.items():
+        part = V.sub(slides[name][0])
+        dofs = dolfinx.fem.locate_dofs_topological(part, 2, facets(wall, name))
+        bcs.append(dolfinx.fem.dirichletbc(value, dofs, part))
+    for name in clamps:
+        dofs = dolfinx.fem.locate_dofs_topological(V, 2, facets(wall, name))
+        bcs.append(dolfinx.fem.dirichletbc(moved, dofs))
     p, dt = _constant(mesh, 0.0), _constant(mesh, np.inf)
     last = dolfinx.fem.Function(V, name="last_displacement")
     v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
@@ -241,25 +247,6 @@ def _axis(axis: str, clamps: Sequence[str], normals: Sequence[int]) -> int:
             f"slide in a plane normal to {axis}: give both ends Clamp() or Slide()."
         )
     return number
-
-
-def _slide(
-    wall: Wall, V: dolfinx.fem.FunctionSpace, name: str, k: int, value: dolfinx.fem.Constant
-) -> dolfinx.fem.DirichletBC:
-    """Hold the component normal to a plane."""
-    part = V.sub(k)
-    return dolfinx.fem.dirichletbc(
-        value, dolfinx.fem.locate_dofs_topological(part, 2, facets(wall, name)), part
-    )
-
-
-def _clamp(
-    wall: Wall, V: dolfinx.fem.FunctionSpace, name: str, value: dolfinx.fem.Function
-) -> dolfinx.fem.DirichletBC:
-    """Hold a surface."""
-    return dolfinx.fem.dirichletbc(
-        value, dolfinx.fem.locate_dofs_topological(V, 2, facets(wall, name))
-    )
 
 
 def _support(

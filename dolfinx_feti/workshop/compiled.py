@@ -86,13 +86,7 @@ class CompiledEnergy:
         parameters: Sequence[str] = (),
         jit_options: Mapping[str, Any] | None = None,
     ) -> None:
-        """Compile, see :func:`compile_material`.
-
-        Args:
-            psi: The energy.
-            parameters: Names of arguments of ``psi`` that can change without compilation.
-            jit_options: Options of dolfinx's compiler.
-        """
+        """Compile, see :func:`compile_material`."""
         mesh = dolfinx.mesh.create_interval(MPI.COMM_SELF, 1, (0.0, 1.0))
         points = np.linspace(0.0, 1.0, BATCH)[:, None]
         element = basix.ufl.quadrature_element(
@@ -118,13 +112,7 @@ class CompiledEnergy:
         ]
 
     def __call__(self, F: Array, kappa: float, parameters: Mapping[str, float]) -> States:
-        """Evaluate, see :func:`evaluate`.
-
-        Args:
-            F: The states, (n, 3, 3).
-            kappa: Penalty κ of the volumetric energy [kPa], finite.
-            parameters: Values of the parameters.
-        """
+        """Evaluate at the states F, (n, 3, 3), with a finite κ; see :func:`evaluate`."""
         self._kappa.value = kappa
         for name, constant in self._own.items():
             constant.value = parameters[name]

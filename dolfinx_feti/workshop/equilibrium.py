@@ -65,8 +65,26 @@ class Equilibrium:
 
 
 @dataclass(frozen=True, slots=True)
+class _Trial:
+    """Trial states, with residuals (n, m) and tangents (n, m, m) in x and p, without units.
+
+    The norm of a residual is infinite where something is no number, or the body flat, (n,).
+    """
+
+    F: Array
+    p: Array
+    r: Array
+    K: Array
+    norm: Array
+
+    def below(self, tolerance: float) -> Mask:
+        """Whether the residual is small compared with the tangent, (n,)."""
+        return self.norm < tolerance * (1 + np.abs(self.K).max(axis=(1, 2), initial=0.0))
+
+
+@dataclass(frozen=True, slots=True)
 class _Balance:
-    """What does not change in Newton's method.
+    """The equations of equilibrium.
 
     Attributes:
         energy: The energy without its volumetric part κ/2 (J − 1)².
@@ -80,26 +98,29 @@ class _Balance:
     free: Array
     scale: np.float64
 
-
-@dataclass(frozen=True, slots=True)
-class _Trial:
-    """Trial states, with residuals (n, m) and tangents (n, m, m) in x and p, without units."""
-
-    F: Array
-    p: Array
-    r: Array
-    K: Array
-
-    @property
-    def norm(self) -> Array:
-        """Norm of the residual, infinite where something is no number or the body flat, (n,)."""
-        norm = np.linalg.norm(self.r, axis=1)
-        usable = np.isfinite(norm) & np.isfinite(self.K).all(axis=(1, 2))
-        return np.where(usable & (np.linalg.det(self.F) > COLLAPSED), norm, np.inf)
-
-    def below(self, tolerance: float) -> Mask:
-        """Whether the residual is small compared with the tangent, (n,)."""
-        return self.norm < tolerance * (1 + np.abs(self.K).max(axis=(1, 2), initial=0.0))
+    def at(self, F: Array, p: Array) -> _Trial:
+        """Return residuals and tangents; p where it is NaN gets the value that suits F best."""
+        free, scale, D = self.free, self.scale, self.free.reshape(len(self.free), 9)
+        states, cof = evaluate(self.energy, F), cofactor(F)
+        r, A = _entries(states.P / scale, free), states.A
+        if self.flexibility is None:
+            p = np.zeros(len(F))
+        else:
+            volume = _entries(cof, free)
+            best = -scale * (r * volume).sum(axis=1)
+            best /= np.maximum((volume**2).sum(axis=1), COLLAPSED)
+            p = np.where(np.isnan(p), best, p)
+            r, A = r + (p / scale)[:, None] * volume, total_tangent(A, F, p)
+        K = D @ (A / scale).reshape(len(F), 9, 9) @ D.T  # D_k : A : D_l
+        if self.flexibility is not None:
+            row, corner = volume[:, None], np.full((len(F), 1, 1), -scale * self.flexibility)
+            K = np.block([[K, row.swapaxes(1, 2)], [row, corner]])
+            J = np.einsum("nij,nij->n", cof, F) / 3
+            r = np.column_stack((r, J - 1 - p * self.flexibility))
+        norm = np.linalg.norm(r, axis=1)
+        usable = np.isfinite(norm) & np.isfinite(K).all(axis=(1, 2))
+        norm = np.where(usable & (np.linalg.det(F) > COLLAPSED), norm, np.inf)
+        return _Trial(F, p, r, K, norm)
 
 
 def equilibrate(material: Material, F: Array, free: Array) -> Equilibrium:
@@ -139,7 +160,7 @@ def equilibrate(material: Material, F: Array, free: Array) -> Equilibrium:
 
 def cofactor(F: Array) -> Array:
     """Cofactors ∂(det F)/∂F, (n, 3, 3)."""
-    return _pair(_cofactor_tangent(F), F) / 2
+    return np.einsum("niJkL,nkL->niJ", _cofactor_tangent(F), F) / 2
 
 
 def total_tangent(A: Array, F: Array, p: Array) -> Array:
@@ -170,85 +191,42 @@ def _approach(problem: _Balance, F: Array, steps: int) -> Equilibrium:
 
 
 def _newton(problem: _Balance, F: Array, p: Array, alive: Mask) -> tuple[_Trial, Mask]:
-    """Newton's method for the states that are alive, and which of them have converged."""
-    state = _assemble(problem, F, p)
+    """Newton's method for the states that are alive, and which of them have converged.
+
+    Steps are so short that residuals decrease; a state that has converged takes its last, full one.
+    """
+    state, k = problem.at(F, p), len(problem.free)
     done: Mask = np.zeros(len(F), dtype=bool)
     going = alive
     for _ in range(MAX_STEPS):
         going = going & ~done & np.isfinite(state.norm)
         if not going.any():
             break
-        dx, dp = _increments(problem, state, going)
+        K = np.where(going[:, None, None], state.K, np.eye(state.r.shape[1]))
+        r = np.where(going[:, None], state.r, 0.0)
+        try:
+            step = np.linalg.solve(K, -r[:, :, None])[:, :, 0]
+        except np.linalg.LinAlgError:  # a singular tangent: the shortest step
+            step = -np.einsum("nab,nb->na", np.linalg.pinv(K), r)
+        dx, dp = step[:, :k], problem.scale * step[:, k:].sum(axis=1)
         small = (np.abs(dx).max(axis=1, initial=0.0) < LAST_INCREMENT) & state.below(BALANCED)
         done = done | (going & (small | state.below(RESIDUAL_ROUNDING)))
-        state, moved = _move(problem, state, dx, dp, resting=done | ~going)
-        going = going & moved
+        resting: Mask = done | ~going
+        alpha: Array = np.ones(len(F))
+        for _ in range(MAX_HALVINGS):
+            by = _combine(alpha[:, None] * dx, problem.free)
+            trial = problem.at(state.F + by, state.p + alpha * dp)
+            moved = resting | (trial.norm <= (1 - 1e-4 * alpha) * state.norm)
+            if moved.all():
+                break
+            alpha = np.where(moved, alpha, alpha / 2)
+        state, going = trial, going & moved
     return state, done & np.isfinite(state.norm)
-
-
-def _increments(problem: _Balance, state: _Trial, going: Mask) -> tuple[Array, Array]:
-    """Newton increments of the free entries (n, k) and of p (n,); zero for states at rest."""
-    k = len(problem.free)
-    K = np.where(going[:, None, None], state.K, np.eye(state.r.shape[1]))
-    r = np.where(going[:, None], state.r, 0.0)
-    try:
-        step = np.linalg.solve(K, -r[:, :, None])[:, :, 0]
-    except np.linalg.LinAlgError:  # a singular tangent: the shortest step
-        step = -np.einsum("nab,nb->na", np.linalg.pinv(K), r)
-    return step[:, :k], problem.scale * step[:, k:].sum(axis=1)
-
-
-def _move(
-    problem: _Balance, state: _Trial, dx: Array, dp: Array, *, resting: Mask
-) -> tuple[_Trial, Mask]:
-    """Move by steps so short that the residuals decrease, and say where they do.
-
-    States that rest take their last, full increment, whatever their residual.
-    """
-    alpha: Array = np.ones(len(dx))
-    for _ in range(MAX_HALVINGS):
-        F = state.F + _combine(alpha[:, None] * dx, problem.free)
-        trial = _assemble(problem, F, state.p + alpha * dp)
-        moved = resting | (trial.norm <= (1 - 1e-4 * alpha) * state.norm)
-        if moved.all():
-            break
-        alpha = np.where(moved, alpha, alpha / 2)
-    return trial, moved
-
-
-def _assemble(problem: _Balance, F: Array, p: Array) -> _Trial:
-    """Residuals and tangents; p where it is NaN gets the value that suits F best."""
-    free, scale = problem.free, problem.scale
-    states, cof = evaluate(problem.energy, F), cofactor(F)
-    r = _entries(states.P / scale, free)
-    if problem.flexibility is None:
-        return _Trial(F, np.zeros(len(F)), r, _restrict(states.A / scale, free))
-    volume = _entries(cof, free)
-    best = -scale * (r * volume).sum(axis=1) / np.maximum((volume**2).sum(axis=1), COLLAPSED)
-    p = np.where(np.isnan(p), best, p)
-    K = np.zeros((len(F), len(free) + 1, len(free) + 1))
-    K[:, :-1, :-1] = _restrict(total_tangent(states.A, F, p) / scale, free)
-    K[:, :-1, -1] = K[:, -1, :-1] = volume
-    K[:, -1, -1] = -scale * problem.flexibility
-    gap = _pair(cof, F) / 3 - 1 - p * problem.flexibility
-    r = np.column_stack((r + (p / scale)[:, None] * volume, gap))
-    return _Trial(F, p, r, K)
 
 
 def _cofactor_tangent(F: Array) -> Array:
     """D cof F, (n, 3, 3, 3, 3)."""
     return (F.reshape(len(F), 9) @ COFACTOR.T).reshape(-1, 3, 3, 3, 3)
-
-
-def _pair(T: Array, F: Array) -> Array:
-    """Contraction of the last two indices with those of F."""
-    return np.einsum("n...kL,nkL->n...", T, F)
-
-
-def _restrict(A: Array, free: Array) -> Array:
-    """D_k : A : D_l, (n, k, k)."""
-    D = free.reshape(len(free), 9)
-    return D @ A.reshape(len(A), 9, 9) @ D.T
 
 
 def _entries(F: Array, free: Array) -> Array:
