@@ -167,16 +167,6 @@ def test_generated_wall_is_kept_as_long_as_its_generator(tmp_path, monkeypatch):
     agree(made == (expected if COMM.rank == 0 else []), made)
 
 
-@pytest.mark.parametrize("harm", ["missing", "cut"])
-def test_damaged_file(tmp_path, harm):
-    path = COMM.bcast(tmp_path / "wall.xdmf")
-    write_wall(path, read_wall(EXAMPLE, COMM))
-    data = path.with_suffix(".h5")
-    on_first(lambda: data.unlink() if harm == "missing" else data.write_bytes(b"no HDF5"))
-    with raises(ValueError, "wall.xdmf cannot be read .*HDF5 file has to lie beside it"):
-        read_wall(path, COMM)
-
-
 def test_wrong_ending():
     with raises(ValueError, "path='wall.h5': give a name that ends in .xdmf"):
         write_wall("wall.h5", read_wall(EXAMPLE, COMM))
