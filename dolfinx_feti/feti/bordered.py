@@ -33,7 +33,7 @@ import scipy.linalg
 
 from dolfinx_feti.feti.gluing.bodies import find_bodies
 from dolfinx_feti.feti.regularity.motions import free_motions
-from dolfinx_feti.runtime.collective import total_of
+from dolfinx_feti.runtime.collective import on_all, total_of
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Border", "BorderedSolver", "solved"]
@@ -178,14 +178,14 @@ class BorderedSolver:
         return x
 
     def _scalars(self, border: Border, X: Array, d: Array, comm: MPI.Comm) -> Array:
-        """Return s = (D − Cᵀ X)⁻¹ d, (m,), by the matrix with rows and columns of size one."""
+        """Return s = (D − Cᵀ X)⁻¹ d, (m,), with rows and columns of size one. Collective."""
         S = border.D - total_of(border.C.T @ X, comm)
         rows, columns = np.ones(len(S)), np.ones(len(S))
         for _ in range(5):
             T = np.abs(rows[:, None] * S * columns)
             rows /= np.sqrt(_no_zeros(T.max(axis=1)))
             columns /= np.sqrt(_no_zeros(T.max(axis=0)))
-        U, σ, Vt = np.linalg.svd(rows[:, None] * S * columns)
+        U, σ, Vt = on_all(lambda: np.linalg.svd(rows[:, None] * S * columns), comm)
         if not (np.isfinite(σ).all() and σ[-1] > SINGULAR * σ[0]):
             self.message = DEPENDENT
             return np.zeros(len(d))
@@ -217,10 +217,10 @@ class _Springs:
         torn = Torn(A)
         comm, W = torn.comm, _free_motions(torn)
         self.count = k = W.shape[1]
-        own = _pivots(W, k)
+        own = on_all(lambda: _pivots(W, k), comm)
         candidates = comm.allgather(W[own])
         last = sum(map(len, candidates[: comm.rank + 1]))
-        chosen = _pivots(np.vstack(candidates), k)
+        chosen = on_all(lambda: _pivots(np.vstack(candidates), k), comm)
         place = np.flatnonzero((chosen >= last - len(own)) & (chosen < last))
         self._dofs = own[chosen[place] - (last - len(own))]
         stiffness = _torn(torn, torn.assemble(torn.stiffness()))

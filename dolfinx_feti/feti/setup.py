@@ -8,6 +8,7 @@ Both methods begin here. A later matrix has one of its own, or shares half of it
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -115,9 +116,9 @@ def _invert(
             torn.comm,
         )
     return within.own(inverse), Inertia(
-        local=sum_if_known(inverse.negative(), torn.comm),
+        local=sum_if_known(inverse.negative, torn.comm),
         defect=torn.comm.allreduce(sum(m.stabilisation.shape[1] for m in inverse.modes)),
-        interior=sum_if_known(operator.negative_interior(), torn.comm),
+        interior=sum_if_known(operator.negative_interior, torn.comm),
         assembled=None,
     )
 
@@ -160,6 +161,7 @@ def require_finite(torn: Torn) -> None:
         )
 
 
-def sum_if_known(count: int | None, comm: MPI.Comm) -> int | None:
-    """Add numbers of all processes; None if one of them is not known."""
-    return None if None in (counts := comm.allgather(count)) else sum(counts)
+def sum_if_known(count: Callable[[], int | None], comm: MPI.Comm) -> int | None:
+    """Add numbers that all processes count; None if one of them is not known. Collective."""
+    counts = comm.allgather(on_subdomains(count, comm))
+    return None if None in counts else sum(counts)

@@ -17,6 +17,7 @@ gradients on the assembled interface (``primal``); ``form`` chooses. Convergence
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 from dataclasses import replace
 
 from petsc4py import PETSc
@@ -31,6 +32,8 @@ from dolfinx_feti.feti.monitor import outer_monitor
 from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
 from dolfinx_feti.feti.report import Report, collect, table
 from dolfinx_feti.feti.solution import CURVATURE, Solution
+from dolfinx_feti.feti.subdomain.blocks import on_subdomains
+from dolfinx_feti.runtime.collective import raise_deferred
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.torn.null_space import take_out
 from dolfinx_feti.torn.rounding import residual_rounding
@@ -157,8 +160,11 @@ class FETI:
             self.setFromOptions(ksp)
         assert self._lasting is not None
         self.message, self.singular = "", False
+        with suppress(Exception):
+            raise_deferred()  # of a set-up that has failed in another way
         try:
             self._lasting.take(ksp.getOperators()[0])
+            on_subdomains(raise_deferred, ksp.comm.tompi4py())
         except SetUpError as error:
             self._tell(error)
 
@@ -307,6 +313,7 @@ class FETI:
             before = x.array_r.copy()
             x.array[:] += torn.assemble(delta * u)
             r.destroy()
+            on_subdomains(raise_deferred, torn.comm)
             r = torn.residual(b, x)
             take_out(torn.A, r)
             last, norm = norm, r.norm()

@@ -15,10 +15,23 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["join", "on_all", "on_first", "reason", "total", "total_of", "warn"]
+__all__ = [
+    "deferred",
+    "join",
+    "on_all",
+    "on_first",
+    "raise_deferred",
+    "reason",
+    "total",
+    "total_of",
+    "warn",
+]
 
 T = TypeVar("T")
 logger = logging.getLogger("dolfinx_feti")
+
+#: What :func:`deferred` has caught on this process.
+_caught: list[Exception] = []
 
 
 def on_first(work: Callable[[], T], comm: MPI.Comm) -> T:
@@ -88,6 +101,34 @@ def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
     finally:
         del own, errors  # no cycle: all processes have to free PETSc's objects together
     return result
+
+
+def deferred(work: Callable[[], Any], shape: int | tuple[int, ...]) -> npt.NDArray[np.float64]:
+    """Do local work of an iteration; where it fails, :func:`raise_deferred` raises its error.
+
+    Args:
+        work: What is done, between two collective calls.
+        shape: Shape of its result.
+
+    Returns:
+        The result, or NaN, which the next sum over all processes hands to all of them.
+    """
+    try:
+        return np.asarray(work())
+    except Exception as error:
+        _caught.append(error.with_traceback(None))  # it would hold frames
+        return np.full(shape, np.nan)
+
+
+def raise_deferred() -> None:
+    """Raise the first error that :func:`deferred` has caught on this process. Not collective."""
+    if _caught:
+        error = _caught[0]
+        _caught.clear()
+        try:
+            raise error
+        finally:
+            del error  # its traceback holds this frame
 
 
 def _portable(error: BaseException) -> BaseException:

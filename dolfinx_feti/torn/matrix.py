@@ -51,6 +51,7 @@ from dolfinx_feti.runtime.connectivity import (
     is_symmetric,
     load_graph_code,
 )
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_library import address_of_rows, nonzero_state, rows_of
 
 __all__ = ["State", "Torn", "create_torn_matrix", "set_condensed", "set_near_kernel", "state_of"]
@@ -226,25 +227,31 @@ class Torn:
                 f"The matrix has type '{A.getType()}', but FETI needs the torn matrix (MATIS): "
                 "make it with dolfinx_feti.create_torn_matrix, or use dolfinx_feti.LinearProblem."
             )
-        self.A = copy(A)  # another reference
         self.comm = A.comm.tompi4py()
-        self.K = A.getISLocalMat()
-        self.n, columns = self.K.getSize()
-        bad = self.n != columns or not self.K.getType().startswith("seqaij")
-        if self.comm.allreduce(bad, op=MPI.LOR):
-            raise ValueError(
-                f"The local matrix has type '{self.K.getType()}' and size {self.K.getSize()}; "
-                "FETI needs square AIJ matrices, one block per subdomain."
-            )
-        self.start = self.comm.scan(self.n) - self.n
-        self.owned = A.getLocalSize()[0]
-        code = load_graph_code(self.comm)
-        self.graph = on_all(lambda: block_graph(self.K, code), self.comm)
-        self._diagonal = diagonal_places(self.K, code)
-        self.subdomains = connected_blocks(self.graph, self.K.getBlockSize())
-        self.first = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
-        self._sf = copy_forest(A)
-        self.dirichlet = self._dirichlet_mask()
+        with Lifetime() as owned:
+            self.A = owned.own(copy(A))  # another reference
+            self.K = owned.own(A.getISLocalMat())
+            self.n, columns = self.K.getSize()
+            bad = self.n != columns or not self.K.getType().startswith("seqaij")
+            if self.comm.allreduce(bad, op=MPI.LOR):
+                raise ValueError(
+                    f"The local matrix has type '{self.K.getType()}' and size {self.K.getSize()}; "
+                    "FETI needs square AIJ matrices, one block per subdomain."
+                )
+            self.start = self.comm.scan(self.n) - self.n
+            self.owned = A.getLocalSize()[0]
+            code = load_graph_code(self.comm)
+
+            def read() -> None:
+                self.graph = block_graph(self.K, code)
+                self._diagonal = diagonal_places(self.K, code)
+                self.subdomains = connected_blocks(self.graph, self.K.getBlockSize())
+
+            on_all(read, self.comm)
+            self.first = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
+            self._sf = owned.own(copy_forest(A))
+            self.dirichlet = self._dirichlet_mask()
+            self._owned = owned.pop_all()
 
     def multiply(self, t: Array, *, transpose: bool = False) -> Array:
         """Return K t, or Kᵀ t, for a vector, (n,), or several columns, (n, r)."""
@@ -375,5 +382,4 @@ class Torn:
 
     def destroy(self) -> None:
         """Free the star forest, and give the matrix up."""
-        for owned in (self._sf, self.K, self.A):
-            owned.destroy()
+        self._owned.close()

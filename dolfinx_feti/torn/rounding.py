@@ -39,6 +39,8 @@ EPS = float(np.finfo(np.float64).eps)
 def product_rounding(K: PETSc.Mat, t: Array, comm: MPI.Comm) -> Array:
     """Return the squares of rounding errors of K t for a sequential matrix, (n,). Collective."""
     code = load(Path(__file__).with_name("rounding.c"), DECLARATION, comm)
+    if K.getSize() != (len(t), len(t)):
+        raise ValueError(f"a vector of {len(t)} entries does not fit a matrix of {K.getSize()}")
     squares = np.empty(len(t))
     with rows_of(K) as csr:
         arrays = (csr.indptr, csr.indices, csr.values, np.ascontiguousarray(t), squares)

@@ -25,7 +25,7 @@ from dolfinx_feti.feti.coarse.group import GroupFactor
 from dolfinx_feti.feti.coarse.whole import whole_factor
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
-from dolfinx_feti.runtime.collective import on_all, reason
+from dolfinx_feti.runtime.collective import deferred, on_all, reason
 from dolfinx_feti.runtime.events import event
 
 __all__ = ["GatheredSolver"]
@@ -109,7 +109,9 @@ class GatheredSolver:
             if self.inverse is not None:
                 x.array[:] = self.inverse @ whole
             elif len(whole):
-                x.array[:] = self.factor.solve(whole)[self._own]
+                own = self._own
+                solved = deferred(lambda: self.factor.solve(whole)[own], own.stop - own.start)
+                x.array[:] = solved
         return float(gathered[~self._is_b].sum())
 
     def memory(self) -> float | None:

@@ -129,14 +129,12 @@ def copy_of_rows(N: PETSc.Mat, rows: slice) -> PETSc.Mat:
 def _factor(N: PETSc.Mat, prefix: str, symmetric: bool, zero: float | None) -> PETSc.KSP:
     """Set the solver of a group up."""
 
-    def create(percent: int) -> PETSc.KSP:
-        ksp = PETSc.KSP().create(N.comm)
+    def prepare(ksp: PETSc.KSP, percent: int) -> None:
         ksp.setOptionsPrefix(prefix)
         ksp.setOperators(N)
         ksp.setType(PETSc.KSP.Type.PREONLY)
         set_default_factor(ksp.getPC(), symmetric)
         ksp.setFromOptions()
         prepare_mumps(ksp.getPC(), percent, zero)
-        return ksp
 
-    return factor_with_work_space(create)
+    return factor_with_work_space(lambda: PETSc.KSP().create(N.comm), prepare)

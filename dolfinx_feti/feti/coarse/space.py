@@ -35,6 +35,7 @@ from dolfinx_feti.feti.gluing.copies import Copies, consecutive
 from dolfinx_feti.feti.subdomain.blocks import block_diagonal, on_subdomains
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.orthonormal import diagonalising, unit_scale
+from dolfinx_feti.runtime.collective import deferred
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.null_space import anchor, null_space
 from dolfinx_feti.torn.rounding import EPS
@@ -148,9 +149,9 @@ class AveragedSpace:
                 E = W_i.overlap(Y, symmetric=symmetric)  # Wᵀ Y
                 yield E if symmetric else E.T
 
-        energies = V.near.sum(elements())
         with Lifetime() as owned:
             own = owned.own
+            energies = own(V.near.sum(elements()))
             if combinations is None:
                 combinations = on_subdomains(lambda: _independent(energies, V.own), V.copies.comm)
             self.combinations = combinations
@@ -187,7 +188,9 @@ class AveragedSpace:
         """
         product = self.V.W.code.rows_product
         blocks = zip(self.AV, self.V.copies.blocks, strict=True)
-        near = joined([product(Y, z[rows]) for Y, rows in blocks])
+        near = deferred(
+            lambda: joined([product(Y, z[rows]) for Y, rows in blocks]), int(self.V.W.count.sum())
+        )
         energies = self.V.near.to_owners(near)  # Vᵀ A z
         return z + self.V.prolong(self.solve(self.V.restrict(r) - energies))
 

@@ -32,6 +32,7 @@ from dolfinx_feti.feti.gluing.jump import Gluing
 from dolfinx_feti.feti.gluing.weights import Weights
 from dolfinx_feti.feti.subdomain.blocks import block_diagonal, on_subdomains, own_columns
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.null_space import anchor, null_space
 
@@ -88,35 +89,43 @@ class Coarse:
         self.start = torn.comm.scan(self.size) - self.size
         self.total = torn.comm.allreduce(self.size)
         self.exact = torn.comm.allreduce(all(m.exact for m in modes), op=MPI.LAND)
-        self.G = self._jump_of(gluing.B, [m.E for m in modes])
-        self.G_left = self.G
-        if not symmetric:
-            self.G_left = self._jump_of(gluing.B, [m.E_left for m in modes])
-        self.q = _weight(torn, weights.B_D, q)
-        self.MG: WeightedColumns | None = None
-        if q == "preconditioner":
-            self.MG = WeightedColumns(weights.delta, modes, preconditioner, symmetric=symmetric)
-        weighed = self.G.copy()
-        weighed.diagonalScale(L=self.q)
-        self.D = self._block_diagonal([m.D for m in modes])
-        self.N = self.G_left.transposeMatMult(weighed)  # N = Gᵀ q G, the diagonal part of Q
-        weighed.destroy()
-        self.N.axpy(1.0, self.D, structure=DIFFERENT)
-        if self.MG is not None:  # Gᵀ M G couples more subdomains
-            part, self.N = self.N, self.MG.galerkin_matrix
-            self.N.axpy(1.0, part, structure=SUBSET if self.MG.complete else DIFFERENT)
-            part.destroy()
-        if not anchor(self.N, self._amplitudes(null_space(torn))):
-            raise SetUpError("Subdomains resist the null space of A: use feti_formulation primal.")
-        self.N.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
-        self.solver = create_coarse_solver(
-            self.N,
-            np.array([m.E.shape[1] for m in modes], dtype=np.int64),
-            lambda: self._amplitudes(torn.near_kernel()),
-            prefix=prefix,
-            symmetric=symmetric,
-        )
-        self._s, self._e = self.N.createVecs()
+        with Lifetime() as owned:
+            own = owned.own
+            self.G = own(self._jump_of(gluing.B, [m.E for m in modes]))
+            self.G_left = self.G
+            if not symmetric:
+                self.G_left = own(self._jump_of(gluing.B, [m.E_left for m in modes]))
+            self.q = own(_weight(torn, weights.B_D, q))
+            self.MG: WeightedColumns | None = None
+            if q == "preconditioner":
+                columns = WeightedColumns(weights.delta, modes, preconditioner, symmetric=symmetric)
+                self.MG = own(columns)
+            self.D = own(self._block_diagonal([m.D for m in modes]))
+            weighed = self.G.copy()
+            weighed.diagonalScale(L=self.q)
+            self.N = own(self.G_left.transposeMatMult(weighed))  # N = Gᵀ q G, diagonal part of Q
+            weighed.destroy()
+            self.N.axpy(1.0, self.D, structure=DIFFERENT)
+            if self.MG is not None:  # Gᵀ M G couples more subdomains
+                part, self.N = self.N, self.MG.galerkin_matrix
+                self.N.axpy(1.0, part, structure=SUBSET if self.MG.complete else DIFFERENT)
+                part.destroy()
+            if not anchor(self.N, self._amplitudes(null_space(torn))):
+                raise SetUpError(
+                    "Subdomains resist the null space of A: use feti_formulation primal."
+                )
+            self.N.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+            self.solver = own(
+                create_coarse_solver(
+                    self.N,
+                    np.array([m.E.shape[1] for m in modes], dtype=np.int64),
+                    lambda: self._amplitudes(torn.near_kernel()),
+                    prefix=prefix,
+                    symmetric=symmetric,
+                )
+            )
+            self._s, self._e = (own(vector) for vector in self.N.createVecs())
+            self._owned = owned.pop_all()
 
     def solve(self, e: Array) -> Array:
         """Return N⁻¹ e for the local part of a right-hand side, (K,). Collective."""
@@ -182,11 +191,7 @@ class Coarse:
 
     def destroy(self) -> None:
         """Free matrices and solver."""
-        self.solver.destroy()
-        matrices = (self.G, self.G_left, self.N, self.D, self.MG)
-        vectors = (self.q, self._s, self._e)
-        for owned in {id(M): M for M in (*matrices, *vectors) if M is not None}.values():
-            owned.destroy()
+        self._owned.close()
 
 
 def _weight(torn: Torn, B_D: PETSc.Mat, q: str) -> PETSc.Vec:

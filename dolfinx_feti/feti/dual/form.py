@@ -270,13 +270,11 @@ def _negative_assembled(pattern: Pattern, setup: Setup, prefix: str) -> int | No
         return inside or 0
     if inside is None:
         return None
-    copies = Copies(pattern.torn, S.interface, setup.weights.delta)
     E = [m.E[on] for m, on in zip(setup.inverse.modes, S.on_interface, strict=True)]
-    V = AveragedColumns(copies, E)
-    space = AveragedSpace(V, S, prefix=prefix)
-    negative = space.negative()
-    for owned in (space, V, copies):
-        owned.destroy()
+    with Lifetime() as owned:
+        copies = owned.own(Copies(pattern.torn, S.interface, setup.weights.delta))
+        V = owned.own(AveragedColumns(copies, E))
+        negative = owned.own(AveragedSpace(V, S, prefix=prefix)).negative()
     return None if negative is None else inside + negative
 
 

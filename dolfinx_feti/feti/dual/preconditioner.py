@@ -52,11 +52,11 @@ class Preconditioner(ABC):
     def __init__(self, operator: Operator, weights: Weights, Z: Sequence[Array]) -> None:
         """Take K, S, B_D and the columns Z of K₊ = K + Z Zᵀ on the dofs of each matrix."""
         self.operator = operator
-        self.B_D = LinearMap(weights.B_D)
         self._Γ = np.concatenate([*operator.interface, np.zeros(0, dtype=np.int32)])
         self.stabilisation, self._Y_Z = on_subdomains(
             lambda: self._stabilisation(Z), operator.torn.comm
         )
+        self.B_D = LinearMap(weights.B_D)
 
     def _stabilisation(self, Z: Sequence[Array]) -> tuple[list[Array], scipy.sparse.csr_array]:
         """Return Y_Z of each subdomain, and of all together."""

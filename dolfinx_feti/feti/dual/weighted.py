@@ -24,6 +24,7 @@ from dolfinx_feti.feti.coarse.near import NearColumns, joined
 from dolfinx_feti.feti.dual.preconditioner import Preconditioner
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
+from dolfinx_feti.runtime.lifetime import Lifetime
 
 __all__ = ["WeightedColumns"]
 
@@ -50,26 +51,28 @@ class WeightedColumns:
         """Form the blocks, for weights δ, (n,), and E of every subdomain. Collective."""
         operator = preconditioner.operator
         self._M, self._torn = preconditioner, operator.torn
-        self._copies = Copies(operator.torn, operator.interface, delta)
         on_interface = operator.on_interface
-        E = [m.E[on] for m, on in zip(modes, on_interface, strict=True)]
-        W = W_left = jump_fields(self._copies, E)
-        if not symmetric:
-            E_left = [m.E_left[on] for m, on in zip(modes, on_interface, strict=True)]
-            W_left = jump_fields(self._copies, E_left)
-        counts = [E_i.shape[1] for E_i in E]
-        self._near = NearColumns(W, counts, operator.torn.comm)
-        self.blocks: list[Array] = []
+        with Lifetime() as owned:
+            self._copies = owned.own(Copies(operator.torn, operator.interface, delta))
+            E = [m.E[on] for m, on in zip(modes, on_interface, strict=True)]
+            W = W_left = jump_fields(self._copies, E)
+            if not symmetric:
+                E_left = [m.E_left[on] for m, on in zip(modes, on_interface, strict=True)]
+                W_left = jump_fields(self._copies, E_left)
+            counts = [E_i.shape[1] for E_i in E]
+            self._near = owned.own(NearColumns(W, counts, operator.torn.comm))
+            self.blocks: list[Array] = []
 
-        def elements() -> Iterator[Array]:
-            for i in range(len(W)):
-                W_i = W[i]
-                self.blocks.append(preconditioner.image(i, W_i))  # Y = (S + Y_Z Y_Zᵀ) W
-                yield (W_i if W_left is W else W_left[i]).overlap(self.blocks[i])
+            def elements() -> Iterator[Array]:
+                for i in range(len(W)):
+                    W_i = W[i]
+                    self.blocks.append(preconditioner.image(i, W_i))  # Y = (S + Y_Z Y_Zᵀ) W
+                    yield (W_i if W_left is W else W_left[i]).overlap(self.blocks[i])
 
-        self.galerkin_matrix = self._near.sum(elements())
-        reached = self._near.to_owners(np.ones(int(W.count.sum())))
-        self.complete = operator.torn.comm.allreduce(bool(np.all(reached > 0.0)), op=MPI.LAND)
+            self.galerkin_matrix = owned.own(self._near.sum(elements()))
+            reached = self._near.to_owners(np.ones(int(W.count.sum())))
+            self.complete = operator.torn.comm.allreduce(bool(np.all(reached > 0.0)), op=MPI.LAND)
+            self._owned = owned.pop_all()
 
     def multiply(self, s: Array) -> Array:
         """Return M G s, (K,) → (m,). Collective."""
@@ -86,6 +89,5 @@ class WeightedColumns:
         return self._near.to_owners(joined([Y.T @ w[rows] for Y, rows in blocks]))
 
     def destroy(self) -> None:
-        """Free the star forests."""
-        self._near.destroy()
-        self._copies.destroy()
+        """Free star forests and matrix."""
+        self._owned.close()

@@ -30,6 +30,7 @@ from dolfinx_feti.feti.coarse.space import MARGIN
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace, Trace
 from dolfinx_feti.feti.solution import STAGNATION, Monitor, Solution
+from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["PrimalSystem", "conjugate_gradients", "converged_reason"]
 
@@ -142,7 +143,8 @@ def conjugate_gradients(
                 reason = Reason.CONVERGED_ITS
     k = min(len(α), traced)
     trace = Trace(R[:k], Z[: max(k - 1, 0)], _hessenberg(np.array(α[:k]), np.array(β[:k])))
-    return best, Solution(reason, len(α), extreme_ritz_values(α, β)), trace
+    ends = on_all(lambda: extreme_ritz_values(α, β), copies.comm)
+    return best, Solution(reason, len(α), ends), trace
 
 
 def converged_reason(norm: float, target: float, its: int, max_it: int) -> int:

@@ -280,7 +280,7 @@ def create_primal_form(
             vectors = soft_fields(
                 space, copies, S.multiply_many, lambda i, F: solver(i)(F), count=count
             )
-    inside = sum_if_known(S.negative_interior(), pattern.torn.comm)
+    inside = sum_if_known(S.negative_interior, pattern.torn.comm)
     proved = None if negative is None or inside is None else negative + inside
     return PrimalForm(
         pattern=pattern,

@@ -28,7 +28,7 @@ from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.primal.cg import PrimalSystem, converged_reason
 from dolfinx_feti.feti.primal.deflation import Trace
 from dolfinx_feti.feti.solution import RESTART, Monitor, Solution
-from dolfinx_feti.runtime.collective import total_of
+from dolfinx_feti.runtime.collective import deferred, total_of
 from dolfinx_feti.torn.rounding import EPS
 
 __all__ = ["gmres"]
@@ -76,7 +76,7 @@ def gmres(
         if not reason and k == most:
             reason = Reason.CONVERGED_ITS
     if k and np.isfinite(norm):
-        y = scipy.linalg.solve_triangular(H[1 : k + 1, :k], a[:k])
+        y = deferred(lambda: scipy.linalg.solve_triangular(H[1 : k + 1, :k], a[:k]), k)
         x = x + Z[:k].T @ (y * (first / (1.0 + a @ a)))
     m = min(k, traced)
     trace = Trace(Q[: m + 1], Z[:m], H[: m + 1, :m])

@@ -39,6 +39,7 @@ from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
 from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
 from dolfinx_feti.feti.subdomain.factors.single import factor_in_single
 from dolfinx_feti.feti.subdomain.panels import Panels
+from dolfinx_feti.runtime.collective import deferred
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.torn.matrix import Torn
@@ -77,8 +78,8 @@ class Operator(ABC):
         self._diagonal = np.abs(torn.diagonal())
 
     @abstractmethod
-    def multiply(self, t: Array) -> Array:
-        """Return S t, (n,) → (n,), for a t that is zero off the interface."""
+    def _multiply(self, t: Array) -> Array:
+        """Do the work of :meth:`multiply`."""
 
     @abstractmethod
     def multiply_many(self, i: int, X: Array, *, transpose: bool = False) -> Array:
@@ -108,15 +109,27 @@ class Operator(ABC):
     def condense_many(self, i: int, X: Array) -> Array:
         """Move forces X on ``dofs`` of subdomain i to its interface, (n_i, r) → (n_Γ, r)."""
 
+    def multiply(self, t: Array) -> Array:
+        """Return S t, (n,) → (n,), for a t that is zero off the interface."""
+        with event("FETISchurProduct"):
+            return deferred(lambda: self._multiply(t), t.shape)
+
     def condense(self, f: Array) -> Array:
         """Return f_Γ − K_ΓI K_II⁻¹ f_I, (n,), zero inside."""
-        Kx = self.torn.multiply(self._solve_inside(f))
-        return np.where(self._glued, f - Kx, 0.0)
+
+        def condense() -> Array:
+            return np.where(self._glued, f - self.torn.multiply(self._solve_inside(f)), 0.0)
+
+        return deferred(condense, f.shape)
 
     def extend(self, u: Array, f: Array) -> Array:
         """Return u with u_I = K_II⁻¹ (f_I − K_IΓ u_Γ) inside, (n,)."""
-        u = np.where(self._glued, u, 0.0)
-        return u + self._solve_inside(f - self.torn.multiply(u))
+        on_interface = np.where(self._glued, u, 0.0)
+
+        def extend() -> Array:
+            return on_interface + self._solve_inside(f - self.torn.multiply(on_interface))
+
+        return deferred(extend, u.shape)
 
     def load(self, f: Array) -> Array:
         """Return the load on ``dofs``: f itself, (n,), or condensed to the interface."""
@@ -178,14 +191,13 @@ class KeptInterior(Operator):
             on.destroy()
             everywhere.destroy()
 
-    def multiply(self, t: Array) -> Array:
+    def _multiply(self, t: Array) -> Array:
         Γ, St = self._Γ, np.zeros_like(t)
-        with event("FETISchurProduct"):
-            if self._columns is None:
-                y = _product(self._rows, t[Γ], transpose=True)  # y = K t
-            else:
-                y = _product(self._columns, t[Γ])
-            St[Γ] = y[Γ] - _product(self._rows, self._solve_inside(y))  # K_ΓΓ t − K_ΓI K_II⁻¹ y_I
+        if self._columns is None:
+            y = _product(self._rows, t[Γ], transpose=True)  # y = K t
+        else:
+            y = _product(self._columns, t[Γ])
+        St[Γ] = y[Γ] - _product(self._rows, self._solve_inside(y))  # K_ΓΓ t − K_ΓI K_II⁻¹ y_I
         return St
 
     def multiply_many(self, i: int, X: Array, *, transpose: bool = False) -> Array:
@@ -240,11 +252,10 @@ class EliminatedInterior(Operator):
         self.on_interface = [np.ones(len(rows), dtype=bool) for rows in self.dofs]
         self._S = S
 
-    def multiply(self, t: Array) -> Array:
+    def _multiply(self, t: Array) -> Array:
         St = np.zeros_like(t)
-        with event("FETISchurProduct"):
-            for rows, S in zip(self.dofs, self._S, strict=True):
-                St[rows] = S.multiply(t[rows])
+        for rows, S in zip(self.dofs, self._S, strict=True):
+            St[rows] = S.multiply(t[rows])
         return St
 
     def multiply_many(self, i: int, X: Array, *, transpose: bool = False) -> Array:

@@ -51,6 +51,8 @@ class PanelCode:
         """Return Y z, (c,), for Y, (c, n), in any precision, with sums in double precision."""
         if Y.dtype == np.float64:
             return np.asarray(Y @ z)
+        if z.shape != (Y.shape[1],):
+            raise ValueError(f"{Y.shape[1]} columns, but a vector of shape {z.shape}")
         to, e = partial(pointer, self.module), np.empty(len(Y))
         self.lib.rows_product(*Y.shape, to(Y), to(np.ascontiguousarray(z)), to(e))
         return e
@@ -83,6 +85,19 @@ class Panels:
     count: Indices
     values: Array
 
+    def __post_init__(self) -> None:
+        """Check what C relies on.
+
+        Raises:
+            ValueError: The parts do not fit each other.
+        """
+        rows, end = np.diff(self.first), len(self.row)
+        fits = len(rows) == len(self.count) and self.first[0] == 0 and self.first[-1] == end
+        fits = fits and min(rows.min(initial=0), self.count.min(initial=0)) >= 0
+        fits = fits and len(self.values) == rows @ self.count
+        if not fits or self.row.min(initial=0) < 0 or self.row.max(initial=-1) >= self.n:
+            raise ValueError(f"{len(self.count)} panels do not fit {self.n} rows")
+
     @property
     def shape(self) -> tuple[int, int]:
         """Return n and c."""
@@ -102,6 +117,8 @@ class Panels:
 
     def product(self, S: Array) -> Array:
         """Return S W, (n, c), for a symmetric S, (n, n)."""
+        if S.shape != (self.n, self.n):
+            raise ValueError(f"a matrix of shape {S.shape} does not fit {self.n} rows")
         Y, work = np.empty(self.shape[::-1]), np.empty((self.n, self.n))
         to, code = self._to, self.code
         S = S if S.flags.c_contiguous else S.T
@@ -110,6 +127,8 @@ class Panels:
 
     def overlap(self, Y: Array, *, symmetric: bool = False) -> Array:
         """Return Wᵀ Y, (n, r) → (c, r); with r = c it may be known to be ``symmetric``."""
+        if len(Y) != self.n or (symmetric and Y.shape[1] != self.shape[1]):
+            raise ValueError(f"columns of shape {Y.shape} do not fit panels of shape {self.shape}")
         E, columns = np.empty((self.shape[1], Y.shape[1])), np.ascontiguousarray(Y.T)
         work, to, code = np.empty(columns.shape), self._to, self.code
         arrays = to(columns), to(E), to(work)

@@ -52,6 +52,7 @@ from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, growth,
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.orthonormal import append_orthonormal, orthonormal, symmetric_part
 from dolfinx_feti.feti.subdomain.soft import Basis, join, soft_modes
+from dolfinx_feti.runtime.collective import deferred
 from dolfinx_feti.runtime.events import event
 
 __all__ = ["PseudoInverse", "create_pseudo_inverse"]
@@ -98,15 +99,19 @@ class PseudoInverse:
 
         The result may have any share of E_Y if it is wanted ``up_to_soft_modes``.
         """
-        x = np.zeros_like(y)
+
+        def solve() -> Array:
+            x = np.zeros_like(y)
+            for factor, rows in zip(self.factors, self.rows, strict=True):
+                x[rows] = factor.solve(y[rows])
+            if not up_to_soft_modes:
+                for rows, modes in zip(self.rows, self.modes, strict=True):
+                    if modes.soft:
+                        x[rows] -= modes.E_Y @ (modes.Y.T @ x[rows])
+            return x
+
         with event("FETILocalSolve"):
-            for i, rows in enumerate(self.rows):
-                x[rows] = self.factors[i].solve(y[rows])
-        if not up_to_soft_modes:
-            for rows, modes in zip(self.rows, self.modes, strict=True):
-                if modes.soft:
-                    x[rows] -= modes.E_Y @ (modes.Y.T @ x[rows])
-        return x
+            return deferred(solve, y.shape)
 
     def solver(self, i: int) -> Solve:
         """Return what applies the generalised inverse of subdomain i to columns, (n_i, r).

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.runtime.lifetime import Lifetime
 
 __all__ = [
     "Choice",
@@ -83,8 +84,7 @@ def create_factor(matrix: PETSc.Mat, choice: Choice) -> PETSc.PC:
         FactorError: The factorisation failed.
     """
 
-    def create(percent: int) -> PETSc.PC:
-        pc = PETSc.PC().create(PETSc.COMM_SELF)
+    def prepare(pc: PETSc.PC, percent: int) -> None:
         pc.setOptionsPrefix(choice.prefix)
         pc.setOperators(matrix)
         set_default_factor(pc, choice.symmetric)
@@ -92,13 +92,14 @@ def create_factor(matrix: PETSc.Mat, choice: Choice) -> PETSc.PC:
         prepare_mumps(pc, percent)
         if is_mumps(pc):
             pc.getFactorMatrix().setMumpsIcntl(27, choice.right_hand_sides)
-        return pc
 
-    return factor_with_work_space(create)
+    return factor_with_work_space(lambda: PETSc.PC().create(PETSc.COMM_SELF), prepare)
 
 
-def factor_with_work_space(create: Callable[[int], Solver]) -> Solver:
-    """Create a solver for a percentage of work space and set it up; with more if MUMPS runs out.
+def factor_with_work_space(
+    create: Callable[[], Solver], prepare: Callable[[Solver, int], None]
+) -> Solver:
+    """Set a new solver up, prepared for percents of work space; with more if MUMPS runs out.
 
     Raises:
         FactorError: The factorisation failed.
@@ -106,15 +107,17 @@ def factor_with_work_space(create: Callable[[int], Solver]) -> Solver:
     """
     cause = ""
     for percent in WORK_SPACE:
-        solver = create(percent)
-        solver.setUp()
-        pc = solver.getPC() if isinstance(solver, PETSc.KSP) else solver
-        if not pc.getFailedReason():
-            return solver
-        cause, remedy = factor_failure(pc), _memory_remedy(pc)
-        memory = bool(remedy) or pc.getFailedReason() == Failed.FACTOR_OUTMEMORY
-        solver.destroy()  # PETSc does not call MUMPS again with a factor that has failed
-        if not memory:
+        with Lifetime() as owned:
+            solver = owned.own(create())
+            prepare(solver, percent)
+            solver.setUp()
+            pc = owned.own(solver.getPC()) if isinstance(solver, PETSc.KSP) else solver
+            if not pc.getFailedReason():
+                owned.pop_all()
+                return solver
+            cause, remedy = factor_failure(pc), _memory_remedy(pc)
+            memory = bool(remedy) or pc.getFailedReason() == Failed.FACTOR_OUTMEMORY
+        if not memory:  # PETSc does not call MUMPS again with a factor that has failed
             raise FactorError(cause)
         if remedy != MORE_SPACE:
             break

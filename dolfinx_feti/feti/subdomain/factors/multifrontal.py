@@ -157,8 +157,14 @@ class Fronts:
             thorough: Whether all orderings are tried: worth it for a few nodes of many rows.
 
         Raises:
-            FactorError: The subdomain is too large.
+            FactorError: The subdomain is too large, or the graph is none.
         """
+        ptr, adjacent = graph
+        m, entries = len(size), len(adjacent)
+        fits = len(ptr) == m + 1 == len(glued) + 1 and size.sum() == len(rows)
+        fits = fits and ptr[0] == 0 and ptr[-1] == entries and np.diff(ptr).min(initial=0) >= 0
+        if not fits or adjacent.min(initial=0) < 0 or adjacent.max(initial=-1) >= m:
+            code.check(code.lib.INVALID)
         data = _analyse(code, graph, size, np.flatnonzero(~glued).astype(np.int32), thorough)
         of_rows = np.repeat(glued, size)
         rank = np.frombuffer(code.module.ffi.buffer(data.rank, 4 * len(rows)), dtype=np.int32)
@@ -190,7 +196,7 @@ class Fronts:
             FactorError: K has an entry that the pattern does not have.
         """
         code, N = self.code, len(self._number)
-        if len(K.indptr) != N + 1:
+        if len(K.indptr) != N + 1 or not len(K.indices) == len(K.values) == K.indptr[-1]:
             code.check(code.lib.NEW_PATTERN)
         if len(work) < self.work:
             raise ValueError(f"work has {len(work)} entries, but {self.work} are needed")

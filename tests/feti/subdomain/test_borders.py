@@ -1,0 +1,187 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What compiled code takes is checked at its border: types, order, lengths and bounds."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from collective import COMM, agree, raises
+
+from dolfinx_feti.errors import FactorError
+from dolfinx_feti.feti.coarse.fields import Fields
+from dolfinx_feti.feti.coarse.near import NearColumns
+from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, load_fronts
+from dolfinx_feti.feti.subdomain.panels import Panels, load_panels
+from dolfinx_feti.runtime.petsc_library import Rows
+from dolfinx_feti.torn.rounding import product_rounding
+
+#: Two panels, of two columns on rows 0 and 2, and of one on row 1.
+PANELS = {"first": [0, 2, 3], "row": [0, 2, 1], "count": [2, 1], "values": [1.0, 2, 3, 4, 5]}
+
+
+def panels(n=3, real=np.float64, integer=np.int32, **wrong):
+    parts = {name: np.array(wrong.get(name, part)) for name, part in PANELS.items()}
+    kinds = {name: real if name == "values" else integer for name in parts}
+    return Panels(load_panels(COMM), n, **{k: parts[k].astype(kinds[k]) for k in parts})
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"n": 2},
+        {"first": [0, 2]},
+        {"first": [1, 2, 3]},
+        {"first": [0, 3, 2]},
+        {"first": [0, 2, 4]},
+        {"row": [0, -1, 1]},
+        {"row": [0, 3, 1]},
+        {"count": [2]},
+        {"count": [2, -1]},
+        {"count": [2, 2]},
+        {"values": [1.0, 2, 3, 4]},
+    ],
+    ids=str,
+)
+def test_panels_fit_their_rows(wrong):
+    panels()
+    with raises(ValueError, "panels do not fit"):
+        panels(**wrong)
+
+
+def test_factors_of_panels_fit():
+    W, wide = panels(), np.eye(6)[:3, ::2]
+    for call, error in (
+        (lambda: W.product(np.eye(2)), "a matrix of shape"),
+        (lambda: W.product(np.eye(3)[:, :2]), "a matrix of shape"),
+        (lambda: W.product(wide), "not contiguous"),
+        (lambda: W.product(np.eye(3).astype(complex)), "give float32"),
+        (lambda: W.overlap(np.ones((2, 3))), "do not fit panels"),
+        (lambda: W.overlap(np.ones((3, 2)), symmetric=True), "do not fit panels"),
+        (lambda: W.code.rows_product(np.ones((2, 3), np.float32), np.ones(2)), "3 columns"),
+    ):
+        with raises(ValueError, error):
+            call()
+    for call in (
+        lambda: W.product(np.eye(3, dtype=np.float32)),
+        lambda: W.overlap(np.ones((3, 1), dtype=np.float32)),
+        lambda: panels(real=np.float32).product(np.eye(3)),
+        lambda: panels(integer=np.int64).product(np.eye(3)),
+        lambda: W.code.rows_product(np.ones((2, 3), np.float32), np.ones(3, np.float32)),
+    ):
+        with raises(TypeError, "ctype"):
+            call()
+
+
+#: A path of three nodes of one row each.
+GRAPH = {"size": [1, 1, 1], "ptr": [0, 1, 3, 4], "adjacent": [1, 0, 2, 1], "rows": [0, 1, 2]}
+
+
+def fronts(glued=(False, False, True), integer=np.int32, **wrong):
+    parts = {name: np.array(wrong.get(name, part), integer) for name, part in GRAPH.items()}
+    graph, number = (parts["ptr"], parts["adjacent"]), np.arange(3, dtype=np.int32)
+    code = load_fronts(COMM)
+    return Fronts(code, parts["rows"], number, parts["size"], graph, np.array(glued))
+
+
+def path(integer=np.int32, real=np.float64):
+    indptr, indices = [0, 2, 5, 7], [0, 1, 0, 1, 2, 1, 2]
+    values = [2.0, -1, -1, 2, -1, -1, 2]
+    return Rows(np.array(indptr, integer), np.array(indices, integer), np.array(values, real))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"size": [1, 1]},
+        {"size": [1, 1, 0]},
+        {"size": [1, 1, 2]},
+        {"ptr": [0, 1, 3]},
+        {"ptr": [0, 1, 3, 5]},
+        {"ptr": [0, 3, 1, 4]},
+        {"ptr": [1, 1, 3, 4]},
+        {"adjacent": [1, 0, 3, 1]},
+        {"adjacent": [1, 0, -1, 1]},
+        {"adjacent": [1, 0, 2]},
+        {"rows": [0, 1]},
+        {"glued": [False, True]},
+    ],
+    ids=str,
+)
+def test_fronts_take_a_graph(wrong):
+    fronts()
+    with raises(FactorError, "graph of the subdomain, or the order of its nodes, is invalid"):
+        fronts(**wrong)
+
+
+def test_fronts_take_matrices_of_their_pattern():
+    F, K = fronts(), path()
+    work = np.empty(F.work)
+    (factor, _), wide = F.factor(K, work), np.ones((3, 2))
+    for wrong in (
+        K._replace(indptr=K.indptr[:-1]),
+        K._replace(indices=K.indices[:-1]),
+        K._replace(values=K.values[:-1]),
+    ):
+        with raises(FactorError, "pattern of the matrix has changed"):
+            F.factor(wrong, work)
+    for wrong, space in (
+        (path(np.int64), work),
+        (path(real=np.float32), work),
+        (K, work.astype("f4")),
+    ):
+        with raises(TypeError, "ctype"):
+            F.factor(wrong, space)
+    with raises(ValueError, "entries, but"):
+        F.factor(K, work[:-1])
+    with raises(ValueError, "not contiguous"):
+        F.factor(K, np.empty(2 * len(work))[::2])
+    for rhs, error in ((np.ones(1), IndexError), (np.ones(3), ValueError), (wide, ValueError)):
+        with raises(error, "bounds|shape"):
+            factor.solve(rhs)
+
+
+def test_rounding_takes_vectors_of_the_matrix():
+    csr = (path().indptr, path().indices, path().values)
+    K = PETSc.Mat().createAIJ((3, 3), csr=csr, comm=PETSc.COMM_SELF)
+    for t in (np.ones(2), np.ones(4)):
+        with raises(ValueError, f"a vector of {len(t)} entries"):
+            product_rounding(K, t, COMM)
+    with raises(TypeError, "ctype"):
+        product_rounding(K, np.ones(3, np.float32), COMM)
+    K.destroy()
+
+
+def test_elements_couple_columns_that_are_near():
+    """Each owner is looked for among those near it, which end."""
+    base = 2 * COMM.rank
+    owner, count = np.array([base, base + 1]), np.ones(2, np.int32)
+    W = Fields(
+        load_panels(COMM),
+        sizes=np.array([1, 1]),
+        panels=np.array([0, 1, 2]),
+        owner=owner,
+        count=count,
+        first=np.arange(3, dtype=np.int32),
+        row=np.zeros(2, dtype=np.int32),
+        start=np.arange(3),
+        values=np.ones(2),
+    )
+    near = NearColumns(W, [1, 1], COMM)
+    to, lib = near._code.ffi.from_buffer, near._code.lib
+    ptr, adjacent = np.arange(3, dtype=np.int32), np.arange(2, dtype=np.int32)
+    place, start = np.zeros(2, np.int32), np.arange(3)
+    values, both = np.zeros(2), np.arange(2, dtype=np.int32)
+    arrays = [to("int[]", a) for a in (count, ptr, adjacent, place)]
+    said = lib.add_element(
+        2, to("int[]", both), to("double[]", np.ones(4)), *arrays, to("int64_t[]", start),
+        to("double[]", values),
+    )  # fmt: skip
+    agree(said == 1)
+    for wrong in (np.ones((2, 2)), np.ones((0, 0))):
+        with raises(Exception, "element matrix 0 is"):
+            near.sum([wrong, np.ones((1, 1))])
+    near.destroy()
