@@ -114,8 +114,8 @@ class Checkpoint:
         Args:
             functions: The state.
             record: What belongs to it, such as the load: what JSON can hold.
-            past: Earlier values of the functions, their arrays with ghosts, the oldest first; or
-                of the first few of them, if the others have no past.
+            past: Earlier values of the functions or of the first few of them, their arrays with
+                ghosts, the oldest first.
             content: What the forms of the problem hold, by which a restart knows it.
             moving: Places of the constants in them whose values a restart need not share.
 
@@ -267,7 +267,10 @@ class Checkpoint:
                     dofs = file[f"{p}/dofs {i}"][there]
                     for t, count in enumerate(counts):
                         if i < count:
-                            _copy(file[f"{p}/values {i} {t}"], dofs, turned, found[t][i], f, here)
+                            bs, new = f.function_space.dofmap.bs, f.function_space.dofmap.list[here]
+                            values = file[f"{p}/values {i} {t}"].reshape(-1, bs)[dofs]
+                            _turn(values, f, turned, here)
+                            found[t][i].reshape(-1, bs)[new] = values
         return found
 
 
@@ -292,23 +295,14 @@ def _turned(mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.uint32]:
     return np.asarray(mesh.topology.get_cell_permutation_info(), dtype=np.uint32)
 
 
-def _copy(
-    values: Array,
-    dofs: npt.NDArray[np.int32],
-    turned: npt.NDArray[np.uint32],
-    found: Array,
-    f: dolfinx.fem.Function,
-    cells: npt.NDArray[np.int64],
+def _turn(
+    values: Array, f: dolfinx.fem.Function, turned: npt.NDArray[np.uint32], cells: npt.NDArray[Any]
 ) -> None:
-    """Copy the values of cells, through those of the reference cell where an element needs it."""
-    bs, element = f.function_space.dofmap.bs, f.function_space.element
-    of_cells = values.reshape(-1, bs)[dofs]  # (cells, dofs, bs)
+    """Turn the values of cells, (cells, dofs, bs), by way of those of the reference cell."""
+    element, bs, flat = f.function_space.element, values.shape[2], values.reshape(-1)
     if element.needs_dof_transformations:
-        flat = of_cells.ravel()
         element.Tt_apply(flat, turned, bs)
         element.Tt_inv_apply(flat, _turned(f.function_space.mesh)[cells], bs)
-        of_cells = flat.reshape(of_cells.shape)
-    found.reshape(-1, bs)[f.function_space.dofmap.list[cells]] = of_cells
 
 
 def _gathered(array: npt.NDArray[np.generic], comm: MPI.Comm) -> list[npt.NDArray[np.generic]]:

@@ -28,6 +28,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from petsc4py import PETSc
@@ -44,12 +45,12 @@ from dolfinx_feti.loading.state import PathState, Snapshot
 from dolfinx_feti.loading.stepper import ROUNDING, Problem, Stepper, check_places, kept_tolerances
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.mechanics.supports import DASHPOTS
-from dolfinx_feti.problems.system import Tangent
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["follow_load"]
 
-Reason = PETSc.SNES.ConvergedReason
+#: Why a solve ends that begins with a state that is not admissible.
+INADMISSIBLE = PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
 
 Array = npt.NDArray[np.float64]
 
@@ -180,17 +181,22 @@ class _Loads(Stepper[LoadStep, Steps]):
     def _attempt(self, to: float, target: float) -> None:
         """Solve from a prediction, or else with the tangent of the last equilibrium."""
         early = abs(to - self.at) > self._steps.least * (1.0 + ROUNDING)  # it can be shortened
+        solve = partial(self._problem.solve, renew=False, give_up_early=early)
         with self._tolerances(on_the_way=to != target):
             if len(self._past) > self.order:
                 self._set_place(to)
                 reference = self._problem.residual_norm()
                 self.state.set_unknowns(extrapolate(self._past, to))
-                if self._solved(reference, early=early):
+                try:
+                    solve(reference=reference)
                     return
+                except ConvergenceError:
+                    if self._problem.solver.getConvergedReason() != INADMISSIBLE:
+                        raise
                 self._restore()
             tangent = self._problem.linearise()
             self._set_place(to)
-            self._solve(first_tangent=tangent, give_up_early=early)
+            solve(first_tangent=tangent)
 
     @contextmanager
     def _tolerances(self, *, on_the_way: bool) -> Iterator[None]:
@@ -200,31 +206,6 @@ class _Loads(Stepper[LoadStep, Steps]):
             for (solver, own), rtol in zip(before, wanted, strict=True):
                 solver.setTolerances(rtol=max(rtol or 0.0, own[0]))
             yield
-
-    def _solved(self, reference: float, *, early: bool) -> bool:
-        """Solve from a predicted state; tell whether it was admissible, raise if it led nowhere."""
-        try:
-            self._solve(reference=reference, give_up_early=early)
-        except ConvergenceError:
-            if self._problem.solver.getConvergedReason() != Reason.DIVERGED_FUNCTION_DOMAIN:
-                raise
-            return False
-        return True
-
-    def _solve(
-        self,
-        *,
-        reference: float | None = None,
-        first_tangent: Tangent | None = None,
-        give_up_early: bool,
-    ) -> None:
-        """Solve with the preconditioner of the last solve, if it lasts."""
-        self._problem.solve(
-            reference=reference,
-            first_tangent=first_tangent,
-            renew=False,
-            give_up_early=give_up_early,
-        )
 
 
 def extrapolate(past: Sequence[Snapshot], load: float) -> list[Array]:

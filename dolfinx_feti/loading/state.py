@@ -36,14 +36,7 @@ class Number(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """A copy of a state.
-
-    Attributes:
-        at: The load or time.
-        unknowns: Values of the unknowns, with ghosts.
-        histories: Values of the histories, with ghosts.
-        numbers: Values of the numbers.
-    """
+    """A copy of a state: its load or time, and the values, with ghosts."""
 
     at: float
     unknowns: list[Array]
@@ -75,7 +68,7 @@ class PathState:
         Args:
             at: The load or time.
             content: The forms, with their unknowns and Constants.
-            unknowns: Those that the user names; those of the forms that are not named follow.
+            unknowns: Those that the user names; those of the forms follow.
             histories: Other Functions that a step changes.
             numbers: Numbers that every step may change, Constants of the forms or not.
         """

@@ -24,8 +24,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
-from petsc4py import PETSc
-
 import numpy as np
 import numpy.typing as npt
 
@@ -36,7 +34,7 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.nodes import Nodes, diameter
 from dolfinx_feti.loading.anderson import MOST, Anderson, FixedPoint
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.load_steps import follow_load
+from dolfinx_feti.loading.load_steps import INADMISSIBLE, follow_load
 from dolfinx_feti.loading.stepper import kept_tolerances
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
@@ -47,9 +45,6 @@ from dolfinx_feti.runtime.compat import interpolation_points
 __all__ = ["unload"]
 
 Array = npt.NDArray[np.float64]
-#: Why a solve ends that begins with a cell inside out.
-OUTSIDE = PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
-
 #: What a forward solve leaves of its residual, and a linear solve in it, until the wall is found.
 #: Where κ is large nearly all of the residual is of the volume, and a rougher one would be blind.
 ROUGH, LINEAR = 0.1, 1e-5
@@ -163,14 +158,6 @@ class _Unloading(FixedPoint):
         if self._on_move is not None:
             on_all(self._on_move, self._comm)
 
-    def _return(self) -> None:
-        """Move mesh and fibres to the image, and what else depends on it."""
-        self._nodes.mesh.geometry.x[:] = self._nodes.first
-        for a, image, _ in self._fibres:
-            a.x.array[:] = image
-        if self._on_move is not None:
-            on_all(self._on_move, self._comm)
-
     def _place(self) -> None:
         """Move the nodes alone."""
         self._nodes.mesh.geometry.x[:] = self._nodes.first - self._nodes.displacement(self.u)
@@ -182,7 +169,11 @@ class _Unloading(FixedPoint):
             self.move()
             yield
         finally:
-            self._return()
+            self._nodes.mesh.geometry.x[:] = self._nodes.first
+            for a, image, _ in self._fibres:
+                a.x.array[:] = image
+            if self._on_move is not None:
+                on_all(self._on_move, self._comm)
 
     def solve(
         self,
@@ -203,7 +194,7 @@ class _Unloading(FixedPoint):
                 try:
                     self._solve(first_tangent=first_tangent, renew=renew)
                 except ConvergenceError:
-                    if last is None or self.solver.getConvergedReason() != OUTSIDE:
+                    if last is None or self.solver.getConvergedReason() != INADMISSIBLE:
                         raise
                     self.u.x.array[:] = (U + last) / 2.0
                     continue
@@ -253,7 +244,7 @@ class _Unloading(FixedPoint):
             ConvergenceError: There are some.
         """
         if inverted := self._inverted():
-            self.solver.setConvergedReason(OUTSIDE)
+            self.solver.setConvergedReason(INADMISSIBLE)
             raise ConvergenceError(
                 f"{inverted} cells of the unloaded wall would be inside out. Load in smaller steps."
             )

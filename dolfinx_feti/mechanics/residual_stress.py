@@ -40,14 +40,8 @@ def elastic_part(F: Expr, G: Expr) -> Expr:
     """Elastic part of a deformation, F_e = F G⁻¹, shape (d, d), of which energies are written.
 
     It leads from the pieces that are free of stress to the deformed body. Fibres in an energy of
-    F_e are those of the pieces, see :func:`stress_free_direction`.
-
-    For the Cauchy stress by :func:`~dolfinx_feti.mechanics.kinematics.cauchy_stress`, F is the
+    F_e are those of the pieces, see :func:`stress_free_direction`. For the Cauchy stress, F is the
     ``ufl.variable`` of :func:`~dolfinx_feti.mechanics.kinematics.deformation_gradient`.
-
-    Args:
-        F: Deformation gradient, shape (d, d).
-        G: Its part without energy, a Function or an expression, shape (d, d).
 
     Raises:
         ValueError: The shapes differ.
@@ -62,15 +56,10 @@ def elastic_part(F: Expr, G: Expr) -> Expr:
 def stress_free_direction(a: Expr, G: Expr) -> Expr:
     """Direction in the stress-free pieces of a line of the reference configuration, ``G a/|G a|``.
 
-    Args:
-        a: Direction in the reference configuration, of any length but zero, shape (d,).
-        G: From the reference configuration to the pieces, shape (d, d).
-
-    Returns:
-        Unit vector, shape (d,).
+    a has any length but zero; the result is a unit vector.
 
     Raises:
-        ValueError: The shapes do not fit.
+        ValueError: The shapes are not (d, d) and (d,).
     """
     if G.ufl_shape != 2 * a.ufl_shape:
         raise ValueError(
@@ -109,10 +98,7 @@ def opened(directions: Sequence[Expr], λ: Expr, stretch: Expr | float = 1.0) ->
     Args:
         directions: Circumferential, longitudinal and transmural, orthogonal unit vectors, (3,).
         λ: Stretch around, see :func:`residual_stretch`.
-        stretch: Axial prestretch Λ [-].
-
-    Raises:
-        ValueError: The stretch is a number that is not positive.
+        stretch: Axial prestretch Λ, positive [-].
     """
     require_positive(stretch=stretch)
     e0, e1, e2 = (ufl.outer(e, e) for e in directions)

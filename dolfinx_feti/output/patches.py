@@ -85,13 +85,7 @@ class Incidence:
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """Where the data of each patch lie.
-
-    Attributes:
-        volume: Sum of the weights, (n_v, 1).
-        centre: Centroid x̄, (n_v, d).
-        inverse: Pseudoinverse of cov(x, x), (n_v, d, d).
-    """
+    """Where the data of each patch lie: Σ weights (n_v, 1), centroid x̄ (n_v, d), cov(x, x)⁺."""
 
     volume: Array
     centre: Array

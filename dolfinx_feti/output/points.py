@@ -38,27 +38,18 @@ TYPES = {1: "Scalar", 3: "Vector", 9: "Tensor"}
 def projection(φ: Array, weights: Array) -> Array:
     """Return the map from values at quadrature points to the coefficients of a basis.
 
-    Args:
-        φ: Values of the basis at the points, (points, basis).
-        weights: Weights of the points; equal ones count if one is not positive.
-
-    Returns:
-        The map, (basis, points).
+    φ are the values of the basis, (points, basis); equal weights count if one is not positive.
     """
     w = np.sqrt(weights if np.all(weights > 0.0) else np.ones(len(weights)))
     return np.asarray(np.linalg.pinv(w[:, None] * φ) * w)  # (√W Φ)⁺ √W
 
 
 class PointCloud:
-    """Values at points, step by step, in `name.xdmf` and `name.bin`; each process writes its own.
-
-    Attributes:
-        path: The file to open in ParaView.
-    """
+    """Values at points, step by step, in `name.xdmf` and `name.bin`; each process writes its own."""
 
     def __init__(self, path: Path, comm: MPI.Comm) -> None:
         """Open the files. Collective."""
-        self.path = path
+        self._path = path
         self._comm = comm
         everyone = cast(MPI.Intracomm, comm)
         mode = MPI.MODE_CREATE | MPI.MODE_WRONLY
@@ -68,16 +59,7 @@ class PointCloud:
         self._grids: list[str] = []
 
     def write(self, t: float, x: Array, fields: Mapping[str, Array]) -> None:
-        """Append a step.
-
-        Args:
-            t: Its time.
-            x: The points of this process, (n, 3).
-            fields: Values at them by name, (n, k).
-
-        Note:
-            Collective.
-        """
+        """Append a step with the points x, (n, 3), and fields, (n, k), of this process. Collective."""
         n = self._comm.allreduce(len(x))
         grid = [
             f'<Grid GridType="Uniform"><Time Value="{t!r}"/>',
@@ -98,7 +80,7 @@ class PointCloud:
                 "</Grid>\n</Domain></Xdmf>\n",
             ]
         )
-        on_first(lambda: self.path.write_text(text, encoding="utf-8"), self._comm)
+        on_first(lambda: self._path.write_text(text, encoding="utf-8"), self._comm)
 
     def _append(self, values: Array) -> str:
         """Append the rows of all processes to the heavy data; return the item that refers to them."""
@@ -109,7 +91,7 @@ class PointCloud:
         seek, self._end = self._end, self._end + width * sum(rows)
         return (
             f'<DataItem Dimensions="{sum(rows)} {values.shape[1]}" NumberType="Float" Precision="8" '
-            f'Format="Binary" Endian="Little" Seek="{seek}">{self.path.stem}.bin</DataItem>'
+            f'Format="Binary" Endian="Little" Seek="{seek}">{self._path.stem}.bin</DataItem>'
         )
 
     def close(self) -> None:

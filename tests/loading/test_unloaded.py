@@ -19,7 +19,7 @@ from dolfinx_feti import ConvergenceError, NonlinearProblem, loads
 from dolfinx_feti.fem.nodes import Nodes
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load, unload
 from dolfinx_feti.loading.anderson import Anderson
-from dolfinx_feti.loading.unloaded import OUTSIDE
+from dolfinx_feti.loading.load_steps import INADMISSIBLE
 from dolfinx_feti.output import cell_values
 
 #: Each load takes more than one forward solve.
@@ -170,7 +170,7 @@ def test_cell_inside_out_on_the_way(monkeypatch):
     def refuse_second(**arguments):
         calls.append(scan.body.u.x.array.copy())
         if len(calls) == 2:
-            scan.problem.solver.setConvergedReason(OUTSIDE)
+            scan.problem.solver.setConvergedReason(INADMISSIBLE)
             raise ConvergenceError("a cell is inside out")
         solve(**arguments)
 
