@@ -8,14 +8,21 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import dolfinx
 import ufl
+from ufl.algorithms.map_integrands import map_integrand_dags
+from ufl.corealg.multifunction import MultiFunction
 
 __all__ = ["Content", "content_of"]
 
 
-@dataclass(frozen=True, slots=True)
+#: UFL sorts Constants by the texts of their numbers: from here on all have as many digits.
+LARGE = 10**9
+
+
+@dataclass(frozen=True)
 class Content:
     """What the forms of a problem hold.
 
@@ -31,10 +38,31 @@ class Content:
     constants: tuple[dolfinx.fem.Constant, ...] = ()
     forms: tuple[ufl.Form, ...] = ()
 
+    @cached_property
     def signature(self) -> str:
-        """Return a number of the forms, which values of Functions and Constants do not change."""
-        text = "".join(form.signature() for form in self.forms)
+        """A number of the forms, which no values and nothing that was made before them change."""
+        numbered = _Numbered(
+            {
+                c: ufl.Constant(c.ufl_domain(), c.ufl_shape, count=LARGE + i)
+                for i, c in enumerate(self.constants)
+            }
+        )
+        text = "".join(map_integrand_dags(numbered, form).signature() for form in self.forms)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+class _Numbered(MultiFunction):
+    """Puts others in place of Constants."""
+
+    expr = MultiFunction.reuse_if_untouched
+
+    def __init__(self, others: dict[ufl.Constant, ufl.Constant]) -> None:
+        super().__init__()
+        self._others = others
+
+    def constant(self, c: ufl.Constant) -> ufl.Constant:
+        """Return the other one."""
+        return self._others[c]
 
 
 def content_of(

@@ -336,7 +336,7 @@ def _describe(
         "elements": [str(f.function_space.ufl_element()) for f in functions],
         "extent": mesh.comm.allreduce(float(np.abs(x).max(initial=0.0)), op=MPI.MAX),
         "coordinates": (sums / cells.size_global).tolist(),
-        "forms": None if content is None else content.signature(),
+        "forms": None if content is None else content.signature,
         "constants": {
             str(i): np.asarray(c.value).tolist() for i, c in constants if i not in moving
         },

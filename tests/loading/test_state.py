@@ -18,6 +18,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, materials, supports
+from dolfinx_feti.fem.content import content_of
 from dolfinx_feti.loading import Checkpoint, Motion, Steps, TimeSteps, follow_load, follow_time
 
 STEPS = Steps(first=0.5, least=0.1, growth=1.0)
@@ -66,6 +67,24 @@ def test_restart_with_another_material(tmp_path, other, match):
     agree([step.load for step in changed.follow([0.5, 1.0], checkpoint)] == [0.5, 1.0])
     small(float(changed.load.value) - 1.0, 0.0)
     agree(float(changed.c.value) == other.get("c", 3.0))
+
+
+def test_signature_of_what_is_made_again():
+    """UFL orders the Constants 9 and 10 otherwise than 7 and 8."""
+    numbers = set()
+    for _ in range(30):
+        body = Pulled()
+        more = dolfinx.fem.Constant(body.mesh, 1.0) * body.c * body.u[1] ** 2 * ufl.dx
+        numbers.add(
+            content_of(
+                [body.u], [body.energy, ufl.derivative(body.energy + more, body.u)]
+            ).signature
+        )
+    agree(len(numbers) == 1, numbers)
+    one, other = (
+        content_of([body.u], [k * body.c * body.u[0] * ufl.dx]).signature for k in (1.0, 2.0)
+    )
+    agree(one != other)
 
 
 @pytest.mark.parametrize(
