@@ -31,12 +31,7 @@ class Interrupts:
         self._taken: list[signal.Signals] = []
 
     def check(self) -> None:
-        """Raise what was noted.
-
-        Raises:
-            KeyboardInterrupt: SIGINT, that is Ctrl-C.
-            SystemExit: SIGTERM, with the status of a process that it ends.
-        """
+        """Raise KeyboardInterrupt after SIGINT, SystemExit after SIGTERM, with that status."""
         noted, self._noted = self._noted, None
         if noted == signal.SIGINT:
             raise KeyboardInterrupt

@@ -117,11 +117,7 @@ class Motion:
         return [self.dt, self._c, self._d, *(time_step for _, time_step in self._dashpots)]
 
     def drive(self, coefficients: Sequence[dolfinx.fem.Function]) -> None:
-        """Let dashpots of this displacement resist its velocity.
-
-        Args:
-            coefficients: Functions of the problem's forms; last displacements of dashpots among
-                them, see :func:`~dolfinx_feti.mechanics.supports.dashpot_energy`.
+        """Let dashpots of this displacement, by Functions of the forms, resist its velocity.
 
         Raises:
             ValueError: The time step of a dashpot is a number, or its displacement another one.
@@ -197,11 +193,7 @@ class Motion:
             )
 
     def enter(self, dt: float) -> None:
-        """Enter a step: let u be the displacement that is looked for, beginning with u_n.
-
-        Args:
-            dt: Its length Δt.
-        """
+        """Enter a step of the length Δt: let u be what is looked for, beginning with u_n."""
         v, ü, u = (f.x.array for f in (self.velocity, self.acceleration, self.u))
         α_m, α_f, β, γ, last = self._α_m, self._α_f, self._β, self._γ, float(self.dt.value)
         a = self.filtered.x.array
@@ -220,13 +212,9 @@ class Motion:
         self.u.x.array[:] = self._last + dt * v + dt**2 / 2.0 * a
 
     def error(self) -> float:
-        """Estimate the error of the displacement in this step, (β − 1/6) Δt² (a_{n+1} − a_n).
+        """Return the largest estimated error of u in this step, (β − 1/6) Δt² (a_{n+1} − a_n).
 
-        Returns:
-            Its largest entry (Zienkiewicz and Xie 1991).
-
-        Note:
-            Collective.
+        Collective. Source: Zienkiewicz and Xie 1991.
         """
         change = np.abs(self._next() - self.filtered.x.array).max(initial=0.0)
         largest = self.u.function_space.mesh.comm.allreduce(change, op=MPI.MAX)
@@ -245,23 +233,12 @@ class Motion:
         return self.u.x.array - self._last
 
     def kinetic_energy(self) -> float:
-        """Return ½ ∫ ρ v².
-
-        Note:
-            Collective.
-        """
+        """Return ½ ∫ ρ v². Collective."""
         comm = self.u.function_space.mesh.comm
         return float(comm.allreduce(dolfinx.fem.assemble_scalar(self._kinetic)))
 
     def damping(self, residual: dolfinx.fem.Form) -> Array:
-        """Return the forces of dashpots in the present state, F(u, v) − F(u, 0), (owned,).
-
-        Args:
-            residual: F(u, v; δu).
-
-        Note:
-            Collective.
-        """
+        """Return the present forces of dashpots, F(u, v) − F(u, 0), (owned,). Collective."""
         whole = owned_vector(residual)
         if not self._damped:
             return np.zeros_like(whole)

@@ -88,8 +88,8 @@ def prestress(
 
     Raises:
         TypeError: G is no Function.
-        ValueError: See :func:`~dolfinx_feti.loading.load_steps.follow_load`; or the tolerance is
-            not positive, or G has another shape, dofs that cells share, or det G ≤ 0 somewhere.
+        ValueError: The tolerance is not positive, or G has another shape, dofs that cells share, or
+            det G ≤ 0 somewhere.
         ConvergenceError: No step of the least increment leads on.
 
     Note:
@@ -160,11 +160,7 @@ class _Prestressing(FixedPoint):
 
 
 def _check(G: dolfinx.fem.Function, u: dolfinx.fem.Function) -> None:
-    """Require a Function with the shape of grad u that can be inverted.
-
-    Raises:
-        TypeError, ValueError: See :func:`prestress`.
-    """
+    """Require a Function with the shape of grad u that can be inverted."""
     if not isinstance(G, dolfinx.fem.Function):
         raise TypeError(f"G is {G!r}: give a Function, the identity at first.")
     d = len(u)

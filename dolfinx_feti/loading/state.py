@@ -106,11 +106,7 @@ class PathState:
     def write(
         self, checkpoint: Checkpoint, past: Sequence[Snapshot], record: Mapping[str, object]
     ) -> None:
-        """Write the state, and the unknowns of earlier ones.
-
-        Note:
-            Collective.
-        """
+        """Write the state, and the unknowns of earlier ones. Collective."""
         numbers = [np.array(number.value) for number in self.numbers]
         self._moving |= {
             i
@@ -127,17 +123,10 @@ class PathState:
         )
 
     def read(self, checkpoint: Checkpoint) -> list[Snapshot]:
-        """Read what was written; numbers that no step had changed stay as they are.
+        """Read what was written; return the earlier states, with the unknowns alone. Collective.
 
-        Returns:
-            The earlier ones, with the unknowns alone.
-
-        Raises:
-            KeyError: It was written by something else.
-            ValueError: See :meth:`Checkpoint.read`.
-
-        Note:
-            Collective.
+        Numbers that no step had changed stay as they are. A KeyError tells that something else has
+        written it.
         """
         record = checkpoint.record or {}
         *loads, at = record["loads"]

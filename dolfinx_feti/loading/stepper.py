@@ -100,11 +100,7 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
         checkpoint: Checkpoint | None,
         unit: str,
     ) -> list[Step]:
-        """Go through the targets.
-
-        Note:
-            Collective.
-        """
+        """Go through the targets. Collective."""
         accepted: list[Step] = []
         if checkpoint is not None and checkpoint.restart:
             accepted = self._recall(checkpoint)
@@ -231,11 +227,7 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
         return target if count <= 1 else self.at + (target - self.at) / count
 
     def _shorten(self, length: float, error: ConvergenceError) -> None:
-        """Halve the length, down to the least.
-
-        Raises:
-            ConvergenceError: It was the least.
-        """
+        """Halve the length, down to the least; raise if it was the least."""
         if length <= self._steps.least + ROUNDING * (length + abs(self.at)):
             text = (
                 f"{self.words[1]} {self.at:g}: an increment of {length:g} failed, too, and "
@@ -302,11 +294,7 @@ def kept_tolerances(snes: PETSc.SNES) -> Iterator[list[tuple[Any, tuple[float, .
 
 
 def check_places(start: float, targets: Sequence[float], *, unloading: bool) -> None:
-    """Require finite loads or times in order.
-
-    Raises:
-        ValueError: One is not finite, or they turn back although ``unloading`` is False.
-    """
+    """Require finite loads or times that only turn back if ``unloading`` is True."""
     if not all(math.isfinite(place) for place in (start, *targets)):
         raise ValueError(f"start={start}, targets={list(targets)}: loads are finite numbers.")
     ways = np.sign(np.diff([start, *targets]))

@@ -115,7 +115,8 @@ def follow_time(
 ) -> list[TimeStep]:
     """Follow the motion from one time through others to the last.
 
-    It begins with the present displacement and ``motion.velocity``; the acceleration follows.
+    It begins with the present displacement and ``motion.velocity``; the acceleration follows. What
+    is not said here is as in :func:`~dolfinx_feti.loading.load_steps.follow_load`.
 
     Args:
         problem: The nonlinear problem, with the inertia of ``motion`` in its forms.
@@ -124,28 +125,23 @@ def follow_time(
             the first step, too: dofs under conditions begin with the velocity of their values.
         targets: Times to be met exactly, ascending.
         steps: How to choose the lengths of the steps.
-        state: Functions that a solve changes beside u and what is condensed: these are known.
+        state: Functions that a solve changes beside u and what is condensed.
         start: The present time.
         energy: What the material stores, for the balance kinetic + stored + dissipated − work of
             each step.
         forces: External forces, tested with v, for the same: their work is integrated by the
             trapezoidal rule.
-        on_step: Called at the end of each step on all processes, for output.
-        checkpoint: Where each new state is kept, after ``on_step`` is called. If it was opened to
-            restart, the state in it takes the place of the present one.
+        on_step: Called at the end of each step.
+        checkpoint: Where each new state is kept.
         unit: Name of the unit of time.
 
     Returns:
         The accepted steps, those before a restart included.
 
     Raises:
-        ValueError: A time is not finite, or they do not ascend, or the forms do not hold the
-            inertia of the motion, or a dashpot cannot follow it, or a checkpoint is one of another
-            problem.
-        OSError: A checkpoint cannot be written.
+        ValueError: Times do not ascend, or the forms do not hold the inertia of the motion, or a
+            dashpot cannot follow it.
         ConvergenceError: No step of the least length leads on; the state is that of its beginning.
-        BaseException: What ``set_time`` or ``on_step`` raise, on all processes if on one;
-            KeyboardInterrupt or SystemExit after Ctrl-C or SIGTERM. The state is the last one.
 
     Note:
         Collective.
@@ -165,11 +161,7 @@ def follow_time(
 def _check(
     problem: NonlinearProblem, motion: Motion, start: float, targets: Sequence[float]
 ) -> None:
-    """Require times that ascend, and a problem with the inertia of the motion.
-
-    Raises:
-        ValueError: See :func:`follow_time`.
-    """
+    """Require times that ascend, and a problem with the inertia of the motion."""
     check_places(start, targets, unloading=False)
     if any(target < start for target in targets):
         raise ValueError(f"start={start}, targets={list(targets)}: times ascend from the start.")
@@ -263,11 +255,7 @@ class _Times(Stepper[TimeStep, TimeSteps]):
         )
 
     def _attempt(self, to: float, target: float) -> None:
-        """Balance the forces of a step.
-
-        Raises:
-            ConvergenceError: It failed, or its estimated error is too large.
-        """
+        """Balance the forces of a step, whose estimated error must not be too large."""
         dt = to - self.at
         self._motion.enter(dt)
         self._set_place(to)

@@ -74,6 +74,8 @@ def unload(
     that leads to the image. At the loads on the way the mesh is the image, and u leads to it from
     the wall that would be without load if the image were of that load.
 
+    What is not said here is as in :func:`~dolfinx_feti.loading.load_steps.follow_load`.
+
     Args:
         problem: The nonlinear problem, with u in a space of displacements.
         set_load: Sets the load in the user's forms.
@@ -88,16 +90,15 @@ def unload(
         start: The load at which the image is the unloaded wall.
         on_move: Called on all processes when the mesh and the fibres have moved, to the unloaded
             wall or back to the image, for what else depends on the mesh's shape.
-        on_step: As of ``follow_load``.
-        checkpoint: Likewise.
-        unit: Likewise.
+        on_step: Called at each load.
+        checkpoint: Where each load's state is kept.
+        unit: Name of the load's unit.
 
     Returns:
         The accepted steps; their histories hold the Newton steps of all forward solves.
 
     Raises:
-        ValueError: See :func:`~dolfinx_feti.loading.load_steps.follow_load`; or the tolerance is
-            not positive.
+        ValueError: The tolerance is not positive.
         ConvergenceError: No step of the least increment leads on; the mesh is the image.
 
     Note:
@@ -238,11 +239,7 @@ class _Unloading(FixedPoint):
         self._require_admissible()
 
     def _require_admissible(self) -> None:
-        """Require an unloaded wall without cells that are inside out.
-
-        Raises:
-            ConvergenceError: There are some.
-        """
+        """Require an unloaded wall without cells that are inside out."""
         if inverted := self._inverted():
             self.solver.setConvergedReason(INADMISSIBLE)
             raise ConvergenceError(

@@ -48,8 +48,6 @@ class MaxwellBranch:
         share: Stiffness of the spring over that of the elastic material, β [-].
         time: Relaxation time τ [s].
 
-    Raises:
-        ValueError: If a parameter is a number that is not positive.
     """
 
     Q: Expr

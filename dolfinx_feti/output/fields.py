@@ -136,16 +136,10 @@ class FieldWriter:
             self._write_mesh(self._file)
 
     def write(self, t: float) -> None:
-        """Write the current values.
+        """Write the current values. Collective.
 
         Args:
-            t: Time, or another quantity that orders the steps, such as the load.
-
-        Raises:
-            ValueError: It is not finite.
-
-        Note:
-            Collective.
+            t: Time, or another finite quantity that orders the steps, such as the load.
         """
         if not math.isfinite(t):
             raise ValueError(f"t={t}: give a finite time or load.")
@@ -166,11 +160,7 @@ class FieldWriter:
             self._cloud.write(float(t), x, values)
 
     def close(self) -> None:
-        """Close the files.
-
-        Note:
-            Collective.
-        """
+        """Close the files. Collective."""
         for file in (self._file, self._cloud):
             if file is not None:
                 file.close()
@@ -336,8 +326,7 @@ def _projector(
 def _writable_place(path: Path, kind: str, comm: MPI.Comm) -> Path:
     """Return the path with its suffix, after a check that everything there can be written.
 
-    With a folder in place of a file, or a file in place of a folder, the libraries below would
-    raise on one process only, or silently write nothing.
+    With a folder in place of a file the libraries would raise on one process only, or write nothing.
     """
     folder = writable_folder(path.parent, comm)
     place = folder / (path.name + SUFFIXES[kind])

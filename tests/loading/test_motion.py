@@ -339,20 +339,6 @@ def test_restart(tmp_path):
     equal([s.kinetic for s in found], [s.kinetic for s in steps], 1e-12)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"first": 1.0, "least": 2.0}, "first=1.0 and least=2.0"),
-        ({"first": 1.0, "least": 0.5, "longest": 0.7}, "longest=0.7"),
-        ({"first": 1.0, "least": 0.5, "tolerance": 0.0}, "tolerance=0.0: give a positive"),
-        ({"first": 1.0, "least": 0.5, "growth": 0.9}, "growth=0.9"),
-    ],
-)
-def test_bad_steps(arguments, message):
-    with raises(ValueError, message):
-        TimeSteps(**arguments)
-
-
 def test_bad_motion():
     block = Swinging()
     with raises(ValueError, "rho=1.5: give a spectral radius"):

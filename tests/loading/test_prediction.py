@@ -128,27 +128,3 @@ def test_loads_that_are_no_numbers(played, bad):
             problem, lambda _: None, [1.0], Steps(first=1.0, least=1.0), state=[], start=bad
         )
     agree(not problem.attempts)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "match"),
-    [
-        ({"first": 0.0}, "first=0.0 and least="),
-        ({"first": -1.0}, "first=-1.0"),
-        ({"first": math.nan}, "first=nan"),
-        ({"first": math.inf}, "first=inf"),
-        ({"least": 0.0}, "least=0.0"),
-        ({"least": 2.0}, "least=2.0: increments are positive numbers, and the least is not above"),
-        ({"least": math.nan}, "least=nan"),
-        ({"rtol": 0.0}, "rtol=0.0 is not a number between 0 and 1"),
-        ({"rtol": 1.0}, "rtol=1.0"),
-        ({"rtol": math.nan}, "rtol=nan"),
-        ({"linear_rtol": 2.0}, "linear_rtol=2.0 is not a number between 0 and 1"),
-        ({"growth": 0.9}, "growth=0.9 is not a number of 1 or more"),
-        ({"growth": math.inf}, "growth=inf"),
-        ({"growth": math.nan}, "growth=nan"),
-    ],
-)
-def test_steps_out_of_range(wrong, match):
-    with raises(ValueError, match):
-        Steps(**{"first": 1.0, "least": 0.1} | wrong)

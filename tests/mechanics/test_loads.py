@@ -244,8 +244,6 @@ def test_bad_arguments():
     u, v, du = function(V, bulge), ufl.TestFunction(V), ufl.TrialFunction(V)
     with pytest.raises(ValueError, match="kind = 'half'"):
         loads.follower_pressure_tangent(PRESSURE, u, v, du, ds, "half")
-    with pytest.raises(ValueError, match="p = nan"):
-        loads.follower_pressure(float("nan"), u, v, ds)
     with pytest.raises(ValueError, match="p = inf"):
         loads.pressure_potential(float("inf"), u, ds)
     for axis in ((0.0, 0.0, 0.0), (0.0, 1.0), (float("nan"), 0.0, 1.0)):

@@ -13,6 +13,7 @@ import pytest
 import ufl
 
 from dolfinx_feti import loads, materials, supports, workshop
+from dolfinx_feti.loading import Steps, TimeSteps
 from dolfinx_feti.mechanics import memory
 from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
 from dolfinx_feti.wall import Case, Clamp, Dashpot, Pressure, Spring, Tissue
@@ -49,6 +50,13 @@ TABLE: list[Row] = [
     (Spring, {"stiffness": 1.0}, {"stiffness": POSITIVE, "direction": ("along", None)}),
     (Dashpot, {"viscosity": 1.0}, {"viscosity": POSITIVE, "direction": ("along", None)}),
     (loads.mmhg, {}, {"value": (NAN, INF)}),
+    (loads.follower_pressure, {"u": E, "v": E, "ds": ufl.ds}, {"p": (NAN, INF)}),
+    (Steps, {"first": 1.0, "least": 0.1}, {
+        "first": POSITIVE, "least": (*POSITIVE, 2.0), "growth": (0.9, NAN, INF),
+        "rtol": (0.0, 1.0, NAN), "linear_rtol": (0.0, 2.0, NAN)}),
+    (TimeSteps, {"first": 1.0, "least": 0.5}, {
+        "first": POSITIVE, "least": (*POSITIVE, 2.0), "growth": (0.9, NAN, INF),
+        "longest": (0.7, NAN, INF), "tolerance": POSITIVE}),
     (materials.ArteryParameters, {}, dict.fromkeys(HGO, POSITIVE)),
     (materials.neo_hookean, {"C": I}, {"c": POSITIVE}),
     (materials.mooney_rivlin, {"C": I, "c10": 1.0, "c01": 1.0}, {"c10": POSITIVE, "c01": POSITIVE}),
