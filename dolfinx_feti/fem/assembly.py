@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from petsc4py import PETSc
 
@@ -34,7 +33,6 @@ from dolfinx_feti.fem.kernels.kernel import Kernel, create_kernel
 from dolfinx_feti.fem.regions import separate
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.events import event
-from dolfinx_feti.runtime.native import load, pointer
 from dolfinx_feti.torn.matrix import create_torn_matrix
 
 Vector = npt.NDArray[np.float64]
@@ -57,11 +55,6 @@ __all__ = [
     "split_form",
     "torn_form",
 ]
-
-SOURCE = Path(__file__).with_name("places.c")
-DECLARATION = (
-    """int locate(int, int, int, int, const int *, const int64_t *, const int *, int *);"""
-)
 
 #: Rows of dofs and not of blocks, as PETSc has them.
 EXPANDED = dolfinx.la.BlockMode.expanded  # type: ignore[attr-defined]
@@ -256,14 +249,18 @@ def locate(
     """
     topology, dofmap = space.V.mesh.topology, space.V_torn.dofmap
     node = dofmap.list[: topology.index_map(topology.dim).size_local]
-    place = np.empty((*node.shape, node.shape[1]), dtype=np.int32)
-    bs = dofmap.index_map_bs
-    nodes = (len(indptr) - 1) // bs
-    code = load(SOURCE, DECLARATION, space.V.mesh.comm)
-    arrays = (pointer(code, a) for a in (node, indptr, indices, place))
-    if code.lib.locate(*node.shape, bs, nodes, *arrays):
-        raise ValueError(f"K, of {nodes} nodes, does not couple all nodes of every cell")
-    return node, place
+    bs, n = dofmap.index_map_bs, (len(indptr) - 1) // dofmap.index_map_bs
+    length = np.diff(indptr).reshape(n, bs)
+    first = np.cumsum(length[:, 0]) - length[:, 0]  # of the entries of each node's first row
+    at = np.arange(length[:, 0].sum()) + np.repeat(indptr[:-1:bs] - first, length[:, 0])
+    pairs = np.repeat(np.arange(n), length[:, 0]) * (n * bs) + indices[at]
+    wanted = (node[:, :, None].astype(np.int64) * n + node[:, None, :]) * bs
+    place = np.searchsorted(pairs, wanted)
+    last = pairs[np.minimum(place + bs - 1, len(pairs) - 1)]
+    same = np.array_equal(length, np.broadcast_to(length[:, :1], length.shape))
+    if node.max(initial=-1) >= n or not same or not np.array_equal(last, wanted + bs - 1):
+        raise ValueError(f"K, of {n} nodes, does not couple all nodes of every cell")
+    return node, (place - first[node][:, :, None]).astype(np.int32)
 
 
 def assemble(K: LocalMatrix, form: SplitForm) -> None:

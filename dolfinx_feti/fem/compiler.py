@@ -28,7 +28,7 @@ __all__ = ["Compiler"]
 T = TypeVar("T")
 
 #: Flags that leave NaN alone.
-FAST = ["-O3", "-fno-inline-small-functions", "-fno-math-errno", "-fno-trapping-math"]
+FAST = ["-O3", "-fno-math-errno", "-fno-trapping-math"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,7 @@ class Compiler:
         """Return the flags of the C compiler for code of this package.
 
         They are those of dolfinx's options where these are not the default ones, and for processors
-        of this kind, with whose wide registers the compiler is done in a third of the time. Sums
-        keep their order, and NaN are seen.
+        of this kind. Sums keep their order, and NaN are seen.
         """
         options = dolfinx.jit.get_options(_copy(self.jit_options))
         flags = [str(flag) for flag in options["cffi_extra_compile_args"]]

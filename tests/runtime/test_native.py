@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from collective import COMM, agree, raises
 
-from dolfinx_feti.fem import assembly
+from dolfinx_feti.fem import condensation
 from dolfinx_feti.runtime import native
 from dolfinx_feti.runtime.connectivity import load_graph_code
 
@@ -111,10 +111,7 @@ def test_arrays_of_another_type_are_refused(dtype):
 
 def test_communicators_of_some_processes():
     """What one process has loaded alone does not keep it from waiting for the others."""
-    declaration = (
-        "int locate(int, int, int, int, const int *, const int64_t *, const int *, int *);"
-    )
-    source = Path(assembly.__file__).with_name("places.c")
+    source, declaration = condensation.SOURCE, condensation.DECLARATION
     flags = ("-O3", "-DANOTHER")
     own = native.load(source, declaration, MPI.COMM_SELF, flags=flags) if COMM.rank == 0 else None
     module = native.load(source, declaration, COMM, flags=flags)
