@@ -147,4 +147,4 @@ if comm.rank == 0:
     ax.set_axis_off()
     bar = fig.colorbar(ScalarMappable(scale, "viridis"), ax=ax, shrink=0.7)
     bar.set_label("displacement |u| / edge length")
-    fig.savefig(folder / "block.png", dpi=150)
+    fig.savefig(folder / "block.png", dpi=150, bbox_inches="tight")

@@ -94,13 +94,15 @@ if comm.rank == 0:
     triangles, subdomain = (np.concatenate(part) for part in zip(*gathered, strict=True))
     fig, ax = plt.subplots(figsize=(9, 5), subplot_kw={"projection": "3d"})
     colours = plt.get_cmap("tab20")(subdomain % 20)
-    ax.add_collection3d(Poly3DCollection(triangles, facecolors=colours, edgecolor="k", lw=0.2))
+    ax.add_collection3d(
+        Poly3DCollection(triangles, facecolors=colours, edgecolor="k", lw=0.2, clip_on=False)
+    )
     for y, z in ((0, 0), (0, 1), (1, 0), (1, 1)):  # at rest
-        ax.plot([0, 8], [y, y], [z, z], "k--", lw=0.8)
+        ax.plot([0, 8], [y, y], [z, z], "k--", lw=0.8, clip_on=False)
     low, high = triangles.min(axis=(0, 1)), np.array([8.0, 1.0, 1.0])
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     ax.set_box_aspect(high - low, zoom=1.1)
     ax.view_init(elev=15, azim=-65)
     ax.set_axis_off()
     ax.set_title("16 subdomains; 8 mm × 1 mm × 1 mm at rest (dashed), displacement × 10")
-    fig.savefig(folder / "beam.png", dpi=150)
+    fig.savefig(folder / "beam.png", dpi=150, bbox_inches="tight")

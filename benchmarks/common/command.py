@@ -1,10 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Command lines of the studies: a parser that prints on one process, options that they share.
-
-Numbers are read by :mod:`meshes.arguments`.
-"""
+"""Command lines of the studies: options that they share, types of values, lines of output."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ import argparse
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from mpi4py import MPI
 
@@ -24,25 +21,12 @@ __all__ = [
     "add_memory",
     "add_mesh",
     "count_or_zero",
-    "create_parser",
     "names",
     "one_of",
     "say",
     "several",
     "some_of",
 ]
-
-
-def create_parser(name: str, description: str | None, comm: MPI.Comm) -> argparse.ArgumentParser:
-    """Create a parser; only the first process prints."""
-    parser = _Parser(
-        name,
-        description=description,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-    parser.rank = comm.rank
-    return parser
 
 
 def add_memory(parser: argparse.ArgumentParser) -> None:
@@ -96,13 +80,3 @@ def count_or_zero(text: str) -> int:
 def names(choices: Sequence[object]) -> str:
     """List some values."""
     return ", ".join(map(str, choices))
-
-
-class _Parser(argparse.ArgumentParser):
-    """A parser that prints on the first process only."""
-
-    rank = 0
-
-    def _print_message(self, message: str, file: Any = None) -> None:
-        if self.rank == 0:
-            super()._print_message(message, file)

@@ -23,11 +23,11 @@ from pathlib import Path
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from benchmarks.common.command import create_parser, say
+from benchmarks.common.command import say
 from benchmarks.common.pages import Fields, fill, provenance, set_aside
 from benchmarks.common.records import Record, Records, read_records
 from dolfinx_feti import ConvergenceError
-from meshes.arguments import parse_all, without_petsc
+from meshes.arguments import Parser, parse_all, without_petsc
 
 __all__ = ["Keep", "Study"]
 
@@ -85,7 +85,9 @@ class Study:
         Raises:
             SystemExit: The command line is wrong, or a case has no record: see the message.
         """
-        parser = create_parser(Path(self.file).stem, self.about, comm)
+        form = argparse.RawDescriptionHelpFormatter
+        name = Path(self.file).stem
+        parser = Parser(name, description=self.about, formatter_class=form, allow_abbrev=False)
         add = parser.add_argument
         add("--json", type=Path, nargs="+", default=[], metavar="FILE", help="records; added to")
         add("--again", action="store_true", help="also run cases that the file has")

@@ -23,6 +23,7 @@ RESULTS = ROOT / "docs/results"
 MADE = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.md"))
 
 
+@pytest.mark.filterwarnings("ignore:.*found in sys.modules")
 @pytest.mark.parametrize("name", STUDIES)
 def test_command_explains_itself(name, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", [name, "--help"])

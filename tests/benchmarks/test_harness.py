@@ -209,7 +209,7 @@ def test_page_of_no_records(tmp_path, capsys, text):
         (compare, "--geometry sphere", "invalid choice: 'sphere'"),
         (compare, "--dofs 900 --subdomains 100000", "100000"),
         (compare, "-log_view --kappa 10 50", "arguments: 50 after --kappa: it takes no more than"),
-        (compare, "50", "arguments: 50\n"),
+        (compare, "50", "arguments: 50;"),
         (cube, "--level 0", "argument --level: '0' is none of: 1, 2, 3, 4, 5"),
         (cube, "--pc ilu", "argument --pc: 'ilu' is none of: dirichlet, lumped, identity"),
         (cube, "--jump 1e3", "give both, how stiff and which subdomains"),

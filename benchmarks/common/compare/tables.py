@@ -216,9 +216,9 @@ def _growth(first: Sequence[_Group]) -> Iterator[dict[str, object]]:
     """Pair the records of iterative solvers at both κ, for one solver, size and layout."""
     names = ("solver", *(name for name in CASE if name != "kappa"), "processes", "threads")
     found = [r for group in first for solver in NAMES for r in group.of_solver(solver)]
-    iterative = [r for r in found if r["solver"] not in DIRECT and r["converged"]]
-    iterative.sort(key=lambda r: r["kappa"])
-    for _, (low, *rest) in groups([r for r in iterative if r["kappa"] in KAPPAS], *names):
+    solved = [r for r in found if r["converged"] and r["kappa"] in KAPPAS]
+    iterative = sorted((r for r in solved if r["solver"] not in DIRECT), key=lambda r: r["kappa"])
+    for _, (low, *rest) in groups(iterative, *names):
         for high in rest:
             quotient = high["iterations"] / low["iterations"]
             its = {"low_its": low["iterations"], "high_its": high["iterations"]}

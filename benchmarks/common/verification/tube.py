@@ -7,7 +7,7 @@ r"""The inflated tube against its semi-analytical solution at the same κ.
 
 A record for each pressure: radius, thickness, volume and stress beside the truth, and what it took
 to get there from rest, failed attempts included. A run that does not arrive leaves a record of
-where it ended. With --checkpoint FOLDER a run that was killed is continued.
+where it ended.
 
 Options with a single dash are PETSc's, with the prefix `tube_`.
 """
@@ -33,9 +33,7 @@ from benchmarks.common.walls.inflated_tube import (
 from benchmarks.common.walls.oracle import KPA_PER_MMHG, Wall, inflate
 from benchmarks.common.walls.problem import WallProblem
 from dolfinx_feti import ConvergenceError
-from dolfinx_feti.loading import Checkpoint, LoadStep, Steps
-from dolfinx_feti.loading.steps import load_step
-from dolfinx_feti.runtime.collective import on_first
+from dolfinx_feti.loading import LoadStep, Steps
 from meshes.arguments import count, positive
 
 __all__ = ["STEPS", "cases", "done", "draw", "fields", "known", "line", "options", "run"]
@@ -56,9 +54,6 @@ CASE = (
     "processes",
 )
 
-
-#: What a continued run has to share with the one before.
-PHYSICS = ("c", "kappa", "element", "augmented")
 
 #: Ways to solve one problem: element, multipliers, name and how it is drawn.
 WAYS = (
@@ -84,7 +79,6 @@ def options(parser: argparse.ArgumentParser) -> None:
     add("--element", choices=ELEMENTS, default="p2-p0", help="displacements and pressure, p2-p0")
     add("--augmented", action="store_true", help="multipliers: the tube keeps its volume")
     add("--subdomains", type=count, default=8, help="over all processes, 8")
-    add("--checkpoint", type=Path, metavar="FOLDER", help="keep each load step, and go on there")
 
 
 def cases(
@@ -94,8 +88,8 @@ def cases(
     if args.pressures != sorted(args.pressures):
         parser.error(f"argument --pressures: {args.pressures} do not rise")
     continuous = ELEMENTS[args.element].pressures[0] == "Lagrange"
-    if continuous and (args.augmented or args.checkpoint):
-        parser.error(f"argument --element: {args.element} goes without --augmented and the like")
+    if continuous and args.augmented:
+        parser.error(f"argument --element: {args.element} goes without --augmented")
     degree = ELEMENTS[args.element].degree
     yield {name: getattr(args, name) for name in CASE[:-1]} | {
         "degree": degree, "processes": comm.size
@@ -117,13 +111,7 @@ def run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> N
         element=args.element,
         volume_tolerance=VOLUME if args.augmented else None,
     )
-    checkpoint, steps = None, list[LoadStep]()
-    if args.checkpoint is not None:
-        there = on_first(lambda: (args.checkpoint / "state.npz").exists(), comm)
-        physics = {name: case[name] for name in PHYSICS}
-        checkpoint = Checkpoint(args.checkpoint, comm, parameters=physics, restart=there)
-        if checkpoint.record is not None:
-            steps = [load_step(step, LoadStep) for step in checkpoint.record["steps"]]
+    steps: list[LoadStep] = []
 
     def report(step: LoadStep) -> None:
         steps.append(step)
@@ -137,7 +125,7 @@ def run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> N
             keep({"pressure_mmhg": step.load}, _cost(steps) | found)
 
     try:
-        tube.body.inflate(args.pressures, STEPS, on_step=report, checkpoint=checkpoint)
+        tube.body.inflate(args.pressures, STEPS, on_step=report)
     except ConvergenceError as error:
         reached = steps[-1].load if steps else 0.0
         missed = next(pressure for pressure in args.pressures if pressure > reached)

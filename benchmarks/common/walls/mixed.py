@@ -126,7 +126,6 @@ class TaylorHood:
         steps: Steps,
         *,
         on_step: Callable[[LoadStep], object],
-        checkpoint: None = None,
     ) -> None:
         """Go up to some pressures [mmHg], in increments that a failure halves. Collective.
 
