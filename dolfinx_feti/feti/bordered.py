@@ -50,7 +50,7 @@ SINGULAR = 1e-12
 
 DEPENDENT = (
     "the bordered matrix is singular: the equations of the scalars contradict each other, depend "
-    "on each other, or do not depend on the unknowns"
+    "on each other, do not depend on the unknowns, or leave a rigid motion free"
 )
 
 

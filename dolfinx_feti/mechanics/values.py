@@ -11,7 +11,7 @@ from numbers import Real
 
 from ufl.core.expr import Expr
 
-__all__ = ["require_not_negative", "require_positive", "require_within"]
+__all__ = ["require_finite", "require_not_negative", "require_positive", "require_within"]
 
 
 def require_within(
@@ -57,3 +57,8 @@ def require_positive(**values: object) -> None:
 def require_not_negative(**values: object) -> None:
     """Refuse numbers that are negative or not finite; see :func:`require_within`."""
     require_within(0.0, math.inf, values, remedy="a finite number that is not negative")
+
+
+def require_finite(**values: object) -> None:
+    """Refuse numbers that are not finite; see :func:`require_within`."""
+    require_within(-math.inf, math.inf, values, remedy="a finite number")

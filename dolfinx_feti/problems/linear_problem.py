@@ -128,7 +128,7 @@ class LinearProblem(TornProblem):
         forms, self._load = linear_forms(a, L, u, fields)
         self._bilinear, V = forms.J, forms.u.function_space
         conditions = on_all(lambda: checked_conditions(V, bcs), V.mesh.comm)
-        couplings = [*equations, *checked_couplings(scalars, conditions)]
+        couplings = [*equations, *checked_couplings(scalars, conditions, V)]
         refuse_condensed_fields(couplings, fields, forms.residuals[1:])
         super().__init__(
             "linear_problem",

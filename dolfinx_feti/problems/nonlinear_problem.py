@@ -159,7 +159,7 @@ class NonlinearProblem(TornProblem):
         comm = V.mesh.comm
         conditions = on_all(lambda: checked_conditions(V, bcs), comm)
         fields = condensed_fields(condense)
-        couplings = [*blocks, *coupled.checked_couplings(scalars, conditions)]
+        couplings = [*blocks, *coupled.checked_couplings(scalars, conditions, V)]
         degree, work = quadrature_degree, coupled.works(couplings)
         forms = derive(F, u, J=J, condense=fields, energy=energy, degree=degree, work=work)
         coupled.refuse_condensed_fields(couplings, fields, forms.residuals[1:])

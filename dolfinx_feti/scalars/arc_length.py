@@ -19,6 +19,7 @@ import numpy as np
 import dolfinx
 import ufl
 
+from dolfinx_feti.mechanics.values import require_finite
 from dolfinx_feti.scalars.equations import Constraint, ScalarEquation
 
 __all__ = ["ArcLength"]
@@ -46,13 +47,14 @@ class ArcLength(Constraint):
             load: λ, a scalar constant in the residual.
 
         Raises:
-            ValueError: The load is no scalar constant.
+            ValueError: The load is no scalar constant, or not finite.
 
         Note:
             Collective.
         """
         if not isinstance(load, dolfinx.fem.Constant) or load.ufl_shape:
             raise ValueError(f"load is {load!r}: give the scalar Constant that is in the forms.")
+        require_finite(load=float(load.value))
         V, mesh = u.function_space, u.function_space.mesh
         self.load, self._u = load, u
         self._last, self._secant = self.functions = dolfinx.fem.Function(V), dolfinx.fem.Function(V)

@@ -15,7 +15,6 @@ Units: volumes in mm³, pressures in kPa.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from mpi4py import MPI
@@ -33,6 +32,7 @@ from dolfinx_feti.mechanics.loads import (
     free_norm,
     wave,
 )
+from dolfinx_feti.mechanics.values import require_finite, require_positive
 from dolfinx_feti.scalars.equations import Constraint, ScalarEquation
 
 __all__ = ["Cavity"]
@@ -77,21 +77,27 @@ class Cavity(Constraint):
             pressure: Where the iteration begins [kPa].
 
         Raises:
-            ValueError: The volume is not positive, the measure has no facets, or what they enclose
-                is not positive.
+            ValueError: u is no displacement, the volume is not positive, the measure has no facets,
+                or what they enclose is not positive.
 
         Note:
             Collective.
         """
-        if volume is not None and not 0.0 < volume < math.inf:
-            raise ValueError(f"volume={volume}: a cavity encloses a positive volume.")
         V = u.function_space
+        d = V.mesh.geometry.dim
+        if u.ufl_shape != (d,):
+            raise ValueError(f"u has the shape {u.ufl_shape}: give a displacement, shape ({d},).")
+        if not isinstance(ds, ufl.Measure) or ds.integral_type() != "exterior_facet":
+            raise ValueError(f"ds is {ds}: give the measure of the inner surface, as ds(lumen).")
+        require_finite(pressure=pressure)
+        if volume is not None:
+            require_positive(volume=volume)
         degree = max(
             element.embedded_superdegree
             for element in (V.ufl_element(), V.mesh.ufl_domain().ufl_coordinate_element())
         )
         if "quadrature_degree" not in ds.metadata():
-            ds = ds(metadata={**ds.metadata(), "quadrature_degree": V.mesh.geometry.dim * degree})
+            ds = ds(metadata={**ds.metadata(), "quadrature_degree": d * degree})
         self.u, self._ds = u, ds
         self.form = enclosed_volume(u, ds, axis)
         self._compiled = dolfinx.fem.form(self.form)
@@ -160,8 +166,8 @@ class Cavity(Constraint):
 
     def check_values(self) -> None:
         """Require a positive volume."""
-        if self.volume is not None and not 0.0 < float(self.volume.value) < math.inf:
-            raise ValueError(f"volume={self.volume.value}: a cavity encloses a positive volume.")
+        if self.volume is not None:
+            require_positive(volume=float(self.volume.value))
 
     def facets(self) -> npt.NDArray[np.int32]:
         """Return the facets of the surface on this process; none if the measure has no tags."""

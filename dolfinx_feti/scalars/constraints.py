@@ -17,6 +17,7 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
+from dolfinx_feti.mechanics.values import require_finite
 from dolfinx_feti.scalars.equations import ScalarEquation
 
 __all__ = ["mean_value", "rigid_motions"]
@@ -31,12 +32,18 @@ def mean_value(
         u: The unknown.
         value: Its mean, a number or an expression of the shape of u.
         dx: Measure of the part over which the mean is taken; the whole body if not given.
+
+    Raises:
+        ValueError: The value is not finite, or has another shape.
     """
     mesh, n = u.function_space.mesh, u.ufl_shape
     dx = ufl.Measure("dx", mesh) if dx is None else dx
+    require_finite(value=value)
     mean = ufl.as_ufl(value)
-    if mean.ufl_shape != n:
+    if n and not mean.ufl_shape:
         mean = mean * ufl.as_vector([1.0] * n[0])
+    if mean.ufl_shape != n:
+        raise ValueError(f"value has the shape {mean.ufl_shape}: give a number or the shape {n}.")
     λ = dolfinx.fem.Constant(mesh, np.zeros(n))
     rest = u - mean
     equations = tuple(rest[i] * dx for i in range(n[0])) if n else (rest * dx,)

@@ -29,13 +29,16 @@ __all__ = [
 
 
 def checked_couplings(
-    scalars: Sequence[Coupling], bcs: Sequence[dolfinx.fem.DirichletBC]
+    scalars: Sequence[Coupling],
+    bcs: Sequence[dolfinx.fem.DirichletBC],
+    V: dolfinx.fem.FunctionSpace,
 ) -> tuple[Coupling, ...]:
     """Check what is known before the forms are compiled.
 
     Args:
         scalars: Couplings of a problem.
         bcs: Its Dirichlet conditions.
+        V: Space of its unknown.
 
     Returns:
         The couplings.
@@ -53,6 +56,9 @@ def checked_couplings(
             raise ValueError(
                 f"scalars[{i}] is {coupling!r}: give a Cavity, Windkessel or ScalarEquation."
             )
+        work = coupling.equation.work
+        if work is not None and work.arguments()[0].ufl_function_space() != V:
+            raise ValueError(f"scalars[{i}] acts on another space than that of the unknown u.")
         coupling.check(bcs)
     cavities = [c.cavity if isinstance(c, Windkessel) else c for c in scalars]
     for (i, one), (j, two) in itertools.combinations(enumerate(cavities), 2):

@@ -86,6 +86,8 @@ class ScalarEquation(Constraint):
 
     def __post_init__(self) -> None:
         """Check the numbers of unknowns, equations and arguments."""
+        if not isinstance(self.unknown, dolfinx.fem.Constant):
+            raise ValueError(f"unknown is {self.unknown!r}: give a Constant of the forms.")
         m = values_of(self.unknown).size
         if len(self.equations) != m or self.unknown.ufl_shape not in ((), (m,)):
             raise ValueError(
@@ -95,6 +97,8 @@ class ScalarEquation(Constraint):
         ranks = [len(c.arguments()) if isinstance(c, ufl.Form) else None for c in self.equations]
         if any(ranks) or None in ranks:
             raise ValueError("The equations of scalars are forms without test or trial functions.")
+        if self.work is not None and len(self.work.arguments()) != 1:
+            raise ValueError("The work of scalars is a form with a test function of u alone.")
 
     @property
     def equation(self) -> ScalarEquation:

@@ -18,13 +18,13 @@ Units: pressures in kPa, flows in mm³/s, R and Z in kPa s/mm³, C in mm³/kPa.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 import dolfinx
 
+from dolfinx_feti.mechanics.values import require_finite, require_not_negative, require_positive
 from dolfinx_feti.scalars.cavity import Cavity
 from dolfinx_feti.scalars.equations import Constraint, ScalarEquation
 
@@ -71,16 +71,18 @@ class Windkessel(Constraint):
             distal_pressure: p_c at the start [kPa]; the cavity's pressure if not given.
 
         Raises:
-            ValueError: A parameter is not positive, or the cavity has a prescribed volume.
+            ValueError: A parameter is out of its range, or the cavity has a prescribed volume.
 
         Note:
             Collective.
         """
-        for name, value in (("resistance", resistance), ("compliance", compliance)):
-            if not 0.0 < value < math.inf:
-                raise ValueError(f"{name}={value}: give a positive number.")
-        if not 0.0 <= impedance < math.inf:
-            raise ValueError(f"impedance={impedance}: give a number that is not negative.")
+        if not isinstance(cavity, Cavity):
+            raise ValueError(f"cavity is {cavity!r}: give a Cavity.")
+        require_positive(resistance=resistance, compliance=compliance)
+        require_not_negative(impedance=impedance)
+        require_finite(inflow=inflow, venous_pressure=venous_pressure)
+        p_c = float(cavity.pressure.value) if distal_pressure is None else distal_pressure
+        require_finite(distal_pressure=p_c)
         if cavity.volume is not None:
             raise ValueError(
                 "The cavity of a Windkessel has a prescribed volume: the flow determines it. Leave "
@@ -91,7 +93,6 @@ class Windkessel(Constraint):
         self.inflow = dolfinx.fem.Constant(mesh, np.float64(inflow))
         self._R, self._C, self._Z = resistance, compliance, impedance
         self._venous = venous_pressure
-        p_c = float(cavity.pressure.value) if distal_pressure is None else distal_pressure
         volume = cavity.present_volume()
         self.history = dolfinx.fem.Constant(mesh, np.array([0.0, volume, volume, p_c, p_c]))
         self._rates = dolfinx.fem.Constant(mesh, np.zeros(3))  # of y, y_n and y_{n−1} in ẏ
@@ -102,8 +103,7 @@ class Windkessel(Constraint):
         Raises:
             ValueError: Δt is not positive.
         """
-        if not 0.0 < dt < math.inf:
-            raise ValueError(f"dt={dt}: a Windkessel needs time steps, each of a positive length.")
+        require_positive(dt=dt)
         last = self.history.value[0]
         ω = dt / last if last > 0.0 else 0.0  # none: first order
         self._rates.value = np.array([(1 + 2 * ω) / (1 + ω), -(1 + ω), ω**2 / (1 + ω)]) / dt
@@ -140,6 +140,7 @@ class Windkessel(Constraint):
         self.cavity.check(bcs)
 
     def check_values(self) -> None:
-        """Require a step that has begun."""
+        """Require a step that has begun, and a flow."""
         if not self._rates.value[0] > 0.0:
             raise ValueError("No time step of the Windkessel has begun: call begin(dt) before.")
+        require_finite(inflow=float(self.inflow.value))

@@ -65,8 +65,15 @@ class Filling:
             raise ValueError("give a volume or a windkessel, one of them")
         if self.volume is not None:
             require_positive(volume=self.volume)
-        require_positive(**self.windkessel)
+        if self.windkessel:
+            _check_vessels(**self.windkessel)
         require(self.axis in (None, *AXES), f"axis={self.axis!r}: choose 'x', 'y', 'z' or None")
+
+
+def _check_vessels(*, resistance: float, compliance: float, impedance: float = 0.0) -> None:
+    """Check the parameters of a Windkessel, and that there are no others."""
+    require_positive(resistance=resistance, compliance=compliance)
+    require_not_negative(impedance=impedance)
 
 
 @dataclass(frozen=True, slots=True)

@@ -75,22 +75,14 @@ def test_law_of_units(unit, stiffness):
     agree(steps == others, (steps, others))
 
 
-BAD = {
-    "zero": (0.0, "encloses a positive volume"),
-    "negative": (-1.0, "encloses a positive volume"),
-    "no number": (np.nan, "encloses a positive volume"),
-}
-
-
-@pytest.mark.parametrize(("volume", "message"), BAD.values(), ids=BAD)
-def test_volumes_that_are_none(volume, message):
+@pytest.mark.parametrize("volume", [0.0, -1.0, np.nan])
+def test_volumes_that_are_none(volume):
+    """Of a cavity that is there; those of a new one are in test_bad_values."""
     ball = balloon(2)
-    with raises(ValueError, message):
-        Cavity(ball.u, ball.ds(1), volume=volume)
     cavity = balloon_cavity(ball)
     problem = ball.problem([cavity])
     cavity.volume.value = volume
-    with raises(ValueError, message):
+    with raises(ValueError, rf"volume = {volume}: give a positive number"):
         problem.solve()
 
 
@@ -98,26 +90,6 @@ def test_outer_surface():
     ball = body(balloon(2).u.function_space.mesh, [], [lambda x: np.linalg.norm(x, axis=0) > 1.09])
     with raises(ValueError, "not positive: give the inner surface"):
         Cavity(ball.u, ball.ds(1), volume=1.0)
-
-
-def test_tag_without_facets():
-    ball = balloon(2)
-    with raises(ValueError, "no facets"):
-        Cavity(ball.u, ball.ds(7), volume=1.0)
-
-
-def test_open_surface():
-    """Without one plane of symmetry the rim there is free."""
-    ball = balloon(2)
-    del ball.bcs[1]
-    with raises(ValueError, "open"):
-        ball.problem([balloon_cavity(ball)])
-
-
-def test_two_cavities_on_the_same_facets():
-    ball = balloon(2)
-    with raises(ValueError, "same facets"):
-        ball.problem([balloon_cavity(ball, 1.1), balloon_cavity(ball, 1.2)])
 
 
 def test_volume_that_no_dof_changes():
@@ -140,14 +112,6 @@ def test_volume_out_of_reach():
     problem = ball.problem([balloon_cavity(ball, 40.0)], petsc_options={"snes_max_it": 6})
     with raises(ConvergenceError, "did not converge"):
         problem.solve()
-
-
-def test_not_in_a_list():
-    ball = balloon(2)
-    with raises(ValueError, "put it in a list"):
-        ball.problem(balloon_cavity(ball))
-    with raises(ValueError, r"scalars\[0\] is 3"):
-        ball.problem([3])
 
 
 def test_the_same_by_arc_length():
@@ -176,5 +140,3 @@ def test_the_same_by_arc_length():
     exact = np.array([balloon_pressure(stretch) for stretch in stretches])
     small(np.abs(pressures / exact - 1.0).max(), 5e-3)
     agree(len(steps) < 20, len(steps))
-    with raises(ValueError, "give the scalar Constant"):
-        ArcLength(ball.u, 3.0)

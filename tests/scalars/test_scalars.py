@@ -291,41 +291,6 @@ def test_pure_neumann_poisson_on_a_real_space():
     equal(owned(u), owned(w), 1e-8)
 
 
-def constraint(u, *values):
-    """Return means of the first component with these values, by multipliers on all of u."""
-    dx, v = ufl.Measure("dx", u.function_space.mesh), ufl.TestFunction(u.function_space)
-    made = []
-    for value in values:
-        λ = dolfinx.fem.Constant(u.function_space.mesh, np.float64(0.0))
-        made.append(ScalarEquation(λ, ((u - value) * dx,), λ * v * dx))
-    return made
-
-
-def test_constraints_that_depend_on_each_other():
-    """Twice the same, or a contradiction: one error, before the first solve."""
-    for values in ((0.0, 0.0), (0.0, 1.0)):
-        free = poisson(cube(2, 4))
-        u = dolfinx.fem.Function(free.V)
-        linear = LinearProblem(
-            free.a, free.L, bcs=free.bcs, u=u, subdomains=4, scalars=constraint(u, *values)
-        )
-        with raises(ValueError, r"equations \[0, 1\] depend on each other"):
-            linear.solve()
-
-
-def test_wrong_numbers_and_arguments():
-    free = poisson(cube(2, 2))
-    u, v = dolfinx.fem.Function(free.V), ufl.TestFunction(free.V)
-    two = dolfinx.fem.Constant(free.V.mesh, np.zeros(2))
-    with raises(ValueError, r"shape \(2,\) and 1 equations"):
-        ScalarEquation(two, (u * ufl.dx,))
-    one = dolfinx.fem.Constant(free.V.mesh, 0.0)
-    with raises(ValueError, "without test or trial functions"):
-        ScalarEquation(one, (v * ufl.dx,))
-    with raises(ValueError, "give a displacement"):
-        rigid_motions(u)
-
-
 def test_scalars_do_not_meet_condensed_fields():
     """A cell eliminates its fields alone, so that neither equation may hold the other's unknown."""
     octant = balloon(2)

@@ -16,7 +16,7 @@ from dolfinx_feti import loads, materials, supports, workshop
 from dolfinx_feti.loading import Steps, TimeSteps
 from dolfinx_feti.mechanics import memory
 from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
-from dolfinx_feti.wall import Case, Clamp, Dashpot, Pressure, Spring, Tissue
+from dolfinx_feti.wall import Case, Clamp, Dashpot, Filling, Pressure, Spring, Tissue
 
 I = ufl.Identity(3)  # noqa: E741
 E = ufl.as_vector([1, 0, 0])
@@ -30,6 +30,11 @@ def case(**values: object) -> Case:
     """Return a case that is right but for these values."""
     conditions = {"lumen": (Pressure(),), "end": (Clamp(),), **values.pop("conditions", {})}
     return Case("tube", {"media": Tissue(3.0)}, conditions, **{"pressure": 100.0, **values})
+
+
+def vessels(**windkessel: float) -> Filling:
+    """Return what fills a cavity in front of vessels."""
+    return Filling(windkessel=windkessel)
 
 
 HGO = {"c": 3.0, "k1": 2.0, "k2": 1.0}
@@ -46,6 +51,11 @@ TABLE: list[Row] = [
     (case, {}, {
         "pressure": POSITIVE, "scale": POSITIVE, "image": NOT_NEGATIVE, "stretch": (*POSITIVE, 1.2),
         "axis": ("r", 1), "rate": (*POSITIVE, 10.0)}),
+    (Filling, {}, {"volume": (*POSITIVE, None)}),
+    (Filling, {"volume": 1.0}, {"axis": ("r", 1)}),
+    (vessels, {"resistance": 1.0, "compliance": 1.0}, {
+        "resistance": POSITIVE, "compliance": POSITIVE, "impedance": NOT_NEGATIVE,
+        "leakage": (1.0,)}),
     (Pressure, {}, {"share": (0.0, NAN, INF)}),
     (Spring, {"stiffness": 1.0}, {"stiffness": POSITIVE, "direction": ("along", None)}),
     (Dashpot, {"viscosity": 1.0}, {"viscosity": POSITIVE, "direction": ("along", None)}),
@@ -117,6 +127,11 @@ def test_what_has_no_effect_in_a_case():
         case(conditions=dashpot)
     assert case(conditions=dashpot, rate=10.0).rate == 10.0
     assert case(axis="x", stretch=1.2).stretch == 1.2
+    for both in ({}, {"volume": 1.0, "windkessel": {"resistance": 1.0, "compliance": 1.0}}):
+        with pytest.raises(ValueError, match="give a volume or a windkessel, one of them"):
+            Filling(**both)
+    with pytest.raises(TypeError, match="compliance"):
+        vessels(resistance=1.0)
     for wrong in ("3 kPa", True, None):
         with pytest.raises(TypeError, match=f"c = {wrong!r}: expected a number"):
             Tissue(wrong)

@@ -1,0 +1,147 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Values without a meaning, each refused with its name on all processes, before a solve."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from collective import COMM, raises
+from inflated import balloon, balloon_cavity, tube
+from problems import cube, elasticity, poisson
+
+import dolfinx
+import ufl
+
+from dolfinx_feti import LinearProblem
+from dolfinx_feti.scalars import (
+    ArcLength,
+    Cavity,
+    ScalarEquation,
+    Windkessel,
+    mean_value,
+    rigid_motions,
+)
+
+NAN, INF = float("nan"), float("inf")
+POSITIVE, FINITE = (0.0, -1.0, NAN, INF, "3"), (NAN, INF)
+
+BALL = balloon(2)
+U, DS, MESH = BALL.u, BALL.ds(1), BALL.u.function_space.mesh
+V = ufl.TestFunction(U.function_space)
+SCALAR = dolfinx.fem.Function(dolfinx.fem.functionspace(MESH, ("Lagrange", 1)))
+ONE, TWO = (dolfinx.fem.Constant(MESH, np.zeros(shape)) for shape in ((), (2,)))
+DX, C = ufl.Measure("dx", MESH), U[0] * ufl.Measure("dx", MESH)
+
+#: A call, the arguments that are right, and the wrong values of some.
+TABLE = [
+    (Cavity, {"u": U, "ds": DS}, {
+        "u": (SCALAR,), "ds": (None, DX, BALL.ds(7)), "volume": POSITIVE, "pressure": FINITE,
+        "axis": ((0, 0, 0), (0, 0, NAN), (0, 1))}),
+    (Windkessel, {"cavity": Cavity(U, DS), "resistance": 1.0, "compliance": 1.0}, {
+        "cavity": (U,), "resistance": POSITIVE, "compliance": POSITIVE,
+        "impedance": (-1.0, NAN, INF), "inflow": FINITE, "venous_pressure": FINITE,
+        "distal_pressure": FINITE}),
+    (ArcLength, {"u": U}, {
+        "load": (3.0, TWO, *(dolfinx.fem.Constant(MESH, value) for value in FINITE))}),
+    (mean_value, {"u": U}, {"value": (*FINITE, "3", ufl.as_vector([1.0, 2.0]))}),
+    (rigid_motions, {}, {"u": (SCALAR,)}),
+    (ScalarEquation, {"unknown": ONE, "equations": (C,)}, {
+        "unknown": (3.0, TWO, SCALAR), "equations": ((), (C, C), (0,), (V[0] * DX,)),
+        "work": (C,)}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("call", "right", "name", "wrong"),
+    [
+        pytest.param(call, right, name, value, id=f"{call.__name__}-{name}-{i}")
+        for call, right, columns in TABLE
+        for name, values in columns.items()
+        for i, value in enumerate(values)
+    ],
+)
+def test_refused_with_its_name(call, right, name, wrong):
+    with raises(TypeError if isinstance(wrong, str) else ValueError, rf"\b{name}\b"):
+        call(**{**right, name: wrong})
+
+
+def vessels(cavity: Cavity) -> Windkessel:
+    return Windkessel(cavity, resistance=1.0, compliance=1.0)
+
+
+def free(ball):
+    """Leave the rim in one plane of symmetry free."""
+    del ball.bcs[1]
+    return [balloon_cavity(ball)]
+
+
+#: Couplings of a balloon, or of a tube, that do not fit it or each other.
+UNFIT = {
+    "alone": (balloon, balloon_cavity, "put it in a list"),
+    "a number": (balloon, lambda ball: [3], r"scalars\[0\] is 3"),
+    "without a volume": (balloon, lambda ball: [Cavity(ball.u, ball.ds(1))], "has no volume"),
+    "of another body": (balloon, lambda ball: [balloon_cavity(BALL)], "another space"),
+    "open": (balloon, free, "open"),
+    "open ends": (tube, lambda t: [Cavity(t.u, t.ds(1), 1.0)], "open"),
+    "another axis": (tube, lambda t: [Cavity(t.u, t.ds(1), 1.0, axis=(0, 1, 0))], "open"),
+    "twice": (balloon, lambda ball: [balloon_cavity(ball), balloon_cavity(ball)], "same facets"),
+    "two Windkessels": (
+        balloon, lambda ball: [vessels(Cavity(ball.u, ball.ds(1))) for _ in range(2)], "same facets"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "make", "message"), UNFIT.values(), ids=UNFIT)
+def test_couplings_that_do_not_fit(kind, make, message):
+    body = kind(2) if kind is balloon else kind((2, 3))
+    with raises(ValueError, message):
+        body.problem(make(body))
+
+
+def means(*values):
+    """Return the means of the first component with these values, by multipliers on all of u."""
+
+    def make(u):
+        dx, v = ufl.Measure("dx", u.function_space.mesh), ufl.TestFunction(u.function_space)
+        for value in values:
+            λ = dolfinx.fem.Constant(u.function_space.mesh, np.float64(0.0))
+            yield ScalarEquation(λ, ((u - value) * dx,), λ * v * dx)
+
+    return make
+
+
+def one_unknown(u):
+    """Return two equations for one unknown."""
+    λ, v = dolfinx.fem.Constant(u.function_space.mesh, 0.0), ufl.TestFunction(u.function_space)
+    yield from (ScalarEquation(λ, (u[i] * ufl.dx,), λ * v[i] * ufl.dx) for i in range(2))
+
+
+def no_dof(u):
+    """Return an equation without an unknown in it."""
+    λ, dx = dolfinx.fem.Constant(u.function_space.mesh, 0.0), ufl.dx(u.function_space.mesh)
+    yield ScalarEquation(λ, (dolfinx.fem.Constant(u.function_space.mesh, 1.0) * dx,))
+
+
+#: Constraints of a body that nothing supports, which depend on each other or on nothing.
+DEPENDENT = {
+    "the same twice": (poisson, means(0.0, 0.0), r"equations \[0, 1\] depend on each other"),
+    "a contradiction": (poisson, means(0.0, 1.0), r"equations \[0, 1\] depend on each other"),
+    "all motions twice": (
+        elasticity, lambda u: [rigid_motions(u), mean_value(u)], "equations .* depend on each other"
+    ),
+    "one unknown": (elasticity, one_unknown, r"unknowns \[0, 1\] depend on each other"),
+    "no dof": (elasticity, no_dof, r"equations \[0\] neither depend on a dof"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "make", "message"), DEPENDENT.values(), ids=DEPENDENT)
+def test_constraints_without_a_solution(kind, make, message):
+    """One error, before the first solve."""
+    body = kind(cube(3, 2), clamped=None)
+    u = dolfinx.fem.Function(body.V)
+    problem = LinearProblem(body.a, body.L, u=u, subdomains=4, scalars=list(make(u)))
+    with raises(ValueError, message):
+        problem.solve()
+    assert problem.solver.getIterationNumber() == 0 and COMM.size
