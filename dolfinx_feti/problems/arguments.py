@@ -40,8 +40,8 @@ INSTEAD = {
     "condense=p), with bcs on the space of u alone and p in F_p, as in (J - 1 - p/kappa)*q: see "
     "docs/elements.md. A pressure that is continuous, or has no term of its own, as in Stokes' "
     "equations, is solved by dolfinx, with MUMPS or a field split.",
-    "flux": "Solve it by dolfinx, with MUMPS or a field split; or solve −div(k ∇p) = f for p "
-    "alone, in ('Lagrange', k), and interpolate the flux −k ∇p.",
+    "flux": "Solve it by dolfinx, with MUMPS or a field split; or, if the vector is a flux −k ∇p, "
+    "solve −div(k ∇p) = f for p alone, in ('Lagrange', k), and interpolate the flux.",
     "other": "Solve it by dolfinx, with MUMPS or a field split.",
 }
 

@@ -100,7 +100,7 @@ WAYS = {
     linear_blocks: SOLID,
     nonlinear_blocks: SOLID,
     three_scalars: f"{OTHER}\\.",
-    flux: f"{OTHER}; or solve −div",
+    flux: f"{OTHER}; or, if the vector is a flux −k ∇p, solve −div",
 }
 
 

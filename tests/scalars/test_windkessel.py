@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from collective import COMM, agree, raises, small
+from collective import COMM, agree, equal, raises, small
 from inflated import balloon, tube, tube_pressure, tube_volume
 from scipy.integrate import solve_ivp
 
@@ -33,6 +33,27 @@ def march(windkessel, problem, dt, count, flow):
         windkessel.accept()
         pressures.append(float(windkessel.cavity.pressure.value))
     return np.array(pressures)
+
+
+@pytest.mark.parametrize(("unit", "stiffness", "second"), [(1e3, 1e-6, 1e-3), (1e-3, 1e6, 60.0)])
+def test_law_of_units(unit, stiffness, second):
+    """Pressures scale as they must, and steps not at all, for R, C and Z in the same units."""
+
+    def filled(unit, stiffness, second):
+        flow, ohm = unit**3 / second, stiffness * second / unit**3
+        ball = balloon(2, unit=unit, stiffness=stiffness)
+        cavity = Cavity(ball.u, ball.ds(1))
+        windkessel = Windkessel(
+            cavity, resistance=R * ohm, compliance=C * unit**3 / stiffness, impedance=Z * ohm
+        )
+        far = {"snes_rtol": 1e-6}  # from all residuals
+        problem = ball.problem([windkessel], subdomains=2, petsc_options=far)
+        pressures = march(windkessel, problem, 0.1 * second, 3, lambda t: 0.1 * flow)
+        return pressures / stiffness, len(problem.history)
+
+    (expected, steps), (pressures, others) = filled(1.0, 1.0, 1.0), filled(unit, stiffness, second)
+    equal(pressures, expected, 1e-6)
+    agree(steps == others, (steps, others))
 
 
 def rigid(start, **parameters):
