@@ -37,7 +37,6 @@ from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor, PackedMatrix
 from dolfinx_feti.feti.subdomain.factors.pivoted import factor_with_pivots
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
 from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
-from dolfinx_feti.feti.subdomain.factors.single import factor_in_single
 from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.runtime.collective import deferred
 from dolfinx_feti.runtime.events import event
@@ -279,7 +278,7 @@ class EliminatedInterior(Operator):
         return DenseFactor(self._S[i], R, rho, shift)
 
     def factor_in_single(self, i: int, R: Array, rho: float) -> Factor | None:
-        return factor_in_single(self._S[i], R, rho)
+        return DenseFactor.in_single(self._S[i], R, rho)
 
     def condense_many(self, i: int, X: Array) -> Array:
         return X

@@ -43,9 +43,8 @@ from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.gluing.dofs import Dofs
 from dolfinx_feti.feti.subdomain.blocks import as_slice, named
 from dolfinx_feti.feti.subdomain.buckling import buckling_modes
-from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor
+from dolfinx_feti.feti.subdomain.factors.dense import SINGLE, DenseFactor
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
-from dolfinx_feti.feti.subdomain.factors.single import ROUNDING, SingleFactor
 from dolfinx_feti.feti.subdomain.kernel import kernel_basis
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, growth, null_space
@@ -120,7 +119,7 @@ class PseudoInverse:
         """
         factor, modes = self.factors[i], self.modes[i]
         solve: Solve = factor.solve
-        if isinstance(factor, DenseFactor | SingleFactor):
+        if isinstance(factor, DenseFactor):
             solve = factor.solver()
         if not modes.soft:
             return solve
@@ -134,7 +133,7 @@ class PseudoInverse:
     @property
     def rough(self) -> bool:
         """Whether some factor of this process is in single precision."""
-        return any(isinstance(factor, SingleFactor) for factor in self.factors)
+        return any(map(_is_single, self.factors))
 
     def negative(self) -> int | None:
         """Count the negative eigenvalues of all K_ρ of this process; None if not known."""
@@ -223,7 +222,7 @@ class _Block(NamedTuple):
 
     def factor_in_single(self, R: Array, rho: float) -> Factor | None:
         factor = self.operator.factor_in_single(self.i, R, rho) if self.rough else None
-        if factor is None or growth(factor, self.diagonal) * ROUNDING <= ROUGH:
+        if factor is None or growth(factor, self.diagonal) * SINGLE <= ROUGH:
             return factor
         factor.destroy()
         return None
@@ -233,6 +232,10 @@ class _Block(NamedTuple):
 
     def is_singular(self, factor: Factor) -> bool:
         return factor_tells_singular(factor, self.diagonal)
+
+
+def _is_single(factor: Factor) -> bool:
+    return isinstance(factor, DenseFactor) and factor.single
 
 
 def _regularise(
@@ -250,7 +253,7 @@ def _regularise(
     exact = defect <= KERNEL_TOLERANCE * rho and R is kernel
     stiff = _basis(K, factor, R, rho, exact=exact)
     softened = _is_softened(K, stiff.D)
-    columns_suffice = adaptive and isinstance(factor, SingleFactor) and not softened
+    columns_suffice = adaptive and _is_single(factor) and not softened
     soft = R[:, :0] if columns_suffice else find_soft(factor.solve)
     basis = _with_soft_modes(K, factor, stiff, rho, soft)
     found = basis.R.shape[1] - R.shape[1]

@@ -12,6 +12,10 @@ several columns at once they are unpacked into one work space. Where Cholesky's 
 a pivot that is not positive, :math:`L Δ L^⊤` with Bunch and Kaufman's pivots takes its place, and
 tells the inertia. If that meets a zero, too, the pseudo-inverse does, of the matrix scaled by its
 diagonal.
+
+For a preconditioner, :math:`S/ρ + R R^⊤ = L L^⊤ + O(ε)` in single precision, :math:`ε = 2^{-24}`,
+takes half the memory and half the time. A direction in which S is softer than its diagonal by a
+factor g is off by a share of about ε g, and :math:`L L^⊤` is positive definite whatever is rounded.
 """
 
 from __future__ import annotations
@@ -31,10 +35,13 @@ from dolfinx_feti.feti.subdomain.factors.protocol import Pivots, require_alive
 from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.runtime.native import address_of
 
-__all__ = ["DenseFactor", "PackedMatrix", "pack", "unpack"]
+__all__ = ["SINGLE", "DenseFactor", "PackedMatrix", "pack", "unpack"]
 
 Array = npt.NDArray[np.float64]
 Real = TypeVar("Real", np.float32, np.float64)
+
+#: The unit ε of rounding in single precision.
+SINGLE = float(np.finfo(np.float32).eps) / 2.0
 
 #: Share of the largest eigenvalue of a scaled matrix below which one counts as zero.
 ZERO_EIGENVALUE = 1e-14
@@ -99,6 +106,7 @@ class DenseFactor:
     """What applies the inverse of S + ρ R Rᵀ: see ``protocol``.
 
     Attributes:
+        single: Whether it is in single precision.
         pivots: Numbers of negative and zero eigenvalues.
     """
 
@@ -106,18 +114,33 @@ class DenseFactor:
         self, S: PackedMatrix, R: Array | None = None, rho: float = 1.0, shift: Array | None = None
     ) -> None:
         """Factor S + ρ R Rᵀ + diag(shift), with orthonormal R, (n, k), and a shift, (n,)."""
-        self._n, self._work = S.n, S.work
+        self._n, self._work, self.single = S.n, S.work, False
         self._interchanges: npt.NDArray[np.int32] | None = None  # of Bunch and Kaufman
-        self._X: Array = np.zeros(0)  # L, packed; or that of L Δ Lᵀ, or the inverse, (n, n)
+        self._scale = 1.0  # of what is factored
+        self._X: npt.NDArray[np.floating] = np.zeros(0)  # L or that of L Δ Lᵀ; or the inverse
         self.pivots = Pivots(0, 0)
         if S.n == 0:
             return
-        regularised = functools.partial(_regularised, S, R, rho, shift)
+        regularised = functools.partial(_regularised, S.values, S, R, rho, shift)
         X, failed = lapack.dpotrf(regularised(), lower=1, overwrite_a=1, clean=0)
         if not failed:
             self._X = pack(X)  # L Lᵀ
         elif not self._factor_indefinite(regularised().copy(order="F")):
             self._invert(np.tril(regularised()))
+
+    @classmethod
+    def in_single(cls, S: PackedMatrix, R: Array, rho: float) -> DenseFactor | None:
+        """Factor S + ρ R Rᵀ in single precision; None if it is not positive definite, or empty."""
+        if S.n == 0:
+            return None
+        values = (S.values / rho).astype(np.float32)
+        X, failed = lapack.spotrf(_regularised(values, S, R, 1.0), lower=1, overwrite_a=1, clean=0)
+        if failed:
+            return None
+        factor = cls(PackedMatrix(np.zeros(0), 0, S.work))
+        factor._n, factor.single, factor._scale = S.n, True, rho
+        factor._X = lapack.strttp(X, uplo="L")[0]  # L Lᵀ = S/ρ + R Rᵀ
+        return factor
 
     def _factor_indefinite(self, S_ρ: Array) -> bool:
         """Factor S_ρ = L Δ Lᵀ; return whether no block of Δ is zero."""
@@ -151,25 +174,38 @@ class DenseFactor:
             return lapack.dsytrs(self._X, self._interchanges, rhs, lower=1)[0].reshape(Y.shape)
         if self._X.ndim == 2:
             return np.asarray(self._X @ Y)
-        if Y.ndim == 1:
-            x = blas.dtpsv(self._n, self._X, Y, lower=1)
-            return blas.dtpsv(self._n, self._X, x, lower=1, trans=1, overwrite_x=1)  # L⁻ᵀ L⁻¹ y
-        if Y.shape[1] <= FEW:
+        if Y.ndim == 2 and (self.single or Y.shape[1] > FEW):
+            return self.solver()(Y)
+        if Y.ndim == 2:
             return np.column_stack([self.solve(y) for y in Y.T])
-        return self.solver()(Y)
+        tpsv = blas.stpsv if self.single else blas.dtpsv
+        y, size = self._scaled(Y)
+        x = tpsv(self._n, self._X, y, lower=1)
+        x = tpsv(self._n, self._X, x, lower=1, trans=1, overwrite_x=1)  # L⁻ᵀ L⁻¹ y
+        return np.asarray(x, dtype=np.float64) * size
 
     def solver(self) -> Callable[[Array], Array]:
         """Return what applies S_ρ⁻¹ to columns, (n, r), until the work space serves another one."""
         require_alive(self._n >= 0)
         if self._X.ndim == 2 or self._n == 0:
             return self.solve
-        L = unpack(self._X, self._n, self._work)
+        L = unpack(self._X, self._n, self._work.view(self._X.dtype))
+        trsm = blas.strsm if self.single else blas.dtrsm
 
         def solve(Y: Array) -> Array:
-            X = blas.dtrsm(1.0, L, np.asfortranarray(Y), lower=1)
-            return np.asarray(blas.dtrsm(1.0, L, X, lower=1, trans_a=1, overwrite_b=1))
+            X, size = self._scaled(Y)
+            X = trsm(1.0, L, X, lower=1)
+            X = trsm(1.0, L, X, lower=1, trans_a=1, overwrite_b=1)  # L⁻ᵀ L⁻¹ Y
+            return np.asarray(X, dtype=np.float64) * size
 
-        return solve  # L⁻ᵀ L⁻¹ Y
+        return solve
+
+    def _scaled(self, Y: Array) -> tuple[npt.NDArray[np.floating], float]:
+        """Return Y as the factor takes it, in single precision scaled, and the scale."""
+        if not self.single:
+            return np.asfortranarray(Y), 1.0
+        size = float(np.abs(Y).max(initial=0.0)) or 1.0
+        return np.asfortranarray(Y / size, dtype=np.float32), size / self._scale
 
     def memory(self) -> float:
         """Return the memory of the factor in MiB."""
@@ -185,14 +221,21 @@ def pack(S: Array) -> Array:
     return lapack.dtrttp(S, uplo="L")[0] if len(S) else np.zeros(0)
 
 
-def _regularised(S: PackedMatrix, R: Array | None, rho: float, shift: Array | None) -> Array:
-    """Return S + ρ R Rᵀ, shifted, in the lower triangle of the work space."""
-    X = unpack(S.values, S.n, S.work)
+def _regularised(
+    values: npt.NDArray[Real],
+    S: PackedMatrix,
+    R: Array | None,
+    rho: float,
+    shift: Array | None = None,
+) -> npt.NDArray[Real]:
+    """Return S + ρ R Rᵀ, shifted, in the lower triangle of the work space, in given precision."""
+    X = unpack(values, S.n, S.work.view(values.dtype))
     if shift is not None:
         X[np.diag_indices(S.n)] += shift
     if R is None or R.shape[1] == 0:
         return X
-    return blas.dsyrk(rho, R, beta=1.0, c=X, lower=1, overwrite_c=1)
+    syrk = blas.dsyrk if values.dtype == np.float64 else blas.ssyrk
+    return syrk(rho, R.astype(values.dtype), beta=1.0, c=X, lower=1, overwrite_c=1)
 
 
 def unpack(S: npt.NDArray[Real], n: int, work: npt.NDArray[Real]) -> npt.NDArray[Real]:

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Cholesky factors in single precision, against dense inverses and factors in double."""
+"""Dense factors in single precision, against inverses and factors in double."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
-from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor, PackedMatrix, pack
+from dolfinx_feti.feti.subdomain.factors.dense import SINGLE, DenseFactor, PackedMatrix, pack
 from dolfinx_feti.feti.subdomain.factors.direct import Choice
 from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
-from dolfinx_feti.feti.subdomain.factors.single import ROUNDING, factor_in_single
 from dolfinx_feti.feti.subdomain.nullspace import growth
 
 RHO = 2.0
@@ -34,11 +33,11 @@ def test_inverse_up_to_rounding_in_single_precision(n, scale):
     """Columns and a vector, whatever the units; S stays as it is."""
     packed, S, R = block(n, 1e-3, scale)
     before = packed.values.copy()
-    factor = factor_in_single(packed, R, RHO * scale)
+    factor = DenseFactor.in_single(packed, R, RHO * scale)
     S_ρ = S + RHO * scale * R @ R.T
     exact = np.linalg.inv(S_ρ)
     Y = np.random.default_rng(1).standard_normal((n, 5)) / scale
-    bound = 10.0 * ROUNDING * np.linalg.cond(S_ρ)
+    bound = 10.0 * SINGLE * np.linalg.cond(S_ρ)
     for y, solved in (
         (Y, factor.solver()(Y)),
         (Y, factor.solve(Y)),
@@ -53,7 +52,7 @@ def test_inverse_up_to_rounding_in_single_precision(n, scale):
 
 def test_half_the_memory():
     packed, _, R = block(40, 1e-3)
-    single, double = factor_in_single(packed, R, RHO), DenseFactor(packed, R, RHO)
+    single, double = DenseFactor.in_single(packed, R, RHO), DenseFactor(packed, R, RHO)
     assert single.memory() == 0.5 * double.memory()
     single.destroy()
     assert single.memory() == 0.0
@@ -65,7 +64,7 @@ def test_destroyed_factor_raises(kind):
     packed, S, R = block(40, 1e-3)
     matrix = PETSc.Mat().createDense(S.shape, array=S, comm=PETSc.COMM_SELF)
     if kind == "single":
-        factor = factor_in_single(packed, R, RHO)
+        factor = DenseFactor.in_single(packed, R, RHO)
     elif kind == "pivoted":
         rows = np.arange(40, dtype=np.int32)
         sparse = matrix.convert(PETSc.Mat.Type.SEQAIJ, PETSc.Mat())
@@ -90,17 +89,16 @@ def test_error_is_that_of_the_growth():
     """A solve is off by about ε times the growth of random vectors, which is found with it."""
     for least in (1e-1, 1e-3, 1e-5):
         packed, S, R = block(60, least)
-        factor, double = factor_in_single(packed, R, RHO), DenseFactor(packed, R, RHO)
+        factor, double = DenseFactor.in_single(packed, R, RHO), DenseFactor(packed, R, RHO)
         y = np.random.default_rng(2).standard_normal(60)
         error = np.linalg.norm(factor.solve(y) - double.solve(y)) / np.linalg.norm(double.solve(y))
         stiffest = np.linalg.norm(S + RHO * R @ R.T, 2) / S.diagonal().mean()
-        assert error <= ROUNDING * stiffest * growth(factor, S.diagonal())
+        assert error <= SINGLE * stiffest * growth(factor, S.diagonal())
 
 
 def test_no_factor_of_an_indefinite_or_an_empty_matrix():
     packed, _, R = block(20, 1e-3)
     packed.values[0] = -1.0
-    assert factor_in_single(packed, R, RHO) is None
-    assert (
-        factor_in_single(PackedMatrix(np.zeros(0), 0, np.zeros(0)), np.zeros((0, 0)), 1.0) is None
-    )
+    assert DenseFactor.in_single(packed, R, RHO) is None
+    empty = PackedMatrix(np.zeros(0), 0, np.zeros(0))
+    assert DenseFactor.in_single(empty, np.zeros((0, 0)), 1.0) is None
