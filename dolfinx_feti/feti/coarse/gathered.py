@@ -116,7 +116,7 @@ class GatheredSolver:
 
     def memory(self) -> float | None:
         """Return the memory of the factor in MiB; None if the solver has no figure. Collective."""
-        used = self.factor.memory()
+        used = on_all(self.factor.memory, self._world)
         rows = 0 if self.inverse is None else self.inverse.nbytes
         spread = self._world.allreduce(rows) / 2**20
         return self._world.bcast(None if used is None else used + spread)
@@ -130,7 +130,7 @@ class GatheredSolver:
 
     def pivots(self) -> Pivots:
         """Return how many pivots are negative and zero; None if not known. Collective."""
-        return self._world.bcast(self.factor.pivots)
+        return self._world.bcast(on_all(lambda: self.factor.pivots, self._world))
 
     def _rows_of_inverse(self, factor: FrontFactor) -> Array:
         """Return own rows of N⁻¹, (own rows, K)."""

@@ -1,0 +1,127 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Work that fails on one process ends set-up and solve on all, and leaves nothing.
+
+The list of functions is generated: all of ``feti/subdomain``, and in other rooms those that call
+LAPACK, BLAS or compiled code, if a solve calls them and they neither are collective nor guard.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import gc
+import importlib
+import inspect
+import pkgutil
+import sys
+import types
+from collections.abc import Callable, Iterator
+
+from petsc4py import PETSc
+
+import pytest
+from collective import COMM, agree
+from garbage import garbage
+from hand_torn import HandTorn, random_values
+
+import dolfinx_feti
+from dolfinx_feti import feti as package
+from dolfinx_feti.runtime.petsc_options import inserted
+
+#: Seconds after which processes are taken to wait for each other: all end then.
+LONG = 120
+
+FORMS = {
+    "dual": {"feti_formulation": "dual"},
+    "kept": {"feti_formulation": "dual", "feti_interior": "keep"},
+    "primal": {"feti_formulation": "primal", "feti_interior": "eliminate"},
+}
+
+#: What ends objects, and what only hands over to guarded work.
+GUARDED = ("destroy", "load", "complete")
+
+
+def fault(*_args: object, **_how: object) -> None:
+    """Take the place of any function."""
+    raise ArithmeticError("a fault")
+
+
+def calls_numerics(function: types.FunctionType) -> bool:
+    """Tell whether a function, or one within it, calls LAPACK, BLAS or compiled code."""
+    inner = [code for code in function.__code__.co_consts if inspect.iscode(code)]
+    names = {name for code in (function.__code__, *inner) for name in code.co_names}
+    return bool(names & {"linalg", "lapack", "blas", "lib"})
+
+
+def local_functions() -> Iterator[tuple[str, types.FunctionType]]:
+    """Find the functions that work on the subdomains of one process alone."""
+    for info in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        module = importlib.import_module(info.name)
+        inside = info.name.startswith(package.__name__ + ".subdomain.")
+        classes = [each for each in vars(module).values() if inspect.isclass(each)]
+        for member in [each for owner in (module, *classes) for each in vars(owner).values()]:
+            if not inspect.isfunction(member) or member.__module__ != info.name:
+                continue
+            collective = "ollective" in (member.__doc__ or "").replace("Not collective", "")
+            guard = "deferred" in member.__code__.co_names or member.__name__ in GUARDED
+            if collective or guard or member.__code__.co_freevars:
+                continue
+            if inside or calls_numerics(member):
+                yield f"{info.name}.{member.__qualname__}", member
+
+
+def message_of(problem: HandTorn, options: dict[str, object]) -> str:
+    """Set a solver up and solve; return what it says, or raises; empty if all is well."""
+    ksp = PETSc.KSP().create(COMM)
+    ksp.setOptionsPrefix("fault_")
+    ksp.setOperators(problem.A)
+    b, x = problem.vector(random_values(problem)), problem.A.createVecRight()
+    try:
+        with inserted("fault_", options):
+            ksp.setType(PETSc.KSP.Type.PYTHON)
+            ksp.setPythonContext(dolfinx_feti.FETI())
+            ksp.setFromOptions()
+            ksp.setUp()
+            ksp.solve(b, x)
+        return str(ksp.getPythonContext().message)
+    except Exception as error:
+        return repr(error)
+    finally:
+        for owned in (ksp, b, x):
+            owned.destroy()
+
+
+def called(work: Callable[[], object]) -> set[types.CodeType]:
+    """Return the code of all functions that are called."""
+    codes: set[types.CodeType] = set()
+    sys.setprofile(lambda frame, _event, _argument: codes.add(frame.f_code))
+    try:
+        work()
+    finally:
+        sys.setprofile(None)
+    return codes
+
+
+@pytest.mark.processes(2)
+@pytest.mark.parametrize("options", FORMS.values(), ids=FORMS)
+def test_fault_on_one_process_is_an_error_on_all(options, torn_grid):
+    problem = torn_grid((2, 2), (3, 2), components=2)
+    codes = called(lambda: agree(not message_of(problem, options)))
+    functions = {n: f for n, f in sorted(dict(local_functions()).items()) if f.__code__ in codes}
+    for name in COMM.bcast(sorted(functions)):
+        function = functions[name]
+        faulthandler.dump_traceback_later(LONG, exit=True)
+        code = function.__code__
+        if COMM.rank == 1:
+            function.__code__ = fault.__code__
+        try:
+            said = message_of(problem, options)
+        finally:
+            function.__code__ = code
+            faulthandler.cancel_dump_traceback_later()
+        agree("fault" in said or "Error" in said, (name, said))
+        gc.collect()
+        agree(not garbage(COMM), (name, garbage(COMM)))
+    agree(len(functions) > 30, sorted(functions))
+    agree(not message_of(problem, options))
