@@ -164,12 +164,6 @@ def raised(sigma: float) -> float | None:
 
 
 def fallen(sigma: float, *, grown: bool) -> float:
-    """Return the shift with which the next Newton step begins.
-
-    Args:
-        sigma: Shift of the last step.
-        grown: Whether it had to grow in that step; it then falls by one power of the growth and not
-            by two.
-    """
+    """Return the shift with which the next Newton step begins; it falls less if it had to grow."""
     smaller = sigma / (SHIFT_GROWTH if grown else SHIFT_GROWTH**2)
     return smaller if smaller >= LEAST_SHIFT / SHIFT_GROWTH else 0.0

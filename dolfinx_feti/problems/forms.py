@@ -120,8 +120,8 @@ def derive(
             require_forms(**{name: given})
     check_condensed(condense, u)
     symmetric = True if J is None and isinstance(F, ufl.Form) and not F.arguments() else None
-    energy = potential(F, energy)
-    F_u, F_p = residuals(F, u, condense)
+    energy = _potential(F, energy)
+    F_u, F_p = _residuals(F, u, condense)
     if work:
         added = sum(work, ufl.Form([]))
         J = J if J is None else J + ufl.derivative(added, u, ufl.TrialFunction(u.function_space))
@@ -136,13 +136,7 @@ def derive(
 
 
 def warn_of_degree(forms: Forms, twice: int, comm: MPI.Comm) -> None:
-    """Log a quadrature degree that UFL estimates far beyond use.
-
-    Args:
-        forms: The forms.
-        twice: Twice the polynomial degree of the unknown.
-        comm: Communicator of the problem.
-    """
+    """Log a quadrature degree that UFL estimates far beyond twice the degree of the unknown."""
     degree = max(map(estimated_quadrature_degree, forms.residuals))
     if degree > EXPLOSIVE * twice:
         warn(
@@ -153,12 +147,8 @@ def warn_of_degree(forms: Forms, twice: int, comm: MPI.Comm) -> None:
         )
 
 
-def potential(F: ufl.Form | Sequence[ufl.Form], energy: ufl.Form | None) -> ufl.Form | None:
-    """Return the potential of the problem: F itself if that is an energy, or ``energy``.
-
-    Raises:
-        ValueError: Both are given, and differ.
-    """
+def _potential(F: ufl.Form | Sequence[ufl.Form], energy: ufl.Form | None) -> ufl.Form | None:
+    """Return the potential of the problem: F itself if that is an energy, or ``energy``."""
     if not isinstance(F, ufl.Form) or F.arguments():
         return energy
     if energy is not None and not F.equals(energy):
@@ -169,21 +159,12 @@ def potential(F: ufl.Form | Sequence[ufl.Form], energy: ufl.Form | None) -> ufl.
     return F
 
 
-def residuals(
+def _residuals(
     F: ufl.Form | Sequence[ufl.Form],
     u: dolfinx.fem.Function,
     condense: Sequence[dolfinx.fem.Function],
 ) -> tuple[ufl.Form, tuple[ufl.Form, ...]]:
-    """Return the residuals tested with v and, for each condensed field, with its q.
-
-    Args:
-        F: Residual, residuals, or energy.
-        u: Unknown.
-        condense: Fields to be condensed.
-
-    Raises:
-        ValueError: The forms do not fit ``condense``.
-    """
+    """Return the residuals tested with v and, for each condensed field, with its q."""
     if not isinstance(F, ufl.Form):
         forms = list(F)
         wanted = [u.function_space, *(p.function_space for p in condense)]
@@ -320,11 +301,7 @@ def linear_forms(
 
 
 def _blocks(a: Any, L: Any, n: int) -> tuple[list[list[Any]], list[Any]]:
-    """Return the n × n blocks of a and the n of L, with arguments that know no other block.
-
-    Raises:
-        ValueError: There are others.
-    """
+    """Return the n × n blocks of a and the n of L, with arguments that know no other block."""
     if n == 1:
         return [[a]], [L]
     if isinstance(a, ufl.Form):

@@ -199,18 +199,7 @@ class Newton:
     def _judge(
         self, snes: PETSc.SNES, norm: float, scale: float, rough: float, *, moves: bool
     ) -> int:
-        """Monitor the residual; return whether to go on, or PETSc's reason to end.
-
-        Args:
-            snes: The SNES.
-            norm: ‖r‖ of the free dofs.
-            scale: The force that the relative tolerance refers to.
-            rough: ‖r‖ at which a rough solve ends.
-            moves: Whether prescribed values are not met yet.
-
-        Raises:
-            Stop: The residual is no number, or there were too many steps.
-        """
+        """Monitor ‖r‖, relative to a force ``scale``; return whether to go on, or why to end."""
         rtol, atol, _, max_it = snes.getTolerances()
         its = len(self.history)
         snes.setIterationNumber(its)
@@ -241,17 +230,9 @@ class Newton:
     ) -> tuple[Residual, float]:
         """Take a step, with a larger shift where no step length is admissible, and record it.
 
-        Args:
-            snes: The SNES.
-            here: The residual; the matrix holds the tangent of the step.
-            norm: ‖r‖.
-            floor: What rounding leaves of it; below, no step length has to be admissible.
-            started: When the assembly began.
-            kept: Whether the tangent is that of the step before.
-            moves: Whether the step moves the boundary.
-
-        Returns:
-            The residual where the step ends, and when its assembly began.
+        The matrix holds its tangent, perhaps kept from the step before. Below the floor of rounding
+        no step length has to be admissible. It returns the residual where the step ends, and when
+        that one's assembly began.
         """
         system, ksp = self._system, snes.getKSP()
         seen = system.seen_by_tangent(here) if kept else here

@@ -57,18 +57,10 @@ PLAIN = ("", "ascii", "true", "1")
 
 
 def create_solver(A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]) -> PETSc.KSP:
-    """Create a KSP with the FETI context and set it from the options.
-
-    Args:
-        A: Torn matrix.
-        prefix: Options prefix.
-        petsc_options: Options without prefix.
+    """Create a KSP of a torn matrix with the FETI context and set it from the options. Collective.
 
     Raises:
         ValueError: An option has a wrong value.
-
-    Note:
-        Collective.
     """
     ksp = PETSc.KSP().create(A.comm)
     ksp.setOptionsPrefix(prefix)
@@ -85,20 +77,10 @@ def create_solver(A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]
 def create_newton_solver(
     newton: object, feti: FETI, A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]
 ) -> PETSc.SNES:
-    """Create a SNES and its KSP with their contexts, and set them from the options.
-
-    Args:
-        newton: Context of the SNES.
-        feti: Context of the KSP.
-        A: Torn tangent.
-        prefix: Options prefix.
-        petsc_options: Options without prefix.
+    """Create a SNES and its KSP with their contexts, and set them from the options. Collective.
 
     Raises:
         ValueError: An option has a wrong value.
-
-    Note:
-        Collective.
     """
     snes = PETSc.SNES().create(A.comm)
     snes.setOptionsPrefix(prefix)
@@ -130,14 +112,7 @@ def no_closer_than(norm: float, ksp: PETSc.KSP) -> Iterator[None]:
 
 
 def options_without_effect(prefix: str) -> dict[str, str]:
-    """Find options that belong to another solver than FETI and Newton's method.
-
-    Args:
-        prefix: Prefix of the solver, not empty.
-
-    Returns:
-        Their values, by their names without the prefix.
-    """
+    """Find the options under a prefix that belong to another solver, with their values."""
     under = {
         key.removeprefix(prefix): value
         for key, value in PETSc.Options().getAll().items()
