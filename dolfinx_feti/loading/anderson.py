@@ -108,15 +108,7 @@ class Anderson:
         self._differences: list[tuple[Array, Array]] = []  # ΔU, ΔF
 
     def next(self, U: Array, F: Array) -> Array:
-        """Return the next iterate.
-
-        Args:
-            U: The present one, ghosts included.
-            F: Its residual g(U) − U.
-
-        Note:
-            Collective.
-        """
+        """Return the next iterate from U, ghosts included, and its residual F. Collective."""
         if self._last is not None:
             self._differences.append((U - self._last[0], F - self._last[1]))
             del self._differences[:-DEPTH]

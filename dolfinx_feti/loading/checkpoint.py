@@ -147,14 +147,11 @@ class Checkpoint:
     def read(
         self, functions: Sequence[dolfinx.fem.Function], *, content: Content | None = None
     ) -> list[list[Array]]:
-        """Set the functions to the state in the folder.
+        """Set the functions to the state in the folder; return the earlier values.
 
         Args:
             functions: The state, on the same mesh and elements; any number of processes.
             content: What the forms of the problem hold.
-
-        Returns:
-            The earlier values.
 
         Raises:
             ValueError: The state is of another mesh, of other elements, forms or constants,

@@ -148,15 +148,8 @@ class Motion:
     def start(self, residual: dolfinx.fem.Form, bcs: Sequence[dolfinx.fem.DirichletBC]) -> None:
         """Let the initial acceleration balance the forces, those of dashpots too, M ü = −F(u, v).
 
-        Args:
-            residual: F(u, v; δu) with the inertia in it.
-            bcs: Conditions of the problem; their dofs keep the acceleration that they have.
-
-        Raises:
-            ConvergenceError: The mass matrix could not be solved with: a density is not positive.
-
-        Note:
-            Collective.
+        Dofs under conditions keep the acceleration that they have. A density that is not positive
+        is a ConvergenceError. Collective.
         """
         V, ü = self.u.function_space, self.acceleration
         fixed = fixed_dofs(bcs)
@@ -221,11 +214,7 @@ class Motion:
         return abs(self._β - 1.0 / 6.0) * float(self.dt.value) ** 2 * largest
 
     def leave(self) -> Array:
-        """Go to the end of the step: velocity and accelerations are those of t_{n+1}.
-
-        Returns:
-            How far the step has led, u_{n+1} − u_n, with ghosts.
-        """
+        """Go to the end of the step, t_{n+1}; return u_{n+1} − u_n, with ghosts."""
         a, dt, γ = self._next(), float(self.dt.value), self._γ
         self.velocity.x.array[:] += dt * ((1.0 - γ) * self.filtered.x.array + γ * a)
         self.acceleration.x.array[:] = float(self._c.value) * (self.u.x.array - self._ahead.x.array)

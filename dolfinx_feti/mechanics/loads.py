@@ -69,11 +69,7 @@ AMPLITUDE = 0.02
 
 
 def mmhg(value: float) -> float:
-    """Convert a pressure from millimetres of mercury to kPa, 1 mmHg = 0.1333223684 kPa.
-
-    Raises:
-        ValueError: If ``value`` is not a finite number.
-    """
+    """Convert a finite pressure from millimetres of mercury to kPa, 1 mmHg = 0.1333223684 kPa."""
     require_within(-math.inf, math.inf, {"value": value}, remedy="a finite pressure in mmHg")
     return value * _KPA_PER_MMHG
 
@@ -179,17 +175,8 @@ def rim_is_held(
 ) -> bool:
     """Tell whether the tangent of a uniform pressure is symmetric in all dofs that are free.
 
-    Args:
-        virtual_work: R(w; v) of the pressure one, a form in a displacement w and a test function v,
-            with exact quadrature.
-        V: Space of displacements.
-        bcs: Dirichlet conditions on V and on its components.
-
-    Raises:
-        ValueError: The surface has no facets.
-
-    Note:
-        Collective.
+    R(w; v) is the virtual work of the pressure one, with exact quadrature. Without facets of the
+    surface it is a ValueError. Collective.
     """
     held = np.concatenate([np.zeros(0, dtype=np.int32), *(bc.dof_indices()[0] for bc in bcs)])
     w, d = (wave(V, k) for k in (0, 1))
@@ -246,11 +233,7 @@ def _is_uniform(p: float | Expr) -> bool:
 
 
 def _is_held(u: Expr, ds: ufl.Measure, bcs: Sequence[dolfinx.fem.DirichletBC] | None) -> bool:
-    """Tell whether the rim of a surface is held, or has none.
-
-    Raises:
-        ValueError: It cannot be told.
-    """
+    """Tell whether the rim of a surface is held, or has none; raise where it cannot be told."""
     if not isinstance(u, dolfinx.fem.Function):
         raise ValueError(
             f"u is {u!r}: kind='auto' tries displacements out and needs a dolfinx.fem.Function; "

@@ -98,14 +98,11 @@ def damaged(psi: Expr, m: Expr, *, d_max: Parameter, W: Parameter) -> tuple[Expr
         psi: Energy Ψ of the intact material [kPa], not negative.
         m: The largest Ψ so far [kPa], a scalar Function of quadrature points or cells; zero at
             first.
-        d_max: The most that d becomes, d_∞ < 1 [-].
-        W: Energy scale of the damage [kPa].
+        d_max: The most that d becomes, d_∞, between 0 and 1 [-].
+        W: Energy scale of the damage, positive [kPa].
 
     Returns:
         The energy, and the update of m.
-
-    Raises:
-        ValueError: If ``d_max`` is a number that is not between 0 and 1, or ``W`` not positive.
     """
     require_within(0.0, 1.0, {"d_max": d_max}, ends=False)
     require_positive(W=W)

@@ -148,11 +148,7 @@ def create_patches(
 
 
 def present(patches: Patches) -> Patches:
-    """Return the patches of the mesh where it is now, for it may have moved.
-
-    Note:
-        Collective.
-    """
+    """Return the patches of the mesh where it is now, for it may have moved. Collective."""
     same = np.array_equal(_corners(patches.mesh, patches.incidence), patches.corners)
     if patches.mesh.comm.allreduce(same, op=MPI.LAND):
         return patches
@@ -181,11 +177,7 @@ def _measured(
 
 
 def moments(expression: Expr, patches: Patches) -> Array:
-    """Evaluate an expression in the owned cells.
-
-    Args:
-        expression: UFL expression of any shape, with m components.
-        patches: The patches of its mesh.
+    """Evaluate an expression of m components in the owned cells.
 
     Returns:
         In each cell its mean, and the means of the expression times the reference coordinates

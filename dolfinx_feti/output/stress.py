@@ -178,7 +178,7 @@ def layer_means(
     *,
     weight: Expr | None = None,
 ) -> dict[str, dict[str, float]]:
-    """Return the means of scalar fields over layers.
+    """Return for each layer the mean of each scalar field.
 
     Args:
         fields: The fields, by name.
@@ -187,9 +187,6 @@ def layer_means(
         names: The tags of the layers, by name, such as ``Wall.layers``.
         weight: Volume for which a unit of reference volume counts: J for means over the deformed
             wall; one if not given.
-
-    Returns:
-        For each layer the mean of each field.
 
     Raises:
         ValueError: A field is no scalar, lives on another mesh, or there is none; or a layer has no
