@@ -20,12 +20,12 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.mechanics.values import require_finite
-from dolfinx_feti.scalars.equations import Constraint, ScalarEquation
+from dolfinx_feti.scalars.equations import Coupling, ScalarEquation
 
 __all__ = ["ArcLength"]
 
 
-class ArcLength(Constraint):
+class ArcLength(Coupling):
     """The condition that makes a load unknown, for ``follow_load`` along the arc.
 
     Example::

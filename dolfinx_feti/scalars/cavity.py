@@ -33,12 +33,12 @@ from dolfinx_feti.mechanics.loads import (
     wave,
 )
 from dolfinx_feti.mechanics.values import require_finite, require_positive
-from dolfinx_feti.scalars.equations import Constraint, ScalarEquation
+from dolfinx_feti.scalars.equations import Coupling, ScalarEquation
 
 __all__ = ["Cavity"]
 
 
-class Cavity(Constraint):
+class Cavity(Coupling):
     """The lumen inside a surface.
 
     Example::

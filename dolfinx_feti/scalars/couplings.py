@@ -52,7 +52,7 @@ def checked_couplings(
     if not isinstance(scalars, Sequence):
         raise ValueError(f"scalars is {scalars!r} alone: put it in a list.")
     for i, coupling in enumerate(scalars):
-        if not hasattr(coupling, "equation"):
+        if not isinstance(coupling, Coupling):
             raise ValueError(
                 f"scalars[{i}] is {coupling!r}: give a Cavity, Windkessel or ScalarEquation."
             )

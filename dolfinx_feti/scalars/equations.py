@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -21,20 +20,27 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
-__all__ = ["Constraint", "Coupling", "ScalarEquation", "derivative_in", "values_of"]
+__all__ = ["Coupling", "ScalarEquation", "derivative_in", "values_of"]
 
 Array = npt.NDArray[np.float64]
 
 
-class Coupling(Protocol):
-    """What brings scalar unknowns along: an equation, or a cavity or a Windkessel that makes it."""
+class Coupling:
+    """What brings scalar unknowns along: an equation, or a cavity or a Windkessel that makes it.
+
+    Attributes:
+        functions: Functions that :meth:`accept` changes.
+    """
+
+    functions: Sequence[dolfinx.fem.Function] = ()
 
     @property
     def equation(self) -> ScalarEquation:
         """The unknowns and their equations."""
+        raise NotImplementedError
 
     def check(self, bcs: Sequence[dolfinx.fem.DirichletBC]) -> None:
-        """Refuse what cannot be solved, on all processes. Collective."""
+        """Refuse conditions that leave no solution, on all processes. Collective."""
 
     def check_values(self) -> None:
         """Refuse values that have no solution, before each solve."""
@@ -45,31 +51,9 @@ class Coupling(Protocol):
     def accept(self) -> None:
         """Let the present state be the last one of a path. Collective."""
 
-    @property
-    def functions(self) -> Sequence[dolfinx.fem.Function]:
-        """Functions that :meth:`accept` changes."""
-
-
-class Constraint:
-    """A coupling without a history, to which any values are welcome."""
-
-    functions: Sequence[dolfinx.fem.Function] = ()
-
-    def check(self, bcs: Sequence[dolfinx.fem.DirichletBC]) -> None:
-        """Any conditions will do."""
-
-    def check_values(self) -> None:
-        """Any values will do."""
-
-    def begin(self, length: float) -> None:
-        """Nothing depends on the length of a step."""
-
-    def accept(self) -> None:
-        """Nothing is remembered."""
-
 
 @dataclass(frozen=True)
-class ScalarEquation(Constraint):
+class ScalarEquation(Coupling):
     """Scalar unknowns and as many equations.
 
     Attributes:

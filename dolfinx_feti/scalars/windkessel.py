@@ -26,12 +26,12 @@ import dolfinx
 
 from dolfinx_feti.mechanics.values import require_finite, require_not_negative, require_positive
 from dolfinx_feti.scalars.cavity import Cavity
-from dolfinx_feti.scalars.equations import Constraint, ScalarEquation
+from dolfinx_feti.scalars.equations import Coupling, ScalarEquation
 
 __all__ = ["Windkessel"]
 
 
-class Windkessel(Constraint):
+class Windkessel(Coupling):
     """Vessels behind a cavity: a resistance and a compliance, perhaps with an impedance before.
 
     Example::
