@@ -104,6 +104,7 @@ def called(work: Callable[[], object]) -> set[types.CodeType]:
 
 
 @pytest.mark.processes(2)
+@pytest.mark.filterwarnings("ignore:Assigning a code object")  # of a generator
 @pytest.mark.parametrize("options", FORMS.values(), ids=FORMS)
 def test_fault_on_one_process_is_an_error_on_all(options, torn_grid):
     problem = torn_grid((2, 2), (3, 2), components=2)
