@@ -5,8 +5,7 @@
 
 - The *pattern* lasts until the pattern of the matrix changes, or its symmetry.
 - The *preconditioner* of the primal form serves up to ``feti_lag`` later matrices of Newton's
-  method, until the iterations that its age has cost, beyond those that its first solve takes for a
-  digit, are worth a new one: then no later moment would have been better by more than half.
+  method, unless a solve takes far more iterations for a digit than the first one with it.
 - The *Ritz vectors* of each solve, up to ``feti_deflation``, serve the next matrices of Newton's
   method, with this preconditioner or a new one.
 
@@ -51,9 +50,6 @@ __all__ = ["Lasting"]
 Array = npt.NDArray[np.float64]
 Reason = PETSc.KSP.ConvergedReason
 
-#: Iterations that the set-up of a preconditioner costs as much as.
-RENEWAL = 40
-
 #: Growth of the iterations for a digit that ends a solve with an old preconditioner.
 HOPELESS = 3.0
 
@@ -90,9 +86,7 @@ class Lasting:
         self._outdated = False
         self.age = 0
         self._seen = False  # is the pattern in a table that the user has?
-        # Iterations for a digit in the first solve with the preconditioner, and those beyond that
-        # rate in all solves since.
-        self._first, self._excess = np.nan, 0.0
+        self._rate = np.nan  # iterations for a digit in the first solve with the preconditioner
 
     @property
     def deflation(self) -> DeflatedSpace | None:
@@ -141,16 +135,15 @@ class Lasting:
         """Note how a solve went; its residual is ‖b − A x‖/‖b‖."""
         self._vectors = vectors
         digits = -np.log10(residual) if 0.0 < residual < 1.0 else np.nan
-        if reason > 0 and iterations and np.isnan(self._first):
-            self._first = iterations / digits
-        self._excess += np.fmax(iterations - digits * self._first, 0.0)
+        if reason > 0 and iterations and np.isnan(self._rate):
+            self._rate = iterations / digits
 
     def most_iterations(self, max_it: int, rtol: float) -> int:
         """Return the most iterations of a solve: with an old preconditioner it may end early."""
-        if not self.age or np.isnan(self._first * rtol):
+        if not self.age or np.isnan(self._rate * rtol):
             return max_it
         digits = np.clip(-np.log10(max(rtol, 10.0**-MOST_DIGITS)), 1.0, None)
-        return min(max_it, int(np.ceil(HOPELESS * digits * self._first)))
+        return min(max_it, int(np.ceil(HOPELESS * digits * self._rate)))
 
     def try_again(self, reason: int, *, saddles: bool) -> bool:
         """Prepare another solve after one has failed; tell whether there is one. Collective.
@@ -207,7 +200,7 @@ class Lasting:
             except SetUpError:
                 pass  # the present matrix may still be set up on its own
         self._end_form()
-        self._outdated, self.age, self._first, self._excess = False, 0, np.nan, 0.0
+        self._outdated, self.age, self._rate = False, 0, np.nan
         self.form = self._new_form(pattern)
 
     def _new_form(self, pattern: Pattern) -> Form:
@@ -258,7 +251,7 @@ class Lasting:
         """Return the preconditioner of the last matrix if it serves another one."""
         form = self.form
         young = self._newton and not self._outdated and self.age < self._options.lag
-        if not isinstance(form, PrimalForm) or not young or self._excess >= RENEWAL:
+        if not isinstance(form, PrimalForm) or not young:
             return None
         return replace(form.preconditioner, combinations=form.coarse.combinations)
 
