@@ -111,6 +111,14 @@ class Case:
         require_positive(scale=self.scale, stretch=self.stretch)
         if self.pressure or not self.cavities:
             require_positive(pressure=self.pressure)
+        loaded = {
+            name
+            for name, given in self.conditions.items()
+            for c in given
+            if isinstance(c, Pressure)
+        }
+        has = f"pressure={self.pressure}: has no effect without a surface under pressure"
+        require(loaded or not self.pressure, has)
         require_not_negative(image=self.image)
         if self.rate is not None:
             require_positive(rate=self.rate)
@@ -118,9 +126,8 @@ class Case:
         has = f"stretch={self.stretch}: has no effect without an axis"
         require(self.axis or self.stretch == 1.0, has)
         for name in self.cavities:
-            loaded = any(isinstance(c, Pressure) for c in self.conditions.get(name, ()))
             has = f"[surfaces.{name}] pressure: leave it out, [cavity.{name}] determines it"
-            require(not loaded, has)
+            require(name not in loaded, has)
         dashpots = self.pressure > 0.0 and any(
             isinstance(c, Dashpot) for given in self.conditions.values() for c in given
         )

@@ -175,8 +175,6 @@ def fibre_families(
     """
     if angles is None:
         angles = {name: angle for name, angle in ANGLES.items() if name in wall.layers}
-    if not all(np.isfinite(angle) for angle in angles.values()):
-        raise ValueError(f"angles={dict(angles)}: give each layer a finite angle in degrees")
     α = np.deg2rad(by_layer(wall, angles).x.array)[:, None]
     W = frame.circumferential.function_space
     e0, e1 = (f.x.array.reshape(-1, 3) for f in (frame.circumferential, frame.longitudinal))

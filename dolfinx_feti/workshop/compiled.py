@@ -37,6 +37,7 @@ from ufl.variable import Label, Variable
 
 from dolfinx_feti.mechanics.kinematics import jacobian, right_cauchy_green
 from dolfinx_feti.mechanics.materials import volumetric
+from dolfinx_feti.mechanics.values import require_within
 
 __all__ = ["CompiledEnergy", "Material", "States", "compile_material", "evaluate"]
 
@@ -160,9 +161,7 @@ class Material:
                 f"parameters = {dict(self.parameters)}: the energy was compiled with the "
                 f"parameters {list(self.energy.parameters)}; give a value for each of them."
             )
-        for name, value in self.parameters.items():
-            if not math.isfinite(value):
-                raise ValueError(f"{name} = {value}: give a finite value.")
+        require_within(-math.inf, math.inf, self.parameters, remedy="a finite value")
 
     @property
     def incompressible(self) -> bool:

@@ -29,6 +29,7 @@ import scipy.stats
 from ufl.core.expr import Expr
 
 from dolfinx_feti.errors import ConvergenceError
+from dolfinx_feti.mechanics.values import require_within
 from dolfinx_feti.runtime.tables import Cell, state, table
 from dolfinx_feti.workshop.compiled import Material, compile_material
 from dolfinx_feti.workshop.response import DataSet, Response, respond, stresses
@@ -240,6 +241,7 @@ def _limits(start: Mapping[str, float], bounds: Mapping[str, tuple[float, float]
     Raises:
         ValueError: A bound has no parameter, or the start is not between its bounds.
     """
+    require_within(-math.inf, math.inf, start, remedy="a finite value")
     unknown = set(bounds) - set(start)
     if unknown:
         raise ValueError(f"bounds has {sorted(unknown)}, which start has not.")

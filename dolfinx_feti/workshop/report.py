@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.mechanics.values import require_positive
 from dolfinx_feti.runtime.tables import number, state, table
 from dolfinx_feti.workshop.checks import Check, Law, check_law, show
 from dolfinx_feti.workshop.compiled import Material, evaluate
@@ -83,8 +84,7 @@ def check(
         "λ": _range("stretches", stretches, above=0.0, rest=1.0, n=n),
         "γ": _range("shears", shears, above=-np.inf, rest=0.0, n=n),
     }
-    if not 0.0 < strain < np.inf:
-        raise ValueError(f"strain = {strain}: give a positive number, such as 0.3.")
+    require_positive(strain=strain)
     tests = [(make, ranges[symbol]) for symbol in ranges for make in STANDARD_PATHS[symbol]]
     law = partial(evaluate, replace(material, kappa=0.0))  # a large κ would hide deviations
     checks = check_law(law, strain=strain, incompressible=material.incompressible, seed=SEED)

@@ -10,13 +10,13 @@ area).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.mechanics.values import require_positive
 from dolfinx_feti.runtime.tables import state, table
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.equilibrium import cofactor, equilibrate
@@ -134,8 +134,7 @@ class DataSet:
         if not np.isfinite(values).all():
             raise ValueError("stress holds values that are not finite: leave those states out.")
         _check_measure(self.measure)
-        if not 0.0 < self.weight < math.inf:
-            raise ValueError(f"weight = {self.weight}: give a positive number.")
+        require_positive(weight=self.weight)
         object.__setattr__(self, "stress", values.reshape(shape))
         object.__setattr__(self, "name", self.name or self.path.name)
 

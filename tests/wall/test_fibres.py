@@ -355,7 +355,7 @@ def test_bad_input(tmp_path):
         with raises(ValueError, message):
             fibre_frame(other, **options)
     frame = fibre_frame(wall)
-    with raises(ValueError, "finite angle"):
+    with raises(ValueError, "media = nan: give a finite number"):
         fibre_families(wall, frame, {"media": float("nan"), "adventitia": 62.0})
     with raises(ValueError, "a value for each"):
         fibre_families(wall, frame, {"media": 29.0})

@@ -101,6 +101,10 @@ TABLE: list[Row] = [
      {"stretch_2": (0.0, INF, [1.0, 2.0]), "across": ((1, 0, 0),)}),
     (workshop.simple_shear, {"shear": [0.1]}, {"shear": (NAN, []), "across": ((0, 0, 0),)}),
     (workshop.inflation, {"stretch": [1.0]}, {"axial": POSITIVE}),
+    (workshop.DataSet, {"path": workshop.uniaxial([1.0]), "stress": [0.0], "measure": "piola"},
+     {"weight": (*POSITIVE, "1"), "measure": ("engineering", None), "stress": ([NAN], [0.0, 1.0])}),
+    (Filling, {"volume": 1.0}, {"volume": (*POSITIVE, "1"), "axis": (2, "r")}),
+    (Filling, {}, {"windkessel": ({"resistence": 1.0, "compliance": 1.0}, {"resistance": 1.0})}),
 ]  # fmt: skip
 
 
@@ -121,7 +125,9 @@ def test_refused_with_its_name(call, right, name, wrong):
 
 @pytest.mark.serial
 def test_what_has_no_effect_in_a_case():
-    """A rate belongs to dashpots, and a stretch to an axis."""
+    """A rate belongs to dashpots, a stretch to an axis, a pressure to a surface."""
+    with pytest.raises(ValueError, match=r"pressure=100\.0: has no effect without a surface"):
+        case(conditions={"lumen": (Spring(1.0),)})
     dashpot = {"outer": (Dashpot(0.1),)}
     with pytest.raises(ValueError, match="rate is missing: dashpots need"):
         case(conditions=dashpot)
