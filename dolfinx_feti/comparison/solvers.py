@@ -77,7 +77,7 @@ def create_solver(
         options["pc_type"] = "lu"
     if options.get("pc_factor_mat_solver_type") == "mumps" and A.getNullSpace().handle:
         options.setdefault("mat_mumps_icntl_24", 1)  # zero pivots are expected
-    torn, dirichlet = _is_bddc(prefix, options), None
+    torn, dirichlet = takes_torn(solver, options), None
     if torn:
         A, dirichlet = _with_unit_rows(A, symmetric, definite), A.query("dirichlet")
         options.setdefault("pc_bddc_vertex_size", VERTEX_NODES * A.getBlockSize())
@@ -121,11 +121,8 @@ def missing(options: Mapping[str, object]) -> str:
 
 def takes_torn(solver: str, options: Mapping[str, object]) -> bool:
     """Tell whether a solver works on the torn matrix."""
-    return _is_bddc(prefix_of(solver), options)
-
-
-def _is_bddc(prefix: str, options: Mapping[str, object]) -> bool:
-    wanted = PETSc.Options(prefix).getString("pc_type", str(options.get("pc_type", "")))
+    users = PETSc.Options(prefix_of(solver))
+    wanted = users.getString("pc_type", str(options.get("pc_type", "")))
     return bool(wanted == PETSc.PC.Type.BDDC)
 
 

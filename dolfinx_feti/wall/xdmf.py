@@ -86,11 +86,11 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
                 x = scale * file.read_geometry_data("mesh", DOMAIN)
                 facets = file.read_topology_data("surfaces", DOMAIN)
             light = json.loads(file.read_information(NAMES, DOMAIN))
-            names, parts = [_names(light[name]) for name in TAGS], light["parts"]
+            names = [{name: int(tag) for name, tag in light[kind].items()} for kind in TAGS]
             element = basix.ufl.element("Lagrange", shape.name, degree, shape=(3,), dtype=x.dtype)
             _check_rows(cells, x, facets, element.dim // 3, comm)
             with event("WallPartition"):
-                keep = _keep(parts, len(cells), comm)
+                keep = _keep(light["parts"], len(cells), comm)
                 domain = ufl.Mesh(element)
                 mesh = dolfinx.mesh.create_mesh(comm, cells, x=x, e=domain, partitioner=keep)
                 mesh.topology.create_entities(2)
@@ -105,11 +105,6 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
             f"{path} cannot be read ({reason(error)}): its HDF5 file has to lie beside it; convert "
             "the wall anew by python3 -m dolfinx_feti.wall.convert"
         ) from error
-
-
-def _names(table: dict[str, int]) -> dict[str, int]:
-    """Return the tags of names, as they have to be."""
-    return {name: int(tag) for name, tag in table.items()}
 
 
 def _check_rows(cells: Array, x: Array, facets: Array, nodes: int, comm: MPI.Comm) -> None:

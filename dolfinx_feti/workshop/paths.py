@@ -192,24 +192,19 @@ def _path(
     directions: tuple[npt.ArrayLike, npt.ArrayLike],
     measured: tuple[tuple[int, int], ...],
 ) -> MaterialTest:
-    """Return a path whose F and free entries are given in the loading frame."""
-    R = _frame(*directions)
-    units = np.zeros((len(free), 3, 3))
-    for unit, entry in zip(units, free, strict=True):
-        unit[entry] = 1.0
-    return MaterialTest(name, symbol, values, R @ F @ R.T, R @ units @ R.T, R, measured)
-
-
-def _frame(along: npt.ArrayLike, across: npt.ArrayLike) -> Array:
-    """Return e₁, e₂ and e₁ × e₂ as columns.
+    """Return a path whose F and free entries are given in the loading frame.
 
     Raises:
         ValueError: A direction is zero, or they are not normal to each other.
     """
-    e1, e2 = _unit("along", along), _unit("across", across)
+    e1, e2 = _unit("along", directions[0]), _unit("across", directions[1])
     if abs(e1 @ e2) > 1e-10:
-        raise ValueError(f"along = {along!r} and across = {across!r} are not normal to each other.")
-    return np.column_stack((e1, e2, np.cross(e1, e2)))
+        raise ValueError(f"along = {e1} and across = {e2} are not normal to each other.")
+    R = np.column_stack((e1, e2, np.cross(e1, e2)))
+    units = np.zeros((len(free), 3, 3))
+    for unit, entry in zip(units, free, strict=True):
+        unit[entry] = 1.0
+    return MaterialTest(name, symbol, values, R @ F @ R.T, R @ units @ R.T, R, measured)
 
 
 def _unit(name: str, direction: npt.ArrayLike) -> Array:
