@@ -17,11 +17,7 @@ The two families lie in the plane of ê₀ and ê₁, at ±α from the circumfer
 
     a₀,₁ = cos α ê₀ + sin α ê₁,    a₀,₂ = cos α ê₀ − sin α ê₁.
 
-Taken literally, the paper's equation (eq. 55, Augustin_eq:rotation) is (a₀,₁, −a₀,₂, ê₂) =
-(ê₀, ê₁, ê₂) R(α). The right-hand side holds the columns of a rotation, so that a₀,₁ and a₀,₂ would
-be orthogonal for every α. In the model that the paper cites (Holzapfel, Gasser, Ogden 2000), with
-29° in the media and 62° in the adventitia, α is the angle between each family and the
-circumferential direction; this module follows that model.
+This is eq. 55, Augustin_eq:rotation, but for its orthogonal families: ``docs/equations.md``.
 
 The potentials are quadratic (P2) and their gradients are taken at the centroids, which on a coarse
 tube is three times as accurate as P1.
