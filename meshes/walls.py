@@ -153,7 +153,8 @@ def _prepare(source: str | Path, size: float | None, folder: Path) -> Path:
     path = folder / (f"{source}.xdmf" if size is None else f"{source}_{size:g}.xdmf")
     sources = b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py")))
     stamp, made_by = path.with_suffix(".sha256"), hashlib.sha256(sources + repr(size).encode())
-    if not (path.is_file() and stamp.is_file() and stamp.read_text() == made_by.hexdigest()):
+    whole = all(file.is_file() for file in (path, path.with_suffix(".h5"), stamp))
+    if not (whole and stamp.read_text() == made_by.hexdigest()):
         CREATE[str(source)](path, **({} if size is None else {"size": size}))
         stamp.write_text(made_by.hexdigest())
     return path

@@ -147,12 +147,13 @@ def test_generated_walls_are_read_by_all(tmp_path):
 
 
 def test_generated_wall_is_kept_as_long_as_its_generator(tmp_path, monkeypatch):
-    """It is generated anew for another size of elements, or by other code."""
+    """It is generated anew for another size of elements, by other code, or if a file is lost."""
     folder, made = COMM.bcast(tmp_path), []
 
     def create(path, *, size):
         made.append(size)
-        path.write_text("a wall")
+        for suffix in (".xdmf", ".h5"):
+            path.with_suffix(suffix).write_text("a wall")
 
     monkeypatch.setitem(walls.CREATE, "tube", create)
 
@@ -163,7 +164,9 @@ def test_generated_wall_is_kept_as_long_as_its_generator(tmp_path, monkeypatch):
         prepare(size)
     on_first(lambda: (folder / "tube_0.4.sha256").write_text("of other code"))
     prepare(0.4 + 1e-9)
-    expected = [0.4, 0.5, 0.4 + 1e-9, 0.4 + 1e-9]
+    on_first(lambda: (folder / "tube_0.5.h5").unlink())
+    prepare(0.5)
+    expected = [0.4, 0.5, 0.4 + 1e-9, 0.4 + 1e-9, 0.5]
     agree(made == (expected if COMM.rank == 0 else []), made)
 
 
