@@ -103,8 +103,6 @@ TABLE: list[Row] = [
     (workshop.inflation, {"stretch": [1.0]}, {"axial": POSITIVE}),
     (workshop.DataSet, {"path": workshop.uniaxial([1.0]), "stress": [0.0], "measure": "piola"},
      {"weight": (*POSITIVE, "1"), "measure": ("engineering", None), "stress": ([NAN], [0.0, 1.0])}),
-    (Filling, {"volume": 1.0}, {"volume": (*POSITIVE, "1"), "axis": (2, "r")}),
-    (Filling, {}, {"windkessel": ({"drag": 1.0, "compliance": 1.0}, {"resistance": 1.0})}),
 ]  # fmt: skip
 
 
