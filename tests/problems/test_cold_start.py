@@ -19,6 +19,7 @@ import dolfinx.fem.petsc
 import ufl
 
 from dolfinx_feti import NonlinearProblem
+from dolfinx_feti.runtime.petsc_options import inserted
 
 #: Share by which the tangents' coefficients begin: size^(p/2 − 1) where u = 0.
 SMALL = 1e-4
@@ -74,11 +75,14 @@ class Scalar:
         snes.setFunction(residual, r)
         snes.setJacobian(tangent, A)
         snes.setTolerances(rtol=1e-8, atol=1e-50, stol=0.0, max_it=100)
+        snes.setOptionsPrefix("cold_")
+        with inserted("cold_", {"snes_linesearch_minlambda": 1e-30, "snes_linesearch_max_it": 100}):
+            snes.setFromOptions()  # else it gives up where the first tangent is 1e-16 of the later
         snes.getKSP().setType(PETSc.KSP.Type.PREONLY)
         snes.getKSP().getPC().setType(PETSc.PC.Type.LU)
         snes.getKSP().getPC().setFactorSolverType("mumps")
         snes.solve(None, x)
-        agree(snes.getConvergedReason() > 0)
+        agree(snes.getConvergedReason() > 0, snes.getConvergedReason())
         steps, solution = snes.getIterationNumber(), x.array.copy()
         for made in (snes, A, x, r):
             made.destroy()
