@@ -126,9 +126,10 @@ check: ## lint of what has changed since main, and the tests of identities; unde
 docs: export FENICSX_PACKAGES = docs
 docs: ## the site in build/docs/, with every demo executed, looked at in a browser; about 5 minutes
 	$(with) python3 scripts/demo_pages.py
+	$(with) python3 scripts/rooms.py --modules
 	$(with) python3 -m sphinx -W --keep-going -q docs build/docs
 	$(with) python3 scripts/look_at_site.py build/docs
 
 clean: ## remove results and caches, not the Debian trees
-	rm -rf build docs/demos output dist *.egg-info .mypy_cache .pytest_cache .ruff_cache
+	rm -rf build docs/demos docs/modules.md output dist *.egg-info .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

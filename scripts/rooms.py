@@ -7,10 +7,11 @@ The docstring of each folder's ``__init__.py`` names its modules and folders in 
 data, and the first line of a module's docstring says what it does. A number of the paper, with the
 label in its source if there is one, ``eq. 44, Augustin_eq:projection`` or ``eq. 48``, says which
 equation the module holds; files of benchmarks/ may name numbers, too. From these and from
-``paper_index.py`` docs/modules.md and the tables of docs/equations.md are written:
+``paper_index.py`` the tables of docs/equations.md are written, and for the site docs/modules.md:
 
-    python3 scripts/rooms.py            write them
-    python3 scripts/rooms.py --check    exit status 1 if one of them is out of date
+    python3 scripts/rooms.py            write the tables
+    python3 scripts/rooms.py --check    exit status 1 if they are out of date
+    python3 scripts/rooms.py --modules  write docs/modules.md
 
 ``tests/test_rooms.py`` holds the imports against the same order.
 """
@@ -180,10 +181,7 @@ def equations_page() -> str:
 def pages() -> dict[Path, str]:
     """Return what the generated pages have to hold."""
     equations = ROOT / "docs" / "equations.md"
-    return {
-        equations: between(equations, equations_page()),
-        ROOT / "docs" / "modules.md": modules_page() + "\n",
-    }
+    return {equations: between(equations, equations_page())}
 
 
 def between(path: Path, table: str) -> str:
@@ -198,6 +196,9 @@ def between(path: Path, table: str) -> str:
 
 def main(arguments: list[str]) -> int:
     """Write the pages, or say which of them are out of date."""
+    if "--modules" in arguments:
+        (ROOT / "docs" / "modules.md").write_text(modules_page() + "\n", encoding="utf-8")
+        return 0
     stale = {
         path: text for path, text in pages().items() if path.read_text(encoding="utf-8") != text
     }

@@ -142,9 +142,9 @@ def test_overview_names_every_file():
 
 
 def test_stale_page_is_noticed(monkeypatch, capsys):
-    monkeypatch.setattr(rooms, "modules_page", lambda: "another page")
+    monkeypatch.setattr(rooms, "equations_page", lambda: "another table")
     assert rooms.main(["--check"]) == 1
-    assert "modules.md is out of date" in capsys.readouterr().out
+    assert "equations.md is out of date" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("folder", ["dolfinx_feti", "benchmarks", "demos", "meshes", "tests"])
