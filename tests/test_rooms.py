@@ -147,6 +147,12 @@ def test_stale_page_is_noticed(monkeypatch, capsys):
     assert "equations.md is out of date" in capsys.readouterr().out
 
 
+def test_no_two_test_files_have_one_name():
+    """Pytest imports them by their names."""
+    names = [path.name for path in files("tests") if path.name.startswith("test_")]
+    assert len(names) == len(set(names)), sorted(n for n in names if names.count(n) > 1)
+
+
 @pytest.mark.parametrize("folder", ["dolfinx_feti", "benchmarks", "demos", "meshes", "tests"])
 def test_no_file_is_long(folder):
     long = {p.name: n for p in files(folder) if (n := len(p.read_text().splitlines())) > LONGEST}
