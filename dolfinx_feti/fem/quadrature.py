@@ -28,8 +28,8 @@ __all__ = [
     "same_points",
 ]
 
-#: Under type and part of the domain of integrals, whether a degree is stated, and the degree.
-Degrees = dict[tuple[str, object], tuple[bool, int]]
+#: Under type and part of the domain of integrals, their degree.
+Degrees = dict[tuple[str, object], int]
 
 
 def limit_quadrature_degree(form: ufl.Form, degree: int | None = None) -> ufl.Form:
@@ -57,7 +57,8 @@ def limit_quadrature_degree(form: ufl.Form, degree: int | None = None) -> ufl.Fo
 
 def estimated_quadrature_degree(form: ufl.Form) -> int:
     """Return the highest degree that UFL estimates for integrals that state none; 0 for none."""
-    return max((d for stated, d in _degrees(form).values() if not stated), default=0)
+    estimated = [i for i in form.integrals() if _stated(i.metadata()) < 0]
+    return max(_degrees(ufl.Form(estimated)).values(), default=0)
 
 
 def match_quadrature_degree(energy: ufl.Form, residual: ufl.Form) -> ufl.Form:
@@ -70,7 +71,8 @@ def match_quadrature_degree(energy: ufl.Form, residual: ufl.Form) -> ufl.Form:
         energy: Π(u).
         residual: Its derivative, and perhaps other terms.
     """
-    known = _degrees(residual)
+    kinds = {i.integral_type() for i in energy.integrals() if not _states(i.metadata())}
+    known = _degrees(ufl.Form([i for i in residual.integrals() if i.integral_type() in kinds]))
     return ufl.Form([_match(integral, known) for integral in energy.integrals()])
 
 
@@ -78,7 +80,7 @@ def _match(integral: ufl.Integral, known: Degrees) -> ufl.Integral:
     """The integral with the degree that is known for its type and part of the domain."""
     parts = integral.subdomain_id()
     kind, parts = integral.integral_type(), parts if isinstance(parts, tuple) else (parts,)
-    found = [known[kind, part][1] for part in parts if (kind, part) in known]
+    found = [known[kind, part] for part in parts if (kind, part) in known]
     if _states(integral.metadata()) or not found:
         return integral
     return _with_degree(integral, max(found))
@@ -99,21 +101,26 @@ def _degrees(form: ufl.Form) -> Degrees:
         candidates = [_degree(integral.metadata()) for integral in group.integrals]
         for part in group.subdomain_id:
             key = (group.integral_type, "everywhere" if part == "otherwise" else part)
-            found[key] = min(candidates, key=lambda known: (known[0], -known[1]))
+            found[key] = min(candidates, key=lambda known: (known[0], -known[1]))[1]
     return found
 
 
 def _degree(metadata: Mapping[str, Any]) -> tuple[bool, int]:
     """Return whether an integral states its degree, and the stated or estimated degree."""
-    stated = int(metadata.get("quadrature_degree", -1))  # FFCx takes a negative one for none
+    stated = _stated(metadata)
     if stated >= 0:
         return True, stated
     return False, int(np.max(metadata["estimated_polynomial_degree"]))
 
 
+def _stated(metadata: Mapping[str, Any]) -> int:
+    """Return the degree that an integral states; a negative one for none, as in FFCx."""
+    return int(metadata.get("quadrature_degree", -1))
+
+
 def _states(metadata: Mapping[str, Any]) -> bool:
     """Return whether an integral states its quadrature."""
-    return "quadrature_rule" in metadata or int(metadata.get("quadrature_degree", -1)) >= 0
+    return "quadrature_rule" in metadata or _stated(metadata) >= 0
 
 
 def _with_degree(integral: ufl.Integral, degree: int) -> ufl.Integral:
