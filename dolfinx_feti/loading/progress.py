@@ -38,6 +38,12 @@ def _report(snes: PETSc.SNES, its: int, norm: float) -> None:
         progress.newton(its, norm)
 
 
+class _Bar(tqdm):  # type: ignore[type-arg]
+    """Without tqdm's thread, which at exit waits for ever for the lock of a bar that has failed."""
+
+    monitor_interval = 0
+
+
 class Progress:
     """Says on the first process how far the load has come, and lets signals end it on all.
 
@@ -70,7 +76,7 @@ class Progress:
         self._goal, self._number = f"{loads[-1]:g} {unit}".rstrip(), number
         self._recent: list[LoadStep] = []
         self._snes, self._first, self._interrupts = snes, comm.rank == 0, interrupts
-        self._bar = tqdm(disable=True)
+        self._bar = _Bar(disable=True)
         if self._first and sys.stderr.isatty():
             self._show(self._open)
         if not any(monitor is _report for monitor, _, _ in snes.getMonitor() or []):
@@ -130,7 +136,7 @@ class Progress:
             logger.info(text)
 
     def _open(self) -> None:
-        self._bar = tqdm(
+        self._bar = _Bar(
             total=self._length,
             file=sys.stderr,
             leave=False,

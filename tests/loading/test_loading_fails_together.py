@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import io
+import threading
 from types import SimpleNamespace
 
 import pytest
 from collective import COMM, agree, equal, raises
 from played import truth
 from states import opened
+from tqdm import TMonitor
 
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.steps import Steps
@@ -80,6 +82,8 @@ def test_terminal_of_the_first_process(error, played, monkeypatch):
     monkeypatch.setattr("dolfinx_feti.loading.progress.sys", SimpleNamespace(stderr=screen))
     steps = played(cost=lambda increment: 2).follow([1.0], STEPS)
     agree(steps[-1].load == 1.0 and (screen.tried > 0) == (COMM.rank == 0))
+    # A thread of tqdm's would wait at exit for the lock that a failed write has left.
+    agree(not [each for each in threading.enumerate() if isinstance(each, TMonitor)])
 
 
 def test_parameters_of_a_checkpoint(tmp_path):
