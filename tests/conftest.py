@@ -63,6 +63,7 @@ AT_MOST_TWO = [
         "meshes",
         "output",
         "problems",
+        "scalars/test_windkessel.py",
         "wall/test_conditions.py",
         "wall/test_curved_wall.py",
     )
