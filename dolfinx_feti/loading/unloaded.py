@@ -119,7 +119,11 @@ def unload(
         checkpoint=checkpoint,
         unit=unit,
     )
-    unloading.move()
+    try:
+        unloading.move()
+    except BaseException:
+        unloading.move_back()
+        raise
     return accepted
 
 
@@ -159,6 +163,14 @@ class _Unloading(FixedPoint):
         if self._on_move is not None:
             on_all(self._on_move, self._comm)
 
+    def move_back(self) -> None:
+        """Move mesh and fibres to the image."""
+        self._nodes.mesh.geometry.x[:] = self._nodes.first
+        for a, image, _ in self._fibres:
+            a.x.array[:] = image
+        if self._on_move is not None:
+            on_all(self._on_move, self._comm)
+
     def _place(self) -> None:
         """Move the nodes alone."""
         self._nodes.mesh.geometry.x[:] = self._nodes.first - self._nodes.displacement(self.u)
@@ -170,11 +182,7 @@ class _Unloading(FixedPoint):
             self.move()
             yield
         finally:
-            self._nodes.mesh.geometry.x[:] = self._nodes.first
-            for a, image, _ in self._fibres:
-                a.x.array[:] = image
-            if self._on_move is not None:
-                on_all(self._on_move, self._comm)
+            self.move_back()
 
     def solve(
         self,

@@ -148,6 +148,28 @@ def test_failure_leaves_the_image():
     agree(float(scan.body.load.value) == 0.0 and not scan.body.u.x.array.any())
 
 
+@pytest.mark.processes(1, 2)
+def test_failure_of_the_last_move_leaves_the_image():
+    """When on_move raises after the last solve; it is called once more, for the image."""
+    moves = []
+    whole = Scan()
+    load = (whole.problem, whole.set_load, [10.0], STEPS)
+    unload(*load, **whole.arguments, on_move=lambda: moves.append(None))
+    scan, last = Scan(), len(moves)
+    moves.clear()
+
+    def on_move() -> None:
+        moves.append(scan.mesh.geometry.x.copy())
+        if len(moves) == last and COMM.rank == COMM.size - 1:
+            raise ZeroDivisionError("the last move")
+
+    with raises(ZeroDivisionError, "the last move"):
+        unload(scan.problem, scan.set_load, [10.0], STEPS, **scan.arguments, on_move=on_move)
+    agree(len(moves) == last + 1 and np.any(moves[-2] != scan.nodes.first))
+    equal(moves[-1], scan.nodes.first)
+    equal(scan.mesh.geometry.x, scan.nodes.first)
+
+
 def test_bad_tolerance():
     scan = Scan()
     for tolerance in (0.0, -1.0, np.nan):
