@@ -20,7 +20,6 @@ from dolfinx_feti.diagnosis.result import Diagnosis
 from dolfinx_feti.diagnosis.run import diagnose
 from dolfinx_feti.fem.assembly import dirichlet_mask, prescribe
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.condensation import Blocks
 from dolfinx_feti.fem.decomposition import decompose, suggested_number
 from dolfinx_feti.problems.arguments import agreed_prefix, checked_conditions, warn_unused
 from dolfinx_feti.problems.forms import Forms
@@ -156,26 +155,6 @@ class TornProblem:
     def condenses(self) -> bool:
         """Whether fields are condensed."""
         return self._system.condensation is not None
-
-    def condensed_blocks(self) -> tuple[npt.NDArray[np.int32], Blocks]:
-        """Assemble what was condensed into the matrix, at the present state.
-
-        Returns:
-            Global dofs of u in each owned cell, (cells, d), and the blocks K_up, K_pp⁻¹ K_pu and
-            K_pp⁻¹ r_p there.
-
-        Raises:
-            ValueError: Nothing is condensed.
-
-        Note:
-            Collective.
-        """
-        condensation = self._system.condensation
-        if condensation is None:
-            raise ValueError("No field of this problem is condensed.")
-        torn = condensation.dofs()
-        dofs = self.A.getLGMap()[0].apply(torn.ravel()).reshape(torn.shape)
-        return dofs, on_all(condensation.assemble, self.A.comm.tompi4py())
 
     def _approximation(self) -> npt.NDArray[np.float64] | float:
         """Return the x of the present state, (owned,), or one value for all."""

@@ -94,6 +94,7 @@ def solve(
         The local part of the best iterate, and how the method ended.
     """
     ksp = _create_ksp(system.comm, method.type, method.prefix, directions=max_it)
+    # Not the system itself: PETSc destroys its contexts, and the system outlives this solve.
     context = SimpleNamespace(mult=system.mult, apply=system.apply)
     mat = PETSc.Mat().createPython(((system.size, None),) * 2, context, comm=system.comm)
     mat.setUp()
