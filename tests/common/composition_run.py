@@ -3,10 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A path with all that there is, as a program that tests kill: the block that is one scalar.
 
-    python3 composition_run.py FOLDER KIND [SECONDS RANK]
+    python3 composition_run.py FOLDER KIND [STEPS RANK]
 
 The kind is `equilibria` or `inertia`. It goes on from the checkpoint in the folder, if there is
-one, and writes its end to `FOLDER.npz`; so long after its first step one process kills itself.
+one, and writes its end to `FOLDER.npz`. After so many of its 60 steps, such as 3.7, one process
+kills itself: four steps are balanced then, and 0.3 of the time of a step has gone by.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 
 from mpi4py import MPI
@@ -27,22 +29,24 @@ from dolfinx_feti.loading import Checkpoint
 COMM = MPI.COMM_WORLD
 
 
-def main(folder: Path, kind: str, seconds: str = "inf", rank: str = "0") -> None:
+def main(folder: Path, kind: str, steps: str = "inf", rank: str = "0") -> None:
     """Go on to the end, or to a sudden one."""
     law = Law(0.8 if kind == "inertia" else None, share=0.5, viscosity=0.3, base=0.1, pressure=0.4)
     block = Block(COMM, law.inertia)
     block.reset(law)
     checkpoint = Checkpoint(folder, COMM, restart=COMM.bcast((folder / "state.npz").exists()))
-    killer = threading.Timer(float(seconds), lambda: os.kill(os.getpid(), signal.SIGKILL))
+    left, shown = float(steps), [time.monotonic()]
 
     def on_step(step: object) -> None:
-        if seconds != "inf" and COMM.rank == int(rank) and not killer.is_alive():
-            killer.start()
+        shown.append(time.monotonic())
+        if COMM.rank == int(rank) and left <= len(shown) - 1 < left + 1.0:
+            moment = (shown[-1] - shown[-2]) * (len(shown) - 1 - left)
+            threading.Timer(moment, lambda: os.kill(os.getpid(), signal.SIGKILL)).start()
 
-    steps = block.follow(law, [0.3, 0.6], 0.01, growth=1.0, checkpoint=checkpoint, on_step=on_step)
+    path = block.follow(law, [0.3, 0.6], 0.01, growth=1.0, checkpoint=checkpoint, on_step=on_step)
     found = [*block.face(), *block.remembered()]
     if COMM.rank == 0:
-        np.savez(folder.with_suffix(".npz"), found=found, path=[step.load for step in steps])
+        np.savez(folder.with_suffix(".npz"), found=found, path=[step.load for step in path])
 
 
 if __name__ == "__main__":

@@ -281,7 +281,7 @@ def test_killed_and_restarted(tmp_path, kind):
     finish(start("composition_run.py", tmp_path / "whole", kind))
     random, killed = np.random.default_rng(len(kind)), 0
     for n in (1, 2, 3):
-        words = (tmp_path / "parts", kind, random.uniform(0.05, 0.6), random.integers(n))
+        words = (tmp_path / "parts", kind, random.uniform(1.5, 15.0), random.integers(n))
         process = start("composition_run.py", *words, processes=n)
         process.communicate(timeout=120)
         killed += process.returncode != 0
