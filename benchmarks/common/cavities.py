@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Nearly incompressible neo-Hookean bodies with cavities: a balloon, a tube, a block with holes."""
+"""Nearly incompressible neo-Hookean bodies with cavities: a tube, a block with holes."""
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ from dolfinx_feti import NonlinearProblem, kinematics, materials
 from dolfinx_feti.mechanics.loads import pressure_potential
 from dolfinx_feti.scalars import Cavity
 from dolfinx_feti.scalars.equations import Coupling
-from meshes.octant import create_octant
 
-__all__ = ["Body", "create_balloon", "create_block", "create_tube"]
+__all__ = ["Body", "create_block", "create_tube"]
 
 Array = npt.NDArray[np.float64]
 Marker = Callable[[Array], npt.NDArray[np.bool_]]
@@ -46,25 +45,15 @@ class Body:
         self,
         scalars: Sequence[Coupling],
         pressures: dict[int, dolfinx.fem.Constant] | None = None,
-        *,
-        subdomains: int = 16,
-        extra: ufl.Form | None = None,
     ) -> NonlinearProblem:
         """Return the problem with scalars, and given pressures in cavities by their number."""
-        energy = self.energy if extra is None else self.energy + extra
+        energy = self.energy
         for k, pressure in (pressures or {}).items():
             energy += pressure_potential(pressure, self.u, self.surfaces[k], self.axis)
         return NonlinearProblem(
-            energy, self.u, bcs=self.bcs, condense=self.p, scalars=scalars, subdomains=subdomains,
+            energy, self.u, bcs=self.bcs, condense=self.p, scalars=scalars, subdomains=16,
             quadrature_degree=4, petsc_options=OPTIONS,
         )  # fmt: skip
-
-
-def create_balloon(comm: MPI.Comm, *, held: bool = True) -> Body:
-    """Return an octant of a hollow sphere, radii 1 and 1.1 mm, in planes of symmetry or free."""
-    planes = [(0, 0.0), (1, 0.0), (2, 0.0)] if held else []
-    inner = [lambda x: np.isclose(np.linalg.norm(x, axis=0), 1.0)]
-    return _body(create_octant(comm, 5, 1), planes, inner, ("DG", 0))
 
 
 def create_tube(comm: MPI.Comm) -> Body:
