@@ -134,8 +134,9 @@ def decompose(
     n_cells = mesh.topology.index_map(mesh.topology.dim).size_local
     graph = _facet_graph(mesh, n_cells)
     if isinstance(subdomains, (int, np.integer)):
-        _check_number(int(subdomains), comm.allreduce(n_cells))
-        part = _partition(graph, _share(int(subdomains), n_cells, comm), seed)
+        cells = np.array(comm.allgather(n_cells), dtype=np.int64)
+        _check_number(int(subdomains), int(cells.sum()))
+        part = _partition(graph, int(_shares(int(subdomains), cells)[comm.rank]), seed)
         part = _join_splinters(graph, part)
     else:
         part = _check_parts(np.asarray(subdomains), n_cells, comm)
@@ -205,12 +206,16 @@ def _check_seed(seed: int, comm: MPI.Comm) -> None:
         raise ValueError(f"seed is {seed!r}: give zero or a positive integer.")
 
 
-def _share(subdomains: int, n_cells: int, comm: MPI.Comm) -> int:
-    """Return this process's number of subdomains, in proportion to its cells."""
-    last = comm.scan(n_cells)  # type: ignore[attr-defined]
-    total = comm.allreduce(n_cells)
-    ends = [round(subdomains * cells / total) for cells in (last - n_cells, last)]
-    return min(max(ends[1] - ends[0], 1), n_cells)
+def _shares(subdomains: int, cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return each process's number of subdomains, in proportion to its cells, (processes,).
+
+    Those that are left over by rounding down go to the largest remainders: of a multiple of the
+    processes each has as many, if its cells are the mean to within half of a subdomain's.
+    """
+    due = subdomains * cells / cells.sum()
+    shares = np.floor(due).astype(np.int64)
+    shares[np.argsort(shares - due, kind="stable")[: subdomains - shares.sum()]] += 1
+    return np.minimum(np.maximum(shares, 1), cells)
 
 
 def _facet_graph(mesh: dolfinx.mesh.Mesh, n_cells: int) -> scipy.sparse.csr_array:

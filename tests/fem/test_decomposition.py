@@ -79,6 +79,19 @@ def test_every_cell_a_subdomain():
     agree(decomposition.count == cells(mesh))
 
 
+@pytest.mark.parametrize("processes", [2, 16, 512])
+@pytest.mark.parametrize("each", [1, 2, 7])
+def test_processes_of_about_as_many_cells_have_as_many_subdomains(processes, each):
+    """Otherwise the others wait; ends that are rounded from one process to the next drift."""
+    cells = 1000 + np.random.default_rng(SEED).integers(-60, 60, processes)
+    agree(np.all(decomposition._shares(each * processes, cells) == each))
+
+
+def test_shares_are_in_proportion_to_cells():
+    agree(decomposition._shares(8, np.array([300, 100, 0])).tolist() == [6, 2, 0])
+    agree(decomposition._shares(7, np.array([300, 100, 3])).tolist() == [5, 2, 1])
+
+
 def test_subdomains_are_numbered_from_process_to_process():
     decomposition = decompose(cube(2, 6), 9)
     counts = COMM.allgather(decomposition.count)
