@@ -4,5 +4,5 @@
 """What the studies share: the harness, the machine, bodies, walls, pictures, the paper's tables.
 
 In the order of the data: paper, machine, records, command, pages, plots, study, clock, bodies,
-cavities, cube, walls, compare, scaling, verification.
+direct, cavities, cube, walls, compare, scaling, verification.
 """

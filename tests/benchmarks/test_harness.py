@@ -224,7 +224,6 @@ def test_page_of_no_records(tmp_path, capsys, text):
         (scaling, "--processes 1 --count 64 --subdomains 8", "as many --subdomains"),
         (verification, "--part tube --pressures 100,10", "[100.0, 10.0] do not rise"),
         (verification, "--part tube --element q9", "invalid choice: 'q9'"),
-        (verification, "--part tube --element p2-p1 --augmented", "p2-p1 goes without --augmented"),
         (verification, "--part bone", "'bone' is none of: published, tube, inf-sup"),
         (verification, "--part inf-sup --pair q3-p2", "'q3-p2' is none of"),
         (random_walls, "--seeds -1", "not a number 1, 2, 3"),

@@ -150,17 +150,6 @@ def test_second_order_elements():
 
 
 @pytest.mark.serial
-def test_taylor_hood_on_the_same_cells():
-    """MUMPS on u and p together leads to the same tube, with less accurate stresses."""
-    words = ("--pressures", "5,10", "--kappa", 1e5)
-    (_, record), (_, ours) = (inflated(*words, "--element", e) for e in ("q2-q1", "q2-p1d"))
-    agree(record["linear_methods"] == ["mumps"] and record["steps"] == 2, record)
-    agree(record["newton_iterations"] == record["linear_iterations"] and record["dofs"] > 0)
-    small(record["u_r_inner"] / ours["u_r_inner"] - 1.0, 0.01)
-    agree(ours["recovered_tt_error"] < record["recovered_tt_error"] < 0.1, record)
-
-
-@pytest.mark.serial
 def test_multipliers_keep_the_volume():
     """Of each cell, in the mean."""
     (record,) = inflated("--pressures", 4, "--augmented")

@@ -27,8 +27,8 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
+from benchmarks.common.direct import create_newton
 from benchmarks.common.verification.ellipsoid import fraction, helix, meridian
-from benchmarks.common.walls.mixed import create_newton
 from dolfinx_feti import materials
 from meshes.bricks import lattice_cells
 

@@ -22,6 +22,7 @@ from benchmarks.common.walls.inflated_tube import (
     residual_part,
 )
 from benchmarks.common.walls.oracle import KPA_PER_MMHG, LAYERS, Wall, inflate
+from benchmarks.common.walls.problem import PLANES
 from dolfinx_feti.wall import Wall as Mesh
 from dolfinx_feti.wall import facets
 from dolfinx_feti.wall.opening import Opening
@@ -61,8 +62,7 @@ def create_stressed_tube(
     def set_load(share: float) -> None:
         body.pressure.value = share * PRESSURE
 
-    planes = {"opening_1": 2, "opening_2": 2, "symmetry_x": 0, "symmetry_y": 1}
-    held = [(component, facets(wall, name)) for name, component in planes.items()]
+    held = [(component, facets(wall, name)) for name, component in PLANES.items()]
     residuals = (body.residual, body.constraint)
     return Body(body.u, body.p, residuals, held, body.problem, set_load, measure)
 

@@ -3,6 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Artery walls under pressure.
 
-In the order of the data: oracle, supports, problem, clamped, mixed, inflated_tube, volume, rims,
+In the order of the data: oracle, problem, clamped, inflated_tube, volume, rims,
 first_step.
 """

@@ -4,9 +4,8 @@
 """A quarter of the two-layer tube at a given length, and how far it is from the truth.
 
 Its elements are those of :data:`ELEMENTS`: P2–P0 on tetrahedra with straight edges, and on curved
-cells Q2–P1 and quadratic tetrahedra with bubbles, whose pressure is linear in each cell, or linear
-and continuous, as Taylor and Hood have it. It slides in the planes of its ends and of symmetry
-(:mod:`benchmarks.common.walls.supports`), so that it remains a tube, and
+cells Q2–P1 and quadratic tetrahedra with bubbles, whose pressure is linear in each cell. It slides
+in the planes of its ends and of symmetry, so that it remains a tube, and
 :mod:`benchmarks.common.walls.oracle` knows its radius, volume and stress.
 """
 
@@ -27,10 +26,8 @@ import ufl
 from ufl.core.expr import Expr
 
 from benchmarks.common.walls.clamped import INTERFACE, tube_fibres
-from benchmarks.common.walls.mixed import TaylorHood
 from benchmarks.common.walls.oracle import Layer, Tube
-from benchmarks.common.walls.problem import WallProblem, create_wall_problem
-from benchmarks.common.walls.supports import slide
+from benchmarks.common.walls.problem import WallProblem, create_wall_problem, slide
 from dolfinx_feti import kinematics
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
 from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
@@ -82,8 +79,6 @@ ELEMENTS = {
     "p2-p0": Element(2),
     "q2-p1d": Element(2, ("DPC", 1), bricks=(5, 1, 8), tetrahedra=False),
     "p2b-p1d": Element(3, ("DG", 1), bricks=(5, 1, 4), bubbles=True),
-    "p2-p1": Element(2, ("Lagrange", 1), bricks=(5, 1, 8)),
-    "q2-q1": Element(2, ("Lagrange", 1), bricks=(5, 1, 8), tetrahedra=False),
 }
 OUTER_RADIUS = INTERFACE + ADVENTITIA
 
@@ -92,7 +87,7 @@ OUTER_RADIUS = INTERFACE + ADVENTITIA
 class InflatedTube:
     """The problem of a tube, and what is compared."""
 
-    body: WallProblem | TaylorHood
+    body: WallProblem
     frame: tuple[Expr, Expr]  # e_r and e_θ in the reference
     patches: Patches | None  # where the stress is recovered, layer by layer; not where it need not
     points: Array  # of the quadrature in the reference cell, (points, 3)
@@ -194,34 +189,29 @@ def create_inflated_tube(
     subdomains: int,
     element: str = "p2-p0",
     volume_tolerance: float | None = None,
-    options: dict[str, object] | None = None,
     G: Expr | None = None,
 ) -> InflatedTube:
-    """Build the tube on a wall of :func:`create_slice`; the options have the prefix ``tube_``.
+    """Build the tube on a wall of :func:`create_slice`; PETSc options have the prefix ``tube_``.
 
     G is the part of its deformation without energy, as of :func:`residual_part`.
     """
     mesh, kind = wall.mesh, ELEMENTS[element]
     fibres = tube_fibres(mesh) if kind.bricks is None else _helices(wall)
-    body = (
-        TaylorHood(wall, c=c, kappa=kappa, fibres=fibres)
-        if kind.pressures[0] == "Lagrange"
-        else create_wall_problem(
-            wall,
-            degree=kind.degree,
-            pressures=kind.pressures,
-            element=(quadratic_with_bubbles("tetrahedron", faces=True) if kind.bubbles else None),
-            volume_tolerance=volume_tolerance,
-            c=c,
-            kappa=kappa,
-            subdomains=subdomains,
-            options=options or {},
-            prefix="tube_",
-            fibres=fibres,
-            G=G,
-            hold=slide,
-            axis=(0.0, 0.0, 1.0),
-        )
+    body = create_wall_problem(
+        wall,
+        degree=kind.degree,
+        pressures=kind.pressures,
+        element=quadratic_with_bubbles("tetrahedron", faces=True) if kind.bubbles else None,
+        volume_tolerance=volume_tolerance,
+        c=c,
+        kappa=kappa,
+        subdomains=subdomains,
+        options={},
+        prefix="tube_",
+        fibres=fibres,
+        G=G,
+        hold=slide,
+        axis=(0.0, 0.0, 1.0),
     )
     r, e_r, e_t = _polar(mesh)
     cell = getattr(basix.CellType, mesh.topology.cell_name())

@@ -19,15 +19,19 @@ import ufl
 from ufl.core.expr import Expr
 
 import dolfinx_feti
-from benchmarks.common.walls.supports import Hold, clamp_openings
 from dolfinx_feti import kinematics, loads, materials
 from dolfinx_feti.fem.quadrature import limit_quadrature_degree
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
 from dolfinx_feti.mechanics.residual_stress import elastic_part
-from dolfinx_feti.wall import Wall, surface_measure
+from dolfinx_feti.wall import Wall, facets, openings, surface_measure
 from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
 
-__all__ = ["WallProblem", "create_wall_problem", "right_hand_side", "wall_energy"]
+__all__ = ["WallProblem", "clamp_openings", "create_wall_problem", "right_hand_side", "slide"]
+
+Hold = Callable[[Wall, dolfinx.fem.FunctionSpace], list[dolfinx.fem.DirichletBC]]
+
+#: Surfaces of a quarter of a tube, and the component that is held there.
+PLANES = {"opening_1": 2, "opening_2": 2, "symmetry_x": 0, "symmetry_y": 1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,23 +92,21 @@ def right_hand_side(body: WallProblem) -> PETSc.Vec:
     return b
 
 
-def wall_energy(
-    wall: Wall,
-    F: Expr,
-    p: Expr,
-    *,
-    c: float,
-    kappa: float,
-    fibres: tuple[Expr, Expr] | None,
-    G: Expr | None = None,
-) -> Expr:
-    """Return the energy Ψ(F, p) of the wall's tissue [kPa], with the residual stress of a G."""
-    a1, a2 = fibres or fibre_families(wall, fibre_frame(wall))
-    F = F if G is None else elastic_part(F, G)
-    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
-    artery = materials.ArteryParameters(c=c)
-    psi = materials.holzapfel_gasser_ogden(C, a1, a2, c=artery.c, k1=artery.k1, k2=artery.k2, J=J)
-    return psi + materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(wall.mesh, kappa))
+def clamp_openings(wall: Wall, V: dolfinx.fem.FunctionSpace) -> list[dolfinx.fem.DirichletBC]:
+    """Hold the rims of all openings."""
+    rims = np.concatenate([facets(wall, name) for name in openings(wall)])
+    dofs = dolfinx.fem.locate_dofs_topological(V, 2, rims)
+    return [dolfinx.fem.dirichletbc(np.zeros(3), dofs, V)]
+
+
+def slide(wall: Wall, V: dolfinx.fem.FunctionSpace) -> list[dolfinx.fem.DirichletBC]:
+    """Let the ends of a quarter of a tube slide, and its planes of symmetry."""
+    bcs = []
+    for name, component in PLANES.items():
+        part = V.sub(component)
+        dofs = dolfinx.fem.locate_dofs_topological(part, 2, facets(wall, name))
+        bcs.append(dolfinx.fem.dirichletbc(0.0, dofs, part))
+    return bcs
 
 
 def create_wall_problem(
@@ -155,7 +157,12 @@ def create_wall_problem(
     u, p = dolfinx.fem.Function(V, name="u"), dolfinx.fem.Function(Q, name="p")
     v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
     F = kinematics.deformation_gradient(u)
-    psi = wall_energy(wall, F, p, c=c, kappa=kappa, fibres=fibres, G=G)
+    artery = materials.ArteryParameters(c=c)
+    a1, a2 = fibres or fibre_families(wall, fibre_frame(wall))
+    E = F if G is None else elastic_part(F, G)
+    C, J = kinematics.right_cauchy_green(E), kinematics.jacobian(E)
+    psi = materials.holzapfel_gasser_ogden(C, a1, a2, c=artery.c, k1=artery.k1, k2=artery.k2, J=J)
+    psi += materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(wall.mesh, kappa))
     energy = psi * ufl.dx
     lumen = surface_measure(wall)(wall.surfaces["lumen"])
     pressure = dolfinx.fem.Constant(wall.mesh, 0.0)
