@@ -26,6 +26,7 @@ import numpy.typing as npt
 from dolfinx_feti.feti.form import Form
 from dolfinx_feti.feti.report import Report
 from dolfinx_feti.runtime.collective import join
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Figures", "Spread", "collect_figures", "residual_shares"]
@@ -134,12 +135,11 @@ def residual_shares(A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> Array:
     Note:
         Collective.
     """
-    torn = Torn(A)
-    r = torn.residual(b, x)
-    squares = torn.tear(r) ** 2 / _copies(torn)
-    parts = join([squares[dofs].sum() for dofs in torn.subdomains], torn.comm)
-    r.destroy()
-    torn.destroy()
+    with Lifetime() as owned:
+        torn, r = owned.own(Torn(A)), owned.own(b.duplicate())
+        torn.residual(b, x, r)
+        squares = torn.tear(r) ** 2 / _copies(torn)
+        parts = join([squares[dofs].sum() for dofs in torn.subdomains], torn.comm)
     return np.sqrt(parts)
 
 

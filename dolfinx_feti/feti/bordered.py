@@ -34,6 +34,7 @@ import scipy.linalg
 from dolfinx_feti.feti.gluing.bodies import find_bodies
 from dolfinx_feti.feti.regularity.motions import free_motions
 from dolfinx_feti.runtime.collective import on_all, total_of
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Border", "BorderedSolver", "solved"]
@@ -102,15 +103,14 @@ class BorderedSolver:
         m, context = len(d), ksp.getPythonContext()
         self.iterations, self.message = 0, ""
         free = _free(A)
-        if self._springs is None:
-            self._springs = _Springs(A)
-        self._springs.add(A)
+        springs = self._springs = self._springs or _Springs(A)
+        springs.add(A)
         y = self._solved(ksp, A, b)
-        if context.singular and not self._springs.count:  # its supports have gone
-            self._springs = _Springs(A)
-            self._springs.add(A)
+        if context.singular and not springs.count:  # its supports have gone
+            springs = self._springs = _Springs(A)
+            springs.add(A)
             y = self._solved(ksp, A, b)
-        whole = self._springs.extended(border)
+        whole = on_all(lambda: springs.extended(border), A.comm.tompi4py())
         X, s, share = self._eliminated(ksp, A, b, y, whole, d, free)
         context.iterations = self.iterations
         if self.message:
@@ -194,14 +194,12 @@ class BorderedSolver:
 
 def solved(ksp: PETSc.KSP, A: PETSc.Mat, b: Array) -> Array:
     """Solve A x = b; return x, (owned,). Collective."""
-    rhs, x = A.createVecs()
-    rhs.array[:] = b
-    ksp.setOperators(A)
-    ksp.solve(rhs, x)
-    solution = x.array_r.copy()
-    rhs.destroy()
-    x.destroy()
-    return solution
+    with Lifetime() as owned:
+        rhs, x = map(owned.own, A.createVecs())
+        rhs.array[:] = b
+        ksp.setOperators(A)
+        ksp.solve(rhs, x)
+        return x.array_r.copy()
 
 
 class _Springs:
@@ -214,7 +212,12 @@ class _Springs:
 
     def __init__(self, A: PETSc.Mat) -> None:
         """Choose the dofs. Collective."""
-        torn = Torn(A)
+        self._state = -1
+        with Lifetime() as owned:
+            self._choose(owned.own(Torn(A)))
+
+    def _choose(self, torn: Torn) -> None:
+        """Choose the dofs, their stiffness, and the start. Collective."""
         comm, W = torn.comm, _free_motions(torn)
         self.count = k = W.shape[1]
         own = on_all(lambda: _pivots(W, k), comm)
@@ -232,8 +235,6 @@ class _Springs:
         held = comm.allreduce(E.T @ W)  # Eᵀ W
         share = 1.0 / _torn(torn, torn.multiplicity())
         self.start = -_assembled(torn, share[:, None] * W) @ np.linalg.inv(held) / self._κ
-        self._state = -1
-        torn.destroy()
 
     def add(self, A: PETSc.Mat) -> None:
         """Add the springs to the diagonal of a matrix that has been assembled anew."""

@@ -35,6 +35,7 @@ from dolfinx_feti.feti.solution import CURVATURE, Solution
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.runtime.collective import raise_deferred
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.null_space import take_out
 from dolfinx_feti.torn.rounding import residual_rounding
 
@@ -261,8 +262,8 @@ class FETI:
             x.set(0.0)
             return Solution(Reason.DIVERGED_INDEFINITE_MAT)
         try:
-            with event("FETISolve"):
-                attempt = self._solve(ksp, form, b, x, spent)
+            with event("FETISolve"), Lifetime() as owned:
+                attempt = self._solve(ksp, form, b, x, owned.own(b.duplicate()), spent)
         except SetUpError as error:  # a coarse solver that took the place of another one
             self._tell(error)
             x.set(0.0)
@@ -272,9 +273,9 @@ class FETI:
         return attempt
 
     def _solve(
-        self, ksp: PETSc.KSP, form: Form, b: PETSc.Vec, x: PETSc.Vec, spent: int
+        self, ksp: PETSc.KSP, form: Form, b: PETSc.Vec, x: PETSc.Vec, r: PETSc.Vec, spent: int
     ) -> Solution:
-        """Solve with a form of the method, and start afresh on the residual until it is small."""
+        """Solve with a form of the method, and start afresh on the residual r until it is small."""
         assert self._lasting is not None
         torn, delta = form.pattern.torn, form.delta
         rtol, atol, _, max_it = ksp.getTolerances()
@@ -283,7 +284,7 @@ class FETI:
             return self._judged(Solution(Reason.DIVERGED_NANORINF), form, enough=False)
         u_D = np.where(torn.dirichlet, torn.tear(b), 0.0)
         x.array[:] = torn.assemble(delta * u_D)  # x_D
-        r = torn.residual(b, x)
+        torn.residual(b, x, r)
         scale = r.norm()
         along = take_out(torn.A, r)
         if along > COMPATIBLE * scale:
@@ -312,9 +313,8 @@ class FETI:
             ksp.setIterationNumber(spent + iterations)
             before = x.array_r.copy()
             x.array[:] += torn.assemble(delta * u)
-            r.destroy()
             on_subdomains(raise_deferred, torn.comm)
-            r = torn.residual(b, x)
+            torn.residual(b, x, r)
             take_out(torn.A, r)
             last, norm = norm, r.norm()
             if not norm <= last:  # what was there before is better
@@ -325,7 +325,6 @@ class FETI:
             if solution.reason < 0 or form.users_test or enough or norm > GAIN * last:
                 break
             u_D = np.zeros_like(u_D)
-        r.destroy()
         take_out(torn.A, x)
         ksp.setResidualNorm(norm if np.isfinite(norm) else np.inf)
         floor, scale = ROUNDED * rounding, scale or 1.0

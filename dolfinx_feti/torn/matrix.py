@@ -293,13 +293,11 @@ class Torn:
         self._sf.reduceEnd(MPI.DOUBLE, leaf, root, MPI.SUM)
         return root  # Tᵀ t
 
-    def residual(self, b: PETSc.Vec, x: PETSc.Vec) -> PETSc.Vec:
-        """Return b − A x, (N,), zero on Dirichlet dofs; the caller destroys it. Collective."""
-        r = b.duplicate()
+    def residual(self, b: PETSc.Vec, x: PETSc.Vec, r: PETSc.Vec) -> None:
+        """Let r be b − A x, (N,), zero on Dirichlet dofs. Collective."""
         force = self.multiply(self.tear(x))
         free = self.assemble(self.dirichlet.astype(np.float64)) < 0.5
         r.array[:] = np.where(free, b.array_r - self.assemble(force), 0.0)  # b − Tᵀ K T x
-        return r
 
     def multiplicity(self) -> Indices:
         """Count the copies of each owned dof, (owned,)."""

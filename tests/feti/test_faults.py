@@ -17,9 +17,12 @@ import pkgutil
 import sys
 import types
 from collections.abc import Callable, Iterator
+from functools import partial
 
 from petsc4py import PETSc
 
+import numpy as np
+import numpy.typing as npt
 import pytest
 from collective import COMM, agree
 from garbage import garbage
@@ -27,15 +30,20 @@ from hand_torn import HandTorn, random_values
 
 import dolfinx_feti
 from dolfinx_feti import feti as package
+from dolfinx_feti.feti.bordered import Border, BorderedSolver
 from dolfinx_feti.runtime.petsc_options import inserted
 
 #: Seconds after which processes are taken to wait for each other: all end then.
-LONG = 120
+LONG = 60
 
+#: Options, whether the matrix is unsymmetric, and whether a scalar unknown borders it.
 FORMS = {
-    "dual": {"feti_formulation": "dual"},
-    "kept": {"feti_formulation": "dual", "feti_interior": "keep"},
-    "primal": {"feti_formulation": "primal", "feti_interior": "eliminate"},
+    "dual": ({"feti_formulation": "dual"}, False, False),
+    "kept": ({"feti_formulation": "dual", "feti_interior": "keep"}, False, False),
+    "primal": ({"feti_formulation": "primal", "feti_interior": "eliminate"}, False, False),
+    "unsymmetric": ({"feti_formulation": "primal"}, True, False),
+    "dual, unsymmetric": ({"feti_formulation": "dual"}, True, False),
+    "bordered": ({}, False, True),
 }
 
 #: What ends objects, and what only hands over to guarded work.
@@ -71,7 +79,7 @@ def local_functions() -> Iterator[tuple[str, types.FunctionType]]:
                 yield f"{info.name}.{member.__qualname__}", member
 
 
-def message_of(problem: HandTorn, options: dict[str, object]) -> str:
+def message_of(problem: HandTorn, options: dict[str, object], *, bordered: bool) -> str:
     """Set a solver up and solve; return what it says, or raises; empty if all is well."""
     ksp = PETSc.KSP().create(COMM)
     ksp.setOptionsPrefix("fault_")
@@ -83,13 +91,25 @@ def message_of(problem: HandTorn, options: dict[str, object]) -> str:
             ksp.setPythonContext(dolfinx_feti.FETI())
             ksp.setFromOptions()
             ksp.setUp()
-            ksp.solve(b, x)
+            if bordered:
+                column = np.where(problem.dirichlet, 0.0, random_values(problem, seed=2))
+                rows = column[slice(*b.getOwnershipRange()), None]
+                border = Border(rows, rows, np.zeros((1, 1)))
+                BorderedSolver().solve(ksp, problem.A, b.array_r, border, np.ones(1))
+            else:
+                ksp.solve(b, x)
         return str(ksp.getPythonContext().message)
     except Exception as error:
         return repr(error)
     finally:
         for owned in (ksp, b, x):
             owned.destroy()
+
+
+def skew(K: list[npt.NDArray[np.float64]], _dofs: object) -> None:
+    """Make matrices unsymmetric, with the symmetric part that they have."""
+    for K_i in K:
+        K_i += 0.1 * (np.triu(K_i, 1) - np.tril(K_i, -1))
 
 
 def called(work: Callable[[], object]) -> set[types.CodeType]:
@@ -105,10 +125,12 @@ def called(work: Callable[[], object]) -> set[types.CodeType]:
 
 @pytest.mark.processes(2)
 @pytest.mark.filterwarnings("ignore:Assigning a code object")  # of a generator
-@pytest.mark.parametrize("options", FORMS.values(), ids=FORMS)
-def test_fault_on_one_process_is_an_error_on_all(options, torn_grid):
-    problem = torn_grid((2, 2), (3, 2), components=2)
-    codes = called(lambda: agree(not message_of(problem, options)))
+@pytest.mark.parametrize(("options", "unsymmetric", "bordered"), FORMS.values(), ids=FORMS)
+def test_fault_on_one_process_is_an_error_on_all(options, unsymmetric, bordered, torn_grid):
+    change = skew if unsymmetric else None
+    problem = torn_grid((2, 2), (3, 2), components=2, change=change)
+    solved = partial(message_of, problem, options, bordered=bordered)
+    codes = called(lambda: agree(not solved(), solved()))
     functions = {n: f for n, f in sorted(dict(local_functions()).items()) if f.__code__ in codes}
     for name in COMM.bcast(sorted(functions)):
         function = functions[name]
@@ -117,7 +139,7 @@ def test_fault_on_one_process_is_an_error_on_all(options, torn_grid):
         if COMM.rank == 1:
             function.__code__ = fault.__code__
         try:
-            said = message_of(problem, options)
+            said = solved()
         finally:
             function.__code__ = code
             faulthandler.cancel_dump_traceback_later()
@@ -125,4 +147,4 @@ def test_fault_on_one_process_is_an_error_on_all(options, torn_grid):
         gc.collect()
         agree(not garbage(COMM), (name, garbage(COMM)))
     agree(len(functions) > 30, sorted(functions))
-    agree(not message_of(problem, options))
+    agree(not solved())

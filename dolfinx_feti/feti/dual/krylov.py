@@ -24,6 +24,7 @@ from dolfinx_feti.feti.dual.stopping import StoppingTest
 from dolfinx_feti.feti.dual.system import DualSystem
 from dolfinx_feti.feti.solution import CURVATURE, RESTART, Monitor, Solution
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_options import inserted
 
 __all__ = ["SYMMETRIC", "Method", "choose_method", "solve"]
@@ -93,44 +94,43 @@ def solve(
     Returns:
         The local part of the best iterate, and how the method ended.
     """
-    ksp = _create_ksp(system.comm, method.type, method.prefix, directions=max_it)
-    # Not the system itself: PETSc destroys its contexts, and the system outlives this solve.
-    context = SimpleNamespace(mult=system.mult, apply=system.apply)
-    mat = PETSc.Mat().createPython(((system.size, None),) * 2, context, comm=system.comm)
-    mat.setUp()
-    ksp.setOperators(mat)
-    ksp.getPC().setPythonContext(context)
-    rhs, x = mat.createVecs()
-    rhs.array[:] = b
-    norm, system.norm = rhs.norm(), np.inf
-    test = StoppingTest(
-        system,
-        target=target,
-        max_it=max_it,
-        cg=method.is_cg,
-        first=system.unbalanced(b) / norm if norm and not method.is_cg else 0.0,
-        monitor=monitor,
-    )
-    if method.is_cg and not (method.users_test or _given(method.prefix, "ksp_norm_type")):
-        ksp.setNormType(PETSc.KSP.NormType.NATURAL)  # of rᵀ z, which CG has
-    if method.users_test:
-        ksp.setTolerances(max_it=min(max_it, ksp.getTolerances()[3]))
-        ksp.setMonitor(lambda _ksp, its, rnorm: test.measure(its, rnorm))
-    else:
-        ksp.setTolerances(max_it=max_it)
-        ksp.setConvergenceTest(test)
-    with event("FETIIterations"):
-        ksp.solve(rhs, x)
-    reason = ksp.getConvergedReason()
-    small = reason == PETSc.KSP.ConvergedReason.CONVERGED_RTOL
-    best = x.array_r.copy() if small or test.best is None else test.best
-    if reason in CURVATURE:
-        best = _completed(system, b, x.array_r, best)
-    its = ksp.getIterationNumber()
-    ritz = _ritz_values(ksp) if method.is_cg and its > 0 else (np.nan, np.nan)
-    for owned in (ksp, mat, rhs, x):
-        owned.destroy()
-    return best, Solution(reason, its, ritz)
+    with Lifetime() as owned:
+        ksp = owned.own(_create_ksp(system.comm, method.type, method.prefix, directions=max_it))
+        # Not the system itself: PETSc destroys its contexts, and the system outlives this solve.
+        context = SimpleNamespace(mult=system.mult, apply=system.apply)
+        mat = PETSc.Mat().createPython(((system.size, None),) * 2, context, comm=system.comm)
+        owned.own(mat).setUp()
+        ksp.setOperators(mat)
+        ksp.getPC().setPythonContext(context)
+        x, rhs = map(owned.own, mat.createVecs())
+        rhs.array[:] = b
+        norm, system.norm = rhs.norm(), np.inf
+        test = StoppingTest(
+            system,
+            target=target,
+            max_it=max_it,
+            cg=method.is_cg,
+            first=system.unbalanced(b) / norm if norm and not method.is_cg else 0.0,
+            monitor=monitor,
+        )
+        if method.is_cg and not (method.users_test or _given(method.prefix, "ksp_norm_type")):
+            ksp.setNormType(PETSc.KSP.NormType.NATURAL)  # of rᵀ z, which CG has
+        if method.users_test:
+            ksp.setTolerances(max_it=min(max_it, ksp.getTolerances()[3]))
+            ksp.setMonitor(lambda _ksp, its, rnorm: test.measure(its, rnorm))
+        else:
+            ksp.setTolerances(max_it=max_it)
+            ksp.setConvergenceTest(test)
+        with event("FETIIterations"):
+            ksp.solve(rhs, x)
+        reason = ksp.getConvergedReason()
+        small = reason == PETSc.KSP.ConvergedReason.CONVERGED_RTOL
+        best = x.array_r.copy() if small or test.best is None else test.best
+        if reason in CURVATURE:
+            best = _completed(system, b, x.array_r, best)
+        its = ksp.getIterationNumber()
+        ritz = _ritz_values(ksp) if method.is_cg and its > 0 else (np.nan, np.nan)
+        return best, Solution(reason, its, ritz)
 
 
 def _completed(system: DualSystem, b: Array, x: Array, best: Array) -> Array:
