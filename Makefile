@@ -48,7 +48,7 @@ sanitize: ## the tests that call the package's C code, with AddressSanitizer and
 bench: bench-linear bench-nonlinear bench-scaling bench-compare bench-verification ## all benchmarks; what is finished is not run again
 
 bench-linear: ## the paper's linear study and what goes beyond it; report in build/results/
-	$(with) $(python) -m benchmarks.cube --sets all --json build/linear.json $(ARGS)
+	$(with) $(python) -m benchmarks.cube --json build/linear.json $(ARGS)
 	$(with) python3 -m benchmarks.cube --json build/linear.json --page build/results
 
 # Bodies and sizes of a first step, of loaded states, and of paths; the greatest κ is for direct solvers.

@@ -3,14 +3,12 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The linear study of the paper: the unit cube in 512 subdomains, in all variants.
 
-    mpirun -n 2 python3 -m benchmarks.cube --sets all --json build/linear.json
-    python3 -m benchmarks.cube --degree 2 --level 1,2 --type classical --pc lumped
+    mpirun -n 2 python3 -m benchmarks.cube --sets papers,choices --json build/linear.json
 
---sets runs the cases of the whole study: the paper's table, and what goes beyond it. Without it an
-option that takes several values runs all combinations. The defaults are the paper's choices: 8 × 8
-× 8 subdomains, multiplicity scaling, Q = I, full gluing, a reduction of the dual residual by 1e-8;
-E = 210, ν = 0.45, and on the whole surface the displacements of the fundamental solution with its
-source at (2, 2, 2).
+Without --sets the cases of the whole study run: the paper's table, and what goes beyond it. If
+nothing else is said, the choices are the paper's: 8 × 8 × 8 subdomains, multiplicity scaling, Q =
+I, full gluing, a reduction of the dual residual by 1e-8; E = 210, ν = 0.45, and on the whole
+surface the displacements of the fundamental solution with its source at (2, 2, 2).
 """
 
 from __future__ import annotations
@@ -19,59 +17,29 @@ import argparse
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 
 from mpi4py import MPI
 
 import numpy as np
 
 from benchmarks.common import command, paper
-from benchmarks.common.cube import (
-    LEVELS,
-    PATTERNS,
-    Case,
-    l2_error,
-    solve,
-)
+from benchmarks.common.cube import Case, create_problem, l2_error, solve
 from benchmarks.common.pages import FORMS, groups, section
 from benchmarks.common.records import Record
 from benchmarks.common.study import Keep, Study
 from dolfinx_feti.comparison import PeakMemory
-from dolfinx_feti.feti.options import CHOICES
-from meshes.arguments import count, positive
 
 TYPES = {"all_floating": "all-floating", "classical": "classical"}
 
 PRECONDITIONERS = ("identity", "lumped", "dirichlet")
 
-#: Parameters that the paper's own cases do not vary.
-FIXED = {
-    name: value
-    for name, value in asdict(Case()).items()
-    if name not in ("degree", "level", "type", "pc", "source", "interior")
-}
-
+LEVELS = (1, 2, 3, 4)
 
 #: Coefficients of the stiff subcubes, and the scalings and weights Q that are tried on them.
-JUMPS = (1e2, 1e4, 1e6)
+JUMPS = (1.0, 1e2, 1e4, 1e6)
 
 WEIGHTS = tuple(itertools.product(("multiplicity", "stiffness"), ("identity", "preconditioner")))
-
-#: Options that take several of some values, the first of which is the default.
-VARIED = {
-    "degree": (1, 2),
-    "level": tuple(LEVELS),
-    "type": CHOICES["type"],
-    "pc": CHOICES["pc_type"],
-    "scaling": ("multiplicity", "stiffness"),
-    "coarse_q": ("identity", *(q for q in CHOICES["coarse_q"] if q != "identity")),
-    "pattern": tuple(PATTERNS),
-}
-NUMBERS = {
-    "subdomains_per_edge": (count, 8),
-    "jump": (positive, 1.0),
-    "coarse_modes": (command.count_or_zero, 0),
-}
 
 
 def papers() -> Iterator[Case]:
@@ -85,6 +53,7 @@ def choices() -> Iterator[Case]:
     """One choice at a time that is not the paper's, and this package's own."""
     own = {"scaling": "stiffness", "coarse_q": "preconditioner"}
     changes = (
+        {},
         {"reorthogonalize": True},
         {"coarse_q": "diagonal"},
         {"coarse_q": "preconditioner"},
@@ -92,29 +61,34 @@ def choices() -> Iterator[Case]:
         own,
         own | {"coarse_modes": 12},
     )
-    for kind, change in itertools.product(TYPES, changes):
-        yield Case(level=2, type=kind, **change)
-    for kind, pc in itertools.product(TYPES, ("identity", "lumped")):
-        yield Case(level=2, type=kind, pc=pc, reorthogonalize=True)
+    for kind in TYPES:
+        for pc, full in itertools.product(("identity", "lumped"), (False, True)):
+            yield Case(level=2, type=kind, pc=pc, reorthogonalize=full)
+        for change in changes:
+            yield Case(level=2, type=kind, **change)
 
 
 def jumps() -> Iterator[Case]:
     """Young's modulus jumps between subcubes: a checkerboard, and a stiff layer."""
-    patterns = [("none", 1.0), *itertools.product(("checkerboard", "layer"), JUMPS)]
-    for (pattern, jump), kind, (scaling, q) in itertools.product(patterns, TYPES, WEIGHTS):
-        choice = {"type": kind, "scaling": scaling, "coarse_q": q}
-        yield Case(subdomains_per_edge=4, level=2, pattern=pattern, jump=jump, **choice)
+    for pattern, kind, weight in itertools.product(("checkerboard", "layer"), TYPES, WEIGHTS):
+        yield from _jumps(pattern, kind, *weight)
+
+
+def _jumps(pattern: str, kind: str, scaling: str, q: str) -> Iterator[Case]:
+    usual = Case(1, 2, 4, kind, scaling=scaling, coarse_q=q)
+    for jump in JUMPS:
+        yield replace(usual, jump=jump, pattern=pattern if jump > 1.0 else "none")
 
 
 def growth() -> Iterator[Case]:
     """More cells in a subdomain, in a cube of 64."""
-    for level in (1, 2, 3, 4):
+    for level in LEVELS:
         yield from _all(Case(subdomains_per_edge=4, level=level))
 
 
 def numbers() -> Iterator[Case]:
     """More subdomains of the same size, with the paper's weight Q and this package's."""
-    for level, edge, q in itertools.product((1, 2), (2, 4, 8, 16), ("identity", "preconditioner")):
+    for level, q, edge in itertools.product((1, 2), ("identity", "preconditioner"), (2, 4, 8, 16)):
         yield from _all(Case(level=level, subdomains_per_edge=edge, coarse_q=q), ["dirichlet"])
     yield from _all(Case(subdomains_per_edge=32), ["dirichlet"])
 
@@ -136,49 +110,22 @@ def _all(case: Case, preconditioners: Sequence[str] = PRECONDITIONERS) -> Iterat
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    every = ["all", *SETS]
-    add("--sets", type=command.some_of(every), help=f"some of {command.names(every)}")
-    for name, values in VARIED.items():
-        kind = {"type": command.some_of(values), "default": [values[0]]}
-        add("--" + name.replace("_", "-"), **kind, help=command.names(values))
-    for name, (read, value) in NUMBERS.items():
-        kind = {"type": command.several(read), "default": [value]}
-        add("--" + name.replace("_", "-"), **kind, help=str(value))
-    add("--reorthogonalize", action="store_true", help="CG with full reorthogonalisation")
+    sets = {"type": command.some_of(list(SETS)), "default": list(SETS)}
+    parser.add_argument("--sets", **sets, help=f"all, or some of {command.names(list(SETS))}")
 
 
 def _cases(
     args: argparse.Namespace, _parser: argparse.ArgumentParser, comm: MPI.Comm
 ) -> Iterator[Record]:
-    """Yield the cases of some sets, each once, or all combinations."""
-    if args.sets:
-        names = SETS if "all" in args.sets else args.sets
-        cases = dict.fromkeys(case for name in names for case in SETS[name]())
-        yield from (c.key() for c in cases if c.subdomains_per_edge**3 >= comm.size)
-        return
-    fewest = min(args.subdomains_per_edge) ** 3
-    if comm.size > fewest:
-        raise ValueError(
-            f"--subdomains-per-edge {min(args.subdomains_per_edge)} gives {fewest} subdomain(s) to "
-            f"{comm.size} processes: take fewer processes, or as many subdomains at least"
-        )
-    if any((pattern == "none") != (jump == 1.0)
-           for pattern, jump in itertools.product(args.pattern, args.jump)):  # fmt: skip
-        raise ValueError(
-            f"--jump {args.jump} and --pattern {args.pattern}: give both, how stiff and which "
-            "subdomains, or none of them"
-        )
-    names = (*VARIED, *NUMBERS)
-    for values in itertools.product(*(getattr(args, name) for name in names)):
-        case = Case(reorthogonalize=args.reorthogonalize, **dict(zip(names, values, strict=True)))
-        yield case.key()
+    """Yield the cases of some sets, each once, that have a subdomain for each process."""
+    cases = dict.fromkeys(case for name in args.sets for case in SETS[name]())
+    yield from (asdict(case) for case in cases if case.subdomains_per_edge**3 >= comm.size)
 
 
 def _run(key: Record, keep: Keep, _args: argparse.Namespace, comm: MPI.Comm) -> None:
     """Solve a case. Collective."""
-    case = Case(**key | {"source": tuple(key["source"])})
-    problem, peak = case.problem(comm), PeakMemory()
+    case = Case(**key)
+    problem, peak = create_problem(case, comm), PeakMemory()
     linear, found = solve(problem, case.options())
     peak_mib = peak.mib(comm)
     error = l2_error(linear.u, problem.exact) if case.jump == 1.0 else None
@@ -196,37 +143,64 @@ def _line(record: Record) -> str:
     )
 
 
+def case_of(record: Record) -> Case:
+    """Return the parameters of a record."""
+    return Case(**{field.name: record[field.name] for field in fields(Case)})
+
+
 def _fields(records: Sequence[Record]) -> dict[str, object]:
     """Return the values of the page."""
-    solved = sorted((r | {"name": TYPES[r["type"]]} for r in records), key=order)
-    own = [record for record in solved if is_papers(record)]
+    known = {case_of(r): r | {"name": TYPES[r["type"]]} for r in records}
+
+    def of(cases: Iterable[Case]) -> list[Record]:
+        return [known[case] for case in dict.fromkeys(cases) if case in known]
+
+    both = list(itertools.product((1, 2), TYPES))
+    own = of(
+        case
+        for degree, kind in both
+        for level in LEVELS
+        for case in _all(Case(degree=degree, level=level))
+        if case.type == kind
+    )
     condition, iterations = deviations(own)
     whole = {"condition": 100 * condition, "iterations": iterations, "scale": error_scale(own)}
-    points = {tuple(record["source"]) for record in solved}
+    growing = [
+        of(Case(degree, level, edge, kind) for level in LEVELS)
+        for edge, (degree, kind) in itertools.product((4, 8), both)
+    ]
+    jumping = [
+        of(_jumps(pattern, kind, *weight))
+        for pattern in ("checkerboard", "layer")
+        for kind, weight in itertools.product(TYPES, WEIGHTS)
+    ]
+    names = ("type", "level", "coarse_q", "subdomains_per_edge")
+    more = sorted(of(numbers()), key=lambda r: [r[name] for name in names])
+    chosen, more = (mine * any(r not in own for r in mine) for mine in (of(choices()), more))
     return {
-        "sources": ", ".join(f"({x:g}, {y:g}, {z:g})" for x, y, z in sorted(points)),
         "deviations": [] if math.isnan(condition) else [whole],
         "linear": list(_papers(own, 1, TYPES)),
         "floating": list(_papers(own, 2, ["all_floating"])),
         "classical": list(_papers(own, 2, ["classical"])),
         "errors": section(_errors(own)),
-        "larger": section(_growth(solved)),
+        "larger": section(row for mine in growing if len(mine) > 1 for row in _growth(mine)),
         "fits": section(
             mine[0] | dict(zip(("a", "b", "off"), fit_growth(mine), strict=True))
-            for mine in growing(solved)
+            for mine in growing
             if len(mine) > 2
         ),
-        "choices": section(_choices(solved)),
-        "jumps": _jumps(solved),
-        "more": section(_numbers(solved)),
+        "choices": section(r | {"fcg": "yes" if r["reorthogonalize"] else "no"} for r in chosen),
+        "jumps": section(_jumping(mine) for mine in jumping if any(r["jump"] > 1.0 for r in mine)),
+        "more": section(
+            r | {"share": 100 * r["seconds_coarse"] / r["seconds_setup"]} for r in more
+        ),
         "costs": section(r | {"each": r["cpu_seconds_solve"] / r["iterations"]} for r in own),
     }
 
 
-def deviations(records: Sequence[Record]) -> tuple[float, int]:
+def deviations(own: Sequence[Record]) -> tuple[float, int]:
     """Return the largest deviations from the paper: condition numbers, relative; iterations."""
-    pairs = [(r, _papers_solve(r)) for r in records if is_papers(r)]
-    both = [(r, theirs) for r, theirs in pairs if theirs is not None]
+    both = [(r, theirs) for r in own if (theirs := _papers_solve(r)) is not None]
     condition = [abs(r["condition_number"] / t.condition_number - 1.0) for r, t in both]
     iterations = [abs(r["iterations"] - t.iterations) for r, t in both]
     return max(condition, default=math.nan), max(iterations, default=0)
@@ -270,88 +244,16 @@ def _errors(records: Sequence[Record]) -> Iterator[dict[str, object]]:
         yield record | {"eoc": eoc, "paper": theirs, "ratio": ratio}
 
 
-def _growth(records: Sequence[Record]) -> Iterator[Record]:
+def _growth(mine: Sequence[Record]) -> Iterator[Record]:
     """Condition numbers and iterations with the Dirichlet preconditioner over H/h."""
-    for mine in growing(records):
-        for what, name, form in (("κ", "condition_number", ".4g"), ("it.", "iterations", "d")):
-            yield mine[0] | {"what": what, "at": {r["level"]: f"{r[name]:{form}}" for r in mine}}
+    for what, name, form in (("κ", "condition_number", ".4g"), ("it.", "iterations", "d")):
+        yield mine[0] | {"what": what, "at": {r["level"]: f"{r[name]:{form}}" for r in mine}}
 
 
-def _choices(records: Sequence[Record]) -> list[Record]:
-    """What else differs from the paper's parameters, on its cube."""
-    names = ("scaling", "coarse_q", "gluing", "coarse_modes", "reorthogonalize")
-    mine = [r for r in records if differs_in(r, names)]
-    other = {group(r, *names) for r in mine if not is_papers(r)}
-    mine = [r for r in mine if group(r, *names) in other]
-    mine.sort(key=lambda r: (*order(r), *(str(r[name]) for name in names)))
-    return [r | {"fcg": "yes" if r["reorthogonalize"] else "no"} for r in mine]
-
-
-def _numbers(records: Sequence[Record]) -> list[Record]:
-    """Number of subdomains at a fixed size of them."""
-    names = ("subdomains_per_edge", "coarse_q")
-    mine = [r for r in records if differs_in(r, names) and r["pc"] == "dirichlet"]
-    several = {group(r, "subdomains_per_edge") for r in mine if r["subdomains_per_edge"] != 8}
-    mine = [r for r in mine if group(r, "subdomains_per_edge") in several]
-    mine.sort(key=lambda r: (*order(r), r["coarse_q"], r["subdomains_per_edge"]))
-    return [r | {"share": 100 * r["seconds_coarse"] / r["seconds_setup"]} for r in mine]
-
-
-def _jumps(records: Sequence[Record]) -> list[dict[str, object]]:
-    """Iterations and condition numbers over the jump, by pattern, type, scaling and weight Q."""
-    names = ("type", "scaling", "coarse_q", "gluing", "subdomains_per_edge", "level")
-    stiff = [r for r in records if r["pattern"] != "none"]
-    stiff.sort(key=lambda r: (r["pattern"], *(str(r[name]) for name in names)))
-    even = {
-        tuple(r[name] for name in names): r
-        for r in records
-        if (r["pattern"], r["pc"], r["coarse_modes"]) == ("none", "dirichlet", 0)
-        and not r["reorthogonalize"]
-    }
-    rows = []
-    for (_, *key), mine in groups(stiff, "pattern", *names):
-        solves = {r["jump"]: r for r in mine}
-        solves |= {1.0: even[tuple(key)]} if tuple(key) in even else {}
-        at = {
-            f"{jump:.0e}": f"{r['iterations']} ({r['condition_number']:.3g})"
-            for jump, r in solves.items()
-        }
-        rows.append(mine[0] | {"at": at})
-    places = sorted({(r["subdomains_per_edge"], r["level"]) for r in stiff})
-    where = ", ".join(f"{edge}³ subdomains on level {level}" for edge, level in places)
-    return section(rows, where=where)
-
-
-def is_papers(record: Record) -> bool:
-    """Tell whether a record has the paper's parameters."""
-    return differs_in(record, ())
-
-
-def differs_in(record: Record, names: Sequence[str]) -> bool:
-    """Tell whether a record has the paper's parameters but for some."""
-    return all(record[name] == value for name, value in FIXED.items() if name not in names)
-
-
-def group(record: Record, *names: str) -> tuple[object, ...]:
-    """Return the parameters but for some, and but for those that change no result."""
-    kept = [name for name in asdict(Case()) if name not in (*names, "source", "interior")]
-    return tuple(record[name] for name in kept)
-
-
-def order(record: Record) -> tuple[object, ...]:
-    """Return what sorts the rows of a table."""
-    pc = str(record["pc"])
-    place = PRECONDITIONERS.index(pc) if pc in PRECONDITIONERS else len(PRECONDITIONERS)
-    return record["degree"], record["type"], record["level"], place
-
-
-def growing(records: Sequence[Record]) -> list[list[Record]]:
-    """Group the cases with the Dirichlet preconditioner that differ in their levels alone."""
-    found: dict[tuple[object, ...], list[Record]] = {}
-    for record in sorted(records, key=lambda r: (r["subdomains_per_edge"], *order(r))):
-        if differs_in(record, ("subdomains_per_edge",)) and record["pc"] == "dirichlet":
-            found.setdefault(group(record, "level"), []).append(record)
-    return [mine for mine in found.values() if len(mine) > 1]
+def _jumping(mine: Sequence[Record]) -> Record:
+    """Iterations and condition numbers over the jump."""
+    at = {f"{r['jump']:.0e}": f"{r['iterations']} ({r['condition_number']:.3g})" for r in mine}
+    return mine[-1] | {"at": at}
 
 
 def fit_growth(records: Sequence[Record]) -> tuple[float, float, float]:
@@ -362,12 +264,10 @@ def fit_growth(records: Sequence[Record]) -> tuple[float, float, float]:
     return a, b, 1.0 + float(np.max(np.abs((a + b * x) ** 2 / condition - 1.0)))
 
 
-def error_scale(records: Sequence[Record]) -> float:
+def error_scale(own: Sequence[Record]) -> float:
     """Return the factor between the paper's L2 errors and ours, that of the source point."""
     quotients = [
-        paper.L2_ERRORS[r["type"], r["level"]] / r["l2_error"]
-        for r in records
-        if is_papers(r) and r["degree"] == 1
+        paper.L2_ERRORS[r["type"], r["level"]] / r["l2_error"] for r in own if r["degree"] == 1
     ]
     return math.exp(sum(map(math.log, quotients)) / len(quotients)) if quotients else math.nan
 
@@ -376,7 +276,7 @@ STUDY = Study(
     file=__file__,
     about=__doc__,
     page="linear",
-    known=lambda record: "condition_number" in record and "machine" in record,
+    known=lambda record: "condition_number" in record,
     options=_options,
     cases=_cases,
     run=_run,
