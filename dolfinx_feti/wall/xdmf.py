@@ -84,11 +84,11 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
                 shape, degree = file.read_cell_type("mesh", DOMAIN)
                 cells = file.read_topology_data("mesh", DOMAIN)
                 x = scale * file.read_geometry_data("mesh", DOMAIN)
-                facets = file.read_topology_data("surfaces", DOMAIN)
+                layers, facets = (file.read_topology_data(name, DOMAIN) for name in TAGS)
             light = json.loads(file.read_information(NAMES, DOMAIN))
             names = [{name: int(tag) for name, tag in light[kind].items()} for kind in TAGS]
             element = basix.ufl.element("Lagrange", shape.name, degree, shape=(3,), dtype=x.dtype)
-            _check_rows(cells, x, facets, element.dim // 3, comm)
+            _check_rows(cells, layers, facets, x, element, comm)
             with event("WallPartition"):
                 keep = _keep(light["parts"], len(cells), comm)
                 domain = ufl.Mesh(element)
@@ -107,11 +107,16 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
         ) from error
 
 
-def _check_rows(cells: Array, x: Array, facets: Array, nodes: int, comm: MPI.Comm) -> None:
+def _check_rows(
+    cells: Array, layers: Array, facets: Array, x: Array, element: Any, comm: MPI.Comm
+) -> None:
     """Require what dolfinx needs not to crash: other cells, of finite points. Collective."""
-    n_points = comm.allreduce(len(x))
-    wrong = cells.ndim != 2 or cells.shape[1] != nodes or x.ndim != 2 or x.shape[1] != 3
-    wrong = wrong or any(bool(np.any((e < 0) | (e >= n_points))) for e in (cells, facets))
+    n_points, nodes = comm.allreduce(len(x)), element.dim // 3
+    widths = nodes, nodes, len(element.basix_element.entity_closure_dofs[2][0])
+    wrong = x.ndim != 2 or x.shape[1] != 3
+    for rows, width in zip((cells, layers, facets), widths, strict=True):
+        wrong = wrong or rows.ndim != 2 or rows.shape[1] != width
+        wrong = wrong or bool(np.any((rows < 0) | (rows >= n_points)))
     if comm.allreduce(wrong, op=MPI.LOR):
         raise ValueError("it has cells or facets with points that are not in the file")
     if not comm.allreduce(bool(np.isfinite(x).all()), op=MPI.LAND):

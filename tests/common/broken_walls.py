@@ -205,6 +205,20 @@ def rewrite(key: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[P
     return work
 
 
+def resized(key: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
+    """Replace a table of the HDF5 file by one of another shape."""
+
+    def work(path: Path) -> None:
+        import h5py
+
+        with h5py.File(path.with_suffix(".h5"), "a") as file:
+            table = change(file[key][...])
+            del file[key]
+            file[key] = table
+
+    return work
+
+
 damaged("no_data.xdmf", lambda p: p.with_suffix(".h5").unlink())
 damaged("noise_for_data.xdmf", lambda p: p.with_suffix(".h5").write_bytes(NOISE))
 damaged("cut_data.xdmf", lambda p: os.truncate(p.with_suffix(".h5"), 5000))
@@ -214,6 +228,12 @@ damaged("lost_points.xdmf", rewrite("Mesh/mesh/topology", lambda t: t + 10**6), 
 damaged("one_point.xdmf", rewrite("Mesh/mesh/topology", lambda t: 0 * t), "occur twice")
 damaged("cell_twice.xdmf", rewrite("Mesh/mesh/topology", lambda t: np.vstack([t[-1:], t[1:]])))
 damaged("plane.xdmf", rewrite("Mesh/mesh/geometry", lambda x: x * [1, 1, 0]), "have no volume")
+damaged("lost_layers.xdmf", rewrite("MeshTags/layers/topology", lambda t: t + 10**6), "not in the")
+damaged("minus_layers.xdmf", rewrite("MeshTags/layers/topology", lambda t: 0 * t - 9), "not in the")
+damaged("one_layer.xdmf", rewrite("MeshTags/layers/topology", lambda t: 0 * t), "layers are not")
+damaged("narrow.xdmf", resized("MeshTags/layers/topology", lambda t: t[:, :3]))
+damaged("few_tags.xdmf", resized("MeshTags/layers/Values", lambda v: v[:5]))
+damaged("few_layers.xdmf", resized("MeshTags/layers/topology", lambda t: t[:5]))
 damaged(
     "lost_facets.xdmf", rewrite("MeshTags/surfaces/topology", lambda t: 0 * t - 1), "not in the"
 )

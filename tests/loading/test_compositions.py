@@ -193,9 +193,9 @@ class Run:
         self.scalar = copy.deepcopy(self.known[at])
 
 
-@pytest.mark.processes(1, 2)
+@pytest.mark.processes(1, 2, 3)
 @settings(
-    max_examples=300 if COMM.size == 1 else 40,
+    max_examples={1: 300, 2: 40}.get(COMM.size, 8),
     derandomize=True,
     database=None,
     deadline=None,
