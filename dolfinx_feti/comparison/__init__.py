@@ -27,6 +27,7 @@ from dolfinx_feti.comparison.assembled import (
 from dolfinx_feti.comparison.result import Comparison, SolverResult
 from dolfinx_feti.comparison.run import compare
 from dolfinx_feti.comparison.solvers import SOLVERS, create_solver
+from dolfinx_feti.mechanics.arguments import type_exports
 from dolfinx_feti.runtime.cost import Cost, PeakMemory, measure, record_cost, timed_solve
 
 __all__ = [
@@ -44,3 +45,5 @@ __all__ = [
     "relative_residual",
     "timed_solve",
 ]
+
+type_exports(globals())

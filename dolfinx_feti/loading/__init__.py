@@ -14,6 +14,7 @@ from dolfinx_feti.loading.prestressed import prestress
 from dolfinx_feti.loading.steps import LoadStep, Steps, write_history
 from dolfinx_feti.loading.time_steps import TimeStep, TimeSteps, follow_time
 from dolfinx_feti.loading.unloaded import unload
+from dolfinx_feti.mechanics.arguments import type_exports
 
 __all__ = [
     "Checkpoint",
@@ -28,3 +29,5 @@ __all__ = [
     "unload",
     "write_history",
 ]
+
+type_exports(globals())

@@ -41,6 +41,7 @@ from ufl.core.expr import Expr
 
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.mechanics.supports import DASHPOTS
+from dolfinx_feti.mechanics.values import require_positive, require_within
 
 __all__ = ["Motion", "fixed_dofs", "motions_in", "owned_vector"]
 
@@ -80,10 +81,10 @@ class Motion:
                 1, which keeps them.
 
         Raises:
-            ValueError: ``rho`` is not between 0 and 1.
+            ValueError: ``rho`` is not between 0 and 1, or ``density`` not positive.
         """
-        if not 0.0 <= rho <= 1.0:
-            raise ValueError(f"rho={rho}: give a spectral radius between 0 and 1.")
+        require_within(0.0, 1.0, {"rho": rho}, remedy="a spectral radius between 0 and 1", sign="=")
+        require_positive(density=density)
         V = u.function_space
         self.u = u
         self.velocity = dolfinx.fem.Function(V, name="velocity")

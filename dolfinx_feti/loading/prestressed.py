@@ -161,8 +161,6 @@ class _Prestressing(FixedPoint):
 
 def _check(G: dolfinx.fem.Function, u: dolfinx.fem.Function) -> None:
     """Require a Function with the shape of grad u that can be inverted."""
-    if not isinstance(G, dolfinx.fem.Function):
-        raise TypeError(f"G is {G!r}: give a Function, the identity at first.")
     d = len(u)
     if G.ufl_shape != (d, d):
         raise ValueError(f"G has the shape {G.ufl_shape}: give a Function of the shape {(d, d)}.")

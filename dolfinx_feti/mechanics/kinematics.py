@@ -118,7 +118,8 @@ def cauchy_stress(psi: Expr, F: Variable) -> Expr:
     Raises:
         ValueError: If ``psi`` is not a function of ``F``.
     """
-    if not isinstance(F, Variable) or all(e != F for e in unique_pre_traversal(psi)):
+    both = isinstance(psi, Expr) and isinstance(F, Variable)
+    if not both or all(e != F for e in unique_pre_traversal(psi)):
         raise ValueError(
             "psi does not depend on the variable F, so its stress would be zero. Call "
             "deformation_gradient (or ufl.variable) once and write psi in the F that it returns."

@@ -36,6 +36,7 @@ from ufl.core.expr import Expr
 from ufl.core.multiindex import MultiIndex
 from ufl.corealg.traversal import traverse_unique_terminals
 
+from dolfinx_feti.mechanics.arguments import typed
 from dolfinx_feti.mechanics.kinematics import deformation_gradient
 from dolfinx_feti.mechanics.values import require_within
 
@@ -85,6 +86,7 @@ def follower_pressure(p: float | Expr, u: Expr, v: Expr, ds: ufl.Measure) -> ufl
     return p * ufl.inner(_area_vector(u), v) * ds
 
 
+@typed
 def follower_pressure_tangent(
     p: float | Expr,
     u: Expr,
@@ -132,6 +134,7 @@ def follower_pressure_tangent(
     return a if kind == "full" else 0.5 * (a + ufl.adjoint(a, (v, du)))
 
 
+@typed
 def enclosed_volume(u: Expr, ds: ufl.Measure, axis: Sequence[float] | None = None) -> ufl.Form:
     """Volume of the lumen inside a deformed surface, V = −1/d ∫ x·(J F⁻ᵀ N) dA with x = X + u.
 

@@ -33,6 +33,7 @@ import ufl
 from ufl.core.expr import Expr
 from ufl.variable import Variable
 
+from dolfinx_feti.mechanics.arguments import typed
 from dolfinx_feti.mechanics.materials import Parameter
 from dolfinx_feti.mechanics.values import require_positive, require_within
 
@@ -59,6 +60,7 @@ class MaxwellBranch:
         require_positive(share=self.share, time=self.time)
 
 
+@typed
 def viscoelastic(
     psi: Expr, F: Variable, S_n: Expr, branches: Sequence[MaxwellBranch], *, dt: Expr
 ) -> tuple[Expr, dict[Expr, Expr]]:

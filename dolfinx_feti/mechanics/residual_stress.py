@@ -31,11 +31,13 @@ from collections.abc import Sequence
 import ufl
 from ufl.core.expr import Expr
 
+from dolfinx_feti.mechanics.arguments import typed
 from dolfinx_feti.mechanics.values import require_positive, require_within
 
 __all__ = ["elastic_part", "opened", "residual_stretch", "stress_free_direction"]
 
 
+@typed
 def elastic_part(F: Expr, G: Expr) -> Expr:
     """Elastic part of a deformation, F_e = F G⁻¹, shape (d, d), of which energies are written.
 
@@ -53,6 +55,7 @@ def elastic_part(F: Expr, G: Expr) -> Expr:
     return F * ufl.inv(G)
 
 
+@typed
 def stress_free_direction(a: Expr, G: Expr) -> Expr:
     """Direction in the stress-free pieces of a line of the reference configuration, ``G a/|G a|``.
 
@@ -92,6 +95,7 @@ def residual_stretch(
     return k * ratio / ufl.sqrt(k**2 + k * stretch * (ratio**2 - 1))
 
 
+@typed
 def opened(directions: Sequence[Expr], λ: Expr, stretch: Expr | float = 1.0) -> Expr:
     """Part G of the deformation of a wall that was cut open, shape (3, 3), det G = 1.
 

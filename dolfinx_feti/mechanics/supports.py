@@ -28,6 +28,7 @@ from weakref import WeakKeyDictionary
 import ufl
 from ufl.core.expr import Expr
 
+from dolfinx_feti.mechanics.arguments import typed
 from dolfinx_feti.mechanics.values import require_not_negative
 
 __all__ = ["DASHPOTS", "Dashpots", "Direction", "dashpot_energy", "spring_energy"]
@@ -61,6 +62,7 @@ def spring_energy(
     return stiffness / 2 * _square(u, direction) * ds
 
 
+@typed
 def dashpot_energy(
     viscosity: float | Expr,
     u: Expr,

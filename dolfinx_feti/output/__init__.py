@@ -6,6 +6,7 @@
 In the order of the data: patches, stress, balance, points, fields.
 """
 
+from dolfinx_feti.mechanics.arguments import type_exports
 from dolfinx_feti.runtime.folders import writable_folder
 from dolfinx_feti.output.balance import balanced_stress
 from dolfinx_feti.output.fields import FieldWriter, cell_values
@@ -29,3 +30,5 @@ __all__ = [
     "recovered_field",
     "writable_folder",
 ]
+
+type_exports(globals())

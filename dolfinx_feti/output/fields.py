@@ -95,12 +95,6 @@ class FieldWriter:
             Collective.
         """
         expressions = expressions or {}
-        for f in functions:
-            if not isinstance(f, dolfinx.fem.Function):
-                raise TypeError(
-                    f"functions holds {f!r}: give Functions of dolfinx. Tags of cells become one in "
-                    "the space ('DG', 0), tags of facets one on a submesh of these facets."
-                )
         names = [*(f.name for f in functions), *expressions]
         if not functions or len(set(names)) < len(names):
             raise ValueError(

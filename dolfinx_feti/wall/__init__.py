@@ -7,6 +7,7 @@ In the order of the data: wall, wallfile, xdmf, reading, convert, tagged, condit
 casefile, boundary, laplace, fibres, opening.
 """
 
+from dolfinx_feti.mechanics.arguments import type_exports
 from dolfinx_feti.wall.boundary import Boundary, apply_conditions
 from dolfinx_feti.wall.case import Case, Filling, Tissue
 from dolfinx_feti.wall.casefile import read_case
@@ -45,3 +46,5 @@ __all__ = [
     "surface_measure",
     "write_wall",
 ]
+
+type_exports(globals())

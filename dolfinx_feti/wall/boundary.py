@@ -129,7 +129,6 @@ def apply_conditions(
         Dirichlet conditions, forms, and the constants and functions in them.
 
     Raises:
-        TypeError: There is no wall.
         ValueError: u is no displacement of the wall, the wall has no such surface, one that is
             loaded or supported lies inside the wall, a clamp is not alone on its surface, a surface
             that slides lies in no plane normal to x, y or z, or the wall cannot be stretched along
@@ -199,13 +198,8 @@ def apply_conditions(
     return replace(boundary, tangent=tangent, energy=energy)
 
 
-def _check_unknown(wall: object, u: dolfinx.fem.Function) -> None:
-    """Require a wall and a displacement on its mesh."""
-    if not isinstance(wall, Wall):
-        raise TypeError(
-            f"wall is {wall!r}: make one by read_wall(path, comm), or of a mesh by "
-            "create_wall(mesh, cell_tags, facet_tags)."
-        )
+def _check_unknown(wall: Wall, u: dolfinx.fem.Function) -> None:
+    """Require a displacement on the mesh of a wall."""
     if u.ufl_shape != (3,) or u.function_space.mesh._cpp_object != wall.mesh._cpp_object:
         raise ValueError(
             f"u has the shape {u.ufl_shape}, or lives on another mesh: take a Function of "

@@ -65,15 +65,13 @@ class Filling:
             raise ValueError("give a volume or a windkessel, one of them")
         if self.volume is not None:
             require_positive(volume=self.volume)
-        if self.windkessel:
-            _check_vessels(**self.windkessel)
+        if vessels := dict(self.windkessel):
+            require_not_negative(impedance=vessels.pop("impedance", 0.0))
+            both = "a resistance, a compliance, and perhaps an impedance"
+            has = f"windkessel={self.windkessel}: give {both}"
+            require(set(vessels) == {"resistance", "compliance"}, has)
+            require_positive(**vessels)
         require(self.axis in (None, *AXES), f"axis={self.axis!r}: choose 'x', 'y', 'z' or None")
-
-
-def _check_vessels(*, resistance: float, compliance: float, impedance: float = 0.0) -> None:
-    """Check the parameters of a Windkessel, and that there are no others."""
-    require_positive(resistance=resistance, compliance=compliance)
-    require_not_negative(impedance=impedance)
 
 
 @dataclass(frozen=True, slots=True)

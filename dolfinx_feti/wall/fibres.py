@@ -33,6 +33,7 @@ import numpy.typing as npt
 
 import dolfinx
 
+from dolfinx_feti.mechanics.arguments import typed
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.wall.laplace import gradient, solve_laplace
 from dolfinx_feti.wall.wall import Wall, area, by_layer, facets, openings
@@ -67,6 +68,7 @@ class Frame:
     transmural: dolfinx.fem.Function
 
 
+@typed
 @event("WallFibres")
 def fibre_frame(
     wall: Wall,
@@ -97,6 +99,7 @@ def fibre_frame(
     return frame_of(wall, through, along)
 
 
+@typed
 def potentials(
     wall: Wall,
     *,
@@ -130,6 +133,7 @@ def potentials(
     return through, solve_laplace(wall, {name: float(name != inlet) for name in names})
 
 
+@typed
 def frame_of(wall: Wall, through: dolfinx.fem.Function, along: dolfinx.fem.Function) -> Frame:
     """Return the frame of two potentials on the mesh as it is.
 
@@ -155,6 +159,7 @@ def frame_of(wall: Wall, through: dolfinx.fem.Function, along: dolfinx.fem.Funct
     )
 
 
+@typed
 def fibre_families(
     wall: Wall, frame: Frame, angles: Mapping[str, float] | None = None
 ) -> tuple[dolfinx.fem.Function, dolfinx.fem.Function]:

@@ -26,6 +26,7 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
+from dolfinx_feti.mechanics.arguments import typed
 from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
 from dolfinx_feti.wall.fibres import frame_of, potentials
 from dolfinx_feti.wall.laplace import gradient
@@ -39,6 +40,7 @@ MOST = 0.5
 Array = npt.NDArray[np.float64]
 
 
+@typed
 class Opening:
     """The part G of the deformation that opening angles stand for, on a wall of any shape.
 

@@ -88,8 +88,6 @@ def create_wall(
 
 def _one_layer(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.MeshTags:
     """Tag all cells with 1."""
-    if not isinstance(mesh, dolfinx.mesh.Mesh):
-        raise TypeError(f"mesh is {mesh!r}: give a dolfinx.mesh.Mesh.")
     dim = mesh.topology.dim
     cells = mesh.topology.index_map(dim)
     everywhere = np.arange(cells.size_local + cells.num_ghosts, dtype=np.int32)

@@ -100,10 +100,8 @@ class Wall:
         return self.surfaces | self.layers
 
 
-def _check_mesh(mesh: object) -> None:
+def _check_mesh(mesh: dolfinx.mesh.Mesh) -> None:
     """Require a body of tetrahedra or hexahedra in space."""
-    if not isinstance(mesh, dolfinx.mesh.Mesh):
-        raise TypeError(f"mesh is {mesh!r}: give a dolfinx.mesh.Mesh.")
     cell, dim = mesh.topology.cell_name(), mesh.geometry.dim
     if cell not in ("tetrahedron", "hexahedron") or dim != 3:
         raise ValueError(
@@ -113,10 +111,8 @@ def _check_mesh(mesh: object) -> None:
         )
 
 
-def _check_tags(name: str, tags: object, mesh: dolfinx.mesh.Mesh) -> None:
+def _check_tags(name: str, tags: dolfinx.mesh.MeshTags, mesh: dolfinx.mesh.Mesh) -> None:
     """Require tags on a mesh."""
-    if not isinstance(tags, dolfinx.mesh.MeshTags):
-        raise TypeError(f"{name} is {tags!r}: give dolfinx.mesh.MeshTags.")
     if tags.topology != mesh._cpp_object.topology:
         raise ValueError(f"{name} belong to another mesh: give those of this one.")
 

@@ -14,6 +14,7 @@ In the order of the data: compiled, paths, equilibrium, response, moduli, ellipt
 report, fitting, plots.
 """
 
+from dolfinx_feti.mechanics.arguments import type_exports
 from dolfinx_feti.workshop.checks import Check
 from dolfinx_feti.workshop.compiled import Material, States, compile_material, evaluate
 from dolfinx_feti.workshop.ellipticity import Ellipticity, least_eigenvalues, scan_ellipticity
@@ -59,3 +60,5 @@ __all__ = [
     "small_strain_moduli",
     "uniaxial",
 ]
+
+type_exports(globals())

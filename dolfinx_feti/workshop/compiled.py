@@ -230,8 +230,6 @@ def _call(psi: Callable[..., Expr], F: Variable, parameters: Mapping[str, Expr])
     Raises:
         TypeError: It takes none of F, C and J, takes other arguments, or cannot take a parameter.
     """
-    if not callable(psi):
-        raise TypeError(f"psi = {psi!r}: give a function of C and J, or of F.")
     measures = dict(zip(MEASURES, (F, right_cauchy_green(F), jacobian(F)), strict=True))
     takes = inspect.signature(psi).parameters
     open_ended = any(p.kind is p.VAR_KEYWORD for p in takes.values())

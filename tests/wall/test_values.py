@@ -134,9 +134,9 @@ def test_what_has_no_effect_in_a_case():
     for both in ({}, {"volume": 1.0, "windkessel": {"resistance": 1.0, "compliance": 1.0}}):
         with pytest.raises(ValueError, match="give a volume or a windkessel, one of them"):
             Filling(**both)
-    with pytest.raises(TypeError, match="compliance"):
+    with pytest.raises(ValueError, match=r"windkessel=.*: give a resistance, a compliance"):
         vessels(resistance=1.0)
     for wrong in ("3 kPa", True, None):
-        with pytest.raises(TypeError, match=f"c = {wrong!r}: expected a number"):
+        with pytest.raises(TypeError, match=f"c (is|=) {wrong!r}: "):
             Tissue(wrong)
     assert np.isfinite(Tissue(3.0).k2)

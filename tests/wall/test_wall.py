@@ -164,7 +164,7 @@ def test_one_number_for_cells_and_triangles(tmp_path, wall, raw, suffix, name):
     data = {name: [raw.layers, raw.surfaces]}
     on_first(lambda: meshio.Mesh(raw.points, cells, cell_data=data).write(path))
     agree(read_wall(path, COMM, names=GROUPS).names == wall.names)
-    with raises(ValueError, r"names\['lumen'\] is 3: give the dimension and the tag"):
+    with raises(TypeError, r"names\['lumen'\] is 3: give Mapping\[str, tuple\[int, int\]\]"):
         read_wall(path, COMM, names={"lumen": 3})
 
 

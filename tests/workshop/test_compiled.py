@@ -135,7 +135,7 @@ FIELD = dolfinx.fem.Function(dolfinx.fem.functionspace(MESH, ("DG", 0)), name="s
 @pytest.mark.parametrize(
     ("psi", "error", "message"),
     [
-        (3.0, TypeError, "psi = 3.0: give a function"),
+        (3.0, TypeError, "psi is 3.0: give Callable"),
         (lambda x: x, TypeError, r"arguments \['x'\]: name them C and J, or F"),
         (lambda C, J, /: J, TypeError, "name them C and J"),
         (lambda C, p: p * C[0, 0], TypeError, r"psi also takes \['p'\]"),
