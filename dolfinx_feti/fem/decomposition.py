@@ -220,17 +220,10 @@ def _shares(subdomains: int, cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int
 
 def _facet_graph(mesh: dolfinx.mesh.Mesh, n_cells: int) -> scipy.sparse.csr_array:
     """Return the graph of owned cells that share a facet, (n_cells, n_cells)."""
-    tdim = mesh.topology.dim
-    mesh.topology.create_entities(tdim - 1)
-    mesh.topology.create_connectivity(tdim - 1, tdim)
-    cells = mesh.topology.connectivity(tdim - 1, tdim)
-    first = cells.offsets[:-1][np.diff(cells.offsets) == 2]
-    a, b = cells.array[first], cells.array[first + 1]
-    both = (a < n_cells) & (b < n_cells)
-    a, b = a[both], b[both]
-    rows, columns = np.concatenate([a, b]), np.concatenate([b, a])
-    ones = np.ones(len(rows), dtype=np.int8)
-    graph = scipy.sparse.csr_array((ones, (rows, columns)), shape=(n_cells, n_cells))
+    links = compat.facet_links(mesh.topology, n_cells)
+    ones = np.ones(len(links.array), dtype=np.int8)
+    columns = links.array.astype(np.int32)
+    graph = scipy.sparse.csr_array((ones, columns, links.offsets), shape=(n_cells, n_cells))
     graph.sort_indices()
     return graph
 

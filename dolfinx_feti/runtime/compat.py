@@ -18,6 +18,7 @@ import dolfinx
 __all__ = [
     "adjacency",
     "create_function_space",
+    "facet_links",
     "geometry_degree",
     "geometry_dofmap",
     "gmsh_permutation",
@@ -61,6 +62,23 @@ def create_function_space(
     except TypeError:
         space = dolfinx.cpp.fem.FunctionSpace_float64(*arguments)
     return dolfinx.fem.FunctionSpace(V.mesh, V.ufl_element(), space)
+
+
+def facet_links(
+    topology: dolfinx.mesh.Topology, n_cells: int
+) -> dolfinx.cpp.graph.AdjacencyList_int64:
+    """Return the cells that share a facet with each of the first cells, among those.
+
+    The facets themselves, of which a prism has two types, are not asked for: from 0.10 on they have
+    a table each.
+    """
+    vertices = topology.connectivity(topology.dim, 0)
+    cells = vertices.array[: vertices.offsets[n_cells]].astype(np.int64)
+    mesh = (MPI.COMM_SELF, [topology.cell_type], [cells])
+    try:  # from 0.10 on, with a bound on the cells at a facet
+        return dolfinx.cpp.mesh.build_dual_graph(*mesh, None)
+    except TypeError:
+        return dolfinx.cpp.mesh.build_dual_graph(*mesh)
 
 
 def geometry_degree(mesh: dolfinx.mesh.Mesh) -> int:

@@ -43,14 +43,16 @@ def body(cell: str, curved: bool) -> tuple[dolfinx.mesh.Mesh, object, object, li
     mesh.geometry.x[:, 0] += 0.06 * np.sin(3 * mesh.geometry.x[:, 1] + mesh.geometry.x[:, 2])
     tdim = mesh.topology.dim
     mesh.topology.create_connectivity(tdim - 1, tdim)
-    tags = []
-    for dim in (tdim, tdim - 1):
+    tags: list[object] = []
+    for dim in (
+        (tdim,) if cell == "prism" else (tdim, tdim - 1)
+    ):  # a prism's facets are of two types
         m = mesh.topology.index_map(dim)
         entities = np.arange(m.size_local + m.num_ghosts, dtype=np.int32)
         number = 1 + (m.local_to_global(entities) % 7 % 3).astype(np.int32)
         tags.append(dolfinx.mesh.meshtags(mesh, dim, entities, number))
     cells = np.arange(mesh.topology.index_map(tdim).size_local, dtype=np.int32)
-    return mesh, tags[0], tags[1], [(1, cells[::2]), (2, cells[1:3]), (3, cells[:0])]
+    return mesh, tags[0], tags[-1], [(1, cells[::2]), (2, cells[1:3]), (3, cells[:0])]
 
 
 def bent(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.Mesh:

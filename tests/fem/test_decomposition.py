@@ -26,6 +26,7 @@ MESHES = {
     "quadrilaterals": (2, 5, Cell.quadrilateral),
     "tetrahedra": (3, 3, Cell.tetrahedron),
     "hexahedra": (3, 3, Cell.hexahedron),
+    "prisms": (3, 3, Cell.prism),
 }
 every_mesh = pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 
@@ -35,14 +36,14 @@ def cells(mesh):
 
 
 def neighbours(mesh, n):
-    """Graph of owned cells with a common facet, from the vertices of the facets."""
-    dim = mesh.topology.dim
-    mesh.topology.create_connectivity(dim, dim - 1)
-    facets = mesh.topology.connectivity(dim, dim - 1)
-    rows = np.repeat(np.arange(n), np.diff(facets.offsets)[:n])
-    columns = facets.array[: facets.offsets[n]]
-    incidence = scipy.sparse.csr_array((np.ones(len(rows)), (rows, columns)))
-    return scipy.sparse.csr_array(incidence @ incidence.T)
+    """Graph of owned cells with a common facet: as many common vertices as dimensions."""
+    vertices = mesh.topology.connectivity(mesh.topology.dim, 0)
+    ends = vertices.offsets[: n + 1]
+    incidence = scipy.sparse.csr_array((np.ones(ends[-1]), vertices.array[: ends[-1]], ends))
+    graph = scipy.sparse.csr_array(incidence @ incidence.T)
+    graph.data *= graph.data >= mesh.topology.dim
+    graph.eliminate_zeros()
+    return graph
 
 
 def pieces(graph, members):
@@ -165,6 +166,8 @@ def test_subdomains_that_are_no_number_are_refused(subdomains):
 @every_mesh
 @pytest.mark.parametrize(("degree", "components"), [(1, None), (2, None), (1, "dim"), (3, "dim")])
 def test_torn_dofs_are_pairs_of_subdomain_and_dof(mesh, degree, components):
+    if mesh[2] == Cell.prism:
+        degree = 1  # dolfinx has no dofs inside of facets of two types
     mesh = cube(*mesh)
     shape = () if components is None else ((mesh.geometry.dim,),)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, *shape))
