@@ -24,7 +24,8 @@ systems. --per varies the dofs of a subdomain: `seconds_cpu` of FETI is processo
 slowest process, the least of all rounds.
 
 All κ have the same subdomains. A case that is in the file with all its solvers is not run again. A
-solver that fails, say for want of memory, is recorded with the reason. Processes and threads
+solver that fails is recorded with the reason, also for want of memory under the shell's `ulimit -d
+KIB`; the kernel would end the program. Processes and threads
 (OMP_NUM_THREADS) are those that it is started with: run it on two processes and on one with two
 threads, and the page takes the better one of each solver. Options with a single dash are PETSc's,
 with the prefixes `tube_`, `vessel_`, `block_`, `body_` (FETI), `mumps_`, `gamg_`, …
@@ -34,7 +35,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import time
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -50,7 +50,7 @@ from benchmarks.common.clock import Events
 from benchmarks.common.compare import path
 from benchmarks.common.compare.opponents import OPPONENTS
 from benchmarks.common.compare.tables import GEOMETRIES, fields, seconds
-from benchmarks.common.machine import limited_memory, threads
+from benchmarks.common.machine import threads
 from benchmarks.common.records import Record, Records
 from benchmarks.common.study import Keep, Study
 from benchmarks.common.walls import clamped
@@ -82,7 +82,6 @@ def _options(parser: argparse.ArgumentParser) -> None:
     add("--path", type=positive, metavar="P", help="load steps to P mmHg in place of a first step")
     add("--loaded", type=positive, metavar="P", help="a step in the equilibrium at P mmHg")
     add("--folder", type=Path, default=Path("build/walls"), help="for meshes and loaded states")
-    command.add_memory(parser)
 
 
 def _solvers(args: argparse.Namespace) -> list[str]:
@@ -128,7 +127,7 @@ def _done(case: Record, records: Records, args: argparse.Namespace) -> bool:
 
 
 def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> None:
-    """Run a case on its body at rest, in so much memory. Collective."""
+    """Run a case on its body at rest. Collective."""
     solvers, body = _solvers(args), _create_body(case, args.folder, comm)
     dofmap = body.u.function_space.dofmap
     size: Record = {
@@ -139,16 +138,13 @@ def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> 
         names = ("geometry", "degree", "kappa", "wanted_dofs")
         place = args.folder / "_".join([*(str(case[n]) for n in names), f"{args.loaded:g}"])
         path.load(body, args.loaded, Checkpoint(place, comm, restart=place.exists()))
-    with limited_memory(comm, args.memory) as room:
-        if args.path is not None:
-            direct = [name for name in solvers if name != "feti"]
-            found = path.follow(body, args.path, direct=direct)
-        else:
-            if body.load is not None:
-                mmhg = FIRST_LOAD[args.geometry] if args.loaded is None else args.loaded
-                body.load.value = loads.mmhg(mmhg * (1.0 if args.loaded is None else 1.0 + MORE))
-            found = _median([_step(body, solvers) for _ in range(args.rounds)])
-    size["free_mib"] = room if math.isfinite(room) else None
+    if args.path is not None:
+        found = path.follow(body, args.path, direct=[name for name in solvers if name != "feti"])
+    else:
+        if body.load is not None:
+            mmhg = FIRST_LOAD[args.geometry] if args.loaded is None else args.loaded
+            body.load.value = loads.mmhg(mmhg * (1.0 if args.loaded is None else 1.0 + MORE))
+        found = _median([_step(body, solvers) for _ in range(args.rounds)])
     for record in found:
         keep({"solver": record["solver"]}, size | record)
 

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO
@@ -18,7 +17,6 @@ from meshes.arguments import positive
 from meshes.walls import CREATE
 
 __all__ = [
-    "add_memory",
     "add_mesh",
     "count_or_zero",
     "names",
@@ -27,13 +25,6 @@ __all__ = [
     "several",
     "some_of",
 ]
-
-
-def add_memory(parser: argparse.ArgumentParser) -> None:
-    """Add the option for a limit on the memory."""
-    parser.add_argument(
-        "--memory", type=positive, default=math.inf, metavar="MIB", help="take no more"
-    )
 
 
 def add_mesh(parser: argparse.ArgumentParser) -> None:

@@ -1,70 +1,26 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The machine: its name, its memory, and a limit on what a run takes of it."""
+"""The machine that a record was made on."""
 
 from __future__ import annotations
 
 import ctypes
 import os
 import platform
-import resource
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
 import dolfinx
 
-__all__ = ["available_mib", "describe", "limited_memory", "now", "threads"]
+__all__ = ["describe", "now", "threads"]
 
 PROC = Path("/proc")
-CGROUP = Path("/sys/fs/cgroup")
-
-
-def available_mib(comm: MPI.Comm) -> float:
-    """Return the memory that the processes may still take on all their machines [MiB].
-
-    Infinite where the system does not report it. Collective.
-    """
-    machine = comm.Split_type(MPI.COMM_TYPE_SHARED)
-    share = _available_here() / machine.size
-    machine.Free()
-    return comm.allreduce(share)
-
-
-def _available_here() -> float:
-    """Return what the kernel can give, or what is left of a container's limit, if less [MiB]."""
-    left = [_field(PROC / "meminfo", "MemAvailable")]
-    with suppress(OSError, ValueError):  # no limit
-        limit, used = ((CGROUP / f"memory.{name}").read_text() for name in ("max", "current"))
-        left.append((float(limit) - float(used)) / 2**20)
-    return min(left)
-
-
-@contextmanager
-def limited_memory(comm: MPI.Comm, most: float) -> Iterator[float]:
-    """Let allocations fail on all processes that go beyond the memory there is, or a limit.
-
-    A solver that fails for it can be recorded; else the kernel would end the program. Yields what
-    they may take together beside what they have [MiB], infinite where it is not known. Collective.
-    """
-    _trim()  # free memory of earlier work would still be to be had
-    room = min(most, available_mib(comm))
-    own = _field(PROC / "self/status", "VmData")
-    before = resource.getrlimit(resource.RLIMIT_DATA)
-    if np.isfinite(room) and np.isfinite(own):
-        limit = int((own + room / comm.size) * 2**20)
-        resource.setrlimit(resource.RLIMIT_DATA, (limit, before[1]))
-    try:
-        yield room
-    finally:
-        resource.setrlimit(resource.RLIMIT_DATA, before)
 
 
 def describe() -> dict[str, str | int]:
@@ -114,8 +70,3 @@ def _field(file: Path, name: str) -> float:
 
 def _lines(file: Path) -> list[str]:
     return file.read_text().splitlines() if file.is_file() else []
-
-
-def _trim() -> None:
-    with suppress(AttributeError):  # another C library than GNU's
-        ctypes.CDLL(None).malloc_trim(0)

@@ -12,13 +12,12 @@ import os
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
-from collective import COMM, agree, raises, small
+from collective import COMM, agree, raises
 from wall_files import on_first
 
 from benchmarks import compare, cube, load_stepping, nonlinear, random_walls, scaling, verification
-from benchmarks.common import command, machine
+from benchmarks.common import command
 from benchmarks.common import records as module
 from benchmarks.common.records import Records
 from benchmarks.common.study import Study
@@ -67,34 +66,6 @@ def test_full_disk_leaves_the_file_as_it_was(tmp_path, monkeypatch):
     agree(on_first(lambda: [each.name for each in tmp_path.iterdir()]) == ["records.json"])
     records.put({"case": 3}, {"case": 3})
     agree(len(on_first(lambda: json.loads(path.read_text()))) == 3, "what was found is kept")
-
-
-def test_available_memory_is_what_the_kernel_and_the_container_leave(tmp_path, monkeypatch):
-    def write() -> None:
-        (tmp_path / "meminfo").write_text("MemTotal: 4096000 kB\nMemAvailable: 2048000 kB\n")
-
-    on_first(write)
-    monkeypatch.setattr(machine, "PROC", tmp_path)
-    monkeypatch.setattr(machine, "CGROUP", tmp_path)
-    small(machine.available_mib(COMM) - 2000.0, 1e-9)
-    on_first(lambda: (tmp_path / "memory.max").write_text(f"{900 * 2**20}\n"))
-    on_first(lambda: (tmp_path / "memory.current").write_text(f"{200 * 2**20}\n"))
-    small(machine.available_mib(COMM) - 700.0, 1e-9)
-    on_first(lambda: (tmp_path / "memory.max").write_text("max\n"))
-    small(machine.available_mib(COMM) - 2000.0, 1e-9)
-    on_first(lambda: (tmp_path / "meminfo").unlink())
-    agree(np.isinf(machine.available_mib(COMM)))
-
-
-def test_memory_that_is_limited_cannot_be_taken():
-    """Some is there, more than that is not, and afterwards all is as before."""
-    n = 2**23  # 64 MiB
-    with machine.limited_memory(COMM, 100.0 * COMM.size) as room:
-        agree(room <= 100.0 * COMM.size)
-        agree(np.ones(n)[-1] == 1.0)
-        with raises(MemoryError, "Unable to allocate"):
-            np.ones(16 * n)  # no gap that earlier tests have left holds so much
-    agree(np.ones(4 * n)[-1] == 1.0)
 
 
 class Broken(io.StringIO):

@@ -163,19 +163,6 @@ def test_path_that_fails_is_recorded(monkeypatch):
         agree(record["linear_solves"] >= 1 and record["newton_iterations"] == 0, record)
 
 
-def test_solver_without_memory_is_recorded():
-    """With the reason; the next solver has its turn, and the limit ends with the run."""
-    words = ["--dofs", "60000", "--subdomains", "4", "--kappa", "10"]
-    limit = 300.0  # MiB; MUMPS takes over 400 beside what earlier tests have freed, GAMG up to 250
-    mumps, gamg = main([*words, "--solvers", "mumps,gamg", "--memory", f"{limit}"])
-    agree(not mumps["converged"] and mumps["note"].startswith("failed: "), mumps)
-    agree(mumps["free_mib"] == limit, mumps)
-    agree(mumps["relative_residual"] is None and gamg["difference_to_mumps"] is None)
-    agree(gamg["converged"] and gamg["note"] == "", gamg)
-    (free,) = main([*words, "--solvers", "mumps"])
-    agree(free["converged"] and free["note"] == "", free)
-
-
 @pytest.mark.parametrize("geometry", ["pillar", "cube", "square", "heat"])
 def test_sweep_over_subdomains(geometry, tmp_path):
     """As many as were asked for; the page has the time over the least."""
