@@ -16,9 +16,7 @@ import dolfinx
 import ufl
 
 from benchmarks.common.verification import inf_sup, tube
-from benchmarks.common.verification.cases import CASES
 from benchmarks.common.verification.ellipsoid import create_ellipsoid, ellipsoid_fibre
-from benchmarks.common.verification.revolved import solve_revolved
 from benchmarks.common.verification.stressed_tube import create_stressed_tube
 from benchmarks.common.walls.oracle import KPA_PER_MMHG, Wall, inflate
 from benchmarks.verification import STUDY
@@ -45,7 +43,7 @@ def test_records_and_their_page(tmp_path):
     agree(STUDY.main(words) == first == json.loads(path.read_text()))
     small(first[0]["mumps"]["tip"] / first[0]["values"]["tip"] - 1, 1e-6)
     text = STUDY.write_page([path], tmp_path)
-    agree("| 4.0 to 4.2 | 4 to 4.2 | 4.215 | – | **no** |" in text, text)
+    agree("| 4.0 to 4.2 | 4 to 4.2 | 4.215 | **no** |" in text, text)
     agree("| Q2–P1disc | 0.395 | – | – | 0 |" in text, text)
 
 
@@ -84,15 +82,6 @@ def test_ellipsoid():
     outwards = ufl.as_vector([x[0] / 8.5**2, x[1] / 8.5**2, x[2] / 18.5**2])  # of the middle
     across = ufl.dot(f, outwards) ** 2 / ufl.dot(outwards, outwards)
     small(integral(across * ufl.dx(mesh, degree=4)) / (outer - inner), 1e-2)
-
-
-@pytest.mark.serial
-def test_meridian_plane():
-    """Published of problem 2: −26.6; so coarse a mesh is 0.2 % off what it tends to."""
-    energy = CASES["land-2"].limit.args[0]
-    inside, middle, outside = solve_revolved(energy, pressure=10.0, kappa=1e5, through=2, along=8)
-    small(inside + 26.63, 0.06)
-    agree(outside < middle < inside, (outside, middle, inside))
 
 
 @pytest.mark.serial

@@ -34,9 +34,6 @@ __all__ = [
     "THICKNESS",
     "create_ellipsoid",
     "ellipsoid_fibre",
-    "fraction",
-    "helix",
-    "meridian",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -56,24 +53,17 @@ def create_ellipsoid(comm: MPI.Comm, n: int, through: int | None = None) -> Wall
 def ellipsoid_fibre(mesh: dolfinx.mesh.Mesh) -> Expr:
     """Return the direction of the fibres [-], (3,). Collective."""
     t = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 2)))
-    t.interpolate(lambda x: fraction(np.hypot(x[0], x[1]), x[2]))
+    t.interpolate(lambda x: _fraction(np.hypot(x[0], x[1]), x[2]))
     x = ufl.SpatialCoordinate(mesh)
     r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
     e_r, e_t = ufl.as_vector([x[0], x[1], 0]) / r, ufl.as_vector([-x[1], x[0], 0]) / r
-    f = helix(t, r, x[2])
-    return f[0] * e_r + f[1] * e_t + f[2] * ufl.as_vector([0, 0, 1])
-
-
-def helix(t: Expr, r: Expr, z: Expr) -> tuple[Expr, Expr, Expr]:
-    """Return the components of f along e_r, e_θ and e_z at a fraction t of the wall."""
     short, long = SHORT + THICKNESS * t, LONG + THICKNESS * t
-    up = (-short * z / long, long * r / short)  # ∂x/∂μ
-    size = ufl.sqrt(up[0] ** 2 + up[1] ** 2)
+    up = -short * x[2] / long * e_r + long * r / short * ufl.as_vector([0, 0, 1])  # ∂x/∂μ
     α = np.pi / 2 - np.pi * t
-    return ufl.sin(α) * up[0] / size, ufl.cos(α), ufl.sin(α) * up[1] / size
+    return ufl.sin(α) * up / ufl.sqrt(ufl.dot(up, up)) + ufl.cos(α) * e_t
 
 
-def fraction(r: Array, z: Array) -> Array:
+def _fraction(r: Array, z: Array) -> Array:
     """Return t at points, by bisection of (r/r_s)² + (z/r_l)² = 1."""
     low, high = np.full(r.shape, -0.1), np.full(r.shape, 1.1)
     for _ in range(60):
@@ -81,13 +71,6 @@ def fraction(r: Array, z: Array) -> Array:
         at = (r / (SHORT + THICKNESS * t)) ** 2 + (z / (LONG + THICKNESS * t)) ** 2
         low, high = np.where(at > 1, t, low), np.where(at > 1, high, t)
     return (low + high) / 2
-
-
-def meridian(t: Array, s: Array) -> tuple[Array, Array]:
-    """Return r and z at the fractions t through the wall and s from the apex to the base."""
-    short, long = SHORT + THICKNESS * t, LONG + THICKNESS * t
-    μ = s * (np.pi - np.arccos(BASE / long))
-    return short * np.sin(μ), -long * np.cos(μ)
 
 
 def _create(n: int, through: int) -> RawWall:
@@ -129,6 +112,8 @@ def _create(n: int, through: int) -> RawWall:
 def _place(t: Array, disc: Array) -> Array:
     """Lay points of the unit disc, (j, k, 2), over the ellipsoids of t, (i, 1, 1)."""
     ρ = np.linalg.norm(disc, axis=-1)
-    r, z = meridian(t, ρ)
+    short, long = SHORT + THICKNESS * t, LONG + THICKNESS * t
+    μ = ρ * (np.pi - np.arccos(BASE / long))
     outwards = disc / np.maximum(ρ, 1e-300)[..., None]
-    return np.concatenate([r[..., None] * outwards, z[..., None]], axis=-1)
+    across = (short * np.sin(μ))[..., None] * outwards
+    return np.concatenate([across, -(long * np.cos(μ))[..., None]], axis=-1)

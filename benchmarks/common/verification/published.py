@@ -7,13 +7,13 @@ r"""Published numbers, computed again on refined meshes.
 
 The load is followed to its end by FETI. From the state at :data:`BEFORE` of the load MUMPS goes to
 the end, too, by Newton's method in dolfinx alone: displacement and pressure in one matrix, and
-nothing of this package but the energy. Bodies of revolution are computed in their meridian plane,
-too.
+nothing of this package but the energy.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from collections.abc import Iterator, Sequence
 
@@ -40,8 +40,6 @@ __all__ = ["cases", "fields", "known", "line", "options", "run"]
 
 BEFORE = 0.995  # share of the load from which MUMPS goes on
 
-LIMIT = 0  # "mesh" of the record of a body of revolution in its meridian plane
-
 
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this part."""
@@ -53,15 +51,13 @@ def options(parser: argparse.ArgumentParser) -> None:
 def cases(
     args: argparse.Namespace, _parser: argparse.ArgumentParser, comm: MPI.Comm
 ) -> Iterator[Record]:
-    """Yield the cases on all meshes, and in their meridian plane."""
-    for case in args.case:
-        for mesh in (LIMIT, *args.mesh):
-            if mesh != LIMIT or CASES[case].limit is not None:
-                yield {"case": case, "mesh": mesh, "processes": comm.size}
+    """Yield the cases on all meshes."""
+    for case, mesh in itertools.product(args.case, args.mesh):
+        yield {"case": case, "mesh": mesh, "processes": comm.size}
 
 
 def run(case: Record, keep: Keep, _args: argparse.Namespace, comm: MPI.Comm) -> None:
-    """Load a body by both solvers, or in its meridian plane."""
+    """Load a body by both solvers."""
     keep({}, _compute(str(case["case"]), int(case["mesh"]), comm))
 
 
@@ -77,11 +73,8 @@ def line(record: Record) -> str:
 
 
 def _compute(case: str, mesh: int, comm: MPI.Comm) -> Record:
-    """Load a body by both solvers, or in its meridian plane."""
+    """Load a body by both solvers."""
     begun = time.perf_counter()
-    limit = CASES[case].limit
-    if mesh == LIMIT and limit is not None:
-        return {"values": limit()}
     body = CASES[case].create(comm, mesh)
     last: list[list[np.ndarray]] = []
 
@@ -120,8 +113,7 @@ def fields(records: Sequence[Record]) -> Fields:
         mine = by_case.get(name, [])
         if not mine:
             continue
-        limits = [record["values"] for record in mine if record["mesh"] == LIMIT]
-        meshes = sorted((r for r in mine if r["mesh"] > LIMIT), key=lambda r: int(r["mesh"]))
+        meshes = sorted(mine, key=lambda r: int(r["mesh"]))
         rows = []
         for record in meshes:
             cost = dict(record)  # on the first line of a mesh alone
@@ -137,7 +129,7 @@ def fields(records: Sequence[Record]) -> Fields:
             spread = {field: getattr(quantity, field) for field in ("published", "low", "high")}
             ours = {"value": value, "holds": quantity.low <= value <= quantity.high}
             words = {"name": case.name, "source": case.source, "quantity": quantity.name}
-            summary.append(words | spread | ours | {"limit": limits[0][key] if limits else None})
+            summary.append(words | spread | ours)
     return {"cases": sections, "quantities": summary}
 
 
