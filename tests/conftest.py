@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import logging
 import re
@@ -24,6 +25,8 @@ import pytest
 from collective import agree
 from garbage import garbage
 from problems import Problem
+
+import dolfinx
 
 import dolfinx_feti
 from dolfinx_feti.feti.dual.form import DualForm, create_dual_form
@@ -69,11 +72,22 @@ AT_MOST_TWO = [
     )
 ]
 
-#: Tests of what owns PETSc's objects, which leave none to PETSc's own collector.
-SOLVER = [
-    TESTS / name
-    for name in ("feti/dual", "feti/gluing", "feti/primal", "feti/test_memory.py", "torn")
-]
+#: Meshes of the present test, whose communicators PETSc's objects of their problems are on.
+_meshes: list[dolfinx.mesh.Mesh] = []
+
+
+def remembered(init: Callable[..., None]) -> Callable[..., None]:
+    """Keep each new mesh until its test has ended, and with it its communicator."""
+
+    @functools.wraps(init)
+    def remember(mesh: dolfinx.mesh.Mesh, *args: object, **kwargs: object) -> None:
+        init(mesh, *args, **kwargs)
+        _meshes.append(mesh)
+
+    return remember
+
+
+dolfinx.mesh.Mesh.__init__ = remembered(dolfinx.mesh.Mesh.__init__)  # type: ignore[method-assign]
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -141,16 +155,18 @@ def collect() -> None:
 
 
 @pytest.fixture(autouse=True)
-def clean(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Collect garbage together, and find the options database as it was before the test."""
+def clean() -> Iterator[None]:
+    """Find the options database as it was, and no object that processes have to end together."""
     before = PETSc.Options().getAll()
     yield
     collect()
-    solver = any(path in (request.path, *request.path.parents) for path in SOLVER)
-    left = garbage(COMM) if solver else ""
-    PETSc.garbage_cleanup()
+    comms = [COMM, *(mesh.comm for mesh in _meshes if mesh.comm.size > 1)]
+    left = [garbage(comm) for comm in comms]
+    for comm in comms:
+        PETSc.garbage_cleanup(comm)
+    _meshes.clear()
     COMM.Barrier()
-    assert not left, left
+    assert not any(left), "".join(left)
     assert PETSc.Options().getAll() == before
 
 
