@@ -6,18 +6,12 @@ r"""A few scalar unknowns s beside the x of a torn matrix: a bordered system, by
 .. math:: A\, x + B\, s = b, \quad C^⊤ x + D\, s = d: \qquad
           A\, y = b, \; A\, X = B, \quad (D - C^⊤ X)\, s = d - C^⊤ y, \quad x = y - X s
 
-with columns B, C, (N, m), of any units. Each column of X is one more right-hand side for factors
-and coarse space that are there. It starts from that of the last matrix, and is as accurate as its
-share in the residual of the first equation demands: :math:`\|B_k - A X_k\|\, |s_k|` counts, the
-second equation holds up to rounding whatever X is. So where A is nearly singular, as at a limit
-point, y and X are large and inaccurate, but x and s are not (Keller 1983).
+with columns B, C, (N, m), of any units. X starts from that of the last matrix, as accurate as its
+share in the first equation demands: :math:`\|B_k - A X_k\|\, |s_k|` counts. Where A is nearly
+singular, y and X are large and inaccurate, but x and s are not (Keller 1983). Where nothing resists
+some rigid motions W, point springs E do, whose forces t are further scalars:
 
-Where nothing resists some rigid motions W of its bodies, point springs do,
-
-.. math:: (A + E κ E^⊤)\, x + B\, s - E\, t = b, \qquad t = κ E^⊤ x,
-
-and their forces t are further scalars, so that the springs leave x as it is. The columns E are unit
-vectors of as many dofs, in which W has full rank.
+.. math:: (A + E κ E^⊤)\, x + B\, s - E\, t = b, \qquad t = κ E^⊤ x
 """
 
 from __future__ import annotations

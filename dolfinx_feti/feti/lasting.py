@@ -6,14 +6,10 @@
 - The *pattern* lasts until the pattern of the matrix changes, or its symmetry.
 - The *preconditioner* of the primal form serves up to ``feti_lag`` later matrices of Newton's
   method, unless a solve takes far more iterations for a digit than the first one with it.
-- The *Ritz vectors* of each solve, up to ``feti_deflation``, serve the next matrices of Newton's
-  method, with this preconditioner or a new one.
+- The *Ritz vectors* of each solve serve the next matrices of Newton's method.
 
-All end with :meth:`Lasting.renew`. A solve that fails with an old preconditioner is tried again
-with a new one; one that meets an indefinite matrix in the primal form of ``auto``, in the dual one.
-
-What makes parts with objects of PETSc hands them to one of three owners, of the pattern, of the
-preconditioner, or of the matrix. Nothing else ends them.
+All end with :meth:`Lasting.renew`. Parts with objects of PETSc belong to one of three owners, of
+the pattern, of the preconditioner, or of the matrix. Nothing else ends them.
 """
 
 from __future__ import annotations

@@ -3,15 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""FETI as a PETSc Krylov solver: ``-ksp_type python -ksp_python_type dolfinx_feti.FETI``.
 
-For a torn matrix :math:`A = T^⊤ K T` and an assembled right-hand side b it solves A x = b in one of
-two forms: by the dual system of the torn problem
+.. math:: A = T^⊤ K T, \qquad A x = b, \qquad K u + B^⊤ λ = f, \qquad B u = c
 
-.. math:: K u + B^⊤ λ = f, \qquad B u = c
-
-(eq. 36, Augustin_eq:classicalFetiLGS, eq. 38, Augustin_eq:AFFETI; ``dual``), or by conjugate
-gradients on the assembled interface (``primal``); ``form`` chooses. Convergence is judged on the
-*assembled* system, with the prescribed values :math:`x_D` moved to the right-hand side:
-:math:`\|b - A x\| ≤ rtol \|b - A x_D\|`.
+(eq. 36, Augustin_eq:classicalFetiLGS, eq. 38, Augustin_eq:AFFETI), in the dual or the primal form.
+Convergence is judged on the *assembled* system, with the prescribed values :math:`x_D` moved to the
+right-hand side: :math:`\|b - A x\| ≤ rtol \|b - A x_D\|`.
 """
 
 from __future__ import annotations

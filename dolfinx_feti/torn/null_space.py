@@ -3,15 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The null space that a torn matrix has been given, as PETSc's ``setNullSpace`` takes it: checked.
 
-.. math:: A Z = 0, \qquad Z^⊤ Z = I, \qquad Z^⊤ b = 0, \qquad Z^⊤ x = 0
+.. math:: A Z = 0, \quad Z^⊤ Z = I, \quad Z^⊤ b = 0, \quad Z^⊤ x = 0, \qquad
+          (N + θ I_k)\, s = e, \quad S^⊤ e = 0 \; ⟹ \; I_k s = 0, \; N s = e
 
-with orthonormal columns Z of the assembled problem, (N, k). Both forms solve in the complement of
-Z; for a load that has a part in it there is no solution. The coarse matrices of both have a null
-space of as many dimensions: with N S = 0, and a stiffness on the diagonal at k coarse unknowns,
-
-.. math:: (N + θ I_k)\, s = e, \qquad S^⊤ e = 0 \quad ⟹ \quad I_k s = 0, \; N s = e,
-
-where S is regular on these: :math:`S^⊤ (N + θ I_k)\, s = θ S^⊤ I_k s = 0`.
+with orthonormal columns Z of the assembled problem, (N, k). The coarse matrices have a null space
+S of as many dimensions, and a stiffness on the diagonal at k unknowns on which S is regular.
 """
 
 from __future__ import annotations

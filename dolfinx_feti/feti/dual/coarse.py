@@ -6,11 +6,9 @@ r"""The coarse problem and the projection.
 .. math:: G = B E, \qquad e = E^⊤ f, \qquad N = G^⊤ Q\, G + D, \qquad
           P = I - Q\, G\, N^{-1} G^⊤
 
-(eq. 43; eq. 44, Augustin_eq:projection, has Q = I and D = 0). N, (K, K), is sparse and distributed;
-Q is ``identity``; ``diagonal``, :math:`q = \operatorname{diag}(B_D \operatorname{diag}(k) B_D^⊤)`
-with the stiffness k of the scaling; or ``preconditioner``, :math:`M + ε \operatorname{diag}(q)`, as
-M alone can vanish on G, for subdomains in a row that move by turns to and fro. Along a null space
-of A, Z = E S on the subdomains with N S = 0, N is anchored.
+(eq. 43; eq. 44, Augustin_eq:projection, has Q = I and D = 0). N, (K, K), is sparse and distributed.
+Q is ``identity``, ``diagonal`` or ``preconditioner`` (docs/theory.md). Along a null space of A,
+Z = E S on the subdomains with N S = 0, N is anchored.
 """
 
 from __future__ import annotations

@@ -1,12 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Krylov methods: CG where the system is positive definite, GMRES otherwise.
+"""Krylov methods of the dual form: CG where the system is positive definite, GMRES otherwise.
 
 CG is safe if neither a regularised subdomain nor the defect D has a negative eigenvalue; see
-``stopping`` for their end. An iteration of CG waits for all processes in each coarse solve, one of
-which sums the norm of the residual of the assembled system if there are two, and for
-:math:`r^⊤ z` and :math:`p^⊤ 𝒜 p`.
+``stopping`` for their end.
 """
 
 from __future__ import annotations

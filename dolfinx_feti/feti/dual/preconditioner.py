@@ -4,18 +4,11 @@
 r"""Preconditioners of the dual operator: identity, lumped, Dirichlet; M = B_D Y B_Dᵀ.
 
 .. math:: M = \sum_i B_{D,i}\, Y_i\, B_{D,i}^⊤, \qquad
-          Y_i = θ I,\; K_i,\; \begin{pmatrix} 0 & 0 \\ 0 & S_i \end{pmatrix}, \qquad
-          S_i = K_{ΓΓ} - K_{ΓI} K_{II}^{-1} K_{IΓ}
+          Y_i = θ I,\; K_i,\; \begin{pmatrix} 0 & 0 \\ 0 & S_i \end{pmatrix}
 
-(eq. 46, Augustin_eq:feti_preconditioner); the paper writes :math:`M^{-1}` for this matrix. Where a
-subdomain buckles alone, Y_i is that of the stabilised one, :math:`K_+ = K + Z Z^⊤`
-(``pseudoinverse``): :math:`Y_Z Y_Z^⊤` is added, with :math:`Y_Z = Z_Γ` or, where Y eliminates the
-interior, Z condensed to the interface.
-
-With the jump r = B u − c, the displacement :math:`u - E_Γ B_D^⊤ r`, whose copies agree, leaves the
-*unbalanced force* :math:`t = K E_Γ B_D^⊤ r`, so that :math:`\|T^⊤ t\|` is the residual of the
-*assembled* system. :math:`E_Γ` extends w harmonically to the interior for the Dirichlet
-preconditioner and where the interior is eliminated, by zero otherwise.
+(eq. 46, Augustin_eq:feti_preconditioner); :math:`Y_Z Y_Z^⊤` is added where a subdomain buckles
+alone. The displacement :math:`u - E_Γ B_D^⊤ r`, whose copies agree, leaves the unbalanced force
+:math:`t = K E_Γ B_D^⊤ r` (docs/theory.md).
 """
 
 from __future__ import annotations

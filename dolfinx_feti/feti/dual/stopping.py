@@ -3,12 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""When a Krylov method stops: the residual of the assembled system, its stagnation, and NaN.
 
-Every application of a system's preconditioner to a residual also tells the norm
-:math:`\|T^⊤ t\|` of the residual of the *assembled* system that it leaves. CG, which preconditions
-its residuals, stops on it; where this norm is only an estimate (``exact`` is False) the residual is
-formed once more before. GMRES knows the norm of the jump only: the residual of the assembled system
-is measured when the proportion last seen promises convergence, and every few iterations. Where the
-residual that GMRES updates departs from the true one, or none falls, a fresh start is to follow.
+Every preconditioned residual tells the norm :math:`\|T^⊤ t\|` of that of the *assembled* system. CG
+stops on it; where it is only an estimate (``exact`` is False) the residual is formed once more
+before. GMRES knows the norm of the jump only: the other one is measured when the proportion last
+seen promises convergence, and every few iterations. A fresh start follows stagnation, or a
+residual that departs from the true one.
 """
 
 from __future__ import annotations

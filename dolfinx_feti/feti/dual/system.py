@@ -4,20 +4,13 @@
 r"""The dual system and its preconditioner, in the pair (λ, s).
 
 .. math:: \begin{pmatrix} F & -G \\ -G^⊤ & -D \end{pmatrix}
-          \begin{pmatrix} λ \\ s \end{pmatrix} =
-          \begin{pmatrix} d \\ -e \end{pmatrix}, \qquad
-          F = B K^+ B^⊤, \quad d = B K^+ f - c
+          \begin{pmatrix} λ \\ s \end{pmatrix} = \begin{pmatrix} d \\ -e \end{pmatrix}, \qquad
+          w = N^{-1} G^⊤ Q r, \quad y = M (r - G w), \quad v = N^{-1}(G^⊤ y - D w), \quad
+          z = (y - Q G v,\; -w - v)
 
-(eq. 41; eq. 42, Augustin_eq:classicalFetiF; eq. 43) with the defect D of the kernels. The residual
-is the jump r = B u − c and the balance of the subdomains (eq. 40), which the *constraint
-preconditioner* keeps zero,
-
-.. math:: w = N^{-1} G^⊤ Q r, \quad y = M (r - G w), \quad v = N^{-1}(G^⊤ y - D w), \quad
-          z = (y - Q G v,\; -w - v).
-
-For D = 0 its λ-part is :math:`P M P^⊤ r` (eq. 45, Augustin_eq:dualProblem), and conjugate gradients
-leave s as it is (``frozen``) till the end, or its rounding errors might grow. Where Q has M in it,
-:math:`z = (Q (r - G w), -w)` is balanced as it is, and s never frozen: w is to shrink with r.
+(eq. 41; eq. 42, Augustin_eq:classicalFetiF; eq. 43); for D = 0 the λ-part of z is
+:math:`P M P^⊤ r` (eq. 45, Augustin_eq:dualProblem; docs/theory.md). Conjugate gradients leave s as
+it is (``frozen``) then, or its rounding errors might grow; not where Q has M in it.
 """
 
 from __future__ import annotations

@@ -3,16 +3,12 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Conjugate gradients on the assembled interface, preconditioned by FETI's local solves.
 
-.. math:: z = Π\, T^⊤ δ\, K_ρ^{-1} δ\, T r, \qquad A = T^⊤ S T,
+.. math:: z = Π\, T^⊤ δ\, K_ρ^{-1} δ\, T r, \qquad A = T^⊤ S T
 
-with the projection Π of ``deflation``: P-FETI (Fragakis and Papadrakakis 2003), the balancing
-method (Mandel 1993) with the kernels of FETI. :math:`K_ρ` is positive definite, since modes that
-buckle have joined R, so that the method is safe if A is; if not, A₀ shows it or a direction p with
-:math:`p^⊤ A p < 0` beyond rounding. An indefinite A is solved with where A₀ has as many negative
-eigenvalues: A is positive definite on all p, which are A-orthogonal to V. Where it has one or two
-less, as near a limit point, α is negative as often. An iteration waits for all processes three
-times: in the coarse problem, for :math:`r^⊤ z`, and for :math:`p^⊤ A p` with the products that
-:math:`\|r - α A p\|` takes.
+with the projection Π of ``deflation`` (Mandel 1993; Fragakis and Papadrakakis 2003). An indefinite
+A shows in A₀ or in a direction p with :math:`p^⊤ A p < 0` beyond rounding. It is solved with where
+A₀ has as many negative eigenvalues, as p is A-orthogonal to V; where A₀ has one or two less, as
+near a limit point, α is negative as often.
 """
 
 from __future__ import annotations

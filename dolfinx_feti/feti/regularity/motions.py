@@ -6,12 +6,9 @@ r"""Motions that nothing resists, tested on the assembled matrix, scaled by its 
 .. math:: \hat A = d^{-1/2} A\, d^{-1/2}, \qquad \hat r = d^{1/2} r, \qquad
           \|\hat A \hat r\| ≤ τ\, \|\hat r\|,
 
-or, where A is known to be positive semi-definite, by the energy :math:`\hat r^⊤ \hat A \hat r`,
-which is not less than the smallest eigenvalue, and in which an error of r counts squared.
-Candidates are the rigid body modes of each body that vanish on the Dirichlet dofs next to it.
-
-Long columns are compared by their triangular factors, :math:`X = Q R`, of each body: singular
-values come out to :math:`ε \|X\|` then.
+or, where A is known to be positive semi-definite, by the energy :math:`\hat r^⊤ \hat A \hat r`, in
+which an error of r counts squared. Candidates are the rigid body modes of each body that vanish on
+its supports. Long columns are compared by their triangular factors, :math:`X = Q R`.
 """
 
 from __future__ import annotations

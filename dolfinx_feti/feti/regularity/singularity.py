@@ -1,17 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Is the assembled matrix singular? Three ways to a motion that nothing resists.
+r"""Is the assembled matrix singular? Three ways to a motion that nothing resists (docs/theory.md).
 
 1. *Rigid motions* of each body that its supports leave (``motions``), but for a given null space.
-2. *Null vectors of N.* Where all :math:`K_i` are positive semi-definite, A w = 0 means
-   :math:`K_i w_i = 0`, so that w = E s with :math:`G s = 0, D s = 0` and N s = 0: the kernel of N
-   holds all of the kernel of A, mechanisms included that are not rigid.
+2. *Null vectors of N*, mechanisms that are not rigid included, where all :math:`K_i` are positive
+   semi-definite: they make a random vector grow, and are tested like the rigid motions.
 3. *Null vectors of* :math:`K_{II}`, if the interface does not feel them.
-
-Rounding hides the kernel of N, but a random vector grows in a solve more than with any regular
-problem. Then inverse iteration finds near null vectors s; the copies of E s are averaged, and the
-field is tested on the assembled matrix like the rigid motions.
 """
 
 from __future__ import annotations

@@ -3,11 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""What the pattern tells of the factors: whether the interior is eliminated, and in what order.
 
-An iteration needs :math:`K_ρ^{-1}` and S of every subdomain (``operator``). If the interior is
-*kept*, both are applied by sparse factors, of :math:`K_ρ` and of :math:`K_{II}`. If it is
-*eliminated*, S is formed, a dense block of the size of Γ; ``auto`` does so if that takes about the
-memory of the factors, as for a piece of a thin wall, or a small one; see :data:`DENSITY`. Where a
-pressure is condensed it does so for any that is not too large: adaptive columns need S.
+If the interior is *kept*, :math:`K_ρ^{-1}` and S are applied by sparse factors; if it is
+*eliminated*, S is formed, a dense block of the size of Γ. ``auto`` does so if that takes about the
+memory of the factors (:data:`DENSITY`), or a pressure is condensed, as adaptive columns need S.
 """
 
 from __future__ import annotations

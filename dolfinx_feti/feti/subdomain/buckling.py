@@ -1,12 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Buckling modes of a subdomain, which join its kernel before another factorisation.
+r"""Buckling modes of a subdomain, K_ρ y = μ y with μ < 0, which join its kernel (docs/theory.md).
 
-.. math:: K_ρ\, y = μ\, y, \qquad μ < 0:
-
-a compressed subdomain gives way alone. Rough eigenvectors are enough: those near zero are at the
-lower end of the spectrum of the inverse, one far below zero is at the lower end of the matrix.
+Rough eigenvectors are enough: those near zero are at the lower end of the spectrum of the inverse,
+one far below zero is at the lower end of the matrix.
 """
 
 from __future__ import annotations

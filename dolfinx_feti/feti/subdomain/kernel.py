@@ -5,9 +5,7 @@ r"""The kernel of a subdomain: its rigid body modes that vanish on its Dirichlet
 
 .. math:: u_i = K_i^†(f_i - B_i^⊤ λ) + R_i α_i, \qquad K_i R_i = 0
 
-(eq. 39, Augustin_eq:localSolutions). All-floating subdomains keep all candidates (six rigid body
-modes in 3-D, three in 2-D, the constant of a scalar problem); a classical one keeps those that
-vanish on its Dirichlet dofs. Under prestress the rotations stay candidates.
+(eq. 39, Augustin_eq:localSolutions). All-floating subdomains keep all candidates.
 """
 
 from __future__ import annotations

@@ -1,17 +1,14 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The null space of a block: motions without energy beyond those that are known.
-
-With the block scaled by its diagonal d and an orthonormal basis :math:`\hat R` of
-:math:`d^{-1/2} R` for the known modes R, null vectors are
+r"""The null space of a block: motions without energy beyond those that are known (docs/theory.md).
 
 .. math:: \|(d^{-1/2} K d^{-1/2} + \hat R \hat R^⊤)\, \hat y\| ≤ 10^{-12}\, \|\hat y\|,
           \qquad y = d^{-1/2}\, \hat y,
 
-found among all singular vectors if the block is small, else by inverse iteration. A few P2–P0
-cells have some beyond the rigid ones, and so have parts connected in a point or along an edge only.
-What tells is the growth of random vectors in a solve, as rounding makes zero pivots tiny ones.
+with the diagonal d and an orthonormal basis :math:`\hat R` of :math:`d^{-1/2} R` for the known
+modes R: among all singular vectors if the block is small, else by inverse iteration. What tells is
+the growth of random vectors in a solve, as rounding makes zero pivots tiny ones.
 """
 
 from __future__ import annotations

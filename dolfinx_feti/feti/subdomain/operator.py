@@ -3,19 +3,14 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The operator S of one matrix: the Schur complements of all subdomains of a process.
 
-Gluing and multipliers touch the interface Γ only. With the Schur complement
-
 .. math:: S = K_{ΓΓ} - K_{ΓI} K_{II}^{-1} K_{IΓ}, \qquad
           \hat f_Γ = f_Γ - K_{ΓI} K_{II}^{-1} f_I, \qquad
           u_I = K_{II}^{-1}(f_I - K_{IΓ} u_Γ)
 
-(eq. 50, Augustin_eq:DirichletVK; eq. 51) both methods can be written for :math:`S, \hat f_Γ, u_Γ`
-in the place of K, f, u.
-
-- :class:`KeptInterior`: S is applied with a sparse factor of :math:`K_{II}`, and the generalised
-  inverse is that of K, on all free dofs.
-- :class:`EliminatedInterior`: S is formed (``elimination``), a dense block of the size of Γ, and
-  the generalised inverse is that of S.
+(eq. 50, Augustin_eq:DirichletVK; eq. 51). :class:`KeptInterior` applies S with a sparse factor of
+:math:`K_{II}`, and the generalised inverse is that of K, on all free dofs.
+:class:`EliminatedInterior` has S formed (``elimination``), and the generalised inverse is that of
+S.
 """
 
 from __future__ import annotations

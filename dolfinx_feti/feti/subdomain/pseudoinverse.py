@@ -3,30 +3,17 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The generalised inverse K⁺, exact under prestress.
 
-With the orthonormal modes R of a subdomain, (n_i, k), and a stiffness ρ > 0, the regularised
+.. math:: K_ρ = K + ρ\, R R^⊤, \quad K^+ = K_ρ^{-1}, \quad
+          W = K R, \quad E = R - K_ρ^{-1} W, \quad D = E'^⊤ W, \quad
+          u = K^+(f - B^⊤ λ) + E s
 
-.. math:: K_ρ = K + ρ\, R R^⊤, \qquad K^+ = K_ρ^{-1},
-
-is regular and :math:`K K^+ K = K` as long as :math:`K R = 0`. Under prestress the rotations leave
-the kernel. For *any* K, put :math:`s = R^⊤ u` and
-
-.. math:: E = ρ\, K_ρ^{-1} R, \qquad D = ρ\, (I - R^⊤ E), \qquad
-          u = K^+(f - B^⊤ λ) + E s, \qquad E^⊤(f - B^⊤ λ) = D s.
-
-With :math:`K R = 0` these are :math:`E = R`, :math:`D = 0` and the paper's equations
-(eq. 39, Augustin_eq:localSolutions; eq. 40). Without cancellation, with E' that of :math:`K^⊤`,
-
-.. math:: W = K R, \qquad E = R - K_ρ^{-1} W, \qquad D = E'^⊤ W.
-
-R is a function of the present matrix alone. It holds the rigid body modes that Dirichlet dofs leave
-(``kernel``), the null vectors beyond them (``nullspace``), the modes in which the subdomain buckles
-(``buckling``), so that :math:`K_ρ` is positive definite, and soft ones (``soft``). The primal form,
-which has adaptive columns, looks for soft modes only where stress softens a subdomain. With the
-eigenvalues :math:`δ < 0` and eigenvectors y of D, the columns
-
-.. math:: Z = 2 R y \sqrt{-δ}, \qquad K_+ = K + Z Z^⊤
-
-*stabilise* a subdomain that would buckle alone. S replaces K where the interior is eliminated.
+for *any* K and orthonormal R, (n_i, k), with E' that of :math:`K^⊤`; where K R = 0, E = R and D = 0
+are the paper's equations (eq. 39, Augustin_eq:localSolutions; eq. 40). R is a function of the
+present matrix alone: the rigid body modes that Dirichlet dofs leave (``kernel``), the null vectors
+beyond them (``nullspace``), the modes in which the subdomain buckles (``buckling``), so that
+:math:`K_ρ` is positive definite, and soft ones (``soft``). With the eigenvalues :math:`δ < 0` and
+eigenvectors y of D, :math:`K_+ = K + Z Z^⊤, Z = 2 R y \sqrt{-δ}` is stabilised (docs/theory.md). S
+replaces K where the interior is eliminated.
 """
 
 from __future__ import annotations

@@ -5,20 +5,14 @@ r"""Soft modes of a subdomain, which join its kernel by an update of the inverse
 
 .. math:: K y = μ\, k_Γ\, y, \qquad μ < \text{threshold},
 
-with the stiffness :math:`k_Γ` of the interface dofs: the subdomains of a thin wall bend easily. A
-rough approximation is enough, as the algebra of ``pseudoinverse`` holds for any R.
+with the stiffness :math:`k_Γ` of the interface dofs; a rough approximation is enough. Columns Y,
+orthogonal to R, join R without another factor (Sherman, Morrison and Woodbury; docs/theory.md),
 
-Orthonormal columns Y, orthogonal to R, join R without another factor (Sherman, Morrison and
-Woodbury): with
+.. math:: Z = K_ρ^{-1} Y, \quad C = (ρ^{-1} I + Y^⊤ Z)^{-1}, \quad G = Y^⊤ E, \quad E_Y = Z C, \quad
+          (E - E_Y G,\; E_Y), \quad
+          \begin{pmatrix} D + G'^⊤ C G & -G'^⊤ C \\ -C G & C \end{pmatrix}
 
-.. math:: Z = K_ρ^{-1} Y, \quad Z' = K_ρ^{-⊤} Y, \quad C = (ρ^{-1} I + Y^⊤ Z)^{-1}, \quad
-          G = Y^⊤ E, \quad G' = Y^⊤ E',
-
-where E' is E of :math:`K^⊤`, those of (R, Y) are
-
-.. math:: (K_ρ + ρ\, Y Y^⊤)^{-1} = (I - E_Y Y^⊤)\, K_ρ^{-1}, \quad
-          (E - E_Y G,\; E_Y), \quad E_Y = Z C, \quad
-          \begin{pmatrix} D + G'^⊤ C G & -G'^⊤ C \\ -C G & C \end{pmatrix}.
+with G' of E', that of :math:`K^⊤`, and :math:`(I - E_Y Y^⊤)\, K_ρ^{-1}` for the inverse.
 """
 
 from __future__ import annotations

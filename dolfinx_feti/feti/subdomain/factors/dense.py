@@ -3,19 +3,12 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Dense symmetric blocks in packed format, and the factors of their regularised companions.
 
-The Schur complement S of a subdomain is dense, and so is
+.. math:: S_ρ = S + ρ\, R R^⊤ = L L^⊤, \qquad S/ρ + R R^⊤ = L L^⊤ + O(2^{-24})
 
-.. math:: S_ρ = S + ρ\, R R^⊤ = L L^⊤.
-
-Both stand in LAPACK's packed format, the lower triangle column by column; for factorisations and
-several columns at once they are unpacked into one work space. Where Cholesky's factorisation meets
-a pivot that is not positive, :math:`L Δ L^⊤` with Bunch and Kaufman's pivots takes its place, and
-tells the inertia. If that meets a zero, too, the pseudo-inverse does, of the matrix scaled by its
-diagonal.
-
-For a preconditioner, :math:`S/ρ + R R^⊤ = L L^⊤ + O(ε)` in single precision, :math:`ε = 2^{-24}`,
-takes half the memory and half the time. A direction in which S is softer than its diagonal by a
-factor g is off by a share of about ε g, and :math:`L L^⊤` is positive definite whatever is rounded.
+in LAPACK's packed format, the lower triangle column by column; the second one in single precision,
+for a preconditioner (docs/theory.md). Where Cholesky's factorisation meets a pivot that is not
+positive, :math:`L Δ L^⊤` (Bunch and Kaufman) takes its place, and where that meets a zero, the
+pseudo-inverse of the matrix scaled by its diagonal.
 """
 
 from __future__ import annotations

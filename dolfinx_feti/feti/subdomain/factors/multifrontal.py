@@ -8,16 +8,8 @@ r"""The Schur complement and the factor of the interior at once: the multifronta
               \begin{pmatrix} U & W \\ & S \end{pmatrix}, \qquad
           K_{II} = U^⊤ U, \qquad S = K_{ΓΓ} - W^⊤ W
 
-(eq. 51) by Cholesky's factorisation that stops at the interface (Duff and Reid 1983; Liu 1992). The
-interior falls into groups of dofs, the *pivots* of a front, which are eliminated together; its
-*update rows* are the later dofs that these are coupled with, Γ included. A front is a small dense
-matrix,
-
-.. math:: \begin{pmatrix} P & Q \\ & C \end{pmatrix} \mapsto
-          U = \operatorname{chol} P, \quad W = U^{-⊤} Q, \quad C - W^⊤ W,
-
-and the last block, the *update matrix*, is added to the front of its parent, at the roots to S. The
-groups follow from nested dissection (METIS, Karypis and Kumar 1998, or PETSc), once for a pattern.
+(eq. 51; Duff and Reid 1983; Liu 1992; docs/theory.md). The order of elimination is that of nested
+dissection (METIS, Karypis and Kumar 1998, or PETSc), found once for a pattern.
 """
 
 from __future__ import annotations

@@ -3,15 +3,12 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Factors with pivots of sparse blocks: MUMPS, or another solver of PETSc's.
 
-The regularised block has a border of k columns R,
-
 .. math:: \begin{pmatrix} K & ρ R \\ ρ R^⊤ & -ρ I \end{pmatrix}
-          \begin{pmatrix} x \\ μ \end{pmatrix} =
-          \begin{pmatrix} y \\ 0 \end{pmatrix} \quad ⟺ \quad
-          (K + ρ R R^⊤)\, x = y, \; μ = R^⊤ x,
+          \begin{pmatrix} x \\ μ \end{pmatrix} = \begin{pmatrix} y \\ 0 \end{pmatrix}
+          \quad ⟺ \quad (K + ρ R R^⊤)\, x = y, \; μ = R^⊤ x,
 
-at the price of k rows of the factor, :math:`L Δ L^⊤` (LU for an unsymmetric K). The number of
-negative eigenvalues is read off Δ; the border contributes k.
+by :math:`L Δ L^⊤` (LU for an unsymmetric K). The border of k columns R contributes k to the number
+of negative eigenvalues, which is read off Δ.
 """
 
 from __future__ import annotations

@@ -3,20 +3,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The factor of a sparse regularised block by fronts, where that will do.
 
-:math:`K_ρ = K + ρ R R^⊤` is dense. What is factored by fronts is K with the modes fixed in the last
-one alone, the separator that cuts the subdomain in two: a stronger support than a few fixing dofs
-(Brzobohatý et al. 2011), and three times as fast as a factor with pivots. With an orthonormal basis
-Q of R on its dofs
+.. math:: K_Q = K + ρ\, Q Q^⊤ = U^⊤ U, \qquad
+          K_ρ^{-1} y = z - Z C V^⊤ z, \qquad z = K_Q^{-1} y, \qquad C = (Λ^{-1} + V^⊤ Z)^{-1}
 
-.. math:: K_Q = K + ρ\, Q Q^⊤ = U^⊤ U,
-
-and Sherman, Morrison and Woodbury lead to :math:`K_ρ`: with V = (R, Q), :math:`Z = K_Q^{-1} V` and
-:math:`Λ = \operatorname{diag}(ρ I, -ρ I)`
-
-.. math:: K_ρ^{-1} y = z - Z C V^⊤ z, \qquad z = K_Q^{-1} y, \qquad C = (Λ^{-1} + V^⊤ Z)^{-1}.
-
-As :math:`K_Q` is positive definite, :math:`K_ρ` has as many negative eigenvalues as :math:`C^{-1}`
-has positive ones beyond the k columns of R (Haynsworth 1968).
+with V = (R, Q), :math:`Z = K_Q^{-1} V`, :math:`Λ = \operatorname{diag}(ρ I, -ρ I)`, and an
+orthonormal basis Q of R on the dofs of the last front alone (docs/theory.md). As :math:`K_Q` is
+positive definite, :math:`K_ρ` has as many negative eigenvalues as :math:`C^{-1}` has positive ones
+beyond the k columns of R (Haynsworth 1968).
 """
 
 from __future__ import annotations
