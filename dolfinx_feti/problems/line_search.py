@@ -8,7 +8,9 @@ the work of the free dofs' forces, :math:`g(α) = ΔU_f·r_f(U + α ΔU)`, a ste
 
 .. math:: -η ≤ g(α)/g_0 ≤ 1 + η, \qquad g_0 = ΔU_f·(r_f + K_{fD}\, ΔU_D),
 
-with forces before condensation. With a potential Π a step has to lower it (Armijo),
+with forces before condensation. Where g jumps, as at a kink of Π, a shorter step in these bounds
+can be far too short: once a step has overshot, |g(α)| ≤ |g_0|/2, or α is within 1.3 of the zero of
+g from below. With a potential Π a step has to lower it (Armijo),
 
 .. math:: Π(U + α ΔU) ≤ Π_m + 10^{-4}\, α\, ΔU·r,
 
@@ -40,6 +42,9 @@ SHORTEST, LONGEST = 1.0 / 1024, 16.0
 
 #: How often a step that overshoots is shortened: a first tangent can be far too soft.
 TRIALS = 40
+
+#: Once a step has overshot: the |g(α)/g(0)| to reach, or how near α two steps around the zero are.
+CLOSE, TIGHT = 0.5, 1.3
 
 #: By what factors a step is shortened at least and at most.
 HALF, TENTH = 0.5, 0.1
@@ -104,13 +109,21 @@ def line_search(
     move = _mover(
         system, residual, du, height, height if shifted else max(height, highest), shifted=shifted
     )
-    trial, trials = move(1.0), 1
-    while not trial.accepted:
-        shorter = trial.alpha * _shortening(trial.ratio)
-        if trials == TRIALS or (shorter < SHORTEST and (early or np.isnan(trial.ratio))):
+    trial, overshot, trials = move(1.0), False, 1
+    low, high = Trial(0.0, residual, 1.0), trial
+    while not trial.accepted or (overshot and not -CLOSE <= trial.ratio <= CLOSE):
+        overshot |= trial.ratio < -ETA
+        if trial.accepted and trial.ratio > 0.0:
+            low = trial
+        else:
+            high = trial
+        if high.alpha <= TIGHT * low.alpha:
+            return low if low is trial else move(low.alpha)
+        alpha = _between(low, high)
+        if trials == TRIALS or (alpha < SHORTEST and (early or np.isnan(trial.ratio))):
             system.set_state(start)
             return Trial(0.0, residual, potential=height)
-        trial, trials = move(shorter), trials + 1
+        trial, trials = move(alpha), trials + 1
     while shifted and trial.ratio > CURVATURE_CONDITION and 1.0 <= trial.alpha < LONGEST:
         longer = move(2.0 * trial.alpha)
         if not longer.accepted:
@@ -152,13 +165,13 @@ def _mover(
         if not accepted and known:
             there = system.potential()
             most = highest if bounded else height
-            accepted = there <= most + DESCENT * alpha * slope
+            accepted = (shifted or ratio >= -ETA) and there <= most + DESCENT * alpha * slope
         return Trial(alpha, moved, ratio, accepted, there)
 
     return move
 
 
-def _shortening(ratio: float) -> float:
-    """Return the factor of the next, shorter step: to the zero of the line through g, in bounds."""
-    secant = 1.0 / (1.0 - ratio) if ratio < 0.0 else HALF
-    return min(max(secant, TENTH), HALF)
+def _between(low: Trial, high: Trial) -> float:
+    """Return the next α: the zero of the line through g, in the lower half of the bracket."""
+    secant = low.ratio / (low.ratio - high.ratio) if high.ratio < 0.0 < low.ratio else HALF
+    return low.alpha + min(max(secant, TENTH), HALF) * (high.alpha - low.alpha)

@@ -93,6 +93,20 @@ def test_a_step_that_overshoots_goes_to_the_zero_of_the_secant():
 
 
 @pytest.mark.serial
+@pytest.mark.parametrize("energy", [False, True])
+@pytest.mark.parametrize("jump", [1.0, 20.0, 1e6])
+@pytest.mark.parametrize("kink", [0.9, 0.06, 1e-5])
+def test_a_step_ends_close_to_a_kink(kink, jump, energy):
+    """g(α)/g(0) is 1 up to the kink and −jump after it: no other step length is close."""
+    potential = lambda u: -u if u < kink else jump * (u - kink) - kink  # noqa: E731
+    system = OneUnknown(
+        lambda u: -1.0 if u < kink else jump, potential=potential if energy else None
+    )
+    alpha, _ = search(system, 1.0)
+    assert kink / 1.3 <= alpha <= kink and len(system.visited) < 40
+
+
+@pytest.mark.serial
 def test_a_step_is_halved_until_no_cell_is_inside_out():
     system = OneUnknown(lambda u: u - 1.0, inverted=lambda u: u > 0.2)
     assert search(system, 1.0)[0] == 0.125 and system.visited == [1.0, 0.5, 0.25, 0.125]
@@ -135,10 +149,10 @@ def test_where_the_potential_has_no_say(moves, height):
 @pytest.mark.serial
 @pytest.mark.parametrize(("pit", "alpha"), [(5.0, 8.0), (100.0, LONGEST), (0.6, 1.0)])
 def test_a_step_that_a_shift_has_made_short_is_doubled(pit, alpha):
-    """While the potential falls, and up to a bound; without a shift it is taken as it is."""
+    """While the potential falls, and up to a bound; a plain one is not, and ends before a pit."""
     system = OneUnknown(
         lambda u: -1.0 if u < pit else 1.0, potential=lambda u: -min(u, pit) + max(u - pit, 0.0) / 4
     )
     assert search(system, 1.0, shifted=True)[0] == alpha
     system.u = 0.0
-    assert search(system, 1.0)[0] == 1.0
+    assert search(system, 1.0)[0] == (1.0 if pit > 1.0 else 0.5)
