@@ -231,15 +231,6 @@ def test_vector_is_assembled_with_the_shares_of_all_processes():
     b.destroy()
 
 
-def test_interior_facet_integrals_are_refused():
-    problem = poisson(cube(2, 3))
-    u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
-    space = tear(problem.V, decompose(problem.V.mesh, 2))
-    penalty = ufl.inner(ufl.jump(ufl.grad(u)), ufl.jump(ufl.grad(v))) * ufl.dS
-    with raises(ValueError, r"interior-facet integrals.*dolfinx_feti\.fem\.facets\.one_side"):
-        assembly.torn_form(problem.a + penalty, space)
-
-
 @pytest.mark.parametrize("cell", [Cell.triangle, Cell.quadrilateral, Cell.tetrahedron])
 def test_surface_inside_from_one_side(cell):
     """It is dolfinx's own integral over interior facets, of values; ends on the boundary count."""

@@ -77,22 +77,6 @@ def step(system: System) -> tuple[np.ndarray, np.ndarray]:
     return system.increment(here, du)[:2]
 
 
-@degrees
-@pytest.mark.parametrize("kappa", [10.0, 1e3, 1e5])
-def test_condensed_step_is_the_mixed_one(degree, kappa, torn_system):
-    body, alone = (wall(tube(comm), degree=degree, kappa=kappa) for comm in (COMM, MPI.COMM_SELF))
-    deform(body)
-    deform(alone)
-    expected = Mixed(alone).step()
-    du, dp = step(torn_system(body))
-    for field, reference, actual, value in zip(
-        (body.u, body.p), (alone.u, alone.p), (du, dp), expected, strict=False
-    ):
-        field.x.array[: len(actual)] = actual
-        reference.x.array[:] = value
-        equal(by_place(field), by_place(reference), 1e-10)
-
-
 @pytest.mark.parametrize("kappa", [10.0, 1e5])
 @pytest.mark.parametrize("element", ELEMENTS)
 def test_condensed_step_of_any_element_is_the_mixed_one(element, kappa, torn_system):

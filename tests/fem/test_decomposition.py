@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.sparse
 import scipy.sparse.csgraph
-from collective import COMM, agree, equal, raises, small, whole
+from collective import COMM, agree, equal, small, whole
 from problems import Cell, cube
 from walls import tube
 
@@ -120,44 +120,6 @@ def test_parts_that_touch_in_a_vertex_are_two():
     centre = dolfinx.mesh.compute_midpoints(mesh, 2, np.arange(cells(mesh), dtype=np.int32))
     colour = (np.floor(4 * centre[:, 0]) + np.floor(4 * centre[:, 1])).astype(np.int32) % 2
     agree(decompose(mesh, colour).count == cells(mesh))
-
-
-@pytest.mark.parametrize("subdomains", [0, -3, 10_000])
-def test_impossible_numbers_are_refused(subdomains):
-    with raises(ValueError, f"subdomains is {subdomains}.*cells"):
-        decompose(cube(2, 3), subdomains)
-
-
-def test_parts_below_zero_are_refused_on_all_processes():
-    """−1 stands for a cell that nobody has given a part."""
-    mesh = cube(2, 4)
-    part = np.zeros(cells(mesh), dtype=np.int32)
-    if COMM.rank == COMM.size - 1:
-        part[-1] = -1
-    with raises(ValueError, "subdomains has a cell in part -1: number the parts from zero"):
-        decompose(mesh, part)
-
-
-def test_parts_of_the_wrong_length_are_refused_on_all_processes():
-    mesh = cube(2, 4)
-    part = np.zeros(cells(mesh) + (COMM.rank == COMM.size - 1), dtype=np.int32)
-    with raises(ValueError, "subdomains has shape.*per owned cell"):
-        decompose(mesh, part)
-    with raises(ValueError, "subdomains has shape"):
-        decompose(mesh, np.zeros((cells(mesh), 2), dtype=np.int32))
-
-
-@pytest.mark.parametrize("dtype", [np.float64, np.bool_, np.str_])
-def test_parts_of_another_type_are_refused(dtype):
-    mesh = cube(2, 4)
-    with raises(TypeError, "subdomains is an array of type.*integers"):
-        decompose(mesh, np.zeros(cells(mesh), dtype=dtype))
-
-
-@pytest.mark.parametrize("subdomains", [2.0, None, "metis", [0.5]])
-def test_subdomains_that_are_no_number_are_refused(subdomains):
-    with raises(TypeError, "subdomains"):
-        decompose(cube(2, 3), subdomains)
 
 
 # ---- the torn space -------------------------------------------------------------------------

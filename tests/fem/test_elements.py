@@ -39,11 +39,10 @@ def test_functions(kind):
 def test_continuity(kind):
     """A function of random dofs has no jumps."""
     cell, faces = kind
-    create = dolfinx.mesh.create_unit_cube if cell == "tetrahedron" else None
-    if create is None:
-        mesh = dolfinx.mesh.create_unit_square(COMM, 3, 3)
-    else:
-        mesh = create(COMM, 2, 2, 2, ghost_mode=dolfinx.mesh.GhostMode.shared_facet)
+    mesh = dolfinx.mesh.create_unit_square(COMM, 3, 3)
+    if cell == "tetrahedron":
+        ghosts = dolfinx.mesh.GhostMode.shared_facet
+        mesh = dolfinx.mesh.create_unit_cube(COMM, 2, 2, 2, ghost_mode=ghosts)
     element = quadratic_with_bubbles(cell, faces=faces)
     f = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element))
     n = f.function_space.dofmap.index_map.size_local

@@ -130,55 +130,6 @@ def test_preconditioner_and_kind(heat, rubber, caplog):
     agree(texts == (expected if COMM.rank == 0 else []), texts)
 
 
-def test_several_meshes(heat, rubber):
-    with raises(ValueError, "entity_maps relates several meshes.*on the mesh of the unknown"):
-        LinearProblem(heat.a, heat.L, bcs=heat.bcs, subdomains=4, entity_maps=["map"])
-    with raises(ValueError, "entity_maps"):
-        NonlinearProblem(rubber.F, rubber.u, bcs=rubber.bcs, subdomains=4, entity_maps=["map"])
-
-
-def test_blocks(heat, rubber):
-    """Of fields that are no displacement and pressure; see ``test_mixed`` for those."""
-    message = (
-        "is a block of 2, but only a problem on one .* is torn. Solve it by dolfinx, with MUMPS"
-    )
-    with raises(ValueError, "^a " + message):
-        LinearProblem([[heat.a, None], [None, heat.a]], [heat.L, heat.L], subdomains=4)
-    with raises(ValueError, "^L is a list of one: take it out of the list"):
-        LinearProblem(heat.a, [heat.L], subdomains=4)
-    with raises(ValueError, "^u " + message):
-        LinearProblem(heat.a, heat.L, u=[heat.u, heat.u], subdomains=4)
-    with raises(ValueError, "^u " + message):
-        NonlinearProblem([rubber.F, rubber.F], [rubber.u, rubber.u], subdomains=4)
-    with raises(ValueError, "^J is a list of one"):
-        NonlinearProblem(rubber.F, rubber.u, J=[[rubber.J]], subdomains=4)
-    with raises(ValueError, "^J is a block: give the derivative of F_u in u alone, or leave it"):
-        NonlinearProblem(rubber.F, rubber.u, J=[[rubber.J, None], [None, None]], subdomains=4)
-    with raises(ValueError, "^F is a sequence of 2 forms: .*condense=p"):
-        NonlinearProblem([rubber.F, rubber.F], rubber.u, subdomains=4)
-
-
-def test_compiled_forms(heat, rubber):
-    message = "is a compiled form, which cannot be torn any more: give the form of UFL"
-    with raises(ValueError, f"^a {message}"):
-        LinearProblem(dolfinx.fem.form(heat.a), heat.L, subdomains=4)
-    with raises(ValueError, f"^L {message}"):
-        LinearProblem(heat.a, dolfinx.fem.form(heat.L), subdomains=4)
-    with raises(ValueError, f"^F {message}"):
-        NonlinearProblem(dolfinx.fem.form(rubber.F), rubber.u, subdomains=4)
-    with raises(ValueError, f"^J {message}"):
-        NonlinearProblem(rubber.F, rubber.u, J=dolfinx.fem.form(rubber.J), subdomains=4)
-    with raises(ValueError, "^L is 0: give a form of UFL"):
-        LinearProblem(heat.a, 0, subdomains=4)
-
-
-def test_condition_outside_a_list(heat):
-    with raises(ValueError, r"bcs is a Dirichlet condition alone: put it in a list, bcs=\[bc\]"):
-        LinearProblem(heat.a, heat.L, bcs=heat.bcs[0], subdomains=4)
-    with raises(ValueError, r"bcs\[1\] is None: give what dolfinx.fem.dirichletbc returns"):
-        LinearProblem(heat.a, heat.L, bcs=[*heat.bcs, None if LAST else heat.bcs[0]], subdomains=4)
-
-
 def test_newton_solver(rubber):
     """What dolfinx 0.9 did with a NonlinearProblem; from 0.10 it is a class of another name."""
     problem = NonlinearProblem(rubber.F, rubber.u, rubber.bcs, subdomains=4)

@@ -217,29 +217,6 @@ def test_springs_at_points():
     equal(found, direct(a, L, []), 1e-7)
 
 
-@pytest.mark.skipif(has_vertex_integrals(), reason="dolfinx assembles them")
-def test_springs_at_points_need_a_newer_dolfinx():
-    body = elasticity(cube(2, 2))
-    u, v = ufl.TrialFunction(body.V), ufl.TestFunction(body.V)
-    vertices = ufl.Measure("dP", body.V.mesh)
-    with raises(ValueError, "dP, which dolfinx assembles from 0.10 on"):
-        LinearProblem(body.a + ufl.inner(u, v) * vertices, body.L)
-
-
-@pytest.mark.parametrize("kind", ["function", "constant"])
-def test_complex_data_are_refused(kind):
-    mesh = cube(2, 2)
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
-    f = dolfinx.fem.Function(V, dtype=np.complex128)
-    k = f if kind == "function" else dolfinx.fem.Constant(mesh, np.complex128(1.0 + 2.0j))
-    u, v, w = ufl.TrialFunction(V), ufl.TestFunction(V), dolfinx.fem.Function(V)
-    a = k * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
-    with raises(TypeError, "a contains .*complex128.* real and imaginary parts"):
-        LinearProblem(a, v * ufl.dx)
-    with raises(TypeError, "F contains .*complex128"):
-        NonlinearProblem(ufl.action(a, w), w)
-
-
 PAIRS = [
     ("triangle", ("DG", 0), 1),
     ("triangle", ("DG", 1), 1),
@@ -290,15 +267,6 @@ def test_condensed_linear_problem(cell, pressure, fields, blocks):
     ).solve()
     for ours, theirs in zip([u, *found], state, strict=True):
         equal(ours.x.array, theirs.x.array, 1e-6)
-
-
-def test_condensed_blocks_that_do_not_fit():
-    body = elasticity(cube(2, 2))
-    p = dolfinx.fem.Function(dolfinx.fem.functionspace(body.V.mesh, ("DG", 0)))
-    with raises(ValueError, r"give a as 2 × 2 blocks, such as \[\[a_uu, a_up\]"):
-        LinearProblem([[body.a]], [body.L], condense=p)
-    with raises(ValueError, r"a\[1\]\[1\] has test and trial functions on other spaces"):
-        LinearProblem([[body.a, None], [None, body.a]], [body.L, None], condense=p)
 
 
 def test_condensed_linear_problem_beside_scalars():

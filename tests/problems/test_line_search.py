@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The step length in one unknown, where every rule can be followed by hand."""
+"""The step length in one unknown, where every rule can be followed by hand, and the shift."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from dolfinx_feti.problems.direction import LARGEST_SHIFT, LEAST_SHIFT, SHIFT_GROWTH, fallen, raised
 from dolfinx_feti.problems.line_search import LONGEST, line_search
 from dolfinx_feti.problems.system import Residual
 
+pytestmark = pytest.mark.serial
 NOTHING = np.zeros(0)
 
 
@@ -78,7 +80,6 @@ def search(system: OneUnknown, du: float, *, shifted: bool = False) -> tuple[flo
     return found.alpha, float(found.residual.condensed[0])
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("stiffness", [1.0, 1.7, 0.0])
 def test_a_whole_step_within_bounds(stiffness):
     """g(1)/g(0) = 1 − stiffness, between −0.8 and 1.8."""
@@ -86,13 +87,11 @@ def test_a_whole_step_within_bounds(stiffness):
     assert search(system, 1.0)[0] == 1.0 and system.visited == [1.0]
 
 
-@pytest.mark.serial
 def test_a_step_that_overshoots_goes_to_the_zero_of_the_secant():
     system = OneUnknown(lambda u: 4.0 * u - 1.0)
     assert search(system, 1.0) == (0.25, 0.0)
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("energy", [False, True])
 @pytest.mark.parametrize("jump", [1.0, 20.0, 1e6])
 @pytest.mark.parametrize("kink", [0.9, 0.06, 1e-5])
@@ -106,25 +105,21 @@ def test_a_step_ends_close_to_a_kink(kink, jump, energy):
     assert kink / 1.3 <= alpha <= kink and len(system.visited) < 40
 
 
-@pytest.mark.serial
 def test_a_step_is_halved_until_no_cell_is_inside_out():
     system = OneUnknown(lambda u: u - 1.0, inverted=lambda u: u > 0.2)
     assert search(system, 1.0)[0] == 0.125 and system.visited == [1.0, 0.5, 0.25, 0.125]
 
 
-@pytest.mark.serial
 def test_without_an_admissible_step_it_stays():
     system = OneUnknown(lambda u: u - 1.0, inverted=lambda u: u > 0.0)
     assert search(system, 1.0) == (0.0, -1.0) and system.u == 0.0
 
 
-@pytest.mark.serial
 def test_nan_is_refused():
     system = OneUnknown(lambda u: np.nan if u > 0.3 else u - 1.0)
     assert search(system, 1.0)[0] == 0.25
 
 
-@pytest.mark.serial
 def test_a_potential_has_to_fall():
     """By g alone the whole step would be taken, beyond the pit at 0.2."""
     system = OneUnknown(lambda u: -1.0, potential=lambda u: (u - 0.2) ** 2)
@@ -136,7 +131,6 @@ def test_a_potential_has_to_fall():
     assert search(free, 1.0)[0] == 1.0
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize(
     ("moves", "height"), [(True, 0.0), (False, 1e12)], ids=["boundary moves", "rounding"]
 )
@@ -146,7 +140,6 @@ def test_where_the_potential_has_no_say(moves, height):
     assert search(system, 1.0)[0] == 1.0
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize(("pit", "alpha"), [(5.0, 8.0), (100.0, LONGEST), (0.6, 1.0)])
 def test_a_step_that_a_shift_has_made_short_is_doubled(pit, alpha):
     """While the potential falls, and up to a bound; a plain one is not, and ends before a pit."""
@@ -156,3 +149,21 @@ def test_a_step_that_a_shift_has_made_short_is_doubled(pit, alpha):
     assert search(system, 1.0, shifted=True)[0] == alpha
     system.u = 0.0
     assert search(system, 1.0)[0] == (1.0 if pit > 1.0 else 0.5)
+
+
+def test_the_shift_grows_from_nothing_to_the_largest():
+    sigma, seen = raised(0.0), []
+    while sigma is not None:
+        seen.append(sigma)
+        sigma = raised(sigma)
+    assert seen == [LEAST_SHIFT * SHIFT_GROWTH**k for k in range(8)] and seen[-1] == LARGEST_SHIFT
+
+
+@pytest.mark.parametrize(("grown", "steps"), [(True, 9), (False, 5)])
+def test_the_shift_falls_to_nothing(grown, steps):
+    sigma, seen = LARGEST_SHIFT, []
+    while sigma > 0.0:
+        sigma = fallen(sigma, grown=grown)
+        seen.append(sigma)
+    assert len(seen) == steps and all(s >= LEAST_SHIFT / SHIFT_GROWTH for s in seen[:-1])
+    assert fallen(0.0, grown=grown) == 0.0

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import math
-
 from mpi4py import MPI
 
 import numpy as np
@@ -156,15 +154,6 @@ def test_a_kappa_that_is_too_small(monkeypatch):
         solved.solve()
     agree(len(solved.volume_changes) == 2)
     agree(solved.solver.getTolerances()[0] == TIGHT["snes_rtol"])
-
-
-def test_what_is_refused():
-    body = at_rest(COMM, "p2-p0-p0", 10.0)
-    for wrong in (0.0, -1.0, math.nan):
-        with raises(ValueError, "volume_tolerance is .*: give a number above zero, or None"):
-            problem(body, wrong)
-    with raises(ValueError, "volume_tolerance is given, but no pressure"):
-        NonlinearProblem(ufl.inner(body.u, body.u) * ufl.dx, body.u, volume_tolerance=1e-6)
 
 
 @pytest.mark.serial

@@ -85,18 +85,6 @@ def test_error_if_not_converged(name):
         linear({"ksp_error_if_not_converged": True, "ksp_max_it": 1}).solve()
 
 
-def test_python_errors_come_through():
-    """What a monitor of the user's raises is not turned into a number."""
-    problem = linear({})
-
-    def monitor(ksp, its, norm):
-        raise ZeroDivisionError("in the monitor")
-
-    problem.solver.setMonitor(monitor)
-    with raises(ZeroDivisionError, "in the monitor"):
-        problem.solve()
-
-
 def test_python_type_in_the_options():
     """The context stays the one of the problem."""
     problem = linear({"ksp_type": "python", "ksp_python_type": "dolfinx_feti.FETI"})

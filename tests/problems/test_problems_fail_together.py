@@ -70,36 +70,29 @@ def test_compilation(name, monkeypatch):
         body.problem()
 
 
-def test_monitor_of_the_users_own():
-    body = block(yeoh, (0.3, 0.1))
-    problem = body.problem()
+def solvers(which: str) -> tuple[object, object]:
+    """Return a problem and one of its solvers."""
+    problem = cut(poisson(cube(2, 4))) if which == "linear" else block(yeoh, (0.3, 0.1)).problem()
+    return problem, problem.solver.getKSP() if which == "KSP" else problem.solver
 
-    def monitor(snes: object, its: int, norm: float) -> None:
+
+@pytest.mark.parametrize("which", ["SNES", "KSP", "linear"])
+def test_monitor_of_the_users_own(which):
+    problem, solver = solvers(which)
+
+    def monitor(solver: object, its: int, norm: float) -> None:
         if LAST and its == 1:
             raise ZeroDivisionError("in the monitor")
 
-    problem.solver.setMonitor(monitor)
+    solver.setMonitor(monitor)
     with raises(ZeroDivisionError, "in the monitor"):
         problem.solve()
-    agree(len(problem.history) == 1)
+    agree(which != "SNES" or len(problem.history) == 1)
 
 
-@pytest.mark.parametrize("nonlinear", [True, False])
-def test_monitor_of_the_linear_solver(nonlinear):
-    problem = block(yeoh, (0.3, 0.1)).problem() if nonlinear else cut(poisson(cube(2, 4)))
-
-    def monitor(ksp: object, its: int, norm: float) -> None:
-        if LAST and its == 1:
-            raise ZeroDivisionError("in the monitor")
-
-    (problem.solver.getKSP() if nonlinear else problem.solver).setMonitor(monitor)
-    with raises(ZeroDivisionError, "in the monitor"):
-        problem.solve()
-
-
-@pytest.mark.parametrize("nonlinear", [True, False])
-def test_error_while_garbage_is_collected(nonlinear):
-    problem = block(yeoh, (0.3, 0.1)).problem() if nonlinear else cut(poisson(cube(2, 4)))
+@pytest.mark.parametrize("which", ["KSP", "linear"])
+def test_error_while_garbage_is_collected(which):
+    problem, solver = solvers(which)
 
     def monitor(ksp: object, its: int, norm: float) -> None:
         for _ in range(100):
@@ -108,7 +101,7 @@ def test_error_while_garbage_is_collected(nonlinear):
         if its == 1:
             raise ZeroDivisionError("in the monitor")
 
-    (problem.solver.getKSP() if nonlinear else problem.solver).setMonitor(monitor)
+    solver.setMonitor(monitor)
     before = gc.get_threshold()
     gc.set_threshold(1)
     try:
