@@ -49,11 +49,7 @@ def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
 
 
 def relative_residual(K: PETSc.Mat, f: PETSc.Vec, x: PETSc.Vec) -> float:
-    """Return ‖f − K x‖/‖f‖.
-
-    Note:
-        Collective.
-    """
+    """Return ‖f − K x‖/‖f‖. Collective."""
     r = f.duplicate()
     K.mult(x, r)
     r.aypx(-1.0, f)  # r = f − K x
@@ -63,11 +59,7 @@ def relative_residual(K: PETSc.Mat, f: PETSc.Vec, x: PETSc.Vec) -> float:
 
 
 def relative_difference(x: PETSc.Vec, reference: PETSc.Vec) -> float:
-    """Return ‖x − reference‖/‖reference‖.
-
-    Note:
-        Collective.
-    """
+    """Return ‖x − reference‖/‖reference‖. Collective."""
     y = x.copy()
     y.axpy(-1.0, reference)
     norm = y.norm()

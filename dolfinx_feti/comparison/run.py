@@ -68,7 +68,7 @@ def compare(
     *,
     definite: bool | None = None,
 ) -> Comparison:
-    """Solve the linear system of a problem with several solvers, and measure each.
+    """Solve the linear system of a problem with several solvers, and measure each. Collective.
 
     Of a nonlinear problem it is the system of the next Newton step, at the present state and load.
     The state stays as it is; the problem's matrix is assembled anew. Each solver is a new one, with
@@ -90,9 +90,6 @@ def compare(
         TypeError: The problem is none of this package's.
         ValueError: Unknown solvers, or not the same ones on all processes; nothing loads the
             problem.
-
-    Note:
-        Collective; raises on all processes.
     """
     if not isinstance(problem, (LinearProblem, NonlinearProblem)):
         raise TypeError(
@@ -232,11 +229,7 @@ def _name(reason: int) -> str:
 
 
 def _checked(solvers: Sequence[str] | Solvers, comm: MPI.Comm) -> Solvers:
-    """Return the options of each solver, and check that all processes have the same solvers.
-
-    Raises:
-        ValueError: Some are unknown, there are none, or they differ.
-    """
+    """Return the options of each solver, and check that all processes have the same solvers."""
     names = solvers if isinstance(solvers, str) else list(dict.fromkeys(solvers))
     everywhere = comm.allgather(names)
     for rank, other in enumerate(everywhere):

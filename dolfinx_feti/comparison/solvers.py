@@ -54,7 +54,7 @@ def create_solver(
     symmetric: bool | None = None,
     definite: bool = False,
 ) -> PETSc.KSP:
-    """Set up a solver.
+    """Set up a solver. Collective.
 
     Args:
         A: Assembled matrix; for BDDC the torn one, of which it takes a copy.
@@ -66,9 +66,6 @@ def create_solver(
 
     Returns:
         The KSP, set up; the caller destroys it.
-
-    Note:
-        Collective.
     """
     options = dict(SOLVERS[solver] if options is None else options)
     prefix = prefix_of(solver)

@@ -86,14 +86,11 @@ class Figures:
 
 
 def collect_figures(form: Form, report: Report) -> Figures:
-    """Gather the figures of all processes.
+    """Gather the figures of all processes. Collective.
 
     Args:
         form: What was set up for the matrix.
         report: Its report.
-
-    Note:
-        Collective.
     """
     torn, modes = form.pattern.torn, form.modes
     comm = torn.comm

@@ -35,7 +35,7 @@ def diagnose(
     prefix: str,
     known: Sequence[Advice] = (),
 ) -> Diagnosis:
-    """Assemble, set up a solver, solve with it, and gather what it tells.
+    """Assemble, set up a solver, solve with it, and gather what it tells. Collective.
 
     Args:
         linear_system: Assembles the torn matrix A and the right-hand side b, (N,). If b is zero, a
@@ -44,9 +44,6 @@ def diagnose(
         state: The x of which the residual b − A x is shown, (owned,), or one value for all.
         prefix: Options prefix of the problem.
         known: Advice from what earlier solves have found.
-
-    Note:
-        Collective.
     """
     started = time.perf_counter()
     A, b = linear_system()

@@ -67,7 +67,7 @@ class Checkpoint:
         restart: bool = False,
         allow_changes: bool = False,
     ) -> None:
-        """Open the folder, before there is a mesh.
+        """Open the folder, before there is a mesh. Collective.
 
         Args:
             folder: Where the state is kept; it is made, with those above it.
@@ -81,9 +81,6 @@ class Checkpoint:
         Raises:
             OSError: The folder cannot be written, holds a state already, or none to go on from.
             ValueError: What it holds is no checkpoint, damaged, or one of other parameters.
-
-        Note:
-            Collective; raises on all processes.
         """
         self._comm = comm
         self.restart, self._allow_changes = restart, allow_changes
@@ -109,7 +106,7 @@ class Checkpoint:
         content: Content | None = None,
         moving: Sequence[int] = (),
     ) -> None:
-        """Keep the present state in place of the last one.
+        """Keep the present state in place of the last one. Collective.
 
         Args:
             functions: The state.
@@ -122,9 +119,6 @@ class Checkpoint:
         Raises:
             OSError: It cannot be written; the last state stays.
             TypeError: The record of the first process has more in it than JSON holds.
-
-        Note:
-            Collective; raises on all processes.
         """
         head = {
             "format": FORMAT,
@@ -147,7 +141,7 @@ class Checkpoint:
     def read(
         self, functions: Sequence[dolfinx.fem.Function], *, content: Content | None = None
     ) -> list[list[Array]]:
-        """Set the functions to the state in the folder; return the earlier values.
+        """Set the functions to the state in the folder; return the earlier values. Collective.
 
         Args:
             functions: The state, on the same mesh and elements; any number of processes.
@@ -156,9 +150,6 @@ class Checkpoint:
         Raises:
             ValueError: The state is of another mesh, of other elements, forms or constants,
                 damaged, or there is none. The functions are left as they were.
-
-        Note:
-            Collective; raises on all processes.
         """
         if self._head is None:
             raise ValueError(f"There is no state in {self.folder} yet: write one first.")

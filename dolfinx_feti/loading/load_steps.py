@@ -74,7 +74,7 @@ def follow_load(
     checkpoint: Checkpoint | None = None,
     unit: str = "",
 ) -> list[LoadStep]:
-    """Follow the equilibrium from one load through others to the last.
+    """Follow the equilibrium from one load through others to the last. Collective.
 
     Args:
         problem: The nonlinear problem, in equilibrium at the load ``start``.
@@ -105,9 +105,6 @@ def follow_load(
             last equilibrium.
         BaseException: What ``set_load`` or ``on_step`` raise, on all processes if on one;
             KeyboardInterrupt or SystemExit after Ctrl-C or SIGTERM. The state is the last one.
-
-    Note:
-        Collective.
     """
     comm = problem.u.function_space.mesh.comm
     on_all(lambda: check_places(start, targets, unloading=unloading), comm)

@@ -113,7 +113,7 @@ def follow_time(
     checkpoint: Checkpoint | None = None,
     unit: str = "s",
 ) -> list[TimeStep]:
-    """Follow the motion from one time through others to the last.
+    """Follow the motion from one time through others to the last. Collective.
 
     It begins with the present displacement and ``motion.velocity``; the acceleration follows. What
     is not said here is as in :func:`~dolfinx_feti.loading.load_steps.follow_load`.
@@ -142,9 +142,6 @@ def follow_time(
         ValueError: Times do not ascend, or the forms do not hold the inertia of the motion, or a
             dashpot cannot follow it.
         ConvergenceError: No step of the least length leads on; the state is that of its beginning.
-
-    Note:
-        Collective.
     """
     comm = problem.u.function_space.mesh.comm
     on_all(lambda: _check(problem, motion, start, targets), comm)

@@ -258,11 +258,7 @@ def _is_held(u: Expr, ds: ufl.Measure, bcs: Sequence[dolfinx.fem.DirichletBC] | 
 
 
 def _is_zero(p: float | Expr) -> bool:
-    """Whether p is the number zero, which UFL would turn into a form without arguments.
-
-    Raises:
-        ValueError: If ``p`` is NaN or infinite.
-    """
+    """Whether p is the number zero, which UFL would turn into a form without arguments."""
     if isinstance(p, Expr):
         return False
     require_within(-math.inf, math.inf, {"p": p}, remedy="a finite pressure or a UFL expression")

@@ -48,7 +48,6 @@ class MaxwellBranch:
         Q: Its overstress [kPa], (d, d), a Function of quadrature points or cells; zero at first.
         share: Stiffness of the spring over that of the elastic material, β [-].
         time: Relaxation time τ [s].
-
     """
 
     Q: Expr

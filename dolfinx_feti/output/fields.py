@@ -74,7 +74,7 @@ class FieldWriter:
         kind: str | None = None,
         quadrature: Literal["project", "points"] = "project",
     ) -> None:
-        """Open the file.
+        """Open the file. Collective.
 
         Args:
             path: Its name without suffix.
@@ -90,9 +90,6 @@ class FieldWriter:
                 show, there is no function, two fields have one name, or a field cannot be written:
                 it is mixed, lives on another mesh or on facets, or has several quadrature rules.
             OSError: The file cannot be created.
-
-        Note:
-            Collective.
         """
         expressions = expressions or {}
         names = [*(f.name for f in functions), *expressions]
@@ -221,7 +218,7 @@ class FieldWriter:
 
 
 def cell_values(expression: Expr, mesh: dolfinx.mesh.Mesh) -> Array:
-    """Evaluate a UFL expression at the centroids of the cells.
+    """Evaluate a UFL expression at the centroids of the cells. Collective.
 
     Args:
         expression: A scalar or vector; of data at quadrature points their mean is taken.
@@ -229,9 +226,6 @@ def cell_values(expression: Expr, mesh: dolfinx.mesh.Mesh) -> Array:
 
     Returns:
         Values in the owned cells, (n_cells, …).
-
-    Note:
-        Collective.
     """
     rule = quadrature_rule(expression)
     cell = getattr(basix.CellType, mesh.topology.cell_name())

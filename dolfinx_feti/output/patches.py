@@ -121,7 +121,7 @@ class Patches:
 def create_patches(
     mesh: dolfinx.mesh.Mesh, layers: dolfinx.mesh.MeshTags | None = None, *, degree: int = 4
 ) -> Patches:
-    """Find the patches of a mesh; fields are recovered where it is then, if it moves.
+    """Find the patches of a mesh; fields are recovered where it is then, if it moves. Collective.
 
     Args:
         mesh: Triangles in the plane or tetrahedra, with straight edges.
@@ -132,9 +132,6 @@ def create_patches(
         TypeError: The mesh has other cells.
         ValueError: A cell has no layer, the tags belong to another mesh or not to cells, or the
             degree is too low.
-
-    Note:
-        Collective.
     """
     _check_mesh(mesh)
     if not degree >= 3:
@@ -177,7 +174,7 @@ def _measured(
 
 
 def moments(expression: Expr, patches: Patches) -> Array:
-    """Evaluate an expression of m components in the owned cells.
+    """Evaluate an expression of m components in the owned cells. Collective.
 
     Returns:
         In each cell its mean, and the means of the expression times the reference coordinates
@@ -186,9 +183,6 @@ def moments(expression: Expr, patches: Patches) -> Array:
     Raises:
         ValueError: The expression lives on another mesh.
         ArithmeticError: It is NaN or infinite somewhere.
-
-    Note:
-        Collective.
     """
     mesh, n_cells = patches.mesh, len(patches.volumes)
     size = int(np.prod(expression.ufl_shape))
@@ -219,7 +213,7 @@ def moments(expression: Expr, patches: Patches) -> Array:
 
 
 def recover(patches: Patches, data: Array, *, means: bool, sweeps: int) -> Array:
-    """Fit a field that is continuous in each layer.
+    """Fit a field that is continuous in each layer. Collective.
 
     Args:
         patches: The patches.
@@ -229,9 +223,6 @@ def recover(patches: Patches, data: Array, *, means: bool, sweeps: int) -> Array
 
     Returns:
         Values at the nodes of the discontinuous quadratic element, (n_c, nodes, m).
-
-    Note:
-        Collective.
     """
     space = dolfinx.fem.functionspace(patches.mesh, ("DG", 2))
     nodes = interpolation_points(space)

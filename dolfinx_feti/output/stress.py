@@ -130,7 +130,7 @@ def principal_values(
 def components(
     stress: dolfinx.fem.Function, directions: Mapping[str, Expr]
 ) -> dict[str, dolfinx.fem.Function]:
-    """Return the normal components d·(σ d)/(d·d) of a recovered stress.
+    """Return the normal components d·(σ d)/(d·d) of a recovered stress. Collective.
 
     Args:
         stress: Made by :func:`recovered_field`.
@@ -144,9 +144,6 @@ def components(
     Raises:
         ValueError: The function is no recovered stress, or a direction is no vector.
         ArithmeticError: A direction is zero somewhere.
-
-    Note:
-        Collective.
     """
     mesh = stress.function_space.mesh
     _require_stress(stress)
@@ -178,7 +175,7 @@ def layer_means(
     *,
     weight: Expr | None = None,
 ) -> dict[str, dict[str, float]]:
-    """Return for each layer the mean of each scalar field.
+    """Return for each layer the mean of each scalar field. Collective.
 
     Args:
         fields: The fields, by name.
@@ -192,9 +189,6 @@ def layer_means(
         ValueError: A field is no scalar, lives on another mesh, or there is none; or a layer has no
             cells.
         ArithmeticError: A field is NaN or infinite somewhere.
-
-    Note:
-        Collective.
     """
     wrong = [name for name, field in fields.items() if field.ufl_shape]
     if wrong or not fields:

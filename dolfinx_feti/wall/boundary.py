@@ -111,7 +111,7 @@ class Boundary:
 def apply_conditions(
     wall: Wall, u: dolfinx.fem.Function, conditions: Conditions, *, axis: str | None = None
 ) -> Boundary:
-    """Turn conditions on named surfaces into Dirichlet conditions and forms.
+    """Turn conditions on named surfaces into Dirichlet conditions and forms. Collective.
 
     The forms hold ``ufl.TestFunction(V)`` and ``ufl.TrialFunction(V)`` of the space V of u, and
     state no quadrature degree. Whether a pressure has a potential −p V is found out by trying: at a
@@ -133,9 +133,6 @@ def apply_conditions(
             loaded or supported lies inside the wall, a clamp is not alone on its surface, a surface
             that slides lies in no plane normal to x, y or z, or the wall cannot be stretched along
             the axis. On all processes.
-
-    Note:
-        Collective.
     """
     _check_unknown(wall, u)
     given = by_surface(conditions)
@@ -227,11 +224,7 @@ def _constant(mesh: dolfinx.mesh.Mesh, value: float) -> dolfinx.fem.Constant:
 
 
 def _axis(axis: str, clamps: Sequence[str], normals: Sequence[int]) -> int:
-    """Return the number of an axis along which the wall can be stretched.
-
-    Raises:
-        ValueError: There is no such axis, or fewer than two surfaces are clamped or normal to it.
-    """
+    """Return the number of an axis along which the wall can be stretched."""
     if axis not in tuple(AXES):
         raise ValueError(f"axis={axis!r}: choose 'x', 'y' or 'z'.")
     number = AXES.index(axis)
@@ -278,12 +271,9 @@ def _is_potential(
     loaded: Loaded,
     axis: Sequence[float] | None,
 ) -> bool:
-    """Say whether the derivative of −p V is the pressure's residual in all free dofs.
+    """Say whether the derivative of −p V is the pressure's residual in all free dofs. Collective.
 
     It is tried at a wave that meets the Dirichlet conditions, a stretched one if there is an axis.
-
-    Note:
-        Collective.
     """
     if not loaded:
         return True

@@ -37,7 +37,7 @@ MMHG = 1.0 / mmhg(1.0)  # in a kPa
 
 
 def read_case(path: Path | str, comm: MPI.Comm) -> Case:
-    """Read a case on the first process.
+    """Read a case on the first process. Collective.
 
     Args:
         path: The file.
@@ -47,9 +47,6 @@ def read_case(path: Path | str, comm: MPI.Comm) -> Case:
         OSError: The file cannot be read.
         ValueError: It is no TOML, or a key or a value in it is wrong: the message names file,
             table, key, value and remedy.
-
-    Note:
-        Collective; raises on all processes or on none.
     """
     return on_first(lambda: _read_case(Path(path)), comm)
 

@@ -78,7 +78,7 @@ def fibre_frame(
     ends: Sequence[str] | None = None,
     inlet: str | None = None,
 ) -> Frame:
-    """Return the local frame of a wall.
+    """Return the local frame of a wall. Collective.
 
     Args:
         wall: The wall, with at least two openings.
@@ -91,9 +91,6 @@ def fibre_frame(
     Raises:
         ValueError: There are fewer than two openings, or there is no such surface or inlet.
         ArithmeticError: A Laplace problem was not solved, or leaves cells without a direction.
-
-    Note:
-        Collective.
     """
     through, along = potentials(wall, inner=inner, outer=outer, ends=ends, inlet=inlet)
     return frame_of(wall, through, along)
@@ -135,7 +132,7 @@ def potentials(
 
 @typed
 def frame_of(wall: Wall, through: dolfinx.fem.Function, along: dolfinx.fem.Function) -> Frame:
-    """Return the frame of two potentials on the mesh as it is.
+    """Return the frame of two potentials on the mesh as it is. Collective.
 
     Args:
         wall: The wall.
@@ -144,9 +141,6 @@ def frame_of(wall: Wall, through: dolfinx.fem.Function, along: dolfinx.fem.Funct
 
     Raises:
         ArithmeticError: They leave cells without a direction.
-
-    Note:
-        Collective.
     """
     grad_t, grad_l = gradient(through), gradient(along)
     e2 = _unit_directions(wall, grad_t, np.zeros_like(grad_t))
@@ -196,9 +190,6 @@ def _unit_directions(wall: Wall, along: Vectors, normal: Vectors) -> Vectors:
         wall: The wall.
         along: The gradients, (cells, 3).
         normal: Unit normals, or zero for no constraint, (cells, 3).
-
-    Raises:
-        ArithmeticError: No neighbouring cell has a direction either.
     """
     comm, n_owned = wall.mesh.comm, wall.mesh.topology.index_map(3).size_local
     size = np.linalg.norm(along, axis=1)

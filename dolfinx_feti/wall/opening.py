@@ -67,7 +67,7 @@ class Opening:
         ends: Sequence[str] | None = None,
         inlet: str | None = None,
     ) -> None:
-        """Find the potentials.
+        """Find the potentials. Collective.
 
         Args:
             wall: The wall.
@@ -82,9 +82,6 @@ class Opening:
             ValueError: A layer has no angle or stretch, or one that is out of its range; or see
                 :func:`~dolfinx_feti.wall.fibres.fibre_frame`.
             ArithmeticError: Likewise.
-
-        Note:
-            Collective.
         """
         stretches = dict.fromkeys(wall.layers, 1.0) if stretches is None else stretches
         for name, angle in angles.items():
@@ -104,11 +101,7 @@ class Opening:
         self.update()
 
     def update(self) -> None:
-        """Find directions, slopes and curvatures of the mesh as it is.
-
-        Note:
-            Collective.
-        """
+        """Find directions, slopes and curvatures of the mesh as it is. Collective."""
         frame = frame_of(self._wall, *self.potentials)
         directions = (frame.circumferential, frame.longitudinal, frame.transmural)
         for mine, e in zip(self.directions, directions, strict=True):

@@ -42,7 +42,7 @@ def create_wall(
     facet_tags: dolfinx.mesh.MeshTags,
     names: Groups | Model | None = None,
 ) -> Wall:
-    """Make a wall of a mesh and its tags.
+    """Make a wall of a mesh and its tags. Collective.
 
     The first three arguments are the first three things that dolfinx's ``model_to_mesh`` returns::
 
@@ -63,9 +63,6 @@ def create_wall(
         TypeError: An argument is no mesh, or no tags.
         ValueError: Tags are of another dimension or mesh, a cell has none, no facet has one, or
             ``names`` are something else. On all processes.
-
-    Note:
-        Collective.
     """
     cells = _one_layer(mesh) if cell_tags is None else cell_tags
     wall = Wall(mesh, cells, facet_tags, layers={}, surfaces={})  # checks them
@@ -95,11 +92,7 @@ def _one_layer(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.MeshTags:
 
 
 def _groups(names: Groups | Model | None, comm: MPI.Comm) -> list[Group]:
-    """Return the groups of all processes; those of a model from one that has it open.
-
-    Raises:
-        ValueError: No process has the model open, or a name has something else. On all processes.
-    """
+    """Return the groups of all processes; those of a model from one that has it open."""
     mine = on_all(lambda: _known(names), comm)
     known = [groups for groups in comm.allgather(mine) if groups is not None]
     if not known and comm.allreduce(names is not None, op=MPI.LOR):

@@ -170,11 +170,7 @@ def openings(wall: Wall) -> list[str]:
 
 
 def area(wall: Wall, name: str) -> float:
-    """Return the area of a surface [mm²].
-
-    Note:
-        Collective.
-    """
+    """Return the area of a surface [mm²]. Collective."""
     facets(wall, name)  # must be there
     one = dolfinx.fem.Constant(wall.mesh, np.float64(1.0))
     surface = surface_measure(wall)(wall.surfaces[name])
@@ -183,11 +179,7 @@ def area(wall: Wall, name: str) -> float:
 
 
 def extent(mesh: dolfinx.mesh.Mesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return the least and the greatest coordinates of a mesh [mm], (3,) each.
-
-    Note:
-        Collective.
-    """
+    """Return the least and the greatest coordinates of a mesh [mm], (3,) each. Collective."""
     return _bounds(np.asarray(mesh.geometry.x, dtype=np.float64), mesh.comm)
 
 

@@ -151,7 +151,7 @@ def _check_mesh(wall: Wall, n_facets: int) -> None:
 
 
 def write_wall(path: Path | str, wall: Wall) -> None:
-    """Write a wall for all processes to read, whatever their number.
+    """Write a wall for all processes to read, whatever their number. Collective.
 
     Two files are written aside and put in place at the end, `wall.h5` beside `wall.xdmf`.
 
@@ -162,9 +162,6 @@ def write_wall(path: Path | str, wall: Wall) -> None:
     Raises:
         ValueError: The path has another ending. On all processes.
         OSError: The folder cannot be written in. On all processes.
-
-    Note:
-        Collective.
     """
     path, comm = Path(path), wall.mesh.comm
     if path.suffix != ".xdmf":

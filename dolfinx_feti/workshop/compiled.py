@@ -225,11 +225,7 @@ def evaluate(material: Material, F: npt.ArrayLike) -> States:
 
 
 def _call(psi: Callable[..., Expr], F: Variable, parameters: Mapping[str, Expr]) -> Expr:
-    """Call psi with those of F, C and J that it takes, and with the parameters.
-
-    Raises:
-        TypeError: It takes none of F, C and J, takes other arguments, or cannot take a parameter.
-    """
+    """Call psi with those of F, C and J that it takes, and with the parameters."""
     measures = dict(zip(MEASURES, (F, right_cauchy_green(F), jacobian(F)), strict=True))
     takes = inspect.signature(psi).parameters
     open_ended = any(p.kind is p.VAR_KEYWORD for p in takes.values())
@@ -256,12 +252,7 @@ def _call(psi: Callable[..., Expr], F: Variable, parameters: Mapping[str, Expr])
 
 
 def _check_energy(psi: object, F: Variable, coefficients: set[Expr], constants: set[Expr]) -> None:
-    """Require a scalar expression of F and of constants with values.
-
-    Raises:
-        TypeError: It is no UFL expression.
-        ValueError: It is no scalar, does not depend on F, or depends on something else.
-    """
+    """Require a scalar expression of F and of constants with values."""
     if not isinstance(psi, Expr):
         raise TypeError(f"psi returns {psi!r}: expected a UFL expression.")
     if psi.ufl_shape:

@@ -219,11 +219,7 @@ def _residuals(material: Material, data: Sequence[DataSet]) -> Array:
 
 
 def _check_start(material: Material, data: Sequence[DataSet]) -> None:
-    """Require equilibria at the start.
-
-    Raises:
-        ConvergenceError: A measured state has none.
-    """
+    """Require equilibria at the start."""
     for d in data:
         response = respond(material, d.path)
         lost = np.flatnonzero(~np.isfinite(stresses(response, d.measure)).all(axis=1))
@@ -236,11 +232,7 @@ def _check_start(material: Material, data: Sequence[DataSet]) -> None:
 
 
 def _limits(start: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]) -> Array:
-    """Return least and largest values, (2, m).
-
-    Raises:
-        ValueError: A bound has no parameter, or the start is not between its bounds.
-    """
+    """Return least and largest values, (2, m)."""
     require_within(-math.inf, math.inf, start, remedy="a finite value")
     unknown = set(bounds) - set(start)
     if unknown:

@@ -192,11 +192,7 @@ def _path(
     directions: tuple[npt.ArrayLike, npt.ArrayLike],
     measured: tuple[tuple[int, int], ...],
 ) -> MaterialTest:
-    """Return a path whose F and free entries are given in the loading frame.
-
-    Raises:
-        ValueError: A direction is zero, or they are not normal to each other.
-    """
+    """Return a path whose F and free entries are given in the loading frame."""
     e1, e2 = _unit("along", directions[0]), _unit("across", directions[1])
     if abs(e1 @ e2) > 1e-10:
         raise ValueError(f"along = {e1} and across = {e2} are not normal to each other.")
@@ -208,11 +204,7 @@ def _path(
 
 
 def _unit(name: str, direction: npt.ArrayLike) -> Array:
-    """Return a unit vector.
-
-    Raises:
-        ValueError: The direction is zero or no vector.
-    """
+    """Return a unit vector."""
     vector = np.array(direction, dtype=np.float64)
     length = np.linalg.norm(vector)
     if vector.shape != (3,) or not 0.0 < length < np.inf:

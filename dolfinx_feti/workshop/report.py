@@ -141,11 +141,7 @@ def _check_ellipticity(scan: Ellipticity) -> Check:
 
 
 def _range(name: str, ends: tuple[float, float], *, above: float, rest: float, n: int) -> Array:
-    """Return n values between the ends, and the value at rest.
-
-    Raises:
-        ValueError: The ends are not on both sides of rest, or there are fewer than two values.
-    """
+    """Return n values between the ends, and the value at rest."""
     least, most = ends
     if not above < least < rest < most < np.inf:
         raise ValueError(f"{name} = {ends}: give a range with {rest:g} (rest) inside.")
