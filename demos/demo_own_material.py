@@ -129,7 +129,7 @@ def inflate(name: str, material: Callable[[Expr, Expr], Expr]) -> dict[str, floa
     path = Steps(first=5.0, least=0.1, growth=1.5, quick=5)
     steps = follow_load(problem, set_load, [args.pressure], path, state=[u, p], unit="mmHg")
     set_load(args.pressure + 1.0)
-    feti, _ = compare(problem, ["feti", "mumps"]).solved
+    feti, _ = compare(problem, ["feti", "mumps"]).results
     sigma = kinematics.stress_magnitude(kinematics.cauchy_stress(psi, F))
     parts = problem.decomposition.first + problem.decomposition.subdomain
     cells = gather_cells(u, {"stress": cell_values(sigma, wall.mesh), "subdomain": parts})

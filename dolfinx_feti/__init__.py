@@ -22,7 +22,7 @@ except ImportError as error:
         "  Debian >= 13, Ubuntu         sudo apt install python3-dolfinx"
     ) from error
 
-from dolfinx_feti.comparison.run import compare
+from dolfinx_feti.comparison import compare
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.feti import FETI
 from dolfinx_feti.mechanics import kinematics, loads, materials, supports

@@ -16,18 +16,18 @@ or, step by step::
     K, f = assembled_system(A, b)
     cost, x = measure(lambda: create_solver(K), f)
 
-In the order of the data: assembled, solvers, result, run.
+In the order of the data: solvers, run.
 """
 
-from dolfinx_feti.comparison.assembled import (
+from dolfinx_feti.comparison.run import Comparison, SolverResult, compare
+from dolfinx_feti.comparison.solvers import (
+    SOLVERS,
     assembled_system,
+    create_solver,
     relative_difference,
     relative_residual,
 )
-from dolfinx_feti.comparison.result import Comparison, SolverResult
-from dolfinx_feti.comparison.run import compare
-from dolfinx_feti.comparison.solvers import SOLVERS, create_solver
-from dolfinx_feti.mechanics.arguments import type_exports
+from dolfinx_feti.mechanics.values import type_exports
 from dolfinx_feti.runtime.cost import Cost, PeakMemory, measure, record_cost, timed_solve
 
 __all__ = [

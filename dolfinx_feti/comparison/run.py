@@ -16,8 +16,9 @@ matrix is factored once more, by LU, and without success there is no reference.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 
 from mpi4py import MPI
@@ -25,22 +26,28 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_feti.comparison.assembled import (
+from dolfinx_feti.comparison.solvers import (
+    SOLVERS,
     assembled_system,
+    create_solver,
+    missing,
     relative_difference,
     relative_residual,
+    takes_torn,
 )
-from dolfinx_feti.comparison.result import Comparison, SolverResult
-from dolfinx_feti.comparison.solvers import SOLVERS, create_solver, missing, takes_torn
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.feti.subdomain.factors.direct import factor_failure
 from dolfinx_feti.problems.linear_problem import LinearProblem
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.runtime.collective import on_all, reason
 from dolfinx_feti.runtime.cost import Cost, timed_solve
+from dolfinx_feti.runtime.tables import Cell, json_value, table
 
-__all__ = ["compare"]
+__all__ = ["Comparison", "SolverResult", "compare"]
 
+HEAD = (
+    "solver", "iterations", "set-up [s]", "solve [s]", "memory [MiB]", "residual", "difference", "",
+)  # fmt: skip
 DIRECT = "mumps"
 
 #: ‖f − K x‖/‖f‖ up to which a direct solution is a reference.
@@ -50,7 +57,103 @@ REFERENCE = 1e-6
 EXCESS = 1.1
 
 #: Options of PETSc by the name of the solver.
-Solvers = Mapping[str, Mapping[str, object]]
+Solvers = Mapping[str, Mapping[str, object] | None]
+
+
+@dataclass(frozen=True, slots=True)
+class SolverResult:
+    """One solver's part in a comparison.
+
+    Attributes:
+        solver: Its name.
+        cost: What it took; None if PETSc raised an error.
+        relative_residual: ‖f − K x‖/‖f‖ of the assembled system, on the free dofs; nan without a
+            solution.
+        difference_to_direct: ‖x − x_d‖/‖x_d‖ to the direct solution; nan if there is none whose
+            own residual is at most 1e-6.
+        note: Why it failed, that its residual is above the tolerance, or why the direct solution
+            took LU or is no reference; or an empty string.
+    """
+
+    solver: str
+    cost: Cost | None
+    relative_residual: float
+    difference_to_direct: float
+    note: str
+
+    @property
+    def converged(self) -> bool:
+        """Whether there is a solution."""
+        return self.cost is not None and self.cost.converged_reason > 0
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Solvers on the same system; ``str`` prints the table. The same on all processes.
+
+    Attributes:
+        dofs: Size of the assembled system.
+        subdomains: Their number over all processes.
+        processes: Their number.
+        rtol: Factor by which the iterative solvers had to lower the residual.
+        results: Of the solvers, in the order of the user.
+        left_out: Name of each solver that was left out, and why.
+    """
+
+    dofs: int
+    subdomains: int
+    processes: int
+    rtol: float
+    results: tuple[SolverResult, ...]
+    left_out: tuple[tuple[str, str], ...]
+
+    @property
+    def records(self) -> list[dict[str, object]]:
+        """One record for each solver, to be written as JSON; None for what is not known."""
+        size = {"dofs": self.dofs, "subdomains": self.subdomains, "processes": self.processes}
+        records = [
+            {"solver": s.solver, **size, "rtol": self.rtol, "converged": s.converged}
+            | ({} if s.cost is None else asdict(s.cost))
+            | {"relative_residual": s.relative_residual}
+            | {"difference_to_direct": s.difference_to_direct, "note": s.note}
+            for s in self.results
+        ]
+        left_out = [
+            {"solver": name, **size, "converged": False, "note": f"left out: {why}"}
+            for name, why in self.left_out
+        ]
+        return [{k: json_value(v) for k, v in record.items()} for record in records + left_out]
+
+    def __str__(self) -> str:
+        """Return the table, and who was left out."""
+        lines = [
+            f"{self.dofs} dofs, {self.subdomains} subdomains, {self.processes} process(es), "
+            f"relative tolerance {self.rtol:g}",
+            table(HEAD, [_row(s) for s in self.results]),
+        ]
+        lines += [f"left out: {name}, {why}" for name, why in self.left_out]
+        return "\n".join(lines)
+
+
+def _row(result: SolverResult) -> list[Cell]:
+    """Return a row of the table."""
+    cost = result.cost
+    if cost is None:
+        return [result.solver, None, None, None, None, None, None, result.note]
+    return [
+        result.solver,
+        cost.iterations,
+        f"{cost.seconds_setup:.2f}".rjust(len(HEAD[2])),
+        f"{cost.seconds_solve:.2f}".rjust(len(HEAD[3])),
+        round(cost.peak_mib) if math.isfinite(cost.peak_mib) else None,
+        _short(result.relative_residual),
+        _short(result.difference_to_direct),
+        result.note,
+    ]
+
+
+def _short(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:.0e}".replace("e-0", "e-")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,15 +190,9 @@ def compare(
         are left out and named; one that fails, or stays above the tolerance, has a note.
 
     Raises:
-        TypeError: The problem is none of this package's.
         ValueError: Unknown solvers, or not the same ones on all processes; nothing loads the
             problem.
     """
-    if not isinstance(problem, (LinearProblem, NonlinearProblem)):
-        raise TypeError(
-            f"problem is a {type(problem).__name__}: give a dolfinx_feti.LinearProblem or a "
-            "dolfinx_feti.NonlinearProblem."
-        )
     comm = problem.decomposition.mesh.comm
     wanted = _checked(solvers, comm)
     whys = {name: missing(options) for name, options in wanted.items()}
@@ -139,7 +236,7 @@ def compare(
             subdomains=comm.allreduce(problem.decomposition.count),
             processes=comm.size,
             rtol=rtol,
-            solved=tuple(results),
+            results=tuple(results),
             left_out=tuple((name, why) for name, why in whys.items() if why),
         )
     finally:
@@ -228,9 +325,9 @@ def _name(reason: int) -> str:
     return next((k for k, v in names if v == reason and k.startswith("DIVERGED")), str(reason))
 
 
-def _checked(solvers: Sequence[str] | Solvers, comm: MPI.Comm) -> Solvers:
+def _checked(solvers: Sequence[str] | Solvers, comm: MPI.Comm) -> dict[str, Mapping[str, object]]:
     """Return the options of each solver, and check that all processes have the same solvers."""
-    names = solvers if isinstance(solvers, str) else list(dict.fromkeys(solvers))
+    names = list(dict.fromkeys(solvers))
     everywhere = comm.allgather(names)
     for rank, other in enumerate(everywhere):
         if other != everywhere[0]:
@@ -238,8 +335,6 @@ def _checked(solvers: Sequence[str] | Solvers, comm: MPI.Comm) -> Solvers:
                 f"solvers is {everywhere[0]!r} on process 0 and {other!r} on process {rank}: give "
                 "the same on all."
             )
-    if isinstance(names, str):
-        raise ValueError(f"solvers is {names!r}: put the names in a list, solvers=[{names!r}].")
     given = solvers if isinstance(solvers, Mapping) else {}
     unknown = [name for name in names if name not in SOLVERS and not given.get(name)]
     if unknown or not names:

@@ -1,11 +1,11 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The solvers that FETI is compared with: PETSc's, each a dict of its options.
+"""The assembled counterpart of a torn system, and the solvers that FETI is compared with.
 
-A Krylov method is CG on a symmetric matrix and GMRES on another one, unless the options say
-otherwise, and lowers the norm of the true residual. Options have the prefix of the solver's name;
-the user's own in PETSc's database prevail.
+Each is a dict of PETSc's options. A Krylov method is CG on a symmetric matrix and GMRES on another
+one, unless the options say otherwise, and lowers the norm of the true residual. Options have the
+prefix of the solver's name; the user's own in PETSc's database prevail.
 """
 
 from __future__ import annotations
@@ -15,9 +15,19 @@ from contextlib import contextmanager
 
 from petsc4py import PETSc
 
+from dolfinx_feti.runtime.connectivity import is_symmetric
 from dolfinx_feti.runtime.petsc_options import inserted
 
-__all__ = ["SOLVERS", "create_solver", "missing", "prefix_of", "takes_torn"]
+__all__ = [
+    "SOLVERS",
+    "assembled_system",
+    "create_solver",
+    "missing",
+    "prefix_of",
+    "relative_difference",
+    "relative_residual",
+    "takes_torn",
+]
 
 #: Solvers that a comparison takes if it is not told, and their options without prefix. A Cholesky
 #: factorisation becomes LU where the matrix is not symmetric. BDDC gets the torn matrix, the others
@@ -43,6 +53,61 @@ MAX_IT = 2000
 #: Parts of the interface of up to so many nodes are primal in BDDC as they are. PETSc's default is
 #: one dof; then set-up may fail, as a subdomain of a ragged partition is held too loosely.
 VERTEX_NODES = 2
+
+
+def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
+    r"""Convert a torn matrix and its right-hand side to the assembled system that FETI solves.
+
+    .. math:: K = \begin{pmatrix} A_{FF} & 0 \\ 0 & I \end{pmatrix}, \qquad
+        f = \begin{pmatrix} b_F - A_{FD}\, b_D \\ b_D \end{pmatrix}
+
+    with the free dofs F and the Dirichlet dofs D, on which b holds the prescribed values.
+
+    Args:
+        A: Torn matrix (MATIS).
+        b: Right-hand side, (N,).
+
+    Returns:
+        K, (N, N), marked as symmetric if the matrices of all subdomains are, with the near kernel
+        and the null space of A; and f, (N,), without its part in that. The caller destroys them.
+
+    Note:
+        Collective.
+    """
+    K, f = PETSc.Mat(), b.copy()
+    A.convert(PETSc.Mat.Type.AIJ, K)
+    dirichlet = A.query("dirichlet")
+    if dirichlet is not None:
+        K.zeroRowsColumns(dirichlet.getIndices(), 1.0, b, f)
+    if is_symmetric(A):
+        K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    near_kernel = A.getNearNullSpace()
+    if near_kernel.handle:
+        K.setNearNullSpace(near_kernel)
+    null_space = A.getNullSpace()
+    if null_space.handle:
+        K.setNullSpace(null_space)
+        null_space.remove(f)
+    return K, f
+
+
+def relative_residual(K: PETSc.Mat, f: PETSc.Vec, x: PETSc.Vec) -> float:
+    """Return ‖f − K x‖/‖f‖. Collective."""
+    r = f.duplicate()
+    K.mult(x, r)
+    r.aypx(-1.0, f)  # r = f − K x
+    norm = r.norm()
+    r.destroy()
+    return norm / f.norm()
+
+
+def relative_difference(x: PETSc.Vec, reference: PETSc.Vec) -> float:
+    """Return ‖x − reference‖/‖reference‖. Collective."""
+    y = x.copy()
+    y.axpy(-1.0, reference)
+    norm = y.norm()
+    y.destroy()
+    return norm / reference.norm()
 
 
 def create_solver(

@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Load steps from equilibrium to equilibrium, time steps, and states that outlive a run.
 
-In the order of the data: checkpoint, state, steps, interrupts, progress, anderson, stepper,
+In the order of the data: checkpoint, state, steps, progress, anderson, stepper,
 motion, load_steps, unloaded, prestressed, time_steps.
 """
 
@@ -14,7 +14,7 @@ from dolfinx_feti.loading.prestressed import prestress
 from dolfinx_feti.loading.steps import LoadStep, Steps, write_history
 from dolfinx_feti.loading.time_steps import TimeStep, TimeSteps, follow_time
 from dolfinx_feti.loading.unloaded import unload
-from dolfinx_feti.mechanics.arguments import type_exports
+from dolfinx_feti.mechanics.values import type_exports
 
 __all__ = [
     "Checkpoint",

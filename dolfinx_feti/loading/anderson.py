@@ -74,6 +74,12 @@ class FixedPoint:
         give_up_early: bool = False,
     ) -> dolfinx.fem.Function:
         """Iterate; see :meth:`NonlinearProblem.solve`."""
+        self.history = []
+        self._iterate(reference, {"first_tangent": first_tangent, "renew": renew})
+        return self.u
+
+    def _iterate(self, reference: float | None, options: dict[str, Any]) -> None:
+        """Solve the inner problem, at first with options, until the fixed point is found."""
         raise NotImplementedError
 
     def renew(self) -> None:

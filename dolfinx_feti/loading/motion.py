@@ -173,14 +173,14 @@ class Motion:
         ksp.getPC().setType(PETSc.PC.Type.JACOBI)
         ksp.setTolerances(rtol=MASS_RTOL, max_it=MASS_ITERATIONS)
         ksp.solve(f, a)
-        solved = ksp.getConvergedReason() > 0
+        converged = ksp.getConvergedReason() > 0
         ü.x.array[:owned] = a.array_r
         ü.x.scatter_forward()
         self.filtered.x.array[:] = ü.x.array
         self.dt.value = 0.0
         for owned_object in (ksp, M, f, a):
             owned_object.destroy()
-        if not solved:
+        if not converged:
             raise ConvergenceError(
                 "The mass matrix could not be solved with for the initial acceleration: give a "
                 "positive density in all cells."
@@ -229,9 +229,10 @@ class Motion:
 
     def damping(self, residual: dolfinx.fem.Form) -> Array:
         """Return the present forces of dashpots, F(u, v) − F(u, 0), (owned,). Collective."""
-        whole = owned_vector(residual)
         if not self._damped:
-            return np.zeros_like(whole)
+            space = self.u.function_space.dofmap
+            return np.zeros(space.index_map.size_local * space.index_map_bs)
+        whole = owned_vector(residual)
         behind, d = self._behind.x.array.copy(), float(self._d.value)
         self._set_rate(d, self.u.x.array)
         elastic = owned_vector(residual)

@@ -23,6 +23,7 @@ acceleration. G is the unknown of a path of loads, which ``follow_load`` follows
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from mpi4py import MPI
 
@@ -40,7 +41,6 @@ from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
-from dolfinx_feti.problems.system import Tangent
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["prestress"]
@@ -125,29 +125,22 @@ class _Prestressing(FixedPoint):
         self._G = G
         self._update = create_internal_variables({G: G * ufl.inv(F)}, Compiler(self._comm))
 
-    def solve(
-        self,
-        *,
-        reference: float | None = None,
-        first_tangent: Tangent | None = None,
-        renew: bool = True,
-        give_up_early: bool = False,
-    ) -> dolfinx.fem.Function:
+    def _iterate(self, reference: float | None, options: dict[str, Any]) -> None:
         """Solve, and take the wall back to the image, until it stays there."""
         anderson = Anderson(self._G.function_space)
-        self.history, allowed = [], 0.0
+        allowed = 0.0
         for _ in range(MOST):
-            self._solve(reference=reference, first_tangent=first_tangent, renew=renew)
+            self._solve(reference=reference, **options)
             moved, before = self._moved(), self._G.x.array.copy()
             self._update.update()  # G ← G F⁻¹
             self.u.x.array[:] = 0.0
             allowed = allowed or max(self._tolerance, self.solver.getTolerances()[0] * moved)
             if moved <= allowed:
-                return self.u
+                return
             self._G.x.array[:] = anderson.next(before, self._G.x.array - before)
             if reference is None:
                 reference = self.history[0].residual
-            first_tangent, renew = None, False
+            options = {"renew": False}
         raise ConvergenceError(
             f"{MOST} solves did not balance the image: the last one moved it by {moved:.1e}. "
             "Load in smaller steps."

@@ -1,27 +1,40 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Progress of a load: a bar (tqdm) on a terminal, and a line for each load step in the log."""
+"""Progress of a load, and the signals that end it.
+
+A bar (tqdm) on a terminal, and a line for each load step in the log. After Ctrl-C or SIGTERM all
+processes end the path together, between two Newton steps: the first signal is noted and raised at
+the next call of :meth:`Interrupts.check`, in work that fails on all processes if on one; the second
+one has its usual effect at once.
+"""
 
 from __future__ import annotations
 
 import itertools
 import logging
 import math
+import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
+from types import FrameType
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from tqdm import tqdm
 
-from dolfinx_feti.loading.interrupts import Interrupts
 from dolfinx_feti.loading.steps import LoadStep
 from dolfinx_feti.runtime.collective import reason
 
-__all__ = ["Progress"]
+__all__ = ["Interrupts", "Progress"]
 
+#: Signals that end a path, with the handlers that have to be there: not those of a user.
+DEFAULTS: dict[signal.Signals, Callable[[int, FrameType | None], object] | signal.Handlers] = {
+    signal.SIGINT: signal.default_int_handler,
+    signal.SIGTERM: signal.SIG_DFL,
+}
 logger = logging.getLogger("dolfinx_feti")
 
 #: How many load steps the pace is taken from, from which the time left follows.
@@ -29,6 +42,41 @@ RECENT = 3
 
 #: Attribute of the SNES that holds the progress of the load that is being followed.
 ATTRIBUTE = "progress"
+
+
+class Interrupts:
+    """A context in which the first signal is noted."""
+
+    def __init__(self) -> None:
+        self._noted: int | None = None
+        self._taken: list[signal.Signals] = []
+
+    def check(self) -> None:
+        """Raise KeyboardInterrupt after SIGINT, SystemExit after SIGTERM, with that status."""
+        noted, self._noted = self._noted, None
+        if noted == signal.SIGINT:
+            raise KeyboardInterrupt
+        if noted is not None:
+            raise SystemExit(128 + noted)
+
+    def __enter__(self) -> Interrupts:
+        """Note signals, in the main thread."""
+        if threading.current_thread() is threading.main_thread():
+            self._taken = [s for s, usual in DEFAULTS.items() if signal.getsignal(s) == usual]
+            for number in self._taken:
+                signal.signal(number, self._note)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Let signals have their usual effect."""
+        for number in self._taken:
+            signal.signal(number, DEFAULTS[number])
+        self._taken = []
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        """Note a signal; the next one is not."""
+        self._noted = number
+        self.__exit__()
 
 
 def _report(snes: PETSc.SNES, its: int, norm: float) -> None:
@@ -75,9 +123,9 @@ class Progress:
         self._length = math.fsum(abs(b - a) for a, b in itertools.pairwise(loads))
         self._goal, self._number = f"{loads[-1]:g} {unit}".rstrip(), number
         self._recent: list[LoadStep] = []
-        self._snes, self._first, self._interrupts = snes, comm.rank == 0, interrupts
+        self._snes, self._speaks, self._interrupts = snes, comm.rank == 0, interrupts
         self._bar = _Bar(disable=True)
-        if self._first and sys.stderr.isatty():
+        if self._speaks and sys.stderr.isatty():
             self._show(self._open)
         if not any(monitor is _report for monitor, _, _ in snes.getMonitor() or []):
             snes.setMonitor(_report)
@@ -132,7 +180,7 @@ class Progress:
     def _log(self, text: str) -> None:
         """Log a line on the first process, and not into the bar."""
         self._show(self._bar.clear)
-        if self._first:
+        if self._speaks:
             logger.info(text)
 
     def _open(self) -> None:

@@ -76,7 +76,7 @@ class PathState:
         self.unknowns = list(dict.fromkeys([*unknowns, *content.unknowns]))
         self.histories = [f for f in dict.fromkeys(histories) if f not in self.unknowns]
         self.numbers: list[Number] = list(dict.fromkeys([*content.constants, *numbers]))
-        self._first = [np.array(number.value) for number in self.numbers]
+        self._initial = [np.array(number.value) for number in self.numbers]
         changing = set(map(id, numbers))
         self._moving = {i for i, number in enumerate(self.numbers) if id(number) in changing}
 
@@ -110,7 +110,7 @@ class PathState:
         numbers = [np.array(number.value) for number in self.numbers]
         self._moving |= {
             i
-            for i, (a, b) in enumerate(zip(self._first, numbers, strict=True))
+            for i, (a, b) in enumerate(zip(self._initial, numbers, strict=True))
             if not np.array_equal(a, b)
         }
         moving, loads = sorted(self._moving), [*(s.at for s in past), self.at]

@@ -38,8 +38,7 @@ import numpy as np
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.loading.anderson import FixedPoint
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.interrupts import Interrupts
-from dolfinx_feti.loading.progress import Progress
+from dolfinx_feti.loading.progress import Interrupts, Progress
 from dolfinx_feti.loading.state import PathState
 from dolfinx_feti.loading.steps import Lengths, Step, load_step
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem

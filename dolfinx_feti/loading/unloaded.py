@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -184,16 +185,9 @@ class _Unloading(FixedPoint):
         finally:
             self.move_back()
 
-    def solve(
-        self,
-        *,
-        reference: float | None = None,
-        first_tangent: Tangent | None = None,
-        renew: bool = True,
-        give_up_early: bool = False,
-    ) -> dolfinx.fem.Function:
+    def _iterate(self, reference: float | None, options: dict[str, Any]) -> None:
         """Iterate until the loaded wall is the image, and in equilibrium."""
-        anderson, self.history = Anderson(self.u.function_space), []
+        anderson = Anderson(self.u.function_space)
         nodes, close, distance = self._nodes, False, math.inf
         last: Array | None = None  # U of the solve before
         self._require_admissible()
@@ -201,7 +195,7 @@ class _Unloading(FixedPoint):
             U = self.u.x.array.copy()
             with self._moved(), self._tolerances(reference if close else None):
                 try:
-                    self._solve(first_tangent=first_tangent, renew=renew)
+                    self._solve(**options)
                 except ConvergenceError:
                     if last is None or self.solver.getConvergedReason() != INADMISSIBLE:
                         raise
@@ -211,12 +205,12 @@ class _Unloading(FixedPoint):
             distance = nodes.longest(loaded - nodes.first)
             reached = distance <= self._allowed()
             if reached and close:
-                return self.u
+                return
             if not reached:
                 self._step(U, anderson.next(U, self.u.x.array - U))
             if reference is None:
                 reference = self.history[0].residual
-            first_tangent, renew, close, last = None, False, reached, U
+            options, close, last = {"renew": False}, reached, U
         raise ConvergenceError(
             f"{MOST} forward solves did not find the unloaded wall: the loaded one is "
             f"{distance:.1e} off the image. Load in smaller steps."

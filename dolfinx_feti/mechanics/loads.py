@@ -36,9 +36,8 @@ from ufl.core.expr import Expr
 from ufl.core.multiindex import MultiIndex
 from ufl.corealg.traversal import traverse_unique_terminals
 
-from dolfinx_feti.mechanics.arguments import typed
 from dolfinx_feti.mechanics.kinematics import deformation_gradient
-from dolfinx_feti.mechanics.values import require_within
+from dolfinx_feti.mechanics.values import require_within, typed
 
 __all__ = [
     "enclosed_volume",

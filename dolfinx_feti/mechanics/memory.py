@@ -33,9 +33,8 @@ import ufl
 from ufl.core.expr import Expr
 from ufl.variable import Variable
 
-from dolfinx_feti.mechanics.arguments import typed
 from dolfinx_feti.mechanics.materials import Parameter
-from dolfinx_feti.mechanics.values import require_positive, require_within
+from dolfinx_feti.mechanics.values import require_positive, require_within, typed
 
 __all__ = ["MaxwellBranch", "damaged", "viscoelastic"]
 

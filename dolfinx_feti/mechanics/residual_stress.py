@@ -31,8 +31,7 @@ from collections.abc import Sequence
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti.mechanics.arguments import typed
-from dolfinx_feti.mechanics.values import require_positive, require_within
+from dolfinx_feti.mechanics.values import require_positive, require_within, typed
 
 __all__ = ["elastic_part", "opened", "residual_stretch", "stress_free_direction"]
 

@@ -28,8 +28,7 @@ from weakref import WeakKeyDictionary
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti.mechanics.arguments import typed
-from dolfinx_feti.mechanics.values import require_not_negative
+from dolfinx_feti.mechanics.values import require_not_negative, typed
 
 __all__ = ["DASHPOTS", "Dashpots", "Direction", "dashpot_energy", "spring_energy"]
 

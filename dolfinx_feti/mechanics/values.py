@@ -1,17 +1,39 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Numbers that a user gives, each within the range where it has a meaning."""
+"""What a user gives: numbers in the range where they have a meaning, arguments of their type."""
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
-from collections.abc import Mapping
-from numbers import Real
+import re
+import reprlib
+from collections.abc import Callable, Mapping, Sequence
+from numbers import Integral, Real
+from types import SimpleNamespace, UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+import numpy.typing as npt
 
 from ufl.core.expr import Expr
 
-__all__ = ["require_finite", "require_not_negative", "require_positive", "require_within"]
+__all__ = [
+    "require_finite",
+    "require_not_negative",
+    "require_positive",
+    "require_within",
+    "type_exports",
+    "typed",
+]
+
+Work = TypeVar("Work", bound=Callable[..., Any])
+
+REPR = reprlib.Repr()
+REPR.maxother = 80
+NUMBERS: dict[object, type] = {float: Real, int: Integral}
 
 
 def require_within(
@@ -62,3 +84,87 @@ def require_not_negative(**values: object) -> None:
 def require_finite(**values: object) -> None:
     """Refuse numbers that are not finite; see :func:`require_within`."""
     require_within(-math.inf, math.inf, values, remedy="a finite number")
+
+
+def typed(work: Work) -> Work:
+    """Let a function, or a class when an object is made, refuse arguments of a wrong type.
+
+    Values stay its own affair.
+    """
+    if inspect.isclass(work):
+        work.__init__ = typed(work.__init__)  # type: ignore[misc]
+        return work  # type: ignore[return-value]
+    signature = inspect.signature(work)
+    hints: dict[str, Any] = {}
+
+    @functools.wraps(work)
+    def checked(*args: Any, **kwargs: Any) -> Any:
+        if not hints:  # the first call, when all names are known
+            hints.update(_hints(work))
+        for name, value in signature.bind(*args, **kwargs).arguments.items():
+            kind = signature.parameters[name].kind
+            if name in hints and kind is not inspect.Parameter.VAR_KEYWORD:
+                for where, wrong in _misfits(name, value, hints[name]):
+                    wanted = inspect.formatannotation(hints[name])
+                    wanted = re.sub(r"(typing|collections\.abc)\.", "", wanted)
+                    raise TypeError(f"{where} is {REPR.repr(wrong)}: give {wanted}.")
+        return work(*args, **kwargs)
+
+    return checked  # type: ignore[return-value]
+
+
+def type_exports(room: dict[str, Any]) -> None:
+    """Let all functions and classes in the ``__all__`` of a room refuse arguments so."""
+    for name in room["__all__"]:
+        if callable(room[name]):
+            room[name] = typed(room[name])
+
+
+def _hints(work: Callable[..., Any]) -> dict[str, Any]:
+    """Return the types of the arguments, but for names of a base class in another module."""
+    scope = inspect.unwrap(work).__globals__
+    hints: dict[str, Any] = {}
+    for name, annotation in work.__annotations__.items():
+        try:
+            hints |= get_type_hints(SimpleNamespace(__annotations__={name: annotation}), scope)
+        except NameError:
+            hints[name] = Any
+    return hints
+
+
+def _misfits(where: str, value: Any, hint: Any) -> list[tuple[str, object]]:
+    """Return the first thing in a value that does not fit a type, and where it is."""
+    origin, args = get_origin(hint) or hint, get_args(hint)
+    wrong = [(where, value)]
+    if hint == npt.ArrayLike or origin is np.ndarray:
+        return [] if _is_array(value) else wrong
+    if origin in (Union, UnionType):
+        found = [_misfits(where, value, each) for each in args]
+        return [] if [] in found else max(found, key=lambda misfit: len(misfit[0][0]))
+    if origin is Callable:
+        return [] if callable(value) else wrong
+    if hint is Any or not isinstance(origin, type) or getattr(origin, "_is_protocol", False):
+        return []  # choices, too, are for the function to check
+    parts: dict[str, Any] = {}
+    if issubclass(origin, Mapping):
+        wrong = [] if isinstance(value, Mapping) else wrong
+        parts = {} if wrong else {f"{where}[{key!r}]": part for key, part in value.items()}
+    elif origin in (Sequence, list, tuple):
+        listed = hasattr(value, "__len__") and not isinstance(value, (str, bytes, Mapping))
+        wrong = [] if listed else wrong
+        parts = {f"{where}[{i}]": part for i, part in enumerate(value)} if listed else {}
+    else:
+        wrong = [] if isinstance(value, NUMBERS.get(origin, origin)) else wrong
+    inner = args[-1] if origin is not tuple and args else Any
+    if get_origin(inner) in (Union, UnionType):
+        return wrong
+    inside = (_misfits(at, part, inner) for at, part in parts.items())
+    return wrong or next((misfit for misfit in inside if misfit), [])
+
+
+def _is_array(value: object) -> bool:
+    """Tell whether a value is an array of real numbers, or can be made one."""
+    try:
+        return np.asarray(value, dtype=np.float64).dtype == np.float64 and value is not None
+    except (TypeError, ValueError):
+        return False

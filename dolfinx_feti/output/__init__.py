@@ -3,12 +3,12 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Output: recovered stresses, and fields for ParaView.
 
-In the order of the data: patches, stress, balance, points, fields.
+In the order of the data: patches, stress, points, fields.
 """
 
-from dolfinx_feti.mechanics.arguments import type_exports
+from dolfinx_feti.mechanics.values import type_exports
 from dolfinx_feti.runtime.folders import writable_folder
-from dolfinx_feti.output.balance import balanced_stress
+from dolfinx_feti.output.stress import balanced_stress
 from dolfinx_feti.output.fields import FieldWriter, cell_values
 from dolfinx_feti.output.patches import Patches, create_patches
 from dolfinx_feti.output.stress import (

@@ -19,24 +19,39 @@ So where the normal n of the wall is known, the stress is put together of both,
 
 Without a normal it is the fit to the values inside the cells. A field that is constant in each
 cell, such as p and all stresses of P1–P0 elements, is fitted by its means.
+
+*Balanced stresses* are those of second-order elements, with the pressure that the traction asks for.
+A pressure that is linear in each cell follows the stress of the fibres only as far as that is
+linear, too. What is left of it is a pressure that is off, the same in all directions: relative to
+the small stress across the wall it is large. Equilibrium tests σ with linear gradients, so that the
+linear part of the traction is accurate in each cell, and tells by how much p is off. With the unit
+normal n of the wall and the projection Π to linear functions on each cell,
+
+.. math:: σ^* = σ + (Π(n·σ n) - n·σ n)\, I.
+
+Cells may be curved, and of any type.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
+from mpi4py import MPI
 import numpy as np
-import numpy.typing as npt
-
+import basix
 import dolfinx
 import ufl
 from ufl.core.expr import Expr
-
+from dolfinx_feti.fem.compiler import Compiler
+from collections.abc import Mapping
+import numpy as np
+import numpy.typing as npt
+import dolfinx
+import ufl
+from ufl.core.expr import Expr
 from dolfinx_feti.runtime.compat import interpolation_points
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.output.patches import Patches, moments, present, recover
 
-__all__ = ["components", "layer_means", "principal_values", "recovered_field"]
+__all__ = ['balanced_stress', 'components', 'layer_means', 'principal_values', 'recovered_field']
 
 Array = npt.NDArray[np.float64]
 
@@ -251,3 +266,61 @@ def _require_stress(stress: dolfinx.fem.Function) -> None:
             f"'{stress.name}' is no recovered stress: give what recovered_field returns for a "
             f"field of shape {(dim, dim)}."
         )
+
+
+def balanced_stress(
+    stress: Expr, u: dolfinx.fem.Function, *, normal: Expr, degree: int | None = None
+) -> Expr:
+    """Put the pressure of a Cauchy stress right by the traction on surfaces along the wall.
+
+    Args:
+        stress: The stress, with its pressure part, shape (d, d).
+        u: Displacement, of second order; its mesh is that of the stress.
+        normal: Normal of the deformed wall, of any length but zero and of either sign, F⁻ᵀ ê₂ with
+            the transmural direction ê₂, shape (d,).
+        degree: Of the quadrature inside the cells; twice the degree of u if not given.
+
+    Returns:
+        σ*, whose Π(n·σ n) is that of the present state.
+
+    Raises:
+        ValueError: The stress is no tensor on the mesh, or the normal is no vector.
+        ArithmeticError: A stress is NaN or infinite somewhere, or a normal zero.
+
+    Note:
+        Collective.
+    """
+    V = u.function_space
+    mesh, dim = V.mesh, V.mesh.geometry.dim
+    if stress.ufl_shape != (dim, dim) or normal.ufl_shape != (dim,):
+        raise ValueError(
+            f"A stress of shape {stress.ufl_shape} with a normal of shape {normal.ufl_shape}: give "
+            f"a stress of shape {(dim, dim)} and a vector of {dim} components."
+        )
+    traction = ufl.inner(normal, stress * normal) / ufl.inner(normal, normal)
+    cell = getattr(basix.CellType, mesh.topology.cell_name())
+    simplex = cell in (basix.CellType.triangle, basix.CellType.tetrahedron)
+    linear = dolfinx.fem.Function(
+        dolfinx.fem.functionspace(mesh, ("DG" if simplex else "DPC", 1)), name="traction"
+    )
+    twice = 2 * V.ufl_element().embedded_superdegree
+    rule = basix.make_quadrature(cell, twice if degree is None else degree)
+    points, w = (np.asarray(part, dtype=np.float64) for part in rule)
+    values = ufl.as_vector([abs(ufl.JacobianDeterminant(mesh)), traction])
+    owned = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
+    at_points = Compiler(mesh.comm).expression(values, points).eval(mesh, owned)
+    volume, t = np.moveaxis(np.asarray(at_points).reshape(len(owned), len(points), 2), 2, 0)
+    if not mesh.comm.allreduce(bool(np.isfinite(t).all()), op=MPI.LAND):
+        raise ArithmeticError(
+            "The traction is NaN or infinite somewhere: give an admissible state and a normal that "
+            "is nowhere zero."
+        )
+    element = linear.function_space.element.basix_element
+    φ = element.tabulate(0, points)[0, :, :, 0]  # (points, dofs)
+    M = np.einsum("cq,qi,qj->cij", volume * w, φ, φ)
+    b = np.einsum("cq,qi->ci", volume * w * t, φ)
+    linear.x.array[linear.function_space.dofmap.list[: len(owned)]] = np.linalg.solve(
+        M, b[:, :, None]
+    )[:, :, 0]  # Π(n·σ n) = M⁻¹ b
+    linear.x.scatter_forward()
+    return stress + (linear - traction) * ufl.Identity(dim)

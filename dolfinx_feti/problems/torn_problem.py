@@ -16,8 +16,7 @@ import dolfinx
 from ufl.core.expr import Expr
 
 from dolfinx_feti.diagnosis.advice import Advice
-from dolfinx_feti.diagnosis.result import Diagnosis
-from dolfinx_feti.diagnosis.run import diagnose
+from dolfinx_feti.diagnosis.run import Diagnosis, diagnose
 from dolfinx_feti.fem.assembly import dirichlet_mask, prescribe
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import decompose, suggested_number

@@ -3,14 +3,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Arterial walls: named layers and surfaces, conditions on these, and directions of fibres.
 
-In the order of the data: wall, wallfile, xdmf, reading, convert, tagged, conditions, case,
-casefile, boundary, laplace, fibres, opening.
+In the order of the data: wall, wallfile, xdmf, reading, convert, tagged, conditions,
+casefile, boundary, fibres, opening.
 """
 
-from dolfinx_feti.mechanics.arguments import type_exports
+from dolfinx_feti.mechanics.values import type_exports
 from dolfinx_feti.wall.boundary import Boundary, apply_conditions
-from dolfinx_feti.wall.case import Case, Filling, Tissue
-from dolfinx_feti.wall.casefile import read_case
+from dolfinx_feti.wall.casefile import Case, Filling, Tissue, read_case
 from dolfinx_feti.wall.conditions import Clamp, Dashpot, Pressure, Slide, Spring
 from dolfinx_feti.wall.reading import read_wall
 from dolfinx_feti.wall.tagged import create_wall

@@ -26,10 +26,9 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
-from dolfinx_feti.mechanics.arguments import typed
 from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
-from dolfinx_feti.wall.fibres import frame_of, potentials
-from dolfinx_feti.wall.laplace import gradient
+from dolfinx_feti.mechanics.values import typed
+from dolfinx_feti.wall.fibres import cell_mean, frame_of, gradient, potentials
 from dolfinx_feti.wall.wall import Wall, by_layer
 
 __all__ = ["Opening"]
@@ -107,7 +106,7 @@ class Opening:
         for mine, e in zip(self.directions, directions, strict=True):
             mine.x.array[:] = e.x.array
         size = np.linalg.norm(gradient(self.potentials[0]), axis=1)
-        self._thickness.x.array[:] = 1.0 / np.maximum(size, _mean(self._wall, size) / 4.0)
+        self._thickness.x.array[:] = 1.0 / np.maximum(size, cell_mean(self._wall, size) / 4.0)
         e0 = frame.circumferential.x.array.reshape(-1, 3)
         around = np.einsum("ci,cij,cj->c", e0, gradient(self._normals()), e0)
         most = 2.0 * MOST / self._thickness.x.array
@@ -147,10 +146,3 @@ class Opening:
         at = n.x.array.reshape(-1, 3)
         at /= np.maximum(np.linalg.norm(at, axis=1, keepdims=True), np.finfo(float).tiny)
         return n
-
-
-def _mean(wall: Wall, values: Array) -> float:
-    """Return the mean over the owned cells of all processes."""
-    own = values[: wall.mesh.topology.index_map(3).size_local]
-    sums = wall.mesh.comm.allreduce(np.array([own.sum(), len(own)]))
-    return float(sums[0] / sums[1])

@@ -10,12 +10,11 @@ Example::
     print(check(material))
     curve = respond(material, uniaxial(np.linspace(0.8, 1.6, 41)))
 
-In the order of the data: compiled, paths, equilibrium, response, moduli, ellipticity, checks,
-report, fitting, plots.
+In the order of the data: compiled, paths, equilibrium, response, moduli, ellipticity,
+report, fitting.
 """
 
-from dolfinx_feti.mechanics.arguments import type_exports
-from dolfinx_feti.workshop.checks import Check
+from dolfinx_feti.mechanics.values import type_exports
 from dolfinx_feti.workshop.compiled import Material, States, compile_material, evaluate
 from dolfinx_feti.workshop.ellipticity import Ellipticity, least_eigenvalues, scan_ellipticity
 from dolfinx_feti.workshop.fitting import Fit, fit
@@ -29,9 +28,8 @@ from dolfinx_feti.workshop.paths import (
     simple_shear,
     uniaxial,
 )
-from dolfinx_feti.workshop.plots import plot_responses
-from dolfinx_feti.workshop.report import Report, check
-from dolfinx_feti.workshop.response import DataSet, Response, respond
+from dolfinx_feti.workshop.report import Check, Report, check
+from dolfinx_feti.workshop.response import DataSet, Response, plot_responses, respond
 
 __all__ = [
     "Check",

@@ -1,11 +1,24 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The report on a material: all checks, its moduli, and where it loses ellipticity."""
+"""The report on a material: checks with a number each, its moduli, and where it loses ellipticity.
+
+With random states F and rotations R,
+
+    Ψ(R F) = Ψ(F),  P(R F) = R P(F)     frame indifference,
+    P Fᵀ = F Pᵀ                         symmetry of the stress, the balance of moments,
+    A_iJkL = A_kLiJ                     major symmetry of the tangent, so that P has a potential,
+    P = ∂Ψ/∂F,  A = ∂P/∂F               derivatives, against central differences,
+    P(I) = 0                            no stress at rest (up to a pressure, if incompressible).
+
+An energy Ψ(C, J) cannot fail the first two, one that is written in F can. All deviations are
+relative to the largest entry of A at the same state; those of stresses are thereby errors of
+strain.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -14,17 +27,192 @@ import numpy.typing as npt
 
 from dolfinx_feti.mechanics.values import require_positive
 from dolfinx_feti.runtime.tables import number, state, table
-from dolfinx_feti.workshop.checks import Check, Law, check_law, show
-from dolfinx_feti.workshop.compiled import Material, evaluate
+from dolfinx_feti.workshop.compiled import Material, States, evaluate
 from dolfinx_feti.workshop.ellipticity import Ellipticity, scan_ellipticity
 from dolfinx_feti.workshop.moduli import ZERO_STIFFNESS, Moduli, small_strain_moduli
 from dolfinx_feti.workshop.paths import STANDARD_PATHS, MaterialTest
 
-__all__ = ["Report", "check"]
+__all__ = ["Check", "Law", "Report", "check", "check_law", "judge", "random_states"]
 
 Array = npt.NDArray[np.float64]
+#: States of a material as a function of F, (n, 3, 3).
+Law = Callable[[Array], States]
 
+#: Deviations that pass: of identities that hold to rounding, and of finite differences.
+IDENTITIES, DIFFERENCES = 1e-9, 1e-6
+#: Increments of F in finite differences, and next to the reference.
+STEP, NEARBY = 6e-6, 1e-10
+N_STATES = 32
+
+UNIT, CONSTANT = "are the fibres unit vectors?", "no stress follows from it"
+KINK = "tension and compression differ at small strains, as with fibres that do not push"
 SEED = 1729
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """The outcome of a check.
+
+    Attributes:
+        name: The property.
+        outcome: ``pass``, ``warn`` (a property that good models may lack) or ``fail``.
+        value: What was found: a relative deviation, a number of states, or a modulus [kPa]; None if
+            nothing could be computed.
+        bound: What a deviation must not exceed; None for a modulus, which has to be positive.
+        note: The state, the meaning, or the remedy.
+    """
+
+    name: str
+    outcome: str
+    value: float | None
+    bound: float | None
+    note: str = ""
+
+
+def check_law(law: Law, *, strain: float, incompressible: bool, seed: int) -> list[Check]:
+    """Check everything that does not need equilibrium.
+
+    Args:
+        law: Values of an energy and its derivatives as a function of F.
+        strain: Size of the random strains, see :func:`random_states`.
+        incompressible: Whether the states have J = 1, and the stress at rest is free up to a
+            pressure.
+        seed: Seed of the random numbers.
+    """
+    rng = np.random.default_rng(seed)
+    every = law(random_states(rng, N_STATES, strain, incompressible=incompressible))
+    finite = _check_finite(every)
+    if not every.finite.any():
+        return [finite]
+    states, rest = law(every.F[every.finite]), law(np.eye(3)[None])
+    R, H = _rotations(rng, len(states.F)), rng.standard_normal((N_STATES, 3, 3))
+    with np.errstate(all="ignore"):  # values at rest may be infinite
+        F, scale, scale_at_rest = states.F, _scale(states.A), _scale(rest.A)
+        stress = rest.P - (np.trace(rest.P[0]) / 3 if incompressible else 0.0) * np.eye(3)
+        below = np.maximum((rest.psi - states.psi) / scale, 0.0)
+        turned, frame = law(R @ F), "write psi in C and J"
+        tau = states.P @ F.transpose(0, 2, 1)  # P Fᵀ
+        asymmetry = states.A - states.A.transpose(0, 3, 4, 1, 2)
+        P, A = _differences(law, F)
+        near = law(np.eye(3) + NEARBY * 0.5 * (H + H.transpose(0, 2, 1)))
+        # κ, which may be far larger than the moduli of shear, does not count
+        shear = _scale(np.einsum("nijij->nij", rest.A) * (1 - np.eye(3)))
+        identities: list[tuple[str, Array, str]] = [
+            ("frame indifference of the energy", np.abs(turned.psi - states.psi), frame),
+            ("frame indifference of the stress", _largest(turned.P - R @ states.P), frame),
+            ("symmetry of the stress", _largest(tau - tau.transpose(0, 2, 1)), ""),
+            ("symmetry of the tangent", _largest(asymmetry), ""),
+        ]
+        return [
+            finite,
+            judge("stress-free reference", _largest(stress) / scale_at_rest, note=UNIT),
+            judge("zero energy at the reference", np.abs(rest.psi) / scale_at_rest, warn=CONSTANT),
+            judge("least energy at the reference", below, F=F, warn="a wrong sign?"),
+            *(judge(name, d / scale, F=F, note=note) for name, d, note in identities),
+            judge("stress against differences", _largest(states.P - P) / scale, DIFFERENCES, F),
+            judge("tangent against differences", _largest(states.A - A) / scale, DIFFERENCES, F),
+            judge("tangent continuous at rest", _largest(near.A - rest.A) / shear, 1e-3, warn=KINK),
+        ]
+
+
+def random_states(
+    rng: np.random.Generator, n: int, strain: float, *, incompressible: bool
+) -> Array:
+    """Return F = R exp H with random rotations R and strains H, (n, 3, 3).
+
+    Args:
+        rng: Source of the random numbers.
+        n: Number of states.
+        strain: The principal values of H are drawn from −strain to strain.
+        incompressible: Whether their mean is then subtracted, so that J = 1.
+    """
+    logarithms = rng.uniform(-strain, strain, (n, 3))
+    if incompressible:
+        logarithms -= logarithms.mean(axis=1, keepdims=True)
+    R, Q = _rotations(rng, n), _rotations(rng, n)
+    return R @ Q @ (np.exp(logarithms)[:, :, None] * Q.transpose(0, 2, 1))
+
+
+def judge(
+    name: str,
+    deviations: Array,
+    bound: float = IDENTITIES,
+    F: Array | None = None,
+    *,
+    note: str = "",
+    warn: str = "",
+) -> Check:
+    """Compare the largest of several deviations with a bound; one that is no number fails.
+
+    Args:
+        name: The property.
+        deviations: One per state, (n,).
+        bound: The largest deviation that passes.
+        F: The states, (n, 3, 3), if the worst one is to be shown.
+        note: What to add if a deviation is larger.
+        warn: The same for a property that good models may lack.
+    """
+    worst = int(np.where(np.isnan(deviations), np.inf, deviations).argmax())
+    value = float(deviations[worst])
+    if value <= bound:
+        return Check(name, "pass", value, bound)
+    lost = np.isnan(value)
+    notes = ["no number" if lost else note or warn, "" if F is None else f"at {show(F[worst])}"]
+    outcome = "warn" if warn and not lost else "fail"
+    return Check(name, outcome, value, bound, "; ".join(filter(None, notes)))
+
+
+def show(F: Array) -> str:
+    """Return a state as text."""
+    rows = ("[" + ", ".join(f"{entry:.4g}" for entry in row) + "]" for row in F + 0.0)
+    return f"F = [{', '.join(rows)}]"
+
+
+def _check_finite(states: States) -> Check:
+    """Count the states whose values are no finite numbers."""
+    lost = np.flatnonzero(~states.finite)
+    name = "finite values"
+    if not len(lost):
+        return Check(name, "pass", 0.0, 0.0)
+    first = lost[0]
+    parts = {"Ψ": states.psi, "P": states.P, "A": states.A}
+    names = ", ".join(n for n, part in parts.items() if not np.isfinite(part[first]).all())
+    return Check(
+        name,
+        "fail",
+        float(len(lost)),
+        0.0,
+        f"{names} at {len(lost)} of {len(states.F)} states, the first at {show(states.F[first])}",
+    )
+
+
+def _differences(law: Law, F: Array) -> tuple[Array, Array]:
+    """P and A by central differences in all nine entries of F."""
+    P, A = np.empty((len(F), 3, 3)), np.empty((len(F), 3, 3, 3, 3))
+    for i, j in np.ndindex(3, 3):
+        H = np.zeros((3, 3))
+        H[i, j] = STEP
+        up, down = law(F + H), law(F - H)
+        P[:, i, j] = (up.psi - down.psi) / (2 * STEP)
+        A[..., i, j] = (up.P - down.P) / (2 * STEP)
+    return P, A
+
+
+def _rotations(rng: np.random.Generator, n: int) -> Array:
+    """Random rotations, (n, 3, 3)."""
+    Q, _ = np.linalg.qr(rng.standard_normal((n, 3, 3)))
+    return Q * np.linalg.det(Q)[:, None, None]
+
+
+def _largest(values: Array) -> Array:
+    """Largest entry of each state, (n,)."""
+    return np.abs(values).reshape(len(values), -1).max(axis=1)
+
+
+def _scale(A: Array) -> Array:
+    """Largest entry of each state, or 1 where all are zero, (n,)."""
+    largest = _largest(A)
+    return np.where(largest > 0, largest, 1.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -208,7 +208,7 @@ def test_everybody_solves_the_condensed_system(degree):
     body.inflate(problem, [1.0])
     body.load.value = loads.mmhg(1.2)
     found = dolfinx_feti.compare(problem, OPPONENTS)
-    solved = [s for s in found.solved if s.solver not in ALONE]
+    solved = [s for s in found.results if s.solver not in ALONE]
     agree(len(solved) >= 6, found)
     agree(all(s.converged and not s.note for s in solved), found)
     for each in solved:
@@ -225,9 +225,9 @@ def test_pardiso(monkeypatch):
     body = poisson(cube(2, 4))
     problem = LinearProblem(body.a, body.L, bcs=body.bcs, subdomains=3)
     chosen = {"mumps": {}, "pardiso": OPPONENTS["pardiso"]}
-    assert not dolfinx_feti.compare(problem, chosen).solved[1].converged
+    assert not dolfinx_feti.compare(problem, chosen).results[1].converged
     module.PyPardisoSolver = Direct
-    assert dolfinx_feti.compare(problem, chosen).solved[1].difference_to_direct < 1e-10
+    assert dolfinx_feti.compare(problem, chosen).results[1].difference_to_direct < 1e-10
 
 
 class Direct:

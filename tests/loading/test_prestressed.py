@@ -191,7 +191,7 @@ def test_bad_input():
         G.x.array[:] = np.resize(np.eye(3).ravel(), len(G.x.array))
         return G
 
-    with raises(TypeError, "G is .*: give a Function"):
+    with raises(TypeError, "G is .*: give .*Function"):
         scan.prestress(1.0, G=ufl.Identity(3))
     with raises(ValueError, r"G has the shape \(3,\): give a Function of the shape \(3, 3\)"):
         scan.prestress(1.0, G=other("DG", 0, (3,)))

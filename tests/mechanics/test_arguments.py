@@ -22,7 +22,7 @@ import ufl
 
 from dolfinx_feti.loading import Checkpoint, Steps
 from dolfinx_feti.mechanics import loads, materials
-from dolfinx_feti.mechanics.arguments import typed
+from dolfinx_feti.mechanics.values import typed
 from dolfinx_feti.output import FieldWriter
 from dolfinx_feti.wall import Filling, Tissue, read_wall
 from dolfinx_feti.workshop import compile_material, evaluate, fit, uniaxial

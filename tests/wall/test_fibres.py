@@ -19,9 +19,8 @@ from wall_files import ROOT, centroids, on_first, tube
 import dolfinx
 
 from dolfinx_feti.runtime.petsc_options import inserted
-from dolfinx_feti.wall import facets, fibres, laplace, read_wall
-from dolfinx_feti.wall.fibres import ANGLES, fibre_families, fibre_frame
-from dolfinx_feti.wall.laplace import gradient, solve_laplace
+from dolfinx_feti.wall import facets, fibres, read_wall
+from dolfinx_feti.wall.fibres import ANGLES, fibre_families, fibre_frame, gradient, solve_laplace
 from dolfinx_feti.wall.wallfile import read_raw_wall
 from meshes.tube import create_tube
 from meshes.vessel import create_vessel
@@ -117,7 +116,7 @@ def test_slivers(tmp_path):
     z[np.isclose(z, 2.0 * step)] = step * (1.0 + FLATNESS)
     ends, z_unit = {"opening_1": 0.0, "opening_2": 1.0}, [0.0, 0.0, 1.0]
     with (
-        mock.patch.object(laplace, "DIRECT", laplace.OPTIONS),
+        mock.patch.object(fibres, "DIRECT", fibres.OPTIONS),
         raises(ArithmeticError, "not solved"),
     ):
         solve_laplace(wall, ends)
@@ -298,16 +297,6 @@ def test_no_direction_anywhere(tmp_path):
     n = len(centroids(wall))
     with raises(ArithmeticError, "cells of the wall have no direction"):
         fibres._unit_directions(wall, np.zeros((n, 3)), np.zeros((n, 3)))
-
-
-@pytest.mark.parametrize("n", [1, 2, 7, 1000, 1001])
-def test_median_over_processes(tmp_path, n):
-    wall = tube(tmp_path, size=0.4, length=0.4)
-    values = np.random.default_rng(3371).exponential(size=n)
-    local = np.array_split(values, COMM.size)[COMM.rank]
-    median = fibres._median(wall, local)
-    middle = np.sort(values)[[(n - 1) // 2, n // 2]]
-    agree(middle[0] * (1 - 1e-12) <= median <= middle[1] * (1 + 1e-12), (median, middle))
 
 
 # -- a wall of one's own, end to end

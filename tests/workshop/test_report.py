@@ -34,7 +34,7 @@ from workshop_materials import (
 )
 
 from dolfinx_feti.workshop import check, evaluate
-from dolfinx_feti.workshop.checks import check_law, judge, random_states
+from dolfinx_feti.workshop.report import check_law, judge, random_states
 
 pytestmark = pytest.mark.serial
 
