@@ -184,8 +184,8 @@ def create_solver(body: Body) -> None:
 
 def compare(body: Body) -> None:
     found = comparison.compare(body.linear, ["feti", "mumps"])
-    same([(solved.solver, solved.converged) for solved in found.solved])
-    agree(all(solved.converged for solved in found.solved), found)
+    same([(solved.solver, solved.converged) for solved in found.results])
+    agree(all(solved.converged for solved in found.results), found)
 
 
 def timed_solve(body: Body) -> None:
