@@ -1,17 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""FETI and other solvers on a problem of one's own, one after the other.
+"""FETI and other solvers on a problem of one's own, one after the other (docs/comparing.md).
 
-FETI and BDDC get the torn matrix, the others the assembled one,
-
-.. math:: K_{FF}\, x_F = f_F,
-
-with unit rows for the Dirichlet dofs D; prescribed values are on the right-hand side, and what is
-measured are the free dofs F, in the same system for all. The matrices exist before a solver begins.
-
-The direct solution is the reference of the others only if its own residual is small; otherwise the
-matrix is factored once more, by LU, and without success there is no reference.
+FETI and BDDC get the torn matrix, the others the assembled one with unit rows for Dirichlet dofs;
+residuals and differences are measured on the free dofs, in the same system for all. The direct
+solution is the reference of the others only if its own residual is small; otherwise the matrix is
+factored once more, by LU, and without success there is no reference.
 """
 
 from __future__ import annotations

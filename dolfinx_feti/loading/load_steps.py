@@ -1,26 +1,20 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Load steps: from equilibrium to equilibrium, up (or down) to the wanted loads.
+r"""Load steps: from equilibrium to equilibrium, to the wanted loads (docs/load_steps.md).
 
 The first steps begin with the tangent of the last equilibrium and the residual of the new load,
 
 .. math:: K'(U_n; t_n)\, ΔU = -r(U_n; t_{n+1}), \qquad t_{n+1} = t_n + Δt,
 
-(eq. 25, Augustin_eq:loadStepping), a prediction along the path: a tangent with the new load and the
-old stress can be indefinite although every equilibrium on the way is stable. Once three equilibria
-are known, a parabola through them predicts the next one, and saves half of the Newton steps; where
-it turns a cell inside out, or has an indefinite tangent and a larger residual than the last
-equilibrium, the tangent of that takes its place again. An attempt that crawls is cut.
+(eq. 25, Augustin_eq:loadStepping). Once three equilibria are known, a parabola through them
+predicts the next one; where it turns a cell inside out, or has an indefinite tangent and a larger
+residual than the last equilibrium, the tangent of that takes its place again.
 
-The increment Δt grows after a quick step, and is halved after a failure (``path``). On the way to
-the wanted loads equilibrium may be met more roughly than there (``Steps.rtol``). Newton's tolerance
-refers to the residual that the new load leaves in the last equilibrium,
-:math:`\|r(U_n; t_{n+1})\|`: a prediction can begin with one that is larger by orders of magnitude,
-of which no share is an equilibrium.
-
-FETI's preconditioner serves on from one load to the next (``-feti_lag``), but for the step that
-follows a checkpoint: what a restart does not know, a run that goes on must not use.
+Newton's tolerance refers to the residual that the new load leaves in the last equilibrium,
+:math:`\|r(U_n; t_{n+1})\|`, as that of a prediction can be larger by orders of magnitude. FETI's
+preconditioner serves on from one load to the next (``-feti_lag``), but for the step that follows a
+checkpoint: what a restart does not know, a run that goes on must not use.
 """
 
 from __future__ import annotations

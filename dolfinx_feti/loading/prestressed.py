@@ -3,21 +3,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Prestress of a wall that is known under load, as in a scan, without the wall that has no load.
 
-The image is in balance with its load, and its displacement is zero: what leads to it from pieces
-without stress is no displacement, but the inverse of a G, as of residual stress
-(:mod:`~dolfinx_feti.mechanics.residual_stress`),
+With the inverse G of what leads to the image, as in :mod:`~dolfinx_feti.mechanics.residual_stress`,
 
-.. math:: F_e = F\, G^{-1}, \qquad Π = \int Ψ(F_e)\, \det G \,\mathrm d x .
+.. math:: F_e = F\, G^{-1}, \qquad Π = \int Ψ(F_e)\, \det G \,\mathrm d x, \qquad
+    G \leftarrow G\, F(u)^{-1}, \qquad u \leftarrow 0
 
-Under a load that the image does not balance it moves by u. The modified updated Lagrangian
-formulation of Gee, Förster and Wall (2010) keeps the deformation, and takes the wall back to the
-image,
-
-.. math:: G \leftarrow G\, F(u)^{-1}, \qquad u \leftarrow 0,
-
-which leaves F_e as it was. On the image that stress is in balance but for a share of grad u, which
-moves the wall again, by less: this is a fixed point of G, found at each load with Anderson's
-acceleration. G is the unknown of a path of loads, which ``follow_load`` follows.
+after each solve: the modified updated Lagrangian formulation of Gee, Förster and Wall (2010), a
+fixed point of G, accelerated by Anderson's method, along a path of loads (docs/prestress.md).
 """
 
 from __future__ import annotations

@@ -1,21 +1,13 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The wall without load of one that is known under load, as in a scan.
+"""The wall without load of one that is known under load, as in a scan (docs/scan.md).
 
 The nodes x of the image are those of the loaded wall. Wanted are the nodes X of the wall without
-load, from which the load leads to the image, X + u(X) = x. The fixed point of Sellier (2011) and of
-Bols et al. (2013) takes forward solves only. With U = x − X it is
-
-.. math:: U^{k+1} = u(x - U^k),
-
-where u(X) is the displacement in equilibrium of the wall whose nodes are X, found from :math:`U^k`
-by Newton's method: one step of it, mostly. Without acceleration (``anderson``) it would contract as
-long as no stretch is above two.
-
-The load grows in steps, as on a wall that is inflated, and the image is the same at all loads:
-U is the unknown of a path like any other, which ``follow_load`` follows. The mesh moves in place
-(``fem.nodes``), to X where something is assembled, and back to the image afterwards.
+load, X + u(X) = x. With U = x − X it is the fixed point :math:`U^{k+1} = u(x - U^k)` of Sellier
+(2011) and of Bols et al. (2013), with Anderson's acceleration, where u(X) is found from
+:math:`U^k` by Newton's method. U is the unknown of a path of loads, which ``follow_load`` follows.
+The mesh moves in place (``fem.nodes``), to X where something is assembled, and back to the image.
 """
 
 from __future__ import annotations

@@ -3,23 +3,17 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Pressure on the deformed wall, written on the reference surface by Nanson's formula.
 
-The area vector transforms as n da = cof(F) N dA with cof(F) = J F⁻ᵀ, a polynomial in F. A pressure
-p acts against the outward normal of the wall, so the traction per reference area (eq. 8,
-Augustin_eq:Neumann) is G₀ = −p cof(F) N.
+The area vector transforms as n da = cof(F) N dA. A pressure p [kPa] pushes against the outward
+normal of the wall, so the traction per reference area is G₀ = −p cof(F) N (eq. 8,
+Augustin_eq:Neumann). Forms are *internal minus external* virtual work (eq. 20,
+Augustin_eq:WeakReference), to be **added**. In all of them u is the displacement [mm], shape (d,),
+v a test function, and ds the measure of the loaded part of the reference surface, whose normal N
+points into the lumen there. Forces are in mN. A number p that is not finite is a ValueError, and
+zero an empty form.
 
-Sign convention: a residual is *internal minus external* virtual work, R(u; v) = δΠ_int − δW_ext
-(eq. 20, Augustin_eq:WeakReference, with everything on the left), and an energy is
-Π = Π_int − W_ext. The forms returned here are to be **added**.
-
-The tangent a of a uniform pressure p is symmetric up to a line integral along the deformed rim,
-a(du, v) − a(v, du) = p ∮ (v × du)·dx, which vanishes if the surface is closed, if its rim is
-clamped, and if it slides in a plane. No rule is needed to tell: the difference is assembled for one
-du, at one displacement, and looked at in all dofs that no Dirichlet condition holds.
-
-In all forms u is the displacement [mm], shape (d,), v a test function, p the pressure [kPa], which
-pushes against the wall where positive, and ds the measure of the loaded part of the reference
-surface. Its normal N points out of the wall; on the inner surface of a vessel that is into the
-lumen. Forces are in mN. A number p that is not finite is a ValueError, and zero an empty form.
+The tangent a of a uniform p is symmetric up to a(du, v) − a(v, du) = p ∮ (v × du)·dx along the
+deformed rim. Whether that vanishes is found by assembling it for one du, in all dofs that no
+Dirichlet condition holds (docs/theory.md).
 """
 
 from __future__ import annotations

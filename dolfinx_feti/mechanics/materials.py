@@ -3,34 +3,23 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Energies of hyperelastic materials, per unit reference volume, as plain UFL expressions.
 
-A material is defined by its energy alone: with Π = ∫ Ψ dX, the residual ``ufl.derivative(Π, u, v)``
-is the internal virtual work ∫ S : Σ(u, v) dX (eq. 20, Augustin_eq:WeakReference, eq. 21), and its
-derivative is the tangent (eq. 24, Augustin_eq:Tangent). Users' own energies work exactly like those
-below. For nearly incompressible tissue (eq. 10, Augustin_eq:decompositionStrain)
+A material is its energy alone: of Π = ∫ Ψ dX the first and second derivatives are residual (eq. 20,
+Augustin_eq:WeakReference, eq. 21) and tangent (eq. 24, Augustin_eq:Tangent). Users' own energies
+work exactly like those below. For nearly incompressible tissue (eq. 10,
+Augustin_eq:decompositionStrain)
 
     Ψ(C) = Ψ̄(C̄) + Ψ_vol(J),   or with a pressure field   Ψ(C, p) = Ψ̄(C̄) + p (J − 1) − p²/(2κ).
-
-Isochoric energies Ψ̄ are :func:`neo_hookean` and :func:`mooney_rivlin`, of arteries
-:func:`holzapfel_gasser_ogden` and :func:`gasser_ogden_holzapfel`, of the heart's muscle
-:func:`guccione` and :func:`holzapfel_ogden`, to which :func:`active_tension` is added. The
-volumetric part is :func:`volumetric` or :func:`perturbed_lagrangian`.
-:func:`saint_venant_kirchhoff` is complete in itself.
 
 All take the right Cauchy-Green tensor C, shape (d, d), directions of fibres in the reference
 configuration, *unit* vectors of shape (d,), and the volume ratio J = det F: with it the tangent is
 cheaper and an inverted element gives NaN; without, √(det C) is used. Parameters are floats, dolfinx
 constants (a new value needs no recompilation), or any UFL expression, such as a piecewise constant
 Function for layers. A float that is not positive, or outside the range that is given, is a
-ValueError. Stiffnesses are in kPa, exponents have no unit.
+ValueError. Stiffnesses are in kPa. Nothing is clamped: a distant trial state may overflow.
 
-A distant trial state may overflow the exponential, and J ≤ 0 gives NaN. Nothing is clamped here:
-the nonlinear solver has to reject such a state.
-
-Note: quadrature
-    The polynomial degree that UFL estimates for exponentials and powers leads to thousands of
-    points per cell, and to code a thousand times slower than necessary. Set the degree in the
-    measure (``metadata={"quadrature_degree": 4}``), or use
-    :func:`~dolfinx_feti.fem.quadrature.limit_quadrature_degree`.
+UFL estimates thousands of quadrature points for exponentials: set the degree in the measure
+(``metadata={"quadrature_degree": 4}``), or use
+:func:`~dolfinx_feti.fem.quadrature.limit_quadrature_degree`.
 """
 
 from __future__ import annotations

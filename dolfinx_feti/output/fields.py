@@ -1,13 +1,11 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Output for ParaView: all fields in one file, step by step.
+"""Output for ParaView: all fields in one file, step by step (docs/stresses.md).
 
-Where dolfinx has ADIOS2 the format is VTX, a folder `name.bp` (ParaView 5.12 or newer): every field
-becomes a function that is discontinuous and of the degree of the cells' geometry, so that
-displacements, stresses and cell data share one file and nothing is smoothed. Elsewhere, and for
-prisms, it is XDMF, `name.xdmf` with `name.h5`: continuous fields at the nodes of the cells, the
-others with one value per cell.
+Where dolfinx has ADIOS2 the format is VTX, `name.bp`: every field becomes a discontinuous function
+of the degree of the cells' geometry. Elsewhere, and for prisms, it is XDMF, `name.xdmf` with
+`name.h5`: continuous fields at the nodes of the cells, the others with one value per cell.
 
 Data at quadrature points, and expressions with them, are projected to these functions in each cell,
 or written where they are, to `name_points.xdmf` (:mod:`~dolfinx_feti.output.points`). Data on facets

@@ -1,35 +1,18 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Recovered stresses: continuous in each layer, and more accurate than those inside the cells.
+r"""Recovered stresses, more accurate than those inside the cells (docs/stresses.md).
 
-With P_k–P_0 elements the stress jumps from cell to cell, because p is constant in each cell and the
-constraint on the volume makes the nodes zigzag. Two fits over patches
-(:mod:`dolfinx_feti.output.patches`) each recover a part of it:
-
-- Equilibrium tests σ_h with gradients of degree k − 1. A fit to the *values inside* the cells
-  respects these moments, so that it recovers the traction on surfaces along the wall, σ n.
-- The zigzag makes the stresses *along* the wall vary inside the cells as they should not, while
-  their *means* over the cells are accurate.
-
-So where the normal n of the wall is known, the stress is put together of both,
+*By patches* (:mod:`dolfinx_feti.output.patches`), for elements with a pressure P_0: a fit to the
+values inside the cells recovers the traction across the wall, one to their means the stresses along
+it. Where the normal n of the wall is known, the stress is put together of both,
 
 .. math:: σ^* = σ^{\text{inside}} + T (σ^{\text{means}} - σ^{\text{inside}}) T,
           \qquad T = I - n ⊗ n .
 
-Without a normal it is the fit to the values inside the cells. A field that is constant in each
-cell, such as p and all stresses of P1–P0 elements, is fitted by its means.
-
-*Balanced stresses* are those of second-order elements, with the pressure that the traction asks for.
-A pressure that is linear in each cell follows the stress of the fibres only as far as that is
-linear, too. What is left of it is a pressure that is off, the same in all directions: relative to
-the small stress across the wall it is large. Equilibrium tests σ with linear gradients, so that the
-linear part of the traction is accurate in each cell, and tells by how much p is off. With the unit
-normal n of the wall and the projection Π to linear functions on each cell,
-
-.. math:: σ^* = σ + (Π(n·σ n) - n·σ n)\, I.
-
-Cells may be curved, and of any type.
+*By balance*, for second-order elements, also curved ones: the linear part of the traction in each
+cell is accurate, and tells by how much the pressure is off. With the projection Π to linear
+functions on each cell, :math:`σ^* = σ + (Π(n·σ n) - n·σ n)\, I`.
 """
 
 from __future__ import annotations

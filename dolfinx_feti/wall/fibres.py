@@ -4,23 +4,15 @@
 """Directions of the collagen fibres from two Laplace problems and an angle.
 
 The paper's rule (section *Arterial model on a realistic mesh geometry*, after Bayer et al. 2012)
-defines in each cell::
+defines in each cell the orthonormal, right-handed frame::
 
     ê₂ = ∇t / |∇t|            Δt = 0,  t = 0 on the lumen, 1 on the outer wall      transmural,
     ê₁ ∥ ∇l − (∇l·ê₂) ê₂      Δl = 0,  l = 0 on the inlet, 1 on the other openings  longitudinal,
     ê₀ = ê₁ × ê₂                                                                    circumferential,
 
-with zero flux through the rest of the boundary. The frame (ê₀, ê₁, ê₂) is orthonormal and
-right-handed: in a tube along z with the inlet at its lower end it is (e_θ, e_z, e_r).
-
-The two families lie in the plane of ê₀ and ê₁, at ±α from the circumferential direction::
-
-    a₀,₁ = cos α ê₀ + sin α ê₁,    a₀,₂ = cos α ê₀ − sin α ê₁.
-
-This is eq. 55, Augustin_eq:rotation, but for its orthogonal families: ``docs/equations.md``.
-
-The potentials are quadratic (P2) and their gradients are taken at the centroids, which on a coarse
-tube is three times as accurate as P1.
+with zero flux through the rest of the boundary; in a tube along z it is (e_θ, e_z, e_r). The two
+families lie at ±α, a₀ = cos α ê₀ ± sin α ê₁ (eq. 55, Augustin_eq:rotation, but for its orthogonal
+families: ``docs/equations.md``). The potentials are P2, their gradients taken at the centroids.
 """
 
 from __future__ import annotations

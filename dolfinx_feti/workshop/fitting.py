@@ -1,17 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Parameters of an energy from material tests, by least squares.
+"""Parameters of an energy from material tests, by least squares (docs/fitting.md).
 
-The parameters θ minimise Σ w² (s(θ) − ŝ)² over all measured stresses ŝ of all data sets, with the
-stresses s(θ) of equilibria: lateral stretches and pressures are solved for at every trial θ. The
-method is scipy's trust-region method with bounds.
-
-With the Jacobian R of the n weighted residuals in the m parameters and their sum of squares q at
-the minimum, the covariance of the parameters is s² (Rᵀ R)⁻¹, s² = q/(n − m), and the confidence
-intervals are those of Student's t with n − m degrees of freedom (Seber, Wild, Nonlinear Regression,
-1989, ch. 5). They hold to first order, for noise that is independent and equal in all residuals
-after weighting.
+The parameters θ minimise Σ w² (s(θ) − ŝ)² over all measured stresses ŝ, with the stresses s(θ) of
+equilibria. With the Jacobian R of the n weighted residuals and their sum of squares q at the
+minimum, the covariance is s² (Rᵀ R)⁻¹, s² = q/(n − m), and confidence intervals are those of
+Student's t with n − m degrees of freedom (Seber, Wild, Nonlinear Regression, 1989, ch. 5).
 """
 
 from __future__ import annotations
