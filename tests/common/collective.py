@@ -61,6 +61,13 @@ def raises(kind: type[Exception], match: str) -> Iterator[None]:
     )
 
 
+def random_part(n: int, columns: int | None = None, *, seed: int = 1993) -> Array:
+    """Return own rows, (n,) or (n, columns), of what is the same on any number of processes."""
+    shape = (COMM.allreduce(n),) if columns is None else (COMM.allreduce(n), columns)
+    last = COMM.scan(n)
+    return np.random.default_rng(seed).standard_normal(shape)[last - n : last]
+
+
 def norm(local: Array) -> float:
     """Norm of a vector of which each process has a part."""
     return float(np.sqrt(COMM.allreduce(float(local.ravel() @ local.ravel()))))

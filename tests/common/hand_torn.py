@@ -67,6 +67,12 @@ class HandTorn:
         """Copies of each dof, (n, dofs)."""
         return np.eye(len(self.dirichlet))[self.to_global]
 
+    @property
+    def free_matrix(self) -> Array:
+        """The assembled matrix on the dofs without a prescribed value."""
+        free = ~self.dirichlet
+        return (self.T.T @ self.K_torn @ self.T)[np.ix_(free, free)]
+
     def solve(self, b: Array) -> Array:
         """Solve the assembled problem, the values of Dirichlet dofs being in ``b``."""
         K = self.T.T @ self.K_torn @ self.T
@@ -86,13 +92,39 @@ class HandTorn:
         self.local.destroy()
 
 
+#: Alters local matrices, of the dofs that are given, in place.
+Change = Callable[[list[Array], list[npt.NDArray[np.int64]]], None]
+
+
+def softened(share: float) -> Change:
+    """Take a share of the stiffness from each subdomain: they buckle alone, or the whole does."""
+
+    def change(K: list[Array], _dofs: object) -> None:
+        for K_i in K:
+            K_i -= share * np.abs(K_i).max() * np.eye(len(K_i))
+
+    return change
+
+
+def unsymmetric(share: float, *, skew: bool = False, seed: int = 1986) -> Change:
+    """Add a share of random entries to the local matrices, which leave K + Kᵀ or not."""
+
+    def change(K: list[Array], _dofs: object) -> None:
+        rng = np.random.default_rng(seed)
+        for K_i in K:
+            X = rng.standard_normal(K_i.shape) * (K_i != 0.0)
+            K_i += share * np.abs(K_i).max() * (X - X.T if skew else X)
+
+    return change
+
+
 def grid(
     subdomains: Sequence[int],
     cells: Sequence[int],
     *,
     components: int = 1,
     fixed: Callable[[Array], Mask] | None = None,
-    change: Callable[[list[Array], list[npt.NDArray[np.int64]]], None] | None = None,
+    change: Change | None = None,
     stiffness: Callable[[int], float] = lambda i: 1.0,
     modes: int | None = None,
 ) -> HandTorn:
@@ -161,7 +193,11 @@ def tear(
     return HandTorn(A, K, dofs, x, modes, dirichlet, local)
 
 
-def brick(cells: Sequence[int], components: int) -> tuple[Array, Array]:
+def brick(
+    cells: Sequence[int],
+    components: int,
+    stiffness: Callable[[tuple[int, ...]], float] = lambda cell: 1.0,
+) -> tuple[Array, Array]:
     """Assemble a brick of unit cells: the pattern of its matrix and the matrix."""
     shape = [n + 1 for n in cells]
     number = np.arange(np.prod(shape)).reshape(shape)
@@ -171,7 +207,7 @@ def brick(cells: Sequence[int], components: int) -> tuple[Array, Array]:
     for cell in itertools.product(*map(range, cells)):
         nodes = number[tuple(slice(c, c + 2) for c in cell)].ravel()
         rows = (nodes[:, None] * components + np.arange(components)).ravel()
-        K[np.ix_(rows, rows)] += K_e
+        K[np.ix_(rows, rows)] += stiffness(cell) * K_e
         pattern[np.ix_(rows, rows)] = 1.0
     return pattern, K
 

@@ -154,43 +154,6 @@ def test_what_moves_with_moments_as_dofs(dim, formulation, solve):
 
 
 @every_type
-def test_symmetry_conditions_of_a_quarter(kind, solve):
-    """One component on each of three faces: no subdomain is clamped, the body is."""
-    free = elasticity(cube(3, 3), clamped=None)
-    bcs = [
-        dirichlet(free.V, lambda x, j=j: np.isclose(x[j], 0.0), lambda x: 0.1 * x[0], component=j)
-        for j in range(3)
-    ]
-    problem = Problem(free.V, free.a, free.L, bcs)
-    linear = solve(problem, 12, {"feti_type": kind, "ksp_rtol": 1e-10})
-    small(difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
-
-
-@every_type
-def test_body_held_in_single_vertices(kind, solve):
-    """Statically determinate: a corner, a corner in two components, a corner in one."""
-    free = elasticity(cube(3, 3), clamped=None)
-    mesh = free.V.mesh
-
-    def corner(*place):
-        return lambda x: np.all(np.isclose(x.T, place), axis=1)
-
-    def hold(where, component):
-        part = free.V.sub(component)
-        collapsed = part.collapse()[0]
-        vertices = dolfinx.mesh.locate_entities_boundary(mesh, 0, where)
-        mesh.topology.create_connectivity(0, 3)
-        dofs = dolfinx.fem.locate_dofs_topological((part, collapsed), 0, vertices)
-        return dolfinx.fem.dirichletbc(dolfinx.fem.Function(collapsed), dofs, part)
-
-    bcs = [hold(corner(0, 0, 0), j) for j in range(3)]
-    bcs += [hold(corner(1, 0, 0), j) for j in (1, 2)] + [hold(corner(0, 1, 0), 2)]
-    problem = Problem(free.V, free.a, free.L, bcs)
-    linear = solve(problem, 9, {"feti_type": kind, "ksp_rtol": 1e-11})
-    small(difference(owned(linear.u), problem.solve_directly()), 1e-6)
-
-
-@every_type
 def test_springs_instead_of_dirichlet_conditions(kind, solve):
     """Robin conditions alone: kernels leave the subdomains that touch the boundary."""
     problem = elasticity(cube(3, 3), clamped=None)
@@ -200,22 +163,6 @@ def test_springs_instead_of_dirichlet_conditions(kind, solve):
     small(difference(owned(linear.u), held.solve_directly()), TOLERANCE)
     report = linear.solver.getPythonContext().report()
     agree(report.exact < report.subdomains)
-
-
-@every_type
-def test_coefficients_that_jump(kind, solve):
-    """Stiffness 10⁴ in a checkerboard of cells."""
-    problem = poisson(cube(2, 8, Cell.quadrilateral))
-    mesh = problem.V.mesh
-    Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
-    k = dolfinx.fem.Function(Q)
-    k.interpolate(lambda x: 10.0 ** (4 * ((np.floor(8 * x[0]) + np.floor(8 * x[1])) % 2)))
-    u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
-    jumping = Problem(
-        problem.V, k * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, problem.L, problem.bcs
-    )
-    linear = solve(jumping, 8, {"feti_type": kind, "ksp_rtol": 1e-11})
-    small(difference(owned(linear.u), jumping.solve_directly()), 1e-6)
 
 
 @every_type

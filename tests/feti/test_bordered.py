@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 from collective import agree, equal, small, whole
+from hand_torn import softened
 
 from dolfinx_feti import FETI
 from dolfinx_feti.feti.bordered import Border, BorderedSolver
@@ -35,7 +36,7 @@ def dense_solve(problem, b, B, C, D, d):
     """Solve the assembled bordered system; prescribed values are in b."""
     K, free = problem.T.T @ problem.K_torn @ problem.T, ~problem.dirichlet
     known = np.where(free, 0.0, b)
-    M = np.block([[assembled(problem)[0], B[free]], [C[free].T, D]])
+    M = np.block([[problem.free_matrix, B[free]], [C[free].T, D]])
     scale = np.concatenate([np.ones(free.sum()), 1 / np.linalg.norm(B, axis=0)])
     rows = np.concatenate([np.ones(free.sum()), 1 / np.linalg.norm(C, axis=0)])
     f = np.concatenate([(b - K @ known)[free], d - C.T @ known])
@@ -61,20 +62,6 @@ def check(problem, ksp, system, tolerance=1e-6):
     return solver
 
 
-def softened(share):
-    def change(K, dofs):
-        for K_i in K:
-            K_i -= share * np.abs(K_i).max() * np.eye(len(K_i))
-
-    return change
-
-
-def assembled(problem):
-    """Return A on the free dofs, and their mask."""
-    K, free = problem.T.T @ problem.K_torn @ problem.T, ~problem.dirichlet
-    return K[np.ix_(free, free)], free
-
-
 @forms
 @pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("units", [1.0, 1e6, 1e-9])
@@ -93,7 +80,7 @@ def test_regular_matrix(form, symmetric, units, torn_grid, feti):
 def test_one_negative_eigenvalue(form, torn_grid, feti):
     """A is indefinite, and the bordered matrix as regular as ever: a branch past a limit point."""
     problem = torn_grid(change=softened(0.008), **GRID)
-    agree(np.count_nonzero(np.linalg.eigvalsh(assembled(problem)[0]) < 0.0) == 1)
+    agree(np.count_nonzero(np.linalg.eigvalsh(problem.free_matrix) < 0.0) == 1)
     b = np.random.default_rng(1).standard_normal(len(problem.dirichlet))
     ksp = feti(problem.A, feti_formulation=form, ksp_rtol=RTOL)
     check(problem, ksp, (b, *border(problem), np.array([0.3, -0.2])))
@@ -106,9 +93,8 @@ def test_one_negative_eigenvalue(form, torn_grid, feti):
 def test_nearly_singular(form, distance, torn_grid, feti):
     """At a limit point: the smallest eigenvalue of A is any distance from zero."""
     problem = torn_grid(**GRID)
-    K, free = assembled(problem)
-    copies = problem.T.sum(axis=0)[free]
-    least = scipy.linalg.eigh(K, np.diag(copies), eigvals_only=True)[0]
+    copies = problem.T.sum(axis=0)[~problem.dirichlet]
+    least = scipy.linalg.eigh(problem.free_matrix, np.diag(copies), eigvals_only=True)[0]
 
     def soften(K, dofs):
         for K_i in K:

@@ -80,17 +80,3 @@ def test_same_solution_at_the_default_tolerance(solve):
         linear = solve(problem, 8, options)
         agree(linear.solver.getPythonContext().residual <= 1e-8)
         equal(whole(owned(linear.u)), expected, 1e-6)
-
-
-def test_load_is_shared_and_not_counted_twice(solve):
-    """A constant load on a bar fixed on one side: the exact solution, whatever the copies."""
-    problem = poisson(cube(2, 4, Cell.quadrilateral), degree=2)
-    import ufl
-
-    u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
-    a, L = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, 1.0 * v * ufl.dx
-    for subdomains in (1, 3, 16):
-        linear = solve(type(problem)(problem.V, a, L, problem.bcs), subdomains, {"ksp_rtol": 1e-12})
-        n = problem.V.dofmap.index_map.size_local
-        x = problem.V.tabulate_dof_coordinates()[:n, 0]
-        equal(owned(linear.u), x - x**2 / 2, 1e-9)

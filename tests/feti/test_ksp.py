@@ -47,11 +47,6 @@ def test_type_from_the_command_line(torn_grid):
     ksp.destroy()
 
 
-def test_default_tolerance_is_stricter_than_that_of_petsc(torn_grid, feti):
-    ksp = feti(torn_grid((2,), (2,)).A)
-    agree(ksp.getTolerances()[0] == 1e-8)
-
-
 def test_monitor_and_history(torn_grid, feti):
     """The norm of the assembled residual at the start and after each iteration."""
     problem = torn_grid((3, 2), (3, 3), components=2)
@@ -166,15 +161,6 @@ def test_matrix_may_change_its_values(torn_grid, feti):
     _, y = solve(ksp, other, values)
     equal(y, other.solve(values), 1e-9)
     agree(ksp.getPythonContext().report().torn_dofs == len(other.to_global))
-
-
-def test_several_loads_with_one_set_up(torn_grid, feti):
-    problem = torn_grid((2, 2), (2, 2), components=2)
-    ksp = feti(problem.A, ksp_rtol=1e-10)
-    for seed in range(SEED, SEED + 3):
-        values = random_values(problem, seed)
-        _, x = solve(ksp, problem, values)
-        equal(x, problem.solve(values), 1e-8)
 
 
 def test_no_load_needs_no_iteration(torn_grid, feti):

@@ -233,17 +233,21 @@ def test_options_of_another_solver():
         agree(options_without_effect("o_") == {})
 
 
-def test_problem_takes_its_options_and_leaves_the_database():
-    problem = elasticity(cube(2, 4))
-    before = PETSc.Options().getAll()
-    linear = dolfinx_feti.LinearProblem(
+def linear_problem(problem, prefix, **options):
+    return dolfinx_feti.LinearProblem(
         problem.a,
         problem.L,
         bcs=problem.bcs,
         subdomains=4,
-        petsc_options_prefix="mine_",
-        petsc_options={"feti_type": "classical", "feti_pc_type": "lumped", "ksp_rtol": 1e-5},
+        petsc_options_prefix=prefix,
+        petsc_options=options,
     )
+
+
+def test_problem_takes_its_options_and_leaves_the_database():
+    before = PETSc.Options().getAll()
+    options = {"feti_type": "classical", "feti_pc_type": "lumped", "ksp_rtol": 1e-5}
+    linear = linear_problem(elasticity(cube(2, 4)), "mine_", **options)
     agree(PETSc.Options().getAll() == before)
     linear.solve()
     agree(PETSc.Options().getAll() == before)
@@ -257,14 +261,7 @@ def test_command_line_serves_the_problem_too():
     """Options that the user has put under the prefix; those in the call take precedence."""
     problem = poisson(cube(2, 4))
     with inserted("mine_", {"feti_type": "classical", "feti_scaling": "multiplicity"}):
-        linear = dolfinx_feti.LinearProblem(
-            problem.a,
-            problem.L,
-            bcs=problem.bcs,
-            subdomains=4,
-            petsc_options_prefix="mine_",
-            petsc_options={"feti_scaling": "stiffness"},
-        )
+        linear = linear_problem(problem, "mine_", feti_scaling="stiffness")
         linear.solve()
     options = linear.solver.getPythonContext().report().options
     agree((options.type, options.scaling) == ("classical", "stiffness"))
@@ -273,14 +270,7 @@ def test_command_line_serves_the_problem_too():
 def test_two_problems_do_not_share_options():
     problem = poisson(cube(2, 4))
     first, second = (
-        dolfinx_feti.LinearProblem(
-            problem.a,
-            problem.L,
-            bcs=problem.bcs,
-            subdomains=4,
-            petsc_options_prefix=prefix,
-            petsc_options={"feti_pc_type": pc_type},
-        )
+        linear_problem(problem, prefix, feti_pc_type=pc_type)
         for prefix, pc_type in (("a_", "lumped"), ("b_", "identity"))
     )
     first.solve()

@@ -20,7 +20,7 @@ import ufl
 from dolfinx_feti import ConvergenceError, NonlinearProblem, loads
 from dolfinx_feti.fem.assembly import dolfinx_form
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.decomposition import decompose, tear
+from dolfinx_feti.fem.decomposition import tear
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.steps import Steps
 from dolfinx_feti.torn.matrix import Torn
@@ -215,15 +215,3 @@ def test_unsymmetric_tangent_is_nothing_for_cg():
     with raises(ConvergenceError, f"not symmetric.*{PREFIX}feti_dual_ksp_type gmres"):
         body.inflate(problem, [10.0])
     agree(problem.solver.getConvergedReason() == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE)
-
-
-def test_decompositions_agree():
-    """Parts of a user and the package's own lead to the same wall."""
-    fields = []
-    for own in (False, True):
-        mesh = tube()
-        body = wall(mesh)
-        part = decompose(mesh, 4).subdomain.astype(np.int64) % 2 + 7
-        body.inflate(body.problem(part if own else 4, TIGHT), [10.0])
-        fields.append(by_place(body.u))
-    equal(fields[1], fields[0], 1e-8)

@@ -14,7 +14,8 @@ import itertools
 import numpy as np
 import paper_cube
 import pytest
-from collective import agree, dense, matrix_of_map, whole
+from collective import agree, dense, matrix_of_map, small, whole
+from hand_torn import random_values, solve
 
 ROUNDING = 1e-6
 
@@ -25,10 +26,9 @@ def spectrum(feti, problem, load=1.0, **options):
     """Ritz values of a CG solve with random loads, without soft modes: the paper's coarse space."""
     options.setdefault("coarse_modes", 0)
     ksp = feti(problem.A, ksp_rtol=1e-10, **{f"feti_{key}": o for key, o in options.items()})
-    x = problem.A.createVecRight()
-    values = np.random.default_rng(11213).standard_normal(len(problem.dirichlet))
-    ksp.solve(problem.vector(np.where(problem.dirichlet, values, load * values)), x)
-    agree(ksp.getConvergedReason() > 0, ksp.getPythonContext().message)
+    values = random_values(problem, seed=11213)
+    reason, _ = solve(ksp, problem, np.where(problem.dirichlet, values, load * values))
+    agree(reason > 0, ksp.getPythonContext().message)
     agree(ksp.getPythonContext().method == "cg")
     return ksp.getPythonContext().eigenvalues
 
@@ -115,6 +115,34 @@ def test_ritz_values_against_a_dense_eigensolver(grid, q, pc_type, torn_grid, pa
     agree(abs(low - values[0]) < 0.05 * values[0], (values[0], low))
 
 
+def corners_and_edges(x):
+    """Hold a cube of 3³ subcubes so that kernels have all dimensions.
+
+    A face of one subcube is clamped, and so an edge or a vertex of its neighbours; components are
+    fixed in an edge of another one (two of them), and in two corners (one of them, and two).
+    """
+    face = (x[:, 0] == 0) & np.all(x <= 1, axis=1)
+    mark = np.repeat(face[:, None], 3, axis=1)
+    mark[(x[:, 0] == 3) & (x[:, 1] == 3) & (x[:, 2] <= 1), :2] = True
+    mark[np.all(x == (3, 0, 0), axis=1), :2] = True
+    mark[np.all(x == (3, 3, 3), axis=1), 0] = True
+    return mark
+
+
+def test_kernels_of_all_dimensions_in_one_decomposition(feti):
+    """The bound holds whatever is left of the rigid motions."""
+    problem = paper_cube.cube(3, 1, fixed=corners_and_edges)
+    options = {"type": "classical", "scaling": "multiplicity", "coarse_q": "identity"}
+    options["coarse_modes"] = 0
+    ksp = feti(problem.A, **{f"feti_{name}": value for name, value in options.items()})
+    solve(ksp, problem, random_values(problem))
+    context = ksp.getPythonContext()
+    agree(context.report().kernels == (1, 2, 1, 1, 2, 1, 19), context.report().kernels)
+    agree(context.eigenvalues[0] >= 1.0 - ROUNDING, context.eigenvalues)
+    small(context.residual, 1e-8)
+    problem.destroy()
+
+
 # ---- growth ---------------------------------------------------------------------------------
 
 KINDS = {
@@ -161,10 +189,8 @@ def test_stiffness_scaling_does_not_notice_jumps(kind, torn_grid, feti):
     for jump, scaling in ((1.0, "stiffness"), (1e6, "stiffness"), (1e6, "multiplicity")):
         grid = torn_grid((5, 3), (4, 4), stiffness=lambda i, jump=jump: jump ** (i % 2))
         ksp = feti(grid.A, ksp_rtol=1e-6, feti_type=kind, feti_scaling=scaling)
-        x = grid.A.createVecRight()
-        load = np.random.default_rng(11214).standard_normal(len(grid.dirichlet))
-        ksp.solve(grid.vector(load), x)
+        _, x = solve(ksp, grid, random_values(grid))
         condition[jump, scaling] = ksp.getPythonContext().condition_number
-        agree(np.all(np.isfinite(whole(x.array_r))))
+        agree(np.all(np.isfinite(x)))
     agree(condition[1e6, "stiffness"] <= 1.5 * condition[1.0, "stiffness"], condition)
     agree(condition[1e6, "multiplicity"] > 100 * condition[1e6, "stiffness"], condition)

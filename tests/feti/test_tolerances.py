@@ -66,26 +66,6 @@ def test_minres_is_judged_by_its_own_norm(scale, torn_grid, feti):
     agree(counts["minres"] <= counts["cg"] + 3, counts)
 
 
-@pytest.mark.parametrize("kind", ["all_floating", "classical"])
-@pytest.mark.parametrize("method", ["cg", "gmres"])
-def test_a_tolerance_of_zero_ends_at_rounding(kind, method, torn_grid, feti):
-    problem = torn_grid(stiffness=lambda i: 1e3 ** (i % 2), **GRID)
-    values = random_values(problem)
-    ksp = feti(
-        problem.A,
-        feti_type=kind,
-        feti_dual_ksp_type=method,
-        feti_scaling="multiplicity",
-        ksp_rtol=0.0,
-        ksp_atol=0.0,
-    )
-    reason, x = solve(ksp, problem, values)
-    context = ksp.getPythonContext()
-    agree(reason == Reason.CONVERGED_HAPPY_BREAKDOWN, context.message)
-    agree(context.residual <= context.floor < 1e-11, (context.residual, context.floor))
-    equal(x, problem.solve(values), 1e-8)
-
-
 def test_a_matrix_that_changes_on_one_process_is_noticed_on_all(torn_grid, feti):
     """On the last process only; a process that saw no change would leave the others waiting."""
     problem = torn_grid((6, 2), (1, 1), components=2)

@@ -43,9 +43,9 @@ def test_torn_matrix_acts_as_the_assembled_one(torn_grid, subdomains, cells, com
     equal(dense(assembled), problem.T.T @ problem.K_torn @ problem.T, 1e-13)
 
 
-def test_tear_and_assemble_are_transposed(torn_grid):
+def test_tear_and_assemble_are_transposed(torn_grid, lifetime):
     problem = torn_grid((2, 2), (2, 2), components=2)
-    torn = Torn(problem.A)
+    torn = lifetime.own(Torn(problem.A))
     rng = np.random.default_rng(SEED + 1)
     x, t = rng.standard_normal(len(problem.dirichlet)), rng.standard_normal(len(problem.to_global))
     mine = slice(torn.start, torn.start + torn.n)
@@ -54,51 +54,38 @@ def test_tear_and_assemble_are_transposed(torn_grid):
     equal(whole(torn.multiplicity()), problem.T.sum(axis=0).astype(int))
     equal(whole(torn.multiply(t[mine])), problem.K_torn @ t, 1e-13)
     equal(whole(torn.dirichlet), problem.dirichlet[problem.to_global])
-    torn.destroy()
 
 
 @pytest.mark.parametrize("columns", [0, 1, 3])
 @pytest.mark.parametrize("transpose", [False, True])
-def test_several_columns_at_once(torn_grid, columns, transpose):
+def test_several_columns_at_once(torn_grid, columns, transpose, lifetime):
     problem = torn_grid((2, 2), (2, 2), components=2)
-    torn = Torn(problem.A)
+    torn = lifetime.own(Torn(problem.A))
     t = np.random.default_rng(SEED + 2).standard_normal((len(problem.to_global), columns))
     K = problem.K_torn.T if transpose else problem.K_torn
     product = torn.multiply(t[torn.start : torn.start + torn.n], transpose=transpose)
     equal(whole(product), K @ t, 1e-13)
-    torn.destroy()
 
 
-def test_gather_brings_copies_in_the_order_of_dofs(torn_grid, monkeypatch):
+def test_gather_brings_copies_in_the_order_of_dofs(torn_grid, monkeypatch, lifetime):
     """Without a name that mpi4py keeps to itself."""
     monkeypatch.delattr(MPI, "_typedict", raising=False)
     problem = torn_grid((2, 2), (2, 2))
-    torn = Torn(problem.A)
+    torn = lifetime.own(Torn(problem.A))
     gathered = whole(torn.gather(torn.start + np.arange(torn.n, dtype=np.float64)))
     copies = np.split(gathered.astype(int), np.cumsum(problem.T.sum(axis=0).astype(int))[:-1])
     agree(
         all(sorted(c) == list(np.flatnonzero(problem.T[:, j])) for j, c in enumerate(copies)),
         gathered,
     )
-    torn.destroy()
 
 
-def test_subdomains_are_the_blocks(torn_grid):
+def test_subdomains_are_the_blocks(torn_grid, lifetime):
     problem = torn_grid((3, 2), (2, 1), components=2)
-    torn = Torn(problem.A)
+    torn = lifetime.own(Torn(problem.A))
     sizes = COMM.allreduce([len(rows) for rows in torn.subdomains])
     equal(sizes, [len(K) for K in problem.K])
     agree(all(np.all(np.diff(rows) > 0) for rows in torn.subdomains))
-    torn.destroy()
-
-
-def test_blocks_are_found_in_any_order():
-    """Interleaved subdomains, one of them a single dof without an entry off its diagonal."""
-    csr = ([0, 2, 4, 6, 8, 9], [0, 2, 1, 3, 0, 2, 1, 3, 4], np.ones(9))
-    K = PETSc.Mat().createAIJ((5, 5), csr=csr, comm=PETSc.COMM_SELF)
-    blocks = connected_blocks(block_graph(K, load_graph_code(COMM)), 1)
-    agree([list(rows) for rows in blocks] == [[0, 2], [1, 3], [4]])
-    K.destroy()
 
 
 def test_blocks_are_found_when_a_first_row_does_not_couple():
@@ -177,32 +164,29 @@ def test_subdomains_may_be_interleaved():
         owned.destroy()
 
 
-def test_dirichlet_dofs_may_be_named_by_any_process(torn_grid):
+def test_dirichlet_dofs_may_be_named_by_any_process(torn_grid, lifetime):
     problem = torn_grid((2, 2), (2, 2))
     dofs = np.flatnonzero(problem.dirichlet)
     named = dofs if COMM.rank == COMM.size - 1 else dofs[:1]
     problem.A.compose("dirichlet", PETSc.IS().createGeneral(named.astype(PETSc.IntType), comm=COMM))
-    torn = Torn(problem.A)
+    torn = lifetime.own(Torn(problem.A))
     equal(whole(torn.dirichlet), problem.dirichlet[problem.to_global])
-    torn.destroy()
 
 
-def test_near_kernel_is_orthonormal_and_spans_the_modes(torn_grid):
+def test_near_kernel_is_orthonormal_and_spans_the_modes(torn_grid, lifetime):
     problem = torn_grid((2, 1, 1), (2, 2, 1), components=3)
     modes = np.column_stack([whole(v.array_r) for v in problem.A.getNearNullSpace().getVecs()])
     equal(modes.T @ modes, np.eye(6), 1e-14)
     coefficients = np.linalg.lstsq(modes, problem.modes)[0]
     equal(modes @ coefficients, problem.modes, 1e-13)
-    torn = Torn(problem.A)
+    torn = lifetime.own(Torn(problem.A))
     equal(whole(torn.near_kernel()), modes[problem.to_global])
-    torn.destroy()
 
 
-def test_scalar_problem_needs_no_near_kernel(torn_grid):
+def test_scalar_problem_needs_no_near_kernel(torn_grid, lifetime):
     problem = torn_grid((3,), (2,), modes=0)
-    torn = Torn(problem.A)
+    torn = lifetime.own(Torn(problem.A))
     equal(torn.near_kernel(), np.ones((torn.n, 1)))
-    torn.destroy()
 
 
 def test_stiffness_is_the_diagonal_or_what_is_attached(torn_grid):
@@ -225,50 +209,46 @@ def test_stiffness_is_the_diagonal_or_what_is_attached(torn_grid):
         owner.destroy()
 
 
-def test_stiffness_has_no_sign(torn_grid):
+def test_stiffness_has_no_sign(torn_grid, lifetime):
     """Under compression a diagonal entry may be negative; a weight must not be."""
 
     def compress(K, dofs):
         np.fill_diagonal(K[0], -0.3 * K[0].diagonal())
 
     problem = torn_grid((2, 2), (2, 2), change=compress)
-    torn = Torn(problem.A)
+    torn = lifetime.own(Torn(problem.A))
     mine = slice(torn.start, torn.start + torn.n)
     diagonal = np.diag(problem.K_torn)
     agree(diagonal.min() < 0.0)
     equal(torn.diagonal(), diagonal[mine])
     equal(torn.stiffness(), np.abs(diagonal[mine]))
-    torn.destroy()
 
 
-def test_subdomains_are_numbered_over_the_processes(torn_grid):
-    torn = Torn(torn_grid((5,), (2,)).A)
+def test_subdomains_are_numbered_over_the_processes(torn_grid, lifetime):
+    torn = lifetime.own(Torn(torn_grid((5,), (2,)).A))
     counts = COMM.allgather(len(torn.subdomains))
     agree(torn.first == sum(counts[: COMM.rank]) and sum(counts) == 5)
-    torn.destroy()
 
 
 @pytest.mark.parametrize("components", [1, 2, 3])
-def test_coordinates_of_the_torn_dofs(components, torn_grid):
+def test_coordinates_of_the_torn_dofs(components, torn_grid, lifetime):
     """Also where the number of components is not the dimension; None if there are none."""
     dim = 3 if components == 1 else components
     problem = torn_grid((2,) * dim, (1,) * dim, components=components)
-    torn = Torn(problem.A)
+    torn = lifetime.own(Torn(problem.A))
     expected = problem.x[problem.to_global // components]
     equal(whole(torn.coordinates()), expected)
     problem.A.compose("coordinates", None)
     agree(torn.coordinates() is None)
-    torn.destroy()
 
 
-def test_symmetry_is_tested(torn_grid):
+def test_symmetry_is_tested(torn_grid, lifetime):
     def skew(K, dofs):
         K[-1][0, 1] += 1e-6
 
     for change, expected in ((None, True), (skew, False)):
-        torn = Torn(torn_grid((2, 2), (2, 2), change=change).A)
+        torn = lifetime.own(Torn(torn_grid((2, 2), (2, 2), change=change).A))
         agree(torn.is_symmetric() == expected)
-        torn.destroy()
 
 
 @pytest.mark.parametrize("kappa", [1.0, 1e6])
@@ -340,11 +320,10 @@ def test_form_tells_of_symmetry(torn_grid):
         A.destroy()
 
 
-def test_blocked_matrix_without_near_kernel_is_refused(torn_grid):
-    torn = Torn(torn_grid((2, 1), (1, 1), components=2, modes=0).A)
+def test_blocked_matrix_without_near_kernel_is_refused(torn_grid, lifetime):
+    torn = lifetime.own(Torn(torn_grid((2, 1), (1, 1), components=2, modes=0).A))
     with raises(SetUpError, "set_near_kernel"):
         torn.near_kernel()
-    torn.destroy()
 
 
 def test_other_matrix_types_are_refused():
@@ -366,20 +345,18 @@ def test_dense_local_matrix_is_refused():
     K.destroy()
 
 
-def test_torn_dofs_are_numbered_from_process_to_process(torn_grid):
+def test_torn_dofs_are_numbered_from_process_to_process(torn_grid, lifetime):
     problem = torn_grid((3,), (2,))
-    torn = Torn(problem.A)
+    torn = lifetime.own(Torn(problem.A))
     sizes = COMM.allgather(torn.n)
     agree(torn.start == sum(sizes[: COMM.rank]))
     agree(sum(sizes) == len(problem.to_global))
-    torn.destroy()
 
 
-def test_condensed_pressures_are_noted(torn_grid):
+def test_condensed_pressures_are_noted(torn_grid, lifetime):
     """On the matrix, whoever holds it."""
     problem = torn_grid((2, 2), (2, 2))
-    torn = Torn(problem.A)
+    torn = lifetime.own(Torn(problem.A))
     agree(torn.pressures is None)
     set_condensed(problem.A, 7 * COMM.rank)
     agree(torn.pressures == 7 * COMM.rank)
-    torn.destroy()

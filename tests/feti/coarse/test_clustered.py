@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from collective import COMM, agree, dense, equal, norm, small, whole
-from hand_torn import random_values, solve
+from hand_torn import brick, random_values, softened, solve
 
 import dolfinx
 import ufl
@@ -223,6 +223,45 @@ def test_its_own_size():
     agree(context.residual <= max(1.01e-8, context.floor), context.residual)
 
 
+#: Which of the blocks of some cells are stiff.
+STIFF = {
+    "columns": lambda i, j: i % 2,
+    "layers": lambda i, j: j % 2,
+    "channels": lambda i, j: i % 8 == 0 or j % 8 == 4,
+    "checkerboard": lambda i, j: (i + j) % 2,
+}
+
+
+@pytest.mark.processes(1)
+@pytest.mark.parametrize(
+    ("where", "jump", "block"), [("columns", 1e4, 2), ("checkerboard", 1e8, 3)]
+)
+def test_jumps_above_the_switch(where, jump, block, torn_grid, feti):
+    """Of 83² subdomains of two by two cells, along the subdomains or across them.
+
+    The iterations stagnate, and a factor takes over.
+    """
+
+    def change(K, dofs):
+        for n in range(len(K)):
+            corner = 2 * (n // 83), 2 * (n % 83)
+
+            def stiffness(cell, corner=corner):
+                place = [(a + b) // block for a, b in zip(corner, cell, strict=True)]
+                return jump if STIFF[where](*place) else 1.0
+
+            K[n] = brick((2, 2), 2, stiffness)[1]
+
+    problem = torn_grid((83, 83), (2, 2), components=2, change=change)
+    ksp = feti(problem.A)
+    reason, _ = solve(ksp, problem, random_values(problem))
+    context = ksp.getPythonContext()
+    agree(reason > 0 and context.message == "", context.message)
+    agree(context.residual <= max(1e-8, np.nan_to_num(context.floor)), context.residual)
+    said = context.report()
+    agree(said.coarse_size > LARGE and "clusters of subdomains has failed" in said.coarse_solver)
+
+
 @pytest.mark.processes(1)
 def test_clusters_are_small_where_the_inverse_of_their_matrix_is_spread():
     """At most 128 rows a process, six for each cluster."""
@@ -239,12 +278,7 @@ def test_clusters_are_small_where_the_inverse_of_their_matrix_is_spread():
 
 def test_indefinite_matrix_is_factored(large, torn_grid, form):
     """A factor tells its inertia, and solves."""
-
-    def soften(K, dofs):
-        for K_i in K:
-            K_i -= 0.02 * np.abs(K_i).max() * np.eye(len(K_i))
-
-    problem = torn_grid((3, 2), (4, 4), components=2, change=soften)
+    problem = torn_grid((3, 2), (4, 4), components=2, change=softened(0.02))
     space = form(problem, type="classical", interior="eliminate", coarse_modes=0).space
     agree(isinstance(space.solver, GatheredSolver) and space.negative() > 0)
 

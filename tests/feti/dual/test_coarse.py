@@ -117,31 +117,21 @@ def test_coarse_matrix_couples_neighbours_only(torn_grid, parts):
 @pytest.mark.processes(1, 2, 3, 4, 8)
 @pytest.mark.parametrize("rows", [1, 3, 4000])
 @pytest.mark.parametrize("symmetric", [True, False])
-def test_gathered_solver_solves_on_any_number_of_processes(rows, symmetric, monkeypatch):
+def test_gathered_solver_on_any_number_of_processes(rows, symmetric, distributed, monkeypatch):
     """A distributed tridiagonal system with about ``rows`` rows on a process."""
     monkeypatch.setattr("dolfinx_feti.feti.coarse.group.ROWS", rows)
     n = 7
     A = 3.0 * np.eye(n) - np.eye(n, k=1) - (1.0 if symmetric else 0.3) * np.eye(n, k=-1)
-    N = PETSc.Mat().createAIJ((n, n), comm=COMM)
-    N.setUp()
-    for i in range(*N.getOwnershipRange()):
-        for j in np.flatnonzero(A[i]):
-            N.setValue(i, j, A[i, j])
-    N.assemble()
+    N = distributed(A)
     solver = GatheredSolver(N, prefix="test_coarse_", symmetric=symmetric)
     active = min(COMM.size, -(-n // rows))
     agree(active <= solver.factor.ksp.comm.size < 2 * active)
-    b, x = N.createVecs()
-    rng = np.random.default_rng(SEED + 2)
-    for _ in range(2):
-        expected = rng.standard_normal(n)
-        b.array[:] = (A @ expected)[slice(*b.getOwnershipRange())]
-        solver.solve(b, x)
-        equal(whole(x.array_r), expected, 1e-13)
+    for seed in (1, 2):
+        found, expected = solved(solver, N, A, seed)
+        equal(found, expected, 1e-13)
     agree(solver.pivots() == ((0, 0) if symmetric else (None, 0)))
     agree(solver.memory() >= 0.0)
-    for owned in (solver, N, b, x):
-        owned.destroy()
+    solver.destroy()
 
 
 @pytest.mark.processes(1, 2, 3, 4, 8)
@@ -175,13 +165,9 @@ def test_whole_factor_where_it_will_do(kind, spread, distributed, monkeypatch):
     expected = {"singular": (0, 1), "indefinite": (1, 0)}.get(kind, (0, 0))
     agree(solver.pivots() == expected, (kind, solver.pivots(), expected))
     agree(solver.memory() > 0.0 or not whole_one)
-    b, x = N.createVecs()
-    solution = np.random.default_rng(SEED).standard_normal(n)
-    b.array[:] = (A @ solution)[slice(*b.getOwnershipRange())]
-    solver.solve(b, x)
-    equal(A @ whole(x.array_r), A @ solution, 1e-12)
-    for owned in (solver, b, x):
-        owned.destroy()
+    found, solution = solved(solver, N, A)
+    equal(A @ found, A @ solution, 1e-12)
+    solver.destroy()
 
 
 def test_options_name_a_solver_in_place_of_the_whole_factor(distributed):
@@ -192,42 +178,29 @@ def test_options_name_a_solver_in_place_of_the_whole_factor(distributed):
 
 
 @pytest.mark.parametrize(("shift", "inertia"), [(0.0, (0, 1)), (-1.5, (3, 0)), (-10.0, (7, 0))])
-def test_gathered_solver_reports_inertia(shift, inertia):
+def test_gathered_solver_reports_inertia(shift, inertia, distributed):
     """Neumann's tridiagonal matrix: singular, and indefinite when it is shifted."""
     n = 7
     A = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1) + shift * np.eye(n)
     A[0, 0] = A[-1, -1] = 1.0 + shift
     negative = np.count_nonzero(np.linalg.eigvalsh(A) < -1e-10)
     agree(negative == inertia[0])
-    N = PETSc.Mat().createAIJ((n, n), comm=COMM)
-    N.setUp()
-    for i in range(*N.getOwnershipRange()):
-        for j in np.flatnonzero(A[i]):
-            N.setValue(i, j, A[i, j])
-    N.assemble()
-    solver = GatheredSolver(N, prefix="test_coarse_", symmetric=True)
+    solver = GatheredSolver(distributed(A), prefix="test_coarse_", symmetric=True)
     agree(solver.pivots() == inertia, solver.pivots())
     solver.destroy()
-    N.destroy()
 
 
 @pytest.mark.parametrize("κ", [1e6, 1e14])
-def test_inverse_serves_if_it_is_accurate(κ):
+def test_inverse_serves_if_it_is_accurate(κ, distributed):
     """A nearly singular matrix is solved with its factor, which rounding harms less."""
-    N = PETSc.Mat().createAIJ((8, 8), comm=COMM)
-    N.setUp()
-    for i in range(*N.getOwnershipRange()):
-        N.setValue(i, i, κ ** (-i / 7))
-    N.assemble()
+    A = np.diag(κ ** (-np.arange(8) / 7))
+    N = distributed(A)
     own = np.array([N.getLocalSize()[0]])
     solver = GatheredSolver(N, prefix="test_coarse_", symmetric=True, counts=own)
     agree((solver.inverse is not None) == (κ < 1e10))
-    b, x = N.createVecs()
-    b.set(1.0)
-    solver.solve(b, x)
-    equal(whole(x.array_r), κ ** (np.arange(8) / 7), 1e-14)
-    for owned in (solver, N, b, x):
-        owned.destroy()
+    found, expected = solved(solver, N, A)
+    small(np.abs(found / expected - 1.0).max(), 1e-14)
+    solver.destroy()
 
 
 @pytest.mark.processes(1, 2, 3, 4, 8)
@@ -262,6 +235,18 @@ def distributed():
         N.destroy()
 
 
+def solved(solver, N, A, seed=SEED):
+    """Solve for a random solution; return what is found of it, and itself."""
+    expected = np.random.default_rng(seed).standard_normal(len(A))
+    b, x = N.createVecs()
+    b.array[:] = (A @ expected)[slice(*b.getOwnershipRange())]
+    solver.solve(b, x)
+    found = whole(x.array_r)
+    b.destroy()
+    x.destroy()
+    return found, expected
+
+
 def random_definite(n):
     X = np.random.default_rng(SEED).standard_normal((n, n))
     return X @ X.T + n * np.eye(n)
@@ -279,13 +264,9 @@ def test_not_enough_work_space(rows, distributed, monkeypatch):
         GatheredSolver(N, prefix="test_coarse_", symmetric=True)
     monkeypatch.setattr("dolfinx_feti.feti.subdomain.factors.direct.WORK_SPACE", (-99, 50))
     solver = GatheredSolver(N, prefix="test_coarse_", symmetric=True)
-    b, x = N.createVecs()
-    expected = np.random.default_rng(SEED).standard_normal(60)
-    b.array[:] = (A @ expected)[slice(*b.getOwnershipRange())]
-    solver.solve(b, x)
-    equal(whole(x.array_r), expected, 1e-12)
-    for owned in (solver, b, x):
-        owned.destroy()
+    found, expected = solved(solver, N, A)
+    equal(found, expected, 1e-12)
+    solver.destroy()
 
 
 @pytest.mark.processes(1, 2, 3, 4, 8)
@@ -332,14 +313,11 @@ def test_wrong_options_of_the_coarse_solver(options, torn_grid, feti):
 def test_failed_solve_is_no_number(distributed):
     """Where the coarse solver diverges, all processes learn it from the solution."""
     with inserted("test_coarse_", {"ksp_type": "cg", "pc_type": "none", "ksp_max_it": 1}):
-        N = distributed(random_definite(30))
+        A = random_definite(30)
+        N = distributed(A)
         solver = GatheredSolver(N, prefix="test_coarse_", symmetric=True)
-        b, x = N.createVecs()
-        b.array[:] = 1.0 + np.arange(*b.getOwnershipRange())
-        solver.solve(b, x)
-        agree(np.isnan(x.array_r).all())
-    for owned in (solver, b, x):
-        owned.destroy()
+        agree(np.isnan(solved(solver, N, A)[0]).all())
+    solver.destroy()
 
 
 def test_coarse_solver_that_does_not_solve(torn_grid, feti):

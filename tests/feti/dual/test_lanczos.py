@@ -10,12 +10,7 @@ import pytest
 import reference
 import scipy.linalg
 from collective import agree
-
-from dolfinx_feti.feti.dual.form import create_dual_form
-from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.pattern import create_pattern
-from dolfinx_feti.feti.setup import set_up
-from dolfinx_feti.runtime.petsc_options import inserted
+from hand_torn import random_values, solve
 
 every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
 every_pc = pytest.mark.parametrize("pc_type", ["dirichlet", "lumped", "identity"])
@@ -70,9 +65,8 @@ def schur(K, glued):
 def solved(feti, problem, **options):
     """Context of a solve with a random load."""
     ksp = feti(problem.A, **(OPTIONS | options))
-    values = np.random.default_rng(11215).standard_normal(len(problem.dirichlet))
-    ksp.solve(problem.vector(values), problem.A.createVecRight())
-    agree(ksp.getConvergedReason() > 0, ksp.getPythonContext().message)
+    reason, _ = solve(ksp, problem, random_values(problem, seed=11215))
+    agree(reason > 0, ksp.getPythonContext().message)
     return ksp.getPythonContext()
 
 
@@ -103,30 +97,16 @@ def test_ritz_values_are_the_ends_of_the_spectrum(kind, pc_type, torn_grid, feti
         agree(abs(full.condition_number / expected - 1.0) < 1e-6, (full.eigenvalues, values))
 
 
-@pytest.mark.parametrize("given", [None, "cg", "fcg", "gmres", "minres"])
-def test_options_decide_the_method(given, torn_grid, lifetime):
-    """The user's own Krylov method stays."""
-    problem = jumping(torn_grid)
-    options = {} if given is None else {"feti_dual_ksp_type": given}
-    with inserted("lanczos_", options):
-        pattern = create_pattern(problem.A, FETIOptions(), "lanczos_", lifetime)
-        system = create_dual_form(pattern, set_up(pattern, lifetime, lifetime), lifetime)
-    agree(system.method == (given or "cg"), given)
-
-
 @pytest.mark.parametrize("method", ["cg", "fcg"])
 def test_later_solves_may_take_more_iterations(method, torn_grid, feti):
     """PETSc sizes the arrays of the coefficients at set-up, for the iterations then allowed."""
     problem = jumping(torn_grid)
     ksp = feti(problem.A, feti_pc_type="identity", feti_dual_ksp_type=method, ksp_max_it=2)
-    x = problem.A.createVecRight()
-    values = np.random.default_rng(11216).standard_normal(len(problem.dirichlet))
-    b = problem.vector(values)
     counts = []
     for most in (2, 1000, 5, 1000):
         ksp.setTolerances(max_it=most)
-        ksp.solve(b, x)
+        reason, _ = solve(ksp, problem, random_values(problem))
         counts.append(ksp.getPythonContext().iterations)
-        agree((ksp.getConvergedReason() > 0) == (most == 1000))
+        agree((reason > 0) == (most == 1000))
     agree(counts[0] == 2 and counts[2] == 5, counts)
     agree(counts[1] == counts[3] > 20, counts)

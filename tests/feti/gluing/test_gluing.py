@@ -100,18 +100,6 @@ def test_rows_are_those_of_the_definition(grid, all_floating, glue):
 
 
 @every_grid
-def test_counts(grid, glue):
-    """A dof with d copies has d (d − 1)/2 rows, a Dirichlet dof one a copy or none."""
-    problem, _, floating = glue(grid)
-    _, _, classical = glue(grid, all_floating=False)
-    d = problem.T.sum(axis=0).astype(int)
-    free = ~problem.dirichlet
-    jumps = (d * (d - 1) // 2)[free].sum()
-    agree(classical.B.getSize()[0] == jumps, (classical.B.getSize(), jumps))
-    agree(floating.B.getSize()[0] == jumps + d[~free].sum())
-
-
-@every_grid
 @every_type
 @every_scaling
 def test_scaled_jumps_make_a_projection(grid, all_floating, stiffness, weigh):

@@ -13,7 +13,8 @@ from petsc4py import PETSc
 import numpy as np
 import primal_form
 import pytest
-from collective import COMM, agree, equal, matrix_of_map, small, whole
+from collective import COMM, agree, equal, matrix_of_map, random_part, small, whole
+from hand_torn import softened
 
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.gluing import copies
@@ -33,18 +34,8 @@ GRID = {"subdomains": (4, 3), "cells": (3, 3), "components": 2}
 Reason = PETSc.KSP.ConvergedReason
 
 
-def soften(share):
-    """Take a share of the stiffness from each subdomain: D gets negative eigenvalues."""
-
-    def change(K, dofs):
-        for K_i in K:
-            K_i -= share * np.abs(K_i).max() * np.eye(len(K_i))
-
-    return change
-
-
 every_change = pytest.mark.parametrize(
-    "change", [None, soften(0.0004)], ids=["no prestress", "compression"]
+    "change", [None, softened(0.0004)], ids=["no prestress", "compression"]
 )
 every_interior = pytest.mark.parametrize("interior", ["keep", "eliminate"])
 
@@ -55,23 +46,16 @@ def form(form):
     return partial(form, coarse_modes=0)
 
 
-def random(n, columns=1, seed=SEED):
-    """Local rows of a block that is the same on any number of processes, (n, columns)."""
-    values = np.random.default_rng(seed).standard_normal((COMM.allreduce(n), columns))
-    last = COMM.scan(n)
-    return values[last - n : last]
-
-
 def assembled(primal, columns):
     """Columns, by copies, of an assembled block, (n, columns)."""
-    block = random(primal.copies.n, columns)
+    block = random_part(primal.copies.n, columns)
     return np.column_stack([primal.copies.average(t) for t in block.T])
 
 
 def slowed(primal):
     """A system whose preconditioner all but misses a few directions: as many small eigenvalues."""
     system, copies = primal.system, primal.copies
-    f = random(copies.n, FEW).T
+    f = random_part(copies.n, FEW).T
     r = [system.residual(t, system.space.initial_guess(copies.sum(t))) for t in f]  # balanced
     X = copies.delta[:, None] * np.column_stack(r)
     C = np.linalg.cholesky(COMM.allreduce(X.T @ X))
@@ -103,7 +87,7 @@ def test_iteration_waits_three_times(count, monkeypatch, torn_grid, form):
     primal = form(torn_grid(**GRID))
     W = assembled(primal, 5)[:, :count]
     _, system = deflated(primal, primal.system, RitzVectors(W, W))
-    f, calls = random(primal.copies.n, seed=7)[:, 0], []
+    f, calls = random_part(primal.copies.n, seed=7), []
     for module, name in ((copies, "total_of"), (deflation, "total_of"), (collective, "total_of")):
         counted = getattr(module, name)
         monkeypatch.setattr(
@@ -127,7 +111,7 @@ def test_start_and_projection(change, interior, torn_grid, form):
     W = assembled(primal, 5)
     space, system = deflated(primal, primal.system, RitzVectors(W, W))
     agree(space.count == 5)
-    δ, f = primal.copies.delta, random(primal.copies.n, seed=7)[:, 0]
+    δ, f = primal.copies.delta, random_part(primal.copies.n, seed=7)
     r = system.residual(f, space.initial_guess(primal.copies.sum(f)))
     small(np.abs(COMM.allreduce(W.T @ (δ * r))).max(), 1e-9 * system.norm(primal.copies.sum(f)))
     zero = np.zeros(primal.copies.n)
@@ -142,7 +126,7 @@ def test_start_and_projection(change, interior, torn_grid, form):
 def test_ritz_vectors(change, first, torn_grid, form):
     """W = Π_V M Q, Wᵀ Q = I, and W diagonalises A; also where an earlier W was deflated."""
     primal = form(torn_grid(change=change, **GRID), interior="eliminate")
-    slow, f = slowed(primal), random(primal.copies.n, seed=7)[:, 0]
+    slow, f = slowed(primal), random_part(primal.copies.n, seed=7)
     exact = np.linalg.eigvals(
         matrix_of_map(lambda x: slow.precondition(-slow.residual(0.0 * x, x))[0], primal.copies.n)
     ).real
@@ -167,9 +151,9 @@ def test_ritz_vectors(change, first, torn_grid, form):
 @every_interior
 def test_small_eigenvalues_are_gone(interior, torn_grid, form):
     """The next load takes the iterations of the unspoilt preconditioner, to the same solution."""
-    primal = form(torn_grid(change=soften(0.0004), **GRID), interior=interior)
+    primal = form(torn_grid(change=softened(0.0004), **GRID), interior=interior)
     slow = slowed(primal)
-    loads = random(primal.copies.n, 2, seed=7).T
+    loads = random_part(primal.copies.n, 2, seed=7).T
     space, system = deflated(primal, slow, None)
     _, before, trace = iterate(system, loads[0])
     vectors = space.ritz_vectors(trace, most=20)
@@ -194,8 +178,8 @@ def test_nothing_to_learn_from(torn_grid, form):
 
 def test_dependent_directions(torn_grid, form):
     """Directions that repeat others, or lie in V, change nothing."""
-    primal = form(torn_grid(change=soften(0.0004), **GRID), interior="eliminate")
-    w, f = assembled(primal, 1)[:, 0], random(primal.copies.n, seed=7)[:, 0]
+    primal = form(torn_grid(change=softened(0.0004), **GRID), interior="eliminate")
+    w, f = assembled(primal, 1)[:, 0], random_part(primal.copies.n, seed=7)
     v = primal.space.initial_guess(primal.copies.sum(f))  # in V
     W = np.column_stack([w, -2.0 * w, v, np.zeros_like(w)])
     space, system = deflated(primal, primal.system, RitzVectors(W, W))
@@ -207,10 +191,10 @@ def test_dependent_directions(torn_grid, form):
 
 def test_negative_curvature(torn_grid, form):
     """What W knows of an indefinite matrix ends a solve before its first iteration."""
-    problem = torn_grid((2, 2), (4, 4), components=2, change=soften(0.002))
+    problem = torn_grid((2, 2), (4, 4), components=2, change=softened(0.002))
     primal = form(problem, interior="eliminate")
     agree(primal.space.negative() == 0)
-    f = random(primal.copies.n)[:, 0]
+    f = random_part(primal.copies.n)
     exact, last = primal_form.reference(problem, primal), COMM.scan(primal.copies.n)
     p = (exact.T @ np.linalg.eigh(exact.A)[1][:, 0])[last - primal.copies.n : last]
     W = np.column_stack([p, assembled(primal, 3)])
@@ -223,7 +207,7 @@ def test_negative_curvature(torn_grid, form):
 @every_interior
 def test_soft_fields(interior, torn_grid, form):
     """W = M Q, Q in the range of A V, Wᵀ Q = I; they raise the least eigenvalue."""
-    primal = form(torn_grid(**GRID, change=soften(0.0004)), interior=interior)
+    primal = form(torn_grid(**GRID, change=softened(0.0004)), interior=interior)
     S, copies, system = primal.parts.operator, primal.copies, primal.system
     solver = partial(solver_on_interface, S, primal.parts.inverse)
     found = soft_fields(primal.space, copies, S.multiply_many, lambda i, F: solver(i)(F), count=FEW)
@@ -234,7 +218,7 @@ def test_soft_fields(interior, torn_grid, form):
         small(off, 1e-8 * np.abs(whole(w)).max())
         balanced = system.residual(q * copies.delta, primal.space.initial_guess(q))  # q − A V …
         small(system.norm(balanced), 1e-6 * system.norm(q))
-    f = random(copies.n).ravel()
+    f = random_part(copies.n)
     before, after = (iterate(deflated(primal, system, v)[1], f)[1] for v in (None, found))
     agree(after.iterations <= before.iterations)
     agree(after.eigenvalues[0] >= before.eigenvalues[0] * (1.0 - 1e-6))

@@ -9,8 +9,8 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from collective import COMM, agree, equal, matrix_of_map, small, whole
-from hand_torn import random_values, solve
+from collective import COMM, agree, equal, matrix_of_map, random_part, small, whole
+from hand_torn import random_values, solve, unsymmetric
 
 from dolfinx_feti.feti.primal import gmres as module
 from dolfinx_feti.feti.primal.form import create_preconditioner_of_part, create_primal_form
@@ -26,18 +26,6 @@ Reason = PETSc.KSP.ConvergedReason
 every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
 
 
-def unsymmetric(share, *, skew=True):
-    """Add a share of random entries to the local matrices, which leave K + Kᵀ or not."""
-
-    def change(K, dofs):
-        rng = np.random.default_rng(SEED)
-        for K_i in K:
-            X = rng.standard_normal(K_i.shape) * (K_i != 0.0)
-            K_i += share * np.abs(K_i).max() * (X - X.T if skew else X)
-
-    return change
-
-
 @pytest.fixture
 def form(pattern, lifetime, double_products):
     """Make the primal form of a torn matrix that is not symmetric."""
@@ -48,13 +36,6 @@ def form(pattern, lifetime, double_products):
         return create_primal_form(read, *parts, lifetime, vectors, most=20)
 
     return create
-
-
-def random(n, seed=SEED):
-    """Local part of a vector that is the same on any number of processes."""
-    values = np.random.default_rng(seed).standard_normal(COMM.allreduce(n))
-    last = COMM.scan(n)
-    return values[last - n : last]
 
 
 def iterate(form, f, *, rtol=1e-10, **how):
@@ -74,7 +55,7 @@ def assembled(apply, form, T):
 @every_type
 def test_operator_and_preconditioner(kind, torn_grid, form):
     """A = Tᵀ S T of K; Π Tᵀ δ K_ρ⁻¹ δ T + V A₀⁻¹ Vᵀ, with K_ρ of ½ (K + Kᵀ) and Π of K."""
-    problem = torn_grid(change=unsymmetric(0.1, skew=False), **GRID)
+    problem = torn_grid(change=unsymmetric(0.1), **GRID)
     primal = form(problem, type=kind, coarse_modes=2)
     system, V, torn = primal.system, primal.coarse.V, primal.pattern.torn
     rows = whole(system.copies.dofs + torn.start)
@@ -98,7 +79,7 @@ def test_operator_and_preconditioner(kind, torn_grid, form):
 @pytest.mark.parametrize("solver", ["mumps", "petsc"])
 def test_transposed_products(solver, torn_grid, pattern, lifetime):
     """Sᵀ X of every subdomain, for all columns at once, and K_II⁻ᵀ."""
-    problem = torn_grid(change=unsymmetric(0.1, skew=False), **GRID)
+    problem = torn_grid(change=unsymmetric(0.1), **GRID)
     with inserted("test_feti_dirichlet_", {"pc_factor_mat_solver_type": solver}):
         read = pattern(problem.A, formulation="primal", interior="auto")
         _, S = set_up_operator(read, lifetime)
@@ -111,11 +92,11 @@ def test_transposed_products(solver, torn_grid, pattern, lifetime):
 @pytest.mark.parametrize("count", [0, 4])
 def test_least_residuals(count, torn_grid, form):
     """A Z = R H with Rᵀ R = I; V and W get no residual; and its norm is that of the iterate."""
-    problem = torn_grid(change=unsymmetric(0.1), **GRID)
+    problem = torn_grid(change=unsymmetric(0.1, skew=True), **GRID)
     plain = form(problem)
-    copies, f = plain.system.copies, random(plain.system.copies.n)
-    W = np.column_stack([copies.average(random(copies.n, 7 + j)) for j in range(count)] or [f])
-    W = W[:, :count]
+    copies, f = plain.system.copies, random_part(plain.system.copies.n)
+    W = [copies.average(random_part(copies.n, seed=7 + j)) for j in range(count)]
+    W = np.column_stack(W or [f])[:, :count]
     primal = form(problem, RitzVectors(W, W))
     system, δ = primal.system, copies.delta[:, None]
     agree(primal.deflation.count == count)
@@ -136,7 +117,7 @@ def test_symmetric_matrix_takes_the_iterations_of_cg(torn_grid, feti, form):
     """A skew part of 1e-8 makes GMRES of CG."""
     counts = []
     for share in (0.0, 1e-8):
-        problem = torn_grid(change=unsymmetric(share), **GRID)
+        problem = torn_grid(change=unsymmetric(share, skew=True), **GRID)
         ksp = feti(problem.A, feti_formulation="primal")
         agree(solve(ksp, problem, random_values(problem))[0] > 0)
         agree(ksp.getPythonContext().method == ("gmres" if share else "cg"))
@@ -161,7 +142,7 @@ def test_against_lu(share, skew, kind, torn_grid, feti):
 def test_fresh_starts(torn_grid, feti, monkeypatch):
     """A few vectors are enough where fresh starts follow; where none does, the message says so."""
     monkeypatch.setattr(module, "RESTART", 8)
-    problem = torn_grid(change=unsymmetric(0.1), **GRID)
+    problem = torn_grid(change=unsymmetric(0.1, skew=True), **GRID)
     ksp, values = feti(problem.A, ksp_rtol=1e-10), random_values(problem)
     reason, x = solve(ksp, problem, values)
     agree(reason > 0 and ksp.getIterationNumber() > 8)
@@ -173,12 +154,12 @@ def test_fresh_starts(torn_grid, feti, monkeypatch):
 
 def test_ends(torn_grid, form):
     """No load, a NaN, no iterations left."""
-    primal = form(torn_grid(change=unsymmetric(0.1), **GRID))
+    primal = form(torn_grid(change=unsymmetric(0.1, skew=True), **GRID))
     n = primal.system.copies.n
     x, outcome, _, _ = iterate(primal, np.zeros(n))
     agree(outcome.reason > 0 and outcome.iterations == 0 and not x.any())
     agree(iterate(primal, np.full(n, np.nan))[1].reason == Reason.DIVERGED_NANORINF)
-    _, outcome, _, _ = iterate(primal, random(n), max_it=2)
+    _, outcome, _, _ = iterate(primal, random_part(n), max_it=2)
     agree(outcome.reason == Reason.DIVERGED_MAX_IT and outcome.iterations == 2)
 
 

@@ -10,27 +10,18 @@ from petsc4py import PETSc
 import numpy as np
 import primal_form
 import pytest
-from collective import COMM, agree, dense, equal, matrix_of_map, small, whole
+from collective import agree, dense, equal, matrix_of_map, random_part, small, whole
+from hand_torn import softened
 
 SEED = 1993
 GRID = {"subdomains": (3, 2), "cells": (3, 2), "components": 2}
 Reason = PETSc.KSP.ConvergedReason
 
 
-def soften(share):
-    """Take a share of the stiffness from each subdomain: they buckle alone, or the whole does."""
-
-    def change(K, dofs):
-        for K_i in K:
-            K_i -= share * np.abs(K_i).max() * np.eye(len(K_i))
-
-    return change
-
-
 CHANGES = {
     "no prestress": None,
     "tension": lambda K, dofs: [np.fill_diagonal(k, 1.01 * k.diagonal()) for k in K],
-    "compression": soften(0.0001),
+    "compression": softened(0.0001),
 }
 every_change = pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
@@ -40,13 +31,6 @@ every_interior = pytest.mark.parametrize("interior", ["keep", "eliminate"])
 def assembled(of_copies, exact):
     """Take a map of copies, (n, n), to one of assembled vectors: average, map, copies."""
     return exact.average @ of_copies @ exact.T
-
-
-def random(n, seed=SEED):
-    """Local part of a vector that is the same on any number of processes."""
-    values = np.random.default_rng(seed).standard_normal(COMM.allreduce(n))
-    last = COMM.scan(n)
-    return values[last - n : last]
 
 
 @every_change
@@ -113,7 +97,7 @@ def test_residuals_stay_balanced(change, torn_grid, form):
     primal = form(problem, type="all_floating", interior="eliminate")
     exact = primal_form.reference(problem, primal)
     system, copies = primal.system, primal.copies
-    f = random(copies.n)
+    f = random_part(copies.n)
     b = copies.sum(f)
     for iterations in (0, 3):
         x, _ = primal_form.cg(system, f, max_it=iterations)
@@ -128,12 +112,12 @@ def test_residuals_stay_balanced(change, torn_grid, form):
 )
 def test_negative_curvature(share, proved, torn_grid, form):
     """An indefinite matrix is told, although K_ρ is definite."""
-    problem = torn_grid((2, 2), (4, 4), components=2, change=soften(share))
+    problem = torn_grid((2, 2), (4, 4), components=2, change=softened(share))
     primal = form(problem, type="all_floating", interior="eliminate", coarse_modes=0)
     exact = primal_form.reference(problem, primal)
     agree(np.linalg.eigvalsh(exact.A)[0] < 0.0 < np.linalg.eigvalsh(exact.S_ρ)[0])
     agree(primal.space.negative() == proved)
-    _, outcome = primal_form.cg(primal.system, random(primal.copies.n))
+    _, outcome = primal_form.cg(primal.system, random_part(primal.copies.n))
     agree(outcome.reason == Reason.DIVERGED_INDEFINITE_MAT)
 
 
@@ -143,14 +127,14 @@ def test_ritz_values(torn_grid, form):
     primal = form(problem, type="all_floating", interior="keep", coarse_modes=0)
     exact = primal_form.reference(problem, primal)
     values = np.linalg.eigvals(exact.preconditioner @ exact.A).real
-    _, found = primal_form.cg(primal.system, random(primal.copies.n), rtol=1e-13)
+    _, found = primal_form.cg(primal.system, random_part(primal.copies.n), rtol=1e-13)
     equal(found.eigenvalues, [values[values > 1e-6].min(), values.max()], 1e-6)
 
 
 def test_most_iterations_and_nothing_to_do(torn_grid, form):
     primal = form(torn_grid(**GRID), type="all_floating", interior="keep")
     n = primal.copies.n
-    _, outcome = primal_form.cg(primal.system, random(n), max_it=2)
+    _, outcome = primal_form.cg(primal.system, random_part(n), max_it=2)
     agree(outcome.reason == Reason.DIVERGED_MAX_IT and outcome.iterations == 2)
     x, outcome = primal_form.cg(primal.system, np.zeros(n))
     agree(outcome.reason > 0 and outcome.iterations == 0 and not x.any())

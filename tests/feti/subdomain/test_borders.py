@@ -136,8 +136,10 @@ def test_fronts_take_matrices_of_their_pattern():
     ):
         with raises(TypeError, "ctype"):
             F.factor(wrong, space)
-    with raises(ValueError, "entries, but"):
+    with raises(ValueError, f"work has {len(work) - 1} entries, but {len(work)}"):
         F.factor(K, work[:-1])
+    with raises(ValueError, r"held has shape \(3, 3\)"):
+        F.factor(K, work, np.eye(3))
     with raises(ValueError, "not contiguous"):
         F.factor(K, np.empty(2 * len(work))[::2])
     for rhs, error in ((np.ones(1), IndexError), (np.ones(3), ValueError), (wide, ValueError)):

@@ -178,15 +178,3 @@ def test_few_cells_agree_with_a_direct_solver(kind, interior):
     agree(len(steps) == len(errors) >= 3)
     small(max(errors), 1e-8)
     small(max(step.linear_residual for step in steps), 1e-10)
-
-
-def test_generalised_inverse_of_a_few_cells(parts):
-    """K K⁺ K = K, null vectors included."""
-    _, problem = quarter_tube(64)
-    problem._system.residual()
-    problem._system.linearise()
-    system = parts(problem.A, coarse_modes=0)
-    x = np.random.default_rng(SEED + COMM.rank).standard_normal(system.torn.n)
-    Kx = system.torn.multiply(x)
-    back = system.torn.multiply(system.inverse.solve(Kx))  # K K⁺ K x
-    equal(whole(back), whole(Kx), 1e-10)

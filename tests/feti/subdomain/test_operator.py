@@ -11,7 +11,8 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from collective import COMM, agree, dense, equal, matrix_of_map, raises, small, whole
+from collective import COMM, agree, dense, equal, matrix_of_map, raises, small
+from hand_torn import random_values, solve, unsymmetric
 from modes import modes_of
 
 from dolfinx_feti.errors import FactorError
@@ -23,6 +24,7 @@ from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
 from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
 
 SEED = 31
+Reason = PETSc.KSP.ConvergedReason
 every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
 CHANGES = {
     "no prestress": None,
@@ -168,62 +170,34 @@ def test_solutions_agree(kind, change, pc_type, torn_grid, feti):
     problem = torn_grid((2, 2), (4, 3), components=2, change=change)
     found, iterations = [], []
     for choice, past in (("keep", "kept"), ("eliminate", "eliminated")):
-        ksp = feti(
-            problem.A,
-            feti_type=kind,
-            feti_pc_type=pc_type,
-            feti_interior=choice,
-            ksp_rtol=1e-11,
-        )
+        options = {"feti_type": kind, "feti_pc_type": pc_type, "feti_interior": choice}
+        ksp = feti(problem.A, ksp_rtol=1e-11, **options)
         ksp.setConvergenceHistory()
-        b, x = problem.A.createVecs()
-        first, last = b.getOwnershipRange()
-        b.array[:] = np.random.default_rng(SEED).standard_normal(b.getSize())[first:last]
-        ksp.solve(b, x)
-        agree(ksp.getConvergedReason() > 0, ksp.getPythonContext().message)
+        reason, x = solve(ksp, problem, random_values(problem, SEED))
+        agree(reason > 0, ksp.getPythonContext().message)
         agree(ksp.getPythonContext().report().interior == past)
-        found.append(whole(x.array_r))
+        found.append(x)
         norms = ksp.getConvergenceHistory()
         iterations.append(int(np.argmax(norms <= 1e-6 * norms[0])))
-        b.destroy()
-        x.destroy()
     equal(found[1], found[0], 1e-8)
     agree(change is not None or abs(iterations[0] - iterations[1]) <= 2, iterations)
 
 
 def test_unsymmetric_matrices_are_kept(torn_grid, feti):
     """`auto` keeps; `eliminate` is refused by a reason with a message."""
-    rng = np.random.default_rng(SEED)
-
-    def skew(K, dofs):
-        for k in K:
-            k += 0.01 * np.triu(rng.standard_normal(k.shape), 1) * (k != 0.0)
-
-    problem = torn_grid((2, 2), (3, 3), change=skew)
-    b, x = problem.A.createVecs()
-    b.set(1.0)
-    ksp = feti(problem.A)
-    ksp.solve(b, x)
-    agree(ksp.getPythonContext().report().interior == "kept")
+    problem = torn_grid((2, 2), (3, 3), change=unsymmetric(0.01))
+    agree(feti(problem.A).getPythonContext().report().interior == "kept")
     ksp = feti(problem.A, feti_interior="eliminate")
-    ksp.solve(b, x)
-    agree(ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED)
+    agree(solve(ksp, problem, random_values(problem))[0] == Reason.DIVERGED_PCSETUP_FAILED)
     agree("interior is eliminate" in ksp.getPythonContext().message)
-    b.destroy()
-    x.destroy()
 
 
 def test_part_without_an_interface_is_singular(torn_grid, feti):
     """A subdomain that nothing glues or holds has its kernel inside."""
     problem = torn_grid((1, 1), (3, 3), components=2, fixed=lambda x: x[:, 0] < -1.0)
-    b, x = problem.A.createVecs()
-    b.set(1.0)
     ksp = feti(problem.A, feti_interior="eliminate")
-    ksp.solve(b, x)
-    agree(ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED)
+    agree(solve(ksp, problem, random_values(problem))[0] == Reason.DIVERGED_PCSETUP_FAILED)
     agree("kernel of dimension 3" in ksp.getPythonContext().message)
-    b.destroy()
-    x.destroy()
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,6 @@ from dolfinx_feti.feti.subdomain.factors.multifrontal import (
     FrontFactor,
     create_fronts,
     load_fronts,
-    load_fronts_for,
 )
 from dolfinx_feti.runtime.petsc_library import Rows
 
@@ -252,15 +251,6 @@ def test_entries_that_couple_subdomains_are_refused():
             factored(fronts, K)
 
 
-def test_work_space_and_held_block_have_their_sizes():
-    K, Γ = grid((5, 4), 3)
-    fronts = analysed(K, Γ, 3)
-    with raises(ValueError, f"work has 3 entries, but {fronts.work}"):
-        fronts.factor(arrays(K), np.empty(3))
-    with raises(ValueError, r"held has shape \(2, 2\)"):
-        fronts.factor(arrays(K), np.empty(fronts.work), np.eye(2))
-
-
 def analyse(ptr, adjacent, size, order):
     """Return the status of an analysis."""
     code = load_fronts(COMM)
@@ -337,13 +327,3 @@ def test_pivots_where_they_are_needed(factor, torn_grid, parts, monkeypatch):
     equal(by_fronts.multiply(u), by_mumps.multiply(u), 1e-10)
     equal(by_fronts.condense(f), by_mumps.condense(f), 1e-10)
     equal(by_fronts.extend(u, f), by_mumps.extend(u, f), 1e-10)
-
-
-@pytest.mark.parametrize("name", ["pc_factor_mat_solver_type", "pc_type"])
-def test_options_that_name_a_solver_are_followed(name):
-    """Who names the solver of K_II gets it."""
-    agree(load_fronts_for("fronts_", COMM) is not None)
-    options = PETSc.Options("fronts_")
-    options[name] = {"pc_type": "cholesky"}.get(name, "mumps")
-    agree(load_fronts_for("fronts_", COMM) is None)
-    options.delValue(name)

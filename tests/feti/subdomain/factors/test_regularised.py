@@ -12,6 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from collective import COMM, agree, equal
+from hand_torn import unsymmetric
 
 from dolfinx_feti.feti.subdomain import analysis
 from dolfinx_feti.feti.subdomain.factors.direct import Choice
@@ -149,11 +150,7 @@ def test_options_that_name_a_solver_are_followed(option, torn_grid, parts):
 
 
 def test_unsymmetric_matrices_and_long_indices_have_pivots(torn_grid, parts, monkeypatch):
-    def skew(K, dofs):
-        for k in K:
-            k += 0.01 * np.triu(np.ones(k.shape), 1) * (k != 0.0)
-
-    system = parts(torn_grid((2, 2), (4, 3), change=skew).A, interior="keep")
+    system = parts(torn_grid((2, 2), (4, 3), change=unsymmetric(0.01)).A, interior="keep")
     agree(all(isinstance(factor, PivotedFactor) for factor in system.inverse.factors))
     monkeypatch.setattr(analysis, "reads_in_place", lambda: False)
     system = parts(torn_grid((2, 2), (4, 3)).A, interior="keep")
