@@ -164,6 +164,10 @@ def box(
     return path
 
 
+broken("nowhere.msh", "There is no file")(lambda folder: folder / "nowhere.msh")
+broken("nowhere.toml", "no file .*: name a TOML file")(lambda folder: folder / "nowhere.toml")
+
+
 @broken("two_groups.msh", "Volume 1 of .* is in two physical groups, 'media' and 'tissue'")
 def _two_groups(folder: Path) -> Path:
     groups = (3, "media"), (3, "tissue"), (2, "lumen")

@@ -256,10 +256,7 @@ def test_reference_is_held_to_its_residual(monkeypatch, limit, note):
 @pytest.mark.parametrize(
     ("names", "match"),
     [
-        (
-            ["feti", "umfpack"],
-            "solvers has 'umfpack': choose from feti, mumps, gamg, bddc, or give",
-        ),
+        (["feti", "umfpack"], "solvers has 'umfpack': choose from feti, mumps, gamg, bddc, or"),
         ({"feti": {}, "mine": {}}, "solvers has 'mine': choose from .* or give a dict of names"),
         ([], "solvers is empty: choose from"),
     ],

@@ -185,6 +185,8 @@ def test_bad_input():
     for tolerance in (0.0, -1.0, np.nan):
         with raises(ValueError, "tolerance is .*: give a positive share of the diameter"):
             scan.prestress(1.0, tolerance=tolerance)
+        with raises(ValueError, "tolerance is .*: give a positive share of the diameter"):
+            unload(scan.problem, scan.set_load, [1.0], STEPS, state=scan.state, tolerance=tolerance)
 
     def other(*element: object) -> dolfinx.fem.Function:
         G = dolfinx.fem.Function(dolfinx.fem.functionspace(scan.mesh, element))

@@ -10,7 +10,6 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, small
-from one_scalar import Block, Law
 from problems import cube, dirichlet, left
 
 import basix.ufl
@@ -124,26 +123,22 @@ def test_elements_on_other_numbers_of_processes(tmp_path, element):
     equal(alone.x.array, before, 1e-13)
 
 
-def test_times_before_the_start():
-    block = Block(COMM, 0.8)
-    block.reset(Law(0.8))
-    with raises(ValueError, r"start=1.0, targets=\[0.7, 0.5\]: times ascend from the start"):
-        block.follow(Law(0.8), [0.7, 0.5], 0.1, start=1.0, on_step=None)
-
-
-def test_forms_without_the_motion():
-    body = Pulled()
-    motion = Motion(body.u, 1.0)
-    with raises(ValueError, "do not hold the inertia of this Motion"):
-        follow_time(body.problem(), motion, body.set_load, [0.1], TIMES)
-
-
-def test_dashpot_that_cannot_follow_a_motion():
+def test_what_is_refused_when_a_motion_begins():
+    """Forms without its inertia, a dashpot that cannot follow, times that do not ascend."""
     body = Pulled()
     motion, last = Motion(body.u, 1.0), dolfinx.fem.Function(body.u.function_space)
     resists = supports.dashpot_energy(1.0, body.u, last, 0.1, ufl.ds(body.mesh))
-    with raises(ValueError, "with a number as its time step, cannot follow the motion"):
-        follow_time(body.problem(motion.inertia + resists), motion, body.set_load, [0.1], TIMES)
+    right = body.problem(motion.inertia)
+    for problem, start, targets, match in (
+        (body.problem(), 0.0, [0.1], "do not hold the inertia of this Motion"),
+        (body.problem(motion.inertia + resists), 0.0, [0.1], "with a number as its time step"),
+        (right, 1.0, [0.7, 0.5], r"start=1.0, targets=\[0.7, 0.5\]: times ascend from the start"),
+        (right, 0.0, [0.2, 0.1], "turns back"),
+    ):
+        with raises(ValueError, match):
+            follow_time(problem, motion, body.set_load, targets, TIMES, start=start)
+    with raises(ValueError, "rho=1.5: give a spectral radius"):
+        Motion(body.u, 1.0, rho=1.5)
 
 
 def test_equilibria_after_a_motion():

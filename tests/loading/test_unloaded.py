@@ -170,13 +170,6 @@ def test_failure_of_the_last_move_leaves_the_image():
     equal(scan.mesh.geometry.x, scan.nodes.first)
 
 
-def test_bad_tolerance():
-    scan = Scan()
-    for tolerance in (0.0, -1.0, np.nan):
-        with raises(ValueError, "tolerance is .*: give a positive share of the diameter"):
-            unload(scan.problem, scan.set_load, [1.0], STEPS, **scan.arguments, tolerance=tolerance)
-
-
 def test_inverted_cells_are_counted():
     scan = Scan()
     agree(scan.nodes.inverted() == 0)

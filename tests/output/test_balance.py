@@ -65,11 +65,3 @@ def test_pressure_that_is_off_is_put_right(u):
     found = balanced_stress(stress + ripple, u, normal=-7.0 * n)
     small(norm(u, found - stress), 1e-12)
     assert norm(u, ripple) > 1e-3
-
-
-def test_what_is_refused(u):
-    stress, n = linear(u)
-    with raises(ValueError, r"A stress of shape \(\) with a normal"):
-        balanced_stress(u[0], u, normal=n)
-    with raises(ArithmeticError, "a normal that is nowhere zero"):
-        balanced_stress(stress, u, normal=u)

@@ -213,31 +213,30 @@ def test_tags_and_a_time_that_is_no_number(u, tmp_path):
                 writer.write(t)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_place_below_a_file(u, tmp_path, kind):
-    on_first(lambda: (tmp_path / "notes").write_text("mine"))
-    with raises(
-        OSError, r"folder .*notes/run cannot be written \(Not a directory\): choose another"
-    ):
-        FieldWriter(tmp_path / "notes/run/wall", [u], kind=kind)
-    agree((tmp_path / "notes").read_text() == "mine")
+@pytest.mark.parametrize(
+    ("place", "kind", "match"),
+    [
+        ("run", "xdmf", r"folder .*run/new cannot be written \(Not a directory\): choose"),
+        pytest.param("run", "vtx", r"run/new cannot .*Not a directory", marks=needs_adios2),
+        pytest.param("run/wall.bp", "vtx", r"wall.bp cannot .*File exists", marks=needs_adios2),
+        ("run/wall.xdmf/", "xdmf", r"file .*wall.xdmf cannot be written \(Is a directory\)"),
+        ("run/wall.h5/", "xdmf", r"file .*wall.h5 cannot be written \(Is a directory\)"),
+    ],
+)
+def test_where_something_else_is(u, tmp_path, place, kind, match):
+    """The libraries would write nothing, end all processes, or raise on one alone."""
 
+    def put() -> None:
+        (tmp_path / place).parent.mkdir(exist_ok=True)
+        if place.endswith("/"):
+            (tmp_path / place).mkdir()
+        else:
+            (tmp_path / place).write_text("mine")
 
-@needs_adios2
-def test_vtx_where_a_file_is(u, tmp_path):
-    """ADIOS2 itself would raise on one process, and leave the others waiting."""
-    on_first(lambda: (tmp_path / "wall.bp").write_text("mine"))
-    with raises(OSError, r"wall.bp cannot be written \(File exists\)"):
-        FieldWriter(tmp_path / "wall", [u], kind="vtx")
-    agree((tmp_path / "wall.bp").read_text() == "mine")
-
-
-@pytest.mark.parametrize("suffix", [".xdmf", ".h5"])
-def test_xdmf_where_a_folder_is(u, tmp_path, suffix):
-    """The library itself would write nothing without a word, or end all processes."""
-    on_first((tmp_path / f"wall{suffix}").mkdir)
-    with raises(OSError, rf"file .*wall{suffix} cannot be written \(Is a directory\)"):
-        FieldWriter(tmp_path / "wall", [u], kind="xdmf")
+    on_first(put)
+    with raises(OSError, match):
+        FieldWriter(tmp_path / "run" / ("new/wall" if place == "run" else "wall"), [u], kind=kind)
+    agree(place.endswith("/") or (tmp_path / place).read_text() == "mine")
 
 
 # -- writable_folder

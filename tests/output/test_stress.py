@@ -24,6 +24,7 @@ from dolfinx_feti.mechanics.kinematics import stress_magnitude
 from dolfinx_feti.output import (
     FieldWriter,
     Patches,
+    balanced_stress,
     components,
     create_patches,
     layer_means,
@@ -290,61 +291,54 @@ def test_all_are_written(tmp_path: Path, kind: str):
 # -- what is refused
 
 
-def test_bad_meshes_and_layers():
-    mesh = mesh_of(2)
-    with raises(TypeError, "quadrilateral with 4 nodes in 2 dimensions"):
-        create_patches(cube(2, 2, dolfinx.mesh.CellType.quadrilateral))
-    with raises(ValueError, "degree=2: give a quadrature degree of 3 or more"):
-        create_patches(mesh, degree=2)
-    with raises(ValueError, "tags of dimension 2, or of another mesh"):
-        create_patches(mesh, split(cube(2, 6)))
-    facets = dolfinx.mesh.meshtags(
-        mesh, 1, np.arange(1, dtype=np.int32), np.ones(1, dtype=np.int32)
-    )
-    with raises(ValueError, "tags of dimension 1, or of another mesh"):
-        create_patches(mesh, facets)
-    layers = split(mesh)
-    here = layers.find(7)
-    tags = dolfinx.mesh.meshtags(mesh, 2, here, np.full(len(here), 7, dtype=np.int32))
-    with raises(ValueError, "layers: 36 cells have no tag"):
-        create_patches(mesh, tags)
-
-
-def test_bad_fields():
+def test_bad_input():
     mesh = mesh_of(2)
     patches, jump = patches_of(mesh)
     x, other = ufl.SpatialCoordinate(mesh), ufl.SpatialCoordinate(mesh_of(2))
-    with raises(ValueError, "does not live on the mesh of the patches"):
-        recovered_field(other, patches)
-    with raises(ArithmeticError, "NaN or infinite in 36 cells"):
-        recovered_field(x / (jump * x[0]), patches)
-    for field, normal in ((x, x), (ufl.outer(x, x), x[0])):
-        with raises(ValueError, "give a vector of 2 components for a stress of shape"):
-            recovered_field(field, patches, normal=normal)
-    with raises(ArithmeticError, "normal vanishes at 432 nodes"):
-        recovered_field(ufl.outer(x, x), patches, normal=0 * x)
-    with raises(ValueError, "out='f' cannot hold a recovered field of shape"):
-        recovered_field(ufl.outer(x, x), patches, out=dolfinx.fem.Function(jump.function_space))
-
-
-def test_bad_components_and_means():
-    mesh = mesh_of(2)
-    patches, jump = patches_of(mesh)
-    x = ufl.SpatialCoordinate(mesh)
-    for ask in (principal_values, lambda f: components(f, {})):
-        with raises(ValueError, "'f' is no recovered stress"):
-            ask(dolfinx.fem.Function(jump.function_space, name="f"))
-    with raises(ValueError, "directions: hoop must be vectors of 2 components"):
-        components(recovered_field(ufl.outer(x, x), patches), {"hoop": x[0], "axial": x})
-    with raises(ArithmeticError, "directions: 'axial' is zero, NaN or infinite somewhere"):
-        components(recovered_field(ufl.outer(x, x), patches), {"axial": x[0] * x})
-    layers = split(mesh)
-    with raises(ValueError, "fields: x; give scalars"):
-        layer_means({"x": x}, patches, layers, {"left": 7})
-    with raises(ValueError, "fields: none; give scalars"):
-        layer_means({}, patches, layers, {"left": 7})
-    with raises(ValueError, "no cell of the layer 'media' has its tag 1"):
-        layer_means({"x": x[0]}, patches, layers, {"left": 7, "media": 1})
+    f = dolfinx.fem.Function(jump.function_space, name="f")
+    layers, one = split(mesh), np.ones(1, dtype=np.int32)
+    facets = dolfinx.mesh.meshtags(mesh, 1, one - 1, one)
+    here = layers.find(7)
+    some = dolfinx.mesh.meshtags(mesh, 2, here, np.full(len(here), 7, dtype=np.int32))
+    σ = ufl.outer(x, x)
+    u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,))))
+    quadrilaterals = cube(2, 2, dolfinx.mesh.CellType.quadrilateral)
+    for error, match, work in (
+        (TypeError, "quadrilateral with 4 nodes in 2", lambda: create_patches(quadrilaterals)),
+        (ValueError, "degree=2: give a quadrature degree", lambda: create_patches(mesh, degree=2)),
+        (ValueError, "tags of dimension 2, or", lambda: create_patches(mesh, split(cube(2, 6)))),
+        (ValueError, "tags of dimension 1, or", lambda: create_patches(mesh, facets)),
+        (ValueError, "layers: 36 cells have no tag", lambda: create_patches(mesh, some)),
+        (ValueError, "does not live on the mesh", lambda: recovered_field(other, patches)),
+        (ArithmeticError, "in 36 cells", lambda: recovered_field(x / (jump * x[0]), patches)),
+        (ValueError, "give a vector of 2", lambda: recovered_field(x, patches, normal=x)),
+        (ValueError, "give a vector of 2", lambda: recovered_field(σ, patches, normal=x[0])),
+        (ArithmeticError, "vanishes at 432", lambda: recovered_field(σ, patches, normal=0 * x)),
+        (ValueError, "out='f' cannot hold", lambda: recovered_field(σ, patches, out=f)),
+        (ValueError, "'f' is no recovered stress", lambda: principal_values(f)),
+        (ValueError, "'f' is no recovered stress", lambda: components(f, {})),
+        (
+            ValueError,
+            "directions: hoop must be vectors of 2",
+            lambda: components(recovered_field(σ, patches), {"hoop": x[0], "axial": x}),
+        ),
+        (
+            ArithmeticError,
+            "directions: 'axial' is zero, NaN",
+            lambda: components(recovered_field(σ, patches), {"axial": x[0] * x}),
+        ),
+        (ValueError, "fields: x; give", lambda: layer_means({"x": x}, patches, layers, {"l": 7})),
+        (ValueError, "fields: none; give", lambda: layer_means({}, patches, layers, {"l": 7})),
+        (
+            ValueError,
+            "no cell of the layer 'media' has its tag 1",
+            lambda: layer_means({"x": x[0]}, patches, layers, {"left": 7, "media": 1}),
+        ),
+        (ValueError, r"A stress of shape \(\) with", lambda: balanced_stress(x[0], u, normal=x)),
+        (ArithmeticError, "nowhere zero", lambda: balanced_stress(σ, u, normal=u)),
+    ):
+        with raises(error, match):
+            work()
 
 
 def test_patches_follow_a_mesh_that_moves():

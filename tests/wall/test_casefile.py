@@ -127,10 +127,7 @@ def test_cavities(read):
         (VESSELS.replace("compliance", "impedance"), r"impedance = '1 ml/mmHg': give a positive"),
         ("windkessel = 3", "windkessel = 3: this is to be a table"),
         ("[cavity.lumen.windkessel]\nresistance = 1", r"windkessel\] compliance is missing: give"),
-        (
-            "volume = 1\n[surfaces.lumen]\npressure = 1",
-            r"\[surfaces.lumen\] pressure: leave it out",
-        ),
+        ("volume = 1\n[surfaces.lumen]\npressure = 1", r"\[surfaces.lumen\] pressure: leave it"),
     ],
 )
 def test_cavities_that_are_refused(read, more, match):
@@ -141,16 +138,8 @@ def test_cavities_that_are_refused(read, more, match):
 @pytest.mark.parametrize(
     ("old", "new", "match"),
     [
-        (
-            "pressure",
-            "pressures",
-            r"\[surfaces.lumen\] pressures = 1.0: there is no such key.*'pressure'",
-        ),
-        (
-            "pressure = 1.0",
-            'pressure = "1 bar"',
-            r"pressure = '1 bar': .* in mmHg, .*mmHg, kPa, Pa",
-        ),
+        ("pressure", "pressures", r"\[surfaces.lumen\] pressures = 1.0: .*no such key.*'pressure'"),
+        ("pressure = 1.0", 'pressure = "1 bar"', r"'1 bar': .* in mmHg, .*mmHg, kPa, Pa"),
         ("pressure = 1.0", "pressure = -1", r"\[surfaces.lumen\] pressure = -1: give a positive"),
         ("pressure = 1.0", "pressure = nan", "pressure = nan: give a positive number in mmHg"),
         ("pressure = 1.0", "pressure = true", "pressure = True: give a positive"),
@@ -158,32 +147,20 @@ def test_cavities_that_are_refused(read, more, match):
         ("pressure = 1.0", 'spring = "1 kPa"', r"\[surfaces.lumen\] spring = '1 kPa': .*kPa/mm"),
         ("pressure = 1.0", 'hold = "glue"', r"hold = 'glue': choose one of 'clamp', 'slide'"),
         ("pressure = 1.0", "", r"\[surfaces.lumen\] has no effect: give it"),
-        (
-            "pressure = 1.0",
-            'pressure = 1\nhold = "clamp"',
-            r"conditions\['lumen'\] holds a clamp and another",
-        ),
+        ("pressure = 1.0", 'pressure = 1\nhold = "clamp"', "'lumen'. holds a clamp and another"),
         ("pressure = 1.0", 'pressure = 1\ndirection = "all"', "direction: has no effect without"),
         ("pressure = 1.0", "pressure = 1\ndashpot = 1", r"\[loading\] rate is missing: dashpots"),
         ("c = 3.0", "c = 0", r"\[layers.media\] c = 0: give a positive number in kPa"),
         ("c = 3.0", "", r"\[layers.media\] c is missing: give a positive"),
         ("c = 3.0", "c = 3.0\nk1 = 1.0", r"\[layers.media\] k2 is missing: fibres need k1, k2"),
-        (
-            "c = 3.0",
-            "c = 3\nk1 = 1\nk2 = 1\nangle = 100",
-            "angle = 100: give a number from 0 to 90",
-        ),
+        ("c = 3.0", "c = 3\nk1 = 1\nk2 = 1\nangle = 100", "angle = 100: .* from 0 to 90"),
         (LAYERS, "layers = 3\n", "layers = 3: this is to be a table"),
         (LAYERS, "", "name the layers of the wall"),
         ("mesh", "Mesh", "Mesh = .*no such key.*did you mean 'mesh'"),
         (f'"{EXAMPLE}"', "3", "mesh = 3: give a text"),
         ("[layers.media]", "scale = 0\n[layers.media]", "scale = 0: give a positive number"),
         ("[layers.media]", "[layers.media", "is no TOML file: "),
-        (
-            LAYERS,
-            f'{LAYERS}[prestretch]\naxis = "r"\n',
-            r"\[prestretch\] axis = 'r': choose one of",
-        ),
+        (LAYERS, f'{LAYERS}[prestretch]\naxis = "r"\n', r"\[prestretch\] axis = 'r': choose"),
         (LAYERS, f'{LAYERS}[prestretch]\naxis = "z"\n', r"\[prestretch\] stretch is missing"),
         (LAYERS, f'{LAYERS}[fibres]\nends = "a"\n', r"\[fibres\] ends = 'a': give a list of texts"),
         (LAYERS, f"{LAYERS}[fibres]\nlumen = 1\n", r"\[fibres\] lumen = 1: there is no such key"),
@@ -196,33 +173,18 @@ def test_what_is_refused(read, old, new, match):
         read(LEAST.replace(old, new, 1))
 
 
-def test_no_file(tmp_path):
-    with raises(FileNotFoundError, "no file .*nowhere.toml: name a TOML file"):
-        read_case(tmp_path / "nowhere.toml", COMM)
-
-
 @pytest.mark.parametrize(
     ("more", "match"),
     [
         (CLAMP.replace("opening_1", "openin_1"), r"\[surfaces.openin_1\]: the wall has no surface"),
-        (
-            "[cavity.lume]\nvolume = 1\n",
-            r"\[cavity.lume\]: the wall has no surface 'lume'.*did you mean 'lumen'",
-        ),
-        (
-            CLAMP + "[layers.fat]\nc = 1\n",
-            r"\[layers.fat\]: the wall has no layer 'fat'; it has med",
-        ),
+        ("[cavity.lume]\nvolume = 1\n", r"\[cavity.lume\]: .* no surface 'lume'.* mean 'lumen'"),
+        (CLAMP + "[layers.fat]\nc = 1\n", r"\[layers.fat\]: .* no layer 'fat'; it has med"),
     ],
 )
 def test_what_does_not_fit_the_wall(read, more, match):
     wall = read_wall(EXAMPLE, COMM)
+    read(LEAST + CLAMP).check(wall)
     with raises(ValueError, match):
         read(LEAST + more).check(wall)
-
-
-def test_what_fits_the_wall(read):
-    wall = read_wall(EXAMPLE, COMM)
-    read(LEAST + CLAMP).check(wall)
     with raises(ValueError, r"\[layers.adventitia\] is missing"):
-        read(LEAST.replace("[layers.adventitia]\nc = 0.3\n", "") + CLAMP).check(wall)
+        read(LEAST.replace("[layers.adventitia]\nc = 0.3\n", "")).check(wall)

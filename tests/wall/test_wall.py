@@ -264,11 +264,6 @@ def test_other_cells(tmp_path, suffix, kind):
         read_wall(path, COMM)
 
 
-def test_no_file(tmp_path):
-    with raises(FileNotFoundError, "There is no file .*nowhere.msh"):
-        read_wall(tmp_path / "nowhere.msh", COMM)
-
-
 @pytest.mark.parametrize(("package", "name"), [("gmsh", "wall.msh"), ("meshio", "wall.vtu")])
 def test_missing_package(tmp_path, monkeypatch, package, name):
     on_first(lambda: (tmp_path / name).write_text(""))

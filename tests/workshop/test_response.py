@@ -246,22 +246,3 @@ def test_path_without_free_entries_leaves_the_pressure_open():
     Q = rotation(3)
     found = equilibrate(material(neo_hookean, kappa=10.0), Q[None], nothing)
     np.testing.assert_allclose(found.F, [Q], rtol=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: uniaxial([1.0, -0.5]), r"stretch = -0\.5: a stretch is positive"),
-        (lambda: uniaxial([]), "stretch = .*: give finite numbers"),
-        (lambda: uniaxial([[1.0]]), "stretch = .*: give finite numbers"),
-        (lambda: uniaxial([1.0], along=(0, 0, 0)), r"along = \(0, 0, 0\)"),
-        (lambda: uniaxial([1.0], along=(0, 1)), r"along = \(0, 1\)"),
-        (lambda: biaxial([1.0, 1.1], [1.0, 1.1, 1.2]), "2 values and stretch_2 has 3"),
-        (lambda: pure_shear([1.0], across=(1, 1, 0)), "not normal to each other"),
-        (lambda: simple_shear([np.nan]), "shear = .*: give finite numbers"),
-        (lambda: inflation([1.0], axial=0.0), r"axial = 0\.0"),
-    ],
-)
-def test_bad_path(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
