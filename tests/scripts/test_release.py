@@ -158,8 +158,17 @@ def test_changelog_begins_with_the_version():
 
 
 def test_recipes_name_the_version_and_the_needs():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    """And the jobs of the workflow what the tests need, but for what comes with dolfinx."""
+    data = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    project = data["project"]
     recipe = (ROOT / "packaging/conda/recipe.yaml").read_text()
     assert f'version: "{dolfinx_feti.__version__}"' in recipe
     needs = {re.match(r"[\w-]+", need)[0] for need in project["dependencies"]}
     assert needs <= set(re.findall(r"^ +- ([\w-]+)", recipe, re.M))
+    needs -= {"cffi", "mpi4py", "numpy"}
+    assert needs <= set(re.findall(r"[\w-]+", (ROOT / "packaging/docker/Dockerfile").read_text()))
+    needs |= {re.match(r"[\w-]+", need)[0] for need in data["dependency-groups"]["test"]}
+    workflow = (ROOT / ".github/workflows/ci.yml").read_text()
+    jobs = re.findall(r"^.*(?:pip|conda) install (?!--).*(?:\n {10}[\w\"].*)*", workflow, re.M)
+    assert len(jobs) == 2
+    assert all(needs <= set(re.findall(r"[\w-]+", job)) for job in jobs)
