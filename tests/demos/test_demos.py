@@ -136,12 +136,6 @@ def test_linear_elasticity(run, on_folder):
     small(beam["difference"], 1e-7)
 
 
-@pytest.mark.serial
-def test_linear_elasticity_from_the_command_line():
-    status, said = run_alone("demos/demo_linear_elasticity.py")
-    agree(status == 0 and "difference to MUMPS" in said, said)
-
-
 def test_classical_vs_all_floating(run, tmp_path):
     """Its own assertions, the numbers of one process, and a picture."""
     from matplotlib.image import imread
@@ -234,44 +228,25 @@ def test_picture_that_cannot_be_written_ends_all_processes(run, tmp_path):
 # -- what they refuse
 
 
-def wrong_command_line(run, capsys, *arguments: str) -> str:
-    """Return what is said about a command line that is refused on all processes."""
-    with pytest.raises(SystemExit) as caught:
-        run("demo_artery.py", *arguments)
-    said = capsys.readouterr().err
-    agree(caught.value.code == 2 and said.count("\n") == 1, said)
-    return said
-
-
-@pytest.mark.serial
-@pytest.mark.parametrize("value", ["nan", "inf", "-1", "0", "abc"])
-def test_numbers_that_are_not_positive(run, capsys, value):
-    for option in ("--pressure", "--size"):
-        said = wrong_command_line(run, capsys, option, value)
-        agree(f"argument {option}: '{value}' is not a positive number" in said, said)
-
-
-@pytest.mark.serial
-@pytest.mark.parametrize("value", ["0", "-3", "1.5", "many"])
-def test_counts_that_are_none(run, capsys, value):
-    for option in ("--subdomains", "--steps"):
-        said = wrong_command_line(run, capsys, option, value)
-        agree(f"argument {option}: '{value}' is not a number 1, 2, 3" in said, said)
-
-
 @pytest.mark.serial
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
         (["--degree", "3"], "invalid choice: "),
+        (["--pressure", "nan"], "argument --pressure: 'nan' is not a positive number"),
+        (["--size", "-1"], "argument --size: '-1' is not a positive number"),
+        (["--steps", "1.5"], "argument --steps: '1.5' is not a number 1, 2, 3"),
+        (["--subdomains", "0"], "argument --subdomains: '0' is not a number 1, 2, 3"),
         (["--presure", "10"], "unrecognized arguments: --presure 10"),
         (["ten"], "unrecognized arguments: ten"),
         (["-ksp_monitor", "--pressure", "10", "50"], "arguments: 50 after --pressure"),
     ],
 )
-def test_unknown_words(run, capsys, arguments, match):
-    said = wrong_command_line(run, capsys, *arguments)
-    agree(match in said, said)
+def test_wrong_words_of_the_artery(run, capsys, arguments, match):
+    with pytest.raises(SystemExit) as caught:
+        run("demo_artery.py", *arguments)
+    said = capsys.readouterr().err
+    agree(caught.value.code == 2 and said.count("\n") == 1 and match in said, said)
 
 
 def test_output_folder_is_tried_before_the_mesh(run, tmp_path, capsys):
