@@ -13,12 +13,14 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
+from collective import norm
 
-import basix
 import basix.ufl
 import dolfinx
 import dolfinx.fem.petsc
 import ufl
+
+from dolfinx_feti.fem.elements import quadratic_with_bubbles
 
 Array = npt.NDArray[np.float64]
 Marker = Callable[[Array], npt.NDArray[np.bool_]]
@@ -125,33 +127,22 @@ def with_bubbles(mesh: dolfinx.mesh.Mesh, degree: int = 1) -> basix.ufl._Element
 
     That is the MINI element's for degree 1, and in space P2 with five bubbles for degree 2.
     """
+    if degree == 2:
+        return quadratic_with_bubbles(mesh.topology.cell_name())
     cell, dim = mesh.basix_cell(), mesh.topology.dim
-    parts = [
-        basix.ufl.element("Lagrange", cell, degree),
-        basix.ufl.element("Bubble", cell, dim + 1),
-    ]
-    if degree == 2 and dim == 3:
-        parts.append(face_bubbles())
-    return basix.ufl.enriched_element(parts)
+    lagrange = basix.ufl.element("Lagrange", cell, degree)
+    return basix.ufl.enriched_element([lagrange, basix.ufl.element("Bubble", cell, dim + 1)])
 
 
-def face_bubbles() -> basix.ufl._ElementBase:
-    """Span λ_i λ_j λ_k on the faces of a tetrahedron, with their values at the midpoints."""
-    cell = basix.CellType.tetrahedron
-    faces = basix.topology(cell)[2]
-    points, weights = basix.make_quadrature(cell, 6)
-    coordinates = np.column_stack([1.0 - points.sum(axis=1), points])
-    bubbles = np.array([coordinates[:, face].prod(axis=1) for face in faces])
-    basis = basix.tabulate_polynomials(basix.PolynomialType.legendre, cell, 3, points)
-    middle = np.array([basix.geometry(cell)[face].mean(axis=0) for face in faces])
-    none = [np.zeros((0, 3))], [np.zeros((0, 1, 0, 1))]
-    counts = [len(entities) for entities in basix.topology(cell)]
-    x = [none[0] * counts[0], none[0] * counts[1], [m[None] for m in middle], none[0]]
-    M = [none[1] * counts[0], none[1] * counts[1], [np.ones((1, 1, 1, 1))] * 4, none[1]]
-    return basix.ufl.custom_element(
-        cell, (), bubbles * weights @ basis.T, x, M, 0, basix.MapType.identity,
-        basix.SobolevSpace.H1, False, -1, 3,
-    )  # fmt: skip
+def free_residual(F: ufl.Form, bcs: list[dolfinx.fem.DirichletBC]) -> tuple[float, float]:
+    """Return the norms of a residual over the free dofs and over all, assembled by dolfinx."""
+    r = dolfinx.fem.assemble_vector(dolfinx.fem.form(F))
+    r.scatter_reverse(dolfinx.la.InsertMode.add)
+    n = r.index_map.size_local * r.block_size
+    whole = norm(r.array[:n])
+    for bc in bcs:
+        bc.set(r.array, None, 0.0)
+    return norm(r.array[:n]), whole
 
 
 def elasticity(

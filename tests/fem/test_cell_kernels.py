@@ -62,39 +62,12 @@ def artery(mesh: dolfinx.mesh.Mesh, degree: int, pressure: tuple) -> list[ufl.Fo
     return [energy, F_u, F_p, *(ufl.derivative(F, f) for F in (F_u, F_p) for f in (u, p))]
 
 
-def own(mesh: dolfinx.mesh.Mesh) -> list[ufl.Form]:
-    """Functions, conditions, coordinates, constants, rules that UFL chooses, and no symmetry."""
-    u = displacement(mesh, 2)
-    V = u.function_space
-    v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
-    x, k = ufl.SpatialCoordinate(mesh), dolfinx.fem.Constant(mesh, [1.5, -0.5])
-    s = ufl.inner(ufl.grad(u), ufl.grad(u))
-    away = ufl.And(ufl.lt(x[0], 0.7), ufl.Not(ufl.Or(ufl.ge(s, 5.0), ufl.eq(k[0], 0.0))))
-    f = ufl.conditional(away, ufl.sqrt(1 + s), ufl.ln(2 + s)) + ufl.atan(s) * abs(u[0]) + s**-3
-    f += ufl.max_value(s, k[0]) + ufl.min_value(ufl.erf(s), x[1]) + (1 + s) ** 0.3 + ufl.cosh(s)
-    stress = f * ufl.grad(u) + k[1] * ufl.outer(x, u)
-    F = ufl.inner(stress, ufl.grad(v)) * ufl.dx(degree=3) + ufl.inner(s * u + x, v) * ufl.dx
-    return [F, ufl.derivative(F, u, du)]
-
-
-def bubbles(mesh: dolfinx.mesh.Mesh) -> list[ufl.Form]:
-    """An enriched element."""
-    cell = mesh.basix_cell()
-    parts = [basix.ufl.element("Lagrange", cell, 2), basix.ufl.element("Bubble", cell, 4)]
-    element = basix.ufl.blocked_element(basix.ufl.enriched_element(parts), shape=(3,))
-    V = dolfinx.fem.functionspace(mesh, element)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    return [ufl.inner(ufl.sym(ufl.grad(u)), ufl.grad(v)) * ufl.dx]
-
-
 BODIES: dict[str, Callable[[], list[ufl.Form]]] = {
     "P2-P0": lambda: artery(cube(3, 2), 2, ("DG", 0)),
     "P1-P0": lambda: artery(cube(3, 2), 1, ("DG", 0)),
     "Q2-P1": lambda: artery(curved(cube(3, 2, Cell.hexahedron)), 2, ("DPC", 1)),
     "P2-P1 in the plane": lambda: artery(cube(2, 3), 2, ("DG", 1)),
     "Q2-P0 in the plane": lambda: artery(curved(cube(2, 3, Cell.quadrilateral)), 2, ("DG", 0)),
-    "own residual": lambda: own(curved(cube(2, 3))),
-    "bubbles": lambda: bubbles(cube(3, 1)),
 }
 
 

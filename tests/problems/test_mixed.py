@@ -1,16 +1,13 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Mixed elements and block forms end in one message, and what it names works."""
+"""Mixed elements and block forms end in one message; what it names is in test_doors."""
 
 from __future__ import annotations
 
-from petsc4py import PETSc
-
 import pytest
-from collective import equal, raises
-from mixed import by_place
-from problems import Cell, cube, dirichlet, left
+from collective import raises
+from problems import Cell, cube
 
 import basix.ufl
 import dolfinx
@@ -18,7 +15,6 @@ import dolfinx.fem.petsc
 import ufl
 
 from dolfinx_feti import LinearProblem, NonlinearProblem
-from dolfinx_feti.comparison import create_solver
 
 MU, KAPPA = 1.0, 100.0
 
@@ -111,46 +107,3 @@ def test_one_message(way, text, cell):
     kind = TypeError if way in (linear_mixed, nonlinear_mixed, flux) else ValueError
     with raises(kind, f"(of|has) [23].*but only a problem on one continuous space is torn. {text}"):
         way(mesh)
-
-
-@pytest.mark.parametrize("linear", [False, True])
-def test_what_it_names_works(linear):
-    """With both classes, beside a direct solve of the mixed problem."""
-    mesh = cube(2, 4)
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
-    Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
-    u, p = dolfinx.fem.Function(V), dolfinx.fem.Function(Q)
-    bcs = [dirichlet(V, left)]
-    if linear:
-        W = ufl.MixedFunctionSpace(V, Q)
-        v, q = ufl.TestFunctions(W)
-        a = sum(rows(*ufl.TrialFunctions(W), v, q))
-        u = LinearProblem(a, load(v), bcs=bcs, condense=p).solve()
-    else:
-        v, q = ufl.TestFunction(V), ufl.TestFunction(Q)
-        F_u, F_p = rows(u, p, v, q)
-        NonlinearProblem([F_u - load(v), F_p], u, bcs=bcs, condense=p).solve()
-    equal(by_place(u), by_place(direct(mesh, V, Q)), 1e-5)
-
-
-def direct(mesh, V, Q):
-    """Solve for u and p together by dolfinx with MUMPS; return u."""
-    W = dolfinx.fem.functionspace(mesh, basix.ufl.mixed_element([V.ufl_element(), Q.ufl_element()]))
-    facets = dolfinx.mesh.locate_entities_boundary(mesh, 1, left)
-    dofs = dolfinx.fem.locate_dofs_topological((W.sub(0), V), 1, facets)
-    bc = dolfinx.fem.dirichletbc(dolfinx.fem.Function(V), dofs, W.sub(0))
-    v, q = ufl.TestFunctions(W)
-    a, L = sum(rows(*ufl.TrialFunctions(W), v, q)), load(v)
-    A = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(a), bcs=[bc])
-    A.assemble()
-    b = dolfinx.fem.petsc.assemble_vector(dolfinx.fem.form(L))
-    b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-    dolfinx.fem.petsc.set_bc(b, [bc])  # of the value 0: nothing to lift
-    ksp = create_solver(A)
-    w, x = dolfinx.fem.Function(W), b.duplicate()
-    ksp.solve(b, x)
-    w.x.array[: x.getLocalSize()] = x.array_r
-    w.x.scatter_forward()
-    for owned in (ksp, A, b, x):
-        owned.destroy()
-    return w.sub(0).collapse()

@@ -139,22 +139,10 @@ def bordered_newton(F, u, bcs, unknown, c, steps=12):
         rhs = np.append(
             np.where(free, -vector(r), 0.0), -COMM.allreduce(dolfinx.fem.assemble_scalar(c_form))
         )
-        M = PETSc.Mat().createAIJ((len(rhs), len(rhs)), comm=PETSc.COMM_SELF, nnz=len(rhs))
-        M.setValues(*[np.arange(len(rhs), dtype=np.int32)] * 2, np.block([[K, B[:, None]], [C, 0]]))
-        M.assemble()
-        ksp = PETSc.KSP().create(PETSc.COMM_SELF)
-        ksp.setOperators(M)
-        ksp.setType("preonly")
-        ksp.getPC().setType("lu")
-        ksp.getPC().setFactorSolverType("mumps")
-        x, b = M.createVecs()
-        b.array[:] = rhs
-        ksp.solve(b, x)
-        u.x.array[: len(held)] += x.array_r[first : first + len(held)]
+        x = np.linalg.solve(np.block([[K, B[:, None]], [C, 0]]), rhs)
+        u.x.array[: len(held)] += x[first : first + len(held)]
         u.x.scatter_forward()
-        unknown.value = unknown.value + x.array_r[-1]
-        for owned_object in (ksp, M, x, b):
-            owned_object.destroy()
+        unknown.value = unknown.value + x[-1]
 
 
 def compressible(ball):
