@@ -3,11 +3,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A small distributed system N x = b: a factor, or the inverse, spread over all processes.
 
-A solve is one collective call that gives b to all, and a number that each process adds to a sum.
-Each process takes its x from a factor of N: its own (``whole``), or that of its group of processes
-(``group``) where N may be indefinite or is too large, or the options name a solver. Up to
-:data:`SPREAD` rows of N for each process, its rows of the inverse take the place of its own factor:
-it reads K²/P numbers in a solve, not the entries of the factor twice.
+A solve gives b to all in one collective call, with a number that each process adds to a sum. Each
+process takes its x from a factor of N: that of its node (``whole``), or that of its group of
+processes (``group``) where N may be indefinite or is too large, or the options name a solver. The
+first process of a node solves for all of it, since they share one memory bus: the entries of the
+factor are read twice, whatever the number of processes. Up to :data:`SPREAD` rows of N for each
+process, its rows of the inverse solve, which it makes with a factor of its own: it reads K²/P
+numbers in a solve.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError
-from dolfinx_feti.feti.coarse.group import GroupFactor
+from dolfinx_feti.feti.coarse.group import GroupFactor, processes_of_node
 from dolfinx_feti.feti.coarse.whole import whole_factor
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
@@ -45,7 +47,7 @@ class GatheredSolver:
     """Direct solver for a matrix whose right-hand sides are gathered.
 
     Attributes:
-        factor: What solves on this process.
+        factor: What solves on this process, or on the first one of its node.
         inverse: Own rows of N⁻¹, (own rows, K), if they are formed.
     """
 
@@ -81,14 +83,16 @@ class GatheredSolver:
         self._is_b[np.cumsum(self._counts) - 1] = False  # the numbers that travel with b
         self._own = slice(*N.getOwnershipRange())
         self.inverse: Array | None = None
-        whole, rows = None, None
+        whole, rows, spread = None, None, total <= SPREAD * comm.size
+        self._node = MPI.COMM_SELF.Dup() if spread else processes_of_node(comm)
         try:
             if symmetric and counts is not None:
-                whole = whole_factor(N, counts, prefix=prefix, zero=zero)
-            if whole is not None and total <= SPREAD * comm.size:
+                whole = whole_factor(N, counts, self._node, prefix=prefix, zero=zero)
+            if whole is not None and spread:
                 rows = on_all(partial(self._rows_of_inverse, whole), comm)
             self.factor = whole or GroupFactor(N, prefix=prefix, symmetric=symmetric, zero=zero)
         except Exception as error:
+            self._node.Free()
             raise SetUpError(
                 f"The coarse problem could not be factored ({reason(error)}): look at the options "
                 f"-{prefix}…"
@@ -109,10 +113,18 @@ class GatheredSolver:
             if self.inverse is not None:
                 x.array[:] = self.inverse @ whole
             elif len(whole):
-                own = self._own
-                solved = deferred(lambda: self.factor.solve(whole)[own], own.stop - own.start)
-                x.array[:] = solved
+                x.array[:] = self._solve(whole)[self._own]
         return float(gathered[~self._is_b].sum())
+
+    def _solve(self, b: Array) -> Array:
+        """Return N⁻¹ b, (K,) → (K,). Collective."""
+        alone = isinstance(self.factor, FrontFactor)
+        x = np.empty_like(b)
+        if not alone or self._node.rank == 0:
+            x[:] = deferred(lambda: self.factor.solve(b), b.shape)
+        if alone:
+            self._node.Bcast(x)
+        return x
 
     def memory(self) -> float | None:
         """Return the memory of the factor in MiB; None if the solver has no figure. Collective."""
@@ -125,8 +137,9 @@ class GatheredSolver:
         """Say how it solves."""
         if self.inverse is not None:
             return f"inverse spread over {self._world.size} process(es)"
-        group = isinstance(self.factor, GroupFactor)
-        return str(self.factor) if group else "a factor on every process"
+        if isinstance(self.factor, GroupFactor):
+            return str(self.factor)
+        return f"a factor on every {self._node.size} process(es)"
 
     def pivots(self) -> Pivots:
         """Return how many pivots are negative and zero; None if not known. Collective."""
@@ -145,5 +158,6 @@ class GatheredSolver:
         return bool(self._world.allreduce(bool(condition <= CONDITION), op=MPI.LAND))
 
     def destroy(self) -> None:
-        """Free the factor."""
+        """Free factor and communicator."""
         self.factor.destroy()
+        self._node.Free()

@@ -10,6 +10,7 @@ leaves out pivots that are zero.
 
 from __future__ import annotations
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -25,7 +26,7 @@ from dolfinx_feti.feti.subdomain.factors.direct import (
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 from dolfinx_feti.runtime.collective import on_all
 
-__all__ = ["GroupFactor", "copy_of_rows"]
+__all__ = ["GroupFactor", "copy_of_rows", "processes_of_node"]
 
 Array = npt.NDArray[np.float64]
 
@@ -113,6 +114,11 @@ def _group(rank: int, processes: int, rows: int) -> int:
     """Return the group of a process: consecutive ones, with about ROWS rows each."""
     size = min(processes, max(1, -(-rows // ROWS)))
     return min(rank // size, processes // size - 1)
+
+
+def processes_of_node(comm: MPI.Comm) -> MPI.Comm:
+    """Return the communicator of the processes that share memory with this one. Collective."""
+    return comm.Split_type(MPI.COMM_TYPE_SHARED)
 
 
 def copy_of_rows(N: PETSc.Mat, rows: slice) -> PETSc.Mat:

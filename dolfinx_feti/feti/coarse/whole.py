@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""A factor of the whole coarse matrix N, (K, K), on every process: Cholesky's, by fronts.
+r"""A factor of the whole coarse matrix N, (K, K), on one process of a group: Cholesky's, by fronts.
 
 .. math:: N = U^⊤ U
 
@@ -38,23 +38,25 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 Numbers = npt.NDArray[np.int64]
 
-#: Most entries of a factor that each process has for itself: 512 MiB.
+#: Most entries of a factor that a process has for its group: 512 MiB.
 MOST = 2**26
 
 
 def whole_factor(
-    N: PETSc.Mat, counts: Numbers, *, prefix: str, zero: float | None
+    N: PETSc.Mat, counts: Numbers, group: MPI.Comm, *, prefix: str, zero: float | None
 ) -> FrontFactor | None:
-    """Factor a symmetric N on every process. Collective.
+    """Factor a symmetric N on the first process of each group. Collective.
 
     Args:
         N: Matrix, (K, K), distributed by subdomains.
         counts: Rows of each subdomain of this process.
+        group: Processes of which the first one factors.
         prefix: Options prefix of the coarse solver.
         zero: Multiple of the norm of N below which a pivot is zero; None for rounding.
 
     Returns:
-        The factor; None if N is not positive definite, or too large, or the options name a solver.
+        The factor, without entries where another process has them; None if N is not positive
+        definite, or too large, or the options name a solver.
 
     Raises:
         MemoryError: There is not enough memory; on all processes.
@@ -70,9 +72,12 @@ def whole_factor(
     if fronts.entries > MOST:
         return None
     least = (EPS * total if zero is None else zero) * N.norm(PETSc.NormType.INFINITY)
-    matrix = copy_of_rows(N, slice(0, total))
+    first = group.rank == 0
+    matrix = copy_of_rows(N, slice(0, total if first else 0))
 
     def factor() -> FrontFactor | None:
+        if not first:
+            return FrontFactor(fronts, np.zeros(0))
         with suppress(FactorError), rows_of(matrix) as of_N:
             factored = fronts.factor(of_N, np.empty(fronts.work))
             if factored is not None and factored[0].least_pivot() > least:

@@ -5,6 +5,9 @@
 
 from __future__ import annotations
 
+import contextlib
+
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -16,6 +19,7 @@ from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.coarse.whole import whole_factor
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor, Fronts
+from dolfinx_feti.runtime.collective import raise_deferred
 from dolfinx_feti.runtime.petsc_options import inserted
 
 SEED = 33107
@@ -174,7 +178,31 @@ def test_options_name_a_solver_in_place_of_the_whole_factor(distributed):
     N = distributed(random_definite(3 * COMM.size), 3)
     for option in ({"ksp_type": "cg"}, {"pc_type": "lu"}, {"pc_factor_mat_solver_type": "petsc"}):
         with inserted("test_coarse_", option):
-            agree(whole_factor(N, np.array([3]), prefix="test_coarse_", zero=None) is None)
+            how = {"prefix": "test_coarse_", "zero": None}
+            agree(whole_factor(N, np.array([3]), MPI.COMM_SELF, **how) is None)
+
+
+@pytest.mark.processes(1, 2, 3, 4, 8)
+@pytest.mark.parametrize("nodes", [1, 2, 3])
+def test_a_node_solves_with_one_factor_and_fails_with_it(nodes, distributed, monkeypatch):
+    """Nodes whose processes are not consecutive; all are of the machine that runs this."""
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.gathered.SPREAD", 0)
+    if nodes > 1:
+        split = "dolfinx_feti.feti.coarse.gathered.processes_of_node"
+        monkeypatch.setattr(split, lambda comm: comm.Split(comm.rank % nodes, comm.rank))
+    A = random_definite(3 * COMM.size)
+    N = distributed(A, 3)
+    solver = GatheredSolver(N, prefix="test_coarse_", symmetric=True, counts=np.array([1, 2]))
+    factors = COMM.allreduce(len(solver.factor.values) > 0)
+    agree(factors == min(nodes, COMM.size), factors)
+    agree(solver.memory() > 0.0 and solver.inverse is None)
+    found, expected = solved(solver, N, A)
+    equal(found, expected, 1e-12)
+    monkeypatch.setattr(FrontFactor, "solve", lambda *_: 1 / 0)
+    agree(bool(np.isnan(solved(solver, N, A)[0]).all()))
+    with contextlib.suppress(ZeroDivisionError):
+        raise_deferred()
+    solver.destroy()
 
 
 @pytest.mark.parametrize(("shift", "inertia"), [(0.0, (0, 1)), (-1.5, (3, 0)), (-10.0, (7, 0))])
