@@ -10,6 +10,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from mpi4py import MPI
@@ -22,25 +23,30 @@ from dolfinx_feti.fem import condensation
 from dolfinx_feti.runtime import native
 from dolfinx_feti.runtime.connectivity import load_graph_code
 
-TWICE = """
-void twice(int n, double *x) { for (int i = 0; i < n; ++i) x[i] *= 2.0; }
-"""
+
+@pytest.fixture
+def write(tmp_path, monkeypatch) -> Callable[[str, str], Path]:
+    """Write a source on the first process, into a folder that holds the cache, too."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+    def once(name: str, text: str) -> Path:
+        if COMM.rank == 0:
+            (tmp_path / name).write_text(text, encoding="utf-8")
+        COMM.barrier()
+        return tmp_path / name
+
+    return once
 
 
-def test_compiled_once_and_kept(tmp_path, monkeypatch):
+def test_compiled_once_and_kept(write, monkeypatch):
     """The first process compiles; a second call finds what is loaded, another run the file."""
-    folder = COMM.bcast(tmp_path)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
-    source = folder / "twice.c"
-    if COMM.rank == 0:
-        source.write_text(TWICE, encoding="utf-8")
-    COMM.barrier()
+    source = write("twice.c", "void twice(int n, double *x) { for (; n--;) x[n] *= 2.0; }")
     module = native.load(source, "void twice(int, double *);", COMM)
     x = np.arange(3.0)
     module.lib.twice(3, native.pointer(module, x))
     agree(np.array_equal(x, [0.0, 2.0, 4.0]))
     agree(native.load(source, "void twice(int, double *);", COMM) is module)
-    files = list((folder / "dolfinx_feti").iterdir())
+    files = list((source.parent / "dolfinx_feti").iterdir())
     agree(len(files) == 1 and files[0].name.startswith("twice_"))
     with monkeypatch.context() as patch:  # nothing is waited for, or read
         patch.setattr(native, "on_first", lambda *_: agree(False))
@@ -52,28 +58,18 @@ def test_compiled_once_and_kept(tmp_path, monkeypatch):
     agree(np.array_equal(x, [0.0, 4.0, 8.0]))
 
 
-def test_flags_are_part_of_the_name(tmp_path, monkeypatch):
+def test_flags_are_part_of_the_name(write, monkeypatch):
     """Code with further flags is another file, and they reach the compiler."""
-    folder = COMM.bcast(tmp_path)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
-    source = folder / "number.c"
-    if COMM.rank == 0:
-        source.write_text("int number(void) { return NUMBER; }", encoding="utf-8")
-    COMM.barrier()
+    source = write("number.c", "int number(void) { return NUMBER; }")
     for number in (4, 7):
         monkeypatch.setenv("DOLFINX_FETI_CFLAGS", f"-g0 '-DNUMBER={number}'")
         agree(native.load(source, "int number(void);", COMM).lib.number() == number)
-    agree(len(list((folder / "dolfinx_feti").iterdir())) == 2)
+    agree(len(list((source.parent / "dolfinx_feti").iterdir())) == 2)
 
 
-def test_code_that_does_not_compile(tmp_path, monkeypatch):
+def test_code_that_does_not_compile(write):
     """One error with the remedy, on all processes."""
-    folder = COMM.bcast(tmp_path)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
-    source = folder / "wrong.c"
-    if COMM.rank == 0:
-        source.write_text("void wrong(int n) { no C; }", encoding="utf-8")
-    COMM.barrier()
+    source = write("wrong.c", "void wrong(int n) { no C; }")
     with raises(RuntimeError, r"wrong\.c cannot be compiled \(.*CompileError.*XDG_CACHE_HOME"):
         native.load(source, "void wrong(int);", COMM)
 
@@ -118,25 +114,17 @@ def test_communicators_of_some_processes():
     agree(own in (None, module))
 
 
-def test_folder_that_cannot_be_written(tmp_path, monkeypatch):
+def test_folder_that_cannot_be_written(write, monkeypatch):
     """The code is compiled for this run."""
-    folder = COMM.bcast(tmp_path)
-    source = folder / "half.c"
-    if COMM.rank == 0:
-        source.write_text("int half(int n) { return n / 2; }", encoding="utf-8")
-        (folder / "file").touch()
-    COMM.barrier()
-    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "file"))
+    source = write("half.c", "int half(int n) { return n / 2; }")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(source))
     agree(native.load(source, "int half(int);", COMM).lib.half(8) == 4)
 
 
-def test_cache_of_another_processor(tmp_path, monkeypatch):
+def test_cache_of_another_processor(write, monkeypatch):
     """Its code has another name."""
-    folder = COMM.bcast(tmp_path)
-    source = folder / "one.c"
-    if COMM.rank == 0:
-        source.write_text("int one(void) { return 1; }", encoding="utf-8")
-    COMM.barrier()
+    source = write("one.c", "int one(void) { return 1; }")
+    folder = source.parent
     for text in ("model name: A\nflags: avx2", "model name: B\nflags: avx512f"):
         monkeypatch.setattr(native.Path, "read_text", reading(text))
         flags = native.processor_flags()
@@ -176,13 +164,10 @@ assert code.lib.three() == 3
     assert len(list((tmp_path / "dolfinx_feti").iterdir())) == 1
 
 
-def test_long_compilations_are_told(tmp_path, monkeypatch, caplog):
+def test_long_compilations_are_told(write, monkeypatch, caplog):
     """On the first process, with what is compiled and where it is kept; short ones are not."""
-    folder = COMM.bcast(tmp_path)
-    source = folder / "slow.c"
-    if COMM.rank == 0:
-        source.write_text("int slow(void) { return 5; }", encoding="utf-8")
-    COMM.barrier()
+    source = write("slow.c", "int slow(void) { return 5; }")
+    folder = source.parent
     compiled = native.cffi.FFI.compile
 
     def slowly(*arguments, **options):

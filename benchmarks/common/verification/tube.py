@@ -163,20 +163,8 @@ def line(record: Record) -> str:
 
 
 def fields(records: Sequence[Record]) -> Fields:
-    """Sort the records by case; ratios are those to the truth."""
-    names = ("u_r_inner", "thickness", "mean_J")
-    runs = []
-    for key, mine in groups(records, *CASE):
-        rows = [
-            r | {f"{name}_ratio": r[name] / r[f"{name}_exact"] for name in names if name in r}
-            for r in sorted(mine, key=lambda r: r["pressure_mmhg"])
-        ]
-        case = dict(zip(CASE, key, strict=True))
-        case["with_multipliers"] = ", multipliers" if case["augmented"] else ""
-        runs += [case | row for row in rows]
-    arrived = [run for run in runs if "error" not in run]
-    lost = [run for run in runs if "error" in run]
-    return {"runs": arrived, "lost": lost, "ways": [{"rows": _ways(records)}]}
+    """Return each way at the highest pressure, and where a run did not arrive."""
+    return {"lost": [r for r in records if "error" in r], "ways": [{"rows": _ways(records)}]}
 
 
 def _ways(records: Sequence[Record]) -> list[Fields]:
