@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises
-from hand_torn import random_values, softened, solve
+from hand_torn import random_values, softened, solve, unsymmetric
 from problems import cube, elasticity, owned, poisson
 
 import dolfinx
@@ -25,6 +25,7 @@ SEED = 6174
 Reason = PETSc.KSP.ConvergedReason
 
 GRID = {"subdomains": (2, 2), "cells": (3, 3), "components": 2}
+WIDE = {**GRID, "subdomains": (3, 2)}
 
 
 def attempt(ksp, problem, values=None):
@@ -258,3 +259,34 @@ def test_nan_coefficient_raises_and_leaves_u(solve):
     factor.value = 2.0
     linear.solve()
     agree(linear.solver.getConvergedReason() > 0)
+
+
+# ---- what the coarse fields prove of the assembled matrix -----------------------------------
+
+
+every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+every_interior = pytest.mark.parametrize("interior", ["keep", "eliminate"])
+
+
+@every_type
+@every_interior
+@pytest.mark.parametrize("share", [0.0, 0.002, 0.004, 0.01, 0.05, 0.2])
+def test_what_is_proved_is_there(kind, interior, share, torn_grid, parts):
+    """Never more negative eigenvalues than A has, and some wherever it has many."""
+    problem = torn_grid(change=softened(share), **WIDE)
+    there = np.count_nonzero(np.linalg.eigvalsh(problem.free_matrix) < 0.0)
+    for pc_type in ("dirichlet", "lumped", "identity"):
+        system = parts(problem.A, type=kind, interior=interior, pc_type=pc_type)
+        proved = system.inertia.assembled
+        if proved is None:  # K_II is factored for the Dirichlet preconditioner, or eliminated
+            agree(interior == "keep" and pc_type != "dirichlet" and share > 0.0)
+            continue
+        agree(0 <= proved <= there, (proved, there))
+        agree(proved > 0 or there <= 1 or pc_type != "dirichlet", (proved, there))
+        agree(share > 0.0 or system.inertia.dual == 0)
+
+
+@every_type
+def test_unsymmetric_matrix_has_no_inertia(kind, torn_grid, parts):
+    problem = torn_grid(change=unsymmetric(0.01), **WIDE)
+    agree(parts(problem.A, type=kind).inertia.assembled is None)

@@ -17,6 +17,8 @@ from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.runtime.petsc_options import inserted
 
 SEED = 101013
+GRID = {"subdomains": (3, 2), "cells": (3, 3), "components": 2}
+Reason = PETSc.KSP.ConvergedReason
 
 
 # ---- a solver of PETSc ----------------------------------------------------------------------
@@ -39,7 +41,7 @@ def test_type_from_the_command_line(torn_grid):
         ksp.setUp()
     values = random_values(problem)
     reason, x = solve(ksp, problem, values)
-    agree(reason == PETSc.KSP.ConvergedReason.CONVERGED_RTOL)
+    agree(reason == Reason.CONVERGED_RTOL)
     equal(x, problem.solve(values), 1e-7)
     agree(ksp.getPythonContext().report().options.pc_type == "lumped")
     agree(ksp.getTolerances()[0] == 1e-9)
@@ -274,7 +276,7 @@ def test_symmetry_is_looked_at_after_a_failed_set_up(torn_grid, feti):
     keep = problem.local.copy()
     problem.local.scale(np.nan)
     reason, _ = solve(ksp, problem, values)
-    agree(reason == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED)
+    agree(reason == Reason.DIVERGED_PCSETUP_FAILED)
     rows = problem.local.getSize()[0]
     keep.copy(problem.local, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
     weight = problem.local.createVecLeft()
@@ -305,3 +307,70 @@ def test_advice_is_that_of_the_form(formulation, torn_grid, feti, cautious):
     agree(reason < 0)
     advice = {"dual": "feti_dual_ksp_type gmres", "primal": "feti_formulation dual"}
     agree(advice[formulation] in ksp.getPythonContext().message, ksp.getPythonContext().message)
+
+
+# ---- who decides when a solve ends ----------------------------------------------------------
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_a_tolerance_set_by_hand_stays(before, torn_grid):
+    """Before the type, PETSc's default 1e-5 cannot be told from the same number set by hand."""
+    ksp = PETSc.KSP().create(COMM)
+    ksp.setOperators(torn_grid((2,), (2,)).A)
+    if before:
+        ksp.setTolerances(rtol=1e-6)
+    ksp.setType(PETSc.KSP.Type.PYTHON)
+    ksp.setPythonContext(FETI())
+    if not before:
+        agree(ksp.getTolerances()[0] == 1e-8)
+        ksp.setTolerances(rtol=1e-5)
+    ksp.setUp()
+    agree(ksp.getTolerances()[0] == (1e-6 if before else 1e-5), ksp.getTolerances())
+    ksp.destroy()
+
+
+def test_the_users_monitor_of_the_dual_method_stays(torn_grid, feti, tmp_path):
+    """It sees every solve, also where the user's own tolerance decides."""
+    problem, file = torn_grid(**GRID), tmp_path / "monitor"
+    ksp = feti(problem.A, feti_dual_ksp_rtol=1e-6, feti_dual_ksp_monitor=f"ascii:{file}::append")
+    counts = []
+    for seed in (1, 2):
+        solve(ksp, problem, random_values(problem, seed))
+        COMM.Barrier()
+        counts.append(file.read_text().count("KSP Residual norm"))
+    agree(0 < counts[0] < counts[1], counts)
+
+
+def test_the_outer_limit_of_iterations_holds_with_a_dual_tolerance(torn_grid, feti):
+    problem = torn_grid(**GRID)
+    ksp = feti(problem.A, feti_dual_ksp_rtol=1e-12, ksp_max_it=3, feti_coarse_q="identity")
+    reason, _ = solve(ksp, problem, random_values(problem))
+    agree(reason == Reason.DIVERGED_MAX_IT and ksp.getIterationNumber() == 3, reason)
+
+
+@pytest.mark.parametrize("scale", [1e-8, 1.0, 1e8])
+def test_minres_is_judged_by_its_own_norm(scale, torn_grid, feti):
+    """It is the preconditioned one: it says nothing about whether the jump is what it should be."""
+    problem = torn_grid(stiffness=lambda i: scale * 100.0 ** (i % 2), **GRID)
+    counts = {}
+    for method in ("cg", "minres"):
+        ksp = feti(problem.A, feti_dual_ksp_type=method, feti_scaling="multiplicity")
+        reason, _ = solve(ksp, problem, random_values(problem))
+        agree(reason > 0, ksp.getPythonContext().message)
+        counts[method] = ksp.getIterationNumber()
+    agree(counts["minres"] <= counts["cg"] + 3, counts)
+
+
+def test_a_matrix_that_changes_on_one_process_is_noticed_on_all(torn_grid, feti):
+    """On the last process only; a process that saw no change would leave the others waiting."""
+    problem = torn_grid((6, 2), (1, 1), components=2)
+    values = random_values(problem)
+    ksp = feti(problem.A, ksp_rtol=1e-11)
+    solve(ksp, problem, values)
+    if COMM.rank == COMM.size - 1:
+        problem.local.scale(3.0)
+    for i, K in enumerate(problem.K):
+        K *= 3.0 if i * COMM.size // len(problem.K) == COMM.size - 1 else 1.0
+    reason, x = solve(ksp, problem, values)
+    agree(reason > 0, ksp.getPythonContext().message)
+    equal(x, problem.solve(values), 1e-9)
