@@ -95,7 +95,7 @@ def collect_figures(form: Form, report: Report) -> Figures:
     torn, modes = form.pattern.torn, form.modes
     comm = torn.comm
     sizes = join([len(dofs) for dofs in torn.subdomains], comm)
-    copies = _copies(torn)
+    copies = torn.tear(torn.multiplicity())
     on_interface = join([np.mean(copies[dofs] > 1) for dofs in torn.subdomains], comm)
     counts = np.bincount(torn.multiplicity(), minlength=1)
     length = comm.allreduce(len(counts), op=MPI.MAX)
@@ -135,18 +135,9 @@ def residual_shares(A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> Array:
     with Lifetime() as owned:
         torn, r = owned.own(Torn(A)), owned.own(b.duplicate())
         torn.residual(b, x, r)
-        squares = torn.tear(r) ** 2 / _copies(torn)
+        squares = torn.tear(r.array_r) ** 2 / torn.tear(torn.multiplicity())
         parts = join([squares[dofs].sum() for dofs in torn.subdomains], torn.comm)
     return np.sqrt(parts)
-
-
-def _copies(torn: Torn) -> Array:
-    """Return the number of copies of each torn dof, (n,)."""
-    vector = torn.A.createVecRight()
-    vector.array[:] = torn.multiplicity()
-    copies = torn.tear(vector)
-    vector.destroy()
-    return copies
 
 
 def _jump(torn: Torn) -> float:

@@ -220,14 +220,14 @@ class _Springs:
         chosen = on_all(lambda: _pivots(np.vstack(candidates), k), comm)
         place = np.flatnonzero((chosen >= last - len(own)) & (chosen < last))
         self._dofs = own[chosen[place] - (last - len(own))]
-        stiffness = _torn(torn, torn.assemble(torn.stiffness()))
+        stiffness = torn.tear(torn.assemble(torn.stiffness()))
         E, κ = np.zeros((torn.n, k)), np.zeros(k)
         E[self._dofs, place] = 1.0
         κ[place] = self._own = stiffness[self._dofs]
         self._κ = comm.allreduce(κ)
         self._E = _assembled(torn, E)
         held = comm.allreduce(E.T @ W)  # Eᵀ W
-        share = 1.0 / _torn(torn, torn.multiplicity())
+        share = 1.0 / torn.tear(torn.multiplicity())
         self.start = -_assembled(torn, share[:, None] * W) @ np.linalg.inv(held) / self._κ
 
     def add(self, A: PETSc.Mat) -> None:
@@ -255,7 +255,7 @@ def _free_motions(torn: Torn) -> Array:
         for b, dimension in enumerate(rigid.dimensions)
         for j in range(dimension)
     ]
-    W = np.reshape(columns, (-1, torn.n)).T
+    W = np.array(columns).reshape(len(columns), torn.n).T
     largest = np.max(torn.comm.allgather(np.abs(W).max(axis=0, initial=0.0)), axis=0)
     return np.asarray(W / largest)
 
@@ -270,16 +270,7 @@ def _pivots(X: Array, k: int) -> npt.NDArray[np.int64]:
 
 def _assembled(torn: Torn, X: Array) -> Array:
     """Return the sums of the copies of each column, (n, k) → (owned, k). Collective."""
-    return np.reshape([torn.assemble(x) for x in X.T], (-1, torn.owned)).T
-
-
-def _torn(torn: Torn, values: npt.NDArray[np.number]) -> Array:
-    """Return the copies of owned values, (owned,) → (n,). Collective."""
-    x = torn.A.createVecRight()
-    x.array[:] = values
-    copies = torn.tear(x)
-    x.destroy()
-    return copies
+    return np.array([torn.assemble(x) for x in X.T]).reshape(X.shape[1], torn.owned).T
 
 
 def _free(A: PETSc.Mat) -> npt.NDArray[np.bool_]:

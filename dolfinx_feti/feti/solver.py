@@ -278,7 +278,7 @@ class FETI:
         x.set(0.0)
         if not np.isfinite(b.norm()):
             return self._judged(Solution(Reason.DIVERGED_NANORINF), form, enough=False)
-        u_D = np.where(torn.dirichlet, torn.tear(b), 0.0)
+        u_D = np.where(torn.dirichlet, torn.tear(b.array_r), 0.0)
         x.array[:] = torn.assemble(delta * u_D)  # x_D
         torn.residual(b, x, r)
         scale = r.norm()

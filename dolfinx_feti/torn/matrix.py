@@ -279,9 +279,9 @@ class Torn:
         Y.destroy()
         return y
 
-    def tear(self, x: PETSc.Vec) -> Array:
-        """Copy an assembled vector to the subdomains, :math:`T x`, (n,)."""
-        torn, root = np.zeros(self.n), np.ascontiguousarray(x.array_r)
+    def tear(self, x: npt.NDArray[np.number]) -> Array:
+        """Copy the owned values of an assembled vector, (owned,), to the subdomains, T x, (n,)."""
+        torn, root = np.zeros(self.n), np.ascontiguousarray(x, dtype=np.float64)
         self._sf.bcastBegin(MPI.DOUBLE, root, torn, MPI.REPLACE)
         self._sf.bcastEnd(MPI.DOUBLE, root, torn, MPI.REPLACE)
         return torn  # T x
@@ -295,7 +295,7 @@ class Torn:
 
     def residual(self, b: PETSc.Vec, x: PETSc.Vec, r: PETSc.Vec) -> None:
         """Let r be b − A x, (N,), zero on Dirichlet dofs. Collective."""
-        force = self.multiply(self.tear(x))
+        force = self.multiply(self.tear(x.array_r))
         free = self.assemble(self.dirichlet.astype(np.float64)) < 0.5
         r.array[:] = np.where(free, b.array_r - self.assemble(force), 0.0)  # b − Tᵀ K T x
 
@@ -318,7 +318,7 @@ class Torn:
             SetUpError: None is attached and the matrix is blocked.
         """
         space = self.A.getNearNullSpace()
-        modes = [self.tear(mode) for mode in space.getVecs()] if space.handle else []
+        modes = [self.tear(mode.array_r) for mode in space.getVecs()] if space.handle else []
         modes += [np.ones(self.n)] if space.handle and space.hasConstant() else []
         if not modes and self.A.getBlockSize() > 1:
             raise SetUpError(
@@ -337,11 +337,8 @@ class Torn:
         x = points.array_r.reshape(self.owned // bs, -1) if self.owned else np.zeros((0, 0))
         dim = self.comm.allreduce(x.shape[1], op=MPI.MAX)
         torn = np.zeros((self.n, dim))
-        vector = self.A.createVecRight()
         for j in range(dim):
-            vector.array[:] = np.repeat(x[:, j], bs) if self.owned else 0.0
-            torn[:, j] = self.tear(vector)
-        vector.destroy()
+            torn[:, j] = self.tear(np.repeat(x[:, j], bs) if self.owned else np.zeros(0))
         return torn
 
     def diagonal(self) -> Array:
@@ -374,7 +371,7 @@ class Torn:
             indices = dofs.getIndices()
             mark.setValues(indices, np.ones(len(indices)))
         mark.assemble()
-        mask = self.tear(mark) > 0.5
+        mask = self.tear(mark.array_r) > 0.5
         mark.destroy()
         return mask
 

@@ -55,7 +55,7 @@ def null_space(torn: Torn) -> Array:
 def _checked(torn: Torn, modes: list[PETSc.Vec]) -> Array:
     """Return orthonormal null vectors of A on the torn dofs, (n, k); see :func:`null_space`."""
     comm = torn.comm
-    Z = np.array([torn.tear(mode) for mode in modes]).reshape(len(modes), torn.n).T
+    Z = np.array([torn.tear(mode.array_r) for mode in modes]).reshape(len(modes), torn.n).T
     if not modes:
         return Z
     gram = np.array([[first.dot(second) for first in modes] for second in modes])

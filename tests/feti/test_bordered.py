@@ -109,7 +109,8 @@ def test_nearly_singular(form, distance, torn_grid, feti):
 
 @forms
 @pytest.mark.parametrize("rolls", [False, True])
-def test_floating_body(form, rolls, torn_grid, feti):
+@pytest.mark.parametrize("grid", [(3, 2), (1, 1)], ids=["", "processes without dofs"])
+def test_floating_body(grid, form, rolls, torn_grid, feti):
     """No condition, or one on a component; mean values and a rotation fix the rest."""
 
     def fixed(x):
@@ -117,7 +118,7 @@ def test_floating_body(form, rolls, torn_grid, feti):
         mask[:, 0] = rolls & (x[:, 0] == 0.0)
         return mask
 
-    problem = torn_grid(fixed=fixed, **GRID)
+    problem = torn_grid(fixed=fixed, **{**GRID, "subdomains": grid})
     modes = problem.modes[:, 1:2] if rolls else problem.modes
     B = np.where(problem.dirichlet[:, None], 0.0, modes)
     m = B.shape[1]

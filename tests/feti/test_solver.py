@@ -78,7 +78,7 @@ def test_multipliers_and_displacements_are_those_of_the_dense_reference(
     system = parts(problem.A, type=kind)
     torn, gluing = system.torn, system.pattern.gluing
     b = problem.vector(random_values(problem))
-    u_D = np.where(torn.dirichlet, torn.tear(b), 0.0)
+    u_D = np.where(torn.dirichlet, torn.tear(b.array_r), 0.0)
     f, c = load(system, b, u_D), gluing.gap(u_D)
     pair, rest = balanced_start(system, f, c)
     target = 1e-12 * b.norm()

@@ -221,7 +221,7 @@ def load(form: DualForm, r: PETSc.Vec, u_D: Array) -> Array:
     right.
     """
     torn = form.torn
-    f = form.delta * torn.tear(r)
+    f = form.delta * torn.tear(r.array_r)
     f -= torn.multiply(np.where(form.pattern.dofs.fixed, u_D, 0.0))
     f[torn.dirichlet] = 0.0
     return f

@@ -122,17 +122,15 @@ def _pairs(torn: Torn, dofs: Indices) -> tuple[Indices, Numbers]:
     number[torn.dirichlet] = -1.0
     gathered, degree = torn.gather(number), torn.multiplicity()
     first = np.cumsum(degree) - degree
-    root = torn.A.createVecRight()
     rows: list[npt.NDArray[np.integer]] = [np.zeros(0, dtype=np.int64)]
     copies: list[npt.NDArray[np.integer]] = [np.zeros(0, dtype=np.int64)]
     for c in range(torn.comm.allreduce(int(degree.max(initial=0)), op=MPI.MAX)):
         has = degree > c
-        root.array[:] = -1.0
-        root.array[has] = gathered[first[has] + c]
+        root = np.full(torn.owned, -1.0)
+        root[has] = gathered[first[has] + c]
         copy = torn.tear(root)[dofs]  # copy c of each dof
         rows.append(np.flatnonzero((copy >= 0.0) & (number[dofs] >= 0.0)))
         copies.append(copy[rows[-1]].astype(np.int64))
-    root.destroy()
     row = np.concatenate(rows)
     order = np.argsort(row, kind="stable")
     return row[order].astype(np.int32), np.concatenate(copies)[order].astype(np.int64)

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["Gluing", "sum_over_copies"]
+__all__ = ["Gluing"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -47,7 +47,7 @@ class Gluing:
         self._ids = ids[self._pairs]
         self._start = torn.start
         self.B = self.create_jumps(torn, self._signs)
-        several = (sum_over_copies(torn, np.ones(torn.n)) > 1.5) & ~torn.dirichlet
+        several = (torn.tear(torn.multiplicity()) > 1.0) & ~torn.dirichlet
         self.glued = np.flatnonzero(several | constrained).astype(np.int32)
 
     def create_jumps(self, torn: Torn, values: Array) -> PETSc.Mat:
@@ -75,15 +75,6 @@ class Gluing:
     def destroy(self) -> None:
         """Free the matrix."""
         self.B.destroy()
-
-
-def sum_over_copies(torn: Torn, t: Array) -> Array:
-    """Sum over the copies of each dof and hand the sum back to every copy, T Tᵀ t. Collective."""
-    x = torn.A.createVecRight()
-    x.array[:] = torn.assemble(t)
-    total = torn.tear(x)
-    x.destroy()
-    return total
 
 
 def _pairs(torn: Torn) -> Integers:

@@ -19,7 +19,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.feti.gluing.jump import Gluing, sum_over_copies
+from dolfinx_feti.feti.gluing.jump import Gluing
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Weights", "create_weights"]
@@ -49,7 +49,7 @@ class Weights:
 
 def create_weights(torn: Torn, gluing: Gluing, k: Array) -> Weights:
     """Weigh the copies of each dof by stiffnesses k ≥ 0, (n,). Collective."""
-    total = sum_over_copies(torn, k)
+    total = torn.tear(torn.assemble(k))
     k = np.where(total > 0.0, np.maximum(k, LEAST * total), 1.0)  # no share is zero
-    delta = np.asarray(k / sum_over_copies(torn, k))  # δᵢ = kᵢ / Σⱼ kⱼ
+    delta = np.asarray(k / torn.tear(torn.assemble(k)))  # δᵢ = kᵢ / Σⱼ kⱼ
     return Weights(delta, gluing.create_jumps(torn, gluing.scaled(torn.gather(delta))))

@@ -169,7 +169,7 @@ class PrimalForm:
         negative curvature in the coarse space is no obstacle.
         """
         torn, Γ = self.pattern.torn, self.preconditioner.copies.dofs
-        f = self.delta * torn.tear(r) - torn.multiply(u_D)
+        f = self.delta * torn.tear(r.array_r) - torn.multiply(u_D)
         f[torn.dirichlet] = 0.0  # f = δ T r − K u_D
         with event("FETIIterations"):
             iterate = partial(conjugate_gradients, saddles=saddles)

@@ -67,12 +67,8 @@ class ScaledOperator:
     def __init__(self, torn: Torn) -> None:
         """Sum the diagonal. Collective."""
         self._torn = torn
-        vector = torn.A.createVecRight()
-        vector.array[:] = torn.assemble(np.abs(torn.diagonal()))
-        d = torn.tear(vector)
-        vector.array[:] = 1.0 / torn.multiplicity()
-        self.share = np.sqrt(torn.tear(vector))
-        vector.destroy()
+        d = torn.tear(torn.assemble(np.abs(torn.diagonal())))
+        self.share = np.sqrt(torn.tear(1.0 / torn.multiplicity()))
         mean = torn.comm.allreduce(d.sum()) / max(torn.comm.allreduce(torn.n), 1)
         self.root = np.sqrt(np.where(d > 0.0, d, mean or 1.0))
 
@@ -83,11 +79,8 @@ class ScaledOperator:
     def forces(self, X: Array) -> Array:
         r"""Return rows whose norms are those of :math:`\hat A \hat r`, (n, k). Collective."""
         torn, image = self._torn, np.empty_like(X)
-        vector = torn.A.createVecRight()
         for j in range(X.shape[1]):
-            vector.array[:] = torn.assemble(torn.multiply(X[:, j]))
-            image[:, j] = torn.tear(vector)
-        vector.destroy()
+            image[:, j] = torn.tear(torn.assemble(torn.multiply(X[:, j])))
         image[torn.dirichlet] = 0.0
         return image * (self.share / self.root)[:, None]
 

@@ -113,13 +113,18 @@ def require_regular(
     rigid = free_motions(torn, bodies, near_kernel, definite=definite)
     growth, error = _growth_and_error(N, solver)
     others = np.zeros((torn.n, 0))
+
+    def averaged(s: Array) -> Array:
+        """Return E s with its copies averaged, completed inside, zero on Dirichlet dofs."""
+        w = torn.tear(torn.assemble(delta * prolong(s)))
+        w = extend(np.where(torn.dirichlet, 0.0, w), np.zeros(torn.n))
+        return np.where(torn.dirichlet, 0.0, w)
+
     sound = growth <= SUSPICIOUS_GROWTH and error <= BACKWARD
     most, known = rigid.total + SPARE, rigid.known
     while N.getSize()[0] and not (known and sound) and most <= MOST:
         S = _null_vectors(N, most, symmetric=symmetric, prefix=prefix)
-        W = _averaged(torn, [delta * prolong(s) for s in S.T])
-        for w in W.T:
-            w[:] = np.where(torn.dirichlet, 0.0, extend(w, np.zeros(torn.n)))
+        W = np.array([averaged(s) for s in S.T]).reshape(S.shape[1], torn.n).T
         others = _unresisted(W, rigid)
         if others.shape[1] < SPARE or most >= N.getSize()[0]:
             break
@@ -228,16 +233,6 @@ def _null_vectors(N: PETSc.Mat, count: int, *, symmetric: bool, prefix: str) -> 
     for owned in (solver, shifted, b, x):
         owned.destroy()
     return X / root[:, None]
-
-
-def _averaged(torn: Torn, columns: list[Array]) -> Array:
-    """Sum the copies of weighted fields, zero on Dirichlet dofs, (n, number). Collective."""
-    W, vector = np.zeros((torn.n, len(columns))), torn.A.createVecRight()
-    for w, column in zip(W.T, columns, strict=True):
-        vector.array[:] = torn.assemble(column)
-        w[:] = np.where(torn.dirichlet, 0.0, torn.tear(vector))
-    vector.destroy()
-    return W
 
 
 def _unresisted(W: Array, rigid: Motions) -> Array:
