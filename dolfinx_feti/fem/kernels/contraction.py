@@ -5,6 +5,8 @@ r"""From the factors at quadrature points to the entries of a cell, in C.
 
 .. math:: r[ai] = \sum_{q J} P_q[iJ]\, ∂_J φ_a, \qquad
           K[ai, bk] = \sum_{q L} \Bigl(\sum_J A_q[iJ, kL]\, ∂_J φ_a\Bigr)\, ∂_L φ_b.
+
+Where A_st and A_ts are one value of the tape for all slots, K is symmetric: one half is copied.
 """
 
 from __future__ import annotations
@@ -73,12 +75,12 @@ def _matrix(factors: Factors, values: Sequence[int], first: int, width: int) -> 
     for t, (i, column) in enumerate(halves):
         basis = column.basis("b")
         wholes.setdefault((i, column.component), []).append(f"T[{t}][q - start] * {basis}")
-    square = v.element == u.element and v.block == u.block
-    lines = ["{", f"const int half = {_symmetry(factors, values) if square else 0};"]
-    lines += [f"for (int a = 0; a < N{v.element}; ++a) {{", f"V T[{len(halves)}][POINTS];"]
+    known = {slots: values[i] for slots, i in factors.items()}
+    half = all(known.get((u, v)) == value for (v, u), value in known.items())
+    lines = ["{", f"for (int a = 0; a < N{v.element}; ++a) {{", f"V T[{len(halves)}][POINTS];"]
     lines.append("for (int q = start; q < start + POINTS; ++q) {")
     lines += [f"T[{t}][q - start] = {' + '.join(p)};" for t, p in enumerate(halves.values())]
-    lines += ["}", f"for (int b = half ? a : 0; b < N{u.element}; ++b) {{"]
+    lines += ["}", f"for (int b = {'a' if half else '0'}; b < N{u.element}; ++b) {{"]
     lines += [f"V s{j} = {{0.0}};" for j in range(len(wholes))]
     lines.append("for (int q = start; q < start + POINTS; ++q) {")
     lines += [f"s{j} += {' + '.join(p)};" for j, p in enumerate(wholes.values())]
@@ -86,24 +88,9 @@ def _matrix(factors: Factors, values: Sequence[int], first: int, width: int) -> 
     for j, (i, k) in enumerate(wholes):
         at, to = f"a * {v.block} + {i}", f"b * {u.block} + {k}"
         lines.append(f"entries[{first} + ({at}) * {width} + {to}] += s{j};")
-        if square:
-            lines.append(f"if (half && a != b) entries[{first} + ({to}) * {width} + {at}] += s{j};")
+        if half:
+            lines.append(f"if (a != b) entries[{first} + ({to}) * {width} + {at}] += s{j};")
     return [*lines, "}", "}", "}"]
-
-
-def _symmetry(factors: Factors, values: Sequence[int]) -> str:
-    """Return the question whether A_st = A_ts at all points, to rounding."""
-    pairs = []
-    for (v, u), i in factors.items():
-        j = factors.get((u, v))
-        if j is None:
-            return "0"
-        if i < j and values[i] != values[j]:
-            pairs.append((i, j, factors.get((v, v), -1), factors.get((u, u), -1)))
-    if not pairs:
-        return "1"
-    array = f"(const int[][4]){braces(pairs)}"
-    return f"symmetric(POINTS, COLUMNS, A[0] + start, {len(pairs)}, {array})"
 
 
 def braces(values: object) -> str:

@@ -70,44 +70,6 @@ __attribute__((unused)) static inline void gradients(int n, int d, const double 
         UNROLL for (int j = 0; j < (bs) * (d); ++j) (H)[j * COLUMNS] = sum[j]; \
     } while (0)
 
-static V v_fabs(V x) { return choose(x < 0.0, -x, x); }
-
-static V v_sqrt(V x)
-{
-    for (int l = 0; l < LANES; ++l) x[l] = sqrt(x[l]);
-    return x;
-}
-
-// The greatest |a| at all points.
-static V greatest(int points, const V *a)
-{
-    V most = {0.0};
-    for (int q = 0; q < points; ++q) {
-        const V x = v_fabs(a[q]);
-        most = choose(x > most, x, most);
-    }
-    return most;
-}
-
-// Whether A_st = A_ts, to rounding, for n pairs of the factors, (·, columns). A pair names A_st,
-// A_ts, A_ss, A_tt, or -1 for a factor that is zero: rounding errors are a share of |A_st| or of
-// |A_ss A_tt|^½, which have one unit, whatever the units of the slots s and t.
-__attribute__((unused)) static int symmetric(int points, int columns, const V *A, int n,
-                                             const int (*pair)[4])
-{
-    for (int i = 0; i < n; ++i, ++pair) {
-        const V *const a = A + (*pair)[0] * columns, *const b = A + (*pair)[1] * columns;
-        V difference = {0.0}, size = greatest(points, a);
-        for (int q = 0; q < points; ++q) difference += v_fabs(a[q] - b[q]);
-        if ((*pair)[2] >= 0 && (*pair)[3] >= 0)
-            size += v_sqrt(greatest(points, A + (*pair)[2] * columns)) *
-                    v_sqrt(greatest(points, A + (*pair)[3] * columns));
-        for (int l = 0; l < LANES; ++l)
-            if (!(difference[l] <= 64 * DBL_EPSILON * size[l])) return 0;
-    }
-    return 1;
-}
-
 // The code that kernel.py generates has its place here: NODES of a cell's geometry in GDIM
 // dimensions; a number of COEFFICIENTS, with NODES_OF a cell and BLOCK_OF components; FORMS, each of
 // which begins at FIRST among the SIZE entries of a cell; dofs in a BLOCK_OF_ROWS of the first form;

@@ -10,9 +10,9 @@ processor does in one to four instructions, and a tangent is contracted in two s
           K[ai, bk] = \sum_{q L} T_{qa}[i, kL]\, ∂_L φ_b,
 
 with the factors A_q at the quadrature points (``integrand``), weighted, and gradients in the
-reference configuration. Where A_q is symmetric at all points of eight cells, to rounding, K is, and
-one half is copied. Many points are visited a few at a time, which bounds what they take of the
-stack; where a rule has few, several groups of eight cells are visited at once.
+reference configuration. One half of a K that has a potential is copied (``contraction``). Many
+points are visited a few at a time, which bounds what they take of the stack; where a rule has few,
+several groups of eight cells are visited at once.
 
 Values agree with dolfinx's to rounding, and what is no number there is none here.
 

@@ -2,7 +2,6 @@
 //
 // SPDX-License-Identifier: LGPL-3.0-or-later
 
-#include <float.h>
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
