@@ -16,10 +16,8 @@ import dolfinx
 import ufl
 
 __all__ = [
-    "check_bcs",
     "check_condensed",
-    "check_linear_forms",
-    "check_nonlinear_forms",
+    "check_forms",
     "check_scalar_type",
     "check_space",
 ]
@@ -66,53 +64,28 @@ def check_space(V: dolfinx.fem.FunctionSpace) -> None:
         )
 
 
-def check_linear_forms(a: ufl.Form, L: ufl.Form, u: dolfinx.fem.Function | None) -> None:
-    """Require a bilinear a and a linear L on one space, and u, if given, in it.
+def check_forms(V: dolfinx.fem.FunctionSpace | None, **forms: tuple[ufl.Form, int]) -> None:
+    """Require forms of given ranks whose arguments are on one space.
+
+    Args:
+        V: Space of the unknown; None if a form without arguments leaves it open.
+        forms: Each form and its rank, by the name of the argument.
 
     Raises:
-        ValueError: Another number of arguments, or more than one space.
+        ValueError: Another number of arguments, or another space.
     """
-    for name, form, rank in (("a", a, 2), ("L", L, 1)):
-        if len(form.arguments()) != rank:
-            raise ValueError(
-                f"{name} has {len(form.arguments())} test and trial functions, but takes {rank}: "
-                "a(u, v) is bilinear, L(v) linear."
-            )
-    V = a.arguments()[0].ufl_function_space()
-    named = {
-        "a has test and trial functions": a.arguments()[1].ufl_function_space(),
-        "L has a test function": L.arguments()[0].ufl_function_space(),
-        "u lives": V if u is None else u.function_space,
-    }
-    for what, space in named.items():
-        if space._cpp_object != V._cpp_object:
-            raise ValueError(
-                f"{what} on another function space than the test function of a: use one space V."
-            )
-
-
-def check_nonlinear_forms(F: ufl.Form, J: ufl.Form, u: dolfinx.fem.Function) -> None:
-    """Require a residual F(u; v) and a bilinear J on the space of u.
-
-    Raises:
-        ValueError: Another number of arguments, another space, or an F without u.
-    """
-    for name, form, rank in (("F", F, 1), ("J", J, 2)):
+    for name, (form, rank) in forms.items():
         arguments = form.arguments()
         if len(arguments) != rank:
             raise ValueError(
-                f"{name} has {len(arguments)} test and trial functions, but takes {rank}: the "
-                "residual F(u; v) is linear in v, its tangent J bilinear."
+                f"{name} has {len(arguments)} test and trial functions, but takes {rank}: a and J "
+                "are bilinear, L and the residual F are linear in v."
             )
-        if any(a.ufl_function_space() != u.function_space for a in arguments):
+        if any(a.ufl_function_space() != V for a in arguments):
             raise ValueError(
-                f"{name} has a test or trial function on another function space than u: take it "
-                "from u.function_space."
+                f"{name} has a test or trial function on another function space than u: take all "
+                "from one space V, that of u if it is given."
             )
-    if u not in F.coefficients():
-        raise ValueError(
-            f"The unknown '{u.name}' does not occur in F: pass the Function that F is written in."
-        )
 
 
 def check_condensed(fields: Sequence[dolfinx.fem.Function], u: dolfinx.fem.Function) -> None:
@@ -147,19 +120,4 @@ def check_condensed(fields: Sequence[dolfinx.fem.Function], u: dolfinx.fem.Funct
                 "fields whose dofs no two cells share can be condensed cell by cell: use a "
                 "discontinuous element, such as ('DG', 0), ('DG', 1), or ('DPC', 1) on hexahedra, "
                 "and a list of several fields in the place of a vector."
-            )
-
-
-def check_bcs(V: dolfinx.fem.FunctionSpace, bcs: Sequence[dolfinx.fem.DirichletBC]) -> None:
-    """Require boundary conditions on V or on its components.
-
-    Raises:
-        ValueError: A condition lives on another space.
-    """
-    for i, bc in enumerate(bcs):
-        space = bc._cpp_object.function_space
-        if space != V._cpp_object and not V._cpp_object.contains(space):
-            raise ValueError(
-                f"bcs[{i}] lives on another function space than the unknown: make it with the "
-                "unknown's own space V, or with V.sub(i) for one component."
             )

@@ -20,7 +20,7 @@ import dolfinx
 import ufl
 from ufl.finiteelement import AbstractFiniteElement
 
-from dolfinx_feti.fem.checks import check_bcs, check_space
+from dolfinx_feti.fem.checks import check_space
 from dolfinx_feti.runtime.collective import warn
 from dolfinx_feti.runtime.petsc_options import require_prefix
 
@@ -104,7 +104,12 @@ def checked_conditions(
     for i, bc in enumerate(conditions):
         if not isinstance(bc, dolfinx.fem.DirichletBC):
             raise ValueError(f"bcs[{i}] is {bc!r}: give what dolfinx.fem.dirichletbc returns.")
-    check_bcs(V, conditions)
+        space = bc._cpp_object.function_space
+        if space != V._cpp_object and not V._cpp_object.contains(space):
+            raise ValueError(
+                f"bcs[{i}] lives on another function space than the unknown: make it with the "
+                "unknown's own space V, or with V.sub(i) for one component."
+            )
     return conditions
 
 

@@ -115,7 +115,7 @@ class Directions:
             if reason != Reason.DIVERGED_INDEFINITE_MAT:
                 iterations.append(feti.iterations)
             elif refuse:
-                raise self._stop("poor guess")
+                raise self.stop("poor guess")
             close = reason == Reason.DIVERGED_BREAKDOWN and feti.residual <= CLOSE
             leads = (reason > 0 or close) and (plain or system.dot(du, here.condensed) < 0.0)
             if leads:
@@ -127,7 +127,7 @@ class Directions:
             elif failed and (first or not feti.singular):
                 break
         self._shift = 0.0
-        raise self._stop("no step") if leads else self._linear_failure(feti)
+        raise self.stop("no step") if leads else self._linear_failure(feti)
 
     def _tries(self, *, moves: bool) -> Iterator[tuple[float, bool]]:
         """Yield the shifts to be tried, and whether the direction is a plain one."""
@@ -145,15 +145,16 @@ class Directions:
     def _linear_failure(self, feti: FETI) -> Stop:
         """Say why there is no direction, and what helps."""
         if not feti.message:
-            return self._stop("indefinite")
+            return self.stop("indefinite")
         on_the_way = self._enough is self._system.dirichlet or self._guess
         if feti.singular and on_the_way:
-            return self._stop("singular")
+            return self.stop("singular")
         if on_the_way and (proved_negative(feti) or 0) > 0:
-            return self._stop("trial", feti.message.rstrip("."))
-        return self._stop("linear", feti.message)
+            return self.stop("trial", feti.message.rstrip("."))
+        return self.stop("linear", feti.message)
 
-    def _stop(self, failure: str, detail: object = "") -> Stop:
+    def stop(self, failure: str, detail: object = "") -> Stop:
+        """Return one of the ``FAILURES``, with what helps this problem."""
         return Stop(failure, detail, is_displacement=self._system.is_displacement)
 
 

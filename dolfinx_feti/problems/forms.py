@@ -27,7 +27,7 @@ from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinx_feti.fem.checks import check_condensed, check_linear_forms, check_nonlinear_forms
+from dolfinx_feti.fem.checks import check_condensed, check_forms
 from dolfinx_feti.fem.quadrature import (
     estimated_quadrature_degree,
     limit_quadrature_degree,
@@ -47,6 +47,8 @@ __all__ = [
 
 #: How often twice the polynomial degree an estimated quadrature degree may be without a warning.
 EXPLOSIVE = 3
+
+_ABSENT = "The unknown '{0}' does not occur in F: pass the Function that F is written in."
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +130,9 @@ def derive(
         F_u, energy, symmetric = F_u + added, None, None
     F_u = limited(F_u)
     J = ufl.derivative(F_u, u, ufl.TrialFunction(u.function_space)) if J is None else J
-    check_nonlinear_forms(F_u, J, u)
+    check_forms(u.function_space, F=(F_u, 1), J=(J, 2))
+    if u not in F_u.coefficients():
+        raise ValueError(_ABSENT.format(u.name))
     if energy is not None:
         energy = match_quadrature_degree(limited(energy), F_u)
     fields = tuple(zip(map(limited, F_p), condense, strict=True))
@@ -178,9 +182,7 @@ def _residuals(
         return forms[0], tuple(forms[1:])
     rank = len(F.arguments())
     if rank == 0 and u not in F.coefficients():
-        raise ValueError(
-            f"The unknown '{u.name}' does not occur in F: pass the Function that F is written in."
-        )
+        raise ValueError(_ABSENT.format(u.name))
     if rank > 1 or (rank == 1 and condense):
         raise ValueError(
             f"F has {rank} arguments: give a residual or an energy; with condense=p an energy "
@@ -272,9 +274,11 @@ def linear_forms(
     if not fields:
         require_forms(a=a, L=L)
     rows, right = _blocks(a, L, len(fields) + 1)
-    require_forms(a=rows[0][0], L=right[0])
-    check_linear_forms(rows[0][0], right[0], u)
-    V = right[0].arguments()[0].ufl_function_space()
+    a_uu, L_u = rows[0][0], right[0]
+    require_forms(a=a_uu, L=L_u)
+    of_arguments = (v.ufl_function_space() for form in (a_uu, L_u) for v in form.arguments())
+    V: Any = next(of_arguments, None) if u is None else u.function_space
+    check_forms(V, a=(a_uu, 2), L=(L_u, 1))
     checked_conditions(V, None)
     zero = dolfinx.fem.Function(V)
     check_condensed(fields, zero)

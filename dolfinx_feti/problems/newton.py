@@ -159,7 +159,7 @@ class Newton:
         self.residual = here.equations
         first = norm = system.norm(here.condensed)
         if system.least_volume_ratio() <= 0.0:
-            raise self._stop("inverted")
+            raise self._directions.stop("inverted")
         load = float(np.fmin(first, start.reference))
         moved = system.boundary_moves(here)
         poor = start.early and start.tangent is None and first > start.reference
@@ -194,7 +194,7 @@ class Newton:
             self.residual = here.equations
             norm = system.norm(here.condensed)
             if start.early and crawls(self.history):
-                raise self._stop("crawls", CRAWLING)
+                raise self._directions.stop("crawls", CRAWLING)
 
     def _judge(
         self, snes: PETSc.SNES, norm: float, scale: float, rough: float, *, moves: bool
@@ -207,14 +207,14 @@ class Newton:
         snes.logConvergenceHistory(norm, snes.getKSP().getIterationNumber())
         on_all(lambda: _monitor(snes, its, norm), snes.comm.tompi4py())
         if not np.isfinite(norm):
-            raise self._stop("not a number")
+            raise self._directions.stop("not a number")
         self.at_end = not moves and norm <= max(atol, rtol * scale)
         if self.at_end and norm <= atol:
             return Reason.CONVERGED_FNORM_ABS
         if self.at_end or (not moves and norm <= rough):
             return Reason.CONVERGED_FNORM_RELATIVE
         if its >= max_it:
-            raise self._stop("too many", max_it)
+            raise self._directions.stop("too many", max_it)
         return Reason.ITERATING
 
     def _step(
@@ -276,9 +276,6 @@ class Newton:
         self.mismatch = difference_from_derivative(self._system, here, du)
         if self.mismatch is not None:
             warn(str(self.mismatch), self._system.comm)
-
-    def _stop(self, failure: str, detail: object = "") -> Stop:
-        return Stop(failure, detail, is_displacement=self._system.is_displacement)
 
 
 def _share_of_reactions(snes: PETSc.SNES, *, moved: bool) -> float:

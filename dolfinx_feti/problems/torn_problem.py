@@ -68,24 +68,7 @@ class TornProblem:
         volume_ratio: Expr | None = None,
         quadrature_degree: int = 0,
     ) -> None:
-        """Tear the mesh and compile the forms, from what both problems take.
-
-        Args:
-            kind: Begins the prefix if none is given.
-            forms: The forms, checked.
-            bcs: Dirichlet conditions, checked.
-            scalars: Scalar unknowns, checked.
-            compilers: Options of FFCx and of the C compiler.
-            prefix: Prefix of all options.
-            petsc_options: Options without prefix.
-            subdomains: See the problems, like seed, near_null_space and null_space.
-            seed: See the problems.
-            near_null_space: See the problems.
-            null_space: See the problems.
-            unused: Arguments without effect.
-            least: Fewest subdomains where their number is not given.
-            volume_ratio: See ``System``.
-            quadrature_degree: See ``System``.
+        """Tear the mesh and compile the forms, checked, from what both problems take.
 
         Raises:
             ValueError: A bad prefix or number of subdomains, or maps between meshes.
