@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Functions that petsc4py does not wrap: PETSc's, and those of libraries that it is linked with.
 
-They are looked up in what petsc4py has loaded.
+They are looked up in what petsc4py has loaded. Products with arrays, besides.
 """
 
 from __future__ import annotations
@@ -19,7 +19,15 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Rows", "address_of_rows", "function", "nonzero_state", "reads_in_place", "rows_of"]
+__all__ = [
+    "Rows",
+    "address_of_rows",
+    "function",
+    "nonzero_state",
+    "product",
+    "reads_in_place",
+    "rows_of",
+]
 
 _Handle, _Number = ctypes.c_void_p, ctypes.c_int
 _Numbers, _Doubles = ctypes.POINTER(ctypes.c_int), ctypes.POINTER(ctypes.c_double)
@@ -106,6 +114,27 @@ def rows_of(K: PETSc.Mat) -> Iterator[Rows]:
     finally:
         restore_array(K.handle, ctypes.byref(a))
         restore_rows(*pattern)
+
+
+def product(
+    K: PETSc.Mat, x: npt.NDArray[np.float64], *, transpose: bool = False
+) -> npt.NDArray[np.float64]:
+    """Return K x, or Kᵀ x, for a sequential matrix and a vector, (n,), or columns, (n, r)."""
+    y = np.zeros((K.getSize()[1 if transpose else 0], *x.shape[1:]))
+    if not y.size:
+        return y
+    if y.ndim == 1:
+        both = np.ascontiguousarray(x), y
+        pair = [PETSc.Vec().createWithArray(a, comm=PETSc.COMM_SELF) for a in both]
+        (K.multTranspose if transpose else K.mult)(*pair)
+    else:
+        X = PETSc.Mat().createDense(x.shape, array=np.asfortranarray(x), comm=PETSc.COMM_SELF)
+        X.assemble()
+        pair = [X, K.transposeMatMult(X) if transpose else K.matMult(X)]
+        y = pair[1].getDenseArray().copy()
+    for owned in pair:
+        owned.destroy()
+    return y
 
 
 def nonzero_state(K: PETSc.Mat) -> int:

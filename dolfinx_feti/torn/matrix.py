@@ -52,7 +52,7 @@ from dolfinx_feti.runtime.connectivity import (
     load_graph_code,
 )
 from dolfinx_feti.runtime.lifetime import Lifetime
-from dolfinx_feti.runtime.petsc_library import address_of_rows, nonzero_state, rows_of
+from dolfinx_feti.runtime.petsc_library import address_of_rows, nonzero_state, product, rows_of
 
 __all__ = ["State", "Torn", "create_torn_matrix", "set_condensed", "set_near_kernel", "state_of"]
 
@@ -255,29 +255,7 @@ class Torn:
 
     def multiply(self, t: Array, *, transpose: bool = False) -> Array:
         """Return K t, or Kᵀ t, for a vector, (n,), or several columns, (n, r)."""
-        if t.ndim == 2:
-            return self._multiply_many(t, transpose=transpose)
-        y = np.zeros(self.n)
-        if not t.any():
-            return y
-        both = (np.ascontiguousarray(t), y)
-        vectors = [PETSc.Vec().createWithArray(a, comm=PETSc.COMM_SELF) for a in both]
-        (self.K.multTranspose if transpose else self.K.mult)(*vectors)
-        for vector in vectors:
-            vector.destroy()
-        return y
-
-    def _multiply_many(self, t: Array, *, transpose: bool) -> Array:
-        """Return K t, or Kᵀ t, for several columns, (n, r), in one run through K."""
-        if t.shape[1] == 0:
-            return np.zeros_like(t)
-        X = PETSc.Mat().createDense(t.shape, array=np.asfortranarray(t), comm=PETSc.COMM_SELF)
-        X.assemble()
-        Y = self.K.transposeMatMult(X) if transpose else self.K.matMult(X)
-        y = Y.getDenseArray().copy()
-        X.destroy()
-        Y.destroy()
-        return y
+        return product(self.K, t, transpose=transpose) if t.any() else np.zeros_like(t)
 
     def tear(self, x: npt.NDArray[np.number]) -> Array:
         """Copy the owned values of an assembled vector, (owned,), to the subdomains, T x, (n,)."""

@@ -21,6 +21,7 @@ import scipy.sparse
 
 from dolfinx_feti.errors import FactorError, SetUpError
 from dolfinx_feti.runtime.collective import on_all, reason
+from dolfinx_feti.runtime.petsc_library import product
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = [
@@ -113,11 +114,8 @@ def product_many(
         return np.zeros((len(rows), X.shape[1]))
     row_set, column_set = map(index_set, (columns, rows) if transpose else (rows, columns))
     block = K.createSubMatrix(row_set, column_set)
-    dense = PETSc.Mat().createDense(X.shape, array=np.asfortranarray(X), comm=PETSc.COMM_SELF)
-    dense.assemble()
-    image = block.transposeMatMult(dense) if transpose else block.matMult(dense)
-    Y = image.getDenseArray().copy()
-    for owned in (row_set, column_set, block, dense, image):
+    Y = product(block, X, transpose=transpose)
+    for owned in (row_set, column_set, block):
         owned.destroy()
     return Y
 

@@ -35,7 +35,7 @@ from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
 from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.runtime.collective import deferred
 from dolfinx_feti.runtime.events import event
-from dolfinx_feti.runtime.petsc_library import rows_of
+from dolfinx_feti.runtime.petsc_library import product, rows_of
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Operator", "create_operator"]
@@ -188,10 +188,10 @@ class KeptInterior(Operator):
     def _multiply(self, t: Array) -> Array:
         Γ, St = self._Γ, np.zeros_like(t)
         if self._columns is None:
-            y = _product(self._rows, t[Γ], transpose=True)  # y = K t
+            y = product(self._rows, t[Γ], transpose=True)  # y = K t
         else:
-            y = _product(self._columns, t[Γ])
-        St[Γ] = y[Γ] - _product(self._rows, self._solve_inside(y))  # K_ΓΓ t − K_ΓI K_II⁻¹ y_I
+            y = product(self._columns, t[Γ])
+        St[Γ] = y[Γ] - product(self._rows, self._solve_inside(y))  # K_ΓΓ t − K_ΓI K_II⁻¹ y_I
         return St
 
     def multiply_many(self, i: int, X: Array, *, transpose: bool = False) -> Array:
@@ -302,14 +302,3 @@ def create_operator(torn: Torn, dofs: Dofs, analysis: Analysis) -> Operator:
             S.append(PackedMatrix(packed, len(dofs.interface[i]), work))
         factors.append(factor)
     return EliminatedInterior(torn, dofs, factors, S)
-
-
-def _product(K: PETSc.Mat, x: Array, *, transpose: bool = False) -> Array:
-    """Return K x, or Kᵀ x, for a sequential matrix."""
-    y = np.zeros(K.getSize()[1 if transpose else 0])
-    x_vec = PETSc.Vec().createWithArray(np.ascontiguousarray(x), comm=PETSc.COMM_SELF)
-    y_vec = PETSc.Vec().createWithArray(y, comm=PETSc.COMM_SELF)
-    (K.multTranspose if transpose else K.mult)(x_vec, y_vec)
-    x_vec.destroy()
-    y_vec.destroy()
-    return y
