@@ -29,7 +29,7 @@ from dolfinx_feti.feti.gluing.bodies import find_bodies
 from dolfinx_feti.feti.regularity.motions import free_motions
 from dolfinx_feti.runtime.collective import on_all, total_of
 from dolfinx_feti.runtime.lifetime import Lifetime
-from dolfinx_feti.torn.matrix import Torn
+from dolfinx_feti.torn.matrix import Torn, prescribed_dofs
 
 __all__ = ["Border", "BorderedSolver", "solved"]
 
@@ -96,7 +96,7 @@ class BorderedSolver:
         """
         m, context = len(d), ksp.getPythonContext()
         self.iterations, self.message = 0, ""
-        free = _free(A)
+        free = ~prescribed_dofs(A)
         springs = self._springs = self._springs or _Springs(A)
         springs.add(A)
         y = self._solved(ksp, A, b)
@@ -271,18 +271,6 @@ def _pivots(X: Array, k: int) -> npt.NDArray[np.int64]:
 def _assembled(torn: Torn, X: Array) -> Array:
     """Return the sums of the copies of each column, (n, k) → (owned, k). Collective."""
     return np.array([torn.assemble(x) for x in X.T]).reshape(X.shape[1], torn.owned).T
-
-
-def _free(A: PETSc.Mat) -> npt.NDArray[np.bool_]:
-    """Return the mask of the dofs that are not prescribed, (owned,). Collective."""
-    mark, dirichlet = A.createVecRight(), A.query("dirichlet")
-    if dirichlet is not None:
-        indices = dirichlet.getIndices()
-        mark.setValues(indices, np.ones(len(indices)))
-    mark.assemble()
-    free = mark.array_r < 0.5
-    mark.destroy()
-    return free
 
 
 def _product(A: PETSc.Mat, X: Array, free: npt.NDArray[np.bool_]) -> Array:

@@ -54,7 +54,15 @@ from dolfinx_feti.runtime.connectivity import (
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_library import address_of_rows, nonzero_state, product, rows_of
 
-__all__ = ["State", "Torn", "create_torn_matrix", "set_condensed", "set_near_kernel", "state_of"]
+__all__ = [
+    "State",
+    "Torn",
+    "create_torn_matrix",
+    "prescribed_dofs",
+    "set_condensed",
+    "set_near_kernel",
+    "state_of",
+]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -197,6 +205,18 @@ def state_of(A: PETSc.Mat) -> State:
     return State(pattern, values, (copy(A), K, *maps, *modes, *spaces, *vectors))
 
 
+def prescribed_dofs(A: PETSc.Mat) -> npt.NDArray[np.bool_]:
+    """Return the mask of the owned dofs of a torn matrix with a prescribed value. Collective."""
+    mark, dofs = A.createVecRight(), A.query("dirichlet")
+    if dofs is not None:
+        indices = dofs.getIndices()
+        mark.setValues(indices, np.ones(len(indices)))
+    mark.assemble()
+    mask = mark.array_r > 0.5
+    mark.destroy()
+    return np.asarray(mask)
+
+
 class Torn:
     """A torn matrix as the solver sees it: blocks, copies, near kernel, Dirichlet dofs.
 
@@ -208,7 +228,8 @@ class Torn:
         graph: Which blocks of dofs K couples, (n / bs, n / bs).
         subdomains: For each subdomain its torn dofs, ascending.
         first: Number of the first subdomain of this process over all processes.
-        dirichlet: Mask of the torn dofs with a prescribed value, (n,).
+        prescribed: Mask of the owned dofs with a prescribed value, (owned,).
+        dirichlet: Mask of their copies, (n,).
         owned: Number of dofs of the assembled problem that this process owns.
     """
 
@@ -250,14 +271,15 @@ class Torn:
             on_all(read, self.comm)
             self.first = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
             self._sf = owned.own(copy_forest(A))
-            self.dirichlet = self._dirichlet_mask()
+            self.prescribed = prescribed_dofs(A)
+            self.dirichlet = self.tear(self.prescribed) > 0.5
             self._owned = owned.pop_all()
 
     def multiply(self, t: Array, *, transpose: bool = False) -> Array:
         """Return K t, or Kᵀ t, for a vector, (n,), or several columns, (n, r)."""
         return product(self.K, t, transpose=transpose) if t.any() else np.zeros_like(t)
 
-    def tear(self, x: npt.NDArray[np.number]) -> Array:
+    def tear(self, x: npt.ArrayLike) -> Array:
         """Copy the owned values of an assembled vector, (owned,), to the subdomains, T x, (n,)."""
         torn, root = np.zeros(self.n), np.ascontiguousarray(x, dtype=np.float64)
         self._sf.bcastBegin(MPI.DOUBLE, root, torn, MPI.REPLACE)
@@ -274,8 +296,7 @@ class Torn:
     def residual(self, b: PETSc.Vec, x: PETSc.Vec, r: PETSc.Vec) -> None:
         """Let r be b − A x, (N,), zero on Dirichlet dofs. Collective."""
         force = self.multiply(self.tear(x.array_r))
-        free = self.assemble(self.dirichlet.astype(np.float64)) < 0.5
-        r.array[:] = np.where(free, b.array_r - self.assemble(force), 0.0)  # b − Tᵀ K T x
+        r.array[:] = np.where(self.prescribed, 0.0, b.array_r - self.assemble(force))  # b − A x
 
     def multiplicity(self) -> Indices:
         """Count the copies of each owned dof, (owned,)."""
@@ -341,17 +362,6 @@ class Torn:
     def is_symmetric(self) -> bool:
         """Tell whether the matrices of all subdomains are symmetric. Collective."""
         return is_symmetric(self.A)
-
-    def _dirichlet_mask(self) -> npt.NDArray[np.bool_]:
-        dofs = self.A.query("dirichlet")
-        mark = self.A.createVecRight()
-        if dofs is not None:
-            indices = dofs.getIndices()
-            mark.setValues(indices, np.ones(len(indices)))
-        mark.assemble()
-        mask = self.tear(mark.array_r) > 0.5
-        mark.destroy()
-        return mask
 
     def destroy(self) -> None:
         """Free the star forest, and give the matrix up."""

@@ -66,7 +66,7 @@ def _checked(torn: Torn, modes: list[PETSc.Vec]) -> Array:
         )
     d = torn.assemble(np.abs(torn.diagonal()))
     d = np.where(d > 0.0, d, 1.0)
-    held = torn.assemble(torn.dirichlet.astype(np.float64)) > 0.5
+    held = torn.prescribed
     for j, mode in enumerate(modes):
         z, force = mode.array_r, torn.assemble(torn.multiply(Z[:, j]))
         squares = [(force**2 / d)[~held].sum(), (d * z**2)[held].sum(), (d * z**2).sum()]

@@ -51,6 +51,5 @@ def product_rounding(K: PETSc.Mat, t: Array, comm: MPI.Comm) -> Array:
 def residual_rounding(torn: Torn, b: PETSc.Vec, x: PETSc.Vec) -> float:
     """Return δr of b − A x, zero on Dirichlet dofs, for assembled b and x, (N,). Collective."""
     squares = torn.assemble(product_rounding(torn.K, torn.tear(x.array_r), torn.comm))
-    free = torn.assemble(torn.dirichlet.astype(np.float64)) < 0.5
-    own = float((squares + (EPS * b.array_r) ** 2)[free].sum())
+    own = float((squares + (EPS * b.array_r) ** 2)[~torn.prescribed].sum())
     return float(np.sqrt(torn.comm.allreduce(own)))

@@ -54,6 +54,7 @@ def test_tear_and_assemble_are_transposed(torn_grid, lifetime):
     equal(whole(torn.multiplicity()), problem.T.sum(axis=0).astype(int))
     equal(whole(torn.multiply(t[mine])), problem.K_torn @ t, 1e-13)
     equal(whole(torn.dirichlet), problem.dirichlet[problem.to_global])
+    equal(whole(torn.prescribed), problem.dirichlet)
 
 
 @pytest.mark.parametrize("columns", [0, 1, 3])
