@@ -92,14 +92,3 @@ def matrix_of_map(apply: Callable[[Array], Array], n: int) -> Array:
     mine = np.arange(last - n, last)
     columns = [apply((mine == j).astype(np.float64)) for j in range(COMM.allreduce(n))]
     return whole(np.column_stack(columns))
-
-
-def matrix_of(apply: Callable[[PETSc.Vec, PETSc.Vec], object], x: PETSc.Vec, y: PETSc.Vec) -> Array:
-    """Bring the matrix of a linear map to all processes, column by column."""
-    first, last = x.getOwnershipRange()
-    columns = np.zeros((y.getLocalSize(), x.getSize()))
-    for j in range(x.getSize()):
-        x.array[:] = np.arange(first, last) == j
-        apply(x, y)
-        columns[:, j] = y.array_r
-    return whole(columns)
