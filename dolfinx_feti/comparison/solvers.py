@@ -10,8 +10,7 @@ prefix of the solver's name; the user's own in PETSc's database prevail.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 
 from petsc4py import PETSc
 
@@ -148,7 +147,8 @@ def create_solver(
     ksp.setOperators(A)
     ksp.setType(PETSc.KSP.Type.CG if symmetric else PETSc.KSP.Type.GMRES)
     ksp.setTolerances(rtol=rtol, max_it=MAX_IT)
-    with _in_force(prefix, options):
+    users = PETSc.Options(prefix)  # they prevail; options of levels and factors are read at set-up
+    with inserted(prefix, {k: v for k, v in options.items() if not users.hasName(k)}):
         ksp.setFromOptions()
         if ksp.getType() not in (PETSc.KSP.Type.PREONLY, PETSc.KSP.Type.PYTHON):
             if ksp.getType() == PETSc.KSP.Type.GMRES:
@@ -200,14 +200,3 @@ def _with_unit_rows(A: PETSc.Mat, symmetric: bool, definite: bool) -> PETSc.Mat:
     if near_kernel.handle:
         B.setNearNullSpace(near_kernel)
     return B
-
-
-@contextmanager
-def _in_force(prefix: str, options: Mapping[str, object]) -> Iterator[None]:
-    """Put options into PETSc's database for a while, behind the user's.
-
-    PETSc reads options of a multigrid's levels, or of a factor, when the solver is set up.
-    """
-    users = PETSc.Options(prefix)
-    with inserted(prefix, {k: v for k, v in options.items() if not users.hasName(k)}):
-        yield

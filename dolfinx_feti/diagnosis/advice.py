@@ -60,65 +60,38 @@ class Advice:
 
 
 def advise(figures: Figures, *, iterations: int, prefix: str) -> tuple[Advice, ...]:
-    """Derive advice from what was measured.
-
-    Args:
-        figures: Figures of the solver.
-        iterations: Those of one linear solve.
-        prefix: Options prefix of the problem.
-    """
-    report, advice = figures.report, []
-
-    def say(text: str, quantity: str, value: float, threshold: float) -> None:
-        advice.append(Advice(text, quantity, value, threshold))
-
-    mean, several = figures.dofs_subdomain.mean, figures.subdomains_process.most > 1
-    if mean < FEW_DOFS and several:
-        say("Take fewer subdomains.", "mean dofs of a subdomain", mean, FEW_DOFS)
-    elif iterations > MANY_ITERATIONS and mean < MANY_DOFS and several:
-        say("Take fewer subdomains.", "iterations", iterations, MANY_ITERATIONS)
-    elif mean > MANY_DOFS and iterations <= MANY_ITERATIONS:
-        say("Take more subdomains.", "mean dofs of a subdomain", mean, MANY_DOFS)
-    ratio = figures.dofs_subdomain.most / mean
-    if ratio > UNEVEN:
-        say("Cut the mesh more evenly.", "largest subdomain over mean", ratio, UNEVEN)
-    if report.options.scaling == "multiplicity" and figures.jump > JUMP:
-        say(
-            f"Weigh the copies by stiffness, -{prefix}feti_scaling stiffness.",
-            "jump of the stiffness between subdomains",
-            figures.jump,
-            JUMP,
-        )
-    low, high = report.eigenvalues
+    """Derive advice from figures and the iterations of one linear solve."""
+    report, mean, size = figures.report, figures.dofs_subdomain.mean, "mean dofs of a subdomain"
+    several, many = figures.subdomains_process.most > 1, iterations > MANY_ITERATIONS
+    fewer, more = "Take fewer subdomains.", "Take more subdomains."
+    ratio, (low, high) = figures.dofs_subdomain.most / mean, report.eigenvalues
     condition = high / low if low > 0.0 else 0.0
-    if report.options.coarse_modes == 0 and condition > CONDITION:
-        say(
-            f"Let soft modes join the coarse space, -{prefix}feti_coarse_modes 12.",
-            "condition number",
-            condition,
-            CONDITION,
-        )
-    if figures.pressures_per_dof > PRESSURES and figures.pressure_stiffness > STIFFER:
-        say(
-            "Take P2 displacements or a smaller κ: with more pressures than dofs, a nearly "
-            "incompressible body locks.",
-            "stiffness with the pressure over that without",
-            figures.pressure_stiffness,
-            STIFFER,
-        )
-    if report.floor > ROUNDING:
-        say(
-            "Lower a penalty such as κ, and let an augmented Lagrangian make up for it: rounding "
-            "ends the linear solve above its tolerance.",
-            "residual that is rounding",
-            report.floor,
-            ROUNDING,
-        )
-    if report.inertia.assembled:
-        say(
-            "Load in smaller steps: the tangent is indefinite, and CG cannot solve with it.",
-            "negative eigenvalues, at least",
-            report.inertia.assembled,
-            0,
-        )
-    return tuple(advice)
+    weigh = f"Weigh the copies by stiffness, -{prefix}feti_scaling stiffness."
+    soft = f"Let soft modes join the coarse space, -{prefix}feti_coarse_modes 12."
+    locks = (
+        "Take P2 displacements or a smaller κ: with more pressures than dofs, a nearly "
+        "incompressible body locks."
+    )
+    rounds = (
+        "Lower a penalty such as κ, and let an augmented Lagrangian make up for it: rounding "
+        "ends the linear solve above its tolerance."
+    )
+    raised = figures.pressure_stiffness
+    indefinite = "Load in smaller steps: the tangent is indefinite, and CG cannot solve with it."
+    crowded, negative = figures.pressures_per_dof > PRESSURES, report.inertia.assembled or 0
+    rules: list[tuple[object, str, str, float, float]] = [
+        (several and mean < FEW_DOFS, fewer, size, mean, FEW_DOFS),
+        (several and FEW_DOFS <= mean < MANY_DOFS and many,
+         fewer, "iterations", iterations, MANY_ITERATIONS),
+        (mean > MANY_DOFS and not many, more, size, mean, MANY_DOFS),
+        (ratio > UNEVEN, "Cut the mesh more evenly.", "largest subdomain over mean", ratio, UNEVEN),
+        (report.options.scaling == "multiplicity" and figures.jump > JUMP,
+         weigh, "jump of the stiffness between subdomains", figures.jump, JUMP),
+        (report.options.coarse_modes == 0 and condition > CONDITION,
+         soft, "condition number", condition, CONDITION),
+        (crowded and raised > STIFFER,
+         locks, "stiffness with the pressure over that without", raised, STIFFER),
+        (report.floor > ROUNDING, rounds, "residual that is rounding", report.floor, ROUNDING),
+        (negative, indefinite, "negative eigenvalues, at least", negative, 0),
+    ]  # fmt: skip
+    return tuple(Advice(text, what, x, most) for holds, text, what, x, most in rules if holds)

@@ -86,12 +86,7 @@ class Figures:
 
 
 def collect_figures(form: Form, report: Report) -> Figures:
-    """Gather the figures of all processes. Collective.
-
-    Args:
-        form: What was set up for the matrix.
-        report: Its report.
-    """
+    """Gather the figures of all processes from what was set up, and its report. Collective."""
     torn, modes = form.pattern.torn, form.modes
     comm = torn.comm
     sizes = join([len(dofs) for dofs in torn.subdomains], comm)
@@ -119,18 +114,10 @@ def collect_figures(form: Form, report: Report) -> Figures:
 
 
 def residual_shares(A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> Array:
-    """Return the part of each subdomain in ‖b − A x‖, over all processes, (subdomains,).
+    """Return the part of each subdomain in ‖b − A x‖, (subdomains,). Collective.
 
     A dof counts in equal parts for the subdomains that share it; the squares sum to that of the
     norm.
-
-    Args:
-        A: Torn matrix.
-        b: Right-hand side, (N,).
-        x: Approximate solution, (N,).
-
-    Note:
-        Collective.
     """
     with Lifetime() as owned:
         torn, r = owned.own(Torn(A)), owned.own(b.duplicate())

@@ -147,13 +147,9 @@ def diagnose(
 ) -> Diagnosis:
     """Assemble, set up a solver, solve with it, and gather what it tells. Collective.
 
-    Args:
-        linear_system: Assembles the torn matrix A and the right-hand side b, (N,). If b is zero, a
-            random one is solved for.
-        create: Creates the FETI solver.
-        state: The x of which the residual b − A x is shown, (owned,), or one value for all.
-        prefix: Options prefix of the problem.
-        known: Advice from what earlier solves have found.
+    A right-hand side that is zero makes way for a random one. ``state`` is the x of which the
+    residual b − A x is shown, (owned,), ``prefix`` that of the options, ``known`` advice from
+    earlier solves.
     """
     started = time.perf_counter()
     A, b = linear_system()

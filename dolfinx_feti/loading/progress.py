@@ -110,15 +110,10 @@ class Progress:
         unit: str = "",
         number: int = 0,
     ) -> None:
-        """Let the monitor of a SNES report here: one monitor, however many loads are followed.
+        """Announce that the loads are followed, from the first through others, up or down.
 
-        Args:
-            snes: The solver of the load steps.
-            comm: Its communicator.
-            interrupts: Signals, which are raised between Newton steps.
-            loads: Load at the beginning, and those to be met one after the other, up or down.
-            unit: Name of the load's unit.
-            number: Load steps before this run.
+        The solver's monitor reports Newton steps, between which the interrupts are raised;
+        ``number`` counts the load steps before this run.
         """
         self._length = math.fsum(abs(b - a) for a, b in itertools.pairwise(loads))
         self._goal, self._number = f"{loads[-1]:g} {unit}".rstrip(), number

@@ -63,14 +63,9 @@ class PathState:
         histories: Iterable[dolfinx.fem.Function] = (),
         numbers: Sequence[Number] = (),
     ) -> None:
-        """Take what there is.
+        """Take the unknowns that the user names, before those of the forms, and further histories.
 
-        Args:
-            at: The load or time.
-            content: The forms, with their unknowns and Constants.
-            unknowns: Those that the user names; those of the forms follow.
-            histories: Other Functions that a step changes.
-            numbers: Numbers that every step may change, Constants of the forms or not.
+        ``numbers`` are those that every step may change, Constants of the forms or not.
         """
         self.at, self._content = float(at), content
         self.unknowns = list(dict.fromkeys([*unknowns, *content.unknowns]))

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 
 from mpi4py import MPI
 
+from dolfinx_feti.mechanics.values import require_positive, require_within
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.runtime.folders import try_to_write
 
@@ -43,13 +44,10 @@ class Lengths:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if not 0.0 < self.least <= self.first < math.inf:
-            raise ValueError(
-                f"first={self.first} and least={self.least}: increments are positive numbers, and "
-                "the least is not above the first."
-            )
-        if not 1.0 <= self.growth < math.inf:
-            raise ValueError(f"growth={self.growth} is not a number of 1 or more.")
+        require_positive(first=self.first, least=self.least)
+        if self.least > self.first:
+            raise ValueError(f"least={self.least} is above first={self.first}.")
+        require_within(1.0, math.inf, {"growth": self.growth}, remedy="a number of 1 or more")
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +71,8 @@ class Steps(Lengths):
     def __post_init__(self) -> None:
         """Check the values."""
         Lengths.__post_init__(self)
-        for name in ("rtol", "linear_rtol"):
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value < 1.0:
-                raise ValueError(f"{name}={value} is not a number between 0 and 1.")
+        given = {"rtol": self.rtol, "linear_rtol": self.linear_rtol}
+        require_within(0.0, 1.0, {k: v for k, v in given.items() if v is not None}, ends=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,6 +38,7 @@ from dolfinx_feti.loading.motion import Motion, fixed_dofs, motions_in, owned_ve
 from dolfinx_feti.loading.state import PathState
 from dolfinx_feti.loading.stepper import Stepper, check_places
 from dolfinx_feti.loading.steps import Lengths, LoadStep
+from dolfinx_feti.mechanics.values import require_positive, require_within
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.runtime.collective import on_all
 
@@ -68,10 +69,10 @@ class TimeSteps(Lengths):
     def __post_init__(self) -> None:
         """Check the values."""
         Lengths.__post_init__(self)
-        if not self.first <= self.most < math.inf:
-            raise ValueError(f"longest={self.longest} is no number above first={self.first}.")
-        if self.tolerance is not None and not 0.0 < self.tolerance < math.inf:
-            raise ValueError(f"tolerance={self.tolerance}: give a positive length.")
+        remedy = f"a number not below first={self.first}"
+        require_within(self.first, math.inf, {"longest": self.most}, remedy=remedy)
+        if self.tolerance is not None:
+            require_positive(tolerance=self.tolerance)
 
     @property
     def most(self) -> float:

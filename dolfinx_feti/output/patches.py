@@ -176,13 +176,9 @@ def _measured(
 def moments(expression: Expr, patches: Patches) -> Array:
     """Evaluate an expression of m components in the owned cells. Collective.
 
-    Returns:
-        In each cell its mean, and the means of the expression times the reference coordinates
-        relative to the centroid, (n_c, 1 + d, m).
-
-    Raises:
-        ValueError: The expression lives on another mesh.
-        ArithmeticError: It is NaN or infinite somewhere.
+    Returns in each cell its mean, and the means of the expression times the reference coordinates
+    relative to the centroid, (n_c, 1 + d, m). An expression of another mesh is a ValueError, one
+    that is not finite somewhere an ArithmeticError.
     """
     mesh, n_cells = patches.mesh, len(patches.volumes)
     size = int(np.prod(expression.ufl_shape))
@@ -213,16 +209,11 @@ def moments(expression: Expr, patches: Patches) -> Array:
 
 
 def recover(patches: Patches, data: Array, *, means: bool, sweeps: int) -> Array:
-    """Fit a field that is continuous in each layer. Collective.
+    """Fit a field that is continuous in each layer to what :func:`moments` returns. Collective.
 
-    Args:
-        patches: The patches.
-        data: What :func:`moments` returns, (n_c, 1 + d, m).
-        means: Fit the means over the cells, not the values inside them.
-        sweeps: Number of fits, each to what those before it leave.
-
-    Returns:
-        Values at the nodes of the discontinuous quadratic element, (n_c, nodes, m).
+    ``means`` fits the means over the cells, not the values inside them; each of the sweeps fits
+    what those before it leave. Returns values at the nodes of the discontinuous quadratic element,
+    (n_c, nodes, m).
     """
     space = dolfinx.fem.functionspace(patches.mesh, ("DG", 2))
     nodes = interpolation_points(space)

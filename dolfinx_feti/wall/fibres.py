@@ -80,20 +80,10 @@ Mask = npt.NDArray[np.bool_]
 
 
 def solve_laplace(wall: Wall, values: Mapping[str, float]) -> dolfinx.fem.Function:
-    """Solve Δu = 0 with values prescribed on some surfaces and zero flux through the others (P2).
+    """Solve Δu = 0 with values on some surfaces, by name, and zero flux through the others (P2).
 
     CG with GAMG solves to 1e-14, and MUMPS what that does not; PETSc's options with the prefix
-    ``fibres_`` prevail.
-
-    Args:
-        wall: The wall.
-        values: Value of u on each of these surfaces, by name.
-
-    Raises:
-        ArithmeticError: The solver did not converge.
-
-    Note:
-        Collective.
+    ``fibres_`` prevail. What neither solves is an ArithmeticError. Collective.
     """
     V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 2))
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
@@ -227,12 +217,7 @@ def potentials(
 
 @typed
 def frame_of(wall: Wall, through: dolfinx.fem.Function, along: dolfinx.fem.Function) -> Frame:
-    """Return the frame of two potentials on the mesh as it is. Collective.
-
-    Args:
-        wall: The wall.
-        through: The potential t.
-        along: The potential l.
+    """Return the frame of the two potentials t and l on the mesh as it is. Collective.
 
     Raises:
         ArithmeticError: They leave cells without a direction.
@@ -275,16 +260,11 @@ def fibre_families(
 
 
 def _unit_directions(wall: Wall, along: Vectors, normal: Vectors) -> Vectors:
-    """Return unit vectors along gradients, orthogonal to unit normals.
+    """Return unit vectors along gradients, orthogonal to unit normals or to zero, (cells, 3).
 
     Where a gradient, or its part orthogonal to the normal, is too weak, the direction is the mean
     of those at the cell's vertices; this is repeated until every cell has a direction. The sums at
     the vertices do not depend on the number of processes and need no ghost cells.
-
-    Args:
-        wall: The wall.
-        along: The gradients, (cells, 3).
-        normal: Unit normals, or zero for no constraint, (cells, 3).
     """
     comm, n_owned = wall.mesh.comm, wall.mesh.topology.index_map(3).size_local
     size = np.linalg.norm(along, axis=1)

@@ -86,13 +86,9 @@ def _renamed(raw: RawWall, groups: Sequence[Group]) -> RawWall:
 
 
 def distribute(raw: RawWall | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
-    """Create the distributed mesh and its tags from what the first process has. Collective.
+    """Create the distributed mesh and its tags of a wall that the first process has. Collective.
 
-    Args:
-        raw: The whole wall on the first process, None on the others. Its cells are tetrahedra or
-            hexahedra of first or second order, their nodes in dolfinx's order.
-        comm: Communicator of the mesh.
-        scale: Number of millimetres in the unit of its points.
+    ``scale`` is the number of millimetres in the unit of its points.
     """
     head = None
     if raw is not None:

@@ -133,13 +133,7 @@ def facets(wall: Wall, name: str) -> npt.NDArray[np.int32]:
 
 
 def named_tags(names: Mapping[str, int], tags: Iterable[int], dim: int) -> dict[str, int]:
-    """Name the tags that occur: as given, the others ``layer_7`` or ``surface_7``.
-
-    Args:
-        names: Tags of some names.
-        tags: The tags that occur; 0 without a name counts as none.
-        dim: 3 for layers, 2 for surfaces.
-    """
+    """Name the tags that occur, but for a nameless 0: as given, or ``layer_7``, ``surface_7``."""
     present = {int(tag) for tag in tags}
     named = {name: tag for name, tag in names.items() if tag in present}
     kind = "layer" if dim == 3 else "surface"
@@ -147,11 +141,7 @@ def named_tags(names: Mapping[str, int], tags: Iterable[int], dim: int) -> dict[
 
 
 def checked_groups(names: Groups) -> list[Group]:
-    """Return name, dimension and tag of each group.
-
-    Raises:
-        ValueError: A name has something else.
-    """
+    """Return name, dimension and tag of each group, or raise a ValueError."""
     for name, pair in names.items():
         numbers = [isinstance(n, Integral) for n in pair] if isinstance(pair, Sequence) else []
         if numbers != [True, True]:
@@ -184,18 +174,10 @@ def extent(mesh: dolfinx.mesh.Mesh) -> tuple[npt.NDArray[np.float64], npt.NDArra
 
 
 def plane(wall: Wall, name: str) -> tuple[int, float]:
-    """Return the axis normal to a plane surface, 0, 1 or 2, and its coordinate there [mm].
-
-    Args:
-        wall: The wall.
-        name: Name of the surface.
+    """Return the axis normal to a plane surface, and its coordinate there [mm]. Collective.
 
     Raises:
-        ValueError: The wall has no such surface, or it lies in no plane normal to x, y or z. On all
-            processes.
-
-    Note:
-        Collective.
+        ValueError: The wall has no such surface, or it lies in no plane normal to x, y or z.
     """
     low, high = extent(wall.mesh)
     entities = facets(wall, name)

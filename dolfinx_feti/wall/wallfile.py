@@ -87,16 +87,12 @@ class RawWall:
 
 
 def read_raw_wall(path: Path) -> RawWall:
-    """Read a wall and check that it is valid.
-
-    Args:
-        path: A Gmsh file (`*.msh`), or one of another format that meshio reads.
+    """Read a wall from a Gmsh file (`*.msh`), or one that meshio reads, and check that it is valid.
 
     Raises:
         FileNotFoundError: There is no such file.
         ModuleNotFoundError: The reader, gmsh or meshio, is not installed.
-        ValueError: The file cannot be read, has other cells, or more than one kind, has a cell
-            without a layer's name, or no surface, or its mesh is broken; the message says how.
+        ValueError: The file cannot be read, or holds no valid wall; the message says how.
     """
     if not path.is_file():
         raise FileNotFoundError(f"There is no file {path}: give the path of a mesh of a wall")
@@ -330,9 +326,8 @@ def _check_cells(path: Path, wall: RawWall) -> None:
 def orientations(points: Points, cells: npt.NDArray[np.integer[Any]]) -> tuple[Indices, Mask]:
     """Return the sign of det ∂x/∂X in each cell, 0 where it changes, and which have no volume.
 
-    Args:
-        points: Coordinates, (n, 3).
-        cells: Nodes of the cells in dolfinx's order, (m, 4), or as many as in :data:`CELLS`.
+    Nodes of the cells are in dolfinx's order, (m, 4), or as many as in :data:`CELLS`; points (n,
+    3).
     """
     kind, order = CELLS[cells.shape[1]]
     cell = getattr(basix.CellType, kind)

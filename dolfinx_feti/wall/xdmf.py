@@ -60,22 +60,10 @@ def is_parallel(path: Path) -> bool:
 
 
 def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
-    """Read a wall on all processes: each reads a P-th of cells, points and facets.
+    """Read a wall on all processes: each reads a P-th of cells, points and facets. Collective.
 
     The parts of the mesh are those of the processes that wrote the file, if they were as many;
-    else the mesh is partitioned.
-
-    Args:
-        path: A file of :func:`write_wall`, `*.xdmf`, beside its HDF5 file.
-        comm: Communicator of the mesh.
-        scale: Number of millimetres in the file's unit of length.
-
-    Raises:
-        ValueError: The file, or the HDF5 file beside it, cannot be read. On all processes.
-
-    Note:
-        Collective. PETSc's log shows the phases as ``WallRead``, ``WallPartition`` and
-        ``WallTags``.
+    else the mesh is partitioned. A ValueError tells on all processes that it cannot be read.
     """
     try:
         file = on_all(lambda: dolfinx.io.XDMFFile(comm, path, "r"), comm)
@@ -194,10 +182,7 @@ def write_wall(path: Path | str, wall: Wall) -> None:
 def _keep(parts: Sequence[int], rows: int, comm: MPI.Comm) -> Callable[..., Any] | None:
     """Return the partitioner that keeps the parts of a file; None if the mesh is to be partitioned.
 
-    Args:
-        parts: Cells of each process that wrote the file; none where it does not say.
-        rows: Cells that this process has read, in the order of the processes.
-        comm: Communicator of those that read.
+    ``parts`` are the cells of each process that wrote it, ``rows`` those that this one has read.
     """
     before = np.cumsum([0, *comm.allgather(rows)])
     if comm.size == 1 or comm.size != len(parts) or sum(parts) != before[-1]:

@@ -124,18 +124,10 @@ class _Balance:
 
 
 def equilibrate(material: Material, F: Array, free: Array) -> Equilibrium:
-    """Find the free entries of F, and the pressure.
+    """Find the free entries of F, (n, 3, 3), which holds guesses, and the pressure.
 
-    Args:
-        material: The compiled energy.
-        F: Deformation gradients with guesses in the free entries, (n, 3, 3).
-        free: Directions of the free entries, (k, 3, 3), orthonormal.
-
-    Returns:
-        All n states; those that have not converged hold NaN.
-
-    Raises:
-        ValueError: An incompressible material has no free entries, so that p is arbitrary.
+    The entries are along directions (k, 3, 3). States that have not converged hold NaN. Without
+    free entries the pressure of an incompressible material is arbitrary: a ValueError.
     """
     if material.incompressible and not len(free):
         raise ValueError(

@@ -152,13 +152,9 @@ def uncertainty(
 ) -> tuple[Array, Array]:
     """Return s² (Rᵀ R)⁻¹, (m, m), and half the widths of the confidence intervals, (m,).
 
-    Both are infinite for parameters that the residuals do not determine, and NaN on a bound.
-
-    Args:
-        R: Jacobian of the n residuals, (n, m), n > m.
-        squares: Sum of the squared residuals.
-        free: Which parameters are not on a bound, (m,); the others count as known.
-        confidence: Level of the intervals, such as 0.95.
+    R is the Jacobian of n > m residuals, ``squares`` their sum of squares, ``free`` marks
+    parameters that are not on a bound. Both are infinite for what the residuals do not determine,
+    NaN on a bound.
     """
     freedom = len(R) - int(free.sum())
     lengths = np.linalg.norm(R[:, free], axis=0)

@@ -70,14 +70,10 @@ class Check:
 
 
 def check_law(law: Law, *, strain: float, incompressible: bool, seed: int) -> list[Check]:
-    """Check everything that does not need equilibrium.
+    """Check everything that does not need equilibrium, of a law as a function of F.
 
-    Args:
-        law: Values of an energy and its derivatives as a function of F.
-        strain: Size of the random strains, see :func:`random_states`.
-        incompressible: Whether the states have J = 1, and the stress at rest is free up to a
-            pressure.
-        seed: Seed of the random numbers.
+    ``strain`` is the size of the :func:`random_states`. If incompressible, these have J = 1, and
+    the stress at rest is free up to a pressure.
     """
     rng = np.random.default_rng(seed)
     every = law(random_states(rng, N_STATES, strain, incompressible=incompressible))
@@ -120,11 +116,7 @@ def random_states(
 ) -> Array:
     """Return F = R exp H with random rotations R and strains H, (n, 3, 3).
 
-    Args:
-        rng: Source of the random numbers.
-        n: Number of states.
-        strain: The principal values of H are drawn from −strain to strain.
-        incompressible: Whether their mean is then subtracted, so that J = 1.
+    Principal values of H are drawn from −strain to strain; if incompressible, without their mean.
     """
     logarithms = rng.uniform(-strain, strain, (n, 3))
     if incompressible:
@@ -142,15 +134,10 @@ def judge(
     note: str = "",
     warn: str = "",
 ) -> Check:
-    """Compare the largest of several deviations with a bound; one that is no number fails.
+    """Compare the largest of several deviations, (n,), with a bound; one that is no number fails.
 
-    Args:
-        name: The property.
-        deviations: One per state, (n,).
-        bound: The largest deviation that passes.
-        F: The states, (n, 3, 3), if the worst one is to be shown.
-        note: What to add if a deviation is larger.
-        warn: The same for a property that good models may lack.
+    F holds the states if the worst one is to be shown, ``note`` what to add if a deviation is
+    larger, and ``warn`` the same for a property that good models may lack.
     """
     worst = int(np.where(np.isnan(deviations), np.inf, deviations).argmax())
     value = float(deviations[worst])
