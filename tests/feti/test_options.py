@@ -51,55 +51,71 @@ def test_every_choice_is_read(name, value):
 def test_numbers_are_read(name):
     agree(getattr(read(**{f"feti_{name}": 17}), name) == 17)
     agree(getattr(read(**{f"feti_{name}": 0}), name) == 0)
-    for wrong in (-1, "abc", 1.5):
-        with raises(ValueError, f"-o_feti_{name} is '{wrong}'; it takes a whole number ≥ 0"):
-            read(**{f"feti_{name}": wrong})
 
 
 @pytest.mark.parametrize("name", SHARES)
 def test_shares_are_read(name):
     agree(getattr(read(**{f"feti_{name}": 0.5}), name) == 0.5)
     agree(getattr(read(**{f"feti_{name}": 0}), name) == 0.0)
-    for wrong in (-0.1, 1.5, "nan", "abc"):
-        with raises(ValueError, f"-o_feti_{name} is '{wrong}'; it takes a number between 0 and 1"):
-            read(**{f"feti_{name}": wrong})
 
 
-@pytest.mark.parametrize("name", CHOICES)
-def test_other_values_are_refused(name):
-    with raises(ValueError, f"-o_feti_{name} is 'other'.*{CHOICES[name][-1]}"):
-        read(**{f"feti_{name}": "other"})
+COUNT, SHARE, BELOW_ONE = "a whole number ≥ 0", "a number between 0 and 1", "a number ≥ 0 and < 1"
+
+#: Options, wrong values, and what they are to be.
+WRONG = [
+    *((f"feti_{name}", "other", f"one of: .*{CHOICES[name][-1]}") for name in CHOICES),
+    *((f"feti_{name}", wrong, COUNT) for name in NUMBERS for wrong in (-1, "abc", 1.5)),
+    *((f"feti_{name}", wrong, SHARE) for name in SHARES for wrong in (-0.1, 1.5, "nan", "abc")),
+    ("ksp_rtol", "abc", BELOW_ONE),
+    ("ksp_rtol", 1.0, BELOW_ONE),
+    ("snes_rtol", -1e-3, BELOW_ONE),
+    ("ksp_atol", "nan", "a number ≥ 0"),
+    ("snes_stol", "small", "a number ≥ 0"),
+    ("ksp_max_it", "1e3", COUNT),
+    ("snes_max_it", -1, COUNT),
+    ("feti_dual_ksp_rtol", "abc", BELOW_ONE),
+    ("feti_dual_ksp_gmres_restart", "many", COUNT),
+    ("feti_coarse_ksp_max_it", "few", COUNT),
+]
+
+#: Names of options that do not exist, and those that are meant.
+MISSPELT = {
+    "feti_pctype": "feti_pc_type",
+    "feti_typ": "feti_type",
+    "feti_coarse_qq": "feti_coarse_q",
+    "feti_scalling": "feti_scaling",
+    "feti_deflatoin": "feti_deflation",
+    "feti_dul_ksp_type": "feti_dual_ksp",
+    "feti_lags": "feti_lag",
+    "feti_coarse_mode": "feti_coarse_modes",
+}
+
+REFUSED = [
+    *(({name: wrong}, f"-o_{name} is '{wrong}'; it takes {what}") for name, wrong, what in WRONG),
+    *(({n: 1}, f"-o_{n} does not exist; did you mean -o_{meant}") for n, meant in MISSPELT.items()),
+    *(({name: 1}, f"-o_{name} does not exist") for name in ("feti_nonsense_at_all", "feti_xyz")),
+    ({"pc_type": "lu"}, "-o_pc_type is 'lu', but no preconditioner .*leave it out.*_feti_pc_t"),
+    *(
+        ({"feti_formulation": "primal", "feti_pc_type": kind}, f"primal and .*pc_type {kind} excl")
+        for kind in ("lumped", "identity")
+    ),
+]
 
 
-@pytest.mark.parametrize(
-    ("name", "wrong", "wanted"),
-    [
-        ("ksp_rtol", "abc", "a number ≥ 0 and < 1"),
-        ("ksp_rtol", 1.0, "a number ≥ 0 and < 1"),
-        ("snes_rtol", -1e-3, "a number ≥ 0 and < 1"),
-        ("ksp_atol", "nan", "a number ≥ 0"),
-        ("snes_stol", "small", "a number ≥ 0"),
-        ("ksp_max_it", "1e3", "a whole number ≥ 0"),
-        ("snes_max_it", -1, "a whole number ≥ 0"),
-        ("feti_dual_ksp_rtol", "abc", "a number ≥ 0 and < 1"),
-        ("feti_dual_ksp_gmres_restart", "many", "a whole number ≥ 0"),
-        ("feti_coarse_ksp_max_it", "few", "a whole number ≥ 0"),
-    ],
-)
-def test_numbers_of_petscs_own(name, wrong, wanted):
-    with raises(ValueError, f"Option -o_{name} is '{wrong}'; it takes {wanted}"):
-        read(**{name: wrong})
+@pytest.mark.parametrize(("options", "message"), REFUSED, ids=str)
+def test_refused(options, message):
+    """When the options are read, with what they may be."""
+    with raises(ValueError, message):
+        read(**options)
+
+
+def test_no_preconditioner_of_petscs_own_is_the_default():
+    agree(read(pc_type="none") == FETIOptions())
 
 
 @pytest.mark.parametrize("name", ["ksp_max_it", "snes_max_it", "snes_max_funcs"])
 def test_counts_without_a_bound(name):
     read(**{name: "unlimited"})
-
-
-def test_another_preconditioner():
-    with raises(ValueError, "-o_pc_type is 'lu', but no preconditioner .*leave it out.*_feti_pc_t"):
-        read(pc_type="lu")
-    agree(read(pc_type="none") == FETIOptions())
 
 
 @pytest.mark.parametrize(
@@ -129,30 +145,6 @@ def test_ksp_alone(by, name, wrong, message, torn_grid):
         error = caught if isinstance(caught, ValueError) else caught.__cause__
     agree(isinstance(error, ValueError) and re.search(message, str(error)), repr(error))
     ksp.destroy()
-
-
-@pytest.mark.parametrize(
-    ("wrong", "meant"),
-    [
-        ("feti_pctype", "-o_feti_pc_type"),
-        ("feti_typ", "-o_feti_type"),
-        ("feti_coarse_qq", "-o_feti_coarse_q"),
-        ("feti_scalling", "-o_feti_scaling"),
-        ("feti_deflatoin", "-o_feti_deflation"),
-        ("feti_dul_ksp_type", "-o_feti_dual_ksp"),
-        ("feti_lags", "-o_feti_lag"),
-        ("feti_coarse_mode", "-o_feti_coarse_modes"),
-    ],
-)
-def test_misspelt_options_are_refused_with_a_guess(wrong, meant):
-    with raises(ValueError, f"-o_{wrong} does not exist; did you mean {meant}"):
-        read(**{wrong: "x"})
-
-
-@pytest.mark.parametrize("name", ["feti_nonsense_at_all", "feti_xyz"])
-def test_unknown_options_are_refused(name):
-    with raises(ValueError, f"-o_{name} does not exist"):
-        read(**{name: "x"})
 
 
 @pytest.mark.parametrize(
@@ -279,11 +271,3 @@ def test_two_problems_do_not_share_options():
     agree(second.solver.getPythonContext().report().options.pc_type == "identity")
     equal(whole(owned(first.u)), whole(owned(second.u)), 1e-6)
     agree(np.all(np.isfinite(owned(first.u))))
-
-
-@pytest.mark.parametrize("pc_type", ["lumped", "identity"])
-def test_options_that_exclude_each_other(pc_type):
-    """The primal form has one preconditioner; the error comes when the options are read."""
-    options = {"o_feti_formulation": "primal", "o_feti_pc_type": pc_type}
-    with inserted("", options), raises(ValueError, f"primal and -o_feti_pc_type {pc_type} exclude"):
-        read_options("o_")
