@@ -12,6 +12,7 @@ import primal_form
 import pytest
 import scipy.linalg
 from collective import COMM, agree, dense, equal, raises, small, whole
+from hand_torn import softened
 
 from dolfinx_feti.errors import FactorError, SetUpError
 from dolfinx_feti.feti.coarse.fields import averaged_fields
@@ -162,15 +163,10 @@ def test_product_that_fails_on_one_process(torn_grid, form):
 @pytest.mark.parametrize("share", [0.0, 0.02], ids=["definite", "indefinite"])
 def test_solver_that_does_not_count_pivots(share, torn_grid, form):
     """Then nothing is known before the iterations."""
-
-    def soften(K, dofs):
-        for K_i in K:
-            K_i -= share * np.abs(K_i).max() * np.eye(len(K_i))
-
     options = PETSc.Options("test_feti_coarse_")
     options["pc_factor_mat_solver_type"] = "petsc"
     try:
-        problem = torn_grid((2, 2), (4, 4), components=2, change=soften)
+        problem = torn_grid((2, 2), (4, 4), components=2, change=softened(share))
         primal = form(problem, type="classical", interior="eliminate", coarse_modes=0)
     finally:
         options.delValue("pc_factor_mat_solver_type")

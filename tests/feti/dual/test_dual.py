@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from collective import COMM, agree, dense, equal, matrix_of_map, small, whole
+from collective import COMM, agree, dense, equal, matrix_of_map, random_part, small, whole
 
 from dolfinx_feti.feti.dual import system
 from dolfinx_feti.feti.dual.system import DualSystem
@@ -117,11 +117,7 @@ def test_operator_is_the_jump_of_a_balanced_pair(change, torn_grid, parts):
     """(F λ − G s, 0)."""
     system = parts(torn_grid((2, 2), (2, 2), components=2, change=change).A)
     dual = system.dual
-    rng = np.random.default_rng(SEED + 1)
-    lam, s = (
-        rng.standard_normal(COMM.allreduce(n))[COMM.scan(n) - n : COMM.scan(n)]
-        for n in (dual.m, dual.size - dual.m)
-    )
+    lam, s = (random_part(n) for n in (dual.m, dual.size - dual.m))
     jump, zero = dual.split(dual.multiply(np.concatenate([lam, s])))
     expected = flexibility(system) @ whole(lam) - dense(system.coarse.G) @ whole(s)
     equal(whole(jump), expected, 1e-12)
