@@ -70,7 +70,7 @@ WEAK = (512, 10_000)
 PARTS = ("local", "krylov", "total")
 
 #: Microseconds, GB/s and Gflop/s.
-UNITS = {"latency": 1e6, "bandwidth": 1e-9, "stream": 1e-9, "rate": 1e-9, "disk": 1e-9}
+UNITS = {"latency": 1e6} | dict.fromkeys(("bandwidth", "stream", "rate", "disk"), 1e-9)
 
 STYLES = {"local": {"color": COLOURS[2]}, "krylov": {"color": COLOURS[0]}, "total": {"color": "k"}}
 
@@ -237,7 +237,7 @@ def _fields(records: Sequence[Record]) -> Fields:
     every = list(_series(records))
     modelled = [s for s in every if s.model is not None]
     return {
-        "cluster": {name: value * UNITS[name] for name, value in asdict(Machine()).items()},
+        "cluster": {k: value * UNITS.get(k, 1.0) for k, value in asdict(Machine()).items()},
         "measured": [part for s in every for part in s.section(list(_times(s)))],
         "modelled": [
             part
