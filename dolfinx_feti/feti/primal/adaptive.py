@@ -26,7 +26,6 @@ import numpy.typing as npt
 
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
-from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
 
 __all__ = ["DOFS", "STEPS", "adaptive_columns"]
 
@@ -81,9 +80,9 @@ def adaptive_columns(
             return np.zeros((n, 0))
         A, Q = assembled(i), np.linalg.qr(E[i])[0]
         F = np.random.default_rng(n).standard_normal((n, -(-wanted // last)))
-        space = _krylov_spaces(F, solver(i), lambda U: δ * A(δ * U), Q)
+        space = _krylov_spaces(F, solver(i), lambda U: δ * A(δ * U), Q, last)
         for krylov in itertools.islice(space, least - 1, last):
-            χ = np.linalg.eigvalsh(krylov[2])
+            χ = np.linalg.eigvalsh(krylov[2], UPLO="U")
             if 2 * np.count_nonzero(χ > threshold) <= len(χ):
                 break
         return _ritz_vectors(*krylov, threshold)[:, :wanted]
@@ -92,49 +91,43 @@ def adaptive_columns(
 
 
 def _krylov_spaces(
-    F: Array, solve: Multiply, cost: Multiply, Q: Array
+    F: Array, solve: Multiply, cost: Multiply, Q: Array, steps: int
 ) -> Iterator[tuple[Array, Array, Array]]:
     """Yield growing spaces, whose forces are orthogonal to the orthonormal Q.
 
-    Each is U, (n, k), with Uᵀ S_ρ U ≈ I and Uᵀ δ T_i A T_iᵀ δ U, (k, k). The columns are
-    orthonormal but for rounding: a large χ would leave nothing of others.
+    Each is U, (n, k), with the upper triangles of Uᵀ S_ρ U ≈ I and Uᵀ δ T_i A T_iᵀ δ U, (k, k).
+    The columns are orthonormal but for rounding: a large χ would leave nothing of others.
     """
-    U: Array = np.zeros((len(F), 0))
-    S_ρU = U
-    H: Array = np.zeros((0, 0))
-    C: Array = H
-    while True:
+    U, S_ρU = np.empty((2, steps * F.shape[1], len(F))).transpose(0, 2, 1)
+    H, C = np.empty((2, U.shape[1], U.shape[1]))
+    k = 0
+    for _ in range(steps):
         F = F / np.maximum(np.linalg.norm(F, axis=0), TINY)
         F = F - Q @ (Q.T @ F)
         F = F[:, np.linalg.norm(F, axis=0) > NO_FORCE]
         X = solve(F)  # X = S_ρ⁻¹ F
         energy = np.sqrt(np.maximum(np.sum(F * X, axis=0), TINY))
         X, F = X / energy, F / energy
-        share = U.T @ F  # Uᵀ S_ρ X
-        X, F = X - U @ share, F - S_ρU @ share
+        share = U[:, :k].T @ F  # Uᵀ S_ρ X
+        X, F = X - U[:, :k] @ share, F - S_ρU[:, :k] @ share
         B = _unit_energy(X.T @ F)
-        X, F = X @ B, F @ B
-        U, S_ρU = np.hstack([U, X]), np.hstack([S_ρU, F])
-        H = _bordered(H, U.T @ F)
-        F = cost(X)
-        C = _bordered(C, U.T @ F)
-        yield U, H, C
-
-
-def _bordered(H: Array, columns: Array) -> Array:
-    """Return a symmetric H, (k, k), with further columns, (k + l, l), and their rows."""
-    k = len(H)
-    return np.block([[H, columns[:k]], [columns[:k].T, symmetric_part(columns[k:])]])
+        new = slice(k, k + B.shape[1])
+        k = new.stop
+        U[:, new], S_ρU[:, new] = X @ B, F @ B
+        H[:k, new] = U[:, :k].T @ S_ρU[:, new]
+        F = cost(U[:, new])
+        C[:k, new] = U[:, :k].T @ F
+        yield U[:, :k], H[:k, :k], C[:k, :k]
 
 
 def _ritz_vectors(U: Array, H: Array, C: Array, threshold: float) -> Array:
     """Return the Ritz vectors with values above a threshold, the largest first, (n, k)."""
     B = _unit_energy(H)
-    χ, Q = np.linalg.eigh(symmetric_part(B.T @ C @ B))
+    χ, Q = np.linalg.eigh(B.T @ (np.triu(C) + np.triu(C, 1).T) @ B)
     return np.asarray(U @ (B @ Q[:, np.flatnonzero(χ > threshold)[::-1]]))
 
 
 def _unit_energy(H: Array) -> Array:
     """Return combinations B with Bᵀ H B = I for energies H = Uᵀ S_ρ U, (k, k) → (k, up to k)."""
-    θ, B = np.linalg.eigh(symmetric_part(H))
+    θ, B = np.linalg.eigh(H, UPLO="U")
     return np.asarray(B[:, θ > REPEATED_ENERGY] / np.sqrt(θ[θ > REPEATED_ENERGY]))
