@@ -20,6 +20,7 @@ import dolfinx
 import dolfinx.fem.petsc
 import ufl
 
+from dolfinx_feti import LinearProblem
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
 
 Array = npt.NDArray[np.float64]
@@ -69,6 +70,20 @@ class Problem:
         for owned in (ksp, A, b, x):
             owned.destroy()
         return values
+
+
+def torn(
+    problem: Problem, subdomains: object = 4, prefix: str | None = None, **options: object
+) -> LinearProblem:
+    """Tear a problem, with PETSc's options."""
+    return LinearProblem(
+        problem.a,
+        problem.L,
+        bcs=problem.bcs,
+        subdomains=subdomains,
+        petsc_options_prefix=prefix,
+        petsc_options=options,
+    )
 
 
 def owned(u: dolfinx.fem.Function) -> Array:

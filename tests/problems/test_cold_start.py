@@ -150,3 +150,7 @@ def test_cube_pulled_at_once(energy, slides, most):
     )
     problem.solve()
     agree(len(problem.history) <= most, problem.history)
+    reached = u.x.array.copy()
+    for bc in bcs:
+        bc.set(reached)
+    equal(u.x.array, reached, 1e-10)

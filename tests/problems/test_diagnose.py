@@ -12,28 +12,15 @@ import numpy as np
 import pytest
 from bodies import two_wells
 from collective import COMM, agree, equal, small
-from problems import cube, elasticity, poisson
+from problems import cube, elasticity, poisson, torn
 from walls import tube, wall
 
 import dolfinx
 import ufl
 
-from dolfinx_feti import LinearProblem, NonlinearProblem
+from dolfinx_feti import NonlinearProblem
 from dolfinx_feti.diagnosis import advice
 from dolfinx_feti.diagnosis.figures import Spread
-
-PREFIX = "patient_"
-
-
-def linear(body, subdomains, **options):
-    return LinearProblem(
-        body.a,
-        body.L,
-        bcs=body.bcs,
-        subdomains=subdomains,
-        petsc_options_prefix=PREFIX,
-        petsc_options=options,
-    )
 
 
 def quantities(problem):
@@ -80,7 +67,7 @@ def test_figures_of_a_linear_problem(solve):
 
 def test_residuals_are_those_of_the_state():
     """They sum to ‖b − A u‖: all of the load before a solve, next to nothing after it."""
-    problem = linear(poisson(cube(2, 6)), 5, ksp_rtol=1e-10)
+    problem = torn(poisson(cube(2, 6)), 5, ksp_rtol=1e-10)
     before = problem.diagnose().residuals
     _, b = problem.linear_system()
     small(np.linalg.norm(before) / b.norm() - 1.0, 1e-12)
@@ -114,7 +101,7 @@ def test_without_a_load():
 
 def test_solve_that_fails():
     """Nothing was built; the message tells why."""
-    found = linear(elasticity(cube(3, 3), clamped=None), 4).diagnose()
+    found = torn(elasticity(cube(3, 3), clamped=None), 4).diagnose()
     agree(found.figures is None and found.advice == () and "singular" in found.message)
     agree("singular" in str(found) and found.records[0]["figures"] is None)
 
@@ -124,15 +111,15 @@ def test_solve_that_fails():
 
 def test_few_dofs():
     body = elasticity(cube(2, 30))
-    agree("mean dofs of a subdomain" in quantities(linear(body, 8 * COMM.size)))
-    agree("mean dofs of a subdomain" not in quantities(linear(body, COMM.size)))
+    agree("mean dofs of a subdomain" in quantities(torn(body, 8 * COMM.size)))
+    agree("mean dofs of a subdomain" not in quantities(torn(body, COMM.size)))
 
 
 def test_many_dofs(monkeypatch):
     body = elasticity(cube(2, 24))
-    agree("mean dofs of a subdomain" not in quantities(linear(body, COMM.size)))
+    agree("mean dofs of a subdomain" not in quantities(torn(body, COMM.size)))
     monkeypatch.setattr(advice, "MANY_DOFS", 300)
-    said = [a.text for a in linear(body, COMM.size).diagnose().advice]
+    said = [a.text for a in torn(body, COMM.size).diagnose().advice]
     agree(said == ["Take more subdomains."], said)
 
 
@@ -142,16 +129,16 @@ def test_many_iterations(monkeypatch):
     body = elasticity(cube(3, 4))
     weak = {"feti_pc_type": "identity", "feti_coarse_modes": 0}
     monkeypatch.setattr(advice, "MANY_ITERATIONS", 40)
-    agree("iterations" in quantities(linear(body, 8 * COMM.size, ksp_rtol=1e-12, **weak)))
-    agree("iterations" not in quantities(linear(body, 2 * COMM.size)))
+    agree("iterations" in quantities(torn(body, 8 * COMM.size, ksp_rtol=1e-12, **weak)))
+    agree("iterations" not in quantities(torn(body, 2 * COMM.size)))
 
 
 def test_uneven_subdomains():
     body = poisson(cube(2, 12))
     cells = np.arange(body.cells)
     last = np.maximum(cells - int(0.95 * body.cells), 0)  # the first part has nearly all cells
-    agree("largest subdomain over mean" in quantities(linear(body, last)))
-    agree("largest subdomain over mean" not in quantities(linear(body, 4 * COMM.size)))
+    agree("largest subdomain over mean" in quantities(torn(body, last)))
+    agree("largest subdomain over mean" not in quantities(torn(body, 4 * COMM.size)))
 
 
 def test_equal_weights_at_a_jump():
@@ -166,9 +153,9 @@ def test_equal_weights_at_a_jump():
         dolfinx.mesh.compute_midpoints(mesh, 2, np.arange(body.cells, dtype=np.int32))[:, 1] > 0.5
     )
     quantity, equals = "jump of the stiffness between subdomains", {"feti_scaling": "multiplicity"}
-    agree(quantity in quantities(linear(stiff, halves.astype(np.int32), **equals)))
-    agree(quantity not in quantities(linear(stiff, halves.astype(np.int32))))
-    agree(quantity not in quantities(linear(body, halves.astype(np.int32), **equals)))
+    agree(quantity in quantities(torn(stiff, halves.astype(np.int32), **equals)))
+    agree(quantity not in quantities(torn(stiff, halves.astype(np.int32))))
+    agree(quantity not in quantities(torn(body, halves.astype(np.int32), **equals)))
 
 
 def test_no_soft_modes():
@@ -179,9 +166,9 @@ def test_no_soft_modes():
     layers = ufl.conditional(ufl.sin(8 * np.pi * x[1]) > 0.0, 1e5, 1.0)
     hard = replace(body, a=layers * body.a.integrals()[0].integrand() * ufl.dx)
     weak = {"feti_coarse_modes": 0, "feti_scaling": "multiplicity", "feti_formulation": "dual"}
-    agree("condition number" in quantities(linear(hard, 6 * COMM.size, **weak)))
-    agree("condition number" not in quantities(linear(hard, 6 * COMM.size)))
-    agree("condition number" not in quantities(linear(body, 6 * COMM.size, feti_coarse_modes=0)))
+    agree("condition number" in quantities(torn(hard, 6 * COMM.size, **weak)))
+    agree("condition number" not in quantities(torn(hard, 6 * COMM.size)))
+    agree("condition number" not in quantities(torn(body, 6 * COMM.size, feti_coarse_modes=0)))
 
 
 @pytest.mark.parametrize("degree", [1, 2])

@@ -10,7 +10,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, small
-from problems import Cell, cube, dirichlet, elasticity, left, poisson, right
+from problems import Cell, Problem, cube, dirichlet, elasticity, left, owned, poisson, right
 
 import basix.ufl
 import dolfinx
@@ -31,14 +31,8 @@ KINDS = [
 
 
 def direct(a, L, bcs):
-    """Solve by dolfinx, with a factor of the whole matrix on each process."""
-    solver = {"ksp_type": "preonly", "pc_type": "redundant"}
-    prefix = {"petsc_options_prefix": "direct_"} if has_vertex_integrals() else {}
-    before = PETSc.Options().getAll()
-    problem = dolfinx.fem.petsc.LinearProblem(a, L, bcs=bcs, petsc_options=solver, **prefix)
-    for name in PETSc.Options().getAll().keys() - before.keys():
-        PETSc.Options().delValue(name)  # dolfinx 0.9 leaves them
-    return problem.solve().x.array
+    """Solve by dolfinx and MUMPS; return the owned values."""
+    return Problem(L.arguments()[0].ufl_function_space(), a, L, bcs).solve_directly()
 
 
 def residual_form(problem):
@@ -63,9 +57,9 @@ def test_conditions_are_replaced(make, options):
         linear.bcs = nonlinear.bcs = bcs
         agree(list(linear.bcs) == list(nonlinear.bcs) == bcs)
         expected = direct(body.a, body.L, bcs)
-        equal(linear.solve().x.array, expected, 1e-7)
+        equal(owned(linear.solve()), expected, 1e-7)
         nonlinear.solve()
-        equal(w.x.array, expected, 1e-7)
+        equal(owned(w), expected, 1e-7)
     with raises(ValueError, r"bcs\[0\] lives on another function space"):
         linear.bcs = [dirichlet(poisson(cube(2, 2)).V, left)]
     agree(list(linear.bcs) == first)
@@ -154,7 +148,7 @@ def test_near_null_space_is_the_users(way, nonlinear):
     if way == "matrix":
         problem.A.setNearNullSpace(given)
     for _ in range(2):
-        found = problem.solve().x.array
+        found = owned(problem.solve())
         agree(problem.A.getNearNullSpace().handle == given.handle)
         equal(found, direct(body.a, body.L, bcs), 1e-7)
 
@@ -185,9 +179,9 @@ def test_force_at_a_point():
     corner = dolfinx.fem.locate_dofs_geometrical(
         body.V, lambda x: np.isclose(x[0], 1.0) & np.isclose(x[1], 1.0)
     )
-    owned = corner[corner < body.V.dofmap.index_map.size_local]
+    here = corner[corner < body.V.dofmap.index_map.size_local]
     A, b = problem.linear_system()
-    b.array[2 * owned + 1] += 0.25
+    b.array[2 * here + 1] += 0.25
     x = A.createVecRight()
     problem.solver.solve(b, x)
     r = A.createVecLeft()
@@ -196,7 +190,7 @@ def test_force_at_a_point():
     fixed, _ = bcs[0]._cpp_object.dof_indices()
     free[fixed[fixed < len(free)]] = False
     small(np.abs((r.array_r - b.array_r)[free]).max(initial=0.0), 1e-9)
-    agree(COMM.allreduce(len(owned)) == 1)
+    agree(COMM.allreduce(len(here)) == 1)
     for each in (b, x, r):
         each.destroy()
 
@@ -213,7 +207,7 @@ def test_springs_at_points():
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     a = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + 7.0 * ufl.inner(u, v) * vertices(3)
     L = v[1] * ufl.dx + v[0] * vertices(3)
-    found = LinearProblem(a, L, subdomains=5, petsc_options=RTOL).solve().x.array
+    found = owned(LinearProblem(a, L, subdomains=5, petsc_options=RTOL).solve())
     equal(found, direct(a, L, []), 1e-7)
 
 

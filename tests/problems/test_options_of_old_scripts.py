@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import pytest
 from bodies import block, yeoh
 from collective import COMM, agree, equal, raises
-from problems import cube, elasticity, owned, poisson
+from problems import cube, elasticity, owned, poisson, torn
 
 from dolfinx_feti import ConvergenceError, LinearProblem
 from dolfinx_feti.runtime.petsc_options import inserted
@@ -25,15 +25,7 @@ ROUNDING = 1e-11
 
 
 def linear(options: dict[str, object]) -> LinearProblem:
-    problem = elasticity(cube(2, 4))
-    return LinearProblem(
-        problem.a,
-        problem.L,
-        bcs=problem.bcs,
-        subdomains=4,
-        petsc_options_prefix="old_",
-        petsc_options=options,
-    )
+    return torn(elasticity(cube(2, 4)), prefix="old_", **options)
 
 
 def logged(caplog: pytest.LogCaptureFixture) -> list[str]:
@@ -95,8 +87,5 @@ def test_python_type_in_the_options():
 def test_options_of_others(caplog):
     """Those without the prefix are not ours."""
     with inserted("", {"pc_type": "lu"}):
-        problem = poisson(cube(2, 4))
-        LinearProblem(
-            problem.a, problem.L, bcs=problem.bcs, subdomains=4, petsc_options_prefix="old_"
-        ).solve()
+        torn(poisson(cube(2, 4)), prefix="old_").solve()
     agree(logged(caplog) == [])

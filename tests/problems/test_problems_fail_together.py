@@ -11,27 +11,15 @@ import numpy as np
 import pytest
 from bodies import PREFIX, block, yeoh
 from collective import COMM, agree, equal, raises
-from problems import Problem, cube, poisson
+from problems import cube, poisson, torn
 from walls import tube, wall
 
 import dolfinx
 
-from dolfinx_feti import LinearProblem
 from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.condensation import Condensation
 
 LAST = COMM.rank == COMM.size - 1
-
-
-def cut(problem: Problem, options: dict[str, str] | None = None) -> LinearProblem:
-    return LinearProblem(
-        problem.a,
-        problem.L,
-        bcs=problem.bcs,
-        subdomains=4,
-        petsc_options_prefix=PREFIX,
-        petsc_options=options or {},
-    )
 
 
 def broken(*_: object, **__: object) -> None:
@@ -50,7 +38,7 @@ def test_options(name, message):
     with raises(ValueError, message):
         block(yeoh, (0.3, 0.1)).problem({name: "no"} if LAST else {})
     with raises(ValueError, message):
-        cut(poisson(cube(2, 4)), {name: "no"} if LAST else {})
+        torn(poisson(cube(2, 4)), prefix=PREFIX, **({name: "no"} if LAST else {}))
 
 
 @pytest.mark.parametrize("name", ["form", "Expression"])
@@ -72,7 +60,7 @@ def test_compilation(name, monkeypatch):
 
 def solvers(which: str) -> tuple[object, object]:
     """Return a problem and one of its solvers."""
-    problem = cut(poisson(cube(2, 4))) if which == "linear" else block(yeoh, (0.3, 0.1)).problem()
+    problem = torn(poisson(cube(2, 4))) if which == "linear" else block(yeoh, (0.3, 0.1)).problem()
     return problem, problem.solver.getKSP() if which == "KSP" else problem.solver
 
 
