@@ -37,6 +37,7 @@ import numpy.typing as npt
 import dolfinx
 import dolfinx.fem.petsc
 import ufl
+from ufl.algorithms.analysis import extract_coefficients
 from ufl.core.expr import Expr
 
 from dolfinx_feti.errors import ConvergenceError
@@ -99,7 +100,6 @@ class Motion:
         self._β = 0.25 * (1.0 - self._α_m + self._α_f) ** 2
         self._last: Array = u.x.array.copy()  # u_n
         self._dashpots: list[tuple[dolfinx.fem.Function, dolfinx.fem.Constant]] = []
-        self._damped = False
         self._density = density
         difference, v = u - self._ahead, self.velocity
         self.inertia = density * self._c / 2 * ufl.inner(difference, difference) * ufl.dx
@@ -131,7 +131,6 @@ class Motion:
                     "follow the motion: give it the displacement of the Motion and a Constant."
                 )
             self._dashpots.append((last, found.time_step))
-        self._damped = bool(self._dashpots) or self._behind in coefficients
 
     def stop(self) -> None:
         """Leave inertia and rates out, for equilibria."""
@@ -227,9 +226,15 @@ class Motion:
         comm = self.u.function_space.mesh.comm
         return float(comm.allreduce(dolfinx.fem.assemble_scalar(self._kinetic)))
 
-    def damping(self, residual: dolfinx.fem.Form) -> Array:
+    def damping_form(self, residual: ufl.Form) -> ufl.Form:
+        """Return the integrals of a residual in which the velocity is."""
+        rates = {self._behind, *(last for last, _ in self._dashpots)}
+        parts = [i for i in residual.integrals() if not rates.isdisjoint(extract_coefficients(i))]
+        return ufl.Form(parts)
+
+    def damping(self, residual: dolfinx.fem.Form | None) -> Array:
         """Return the present forces of dashpots, F(u, v) − F(u, 0), (owned,). Collective."""
-        if not self._damped:
+        if residual is None:
             space = self.u.function_space.dofmap
             return np.zeros(space.index_map.size_local * space.index_map_bs)
         whole = owned_vector(residual)

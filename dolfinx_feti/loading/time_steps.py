@@ -150,7 +150,8 @@ def follow_time(
     owned = PathState(
         start, problem.content, unknowns=state, histories=histories, numbers=motion.numbers
     )
-    forms = (None if f is None else Compiler(comm).form(f) for f in (energy, forces))
+    given = (energy, forces, motion.damping_form(problem.content.forms[0]))
+    forms = (None if f is None or f.empty() else Compiler(comm).form(f) for f in given)
     return _Times(problem, set_time, steps, owned, motion, *forms).follow(
         targets, on_step=on_step, checkpoint=checkpoint, unit=unit
     )
@@ -190,9 +191,11 @@ class _Times(Stepper[TimeStep, TimeSteps]):
         motion: Motion,
         energy: dolfinx.fem.Form | None,
         forces: dolfinx.fem.Form | None,
+        damping: dolfinx.fem.Form | None,
     ) -> None:
         super().__init__(problem, set_time, steps, state)
         self._motion, self._energy, self._external = motion, energy, forces
+        self._damping = damping
         self._balance = problem.F, list(problem.bcs)
 
     def _is_met(self, target: float) -> bool:
@@ -210,7 +213,7 @@ class _Times(Stepper[TimeStep, TimeSteps]):
 
     def _present_forces(self) -> Array:
         """Return external forces, NaN if they are not given, and those of dashpots, (2, owned)."""
-        damping = self._motion.damping(self._balance[0])
+        damping = self._motion.damping(self._damping)
         given = self._external
         external = np.full_like(damping, math.nan) if given is None else owned_vector(given)
         return np.stack([external, damping])
