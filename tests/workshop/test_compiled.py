@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from functools import partial
 
 from mpi4py import MPI
@@ -132,55 +131,37 @@ MESH = dolfinx.mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
 FIELD = dolfinx.fem.Function(dolfinx.fem.functionspace(MESH, ("DG", 0)), name="stiffness")
 
 
-@pytest.mark.parametrize(
-    ("psi", "error", "message"),
-    [
-        (3.0, TypeError, "psi is 3.0: give Callable"),
-        (lambda x: x, TypeError, r"arguments \['x'\]: name them C and J, or F"),
-        (lambda C, J, /: J, TypeError, "name them C and J"),
-        (lambda C, p: p * C[0, 0], TypeError, r"psi also takes \['p'\]"),
-        (lambda C, J: 1.5, TypeError, "psi returns 1.5"),
-        (lambda C, J: C, ValueError, r"shape \(3, 3\): an energy is a scalar"),
-        (lambda C, J: ufl.as_ufl(2.0), ValueError, "does not depend on the deformation"),
-        (lambda J: FIELD * J, ValueError, "stiffness, which varies in space"),
-        (lambda J: ufl.SpatialCoordinate(MESH)[0] * J, ValueError, "varies in space"),
-        (lambda J: ufl.Constant(MESH) * J, ValueError, "which has no value"),
-    ],
-)
-def test_bad_energy(psi, error, message):
-    with pytest.raises(error, match=message):
-        compile_material(psi)
+NAN = float("nan")
 
 
 @pytest.mark.parametrize(
-    ("parameters", "error", "message"),
+    ("psi", "options", "error", "message"),
     [
-        ({"k": 1.0}, TypeError, r"does not take the parameters \['k'\]"),
-        ({"c": float("nan")}, ValueError, "c = nan: give a finite value"),
+        (3.0, {}, TypeError, "psi is 3.0: give Callable"),
+        (lambda x: x, {}, TypeError, r"arguments \['x'\]: name them C and J, or F"),
+        (lambda C, J, /: J, {}, TypeError, "name them C and J"),
+        (lambda C, p: p * C[0, 0], {}, TypeError, r"psi also takes \['p'\]"),
+        (lambda C, J: 1.5, {}, TypeError, "psi returns 1.5"),
+        (lambda C, J: C, {}, ValueError, r"shape \(3, 3\): an energy is a scalar"),
+        (lambda C, J: ufl.as_ufl(2.0), {}, ValueError, "does not depend on the deformation"),
+        (lambda J: FIELD * J, {}, ValueError, "stiffness, which varies in space"),
+        (lambda J: ufl.SpatialCoordinate(MESH)[0] * J, {}, ValueError, "varies in space"),
+        (lambda J: ufl.Constant(MESH) * J, {}, ValueError, "which has no value"),
+        (lambda J, c: J**2, {"parameters": {"c": 1.0}}, ValueError, "depend on 1 of its param"),
+        (neo_hookean, {"parameters": {"k": 1.0}}, TypeError, r"not take the parameters \['k'\]"),
+        (neo_hookean, {"parameters": {"c": NAN}}, ValueError, "c = nan: give a finite value"),
+        (neo_hookean, {"kappa": -1.0}, ValueError, "kappa = -1.0"),
+        (neo_hookean, {"kappa": NAN}, ValueError, "kappa = nan"),
     ],
 )
-def test_bad_parameters(parameters, error, message):
+def test_bad_material(psi, options, error, message):
     with pytest.raises(error, match=message):
-        compile_material(neo_hookean, parameters=parameters, jit_options=JIT)
+        compile_material(psi, **options, jit_options=JIT)
 
 
-def test_parameter_without_effect():
-    with pytest.raises(ValueError, match="does not depend on 1 of its parameters"):
-        compile_material(lambda J, c: J**2, parameters={"c": 1.0})
-
-
-def test_parameters_that_the_energy_does_not_have():
+def test_bad_states_and_parameters():
+    for F in (np.eye(2), np.ones(9), np.empty((0, 3, 3))):
+        with pytest.raises(ValueError, match="F has the shape"):
+            evaluate(compiled(neo_hookean), F)
     with pytest.raises(ValueError, match=r"compiled with the parameters \['c'\]"):
         material(neo_hookean, c=1.0).with_parameters(k=2.0)
-
-
-@pytest.mark.parametrize("kappa", [-1.0, float("nan")])
-def test_bad_kappa(kappa):
-    with pytest.raises(ValueError, match=f"kappa = {kappa}"):
-        dataclasses.replace(compiled(neo_hookean), kappa=kappa)
-
-
-@pytest.mark.parametrize("F", [np.eye(2), np.ones(9), np.empty((0, 3, 3))])
-def test_bad_states(F):
-    with pytest.raises(ValueError, match="F has the shape"):
-        evaluate(compiled(neo_hookean), F)
