@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from collective import COMM, agree, raises, small
+from collective import COMM, agree, small
 from wall_files import on_first
 
 import dolfinx
@@ -24,11 +24,10 @@ gmsh = pytest.importorskip("gmsh")
 INNER, OUTER, LENGTH = 0.7, 1.1, 0.5
 
 
-def write(path: Path, *, order: int, hexahedra: bool, mixed: bool = False) -> Path:
+def write(path: Path, *, order: int, hexahedra: bool) -> Path:
     """Let Gmsh mesh a quarter of a tube, with four cells around it."""
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
-    gmsh.option.setNumber("Mesh.SecondOrderIncomplete", int(mixed))
     model = gmsh.model
     model.add("quarter")
     section = model.occ.addRectangle(INNER, 0.0, 0.0, OUTER - INNER, LENGTH)  # in the plane z = 0
@@ -96,11 +95,3 @@ def test_directions_on_curved_cells(tmp_path):
     radial = x * [1, 0, 1] / np.hypot(x[:, 0], x[:, 2])[:, None]
     found = frame.transmural.x.array.reshape(-1, 3)[: len(x)]
     small(1.0 - np.abs(np.einsum("ij,ij->i", radial, found)).min(initial=1.0), 1e-2)
-
-
-def test_incomplete_elements(tmp_path):
-    """Serendipity hexahedra of 20 nodes have no Lagrange geometry."""
-    path = COMM.bcast(tmp_path / "quarter.msh")
-    on_first(lambda: str(write(path, order=2, hexahedra=True, mixed=True)))
-    with raises(ValueError, "has elements of type .*; a wall has tetrahedra and triangles, or"):
-        read_wall(path, COMM)
