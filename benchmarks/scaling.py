@@ -45,14 +45,21 @@ from benchmarks.common.walls.first_step import TYPES as NAMES
 from dolfinx_feti import ConvergenceError
 from meshes.arguments import count
 
-__all__ = ["INHERITED", "STUDY", "TYPES", "predict"]
+__all__ = ["INHERITED", "SHARED_CORES", "STUDY", "TYPES", "predict"]
 
 
 #: Variant by layers of the wall: the paper's aorta, its carotid artery.
 TYPES = {1: "all_floating", 2: "classical"}
 
+#: Environment in which Open MPI puts several processes on a core; MPICH does so by itself.
+SHARED_CORES = {
+    "OMPI_MCA_rmaps_base_oversubscribe": "1",
+    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
+    "OMPI_MCA_mpi_yield_when_idle": "1",
+}
+
 #: Environment of a process that mpirun has started, which another mpirun must not see.
-INHERITED = ("PMIX_", "PRTE_", "OMPI_COMM_WORLD_", "OMPI_FILE_", "OMPI_UNIVERSE_")
+INHERITED = ("PMI_", "PMIX_", "PRTE_", "OMPI_COMM_WORLD_", "OMPI_FILE_", "OMPI_UNIVERSE_")
 
 #: Records of the page.
 KEPT = Path(__file__).parents[2] / "docs/results/scaling.json"
@@ -133,12 +140,11 @@ def _run(case: Record, keep: Keep, args: argparse.Namespace, _comm: MPI.Comm) ->
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "record.json"
         inside = json.dumps(case | {"folder": str(args.folder)})
-        words = ["mpirun", "-n", str(case["processes"]), "--oversubscribe"]
+        words = ["mpirun", "-n", str(case["processes"]), "env", "OMP_NUM_THREADS=1"]
         environment = {k: v for k, v in os.environ.items() if not k.startswith(INHERITED)}
-        environment["OMP_NUM_THREADS"] = "1"
         if case["task"] == "count":
-            words += ["-x", f"LD_PRELOAD={compile_library(args.folder)}"]
-            environment["OMPI_MCA_mpi_yield_when_idle"] = "1"
+            words += [f"LD_PRELOAD={compile_library(args.folder)}"]
+            environment |= SHARED_CORES
         words += [sys.executable, "-m", "benchmarks.common.scaling.worker", inside, str(file)]
         ended = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
         if ended.returncode != 0 or not file.is_file():

@@ -38,12 +38,15 @@ def create_newton(
         options = {"snes_rtol": rtol, "snes_linesearch_type": "none", **MUMPS}
         options |= {"snes_error_if_not_converged": True}
         prefix = f"direct_{random.randrange(10**9)}_"
-        return own(F, u, bcs=bcs, petsc_options_prefix=prefix, petsc_options=options).solve
+        solve = own(F, u, bcs=bcs, petsc_options_prefix=prefix, petsc_options=options).solve
+        for name in options:  # that dolfinx has left to all
+            PETSc.Options(prefix).delValue(name)
+        return solve
     newton = dolfinx.nls.petsc.NewtonSolver(u.function_space.mesh.comm, own(F, u, list(bcs)))
     newton.rtol = rtol
     newton.krylov_solver.setType("preonly")
     newton.krylov_solver.getPC().setType("lu")
     newton.krylov_solver.getPC().setFactorSolverType("mumps")
-    for name in ("ksp_type", "pc_type"):  # that dolfinx has left to all
+    for name in ("ksp_type", "pc_type"):
         PETSc.Options("nls_solve_").delValue(name)
     return partial(newton.solve, u)

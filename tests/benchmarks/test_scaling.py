@@ -49,7 +49,8 @@ def test_small_case_is_measured_and_counted(tmp_path, capsys):
     assert (counted["coarse_entries"] > 0) == (counted["coarse_size"] > 0)
     assert counted["messages_to_each"] == counted["iteration"]["messages"]["mean"]  # a neighbour
     assert counted["reading"]["messages"]["max"] >= 1
-    assert counted["reading_bytes"] < (tmp_path / "walls/tube_1.h5").stat().st_size
+    size = (tmp_path / "walls/tube_1.h5").stat().st_size
+    assert 0 < counted["reading_bytes"] < 1.2 * size  # half of it, and its layers' points again
     parts = [measured[f"seconds_{part}"] for part in ("local", "krylov", "coarse", "reading")]
     assert min(parts) > 0.0
     assert sum(parts) <= measured["seconds_total"]
@@ -224,8 +225,8 @@ if comm.rank == 0:
 def test_known_messages(tmp_path):
     library = compile_library(tmp_path)
     environment = {k: v for k, v in os.environ.items() if not k.startswith(scaling.INHERITED)}
-    words = ["mpirun", "-n", "3", "--oversubscribe", "-x", f"LD_PRELOAD={library}"]
-    words += [sys.executable, "-c", PROGRAM]
+    environment |= scaling.SHARED_CORES
+    words = ["mpirun", "-n", "3", "env", f"LD_PRELOAD={library}", sys.executable, "-c", PROGRAM]
     done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)

@@ -189,6 +189,8 @@ def read_so_far() -> int:
 def test_no_process_holds_the_whole_wall(tmp_path):
     """On P processes each reads a P-th of the file; its memory is in proportion, too.
 
+    The points of the layers are read twice: first to see that they are there.
+
     What reading takes beyond the bytes read is measured: six times as much at its peak.
     """
     path = COMM.bcast(tmp_path / "tube.xdmf")
@@ -202,7 +204,8 @@ def test_no_process_holds_the_whole_wall(tmp_path):
     Path("/proc/self/clear_refs").write_text("5")  # the peak begins here
     held, read = status("VmRSS"), read_so_far()
     wall = read_wall(path, COMM)
-    agree(read_so_far() - read < 1.05 * size / COMM.size + 1e5)
+    cells = wall.mesh.topology.index_map(3).size_global
+    agree(read_so_far() - read < (1.05 * size + 32 * cells) / COMM.size + 1e5)
     agree(status("VmHWM") - held < 8.0 * size / COMM.size + 8e6)
     shares = COMM.allgather(wall.mesh.topology.index_map(3).size_local)
     agree(max(shares) < 1.2 * sum(shares) / COMM.size)
