@@ -6,4 +6,7 @@
 In the order of the data: elements, quadrature, nodes, compiler, facets, decomposition, regions,
 kernels, assembly, near_kernel, tensors, condensation, internal_variables, checks,
 content.
+
+Cells are integrated in two ways: ``assembly`` adds one form to a matrix, a vector or a number,
+``tensors`` returns an array of each of several forms, cell by cell, which ``condensation`` solves.
 """
