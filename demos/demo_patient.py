@@ -113,11 +113,11 @@ loading, unloading = (Steps(**rough, quick=quick) for quick in (4, 8))
 state = {"state": [u, p], "unit": "mmHg"}
 shape = {"fibres": fibres, "on_move": opening.update}
 found = unload(problem, set_load, [case.image], unloading, **shape, **state)
-receded = nodes.longest(wall.mesh.geometry.x - nodes.first)
+receded = nodes.longest(wall.mesh.geometry.x - nodes.initial)
 walls = {"unloaded": gather_cells(u, {})}
 u.x.array[:], p.x.array[:] = 0.0, 0.0
 back = follow_load(problem, set_load, [case.image], loading, **state)
-off = nodes.longest(wall.mesh.geometry.x + nodes.displacement(u) - nodes.first)
+off = nodes.longest(wall.mesh.geometry.x + nodes.displacement(u) - nodes.initial)
 walls[f"{case.image:g} mmHg"] = gather_cells(u, {"stress": cell_values(stress, wall.mesh)})
 on = follow_load(problem, set_load, [case.pressure], loading, start=case.image, **state)
 walls[f"{case.pressure:g} mmHg"] = gather_cells(u, {"stress": cell_values(stress, wall.mesh)})

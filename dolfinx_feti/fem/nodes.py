@@ -39,7 +39,7 @@ class Nodes:
 
     Attributes:
         mesh: The mesh.
-        first: Their coordinates when this was made, (nodes, 3), ghosts included.
+        initial: Their coordinates when this was made, (nodes, 3), ghosts included.
     """
 
     def __init__(self, mesh: dolfinx.mesh.Mesh) -> None:
@@ -49,7 +49,7 @@ class Nodes:
             Collective.
         """
         self.mesh = mesh
-        self.first: Array = np.array(mesh.geometry.x, dtype=np.float64)
+        self.initial: Array = np.array(mesh.geometry.x, dtype=np.float64)
         self._W = dolfinx.fem.functionspace(mesh, mesh.ufl_domain().ufl_coordinate_element())
         degree = self._W.ufl_element().degree
         points = quadrature_points(mesh, mesh.geometry.dim * degree)
@@ -61,7 +61,7 @@ class Nodes:
         w = dolfinx.fem.Function(self._W)
         w.interpolate(u)
         dim, nodes = self.mesh.geometry.dim, geometry_dofmap(self.mesh)
-        values: Array = np.zeros(self.first.shape)
+        values: Array = np.zeros(self.initial.shape)
         values[nodes.ravel(), :dim] = w.x.array.reshape(-1, dim)[self._W.dofmap.list.ravel()]
         return values
 

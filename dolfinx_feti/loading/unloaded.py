@@ -158,7 +158,7 @@ class _Unloading(FixedPoint):
 
     def move_back(self) -> None:
         """Move mesh and fibres to the image."""
-        self._nodes.mesh.geometry.x[:] = self._nodes.first
+        self._nodes.mesh.geometry.x[:] = self._nodes.initial
         for a, image, _ in self._fibres:
             a.x.array[:] = image
         if self._on_move is not None:
@@ -166,7 +166,7 @@ class _Unloading(FixedPoint):
 
     def _place(self) -> None:
         """Move the nodes alone."""
-        self._nodes.mesh.geometry.x[:] = self._nodes.first - self._nodes.displacement(self.u)
+        self._nodes.mesh.geometry.x[:] = self._nodes.initial - self._nodes.displacement(self.u)
 
     @contextmanager
     def _moved(self) -> Iterator[None]:
@@ -194,7 +194,7 @@ class _Unloading(FixedPoint):
                     self.u.x.array[:] = (U + last) / 2.0
                     continue
                 loaded = nodes.mesh.geometry.x + nodes.displacement(self.u)
-            distance = nodes.longest(loaded - nodes.first)
+            distance = nodes.longest(loaded - nodes.initial)
             reached = distance <= self._allowed()
             if reached and close:
                 return
@@ -244,7 +244,7 @@ class _Unloading(FixedPoint):
         """Count the cells of the unloaded wall that are inside out."""
         self._place()
         inverted = self._nodes.inverted()
-        self._nodes.mesh.geometry.x[:] = self._nodes.first
+        self._nodes.mesh.geometry.x[:] = self._nodes.initial
         return inverted
 
 

@@ -112,20 +112,20 @@ def test_other_parameters(tmp_path, state, other, match):
     agree(content(tmp_path) == before)
 
 
-def test_a_checkpoint_is_not_overwritten(tmp_path, state):
-    written(tmp_path, state, 1.0)
-    with raises(FileExistsError, "holds the checkpoint of an earlier run: restart from it, or"):
-        opened(tmp_path, restart=False)
-    check(tmp_path, state, 1.0)
-
-
-def test_nothing_to_restart_from(tmp_path):
+def test_folders_that_are_refused(tmp_path, state):
+    """Without a state to restart from, with one that would be overwritten, below a file."""
+    written(tmp_path / "old", state, 1.0)
+    on_first(lambda: (tmp_path / "notes").write_text("mine"))
     with raises(FileNotFoundError, "no .*state.npz to restart from: name the folder of an"):
         opened(tmp_path / "nowhere")
+    with raises(FileExistsError, "holds the checkpoint of an earlier run: restart from it, or"):
+        opened(tmp_path / "old", restart=False)
+    with raises(OSError, "folder .*notes/run cannot be written"):
+        opened(tmp_path / "notes/run", restart=False)
     agree(not (tmp_path / "nowhere").exists())
-    checkpoint = opened(tmp_path, restart=False)
+    check(tmp_path / "old", state, 1.0)
     with raises(ValueError, "There is no state in .* yet"):
-        checkpoint.read(Fields().functions)
+        opened(tmp_path / "new", restart=False).read(Fields().functions)
 
 
 @pytest.mark.parametrize("damage", ["empty", "short", "flipped", "other"])
@@ -149,9 +149,3 @@ def test_damaged_states(tmp_path, state, damage):
     on_first(spoil)
     with raises(ValueError, "state.npz is damaged, or no checkpoint of this version: name another"):
         opened(tmp_path)
-
-
-def test_folder_that_cannot_be_written(tmp_path):
-    on_first(lambda: (tmp_path / "notes").write_text("mine"))
-    with raises(OSError, "folder .*notes/run cannot be written"):
-        opened(tmp_path / "notes/run", restart=False)

@@ -60,7 +60,7 @@ class Scan:
     def distance(self) -> float:
         """How far the loaded wall is from the image [mm]."""
         loaded = self.mesh.geometry.x + self.nodes.displacement(self.body.u)
-        return self.nodes.longest(loaded - self.nodes.first)
+        return self.nodes.longest(loaded - self.nodes.initial)
 
 
 @pytest.mark.processes(1, 2)
@@ -73,7 +73,7 @@ def test_loaded_again_it_is_the_image(degree):
     steps = unload(scan.problem, scan.set_load, [40.0], STEPS, **scan.arguments)
     for spent, once in zip(cost(steps), inflation, strict=True):
         agree(spent <= 3 * once, (cost(steps), inflation))
-    agree(scan.nodes.longest(scan.mesh.geometry.x - scan.nodes.first) > 0.01)
+    agree(scan.nodes.longest(scan.mesh.geometry.x - scan.nodes.initial) > 0.01)
     small(scan.distance(), 1e-12)  # u leads to the image
     scan.rest()
     scan.inflate(40.0)
@@ -93,7 +93,7 @@ def test_fibres_follow():
         STEPS,
         **scan.arguments,
         fibres=[a],
-        on_move=lambda: moves.append(scan.nodes.longest(scan.mesh.geometry.x - scan.nodes.first)),
+        on_move=lambda: moves.append(scan.nodes.longest(scan.mesh.geometry.x - scan.nodes.initial)),
     )
     F = ufl.Identity(3) + ufl.grad(scan.body.u)
     pushed, length = (cell_values(e, scan.mesh) for e in (F * a, ufl.sqrt(ufl.inner(a, a))))
@@ -143,8 +143,8 @@ def test_failure_leaves_the_image():
             **scan.arguments,
             on_move=lambda: seen.append(scan.mesh.geometry.x.copy()),
         )
-    equal(scan.mesh.geometry.x, scan.nodes.first)
-    equal(seen[-1], scan.nodes.first)
+    equal(scan.mesh.geometry.x, scan.nodes.initial)
+    equal(seen[-1], scan.nodes.initial)
     agree(float(scan.body.load.value) == 0.0 and not scan.body.u.x.array.any())
 
 
@@ -165,9 +165,9 @@ def test_failure_of_the_last_move_leaves_the_image():
 
     with raises(ZeroDivisionError, "the last move"):
         unload(scan.problem, scan.set_load, [10.0], STEPS, **scan.arguments, on_move=on_move)
-    agree(len(moves) == last + 1 and np.any(moves[-2] != scan.nodes.first))
-    equal(moves[-1], scan.nodes.first)
-    equal(scan.mesh.geometry.x, scan.nodes.first)
+    agree(len(moves) == last + 1 and np.any(moves[-2] != scan.nodes.initial))
+    equal(moves[-1], scan.nodes.initial)
+    equal(scan.mesh.geometry.x, scan.nodes.initial)
 
 
 def test_inverted_cells_are_counted():

@@ -201,17 +201,6 @@ STRIP = uniaxial([1.0, 1.1, 1.2])
         ({"stress": [1.0, 2.0]}, r"shape \(2,\): the uniaxial path with 3 states needs \(3, 1\)"),
         ({"path": equibiaxial([1.1, 1.2]), "stress": [1.0, 2.0]}, r"needs \(2, 2\)"),
         ({"stress": [1.0, np.nan, 2.0]}, "not finite: leave those states out"),
-    ],
-)
-def test_bad_data(arguments, message):
-    good = {"path": STRIP, "stress": [0.0, 1.0, 2.0], "measure": "cauchy"}
-    with pytest.raises(ValueError, match=message):
-        DataSet(**{**good, **arguments})
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
         ({"start": {}}, r"3 measured stresses cannot determine the parameters \[\]"),
         ({"data": []}, "0 measured stresses"),
         ({"bounds": {"k": (0, 1)}}, r"bounds has \['k'\], which start has not"),
@@ -221,13 +210,11 @@ def test_bad_data(arguments, message):
         ({"start": {"c": np.inf}}, "c = inf: give a finite value"),
     ],
 )
-def test_bad_fit(arguments, message):
-    data = [DataSet(STRIP, [0.0, 1.0, 2.0], measure="cauchy")]
+def test_bad_input(arguments, message):
+    good = {"path": STRIP, "stress": [0.0, 1.0, 2.0], "start": {"c": 1.0}} | arguments
     with pytest.raises(ValueError, match=message):
-        fit(
-            **{"psi": neo_hookean, "data": data, "start": {"c": 1.0}, "jit_options": JIT}
-            | arguments
-        )
+        data = [DataSet(good.pop("path"), good.pop("stress"), measure="cauchy")]
+        fit(**{"psi": neo_hookean, "data": data, "jit_options": JIT} | good)
 
 
 def test_start_without_equilibrium():
