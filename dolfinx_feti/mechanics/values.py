@@ -10,6 +10,7 @@ import inspect
 import math
 import re
 import reprlib
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral, Real
 from types import SimpleNamespace, UnionType
@@ -114,10 +115,14 @@ def typed(work: Work) -> Work:
 
 
 def type_exports(room: dict[str, Any]) -> None:
-    """Let all functions and classes in the ``__all__`` of a room refuse arguments so."""
+    """Let all functions and classes in the ``__all__`` of a room refuse arguments so.
+
+    Also by the names that they have in their own files, by which pickle looks them up.
+    """
     for name in room["__all__"]:
         if callable(room[name]):
             room[name] = typed(room[name])
+            setattr(sys.modules[room[name].__module__], name, room[name])
 
 
 def _hints(work: Callable[..., Any]) -> dict[str, Any]:

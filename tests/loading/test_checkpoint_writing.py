@@ -7,17 +7,27 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import os
+import random
 import shutil
+import subprocess
+import time
 import zipfile
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
-from collective import agree, raises
+from collective import COMM, agree, raises
+from problems import cube
 from programs import finish, start
 from states import check, opened, written
 
+import dolfinx
+
+from dolfinx_feti import loads
 from dolfinx_feti.loading import checkpoint as module
+from dolfinx_feti.loading.checkpoint import Checkpoint
 
 
 @pytest.mark.parametrize("name", ["writestr", "open"])
@@ -81,11 +91,52 @@ def test_killed_at_any_call(tmp_path, state, monkeypatch, name):
     agree(t == 3.0 and at >= 1)
 
 
+def program(*words: object, processes: int = 1) -> subprocess.Popen[str]:
+    """Start the run with checkpoints."""
+    return start("checkpoint_run.py", *words, processes=processes)
+
+
+@pytest.mark.serial
+def test_restart_on_another_number_of_processes(tmp_path):
+    """One process, then two, then one: the result of one run."""
+    for name, legs in {"whole": [(3.0, 1)], "parts": [(1.0, 1), (2.5, 2), (3.0, 1)]}.items():
+        for i, (load, processes) in enumerate(legs):
+            words = ["restart"] * (i > 0)
+            finish(program("wall", tmp_path / name, load, *words, processes=processes))
+    whole, parts = (np.load(tmp_path / f"{name}.npz") for name in ("whole", "parts"))
+    assert parts["load"] == whole["load"] == loads.mmhg(3.0)
+    for name in ("u", "p"):
+        error, scale = np.abs(parts[name] - whole[name]).max(), np.abs(whole[name]).max()
+        assert error <= 1e-8 * scale > 0.0
+    assert {1.0, 2.5, 3.0} <= set(parts["path"]) and {1.0, 2.5} & set(whole["path"]) == set()
+
+
+@pytest.mark.serial
+def test_killed_again_and_again(tmp_path):
+    """SIGKILL at random moments: the folder holds a whole state, and never an older one."""
+    for k in range(4):
+        folder = tmp_path / f"run{k}"
+        process = program("loop", folder)
+        deadline = time.monotonic() + 60
+        while not (folder / "state.npz").exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        time.sleep(random.uniform(0.0, 0.4))
+        process.kill()
+        process.communicate()
+        with zipfile.ZipFile(folder / "state.npz") as file:
+            seen = json.loads(file.read("head.json"))["record"]["value"]
+        checkpoint = Checkpoint(folder, COMM, parameters={"kappa": 1000.0}, restart=True)
+        f = dolfinx.fem.Function(dolfinx.fem.functionspace(cube(2, 3), ("Lagrange", 1)))
+        f.x.array[:] = -1.0
+        checkpoint.read([f])
+        assert checkpoint.record == {"value": seen} and np.all(f.x.array == seen)
+
+
 @pytest.mark.serial
 @pytest.mark.parametrize("processes", [1, 2])
 def test_files_that_may_not_grow(tmp_path, processes):
     """A failure of the system and not of a stand-in; all processes end by themselves."""
-    said = finish(start("checkpoint_run.py", tmp_path / "run", 4.0, processes=processes), status=1)
+    said = finish(program("wall", tmp_path / "run", 4.0, "small", processes=processes), status=1)
     assert said.count("OSError: The checkpoint") == processes, said
     assert "File too large" in said and "there is none yet" in said
     assert list((tmp_path / "run").iterdir()) == []

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import pickle
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -117,9 +118,11 @@ def test_public_functions(name, call):
 
 @pytest.mark.parametrize("room", ROOMS, ids=lambda room: room.__name__)
 def test_rooms(room):
-    """All that a room exports is checked."""
+    """All that a room exports is checked, and can be pickled."""
     for name in room.__all__:
         thing = getattr(room, name)
+        if callable(thing):
+            assert pickle.loads(pickle.dumps(thing)) is thing
         work = thing.__init__ if inspect.isclass(thing) else thing
         if callable(work) and work is not object.__init__:
             assert hasattr(work, "__wrapped__"), name
