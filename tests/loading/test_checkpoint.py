@@ -112,6 +112,12 @@ def test_other_parameters(tmp_path, state, other, match):
     agree(content(tmp_path) == before)
 
 
+def test_parameters_that_no_file_holds(tmp_path, state):
+    with raises(ValueError, r"parameters\['law'\] is <.*>: give numbers, strings, or lists"):
+        opened(tmp_path / "run", restart=False, law=object())
+    agree(not (tmp_path / "run").exists())
+
+
 def test_folders_that_are_refused(tmp_path, state):
     """Without a state to restart from, with one that would be overwritten, below a file."""
     written(tmp_path / "old", state, 1.0)
