@@ -155,7 +155,8 @@ def _misfits(where: str, value: Any, hint: Any) -> list[tuple[str, object]]:
         wrong = [] if isinstance(value, Mapping) else wrong
         parts = {} if wrong else {f"{where}[{key!r}]": part for key, part in value.items()}
     elif origin in (Sequence, list, tuple):
-        listed = hasattr(value, "__len__") and not isinstance(value, (str, bytes, Mapping))
+        listed = isinstance(value, Sequence) and not isinstance(value, (str, bytes))
+        listed = listed or (isinstance(value, np.ndarray) and value.ndim > 0)
         wrong = [] if listed else wrong
         parts = {f"{where}[{i}]": part for i, part in enumerate(value)} if listed else {}
     else:
