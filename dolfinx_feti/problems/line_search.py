@@ -9,8 +9,8 @@ the work of the free dofs' forces, :math:`g(α) = ΔU_f·r_f(U + α ΔU)`, a ste
 .. math:: -η ≤ g(α)/g_0 ≤ 1 + η, \qquad g_0 = ΔU_f·(r_f + K_{fD}\, ΔU_D),
 
 with forces before condensation. Where g jumps, as at a kink of Π, a shorter step in these bounds
-can be far too short: once a step has overshot, |g(α)| ≤ |g_0|/2, or α is within 1.3 of the zero of
-g from below. With a potential Π a step has to lower it (Armijo),
+can be far too short: once a step has overshot, -1/4 ≤ g(α)/g_0 ≤ 0.9, or α is within 1.3 of the
+zero of g from below. With a potential Π a step has to lower it (Armijo),
 
 .. math:: Π(U + α ΔU) ≤ Π_m + 10^{-4}\, α\, ΔU·r,
 
@@ -43,14 +43,14 @@ SHORTEST, LONGEST = 1.0 / 1024, 16.0
 #: How often a step that overshoots is shortened: a first tangent can be far too soft.
 TRIALS = 40
 
-#: Once a step has overshot: the |g(α)/g(0)| to reach, or how near α two steps around the zero are.
-CLOSE, TIGHT = 0.5, 1.3
+#: Once a step has overshot: by how much g(α)/g(0) may be below zero, or the ratio of two α around.
+CLOSE, TIGHT = 0.25, 1.3
 
 #: By what factors a step is shortened at least and at most.
 HALF, TENTH = 0.5, 0.1
 
-#: Where g(α)/g(0) is still above this, a step with a shift is too short (Wolfe).
-CURVATURE_CONDITION = 0.9
+#: Where g(α)/g(0) is still above this, a step with a shift, or after a longer one, is too short.
+WOLFE = 0.9
 
 #: Share of the potential below which its change is rounding.
 POTENTIAL_ROUNDING = 1e-9
@@ -111,7 +111,7 @@ def line_search(
     )
     trial, overshot, trials = move(1.0), False, 1
     low, high = Trial(0.0, residual, 1.0), trial
-    while not trial.accepted or (overshot and not -CLOSE <= trial.ratio <= CLOSE):
+    while not trial.accepted or (overshot and not -CLOSE <= trial.ratio <= WOLFE):
         overshot |= trial.ratio < -ETA
         if trial.accepted and trial.ratio > 0.0:
             low = trial
@@ -124,7 +124,7 @@ def line_search(
             system.set_state(start)
             return Trial(0.0, residual, potential=height)
         trial, trials = move(alpha), trials + 1
-    while shifted and trial.ratio > CURVATURE_CONDITION and 1.0 <= trial.alpha < LONGEST:
+    while shifted and trial.ratio > WOLFE and 1.0 <= trial.alpha < LONGEST:
         longer = move(2.0 * trial.alpha)
         if not longer.accepted:
             trial = move(trial.alpha)
