@@ -10,7 +10,6 @@ import inspect
 import math
 import re
 import reprlib
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral, Real
 from types import SimpleNamespace, UnionType
@@ -117,12 +116,13 @@ def typed(work: Work) -> Work:
 def type_exports(room: dict[str, Any]) -> None:
     """Let all functions and classes in the ``__all__`` of a room refuse arguments so.
 
-    Also by the names that they have in their own files, by which pickle looks them up.
+    Functions belong to the room then, where pickle looks them up.
     """
     for name in room["__all__"]:
         if callable(room[name]):
             room[name] = typed(room[name])
-            setattr(sys.modules[room[name].__module__], name, room[name])
+            if not inspect.isclass(room[name]):
+                room[name].__module__ = room["__name__"]
 
 
 def _hints(work: Callable[..., Any]) -> dict[str, Any]:
