@@ -7,16 +7,16 @@ In the order of the data: patches, stress, points, fields.
 """
 
 from dolfinx_feti.mechanics.values import type_exports
-from dolfinx_feti.runtime.folders import writable_folder
-from dolfinx_feti.output.stress import balanced_stress
 from dolfinx_feti.output.fields import FieldWriter, cell_values
 from dolfinx_feti.output.patches import Patches, create_patches
 from dolfinx_feti.output.stress import (
+    balanced_stress,
     components,
     layer_means,
     principal_values,
     recovered_field,
 )
+from dolfinx_feti.runtime.folders import writable_folder
 
 __all__ = [
     "FieldWriter",

@@ -7,9 +7,10 @@ Where dolfinx has ADIOS2 the format is VTX, `name.bp`: every field becomes a dis
 of the degree of the cells' geometry. Elsewhere, and for prisms, it is XDMF, `name.xdmf` with
 `name.h5`: continuous fields at the nodes of the cells, the others with one value per cell.
 
-Data at quadrature points, and expressions with them, are projected to these functions in each cell,
-or written where they are, to `name_points.xdmf` (:mod:`~dolfinx_feti.output.points`). Data on facets
-are fields of a submesh, which has a file of its own; those of a submesh of vertices are points.
+Data at quadrature points, and expressions with them, are projected to these functions in each
+cell, or written where they are, to `name_points.xdmf` (:mod:`~dolfinx_feti.output.points`). Data on
+facets are fields of a submesh, which has a file of its own; those of a submesh of vertices are
+points.
 """
 
 from __future__ import annotations
@@ -312,7 +313,8 @@ def _projector(
 def _writable_place(path: Path, kind: str, comm: MPI.Comm) -> Path:
     """Return the path with its suffix, after a check that everything there can be written.
 
-    With a folder in place of a file the libraries would raise on one process only, or write nothing.
+    With a folder in place of a file the libraries would raise on one process only, or write
+    nothing.
     """
     folder = writable_folder(path.parent, comm)
     place = folder / (path.name + SUFFIXES[kind])

@@ -17,7 +17,7 @@ and the fits are blended with the hat functions φ_v of the vertices,
 .. math:: \mathcal R f = \sum_v φ_v \, (m_v + G_v (x - \bar x_v)),
 
 quadratic in each cell, continuous in each layer, and equal to f if f is linear in each layer. A few
-sweeps f* ← f* + 𝓡(f − f*) put back what the blending has smoothed away.
+sweeps f* ← f* + R(f − f*) put back what the blending has smoothed away.
 
 The data are the values of f inside the cells, or its means over the cells only: then the centroid
 of a cell stands for x, and the mean for f.
@@ -39,10 +39,10 @@ import dolfinx
 from ufl.core.expr import Expr
 from ufl.domain import extract_domains
 
-from dolfinx_feti.runtime.compat import geometry_dofmap, interpolation_points
 from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.runtime.compat import geometry_dofmap, interpolation_points
 
-__all__ = ["Incidence", "Patches", "Scatter", "create_patches", "recover", "moments", "present"]
+__all__ = ["Incidence", "Patches", "Scatter", "create_patches", "moments", "present", "recover"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -183,7 +183,8 @@ def moments(expression: Expr, patches: Patches) -> Array:
     mesh, n_cells = patches.mesh, len(patches.volumes)
     size = int(np.prod(expression.ufl_shape))
     integrals, wrong = np.zeros((n_cells, len(patches.weights), size)), 0
-    on_mesh = dolfinx.fem.Constant(mesh, np.float64(1.0)) * expression  # a constant alone knows no mesh
+    one = dolfinx.fem.Constant(mesh, np.float64(1.0))
+    on_mesh = one * expression  # a constant alone knows no mesh
     domains = extract_domains(on_mesh)
     if any(domain != mesh.ufl_domain() for domain in domains):
         raise ValueError(
@@ -217,7 +218,8 @@ def recover(patches: Patches, data: Array, *, means: bool, sweeps: int) -> Array
     """
     space = dolfinx.fem.functionspace(patches.mesh, ("DG", 2))
     nodes = interpolation_points(space)
-    to_moments = patches.weights @ space.element.basix_element.tabulate(0, patches.points)[0, ..., 0]
+    φ = space.element.basix_element.tabulate(0, patches.points)[0, ..., 0]
+    to_moments = patches.weights @ φ
     field = np.zeros((len(data), len(nodes), data.shape[2]))
     for _ in range(sweeps):
         field += _blend(patches, data - to_moments @ field, nodes, means=means)  # f* += R(f − f*)
@@ -246,7 +248,7 @@ def _blend(patches: Patches, data: Array, nodes: Array, *, means: bool) -> Array
 
 
 def _scatter(incidence: Incidence, x: Array, volumes: Array, inner: Array) -> Scatter:
-    """Sum up where the data lie: centroids x, (n_c, d), and cov(x, x) inside each cell, (n_c, d, d)."""
+    """Sum up where the data lie: centroids x, (n_c, d), and cov(x, x) in each cell, (n_c, d, d)."""
     second = (x[:, :, None] * x[:, None] + inner).reshape(len(x), x.shape[1] ** 2)
     sums = incidence.over_patches(volumes[:, None] * np.column_stack([np.ones(len(x)), x, second]))
     volume = np.where(sums[:, :1] > 0, sums[:, :1], 1.0)  # a vertex may have no cell in a layer

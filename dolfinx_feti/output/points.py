@@ -45,7 +45,7 @@ def projection(φ: Array, weights: Array) -> Array:
 
 
 class PointCloud:
-    """Values at points, step by step, in `name.xdmf` and `name.bin`; each process writes its own."""
+    """Values at points, step by step, in `name.xdmf` and `name.bin`; processes write their own."""
 
     def __init__(self, path: Path, comm: MPI.Comm) -> None:
         """Open the files. Collective."""
@@ -59,7 +59,7 @@ class PointCloud:
         self._grids: list[str] = []
 
     def write(self, t: float, x: Array, fields: Mapping[str, Array]) -> None:
-        """Append a step with the points x, (n, 3), and fields, (n, k), of this process. Collective."""
+        """Append a step: points x, (n, 3), and fields, (n, k), of this process. Collective."""
         n = self._comm.allreduce(len(x))
         grid = [
             f'<Grid GridType="Uniform"><Time Value="{t!r}"/>',
@@ -83,15 +83,16 @@ class PointCloud:
         on_first(lambda: self._path.write_text(text, encoding="utf-8"), self._comm)
 
     def _append(self, values: Array) -> str:
-        """Append the rows of all processes to the heavy data; return the item that refers to them."""
+        """Append the rows of all processes to the heavy data; return the item that names them."""
         rows = self._comm.allgather(len(values))
         width = 8 * values.shape[1]
         start = self._end + width * sum(rows[: self._comm.rank])
         self._file.Write_at_all(start, np.ascontiguousarray(values, dtype="<f8"))
         seek, self._end = self._end, self._end + width * sum(rows)
         return (
-            f'<DataItem Dimensions="{sum(rows)} {values.shape[1]}" NumberType="Float" Precision="8" '
-            f'Format="Binary" Endian="Little" Seek="{seek}">{self._path.stem}.bin</DataItem>'
+            f'<DataItem Dimensions="{sum(rows)} {values.shape[1]}" NumberType="Float" '
+            f'Precision="8" Format="Binary" Endian="Little" Seek="{seek}">'
+            f"{self._path.stem}.bin</DataItem>"
         )
 
     def close(self) -> None:

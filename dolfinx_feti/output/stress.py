@@ -17,24 +17,23 @@ functions on each cell, :math:`σ^* = σ + (Π(n·σ n) - n·σ n)\, I`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from mpi4py import MPI
+
 import numpy as np
+import numpy.typing as npt
+
 import basix
 import dolfinx
 import ufl
 from ufl.core.expr import Expr
-from dolfinx_feti.fem.compiler import Compiler
-from collections.abc import Mapping
-import numpy as np
-import numpy.typing as npt
-import dolfinx
-import ufl
-from ufl.core.expr import Expr
-from dolfinx_feti.runtime.compat import interpolation_points
+
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.output.patches import Patches, moments, present, recover
+from dolfinx_feti.runtime.compat import interpolation_points
 
-__all__ = ['balanced_stress', 'components', 'layer_means', 'principal_values', 'recovered_field']
+__all__ = ["balanced_stress", "components", "layer_means", "principal_values", "recovered_field"]
 
 Array = npt.NDArray[np.float64]
 
@@ -89,8 +88,8 @@ def recovered_field(
     V = result.function_space
     if V.mesh is not mesh or V.ufl_element() != space.ufl_element():
         raise ValueError(
-            f"out='{result.name}' cannot hold a recovered field of shape {shape} on this mesh: give "
-            "what an earlier call for the same expression has returned, or None."
+            f"out='{result.name}' cannot hold a recovered field of shape {shape} on this mesh: "
+            "give what an earlier call for the same expression has returned, or None."
         )
     data = moments(expression, patches)
     field = recover(patches, data, means=_constant_in_cells(data, patches), sweeps=SWEEPS)
@@ -134,7 +133,7 @@ def components(
         stress: Made by :func:`recovered_field`.
         directions: By name; vectors of any length but zero. A Cauchy stress lives in the deformed
             body: its component along a fibre a₀ is that in the direction F a₀, and the
-            circumferential, axial and radial ones are those in the directions F ê₀, F ê₁ and F⁻ᵀ ê₂.
+            circumferential, axial and radial ones are those along F ê₀, F ê₁ and F⁻ᵀ ê₂.
 
     Returns:
         Scalar functions under these names.
@@ -215,8 +214,8 @@ def _recovered_normal(normal: Expr, patches: Patches) -> Array:
     wrong = patches.mesh.comm.allreduce(int((length == 0.0).sum()))
     if wrong:
         raise ArithmeticError(
-            f"The normal vanishes at {wrong} nodes: give one that has the same sign in neighbouring "
-            "cells, and is nowhere zero."
+            f"The normal vanishes at {wrong} nodes: give one that has the same sign in "
+            "neighbouring cells, and is nowhere zero."
         )
     return np.asarray(n / length)
 

@@ -52,7 +52,9 @@ def test_data_at_quadrature_points_are_projected(tmp_path, kind, cell, degree):
     shape = getattr(dolfinx.mesh.CellType, cell)
     mesh = cube(2 if cell in ("triangle", "quadrilateral") else 3, 2, shape)
     S, x = at_points(mesh, degree), ufl.SpatialCoordinate(mesh)
-    with FieldWriter(tmp_path / "o", [S], {"twice": 2 * S * (1 + x[0]) / (1 + x[0])}, kind=kind) as writer:
+    with FieldWriter(
+        tmp_path / "o", [S], {"twice": 2 * S * (1 + x[0]) / (1 + x[0])}, kind=kind
+    ) as writer:
         S.x.array[:] *= 3.0  # after the writer was made
         writer.write(0.0)
         exact = dolfinx.fem.Function(writer._copies[0].function_space)
@@ -225,7 +227,10 @@ def refused_field(mesh: dolfinx.mesh.Mesh, name: str) -> tuple[list, dict]:
         ("another mesh", "'e' cannot be written: it lives on another mesh than the first"),
         ("facets", "'e' cannot be written: The expression holds .*, which lives on facets"),
         ("argument", "'e' cannot be written: it holds a test or trial function"),
-        ("two rules", r"'e' cannot be written: The expression combines data at \d+ and at \d+ other"),
+        (
+            "two rules",
+            r"'e' cannot be written: The expression combines data at \d+ and at \d+ other",
+        ),
         ("derivative", "'e' cannot be written: "),
         ("twice", r"named \['first', 'first'\]: give at least one function, and distinct"),
     ],

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from collective import COMM, raises, small
+from collective import COMM, small
 
 import dolfinx
 import ufl

@@ -97,7 +97,9 @@ def read_xdmf(path: Path) -> list[dict[str, Array]]:
         found: dict[float, dict[str, Array]] = {}
         with h5py.File(path.with_suffix(".h5")) as file:
             root = ElementTree.parse(path)
-            meshes = [grid.get("Name") for grid in root.findall("./Domain/Grid[@GridType='Uniform']")]
+            meshes = [
+                grid.get("Name") for grid in root.findall("./Domain/Grid[@GridType='Uniform']")
+            ]
             for grid in root.iterfind(".//Grid[Attribute]"):
                 pointer = next(part.get("xpointer") for part in grid if "include" in part.tag)
                 place = f"Mesh/{meshes[int(re.findall(r'[0-9]+', pointer)[0]) - 1]}"

@@ -347,11 +347,11 @@ def test_patches_follow_a_mesh_that_moves():
     layers = split(mesh)
     patches = create_patches(mesh, layers)
     x = mesh.geometry.x
-    x[:] = x @ np.array([[1.3, 0.2, 0.0], [0.1, 0.8, 0.3], [0.0, 0.4, 1.1]]) + 0.05 * x[:, ::-1] ** 2
-    expression = linear(mesh, step(layers, mesh))
-    moved, fresh = (
-        recovered_field(expression, p) for p in (patches, create_patches(mesh, layers))
+    x[:] = (
+        x @ np.array([[1.3, 0.2, 0.0], [0.1, 0.8, 0.3], [0.0, 0.4, 1.1]]) + 0.05 * x[:, ::-1] ** 2
     )
+    expression = linear(mesh, step(layers, mesh))
+    moved, fresh = (recovered_field(expression, p) for p in (patches, create_patches(mesh, layers)))
     equal(moved.x.array, fresh.x.array, 1e-14)
     names = {"inner": 7, "outer": 3}
     means = [

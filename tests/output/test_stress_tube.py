@@ -28,8 +28,8 @@ class Found:
     """What is compared at a pressure.
 
     Attributes:
-        errors: Of σ_rr and σ_θθ, those of the stress inside the cells (``stress_``), of the recovered
-            one without a normal (``plain_``) and with it (``recovered_``).
+        errors: Of σ_rr and σ_θθ, those of the stress inside the cells (``stress_``), of the
+            recovered one without a normal (``plain_``) and with it (``recovered_``).
         hoop: Mean of σ_θθ over the deformed media, and the truth [kPa].
         pressure: Errors of p and of the recovered pressure.
     """
