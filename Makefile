@@ -127,6 +127,7 @@ docs: export FENICSX_PACKAGES = docs
 docs: ## the site in build/docs/, with every demo executed, looked at in a browser; about 5 minutes
 	$(with) python3 scripts/demo_pages.py
 	$(with) python3 scripts/rooms.py --modules
+	rm -rf build/docs # pages of files that are gone
 	$(with) python3 -m sphinx -W --keep-going -q docs build/docs
 	$(with) python3 scripts/look_at_site.py build/docs
 

@@ -24,7 +24,7 @@ import primal_form
 import pytest
 from collective import agree
 from garbage import garbage
-from problems import Problem
+from problems import Problem, torn
 
 import dolfinx
 
@@ -290,14 +290,7 @@ def solve() -> Callable[..., dolfinx_feti.LinearProblem]:
     def run(
         problem: Problem, subdomains: object, options: Mapping[str, object] | None = None
     ) -> dolfinx_feti.LinearProblem:
-        linear = dolfinx_feti.LinearProblem(
-            problem.a,
-            problem.L,
-            bcs=problem.bcs,
-            subdomains=subdomains,
-            petsc_options_prefix=PREFIX,
-            petsc_options=options,
-        )
+        linear = torn(problem, subdomains, PREFIX, **(options or {}))
         linear.solve()
         agree(linear.solver.getConvergedReason() > 0)
         return linear
