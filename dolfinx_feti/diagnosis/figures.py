@@ -25,13 +25,12 @@ import numpy.typing as npt
 
 from dolfinx_feti.feti.form import Form
 from dolfinx_feti.feti.report import Report
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import join
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Figures", "Spread", "collect_figures", "residual_shares"]
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,18 +15,17 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.diagnosis.advice import Advice, advise
 from dolfinx_feti.diagnosis.figures import Figures, Spread, collect_figures, residual_shares
 from dolfinx_feti.feti.report import table
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.cost import timed_solve
 from dolfinx_feti.runtime.events import seconds_of
 from dolfinx_feti.runtime.tables import json_value
 
 __all__ = ["Diagnosis", "Seconds", "diagnose"]
 
-Array = npt.NDArray[np.float64]
 
 PHASES = ("FETIGluing", "FETIFactor", "FETICoarse")
 
@@ -76,7 +75,7 @@ class Diagnosis:
     message: str
     seconds: Seconds
     peak_mib: float
-    residuals: npt.NDArray[np.float64]
+    residuals: Array
     advice: tuple[Advice, ...]
 
     @property

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import ufl
@@ -32,10 +31,9 @@ from dolfinx_feti.fem.decomposition import TornSpace
 from dolfinx_feti.fem.kernels.kernel import Kernel, create_kernel
 from dolfinx_feti.fem.regions import separate
 from dolfinx_feti.runtime import compat
+from dolfinx_feti.runtime.arrays import Array, Indices, Mask, Numbers
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.torn.matrix import create_torn_matrix
-
-Vector = npt.NDArray[np.float64]
 
 __all__ = [
     "LocalMatrix",
@@ -180,8 +178,8 @@ class LocalMatrix:
 
     csr: dolfinx.la.MatrixCSR
     mat: PETSc.Mat
-    node: npt.NDArray[np.int32]
-    place: npt.NDArray[np.int32]
+    node: Indices
+    place: Indices
 
     def destroy(self) -> None:
         """Free PETSc's matrix."""
@@ -234,9 +232,7 @@ def create_local_matrix(space: TornSpace, compiler: Compiler | None = None) -> L
     return LocalMatrix(csr, mat, *locate(space, csr.indptr, csr.indices))
 
 
-def locate(
-    space: TornSpace, indptr: npt.NDArray[np.int64], indices: npt.NDArray[np.int32]
-) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+def locate(space: TornSpace, indptr: Numbers, indices: Indices) -> tuple[Indices, Indices]:
     """Return the nodes of each cell, and the places of their columns, see :class:`LocalMatrix`.
 
     Args:
@@ -293,7 +289,7 @@ def integrate(form: SplitForm) -> float:
     return total + sum(float(kernel.evaluate()[0].sum()) for kernel in form.kernels)
 
 
-def assemble_owned(form: dolfinx.fem.Form) -> Vector:
+def assemble_owned(form: dolfinx.fem.Form) -> Array:
     """Assemble a compiled linear form (eq. 28); return its owned entries, (owned,).
 
     Note:
@@ -308,7 +304,7 @@ def create_matis(
     space: TornSpace,
     K: PETSc.Mat,
     bcs: Sequence[dolfinx.fem.DirichletBC],
-    stiffness: npt.NDArray[np.float64] | None = None,
+    stiffness: Array | None = None,
     symmetric: bool | None = None,
 ) -> PETSc.Mat:
     """Wrap the local matrix of a torn space as the torn matrix of the whole problem.
@@ -333,7 +329,7 @@ def create_matis(
     return A
 
 
-def prescribe(A: PETSc.Mat, dirichlet: npt.NDArray[np.bool_]) -> None:
+def prescribe(A: PETSc.Mat, dirichlet: Mask) -> None:
     """Let a torn matrix have these Dirichlet dofs, and no others.
 
     Args:
@@ -347,9 +343,7 @@ def prescribe(A: PETSc.Mat, dirichlet: npt.NDArray[np.bool_]) -> None:
     A.compose("dirichlet", PETSc.IS().createGeneral(dofs.astype(PETSc.IntType), comm=A.comm))
 
 
-def dirichlet_mask(
-    V: dolfinx.fem.FunctionSpace, bcs: Sequence[dolfinx.fem.DirichletBC]
-) -> npt.NDArray[np.bool_]:
+def dirichlet_mask(V: dolfinx.fem.FunctionSpace, bcs: Sequence[dolfinx.fem.DirichletBC]) -> Mask:
     """Mark the owned dofs of V with a Dirichlet condition, (owned,)."""
     mask = np.zeros(V.dofmap.index_map.size_local * V.dofmap.index_map_bs, dtype=bool)
     for bc in bcs:

@@ -12,14 +12,12 @@ from typing import TypeVar
 
 from mpi4py import MPI
 
-import numpy as np
-import numpy.typing as npt
-
 import dolfinx
 import ufl
 from ufl.corealg.traversal import traverse_unique_terminals
 
 from dolfinx_feti.fem.quadrature import quadrature_rule, same_points
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.native import announced, processor_flags
 
@@ -80,9 +78,7 @@ class Compiler:
             ),
         )
 
-    def expression(
-        self, expression: ufl.core.expr.Expr, points: npt.NDArray[np.float64]
-    ) -> dolfinx.fem.Expression:
+    def expression(self, expression: ufl.core.expr.Expr, points: Array) -> dolfinx.fem.Expression:
         """Compile an expression.
 
         Args:
@@ -122,7 +118,7 @@ class Compiler:
         return on_all(told, self.comm)
 
 
-def _check_points(expression: ufl.core.expr.Expr, points: npt.NDArray[np.float64]) -> None:
+def _check_points(expression: ufl.core.expr.Expr, points: Array) -> None:
     """Require that an expression has values at points inside cells: FFCx compares their number."""
     for terminal in traverse_unique_terminals(expression):
         if isinstance(terminal, ufl.geometry.GeometricFacetQuantity):

@@ -37,7 +37,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import ufl
@@ -46,11 +45,11 @@ from dolfinx_feti.fem.assembly import LocalMatrix
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace
 from dolfinx_feti.fem.tensors import CellTensors
+from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.native import load, pointer
 
 __all__ = ["Blocks", "Condensation"]
 
-Array = npt.NDArray[np.float64]
 
 #: Local steps in which fields with a nonlinear equation of their own come to satisfy it.
 LOCAL_STEPS = 20
@@ -272,7 +271,7 @@ class Condensation:
         dp[self._place] = -(blocks.excess + slope)[:, :, 0]
         return dp
 
-    def dofs(self) -> npt.NDArray[np.int32]:
+    def dofs(self) -> Indices:
         """Return the torn dofs of each cell, as in the rows of K_up, (cells, d)."""
         n, k = self._node.shape
         dofs = self._node[:, :, None] * self._bs + np.arange(self._bs, dtype=np.int32)

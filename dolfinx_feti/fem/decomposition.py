@@ -30,6 +30,7 @@ import scipy.sparse.csgraph
 import dolfinx
 
 from dolfinx_feti.runtime import compat
+from dolfinx_feti.runtime.arrays import Array, Indices, Integers, Numbers
 from dolfinx_feti.runtime.events import event
 
 __all__ = [
@@ -41,7 +42,6 @@ __all__ = [
     "tear",
 ]
 
-Indices = npt.NDArray[np.int32]
 
 #: Dofs of a subdomain where the user gives no number, measured in ``docs/results/subdomains.md``.
 DOFS = 2000
@@ -81,7 +81,7 @@ class TornSpace:
     V: dolfinx.fem.FunctionSpace
     V_torn: dolfinx.fem.FunctionSpace
     dof: Indices
-    to_global: npt.NDArray[np.int64]
+    to_global: Numbers
 
 
 def suggested_number(V: dolfinx.fem.FunctionSpace, least: int = 1) -> int:
@@ -106,7 +106,7 @@ def suggested_number(V: dolfinx.fem.FunctionSpace, least: int = 1) -> int:
 
 @event("FETITear")
 def decompose(
-    mesh: dolfinx.mesh.Mesh, subdomains: int | npt.NDArray[np.integer], *, seed: int = 0
+    mesh: dolfinx.mesh.Mesh, subdomains: int | Integers, *, seed: int = 0
 ) -> Decomposition:
     """Cut the mesh into subdomains, in the same way in every run.
 
@@ -166,7 +166,7 @@ def tear(V: dolfinx.fem.FunctionSpace, decomposition: Decomposition) -> TornSpac
     return TornSpace(V, V_torn, dof, to_global)
 
 
-def cell_sizes(space: TornSpace, n_cells: int) -> npt.NDArray[np.float64]:
+def cell_sizes(space: TornSpace, n_cells: int) -> Array:
     """Return the greatest diameter of the cells around each torn dof, (n_torn,)."""
     mesh, dofmap = space.V.mesh, space.V_torn.dofmap
     h = mesh.h(mesh.topology.dim, np.arange(n_cells, dtype=np.int32))
@@ -206,7 +206,7 @@ def _check_seed(seed: int, comm: MPI.Comm) -> None:
         raise ValueError(f"seed is {seed!r}: give zero or a positive integer.")
 
 
-def _shares(subdomains: int, cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _shares(subdomains: int, cells: Numbers) -> Numbers:
     """Return each process's number of subdomains, in proportion to its cells, (processes,).
 
     Those that are left over by rounding down go to the largest remainders: of a multiple of the

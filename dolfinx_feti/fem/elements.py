@@ -19,7 +19,7 @@ import basix.ufl
 
 __all__ = ["quadratic_with_bubbles"]
 
-Array = npt.NDArray[np.floating]
+Floats = npt.NDArray[np.floating]
 
 
 def quadratic_with_bubbles(cell: str, *, faces: bool = True) -> basix.ufl._ElementBase:
@@ -56,8 +56,8 @@ def _face_bubbles() -> basix.ufl._ElementBase:
     λ = np.column_stack([1.0 - x.sum(axis=1), x])
     bubbles = np.array([λ[:, face].prod(axis=1) for face in topology[2]])
     legendre = basix.tabulate_polynomials(basix.PolynomialType.legendre, cell, 3, x)
-    points: list[list[Array]] = [[np.zeros((0, 3)) for _ in entities] for entities in topology]
-    dofs: list[list[Array]] = [[np.zeros((0, 1, 0, 1)) for _ in part] for part in topology]
+    points: list[list[Floats]] = [[np.zeros((0, 3)) for _ in entities] for entities in topology]
+    dofs: list[list[Floats]] = [[np.zeros((0, 1, 0, 1)) for _ in part] for part in topology]
     points[2] = [corners[face].mean(axis=0)[None] for face in topology[2]]
     dofs[2] = [np.ones((1, 1, 1, 1)) for _ in topology[2]]
     return basix.ufl.custom_element(

@@ -13,14 +13,15 @@ decomposition. UFL's dS couples all dofs of the cells on both sides, whatever st
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
+
+from dolfinx_feti.runtime.arrays import Indices, Integers
 
 __all__ = ["one_side"]
 
 
-def one_side(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
+def one_side(mesh: dolfinx.mesh.Mesh, facets: Integers) -> Indices:
     """Return a cell next to each facet, for integrals over surfaces inside of the mesh.
 
     Example::

@@ -11,21 +11,20 @@ from operator import itemgetter
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.torn.matrix import set_near_kernel
 
 __all__ = ["attach_near_kernel"]
 
-Vector = npt.NDArray[np.float64]
 
 #: Error of a dof of the constant 1.
 ROUNDING = 1e-12
 
 
-def attach_near_kernel(A: PETSc.Mat, V: dolfinx.fem.FunctionSpace, u: Vector | None = None) -> None:
+def attach_near_kernel(A: PETSc.Mat, V: dolfinx.fem.FunctionSpace, u: Array | None = None) -> None:
     """Attach constants and, for displacements, the rotations of the deformed body.
 
     A near null space of the user's stays.
@@ -64,14 +63,14 @@ def _is_users(A: PETSc.Mat) -> bool:
     return bool(space.handle) and space.handle != A.getAttr("own near kernel")
 
 
-def _linear_fields(V: dolfinx.fem.FunctionSpace) -> tuple[Vector, Vector]:
+def _linear_fields(V: dolfinx.fem.FunctionSpace) -> tuple[Array, Array]:
     """Return the owned dofs of 1, (owned blocks,), and of the coordinates, (owned blocks, gdim)."""
     gdim, n = V.mesh.geometry.dim, V.dofmap.index_map.size_local
     if V.element.interpolation_ident:  # dofs are values at points
         return np.ones(n), V.tabulate_dof_coordinates()[:n, :gdim].copy()
     f, components = dolfinx.fem.Function(V), int(np.prod(V.value_shape))
 
-    def dofs(value: Callable[[Vector], Vector]) -> Vector:
+    def dofs(value: Callable[[Array], Array]) -> Array:
         f.interpolate(lambda x: np.broadcast_to(value(x), (components, x.shape[1])))
         return f.x.array.reshape(-1, V.dofmap.index_map_bs)[:n, 0].copy()
 
@@ -80,9 +79,9 @@ def _linear_fields(V: dolfinx.fem.FunctionSpace) -> tuple[Vector, Vector]:
     return one, np.stack([dofs(itemgetter(i)) for i in range(gdim)], axis=-1)
 
 
-def _spins(gdim: int) -> list[Vector]:
+def _spins(gdim: int) -> list[Array]:
     """Return a basis of the skew matrices, each (gdim, gdim)."""
-    spins: list[Vector] = []
+    spins: list[Array] = []
     for i in range(gdim):
         for j in range(i):
             spin = np.zeros((gdim, gdim))

@@ -13,17 +13,15 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import ufl
 
 from dolfinx_feti.fem.quadrature import quadrature_points
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.compat import geometry_dofmap
 
 __all__ = ["Nodes", "diameter"]
-
-Array = npt.NDArray[np.float64]
 
 
 def diameter(mesh: dolfinx.mesh.Mesh) -> float:

@@ -19,6 +19,8 @@ import basix
 import dolfinx
 import ufl
 
+from dolfinx_feti.runtime.arrays import Array
+
 __all__ = [
     "estimated_quadrature_degree",
     "limit_quadrature_degree",
@@ -149,7 +151,7 @@ def _polynomial_degree(function: ufl.Argument | ufl.Coefficient) -> int:
     return function.ufl_element().embedded_superdegree or 0
 
 
-def quadrature_points(mesh: dolfinx.mesh.Mesh, degree: int) -> npt.NDArray[np.float64]:
+def quadrature_points(mesh: dolfinx.mesh.Mesh, degree: int) -> Array:
     """Return the points of the reference cell's quadrature rule, (points, dimension)."""
     cell = getattr(basix.CellType, mesh.topology.cell_name())
     return np.asarray(basix.make_quadrature(cell, degree)[0])
@@ -157,7 +159,7 @@ def quadrature_points(mesh: dolfinx.mesh.Mesh, degree: int) -> npt.NDArray[np.fl
 
 def quadrature_rule(
     expression: ufl.core.expr.Expr,
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None:
+) -> tuple[Array, Array] | None:
     """Return points and weights of the quadrature elements in an expression; None without any.
 
     Raises:
@@ -179,7 +181,7 @@ def same_points(points: npt.ArrayLike, others: npt.ArrayLike) -> bool:
     return np.shape(points) == np.shape(others) and np.allclose(points, others, rtol=0, atol=1e-12)
 
 
-def _rules(element: Any) -> Iterator[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
+def _rules(element: Any) -> Iterator[tuple[Array, Array]]:
     """Return the rules of an element and of the elements that it is made of."""
     if element.has_custom_quadrature:
         points, weights = element.custom_quadrature()

@@ -12,14 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import ufl
 
-__all__ = ["Region", "separate"]
+from dolfinx_feti.runtime.arrays import Indices
 
-Indices = npt.NDArray[np.int32]
+__all__ = ["Region", "separate"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import ufl
@@ -20,10 +19,9 @@ from dolfinx_feti.fem.decomposition import TornSpace
 from dolfinx_feti.fem.kernels.kernel import Kernel, create_kernel
 from dolfinx_feti.fem.regions import Region, separate
 from dolfinx_feti.runtime import compat
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["CellTensors"]
-
-Array = npt.NDArray[np.float64]
 
 
 class CellTensors:

@@ -27,13 +27,13 @@ import scipy.linalg
 
 from dolfinx_feti.feti.gluing.bodies import find_bodies
 from dolfinx_feti.feti.regularity.motions import free_motions
+from dolfinx_feti.runtime.arrays import Array, Mask, Numbers
 from dolfinx_feti.runtime.collective import on_all, total_of
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn, prescribed_dofs
 
 __all__ = ["Border", "BorderedSolver", "solved"]
 
-Array = npt.NDArray[np.float64]
 Reason = PETSc.KSP.ConvergedReason
 
 #: Corrections of X at most; the first one often is the last. The share of B that X may leave
@@ -122,7 +122,7 @@ class BorderedSolver:
         y: Array,
         border: Border,
         d: Array,
-        free: npt.NDArray[np.bool_],
+        free: Mask,
     ) -> tuple[Array, Array, float]:
         """Find X and s for y = A⁻¹ b, and what X leaves of the first equation. Collective.
 
@@ -260,7 +260,7 @@ def _free_motions(torn: Torn) -> Array:
     return np.asarray(W / largest)
 
 
-def _pivots(X: Array, k: int) -> npt.NDArray[np.int64]:
+def _pivots(X: Array, k: int) -> Numbers:
     """Return rows of X, (n, k), that are as independent as can be, ascending, (up to k,)."""
     if not X.size:
         return np.zeros(0, dtype=np.int64)
@@ -273,7 +273,7 @@ def _assembled(torn: Torn, X: Array) -> Array:
     return np.array([torn.assemble(x) for x in X.T]).reshape(X.shape[1], torn.owned).T
 
 
-def _product(A: PETSc.Mat, X: Array, free: npt.NDArray[np.bool_]) -> Array:
+def _product(A: PETSc.Mat, X: Array, free: Mask) -> Array:
     """Return A X with zeros on Dirichlet dofs, (owned, k). Collective."""
     x, y = A.createVecs()
     Y = np.zeros_like(X)

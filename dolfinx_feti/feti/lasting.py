@@ -20,7 +20,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.feti.dual.form import DualForm, create_dual_form
@@ -38,12 +37,12 @@ from dolfinx_feti.feti.primal.form import (
 from dolfinx_feti.feti.setup import Setup, refined, set_up, set_up_operator
 from dolfinx_feti.feti.solution import RitzVectors
 from dolfinx_feti.feti.subdomain.operator import Operator
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import State, state_of
 
 __all__ = ["Lasting"]
 
-Array = npt.NDArray[np.float64]
 Reason = PETSc.KSP.ConvergedReason
 
 #: Growth of the iterations for a digit that ends a solve with an old preconditioner.

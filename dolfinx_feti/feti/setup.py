@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.gluing.weights import Weights, create_weights
@@ -25,13 +24,12 @@ from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.nullspace import interior_kernel
 from dolfinx_feti.feti.subdomain.operator import Operator, create_operator
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse, create_pseudo_inverse
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Setup", "refined", "set_up", "set_up_operator", "sum_if_known"]
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

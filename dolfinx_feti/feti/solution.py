@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
+
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["CURVATURE", "RESTART", "STAGNATION", "Monitor", "RitzVectors", "Solution"]
 
-Array = npt.NDArray[np.float64]
 
 #: Called with (iteration, norm of the residual of the assembled system).
 Monitor = Callable[[int, float], None]

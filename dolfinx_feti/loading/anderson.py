@@ -17,17 +17,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.problems.system import Tangent
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["MOST", "Anderson", "FixedPoint"]
 
-Array = npt.NDArray[np.float64]
 
 #: Solves at a load, at most.
 MOST = 50

@@ -30,13 +30,13 @@ import numpy.typing as npt
 import dolfinx
 
 from dolfinx_feti.fem.content import Content
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all, on_first, reason, warn
 from dolfinx_feti.runtime.compat import geometry_dofmap, package_version
 from dolfinx_feti.runtime.folders import writable_folder
 
 __all__ = ["Checkpoint"]
 
-Array = npt.NDArray[np.float64]
 
 FILE, FORMAT = "state.npz", 3
 

@@ -27,9 +27,6 @@ from typing import Any
 
 from petsc4py import PETSc
 
-import numpy as np
-import numpy.typing as npt
-
 import dolfinx
 
 from dolfinx_feti.errors import ConvergenceError
@@ -39,6 +36,7 @@ from dolfinx_feti.loading.state import PathState, Snapshot
 from dolfinx_feti.loading.stepper import ROUNDING, Problem, Stepper, check_places, kept_tolerances
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.mechanics.supports import DASHPOTS
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["follow_load"]
@@ -46,7 +44,6 @@ __all__ = ["follow_load"]
 #: Why a solve ends that begins with a state that is not admissible.
 INADMISSIBLE = PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
 
-Array = npt.NDArray[np.float64]
 
 #: What helps where the tangent turns indefinite, however short the step.
 LIMIT_POINT = (

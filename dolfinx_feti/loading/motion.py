@@ -32,7 +32,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import dolfinx.fem.petsc
@@ -43,10 +42,10 @@ from ufl.core.expr import Expr
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.mechanics.supports import DASHPOTS
 from dolfinx_feti.mechanics.values import require_positive, require_within
+from dolfinx_feti.runtime.arrays import Array, Indices
 
 __all__ = ["Motion", "fixed_dofs", "motions_in", "owned_vector"]
 
-Array = npt.NDArray[np.float64]
 
 #: Of the mass matrix' own solve, which a Jacobi preconditioner serves.
 MASS_RTOL, MASS_ITERATIONS = 1e-12, 500
@@ -265,7 +264,7 @@ def owned_vector(form: dolfinx.fem.Form) -> Array:
     return np.array(b.array[: b.index_map.size_local * b.block_size])
 
 
-def fixed_dofs(bcs: Sequence[dolfinx.fem.DirichletBC]) -> npt.NDArray[np.int32]:
+def fixed_dofs(bcs: Sequence[dolfinx.fem.DirichletBC]) -> Indices:
     """Return the dofs under conditions, ghosts included."""
     return np.unique(
         np.concatenate([np.empty(0, dtype=np.int32), *(bc.dof_indices()[0] for bc in bcs)])

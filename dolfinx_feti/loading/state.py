@@ -16,16 +16,14 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 
 from dolfinx_feti.fem.content import Content
 from dolfinx_feti.loading.checkpoint import Checkpoint
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["Number", "PathState", "Snapshot"]
-
-Array = npt.NDArray[np.float64]
 
 
 class Number(Protocol):

@@ -26,7 +26,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import ufl
@@ -40,11 +39,11 @@ from dolfinx_feti.loading.stepper import Stepper, check_places
 from dolfinx_feti.loading.steps import Lengths, LoadStep
 from dolfinx_feti.mechanics.values import require_positive, require_within
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["TimeStep", "TimeSteps", "follow_time"]
 
-Array = npt.NDArray[np.float64]
 
 #: Share of the length that the error estimate asks for, and the least of the last one.
 SAFETY, SHORTEST = 0.9, 0.5

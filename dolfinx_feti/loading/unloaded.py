@@ -17,9 +17,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 import dolfinx
 import ufl
 
@@ -32,12 +29,12 @@ from dolfinx_feti.loading.stepper import kept_tolerances
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.problems.system import Tangent
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.compat import interpolation_points
 
 __all__ = ["unload"]
 
-Array = npt.NDArray[np.float64]
 #: What a forward solve leaves of its residual, and a linear solve in it, until the wall is found.
 #: Where κ is large nearly all of the residual is of the volume, and a rougher one would be blind.
 ROUGH, LINEAR = 0.1, 1e-5

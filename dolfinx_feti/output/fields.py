@@ -23,7 +23,6 @@ from typing import Literal
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import basix
 import dolfinx
@@ -35,13 +34,13 @@ from ufl.domain import extract_domains
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.quadrature import quadrature_rule, same_points
 from dolfinx_feti.output.points import PointCloud, projection
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all, reason
 from dolfinx_feti.runtime.compat import geometry_degree, geometry_dofmap, interpolation_points
 from dolfinx_feti.runtime.folders import try_to_write, writable_folder
 
 __all__ = ["FieldWriter", "cell_values"]
 
-Array = npt.NDArray[np.float64]
 
 SUFFIXES = {"vtx": ".bp", "xdmf": ".xdmf"}
 

@@ -31,7 +31,6 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 
 import basix
@@ -40,12 +39,11 @@ from ufl.core.expr import Expr
 from ufl.domain import extract_domains
 
 from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.compat import geometry_dofmap, interpolation_points
 
 __all__ = ["Incidence", "Patches", "Scatter", "create_patches", "moments", "present", "recover"]
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 #: Number of cells whose values at the quadrature points are in memory at once.
 CHUNK = 4096
@@ -67,7 +65,7 @@ class Incidence:
 
     vertices: dolfinx.common.IndexMap
     layers: int
-    rows: Indices
+    rows: Numbers
     matrix: scipy.sparse.csr_array
 
     def around(self, values: Array) -> Array:
@@ -257,7 +255,7 @@ def _scatter(incidence: Incidence, x: Array, volumes: Array, inner: Array) -> Sc
     return Scatter(volume, centre, np.linalg.pinv(covariance, rcond=FLAT_PATCH, hermitian=True))
 
 
-def _create_incidence(mesh: dolfinx.mesh.Mesh, layer: Indices, layers: int) -> Incidence:
+def _create_incidence(mesh: dolfinx.mesh.Mesh, layer: Numbers, layers: int) -> Incidence:
     """Number the vertices of each layer on their own; layers of owned cells count from 0."""
     dim = mesh.topology.dim
     vertices = mesh.topology.index_map(0)
@@ -271,7 +269,7 @@ def _create_incidence(mesh: dolfinx.mesh.Mesh, layer: Indices, layers: int) -> I
 
 def _layer_of_cells(
     mesh: dolfinx.mesh.Mesh, layers: dolfinx.mesh.MeshTags | None
-) -> tuple[Indices, int]:
+) -> tuple[Numbers, int]:
     """Return the layer of each owned cell, from 0, and the number of layers."""
     n_cells = mesh.topology.index_map(mesh.topology.dim).size_local
     layer = np.zeros(n_cells, dtype=np.int64)

@@ -23,13 +23,12 @@ from xml.sax.saxutils import quoteattr
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_first
 
 __all__ = ["PointCloud", "projection"]
 
-Array = npt.NDArray[np.float64]
 
 #: XDMF's names of values with so many components; others are matrices.
 TYPES = {1: "Scalar", 3: "Vector", 9: "Tensor"}

@@ -22,7 +22,6 @@ from collections.abc import Mapping
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import basix
 import dolfinx
@@ -31,11 +30,11 @@ from ufl.core.expr import Expr
 
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.output.patches import Patches, moments, present, recover
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.compat import interpolation_points
 
 __all__ = ["balanced_stress", "components", "layer_means", "principal_values", "recovered_field"]
 
-Array = npt.NDArray[np.float64]
 
 #: Fits of a field; more of them change little.
 SWEEPS = 3

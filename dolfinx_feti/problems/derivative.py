@@ -21,13 +21,12 @@ from typing import Literal
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.problems.system import Residual, System
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["Mismatch", "difference_from_derivative"]
 
-Array = npt.NDArray[np.float64]
 
 #: How many e a mismatch is at least.
 SURE = 5.0

@@ -19,16 +19,13 @@ from dataclasses import dataclass
 
 from petsc4py import PETSc
 
-import numpy as np
-import numpy.typing as npt
-
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.history import Stop, proved_negative
 from dolfinx_feti.problems.system import Residual, System
+from dolfinx_feti.runtime.arrays import Array, Mask
 
 __all__ = ["Direction", "Directions", "fallen", "raised"]
 
-Array = npt.NDArray[np.float64]
 Reason = PETSc.KSP.ConvergedReason
 
 #: So many plain steps with an indefinite tangent may follow those that have moved the boundary.
@@ -72,7 +69,7 @@ class Directions:
     def __init__(self, system: System) -> None:
         """Take the system."""
         self._system = system
-        self._enough: npt.NDArray[np.bool_] | None = None  # others have another mask
+        self._enough: Mask | None = None  # others have another mask
         self.begin(moved=False, refuse=False, guess=False, shortens=False)
 
     def begin(self, *, moved: bool, refuse: bool, guess: bool, shortens: bool) -> None:

@@ -26,13 +26,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.problems.system import Residual, System
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["Trial", "line_search"]
 
-Array = npt.NDArray[np.float64]
 
 #: η: by how much g(α)/g(0) of an accepted step may leave the interval from zero to one.
 ETA = 0.8

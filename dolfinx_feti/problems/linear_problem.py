@@ -12,7 +12,6 @@ from functools import cached_property
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import ufl
@@ -25,6 +24,7 @@ from dolfinx_feti.problems.history import NewtonStep, proved_negative
 from dolfinx_feti.problems.solvers import create_solver
 from dolfinx_feti.problems.system import Residual
 from dolfinx_feti.problems.torn_problem import TornProblem
+from dolfinx_feti.runtime.arrays import Array, Integers
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.petsc_errors import python_errors
 from dolfinx_feti.runtime.petsc_options import inserted
@@ -72,7 +72,7 @@ class LinearProblem(TornProblem):
         condense: dolfinx.fem.Function | Sequence[dolfinx.fem.Function] | None = None,
         near_null_space: PETSc.NullSpace | None = None,
         null_space: PETSc.NullSpace | None = None,
-        subdomains: int | npt.NDArray[np.integer] | None = None,
+        subdomains: int | Integers | None = None,
         seed: int = 0,
         petsc_options_prefix: str | None = None,
         scalars: Sequence[Coupling] = (),
@@ -226,7 +226,7 @@ class LinearProblem(TornProblem):
         self._assemble()
         return self.A, self.b.copy()
 
-    def _approximation(self) -> npt.NDArray[np.float64]:
+    def _approximation(self) -> Array:
         """Return the last solution, (owned,)."""
         return np.asarray(self.u.x.array[: self.b.getLocalSize()])
 

@@ -20,15 +20,14 @@ from collections.abc import Callable, Iterator, Sequence
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.problems.system import System
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["accelerated", "hold", "prepare", "updated"]
 
-Array = npt.NDArray[np.float64]
 
 #: Most updates of a solve.
 UPDATES = 50

@@ -25,7 +25,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.solver import DOUBTFUL
 from dolfinx_feti.problems.derivative import Mismatch, difference_from_derivative
@@ -41,13 +40,13 @@ from dolfinx_feti.problems.history import (
 from dolfinx_feti.problems.line_search import line_search
 from dolfinx_feti.problems.solvers import RTOL, no_closer_than
 from dolfinx_feti.problems.system import Residual, System, Tangent
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_errors import python_errors
 
 __all__ = ["Newton", "Start", "checked_start"]
 
-Array = npt.NDArray[np.float64]
 Reason = PETSc.SNES.ConvergedReason
 
 #: Share of the residual that Newton's method aims at which a linear solve may leave.

@@ -11,9 +11,6 @@ from functools import cached_property
 
 from petsc4py import PETSc
 
-import numpy as np
-import numpy.typing as npt
-
 import dolfinx
 import ufl
 from ufl.core.expr import Expr
@@ -37,6 +34,7 @@ from dolfinx_feti.problems.newton import Newton, Start, checked_start
 from dolfinx_feti.problems.solvers import create_newton_solver
 from dolfinx_feti.problems.system import Tangent
 from dolfinx_feti.problems.torn_problem import TornProblem
+from dolfinx_feti.runtime.arrays import Integers
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.petsc_errors import python_errors
 from dolfinx_feti.runtime.petsc_options import inserted
@@ -86,7 +84,7 @@ class NonlinearProblem(TornProblem):
         energy: ufl.Form | None = None,
         volume_tolerance: float | None = None,
         internal_variables: Mapping[dolfinx.fem.Function, Expr] | None = None,
-        subdomains: int | npt.NDArray[np.integer] | None = None,
+        subdomains: int | Integers | None = None,
         seed: int = 0,
         petsc_options_prefix: str | None = None,
         petsc_options: Mapping[str, object] | None = None,

@@ -16,9 +16,6 @@ from contextlib import contextmanager
 
 from petsc4py import PETSc
 
-import numpy as np
-import numpy.typing as npt
-
 from dolfinx_feti.feti.options import read_options
 from dolfinx_feti.feti.solver import FETI, VIEW_ONCE
 from dolfinx_feti.runtime.collective import on_all, warn
@@ -32,7 +29,6 @@ __all__ = [
     "options_without_effect",
 ]
 
-Array = npt.NDArray[np.float64]
 
 #: Default relative tolerance of Newton's method.
 RTOL = 1e-8

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field, replace
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 from ufl.core.expr import Expr
@@ -29,6 +28,7 @@ from dolfinx_feti.fem.decomposition import Decomposition, cell_sizes, tear
 from dolfinx_feti.fem.near_kernel import attach_near_kernel
 from dolfinx_feti.fem.quadrature import quadrature_points
 from dolfinx_feti.problems.forms import Forms
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.connectivity import diagonal_places, load_graph_code
 from dolfinx_feti.scalars.border import ScalarSystem
@@ -38,7 +38,6 @@ from dolfinx_feti.torn.rounding import EPS, product_rounding
 
 __all__ = ["Residual", "System", "Tangent"]
 
-Array = npt.NDArray[np.float64]
 
 #: Share of the greatest displacement below which a missed Dirichlet value is rounding.
 MOVED = 1e-12

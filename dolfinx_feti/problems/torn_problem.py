@@ -9,9 +9,6 @@ from collections.abc import Mapping, Sequence
 
 from petsc4py import PETSc
 
-import numpy as np
-import numpy.typing as npt
-
 import dolfinx
 from ufl.core.expr import Expr
 
@@ -24,6 +21,7 @@ from dolfinx_feti.problems.arguments import agreed_prefix, checked_conditions, w
 from dolfinx_feti.problems.forms import Forms
 from dolfinx_feti.problems.solvers import create_solver
 from dolfinx_feti.problems.system import System
+from dolfinx_feti.runtime.arrays import Array, Integers
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.scalars.equations import Coupling
 
@@ -59,7 +57,7 @@ class TornProblem:
         compilers: tuple[Mapping[str, object] | None, Mapping[str, object] | None],
         prefix: str | None,
         petsc_options: Mapping[str, object] | None,
-        subdomains: int | npt.NDArray[np.integer] | None,
+        subdomains: int | Integers | None,
         seed: int,
         near_null_space: PETSc.NullSpace | None,
         null_space: PETSc.NullSpace | None,
@@ -138,7 +136,7 @@ class TornProblem:
         """Whether fields are condensed."""
         return self._system.condensation is not None
 
-    def _approximation(self) -> npt.NDArray[np.float64] | float:
+    def _approximation(self) -> Array | float:
         """Return the x of the present state, (owned,), or one value for all."""
         return 0.0
 

@@ -15,6 +15,8 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.runtime.arrays import Array
+
 __all__ = [
     "deferred",
     "join",
@@ -103,7 +105,7 @@ def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
     return result
 
 
-def deferred(work: Callable[[], Any], shape: int | tuple[int, ...]) -> npt.NDArray[np.float64]:
+def deferred(work: Callable[[], Any], shape: int | tuple[int, ...]) -> Array:
     """Do local work of an iteration; where it fails, :func:`raise_deferred` raises its error.
 
     Args:
@@ -153,7 +155,7 @@ def total(value: float, comm: MPI.Comm) -> float:
     return float(total_of(np.array([value], dtype=np.float64), comm)[0])
 
 
-def total_of(values: npt.NDArray[np.float64], comm: MPI.Comm) -> npt.NDArray[np.float64]:
+def total_of(values: Array, comm: MPI.Comm) -> Array:
     """Sum the arrays of all processes, entry by entry; see :func:`total`.
 
     Args:

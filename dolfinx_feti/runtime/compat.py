@@ -11,9 +11,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
+
+from dolfinx_feti.runtime.arrays import Array, Indices, Integers, Numbers
 
 __all__ = [
     "adjacency",
@@ -29,9 +30,7 @@ __all__ = [
 ]
 
 
-def adjacency(
-    data: npt.NDArray[np.integer], offsets: npt.NDArray[np.int32] | None = None
-) -> object:
+def adjacency(data: Integers, offsets: Indices | None = None) -> object:
     """Create dolfinx's C++ adjacency list, which the Python function wraps from 0.10 on."""
     links = dolfinx.graph.adjacencylist(data, offsets)
     return getattr(links, "_cpp_object", links)
@@ -39,7 +38,7 @@ def adjacency(
 
 def create_function_space(
     V: dolfinx.fem.FunctionSpace,
-    table: npt.NDArray[np.int32],
+    table: Indices,
     n_blocks: int,
     block_size: int | None = None,
 ) -> dolfinx.fem.FunctionSpace:
@@ -87,13 +86,13 @@ def geometry_degree(mesh: dolfinx.mesh.Mesh) -> int:
     return int((geometry.cmaps[0] if hasattr(geometry, "cmaps") else geometry.cmap).degree)
 
 
-def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int32]:
+def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> Indices:
     """Return the nodes of each cell, (n_cells, nodes per cell), those of the first cell type."""
     geometry = mesh.geometry
     return np.asarray(geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap)
 
 
-def gmsh_permutation(cell: str, nodes: int) -> npt.NDArray[np.int64]:
+def gmsh_permutation(cell: str, nodes: int) -> Numbers:
     """Return the places in Gmsh's order of the nodes in dolfinx's, (nodes,)."""
     kind = getattr(dolfinx.mesh.CellType, cell)
     return np.asarray(dolfinx.cpp.io.perm_gmsh(kind, nodes), dtype=np.int64)
@@ -105,7 +104,7 @@ def has_vertex_integrals() -> bool:
     return (int(major), int(minor)) >= (0, 10)
 
 
-def interpolation_points(V: dolfinx.fem.FunctionSpace) -> npt.NDArray[np.float64]:
+def interpolation_points(V: dolfinx.fem.FunctionSpace) -> Array:
     """Return the element's interpolation points: a method up to 0.9, an attribute from 0.10 on."""
     points = V.element.interpolation_points
     return np.asarray(points() if callable(points) else points)

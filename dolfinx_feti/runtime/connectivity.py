@@ -12,10 +12,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.csgraph
 
+from dolfinx_feti.runtime.arrays import Indices
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.native import load, pointer
 from dolfinx_feti.runtime.petsc_library import Rows, rows_of
@@ -31,7 +31,6 @@ __all__ = [
     "load_graph_code",
 ]
 
-Indices = npt.NDArray[np.int32]
 
 DECLARATION = """
 int couple_nodes(int, int, const int *, const int *, const int *, const int *, const int *,

@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
+
+from dolfinx_feti.runtime.arrays import Array, Indices
 
 __all__ = [
     "Rows",
@@ -53,9 +54,9 @@ class Rows(NamedTuple):
         values: Entries, (entries,).
     """
 
-    indptr: npt.NDArray[np.int32]
-    indices: npt.NDArray[np.int32]
-    values: npt.NDArray[np.float64]
+    indptr: Indices
+    indices: Indices
+    values: Array
 
 
 @functools.cache
@@ -116,9 +117,7 @@ def rows_of(K: PETSc.Mat) -> Iterator[Rows]:
         restore_rows(*pattern)
 
 
-def product(
-    K: PETSc.Mat, x: npt.NDArray[np.float64], *, transpose: bool = False
-) -> npt.NDArray[np.float64]:
+def product(K: PETSc.Mat, x: Array, *, transpose: bool = False) -> Array:
     """Return K x, or Kᵀ x, for a sequential matrix and a vector, (n,), or columns, (n, r)."""
     y = np.zeros((K.getSize()[1 if transpose else 0], *x.shape[1:]))
     if not y.size:

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
 import dolfinx
@@ -27,6 +26,7 @@ import ufl
 from dolfinx_feti.fem.assembly import assemble_owned
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.feti.bordered import Border, BorderedSolver, solved
+from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.runtime.collective import on_all, total_of
 from dolfinx_feti.scalars.equations import (
     Coupling,
@@ -38,7 +38,6 @@ from dolfinx_feti.scalars.equations import (
 
 __all__ = ["ScalarSystem"]
 
-Array = npt.NDArray[np.float64]
 
 #: Share of its scale that an equation may miss.
 MET = 1e-9
@@ -78,7 +77,7 @@ class ScalarSystem:
         residual: ufl.Form,
         compiler: Compiler,
         *,
-        free: npt.NDArray[np.bool_],
+        free: Mask,
     ) -> None:
         """Compile the forms.
 
@@ -128,9 +127,7 @@ class ScalarSystem:
         self.border = self._zero()
         self.increment: Array = np.zeros(first)
 
-    def prescribe(
-        self, bcs: Sequence[dolfinx.fem.DirichletBC], *, free: npt.NDArray[np.bool_]
-    ) -> None:
+    def prescribe(self, bcs: Sequence[dolfinx.fem.DirichletBC], *, free: Mask) -> None:
         """Meet other Dirichlet conditions.
 
         Args:
@@ -147,7 +144,7 @@ class ScalarSystem:
             coupling.check(bcs)
         self._hold(free)
 
-    def _hold(self, free: npt.NDArray[np.bool_]) -> None:
+    def _hold(self, free: Mask) -> None:
         """Begin with other free dofs: independence is to be checked, and springs to be found."""
         self._free, self._checked, self._solver = free, False, BorderedSolver()
 
@@ -257,7 +254,7 @@ class ScalarSystem:
             self._check_independence(self._free)
             self._checked = True
 
-    def _check_independence(self, free: npt.NDArray[np.bool_]) -> None:
+    def _check_independence(self, free: Mask) -> None:
         """Refuse constraints that depend on each other or on nothing that is free. Collective."""
         self.linearise()
         for columns, corner, what in (

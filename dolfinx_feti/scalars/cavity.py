@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import ufl
@@ -33,6 +32,7 @@ from dolfinx_feti.mechanics.loads import (
     wave,
 )
 from dolfinx_feti.mechanics.values import require_finite, require_positive
+from dolfinx_feti.runtime.arrays import Indices
 from dolfinx_feti.scalars.equations import Coupling, ScalarEquation
 
 __all__ = ["Cavity"]
@@ -169,7 +169,7 @@ class Cavity(Coupling):
         if self.volume is not None:
             require_positive(volume=float(self.volume.value))
 
-    def facets(self) -> npt.NDArray[np.int32]:
+    def facets(self) -> Indices:
         """Return the facets of the surface on this process; none if the measure has no tags."""
         tags, ids = self._ds.subdomain_data(), self._ds.subdomain_id()
         wanted = ids if isinstance(ids, tuple) else (ids,)

@@ -15,14 +15,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import ufl
 
-__all__ = ["Coupling", "ScalarEquation", "derivative_in", "values_of"]
+from dolfinx_feti.runtime.arrays import Array
 
-Array = npt.NDArray[np.float64]
+__all__ = ["Coupling", "ScalarEquation", "derivative_in", "values_of"]
 
 
 class Coupling:

@@ -42,6 +42,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError
+from dolfinx_feti.runtime.arrays import Array, Indices, Integers, Mask
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.connectivity import (
     block_graph,
@@ -64,17 +65,14 @@ __all__ = [
     "state_of",
 ]
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
-
 
 def create_torn_matrix(
     K: PETSc.Mat,
-    torn_to_global: npt.NDArray[np.integer],
+    torn_to_global: Integers,
     sizes: tuple[int, int],
     *,
     comm: MPI.Comm,
-    dirichlet: npt.NDArray[np.integer] | None = None,
+    dirichlet: Integers | None = None,
     stiffness: Array | None = None,
     symmetric: bool | None = None,
 ) -> PETSc.Mat:
@@ -205,7 +203,7 @@ def state_of(A: PETSc.Mat) -> State:
     return State(pattern, values, (copy(A), K, *maps, *modes, *spaces, *vectors))
 
 
-def prescribed_dofs(A: PETSc.Mat) -> npt.NDArray[np.bool_]:
+def prescribed_dofs(A: PETSc.Mat) -> Mask:
     """Return the mask of the owned dofs of a torn matrix with a prescribed value. Collective."""
     mark, dofs = A.createVecRight(), A.query("dirichlet")
     if dofs is not None:

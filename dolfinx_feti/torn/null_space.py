@@ -17,16 +17,15 @@ from contextlib import ExitStack
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
 from dolfinx_feti.errors import SetUpError
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["anchor", "null_space", "take_out"]
 
-Array = npt.NDArray[np.float64]
 
 #: Error that rounding leaves in Zᵀ Z = I, and in A z = 0, scaled by the diagonal of A.
 ROUNDING = 1e-10

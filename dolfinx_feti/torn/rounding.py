@@ -18,15 +18,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.native import load, pointer
 from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["EPS", "product_rounding", "residual_rounding"]
 
-Array = npt.NDArray[np.float64]
 
 DECLARATION = """
 void sum_squares(int, const int *, const int *, const double *, const double *, double *);

@@ -23,13 +23,13 @@ from dataclasses import dataclass
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import dolfinx.fem.petsc
 import ufl
 
 from dolfinx_feti.mechanics.values import typed
+from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.runtime.compat import interpolation_points
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_options import inserted
@@ -74,9 +74,6 @@ WEAK = 2e-3
 
 # Relative difference below which two openings have the same area.
 SAME_AREA = 1e-9
-
-Vectors = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 
 def solve_laplace(wall: Wall, values: Mapping[str, float]) -> dolfinx.fem.Function:
@@ -128,7 +125,7 @@ def _solve(A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, options: Mapping[str, objec
         ksp.destroy()
 
 
-def gradient(u: dolfinx.fem.Function) -> npt.NDArray[np.float64]:
+def gradient(u: dolfinx.fem.Function) -> Array:
     """Return ∇u at the centroids of the local cells, (cells, 3), or (cells, 3, 3) of a vector."""
     shape = (*u.ufl_shape, 3)
     W = dolfinx.fem.functionspace(u.function_space.mesh, ("DG", 0, shape))
@@ -259,7 +256,7 @@ def fibre_families(
     )
 
 
-def _unit_directions(wall: Wall, along: Vectors, normal: Vectors) -> Vectors:
+def _unit_directions(wall: Wall, along: Array, normal: Array) -> Array:
     """Return unit vectors along gradients, orthogonal to unit normals or to zero, (cells, 3).
 
     Where a gradient, or its part orthogonal to the normal, is too weak, the direction is the mean
@@ -284,18 +281,18 @@ def _unit_directions(wall: Wall, along: Vectors, normal: Vectors) -> Vectors:
     return e
 
 
-def _orthogonal(v: Vectors, normal: Vectors) -> Vectors:
+def _orthogonal(v: Array, normal: Array) -> Array:
     return v - np.sum(v * normal, axis=1, keepdims=True) * normal
 
 
-def _unit(v: Vectors, least: float) -> tuple[Vectors, Mask]:
+def _unit(v: Array, least: float) -> tuple[Array, Mask]:
     """Normalise vectors longer than ``least``, set the others to zero; also mark the former."""
     length = np.linalg.norm(v, axis=1)
     long = length > least
     return np.where(long, 1 / np.where(long, length, 1), 0.0)[:, None] * v, long
 
 
-def _around(wall: Wall, e: Vectors) -> Vectors:
+def _around(wall: Wall, e: Array) -> Array:
     """Average vectors over the cells at each vertex, then over the vertices of each cell."""
     V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 1, (4,)))
     sums = dolfinx.fem.Function(V)
@@ -309,14 +306,14 @@ def _around(wall: Wall, e: Vectors) -> Vectors:
     return np.asarray(means[vertices].mean(axis=1))
 
 
-def cell_mean(wall: Wall, values: npt.NDArray[np.float64]) -> float:
+def cell_mean(wall: Wall, values: Array) -> float:
     """Return the mean over the owned cells of all processes."""
     own = values[: wall.mesh.topology.index_map(3).size_local]
     total, count = wall.mesh.comm.allreduce(np.array([own.sum(), len(own)]))
     return float(total / count)
 
 
-def _function(W: dolfinx.fem.FunctionSpace, values: Vectors, name: str) -> dolfinx.fem.Function:
+def _function(W: dolfinx.fem.FunctionSpace, values: Array, name: str) -> dolfinx.fem.Function:
     f = dolfinx.fem.Function(W, name=name)
     f.x.array[:] = values.ravel()
     return f

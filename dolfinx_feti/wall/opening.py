@@ -21,7 +21,6 @@ from collections.abc import Mapping, Sequence
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import ufl
@@ -35,8 +34,6 @@ __all__ = ["Opening"]
 
 #: Curvature times depth, at most: beyond, a bend counts like the inside of a thick tube.
 MOST = 0.5
-
-Array = npt.NDArray[np.float64]
 
 
 @typed

@@ -17,7 +17,6 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import basix.ufl
 import dolfinx
@@ -25,6 +24,7 @@ import dolfinx.io
 import ufl
 
 from dolfinx_feti.mechanics.values import require_within
+from dolfinx_feti.runtime.arrays import Numbers
 from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.wall.wall import Group, Groups, Wall, checked_groups
@@ -76,7 +76,7 @@ def read_wall(
 def _renamed(raw: RawWall, groups: Sequence[Group]) -> RawWall:
     """Give names to numbers, in place of those of the file."""
 
-    def named(dim: int, tags: npt.NDArray[np.int64], theirs: dict[str, int]) -> dict[str, int]:
+    def named(dim: int, tags: Numbers, theirs: dict[str, int]) -> dict[str, int]:
         mine = {name: tag for name, of, tag in groups if of == dim}
         both = {n: t for n, t in theirs.items() if t not in mine.values()} | mine
         return {name: tag for name, tag in both.items() if np.any(tags == tag)}
@@ -112,8 +112,8 @@ def distribute(raw: RawWall | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wa
 def _tags(
     mesh: dolfinx.mesh.Mesh,
     dim: int,
-    entities: npt.NDArray[np.int64],
-    values: npt.NDArray[np.int64],
+    entities: Numbers,
+    values: Numbers,
 ) -> dolfinx.mesh.MeshTags:
     """Distribute the tags of entities, each given by its points in the file."""
     entities, values = np.ascontiguousarray(entities), values.astype(np.int32)

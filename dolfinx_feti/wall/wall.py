@@ -21,12 +21,12 @@ from typing import TypeAlias
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import ufl
 
 from dolfinx_feti.mechanics.values import require_within
+from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = [
@@ -117,7 +117,7 @@ def _check_tags(name: str, tags: dolfinx.mesh.MeshTags, mesh: dolfinx.mesh.Mesh)
         raise ValueError(f"{name} belong to another mesh: give those of this one.")
 
 
-def facets(wall: Wall, name: str) -> npt.NDArray[np.int32]:
+def facets(wall: Wall, name: str) -> Indices:
     """Return the local facets of a surface.
 
     Args:
@@ -168,7 +168,7 @@ def area(wall: Wall, name: str) -> float:
     return wall.mesh.comm.allreduce(float(dolfinx.fem.assemble_scalar(form)))
 
 
-def extent(mesh: dolfinx.mesh.Mesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def extent(mesh: dolfinx.mesh.Mesh) -> tuple[Array, Array]:
     """Return the least and the greatest coordinates of a mesh [mm], (3,) each. Collective."""
     return _bounds(np.asarray(mesh.geometry.x, dtype=np.float64), mesh.comm)
 
@@ -181,7 +181,7 @@ def plane(wall: Wall, name: str) -> tuple[int, float]:
     """
     low, high = extent(wall.mesh)
     entities = facets(wall, name)
-    x: npt.NDArray[np.float64] = np.zeros((0, 3))
+    x: Array = np.zeros((0, 3))
     if len(entities):  # dolfinx 0.9 divides by their number
         nodes = dolfinx.mesh.entities_to_geometry(wall.mesh, 2, entities)
         x = np.asarray(wall.mesh.geometry.x[nodes.ravel()], dtype=np.float64)
@@ -198,9 +198,7 @@ def plane(wall: Wall, name: str) -> tuple[int, float]:
     return k, float((below[k] + above[k]) / 2.0)
 
 
-def _bounds(
-    x: npt.NDArray[np.float64], comm: MPI.Comm
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _bounds(x: Array, comm: MPI.Comm) -> tuple[Array, Array]:
     """Return the least and the greatest of the points of all processes."""
     low, high = x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)
     return np.min(comm.allgather(low), axis=0), np.max(comm.allgather(high), axis=0)

@@ -22,11 +22,11 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 import basix
 
 from dolfinx_feti.runtime import compat
+from dolfinx_feti.runtime.arrays import Array, Integers, Mask, Numbers
 from dolfinx_feti.wall.wall import named_tags
 
 __all__ = ["CELLS", "RawWall", "orientations", "read_raw_wall"]
@@ -58,10 +58,6 @@ MANY = 10_000
 
 HELP = "meshes/README.md explains how to name layers and surfaces"
 
-Points = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
-
 
 @dataclass(frozen=True, slots=True)
 class RawWall:
@@ -77,11 +73,11 @@ class RawWall:
         surface_names: Tags of the surfaces.
     """
 
-    points: Points
-    cells: Indices
-    layers: Indices
-    facets: Indices
-    surfaces: Indices
+    points: Array
+    cells: Numbers
+    layers: Numbers
+    facets: Numbers
+    surfaces: Numbers
     layer_names: dict[str, int]
     surface_names: dict[str, int]
 
@@ -159,10 +155,10 @@ def _gmsh_model(path: Path) -> Iterator[ModuleType]:
             gmsh.finalize()
 
 
-def _gmsh_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Indices, Indices, dict[str, int]]:
+def _gmsh_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Numbers, Numbers, dict[str, int]]:
     """Return the elements of all physical groups of a dimension, their tags and the names' tags."""
-    elements: list[Indices] = []
-    values: list[Indices] = [np.zeros(0, dtype=np.int64)]
+    elements: list[Numbers] = []
+    values: list[Numbers] = [np.zeros(0, dtype=np.int64)]
     names: dict[str, int] = {}
     group_of: dict[int, str] = {}
     known = CELLS if dim == 3 else FACETS
@@ -229,7 +225,7 @@ def _read_meshio(path: Path) -> RawWall:
     )
 
 
-def _cell_data(path: Path, mesh: Any, kind: str) -> Indices:
+def _cell_data(path: Path, mesh: Any, kind: str) -> Numbers:
     """Return the tags of the cells of one kind."""
     if kind not in mesh.cells_dict:
         return np.zeros(0, dtype=np.int64)
@@ -323,7 +319,7 @@ def _check_cells(path: Path, wall: RawWall) -> None:
         )
 
 
-def orientations(points: Points, cells: npt.NDArray[np.integer[Any]]) -> tuple[Indices, Mask]:
+def orientations(points: Array, cells: Integers) -> tuple[Numbers, Mask]:
     """Return the sign of det ∂x/∂X in each cell, 0 where it changes, and which have no volume.
 
     Nodes of the cells are in dolfinx's order, (m, 4), or as many as in :data:`CELLS`; points (n,

@@ -33,10 +33,10 @@ from ufl.variable import Label, Variable
 from dolfinx_feti.mechanics.kinematics import jacobian, right_cauchy_green
 from dolfinx_feti.mechanics.materials import volumetric
 from dolfinx_feti.mechanics.values import require_within
+from dolfinx_feti.runtime.arrays import Array, Mask
 
 __all__ = ["CompiledEnergy", "Material", "States", "compile_material", "evaluate"]
 
-Array = npt.NDArray[np.float64]
 
 #: States per call of the generated code.
 BATCH = 64
@@ -63,7 +63,7 @@ class States:
     A: Array
 
     @property
-    def finite(self) -> npt.NDArray[np.bool_]:
+    def finite(self) -> Mask:
         """Whether all values of a state are finite, (n,)."""
         values = [a.reshape(len(self.F), -1) for a in (self.psi, self.P, self.A)]
         return np.logical_and.reduce(np.isfinite(np.hstack(values)), axis=1)

@@ -20,13 +20,13 @@ import numpy as np
 import numpy.typing as npt
 import scipy.optimize
 
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.equilibrium import equilibrate, stiffness_scale
 from dolfinx_feti.workshop.paths import MaterialTest
 
 __all__ = ["Ellipticity", "least_eigenvalues", "scan_ellipticity"]
 
-Array = npt.NDArray[np.float64]
 
 #: Eigenvalue, relative to the stiffness at rest, that counts as zero.
 ZERO_EIGENVALUE = 1e-10

@@ -22,14 +22,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.workshop.compiled import Material, evaluate
 
 __all__ = ["Equilibrium", "cofactor", "equilibrate", "stiffness_scale", "total_tangent"]
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 MAX_STEPS, MAX_HALVINGS = 40, 12
 LOAD_STEPS = (1, 8, 64)

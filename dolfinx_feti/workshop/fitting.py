@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.optimize
 import scipy.stats
 
@@ -25,13 +24,13 @@ from ufl.core.expr import Expr
 
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.mechanics.values import require_within
+from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.runtime.tables import Cell, state, table
 from dolfinx_feti.workshop.compiled import Material, compile_material
 from dolfinx_feti.workshop.response import DataSet, Response, respond, stresses
 
 __all__ = ["Fit", "fit", "uncertainty"]
 
-Array = npt.NDArray[np.float64]
 
 #: Distance from a bound, relative to the parameter, at which it is on the bound.
 TOUCH = 1e-6
@@ -147,9 +146,7 @@ def fit(
     return Fit(best, intervals, C, confidence, data, responses)
 
 
-def uncertainty(
-    R: Array, squares: float, free: npt.NDArray[np.bool_], confidence: float
-) -> tuple[Array, Array]:
+def uncertainty(R: Array, squares: float, free: Mask, confidence: float) -> tuple[Array, Array]:
     """Return s² (Rᵀ R)⁻¹, (m, m), and half the widths of the confidence intervals, (m,).
 
     R is the Jacobian of n > m residuals, ``squares`` their sum of squares, ``free`` marks

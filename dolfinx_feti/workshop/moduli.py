@@ -15,15 +15,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.tables import number
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.equilibrium import total_tangent
 
 __all__ = ["ZERO_STIFFNESS", "Moduli", "small_strain_moduli"]
 
-Array = npt.NDArray[np.float64]
 
 #: Relative eigenvalue of the stiffness that counts as zero.
 ZERO_STIFFNESS = 1e-8

@@ -32,6 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.mechanics.values import require_positive
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = [
     "STANDARD_PATHS",
@@ -44,7 +45,6 @@ __all__ = [
     "uniaxial",
 ]
 
-Array = npt.NDArray[np.float64]
 
 E1, E2 = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 OUT_OF_PLANE = ((2, 2), (0, 2), (1, 2))

@@ -23,9 +23,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.mechanics.values import require_positive
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.tables import number, state, table
 from dolfinx_feti.workshop.compiled import Material, States, evaluate
 from dolfinx_feti.workshop.ellipticity import Ellipticity, scan_ellipticity
@@ -34,7 +34,6 @@ from dolfinx_feti.workshop.paths import STANDARD_PATHS, MaterialTest
 
 __all__ = ["Check", "Law", "Report", "check", "check_law", "judge", "random_states"]
 
-Array = npt.NDArray[np.float64]
 #: States of a material as a function of F, (n, 3, 3).
 Law = Callable[[Array], States]
 

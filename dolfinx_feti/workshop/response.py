@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.mechanics.values import require_positive
+from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.runtime.tables import state, table
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.equilibrium import cofactor, equilibrate
@@ -29,7 +29,6 @@ from dolfinx_feti.workshop.paths import MaterialTest
 
 __all__ = ["DataSet", "Measure", "Response", "plot_responses", "respond", "stresses"]
 
-Array = npt.NDArray[np.float64]
 Measure: TypeAlias = Literal["cauchy", "piola"]
 
 
@@ -55,7 +54,7 @@ class Response:
     psi: Array
     P: Array
     sigma: Array
-    converged: npt.NDArray[np.bool_]
+    converged: Mask
 
     @property
     def J(self) -> Array:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 import basix
 import dolfinx
@@ -18,10 +17,10 @@ import ufl
 
 from dolfinx_feti.fem.kernels.contraction import Factors, braces, contraction
 from dolfinx_feti.fem.kernels.integrand import Input, Point, State, UnsupportedError, scalar_element
+from dolfinx_feti.runtime.arrays import Array, Indices
 
 __all__ = ["Generated", "generate"]
 
-Array = npt.NDArray[np.float64]
 
 #: Bytes of a vector of eight numbers; of the stack that points take at a time, and most that all
 #: points of a rule would take.
@@ -53,7 +52,7 @@ class Generated:
     functions: list[int]
     constants: list[int]
     groups: int
-    tapes: list[npt.NDArray[np.int32]]
+    tapes: list[Indices]
     points: list[int]
     vectors: int
     text: str

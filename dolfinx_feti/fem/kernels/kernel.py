@@ -38,11 +38,11 @@ from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.kernels.code import Generated, generate
 from dolfinx_feti.fem.kernels.tape import load_interpreter
 from dolfinx_feti.runtime import compat
+from dolfinx_feti.runtime.arrays import Array, Indices, Numbers
 from dolfinx_feti.runtime.native import load, pointer
 
 __all__ = ["Kernel", "create_kernel"]
 
-Array = npt.NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
 
@@ -85,10 +85,10 @@ class Kernel:
     constants: Sequence[dolfinx.fem.Constant]
     code: Any
     interpreters: Sequence[int]
-    cells: npt.NDArray[np.int32] | None = None
+    cells: Indices | None = None
 
     @property
-    def rows(self) -> npt.NDArray[np.int32] | slice:
+    def rows(self) -> Indices | slice:
         """The kernel's cells in a table of all cells."""
         topology = self.mesh.topology
         owned = topology.index_map(topology.dim).size_local
@@ -110,9 +110,9 @@ class Kernel:
     def add_to(
         self,
         values: Array,
-        indptr: npt.NDArray[np.int64],
-        node: npt.NDArray[np.int32],
-        place: npt.NDArray[np.int32],
+        indptr: Numbers,
+        node: Indices,
+        place: Indices,
     ) -> None:
         """Add the only form, which is bilinear, to a matrix.
 
@@ -163,7 +163,7 @@ def create_kernel(
     forms: Sequence[ufl.Form],
     mesh: dolfinx.mesh.Mesh,
     compiler: Compiler,
-    cells: npt.NDArray[np.int32] | None = None,
+    cells: Indices | None = None,
 ) -> Kernel | None:
     """Compile forms of integrals over cells.
 

@@ -26,8 +26,8 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfinx_feti.runtime.arrays import Indices
 from dolfinx_feti.runtime.native import load, processor_flags
 
 __all__ = ["FUNCTIONS", "Program", "Tape", "load_interpreter"]
@@ -76,7 +76,7 @@ class Program:
         vectors: Vectors of eight numbers that the registers take, one for each point.
     """
 
-    code: npt.NDArray[np.int32]
+    code: Indices
     vectors: int
 
 

@@ -23,13 +23,13 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.coarse.gathered import SPREAD, GatheredSolver
 from dolfinx_feti.feti.coarse.near import CoupledSubdomains, coupled_subdomains
 from dolfinx_feti.feti.coarse.schwarz import SHIFT, SchwarzBlocks
 from dolfinx_feti.feti.solution import CURVATURE
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.runtime.arrays import Array, Indices, Numbers
 from dolfinx_feti.runtime.collective import total
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
@@ -43,8 +43,6 @@ __all__ = [
     "takes_clusters",
 ]
 
-Array = npt.NDArray[np.float64]
-Counts = npt.NDArray[np.int64]
 Reason = PETSc.KSP.ConvergedReason
 
 #: Rows above which N is not gathered any more; and the multiple of them where its inverse can be
@@ -88,7 +86,7 @@ class ClusteredSolver:
         self,
         N: PETSc.Mat,
         motions: Array,
-        counts: Counts,
+        counts: Numbers,
         *,
         prefix: str,
         zero: float | None = None,
@@ -229,7 +227,7 @@ CoarseSolver = GatheredSolver | ClusteredSolver
 
 def create_coarse_solver(
     N: PETSc.Mat,
-    counts: Counts,
+    counts: Numbers,
     motions: Callable[[], Array],
     *,
     prefix: str,
@@ -282,7 +280,7 @@ def number_of_clusters(subdomains: int, processes: int) -> int:
     return max(1, subdomains // MOST, min(subdomains // FEWEST, spread))
 
 
-def _clusters(N: PETSc.Mat, graph: CoupledSubdomains, prefix: str) -> npt.NDArray[np.int32]:
+def _clusters(N: PETSc.Mat, graph: CoupledSubdomains, prefix: str) -> Indices:
     """Return the cluster of each subdomain of this process, (subdomains,). Collective."""
     indptr, indices, n = graph.indptr, graph.indices, len(graph.starts) - 1
     sizes = (len(indptr) - 1, n)
@@ -302,9 +300,7 @@ def _clusters(N: PETSc.Mat, graph: CoupledSubdomains, prefix: str) -> npt.NDArra
     return cluster
 
 
-def _columns(
-    N: PETSc.Mat, motions: Array, cluster: npt.NDArray[np.int32], clusters: int
-) -> PETSc.Mat:
+def _columns(N: PETSc.Mat, motions: Array, cluster: Indices, clusters: int) -> PETSc.Mat:
     """Return Z, (K, k clusters), for the cluster of each own row, (own rows,)."""
     n, k = motions.shape
     indices = k * cluster[:, None] + np.arange(k)

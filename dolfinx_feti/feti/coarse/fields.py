@@ -20,17 +20,14 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.subdomain.panels import PanelCode, Panels, load_panels
+from dolfinx_feti.runtime.arrays import Array, Indices, Integers
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["Fields", "averaged_fields", "jump_fields"]
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
-Integers = npt.NDArray[np.integer]
 
 #: Gives the j-th column of each pair's subdomain in the pair's row, zero beyond the last, (pairs,).
 Column = Callable[[int], Array]

@@ -20,20 +20,18 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.group import GroupFactor, processes_of_node
 from dolfinx_feti.feti.coarse.whole import whole_factor
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.collective import deferred, on_all, reason
 from dolfinx_feti.runtime.events import event
 
 __all__ = ["GatheredSolver"]
 
-Array = npt.NDArray[np.float64]
-Counts = npt.NDArray[np.int64]
 
 #: Rows of the inverse for each process, on average, up to which they are formed: in blocks, six of
 #: them take as long as one solve with the factor, and a matrix serves some thirty solves.
@@ -60,7 +58,7 @@ class GatheredSolver:
         prefix: str,
         symmetric: bool,
         zero: float | None = None,
-        counts: Counts | None = None,
+        counts: Numbers | None = None,
     ) -> None:
         """Factor, and form the inverse if that pays. Collective.
 

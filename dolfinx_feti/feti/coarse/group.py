@@ -14,7 +14,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.subdomain.factors.direct import (
     factor_with_work_space,
@@ -24,11 +23,11 @@ from dolfinx_feti.feti.subdomain.factors.direct import (
     set_default_factor,
 )
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["GroupFactor", "copy_of_rows", "processes_of_node"]
 
-Array = npt.NDArray[np.float64]
 
 #: Rows that are worth a process.
 ROWS = 4000

@@ -31,15 +31,13 @@ import scipy.sparse
 from dolfinx_feti.feti.coarse.fields import Fields
 from dolfinx_feti.feti.gluing.copies import star_forest
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
+from dolfinx_feti.runtime.arrays import Array, Integers, Numbers
 from dolfinx_feti.runtime.collective import join
 from dolfinx_feti.runtime.native import load, pointer
 from dolfinx_feti.torn.matrix import create_torn_matrix
 
 __all__ = ["CoupledSubdomains", "NearColumns", "coupled_subdomains", "expanded", "joined"]
 
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.integer]
-Numbers = npt.NDArray[np.int64]
 
 DECLARATIONS = """
 int add_element(int, const int *, const double *, const int *, const int *, const int *,

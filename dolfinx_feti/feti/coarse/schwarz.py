@@ -18,16 +18,14 @@ from collections.abc import Iterator
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 
 from dolfinx_feti.feti.coarse.near import CoupledSubdomains, expanded
+from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["SchwarzBlocks"]
 
-Array = npt.NDArray[np.float64]
-Numbers = npt.NDArray[np.int64]
 
 #: Multiple of the diagonal that is added to the blocks, which may be singular where columns depend.
 SHIFT = 1e-8

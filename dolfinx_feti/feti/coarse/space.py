@@ -35,6 +35,7 @@ from dolfinx_feti.feti.gluing.copies import Copies, consecutive
 from dolfinx_feti.feti.subdomain.blocks import block_diagonal, on_subdomains
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.orthonormal import diagonalising, unit_scale
+from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.collective import deferred
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.null_space import anchor, null_space
@@ -47,7 +48,6 @@ __all__ = [
     "estimated_norms",
 ]
 
-Array = npt.NDArray[np.float64]
 
 #: Energy below which a combination of the columns of a subdomain, of unit energy each, is dropped.
 LEAST_ENERGY = 1e-6
@@ -209,7 +209,7 @@ class AveragedSpace:
         self.AV.clear()
         self._owned.close()
 
-    def _counts(self) -> npt.NDArray[np.int64]:
+    def _counts(self) -> Numbers:
         """Count the combinations of each subdomain."""
         some = self.combinations.tocsc()
         row = some.indices[some.indptr[:-1]]  # any of each column

@@ -18,7 +18,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.coarse.group import copy_of_rows
@@ -28,15 +27,13 @@ from dolfinx_feti.feti.subdomain.factors.multifrontal import (
     Fronts,
     load_fronts_for,
 )
+from dolfinx_feti.runtime.arrays import Indices, Numbers
 from dolfinx_feti.runtime.collective import join, on_all
 from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.torn.rounding import EPS
 
 __all__ = ["whole_factor"]
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
-Numbers = npt.NDArray[np.int64]
 
 #: Most entries of a factor that a process has for its group: 512 MiB.
 MOST = 2**26

@@ -19,7 +19,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.clustered import create_coarse_solver
@@ -30,13 +29,13 @@ from dolfinx_feti.feti.gluing.jump import Gluing
 from dolfinx_feti.feti.gluing.weights import Weights
 from dolfinx_feti.feti.subdomain.blocks import block_diagonal, on_subdomains, own_columns
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.null_space import anchor, null_space
 
 __all__ = ["Coarse"]
 
-Array = npt.NDArray[np.float64]
 
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN

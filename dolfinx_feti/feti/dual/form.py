@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
@@ -40,13 +39,13 @@ from dolfinx_feti.feti.solution import CURVATURE, Monitor, Solution
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["DualForm", "balanced_start", "create_dual_form", "load", "recover"]
 
-Array = npt.NDArray[np.float64]
 
 PRECONDITIONERS: dict[str, Callable[..., Preconditioner]] = {
     "dirichlet": Dirichlet,

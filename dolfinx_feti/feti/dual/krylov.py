@@ -16,18 +16,17 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.dual.stopping import StoppingTest
 from dolfinx_feti.feti.dual.system import DualSystem
 from dolfinx_feti.feti.solution import CURVATURE, RESTART, Monitor, Solution
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_options import inserted
 
 __all__ = ["SYMMETRIC", "Method", "choose_method", "solve"]
 
-Array = npt.NDArray[np.float64]
 
 #: Methods that precondition nothing but their residuals.
 CG = ("cg", "fcg", "pipecg")

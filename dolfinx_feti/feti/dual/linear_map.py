@@ -11,12 +11,9 @@ from __future__ import annotations
 
 from petsc4py import PETSc
 
-import numpy as np
-import numpy.typing as npt
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["LinearMap"]
-
-Array = npt.NDArray[np.float64]
 
 
 class LinearMap:

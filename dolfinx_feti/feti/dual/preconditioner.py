@@ -17,7 +17,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 import scipy.sparse
 
@@ -27,10 +26,9 @@ from dolfinx_feti.feti.subdomain.blocks import block_diagonal, on_subdomains, pr
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
 from dolfinx_feti.feti.subdomain.panels import Panels
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["Dirichlet", "Identity", "Lumped", "Preconditioner"]
-
-Array = npt.NDArray[np.float64]
 
 
 class Preconditioner(ABC):

@@ -15,14 +15,13 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.dual.system import DualSystem
 from dolfinx_feti.feti.solution import STAGNATION, Monitor
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["StoppingTest"]
 
-Array = npt.NDArray[np.float64]
 Reason = PETSc.KSP.ConvergedReason
 
 #: By how much the proportion of the two residuals may have fallen before GMRES measures it.

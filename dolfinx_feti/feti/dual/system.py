@@ -18,18 +18,16 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.dual.coarse import Coarse
 from dolfinx_feti.feti.dual.linear_map import LinearMap
 from dolfinx_feti.feti.dual.preconditioner import Preconditioner
 from dolfinx_feti.feti.gluing.jump import Gluing
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import total
 
 __all__ = ["DualSystem"]
-
-Array = npt.NDArray[np.float64]
 
 
 class DualSystem:

@@ -17,18 +17,16 @@ from collections.abc import Iterator, Sequence
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.coarse.fields import jump_fields
 from dolfinx_feti.feti.coarse.near import NearColumns, joined
 from dolfinx_feti.feti.dual.preconditioner import Preconditioner
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.lifetime import Lifetime
 
 __all__ = ["WeightedColumns"]
-
-Array = npt.NDArray[np.float64]
 
 
 class WeightedColumns:

@@ -8,15 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.csgraph
 
+from dolfinx_feti.runtime.arrays import Numbers
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Bodies", "find_bodies"]
-
-Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +28,8 @@ class Bodies:
     """
 
     count: int
-    label: Integers
-    supports: Integers
+    label: Numbers
+    supports: Numbers
 
 
 def find_bodies(torn: Torn) -> Bodies:
@@ -54,7 +52,7 @@ def find_bodies(torn: Torn) -> Bodies:
     return Bodies(count, np.where(torn.dirichlet, count, body_of_dof), supports)
 
 
-def _merge(torn: Torn, piece: Integers, pieces: int) -> tuple[int, Integers]:
+def _merge(torn: Torn, piece: Numbers, pieces: int) -> tuple[int, Numbers]:
     """Join the pieces that hold copies of one dof: number of bodies, and the body of each piece."""
     copies = torn.gather(piece.astype(np.float64)).astype(np.int64)
     degree = torn.multiplicity()

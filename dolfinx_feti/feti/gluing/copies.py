@@ -20,16 +20,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfinx_feti.runtime.arrays import Array, Indices, Integers, Numbers
 from dolfinx_feti.runtime.collective import total, total_of
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Copies", "star_forest"]
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
-Numbers = npt.NDArray[np.int64]
 
 
 class Copies:
@@ -122,8 +118,8 @@ def _pairs(torn: Torn, dofs: Indices) -> tuple[Indices, Numbers]:
     number[torn.dirichlet] = -1.0
     gathered, degree = torn.gather(number), torn.multiplicity()
     first = np.cumsum(degree) - degree
-    rows: list[npt.NDArray[np.integer]] = [np.zeros(0, dtype=np.int64)]
-    copies: list[npt.NDArray[np.integer]] = [np.zeros(0, dtype=np.int64)]
+    rows: list[Integers] = [np.zeros(0, dtype=np.int64)]
+    copies: list[Integers] = [np.zeros(0, dtype=np.int64)]
     for c in range(torn.comm.allreduce(int(degree.max(initial=0)), op=MPI.MAX)):
         has = degree > c
         root = np.full(torn.owned, -1.0)

@@ -17,14 +17,11 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Gluing"]
-
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 
 class Gluing:
@@ -77,7 +74,7 @@ class Gluing:
         self.B.destroy()
 
 
-def _pairs(torn: Torn) -> Integers:
+def _pairs(torn: Torn) -> Numbers:
     """Return all pairs of copies of the free dofs owned, by their places in ``gather``."""
     free = torn.gather((~torn.dirichlet).astype(np.float64)) > 0.5
     degree = torn.multiplicity()

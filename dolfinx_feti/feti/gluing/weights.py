@@ -17,14 +17,13 @@ from dataclasses import dataclass
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.gluing.jump import Gluing
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Weights", "create_weights"]
 
-Array = npt.NDArray[np.float64]
 
 #: Least share of a copy in the stiffness of its dof.
 LEAST = 1e-12

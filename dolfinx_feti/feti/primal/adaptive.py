@@ -22,14 +22,13 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["DOFS", "STEPS", "adaptive_columns"]
 
-Array = npt.NDArray[np.float64]
 Multiply = Callable[[Array], Array]
 
 #: Steps of the Krylov method, at least and at most; each finds as many columns.

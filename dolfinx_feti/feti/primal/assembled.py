@@ -22,12 +22,12 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg.blas as blas
 
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.operator import EliminatedInterior, Operator
+from dolfinx_feti.runtime.arrays import Array, Indices, Single
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.native import load, pointer
 
@@ -38,8 +38,6 @@ __all__ = [
     "shares_of_neighbours",
 ]
 
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int32]
 Multiply = Callable[[Array], Array]
 
 DECLARATIONS = """
@@ -51,11 +49,11 @@ void add_block(int, float *, int, const int *, const double *);
 TAG = 51
 
 #: Returns a block of S, ``block(j, rows)``, for rows in any order.
-Block = Callable[[int, Integers], Array]
+Block = Callable[[int, Indices], Array]
 
 #: The share of a neighbour: rows of the subdomain that it has, too, ascending, (m,), and the block
 #: of its S, (m (m + 1) / 2,).
-Share = tuple[Integers, Array]
+Share = tuple[Indices, Array]
 
 
 class BlockCode:
@@ -64,7 +62,7 @@ class BlockCode:
     def __init__(self, module: Any) -> None:
         self._lib, self._to = module.lib, partial(pointer, module)
 
-    def copy(self, S: EliminatedInterior, j: int, rows: Integers) -> Array:
+    def copy(self, S: EliminatedInterior, j: int, rows: Indices) -> Array:
         """Return a block of S of subdomain j of this process, (m (m + 1) / 2,)."""
         m, to = len(rows), self._to
         _require_rows(rows, len(S.dofs[j]))
@@ -72,7 +70,7 @@ class BlockCode:
         self._lib.copy_block(len(S.dofs[j]), to(S.packed(j)), m, to(rows), to(entries))
         return entries
 
-    def add(self, A: npt.NDArray[np.float32], share: Share) -> None:
+    def add(self, A: Single, share: Share) -> None:
         """Add a share to A, (n, n) in Fortran's order, below its diagonal."""
         to, (rows, S) = self._to, share
         _require_rows(rows, len(A))
@@ -81,7 +79,7 @@ class BlockCode:
         self._lib.add_block(len(A), to(A, order="F"), len(rows), to(rows), to(S))
 
 
-def _require_rows(rows: Integers, n: int) -> None:
+def _require_rows(rows: Indices, n: int) -> None:
     """Refuse rows beyond a matrix of order n, before C reads there."""
     if len(rows) and not (rows.min() >= 0 and rows.max() < n):
         raise ValueError(f"rows {rows.min()} … {rows.max()} are not those of a matrix of order {n}")
@@ -102,8 +100,8 @@ class _Common:
     i: int
     j: int
     rank: int
-    rows: Integers
-    copies: Integers
+    rows: Indices
+    copies: Indices
 
 
 def assembled_products(S: Operator, copies: Copies) -> Callable[[int], Multiply]:

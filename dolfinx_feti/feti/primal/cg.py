@@ -19,13 +19,13 @@ from dataclasses import dataclass
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
 from dolfinx_feti.feti.coarse.space import MARGIN
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace, Trace
 from dolfinx_feti.feti.solution import STAGNATION, Monitor, Solution
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["PrimalSystem", "conjugate_gradients", "converged_reason"]
@@ -36,7 +36,6 @@ CANCELLED = 1e-8
 #: Negative curvatures, one for each negative eigenvalue that A₀ misses, with which a solve goes on.
 FEW = 2
 
-Array = npt.NDArray[np.float64]
 Reason = PETSc.KSP.ConvergedReason
 
 

@@ -26,7 +26,6 @@ from functools import partial
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
 from dolfinx_feti.feti.coarse.space import MARGIN, AveragedSpace, estimated_norms
@@ -34,13 +33,13 @@ from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.solution import RitzVectors
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.orthonormal import diagonalising, symmetric_part
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all, total, total_of
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.torn.rounding import EPS
 
 __all__ = ["DeflatedSpace", "Trace", "soft_fields"]
 
-Array = npt.NDArray[np.float64]
 Solve = Callable[[int, Array], Array]
 
 #: Applies S_i to columns, ``multiply(i, X)``, (n_i, c) → (n_i, c), or its transpose.

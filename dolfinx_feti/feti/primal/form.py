@@ -22,7 +22,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 
 from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
@@ -41,6 +40,7 @@ from dolfinx_feti.feti.solution import Monitor, RitzVectors, Solution
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 
@@ -53,7 +53,6 @@ __all__ = [
     "solver_on_interface",
 ]
 
-Array = npt.NDArray[np.float64]
 Reason = PETSc.KSP.ConvergedReason
 
 #: Iterations that are kept for each of the Ritz vectors that may come of them.

@@ -21,19 +21,18 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.primal.cg import PrimalSystem, converged_reason
 from dolfinx_feti.feti.primal.deflation import Trace
 from dolfinx_feti.feti.solution import RESTART, Monitor, Solution
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import deferred, total_of
 from dolfinx_feti.torn.rounding import EPS
 
 __all__ = ["gmres"]
 
-Array = npt.NDArray[np.float64]
 Reason = PETSc.KSP.ConvergedReason
 
 

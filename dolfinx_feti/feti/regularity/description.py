@@ -12,14 +12,13 @@ translations along axes, and rotations. Without directions in space, the motions
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.regularity.motions import Motions
+from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["describe"]
 
-Array = npt.NDArray[np.float64]
 
 #: A coefficient below this share of the largest one is zero, as a fit has some ten digits.
 NEGLIGIBLE = 1e-6
@@ -57,7 +56,7 @@ def _body(rigid: Motions, x: Array | None, b: int) -> str:
     return f"in a part that is not connected to the rest ({b + 1} of {count}{where}) {said}"
 
 
-def _names(torn: Torn, mine: npt.NDArray[np.bool_], fields: Array, x: Array | None) -> str:
+def _names(torn: Torn, mine: Mask, fields: Array, x: Array | None) -> str:
     """Name rigid motions; ``mine`` marks the torn dofs of the body."""
     bs, m = torn.A.getBlockSize(), fields.shape[1]
     if bs == 1:

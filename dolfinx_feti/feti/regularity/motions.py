@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.gluing.bodies import Bodies
 from dolfinx_feti.feti.subdomain.kernel import UNSUPPORTED
@@ -27,6 +26,7 @@ from dolfinx_feti.feti.subdomain.orthonormal import (
     orthonormalising,
     symmetric_part,
 )
+from dolfinx_feti.runtime.arrays import Array, Integers, Numbers
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.null_space import null_space
@@ -41,8 +41,6 @@ __all__ = [
     "unresisted",
 ]
 
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 #: A scaled energy below this is rounding, as it counts the error of a motion squared.
 NO_ENERGY = 1e-14
@@ -105,7 +103,7 @@ class Motions:
     operator: ScaledOperator
     definite: bool
     fields: Array
-    dimensions: Integers
+    dimensions: Numbers
     null_space: Array
 
     @property
@@ -185,7 +183,7 @@ def _combine(fields: Array, coefficients: list[Array], bodies: Bodies) -> Array:
     return combined
 
 
-def triangles(X: Array, group: npt.NDArray[np.integer], count: int, comm: MPI.Comm) -> Array:
+def triangles(X: Array, group: Integers, count: int, comm: MPI.Comm) -> Array:
     """Return R of each group of rows, (count, k, k), the same on all processes. Collective.
 
     Args:

@@ -17,7 +17,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.feti.coarse.clustered import CoarseSolver
@@ -33,12 +32,12 @@ from dolfinx_feti.feti.regularity.motions import (
     triangles,
     unresisted,
 )
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["require_held", "require_regular", "require_regular_interior"]
 
-Array = npt.NDArray[np.float64]
 
 #: Growth of a random vector in the scaled N⁻¹ above which the assembled matrix is looked at: less
 #: than that of a singular block, as a look is all that follows.

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.gluing.dofs import Dofs
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
@@ -26,13 +25,12 @@ from dolfinx_feti.feti.subdomain.factors.multifrontal import (
     create_fronts,
     load_fronts_for,
 )
+from dolfinx_feti.runtime.arrays import Indices
 from dolfinx_feti.runtime.petsc_library import reads_in_place, rows_of
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Analysis", "analyse", "worth_eliminating"]
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
 
 #: Entries of S for each :math:`n^{4/3}`, which is how a sparse factor in three dimensions grows.
 DENSITY = 30.0

@@ -16,10 +16,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 
 from dolfinx_feti.errors import FactorError, SetUpError
+from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.collective import on_all, reason
 from dolfinx_feti.runtime.petsc_library import product
 from dolfinx_feti.torn.matrix import Torn
@@ -36,8 +36,6 @@ __all__ = [
 ]
 
 T = TypeVar("T")
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
 
 
 def block_diagonal(blocks: Sequence[Array]) -> scipy.sparse.csr_array:

@@ -12,15 +12,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse.linalg
 
 from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
 from dolfinx_feti.feti.subdomain.soft import ALL_MODES
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["buckling_modes"]
 
-Array = npt.NDArray[np.float64]
 Solve = Callable[[Array], Array]
 
 #: Lanczos' method: relative error of an eigenvalue, and restarts.

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.gluing.dofs import Dofs
 from dolfinx_feti.feti.subdomain.analysis import Analysis
@@ -22,13 +21,11 @@ from dolfinx_feti.feti.subdomain.factors.dense import pack
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
 from dolfinx_feti.feti.subdomain.factors.pivoted import factor_with_pivots
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["eliminate", "factor_interior"]
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
 
 
 def eliminate(torn: Torn, dofs: Dofs, analysis: Analysis) -> Iterator[tuple[Array, Factor]]:

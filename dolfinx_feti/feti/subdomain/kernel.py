@@ -11,20 +11,19 @@ r"""The kernel of a subdomain: its rigid body modes that vanish on its Dirichlet
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.subdomain.orthonormal import null_combinations, orthonormal
+from dolfinx_feti.runtime.arrays import Array, Mask
 
 __all__ = ["UNSUPPORTED", "kernel_basis"]
 
-Array = npt.NDArray[np.float64]
 
 #: A mode of size one that is smaller than this on Dirichlet dofs vanishes there: the square root of
 #: rounding.
 UNSUPPORTED = 1e-8
 
 
-def kernel_basis(modes: Array, fixed: npt.NDArray[np.bool_]) -> Array:
+def kernel_basis(modes: Array, fixed: Mask) -> Array:
     """Combine the candidates on the dofs of a subdomain, (n_i, n_modes), that vanish on fixed ones.
 
     Returns:

@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.gluing.dofs import Dofs
@@ -24,11 +23,11 @@ from dolfinx_feti.feti.subdomain.blocks import named, sparse_block
 from dolfinx_feti.feti.subdomain.factors.direct import Choice
 from dolfinx_feti.feti.subdomain.factors.pivoted import factor_with_pivots
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["factor_tells_singular", "growth", "interior_kernel", "null_space"]
 
-Array = npt.NDArray[np.float64]
 Solve = Callable[[Array], Array]
 
 #: A growth of a scaled random vector that no regular block reaches: its condition would be worse.

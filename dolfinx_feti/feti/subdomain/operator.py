@@ -22,7 +22,6 @@ from functools import partial
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.gluing.dofs import Dofs
 from dolfinx_feti.feti.subdomain.analysis import Analysis
@@ -33,17 +32,13 @@ from dolfinx_feti.feti.subdomain.factors.pivoted import factor_with_pivots
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
 from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
 from dolfinx_feti.feti.subdomain.panels import Panels
+from dolfinx_feti.runtime.arrays import Array, Indices, Mask, Single
 from dolfinx_feti.runtime.collective import deferred
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_library import product, rows_of
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Operator", "create_operator"]
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
-Single = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
 
 
 class Operator(ABC):

@@ -12,8 +12,9 @@ scaled to a unit diagonal first. For rows that are distributed see ``regularity.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
+
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = [
     "RANK",
@@ -26,7 +27,6 @@ __all__ = [
     "unit_scale",
 ]
 
-Array = npt.NDArray[np.float64]
 
 #: A singular value below this share of the largest one is zero: the square root of rounding, so
 #: that columns far from the origin, which agree in half of their digits, still count.

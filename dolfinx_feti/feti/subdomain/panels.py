@@ -23,13 +23,12 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.native import address_of, load, pointer
 
 __all__ = ["PanelCode", "Panels", "load_panels"]
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
 
 DECLARATIONS = """
 void panels_product(int, int, const int *, const int *, const int *, const double *,

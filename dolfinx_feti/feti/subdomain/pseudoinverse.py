@@ -24,7 +24,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.gluing.dofs import Dofs
@@ -38,12 +37,12 @@ from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, growth,
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.orthonormal import append_orthonormal, orthonormal, symmetric_part
 from dolfinx_feti.feti.subdomain.soft import Basis, join, soft_modes
+from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.collective import deferred
 from dolfinx_feti.runtime.events import event
 
 __all__ = ["PseudoInverse", "create_pseudo_inverse"]
 
-Array = npt.NDArray[np.float64]
 Solve = Callable[[Array], Array]
 
 #: ‖K R‖ below this multiple of ‖K‖‖R‖ counts as zero: rounding of the assembly.
@@ -78,7 +77,7 @@ class PseudoInverse:
 
     modes: tuple[SubdomainModes, ...]
     factors: tuple[Factor, ...]
-    rows: tuple[slice | npt.NDArray[np.int32], ...]
+    rows: tuple[slice | Indices, ...]
 
     def solve(self, y: Array, *, up_to_soft_modes: bool = False) -> Array:
         """Apply the generalised inverse, K⁺ y, (n,), or K⁺ Y, (n, r); zero on fixed dofs.

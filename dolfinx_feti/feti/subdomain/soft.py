@@ -21,13 +21,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["ALL_MODES", "Basis", "join", "soft_modes"]
 
-Array = npt.NDArray[np.float64]
 Solve = Callable[[Array], Array]
 
 #: Subdomains of up to so many dofs have all their eigenvectors computed.

@@ -26,11 +26,11 @@ import scipy.linalg.lapack as lapack
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots, require_alive
 from dolfinx_feti.feti.subdomain.panels import Panels
+from dolfinx_feti.runtime.arrays import Array, Indices, Single
 from dolfinx_feti.runtime.native import address_of
 
 __all__ = ["SINGLE", "DenseFactor", "PackedMatrix", "pack", "unpack"]
 
-Array = npt.NDArray[np.float64]
 Real = TypeVar("Real", np.float32, np.float64)
 
 #: The unit ε of rounding in single precision.
@@ -86,7 +86,7 @@ class PackedMatrix:
             return W.dense()
         return W.product(_mirrored(unpack(self.values, self.n, self.work)))
 
-    def unpacked(self, work: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def unpacked(self, work: Single) -> Single:
         """Return S in single precision, (n, n) in Fortran's order, in another work space."""
         return unpack(self.values.astype(np.float32), self.n, work)
 
@@ -108,7 +108,7 @@ class DenseFactor:
     ) -> None:
         """Factor S + ρ R Rᵀ + diag(shift), with orthonormal R, (n, k), and a shift, (n,)."""
         self._n, self._work, self.single = S.n, S.work, False
-        self._interchanges: npt.NDArray[np.int32] | None = None  # of Bunch and Kaufman
+        self._interchanges: Indices | None = None  # of Bunch and Kaufman
         self._scale = 1.0  # of what is factored
         self._X: npt.NDArray[np.floating] = np.zeros(0)  # L or that of L Δ Lᵀ; or the inverse
         self.pivots = Pivots(0, 0)
@@ -260,7 +260,7 @@ def _tpttr(precision: str) -> Callable[..., None]:
     return kind(address_of({"d": "dtpttr", "f": "stpttr"}[precision]))
 
 
-def _pivot_eigenvalues(X: Array, interchanges: npt.NDArray[np.int32]) -> Array:
+def _pivot_eigenvalues(X: Array, interchanges: Indices) -> Array:
     """Return the eigenvalues of the blocks of Δ, of one or two rows, in L Δ Lᵀ."""
     d = X.diagonal().copy()
     first = np.flatnonzero(interchanges < 0)[::2]  # the blocks of two rows take two entries

@@ -27,6 +27,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.runtime.arrays import Array, Indices, Mask, Numbers
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.connectivity import coupled_nodes, load_graph_code
 from dolfinx_feti.runtime.native import address_of, load, pointer
@@ -41,9 +42,6 @@ __all__ = [
     "load_fronts_for",
 ]
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
-Numbers = npt.NDArray[np.int64]
 
 #: Orderings of PETSc that are tried without METIS; that with the least estimate of time is taken.
 ORDERINGS = ("nd", "amd")
@@ -133,7 +131,7 @@ class Fronts:
         number: Indices,
         size: Indices,
         graph: tuple[Indices, Indices],
-        glued: npt.NDArray[np.bool_],
+        glued: Mask,
         *,
         thorough: bool = False,
     ) -> None:

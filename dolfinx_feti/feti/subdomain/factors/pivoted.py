@@ -16,7 +16,6 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 
 from dolfinx_feti.feti.subdomain.blocks import index_set
@@ -30,11 +29,9 @@ from dolfinx_feti.feti.subdomain.factors.direct import (
     takes_ldlt,
 )
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, Pivots, require_alive
+from dolfinx_feti.runtime.arrays import Array, Indices
 
 __all__ = ["PivotedFactor", "factor_with_pivots"]
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
 
 
 class PivotedFactor:

@@ -14,12 +14,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
-import numpy as np
-import numpy.typing as npt
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["Factor", "Pivots", "require_alive", "sum_negative"]
-
-Array = npt.NDArray[np.float64]
 
 
 class Pivots(NamedTuple):

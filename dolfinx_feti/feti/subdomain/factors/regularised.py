@@ -17,16 +17,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor, Fronts
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
+from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.petsc_library import Rows
 
 __all__ = ["RegularisedFactor", "factor_by_fronts"]
 
-Array = npt.NDArray[np.float64]
 
 #: Share of the largest singular value of R on the last front that the smallest one has to have.
 FIXED = 1e-2
@@ -48,7 +47,7 @@ class RegularisedFactor:
 
     front: FrontFactor
     R: Array
-    last: npt.NDArray[np.int64]
+    last: Numbers
     Q: Array
     Z: Array
     C: Array
