@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Load steps from equilibrium to equilibrium, time steps, and states that outlive a run.
 
-In the order of the data: checkpoint, state, steps, progress, anderson, stepper,
+In the order of the data: checkpoint, state, steps, progress, fixed_point, stepper,
 motion, load_steps, unloaded, prestressed, time_steps.
 """
 

@@ -28,8 +28,8 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.internal_variables import create_internal_variables
 from dolfinx_feti.fem.nodes import diameter
-from dolfinx_feti.loading.anderson import MOST, Anderson, FixedPoint
 from dolfinx_feti.loading.checkpoint import Checkpoint
+from dolfinx_feti.loading.fixed_point import MOST, FixedPoint
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
@@ -119,7 +119,7 @@ class _Prestressing(FixedPoint):
 
     def _iterate(self, reference: float | None, options: dict[str, Any]) -> None:
         """Solve, and take the wall back to the image, until it stays there."""
-        anderson = Anderson(self._G.function_space)
+        anderson = self._anderson(self._G)
         allowed = 0.0
         for _ in range(MOST):
             self._solve(reference=reference, **options)

@@ -36,8 +36,8 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.errors import ConvergenceError
-from dolfinx_feti.loading.anderson import FixedPoint
 from dolfinx_feti.loading.checkpoint import Checkpoint
+from dolfinx_feti.loading.fixed_point import FixedPoint
 from dolfinx_feti.loading.progress import Interrupts, Progress
 from dolfinx_feti.loading.state import PathState
 from dolfinx_feti.loading.steps import Lengths, Step, load_step

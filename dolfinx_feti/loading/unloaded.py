@@ -22,8 +22,8 @@ import ufl
 
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.nodes import Nodes, diameter
-from dolfinx_feti.loading.anderson import MOST, Anderson, FixedPoint
 from dolfinx_feti.loading.checkpoint import Checkpoint
+from dolfinx_feti.loading.fixed_point import MOST, FixedPoint
 from dolfinx_feti.loading.load_steps import INADMISSIBLE, follow_load
 from dolfinx_feti.loading.stepper import kept_tolerances
 from dolfinx_feti.loading.steps import LoadStep, Steps
@@ -176,7 +176,7 @@ class _Unloading(FixedPoint):
 
     def _iterate(self, reference: float | None, options: dict[str, Any]) -> None:
         """Iterate until the loaded wall is the image, and in equilibrium."""
-        anderson = Anderson(self.u.function_space)
+        anderson = self._anderson(self.u)
         nodes, close, distance = self._nodes, False, math.inf
         last: Array | None = None  # U of the solve before
         self._require_admissible()

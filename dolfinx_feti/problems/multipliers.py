@@ -1,16 +1,11 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Multipliers that make a material incompressible in the end: their updates, accelerated.
+"""Multipliers that make a material incompressible in the end: their updates, accelerated.
 
 The update λ ← p(λ) of the augmented Lagrangian, with the pressure p(λ) of the equilibrium under
 λ, converges linearly, the faster the larger κ is beside the stiffness of the material. Anderson's
-acceleration takes the combination of the last updates whose p − λ is least,
-
-.. math:: λ_{k+1} = \sum_j γ_j\, p_j, \qquad
-          \min \Bigl\| \sum_j γ_j (p_j - λ_j) \Bigr\|, \quad \sum_j γ_j = 1
-
-(Walker and Ni 2011).
+method accelerates it (``anderson``; docs/theory.md).
 """
 
 from __future__ import annotations
@@ -22,18 +17,16 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_feti.errors import ConvergenceError
+from dolfinx_feti.problems.anderson import Anderson
 from dolfinx_feti.problems.system import System
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 
-__all__ = ["accelerated", "hold", "prepare", "updated"]
+__all__ = ["hold", "prepare", "updated"]
 
 
 #: Most updates of a solve.
 UPDATES = 50
-
-#: How many updates are combined, and how small an eigenvalue of their products counts as zero.
-DEPTH, DEPENDENT = 6, 1e-12
 
 
 def prepare(system: System, tolerance: float) -> None:
@@ -92,21 +85,21 @@ def updated(system: System, solve: Callable[[int], bool], tolerance: float) -> I
     Note:
         Collective.
     """
+    fields = system.condensation.fields if system.condensation else ()
     λ, change = system.state()[1], np.inf
-    past: list[tuple[Array, Array]] = []
-    sizes = (
-        [] if system.condensation is None else [len(p.x.array) for p in system.condensation.fields]
-    )
+    unit: Array = np.zeros(0)
+    anderson = Anderson(system.comm, len(λ))
     for update in range(UPDATES):
         if update:
-            λ = accelerated(past, system.comm, sizes)
             hold(system, λ)
         solved = solve(update)
-        past.append((λ, system.state()[1]))
+        p = system.state()[1]
         change = hold(system)
         yield change
         if solved and change <= tolerance:
             return
+        unit = unit if update else _units(p - λ, [len(f.x.array) for f in fields], system.comm)
+        λ = unit * anderson.next(λ / unit, (p - λ) / unit)
     raise ConvergenceError(
         f"After {UPDATES} updates of its multipliers the mean volume of a cell is still off by "
         f"{change:.1e}: take a larger κ, which they converge with, or a larger volume_tolerance "
@@ -114,25 +107,10 @@ def updated(system: System, solve: Callable[[int], bool], tolerance: float) -> I
     )
 
 
-def accelerated(past: Sequence[tuple[Array, Array]], comm: MPI.Comm, sizes: Sequence[int]) -> Array:
-    """Return the next multipliers, this process's part.
-
-    Args:
-        past: Multipliers λ and the pressure p that came of them, one pair for each update.
-        comm: Communicator of all parts.
-        sizes: Entries of each field. Fields have units of their own: each p − λ is relative to the
-            greatest one of its field.
-
-    Note:
-        Collective.
-    """
-    pairs = past[-DEPTH:]
-    f = np.array([p - λ for λ, p in pairs])
-    for field in np.split(f, np.cumsum(sizes)[:-1], axis=1):
-        most = comm.allreduce(float(np.abs(field).max(initial=0.0)), op=MPI.MAX)
-        field /= most or 1.0
-    changes, last = f[:-1] - f[-1], f[-1]
-    product = comm.allreduce(changes @ np.column_stack([changes.T, last]))
-    γ = np.linalg.lstsq(product[:, :-1], -product[:, -1], rcond=DEPENDENT)[0]
-    p = np.array([p for _, p in pairs])
-    return np.asarray(p[-1] + γ @ (p[:-1] - p[-1]))
+def _units(change: Array, sizes: Sequence[int], comm: MPI.Comm) -> Array:
+    """Return the greatest first change of each field, for each entry: fields have units."""
+    parts = np.split(change, np.cumsum(sizes)[:-1])
+    most = [
+        comm.allreduce(float(np.abs(part).max(initial=0.0)), op=MPI.MAX) or 1.0 for part in parts
+    ]
+    return np.repeat(most, sizes)

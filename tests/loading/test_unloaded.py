@@ -12,13 +12,11 @@ import pytest
 from collective import COMM, agree, equal, raises, small
 from walls import Wall, fibres, tube, wall
 
-import dolfinx
 import ufl
 
 from dolfinx_feti import ConvergenceError, NonlinearProblem, loads
 from dolfinx_feti.fem.nodes import Nodes
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load, unload
-from dolfinx_feti.loading.anderson import Anderson
 from dolfinx_feti.loading.load_steps import INADMISSIBLE
 from dolfinx_feti.output import cell_values
 
@@ -194,16 +192,3 @@ def test_cell_inside_out_on_the_way(monkeypatch):
     agree(step.failures == 0 and step.load == 10.0)
     equal(calls[2], (calls[0] + calls[1]) / 2, 1e-15)
     small(scan.distance(), 1e-12)
-
-
-@pytest.mark.serial
-def test_acceleration_ends_on_a_linear_map():
-    """With n unknowns after n + 1 evaluations, though the map itself does not contract."""
-    n, random = 12, np.random.default_rng(1)
-    A, b = random.uniform(-0.8, 0.8, (n, n)), random.uniform(-1.0, 1.0, n)
-    agree(np.abs(np.linalg.eigvals(A)).max() > 1.2)
-    line = dolfinx.mesh.create_interval(COMM, n - 1, [0.0, 1.0])
-    anderson, U = Anderson(dolfinx.fem.functionspace(line, ("Lagrange", 1))), np.zeros(n)
-    for _ in range(n + 1):
-        U = anderson.next(U, A @ U + b - U)
-    equal(A @ U + b, U, 1e-8)

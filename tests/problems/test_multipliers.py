@@ -19,7 +19,7 @@ import ufl
 from dolfinx_feti import ConvergenceError, NonlinearProblem
 from dolfinx_feti.loading import Steps, follow_load
 from dolfinx_feti.problems import multipliers
-from dolfinx_feti.problems.multipliers import accelerated, hold
+from dolfinx_feti.problems.multipliers import hold
 
 ELEMENTS = ["p2-p1d", "q2-p1d", "p2-p0-p0"]
 INCOMPRESSIBLE = 1e12
@@ -154,13 +154,3 @@ def test_a_kappa_that_is_too_small(monkeypatch):
         solved.solve()
     agree(len(solved.volume_changes) == 2)
     agree(solved.solver.getTolerances()[0] == TIGHT["snes_rtol"])
-
-
-@pytest.mark.serial
-def test_acceleration_of_a_linear_update():
-    """Three rates: all are gone after four updates, as in GMRES."""
-    rate, λ, past = np.array([0.9, 0.7, 0.3, 0.9]), np.zeros(4), []
-    for _ in range(4):
-        past.append((λ, 1.0 + rate * (λ - 1.0)))
-        λ = accelerated(past, MPI.COMM_SELF, [len(past[0][0])])
-    small(np.abs(λ - 1.0).max(), 1e-10)
