@@ -34,7 +34,6 @@ with the prefixes `tube_`, `vessel_`, `block_`, `body_` (FETI), `mumps_`, `gamg_
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -50,8 +49,7 @@ from benchmarks.common.clock import Events
 from benchmarks.common.compare import path
 from benchmarks.common.compare.opponents import OPPONENTS
 from benchmarks.common.compare.tables import GEOMETRIES, fields, seconds
-from benchmarks.common.machine import threads
-from benchmarks.common.records import Record, Records
+from benchmarks.common.records import Record, Records, threads
 from benchmarks.common.study import Keep, Study
 from benchmarks.common.walls import clamped
 from dolfinx_feti import loads
@@ -71,13 +69,13 @@ FIRST_LOAD = {"tube": 1.0, "vessel": clamped.FIRST_PRESSURE, "block": 1.0, "pill
 def _options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--geometry", choices=GEOMETRIES, default="tube")
-    add("--degree", type=command.one_of((1, 2)), default=2, help="of the displacement; 2")
+    add("--degree", type=int, choices=(1, 2), default=2, help="of the displacement; 2")
     add("--kappa", type=command.several(positive), default=[1000.0], help="[kPa], 1000")
     add("--dofs", type=command.several(count), default=[180_000], help="approximate number; 180000")
     add("--subdomains", type=count, help="over all processes; about one for 2000 dofs")
     add("--per", type=command.several(count), default=[None], help="dofs of a subdomain")
     names = tuple(OPPONENTS)
-    add("--solvers", type=command.some_of(names), help=f"{command.names(names)}; the first three")
+    add("--solvers", type=command.some_of(names), help=f"{', '.join(names)}; the first three")
     add("--rounds", type=count, default=1, help="in which the solvers alternate; 1")
     add("--path", type=positive, metavar="P", help="load steps to P mmHg in place of a first step")
     add("--loaded", type=positive, metavar="P", help="a step in the equilibrium at P mmHg")
@@ -102,7 +100,7 @@ def _cases(
     if (args.path or args.loaded) and args.geometry not in ("tube", "vessel", "block"):
         parser.error(f"--geometry {args.geometry} goes without --path and --loaded")
     if args.path is not None and not set(solvers) <= set(path.SOLVERS):
-        parser.error(f"--path takes no other solvers than {command.names(path.SOLVERS)}")
+        parser.error(f"--path takes no other solvers than {', '.join(path.SOLVERS)}")
     if args.path is not None and "feti" not in solvers:
         parser.error("--path needs feti among the --solvers: Newton's method goes on with it")
     linear = args.geometry in ("cube", "square", "heat")
@@ -123,7 +121,7 @@ def _cases(
 
 def _done(case: Record, records: Records, args: argparse.Namespace) -> bool:
     """Tell whether all solvers have a record."""
-    return all(records.find(case | {"solver": name}) is not None for name in _solvers(args))
+    return all(records.all(case | {"solver": name}) for name in _solvers(args))
 
 
 def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> None:
@@ -215,7 +213,6 @@ STUDY = Study(
     cases=_cases,
     run=_run,
     done=_done,
-    line=json.dumps,
     fields=fields,
 )
 

@@ -109,11 +109,6 @@ def _all(case: Case, preconditioners: Sequence[str] = PRECONDITIONERS) -> Iterat
         yield replace(case, type=kind, pc=pc)
 
 
-def _options(parser: argparse.ArgumentParser) -> None:
-    sets = {"type": command.some_of(list(SETS)), "default": list(SETS)}
-    parser.add_argument("--sets", **sets, help=f"all, or some of {command.names(list(SETS))}")
-
-
 def _cases(
     args: argparse.Namespace, _parser: argparse.ArgumentParser, comm: MPI.Comm
 ) -> Iterator[Record]:
@@ -131,16 +126,6 @@ def _run(key: Record, keep: Keep, _args: argparse.Namespace, comm: MPI.Comm) -> 
     error = l2_error(linear.u, problem.exact) if case.jump == 1.0 else None
     own = {"l2_error": error, "peak_mib": peak_mib if math.isfinite(peak_mib) else None}
     keep({}, found | own | {"processes": comm.size})
-
-
-def _line(record: Record) -> str:
-    error = "–" if record["l2_error"] is None else f"{record['l2_error']:.2e}"
-    return (
-        f"P{record['degree']}, level {record['level']}, {record['subdomains']} subdomains, "
-        f"{record['type']}, {record['pc']}: {record['iterations']} it., κ = "
-        f"{record['condition_number']:.4g}, L2 error {error}, set-up "
-        f"{record['seconds_setup']:.2f} s, solve {record['seconds_solve']:.2f} s"
-    )
 
 
 def case_of(record: Record) -> Case:
@@ -277,10 +262,9 @@ STUDY = Study(
     about=__doc__,
     page="linear",
     known=lambda record: "condition_number" in record,
-    options=_options,
+    options=lambda parser: command.add_choices(parser, "--sets", list(SETS)),
     cases=_cases,
     run=_run,
-    line=_line,
     fields=_fields,
 )
 

@@ -198,10 +198,6 @@ def _cases(args: Any, *_: object) -> Iterator[Record]:
     yield from ({"material": m, "given": given} for m in materials for given in ROUTES)
 
 
-def _line(record: Record) -> str:
-    return ", ".join(f"{name} {record[name]}" for name in ("material", "given", "first", "again"))
-
-
 def _rows(records: Sequence[Record]) -> list[dict[str, Any]]:
     """Return a row for each material: the least seconds of all edits, and their quotients."""
     rows = []
@@ -240,7 +236,6 @@ STUDY = Study(
     options=_options,
     cases=_cases,
     run=_run,
-    line=_line,
     fields=lambda records: {"rows": _rows(records)},
     draw=_draw,
 )

@@ -80,10 +80,10 @@ RUN = ("geometry", "size", "degree", "subdomains", "type")
 def _options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     command.add_mesh(parser)
-    add("--type", type=command.some_of(TYPES), default=list(TYPES), help=",".join(TYPES))
+    command.add_choices(parser, "--type", TYPES)
     add("--pressure", type=positive, default=300.0, help="[mmHg], 300")
     add("--first", type=positive, default=10.0, help="increment of the pressure [mmHg], 10")
-    add("--degree", type=command.one_of((1, 2)), default=1, help="of the displacements, 1")
+    add("--degree", type=int, choices=(1, 2), default=1, help="of the displacements, 1")
     add("--c", type=positive, default=6.0, help="[kPa], 6")
     add("--kappa", type=positive, default=1000.0, help="[kPa], 1000")
     add("--subdomains", type=count, default=32, help="over all processes, 32")
@@ -157,15 +157,6 @@ def _state(body: WallProblem, points: Sequence[np.ndarray]) -> Record:
         "stress_magnitude": dict(zip(NAMES, stress.tolist(), strict=True)),
         **summarise(volume_ratios(body.u), body.u.function_space.mesh.comm),
     }
-
-
-def _line(record: Record) -> str:
-    """Format a record as a line."""
-    return (
-        f"{record['type']:<13}{record['pressure_mmhg']:8.3f} mmHg "
-        f"{record['newton_iterations']:3d} Newton steps of {record['linear_iterations_mean']:.0f} "
-        f"FETI iterations, {record['seconds']:.1f} s"
-    )
 
 
 def five_points(mesh: dolfinx.mesh.Mesh) -> list[npt.NDArray[np.int64]]:
@@ -287,7 +278,6 @@ STUDY = Study(
     cases=_cases,
     run=_run,
     done=lambda case, records, args: bool(records.all(case | {"pressure_mmhg": args.pressure})),
-    line=_line,
     fields=_fields,
     draw=_draw,
 )

@@ -66,22 +66,16 @@ WALL = ("geometry", "size", "degree", "layers", "subdomains", "processes", "pres
 
 def _options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-
-    def add_list(name: str, values: Sequence[object], about: str) -> None:
-        text = ",".join(map(str, values))
-        kind = command.some_of(values)
-        add(name, type=kind, default=list(values), help=f"{about}{text}")
-
     command.add_mesh(parser)
-    add("--degree", type=command.one_of((1, 2)), default=1, help="of the displacements, 1")
+    add("--degree", type=int, choices=(1, 2), default=1, help="of the displacements, 1")
     add("--kappa", type=command.several(positive), default=list(KAPPA), help="[kPa], 10,100,1000")
     add("--pressure", type=positive, default=1.0, help="the load [mmHg], 1")
     add("--subdomains", type=count, default=32, help="over all processes, 32")
-    add_list("--layers", tuple(LAYERS), "of the wall, the paper's aorta and carotid artery: ")
-    add_list("--type", tuple(TYPES), "")
-    add_list("--pc", PRECONDITIONERS, "preconditioners, ")
-    add_list("--choices", tuple(CHOICES), "the paper's and the package's own, ")
-    add_list("--contact", CONTACTS, "of one subdomain with the rim: as it comes, points, none; ")
+    command.add_choices(parser, "--layers", tuple(LAYERS))
+    command.add_choices(parser, "--type", tuple(TYPES))
+    command.add_choices(parser, "--pc", PRECONDITIONERS)
+    command.add_choices(parser, "--choices", tuple(CHOICES))
+    command.add_choices(parser, "--contact", CONTACTS)
     add("--most-iterations", type=count, default=10_000, help="of a linear solve, 10000")
 
 
@@ -175,26 +169,6 @@ def _cost(body: WallProblem, each: npt.NDArray[np.float64]) -> Iterator[tuple[st
     yield "seconds_krylov_per_newton", krylov
 
 
-def _line(record: Record) -> str:
-    """Format a record as a line."""
-    its = record["linear_iterations_per_newton"]
-    if "failure" in record:
-        end = f"failed after {len(its)} Newton steps: {record['failure']}"
-    elif "iterations_exceed" in record:
-        end = f"more than {record['iterations_exceed']} iterations in a linear solve"
-    else:
-        setup, krylov = (record[f"seconds_{part}_per_newton"] for part in ("setup", "krylov"))
-        end = (
-            f"{len(its)} Newton steps of {', '.join(map(str, its))} iterations, "
-            f"{setup:.2f} + {krylov:.2f} s each"
-        )
-    return (
-        f"{record['geometry']}, {record['layers']} layer(s), P{record['degree']}–P0, κ = "
-        f"{record['kappa']:g}, {record['type']}, {record['pc']}, {record['choices']}"
-        f"{RIM[str(record['contact'])]}: {end}"
-    )
-
-
 def _fields(records: Sequence[Record]) -> Fields:
     usual = [record for record in records if record["contact"] == "whole"]
     return {
@@ -284,7 +258,6 @@ STUDY = Study(
         r.get("iterations_exceed", args.most_iterations) >= args.most_iterations
         for r in records.all(case) or [{"iterations_exceed": 0}]
     ),
-    line=_line,
     fields=_fields,
 )
 

@@ -271,11 +271,6 @@ def _fields(records: Sequence[Record]) -> Fields:
     }
 
 
-def _line(record: Record) -> str:
-    end = record["error"] or f"{record['newton']} Newton steps, {record['seconds']:.0f} s"
-    return f"{record['seed']:>3} {record['wall']:<60} {record['dofs']} dofs: {end}"
-
-
 STUDY = Study(
     file=__file__,
     about=__doc__,
@@ -284,7 +279,6 @@ STUDY = Study(
     options=lambda parser: parser.add_argument("--seeds", type=count, default=20, help="20"),
     cases=lambda args, _, comm: ({"seed": i, "processes": comm.size} for i in range(args.seeds)),
     run=lambda case, keep, _, comm: keep({}, inflate(int(case["seed"]), comm)),
-    line=_line,
     fields=_fields,
 )
 

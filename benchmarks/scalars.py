@@ -34,23 +34,12 @@ BODIES = {"tube": (create_tube, (0.15,)), "block": (create_block, (0.2, 0.1, 0.2
 COUNTS = ("newton_steps", "linear_iterations")
 
 
-def _options(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("--body", type=command.some_of(list(BODIES)), default=list(BODIES), help=",".join(BODIES))
-
-
 def _cases(
     args: argparse.Namespace, _parser: argparse.ArgumentParser, comm: MPI.Comm
 ) -> Iterator[Record]:
     for body in args.body:
         for m in sorted({0, 1, len(BODIES[body][1])}):
             yield {"study": "speed", "body": body, "scalars": m, "processes": comm.size}
-
-
-def _line(record: Record) -> str:
-    names = ("body", "processes", "scalars", "newton_steps", "linear_iterations")
-    what = ", ".join(f"{name} {record[name]}" for name in names)
-    return f"{what}: {record['cpu_seconds']:.2f} s"
 
 
 def _inflated(key: Record, comm: MPI.Comm) -> Record:
@@ -112,10 +101,9 @@ STUDY = Study(
     about=__doc__,
     page="scalars",
     known=lambda record: record.get("study") == "speed",
-    options=_options,
+    options=lambda parser: command.add_choices(parser, "--body", list(BODIES)),
     cases=_cases,
     run=lambda case, keep, _args, comm: keep({}, _inflated(case, comm)),
-    line=_line,
     fields=_fields,
 )
 

@@ -172,21 +172,6 @@ def _check(args: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
         parser.error("mpirun is missing")
 
 
-def _line(record: Record) -> str:
-    case = (str(record[name]) for name in ("task", "type", "choices", "processes"))
-    name = f"{', '.join(case)} process(es)"
-    if record["task"] == "count":
-        sent = {name: record["iteration"][name]["max"] for name in ("messages", "bytes")}
-        return (
-            f"{name}: an iteration sends {sent['messages']:.0f} messages, {sent['bytes']:.0f} "
-            f"bytes, to {record['neighbours']:.0f} neighbours"
-        )
-    return (
-        f"{name}: local {record['seconds_local']:.2f} s, Krylov {record['seconds_krylov']:.2f} s, "
-        f"total {record['seconds_total']:.2f} s, {record['newton_iterations']} Newton steps"
-    )
-
-
 def predict(records: Sequence[Record], dofs: int, processes: int) -> Iterator[str]:
     """Yield the lines of a table: seconds of a load step, for each series that was measured."""
     first = min(paper.FIRST, processes)
@@ -377,7 +362,6 @@ STUDY = Study(
     options=_options,
     cases=_cases,
     run=_run,
-    line=_line,
     fields=_fields,
     draw=_draw,
 )

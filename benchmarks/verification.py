@@ -35,8 +35,7 @@ def _part(record: Record) -> ModuleType | None:
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parts = {"type": command.some_of(list(PARTS)), "default": list(PARTS)}
-    parser.add_argument("--part", **parts, help=",".join(PARTS))
+    command.add_choices(parser, "--part", list(PARTS))
     for part in PARTS.values():
         part.options(parser)
 
@@ -55,7 +54,7 @@ def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> 
 def _done(case: Record, records: Records, args: argparse.Namespace) -> bool:
     if _part(case) is tube:
         return tube.done(case, records, args)
-    return records.find(case) is not None
+    return bool(records.all(case))
 
 
 def _fields(records: Sequence[Record]) -> Fields:
@@ -74,7 +73,6 @@ STUDY = Study(
     cases=_cases,
     run=_run,
     done=_done,
-    line=lambda record: _part(record).line(record),
     fields=_fields,
     draw=lambda records, folder: tube.draw([r for r in records if tube.known(r)], folder),
 )

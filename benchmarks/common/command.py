@@ -16,15 +16,13 @@ from dolfinx_feti.runtime.collective import on_first
 from meshes.arguments import positive
 from meshes.walls import CREATE
 
-__all__ = [
-    "add_mesh",
-    "count_or_zero",
-    "names",
-    "one_of",
-    "say",
-    "several",
-    "some_of",
-]
+__all__ = ["add_choices", "add_mesh", "count_or_zero", "say", "several", "some_of"]
+
+
+def add_choices(parser: argparse.ArgumentParser, name: str, choices: Sequence[object]) -> None:
+    """Add an option for some of some values, all of them if it is not given."""
+    values = ",".join(map(str, choices))
+    parser.add_argument(name, type=some_of(choices), default=list(choices), help=values)
 
 
 def add_mesh(parser: argparse.ArgumentParser) -> None:
@@ -47,18 +45,14 @@ def several(single: Callable[[str], object]) -> Callable[[str], list[object]]:
 
 def some_of(choices: Sequence[object]) -> Callable[[str], list[object]]:
     """Return a type for some of some values, separated by commas."""
-    return several(one_of(choices))
+    known = {str(choice): choice for choice in choices}
 
+    def read(word: str) -> object:
+        if word not in known:
+            raise argparse.ArgumentTypeError(f"{word!r} is none of: {', '.join(known)}")
+        return known[word]
 
-def one_of(choices: Sequence[object]) -> Callable[[str], object]:
-    """Return a type for one of some values."""
-
-    def read(text: str) -> object:
-        if text not in map(str, choices):
-            raise argparse.ArgumentTypeError(f"{text!r} is none of: {names(choices)}")
-        return next(choice for choice in choices if text == str(choice))
-
-    return read
+    return several(read)
 
 
 def count_or_zero(text: str) -> int:
@@ -66,8 +60,3 @@ def count_or_zero(text: str) -> int:
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"{text!r} is not a number 0, 1, 2, …")
     return int(text)
-
-
-def names(choices: Sequence[object]) -> str:
-    """List some values."""
-    return ", ".join(map(str, choices))

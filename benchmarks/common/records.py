@@ -7,19 +7,25 @@ from __future__ import annotations
 
 import json
 import os
+import platform
+import re
 import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 
 from mpi4py import MPI
+from petsc4py import PETSc
+
+import dolfinx
 
 import dolfinx_feti
-from benchmarks.common.machine import describe, now
 from dolfinx_feti.runtime.collective import on_first, reason
 
-__all__ = ["Record", "Records", "read_records"]
+__all__ = ["Record", "Records", "describe_machine", "read_records", "threads"]
 
 Record = dict[str, object]
 
@@ -28,14 +34,10 @@ class Records:
     """Records of a study, in a file if there is one; equal on all processes."""
 
     def __init__(self, path: Path | None, comm: MPI.Comm) -> None:
-        """Read the file, or find out that it can be written. Collective.
-
-        Args:
-            path: The file; its folder is made. None keeps the records in memory.
-            comm: The first of its processes reads and writes.
+        """Read the file, which the first process writes. Collective.
 
         Raises:
-            ValueError: The file cannot be written, or holds something else. On all processes.
+            ValueError: It cannot be written, or holds something else. On all processes.
         """
         self._path, self._comm = path, comm
         self._records: list[Record] = []
@@ -51,58 +53,60 @@ class Records:
         """Go through the records."""
         return iter(self._records)
 
-    def find(self, key: Record) -> Record | None:
-        """Return the record that has these values, if there is one."""
-        return next(iter(self.all(key)), None)
-
     def all(self, key: Record) -> list[Record]:
         """Return all records that have these values."""
         same = key.items()
         return [r for r in self._records if all(r.get(n, ...) == value for n, value in same)]
 
-    def put(self, key: Record, record: Record) -> Record:
-        """Put the first process's record in the place of that with the same key, and write it.
+    def keep(self, key: Record, found: Record) -> Record:
+        """Put what the first process found, in the place of a record with the same key. Collective.
 
         Raises:
             OSError: The file cannot be written any more. On all processes; the file is as before.
         """
-        record = self._comm.bcast(record)
-        old = self.find(key)
-        if old is None:
-            self._records.append(record)
+        made = {"machine": describe_machine(), "version": dolfinx_feti.__version__}
+        made |= {"date": datetime.now(UTC).isoformat(timespec="seconds")}
+        made |= {"commit": commit(), "command": shlex.join(sys.orig_argv)}
+        record = self._comm.bcast(key | found | made)
+        if known := self.all(key):
+            self._records[self._records.index(known[0])] = record
         else:
-            self._records[self._records.index(old)] = record
+            self._records.append(record)
         if self._path is not None:
             path, records = self._path, self._records
-            try:
-                on_first(lambda: _write(path, records), self._comm)
-            except OSError as error:
-                raise OSError(
-                    f"The records in '{path}' cannot be written ({reason(error)}): make room, and "
-                    "run it again; what the file holds is not repeated."
-                ) from error
+            on_first(lambda: _write(path, records), self._comm)
         return record
 
-    def keep(self, key: Record, found: Record) -> Record:
-        """Put what came of a case, with what it takes to run it again. Collective."""
-        made = {"machine": describe(), "date": now(), "version": dolfinx_feti.__version__}
-        made |= {"commit": commit(), "command": shlex.join(sys.orig_argv)}
-        return self.put(key, key | found | made)
+
+def describe_machine() -> dict[str, str | int]:
+    """Name the processors, the memory and the versions."""
+    names, memory = list[str](), 0
+    with suppress(OSError, ValueError):  # this is Linux
+        names = re.findall(r"model name\s*:\s*(.*)", Path("/proc/cpuinfo").read_text())
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return {
+        "processor": f"{len(names)} × {names[0]}" if names else platform.machine(),
+        "memory_gib": round(memory / 2**30),
+        "python": platform.python_version(),
+        "dolfinx": dolfinx.__version__,
+        "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
+    }
+
+
+def threads() -> int:
+    """Return the threads that a process may use: OMP_NUM_THREADS, or its cores."""
+    return int(os.environ.get("OMP_NUM_THREADS", 0)) or len(os.sched_getaffinity(0))
 
 
 def commit() -> str | None:
     """Return the commit of the checkout, with a plus if files differ from it; None outside one."""
+    words = ["git", "describe", "--always", "--abbrev=12", "--exclude=*", "--dirty=+"]
     try:
-        said = subprocess.run(
-            ["git", "describe", "--always", "--abbrev=12", "--exclude=*", "--dirty=+"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            check=True,
-            text=True,
-        )
+        return subprocess.check_output(
+            words, cwd=Path(__file__).parent, stderr=subprocess.DEVNULL, text=True
+        ).strip()
     except (OSError, subprocess.CalledProcessError):
         return None
-    return said.stdout.strip()
 
 
 def read_records(path: Path, known: Callable[[Record], bool], writer: str) -> list[Record]:
@@ -133,8 +137,7 @@ def _parse(path: Path) -> list[Record]:
 
 def _read_or_create(path: Path) -> list[Record]:
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a"):
-        pass
+    path.open("a").close()
     return _parse(path)
 
 
@@ -145,5 +148,10 @@ def _write(path: Path, records: list[Record]) -> None:
     try:
         whole.write_text("[\n" + ",\n".join(lines) + "\n]\n")
         os.replace(whole, path)
+    except OSError as error:
+        raise OSError(
+            f"The records in '{path}' cannot be written ({reason(error)}): make room, and "
+            "run it again; what the file holds is not repeated."
+        ) from error
     finally:
         whole.unlink(missing_ok=True)

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import argparse
 import csv
+import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from mpi4py import MPI
@@ -36,14 +36,6 @@ Keep = Callable[[Record, Record], Record]
 Arguments = argparse.Namespace
 
 
-def _no_options(_parser: argparse.ArgumentParser) -> None:
-    pass
-
-
-def _is_there(case: Record, records: Records, _args: Arguments) -> bool:
-    return records.find(case) is not None
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
     """A study.
@@ -56,7 +48,6 @@ class Study:
         cases: Yields what tells each case apart that a command line asks for, or ends with the
             parser's error.
         run: Measures a case and keeps a record, or several. Collective.
-        line: Formats a record.
         fields: Makes the values of the template.
         options: Adds options to the parser.
         done: Tells whether the records have a case to its end.
@@ -69,10 +60,11 @@ class Study:
     known: Callable[[Record], bool]
     cases: Callable[[Arguments, argparse.ArgumentParser, MPI.Comm], Iterable[Record]]
     run: Callable[[Record, Keep, Arguments, MPI.Comm], object]
-    line: Callable[[Record], str]
     fields: Callable[[Sequence[Record]], Fields]
-    options: Callable[[argparse.ArgumentParser], None] = _no_options
-    done: Callable[[Record, Records, Arguments], bool] = _is_there
+    options: Callable[[argparse.ArgumentParser], object] = lambda _parser: None
+    done: Callable[[Record, Records, Arguments], bool] = lambda case, records, _: bool(
+        records.all(case)
+    )
     draw: Callable[[Sequence[Record], Path], Sequence[Fields]] = lambda _records, _folder: ()
 
     def main(
@@ -96,53 +88,47 @@ class Study:
         own, petsc = without_petsc(sys.argv[1:] if argv is None else argv)
         args = parse_all(parser, own)
         PETSc.Options().insertString(" ".join(petsc))
-        if args.page is not None:
-            try:
-                self.write_page(args.json, args.page)
-            except (OSError, ValueError) as error:
-                parser.error(str(error))
-            return []
-        if len(args.json) > 1:
+        if args.page is None and len(args.json) > 1:
             parser.error("argument --json: one file takes the records; --page reads several")
         try:
+            if args.page is not None:
+                self.write_page(args.json, args.page)
+                return []
             records = Records(args.json[0] if args.json else None, comm)
-        except ValueError as error:
+            if not all(map(self.known, records)):
+                raise ValueError(
+                    f"--json '{args.json[0]}' holds records of another study: name another"
+                )
+            return self._run_all(args, parser, records, comm)
+        except (OSError, ValueError) as error:  # of a file; fewer cells than subdomains
             parser.error(str(error))
-        if not all(map(self.known, records)):
-            parser.error(f"--json '{args.json[0]}' holds records of another study: name another")
-        found, lost = self._run_all(args, parser, records, comm)
-        if lost:
-            sys.exit(1)
-        return found
 
     def _run_all(
         self, args: Arguments, parser: argparse.ArgumentParser, records: Records, comm: MPI.Comm
-    ) -> tuple[list[Record], int]:
-        """Run the cases that the records lack; return their records, and how many have failed."""
+    ) -> list[Record]:
+        """Run the cases that the records lack; return their records, or exit if one has failed."""
         found: list[Record] = []
-        lost = 0
-        try:
-            for case in self.cases(args, parser, comm):
-                if not args.again and self.done(case, records, args):
-                    for record in records.all(case):
-                        say(f"in the records already: {self.line(record)}", comm)
-                else:
-                    try:
-                        self.run(case, partial(self._keep, records, comm, case), args, comm)
-                    except ConvergenceError as error:
-                        say(f"failed: {case}: {error}", comm, sys.stderr)
-                        lost += 1
-                found += records.all(case)
-        except (OSError, ValueError) as error:  # of a file; fewer cells than subdomains
-            parser.error(str(error))
-        return found, lost
+        lost = False
+        for case in self.cases(args, parser, comm):
 
-    def _keep(
-        self, records: Records, comm: MPI.Comm, case: Record, key: Record, values: Record
-    ) -> Record:
-        record = records.keep(case | key, values)
-        say(self.line(record), comm)
-        return record
+            def keep(key: Record, values: Record, case: Record = case) -> Record:
+                record = records.keep(case | key, values)
+                say(json.dumps(record), comm)
+                return record
+
+            if not args.again and self.done(case, records, args):
+                for record in records.all(case):
+                    say(f"in the records already: {json.dumps(record)}", comm)
+            else:
+                try:
+                    self.run(case, keep, args, comm)
+                except ConvergenceError as error:
+                    say(f"failed: {case}: {error}", comm, sys.stderr)
+                    lost = True
+            found += records.all(case)
+        if lost:
+            sys.exit(1)
+        return found
 
     def write_page(self, files: Sequence[Path], folder: Path) -> str:
         """Write the page of some files, its tables and pictures; return it with all tables.

@@ -15,7 +15,8 @@ import sys
 import pytest
 
 from benchmarks import scaling
-from benchmarks.common import machine, paper
+from benchmarks.common import paper
+from benchmarks.common.records import describe_machine
 from benchmarks.common.scaling.model import (
     INNER,
     PARTS,
@@ -86,7 +87,7 @@ def _case(layers: int, processes: int, task: str) -> dict:
     case |= {"degree": 1, "kappa": 100.0, "type": scaling.TYPES[layers], "pc": "lumped"}
     case |= {"choices": "paper", "subdomains": 512, "processes": processes}
     case |= {"dofs": paper.DOFS[layers], "multipliers": 10**6, "coarse_size": 3072}
-    case |= {"subdomains_in_all": 512, "formulation": "dual", "machine": machine.describe()}
+    case |= {"subdomains_in_all": 512, "formulation": "dual", "machine": describe_machine()}
     return case | {"date": "2026-01-02T03:04:05+00:00"}
 
 

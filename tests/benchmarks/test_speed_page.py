@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.common import machine
 from benchmarks.common.compare import tables
+from benchmarks.common.records import describe_machine
 from benchmarks.compare import STUDY
 
 pytest.importorskip("matplotlib")
 pytestmark = pytest.mark.serial
 
 
-MACHINE = machine.describe()
+MACHINE = describe_machine()
 
 
 def record_of(

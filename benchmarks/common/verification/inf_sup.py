@@ -40,7 +40,7 @@ from dolfinx_feti.fem.elements import quadratic_with_bubbles
 from dolfinx_feti.runtime.collective import on_first
 from meshes.arguments import count
 
-__all__ = ["PAIRS", "cases", "constant", "fields", "known", "line", "options", "run"]
+__all__ = ["PAIRS", "cases", "constant", "fields", "known", "options", "run"]
 
 
 Array = npt.NDArray[np.float64]
@@ -83,7 +83,7 @@ PAIRS = {
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this part."""
     add = parser.add_argument
-    add("--pair", type=command.some_of(list(PAIRS)), default=list(PAIRS), help=",".join(PAIRS))
+    command.add_choices(parser, "--pair", list(PAIRS))
     add("--cells", type=command.several(count), default=[2, 3, 4], help="along an edge; 2,3,4")
 
 
@@ -104,14 +104,6 @@ def run(case: Record, keep: Keep, _args: argparse.Namespace, comm: MPI.Comm) -> 
 def known(record: Record) -> bool:
     """Tell whether a record is one of this part."""
     return record.get("pair") in PAIRS
-
-
-def line(record: Record) -> str:
-    """Format a record."""
-    return (
-        f"{record['pair']:<8} {record['cells']} cells: β = {record['beta']:.4f}, "
-        f"{record['spurious']} spurious of {record['pressures']} pressures"
-    )
 
 
 def fields(records: Sequence[Record]) -> Fields:

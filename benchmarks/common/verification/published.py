@@ -35,7 +35,7 @@ from benchmarks.common.verification.cases import CASES
 from dolfinx_feti.loading import LoadStep, follow_load
 from meshes.arguments import count
 
-__all__ = ["cases", "fields", "known", "line", "options", "run"]
+__all__ = ["cases", "fields", "known", "options", "run"]
 
 
 BEFORE = 0.995  # share of the load from which MUMPS goes on
@@ -44,7 +44,7 @@ BEFORE = 0.995  # share of the load from which MUMPS goes on
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this part."""
     add = parser.add_argument
-    add("--case", type=command.some_of(list(CASES)), default=list(CASES), help=",".join(CASES))
+    command.add_choices(parser, "--case", list(CASES))
     add("--mesh", type=command.several(count), default=[1, 2, 3], help="refinements; 1,2,3")
 
 
@@ -64,12 +64,6 @@ def run(case: Record, keep: Keep, _args: argparse.Namespace, comm: MPI.Comm) -> 
 def known(record: Record) -> bool:
     """Tell whether a record is one of this part."""
     return record.get("case") in CASES
-
-
-def line(record: Record) -> str:
-    """Format a record."""
-    values = ", ".join(f"{name} {value:.6g}" for name, value in record["values"].items())
-    return f"{record['case']} mesh {record['mesh']}: {values}"
 
 
 def _compute(case: str, mesh: int, comm: MPI.Comm) -> Record:

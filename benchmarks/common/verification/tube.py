@@ -35,7 +35,7 @@ from dolfinx_feti import ConvergenceError
 from dolfinx_feti.loading import LoadStep, Steps
 from meshes.arguments import count, positive
 
-__all__ = ["STEPS", "cases", "done", "draw", "fields", "known", "line", "options", "run"]
+__all__ = ["STEPS", "cases", "done", "draw", "fields", "known", "options", "run"]
 
 
 #: With multipliers: the most that the mean volume of a cell may be off, and κ of the truth [kPa].
@@ -92,7 +92,7 @@ def cases(
 
 def done(case: Record, records: Records, args: argparse.Namespace) -> bool:
     """Tell whether each pressure has a record."""
-    return all(records.find(case | {"pressure_mmhg": p}) is not None for p in args.pressures)
+    return all(records.all(case | {"pressure_mmhg": p}) for p in args.pressures)
 
 
 def run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> None:
@@ -145,21 +145,6 @@ def _cost(steps: Sequence[LoadStep]) -> Record:
         "linear_methods": sorted({s.linear_method for s in newton}),
         "seconds": sum(step.seconds for step in steps),
     }
-
-
-def line(record: Record) -> str:
-    """Format a record as a line."""
-    cost = (
-        f"{record['steps']:3d} steps {record['newton_iterations']:4d} Newton "
-        f"{record['linear_iterations']:6d} FETI"
-    )
-    if "error" in record:
-        return f"{record['reached_mmhg']:7.1f} mmHg {cost}, and no further: {record['error']}"
-    error = record["u_r_inner"] / record["u_r_inner_exact"] - 1.0
-    return (
-        f"{record['pressure_mmhg']:7.1f} mmHg {cost}  u_r {record['u_r_inner']:.5f} mm "
-        f"({100 * error:+.2f} %)  J {record['min_J']:.3f} … {record['max_J']:.3f}"
-    )
 
 
 def fields(records: Sequence[Record]) -> Fields:
