@@ -241,7 +241,7 @@ def test_versions_are_told_apart_in_one_place():
 
 def test_no_communicator_but_that_of_mesh_or_matrix():
     """A command begins with all processes."""
-    for name in set(MODULES) - {"runtime.compat", "wall.convert"}:
+    for name in set(MODULES) - {"runtime.compat"}:
         assert "COMM_WORLD" not in attributes(MODULES[name].path), name
 
 

@@ -11,7 +11,7 @@ from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.motion import Motion
 from dolfinx_feti.loading.prestressed import prestress
-from dolfinx_feti.loading.steps import LoadStep, Steps, write_history
+from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.loading.time_steps import TimeStep, TimeSteps, follow_time
 from dolfinx_feti.loading.unloaded import unload
 from dolfinx_feti.mechanics.values import type_exports
@@ -27,7 +27,6 @@ __all__ = [
     "follow_time",
     "prestress",
     "unload",
-    "write_history",
 ]
 
 type_exports(globals())

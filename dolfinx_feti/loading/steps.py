@@ -1,28 +1,19 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Steps of a path: how long they are, what they have cost, and that as a table."""
+"""Steps of a path: how long they are, and what they have cost."""
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-import os
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, TypeVar
-
-from mpi4py import MPI
 
 from dolfinx_feti.mechanics.values import require_positive, require_within
 from dolfinx_feti.problems.history import NewtonStep
-from dolfinx_feti.runtime.folders import try_to_write
 
-__all__ = ["Lengths", "LoadStep", "Step", "Steps", "load_step", "write_history"]
-
-COLUMNS = ("load_step", "load", "accepted", "newton_step", *(f.name for f in fields(NewtonStep)))
+__all__ = ["Lengths", "LoadStep", "Step", "Steps", "load_step"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,40 +101,3 @@ def load_step(record: Mapping[str, Any], kind: type[Step]) -> Step:
         name: tuple(NewtonStep(**step) for step in record[name]) for name in ("history", "lost")
     }
     return kind(**{**record, **steps})
-
-
-def write_history(
-    path: Path | str, steps: Sequence[LoadStep], comm: MPI.Comm | None = None
-) -> None:
-    """Write what each Newton step cost as a table (CSV), those of failed attempts first.
-
-    Args:
-        path: The file, `*.csv`, which is replaced as a whole; its folder is made, with those above.
-        steps: The load steps.
-        comm: Communicator of all who call: the first process writes; if not given, each does.
-
-    Raises:
-        OSError: The file cannot be written.
-
-    Note:
-        Collective.
-    """
-    text = io.StringIO(newline="")
-    table = csv.DictWriter(text, COLUMNS)
-    table.writeheader()
-    for number, step in enumerate(steps, 1):
-        for accepted, history in ((0, step.lost), (1, step.history)):
-            for i, newton in enumerate(history):
-                row = (number, step.load, accepted, i)
-                table.writerow(dict(zip(COLUMNS, row, strict=False)) | asdict(newton))
-
-    def write(place: Path) -> None:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        part = place.with_name(f".{place.name}.{os.getpid()}.part")
-        try:
-            part.write_text(text.getvalue(), encoding="utf-8", newline="")
-            os.replace(part, place)
-        finally:
-            part.unlink(missing_ok=True)
-
-    try_to_write(write, Path(path), "file", comm or MPI.COMM_SELF)

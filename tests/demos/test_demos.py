@@ -177,7 +177,7 @@ def check_tube(folder: Path) -> None:
     agree(any(folder.glob("wall.[bx]*")))
     rows = on_first(lambda: list(csv.DictReader((folder / "history.csv").read_text().splitlines())))
     agree(len(rows) == summary["newton_iterations"], len(rows))
-    agree(float(rows[-1]["load"]) == 2.0 and int(rows[-1]["accepted"]) == 1, rows[-1])
+    agree(float(rows[-1]["load"]) == 2.0, rows[-1])
 
 
 @pytest.mark.processes(2)
