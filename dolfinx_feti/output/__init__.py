@@ -9,13 +9,7 @@ In the order of the data: patches, stress, points, fields.
 from dolfinx_feti.mechanics.values import type_exports
 from dolfinx_feti.output.fields import FieldWriter, cell_values
 from dolfinx_feti.output.patches import Patches, create_patches
-from dolfinx_feti.output.stress import (
-    balanced_stress,
-    components,
-    layer_means,
-    principal_values,
-    recovered_field,
-)
+from dolfinx_feti.output.stress import balanced_stress, recovered_field
 from dolfinx_feti.runtime.folders import writable_folder
 
 __all__ = [
@@ -23,10 +17,7 @@ __all__ = [
     "Patches",
     "balanced_stress",
     "cell_values",
-    "components",
     "create_patches",
-    "layer_means",
-    "principal_values",
     "recovered_field",
     "writable_folder",
 ]

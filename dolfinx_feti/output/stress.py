@@ -17,8 +17,6 @@ functions on each cell, :math:`σ^* = σ + (Π(n·σ n) - n·σ n)\, I`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from mpi4py import MPI
 
 import numpy as np
@@ -29,11 +27,9 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.output.patches import Patches, moments, present, recover
-from dolfinx_feti.runtime.arrays import Array
-from dolfinx_feti.runtime.compat import interpolation_points
+from dolfinx_feti.output.patches import Patches, moments, recover
 
-__all__ = ["balanced_stress", "components", "layer_means", "principal_values", "recovered_field"]
+__all__ = ["balanced_stress", "recovered_field"]
 
 
 #: Fits of a field; more of them change little.
@@ -74,7 +70,6 @@ def recovered_field(
     Note:
         Collective.
     """
-    patches = present(patches)
     mesh = patches.mesh
     shape, dim = expression.ufl_shape, mesh.geometry.dim
     if normal is not None and (shape != (dim, dim) or normal.ufl_shape != (dim,)):
@@ -82,7 +77,7 @@ def recovered_field(
             f"A normal of shape {normal.ufl_shape} is given for a field of shape {shape}: give a "
             f"vector of {dim} components for a stress of shape {(dim, dim)}, and None otherwise."
         )
-    space = _space(mesh, shape)
+    space = dolfinx.fem.functionspace(mesh, ("DG", 2, shape))
     result = dolfinx.fem.Function(space, name=name) if out is None else out
     V = result.function_space
     if V.mesh is not mesh or V.ufl_element() != space.ufl_element():
@@ -91,162 +86,27 @@ def recovered_field(
             "give what an earlier call for the same expression has returned, or None."
         )
     data = moments(expression, patches)
-    field = recover(patches, data, means=_constant_in_cells(data, patches), sweeps=SWEEPS)
+    largest = [np.abs(part).max(initial=0.0) for part in (data[:, 1:], data[:, :1])]
+    variation, mean = np.max(mesh.comm.allgather(largest), axis=0)
+    constant = bool(variation <= CONSTANT * mean)  # in each cell, on all processes
+    field = recover(patches, data, means=constant, sweeps=SWEEPS)
     if normal is not None:
-        n = _recovered_normal(normal, patches)
+        n = recover(patches, moments(normal, patches), means=True, sweeps=1)
+        length = np.linalg.norm(n, axis=2, keepdims=True)
+        wrong = mesh.comm.allreduce(int((length == 0.0).sum()))
+        if wrong:
+            raise ArithmeticError(
+                f"The normal vanishes at {wrong} nodes: give one that has the same sign in "
+                "neighbouring cells, and is nowhere zero."
+            )
+        n /= length
+        T = np.eye(dim) - n[..., :, None] * n[..., None, :]
         means = recover(patches, data, means=True, sweeps=SWEEPS)
-        field += _along(n, means - field)
+        field += (T @ (means - field).reshape(T.shape) @ T).reshape(field.shape)
     dofs = V.dofmap.list[: len(field)]
     result.x.array.reshape(-1, field.shape[2])[dofs] = field
     result.x.scatter_forward()
     return result
-
-
-def principal_values(
-    stress: dolfinx.fem.Function, *, name: str = "principal_stresses"
-) -> dolfinx.fem.Function:
-    """Return the principal values of a recovered stress, in ascending order; exact at the nodes.
-
-    Args:
-        stress: Made by :func:`recovered_field`; its symmetric part counts.
-        name: Name of the result, which has d components.
-
-    Raises:
-        ValueError: The function is no recovered stress.
-    """
-    mesh = stress.function_space.mesh
-    dim = mesh.geometry.dim
-    _require_stress(stress)
-    values = stress.x.array.reshape(-1, dim, dim)
-    result = dolfinx.fem.Function(_space(mesh, (dim,)), name=name)
-    result.x.array[:] = np.linalg.eigvalsh((values + np.swapaxes(values, 1, 2)) / 2).ravel()
-    return result
-
-
-def components(
-    stress: dolfinx.fem.Function, directions: Mapping[str, Expr]
-) -> dict[str, dolfinx.fem.Function]:
-    """Return the normal components d·(σ d)/(d·d) of a recovered stress. Collective.
-
-    Args:
-        stress: Made by :func:`recovered_field`.
-        directions: By name; vectors of any length but zero. A Cauchy stress lives in the deformed
-            body: its component along a fibre a₀ is that in the direction F a₀, and the
-            circumferential, axial and radial ones are those along F ê₀, F ê₁ and F⁻ᵀ ê₂.
-
-    Returns:
-        Scalar functions under these names.
-
-    Raises:
-        ValueError: The function is no recovered stress, or a direction is no vector.
-        ArithmeticError: A direction is zero somewhere.
-    """
-    mesh = stress.function_space.mesh
-    _require_stress(stress)
-    wrong = [name for name, d in directions.items() if d.ufl_shape != (mesh.geometry.dim,)]
-    if wrong:
-        raise ValueError(
-            f"directions: {', '.join(wrong)} must be vectors of {mesh.geometry.dim} components."
-        )
-    space = _space(mesh, ())
-    results = {}
-    for name, d in directions.items():
-        value = ufl.inner(d, stress * d) / ufl.inner(d, d)
-        results[name] = dolfinx.fem.Function(space, name=name)
-        compiled = Compiler(mesh.comm).expression(value, interpolation_points(space))
-        results[name].interpolate(compiled)
-        if not np.all(mesh.comm.allgather(np.isfinite(results[name].x.array).all())):
-            raise ArithmeticError(
-                f"directions: '{name}' is zero, NaN or infinite somewhere; give a direction in "
-                "every point."
-            )
-    return results
-
-
-def layer_means(
-    fields: Mapping[str, Expr],
-    patches: Patches,
-    layers: dolfinx.mesh.MeshTags,
-    names: Mapping[str, int],
-    *,
-    weight: Expr | None = None,
-) -> dict[str, dict[str, float]]:
-    """Return for each layer the mean of each scalar field. Collective.
-
-    Args:
-        fields: The fields, by name.
-        patches: Patches of their mesh.
-        layers: Tags of the cells.
-        names: The tags of the layers, by name, such as ``Wall.layers``.
-        weight: Volume for which a unit of reference volume counts: J for means over the deformed
-            wall; one if not given.
-
-    Raises:
-        ValueError: A field is no scalar, lives on another mesh, or there is none; or a layer has no
-            cells.
-        ArithmeticError: A field is NaN or infinite somewhere.
-    """
-    wrong = [name for name, field in fields.items() if field.ufl_shape]
-    if wrong or not fields:
-        raise ValueError(
-            f"fields: {', '.join(wrong) or 'none'}; give scalars, such as components of a stress."
-        )
-    patches = present(patches)
-    w = ufl.as_ufl(1.0) if weight is None else weight
-    products = moments(ufl.as_vector([*(w * field for field in fields.values()), w]), patches)
-    integrals = patches.volumes[:, None] * products[:, 0]
-    means = {}
-    for name, tag in names.items():
-        cells = layers.find(tag)
-        sums = integrals[cells[cells < len(integrals)]].sum(axis=0)
-        sums = np.sum(patches.mesh.comm.allgather(sums), axis=0)
-        if sums[-1] == 0.0:
-            raise ValueError(f"names: no cell of the layer '{name}' has its tag {tag}.")
-        means[name] = dict(zip(fields, (float(mean) for mean in sums[:-1] / sums[-1]), strict=True))
-    return means
-
-
-def _recovered_normal(normal: Expr, patches: Patches) -> Array:
-    """Return unit normals at the nodes, (n_c, nodes, d)."""
-    n = recover(patches, moments(normal, patches), means=True, sweeps=1)
-    length = np.linalg.norm(n, axis=2, keepdims=True)
-    wrong = patches.mesh.comm.allreduce(int((length == 0.0).sum()))
-    if wrong:
-        raise ArithmeticError(
-            f"The normal vanishes at {wrong} nodes: give one that has the same sign in "
-            "neighbouring cells, and is nowhere zero."
-        )
-    return np.asarray(n / length)
-
-
-def _along(n: Array, stress: Array) -> Array:
-    """Return T σ T with T = I − n ⊗ n, (n_c, nodes, d²)."""
-    dim = n.shape[2]
-    T = np.eye(dim) - n[..., :, None] * n[..., None, :]
-    return (T @ stress.reshape(*n.shape, dim) @ T).reshape(stress.shape)
-
-
-def _constant_in_cells(data: Array, patches: Patches) -> bool:
-    """Whether a field is constant in each cell, on all processes."""
-    largest = [np.abs(part).max(initial=0.0) for part in (data[:, 1:], data[:, :1])]
-    variation, mean = np.max(patches.mesh.comm.allgather(largest), axis=0)
-    return bool(variation <= CONSTANT * mean)
-
-
-def _space(mesh: dolfinx.mesh.Mesh, shape: tuple[int, ...]) -> dolfinx.fem.FunctionSpace:
-    """Return the space of recovered fields."""
-    return dolfinx.fem.functionspace(mesh, ("DG", 2, shape))
-
-
-def _require_stress(stress: dolfinx.fem.Function) -> None:
-    """Require a tensor on the space of recovered fields."""
-    mesh = stress.function_space.mesh
-    dim = mesh.geometry.dim
-    if stress.function_space.ufl_element() != _space(mesh, (dim, dim)).ufl_element():
-        raise ValueError(
-            f"'{stress.name}' is no recovered stress: give what recovered_field returns for a "
-            f"field of shape {(dim, dim)}."
-        )
 
 
 def balanced_stress(

@@ -25,10 +25,7 @@ from dolfinx_feti.output import (
     FieldWriter,
     Patches,
     balanced_stress,
-    components,
     create_patches,
-    layer_means,
-    principal_values,
     recovered_field,
 )
 
@@ -222,68 +219,21 @@ def test_a_result_is_overwritten():
     equal(nodes(out, mesh), nodes(stress, mesh), ROUNDING)
 
 
-# -- principal values, components, means
-
-
-def test_principal_values():
-    """Their sum is the trace, the root of their squares' sum the magnitude."""
-    mesh = mesh_of(3)
-    patches, jump = patches_of(mesh)
-    stress = linear(mesh, jump)
-    recovered = recovered_field((stress + stress.T) / 2, patches)
-    values = nodes(principal_values(recovered), mesh)
-    agree((np.diff(values, axis=2) >= 0).all())
-    equal(values.sum(axis=2), nodes(ufl.tr(stress), mesh), ROUNDING)
-    equal(np.linalg.norm(values, axis=2), nodes(stress_magnitude(recovered), mesh), ROUNDING)
-
-
-def test_components():
-    """In a tube: σ = 3 e_r ⊗ e_r + 5 e_θ ⊗ e_θ + 7 e_z ⊗ e_z, of directions of any length."""
-    mesh = mesh_of(3)
-    patches, _ = patches_of(mesh)
-    x = ufl.SpatialCoordinate(mesh)
-    e_r = ufl.as_vector([x[0], x[1], 0.0])
-    e_t, e_z = ufl.as_vector([-x[1], x[0], 0.0]), ufl.as_vector([0.0, 0.0, 1.0])
-    unit = ufl.inner(e_r, e_r)
-    stress = (3 * ufl.outer(e_r, e_r) + 5 * ufl.outer(e_t, e_t)) / unit + 7 * ufl.outer(e_z, e_z)
-    directions = {
-        "radial": e_r,
-        "hoop": -3 * e_t,
-        "axial": e_z,
-        "fibre": e_t / ufl.sqrt(unit) + e_z,
-    }
-    found = components(recovered_field(stress, patches), directions)
-    agree(list(found) == [f.name for f in found.values()] == list(directions))
-    for name, value in (("radial", 3.0), ("hoop", 5.0), ("axial", 7.0), ("fibre", 6.0)):
-        error = nodes(found[name] - value, mesh)
-        small(np.abs(error).max(initial=0), 0.1)  # an arc of 18° in five elements
-
-
-def test_means_over_layers():
-    """Of linear fields, and weighted."""
-    mesh = mesh_of(2)
-    layers = split(mesh)
-    patches = create_patches(mesh, layers)
-    x = ufl.SpatialCoordinate(mesh)
-    names = {"left": 7, "right": 3}
-    means = layer_means({"x": x[0], "y": 2 * x[1]}, patches, layers, names)
-    agree(list(means) == ["left", "right"] and list(means["left"]) == ["x", "y"])
-    equal([means[i][j] for i in means for j in ("x", "y")], [0.25, 1.0, 0.75, 1.0], ROUNDING)
-    weighted = layer_means({"x": x[0]}, patches, layers, names, weight=x[0])
-    equal([weighted[i]["x"] for i in names], [1 / 3, 7 / 9], ROUNDING)
-
-
 @pytest.mark.parametrize("kind", ["vtx", "xdmf"])
 def test_all_are_written(tmp_path: Path, kind: str):
+    """A stress, its principal values, as in the docs, and a component."""
     if kind == "vtx" and not dolfinx.has_adios2:
         pytest.skip("dolfinx has no ADIOS2")
     mesh = mesh_of(3)
     patches, jump = patches_of(mesh)
     stress = recovered_field(linear(mesh, jump), patches, name="stress")
-    hoop = components(stress, {"hoop": ufl.SpatialCoordinate(mesh)})
-    fields = [stress, principal_values(stress), *hoop.values()]
-    magnitude = {"magnitude": stress_magnitude(stress)}
-    with FieldWriter(tmp_path / "wall", fields, magnitude, kind=kind) as writer:
+    space = dolfinx.fem.functionspace(mesh, ("DG", 2, (3,)))
+    principal = dolfinx.fem.Function(space, name="principal")
+    principal.x.array[:] = np.linalg.eigvalsh(stress.x.array.reshape(-1, 3, 3)).ravel()
+    equal(nodes(principal, mesh).sum(axis=2), nodes(ufl.tr(stress), mesh), ROUNDING)
+    x = ufl.SpatialCoordinate(mesh)
+    parts = {"radial": ufl.inner(x, stress * x) / ufl.inner(x, x), "size": stress_magnitude(stress)}
+    with FieldWriter(tmp_path / "wall", [stress, principal], parts, kind=kind) as writer:
         writer.write(0.0)
     agree(writer.path.exists())
 
@@ -315,25 +265,6 @@ def test_bad_input():
         (ValueError, "give a vector of 2", lambda: recovered_field(σ, patches, normal=x[0])),
         (ArithmeticError, "vanishes at 432", lambda: recovered_field(σ, patches, normal=0 * x)),
         (ValueError, "out='f' cannot hold", lambda: recovered_field(σ, patches, out=f)),
-        (ValueError, "'f' is no recovered stress", lambda: principal_values(f)),
-        (ValueError, "'f' is no recovered stress", lambda: components(f, {})),
-        (
-            ValueError,
-            "directions: hoop must be vectors of 2",
-            lambda: components(recovered_field(σ, patches), {"hoop": x[0], "axial": x}),
-        ),
-        (
-            ArithmeticError,
-            "directions: 'axial' is zero, NaN",
-            lambda: components(recovered_field(σ, patches), {"axial": x[0] * x}),
-        ),
-        (ValueError, "fields: x; give", lambda: layer_means({"x": x}, patches, layers, {"l": 7})),
-        (ValueError, "fields: none; give", lambda: layer_means({}, patches, layers, {"l": 7})),
-        (
-            ValueError,
-            "no cell of the layer 'media' has its tag 1",
-            lambda: layer_means({"x": x[0]}, patches, layers, {"left": 7, "media": 1}),
-        ),
         (ValueError, r"A stress of shape \(\) with", lambda: balanced_stress(x[0], u, normal=x)),
         (ArithmeticError, "nowhere zero", lambda: balanced_stress(σ, u, normal=u)),
     ):
@@ -342,7 +273,7 @@ def test_bad_input():
 
 
 def test_patches_follow_a_mesh_that_moves():
-    """As unload moves it: linear fields stay exact, and means are those over the new volumes."""
+    """As unload moves it: linear fields stay exact."""
     mesh = mesh_of(3)
     layers = split(mesh)
     patches = create_patches(mesh, layers)
@@ -353,9 +284,3 @@ def test_patches_follow_a_mesh_that_moves():
     expression = linear(mesh, step(layers, mesh))
     moved, fresh = (recovered_field(expression, p) for p in (patches, create_patches(mesh, layers)))
     equal(moved.x.array, fresh.x.array, 1e-14)
-    names = {"inner": 7, "outer": 3}
-    means = [
-        layer_means({"x": ufl.SpatialCoordinate(mesh)[0]}, p, layers, names)
-        for p in (patches, create_patches(mesh, layers))
-    ]
-    agree(means[0] == means[1], means)
