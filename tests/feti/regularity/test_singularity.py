@@ -53,33 +53,29 @@ def face(x):
 FREE = {
     "Neumann's problem in 1-D": ((3,), (2,), 1, nowhere, 1, "a constant"),
     "Neumann's problem in 3-D": ((2, 1, 2), (2, 2, 2), 1, nowhere, 1, "a constant"),
-    "free in the plane": ((2, 2), (2, 2), 2, nowhere, 3, "all rigid motions"),
-    "free in space": ((2, 2, 1), (2, 1, 2), 3, nowhere, 6, "all rigid motions"),
+    "free in the plane": ((2, 2), (2, 2), 2, nowhere, 3, "2 translations and 1 rotation free"),
+    "free in space": ((2, 2, 1), (2, 1, 2), 3, nowhere, 6, "3 translations and 3 rotations free"),
     "held at a point of the plane": (
-        (2, 2), (3, 2), 2, components(origin, 0, 1), 1, r"a rotation about \(0, 0\)",
+        (2, 2), (3, 2), 2, components(origin, 0, 1), 1, "leave 1 rotation free",
     ),
-    "slides in the plane": ((3, 2), (2, 2), 2, components(face, 0), 1, "a translation in y"),
+    "slides in the plane": (
+        (3, 2), (2, 2), 2, components(face, 0), 1, "leave 1 translation free",
+    ),
     "held at a point": (
-        (2, 2, 2), (1, 1, 1), 3, components(origin, 0, 1, 2), 3,
-        r"a rotation about the axis \(1, 0, 0\) through \(1, 0, 0\), a rotation about the axis "
-        r"\(0, 1, 0\) through \(0, 1, 0\) and a rotation about the axis \(0, 0, 1\) through "
-        r"\(0, 0, 1\) free",
+        (2, 2, 2), (1, 1, 1), 3, components(origin, 0, 1, 2), 3, "leave 3 rotations free",
     ),
     "held on a line": (
-        (2, 1, 2), (2, 2, 2), 3, components(edge, 0, 1, 2), 1,
-        r"a rotation about the axis \(0, 0, 1\) through \(0, 0, 2\)",
+        (2, 1, 2), (2, 2, 2), 3, components(edge, 0, 1, 2), 1, "leave 1 rotation free",
     ),
     "turns and slides along a line": (
-        (2, 1, 2), (2, 2, 2), 3, components(edge, 0, 1), 2,
-        r"a rotation about the axis \(0, 0, 1\) through \(0, 0, 2\) and a translation in z",
+        (2, 1, 2), (2, 2, 2), 3, components(edge, 0, 1), 2, "1 translation and 1 rotation free",
     ),
     "slides on a plane": (
-        (2, 2, 1), (2, 2, 2), 3, components(face, 0), 3,
-        r"a rotation about the axis \(1, 0, 0\) through .* and translations in y and z",
+        (2, 2, 1), (2, 2, 2), 3, components(face, 0), 3, "2 translations and 1 rotation free",
     ),
     "slides on two planes": (
         (3, 1, 1), (2, 2, 2), 3, both(components(face, 0), components(lambda x: x[:, 2] == 0.0, 2)),
-        1, "a translation in y",
+        1, "leave 1 translation free",
     ),
 }  # fmt: skip
 
@@ -115,13 +111,13 @@ def test_body_that_moves_as_a_whole(case, kind, interior, torn_grid, parts):
 def test_singular_with_any_coarse_matrix(kind, coarse_q, pc_type, torn_grid, parts):
     problem = torn_grid((3, 2), (2, 2), components=2, fixed=components(face, 0))
     options = {"type": kind, "coarse_q": coarse_q, "pc_type": pc_type}
-    check(parts, problem.A, 1, "a translation in y", **options)
+    check(parts, problem.A, 1, "leave 1 translation free", **options)
 
 
 def test_message_without_coordinates(torn_grid, parts):
     problem = torn_grid((2, 2), (2, 2), components=2, fixed=components(face, 0))
     problem.A.compose("coordinates", None)
-    check(parts, problem.A, 1, r"1 rigid motion\(s\) \(set_near_kernel with coordinates")
+    check(parts, problem.A, 1, "leave 1 translation free")
 
 
 @every_type
@@ -144,7 +140,7 @@ def test_prestressed_body(load, kind, torn_grid, parts):
     count = np.count_nonzero(values < 1e-13 * values.max())
     agree(count == (2 if load == "dead" else 0), np.sort(values)[:4])
     if load == "dead":
-        check(parts, problem.A, 2, "translations in x and y", type=kind)
+        check(parts, problem.A, 2, "leave 2 translations free", type=kind)
     else:
         agree(parts(problem.A, type=kind).inertia.dual > 0)
 
@@ -216,7 +212,7 @@ APART = [(0, 0), (2, 0), (9, 0), (11, 0)]
 @every_interior
 def test_one_of_two_bodies_is_not_held(kind, interior, torn_bricks, parts):
     problem = torn_bricks(APART, (2, 2), 2, face)
-    text = r"not connected to the rest \(2 of 2 around \(11, 1\)\) .* leave all rigid motions free"
+    text = r"not connected to the rest \(2 of 2 around \(11, 1\)\) .* 2 translations and 1 rotation"
     check(parts, problem.A, 3, text, type=kind, interior=interior)
 
 
@@ -226,14 +222,15 @@ def test_each_body_says_what_it_lacks(kind, torn_bricks, parts):
         return components(face, 0)(x) | components(lambda x: x[:, 0] == 13.0, 0, 1)(x)
 
     problem = torn_bricks(APART, (2, 2), 2, fixed)
-    check(parts, problem.A, 1, r"1 of 2 around \(2, 1\)\) .* leave a translation in y", type=kind)
+    check(parts, problem.A, 1, r"1 of 2 around \(2, 1\)\) .* leave 1 translation", type=kind)
 
 
 @every_type
 def test_bodies_that_only_a_held_node_connects(kind, torn_bricks, parts):
     """Both turn about the node in which they touch and are held."""
     problem = torn_bricks([(0, 0), (2, 2)], (2, 2), 2, lambda x: np.all(x == 2.0, axis=1))
-    check(parts, problem.A, 2, r"a rotation about \(2, 2\)", type=kind)
+    text = r"\(1 of 2 .* leave 1 rotation free; .*\(2 of 2 .* leave 1 rotation free"
+    check(parts, problem.A, 2, text, type=kind)
 
 
 @every_type
