@@ -28,7 +28,7 @@ solver that fails is recorded with the reason, also for want of memory under the
 KIB`; the kernel would end the program. Processes and threads
 (OMP_NUM_THREADS) are those that it is started with: run it on two processes and on one with two
 threads, and the page takes the better one of each solver. Options with a single dash are PETSc's,
-with the prefixes `tube_`, `vessel_`, `block_`, `body_` (FETI), `mumps_`, `gamg_`, …
+with the prefixes `tube_`, `vessel_`, `body_` (FETI), `mumps_`, `gamg_`, …
 """
 
 from __future__ import annotations
@@ -36,7 +36,6 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator, Sequence
-from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -44,15 +43,14 @@ from mpi4py import MPI
 
 import dolfinx_feti
 from benchmarks.common import bodies, command
-from benchmarks.common.bodies import LoadedBody
-from benchmarks.common.clock import Events
 from benchmarks.common.compare import path
 from benchmarks.common.compare.opponents import OPPONENTS
 from benchmarks.common.compare.tables import GEOMETRIES, fields, seconds
 from benchmarks.common.records import Record, Records, threads
 from benchmarks.common.study import Keep, Study
 from benchmarks.common.walls import clamped
-from dolfinx_feti import loads
+from benchmarks.common.walls.problem import WallProblem
+from dolfinx_feti import LinearProblem, NonlinearProblem, loads
 from dolfinx_feti.loading import Checkpoint
 from dolfinx_feti.output import writable_folder
 from meshes.arguments import count, positive
@@ -61,6 +59,8 @@ USUAL = ("feti", "mumps", "gamg")
 
 #: Share of its load by which that of a loaded body grows.
 MORE = 0.01
+
+Problem = LinearProblem | NonlinearProblem
 
 #: Load of the first Newton step [mmHg].
 FIRST_LOAD = {"tube": 1.0, "vessel": clamped.FIRST_PRESSURE, "block": 1.0, "pillar": 1.0}
@@ -97,14 +97,14 @@ def _cases(
     solvers = _solvers(args)
     if args.path is not None and args.loaded is not None:
         parser.error("--path and --loaded exclude each other")
-    if (args.path or args.loaded) and args.geometry not in ("tube", "vessel", "block"):
+    if (args.path or args.loaded) and args.geometry not in ("tube", "vessel"):
         parser.error(f"--geometry {args.geometry} goes without --path and --loaded")
     if args.path is not None and not set(solvers) <= set(path.SOLVERS):
         parser.error(f"--path takes no other solvers than {', '.join(path.SOLVERS)}")
     if args.path is not None and "feti" not in solvers:
         parser.error("--path needs feti among the --solvers: Newton's method goes on with it")
-    linear = args.geometry in ("cube", "square", "heat")
-    for dofs, kappa, per in product(args.dofs, [None] if linear else args.kappa, args.per):
+    kappas = [None] if args.geometry in ("cube", "square", "heat") else args.kappa
+    for dofs, kappa, per in product(args.dofs, kappas, args.per):
         number = args.subdomains if per is None else max(comm.size, round(dofs / per))
         yield {
             "geometry": args.geometry,
@@ -127,39 +127,37 @@ def _done(case: Record, records: Records, args: argparse.Namespace) -> bool:
 def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> None:
     """Run a case on its body at rest. Collective."""
     solvers, body = _solvers(args), _create_body(case, args.folder, comm)
-    dofmap = body.u.function_space.dofmap
+    problem = getattr(body, "problem", body)
+    dofmap = problem.u.function_space.dofmap
     size: Record = {
         "dofs": dofmap.index_map.size_global * dofmap.index_map_bs,
-        "subdomains": comm.allreduce(body.problem.decomposition.count),
+        "subdomains": comm.allreduce(problem.decomposition.count),
     }
-    if args.loaded is not None:
-        names = ("geometry", "degree", "kappa", "wanted_dofs")
-        place = args.folder / "_".join([*(str(case[n]) for n in names), f"{args.loaded:g}"])
-        path.load(body, args.loaded, Checkpoint(place, comm, restart=place.exists()))
     if args.path is not None:
         found = path.follow(body, args.path, direct=[name for name in solvers if name != "feti"])
     else:
-        if body.load is not None:
-            mmhg = FIRST_LOAD[args.geometry] if args.loaded is None else args.loaded
-            body.load.value = loads.mmhg(mmhg * (1.0 if args.loaded is None else 1.0 + MORE))
-        found = _median([_step(body, solvers) for _ in range(args.rounds)])
+        if args.loaded is not None:
+            names = ("geometry", "degree", "kappa", "wanted_dofs")
+            place = args.folder / "_".join([*(str(case[n]) for n in names), f"{args.loaded:g}"])
+            path.load(body, args.loaded, Checkpoint(place, comm, restart=place.exists()))
+            body.load.value = loads.mmhg(args.loaded * (1.0 + MORE))
+        elif case["kappa"] is not None:
+            body.load.value = loads.mmhg(FIRST_LOAD[args.geometry])
+        found = _median([_step(problem, solvers, comm) for _ in range(args.rounds)])
     for record in found:
         keep({"solver": record["solver"]}, size | record)
 
 
-def _step(body: LoadedBody, solvers: Sequence[str]) -> list[Record]:
+def _step(problem: Problem, solvers: Sequence[str], comm: MPI.Comm) -> list[Record]:
     """Solve the next Newton step with each solver."""
-    comm = body.u.function_space.mesh.comm
     ordered = {name: options for name, options in OPPONENTS.items() if name in solvers}
     if "pardiso" in ordered:
         ordered["pardiso"] = {**ordered["pardiso"], "definite": True}
-    phases, begun = Events(path.PHASES, comm), time.process_time()
-    found = dolfinx_feti.compare(body.problem, ordered, definite=True).records
-    cpu, spent = comm.allreduce(time.process_time() - begun, op=MPI.MAX), phases.seconds()
+    begun = time.process_time()
+    found = dolfinx_feti.compare(problem, ordered, definite=True).records
+    cpu = comm.allreduce(time.process_time() - begun, op=MPI.MAX)
     for record in found:
-        if record["solver"] == "feti":
-            record["seconds_phases"] = spent
-            record |= {"seconds_cpu": cpu} if len(found) == 1 else {}
+        record |= {"seconds_cpu": cpu} if len(found) == 1 and record["solver"] == "feti" else {}
         difference = record.pop("difference_to_direct", None)
         record |= {"difference_to_mumps": difference, "newton_iterations": 1}
     return found
@@ -178,30 +176,23 @@ def _median(rounds: Sequence[list[Record]]) -> list[Record]:
     return found
 
 
-def _create_body(case: Record, folder: Path, comm: MPI.Comm) -> LoadedBody:
+def _create_body(
+    case: Record, folder: Path, comm: MPI.Comm
+) -> WallProblem | bodies.Body | LinearProblem:
     """Build a body at rest; FETI shows its parts (``ksp_view``) where it solves once only."""
     once = case["path_mmhg"] is None and case["loaded_mmhg"] is None and "per" not in case
-    shared = {
-        "degree": case["degree"],
-        "dofs": case["wanted_dofs"],
-        "subdomains": case["wanted_subdomains"],
-        "options": {"ksp_view": None} if once else {},
-    }
-    if case["geometry"] in ("cube", "square", "heat"):
-        shared["options"]["ksp_rtol"] = 1e-8
-        create = {"heat": bodies.create_heated_cube, "cube": bodies.create_cube}
-        flat = partial(bodies.create_cube, dim=2)
-        return create.get(str(case["geometry"]), flat)(comm, **shared)
+    geometry, options = str(case["geometry"]), {"ksp_view": None} if once else {}
+    shared = {name: case[f"wanted_{name}"] for name in ("dofs", "subdomains")}
+    shared |= {"degree": case["degree"], "options": options}
+    if case["kappa"] is None:
+        options["ksp_rtol"] = 1e-8
+        return bodies.create_linear(comm, geometry, **shared)
     shared["kappa"] = case["kappa"]
-    if case["geometry"] == "block":
-        return bodies.create_clamped_block(comm, **shared)
-    if case["geometry"] == "pillar":
-        return bodies.create_pillar(comm, **shared)
-    if case["geometry"] == "vessel":
-        wall = clamped.create_clamped_vessel(comm, **shared, folder=writable_folder(folder, comm))
-    else:
-        wall = clamped.create_clamped_tube(comm, **shared)
-    return LoadedBody(wall.problem, wall.u, wall.p, wall.pressure)
+    if geometry in ("block", "pillar"):
+        return bodies.create_neo_hookean(comm, 5 if geometry == "block" else 1, **shared)
+    if geometry == "tube":
+        return clamped.create_clamped_tube(comm, **shared)
+    return clamped.create_clamped_vessel(comm, **shared, folder=writable_folder(folder, comm))
 
 
 STUDY = Study(

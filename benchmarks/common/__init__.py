@@ -4,5 +4,5 @@
 """What the studies share: the harness, bodies, walls, pictures, the paper's tables.
 
 In the order of the data: paper, records, command, pages, plots, study, clock, bodies,
-direct, cavities, cube, walls, compare, scaling, verification.
+direct, cube, walls, compare, scaling, verification.
 """

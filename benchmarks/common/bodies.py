@@ -1,17 +1,16 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Simple bodies with about a given number of dofs: cubes, a square, blocks that keep their volume.
+"""Bodies of a given energy, how they are held and loaded, and unit cubes of a given size.
 
-``subdomains`` is their number over all processes, None for the package's rule; ``options`` are
-PETSc options of the problem. All functions are collective.
+The energy of a :class:`Body` is Ψ(C, J) + p (J − 1) − p²/(2κ) per unit reference volume.
+Millimetres and kPa. All functions are collective.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 from mpi4py import MPI
 
@@ -20,183 +19,244 @@ import numpy.typing as npt
 
 import dolfinx
 import ufl
+from ufl.core.expr import Expr
 
 from dolfinx_feti import LinearProblem, NonlinearProblem, kinematics, loads, materials
 
 __all__ = [
-    "LoadedBody",
-    "create_clamped_block",
-    "create_cube",
-    "create_heated_cube",
-    "create_pillar",
+    "Body",
+    "Facets",
+    "Held",
+    "Solid",
+    "create_block",
+    "create_body",
+    "create_linear",
+    "create_neo_hookean",
+    "create_solid",
+    "displacement",
+    "hold",
+    "plane",
 ]
+
+QUADRATURE = 4  # degree
 
 POISSON = 0.3
 SHEAR_MODULUS = 1.0  # kPa
 
-#: Faces of a square or cube, as coordinate and its value: all of a cube's but x = 1.
-ONE_FACE = ((0, 0.0),)
-FIVE_FACES = ((0, 0.0), (1, 0.0), (1, 1.0), (2, 0.0), (2, 1.0))
-
+Facets = npt.NDArray[np.int32]
+#: A component of the displacement, or all of them, that is zero on a surface.
+Held = tuple[int | None, Facets]
+#: Options of PETSc.
 Options = dict[str, object]
 
 
 @dataclass(frozen=True, slots=True)
-class LoadedBody:
-    """A body: its problem, and of a nearly incompressible one u [mm], p [kPa], the load [kPa]."""
+class Solid:
+    """Displacement u [mm], pressure p [kPa], where u is held, and the stored energy [mN mm]."""
 
-    problem: LinearProblem | NonlinearProblem
     u: dolfinx.fem.Function
-    p: dolfinx.fem.Function | None = None
-    load: dolfinx.fem.Constant | None = None
+    p: dolfinx.fem.Function
+    bcs: list[dolfinx.fem.DirichletBC]
+    energy: ufl.Form
 
 
-def create_cube(
-    comm: MPI.Comm, *, dofs: int, degree: int, subdomains: int, options: Options, dim: int = 3
-) -> LoadedBody:
-    """Build a unit cube, or square, of a compressible material, clamped at x = 0, in its weight."""
-    mesh = _unit_mesh(comm, dofs, degree, dim)
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    strain = ufl.sym(ufl.grad(u))
-    lmbda = 2 * SHEAR_MODULUS * POISSON / (1 - 2 * POISSON)
-    stress = 2 * SHEAR_MODULUS * strain + lmbda * ufl.tr(strain) * ufl.Identity(dim)
-    weight = dolfinx.fem.Constant(mesh, np.eye(dim)[-1])
-    a, L = ufl.inner(stress, ufl.grad(v)) * ufl.dx, ufl.inner(weight, v) * ufl.dx
-    return _linear(a, L, _clamp(V), subdomains, options)
+@dataclass(frozen=True, slots=True)
+class Body:
+    """A body: its unknowns, residuals (tested with v and q), and how it is held and loaded."""
+
+    u: dolfinx.fem.Function
+    p: dolfinx.fem.Function
+    residuals: tuple[ufl.Form, ufl.Form]
+    held: Sequence[Held]
+    problem: NonlinearProblem
+    load: dolfinx.fem.Constant
+    measure: Callable[[], dict[str, float]]  # of the state in u and p; collective
+    full: float = 1.0  # all of the load
+
+    def set_load(self, share: float) -> None:
+        """Set a share of the load."""
+        self.load.value = share * self.full
 
 
-def create_heated_cube(
-    comm: MPI.Comm, *, dofs: int, degree: int, subdomains: int | None, options: Options
-) -> LoadedBody:
-    """Build Poisson's equation on the unit cube, heated inside and cooled at x = 0."""
-    mesh = _unit_mesh(comm, 3 * dofs, degree, 3)
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    facets = _facets(mesh, ONE_FACE)
-    cold = dolfinx.fem.dirichletbc(0.0, dolfinx.fem.locate_dofs_topological(V, 2, facets), V)
-    a, L = (
-        ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx,
-        dolfinx.fem.Constant(mesh, 1.0) * v * ufl.dx,
-    )
-    return _linear(a, L, cold, subdomains, options)
+def create_solid(
+    mesh: dolfinx.mesh.Mesh,
+    energy: Callable[[Expr, Expr], Expr],
+    *,
+    kappa: float,
+    held: Sequence[Held],
+    degree: int = 2,
+    pressures: tuple[str, int] = ("DPC", 1),
+) -> Solid:
+    """Build a body without loads of Ψ(C, J) [kPa] and κ [kPa], with u in P_k or Q_k."""
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+    u = dolfinx.fem.Function(V, name="u")
+    p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, pressures), name="p")
+    F = kinematics.deformation_gradient(u)
+    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+    psi = energy(C, J) + materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(mesh, kappa))
+    stored = psi * ufl.dx(metadata={"quadrature_degree": QUADRATURE})
+    return Solid(u, p, [hold(V, component, facets) for component, facets in held], stored)
 
 
-def create_pillar(
+def create_body(
+    mesh: dolfinx.mesh.Mesh,
+    energy: Callable[[Expr, Expr, Expr], Expr],
+    *,
+    kappa: float,
+    held: Sequence[Held],
+    loaded: Facets,
+    load: float | Sequence[float],
+    measure: Callable[[dolfinx.fem.Function], dict[str, float]] = lambda _u: {},
+    grip: float = 0.0,
+    degree: int = 2,
+    pressures: tuple[str, int] = ("DPC", 1),
+    tangent: loads.Kind = "auto",
+    **settings: object,
+) -> Body:
+    """Build a body.
+
+    Args:
+        mesh: Its cells.
+        energy: Makes Ψ of C, J and the share of the load [kPa].
+        kappa: κ [kPa].
+        held: Where it is held.
+        loaded: The facets that the load acts on.
+        load: A pressure that follows the surface, or a force per reference area [kPa].
+        measure: Reads off u.
+        grip: Penalty ½ grip ‖∂u/∂X‖² on the loaded surface [kPa mm], which keeps a clamped end
+            flat, as a grip that moves with the force does.
+        degree: That of u.
+        pressures: Element of p.
+        tangent: What of a pressure's derivative is taken.
+        settings: Further arguments of the problem.
+    """
+    share = dolfinx.fem.Constant(mesh, 0.0)
+    solid = create_solid(
+        mesh, lambda C, J: energy(C, J, share),
+        kappa=kappa, held=held, degree=degree, pressures=pressures,
+    )  # fmt: skip
+    u, p, bcs, potential = solid.u, solid.p, solid.bcs, solid.energy
+    v, q = ufl.TestFunction(u.function_space), ufl.TestFunction(p.function_space)
+    du, metadata = ufl.TrialFunction(u.function_space), {"quadrature_degree": QUADRATURE}
+    tags = dolfinx.mesh.meshtags(mesh, 2, loaded, np.ones(len(loaded), dtype=np.int32))
+    ds = ufl.Measure("ds", mesh, subdomain_data=tags, metadata=metadata)(1)
+    if grip:
+        N = ufl.FacetNormal(mesh)
+        along = ufl.grad(u) - ufl.outer(ufl.grad(u) * N, N)
+        potential += grip / 2 * ufl.inner(along, along) * ds
+    follows = isinstance(load, float)
+    if not follows:
+        potential -= share * ufl.dot(ufl.as_vector(load), u) * ds
+    F_u = ufl.derivative(potential, u, v)
+    K = ufl.derivative(F_u, u, du)
+    if follows:
+        F_u += loads.follower_pressure(load * share, u, v, ds)
+        K += loads.follower_pressure_tangent(load * share, u, v, du, ds, tangent, bcs=bcs)
+    residuals = (F_u, ufl.derivative(potential, p, q))
+    problem = NonlinearProblem(
+        residuals, u, bcs=bcs, J=K, condense=p, energy=None if follows else potential,
+        quadrature_degree=QUADRATURE, **settings,
+    )  # fmt: skip
+    return Body(u, p, residuals, held, problem, share, lambda: measure(u))
+
+
+def create_neo_hookean(
     comm: MPI.Comm,
+    faces: int,
     *,
     dofs: int,
     kappa: float,
     subdomains: int | None,
     options: Options,
     degree: int = 2,
-) -> LoadedBody:
-    """Build a neo-Hookean unit cube, P_k–P0, clamped at x = 0, with a pressure on x = 1."""
-    mesh, u, p, energy = _neo_hookean(comm, dofs, degree, kappa)
-    v, q = ufl.TestFunction(u.function_space), ufl.TestFunction(p.function_space)
-    du = ufl.TrialFunction(u.function_space)
-    pressure = dolfinx.fem.Constant(mesh, 0.0)
-    ds = _loaded_face(mesh)
-    F_u = ufl.derivative(energy, u, v) + loads.follower_pressure(pressure, u, v, ds)
-    K = ufl.derivative(ufl.derivative(energy, u, v), u, du)
-    K += loads.follower_pressure_tangent(pressure, u, v, du, ds, "symmetric")
-    problem = NonlinearProblem(
-        [F_u, ufl.derivative(energy, p, q)],
-        u,
-        bcs=[_clamp(u.function_space)],
-        J=K,
-        condense=p,
+) -> Body:
+    """Build a cube with P_k–P0, clamped at x = 0 or on all faces but x = 1, with a load there.
+
+    Clamped on one, it bears a pressure, else the dead load t (e_x + e_y), which adds nothing to the
+    tangent. PETSc options have the prefix ``body_``.
+    """
+    mesh = _unit_mesh(comm, dofs, degree, 3)
+    places = [(0, 0.0), (1, 0.0), (1, 1.0), (2, 0.0), (2, 1.0)]
+    return create_body(
+        mesh,
+        lambda C, J, _share: materials.neo_hookean(C, c=SHEAR_MODULUS, J=J),
+        kappa=kappa,
+        held=[(None, plane(mesh, *place)) for place in places[:faces]],
+        loaded=plane(mesh, 0, 1.0),
+        load=1.0 if faces == 1 else (1.0, 1.0, 0.0),
+        degree=degree,
+        pressures=("DG", 0),
+        tangent="symmetric",
         subdomains=subdomains,
         petsc_options_prefix="body_",
         petsc_options=options,
-        quadrature_degree=4,
     )
-    return LoadedBody(problem, u, p, pressure)
 
 
-def create_clamped_block(
-    comm: MPI.Comm,
-    *,
-    dofs: int,
-    kappa: float,
-    subdomains: int | None,
-    options: Options,
-    degree: int = 2,
-) -> LoadedBody:
-    """Build a neo-Hookean unit cube, P_k–P0, clamped on five faces; options prefix ``block_``.
+def create_linear(
+    comm: MPI.Comm, kind: str, *, dofs: int, degree: int, subdomains: int | None, options: Options
+) -> LinearProblem:
+    """Build a unit ``cube`` or ``square`` in its weight, or Poisson's equation on a cube, ``heat``.
 
-    A dead load t (e_x + e_y), which adds nothing to the tangent, waits for its size t on the sixth
-    face, x = 1.
+    u = 0 at x = 0. PETSc options have the prefix ``body_``.
     """
-    mesh, u, p, energy = _neo_hookean(comm, dofs, degree, kappa)
-    load = dolfinx.fem.Constant(mesh, 0.0)
-    problem = NonlinearProblem(
-        energy - load * (u[0] + u[1]) * _loaded_face(mesh),
-        u,
-        bcs=[_clamp(u.function_space, FIVE_FACES)],
-        condense=p,
+    dim, elastic = 2 if kind == "square" else 3, kind != "heat"
+    mesh = _unit_mesh(comm, dofs, degree, dim, elastic)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (dim,) if elastic else ()))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    strain = ufl.sym(ufl.grad(u)) if elastic else ufl.grad(u)
+    stress = strain
+    if elastic:
+        lmbda = 2 * SHEAR_MODULUS * POISSON / (1 - 2 * POISSON)
+        stress = 2 * SHEAR_MODULUS * strain + lmbda * ufl.tr(strain) * ufl.Identity(dim)
+    weight = dolfinx.fem.Constant(mesh, np.eye(dim)[-1] if elastic else np.array(1.0))
+    return LinearProblem(
+        ufl.inner(stress, ufl.grad(v)) * ufl.dx,
+        ufl.inner(weight, v) * ufl.dx,
+        bcs=[hold(V, None, plane(mesh, 0, 0.0))],
         subdomains=subdomains,
-        petsc_options_prefix="block_",
+        petsc_options_prefix="body_",
         petsc_options=options,
-        quadrature_degree=4,
     )
-    return LoadedBody(problem, u, p, load)
 
 
-def _linear(
-    a: ufl.Form, L: ufl.Form, bc: dolfinx.fem.DirichletBC, subdomains: int | None, options: Options
-) -> LoadedBody:
-    problem = LinearProblem(
-        a, L, bcs=[bc], subdomains=subdomains, petsc_options_prefix="body_", petsc_options=options
-    )
-    return LoadedBody(problem, problem.u)
+def create_block(
+    comm: MPI.Comm, lengths: Sequence[float], cells: Sequence[int]
+) -> dolfinx.mesh.Mesh:
+    """Mesh a block from the origin with hexahedra."""
+    corners = [np.zeros(3), np.array(lengths)]
+    kind = dolfinx.mesh.CellType.hexahedron
+    return dolfinx.mesh.create_box(comm, corners, list(cells), cell_type=kind)
 
 
-def _neo_hookean(
-    comm: MPI.Comm, dofs: int, degree: int, kappa: float
-) -> tuple[dolfinx.mesh.Mesh, dolfinx.fem.Function, dolfinx.fem.Function, ufl.Form]:
-    """Return a mesh, u in P_k, p in P0 and the energy of a nearly incompressible material."""
-    mesh = _unit_mesh(comm, dofs, degree, 3)
-    u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (3,))))
-    p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
-    F = kinematics.deformation_gradient(u)
-    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
-    psi = materials.neo_hookean(C, c=SHEAR_MODULUS, J=J)
-    psi += materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(mesh, kappa))
-    return mesh, u, p, psi * ufl.dx
+def plane(mesh: dolfinx.mesh.Mesh, axis: int, x: float) -> Facets:
+    """Return the facets of the boundary in a plane normal to an axis."""
+    d = mesh.topology.dim - 1
+    return np.sort(dolfinx.mesh.locate_entities_boundary(mesh, d, lambda y: np.isclose(y[axis], x)))
 
 
-def _unit_mesh(comm: MPI.Comm, dofs: int, degree: int, dim: int) -> dolfinx.mesh.Mesh:
-    """Mesh a square or cube with n cells along an edge, for dim (n degree + 1)^dim dofs."""
-    n = max(1, round(((dofs / dim) ** (1 / dim) - 1) / degree))
+def displacement(u: dolfinx.fem.Function, point: Sequence[float]) -> npt.NDArray[np.float64]:
+    """Return the displacement of the node at a place [mm]."""
+    V = u.function_space
+    here = np.linalg.norm(V.tabulate_dof_coordinates() - point, axis=1) < 1e-6
+    found = V.mesh.comm.allgather(u.x.array.reshape(-1, 3)[here])
+    return np.concatenate(found)[0]
+
+
+def hold(
+    V: dolfinx.fem.FunctionSpace, component: int | None, facets: Facets
+) -> dolfinx.fem.DirichletBC:
+    """Return the condition that a function, or a component of it, is zero on facets."""
+    part = V if component is None else V.sub(component)
+    dofs = dolfinx.fem.locate_dofs_topological(part, V.mesh.topology.dim - 1, facets)
+    zero = np.zeros(V.value_shape if component is None else ())
+    return dolfinx.fem.dirichletbc(zero, dofs, part)
+
+
+def _unit_mesh(
+    comm: MPI.Comm, dofs: int, degree: int, dim: int, elastic: bool = True
+) -> dolfinx.mesh.Mesh:
+    """Mesh a square or cube with n cells along an edge, for (n degree + 1)^dim nodes."""
+    n = max(1, round(((dofs / (dim if elastic else 1)) ** (1 / dim) - 1) / degree))
     create = {2: dolfinx.mesh.create_unit_square, 3: dolfinx.mesh.create_unit_cube}[dim]
     return create(comm, *[n] * dim)
-
-
-def _loaded_face(mesh: dolfinx.mesh.Mesh) -> ufl.Measure:
-    """Return the measure of the face x = 1."""
-    facets = _facets(mesh, ((0, 1.0),))
-    tags = dolfinx.mesh.meshtags(mesh, 2, facets, np.ones(len(facets), dtype=np.int32))
-    return ufl.Measure("ds", mesh, subdomain_data=tags)(1)
-
-
-def _clamp(
-    V: dolfinx.fem.FunctionSpace, faces: Sequence[tuple[int, float]] = ONE_FACE
-) -> dolfinx.fem.DirichletBC:
-    dim = V.mesh.geometry.dim
-    dofs = dolfinx.fem.locate_dofs_topological(V, dim - 1, _facets(V.mesh, faces))
-    return dolfinx.fem.dirichletbc(np.zeros(dim), dofs, V)
-
-
-def _facets(mesh: dolfinx.mesh.Mesh, faces: Sequence[tuple[int, float]]) -> npt.NDArray[np.int32]:
-    """Return the facets of the boundary on which one of the coordinates has its value, sorted."""
-    d = mesh.topology.dim - 1
-    facets = [
-        dolfinx.mesh.locate_entities_boundary(mesh, d, partial(_on_face, i, value))
-        for i, value in faces
-    ]
-    return np.unique(np.concatenate(facets))
-
-
-def _on_face(i: int, value: float, x: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
-    return np.isclose(x[i], value)

@@ -113,12 +113,12 @@ class Study:
 
             def keep(key: Record, values: Record, case: Record = case) -> Record:
                 record = records.keep(case | key, values)
-                say(json.dumps(record), comm)
+                say(json.dumps(record, ensure_ascii=False), comm)
                 return record
 
             if not args.again and self.done(case, records, args):
                 for record in records.all(case):
-                    say(f"in the records already: {json.dumps(record)}", comm)
+                    say(f"in the records already: {json.dumps(record, ensure_ascii=False)}", comm)
             else:
                 try:
                     self.run(case, keep, args, comm)

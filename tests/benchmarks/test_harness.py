@@ -174,7 +174,7 @@ def test_page_of_no_records(tmp_path, capsys, text):
         (compare, "--loaded 1 --path 1", "--path and --loaded exclude each other"),
         (compare, "--path 1 --solvers feti,gamg", "--path takes no other solvers than feti, mum"),
         (compare, "--path 1 --solvers mumps", "--path needs feti among the --solvers"),
-        (compare, "--path 1 --geometry cube", "--geometry cube goes without --path"),
+        (compare, "--path 1 --geometry block", "--geometry block goes without --path"),
         (compare, "--kapa 10", "unrecognized arguments: --kapa"),
         (compare, "--geometry sphere", "invalid choice: 'sphere'"),
         (compare, "--dofs 900 --subdomains 100000", "100000"),

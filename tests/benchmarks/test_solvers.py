@@ -20,10 +20,9 @@ from walls import tube, wall
 
 import dolfinx_feti
 from benchmarks import compare
-from benchmarks.common.bodies import create_clamped_block
-from benchmarks.common.compare import path
+from benchmarks.common.bodies import create_neo_hookean
 from benchmarks.common.compare.opponents import OPPONENTS
-from benchmarks.common.compare.path import PHASES
+from benchmarks.common.walls import problem as walls_problem
 from dolfinx_feti import ConvergenceError, LinearProblem, loads
 
 pytest.importorskip("matplotlib")
@@ -66,10 +65,6 @@ def test_all_solvers_solve_the_same_system(tmp_path, capfd):
         small(record["relative_residual"], 1e-8)
         small(record["difference_to_mumps"], 1e-6)
     agree(mumps["iterations"] == 1 and mumps["difference_to_mumps"] == 0.0)
-    spent = feti["seconds_phases"]
-    agree(set(spent) == set(PHASES) and min(spent.values()) > 0.0, spent)
-    agree(sum(spent.values()) < feti["seconds_setup"] + feti["seconds_solve"], spent)
-    agree("seconds_phases" not in mumps.keys() | gamg.keys())
     agree(10 < feti["iterations"] < gamg["iterations"], "κ is hard on GAMG")
     agree(on_first(lambda: json.loads(path.read_text())) == records)
     said = capfd.readouterr().out
@@ -83,14 +78,15 @@ def test_all_solvers_solve_the_same_system(tmp_path, capfd):
 
 def test_block_is_clamped_on_five_faces():
     """The nodes of the sixth face that are on no other one are free."""
-    block = create_clamped_block(COMM, dofs=400, kappa=10.0, subdomains=None, options={})
+    block = create_neo_hookean(COMM, 5, dofs=400, kappa=10.0, subdomains=None, options={})
     V = block.u.function_space
     n = V.dofmap.index_map.size_local
     x = V.tabulate_dof_coordinates()[:n]
     inside = (x[:, 1:] > 1e-6).all(axis=1) & (x[:, 1:] < 1 - 1e-6).all(axis=1) & (x[:, 0] > 1e-6)
     held = np.zeros(3 * n, dtype=bool)
-    dofs, _ = block.problem.bcs[0].dof_indices()
-    held[dofs[dofs < 3 * n]] = True
+    for bc in block.problem.bcs:
+        dofs, _ = bc.dof_indices()
+        held[dofs[dofs < 3 * n]] = True
     agree((held.reshape(n, 3) == ~inside[:, None]).all())
 
 
@@ -134,14 +130,10 @@ def test_path():
         linear = record["seconds_setup"] + record["seconds_solve"]
         agree(record["seconds_end_to_end"] > linear + record["seconds_assembly"], record)
         agree(record["linear_solves"] >= record["newton_iterations"] >= record["load_steps"])
-        each = record["seconds_per_solve"]
-        agree(len(each) == len(record["iterations_per_solve"]) == record["linear_solves"])
-        equal(sum(each), record["seconds_setup"] + record["seconds_solve"], 1e-12)
-        later = sum(each[1:]) / (record["newton_iterations"] - 1)
-        equal(record["seconds_per_newton"], later, 1e-12)
+        agree(len(record["iterations_per_solve"]) == record["linear_solves"])
+        agree(0.0 < record["seconds_per_newton"] * (record["newton_iterations"] - 1) < linear)
         agree(record["seconds_assembly"] > 0.0 and record["seconds_setup"] > 0.0)
     agree(mumps["iterations"] == mumps["linear_solves"] < feti["iterations"])
-    agree(min(feti["seconds_phases"].values()) > 0.0)
     small(feti["relative_residual"], 0.1)  # what the roughest step deserves
     small(mumps["relative_residual"], 1e-8)
     small(feti["difference_to_mumps"], 0.1)
@@ -155,7 +147,7 @@ def test_path_that_fails_is_recorded(monkeypatch):
         problem.solve()
         raise ConvergenceError("No equilibrium\nwas found.")
 
-    monkeypatch.setattr(path, "follow_load", fold)
+    monkeypatch.setattr(walls_problem, "follow_load", fold)
     records = main([*SMALL, "--path", "0.1", "--kappa", "10"])
     for record in records:
         agree(not record["converged"], record)

@@ -24,11 +24,11 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.common.bodies import LoadedBody
-from benchmarks.common.clock import Events, Stopwatch
+from benchmarks.common.clock import Stopwatch
 from benchmarks.common.compare.opponents import OPPONENTS
 from benchmarks.common.records import Record
-from dolfinx_feti import ConvergenceError, loads
+from benchmarks.common.walls.problem import WallProblem
+from dolfinx_feti import ConvergenceError
 from dolfinx_feti.comparison import (
     assembled_system,
     create_solver,
@@ -36,23 +36,11 @@ from dolfinx_feti.comparison import (
     relative_residual,
     timed_solve,
 )
-from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
+from dolfinx_feti.loading import Checkpoint, LoadStep, Steps
 from dolfinx_feti.runtime.collective import on_all, reason
 from dolfinx_feti.torn.matrix import State, state_of
 
-__all__ = ["PHASES", "SOLVERS", "follow", "load"]
-
-
-#: Log events of FETI that do not overlap, in the order of the method.
-PHASES = (
-    "FETIGluing",
-    "FETISchur",
-    "FETIModes",
-    "FETICoarse",
-    "FETISchurProduct",
-    "FETILocalSolve",
-    "FETICoarseSolve",
-)
+__all__ = ["SOLVERS", "follow", "load"]
 
 #: Solvers of a path: FETI drives Newton's method, and tangents may be indefinite on the way.
 SOLVERS = ("feti", "mumps", "pardiso")
@@ -63,65 +51,78 @@ FIRST, RTOL, LINEAR_RTOL = 0.1, 1e-3, 1e-3
 
 
 def load(
-    body: LoadedBody,
+    body: WallProblem,
     mmhg: float,
     checkpoint: Checkpoint | None = None,
-    on_step: Callable[[LoadStep], object] | None = None,
+    on_step: Callable[[LoadStep], object] = lambda _step: None,
 ) -> None:
-    """Load a body at rest [mmHg], or go on from a checkpoint. Collective."""
-
-    def set_load(value: float) -> None:
-        body.load.value = loads.mmhg(value)
-
+    """Load a wall at rest [mmHg], or go on from a checkpoint. Collective."""
     first = FIRST * mmhg
     steps = Steps(first, least=first / 64, growth=1.15, quick=4, rtol=RTOL, linear_rtol=LINEAR_RTOL)
-    follow_load(
-        body.problem, set_load, [mmhg], steps,
-        state=[body.u, body.p], on_step=on_step, checkpoint=checkpoint, unit="mmHg",
-    )  # fmt: skip
+    body.inflate([mmhg], steps, on_step=on_step, checkpoint=checkpoint)
 
 
-def follow(body: LoadedBody, mmhg: float, *, direct: Sequence[str] = ()) -> list[Record]:
-    """Load a body at rest [mmHg], and record what its systems cost FETI and others. Collective.
+def follow(body: WallProblem, mmhg: float, *, direct: Sequence[str] = ()) -> list[Record]:
+    """Load a wall at rest [mmHg], and record what its systems cost FETI and others. Collective.
 
     Returns:
         A record for each solver; ``note`` says why the path or the solver came to no end.
     """
     comm, others = body.u.function_space.mesh.comm, [_Direct(name) for name in direct]
-    ksp, beside, its = body.problem.solver.getKSP(), list[float](), list[int]()
-    phases, watch = Events(PHASES, comm), Stopwatch(comm)
+    beside, its, watch = 0.0, list[int](), Stopwatch(comm)
 
     def then(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        nonlocal beside
         begun = time.perf_counter()
         its.append(ksp.getIterationNumber())
         for other in others:
             other.solve(body.problem.A, b, x)
-        beside.append(time.perf_counter() - begun)
+        beside += time.perf_counter() - begun
 
-    watch.hook(ksp, then)
+    watch.hook(body.problem.solver.getKSP(), then)
     accepted: list[LoadStep] = []
     note, begun = "", time.perf_counter()
     try:
         load(body, mmhg, on_step=accepted.append)
     except ConvergenceError as error:
         note = f"failed: {reason(error)}"
-    seconds = comm.allreduce(time.perf_counter() - begun - sum(beside), op=MPI.MAX)
-    newton = [step for load_step in accepted for step in load_step.all_steps]
-    each = watch.each()
-    run: Record = {
-        "newton_iterations": len(newton),
-        "load_steps": len(accepted),
-        "seconds_assembly": sum(step.seconds_assembly for step in newton),
-    }
-    rest = seconds - each.sum()
-    cost = run | _cost(each, its, len(newton), rest)
+    seconds = comm.allreduce(time.perf_counter() - begun - beside, op=MPI.MAX)
+    newton, each = [step for load_step in accepted for step in load_step.all_steps], watch.each()
+
+    def record(
+        solver: str, spent: npt.NDArray[np.float64], iterations: list[int],
+        residuals: list[float], difference: float | None, note: str,
+    ) -> Record:  # fmt: skip
+        """Return what the solves cost, each set-up and solution, and how well they were solved."""
+        setup, solve = spent.reshape(-1, 2).T
+        later = float((setup + solve)[1:].sum())
+        return {
+            "solver": solver,
+            "newton_iterations": len(newton),
+            "load_steps": len(accepted),
+            "seconds_assembly": sum(step.seconds_assembly for step in newton),
+            "peak_mib": None,
+            "linear_solves": len(setup),
+            "iterations": sum(iterations),
+            "iterations_per_solve": iterations,
+            "seconds_setup": setup.sum(),
+            "seconds_solve": solve.sum(),
+            "seconds_end_to_end": seconds - each.sum() + (setup + solve).sum(),
+            "seconds_per_newton": later / (len(newton) - 1) if len(newton) > 1 else None,
+            "relative_residual": max(residuals, default=None),
+            "difference_to_mumps": difference,
+            "converged": not note,
+            "note": note,
+        }
+
+    residuals = [step.linear_residual for step in newton]
     difference = next((other.difference for other in others), None)
-    outcome = _outcome([step.linear_residual for step in newton], difference, note)
-    found = [{"solver": "feti"} | cost | outcome | {"seconds_phases": phases.seconds()}]
+    found = [record("feti", each, its, residuals, difference, note)]
     for other in others:
-        cost = run | _cost(np.array(other.seconds), other.iterations, len(newton), rest)
-        outcome = _outcome(other.residuals, 0.0, other.note or note)
-        found.append({"solver": other.name} | cost | outcome)
+        spent = np.array(other.seconds)
+        found.append(
+            record(other.name, spent, other.iterations, other.residuals, 0.0, other.note or note)
+        )
         other.destroy()
     return found
 
@@ -182,32 +183,3 @@ class _Direct:
         """Free matrix and factors."""
         for owned in filter(None, (self._ksp, self._K)):
             owned.destroy()
-
-
-def _cost(
-    each: npt.NDArray[np.float64], iterations: Sequence[int], newton_steps: int, rest: float
-) -> Record:
-    """Return what the solves of a run took, each set-up and solution, (solves, 2), and the rest."""
-    setup, solve = each.reshape(-1, 2).T
-    later = (setup + solve)[1:].sum()
-    return {
-        "peak_mib": None,
-        "linear_solves": len(setup),
-        "iterations": sum(iterations),
-        "iterations_per_solve": list(iterations),
-        "seconds_setup": setup.sum(),
-        "seconds_solve": solve.sum(),
-        "seconds_per_solve": (setup + solve).tolist(),
-        "seconds_end_to_end": rest + (setup + solve).sum(),
-        "seconds_per_newton": later / (newton_steps - 1) if newton_steps > 1 else None,
-    }
-
-
-def _outcome(residuals: Sequence[float], difference: float | None, note: str) -> Record:
-    """Return how well the systems were solved, and whether to the end."""
-    return {
-        "relative_residual": max(residuals, default=None),
-        "difference_to_mumps": difference,
-        "converged": not note,
-        "note": note,
-    }

@@ -11,21 +11,20 @@ kPa, each solver in its faster layout.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.common.compare.opponents import DIRECT
-from benchmarks.common.compare.path import PHASES
 from benchmarks.common.pages import Fields, groups, section
 from benchmarks.common.plots import COLOURS, Style, curve, picture
 from benchmarks.common.records import Record
 from dolfinx_feti.fem.decomposition import DOFS
 
-__all__ = ["CASE", "GEOMETRIES", "NAMES", "draw", "fields", "points", "seconds"]
+__all__ = ["GEOMETRIES", "draw", "fields", "points", "seconds"]
 
 
 #: How the solvers are called, in the order of the tables.
@@ -73,107 +72,79 @@ CURVES: dict[str, tuple[tuple[str, ...], Style]] = {
 }
 
 
+def fields(records: Sequence[Record]) -> Fields:
+    """Return the values of the page; a case is the list of its records, in all layouts."""
+    sweep = [r for r in records if r.get("per")]
+    plain = [r for r in records if not r.get("per")]
+    cases = sorted((mine for _, mine in groups(plain, *CASE)), key=_order)
+    first = [case for case in cases if case[0]["path_mmhg"] is None]
+    paths = [case for case in cases if case[0]["path_mmhg"] is not None]
+    steps = itertools.groupby(first, lambda case: (case[0]["geometry"], case[0]["kappa"]))
+    return {
+        "summary": section(row for case in cases if (row := _against_the_best(case))),
+        "steps": [
+            {
+                "geometry": geometry,
+                "kappa": kappa,
+                "rows": [r for case in mine for r in _rows(case)],
+            }
+            for (geometry, kappa), mine in steps
+        ],
+        "paths": section(row for case in paths for row in _rows(case)),
+        "sweep": section(_subdomains(sweep)),
+        "growth": section(_growth(first), low=KAPPAS[0]),
+        "failures": section(_row(r) for case in cases for r in case if not r["converged"]),
+    }
+
+
+def _order(case: Sequence[Record]) -> tuple[object, ...]:
+    r = case[0]
+    place, loads = GEOMETRIES.index(r["geometry"]), (r["path_mmhg"] or 0.0, r["loaded_mmhg"] or 0.0)
+    return place, r["kappa"], *loads, -r["degree"], r["dofs"], r["wanted_subdomains"] or 0
+
+
+def _of_solver(case: Sequence[Record], solver: str) -> list[Record]:
+    """Return the records of a solver, the better layout first, failures at the end."""
+    return sorted((r for r in case if r["solver"] == solver), key=_whole)
+
+
+def _best(case: Sequence[Record], *solvers: str) -> Record | None:
+    """Return the fastest record of some solvers that came to the solution."""
+    mine = [r for r in case if r["solver"] in solvers and math.isfinite(_whole(r))]
+    return min(mine, key=_whole, default=None)
+
+
+def _rows(case: Sequence[Record]) -> Iterator[dict[str, object]]:
+    """Yield a row for each record, with FETI's better layout over it."""
+    feti = _best(case, "feti")
+    for solver in NAMES:
+        mine = _of_solver(case, solver)
+        for record in mine:
+            row = _row(record)
+            if len(mine) > 1 and record is _best(case, solver):
+                row["layout"] = f"**{row['layout']}**"
+            if feti and record["converged"] and solver != "feti":
+                row |= _ratios(feti, record)
+            yield row
+
+
+def _against_the_best(case: Sequence[Record]) -> dict[str, object] | None:
+    """Return FETI's better layout and the best of all others, or None if one is not there."""
+    feti, other = _best(case, "feti"), _best(case, *(name for name in NAMES if name != "feti"))
+    if feti is None or other is None:
+        return None
+    direct = _best(case, *DIRECT)
+    its = {f"its_{k}": v for k, v in _row(other).items()}
+    memory = None if direct is None else _ratios(feti, direct)["memory_ratio"]
+    ratios = {"time_ratio": _ratios(feti, other)["time_ratio"], "memory_ratio": memory}
+    return _row(feti) | its | ratios
+
+
 def seconds(record: Record) -> float:
     """Return the seconds of set-up and solution; infinite without a solution."""
     if not record["converged"]:
         return math.inf
     return record["seconds_setup"] + record["seconds_solve"]
-
-
-@dataclass(frozen=True, slots=True)
-class _Group:
-    """The records of one case, in all layouts; of a load path if ``path_mmhg`` is its end."""
-
-    geometry: str
-    degree: int
-    kappa: float
-    dofs: int
-    wanted_subdomains: int | None
-    path_mmhg: float | None
-    loaded_mmhg: float | None
-    records: list[Record]
-
-    def of_solver(self, solver: str) -> list[Record]:
-        """Return the records of a solver, the better layout first, failures at the end."""
-        return sorted((r for r in self.records if r["solver"] == solver), key=_whole)
-
-    def best(self, *solvers: str) -> Record | None:
-        """Return the fastest record of some solvers that came to the solution."""
-        mine = [r for r in self.records if r["solver"] in solvers and math.isfinite(_whole(r))]
-        return min(mine, key=_whole, default=None)
-
-    def rows(self) -> Iterator[dict[str, object]]:
-        """Yield a row for each record, with FETI's better layout over it."""
-        feti = self.best("feti")
-        for solver in NAMES:
-            mine = self.of_solver(solver)
-            for record in mine:
-                row = _row(record)
-                if len(mine) > 1 and record is self.best(solver):
-                    row["layout"] = f"**{row['layout']}**"
-                if feti and record["converged"] and solver != "feti":
-                    row |= _ratios(feti, record)
-                yield row
-
-    def against_the_best(self) -> dict[str, object] | None:
-        """Return FETI's better layout and the best of all others, or None if one is not there."""
-        feti = self.best("feti")
-        other = self.best(*(name for name in NAMES if name != "feti"))
-        if feti is None or other is None:
-            return None
-        direct = self.best(*DIRECT)
-        its = {f"its_{k}": v for k, v in _row(other).items()}
-        memory = None if direct is None else _ratios(feti, direct)["memory_ratio"]
-        time = {"time_ratio": _ratios(feti, other)["time_ratio"]}
-        return _row(feti) | its | time | {"memory_ratio": memory}
-
-
-def fields(records: Sequence[Record]) -> Fields:
-    """Return the values of the page."""
-    sweep = [r for r in records if r.get("per")]
-    records = [r for r in records if not r.get("per")]
-    sorted_groups = _groups(records)
-    first = [group for group in sorted_groups if group.path_mmhg is None]
-    paths = [group for group in sorted_groups if group.path_mmhg is not None]
-    steps = [
-        {"geometry": geometry, "kappa": kappa}
-        | {"rows": [row for group in mine for row in group.rows()]}
-        for (geometry, kappa), mine in _by_kappa(first).items()
-    ]
-    summary = [row for group in sorted_groups if (row := group.against_the_best()) is not None]
-    phases = [
-        _row(r) | _shares(r)
-        for group in sorted_groups
-        for r in group.of_solver("feti")
-        if r["converged"] and "seconds_phases" in r
-    ]
-    lost = [_row(r) for group in _groups(records) for r in group.records if not r["converged"]]
-    return {
-        "summary": section(summary),
-        "steps": steps,
-        "paths": section(row for group in paths for row in group.rows()),
-        "phases": section(phases),
-        "sweep": section(_subdomains(sweep)),
-        "growth": section(_growth(first), low=KAPPAS[0]),
-        "failures": section(lost),
-    }
-
-
-def _groups(records: Sequence[Record]) -> list[_Group]:
-    found = [_Group(*key, mine) for key, mine in groups(records, *CASE)]
-    return sorted(found, key=_order)
-
-
-def _order(group: _Group) -> tuple[object, ...]:
-    loads = (group.path_mmhg or 0.0, group.loaded_mmhg or 0.0)
-    place = GEOMETRIES.index(group.geometry)
-    return place, group.kappa, *loads, -group.degree, group.dofs, group.wanted_subdomains or 0
-
-
-def _by_kappa(found: Sequence[_Group]) -> dict[tuple[str, float], list[_Group]]:
-    """Collect the sizes of each body and κ."""
-    keys = dict.fromkeys((group.geometry, group.kappa) for group in found)
-    return {key: [g for g in found if (g.geometry, g.kappa) == key] for key in keys}
 
 
 def _row(record: Record) -> dict[str, object]:
@@ -212,25 +183,17 @@ def _ratios(feti: Record, other: Record) -> dict[str, object]:
     return {"time_ratio": whole, "linear_ratio": linear, "memory_ratio": memory}
 
 
-def _growth(first: Sequence[_Group]) -> Iterator[dict[str, object]]:
+def _growth(first: Sequence[Sequence[Record]]) -> Iterator[dict[str, object]]:
     """Pair the records of iterative solvers at both κ, for one solver, size and layout."""
     names = ("solver", *(name for name in CASE if name != "kappa"), "processes", "threads")
-    found = [r for group in first for solver in NAMES for r in group.of_solver(solver)]
+    found = [r for case in first for solver in NAMES for r in _of_solver(case, solver)]
     solved = [r for r in found if r["converged"] and r["kappa"] in KAPPAS]
     iterative = sorted((r for r in solved if r["solver"] not in DIRECT), key=lambda r: r["kappa"])
     for _, (low, *rest) in groups(iterative, *names):
         for high in rest:
-            quotient = high["iterations"] / low["iterations"]
             its = {"low_its": low["iterations"], "high_its": high["iterations"]}
-            its["high"] = high["kappa"]
-            yield _row(low) | its | {"quotient": quotient}
-
-
-def _shares(record: Record) -> dict[str, object]:
-    """Return the shares of the phases in the time of a FETI solve, and the rest."""
-    spent = record["seconds_phases"]
-    shares = {name: 100 * spent[name] / seconds(record) for name in PHASES}
-    return shares | {"rest": 100 - sum(shares.values())}
+            quotient = high["iterations"] / low["iterations"]
+            yield _row(low) | its | {"high": high["kappa"], "quotient": quotient}
 
 
 def _whole(record: Record) -> float:

@@ -118,7 +118,7 @@ def count(case: Record, comm: MPI.Comm) -> Record:
     mib, read = (comm.allreduce(number, op=MPI.MAX) for number in held)
     body = _create(case, comm, wall[0])
     body.problem.linearise()
-    body.pressure.value = loads.mmhg(PRESSURE)
+    body.load.value = loads.mmhg(PRESSURE)
     b = right_hand_side(body)
     x = b.duplicate()
     ksp = body.problem.solver.getKSP()

@@ -11,7 +11,7 @@ Interface 3 (2006) 15-35. Millimetres and kPa.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from mpi4py import MPI
@@ -22,19 +22,26 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
-from benchmarks.common.verification.body import Body, create_block, create_body, displacement, plane
+from benchmarks.common.bodies import Body, create_block, create_body, displacement, plane
 from benchmarks.common.verification.ellipsoid import (
     LONG,
     THICKNESS,
     create_ellipsoid,
     ellipsoid_fibre,
 )
-from benchmarks.common.verification.stressed_tube import create_stressed_tube
+from benchmarks.common.walls.inflated_tube import (
+    create_inflated_tube,
+    create_slice,
+    residual_part,
+)
+from benchmarks.common.walls.oracle import KPA_PER_MMHG, LAYERS, Wall, inflate
+from benchmarks.common.walls.problem import PLANES
 from dolfinx_feti import materials
 from dolfinx_feti.loading import Steps
 from dolfinx_feti.wall import facets
+from dolfinx_feti.wall.opening import Opening
 
-__all__ = ["CASES", "Case", "Quantity"]
+__all__ = ["CASES", "Case", "Quantity", "create_stressed_tube"]
 
 Energy = Callable[[Expr, Expr, Expr, Expr], Expr]  # of C, J, the share of the load and f
 
@@ -151,11 +158,48 @@ def _block(comm: MPI.Comm, n: int) -> Body:
     )  # fmt: skip
 
 
-# The tube, and the strip of the adventitia
+# The inflated tube with residual stress, and the strip of the adventitia
+
+PRESSURE = 100.0 * KPA_PER_MMHG
+OPENED = {
+    name: replace(layer, opening=angle, stretch=stretch)
+    for name, layer, angle, stretch in zip(
+        ("media", "adventitia"), LAYERS, (160.0, 60.0), (1.05, 1.02), strict=True
+    )
+}
+
+
+def create_stressed_tube(
+    comm: MPI.Comm, *, size: float, subdomains: int = 4, by_shape: bool = False
+) -> Body:
+    """Build a quarter of the tube, with bricks of a size [mm]; G at each point, or of its shape."""
+    element, kappa = "q2-p1d", 1e5
+    wall = create_slice(comm, size=size, element=element)
+    if by_shape:
+        angles = {name: layer.opening for name, layer in OPENED.items()}
+        G = Opening(wall, angles, {name: layer.stretch for name, layer in OPENED.items()}).G
+    else:
+        G = residual_part(wall, list(OPENED.values()))
+    tube = create_inflated_tube(
+        wall, c=3.0, kappa=kappa, subdomains=subdomains, element=element, G=G
+    )
+    truth = inflate(PRESSURE, Wall(kappa=kappa, layers=tuple(OPENED.values())))
+
+    def measure() -> dict[str, float]:
+        found = tube.compare(truth)
+        return {
+            "u_r": found["u_r_inner"] / found["u_r_inner_exact"],
+            "hoop": found["recovered_tt_error"],
+            "radial": found["recovered_rr_error"],
+        }
+
+    body = tube.body
+    held = [(component, facets(wall, name)) for name, component in PLANES.items()]
+    residuals = (body.residual, body.constraint)
+    return Body(body.u, body.p, residuals, held, body.problem, body.load, measure, PRESSURE)
 
 
 def _tube(comm: MPI.Comm, n: int, *, by_shape: bool) -> Body:
-    """Build a quarter of the tube with residual stress."""
     return create_stressed_tube(comm, size=0.36 / 2**n, subdomains=4 ** (n - 1), by_shape=by_shape)
 
 

@@ -26,11 +26,11 @@ import dolfinx
 import ufl
 
 from benchmarks.common import command
+from benchmarks.common.bodies import Body
 from benchmarks.common.direct import create_newton
 from benchmarks.common.pages import Fields, groups
 from benchmarks.common.records import Record
 from benchmarks.common.study import Keep
-from benchmarks.common.verification.body import Body
 from benchmarks.common.verification.cases import CASES
 from dolfinx_feti.loading import LoadStep, follow_load
 from meshes.arguments import count

@@ -95,7 +95,7 @@ def load(body: WallProblem, mmhg: float, *, in_part: bool) -> None:
         ConvergenceError: A linear system was not solved, or Newton's method did not arrive.
     """
     at_rest = body.problem.linearise()
-    body.pressure.value = loads.mmhg(mmhg)
+    body.load.value = loads.mmhg(mmhg)
     try:
         body.problem.solve(first_tangent=at_rest)
     except ConvergenceError:

@@ -20,10 +20,9 @@ its middle radius ρ₀ and k = 2π/(2π − α)
     G_θ = 1/λ,  G_z = 1/Λ,  G_r = λ Λ,  λ = k R / √((k ρ₀)² + k Λ (R² − ρ₀²)).
 
 With P_rR = ∂W/∂λ_r and P_θΘ = ∂W/∂λ_θ equilibrium is d(R P_rR)/dR = P_θΘ; r and R P_rR are
-continuous between the layers, P_rR = −p λ_z r/R on the inner surface and 0 on the outer one.
-:func:`compressible` shoots on the inner radius. For κ → ∞ the tube is isochoric,
-r² = r_i² + (R² − R_i²)/λ_z, and :func:`incompressible` needs one quadrature of
-p = ∫ (σ_θθ − σ_rr) dr/r.
+continuous between the layers, P_rR = −p λ_z r/R on the inner surface and 0 on the outer one:
+:func:`inflate` shoots on the inner radius. λ_r follows from P_rR; for κ = ∞ it is 1/(λ_θ λ_z), and
+the pressure of the constraint follows from P_rR.
 
 Millimetres and kPa.
 """
@@ -36,7 +35,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 KPA_PER_MMHG = 0.1333223684
@@ -107,7 +106,28 @@ class Tube:
 
 def inflate(pressure: float, wall: Wall) -> Tube:
     """The tube under an inner pressure [kPa], for any κ."""
-    return (compressible if np.isfinite(wall.kappa) else incompressible)(pressure, wall)
+    start = wall.layers[0].inner
+    if np.isfinite(wall.kappa):
+        start = inflate(pressure, replace(wall, kappa=np.inf)).radius(start)
+    r_i = _root(lambda r: _integrate(pressure, wall, r)[-1].y[1, -1], start)
+    solutions = _integrate(pressure, wall, r_i, dense=True)
+
+    def at(R: float) -> tuple[float, float, float, float]:
+        """λ_r, λ_θ, P_rR, P_θΘ."""
+        layer = _layer_at(wall, R)
+        r, RP = solutions[wall.layers.index(layer)].sol(R)
+        stretch_r, P_t = _radial(wall, layer, R, r / R, RP / R)
+        return stretch_r, r / R, RP / R, P_t
+
+    def stress(R: float) -> tuple[float, float]:
+        stretch_r, stretch_t, P_r, P_t = at(R)
+        return P_r / (stretch_t * wall.stretch), P_t / (stretch_r * wall.stretch)  # σ = P Fᵀ / J
+
+    def jacobian(R: float) -> float:
+        stretch_r, stretch_t, *_ = at(R)
+        return stretch_r * stretch_t * wall.stretch
+
+    return Tube(wall, pressure, lambda R: at(R)[1] * R, jacobian, stress)
 
 
 def stresses(
@@ -140,70 +160,16 @@ def _stresses(
     return P_r / G_r, P_t / G_t  # ∂W/∂λ at det G = 1
 
 
-def incompressible(pressure: float, wall: Wall) -> Tube:
-    """The limit κ → ∞ in closed form."""
-    R_i, R_o, λ = wall.layers[0].inner, wall.layers[-1].outer, wall.stretch
-    breaks = [layer.outer for layer in wall.layers[:-1]]
-
-    def radius(R: float, r_i: float) -> float:
-        return float(np.sqrt(r_i**2 + (R**2 - R_i**2) / λ))
-
-    def difference(R: float, r_i: float) -> float:
-        """(σ_θθ − σ_rr)/r · dr/dR, σ_θθ − σ_rr = λ_θ P_θΘ − λ_r P_rR on λ_r = 1/(λ_θ λ_z)."""
-        r = radius(R, r_i)
-        stretch_r, stretch_t = R / (r * λ), r / R
-        P_r, P_t = _stresses(wall, _layer_at(wall, R), R, stretch_r, stretch_t)
-        return (P_t * stretch_t - P_r * stretch_r) * stretch_r / r
-
-    def carried(r_i: float, R: float) -> float:
-        inside = [b for b in breaks if b < R] or None
-        return quad(difference, R_i, R, (r_i,), points=inside, epsabs=1e-13, epsrel=1e-12)[0]
-
-    r_i = _root(lambda r: carried(r, R_o) - pressure, R_i)
-
-    def stress(R: float) -> tuple[float, float]:
-        radial = carried(r_i, R) - pressure
-        return radial, radial + difference(R, r_i) * radius(R, r_i) ** 2 * λ / R
-
-    return Tube(wall, pressure, lambda R: radius(R, r_i), lambda R: 1.0, stress)
-
-
-def compressible(pressure: float, wall: Wall) -> Tube:
-    """The two-point problem at a finite κ by shooting on the inner radius."""
-    start = incompressible(pressure, replace(wall, kappa=np.inf)).radius(wall.layers[0].inner)
-    r_i = _root(lambda r: _integrate(pressure, wall, r)[-1].y[1, -1], start)
-    solutions = _integrate(pressure, wall, r_i, dense=True)
-
-    def at(R: float) -> tuple[float, float, float, float]:
-        """λ_r, λ_θ, P_rR, P_θΘ."""
-        layer = _layer_at(wall, R)
-        r, RP = solutions[wall.layers.index(layer)].sol(R)
-        stretch_r = _radial_stretch(wall, layer, R, r / R, RP / R)
-        return stretch_r, r / R, *_stresses(wall, layer, R, stretch_r, r / R)
-
-    def stress(R: float) -> tuple[float, float]:
-        stretch_r, stretch_t, P_r, P_t = at(R)
-        return P_r / (stretch_t * wall.stretch), P_t / (stretch_r * wall.stretch)  # σ = P Fᵀ / J
-
-    def jacobian(R: float) -> float:
-        stretch_r, stretch_t, *_ = at(R)
-        return stretch_r * stretch_t * wall.stretch
-
-    return Tube(wall, pressure, lambda R: at(R)[1] * R, jacobian, stress)
-
-
 def _integrate(pressure: float, wall: Wall, r_i: float, dense: bool = False) -> list[Any]:
     """Integrate (r, R P_rR) outwards, layer by layer, from P_rR = −p λ_z r/R inside."""
     state: Floats = np.array([r_i, -pressure * wall.stretch * r_i])
     solutions: list[Any] = []
     for layer in wall.layers:
 
-        def slope(R: float, y: Floats, layer: Layer = layer) -> list[float]:
-            stretch_r = _radial_stretch(wall, layer, R, y[0] / R, y[1] / R)
-            return [stretch_r, _stresses(wall, layer, R, stretch_r, y[0] / R)[1]]
+        def slope(R: float, y: Floats, layer: Layer = layer) -> tuple[float, float]:
+            return _radial(wall, layer, R, y[0] / R, y[1] / R)
 
-        ends = (layer.inner, layer.outer)
-        tolerances = {"rtol": 1e-10, "atol": 1e-12}
+        ends, tolerances = (layer.inner, layer.outer), {"rtol": 1e-10, "atol": 1e-12}
         solutions.append(solve_ivp(slope, ends, state, "DOP853", dense_output=dense, **tolerances))
         state = solutions[-1].y[:, -1]
     return solutions
@@ -215,18 +181,23 @@ def _layer_at(wall: Wall, R: float) -> Layer:
     return wall.layers[np.searchsorted(interfaces, R)]
 
 
-def _radial_stretch(wall: Wall, layer: Layer, R: float, stretch_t: float, P: float) -> float:
-    """The λ_r at which P_rR has a given value, near J = 1."""
+def _radial(wall: Wall, layer: Layer, R: float, stretch_t: float, P: float) -> tuple[float, float]:
+    """λ_r at which P_rR has a given value, near J = 1, and P_θΘ there."""
+    isochoric = 1.0 / (stretch_t * wall.stretch)
+    if not np.isfinite(wall.kappa):
+        P_r, P_t = _stresses(wall, layer, R, isochoric, stretch_t)
+        return isochoric, P_t + (P - P_r) * isochoric / stretch_t
 
     def residual(stretch_r: float) -> float:
         return _stresses(wall, layer, R, stretch_r, stretch_t)[0] - P
 
-    low, high = (near / (stretch_t * wall.stretch) for near in (0.9, 1.1))
+    low, high = 0.9 * isochoric, 1.1 * isochoric
     while residual(low) > 0:
         low *= 0.8
     while residual(high) < 0:
         high *= 1.25
-    return brentq(residual, low, high, xtol=1e-15, rtol=4 * np.finfo(float).eps)
+    found = brentq(residual, low, high, xtol=1e-15, rtol=4 * np.finfo(float).eps)
+    return found, _stresses(wall, layer, R, found, stretch_t)[1]
 
 
 def _root(function: Callable[[float], float], start: float) -> float:

@@ -43,7 +43,7 @@ class WallProblem:
     p: dolfinx.fem.Function  # pressure of the volume constraint in each cell [kPa]
     residual: ufl.Form  # of the displacements, before p is condensed [mN]
     constraint: ufl.Form  # the residual of p
-    pressure: dolfinx.fem.Constant  # in the lumen [kPa]
+    load: dolfinx.fem.Constant  # pressure in the lumen [kPa]
     bcs: list[dolfinx.fem.DirichletBC]
     stress: Expr  # Cauchy's σ [kPa]
 
@@ -64,7 +64,7 @@ class WallProblem:
         """Go from equilibrium to equilibrium up to some pressures [mmHg], see ``follow_load``."""
 
         def set_load(mmhg: float) -> None:
-            self.pressure.value = loads.mmhg(mmhg)
+            self.load.value = loads.mmhg(mmhg)
 
         follow_load(
             self.problem,
