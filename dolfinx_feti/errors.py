@@ -5,11 +5,21 @@
 
 from __future__ import annotations
 
-__all__ = ["ConvergenceError", "FactorError", "SetUpError", "SingularError"]
+__all__ = [
+    "ConvergenceError",
+    "FactorError",
+    "SetUpError",
+    "SingularBlockError",
+    "SingularError",
+]
 
 
 class FactorError(ArithmeticError):
     """A block could not be factored."""
+
+
+class SingularBlockError(FactorError):
+    """A block is singular beyond its null vectors, to rounding."""
 
 
 class SetUpError(ArithmeticError):

@@ -34,8 +34,12 @@ class Scalar:
         self.bcs = [dirichlet(V, lambda x: np.full(x.shape[1], True))] if held else []
         self.dx = ufl.Measure("dx", mesh, metadata={"quadrature_degree": 2 * degree})
 
-    def p_laplace(self, p: float, load: float) -> None:
-        p, load = (dolfinx.fem.Constant(self.u.function_space.mesh, value) for value in (p, load))
+    def p_laplace(self, p: float, load: float, *, waves: bool = False) -> None:
+        mesh = self.u.function_space.mesh
+        p, load = (dolfinx.fem.Constant(mesh, value) for value in (p, load))
+        if waves:
+            x = ufl.SpatialCoordinate(mesh)
+            load = load * ufl.sin(3 * x[0]) * ufl.cos(2 * x[1])
         size = SMALL + ufl.inner(ufl.grad(self.u), ufl.grad(self.u))
         self.energy = (size ** (p / 2) / p - load * self.u) * self.dx
 
@@ -106,6 +110,15 @@ def test_p_laplace(p, load, subdomains):
     """Coefficients from 1 to 1e-16, at which a linear solve stagnates or finds no pivot."""
     problem = Scalar(cube(2, 16))
     problem.p_laplace(p, load)
+    problem.compare(subdomains)
+
+
+@pytest.mark.parametrize("p", [4.0, 6.0, 8.0, 10.0])
+@pytest.mark.parametrize(("cells", "subdomains"), [(8, 1), (24, 1), (16, 4)])
+def test_p_laplace_of_a_load_that_turns(p, cells, subdomains):
+    """Tangents are singular to rounding, also that of the only subdomain."""
+    problem = Scalar(cube(2, cells))
+    problem.p_laplace(p, 1.0, waves=True)
     problem.compare(subdomains)
 
 

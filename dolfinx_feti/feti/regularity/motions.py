@@ -193,6 +193,8 @@ def triangles(X: Array, group: Integers, count: int, comm: MPI.Comm) -> Array:
         comm: Communicator.
     """
     k = X.shape[1]
+    if k == 0:
+        return np.zeros((count, 0, 0))
     order = np.argsort(group, kind="stable")
     ends = np.searchsorted(group[order], np.arange(count + 1))
 

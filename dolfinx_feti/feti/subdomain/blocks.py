@@ -18,7 +18,7 @@ from petsc4py import PETSc
 import numpy as np
 import scipy.sparse
 
-from dolfinx_feti.errors import FactorError, SetUpError
+from dolfinx_feti.errors import FactorError, SetUpError, SingularBlockError, SingularError
 from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.collective import on_all, reason
 from dolfinx_feti.runtime.petsc_library import product
@@ -62,8 +62,9 @@ class named:  # noqa: N801
     def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
         """Name the subdomain in an error."""
         if isinstance(error, Exception):
+            known = isinstance(error, FactorError | MemoryError)
             name = "" if isinstance(error, FactorError) else f"{type(error).__name__}: "
-            kind = MemoryError if isinstance(error, MemoryError) else FactorError
+            kind = type(error) if known else FactorError
             raise kind(f"subdomain {self._subdomain}: {name}{reason(error)}") from error
 
 
@@ -71,7 +72,8 @@ def on_subdomains(work: Callable[[], T], comm: MPI.Comm) -> T:
     """Do work on the subdomains of each process; an error on one is one on all. Collective.
 
     Raises:
-        SetUpError: With the error of the first process that met one.
+        SetUpError: With the error of the first process that met one; a SingularError if a block
+            is singular.
     """
     try:
         return on_all(work, comm)
@@ -79,7 +81,8 @@ def on_subdomains(work: Callable[[], T], comm: MPI.Comm) -> T:
         remedy = "look at coefficients and supports, or take other subdomains"
         if isinstance(error, MemoryError):
             remedy = "take more processes, or smaller subdomains"
-        raise SetUpError(f"Work on a subdomain failed ({reason(error)}): {remedy}.") from error
+        kind = SingularError if isinstance(error, SingularBlockError) else SetUpError
+        raise kind(f"Work on a subdomain failed ({reason(error)}): {remedy}.") from error
 
 
 def index_set(rows: Indices) -> PETSc.IS:

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dolfinx_feti.errors import FactorError
+from dolfinx_feti.errors import FactorError, SingularBlockError
 from dolfinx_feti.feti.gluing.dofs import Dofs
 from dolfinx_feti.feti.subdomain.blocks import as_slice, named
 from dolfinx_feti.feti.subdomain.buckling import buckling_modes
@@ -273,7 +273,7 @@ def _with_null_vectors(K: _Block, R: Array, rho: float) -> tuple[Factor, Array]:
     R = append_orthonormal(R, Y)
     factor = K.factor(R, rho)
     if Y.shape[1] and K.is_singular(factor):
-        raise FactorError("the regularised matrix stays singular with its null vectors")
+        raise SingularBlockError("the regularised matrix stays singular with its null vectors")
     return factor, R
 
 
