@@ -3,35 +3,17 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Static condensation of fields that no two cells share, such as the pressure of P2–P0 elements.
 
-Newton's step for a displacement u and the fields p, with n dofs in each cell in all,
-
-.. math:: \begin{pmatrix} K_{uu} & K_{up} \\ K_{pu} & K_{pp} \end{pmatrix}
-          \begin{pmatrix} Δu \\ Δp \end{pmatrix} = -\begin{pmatrix} r_u \\ r_p \end{pmatrix},
-
-has a block-diagonal :math:`K_{pp}`, one block (n, n) for each cell, so that p is condensed cell by
-cell (eq. 29, Augustin_eq:volumetricVariationDis, for n = 1) without any fill-in:
-
 .. math:: K = K_{uu} - K_{up} K_{pp}^{-1} K_{pu}, \quad r = r_u - K_{up} K_{pp}^{-1} r_p, \quad
-          Δp = -K_{pp}^{-1}(r_p + K_{pu} Δu).
+          Δp = -K_{pp}^{-1}(r_p + K_{pu} Δu)
 
-The last equation updates the fields by their own linearised equations, so that Newton's iterates
-are those of the mixed problem. For the perturbed Lagrangian p (J − 1) − p²/(2κ) with p constant on
-a cell τ, :math:`K_{pp} = -|τ|/κ`. For a dilation θ beside p, Ψ(θ) + p (J − θ) (Simo, Taylor, Pister
-1985), the block is indefinite; it is solved by elimination with pivots.
-
-*Multipliers* make the material incompressible in the end, with the well-conditioned tangents of a
-small κ (augmented Lagrangian; Simo and Taylor 1991). The residual of p without deformation,
-:math:`r_p(0, p)`, is what compressibility contributes, −|τ| p/κ. It is taken from the pressure λ
-that was held last, so that only what p has changed since compresses the material:
-
-.. math:: r_p(u, p) - r_p(0, λ) = \int_τ (J - 1) - (p - λ)/κ, \qquad λ ← p.
-
-A field p of the state is the whole pressure at any time, and λ = p where J̄ = 1.
+(eq. 29, Augustin_eq:volumetricVariationDis, for n = 1) with one block (n, n) of :math:`K_{pp}` for
+each cell. With multipliers λ the residual of p is :math:`r_p(u, p) - r_p(0, λ)`, so that only what
+p differs by from λ compresses the material. See ``docs/theory.md``, *A condensed pressure* and
+*Multipliers*.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,9 +39,11 @@ LOCAL_STEPS = 20
 #: Share of the greatest value of a field below which its local steps end.
 RELAXED = 1e-10
 
+#: A block whose inverse is n times greater than the reciprocal is singular.
+SINGULAR = 16 * np.finfo(np.float64).eps
+
 SOURCE = Path(__file__).with_name("condensation.c")
 DECLARATION = """
-int64_t solve_blocks(int, int, int, double *, double *, double *);
 void subtract_products(int, int, int, int, const int *, const int *, const double *,
                        const double *, const int64_t *, double *);
 """
@@ -126,23 +110,28 @@ class Condensation:
         V = u.function_space
         du = ufl.TrialFunction(V)
         trials = [ufl.TrialFunction(p.function_space) for p in fields]
-        K_up = [ufl.derivative(F_u, p, dp) for p, dp in zip(fields, trials, strict=True)]
-        K_pu = [ufl.derivative(F, u, du) for F in F_p]
-        K_pp = [
-            [ufl.derivative(F, p, dp) for p, dp in zip(fields, trials, strict=True)] for F in F_p
-        ]
-        _require_blocks(fields, K_up, K_pu, K_pp)
-        self.fields = tuple(fields)
-        self._linear = not any(
-            p in _expanded(K).coefficients() for row in K_pp for K in row for p in fields
+        K_up, *K_pp = (
+            [ufl.derivative(F, p, dp) for p, dp in zip(fields, trials, strict=True)]
+            for F in (F_u, *F_p)
         )
-        tensors = [*K_up, *K_pu, *(K for row in K_pp for K in row), *F_p]
-        self._tensors = CellTensors(tensors, V.mesh, compiler)
+        K_pu = [ufl.derivative(F, u, du) for F in F_p]
+        rows = {f"K_pp of '{p.name}'": row for p, row in zip(fields, K_pp, strict=True)}
+        for block, forms in {"K_up": K_up, "K_pu": K_pu, **rows}.items():
+            if all(_expanded(form).empty() for form in forms):
+                names = ", ".join(f"'{p.name}'" for p in fields)
+                raise ValueError(
+                    f"condense is {names}, but {block} is zero: condensation needs an energy with "
+                    "a term in both u and p and a term in p², such as p (J − 1) − p²/(2κ)."
+                )
+        self.fields = tuple(fields)
+        blocks = [K for row in K_pp for K in row]
+        self._linear = not any(p in _expanded(K).coefficients() for K in blocks for p in fields)
+        self._tensors = CellTensors([*K_up, *K_pu, *blocks, *F_p], V.mesh, compiler)
         cells = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
         dofs = [p.function_space.dofmap.list[:cells] for p in fields]
         self._widths = [each.shape[1] for each in dofs]
-        first = np.cumsum([0] + [len(p.x.array) for p in fields[:-1]])
-        places = [f + each for f, each in zip(first, dofs, strict=True)]
+        self._first = np.cumsum([0] + [len(p.x.array) for p in fields[:-1]])
+        places = [f + each for f, each in zip(self._first, dofs, strict=True)]
         self._place = np.concatenate(places, axis=1)  # in ``values``, (cells, n)
         self._u, self._compiler = u, compiler
         self._held = np.zeros((*self._place.shape, 1))  # r_p(0, λ)
@@ -161,10 +150,8 @@ class Condensation:
 
     def set_values(self, values: Array) -> None:
         """Set the dofs of all fields, as in :meth:`values`."""
-        first = 0
-        for p in self.fields:
-            p.x.array[:] = values[first : first + len(p.x.array)]
-            first += len(p.x.array)
+        for p, part in zip(self.fields, np.split(values, self._first[1:]), strict=True):
+            p.x.array[:] = part
 
     def relax(self) -> None:
         """Let the fields satisfy their own equations at the present u, p ← p − K_pp⁻¹ r_p.
@@ -173,7 +160,7 @@ class Condensation:
         """
         for _ in range(1 if self._linear else LOCAL_STEPS):
             _, _, K_pp, r_p = self._assembled()
-            step = self._solved(K_pp, r_p)[:, :, 0]  # K_pp⁻¹ r_p
+            step = (self._inverse(K_pp) @ r_p)[:, :, 0]  # K_pp⁻¹ r_p
             values = self.values()
             values[self._place] -= step
             self.set_values(values)
@@ -242,9 +229,8 @@ class Condensation:
             ValueError: K_pp is singular in a cell.
         """
         K_up, K_pu, K_pp, r_p = self._assembled()
-        solved = self._solved(K_pp, np.concatenate([K_pu, r_p], axis=2))  # K_pp⁻¹ (K_pu, r_p)
-        slope, excess = np.ascontiguousarray(solved[:, :, :-1]), solved[:, :, -1:].copy()
-        return Blocks(K_up, slope, excess)
+        inverse = self._inverse(K_pp)
+        return Blocks(K_up, inverse @ K_pu, inverse @ r_p)
 
     def subtract_from(self, K: LocalMatrix, blocks: Blocks) -> None:
         """Condense, K ← K − K_up K_pp⁻¹ K_pu."""
@@ -280,28 +266,33 @@ class Condensation:
     def _assembled(self) -> tuple[Array, Array, Array, Array]:
         """Assemble K_up, (cells, d, n), K_pu, K_pp and r_p(u, p) − r_p(0, λ), (cells, n, 1)."""
         n, parts = len(self.fields), self._tensors.assemble()
-        K_up, K_pu, K_pp, r_p = (parts[a:b] for a, b in itertools.pairwise((0, n, 2 * n, -n, None)))
-        rows = [np.concatenate(K_pp[i : i + n], axis=2) for i in range(0, n * n, n)]
-        residual = np.concatenate(r_p, axis=1)[:, :, None] - self._held
-        return (
-            np.concatenate(K_up, axis=2),
-            np.concatenate(K_pu, axis=1),
-            np.concatenate(rows, axis=1),
-            residual,
-        )
+        K_pp = [parts[i : i + n] for i in range(2 * n, len(parts) - n, n)]
+        K_pu = [[part] for part in parts[n : 2 * n]]
+        residual = np.concatenate(parts[-n:], axis=1)[:, :, None] - self._held
+        return np.block(parts[:n]), np.block(K_pu), np.block(K_pp), residual
 
-    def _solved(self, K_pp: Array, right: Array) -> Array:
-        """Return K_pp⁻¹ X in the place of X, (cells, n, k); K_pp is lost.
+    def _inverse(self, K_pp: Array) -> Array:
+        """Return K_pp⁻¹, (cells, n, n), by rows and columns scaled to 1: in no units is it singular.
 
         Raises:
             ValueError: K_pp is singular in a cell.
         """
-        cells, n, k = right.shape
-        arrays = (K_pp, right, np.zeros(n))
-        at = self._code.lib.solve_blocks(cells, n, k, *(pointer(self._code, a) for a in arrays))
-        if at >= 0:
-            raise ValueError(self._singular(*divmod(int(at), n)))
-        return right
+        n = K_pp.shape[1]
+        rows = _reciprocal(np.abs(K_pp).max(axis=2, keepdims=True, initial=0.0))
+        columns = _reciprocal(np.abs(rows * K_pp).max(axis=1, keepdims=True, initial=0.0))
+        A = rows * K_pp * columns
+        try:
+            inverse = np.linalg.inv(A)
+            singular = np.abs(inverse).max(axis=(1, 2), initial=0.0) * n * SINGULAR >= 1.0
+        except np.linalg.LinAlgError:  # a pivot is zero
+            singular = np.linalg.matrix_rank(np.nan_to_num(A), n * SINGULAR) < n
+            singular &= np.isfinite(A).all(axis=(1, 2))
+        if singular.any():
+            cell = int(np.argmax(singular))
+            starts = (A[cell, :, :j] for j in range(1, n + 1))
+            dependent = [np.linalg.matrix_rank(a, n * SINGULAR) < a.shape[1] for a in starts]
+            raise ValueError(self._singular(cell, int(np.argmax(dependent))))
+        return np.swapaxes(columns, 1, 2) * inverse * np.swapaxes(rows, 1, 2)
 
     def _singular(self, cell: int, column: int) -> str:
         """Say where K_pp is singular, and what helps."""
@@ -318,21 +309,9 @@ class Condensation:
         )
 
 
-def _require_blocks(
-    fields: Sequence[dolfinx.fem.Function],
-    K_up: Sequence[ufl.Form],
-    K_pu: Sequence[ufl.Form],
-    K_pp: Sequence[Sequence[ufl.Form]],
-) -> None:
-    """Require that u meets a field, and each field one of them."""
-    names = ", ".join(f"'{p.name}'" for p in fields)
-    rows = {f"K_pp of '{p.name}'": row for p, row in zip(fields, K_pp, strict=True)}
-    for block, forms in {"K_up": K_up, "K_pu": K_pu, **rows}.items():
-        if all(_expanded(form).empty() for form in forms):
-            raise ValueError(
-                f"condense is {names}, but {block} is zero: condensation needs an energy with a "
-                "term in both u and p and a term in p², such as p (J − 1) − p²/(2κ)."
-            )
+def _reciprocal(sizes: Array) -> Array:
+    """Return 1 / x, and 1 for zero."""
+    return 1.0 / np.where(sizes == 0.0, 1.0, sizes)
 
 
 def _expanded(form: ufl.Form) -> ufl.Form:
