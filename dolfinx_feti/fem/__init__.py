@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Finite elements: a mesh cut into subdomains, and forms assembled on them.
 
-In the order of the data: elements, quadrature, nodes, compiler, facets, decomposition, regions,
-kernels, assembly, near_kernel, tensors, condensation, internal_variables, checks,
+In the order of the data: elements, quadrature, nodes, compiler, facets, decomposition, kernels,
+regions, assembly, near_kernel, tensors, condensation, internal_variables, checks,
 content.
 
 Cells are integrated in two ways: ``assembly`` adds one form to a matrix, a vector or a number,

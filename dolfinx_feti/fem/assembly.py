@@ -1,22 +1,19 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Assembly of the torn matrix: one form, one call, all subdomains of the process.
+r"""Assembly of the torn matrix, and of residuals and energies: one form, one call.
 
 .. math:: K_i[a, b] = ⟨φ_b, A'(U)\, φ_a⟩_{Ω_{0,i}}
 
-(eq. 27, on a subdomain). The bilinear form is the user's, with test and trial functions replaced by
-those of the torn space; coefficients, constants, measures and normals stay. Dirichlet conditions
+(eq. 27, on a subdomain), with test and trial functions of the torn space. Dirichlet conditions
 (eq. 7, Augustin_eq:Dirichlet) never enter K: the matrix carries the list of their dofs (``torn``).
-
-The matrix is one of dolfinx's; PETSc reads the same memory. Integrals over cells are added by
-kernels of this package (``kernel``), one for each region, with the places of their entries known
-beforehand, the others, and what only FFCx can compile, by dolfinx.
+dolfinx and PETSc read the same memory. Integrals over cells are added by kernels of this package,
+the others, and what only FFCx can compile, by dolfinx. Values of each cell by itself: ``tensors``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from petsc4py import PETSc
@@ -28,8 +25,8 @@ import ufl
 
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace
-from dolfinx_feti.fem.kernels.kernel import Kernel, create_kernel
-from dolfinx_feti.fem.regions import separate
+from dolfinx_feti.fem.kernels.kernel import Kernel
+from dolfinx_feti.fem.regions import compile_cells
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Indices, Mask, Numbers
 from dolfinx_feti.runtime.events import event
@@ -72,17 +69,10 @@ class SplitForm:
 
 
 def split_form(form: ufl.Form, mesh: dolfinx.mesh.Mesh, compiler: Compiler) -> SplitForm:
-    """Compile an energy or a residual.
-
-    Args:
-        form: The form.
-        mesh: Its mesh.
-        compiler: How.
-
-    Note:
-        Collective.
-    """
-    return _split(form, mesh, compiler, compiler.form)
+    """Compile an energy or a residual. Collective."""
+    kernels, (rest,) = compile_cells([form], mesh, compiler)
+    own = tuple(kernel for _, kernel in kernels)
+    return SplitForm(own, None if rest.empty() else compiler.form(rest))
 
 
 def torn_form(form: ufl.Form, space: TornSpace, compiler: Compiler | None = None) -> SplitForm:
@@ -100,26 +90,10 @@ def torn_form(form: ufl.Form, space: TornSpace, compiler: Compiler | None = None
         Collective.
     """
     require_no_coupling(form)
-    own = compiler or Compiler(space.V.mesh.comm)
-    return _split(form, space.V.mesh, own, lambda rest: dolfinx_form(rest, (space, space), own))
-
-
-def _split(
-    form: ufl.Form,
-    mesh: dolfinx.mesh.Mesh,
-    compiler: Compiler,
-    compiled: Callable[[ufl.Form], dolfinx.fem.Form],
-) -> SplitForm:
-    """Compile the integrals over cells as kernels, if that can be, the others for dolfinx."""
-    kernels = []
-    regions, rest = separate(ufl.algorithms.expand_derivatives(form), mesh)
-    for region in regions:
-        kernel = create_kernel([region.inside], mesh, compiler, region.cells)
-        if kernel is None:
-            rest = rest + region.form
-        else:
-            kernels.append(kernel)
-    return SplitForm(tuple(kernels), None if rest.empty() else compiled(rest))
+    compiler = compiler or Compiler(space.V.mesh.comm)
+    kernels, (rest,) = compile_cells([form], space.V.mesh, compiler)
+    own = tuple(kernel for _, kernel in kernels)
+    return SplitForm(own, None if rest.empty() else dolfinx_form(rest, (space, space), compiler))
 
 
 def dolfinx_form(

@@ -272,7 +272,7 @@ class Condensation:
         return np.block(parts[:n]), np.block(K_pu), np.block(K_pp), residual
 
     def _inverse(self, K_pp: Array) -> Array:
-        """Return K_pp⁻¹, (cells, n, n), by rows and columns scaled to 1: in no units is it singular.
+        """Return K_pp⁻¹, (cells, n, n); scaling its rows and columns removes all units.
 
         Raises:
             ValueError: K_pp is singular in a cell.

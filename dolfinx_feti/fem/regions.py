@@ -9,108 +9,107 @@ an integral over several numbers belongs to each of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
 import dolfinx
 import ufl
 
+from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.fem.kernels.kernel import Kernel, create_kernel
 from dolfinx_feti.runtime.arrays import Indices
 
-__all__ = ["Region", "separate"]
+__all__ = ["compile_cells"]
 
 
-@dataclass(frozen=True, slots=True)
-class Region:
-    """The integrals of a form over a part of the cells.
-
-    Attributes:
-        name: Number of the part and identity of the data that have it; None for all cells.
-        cells: Its owned cells; None for all.
-        inside: The integrals as if they were over all cells, so that parts of one material have
-            one signature.
-        form: The integrals as they are.
-    """
-
-    name: tuple[int, int] | None
-    cells: Indices | None
-    inside: ufl.Form
-    form: ufl.Form
-
-
-def separate(form: ufl.Form, mesh: dolfinx.mesh.Mesh) -> tuple[list[Region], ufl.Form]:
-    """Separate the integrals over cells, by a rule of basix, from the others.
+def compile_cells(
+    forms: Sequence[ufl.Form], mesh: dolfinx.mesh.Mesh, compiler: Compiler
+) -> tuple[list[tuple[list[int], Kernel]], list[ufl.Form]]:
+    """Compile the integrals over cells of several forms, one kernel for each region.
 
     Args:
-        form: The form.
-        mesh: Its mesh.
+        forms: The forms.
+        mesh: Their mesh.
+        compiler: How.
 
     Returns:
-        The regions, and the form of all other integrals.
+        Kernels, each with the numbers of its forms, and of each form what is left to dolfinx: other
+        integrals, and those that only FFCx can compile.
+
+    Note:
+        Collective.
     """
-    data = _data(form)
-    groups: dict[int | None, list[ufl.Integral]] = {}
-    others = []
-    for integral in form.integrals():
-        numbers = _numbers(integral)
-        if numbers is None or (numbers != (None,) and not _tells(data, mesh)):
-            others.append(integral)
+    groups: dict[tuple[int | None, int], dict[int, list[ufl.Integral]]] = {}
+    known: dict[tuple[int | None, int], Indices] = {}
+    rest = []
+    for i, form in enumerate(map(ufl.algorithms.expand_derivatives, forms)):
+        data, cells = _cells_of_numbers(form, mesh)
+        others = []
+        for integral in form.integrals():
+            numbers = _numbers(integral)
+            if numbers is None or (cells is None and numbers != [None]):
+                others.append(integral)
+                continue
+            for number in numbers:
+                key = number, 0 if number is None else data
+                groups.setdefault(key, {}).setdefault(i, []).append(integral)
+                if number is not None and cells is not None:
+                    known[key] = _owned(cells.get(number, ()), mesh)
+        rest.append(ufl.Form(others))
+    kernels = []
+    for key, group in groups.items():
+        inside = [ufl.Form([_over("everywhere", i) for i in each]) for each in group.values()]
+        kernel = create_kernel(inside, mesh, compiler, known.get(key))
+        if kernel is not None:
+            kernels.append((list(group), kernel))
             continue
-        for number in numbers:
-            one = integral if number is None else integral.reconstruct(subdomain_id=number)
-            groups.setdefault(number, []).append(one)
-    regions = [
-        Region(
-            None if number is None else (number, id(data[0])),
-            None if number is None else _cells(data[0], number, mesh),
-            ufl.Form([integral.reconstruct(subdomain_id="everywhere") for integral in integrals]),
-            ufl.Form(integrals),
-        )
-        for number, integrals in groups.items()
-    ]
-    return regions, ufl.Form(others)
+        for i, integrals in group.items():
+            part = "everywhere" if key[0] is None else key[0]
+            rest[i] += ufl.Form([_over(part, integral) for integral in integrals])
+    return kernels, rest
 
 
-def _data(form: ufl.Form) -> list[object]:
-    """Return the data of the measures of cells, each once."""
-    given = [i.subdomain_data() for i in form.integrals() if i.integral_type() == "cell"]
-    return list({id(data): data for data in given if data is not None}.values())
+def _over(part: int | str, integral: ufl.Integral) -> ufl.Integral:
+    """Return the same integral over another part of the domain."""
+    return integral.reconstruct(subdomain_id=part)
 
 
-def _numbers(integral: ufl.Integral) -> tuple[int | None, ...] | None:
-    """Return the numbers of an integral over cells, (None,) for all; None for another one."""
+def _numbers(integral: ufl.Integral) -> list[int | None] | None:
+    """Return the numbers of an integral over cells, [None] for all; None for another one."""
     rule = integral.metadata().get("quadrature_rule", "default")
     if integral.integral_type() != "cell" or rule != "default":
         return None
-    known = integral.subdomain_id()
-    if known == "everywhere":
-        return (None,)
-    numbers = known if isinstance(known, tuple) else (known,)
+    numbers = integral.subdomain_id()
+    if numbers == "everywhere":
+        return [None]
+    numbers = numbers if isinstance(numbers, tuple) else (numbers,)
     integers = all(isinstance(number, (int, np.integer)) for number in numbers)
-    return tuple(dict.fromkeys(map(int, numbers))) if integers else None
+    return list(dict.fromkeys(map(int, numbers))) if integers else None
 
 
-def _tells(data: list[object], mesh: dolfinx.mesh.Mesh) -> bool:
-    """Whether the data of a form say which cells have a number, each cell once."""
+def _cells_of_numbers(
+    form: ufl.Form, mesh: dolfinx.mesh.Mesh
+) -> tuple[int, dict[int, Indices] | None]:
+    """Return the identity of the data of the measures and the cells of each number.
+
+    The latter are None if only dolfinx knows: there are several data, or cells that occur twice.
+    """
+    given = [i.subdomain_data() for i in form.integrals() if i.integral_type() == "cell"]
+    data = {id(known): known for known in given if known is not None}
     if len(data) != 1:
-        return False
-    (known,) = data
-    if isinstance(known, dolfinx.mesh.MeshTags):
-        return bool(known.dim == mesh.topology.dim)
-    if not isinstance(known, list):
-        return False
-    numbers = [number for number, _ in known]
+        return 0, None
+    ((key, known),) = data.items()
+    if isinstance(known, dolfinx.mesh.MeshTags) and known.dim == mesh.topology.dim:
+        return key, {int(number): known.find(number) for number in np.unique(known.values)}
+    if not isinstance(known, list) or len(dict(known)) < len(known):
+        return key, None
     once = all(len(np.unique(cells)) == len(cells) for _, cells in known)
-    return once and len(set(numbers)) == len(numbers)
+    return key, dict(known) if once else None
 
 
-def _cells(data: object, number: int, mesh: dolfinx.mesh.Mesh) -> Indices:
-    """Return the owned cells with a number."""
-    if isinstance(data, dolfinx.mesh.MeshTags):
-        found = data.find(number)
-    else:
-        assert isinstance(data, list)
-        found = np.asarray(dict(data).get(number, ()))
+def _owned(cells: Sequence[int] | Indices, mesh: dolfinx.mesh.Mesh) -> Indices:
+    """Return those of the cells that this process owns."""
+    found = np.asarray(cells, dtype=np.int32)
     owned = mesh.topology.index_map(mesh.topology.dim).size_local
-    return found[(found >= 0) & (found < owned)].astype(np.int32)
+    return found[(found >= 0) & (found < owned)]

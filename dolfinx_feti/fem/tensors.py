@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -16,8 +15,7 @@ import ufl
 from dolfinx_feti.fem.assembly import create_csr, dolfinx_form, require_no_coupling
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace
-from dolfinx_feti.fem.kernels.kernel import Kernel, create_kernel
-from dolfinx_feti.fem.regions import Region, separate
+from dolfinx_feti.fem.regions import compile_cells
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array
 
@@ -49,24 +47,10 @@ class CellTensors:
         self._shapes = [
             (cells, *(_width(a.ufl_function_space()) for a in form.arguments())) for form in forms
         ]
-        parts = [separate(ufl.algorithms.expand_derivatives(form), mesh) for form in forms]
-        rest = {i: others for i, (_, others) in enumerate(parts)}
-        groups: dict[tuple[int, int] | None, dict[int, Region]] = {}
-        for i, (regions, _) in enumerate(parts):
-            for region in regions:
-                groups.setdefault(region.name, {})[i] = region
-        self._kernels: list[tuple[list[int], Kernel]] = []
-        for group in groups.values():
-            inside = [region.inside for region in group.values()]
-            cells = next(iter(group.values())).cells
-            kernel = create_kernel(inside, mesh, compiler, cells)
-            if kernel is None:
-                rest |= {i: rest[i] + region.form for i, region in group.items()}
-            else:
-                self._kernels.append((list(group), kernel))
+        self._kernels, rest = compile_cells(forms, mesh, compiler)
         self._rest = {
-            i: _Rest.create(form, self._shapes[i], compiler)
-            for i, form in rest.items()
+            i: _assembler(form, self._shapes[i], compiler)
+            for i, form in enumerate(rest)
             if not form.empty()
         }
 
@@ -81,41 +65,25 @@ class CellTensors:
         for numbers, kernel in self._kernels:
             for i, part in zip(numbers, kernel.evaluate(), strict=True):
                 values[i][kernel.rows] += part
-        for i, rest in self._rest.items():
-            values[i] += rest.assemble()
+        for i, assemble in self._rest.items():
+            values[i] += assemble()
         return values
 
 
-@dataclass(frozen=True, slots=True)
-class _Rest:
-    """A form that dolfinx assembles, with dofs of its own for each cell, in the cell's order.
+def _assembler(form: ufl.Form, shape: tuple[int, ...], compiler: Compiler) -> Callable[[], Array]:
+    """Compile a form for dolfinx, with dofs of its own for each cell, in the cell's order."""
+    spaces = [_broken(a.ufl_function_space(), shape[0]) for a in form.arguments()]
+    compiled = dolfinx_form(form, spaces, compiler)
+    if len(spaces) < 2:
+        return lambda: dolfinx.fem.assemble_vector(compiled).array.reshape(shape)
+    csr = create_csr((spaces[0], spaces[1]), compiler)  # rows have the columns of their cell
 
-    Attributes:
-        form: The form.
-        shape: (cells, …) with the dofs of a cell for each argument.
-        csr: The matrix of a bilinear form, whose rows have the columns of their cell.
-    """
+    def matrix() -> Array:
+        csr.data[:] = 0.0
+        dolfinx.fem.assemble_matrix(csr, compiled)  # type: ignore[arg-type]
+        return np.asarray(csr.data).reshape(shape)
 
-    form: dolfinx.fem.Form
-    shape: tuple[int, ...]
-    csr: dolfinx.la.MatrixCSR | None
-
-    @classmethod
-    def create(cls, form: ufl.Form, shape: tuple[int, ...], compiler: Compiler) -> _Rest:
-        """Compile a form."""
-        spaces = [_broken(a.ufl_function_space(), shape[0]) for a in form.arguments()]
-        matrix = create_csr((spaces[0], spaces[1]), compiler) if len(spaces) == 2 else None
-        return cls(dolfinx_form(form, spaces, compiler), shape, matrix)
-
-    def assemble(self) -> Array:
-        """Assemble, (cells, …)."""
-        if self.csr is None:
-            vector = np.zeros(self.shape)
-            dolfinx.fem.assemble_vector(vector.reshape(-1), self.form)
-            return vector
-        self.csr.data[:] = 0.0
-        dolfinx.fem.assemble_matrix(self.csr, self.form)  # type: ignore[arg-type]
-        return np.asarray(self.csr.data).reshape(self.shape)
+    return matrix
 
 
 def _width(V: dolfinx.fem.FunctionSpace) -> int:

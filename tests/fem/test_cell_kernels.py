@@ -21,7 +21,7 @@ from dolfinx_feti import kinematics, materials
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.kernels import kernel
 from dolfinx_feti.fem.kernels.kernel import create_kernel
-from dolfinx_feti.fem.regions import separate
+from dolfinx_feti.fem.regions import compile_cells
 from dolfinx_feti.fem.tensors import CellTensors
 
 EPS = np.finfo(float).eps
@@ -129,13 +129,14 @@ def test_regions_and_the_rest():
     tags = dolfinx.mesh.meshtags(mesh, 2, cells, (cells % 3).astype(np.int32))
     dx = ufl.Measure("dx", mesh, subdomain_data=tags)
     form = u[0] * (dx + dx((1, 2)) + dx(2)) + u[0] * ufl.ds + u[1] * dx(scheme="vertex")
-    regions, rest = separate(form, mesh)
-    names = [region.name and region.name[0] for region in regions]
-    agree(names == [1, 2, None] and regions[2].cells is None, names)
-    agree(np.array_equal(regions[0].cells, cells[1::3]), regions[0].cells)
+    kernels, (rest,) = compile_cells([form], mesh, Compiler(COMM))
+    (one, two, everywhere) = (kernel.cells for _, kernel in kernels)
+    agree(everywhere is None and all(numbers == [0] for numbers, _ in kernels), kernels)
+    agree(np.array_equal(one, cells[1::3]) and np.array_equal(two, cells[2::3]), (one, two))
     agree({i.integral_type() for i in rest.integrals()} == {"exterior_facet", "cell"}, rest)
-    regions, rest = separate(u[0] * ufl.dx + u[0] * ufl.dx(3), mesh)  # dolfinx tells what 3 is
-    agree(len(regions) == len(rest.integrals()) == 1, rest)
+    form = u[0] * ufl.dx + u[0] * ufl.dx(3)  # dolfinx tells what 3 is
+    kernels, (rest,) = compile_cells([form], mesh, Compiler(COMM))
+    agree(len(kernels) == len(rest.integrals()) == 1, rest)
 
 
 def at_points(mesh: dolfinx.mesh.Mesh, shape: tuple[int, ...]) -> dolfinx.fem.Function:
