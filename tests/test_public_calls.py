@@ -61,7 +61,7 @@ def test_calls_that_work_for_others():
     _, ksp = comparison.timed_solve(problem.create_linear_solver, b, x)
     small(np.linalg.norm(figures.residual_shares(A, b, x)) / b.norm(), 1e-7)
     context = ksp.getPythonContext()
-    found = figures.collect_figures(context.form, context.report())
+    found = figures.collect_figures(context.form)
     agree(len(set(COMM.allgather(repr(found)))) == 1, found)
     cost = comparison.record_cost(ksp, (0.0, 1.0, 3.0), comparison.PeakMemory())
     agree((cost.seconds_setup, cost.seconds_solve) == (1.0, 2.0), cost)

@@ -1,17 +1,15 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Advice: each piece from one measured quantity that has passed a threshold.
-
-The thresholds of the number of subdomains are from ``docs/results/subdomains.md``, that of the soft
-modes from ``docs/theory.md``.
-"""
+"""Advice: each piece from one quantity that has passed a threshold (docs/diagnosing.md)."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from dolfinx_feti.diagnosis.figures import Figures
+from dolfinx_feti.feti.report import Report
 
 __all__ = ["Advice", "advise"]
 
@@ -59,39 +57,40 @@ class Advice:
         return f"{self.text} ({self.quantity}: {self.value:.4g}, threshold {self.threshold:g})"
 
 
-def advise(figures: Figures, *, iterations: int, prefix: str) -> tuple[Advice, ...]:
+def advise(
+    figures: Mapping[str, Any], report: Report, *, iterations: int, prefix: str
+) -> list[Advice]:
     """Derive advice from figures and the iterations of one linear solve."""
-    report, mean, size = figures.report, figures.dofs_subdomain.mean, "mean dofs of a subdomain"
-    several, many = figures.subdomains_process.most > 1, iterations > MANY_ITERATIONS
-    fewer, more = "Take fewer subdomains.", "Take more subdomains."
-    ratio, (low, high) = figures.dofs_subdomain.most / mean, report.eigenvalues
-    condition = high / low if low > 0.0 else 0.0
-    weigh = f"Weigh the copies by stiffness, -{prefix}feti_scaling stiffness."
-    soft = f"Let soft modes join the coarse space, -{prefix}feti_coarse_modes 12."
-    locks = (
-        "Take P2 displacements or a smaller κ: with more pressures than dofs, a nearly "
-        "incompressible body locks."
-    )
-    rounds = (
-        "Lower a penalty such as κ, and let an augmented Lagrangian make up for it: rounding "
-        "ends the linear solve above its tolerance."
-    )
-    raised = figures.pressure_stiffness
-    indefinite = "Load in smaller steps: the tangent is indefinite, and CG cannot solve with it."
-    crowded, negative = figures.pressures_per_dof > PRESSURES, report.inertia.assembled or 0
+    _, mean, most = figures["dofs of a subdomain"]
+    several, many = figures["subdomains / process"][2] > 1, iterations > MANY_ITERATIONS
+    low, high = report.eigenvalues
+    condition, jump = high / low if low > 0.0 else 0.0, figures["jump of stiffness"]
+    stiffer = figures.get("stiffer by pressures", 1.0)
+    crowded = figures.get("pressures per dof", 0.0) > PRESSURES
+    negative, size = report.inertia.assembled or 0, "mean dofs of a subdomain"
     rules: list[tuple[object, str, str, float, float]] = [
-        (several and mean < FEW_DOFS, fewer, size, mean, FEW_DOFS),
+        (several and mean < FEW_DOFS, "Take fewer subdomains.", size, mean, FEW_DOFS),
         (several and FEW_DOFS <= mean < MANY_DOFS and many,
-         fewer, "iterations", iterations, MANY_ITERATIONS),
-        (mean > MANY_DOFS and not many, more, size, mean, MANY_DOFS),
-        (ratio > UNEVEN, "Cut the mesh more evenly.", "largest subdomain over mean", ratio, UNEVEN),
-        (report.options.scaling == "multiplicity" and figures.jump > JUMP,
-         weigh, "jump of the stiffness between subdomains", figures.jump, JUMP),
+         "Take fewer subdomains.", "iterations", iterations, MANY_ITERATIONS),
+        (mean > MANY_DOFS and not many, "Take more subdomains.", size, mean, MANY_DOFS),
+        (most / mean > UNEVEN,
+         "Cut the mesh more evenly.", "largest subdomain over mean", most / mean, UNEVEN),
+        (report.options.scaling == "multiplicity" and jump > JUMP,
+         f"Weigh the copies by stiffness, -{prefix}feti_scaling stiffness.",
+         "jump of the stiffness between subdomains", jump, JUMP),
         (report.options.coarse_modes == 0 and condition > CONDITION,
-         soft, "condition number", condition, CONDITION),
-        (crowded and raised > STIFFER,
-         locks, "stiffness with the pressure over that without", raised, STIFFER),
-        (report.floor > ROUNDING, rounds, "residual that is rounding", report.floor, ROUNDING),
-        (negative, indefinite, "negative eigenvalues, at least", negative, 0),
+         f"Let soft modes join the coarse space, -{prefix}feti_coarse_modes 12.",
+         "condition number", condition, CONDITION),
+        (crowded and stiffer > STIFFER,
+         "Take P2 displacements or a smaller κ: with more pressures than dofs, a nearly "
+         "incompressible body locks.",
+         "stiffness with the pressure over that without", stiffer, STIFFER),
+        (report.floor > ROUNDING,
+         "Lower a penalty such as κ, and let an augmented Lagrangian make up for it: rounding "
+         "ends the linear solve above its tolerance.",
+         "residual that is rounding", report.floor, ROUNDING),
+        (negative,
+         "Load in smaller steps: the tangent is indefinite, and CG cannot solve with it.",
+         "negative eigenvalues, at least", negative, 0),
     ]  # fmt: skip
-    return tuple(Advice(text, what, x, most) for holds, text, what, x, most in rules if holds)
+    return [Advice(text, what, x, most) for holds, text, what, x, most in rules if holds]

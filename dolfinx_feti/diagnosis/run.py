@@ -5,10 +5,9 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 from mpi4py import MPI
@@ -17,38 +16,16 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.diagnosis.advice import Advice, advise
-from dolfinx_feti.diagnosis.figures import Figures, Spread, collect_figures, residual_shares
-from dolfinx_feti.feti.report import table
+from dolfinx_feti.diagnosis.figures import Figure, collect_figures, residual_shares
+from dolfinx_feti.feti.report import Report, table
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.cost import timed_solve
 from dolfinx_feti.runtime.events import seconds_of
 from dolfinx_feti.runtime.tables import json_value
 
-__all__ = ["Diagnosis", "Seconds", "diagnose"]
+__all__ = ["Diagnosis", "diagnose"]
 
-
-PHASES = ("FETIGluing", "FETIFactor", "FETICoarse")
-
-
-@dataclass(frozen=True, slots=True)
-class Seconds:
-    """What the time of one linear solve went into, on the slowest process [s].
-
-    Attributes:
-        assembly: Matrix and right-hand side.
-        gluing: B and its weights.
-        factors: Local factors and kernels.
-        coarse: Coarse problem.
-        setup: All of the set-up.
-        solve: Krylov method.
-    """
-
-    assembly: float
-    gluing: float
-    factors: float
-    coarse: float
-    setup: float
-    solve: float
+PHASES = {"gluing": "FETIGluing", "factors": "FETIFactor", "coarse problem": "FETICoarse"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,24 +33,27 @@ class Diagnosis:
     """Diagnosis of a problem; ``str`` prints it. The same on all processes.
 
     Attributes:
-        figures: Figures of the solver; None if its set-up failed.
+        report: What ``-ksp_view`` shows; None if the set-up failed.
+        figures: What else was measured, by name; of three numbers the least, mean and greatest.
         method: Krylov method.
         iterations: Krylov iterations.
         relative_residual: ‖b − A x‖/‖b‖ after them.
         message: Why the solve failed, or an empty string.
-        seconds: Time.
+        seconds: What the time went into, on the slowest process [s]: ``assembly``; ``set-up``, with
+            ``gluing``, ``factors`` and the ``coarse problem``; ``solve``.
         peak_mib: Peak memory above mesh and matrix, of all processes together [MiB].
         residuals: Part of each subdomain in the residual of the present state, (subdomains,), in
             the order of their numbers, ``decomposition.first + decomposition.subdomain``.
         advice: What would help.
     """
 
-    figures: Figures | None
+    report: Report | None
+    figures: Mapping[str, Figure]
     method: str
     iterations: int
     relative_residual: float
     message: str
-    seconds: Seconds
+    seconds: Mapping[str, float]
     peak_mib: float
     residuals: Array
     advice: tuple[Advice, ...]
@@ -85,55 +65,26 @@ class Diagnosis:
 
     def __str__(self) -> str:
         """Return the solver's own report, what was measured, and the advice."""
-        s = self.seconds
         rows = [
-            *([] if self.figures is None else _rows(self.figures)),
+            *((name, _text(figure)) for name, figure in self.figures.items()),
             ("iterations", f"{self.iterations} ({self.method or 'none'})"),
             ("residual", f"{self.relative_residual:.1e}"),
-            (
-                "time [s]",
-                f"assembly {s.assembly:.2f}, set-up {s.setup:.2f} (gluing {s.gluing:.2f}, factors "
-                f"{s.factors:.2f}, coarse problem {s.coarse:.2f}), solve {s.solve:.2f}",
-            ),
-            ("peak memory [MiB]", "–" if math.isnan(self.peak_mib) else f"{self.peak_mib:.0f}"),
-            ("failed", self.message),
-            *([("advice", str(advice)) for advice in self.advice] or [("advice", "none")]),
+            ("time [s]", ", ".join(f"{name} {t:.2f}" for name, t in self.seconds.items())),
+            ("peak memory [MiB]", _text(self.peak_mib)),
+            *([("failed", self.message)] if self.message else []),
+            *(("advice", str(advice)) for advice in self.advice or ("none",)),
         ]
-        report = "" if self.figures is None else textwrap.dedent(table(self.figures.report))
-        return report + "\n".join(f"{name:<22}{value}" for name, value in rows if value)
+        report = "" if self.report is None else textwrap.dedent(table(self.report))
+        return report + "\n".join(f"{name:<22}{value}" for name, value in rows)
 
 
-def _rows(figures: Figures) -> list[tuple[str, str]]:
-    """Return what the solver's report does not have."""
-    copies = ", ".join(
-        f"{n} of {m} {'copies' if m > 1 else 'copy'}"
-        for m, n in enumerate(figures.multiplicities, start=1)
-        if n
-    )
-    pressure = ""
-    if figures.pressures_per_dof:
-        pressure = (
-            f"{figures.pressures_per_dof:.2f} for each dof, which they make "
-            f"{figures.pressure_stiffness:.4g} times as stiff"
-        )
-    return [
-        ("dofs each", _spread(figures.dofs_subdomain)),
-        ("interface", f"share of a subdomain's dofs {_spread(figures.interface, '.2f')}"),
-        ("dofs with copies", copies),
-        ("jump of stiffness", f"{figures.jump:.4g}"),
-        ("rigid body modes", f"{figures.motions}; {figures.null} null vectors in addition"),
-        ("pressures", pressure),
-        (
-            "processes",
-            f"subdomains {_spread(figures.subdomains_process)}, dofs "
-            f"{_spread(figures.dofs_process)}, factors [MiB] {_spread(figures.factor_mib_process)}",
-        ),
-    ]
-
-
-def _spread(spread: Spread, form: str = ".0f") -> str:
-    """Format the least, mean and most of something."""
-    return f"{spread.least:{form}} … {spread.mean:{form}} … {spread.most:{form}}"
+def _text(figure: Figure) -> str:
+    """Format a figure."""
+    if isinstance(figure, str):
+        return figure
+    if isinstance(figure, (list, tuple)):
+        return (", " if isinstance(figure, list) else " … ").join(map(_text, figure))
+    return "–" if np.isnan(figure) else f"{figure:.0f}" if abs(figure) >= 100 else f"{figure:.3g}"
 
 
 def diagnose(
@@ -152,40 +103,32 @@ def diagnose(
     """
     started = time.perf_counter()
     A, b = linear_system()
-    assembly = time.perf_counter() - started
+    seconds = {"assembly": time.perf_counter() - started}
     comm = A.comm.tompi4py()
-    x = b.duplicate()
+    x, load, solution = b.duplicate(), b.copy(), b.duplicate()
     x.array[:] = state
-    load, solution = b.copy(), b.duplicate()
     if not b.norm() > 0.0:
         load.array[:] = np.random.default_rng(comm.rank).standard_normal(load.getLocalSize())
     if not PETSc.Log.isActive():
         PETSc.Log.begin()
-    before = seconds_of(PHASES)
+    before = seconds_of(PHASES.values())
     cost, ksp = timed_solve(create, load, solution)
-    spent = [now - then for now, then in zip(seconds_of(PHASES), before, strict=True)]
-    gluing, factors, coarse = (comm.allreduce(seconds, op=MPI.MAX) for seconds in spent)
+    spent = np.subtract(seconds_of(PHASES.values()), before)
+    seconds |= {"set-up": cost.seconds_setup, **dict(zip(PHASES, spent, strict=True))}
+    seconds["solve"] = cost.seconds_solve
     feti = ksp.getPythonContext()
-    figures, report = None, feti.report()
-    if feti.form is not None and report is not None:
-        figures = collect_figures(feti.form, report)
-    advice: tuple[Advice, ...] = ()
-    if figures is not None:
-        advice = advise(figures, iterations=cost.iterations, prefix=prefix)
+    report, figures, advice = feti.report(), dict[str, Figure](), list[Advice]()
+    if report is not None:
+        figures = collect_figures(feti.form)
+        advice = advise(figures, report, iterations=cost.iterations, prefix=prefix)
     diagnosis = Diagnosis(
+        report=report,
         figures=figures,
         method=feti.method,
         iterations=cost.iterations,
         relative_residual=feti.residual,
         message=feti.message,
-        seconds=Seconds(
-            assembly=comm.allreduce(assembly, op=MPI.MAX),
-            gluing=gluing,
-            factors=factors,
-            coarse=coarse,
-            setup=cost.seconds_setup,
-            solve=cost.seconds_solve,
-        ),
+        seconds={name: float(comm.allreduce(t, op=MPI.MAX)) for name, t in seconds.items()},
         peak_mib=cost.peak_mib,
         residuals=residual_shares(A, b, x),
         advice=(*known, *advice),
