@@ -27,13 +27,12 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.axes import Axes
 
 import dolfinx
 
 from benchmarks.common import command
 from benchmarks.common.pages import Fields, groups
-from benchmarks.common.plots import COLOURS, curve, picture
+from benchmarks.common.plots import COLOURS, picture
 from benchmarks.common.records import Record
 from benchmarks.common.study import Keep, Study
 from benchmarks.common.walls.problem import WallProblem, create_wall_problem
@@ -47,34 +46,30 @@ from meshes.walls import open_wall
 
 __all__ = ["NAMES", "STUDY", "at_points", "five_points"]
 
-
 Array = npt.NDArray[np.float64]
 
-NAMES = "ABCDE"
-
+#: The points, and what tells one wall with its solver from another.
+NAMES, RUN = "ABCDE", ("geometry", "size", "degree", "subdomains", "type")
 
 TYPES = ("all_floating", "classical")
 
-PHYSICS = ("geometry", "size", "degree", "c", "kappa")
+#: Stiffness of the matrix material, κ [kPa], and the relative tolerance of the linear systems.
+FIXED = {"c": 6.0, "kappa": 1000.0, "rtol": 1e-8}
 
 LEAST = 0.05  # mmHg
 
 #: Newton steps that a load step may take: on the way down from fold to fold they are many.
 NEWTON_STEPS = 100
 
+DIRECT = "one subdomain, direct"
 
 VARIANTS = {
     "all-floating": {"color": "#8a8f98", "marker": "o"},
     "classical": {"color": "#1c1c1c", "marker": "s", "ls": "--"},
-    "one subdomain, direct": {"color": COLOURS[1], "marker": "^", "ls": ":"},
+    DIRECT: {"color": COLOURS[1], "marker": "^", "ls": ":"},
 }
 
-DIRECT = "one subdomain, direct"
-
 POINTS = {name: {"color": colour} for name, colour in zip(NAMES, COLOURS, strict=True)}
-
-#: What tells one wall with its solver from another.
-RUN = ("geometry", "size", "degree", "subdomains", "type")
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
@@ -84,19 +79,16 @@ def _options(parser: argparse.ArgumentParser) -> None:
     add("--pressure", type=positive, default=300.0, help="[mmHg], 300")
     add("--first", type=positive, default=10.0, help="increment of the pressure [mmHg], 10")
     add("--degree", type=int, choices=(1, 2), default=1, help="of the displacements, 1")
-    add("--c", type=positive, default=6.0, help="[kPa], 6")
-    add("--kappa", type=positive, default=1000.0, help="[kPa], 1000")
     add("--subdomains", type=count, default=32, help="over all processes, 32")
-    add("--rtol", type=positive, default=1e-8, help="of the linear systems, 1e-8")
     add("--checkpoint", type=Path, metavar="FOLDER", help="where the last states are kept")
 
 
 def _cases(
     args: argparse.Namespace, _parser: argparse.ArgumentParser, comm: MPI.Comm
 ) -> Iterator[Record]:
-    shared = {name: getattr(args, name) for name in (*PHYSICS, "subdomains", "rtol")}
-    for kind in args.type:
-        yield shared | {"type": kind, "processes": comm.size}
+    names = ("geometry", "size", "degree", "subdomains")
+    shared = FIXED | {name: getattr(args, name) for name in names}
+    yield from (shared | {"type": kind, "processes": comm.size} for kind in args.type)
 
 
 def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> None:
@@ -129,8 +121,8 @@ def _checkpoint(args: argparse.Namespace, case: Record, comm: MPI.Comm) -> Check
     kept = on_first(lambda: (folder / "state.npz").exists(), comm)
     if kept and args.again:
         raise ValueError(f"--again begins anew, but {folder} holds a run: name another folder")
-    physics = {name: case[name] for name in (*PHYSICS, "type")}
-    return Checkpoint(folder, comm, parameters=physics, restart=kept)
+    names = ("geometry", "size", "degree", "c", "kappa", "type")
+    return Checkpoint(folder, comm, parameters={n: case[n] for n in names}, restart=kept)
 
 
 def _cost(step: LoadStep) -> Record:
@@ -193,10 +185,33 @@ def at_points(body: WallProblem, points: Sequence[npt.NDArray[np.int64]]) -> tup
 
 
 def _fields(records: Sequence[Record]) -> Fields:
-    runs = groups(records, *RUN)
-    by_pressure = [sorted(mine, key=lambda step: step["pressure_mmhg"]) for _, mine in runs]
+    runs = [_rising(mine) for _, mine in groups(records, *RUN)]
     first = {name: records[0][name] for name in ("c", "kappa")}
-    return first | {"runs": [_summary(steps) for steps in by_pressure]}
+    return first | {"runs": [_summary(steps) for steps in runs]}
+
+
+def _rising(steps: Sequence[Record]) -> list[Record]:
+    return sorted(steps, key=lambda step: step["pressure_mmhg"])
+
+
+def _summary(steps: Sequence[Record]) -> dict[str, object]:
+    """Sum up a run, and give its last state."""
+    every = {name: [step[name] for step in steps] for name in steps[0]}
+    mean, seconds = every["linear_iterations_mean"], every["seconds"]
+    return steps[-1] | {
+        "variant": _variant(steps[0]),
+        "load_steps": len(steps),
+        "newton": sum(every["newton_iterations"]),
+        "linear": sum(every["linear_iterations"]),
+        "fewest": min(mean),
+        "most": max(mean),
+        "worst": max(every["max_linear_residual"]),
+        "seconds_in_all": None if None in seconds else sum(seconds),
+    }
+
+
+def _variant(step: Record) -> str:
+    return DIRECT if step["subdomains"] == 1 else str(step["type"]).replace("_", "-")
 
 
 def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
@@ -208,65 +223,39 @@ def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
             if size is not None:  # the generator's default
                 name, mesh = f"{geometry}_{size:g}", f"{geometry}, edges of {size:g} mm"
             file = f"loading_{name}_p{degree}.png"
-            _draw_panels(folder / file, mine)
+            _draw_panels(folder / file, _rising(mine))
             pictures.append({"picture": file, "mesh": mesh, "degree": degree})
     return pictures
 
 
-def _summary(steps: Sequence[Record]) -> dict[str, object]:
-    """Sum up a run, and give its last state."""
-    seconds = [step["seconds"] for step in steps]
-    mean = [step["linear_iterations_mean"] for step in steps]
-    return dict(steps[-1]) | {
-        "variant": _variant(steps[0]),
-        "load_steps": len(steps),
-        "newton": sum(step["newton_iterations"] for step in steps),
-        "linear": sum(step["linear_iterations"] for step in steps),
-        "fewest": min(mean),
-        "most": max(mean),
-        "worst": max(step["max_linear_residual"] for step in steps),
-        "seconds_in_all": None if None in seconds else sum(seconds),
-    }
-
-
-def _variant(step: Record) -> str:
-    return DIRECT if step["subdomains"] == 1 else str(step["type"]).replace("_", "-")
-
-
 def _draw_panels(path: Path, records: Sequence[Record]) -> None:
     """Draw the four panels of one wall and degree."""
-    records = sorted(records, key=lambda step: step["pressure_mmhg"])
-    by_variant = {name: [s for s in records if _variant(s) == name] for name in VARIANTS}
-    by_variant = {name: steps for name, steps in by_variant.items() if steps}
-    legend = POINTS | {name: VARIANTS[name] for name in by_variant}
-    with picture(path, 2, 2, legend) as ((stress, norm), (iterations, seconds)):
-        farthest = max(by_variant.values(), key=lambda steps: steps[-1]["pressure_mmhg"])
+    runs = {name: [s for s in records if _variant(s) == name] for name in VARIANTS}
+    runs = {name: steps for name, steps in runs.items() if steps}
+    labels = "displacement norm u_norm [mm]", "FETI iterations of a Newton step"
+    with picture(path, 2, 2, POINTS | {name: VARIANTS[name] for name in runs}) as axes:
+        stress, *over_pressure = axes.flat
+        norm, iterations, seconds = over_pressure
+        for ax, label in zip(over_pressure, (*labels, "seconds of a load step"), strict=True):
+            ax.set(xlabel="pressure [mmHg]", ylabel=label)
+        stress.set(xlabel="relative displacement u_rel", ylabel="stress magnitude σ_mag [kPa]")
+        farthest = max(runs.values(), key=lambda steps: steps[-1]["pressure_mmhg"])
+        p = [0.0, *(step["pressure_mmhg"] for step in farthest)]
         for name, style in POINTS.items():
-            u = [0.0, *(step["u_norm"][name] for step in farthest)]
-            sigma = [0.0, *(step["stress_magnitude"][name] for step in farthest)]
-            relative = [value / (max(u) or 1.0) for value in u]
-            curve(stress, list(zip(relative, sigma, strict=True)), marker=".", **style)
-            curve(norm, [(0.0, 0.0), *_over(farthest, u[1:])], marker=".", **style)
-        for name, steps in by_variant.items():
-            style = VARIANTS[name] | {"ms": 4}
+            u, sigma = (
+                np.array([0.0, *(step[what][name] for step in farthest)])
+                for what in ("u_norm", "stress_magnitude")
+            )
+            stress.plot(u / (u.max() or 1.0), sigma, marker=".", **style)
+            norm.plot(p, u, marker=".", **style)
+        for name, steps in runs.items():
+            p = [step["pressure_mmhg"] for step in steps]
+            seconds.plot(p, [step["seconds"] for step in steps], **VARIANTS[name], ms=4)
             if name != DIRECT:
                 its = [step["linear_iterations_mean"] for step in steps]
-                curve(iterations, _over(steps, its), **style)
-            curve(seconds, _over(steps, [step["seconds"] for step in steps]), **style)
-        stress.set(xlabel="relative displacement u_rel", ylabel="stress magnitude σ_mag [kPa]")
-        _label(norm, "displacement norm u_norm [mm]")
-        _label(iterations, "FETI iterations of a Newton step")
-        _label(seconds, "seconds of a load step")
-
-
-def _over(steps: Sequence[Record], values: Sequence[float]) -> list[tuple[float, float]]:
-    """Return values over the pressure."""
-    return list(zip((float(step["pressure_mmhg"]) for step in steps), values, strict=True))
-
-
-def _label(ax: Axes, text: str) -> None:
-    ax.set(xlabel="pressure [mmHg]", ylabel=text)
-    ax.set_ylim(bottom=0)
+                iterations.plot(p, its, **VARIANTS[name], ms=4)
+        for ax in over_pressure:
+            ax.set_ylim(bottom=0)
 
 
 STUDY = Study(

@@ -30,7 +30,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.common import command, paper
 from benchmarks.common.clock import Stopwatch
@@ -39,7 +38,6 @@ from benchmarks.common.records import Record
 from benchmarks.common.study import Keep, Study
 from benchmarks.common.walls import first_step
 from benchmarks.common.walls.first_step import ARTERIES, CHOICES, LAYERS, PRECONDITIONERS, TYPES
-from benchmarks.common.walls.problem import WallProblem
 from benchmarks.common.walls.rims import CONTACTS, partition
 from benchmarks.common.walls.volume import summarise, volume_ratios
 from dolfinx_feti import ConvergenceError
@@ -56,10 +54,6 @@ KAPPA = (10.0, 100.0, 1000.0)
 #: Most Newton steps: with the paper's tangent as many as it took at least.
 NEWTON_STEPS = {"paper": 4, "default": 20}
 
-#: How one subdomain meets the rim, see ``rims``.
-RIM = {"whole": "", "few": ", few points on the rim", "none": ", off the rim"}
-
-
 #: What a mesh and its decomposition are told by.
 WALL = ("geometry", "size", "degree", "layers", "subdomains", "processes", "pressure")
 
@@ -75,7 +69,6 @@ def _options(parser: argparse.ArgumentParser) -> None:
     command.add_choices(parser, "--type", tuple(TYPES))
     command.add_choices(parser, "--pc", PRECONDITIONERS)
     command.add_choices(parser, "--choices", tuple(CHOICES))
-    command.add_choices(parser, "--contact", CONTACTS)
     add("--most-iterations", type=count, default=10_000, help="of a linear solve, 10000")
 
 
@@ -83,34 +76,20 @@ def _cases(
     args: argparse.Namespace, _parser: argparse.ArgumentParser, comm: MPI.Comm
 ) -> Iterator[Record]:
     """Yield the cases that a command line asks for, the strong preconditioners first."""
-    usual: Record = {
-        "geometry": args.geometry,
-        "size": args.size,
-        "layers": 1,
-        "degree": args.degree,
-        "subdomains": args.subdomains,  # before a rim is cut off
-        "contact": "whole",
-        "kappa": max(args.kappa),
-        "pressure": args.pressure,
-        "type": "all_floating",
-        "pc": "dirichlet",
-        "choices": "paper",
-        "processes": comm.size,
-    }
-    for layers in args.layers if "whole" in args.contact else ():
-        for kappa in args.kappa if layers == 1 else [max(args.kappa)]:
-            for pc in sorted(args.pc, key=PRECONDITIONERS.index, reverse=True):
-                yield from _variants(usual | {"layers": layers, "kappa": kappa, "pc": pc}, args)
-    if 1 in args.layers and "dirichlet" in args.pc:
-        for contact in (contact for contact in CONTACTS[1:] if contact in args.contact):
-            for kappa in dict.fromkeys((min(args.kappa), max(args.kappa))):
-                yield from _variants(usual | {"contact": contact, "kappa": kappa}, args)
-
-
-def _variants(case: Record, args: argparse.Namespace) -> Iterator[Record]:
-    """Both variants with both choices."""
-    for choices, kind in product(args.choices, args.type):
-        yield case | {"choices": choices, "type": kind}
+    shared = {name: getattr(args, name) for name in ("geometry", "size", "degree", "pressure")}
+    shared |= {"subdomains": args.subdomains, "processes": comm.size}  # before a rim is cut off
+    ends = dict.fromkeys((min(args.kappa), max(args.kappa)))
+    walls = [
+        ("whole", layers, kappa, pc)
+        for layers in args.layers
+        for kappa in (args.kappa if layers == 1 else [max(args.kappa)])
+        for pc in reversed(PRECONDITIONERS)
+    ]
+    walls += [(contact, 1, kappa, "dirichlet") for contact in CONTACTS[1:] for kappa in ends]
+    for wall, choices, kind in product(walls, args.choices, args.type):
+        case = dict(zip(("contact", "layers", "kappa", "pc"), wall, strict=True))
+        if case["layers"] in args.layers and case["pc"] in args.pc:
+            yield shared | case | {"choices": choices, "type": kind}
 
 
 def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> None:
@@ -126,8 +105,7 @@ def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> 
     own = {"feti_type": case["type"], "feti_pc_type": case["pc"], "ksp_max_it": most}
     own["snes_max_it"] = NEWTON_STEPS[str(case["choices"])]
     body = first_step.create(wall, fibre_frame(wall), case, part, own)
-    ksp = body.problem.solver.getKSP()
-    watch = Stopwatch(comm)
+    ksp, watch = body.problem.solver.getKSP(), Stopwatch(comm)
     watch.hook(ksp)
     found: Record = {}
     try:
@@ -137,12 +115,21 @@ def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> 
             found["iterations_exceed"] = most
         else:
             found["failure"] = str(error)
-    cells = wall.mesh.topology.index_map(3).size_global
+    steps, own_clock = body.problem.history, comm.size == 1
+    each = watch.processor() if own_clock else watch.each()
+    setup, krylov = map(float, each.sum(axis=0) / max(len(each), 1))
+    its = [step.linear_iterations for step in steps]
     found |= first_step.sizes(body) | {
-        "cells": cells,
-        "clock": "processor" if comm.size == 1 else "wall",
+        "cells": wall.mesh.topology.index_map(3).size_global,
+        "clock": "processor" if own_clock else "wall",
+        "newton_iterations": len(steps),
+        "linear_iterations_per_newton": its,
+        "linear_iterations_mean": float(np.mean(its)) if its else None,
+        "linear_methods": [step.linear_method for step in steps],
+        "linear_residuals": [step.linear_residual for step in steps],
+        "seconds_setup_per_newton": setup,
+        "seconds_krylov_per_newton": krylov,
     }
-    found |= dict(_cost(body, watch.processor() if comm.size == 1 else watch.each()))
     if is_solved(found):
         found |= summarise(volume_ratios(body.u), comm)
     keep({}, found)
@@ -151,22 +138,6 @@ def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> 
 def is_solved(record: Record) -> bool:
     """Tell whether the wall arrived."""
     return "failure" not in record and "iterations_exceed" not in record
-
-
-def _cost(body: WallProblem, each: npt.NDArray[np.float64]) -> Iterator[tuple[str, object]]:
-    """Yield iterations and seconds of the Newton steps that were completed."""
-    steps = body.problem.history
-    yield "newton_iterations", len(steps)
-    yield "linear_iterations_per_newton", [s.linear_iterations for s in steps]
-    yield "linear_methods", [s.linear_method for s in steps]
-    yield "linear_residuals", [s.linear_residual for s in steps]
-    yield "step_lengths", [s.step_length for s in steps]
-    if steps:
-        yield "linear_iterations_mean", float(np.mean([s.linear_iterations for s in steps]))
-        yield "seconds_assembly_per_newton", float(np.mean([s.seconds_assembly for s in steps]))
-    setup, krylov = map(float, each.sum(axis=0) / max(len(each), 1))
-    yield "seconds_setup_per_newton", setup
-    yield "seconds_krylov_per_newton", krylov
 
 
 def _fields(records: Sequence[Record]) -> Fields:
@@ -195,12 +166,14 @@ def _newton_step(records: Sequence[Record]) -> dict[str, object]:
     layers, degree = int(first["layers"]), int(first["degree"])
     by_case = {(r["type"], r["kappa"], r["pc"], r["choices"]): r for r in records}
     rows = []
-    for kind, kappa, pc in product(TYPES, sorted({r["kappa"] for r in records}), PRECONDITIONERS):
-        ours = {name: by_case.get((kind, kappa, pc, name)) for name in CHOICES}
+    for case in product(TYPES, sorted({r["kappa"] for r in records}), PRECONDITIONERS):
+        ours = {name: by_case.get((*case, name)) for name in CHOICES}
         if any(ours.values()):
-            row = {"kind": TYPES[kind], "kappa": kappa, "pc": pc}
-            theirs = _papers(layers, degree, kind, kappa, pc)
-            rows.append(row | theirs | {name: _cells(r) for name, r in ours.items()})
+            row = {"kind": TYPES[case[0]], "kappa": case[1], "pc": case[2]}
+            if theirs := paper.NONLINEAR.get((layers, degree, *case)):
+                its = FORMS["count"](theirs.iterations) if theirs.iterations else "> 10 000"
+                row |= {"their_its": its, "their_seconds": theirs.seconds}
+            rows.append(row | {name: _cells(r) for name, r in ours.items()})
     known = [r for r in records if "multipliers" in r]
     most = {name: max((r[name] for r in known), default=0) for name in ("dofs", "cells")}
     edges = "" if first["size"] is None else f", edges of {first['size']:g} mm"
@@ -208,14 +181,6 @@ def _newton_step(records: Sequence[Record]) -> dict[str, object]:
     names |= dict(zip(("their_cells", "their_vertices"), paper.MESHES[layers], strict=True))
     names |= {"their_subdomains": paper.SUBDOMAINS[layers, degree]}
     return {name: first[name] for name in WALL} | most | names | {"rows": rows}
-
-
-def _papers(layers: int, degree: int, kind: str, kappa: float, pc: str) -> dict[str, object]:
-    solve = paper.NONLINEAR.get((layers, degree, kind, kappa, pc))
-    if solve is None:
-        return {}
-    its = FORMS["count"](solve.iterations) if solve.iterations else "> 10 000"
-    return {"their_its": its, "their_seconds": solve.seconds}
 
 
 def _cells(record: Record | None) -> dict[str, object]:

@@ -14,15 +14,13 @@ Options with a single dash are PETSc's; those of the tube have the prefix `tube_
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from types import ModuleType
-
-from mpi4py import MPI
 
 from benchmarks.common import command
 from benchmarks.common.pages import Fields
 from benchmarks.common.records import Record, Records
-from benchmarks.common.study import Keep, Study
+from benchmarks.common.study import Study
 from benchmarks.common.verification import inf_sup, published, tube
 
 __all__ = ["STUDY"]
@@ -40,20 +38,9 @@ def _options(parser: argparse.ArgumentParser) -> None:
         part.options(parser)
 
 
-def _cases(
-    args: argparse.Namespace, parser: argparse.ArgumentParser, comm: MPI.Comm
-) -> Iterator[Record]:
-    for name in args.part:
-        yield from PARTS[name].cases(args, parser, comm)
-
-
-def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> None:
-    _part(case).run(case, keep, args, comm)
-
-
 def _done(case: Record, records: Records, args: argparse.Namespace) -> bool:
     if _part(case) is tube:
-        return tube.done(case, records, args)
+        return all(records.all(case | {"pressure_mmhg": p}) for p in args.pressures)
     return bool(records.all(case))
 
 
@@ -70,8 +57,8 @@ STUDY = Study(
     page="verification",
     known=lambda record: _part(record) is not None,
     options=_options,
-    cases=_cases,
-    run=_run,
+    cases=lambda args, *rest: (case for n in args.part for case in PARTS[n].cases(args, *rest)),
+    run=lambda case, *rest: _part(case).run(case, *rest),
     done=_done,
     fields=_fields,
     draw=lambda records, folder: tube.draw([r for r in records if tube.known(r)], folder),

@@ -12,9 +12,9 @@ from collective import COMM, agree, small
 import dolfinx
 import ufl
 
-from benchmarks.common.walls.clamped import tube_fibres
 from benchmarks.common.walls.inflated_tube import create_slice
 from benchmarks.common.walls.oracle import Wall, inflate
+from benchmarks.common.walls.problem import tube_fibres
 from dolfinx_feti import NonlinearProblem, kinematics, loads, materials
 from dolfinx_feti.wall import Pressure, Slide, apply_conditions
 

@@ -35,7 +35,6 @@ from benchmarks.common.walls.inflated_tube import (
     residual_part,
 )
 from benchmarks.common.walls.oracle import KPA_PER_MMHG, LAYERS, Wall, inflate
-from benchmarks.common.walls.problem import PLANES
 from dolfinx_feti import materials
 from dolfinx_feti.loading import Steps
 from dolfinx_feti.wall import facets
@@ -194,9 +193,8 @@ def create_stressed_tube(
         }
 
     body = tube.body
-    held = [(component, facets(wall, name)) for name, component in PLANES.items()]
     residuals = (body.residual, body.constraint)
-    return Body(body.u, body.p, residuals, held, body.problem, body.load, measure, PRESSURE)
+    return Body(body.u, body.p, residuals, body.held, body.problem, body.load, measure, PRESSURE)
 
 
 def _tube(comm: MPI.Comm, n: int, *, by_shape: bool) -> Body:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from benchmarks.common.records import Record
 from benchmarks.common.walls.problem import WallProblem, create_wall_problem
-from dolfinx_feti import ConvergenceError, loads, materials
+from dolfinx_feti import ConvergenceError, loads
 from dolfinx_feti.wall import Wall
 from dolfinx_feti.wall.fibres import ANGLES, Frame, fibre_families
 
@@ -70,7 +70,6 @@ def create(
     return create_wall_problem(
         wall,
         degree=case["degree"],
-        c=materials.ArteryParameters().c,
         kappa=case["kappa"],
         subdomains=subdomains,
         options=OPTIONS[str(case["choices"])] | options,

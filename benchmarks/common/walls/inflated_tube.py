@@ -25,14 +25,18 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
-from benchmarks.common.walls.clamped import INTERFACE, tube_fibres
 from benchmarks.common.walls.oracle import Layer, Tube
-from benchmarks.common.walls.problem import WallProblem, create_wall_problem, slide
+from benchmarks.common.walls.problem import (
+    INTERFACE,
+    WallProblem,
+    create_wall_problem,
+    tube_fibres,
+)
 from dolfinx_feti import kinematics
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
 from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
 from dolfinx_feti.output import Patches, balanced_stress, create_patches, recovered_field
-from dolfinx_feti.wall import Wall, by_layer
+from dolfinx_feti.wall import Wall, by_layer, facets
 from dolfinx_feti.wall.fibres import ANGLES
 from meshes.bricks import create_brick_tube
 from meshes.tube import ADVENTITIA, INNER_RADIUS, count_around
@@ -81,6 +85,9 @@ ELEMENTS = {
     "p2b-p1d": Element(3, ("DG", 1), bricks=(5, 1, 4), bubbles=True),
 }
 OUTER_RADIUS = INTERFACE + ADVENTITIA
+
+#: Surfaces of a quarter of a tube, and the component that is held there.
+PLANES = {"opening_1": 2, "opening_2": 2, "symmetry_x": 0, "symmetry_y": 1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +217,7 @@ def create_inflated_tube(
         prefix="tube_",
         fibres=fibres,
         G=G,
-        hold=slide,
+        held=[(component, facets(wall, name)) for name, component in PLANES.items()],
         axis=(0.0, 0.0, 1.0),
     )
     r, e_r, e_t = _polar(mesh)
