@@ -19,7 +19,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_feti.feti.form import Form
+from dolfinx_feti.feti.lasting import Form
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import join
 from dolfinx_feti.runtime.lifetime import Lifetime

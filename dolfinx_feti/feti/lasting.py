@@ -23,8 +23,8 @@ import numpy as np
 
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.feti.dual.form import DualForm, create_dual_form
-from dolfinx_feti.feti.form import Form, may_take_primal, prefers_primal, takes_primal
-from dolfinx_feti.feti.options import FETIOptions
+from dolfinx_feti.feti.inertia import Inertia
+from dolfinx_feti.feti.options import FETIOptions, asks_for_dual
 from dolfinx_feti.feti.pattern import Pattern, create_pattern
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace
 from dolfinx_feti.feti.primal.form import (
@@ -41,9 +41,12 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import State, state_of
 
-__all__ = ["Lasting"]
+__all__ = ["Form", "Lasting"]
 
 Reason = PETSc.KSP.ConvergedReason
+
+#: The method, set up for one matrix.
+Form = DualForm | PrimalForm
 
 #: Growth of the iterations for a digit that ends a solve with an old preconditioner.
 HOPELESS = 3.0
@@ -204,17 +207,12 @@ class Lasting:
         Raises:
             SetUpError: It cannot be set up.
         """
-        if not pattern.symmetric and may_take_primal(pattern):
-            try:
-                part = create_preconditioner_of_part(pattern, self._of_preconditioner)
-                return self._with(part, pattern)
-            except SetUpError:  # ½ (K + Kᵀ) may be singular where K is not
-                if self._options.formulation == "primal":
-                    raise
-                self._end_form()
-        rough = prefers_primal(pattern)
+        if not pattern.symmetric:
+            part = create_preconditioner_of_part(pattern, self._of_preconditioner)
+            return self._with(part, pattern)
+        rough = _prefers_primal(pattern)
         setup = set_up(pattern, self._of_matrix, self._of_preconditioner, rough=rough)
-        if not pattern.symmetric or not takes_primal(pattern, setup.inertia):
+        if not _takes_primal(pattern, setup.inertia):
             return self._dual_form(pattern, setup)
         preconditioner = create_preconditioner(pattern, setup, self._of_preconditioner)
         return self._primal_form(pattern, setup.near_kernel, setup.operator, preconditioner)
@@ -269,3 +267,24 @@ class Lasting:
         self._of_pattern.close()
         self._pattern = self._vectors = None
         self._seen = False
+
+
+def _prefers_primal(pattern: Pattern) -> bool:
+    """Tell whether a symmetric matrix takes the primal form unless a K_ρ is indefinite.
+
+    That is so where a pressure is condensed, as adaptive columns halve the iterations there.
+    """
+    condensed = pattern.torn.pressures is not None
+    allowed = not asks_for_dual(pattern.options, pattern.prefix)
+    return allowed and (condensed or pattern.options.formulation == "primal")
+
+
+def _takes_primal(pattern: Pattern, inertia: Inertia) -> bool:
+    """Tell whether a symmetric matrix is solved in the primal form.
+
+    ``auto`` does so, too, where a subdomain would buckle alone: the dual system is indefinite then.
+    """
+    if pattern.options.formulation != "auto":
+        return pattern.options.formulation == "primal"
+    safe = inertia.local == 0 and not asks_for_dual(pattern.options, pattern.prefix)
+    return safe and (not inertia.definite or _prefers_primal(pattern))

@@ -17,7 +17,7 @@ from typing import Any, Literal, get_args, get_type_hints
 
 from petsc4py import PETSc
 
-__all__ = ["CHOICES", "FETIOptions", "check_outer_options", "read_options"]
+__all__ = ["CHOICES", "FETIOptions", "asks_for_dual", "check_outer_options", "read_options"]
 
 #: Prefixes of the Krylov method for (λ, s), the factors of K_ρ and K_II, and the solver of N or A₀.
 SUBSOLVERS = {
@@ -100,6 +100,20 @@ def read_options(prefix: str) -> FETIOptions:
             "be dual or auto."
         )
     return options
+
+
+def asks_for_dual(options: FETIOptions, prefix: str) -> bool:
+    """Tell whether the options ask for the dual form, or for what it alone has.
+
+    Args:
+        options: The choices made.
+        prefix: Prefix of the sub-solvers, ``…feti_``.
+    """
+    if options.formulation != "auto":
+        return options.formulation == "dual"
+    own = PETSc.Options(prefix + "dual_")
+    asked = any(own.hasName(f"ksp_{key}") for key in ("type", "rtol", "atol"))
+    return asked or options.pc_type != "dirichlet"
 
 
 def _value(prefix: str, name: str, default: Any, kind: Any) -> str | int | float:

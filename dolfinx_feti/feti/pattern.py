@@ -17,7 +17,7 @@ from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.gluing.bodies import Bodies, find_bodies
 from dolfinx_feti.feti.gluing.dofs import Dofs, sort_dofs
 from dolfinx_feti.feti.gluing.jump import Gluing
-from dolfinx_feti.feti.options import FETIOptions
+from dolfinx_feti.feti.options import FETIOptions, asks_for_dual
 from dolfinx_feti.feti.subdomain.analysis import Analysis, analyse
 from dolfinx_feti.runtime.connectivity import has_joined_copies
 from dolfinx_feti.runtime.events import event
@@ -40,7 +40,7 @@ class Pattern:
         gluing: The jumps B.
         dofs: Interface and interior of each subdomain.
         analysis: How the blocks of the subdomains are factored.
-        of_part: The same of ½ (K + Kᵀ), if K is not symmetric and the primal form not ruled out.
+        of_part: The same of ½ (K + Kᵀ), if K is not symmetric.
     """
 
     options: FETIOptions
@@ -74,11 +74,8 @@ def create_pattern(A: PETSc.Mat, options: FETIOptions, prefix: str, within: Life
             "share it. Remove these entries, or tear the mesh so that they are one subdomain."
         )
     symmetric = torn.is_symmetric()
-    if not symmetric and options.interior == "eliminate":
-        raise SetUpError(
-            f"The matrix is not symmetric, but -{prefix}interior is eliminate, which takes it "
-            "to be: let it be keep or auto."
-        )
+    if not symmetric:
+        _require_primal(options, prefix)
     with event("FETIGluing"):
         gluing = within.own(Gluing(torn, all_floating=options.all_floating))
     dofs = sort_dofs(torn, gluing.glued, all_floating=options.all_floating)
@@ -92,11 +89,27 @@ def create_pattern(A: PETSc.Mat, options: FETIOptions, prefix: str, within: Life
     of_part: Analysis | None = None
     with event("FETIFactor"):
         analysis = find(torn, symmetric=symmetric)
-        if not symmetric and options.formulation != "dual":
+        if not symmetric:
             with _symmetric_part(torn) as part:
                 of_part = find(part, symmetric=True)
     bodies = find_bodies(torn)
     return Pattern(options, prefix, torn, symmetric, bodies, gluing, dofs, analysis, of_part)
+
+
+def _require_primal(options: FETIOptions, prefix: str) -> None:
+    """Refuse options of which none is for an unsymmetric matrix."""
+    dual = asks_for_dual(options, prefix)
+    needed = {
+        "formulation": "primal" if dual else "",
+        "pc_type": "dirichlet" if options.pc_type != "dirichlet" else "",
+        "interior": "keep" if options.interior == "eliminate" else "",
+    }
+    if any(needed.values()):
+        use = " ".join(f"-{prefix}{name} {value}" for name, value in needed.items() if value)
+        raise SetUpError(
+            "The matrix is not symmetric, which takes GMRES in the primal form, with the interior "
+            f"kept: use {use}."
+        )
 
 
 @contextmanager

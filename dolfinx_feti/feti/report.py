@@ -11,8 +11,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_feti.feti.form import Form
 from dolfinx_feti.feti.inertia import Inertia
+from dolfinx_feti.feti.lasting import Form
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots

@@ -105,7 +105,6 @@ def _invert(
                 operator,
                 pattern.dofs,
                 near_kernel,
-                symmetric=pattern.symmetric,
                 soft=options.coarse_modes,
                 threshold=options.coarse_threshold,
                 rough=rough,

@@ -21,9 +21,8 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.errors import SetUpError, SingularError
-from dolfinx_feti.feti.form import Form
 from dolfinx_feti.feti.inertia import Inertia
-from dolfinx_feti.feti.lasting import Lasting
+from dolfinx_feti.feti.lasting import Form, Lasting
 from dolfinx_feti.feti.monitor import outer_monitor
 from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
 from dolfinx_feti.feti.report import Report, collect, table

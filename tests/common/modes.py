@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfinx_feti.feti.dual.form import DualForm
 
-NAMES = ("R", "E", "E_left", "D", "stabilisation", "exact", "rho", "kernel")
+NAMES = ("R", "E", "D", "stabilisation", "exact", "rho", "kernel")
 
 
 def modes_of(system: DualForm) -> SimpleNamespace:

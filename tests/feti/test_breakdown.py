@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises
-from hand_torn import random_values, softened, solve, unsymmetric
+from hand_torn import random_values, softened, solve
 from problems import cube, elasticity, owned, poisson
 
 import dolfinx
@@ -284,9 +284,3 @@ def test_what_is_proved_is_there(kind, interior, share, torn_grid, parts):
         agree(0 <= proved <= there, (proved, there))
         agree(proved > 0 or there <= 1 or pc_type != "dirichlet", (proved, there))
         agree(share > 0.0 or system.inertia.dual == 0)
-
-
-@every_type
-def test_unsymmetric_matrix_has_no_inertia(kind, torn_grid, parts):
-    problem = torn_grid(change=unsymmetric(0.01), **WIDE)
-    agree(parts(problem.A, type=kind).inertia.assembled is None)

@@ -41,7 +41,6 @@ FORMS = {
     "kept": ({"feti_formulation": "dual", "feti_interior": "keep"}, False, False),
     "primal": ({"feti_formulation": "primal", "feti_interior": "eliminate"}, False, False),
     "unsymmetric": ({"feti_formulation": "primal"}, True, False),
-    "dual, unsymmetric": ({"feti_formulation": "dual"}, True, False),
     "bordered": ({}, False, True),
 }
 

@@ -49,10 +49,9 @@ class Coarse:
 
     Attributes:
         G: :math:`B E`, (m, K).
-        G_left: The same from :math:`K^⊤`; the identical matrix if K is symmetric.
         q: Diagonal part of Q, (m,).
         MG: :math:`M G`, if Q has M in it beside the diagonal.
-        N: :math:`G_{left}^⊤ Q G + D`, (K, K).
+        N: :math:`G^⊤ Q G + D`, (K, K).
         D: Defect of the kernels, block diagonal, (K, K).
         size: Number of coarse unknowns of this process.
         exact: Whether D = 0: all modes are in the kernels.
@@ -66,7 +65,6 @@ class Coarse:
         preconditioner: Preconditioner,
         *,
         q: str,
-        symmetric: bool,
         prefix: str,
     ) -> None:
         """Form and factor the coarse matrix. Collective.
@@ -77,7 +75,6 @@ class Coarse:
             modes: E and D of every subdomain.
             preconditioner: M, for Q = M.
             q: ``identity``, ``diagonal`` or ``preconditioner``.
-            symmetric: Whether K is symmetric.
             prefix: Options prefix of the coarse solver.
         """
         self._torn, self._dofs = preconditioner.operator.torn, preconditioner.operator.dofs
@@ -89,18 +86,14 @@ class Coarse:
         with Lifetime() as owned:
             own = owned.own
             self.G = own(self._jump_of(gluing.B, [m.E for m in modes]))
-            self.G_left = self.G
-            if not symmetric:
-                self.G_left = own(self._jump_of(gluing.B, [m.E_left for m in modes]))
             self.q = own(_weight(torn, weights.B_D, q))
             self.MG: WeightedColumns | None = None
             if q == "preconditioner":
-                columns = WeightedColumns(weights.delta, modes, preconditioner, symmetric=symmetric)
-                self.MG = own(columns)
+                self.MG = own(WeightedColumns(weights.delta, modes, preconditioner))
             self.D = own(self._block_diagonal([m.D for m in modes]))
             weighed = self.G.copy()
             weighed.diagonalScale(L=self.q)
-            self.N = own(self.G_left.transposeMatMult(weighed))  # N = Gᵀ q G, diagonal part of Q
+            self.N = own(self.G.transposeMatMult(weighed))  # N = Gᵀ q G, diagonal part of Q
             weighed.destroy()
             self.N.axpy(1.0, self.D, structure=DIFFERENT)
             if self.MG is not None:  # Gᵀ M G couples more subdomains
@@ -111,14 +104,14 @@ class Coarse:
                 raise SetUpError(
                     "Subdomains resist the null space of A: use feti_formulation primal."
                 )
-            self.N.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+            self.N.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self.solver = own(
                 create_coarse_solver(
                     self.N,
                     np.array([m.E.shape[1] for m in modes], dtype=np.int64),
                     lambda: self._amplitudes(torn.near_kernel()),
                     prefix=prefix,
-                    symmetric=symmetric,
+                    symmetric=True,
                 )
             )
             self._s, self._e = (own(vector) for vector in self.N.createVecs())
@@ -137,7 +130,7 @@ class Coarse:
     def restrict(self, f: Array) -> Array:
         """Return the load of the kernels, e = Eᵀ f, (n,) → (K,)."""
         pairs = zip(self._modes, self._dofs, strict=True)
-        return joined([m.E_left.T @ f[dofs] for m, dofs in pairs])
+        return joined([m.E.T @ f[dofs] for m, dofs in pairs])
 
     def prolong(self, s: Array) -> Array:
         """Return the motion of the kernels, E s, (K,) → (n,)."""

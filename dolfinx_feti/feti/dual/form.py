@@ -19,10 +19,9 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
 from dolfinx_feti.feti.dual.coarse import Coarse
-from dolfinx_feti.feti.dual.krylov import SYMMETRIC, Method, choose_method, solve
+from dolfinx_feti.feti.dual.krylov import Method, choose_method, solve
 from dolfinx_feti.feti.dual.preconditioner import (
     Dirichlet,
     Identity,
@@ -163,11 +162,11 @@ def create_dual_form(pattern: Pattern, setup: Setup, within: Lifetime) -> DualFo
         within: Owner of M, the coarse problem, and the dual system.
 
     Raises:
-        SetUpError: The assembled problem is singular, or the options do not fit the matrix.
+        SetUpError: The assembled problem is singular.
     """
     options, torn, modes = pattern.options, pattern.torn, setup.inverse.modes
     prefix = pattern.prefix + "coarse_"
-    semidefinite = pattern.symmetric and setup.inertia.definite
+    semidefinite = setup.inertia.definite
     semidefinite &= setup.inertia.interior == 0 or not setup.operator.eliminated
     create = PRECONDITIONERS[options.pc_type]
     preconditioner = within.own(
@@ -180,7 +179,6 @@ def create_dual_form(pattern: Pattern, setup: Setup, within: Lifetime) -> DualFo
             modes,
             preconditioner,
             q=options.coarse_q,
-            symmetric=pattern.symmetric,
             prefix=prefix,
         )
         within.own(coarse)
@@ -193,20 +191,12 @@ def create_dual_form(pattern: Pattern, setup: Setup, within: Lifetime) -> DualFo
             prolong=coarse.prolong,
             extend=setup.operator.complete,
             delta=setup.weights.delta,
-            symmetric=pattern.symmetric,
+            symmetric=True,
             definite=semidefinite,
             prefix=prefix,
         )
-    inertia = setup.inertia
-    if pattern.symmetric:
-        proved = _negative_assembled(pattern, setup, prefix)
-        inertia = replace(inertia, assembled=proved)
-    method = choose_method(
-        torn.comm,
-        definite=pattern.symmetric and inertia.definite,
-        prefix=pattern.prefix + "dual_",
-    )
-    _check_method(method, pattern)
+    inertia = replace(setup.inertia, assembled=_negative_assembled(pattern, setup, prefix))
+    method = choose_method(torn.comm, definite=inertia.definite, prefix=pattern.prefix + "dual_")
     dual = within.own(
         DualSystem(pattern.gluing, setup.inverse, preconditioner, coarse, cg=method.is_cg)
     )
@@ -275,12 +265,3 @@ def _negative_assembled(pattern: Pattern, setup: Setup, prefix: str) -> int | No
         V = owned.own(AveragedColumns(copies, E))
         negative = owned.own(AveragedSpace(V, S, prefix=prefix)).negative()
     return None if negative is None else inside + negative
-
-
-def _check_method(method: Method, pattern: Pattern) -> None:
-    """Refuse a Krylov method for symmetric systems if the matrix is not."""
-    if not pattern.symmetric and method.type in SYMMETRIC:
-        raise SetUpError(
-            f"The matrix is not symmetric, but -{pattern.prefix}dual_ksp_type is {method.type}, "
-            f"which takes it to be: use -{pattern.prefix}dual_ksp_type gmres."
-        )

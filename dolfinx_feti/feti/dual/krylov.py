@@ -25,14 +25,11 @@ from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_options import inserted
 
-__all__ = ["SYMMETRIC", "Method", "choose_method", "solve"]
+__all__ = ["Method", "choose_method", "solve"]
 
 
 #: Methods that precondition nothing but their residuals.
 CG = ("cg", "fcg", "pipecg")
-
-#: Methods for symmetric systems.
-SYMMETRIC = (*CG, "minres", "symmlq")
 
 
 @dataclass(frozen=True, slots=True)

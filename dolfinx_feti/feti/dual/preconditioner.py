@@ -24,7 +24,6 @@ from dolfinx_feti.feti.dual.linear_map import LinearMap
 from dolfinx_feti.feti.gluing.weights import Weights
 from dolfinx_feti.feti.subdomain.blocks import block_diagonal, on_subdomains, product_many
 from dolfinx_feti.feti.subdomain.operator import Operator
-from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
 from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.runtime.arrays import Array
 
@@ -145,8 +144,7 @@ class Dirichlet(Preconditioner):
     .. math:: Y_Z = (Z_Γ - K_{ΓI} X)\, C^{-⊤}, \qquad X = K_{II}^{-1} Z_I, \qquad
               C C^⊤ = I + Z_I^⊤ X.
 
-    If I + Z_Iᵀ X is not positive definite, so that K_II is not, :math:`Y_Z = Z_Γ` takes its place;
-    for an unsymmetric K its symmetric part is taken.
+    If I + Z_Iᵀ X is not positive definite, so that K_II is not, :math:`Y_Z = Z_Γ` takes its place.
     """
 
     def multiply(self, w: Array) -> Array:
@@ -177,8 +175,7 @@ class Dirichlet(Preconditioner):
             return Z[~inside]
         X = self.operator.interior_factors[i].solve(Z[inside])  # X = K_II⁻¹ Z_I
         try:
-            C2 = np.eye(Z.shape[1]) + Z[inside].T @ X
-            C = np.linalg.cholesky(symmetric_part(C2))
+            C = np.linalg.cholesky(np.eye(Z.shape[1]) + Z[inside].T @ X)
         except np.linalg.LinAlgError:  # K_II itself is indefinite
             return Z[~inside]
         Y = self.to_interface(i, Z)

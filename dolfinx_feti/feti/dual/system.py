@@ -63,7 +63,6 @@ class DualSystem:
         self.frozen = cg and coarse.MG is None and coarse.exact
         self.B, self.G = LinearMap(gluing.B), LinearMap(coarse.G)
         self._D, self._q = LinearMap(coarse.D), coarse.q.array_r.copy()
-        self._G_left = self.G if coarse.G_left is coarse.G else LinearMap(coarse.G_left)
         self.m = self.B.shape[0]
         self.size = self.m + coarse.size
         self.norm = np.inf
@@ -119,7 +118,7 @@ class DualSystem:
         y, t = self._M.apply(r)  # y = M (r − G w)
         if self._coarse.MG is not None:
             return np.concatenate([y + self._q * r, -w]), self._norm(t)  # (Q (r − G w), −w)
-        e = self._G_left.T @ y - self._D @ w
+        e = self.G.T @ y - self._D @ w
         v, square = self._coarse.solve_and_sum(e, self._square(t))  # v = N⁻¹ (Gᵀ y − D w)
         s = np.zeros_like(w) if self.frozen else -w - v
         z = np.concatenate([y - self.weighted_jump(v), s])  # (y − Q G v, −w − v)
@@ -138,12 +137,8 @@ class DualSystem:
 
     def _restrict(self, r: Array) -> Array:
         """Return Gᵀ Q r, (m,) → (K,)."""
-        weighed, MG = self._q * r, self._coarse.MG
-        if MG is None:
-            return self._G_left.T @ weighed
-        if self._G_left is self.G:
-            return self.G.T @ weighed + MG.restrict(r)
-        return self._G_left.T @ (weighed + self._M.apply(r)[0])
+        weighed, MG = self.G.T @ (self._q * r), self._coarse.MG
+        return weighed if MG is None else weighed + MG.restrict(r)
 
     def _norm(self, t: Array) -> float:
         """Return ‖Tᵀ t‖ on the free dofs for a torn force, (n,)."""
@@ -156,5 +151,5 @@ class DualSystem:
 
     def destroy(self) -> None:
         """Free the work vectors."""
-        for owned in (self.B, self.G, self._D, self._G_left):
+        for owned in (self.B, self.G, self._D):
             owned.destroy()

@@ -34,17 +34,12 @@ class WeightedColumns:
 
     Attributes:
         blocks: For each subdomain :math:`Y_i`, (n_i, c_i).
-        galerkin_matrix: Gᵀ M G, (K, K), with G from Kᵀ on the left.
+        galerkin_matrix: Gᵀ M G, (K, K).
         complete: Whether all columns are near some subdomain, and no row of it is empty.
     """
 
     def __init__(
-        self,
-        delta: Array,
-        modes: Sequence[SubdomainModes],
-        preconditioner: Preconditioner,
-        *,
-        symmetric: bool,
+        self, delta: Array, modes: Sequence[SubdomainModes], preconditioner: Preconditioner
     ) -> None:
         """Form the blocks, for weights δ, (n,), and E of every subdomain. Collective."""
         operator = preconditioner.operator
@@ -53,10 +48,7 @@ class WeightedColumns:
         with Lifetime() as owned:
             self._copies = owned.own(Copies(operator.torn, operator.interface, delta))
             E = [m.E[on] for m, on in zip(modes, on_interface, strict=True)]
-            W = W_left = jump_fields(self._copies, E)
-            if not symmetric:
-                E_left = [m.E_left[on] for m, on in zip(modes, on_interface, strict=True)]
-                W_left = jump_fields(self._copies, E_left)
+            W = jump_fields(self._copies, E)
             counts = [E_i.shape[1] for E_i in E]
             self._near = owned.own(NearColumns(W, counts, operator.torn.comm))
             self.blocks: list[Array] = []
@@ -65,7 +57,7 @@ class WeightedColumns:
                 for i in range(len(W)):
                     W_i = W[i]
                     self.blocks.append(preconditioner.image(i, W_i))  # Y = (S + Y_Z Y_Zᵀ) W
-                    yield (W_i if W_left is W else W_left[i]).overlap(self.blocks[i])
+                    yield W_i.overlap(self.blocks[i])
 
             self.galerkin_matrix = owned.own(self._near.sum(elements()))
             reached = self._near.to_owners(np.ones(int(W.count.sum())))
@@ -81,7 +73,7 @@ class WeightedColumns:
         return self._M.B_D @ t  # B_D Y s
 
     def restrict(self, r: Array) -> Array:
-        """Return Gᵀ M r for a symmetric M, (m,) → (K,). Collective."""
+        """Return Gᵀ M r, (m,) → (K,). Collective."""
         w = (self._M.B_D.T @ r)[self._copies.dofs]  # w = B_Dᵀ r
         blocks = zip(self.blocks, self._copies.blocks, strict=True)
         return self._near.to_owners(joined([Y.T @ w[rows] for Y, rows in blocks]))

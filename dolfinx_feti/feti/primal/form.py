@@ -18,12 +18,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import scipy.sparse
 
+from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.gluing.weights import Weights
@@ -32,7 +32,7 @@ from dolfinx_feti.feti.pattern import Pattern, symmetric_part
 from dolfinx_feti.feti.primal.adaptive import adaptive_columns
 from dolfinx_feti.feti.primal.assembled import assembled_products
 from dolfinx_feti.feti.primal.cg import PrimalSystem, conjugate_gradients
-from dolfinx_feti.feti.primal.deflation import DeflatedSpace, soft_fields
+from dolfinx_feti.feti.primal.deflation import DeflatedSpace
 from dolfinx_feti.feti.primal.gmres import gmres
 from dolfinx_feti.feti.regularity.singularity import require_held
 from dolfinx_feti.feti.setup import Setup, set_up, sum_if_known
@@ -236,8 +236,14 @@ def create_preconditioner_of_part(pattern: Pattern, within: Lifetime) -> PrimalP
     Raises:
         SetUpError: It cannot be set up.
     """
-    with symmetric_part(pattern) as part, Lifetime() as matrix:
-        return create_preconditioner(part, set_up(part, matrix, within, rough=True), within)
+    try:
+        with symmetric_part(pattern) as part, Lifetime() as matrix:
+            return create_preconditioner(part, set_up(part, matrix, within, rough=True), within)
+    except SingularError:  # which does not make K singular
+        raise SetUpError(
+            "The symmetric part of the matrix, which is not symmetric, is singular inside of a "
+            "subdomain and preconditions nothing: take other subdomains, or a direct solver."
+        ) from None
 
 
 def create_primal_form(
@@ -272,13 +278,6 @@ def create_primal_form(
         )
         within.own(space)
     negative, copies = space.negative(), preconditioner.copies
-    count = pattern.options.deflation if pattern.symmetric and not negative else 0
-    if vectors is None and count and _softened(preconditioner.inverse, pattern):
-        solver = partial(solver_on_interface, S, preconditioner.inverse)
-        with event("FETIRecycling"):
-            vectors = soft_fields(
-                space, copies, S.multiply_many, lambda i, F: solver(i)(F), count=count
-            )
     inside = sum_if_known(S.negative_interior, pattern.torn.comm)
     proved = None if negative is None or inside is None else negative + inside
     return PrimalForm(
@@ -293,12 +292,6 @@ def create_primal_form(
         inertia=replace(preconditioner.inertia, interior=inside, assembled=proved),
         most=most,
     )
-
-
-def _softened(inverse: PseudoInverse, pattern: Pattern) -> bool:
-    """Tell whether the stress softens some subdomain. Collective."""
-    own = any(modes.softened for modes in inverse.modes)
-    return bool(pattern.torn.comm.allreduce(own, op=MPI.LOR))
 
 
 def solver_on_interface(S: Operator, inverse: PseudoInverse, i: int) -> Callable[[Array], Array]:

@@ -23,11 +23,9 @@ class SubdomainModes:
     Attributes:
         R: Orthonormal modes, (n_i, k).
         E: The kernel, regularised, (n_i, k).
-        E_left: The same for :math:`K^⊤`.
         D: Defect of the kernel, (k, k); zero while K R = 0.
         stabilisation: Columns Z of K₊ = K + Z Zᵀ, (n_i, negative eigenvalues of D).
         exact: Whether K R = 0 holds.
-        softened: Whether stress softens the rigid motions by a noticeable share of the stiffness.
         rho: The stiffness ρ.
         rigid: Number of rigid body modes, the first ones of R.
         null: Number of further null vectors, the next ones.
@@ -37,11 +35,9 @@ class SubdomainModes:
 
     R: Array
     E: Array
-    E_left: Array
     D: Array
     stabilisation: Array
     exact: bool
-    softened: bool
     rho: float
     rigid: int
     null: int

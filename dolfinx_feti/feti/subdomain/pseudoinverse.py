@@ -4,10 +4,10 @@
 r"""The generalised inverse K⁺, exact under prestress.
 
 .. math:: K_ρ = K + ρ\, R R^⊤, \quad K^+ = K_ρ^{-1}, \quad
-          W = K R, \quad E = R - K_ρ^{-1} W, \quad D = E'^⊤ W, \quad
+          W = K R, \quad E = R - K_ρ^{-1} W, \quad D = E^⊤ W, \quad
           u = K^+(f - B^⊤ λ) + E s
 
-for *any* K and orthonormal R, (n_i, k), with E' that of :math:`K^⊤`; where K R = 0, E = R and D = 0
+for *any* symmetric K and orthonormal R, (n_i, k); where K R = 0, E = R and D = 0
 are the paper's equations (eq. 39, Augustin_eq:localSolutions; eq. 40). R is a function of the
 present matrix alone: the rigid body modes that Dirichlet dofs leave (``kernel``), the null vectors
 beyond them (``nullspace``), the modes in which the subdomain buckles (``buckling``), so that
@@ -142,7 +142,6 @@ def create_pseudo_inverse(
     dofs: Dofs,
     near_kernel: Array,
     *,
-    symmetric: bool,
     soft: int,
     threshold: float,
     rough: bool,
@@ -154,7 +153,6 @@ def create_pseudo_inverse(
         operator: The matrices of the subdomains.
         dofs: The dofs of each subdomain.
         near_kernel: Rigid body modes on the torn dofs, (n, number of modes).
-        symmetric: Whether K is symmetric.
         soft: Most soft modes of a subdomain.
         threshold: Share of the interface stiffness below which a mode is soft.
         rough: Whether the inverse only preconditions: single precision may do then.
@@ -167,14 +165,14 @@ def create_pseudo_inverse(
     torn = operator.torn
     weight = np.where(dofs.glued, torn.stiffness(), 0.0)
     rigid = [kernel_basis(near_kernel[rows], dofs.fixed[rows]) for rows in torn.subdomains]
-    defects = _defects(operator, dofs, rigid, symmetric=symmetric)
+    defects = _defects(operator, dofs, rigid)
     if operator.eliminated:
         rigid = [orthonormal(R[on]) for R, on in zip(rigid, dofs.on_interface, strict=True)]
     factors, modes = [], []
     for i, (R, defect) in enumerate(zip(rigid, defects, strict=True)):
         with named(torn.first + i):
             stiffness = weight[operator.dofs[i]]
-            K = _Block(operator, i, operator.diagonal(i), stiffness, symmetric, rough)
+            K = _Block(operator, i, operator.diagonal(i), stiffness, rough)
             find = partial(soft_modes, weight=stiffness, most=soft, threshold=threshold)
             factor, of_block = _regularise(K, R, defect, find, adaptive=adaptive)
         factors.append(factor)
@@ -192,7 +190,6 @@ class _Block(NamedTuple):
         i: Number of the subdomain.
         diagonal: The absolute diagonal of K, (n,).
         stiffness: That of the interface dofs before a pressure is condensed, else zero, (n,).
-        symmetric: Whether K is symmetric.
         rough: Whether single precision may do.
     """
 
@@ -200,7 +197,6 @@ class _Block(NamedTuple):
     i: int
     diagonal: Array
     stiffness: Array
-    symmetric: bool
     rough: bool
 
     def factor(self, R: Array, rho: float, shift: Array | None = None) -> Factor:
@@ -238,17 +234,15 @@ def _regularise(
     factor, R, rho = _with_buckling_modes(K, factor, kernel, rho)
     exact = defect <= KERNEL_TOLERANCE * rho and R is kernel
     stiff = _basis(K, factor, R, rho, exact=exact)
-    softened = _is_softened(K, stiff.D)
-    columns_suffice = adaptive and _is_single(factor) and not softened
+    columns_suffice = adaptive and _is_single(factor) and not _is_softened(K, stiff.D)
     soft = R[:, :0] if columns_suffice else find_soft(factor.solve)
-    basis = _with_soft_modes(K, factor, stiff, rho, soft)
+    basis = _with_soft_modes(factor, stiff, rho, soft)
     found = basis.R.shape[1] - R.shape[1]
     C = basis.D[R.shape[1] :, R.shape[1] :]
     return factor, SubdomainModes(
         *basis,
         stabilisation=basis.R @ _negative_directions(basis.D, rho),
         exact=exact and found == 0,
-        softened=softened,
         rho=rho,
         rigid=rigid.shape[1],
         null=kernel.shape[1] - rigid.shape[1],
@@ -283,7 +277,7 @@ def _with_buckling_modes(
     """Append buckling modes to R until K_ρ is positive definite; return its factor, R and ρ."""
     for _ in range(ENRICHMENTS):
         negative = factor.pivots.negative
-        if not (K.symmetric and negative):
+        if not negative:
             break
         more = append_orthonormal(R, _buckling_modes(K, factor, R, rho, negative))
         lowest = np.linalg.eigvalsh(more.T @ K.product(more)).min(initial=np.inf)
@@ -311,12 +305,10 @@ def _buckling_modes(K: _Block, factor: Factor, R: Array, rho: float, count: int)
 def _basis(K: _Block, factor: Factor, R: Array, rho: float, *, exact: bool) -> Basis:
     """Return R with E and D of the factored K_ρ; R and 0 where K R = 0."""
     if exact:
-        return Basis(R, R, R, np.zeros((R.shape[1], R.shape[1])))
+        return Basis(R, R, np.zeros((R.shape[1], R.shape[1])))
     W = K.product(R)  # W = K R
     E = R - factor.solve(W)  # E = R − K_ρ⁻¹ W
-    E_left = E if K.symmetric else rho * factor.solve(R, transpose=True)
-    D = E_left.T @ W  # D = E'ᵀ W
-    return Basis(R, E, E_left, symmetric_part(D) if K.symmetric else D)
+    return Basis(R, E, symmetric_part(E.T @ W))  # D = Eᵀ W
 
 
 def _is_softened(K: _Block, D: Array) -> bool:
@@ -324,32 +316,28 @@ def _is_softened(K: _Block, D: Array) -> bool:
     glued = K.stiffness > 0.0
     if not glued.any():
         return False
-    lowest = np.linalg.eigvalsh(symmetric_part(D)).min(initial=0.0)
-    return bool(lowest < -SOFTENED * K.stiffness[glued].mean())
+    return bool(np.linalg.eigvalsh(D).min(initial=0.0) < -SOFTENED * K.stiffness[glued].mean())
 
 
-def _with_soft_modes(K: _Block, factor: Factor, basis: Basis, rho: float, soft: Array) -> Basis:
+def _with_soft_modes(factor: Factor, basis: Basis, rho: float, soft: Array) -> Basis:
     """Let soft modes join R, by an update of the inverse."""
     Y = append_orthonormal(basis.R, soft)[:, basis.R.shape[1] :]
     if Y.shape[1] == 0:
         return basis
-    Z = factor.solve(Y)
-    return join(basis, Y, Z, Z if K.symmetric else factor.solve(Y, transpose=True), rho)
+    return join(basis, Y, factor.solve(Y), rho)
 
 
-def _defects(operator: Operator, dofs: Dofs, R: Sequence[Array], *, symmetric: bool) -> list[float]:
-    """Return ‖K R‖ of every subdomain on its free dofs, and if it is larger ‖Kᵀ R‖."""
+def _defects(operator: Operator, dofs: Dofs, R: Sequence[Array]) -> list[float]:
+    """Return ‖K R‖ of every subdomain on its free dofs."""
     columns = np.zeros((operator.torn.n, max((R_i.shape[1] for R_i in R), default=0)))
     for rows, R_i in zip(dofs.free, R, strict=True):
         columns[rows, : R_i.shape[1]] = R_i
-    images = [operator.torn.multiply(columns)]
-    if not symmetric:
-        images.append(operator.torn.multiply(columns, transpose=True))
-    return [max(float(np.linalg.norm(image[rows])) for image in images) for rows in dofs.free]
+    image = operator.torn.multiply(columns)
+    return [float(np.linalg.norm(image[rows])) for rows in dofs.free]
 
 
 def _negative_directions(D: Array, rho: float) -> Array:
     """Return 2 y √−δ for the eigenvalues δ < 0 of D, above rounding."""
-    δ, y = np.linalg.eigh(symmetric_part(D))
+    δ, y = np.linalg.eigh(D)
     negative = δ < -DEFECT_TOLERANCE * rho
     return np.asarray(2.0 * y[:, negative] * np.sqrt(-δ[negative]))

@@ -10,9 +10,9 @@ orthogonal to R, join R without another factor (Sherman, Morrison and Woodbury; 
 
 .. math:: Z = K_ρ^{-1} Y, \quad C = (ρ^{-1} I + Y^⊤ Z)^{-1}, \quad G = Y^⊤ E, \quad E_Y = Z C, \quad
           (E - E_Y G,\; E_Y), \quad
-          \begin{pmatrix} D + G'^⊤ C G & -G'^⊤ C \\ -C G & C \end{pmatrix}
+          \begin{pmatrix} D + G^⊤ C G & -G^⊤ C \\ -C G & C \end{pmatrix}
 
-with G' of E', that of :math:`K^⊤`, and :math:`(I - E_Y Y^⊤)\, K_ρ^{-1}` for the inverse.
+and :math:`(I - E_Y Y^⊤)\, K_ρ^{-1}` for the inverse.
 """
 
 from __future__ import annotations
@@ -43,13 +43,11 @@ class Basis(NamedTuple):
     Attributes:
         R: Orthonormal modes, (n, k).
         E: The regularised kernel, (n, k).
-        E_left: That of the transposed matrix, (n, k).
         D: Defect, (k, k).
     """
 
     R: Array
     E: Array
-    E_left: Array
     D: Array
 
 
@@ -84,20 +82,15 @@ def soft_modes(solve: Solve, weight: Array, most: int, threshold: float) -> Arra
     return np.asarray(Y @ vectors[:, soft])  # y = K_ρ⁻¹ k^½ X z
 
 
-def join(basis: Basis, Y: Array, Z: Array, Z_left: Array, rho: float) -> Basis:
-    """Let soft modes Y, orthonormal and orthogonal to R, join R.
-
-    Z is K_ρ⁻¹ Y, and Z_left is K_ρ⁻ᵀ Y, (n, k).
-    """
-    R, E, E_left, D = basis
+def join(basis: Basis, Y: Array, Z: Array, rho: float) -> Basis:
+    """Let soft modes Y, orthonormal and orthogonal to R, join R; Z is K_ρ⁻¹ Y, (n, k)."""
+    R, E, D = basis
     C = np.linalg.inv(np.eye(Y.shape[1]) / rho + Y.T @ Z)
-    G, G_left = Y.T @ E, Y.T @ E_left
-    E_Y, E_Y_left = Z @ C, Z_left @ C.T
+    G, E_Y = Y.T @ E, Z @ C
     return Basis(
         _side_by_side(R, Y),
         _side_by_side(E - E_Y @ G, E_Y),
-        _side_by_side(E_left - E_Y_left @ G_left, E_Y_left),
-        np.block([[D + G_left.T @ C @ G, -G_left.T @ C], [-C @ G, C]]),
+        np.block([[D + G.T @ C @ G, -G.T @ C], [-C @ G, C]]),
     )
 
 

@@ -81,22 +81,21 @@ def test_buckling_modes(values, most, n):
     )
 
 
-@pytest.mark.parametrize("skew", [0.0, 1.0], ids=["symmetric", "unsymmetric"])
-def test_soft_modes_join_as_if_they_had_been_factored(skew, n=40, rho=3.0):
+def test_soft_modes_join_as_if_they_had_been_factored(n=40, rho=3.0):
     """R, E and D after the update against those of K + ρ (R, Y)(R, Y)ᵀ, and its inverse."""
     rng = np.random.default_rng(SEED)
     part = rng.standard_normal((n, n))
-    K = part @ part.T + skew * (part - part.T)
+    K = part @ part.T
     R, Y = np.split(np.linalg.qr(rng.standard_normal((n, 5)))[0], [3], axis=1)
 
     def dense(R):
         inverse = np.linalg.inv(K + rho * R @ R.T)
-        E, E_left = rho * inverse @ R, rho * inverse.T @ R
-        return inverse, Basis(R, E, E_left, rho * (np.eye(R.shape[1]) - R.T @ E))
+        E = rho * inverse @ R
+        return inverse, Basis(R, E, rho * (np.eye(R.shape[1]) - R.T @ E))
 
     inverse, basis = dense(R)
     expected_inverse, expected = dense(np.hstack([R, Y]))
-    found = join(basis, Y, inverse @ Y, inverse.T @ Y, rho)
+    found = join(basis, Y, inverse @ Y, rho)
     for of_one, other in zip(found, expected, strict=True):
         equal(of_one, other, 1e-10)
     equal(inverse - found.E[:, 3:] @ (Y.T @ inverse), expected_inverse, 1e-10)

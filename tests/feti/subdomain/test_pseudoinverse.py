@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from collective import agree, equal, small, whole
-from hand_torn import unsymmetric
 from modes import modes_of
 
 from dolfinx_feti.feti.setup import refined, set_up
@@ -206,27 +205,6 @@ def test_what_buckles_is_stabilised(change, kind, torn_grid, parts):
             lowest[share] = min(lowest[share], value)
     agree(lowest[1.0] > -1e-13, lowest)
     agree(system.torn.comm.allreduce(lowest[0.0], op=min) < -1e-3, lowest)
-
-
-def test_unsymmetric_matrices_have_two_kernels(torn_grid, parts):
-    """K E = R D and Kᵀ E_left = R Dᵀ."""
-    problem = torn_grid((2, 2), (2, 2), components=2, change=unsymmetric(0.05))
-    system = parts(problem.A)
-    found = modes_of(system)
-    agree(not system.pattern.symmetric)
-    y = np.random.default_rng(SEED + 3).standard_normal(system.torn.n)
-    x = apply(system, y)
-    errors = [0.0]
-    for i, (K, R) in enumerate(zip(blocks(problem, system), modes(system), strict=True)):
-        E, E_left, D, rho = found.E[i], found.E_left[i], found.D[i], found.rho[i]
-        dofs, scale = system.operator.dofs[i], np.abs(K).max()
-        errors += [
-            np.abs(K @ E - R @ D).max() / scale,
-            np.abs(K.T @ E_left - R @ D.T).max() / scale,
-            np.abs(R.T @ E - np.eye(3) + D / rho).max(),
-            np.abs((K + rho * R @ R.T) @ x[dofs] - y[dofs]).max() / np.abs(y).max(),
-        ]
-    small(max(errors), 1e-10)
 
 
 @pytest.mark.parametrize("stiff", [0.0, 1e9], ids=["even", "stiff"])
