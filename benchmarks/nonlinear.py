@@ -37,9 +37,15 @@ from benchmarks.common.pages import FORMS, Fields, groups, section
 from benchmarks.common.records import Record
 from benchmarks.common.study import Keep, Study
 from benchmarks.common.walls import first_step
-from benchmarks.common.walls.first_step import ARTERIES, CHOICES, LAYERS, PRECONDITIONERS, TYPES
-from benchmarks.common.walls.rims import CONTACTS, partition
-from benchmarks.common.walls.volume import summarise, volume_ratios
+from benchmarks.common.walls.first_step import (
+    ARTERIES,
+    CHOICES,
+    CONTACTS,
+    LAYERS,
+    PRECONDITIONERS,
+    TYPES,
+)
+from benchmarks.common.walls.problem import summarise, volume_ratios
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.output import writable_folder
 from dolfinx_feti.wall.fibres import fibre_frame
@@ -100,7 +106,7 @@ def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> 
     """
     folder = writable_folder(args.folder, comm)
     wall, _ = open_wall(args.geometry, comm, size=args.size, folder=folder)
-    part = partition(wall, args.subdomains, str(case["contact"]))
+    part = first_step.partition(wall, args.subdomains, str(case["contact"]))
     most = args.most_iterations
     own = {"feti_type": case["type"], "feti_pc_type": case["pc"], "ksp_max_it": most}
     own["snes_max_it"] = NEWTON_STEPS[str(case["choices"])]

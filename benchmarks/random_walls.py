@@ -13,17 +13,14 @@ user would read.
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import ufl
@@ -33,7 +30,6 @@ from benchmarks.common.records import Record
 from benchmarks.common.study import Study
 from dolfinx_feti import ConvergenceError, NonlinearProblem, kinematics, loads, materials
 from dolfinx_feti.loading import LoadStep, Steps, follow_load
-from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.wall import (
     Clamp,
     Pressure,
@@ -42,11 +38,12 @@ from dolfinx_feti.wall import (
     apply_conditions,
     by_layer,
     openings,
-    read_wall,
 )
 from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
 from meshes.arguments import count
+from meshes.lumen import write_lumen
 from meshes.vessel import create_vessel
+from meshes.walls import grow
 
 __all__ = ["STUDY", "Chance", "draw", "inflate"]
 
@@ -56,9 +53,6 @@ MMHG, KAPPA, MOST = 120.0, 1000.0, 80  # load, bulk modulus [kPa], Newton steps
 LAYERS = ("intima", "media", "adventitia")
 
 STEPS = Steps(first=10.0, least=0.1)
-
-
-ALONG, ACROSS = 16, 10  # quadrilaterals along a branch, and in half of its circumference
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,29 +154,19 @@ def inflate(seed: int, comm: MPI.Comm) -> Record:
 
 def _create(seed: int, chance: Chance, comm: MPI.Comm) -> Wall:
     """Grow the wall on its lumen, on the first process, and distribute it."""
-    with ExitStack() as until_read:
 
-        def write() -> Path:
-            folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
-            path = Path(until_read.enter_context(folder)) / "wall.xdmf"
-            random = np.random.default_rng([seed, 1])
-            lumen = create_lumen(random, branches=chance.branches, sac=chance.sac)
-            facets = np.zeros(
-                len(lumen), [("normal", "<f4", 3), ("x", "<f4", (3, 3)), ("n", "<u2")]
-            )
-            facets["x"] = lumen
-            surface = path.with_suffix(".stl")
-            surface.write_bytes(bytes(80) + np.uint32(len(lumen)).tobytes() + facets.tobytes())
-            create_vessel(
-                path,
-                size=1.6 * chance.thickness,
-                thickness=chance.thickness,
-                layers=dict.fromkeys(chance.layers, 1 / len(chance.layers)),
-                surface=surface,
-            )
-            return path
+    def write(path: Path) -> None:
+        surface, random = path.with_suffix(".stl"), np.random.default_rng([seed, 1])
+        write_lumen(surface, random, branches=chance.branches, sac=chance.sac)
+        create_vessel(
+            path,
+            size=1.6 * chance.thickness,
+            thickness=chance.thickness,
+            layers=dict.fromkeys(chance.layers, 1 / len(chance.layers)),
+            surface=surface,
+        )
 
-        return read_wall(on_first(write, comm), comm)
+    return grow(write, comm)
 
 
 def _plaque(wall: Wall, seed: int, chance: Chance) -> dolfinx.fem.Function:
@@ -209,52 +193,6 @@ def _describe(chance: Chance) -> str:
     on_springs = sum(k > 0 for k in chance.springs)
     words += [f"{on_springs} of {chance.branches} openings on springs"] if on_springs else []
     return ", ".join(words)
-
-
-def create_lumen(
-    random: np.random.Generator, *, branches: int, sac: bool
-) -> npt.NDArray[np.float64]:
-    """Return triangles (n, 3, 3) [mm] that face outwards.
-
-    Args:
-        random: Draws angles and radii.
-        branches: 2 for a bent tube, 3 for a bifurcation.
-        sac: Whether there is a sac.
-    """
-    turn = 2 * np.pi / branches
-    angles = turn * (np.arange(branches) + random.uniform(-0.15, 0.15, branches))
-    radii, lengths = random.uniform(1.6, 2.4, branches), random.uniform(5.0, 7.0, branches)
-    gaps = np.diff(angles, append=angles[0] + 2 * np.pi)
-    φ = np.pi * np.arange(2 * ACROSS + 1)[:, None] / ACROSS  # down on the left, up on the right
-    s = np.linspace(0.0, 1.0, ALONG + 1)[:, None, None]
-    smooth = s**2 * (3 - 2 * s)
-    up = np.array([0.0, 0.0, 1.0])
-    grids = []
-    for k, angle in enumerate(angles):
-        left, right = _direction(angle + gaps[k] / 2), _direction(angle - gaps[k - 1] / 2)
-        side = np.where(φ <= np.pi, left, right)
-        arcs = radii.mean() * (np.abs(np.sin(φ)) * side + np.cos(φ) * up)
-        circle = radii[k] * (np.sin(φ) * _direction(angle + np.pi / 2) + np.cos(φ) * up)
-        axis = lengths[k] * s * _direction(angle)
-        grids.append(axis + (1 - smooth) * arcs + smooth * circle)
-    if sac:
-        top = grids[0][ALONG // 2, random.integers(2 * ACROSS)].copy()
-        outwards = top - lengths[0] / 2 * _direction(angles[0])
-        height = random.uniform(0.5, 0.8)
-        for grid in grids:
-            distance = np.sum((grid - top) ** 2, axis=-1, keepdims=True)
-            grid += height * np.exp(-distance / radii[0] ** 2) * outwards
-    grids = [np.round(grid, 5) for grid in grids]
-    triangles = []
-    for grid in grids:
-        grid[:, -1] = grid[:, 0]
-        a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-        triangles += [np.stack(t, axis=-2).reshape(-1, 3, 3) for t in ((a, b, c), (a, c, d))]
-    return np.concatenate(triangles)
-
-
-def _direction(angle: float) -> npt.NDArray[np.float64]:
-    return np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
 def _fields(records: Sequence[Record]) -> Fields:

@@ -4,8 +4,8 @@
 """Meshes of artery walls, and the cube of the paper's linear study. See README.md.
 
 The generators of walls write files; they need numpy and scipy, and dolfinx for XDMF alone.
-``walls``, ``bricks``, ``octant`` and ``cube`` make distributed meshes of DOLFINx.
+``walls``, ``bricks``, ``ellipsoid``, ``octant`` and ``cube`` make distributed meshes of DOLFINx.
 
-In the order of the data: arguments, surface, remesh, wall_mesh, layers, tube, vessel, walls,
-bricks, octant, cube.
+In the order of the data: arguments, surface, remesh, wall_mesh, layers, tube, lumen, vessel,
+walls, bricks, ellipsoid, octant, cube.
 """

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from meshes.tube import create_tube
 from meshes.vessel import create_vessel
 from meshes.wall_mesh import Quality, WallMesh, measure_quality
 
-__all__ = ["CREATE", "create_tube_wall", "open_case", "open_wall", "wall_quality"]
+__all__ = ["CREATE", "create_tube_wall", "grow", "open_case", "open_wall", "wall_quality"]
 
 #: Generators of walls by name.
 CREATE = {"vessel": create_vessel, "tube": create_tube}
@@ -98,11 +99,16 @@ def open_case(
 
 
 def create_tube_wall(comm: MPI.Comm, **geometry: object) -> Wall:
-    """Mesh a tube on the first process and distribute it, without a file that stays.
+    """Mesh a tube, see :func:`meshes.tube.create_tube` and :func:`grow`. Collective."""
+    return grow(lambda path: create_tube(path, **geometry), comm)
+
+
+def grow(write: Callable[[Path], object], comm: MPI.Comm) -> Wall:
+    """Mesh a wall on the first process and distribute it, without a file that stays.
 
     Args:
+        write: Generates an XDMF file.
         comm: Communicator of the mesh.
-        geometry: See :func:`meshes.tube.create_tube`.
 
     Raises:
         Exception: Whatever the generator finds wrong, on all processes.
@@ -112,13 +118,13 @@ def create_tube_wall(comm: MPI.Comm, **geometry: object) -> Wall:
     """
     with ExitStack() as until_read:
 
-        def write() -> Path:
+        def write_beside() -> Path:
             folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
-            path = Path(until_read.enter_context(folder)) / "tube.xdmf"
-            create_tube(path, **geometry)
+            path = Path(until_read.enter_context(folder)) / "wall.xdmf"
+            write(path)
             return path
 
-        return read_wall(on_first(write, comm), comm)
+        return read_wall(on_first(write_beside, comm), comm)
 
 
 def wall_quality(wall: Wall) -> Quality:

@@ -17,10 +17,10 @@ import ufl
 
 from benchmarks.common.verification import inf_sup
 from benchmarks.common.verification.cases import create_stressed_tube
-from benchmarks.common.verification.ellipsoid import create_ellipsoid, ellipsoid_fibre
 from benchmarks.common.walls.oracle import KPA_PER_MMHG, Wall, inflate
 from benchmarks.verification import STUDY
 from dolfinx_feti.loading import Steps, follow_load
+from meshes.ellipsoid import create_ellipsoid, ellipsoid_fibre
 
 pytest.importorskip("matplotlib")
 

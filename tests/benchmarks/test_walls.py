@@ -23,8 +23,8 @@ from walls import tube
 import dolfinx
 
 from benchmarks import load_stepping, nonlinear, random_walls
-from benchmarks.common.walls.rims import POINTS, partition
-from benchmarks.common.walls.volume import summarise, volume_ratios
+from benchmarks.common.walls.first_step import POINTS, partition
+from benchmarks.common.walls.problem import summarise, volume_ratios
 from dolfinx_feti import NonlinearProblem
 from dolfinx_feti.loading import Steps
 from dolfinx_feti.wall import facets, openings

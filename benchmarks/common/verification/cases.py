@@ -23,12 +23,6 @@ import ufl
 from ufl.core.expr import Expr
 
 from benchmarks.common.bodies import Body, create_block, create_body, displacement, plane
-from benchmarks.common.verification.ellipsoid import (
-    LONG,
-    THICKNESS,
-    create_ellipsoid,
-    ellipsoid_fibre,
-)
 from benchmarks.common.walls.inflated_tube import (
     create_inflated_tube,
     create_slice,
@@ -39,6 +33,7 @@ from dolfinx_feti import materials
 from dolfinx_feti.loading import Steps
 from dolfinx_feti.wall import facets
 from dolfinx_feti.wall.opening import Opening
+from meshes.ellipsoid import LONG, THICKNESS, create_ellipsoid, ellipsoid_fibre
 
 __all__ = ["CASES", "Case", "Quantity", "create_stressed_tube"]
 

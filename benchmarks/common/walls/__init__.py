@@ -3,5 +3,5 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Artery walls under pressure.
 
-In the order of the data: oracle, problem, inflated_tube, volume, rims, first_step.
+In the order of the data: oracle, problem, inflated_tube, first_step.
 """

@@ -10,18 +10,35 @@ equilibrium.
 
 from __future__ import annotations
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
+import dolfinx
+
 from benchmarks.common.records import Record
 from benchmarks.common.walls.problem import WallProblem, create_wall_problem
 from dolfinx_feti import ConvergenceError, loads
-from dolfinx_feti.wall import Wall
+from dolfinx_feti.fem.decomposition import decompose
+from dolfinx_feti.wall import Wall, facets, openings
 from dolfinx_feti.wall.fibres import ANGLES, Frame, fibre_families
 
-__all__ = ["ARTERIES", "CHOICES", "LAYERS", "PRECONDITIONERS", "TYPES", "create", "load", "sizes"]
+__all__ = [
+    "ARTERIES",
+    "CHOICES",
+    "CONTACTS",
+    "LAYERS",
+    "PRECONDITIONERS",
+    "TYPES",
+    "create",
+    "load",
+    "partition",
+    "sizes",
+]
+
+Parts = npt.NDArray[np.int32]
 
 #: What cases are told by, and their names on pages.
 TYPES = {"all_floating": "all-floating", "classical": "classical"}
@@ -32,6 +49,9 @@ CHOICES = {"paper": "the paper's choices", "default": "the package's defaults"}
 #: adventitia, its carotid artery.
 LAYERS = {1: "one layer", 2: "two layers"}
 ARTERIES = {1: "aorta", 2: "carotid artery"}
+
+#: How one subdomain meets the rim: as the decomposition has it, in so many points, not at all.
+CONTACTS, POINTS = ("whole", "few", "none"), 3
 
 #: Tangent of the follower pressure. The paper leaves it out: then CG solves all systems, but on a
 #: thin wall Newton's method comes only slowly to the solution.
@@ -59,7 +79,7 @@ def create(
     wall: Wall,
     frame: Frame,
     case: Record,
-    subdomains: int | npt.NDArray[np.int32],
+    subdomains: int | Parts,
     options: Record,
 ) -> WallProblem:
     """Tear a wall at rest, with a number of subdomains or a part for each owned cell. Collective.
@@ -101,3 +121,54 @@ def load(body: WallProblem, mmhg: float, *, in_part: bool) -> None:
         too_many = PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
         if not in_part or body.problem.solver.getConvergedReason() != too_many:
             raise
+
+
+def partition(wall: Wall, subdomains: int, contact: str) -> Parts:
+    """Return a part for each owned cell, (n_cells,). Collective.
+
+    "It may happen that the decomposition of a mesh results in subdomains that have only a few
+    points on the Dirichlet boundary": in classical FETI such a subdomain is held, though hardly,
+    and has no kernel that the coarse problem could take over. Here one on a rim loses its cells
+    there, all of them (``none``) or all but a few that touch it in three points (``few``).
+
+    Raises:
+        ValueError: No subdomain serves. On all processes.
+    """
+    mesh = wall.mesh
+    part = decompose(mesh, subdomains).subdomain
+    if contact == "whole":
+        return part
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
+    cells = V.dofmap.list[: len(part)]
+    rims = np.concatenate([facets(wall, name) for name in openings(wall)])
+    held = np.isin(cells, dolfinx.fem.locate_dofs_topological(V, 2, rims))  # (n_cells, 4)
+    on_rim = held.any(axis=1)
+    single = held.sum(axis=1) == 1
+    point = np.where(held, cells, -1).max(axis=1, initial=-1)
+    parts = range(int(part.max(initial=-1)) + 1)
+    points = [np.unique(point[single & (part == i)]) for i in parts]
+    rim, inside = (np.bincount(part[where], minlength=len(parts)) for where in (on_rim, ~on_rim))
+    fit = (inside > rim) & (np.array([len(found) for found in points], dtype=int) >= POINTS)
+    candidates = np.where(fit, rim, 0)
+    best = (int(candidates.max(initial=0)), -mesh.comm.rank)
+    most, owner = mesh.comm.allreduce(best, op=MPI.MAX)
+    if most == 0:
+        raise ValueError(
+            f"subdomains={subdomains}: none of them touches a rim in {POINTS} points or more and "
+            "has most of its cells elsewhere: take fewer, or refine the mesh."
+        )
+    if mesh.comm.rank != -owner:
+        return part
+    chosen = int(candidates.argmax())
+    cut = on_rim & (part == chosen)
+    if contact == "few":
+        few = _near(V, points[chosen])
+        cut &= (held & ~np.isin(cells, few)).any(axis=1)  # stays if it touches these points only
+    return np.where(cut, part.max() + 1, part).astype(np.int32)
+
+
+def _near(V: dolfinx.fem.FunctionSpace, points: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """Return the first of some points and those nearest to it."""
+    X = V.tabulate_dof_coordinates()[points]
+    order = np.argsort(np.linalg.norm(X - X[:1], axis=1), kind="stable")
+    return points[order[:POINTS]]

@@ -22,6 +22,7 @@ from ufl.core.expr import Expr
 
 import dolfinx_feti
 from benchmarks.common.bodies import Held, hold
+from benchmarks.common.records import Record
 from dolfinx_feti import kinematics, loads, materials
 from dolfinx_feti.fem.quadrature import limit_quadrature_degree
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
@@ -37,7 +38,9 @@ __all__ = [
     "create_clamped",
     "create_wall_problem",
     "right_hand_side",
+    "summarise",
     "tube_fibres",
+    "volume_ratios",
 ]
 
 INTERFACE = INNER_RADIUS + MEDIA  # mm, between the layers of the tube
@@ -48,6 +51,10 @@ LENGTH, DOFS_ALONG = 3.0, {1: 18.0, 2: 125.0}
 
 #: Length of the elements' edges [mm] that gives the vessel so many displacement dofs, by degree.
 SIZE, DOFS = 2.0, {1: 11_000, 2: 71_430}
+
+
+#: |J_τ − 1| above which an element counts as one that does not keep its volume.
+NOTICEABLE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,3 +230,33 @@ def tube_fibres(mesh: dolfinx.mesh.Mesh) -> tuple[dolfinx.fem.Function, dolfinx.
     for family, sign in zip(families, (1.0, -1.0), strict=True):
         family.interpolate(lambda x, sign=sign: helix(x, sign))
     return families
+
+
+def volume_ratios(u: dolfinx.fem.Function) -> npt.NDArray[np.float64]:
+    """Return J_τ, the mean of det F over τ, of the owned cells τ, (n_cells,). Collective.
+
+    The pressure, constant in each cell, holds it near one; det F at a point is free in P2.
+    """
+    mesh = u.function_space.mesh
+    q = ufl.TestFunction(dolfinx.fem.functionspace(mesh, ("DG", 0)))
+    cubic = 3 * (u.function_space.ufl_element().embedded_superdegree - 1)
+    dx = ufl.dx(metadata={"quadrature_degree": cubic})
+    J = kinematics.jacobian(kinematics.deformation_gradient(u))
+    one = dolfinx.fem.Constant(mesh, 1.0)
+    deformed, rest = (dolfinx.fem.assemble_vector(dolfinx.fem.form(f * q * dx)) for f in (J, one))
+    n = mesh.topology.index_map(mesh.topology.dim).size_local
+    return deformed.array[:n] / rest.array[:n]
+
+
+def summarise(J: npt.NDArray[np.float64], comm: MPI.Comm) -> Record:
+    """Return least, mean and greatest J_τ, the mean of |J_τ − 1|, and the share of large ones."""
+    off = np.abs(J - 1.0)
+    sums = [len(J), J.sum(), off.sum(), np.count_nonzero(off > NOTICEABLE)]
+    count, total, deviation, noticeable = comm.allreduce(np.array(sums, dtype=float)).tolist()
+    return {
+        "min_J": comm.allreduce(float(J.min(initial=np.inf)), op=MPI.MIN),
+        "mean_J": total / count,
+        "max_J": comm.allreduce(float(J.max(initial=-np.inf)), op=MPI.MAX),
+        "mean_deviation_J": deviation / count,
+        "share_J": noticeable / count,
+    }
