@@ -56,29 +56,19 @@ def cases(
         yield {"case": case, "mesh": mesh, "processes": comm.size}
 
 
-def run(case: Record, keep: Keep, _args: argparse.Namespace, comm: MPI.Comm) -> None:
+def run(key: Record, keep: Keep, _args: argparse.Namespace, comm: MPI.Comm) -> None:
     """Load a body by both solvers."""
-    keep({}, _compute(str(case["case"]), int(case["mesh"]), comm))
-
-
-def known(record: Record) -> bool:
-    """Tell whether a record is one of this part."""
-    return record.get("case") in CASES
-
-
-def _compute(case: str, mesh: int, comm: MPI.Comm) -> Record:
-    """Load a body by both solvers."""
-    begun = time.perf_counter()
-    body = CASES[case].create(comm, mesh)
+    begun, case = time.perf_counter(), CASES[str(key["case"])]
+    body = case.create(comm, int(key["mesh"]))
     last: list[list[np.ndarray]] = []
 
-    def keep(step: LoadStep) -> None:
+    def remember(step: LoadStep) -> None:
         if step.load == BEFORE:
             last.append([f.x.array.copy() for f in (body.u, body.p)])
 
     accepted = follow_load(
-        body.problem, body.set_load, [BEFORE, 1.0], CASES[case].steps,
-        state=[body.u, body.p], on_step=keep,
+        body.problem, body.set_load, [BEFORE, 1.0], case.steps,
+        state=[body.u, body.p], on_step=remember,
     )  # fmt: skip
     newton = [step for load_step in accepted for step in load_step.all_steps]
     seconds = time.perf_counter() - begun
@@ -86,7 +76,7 @@ def _compute(case: str, mesh: int, comm: MPI.Comm) -> Record:
     body.u.x.array[:], body.p.x.array[:] = last[0]
     _solve_by_mumps(body)
     dofmap = body.u.function_space.dofmap
-    return {
+    found = {
         "values": values,
         "mumps": body.measure(),
         "dofs": dofmap.index_map.size_global * dofmap.index_map_bs,
@@ -97,6 +87,12 @@ def _compute(case: str, mesh: int, comm: MPI.Comm) -> Record:
         "method": newton[-1].linear_method,
         "seconds": seconds,
     }
+    keep({}, found)
+
+
+def known(record: Record) -> bool:
+    """Tell whether a record is one of this part."""
+    return record.get("case") in CASES
 
 
 def fields(records: Sequence[Record]) -> Fields:
