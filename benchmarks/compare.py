@@ -47,7 +47,7 @@ from benchmarks.common.compare import path
 from benchmarks.common.compare.opponents import OPPONENTS
 from benchmarks.common.compare.tables import GEOMETRIES, fields, seconds
 from benchmarks.common.records import Record, Records, threads
-from benchmarks.common.study import Keep, Study
+from benchmarks.common.study import Arguments, Keep, Study
 from benchmarks.common.walls.problem import WallProblem, create_clamped
 from dolfinx_feti import LinearProblem, NonlinearProblem, loads
 from dolfinx_feti.loading import Checkpoint
@@ -82,7 +82,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
     add("--folder", type=Path, default=Path("build/walls"), help="for meshes and loaded states")
 
 
-def _solvers(args: argparse.Namespace) -> list[str]:
+def _solvers(args: Arguments) -> list[str]:
     """Return the solvers that a command line asks for."""
     if args.per != [None]:
         return ["feti"]
@@ -90,19 +90,17 @@ def _solvers(args: argparse.Namespace) -> list[str]:
     return args.solvers or [name for name in USUAL if name in possible]
 
 
-def _cases(
-    args: argparse.Namespace, parser: argparse.ArgumentParser, comm: MPI.Comm
-) -> Iterator[Record]:
+def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
     """Yield the cases, small ones first."""
     solvers = _solvers(args)
     if args.path is not None and args.loaded is not None:
-        parser.error("--path and --loaded exclude each other")
+        raise ValueError("--path and --loaded exclude each other")
     if (args.path or args.loaded) and args.geometry not in ("tube", "vessel"):
-        parser.error(f"--geometry {args.geometry} goes without --path and --loaded")
+        raise ValueError(f"--geometry {args.geometry} goes without --path and --loaded")
     if args.path is not None and not set(solvers) <= set(path.SOLVERS):
-        parser.error(f"--path takes no other solvers than {', '.join(path.SOLVERS)}")
+        raise ValueError(f"--path takes no other solvers than {', '.join(path.SOLVERS)}")
     if args.path is not None and "feti" not in solvers:
-        parser.error("--path needs feti among the --solvers: Newton's method goes on with it")
+        raise ValueError("--path needs feti among the --solvers: Newton's method goes on with it")
     kappas = [None] if args.geometry in ("cube", "square", "heat") else args.kappa
     for dofs, kappa, per in product(args.dofs, kappas, args.per):
         number = args.subdomains if per is None else max(comm.size, round(dofs / per))
@@ -119,12 +117,12 @@ def _cases(
         } | ({} if per is None else {"per": per})
 
 
-def _done(case: Record, records: Records, args: argparse.Namespace) -> bool:
+def _done(case: Record, records: Records, args: Arguments) -> bool:
     """Tell whether all solvers have a record."""
     return all(records.all(case | {"solver": name}) for name in _solvers(args))
 
 
-def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> None:
+def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
     """Run a case on its body at rest. Collective."""
     solvers, body = _solvers(args), _create_body(case, args.folder, comm)
     problem = getattr(body, "problem", body)

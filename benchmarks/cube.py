@@ -13,7 +13,6 @@ surface the displacements of the fundamental solution with its source at (2, 2, 
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -27,7 +26,7 @@ from benchmarks.common import command, paper
 from benchmarks.common.cube import Case, create_problem, l2_error, solve
 from benchmarks.common.pages import FORMS, groups, section
 from benchmarks.common.records import Record
-from benchmarks.common.study import Keep, Study
+from benchmarks.common.study import Arguments, Keep, Study
 from dolfinx_feti.comparison import PeakMemory
 
 TYPES = {"all_floating": "all-floating", "classical": "classical"}
@@ -109,15 +108,13 @@ def _all(case: Case, preconditioners: Sequence[str] = PRECONDITIONERS) -> Iterat
         yield replace(case, type=kind, pc=pc)
 
 
-def _cases(
-    args: argparse.Namespace, _parser: argparse.ArgumentParser, comm: MPI.Comm
-) -> Iterator[Record]:
+def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
     """Yield the cases of some sets, each once, that have a subdomain for each process."""
     cases = dict.fromkeys(case for name in args.sets for case in SETS[name]())
     yield from (asdict(case) for case in cases if case.subdomains_per_edge**3 >= comm.size)
 
 
-def _run(key: Record, keep: Keep, _args: argparse.Namespace, comm: MPI.Comm) -> None:
+def _run(key: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
     """Solve a case. Collective."""
     case = Case(**key)
     problem, peak = create_problem(case, comm), PeakMemory()

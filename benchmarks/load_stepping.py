@@ -34,7 +34,7 @@ from benchmarks.common import command
 from benchmarks.common.pages import Fields, groups
 from benchmarks.common.plots import COLOURS, picture
 from benchmarks.common.records import Record
-from benchmarks.common.study import Keep, Study
+from benchmarks.common.study import Arguments, Keep, Study
 from benchmarks.common.walls.problem import (
     WallProblem,
     create_wall_problem,
@@ -87,15 +87,13 @@ def _options(parser: argparse.ArgumentParser) -> None:
     add("--checkpoint", type=Path, metavar="FOLDER", help="where the last states are kept")
 
 
-def _cases(
-    args: argparse.Namespace, _parser: argparse.ArgumentParser, comm: MPI.Comm
-) -> Iterator[Record]:
+def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
     names = ("geometry", "size", "degree", "subdomains")
     shared = FIXED | {name: getattr(args, name) for name in names}
     yield from (shared | {"type": kind, "processes": comm.size} for kind in args.type)
 
 
-def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> None:
+def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
     """Inflate a wall by one variant, with a record for each accepted load step. Collective."""
     folder = writable_folder(args.folder, comm)
     wall, _ = open_wall(args.geometry, comm, size=args.size, folder=folder)
@@ -117,7 +115,7 @@ def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> 
     body.inflate([args.pressure], steps, on_step=report, checkpoint=kept)
 
 
-def _checkpoint(args: argparse.Namespace, case: Record, comm: MPI.Comm) -> Checkpoint | None:
+def _checkpoint(args: Arguments, case: Record, comm: MPI.Comm) -> Checkpoint | None:
     """Open the folder of a variant; a run that was interrupted is continued there."""
     if args.checkpoint is None:
         return None

@@ -35,7 +35,7 @@ from benchmarks.common import command, paper
 from benchmarks.common.clock import Stopwatch
 from benchmarks.common.pages import FORMS, Fields, groups, section
 from benchmarks.common.records import Record
-from benchmarks.common.study import Keep, Study
+from benchmarks.common.study import Arguments, Keep, Study
 from benchmarks.common.walls import first_step
 from benchmarks.common.walls.first_step import (
     ARTERIES,
@@ -78,9 +78,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
     add("--most-iterations", type=count, default=10_000, help="of a linear solve, 10000")
 
 
-def _cases(
-    args: argparse.Namespace, _parser: argparse.ArgumentParser, comm: MPI.Comm
-) -> Iterator[Record]:
+def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
     """Yield the cases that a command line asks for, the strong preconditioners first."""
     shared = {name: getattr(args, name) for name in ("geometry", "size", "degree", "pressure")}
     shared |= {"subdomains": args.subdomains, "processes": comm.size}  # before a rim is cut off
@@ -98,7 +96,7 @@ def _cases(
             yield shared | case | {"choices": choices, "type": kind}
 
 
-def _run(case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> None:
+def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
     """Load a wall, torn into parts, and record what it took. Collective.
 
     The record is of the whole load step, or of the Newton steps before a linear solve that took

@@ -215,7 +215,7 @@ STUDY = Study(
     page="random_walls",
     known=lambda record: "seed" in record and "wall" in record,
     options=lambda parser: parser.add_argument("--seeds", type=count, default=20, help="20"),
-    cases=lambda args, _, comm: ({"seed": i, "processes": comm.size} for i in range(args.seeds)),
+    cases=lambda args, comm: ({"seed": i, "processes": comm.size} for i in range(args.seeds)),
     run=lambda case, keep, _, comm: keep({}, inflate(int(case["seed"]), comm)),
     fields=_fields,
 )

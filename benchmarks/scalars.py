@@ -11,7 +11,6 @@ none, one or all of its cavities. The second step counts, by processor time.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -28,7 +27,7 @@ from benchmarks.common import command
 from benchmarks.common.bodies import Solid, create_block, create_solid, plane
 from benchmarks.common.pages import Fields, groups
 from benchmarks.common.records import Record
-from benchmarks.common.study import Study
+from benchmarks.common.study import Arguments, Study
 from dolfinx_feti import NonlinearProblem, materials
 from dolfinx_feti.mechanics.loads import pressure_potential
 from dolfinx_feti.scalars import Cavity
@@ -117,9 +116,7 @@ def _body(
 BODIES = {"tube": (create_tube, (0.15,)), "block": (create_holes, (0.2, 0.1, 0.2, 0.1))}
 
 
-def _cases(
-    args: argparse.Namespace, _parser: argparse.ArgumentParser, comm: MPI.Comm
-) -> Iterator[Record]:
+def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
     for body in args.body:
         for m in sorted({0, 1, len(BODIES[body][1])}):
             yield {"study": "speed", "body": body, "scalars": m, "processes": comm.size}

@@ -39,7 +39,7 @@ from benchmarks.common.plots import COLOURS, OPEN, curve, picture
 from benchmarks.common.records import Record, read_records
 from benchmarks.common.scaling.model import KRYLOV, Machine, Model, create_model, efficiency
 from benchmarks.common.scaling.traffic import compile_library
-from benchmarks.common.study import Keep, Study
+from benchmarks.common.study import Arguments, Keep, Study
 from benchmarks.common.walls.first_step import ARTERIES, CHOICES
 from benchmarks.common.walls.first_step import TYPES as NAMES
 from dolfinx_feti import ConvergenceError
@@ -103,16 +103,14 @@ def _options(parser: argparse.ArgumentParser) -> None:
     add("--choices", **choices, help="the paper's and the package's own, paper,default")
 
 
-def _cases(
-    args: argparse.Namespace, parser: argparse.ArgumentParser, comm: MPI.Comm
-) -> Iterator[Record]:
+def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
     """Yield the cases: counted first, for that is quick."""
     if args.predict:
         (kept,) = args.json or [KEPT]
         known = read_records(kept, STUDY.known, "benchmarks.scaling")
         command.say("\n".join(predict(known, *args.predict)), comm)
         return
-    _check(args, parser)
+    _check(args)
     for task, numbers in (("count", args.count), ("measure", args.processes)):
         for choices, layers, processes in itertools.product(args.choices, args.layers, numbers):
             yield {
@@ -131,7 +129,7 @@ def _cases(
             }
 
 
-def _run(case: Record, keep: Keep, args: argparse.Namespace, _comm: MPI.Comm) -> None:
+def _run(case: Record, keep: Keep, args: Arguments, _comm: MPI.Comm) -> None:
     """Run a case on its processes.
 
     Raises:
@@ -153,23 +151,25 @@ def _run(case: Record, keep: Keep, args: argparse.Namespace, _comm: MPI.Comm) ->
         keep({}, json.loads(file.read_text()))
 
 
-def _check(args: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
-    """End with an error if the cases cannot be run here."""
+def _check(args: Arguments) -> None:
+    """Raise a ValueError if the cases cannot be run here."""
     cores = len(os.sched_getaffinity(0))
     if MPI.COMM_WORLD.size > 1:
-        parser.error("it starts mpirun itself: run it as python3 -m benchmarks.scaling")
+        raise ValueError("it starts mpirun itself: run it as python3 -m benchmarks.scaling")
     for name in ("processes", "count"):
         setattr(args, name, [n for n in getattr(args, name) if n > 0])
     if max(args.processes, default=0) > cores:
-        parser.error(
+        raise ValueError(
             f"--processes {max(args.processes)}: there are {cores} cores, and shared ones measure "
             "nothing; --count takes any number"
         )
     most = max(*args.processes, *args.count, 0, 0)
     if most > args.subdomains:
-        parser.error(f"{most} processes need as many --subdomains, and there are {args.subdomains}")
+        raise ValueError(
+            f"{most} processes need as many --subdomains, and there are {args.subdomains}"
+        )
     if shutil.which("mpirun") is None:
-        parser.error("mpirun is missing")
+        raise ValueError("mpirun is missing")
 
 
 def predict(records: Sequence[Record], dofs: int, processes: int) -> Iterator[str]:

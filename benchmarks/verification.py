@@ -20,7 +20,7 @@ from types import ModuleType
 from benchmarks.common import command
 from benchmarks.common.pages import Fields
 from benchmarks.common.records import Record, Records
-from benchmarks.common.study import Study
+from benchmarks.common.study import Arguments, Study
 from benchmarks.common.verification import inf_sup, published, tube
 
 __all__ = ["STUDY"]
@@ -38,7 +38,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
         part.options(parser)
 
 
-def _done(case: Record, records: Records, args: argparse.Namespace) -> bool:
+def _done(case: Record, records: Records, args: Arguments) -> bool:
     if _part(case) is tube:
         return all(records.all(case | {"pressure_mmhg": p}) for p in args.pressures)
     return bool(records.all(case))

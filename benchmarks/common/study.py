@@ -29,7 +29,7 @@ from benchmarks.common.records import Record, Records, read_records
 from dolfinx_feti import ConvergenceError
 from meshes.arguments import Parser, parse_all, without_petsc
 
-__all__ = ["Keep", "Study"]
+__all__ = ["Arguments", "Keep", "Study"]
 
 #: Adds what was found to the key of a case, a further key first, and writes and shows the record.
 Keep = Callable[[Record, Record], Record]
@@ -45,8 +45,8 @@ class Study:
         about: Its docstring.
         page: Name of its page.
         known: Tells whether a record is one of the study.
-        cases: Yields what tells each case apart that a command line asks for, or ends with the
-            parser's error.
+        cases: Yields what tells each case apart that a command line asks for; raises a ValueError
+            that names a wrong argument.
         run: Measures a case and keeps a record, or several. Collective.
         fields: Makes the values of the template.
         options: Adds options to the parser.
@@ -58,7 +58,7 @@ class Study:
     about: str | None
     page: str
     known: Callable[[Record], bool]
-    cases: Callable[[Arguments, argparse.ArgumentParser, MPI.Comm], Iterable[Record]]
+    cases: Callable[[Arguments, MPI.Comm], Iterable[Record]]
     run: Callable[[Record, Keep, Arguments, MPI.Comm], object]
     fields: Callable[[Sequence[Record]], Fields]
     options: Callable[[argparse.ArgumentParser], object] = lambda _parser: None
@@ -99,17 +99,15 @@ class Study:
                 raise ValueError(
                     f"--json '{args.json[0]}' holds records of another study: name another"
                 )
-            return self._run_all(args, parser, records, comm)
+            return self._run_all(args, records, comm)
         except (OSError, ValueError) as error:  # of a file; fewer cells than subdomains
             parser.error(str(error))
 
-    def _run_all(
-        self, args: Arguments, parser: argparse.ArgumentParser, records: Records, comm: MPI.Comm
-    ) -> list[Record]:
+    def _run_all(self, args: Arguments, records: Records, comm: MPI.Comm) -> list[Record]:
         """Run the cases that the records lack; return their records, or exit if one has failed."""
         found: list[Record] = []
         lost = False
-        for case in self.cases(args, parser, comm):
+        for case in self.cases(args, comm):
 
             def keep(key: Record, values: Record, case: Record = case) -> Record:
                 record = records.keep(case | key, values)

@@ -93,7 +93,7 @@ def squares(run=None, **changes: object) -> Study:
         page="squares",
         known=lambda record: "x" in record,
         options=lambda parser: parser.add_argument("--x", type=command.several(count)),
-        cases=lambda args, _parser, _comm: ({"x": x} for x in args.x),
+        cases=lambda args, _comm: ({"x": x} for x in args.x),
         run=run or square,
         fields=lambda records: {"rows": records},
         **changes,

@@ -33,7 +33,7 @@ import ufl
 from benchmarks.common import command
 from benchmarks.common.pages import Fields, groups
 from benchmarks.common.records import Record
-from benchmarks.common.study import Keep
+from benchmarks.common.study import Arguments, Keep
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
 from dolfinx_feti.runtime.collective import on_first
 from meshes.arguments import count
@@ -66,15 +66,13 @@ def options(parser: argparse.ArgumentParser) -> None:
     add("--cells", type=command.several(count), default=[2, 3, 4], help="along an edge; 2,3,4")
 
 
-def cases(
-    args: argparse.Namespace, _parser: argparse.ArgumentParser, _comm: MPI.Comm
-) -> Iterator[Record]:
+def cases(args: Arguments, _comm: MPI.Comm) -> Iterator[Record]:
     """Yield the pairs on all meshes."""
     for pair, cells in itertools.product(args.pair, args.cells):
         yield {"pair": pair, "cells": cells}
 
 
-def run(case: Record, keep: Keep, _args: argparse.Namespace, comm: MPI.Comm) -> None:
+def run(case: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
     """Compute a constant on the first process."""
     keep({}, on_first(lambda: constant(str(case["pair"]), int(case["cells"])), comm))
 

@@ -30,7 +30,7 @@ from benchmarks.common.bodies import Body
 from benchmarks.common.direct import create_newton
 from benchmarks.common.pages import Fields, groups
 from benchmarks.common.records import Record
-from benchmarks.common.study import Keep
+from benchmarks.common.study import Arguments, Keep
 from benchmarks.common.verification.cases import CASES
 from dolfinx_feti.loading import LoadStep, follow_load
 from meshes.arguments import count
@@ -48,15 +48,13 @@ def options(parser: argparse.ArgumentParser) -> None:
     add("--mesh", type=command.several(count), default=[1, 2, 3], help="refinements; 1,2,3")
 
 
-def cases(
-    args: argparse.Namespace, _parser: argparse.ArgumentParser, comm: MPI.Comm
-) -> Iterator[Record]:
+def cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
     """Yield the cases on all meshes."""
     for case, mesh in itertools.product(args.case, args.mesh):
         yield {"case": case, "mesh": mesh, "processes": comm.size}
 
 
-def run(key: Record, keep: Keep, _args: argparse.Namespace, comm: MPI.Comm) -> None:
+def run(key: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
     """Load a body by both solvers."""
     begun, case = time.perf_counter(), CASES[str(key["case"])]
     body = case.create(comm, int(key["mesh"]))

@@ -23,7 +23,7 @@ from benchmarks.common import command
 from benchmarks.common.pages import Fields, groups
 from benchmarks.common.plots import COLOURS, curve, picture
 from benchmarks.common.records import Record
-from benchmarks.common.study import Keep
+from benchmarks.common.study import Arguments, Keep
 from benchmarks.common.walls.inflated_tube import ELEMENTS, create_inflated_tube, create_slice
 from benchmarks.common.walls.oracle import KPA_PER_MMHG, Wall, inflate
 from dolfinx_feti.loading import LoadStep, Steps
@@ -59,17 +59,15 @@ def options(parser: argparse.ArgumentParser) -> None:
     add("--subdomains", type=count, default=8, help="over all processes, 8")
 
 
-def cases(
-    args: argparse.Namespace, parser: argparse.ArgumentParser, comm: MPI.Comm
-) -> Iterator[Record]:
+def cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
     """Yield the tube that the options describe."""
     if args.pressures != sorted(args.pressures):
-        parser.error(f"argument --pressures: {args.pressures} do not rise")
+        raise ValueError(f"argument --pressures: {args.pressures} do not rise")
     degree = ELEMENTS[args.element].degree
     yield {name: getattr(args, name) for name in CASE} | {"degree": degree, "processes": comm.size}
 
 
-def run(_case: Record, keep: Keep, args: argparse.Namespace, comm: MPI.Comm) -> None:
+def run(_case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
     """Inflate the tube; keep a record for each pressure. Collective."""
     tube = create_inflated_tube(
         create_slice(comm, size=args.size, element=args.element),
