@@ -221,7 +221,7 @@ def parts(pattern: Callable[..., Pattern], lifetime: Lifetime) -> Callable[..., 
 @pytest.fixture
 def double_products(monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep A V in double precision, so that identities hold to its rounding."""
-    monkeypatch.setattr("dolfinx_feti.feti.coarse.space._precision", lambda V: np.float64)
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.space.PRECISION", np.float64)
 
 
 @pytest.fixture

@@ -18,7 +18,6 @@ from benchmarks import scaling
 from benchmarks.common import paper
 from benchmarks.common.records import describe_machine
 from benchmarks.common.scaling.model import (
-    INNER,
     PARTS,
     SCATTER,
     Machine,
@@ -166,21 +165,6 @@ def test_work_on_a_shared_bus_slows_down_as_measured(processes, measured):
     model = create_model([BASE | {"subdomains_in_all": 25 * processes}], [SENT])
     slowed = processes * model.predict(processes).local / model.predict(1).local
     assert slowed == pytest.approx(measured, rel=0.16)
-
-
-@pytest.mark.parametrize("columns", [6, 8])
-def test_third_level_reads_its_rows_and_waits(columns):
-    """20 000 subdomains in 2500 clusters, each exchange with the neighbours that were counted."""
-    sent = SENT | {"neighbours": 10.0}
-    found = create_model([BASE | {"coarse_size": 512 * columns}], [sent]).predict(20_000)
-    assert found.gathering == 0.0  # within the third level's iterations
-    inner, entries, numbers, exchanges = INNER[columns > 6]
-    m, K_1, P = Machine(), 15_000, 20_000
-    γ = m.node / m.bus
-    each = γ * (12 * entries + 8 * numbers) * columns / m.stream + 10 * exchanges * m.latency
-    each += 2 * m.latency * math.log2(20_000)
-    each += 2 * m.latency * math.log2(P) + 8 * K_1 / m.bandwidth + 8 * γ * K_1**2 / (P * m.stream)
-    assert found.coarse_solves == pytest.approx(1500 * sent["coarse_solves"] * inner * each)
 
 
 PROGRAM = """

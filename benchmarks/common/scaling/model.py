@@ -33,17 +33,7 @@ inverse, of which six take the time of a solve,
     \quad 2 \cdot 8\, K / W + 16\, L / (c V) \text{ above}, \qquad
     t_{coarse} = β\, t_1 / P + Φ / (c R) + \frac{K}{6 P} \frac{16\, γ L}{V} .
 
-Where ``coarse.clustered`` takes clusters, i₃ iterations of CG take the place, each with K/P rows of
-N and its small systems, a reduction, a solve as above for the K₁ unknowns of the clusters, and m n
-messages to n neighbours: 2 n for the rows of N, and there and back n each for the clusters and for
-small systems that overlap,
-
-.. math::
-
-    t_c = i_3 \left( γ \frac{(12\, e + 8\, d)\, K}{P V} + m n α + 2 α \log_2 P
-    + t_c(K_1) \right),
-
-with i₃, e, d and m in :data:`INNER`. Beyond S processes there are as many subdomains as processes;
+Beyond S processes there are as many subdomains as processes;
 K grows with them, L as K ln K and Φ as K^{3/2}, those of a wall, which is nearly two-dimensional.
 
 The wall is read by all processes from the file that as many have written: the file's bytes at D;
@@ -64,13 +54,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 from benchmarks.common.records import Record
-from dolfinx_feti.feti.coarse.clustered import number_of_clusters, takes_clusters
 from dolfinx_feti.feti.coarse.gathered import SPREAD
 from dolfinx_feti.feti.coarse.group import ROWS
 from dolfinx_feti.feti.coarse.whole import MOST
 
 __all__ = [
-    "INNER",
     "KRYLOV",
     "PARTS",
     "SCATTER",
@@ -83,18 +71,6 @@ __all__ = [
 
 #: Rows of the inverse that take the time of a solve with the factor.
 BLOCKED = 6.0
-
-#: Iterations of the third level in a solve, on average; entries in a row of N and N Z; numbers for
-#: a row in the small systems; exchanges: with rigid motions alone, counted on a cube of 4096
-#: subdomains, Q = M, and with further columns, on a vessel of 2048 in the primal form, ten each.
-#: Iterations to 1e-9 as counted on a cube of 512 subdomains, elastic, over those of looser solves.
-INNER = {False: (53, 650, 6, 4), True: (42, 235, 706, 6)}
-
-#: Rows of the clusters' matrix of that vessel, entries of its factor, and operations to make it.
-THIRD = (1536, 1.21e5, 1.03e7)
-
-#: Rigid motions of a subdomain.
-MOTIONS = 6
 
 #: σ: standard deviation of the work of a subdomain over its mean, of the squared interface dofs of
 #: 36 to 92 subdomains of 2000 dofs: tube, vessel and block have 0.16 to 0.20, and at most 1.6.
@@ -216,17 +192,6 @@ class Model:
     def _coarse(self, K: float, L: float, flops: float, P: int) -> tuple[float, float, float]:
         """Return the seconds of gathering, of a solve, and of a set-up, on P processes."""
         m, hops, stream = self.machine, math.log2(P), self.machine.stream / self._bus(P)
-        columns = self.base["coarse_size"] / self.base["subdomains_in_all"]
-        if takes_clusters(round(K), P, columns):
-            inner, entries, numbers, exchanges = INNER[columns > MOTIONS]
-            K_1 = MOTIONS * number_of_clusters(round(K / columns), P)
-            grown = K_1 / THIRD[0]
-            longer = grown * math.log(K_1) / math.log(THIRD[0])
-            gather, solve, make = self._coarse(K_1, longer * THIRD[1], grown**1.5 * THIRD[2], P)
-            waits = exchanges * self.sent["neighbours"] + 2.0 * hops
-            each = (12.0 * entries + 8.0 * numbers) * K / (P * stream) + waits * m.latency
-            solved = inner * (each + gather + solve)
-            return 0.0, solved, make + solved  # with one on trial
         group = 1 if L <= MOST else min(P, max(1, math.ceil(K / ROWS)))
         make = flops / (group * m.rate)
         if K > SPREAD * P:

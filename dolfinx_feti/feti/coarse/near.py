@@ -8,9 +8,6 @@ Subdomain i has :math:`c_i` of the columns of all subdomains as one dense block 
 *element matrices* as in the finite element method,
 
 .. math:: \sum_i C_i^⊤ (W_i^⊤ S_i W_i)\, C_i.
-
-All columns of a subdomain are near another one or none: its rows in the sum have the same columns,
-so that one of them tells which subdomains it is coupled with.
 """
 
 from __future__ import annotations
@@ -19,7 +16,7 @@ import itertools
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -32,11 +29,10 @@ from dolfinx_feti.feti.coarse.fields import Fields
 from dolfinx_feti.feti.gluing.copies import star_forest
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.runtime.arrays import Array, Integers, Numbers
-from dolfinx_feti.runtime.collective import join
 from dolfinx_feti.runtime.native import load, pointer
 from dolfinx_feti.torn.matrix import create_torn_matrix
 
-__all__ = ["CoupledSubdomains", "NearColumns", "coupled_subdomains", "expanded", "joined"]
+__all__ = ["NearColumns", "joined"]
 
 
 DECLARATIONS = """
@@ -68,7 +64,7 @@ class NearColumns:
         self._total = comm.allreduce(self._size)
         end = np.cumsum(np.append(0, W.count))  # of the columns of each panel
         self.blocks = list(itertools.starmap(slice, itertools.pairwise(end[W.panels].tolist())))
-        self._forest = star_forest(expanded(W.owner, W.count), self._size, comm)
+        self._forest = star_forest(_expanded(W.owner, W.count), self._size, comm)
 
     def to_owners(self, near: Array) -> Array:
         """Sum what subdomains have for the columns near them, (near,), at the owners, (size,)."""
@@ -134,17 +130,11 @@ class NearColumns:
         indptr = np.append(0, np.cumsum(np.repeat(length, width)))
         csr = tuple(array.astype(PETSc.IntType, copy=False) for array in (indptr, indices))
         K = PETSc.Mat().createAIJWithArrays((n, n), (*csr, values), comm=PETSc.COMM_SELF)
-        return K, expanded(first, width)
+        return K, _expanded(first, width)
 
     def destroy(self) -> None:
         """Free the star forest."""
         self._forest.destroy()
-
-
-def expanded(first: Integers, count: Integers) -> Numbers:
-    """Return the numbers of columns, ``count`` of them from each ``first`` on."""
-    end = np.cumsum(count)
-    return np.arange(count.sum()) + np.repeat(first - end + count, count)
 
 
 def joined(parts: Sequence[npt.NDArray[Any]], dtype: npt.DTypeLike = float) -> npt.NDArray[Any]:
@@ -152,39 +142,7 @@ def joined(parts: Sequence[npt.NDArray[Any]], dtype: npt.DTypeLike = float) -> n
     return np.concatenate([np.zeros(0, dtype), *parts], dtype=dtype)
 
 
-class CoupledSubdomains(NamedTuple):
-    """The subdomains that are coupled with each one of this process, without itself.
-
-    Attributes:
-        starts: First row of each subdomain of all processes, and K, (subdomains + 1,).
-        first: Number of the first subdomain of this process.
-        indptr: Where those of each begin, and the end, (own subdomains + 1,).
-        indices: Their numbers over all processes, ascending, (pairs,).
-    """
-
-    starts: Numbers
-    first: int
-    indptr: Numbers
-    indices: Numbers
-
-
-def coupled_subdomains(N: PETSc.Mat, counts: Numbers) -> CoupledSubdomains:
-    """Find which subdomains N couples; all rows of one have the same columns. Collective.
-
-    Args:
-        N: Coarse matrix, (K, K).
-        counts: Rows of each subdomain of this process.
-    """
-    comm = N.comm.tompi4py()
-    first = N.getOwnershipRange()[0] + np.cumsum(counts) - counts
-    starts = join(first, comm)  # of all subdomains; one without rows begins with the next one
-    own = comm.scan(len(counts)) - len(counts)
-    rows = first[counts > 0]
-    columns = [N.getRow(row)[0] for row in rows.tolist()]
-    subdomain = np.repeat(own + np.flatnonzero(counts), [len(row) for row in columns])
-    near = np.searchsorted(starts, joined(columns, np.int64), side="right") - 1
-    new = (np.diff(near, prepend=-1) != 0) | (np.diff(subdomain, prepend=-1) != 0)
-    new &= near != subdomain
-    lengths = np.bincount(subdomain[new] - own, minlength=len(counts))
-    starts = np.append(starts, N.getSize()[0])
-    return CoupledSubdomains(starts, own, np.cumsum(np.append(0, lengths)), near[new])
+def _expanded(first: Integers, count: Integers) -> Numbers:
+    """Return the numbers of columns, ``count`` of them from each ``first`` on."""
+    end = np.cumsum(count)
+    return np.arange(count.sum()) + np.repeat(first - end + count, count)

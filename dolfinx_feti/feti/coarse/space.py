@@ -8,9 +8,8 @@ r"""The averaged coarse space and its Galerkin matrix.
 (Mandel 1993, Fragakis and Papadrakakis 2003) with columns :math:`U_i` of each subdomain on its
 interface, (n_i, k_i), and :math:`W_i`, (n_i, c_i), those of its neighbours, too. The projection
 :math:`z ← z - V A_0^{-1} \sum_i Y_i^⊤ (T z)_i` reads :math:`Y_i = S_i^⊤ W_i`, in single precision
-unless z comes from a preconditioner of another matrix or A₀, which may be singular, is solved with
-iteratively. V serves any matrix, :class:`AveragedColumns`; A V and A₀ are of one,
-:class:`AveragedSpace`. A has at least as many negative eigenvalues as A₀; they count only if they
+unless z comes from a preconditioner of another matrix. V serves any matrix,
+:class:`AveragedColumns`; A V and A₀ are of one, :class:`AveragedSpace`. A has at least as many negative eigenvalues as A₀; they count only if they
 are those of :math:`A_0 + ε`, with ε just above rounding, :math:`\sum_i \|S_i\|_F \|W_i\|^2` times
 its unit.
 """
@@ -27,7 +26,6 @@ import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.linalg
 
-from dolfinx_feti.feti.coarse.clustered import create_coarse_solver, takes_clusters
 from dolfinx_feti.feti.coarse.fields import averaged_fields
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.coarse.near import NearColumns, joined
@@ -54,6 +52,9 @@ LEAST_ENERGY = 1e-6
 
 #: A pivot of A₀ below this multiple of its norm is that of a column that depends on others.
 ZERO_PIVOT = 1e-8
+
+#: Precision of A V where preconditioner and matrix belong together.
+PRECISION: type[np.floating] = np.float32
 
 #: Multiple of a bound of rounding errors by which an energy has to be negative.
 MARGIN = 10.0
@@ -139,7 +140,7 @@ class AveragedSpace:
         self.V = V
         self.total = V.total
         self.AV: list[npt.NDArray[np.floating]] = []
-        precision = _precision(V) if combinations is None else np.float64
+        precision = PRECISION if combinations is None else np.float64
 
         def elements() -> Iterator[Array]:
             for i in range(len(V.W)):
@@ -160,13 +161,12 @@ class AveragedSpace:
             self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
             self._x, self._y = (own(vector) for vector in self.A_0.createVecs())
             self.solver = own(
-                create_coarse_solver(
+                GatheredSolver(
                     self.A_0,
-                    self._counts(),
-                    lambda: self._amplitudes(S.torn.near_kernel()[V.copies.dofs]),
                     prefix=prefix,
                     symmetric=symmetric,
                     zero=ZERO_PIVOT,
+                    counts=self._counts(),
                 )
             )
             self._negative = self.solver.pivots().negative
@@ -248,14 +248,6 @@ def estimated_norms(copies: Copies, multiply: Callable[[int, Array], Array]) -> 
     sizes = [rows.stop - rows.start for rows in copies.blocks]
     ω = [np.random.default_rng(n).standard_normal((n, 1)) for n in sizes]
     return [float(np.linalg.norm(multiply(i, ω_i))) for i, ω_i in enumerate(ω)]
-
-
-def _precision(V: AveragedColumns) -> npt.DTypeLike:
-    """Choose the precision of A V. Collective."""
-    comm = V.copies.comm
-    subdomains = comm.allreduce(sum(U.shape[1] > 0 for U in V.columns))
-    clusters = takes_clusters(V.total, comm.size, V.total / max(1, subdomains))
-    return np.float64 if clusters else np.float32
 
 
 def _independent(A: PETSc.Mat, blocks: Sequence[slice]) -> scipy.sparse.csr_array:

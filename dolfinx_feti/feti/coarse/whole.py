@@ -21,7 +21,7 @@ import numpy as np
 
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.coarse.group import copy_of_rows
-from dolfinx_feti.feti.coarse.near import coupled_subdomains
+from dolfinx_feti.feti.coarse.near import joined
 from dolfinx_feti.feti.subdomain.factors.multifrontal import (
     FrontFactor,
     Fronts,
@@ -89,12 +89,16 @@ def whole_factor(
 
 
 def _nodes(N: PETSc.Mat, counts: Numbers) -> tuple[Indices, Indices, Indices]:
-    """Return the sizes of all subdomains that have rows, and the graph of those. Collective."""
-    comm, graph = N.comm.tompi4py(), coupled_subdomains(N, counts)
-    size = join(counts, comm)
-    ptr = np.cumsum(np.append(0, join(np.diff(graph.indptr), comm)))
-    some = size > 0
-    number = np.cumsum(some) - 1
-    arrays = size[some], ptr[np.append(some, True)], number[join(graph.indices, comm)]
+    """Return the sizes of all subdomains that have rows, and the graph of those. Collective.
+
+    All rows of a subdomain have the same columns, so that one of them tells its neighbours.
+    """
+    comm, some = N.comm.tompi4py(), counts > 0
+    first = (N.getOwnershipRange()[0] + np.cumsum(counts) - counts)[some]
+    starts = join(first, comm)
+    near = [np.unique(np.searchsorted(starts, N.getRow(row)[0], side="right") - 1) for row in first]
+    own = [there[starts[there] != row] for there, row in zip(near, first, strict=True)]
+    ptr = np.cumsum(np.append(0, join([len(there) for there in own], comm)))
+    arrays = join(counts[some], comm), ptr, join(joined(own, np.int64), comm)
     size, ptr, adjacent = (array.astype(np.int32) for array in arrays)
     return size, ptr, adjacent

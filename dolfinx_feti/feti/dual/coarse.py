@@ -21,7 +21,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.errors import SetUpError
-from dolfinx_feti.feti.coarse.clustered import create_coarse_solver
+from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.coarse.near import joined
 from dolfinx_feti.feti.dual.preconditioner import Preconditioner
 from dolfinx_feti.feti.dual.weighted import WeightedColumns
@@ -106,12 +106,11 @@ class Coarse:
                 )
             self.N.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self.solver = own(
-                create_coarse_solver(
+                GatheredSolver(
                     self.N,
-                    np.array([m.E.shape[1] for m in modes], dtype=np.int64),
-                    lambda: self._amplitudes(torn.near_kernel()),
                     prefix=prefix,
                     symmetric=True,
+                    counts=np.array([m.E.shape[1] for m in modes], dtype=np.int64),
                 )
             )
             self._s, self._e = (own(vector) for vector in self.N.createVecs())

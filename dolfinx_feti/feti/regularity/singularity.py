@@ -19,7 +19,6 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.errors import SetUpError, SingularError
-from dolfinx_feti.feti.coarse.clustered import CoarseSolver
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.gluing.bodies import Bodies
 from dolfinx_feti.feti.regularity.description import describe
@@ -81,7 +80,7 @@ def require_regular(
     bodies: Bodies,
     near_kernel: Array,
     N: PETSc.Mat,
-    solver: CoarseSolver,
+    solver: GatheredSolver,
     *,
     prolong: Callable[[Array], Array],
     extend: Callable[[Array, Array], Array],
@@ -173,7 +172,7 @@ def require_regular_interior(torn: Torn, bodies: Bodies, near_kernel: Array, ker
     raise SingularError(describe(rigid, others))
 
 
-def _growth_and_error(N: PETSc.Mat, solver: CoarseSolver) -> tuple[float, float]:
+def _growth_and_error(N: PETSc.Mat, solver: GatheredSolver) -> tuple[float, float]:
     """Solve with a random right-hand side; collective.
 
     Returns:
