@@ -9,9 +9,9 @@ r"""The averaged coarse space and its Galerkin matrix.
 interface, (n_i, k_i), and :math:`W_i`, (n_i, c_i), those of its neighbours, too. The projection
 :math:`z ← z - V A_0^{-1} \sum_i Y_i^⊤ (T z)_i` reads :math:`Y_i = S_i^⊤ W_i`, in single precision
 unless z comes from a preconditioner of another matrix. V serves any matrix,
-:class:`AveragedColumns`; A V and A₀ are of one, :class:`AveragedSpace`. A has at least as many negative eigenvalues as A₀; they count only if they
-are those of :math:`A_0 + ε`, with ε just above rounding, :math:`\sum_i \|S_i\|_F \|W_i\|^2` times
-its unit.
+:class:`AveragedColumns`; A V and A₀ are of one, :class:`AveragedSpace`. A has at least as many
+negative eigenvalues as A₀; they count only if they are those of :math:`A_0 + ε`, with ε just above
+rounding, :math:`\sum_i \|S_i\|_F \|W_i\|^2` times its unit.
 """
 
 from __future__ import annotations
