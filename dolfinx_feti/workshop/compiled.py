@@ -119,14 +119,17 @@ class CompiledEnergy:
         return States(F, psi, P, A)
 
     def _batch(self, F: Array) -> list[Array]:
-        """Values of Ψ, P and A at no more than BATCH states."""
-        states = np.tile(np.eye(3), (BATCH, 1, 1))
-        states[: len(F)] = F
+        """Values of Ψ, P and A at no more than BATCH states; a NaN in one would reach all."""
+        states, lost = np.tile(np.eye(3), (BATCH, 1, 1)), ~np.isfinite(F).all(axis=(1, 2))
+        states[: len(F)][~lost] = F[~lost]
         self._F.x.array[:] = states.ravel()
         cell = np.zeros(1, dtype=np.int32)
-        values = [np.asarray(e.eval(self._mesh, cell)) for e in self._expressions]
+        values = [np.array(e.eval(self._mesh, cell)) for e in self._expressions]
         shapes = [(3,) * rank for rank in (0, 2, 4)]
-        return [v.reshape(BATCH, *s)[: len(F)] for v, s in zip(values, shapes, strict=True)]
+        parts = [v.reshape(BATCH, *s)[: len(F)] for v, s in zip(values, shapes, strict=True)]
+        for part in parts:
+            part[lost] = np.nan
+        return parts
 
 
 @dataclass(frozen=True, slots=True)

@@ -123,13 +123,10 @@ def least_eigenvalues(F: Array, A: Array, *, incompressible: bool) -> tuple[Arra
 
 def _along(material: Material, path: MaterialTest) -> Array:
     """Least eigenvalues, (n,); NaN where there is no equilibrium, or no finite tangent."""
-    equilibria = equilibrate(material, path.F, path.free)
-    least = np.full(len(path.F), np.nan)
-    if equilibria.converged.any():
-        states = evaluate(material, equilibria.F[equilibria.converged])
-        usable, fine = np.flatnonzero(equilibria.converged)[states.finite], states.finite
-        kind = material.incompressible
-        least[usable] = least_eigenvalues(states.F[fine], states.A[fine], incompressible=kind)[0]
+    F, _ = equilibrate(material, path.F, path.free)
+    states, least = evaluate(material, F), np.full(len(F), np.nan)
+    fine, kind = states.finite, material.incompressible
+    least[fine] = least_eigenvalues(F[fine], states.A[fine], incompressible=kind)[0]
     return least
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.workshop.compiled import Material, evaluate
 
-__all__ = ["Equilibrium", "cofactor", "equilibrate", "stiffness_scale", "total_tangent"]
+__all__ = ["cofactor", "equilibrate", "stiffness_scale", "total_tangent"]
 
 
 MAX_STEPS, MAX_HALVINGS = 40, 12
@@ -45,21 +45,6 @@ PERMUTATION = np.array(
 )
 #: ε_ikm ε_JLN as a matrix from F_mN to (D cof F)_iJkL.
 COFACTOR = np.einsum("ikm,JLN->iJkLmN", PERMUTATION, PERMUTATION).reshape(81, 9)
-
-
-@dataclass(frozen=True, slots=True)
-class Equilibrium:
-    """States in equilibrium.
-
-    Attributes:
-        F: Deformation gradients, (n, 3, 3).
-        p: Pressures [kPa], (n,), κ (J − 1) if κ is finite; zero for a complete energy.
-        converged: Whether the state was found, (n,).
-    """
-
-    F: Array
-    p: Array
-    converged: Mask
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,11 +106,12 @@ class _Balance:
         return _Trial(F, p, r, K, norm)
 
 
-def equilibrate(material: Material, F: Array, free: Array) -> Equilibrium:
-    """Find the free entries of F, (n, 3, 3), which holds guesses, and the pressure.
+def equilibrate(material: Material, F: Array, free: Array) -> tuple[Array, Array]:
+    """Find the free entries of F, (n, 3, 3), which holds guesses, and the pressures [kPa], (n,).
 
-    The entries are along directions (k, 3, 3). States that have not converged hold NaN. Without
-    free entries the pressure of an incompressible material is arbitrary: a ValueError.
+    The entries are along directions (k, 3, 3). Pressures are κ (J − 1) if κ is finite, and zero of
+    a complete energy. States that were not found hold NaN. Without free entries the pressure of an
+    incompressible material is arbitrary: a ValueError.
     """
     if material.incompressible and not len(free):
         raise ValueError(
@@ -134,18 +120,14 @@ def equilibrate(material: Material, F: Array, free: Array) -> Equilibrium:
         )
     bare = replace(material, kappa=0.0)
     flexibility = None if material.kappa == 0 else 1 / material.kappa
-    problem = _Balance(bare, flexibility, free, np.float64(stiffness_scale(bare)))
-    states = Equilibrium(F.copy(), np.zeros(len(F)), np.zeros(len(F), dtype=bool))
+    balance = _Balance(bare, flexibility, free, np.float64(stiffness_scale(bare)))
+    found, p = np.full_like(F, np.nan), np.full(len(F), np.nan)
     for steps in LOAD_STEPS:
-        left = np.flatnonzero(~states.converged)
-        if not len(left):
-            break
-        with np.errstate(all="ignore"):  # trial states may overflow
-            part = _approach(problem, F[left], steps)
-        states.F[left], states.p[left], states.converged[left] = part.F, part.p, part.converged
-    states.F[~states.converged] = np.nan
-    states.p[~states.converged] = np.nan
-    return states
+        left = np.flatnonzero(np.isnan(p))
+        if len(left):
+            with np.errstate(all="ignore"):  # trial states may overflow
+                found[left], p[left] = _approach(balance, F[left], steps)
+    return found, p
 
 
 def cofactor(F: Array) -> Array:
@@ -164,28 +146,28 @@ def stiffness_scale(material: Material) -> float:
     return scale if 0.0 < scale < np.inf else 1.0
 
 
-def _approach(problem: _Balance, F: Array, steps: int) -> Equilibrium:
+def _approach(balance: _Balance, F: Array, steps: int) -> tuple[Array, Array]:
     """Go from the reference to F in equal steps; the first and only one starts from the guess."""
-    free, at_rest = problem.free, np.broadcast_to(np.eye(3), F.shape)
+    free, at_rest = balance.free, np.broadcast_to(np.eye(3), F.shape)
     x = _entries(F if steps == 1 else at_rest, free)
     start, end = (G - _combine(_entries(G, free), free) for G in (at_rest, F))
     p: Array = np.full(len(F), np.nan)
-    alive: Mask = np.ones(len(F), dtype=bool)
+    alive: Mask = np.ones(len(F), dtype=np.bool_)
     for t in np.linspace(0.0, 1.0, steps + 1)[1:]:
         guess = start + t * (end - start) + _combine(x, free)
-        state, converged = _newton(problem, guess, p, alive)
+        state, converged = _newton(balance, guess, p, alive)
         x, p, alive = _entries(state.F, free), state.p, alive & converged
         if not alive.any():
             break
-    return Equilibrium(state.F, state.p, alive)
+    return np.where(alive[:, None, None], state.F, np.nan), np.where(alive, p, np.nan)
 
 
-def _newton(problem: _Balance, F: Array, p: Array, alive: Mask) -> tuple[_Trial, Mask]:
+def _newton(balance: _Balance, F: Array, p: Array, alive: Mask) -> tuple[_Trial, Mask]:
     """Newton's method for the states that are alive, and which of them have converged.
 
     Steps are so short that residuals decrease; a state that has converged takes its last, full one.
     """
-    state, k = problem.at(F, p), len(problem.free)
+    state, k = balance.at(F, p), len(balance.free)
     done: Mask = np.zeros(len(F), dtype=bool)
     going = alive
     for _ in range(MAX_STEPS):
@@ -198,14 +180,14 @@ def _newton(problem: _Balance, F: Array, p: Array, alive: Mask) -> tuple[_Trial,
             step = np.linalg.solve(K, -r[:, :, None])[:, :, 0]
         except np.linalg.LinAlgError:  # a singular tangent: the shortest step
             step = -np.einsum("nab,nb->na", np.linalg.pinv(K), r)
-        dx, dp = step[:, :k], problem.scale * step[:, k:].sum(axis=1)
+        dx, dp = step[:, :k], balance.scale * step[:, k:].sum(axis=1)
         small = (np.abs(dx).max(axis=1, initial=0.0) < LAST_INCREMENT) & state.below(BALANCED)
         done = done | (going & (small | state.below(RESIDUAL_ROUNDING)))
         resting: Mask = done | ~going
         alpha: Array = np.ones(len(F))
         for _ in range(MAX_HALVINGS):
-            by = _combine(alpha[:, None] * dx, problem.free)
-            trial = problem.at(state.F + by, state.p + alpha * dp)
+            by = _combine(alpha[:, None] * dx, balance.free)
+            trial = balance.at(state.F + by, state.p + alpha * dp)
             moved = resting | (trial.norm <= (1 - 1e-4 * alpha) * state.norm)
             if moved.all():
                 break

@@ -44,8 +44,6 @@ class Response:
         p: Pressures, positive in tension [kPa], (n,); zero for a complete energy.
         psi: Energies per unit reference volume, with κ/2 (J − 1)² [kPa], (n,).
         P: First Piola stresses [kPa], (n, 3, 3).
-        sigma: Cauchy stresses [kPa], (n, 3, 3).
-        converged: Whether the state was found, (n,).
     """
 
     path: MaterialTest
@@ -53,13 +51,22 @@ class Response:
     p: Array
     psi: Array
     P: Array
-    sigma: Array
-    converged: Mask
+
+    @property
+    def converged(self) -> Mask:
+        """Whether the state was found, (n,)."""
+        return np.isfinite(self.p)
 
     @property
     def J(self) -> Array:
         """Volume ratios det F, (n,)."""
-        return _volume_ratio(self.F)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.linalg.det(self.F))
+
+    @property
+    def sigma(self) -> Array:
+        """Cauchy stresses σ = J⁻¹ P Fᵀ [kPa], (n, 3, 3)."""
+        return np.asarray(self.P @ self.F.transpose(0, 2, 1) / self.J[:, None, None])
 
     def __str__(self) -> str:
         """Return a table of stretches and stresses."""
@@ -91,16 +98,11 @@ def respond(material: Material, path: MaterialTest) -> Response:
     Raises:
         ValueError: The material is incompressible, and the path has no free entries.
     """
-    equilibria = equilibrate(material, path.F, path.free)
-    R, n = path.frame, len(path.F)
-    psi, P, F = np.full(n, np.nan), np.full((n, 3, 3), np.nan), R.T @ equilibria.F @ R
-    if equilibria.converged.any():
-        states = evaluate(material, equilibria.F[equilibria.converged])
-        p = equilibria.p[equilibria.converged, None, None] if material.incompressible else 0.0
-        psi[equilibria.converged] = states.psi
-        P[equilibria.converged] = R.T @ (states.P + p * cofactor(states.F)) @ R
-    sigma = P @ F.transpose(0, 2, 1) / _volume_ratio(F)[:, None, None]
-    return Response(path, F, equilibria.p, psi, P, sigma, equilibria.converged)
+    F, p = equilibrate(material, path.F, path.free)
+    R, states = path.frame, evaluate(material, F)
+    pressure = p[:, None, None] if material.incompressible else 0.0
+    P = R.T @ (states.P + pressure * cofactor(F)) @ R
+    return Response(path, R.T @ F @ R, p, states.psi, P)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,12 +157,6 @@ def _check_measure(measure: Measure) -> None:
         raise ValueError(f"measure = {measure!r}: choose 'cauchy' or 'piola'.")
 
 
-def _volume_ratio(F: Array) -> Array:
-    """J, NaN where F is."""
-    with np.errstate(invalid="ignore"):
-        return np.linalg.det(F)
-
-
 def plot_responses(
     responses: Sequence[Response],
     data: Sequence[DataSet] = (),
@@ -190,13 +186,8 @@ def plot_responses(
         raise ValueError(f"names = {names}: give one for each of the {len(responses)} responses.")
     named = zip(names, responses, strict=True)
     curves = [(name, r.path, stresses(r, measure)) for name, r in named]
-    try:
-        from matplotlib.figure import Figure  # without the windows of pyplot
-    except ImportError as error:
-        raise ImportError(
-            "Pictures need matplotlib: install it (apt install python3-matplotlib, or pip install "
-            "matplotlib), or draw the numbers with another tool."
-        ) from error
+    from matplotlib.figure import Figure  # without the windows of pyplot
+
     figure = Figure(figsize=(4.8, 3.8), layout="constrained")
     ax = figure.subplots()
     for parts, style in ((curves, "-"), ([(d.name, d.path, d.stress) for d in data], "o")):

@@ -67,6 +67,15 @@ def test_states_do_not_depend_on_each_other(n):
         assert alone.psi[0] == at.psi[k]
 
 
+def test_nan_reaches_its_own_state_only():
+    F = states(5)
+    before = evaluate(compiled(hgo), F)
+    F[2, 0, 1] = np.nan
+    after = evaluate(compiled(hgo), F)
+    np.testing.assert_array_equal(after.finite, [True, True, False, True, True])
+    np.testing.assert_array_equal(after.P[after.finite], before.P[after.finite])
+
+
 def test_kappa_adds_the_volumetric_energy():
     F = states(3)
     J = np.linalg.det(F)

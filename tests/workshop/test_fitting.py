@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import builtins
-
 import numpy as np
 import pytest
 from workshop_materials import HGO, JIT, hgo, material, mooney_rivlin, neo_hookean
@@ -174,20 +172,6 @@ def test_picture(tmp_path):
         plot_responses([])
     with pytest.raises(ValueError, match="measure = 'kirchhoff'"):
         plot_responses(curves, measure="kirchhoff")
-
-
-def test_without_matplotlib(monkeypatch):
-    original = builtins.__import__
-
-    def without(name, *args, **kwargs):
-        if name.startswith("matplotlib"):
-            raise ImportError(name)
-        return original(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    curves = [respond(material(neo_hookean), uniaxial(STRETCH))]
-    with pytest.raises(ImportError, match="Pictures need matplotlib: install it"):
-        plot_responses(curves)
 
 
 # -- bad input ---------------------------------------------------------------------------------
