@@ -153,11 +153,12 @@ def _short(value: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Outcome:
-    """What came of a solver: its cost, its solution if there is one, and a note."""
+    """What came of a solver: cost, solution if any, a note, and whether K is proved definite."""
 
     cost: Cost | None
     x: PETSc.Vec | None
-    note: str = ""
+    note: str
+    definite: bool = False
 
 
 def compare(
@@ -190,8 +191,8 @@ def compare(
     """
     comm = problem.decomposition.mesh.comm
     wanted = _checked(solvers, comm)
-    whys = {name: missing(options) for name, options in wanted.items()}
-    present = {name: options for name, options in wanted.items() if not whys[name]}
+    left_out = tuple((name, why) for name, options in wanted.items() if (why := missing(options)))
+    present = {name: options for name, options in wanted.items() if name not in dict(left_out)}
     A, b = problem.linear_system()
     K, f = assembled_system(A, b)
     dirichlet = A.query("dirichlet")
@@ -207,8 +208,8 @@ def compare(
         rtol = ksp.getTolerances()[0]
         ksp.destroy()
         if "feti" in present:  # first: it knows whether the matrix is definite
-            outcomes["feti"], proved = _solve_by_feti(problem.create_linear_solver, b)
-            definite = proved if definite is None else definite
+            outcomes["feti"] = _solve(problem.create_linear_solver, b)
+            definite = outcomes["feti"].definite if definite is None else definite
         symmetric = bool(all(K.isSymmetricKnown()))
         marks = {"symmetric": symmetric, "definite": bool(definite) and symmetric}
         if marks["definite"]:
@@ -218,44 +219,36 @@ def compare(
                 outcomes[name] = _solve_directly(K, f)
             elif name != "feti":
                 M = A if takes_torn(name, options) else K
-                create = partial(create_solver, M, name, options, rtol=rtol, **marks)
-                outcomes[name] = _solve(create, f)
-        x_direct = outcomes[DIRECT].x if DIRECT in outcomes else None
-        if x_direct is not None and not relative_residual(K, f, x_direct) <= REFERENCE:
-            x_direct = None
-        results = [
-            _judged(name, outcomes[name], (K, f), x_direct, dirichlet, rtol) for name in present
-        ]
+                outcomes[name] = _solve(
+                    partial(create_solver, M, name, options, rtol=rtol, **marks), f
+                )
+        solutions = {name: outcomes[name].x for name in present if outcomes[name].x}
+        for x in solutions.values():
+            _put_zero(x, dirichlet)
+        errors = {name: relative_residual(K, f, x) for name, x in solutions.items()}
+        direct = solutions[DIRECT] if errors.get(DIRECT, np.inf) <= REFERENCE else None
+        results = []
+        for name in present:
+            note, error, x = outcomes[name].note, errors.get(name, np.nan), solutions.get(name)
+            if error > EXCESS * rtol and not note:
+                note = f"the residual is above {rtol:.0e}"
+            known = x is not None and direct is not None
+            difference = relative_difference(x, direct) if known else np.nan
+            results.append(SolverResult(name, outcomes[name].cost, error, difference, note))
         return Comparison(
             dofs=f.getSize(),
             subdomains=comm.allreduce(problem.decomposition.count),
             processes=comm.size,
             rtol=rtol,
             results=tuple(results),
-            left_out=tuple((name, why) for name, why in whys.items() if why),
+            left_out=left_out,
         )
     finally:
         for owned in (K, f, b, *(outcome.x for outcome in outcomes.values() if outcome.x)):
             owned.destroy()
 
 
-def _solve_by_feti(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> tuple[_Outcome, bool]:
-    """Solve, and tell whether the subdomains prove the assembled matrix to be definite."""
-    contexts: list[FETI] = []
-
-    def create_and_keep() -> PETSc.KSP:
-        ksp = create()
-        contexts.append(ksp.getPythonContext())
-        return ksp
-
-    outcome = _solve(create_and_keep, b, lambda: contexts[0].message)
-    inertia = contexts[0].inertia
-    return outcome, inertia is not None and inertia.definite and not inertia.interior
-
-
-def _solve(
-    create: Callable[[], PETSc.KSP], b: PETSc.Vec, message: Callable[[], str] = lambda: ""
-) -> _Outcome:
+def _solve(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> _Outcome:
     """Solve with one solver; a failure becomes a note."""
     x = b.duplicate()
     try:
@@ -263,55 +256,35 @@ def _solve(
     except (PETSc.Error, RuntimeError, ImportError) as error:
         x.destroy()
         return _Outcome(None, None, f"failed: {reason(error).splitlines()[-1]}")
-    pc, failed = ksp.getPC(), PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED
-    why = message() or _name(cost.converged_reason)
+    why, definite, pc = _name(cost.converged_reason), False, ksp.getPC()
+    if ksp.getType() == PETSc.KSP.Type.PYTHON and isinstance(ksp.getPythonContext(), FETI):
+        feti = ksp.getPythonContext()
+        why, inertia = feti.message or why, feti.inertia
+        definite = inertia is not None and inertia.definite and not inertia.interior
+    failed = PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED
     if cost.converged_reason == failed and pc.getType() in ("cholesky", "lu"):
         why = factor_failure(pc)
     ksp.destroy()
     if cost.converged_reason > 0:
-        return _Outcome(cost, x)
+        return _Outcome(cost, x, "", definite)
     x.destroy()
-    return _Outcome(cost, None, f"failed: {why}")
+    return _Outcome(cost, None, f"failed: {why}", definite)
 
 
 def _solve_directly(K: PETSc.Mat, f: PETSc.Vec) -> _Outcome:
     """Solve by MUMPS; once more, by LU, if what Cholesky leaves is too much."""
-    outcome = _solve(lambda: create_solver(K), f)
-    if outcome.x is None:
-        return outcome
-    note, error = "", relative_residual(K, f, outcome.x)
-    if not error <= REFERENCE and all(K.isSymmetricKnown()):
-        outcome.x.destroy()
-        note = f"by LU, as Cholesky leaves a residual of {error:.0e}"
-        outcome = _solve(lambda: create_solver(K, symmetric=False), f)
-        if outcome.x is None:
-            return replace(outcome, note=f"{note}; {outcome.note}")
-        error = relative_residual(K, f, outcome.x)
-    if not error <= REFERENCE:
-        nothing = f"no reference: the residual is above {REFERENCE:.0e}"
-        note = f"{note}; {nothing}" if note else nothing
-    return replace(outcome, note=note)
-
-
-def _judged(
-    name: str,
-    outcome: _Outcome,
-    system: tuple[PETSc.Mat, PETSc.Vec],
-    x_direct: PETSc.Vec | None,
-    dirichlet: PETSc.IS | None,
-    rtol: float,
-) -> SolverResult:
-    """Measure the residual of a solution and its distance to the direct one, on the free dofs."""
-    error = difference = np.nan
-    note, x = outcome.note, outcome.x
-    if x is not None:
-        _put_zero(x, dirichlet)
-        error = relative_residual(*system, x)
-        if x_direct is not None:
-            difference = relative_difference(x, x_direct)
-        if error > EXCESS * rtol and not note:
-            note = f"the residual is above {rtol:.0e}"
-    return SolverResult(name, outcome.cost, error, difference, note)
+    notes = []
+    for symmetric in (True, False) if all(K.isSymmetricKnown()) else (False,):
+        outcome = _solve(partial(create_solver, K, symmetric=symmetric), f)
+        error = np.nan if outcome.x is None else relative_residual(K, f, outcome.x)
+        if outcome.x is None or error <= REFERENCE:
+            break
+        if symmetric:
+            outcome.x.destroy()
+            notes.append(f"by LU, as Cholesky leaves a residual of {error:.0e}")
+        else:
+            notes.append(f"no reference: the residual is above {REFERENCE:.0e}")
+    return replace(outcome, note="; ".join(filter(None, (*notes, outcome.note))))
 
 
 def _name(reason: int) -> str:
