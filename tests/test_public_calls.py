@@ -58,13 +58,12 @@ def test_calls_that_work_for_others():
     problem = LinearProblem(body.a, body.L, bcs=body.bcs, subdomains=6)
     A, b = problem.linear_system()
     x = b.duplicate()
-    _, ksp = comparison.timed_solve(problem.create_linear_solver, b, x)
+    cost, ksp = comparison.timed_solve(problem.create_linear_solver, b, x)
     small(np.linalg.norm(figures.residual_shares(A, b, x)) / b.norm(), 1e-7)
     context = ksp.getPythonContext()
     found = figures.collect_figures(context.form)
     agree(len(set(COMM.allgather(repr(found)))) == 1, found)
-    cost = comparison.record_cost(ksp, (0.0, 1.0, 3.0), comparison.PeakMemory())
-    agree((cost.seconds_setup, cost.seconds_solve) == (1.0, 2.0), cost)
+    agree(cost.iterations == ksp.getIterationNumber() and cost.seconds_solve > 0.0, cost)
     K, f = comparison.assembled_system(A, b)
     y = comparison.measure(lambda: comparison.create_solver(K), f)[1]
     small(comparison.relative_difference(x, y), 1e-5)  # rtol times a condition number

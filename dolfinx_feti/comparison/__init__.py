@@ -28,7 +28,7 @@ from dolfinx_feti.comparison.solvers import (
     relative_residual,
 )
 from dolfinx_feti.mechanics.values import type_exports
-from dolfinx_feti.runtime.cost import Cost, PeakMemory, measure, record_cost, timed_solve
+from dolfinx_feti.runtime.cost import Cost, PeakMemory, measure, timed_solve
 
 __all__ = [
     "SOLVERS",
@@ -40,7 +40,6 @@ __all__ = [
     "compare",
     "create_solver",
     "measure",
-    "record_cost",
     "relative_difference",
     "relative_residual",
     "timed_solve",

@@ -30,7 +30,7 @@ from dolfinx_feti.fem.quadrature import quadrature_points
 from dolfinx_feti.problems.forms import Forms
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
-from dolfinx_feti.runtime.connectivity import diagonal_places, load_graph_code
+from dolfinx_feti.runtime.connectivity import diagonal_places
 from dolfinx_feti.scalars.border import ScalarSystem
 from dolfinx_feti.scalars.equations import Coupling
 from dolfinx_feti.torn.matrix import set_condensed
@@ -134,7 +134,7 @@ class System:
                 F_u, F_p, self.u, fields, space=self._space, compiler=compiler
             )
         self._K = assembly.create_local_matrix(self._space, compiler)
-        self._diagonal = diagonal_places(self._K.mat, load_graph_code(self.comm))  # none is missing
+        self._diagonal = diagonal_places(self._K.mat)  # none is missing
         self._stiffness = np.zeros(len(self._diagonal))
         self.A = assembly.create_matis(
             self._space, self._K.mat, self.bcs, self._stiffness, forms.symmetric

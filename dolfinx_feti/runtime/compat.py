@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from mpi4py import MPI
@@ -26,8 +27,13 @@ __all__ = [
     "has_vertex_integrals",
     "interpolation_points",
     "package_version",
+    "repeat_partitions",
     "residual_is_nan",
 ]
+
+
+#: One thread; methods whose result does not depend on the order of messages.
+SCOTCH = ("SCOTCH_PTHREAD_NUMBER", "SCOTCH_DETERMINISTIC")
 
 
 def adjacency(data: Integers, offsets: Indices | None = None) -> object:
@@ -113,6 +119,16 @@ def interpolation_points(V: dolfinx.fem.FunctionSpace) -> Array:
 def package_version() -> str:
     """Return the version of dolfinx_feti, which is imported by then."""
     return str(sys.modules["dolfinx_feti"].__version__)
+
+
+def repeat_partitions() -> None:
+    """Let Scotch, with which dolfinx partitions, find the same parts in every run.
+
+    dolfinx seeds it. What is left to chance since Scotch 7 is the race of its threads and the order
+    of messages (Scotch 7.0 User's Guide, environment variables). What the environment says stays.
+    """
+    for name in SCOTCH:
+        os.environ.setdefault(name, "1")
 
 
 def residual_is_nan() -> int:

@@ -10,9 +10,10 @@ frees again before it ends.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,7 +26,6 @@ __all__ = [
     "Cost",
     "PeakMemory",
     "measure",
-    "record_cost",
     "timed_solve",
 ]
 
@@ -58,45 +58,34 @@ class PeakMemory:
 
     def __init__(self) -> None:
         """Return free memory to the system and reset its peak."""
-        try:
-            ctypes.CDLL(None).malloc_trim(0)
-        except AttributeError:
-            pass  # not the GNU C library
         self._start = np.nan
-        try:
+        with contextlib.suppress(AttributeError):  # not the GNU C library
+            ctypes.CDLL(None).malloc_trim(0)
+        with contextlib.suppress(OSError):  # the peak cannot be reset
             (PROC / "clear_refs").write_text("5")
             self._start = _status("VmRSS")
-        except OSError:
-            pass  # the peak cannot be reset
 
     def mib(self, comm: MPI.Comm) -> float:
-        """Return the sum of all processes' peaks [MiB]; nan where the system does not report them.
+        """Return the sum of all processes' peaks [MiB], nan if unknown. Collective.
 
         Where the peak cannot be reset, it is that of the whole run.
-
-        Note:
-            Collective.
         """
         return comm.allreduce(_status("VmHWM"))
 
     def mib_above_start(self, comm: MPI.Comm) -> float:
-        """Return the sum of the peaks above the memory at the beginning [MiB]; nan if unknown.
-
-        Note:
-            Collective.
-        """
+        """Return the sum of the peaks above the first memory [MiB], nan if unknown. Collective."""
         return comm.allreduce(max(_status("VmHWM") - self._start, 0.0))
 
 
 def measure(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> tuple[Cost, PETSc.Vec]:
-    """Create a solver, set it up and solve with it.
+    """Create a solver, set it up, solve with it, and destroy it.
 
     Args:
         create: Creates the solver; the matrix has to exist already.
         b: Right-hand side.
 
     Returns:
-        The cost and the solution. The solver is destroyed; the solution belongs to the caller.
+        The cost and the solution, which belongs to the caller.
 
     Note:
         Collective.
@@ -118,42 +107,27 @@ def timed_solve(
         x: Takes the solution.
 
     Returns:
-        The cost and the solver, which belongs to the caller.
+        The cost, the same on all processes, and the solver, which belongs to the caller.
 
     Note:
         Collective.
     """
-    b.comm.tompi4py().Barrier()
-    peak = PeakMemory()
-    times = [time.perf_counter()]
+    comm = b.comm.tompi4py()
+    comm.Barrier()
+    peak, started = PeakMemory(), time.perf_counter()
     ksp = create()
     ksp.setUp()
-    times.append(time.perf_counter())
+    set_up = time.perf_counter()
     ksp.solve(b, x)
-    times.append(time.perf_counter())
-    return record_cost(ksp, times, peak), ksp
-
-
-def record_cost(ksp: PETSc.KSP, times: Sequence[float], peak: PeakMemory) -> Cost:
-    """Record the cost of a solve, the same on all processes.
-
-    Args:
-        ksp: The solver.
-        times: Times on this process before set-up, after it and after the solution [s].
-        peak: Created before set-up.
-
-    Note:
-        Collective.
-    """
-    comm = ksp.comm.tompi4py()
-    started, set_up, solved = times
-    return Cost(
+    solved = time.perf_counter()
+    cost = Cost(
         seconds_setup=comm.allreduce(set_up - started, op=MPI.MAX),
         seconds_solve=comm.allreduce(solved - set_up, op=MPI.MAX),
         peak_mib=peak.mib_above_start(comm),
         iterations=ksp.getIterationNumber(),
         converged_reason=ksp.getConvergedReason(),
     )
+    return cost, ksp
 
 
 def _status(name: str) -> float:

@@ -17,26 +17,16 @@ __all__ = ["try_to_write", "writable_folder"]
 
 
 def writable_folder(path: Path | str, comm: MPI.Comm) -> Path:
-    """Create a folder and check that a file can be written in it.
-
-    Args:
-        path: The folder; its parents are created, too.
-        comm: Communicator of all processes that will write there.
-
-    Returns:
-        The folder.
+    """Create a folder, with its parents, and check that a file can be written in it. Collective.
 
     Raises:
-        OSError: It cannot be created, or nothing can be written in it.
-
-    Note:
-        Collective; the first process tries, and all processes raise or none.
+        OSError: It cannot be created, or nothing can be written in it, on all processes.
     """
     return try_to_write(_write_in_folder, Path(path), "folder", comm)
 
 
 def try_to_write(attempt: Callable[[Path], object], path: Path, what: str, comm: MPI.Comm) -> Path:
-    """Let the first process try to write; all processes raise or none.
+    """Let the first process try to write; all processes raise or none. Collective.
 
     Args:
         attempt: The attempt to write, called with the path.
@@ -46,9 +36,6 @@ def try_to_write(attempt: Callable[[Path], object], path: Path, what: str, comm:
 
     Raises:
         OSError: It failed.
-
-    Note:
-        Collective.
     """
     try:
         on_first(lambda: attempt(path), comm)

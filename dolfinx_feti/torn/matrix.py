@@ -263,7 +263,7 @@ class Torn:
 
             def read() -> None:
                 self.graph = block_graph(self.K, code)
-                self._diagonal = diagonal_places(self.K, code)
+                self._diagonal = diagonal_places(self.K)
                 self.subdomains = connected_blocks(self.graph, self.K.getBlockSize())
 
             on_all(read, self.comm)

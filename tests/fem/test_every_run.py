@@ -17,7 +17,7 @@ from programs import finish, start
 
 from dolfinx_feti import LinearProblem, NonlinearProblem
 from dolfinx_feti.fem.decomposition import decompose
-from dolfinx_feti.runtime.scotch import SETTINGS, repeat_partitions
+from dolfinx_feti.runtime.compat import SCOTCH, repeat_partitions
 
 
 @pytest.mark.serial
@@ -59,7 +59,7 @@ def test_seed_of_a_problem():
 
 @pytest.mark.serial
 def test_environment_has_the_last_word(monkeypatch):
-    one, other = SETTINGS
+    one, other = SCOTCH
     monkeypatch.setenv(one, "4")
     monkeypatch.delenv(other)
     repeat_partitions()

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse
 from collective import COMM, agree, equal, whole
 
-from dolfinx_feti.runtime.connectivity import diagonal_places, load_graph_code
+from dolfinx_feti.runtime.connectivity import diagonal_places
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.rounding import EPS, product_rounding
 
@@ -20,7 +20,6 @@ SEED = 31025
 
 def test_places_of_the_diagonal():
     """A row without a diagonal entry has none; columns may stand in any order."""
-    code = load_graph_code(COMM)
     K = scipy.sparse.random_array((60, 60), density=0.2, rng=SEED, format="csr")
     K.setdiag(np.arange(1.0, 61.0))
     K = scipy.sparse.csr_array(K)
@@ -33,7 +32,7 @@ def test_places_of_the_diagonal():
         values = K.toarray()[row, indices]
         csr = (K.indptr.astype(PETSc.IntType), indices.astype(PETSc.IntType), values)
         matrix = PETSc.Mat().createAIJWithArrays((60, 60), csr, comm=PETSc.COMM_SELF)
-        place = diagonal_places(matrix, code)
+        place = diagonal_places(matrix)
         agree((place < 0).nonzero()[0].tolist() == [6], place)
         equal(np.where(place < 0, 0.0, values[place]), K.diagonal())
         matrix.destroy()

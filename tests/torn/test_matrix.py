@@ -291,14 +291,13 @@ def test_skew_part_is_measured_entry_by_entry(kappa):
         agree(not symmetric(saddle), f"in units of {units}")
 
 
-def test_columns_that_do_not_ascend_are_refused():
+def test_columns_in_any_order():
     """Which PETSc does not look at where it takes arrays as they are."""
     rows = np.array([0, 2, 4], dtype=PETSc.IntType), np.array([1, 0, 0, 1], dtype=PETSc.IntType)
     M = PETSc.Mat().createAIJWithArrays((2, 2), (*rows, np.ones(4)), comm=PETSc.COMM_SELF)
     mine = np.arange(2) + 2 * COMM.rank
     A = create_torn_matrix(M, mine, (2, 2 * COMM.size), comm=COMM)
-    with raises(ValueError, "columns in a row of the local matrix do not ascend: sort them"):
-        is_symmetric(A)
+    agree(is_symmetric(A))
     A.destroy()
     M.destroy()
 
