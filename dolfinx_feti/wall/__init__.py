@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Arterial walls: named layers and surfaces, conditions on these, and directions of fibres.
 
-In the order of the data: wall, wallfile, xdmf, reading, tagged, conditions,
+In the order of the data: wall, checks, wallfile, xdmf, reading, tagged, conditions,
 casefile, boundary, fibres, opening.
 """
 

@@ -27,8 +27,9 @@ from dolfinx_feti.mechanics.values import require_within
 from dolfinx_feti.runtime.arrays import Numbers
 from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.wall.checks import CELLS, check_cells, check_faces, check_rows
 from dolfinx_feti.wall.wall import Group, Groups, Wall, checked_groups
-from dolfinx_feti.wall.wallfile import CELLS, RawWall, read_raw_wall
+from dolfinx_feti.wall.wallfile import RawWall, read_raw_wall
 from dolfinx_feti.wall.xdmf import is_parallel, read_parallel
 
 __all__ = ["distribute", "read_wall"]
@@ -65,12 +66,17 @@ def read_wall(
     path = Path(path)
     if on_first(lambda: path.is_file() and is_parallel(path), comm):
         return read_parallel(path, comm, scale=scale)
-    raw: list[RawWall] = []  # on the first process
+    read: list[RawWall] = []  # on the first process
     with event("WallRead"):
         on_first(
-            lambda: raw.append(_renamed(read_raw_wall(path), checked_groups(names or {}))), comm
+            lambda: read.append(_renamed(read_raw_wall(path), checked_groups(names or {}))), comm
         )
-    return distribute(raw[0] if raw else None, comm, scale=scale)
+        raw = _share(read[0] if read else None, comm)
+        check_rows(path, raw.points, raw.cells, [raw.facets], comm)
+        check_faces(path, raw.cells, raw.facets, comm)
+    wall = distribute(raw, comm, scale=scale)
+    check_cells(path, wall, alike=True)
+    return wall
 
 
 def _renamed(raw: RawWall, groups: Sequence[Group]) -> RawWall:
@@ -85,35 +91,40 @@ def _renamed(raw: RawWall, groups: Sequence[Group]) -> RawWall:
     return replace(raw, layer_names=layers, surface_names=named(2, raw.surfaces, raw.surface_names))
 
 
+def _share(raw: RawWall | None, comm: MPI.Comm) -> RawWall:
+    """Return what a process has of a wall, nothing but the names unless it has read it."""
+    empty = None
+    if raw is not None:
+        empty = RawWall(
+            *(array[:0] for array in (raw.points, raw.cells, raw.layers, raw.facets, raw.surfaces)),
+            raw.layer_names,
+            raw.surface_names,
+        )
+    empty = comm.bcast(empty, root=0)
+    return empty if raw is None else raw
+
+
 def distribute(raw: RawWall | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
     """Create the distributed mesh and its tags of a wall that the first process has. Collective.
 
     ``scale`` is the number of millimetres in the unit of its points.
     """
-    head = None
-    if raw is not None:
-        widths = raw.cells.shape[1], raw.facets.shape[1]
-        head = (*widths, raw.layer_names, raw.surface_names)
-    width, facet_width, layer_names, surface_names = comm.bcast(head, root=0)
-    none = np.zeros(0, dtype=np.int64)
-    points = np.zeros((0, 3)) if raw is None else scale * raw.points
-    cells = np.zeros((0, width), dtype=np.int64) if raw is None else raw.cells
-    facets = np.zeros((0, facet_width), dtype=np.int64) if raw is None else raw.facets
-    cell, order = CELLS[width]
+    raw = _share(raw, comm)
+    used, number = np.unique(raw.cells), np.full(len(raw.points), -1)
+    number[used] = np.arange(len(used))  # without the points of no cell
+    cells, facets = number[raw.cells], number[raw.facets]
+    cell, order, _ = CELLS[raw.cells.shape[1]]
     element = basix.ufl.element("Lagrange", cell, order, shape=(3,), dtype=np.float64)
     with event("WallPartition"):
-        mesh = dolfinx.mesh.create_mesh(comm, cells, x=points, e=ufl.Mesh(element))
+        x = scale * raw.points[used]
+        mesh = dolfinx.mesh.create_mesh(comm, cells, x=x, e=ufl.Mesh(element))
     with event("WallTags"):
-        layers = _tags(mesh, 3, cells, none if raw is None else raw.layers)
-        surfaces = _tags(mesh, 2, facets, none if raw is None else raw.surfaces)
-    return Wall(mesh, layers, surfaces, layer_names, surface_names)
+        layers, surfaces = _tags(mesh, 3, cells, raw.layers), _tags(mesh, 2, facets, raw.surfaces)
+    return Wall(mesh, layers, surfaces, raw.layer_names, raw.surface_names)
 
 
 def _tags(
-    mesh: dolfinx.mesh.Mesh,
-    dim: int,
-    entities: Numbers,
-    values: Numbers,
+    mesh: dolfinx.mesh.Mesh, dim: int, entities: Numbers, values: Numbers
 ) -> dolfinx.mesh.MeshTags:
     """Distribute the tags of entities, each given by its points in the file."""
     entities, values = np.ascontiguousarray(entities), values.astype(np.int32)

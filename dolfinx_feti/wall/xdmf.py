@@ -6,7 +6,7 @@
 The mesh is the grid ``mesh``; layers and surfaces are dolfinx's tags of cells and facets, in the
 grids of these names. What the tags are called, and how many cells each process has written, is in
 the light data. ParaView shows all three grids. Cells are those of
-:data:`~dolfinx_feti.wall.wallfile.CELLS`.
+:data:`~dolfinx_feti.wall.checks.CELLS`.
 
 A process writes its part of the mesh in consecutive rows. As many processes as have written a file
 take these parts again, and nothing has to be partitioned.
@@ -26,7 +26,6 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import basix.ufl
 import dolfinx
@@ -34,15 +33,13 @@ import dolfinx.graph
 import dolfinx.io
 import ufl
 
-from dolfinx_feti.runtime import compat
+from dolfinx_feti.runtime.arrays import Array, Integers
 from dolfinx_feti.runtime.collective import on_all, on_first, reason
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.wall.checks import check_cells, check_rows
 from dolfinx_feti.wall.wall import Wall
-from dolfinx_feti.wall.wallfile import orientations
 
 __all__ = ["is_parallel", "read_parallel", "write_wall"]
-
-Array = npt.NDArray[Any]
 
 #: Where the grids stand in the light data, and where names and numbers of cells do.
 DOMAIN, NAMES, TAGS = "/Xdmf/Domain", "names", ("layers", "surfaces")
@@ -76,7 +73,8 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
             light = json.loads(file.read_information(NAMES, DOMAIN))
             names = [{name: int(tag) for name, tag in light[kind].items()} for kind in TAGS]
             element = basix.ufl.element("Lagrange", shape.name, degree, shape=(3,), dtype=x.dtype)
-            _check_rows(cells, layers, facets, x, element, comm)
+            on_all(lambda: _check_shapes((cells, layers, facets), x, element), comm)
+            check_rows("the mesh", x, cells, (layers, facets), comm)
             with event("WallPartition"):
                 keep = _keep(light["parts"], len(cells), comm)
                 domain = ufl.Mesh(element)
@@ -86,48 +84,28 @@ def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
             with event("WallTags"):
                 tags = [file.read_meshtags(mesh, name) for name in TAGS]
             wall = Wall(mesh, *tags, *names)
-            _check_mesh(wall, comm.allreduce(len(facets)))
+            check_cells("the mesh", wall, alike=False)
+            _check_tags(wall, comm.allreduce(len(facets)))
         return wall
     except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise ValueError(
-            f"{path} cannot be read ({reason(error)}): its HDF5 file has to lie beside it; convert "
-            "the wall anew by python3 -m dolfinx_feti.wall.convert"
+            f"{path} cannot be read ({reason(error)}): its HDF5 file has to lie beside it; write "
+            "the wall anew by write_wall"
         ) from error
 
 
-def _check_rows(
-    cells: Array, layers: Array, facets: Array, x: Array, element: Any, comm: MPI.Comm
-) -> None:
-    """Require what dolfinx needs not to crash: other cells, of finite points. Collective."""
-    n_points, nodes = comm.allreduce(len(x)), element.dim // 3
+def _check_shapes(tables: Sequence[Integers], x: Array, element: Any) -> None:
+    """Require rows of nodes of cells, of cells, and of facets, and points in space."""
+    nodes = element.dim // 3
     widths = nodes, nodes, len(element.basix_element.entity_closure_dofs[2][0])
     wrong = x.ndim != 2 or x.shape[1] != 3
-    for rows, width in zip((cells, layers, facets), widths, strict=True):
-        wrong = wrong or rows.ndim != 2 or rows.shape[1] != width
-        wrong = wrong or bool(np.any((rows < 0) | (rows >= n_points)))
-    if comm.allreduce(wrong, op=MPI.LOR):
-        raise ValueError("it has cells or facets with points that are not in the file")
-    if not comm.allreduce(bool(np.isfinite(x).all()), op=MPI.LAND):
-        raise ValueError("it has coordinates that are not finite")
-    if not comm.allreduce(len(cells)):
-        raise ValueError("it has no cells")
-    rows = np.sort(cells, axis=1)
-    place = rows[:, 0] * comm.size // n_points  # where all cells with this least node meet
-    rows = np.vstack(comm.alltoall([rows[place == rank] for rank in range(comm.size)]))
-    rows = rows[np.lexsort(rows.T)]
-    twice = bool((rows[1:] == rows[:-1]).all(axis=1).any() or (rows[:, 1:] == rows[:, :-1]).any())
-    if comm.allreduce(twice, op=MPI.LOR):
-        raise ValueError("it has cells that occur twice, or in which a point does")
+    if wrong or any(r.ndim != 2 or r.shape[1] != w for r, w in zip(tables, widths, strict=True)):
+        raise ValueError("its tables have other shapes than those of its cells")
 
 
-def _check_mesh(wall: Wall, n_facets: int) -> None:
-    """Require cells with a volume, and tags of its cells and facets with names. Collective."""
+def _check_tags(wall: Wall, n_facets: int) -> None:
+    """Require tags of the wall's cells and facets, all with names. Collective."""
     mesh, comm = wall.mesh, wall.mesh.comm
-    nodes = compat.geometry_dofmap(mesh)[: mesh.topology.index_map(3).size_local]
-    side, flat = orientations(np.asarray(mesh.geometry.x, dtype=np.float64), nodes)
-    broken = comm.allreduce(int(np.sum(flat | (side == 0))))
-    if broken:
-        raise ValueError(f"{broken} of its cells have no volume, or are turned inside out in part")
     for tags, names in ((wall.cell_tags, wall.layers), (wall.facet_tags, wall.surfaces)):
         owned = tags.values[tags.indices < mesh.topology.index_map(tags.dim).size_local]
         present = {tag for part in comm.allgather(np.unique(owned).tolist()) for tag in part}
