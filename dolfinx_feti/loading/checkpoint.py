@@ -3,12 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Checkpoints: the last state of a run in one file, from which a run that was killed goes on.
 
-The file is a NumPy archive, written by the first process and replaced as a whole. For each process
-p that wrote it holds ``p/cells``, the places of its cells in the input mesh, ``p/dofs i``, the
-dofs of these cells in the function i, and ``p/values i t``, the function at the instant t. A
-process that reads finds its own cells in it, so any number of processes restart on the same input
-mesh. ``head.json`` names what the state belongs to: mesh, elements, forms, constants, parameters
-and version.
+The file is a NumPy archive, replaced as a whole. For each process p that wrote, it holds
+``p/cells``, the places of its cells in the input mesh, ``p/dofs i``, their dofs in the function i,
+and ``p/values i t``, that function at the instant t. A process finds its own cells in it, so any
+number of them restart. ``head.json`` names mesh, elements, forms, constants, parameters, version.
 """
 
 from __future__ import annotations
@@ -84,7 +82,8 @@ class Checkpoint:
         """
         self._comm = comm
         self.restart, self._allow_changes = restart, allow_changes
-        self._parameters = on_all(lambda: _plain_parameters(parameters or {}), comm)
+        given = (parameters or {}).items()
+        self._parameters = on_all(lambda: {n: _plain_parameter(n, v) for n, v in given}, comm)
         self.folder = Path(folder)
         self._path = self.folder / FILE
         self._head: dict[str, Any] | None = on_first(self._open, comm)
@@ -130,7 +129,7 @@ class Checkpoint:
         }
         head = on_first(lambda: _plain(head | {"record": dict(record)}), self._comm)
         try:
-            self._write(head, functions, past)
+            self._write(head, _arrays(functions, past))
         except Exception as error:
             kept = "there is none yet" if self._head is None else "the one before it is kept"
             raise OSError(
@@ -158,7 +157,7 @@ class Checkpoint:
         known = content is not None and head["forms"] is not None and not self._allow_changes
         self._refuse(on_first(lambda: _differences(head, here, forms=known), self._comm))
         try:
-            values = on_all(lambda: self._read(head, functions), self._comm)
+            values = on_all(lambda: self._read(functions), self._comm)
         except Exception as error:
             raise ValueError(f"{self._path} cannot be read ({reason(error)}).") from error
         for f, array in zip(functions, values.pop(), strict=True):
@@ -191,10 +190,8 @@ class Checkpoint:
             )
         if not self._allow_changes:
             there, here = head["parameters"], self._parameters
-            values = [
-                (n, *(p.get(n, "not given") for p in (there, here))) for n in sorted(there | here)
-            ]
-            self._refuse([f"{n} is {a} there and {b} here" for n, a, b in values if a != b])
+            both = {n: [p.get(n, "not given") for p in (there, here)] for n in sorted(there | here)}
+            self._refuse([f"{n} is {a} there and {b} here" for n, (a, b) in both.items() if a != b])
         return head
 
     def _refuse(self, differences: list[str]) -> None:
@@ -206,10 +203,7 @@ class Checkpoint:
             )
 
     def _write(
-        self,
-        head: Mapping[str, Any],
-        functions: Sequence[dolfinx.fem.Function],
-        past: Sequence[Sequence[Array]],
+        self, head: Mapping[str, Any], arrays: Iterator[tuple[str, npt.NDArray[np.generic]]]
     ) -> None:
         """Write the state beside the last one, bring it to the disk, and let it take its place."""
         part = self._path.with_suffix(".part")
@@ -229,7 +223,7 @@ class Checkpoint:
 
         on_first(lambda: opened.append(zipfile.ZipFile(part, "w")), self._comm)
         try:
-            for name, array in _arrays(functions, past):
+            for name, array in arrays:
                 on_first(partial(put, name, _gathered(array, self._comm)), self._comm)
             on_first(publish, self._comm)
         finally:
@@ -238,10 +232,9 @@ class Checkpoint:
                     file.close()
                 part.unlink(missing_ok=True)
 
-    def _read(
-        self, head: Mapping[str, Any], functions: Sequence[dolfinx.fem.Function]
-    ) -> list[list[Array]]:
+    def _read(self, functions: Sequence[dolfinx.fem.Function]) -> list[list[Array]]:
         """Read all instants, the present one at the end; each process for its cells and ghosts."""
+        head = self._head or {}
         counts = [*head["past"], len(functions)]
         found = [[np.zeros_like(f.x.array) for f in functions[:count]] for count in counts]
         mine = np.asarray(functions[0].function_space.mesh.topology.original_cell_index)
@@ -350,16 +343,14 @@ def _differences(there: Mapping[str, Any], here: Mapping[str, Any], *, forms: bo
     return found
 
 
-def _plain_parameters(parameters: Mapping[str, object]) -> dict[str, Any]:
-    """Return parameters as they come back from a file."""
-    for name, value in parameters.items():
-        try:
-            _plain(value)
-        except TypeError as error:
-            raise ValueError(
-                f"parameters[{name!r}] is {value!r}: give numbers, strings, or lists of them."
-            ) from error
-    return _plain(dict(parameters))
+def _plain_parameter(name: str, value: object) -> Any:
+    """Return a parameter as it comes back from a file."""
+    try:
+        return _plain(value)
+    except TypeError as error:
+        raise ValueError(
+            f"parameters[{name!r}] is {value!r}: give numbers, strings, or lists of them."
+        ) from error
 
 
 def _plain(record: object) -> Any:

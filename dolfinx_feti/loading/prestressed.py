@@ -28,7 +28,6 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.internal_variables import create_internal_variables
 from dolfinx_feti.fem.nodes import diameter
-from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.fixed_point import MOST, FixedPoint
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.steps import LoadStep, Steps
@@ -47,10 +46,7 @@ def prestress(
     G: dolfinx.fem.Function,
     state: Sequence[dolfinx.fem.Function],
     tolerance: float = 1e-8,
-    start: float = 0.0,
-    on_step: Callable[[LoadStep], object] | None = None,
-    checkpoint: Checkpoint | None = None,
-    unit: str = "",
+    **options: Any,
 ) -> list[LoadStep]:
     """Find the G with which a wall under load is in balance where it is, u = 0.
 
@@ -70,10 +66,7 @@ def prestress(
         tolerance: How far a solve may still move the wall, over the diagonal of the box around it;
             on the way, so far or as large a share of the load's first displacement as
             ``steps.rtol``.
-        start: The load at which the image is without stress.
-        on_step: As of ``follow_load``.
-        checkpoint: Likewise.
-        unit: Likewise.
+        options: Others of ``follow_load``: ``start``, ``on_step``, ``checkpoint``, ``unit``.
 
     Returns:
         The accepted steps; their histories hold the Newton steps of all solves.
@@ -92,17 +85,8 @@ def prestress(
     if not tolerance > 0.0:
         raise ValueError(f"tolerance is {tolerance}: give a positive share of the diameter.")
     on_all(lambda: _check(G, problem.u), problem.u.function_space.mesh.comm)
-    return follow_load(
-        _Prestressing(problem, G, tolerance),
-        set_load,
-        targets,
-        steps,
-        state=[*state, G],
-        start=start,
-        on_step=on_step,
-        checkpoint=checkpoint,
-        unit=unit,
-    )
+    inner = _Prestressing(problem, G, tolerance)
+    return follow_load(inner, set_load, targets, steps, state=[*state, G], **options)
 
 
 class _Prestressing(FixedPoint):

@@ -37,11 +37,10 @@ DEFAULTS: dict[signal.Signals, Callable[[int, FrameType | None], object] | signa
 }
 logger = logging.getLogger("dolfinx_feti")
 
-#: How many load steps the pace is taken from, from which the time left follows.
-RECENT = 3
-
 #: Attribute of the SNES that holds the progress of the load that is being followed.
 ATTRIBUTE = "progress"
+
+FORMAT = "{percentage:3.0f} % {bar:10} {desc}{postfix}"
 
 
 class Interrupts:
@@ -54,10 +53,8 @@ class Interrupts:
     def check(self) -> None:
         """Raise KeyboardInterrupt after SIGINT, SystemExit after SIGTERM, with that status."""
         noted, self._noted = self._noted, None
-        if noted == signal.SIGINT:
-            raise KeyboardInterrupt
         if noted is not None:
-            raise SystemExit(128 + noted)
+            raise KeyboardInterrupt if noted == signal.SIGINT else SystemExit(128 + noted)
 
     def __enter__(self) -> Interrupts:
         """Note signals, in the main thread."""
@@ -77,13 +74,6 @@ class Interrupts:
         """Note a signal; the next one is not."""
         self._noted = number
         self.__exit__()
-
-
-def _report(snes: PETSc.SNES, its: int, norm: float) -> None:
-    """Report a Newton step to the progress of the SNES, if there is one."""
-    progress = snes.getAttr(ATTRIBUTE)
-    if progress is not None:
-        progress.newton(its, norm)
 
 
 class _Bar(tqdm):  # type: ignore[type-arg]
@@ -107,8 +97,8 @@ class Progress:
         interrupts: Interrupts,
         *,
         loads: Sequence[float],
-        unit: str = "",
-        number: int = 0,
+        unit: str,
+        number: int,
     ) -> None:
         """Announce that the loads are followed, from the first through others, up or down.
 
@@ -117,7 +107,7 @@ class Progress:
         """
         self._length = math.fsum(abs(b - a) for a, b in itertools.pairwise(loads))
         self._goal, self._number = f"{loads[-1]:g} {unit}".rstrip(), number
-        self._recent: list[LoadStep] = []
+        self._seconds, self._left = 0.0, ""
         self._snes, self._speaks, self._interrupts = snes, comm.rank == 0, interrupts
         self._bar = _Bar(disable=True)
         if self._speaks and sys.stderr.isatty():
@@ -128,8 +118,7 @@ class Progress:
 
     def attempt(self, load: float, to: float) -> None:
         """Say that a step from one load to another begins."""
-        left = self._left()
-        text = f"{left + ', ' if left else ''}{load:.4g} → {to:.4g} of {self._goal}"
+        text = f"{self._left}{', ' * bool(self._left)}{load:.4g} → {to:.4g} of {self._goal}"
         self._show(lambda: self._bar.set_description_str(text))
 
     def newton(self, its: int, norm: float) -> None:
@@ -140,18 +129,20 @@ class Progress:
     def accept(self, step: LoadStep) -> None:
         """Log a load step that has been accepted; the bar shows it with the next attempt."""
         self._bar.n += abs(step.increment)
+        self._seconds += step.seconds
         self._number += 1
-        self._recent = [*self._recent, step][-RECENT:]
+        share = self._bar.n / self._length if self._length > 0.0 else 1.0
+        rest = tqdm.format_interval(self._seconds * (1.0 - share) / share)
+        self._left = f"about {rest} left" if share < 1.0 - 1e-12 else ""
         newton = step.all_steps
         new = sum(s.tangent_lag == 0 for s in newton)
         linear = sum(s.linear_iterations for s in newton)
         failed = f" after {step.failures} failed attempt(s)" * (step.failures > 0)
-        left = self._left()
         self._log(
             f"load step {self._number}: {step.load:.5g} of {self._goal}{failed}, {len(newton)} "
             f"Newton steps with {new} tangent{'s' * (new != 1)}, {linear} linear iterations, "
             f"residual {self._snes.getFunctionNorm():.1e}, {step.seconds:.1f} s"
-            f"{f', {left}' * bool(left)}"
+            f"{', ' * bool(self._left)}{self._left}"
         )
 
     def refuse(self, load: float, error: Exception) -> None:
@@ -163,15 +154,6 @@ class Progress:
         self._show(self._bar.close)
         self._snes.setAttr(ATTRIBUTE, None)
 
-    def _left(self) -> str:
-        """Say the time left; nothing as long as it is not known, or at the end."""
-        pace = math.fsum(abs(step.increment) for step in self._recent)
-        distance = self._length - self._bar.n
-        if pace == 0.0 or distance <= 1e-12 * self._length:
-            return ""
-        seconds = distance / pace * math.fsum(step.seconds for step in self._recent)
-        return f"about {tqdm.format_interval(seconds)} left"
-
     def _log(self, text: str) -> None:
         """Log a line on the first process, and not into the bar."""
         self._show(self._bar.clear)
@@ -179,14 +161,8 @@ class Progress:
             logger.info(text)
 
     def _open(self) -> None:
-        self._bar = _Bar(
-            total=self._length,
-            file=sys.stderr,
-            leave=False,
-            position=0,
-            dynamic_ncols=True,
-            bar_format="{percentage:3.0f} % {bar:10} {desc}{postfix}",
-        )
+        how = {"bar_format": FORMAT, "dynamic_ncols": True, "leave": False, "position": 0}
+        self._bar = _Bar(total=self._length, file=sys.stderr, **how)
 
     def _show(self, draw: Callable[[], object]) -> None:
         """Draw; a terminal that fails is not drawn on again, as it is that of one process alone."""
@@ -194,3 +170,10 @@ class Progress:
             draw()
         except (OSError, ValueError):  # gone, closed, or without these characters
             self._bar.disable = True
+
+
+def _report(snes: PETSc.SNES, its: int, norm: float) -> None:
+    """Report a Newton step to the progress of the SNES, if there is one."""
+    progress = snes.getAttr(ATTRIBUTE)
+    if progress is not None:
+        progress.newton(its, norm)

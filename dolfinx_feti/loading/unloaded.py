@@ -22,7 +22,6 @@ import ufl
 
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.nodes import Nodes, diameter
-from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.fixed_point import MOST, FixedPoint
 from dolfinx_feti.loading.load_steps import INADMISSIBLE, follow_load
 from dolfinx_feti.loading.stepper import kept_tolerances
@@ -52,19 +51,14 @@ def unload(
     state: Sequence[dolfinx.fem.Function],
     fibres: Sequence[dolfinx.fem.Function] = (),
     tolerance: float = 1e-7,
-    start: float = 0.0,
     on_move: Callable[[], object] | None = None,
-    on_step: Callable[[LoadStep], object] | None = None,
-    checkpoint: Checkpoint | None = None,
-    unit: str = "",
+    **options: Any,
 ) -> list[LoadStep]:
     """Move the mesh, that of a wall under load, to where the wall is without it.
 
     Afterwards the forms of the problem are those of the unloaded wall, and u is the displacement
     that leads to the image. At the loads on the way the mesh is the image, and u leads to it from
     the wall that would be without load if the image were of that load.
-
-    What is not said here is as in :func:`~dolfinx_feti.loading.load_steps.follow_load`.
 
     Args:
         problem: The nonlinear problem, with u in a space of displacements.
@@ -80,9 +74,8 @@ def unload(
         start: The load at which the image is the unloaded wall.
         on_move: Called on all processes when the mesh and the fibres have moved, to the unloaded
             wall or back to the image, for what else depends on the mesh's shape.
-        on_step: Called at each load.
-        checkpoint: Where each load's state is kept.
-        unit: Name of the load's unit.
+        options: Others of :func:`~dolfinx_feti.loading.load_steps.follow_load`: ``start``,
+            ``on_step``, ``checkpoint``, ``unit``.
 
     Returns:
         The accepted steps; their histories hold the Newton steps of all forward solves.
@@ -98,17 +91,7 @@ def unload(
     if not tolerance > 0.0:
         raise ValueError(f"tolerance is {tolerance}: give a positive share of the diameter.")
     unloading = _Unloading(problem, fibres, tolerance, on_move)
-    accepted = follow_load(
-        unloading,
-        set_load,
-        targets,
-        steps,
-        state=state,
-        start=start,
-        on_step=on_step,
-        checkpoint=checkpoint,
-        unit=unit,
-    )
+    accepted = follow_load(unloading, set_load, targets, steps, state=state, **options)
     try:
         unloading.move()
     except BaseException:
@@ -145,7 +128,7 @@ class _Unloading(FixedPoint):
 
     def move(self) -> None:
         """Move mesh and fibres to the unloaded wall."""
-        self._place()
+        self._nodes.mesh.geometry.x[:] = self._nodes.initial - self._nodes.displacement(self.u)
         for a, image, pulled_back in self._fibres:
             a.x.array[:] = image
             a.interpolate(pulled_back)
@@ -161,10 +144,6 @@ class _Unloading(FixedPoint):
         if self._on_move is not None:
             on_all(self._on_move, self._comm)
 
-    def _place(self) -> None:
-        """Move the nodes alone."""
-        self._nodes.mesh.geometry.x[:] = self._nodes.initial - self._nodes.displacement(self.u)
-
     @contextmanager
     def _moved(self) -> Iterator[None]:
         """Let the mesh be the unloaded wall, and then the image again."""
@@ -179,7 +158,7 @@ class _Unloading(FixedPoint):
         anderson = self._anderson(self.u)
         nodes, close, distance = self._nodes, False, math.inf
         last: Array | None = None  # U of the solve before
-        self._require_admissible()
+        self._step(self.u.x.array, self.u.x.array, halvings=1)  # the prediction is admissible
         for _ in range(MOST):
             U = self.u.x.array.copy()
             with self._moved(), self._tolerances(reference if close else None):
@@ -191,8 +170,9 @@ class _Unloading(FixedPoint):
                     self.u.x.array[:] = (U + last) / 2.0
                     continue
                 loaded = nodes.mesh.geometry.x + nodes.displacement(self.u)
-            distance = nodes.longest(loaded - nodes.initial)
-            reached = distance <= self._allowed()
+            distance, rtol = nodes.longest(loaded - nodes.initial), self.solver.getTolerances()[0]
+            allowed = max(self._tolerance, rtol * nodes.longest(nodes.displacement(self.u)))
+            reached = distance <= allowed
             if reached and close:
                 return
             if not reached:
@@ -205,11 +185,6 @@ class _Unloading(FixedPoint):
             f"{distance:.1e} off the image. Load in smaller steps."
         )
 
-    def _allowed(self) -> float:
-        """Return how far a node of the loaded wall may be from the image."""
-        rtol = self.solver.getTolerances()[0]
-        return max(self._tolerance, rtol * self._nodes.longest(self._nodes.displacement(self.u)))
-
     @contextmanager
     def _tolerances(self, reference: float | None) -> Iterator[None]:
         """Let forward solves be rough, or to their own tolerance relative to a residual."""
@@ -221,27 +196,23 @@ class _Unloading(FixedPoint):
                 snes.setTolerances(atol=max(atol, rtol * reference))
             yield
 
-    def _step(self, U: Array, new: Array) -> None:
-        """Go from U to new, or as far as no cell turns inside out."""
-        for halving in range(HALVINGS):
+    def _step(self, U: Array, new: Array, halvings: int = HALVINGS) -> None:
+        """Go from U to new, or as far as no cell of the unloaded wall turns inside out."""
+        for halving in range(halvings):
             self.u.x.array[:] = U + (new - U) / 2**halving
-            if not self._inverted():
+            if not (inverted := self._inverted()):
                 return
-        self._require_admissible()
-
-    def _require_admissible(self) -> None:
-        """Require an unloaded wall without cells that are inside out."""
-        if inverted := self._inverted():
-            self.solver.setConvergedReason(INADMISSIBLE)
-            raise ConvergenceError(
-                f"{inverted} cells of the unloaded wall would be inside out. Load in smaller steps."
-            )
+        self.solver.setConvergedReason(INADMISSIBLE)
+        raise ConvergenceError(
+            f"{inverted} cells of the unloaded wall would be inside out. Load in smaller steps."
+        )
 
     def _inverted(self) -> int:
         """Count the cells of the unloaded wall that are inside out."""
-        self._place()
+        x = self._nodes.mesh.geometry.x
+        x[:] = self._nodes.initial - self._nodes.displacement(self.u)
         inverted = self._nodes.inverted()
-        self._nodes.mesh.geometry.x[:] = self._nodes.initial
+        x[:] = self._nodes.initial
         return inverted
 
 
