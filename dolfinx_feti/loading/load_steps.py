@@ -44,7 +44,6 @@ __all__ = ["follow_load"]
 #: Why a solve ends that begins with a state that is not admissible.
 INADMISSIBLE = PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
 
-
 #: What helps where the tangent turns indefinite, however short the step.
 LIMIT_POINT = (
     "The tangent turns indefinite there, as at a limit point of the load: no equilibrium with a "
@@ -109,11 +108,8 @@ class _Loads(Stepper[LoadStep, Steps]):
 
     order = 2
     kind = LoadStep
-    words = (
-        "follow_load",
-        "No equilibrium was found beyond a load of",
-        "Allow smaller increments, or refine the mesh.",
-    )
+    name, missed = "follow_load", "No equilibrium was found beyond a load of"
+    remedy = "Allow smaller increments, or refine the mesh."
 
     def __init__(
         self,
@@ -130,7 +126,7 @@ class _Loads(Stepper[LoadStep, Steps]):
             if isinstance(dashpot.u, dolfinx.fem.Function)
         }
         histories = [*problem.internal_variables, *self._dashpots]
-        state = PathState(start, problem.content, unknowns=unknowns, histories=histories)
+        state = PathState(start, problem.content, unknowns, histories)
         super().__init__(problem, set_load, steps, state)
 
     def _begin(self, targets: Sequence[float], *, restarted: bool) -> None:
@@ -151,7 +147,7 @@ class _Loads(Stepper[LoadStep, Steps]):
             return ""
         if "indefinite" in str(error) or any(step.indefinite for step in self._problem.history):
             return LIMIT_POINT
-        return self.words[2]
+        return self.remedy
 
     def _is_met(self, target: float) -> bool:
         rough = self._steps.rtol is not None

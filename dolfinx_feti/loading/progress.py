@@ -19,6 +19,7 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from types import FrameType
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -161,7 +162,7 @@ class Progress:
             logger.info(text)
 
     def _open(self) -> None:
-        how = {"bar_format": FORMAT, "dynamic_ncols": True, "leave": False, "position": 0}
+        how: Any = {"bar_format": FORMAT, "dynamic_ncols": True, "leave": False, "position": 0}
         self._bar = _Bar(total=self._length, file=sys.stderr, **how)
 
     def _show(self, draw: Callable[[], object]) -> None:

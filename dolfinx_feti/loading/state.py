@@ -56,9 +56,8 @@ class PathState:
         self,
         at: float,
         content: Content,
-        *,
-        unknowns: Iterable[dolfinx.fem.Function] = (),
-        histories: Iterable[dolfinx.fem.Function] = (),
+        unknowns: Iterable[dolfinx.fem.Function],
+        histories: Iterable[dolfinx.fem.Function],
         numbers: Sequence[Number] = (),
     ) -> None:
         """Take the unknowns that the user names, before those of the forms, and further histories.
@@ -101,11 +100,8 @@ class PathState:
     ) -> None:
         """Write the state, and the unknowns of earlier ones. Collective."""
         numbers = [np.array(number.value) for number in self.numbers]
-        self._moving |= {
-            i
-            for i, (a, b) in enumerate(zip(self._initial, numbers, strict=True))
-            if not np.array_equal(a, b)
-        }
+        pairs = enumerate(zip(self._initial, numbers, strict=True))
+        self._moving |= {i for i, (a, b) in pairs if not np.array_equal(a, b)}
         moving, loads = sorted(self._moving), [*(s.at for s in past), self.at]
         checkpoint.write(
             [*self.unknowns, *self.histories],

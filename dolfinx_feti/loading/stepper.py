@@ -62,13 +62,15 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
         state: All that a step changes.
         order: So many states before the present one are kept.
         kind: Class of the steps.
-        words: The function that takes the steps, and what a failure at the least length says
-            first and last.
+        name: The function that takes the steps.
+        missed, remedy: What a failure at the least length says first and last.
     """
 
     order = 0
     kind: type[Step]
-    words: tuple[str, str, str]
+    name: str
+    missed: str
+    remedy: str
 
     def __init__(
         self,
@@ -80,10 +82,8 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
         """Begin with the present state, see the function that takes the steps."""
         self._comm: MPI.Comm = problem.u.function_space.mesh.comm
         self._problem, self.state, self._user = problem, state, set_place
-        self._steps, self._length = steps, steps.first
-        self._interrupts = Interrupts()
-        self._past = [state.copy()]
-        self._met = [self.at]
+        self._steps, self._length, self._interrupts = steps, steps.first, Interrupts()
+        self._past, self._met = [state.copy()], [self.at]
         problem.renew()
 
     @property
@@ -167,16 +167,9 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
                 bar.refuse(to, error)
                 self._shorten(abs(to - before), error)
         on_all(self._interrupts.check, self._comm)
-        found = self._arrive(
-            {
-                "load": to,
-                "increment": to - before,
-                "history": tuple(self._problem.history),
-                "failures": failures,
-                "lost": tuple(lost),
-                "seconds": time.perf_counter() - started,
-            }
-        )
+        step = {"load": to, "increment": to - before, "history": tuple(self._problem.history)}
+        step |= {"failures": failures, "lost": tuple(lost)}
+        found = self._arrive(step | {"seconds": time.perf_counter() - started})
         self._problem.update_internal_variables(balanced=False)
         return found
 
@@ -229,7 +222,7 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
         """Halve the length, down to the least; raise if it was the least."""
         if length <= self._steps.least + ROUNDING * (length + abs(self.at)):
             text = (
-                f"{self.words[1]} {self.at:g}: an increment of {length:g} failed, too, and "
+                f"{self.missed} {self.at:g}: an increment of {length:g} failed, too, and "
                 f"{self._steps.least:g} is the least allowed. {error} {self._remedy(error)}"
             )
             raise ConvergenceError(text.rstrip()) from error
@@ -237,7 +230,7 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
 
     def _remedy(self, error: ConvergenceError) -> str:
         """Say what helps after a failure at the least length."""
-        return self.words[2]
+        return self.remedy
 
     def _unmet(self, targets: Sequence[float]) -> list[float]:
         """Return the targets without those that were met, in their order, before a restart."""
@@ -253,7 +246,7 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
         The next solve depends on nothing else, so that a restart repeats it.
         """
         record = {
-            "kind": self.words[0],
+            "kind": self.name,
             "increment": self._length,
             "met": self._met,
             "steps": [asdict(step) for step in accepted],
@@ -265,13 +258,13 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
         """Go where a checkpoint was written; return the steps that led there."""
         record: dict[str, Any] = checkpoint.record or {}
         try:
-            if record["kind"] != self.words[0]:
+            if record["kind"] != self.name:
                 raise KeyError(record["kind"])
             accepted = [load_step(step, self.kind) for step in record["steps"]]
             past = self.state.read(checkpoint)
         except (KeyError, TypeError) as error:
             raise ValueError(
-                f"The checkpoint in {checkpoint.folder} was not written by {self.words[0]} of "
+                f"The checkpoint in {checkpoint.folder} was not written by {self.name} of "
                 "this version: name another folder."
             ) from error
         self._length, self._met = record["increment"], record["met"]

@@ -8,8 +8,8 @@ state with a shorter one. After a good one the length becomes
 
 .. math:: Δt ← Δt\, \max(½, \min(g,\ 0.9\, (\mathrm{tol}/e)^{1/3})),
 
-g being the most that it may grow by, up to the longest. The wanted times are met exactly. Each step
-tells the terms of the balance of energies,
+g being the most that it may grow by, up to the longest. Each step tells the terms of the balance
+of energies,
 
 .. math:: T_{n+1} - T_n + Π_{n+1} - Π_n + D = W + O(Δt^3), \qquad
           W = ½\, (f_n + f_{n+1}) · (u_{n+1} - u_n),
@@ -145,13 +145,9 @@ def follow_time(
     """
     comm = problem.u.function_space.mesh.comm
     on_all(lambda: _check(problem, motion, start, targets), comm)
-    histories = [*problem.internal_variables, *motion.changes]
-    owned = PathState(
-        start, problem.content, unknowns=state, histories=histories, numbers=motion.numbers
-    )
-    given = (energy, forces, motion.damping_form(problem.content.forms[0]))
-    forms = (None if f is None or f.empty() else Compiler(comm).form(f) for f in given)
-    return _Times(problem, set_time, steps, owned, motion, *forms).follow(
+    histories, numbers = [*problem.internal_variables, *motion.changes], motion.numbers
+    owned = PathState(start, problem.content, state, histories, numbers)
+    return _Times(problem, set_time, steps, owned, motion, energy, forces).follow(
         targets, on_step=on_step, checkpoint=checkpoint, unit=unit
     )
 
@@ -175,11 +171,8 @@ class _Times(Stepper[TimeStep, TimeSteps]):
     """States of a motion; its velocity and accelerations lead to the next one."""
 
     kind = TimeStep
-    words = (
-        "follow_time",
-        "The motion was not found beyond the time",
-        "Allow shorter steps, or a larger tolerance.",
-    )
+    name, missed = "follow_time", "The motion was not found beyond the time"
+    remedy = "Allow shorter steps, or a larger tolerance."
 
     def __init__(
         self,
@@ -188,14 +181,15 @@ class _Times(Stepper[TimeStep, TimeSteps]):
         steps: TimeSteps,
         state: PathState,
         motion: Motion,
-        energy: dolfinx.fem.Form | None,
-        forces: dolfinx.fem.Form | None,
-        damping: dolfinx.fem.Form | None,
+        energy: ufl.Form | None,
+        forces: ufl.Form | None,
     ) -> None:
         super().__init__(problem, set_time, steps, state)
-        self._motion, self._energy, self._external = motion, energy, forces
-        self._damping = damping
-        self._balance = problem.F, list(problem.bcs)
+        given = (energy, forces, motion.damping_form(problem.content.forms[0]))
+        self._energy, self._external, self._damping = (
+            None if f is None or f.empty() else Compiler(self._comm).form(f) for f in given
+        )
+        self._motion, self._balance = motion, (problem.F, list(problem.bcs))
 
     def _is_met(self, target: float) -> bool:
         return self.at >= target
@@ -212,8 +206,7 @@ class _Times(Stepper[TimeStep, TimeSteps]):
 
     def _present_forces(self) -> Array:
         """Return external forces, NaN if they are not given, and those of dashpots, (2, owned)."""
-        damping = self._motion.damping(self._damping)
-        given = self._external
+        damping, given = self._motion.damping(self._damping), self._external
         external = np.full_like(damping, math.nan) if given is None else owned_vector(given)
         return np.stack([external, damping])
 
@@ -221,13 +214,11 @@ class _Times(Stepper[TimeStep, TimeSteps]):
         """Let dofs under conditions begin as their values do, by differences in a step Δt."""
         if dt <= 0.0:
             return
-        values = []
-        for place in (self.at, self.at + dt / 2.0, self.at + dt):
+        g0, g1, g2 = (self._problem.u.x.array.copy() for _ in range(3))
+        for place, values in ((self.at, g0), (self.at + dt / 2.0, g1), (self.at + dt, g2)):
             self._set_place(place)
-            values.append(self._problem.u.x.array.copy())
             for bc in self._balance[1]:
-                bc.set(values[-1])
-        g0, g1, g2 = values
+                bc.set(values)
         fixed = fixed_dofs(self._balance[1])
         v, ü = self._motion.velocity.x.array, self._motion.acceleration.x.array
         v[fixed] = ((4.0 * g1 - 3.0 * g0 - g2) / dt)[fixed]
@@ -274,6 +265,5 @@ class _Times(Stepper[TimeStep, TimeSteps]):
         factor, most = self._steps.growth, self._steps.tolerance
         if most is not None and error > 0.0:
             factor = min(factor, max(SHORTEST, SAFETY * (most / error) ** (1.0 / 3.0)))
-        grown = min(self._steps.most, factor * dt)
-        shorter_at_target = factor > 1.0 and dt < self._length
-        self._length = max(self._length if shorter_at_target else grown, self._steps.least)
+        if factor <= 1.0 or dt >= self._length:  # else it was shortened to meet a target
+            self._length = max(min(self._steps.most, factor * dt), self._steps.least)

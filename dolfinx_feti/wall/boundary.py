@@ -9,7 +9,6 @@ X₀ is the least X·e of the wall. Units: mm, kPa, s.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -28,10 +27,9 @@ from dolfinx_feti.mechanics.loads import (
     wave,
 )
 from dolfinx_feti.mechanics.supports import dashpot_energy, spring_energy
-from dolfinx_feti.mechanics.values import require_within
+from dolfinx_feti.mechanics.values import require_positive
 from dolfinx_feti.wall.conditions import (
     Clamp,
-    Condition,
     Conditions,
     Dashpot,
     Pressure,
@@ -45,6 +43,8 @@ __all__ = ["Boundary", "apply_conditions"]
 
 #: Pressures: share and measure of each surface.
 Loaded = Sequence[tuple[dolfinx.fem.Constant, ufl.Measure]]
+
+Axis = Sequence[float] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,16 +80,14 @@ class Boundary:
         """Set the axial prestretch λ of what is clamped or slides; the next solve meets it.
 
         Args:
-            stretch: λ [-]: 1 at rest, 1.2 for a tube pulled to 1.2 times its length.
+            stretch: λ [-], 1 at rest.
 
         Raises:
             ValueError: λ is not positive, or the conditions were applied without an axis.
         """
         if self.axis is None:
             raise ValueError("There is no axis to stretch along: give apply_conditions(axis=…).")
-        remedy = "a positive number, 1 for a wall at rest"
-        given = {"stretch": stretch}
-        require_within(0.0, math.inf, given, ends=False, remedy=remedy, sign="=")
+        require_positive(stretch=stretch)
         V = self.moved.function_space
         least = float(extent(V.mesh)[0][self.axis])
         X = V.tabulate_dof_coordinates()[:, self.axis]
@@ -98,13 +96,7 @@ class Boundary:
             value.value = (stretch - 1.0) * (place - least)
 
     def advance(self, u: dolfinx.fem.Function) -> None:
-        """End a time step of the dashpots: the present displacement becomes the last one.
-
-        Set ``time_step.value`` before each solve, and call this after it.
-
-        Args:
-            u: The displacement.
-        """
+        """End a time step of the dashpots, set by ``time_step.value``: u becomes ``last``."""
         self.last.x.array[:] = u.x.array
 
 
@@ -114,10 +106,9 @@ def apply_conditions(
     """Turn conditions on named surfaces into Dirichlet conditions and forms. Collective.
 
     The forms hold ``ufl.TestFunction(V)`` and ``ufl.TrialFunction(V)`` of the space V of u, and
-    state no quadrature degree. Whether a pressure has a potential −p V is found out by trying: at a
-    displacement that meets the Dirichlet conditions its derivative has to be the residual. Where
-    rims are free or on springs, which is tried, too, the tangent is not symmetric and needs GMRES;
-    with its symmetric part alone Newton's method would take tens of steps.
+    state no quadrature degree. Whether a pressure has a potential −p V is found out by trying: its
+    derivative has to be the residual. Where rims are free or on springs it has none, the tangent is
+    not symmetric and needs GMRES; its symmetric part alone would take tens of Newton steps.
 
     Args:
         wall: The wall.
@@ -134,9 +125,14 @@ def apply_conditions(
             that slides lies in no plane normal to x, y or z, or the wall cannot be stretched along
             the axis. On all processes.
     """
-    _check_unknown(wall, u)
+    if u.ufl_shape != (3,) or u.function_space.mesh._cpp_object != wall.mesh._cpp_object:
+        raise ValueError(
+            f"u has the shape {u.ufl_shape}, or lives on another mesh: take a Function of "
+            'functionspace(wall.mesh, ("Lagrange", 2, (3,))).'
+        )
     given = by_surface(conditions)
     mesh, V = wall.mesh, u.function_space
+    v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
     slides = {name: plane(wall, name) for name, found in given.items() if Slide() in found}
     clamps = [name for name, found in given.items() if Clamp() in found]
     for name, found in given.items():
@@ -144,34 +140,32 @@ def apply_conditions(
         if any(isinstance(condition, Pressure | Spring | Dashpot) for condition in found):
             _check_outside(wall, name)
     along = None if axis is None else _axis(axis, clamps, [k for k, _ in slides.values()])
-    values = {name: _constant(mesh, 0.0) for name in slides}
-    moved = dolfinx.fem.Function(V)
+    shifts, moved = {name: _constant(mesh, 0.0) for name in slides}, dolfinx.fem.Function(V)
     bcs = []
-    for name, value in values.items():
-        part = V.sub(slides[name][0])
-        dofs = dolfinx.fem.locate_dofs_topological(part, 2, facets(wall, name))
-        bcs.append(dolfinx.fem.dirichletbc(value, dofs, part))
+    for name, (k, _) in slides.items():
+        dofs = dolfinx.fem.locate_dofs_topological(V.sub(k), 2, facets(wall, name))
+        bcs.append(dolfinx.fem.dirichletbc(shifts[name], dofs, V.sub(k)))
     for name in clamps:
         dofs = dolfinx.fem.locate_dofs_topological(V, 2, facets(wall, name))
         bcs.append(dolfinx.fem.dirichletbc(moved, dofs))
     p, dt = _constant(mesh, 0.0), _constant(mesh, np.inf)
     last = dolfinx.fem.Function(V, name="last_displacement")
-    v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
-    ds = {name: surface_measure(wall)(wall.surfaces[name]) for name in given}
-    supports = sum(
-        (_support(c, u, last, dt, ds[name]) for name, found in given.items() for c in found),
-        ufl.Form([]),
-    )
+    supports, loaded = ufl.Form([]), []
+    for name, found in given.items():
+        ds = surface_measure(wall)(wall.surfaces[name])
+        for condition in found:
+            match condition:
+                case Spring(stiffness, direction):
+                    supports += spring_energy(_constant(mesh, stiffness), u, ds, direction)
+                case Dashpot(viscosity, direction):
+                    η = _constant(mesh, viscosity)
+                    supports += dashpot_energy(η, u, last, dt, ds, direction)
+                case Pressure(share):
+                    loaded.append((_constant(mesh, share), ds))
     residual, tangent = ufl.Form([]), ufl.Form([])
     if not supports.empty():
         residual = ufl.derivative(supports, u, v)
         tangent = ufl.derivative(residual, u, du)
-    loaded = [
-        (_constant(mesh, condition.share), ds[name])
-        for name, found in given.items()
-        for condition in found
-        if isinstance(condition, Pressure)
-    ]
     for share, part in loaded:
         residual += follower_pressure(share * p, u, v, part)
     boundary = Boundary(
@@ -184,7 +178,7 @@ def apply_conditions(
         last=last,
         axis=along,
         moved=moved,
-        planes=tuple((values[name], at) for name, (k, at) in slides.items() if k == along),
+        planes=tuple((shifts[name], at) for name, (k, at) in slides.items() if k == along),
     )
     normals = sorted({k for k, _ in slides.values()})
     fitting = [e for e in (None, *np.eye(3)[normals]) if _is_potential(boundary, V, loaded, e)]
@@ -193,15 +187,6 @@ def apply_conditions(
         tangent += follower_pressure_tangent(share * p, u, v, du, part, kind, bcs=bcs)
     energy = supports + _potential(p, u, loaded, fitting[0]) if fitting else None
     return replace(boundary, tangent=tangent, energy=energy)
-
-
-def _check_unknown(wall: Wall, u: dolfinx.fem.Function) -> None:
-    """Require a displacement on the mesh of a wall."""
-    if u.ufl_shape != (3,) or u.function_space.mesh._cpp_object != wall.mesh._cpp_object:
-        raise ValueError(
-            f"u has the shape {u.ufl_shape}, or lives on another mesh: take a Function of "
-            'functionspace(wall.mesh, ("Lagrange", 2, (3,))).'
-        )
 
 
 def _check_outside(wall: Wall, name: str) -> None:
@@ -236,29 +221,8 @@ def _axis(axis: str, clamps: Sequence[str], normals: Sequence[int]) -> int:
     return number
 
 
-def _support(
-    condition: Condition,
-    u: dolfinx.fem.Function,
-    last: dolfinx.fem.Function,
-    dt: dolfinx.fem.Constant,
-    ds: ufl.Measure,
-) -> ufl.Form:
-    """Return the potential of springs or dashpots, an empty form for other conditions."""
-    match condition:
-        case Spring(stiffness, direction):
-            k = _constant(u.function_space.mesh, stiffness)
-            return spring_energy(k, u, ds, direction)
-        case Dashpot(viscosity, direction):
-            factor = _constant(u.function_space.mesh, viscosity)
-            return dashpot_energy(factor, u, last, dt, ds, direction)
-    return ufl.Form([])
-
-
 def _potential(
-    p: dolfinx.fem.Constant,
-    u: dolfinx.fem.Function,
-    loaded: Loaded,
-    axis: Sequence[float] | None,
+    p: dolfinx.fem.Constant, u: dolfinx.fem.Function, loaded: Loaded, axis: Axis
 ) -> ufl.Form:
     """Return −Σ p V(u) of all surfaces under pressure."""
     parts = (pressure_potential(share * p, u, ds, axis) for share, ds in loaded)
@@ -266,10 +230,7 @@ def _potential(
 
 
 def _is_potential(
-    boundary: Boundary,
-    V: dolfinx.fem.FunctionSpace,
-    loaded: Loaded,
-    axis: Sequence[float] | None,
+    boundary: Boundary, V: dolfinx.fem.FunctionSpace, loaded: Loaded, axis: Axis
 ) -> bool:
     """Say whether the derivative of −p V is the pressure's residual in all free dofs. Collective.
 

@@ -34,7 +34,7 @@ from dolfinx_feti.wall.conditions import (
 )
 from dolfinx_feti.wall.wall import AXES, Wall
 
-__all__ = ["Case", "Filling", "Tissue", "meant", "read_case", "require"]
+__all__ = ["Case", "Filling", "Tissue", "read_case"]
 
 MMHG = 1.0 / mmhg(1.0)  # in a kPa
 
@@ -91,9 +91,9 @@ class Filling:
             require_not_negative(impedance=vessels.pop("impedance", 0.0))
             both = "a resistance, a compliance, and perhaps an impedance"
             has = f"windkessel={self.windkessel}: give {both}"
-            require(set(vessels) == {"resistance", "compliance"}, has)
+            _require(set(vessels) == {"resistance", "compliance"}, has)
             require_positive(**vessels)
-        require(self.axis in (None, *AXES), f"axis={self.axis!r}: choose 'x', 'y', 'z' or None")
+        _require(self.axis in (None, *AXES), f"axis={self.axis!r}: choose 'x', 'y', 'z' or None")
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ class Case:
         rate: By how much the pressure grows [mmHg/s]; None without dashpots.
         axis: Axis of the prestretch; None for none.
         stretch: The prestretch [-].
-        fibres: Arguments of :func:`~dolfinx_feti.wall.fibres.fibre_frame`.
+        fibres: Arguments of :func:`~dolfinx_feti.wall.fibres.potentials`.
         cavities: What fills them, by the name of their surface.
     """
 
@@ -129,32 +129,29 @@ class Case:
     def __post_init__(self) -> None:
         """Check the values."""
         require_positive(scale=self.scale, stretch=self.stretch)
+        require_not_negative(image=self.image)
         if self.pressure or not self.cavities:
             require_positive(pressure=self.pressure)
-        loaded = {
-            name
-            for name, given in self.conditions.items()
-            for c in given
-            if isinstance(c, Pressure)
-        }
-        has = f"pressure={self.pressure}: has no effect without a surface under pressure"
-        require(loaded or not self.pressure, has)
-        require_not_negative(image=self.image)
         if self.rate is not None:
             require_positive(rate=self.rate)
-        require(self.axis in (None, *AXES), f"axis={self.axis!r}: choose 'x', 'y', 'z' or None")
-        has = f"stretch={self.stretch}: has no effect without an axis"
-        require(self.axis or self.stretch == 1.0, has)
+        given = [(name, type(c)) for name, found in self.conditions.items() for c in found]
+        loaded = {name for name, kind in given if kind is Pressure}
+        dashpots = self.pressure > 0.0 and any(kind is Dashpot for _, kind in given)
+        none = "has no effect without"
+        for holds, message in (
+            (loaded or not self.pressure,
+             f"pressure={self.pressure}: {none} a surface under pressure"),
+            (self.axis in (None, *AXES), f"axis={self.axis!r}: choose 'x', 'y', 'z' or None"),
+            (self.axis or self.stretch == 1.0, f"stretch={self.stretch}: {none} an axis"),
+            (self.rate or not dashpots,
+             "[loading] rate is missing: dashpots need the rate of the pressure [mmHg/s]"),
+            (dashpots or self.rate is None,
+             f"[loading] rate = {self.rate}: {none} a dashpot and a pressure"),
+        ):  # fmt: skip
+            _require(holds, message)
         for name in self.cavities:
             has = f"[surfaces.{name}] pressure: leave it out, [cavity.{name}] determines it"
-            require(name not in loaded, has)
-        dashpots = self.pressure > 0.0 and any(
-            isinstance(c, Dashpot) for given in self.conditions.values() for c in given
-        )
-        missing = "[loading] rate is missing: dashpots need the rate of the pressure [mmHg/s]"
-        require(self.rate or not dashpots, missing)
-        has = f"[loading] rate = {self.rate}: has no effect without a dashpot and a pressure"
-        require(dashpots or self.rate is None, has)
+            _require(name not in loaded, has)
 
     @property
     def has_residual_stress(self) -> bool:
@@ -174,19 +171,19 @@ class Case:
         ):
             table = "cavity" if given is self.cavities else f"{kind}s"
             for name in given:
-                has = f"it has {', '.join(known) or 'none'}{meant(name, known)}"
-                require(name in known, f"[{table}.{name}]: the wall has no {kind} {name!r}; {has}")
+                has = f"it has {', '.join(known) or 'none'}{_meant(name, known)}"
+                _require(name in known, f"[{table}.{name}]: the wall has no {kind} {name!r}; {has}")
         for name in wall.layers:
-            require(name in self.layers, f"[layers.{name}] is missing: give the layer's material")
+            _require(name in self.layers, f"[layers.{name}] is missing: give the layer's material")
 
 
-def require(holds: object, message: str) -> None:
+def _require(holds: object, message: str) -> None:
     """Raise a ValueError unless a condition holds."""
     if not holds:
         raise ValueError(message)
 
 
-def meant(word: str, known: Iterable[str]) -> str:
+def _meant(word: str, known: Iterable[str]) -> str:
     """Ask whether a similar word was meant."""
     close = difflib.get_close_matches(word, list(known), n=1)
     return f" (did you mean {close[0]!r}?)" if close else ""
@@ -237,7 +234,7 @@ def _number(
         text = value if isinstance(value, str) else f"{value} {first}"
         figure, _, unit = text.strip().partition(" ")
         number = float(figure) * units[unit.strip()]
-        require(least <= number <= most, "out of bounds")
+        _require(least <= number <= most, "out of bounds")
         return number
 
     return f"give {bounds}{unit_asked}", take
@@ -249,7 +246,7 @@ def _choice(*choices: str) -> Ask:
 
 
 def _texts(value: Any) -> list[str]:
-    require(isinstance(value, list) and all(isinstance(v, str) for v in value), "no list of texts")
+    _require(isinstance(value, list) and all(isinstance(v, str) for v in value), "no list of texts")
     return value
 
 
@@ -305,10 +302,10 @@ def _values(table: dict[str, Any], keys: dict[str, Any], name: str = "") -> dict
     for key, value in table.items():
         where = f"[{name}] {key} = {value!r}" if name else f"{key} = {value!r}"
         ask = keys.get(key, keys.get("*"))
-        others = f"there are {', '.join(keys)}{meant(key, keys)}"
-        require(ask, f"{where}: there is no such key; {others}")
+        others = f"there are {', '.join(keys)}{_meant(key, keys)}"
+        _require(ask, f"{where}: there is no such key; {others}")
         if isinstance(ask, dict):
-            require(isinstance(value, dict), f"{where}: this is to be a table, [{key}]")
+            _require(isinstance(value, dict), f"{where}: this is to be a table, [{key}]")
             values[key] = _values(value, ask, f"{name}.{key}".strip("."))
             continue
         try:
@@ -320,14 +317,14 @@ def _values(table: dict[str, Any], keys: dict[str, Any], name: str = "") -> dict
 
 def _need(words: dict[str, Any], name: str, keys: Iterable[str], why: str) -> None:
     for key in keys:
-        require(key in words, f"[{name}] {key} is missing: {why}")
+        _require(key in words, f"[{name}] {key} is missing: {why}")
 
 
 def _create_case(words: dict[str, Any]) -> Case:
     """Return the case that the values of a file make."""
     layers, surfaces = words.get("layers", {}), words.get("surfaces", {})
-    require("mesh" in words, "mesh is missing: name a file, vessel or tube")
-    require(layers, "name the layers of the wall and their materials, as [layers.media]")
+    _require("mesh" in words, "mesh is missing: name a file, vessel or tube")
+    _require(layers, "name the layers of the wall and their materials, as [layers.media]")
     for name, layer in layers.items():
         _need(layer, f"layers.{name}", ["c"], "give a positive number in kPa")
         if any(key in layer for key in FIBRES):
@@ -342,19 +339,19 @@ def _create_case(words: dict[str, Any]) -> Case:
         hold = [Clamp() if s["hold"] == "clamp" else Slide()] if "hold" in s else []
         conditions[name] = (*share, *spring, *dashpot, *hold)
         message = f"[surfaces.{name}] has no effect: give it a pressure, spring, dashpot or hold"
-        require(conditions[name], message)
+        _require(conditions[name], message)
         message = f"[surfaces.{name}] direction: has no effect without a spring or a dashpot"
-        require(spring or dashpot or "direction" not in s, message)
+        _require(spring or dashpot or "direction" not in s, message)
     by_surface(conditions)  # nothing acts on a clamped surface
     cavities = words.get("cavity", {})
     for name, given in cavities.items():
         if "windkessel" in given:
             place, why = f"cavity.{name}.windkessel", "give a positive number"
             _need(given["windkessel"], place, ["resistance", "compliance"], why)
-        one = "give a volume or a windkessel, one of them"
-        require(("volume" in given) != ("windkessel" in given), f"[cavity.{name}]: {one}")
+        one = f"[cavity.{name}]: give a volume or a windkessel, one of them"
+        _require(("volume" in given) != ("windkessel" in given), one)
     has = "surfaces: name the surface under pressure, as [surfaces.lumen], or a cavity"
-    require(pressures or cavities, has)
+    _require(pressures or cavities, has)
     if "prestretch" in words:
         _need(words["prestretch"], "prestretch", ["axis", "stretch"], "both are needed")
     return Case(

@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from mpi4py import MPI
 
 import numpy as np
+import numpy.typing as npt
 
 import basix
-import dolfinx
 
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Integers, Mask, Numbers
@@ -127,7 +127,7 @@ def _words(cells: Integers) -> tuple[str, str]:
     return ("tetrahedra", "triangles") if tetrahedra else ("hexahedra", "quadrilaterals")
 
 
-def _refuse(wrong: Array | Mask, text: str, comm: MPI.Comm) -> None:
+def _refuse(wrong: npt.ArrayLike, text: str, comm: MPI.Comm) -> None:
     """Raise a ValueError on all processes that counts what is wrong on any of them."""
     if count := comm.allreduce(int(np.sum(wrong))):
         raise ValueError(f"{count} {text}")

@@ -110,24 +110,20 @@ def by_surface(conditions: Conditions) -> dict[str, tuple[Condition, ...]]:
     Raises:
         ValueError: One is something else or given twice, or a clamp is not alone on its surface.
     """
-    by_name = {
-        name: tuple(given) if isinstance(given, Sequence) else (given,)
-        for name, given in conditions.items()
-    }
-    for name, listed in by_name.items():
-        kinds = [type(condition) for condition in listed]
+    by_name: dict[str, tuple[Condition, ...]] = {}
+    for name, given in conditions.items():
+        listed = by_name[name] = tuple(given) if isinstance(given, Sequence) else (given,)
+        kinds, holds = [type(condition) for condition in listed], f"conditions[{name!r}] holds"
         for condition in listed:
             if not isinstance(condition, Condition):
-                raise ValueError(
-                    f"conditions[{name!r}] holds {condition!r}: give Pressure, Spring, Dashpot, "
-                    "Slide or Clamp."
-                )
+                kinds_known = "Pressure, Spring, Dashpot, Slide or Clamp"
+                raise ValueError(f"{holds} {condition!r}: give {kinds_known}.")
         if len(set(kinds)) < len(kinds):
-            raise ValueError(f"conditions[{name!r}] holds a condition twice: give each kind once.")
+            raise ValueError(f"{holds} a condition twice: give each kind once.")
         if Clamp in kinds and len(kinds) > 1:
             raise ValueError(
-                f"conditions[{name!r}] holds a clamp and another condition, which has no effect on "
-                "a surface that is held: leave one of them out."
+                f"{holds} a clamp and another condition, which has no effect on a surface that is "
+                "held: leave one of them out."
             )
     return by_name
 

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from petsc4py import PETSc
 
@@ -66,6 +67,7 @@ DIRECT: dict[str, object] = {
     "pc_type": "cholesky",
     "pc_factor_mat_solver_type": "mumps",
 }
+
 # Angle from the circumferential direction, in degrees (Holzapfel, Gasser, Ogden 2000).
 ANGLES = {"media": 29.0, "adventitia": 62.0}
 
@@ -99,9 +101,8 @@ def solve_laplace(wall: Wall, values: Mapping[str, float]) -> dolfinx.fem.Functi
     try:
         if not any((reason := _solve(A, b, x, options)) > 0 for options in (OPTIONS, DIRECT)):
             raise ArithmeticError(
-                f"A Laplace problem for the fibres was not solved (reason {reason}): make sure "
-                "that every part of the wall touches an opening, or choose another solver with "
-                f"-{PREFIX}ksp_type and -{PREFIX}pc_type"
+                f"A Laplace problem for the fibres was not solved (reason {reason}): every part of "
+                f"the wall has to touch an opening; -{PREFIX}ksp_type chooses another solver"
             )
         solution.x.array[: x.getLocalSize()] = x.array_r
     finally:
@@ -137,13 +138,7 @@ def gradient(u: dolfinx.fem.Function) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """An orthonormal right-handed frame, constant in each cell (vector DG0).
-
-    Attributes:
-        circumferential: ê₀.
-        longitudinal: ê₁.
-        transmural: ê₂.
-    """
+    """An orthonormal right-handed frame ê₀, ê₁, ê₂, constant in each cell (vector DG0)."""
 
     circumferential: dolfinx.fem.Function
     longitudinal: dolfinx.fem.Function
@@ -152,30 +147,15 @@ class Frame:
 
 @typed
 @event("WallFibres")
-def fibre_frame(
-    wall: Wall,
-    *,
-    inner: str = "lumen",
-    outer: str = "outer",
-    ends: Sequence[str] | None = None,
-    inlet: str | None = None,
-) -> Frame:
+def fibre_frame(wall: Wall, **surfaces: Any) -> Frame:
     """Return the local frame of a wall. Collective.
 
     Args:
         wall: The wall, with at least two openings.
-        inner: The surface from which the transmural direction leads.
-        outer: That to which it leads.
-        ends: The surfaces where the vessel was cut; None for those named `opening_…`.
-        inlet: The opening where the vessel begins; None for the one with the largest area (the
-            first of equal ones).
-
-    Raises:
-        ValueError: There are fewer than two openings, or there is no such surface or inlet.
-        ArithmeticError: A Laplace problem was not solved, or leaves cells without a direction.
+        surfaces: Names of its surfaces, ``inner``, ``outer``, ``ends`` and ``inlet``, see
+            :func:`potentials`, whose errors are those of :func:`frame_of`, too.
     """
-    through, along = potentials(wall, inner=inner, outer=outer, ends=ends, inlet=inlet)
-    return frame_of(wall, through, along)
+    return frame_of(wall, *potentials(wall, **surfaces))
 
 
 @typed
@@ -187,15 +167,26 @@ def potentials(
     ends: Sequence[str] | None = None,
     inlet: str | None = None,
 ) -> tuple[dolfinx.fem.Function, dolfinx.fem.Function]:
-    """Return the two potentials of :func:`fibre_frame`, t through the wall and l along it (P2).
+    """Return the two potentials of a frame, t through the wall and l along it (P2). Collective.
 
-    Arguments, errors and notes are those of :func:`fibre_frame`. On a mesh that moves afterwards
-    they stay with the material, and :func:`frame_of` has the frame of the moved wall.
+    On a mesh that moves afterwards they stay with the material, and :func:`frame_of` has the frame
+    of the moved wall.
+
+    Args:
+        wall: The wall, with at least two openings.
+        inner: The surface from which the transmural direction leads.
+        outer: That to which it leads.
+        ends: The surfaces where the vessel was cut; None for those named `opening_…`.
+        inlet: The opening where the vessel begins; None for the one with the largest area (the
+            first of equal ones).
+
+    Raises:
+        ValueError: There are fewer than two openings, or there is no such surface or inlet.
+        ArithmeticError: A Laplace problem was not solved.
     """
     names = openings(wall) if ends is None else list(ends)
-    for name in (inner, outer, *names):
+    for name in (given := [inner, outer, *names]):
         facets(wall, name)  # must be there
-    given = [inner, outer, *names]
     if len(set(given)) < len(given):
         raise ValueError(f"inner={inner!r}, outer={outer!r} and ends={names} name a surface twice")
     if len(names) < 2:
@@ -223,11 +214,9 @@ def frame_of(wall: Wall, through: dolfinx.fem.Function, along: dolfinx.fem.Funct
     e2 = _unit_directions(wall, grad_t, np.zeros_like(grad_t))
     e1 = _unit_directions(wall, grad_l, e2)
     W = dolfinx.fem.functionspace(wall.mesh, ("DG", 0, (3,)))
-    return Frame(
-        circumferential=_function(W, np.asarray(np.cross(e1, e2)), "circumferential"),
-        longitudinal=_function(W, e1, "longitudinal"),
-        transmural=_function(W, e2, "transmural"),
-    )
+    e0 = np.asarray(np.cross(e1, e2), dtype=np.float64)
+    directions = {"circumferential": e0, "longitudinal": e1, "transmural": e2}
+    return Frame(**{name: _function(W, e, name) for name, e in directions.items()})
 
 
 @typed
@@ -250,43 +239,36 @@ def fibre_families(
     α = np.deg2rad(by_layer(wall, angles).x.array)[:, None]
     W = frame.circumferential.function_space
     e0, e1 = (f.x.array.reshape(-1, 3) for f in (frame.circumferential, frame.longitudinal))
-    return (
-        _function(W, np.cos(α) * e0 + np.sin(α) * e1, "fibres_1"),
-        _function(W, np.cos(α) * e0 - np.sin(α) * e1, "fibres_2"),
-    )
+    a0, a1 = np.cos(α) * e0, np.sin(α) * e1
+    return _function(W, a0 + a1, "fibres_1"), _function(W, a0 - a1, "fibres_2")
 
 
 def _unit_directions(wall: Wall, along: Array, normal: Array) -> Array:
     """Return unit vectors along gradients, orthogonal to unit normals or to zero, (cells, 3).
 
-    Where a gradient, or its part orthogonal to the normal, is too weak, the direction is the mean
-    of those at the cell's vertices; this is repeated until every cell has a direction. The sums at
-    the vertices do not depend on the number of processes and need no ghost cells.
+    Where a gradient, or its orthogonal part, is too weak, the direction is the mean of those at the
+    cell's vertices, again and again until every cell has one, whatever the number of processes.
     """
     comm, n_owned = wall.mesh.comm, wall.mesh.topology.index_map(3).size_local
-    size = np.linalg.norm(along, axis=1)
-    weak = WEAK * cell_mean(wall, size)
-    e, known = _unit(_orthogonal(along, normal), weak)
-    left = comm.allreduce(int(np.sum(~known[:n_owned])))
+    weak = WEAK * cell_mean(wall, np.linalg.norm(along, axis=1))
+    e, known = _unit(along, normal, weak)
+    left, before = comm.allreduce(int(np.sum(~known[:n_owned]))), -1
     while left:
-        mean, strong = _unit(_orthogonal(_around(wall, e), normal), 1e-3)
-        e = np.where(known[:, None], e, mean)
-        known |= strong
-        before, left = left, comm.allreduce(int(np.sum(~known[:n_owned])))
         if left == before:
             raise ArithmeticError(
                 f"{left} cells of the wall have no direction: check that lumen, outer and the "
                 "openings are tagged correctly"
             )
+        mean, strong = _unit(_around(wall, e), normal, 1e-3)
+        e = np.where(known[:, None], e, mean)
+        known |= strong
+        before, left = left, comm.allreduce(int(np.sum(~known[:n_owned])))
     return e
 
 
-def _orthogonal(v: Array, normal: Array) -> Array:
-    return v - np.sum(v * normal, axis=1, keepdims=True) * normal
-
-
-def _unit(v: Array, least: float) -> tuple[Array, Mask]:
-    """Normalise vectors longer than ``least``, set the others to zero; also mark the former."""
+def _unit(v: Array, normal: Array, least: float) -> tuple[Array, Mask]:
+    """Normalise orthogonal parts longer than ``least``, set others to zero; mark the former."""
+    v = v - np.sum(v * normal, axis=1, keepdims=True) * normal
     length = np.linalg.norm(v, axis=1)
     long = length > least
     return np.where(long, 1 / np.where(long, length, 1), 0.0)[:, None] * v, long

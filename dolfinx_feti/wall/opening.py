@@ -16,9 +16,8 @@ as flat. The potentials stay with the material when the mesh moves, and the rest
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
-from mpi4py import MPI
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -57,11 +56,7 @@ class Opening:
         wall: Wall,
         angles: Mapping[str, float],
         stretches: Mapping[str, float] | None = None,
-        *,
-        inner: str = "lumen",
-        outer: str = "outer",
-        ends: Sequence[str] | None = None,
-        inlet: str | None = None,
+        **surfaces: Any,
     ) -> None:
         """Find the potentials. Collective.
 
@@ -69,22 +64,17 @@ class Opening:
             wall: The wall.
             angles: Opening angle of each layer [degrees], below 360.
             stretches: Axial prestretch of each layer [-]; 1 if not given.
-            inner: See :func:`~dolfinx_feti.wall.fibres.fibre_frame`, as for those that follow.
-            outer: The surface to which the transmural direction leads.
-            ends: The surfaces where the vessel was cut.
-            inlet: The opening where the vessel begins.
+            surfaces: See :func:`~dolfinx_feti.wall.fibres.potentials`, whose errors are raised.
 
         Raises:
-            ValueError: A layer has no angle or stretch, or one that is out of its range; or see
-                :func:`~dolfinx_feti.wall.fibres.fibre_frame`.
-            ArithmeticError: Likewise.
+            ValueError: A layer has no angle or stretch, or one that is out of its range.
         """
         stretches = dict.fromkeys(wall.layers, 1.0) if stretches is None else stretches
         for name, angle in angles.items():
             residual_stretch(0.0, ufl.as_ufl(0.0), angle, stretches.get(name, 1.0))  # checks them
         self._wall = wall
         self.angle, stretch = by_layer(wall, angles), by_layer(wall, stretches)
-        self.potentials = potentials(wall, inner=inner, outer=outer, ends=ends, inlet=inlet)
+        self.potentials = potentials(wall, **surfaces)
         Q = self.angle.function_space
         W = dolfinx.fem.functionspace(wall.mesh, ("DG", 0, (3,)))
         self.curvature = dolfinx.fem.Function(Q, name="curvature")
@@ -120,13 +110,10 @@ class Opening:
         weight = ufl.inner(ufl.grad(t), ufl.grad(t)) ** 0.25
         means = {}
         for name, tag in wall.layers.items():
-            integrals = [
-                wall.mesh.comm.allreduce(
-                    float(dolfinx.fem.assemble_scalar(dolfinx.fem.form(f * dx(tag)))), op=MPI.SUM
-                )
-                for f in (t * weight, weight)
-            ]
-            means[name] = integrals[0] / integrals[1]
+            forms = [dolfinx.fem.form(f * dx(tag)) for f in (t * weight, weight)]
+            mine = np.array([float(dolfinx.fem.assemble_scalar(form)) for form in forms])
+            total, size = wall.mesh.comm.allreduce(mine)
+            means[name] = float(total / size)
         return means
 
     def _normals(self) -> dolfinx.fem.Function:

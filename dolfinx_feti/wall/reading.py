@@ -95,13 +95,10 @@ def _share(raw: RawWall | None, comm: MPI.Comm) -> RawWall:
     """Return what a process has of a wall, nothing but the names unless it has read it."""
     empty = None
     if raw is not None:
-        empty = RawWall(
-            *(array[:0] for array in (raw.points, raw.cells, raw.layers, raw.facets, raw.surfaces)),
-            raw.layer_names,
-            raw.surface_names,
-        )
-    empty = comm.bcast(empty, root=0)
-    return empty if raw is None else raw
+        names = ("points", "cells", "layers", "facets", "surfaces")
+        empty = replace(raw, **{name: getattr(raw, name)[:0] for name in names})
+    none: RawWall = comm.bcast(empty, root=0)
+    return none if raw is None else raw
 
 
 def distribute(raw: RawWall | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:

@@ -3,16 +3,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A wall: a mesh whose layers and surfaces have names.
 
-Layers and surfaces have the names that the file gives them, from one of each on. Usual ones are the
-layers `media` and `adventitia`, and the surfaces `lumen` (under pressure), `outer`, `opening_1`,
-`opening_2`, … (the faces where the vessel was cut), and `symmetry_x` and `symmetry_y` of a quarter
-tube.
+Usual names are the layers `media` and `adventitia`, and the surfaces `lumen` (under pressure),
+`outer`, `opening_1`, `opening_2`, … (where the vessel was cut), and `symmetry_x` and `symmetry_y`.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral
@@ -84,14 +81,21 @@ class Wall:
 
     def __post_init__(self) -> None:
         """Check mesh and tags."""
-        _check_mesh(self.mesh)
-        for name in ("cell_tags", "facet_tags"):
-            _check_tags(name, getattr(self, name), self.mesh)
+        cell, dim = self.mesh.topology.cell_name(), self.mesh.geometry.dim
+        if cell not in ("tetrahedron", "hexahedron") or dim != 3:
+            raise ValueError(
+                f"mesh has cells of type {cell} in {dim} dimensions, but a wall has tetrahedra or "
+                "hexahedra in space: elsewhere take the forms of dolfinx_feti.loads and .supports "
+                "with a measure of your own."
+            )
+        tags = {"cell_tags": self.cell_tags, "facet_tags": self.facet_tags}
+        for name, given in tags.items():
+            if given.topology != self.mesh._cpp_object.topology:
+                raise ValueError(f"{name} belong to another mesh: give those of this one.")
         if (self.cell_tags.dim, self.facet_tags.dim) != (3, 2):
             raise ValueError(
                 f"cell_tags are of dimension {self.cell_tags.dim} and facet_tags of "
-                f"{self.facet_tags.dim}: give those of the cells (3) first, then those of the "
-                "facets (2)."
+                f"{self.facet_tags.dim}: give those of the cells (3), then of the facets (2)."
             )
 
     @property
@@ -100,33 +104,8 @@ class Wall:
         return self.surfaces | self.layers
 
 
-def _check_mesh(mesh: dolfinx.mesh.Mesh) -> None:
-    """Require a body of tetrahedra or hexahedra in space."""
-    cell, dim = mesh.topology.cell_name(), mesh.geometry.dim
-    if cell not in ("tetrahedron", "hexahedron") or dim != 3:
-        raise ValueError(
-            f"mesh has cells of type {cell} in {dim} dimensions, but a wall has tetrahedra or "
-            "hexahedra in space: elsewhere take the forms of dolfinx_feti.loads and .supports with "
-            "a measure of your own."
-        )
-
-
-def _check_tags(name: str, tags: dolfinx.mesh.MeshTags, mesh: dolfinx.mesh.Mesh) -> None:
-    """Require tags on a mesh."""
-    if tags.topology != mesh._cpp_object.topology:
-        raise ValueError(f"{name} belong to another mesh: give those of this one.")
-
-
 def facets(wall: Wall, name: str) -> Indices:
-    """Return the local facets of a surface.
-
-    Args:
-        wall: The wall.
-        name: Name of the surface.
-
-    Raises:
-        ValueError: The wall has no such surface.
-    """
+    """Return the local facets of a surface; a ValueError if the wall has none of this name."""
     if name not in wall.surfaces:
         raise ValueError(f"The wall has no surface {name!r}; it has {', '.join(wall.surfaces)}")
     return np.asarray(wall.facet_tags.find(wall.surfaces[name]))
@@ -154,17 +133,16 @@ def checked_groups(names: Groups) -> list[Group]:
 
 def openings(wall: Wall) -> list[str]:
     """Return the names of the openings, `opening_2` before `opening_10`."""
-    numbers = {name: re.fullmatch(r"opening_(\d+)", name) for name in wall.surfaces}
     names = [name for name in wall.surfaces if name.startswith("opening_")]
-    return sorted(names, key=lambda n: (int(m[1]) if (m := numbers[n]) else 10**9, n))
+    return sorted(names, key=lambda n: (int(n[8:]) if n[8:].isdecimal() else math.inf, n))
 
 
 def area(wall: Wall, name: str) -> float:
     """Return the area of a surface [mm²]. Collective."""
     facets(wall, name)  # must be there
     one = dolfinx.fem.Constant(wall.mesh, np.float64(1.0))
-    surface = surface_measure(wall)(wall.surfaces[name])
-    form = on_all(lambda: dolfinx.fem.form(one * surface), wall.mesh.comm)
+    ds = surface_measure(wall)(wall.surfaces[name])
+    form = on_all(lambda: dolfinx.fem.form(one * ds), wall.mesh.comm)
     return wall.mesh.comm.allreduce(float(dolfinx.fem.assemble_scalar(form)))
 
 
@@ -205,21 +183,12 @@ def _bounds(x: Array, comm: MPI.Comm) -> tuple[Array, Array]:
 
 
 def surface_measure(wall: Wall, *, metadata: dict[str, object] | None = None) -> ufl.Measure:
-    """Return `ds` with the tags of the wall, for `ds(wall.surfaces["lumen"])`.
-
-    Args:
-        wall: The wall.
-        metadata: For the form compiler, such as the quadrature degree.
-    """
+    """Return `ds` with the tags of the wall, for `ds(wall.surfaces["lumen"])`."""
     return ufl.Measure("ds", wall.mesh, subdomain_data=wall.facet_tags, metadata=metadata)
 
 
 def by_layer(wall: Wall, values: Mapping[str, float]) -> dolfinx.fem.Function:
     """Return a piecewise constant function with one value in each layer.
-
-    Args:
-        wall: The wall.
-        values: A value for each layer of the wall.
 
     Raises:
         ValueError: A layer has no value, a value names no layer, or it is not finite.

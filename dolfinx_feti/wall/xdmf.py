@@ -29,12 +29,12 @@ import numpy as np
 
 import basix.ufl
 import dolfinx
-import dolfinx.graph
 import dolfinx.io
 import ufl
 
 from dolfinx_feti.runtime.arrays import Array, Integers
 from dolfinx_feti.runtime.collective import on_all, on_first, reason
+from dolfinx_feti.runtime.compat import adjacency
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.wall.checks import check_cells, check_rows
 from dolfinx_feti.wall.wall import Wall
@@ -133,14 +133,10 @@ def write_wall(path: Path | str, wall: Wall) -> None:
     if path.suffix != ".xdmf":
         raise ValueError(f"path={str(path)!r}: give a name that ends in .xdmf")
     aside = on_first(lambda: _folder_aside(path), comm)
-    grids: dict[str, Any] = {
-        "mesh": wall.mesh,
-        "layers": wall.cell_tags,
-        "surfaces": wall.facet_tags,
-    }
-    called = [grid.name for grid in grids.values()]
+    grids: list[Any] = [wall.mesh, wall.cell_tags, wall.facet_tags]
+    called = [grid.name for grid in grids]
     try:
-        for name, grid in grids.items():
+        for name, grid in zip(("mesh", *TAGS), grids, strict=True):
             grid.name = name
         with dolfinx.io.XDMFFile(comm, aside / path.name, "w") as file:
             file.write_mesh(wall.mesh)
@@ -151,7 +147,7 @@ def write_wall(path: Path | str, wall: Wall) -> None:
             file.write_information(NAMES, light, DOMAIN)
         on_first(lambda: _put_in_place(aside, path), comm)
     finally:
-        for name, grid in zip(called, grids.values(), strict=True):
+        for name, grid in zip(called, grids, strict=True):
             grid.name = name
         if comm.rank == 0:
             shutil.rmtree(aside, ignore_errors=True)
@@ -168,12 +164,8 @@ def _keep(parts: Sequence[int], rows: int, comm: MPI.Comm) -> Callable[..., Any]
     row = before[comm.rank] + np.arange(rows)
     process = np.searchsorted(np.cumsum(parts), row, side="right")
 
-    def keep(*_: Any) -> Any:
-        offsets = np.arange(rows + 1, dtype=np.int32)
-        found = dolfinx.graph.adjacencylist(process.astype(np.int32), offsets)
-        return getattr(found, "_cpp_object", found)
-
-    return keep
+    offsets = np.arange(rows + 1, dtype=np.int32)
+    return lambda *_: adjacency(process.astype(np.int32), offsets)
 
 
 def _folder_aside(path: Path) -> Path:

@@ -236,6 +236,6 @@ def test_bad_stretch(wall):
     for axis, match in (("r", "axis='r': choose 'x', 'y'"), ("x", "axis='x': a prestretch pulls")):
         with raises(ValueError, match):
             apply_conditions(wall, u, ENDS, axis=axis)
-    for axis, stretch, match in ((None, 1.1, "no axis"), ("z", 0.0, "stretch="), ("z", -1.0, "st")):
+    for axis, stretch, match in ((None, 1.1, "no axis"), ("z", 0.0, "stretch ="), ("z", -1.0, "s")):
         with raises(ValueError, match):
             apply_conditions(wall, u, ENDS, axis=axis).set_stretch(stretch)
