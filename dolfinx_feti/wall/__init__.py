@@ -3,20 +3,27 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Arterial walls: named layers and surfaces, conditions on these, and directions of fibres.
 
-In the order of the data: wall, checks, wallfile, xdmf, reading, tagged, conditions,
-casefile, boundary, fibres, opening.
+In the order of the data: wall, checks, wallfile, xdmf, reading, conditions, casefile,
+fibres, opening.
 """
 
 from dolfinx_feti.mechanics.values import type_exports
-from dolfinx_feti.wall.boundary import Boundary, apply_conditions
 from dolfinx_feti.wall.casefile import Case, Filling, Tissue, read_case
-from dolfinx_feti.wall.conditions import Clamp, Dashpot, Pressure, Slide, Spring
+from dolfinx_feti.wall.conditions import (
+    Boundary,
+    Clamp,
+    Dashpot,
+    Pressure,
+    Slide,
+    Spring,
+    apply_conditions,
+)
 from dolfinx_feti.wall.reading import read_wall
-from dolfinx_feti.wall.tagged import create_wall
 from dolfinx_feti.wall.wall import (
     Wall,
     area,
     by_layer,
+    create_wall,
     facets,
     openings,
     surface_measure,

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Conditions on the surfaces of a wall: pressure, springs, dashpots, sliding and clamping.
+"""Conditions on the surfaces of a wall, and the Dirichlet conditions and forms that they make.
 
 A surface takes any of these, by its name; one that is not named is free::
 
@@ -12,20 +12,35 @@ A surface takes any of these, by its name; one that is not named is free::
         "opening_2": Slide(),
     }
 
-:mod:`~dolfinx_feti.wall.boundary` turns them into Dirichlet conditions and forms.
+An axial prestretch λ moves what is clamped or slides by (λ − 1) (X·e − X₀) e along an axis e, where
+X₀ is the least X·e of the wall. Units: mm, kPa, s.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import get_args
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
-from dolfinx_feti.mechanics.supports import Direction
-from dolfinx_feti.mechanics.values import require_within
+import numpy as np
+
+import dolfinx
+import ufl
+
+from dolfinx_feti.mechanics.loads import (
+    SAME,
+    follower_pressure,
+    follower_pressure_tangent,
+    free_norm,
+    pressure_potential,
+    wave,
+)
+from dolfinx_feti.mechanics.supports import Direction, dashpot_energy, spring_energy
+from dolfinx_feti.mechanics.values import require_finite, require_positive
+from dolfinx_feti.wall.wall import AXES, Wall, extent, facets, plane, surface_measure
 
 __all__ = [
+    "Boundary",
     "Clamp",
     "Condition",
     "Conditions",
@@ -33,10 +48,14 @@ __all__ = [
     "Pressure",
     "Slide",
     "Spring",
+    "apply_conditions",
     "by_surface",
 ]
 
-NOT_ZERO = "a finite number other than zero"
+#: Pressures: share and measure of each surface.
+Loaded = Sequence[tuple[dolfinx.fem.Constant, ufl.Measure]]
+
+Axis = Sequence[float] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +70,9 @@ class Pressure:
 
     def __post_init__(self) -> None:
         """Check the value."""
-        require_within(-math.inf, math.inf, {"share": self.share}, remedy=NOT_ZERO, sign="=")
+        require_finite(share=self.share)
         if self.share == 0.0:
-            raise ValueError(f"share={self.share}: give {NOT_ZERO}.")
+            raise ValueError(f"share = {self.share}: give a finite number other than zero.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +89,8 @@ class Spring:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        _check_support(self.direction, stiffness=self.stiffness)
+        require_positive(stiffness=self.stiffness)
+        _check_direction(self.direction)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +107,8 @@ class Dashpot:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        _check_support(self.direction, viscosity=self.viscosity)
+        require_positive(viscosity=self.viscosity)
+        _check_direction(self.direction)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,8 +149,212 @@ def by_surface(conditions: Conditions) -> dict[str, tuple[Condition, ...]]:
     return by_name
 
 
-def _check_support(direction: str, **value: float) -> None:
-    """Require a positive value and a direction."""
-    require_within(0.0, math.inf, value, ends=False, remedy="a positive number", sign="=")
+def _check_direction(direction: str) -> None:
     if direction not in get_args(Direction):
-        raise ValueError(f"direction={direction!r}: choose 'normal' or 'all'.")
+        raise ValueError(f"direction = {direction!r}: choose 'normal' or 'all'.")
+
+
+@dataclass(frozen=True, slots=True)
+class Boundary:
+    """What conditions make of a wall's boundary.
+
+    Attributes:
+        bcs: Dirichlet conditions of what is clamped or slides.
+        residual: Virtual work of pressure, springs and dashpots, to be added to that inside.
+        tangent: Its derivative; of a pressure's, the symmetric part if that is all of it in sum.
+        energy: Its potential, to be added to that inside; None if the pressure has none.
+        pressure: The wall's pressure [kPa], zero at first.
+        time_step: Δt of the dashpots [s], infinite at first: they do not resist.
+        last: The displacement at the end of the last time step [mm], zero at first.
+        axis: Number of the axis of the prestretch; None for none.
+        moved: The displacement of what is clamped [mm].
+        planes: The displacement normal to each plane that the prestretch moves [mm], and where the
+            plane lies on the axis [mm].
+    """
+
+    bcs: list[dolfinx.fem.DirichletBC]
+    residual: ufl.Form
+    tangent: ufl.Form
+    energy: ufl.Form | None
+    pressure: dolfinx.fem.Constant
+    time_step: dolfinx.fem.Constant
+    last: dolfinx.fem.Function
+    axis: int | None
+    moved: dolfinx.fem.Function
+    planes: tuple[tuple[dolfinx.fem.Constant, float], ...]
+
+    def set_stretch(self, stretch: float) -> None:
+        """Set the axial prestretch λ of what is clamped or slides; the next solve meets it.
+
+        Args:
+            stretch: λ [-], 1 at rest.
+
+        Raises:
+            ValueError: λ is not positive, or the conditions were applied without an axis.
+        """
+        if self.axis is None:
+            raise ValueError("There is no axis to stretch along: give apply_conditions(axis=…).")
+        require_positive(stretch=stretch)
+        V = self.moved.function_space
+        least = float(extent(V.mesh)[0][self.axis])
+        X = V.tabulate_dof_coordinates()[:, self.axis]
+        self.moved.x.array.reshape(-1, 3)[:, self.axis] = (stretch - 1.0) * (X - least)
+        for value, place in self.planes:
+            value.value = (stretch - 1.0) * (place - least)
+
+    def advance(self, u: dolfinx.fem.Function) -> None:
+        """End a time step of the dashpots, set by ``time_step.value``: u becomes ``last``."""
+        self.last.x.array[:] = u.x.array
+
+
+def apply_conditions(
+    wall: Wall, u: dolfinx.fem.Function, conditions: Conditions, *, axis: str | None = None
+) -> Boundary:
+    """Turn conditions on named surfaces into Dirichlet conditions and forms. Collective.
+
+    The forms hold ``ufl.TestFunction(V)`` and ``ufl.TrialFunction(V)`` of the space V of u, and
+    state no quadrature degree. Whether a pressure has a potential −p V is found out by trying: its
+    derivative has to be the residual. Where rims are free or on springs it has none, the tangent is
+    not symmetric and needs GMRES; its symmetric part alone would take tens of Newton steps.
+
+    Args:
+        wall: The wall.
+        u: Displacement [mm], a Function in a Lagrange space on its mesh.
+        conditions: One or several for each surface by name; those that are not named are free.
+        axis: ``"x"``, ``"y"`` or ``"z"`` for a prestretch along it by :meth:`Boundary.set_stretch`.
+
+    Returns:
+        Dirichlet conditions, forms, and the constants and functions in them.
+
+    Raises:
+        ValueError: u is no displacement of the wall, the wall has no such surface, one that is
+            loaded or supported lies inside the wall, a clamp is not alone on its surface, a surface
+            that slides lies in no plane normal to x, y or z, or the wall cannot be stretched along
+            the axis. On all processes.
+    """
+    if u.ufl_shape != (3,) or u.function_space.mesh._cpp_object != wall.mesh._cpp_object:
+        raise ValueError(
+            f"u has the shape {u.ufl_shape}, or lives on another mesh: take a Function of "
+            'functionspace(wall.mesh, ("Lagrange", 2, (3,))).'
+        )
+    given = by_surface(conditions)
+    mesh, V = wall.mesh, u.function_space
+    v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+    slides = {name: plane(wall, name) for name, found in given.items() if Slide() in found}
+    clamps = [name for name, found in given.items() if Clamp() in found]
+    for name, found in given.items():
+        facets(wall, name)  # must be there
+        if any(isinstance(condition, Pressure | Spring | Dashpot) for condition in found):
+            _check_outside(wall, name)
+    along = None if axis is None else _axis(axis, clamps, [k for k, _ in slides.values()])
+    shifts, moved = {name: _constant(mesh, 0.0) for name in slides}, dolfinx.fem.Function(V)
+    bcs = []
+    for name, (k, _) in slides.items():
+        dofs = dolfinx.fem.locate_dofs_topological(V.sub(k), 2, facets(wall, name))
+        bcs.append(dolfinx.fem.dirichletbc(shifts[name], dofs, V.sub(k)))
+    for name in clamps:
+        dofs = dolfinx.fem.locate_dofs_topological(V, 2, facets(wall, name))
+        bcs.append(dolfinx.fem.dirichletbc(moved, dofs))
+    p, dt = _constant(mesh, 0.0), _constant(mesh, np.inf)
+    last = dolfinx.fem.Function(V, name="last_displacement")
+    supports, loaded = ufl.Form([]), []
+    for name, found in given.items():
+        ds = surface_measure(wall)(wall.surfaces[name])
+        for condition in found:
+            match condition:
+                case Spring(stiffness, direction):
+                    supports += spring_energy(_constant(mesh, stiffness), u, ds, direction)
+                case Dashpot(viscosity, direction):
+                    factor = _constant(mesh, viscosity)
+                    supports += dashpot_energy(factor, u, last, dt, ds, direction)
+                case Pressure(share):
+                    loaded.append((_constant(mesh, share), ds))
+    residual, tangent = ufl.Form([]), ufl.Form([])
+    if not supports.empty():
+        residual = ufl.derivative(supports, u, v)
+        tangent = ufl.derivative(residual, u, du)
+    for share, part in loaded:
+        residual += follower_pressure(share * p, u, v, part)
+    boundary = Boundary(
+        bcs=bcs,
+        residual=residual,
+        tangent=tangent,
+        energy=None,
+        pressure=p,
+        time_step=dt,
+        last=last,
+        axis=along,
+        moved=moved,
+        planes=tuple((shifts[name], at) for name, (k, at) in slides.items() if k == along),
+    )
+    normals = sorted({k for k, _ in slides.values()})
+    fitting = [e for e in (None, *np.eye(3)[normals]) if _is_potential(boundary, V, loaded, e)]
+    kind: Literal["symmetric", "auto"] = "symmetric" if fitting else "auto"
+    for share, part in loaded:
+        tangent += follower_pressure_tangent(share * p, u, v, du, part, kind, bcs=bcs)
+    energy = supports + _potential(p, u, loaded, fitting[0]) if fitting else None
+    return replace(boundary, tangent=tangent, energy=energy)
+
+
+def _check_outside(wall: Wall, name: str) -> None:
+    """Require a surface of the boundary, where forms of ``ds`` are integrated. Collective."""
+    topology = wall.mesh.topology
+    topology.create_connectivity(2, 3)
+    mine = facets(wall, name)
+    mine = mine[mine < topology.index_map(2).size_local]
+    outside = np.isin(mine, dolfinx.mesh.exterior_facet_indices(topology))
+    inside = wall.mesh.comm.allreduce(int((~outside).sum()))
+    if inside:
+        raise ValueError(
+            f"The surface {name!r} has {inside} facets inside the wall, where no pressure, spring "
+            "or dashpot acts: name a surface of its boundary."
+        )
+
+
+def _constant(mesh: dolfinx.mesh.Mesh, value: float) -> dolfinx.fem.Constant:
+    return dolfinx.fem.Constant(mesh, dolfinx.default_scalar_type(value))
+
+
+def _axis(axis: str, clamps: Sequence[str], normals: Sequence[int]) -> int:
+    """Return the number of an axis along which the wall can be stretched."""
+    if axis not in tuple(AXES):
+        raise ValueError(f"axis={axis!r}: choose 'x', 'y' or 'z'.")
+    number = AXES.index(axis)
+    if len(clamps) + normals.count(number) < 2:
+        raise ValueError(
+            f"axis={axis!r}: a prestretch pulls at two ends, but fewer surfaces are clamped or "
+            f"slide in a plane normal to {axis}: give both ends Clamp() or Slide()."
+        )
+    return number
+
+
+def _potential(
+    p: dolfinx.fem.Constant, u: dolfinx.fem.Function, loaded: Loaded, axis: Axis
+) -> ufl.Form:
+    """Return −Σ p V(u) of all surfaces under pressure."""
+    parts = (pressure_potential(share * p, u, ds, axis) for share, ds in loaded)
+    return sum(parts, ufl.Form([]))
+
+
+def _is_potential(
+    boundary: Boundary, V: dolfinx.fem.FunctionSpace, loaded: Loaded, axis: Axis
+) -> bool:
+    """Say whether the derivative of −p V is the pressure's residual in all free dofs. Collective.
+
+    It is tried at a wave that meets the Dirichlet conditions, a stretched one if there is an axis.
+    """
+    if not loaded:
+        return True
+    w, v, one = wave(V), ufl.TestFunction(V), _constant(V.mesh, 1.0)
+    if boundary.axis is not None:
+        boundary.set_stretch(1.1)
+    for bc in boundary.bcs:
+        bc.set(w.x.array)
+    if boundary.axis is not None:
+        boundary.set_stretch(1.0)
+    follower = sum((follower_pressure(share * one, w, v, ds) for share, ds in loaded), ufl.Form([]))
+    slope = ufl.derivative(_potential(one, w, loaded, axis), w, v)
+    none = np.zeros(0, dtype=np.int32)
+    held = np.concatenate([none, *(bc.dof_indices()[0] for bc in boundary.bcs)])
+    norms = [free_norm(form, held) for form in (slope - follower, follower)]
+    return norms[0] <= SAME * norms[1]
