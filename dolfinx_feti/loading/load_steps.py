@@ -11,10 +11,9 @@ The first steps begin with the tangent of the last equilibrium and the residual 
 predicts the next one; where it turns a cell inside out, or has an indefinite tangent and a larger
 residual than the last equilibrium, the tangent of that takes its place again.
 
-Newton's tolerance refers to the residual that the new load leaves in the last equilibrium,
-:math:`\|r(U_n; t_{n+1})\|`, as that of a prediction can be larger by orders of magnitude. FETI's
-preconditioner serves on from one load to the next (``-feti_lag``), but for the step that follows a
-checkpoint: what a restart does not know, a run that goes on must not use.
+Newton's tolerance refers to :math:`\|r(U_n; t_{n+1})\|`, as the residual of a prediction can be
+larger by orders of magnitude. FETI's preconditioner serves on from one load to the next, but for
+the step after a checkpoint: what a restart does not know, a run that goes on must not use.
 """
 
 from __future__ import annotations
@@ -71,9 +70,8 @@ def follow_load(
         set_load: Sets the load in the user's forms.
         targets: Loads to be met exactly, one after the other.
         steps: How to choose the increments.
-        state: Functions that a solve changes beside u and what is condensed: these are known.
-            Internal variables and dashpots of the problem are none of them: they advance by
-            themselves in each new equilibrium, after ``on_step`` is called and before it is kept.
+        state: Functions that a solve changes beside u and what is condensed: these are known, as
+            are internal variables and dashpots, which advance by themselves after ``on_step``.
         start: The present load.
         unloading: Whether the load may turn back on its way through the targets.
         on_step: Called in each new equilibrium on all processes, for output; the order of events is
@@ -150,16 +148,15 @@ class _Loads(Stepper[LoadStep, Steps]):
         return self.remedy
 
     def _is_met(self, target: float) -> bool:
-        rough = self._steps.rtol is not None
-        return self.at == target and not (rough and self._met[-1] != target)
+        return self.at == target and (self._steps.rtol is None or self._met[-1] == target)
 
     def _arrive(self, step: dict[str, Any]) -> LoadStep:
         """Let the increment grow after a quick step."""
-        found, steps = LoadStep(**step), self._steps
+        found = LoadStep(**step)
         extra = max(len(self._problem.volume_changes) - 1, 0)  # a step for each multiplier
         tangents = sum(step.tangent_lag == 0 for step in found.history)
-        if found.failures == 0 and tangents - extra <= steps.quick:
-            self._length = max(self._length, steps.growth * abs(found.increment))
+        if found.failures == 0 and tangents - extra <= self._steps.quick:
+            self._length = max(self._length, self._steps.growth * abs(found.increment))
         return found
 
     def _attempt(self, to: float, target: float) -> None:

@@ -167,8 +167,8 @@ class Motion:
         f.array[fixed[fixed < owned]] = given[fixed < owned]
         ksp = PETSc.KSP().create(M.comm)
         ksp.setOperators(M)
-        ksp.setType(PETSc.KSP.Type.CG)
-        ksp.getPC().setType(PETSc.PC.Type.JACOBI)
+        ksp.setType("cg")
+        ksp.getPC().setType("jacobi")
         ksp.setTolerances(rtol=MASS_RTOL, max_it=MASS_ITERATIONS)
         ksp.solve(f, a)
         converged = ksp.getConvergedReason() > 0
@@ -234,8 +234,8 @@ class Motion:
     def damping(self, residual: dolfinx.fem.Form | None) -> Array:
         """Return the present forces of dashpots, F(u, v) − F(u, 0), (owned,). Collective."""
         if residual is None:
-            space = self.u.function_space.dofmap
-            return np.zeros(space.index_map.size_local * space.index_map_bs)
+            dofmap = self.u.function_space.dofmap
+            return np.zeros(dofmap.index_map.size_local * dofmap.index_map_bs)
         whole = owned_vector(residual)
         behind, d = self._behind.x.array.copy(), float(self._d.value)
         self._set_rate(d, self.u.x.array)

@@ -44,7 +44,6 @@ def prestress(
     steps: Steps,
     *,
     G: dolfinx.fem.Function,
-    state: Sequence[dolfinx.fem.Function],
     tolerance: float = 1e-8,
     **options: Any,
 ) -> list[LoadStep]:
@@ -62,11 +61,11 @@ def prestress(
         G: Inverse of the deformation that leads to the image, a Function of discontinuous elements
             (("DG", k − 1) for u of degree k) or of points of quadrature, shape (d, d); the identity
             at ``start``.
-        state: All functions that a solve changes, u and a condensed pressure; zero at ``start``.
         tolerance: How far a solve may still move the wall, over the diagonal of the box around it;
             on the way, so far or as large a share of the load's first displacement as
             ``steps.rtol``.
-        options: Others of ``follow_load``: ``start``, ``on_step``, ``checkpoint``, ``unit``.
+        options: Others of ``follow_load``: ``start``, where u and a condensed pressure are zero,
+            ``state``, ``on_step``, ``checkpoint``, ``unit``.
 
     Returns:
         The accepted steps; their histories hold the Newton steps of all solves.
@@ -85,8 +84,8 @@ def prestress(
     if not tolerance > 0.0:
         raise ValueError(f"tolerance is {tolerance}: give a positive share of the diameter.")
     on_all(lambda: _check(G, problem.u), problem.u.function_space.mesh.comm)
-    inner = _Prestressing(problem, G, tolerance)
-    return follow_load(inner, set_load, targets, steps, state=[*state, G], **options)
+    options["state"] = [*options.get("state", ()), G]
+    return follow_load(_Prestressing(problem, G, tolerance), set_load, targets, steps, **options)
 
 
 class _Prestressing(FixedPoint):

@@ -236,21 +236,13 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
         """Return the targets without those that were met, in their order, before a restart."""
         left = list(targets)
         for place in self._met:
-            if left[:1] == [place]:
-                del left[0]
+            left = left[left[:1] == [place] :]
         return left
 
     def _keep(self, checkpoint: Checkpoint, accepted: Sequence[Step]) -> None:
-        """Write the state, the last ones before it, and how they were found.
-
-        The next solve depends on nothing else, so that a restart repeats it.
-        """
-        record = {
-            "kind": self.name,
-            "increment": self._length,
-            "met": self._met,
-            "steps": [asdict(step) for step in accepted],
-        }
+        """Write all that the next solve depends on, so that a restart repeats it."""
+        steps = [asdict(step) for step in accepted]
+        record = {"kind": self.name, "increment": self._length, "met": self._met, "steps": steps}
         self.state.write(checkpoint, self._past[:-1], record)
         self._problem.renew()
 

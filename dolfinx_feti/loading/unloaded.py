@@ -48,7 +48,6 @@ def unload(
     targets: Sequence[float],
     steps: Steps,
     *,
-    state: Sequence[dolfinx.fem.Function],
     fibres: Sequence[dolfinx.fem.Function] = (),
     tolerance: float = 1e-7,
     on_move: Callable[[], object] | None = None,
@@ -66,7 +65,6 @@ def unload(
         targets: Loads on the way; the last one is that of the image.
         steps: How to choose the increments. Each load takes two to five Newton steps, which counts
             in ``quick``.
-        state: All functions that a solve changes, u and a condensed pressure; zero at ``start``.
         fibres: Unit vectors in the image, Functions of the mesh that the forms use: they follow
             into the unloaded wall, a ← F⁻¹ a / ‖F⁻¹ a‖.
         tolerance: How far a node of the loaded wall may be from the image, over the diagonal of
@@ -74,8 +72,8 @@ def unload(
         start: The load at which the image is the unloaded wall.
         on_move: Called on all processes when the mesh and the fibres have moved, to the unloaded
             wall or back to the image, for what else depends on the mesh's shape.
-        options: Others of :func:`~dolfinx_feti.loading.load_steps.follow_load`: ``start``,
-            ``on_step``, ``checkpoint``, ``unit``.
+        options: Others of :func:`~dolfinx_feti.loading.load_steps.follow_load`: ``start``, where u
+            and a condensed pressure are zero, ``state``, ``on_step``, ``checkpoint``, ``unit``.
 
     Returns:
         The accepted steps; their histories hold the Newton steps of all forward solves.
@@ -91,11 +89,11 @@ def unload(
     if not tolerance > 0.0:
         raise ValueError(f"tolerance is {tolerance}: give a positive share of the diameter.")
     unloading = _Unloading(problem, fibres, tolerance, on_move)
-    accepted = follow_load(unloading, set_load, targets, steps, state=state, **options)
+    accepted = follow_load(unloading, set_load, targets, steps, **options)
     try:
         unloading.move()
     except BaseException:
-        unloading.move_back()
+        unloading.move(back=True)
         raise
     return accepted
 
@@ -126,21 +124,15 @@ class _Unloading(FixedPoint):
         with self._moved():
             return super().linearise()
 
-    def move(self) -> None:
-        """Move mesh and fibres to the unloaded wall."""
-        self._nodes.mesh.geometry.x[:] = self._nodes.initial - self._nodes.displacement(self.u)
-        for a, image, pulled_back in self._fibres:
-            a.x.array[:] = image
-            a.interpolate(pulled_back)
-            a.x.scatter_forward()
-        if self._on_move is not None:
-            on_all(self._on_move, self._comm)
-
-    def move_back(self) -> None:
-        """Move mesh and fibres to the image."""
-        self._nodes.mesh.geometry.x[:] = self._nodes.initial
-        for a, image, _ in self._fibres:
-            a.x.array[:] = image
+    def move(self, *, back: bool = False) -> None:
+        """Move mesh and fibres to the unloaded wall, or back to the image."""
+        x, image = self._nodes.mesh.geometry.x, self._nodes.initial
+        x[:] = image if back else image - self._nodes.displacement(self.u)
+        for a, in_image, pulled_back in self._fibres:
+            a.x.array[:] = in_image
+            if not back:
+                a.interpolate(pulled_back)
+                a.x.scatter_forward()
         if self._on_move is not None:
             on_all(self._on_move, self._comm)
 
@@ -151,7 +143,7 @@ class _Unloading(FixedPoint):
             self.move()
             yield
         finally:
-            self.move_back()
+            self.move(back=True)
 
     def _iterate(self, reference: float | None, options: dict[str, Any]) -> None:
         """Iterate until the loaded wall is the image, and in equilibrium."""
@@ -171,8 +163,8 @@ class _Unloading(FixedPoint):
                     continue
                 loaded = nodes.mesh.geometry.x + nodes.displacement(self.u)
             distance, rtol = nodes.longest(loaded - nodes.initial), self.solver.getTolerances()[0]
-            allowed = max(self._tolerance, rtol * nodes.longest(nodes.displacement(self.u)))
-            reached = distance <= allowed
+            moved = nodes.longest(nodes.displacement(self.u))
+            reached = distance <= max(self._tolerance, rtol * moved)
             if reached and close:
                 return
             if not reached:

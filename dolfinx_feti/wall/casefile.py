@@ -164,12 +164,11 @@ class Case:
         Raises:
             ValueError: A name is wrong, or a layer is missing.
         """
-        for kind, given, known in (
-            ("layer", self.layers, wall.layers),
-            ("surface", self.conditions, wall.surfaces),
-            ("surface", self.cavities, wall.surfaces),
+        for table, kind, given, known in (
+            ("layers", "layer", self.layers, wall.layers),
+            ("surfaces", "surface", self.conditions, wall.surfaces),
+            ("cavity", "surface", self.cavities, wall.surfaces),
         ):
-            table = "cavity" if given is self.cavities else f"{kind}s"
             for name in given:
                 has = f"it has {', '.join(known) or 'none'}{_meant(name, known)}"
                 _require(name in known, f"[{table}.{name}]: the wall has no {kind} {name!r}; {has}")
@@ -191,10 +190,6 @@ def _meant(word: str, known: Iterable[str]) -> str:
 
 def read_case(path: Path | str, comm: MPI.Comm) -> Case:
     """Read a case on the first process. Collective.
-
-    Args:
-        path: The file.
-        comm: Communicator.
 
     Raises:
         OSError: The file cannot be read.
@@ -272,15 +267,12 @@ SURFACE = {
     "hold": _choice("clamp", "slide"),
 }
 #: A millilitre is 1000 mm³.
-WINDKESSEL = {
-    "resistance": _number({"kPa s/mm³": 1.0, "mmHg s/ml": 1e-3 / MMHG}),
-    "compliance": _number({"mm³/kPa": 1.0, "ml/mmHg": 1e3 * MMHG}),
-    "impedance": _number({"kPa s/mm³": 1.0, "mmHg s/ml": 1e-3 / MMHG}),
-}
+RESISTANCE = _number({"kPa s/mm³": 1.0, "mmHg s/ml": 1e-3 / MMHG})
+COMPLIANCE = _number({"mm³/kPa": 1.0, "ml/mmHg": 1e3 * MMHG})
 CAVITY = {
     "volume": _number({"mm³": 1.0, "ml": 1e3}),
-    "axis": _choice(*"xyz"),
-    "windkessel": WINDKESSEL,
+    "axis": _choice(*AXES),
+    "windkessel": {"resistance": RESISTANCE, "compliance": COMPLIANCE, "impedance": RESISTANCE},
 }
 ENDS = 'give a list of texts, as ["opening_1", "opening_2"]', _texts
 KEYS = {
@@ -291,7 +283,7 @@ KEYS = {
     "cavity": {"*": CAVITY},
     "image": {"pressure": PRESSURE},
     "fibres": {"inner": TEXT, "outer": TEXT, "ends": ENDS, "inlet": TEXT},
-    "prestretch": {"axis": _choice(*"xyz"), "stretch": _number({"": 1.0})},
+    "prestretch": {"axis": _choice(*AXES), "stretch": _number({"": 1.0})},
     "loading": {"rate": _number({"mmHg/s": 1.0, "kPa/s": MMHG})},
 }
 
@@ -322,7 +314,7 @@ def _need(words: dict[str, Any], name: str, keys: Iterable[str], why: str) -> No
 
 def _create_case(words: dict[str, Any]) -> Case:
     """Return the case that the values of a file make."""
-    layers, surfaces = words.get("layers", {}), words.get("surfaces", {})
+    layers, surfaces, cavities = (words.get(key, {}) for key in ("layers", "surfaces", "cavity"))
     _require("mesh" in words, "mesh is missing: name a file, vessel or tube")
     _require(layers, "name the layers of the wall and their materials, as [layers.media]")
     for name, layer in layers.items():
@@ -343,7 +335,6 @@ def _create_case(words: dict[str, Any]) -> Case:
         message = f"[surfaces.{name}] direction: has no effect without a spring or a dashpot"
         _require(spring or dashpot or "direction" not in s, message)
     by_surface(conditions)  # nothing acts on a clamped surface
-    cavities = words.get("cavity", {})
     for name, given in cavities.items():
         if "windkessel" in given:
             place, why = f"cavity.{name}.windkessel", "give a positive number"

@@ -9,7 +9,6 @@ PETSc's log shows the phases: ``WallRead``, ``WallPartition`` (the mesh is distr
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +22,7 @@ import dolfinx
 import dolfinx.io
 import ufl
 
-from dolfinx_feti.mechanics.values import require_within
+from dolfinx_feti.mechanics.values import require_positive
 from dolfinx_feti.runtime.arrays import Numbers
 from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.runtime.events import event
@@ -36,11 +35,7 @@ __all__ = ["distribute", "read_wall"]
 
 
 def read_wall(
-    path: Path | str,
-    comm: MPI.Comm,
-    *,
-    scale: float = 1.0,
-    names: Groups | None = None,
+    path: Path | str, comm: MPI.Comm, *, scale: float = 1.0, names: Groups | None = None
 ) -> Wall:
     """Read a wall: on all processes from XDMF, on one from other formats, to be distributed.
 
@@ -61,8 +56,7 @@ def read_wall(
     Note:
         Collective; raises on all processes or on none.
     """
-    remedy = "a positive number, the millimetres in the file's unit of length"
-    require_within(0.0, math.inf, {"scale": scale}, ends=False, remedy=remedy, sign="=")
+    require_positive(scale=scale)
     path = Path(path)
     if on_first(lambda: path.is_file() and is_parallel(path), comm):
         return read_parallel(path, comm, scale=scale)

@@ -47,13 +47,11 @@ DOMAIN, NAMES, TAGS = "/Xdmf/Domain", "names", ("layers", "surfaces")
 
 def is_parallel(path: Path) -> bool:
     """Tell whether a file is one that :func:`write_wall` has written. Serial."""
-    if path.suffix != ".xdmf":
-        return False
     try:
-        root = ElementTree.parse(path).getroot()
+        root = ElementTree.parse(path).getroot() if path.suffix == ".xdmf" else None
     except (ElementTree.ParseError, UnicodeDecodeError):
-        return False
-    return root.find(f"Domain/Information[@Name='{NAMES}']") is not None
+        root = None
+    return root is not None and root.find(f"Domain/Information[@Name='{NAMES}']") is not None
 
 
 def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:

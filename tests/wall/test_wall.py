@@ -130,7 +130,7 @@ def test_scale(tmp_path, raw):
     metres = read_wall(tmp_path / "m.msh", COMM, scale=1000)
     equal(area(metres, "lumen"), area(read_wall(EXAMPLE, COMM), "lumen"), 1e-9)
     for scale in (0.0, -1.0, float("nan")):
-        with raises(ValueError, "scale="):
+        with raises(ValueError, "scale ="):
             read_wall(EXAMPLE, COMM, scale=scale)
 
 
