@@ -6,16 +6,15 @@ r"""Columns of all subdomains on the interface of each: their averages, and thei
 .. math:: W_i = (T V)_i, \quad V = T^⊤ δ\, U, \qquad \text{or} \qquad
           (B_D^⊤ B\, U)_i = U_i - (T V)_i
 
-with columns U_i of each subdomain, (n_i, k_i). A column reaches into the neighbours, and no
-further: :math:`W_i` has one block of columns for each of them (``panels``). The averages are the
-coarse space of the primal form, the jumps what the preconditioner of the dual form sees of G. On a
-dof with a prescribed value the jump is U itself.
+with columns U_i of each subdomain, (n_i, k_i). :math:`W_i` has a block of columns for the subdomain
+and each neighbour (``panels``). On a dof with a prescribed value the jump is U itself.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from mpi4py import MPI
 
@@ -36,8 +35,6 @@ Column = Callable[[int], Array]
 @dataclass(frozen=True, slots=True)
 class Fields:
     """The columns near each subdomain: a panel for each subdomain whose columns are there.
-
-    Each :math:`W_i` is formed when it is asked for: together they are large.
 
     Attributes:
         code: Products of panels.
@@ -80,23 +77,16 @@ class Fields:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class _Pairs:
-    """Pairs of a row and a subdomain with columns on it.
-
-    Attributes:
-        row: Row of each pair, (pairs,).
-        first: Number of the subdomain's first column over all processes, (pairs,).
-        count: Number of its columns, (pairs,).
-    """
+class _Pairs(NamedTuple):
+    """Pairs of a row and a subdomain with columns on it: number of the first one, and of all."""
 
     row: Integers
     first: Integers
-    count: Integers
+    columns: Integers
 
-    def __getitem__(self, chosen: Integers) -> _Pairs:
+    def some(self, chosen: Integers) -> _Pairs:
         """Return some of the pairs, by their numbers."""
-        return _Pairs(self.row[chosen], self.first[chosen], self.count[chosen])
+        return _Pairs(*(part[chosen] for part in self))
 
 
 def averaged_fields(copies: Copies, U: Sequence[Array]) -> Fields:
@@ -119,14 +109,10 @@ def jump_fields(copies: Copies, U: Sequence[Array]) -> Fields:
     own, column = _own_pairs(copies, U)
     mean, average = _averaged_pairs(copies, own)
     diagonal = mean.first == own.first[mean.row]
-    alone = own.count > 0
+    alone = own.columns > 0
     alone[mean.row[diagonal]] = False  # rows with a prescribed value are left
-    rest = own[np.flatnonzero(alone)]
-    pairs = _Pairs(
-        np.concatenate([mean.row, rest.row]),
-        np.concatenate([mean.first, rest.first]),
-        np.concatenate([mean.count, rest.count]),
-    )
+    rest = own.some(np.flatnonzero(alone))
+    pairs = _Pairs(*map(np.concatenate, zip(mean, rest, strict=True)))
 
     def jump(j: int) -> Array:
         u = column(j)
@@ -153,14 +139,10 @@ def _own_pairs(copies: Copies, U: Sequence[Array]) -> tuple[_Pairs, Column]:
 
 
 def _averaged_pairs(copies: Copies, own: _Pairs) -> tuple[_Pairs, Callable[[Array], Array]]:
-    """Pair the rows with all subdomains that share them. Collective.
-
-    Return also what gives δ u of each pair's subdomain in the pair's row, of a column u of all
-    subdomains, (n,) → (pairs,). It is collective, too.
-    """
+    """Pair rows with all subdomains that share them; return u ↦ δ u, (n,) → (pairs,), too."""
     first, count = (
         copies.values(numbers.astype(np.float64)).astype(np.int64)
-        for numbers in (own.first, own.count)
+        for numbers in (own.first, own.columns)
     )
     some = count > 0
 
@@ -176,22 +158,22 @@ def _by_panels(copies: Copies, pairs: _Pairs, column: Column) -> Fields:
     sizes = np.diff(ends, prepend=0)
     block = np.searchsorted(ends, pairs.row, side="right")
     order = np.argsort(block * (1 + pairs.first.max(initial=0)) + pairs.first, kind="stable")
-    pairs, block = pairs[order], block[order]
+    pairs, block = pairs.some(order), block[order]
     starts = np.flatnonzero(np.diff(block, prepend=-1) | np.diff(pairs.first, prepend=-1))
-    end = np.cumsum(pairs.count)
-    values = on_all(lambda: np.empty(pairs.count.sum()), copies.comm)  # or no memory for it
-    most = copies.comm.allreduce(int(pairs.count.max(initial=0)), op=MPI.MAX)
+    end = np.cumsum(pairs.columns)
+    values = on_all(lambda: np.empty(pairs.columns.sum()), copies.comm)  # or no memory for it
+    most = copies.comm.allreduce(int(pairs.columns.max(initial=0)), op=MPI.MAX)
     for j in range(most):
-        some = pairs.count > j
-        values[(end - pairs.count)[some] + j] = column(j)[order][some]
+        some = pairs.columns > j
+        values[(end - pairs.columns)[some] + j] = column(j)[order][some]
     return Fields(
         code=load_panels(copies.comm),
         sizes=sizes,
         panels=np.searchsorted(block[starts], np.arange(len(ends) + 1)),
         owner=pairs.first[starts],
-        count=pairs.count[starts].astype(np.int32),
+        count=pairs.columns[starts].astype(np.int32),
         first=np.append(starts, len(order)).astype(np.int32),
         row=(pairs.row - (ends - sizes)[block]).astype(np.int32),
-        start=np.append((end - pairs.count)[starts], len(values)),
+        start=np.append((end - pairs.columns)[starts], len(values)),
         values=values,
     )

@@ -3,13 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A small distributed system N x = b: a factor, or the inverse, spread over all processes.
 
-A solve gives b to all in one collective call, with a number that each process adds to a sum. Each
-process takes its x from a factor of N: that of its node (``whole``), or that of its group of
-processes (``group``) where N may be indefinite or is too large, or the options name a solver. The
-first process of a node solves for all of it, since they share one memory bus: the entries of the
-factor are read twice, whatever the number of processes. Up to :data:`SPREAD` rows of N for each
-process, its rows of the inverse solve, which it makes with a factor of its own: it reads K²/P
-numbers in a solve.
+A solve gives b to all in one collective call, with a number that each process adds to a sum. The
+factor is that of a node (``whole``), or of a group of processes (``group``) where N may be
+indefinite or is too large, or the options name a solver (docs/theory.md).
 """
 
 from __future__ import annotations
@@ -33,8 +29,7 @@ from dolfinx_feti.runtime.events import event
 __all__ = ["GatheredSolver"]
 
 
-#: Rows of the inverse for each process, on average, up to which they are formed: in blocks, six of
-#: them take as long as one solve with the factor, and a matrix serves some thirty solves.
+#: Rows of the inverse for each process, on average, up to which they are formed.
 SPREAD = 128
 
 #: Condition number, of the norm of the largest row, above which the factor solves, and better.
@@ -68,8 +63,7 @@ class GatheredSolver:
             symmetric: Whether N is symmetric (Cholesky) or not (LU).
             zero: A pivot below this multiple of the norm of N is zero, and N solved without its row
                 and column; None for exact zeros only.
-            counts: Rows of each subdomain of this process, which N couples in blocks; None for a
-                matrix without such blocks, or one that is known to be indefinite.
+            counts: Rows of each subdomain of this process; None where the inertia is asked for.
 
         Raises:
             SetUpError: The options are wrong, or the factorisation failed; on all processes.
@@ -81,13 +75,13 @@ class GatheredSolver:
         self._is_b[np.cumsum(self._counts) - 1] = False  # the numbers that travel with b
         self._own = slice(*N.getOwnershipRange())
         self.inverse: Array | None = None
-        whole, rows, spread = None, None, total <= SPREAD * comm.size
+        whole, spread = None, total <= SPREAD * comm.size
         self._node = MPI.COMM_SELF.Dup() if spread else processes_of_node(comm)
         try:
             if symmetric and counts is not None:
                 whole = whole_factor(N, counts, self._node, prefix=prefix, zero=zero)
             if whole is not None and spread:
-                rows = on_all(partial(self._rows_of_inverse, whole), comm)
+                self.inverse = on_all(partial(self._rows_of_inverse, whole), comm)
             self.factor = whole or GroupFactor(N, prefix=prefix, symmetric=symmetric, zero=zero)
         except Exception as error:
             self._node.Free()
@@ -95,8 +89,11 @@ class GatheredSolver:
                 f"The coarse problem could not be factored ({reason(error)}): look at the options "
                 f"-{prefix}…"
             ) from error
-        if rows is not None and self._is_accurate(N, rows):
-            self.inverse = rows
+        if self.inverse is not None:
+            largest = np.abs(self.inverse).sum(axis=1).max(initial=0.0)
+            condition = largest * N.norm(PETSc.NormType.INFINITY)
+            if not comm.allreduce(bool(condition <= CONDITION), op=MPI.LAND):
+                self.inverse = None
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec, addend: float = 0.0) -> float:
         """Solve N x = b, both in N's own layout; where the solver fails, x is NaN. Collective.
@@ -128,16 +125,15 @@ class GatheredSolver:
         """Return the memory of the factor in MiB; None if the solver has no figure. Collective."""
         used = on_all(self.factor.memory, self._world)
         rows = 0 if self.inverse is None else self.inverse.nbytes
-        spread = self._world.allreduce(rows) / 2**20
-        return self._world.bcast(None if used is None else used + spread)
+        rows = self._world.allreduce(rows)
+        return self._world.bcast(None if used is None else used + rows / 2**20)
 
     def __str__(self) -> str:
         """Say how it solves."""
         if self.inverse is not None:
             return f"inverse spread over {self._world.size} process(es)"
-        if isinstance(self.factor, GroupFactor):
-            return str(self.factor)
-        return f"a factor on every {self._node.size} process(es)"
+        group = self.factor.group if isinstance(self.factor, GroupFactor) else self._node
+        return f"a factor on every {group.size} process(es)"
 
     def pivots(self) -> Pivots:
         """Return how many pivots are negative and zero; None if not known. Collective."""
@@ -148,12 +144,6 @@ class GatheredSolver:
         unit = np.zeros((len(self._is_b) - self._world.size, self._own.stop - self._own.start))
         np.fill_diagonal(unit[self._own], 1.0)
         return np.ascontiguousarray(factor.solve(unit).T)
-
-    def _is_accurate(self, N: PETSc.Mat, rows: Array) -> bool:
-        """Tell whether rounding leaves a solve with the inverse some digits. Collective."""
-        largest = np.abs(rows).sum(axis=1).max(initial=0.0)
-        condition = largest * N.norm(PETSc.NormType.INFINITY)
-        return bool(self._world.allreduce(bool(condition <= CONDITION), op=MPI.LAND))
 
     def destroy(self) -> None:
         """Free factor and communicator."""

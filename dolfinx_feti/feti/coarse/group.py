@@ -3,9 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""A factor of a coarse matrix N, (K, K), on each group of processes, of any solver of PETSc.
 
-A coarse matrix has a few rows per subdomain, and a group a process for about :data:`ROWS` rows.
-MUMPS, which factors unless the options name another, tells the inertia of an indefinite matrix, and
-leaves out pivots that are zero.
+A group has a process for about :data:`ROWS` rows. MUMPS, which factors unless the options name
+another, tells the inertia of an indefinite matrix, and leaves out pivots that are zero.
 """
 
 from __future__ import annotations
@@ -37,41 +36,45 @@ class GroupFactor:
     """The factor of the process's group.
 
     Attributes:
+        group: Its processes.
         ksp: The solver; None if there are no rows.
     """
 
     def __init__(
         self, N: PETSc.Mat, *, prefix: str, symmetric: bool, zero: float | None = None
     ) -> None:
-        """Gather the rows and factor. Collective.
-
-        Args:
-            N: Matrix, (K, K), distributed in any way.
-            prefix: Options prefix of the solver.
-            symmetric: Whether N is symmetric (Cholesky) or not (LU).
-            zero: MUMPS takes a pivot below this multiple of the norm of N for zero, and solves
-                without its row and column; None for exact zeros only.
+        """Gather the rows and factor, with the arguments of ``GatheredSolver``. Collective.
 
         Raises:
             Exception: The options are wrong, or the factorisation failed; on all processes.
         """
         comm, total = N.comm.tompi4py(), N.getSize()[0]
-        self._group = comm.Split(_group(comm.rank, comm.size, total), comm.rank)
-        rank, size = self._group.rank, self._group.size
+        most = min(comm.size, max(1, -(-total // ROWS)))  # processes of a group
+        group = min(comm.rank // most, comm.size // most - 1)  # consecutive ones
+        self.group = comm.Split(group, comm.rank)
+        rank, size = self.group.rank, self.group.size
         self._rows = slice(total * rank // size, total * (rank + 1) // size)
         local, own = copy_of_rows(N, self._rows), (self._rows.stop - self._rows.start, total)
         csr = local.getValuesCSR()
         local.destroy()
-        self._matrix = PETSc.Mat().createAIJ((own, own), csr=csr, comm=self._group)
+        self._matrix = PETSc.Mat().createAIJ((own, own), csr=csr, comm=self.group)
         del csr
         self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self._b, self._x = self._matrix.createVecs()
         self._from_group, self._solution = PETSc.Scatter.toAll(self._x)
         self.ksp: PETSc.KSP | None = None
 
+        def prepare(ksp: PETSc.KSP, percent: int) -> None:
+            ksp.setOptionsPrefix(prefix)
+            ksp.setOperators(self._matrix)
+            ksp.setType(PETSc.KSP.Type.PREONLY)
+            set_default_factor(ksp.getPC(), symmetric)
+            ksp.setFromOptions()
+            prepare_mumps(ksp.getPC(), percent, zero)
+
         def factor() -> None:
             if total:
-                self.ksp = _factor(self._matrix, prefix, symmetric, zero)
+                self.ksp = factor_with_work_space(lambda: PETSc.KSP().create(self.group), prepare)
 
         try:
             on_all(factor, comm)
@@ -97,22 +100,12 @@ class GroupFactor:
         """Return the memory of the factor in MiB; None if the solver has no figure."""
         return 0.0 if self.ksp is None else mebibytes(self.ksp.getPC())
 
-    def __str__(self) -> str:
-        """Say where the factors are."""
-        return f"a factor on every {self._group.size} process(es)"
-
     def destroy(self) -> None:
         """Free solver, matrix and communicator."""
         for owned in (self.ksp, self._matrix, self._b, self._x, self._from_group, self._solution):
             if owned is not None:
                 owned.destroy()
-        self._group.Free()
-
-
-def _group(rank: int, processes: int, rows: int) -> int:
-    """Return the group of a process: consecutive ones, with about ROWS rows each."""
-    size = min(processes, max(1, -(-rows // ROWS)))
-    return min(rank // size, processes // size - 1)
+        self.group.Free()
 
 
 def processes_of_node(comm: MPI.Comm) -> MPI.Comm:
@@ -129,17 +122,3 @@ def copy_of_rows(N: PETSc.Mat, rows: slice) -> PETSc.Mat:
     for owned in (taken, all_):
         owned.destroy()
     return local
-
-
-def _factor(N: PETSc.Mat, prefix: str, symmetric: bool, zero: float | None) -> PETSc.KSP:
-    """Set the solver of a group up."""
-
-    def prepare(ksp: PETSc.KSP, percent: int) -> None:
-        ksp.setOptionsPrefix(prefix)
-        ksp.setOperators(N)
-        ksp.setType(PETSc.KSP.Type.PREONLY)
-        set_default_factor(ksp.getPC(), symmetric)
-        ksp.setFromOptions()
-        prepare_mumps(ksp.getPC(), percent, zero)
-
-    return factor_with_work_space(lambda: PETSc.KSP().create(N.comm), prepare)

@@ -29,18 +29,3 @@ int add_element(int owners, const int *owner, const double *element, const int *
     }
     return 0;
 }
-
-// Write the numbers of the columns of all entries, those of owner a from first[a] on.
-void write_columns(int owners, const int *first, const int *width, const int *ptr,
-                   const int *adjacent, const int *place, const int64_t *start, int *columns)
-{
-    for (int a = 0; a < owners; ++a) {
-        const int64_t length = (start[a + 1] - start[a]) / (width[a] ? width[a] : 1);
-        for (int i = 0; i < width[a]; ++i) {
-            int *row = columns + start[a] + i * length;
-            for (int e = ptr[a]; e < ptr[a + 1]; ++e)
-                for (int j = 0; j < width[adjacent[e]]; ++j)
-                    row[place[e] + j] = first[adjacent[e]] + j;
-        }
-    }
-}

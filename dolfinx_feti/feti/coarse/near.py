@@ -38,8 +38,6 @@ __all__ = ["NearColumns", "joined"]
 DECLARATIONS = """
 int add_element(int, const int *, const double *, const int *, const int *, const int *,
                 const int *, const int64_t *, double *);
-void write_columns(int, const int *, const int *, const int *, const int *, const int *,
-                   const int64_t *, int *);
 """
 
 
@@ -51,13 +49,7 @@ class NearColumns:
     """
 
     def __init__(self, W: Fields, counts: Sequence[int], comm: MPI.Comm) -> None:
-        """Find the owners of the columns. Collective.
-
-        Args:
-            W: The columns near each subdomain.
-            counts: Number of columns of each subdomain's own.
-            comm: Communicator.
-        """
+        """Find the owners of the columns W; each subdomain has so many of its own. Collective."""
         self._comm, self._W = comm, W
         self._code = load(Path(__file__).with_name("near.c"), DECLARATIONS, comm)
         self._size = sum(counts)
@@ -83,9 +75,6 @@ class NearColumns:
     def sum(self, elements: Iterable[Array]) -> PETSc.Mat:
         """Assemble an element matrix of each subdomain, (c_i, c_i), into one, (K, K). Collective.
 
-        Args:
-            elements: The element matrices, one after the other; none is kept. Not collective.
-
         Raises:
             Exception: What the elements of a process raise, on all processes.
         """
@@ -99,7 +88,7 @@ class NearColumns:
 
     def _sum_of_own(self, elements: Iterable[Array]) -> tuple[PETSc.Mat, Numbers]:
         """Sum the element matrices of this process; return the numbers of the columns, too."""
-        W, to, lib = self._W, partial(pointer, self._code), self._code.lib
+        W, to, add = self._W, partial(pointer, self._code), self._code.lib.add_element
         first, local = np.unique(W.owner, return_inverse=True)  # owners near this process
         owner, width = local.astype(np.int32), np.zeros(len(first), dtype=np.int32)
         width[owner] = W.count
@@ -121,11 +110,13 @@ class NearColumns:
             if element.shape != (size, size):
                 raise ValueError(f"element matrix {i} is {element.shape}, not ({size}, {size})")
             E, own = np.ascontiguousarray(element), owner[panels]
-            if lib.add_element(len(own), to(own), to(E), *rows, to(values)):
+            if add(len(own), to(own), to(E), *rows, to(values)):
                 raise ValueError(f"element matrix {i} couples owners that are not neighbours")
         indices = np.empty(len(values), dtype=np.int32)
-        columns = (np.cumsum(width) - width).astype(np.int32)
-        lib.write_columns(len(width), to(columns), *rows, to(indices))
+        columns = _expanded((np.cumsum(width) - width)[adjacent], width[adjacent])
+        row = np.split(columns, np.cumsum(length)[:-1]) if len(length) else []
+        for a, there in enumerate(row):  # all rows of an owner have the same columns
+            indices[start[a] : start[a + 1]].reshape(-1, max(1, len(there)))[:] = there
         n = int(width.sum())
         indptr = np.append(0, np.cumsum(np.repeat(length, width)))
         csr = tuple(array.astype(PETSc.IntType, copy=False) for array in (indptr, indices))

@@ -5,13 +5,10 @@ r"""The averaged coarse space and its Galerkin matrix.
 
 .. math:: V = T^⊤ δ\, U, \qquad A_0 = V^⊤ A V = \sum_i W_i^⊤ S_i W_i, \qquad W_i = (T V)_i
 
-(Mandel 1993, Fragakis and Papadrakakis 2003) with columns :math:`U_i` of each subdomain on its
-interface, (n_i, k_i), and :math:`W_i`, (n_i, c_i), those of its neighbours, too. The projection
-:math:`z ← z - V A_0^{-1} \sum_i Y_i^⊤ (T z)_i` reads :math:`Y_i = S_i^⊤ W_i`, in single precision
-unless z comes from a preconditioner of another matrix. V serves any matrix,
-:class:`AveragedColumns`; A V and A₀ are of one, :class:`AveragedSpace`. A has at least as many
-negative eigenvalues as A₀; they count only if they are those of :math:`A_0 + ε`, with ε just above
-rounding, :math:`\sum_i \|S_i\|_F \|W_i\|^2` times its unit.
+(docs/theory.md) with columns :math:`U_i` of each subdomain on its interface, (n_i, k_i), and
+:math:`W_i`, (n_i, c_i), those of its neighbours, too. V serves any matrix; A V and A₀ are of one.
+A has at least as many negative eigenvalues as A₀; they count only if they are those of
+:math:`A_0 + ε`, with ε just above rounding, :math:`\sum_i \|S_i\|_F \|W_i\|^2` times its unit.
 """
 
 from __future__ import annotations
@@ -68,9 +65,8 @@ class AveragedColumns:
         size: Number of columns of this process.
         total: Number of columns over all processes.
         columns: For each subdomain :math:`U_i`, (n_i, k_i).
-        own: Where they stand among those of this process.
-        W: For each subdomain :math:`W_i = (T V)_i`, (n_i, c_i).
-        near: Which columns these are.
+        own: Their numbers among those of this process.
+        W: For each subdomain :math:`W_i = (T V)_i`, (n_i, c_i), of the columns ``near`` it.
     """
 
     def __init__(self, copies: Copies, U: Sequence[Array]) -> None:
@@ -131,8 +127,7 @@ class AveragedSpace:
             S: Applies S_i.
             prefix: Options prefix of the coarse solver.
             symmetric: Whether K is; if not, A₀ is factored by LU and tells no negative eigenvalues.
-            combinations: Those that another matrix has shown to be independent; None to look for
-                them.
+            combinations: Independent ones, of another matrix; None to look for them.
 
         Raises:
             Exception: What the work on a subdomain raises, on all processes.
@@ -157,7 +152,8 @@ class AveragedSpace:
                 combinations = on_subdomains(lambda: _independent(energies, V.own), V.copies.comm)
             self.combinations = combinations
             self.A_0 = own(_change_of_basis(energies, combinations))
-            anchor(self.A_0, self._amplitudes(null_space(S.torn)[V.copies.dofs]))
+            Z = null_space(S.torn)[V.copies.dofs]
+            anchor(self.A_0, on_subdomains(lambda: self._amplitudes(Z), V.copies.comm))
             self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
             self._x, self._y = (own(vector) for vector in self.A_0.createVecs())
             self.solver = own(
@@ -181,11 +177,7 @@ class AveragedSpace:
         return self.V.prolong(self.solve(self.V.restrict(r)))
 
     def correct(self, z: Array, r: Array) -> Array:
-        """Return z + V A₀⁻¹ Vᵀ (r − A z), of and by copies, (n,). Collective.
-
-        It is the projection of z, up to rounding of A V, and takes out what that leaves of r along
-        V.
-        """
+        """Return z + V A₀⁻¹ Vᵀ (r − A z), the projection of z for Vᵀ r = 0, by copies, (n,)."""
         product = self.V.W.code.rows_product
         blocks = zip(self.AV, self.V.copies.blocks, strict=True)
         near = deferred(
@@ -217,17 +209,11 @@ class AveragedSpace:
         return np.bincount(np.searchsorted(ends, row, side="right"), minlength=len(ends))
 
     def _amplitudes(self, Z: Array) -> Array:
-        """Return own rows of y, with Z = V y, for fields of A on the interface, (n, k) each."""
-        if not Z.shape[1]:
-            return np.zeros((self.combinations.shape[1], 0))
-        return on_subdomains(lambda: self._fitted(Z), self.V.copies.comm)
-
-    def _fitted(self, Z: Array) -> Array:
-        """Do the work of :meth:`_amplitudes` on the subdomains of this process."""
+        """Return own rows of y, with Z = V y, for fields of A on the interface, (n, k)."""
         pairs, B = zip(self.V.columns, self.V.copies.blocks, strict=True), self.combinations
-        s = np.vstack([Z[:0], *(np.linalg.pinv(U) @ Z[rows] for U, rows in pairs)])  # Z = U s
-        if not s.size:
+        if not Z.size:
             return np.zeros((B.shape[1], Z.shape[1]))
+        s = np.vstack([np.linalg.pinv(U) @ Z[rows] for U, rows in pairs])  # Z = U s
         y = scipy.sparse.linalg.spsolve((B.T @ B).tocsc(), B.T @ s)  # s = B y
         return np.asarray(y).reshape(B.shape[1], Z.shape[1])
 
@@ -277,12 +263,9 @@ def _change_of_basis(A: PETSc.Mat, basis: scipy.sparse.csr_array) -> PETSc.Mat:
         scale.destroy()
         return A
     before, total = comm.scan(size) - size, comm.allreduce(size)
-    csr = (
-        basis.indptr.astype(PETSc.IntType),
-        (basis.indices + before).astype(PETSc.IntType),
-        basis.data,
-    )
-    B = PETSc.Mat().createAIJ((A.getSizes()[0], (size, total)), csr=csr, comm=A.comm)
+    csr = (a.astype(PETSc.IntType) for a in (basis.indptr, basis.indices + before))
+    sizes = A.getSizes()[0], (size, total)
+    B = PETSc.Mat().createAIJ(sizes, csr=(*csr, basis.data), comm=A.comm)
     A_0 = A.ptap(B)
     for owned in (A, B):
         owned.destroy()

@@ -5,9 +5,8 @@ r"""A factor of the whole coarse matrix N, (K, K), on one process of a group: Ch
 
 .. math:: N = U^⊤ U
 
-(``multifrontal``), with a node for all columns of a subdomain, which N couples in dense blocks with
-those of others. That takes a third of the time of a sparse solver that sees single rows. A factor
-proves N to be definite; where it fails, or meets a pivot near zero, there is none.
+(``multifrontal``, docs/theory.md), with a node for all columns of a subdomain. It proves N to be
+definite; where it fails, or meets a pivot near zero, there is none.
 """
 
 from __future__ import annotations
@@ -29,6 +28,7 @@ from dolfinx_feti.feti.subdomain.factors.multifrontal import (
 )
 from dolfinx_feti.runtime.arrays import Indices, Numbers
 from dolfinx_feti.runtime.collective import join, on_all
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.torn.rounding import EPS
 
@@ -42,14 +42,7 @@ MOST = 2**26
 def whole_factor(
     N: PETSc.Mat, counts: Numbers, group: MPI.Comm, *, prefix: str, zero: float | None
 ) -> FrontFactor | None:
-    """Factor a symmetric N on the first process of each group. Collective.
-
-    Args:
-        N: Matrix, (K, K), distributed by subdomains.
-        counts: Rows of each subdomain of this process.
-        group: Processes of which the first one factors.
-        prefix: Options prefix of the coarse solver.
-        zero: Multiple of the norm of N below which a pivot is zero; None for rounding.
+    """Factor a symmetric N on the first process of each group; see ``GatheredSolver``. Collective.
 
     Returns:
         The factor, without entries where another process has them; None if N is not positive
@@ -70,7 +63,6 @@ def whole_factor(
         return None
     least = (EPS * total if zero is None else zero) * N.norm(PETSc.NormType.INFINITY)
     first = group.rank == 0
-    matrix = copy_of_rows(N, slice(0, total if first else 0))
 
     def factor() -> FrontFactor | None:
         if not first:
@@ -81,10 +73,9 @@ def whole_factor(
                 return factored[0]
         return None
 
-    try:
+    with Lifetime() as owned:
+        matrix = owned.own(copy_of_rows(N, slice(0, total if first else 0)))
         factored = on_all(factor, comm)
-    finally:
-        matrix.destroy()
     return factored if comm.allreduce(factored is not None, op=MPI.LAND) else None
 
 
