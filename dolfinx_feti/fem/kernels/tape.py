@@ -20,7 +20,6 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
 from pathlib import Path
 
 from mpi4py import MPI
@@ -41,8 +40,7 @@ FUNCTIONS = "cos sin tan cosh sinh tanh acos asin atan erf".split()
 _CODES = (
     "end store number constant input sum product quotient "
     "power fabs sqrt exp log function choose lt gt le ge eq ne and or not add subtract "
-    "multiply_add multiply_subtract subtract_product product_sum product_difference "
-    "triple quadruple"
+    "multiply_add multiply_subtract subtract_product product_sum product_difference"
 ).split()
 
 #: Sums of two terms, by how many operands of a b, −a b, c, −c they have.
@@ -55,9 +53,6 @@ _SHORT: dict[tuple[int, ...], str] = {
     (4, 0, 0, 0): "product_sum",
     (2, 2, 0, 0): "product_difference",
 }
-
-#: Products, by how many factors they have.
-_PRODUCTS = {2: "product", 3: "triple", 4: "quadruple"}
 
 #: The instructions, for C.
 HEADER = f"""
@@ -118,15 +113,8 @@ class Tape:
         return self._find(value, value)
 
     def add(self, a: int, b: int) -> int:
-        """Return a + b, where c x + d x is (c + d) x for numbers c, d."""
+        """Return a + b."""
         terms = [*self._nested("sum", a), *self._nested("sum", b)]
-        numbers: dict[tuple[int, ...], float] = {}
-        for term in terms:
-            c, x = self._scaled(term)
-            numbers[x] = numbers.get(x, 0.0) + c
-        if len(numbers) < len(terms) and all(numbers.values()):
-            merged = [reduce(self.multiply, x, self.number(c)) for x, c in numbers.items()]
-            return reduce(self.add, merged)
         terms.sort(key=_by_number)
         if terms[0] < 0:
             return -self.add(-a, -b)
@@ -164,13 +152,6 @@ class Tape:
             return -self.value("choose", mask, abs(a), abs(b))
         return self.value("choose", mask, a, b)
 
-    def _scaled(self, a: int) -> tuple[float, tuple[int, ...]]:
-        """Return the number, and the other factors, whose product is a."""
-        numbers = self._numbers
-        factors = self._nested("product", abs(a))
-        c = math.prod(numbers[f] for f in factors if f in numbers)
-        return math.copysign(c, a), tuple(f for f in factors if f not in numbers)
-
     def _positive(self, a: int) -> int:
         """Return a reference without sign."""
         return a if a > 0 else self._find(("sum", a), _Value("sum", (a,)))
@@ -207,7 +188,7 @@ class Tape:
             inputs: The place of each input.
         """
         size = VECTOR * points
-        instructions = _depth_first(self._instructions(outputs), outputs)
+        instructions = self._instructions(outputs)
         last = {a: v for v, groups in instructions.items() for group in groups for a in group}
         stores: dict[int, list[int]] = {}
         for i, a in enumerate(outputs):
@@ -223,11 +204,10 @@ class Tape:
             value = self._values[v]
             sizes = tuple(map(len, groups)) if value.name == "sum" else ()
             operands = [a for group in groups for a in group]
-            name = _PRODUCTS.get(len(operands), "") if value.name == "product" else value.name
-            code += [_CODES.index(_SHORT.get(sizes, name)), size * register[v]]
+            code += [_CODES.index(_SHORT.get(sizes, value.name)), size * register[v]]
             code += () if sizes in _SHORT else sizes
             code += [size * register[a] for a in operands]
-            code += [inputs[value.integers]] if name == "input" else value.integers
+            code += [inputs[value.integers]] if value.name == "input" else value.integers
             for i in stores.get(v, ()):
                 code += [_CODES.index("store"), size * register[v], abs(i) - 1, int(i < 0)]
             free += {register[a] for a in (*operands, v) if last.get(a, v) == v}
@@ -238,7 +218,7 @@ class Tape:
         """Return the operands of each instruction, under the value that it computes.
 
         Those of a sum are of four kinds, a b, −a b, c, −c. What one sum alone needs is part of its
-        instruction, and so are products that two need, and a product that one other needs.
+        instruction, and so are products that two need.
         """
         values, uses = self._values, Counter(map(abs, outputs))
         other = set(uses)  # what other instructions than sums need
@@ -256,21 +236,14 @@ class Tape:
             if (values[a].name == "sum" and uses[a] == 1)
             or (values[a].name == "product" and a not in other and uses[a] <= 2)
         }
-        products = {v: list(values[v].operands) for v in needed if values[v].name == "product"}
-        for v in reversed(sorted(products.keys() - inner)):
-            for a in products[v] * (v not in inner):
-                if uses[a] == 1 and a in products and len(products[v]) < 4:
-                    inner.add(a)
-                    products[v].remove(a)
-                    products[v] += products[a]
         found: dict[int, list[list[int]]] = {}
         for v in needed:
             if v in inner:
                 continue
-            found[v] = groups = [products.get(v) or list(values[v].operands)]
+            found[v] = [list(values[v].operands)]
             if values[v].name != "sum":
                 continue
-            terms, found[v] = groups[0], [[], [], [], []]
+            terms, found[v] = found[v][0], [[], [], [], []]
             while terms:
                 a = terms.pop()
                 value = values[abs(a)]
@@ -298,23 +271,6 @@ def load_interpreter(comm: MPI.Comm, points: int) -> int:
     flags += ["-Wno-psabi", *processor_flags()]
     code = load(source, "void *interpreter(void);", comm, generated=header, flags=flags)
     return int(code.ffi.cast("intptr_t", code.lib.interpreter()))
-
-
-def _depth_first(
-    instructions: dict[int, list[list[int]]], outputs: Sequence[int]
-) -> dict[int, list[list[int]]]:
-    """Return instructions, each right after what it needs, so that few registers are in use."""
-    ordered: dict[int, list[list[int]]] = {}
-    stack = [abs(a) for a in reversed(outputs)]
-    while stack:
-        v = stack[-1]
-        operands = {a for group in instructions[v] for a in group} - ordered.keys()
-        if operands:
-            stack += sorted(operands)
-        else:
-            ordered[v] = instructions[v]
-            stack.pop()
-    return ordered
 
 
 def _by_number(a: int) -> tuple[int, int]:
