@@ -18,6 +18,7 @@ from benchmarks import scaling
 from benchmarks.common import paper
 from benchmarks.common.records import describe_machine
 from benchmarks.common.scaling.model import (
+    CELLS,
     PARTS,
     SCATTER,
     Machine,
@@ -145,6 +146,8 @@ def test_work_shrinks_and_what_is_sent_does_not():
     w = SCATTER * math.sqrt(2 * math.log(512))  # for the subdomain with the most work
     assert two.local == pytest.approx(200.0 * (1 + SCATTER * math.sqrt(2 * math.log(2) / 256)))
     assert many.local == pytest.approx(400.0 / 512 * (1 + w) * 16 / Machine().bus)
+    of_cells = 1 + CELLS * math.sqrt(2 * math.log(512))
+    assert many.rest == pytest.approx(275.0 / 512 * of_cells * 16 / Machine().bus)
     assert many.messages == two.messages > 0.0
     assert many.reductions == pytest.approx(9 * two.reductions)  # log₂ P
     solves, m = 1500 * SENT["coarse_solves"], Machine()

@@ -120,17 +120,13 @@ def _functions(
 
 def start_count() -> None:
     """Count from zero on."""
-    library = _library()
-    if library is not None:
-        library.traffic_reset()
+    _library().traffic_reset()
 
 
 def since_reset() -> npt.NDArray[np.float64]:
-    """Return what was counted, (counters,); zeros without the library."""
+    """Return what was counted, (counters,)."""
     values = np.zeros(len(COUNTERS))
-    library = _library()
-    if library is not None:
-        library.traffic_read(values.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
+    _library().traffic_read(values.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
     return values
 
 
@@ -139,7 +135,7 @@ def gather(counts: npt.NDArray[np.float64], comm: MPI.Comm) -> npt.NDArray[np.fl
     return np.array(comm.allgather(counts))
 
 
-def _library() -> ctypes.CDLL | None:
-    """Return the library if it was loaded before the program."""
-    named = [word for word in os.environ.get("LD_PRELOAD", "").split(":") if "libtraffic" in word]
-    return ctypes.CDLL(named[0]) if named else None
+def _library() -> ctypes.CDLL:
+    """Return the library, which was loaded before the program."""
+    (named,) = (word for word in os.environ["LD_PRELOAD"].split(":") if "libtraffic" in word)
+    return ctypes.CDLL(named)
