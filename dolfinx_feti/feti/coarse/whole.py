@@ -58,7 +58,7 @@ def whole_factor(
     size, ptr, adjacent = _nodes(N, counts)
     rows = np.arange(total, dtype=np.int32)
     graph, none = (ptr, adjacent), np.zeros(len(size), dtype=bool)
-    fronts = on_all(lambda: Fronts(code, rows, rows, size, graph, none, thorough=True), comm)
+    fronts = on_all(lambda: Fronts(code, rows, rows, size, graph, none), comm)
     if fronts.entries > MOST:
         return None
     least = (EPS * total if zero is None else zero) * N.norm(PETSc.NormType.INFINITY)

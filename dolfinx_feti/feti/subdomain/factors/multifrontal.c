@@ -43,7 +43,6 @@ typedef struct {
     int64_t entries; // entries of the factor of K_II
     int64_t work;    // entries of the work space of a factorisation
     double flops;    // of a factorisation
-    double seconds;  // its estimated time
 } fronts;
 
 // Routines of BLAS and LAPACK, with the arguments of Fortran
@@ -248,7 +247,6 @@ static int find_sizes(tree *t, fronts *f)
         if (F->q > f->widest) f->widest = F->q;
         f->last = F->first;
         f->flops += flops(p, q);
-        f->seconds += seconds(p, q);
     }
     f->n_I = f->front[f->count].first;
     f->entries = f->front[f->count].factor;

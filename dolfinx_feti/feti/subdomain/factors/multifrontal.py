@@ -30,6 +30,7 @@ from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 from dolfinx_feti.runtime.arrays import Array, Indices, Mask, Numbers
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.connectivity import coupled_nodes, load_graph_code
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.native import address_of, load, pointer
 from dolfinx_feti.runtime.petsc_library import Rows, function
 
@@ -43,9 +44,6 @@ __all__ = [
 ]
 
 
-#: Orderings of PETSc that are tried without METIS; that with the least estimate of time is taken.
-ORDERINGS = ("nd", "amd")
-
 #: Of METIS: the number of its options, and the code of success.
 METIS_OPTIONS, METIS_OK = 40, 1
 
@@ -54,7 +52,7 @@ ROUTINES = ("dpotrf", "dtrtri", "dtrsm", "dtrmm", "dsyrk", "dgemm", "dtpsv", "dg
 DECLARATIONS = """
 enum { DONE, NO_MEMORY, TOO_LARGE, INVALID, NOT_DEFINITE, NEW_PATTERN };
 typedef struct { int n_I, count, widest, thickest, last, *rank; int64_t entries, work;
-    double flops, seconds; ...; } fronts;
+    double flops; ...; } fronts;
 typedef struct { ...; } dense;
 int fronts_analyse(int, const int *, const int *, const int *, int, const int *, fronts **);
 int fronts_factor(const fronts *, int, const int *, const int *, const int *, const int *,
@@ -132,8 +130,6 @@ class Fronts:
         size: Indices,
         graph: tuple[Indices, Indices],
         glued: Mask,
-        *,
-        thorough: bool = False,
     ) -> None:
         """Find the fronts.
 
@@ -144,7 +140,6 @@ class Fronts:
             size: Number of rows of each node: consecutive ones, eliminated together, (m,).
             graph: Nodes that each one is coupled with: where they begin, (m + 1,), and numbers.
             glued: Which nodes are Γ, (m,); none, and K_II is K.
-            thorough: Whether all orderings are tried: worth it for a few nodes of many rows.
 
         Raises:
             FactorError: The subdomain is too large, or the graph is none.
@@ -155,7 +150,11 @@ class Fronts:
         fits = fits and ptr[0] == 0 and ptr[-1] == entries and np.diff(ptr).min(initial=0) >= 0
         if not fits or adjacent.min(initial=0) < 0 or adjacent.max(initial=-1) >= m:
             code.check(code.lib.INVALID)
-        data = _analyse(code, graph, size, np.flatnonzero(~glued).astype(np.int32), thorough)
+        interior = _order(*graph, np.flatnonzero(~glued).astype(np.int32))
+        made = code.module.ffi.new("fronts **")
+        arrays = map(code.to, (size, ptr, adjacent))
+        code.check(code.lib.fronts_analyse(m, *arrays, len(interior), code.to(interior), made))
+        data = code.module.ffi.gc(made[0], code.lib.fronts_free)
         of_rows = np.repeat(glued, size)
         rank = np.frombuffer(code.module.ffi.buffer(data.rank, 4 * len(rows)), dtype=np.int32)
         self.code, self.data = code, data
@@ -279,43 +278,19 @@ def create_fronts(
     return Fronts(code, rows, number, size, graph, glued[new])
 
 
-def _analyse(
-    code: FrontCode,
-    graph: tuple[Indices, Indices],
-    size: Indices,
-    interior: Indices,
-    thorough: bool,
-) -> Any:
-    """Find the fronts of each ordering of the nodes of the interior, and return the best ones."""
-    best, made = None, code.module.ffi.new("fronts **")
-    for order in _orders(*graph, interior, thorough):
-        code.check(
-            code.lib.fronts_analyse(
-                len(size), *map(code.to, (size, *graph)), len(interior), code.to(order), made
-            )
-        )
-        fronts = code.module.ffi.gc(made[0], code.lib.fronts_free)
-        if best is None or fronts.seconds < best.seconds:
-            best = fronts
-    return best
-
-
-def _orders(ptr: Indices, adjacent: Indices, interior: Indices, thorough: bool) -> list[Indices]:
-    """Order the nodes of the interior for elimination: by METIS, else, or too, as PETSc does."""
+def _order(ptr: Indices, adjacent: Indices, interior: Indices) -> Indices:
+    """Order the nodes of the interior by nested dissection: METIS's, or PETSc's without it."""
     place = np.full(len(ptr) - 1, -1, dtype=np.int32)
     place[interior] = np.arange(len(interior))
     row, column = np.repeat(place, np.diff(ptr)), place[adjacent]
     inside = (row >= 0) & (column >= 0) & (row != column)
     row, column = row[inside], column[inside]
     if len(row) == 0:
-        return [interior]
+        return interior
     begin = np.searchsorted(row, np.arange(len(interior) + 1))
     symmetric = _is_symmetric(row, column, len(interior))
     dissected = _dissect(begin, column) if symmetric else None
-    orders = [] if dissected is None else [dissected]
-    if thorough or dissected is None:
-        orders += _orders_of_petsc(begin, column)
-    return [interior[order] for order in orders]
+    return interior[_order_of_petsc(begin, column) if dissected is None else dissected]
 
 
 def _is_symmetric(row: Indices, column: Indices, n: int) -> bool:
@@ -346,18 +321,10 @@ def _dissect(ptr: Numbers, adjacent: Indices) -> Indices | None:
     return order.astype(np.int32) if is_one else None
 
 
-def _orders_of_petsc(ptr: Numbers, adjacent: Indices) -> list[Indices]:
-    """Order nodes in each of the ways that PETSc has."""
+def _order_of_petsc(ptr: Numbers, adjacent: Indices) -> Indices:
+    """Order nodes by PETSc's nested dissection."""
     csr = (ptr.astype(PETSc.IntType), adjacent.astype(PETSc.IntType), np.ones(len(adjacent)))
-    graph = PETSc.Mat().createAIJ((len(ptr) - 1,) * 2, csr=csr, comm=PETSc.COMM_SELF)
-    orders = []
-    for name in ORDERINGS:
-        try:
-            order, columns = graph.getOrdering(name)
-        except PETSc.Error:  # a PETSc without SuiteSparse knows no amd
-            continue
-        orders.append(order.indices.astype(np.int32))
-        order.destroy()
-        columns.destroy()
-    graph.destroy()
-    return orders
+    with Lifetime() as owned:
+        graph = owned.own(PETSc.Mat().createAIJ((len(ptr) - 1,) * 2, csr=csr, comm=PETSc.COMM_SELF))
+        order, _ = map(owned.own, graph.getOrdering("nd"))
+        return np.asarray(order.indices.astype(np.int32))
