@@ -16,7 +16,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_feti.errors import SetUpError
-from dolfinx_feti.feti.gluing.weights import Weights, create_weights
+from dolfinx_feti.feti.gluing.jump import weights_of_copies
 from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.pattern import Pattern
 from dolfinx_feti.feti.regularity.singularity import require_regular_interior
@@ -39,7 +39,7 @@ class Setup:
     Attributes:
         near_kernel: Rigid body modes on the torn dofs, (n, k).
         operator: S, and K_II⁻¹.
-        weights: δ and B_D.
+        delta: Weight δ of every torn dof, (n,).
         inverse: K_ρ⁻¹, and R, E, D of each subdomain.
         inertia: Negative eigenvalues of K_ρ, D and K_II; those of the assembled matrix are not yet
             known.
@@ -47,7 +47,7 @@ class Setup:
 
     near_kernel: Array
     operator: Operator
-    weights: Weights
+    delta: Array
     inverse: PseudoInverse
     inertia: Inertia
 
@@ -60,7 +60,7 @@ def set_up(
     Args:
         pattern: What depends on its pattern.
         matrix: Owner of S.
-        preconditioner: Owner of the weights and the inverse.
+        preconditioner: Owner of the inverse.
         rough: Whether the inverse only preconditions, in single precision where that will do.
 
     Raises:
@@ -71,9 +71,9 @@ def set_up(
     near_kernel, operator = set_up_operator(pattern, matrix)
     with event("FETIGluing"):
         k = torn.stiffness() if options.scaling == "stiffness" else np.ones(torn.n)
-        weights = preconditioner.own(create_weights(torn, pattern.gluing, k))
+        delta = weights_of_copies(torn, k)
     inverse, inertia = _invert(pattern, near_kernel, operator, preconditioner, rough=rough)
-    return Setup(near_kernel, operator, weights, inverse, inertia)
+    return Setup(near_kernel, operator, delta, inverse, inertia)
 
 
 def refined(pattern: Pattern, setup: Setup, within: Lifetime) -> Setup:

@@ -82,7 +82,7 @@ def test_multipliers_and_displacements_are_those_of_the_dense_reference(
     pair, rest = balanced_start(system, f, c)
     target = 1e-12 * b.norm()
     pair += krylov_solve(
-        system.dual, rest, system.krylov, target=target, max_it=500, monitor=lambda *_: None
+        system.dual, rest, system.method, "", target=target, max_it=500, monitor=lambda *_: None
     )[0]
     lam = whole(system.dual.split(pair)[0])
     u = whole(np.where(system.pattern.dofs.fixed, u_D, recover(system, pair, f, c)))

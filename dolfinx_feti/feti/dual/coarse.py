@@ -26,7 +26,6 @@ from dolfinx_feti.feti.coarse.near import joined
 from dolfinx_feti.feti.dual.preconditioner import Preconditioner
 from dolfinx_feti.feti.dual.weighted import WeightedColumns
 from dolfinx_feti.feti.gluing.jump import Gluing
-from dolfinx_feti.feti.gluing.weights import Weights
 from dolfinx_feti.feti.subdomain.blocks import block_diagonal, on_subdomains, own_columns
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.runtime.arrays import Array
@@ -60,7 +59,7 @@ class Coarse:
     def __init__(
         self,
         gluing: Gluing,
-        weights: Weights,
+        delta: Array,
         modes: Sequence[SubdomainModes],
         preconditioner: Preconditioner,
         *,
@@ -71,7 +70,7 @@ class Coarse:
 
         Args:
             gluing: B.
-            weights: δ and B_D.
+            delta: Weight δ of every torn dof, (n,).
             modes: E and D of every subdomain.
             preconditioner: M, for Q = M.
             q: ``identity``, ``diagonal`` or ``preconditioner``.
@@ -86,10 +85,10 @@ class Coarse:
         with Lifetime() as owned:
             own = owned.own
             self.G = own(self._jump_of(gluing.B, [m.E for m in modes]))
-            self.q = own(_weight(torn, weights.B_D, q))
+            self.q = own(_weight(torn, preconditioner.B_D.matrix, q))
             self.MG: WeightedColumns | None = None
             if q == "preconditioner":
-                self.MG = own(WeightedColumns(weights.delta, modes, preconditioner))
+                self.MG = own(WeightedColumns(delta, modes, preconditioner))
             self.D = own(self._block_diagonal([m.D for m in modes]))
             weighed = self.G.copy()
             weighed.diagonalScale(L=self.q)

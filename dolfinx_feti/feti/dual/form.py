@@ -21,7 +21,7 @@ import numpy as np
 
 from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
 from dolfinx_feti.feti.dual.coarse import Coarse
-from dolfinx_feti.feti.dual.krylov import Method, choose_method, solve
+from dolfinx_feti.feti.dual.krylov import CG, choose_method, has_own_test, solve
 from dolfinx_feti.feti.dual.preconditioner import (
     Dirichlet,
     Identity,
@@ -63,7 +63,7 @@ class DualForm:
         preconditioner: M.
         coarse: G and N.
         inertia: Negative eigenvalues.
-        krylov: The Krylov method.
+        method: PETSc's name of the Krylov method.
         dual: The dual system with its constraint preconditioner.
     """
 
@@ -72,7 +72,7 @@ class DualForm:
     preconditioner: Preconditioner
     coarse: Coarse
     inertia: Inertia
-    krylov: Method
+    method: str
     dual: DualSystem
 
     formulation = "dual"
@@ -101,17 +101,12 @@ class DualForm:
     @property
     def delta(self) -> Array:
         """Weight δ of every torn dof, (n,)."""
-        return self.setup.weights.delta
-
-    @property
-    def method(self) -> str:
-        """Name of the Krylov method."""
-        return self.krylov.type
+        return self.setup.delta
 
     @property
     def users_test(self) -> bool:
         """Whether the user's own tolerance of the Krylov method decides."""
-        return self.krylov.users_test
+        return has_own_test(self.pattern.prefix + "dual_")
 
     def solve(
         self,
@@ -140,7 +135,13 @@ class DualForm:
         f_K, c = self.operator.load(f), self.pattern.gluing.gap(u_D)
         pair, rest = balanced_start(self, f_K, c)
         correction, solution = solve(
-            self.dual, rest, self.krylov, target=target, max_it=max_it, monitor=monitor
+            self.dual,
+            rest,
+            self.method,
+            self.pattern.prefix + "dual_",
+            target=target,
+            max_it=max_it,
+            monitor=monitor,
         )
         if solution.reason in CURVATURE and self.inertia.definite:  # rounding: a fresh start
             solution = replace(solution, reason=PETSc.KSP.ConvergedReason.CONVERGED_ITS)
@@ -169,13 +170,12 @@ def create_dual_form(pattern: Pattern, setup: Setup, within: Lifetime) -> DualFo
     semidefinite = setup.inertia.definite
     semidefinite &= setup.inertia.interior == 0 or not setup.operator.eliminated
     create = PRECONDITIONERS[options.pc_type]
-    preconditioner = within.own(
-        create(setup.operator, setup.weights, [m.stabilisation for m in modes])
-    )
+    B_D = within.own(pattern.gluing.scaled_jumps(torn, setup.delta))
+    preconditioner = within.own(create(setup.operator, B_D, [m.stabilisation for m in modes]))
     with event("FETICoarse"):
         coarse = Coarse(
             pattern.gluing,
-            setup.weights,
+            setup.delta,
             modes,
             preconditioner,
             q=options.coarse_q,
@@ -190,7 +190,7 @@ def create_dual_form(pattern: Pattern, setup: Setup, within: Lifetime) -> DualFo
             coarse.solver,
             prolong=coarse.prolong,
             extend=setup.operator.complete,
-            delta=setup.weights.delta,
+            delta=setup.delta,
             symmetric=True,
             definite=semidefinite,
             prefix=prefix,
@@ -198,7 +198,7 @@ def create_dual_form(pattern: Pattern, setup: Setup, within: Lifetime) -> DualFo
     inertia = replace(setup.inertia, assembled=_negative_assembled(pattern, setup, prefix))
     method = choose_method(torn.comm, definite=inertia.definite, prefix=pattern.prefix + "dual_")
     dual = within.own(
-        DualSystem(pattern.gluing, setup.inverse, preconditioner, coarse, cg=method.is_cg)
+        DualSystem(pattern.gluing, setup.inverse, preconditioner, coarse, cg=method in CG)
     )
     return DualForm(pattern, setup, preconditioner, coarse, inertia, method, dual)
 
@@ -261,7 +261,7 @@ def _negative_assembled(pattern: Pattern, setup: Setup, prefix: str) -> int | No
         return None
     E = [m.E[on] for m, on in zip(setup.inverse.modes, S.on_interface, strict=True)]
     with Lifetime() as owned:
-        copies = owned.own(Copies(pattern.torn, S.interface, setup.weights.delta))
+        copies = owned.own(Copies(pattern.torn, S.interface, setup.delta))
         V = owned.own(AveragedColumns(copies, E))
         negative = owned.own(AveragedSpace(V, S, prefix=prefix)).negative()
     return None if negative is None else inside + negative

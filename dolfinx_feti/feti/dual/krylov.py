@@ -9,7 +9,6 @@ CG is safe if neither a regularised subdomain nor the defect D has a negative ei
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from types import SimpleNamespace
 
 from mpi4py import MPI
@@ -25,36 +24,15 @@ from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_options import inserted
 
-__all__ = ["Method", "choose_method", "solve"]
+__all__ = ["CG", "choose_method", "has_own_test", "solve"]
 
 
 #: Methods that precondition nothing but their residuals.
 CG = ("cg", "fcg", "pipecg")
 
 
-@dataclass(frozen=True, slots=True)
-class Method:
-    """A Krylov method as the options have it.
-
-    Attributes:
-        type: PETSc's name of it.
-        prefix: Options prefix, ``…feti_dual_``.
-        users_test: Whether the user's own ``ksp_rtol`` or ``ksp_atol`` decides, not the residual of
-            the assembled system.
-    """
-
-    type: str
-    prefix: str
-    users_test: bool
-
-    @property
-    def is_cg(self) -> bool:
-        """Whether the preconditioner is only applied to residuals."""
-        return self.type in CG
-
-
-def choose_method(comm: MPI.Comm, *, definite: bool, prefix: str) -> Method:
-    """Read the choice of a Krylov method from the options; CG is safe if ``definite``. Collective.
+def choose_method(comm: MPI.Comm, *, definite: bool, prefix: str) -> str:
+    """Read PETSc's name of the method from the options; CG is safe if ``definite``. Collective.
 
     Raises:
         PETSc.Error: The options ask for a method that PETSc does not have.
@@ -62,14 +40,19 @@ def choose_method(comm: MPI.Comm, *, definite: bool, prefix: str) -> Method:
     ksp = _create_ksp(comm, "cg" if definite else "gmres", prefix, directions=1)
     kind = ksp.getType()
     ksp.destroy()
-    users_test = any(_given(prefix, f"ksp_{key}") for key in ("rtol", "atol"))
-    return Method(kind, prefix, users_test)
+    return str(kind)
+
+
+def has_own_test(prefix: str) -> bool:
+    """Tell whether the user's own tolerance decides, not the residual of the assembled system."""
+    return any(_given(prefix, f"ksp_{key}") for key in ("rtol", "atol"))
 
 
 def solve(
     system: DualSystem,
     b: Array,
-    method: Method,
+    method: str,
+    prefix: str,
     *,
     target: float,
     max_it: int,
@@ -80,7 +63,8 @@ def solve(
     Args:
         system: The system with its preconditioner.
         b: Local part of the right-hand side.
-        method: The Krylov method.
+        method: PETSc's name of the Krylov method.
+        prefix: Options prefix, ``…feti_dual_``.
         target: Wanted norm of the residual of the assembled system.
         max_it: Most iterations.
         monitor: Called with (iteration, norm of the residual of the assembled system).
@@ -88,8 +72,9 @@ def solve(
     Returns:
         The local part of the best iterate, and how the method ended.
     """
+    is_cg, own_test = method in CG, has_own_test(prefix)
     with Lifetime() as owned:
-        ksp = owned.own(_create_ksp(system.comm, method.type, method.prefix, directions=max_it))
+        ksp = owned.own(_create_ksp(system.comm, method, prefix, directions=max_it))
         # Not the system itself: PETSc destroys its contexts, and the system outlives this solve.
         context = SimpleNamespace(mult=system.mult, apply=system.apply)
         mat = PETSc.Mat().createPython(((system.size, None),) * 2, context, comm=system.comm)
@@ -103,13 +88,13 @@ def solve(
             system,
             target=target,
             max_it=max_it,
-            cg=method.is_cg,
-            first=system.unbalanced(b) / norm if norm and not method.is_cg else 0.0,
+            cg=is_cg,
+            first=system.unbalanced(b) / norm if norm and not is_cg else 0.0,
             monitor=monitor,
         )
-        if method.is_cg and not (method.users_test or _given(method.prefix, "ksp_norm_type")):
+        if is_cg and not (own_test or _given(prefix, "ksp_norm_type")):
             ksp.setNormType(PETSc.KSP.NormType.NATURAL)  # of rᵀ z, which CG has
-        if method.users_test:
+        if own_test:
             ksp.setTolerances(max_it=min(max_it, ksp.getTolerances()[3]))
             ksp.setMonitor(lambda _ksp, its, rnorm: test.measure(its, rnorm))
         else:
@@ -123,7 +108,7 @@ def solve(
         if reason in CURVATURE:
             best = _completed(system, b, x.array_r, best)
         its = ksp.getIterationNumber()
-        ritz = _ritz_values(ksp) if method.is_cg and its > 0 else (np.nan, np.nan)
+        ritz = _ritz_values(ksp) if is_cg and its > 0 else (np.nan, np.nan)
         return best, Solution(reason, its, ritz)
 
 

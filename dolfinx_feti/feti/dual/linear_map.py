@@ -27,7 +27,7 @@ class LinearMap:
         transposed: bool = False,
     ) -> None:
         """Take a distributed matrix, (M, N), and work vectors; its own if not given."""
-        self._matrix, self._transposed = matrix, transposed
+        self.matrix, self._transposed = matrix, transposed
         self._x, self._y = vectors or matrix.createVecs()
         self.shape = (self._y.getLocalSize(), self._x.getLocalSize())
 
@@ -35,12 +35,12 @@ class LinearMap:
     def T(self) -> LinearMap:
         """The transpose Mᵀ."""
         vectors = self._y, self._x
-        return LinearMap(self._matrix, vectors, transposed=not self._transposed)
+        return LinearMap(self.matrix, vectors, transposed=not self._transposed)
 
     def __matmul__(self, x: Array) -> Array:
         """Return M x for the local part of a vector, (n,). Collective."""
         self._x.array[:] = x
-        (self._matrix.multTranspose if self._transposed else self._matrix.mult)(self._x, self._y)
+        (self.matrix.multTranspose if self._transposed else self.matrix.mult)(self._x, self._y)
         return self._y.array_r.copy()
 
     def destroy(self) -> None:

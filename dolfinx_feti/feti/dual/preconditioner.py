@@ -16,12 +16,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
+from petsc4py import PETSc
+
 import numpy as np
 import scipy.linalg
 import scipy.sparse
 
 from dolfinx_feti.feti.dual.linear_map import LinearMap
-from dolfinx_feti.feti.gluing.weights import Weights
 from dolfinx_feti.feti.subdomain.blocks import block_diagonal, on_subdomains, product_many
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.panels import Panels
@@ -39,14 +40,14 @@ class Preconditioner(ABC):
         stabilisation: Y_Z of each subdomain, (n_Γ, q_i).
     """
 
-    def __init__(self, operator: Operator, weights: Weights, Z: Sequence[Array]) -> None:
+    def __init__(self, operator: Operator, B_D: PETSc.Mat, Z: Sequence[Array]) -> None:
         """Take K, S, B_D and the columns Z of K₊ = K + Z Zᵀ on the dofs of each matrix."""
         self.operator = operator
         self._Γ = np.concatenate([*operator.interface, np.zeros(0, dtype=np.int32)])
         self.stabilisation, self._Y_Z = on_subdomains(
             lambda: self._stabilisation(Z), operator.torn.comm
         )
-        self.B_D = LinearMap(weights.B_D)
+        self.B_D = LinearMap(B_D)
 
     def _stabilisation(self, Z: Sequence[Array]) -> tuple[list[Array], scipy.sparse.csr_array]:
         """Return Y_Z of each subdomain, and of all together."""
@@ -107,9 +108,9 @@ class Identity(Preconditioner):
         theta: Mean stiffness of an interface dof.
     """
 
-    def __init__(self, operator: Operator, weights: Weights, Z: Sequence[Array]) -> None:
+    def __init__(self, operator: Operator, B_D: PETSc.Mat, Z: Sequence[Array]) -> None:
         """Find θ; see the base class. Collective."""
-        super().__init__(operator, weights, Z)
+        super().__init__(operator, B_D, Z)
         k = np.abs(operator.torn.diagonal()[self._Γ])
         total, count = operator.torn.comm.allreduce(np.array([k.sum(), len(k)]))
         self.theta = total / count if total > 0.0 else 1.0

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Gluing: the jump operator B, which depends on the pattern alone.
+r"""Gluing: the jump operator B, of the pattern, and the weights δ of the copies, of a matrix.
 
 Continuity across the interface and, for all-floating FETI, the Dirichlet conditions are rows of
 
@@ -10,6 +10,11 @@ Continuity across the interface and, for all-floating FETI, the Dirichlet condit
 
 (eq. 34, Augustin_eq:jumpConstraints, eq. 35, eq. 37, Augustin_eq:jumpoperatorAF), fully redundant:
 d copies of a dof give d (d − 1)/2 rows, and those of a Dirichlet dof d, or none in classical FETI.
+The scaled jumps of the preconditioners weigh a copy by the *other* side's stiffness k,
+
+.. math:: δ_i = k_i / \sum_j k_j, \qquad (B_D)_{ij} = (δ_j, -δ_i),
+
+or k = 1 for multiplicity: :math:`u - B_D^⊤ B u` averages copies. A Dirichlet row has weight one.
 """
 
 from __future__ import annotations
@@ -21,7 +26,11 @@ import numpy as np
 from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["Gluing"]
+__all__ = ["Gluing", "weights_of_copies"]
+
+
+#: Least share of a copy in the stiffness of its dof.
+LEAST = 1e-12
 
 
 class Gluing:
@@ -43,15 +52,17 @@ class Gluing:
         self._signs = np.where(order == 0, 1.0, -1.0)
         self._ids = ids[self._pairs]
         self._start = torn.start
-        self.B = self.create_jumps(torn, self._signs)
+        self.B = self._jumps(torn, self._signs)
         several = (torn.tear(torn.multiplicity()) > 1.0) & ~torn.dirichlet
         self.glued = np.flatnonzero(several | constrained).astype(np.int32)
 
-    def create_jumps(self, torn: Torn, values: Array) -> PETSc.Mat:
-        """Create a matrix of B's pattern, (m, n_torn), with ones in the Dirichlet rows. Collective.
+    def scaled_jumps(self, torn: Torn, delta: Array) -> PETSc.Mat:
+        """Create B_D, of the shape of B, for weights δ, (n,), which the caller ends. Collective."""
+        copies = torn.gather(delta)
+        return self._jumps(torn, self._signs * copies[self._pairs[:, ::-1]])  # (δ_j, −δ_i)
 
-        The values are those of the rows of pairs, (pairs, 2).
-        """
+    def _jumps(self, torn: Torn, values: Array) -> PETSc.Mat:
+        """Create a matrix of B's pattern; the values of pairs are (pairs, 2). Collective."""
         single = self._dirichlet_dofs
         rows = len(self._pairs)
         ends = np.concatenate([2 * np.arange(rows + 1), 2 * rows + np.arange(1, len(single) + 1)])
@@ -61,10 +72,6 @@ class Gluing:
         sizes = ((len(ends) - 1, None), (torn.n, None))
         return PETSc.Mat().createAIJ(sizes, csr=csr, comm=torn.A.comm)
 
-    def scaled(self, copies: Array) -> Array:
-        """Return (δ_j, −δ_i) for (1, −1), (pairs, 2), with δ as ``Torn.gather`` orders it."""
-        return np.asarray(self._signs * copies[self._pairs[:, ::-1]])
-
     def gap(self, u_D: Array) -> Array:
         """Return c of :math:`B u = c`, (m,), for prescribed values on torn Dirichlet dofs, (n,)."""
         return np.concatenate([np.zeros(len(self._pairs)), u_D[self._dirichlet_dofs]])
@@ -72,6 +79,13 @@ class Gluing:
     def destroy(self) -> None:
         """Free the matrix."""
         self.B.destroy()
+
+
+def weights_of_copies(torn: Torn, k: Array) -> Array:
+    """Weigh the copies of each dof by stiffnesses k ≥ 0; return δ, (n,). Collective."""
+    total = torn.tear(torn.assemble(k))
+    k = np.where(total > 0.0, np.maximum(k, LEAST * total), 1.0)  # no share is zero
+    return np.asarray(k / torn.tear(torn.assemble(k)))  # δᵢ = kᵢ / Σⱼ kⱼ
 
 
 def _pairs(torn: Torn) -> Numbers:

@@ -28,12 +28,12 @@ from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.operator import EliminatedInterior, Operator
 from dolfinx_feti.runtime.arrays import Array, Indices, Single
-from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.native import load, pointer
 
 __all__ = [
-    "BlockCode",
+    "add_block",
     "assembled_products",
+    "copy_block",
     "load_block_code",
     "shares_of_neighbours",
 ]
@@ -56,27 +56,22 @@ Block = Callable[[int, Indices], Array]
 Share = tuple[Indices, Array]
 
 
-class BlockCode:
-    """The compiled code."""
+def copy_block(code: Any, S: EliminatedInterior, j: int, rows: Indices) -> Array:
+    """Return a block of S of subdomain j of this process, (m (m + 1) / 2,)."""
+    m, to = len(rows), partial(pointer, code)
+    _require_rows(rows, len(S.dofs[j]))
+    entries = np.empty(m * (m + 1) // 2)
+    code.lib.copy_block(len(S.dofs[j]), to(S.packed(j)), m, to(rows), to(entries))
+    return entries
 
-    def __init__(self, module: Any) -> None:
-        self._lib, self._to = module.lib, partial(pointer, module)
 
-    def copy(self, S: EliminatedInterior, j: int, rows: Indices) -> Array:
-        """Return a block of S of subdomain j of this process, (m (m + 1) / 2,)."""
-        m, to = len(rows), self._to
-        _require_rows(rows, len(S.dofs[j]))
-        entries = np.empty(m * (m + 1) // 2)
-        self._lib.copy_block(len(S.dofs[j]), to(S.packed(j)), m, to(rows), to(entries))
-        return entries
-
-    def add(self, A: Single, share: Share) -> None:
-        """Add a share to A, (n, n) in Fortran's order, below its diagonal."""
-        to, (rows, S) = self._to, share
-        _require_rows(rows, len(A))
-        if len(S) != len(rows) * (len(rows) + 1) // 2:
-            raise ValueError(f"a share of {len(S)} entries does not fit {len(rows)} rows")
-        self._lib.add_block(len(A), to(A, order="F"), len(rows), to(rows), to(S))
+def add_block(code: Any, A: Single, share: Share) -> None:
+    """Add a share to A, (n, n) in Fortran's order, below its diagonal."""
+    to, (rows, S) = partial(pointer, code), share
+    _require_rows(rows, len(A))
+    if len(S) != len(rows) * (len(rows) + 1) // 2:
+        raise ValueError(f"a share of {len(S)} entries does not fit {len(rows)} rows")
+    code.lib.add_block(len(A), to(A, order="F"), len(rows), to(rows), to(S))
 
 
 def _require_rows(rows: Indices, n: int) -> None:
@@ -117,14 +112,14 @@ def assembled_products(S: Operator, copies: Copies) -> Callable[[int], Multiply]
     if not isinstance(S, EliminatedInterior):
         return lambda i: _like_itself(S, i, copies.delta[copies.blocks[i]])
     code = load_block_code(copies.comm)
-    shares = shares_of_neighbours(copies, partial(code.copy, S))
+    shares = shares_of_neighbours(copies, partial(copy_block, code, S))
     largest = max((b.stop - b.start for b in copies.blocks), default=0)
     work = np.empty(largest**2, dtype=np.float32)
 
     def product(i: int) -> Multiply:
         A = S.unpacked(i, work)
         for share in shares(i):
-            code.add(A, share)
+            add_block(code, A, share)
         return lambda X: np.asarray(
             blas.ssymm(1.0, A, np.asfortranarray(X, dtype=np.float32), lower=1), dtype=np.float64
         )
@@ -132,10 +127,9 @@ def assembled_products(S: Operator, copies: Copies) -> Callable[[int], Multiply]
     return product
 
 
-def load_block_code(comm: MPI.Comm) -> BlockCode:
+def load_block_code(comm: MPI.Comm) -> Any:
     """Load the code, which is compiled at first use. Collective."""
-    module = load(Path(__file__).with_name("assembled.c"), DECLARATIONS, comm)
-    return on_all(lambda: BlockCode(module), comm)
+    return load(Path(__file__).with_name("assembled.c"), DECLARATIONS, comm)
 
 
 def _like_itself(S: Operator, i: int, delta: Array) -> Multiply:

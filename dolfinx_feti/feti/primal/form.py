@@ -26,7 +26,6 @@ import scipy.sparse
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
 from dolfinx_feti.feti.gluing.copies import Copies
-from dolfinx_feti.feti.gluing.weights import Weights
 from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.pattern import Pattern, symmetric_part
 from dolfinx_feti.feti.primal.adaptive import adaptive_columns
@@ -67,7 +66,7 @@ class PrimalPreconditioner:
     """What preconditions A, of the matrix for which it was made.
 
     Attributes:
-        weights: δ.
+        delta: Weight δ of every torn dof, (n,).
         inverse: K_ρ⁻¹, and R, E, D of each subdomain.
         inertia: Negative eigenvalues of K_ρ, D and K_II.
         copies: Copies of the interface dofs.
@@ -76,7 +75,7 @@ class PrimalPreconditioner:
             first matrix.
     """
 
-    weights: Weights
+    delta: Array
     inverse: PseudoInverse
     inertia: Inertia
     copies: Copies
@@ -88,7 +87,7 @@ class PrimalPreconditioner:
 
         They are among the columns of V: the projection makes up for any share of them.
         """
-        y = np.zeros(len(self.weights.delta))
+        y = np.zeros(len(self.delta))
         y[self.copies.dofs] = t
         return self.inverse.solve(y, up_to_soft_modes=True)[self.copies.dofs]
 
@@ -133,7 +132,7 @@ class PrimalForm:
     @property
     def delta(self) -> Array:
         """Weight δ of every torn dof, (n,)."""
-        return self.preconditioner.weights.delta
+        return self.preconditioner.delta
 
     @property
     def modes(self) -> tuple[SubdomainModes, ...]:
@@ -199,7 +198,7 @@ class PrimalForm:
     def setup(self) -> Setup:
         """The parts that the dual form takes, if the preconditioner is of this matrix."""
         own = self.preconditioner
-        return Setup(self.near_kernel, self.operator, own.weights, own.inverse, own.inertia)
+        return Setup(self.near_kernel, self.operator, own.delta, own.inverse, own.inertia)
 
 
 def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> PrimalPreconditioner:
@@ -214,7 +213,7 @@ def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> P
         SetUpError: S is not there, or the work on a subdomain failed.
     """
     torn, options, S = pattern.torn, pattern.options, setup.operator
-    copies = within.own(Copies(torn, S.interface, setup.weights.delta))
+    copies = within.own(Copies(torn, S.interface, setup.delta))
     with event("FETICoarse"):
         E = [m.E[on] for m, on in zip(setup.inverse.modes, S.on_interface, strict=True)]
         adaptive = adaptive_columns(
@@ -227,7 +226,7 @@ def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> P
         )
         U = [np.hstack(pair) for pair in zip(E, adaptive, strict=True)]
         V = within.own(AveragedColumns(copies, U))
-    return PrimalPreconditioner(setup.weights, setup.inverse, setup.inertia, copies, V)
+    return PrimalPreconditioner(setup.delta, setup.inverse, setup.inertia, copies, V)
 
 
 def create_preconditioner_of_part(pattern: Pattern, within: Lifetime) -> PrimalPreconditioner:

@@ -233,21 +233,23 @@ def _regularise(
     factor, kernel = _with_null_vectors(K, rigid, rho)
     factor, R, rho = _with_buckling_modes(K, factor, kernel, rho)
     exact = defect <= KERNEL_TOLERANCE * rho and R is kernel
-    stiff = _basis(K, factor, R, rho, exact=exact)
-    columns_suffice = adaptive and _is_single(factor) and not _is_softened(K, stiff.D)
-    soft = R[:, :0] if columns_suffice else find_soft(factor.solve)
-    basis = _with_soft_modes(factor, stiff, rho, soft)
-    found = basis.R.shape[1] - R.shape[1]
-    C = basis.D[R.shape[1] :, R.shape[1] :]
+    R, E, D = stiff = _basis(K, factor, R, rho, exact=exact)
+    columns_suffice = adaptive and _is_single(factor) and not _is_softened(K, D)
+    k, soft = R.shape[1], R[:, :0] if columns_suffice else find_soft(factor.solve)
+    Y = append_orthonormal(R, soft)[:, k:]
+    if Y.shape[1]:
+        R, E, D = join(stiff, Y, factor.solve(Y), rho)
     return factor, SubdomainModes(
-        *basis,
-        stabilisation=basis.R @ _negative_directions(basis.D, rho),
-        exact=exact and found == 0,
+        R,
+        E,
+        D,
+        stabilisation=R @ _negative_directions(D, rho),
+        exact=exact and Y.shape[1] == 0,
         rho=rho,
         rigid=rigid.shape[1],
         null=kernel.shape[1] - rigid.shape[1],
-        soft=found,
-        lifted=int(np.count_nonzero(np.linalg.eigvalsh(C) < 0.0)),  # Haynsworth
+        soft=Y.shape[1],
+        lifted=int(np.count_nonzero(np.linalg.eigvalsh(D[k:, k:]) < 0.0)),  # Haynsworth
     )
 
 
@@ -305,10 +307,10 @@ def _buckling_modes(K: _Block, factor: Factor, R: Array, rho: float, count: int)
 def _basis(K: _Block, factor: Factor, R: Array, rho: float, *, exact: bool) -> Basis:
     """Return R with E and D of the factored K_ρ; R and 0 where K R = 0."""
     if exact:
-        return Basis(R, R, np.zeros((R.shape[1], R.shape[1])))
+        return R, R, np.zeros((R.shape[1], R.shape[1]))
     W = K.product(R)  # W = K R
     E = R - factor.solve(W)  # E = R − K_ρ⁻¹ W
-    return Basis(R, E, symmetric_part(E.T @ W))  # D = Eᵀ W
+    return R, E, symmetric_part(E.T @ W)  # D = Eᵀ W
 
 
 def _is_softened(K: _Block, D: Array) -> bool:
@@ -317,14 +319,6 @@ def _is_softened(K: _Block, D: Array) -> bool:
     if not glued.any():
         return False
     return bool(np.linalg.eigvalsh(D).min(initial=0.0) < -SOFTENED * K.stiffness[glued].mean())
-
-
-def _with_soft_modes(factor: Factor, basis: Basis, rho: float, soft: Array) -> Basis:
-    """Let soft modes join R, by an update of the inverse."""
-    Y = append_orthonormal(basis.R, soft)[:, basis.R.shape[1] :]
-    if Y.shape[1] == 0:
-        return basis
-    return join(basis, Y, factor.solve(Y), rho)
 
 
 def _defects(operator: Operator, dofs: Dofs, R: Sequence[Array]) -> list[float]:

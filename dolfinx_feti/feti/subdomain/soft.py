@@ -18,7 +18,6 @@ and :math:`(I - E_Y Y^⊤)\, K_ρ^{-1}` for the inverse.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -29,26 +28,15 @@ __all__ = ["ALL_MODES", "Basis", "join", "soft_modes"]
 
 Solve = Callable[[Array], Array]
 
+#: The modes of a subdomain, orthonormal R, (n, k), E and D: see ``pseudoinverse``.
+Basis = tuple[Array, Array, Array]
+
 #: Subdomains of up to so many dofs have all their eigenvectors computed.
 ALL_MODES = 200
 
 #: Powers of the operator and spare columns in a subspace iteration: more of either find more modes,
 #: but save no iterations.
 POWERS, SPARE = 2, 4
-
-
-class Basis(NamedTuple):
-    """The modes of a subdomain and what follows from them; see ``pseudoinverse``.
-
-    Attributes:
-        R: Orthonormal modes, (n, k).
-        E: The regularised kernel, (n, k).
-        D: Defect, (k, k).
-    """
-
-    R: Array
-    E: Array
-    D: Array
 
 
 def soft_modes(solve: Solve, weight: Array, most: int, threshold: float) -> Array:
@@ -87,7 +75,7 @@ def join(basis: Basis, Y: Array, Z: Array, rho: float) -> Basis:
     R, E, D = basis
     C = np.linalg.inv(np.eye(Y.shape[1]) / rho + Y.T @ Z)
     G, E_Y = Y.T @ E, Z @ C
-    return Basis(
+    return (
         _side_by_side(R, Y),
         _side_by_side(E - E_Y @ G, E_Y),
         np.block([[D + G.T @ C @ G, -G.T @ C], [-C @ G, C]]),

@@ -35,7 +35,7 @@ every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
 
 def weight(problem, system, q):
     """Q of the definition."""
-    B_D = dense(system.setup.weights.B_D)
+    B_D = dense(system.preconditioner.B_D.matrix)
     if q == "identity":
         return np.eye(len(B_D))
     Q = np.diag(B_D**2 @ np.diag(problem.K_torn))

@@ -74,7 +74,7 @@ def test_preconditioner_is_the_weighted_one(grid, kind, pc_type, change, torn_gr
     """M = B_D Y B_Dᵀ, and no negative eigenvalue of K shows."""
     problem = torn_grid(change=change, **grid)
     system = parts(problem.A, type=kind, pc_type=pc_type)
-    B_D = dense(system.setup.weights.B_D)
+    B_D = dense(system.preconditioner.B_D.matrix)
     M = matrix(system)
     equal(M, B_D @ weight_of(problem, system, pc_type) @ B_D.T, 1e-11)
     equal(M, M.T, 1e-12)

@@ -12,8 +12,7 @@ import reference
 from collective import COMM, agree, dense, equal, small, whole
 
 from dolfinx_feti.feti.gluing.copies import Copies
-from dolfinx_feti.feti.gluing.jump import Gluing
-from dolfinx_feti.feti.gluing.weights import create_weights
+from dolfinx_feti.feti.gluing.jump import Gluing, weights_of_copies
 from dolfinx_feti.torn.matrix import Torn
 
 SEED = 5519
@@ -70,8 +69,9 @@ def weigh(glue):
     def create(grid, *, all_floating=True, stiffness=False):
         problem, torn, gluing = glue(grid, all_floating=all_floating)
         k = torn.stiffness() if stiffness else np.ones(torn.n)
-        made.append(create_weights(torn, gluing, k))
-        return problem, gluing, made[-1]
+        delta = weights_of_copies(torn, k)
+        made.append(gluing.scaled_jumps(torn, delta))
+        return problem, gluing, delta, dense(made[-1])
 
     yield create
     for owner in made:
@@ -105,13 +105,13 @@ def test_rows_are_those_of_the_definition(grid, all_floating, glue):
 @every_scaling
 def test_scaled_jumps_make_a_projection(grid, all_floating, stiffness, weigh):
     """B_DᵀB is a projection with the kernel of B, B B_Dᵀ B = B, and I − B_DᵀB averages."""
-    problem, gluing, weights = weigh(grid, all_floating=all_floating, stiffness=stiffness)
-    B, B_D = dense(gluing.B), dense(weights.B_D)
+    problem, gluing, delta, B_D = weigh(grid, all_floating=all_floating, stiffness=stiffness)
+    B = dense(gluing.B)
     E = B_D.T @ B
     equal(E @ E, E, 1e-13)
     equal(B @ B_D.T @ B, B, 1e-13)
     u = np.random.default_rng(SEED).standard_normal(len(E))
-    average = problem.T @ problem.T.T @ (whole(weights.delta) * u)
+    average = problem.T @ problem.T.T @ (whole(delta) * u)
     held = problem.dirichlet[problem.to_global]
     average[held] = 0.0 if all_floating else u[held]
     equal(u - E @ u, average, 1e-13)
@@ -120,8 +120,8 @@ def test_scaled_jumps_make_a_projection(grid, all_floating, stiffness, weigh):
 @every_grid
 @every_scaling
 def test_weights_of_the_copies_sum_to_one(grid, stiffness, weigh):
-    problem, _, weights = weigh(grid, stiffness=stiffness)
-    delta = whole(weights.delta)
+    problem, _, delta, _ = weigh(grid, stiffness=stiffness)
+    delta = whole(delta)
     equal(problem.T.T @ delta, np.ones(len(problem.dirichlet)), 1e-14)
     k = np.diag(problem.K_torn) if stiffness else np.ones(len(delta))
     equal(delta, k / (problem.T @ problem.T.T @ k), 1e-14)
@@ -137,17 +137,18 @@ def test_any_stiffness_makes_a_projection(grid, kind, glue):
         "all zero": np.zeros(torn.n),
         "far apart": 10.0 ** (100 * (np.arange(torn.n) % 3 - 1.0)),
     }
-    weights = create_weights(torn, gluing, stiffness[kind])
-    B, B_D = dense(gluing.B), dense(weights.B_D)
-    agree(np.isfinite(B_D).all() and weights.delta.min(initial=1.0) > 0.0)
+    delta = weights_of_copies(torn, stiffness[kind])
+    scaled = gluing.scaled_jumps(torn, delta)
+    B, B_D = dense(gluing.B), dense(scaled)
+    agree(np.isfinite(B_D).all() and delta.min(initial=1.0) > 0.0)
     equal(B @ B_D.T @ B, B, 1e-13)
-    weights.destroy()
+    scaled.destroy()
 
 
 @every_grid
 def test_a_copy_is_weighed_by_the_other_side(grid, weigh):
-    _, gluing, weights = weigh(grid, stiffness=True)
-    B, B_D, delta = dense(gluing.B), dense(weights.B_D), whole(weights.delta)
+    _, gluing, delta, B_D = weigh(grid, stiffness=True)
+    B, delta = dense(gluing.B), whole(delta)
     for row, scaled in zip(B, B_D, strict=True):
         copies = np.flatnonzero(row)
         expected = np.zeros_like(row)
@@ -203,9 +204,8 @@ def copies_of(pattern):
 
     def create(problem, **options):
         read = pattern(problem.A, **options)
-        weights = create_weights(read.torn, read.gluing, read.torn.stiffness())
-        made.append(Copies(read.torn, read.dofs.interface, weights.delta))
-        weights.destroy()
+        delta = weights_of_copies(read.torn, read.torn.stiffness())
+        made.append(Copies(read.torn, read.dofs.interface, delta))
         return made[-1], whole(made[-1].dofs + read.torn.start)
 
     yield create

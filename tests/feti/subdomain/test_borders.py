@@ -14,7 +14,7 @@ from collective import COMM, agree, raises
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.coarse.fields import Fields
 from dolfinx_feti.feti.coarse.near import NearColumns
-from dolfinx_feti.feti.primal.assembled import load_block_code
+from dolfinx_feti.feti.primal.assembled import add_block, load_block_code
 from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, load_fronts
 from dolfinx_feti.feti.subdomain.panels import Panels, load_panels
 from dolfinx_feti.runtime.petsc_library import Rows
@@ -149,7 +149,7 @@ def test_fronts_take_matrices_of_their_pattern():
 
 def test_shares_have_rows_of_the_matrix():
     code, A = load_block_code(COMM), np.zeros((3, 3), np.float32, order="F")
-    code.add(A, (np.array([0, 2], np.int32), np.arange(3.0)))
+    add_block(code, A, (np.array([0, 2], np.int32), np.arange(3.0)))
     for rows, entries, error in (
         ([0, 3], np.ones(3), "rows 0 … 3 are not those of a matrix of order 3"),
         ([-1, 2], np.ones(3), "rows -1 … 2 are not those"),
@@ -157,12 +157,12 @@ def test_shares_have_rows_of_the_matrix():
         ([0, 2], np.ones(6)[::2], "not contiguous"),
     ):
         with raises(ValueError, error):
-            code.add(A, (np.array(rows, np.int32), entries))
+            add_block(code, A, (np.array(rows, np.int32), entries))
     with raises(ValueError, "not contiguous in F order"):
-        code.add(np.zeros((3, 3), np.float32), (np.array([0], np.int32), np.ones(1)))
+        add_block(code, np.zeros((3, 3), np.float32), (np.array([0], np.int32), np.ones(1)))
     for matrix, integer in ((np.zeros((3, 3), order="F"), np.int32), (A, np.int64)):
         with raises(TypeError, "ctype"):
-            code.add(matrix, (np.array([0], integer), np.ones(1)))
+            add_block(code, matrix, (np.array([0], integer), np.ones(1)))
 
 
 def test_rounding_takes_vectors_of_the_matrix():

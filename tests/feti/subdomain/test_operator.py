@@ -133,7 +133,7 @@ def test_elimination_is_exact(kind, change, way, torn_grid, parts, monkeypatch):
 def plain(system):
     """The Dirichlet preconditioner without stabilisation."""
     none = [np.zeros((len(rows), 0)) for rows in system.operator.dofs]
-    return Dirichlet(system.operator, system.setup.weights, none)
+    return Dirichlet(system.operator, system.preconditioner.B_D.matrix, none)
 
 
 @every_type

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import ctypes
 
-from petsc4py import PETSc
-
 import numpy as np
 import pytest
 import scipy.sparse
