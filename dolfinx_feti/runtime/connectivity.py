@@ -68,7 +68,9 @@ def is_symmetric(A: PETSc.Mat) -> bool:
 
 
 def _looks_symmetric(K: PETSc.Mat) -> bool:
-    """Tell whether the entries of a sequential AIJ matrix equal their counterparts."""
+    """Tell whether the entries of a sequential AIJ matrix, perhaps empty, equal their mirrors."""
+    if not K.getSize()[0]:
+        return True
     with rows_of(K) as of_K:
         A = scipy.sparse.csr_array((of_K.values, of_K.indices, of_K.indptr), K.getSize())
         most = np.abs(A).max(axis=1).toarray().ravel()
