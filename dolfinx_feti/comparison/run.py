@@ -106,18 +106,16 @@ class Comparison:
     def records(self) -> list[dict[str, object]]:
         """One record for each solver, to be written as JSON; None for what is not known."""
         size = {"dofs": self.dofs, "subdomains": self.subdomains, "processes": self.processes}
-        records = [
+        records: list[dict[str, object]] = [
             {"solver": s.solver, **size, "rtol": self.rtol, "converged": s.converged}
             | ({} if s.cost is None else asdict(s.cost))
-            | {"relative_residual": s.relative_residual}
-            | {"difference_to_direct": s.difference_to_direct, "note": s.note}
+            | {"relative_residual": s.relative_residual, "note": s.note}
+            | {"difference_to_direct": s.difference_to_direct}
             for s in self.results
         ]
-        left_out = [
-            {"solver": name, **size, "converged": False, "note": f"left out: {why}"}
-            for name, why in self.left_out
-        ]
-        return [{k: json_value(v) for k, v in record.items()} for record in records + left_out]
+        for name, why in self.left_out:
+            records.append({"solver": name, **size, "converged": False, "note": f"left out: {why}"})
+        return [{k: json_value(v) for k, v in record.items()} for record in records]
 
     def __str__(self) -> str:
         """Return the table, and who was left out."""
@@ -134,7 +132,7 @@ def _row(result: SolverResult) -> list[Cell]:
     """Return a row of the table."""
     cost = result.cost
     if cost is None:
-        return [result.solver, None, None, None, None, None, None, result.note]
+        return [result.solver, *[None] * 6, result.note]
     return [
         result.solver,
         cost.iterations,

@@ -118,7 +118,7 @@ def create_solver(
     symmetric: bool | None = None,
     definite: bool = False,
 ) -> PETSc.KSP:
-    """Set up a solver. Collective.
+    """Set up a solver; the caller destroys it. Collective.
 
     Args:
         A: Assembled matrix; for BDDC the torn one, of which it takes a copy.
@@ -127,9 +127,6 @@ def create_solver(
         rtol: Relative tolerance of a Krylov method, on the true residual.
         symmetric: Whether the matrix is; if A is marked as symmetric where not given.
         definite: Whether the assembled matrix is known to be symmetric positive definite.
-
-    Returns:
-        The KSP, set up; the caller destroys it.
     """
     options = dict(SOLVERS[solver] if options is None else options)
     prefix = prefix_of(solver)

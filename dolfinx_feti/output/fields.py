@@ -125,11 +125,7 @@ class FieldWriter:
             self._write_mesh(self._file)
 
     def write(self, t: float) -> None:
-        """Write the current values. Collective.
-
-        Args:
-            t: Time, or another finite quantity that orders the steps, such as the load.
-        """
+        """Write the current values at a time or load, which orders the steps. Collective."""
         if not math.isfinite(t):
             raise ValueError(f"t={t}: give a finite time or load.")
         for update in self._updates:
@@ -216,14 +212,9 @@ class FieldWriter:
 
 
 def cell_values(expression: Expr, mesh: dolfinx.mesh.Mesh) -> Array:
-    """Evaluate a UFL expression at the centroids of the cells. Collective.
+    """Return a scalar or vector at the centroids of the owned cells, (n_cells, …). Collective.
 
-    Args:
-        expression: A scalar or vector; of data at quadrature points their mean is taken.
-        mesh: Its mesh.
-
-    Returns:
-        Values in the owned cells, (n_cells, …).
+    Of data at quadrature points it is their mean.
     """
     rule = quadrature_rule(expression)
     cell = getattr(basix.CellType, mesh.topology.cell_name())
@@ -310,11 +301,7 @@ def _projector(
 
 
 def _writable_place(path: Path, kind: str, comm: MPI.Comm) -> Path:
-    """Return the path with its suffix, after a check that everything there can be written.
-
-    With a folder in place of a file the libraries would raise on one process only, or write
-    nothing.
-    """
+    """Return the path with its suffix; a folder in place of a file would raise on one process."""
     folder = writable_folder(path.parent, comm)
     place = folder / (path.name + SUFFIXES[kind])
     if kind == "vtx":

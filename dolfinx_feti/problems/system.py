@@ -292,7 +292,7 @@ class System:
         the size h of the cells. Collective.
         """
         t = np.hypot(self.u.x.array[self._local], self._size)
-        return self._root(product_rounding(self._K.mat, t, self.comm))
+        return self._root(product_rounding(self._K.mat, t))
 
     def least_rounding(self) -> float:
         r"""Return less than the rounding errors of the residual before condensation.

@@ -79,17 +79,9 @@ class ScalarSystem:
         *,
         free: Mask,
     ) -> None:
-        """Compile the forms.
+        """Compile the forms: r(u, s; v), with the work of the scalars, and their equations.
 
-        Args:
-            couplings: The unknowns and their equations.
-            u: The unknown beside them.
-            residual: r(u, s; v), with the work of the scalars.
-            compiler: How forms are compiled.
-            free: Mask of the dofs that no Dirichlet condition holds, (owned,).
-
-        Note:
-            Collective.
+        ``free`` masks the owned dofs that no Dirichlet condition holds. Collective.
         """
         self._couplings, self._comm = couplings, compiler.comm
         self._hold(free)
@@ -128,18 +120,7 @@ class ScalarSystem:
         self.increment: Array = np.zeros(first)
 
     def prescribe(self, bcs: Sequence[dolfinx.fem.DirichletBC], *, free: Mask) -> None:
-        """Meet other Dirichlet conditions.
-
-        Args:
-            bcs: The conditions.
-            free: Mask of the dofs that they leave free, (owned,).
-
-        Raises:
-            ValueError: A coupling has no solution with them.
-
-        Note:
-            Collective; raises on all processes.
-        """
+        """Meet other Dirichlet conditions, which leave these dofs free, (owned,). Collective."""
         for coupling in self._couplings:
             coupling.check(bcs)
         self._hold(free)
@@ -172,7 +153,8 @@ class ScalarSystem:
         B, C, D = border.B, border.C, border.D
         for block in self._blocks:
             for k, j in enumerate(range(block.rows.start, block.rows.stop)):
-                _aim(block.direction, k)
+                unit = np.eye(block.direction.value.size)[k]
+                block.direction.value = unit.reshape(block.direction.ufl_shape)
                 if block.B is not None:
                     B[:, j] = assemble_owned(block.B)
                 form = block.C[k]
@@ -196,16 +178,11 @@ class ScalarSystem:
         return du
 
     def scales(self, u: Array, h: Array | float) -> Array:
-        r"""Return what u of this size, cells of size h and s make of the equations, (m,).
+        r"""Return what u of this size, (owned,), cells of size h and s make of the equations, (m,).
 
         .. math:: \Bigl(\sum_j C_{jk}^2 (u_j^2 + h_j^2)\Bigr)^{1/2} + \sum_l |D_{kl} s_l|
 
-        Args:
-            u: Owned values, (owned,).
-            h: Size of the cells at each dof, if u is a displacement.
-
-        Note:
-            Collective.
+        h is that at each dof if u is a displacement. Collective.
         """
         squares = (self.border.C**2 * (u**2 + np.square(h))[:, None]).sum(axis=0)
         return np.sqrt(total_of(squares, self._comm)) + np.abs(self.border.D) @ np.abs(
@@ -240,14 +217,7 @@ class ScalarSystem:
         return [f for coupling in self._couplings for f in coupling.functions]
 
     def check(self) -> None:
-        """Refuse values and constraints that no solution can meet.
-
-        Raises:
-            ValueError: There are some. On all processes.
-
-        Note:
-            Collective.
-        """
+        """Refuse values and constraints that no solution can meet, on all processes. Collective."""
         for coupling in self._couplings:
             on_all(coupling.check_values, self._comm)
         if self.size and not self._checked:
@@ -283,10 +253,3 @@ class ScalarSystem:
                     f"The scalar {what} {involved.tolist()} depend on each other, so that they "
                     "contradict each other or leave a multiplier free: leave one of them out."
                 )
-
-
-def _aim(direction: dolfinx.fem.Constant, k: int) -> None:
-    """Let a direction be the unit vector k."""
-    unit = np.zeros(max(1, direction.value.size))
-    unit[k] = 1.0
-    direction.value = unit.reshape(direction.ufl_shape)

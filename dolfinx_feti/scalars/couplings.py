@@ -33,21 +33,10 @@ def checked_couplings(
     bcs: Sequence[dolfinx.fem.DirichletBC],
     V: dolfinx.fem.FunctionSpace,
 ) -> tuple[Coupling, ...]:
-    """Check what is known before the forms are compiled.
+    """Return the couplings of a problem for an unknown in V, after what can be checked at once.
 
-    Args:
-        scalars: Couplings of a problem.
-        bcs: Its Dirichlet conditions.
-        V: Space of its unknown.
-
-    Returns:
-        The couplings.
-
-    Raises:
-        ValueError: One is none or cannot be solved, or two cavities share facets.
-
-    Note:
-        Collective; raises on all processes.
+    None of them may act elsewhere or be without solution, no two cavities share facets. Collective;
+    raises on all processes.
     """
     if not isinstance(scalars, Sequence):
         raise ValueError(f"scalars is {scalars!r} alone: put it in a list.")
@@ -75,16 +64,7 @@ def refuse_condensed_fields(
     fields: Sequence[dolfinx.fem.Function],
     residuals: Sequence[ufl.Form],
 ) -> None:
-    """Require that scalars and condensed fields do not meet: a cell eliminates its fields alone.
-
-    Args:
-        couplings: Those of a problem.
-        fields: Its condensed fields.
-        residuals: The residual of each field.
-
-    Raises:
-        ValueError: An equation of scalars holds a field, or the residual of a field a scalar.
-    """
+    """Require that scalars and condensed fields do not meet: a cell eliminates its fields alone."""
     for field, residual in zip(fields, residuals, strict=True):
         F_p = ufl.algorithms.expand_derivatives(residual)  # works of scalars have no derivative
         for i, coupling in enumerate(couplings):

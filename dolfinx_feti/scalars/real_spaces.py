@@ -40,15 +40,8 @@ def separated(
 ) -> tuple[ufl.Form | Sequence[ufl.Form], Any, list[ScalarEquation]]:
     """Take the scalars out of a problem that is stated in blocks; leave another one alone.
 
-    Args:
-        F: Residuals tested with v and, for each s, in its real space; or a Lagrangian in u and s.
-        u: The unknown and the scalars.
-
-    Returns:
-        F in constants, the unknown, and the equations of the scalars.
-
-    Raises:
-        ValueError: There is not one other unknown, or a scalar has not one residual.
+    F are residuals tested with v and, for each s, in its real space; or a Lagrangian in u and s.
+    Returns F in constants, the unknown, and the equations of the scalars.
     """
     if not isinstance(u, Sequence) or not any(map(is_real_function, u)):
         return F, u, []
@@ -94,19 +87,10 @@ def separated_linear(
     u: Sequence[dolfinx.fem.Function],
     condensed: Sequence[dolfinx.fem.Function] = (),
 ) -> tuple[ufl.Form, ufl.Form, dolfinx.fem.Function, list[ScalarEquation]]:
-    """Take the scalars out of a linear problem that is stated in blocks.
+    """Take the scalars out of a linear problem that is stated in blocks, a row for each of u.
 
-    Args:
-        a: Bilinear forms, a row for each of u.
-        L: Linear forms.
-        u: The unknown and the scalars.
-        condensed: Fields to be condensed: none, as blocks of three kinds have no order.
-
-    Returns:
-        a and L of the unknown, the unknown, and the equations of the scalars.
-
-    Raises:
-        ValueError: See :func:`separated`.
+    Returns a and L of the unknown, the unknown, and the equations of the scalars. Nothing may be
+    condensed: blocks of three kinds have no order.
     """
     if condensed:
         raise ValueError(

@@ -9,22 +9,10 @@ Tearing (eq. 33) replaces the assembled matrix (eq. 32, Augustin_eq:reordered) b
 
 where the boolean :math:`T` copies each dof to every subdomain that holds it. PETSc's name for this
 pair is MATIS: a block-diagonal local matrix on each process and the map *torn dof → dof*. All else
-that the method needs to know is attached to the matrix:
-
-================== ========================== =====================================================
-what               where                      shape
-================== ========================== =====================================================
-near kernel        ``setNearNullSpace``       vectors of the assembled problem (rigid body modes of
-                                              the *deformed* body; constants for a scalar)
-Dirichlet dofs     ``compose("dirichlet")``   index set of global dofs, each listed on any process
-scaling stiffness  ``compose("stiffness")``   sequential vector, one entry per torn dof
-coordinates        ``compose("coordinates")`` points of the assembled problem's blocks of dofs, one
-                                              after the other; for messages only
-pressures          ``setAttr("pressures")``   number of pressures that have been condensed into the
-                                              local matrix
-symmetry           ``setOption(SYMMETRIC)``   flag of the local matrix, if its form tells
-null space         ``setNullSpace``           orthonormal null vectors of A (``null_space``)
-================== ========================== =====================================================
+that the method needs to know is attached to the matrix (docs/torn_matrix.md): PETSc's near and null
+space, symmetry of the local matrix, and by name the objects ``dirichlet`` (global dofs),
+``stiffness`` (an entry per torn dof), ``coordinates`` (points of the blocks of dofs) and the
+attribute ``pressures`` (how many were condensed into the local matrix).
 
 A subdomain is a connected component of the graph of the local matrix.
 """
@@ -155,15 +143,10 @@ def set_condensed(A: PETSc.Mat, pressures: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Names what a torn matrix holds at one moment on this process; equal until it is changed.
+    """Names of what a torn matrix holds at one moment on this process; equal until it is changed.
 
-    What is written to the arrays behind PETSc's objects past PETSc, without ``stateIncrease``, is
-    not seen.
-
-    Attributes:
-        pattern: Names the matrices, their entries' places, the numbering and the Dirichlet dofs.
-        values: Names the entries, near kernel, null space, stiffness, coordinates and pressures.
-        objects: PETSc's objects behind the names, kept so that no new object gets their handles.
+    What is written past PETSc, without ``stateIncrease``, is not seen. The objects behind the names
+    are kept, so that no new object gets their handles.
     """
 
     pattern: tuple[object, ...]
@@ -232,15 +215,7 @@ class Torn:
     """
 
     def __init__(self, A: PETSc.Mat) -> None:
-        """Read the pattern of ``A``.
-
-        Args:
-            A: Torn matrix, see :func:`create_torn_matrix`.
-
-        Raises:
-            TypeError: ``A`` is not a MATIS.
-            ValueError: Its local matrices are not square or not SeqAIJ.
-        """
+        """Read the pattern of ``A``, which has to be a MATIS of square AIJ blocks."""
         if A.getType() != PETSc.Mat.Type.IS:
             raise TypeError(
                 f"The matrix has type '{A.getType()}', but FETI needs the torn matrix (MATIS): "
@@ -309,11 +284,7 @@ class Torn:
         return copies
 
     def near_kernel(self) -> Array:
-        """Return the near kernel on the torn dofs, (n, number of modes).
-
-        Raises:
-            SetUpError: None is attached and the matrix is blocked.
-        """
+        """Return the near kernel on the torn dofs, (n, number of modes)."""
         space = self.A.getNearNullSpace()
         modes = [self.tear(mode.array_r) for mode in space.getVecs()] if space.handle else []
         modes += [np.ones(self.n)] if space.handle and space.hasConstant() else []
@@ -344,11 +315,7 @@ class Torn:
             return np.where(self._diagonal < 0, 0.0, csr.values[self._diagonal])
 
     def stiffness(self) -> Array:
-        """Return the stiffness of each torn dof for the scaling, (n,), not negative.
-
-        It is the magnitude of what is attached, or of the diagonal of K: under compression a
-        diagonal entry may be negative, but a weight must not be.
-        """
+        """Return the stiffness of each torn dof for the scaling, (n,); a weight is not negative."""
         weight = self.A.query("stiffness")
         return np.abs(self.diagonal() if weight is None else weight.array_r)
 

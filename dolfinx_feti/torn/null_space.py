@@ -35,11 +35,7 @@ NO_FORCE = 1e-8
 
 
 def null_space(torn: Torn) -> Array:
-    """Return Z on the torn dofs, (n, k), without columns if none is attached. Collective.
-
-    Raises:
-        SetUpError: Z is not orthonormal, or A z = 0 does not hold; or A is not symmetric.
-    """
+    """Return Z on the torn dofs, (n, k), without columns if none is attached. Collective."""
     A = torn.A
     space = A.getNullSpace()
     with ExitStack() as owned:
@@ -86,11 +82,7 @@ def _checked(torn: Torn, modes: list[PETSc.Vec]) -> Array:
 
 
 def take_out(A: PETSc.Mat, v: PETSc.Vec) -> float:
-    """Take the part in the null space of A out of a vector, v ← v − Z Zᵀ v; return ‖Zᵀ v‖.
-
-    Note:
-        Collective.
-    """
+    """Take the part in the null space out of a vector, v ← v − Z Zᵀ v; ‖Zᵀ v‖. Collective."""
     space = A.getNullSpace()
     if not space.handle:
         return 0.0
@@ -103,17 +95,9 @@ def take_out(A: PETSc.Mat, v: PETSc.Vec) -> float:
 
 
 def anchor(N: PETSc.Mat, S: Array) -> bool:
-    """Make a coarse matrix regular along its null vectors, by k entries more on its diagonal.
+    """Make a coarse matrix regular along null vectors S, (own rows, k), by k diagonal entries.
 
-    Args:
-        N: Coarse matrix, symmetric, (K, K).
-        S: Own rows of null vectors, (own rows, k).
-
-    Returns:
-        Whether N S = 0 holds; N is left as it is otherwise.
-
-    Note:
-        Collective.
+    Returns whether N S = 0 holds; N is left as it is otherwise. Collective.
     """
     if not S.shape[1]:
         return True

@@ -70,11 +70,7 @@ class States:
 
 
 class CompiledEnergy:
-    """The generated code of an energy, and the place where it finds the states.
-
-    Attributes:
-        parameters: Names of the parameters that can change without compilation.
-    """
+    """The generated code of an energy, the place where it finds the states, and its parameters."""
 
     def __init__(
         self,
@@ -225,28 +221,16 @@ def evaluate(material: Material, F: npt.ArrayLike) -> States:
 def _call(psi: Callable[..., Expr], F: Variable, parameters: Mapping[str, Expr]) -> Expr:
     """Call psi with those of F, C and J that it takes, and with the parameters."""
     measures = dict(zip(MEASURES, (F, right_cauchy_green(F), jacobian(F)), strict=True))
-    takes = inspect.signature(psi).parameters
-    open_ended = any(p.kind is p.VAR_KEYWORD for p in takes.values())
-    given = {name: measures[name] for name in takes if name in measures} | dict(parameters)
-    needed = [
-        name
-        for name, p in takes.items()
-        if p.default is p.empty and p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)
-    ]
-    missing = [name for name in needed if name not in given]
-    foreign = [name for name in parameters if name not in takes and not open_ended]
-    if any(p.kind is p.POSITIONAL_ONLY for p in takes.values()) or not set(given) & set(MEASURES):
+    signature = inspect.signature(psi)
+    given = {name: measures[name] for name in MEASURES if name in signature.parameters}
+    try:
+        signature.bind(**given, **parameters)
+    except TypeError as error:
         raise TypeError(
-            f"psi takes the arguments {list(takes)}: name them C and J, or F, as in psi(C, J)."
-        )
-    if missing:
-        raise TypeError(
-            f"psi also takes {missing}: bind them with functools.partial, or give them as "
-            "parameters."
-        )
-    if foreign:
-        raise TypeError(f"psi does not take the parameters {foreign}; it takes {list(takes)}.")
-    return psi(**given)
+            f"psi{signature}: {error}. Name the arguments C and J, or F; bind others with "
+            "functools.partial, or give them as parameters."
+        ) from error
+    return psi(**given, **parameters)
 
 
 def _check_energy(psi: object, F: Variable, coefficients: set[Expr], constants: set[Expr]) -> None:

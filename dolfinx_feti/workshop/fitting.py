@@ -134,16 +134,22 @@ def fit(
     def trial(values: Array) -> Material:
         return material.with_parameters(**dict(zip(names, map(float, values), strict=True)))
 
+    def residuals(values: Array) -> Array:
+        candidate = trial(values)
+        errors = (stresses(respond(candidate, d.path), d.measure) - d.stress for d in data)
+        parts = [d.weight * error.ravel() for d, error in zip(data, errors, strict=True)]
+        return np.concatenate(parts)
+
     first = np.array(list(start.values()), dtype=np.float64)
-    optimum = _minimise(lambda values: _residuals(trial(values), data), first, limits)
-    best = trial(optimum.x)
-    reach = TOUCH * np.maximum(np.abs(optimum.x), np.abs(first))
-    free = (np.abs(optimum.x - limits) > reach).all(axis=0)
+    optimum = _minimise(residuals, first, limits)
+    x = optimum.x
+    reach = TOUCH * np.maximum(np.abs(x), np.abs(first))
+    free = (np.abs(x - limits) > reach).all(axis=0)
     C, half = uncertainty(optimum.jac, 2 * optimum.cost, free, confidence)
-    ends = zip(names, (optimum.x - half).tolist(), (optimum.x + half).tolist(), strict=True)
-    intervals = {name: (low, high) for name, low, high in ends}
-    responses = tuple(respond(best, d.path) for d in data)
-    return Fit(best, intervals, C, confidence, data, responses)
+    ends = zip((x - half).tolist(), (x + half).tolist(), strict=True)
+    responses = tuple(respond(trial(x), d.path) for d in data)
+    intervals = dict(zip(names, ends, strict=True))
+    return Fit(trial(x), intervals, C, confidence, data, responses)
 
 
 def uncertainty(R: Array, squares: float, free: Mask, confidence: float) -> tuple[Array, Array]:
@@ -173,15 +179,9 @@ def _minimise(
 ) -> scipy.optimize.OptimizeResult:
     """Least squares within the limits, (2, m)."""
     try:
+        bounds, exact = (limits[0], limits[1]), {"ftol": 1e-12, "xtol": 1e-10, "gtol": 1e-12}
         optimum = scipy.optimize.least_squares(
-            residuals,
-            start,
-            jac="3-point",
-            bounds=(limits[0], limits[1]),
-            x_scale="jac",
-            ftol=1e-12,
-            xtol=1e-10,
-            gtol=1e-12,
+            residuals, start, jac="3-point", bounds=bounds, x_scale="jac", **exact
         )
     except (ValueError, np.linalg.LinAlgError) as error:  # NaN in the differences
         raise ConvergenceError(
@@ -194,16 +194,6 @@ def _minimise(
             f"{optimum.x.tolist()}: start from there, give bounds, or fewer parameters."
         )
     return optimum
-
-
-def _residuals(material: Material, data: Sequence[DataSet]) -> Array:
-    """Weighted differences between computed and measured stresses, one after the other."""
-    return np.concatenate(
-        [
-            (d.weight * (stresses(respond(material, d.path), d.measure) - d.stress)).ravel()
-            for d in data
-        ]
-    )
 
 
 def _check_start(material: Material, data: Sequence[DataSet]) -> None:

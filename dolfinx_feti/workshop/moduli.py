@@ -65,13 +65,10 @@ class Moduli:
 
 
 def small_strain_moduli(material: Material) -> Moduli:
-    """Compute the moduli at the reference.
-
-    Args:
-        material: The compiled energy.
+    """Compute the moduli of a material at the reference.
 
     Raises:
-        ValueError: The energy has no finite derivatives at the reference.
+        ValueError: The energy has no finite derivatives there.
     """
     B = _strains(material.incompressible)
     M = np.einsum("aij,ijkl,bkl->ab", B, _stiffness(material), B)

@@ -74,11 +74,7 @@ class MaterialTest:
 
 
 def uniaxial(stretch: npt.ArrayLike, *, along: Sequence[float] = E1) -> MaterialTest:
-    """Uniaxial tension or compression.
-
-    Args:
-        stretch: λ, positive, (n,).
-        along: Direction of loading e₁, of any length.
+    """Uniaxial tension or compression by λ, positive, (n,), along e₁ of any length.
 
     Raises:
         ValueError: A stretch is not positive, or the direction is zero.
@@ -142,16 +138,9 @@ def inflation(
     along: Sequence[float] = E1,
     across: Sequence[float] = E2,
 ) -> MaterialTest:
-    """Inflation of a thin tube at a fixed axial stretch.
+    """Inflation of a thin tube at a fixed axial stretch, see :func:`biaxial`.
 
-    Args:
-        stretch: Circumferential stretch λ, positive, (n,).
-        axial: Axial stretch λ_z.
-        along: Circumferential direction e₁, of any length.
-        across: Axial direction e₂, normal to e₁.
-
-    Raises:
-        ValueError: As :func:`biaxial`.
+    e₁ is the circumferential and e₂ the axial direction, λ_z the stretch ``axial`` along it.
     """
     require_positive(axial=axial)
     return biaxial(stretch, axial, along=along, across=across, name="inflation–extension")
@@ -160,12 +149,7 @@ def inflation(
 def simple_shear(
     shear: npt.ArrayLike, *, along: Sequence[float] = E1, across: Sequence[float] = E2
 ) -> MaterialTest:
-    """Simple shear, F = I + γ e₁ ⊗ e₂, with F₃₃ free.
-
-    Args:
-        shear: Amount of shear γ, (n,).
-        along: Direction e₁ of the displacement, of any length.
-        across: Normal e₂ of the planes that slide.
+    """Simple shear by γ, (n,), F = I + γ e₁ ⊗ e₂ with F₃₃ free; e₂ is normal to planes that slide.
 
     Raises:
         ValueError: A value is not finite, or the directions are not normal to each other.

@@ -3,15 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The report on a material: checks with a number each, its moduli, and where it loses ellipticity.
 
-With random states F and rotations R,
-
-    Ψ(R F) = Ψ(F),  P(R F) = R P(F)     frame indifference,
-    P Fᵀ = F Pᵀ                         symmetry of the stress, the balance of moments,
-    A_iJkL = A_kLiJ                     major symmetry of the tangent, so that P has a potential,
-    P = ∂Ψ/∂F,  A = ∂P/∂F               derivatives, against central differences,
-    P(I) = 0                            no stress at rest (up to a pressure, if incompressible).
-
-An energy Ψ(C, J) cannot fail the first two, one that is written in F can. All deviations are
+At random states F, with rotations R: Ψ(R F) = Ψ(F), P(R F) = R P(F), P Fᵀ = F Pᵀ, A_iJkL = A_kLiJ,
+derivatives against central differences, and P(I) = 0 (docs/workshop.md). All deviations are
 relative to the largest entry of A at the same state; those of stresses are thereby errors of
 strain.
 """
@@ -135,8 +128,8 @@ def judge(
 ) -> Check:
     """Compare the largest of several deviations, (n,), with a bound; one that is no number fails.
 
-    F holds the states if the worst one is to be shown, ``note`` what to add if a deviation is
-    larger, and ``warn`` the same for a property that good models may lack.
+    F holds the states to show the worst one; ``note``, or ``warn`` for a property that good models
+    may lack, is added if a deviation is larger.
     """
     worst = int(np.where(np.isnan(deviations), np.inf, deviations).argmax())
     value = float(deviations[worst])
@@ -157,19 +150,14 @@ def show(F: Array) -> str:
 def _check_finite(states: States) -> Check:
     """Count the states whose values are no finite numbers."""
     lost = np.flatnonzero(~states.finite)
-    name = "finite values"
     if not len(lost):
-        return Check(name, "pass", 0.0, 0.0)
-    first = lost[0]
+        return Check("finite values", "pass", 0.0, 0.0)
     parts = {"Ψ": states.psi, "P": states.P, "A": states.A}
-    names = ", ".join(n for n, part in parts.items() if not np.isfinite(part[first]).all())
-    return Check(
-        name,
-        "fail",
-        float(len(lost)),
-        0.0,
-        f"{names} at {len(lost)} of {len(states.F)} states, the first at {show(states.F[first])}",
+    names = ", ".join(n for n, part in parts.items() if not np.isfinite(part[lost[0]]).all())
+    note = (
+        f"{names} at {len(lost)} of {len(states.F)} states, the first at {show(states.F[lost[0]])}"
     )
+    return Check("finite values", "fail", float(len(lost)), 0.0, note)
 
 
 def _differences(law: Law, F: Array) -> tuple[Array, Array]:

@@ -70,17 +70,13 @@ class Response:
 
     def __str__(self) -> str:
         """Return a table of stretches and stresses."""
-        head = [self.path.symbol]
-        columns = [self.path.values]
+        columns = {self.path.symbol: self.path.values}
         for i, k in self.path.measured:
-            head += [f"P{i + 1}{k + 1} [kPa]", f"σ{i + 1}{k + 1} [kPa]"]
-            columns += [self.P[:, i, k], self.sigma[:, i, k]]
-        head += ["F22", "F33", "J"]
-        columns += [self.F[:, 1, 1], self.F[:, 2, 2], self.J]
-        lines = [
-            self.path.name,
-            table(head, [list(map(float, row)) for row in zip(*columns, strict=True)]),
-        ]
+            columns[f"P{i + 1}{k + 1} [kPa]"] = self.P[:, i, k]
+            columns[f"σ{i + 1}{k + 1} [kPa]"] = self.sigma[:, i, k]
+        columns |= {"F22": self.F[:, 1, 1], "F33": self.F[:, 2, 2], "J": self.J}
+        rows = [list(map(float, row)) for row in zip(*columns.values(), strict=True)]
+        lines = [self.path.name, table(list(columns), rows)]
         lost = np.flatnonzero(~self.converged)
         if len(lost):
             where = state(self.path.symbol, self.path.values[lost[0]])
@@ -89,11 +85,7 @@ class Response:
 
 
 def respond(material: Material, path: MaterialTest) -> Response:
-    """Compute the stresses of a material along a path.
-
-    Args:
-        material: The compiled energy.
-        path: Homogeneous deformations, see :mod:`~dolfinx_feti.workshop.paths`.
+    """Compute the stresses of a material along a path of homogeneous deformations.
 
     Raises:
         ValueError: The material is incompressible, and the path has no free entries.

@@ -43,7 +43,7 @@ def test_rounding_of_a_product(torn_grid):
     torn = Torn(problem.A)
     t = np.random.default_rng(SEED).standard_normal(len(problem.to_global))
     mine = slice(torn.start, torn.start + torn.n)
-    found = whole(product_rounding(torn.K, t[mine], COMM))
+    found = whole(product_rounding(torn.K, t[mine]))
     equal(found / EPS**2, (problem.K_torn**2) @ t**2, 1e-13)
     equal(whole(torn.diagonal()), problem.K_torn.diagonal())
     torn.destroy()

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from petsc4py import PETSc
-
 import numpy as np
 import pytest
 from collective import COMM, agree, raises
@@ -18,7 +16,6 @@ from dolfinx_feti.feti.primal.assembled import add_block, load_block_code
 from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, load_fronts
 from dolfinx_feti.feti.subdomain.panels import Panels, load_panels
 from dolfinx_feti.runtime.petsc_library import Rows
-from dolfinx_feti.torn.rounding import product_rounding
 
 #: Two panels, of two columns on rows 0 and 2, and of one on row 1.
 PANELS = {"first": [0, 2, 3], "row": [0, 2, 1], "count": [2, 1], "values": [1.0, 2, 3, 4, 5]}
@@ -163,17 +160,6 @@ def test_shares_have_rows_of_the_matrix():
     for matrix, integer in ((np.zeros((3, 3), order="F"), np.int32), (A, np.int64)):
         with raises(TypeError, "ctype"):
             add_block(code, matrix, (np.array([0], integer), np.ones(1)))
-
-
-def test_rounding_takes_vectors_of_the_matrix():
-    csr = (path().indptr, path().indices, path().values)
-    K = PETSc.Mat().createAIJ((3, 3), csr=csr, comm=PETSc.COMM_SELF)
-    for t in (np.ones(2), np.ones(4)):
-        with raises(ValueError, f"a vector of {len(t)} entries"):
-            product_rounding(K, t, COMM)
-    with raises(TypeError, "ctype"):
-        product_rounding(K, np.ones(3, np.float32), COMM)
-    K.destroy()
 
 
 def test_elements_couple_columns_that_are_near():
