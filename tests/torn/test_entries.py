@@ -9,7 +9,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import scipy.sparse
-from collective import COMM, agree, equal, whole
+from collective import agree, equal, whole
 
 from dolfinx_feti.runtime.connectivity import diagonal_places
 from dolfinx_feti.torn.matrix import Torn
