@@ -12,8 +12,6 @@ from functools import cached_property
 
 import dolfinx
 import ufl
-from ufl.algorithms.map_integrands import map_integrand_dags
-from ufl.corealg.multifunction import MultiFunction
 
 __all__ = ["Content", "content_of"]
 
@@ -41,28 +39,12 @@ class Content:
     @cached_property
     def signature(self) -> str:
         """A number of the forms, which no values and nothing that was made before them change."""
-        numbered = _Numbered(
-            {
-                c: ufl.Constant(c.ufl_domain(), c.ufl_shape, count=LARGE + i)
-                for i, c in enumerate(self.constants)
-            }
-        )
-        text = "".join(map_integrand_dags(numbered, form).signature() for form in self.forms)
+        numbered = {
+            c: ufl.Constant(c.ufl_domain(), c.ufl_shape, count=LARGE + i)
+            for i, c in enumerate(self.constants)
+        }
+        text = "".join(ufl.replace(form, numbered).signature() for form in self.forms)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-class _Numbered(MultiFunction):
-    """Puts others in place of Constants."""
-
-    expr = MultiFunction.reuse_if_untouched
-
-    def __init__(self, others: dict[ufl.Constant, ufl.Constant]) -> None:
-        super().__init__()
-        self._others = others
-
-    def constant(self, c: ufl.Constant) -> ufl.Constant:
-        """Return the other one."""
-        return self._others[c]
 
 
 def content_of(

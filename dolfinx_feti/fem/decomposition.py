@@ -85,14 +85,9 @@ class TornSpace:
 
 
 def suggested_number(V: dolfinx.fem.FunctionSpace, least: int = 1) -> int:
-    r"""Suggest a number of subdomains over all processes.
+    """Suggest a number of subdomains over all processes: one for some 2000 dofs, as many on each.
 
-    .. math:: p = P\, \max(1, \operatorname{round}(N / (2000\, P)))
-
-    for N dofs on P processes: some 2000 dofs a subdomain, as many subdomains on each process, and
-    one at least. With factors of K_i that cost more than in proportion to its size, and a coarse
-    problem that grows with p, this is within a fifth of the best of nearly all measured bodies, in
-    two and three dimensions, for P1 and P2, for one to three dofs a node.
+    Within a fifth of the best of nearly all measured bodies (``docs/results/subdomains.md``).
 
     Args:
         V: Space of the unknown.
@@ -130,12 +125,18 @@ def decompose(
         Collective; raises on all processes.
     """
     comm = mesh.comm
-    _check_seed(seed, comm)
+    bad = not isinstance(seed, (int, np.integer)) or seed < 0
+    if comm.allreduce(bad, op=MPI.LOR):
+        raise ValueError(f"seed is {seed!r}: give zero or a positive integer.")
     n_cells = mesh.topology.index_map(mesh.topology.dim).size_local
     graph = _facet_graph(mesh, n_cells)
     if isinstance(subdomains, (int, np.integer)):
         cells = np.array(comm.allgather(n_cells), dtype=np.int64)
-        _check_number(int(subdomains), int(cells.sum()))
+        if not 1 <= subdomains <= cells.sum():
+            raise ValueError(
+                f"subdomains is {subdomains}, but the mesh has {cells.sum()} cells: "
+                "choose a number between one and the number of cells, or refine the mesh."
+            )
         part = _partition(graph, int(_shares(int(subdomains), cells)[comm.rank]), seed)
         part = _join_splinters(graph, part)
     else:
@@ -175,14 +176,6 @@ def cell_sizes(space: TornSpace, n_cells: int) -> Array:
     return np.repeat(size, dofmap.index_map_bs)
 
 
-def _check_number(subdomains: int, n_cells: int) -> None:
-    if not 1 <= subdomains <= n_cells:
-        raise ValueError(
-            f"subdomains is {subdomains}, but the mesh has {n_cells} cells: "
-            "choose a number between one and the number of cells, or refine the mesh."
-        )
-
-
 def _check_parts(part: npt.NDArray[np.generic], n_cells: int, comm: MPI.Comm) -> Indices:
     bad_type = not np.issubdtype(part.dtype, np.integer)
     if comm.allreduce(bad_type, op=MPI.LOR):
@@ -198,12 +191,6 @@ def _check_parts(part: npt.NDArray[np.generic], n_cells: int, comm: MPI.Comm) ->
     if lowest < 0:
         raise ValueError(f"subdomains has a cell in part {lowest}: number the parts from zero on.")
     return np.unique(part, return_inverse=True)[1].astype(np.int32).reshape(-1)
-
-
-def _check_seed(seed: int, comm: MPI.Comm) -> None:
-    bad = not isinstance(seed, (int, np.integer)) or seed < 0
-    if comm.allreduce(bad, op=MPI.LOR):
-        raise ValueError(f"seed is {seed!r}: give zero or a positive integer.")
 
 
 def _shares(subdomains: int, cells: Numbers) -> Numbers:

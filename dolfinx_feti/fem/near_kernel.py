@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from operator import itemgetter
 
@@ -37,30 +38,25 @@ def attach_near_kernel(A: PETSc.Mat, V: dolfinx.fem.FunctionSpace, u: Array | No
     """
     gdim, bs = V.mesh.geometry.dim, V.dofmap.index_map_bs
     one, x = _linear_fields(V)
-    if bs == gdim and u is not None:
-        x += u
     modes = [one[:, None] * direction for direction in np.eye(bs)]
     if bs == gdim:
-        modes += [x @ spin.T for spin in _spins(gdim)]
+        x += 0.0 if u is None else u
+        for i, j in itertools.combinations(range(gdim), 2):
+            rotation = np.zeros_like(x)
+            rotation[:, i], rotation[:, j] = x[:, j], -x[:, i]
+            modes.append(rotation)
     x[one != 1.0] = np.nan  # such a dof is at no point
-    if _is_users(A):
+    space = A.getNearNullSpace()
+    if space.handle and space.handle != A.getAttr("own near kernel"):  # the user's
         points = PETSc.Vec().createMPI((x.size, None), comm=A.comm)
         points.array[:] = x.ravel()
         A.compose("coordinates", points)
         return
-    vectors = []
-    for mode in modes:
-        vector = A.createVecRight()
+    vectors = [A.createVecRight() for _ in modes]
+    for vector, mode in zip(vectors, modes, strict=True):
         vector.array[:] = np.ravel(mode)
-        vectors.append(vector)
     set_near_kernel(A, vectors, x)
     A.setAttr("own near kernel", A.getNearNullSpace().handle)
-
-
-def _is_users(A: PETSc.Mat) -> bool:
-    """Whether A has a near null space that is not attached here."""
-    space = A.getNearNullSpace()
-    return bool(space.handle) and space.handle != A.getAttr("own near kernel")
 
 
 def _linear_fields(V: dolfinx.fem.FunctionSpace) -> tuple[Array, Array]:
@@ -77,14 +73,3 @@ def _linear_fields(V: dolfinx.fem.FunctionSpace) -> tuple[Array, Array]:
     one = dofs(lambda x: np.ones(x.shape[1]))
     one[np.isclose(one, 1.0, rtol=0.0, atol=ROUNDING)] = 1.0
     return one, np.stack([dofs(itemgetter(i)) for i in range(gdim)], axis=-1)
-
-
-def _spins(gdim: int) -> list[Array]:
-    """Return a basis of the skew matrices, each (gdim, gdim)."""
-    spins: list[Array] = []
-    for i in range(gdim):
-        for j in range(i):
-            spin = np.zeros((gdim, gdim))
-            spin[i, j], spin[j, i] = 1.0, -1.0
-            spins.append(spin)
-    return spins

@@ -50,8 +50,8 @@ def limit_quadrature_degree(form: ufl.Form, degree: int | None = None) -> ufl.Fo
         ValueError: If ``degree`` is negative.
     """
     if degree is None:
-        functions = (*form.arguments(), *form.coefficients())
-        degree = 2 * max((_polynomial_degree(f) for f in functions), default=1)
+        elements = [f.ufl_element() for f in (*form.arguments(), *form.coefficients())]
+        degree = 2 * max((e.embedded_superdegree or 0 for e in elements), default=1)
     if degree < 0:
         raise ValueError(f"degree = {degree}: give a quadrature degree of zero or more.")
     return ufl.Form([_limit(integral, degree) for integral in form.integrals()])
@@ -100,19 +100,12 @@ def _degrees(form: ufl.Form) -> Degrees:
     )
     found: Degrees = {}
     for group in data.integral_data:
-        candidates = [_degree(integral.metadata()) for integral in group.integrals]
+        known = [integral.metadata() for integral in group.integrals]
+        free = [int(np.max(m["estimated_polynomial_degree"])) for m in known if _stated(m) < 0]
         for part in group.subdomain_id:
             key = (group.integral_type, "everywhere" if part == "otherwise" else part)
-            found[key] = min(candidates, key=lambda known: (known[0], -known[1]))[1]
+            found[key] = max(free or map(_stated, known))
     return found
-
-
-def _degree(metadata: Mapping[str, Any]) -> tuple[bool, int]:
-    """Return whether an integral states its degree, and the stated or estimated degree."""
-    stated = _stated(metadata)
-    if stated >= 0:
-        return True, stated
-    return False, int(np.max(metadata["estimated_polynomial_degree"]))
 
 
 def _stated(metadata: Mapping[str, Any]) -> int:
@@ -133,22 +126,8 @@ def _limit(integral: ufl.Integral, degree: int) -> ufl.Integral:
     """Return the integral with at most this quadrature degree, unless it states its own."""
     if _states(integral.metadata()):
         return integral
-    expanded = ufl.algorithms.expand_derivatives(ufl.Form([integral]))
-    if expanded.empty() or _estimated_degree(expanded) <= degree:
-        return integral
-    return _with_degree(integral, degree)
-
-
-def _estimated_degree(form: ufl.Form) -> int:
-    """Return the degree that UFL estimates, det ∂x/∂ξ of curved cells included."""
-    estimate = int(np.max(ufl.algorithms.estimate_total_polynomial_degree(form)))
-    curved = any(not domain.is_piecewise_linear_simplex_domain() for domain in form.ufl_domains())
-    return max(estimate, estimated_quadrature_degree(form)) if curved else estimate
-
-
-def _polynomial_degree(function: ufl.Argument | ufl.Coefficient) -> int:
-    """Return the degree of a function's element; zero for quadrature elements."""
-    return function.ufl_element().embedded_superdegree or 0
+    enough = estimated_quadrature_degree(ufl.Form([integral])) <= degree
+    return integral if enough else _with_degree(integral, degree)
 
 
 def quadrature_points(mesh: dolfinx.mesh.Mesh, degree: int) -> Array:

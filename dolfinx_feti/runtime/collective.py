@@ -37,14 +37,7 @@ _caught: list[Exception] = []
 
 
 def on_first(work: Callable[[], T], comm: MPI.Comm) -> T:
-    """Do something on the first process.
-
-    Args:
-        work: What is done; its result can be pickled.
-        comm: Communicator of all who wait for it.
-
-    Returns:
-        The result, on all processes.
+    """Do something on the first process; return its result, which can be pickled, on all.
 
     Raises:
         BaseException: What the work raises, on all processes.
@@ -143,28 +136,12 @@ def _portable(error: BaseException) -> BaseException:
 
 
 def total(value: float, comm: MPI.Comm) -> float:
-    """Sum a number of each process, in a single reduction of numbers, not of Python's objects.
-
-    Args:
-        value: The process's own.
-        comm: Communicator of all of them.
-
-    Note:
-        Collective.
-    """
+    """Sum a number of each process, by a reduction of numbers and not of objects. Collective."""
     return float(total_of(np.array([value], dtype=np.float64), comm)[0])
 
 
 def total_of(values: Array, comm: MPI.Comm) -> Array:
-    """Sum the arrays of all processes, entry by entry; see :func:`total`.
-
-    Args:
-        values: The process's own, of one shape on all.
-        comm: Communicator of all of them.
-
-    Note:
-        Collective.
-    """
+    """Sum arrays of one shape of all processes, entry by entry. Collective."""
     sum_ = np.array(values, dtype=np.float64, order="C")
     comm.Allreduce(MPI.IN_PLACE, sum_)
     return sum_
@@ -183,11 +160,6 @@ def reason(error: BaseException) -> str:
 
 
 def warn(text: str, comm: MPI.Comm) -> None:
-    """Log a warning on the first process, through Python's logger ``dolfinx_feti``.
-
-    Args:
-        text: The warning, with the remedy.
-        comm: Communicator of all to whom it applies.
-    """
+    """Log a warning, with the remedy, on the first process of those to whom it applies."""
     if comm.rank == 0:
         logger.warning(text)

@@ -80,14 +80,11 @@ def _looks_symmetric(K: PETSc.Mat) -> bool:
 
 
 def connected_blocks(graph: scipy.sparse.csr_array, bs: int) -> list[Indices]:
-    """Find the connected components of a block-diagonal matrix.
+    """Return the rows of each connected component, ascending, in the order of their first row.
 
     Args:
-        graph: Which blocks of dofs the matrix couples, symmetric, (n / bs, n / bs).
+        graph: Which blocks of dofs a matrix couples, symmetric, (n / bs, n / bs).
         bs: Size of these blocks.
-
-    Returns:
-        For each component its rows, ascending; components in the order of their first row.
     """
     if graph.shape[0] == 0:
         return []

@@ -3,10 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """C code of the package, compiled at first use and kept, as FFCx does with forms.
 
-The compiler is the one that FFCx calls, by way of cffi; ``DOLFINX_FETI_CFLAGS`` has further flags
-for it. What it makes is kept in ``$XDG_CACHE_HOME/dolfinx_feti`` (``~/.cache/dolfinx_feti`` without
-that variable), or for this run only where that cannot be written. Its name changes with the code,
-the flags, the processor if they ask for its kind, cffi and Python.
+``DOLFINX_FETI_CFLAGS`` has further flags for FFCx's compiler. The cache is
+``$XDG_CACHE_HOME/dolfinx_feti`` (``~/.cache/dolfinx_feti`` without that variable), or a folder for
+this run where that cannot be written. Names change with the code, the flags, the processor if they
+ask for its kind, cffi and Python.
 """
 
 from __future__ import annotations

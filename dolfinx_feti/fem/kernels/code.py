@@ -154,15 +154,13 @@ def _vectors(state: State, point: Point, gdim: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """A quadrature rule.
+    """A quadrature rule whose points a cell has in several visits, and groups of cells at a time.
 
     Attributes:
-        x: Its points.
-        weights: Its weights.
+        x, weights: The points, the last ones perhaps without weight.
         visits: In how many visits a cell has all points.
         groups: How many groups of cells an instruction can serve.
-        points: Points of a cell in an instruction.
-        chunk: Points of a cell in a visit.
+        points, chunk: Points of a cell in an instruction, and in a visit.
     """
 
     x: Array
@@ -177,24 +175,14 @@ class _Rule:
         chunk = -(-len(self.weights) // self.visits)
         instructions = -(-chunk * groups // POINTS)
         points = -(-chunk // instructions)
-        chunk = points * instructions
-        missing = self.visits * chunk - len(self.weights)
+        missing = self.visits * points * instructions - len(self.weights)
         x = np.concatenate([self.x, np.repeat(self.x[-1:], missing, axis=0)])
         weights = np.concatenate([self.weights, np.zeros(missing)])
-        return _Rule(x, weights, self.visits, groups, points, chunk)
+        return _Rule(x, weights, self.visits, groups, points, points * instructions)
 
 
 def _rule(cell: Any, degree: int, vectors: int) -> _Rule:
-    """Return a quadrature rule.
-
-    Args:
-        cell: The reference cell.
-        degree: Degree of the rule.
-        vectors: What a point takes of the stack.
-
-    Raises:
-        UnsupportedError: There are too many points.
-    """
+    """Return a quadrature rule of which a point takes so many vectors of the stack."""
     x, weights = map(np.asarray, basix.make_quadrature(cell, degree))
     n, each = len(weights), VECTOR * vectors
     if each * n > MOST:

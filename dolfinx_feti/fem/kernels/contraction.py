@@ -32,15 +32,12 @@ def contraction(
         first: Where the form begins.
         shape: Dofs of a cell for each argument.
     """
-    match len(shape):
-        case 0:
-            return [
-                f"for (int q = start; q < start + POINTS; ++q) entries[{first}] += A[{i}][q];"
-                for i in factors.values()
-            ]
-        case 1:
-            return _vector(factors, first)
-    return _matrix(factors, values, first, shape[1])
+    if not shape:
+        return [
+            f"for (int q = start; q < start + POINTS; ++q) entries[{first}] += A[{i}][q];"
+            for i in factors.values()
+        ]
+    return _vector(factors, first) if len(shape) == 1 else _matrix(factors, values, first, shape[1])
 
 
 def _vector(factors: Factors, first: int) -> list[str]:
@@ -49,7 +46,7 @@ def _vector(factors: Factors, first: int) -> list[str]:
     for (v,), i in factors.items():
         rows.setdefault(v.component, []).append(f"A[{i}][q] * {v.basis('a')}")
     lines = []
-    for (v,), _ in list(factors.items())[:1]:
+    for (v,) in list(factors)[:1]:
         lines.append(f"for (int a = 0; a < N{v.element}; ++a) {{")
         for component, products in rows.items():
             lines += [

@@ -171,15 +171,12 @@ class Point:
         graph = compute_argument_factorization(scalars, rank)
         nodes = [node["expression"] for node in graph.nodes.values()]
         targets = [(k, i) for i, node in graph.nodes.items() for k in node.get("target", ())]
-        needed = [False] * len(nodes)
-        for _, i in targets:
-            needed[i] = True
-        for i in reversed(range(len(nodes))):
-            if needed[i]:
-                for operand in _operands(nodes[i]):
-                    needed[graph.e2i[operand]] = True
-        for node, needs in zip(nodes, needed, strict=True):
-            if needs and node not in self._known:
+        needed = {nodes[i] for _, i in targets}
+        for node in reversed(nodes):
+            if node in needed:
+                needed.update(_operands(node))
+        for node in nodes:
+            if node in needed and node not in self._known:
                 operands = [self._known[operand] for operand in _operands(node)]
                 self._known[node] = self._value(node, operands)
         factors = {

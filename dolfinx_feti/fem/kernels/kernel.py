@@ -1,23 +1,13 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Cell integrals of several forms in one visit of each cell, of eight cells at a time.
+"""Cell integrals of several forms in one visit of each cell, of eight cells at a time.
 
-dolfinx calls FFCx's code cell by cell. Here every operation is one on eight cells, which a
-processor does in one to four instructions, and a tangent is contracted in two steps,
-
-.. math:: T_{qa}[i, kL] = \sum_J A_q[iJ, kL]\, ∂_J φ_a, \qquad
-          K[ai, bk] = \sum_{q L} T_{qa}[i, kL]\, ∂_L φ_b,
-
-with the factors A_q at the quadrature points (``integrand``), weighted, and gradients in the
-reference configuration. One half of a K that has a potential is copied (``contraction``). Many
+Every operation is one on eight cells, which a processor does in one to four instructions. Many
 points are visited a few at a time, which bounds what they take of the stack; where a rule has few,
-several groups of eight cells are visited at once.
-
-Values agree with dolfinx's to rounding, and what is no number there is none here.
-
-Forms that differ in functions, constants and meshes alone have one signature, and their code is
-generated once in a run.
+several groups of eight cells are visited at once. Values agree with dolfinx's to rounding, and what
+is no number there is none here. Forms that differ in functions, constants and meshes alone share
+code.
 """
 
 from __future__ import annotations
