@@ -38,6 +38,8 @@ __all__ = ["Checkpoint"]
 
 FILE, FORMAT = "state.npz", 3
 
+Stored = npt.NDArray[Any]
+
 #: How closely the mesh has to agree, relative to its extent: digits that a file of text may lose.
 CLOSE = 1e-10
 
@@ -202,14 +204,12 @@ class Checkpoint:
                 "allow_changes=True accepts other parameters, forms and constants."
             )
 
-    def _write(
-        self, head: Mapping[str, Any], arrays: Iterator[tuple[str, npt.NDArray[np.generic]]]
-    ) -> None:
+    def _write(self, head: Mapping[str, Any], arrays: Iterator[tuple[str, Stored]]) -> None:
         """Write the state beside the last one, bring it to the disk, and let it take its place."""
         part = self._path.with_suffix(".part")
         opened: list[zipfile.ZipFile] = []  # on the first process
 
-        def put(name: str, parts: Sequence[npt.NDArray[np.generic]]) -> None:
+        def put(name: str, parts: Sequence[Stored]) -> None:
             for p, array in enumerate(parts):
                 with opened[0].open(f"{p}/{name}.npy", "w", force_zip64=True) as file:
                     np.lib.format.write_array(file, array, allow_pickle=False)
@@ -257,7 +257,7 @@ class Checkpoint:
 
 def _arrays(
     functions: Sequence[dolfinx.fem.Function], past: Sequence[Sequence[Array]]
-) -> Iterator[tuple[str, npt.NDArray[np.generic]]]:
+) -> Iterator[tuple[str, Stored]]:
     """Yield what this process writes."""
     mesh = functions[0].function_space.mesh
     owned = mesh.topology.index_map(mesh.topology.dim).size_local
@@ -270,15 +270,13 @@ def _arrays(
                 yield f"values {i} {t}", values[i]
 
 
-def _turned(mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.uint32]:
+def _turned(mesh: dolfinx.mesh.Mesh) -> Stored:
     """Return how the edges and faces of each cell are turned, which numbers of vertices decide."""
     mesh.topology.create_entity_permutations()
     return np.asarray(mesh.topology.get_cell_permutation_info(), dtype=np.uint32)
 
 
-def _turn(
-    values: Array, f: dolfinx.fem.Function, turned: npt.NDArray[np.uint32], cells: npt.NDArray[Any]
-) -> None:
+def _turn(values: Array, f: dolfinx.fem.Function, turned: Stored, cells: Stored) -> None:
     """Turn the values of cells, (cells, dofs, bs), by way of those of the reference cell."""
     element, bs, flat = f.function_space.element, values.shape[2], values.reshape(-1)
     if element.needs_dof_transformations:
@@ -286,7 +284,7 @@ def _turn(
         element.Tt_inv_apply(flat, _turned(f.function_space.mesh)[cells], bs)
 
 
-def _gathered(array: npt.NDArray[np.generic], comm: MPI.Comm) -> list[npt.NDArray[np.generic]]:
+def _gathered(array: Stored, comm: MPI.Comm) -> list[Stored]:
     """Bring the arrays of all processes to the first one, one message each."""
     if comm.rank > 0:
         comm.send(array, 0)

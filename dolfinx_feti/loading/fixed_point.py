@@ -38,6 +38,7 @@ class FixedPoint:
     def __init__(self, problem: NonlinearProblem) -> None:
         self._problem, self._comm = problem, problem.u.function_space.mesh.comm
         self.u, self.solver, self.content = problem.u, problem.solver, problem.content
+        self.renew = problem.renew
         self.history: list[NewtonStep] = []
         self.volume_changes: list[float] = []
 
@@ -63,10 +64,6 @@ class FixedPoint:
     def _iterate(self, reference: float | None, options: dict[str, Any]) -> None:
         """Solve the inner problem, at first with options, until the fixed point is found."""
         raise NotImplementedError
-
-    def renew(self) -> None:
-        """Let the next solve depend on none before."""
-        self._problem.renew()
 
     def residual_norm(self) -> float:
         """Return ‖r‖ of the inner problem."""

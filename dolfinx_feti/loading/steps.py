@@ -24,9 +24,6 @@ class Lengths:
         first: The first increment.
         least: The increment below which there is no further halving.
         growth: Factor of the increment from one step to the next, at most.
-
-    Raises:
-        ValueError: A number is out of its range.
     """
 
     first: float
@@ -48,11 +45,7 @@ class Steps(Lengths):
     Attributes:
         quick: Newton steps with a new tangent up to which a load step counts as quick.
         rtol: Newton's relative tolerance at the loads on the way; None for the solver's own.
-        linear_rtol: Relative tolerance of the linear solves there, likewise. Nothing is gained from
-            one below ``rtol``.
-
-    Raises:
-        ValueError: A number is out of its range.
+        linear_rtol: That of the linear solves there, likewise; nothing is gained below ``rtol``.
     """
 
     quick: int = 6

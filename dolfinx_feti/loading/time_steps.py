@@ -57,9 +57,6 @@ class TimeSteps(Lengths):
         longest: The longest [s]; the first one if not given.
         tolerance: Most that the estimated error of the displacement may be in a step [mm]; if not
             given, steps are as long as the first one unless they fail.
-
-    Raises:
-        ValueError: A number is out of its range.
     """
 
     longest: float | None = None
@@ -236,13 +233,9 @@ class _Times(Stepper[TimeStep, TimeSteps]):
         W = (before + self._forces) @ moved[: before.shape[1]] / 2.0  # ½ (f_n + f_{n+1})·Δu
         mine = math.nan if self._energy is None else dolfinx.fem.assemble_scalar(self._energy)
         work, dissipated, stored = map(float, self._comm.allreduce(np.array([*W, mine])))
+        kinetic = self._motion.kinetic_energy()
         return TimeStep(
-            **step,
-            kinetic=self._motion.kinetic_energy(),
-            stored=stored,
-            work=work,
-            dissipated=dissipated,
-            error=error,
+            **step, kinetic=kinetic, stored=stored, work=work, dissipated=dissipated, error=error
         )
 
     def _attempt(self, to: float, target: float) -> None:
