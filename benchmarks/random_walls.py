@@ -25,10 +25,11 @@ import numpy as np
 import dolfinx
 import ufl
 
+from benchmarks.common.bodies import create_solid
 from benchmarks.common.pages import Fields, section
 from benchmarks.common.records import Record
 from benchmarks.common.study import Study
-from dolfinx_feti import ConvergenceError, NonlinearProblem, kinematics, loads, materials
+from dolfinx_feti import ConvergenceError, NonlinearProblem, loads, materials
 from dolfinx_feti.loading import LoadStep, Steps, follow_load
 from dolfinx_feti.wall import (
     Clamp,
@@ -92,34 +93,32 @@ def inflate(seed: int, comm: MPI.Comm) -> Record:
     """Bring a wall from rest to its pressure. Collective."""
     chance, begun = draw(seed), time.perf_counter()
     wall = _create(seed, chance, comm)
-    V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 2, (3,)))
-    u = dolfinx.fem.Function(V)
-    p = dolfinx.fem.Function(dolfinx.fem.functionspace(wall.mesh, ("DG", 0)))
-    v, q, du = ufl.TestFunction(V), ufl.TestFunction(p.function_space), ufl.TrialFunction(V)
+    c, k1, angles = (
+        dict(zip(chance.layers, values, strict=True))
+        for values in (chance.c, chance.k1, chance.angles)
+    )
+    parameters = {"c": by_layer(wall, c), "k1": by_layer(wall, k1), "k2": 0.8393}
+    fibres, plaque = fibre_families(wall, fibre_frame(wall), angles), _plaque(wall, seed, chance)
+    solid = create_solid(
+        wall.mesh,
+        lambda C, J: plaque * materials.holzapfel_gasser_ogden(C, *fibres, **parameters, J=J),
+        kappa=KAPPA,
+        held=[],
+        pressures=("DG", 0),
+    )
+    u, p, energy = solid.u, solid.p, solid.energy
+    V, v, q = u.function_space, *map(ufl.TestFunction, (u.function_space, p.function_space))
     held = {
         name: Spring(stiffness, direction="all") if stiffness else Clamp()
         for name, stiffness in zip(openings(wall), chance.springs, strict=True)
     }
     boundary = apply_conditions(wall, u, {"lumen": Pressure(), **held})
-    c, k1, angles = (
-        dict(zip(chance.layers, values, strict=True))
-        for values in (chance.c, chance.k1, chance.angles)
-    )
-    fibres = fibre_families(wall, fibre_frame(wall), angles)
-    F = kinematics.deformation_gradient(u)
-    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
-    c, k1 = by_layer(wall, c), by_layer(wall, k1)
-    psi = materials.holzapfel_gasser_ogden(C, *fibres, c=c, k1=k1, k2=0.8393, J=J)
-    psi = _plaque(wall, seed, chance) * psi + materials.perturbed_lagrangian(
-        J, p, dolfinx.fem.Constant(wall.mesh, KAPPA)
-    )
-    energy = psi * ufl.dx
     inside = ufl.derivative(energy, u, v)
     problem = NonlinearProblem(
         [inside + boundary.residual, ufl.derivative(energy, p, q)],
         u,
         bcs=boundary.bcs,
-        J=ufl.derivative(inside, u, du) + boundary.tangent,
+        J=ufl.derivative(inside, u, ufl.TrialFunction(V)) + boundary.tangent,
         condense=p,
         energy=None if boundary.energy is None else energy + boundary.energy,
         quadrature_degree=4,

@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 from collective import COMM, agree, small
 
-import dolfinx
-import ufl
-
+from benchmarks.common.bodies import create_solid
 from benchmarks.common.walls.inflated_tube import create_slice
 from benchmarks.common.walls.oracle import Wall, inflate
 from benchmarks.common.walls.problem import tube_fibres
-from dolfinx_feti import NonlinearProblem, kinematics, loads, materials
+from dolfinx_feti import NonlinearProblem, loads, materials
 from dolfinx_feti.wall import Pressure, Slide, apply_conditions
 
 pytestmark = pytest.mark.serial
@@ -29,31 +27,20 @@ CONDITIONS = {"lumen": Pressure()} | {
 @pytest.fixture(scope="module")
 def states():
     """Mean radii of the lumen and of the outer wall [mm], pulled, and pulled and inflated."""
-    wall = create_slice(COMM, size=SIZE)
-    V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 2, (3,)))
-    Q = dolfinx.fem.functionspace(wall.mesh, ("DG", 0))
-    u, p = dolfinx.fem.Function(V), dolfinx.fem.Function(Q)
-    v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
-    tissue = materials.ArteryParameters()
-    F = kinematics.deformation_gradient(u)
-    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
-    psi = materials.holzapfel_gasser_ogden(
-        C, *tube_fibres(wall.mesh), c=tissue.c, k1=tissue.k1, k2=tissue.k2, J=J
-    )
-    psi += materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(wall.mesh, KAPPA))
-    energy = psi * ufl.dx
+    wall, tissue = create_slice(COMM, size=SIZE), materials.ArteryParameters()
+    parameters = {"c": tissue.c, "k1": tissue.k1, "k2": tissue.k2}
+    fibres = tube_fibres(wall.mesh)
+    solid = create_solid(
+        wall.mesh,
+        lambda C, J: materials.holzapfel_gasser_ogden(C, *fibres, **parameters, J=J),
+        kappa=KAPPA, held=[], pressures=("DG", 0),
+    )  # fmt: skip
+    u, energy, V = solid.u, solid.energy, solid.u.function_space
     boundary = apply_conditions(wall, u, CONDITIONS, axis="z")
     problem = NonlinearProblem(
-        [ufl.derivative(energy, u, v) + boundary.residual, ufl.derivative(energy, p, q)],
-        u,
-        bcs=boundary.bcs,
-        J=ufl.derivative(ufl.derivative(energy, u, v), u, du) + boundary.tangent,
-        condense=p,
-        energy=energy + boundary.energy,
-        subdomains=2,
-        petsc_options_prefix="pulled_",
-        quadrature_degree=4,
-    )
+        energy + boundary.energy, u, bcs=boundary.bcs, condense=solid.p,
+        subdomains=2, petsc_options_prefix="pulled_", quadrature_degree=4,
+    )  # fmt: skip
     found = []
     for stretch, pressure in (
         (1 + 0.5 * (STRETCH - 1), 0.0),

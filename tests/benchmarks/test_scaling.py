@@ -16,7 +16,6 @@ import pytest
 
 from benchmarks import scaling
 from benchmarks.common import paper
-from benchmarks.common.records import describe_machine
 from benchmarks.common.scaling.model import (
     CELLS,
     PARTS,
@@ -62,54 +61,6 @@ def test_small_case_is_measured_and_counted(tmp_path, capsys):
     main(["--predict", "3000000", "512", "--json", str(file)])
     said = capsys.readouterr().out.splitlines()
     assert len(said) == 3 and "classical, the paper's choices: " in said[-1], said
-
-
-def test_page_of_the_papers_own_times(tmp_path):
-    """The paper's seconds as records, and counts that grow or do not."""
-    records = [
-        _measured(layers, processes, times)
-        for layers, by_processes in paper.TIMES.items()
-        for processes, times in by_processes.items()
-    ]
-    records += [_counted(layers, P) for layers in scaling.TYPES for P in (8, 64)]
-    file = tmp_path / "scaling.json"
-    file.write_text(json.dumps(records))
-    page = scaling.STUDY.write_page([file], tmp_path)
-    assert "| 512 | 12.70 | 1.003 | 67.60 | 0.606 | 161.00 | 0.394 |" in page
-    assert "| 512 | 23.90 | 0.949 | 297.20 | 0.497 | 667.40 | 0.305 |" in page
-    assert "| 8 | 6 | 5 | 2 | 1 | 10 | 8 | 10 | 10 | 10 | 2 | 10 | 10 | 0.01 | 10 |" in page
-    assert "| 64 | 6 | 5 | 2.2 | 1.1 | 10 | 64 | 10 | 10 | 10 | 2 | 10 | 10 | 0.01 | 10 |" in page
-    assert (tmp_path / "scaling.png").stat().st_size > 20_000
-
-
-def _case(layers: int, processes: int, task: str) -> dict:
-    case = {"study": "scaling", "task": task, "geometry": "vessel", "size": None, "layers": layers}
-    case |= {"degree": 1, "kappa": 100.0, "type": scaling.TYPES[layers], "pc": "lumped"}
-    case |= {"choices": "paper", "subdomains": 512, "processes": processes}
-    case |= {"dofs": paper.DOFS[layers], "multipliers": 10**6, "coarse_size": 3072}
-    case |= {"subdomains_in_all": 512, "formulation": "dual", "machine": describe_machine()}
-    return case | {"date": "2026-01-02T03:04:05+00:00"}
-
-
-def _measured(layers: int, processes: int, times: paper.Times) -> dict:
-    seconds = {f"seconds_{part}": value for part, value in times._asdict().items()}
-    seconds |= {"seconds_coarse": 5.0, "seconds_reading": 1.0, "newton_iterations": 5}
-    seconds |= {"seconds_fixed": 0.1}
-    its = {"linear_iterations_per_newton": [324] * 5, "linear_iterations_mean": 324.0}
-    wall = [f"Wall{phase}" for phase in ("Read", "Partition", "Tags", "Fibres")]
-    once = dict.fromkeys([*wall, "FETITear", "FETIPattern", "FETIGluing"], 0.5)
-    return _case(layers, processes, "measure") | seconds | its | {"seconds_once": once}
-
-
-def _counted(layers: int, processes: int) -> dict:
-    """Return counts of which the busiest process's messages grow with the processes."""
-    even = {name: {"mean": 10.0, "max": 10.0} for name in COUNTERS}
-    grown = even | {"messages": {"mean": 10.0, "max": float(processes)}}
-    found = {"setup": even, "iteration": grown, "neighbours": 6.0, "coarse_solves": 2.0}
-    found |= {"neighbours_mean": 5.0, "messages_to_each": 2.2 if processes == 64 else 2.0}
-    found |= {"coarse_entries": 1e6, "coarse_flops": 1e9, "reading": even}
-    found |= {"reading_bytes": 1e6, "reading_mib": 10.0}
-    return _case(layers, processes, "count") | found
 
 
 BASE = {"processes": 1, "subdomains_in_all": 512, "coarse_size": 3072, "newton_iterations": 5}

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""README.md: its program, on as many processes as there are, and its length."""
+"""README.md and CONTRIBUTING.md: their programs, on as many processes as there are."""
 
 from __future__ import annotations
 
@@ -31,3 +31,12 @@ def test_the_program_bends_a_cantilever():
 def test_a_visitor_reads_it():
     agree(len(README.split()) <= 900)
     agree(README.index("docs/images/speed.png") < README.index("## Install"))
+
+
+def test_the_example_of_contributing_passes():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    (source,) = re.findall(r"^```python\n(.*?)^```", text, re.M | re.S)
+    names: dict[str, object] = {}
+    exec(compile(source, "CONTRIBUTING.md", "exec"), names)
+    (test,) = [value for name, value in names.items() if name.startswith("test_")]
+    test()
