@@ -48,7 +48,7 @@ from benchmarks.common.compare.opponents import OPPONENTS
 from benchmarks.common.compare.tables import GEOMETRIES, fields, seconds
 from benchmarks.common.records import Record, Records, threads
 from benchmarks.common.study import Arguments, Keep, Study
-from benchmarks.common.walls.problem import WallProblem, create_clamped
+from benchmarks.common.walls.problem import create_clamped
 from dolfinx_feti import LinearProblem, NonlinearProblem, loads
 from dolfinx_feti.loading import Checkpoint
 from dolfinx_feti.output import writable_folder
@@ -174,9 +174,7 @@ def _median(rounds: Sequence[list[Record]]) -> list[Record]:
     return found
 
 
-def _create_body(
-    case: Record, folder: Path, comm: MPI.Comm
-) -> WallProblem | bodies.Body | LinearProblem:
+def _create_body(case: Record, folder: Path, comm: MPI.Comm) -> bodies.Body | LinearProblem:
     """Build a body at rest; FETI shows its parts (``ksp_view``) where it solves once only."""
     once = case["path_mmhg"] is None and case["loaded_mmhg"] is None and "per" not in case
     geometry, options = str(case["geometry"]), {"ksp_view": None} if once else {}

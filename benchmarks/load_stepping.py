@@ -31,12 +31,12 @@ import numpy.typing as npt
 import dolfinx
 
 from benchmarks.common import command
+from benchmarks.common.bodies import Body
 from benchmarks.common.pages import Fields, groups
 from benchmarks.common.plots import COLOURS, picture
 from benchmarks.common.records import Record
 from benchmarks.common.study import Arguments, Keep, Study
 from benchmarks.common.walls.problem import (
-    WallProblem,
     create_wall_problem,
     summarise,
     volume_ratios,
@@ -143,7 +143,7 @@ def _cost(step: LoadStep) -> Record:
     }
 
 
-def _state(body: WallProblem, points: Sequence[np.ndarray]) -> Record:
+def _state(body: Body, points: Sequence[np.ndarray]) -> Record:
     """Return displacement norm, stress magnitude at the points, and volume ratios. Collective."""
     norm, stress = at_points(body, points)
     return {
@@ -177,7 +177,7 @@ def five_points(mesh: dolfinx.mesh.Mesh) -> list[npt.NDArray[np.int64]]:
     return points
 
 
-def at_points(body: WallProblem, points: Sequence[npt.NDArray[np.int64]]) -> tuple[Array, Array]:
+def at_points(body: Body, points: Sequence[npt.NDArray[np.int64]]) -> tuple[Array, Array]:
     """Return u_norm [mm] (eq. 57) and σ_mag [kPa] at the points, on all processes. Collective."""
     mesh = body.u.function_space.mesh
     norm = np.linalg.norm(cell_values(body.u, mesh), axis=1)

@@ -9,7 +9,7 @@ Millimetres and kPa. All functions are collective.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -17,11 +17,14 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
+import basix.ufl
 import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
 from dolfinx_feti import LinearProblem, NonlinearProblem, kinematics, loads, materials
+from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
+from dolfinx_feti.mechanics.residual_stress import elastic_part
 
 __all__ = [
     "Body",
@@ -37,8 +40,6 @@ __all__ = [
     "hold",
     "plane",
 ]
-
-QUADRATURE = 4  # degree
 
 POISSON = 0.3
 SHEAR_MODULUS = 1.0  # kPa
@@ -58,6 +59,7 @@ class Solid:
     p: dolfinx.fem.Function
     bcs: list[dolfinx.fem.DirichletBC]
     energy: ufl.Form
+    stress: Expr  # Cauchy's σ [kPa]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +72,37 @@ class Body:
     held: Sequence[Held]
     problem: NonlinearProblem
     load: dolfinx.fem.Constant
+    stress: Expr  # Cauchy's σ [kPa]
     measure: Callable[[], dict[str, float]]  # of the state in u and p; collective
     full: float = 1.0  # all of the load
+
+    @property
+    def dofs(self) -> int:
+        """Displacement dofs."""
+        dofmap = self.u.function_space.dofmap
+        return dofmap.index_map.size_global * dofmap.index_map_bs
 
     def set_load(self, share: float) -> None:
         """Set a share of the load."""
         self.load.value = share * self.full
+
+    def inflate(
+        self,
+        pressures: Sequence[float],
+        steps: Steps,
+        *,
+        on_step: Callable[[LoadStep], object],
+        checkpoint: Checkpoint | None = None,
+    ) -> None:
+        """Go from equilibrium to equilibrium up to some pressures [mmHg], see ``follow_load``."""
+
+        def set_load(mmhg: float) -> None:
+            self.load.value = loads.mmhg(mmhg)
+
+        follow_load(
+            self.problem, set_load, pressures, steps, state=[self.u, self.p],
+            on_step=on_step, checkpoint=checkpoint, unit="mmHg",
+        )  # fmt: skip
 
 
 def create_solid(
@@ -85,59 +112,68 @@ def create_solid(
     kappa: float,
     held: Sequence[Held],
     degree: int = 2,
+    element: basix.ufl._ElementBase | None = None,
     pressures: tuple[str, int] = ("DPC", 1),
+    G: Expr | None = None,
 ) -> Solid:
-    """Build a body without loads of Ψ(C, J) [kPa] and κ [kPa], with u in P_k or Q_k."""
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (3,)))
+    """Build a body without loads of Ψ(C, J) [kPa] and κ [kPa].
+
+    Each component of u has an element, or else P_k or Q_k; the quadrature is of degree 2 k. G is
+    the part of the deformation without energy, det G = 1.
+    """
+    element = element or basix.ufl.element("Lagrange", mesh.basix_cell(), degree)
+    V = dolfinx.fem.functionspace(mesh, basix.ufl.blocked_element(element, shape=(3,)))
     u = dolfinx.fem.Function(V, name="u")
     p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, pressures), name="p")
     F = kinematics.deformation_gradient(u)
-    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+    E = F if G is None else elastic_part(F, G)
+    C, J = kinematics.right_cauchy_green(E), kinematics.jacobian(E)
     psi = energy(C, J) + materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(mesh, kappa))
-    stored = psi * ufl.dx(metadata={"quadrature_degree": QUADRATURE})
-    return Solid(u, p, [hold(V, component, facets) for component, facets in held], stored)
+    stored = psi * ufl.dx(metadata={"quadrature_degree": 2 * degree})
+    bcs = [hold(V, component, facets) for component, facets in held]
+    return Solid(u, p, bcs, stored, kinematics.cauchy_stress(psi, F))
 
 
 def create_body(
     mesh: dolfinx.mesh.Mesh,
     energy: Callable[[Expr, Expr, Expr], Expr],
     *,
-    kappa: float,
     held: Sequence[Held],
     loaded: Facets,
-    load: float | Sequence[float],
+    load: float | Sequence[float] = 1.0,
     measure: Callable[[dolfinx.fem.Function], dict[str, float]] = lambda _u: {},
     grip: float = 0.0,
     degree: int = 2,
-    pressures: tuple[str, int] = ("DPC", 1),
     tangent: loads.Kind = "auto",
-    **settings: object,
+    lumen: bool = False,
+    axis: tuple[float, float, float] | None = None,
+    settings: Mapping[str, object] | None = None,
+    **solid: object,
 ) -> Body:
     """Build a body.
 
     Args:
         mesh: Its cells.
         energy: Makes Ψ of C, J and the share of the load [kPa].
-        kappa: κ [kPa].
         held: Where it is held.
         loaded: The facets that the load acts on.
         load: A pressure that follows the surface, or a force per reference area [kPa].
         measure: Reads off u.
         grip: Penalty ½ grip ‖∂u/∂X‖² on the loaded surface [kPa mm], which keeps a clamped end
             flat, as a grip that moves with the force does.
-        degree: That of u.
-        pressures: Element of p.
+        degree: k.
         tangent: What of a pressure's derivative is taken.
+        lumen: Let Newton's method know the potential of a pressure in a lumen, which keeps it on
+            the way down; of a force per area it always does.
+        axis: Direction along which the ends slide, see ``loads.pressure_potential``.
         settings: Further arguments of the problem.
+        solid: Further arguments of :func:`create_solid`.
     """
     share = dolfinx.fem.Constant(mesh, 0.0)
-    solid = create_solid(
-        mesh, lambda C, J: energy(C, J, share),
-        kappa=kappa, held=held, degree=degree, pressures=pressures,
-    )  # fmt: skip
-    u, p, bcs, potential = solid.u, solid.p, solid.bcs, solid.energy
+    made = create_solid(mesh, lambda C, J: energy(C, J, share), held=held, degree=degree, **solid)
+    u, p, bcs, potential = made.u, made.p, made.bcs, made.energy
     v, q = ufl.TestFunction(u.function_space), ufl.TestFunction(p.function_space)
-    du, metadata = ufl.TrialFunction(u.function_space), {"quadrature_degree": QUADRATURE}
+    du, metadata = ufl.TrialFunction(u.function_space), {"quadrature_degree": 2 * degree}
     tags = dolfinx.mesh.meshtags(mesh, 2, loaded, np.ones(len(loaded), dtype=np.int32))
     ds = ufl.Measure("ds", mesh, subdomain_data=tags, metadata=metadata)(1)
     if grip:
@@ -149,15 +185,18 @@ def create_body(
         potential -= share * ufl.dot(ufl.as_vector(load), u) * ds
     F_u = ufl.derivative(potential, u, v)
     K = ufl.derivative(F_u, u, du)
+    residual_p = ufl.derivative(potential, p, q)
     if follows:
         F_u += loads.follower_pressure(load * share, u, v, ds)
         K += loads.follower_pressure_tangent(load * share, u, v, du, ds, tangent, bcs=bcs)
-    residuals = (F_u, ufl.derivative(potential, p, q))
+    if lumen:
+        potential += loads.pressure_potential(load * share, u, ds, axis=axis)
     problem = NonlinearProblem(
-        residuals, u, bcs=bcs, J=K, condense=p, energy=None if follows else potential,
-        quadrature_degree=QUADRATURE, **settings,
+        (F_u, residual_p), u, bcs=bcs, J=K, condense=p,
+        energy=potential if lumen or not follows else None,
+        quadrature_degree=2 * degree, **(settings or {}),
     )  # fmt: skip
-    return Body(u, p, residuals, held, problem, share, lambda: measure(u))
+    return Body(u, p, (F_u, residual_p), held, problem, share, made.stress, lambda: measure(u))
 
 
 def create_neo_hookean(
@@ -187,9 +226,11 @@ def create_neo_hookean(
         degree=degree,
         pressures=("DG", 0),
         tangent="symmetric",
-        subdomains=subdomains,
-        petsc_options_prefix="body_",
-        petsc_options=options,
+        settings={
+            "subdomains": subdomains,
+            "petsc_options_prefix": "body_",
+            "petsc_options": options,
+        },
     )
 
 

@@ -20,9 +20,8 @@ from walls import tube, wall
 
 import dolfinx_feti
 from benchmarks import compare
-from benchmarks.common.bodies import create_neo_hookean
+from benchmarks.common import bodies
 from benchmarks.common.compare.opponents import OPPONENTS
-from benchmarks.common.walls import problem as walls_problem
 from dolfinx_feti import ConvergenceError, LinearProblem, loads
 
 pytest.importorskip("matplotlib")
@@ -78,7 +77,7 @@ def test_all_solvers_solve_the_same_system(tmp_path, capfd):
 
 def test_block_is_clamped_on_five_faces():
     """The nodes of the sixth face that are on no other one are free."""
-    block = create_neo_hookean(COMM, 5, dofs=400, kappa=10.0, subdomains=None, options={})
+    block = bodies.create_neo_hookean(COMM, 5, dofs=400, kappa=10.0, subdomains=None, options={})
     V = block.u.function_space
     n = V.dofmap.index_map.size_local
     x = V.tabulate_dof_coordinates()[:n]
@@ -147,7 +146,7 @@ def test_path_that_fails_is_recorded(monkeypatch):
         problem.solve()
         raise ConvergenceError("No equilibrium\nwas found.")
 
-    monkeypatch.setattr(walls_problem, "follow_load", fold)
+    monkeypatch.setattr(bodies, "follow_load", fold)
     records = main([*SMALL, "--path", "0.1", "--kappa", "10"])
     for record in records:
         agree(not record["converged"], record)

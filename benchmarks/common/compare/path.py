@@ -24,10 +24,10 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.common.bodies import Body
 from benchmarks.common.clock import Stopwatch
 from benchmarks.common.compare.opponents import OPPONENTS
 from benchmarks.common.records import Record
-from benchmarks.common.walls.problem import WallProblem
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.comparison import (
     assembled_system,
@@ -51,7 +51,7 @@ FIRST, RTOL, LINEAR_RTOL = 0.1, 1e-3, 1e-3
 
 
 def load(
-    body: WallProblem,
+    body: Body,
     mmhg: float,
     checkpoint: Checkpoint | None = None,
     on_step: Callable[[LoadStep], object] = lambda _step: None,
@@ -62,7 +62,7 @@ def load(
     body.inflate([mmhg], steps, on_step=on_step, checkpoint=checkpoint)
 
 
-def follow(body: WallProblem, mmhg: float, *, direct: Sequence[str] = ()) -> list[Record]:
+def follow(body: Body, mmhg: float, *, direct: Sequence[str] = ()) -> list[Record]:
     """Load a wall at rest [mmHg], and record what its systems cost FETI and others. Collective.
 
     Returns:

@@ -30,11 +30,12 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.common.bodies import Body
 from benchmarks.common.clock import Events
 from benchmarks.common.records import Record
 from benchmarks.common.scaling.traffic import COUNTERS, gather, since_reset, start_count
 from benchmarks.common.walls import first_step
-from benchmarks.common.walls.problem import WallProblem, right_hand_side
+from benchmarks.common.walls.problem import right_hand_side
 from dolfinx_feti import FETI, loads
 from dolfinx_feti.comparison import PeakMemory
 from dolfinx_feti.feti.coarse.group import GroupFactor
@@ -162,7 +163,7 @@ def _written(case: Record, comm: MPI.Comm) -> Path:
     return path
 
 
-def _create(case: Record, comm: MPI.Comm, wall: Wall | None = None) -> WallProblem:
+def _create(case: Record, comm: MPI.Comm, wall: Wall | None = None) -> Body:
     """Tear the wall of a case."""
     wall = wall or _read(case, comm)
     own = {"feti_type": case["type"], "feti_pc_type": case["pc"], "snes_max_it": STEPS}
@@ -212,7 +213,7 @@ def _summary(counts: Array) -> Record:
     }
 
 
-def _sizes(body: WallProblem) -> Record:
+def _sizes(body: Body) -> Record:
     report = body.problem.solver.getKSP().getPythonContext().report()
     return first_step.sizes(body) | {"coarse_mib": report.coarse_mib}
 

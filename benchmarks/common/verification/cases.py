@@ -187,9 +187,7 @@ def create_stressed_tube(
             "radial": found["recovered_rr_error"],
         }
 
-    body = tube.body
-    residuals = (body.residual, body.constraint)
-    return Body(body.u, body.p, residuals, body.held, body.problem, body.load, measure, PRESSURE)
+    return replace(tube.body, measure=measure, full=PRESSURE)
 
 
 def _tube(comm: MPI.Comm, n: int, *, by_shape: bool) -> Body:

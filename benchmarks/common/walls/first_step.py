@@ -18,8 +18,9 @@ import numpy.typing as npt
 
 import dolfinx
 
+from benchmarks.common.bodies import Body
 from benchmarks.common.records import Record
-from benchmarks.common.walls.problem import WallProblem, create_wall_problem
+from benchmarks.common.walls.problem import create_wall_problem
 from dolfinx_feti import ConvergenceError, loads
 from dolfinx_feti.fem.decomposition import decompose
 from dolfinx_feti.wall import Wall, facets, openings
@@ -81,7 +82,7 @@ def create(
     case: Record,
     subdomains: int | Parts,
     options: Record,
-) -> WallProblem:
+) -> Body:
     """Tear a wall at rest, with a number of subdomains or a part for each owned cell. Collective.
 
     Of the case it takes ``layers``, ``degree``, ``kappa`` [kPa] and ``choices``.
@@ -94,12 +95,12 @@ def create(
         subdomains=subdomains,
         options=OPTIONS[str(case["choices"])] | options,
         fibres=fibre_families(wall, frame, angles),
-        potential=False,
+        lumen=False,
         tangent=TANGENTS[str(case["choices"])],
     )
 
 
-def sizes(body: WallProblem) -> Record:
+def sizes(body: Body) -> Record:
     """Return the sizes of a wall that is set up, and what is solved in which form."""
     report = body.problem.solver.getKSP().getPythonContext().report()
     names = ("multipliers", "coarse_size", "formulation")
@@ -107,7 +108,7 @@ def sizes(body: WallProblem) -> Record:
     return {"dofs": body.dofs} | known | {n: getattr(report, n) for n in names if known}
 
 
-def load(body: WallProblem, mmhg: float, *, in_part: bool) -> None:
+def load(body: Body, mmhg: float, *, in_part: bool) -> None:
     """Load a wall at rest [mmHg], or only by the Newton steps that the options allow. Collective.
 
     Raises:

@@ -25,10 +25,10 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
+from benchmarks.common.bodies import Body
 from benchmarks.common.walls.oracle import Layer, Tube
 from benchmarks.common.walls.problem import (
     INTERFACE,
-    WallProblem,
     create_wall_problem,
     tube_fibres,
 )
@@ -94,7 +94,7 @@ PLANES = {"opening_1": 2, "opening_2": 2, "symmetry_x": 0, "symmetry_y": 1}
 class InflatedTube:
     """The problem of a tube, and what is compared."""
 
-    body: WallProblem
+    body: Body
     frame: tuple[Expr, Expr]  # e_r and e_θ in the reference
     patches: Patches | None  # where the stress is recovered, layer by layer; not where it need not
     points: Array  # of the quadrature in the reference cell, (points, 3)
