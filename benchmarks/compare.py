@@ -10,25 +10,12 @@ under a hundredth more; or with --path P all Newton steps up to P mmHg:
     python3 -m benchmarks.compare --geometry vessel --dofs 71000 --path 10 --json build/speed.json
     python3 -m benchmarks.compare --geometry cube --degree 1 --solvers feti --per 500,1000,2000
 
-Bodies: the two-layer `tube` at 1 mmHg and `vessel` at 0.01 mmHg, and the neo-Hookean `block`,
-clamped on five faces, under a dead load of 1 mmHg on the sixth one, and `pillar`, clamped on one,
-under a pressure of 1 mmHg; P_k–P0. Compressible and linear: `cube`, and `square` in two dimensions;
-Poisson's equation on a cube, `heat`.
-
-`--solvers` takes those of `benchmarks/common/compare/opponents.py`, which has their settings.
-Matrices are there before a solver begins. `peak_mib` is the most memory that a solver took above
-that, from its creation to its solution, summed over the processes. In each of the --rounds all
-solvers have their turn; the record has the round with the median time, and `seconds_rounds` those
-of all. On a path Newton's method goes on with FETI's solutions, and direct solvers solve the same
-systems. --per varies the dofs of a subdomain: `seconds_cpu` of FETI is processor time of the
-slowest process, the least of all rounds.
-
-All κ have the same subdomains. A case that is in the file with all its solvers is not run again. A
-solver that fails is recorded with the reason, also for want of memory under the shell's `ulimit -d
-KIB`; the kernel would end the program. Processes and threads
-(OMP_NUM_THREADS) are those that it is started with: run it on two processes and on one with two
-threads, and the page takes the better one of each solver. Options with a single dash are PETSc's,
-with the prefixes `tube_`, `vessel_`, `body_` (FETI), `mumps_`, `gamg_`, …
+`peak_mib` is the most memory that a solver took above the matrices, summed over the processes. Of
+--rounds, in which the solvers take turns, the record has the one with the median time. --per varies
+the dofs of a subdomain: `seconds_cpu` of FETI is processor time, the least of all rounds. A solver
+that fails, also for want of memory under `ulimit -d KIB`, is recorded with the reason. Run it on
+two processes and on one with OMP_NUM_THREADS=2: the page takes the better one of each solver.
+Prefixes of PETSc's options: `tube_`, `vessel_`, `body_` (FETI), `mumps_`, `gamg_`, …
 """
 
 from __future__ import annotations

@@ -5,16 +5,12 @@
 
     python3 -m benchmarks.load_stepping --geometry vessel --pressure 300 --json build/loading.json
 
-The wall of `demos/demo_artery.py`, or the tube, with c = 6 kPa, κ = 1000 kPa, 32 subdomains and the
-Dirichlet preconditioner, is inflated in load steps that adapt, once by all-floating and once by
-classical FETI. A record for each accepted step holds its cost, displacement norm and stress
-magnitude at five points A–E, and how well the elements keep their volume. With `--checkpoint
-FOLDER` a run that was interrupted is continued.
-
-The page has the paper's figures (Augustin_fig:timestepping, …Iterations): the stress magnitude over
-the relative displacement u_rel = u_norm / u_max, u_norm (eq. 57) over the pressure, iterations of a
-Newton step, seconds of a load step. At such pressures the wall of the vessel, a cerebral aneurysm
-with the material of a carotid artery, is a numerical benchmark and no physiology.
+A wall is inflated in load steps that adapt, by all-floating and by classical FETI with the
+Dirichlet preconditioner. A record for each accepted step holds its cost, displacement norm and
+stress magnitude at five points A–E, and how well the elements keep their volume. With `--checkpoint
+FOLDER` a run that was interrupted is continued. The page has the paper's figures
+(Augustin_fig:timestepping, …Iterations): the stress magnitude over the relative displacement u_rel
+= u_norm / u_max, u_norm (eq. 57) over the pressure, iterations, seconds.
 """
 
 from __future__ import annotations

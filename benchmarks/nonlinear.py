@@ -6,18 +6,12 @@
     mpirun -n 2 python3 -m benchmarks.nonlinear --geometry vessel --json build/nonlinear.json
 
 Both variants, three preconditioners and κ = 10, 100, 1000 kPa, with the paper's choices and with
-the package's own (section *Arterial model on a realistic mesh geometry*, tables
-Augustin_tab:aorta_linear, carotis_linear, aorta_quadratic, carotis_quadratic). A wall of one layer
+the package's own (section *Arterial model on a realistic mesh geometry*). A wall of one layer
 stands for the paper's aorta, one of two layers, at the highest κ, for its carotid artery. Last come
-decompositions in which one subdomain touches the clamped rim in three points, and not at all, at
-the lowest and the highest κ.
+decompositions in which one subdomain touches the clamped rim in three points, and not at all.
 
-The paper's choices include its tangent, without that of the pressure: CG solves all systems, and
-the first four Newton steps are taken. Its load is 1 mmHg, under which a thin wall at rest, which
-has no tension yet, would buckle: the vessel takes `--pressure 0.2`.
-
-A case whose Krylov method took more than --most-iterations is run again if more are allowed. One
-that fails is recorded with the reason.
+A thin wall at rest would buckle under 1 mmHg: the vessel takes `--pressure 0.2`. A case that took
+more than --most-iterations is run again if more are allowed; a failure is recorded with the reason.
 """
 
 from __future__ import annotations

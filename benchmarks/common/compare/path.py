@@ -5,12 +5,9 @@ r"""A load path whose linear systems FETI and direct solvers solve.
 
 .. math:: A(U^k)\, ΔU = -r(U^k), \qquad U^{k+1} = U^k + α\, ΔU
 
-Newton's method goes on with FETI's ΔU, so that there is one path; the others solve each system
-after FETI. All keep from one tangent to the next what they can: FETI its gluing, its coarse space
-and the factors of a few tangents (``feti_lag``), MUMPS its analysis. A tangent that Newton's method
-keeps is factored once. FETI is as accurate as each step deserves (``newton``): its residual in a
-record is that of the roughest solve. *End to end* is everything from the first to the last
-equilibrium, with the linear solves of one solver.
+Newton's method goes on with FETI's ΔU; the others solve each system after FETI, and keep what they
+can: MUMPS its analysis, and the factors of a tangent that Newton's method keeps. *End to end* is
+everything from the first to the last equilibrium, with the linear solves of one solver.
 """
 
 from __future__ import annotations

@@ -174,51 +174,30 @@ def create_slice(comm: MPI.Comm, *, size: float, element: str = "p2-p0") -> Wall
     if kind.bricks is not None:
         media, adventitia, around = (max(1, round(n * STANDARD / size)) for n in kind.bricks)
         return create_brick_tube(
-            comm,
-            length=size,
-            size=size,
-            quarter=True,
-            around=around,
-            along=1,
-            through=(media, adventitia),
-            growth=GROWTH,
-            tetrahedra=kind.tetrahedra,
-        )
+            comm, length=size, size=size, quarter=True, around=around, along=1,
+            through=(media, adventitia), growth=GROWTH, tetrahedra=kind.tetrahedra,
+        )  # fmt: skip
     around = count_around(size, quarter=True)
     return create_tube_wall(comm, length=size, size=size, quarter=True, around=around)
 
 
-def create_inflated_tube(
-    wall: Wall,
-    *,
-    c: float,
-    kappa: float,
-    subdomains: int,
-    element: str = "p2-p0",
-    volume_tolerance: float | None = None,
-    G: Expr | None = None,
-) -> InflatedTube:
+def create_inflated_tube(wall: Wall, *, element: str = "p2-p0", **settings: object) -> InflatedTube:
     """Build the tube on a wall of :func:`create_slice`; PETSc options have the prefix ``tube_``.
 
-    G is the part of its deformation without energy, as of :func:`residual_part`.
+    The settings are further ones of :func:`create_wall_problem`.
     """
     mesh, kind = wall.mesh, ELEMENTS[element]
-    fibres = tube_fibres(mesh) if kind.bricks is None else _helices(wall)
     body = create_wall_problem(
         wall,
         degree=kind.degree,
         pressures=kind.pressures,
         element=quadratic_with_bubbles("tetrahedron", faces=True) if kind.bubbles else None,
-        volume_tolerance=volume_tolerance,
-        c=c,
-        kappa=kappa,
-        subdomains=subdomains,
         options={},
         prefix="tube_",
-        fibres=fibres,
-        G=G,
+        fibres=tube_fibres(mesh) if kind.bricks is None else _helices(wall),
         held=[(component, facets(wall, name)) for name, component in PLANES.items()],
         axis=(0.0, 0.0, 1.0),
+        **settings,
     )
     r, e_r, e_t = _polar(mesh)
     cell = getattr(basix.CellType, mesh.topology.cell_name())
@@ -227,14 +206,11 @@ def create_inflated_tube(
     layer = np.zeros(len(volume), dtype=np.int64)
     outer = wall.cell_tags.find(wall.layers["adventitia"])
     layer[outer[outer < len(layer)]] = 1
+    straight = kind.bricks is None
     return InflatedTube(
         body,
         frame=(e_r, e_t),
-        patches=(
-            None
-            if kind.bricks is not None
-            else create_patches(mesh, wall.cell_tags, degree=QUADRATURE)
-        ),
+        patches=create_patches(mesh, wall.cell_tags, degree=QUADRATURE) if straight else None,
         points=points,
         radii=_at_points(r, mesh, points),
         weights=volume * weights,
@@ -261,12 +237,10 @@ def _helices(wall: Wall) -> tuple[Expr, Expr]:
 def residual_part(wall: Wall, layers: Sequence[Layer]) -> Expr:
     """Return G of layers that open, media and adventitia, as it is at each point."""
     r, e_r, e_t = _polar(wall.mesh)
+    values = [((part.inner + part.outer) / 2, part.opening, part.stretch) for part in layers]
     middle, angle, stretch = (
-        by_layer(wall, dict(zip(("media", "adventitia"), values, strict=True)))
-        for values in zip(
-            *(((part.inner + part.outer) / 2, part.opening, part.stretch) for part in layers),
-            strict=True,
-        )
+        by_layer(wall, dict(zip(("media", "adventitia"), column, strict=True)))
+        for column in zip(*values, strict=True)
     )
     λ = residual_stretch(1 / middle, r - middle, angle, stretch)
     return opened([e_t, ufl.as_vector([0.0, 0.0, 1.0]), e_r], λ, stretch)
