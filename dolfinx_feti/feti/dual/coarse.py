@@ -84,7 +84,9 @@ class Coarse:
         self.exact = torn.comm.allreduce(all(m.exact for m in modes), op=MPI.LAND)
         with Lifetime() as owned:
             own = owned.own
-            self.G = own(self._jump_of(gluing.B, [m.E for m in modes]))
+            columns = own_columns(torn, self._dofs, [m.E for m in modes])
+            self.G = own(gluing.B.matMult(columns))  # G = B E
+            columns.destroy()
             self.q = own(_weight(torn, preconditioner.B_D.matrix, q))
             self.MG: WeightedColumns | None = None
             if q == "preconditioner":
@@ -99,7 +101,8 @@ class Coarse:
                 part, self.N = self.N, self.MG.galerkin_matrix
                 self.N.axpy(1.0, part, structure=SUBSET if self.MG.complete else DIFFERENT)
                 part.destroy()
-            if not anchor(self.N, self._amplitudes(null_space(torn))):
+            Z = null_space(torn)
+            if not anchor(self.N, on_subdomains(lambda: self._amplitudes(Z), torn.comm)):
                 raise SetUpError(
                     "Subdomains resist the null space of A: use feti_formulation primal."
                 )
@@ -141,30 +144,10 @@ class Coarse:
 
     def _amplitudes(self, Z: Array) -> Array:
         """Return own rows of S, with Z = E S, for fields on the torn dofs, (n, k)."""
-        if not Z.shape[1]:
-            return np.zeros((self.size, 0))
-        return on_subdomains(lambda: self._fitted(Z), self._torn.comm)
-
-    def _fitted(self, Z: Array) -> Array:
-        """Do the work of :meth:`_amplitudes` on the subdomains of this process."""
-        E = [m.E for m in self._modes]
-        images = [E_i.T @ Z[dofs] for E_i, dofs in zip(E, self._dofs, strict=True)]
-        S: list[Array] = [Z[:0]] * len(E)
-        for k in {E_i.shape[1] for E_i in E}:  # together, as many columns in each
-            alike = [i for i, E_i in enumerate(E) if E_i.shape[1] == k]
-            gram = np.stack([E[i].T @ E[i] for i in alike])
-            inverse = np.linalg.pinv(gram, hermitian=True)
-            S_k = inverse @ np.stack([images[i] for i in alike])  # (Eᵀ E)⁺ Eᵀ Z
-            for i, j in enumerate(alike):
-                S[j] = S_k[i]
-        return np.vstack([Z[:0], *S])
-
-    def _jump_of(self, B: PETSc.Mat, E: list[Array]) -> PETSc.Mat:
-        """Form B E from the kernels of all subdomains."""
-        columns = own_columns(self._torn, self._dofs, E)
-        G = B.matMult(columns)  # G = B E
-        columns.destroy()
-        return G
+        pairs = zip(self._modes, self._dofs, strict=True)
+        if not Z.size:
+            return np.zeros((self.size, Z.shape[1]))
+        return np.vstack([np.linalg.pinv(m.E) @ Z[dofs] for m, dofs in pairs])  # E⁺ Z
 
     def _block_diagonal(self, blocks: list[Array]) -> PETSc.Mat:
         """Assemble a block for each subdomain, (k_i, k_i), into a matrix, (K, K)."""
