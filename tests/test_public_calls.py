@@ -21,7 +21,7 @@ from collective import COMM, agree, small
 from problems import cube, elasticity
 
 from dolfinx_feti import LinearProblem, comparison
-from dolfinx_feti.diagnosis import figures
+from dolfinx_feti.diagnosis import run
 
 TESTS = Path(__file__).parent
 
@@ -59,9 +59,9 @@ def test_calls_that_work_for_others():
     A, b = problem.linear_system()
     x = b.duplicate()
     cost, ksp = comparison.timed_solve(problem.create_linear_solver, b, x)
-    small(np.linalg.norm(figures.residual_shares(A, b, x)) / b.norm(), 1e-7)
+    small(np.linalg.norm(run.residual_shares(A, b, x)) / b.norm(), 1e-7)
     context = ksp.getPythonContext()
-    found = figures.collect_figures(context.form)
+    found = run.collect_figures(context.form)
     agree(len(set(COMM.allgather(repr(found)))) == 1, found)
     agree(cost.iterations == ksp.getIterationNumber() and cost.seconds_solve > 0.0, cost)
     K, f = comparison.assembled_system(A, b)

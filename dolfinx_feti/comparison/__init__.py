@@ -3,19 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """FETI and other solvers compared: on the same linear system, with the same measure of cost.
 
-FETI solves with the torn matrix, other solvers with the assembled matrix that PETSc converts it to.
-
-Example::
-
-    problem = dolfinx_feti.LinearProblem(a, L, bcs=[bc], subdomains=64, …)
-    print(dolfinx_feti.compare(problem))
-
-or, step by step::
-
-    A, b = problem.linear_system()
-    K, f = assembled_system(A, b)
-    cost, x = measure(lambda: create_solver(K), f)
-
 In the order of the data: solvers, run.
 """
 

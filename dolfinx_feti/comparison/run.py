@@ -3,10 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """FETI and other solvers on a problem of one's own, one after the other (docs/comparing.md).
 
-FETI and BDDC get the torn matrix, the others the assembled one with unit rows for Dirichlet dofs;
-residuals and differences are measured on the free dofs, in the same system for all. The direct
-solution is the reference of the others only if its own residual is small; otherwise the matrix is
-factored once more, by LU, and without success there is no reference.
+Residuals and differences are measured on the free dofs, in the same system for all. The direct
+solution is the reference of the others if its own residual is small, by LU if need be.
 """
 
 from __future__ import annotations
@@ -62,12 +60,9 @@ class SolverResult:
     Attributes:
         solver: Its name.
         cost: What it took; None if PETSc raised an error.
-        relative_residual: ‖f − K x‖/‖f‖ of the assembled system, on the free dofs; nan without a
-            solution.
-        difference_to_direct: ‖x − x_d‖/‖x_d‖ to the direct solution; nan if there is none whose
-            own residual is at most 1e-6.
-        note: Why it failed, that its residual is above the tolerance, or why the direct solution
-            took LU or is no reference; or an empty string.
+        relative_residual: ‖f − K x‖/‖f‖ on the free dofs; nan without a solution.
+        difference_to_direct: ‖x − x_d‖/‖x_d‖; nan without a direct solution that is a reference.
+        note: Why it failed or is less than was asked for; or an empty string.
     """
 
     solver: str

@@ -108,12 +108,8 @@ def cauchy_stress(psi: Expr, F: Variable) -> Expr:
     With a separate pressure field, Ψ = Ψ̄ + p (J − 1) − …, the result is
     σ = p I + 2 J⁻¹ F (∂Ψ̄/∂C) Fᵀ (eq. 11, Augustin_eq:additiveStress).
 
-    Args:
-        psi: Energy per unit reference volume [kPa].
-        F: The same ``ufl.variable`` that ``psi`` is written in (:func:`deformation_gradient`).
-
-    Returns:
-        Stress [kPa], shape (d, d); symmetric if ``psi`` is frame-indifferent.
+    ``psi`` is per unit reference volume, and written in the variable F that is given. The result,
+    (d, d), is symmetric if ``psi`` is frame-indifferent.
 
     Raises:
         ValueError: If ``psi`` is not a function of ``F``.

@@ -103,19 +103,15 @@ def follower_pressure_tangent(
         du: Trial function on the same space.
         ds: Measure of the surface.
         kind: ``"auto"``: ``"symmetric"`` if p is uniform and the surface is closed, or its rim
-            clamped or sliding in planes, and ``"full"`` otherwise; ``"symmetric"``: ½ (a + aᵀ),
-            with which every subdomain is symmetric, and the linear solver CG; ``"full"``: a itself,
-            which needs GMRES; ``"none"``: an empty form as in the paper, at the price of many small
-            load steps.
+            clamped or sliding in planes, and ``"full"`` otherwise. Collective. ``"symmetric"``:
+            ½ (a + aᵀ), for CG; ``"full"``: a itself, which needs GMRES; ``"none"``: an empty form
+            as in the paper, at the price of many small load steps.
         bcs: Dirichlet conditions of the problem, ``[]`` for none, from which ``"auto"`` knows
             whether the rim is held. A closed surface needs none.
 
     Raises:
         ValueError: ``kind`` is none of these, or ``"auto"`` cannot tell, because ``bcs`` is
             missing, u is no Function, or ds has no facets.
-
-    Note:
-        ``"auto"`` is collective.
     """
     if kind not in get_args(Kind):
         raise ValueError(f"kind = {kind!r}: choose 'auto', 'symmetric', 'full' or 'none'.")
@@ -169,10 +165,9 @@ def rim_is_held(
     V: dolfinx.fem.FunctionSpace,
     bcs: Sequence[dolfinx.fem.DirichletBC],
 ) -> bool:
-    """Tell whether the tangent of a uniform pressure is symmetric in all dofs that are free.
+    """Tell whether a uniform pressure's tangent is symmetric in all dofs that are free. Collective.
 
-    R(w; v) is the virtual work of the pressure one, with exact quadrature. Without facets of the
-    surface it is a ValueError. Collective.
+    R(w; v) is the virtual work of the pressure one. Without facets of the surface: a ValueError.
     """
     held = np.concatenate([np.zeros(0, dtype=np.int32), *(bc.dof_indices()[0] for bc in bcs)])
     w, d = (wave(V, k) for k in (0, 1))

@@ -96,8 +96,7 @@ def damaged(psi: Expr, m: Expr, *, d_max: Parameter, W: Parameter) -> tuple[Expr
 
     Args:
         psi: Energy Ψ of the intact material [kPa], not negative.
-        m: The largest Ψ so far [kPa], a scalar Function of quadrature points or cells; zero at
-            first.
+        m: The largest Ψ so far [kPa], a scalar Function of quadrature points or cells; first zero.
         d_max: The most that d becomes, d_∞, between 0 and 1 [-].
         W: Energy scale of the damage, positive [kPa].
 

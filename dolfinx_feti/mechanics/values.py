@@ -45,19 +45,10 @@ def require_within(
     remedy: str = "",
     sign: str = " = ",
 ) -> None:
-    """Refuse numbers that are not finite or out of a range; UFL expressions are not checked.
+    """Refuse numbers that are no numbers, not finite or out of a range; UFL expressions pass.
 
-    Args:
-        low: The least value.
-        high: The greatest value.
-        values: The numbers by the names of the arguments.
-        ends: Whether both belong to the range; an infinite one never does.
-        remedy: What to give instead; the range if empty.
-        sign: What the message puts between name and value.
-
-    Raises:
-        TypeError: One is no number.
-        ValueError: One is out of the range.
+    ``values`` are the numbers by the names of the arguments; ``ends`` tells whether low and high
+    belong to the range, ``remedy`` what to give instead, ``sign`` what the message puts between.
     """
     words = ("from", "to") if ends else ("between", "and")
     for name, value in values.items():

@@ -79,11 +79,10 @@ class FieldWriter:
             functions: Functions to write, under their own names, of any element.
             expressions: UFL expressions to write, by name; they are evaluated cell by cell.
             kind: ``vtx`` or ``xdmf``; by default VTX where dolfinx has ADIOS2, XDMF elsewhere.
-            quadrature: How data at quadrature points are written: ``project`` to the functions of
-                the file in each cell, linear ones (VTX) or means (XDMF); or at the ``points``.
+            quadrature: How data at quadrature points are written: ``project`` to linear functions
+                in each cell (VTX) or means (XDMF); or at the ``points``.
 
         Raises:
-            TypeError: ``functions`` holds something else.
             ValueError: ``kind`` or ``quadrature`` is unknown or the mesh has cells that it cannot
                 show, there is no function, two fields have one name, or a field cannot be written:
                 it is mixed, lives on another mesh or on facets, or has several quadrature rules.

@@ -4,10 +4,9 @@
 r"""Patches: from values inside the cells to fields that are continuous in each layer.
 
 A patch consists of the cells of one layer near a vertex v: a cell K has the weight of its volume
-times the number of ways K – w – K' – v over a vertex w that K shares with a cell K' at v. With A,
-the incidence of the vertices and cells of the layer, these numbers are the rows of A Aᵀ A, so that
-sums over patches are made of sums over the cells at a vertex. On each patch a linear function is
-fitted to f by least squares (Zienkiewicz and Zhu 1992),
+times the number of ways K – w – K' – v over a vertex w that K shares with a cell K' at v. These
+numbers are the rows of A Aᵀ A, with the incidence A of vertices and cells of the layer. On each
+patch a linear function is fitted to f by least squares (Zienkiewicz and Zhu 1992),
 
 .. math:: \min_{m_v, G_v} \int_{P_v} |m_v + G_v (x - \bar x_v) - f|^2, \qquad
           m_v = \bar f_v, \quad G_v = \operatorname{cov}(f, x) \operatorname{cov}(x, x)^+,
@@ -123,11 +122,10 @@ def create_patches(
 
 
 def moments(expression: Expr, patches: Patches) -> Array:
-    """Evaluate an expression of m components in the owned cells. Collective.
+    """Return means of m components in the owned cells, (n_c, 1 + d, m). Collective.
 
-    Returns in each cell its mean, and the means of the expression times the reference coordinates
-    relative to the centroid, (n_c, 1 + d, m). An expression of another mesh is a ValueError, one
-    that is not finite somewhere an ArithmeticError.
+    They are of the expression, and of it times the reference coordinates relative to the centroid.
+    An expression of another mesh is a ValueError, one that is not finite an ArithmeticError.
     """
     mesh, n_cells = patches.mesh, len(patches.rows)
     size = int(np.prod(expression.ufl_shape))

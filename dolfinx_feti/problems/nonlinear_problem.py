@@ -185,7 +185,8 @@ class NonlinearProblem(TornProblem):
         if volume_tolerance is not None:
             prepare(system, volume_tolerance)
         self._volume_tolerance = volume_tolerance
-        parts = (*forms.residuals, forms.energy, *coupled.all_equations(couplings))
+        equations = (c for coupling in couplings for c in coupling.equation.equations)
+        parts = (*forms.residuals, forms.energy, *equations)
         self.content = content_of((u, *fields), parts)
         self._memory = create_internal_variables(
             internal_variables or {}, self._compiler, coefficients=self.content.coefficients

@@ -20,7 +20,6 @@ from dolfinx_feti.wall.casefile import Filling
 from dolfinx_feti.wall.wall import AXES, Wall, surface_measure
 
 __all__ = [
-    "all_equations",
     "checked_couplings",
     "create_cavities",
     "refuse_condensed_fields",
@@ -109,8 +108,3 @@ def works(couplings: Sequence[Coupling]) -> list[ufl.Form]:
     """Return what couplings add to the residual of u."""
     given = (coupling.equation.work for coupling in couplings)
     return [work for work in given if work is not None]
-
-
-def all_equations(couplings: Sequence[Coupling]) -> list[ufl.Form]:
-    """Return the equations of all couplings."""
-    return [c for coupling in couplings for c in coupling.equation.equations]

@@ -132,12 +132,7 @@ def set_near_kernel(
 
 
 def set_condensed(A: PETSc.Mat, pressures: int) -> None:
-    """Note that pressures have been condensed into the local matrix; ``auto`` is primal then.
-
-    Args:
-        A: Torn matrix.
-        pressures: How many on this process; all processes call this, or none.
-    """
+    """Note how many pressures each process has condensed into K; ``auto`` is primal then."""
     A.setAttr("pressures", pressures)
 
 

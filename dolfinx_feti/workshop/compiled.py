@@ -179,10 +179,9 @@ def compile_material(
     Args:
         psi: Energy per unit reference volume [kPa], a Python function that returns a UFL
             expression. It takes, by their names, the right Cauchy-Green tensor ``C`` and the
-            volume ratio ``J``, as the functions of :mod:`~dolfinx_feti.mechanics.materials` do, or
-            the deformation gradient ``F``. Everything else is bound beforehand, by a closure or
-            ``functools.partial``: numbers, fibres as ``ufl.as_vector``, or dolfinx constants,
-            whose values at the time of an evaluation count.
+            volume ratio ``J``, or the deformation gradient ``F``. Everything else is bound, by a
+            closure or ``functools.partial``: numbers, fibres as ``ufl.as_vector``, or dolfinx
+            constants, whose values at the time of an evaluation count.
         kappa: Penalty κ [kPa] of the volumetric energy κ/2 (J − 1)², which is added: ``math.inf``
             makes the material incompressible, 0 adds nothing to an energy that is complete.
         parameters: Arguments of ``psi`` that are to change without compilation, and their values.
@@ -200,16 +199,8 @@ def compile_material(
 def evaluate(material: Material, F: npt.ArrayLike) -> States:
     """Evaluate the energy and its derivatives, without the pressure of an incompressible material.
 
-    Args:
-        material: The compiled energy.
-        F: Deformation gradients, (n, 3, 3) or (3, 3).
-
-    Returns:
-        Values at all states, of the energy with κ/2 (J − 1)². States outside the energy's domain,
-        such as J ≤ 0, have values that are not finite.
-
-    Raises:
-        ValueError: F has another shape.
+    States F, (n, 3, 3) or (3, 3), outside the energy's domain, such as J ≤ 0, have values that are
+    not finite. A finite κ counts. Another shape is a ValueError.
     """
     F = np.array(F, dtype=np.float64)
     if F.shape[-2:] != (3, 3) or F.ndim not in (2, 3) or F.size == 0:

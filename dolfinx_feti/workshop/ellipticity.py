@@ -78,12 +78,12 @@ def scan_ellipticity(
 
     least = margins(path)
     rest = int(np.linalg.norm(path.F - np.eye(3), axis=(1, 2)).argmin())
-    lost = {
-        first
-        for side in (np.arange(rest, len(least)), np.arange(rest, -1, -1))
-        if (first := _first_loss(lambda v: margins(make_path(v)), path.values[side], least[side]))
-        is not None
-    }
+    sides = (np.arange(rest, len(least)), np.arange(rest, -1, -1))
+    found = [
+        _first_loss(lambda v: margins(make_path(v)), path.values[side], least[side])
+        for side in sides
+    ]
+    lost = {value for value in found if value is not None}
     return Ellipticity(path, least + zero, float(path.values[rest]), tuple(sorted(lost)))
 
 

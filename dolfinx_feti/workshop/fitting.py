@@ -155,9 +155,8 @@ def fit(
 def uncertainty(R: Array, squares: float, free: Mask, confidence: float) -> tuple[Array, Array]:
     """Return s² (Rᵀ R)⁻¹, (m, m), and half the widths of the confidence intervals, (m,).
 
-    R is the Jacobian of n > m residuals, ``squares`` their sum of squares, ``free`` marks
-    parameters that are not on a bound. Both are infinite for what the residuals do not determine,
-    NaN on a bound.
+    R is the Jacobian of n > m residuals, ``squares`` their sum of squares; not ``free`` parameters
+    are on a bound, with NaN. What the residuals do not determine is infinite.
     """
     freedom = len(R) - int(free.sum())
     lengths = np.linalg.norm(R[:, free], axis=0)

@@ -105,8 +105,7 @@ def biaxial(
         name: Name of the test.
 
     Raises:
-        ValueError: A stretch is not positive, the numbers of stretches differ, or the directions
-            are not normal to each other.
+        ValueError: A stretch is not positive, their numbers differ, or directions are not normal.
     """
     stretch, second = _stretches("stretch", stretch), _stretches("stretch_2", stretch_2)
     if len(second) not in (1, len(stretch)):

@@ -110,8 +110,7 @@ class DataSet:
         name: Name in tables and pictures, by default that of the path.
 
     Raises:
-        ValueError: The stresses do not match the path, or are not finite; the measure is unknown,
-            or the weight not positive.
+        ValueError: A value has no meaning, or the stresses do not match the path.
     """
 
     path: MaterialTest
@@ -168,7 +167,6 @@ def plot_responses(
         A figure of matplotlib, to be saved by its ``savefig``.
 
     Raises:
-        ImportError: matplotlib is not installed.
         ValueError: There is no response, the names are more or fewer, or the measure is unknown.
     """
     if not responses:
