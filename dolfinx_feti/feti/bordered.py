@@ -124,10 +124,9 @@ class BorderedSolver:
         d: Array,
         free: Mask,
     ) -> tuple[Array, Array, float]:
-        """Find X and s for y = A⁻¹ b, and what X leaves of the first equation. Collective.
+        """Find X, (owned, m), and s, (m,), for y = A⁻¹ b, and ‖(B − A X) s‖/(‖b‖ + Σ ‖B_k‖ |s_k|).
 
-        Returns:
-            X, (owned, m), s, (m,), and ‖(B − A X) s‖/(‖b‖ + Σ ‖B_k‖ |s_k|), estimated.
+        Collective.
         """
         comm, m = A.comm.tompi4py(), len(border.D)
         d = np.concatenate([d, np.zeros(m - len(d))])

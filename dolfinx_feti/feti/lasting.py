@@ -65,14 +65,7 @@ class Lasting:
     """
 
     def __init__(self, options: FETIOptions, prefix: str, *, newton: bool) -> None:
-        """Begin with nothing.
-
-        Args:
-            options: The choices made.
-            prefix: Options prefix of the KSP.
-            newton: Whether the matrices are those of Newton's method: then preconditioner and Ritz
-                vectors serve later ones.
-        """
+        """Begin with nothing; see ``FETI`` for ``newton``."""
         self._options, self._prefix = options, prefix
         self._newton = newton
         self.may_change = options.formulation == "auto"
@@ -146,9 +139,7 @@ class Lasting:
     def try_again(self, reason: int, *, saddles: bool) -> bool:
         """Prepare another solve after one has failed; tell whether there is one. Collective.
 
-        Args:
-            reason: How it has failed.
-            saddles: Whether a solution is wanted where the matrix is indefinite.
+        ``saddles`` tells whether a solution is wanted where the matrix is indefinite.
 
         Raises:
             SetUpError: What is tried cannot be set up; there is no form then.
@@ -180,11 +171,7 @@ class Lasting:
         return pattern is None or pattern.torn.is_symmetric() != pattern.symmetric
 
     def _take_into_form(self, pattern: Pattern) -> None:
-        """Set up the form of the present matrix, with the preconditioner of the last if it lasts.
-
-        Raises:
-            SetUpError: It cannot be set up; there is no form then.
-        """
+        """Set up the form of the present matrix, with the last preconditioner if it lasts."""
         preconditioner = self._lasting_preconditioner()
         self.form = None
         self._of_matrix.close()
@@ -202,11 +189,7 @@ class Lasting:
         self.form = self._new_form(pattern)
 
     def _new_form(self, pattern: Pattern) -> Form:
-        """Set up the form of the present matrix with a preconditioner of its own.
-
-        Raises:
-            SetUpError: It cannot be set up.
-        """
+        """Set up the form of the present matrix with a preconditioner of its own."""
         if not pattern.symmetric:
             part = create_preconditioner_of_part(pattern, self._of_preconditioner)
             return self._with(part, pattern)
@@ -218,11 +201,7 @@ class Lasting:
         return self._primal_form(pattern, setup.near_kernel, setup.operator, preconditioner)
 
     def _with(self, preconditioner: PrimalPreconditioner, pattern: Pattern) -> PrimalForm:
-        """Set up the present matrix with a preconditioner of another one.
-
-        Raises:
-            SetUpError: It cannot be set up.
-        """
+        """Set up the present matrix with a preconditioner of another one."""
         return self._primal_form(
             pattern, *set_up_operator(pattern, self._of_matrix), preconditioner
         )

@@ -20,9 +20,7 @@ __all__ = ["outer_monitor"]
 def outer_monitor(ksp: PETSc.KSP) -> Callable[..., Monitor]:
     """Hand the inner iterations on to the monitors and the history of the outer KSP. Collective.
 
-    Returns:
-        ``monitor_from(done, *, show_start)``, the monitor of an inner solve after ``done``
-        iterations, which shows its own start or not.
+    Returns ``monitor_from(done, *, show_start)``, the monitor of a solve after ``done`` iterations.
     """
     comm = ksp.comm.tompi4py()
     # A monitor in Python, which may be set on one process alone, may raise there.

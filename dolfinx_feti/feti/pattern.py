@@ -55,13 +55,7 @@ class Pattern:
 
 
 def create_pattern(A: PETSc.Mat, options: FETIOptions, prefix: str, within: Lifetime) -> Pattern:
-    """Build what depends on the pattern. Collective.
-
-    Args:
-        A: Torn matrix.
-        options: Choices.
-        prefix: Prefix of the KSP, to which ``feti_`` and the sub-solver's name are added.
-        within: Owner of the star forest and of B.
+    """Build what depends on the pattern, for an owner of its objects. Collective.
 
     Raises:
         SetUpError: A subdomain holds two copies of a dof; or K is not symmetric, but has to be.

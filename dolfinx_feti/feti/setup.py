@@ -57,15 +57,11 @@ def set_up(
 ) -> Setup:
     """Take the present matrix into the parts that both methods share. Collective.
 
-    Args:
-        pattern: What depends on its pattern.
-        matrix: Owner of S.
-        preconditioner: Owner of the inverse.
-        rough: Whether the inverse only preconditions, in single precision where that will do.
+    ``matrix`` owns S, and ``preconditioner`` the inverse, which is in single precision where that
+    will do if it is ``rough``.
 
     Raises:
-        SetUpError: A factorisation failed, a kernel is larger than its candidates, or the matrix is
-            singular inside of a subdomain.
+        SetUpError: A factorisation failed, or the matrix is singular inside of a subdomain.
     """
     torn, options = pattern.torn, pattern.options
     near_kernel, operator = set_up_operator(pattern, matrix)
@@ -77,16 +73,7 @@ def set_up(
 
 
 def refined(pattern: Pattern, setup: Setup, within: Lifetime) -> Setup:
-    """Return the parts of the present matrix with an inverse in double precision. Collective.
-
-    Args:
-        pattern: What depends on the pattern.
-        setup: The parts, whose inverse ends if it is in single precision.
-        within: Owner of the new one.
-
-    Raises:
-        SetUpError: A factorisation failed.
-    """
+    """Return the parts with an inverse in double precision, which ``within`` owns. Collective."""
     if not pattern.torn.comm.allreduce(setup.inverse.rough, op=MPI.LOR):
         return setup
     setup.inverse.destroy()
@@ -121,9 +108,7 @@ def _invert(
 
 
 def set_up_operator(pattern: Pattern, within: Lifetime) -> tuple[Array, Operator]:
-    """Take the present matrix into S alone; return the near kernel, (n, k), and S. Collective.
-
-    ``within`` owns S.
+    """Return the near kernel, (n, k), and S, which ``within`` owns, of the matrix. Collective.
 
     Raises:
         SetUpError: A factorisation failed, or the matrix is singular inside of a subdomain.
@@ -145,11 +130,7 @@ def set_up_operator(pattern: Pattern, within: Lifetime) -> tuple[Array, Operator
 
 
 def require_finite(torn: Torn) -> None:
-    """Look for NaN and Inf in the matrix. Collective.
-
-    Raises:
-        SetUpError: There are some.
-    """
+    """Refuse NaN and Inf in the matrix. Collective."""
     finite = np.isfinite(torn.K.norm()) and bool(np.isfinite(torn.stiffness()).all())
     if torn.comm.allreduce(not finite, op=MPI.LOR):
         raise SetUpError(

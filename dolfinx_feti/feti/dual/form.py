@@ -155,12 +155,7 @@ class DualForm:
 
 
 def create_dual_form(pattern: Pattern, setup: Setup, within: Lifetime) -> DualForm:
-    """Build the coarse problem and the dual system of the present matrix. Collective.
-
-    Args:
-        pattern: What depends on the pattern.
-        setup: The parts of the matrix.
-        within: Owner of M, the coarse problem, and the dual system.
+    """Build M, the coarse problem and the dual system of the present matrix. Collective.
 
     Raises:
         SetUpError: The assembled problem is singular.
@@ -204,11 +199,7 @@ def create_dual_form(pattern: Pattern, setup: Setup, within: Lifetime) -> DualFo
 
 
 def load(form: DualForm, r: PETSc.Vec, u_D: Array) -> Array:
-    """Share an assembled right-hand side, (N,), among the copies, f = δ T r, (n,).
-
-    Fixed dofs (classical FETI) have no equation; their prescribed values u_D, (n,), move to the
-    right.
-    """
+    """Share a load r, (N,), among the copies, f = δ T r, (n,), less K u_D of fixed dofs."""
     torn = form.torn
     f = form.delta * torn.tear(r.array_r)
     f -= torn.multiply(np.where(form.pattern.dofs.fixed, u_D, 0.0))
@@ -217,12 +208,10 @@ def load(form: DualForm, r: PETSc.Vec, u_D: Array) -> Array:
 
 
 def balanced_start(form: DualForm, f: Array, c: Array) -> tuple[Array, Array]:
-    """Find a balanced pair and the jump that it leaves, for a load f on the dofs of K⁺ and a gap c.
+    """Return a balanced pair for a load f and a gap c, and the jump that it leaves, (m + K,) each.
 
-    Returns:
-        The pair :math:`s_0 = N^{-1} e, λ_0 = Q G s_0`, with :math:`G^⊤ λ_0 + D s_0 = e`, (m + K,),
-        and the right-hand side (d − F λ₀ + G s₀, 0) of its correction, (m + K,). For D = 0 any s is
-        balanced, and s₀ is the best for λ₀.
+    They are :math:`s_0 = N^{-1} e, λ_0 = Q G s_0`, with :math:`G^⊤ λ_0 + D s_0 = e`, and (d − F λ₀
+    + G s₀, 0). For D = 0 any s is balanced, and s₀ is the best for λ₀.
     """
     dual, coarse = form.dual, form.coarse
     s = coarse.solve(coarse.restrict(f))  # s₀ = N⁻¹ e, e = Eᵀ f

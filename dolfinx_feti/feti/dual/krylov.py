@@ -58,19 +58,10 @@ def solve(
     max_it: int,
     monitor: Monitor,
 ) -> tuple[Array, Solution]:
-    """Solve 𝒜 x = b. Collective.
+    """Solve 𝒜 x = b to the wanted norm of the residual of the assembled system. Collective.
 
-    Args:
-        system: The system with its preconditioner.
-        b: Local part of the right-hand side.
-        method: PETSc's name of the Krylov method.
-        prefix: Options prefix, ``…feti_dual_``.
-        target: Wanted norm of the residual of the assembled system.
-        max_it: Most iterations.
-        monitor: Called with (iteration, norm of the residual of the assembled system).
-
-    Returns:
-        The local part of the best iterate, and how the method ended.
+    ``monitor`` is called with each iteration and that norm. Returns the local part of the best
+    iterate, and how the method ended.
     """
     is_cg, own_test = method in CG, has_own_test(prefix)
     with Lifetime() as owned:

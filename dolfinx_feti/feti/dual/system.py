@@ -108,11 +108,9 @@ class DualSystem:
     # -- its preconditioner -----------------------------------------------------------------------
 
     def precondition(self, x: Array) -> tuple[Array, float]:
-        """Apply the constraint preconditioner to a residual (r, 0). Collective.
+        """Apply the constraint preconditioner to a residual (r, 0); return z, (m + K,), and ‖Tᵀ t‖.
 
-        Returns:
-            z, (m + K,), and the norm ‖Tᵀ t‖ of the residual of the assembled system that the jump
-            r leaves once s is best, see :mod:`~dolfinx_feti.feti.dual.preconditioner`.
+        That is the residual of the assembled system which r leaves once s is best. Collective.
         """
         r, w = self.project(x[: self.m])
         y, t = self._M.apply(r)  # y = M (r − G w)

@@ -43,13 +43,7 @@ class Copies:
     """
 
     def __init__(self, torn: Torn, interface: Sequence[Indices], delta: Array) -> None:
-        """Find the copies of the interface of each subdomain. Collective.
-
-        Args:
-            torn: The torn matrix.
-            interface: Torn dofs of each subdomain on the interface.
-            delta: Weight δ of every torn dof, (torn.n,).
-        """
+        """Find the copies of each subdomain's interface, for weights δ, (torn.n,). Collective."""
         self.comm = torn.comm
         self.dofs = np.concatenate([*interface, np.zeros(0, dtype=np.int32)])
         self.blocks = consecutive([len(dofs) for dofs in interface])
@@ -95,12 +89,9 @@ def consecutive(sizes: Sequence[int]) -> list[slice]:
 
 
 def star_forest(numbers: Numbers, n: int, comm: MPI.Comm) -> PETSc.SF:
-    """Build a star forest whose leaves are entries of a distributed vector. Collective.
+    """Build a star forest whose leaves are entries of a distributed vector, n on this process.
 
-    Args:
-        numbers: Entry of each leaf, numbered over all processes, (leaves,).
-        n: Entries of this process.
-        comm: Communicator.
+    ``numbers`` are those of the leaves over all processes, (leaves,). Collective.
     """
     first = np.concatenate(([0], np.cumsum(comm.allgather(n))))
     rank = np.searchsorted(first, numbers, side="right") - 1

@@ -57,17 +57,10 @@ def adaptive_columns(
 ) -> list[Array]:
     """Return the adaptive columns U, (n_i, up to ``most``), with Uᵀ S_ρ U = I. Collective.
 
-    Args:
-        copies: Copies of the interface dofs.
-        assembled: Returns what applies :math:`T_i A T_i^⊤` to columns, (n_i, k) → (n_i, k), until
-            it is asked for that of another subdomain. Not collective.
-        solver: Returns what applies :math:`S_{ρ,i}^{-1}`, likewise.
-        E: Columns that the coarse space has, (n_i, k_i).
-        most: Largest number of columns of a subdomain.
-        threshold: χ₀.
-
-    Raises:
-        Exception: What the work on a subdomain raises, on all processes.
+    ``assembled`` returns what applies :math:`T_i A T_i^⊤` to columns, (n_i, k) → (n_i, k), until it
+    is asked for another subdomain, ``solver`` what applies :math:`S_{ρ,i}^{-1}`. E are the columns
+    that the coarse space has anyway, (n_i, k_i), and the threshold is χ₀. Errors are those of all
+    processes.
     """
     least, last = STEPS
 

@@ -102,12 +102,8 @@ class _Common:
 def assembled_products(S: Operator, copies: Copies) -> Callable[[int], Multiply]:
     """Prepare the products with the assembled A on each subdomain. Collective.
 
-    Returns:
-        What returns, for subdomain i of this process, what applies :math:`T_i A T_i^⊤` to columns,
-        (n_i, k) → (n_i, k), until it is asked for that of another one. Not collective.
-
-    Raises:
-        SetUpError: The work on a subdomain failed, on all processes.
+    Returns what returns, without communication, what applies :math:`T_i A T_i^⊤` of subdomain i to
+    columns, (n_i, k) → (n_i, k), until it is asked for another one.
     """
     if not isinstance(S, EliminatedInterior):
         return lambda i: _like_itself(S, i, copies.delta[copies.blocks[i]])
@@ -139,17 +135,9 @@ def _like_itself(S: Operator, i: int, delta: Array) -> Multiply:
 
 
 def shares_of_neighbours(copies: Copies, block: Block) -> Callable[[int], list[Share]]:
-    """Exchange the blocks of S between processes. Collective.
+    """Exchange the blocks of S, ``block(j, rows)``, between processes. Collective.
 
-    Args:
-        copies: Copies of the interface dofs.
-        block: Returns a block of the S of subdomain j of this process. Not collective.
-
-    Returns:
-        What finds the shares of all neighbours of subdomain i of this process. Not collective.
-
-    Raises:
-        SetUpError: The work on a subdomain failed, on all processes.
+    Returns what finds the shares of all neighbours of a subdomain of this process.
     """
     comm = copies.comm
     common, first = _common_rows(copies)

@@ -81,16 +81,8 @@ class DeflatedSpace:
     ) -> None:
         """Balance the vectors and multiply them with the present matrix. Collective.
 
-        Args:
-            space: The coarse space V.
-            copies: Copies of the interface dofs.
-            multiply: Applies S_i to columns, ``multiply(i, X)``, (n_i, c) → (n_i, c), and S_iᵀ with
-                ``transpose=True``.
-            vectors: What earlier solves have left, if there were any.
-            symmetric: Whether S is symmetric.
-
-        Raises:
-            Exception: What the work on a subdomain raises, on all processes.
+        ``multiply(i, X)`` applies S_i to columns, (n_i, c) → (n_i, c), and S_iᵀ with
+        ``transpose=True``.
         """
         self._space, self._copies, self._multiply = space, copies, multiply
         self.indefinite = bool(space.negative())

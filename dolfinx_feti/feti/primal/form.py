@@ -202,16 +202,7 @@ class PrimalForm:
 
 
 def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> PrimalPreconditioner:
-    """Build the coarse columns of a symmetric matrix. Collective.
-
-    Args:
-        pattern: What depends on the pattern.
-        setup: The parts of the matrix.
-        within: Owner of the columns.
-
-    Raises:
-        SetUpError: S is not there, or the work on a subdomain failed.
-    """
+    """Build the coarse columns of a symmetric matrix, for their owner. Collective."""
     torn, options, S = pattern.torn, pattern.options, setup.operator
     copies = within.own(Copies(torn, S.interface, setup.delta))
     with event("FETICoarse"):
@@ -230,11 +221,7 @@ def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> P
 
 
 def create_preconditioner_of_part(pattern: Pattern, within: Lifetime) -> PrimalPreconditioner:
-    """Build the preconditioner of the present matrix from ½ (K + Kᵀ), for its owner. Collective.
-
-    Raises:
-        SetUpError: It cannot be set up.
-    """
+    """Build the preconditioner of the present matrix from ½ (K + Kᵀ), for its owner. Collective."""
     try:
         with symmetric_part(pattern) as part, Lifetime() as matrix:
             return create_preconditioner(part, set_up(part, matrix, within, rough=True), within)
@@ -257,14 +244,8 @@ def create_primal_form(
 ) -> PrimalForm:
     """Build the form of the present matrix with a preconditioner of it or another. Collective.
 
-    Args:
-        pattern: What depends on the pattern.
-        near_kernel: Rigid body modes of the present matrix on the torn dofs, (n, k).
-        operator: S of the present matrix.
-        preconditioner: That of this matrix, of its symmetric part, or of an earlier one.
-        within: Owner of A V and A₀.
-        vectors: What solves with earlier matrices have left.
-        most: Ritz vectors that a solve leaves to those of later matrices, at most.
+    ``within`` owns A V and A₀; ``vectors`` are what solves with earlier matrices have left, and
+    ``most`` of them are left to later ones.
 
     Raises:
         SetUpError: A body is not held.

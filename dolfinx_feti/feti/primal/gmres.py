@@ -45,11 +45,7 @@ def gmres(
     monitor: Monitor,
     traced: int = 0,
 ) -> tuple[Array, Solution, Trace]:
-    """Solve A x = Tᵀ f for a torn load f, (n,). Collective.
-
-    Arguments and results are those of :func:`conjugate_gradients
-    <dolfinx_feti.feti.primal.cg.conjugate_gradients>`.
-    """
+    """Solve A x = Tᵀ f, with arguments and results of ``conjugate_gradients``. Collective."""
     copies = system.copies
     x = system.space.initial_guess(copies.sum(f))
     r = system.residual(f, x)

@@ -122,13 +122,9 @@ class Motions:
 
 
 def free_motions(torn: Torn, bodies: Bodies, near_kernel: Array, *, definite: bool) -> Motions:
-    """Find the rigid motions that neither supports nor stiffness resist. Collective.
+    """Find the rigid motions, among those of the near kernel, (n, k), that nothing resists.
 
-    Args:
-        torn: The torn matrix.
-        bodies: Its bodies.
-        near_kernel: Rigid body modes on the torn dofs, (n, k).
-        definite: Whether the assembled matrix is known to be positive semi-definite.
+    ``definite`` tells that the assembled matrix is known to be positive semi-definite. Collective.
     """
     null_vectors = null_space(torn)
     operator, (dofs, body) = ScaledOperator(torn), bodies.supports.T
@@ -154,10 +150,8 @@ def free_motions(torn: Torn, bodies: Bodies, near_kernel: Array, *, definite: bo
 def unresisted(forces: Array, sizes: Array, *, definite: bool) -> Array:
     """Combine fields so that nothing resists them, (m, any number).
 
-    Args:
-        forces: Scaled forces of the fields, (rows, m), or their image under an orthogonal map.
-        sizes: The scaled fields, mapped alike, (rows, m).
-        definite: Whether their energy decides, and not their forces.
+    Forces and fields are scaled, (rows, m) each, and may be mapped by one orthogonal map. Where the
+    matrix is ``definite``, their energy decides.
     """
     basis = orthonormalising(sizes)
     if definite:
@@ -184,13 +178,9 @@ def _combine(fields: Array, coefficients: list[Array], bodies: Bodies) -> Array:
 
 
 def triangles(X: Array, group: Integers, count: int, comm: MPI.Comm) -> Array:
-    """Return R of each group of rows, (count, k, k), the same on all processes. Collective.
+    """Return R of each group of rows X, (count, k, k), the same on all processes. Collective.
 
-    Args:
-        X: Rows of this process, (n, k).
-        group: Group of each row, (n,); rows of other numbers than 0 … count − 1 are left out.
-        count: Number of groups over all processes.
-        comm: Communicator.
+    Rows in other groups, (n,), than 0 … count − 1 are left out.
     """
     k = X.shape[1]
     if k == 0:

@@ -66,13 +66,8 @@ def analyse(
 ) -> Analysis:
     """Choose how to factor, and order the eliminations. Collective.
 
-    Args:
-        torn: The torn matrix.
-        dofs: The dofs of each subdomain.
-        choice: ``keep``, ``eliminate`` or ``auto``.
-        symmetric: Whether K is symmetric; otherwise ``auto`` keeps.
-        with_interior: Whether K_II is factored where the interior is kept.
-        prefix: Options prefix, to which ``local_`` (K_ρ) or ``dirichlet_`` (K_II) is added.
+    ``choice`` is the option of the interior; ``with_interior`` tells whether K_II is factored where
+    the interior is kept. ``local_`` (K_ρ) or ``dirichlet_`` (K_II) is added to the prefix.
     """
     eliminated = choice == "eliminate"
     if choice == "auto":

@@ -124,10 +124,7 @@ def product_many(
 def own_columns(torn: Torn, rows: Sequence[Indices], blocks: Sequence[Array]) -> PETSc.Mat:
     """Give each block columns of its own, consecutive, in one matrix, (n_torn, Σ c_i). Collective.
 
-    Args:
-        torn: The torn matrix.
-        rows: Torn dofs of each block, no dof twice; all other rows of the matrix are empty.
-        blocks: Their values, (rows, c_i).
+    The values, (rows, c_i), are those of torn dofs, no dof twice; all other rows are empty.
     """
     width = np.zeros(torn.n, dtype=np.int64)
     for dofs, block in zip(rows, blocks, strict=True):

@@ -27,16 +27,9 @@ ACCURACY, RESTARTS = 1e-2, 50
 
 
 def buckling_modes(solve: Solve, multiply: Solve, n: int, count: int) -> Array:
-    """Approximate the eigenvectors of the negative eigenvalues of :math:`K_ρ`.
+    """Approximate eigenvectors of ``count`` negative eigenvalues of :math:`K_ρ`, (n, up to count).
 
-    Args:
-        solve: Applies :math:`K_ρ^{-1}` to columns, (n, r) → (n, r).
-        multiply: Applies :math:`K_ρ`, (n, r) → (n, r).
-        n: Size of the subdomain.
-        count: Number of its negative eigenvalues.
-
-    Returns:
-        Eigenvectors, (n, up to ``count``).
+    It is applied and inverted for columns, (n, r) → (n, r).
     """
     if n <= max(ALL_MODES, 2 * count + 2):
         return np.linalg.eigh(symmetric_part(solve(np.eye(n))))[1][:, :count]

@@ -29,11 +29,7 @@ __all__ = ["eliminate", "factor_interior"]
 
 
 def eliminate(torn: Torn, dofs: Dofs, analysis: Analysis) -> Iterator[tuple[Array, Factor]]:
-    """Yield S, in packed format, and the factor of K_II of each subdomain; K is symmetric.
-
-    Raises:
-        FactorError: A factorisation failed. Not collective: the caller reduces.
-    """
+    """Yield S, in packed format, and the factor of K_II of each subdomain; K is symmetric."""
     for i, (factor, S) in enumerate(_factors(torn, dofs, analysis)):
         Γ, I = dofs.interface[i], dofs.interior[i]  # noqa: E741
         with named(torn.first + i):
@@ -45,11 +41,7 @@ def eliminate(torn: Torn, dofs: Dofs, analysis: Analysis) -> Iterator[tuple[Arra
 
 
 def factor_interior(torn: Torn, dofs: Dofs, analysis: Analysis) -> list[Factor]:
-    """Factor every K_II, by fronts where it is positive definite.
-
-    Raises:
-        FactorError: A factorisation failed. Not collective: the caller reduces.
-    """
+    """Factor every K_II, by fronts where it is positive definite."""
     return [factor for factor, _ in _factors(torn, dofs, analysis)]
 
 

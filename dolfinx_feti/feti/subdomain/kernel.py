@@ -24,11 +24,7 @@ UNSUPPORTED = 1e-8
 
 
 def kernel_basis(modes: Array, fixed: Mask) -> Array:
-    """Combine the candidates on the dofs of a subdomain, (n_i, n_modes), that vanish on fixed ones.
-
-    Returns:
-        Orthonormal basis R on the free dofs, (n_free, k) with 0 ≤ k ≤ n_modes.
-    """
+    """Combine candidates, (n_i, n_modes), that vanish on fixed dofs, orthonormal: (n_free, k)."""
     if np.all(fixed):
         return np.zeros((0, 0))
     U = orthonormal(modes)

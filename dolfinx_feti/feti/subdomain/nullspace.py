@@ -70,19 +70,11 @@ def null_space(
     d: Array,
     R: Array | None = None,
 ) -> Array:
-    """Find the null space of the block K, but for the modes R.
+    """Find the null vectors of the block K, (n, any number), but for the modes R, (n, k).
 
-    Args:
-        multiply: Applies K to columns, (n, r) → (n, r).
-        refactor: Factors K + R̂ R̂ᵀ plus a diagonal, given R̂, (n, k), and the diagonal, (n,).
-        d: The absolute diagonal of K, (n,).
-        R: Columns R, (n, k); none if not given.
-
-    Returns:
-        Null vectors, (n, any number).
-
-    Raises:
-        FactorError: Not even the shifted block can be factored. Not collective.
+    ``multiply`` applies K to columns; ``refactor`` factors K + R̂ R̂ᵀ plus a diagonal, given R̂ and
+    that. d is the absolute diagonal of K, (n,). A FactorError tells that the shifted block has no
+    factor.
     """
     d = _positive(d)
     n, root = len(d), np.sqrt(d)[:, None]

@@ -84,11 +84,7 @@ class Operator(ABC):
 
     @abstractmethod
     def factor(self, i: int, R: Array, rho: float, shift: Array | None = None) -> Factor:
-        """Factor the matrix that is inverted, K_i or S_i, plus ρ R Rᵀ and a shifted diagonal.
-
-        Raises:
-            FactorError: It failed. Not collective: the caller reduces.
-        """
+        """Factor the matrix that is inverted, K_i or S_i, plus ρ R Rᵀ and a shifted diagonal."""
 
     def factor_in_single(self, i: int, R: Array, rho: float) -> Factor | None:
         """Factor it plus ρ R Rᵀ in single precision; None where that is not done, or fails."""
@@ -282,11 +278,7 @@ class EliminatedInterior(Operator):
 
 
 def create_operator(torn: Torn, dofs: Dofs, analysis: Analysis) -> Operator:
-    """Factor K_II of the present matrix, and form S where the interior is eliminated.
-
-    Raises:
-        FactorError: A factorisation failed. Not collective: the caller reduces.
-    """
+    """Factor K_II of the present matrix, and form S where the interior is eliminated."""
     if not analysis.eliminated:
         factors = factor_interior(torn, dofs, analysis) if analysis.interior else []
         return KeptInterior(torn, dofs, analysis, factors)

@@ -71,9 +71,8 @@ def null_combinations(X: Array, tolerance: float) -> Array:
 def diagonalising(H: Array, tolerance: float) -> tuple[Array, Array]:
     """Return θ, ascending, and combinations B with Bᵀ H B = diag(θ), (k, k) → (k, up to k).
 
-    Args:
-        H: Symmetric up to rounding, of any inertia.
-        tolerance: Of H scaled to a unit diagonal, eigenvalues in ± this are left out.
+    H is symmetric up to rounding. Scaled to a unit diagonal, eigenvalues in ± tolerance are left
+    out.
     """
     scale = unit_scale(H)
     theta, Q = np.linalg.eigh(symmetric_part(scale[:, None] * H * scale))

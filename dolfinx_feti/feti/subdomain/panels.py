@@ -85,11 +85,7 @@ class Panels:
     values: Array
 
     def __post_init__(self) -> None:
-        """Check what C relies on.
-
-        Raises:
-            ValueError: The parts do not fit each other.
-        """
+        """Check what C relies on."""
         rows, end = np.diff(self.first), len(self.row)
         fits = len(rows) == len(self.count) and self.first[0] == 0 and self.first[-1] == end
         fits = fits and min(rows.min(initial=0), self.count.min(initial=0)) >= 0

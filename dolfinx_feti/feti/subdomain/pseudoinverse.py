@@ -147,20 +147,11 @@ def create_pseudo_inverse(
     rough: bool,
     adaptive: bool,
 ) -> PseudoInverse:
-    """Find the modes of every subdomain and factor K_ρ.
+    """Find the modes of every subdomain and factor K_ρ, in single precision if ``rough`` will do.
 
-    Args:
-        operator: The matrices of the subdomains.
-        dofs: The dofs of each subdomain.
-        near_kernel: Rigid body modes on the torn dofs, (n, number of modes).
-        soft: Most soft modes of a subdomain.
-        threshold: Share of the interface stiffness below which a mode is soft.
-        rough: Whether the inverse only preconditions: single precision may do then.
-        adaptive: Whether there are adaptive columns, too, if the inverse only preconditions. They
-            find the soft modes of a subdomain that no stress softens.
-
-    Raises:
-        FactorError: Some work on a subdomain failed. Not collective: the caller reduces.
+    Up to ``soft`` modes below the threshold join R, but not where there are ``adaptive`` columns,
+    too: these find the soft modes of a subdomain that no stress softens. A FactorError is that of a
+    subdomain, not of all processes.
     """
     torn = operator.torn
     weight = np.where(dofs.glued, torn.stiffness(), 0.0)

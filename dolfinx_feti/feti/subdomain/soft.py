@@ -40,17 +40,11 @@ POWERS, SPARE = 2, 4
 
 
 def soft_modes(solve: Solve, weight: Array, most: int, threshold: float) -> Array:
-    """Approximate the softest modes of a subdomain.
+    """Approximate the softest modes, up to ``most``, with μ below the threshold, (n, k).
 
-    Args:
-        solve: Applies :math:`K_ρ^{-1}` to columns, (n, r) → (n, r).
-        weight: Stiffness of the interface dofs, zero on the others, (n,).
-        most: Most modes to return.
-        threshold: A mode is soft if its energy is below this share of its interface stiffness.
-
-    Returns:
-        Modes with μ below the threshold, (n, up to ``most``). With more than :data:`ALL_MODES` dofs
-        one that is close to it may be missed.
+    :math:`K_ρ^{-1}` is applied by ``solve``; the weight is the stiffness of the interface dofs,
+    zero on the others, (n,). With more than :data:`ALL_MODES` dofs a mode close to the threshold
+    may be missed.
     """
     n, root = len(weight), np.sqrt(weight)
     most = min(most, np.count_nonzero(weight) // 10)

@@ -78,11 +78,7 @@ def takes_ldlt(choice: Choice) -> bool:
 
 
 def create_factor(matrix: PETSc.Mat, choice: Choice) -> PETSc.PC:
-    """Factor a sequential matrix, (n, n).
-
-    Raises:
-        FactorError: The factorisation failed.
-    """
+    """Factor a sequential matrix, (n, n), or raise a FactorError."""
 
     def prepare(pc: PETSc.PC, percent: int) -> None:
         pc.setOptionsPrefix(choice.prefix)

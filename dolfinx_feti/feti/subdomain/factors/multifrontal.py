@@ -78,12 +78,7 @@ class FrontCode:
         return pointer(self.module, array, order="F")
 
     def check(self, status: int) -> None:
-        """Raise the error that a status means.
-
-        Raises:
-            MemoryError: There is not enough memory.
-            FactorError: The matrix does not suit the analysis.
-        """
+        """Raise the error that a status means."""
         if status == self.lib.NO_MEMORY:
             raise MemoryError("no memory for the fronts of a subdomain")
         if status == self.lib.TOO_LARGE:
@@ -170,16 +165,10 @@ class Fronts:
     def factor(
         self, K: Rows, work: Array, held: Array | None = None
     ) -> tuple[FrontFactor, Array] | None:
-        """Factor K_II and form S.
+        """Factor K_II and form S of a K of the same pattern, (N, N); None if K_II is not definite.
 
-        Args:
-            K: Matrix of the same pattern, (N, N).
-            work: Work space, (at least ``work``,).
-            held: Added to K_II on the dofs ``last``, (len(last), len(last)).
-
-        Returns:
-            The factor, and S in packed format, (n_Γ (n_Γ + 1) / 2,), see ``dense``; None if K_II is
-            not positive definite.
+        In a work space, (at least ``work``,). Added to K_II on the dofs ``last`` is ``held``. S is
+        in packed format, (n_Γ (n_Γ + 1) / 2,), see ``dense``.
 
         Raises:
             FactorError: K has an entry that the pattern does not have.
@@ -254,18 +243,10 @@ class FrontFactor:
 def create_fronts(
     code: FrontCode, K: Rows, rows: Indices, number: Indices, bs: int, interface: Indices
 ) -> Fronts:
-    """Find the fronts of a subdomain.
+    """Find the fronts of a subdomain: ascending rows, (n,), of K, (N, N), of block size bs.
 
-    Args:
-        code: What :func:`load_fronts` returns.
-        K: Symmetric matrix that holds that of the subdomain, with both triangles, (N, N).
-        rows: Rows of the subdomain, ascending, (n,).
-        number: For each column its place among these rows, or a negative number, (N,).
-        bs: Size of the blocks, or nodes, that consecutive rows of K belong to.
-        interface: Which of the rows are Γ, ascending; none, and K_II is K.
-
-    Raises:
-        FactorError: The subdomain is too large.
+    ``number`` has for each column of K its place among the rows, or a negative number.
+    ``interface`` are those of the rows, ascending, that are Γ; none, and K_II is K.
     """
     n, blocks = len(rows), rows // bs
     glued = np.zeros(n, dtype=bool)

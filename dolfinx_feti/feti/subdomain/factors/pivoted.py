@@ -105,11 +105,7 @@ def factor_with_pivots(
     rho: float = 1.0,
     shift: Array | None = None,
 ) -> Factor:
-    """Factor ``K[rows, rows] + ρ R Rᵀ`` with pivots; it may be empty; see ``PivotedFactor``.
-
-    Raises:
-        FactorError: The factorisation failed. Not collective: the caller reduces.
-    """
+    """Factor ``K[rows, rows] + ρ R Rᵀ`` with pivots; it may be empty; see ``PivotedFactor``."""
     if len(rows) == 0:
         return DenseFactor(PackedMatrix(np.zeros(0), 0, np.zeros(0)))
     return PivotedFactor(K, rows, choice, R, rho, shift)

@@ -72,11 +72,7 @@ class RegularisedFactor:
 def factor_by_fronts(
     fronts: Fronts, K: Rows, work: Array, R: Array, rho: float
 ) -> RegularisedFactor | None:
-    """Factor K_ρ for orthonormal modes R, (n, k), in a work space of at least ``fronts.work``.
-
-    Returns:
-        The factor; None if K_Q is not positive definite beyond rounding.
-    """
+    """Factor K_ρ for orthonormal R, (n, k), in a work space; None if K_Q is not definite."""
     k, last = R.shape[1], fronts.last
     Q = _basis_on_last_front(R[last])
     if Q is None:
