@@ -4,7 +4,7 @@
 """Classical and all-floating FETI for a torn matrix; knows PETSc, and no finite elements.
 
 In the order of the data: options, solution, inertia, gluing, subdomain, coarse, regularity,
-pattern, setup, dual, primal, lasting, report, monitor, solver, bordered.
+pattern, setup, dual, primal, lasting, report, solver, bordered.
 """
 
 from dolfinx_feti.feti.solver import FETI

@@ -23,10 +23,9 @@ import numpy as np
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.lasting import Form, Lasting
-from dolfinx_feti.feti.monitor import outer_monitor
 from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
 from dolfinx_feti.feti.report import Report, collect, table
-from dolfinx_feti.feti.solution import CURVATURE, Solution
+from dolfinx_feti.feti.solution import CURVATURE, Solution, outer_monitor
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.runtime.collective import raise_deferred
 from dolfinx_feti.runtime.events import event

@@ -4,5 +4,5 @@
 """One subdomain alone: its matrix, its kernel, its generalised inverse.
 
 In the order of the data: panels, blocks, orthonormal, factors, kernel, nullspace, analysis,
-elimination, operator, soft, buckling, modes, pseudoinverse.
+operator, soft, buckling, modes, pseudoinverse.
 """

@@ -9,14 +9,14 @@ r"""The operator S of one matrix: the Schur complements of all subdomains of a p
 
 (eq. 50, Augustin_eq:DirichletVK; eq. 51). :class:`KeptInterior` applies S with a sparse factor of
 :math:`K_{II}`, and the generalised inverse is that of K, on all free dofs.
-:class:`EliminatedInterior` has S formed (``elimination``), and the generalised inverse is that of
+:class:`EliminatedInterior` has S formed, and the generalised inverse is that of
 S.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 from petsc4py import PETSc
@@ -25,9 +25,10 @@ import numpy as np
 
 from dolfinx_feti.feti.gluing.dofs import Dofs
 from dolfinx_feti.feti.subdomain.analysis import Analysis
-from dolfinx_feti.feti.subdomain.blocks import index_set, named, product_many
-from dolfinx_feti.feti.subdomain.elimination import eliminate, factor_interior
-from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor, PackedMatrix
+from dolfinx_feti.feti.subdomain.blocks import index_set, named, product_many, sparse_block
+from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor, PackedMatrix, pack
+from dolfinx_feti.feti.subdomain.factors.direct import Choice
+from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts
 from dolfinx_feti.feti.subdomain.factors.pivoted import factor_with_pivots
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
 from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
@@ -279,13 +280,41 @@ class EliminatedInterior(Operator):
 
 def create_operator(torn: Torn, dofs: Dofs, analysis: Analysis) -> Operator:
     """Factor K_II of the present matrix, and form S where the interior is eliminated."""
+    pairs = _factor_interior(torn, dofs, analysis.interior, analysis.interior_fronts)
     if not analysis.eliminated:
-        factors = factor_interior(torn, dofs, analysis) if analysis.interior else []
-        return KeptInterior(torn, dofs, analysis, factors)
+        return KeptInterior(torn, dofs, analysis, [factor for factor, _ in pairs])
     largest = max((len(rows) for rows in dofs.interface), default=0)
     work, S, factors = np.empty(largest**2), [], []
-    for i, (packed, factor) in enumerate(eliminate(torn, dofs, analysis)):
+    for i, (factor, packed) in enumerate(pairs):
         with named(torn.first + i):
-            S.append(PackedMatrix(packed, len(dofs.interface[i]), work))
+            entries = _schur_complement(torn, dofs, i, factor) if packed is None else packed
+            S.append(PackedMatrix(entries, len(dofs.interface[i]), work))
         factors.append(factor)
     return EliminatedInterior(torn, dofs, factors, S)
+
+
+def _factor_interior(
+    torn: Torn, dofs: Dofs, choice: Choice | None, fronts: Sequence[Fronts] | None
+) -> Iterator[tuple[Factor, Array | None]]:
+    """Yield the factor of each K_II, and what its fronts leave: S, packed; None with pivots.
+
+    Pivots serve where K_II is not positive definite, or the options name a solver.
+    """
+    work = np.empty(max((front.work for front in fronts or []), default=0))
+    for i, I in enumerate(dofs.interior if choice else []):  # noqa: E741
+        assert choice is not None
+        with named(torn.first + i):
+            factored = None
+            if fronts is not None:
+                with rows_of(torn.K) as K:
+                    factored = fronts[i].factor(K, work)
+            pair = factored or (factor_with_pivots(torn.K, I, choice), None)
+        yield pair
+
+
+def _schur_complement(torn: Torn, dofs: Dofs, i: int, factor: Factor) -> Array:
+    """Return S_i, packed, by solves with a factor of K_II."""
+    Γ, I = dofs.interface[i], dofs.interior[i]  # noqa: E741
+    X = factor.solve(sparse_block(torn.K, I, Γ).toarray(order="F"))  # K_II⁻¹ K_IΓ
+    K_ΓΓ = sparse_block(torn.K, Γ, Γ).toarray(order="F")
+    return pack(K_ΓΓ - sparse_block(torn.K, Γ, I) @ X)  # K_ΓΓ − K_ΓI X

@@ -53,7 +53,7 @@ PLACES = {
     "regularised kernel": ("pseudoinverse._basis", "keep"),
     "fronts": ("factors.multifrontal.Fronts.factor", "eliminate"),
     "fronts of K": ("factors.multifrontal.Fronts.factor", "keep"),
-    "columns": ("elimination.factor_with_pivots", "eliminate"),
+    "columns": ("operator.factor_with_pivots", "eliminate"),
     "interior kernel": ("nullspace.factor_tells_singular", "eliminate"),
     "factor": ("factors.pivoted.create_factor", "keep"),
 }
