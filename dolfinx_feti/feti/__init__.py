@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Classical and all-floating FETI for a torn matrix; knows PETSc, and no finite elements.
 
-In the order of the data: options, solution, inertia, gluing, subdomain, coarse, regularity,
+In the order of the data: options, solution, gluing, subdomain, coarse, regularity,
 pattern, setup, dual, primal, lasting, report, solver, bordered.
 """
 

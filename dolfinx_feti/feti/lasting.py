@@ -23,7 +23,6 @@ import numpy as np
 
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.feti.dual.form import DualForm, create_dual_form
-from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.options import FETIOptions, asks_for_dual
 from dolfinx_feti.feti.pattern import Pattern, create_pattern
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace
@@ -34,7 +33,7 @@ from dolfinx_feti.feti.primal.form import (
     create_preconditioner_of_part,
     create_primal_form,
 )
-from dolfinx_feti.feti.setup import Setup, refined, set_up, set_up_operator
+from dolfinx_feti.feti.setup import Inertia, Setup, refined, set_up, set_up_operator
 from dolfinx_feti.feti.solution import RitzVectors
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.runtime.arrays import Array

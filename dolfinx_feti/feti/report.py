@@ -11,10 +11,10 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.lasting import Form
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace
+from dolfinx_feti.feti.setup import Inertia
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 
 __all__ = ["Report", "collect", "table"]

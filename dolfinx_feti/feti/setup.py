@@ -17,7 +17,6 @@ import numpy as np
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.gluing.jump import weights_of_copies
-from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.pattern import Pattern
 from dolfinx_feti.feti.regularity.singularity import require_regular_interior
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
@@ -29,7 +28,39 @@ from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["Setup", "refined", "set_up", "set_up_operator", "sum_if_known"]
+__all__ = ["Inertia", "Setup", "refined", "set_up", "set_up_operator", "sum_if_known"]
+
+
+@dataclass(frozen=True, slots=True)
+class Inertia:
+    """Negative eigenvalues over all processes; None where a factor does not tell.
+
+    Attributes:
+        local: Those of all regularised subdomains K_ρ.
+        defect: Those of the defects D of all kernels.
+        interior: Those of all interior blocks K_II; None where none is factored, too.
+        assembled: Those that the assembled matrix is proved to have (``coarse.space``).
+    """
+
+    local: int | None
+    defect: int
+    interior: int | None
+    assembled: int | None
+
+    @property
+    def dual(self) -> int | None:
+        """Those of all K_ρ and D together; without any, CG is safe on the dual system."""
+        return None if self.local is None else self.local + self.defect
+
+    @property
+    def definite(self) -> bool:
+        """Whether the dual system is known to be positive definite on balanced pairs."""
+        return self.dual == 0
+
+    @property
+    def indefinite(self) -> bool:
+        """Whether the assembled matrix is proved to be indefinite."""
+        return bool(self.assembled)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,10 +21,10 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.errors import SetUpError, SingularError
-from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.lasting import Form, Lasting
 from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
 from dolfinx_feti.feti.report import Report, collect, table
+from dolfinx_feti.feti.setup import Inertia
 from dolfinx_feti.feti.solution import CURVATURE, Solution, outer_monitor
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.runtime.collective import raise_deferred

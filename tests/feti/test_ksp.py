@@ -13,7 +13,7 @@ from collective import COMM, agree, dense, equal, raises, small
 from hand_torn import random_values, solve
 
 from dolfinx_feti import FETI
-from dolfinx_feti.feti.inertia import Inertia
+from dolfinx_feti.feti.setup import Inertia
 from dolfinx_feti.runtime.petsc_options import inserted
 
 SEED = 101013

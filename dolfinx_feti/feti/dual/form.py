@@ -30,10 +30,9 @@ from dolfinx_feti.feti.dual.preconditioner import (
 )
 from dolfinx_feti.feti.dual.system import DualSystem
 from dolfinx_feti.feti.gluing.copies import Copies
-from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.pattern import Pattern
 from dolfinx_feti.feti.regularity.singularity import require_regular
-from dolfinx_feti.feti.setup import Setup
+from dolfinx_feti.feti.setup import Inertia, Setup
 from dolfinx_feti.feti.solution import CURVATURE, Monitor, Solution
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.operator import Operator

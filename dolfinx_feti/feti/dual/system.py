@@ -1,16 +1,15 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The dual system and its preconditioner, in the pair (λ, s).
+r"""The dual system and its preconditioner, in the pair (λ, s) (docs/theory.md).
 
 .. math:: \begin{pmatrix} F & -G \\ -G^⊤ & -D \end{pmatrix}
           \begin{pmatrix} λ \\ s \end{pmatrix} = \begin{pmatrix} d \\ -e \end{pmatrix}, \qquad
-          w = N^{-1} G^⊤ Q r, \quad y = M (r - G w), \quad v = N^{-1}(G^⊤ y - D w), \quad
+          w = N^{-1} G^⊤ Q\, r, \quad y = M (r - G w), \quad v = N^{-1}(G^⊤ y - D w), \quad
           z = (y - Q G v,\; -w - v)
 
-(eq. 41; eq. 42, Augustin_eq:classicalFetiF; eq. 43); for D = 0 the λ-part of z is
-:math:`P M P^⊤ r` (eq. 45, Augustin_eq:dualProblem; docs/theory.md). Conjugate gradients leave s as
-it is (``frozen``) then, or its rounding errors might grow; not where Q has M in it.
+(eq. 41; eq. 42, Augustin_eq:classicalFetiF; eq. 43). For D = 0, and no M in Q, CG leaves s as it is
+(``frozen``; eq. 45, Augustin_eq:dualProblem), or its rounding errors might grow.
 """
 
 from __future__ import annotations

@@ -1,19 +1,14 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Adaptive columns: coarse fields that bound what an average of copies costs.
+r"""Adaptive columns: coarse fields that bound what an average of copies costs (docs/theory.md).
 
-.. math:: δ\, T_i A\, T_i^⊤ δ\, u = χ\, S_ρ\, u, \qquad χ > χ_0
+.. math:: δ\, T_i A\, T_i^⊤ δ\, u = χ\, S_ρ\, u, \quad χ > χ_0, \qquad
+          U_k = S_ρ^{-1} F_k, \quad F_{k+1} = P\, δ\, T_i A\, T_i^⊤ δ\, U_k
 
-on the interface of a subdomain, (n_i,). With the u as columns U of the coarse space,
-:math:`|T_i^⊤ δ\, w|_A^2 ≤ χ_0\, |w|_{S_ρ}^2` for all local displacements w that are left (Spillane
-and Rixen 2013; docs/theory.md). A block Krylov method from random forces F₀ approximates the
-largest χ,
-
-.. math:: U_k = S_ρ^{-1} F_k, \qquad F_{k+1} = P\, δ\, T_i A\, T_i^⊤ δ\, U_k,
-
-with Rayleigh and Ritz's method on all :math:`U_k`; P leaves out what the columns E that V has
-anyway see, :math:`E^⊤ F = 0`. It goes on as long as most of what it finds is wanted.
+on the interface of a subdomain, (n_i,) (Spillane and Rixen 2013), by a block Krylov method from
+random forces F₀, which goes on as long as most of what it finds is wanted; P leaves out what the
+columns E that V has anyway see, :math:`E^⊤ F = 0`.
 """
 
 from __future__ import annotations

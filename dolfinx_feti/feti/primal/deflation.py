@@ -3,14 +3,12 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Deflation of the primal form: small eigenvalues that one Newton step leaves to the next.
 
-.. math:: Π = (I - W H^{-1} W^⊤ A)(I - V A_0^{-1} V^⊤ A), \qquad H = W^⊤ A W, \quad V^⊤ A W = 0,
+.. math:: Π = (I - W H^{-1} W^⊤ A)(I - V A_0^{-1} V^⊤ A), \qquad H = W^⊤ A W, \quad V^⊤ A W = 0
 
-with fields W near the eigenvectors keeps all residuals orthogonal to W (Saad et al. 2000). They are
-Ritz vectors of the smallest Ritz values in the span of the last W and of :math:`Z = Π M R`,
-:math:`M = T^⊤ δ K_ρ^{-1} δ T`. With :math:`Q = M^{-1} W`, :math:`W^⊤ Q = I` and
-:math:`N = Q^⊤ Z`, :math:`M^{-1} Z = R + Q N` and the iterations' :math:`A Z = R H` give both
-matrices without a product (docs/theory.md). Of an unsymmetric A the symmetric parts are taken.
-Gram matrices are formed in full, since rounding spoils the orthogonality of the residuals.
+(Saad et al. 2000). W are Ritz vectors of the smallest Ritz values in the span of the last W and of
+the iterations' :math:`A Z = R H`; with :math:`Q = M^{-1} W`, :math:`N = Q^⊤ Z`, both matrices take
+no product (docs/theory.md). Of an unsymmetric A the symmetric parts are taken. Gram matrices are
+formed in full, since rounding spoils the orthogonality of the residuals.
 """
 
 from __future__ import annotations

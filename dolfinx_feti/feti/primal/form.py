@@ -26,7 +26,6 @@ import scipy.sparse
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
 from dolfinx_feti.feti.gluing.copies import Copies
-from dolfinx_feti.feti.inertia import Inertia
 from dolfinx_feti.feti.pattern import Pattern, symmetric_part
 from dolfinx_feti.feti.primal.adaptive import adaptive_columns
 from dolfinx_feti.feti.primal.assembled import assembled_products
@@ -34,7 +33,7 @@ from dolfinx_feti.feti.primal.cg import PrimalSystem, conjugate_gradients
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace
 from dolfinx_feti.feti.primal.gmres import gmres
 from dolfinx_feti.feti.regularity.singularity import require_held
-from dolfinx_feti.feti.setup import Setup, set_up, sum_if_known
+from dolfinx_feti.feti.setup import Inertia, Setup, set_up, sum_if_known
 from dolfinx_feti.feti.solution import Monitor, RitzVectors, Solution
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.operator import Operator

@@ -1,19 +1,14 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""GMRES on the assembled interface, for an unsymmetric matrix.
+r"""GMRES on the assembled interface, for an unsymmetric matrix (docs/theory.md).
 
-With the preconditioner of ``cg`` for the symmetric part, an orthonormal basis Q of residuals, and
+.. math:: z_j = Π\, T^⊤ δ\, K_ρ^{-1} δ\, T q_j, \quad A Z_k = Q_{k+1} H, \quad a = R^{-⊤} h, \quad
+          \|r_k\| = \|r_0\| (1 + a^⊤ a)^{-1/2}
 
-.. math:: z_j = Π\, T^⊤ δ\, K_ρ^{-1} δ\, T q_j, \qquad A Z_k = Q_{k+1} H, \qquad
-          H = \begin{pmatrix} h^⊤ \\ R \end{pmatrix},
-
-the least residual of :math:`x_0 + Z_k y` is (Saad and Schultz 1986; Ayachour 2003)
-
-.. math:: a = R^{-⊤} h, \qquad y = \frac{\|r_0\|}{1 + a^⊤ a}\, R^{-1} a, \qquad
-          \|r_k\| = \frac{\|r_0\|}{\sqrt{1 + a^⊤ a}}.
-
-It keeps two interface vectors an iteration, up to :data:`RESTART`; then a fresh start follows.
+with the preconditioner of ``cg`` for the symmetric part, an orthonormal basis Q of residuals, and
+the first row h of H above the triangle R (Saad and Schultz 1986; Ayachour 2003). It keeps two
+interface vectors an iteration, up to :data:`RESTART`; then a fresh start follows.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_feti.feti.gluing.bodies import Bodies
-from dolfinx_feti.feti.subdomain.kernel import UNSUPPORTED
+from dolfinx_feti.feti.subdomain.modes import UNSUPPORTED
 from dolfinx_feti.feti.subdomain.orthonormal import (
     null_combinations,
     orthonormalising,

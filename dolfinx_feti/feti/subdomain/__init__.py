@@ -3,6 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """One subdomain alone: its matrix, its kernel, its generalised inverse.
 
-In the order of the data: panels, blocks, orthonormal, factors, kernel, nullspace, analysis,
-operator, soft, buckling, modes, pseudoinverse.
+In the order of the data: panels, blocks, orthonormal, factors, modes, nullspace, analysis,
+operator, soft, pseudoinverse.
 """

@@ -11,9 +11,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dolfinx_feti.runtime.arrays import Array
+import numpy as np
 
-__all__ = ["SubdomainModes"]
+from dolfinx_feti.feti.subdomain.orthonormal import null_combinations, orthonormal
+from dolfinx_feti.runtime.arrays import Array, Mask
+
+__all__ = ["UNSUPPORTED", "SubdomainModes", "kernel_basis"]
+
+
+#: A mode of size one that is smaller than this on Dirichlet dofs vanishes there: the square root of
+#: rounding.
+UNSUPPORTED = 1e-8
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,3 +66,12 @@ class SubdomainModes:
     def kernel(self) -> int:
         """Number of modes that are not elastic: rigid body modes and null vectors."""
         return self.rigid + self.null
+
+
+def kernel_basis(modes: Array, fixed: Mask) -> Array:
+    """Combine candidates, (n_i, n_modes), that vanish on fixed dofs, orthonormal: (n_free, k)."""
+    if np.all(fixed):
+        return np.zeros((0, 0))
+    U = orthonormal(modes)
+    U = U @ null_combinations(U[fixed], UNSUPPORTED)  # U_D c = 0
+    return np.ascontiguousarray(U[~fixed])

@@ -6,9 +6,8 @@ r"""The null space of a block: motions without energy beyond those that are know
 .. math:: \|(d^{-1/2} K d^{-1/2} + \hat R \hat R^⊤)\, \hat y\| ≤ 10^{-12}\, \|\hat y\|,
           \qquad y = d^{-1/2}\, \hat y,
 
-with the diagonal d and an orthonormal basis :math:`\hat R` of :math:`d^{-1/2} R` for the known
-modes R: among all singular vectors if the block is small, else by inverse iteration. What tells is
-the growth of random vectors in a solve, as rounding makes zero pivots tiny ones.
+with the diagonal d and orthonormal :math:`\hat R` of :math:`d^{-1/2} R`: among all singular vectors
+of a small block, else by inverse iteration. The growth of random vectors in a solve tells.
 """
 
 from __future__ import annotations

@@ -1,19 +1,15 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The generalised inverse K⁺, exact under prestress.
+r"""The generalised inverse K⁺, exact under prestress (docs/theory.md).
 
 .. math:: K_ρ = K + ρ\, R R^⊤, \quad K^+ = K_ρ^{-1}, \quad
-          W = K R, \quad E = R - K_ρ^{-1} W, \quad D = E^⊤ W, \quad
-          u = K^+(f - B^⊤ λ) + E s
+          W = K R, \quad E = R - K_ρ^{-1} W, \quad D = E^⊤ W
 
-for *any* symmetric K and orthonormal R, (n_i, k); where K R = 0, E = R and D = 0
-are the paper's equations (eq. 39, Augustin_eq:localSolutions; eq. 40). R is a function of the
-present matrix alone: the rigid body modes that Dirichlet dofs leave (``kernel``), the null vectors
-beyond them (``nullspace``), the modes in which the subdomain buckles (``buckling``), so that
-:math:`K_ρ` is positive definite, and soft ones (``soft``). With the eigenvalues :math:`δ < 0` and
-eigenvectors y of D, :math:`K_+ = K + Z Z^⊤, Z = 2 R y \sqrt{-δ}` is stabilised (docs/theory.md). S
-replaces K where the interior is eliminated.
+for *any* symmetric K and orthonormal R, (n_i, k); where K R = 0, E = R and D = 0 are the paper's
+(eq. 39, Augustin_eq:localSolutions; eq. 40). R is a function of the present matrix alone: rigid
+body modes (``modes``), null vectors (``nullspace``), buckling modes, so that :math:`K_ρ` is
+positive definite, and soft ones (``soft``). S replaces K where the interior is eliminated.
 """
 
 from __future__ import annotations
@@ -28,15 +24,13 @@ import numpy as np
 from dolfinx_feti.errors import FactorError, SingularBlockError
 from dolfinx_feti.feti.gluing.dofs import Dofs
 from dolfinx_feti.feti.subdomain.blocks import as_slice, named
-from dolfinx_feti.feti.subdomain.buckling import buckling_modes
 from dolfinx_feti.feti.subdomain.factors.dense import SINGLE, DenseFactor
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
-from dolfinx_feti.feti.subdomain.kernel import kernel_basis
-from dolfinx_feti.feti.subdomain.modes import SubdomainModes
+from dolfinx_feti.feti.subdomain.modes import SubdomainModes, kernel_basis
 from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, growth, null_space
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.orthonormal import append_orthonormal, orthonormal, symmetric_part
-from dolfinx_feti.feti.subdomain.soft import Basis, join, soft_modes
+from dolfinx_feti.feti.subdomain.soft import Basis, buckling_modes, join, soft_modes
 from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.collective import deferred
 from dolfinx_feti.runtime.events import event

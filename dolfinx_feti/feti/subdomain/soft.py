@@ -1,18 +1,13 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Soft modes of a subdomain, which join its kernel by an update of the inverse.
+r"""Soft and buckling modes of a subdomain, which join its kernel (docs/theory.md).
 
-.. math:: K y = μ\, k_Γ\, y, \qquad μ < \text{threshold},
+.. math:: K y = μ\, k_Γ\, y, \quad μ < \text{threshold}, \qquad \text{and} \qquad
+          K_ρ\, y = μ\, y, \quad μ < 0,
 
-with the stiffness :math:`k_Γ` of the interface dofs; a rough approximation is enough. Columns Y,
-orthogonal to R, join R without another factor (Sherman, Morrison and Woodbury; docs/theory.md),
-
-.. math:: Z = K_ρ^{-1} Y, \quad C = (ρ^{-1} I + Y^⊤ Z)^{-1}, \quad G = Y^⊤ E, \quad E_Y = Z C, \quad
-          (E - E_Y G,\; E_Y), \quad
-          \begin{pmatrix} D + G^⊤ C G & -G^⊤ C \\ -C G & C \end{pmatrix}
-
-and :math:`(I - E_Y Y^⊤)\, K_ρ^{-1}` for the inverse.
+with the stiffness :math:`k_Γ` of the interface dofs. Rough approximations are enough. Soft modes,
+(n, k), are joined by an update of the inverse, :math:`(I - E_Y Y^⊤)\, K_ρ^{-1}`, without a factor.
 """
 
 from __future__ import annotations
@@ -20,11 +15,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import scipy.sparse.linalg
 
 from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = ["ALL_MODES", "Basis", "join", "soft_modes"]
+__all__ = ["ALL_MODES", "Basis", "buckling_modes", "join", "soft_modes"]
 
 Solve = Callable[[Array], Array]
 
@@ -33,6 +29,9 @@ Basis = tuple[Array, Array, Array]
 
 #: Subdomains of up to so many dofs have all their eigenvectors computed.
 ALL_MODES = 200
+
+#: Lanczos' method: relative error of an eigenvalue, and restarts.
+ACCURACY, RESTARTS = 1e-2, 50
 
 #: Powers of the operator and spare columns in a subspace iteration: more of either find more modes,
 #: but save no iterations.
@@ -79,3 +78,31 @@ def join(basis: Basis, Y: Array, Z: Array, rho: float) -> Basis:
 def _side_by_side(X: Array, Y: Array) -> Array:
     """Return (X, Y) column by column, so that slices of columns are read fast."""
     return np.asfortranarray(np.hstack([X, Y]))
+
+
+def buckling_modes(solve: Solve, multiply: Solve, n: int, count: int) -> Array:
+    """Approximate eigenvectors of ``count`` negative eigenvalues of :math:`K_ρ`, (n, up to count).
+
+    It is applied and inverted for columns, (n, r) → (n, r).
+    """
+    if n <= max(ALL_MODES, 2 * count + 2):
+        return np.linalg.eigh(symmetric_part(solve(np.eye(n))))[1][:, :count]
+    modes = _lower_end(solve, n, count)
+    missing = count - modes.shape[1]
+    return np.hstack([modes, _lower_end(multiply, n, missing)]) if missing else modes
+
+
+def _lower_end(apply: Solve, n: int, count: int) -> Array:
+    """Return the eigenvectors of the least eigenvalues, as many as converged, (n, up to count)."""
+    operator = scipy.sparse.linalg.LinearOperator(
+        (n, n), matvec=lambda x: apply(x.reshape(-1, 1)).ravel(), dtype=np.float64
+    )
+    start = np.random.default_rng(n).standard_normal(n)
+    krylov = min(n - 1, max(2 * count + 8, 20))
+    try:
+        values, vectors = scipy.sparse.linalg.eigsh(
+            operator, k=count, which="SA", v0=start, ncv=krylov, tol=ACCURACY, maxiter=RESTARTS
+        )
+    except scipy.sparse.linalg.ArpackNoConvergence as rough:
+        values, vectors = rough.eigenvalues, rough.eigenvectors
+    return np.asarray(vectors[:, np.argsort(values)])

@@ -11,8 +11,7 @@ from collective import COMM, agree, equal, small
 from hand_torn import random_values, softened, solve
 
 from dolfinx_feti.feti.setup import set_up
-from dolfinx_feti.feti.subdomain.buckling import buckling_modes
-from dolfinx_feti.feti.subdomain.soft import ALL_MODES, POWERS, join, soft_modes
+from dolfinx_feti.feti.subdomain.soft import ALL_MODES, POWERS, buckling_modes, join, soft_modes
 
 SEED = 1744
 SIZES = (60, ALL_MODES + 100)  # dense, and by subspace iteration or Lanczos' method

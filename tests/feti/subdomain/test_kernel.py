@@ -12,7 +12,7 @@ import scipy.linalg
 from collective import agree, equal, small, whole
 from modes import modes_of
 
-from dolfinx_feti.feti.subdomain.kernel import kernel_basis
+from dolfinx_feti.feti.subdomain.modes import kernel_basis
 
 CELLS = (2, 2, 2)
 NODES = np.argwhere(np.ones((3, 3, 3))) * 1.0

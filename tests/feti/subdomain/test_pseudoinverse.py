@@ -12,7 +12,7 @@ from modes import modes_of
 
 from dolfinx_feti.feti.setup import refined, set_up
 from dolfinx_feti.feti.subdomain import analysis, pseudoinverse
-from dolfinx_feti.feti.subdomain.kernel import kernel_basis
+from dolfinx_feti.feti.subdomain.modes import kernel_basis
 
 SEED = 271104
 

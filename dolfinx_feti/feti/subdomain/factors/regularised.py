@@ -1,15 +1,14 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The factor of a sparse regularised block by fronts, where that will do.
+r"""The factor of a sparse regularised block by fronts, where that will do (docs/theory.md).
 
 .. math:: K_Q = K + ρ\, Q Q^⊤ = U^⊤ U, \qquad
           K_ρ^{-1} y = z - Z C V^⊤ z, \qquad z = K_Q^{-1} y, \qquad C = (Λ^{-1} + V^⊤ Z)^{-1}
 
 with V = (R, Q), :math:`Z = K_Q^{-1} V`, :math:`Λ = \operatorname{diag}(ρ I, -ρ I)`, and an
-orthonormal basis Q of R on the dofs of the last front alone (docs/theory.md). As :math:`K_Q` is
-positive definite, :math:`K_ρ` has as many negative eigenvalues as :math:`C^{-1}` has positive ones
-beyond the k columns of R (Haynsworth 1968).
+orthonormal basis Q of R on the last front. :math:`K_ρ` has as many negative eigenvalues as
+:math:`C^{-1}` has positive ones beyond the k columns of R (Haynsworth 1968).
 """
 
 from __future__ import annotations
