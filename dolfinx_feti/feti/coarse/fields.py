@@ -14,14 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
 import numpy as np
 
 from dolfinx_feti.feti.gluing.copies import Copies
-from dolfinx_feti.feti.subdomain.panels import PanelCode, Panels, load_panels
+from dolfinx_feti.feti.subdomain.panels import Panels, load_panels
 from dolfinx_feti.runtime.arrays import Array, Indices, Integers
 from dolfinx_feti.runtime.collective import on_all
 
@@ -49,7 +49,7 @@ class Fields:
         values: Values of the columns, panel by panel, row by row.
     """
 
-    code: PanelCode
+    code: Any
     sizes: Integers
     panels: Integers
     owner: Integers

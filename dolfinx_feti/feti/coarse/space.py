@@ -14,6 +14,7 @@ A has at least as many negative eigenvalues as A₀; they count only if they are
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -30,6 +31,7 @@ from dolfinx_feti.feti.gluing.copies import Copies, consecutive
 from dolfinx_feti.feti.subdomain.blocks import block_diagonal, on_subdomains
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.orthonormal import diagonalising, unit_scale
+from dolfinx_feti.feti.subdomain.panels import rows_product
 from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.collective import deferred
 from dolfinx_feti.runtime.lifetime import Lifetime
@@ -178,7 +180,7 @@ class AveragedSpace:
 
     def correct(self, z: Array, r: Array) -> Array:
         """Return z + V A₀⁻¹ Vᵀ (r − A z), the projection of z for Vᵀ r = 0, by copies, (n,)."""
-        product = self.V.W.code.rows_product
+        product = partial(rows_product, self.V.W.code)
         blocks = zip(self.AV, self.V.copies.blocks, strict=True)
         near = deferred(
             lambda: joined([product(Y, z[rows]) for Y, rows in blocks]), int(self.V.W.count.sum())

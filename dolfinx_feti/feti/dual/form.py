@@ -185,7 +185,6 @@ def create_dual_form(pattern: Pattern, setup: Setup, within: Lifetime) -> DualFo
             prolong=coarse.prolong,
             extend=setup.operator.complete,
             delta=setup.delta,
-            symmetric=True,
             definite=semidefinite,
             prefix=prefix,
         )

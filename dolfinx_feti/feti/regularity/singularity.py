@@ -85,7 +85,6 @@ def require_regular(
     prolong: Callable[[Array], Array],
     extend: Callable[[Array, Array], Array],
     delta: Array,
-    symmetric: bool,
     definite: bool,
     prefix: str,
 ) -> None:
@@ -100,7 +99,6 @@ def require_regular(
         prolong: Makes torn fields of coarse unknowns, E s, (K,) → (n,).
         extend: Completes a field, (n,), on an interior that is eliminated, for a load, (n,).
         delta: Weight δ of each torn dof, (n,).
-        symmetric: Whether K is symmetric.
         definite: Whether all K_i are known to be positive semi-definite.
         prefix: Options prefix of the coarse solver.
 
@@ -121,7 +119,7 @@ def require_regular(
     sound = growth <= SUSPICIOUS_GROWTH and error <= BACKWARD
     most, known = rigid.total + SPARE, rigid.known
     while N.getSize()[0] and not (known and sound) and most <= MOST:
-        S = _null_vectors(N, most, symmetric=symmetric, prefix=prefix)
+        S = _null_vectors(N, most, prefix=prefix)
         W = np.array([averaged(s) for s in S.T]).reshape(S.shape[1], torn.n).T
         others = _unresisted(W, rigid)
         if others.shape[1] < SPARE or most >= N.getSize()[0]:
@@ -211,14 +209,14 @@ def _random(N: PETSc.Mat, count: int) -> Array:
     return np.random.default_rng(first).standard_normal((last - first, count))
 
 
-def _null_vectors(N: PETSc.Mat, count: int, *, symmetric: bool, prefix: str) -> Array:
+def _null_vectors(N: PETSc.Mat, count: int, *, prefix: str) -> Array:
     """Approximate null vectors of the scaled N by inverse iteration; none if the solver fails."""
     comm, d = N.comm.tompi4py(), _diagonal(N)
     root, shifted = np.sqrt(d), N.copy()
     b, x = N.createVecs()
     b.array[:] = COARSE_SHIFT * d
     shifted.setDiagonal(b, addv=PETSc.InsertMode.ADD_VALUES)
-    solver = GatheredSolver(shifted, prefix=prefix, symmetric=symmetric)
+    solver = GatheredSolver(shifted, prefix=prefix, symmetric=True)
     X = _random(N, min(count, N.getSize()[0]))
     for _ in range(ROUNDS):
         Y = np.empty_like(X)

@@ -126,18 +126,11 @@ def own_columns(torn: Torn, rows: Sequence[Indices], blocks: Sequence[Array]) ->
 
     The values, (rows, c_i), are those of torn dofs, no dof twice; all other rows are empty.
     """
-    width = np.zeros(torn.n, dtype=np.int64)
-    for dofs, block in zip(rows, blocks, strict=True):
-        width[dofs] = block.shape[1]
-    first = np.concatenate(([0], np.cumsum(width)))
-    values, column = np.empty(first[-1]), np.empty(first[-1], dtype=PETSc.IntType)
-    size = sum(block.shape[1] for block in blocks)
+    local = block_diagonal(blocks).tocoo()
+    row = np.concatenate([np.zeros(0, dtype=np.int32), *rows])[local.row]
+    size = local.shape[1]
     start = torn.comm.scan(size) - size
-    for dofs, block in zip(rows, blocks, strict=True):
-        own = np.arange(block.shape[1])
-        at = first[dofs][:, None] + own
-        values[at], column[at] = block, start + own
-        start += len(own)
-    csr = (first.astype(PETSc.IntType), column, values)
-    sizes = ((torn.n, None), (size, None))
-    return PETSc.Mat().createAIJ(sizes, csr=csr, comm=torn.A.comm)
+    whole = scipy.sparse.csr_array((local.data, (row, local.col)), shape=(torn.n, size))
+    pattern = (a.astype(PETSc.IntType) for a in (whole.indptr, whole.indices + start))
+    csr = (*pattern, whole.data)
+    return PETSc.Mat().createAIJ(((torn.n, None), (size, None)), csr=csr, comm=torn.A.comm)

@@ -24,10 +24,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.runtime.arrays import Array, Indices
-from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.native import address_of, load, pointer
 
-__all__ = ["PanelCode", "Panels", "load_panels"]
+__all__ = ["Panels", "load_panels", "rows_product"]
 
 
 DECLARATIONS = """
@@ -39,29 +38,21 @@ void rows_product(int, int, const float *, const double *, double *);
 """
 
 
-class PanelCode:
-    """The compiled code, with the routine of BLAS that it calls."""
-
-    def __init__(self, module: Any) -> None:
-        self.module, self.lib = module, module.lib
-        self.gemm = module.ffi.cast("void *", address_of("dgemm"))
-
-    def rows_product(self, Y: npt.NDArray[np.floating], z: Array) -> Array:
-        """Return Y z, (c,), for Y, (c, n), in any precision, with sums in double precision."""
-        if Y.dtype == np.float64:
-            return np.asarray(Y @ z)
-        if z.shape != (Y.shape[1],):
-            raise ValueError(f"{Y.shape[1]} columns, but a vector of shape {z.shape}")
-        to, e = partial(pointer, self.module), np.empty(len(Y))
-        self.lib.rows_product(*Y.shape, to(Y), to(np.ascontiguousarray(z)), to(e))
-        return e
-
-
-def load_panels(comm: MPI.Comm) -> PanelCode:
+def load_panels(comm: MPI.Comm) -> Any:
     """Load the code, which is compiled at first use. Collective."""
     source, flags = Path(__file__).with_name("panels.c"), ("-O3", "-fopenmp-simd")
-    module = load(source, DECLARATIONS, comm, flags=flags)
-    return on_all(lambda: PanelCode(module), comm)
+    return load(source, DECLARATIONS, comm, flags=flags)
+
+
+def rows_product(code: Any, Y: npt.NDArray[np.floating], z: Array) -> Array:
+    """Return Y z, (c,), for Y, (c, n), in any precision, with sums in double precision."""
+    if Y.dtype == np.float64:
+        return np.asarray(Y @ z)
+    if z.shape != (Y.shape[1],):
+        raise ValueError(f"{Y.shape[1]} columns, but a vector of shape {z.shape}")
+    to, e = partial(pointer, code), np.empty(len(Y))
+    code.lib.rows_product(*Y.shape, to(Y), to(np.ascontiguousarray(z)), to(e))
+    return e
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +68,7 @@ class Panels:
         values: What the panels have on their rows, one after the other, row by row.
     """
 
-    code: PanelCode
+    code: Any
     n: int
     first: Indices
     row: Indices
@@ -117,7 +108,7 @@ class Panels:
         Y, work = np.empty(self.shape[::-1]), np.empty((self.n, self.n))
         to, code = self._to, self.code
         S = S if S.flags.c_contiguous else S.T
-        code.lib.panels_product(*self._pointers(), to(S), to(Y), to(work), code.gemm)
+        code.lib.panels_product(*self._pointers(), to(S), to(Y), to(work), self._gemm)
         return Y.T
 
     def overlap(self, Y: Array, *, symmetric: bool = False) -> Array:
@@ -127,12 +118,16 @@ class Panels:
         E, columns = np.empty((self.shape[1], Y.shape[1])), np.ascontiguousarray(Y.T)
         work, to, code = np.empty(columns.shape), self._to, self.code
         arrays = to(columns), to(E), to(work)
-        code.lib.panels_overlap(*self._pointers(), len(columns), *arrays, symmetric, code.gemm)
+        code.lib.panels_overlap(*self._pointers(), len(columns), *arrays, symmetric, self._gemm)
         return E
 
     def squares(self) -> Array:
         """Return the squares of the norms of all columns, (c,)."""
         return np.asarray((self.dense() ** 2).sum(axis=0))
+
+    @property
+    def _gemm(self) -> Any:
+        return self.code.ffi.cast("void *", address_of("dgemm"))
 
     def _pointers(self) -> tuple[Any, ...]:
         sizes = self.n, len(self.count)
@@ -140,4 +135,4 @@ class Panels:
         return *sizes, *arrays, self._to(self.values)
 
     def _to(self, array: npt.NDArray[Any]) -> Any:
-        return pointer(self.code.module, array)
+        return pointer(self.code, array)

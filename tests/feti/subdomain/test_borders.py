@@ -14,7 +14,7 @@ from dolfinx_feti.feti.coarse.fields import Fields
 from dolfinx_feti.feti.coarse.near import NearColumns
 from dolfinx_feti.feti.primal.assembled import add_block, load_block_code
 from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, load_fronts
-from dolfinx_feti.feti.subdomain.panels import Panels, load_panels
+from dolfinx_feti.feti.subdomain.panels import Panels, load_panels, rows_product
 from dolfinx_feti.runtime.petsc_library import Rows
 
 #: Two panels, of two columns on rows 0 and 2, and of one on row 1.
@@ -59,7 +59,7 @@ def test_factors_of_panels_fit():
         (lambda: W.product(np.eye(3).astype(complex)), "give float32"),
         (lambda: W.overlap(np.ones((2, 3))), "do not fit panels"),
         (lambda: W.overlap(np.ones((3, 2)), symmetric=True), "do not fit panels"),
-        (lambda: W.code.rows_product(np.ones((2, 3), np.float32), np.ones(2)), "3 columns"),
+        (lambda: rows_product(W.code, np.ones((2, 3), np.float32), np.ones(2)), "3 columns"),
     ):
         with raises(ValueError, error):
             call()
@@ -68,7 +68,7 @@ def test_factors_of_panels_fit():
         lambda: W.overlap(np.ones((3, 1), dtype=np.float32)),
         lambda: panels(real=np.float32).product(np.eye(3)),
         lambda: panels(integer=np.int64).product(np.eye(3)),
-        lambda: W.code.rows_product(np.ones((2, 3), np.float32), np.ones(3, np.float32)),
+        lambda: rows_product(W.code, np.ones((2, 3), np.float32), np.ones(3, np.float32)),
     ):
         with raises(TypeError, "ctype"):
             call()

@@ -137,14 +137,6 @@ def _bordered(block: PETSc.Mat, R: Array, rho: float) -> PETSc.Mat:
     block.destroy()
     n, k = R.shape
     K = scipy.sparse.csr_array((values, indices, indptr), shape=(n, n))
-    inside = np.arange(K.nnz) + k * np.repeat(np.arange(n), np.diff(indptr))
-    last = np.hstack([rho * R.T, -rho * np.eye(k)])
-    size = K.nnz + n * k + last.size
-    data, column = np.empty(size), np.empty(size, dtype=PETSc.IntType)
-    border = (indptr[1:, None] + k * np.arange(n)[:, None] + np.arange(k)).ravel()
-    data[inside], column[inside] = values, indices
-    data[border], column[border] = rho * R.ravel(), np.tile(np.arange(n, n + k), n)
-    data[-last.size :], column[-last.size :] = last.ravel(), np.tile(np.arange(n + k), k)
-    rows = np.concatenate([indptr + k * np.arange(n + 1), size - (n + k) * np.arange(k)[::-1]])
-    csr = (rows.astype(PETSc.IntType), column, data)
+    whole = scipy.sparse.block_array([[K, rho * R], [rho * R.T, -rho * np.eye(k)]], format="csr")
+    csr = (*(a.astype(PETSc.IntType) for a in (whole.indptr, whole.indices)), whole.data)
     return PETSc.Mat().createAIJ((n + k, n + k), csr=csr, comm=PETSc.COMM_SELF)
