@@ -41,7 +41,6 @@ class Generated:
         shapes: Dofs of a cell for each argument of each form.
         functions: Which of their coefficients are gathered.
         constants: Which of their constants are read.
-        groups: Groups of eight cells that are visited at a time.
         tapes: The tape of each quadrature rule.
         points: How many points an instruction of each has.
         vectors: Vectors that their registers take.
@@ -51,7 +50,6 @@ class Generated:
     shapes: tuple[tuple[int, ...], ...]
     functions: list[int]
     constants: list[int]
-    groups: int
     tapes: list[Indices]
     points: list[int]
     vectors: int
@@ -136,7 +134,7 @@ def generate(
     text = "\n".join([*head, *stages, signature, "{", *calls, "}", ""])
     gathered = [functions.index(f) for f in state.functions]
     read = [constants.index(c) for c in state.constants]
-    return Generated(shapes, gathered, read, groups, tapes, at_once, vectors, text)
+    return Generated(shapes, gathered, read, tapes, at_once, vectors, text)
 
 
 def _degree(integral: ufl.Integral) -> int:

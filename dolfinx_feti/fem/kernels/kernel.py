@@ -97,13 +97,7 @@ class Kernel:
         self._require(self.code.lib.evaluate(*arguments, out))
         return results
 
-    def add_to(
-        self,
-        values: Array,
-        indptr: Numbers,
-        node: Indices,
-        place: Indices,
-    ) -> None:
+    def add_to(self, values: Array, indptr: Numbers, node: Indices, place: Indices) -> None:
         """Add the only form, which is bilinear, to a matrix.
 
         Args:
@@ -192,14 +186,8 @@ def create_kernel(
     generated = _generated[key]
     if generated is None:
         return None
-    code = load(
-        SOURCE,
-        DECLARATION,
-        compiler.comm,
-        generated=generated.text,
-        flags=compiler.flags(),
-        cache=compiler.cache(),
-    )
+    text, flags, cache = generated.text, compiler.flags(), compiler.cache()
+    code = load(SOURCE, DECLARATION, compiler.comm, generated=text, flags=flags, cache=cache)
     return Kernel(
         generated,
         mesh,
