@@ -6,12 +6,11 @@ r"""A few scalar unknowns s beside the x of a torn matrix: a bordered system, by
 .. math:: A\, x + B\, s = b, \quad C^⊤ x + D\, s = d: \qquad
           A\, y = b, \; A\, X = B, \quad (D - C^⊤ X)\, s = d - C^⊤ y, \quad x = y - X s
 
-with columns B, C, (N, m), of any units. X starts from that of the last matrix, as accurate as its
-share in the first equation demands: :math:`\|B_k - A X_k\|\, |s_k|` counts. Where A is nearly
-singular, y and X are large and inaccurate, but x and s are not (Keller 1983). Where nothing resists
-some rigid motions W, point springs E do, whose forces t are further scalars:
-
-.. math:: (A + E κ E^⊤)\, x + B\, s - E\, t = b, \qquad t = κ E^⊤ x
+with columns B, C, (N, m), of any units. X starts from that of the last matrix, as accurate as
+:math:`\|B_k - A X_k\|\, |s_k|` demands. Where A is nearly singular, y and X are inaccurate, but x
+and s are not (Keller 1983).
+Where nothing resists rigid motions, point springs E do, whose forces :math:`t = κ E^⊤ x` are
+further scalars: :math:`(A + E κ E^⊤)\, x + B\, s - E\, t = b`.
 """
 
 from __future__ import annotations

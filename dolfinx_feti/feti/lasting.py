@@ -138,10 +138,8 @@ class Lasting:
     def try_again(self, reason: int, *, saddles: bool) -> bool:
         """Prepare another solve after one has failed; tell whether there is one. Collective.
 
-        ``saddles`` tells whether a solution is wanted where the matrix is indefinite.
-
-        Raises:
-            SetUpError: What is tried cannot be set up; there is no form then.
+        ``saddles`` tells whether a solution is wanted where the matrix is indefinite. After a
+        SetUpError there is no form.
         """
         pattern, form = self._pattern, self.form
         if pattern is None or form is None:

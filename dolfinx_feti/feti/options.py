@@ -79,9 +79,6 @@ CHOICES = {name: get_args(kind) for name, kind in KINDS.items() if get_args(kind
 def read_options(prefix: str) -> FETIOptions:
     """Read the options ``-<prefix>feti_…``.
 
-    Args:
-        prefix: Prefix of the KSP, possibly empty.
-
     Raises:
         ValueError: A value is not among the choices or no number, an option does not exist, or two
             of them exclude each other.
@@ -103,12 +100,7 @@ def read_options(prefix: str) -> FETIOptions:
 
 
 def asks_for_dual(options: FETIOptions, prefix: str) -> bool:
-    """Tell whether the options ask for the dual form, or for what it alone has.
-
-    Args:
-        options: The choices made.
-        prefix: Prefix of the sub-solvers, ``…feti_``.
-    """
+    """Tell whether the options ask for the dual form, or for what it alone has; see Pattern."""
     if options.formulation != "auto":
         return options.formulation == "dual"
     own = PETSc.Options(prefix + "dual_")
@@ -133,9 +125,6 @@ def _value(prefix: str, name: str, default: Any, kind: Any) -> str | int | float
 
 def check_outer_options(prefix: str) -> None:
     """Check what PETSc's own KSP and SNES are to read, before they do.
-
-    Args:
-        prefix: Prefix of the KSP, possibly empty.
 
     Raises:
         ValueError: A tolerance or a count is no such number, or another preconditioner is asked

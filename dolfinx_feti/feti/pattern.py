@@ -15,8 +15,7 @@ from petsc4py import PETSc
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.gluing.bodies import Bodies, find_bodies
-from dolfinx_feti.feti.gluing.dofs import Dofs, sort_dofs
-from dolfinx_feti.feti.gluing.jump import Gluing
+from dolfinx_feti.feti.gluing.jump import Dofs, Gluing, sort_dofs
 from dolfinx_feti.feti.options import FETIOptions, asks_for_dual
 from dolfinx_feti.feti.subdomain.analysis import Analysis, analyse
 from dolfinx_feti.runtime.connectivity import has_joined_copies

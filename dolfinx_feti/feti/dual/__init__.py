@@ -3,6 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The dual form: multipliers, the paper's method.
 
-In the order of the data: linear_map, preconditioner, weighted, coarse, system,
+In the order of the data: preconditioner, weighted, coarse, system,
 stopping, krylov, form.
 """

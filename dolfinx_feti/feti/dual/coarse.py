@@ -66,16 +66,7 @@ class Coarse:
         q: str,
         prefix: str,
     ) -> None:
-        """Form and factor the coarse matrix. Collective.
-
-        Args:
-            gluing: B.
-            delta: Weight δ of every torn dof, (n,).
-            modes: E and D of every subdomain.
-            preconditioner: M, for Q = M.
-            q: ``identity``, ``diagonal`` or ``preconditioner``.
-            prefix: Options prefix of the coarse solver.
-        """
+        """Form and factor the coarse matrix, for B, weights δ, (n,), E, D and M. Collective."""
         self._torn, self._dofs = preconditioner.operator.torn, preconditioner.operator.dofs
         self._modes, torn = modes, self._torn
         self.size = sum(m.E.shape[1] for m in modes)

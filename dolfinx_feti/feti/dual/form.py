@@ -119,16 +119,9 @@ class DualForm:
     ) -> tuple[Array, Solution]:
         """Solve for an assembled right-hand side. Collective.
 
-        Args:
-            r: Assembled right-hand side, (N,).
-            u_D: Prescribed values on the torn Dirichlet dofs, (n,).
-            target: Wanted norm of the residual of the assembled system.
-            max_it: Most iterations.
-            monitor: Called with (iteration, norm of the residual of the assembled system).
-            saddles: Without effect, as the method takes indefinite matrices.
-
-        Returns:
-            u with single-valued copies, (n,), and how the Krylov method ended.
+        The right-hand side r is (N,), the values u_D on the torn Dirichlet dofs (n,). Indefinite
+        matrices are taken whatever ``saddles`` says. Returns u with single-valued copies, (n,), and
+        how the Krylov method ended.
         """
         f = load(self, r, u_D)
         f_K, c = self.operator.load(f), self.pattern.gluing.gap(u_D)
@@ -156,8 +149,7 @@ class DualForm:
 def create_dual_form(pattern: Pattern, setup: Setup, within: Lifetime) -> DualForm:
     """Build M, the coarse problem and the dual system of the present matrix. Collective.
 
-    Raises:
-        SetUpError: The assembled problem is singular.
+    A SetUpError tells that the assembled problem is singular.
     """
     options, torn, modes = pattern.options, pattern.torn, setup.inverse.modes
     prefix = pattern.prefix + "coarse_"

@@ -32,11 +32,7 @@ CG = ("cg", "fcg", "pipecg")
 
 
 def choose_method(comm: MPI.Comm, *, definite: bool, prefix: str) -> str:
-    """Read PETSc's name of the method from the options; CG is safe if ``definite``. Collective.
-
-    Raises:
-        PETSc.Error: The options ask for a method that PETSc does not have.
-    """
+    """Read PETSc's name of the method from the options; CG is safe if ``definite``. Collective."""
     ksp = _create_ksp(comm, "cg" if definite else "gmres", prefix, directions=1)
     kind = ksp.getType()
     ksp.destroy()

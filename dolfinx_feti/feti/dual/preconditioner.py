@@ -4,11 +4,10 @@
 r"""Preconditioners of the dual operator: identity, lumped, Dirichlet; M = B_D Y B_Dᵀ.
 
 .. math:: M = \sum_i B_{D,i}\, Y_i\, B_{D,i}^⊤, \qquad
-          Y_i = θ I,\; K_i,\; \begin{pmatrix} 0 & 0 \\ 0 & S_i \end{pmatrix}
+          Y_i = θ I,\; K_i,\; \begin{pmatrix} 0 & 0 \\ 0 & S_i \end{pmatrix} \; (+\; Y_Z Y_Z^⊤)
 
-(eq. 46, Augustin_eq:feti_preconditioner); :math:`Y_Z Y_Z^⊤` is added where a subdomain buckles
-alone. The displacement :math:`u - E_Γ B_D^⊤ r`, whose copies agree, leaves the unbalanced force
-:math:`t = K E_Γ B_D^⊤ r` (docs/theory.md).
+(eq. 46, Augustin_eq:feti_preconditioner). The displacement :math:`u - E_Γ B_D^⊤ r`, whose copies
+agree, leaves the unbalanced force :math:`t = K E_Γ B_D^⊤ r` (docs/theory.md).
 """
 
 from __future__ import annotations
@@ -22,13 +21,45 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse
 
-from dolfinx_feti.feti.dual.linear_map import LinearMap
 from dolfinx_feti.feti.subdomain.blocks import block_diagonal, on_subdomains, product_many
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = ["Dirichlet", "Identity", "Lumped", "Preconditioner"]
+__all__ = ["Dirichlet", "Identity", "LinearMap", "Lumped", "Preconditioner"]
+
+
+class LinearMap:
+    """The action of a matrix, which stays its owner's, on local parts of vectors: ``M @ x``."""
+
+    def __init__(
+        self,
+        matrix: PETSc.Mat,
+        vectors: tuple[PETSc.Vec, PETSc.Vec] | None = None,
+        *,
+        transposed: bool = False,
+    ) -> None:
+        """Take a distributed matrix, (M, N), and work vectors; its own if not given."""
+        self.matrix, self._transposed = matrix, transposed
+        self._x, self._y = vectors or matrix.createVecs()
+        self.shape = (self._y.getLocalSize(), self._x.getLocalSize())
+
+    @property
+    def T(self) -> LinearMap:
+        """The transpose Mᵀ."""
+        vectors = self._y, self._x
+        return LinearMap(self.matrix, vectors, transposed=not self._transposed)
+
+    def __matmul__(self, x: Array) -> Array:
+        """Return M x for the local part of a vector, (n,). Collective."""
+        self._x.array[:] = x
+        (self.matrix.multTranspose if self._transposed else self.matrix.mult)(self._x, self._y)
+        return self._y.array_r.copy()
+
+    def destroy(self) -> None:
+        """Free the work vectors."""
+        self._x.destroy()
+        self._y.destroy()
 
 
 class Preconditioner(ABC):

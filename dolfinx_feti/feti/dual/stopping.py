@@ -4,10 +4,9 @@
 r"""When a Krylov method stops: the residual of the assembled system, its stagnation, and NaN.
 
 Every preconditioned residual tells the norm :math:`\|T^⊤ t\|` of that of the *assembled* system. CG
-stops on it; where it is only an estimate (``exact`` is False) the residual is formed once more
-before. GMRES knows the norm of the jump only: the other one is measured when the proportion last
-seen promises convergence, and every few iterations. A fresh start follows stagnation, or a
-residual that departs from the true one.
+stops on it, and forms the residual once more where it is an estimate (``exact`` is False). GMRES
+knows that of the jump: the other one is measured when it promises convergence, and every few
+iterations. A fresh start follows stagnation, or a residual that departs from the true one.
 """
 
 from __future__ import annotations
@@ -51,15 +50,10 @@ class StoppingTest:
         first: float,
         monitor: Monitor,
     ) -> None:
-        """Prepare a test for one solve.
+        """Prepare a test for one solve to a target of the residual of the assembled system.
 
-        Args:
-            system: The system.
-            target: Wanted norm of the residual of the assembled system.
-            max_it: Most iterations.
-            cg: Whether the preconditioner is only applied to residuals.
-            first: Proportion of that residual to the method's own norm at the start, if not ``cg``.
-            monitor: Called with (iteration, norm of the residual of the assembled system).
+        With ``cg`` the preconditioner is applied to residuals alone; else ``first`` is the
+        proportion of that residual to the method's own norm at the start.
         """
         self._system = system
         self._target, self._max_it = target, max_it

@@ -19,8 +19,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.feti.dual.coarse import Coarse
-from dolfinx_feti.feti.dual.linear_map import LinearMap
-from dolfinx_feti.feti.dual.preconditioner import Preconditioner
+from dolfinx_feti.feti.dual.preconditioner import LinearMap, Preconditioner
 from dolfinx_feti.feti.gluing.jump import Gluing
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
 from dolfinx_feti.runtime.arrays import Array

@@ -3,30 +3,27 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Gluing: the jump operator B, of the pattern, and the weights δ of the copies, of a matrix.
 
-Continuity across the interface and, for all-floating FETI, the Dirichlet conditions are rows of
-
 .. math:: B u = c, \qquad B = \begin{pmatrix} B_{jump} \\ B_{Dirichlet} \end{pmatrix}, \quad
-          c = \begin{pmatrix} 0 \\ u_D \end{pmatrix}
+          c = \begin{pmatrix} 0 \\ u_D \end{pmatrix}, \qquad
+          δ_i = k_i / \sum_j k_j, \quad (B_D)_{ij} = (δ_j, -δ_i)
 
 (eq. 34, Augustin_eq:jumpConstraints, eq. 35, eq. 37, Augustin_eq:jumpoperatorAF), fully redundant:
 d copies of a dof give d (d − 1)/2 rows, and those of a Dirichlet dof d, or none in classical FETI.
-The scaled jumps of the preconditioners weigh a copy by the *other* side's stiffness k,
-
-.. math:: δ_i = k_i / \sum_j k_j, \qquad (B_D)_{ij} = (δ_j, -δ_i),
-
-or k = 1 for multiplicity: :math:`u - B_D^⊤ B u` averages copies. A Dirichlet row has weight one.
+With stiffnesses k, or ones, :math:`u - B_D^⊤ B u` averages copies; a Dirichlet row has weight one.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_feti.runtime.arrays import Array, Numbers
+from dolfinx_feti.runtime.arrays import Array, Indices, Mask, Numbers
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["Gluing", "weights_of_copies"]
+__all__ = ["Dofs", "Gluing", "sort_dofs", "weights_of_copies"]
 
 
 #: Least share of a copy in the stiffness of its dof.
@@ -79,6 +76,44 @@ class Gluing:
     def destroy(self) -> None:
         """Free the matrix."""
         self.B.destroy()
+
+
+@dataclass(frozen=True, slots=True)
+class Dofs:
+    """The torn dofs of each subdomain of this process, ascending.
+
+    Attributes:
+        fixed: Mask of the torn dofs that are fixed in the local matrices, (n,).
+        glued: Mask of the interface, (n,).
+        free: Free dofs of each subdomain.
+        interface: Γ of each subdomain.
+        interior: I of each subdomain.
+        on_interface: Mask of Γ among the free dofs of each subdomain.
+    """
+
+    fixed: Mask
+    glued: Mask
+    free: list[Indices]
+    interface: list[Indices]
+    interior: list[Indices]
+    on_interface: list[Mask]
+
+
+def sort_dofs(torn: Torn, glued: Indices, *, all_floating: bool) -> Dofs:
+    """Sort the dofs of each subdomain into fixed, glued (those that occur in B), and inside."""
+    fixed = torn.dirichlet & (not all_floating)
+    mask = np.zeros(torn.n, dtype=bool)
+    mask[glued] = True
+    free = [rows[~fixed[rows]] for rows in torn.subdomains]
+    on = [mask[rows] for rows in free]
+    return Dofs(
+        fixed=fixed,
+        glued=mask,
+        free=free,
+        interface=[rows[is_glued] for rows, is_glued in zip(free, on, strict=True)],
+        interior=[rows[~is_glued] for rows, is_glued in zip(free, on, strict=True)],
+        on_interface=on,
+    )
 
 
 def weights_of_copies(torn: Torn, k: Array) -> Array:

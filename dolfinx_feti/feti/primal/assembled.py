@@ -3,12 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""What a subdomain sees of the assembled interface: its own S and the shares of its neighbours.
 
-.. math:: T_i\, A\, T_i^⊤ = S_i + \sum_{j ≠ i} T_i T_j^⊤ S_j\, T_j T_i^⊤, \qquad A = T^⊤ S\, T,
+.. math:: T_i\, A\, T_i^⊤ = S_i + \sum_{j ≠ i} T_i T_j^⊤ S_j\, T_j T_i^⊤ \qquad
+          \text{or, without S,} \qquad T_i\, A\, T_i^⊤ ≈ δ^{-1/2} S_i\, δ^{-1/2},
 
-(n_i, n_i): of each neighbour j the block of :math:`S_j` with the m rows that both have, its lower
-triangle row by row, (m (m + 1) / 2,), in one message for each process. Where S is not formed, the
-neighbours are taken to be like the subdomain itself,
-:math:`T_i A\, T_i^⊤ ≈ δ^{-1/2} S_i\, δ^{-1/2}`.
+(n_i, n_i): of each neighbour the block of :math:`S_j` with the m rows that both have, its lower
+triangle row by row, (m (m + 1) / 2,), in one message for each process.
 """
 
 from __future__ import annotations
@@ -82,14 +81,9 @@ def _require_rows(rows: Indices, n: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Common:
-    """Rows that a subdomain of this process, i, has in common with another one, j.
+    """Rows of subdomain i of this process, (m,), of which j, on ``rank``, has ``copies``.
 
-    Attributes:
-        i: Number of the subdomain, over all processes.
-        j: That of the other one.
-        rank: The process of the other one.
-        rows: Rows in subdomain i, (m,).
-        copies: The same in subdomain j, (m,).
+    Subdomains are numbered over all processes, rows in each of them.
     """
 
     i: int

@@ -6,9 +6,8 @@ r"""Conjugate gradients on the assembled interface, preconditioned by FETI's loc
 .. math:: z = Π\, T^⊤ δ\, K_ρ^{-1} δ\, T r, \qquad A = T^⊤ S T
 
 with the projection Π of ``deflation`` (Mandel 1993; Fragakis and Papadrakakis 2003). An indefinite
-A shows in A₀ or in a direction p with :math:`p^⊤ A p < 0` beyond rounding. It is solved with where
-A₀ has as many negative eigenvalues, as p is A-orthogonal to V; where A₀ has one or two less, as
-near a limit point, α is negative as often.
+A shows in A₀ or in a direction p with :math:`p^⊤ A p < 0` beyond rounding, and is solved with where
+A₀ has as many negative eigenvalues, or one or two less, as near a limit point.
 """
 
 from __future__ import annotations
@@ -82,14 +81,8 @@ def conjugate_gradients(
 ) -> tuple[Array, Solution, Trace]:
     """Solve A x = Tᵀ f. Collective.
 
-    Args:
-        system: The assembled interface problem.
-        f: Torn load, condensed to the interface, (n,); not summed over copies.
-        target: Wanted norm of the residual.
-        max_it: Most iterations.
-        monitor: Called with (iteration, ‖b − A x‖).
-        traced: Iterations whose vectors are kept, at most.
-        saddles: Whether to go on where A has negative eigenvalues.
+    The torn load f is condensed to the interface, (n,), and not summed over copies. Of up to
+    ``traced`` iterations the vectors are kept; ``saddles`` go on where A has negative eigenvalues.
 
     Returns:
         The iterate with the least residual, by its copies, (n,), how the method ended, and its

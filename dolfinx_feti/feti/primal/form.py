@@ -4,12 +4,10 @@
 r"""The primal form: the assembled interface problem set up for a matrix, and solved for a load.
 
 .. math:: A\, x = T^⊤ \hat f_Γ, \qquad A = T^⊤ S\, T, \qquad
-          \hat f_Γ = f_Γ - K_{ΓI} K_{II}^{-1} f_I, \qquad f = δ\, T r - K u_D,
+          \hat f_Γ = f_Γ - K_{ΓI} K_{II}^{-1} f_I, \qquad f = δ\, T r - K u_D
 
-by ``cg``, or ``gmres`` if K is not symmetric; then :math:`u_Γ = T x` and
-:math:`u_I = K_{II}^{-1} (f_I - K_{IΓ} u_Γ)`. S, Vᵀ A and A₀ are those of the present matrix;
-:math:`K_ρ^{-1}`, the columns of V and δ, which only precondition, may be of an earlier one, or of
-the symmetric part.
+by ``cg``, or ``gmres`` if K is not symmetric. S, Vᵀ A and A₀ are those of the present matrix;
+:math:`K_ρ^{-1}`, V and δ may be of an earlier one, or of the symmetric part.
 """
 
 from __future__ import annotations
@@ -244,10 +242,8 @@ def create_primal_form(
     """Build the form of the present matrix with a preconditioner of it or another. Collective.
 
     ``within`` owns A V and A₀; ``vectors`` are what solves with earlier matrices have left, and
-    ``most`` of them are left to later ones.
-
-    Raises:
-        SetUpError: A body is not held.
+    ``most`` of them are left to later ones. A SetUpError tells of a body
+    that is not held.
     """
     S, prefix, known = operator, pattern.prefix + "coarse_", preconditioner.combinations
     with event("FETICoarse"):

@@ -6,9 +6,8 @@ r"""Motions that nothing resists, tested on the assembled matrix, scaled by its 
 .. math:: \hat A = d^{-1/2} A\, d^{-1/2}, \qquad \hat r = d^{1/2} r, \qquad
           \|\hat A \hat r\| ≤ τ\, \|\hat r\|,
 
-or, where A is known to be positive semi-definite, by the energy :math:`\hat r^⊤ \hat A \hat r`, in
-which an error of r counts squared. Candidates are the rigid body modes of each body that vanish on
-its supports. Long columns are compared by their triangular factors, :math:`X = Q R`.
+or by :math:`\hat r^⊤ \hat A \hat r`, where A is known to be positive semi-definite. Candidates are
+the rigid body modes of each body that vanish on its supports.
 """
 
 from __future__ import annotations

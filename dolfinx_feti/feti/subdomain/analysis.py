@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_feti.feti.gluing.dofs import Dofs
+from dolfinx_feti.feti.gluing.jump import Dofs
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.factors.direct import Choice
 from dolfinx_feti.feti.subdomain.factors.multifrontal import (

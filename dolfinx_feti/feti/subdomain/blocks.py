@@ -47,9 +47,8 @@ def block_diagonal(blocks: Sequence[Array]) -> scipy.sparse.csr_array:
 class named:  # noqa: N801
     """Context that lets errors of the work inside name the subdomain, by its number.
 
-    Whatever the work raises (LAPACK, ARPACK, SciPy, MUMPS) becomes a ``FactorError``, but for a
-    ``MemoryError``. Not collective: the caller reduces. A generator would leave a reference cycle
-    through the traceback.
+    Whatever that raises, but a ``MemoryError``, becomes a ``FactorError``; the caller reduces. (A
+    generator would leave a reference cycle through the traceback.)
     """
 
     def __init__(self, subdomain: int) -> None:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from dolfinx_feti.errors import FactorError
-from dolfinx_feti.feti.gluing.dofs import Dofs
+from dolfinx_feti.feti.gluing.jump import Dofs
 from dolfinx_feti.feti.subdomain.blocks import named, sparse_block
 from dolfinx_feti.feti.subdomain.factors.direct import Choice
 from dolfinx_feti.feti.subdomain.factors.pivoted import factor_with_pivots
@@ -94,10 +94,7 @@ def null_space(
 def interior_kernel(torn: Torn, dofs: Dofs, choice: Choice, factors: Sequence[Factor]) -> Array:
     """Return motions of the interior without energy that the interface does not feel, (n, r).
 
-    With r > 0 the assembled matrix is singular.
-
-    Raises:
-        FactorError: The interface feels a motion. Not collective: the caller reduces.
+    With r > 0 the assembled matrix is singular. A FactorError tells of one that it feels.
     """
     diagonal = np.abs(torn.diagonal())
     columns = [np.zeros((torn.n, 0))]

@@ -7,10 +7,8 @@ r"""The operator S of one matrix: the Schur complements of all subdomains of a p
           \hat f_Γ = f_Γ - K_{ΓI} K_{II}^{-1} f_I, \qquad
           u_I = K_{II}^{-1}(f_I - K_{IΓ} u_Γ)
 
-(eq. 50, Augustin_eq:DirichletVK; eq. 51). :class:`KeptInterior` applies S with a sparse factor of
-:math:`K_{II}`, and the generalised inverse is that of K, on all free dofs.
-:class:`EliminatedInterior` has S formed, and the generalised inverse is that of
-S.
+(eq. 50, Augustin_eq:DirichletVK; eq. 51), applied with a sparse factor of :math:`K_{II}`, where the
+generalised inverse is that of K, or formed, and the inverse is that of S.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_feti.feti.gluing.dofs import Dofs
+from dolfinx_feti.feti.gluing.jump import Dofs
 from dolfinx_feti.feti.subdomain.analysis import Analysis
 from dolfinx_feti.feti.subdomain.blocks import index_set, named, product_many, sparse_block
 from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor, PackedMatrix, pack

@@ -7,8 +7,7 @@ r"""Block-sparse columns: panels, each with a few nonzero rows.
           W_p^⊤ Y = (W_p)_{r_p}^⊤ Y_{r_p}
 
 with the rows :math:`r_p` of panel p, (n, c) in all: the coarse columns of a neighbour are zero but
-on the dofs that the two share. A small subdomain has dozens of panels of a few rows, so that the
-products are C (``panels.c``).
+on the dofs that the two share. The products are C (``panels.c``).
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dolfinx_feti.errors import FactorError, SingularBlockError
-from dolfinx_feti.feti.gluing.dofs import Dofs
+from dolfinx_feti.feti.gluing.jump import Dofs
 from dolfinx_feti.feti.subdomain.blocks import as_slice, named
 from dolfinx_feti.feti.subdomain.factors.dense import SINGLE, DenseFactor
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
@@ -168,14 +168,10 @@ def create_pseudo_inverse(
 
 
 class _Block(NamedTuple):
-    """The matrix K of one subdomain, or its S.
+    """The matrix K of one subdomain, or its S, which may be factored in single precision if rough.
 
-    Attributes:
-        operator: The matrices of all subdomains.
-        i: Number of the subdomain.
-        diagonal: The absolute diagonal of K, (n,).
-        stiffness: That of the interface dofs before a pressure is condensed, else zero, (n,).
-        rough: Whether single precision may do.
+    The diagonal is its absolute one, the stiffness that of the interface dofs before a pressure is
+    condensed, else zero, (n,) each.
     """
 
     operator: Operator

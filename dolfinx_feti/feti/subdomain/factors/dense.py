@@ -5,10 +5,9 @@ r"""Dense symmetric blocks in packed format, and the factors of their regularise
 
 .. math:: S_ρ = S + ρ\, R R^⊤ = L L^⊤, \qquad S/ρ + R R^⊤ = L L^⊤ + O(2^{-24})
 
-in LAPACK's packed format, the lower triangle column by column; the second one in single precision,
-for a preconditioner (docs/theory.md). Where Cholesky's factorisation meets a pivot that is not
-positive, :math:`L Δ L^⊤` (Bunch and Kaufman) takes its place, and where that meets a zero, the
-pseudo-inverse of the matrix scaled by its diagonal.
+in LAPACK's packed format, the second one in single precision, for a preconditioner
+(docs/theory.md). Where Cholesky's factorisation fails, :math:`L Δ L^⊤` (Bunch and Kaufman) takes
+its place, and where that meets a zero, the pseudo-inverse of the matrix scaled by its diagonal.
 """
 
 from __future__ import annotations
@@ -58,11 +57,7 @@ class PackedMatrix:
     """
 
     def __init__(self, values: Array, n: int, work: Array) -> None:
-        """Take over the entries.
-
-        Raises:
-            FactorError: There is NaN or Inf among them. Not collective: the caller reduces.
-        """
+        """Take over the entries; NaN or Inf is a FactorError."""
         if not np.isfinite(values).all():
             raise FactorError("a Schur complement has entries that are NaN or Inf")
         self.values, self.n, self.work = values, n, work

@@ -126,18 +126,10 @@ class Fronts:
         graph: tuple[Indices, Indices],
         glued: Mask,
     ) -> None:
-        """Find the fronts.
+        """Find the fronts, as ``create_fronts``, of nodes of consecutive rows, ``size`` each, (m,).
 
-        Args:
-            code: What :func:`load_fronts` returns.
-            rows: Rows of the subdomain in a matrix, (N, N), ascending, (n,).
-            number: For each column its place among these rows, or a negative number, (N,).
-            size: Number of rows of each node: consecutive ones, eliminated together, (m,).
-            graph: Nodes that each one is coupled with: where they begin, (m + 1,), and numbers.
-            glued: Which nodes are Γ, (m,); none, and K_II is K.
-
-        Raises:
-            FactorError: The subdomain is too large, or the graph is none.
+        The graph has the nodes that each is coupled with: where they begin, (m + 1,), and numbers.
+        The nodes of Γ are ``glued``, (m,). A FactorError tells that a subdomain is too large.
         """
         ptr, adjacent = graph
         m, entries = len(size), len(adjacent)
