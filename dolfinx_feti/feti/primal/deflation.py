@@ -7,8 +7,12 @@ r"""Deflation of the primal form: small eigenvalues that one Newton step leaves 
 
 (Saad et al. 2000). W are Ritz vectors of the smallest Ritz values in the span of the last W and of
 the iterations' :math:`A Z = R H`; with :math:`Q = M^{-1} W`, :math:`N = Q^⊤ Z`, both matrices take
-no product (docs/theory.md). Of an unsymmetric A the symmetric parts are taken. Gram matrices are
-formed in full, since rounding spoils the orthogonality of the residuals.
+no product (docs/theory.md). Of an unsymmetric A the symmetric parts are taken. A first solve has
+the softest fields of V where stress softens the body, each corrected,
+
+.. math:: W = M A V c, \qquad A_0\, c = μ\, V^⊤ V c.
+
+Gram matrices are formed in full, since rounding spoils the orthogonality of the residuals.
 """
 
 from __future__ import annotations
@@ -16,6 +20,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+
+from mpi4py import MPI
 
 import numpy as np
 import scipy.linalg
@@ -30,13 +36,18 @@ from dolfinx_feti.runtime.collective import on_all, total, total_of
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.torn.rounding import EPS
 
-__all__ = ["DeflatedSpace", "Trace"]
+__all__ = ["DeflatedSpace", "Trace", "soft_fields"]
+
+Solve = Callable[[int, Array], Array]
 
 #: Applies S_i to columns, ``multiply(i, X)``, (n_i, c) → (n_i, c), or its transpose.
 Multiply = Callable[..., Array]
 
 #: Ritz value below which a vector is worth its place: what V leaves begins at about one.
 DEFLATED = 0.8
+
+#: Steps of inverse iteration in the coarse space: one more finds nothing more.
+INVERSE = 2
 
 #: Share of the largest squared size below which what is outside of V of a combination of W is none.
 INSIDE = 1e-10
@@ -182,3 +193,44 @@ def _images(copies: Copies, multiply: Callable[[int, Array], Array], W: Array) -
     for i, rows in enumerate(copies.blocks):
         SW[rows] = multiply(i, W[rows])
     return SW
+
+
+def soft_fields(
+    space: AveragedSpace, copies: Copies, multiply: Solve, solve: Solve, *, count: int
+) -> RitzVectors:
+    """Return the softest fields of the coarse space, corrected, W = M A V c. Collective.
+
+    Args:
+        space: The coarse space V.
+        copies: Copies of the interface dofs.
+        multiply: Applies S_i to columns, ``multiply(i, X)``, (n_i, k) → (n_i, k).
+        solve: Applies S_ρ⁻¹ in the same way.
+        count: Number of fields, at most.
+
+    Raises:
+        Exception: What the work on a subdomain raises, on all processes.
+    """
+    V, δ, comm = space.V, copies.delta[:, None], copies.comm
+    c = np.random.default_rng(comm.rank).standard_normal((V.size, min(count, V.total)))
+    for step in range(INVERSE + 1):
+        X = _each(V.prolong, c, copies.n)  # V c
+        X = X @ _unit_energy(total_of(X.T @ (δ * X), comm), comm)
+        if step < INVERSE:
+            c = _each(lambda x: space.solve(V.restrict(x)), X, V.size)  # c ← A₀⁻¹ Vᵀ V c
+    SX = on_subdomains(lambda: _images(copies, multiply, X), comm)
+    Q = _each(copies.sum, SX, copies.n)  # Q = A V c
+    Y = on_subdomains(lambda: _images(copies, solve, δ * Q), comm)
+    W = _each(copies.average, Y, copies.n)  # W = M Q
+    B = _unit_energy(total_of(W.T @ (δ * Q), comm), comm)  # Wᵀ Q = I
+    return RitzVectors(np.asfortranarray(W @ B), np.asfortranarray(Q @ B))
+
+
+def _unit_energy(H: Array, comm: MPI.Comm) -> Array:
+    """Return combinations B with Bᵀ H B = I, (k, k) → (k, up to k). Collective."""
+    θ, B = on_all(lambda: diagonalising(H, INSIDE), comm)
+    return np.asarray(B[:, θ > 0.0] / np.sqrt(θ[θ > 0.0]))
+
+
+def _each(apply: Callable[[Array], Array], X: Array, n: int) -> Array:
+    """Apply a collective function to each column, (m, k) → (n, k)."""
+    return np.array([apply(x) for x in X.T]).reshape(X.shape[1], n).T

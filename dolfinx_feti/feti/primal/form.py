@@ -16,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -28,7 +29,7 @@ from dolfinx_feti.feti.pattern import Pattern, symmetric_part
 from dolfinx_feti.feti.primal.adaptive import adaptive_columns
 from dolfinx_feti.feti.primal.assembled import assembled_products
 from dolfinx_feti.feti.primal.cg import PrimalSystem, conjugate_gradients
-from dolfinx_feti.feti.primal.deflation import DeflatedSpace
+from dolfinx_feti.feti.primal.deflation import DeflatedSpace, soft_fields
 from dolfinx_feti.feti.primal.gmres import gmres
 from dolfinx_feti.feti.regularity.singularity import require_held
 from dolfinx_feti.feti.setup import Inertia, Setup, set_up, sum_if_known
@@ -253,6 +254,13 @@ def create_primal_form(
         )
         within.own(space)
     negative, copies = space.negative(), preconditioner.copies
+    count = pattern.options.deflation if pattern.symmetric and not negative else 0
+    if vectors is None and count and _softened(preconditioner.inverse, pattern):
+        solver = partial(solver_on_interface, S, preconditioner.inverse)
+        with event("FETIRecycling"):
+            vectors = soft_fields(
+                space, copies, S.multiply_many, lambda i, F: solver(i)(F), count=count
+            )
     inside = sum_if_known(S.negative_interior, pattern.torn.comm)
     proved = None if negative is None or inside is None else negative + inside
     return PrimalForm(
@@ -267,6 +275,12 @@ def create_primal_form(
         inertia=replace(preconditioner.inertia, interior=inside, assembled=proved),
         most=most,
     )
+
+
+def _softened(inverse: PseudoInverse, pattern: Pattern) -> bool:
+    """Tell whether the stress softens some subdomain. Collective."""
+    own = any(modes.softened for modes in inverse.modes)
+    return bool(pattern.torn.comm.allreduce(own, op=MPI.LOR))
 
 
 def solver_on_interface(S: Operator, inverse: PseudoInverse, i: int) -> Callable[[Array], Array]:

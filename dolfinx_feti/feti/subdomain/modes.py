@@ -34,6 +34,7 @@ class SubdomainModes:
         D: Defect of the kernel, (k, k); zero while K R = 0.
         stabilisation: Columns Z of K₊ = K + Z Zᵀ, (n_i, negative eigenvalues of D).
         exact: Whether K R = 0 holds.
+        softened: Whether stress softens the rigid motions by a noticeable share of the stiffness.
         rho: The stiffness ρ.
         rigid: Number of rigid body modes, the first ones of R.
         null: Number of further null vectors, the next ones.
@@ -46,6 +47,7 @@ class SubdomainModes:
     D: Array
     stabilisation: Array
     exact: bool
+    softened: bool
     rho: float
     rigid: int
     null: int

@@ -215,7 +215,8 @@ def _regularise(
     factor, R, rho = _with_buckling_modes(K, factor, kernel, rho)
     exact = defect <= KERNEL_TOLERANCE * rho and R is kernel
     R, E, D = stiff = _basis(K, factor, R, rho, exact=exact)
-    columns_suffice = adaptive and _is_single(factor) and not _is_softened(K, D)
+    softened = _is_softened(K, D)
+    columns_suffice = adaptive and _is_single(factor) and not softened
     k, soft = R.shape[1], R[:, :0] if columns_suffice else find_soft(factor.solve)
     Y = append_orthonormal(R, soft)[:, k:]
     if Y.shape[1]:
@@ -226,6 +227,7 @@ def _regularise(
         D,
         stabilisation=R @ _negative_directions(D, rho),
         exact=exact and Y.shape[1] == 0,
+        softened=softened,
         rho=rho,
         rigid=rigid.shape[1],
         null=kernel.shape[1] - rigid.shape[1],
