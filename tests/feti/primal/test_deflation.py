@@ -20,7 +20,8 @@ from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.gluing import copies
 from dolfinx_feti.feti.primal import deflation
 from dolfinx_feti.feti.primal.cg import conjugate_gradients
-from dolfinx_feti.feti.primal.deflation import DEFLATED, DeflatedSpace, RitzVectors
+from dolfinx_feti.feti.primal.deflation import DEFLATED, DeflatedSpace, RitzVectors, soft_fields
+from dolfinx_feti.feti.primal.form import solver_on_interface
 from dolfinx_feti.runtime import collective
 
 SEED = 2000
@@ -201,3 +202,23 @@ def test_negative_curvature(torn_grid, form):
     _, outcome, trace = iterate(system, f)
     agree(outcome.reason == Reason.DIVERGED_INDEFINITE_MAT and outcome.iterations == 0)
     agree(space.ritz_vectors(trace, most=20).W.shape == W.shape)
+
+
+@every_interior
+def test_soft_fields(interior, torn_grid, form):
+    """W = M Q, Q in the range of A V, Wᵀ Q = I; they raise the least eigenvalue."""
+    primal = form(torn_grid(**GRID, change=softened(0.0004)), interior=interior)
+    S, copies, system = primal.parts.operator, primal.copies, primal.system
+    solver = partial(solver_on_interface, S, primal.parts.inverse)
+    found = soft_fields(primal.space, copies, S.multiply_many, lambda i, F: solver(i)(F), count=FEW)
+    agree(found.W.shape == (copies.n, FEW))
+    equal(COMM.allreduce(found.W.T @ (copies.delta[:, None] * found.Q)), np.eye(FEW), 1e-8)
+    for w, q in zip(found.W.T, found.Q.T, strict=True):
+        off = np.abs(w - copies.average(system.solve(copies.delta * q))).max(initial=0.0)
+        small(off, 1e-8 * np.abs(whole(w)).max())
+        balanced = system.residual(q * copies.delta, primal.space.initial_guess(q))  # q − A V …
+        small(system.norm(balanced), 1e-6 * system.norm(q))
+    f = random_part(copies.n)
+    before, after = (iterate(deflated(primal, system, v)[1], f)[1] for v in (None, found))
+    agree(after.iterations <= before.iterations)
+    agree(after.eigenvalues[0] >= before.eigenvalues[0] * (1.0 - 1e-6))
