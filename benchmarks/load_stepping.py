@@ -32,11 +32,7 @@ from benchmarks.common.pages import Fields, groups
 from benchmarks.common.plots import COLOURS, picture
 from benchmarks.common.records import Record
 from benchmarks.common.study import Arguments, Keep, Study
-from benchmarks.common.walls.problem import (
-    create_wall_problem,
-    summarise,
-    volume_ratios,
-)
+from benchmarks.common.walls.problem import create_wall_problem, summarise, volume_ratios
 from dolfinx_feti import kinematics
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps
 from dolfinx_feti.output import cell_values, writable_folder

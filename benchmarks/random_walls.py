@@ -31,15 +31,7 @@ from benchmarks.common.records import Record
 from benchmarks.common.study import Study
 from dolfinx_feti import ConvergenceError, NonlinearProblem, loads, materials
 from dolfinx_feti.loading import LoadStep, Steps, follow_load
-from dolfinx_feti.wall import (
-    Clamp,
-    Pressure,
-    Spring,
-    Wall,
-    apply_conditions,
-    by_layer,
-    openings,
-)
+from dolfinx_feti.wall import Clamp, Pressure, Spring, Wall, apply_conditions, by_layer, openings
 from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
 from meshes.arguments import count
 from meshes.lumen import write_lumen

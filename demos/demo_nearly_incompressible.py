@@ -29,10 +29,7 @@ from dolfinx_feti.output import writable_folder
 
 comm = MPI.COMM_WORLD
 mesh = dolfinx.mesh.create_box(
-    comm,
-    [(0.0, 0.0, 0.0), (3.0, 1.0, 1.0)],
-    (12, 4, 4),
-    cell_type=dolfinx.mesh.CellType.hexahedron,
+    comm, [(0.0, 0.0, 0.0), (3.0, 1.0, 1.0)], (12, 4, 4), cell_type=dolfinx.mesh.CellType.hexahedron
 )
 # -
 

@@ -5,13 +5,7 @@
 
 from __future__ import annotations
 
-__all__ = [
-    "ConvergenceError",
-    "FactorError",
-    "SetUpError",
-    "SingularBlockError",
-    "SingularError",
-]
+__all__ = ["ConvergenceError", "FactorError", "SetUpError", "SingularBlockError", "SingularError"]
 
 
 class FactorError(ArithmeticError):

@@ -29,12 +29,7 @@ from dolfinx_feti.wall.reading import distribute
 from dolfinx_feti.wall.wallfile import RawWall
 from meshes.bricks import lattice_cells
 
-__all__ = [
-    "LONG",
-    "THICKNESS",
-    "create_ellipsoid",
-    "ellipsoid_fibre",
-]
+__all__ = ["LONG", "THICKNESS", "create_ellipsoid", "ellipsoid_fibre"]
 
 Array = npt.NDArray[np.float64]
 

@@ -33,12 +33,7 @@ CREATE = {"vessel": create_vessel, "tube": create_tube}
 
 
 def open_wall(
-    source: str | Path,
-    comm: MPI.Comm,
-    *,
-    size: float | None,
-    folder: Path,
-    scale: float = 1.0,
+    source: str | Path, comm: MPI.Comm, *, size: float | None, folder: Path, scale: float = 1.0
 ) -> tuple[Wall, Quality]:
     """Read a wall; generate it first if its file is not there yet.
 

@@ -116,12 +116,7 @@ def modules_page() -> str:
         overview(),
     ]
     for room, summary, inside in rooms():
-        page += [
-            "",
-            f"## {room or 'dolfinx_feti'}/",
-            "",
-            summary if room else "Used everywhere.",
-        ]
+        page += ["", f"## {room or 'dolfinx_feti'}/", "", summary if room else "Used everywhere."]
         for module in inside:
             page += ["", f"### {module.name.rpartition('.')[2]}", "", "```{eval-rst}"]
             page += [

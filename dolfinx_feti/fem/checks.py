@@ -15,12 +15,7 @@ import basix
 import dolfinx
 import ufl
 
-__all__ = [
-    "check_condensed",
-    "check_forms",
-    "check_scalar_type",
-    "check_space",
-]
+__all__ = ["check_condensed", "check_forms", "check_scalar_type", "check_space"]
 
 
 def check_scalar_type() -> None:

@@ -39,10 +39,7 @@ def quadratic_with_bubbles(cell: str, *, faces: bool = True) -> basix.ufl._Eleme
     if cell not in ("triangle", "tetrahedron"):
         raise ValueError(f"cell is {cell!r}: bubbles are made for 'triangle' and 'tetrahedron'.")
     dim = 2 if cell == "triangle" else 3
-    parts = [
-        basix.ufl.element("Lagrange", cell, 2),
-        basix.ufl.element("Bubble", cell, dim + 1),
-    ]
+    parts = [basix.ufl.element("Lagrange", cell, 2), basix.ufl.element("Bubble", cell, dim + 1)]
     if dim == 3 and faces:
         parts.append(_face_bubbles())
     return basix.ufl.enriched_element(parts)

@@ -136,9 +136,7 @@ def quadrature_points(mesh: dolfinx.mesh.Mesh, degree: int) -> Array:
     return np.asarray(basix.make_quadrature(cell, degree)[0])
 
 
-def quadrature_rule(
-    expression: ufl.core.expr.Expr,
-) -> tuple[Array, Array] | None:
+def quadrature_rule(expression: ufl.core.expr.Expr) -> tuple[Array, Array] | None:
     """Return points and weights of the quadrature elements in an expression; None without any.
 
     Raises:

@@ -114,14 +114,7 @@ class BorderedSolver:
         return y - X @ s, s[:m]
 
     def _eliminated(
-        self,
-        ksp: PETSc.KSP,
-        A: PETSc.Mat,
-        b: Array,
-        y: Array,
-        border: Border,
-        d: Array,
-        free: Mask,
+        self, ksp: PETSc.KSP, A: PETSc.Mat, b: Array, y: Array, border: Border, d: Array, free: Mask
     ) -> tuple[Array, Array, float]:
         """Find X, (owned, m), and s, (m,), for y = A⁻¹ b, and ‖(B − A X) s‖/(‖b‖ + Σ ‖B_k‖ |s_k|).
 

@@ -16,15 +16,7 @@ from petsc4py import PETSc
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.runtime.compat import residual_is_nan
 
-__all__ = [
-    "CRAWLING",
-    "NewtonStep",
-    "Stop",
-    "crawls",
-    "is_slow",
-    "proved_negative",
-    "share_left",
-]
+__all__ = ["CRAWLING", "NewtonStep", "Stop", "crawls", "is_slow", "proved_negative", "share_left"]
 
 #: So many steps, each of which leaves more than this share of the residual, are slow.
 SLOW_STEPS, SLOW = 3, 0.03

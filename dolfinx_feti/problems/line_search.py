@@ -133,13 +133,7 @@ def line_search(
 
 
 def _mover(
-    system: System,
-    residual: Residual,
-    du: Array,
-    height: float,
-    highest: float,
-    *,
-    shifted: bool,
+    system: System, residual: Residual, du: Array, height: float, highest: float, *, shifted: bool
 ) -> Callable[[float], Trial]:
     """Return the function that goes to U + α ΔU and judges the state there."""
     start, step = system.state(), system.increment(residual, du)

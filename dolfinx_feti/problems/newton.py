@@ -29,14 +29,7 @@ import numpy as np
 from dolfinx_feti.feti.solver import DOUBTFUL
 from dolfinx_feti.problems.derivative import Mismatch, difference_from_derivative
 from dolfinx_feti.problems.direction import Directions
-from dolfinx_feti.problems.history import (
-    CRAWLING,
-    NewtonStep,
-    Stop,
-    crawls,
-    is_slow,
-    share_left,
-)
+from dolfinx_feti.problems.history import CRAWLING, NewtonStep, Stop, crawls, is_slow, share_left
 from dolfinx_feti.problems.line_search import line_search
 from dolfinx_feti.problems.solvers import RTOL, no_closer_than
 from dolfinx_feti.problems.system import Residual, System, Tangent

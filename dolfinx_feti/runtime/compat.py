@@ -43,10 +43,7 @@ def adjacency(data: Integers, offsets: Indices | None = None) -> object:
 
 
 def create_function_space(
-    V: dolfinx.fem.FunctionSpace,
-    table: Indices,
-    n_blocks: int,
-    block_size: int | None = None,
+    V: dolfinx.fem.FunctionSpace, table: Indices, n_blocks: int, block_size: int | None = None
 ) -> dolfinx.fem.FunctionSpace:
     """Create a space like V with another dof map, on this process alone.
 

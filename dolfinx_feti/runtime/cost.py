@@ -22,12 +22,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-__all__ = [
-    "Cost",
-    "PeakMemory",
-    "measure",
-    "timed_solve",
-]
+__all__ = ["Cost", "PeakMemory", "measure", "timed_solve"]
 
 PROC = Path("/proc/self")
 

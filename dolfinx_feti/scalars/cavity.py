@@ -24,13 +24,7 @@ import numpy as np
 import dolfinx
 import ufl
 
-from dolfinx_feti.mechanics.loads import (
-    SAME,
-    enclosed_volume,
-    follower_pressure,
-    free_norm,
-    wave,
-)
+from dolfinx_feti.mechanics.loads import SAME, enclosed_volume, follower_pressure, free_norm, wave
 from dolfinx_feti.mechanics.values import require_finite, require_positive
 from dolfinx_feti.runtime.arrays import Indices
 from dolfinx_feti.scalars.equations import Coupling, ScalarEquation

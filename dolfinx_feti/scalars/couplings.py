@@ -19,12 +19,7 @@ from dolfinx_feti.scalars.windkessel import Windkessel
 from dolfinx_feti.wall.casefile import Filling
 from dolfinx_feti.wall.wall import AXES, Wall, surface_measure
 
-__all__ = [
-    "checked_couplings",
-    "create_cavities",
-    "refuse_condensed_fields",
-    "works",
-]
+__all__ = ["checked_couplings", "create_cavities", "refuse_condensed_fields", "works"]
 
 
 def checked_couplings(

@@ -15,11 +15,4 @@ from dolfinx_feti.torn.matrix import (
     state_of,
 )
 
-__all__ = [
-    "State",
-    "Torn",
-    "create_torn_matrix",
-    "set_condensed",
-    "set_near_kernel",
-    "state_of",
-]
+__all__ = ["State", "Torn", "create_torn_matrix", "set_condensed", "set_near_kernel", "state_of"]

@@ -16,14 +16,7 @@ import pytest
 
 from benchmarks import scaling
 from benchmarks.common import paper
-from benchmarks.common.scaling.model import (
-    CELLS,
-    PARTS,
-    SCATTER,
-    Machine,
-    create_model,
-    efficiency,
-)
+from benchmarks.common.scaling.model import CELLS, PARTS, SCATTER, Machine, create_model, efficiency
 from benchmarks.common.scaling.traffic import COUNTERS, compile_library
 
 pytest.importorskip("gmsh")

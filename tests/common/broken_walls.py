@@ -139,10 +139,7 @@ changed("no_surface.msh", "no named surface",
 
 
 def box(
-    path: Path,
-    *groups: tuple[int, str],
-    dim: int = 3,
-    options: dict[str, float] | None = None,
+    path: Path, *groups: tuple[int, str], dim: int = 3, options: dict[str, float] | None = None
 ) -> Path:
     """Write a box, or its square, with groups of dimension and name."""
     import gmsh

@@ -220,11 +220,7 @@ class Block:
         self.problem = NonlinearProblem(
             ufl.derivative(energy, self.u, ufl.TestFunction(V)),
             self.u,
-            bcs=[
-                held(0, self.g, 0.5),
-                held(1, 0.0, 2.0),
-                held(2, 0.0, 2.0),
-            ],
+            bcs=[held(0, self.g, 0.5), held(1, 0.0, 2.0), held(2, 0.0, 2.0)],
             subdomains=3,
             quadrature_degree=2,
             internal_variables=update | {self.seen: F[0, 0]},

@@ -19,12 +19,7 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.integer]
 
 
-def jumps(
-    to_global: Indices,
-    dirichlet: npt.NDArray[np.bool_],
-    *,
-    all_floating: bool,
-) -> Array:
+def jumps(to_global: Indices, dirichlet: npt.NDArray[np.bool_], *, all_floating: bool) -> Array:
     """Form the jump operator, (m, n): differences of copies, then Dirichlet rows.
 
     Args:

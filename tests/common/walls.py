@@ -65,9 +65,7 @@ class Wall:
         return (self.F_p,)
 
     def problem(
-        self,
-        subdomains: int | npt.NDArray[np.integer],
-        options: Mapping[str, object] | None = None,
+        self, subdomains: int | npt.NDArray[np.integer], options: Mapping[str, object] | None = None
     ) -> dolfinx_feti.NonlinearProblem:
         """Tear the wall; the values of ``options`` are without prefix."""
         return dolfinx_feti.NonlinearProblem(

@@ -21,13 +21,7 @@ import ufl
 
 import dolfinx_feti
 from dolfinx_feti import compare, loads
-from dolfinx_feti.comparison import (
-    assembled_system,
-    create_solver,
-    measure,
-    run,
-    solvers,
-)
+from dolfinx_feti.comparison import assembled_system, create_solver, measure, run, solvers
 from dolfinx_feti.runtime.petsc_options import inserted
 
 RTOL = 1e-9
@@ -42,11 +36,7 @@ KEYS = {
 
 def linear(body, subdomains=6):
     return dolfinx_feti.LinearProblem(
-        body.a,
-        body.L,
-        bcs=body.bcs,
-        subdomains=subdomains,
-        petsc_options={"ksp_rtol": RTOL},
+        body.a, body.L, bcs=body.bcs, subdomains=subdomains, petsc_options={"ksp_rtol": RTOL}
     )
 
 

@@ -43,13 +43,7 @@ def difference(u, expected):
 @every_type
 @pytest.mark.parametrize(
     ("degree", "pc_type"),
-    [
-        (1, "dirichlet"),
-        (1, "lumped"),
-        (1, "identity"),
-        (2, "dirichlet"),
-        (2, "lumped"),
-    ],
+    [(1, "dirichlet"), (1, "lumped"), (1, "identity"), (2, "dirichlet"), (2, "lumped")],
 )
 def test_all_options(kind, degree, pc_type, feti):
     """Elasticity on tetrahedra with every scaling and weight of the projection."""

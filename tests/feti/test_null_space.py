@@ -235,8 +235,7 @@ def convection(free):
 
 @pytest.mark.parametrize("formulation", ["dual", "primal"])
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [(mass, "no null vector, A resists it"), (convection, "symmetric")],
+    ("change", "message"), [(mass, "no null vector, A resists it"), (convection, "symmetric")]
 )
 def test_matrices_with_another_null_space(change, message, formulation):
     linear = torn(change(poisson(cube(2, 5), clamped=None)), {"feti_formulation": formulation})

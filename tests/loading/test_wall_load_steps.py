@@ -19,11 +19,7 @@ def small_wall() -> Wall:
 
 
 def follow_wall(
-    body: Wall,
-    problem: NonlinearProblem,
-    targets: list[float],
-    steps: Steps,
-    **arguments: object,
+    body: Wall, problem: NonlinearProblem, targets: list[float], steps: Steps, **arguments: object
 ) -> list[LoadStep]:
     return follow_load(
         problem,

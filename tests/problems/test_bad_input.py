@@ -304,18 +304,12 @@ def form_changes(body: Wall) -> list[tuple[dict[str, object], str]]:
         ({"quadrature_degree": -1}, "degree = -1"),
         ({"F": [F_u, F_u], "u": [u, u], **alone}, f"^u {BLOCK}"),
         ({"J": [[J_u]]}, "^J is a list of one"),
-        (
-            {"J": [[J_u, None], [None, None]]},
-            "^J is a block: give the derivative of F_u in u",
-        ),
+        ({"J": [[J_u, None], [None, None]]}, "^J is a block: give the derivative of F_u in u"),
         ({"F": dolfinx.fem.form(F_u), **alone}, f"^F {COMPILED}"),
         ({"J": dolfinx.fem.form(J_u)}, f"^J {COMPILED}"),
         *(({"F": k * u[0] * v[0] * ufl.dx, **alone}, f"F {COMPLEX}") for k in complex_data(S)),
         *(
-            (
-                {"volume_tolerance": wrong},
-                "volume_tolerance is .*: give a number above zero",
-            )
+            ({"volume_tolerance": wrong}, "volume_tolerance is .*: give a number above zero")
             for wrong in (0.0, -1.0, np.nan)
         ),
         (

@@ -23,11 +23,7 @@ from dolfinx_feti.runtime.compat import has_vertex_integrals
 from dolfinx_feti.scalars import ScalarEquation
 
 RTOL = {"ksp_rtol": 1e-11, "snes_rtol": 1e-10}
-KINDS = [
-    {"feti_type": "all_floating"},
-    {"feti_type": "classical"},
-    {"feti_formulation": "primal"},
-]
+KINDS = [{"feti_type": "all_floating"}, {"feti_type": "classical"}, {"feti_formulation": "primal"}]
 
 
 def direct(a, L, bcs):

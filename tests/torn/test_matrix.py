@@ -197,11 +197,7 @@ def test_stiffness_is_the_diagonal_or_what_is_attached(torn_grid):
     equal(torn.stiffness(), np.diag(problem.K_torn)[mine])
     weight = 1.0 + np.arange(torn.n)
     A = dolfinx_feti.create_torn_matrix(
-        problem.local,
-        problem.to_global[mine],
-        problem.A.getSizes()[0],
-        comm=COMM,
-        stiffness=weight,
+        problem.local, problem.to_global[mine], problem.A.getSizes()[0], comm=COMM, stiffness=weight
     )
     other = Torn(A)
     weight[:] = -1.0  # the matrix has taken a copy

@@ -16,15 +16,7 @@ from wall_files import on_first
 
 import dolfinx
 
-from dolfinx_feti.wall import (
-    Clamp,
-    Pressure,
-    Slide,
-    apply_conditions,
-    area,
-    read_case,
-    read_wall,
-)
+from dolfinx_feti.wall import Clamp, Pressure, Slide, apply_conditions, area, read_case, read_wall
 from dolfinx_feti.wall.fibres import Frame, fibre_frame
 from meshes.wall_mesh import write_msh
 

@@ -14,15 +14,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, materials
-from dolfinx_feti.wall import (
-    Clamp,
-    Dashpot,
-    Pressure,
-    Slide,
-    Spring,
-    apply_conditions,
-    area,
-)
+from dolfinx_feti.wall import Clamp, Dashpot, Pressure, Slide, Spring, apply_conditions, area
 
 LENGTH, PRESSURE = 1.0, 0.3
 

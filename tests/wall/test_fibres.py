@@ -115,10 +115,7 @@ def test_slivers(tmp_path):
     step = np.diff(np.unique(np.round(whole(z), 9)))[0]
     z[np.isclose(z, 2.0 * step)] = step * (1.0 + FLATNESS)
     ends, z_unit = {"opening_1": 0.0, "opening_2": 1.0}, [0.0, 0.0, 1.0]
-    with (
-        mock.patch.object(fibres, "DIRECT", fibres.OPTIONS),
-        raises(ArithmeticError, "not solved"),
-    ):
+    with mock.patch.object(fibres, "DIRECT", fibres.OPTIONS), raises(ArithmeticError, "not solved"):
         solve_laplace(wall, ends)
     slope = gradient(solve_laplace(wall, ends))
     equal(slope, np.tile(z_unit, (len(slope), 1)), 1e3 * EPS / FLATNESS)

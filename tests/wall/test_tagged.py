@@ -97,10 +97,7 @@ def test_body_under_pressure(cell):
     springs += loads.follower_pressure_tangent(0.1, rest, v, u, ds, "full")
     solutions = [
         LinearProblem(inside + a, L, bcs=boundary.bcs, petsc_options={"ksp_rtol": 1e-10}).solve()
-        for a, L in (
-            (boundary.tangent, -boundary.residual),
-            (springs, -0.1 * ufl.dot(n, v) * ds),
-        )
+        for a, L in ((boundary.tangent, -boundary.residual), (springs, -0.1 * ufl.dot(n, v) * ds))
     ]
     equal(*(f.x.array for f in solutions), 1e-7)
 

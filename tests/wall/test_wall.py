@@ -16,14 +16,7 @@ from wall_files import ROOT, centroids, on_first, tube
 
 import dolfinx
 
-from dolfinx_feti.wall import (
-    area,
-    by_layer,
-    facets,
-    openings,
-    read_wall,
-    surface_measure,
-)
+from dolfinx_feti.wall import area, by_layer, facets, openings, read_wall, surface_measure
 from dolfinx_feti.wall.wall import plane
 from dolfinx_feti.wall.wallfile import read_raw_wall
 from meshes.wall_mesh import TAGS, WallMesh, write_msh

@@ -41,11 +41,7 @@ OPPONENTS: dict[str, Mapping[str, object]] = {
         "pc_type": "python",
         "pc_python_type": "benchmarks.common.compare.opponents.Pardiso",
     },
-    "gamg-elasticity": {
-        "pc_type": "gamg",
-        "mg_levels_pc_type": "sor",
-        "mg_levels_ksp_max_it": 2,
-    },
+    "gamg-elasticity": {"pc_type": "gamg", "mg_levels_pc_type": "sor", "mg_levels_ksp_max_it": 2},
     "hypre-elasticity": {
         "pc_type": "hypre",
         "pc_hypre_boomeramg_strong_threshold": 0.7,

@@ -23,11 +23,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from benchmarks.common.bodies import Body, create_block, create_body, displacement, plane
-from benchmarks.common.walls.inflated_tube import (
-    create_inflated_tube,
-    create_slice,
-    residual_part,
-)
+from benchmarks.common.walls.inflated_tube import create_inflated_tube, create_slice, residual_part
 from benchmarks.common.walls.oracle import KPA_PER_MMHG, LAYERS, Wall, inflate
 from dolfinx_feti import materials
 from dolfinx_feti.loading import Steps

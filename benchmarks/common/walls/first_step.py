@@ -77,11 +77,7 @@ OPTIONS: dict[str, Record] = {
 
 
 def create(
-    wall: Wall,
-    frame: Frame,
-    case: Record,
-    subdomains: int | Parts,
-    options: Record,
+    wall: Wall, frame: Frame, case: Record, subdomains: int | Parts, options: Record
 ) -> Body:
     """Tear a wall at rest, with a number of subdomains or a part for each owned cell. Collective.
 

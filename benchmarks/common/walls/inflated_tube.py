@@ -27,11 +27,7 @@ from ufl.core.expr import Expr
 
 from benchmarks.common.bodies import Body
 from benchmarks.common.walls.oracle import Layer, Tube
-from benchmarks.common.walls.problem import (
-    INTERFACE,
-    create_wall_problem,
-    tube_fibres,
-)
+from benchmarks.common.walls.problem import INTERFACE, create_wall_problem, tube_fibres
 from dolfinx_feti import kinematics
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
 from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
@@ -42,13 +38,7 @@ from meshes.bricks import create_brick_tube
 from meshes.tube import ADVENTITIA, INNER_RADIUS, count_around
 from meshes.walls import create_tube_wall
 
-__all__ = [
-    "ELEMENTS",
-    "InflatedTube",
-    "create_inflated_tube",
-    "create_slice",
-    "residual_part",
-]
+__all__ = ["ELEMENTS", "InflatedTube", "create_inflated_tube", "create_slice", "residual_part"]
 
 Array = npt.NDArray[np.float64]
 

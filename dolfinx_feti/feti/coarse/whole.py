@@ -21,11 +21,7 @@ import numpy as np
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.coarse.group import copy_of_rows
 from dolfinx_feti.feti.coarse.near import joined
-from dolfinx_feti.feti.subdomain.factors.multifrontal import (
-    FrontFactor,
-    Fronts,
-    load_fronts_for,
-)
+from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor, Fronts, load_fronts_for
 from dolfinx_feti.runtime.arrays import Indices, Numbers
 from dolfinx_feti.runtime.collective import join, on_all
 from dolfinx_feti.runtime.lifetime import Lifetime

@@ -22,12 +22,7 @@ import numpy as np
 from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
 from dolfinx_feti.feti.dual.coarse import Coarse
 from dolfinx_feti.feti.dual.krylov import CG, choose_method, has_own_test, solve
-from dolfinx_feti.feti.dual.preconditioner import (
-    Dirichlet,
-    Identity,
-    Lumped,
-    Preconditioner,
-)
+from dolfinx_feti.feti.dual.preconditioner import Dirichlet, Identity, Lumped, Preconditioner
 from dolfinx_feti.feti.dual.system import DualSystem
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.pattern import Pattern
@@ -160,12 +155,7 @@ def create_dual_form(pattern: Pattern, setup: Setup, within: Lifetime) -> DualFo
     preconditioner = within.own(create(setup.operator, B_D, [m.stabilisation for m in modes]))
     with event("FETICoarse"):
         coarse = Coarse(
-            pattern.gluing,
-            setup.delta,
-            modes,
-            preconditioner,
-            q=options.coarse_q,
-            prefix=prefix,
+            pattern.gluing, setup.delta, modes, preconditioner, q=options.coarse_q, prefix=prefix
         )
         within.own(coarse)
         require_regular(

@@ -32,13 +32,7 @@ Reason = PETSc.KSP.ConvergedReason
 
 
 def gmres(
-    system: PrimalSystem,
-    f: Array,
-    *,
-    target: float,
-    max_it: int,
-    monitor: Monitor,
-    traced: int = 0,
+    system: PrimalSystem, f: Array, *, target: float, max_it: int, monitor: Monitor, traced: int = 0
 ) -> tuple[Array, Solution, Trace]:
     """Solve A x = Tᵀ f, with arguments and results of ``conjugate_gradients``. Collective."""
     copies = system.copies

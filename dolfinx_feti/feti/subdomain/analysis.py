@@ -20,11 +20,7 @@ import numpy as np
 from dolfinx_feti.feti.gluing.jump import Dofs
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.factors.direct import Choice
-from dolfinx_feti.feti.subdomain.factors.multifrontal import (
-    Fronts,
-    create_fronts,
-    load_fronts_for,
-)
+from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, create_fronts, load_fronts_for
 from dolfinx_feti.runtime.arrays import Indices
 from dolfinx_feti.runtime.petsc_library import reads_in_place, rows_of
 from dolfinx_feti.torn.matrix import Torn

@@ -64,10 +64,7 @@ def growth(factor: Factor, d: Array) -> float:
 
 
 def null_space(
-    multiply: Solve,
-    refactor: Callable[[Array, Array], Factor],
-    d: Array,
-    R: Array | None = None,
+    multiply: Solve, refactor: Callable[[Array, Array], Factor], d: Array, R: Array | None = None
 ) -> Array:
     """Find the null vectors of the block K, (n, any number), but for the modes R, (n, k).
 

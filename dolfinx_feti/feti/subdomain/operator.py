@@ -224,11 +224,7 @@ class EliminatedInterior(Operator):
     eliminated = True
 
     def __init__(
-        self,
-        torn: Torn,
-        dofs: Dofs,
-        interior_factors: Sequence[Factor],
-        S: Sequence[PackedMatrix],
+        self, torn: Torn, dofs: Dofs, interior_factors: Sequence[Factor], S: Sequence[PackedMatrix]
     ) -> None:
         """Take the Schur complements."""
         super().__init__(torn, dofs, interior_factors)

@@ -202,12 +202,7 @@ def _is_single(factor: Factor) -> bool:
 
 
 def _regularise(
-    K: _Block,
-    rigid: Array,
-    defect: float,
-    find_soft: Callable[[Solve], Array],
-    *,
-    adaptive: bool,
+    K: _Block, rigid: Array, defect: float, find_soft: Callable[[Solve], Array], *, adaptive: bool
 ) -> tuple[Factor, SubdomainModes]:
     """Factor K_ρ without soft modes, and find all modes; the defect of the rigid ones is ‖K R‖."""
     rho = float(K.diagonal.mean()) if len(K.diagonal) else 1.0

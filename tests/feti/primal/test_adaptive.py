@@ -107,12 +107,7 @@ def test_the_search_goes_on_while_most_is_wanted(threshold):
         return counted
 
     adaptive_columns(
-        body.copies,
-        lambda i: lambda U: body.A[i] @ U,
-        solver,
-        body.E,
-        most=24,
-        threshold=threshold,
+        body.copies, lambda i: lambda U: body.A[i] @ U, solver, body.E, most=24, threshold=threshold
     )
     agree(steps == [1] * (STEPS[1] if threshold < 1.0 else STEPS[0]), steps)
 

@@ -16,11 +16,7 @@ from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain import analysis
 from dolfinx_feti.feti.subdomain.factors import multifrontal as fronts
 from dolfinx_feti.feti.subdomain.factors.dense import pack
-from dolfinx_feti.feti.subdomain.factors.multifrontal import (
-    FrontFactor,
-    create_fronts,
-    load_fronts,
-)
+from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor, create_fronts, load_fronts
 from dolfinx_feti.runtime.petsc_library import Rows
 
 EPS = np.finfo(np.float64).eps
