@@ -7,7 +7,7 @@
 takes; ``--page FOLDER`` makes its page of records. A study knows itself and ``common``.
 
 In the order of the data: common, cube, verification, compare, nonlinear, scaling, load_stepping,
-random_walls, scalars, edit.
+random_walls, edit.
 """
 
 from mpi4py import MPI  # noqa: F401  before all that is linked with the MPI library

@@ -164,17 +164,18 @@ def _median(rounds: Sequence[list[Record]]) -> list[Record]:
 def _create_body(case: Record, folder: Path, comm: MPI.Comm) -> bodies.Body | LinearProblem:
     """Build a body at rest; FETI shows its parts (``ksp_view``) where it solves once only."""
     once = case["path_mmhg"] is None and case["loaded_mmhg"] is None and "per" not in case
-    geometry, options = str(case["geometry"]), {"ksp_view": None} if once else {}
-    shared = {name: case[f"wanted_{name}"] for name in ("dofs", "subdomains")}
-    shared |= {"degree": case["degree"], "options": options}
-    if case["kappa"] is None:
-        options["ksp_rtol"] = 1e-8
-        return bodies.create_linear(comm, geometry, **shared)
-    shared["kappa"] = case["kappa"]
+    geometry, kappa, options = str(case["geometry"]), case["kappa"], {}
+    options |= {"ksp_view": None} if once else {}
+    options |= {"ksp_rtol": 1e-8} if kappa is None else {}
+    shared = {"dofs": case["wanted_dofs"], "degree": case["degree"]}
+    settings = {"subdomains": case["wanted_subdomains"], "petsc_options": options}
+    if kappa is None:
+        return bodies.create_linear(comm, geometry, **shared, **settings)
     if geometry in ("block", "pillar"):
-        return bodies.create_neo_hookean(comm, 5 if geometry == "block" else 1, **shared)
+        faces = 5 if geometry == "block" else 1
+        return bodies.create_neo_hookean(comm, faces, kappa=kappa, **shared, **settings)
     folder = writable_folder(folder, comm)
-    return create_clamped(comm, geometry, folder=folder, **shared)
+    return create_clamped(comm, geometry, folder=folder, kappa=kappa, **shared, **settings)
 
 
 STUDY = Study(

@@ -138,13 +138,8 @@ def _fields(records: Sequence[Record]) -> dict[str, object]:
         return [known[case] for case in dict.fromkeys(cases) if case in known]
 
     both = list(itertools.product((1, 2), TYPES))
-    own = of(
-        case
-        for degree, kind in both
-        for level in LEVELS
-        for case in _all(Case(degree=degree, level=level))
-        if case.type == kind
-    )
+    every = itertools.product((1, 2), TYPES, LEVELS, PRECONDITIONERS)
+    own = of(Case(degree, level, type=kind, pc=pc) for degree, kind, level, pc in every)
     condition, iterations = deviations(own)
     whole = {"condition": 100 * condition, "iterations": iterations, "scale": error_scale(own)}
     growing = [
@@ -183,12 +178,12 @@ def _fields(records: Sequence[Record]) -> dict[str, object]:
 def deviations(own: Sequence[Record]) -> tuple[float, int]:
     """Return the largest deviations from the paper: condition numbers, relative; iterations."""
     both = [(r, theirs) for r in own if (theirs := _papers_solve(r)) is not None]
-    condition = [abs(r["condition_number"] / t.condition_number - 1.0) for r, t in both]
-    iterations = [abs(r["iterations"] - t.iterations) for r, t in both]
+    iterations = [abs(r["iterations"] - its) for r, (its, _) in both]
+    condition = [abs(r["condition_number"] / known - 1.0) for r, (_, known) in both]
     return max(condition, default=math.nan), max(iterations, default=0)
 
 
-def _papers_solve(record: Record) -> paper.Solve | None:
+def _papers_solve(record: Record) -> tuple[int, float] | None:
     if record["degree"] != 1:
         return None
     return paper.LINEAR.get((record["type"], record["pc"], record["level"]))
@@ -205,13 +200,12 @@ def _papers(own: Sequence[Record], degree: int, kinds: Iterable[str]) -> Iterato
 
 def _solve(record: Record) -> dict[str, str]:
     """Return iterations and condition number, the paper's in brackets."""
-    its, condition = str(record["iterations"]), record["condition_number"]
-    number, theirs = FORMS["number"](condition), _papers_solve(record)
-    if theirs is None:
-        return {"its": its, "kappa": number}
-    off = FORMS["off"](condition / theirs.condition_number)
-    kappa = f"{number} ({theirs.condition_number:.1f}, {off})"
-    return {"its": f"{its} ({theirs.iterations})", "kappa": kappa}
+    its, condition = record["iterations"], record["condition_number"]
+    number = FORMS["number"](condition)
+    if (theirs := _papers_solve(record)) is None:
+        return {"its": str(its), "kappa": number}
+    off = FORMS["off"](condition / theirs[1])
+    return {"its": f"{its} ({theirs[0]})", "kappa": f"{number} ({theirs[1]:.1f}, {off})"}
 
 
 def _errors(records: Sequence[Record]) -> Iterator[dict[str, object]]:

@@ -14,6 +14,9 @@ them.
 
 from __future__ import annotations
 
+import argparse
+import itertools
+import math
 import os
 import random
 from collections.abc import Callable, Iterator, Sequence
@@ -33,11 +36,9 @@ from benchmarks.common.direct import create_newton
 from benchmarks.common.pages import Fields, groups
 from benchmarks.common.plots import COLOURS, picture
 from benchmarks.common.records import Record
-from benchmarks.common.study import Keep, Study
+from benchmarks.common.study import Arguments, Keep, Study
 from dolfinx_feti import NonlinearProblem, kinematics, materials
 from meshes.arguments import count
-
-__all__ = ["STUDY"]
 
 Expr = ufl.core.expr.Expr
 Solve = Callable[[], object]
@@ -136,13 +137,9 @@ def problem_of(material: str, given: str, mesh: dolfinx.mesh.Mesh) -> Callable[[
         if given == "dolfinx":
             solve = create_newton(forms[0], w, [bc], rtol=RTOL)
         else:
-            solve = NonlinearProblem(
-                energy if given == "energy" else forms if three else forms[0],
-                w,
-                bcs=[bc],
-                condense=fields or None,
-                petsc_options={"snes_rtol": RTOL},
-            ).solve
+            asked = energy if given == "energy" else forms if three else forms[0]
+            settings = {"condense": fields or None, "petsc_options": {"snes_rtol": RTOL}}
+            solve = NonlinearProblem(asked, w, bcs=[bc], **settings).solve
 
         def solve_from_rest() -> object:
             rest()
@@ -158,7 +155,7 @@ def seconds() -> float:
     return float(sum(os.times()[:4]))
 
 
-def _run(case: Record, keep: Keep, args: Any, _: MPI.Comm) -> None:
+def _run(case: Record, keep: Keep, args: Arguments, _: MPI.Comm) -> None:
     """Solve each edit, and once more; ours has had one before, for what all energies share."""
     mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 5, 4, 8)
     prepare = problem_of(str(case["material"]), str(case["given"]), mesh)
@@ -173,14 +170,14 @@ def _run(case: Record, keep: Keep, args: Any, _: MPI.Comm) -> None:
         keep({"edit": edit}, {"first": first, "again": seconds() - start - first})
 
 
-def _options(parser: Any) -> None:
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--material", choices=MATERIALS, action="append", help="all if not given")
     parser.add_argument("--edits", type=count, default=1, help="1")
 
 
-def _cases(args: Any, *_: object) -> Iterator[Record]:
-    materials = args.material or list(MATERIALS)
-    yield from ({"material": m, "given": given} for m in materials for given in ROUTES)
+def _cases(args: Arguments, *_: object) -> Iterator[Record]:
+    for material, given in itertools.product(args.material or MATERIALS, ROUTES):
+        yield {"material": material, "given": given}
 
 
 def _rows(records: Sequence[Record]) -> list[dict[str, Any]]:
@@ -190,8 +187,8 @@ def _rows(records: Sequence[Record]) -> list[dict[str, Any]]:
         row: dict[str, Any] = {"material": material}
         for (given,), same in groups(mine, "given"):
             for name in ("first", "again"):
-                row[f"{given}_{name}"] = min(float(str(r[name])) for r in same)
-                row[f"{given}_{name}_ratio"] = row[f"{given}_{name}"] / row[f"dolfinx_{name}"]
+                row[f"{given}_{name}"] = least = min(float(str(r[name])) for r in same)
+                row[f"{given}_{name}_ratio"] = least / row.get(f"dolfinx_{name}", math.nan)
         rows.append(row)
     return rows
 
@@ -204,7 +201,7 @@ def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
         for ax, (name, title) in zip(axes[0], titles.items(), strict=True):
             for i, (given, (_, colour)) in enumerate(ROUTES.items()):
                 at = np.arange(len(rows)) + 0.27 * (i - 1)
-                ax.barh(at, [row[f"{given}_{name}"] for row in rows], 0.25, color=colour)
+                ax.barh(at, [row.get(f"{given}_{name}", 0.0) for row in rows], 0.25, color=colour)
             names = [row["material"] for row in rows]
             ax.set(yticks=range(len(rows)), yticklabels=names, xlabel="CPU seconds", title=title)
             ax.invert_yaxis()

@@ -22,7 +22,6 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 
@@ -36,13 +35,10 @@ from benchmarks.common.walls.problem import create_wall_problem, summarise, volu
 from dolfinx_feti import kinematics
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps
 from dolfinx_feti.output import cell_values, writable_folder
+from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.collective import on_first
 from meshes.arguments import count, positive
 from meshes.walls import open_wall
-
-__all__ = ["NAMES", "STUDY", "at_points", "five_points"]
-
-Array = npt.NDArray[np.float64]
 
 #: The points, and what tells one wall with its solver from another.
 NAMES, RUN = "ABCDE", ("geometry", "size", "degree", "subdomains", "type")
@@ -89,11 +85,9 @@ def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
     """Inflate a wall by one variant, with a record for each accepted load step. Collective."""
     folder = writable_folder(args.folder, comm)
     wall, _ = open_wall(args.geometry, comm, size=args.size, folder=folder)
-    body = create_wall_problem(
-        wall,
-        **{name: case[name] for name in ("degree", "c", "kappa", "subdomains")},
-        options={"feti_type": case["type"], "ksp_rtol": case["rtol"], "snes_max_it": NEWTON_STEPS},
-    )
+    options = {"feti_type": case["type"], "ksp_rtol": case["rtol"], "snes_max_it": NEWTON_STEPS}
+    names = ("degree", "c", "kappa", "subdomains")
+    body = create_wall_problem(wall, petsc_options=options, **{name: case[name] for name in names})
     kept = _checkpoint(args, case, comm)
     points = five_points(wall.mesh)
     done = len(kept.record["steps"]) if kept is not None and kept.restart else 0
@@ -104,7 +98,7 @@ def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
         keep({"pressure_mmhg": step.load}, {"steps": done} | _cost(step) | _state(body, points))
 
     steps = Steps(first=args.first, least=min(LEAST, args.first))
-    body.inflate([args.pressure], steps, on_step=report, checkpoint=kept)
+    body.inflate([args.pressure], steps, on_step=report, checkpoint=kept, unit="mmHg")
 
 
 def _checkpoint(args: Arguments, case: Record, comm: MPI.Comm) -> Checkpoint | None:
@@ -115,8 +109,7 @@ def _checkpoint(args: Arguments, case: Record, comm: MPI.Comm) -> Checkpoint | N
     kept = on_first(lambda: (folder / "state.npz").exists(), comm)
     if kept and args.again:
         raise ValueError(f"--again begins anew, but {folder} holds a run: name another folder")
-    names = ("geometry", "size", "degree", "c", "kappa", "type")
-    return Checkpoint(folder, comm, parameters={n: case[n] for n in names}, restart=kept)
+    return Checkpoint(folder, comm, restart=kept)
 
 
 def _cost(step: LoadStep) -> Record:
@@ -145,7 +138,7 @@ def _state(body: Body, points: Sequence[np.ndarray]) -> Record:
     }
 
 
-def five_points(mesh: dolfinx.mesh.Mesh) -> list[npt.NDArray[np.int64]]:
+def five_points(mesh: dolfinx.mesh.Mesh) -> list[Numbers]:
     """Choose five cells far from each other; return which of this process's cells each is, or none.
 
     The first is the one farthest from the centre of the mesh, each further one the one farthest
@@ -169,7 +162,7 @@ def five_points(mesh: dolfinx.mesh.Mesh) -> list[npt.NDArray[np.int64]]:
     return points
 
 
-def at_points(body: Body, points: Sequence[npt.NDArray[np.int64]]) -> tuple[Array, Array]:
+def at_points(body: Body, points: Sequence[Numbers]) -> tuple[Array, Array]:
     """Return u_norm [mm] (eq. 57) and σ_mag [kPa] at the points, on all processes. Collective."""
     mesh = body.u.function_space.mesh
     norm = np.linalg.norm(cell_values(body.u, mesh), axis=1)

@@ -38,9 +38,6 @@ from meshes.lumen import write_lumen
 from meshes.vessel import create_vessel
 from meshes.walls import grow
 
-__all__ = ["STUDY", "Chance", "draw", "inflate"]
-
-
 MMHG, KAPPA, MOST = 120.0, 1000.0, 80  # load, bulk modulus [kPa], Newton steps
 
 LAYERS = ("intima", "media", "adventitia")

@@ -27,8 +27,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from mpi4py import MPI
@@ -37,16 +37,14 @@ from benchmarks.common import command, paper
 from benchmarks.common.pages import Fields, groups, section
 from benchmarks.common.plots import COLOURS, OPEN, curve, picture
 from benchmarks.common.records import Record, read_records
-from benchmarks.common.scaling.model import KRYLOV, Machine, Model, create_model, efficiency
+from benchmarks.common.scaling import model
+from benchmarks.common.scaling.model import Model, create_model, efficiency
 from benchmarks.common.scaling.traffic import compile_library
 from benchmarks.common.study import Arguments, Keep, Study
 from benchmarks.common.walls.first_step import ARTERIES, CHOICES
 from benchmarks.common.walls.first_step import TYPES as NAMES
 from dolfinx_feti import ConvergenceError
 from meshes.arguments import count
-
-__all__ = ["INHERITED", "SHARED_CORES", "STUDY", "TYPES", "predict"]
-
 
 #: Variant by layers of the wall: the paper's aorta, its carotid artery.
 TYPES = {1: "all_floating", 2: "classical"}
@@ -67,17 +65,19 @@ KEPT = Path(__file__).parents[2] / "docs/results/scaling.json"
 #: Preconditioners of the two choices.
 PC = {"paper": "lumped", "default": "dirichlet"}
 
-
 #: What cases share that differ in their number of processes alone.
 CASE = ("geometry", "size", "subdomains", "layers", "choices")
 
 #: Processes of weak scaling, as many dofs on each.
 WEAK = (512, 10_000)
 
-PARTS = ("local", "krylov", "total")
+#: Parts that the page shows.
+SHOWN = ("local", "krylov", "total")
 
-#: Microseconds, GB/s and Gflop/s.
-UNITS = {"latency": 1e6} | dict.fromkeys(("bandwidth", "stream", "rate", "disk"), 1e-9)
+#: The model's machine, in microseconds, GB/s and Gflop/s.
+UNITS = {"latency": 1e6, "node": 1, "bus": 1}
+UNITS |= dict.fromkeys(("bandwidth", "stream", "rate", "disk"), 1e-9)
+CLUSTER = {name: unit * getattr(model, name.upper()) for name, unit in UNITS.items()}
 
 STYLES = {"local": {"color": COLOURS[2]}, "krylov": {"color": COLOURS[0]}, "total": {"color": "k"}}
 
@@ -90,28 +90,27 @@ FORESEEN = ("reading", "local", "coarse", "krylov", "rest", "fixed", "total")
 
 def _options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    numbers = command.several(command.count_or_zero)
+    numbers, some = command.several(count), [1, 2, 4, 8, 16, 32, 64]
     command.add_mesh(parser)
-    add("--processes", type=numbers, default=[1, 2], help="to measure, 1,2; 0 for none")
-    some = [1, 2, 4, 8, 16, 32, 64]
-    add("--count", type=numbers, default=some, help="to count, 1,2,4,8,16,32,64; 0 for none")
+    command.add_choices(parser, "--task", ("count", "measure"))
+    add("--processes", type=numbers, default=[1, 2], help="to measure, 1,2")
+    add("--count", type=numbers, default=some, help="to count, 1,2,4,8,16,32,64")
     add("--predict", type=count, nargs=2, metavar=("DOFS", "PROCESSES"), help="print the model's")
     add("--subdomains", type=count, default=512, help="over all processes, 512")
-    layers = {"type": command.some_of(tuple(TYPES)), "default": list(TYPES)}
-    add("--layers", **layers, help="1 with all-floating FETI, 2 with classical, 1,2")
-    choices = {"type": command.some_of(tuple(CHOICES)), "default": list(CHOICES)}
-    add("--choices", **choices, help="the paper's and the package's own, paper,default")
+    command.add_choices(parser, "--layers", tuple(TYPES))
+    command.add_choices(parser, "--choices", tuple(CHOICES))
 
 
 def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
     """Yield the cases: counted first, for that is quick."""
     if args.predict:
         (kept,) = args.json or [KEPT]
-        known = read_records(kept, STUDY.known, "benchmarks.scaling")
+        known = read_records(kept, STUDY.known, STUDY.page)
         command.say("\n".join(predict(known, *args.predict)), comm)
         return
     _check(args)
-    for task, numbers in (("count", args.count), ("measure", args.processes)):
+    for task in args.task:
+        numbers = args.count if task == "count" else args.processes
         for choices, layers, processes in itertools.product(args.choices, args.layers, numbers):
             yield {
                 "study": "scaling",
@@ -130,11 +129,7 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
 
 
 def _run(case: Record, keep: Keep, args: Arguments, _comm: MPI.Comm) -> None:
-    """Run a case on its processes.
-
-    Raises:
-        ConvergenceError: It did not come to its end.
-    """
+    """Run a case on its processes."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "record.json"
         inside = json.dumps(case | {"folder": str(args.folder)})
@@ -156,14 +151,12 @@ def _check(args: Arguments) -> None:
     cores = len(os.sched_getaffinity(0))
     if MPI.COMM_WORLD.size > 1:
         raise ValueError("it starts mpirun itself: run it as python3 -m benchmarks.scaling")
-    for name in ("processes", "count"):
-        setattr(args, name, [n for n in getattr(args, name) if n > 0])
-    if max(args.processes, default=0) > cores:
+    if "measure" in args.task and max(args.processes) > cores:
         raise ValueError(
             f"--processes {max(args.processes)}: there are {cores} cores, and shared ones measure "
             "nothing; --count takes any number"
         )
-    most = max(*args.processes, *args.count, 0, 0)
+    most = max(*args.processes, *args.count)
     if most > args.subdomains:
         raise ValueError(
             f"{most} processes need as many --subdomains, and there are {args.subdomains}"
@@ -177,24 +170,14 @@ def predict(records: Sequence[Record], dofs: int, processes: int) -> Iterator[st
     first = min(paper.FIRST, processes)
     yield f"A load step of {dofs} dofs on {processes} processes, modelled [s]:"
     yield " ".join(f"{name:>8}" for name in (*FORESEEN, "eff")) + f"  (eff: against {first})"
-    for choices in CHOICES:
-        for kind in NAMES:
-            mine = [r for r in records if (r["choices"], r["type"]) == (choices, kind)]
-            mine.sort(key=lambda r: r["processes"])
-            tasks = ([r for r in mine if r["task"] == task] for task in ("measure", "count"))
-            model = create_model(*tasks)
-            if model is None:
-                continue
-            refined = dofs / model.base["dofs"]
-            there, here = (model.predict(P, refined) for P in (first, processes))
-            numbers = [getattr(here, part) for part in FORESEEN]
-            numbers.append(efficiency(first, there.total, processes, here.total))
-            its = sum(model.base["linear_iterations_per_newton"])
-            steps = model.base["newton_iterations"]
-            yield (
-                " ".join(f"{number:8.3g}" for number in numbers)
-                + f"  {NAMES[kind]}, {CHOICES[choices]}: {steps} Newton steps, {its} iterations"
-            )
+    for series in filter(lambda s: s.model, _series(records)):
+        base, names = series.model.base, series.names
+        there, here = (series.model.predict(P, dofs / base["dofs"]) for P in (first, processes))
+        numbers = [here[part] for part in FORESEEN]
+        numbers.append(efficiency(first, there["total"], processes, here["total"]))
+        its, steps = sum(base["linear_iterations_per_newton"]), base["newton_iterations"]
+        told = f"{names['kind']}, {names['chosen']}: {steps} Newton steps, {its} iterations"
+        yield " ".join(f"{number:8.3g}" for number in numbers) + f"  {told}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +190,7 @@ class _Series:
     counted: list[Record]
     model: Model | None
 
-    def section(self, rows: Sequence[Fields], **fields: object) -> list[dict[str, object]]:
+    def section(self, rows: Iterable[Fields], **fields: object) -> list[dict[str, object]]:
         """Return a section with its names, and what the first case has."""
         first = (self.measured or self.counted)[0]
         return section(rows, **(first | self.names | fields))
@@ -227,26 +210,21 @@ class _Series:
 def _fields(records: Sequence[Record]) -> Fields:
     every = list(_series(records))
     modelled = [s for s in every if s.model is not None]
+    counted = {r["processes"]: r for s in modelled for r in s.counted}
     return {
-        "cluster": {k: value * UNITS.get(k, 1.0) for k, value in asdict(Machine()).items()},
-        "measured": [part for s in every for part in s.section(list(_times(s)))],
+        "cluster": CLUSTER,
+        "measured": [part for s in every for part in s.section(_times(s))],
         "modelled": [
-            part
-            for s in modelled
-            for part in s.section(list(_model_rows(s)), dofs=paper.DOFS[s.layers])
+            part for s in modelled for part in s.section(_model_rows(s), dofs=paper.DOFS[s.layers])
         ],
         "limits": section(row for s in modelled for row in _limits(s)),
         "weak": section(_weak(s) for s in modelled),
         "once": section(r | s.names | {"s": r["seconds_once"]} for s in every for r in s.measured),
         "reading": section(
             {"P": P, "mb": r["reading_bytes"] / 1e6, "mib": r["reading_mib"], "sent": r["reading"]}
-            for P, r in sorted({r["processes"]: r for s in modelled for r in s.counted}.items())
+            for P, r in sorted(counted.items())
         ),
-        "counted": section(
-            r | s.names | {"kilobytes": r["setup"]["bytes"]["max"] / 1e3, "grown": grown}
-            for s in every
-            for r, grown in zip(s.counted, _growth(s.counted, "messages_to_each"), strict=True)
-        ),
+        "counted": section(row for s in every for row in _counts(s)),
         "first_processes": paper.FIRST,
     }
 
@@ -260,53 +238,50 @@ def _series(records: Sequence[Record]) -> Iterator[_Series]:
         yield _Series(layers, choices, *tasks, create_model(*tasks))
 
 
-def _growth(records: Sequence[Record], name: str) -> list[float | None]:
-    """Return each record's number over that of the first which has one."""
-    numbers = [record.get(name) for record in records]
-    first = next((number for number in numbers if number), None)
-    return [number / first if number and first else None for number in numbers]
+def _counts(series: _Series) -> Iterator[Record]:
+    """Yield the counted cases; messages to each have grown from those of the first with any."""
+    first = next((r["messages_to_each"] for r in series.counted if r["messages_to_each"]), None)
+    for r in series.counted:
+        to_each = r["messages_to_each"]
+        grown = to_each / first if to_each and first else None
+        kilobytes = r["setup"]["bytes"]["max"] / 1e3
+        yield r | series.names | {"kilobytes": kilobytes, "grown": grown}
 
 
 def _times(series: _Series) -> Iterator[dict[str, object]]:
     """Yield seconds and efficiencies of the measured cases, and what the model foresees."""
-    for r in series.measured:
-        first, P = series.measured[0], int(r["processes"])
-        model = series.model.predict(P) if series.model else None
-        s, s_1 = ({part: record[f"seconds_{part}"] for part in PARTS} for record in (r, first))
-        eff = {part: efficiency(first["processes"], s_1[part], P, s[part]) for part in PARTS}
-        foreseen = {part: getattr(model, part) for part in PARTS} if model else {}
+    first, *_ = every = [{p: r[f"seconds_{p}"] for p in SHOWN} for r in series.measured] or [{}]
+    for r, s in zip(series.measured, every, strict=False):
+        P = int(r["processes"])
+        foreseen = series.model.predict(P) if series.model else {}
+        eff = _efficiencies(series.measured[0]["processes"], first, P, s)
         yield {"P": P, "s": s, "eff": eff, "model": foreseen}
 
 
 def _model_rows(series: _Series) -> Iterator[dict[str, object]]:
     """Yield the model's seconds and efficiencies beside the paper's, of as many dofs."""
-    theirs, refined = paper.TIMES[series.layers], series.refined
-    first = series.model.predict(paper.FIRST, refined)
+    begin, theirs, refined = paper.FIRST, paper.TIMES[series.layers], series.refined
+    first = series.model.predict(begin, refined)
     for P in (*theirs, FURTHER):
-        foreseen = series.model.predict(P, refined)
-        yield {
-            "P": P,
-            "s": {part: getattr(foreseen, part) for part in (*PARTS, "coarse")},
-            "eff": _efficiencies(first, P, foreseen),
-            "paper": _efficiencies(theirs[paper.FIRST], P, theirs[P]) if P in theirs else {},
-        }
+        s = series.model.predict(P, refined)
+        printed = _efficiencies(begin, theirs[begin], P, theirs[P]) if P in theirs else {}
+        yield {"P": P, "s": s, "eff": _efficiencies(begin, first, P, s), "paper": printed}
 
 
-def _efficiencies(first: object, P: int, times: object) -> dict[str, float]:
-    """Return the efficiencies of the parts, those of the paper's first number being 1."""
-    return {
-        part: efficiency(paper.FIRST, getattr(first, part), P, getattr(times, part))
-        for part in PARTS
-    }
+def _efficiencies(
+    begin: int, first: Mapping[str, float], P: int, times: Mapping[str, float]
+) -> dict[str, float]:
+    """Return the efficiencies of what is shown, 1 on the first number of processes."""
+    return {part: efficiency(begin, first[part], P, times[part]) for part in SHOWN}
 
 
 def _limits(series: _Series) -> Iterator[dict[str, object]]:
     """Yield the shares of the parts in all of the time and in the iterations [%]."""
     for P in (max(paper.TIMES[series.layers]), FURTHER):
         foreseen = series.model.predict(P, series.refined)
-        parts = {"total": foreseen.shares(), "Krylov": foreseen.shares(KRYLOV)}
-        for whole, shares in parts.items():
-            percent = {name: 100 * share for name, share in shares.items()}
+        for whole, parts in {"total": model.PARTS, "Krylov": model.KRYLOV}.items():
+            all_of_it = sum(foreseen[part] for part in parts)
+            percent = {part: 100 * foreseen[part] / all_of_it for part in parts}
             yield series.names | {"P": P, "whole": whole, "share": percent}
 
 
@@ -314,16 +289,9 @@ def _weak(series: _Series) -> dict[str, object]:
     """Return Krylov and coarse set-up on WEAK processes, the paper's dofs on the fewest."""
     dofs, (few, many) = paper.DOFS[series.layers], WEAK
     foreseen = (series.model.predict(P, series.refined * P / few) for P in WEAK)
-    t = [p.krylov + p.coarse for p in foreseen]
-    dofs_many = dofs * many // few
-    return series.names | {
-        "few": few,
-        "many": many,
-        "dofs": dofs,
-        "dofs_many": dofs_many,
-        "t": t,
-        "eff": t[0] / t[1],
-    }
+    t = [p["krylov"] + p["coarse"] for p in foreseen]
+    sizes = {"few": few, "many": many, "dofs": dofs, "dofs_many": dofs * many // few}
+    return series.names | sizes | {"t": t, "eff": t[0] / t[1]}
 
 
 def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
@@ -343,13 +311,13 @@ def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
             ax.set_xscale("log", base=2)
             for part, style in STYLES.items():
                 theirs = paper.TIMES[layers].items()
-                curve(ax, [(P, getattr(times, part)) for P, times in theirs], **(style | OPEN))
+                curve(ax, [(P, times[part]) for P, times in theirs], **(style | OPEN))
                 series = of_layers.get(layers)
                 measured = series.measured if series else []
                 points = [(r["processes"], r[f"seconds_{part}"]) for r in measured]
                 curve(ax, points, **style, marker="s", ls="")
                 if series and series.model:
-                    foreseen = [(P, getattr(series.model.predict(P), part)) for P in processes]
+                    foreseen = [(P, series.model.predict(P)[part]) for P in processes]
                     curve(ax, foreseen, **style)
     return [{"picture": "scaling.png"}]
 

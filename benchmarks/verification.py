@@ -23,13 +23,14 @@ from benchmarks.common.records import Record, Records
 from benchmarks.common.study import Arguments, Study
 from benchmarks.common.verification import inf_sup, published, tube
 
-__all__ = ["STUDY"]
-
 PARTS = {"published": published, "tube": tube, "inf-sup": inf_sup}
+
+#: The field that the records of each part have alone.
+OWN = {"case": published, "element": tube, "pair": inf_sup}
 
 
 def _part(record: Record) -> ModuleType | None:
-    return next((part for part in PARTS.values() if part.known(record)), None)
+    return next((part for field, part in OWN.items() if field in record), None)
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
@@ -61,7 +62,7 @@ STUDY = Study(
     run=lambda case, *rest: _part(case).run(case, *rest),
     done=_done,
     fields=_fields,
-    draw=lambda records, folder: tube.draw([r for r in records if tube.known(r)], folder),
+    draw=lambda records, folder: tube.draw([r for r in records if _part(r) is tube], folder),
 )
 
 if __name__ == "__main__":

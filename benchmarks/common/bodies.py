@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import basix.ufl
 import dolfinx
@@ -23,32 +22,15 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinx_feti import LinearProblem, NonlinearProblem, kinematics, loads, materials
-from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load
+from dolfinx_feti.loading import LoadStep, Steps, follow_load
 from dolfinx_feti.mechanics.residual_stress import elastic_part
-
-__all__ = [
-    "Body",
-    "Facets",
-    "Held",
-    "Solid",
-    "create_block",
-    "create_body",
-    "create_linear",
-    "create_neo_hookean",
-    "create_solid",
-    "displacement",
-    "hold",
-    "plane",
-]
+from dolfinx_feti.runtime.arrays import Array, Indices
 
 POISSON = 0.3
 SHEAR_MODULUS = 1.0  # kPa
 
-Facets = npt.NDArray[np.int32]
 #: A component of the displacement, or all of them, that is zero on a surface.
-Held = tuple[int | None, Facets]
-#: Options of PETSc.
-Options = dict[str, object]
+Held = tuple[int | None, Indices]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +56,7 @@ class Body:
     load: dolfinx.fem.Constant
     stress: Expr  # Cauchy's σ [kPa]
     measure: Callable[[], dict[str, float]]  # of the state in u and p; collective
-    full: float = 1.0  # all of the load
+    unit: float = 1.0  # of the load
 
     @property
     def dofs(self) -> int:
@@ -82,27 +64,14 @@ class Body:
         dofmap = self.u.function_space.dofmap
         return dofmap.index_map.size_global * dofmap.index_map_bs
 
-    def set_load(self, share: float) -> None:
-        """Set a share of the load."""
-        self.load.value = share * self.full
+    def set_load(self, value: float) -> None:
+        """Set the load, in its unit."""
+        self.load.value = value * self.unit
 
-    def inflate(
-        self,
-        pressures: Sequence[float],
-        steps: Steps,
-        *,
-        on_step: Callable[[LoadStep], object],
-        checkpoint: Checkpoint | None = None,
-    ) -> None:
-        """Go from equilibrium to equilibrium up to some pressures [mmHg], see ``follow_load``."""
-
-        def set_load(mmhg: float) -> None:
-            self.load.value = loads.mmhg(mmhg)
-
-        follow_load(
-            self.problem, set_load, pressures, steps, state=[self.u, self.p],
-            on_step=on_step, checkpoint=checkpoint, unit="mmHg",
-        )  # fmt: skip
+    def inflate(self, to: Sequence[float], steps: Steps, **settings: object) -> list[LoadStep]:
+        """Go from equilibrium to equilibrium up to some loads, see ``follow_load``."""
+        state = [self.u, self.p]
+        return follow_load(self.problem, self.set_load, to, steps, state=state, **settings)
 
 
 def create_solid(
@@ -139,7 +108,7 @@ def create_body(
     energy: Callable[[Expr, Expr, Expr], Expr],
     *,
     held: Sequence[Held],
-    loaded: Facets,
+    loaded: Indices,
     load: float | Sequence[float] = 1.0,
     measure: Callable[[dolfinx.fem.Function], dict[str, float]] = lambda _u: {},
     grip: float = 0.0,
@@ -150,24 +119,15 @@ def create_body(
     settings: Mapping[str, object] | None = None,
     **solid: object,
 ) -> Body:
-    """Build a body.
+    """Build a body whose energy is made of C, J and the share of the load [kPa].
 
-    Args:
-        mesh: Its cells.
-        energy: Makes Ψ of C, J and the share of the load [kPa].
-        held: Where it is held.
-        loaded: The facets that the load acts on.
-        load: A pressure that follows the surface, or a force per reference area [kPa].
-        measure: Reads off u.
-        grip: Penalty ½ grip ‖∂u/∂X‖² on the loaded surface [kPa mm], which keeps a clamped end
-            flat, as a grip that moves with the force does.
-        degree: k.
-        tangent: What of a pressure's derivative is taken.
-        lumen: Let Newton's method know the potential of a pressure in a lumen, which keeps it on
-            the way down; of a force per area it always does.
-        axis: Direction along which the ends slide, see ``loads.pressure_potential``.
-        settings: Further arguments of the problem.
-        solid: Further arguments of :func:`create_solid`.
+    On the loaded facets acts a pressure that follows the surface, or a force per reference area
+    [kPa]; ``measure`` reads off u what is compared. ``tangent`` is what is taken of the
+    pressure's derivative. With ``lumen`` Newton's method knows the potential of the pressure, which
+    keeps it on the way down, in a lumen whose ends slide along an axis; of a force per area it
+    always does. A penalty ½ grip ‖∂u/∂X‖² [kPa mm] keeps the loaded surface flat, as a grip that
+    moves with the force does. ``settings`` are further arguments of the problem, ``solid`` those of
+    :func:`create_solid`.
     """
     share = dolfinx.fem.Constant(mesh, 0.0)
     made = create_solid(mesh, lambda C, J: energy(C, J, share), held=held, degree=degree, **solid)
@@ -200,19 +160,12 @@ def create_body(
 
 
 def create_neo_hookean(
-    comm: MPI.Comm,
-    faces: int,
-    *,
-    dofs: int,
-    kappa: float,
-    subdomains: int | None,
-    options: Options,
-    degree: int = 2,
+    comm: MPI.Comm, faces: int, *, dofs: int, kappa: float, degree: int = 2, **settings: object
 ) -> Body:
     """Build a cube with P_k–P0, clamped at x = 0 or on all faces but x = 1, with a load there.
 
     Clamped on one, it bears a pressure, else the dead load t (e_x + e_y), which adds nothing to the
-    tangent. PETSc options have the prefix ``body_``.
+    tangent. PETSc options have the prefix ``body_``; the settings are those of the problem.
     """
     mesh = _unit_mesh(comm, dofs, degree, 3)
     places = [(0, 0.0), (1, 0.0), (1, 1.0), (2, 0.0), (2, 1.0)]
@@ -226,20 +179,16 @@ def create_neo_hookean(
         degree=degree,
         pressures=("DG", 0),
         tangent="symmetric",
-        settings={
-            "subdomains": subdomains,
-            "petsc_options_prefix": "body_",
-            "petsc_options": options,
-        },
+        settings={"petsc_options_prefix": "body_", **settings},
     )
 
 
 def create_linear(
-    comm: MPI.Comm, kind: str, *, dofs: int, degree: int, subdomains: int | None, options: Options
+    comm: MPI.Comm, kind: str, *, dofs: int, degree: int, **settings: object
 ) -> LinearProblem:
     """Build a unit ``cube`` or ``square`` in its weight, or Poisson's equation on a cube, ``heat``.
 
-    u = 0 at x = 0. PETSc options have the prefix ``body_``.
+    u = 0 at x = 0. PETSc options have the prefix ``body_``; the settings are those of the problem.
     """
     dim, elastic = 2 if kind == "square" else 3, kind != "heat"
     mesh = _unit_mesh(comm, dofs, degree, dim, elastic)
@@ -255,9 +204,8 @@ def create_linear(
         ufl.inner(stress, ufl.grad(v)) * ufl.dx,
         ufl.inner(weight, v) * ufl.dx,
         bcs=[hold(V, None, plane(mesh, 0, 0.0))],
-        subdomains=subdomains,
         petsc_options_prefix="body_",
-        petsc_options=options,
+        **settings,
     )
 
 
@@ -270,13 +218,13 @@ def create_block(
     return dolfinx.mesh.create_box(comm, corners, list(cells), cell_type=kind)
 
 
-def plane(mesh: dolfinx.mesh.Mesh, axis: int, x: float) -> Facets:
+def plane(mesh: dolfinx.mesh.Mesh, axis: int, x: float) -> Indices:
     """Return the facets of the boundary in a plane normal to an axis."""
     d = mesh.topology.dim - 1
     return np.sort(dolfinx.mesh.locate_entities_boundary(mesh, d, lambda y: np.isclose(y[axis], x)))
 
 
-def displacement(u: dolfinx.fem.Function, point: Sequence[float]) -> npt.NDArray[np.float64]:
+def displacement(u: dolfinx.fem.Function, point: Sequence[float]) -> Array:
     """Return the displacement of the node at a place [mm]."""
     V = u.function_space
     here = np.linalg.norm(V.tabulate_dof_coordinates() - point, axis=1) < 1e-6
@@ -285,7 +233,7 @@ def displacement(u: dolfinx.fem.Function, point: Sequence[float]) -> npt.NDArray
 
 
 def hold(
-    V: dolfinx.fem.FunctionSpace, component: int | None, facets: Facets
+    V: dolfinx.fem.FunctionSpace, component: int | None, facets: Indices
 ) -> dolfinx.fem.DirichletBC:
     """Return the condition that a function, or a component of it, is zero on facets."""
     part = V if component is None else V.sub(component)

@@ -12,11 +12,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.events import seconds_of
-
-__all__ = ["Events", "Stopwatch"]
 
 Then = Callable[[PETSc.KSP, PETSc.Vec, PETSc.Vec], object]
 
@@ -48,7 +46,7 @@ class Stopwatch:
     def __init__(self, comm: MPI.Comm) -> None:
         """Begin with nothing."""
         self._comm = comm
-        self._times: list[npt.NDArray[np.float64]] = []  # begun, ready, ended; clock, processor
+        self._times: list[Array] = []  # begun, ready, ended; clock, processor
         self._begun = self._ready = np.zeros(2)
 
     def hook(self, ksp: PETSc.KSP, then: Then | None = None) -> None:
@@ -70,20 +68,20 @@ class Stopwatch:
         ksp.setMonitor(monitor)
         ksp.setPostSolve(after)
 
-    def each(self) -> npt.NDArray[np.float64]:
+    def each(self) -> Array:
         """Return the slowest process's seconds of each solve, (solves, 2). Collective."""
         return self._over_all(0, MPI.MAX)
 
-    def processor(self) -> npt.NDArray[np.float64]:
+    def processor(self) -> Array:
         """Return all processes' processor time of each solve, (solves, 2). Collective."""
         return self._over_all(1, MPI.SUM)
 
-    def _over_all(self, clock: int, op: MPI.Op) -> npt.NDArray[np.float64]:
+    def _over_all(self, clock: int, op: MPI.Op) -> Array:
         own = np.ascontiguousarray(np.array(self._times).reshape(-1, 2, 2)[:, :, clock])
         found = np.empty_like(own)
         self._comm.Allreduce(own, found, op=op)
         return found
 
-    def _now(self) -> npt.NDArray[np.float64]:
+    def _now(self) -> Array:
         self._comm.Barrier()
         return np.array([time.perf_counter(), time.process_time()])

@@ -16,8 +16,6 @@ from dolfinx_feti.runtime.collective import on_first
 from meshes.arguments import positive
 from meshes.walls import CREATE
 
-__all__ = ["add_choices", "add_mesh", "count_or_zero", "say", "several", "some_of"]
-
 
 def add_choices(parser: argparse.ArgumentParser, name: str, choices: Sequence[object]) -> None:
     """Add an option for some of some values, all of them if it is not given."""
@@ -53,10 +51,3 @@ def some_of(choices: Sequence[object]) -> Callable[[str], list[object]]:
         return known[word]
 
     return several(read)
-
-
-def count_or_zero(text: str) -> int:
-    """Read a number 0, 1, 2, …."""
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number 0, 1, 2, …")
-    return int(text)

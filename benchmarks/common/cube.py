@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import ufl
@@ -29,9 +28,8 @@ from benchmarks.common.clock import Events, Stopwatch
 from benchmarks.common.records import Record
 from dolfinx_feti import LinearProblem
 from dolfinx_feti.runtime import compat
+from dolfinx_feti.runtime.arrays import Indices
 from meshes.cube import create_cube
-
-__all__ = ["PATTERNS", "Case", "CubeProblem", "create_problem", "l2_error", "solve"]
 
 YOUNG, POISSON = 210.0, 0.45
 
@@ -60,7 +58,7 @@ class CubeProblem:
     """
 
     mesh: dolfinx.mesh.Mesh
-    part: npt.NDArray[np.int32]
+    part: Indices
     a: ufl.Form
     L: ufl.Form
     bcs: list[dolfinx.fem.DirichletBC]

@@ -16,8 +16,6 @@ import dolfinx.fem.petsc
 import dolfinx.nls.petsc
 import ufl
 
-__all__ = ["create_newton"]
-
 #: PETSc's options for a direct solver.
 MUMPS = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 

@@ -27,8 +27,6 @@ from typing import Any
 
 from benchmarks.common.records import Record
 
-__all__ = ["FORMS", "Fields", "fill", "groups", "provenance", "section", "set_aside"]
-
 Fields = Mapping[str, Any]
 
 MARK = re.compile(r" *<!-- (\w+) -->$")

@@ -13,50 +13,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import NamedTuple
-
-__all__ = [
-    "DOFS",
-    "FIRST",
-    "L2_ERRORS",
-    "LINEAR",
-    "MESHES",
-    "NONLINEAR",
-    "SUBDOMAINS",
-    "TIMES",
-    "NewtonSolve",
-    "Solve",
-    "Times",
-]
 
 _PRINTED = json.loads(Path(__file__).with_suffix(".json").read_text(encoding="utf-8"))
 
-
-class Solve(NamedTuple):
-    """Iterations and condition number of a solve."""
-
-    iterations: int
-    condition_number: float
-
-
-class NewtonSolve(NamedTuple):
-    """Iterations of a Newton step, None for more than 10 000, and its seconds."""
-
-    iterations: int | None
-    seconds: float | None
-
-
-class Times(NamedTuple):
-    """Seconds of a load step: assembly and factorisations, Krylov method, all of the program."""
-
-    local: float
-    krylov: float
-    total: float
-
-
-#: Solves of the cube by type, preconditioner and level.
+#: Iterations and condition numbers of the cube by type, preconditioner and level.
 LINEAR = {
-    (kind, pc, level): Solve(*values)
+    (kind, pc, level): tuple(values)
     for kind, by_pc in _PRINTED["linear"].items()
     for pc, column in by_pc.items()
     for level, values in enumerate(column, start=1)
@@ -69,9 +31,10 @@ L2_ERRORS = {
     for level, error in enumerate(column, start=1)
 }
 
-#: Newton steps by layers, degree, type, κ and preconditioner.
+#: Iterations of a Newton step, None for more than 10 000, and its seconds, by layers, degree, type,
+#: κ and preconditioner.
 NONLINEAR = {
-    (int(layers), int(degree), kind, float(kappa), pc): NewtonSolve(*values)
+    (int(layers), int(degree), kind, float(kappa), pc): tuple(values)
     for layers, by_degree in _PRINTED["nonlinear"].items()
     for degree, by_type in by_degree.items()
     for kind, by_kappa in by_type.items()
@@ -79,10 +42,14 @@ NONLINEAR = {
     for pc, values in zip(("identity", "lumped", "dirichlet"), row, strict=True)
 }
 
-#: Strong scaling, 512 subdomains, κ = 100 kPa, lumped preconditioner, five Newton steps: the aorta
+#: Seconds of a load step in strong scaling: assembly and factorisations, Krylov method, all of the
+#: program. 512 subdomains, κ = 100 kPa, lumped preconditioner, five Newton steps: the aorta
 #: by all-floating FETI, 324 iterations, the carotid artery by classical, 674. By layers, processes.
 TIMES = {
-    int(layers): {int(processes): Times(*values) for processes, values in rows.items()}
+    int(layers): {
+        int(processes): dict(zip(("local", "krylov", "total"), row, strict=True))
+        for processes, row in rows.items()
+    }
     for layers, rows in _PRINTED["times"].items()
 }
 

@@ -19,8 +19,6 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-__all__ = ["COLOURS", "OPEN", "Style", "curve", "picture"]
-
 Style = Mapping[str, Any]
 
 COLOURS = ("#1f5a8a", "#b5443a", "#c9962b", "#5b8c4a", "#7d5a8a")

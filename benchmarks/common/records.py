@@ -25,29 +25,31 @@ import dolfinx
 import dolfinx_feti
 from dolfinx_feti.runtime.collective import on_first, reason
 
-__all__ = ["Record", "Records", "describe_machine", "read_records", "threads"]
-
 Record = dict[str, object]
+#: Tells whether a record is one of a study.
+Known = Callable[[Record], bool]
 
 
 class Records:
     """Records of a study, in a file if there is one; equal on all processes."""
 
-    def __init__(self, path: Path | None, comm: MPI.Comm) -> None:
+    def __init__(
+        self, path: Path | None, comm: MPI.Comm, known: Known = lambda _: True, writer: str = ""
+    ) -> None:
         """Read the file, which the first process writes. Collective.
 
         Raises:
-            ValueError: It cannot be written, or holds something else. On all processes.
+            OSError: It cannot be written. On all processes.
+            ValueError: It holds something else. On all processes.
         """
+
+        def read_or_create() -> list[Record]:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.open("a").close()
+            return read_records(path, known, writer, empty=True)
+
         self._path, self._comm = path, comm
-        self._records: list[Record] = []
-        if path is not None:
-            try:
-                self._records = on_first(lambda: _read_or_create(path), comm)
-            except (OSError, ValueError) as error:
-                raise ValueError(
-                    f"--json '{path}' cannot be used: {error}. Name another file."
-                ) from error
+        self._records = [] if path is None else on_first(read_or_create, comm)
 
     def __iter__(self) -> Iterator[Record]:
         """Go through the records."""
@@ -109,36 +111,21 @@ def commit() -> str | None:
         return None
 
 
-def read_records(path: Path, known: Callable[[Record], bool], writer: str) -> list[Record]:
-    """Read the records that a benchmark has written, told by ``known``.
+def read_records(path: Path, known: Known, writer: str, *, empty: bool = False) -> list[Record]:
+    """Read the records of a study, which are told by ``known``.
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: It holds something else, or nothing.
+        ValueError: It holds something else, or nothing where it may not be empty.
     """
     try:
-        records = _parse(path)
-        sound = records and all(map(known, records))
-        cause = "" if sound else "there are none, or some of another kind"
-    except ValueError as error:
-        cause = str(error)
-    if cause:
-        raise ValueError(f"{path} holds no records of {writer}: {cause}. Name a file of it.")
+        records = json.loads(path.read_text().strip() or "[]")
+        sound = isinstance(records, list) and all(isinstance(r, dict) and known(r) for r in records)
+    except ValueError:
+        sound = False
+    if not sound or not (records or empty):
+        raise ValueError(f"'{path}' holds no records of {writer}, but something else: name another")
     return records
-
-
-def _parse(path: Path) -> list[Record]:
-    text = path.read_text()
-    records = json.loads(text) if text.strip() else []
-    if not isinstance(records, list) or not all(isinstance(record, dict) for record in records):
-        raise ValueError("it holds something else than a list of records")
-    return records
-
-
-def _read_or_create(path: Path) -> list[Record]:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.open("a").close()
-    return _parse(path)
 
 
 def _write(path: Path, records: list[Record]) -> None:

@@ -25,11 +25,9 @@ from petsc4py import PETSc
 
 from benchmarks.common.command import say
 from benchmarks.common.pages import Fields, fill, provenance, set_aside
-from benchmarks.common.records import Record, Records, read_records
+from benchmarks.common.records import Known, Record, Records, read_records
 from dolfinx_feti import ConvergenceError
 from meshes.arguments import Parser, parse_all, without_petsc
-
-__all__ = ["Arguments", "Keep", "Study"]
 
 #: Adds what was found to the key of a case, a further key first, and writes and shows the record.
 Keep = Callable[[Record, Record], Record]
@@ -38,29 +36,18 @@ Arguments = argparse.Namespace
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
-    """A study.
+    """A study: what tells its cases apart, how one is measured, and what its page shows.
 
-    Attributes:
-        file: Its module.
-        about: Its docstring.
-        page: Name of its page.
-        known: Tells whether a record is one of the study.
-        cases: Yields what tells each case apart that a command line asks for; raises a ValueError
-            that names a wrong argument.
-        run: Measures a case and keeps a record, or several. Collective.
-        fields: Makes the values of the template.
-        options: Adds options to the parser.
-        done: Tells whether the records have a case to its end.
-        draw: Draws pictures into a folder; returns the template's field ``pictures``.
+    ``cases`` raises a ValueError that names a wrong argument; ``run`` keeps a record, or several.
     """
 
-    file: str
+    file: str  # its module
     about: str | None
     page: str
-    known: Callable[[Record], bool]
+    known: Known
     cases: Callable[[Arguments, MPI.Comm], Iterable[Record]]
-    run: Callable[[Record, Keep, Arguments, MPI.Comm], object]
-    fields: Callable[[Sequence[Record]], Fields]
+    run: Callable[[Record, Keep, Arguments, MPI.Comm], object]  # collective
+    fields: Callable[[Sequence[Record]], Fields]  # of the template
     options: Callable[[argparse.ArgumentParser], object] = lambda _parser: None
     done: Callable[[Record, Records, Arguments], bool] = lambda case, records, _: bool(
         records.all(case)
@@ -72,10 +59,7 @@ class Study:
     ) -> list[Record]:
         """Run a command line; return the records of its cases, also those that the file had.
 
-        Collective.
-
-        Raises:
-            SystemExit: The command line is wrong, or a case has no record: see the message.
+        It exits if the command line is wrong, or a case has no record. Collective.
         """
         form = argparse.RawDescriptionHelpFormatter
         name = Path(self.file).stem
@@ -94,11 +78,8 @@ class Study:
             if args.page is not None:
                 self.write_page(args.json, args.page)
                 return []
-            records = Records(args.json[0] if args.json else None, comm)
-            if not all(map(self.known, records)):
-                raise ValueError(
-                    f"--json '{args.json[0]}' holds records of another study: name another"
-                )
+            path = args.json[0] if args.json else None
+            records = Records(path, comm, self.known, self.page)
             return self._run_all(args, records, comm)
         except (OSError, ValueError) as error:  # of a file; fewer cells than subdomains
             parser.error(str(error))
@@ -129,11 +110,7 @@ class Study:
         return found
 
     def write_page(self, files: Sequence[Path], folder: Path) -> str:
-        """Write the page of some files, its tables and pictures; return it with all tables.
-
-        Raises:
-            ValueError: A file holds something else than records of this study.
-        """
+        """Write the page of some files, its tables and pictures; return it with all tables."""
         records = [r for path in files for r in read_records(path, self.known, self.page)]
         folder.mkdir(parents=True, exist_ok=True)
         values = {**provenance(records), **self.fields(records)}

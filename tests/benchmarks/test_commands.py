@@ -6,12 +6,15 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
 import runpy
 import sys
 
 import pytest
 from wall_files import ROOT
+
+from benchmarks.common.compare import tables
 
 pytest.importorskip("matplotlib")
 pytestmark = pytest.mark.serial
@@ -61,3 +64,36 @@ def test_page_of_the_documentation_is_that_of_its_records(name, tmp_path):
     assert made == there
     for path in made:
         assert (tmp_path / path).read_text() == (RESULTS / path).read_text(), path
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_page_of_some_records(name, tmp_path):
+    """Of one kind of case alone, and of the next one: what the file lacks is left out."""
+    study = importlib.import_module(f"benchmarks.{name}").STUDY
+    whole = (RESULTS / f"{study.page}.md").read_text().count("\n## ")
+    records = json.loads((RESULTS / f"{study.page}.json").read_text())
+    for record in {tuple(record): record for record in records}.values():
+        (tmp_path / "some.json").write_text(json.dumps([record]))
+        page = study.write_page([tmp_path / "some.json"], tmp_path)
+        assert "| None |" not in page and page.count("\n## ") <= whole
+
+
+def test_figure_shows_the_fastest_of_plain_first_steps(tmp_path):
+    """Not a path, nor another κ, nor subdomains or bounds that the user chose."""
+    plain = {"geometry": "tube", "kappa": 1000.0, "degree": 2, "dofs": 60_000, "converged": True}
+    times = {"seconds_setup": 1.0, "seconds_solve": 0.0}
+    records = [
+        plain | times | {"solver": "mumps", "seconds_setup": 4.0},
+        plain | times | {"solver": "pardiso", "seconds_setup": 3.0, "seconds_solve": 0.5},
+        plain | times | {"solver": "mumps", "dofs": 100, "seconds_setup": 0.5},
+    ]
+    for special in (
+        {"wanted_subdomains": 7}, {"per": 2000}, {"kappa": 10.0}, {"path_mmhg": 10.0},
+        {"loaded_mmhg": 10.0}, {"degree": 1}, {"converged": False},
+    ):  # fmt: skip
+        records.append(plain | times | {"solver": "cholmod"} | special)
+    direct = ("mumps", "cholmod", "pardiso")
+    assert tables.points(records, "tube", direct) == [(100, 0.5), (60_000, 3.5)]
+    assert tables.points(records, "block", direct) == []
+    tables.draw(records, tmp_path / "speed.png")
+    assert (tmp_path / "speed.png").stat().st_size > 10_000

@@ -41,11 +41,8 @@ def test_vessel_is_good(artery):
     agree("quality" in str(quality) and "0.2: " in str(quality))
 
 
-def test_vessel_is_watertight(artery):
+def test_vessel_is_watertight_and_has_its_names(artery):
     watertight(artery.wall)
-
-
-def test_vessel_has_its_names(artery):
     agree(set(artery.wall.layer_names) == {"media", "adventitia"})
     openings = {f"opening_{k}" for k in (1, 2, 3)}
     agree(set(artery.wall.surface_names) == {"lumen", "outer"} | openings)
@@ -128,22 +125,30 @@ def test_command_line_makes_the_same_vessel(coarse, tmp_path, monkeypatch):
     agree(path.read_text().startswith("$MeshFormat\n2.2 "))
 
 
-def test_layers_of_several_elements(tmp_path):
+@pytest.mark.parametrize(
+    ("layers", "through", "size"),
+    [
+        ({"media": 0.5, "adventitia": 0.5}, (3, 2), 1.0),
+        ({"intima": 2.0, "media": 5.0, "adventitia": 3.0}, None, 0.8),
+    ],
+)
+def test_layers_of_a_pipe(tmp_path, layers, through, size):
+    """Each between its radii, with its number of elements."""
+
     def make():
         stl = write_stl(tmp_path / "pipe.stl", *pipe(), binary=True)
-        layers = {"media": 0.5, "adventitia": 0.5}
+        path = tmp_path / "v.msh"
         vessel.create_vessel(
-            tmp_path / "v.msh", surface=stl, size=1.0, layers=layers, through=(3, 2)
+            path, surface=stl, size=size, thickness=1.0, layers=layers, through=through
         )
-        return read_raw_wall(tmp_path / "v.msh")
+        return read_raw_wall(path)
 
     wall = on_first(make)
     watertight(wall)
-    count = [np.sum(wall.layers == TAGS[name]) for name in ("media", "adventitia")]
-    agree(2 * count[0] == 3 * count[1], count)
-    R = 3.0
-    exact = [np.pi * 10 * ((R + 0.5) ** 2 - R**2), np.pi * 10 * ((R + 1) ** 2 - (R + 0.5) ** 2)]
-    equal(list(volumes(wall).values()), exact, 0.03)
+    volume, R = volumes(wall), 3.0 + np.cumsum([0.0, *layers.values()]) / sum(layers.values())
+    equal([volume[name] for name in layers], np.pi * 10 * np.diff(R**2), 0.03)
+    count = [np.sum(wall.layers == wall.layer_names[name]) for name in layers]
+    agree(through is None or 2 * count[0] == 3 * count[1], count)
 
 
 def test_one_layer_from_a_surface_in_metres(tmp_path, monkeypatch, capsys):
@@ -164,25 +169,6 @@ def test_one_layer_from_a_surface_in_metres(tmp_path, monkeypatch, capsys):
         vessel.main()
     said = capsys.readouterr().err.splitlines()
     agree(end.value.code == 2 and len(said) == 1 and "name of a surface" in said[0], said)
-
-
-def test_three_layers(tmp_path):
-    """Each between its radii."""
-
-    def make():
-        stl = write_stl(tmp_path / "pipe.stl", *pipe(), binary=True)
-        layers = {"intima": 2.0, "media": 5.0, "adventitia": 3.0}
-        vessel.create_vessel(
-            tmp_path / "v.msh", surface=stl, size=0.8, thickness=1.0, layers=layers
-        )
-        return read_raw_wall(tmp_path / "v.msh")
-
-    wall = on_first(make)
-    watertight(wall)
-    volume = volumes(wall)
-    R = 3.0 + np.array([0.0, 0.2, 0.7, 1.0])
-    exact = np.pi * 10 * np.diff(R**2)
-    equal([volume[name] for name in ("intima", "media", "adventitia")], exact, 0.03)
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -239,27 +225,16 @@ def test_missing_surface_names_the_remedies(tmp_path):
         (lambda x, t: t[:0], "no triangle"),
         (lambda x, t: np.vstack([t[:1, ::-1], t[1:]]), "face one way"),
         (lambda x, t: np.vstack([t, t[:1, [1, 0, 2]], [[t[0, 0], t[0, 1], len(x) - 1]]]), "repair"),
+        (lambda x, t: [[0, 2, 1], [0, 1, 30], [0, 30, 2], [1, 2, 30]], "closed"),
     ],
-    ids=["empty", "turned", "doubled"],
+    ids=["empty", "turned", "doubled", "closed"],
 )
 def test_bad_surfaces_are_refused(tmp_path, spoil, message):
     x, t = pipe()
 
     def make():
-        stl = write_stl(tmp_path / "p.stl", x, spoil(x, t), binary=True)
-        vessel.create_vessel(tmp_path / "v.msh", surface=stl)
-
-    with raises(ValueError, message):
-        on_first(make)
-
-
-def test_closed_surface_is_refused(tmp_path):
-    x = np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], dtype=float)
-    t = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-
-    def make():
-        stl = write_stl(tmp_path / "p.stl", x, t, binary=False)
+        stl = write_stl(tmp_path / "p.stl", x, np.asarray(spoil(x, t)), binary=True)
         vessel.create_vessel(tmp_path / "v.msh", surface=stl, size=2.0)
 
-    with raises(ValueError, "closed"):
+    with raises(ValueError, message):
         on_first(make)

@@ -14,12 +14,8 @@ import scipy.sparse
 
 from dolfinx_feti.comparison import SOLVERS
 
-__all__ = ["DIRECT", "OPPONENTS", "Pardiso"]
-
-
 #: Kinds of matrices: symmetric positive definite, symmetric, and any other.
 DEFINITE, SYMMETRIC, GENERAL = 2, -2, 11
-
 
 #: Options of PETSc by the name of the solver.
 OPPONENTS: dict[str, Mapping[str, object]] = {
@@ -59,11 +55,7 @@ class Pardiso:
     """Context of a PC whose application is A⁻¹; one process."""
 
     def __init__(self) -> None:
-        """Find MKL.
-
-        Raises:
-            ImportError: The module finds none.
-        """
+        """Find MKL."""
         import pypardiso
 
         self._create = pypardiso.PyPardisoSolver

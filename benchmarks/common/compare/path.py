@@ -14,12 +14,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.common.bodies import Body
 from benchmarks.common.clock import Stopwatch
@@ -36,8 +36,6 @@ from dolfinx_feti.comparison import (
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps
 from dolfinx_feti.runtime.collective import on_all, reason
 from dolfinx_feti.torn.matrix import State, state_of
-
-__all__ = ["SOLVERS", "follow", "load"]
 
 #: Solvers of a path: FETI drives Newton's method, and tangents may be indefinite on the way.
 SOLVERS = ("feti", "mumps", "pardiso")
@@ -56,7 +54,7 @@ def load(
     """Load a wall at rest [mmHg], or go on from a checkpoint. Collective."""
     first = FIRST * mmhg
     steps = Steps(first, least=first / 64, growth=1.15, quick=4, rtol=RTOL, linear_rtol=LINEAR_RTOL)
-    body.inflate([mmhg], steps, on_step=on_step, checkpoint=checkpoint)
+    body.inflate([mmhg], steps, on_step=on_step, checkpoint=checkpoint, unit="mmHg")
 
 
 def follow(body: Body, mmhg: float, *, direct: Sequence[str] = ()) -> list[Record]:
@@ -66,12 +64,12 @@ def follow(body: Body, mmhg: float, *, direct: Sequence[str] = ()) -> list[Recor
         A record for each solver; ``note`` says why the path or the solver came to no end.
     """
     comm, others = body.u.function_space.mesh.comm, [_Direct(name) for name in direct]
-    beside, its, watch = 0.0, list[int](), Stopwatch(comm)
+    feti, beside, watch = _Solves("feti"), 0.0, Stopwatch(comm)
 
     def then(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         nonlocal beside
         begun = time.perf_counter()
-        its.append(ksp.getIterationNumber())
+        feti.iterations.append(ksp.getIterationNumber())
         for other in others:
             other.solve(body.problem.A, b, x)
         beside += time.perf_counter() - begun
@@ -84,99 +82,97 @@ def follow(body: Body, mmhg: float, *, direct: Sequence[str] = ()) -> list[Recor
     except ConvergenceError as error:
         note = f"failed: {reason(error)}"
     seconds = comm.allreduce(time.perf_counter() - begun - beside, op=MPI.MAX)
-    newton, each = [step for load_step in accepted for step in load_step.all_steps], watch.each()
-
-    def record(
-        solver: str, spent: npt.NDArray[np.float64], iterations: list[int],
-        residuals: list[float], difference: float | None, note: str,
-    ) -> Record:  # fmt: skip
-        """Return what the solves cost, each set-up and solution, and how well they were solved."""
-        setup, solve = spent.reshape(-1, 2).T
-        later = float((setup + solve)[1:].sum())
-        return {
-            "solver": solver,
-            "newton_iterations": len(newton),
-            "load_steps": len(accepted),
-            "seconds_assembly": sum(step.seconds_assembly for step in newton),
-            "peak_mib": None,
-            "linear_solves": len(setup),
-            "iterations": sum(iterations),
-            "iterations_per_solve": iterations,
-            "seconds_setup": setup.sum(),
-            "seconds_solve": solve.sum(),
-            "seconds_end_to_end": seconds - each.sum() + (setup + solve).sum(),
-            "seconds_per_newton": later / (len(newton) - 1) if len(newton) > 1 else None,
-            "relative_residual": max(residuals, default=None),
-            "difference_to_mumps": difference,
-            "converged": not note,
-            "note": note,
-        }
-
-    residuals = [step.linear_residual for step in newton]
-    difference = next((other.difference for other in others), None)
-    found = [record("feti", each, its, residuals, difference, note)]
+    newton = [step for load_step in accepted for step in load_step.all_steps]
+    feti.seconds = watch.each().tolist()
+    feti.residuals = [step.linear_residual for step in newton]
+    feti.difference = next((other.last for other in others), None)
+    whole = {"newton_iterations": len(newton), "load_steps": len(accepted), "peak_mib": None}
+    whole |= {"seconds_assembly": sum(step.seconds_assembly for step in newton)}
+    rest = seconds - watch.each().sum()  # assembly, line search, update
+    found = [whole | solves.record(len(newton), rest, note) for solves in (feti, *others)]
     for other in others:
-        spent = np.array(other.seconds)
-        found.append(
-            record(other.name, spent, other.iterations, other.residuals, 0.0, other.note or note)
-        )
         other.destroy()
     return found
 
 
-class _Direct:
+@dataclass(slots=True)
+class _Solves:
+    """What the solves of a path cost one solver, and how well it solved them."""
+
+    solver: str
+    seconds: list[tuple[float, float]] = field(default_factory=list)  # set-up, solution
+    iterations: list[int] = field(default_factory=list)
+    residuals: list[float] = field(default_factory=list)  # ‖f − K x‖/‖f‖
+    difference: float | None = 0.0  # to the direct solution of the last system
+    note: str = ""  # why it failed
+
+    def record(self, newton: int, rest: float, note: str) -> Record:
+        """Return its record, with the seconds and the note of all else on the path."""
+        note = self.note or note
+        setup, solve = np.reshape(self.seconds, (-1, 2)).T
+        later = (setup + solve)[1:].sum()
+        return {
+            "solver": self.solver,
+            "linear_solves": len(setup),
+            "iterations": sum(self.iterations),
+            "iterations_per_solve": self.iterations,
+            "seconds_setup": setup.sum(),
+            "seconds_solve": solve.sum(),
+            "seconds_end_to_end": rest + setup.sum() + solve.sum(),
+            "seconds_per_newton": later / (newton - 1) if newton > 1 else None,
+            "relative_residual": max(self.residuals, default=None),
+            "difference_to_mumps": self.difference,
+            "converged": not note,
+            "note": note,
+        }
+
+
+@dataclass(slots=True)
+class _Direct(_Solves):
     """A direct solver on the tangents of a path: analysed once, factored for each."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.seconds: list[tuple[float, float]] = []  # analysis and factors, solution; each solve
-        self.iterations: list[int] = []
-        self.residuals: list[float] = []  # ‖f − K x‖/‖f‖
-        self.difference: float | None = None  # ‖x_FETI − x‖/‖x‖ of the last solve
-        self.note = ""  # why it failed; then it solves no more
-        self._K: PETSc.Mat | None = None
-        self._state: State | None = None  # of the torn matrix behind it
-        self._ksp: PETSc.KSP | None = None
+    last: float | None = None  # ‖x_FETI − x‖/‖x‖ of the last solve
+    K: PETSc.Mat | None = None
+    state: State | None = None  # of the torn matrix behind it
+    ksp: PETSc.KSP | None = None
 
     def solve(self, A: PETSc.Mat, b: PETSc.Vec, x_feti: PETSc.Vec) -> None:
-        """Solve the assembled counterpart of a torn system A x = b. Collective."""
+        """Solve the assembled counterpart of a torn system, unless it has failed. Collective."""
         if self.note:
             return
         local = A.getISLocalMat()
         before = local.stateGet()
         K, f = assembled_system(A, b)
         local.stateSet(before)  # it was only read, though PETSc counts a change
-        if self._K is None:
-            self._K = K
+        if self.K is None:
+            self.K = K
         else:
-            if state_of(A) != self._state:  # PETSc factors a matrix anew that has been written to
-                K.copy(self._K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            if state_of(A) != self.state:  # PETSc factors a matrix anew that has been written to
+                K.copy(self.K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
             K.destroy()
-        self._state = state_of(A)
+        self.state = state_of(A)
+        if self.ksp is not None:
+            self.ksp.setOperators(self.K)  # perhaps the matrix is another one
         x = f.duplicate()
         try:
-            cost, self._ksp = on_all(lambda: timed_solve(self._set_up, f, x), f.comm.tompi4py())
+            cost, self.ksp = on_all(lambda: timed_solve(self._create, f, x), f.comm.tompi4py())
         except PETSc.Error as error:
             self.note = f"failed: {reason(error)}"
         else:
             if cost.converged_reason > 0:
                 self.seconds.append((cost.seconds_setup, cost.seconds_solve))
                 self.iterations.append(cost.iterations)
-                self.residuals.append(relative_residual(self._K, f, x))
-                self.difference = relative_difference(x_feti, x)
+                self.residuals.append(relative_residual(self.K, f, x))
+                self.last = relative_difference(x_feti, x)
             else:
                 self.note = f"failed: PETSc's reason {cost.converged_reason}"
         f.destroy()
         x.destroy()
 
-    def _set_up(self) -> PETSc.KSP:
-        """Return the solver, with an analysis if there was a matrix before."""
-        if self._ksp is None:
-            return create_solver(self._K, self.name, OPPONENTS[self.name])
-        self._ksp.setOperators(self._K)  # perhaps the matrix is another one
-        return self._ksp
+    def _create(self) -> PETSc.KSP:
+        return self.ksp or create_solver(self.K, self.solver, OPPONENTS[self.solver])
 
     def destroy(self) -> None:
         """Free matrix and factors."""
-        for owned in filter(None, (self._ksp, self._K)):
+        for owned in filter(None, (self.ksp, self.K)):
             owned.destroy()

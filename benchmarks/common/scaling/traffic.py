@@ -18,15 +18,14 @@ import os
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
-__all__ = ["COUNTERS", "compile_library", "gather", "since_reset", "start_count"]
+from dolfinx_feti.runtime.arrays import Array
 
 SOURCE = Path(__file__).with_name("traffic.c")
 
@@ -85,12 +84,7 @@ BARRIERS = (
 
 
 def compile_library(folder: Path) -> Path:
-    """Compile the library for the MPI of this machine into a folder, and return its path.
-
-    Raises:
-        FileNotFoundError: There is no ``mpicc``.
-        subprocess.CalledProcessError: It does not compile.
-    """
+    """Compile the library for the MPI of this machine into a folder, and return its path."""
     library = folder / "libtraffic.so"
     if shutil.which("mpicc") is None:
         raise FileNotFoundError("mpicc is missing, which counting messages needs")
@@ -118,24 +112,14 @@ def _functions(
             )
 
 
-def start_count() -> None:
-    """Count from zero on."""
-    _library().traffic_reset()
-
-
-def since_reset() -> npt.NDArray[np.float64]:
-    """Return what was counted, (counters,)."""
-    values = np.zeros(len(COUNTERS))
-    _library().traffic_read(values.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
-    return values
-
-
-def gather(counts: npt.NDArray[np.float64], comm: MPI.Comm) -> npt.NDArray[np.float64]:
-    """Return the counts of all processes on all of them, (processes, counters). Collective."""
-    return np.array(comm.allgather(counts))
-
-
-def _library() -> ctypes.CDLL:
-    """Return the library, which was loaded before the program."""
+def counted(work: Callable[[], object], comm: MPI.Comm) -> Array:
+    """Do some work; return what each process has sent for it, (processes, counters). Collective."""
     (named,) = (word for word in os.environ["LD_PRELOAD"].split(":") if "libtraffic" in word)
-    return ctypes.CDLL(named)
+    library, values = (
+        ctypes.CDLL(named),
+        np.zeros(len(COUNTERS)),
+    )  # it was loaded before the program
+    library.traffic_reset()
+    work()
+    library.traffic_read(values.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
+    return np.array(comm.allgather(values))

@@ -17,7 +17,6 @@ import logging
 import re
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import petsc4py
@@ -28,26 +27,21 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.common.bodies import Body
 from benchmarks.common.clock import Events
 from benchmarks.common.records import Record
-from benchmarks.common.scaling.traffic import COUNTERS, gather, since_reset, start_count
+from benchmarks.common.scaling.traffic import COUNTERS, counted
 from benchmarks.common.walls import first_step
 from benchmarks.common.walls.problem import right_hand_side
 from dolfinx_feti import FETI, loads
 from dolfinx_feti.comparison import PeakMemory
 from dolfinx_feti.feti.coarse.group import GroupFactor
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.wall import Wall, read_wall, write_wall
-from dolfinx_feti.wall.fibres import fibre_frame
 from meshes.walls import open_wall
-
-__all__ = ["main"]
-
-Array = npt.NDArray[np.float64]
 
 #: Iterations of the two solves whose difference is counted, after one that makes all buffers.
 WARM, FEW, MORE = 2, 5, 25
@@ -74,17 +68,17 @@ def measure(case: Record, comm: MPI.Comm) -> Record:
     is generated.
     """
     PETSc.Log.begin()
-    _written(case, comm)
     tiny = case | {"geometry": "tube", "size": 1.0, "subdomains": comm.size}
+    tube, file = _written(tiny, comm), _written(case, comm)
     for _ in range(2):  # the second time for what does not depend on the mesh
         comm.Barrier()
         started = time.perf_counter()
-        first_step.load(_create(tiny, comm), PRESSURE, in_part=True)
+        first_step.load(_create(tiny, read_wall(tube, comm)), PRESSURE, in_part=True)
         fixed = time.perf_counter() - started
     comm.Barrier()
     started = time.perf_counter()
     phases = Events((*EVENTS, *ONCE), comm)
-    body = _create(case, comm)
+    body = _create(case, read_wall(file, comm))
     first_step.load(body, PRESSURE, in_part=True)
     comm.Barrier()
     ended = time.perf_counter()
@@ -92,7 +86,7 @@ def measure(case: Record, comm: MPI.Comm) -> Record:
     own = sum(step.seconds_assembly for step in body.problem.history)
     assembly = comm.allreduce(own, op=MPI.MAX)
     its = [step.linear_iterations for step in body.problem.history]
-    return _sizes(body) | {
+    return first_step.sizes(body) | {
         "newton_iterations": len(its),
         "linear_iterations_per_newton": its,
         "linear_iterations_mean": float(np.mean(its)),
@@ -111,46 +105,48 @@ def count(case: Record, comm: MPI.Comm) -> Record:
     logging.getLogger("dolfinx_feti").setLevel(logging.CRITICAL)  # it is not to converge
     PETSc.Log.begin()
     wall: list[Wall] = []
-    _read(case | {"geometry": "tube", "size": 1.0}, comm)  # whatever is loaded at first
-    _written(case, comm)
+    tube, file = _written(case | {"geometry": "tube", "size": 1.0}, comm), _written(case, comm)
+    read_wall(tube, comm)  # whatever is loaded at first
     peak, before = PeakMemory(), _bytes_read()
-    reading = _counted(lambda: wall.append(_read(case, comm)), comm)
+    reading = counted(lambda: wall.append(read_wall(file, comm)), comm)
     held = peak.mib_above_start(MPI.COMM_SELF), _bytes_read() - before
     mib, read = (comm.allreduce(number, op=MPI.MAX) for number in held)
-    body = _create(case, comm, wall[0])
+    body = _create(case, wall[0])
     body.problem.linearise()
     body.load.value = loads.mmhg(PRESSURE)
     b = right_hand_side(body)
     x = b.duplicate()
     ksp = body.problem.solver.getKSP()
     ksp.setOperators(body.problem.A)
-    setup = _counted(ksp.setUp, comm)
+    setup = counted(ksp.setUp, comm)
     _iterate(ksp, b, x, WARM)
     first = _coarse_solves()
-    few = _counted(lambda: _iterate(ksp, b, x, FEW), comm)
+    few = counted(lambda: _iterate(ksp, b, x, FEW), comm)
     middle = _coarse_solves()
-    more = _counted(lambda: _iterate(ksp, b, x, MORE), comm)
+    more = counted(lambda: _iterate(ksp, b, x, MORE), comm)
     last = _coarse_solves()
     each = (more - few) / (MORE - FEW)  # (processes, counters)
     solves = ((last - middle) - (middle - first)) / (MORE - FEW)
     entries, flops = comm.bcast(coarse_factor(ksp.getPythonContext()))
-    coarse = {"coarse_solves": solves, "coarse_entries": entries, "coarse_flops": flops}
-    sent = {"setup": _summary(setup), "iteration": _summary(each), "reading": _summary(reading)}
-    sent |= {"reading_mib": mib, "reading_bytes": read}
     met, messages = more[:, COUNTERS.index("neighbours")], each[:, COUNTERS.index("messages")]
-    sent |= {"neighbours": float(met.max()), "neighbours_mean": float(met.mean())}
-    sent |= {"messages_to_each": float(messages.sum() / max(met.sum(), 1.0))}
-    return _sizes(body) | coarse | sent
+    return first_step.sizes(body) | {
+        "coarse_solves": solves,
+        "coarse_entries": entries,
+        "coarse_flops": flops,
+        "setup": _summary(setup),
+        "iteration": _summary(each),
+        "reading": _summary(reading),
+        "reading_mib": mib,
+        "reading_bytes": read,
+        "neighbours": float(met.max()),
+        "neighbours_mean": float(met.mean()),
+        "messages_to_each": float(messages.sum() / max(met.sum(), 1.0)),
+    }
 
 
 def _bytes_read() -> int:
     """Return what this process has read by any call to the system."""
     return int(re.search(r"rchar:\s+(\d+)", Path("/proc/self/io").read_text())[1])
-
-
-def _read(case: Record, comm: MPI.Comm) -> Wall:
-    """Read the wall of a case from the file that as many processes have written."""
-    return read_wall(_written(case, comm), comm)
 
 
 def _written(case: Record, comm: MPI.Comm) -> Path:
@@ -163,13 +159,12 @@ def _written(case: Record, comm: MPI.Comm) -> Path:
     return path
 
 
-def _create(case: Record, comm: MPI.Comm, wall: Wall | None = None) -> Body:
+def _create(case: Record, wall: Wall) -> Body:
     """Tear the wall of a case."""
-    wall = wall or _read(case, comm)
     own = {"feti_type": case["type"], "feti_pc_type": case["pc"], "snes_max_it": STEPS}
     if case["choices"] == "default" and case["task"] == "count":
         own["feti_formulation"] = "primal"  # that of every Newton step after the first one
-    return first_step.create(wall, fibre_frame(wall), case, case["subdomains"], own)
+    return first_step.create(wall, case, case["subdomains"], own)
 
 
 def _iterate(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, iterations: int) -> None:
@@ -179,13 +174,6 @@ def _iterate(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, iterations: int) -> Non
     done = ksp.getPythonContext().iterations
     if done != iterations:
         raise RuntimeError(f"the solver took {done} iterations in place of {iterations}")
-
-
-def _counted(work: Callable[[], object], comm: MPI.Comm) -> Array:
-    """Return the counters of some work, (processes, counters)."""
-    start_count()
-    work()
-    return gather(since_reset(), comm)
 
 
 def coarse_factor(feti: FETI) -> tuple[float, float]:
@@ -213,19 +201,7 @@ def _summary(counts: Array) -> Record:
     }
 
 
-def _sizes(body: Body) -> Record:
-    report = body.problem.solver.getKSP().getPythonContext().report()
-    return first_step.sizes(body) | {"coarse_mib": report.coarse_mib}
-
-
-def main(words: list[str]) -> None:
-    """Run a case, and write its record."""
-    comm = MPI.COMM_WORLD
-    case = json.loads(words[0])
-    tasks = {"measure": measure, "count": count}
-    record = tasks[case["task"]](case, comm)
-    on_first(lambda: Path(words[1]).write_text(json.dumps(record)), comm)
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    comm, case = MPI.COMM_WORLD, json.loads(sys.argv[1])
+    record = {"measure": measure, "count": count}[case["task"]](case, comm)
+    on_first(lambda: Path(sys.argv[2]).write_text(json.dumps(record)), comm)

@@ -31,8 +31,6 @@ from dolfinx_feti.wall import facets
 from dolfinx_feti.wall.opening import Opening
 from meshes.ellipsoid import LONG, THICKNESS, create_ellipsoid, ellipsoid_fibre
 
-__all__ = ["CASES", "Case", "Quantity", "create_stressed_tube"]
-
 Energy = Callable[[Expr, Expr, Expr, Expr], Expr]  # of C, J, the share of the load and f
 
 
@@ -183,7 +181,7 @@ def create_stressed_tube(
             "radial": found["recovered_rr_error"],
         }
 
-    return replace(tube.body, measure=measure, full=PRESSURE)
+    return replace(tube.body, measure=measure, unit=PRESSURE)
 
 
 def _tube(comm: MPI.Comm, n: int, *, by_shape: bool) -> Body:
@@ -195,7 +193,6 @@ ORACLE = {
     "hoop": Quantity("error of σ_θθ in L²", "0", 0.0, 0.03),
     "radial": Quantity("error of σ_rr in L²", "0", 0.0, 0.03),
 }
-
 
 ROUGH = Steps(0.001, least=1e-5, growth=2.0, rtol=1e-3, linear_rtol=1e-4)  # on the way
 ANGLE = np.radians(49.98)  # of the fibres from the axis, that is z

@@ -38,12 +38,8 @@ from dolfinx_feti.fem.elements import quadratic_with_bubbles
 from dolfinx_feti.runtime.collective import on_first
 from meshes.arguments import count
 
-__all__ = ["PAIRS", "cases", "constant", "fields", "known", "options", "run"]
-
-
 #: β² below which a pressure is one that no displacement feels.
 NOTHING = 1e-10
-
 
 #: Pairs by name: how they are called, their cell, the degree of each component of v or the bubbles
 #: that it has beside P2, and the element of q.
@@ -75,11 +71,6 @@ def cases(args: Arguments, _comm: MPI.Comm) -> Iterator[Record]:
 def run(case: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
     """Compute a constant on the first process."""
     keep({}, on_first(lambda: constant(str(case["pair"]), int(case["cells"])), comm))
-
-
-def known(record: Record) -> bool:
-    """Tell whether a record is one of this part."""
-    return record.get("pair") in PAIRS
 
 
 def fields(records: Sequence[Record]) -> Fields:

@@ -32,11 +32,8 @@ from benchmarks.common.pages import Fields, groups
 from benchmarks.common.records import Record
 from benchmarks.common.study import Arguments, Keep
 from benchmarks.common.verification.cases import CASES
-from dolfinx_feti.loading import LoadStep, follow_load
+from dolfinx_feti.loading import LoadStep
 from meshes.arguments import count
-
-__all__ = ["cases", "fields", "known", "options", "run"]
-
 
 BEFORE = 0.995  # share of the load from which MUMPS goes on
 
@@ -64,20 +61,16 @@ def run(key: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
         if step.load == BEFORE:
             last.append([f.x.array.copy() for f in (body.u, body.p)])
 
-    accepted = follow_load(
-        body.problem, body.set_load, [BEFORE, 1.0], case.steps,
-        state=[body.u, body.p], on_step=remember,
-    )  # fmt: skip
+    accepted = body.inflate([BEFORE, 1.0], case.steps, on_step=remember)
     newton = [step for load_step in accepted for step in load_step.all_steps]
     seconds = time.perf_counter() - begun
     values = body.measure()
     body.u.x.array[:], body.p.x.array[:] = last[0]
     _solve_by_mumps(body)
-    dofmap = body.u.function_space.dofmap
     found = {
         "values": values,
         "mumps": body.measure(),
-        "dofs": dofmap.index_map.size_global * dofmap.index_map_bs,
+        "dofs": body.dofs,
         "subdomains": comm.allreduce(body.problem.decomposition.count),
         "load_steps": len(accepted),
         "newton": len(newton),
@@ -86,11 +79,6 @@ def run(key: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
         "seconds": seconds,
     }
     keep({}, found)
-
-
-def known(record: Record) -> bool:
-    """Tell whether a record is one of this part."""
-    return record.get("case") in CASES
 
 
 def fields(records: Sequence[Record]) -> Fields:
@@ -122,11 +110,7 @@ def fields(records: Sequence[Record]) -> Fields:
 
 
 def _solve_by_mumps(body: Body) -> None:
-    """Solve from the body's state, which is replaced. Collective.
-
-    Raises:
-        RuntimeError: Newton's method does not converge.
-    """
+    """Solve from the body's state, which is replaced. Collective."""
     V, Q = body.u.function_space, body.p.function_space
     elements = [space.ufl_element() for space in (V, Q)]
     W = dolfinx.fem.functionspace(V.mesh, basix.ufl.mixed_element(elements))

@@ -29,8 +29,6 @@ from benchmarks.common.walls.oracle import KPA_PER_MMHG, Wall, inflate
 from dolfinx_feti.loading import LoadStep, Steps
 from meshes.arguments import count, positive
 
-__all__ = ["STEPS", "cases", "draw", "fields", "known", "options", "run"]
-
 #: With multipliers: the most that the mean volume of a cell may be off, and κ of the truth [kPa].
 VOLUME, INCOMPRESSIBLE = 1e-6, float("inf")
 
@@ -90,12 +88,7 @@ def run(_case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
                 found |= {"volume_change": changes[-1], "updates": len(changes)}
             keep({"pressure_mmhg": step.load}, found)
 
-    tube.body.inflate(args.pressures, STEPS, on_step=report)
-
-
-def known(record: Record) -> bool:
-    """Tell whether a record is one of this part."""
-    return "element" in record
+    tube.body.inflate(args.pressures, STEPS, on_step=report, unit="mmHg")
 
 
 def _cost(steps: Sequence[LoadStep]) -> Record:

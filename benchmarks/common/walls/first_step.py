@@ -14,7 +14,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 
@@ -23,23 +22,9 @@ from benchmarks.common.records import Record
 from benchmarks.common.walls.problem import create_wall_problem
 from dolfinx_feti import ConvergenceError, loads
 from dolfinx_feti.fem.decomposition import decompose
+from dolfinx_feti.runtime.arrays import Indices
 from dolfinx_feti.wall import Wall, facets, openings
-from dolfinx_feti.wall.fibres import ANGLES, Frame, fibre_families
-
-__all__ = [
-    "ARTERIES",
-    "CHOICES",
-    "CONTACTS",
-    "LAYERS",
-    "PRECONDITIONERS",
-    "TYPES",
-    "create",
-    "load",
-    "partition",
-    "sizes",
-]
-
-Parts = npt.NDArray[np.int32]
+from dolfinx_feti.wall.fibres import ANGLES, fibre_families, fibre_frame
 
 #: What cases are told by, and their names on pages.
 TYPES = {"all_floating": "all-floating", "classical": "classical"}
@@ -76,9 +61,7 @@ OPTIONS: dict[str, Record] = {
 }
 
 
-def create(
-    wall: Wall, frame: Frame, case: Record, subdomains: int | Parts, options: Record
-) -> Body:
+def create(wall: Wall, case: Record, subdomains: int | Indices, options: Record) -> Body:
     """Tear a wall at rest, with a number of subdomains or a part for each owned cell. Collective.
 
     Of the case it takes ``layers``, ``degree``, ``kappa`` [kPa] and ``choices``.
@@ -89,8 +72,8 @@ def create(
         degree=case["degree"],
         kappa=case["kappa"],
         subdomains=subdomains,
-        options=OPTIONS[str(case["choices"])] | options,
-        fibres=fibre_families(wall, frame, angles),
+        petsc_options=OPTIONS[str(case["choices"])] | options,
+        fibres=fibre_families(wall, fibre_frame(wall), angles),
         lumen=False,
         tangent=TANGENTS[str(case["choices"])],
     )
@@ -105,11 +88,7 @@ def sizes(body: Body) -> Record:
 
 
 def load(body: Body, mmhg: float, *, in_part: bool) -> None:
-    """Load a wall at rest [mmHg], or only by the Newton steps that the options allow. Collective.
-
-    Raises:
-        ConvergenceError: A linear system was not solved, or Newton's method did not arrive.
-    """
+    """Load a wall at rest [mmHg], or by the Newton steps that the options allow. Collective."""
     at_rest = body.problem.linearise()
     body.load.value = loads.mmhg(mmhg)
     try:
@@ -120,16 +99,13 @@ def load(body: Body, mmhg: float, *, in_part: bool) -> None:
             raise
 
 
-def partition(wall: Wall, subdomains: int, contact: str) -> Parts:
+def partition(wall: Wall, subdomains: int, contact: str) -> Indices:
     """Return a part for each owned cell, (n_cells,). Collective.
 
     "It may happen that the decomposition of a mesh results in subdomains that have only a few
     points on the Dirichlet boundary": in classical FETI such a subdomain is held, though hardly,
     and has no kernel that the coarse problem could take over. Here one on a rim loses its cells
     there, all of them (``none``) or all but a few that touch it in three points (``few``).
-
-    Raises:
-        ValueError: No subdomain serves. On all processes.
     """
     mesh = wall.mesh
     part = decompose(mesh, subdomains).subdomain
@@ -164,7 +140,7 @@ def partition(wall: Wall, subdomains: int, contact: str) -> Parts:
     return np.where(cut, part.max() + 1, part).astype(np.int32)
 
 
-def _near(V: dolfinx.fem.FunctionSpace, points: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+def _near(V: dolfinx.fem.FunctionSpace, points: Indices) -> Indices:
     """Return the first of some points and those nearest to it."""
     X = V.tabulate_dof_coordinates()[points]
     order = np.argsort(np.linalg.norm(X - X[:1], axis=1), kind="stable")

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 import basix
@@ -32,15 +31,12 @@ from dolfinx_feti import kinematics
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
 from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
 from dolfinx_feti.output import Patches, balanced_stress, create_patches, recovered_field
+from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.wall import Wall, by_layer, facets
 from dolfinx_feti.wall.fibres import ANGLES
 from meshes.bricks import create_brick_tube
 from meshes.tube import ADVENTITIA, INNER_RADIUS, count_around
 from meshes.walls import create_tube_wall
-
-__all__ = ["ELEMENTS", "InflatedTube", "create_inflated_tube", "create_slice", "residual_part"]
-
-Array = npt.NDArray[np.float64]
 
 QUADRATURE = 4  # degree
 STANDARD = 0.09  # mm
@@ -51,20 +47,15 @@ GROWTH = 8.0  # of the thickness of curved cells through the media
 class Element:
     """A pair of elements, and the tube of curved cells that it is made for.
 
-    Attributes:
-        degree: That of u; with bubbles half of the quadrature's.
-        pressures: The element of p.
-        bricks: None for the tube of straight tetrahedra; else how many there are through the media,
-            the adventitia and around a quarter at :data:`STANDARD` size.
-        bubbles: Whether quadratic tetrahedra have bubbles in cells and on faces.
-        tetrahedra: Or else hexahedra.
+    ``bricks`` are how many there are through the media, the adventitia and around a quarter at
+    :data:`STANDARD` size; None for the tube of straight tetrahedra.
     """
 
-    degree: int
+    degree: int  # that of u; with bubbles half of the quadrature's
     pressures: tuple[str, int] = ("DG", 0)
     bricks: tuple[int, int, int] | None = None
-    bubbles: bool = False
-    tetrahedra: bool = True
+    bubbles: bool = False  # in cells and on faces
+    tetrahedra: bool = True  # or else hexahedra
 
 
 #: Curved cells can be longer around the wall and outside, where stresses are even; with these
@@ -90,7 +81,7 @@ class InflatedTube:
     points: Array  # of the quadrature in the reference cell, (points, 3)
     radii: Array  # of the quadrature points in the owned cells [mm], (cells, points)
     weights: Array  # volume that each of these points stands for [mm³], (cells, points)
-    layer: npt.NDArray[np.int64]  # 0 for the cells of the media, 1 for the others, (cells,)
+    layer: Numbers  # 0 for the cells of the media, 1 for the others, (cells,)
 
     @property
     def mesh(self) -> dolfinx.mesh.Mesh:
@@ -182,7 +173,7 @@ def create_inflated_tube(wall: Wall, *, element: str = "p2-p0", **settings: obje
         degree=kind.degree,
         pressures=kind.pressures,
         element=quadratic_with_bubbles("tetrahedron", faces=True) if kind.bubbles else None,
-        options={},
+        petsc_options={},
         prefix="tube_",
         fibres=tube_fibres(mesh) if kind.bricks is None else _helices(wall),
         held=[(component, facets(wall, name)) for name, component in PLANES.items()],
@@ -243,7 +234,7 @@ def _at_points(expression: Expr, mesh: dolfinx.mesh.Mesh, points: Array) -> Arra
     return np.asarray(values).reshape(len(owned), len(points))
 
 
-def _stresses(truth: Tube, r: Array, layer: npt.NDArray[np.int64]) -> tuple[Array, Array]:
+def _stresses(truth: Tube, r: Array, layer: Numbers) -> tuple[Array, Array]:
     """Return the true σ_rr and σ_θθ at reference radii, from splines through each layer.
 
     Chords lie inside their circle: below a layer its stress is continued.

@@ -34,13 +34,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 KPA_PER_MMHG = 0.1333223684
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,11 +159,11 @@ def _stresses(
 
 def _integrate(pressure: float, wall: Wall, r_i: float, dense: bool = False) -> list[Any]:
     """Integrate (r, R P_rR) outwards, layer by layer, from P_rR = −p λ_z r/R inside."""
-    state: Floats = np.array([r_i, -pressure * wall.stretch * r_i])
+    state = np.array([r_i, -pressure * wall.stretch * r_i])
     solutions: list[Any] = []
     for layer in wall.layers:
 
-        def slope(R: float, y: Floats, layer: Layer = layer) -> tuple[float, float]:
+        def slope(R: float, y: np.ndarray, layer: Layer = layer) -> tuple[float, float]:
             return _radial(wall, layer, R, y[0] / R, y[1] / R)
 
         ends, tolerances = (layer.inner, layer.outer), {"rtol": 1e-10, "atol": 1e-12}

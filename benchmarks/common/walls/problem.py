@@ -6,13 +6,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import ufl
@@ -20,21 +20,12 @@ from ufl.core.expr import Expr
 
 from benchmarks.common.bodies import Body, Held, create_body
 from benchmarks.common.records import Record
-from dolfinx_feti import kinematics, materials
+from dolfinx_feti import kinematics, loads, materials
+from dolfinx_feti.runtime.arrays import Array, Integers
 from dolfinx_feti.wall import Wall, facets, openings
 from dolfinx_feti.wall.fibres import ANGLES, fibre_families, fibre_frame
 from meshes.tube import INNER_RADIUS, MEDIA
 from meshes.walls import create_tube_wall, open_wall
-
-__all__ = [
-    "INTERFACE",
-    "create_clamped",
-    "create_wall_problem",
-    "right_hand_side",
-    "summarise",
-    "tube_fibres",
-    "volume_ratios",
-]
 
 INTERFACE = INNER_RADIUS + MEDIA  # mm, between the layers of the tube
 
@@ -44,7 +35,6 @@ LENGTH, DOFS_ALONG = 3.0, {1: 18.0, 2: 125.0}
 
 #: Length of the elements' edges [mm] that gives the vessel so many displacement dofs, by degree.
 SIZE, DOFS = 2.0, {1: 11_000, 2: 71_430}
-
 
 #: |J_τ − 1| above which an element counts as one that does not keep its volume.
 NOTICEABLE = 0.01
@@ -67,27 +57,20 @@ def right_hand_side(body: Body) -> PETSc.Vec:
 def create_wall_problem(
     wall: Wall,
     *,
-    subdomains: int | npt.NDArray[np.integer] | None,
-    options: dict[str, object],
+    subdomains: int | Integers | None,
+    petsc_options: dict[str, object],
     c: float | None = None,
     prefix: str = "wall_",
     fibres: tuple[Expr, Expr] | None = None,
     volume_tolerance: float | None = None,
     held: Sequence[Held] | None = None,
-    **body: object,
+    **further: object,
 ) -> Body:
     """Tear a wall at rest, with a pressure in its lumen. Collective.
 
-    Args:
-        wall: Mesh, layers and surfaces.
-        subdomains: Their number or a part for each owned cell; None for the package's rule.
-        options: PETSc options of the problem.
-        c: Stiffness of the matrix material [kPa]; the paper's if not given.
-        prefix: That of the options.
-        fibres: The two families of directions; from Laplace problems if not given.
-        volume_tolerance: On |mean J − 1| of each cell, for multipliers in place of a large κ.
-        held: What is held; the rims of all openings if not given.
-        body: Further arguments of :func:`benchmarks.common.bodies.create_body`.
+    Its defaults are the paper's stiffness of the matrix material c [kPa], fibres by Laplace
+    problems, and clamped rims of all openings. With a ``volume_tolerance`` on |mean J − 1| of each
+    cell there are multipliers in place of a large κ. Further arguments are ``create_body``'s.
     """
     artery = materials.ArteryParameters()
     a1, a2 = fibres or fibre_families(wall, fibre_frame(wall))
@@ -95,19 +78,20 @@ def create_wall_problem(
     if held is None:
         held = [(None, np.concatenate([facets(wall, name) for name in openings(wall)]))]
     defaults = {"pressures": ("DG", 0), "tangent": "symmetric", "lumen": True}
-    return create_body(
+    body = create_body(
         wall.mesh,
         lambda C, J, _share: materials.holzapfel_gasser_ogden(C, a1, a2, **parameters, J=J),
         held=held,
         loaded=facets(wall, "lumen"),
         settings={
             "subdomains": subdomains,
-            "petsc_options": options,
+            "petsc_options": petsc_options,
             "petsc_options_prefix": prefix,
             "volume_tolerance": volume_tolerance,
         },
-        **(defaults | body),
+        **(defaults | further),
     )
+    return replace(body, unit=loads.mmhg(1.0))
 
 
 def create_clamped(
@@ -116,11 +100,8 @@ def create_clamped(
     """Build a tube, three elements thick, or vessel, two, with about so many dofs. Collective.
 
     Clamped at its openings; PETSc options have the prefix ``tube_`` or ``vessel_``. The mesh of the
-    vessel is kept in a folder; further settings are those of :func:`create_wall_problem`.
-
-    Raises:
-        ValueError: For less than 50 000 dofs the vessel's elements would be longer than its wall
-            is thick.
+    vessel, of 50 000 dofs at least, is kept in a folder; further settings are those of
+    :func:`create_wall_problem`.
     """
     if geometry == "tube":
         along = max(2, round(np.sqrt(dofs / DOFS_ALONG[degree])))
@@ -139,7 +120,7 @@ def tube_fibres(mesh: dolfinx.mesh.Mesh) -> tuple[dolfinx.fem.Function, dolfinx.
     space = dolfinx.fem.functionspace(mesh, ("DG", 0, (3,)))
     families = dolfinx.fem.Function(space), dolfinx.fem.Function(space)
 
-    def helix(x: npt.NDArray[np.float64], sign: float) -> npt.NDArray[np.float64]:
+    def helix(x: Array, sign: float) -> Array:
         r = np.hypot(x[0], x[1])
         α = np.deg2rad(np.where(r < INTERFACE, ANGLES["media"], ANGLES["adventitia"]))
         return np.array([-x[1] / r * np.cos(α), x[0] / r * np.cos(α), sign * np.sin(α)])
@@ -149,7 +130,7 @@ def tube_fibres(mesh: dolfinx.mesh.Mesh) -> tuple[dolfinx.fem.Function, dolfinx.
     return families
 
 
-def volume_ratios(u: dolfinx.fem.Function) -> npt.NDArray[np.float64]:
+def volume_ratios(u: dolfinx.fem.Function) -> Array:
     """Return J_τ, the mean of det F over τ, of the owned cells τ, (n_cells,). Collective.
 
     The pressure, constant in each cell, holds it near one; det F at a point is free in P2.
@@ -165,7 +146,7 @@ def volume_ratios(u: dolfinx.fem.Function) -> npt.NDArray[np.float64]:
     return deformed.array[:n] / rest.array[:n]
 
 
-def summarise(J: npt.NDArray[np.float64], comm: MPI.Comm) -> Record:
+def summarise(J: Array, comm: MPI.Comm) -> Record:
     """Return least, mean and greatest J_τ, the mean of |J_τ − 1|, and the share of large ones."""
     off = np.abs(J - 1.0)
     sums = [len(J), J.sum(), off.sum(), np.count_nonzero(off > NOTICEABLE)]
