@@ -13,20 +13,19 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
-from collective import whole
+from collective import COMM, agree, equal, whole
 
 import dolfinx_feti
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.int64]
 
-COMM = MPI.COMM_WORLD
 YOUNG, POISSON = 210.0, 0.3
 
 
@@ -46,7 +45,7 @@ class HandTorn:
 
     A: PETSc.Mat
     K: list[Array]
-    dofs: list[npt.NDArray[np.int64]]
+    dofs: list[Indices]
     x: Array
     modes: Array
     dirichlet: Mask
@@ -58,7 +57,7 @@ class HandTorn:
         return scipy.sparse.block_diag([*self.K, scipy.sparse.coo_array((0, 0))]).toarray()
 
     @property
-    def to_global(self) -> npt.NDArray[np.int64]:
+    def to_global(self) -> Indices:
         """Dof of each torn one, (n,)."""
         return np.concatenate(self.dofs)
 
@@ -68,14 +67,23 @@ class HandTorn:
         return np.eye(len(self.dirichlet))[self.to_global]
 
     @property
+    def matrix(self) -> Array:
+        """The assembled matrix."""
+        return self.T.T @ self.K_torn @ self.T
+
+    @property
     def free_matrix(self) -> Array:
         """The assembled matrix on the dofs without a prescribed value."""
-        free = ~self.dirichlet
-        return (self.T.T @ self.K_torn @ self.T)[np.ix_(free, free)]
+        return self.matrix[np.ix_(~self.dirichlet, ~self.dirichlet)]
+
+    @property
+    def negative(self) -> int:
+        """How many of its eigenvalues are negative."""
+        return np.count_nonzero(np.linalg.eigvalsh(self.free_matrix) < 0.0)
 
     def solve(self, b: Array) -> Array:
         """Solve the assembled problem, the values of Dirichlet dofs being in ``b``."""
-        K = self.T.T @ self.K_torn @ self.T
+        K = self.matrix
         x, free = np.where(self.dirichlet, b, 0.0), ~self.dirichlet
         x[free] = np.linalg.solve(K[np.ix_(free, free)], (b - K @ x)[free])
         return x
@@ -93,7 +101,7 @@ class HandTorn:
 
 
 #: Alters local matrices, of the dofs that are given, in place.
-Change = Callable[[list[Array], list[npt.NDArray[np.int64]]], None]
+Change = Callable[[list[Array], list[Indices]], None]
 
 
 def softened(share: float) -> Change:
@@ -102,6 +110,16 @@ def softened(share: float) -> Change:
     def change(K: list[Array], _dofs: object) -> None:
         for K_i in K:
             K_i -= share * np.abs(K_i).max() * np.eye(len(K_i))
+
+    return change
+
+
+def scaled_diagonal(factor: float) -> Change:
+    """Multiply the diagonal of each subdomain: tension or, below one, compression."""
+
+    def change(K: list[Array], _dofs: object) -> None:
+        for K_i in K:
+            np.fill_diagonal(K_i, factor * K_i.diagonal())
 
     return change
 
@@ -148,7 +166,7 @@ def grid(
     for i, corner in enumerate(itertools.product(*map(range, subdomains))):
         inside = np.ix_(*[c * n + np.arange(n + 1) for c, n in zip(corner, cells, strict=True)])
         nodes = np.arange(len(x)).reshape(shape)[inside].ravel()
-        dofs.append((nodes[:, None] * components + np.arange(components)).ravel())
+        dofs.append(dofs_of(nodes, components))
         K.append(stiffness(i) * K_0)
     if change is not None:
         change(K, dofs)
@@ -157,9 +175,19 @@ def grid(
     return tear(K, dofs, x, kernel(x, components), mask, pattern=pattern, n_modes=modes)
 
 
+def nowhere(x: Array) -> Mask:
+    """Mark no node."""
+    return np.zeros(len(x), dtype=bool)
+
+
+def dofs_of(nodes: Indices, components: int) -> Indices:
+    """Return the dofs of nodes, node by node."""
+    return (nodes[:, None] * components + np.arange(components)).ravel()
+
+
 def tear(
     K: list[Array],
-    dofs: list[npt.NDArray[np.int64]],
+    dofs: list[Indices],
     x: Array,
     modes: Array,
     dirichlet: Mask,
@@ -206,7 +234,7 @@ def brick(
     K, pattern = np.zeros((size, size)), np.zeros((size, size))
     for cell in itertools.product(*map(range, cells)):
         nodes = number[tuple(slice(c, c + 2) for c in cell)].ravel()
-        rows = (nodes[:, None] * components + np.arange(components)).ravel()
+        rows = dofs_of(nodes, components)
         K[np.ix_(rows, rows)] += stiffness(cell) * K_e
         pattern[np.ix_(rows, rows)] = 1.0
     return pattern, K
@@ -219,7 +247,7 @@ def element(dim: int, components: int) -> Array:
     return sum(stiffness_at(gradients(corners, np.array(p)), components) for p in points) / 2**dim
 
 
-def gradients(corners: npt.NDArray[np.int64], point: Array) -> Array:
+def gradients(corners: Indices, point: Array) -> Array:
     """Gradients of the multilinear shape functions, (nodes, dim)."""
     factor = np.where(corners == 1, point, 1 - point)
     slope = np.where(corners == 1, 1.0, -1.0)
@@ -282,3 +310,14 @@ def solve(ksp: PETSc.KSP, problem: HandTorn, values: Array) -> tuple[int, Array]
     x = problem.A.createVecRight()
     ksp.solve(problem.vector(values), x)
     return ksp.getConvergedReason(), whole(x.array_r)
+
+
+def solved(
+    ksp: PETSc.KSP, problem: HandTorn, tolerance: float = 1e-8, values: Array | None = None
+) -> dolfinx_feti.FETI:
+    """Assert that a solve converges to the assembled solution; return the context."""
+    values = random_values(problem) if values is None else values
+    reason, x = solve(ksp, problem, values)
+    agree(reason > 0, ksp.getPythonContext().message)
+    equal(x, problem.solve(values), tolerance)
+    return ksp.getPythonContext()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -17,6 +18,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
+from collective import norm
 from walls import Wall
 
 import dolfinx
@@ -255,3 +257,15 @@ def solve_assembled(A: PETSc.Mat, b: PETSc.Vec) -> Array:
     for owned in (ksp, M, x, rhs, r, correction):
         owned.destroy()
     return values
+
+
+def errors_of_solves(problem: Any) -> list[float]:
+    """Compare every linear solve from now on with MUMPS; return the growing list of differences."""
+    errors = []
+
+    def compare(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        expected = solve_assembled(ksp.getOperators()[0], b)
+        errors.append(norm(x.array_r - expected) / norm(expected))
+
+    problem.solver.getKSP().setPostSolve(compare)
+    return errors

@@ -52,6 +52,11 @@ class PrimalForm:
         u = S.extend(u, f)
         return u + u_D, solution
 
+    def destroy(self) -> None:
+        """Free what the form owns."""
+        for owned in (self.space, self.space.V, self.copies):
+            owned.destroy()
+
 
 def cg(
     system: PrimalSystem, f: Array, *, rtol: float = 1e-10, max_it: int = 200
@@ -88,13 +93,6 @@ def create(
         solve=lambda t: parts.inverse.solve(torn(t))[copies.dofs],
     )
     return PrimalForm(parts, space, system)
-
-
-def destroy(form: PrimalForm) -> None:
-    """Free what the form owns."""
-    form.space.destroy()
-    form.space.V.destroy()
-    form.copies.destroy()
 
 
 @dataclass(frozen=True, slots=True)

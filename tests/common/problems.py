@@ -101,6 +101,14 @@ def cube(
     return dolfinx.mesh.create_unit_cube(comm, n, n, n, cell or Cell.tetrahedron)
 
 
+def without(mesh: dolfinx.mesh.Mesh, where: Marker) -> dolfinx.mesh.Mesh:
+    """Return what is left of a mesh without the cells that are marked."""
+    dim, cells = mesh.topology.dim, mesh.topology.index_map(mesh.topology.dim)
+    every = np.arange(cells.size_local + cells.num_ghosts)
+    kept = np.setdiff1d(every, dolfinx.mesh.locate_entities(mesh, dim, where))
+    return dolfinx.mesh.create_submesh(mesh, dim, kept.astype(np.int32))[0]
+
+
 def dirichlet(
     V: dolfinx.fem.FunctionSpace,
     where: Marker,

@@ -7,19 +7,20 @@ With the Dirichlet preconditioner λ_min ≥ 1 for any weight Q of the projectio
 λ_max ≤ C (1 + log H/h)² (Mandel, Tezaur 1996; Klawonn, Widlund 2001).
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
 import paper_cube
 import pytest
+import reference
+import scipy.linalg
+from cases import case, each, every_type
 from collective import agree, dense, matrix_of_map, small, whole
 from hand_torn import random_values, solve
 
 ROUNDING = 1e-6
 
-every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+every_pc = pytest.mark.parametrize("pc_type", ["dirichlet", "lumped", "identity"])
 
 
 def spectrum(feti, problem, load=1.0, **options):
@@ -62,29 +63,27 @@ def eigenvalues(system):
         ("dirichlet", 7.6, 10.0),
     ],
 )
-def test_condition_numbers_of_the_paper(kind, pc_type, all_floating, classical, feti):
+def test_condition_numbers_of_the_paper(kind, pc_type, all_floating, classical, feti, lifetime):
     """Its cube on the coarsest level: 512 subdomains, multiplicity scaling, Q = I."""
-    problem = paper_cube.cube(8, 1)
+    problem = lifetime.own(paper_cube.cube(8, 1))
     options = {"type": kind, "pc_type": pc_type, "scaling": "multiplicity"}
     low, high = spectrum(feti, problem, load=0.0, coarse_q="identity", **options)
     expected = all_floating if kind == "all_floating" else classical
     agree(abs(high / low - expected) < 0.008 * expected, (high / low, expected))
-    problem.destroy()
 
 
 # ---- bounds ---------------------------------------------------------------------------------
 
 GRIDS = {
-    "row": {"subdomains": (6,), "cells": (3,)},
-    "cross points": {"subdomains": (3, 3), "cells": (3, 3)},
-    "plane strain": {"subdomains": (3, 2), "cells": (2, 3), "components": 2},
-    "solid": {"subdomains": (2, 2, 2), "cells": (2, 1, 2), "components": 3},
-    "jumps": {"subdomains": (3, 3), "cells": (2, 2), "stiffness": lambda i: 10.0 ** (3 * (i % 2))},
+    "row": case((6,), (3,)),
+    "cross points": case((3, 3), (3, 3)),
+    "plane strain": case((3, 2), (2, 3), 2),
+    "solid": case((2, 2, 2), (2, 1, 2), 3),
+    "jumps": case((3, 3), (2, 2), stiffness=lambda i: 10.0 ** (3 * (i % 2))),
 }
-every_grid = pytest.mark.parametrize("grid", GRIDS.values(), ids=GRIDS)
 
 
-@every_grid
+@each("grid", GRIDS)
 @every_type
 def test_no_eigenvalue_below_one(grid, kind, torn_grid, feti):
     """The Ritz values of CG for all scalings and weights Q; lumped bounds Dirichlet."""
@@ -102,7 +101,7 @@ def test_no_eigenvalue_below_one(grid, kind, torn_grid, feti):
 
 @pytest.mark.parametrize("grid", [GRIDS["cross points"], GRIDS["plane strain"]])
 @pytest.mark.parametrize("q", ["preconditioner", "diagonal", "identity"])
-@pytest.mark.parametrize("pc_type", ["dirichlet", "lumped", "identity"])
+@every_pc
 def test_ritz_values_against_a_dense_eigensolver(grid, q, pc_type, torn_grid, parts, feti):
     """CG's extreme values lie inside the spectrum and reach its ends."""
     problem = torn_grid(**grid)
@@ -129,9 +128,9 @@ def corners_and_edges(x):
     return mark
 
 
-def test_kernels_of_all_dimensions_in_one_decomposition(feti):
+def test_kernels_of_all_dimensions_in_one_decomposition(feti, lifetime):
     """The bound holds whatever is left of the rigid motions."""
-    problem = paper_cube.cube(3, 1, fixed=corners_and_edges)
+    problem = lifetime.own(paper_cube.cube(3, 1, fixed=corners_and_edges))
     options = {"type": "classical", "scaling": "multiplicity", "coarse_q": "identity"}
     options["coarse_modes"] = 0
     ksp = feti(problem.A, **{f"feti_{name}": value for name, value in options.items()})
@@ -140,33 +139,24 @@ def test_kernels_of_all_dimensions_in_one_decomposition(feti):
     agree(context.report().kernels == (1, 2, 1, 1, 2, 1, 19), context.report().kernels)
     agree(context.eigenvalues[0] >= 1.0 - ROUNDING, context.eigenvalues)
     small(context.residual, 1e-8)
-    problem.destroy()
 
 
 # ---- growth ---------------------------------------------------------------------------------
 
-KINDS = {
-    "Laplace": {"components": 1, "subdomains": (4, 4)},
-    "plane strain": {"components": 2, "subdomains": (3, 3)},
-}
-
 
 @every_type
-@pytest.mark.parametrize("problem", KINDS.values(), ids=KINDS)
+@each("problem", {"Laplace": ((4, 4), 1), "plane strain": ((3, 3), 2)})
 @pytest.mark.parametrize("q", ["preconditioner", "identity"])
 def test_condition_grows_no_faster_than_a_squared_logarithm(problem, q, kind, torn_grid, feti):
     """The quotient κ/(1 + log H/h)² does not grow with H/h; lumped is left behind."""
-    ratios = np.array([4, 8, 16])
-    dirichlet, lumped = [], []
-    for n in ratios:
-        grid = torn_grid(cells=(n, n), **problem)
-        low, high = spectrum(feti, grid, type=kind, coarse_q=q)
-        dirichlet.append(high / low)
-        low, high = spectrum(feti, grid, type=kind, coarse_q=q, pc_type="lumped")
-        lumped.append(high / low)
-    quotient = np.array(dirichlet) / (1.0 + np.log(ratios)) ** 2
-    agree(np.all(quotient[1:] <= 1.05 * quotient[:-1]), (dirichlet, quotient))
-    agree(lumped[-1] > 3.0 * dirichlet[-1], (dirichlet, lumped))
+    ratios, condition = np.array([4, 8, 16]), {"dirichlet": [], "lumped": []}
+    for n, pc_type in itertools.product(ratios, condition):
+        grid = torn_grid(problem[0], (n, n), components=problem[1])
+        low, high = spectrum(feti, grid, type=kind, coarse_q=q, pc_type=pc_type)
+        condition[pc_type].append(high / low)
+    quotient = np.array(condition["dirichlet"]) / (1.0 + np.log(ratios)) ** 2
+    agree(np.all(quotient[1:] <= 1.05 * quotient[:-1]), (condition, quotient))
+    agree(condition["lumped"][-1] > 3.0 * condition["dirichlet"][-1], condition)
 
 
 @every_type
@@ -175,8 +165,7 @@ def test_condition_is_bounded_in_the_number_of_subdomains(components, kind, torn
     """At H/h = 4 from 4 to 100 subdomains; iterations with it."""
     condition = []
     for n in (2, 5, 10):
-        grid = torn_grid((n, n), (4, 4), components=components)
-        low, high = spectrum(feti, grid, type=kind)
+        low, high = spectrum(feti, torn_grid((n, n), (4, 4), components=components), type=kind)
         condition.append(high / low)
     agree(condition[-1] < 1.15 * condition[-2], condition)
     agree(condition[-1] < 12.0, condition)
@@ -194,3 +183,93 @@ def test_stiffness_scaling_does_not_notice_jumps(kind, torn_grid, feti):
         agree(np.all(np.isfinite(x)))
     agree(condition[1e6, "stiffness"] <= 1.5 * condition[1.0, "stiffness"], condition)
     agree(condition[1e6, "multiplicity"] > 100 * condition[1e6, "stiffness"], condition)
+
+
+# ---- Lanczos' method, with and without reorthogonalisation ----------------------------------
+
+#: What the paper takes, and a test on the dual residual that CG can meet exactly.
+PAPER = {
+    "feti_scaling": "multiplicity",
+    "feti_coarse_q": "identity",
+    "feti_coarse_modes": 0,
+    "feti_dual_ksp_rtol": 1e-10,
+    "feti_dual_ksp_norm_type": "natural",
+}
+
+
+@pytest.fixture
+def jumping(torn_grid):
+    """Six squares in plane strain, every other one 10³ times stiffer, which the scaling ignores."""
+    return torn_grid((2, 3), (3, 3), components=2, stiffness=lambda i: 1e3 ** (i % 2))
+
+
+def dense_spectrum(problem, *, kind, pc_type):
+    """Eigenvalues of P M Pᵀ F other than zero, by dense formulas that share nothing with FETI."""
+    free = np.ones(len(problem.to_global), dtype=bool)
+    if kind == "classical":
+        free = ~problem.dirichlet[problem.to_global]
+    K, copies = problem.K_torn[np.ix_(free, free)], problem.to_global[free]
+    B = reference.jumps(copies, problem.dirichlet, all_floating=kind == "all_floating")
+    delta = 1.0 / np.bincount(copies)[copies]
+    pair = np.count_nonzero(B, axis=1) == 2  # Dirichlet rows have weight one
+    B_D = np.where(pair[:, None], B * delta, B)
+    Y = {"identity": np.eye(len(K)), "lumped": K, "dirichlet": schur(K, np.any(B, axis=0))}
+    M = B_D @ Y[pc_type] @ B_D.T
+    R = scipy.linalg.null_space(K, rcond=1e-10)
+    F, G = B @ np.linalg.pinv(K, rcond=1e-10, hermitian=True) @ B.T, B @ R
+    P = np.eye(len(B)) - G @ np.linalg.pinv(G)
+    values, vectors = np.linalg.eigh(P @ F @ P)
+    root = vectors * np.sqrt(np.where(values > 1e-9 * values[-1], values, 0.0))
+    values = np.linalg.eigvalsh(root.T @ M @ root)
+    return values[values > 1e-9 * values[-1]]
+
+
+def schur(K, glued):
+    """Schur complement on the glued dofs, zero elsewhere."""
+    S, g, i = np.zeros_like(K), np.flatnonzero(glued), np.flatnonzero(~glued)
+    X = np.linalg.solve(K[np.ix_(i, i)], K[np.ix_(i, g)])
+    S[np.ix_(g, g)] = K[np.ix_(g, g)] - K[np.ix_(g, i)] @ X
+    return S
+
+
+@every_type
+@every_pc
+def test_ritz_values_are_the_ends_of_the_spectrum(kind, pc_type, jumping, feti):
+    """Condition number to 1e-6, and no iteration for a ghost.
+
+    In exact arithmetic there are no more iterations than different eigenvalues. The identity has a
+    factor θ, which leaves the condition number as it is. All-floating and lumped, no load reaches
+    the lowest eigenvectors, which pull the copies of a Dirichlet dof apart.
+    """
+    values = dense_spectrum(jumping, kind=kind, pc_type=pc_type)
+    different = 1 + np.count_nonzero(np.diff(values) > 1e-9 * values[1:])
+    found = []
+    for method in ("cg", "fcg"):
+        options = {"feti_type": kind, "feti_pc_type": pc_type, "feti_dual_ksp_type": method}
+        ksp = feti(jumping.A, **PAPER, **options)
+        reason, _ = solve(ksp, jumping, random_values(jumping, seed=11215))
+        found.append(ksp.getPythonContext())
+        agree(reason > 0 and found[-1].method == method, (found[-1].method, found[-1].message))
+    plain, full = found
+    agree(full.iterations <= different + 1, (full.iterations, different))
+    agree(full.iterations < plain.iterations, (full.iterations, plain.iterations))
+    if pc_type != "identity":
+        high = full.eigenvalues[1]
+        agree(abs(high / values[-1] - 1.0) < 1e-6, (high, values[-1]))
+    if (kind, pc_type) != ("all_floating", "lumped"):
+        expected = values[-1] / values[0]
+        agree(abs(full.condition_number / expected - 1.0) < 1e-6, (full.eigenvalues, values))
+
+
+@pytest.mark.parametrize("method", ["cg", "fcg"])
+def test_later_solves_may_take_more_iterations(method, jumping, feti):
+    """PETSc sizes the arrays of the coefficients at set-up, for the iterations then allowed."""
+    ksp = feti(jumping.A, feti_pc_type="identity", feti_dual_ksp_type=method, ksp_max_it=2)
+    counts = []
+    for most in (2, 1000, 5, 1000):
+        ksp.setTolerances(max_it=most)
+        reason, _ = solve(ksp, jumping, random_values(jumping))
+        counts.append(ksp.getPythonContext().iterations)
+        agree((reason > 0) == (most == 1000))
+    agree(counts[0] == 2 and counts[2] == 5, counts)
+    agree(counts[1] == counts[3] > 20, counts)

@@ -3,12 +3,12 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Preconditioners against their dense definition."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-import scipy.sparse
+import scipy.linalg
+from cases import case, each, every_type
 from collective import COMM, agree, dense, equal, matrix_of_map, small, whole
+from hand_torn import scaled_diagonal
 from modes import modes_of
 
 from dolfinx_feti.feti.dual.weighted import WeightedColumns
@@ -16,21 +16,14 @@ from dolfinx_feti.feti.dual.weighted import WeightedColumns
 SEED = 90210
 
 PROBLEMS = {
-    "elasticity": {"subdomains": (2, 2), "cells": (2, 3), "components": 2},
-    "one cell each": {"subdomains": (2, 2, 2), "cells": (1, 1, 1), "components": 3},
-    "Laplace": {"subdomains": (3,), "cells": (4,)},
+    "elasticity": case((2, 2), (2, 3), 2),
+    "one cell each": case((2, 2, 2), (1, 1, 1), 3),
+    "Laplace": case((3,), (4,)),
 }
-every_problem = pytest.mark.parametrize("grid", PROBLEMS.values(), ids=PROBLEMS)
-every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
-
-
-def buckling(K, dofs):
-    """Take from each subdomain a share of its stiffness: its kernel becomes negative."""
-    for K_i in K:
-        K_i -= 0.02 * np.diag(np.diag(K_i))
-
-
-CHANGES = {"at rest": None, "buckling": buckling}
+BUCKLING = scaled_diagonal(0.98)  # the kernel of each subdomain becomes negative
+every_problem = each("grid", PROBLEMS)
+every_change = each("change", {"at rest": None, "buckling": BUCKLING})
+every_pc = pytest.mark.parametrize("pc_type", ["identity", "lumped", "dirichlet"])
 
 
 def props_of(system):
@@ -68,39 +61,33 @@ def matrix(system):
 
 @every_problem
 @every_type
-@pytest.mark.parametrize("pc_type", ["identity", "lumped", "dirichlet"])
-@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+@every_pc
+@every_change
 def test_preconditioner_is_the_weighted_one(grid, kind, pc_type, change, torn_grid, parts):
-    """M = B_D Y B_Dᵀ, and no negative eigenvalue of K shows."""
+    """M = B_D Y B_Dᵀ ⪰ 0; M G s, Gᵀ M r and Gᵀ M G of the blocks; force of a jump: no props."""
     problem = torn_grid(change=change, **grid)
     system = parts(problem.A, type=kind, pc_type=pc_type)
-    B_D = dense(system.preconditioner.B_D.matrix)
-    M = matrix(system)
+    pc, coarse, G, M = system.preconditioner, system.coarse, dense(system.coarse.G), matrix(system)
+    B_D = dense(pc.B_D.matrix)
     equal(M, B_D @ weight_of(problem, system, pc_type) @ B_D.T, 1e-11)
     equal(M, M.T, 1e-12)
     agree(np.linalg.eigvalsh(M)[0] > -1e-12 * np.abs(M).max())
-
-
-@every_problem
-@every_type
-@pytest.mark.parametrize("pc_type", ["identity", "lumped", "dirichlet"])
-@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
-def test_blocks_of_the_product_with_the_coarse_columns(
-    grid, kind, pc_type, change, torn_grid, parts
-):
-    """M G s, Gᵀ M r and Gᵀ M G of the blocks against M applied to each column of G."""
-    system = parts(torn_grid(change=change, **grid).A, type=kind, pc_type=pc_type)
-    coarse, M = system.coarse, matrix(system)
-    G = dense(coarse.G)
     equal(matrix_of_map(coarse.MG.multiply, coarse.size), M @ G, 1e-12)
     equal(matrix_of_map(coarse.MG.restrict, system.dual.m), G.T @ M, 1e-12)
-    whole_product = WeightedColumns(system.delta, system.modes, system.preconditioner)
-    equal(dense(whole_product.galerkin_matrix), G.T @ M @ G, 1e-12)
-    whole_product.destroy()
+    product = WeightedColumns(system.delta, system.modes, pc)
+    equal(dense(product.galerkin_matrix), G.T @ M @ G, 1e-12)
+    product.destroy()
+    agree((system.inertia.dual > 0) == (change is not None))
+    jump, free = (
+        np.random.default_rng(SEED + 3).standard_normal(system.dual.m),
+        ~system.pattern.dofs.fixed,
+    )
+    expected = system.torn.multiply(pc.extend(pc.B_D.T @ jump))
+    equal(whole(pc.apply(jump)[1][free]), whole(expected[free]), 1e-11)
 
 
 @every_type
-@pytest.mark.parametrize("pc_type", ["identity", "lumped", "dirichlet"])
+@every_pc
 @pytest.mark.parametrize("scaling", ["multiplicity", "stiffness"])
 def test_force_of_a_jump_is_the_residual_of_the_averaged_displacement(
     kind, pc_type, scaling, torn_grid, parts
@@ -123,34 +110,18 @@ def test_force_of_a_jump_is_the_residual_of_the_averaged_displacement(
     equal(whole(np.where(free, torn.assemble(t), 0.0)), whole(np.where(free, expected, 0.0)), 1e-9)
 
 
-@every_type
-@pytest.mark.parametrize("pc_type", ["identity", "lumped", "dirichlet"])
-def test_stabilisation_bears_no_force(kind, pc_type, torn_grid, parts):
-    """The force of a jump is that of K itself, not of the stabilised subdomains."""
-    problem = torn_grid((2, 2), (3, 2), components=2, change=buckling)
-    system = parts(problem.A, type=kind, pc_type=pc_type)
-    agree(system.inertia.dual > 0)
-    jump = np.random.default_rng(SEED + 3).standard_normal(system.dual.m)
-    t = system.preconditioner.apply(jump)[1]
-    free = ~system.pattern.dofs.fixed
-    w = system.preconditioner.B_D.T @ jump
-    expected = system.torn.multiply(system.preconditioner.extend(w))
-    equal(whole(t[free]), whole(expected[free]), 1e-11)
-
-
 def test_extension_is_harmonic(torn_grid, parts):
     """The extension of a rigid motion of the interface is that motion, without a force inside."""
     problem = torn_grid((2, 2), (3, 3), components=2)
     system = parts(problem.A)
-    pc, torn = system.preconditioner, system.torn
+    pc, torn, glued = system.preconditioner, system.torn, system.pattern.gluing.glued
     motion = torn.near_kernel() @ np.array([0.3, -1.1, 0.7])
     w = np.zeros(torn.n)
-    w[system.pattern.gluing.glued] = motion[system.pattern.gluing.glued]
+    w[glued] = motion[glued]
     equal(whole(pc.extend(w)), whole(motion), 1e-12)
-    noise = np.random.default_rng(SEED + 2).standard_normal(torn.n)
-    w[system.pattern.gluing.glued] = noise[system.pattern.gluing.glued]
+    w[glued] = np.random.default_rng(SEED + 2).standard_normal(torn.n)[glued]
     force = torn.multiply(pc.extend(w))
-    force[system.pattern.gluing.glued] = 0.0
+    force[glued] = 0.0
     small(np.abs(force).max(initial=0.0), 1e-11 * np.abs(problem.K_torn).max())
 
 

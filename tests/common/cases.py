@@ -1,0 +1,22 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Choices of the solver that many tests try, and tables of problems torn by hand."""
+
+from __future__ import annotations
+
+import pytest
+
+every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+every_interior = pytest.mark.parametrize("interior", ["keep", "eliminate"])
+every_formulation = pytest.mark.parametrize("formulation", ["dual", "primal"])
+
+
+def case(subdomains: tuple, cells: tuple, components: int = 1, **more: object) -> dict:
+    """Return the arguments of :func:`hand_torn.grid`."""
+    return {"subdomains": subdomains, "cells": cells, "components": components, **more}
+
+
+def each(names: str, table: dict[str, object]) -> pytest.MarkDecorator:
+    """Parametrise a test over a table of cases by name."""
+    return pytest.mark.parametrize(names, table.values(), ids=table)
