@@ -70,7 +70,7 @@ class SplitForm:
 
 def split_form(form: ufl.Form, mesh: dolfinx.mesh.Mesh, compiler: Compiler) -> SplitForm:
     """Compile an energy or a residual. Collective."""
-    kernels, (rest,) = compile_cells([form], mesh, compiler)
+    kernels, (rest,) = compile_cells([form], mesh)
     own = tuple(kernel for _, kernel in kernels)
     return SplitForm(own, None if rest.empty() else compiler.form(rest))
 
@@ -91,7 +91,7 @@ def torn_form(form: ufl.Form, space: TornSpace, compiler: Compiler | None = None
     """
     require_no_coupling(form)
     compiler = compiler or Compiler(space.V.mesh.comm)
-    kernels, (rest,) = compile_cells([form], space.V.mesh, compiler)
+    kernels, (rest,) = compile_cells([form], space.V.mesh)
     own = tuple(kernel for _, kernel in kernels)
     return SplitForm(own, None if rest.empty() else dolfinx_form(rest, (space, space), compiler))
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TypeVar
 
 from mpi4py import MPI
@@ -19,14 +18,11 @@ from ufl.corealg.traversal import traverse_unique_terminals
 from dolfinx_feti.fem.quadrature import quadrature_rule, same_points
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
-from dolfinx_feti.runtime.native import announced, processor_flags
+from dolfinx_feti.runtime.native import announced
 
 __all__ = ["Compiler"]
 
 T = TypeVar("T")
-
-#: Flags that leave NaN alone.
-FAST = ["-O3", "-fno-math-errno", "-fno-trapping-math"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,23 +38,6 @@ class Compiler:
     comm: MPI.Comm
     form_compiler_options: Mapping[str, object] | None = None
     jit_options: Mapping[str, object] | None = None
-
-    def flags(self) -> list[str]:
-        """Return the flags of the C compiler for code of this package.
-
-        They are those of dolfinx's options where these are not the default ones, and for processors
-        of this kind. Sums keep their order, and NaN are seen.
-        """
-        options = dolfinx.jit.get_options(_copy(self.jit_options))
-        flags = [str(flag) for flag in options["cffi_extra_compile_args"]]
-        default, _ = dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS["cffi_extra_compile_args"]
-        return [*(FAST if flags == default else flags), *processor_flags(), "-Wno-psabi"]
-
-    def cache(self) -> Path | None:
-        """Return the folder for compiled code, if dolfinx's options state one."""
-        folder = dolfinx.jit.get_options(_copy(self.jit_options))["cache_dir"]
-        default, _ = dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS["cache_dir"]
-        return None if folder == default else Path(folder).expanduser()
 
     def form(self, form: ufl.Form) -> dolfinx.fem.Form:
         """Compile a form.

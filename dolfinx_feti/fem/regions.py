@@ -16,22 +16,20 @@ import numpy as np
 import dolfinx
 import ufl
 
-from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.kernels.kernel import Kernel, create_kernel
+from dolfinx_feti.fem.kernels.kernel import Kernel, create_kernels
 from dolfinx_feti.runtime.arrays import Indices
 
 __all__ = ["compile_cells"]
 
 
 def compile_cells(
-    forms: Sequence[ufl.Form], mesh: dolfinx.mesh.Mesh, compiler: Compiler
+    forms: Sequence[ufl.Form], mesh: dolfinx.mesh.Mesh
 ) -> tuple[list[tuple[list[int], Kernel]], list[ufl.Form]]:
-    """Compile the integrals over cells of several forms, one kernel for each region.
+    """Compile the integrals over cells of several forms, a kernel for each region and degree.
 
     Args:
         forms: The forms.
         mesh: Their mesh.
-        compiler: How.
 
     Returns:
         Kernels, each with the numbers of its forms, and of each form what is left to dolfinx: other
@@ -60,9 +58,10 @@ def compile_cells(
     kernels = []
     for key, group in groups.items():
         inside = [ufl.Form([_over("everywhere", i) for i in each]) for each in group.values()]
-        kernel = create_kernel(inside, mesh, compiler, known.get(key))
-        if kernel is not None:
-            kernels.append((list(group), kernel))
+        created = create_kernels(inside, mesh, known.get(key))
+        if created is not None:
+            known_as = list(group)
+            kernels += [([known_as[i] for i in forms], kernel) for forms, kernel in created]
             continue
         for i, integrals in group.items():
             part = "everywhere" if key[0] is None else key[0]

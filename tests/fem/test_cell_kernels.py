@@ -20,7 +20,7 @@ import ufl
 from dolfinx_feti import kinematics, materials
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.kernels import kernel
-from dolfinx_feti.fem.kernels.kernel import create_kernel
+from dolfinx_feti.fem.kernels.kernel import create_kernels
 from dolfinx_feti.fem.regions import compile_cells
 from dolfinx_feti.fem.tensors import CellTensors
 
@@ -77,7 +77,7 @@ def test_kernel_is_the_assembled_form(body):
     """Energy, residuals and all blocks of the tangent, from one visit of each cell."""
     forms = body()
     mesh = forms[-1].arguments()[0].ufl_function_space().mesh
-    kernel = create_kernel(forms, mesh, Compiler(COMM))
+    ((_, kernel),) = create_kernels(forms, mesh)
     for form, values in zip(forms, kernel.evaluate(), strict=True):
         expected = assembled(form)
         scale = np.abs(expected).max()
@@ -106,9 +106,8 @@ def test_code_is_generated_once(monkeypatch):
             c * ufl.dot(first, second) * first[0] * v[1] * ufl.dx
             for first, second, c in order((f, g, a), (g, f, b))
         ]
-        for form, values in zip(
-            forms, create_kernel(forms, mesh, Compiler(COMM)).evaluate(), strict=True
-        ):
+        ((_, created),) = create_kernels(forms, mesh)
+        for form, values in zip(forms, created.evaluate(), strict=True):
             cells = dolfinx.fem.assemble_vector(dolfinx.fem.form(form)).array
             if COMM.size == 1:
                 equal(summed(form, values), cells, 1e-13)
@@ -129,13 +128,13 @@ def test_regions_and_the_rest():
     tags = dolfinx.mesh.meshtags(mesh, 2, cells, (cells % 3).astype(np.int32))
     dx = ufl.Measure("dx", mesh, subdomain_data=tags)
     form = u[0] * (dx + dx((1, 2)) + dx(2)) + u[0] * ufl.ds + u[1] * dx(scheme="vertex")
-    kernels, (rest,) = compile_cells([form], mesh, Compiler(COMM))
+    kernels, (rest,) = compile_cells([form], mesh)
     (one, two, everywhere) = (kernel.cells for _, kernel in kernels)
     agree(everywhere is None and all(numbers == [0] for numbers, _ in kernels), kernels)
     agree(np.array_equal(one, cells[1::3]) and np.array_equal(two, cells[2::3]), (one, two))
     agree({i.integral_type() for i in rest.integrals()} == {"exterior_facet", "cell"}, rest)
     form = u[0] * ufl.dx + u[0] * ufl.dx(3)  # dolfinx tells what 3 is
-    kernels, (rest,) = compile_cells([form], mesh, Compiler(COMM))
+    kernels, (rest,) = compile_cells([form], mesh)
     agree(len(kernels) == len(rest.integrals()) == 1, rest)
 
 
@@ -148,15 +147,7 @@ def at_points(mesh: dolfinx.mesh.Mesh, shape: tuple[int, ...]) -> dolfinx.fem.Fu
 
 
 @pytest.mark.parametrize(
-    "what",
-    [
-        "second derivative",
-        "size of cells",
-        "Bessel",
-        "edge element",
-        "points",
-        "quadrature element",
-    ],
+    "what", ["second derivative", "size of cells", "Bessel", "edge element", "quadrature element"]
 )
 def test_what_only_ffcx_compiles(what):
     """It goes to dolfinx, with the same values cell by cell."""
@@ -165,7 +156,6 @@ def test_what_only_ffcx_compiles(what):
     f = {
         "second derivative": lambda: ufl.div(ufl.grad(u[0])),
         "size of cells": lambda: ufl.CellVolume(mesh),
-        "points": lambda: 1.0 + u[0],
         "quadrature element": lambda: ufl.tr(at_points(mesh, (3, 3))),
         "Bessel": lambda: ufl.bessel_J(1, u[0]),
         "edge element": lambda: (
@@ -173,9 +163,9 @@ def test_what_only_ffcx_compiles(what):
         ),
     }[what]()
     v, du = ufl.TestFunction(u.function_space), ufl.TrialFunction(u.function_space)
-    dx = ufl.dx(degree=100 if what == "points" else 2)
+    dx = ufl.dx(degree=2)
     forms = [f * v[0] * dx, f * ufl.inner(ufl.grad(du), ufl.grad(v)) * dx]
-    agree(create_kernel(forms, mesh, Compiler(COMM)) is None)
+    agree(create_kernels(forms, mesh) is None)
     require_equal(forms, mesh)
 
 

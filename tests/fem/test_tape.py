@@ -14,9 +14,8 @@ from problems import Cell, cube
 import dolfinx
 import ufl
 
-from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.kernels.integrand import Point, State
-from dolfinx_feti.fem.kernels.kernel import create_kernel
+from dolfinx_feti.fem.kernels.integrand import Point
+from dolfinx_feti.fem.kernels.kernel import create_kernels
 from dolfinx_feti.fem.kernels.tape import Tape
 from dolfinx_feti.runtime import native
 
@@ -81,10 +80,11 @@ def test_second_derivatives_are_symmetric(energy):
     u = strained(Cell.tetrahedron, 1)
     _, _, tangent = derivatives(energy(u, 2.0), u, 2)
     data = ufl.algorithms.compute_form_data(tangent, do_apply_default_restrictions=False)
-    point = Point(State())
+    point = Point(u.function_space.mesh)
     (integral,) = (i for group in data.integral_data for i in group.integrals)
-    found = point.add(integral.integrand(), 2)
-    agree(len(found) == 81 and len(point.factors) == 45, len(point.factors))
+    point.add(0, integral.integrand(), 2)
+    ((_, found),) = point.terms
+    agree(len(found) == 81 and len(set(found.values())) == 45, len(set(found.values())))
     agree(all(found[u, v] == i for (v, u), i in found.items()))
 
 
@@ -96,14 +96,14 @@ def test_another_material_compiles_nothing(cell, monkeypatch):
     k = dolfinx.fem.Constant(mesh, 3.5)
     for quadrature in (1, 4):
         for form in derivatives(fibres(u, 2.0) + k, u, quadrature):
-            create_kernel([form], mesh, Compiler(COMM))
+            create_kernels([form], mesh)
         monkeypatch.setattr(native, "_compiled", lambda *_: agree(False))
         for psi in (fibres(u, 3.5) + k, fibres(u, k), rubber(u, k)):
             forms = derivatives(psi, u, quadrature)
-            kernels = [create_kernel([form], mesh, Compiler(COMM)) for form in forms]
+            kernels = [create_kernels([form], mesh) for form in forms]
         monkeypatch.undo()
     k.value = 0.7
-    for form, kernel in zip(forms, kernels, strict=True):
+    for form, ((_, kernel),) in zip(forms, kernels, strict=True):
         (values,) = kernel.evaluate()
         if COMM.size == 1:
             expected = assembled(form)

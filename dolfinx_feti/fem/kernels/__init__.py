@@ -3,5 +3,5 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Cell integrals of eight cells at a time.
 
-In the order of the data: tape, integrand, contraction, code, kernel.
+In the order of the data: tape, integrand, program, kernel.
 """

@@ -9,16 +9,13 @@ derivatives :math:`v_s ∈ \{v_i, ∂_J v_i\}`, it is
 .. math:: \sum_{s t} A_{st}\, v_s u_t, \qquad \sum_s P_s v_s, \qquad Ψ
 
 for a tangent, a residual and an energy. FFCx's analysis expands it into scalar operations and finds
-the factors A, P, Ψ, which know of the state alone; here they become one statement for each
-operation.
+the factors A, P, Ψ, which know of the state alone; here they become one value for each operation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,16 +36,13 @@ from ufl.corealg.multifunction import MultiFunction
 
 from dolfinx_feti.fem.kernels.tape import FUNCTIONS, Tape
 
-__all__ = ["VALUE", "Input", "Point", "Slot", "State", "UnsupportedError", "scalar_element"]
-
-#: The direction of a slot without derivative.
-VALUE = -1
+__all__ = ["Factors", "Point", "Slot", "UnsupportedError", "place", "scalar_element"]
 
 #: Powers up to this one are products.
 POWER = 4
 
-#: Instructions for UFL's conditions.
-_CONDITIONS = {
+#: Instructions for UFL's operators.
+_INSTRUCTIONS = {
     classes.LT: "lt",
     classes.GT: "gt",
     classes.LE: "le",
@@ -58,32 +52,23 @@ _CONDITIONS = {
     classes.AndCondition: "and",
     classes.OrCondition: "or",
     classes.NotCondition: "not",
+    classes.Sqrt: "sqrt",
+    classes.Abs: "fabs",
 }
-
-
-#: Instructions for UFL's functions.
-_VECTORISED = {"sqrt": "sqrt", "exp": "exp", "ln": "log"}
 
 
 class UnsupportedError(Exception):
     """An integrand has what only FFCx can compile."""
 
 
-class Input(IntEnum):
-    """What a tape reads at a point: w, det ∂x/∂ξ, x, a coefficient, and its gradient."""
-
-    WEIGHT, DETERMINANT, COORDINATE, COEFFICIENT, GRADIENT = range(5)
-
-
-@dataclass(frozen=True, slots=True, order=True)
-class Slot:
+class Slot(NamedTuple):
     """A component of a function, or its derivative.
 
     Attributes:
         element: Number of the scalar element.
         block: Components that share it.
         component: The component.
-        direction: Direction of the derivative, or ``VALUE``.
+        direction: Direction of the derivative, from 1 on; 0 for the value.
     """
 
     element: int
@@ -91,34 +76,9 @@ class Slot:
     component: int
     direction: int
 
-    def basis(self, node: str) -> str:
-        """Return the basis function of a node, in C; a double for a value, else V."""
-        e, d = self.element, self.direction
-        return f"phi{e}[q][{node}]" if d == VALUE else f"B{e}[{node}][{d}][q]"
 
-
-class State:
-    """What integrands are written in; it is gathered for each cell.
-
-    Attributes:
-        elements: Scalar elements of all functions.
-        functions: Coefficients.
-        constants: Constants.
-    """
-
-    def __init__(self) -> None:
-        """Begin with nothing."""
-        self.elements: list[basix.ufl._ElementBase] = []
-        self.functions: list[dolfinx.fem.Function] = []
-        self.constants: list[dolfinx.fem.Constant] = []
-
-    def slot(self, terminal: ModifiedTerminal) -> Slot:
-        """Return the slot of a coefficient or an argument."""
-        element, block = scalar_element(terminal.terminal.ufl_function_space())
-        if len(terminal.local_derivatives) > 1 or terminal.averaged or terminal.restriction:
-            raise UnsupportedError
-        direction = next(iter(terminal.local_derivatives), VALUE)
-        return Slot(_place(self.elements, element), block, terminal.flat_component, direction)
+#: The factors of an integrand, as references to values, under the slots of its arguments.
+Factors = dict[tuple[Slot, ...], int]
 
 
 class Point:
@@ -126,43 +86,31 @@ class Point:
 
     Attributes:
         tape: How they are computed.
-        factors: The factors, as references to its values.
-        slots: All slots of arguments and coefficients.
-        inputs: What the tape reads, each with the number of its coefficient, or 0.
+        elements: Scalar elements of all functions, that of the geometry first.
+        gradients: Numbers of those whose functions have gradients.
+        functions: Coefficients.
+        constants: Constants.
+        terms: Numbers of forms, and the factors of an integrand of each.
     """
 
-    def __init__(self, state: State) -> None:
-        """Begin with nothing.
-
-        Args:
-            state: What the integrands are written in.
-        """
-        self._state = state
-        self._known: dict[Expr, int] = {}
+    def __init__(self, mesh: dolfinx.mesh.Mesh) -> None:
+        """Begin with the geometry of a mesh."""
         self.tape = Tape()
-        self.factors: list[int] = []
-        self.slots: set[Slot] = set()
-        self.inputs: set[tuple[Input, int]] = set()
+        coordinate = mesh.ufl_domain().ufl_coordinate_element()
+        self.elements: list[basix.ufl._ElementBase] = [coordinate.sub_elements[0]]
+        self.gradients: set[int] = set()
+        self.functions: list[dolfinx.fem.Function] = []
+        self.constants: list[dolfinx.fem.Constant] = []
+        self.terms: list[tuple[int, Factors]] = []
+        self._known: dict[Expr, int] = {}
 
-    @property
-    def values(self) -> set[int]:
-        """Elements whose functions have values here."""
-        return {slot.element for slot in self.slots if slot.direction == VALUE}
-
-    @property
-    def gradients(self) -> set[int]:
-        """Elements whose functions have gradients here."""
-        return {slot.element for slot in self.slots if slot.direction != VALUE}
-
-    def add(self, integrand: Expr, rank: int) -> dict[tuple[Slot, ...], int]:
+    def add(self, form: int, integrand: Expr, rank: int) -> None:
         """Add an integrand.
 
         Args:
+            form: Number of its form.
             integrand: Of a cell, without compound operators.
             rank: Number of its arguments.
-
-        Returns:
-            Number of the factor of each combination of slots.
 
         Raises:
             UnsupportedError: There is something in it that only FFCx can compile.
@@ -182,23 +130,21 @@ class Point:
         factors = {
             tuple(self._slot(analyse_modified_terminal(nodes[a])) for a in arguments): nodes[i]
             for arguments, i in targets
+            if not isinstance(nodes[i], classes.Zero)
         }
-        found: dict[tuple[Slot, ...], int] = {}
-        for slots in sorted(factors):  # the order of a material's terms makes no other code
-            if isinstance(factors[slots], classes.Zero):
-                continue
-            factor, mirrored = self._known[factors[slots]], found.get(slots[::-1])
-            if mirrored is not None and self.factors[mirrored] == factor:
-                found[slots] = mirrored
-            else:
-                found[slots] = len(self.factors)
-                self.factors.append(factor)
-        return found
+        found = {s: self.tape.positive(self._known[node]) for s, node in sorted(factors.items())}
+        self.terms.append((form, found))
 
     def _slot(self, terminal: ModifiedTerminal) -> Slot:
-        slot = self._state.slot(terminal)
-        self.slots.add(slot)
-        return slot
+        """Return the slot of a coefficient or an argument."""
+        element, block = scalar_element(terminal.terminal.ufl_function_space())
+        if len(terminal.local_derivatives) > 1 or terminal.averaged or terminal.restriction:
+            raise UnsupportedError
+        e, direction = place(self.elements, element), 0
+        if terminal.local_derivatives:
+            direction = 1 + terminal.local_derivatives[0]
+            self.gradients.add(e)
+        return Slot(e, block, terminal.flat_component, direction)
 
     def _value(self, node: Expr, a: Sequence[int]) -> int:
         """Return an operation on its operands a."""
@@ -220,52 +166,44 @@ class Point:
                         product = tape.power(a[0], int(abs(n)))
                         return product if n > 0.0 else tape.divide(tape.number(1.0), product)
                 return tape.value("power", *a)
-            case classes.MathFunction() if node._name in _VECTORISED:
-                return tape.value(_VECTORISED[node._name], a[0])
-            case classes.MathFunction() if node._name in FUNCTIONS:
-                return tape.value("function", a[0], integers=[FUNCTIONS.index(node._name)])
-            case classes.Abs():
-                return tape.value("fabs", a[0])
-            case classes.Condition() if type(node) in _CONDITIONS:
-                return tape.value(_CONDITIONS[type(node)], *a)
             case classes.Conditional():
                 return tape.choose(*a)
             case classes.MaxValue():
                 return tape.choose(tape.value("gt", *a), *a)
             case classes.MinValue():
                 return tape.choose(tape.value("lt", *a), *a)
+        if type(node) in _INSTRUCTIONS:
+            return tape.value(_INSTRUCTIONS[type(node)], *a)
+        if isinstance(node, classes.MathFunction):
+            name = "log" if node._name == "ln" else node._name
+            return tape.value("function", *a, integers=[FUNCTIONS.index(name)])
         raise UnsupportedError
 
     def _terminal(self, node: Expr) -> int:
         """Return a number, or what a cell gathers."""
-        value = self.tape.value
         if isinstance(node, (classes.ScalarValue, classes.Zero)):
-            if not np.isfinite(float(node)):
-                raise UnsupportedError(f"the number {node}")
             return self.tape.number(float(node))
         terminal = analyse_modified_terminal(node)
         known, component = terminal.terminal, terminal.flat_component
-        if isinstance(known, classes.QuadratureWeight):
-            return self._input(Input.WEIGHT)
-        if isinstance(known, classes.JacobianDeterminant):
-            return self._input(Input.DETERMINANT)
-        if isinstance(known, dolfinx.fem.Constant):
-            place = _place(self._state.constants, known)
-            first = sum(int(np.prod(c.ufl_shape)) for c in self._state.constants[:place])
-            return value("constant", integers=[first + component])
-        if isinstance(known, classes.SpatialCoordinate):
-            return self._input(Input.COORDINATE, component=component)
-        if not isinstance(known, dolfinx.fem.Function):
-            raise UnsupportedError
-        slot = self._slot(terminal)
-        function = _place(self._state.functions, known)
-        if slot.direction == VALUE:
-            return self._input(Input.COEFFICIENT, function, component)
-        return self._input(Input.GRADIENT, function, component, slot.direction)
+        match known:
+            case classes.QuadratureWeight():
+                return self.tape.value("weight")
+            case classes.JacobianDeterminant():
+                return self.tape.value("determinant")
+            case classes.SpatialCoordinate():
+                return self._interpolate(0, Slot(0, 3, component, 0))
+            case dolfinx.fem.Constant():
+                i = place(self.constants, known)
+                first = sum(int(np.prod(c.ufl_shape)) for c in self.constants[:i])
+                return self.tape.value("constant", integers=[first + component])
+            case dolfinx.fem.Function():
+                return self._interpolate(1 + place(self.functions, known), self._slot(terminal))
+        raise UnsupportedError
 
-    def _input(self, kind: Input, function: int = 0, component: int = 0, direction: int = 0) -> int:
-        self.inputs.add((kind, function))
-        return self.tape.value("input", integers=[kind, function, component, direction])
+    def _interpolate(self, function: int, slot: Slot) -> int:
+        e, block, component, direction = slot
+        integers = [function, component, block, e, direction, self.elements[e].dim]
+        return self.tape.value("interpolate", integers=integers)
 
 
 def scalar_element(V: dolfinx.fem.FunctionSpace) -> tuple[basix.ufl._ElementBase, int]:
@@ -305,7 +243,7 @@ class _Frame(MultiFunction):
         return classes.ReferenceGrad(f)
 
 
-def _place(things: list[Any], thing: object) -> int:
+def place(things: list[Any], thing: object) -> int:
     """Return the place of a thing, the last one if it is new."""
     if thing not in things:
         things.append(thing)

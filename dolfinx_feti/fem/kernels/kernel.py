@@ -4,10 +4,9 @@
 """Cell integrals of several forms in one visit of each cell, of eight cells at a time.
 
 Every operation is one on eight cells, which a processor does in one to four instructions. Many
-points are visited a few at a time, which bounds what they take of the stack; where a rule has few,
-several groups of eight cells are visited at once. Values agree with dolfinx's to rounding, and what
-is no number there is none here. Forms that differ in functions, constants and meshes alone share
-code.
+points are visited a few at a time; where a rule has few, several groups of eight cells are visited
+at once. Values agree with dolfinx's to rounding, and what is no number there is none here. Forms
+are data: the C code depends on the dimension and the number of quadrature points alone.
 """
 
 from __future__ import annotations
@@ -24,34 +23,32 @@ import numpy.typing as npt
 import dolfinx
 import ufl
 
-from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.kernels.code import Generated, generate
-from dolfinx_feti.fem.kernels.tape import load_interpreter
+from dolfinx_feti.fem.kernels.program import Program, generate
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Indices, Numbers
-from dolfinx_feti.runtime.native import load, pointer
+from dolfinx_feti.runtime.native import load, pointer, processor_flags
 
-__all__ = ["Kernel", "create_kernel"]
-
+__all__ = ["Kernel", "create_kernels"]
 
 _log = logging.getLogger(__name__)
 
 #: By signatures, and by the places of each form's coefficients and constants among those of all;
 #: None where only FFCx can compile an integrand.
-_generated: dict[object, Generated | None] = {}
+_generated: dict[object, list[Program] | None] = {}
+
+#: NaN are left alone, and what is called last is jumped to, at any level of optimisation.
+FLAGS = "-O3 -fno-math-errno -fno-trapping-math -fno-tree-loop-distribute-patterns -Wno-psabi"
 
 SOURCE = Path(__file__).with_name("kernel.c")
-STATE = """int, const int *, const double *, const int *, const double *const *, const int *const *,
-           const Program *"""
+STATE = "int, const int *, const double *const *, const int *const *, const Program *"
 DECLARATION = f"""
 typedef struct {{
-    void *const *run;
-    const int *const *tape;
-    const double *constants;
-    int vectors;
+    int size, forms, elements, functions, chunks, affine, vectors, products, out;
+    const int *begin, *nodes, *gradients, *element, *block, *phi, *w, *tape, *contractions;
+    const double *weight, *const *table, *literals, *constants;
 }} Program;
 int evaluate({STATE}, double *const *);
-int add({STATE}, int, const int *, const int *, const int64_t *, double *);
+int add({STATE}, int, int, const int *, const int *, const int64_t *, double *);
 """
 
 
@@ -60,21 +57,19 @@ class Kernel:
     """Code and data for the cell integrals of forms.
 
     Attributes:
-        generated: What is made of the forms.
+        program: What is made of the forms.
         mesh: The mesh.
         functions: Coefficients that are gathered.
         constants: Constants.
         code: The compiled module.
-        interpreters: Address of what executes each tape.
         cells: The cells; None for all that this process owns.
     """
 
-    generated: Generated
+    program: Program
     mesh: dolfinx.mesh.Mesh
     functions: Sequence[dolfinx.fem.Function]
     constants: Sequence[dolfinx.fem.Constant]
     code: Any
-    interpreters: Sequence[int]
     cells: Indices | None = None
 
     @property
@@ -92,9 +87,8 @@ class Kernel:
             element.
         """
         arguments = self._state()
-        results = [np.empty((arguments[0], *shape)) for shape in self.generated.shapes]
-        out = self._pointers("double *", results)
-        self._require(self.code.lib.evaluate(*arguments, out))
+        results = [np.empty((arguments[0], *shape)) for shape in self.program.shapes.values()]
+        self._require(self.code.lib.evaluate(*arguments, self._pointers("double *", results)))
         return results
 
     def add_to(self, values: Array, indptr: Numbers, node: Indices, place: Indices) -> None:
@@ -107,29 +101,26 @@ class Kernel:
             place: Where the columns of a block are in the rows of another, (cells, k, k).
         """
         arrays = (pointer(self.code, a) for a in (node, place, indptr, values))
-        self._require(self.code.lib.add(*self._state(), node.shape[1], *arrays))
+        (shape,), n = self.program.shapes.values(), node.shape[1]
+        self._require(self.code.lib.add(*self._state(), n, shape[0] // n, *arrays))
 
     def _state(self) -> tuple[Any, ...]:
-        """Return what is gathered: cells, geometry, coefficients, constants."""
-        topology, cells = self.mesh.topology, self.cells
+        """Return the cells, what is gathered, and the program with the values of the constants."""
+        topology, cells, ffi = self.mesh.topology, self.cells, self.code.ffi
+        values = np.concatenate([np.zeros(0), *(np.ravel(c.value) for c in self.constants)])
+        arrays = {**self.program.arrays, "constants": values}
+        owners = {name: pointer(self.code, a) for name, a in arrays.items()}
+        owners["table"] = self._pointers("double *", self.program.tables)
+        program = ffi.new("Program *", {**self.program.numbers, **owners})
+        x, nodes = self.mesh.geometry.x, compat.geometry_dofmap(self.mesh)
+        dofs = [nodes, *(f.function_space.dofmap.list for f in self.functions)]
         return (
             topology.index_map(topology.dim).size_local if cells is None else len(cells),
-            self.code.ffi.NULL if cells is None else pointer(self.code, cells),
-            pointer(self.code, self.mesh.geometry.x),
-            pointer(self.code, compat.geometry_dofmap(self.mesh)),
-            self._pointers("double *", [f.x.array for f in self.functions]),
-            self._pointers("int *", [f.function_space.dofmap.list for f in self.functions]),
-            self._program(),
+            ffi.NULL if cells is None else pointer(self.code, cells),
+            self._pointers("double *", [x, *(f.x.array for f in self.functions)]),
+            self._pointers("int *", dofs),
+            ffi.gc(program, lambda _: owners),
         )
-
-    def _program(self) -> Any:
-        """Return the tapes, and the present values of the constants."""
-        ffi, own = self.code.ffi, self.generated
-        values = np.concatenate([np.zeros(0), *(np.ravel(c.value) for c in self.constants)])
-        owners = self._pointers("int *", own.tapes), pointer(self.code, values)
-        run = ffi.new("void *[]", [ffi.cast("void *", i) for i in self.interpreters])
-        program = ffi.new("Program *", [run, *owners, own.vectors])
-        return ffi.gc(program, lambda _: (run, owners))
 
     def _pointers(self, kind: str, arrays: Sequence[npt.NDArray[Any]]) -> Any:
         """Return an array of pointers, which keeps what they point to alive."""
@@ -143,22 +134,19 @@ class Kernel:
             raise MemoryError("no memory for the cells of a visit")
 
 
-def create_kernel(
-    forms: Sequence[ufl.Form],
-    mesh: dolfinx.mesh.Mesh,
-    compiler: Compiler,
-    cells: Indices | None = None,
-) -> Kernel | None:
+def create_kernels(
+    forms: Sequence[ufl.Form], mesh: dolfinx.mesh.Mesh, cells: Indices | None = None
+) -> list[tuple[list[int], Kernel]] | None:
     """Compile forms of integrals over cells.
 
     Args:
-        forms: The forms, see :func:`~dolfinx_feti.fem.regions.separate`.
+        forms: The forms.
         mesh: Their mesh.
-        compiler: Whose flags for the C compiler are taken.
         cells: Owned cells that are integrated over; all if not given.
 
     Returns:
-        The kernel; None where only FFCx can compile an integrand.
+        Kernels, one for each quadrature degree, with the numbers of their forms; None where only
+        FFCx can compile an integrand.
 
     Note:
         Collective.
@@ -183,20 +171,24 @@ def create_kernel(
         except Exception as error:  # FFCx is asked, and says what it does not know
             _log.debug("FFCx compiles cell integrals: %r", error)
             _generated[key] = None
-    generated = _generated[key]
-    if generated is None:
+    programs = _generated[key]
+    if programs is None:
         return None
-    text, flags, cache = generated.text, compiler.flags(), compiler.cache()
-    code = load(SOURCE, DECLARATION, compiler.comm, generated=text, flags=flags, cache=cache)
-    return Kernel(
-        generated,
-        mesh,
-        [functions[i] for i in generated.functions],
-        [constants[i] for i in generated.constants],
-        code,
-        [load_interpreter(compiler.comm, n) for n in generated.points],
-        cells,
-    )
+    flags = [*FLAGS.split(), *processor_flags()]
+    return [
+        (
+            list(program.shapes),
+            Kernel(
+                program,
+                mesh,
+                [functions[i] for i in program.functions],
+                [constants[i] for i in program.constants],
+                load(SOURCE, DECLARATION, mesh.comm, generated=program.text, flags=flags),
+                cells,
+            ),
+        )
+        for program in programs
+    ]
 
 
 def _is_gathered(f: ufl.Coefficient, mesh: dolfinx.mesh.Mesh) -> bool:

@@ -2,40 +2,154 @@
 //
 // SPDX-License-Identifier: LGPL-3.0-or-later
 
+// The instructions of tape.py, each at POINTS: N points of a cell in each of GROUPS.
+
+#include <dlfcn.h>
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
 
+enum { LANES = 8, POINTS = N * GROUPS };
+
 // A number of each of LANES cells, and a mask of them, as vectors of GCC and Clang.
-enum { LANES = 8 };
 typedef double V __attribute__((vector_size(64)));
 typedef int64_t L __attribute__((vector_size(64)));
 
 #define BROADCAST(x) ((x) + (V){0.0})
+#define UNROLL _Pragma("GCC unroll 32")
+#define EACH UNROLL for (int k = 0; k < POINTS; ++k)
+
+// Basis functions φ of an element, or its ∂φ/∂X_i, (nodes, 1 + GDIM, POINTS), are so many vectors a node.
+enum { NODE = (1 + GDIM) * POINTS };
+
+// What program.py makes of forms. Their entries are size a cell; those of form f begin at begin[f]. Function 0 is x,
+// element 0 that of the geometry. A visit has so many vectors R: det ∂x/∂ξ and the quadrature weights, (POINTS,);
+// the tape's registers; from a place on basis functions φ of each element; the values w of each function, (nodes,
+// block, GROUPS); the products of contract(); and the entries, (GROUPS, size).
+typedef struct {
+    int size, forms, elements, functions, chunks, affine, vectors, products, out;
+    const int *begin, *nodes, *gradients, *element, *block, *phi, *w, *tape, *contractions;
+    const double *weight, *const *table, *literals, *constants;
+} Program;
+
+// An instruction at p of a tape, with registers in R, which it names by bytes. It calls the next one, which has no
+// frame of its own on the stack.
+typedef void Instruction(const int *p, V *R, const Program *program);
+static Instruction INSTRUCTIONS;
+static Instruction *const instructions[] = {INSTRUCTIONS};
+
+#define INSTRUCTION(name) static void do_##name(const int *p, V *R, const Program *program)
+#define NEXT(n) instructions[p[n]](p + (n) + 1, R, program)
+#define AT(i) ((V *)((char *)R + p[i]))
+#define NUMBERS(i) ((double *)AT(i))
 
 // x where the mask is set, else y.
 static inline V choose(L mask, V x, V y) { return (V)((mask & (L)x) | (~mask & (L)y)); }
 
-// What a tape reads at a number of points, constants and inputs, (·, points); and A, (·, points), which it
-// stores.
-typedef struct {
-    ptrdiff_t points;
-    const double *constants;
-    const V *inputs;
-    V *A;
-} Data;
+// The name, how many numbers follow it on the tape, and the result.
+#define SIMPLE(name, count, result) \
+    INSTRUCTION(name)               \
+    {                               \
+        V *const to = AT(0);        \
+        EACH to[k] = (V)(result);   \
+        NEXT(count);                \
+    }
+#define x AT(1)[k]
+#define y AT(2)[k]
+#define z AT(3)[k]
+#define t AT(4)[k]
+SIMPLE(weight, 1, R[POINTS + k])
+SIMPLE(determinant, 1, R[k])
+SIMPLE(number, 2, BROADCAST(program->literals[p[1]]))
+SIMPLE(constant, 2, BROADCAST(program->constants[p[1]]))
+SIMPLE(add, 3, x + y)
+SIMPLE(subtract, 3, x - y)
+SIMPLE(multiply_add, 4, x * y + z)
+SIMPLE(multiply_subtract, 4, x * y - z)
+SIMPLE(subtract_product, 4, z - x * y)
+SIMPLE(product_sum, 5, x * y + z * t)
+SIMPLE(product_difference, 5, x * y - z * t)
+SIMPLE(product, 3, x * y)
+SIMPLE(quotient, 3, x / y)
+SIMPLE(lt, 3, x < y)
+SIMPLE(gt, 3, x > y)
+SIMPLE(le, 3, x <= y)
+SIMPLE(ge, 3, x >= y)
+SIMPLE(eq, 3, x == y)
+SIMPLE(ne, 3, x != y)
+SIMPLE(and, 3, (L)x & (L)y)
+SIMPLE(or, 3, (L)x | (L)y)
+SIMPLE(not, 2, ~(L)x)
+SIMPLE(fabs, 2, (L)x & INT64_MAX)
+SIMPLE(choose, 4, choose((L)x, y, z))
+#undef x
+#undef y
+#undef z
+#undef t
 
-// An instruction of a tape, whose numbers are at p, with registers R, from the point q on.
-typedef void Instruction(const int *p, V *R, const Data *data, ptrdiff_t q);
+INSTRUCTION(end) { (void)p, (void)R, (void)program; }
 
-// Execute a tape.
-typedef void Run(const int *tape, V *R, const Data *data);
+// Σ_a w[a, c] ∂_d φ_a for a function, its component c and their number, its element, d, and the element's nodes.
+INSTRUCTION(interpolate)
+{
+    const V *const w = R + program->w[p[1]] + p[2] * GROUPS, *const phi = R + program->phi[p[4]] + p[5] * POINTS;
+    V *const to = AT(0), s[POINTS];
+    EACH s[k] = (V){0.0};
+    for (int a = 0; a < p[6]; ++a) EACH s[k] += w[a * p[3] * GROUPS + k / N] * phi[a * NODE + k];
+    EACH to[k] = s[k];
+    NEXT(7);
+}
 
-// The tape of each quadrature rule, what executes it, and the vectors of their inputs and registers.
-typedef struct {
-    void *const *run;  // of a Run each
-    const int *const *tape;
-    const double *constants;
-    int vectors;
-} Program;
+// Σ a b − Σ a b + Σ c − Σ c, in the processor's registers.
+INSTRUCTION(sum)
+{
+    V *const to = AT(0), s[POINTS];
+    EACH s[k] = (V){0.0};
+    const int *const end[] = {p + 5 + p[1], end[0] + p[2], end[1] + p[3], end[2] + p[4]};
+    for (p += 5; p < end[0]; p += 2) EACH s[k] += AT(0)[k] * AT(1)[k];
+    for (; p < end[1]; p += 2) EACH s[k] -= AT(0)[k] * AT(1)[k];
+    for (; p < end[2]; ++p) EACH s[k] += AT(0)[k];
+    for (; p < end[3]; ++p) EACH s[k] -= AT(0)[k];
+    EACH to[k] = s[k];
+    NEXT(0);
+}
+
+// Functions of WIDE numbers at once, which glibc's libmvec has, or NULL.
+#ifdef __AVX512F__
+enum { WIDE = 8 };
+#define PREFIX "_ZGVeN8"
+#else
+enum { WIDE = 4 };
+#define PREFIX "_ZGVdN4"
+#endif
+typedef double M __attribute__((vector_size(8 * WIDE)));
+static double (*const functions[])(double) = {FUNCTIONS};
+static const char *const names[] = {NAMES};
+static M (*many_functions[sizeof names / sizeof *names])(M), (*many_powers)(M, M);
+
+__attribute__((constructor)) static void find_functions(void)
+{
+#ifdef __AVX2__
+    void *const library = dlopen("libmvec.so.1", RTLD_NOW);
+    if (!library) return;
+    for (size_t i = 0; i < sizeof names / sizeof *names; ++i)
+        *(void **)&many_functions[i] = dlsym(library, names[i]);
+    *(void **)&many_powers = dlsym(library, PREFIX "vv_pow");
+#endif
+}
+
+#define WIDELY(name, count, many, several, one)                         \
+    INSTRUCTION(name)                                                   \
+    {                                                                   \
+        for (int l = 0; l < LANES * POINTS; l += WIDE)                  \
+            if (many)                                                   \
+                *(M *)(NUMBERS(0) + l) = several;                       \
+            else                                                        \
+                for (int i = l; i < l + WIDE; ++i) NUMBERS(0)[i] = one; \
+        NEXT(count);                                                    \
+    }
+#define MANY(i) *(M *)(NUMBERS(i) + l)
+WIDELY(function, 3, many_functions[p[2]], many_functions[p[2]](MANY(1)), functions[p[2]](NUMBERS(1)[i]))
+WIDELY(power, 3, many_powers, many_powers(MANY(1), MANY(2)), pow(NUMBERS(1)[i], NUMBERS(2)[i]))
+WIDELY(sqrt, 2, 0, (M){0.0}, sqrt(NUMBERS(1)[i]))

@@ -1,45 +1,37 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Expressions at quadrature points as a list of instructions, which ``tape.c`` executes.
+r"""Expressions at quadrature points as a list of instructions, which ``tape.h`` executes.
 
-A new material is new data, for which no C compiler is called. An instruction works on eight cells
-at several points, which hides the time to decode it.
+A new material is new data, for which no C compiler is called. Each value is computed once, and
+:math:`\sum_k ± a_k b_k + \sum_k ± c_k` is one instruction. A reference to a value carries its sign,
+so that nothing has to be negated.
 
-Each value is computed once. Sums and products with the same operands in any order are one value, so
-that the factors of a tangent are seen to be symmetric if it has a potential. A sum of products,
-
-.. math:: \sum_k ± a_k b_k + \sum_k ± c_k,
-
-is one instruction. A reference to a value carries its sign, so that nothing has to be negated.
+Two expressions are one value if they are the same number at a random point of a finite field:
+sums and products are taken in it, functions of the same operands are the same random number
+(J. T. Schwartz, J. ACM 27, 1980). So the factors of a tangent are seen to be symmetric.
 """
 
 from __future__ import annotations
 
 import math
+import random
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-
-from mpi4py import MPI
 
 import numpy as np
 
 from dolfinx_feti.runtime.arrays import Indices
-from dolfinx_feti.runtime.native import load, processor_flags
 
-__all__ = ["FUNCTIONS", "Program", "Tape", "load_interpreter"]
+__all__ = ["FUNCTIONS", "HEADER", "Tape"]
 
-#: Bytes of a vector of eight numbers.
-VECTOR = 64
-
-#: Functions of one argument that C calls number by number.
-FUNCTIONS = "cos sin tan cosh sinh tanh acos asin atan erf".split()
+#: Functions of one argument.
+FUNCTIONS = "exp log cos sin tan cosh sinh tanh acos asin atan erf".split()
 
 _CODES = (
-    "end store number constant input sum product quotient "
-    "power fabs sqrt exp log function choose lt gt le ge eq ne and or not add subtract "
+    "end number constant weight determinant interpolate sum product quotient "
+    "power fabs sqrt function choose lt gt le ge eq ne and or not add subtract "
     "multiply_add multiply_subtract subtract_product product_sum product_difference"
 ).split()
 
@@ -56,23 +48,17 @@ _SHORT: dict[tuple[int, ...], str] = {
 
 #: The instructions, for C.
 HEADER = f"""
-static Instruction {", ".join(f"do_{name}" for name in _CODES)};
-static Instruction *const instructions[] = {{{", ".join(f"do_{name}" for name in _CODES)}}};
-static double (*const functions[])(double) = {{{", ".join(FUNCTIONS)}}};
+#define INSTRUCTIONS {", ".join(f"do_{name}" for name in _CODES)}
+#define FUNCTIONS {", ".join(FUNCTIONS)}
+#define NAMES {", ".join(f'PREFIX "v_{name}"' for name in FUNCTIONS)}
 """
 
+#: The field has so many elements.
+PRIME = 2**61 - 1
 
-@dataclass(frozen=True, slots=True)
-class Program:
-    """What ``tape.c`` executes.
-
-    Attributes:
-        code: Instructions with the places of registers, in bytes.
-        vectors: Vectors of eight numbers that the registers take, one for each point.
-    """
-
-    code: Indices
-    vectors: int
+#: 1/x is x to this power, whose product with x is not 1: x/x is no number where x is 0. Neither is
+#: 1/0, which is this one.
+RECIPROCAL = 0x1A2B3C4D5E6F7
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,21 +71,27 @@ class _Value:
 
 
 class Tape:
-    """Values, each with a number from one on. A reference is this number, or −number for −value."""
+    """Values, each with a number from one on. A reference is this number, or −number for −value.
+
+    Attributes:
+        literals: The values that are known.
+    """
 
     def __init__(self) -> None:
         """Begin with no values."""
         self._values = [_Value("end", ())]
-        self._known: dict[object, int] = {}
-        self._flat: dict[int, tuple[int, ...]] = {}  # operands of nested sums, or products
-        self._numbers: dict[int, float] = {}
+        self._keys = [0]  # elements of the field
+        self._known: dict[int, int] = {}  # references under keys
+        self.literals: dict[int, float] = {}
 
     def number(self, x: float) -> int:
-        """Return a number."""
-        bits = np.array([abs(x)]).view(np.int32)
-        value = self.value("number", integers=[int(i) for i in bits])
-        self._numbers[value] = abs(x)
-        return int(math.copysign(value, x))
+        """Return a finite number."""
+        n, d = abs(x).as_integer_ratio()
+        literal = _Value("number", (), (len(self.literals),))
+        value = self._find(n * pow(d, -1, PRIME), literal)
+        if value > 0:
+            self.literals[value] = abs(x)
+        return value if x >= 0.0 else -value
 
     def value(self, name: str, *operands: int, integers: Sequence[int] = ()) -> int:
         """Return the result of an instruction.
@@ -109,38 +101,30 @@ class Tape:
             operands: References.
             integers: What else it needs.
         """
-        value = _Value(name, tuple(map(self._positive, operands)), tuple(integers))
-        return self._find(value, value)
+        value = _Value(name, tuple(map(self.positive, operands)), tuple(integers))
+        return self._opaque(value)
 
     def add(self, a: int, b: int) -> int:
         """Return a + b."""
-        terms = [*self._nested("sum", a), *self._nested("sum", b)]
-        terms.sort(key=_by_number)
-        if terms[0] < 0:
-            return -self.add(-a, -b)
-        return self._commutative("sum", terms, (a, b))
+        return self._find(self._key(a) + self._key(b), _Value("sum", (a, b)))
 
     def multiply(self, a: int, b: int) -> int:
         """Return a b."""
-        sign, a, b = _sign(a, b), abs(a), abs(b)
-        x, y = self._numbers.get(a), self._numbers.get(b)
+        x, y = (self.literals.get(abs(c)) for c in (a, b))
+        sign = 1 if a * b > 0 else -1
         if x is not None and y is not None:
             return sign * self.number(x * y)
-        if 1.0 in (x, y):
-            return sign * (b if x == 1.0 else a)
-        factors = sorted((*self._nested("product", a), *self._nested("product", b)))
-        return sign * self._commutative("product", factors, (a, b))
+        key = self._keys[abs(a)] * self._keys[abs(b)]
+        return sign * self._find(key, _Value("product", (abs(a), abs(b))))
 
     def divide(self, a: int, b: int) -> int:
-        """Return a / b, a product with the reciprocals of the factors of b."""
-        sign, a, b = _sign(a, b), abs(a), abs(b)
-        if self._numbers.get(b):
-            return sign * self.multiply(a, self.number(1.0 / self._numbers[b]))
-        factors = [] if self._numbers.get(a) == 1.0 else list(self._nested("product", a))
-        for f in self._nested("product", b):
-            value = _Value("quotient", (self.number(1.0), f))
-            factors.append(self._find(value, value))
-        return sign * self._commutative("quotient", sorted(factors), (a, b))
+        """Return a / b."""
+        if x := self.literals.get(abs(b)):
+            return self.multiply(a, self.number(math.copysign(1.0 / x, b)))
+        sign = 1 if a * b > 0 else -1
+        reciprocal = pow(self._keys[abs(b)], RECIPROCAL, PRIME) or RECIPROCAL
+        key = self._keys[abs(a)] * reciprocal
+        return sign * self._find(key, _Value("quotient", (abs(a), abs(b))))
 
     def power(self, a: int, n: int) -> int:
         """Return aⁿ for n from one on, as a product."""
@@ -148,134 +132,95 @@ class Tape:
 
     def choose(self, mask: int, a: int, b: int) -> int:
         """Return a where the mask is set, else b."""
-        if all(c < 0 or self._numbers.get(c) == 0.0 for c in (a, b)):
+        if all(c < 0 or self.literals.get(c) == 0.0 for c in (a, b)):
             return -self.value("choose", mask, abs(a), abs(b))
         return self.value("choose", mask, a, b)
 
-    def _positive(self, a: int) -> int:
+    def positive(self, a: int) -> int:
         """Return a reference without sign."""
-        return a if a > 0 else self._find(("sum", a), _Value("sum", (a,)))
+        return a if a > 0 else self._opaque(_Value("sum", (a,)))
 
-    def _nested(self, name: str, a: int) -> tuple[int, ...]:
-        """Return the operands of the sums, or products, that a consists of."""
-        same = (self._values[abs(a)].name == "sum") == (name == "sum")
-        operands = self._flat.get(abs(a), ()) if same else ()
-        return tuple(-o if a < 0 else o for o in operands) or (a,)
+    def _key(self, a: int) -> int:
+        return self._keys[a] if a > 0 else PRIME - self._keys[-a]
 
-    def _commutative(self, name: str, flat: Sequence[int], operands: tuple[int, int]) -> int:
-        """Return a sum, or a product that may be computed as a quotient."""
-        if len(flat) == 1:
-            return flat[0]
-        value = self._find((name == "sum", *flat), _Value(name, operands))
-        self._flat.setdefault(value, tuple(flat))
-        return value
+    def _opaque(self, value: _Value) -> int:
+        """Return what has no other expression."""
+        keys = [self._key(a) for a in value.operands]
+        seed = f"{value.name} {keys} {value.integers}"
+        return self._find(random.Random(seed).randrange(1, PRIME), value)
 
-    def _find(self, key: object, value: _Value) -> int:
-        """Return the number of a value, the next one if its key is new."""
-        number = self._known.setdefault(key, len(self._values))
-        if number == len(self._values):
+    def _find(self, key: int, value: _Value) -> int:
+        """Return a reference to the value with this key, which is a new one if there is none."""
+        key %= PRIME
+        if key not in self._known:
+            number = len(self._values)
             self._values.append(value)
-        return number
+            self._keys.append(key)
+            self._known[PRIME - key] = -number
+            self._known[key] = number
+        return self._known[key]
 
-    def program(
-        self, outputs: Sequence[int], points: int, inputs: Mapping[tuple[int, ...], int]
-    ) -> Program:
+    def program(self, outputs: set[int], size: int) -> tuple[Indices, dict[int, int], int]:
         """Write the instructions that compute values.
 
         Args:
-            outputs: References to what is stored, in this order.
-            points: Points of an instruction.
-            inputs: The place of each input.
+            outputs: The values, each in a register of its own at the end.
+            size: Bytes of a register.
+
+        Returns:
+            Instructions with the places of registers, in bytes; the place of each value; and how
+            many registers there are.
         """
-        size = VECTOR * points
         instructions = self._instructions(outputs)
         last = {a: v for v, groups in instructions.items() for group in groups for a in group}
-        stores: dict[int, list[int]] = {}
-        for i, a in enumerate(outputs):
-            stores.setdefault(abs(a), []).append(-i - 1 if a < 0 else i + 1)
         code: list[int] = []
         register: dict[int, int] = {}
-        count = 0
         free: list[int] = []
+        count = 2  # the determinant and the weight have the first ones
         for v, groups in instructions.items():
             if not free:
-                free, count = [count], count + 1
+                free, count = [count * size], count + 1
             register[v] = free.pop()
             value = self._values[v]
             sizes = tuple(map(len, groups)) if value.name == "sum" else ()
             operands = [a for group in groups for a in group]
-            code += [_CODES.index(_SHORT.get(sizes, value.name)), size * register[v]]
+            code += [_CODES.index(_SHORT.get(sizes, value.name)), register[v]]
             code += () if sizes in _SHORT else sizes
-            code += [size * register[a] for a in operands]
-            code += [inputs[value.integers]] if value.name == "input" else value.integers
-            for i in stores.get(v, ()):
-                code += [_CODES.index("store"), size * register[v], abs(i) - 1, int(i < 0)]
-            free += {register[a] for a in (*operands, v) if last.get(a, v) == v}
+            code += [register[a] for a in operands]
+            code += value.integers
+            free += {register[a] for a in operands if last[a] == v and a not in outputs}
         code.append(_CODES.index("end"))
-        return Program(np.array(code, dtype=np.int32), points * count)
+        return np.array(code, dtype=np.int32), register, count
 
-    def _instructions(self, outputs: Sequence[int]) -> dict[int, list[list[int]]]:
+    def _instructions(self, outputs: set[int]) -> dict[int, list[list[int]]]:
         """Return the operands of each instruction, under the value that it computes.
 
         Those of a sum are of four kinds, a b, −a b, c, −c. What one sum alone needs is part of its
         instruction, and so are products that two need.
         """
-        values, uses = self._values, Counter(map(abs, outputs))
-        other = set(uses)  # what other instructions than sums need
+        values, uses, sums = self._values, Counter(outputs), Counter[int]()
         for v in reversed(range(len(values))):
             if uses[v]:
-                uses.update(map(abs, values[v].operands))
-                if values[v].name != "sum":
-                    other.update(values[v].operands)
-        needed = [v for v in range(len(values)) if uses[v]]
-        inner = {
-            a
-            for v in needed
-            if values[v].name == "sum"
-            for a in map(abs, values[v].operands)
-            if (values[a].name == "sum" and uses[a] == 1)
-            or (values[a].name == "product" and a not in other and uses[a] <= 2)
-        }
+                operands = [abs(a) for a in values[v].operands]
+                uses.update(operands)
+                sums.update(operands if values[v].name == "sum" else ())
+        most = {"sum": 1, "product": 2}
+        inner = {a for a, n in sums.items() if n == uses[a] and n <= most.get(values[a].name, 0)}
         found: dict[int, list[list[int]]] = {}
-        for v in needed:
-            if v in inner:
-                continue
-            found[v] = [list(values[v].operands)]
+        for v in sorted(set(uses) - inner):
+            terms = list(values[v].operands)
             if values[v].name != "sum":
+                found[v] = [terms]
                 continue
-            terms, found[v] = found[v][0], [[], [], [], []]
+            groups: list[list[int]] = [[], [], [], []]
             while terms:
                 a = terms.pop()
                 value = values[abs(a)]
                 if abs(a) not in inner:
-                    found[v][2 + int(a < 0)].append(abs(a))
+                    groups[2 + (a < 0)].append(abs(a))
                 elif value.name == "product":
-                    found[v][int(a < 0)] += value.operands
+                    groups[a < 0] += value.operands
                 else:
                     terms += [-b if a < 0 else b for b in value.operands]
+            found[v] = groups
         return found
-
-
-def load_interpreter(comm: MPI.Comm, points: int) -> int:
-    """Return the address of what executes a program in C.
-
-    Args:
-        comm: Communicator of all processes that load it.
-        points: Points of an instruction.
-
-    Note:
-        Collective.
-    """
-    flags = ["-O3", "-fno-math-errno", "-fno-trapping-math", "-fno-tree-loop-distribute-patterns"]
-    source, header = Path(__file__).with_name("tape.c"), f"enum {{ POINTS = {points} }};{HEADER}"
-    flags += ["-Wno-psabi", *processor_flags()]
-    code = load(source, "void *interpreter(void);", comm, generated=header, flags=flags)
-    return int(code.ffi.cast("intptr_t", code.lib.interpreter()))
-
-
-def _by_number(a: int) -> tuple[int, int]:
-    return abs(a), a
-
-
-def _sign(a: int, b: int) -> int:
-    return 1 if (a < 0) == (b < 0) else -1
