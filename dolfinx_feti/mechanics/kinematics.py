@@ -3,14 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Kinematics of large deformations as UFL expressions.
 
-A body moves by x = X + u(X) (eq. 1). Gradients are taken in the reference configuration, and so are
-directions a, b of fibres: unit vectors, shape (d,). In two dimensions the functions assume plane
-strain: the third stretch is one. Lengths are in mm and stresses in kPa throughout the package.
-Source: Augustin, Holzapfel, Steinbach (2014), section *Modeling Arterial Tissues*.
-
-The invariants take C, shape (d, d), and the volume ratio J = det F. If that is not given, √(det C)
-is used, which makes the tangent about a quarter more expensive and, as the absolute value of
-det F, hides an inverted element.
+A body moves by x = X + u(X) (eq. 1), and F = J^{1/3} F̄ (eq. 3, Augustin_eq:decompositionFlory),
+C = J^{2/3} C̄ (eq. 4). Gradients, and directions a, b of fibres, are those of the reference: unit
+vectors, (d,). Two dimensions are plane strain. The invariants take C, (d, d), and J = det F, or
+√(det C) without it, which costs a quarter more and hides an inverted element. Units: mm, kPa.
 """
 
 from __future__ import annotations
@@ -23,13 +19,11 @@ from ufl.variable import Variable
 __all__ = [
     "cauchy_stress",
     "deformation_gradient",
-    "green_lagrange",
     "isochoric_invariant_1",
     "isochoric_invariant_2",
     "isochoric_invariant_4",
     "isochoric_invariant_5",
     "isochoric_invariant_8",
-    "isochoric_split",
     "jacobian",
     "right_cauchy_green",
     "stress_magnitude",
@@ -37,13 +31,10 @@ __all__ = [
 
 
 def deformation_gradient(u: Expr) -> Variable:
-    """Deformation gradient F = I + Grad u (eq. 2), shape (d, d).
+    """Deformation gradient F = I + Grad u (eq. 2), shape (d, d), of a displacement u, (d,).
 
     It is a ``ufl.variable``, so that stresses follow from an energy by ``ufl.diff``. Every call
     creates a new variable: call it once, and write both the energy and the stress in that F.
-
-    Args:
-        u: Displacement, shape (d,), d = 2 or 3.
     """
     return ufl.variable(ufl.Identity(len(u)) + ufl.grad(u))
 
@@ -56,22 +47,6 @@ def right_cauchy_green(F: Expr) -> Expr:
 def jacobian(F: Expr) -> Expr:
     """Volume ratio J = det F, deformed over reference; a state with J ≤ 0 is inadmissible."""
     return ufl.det(F)
-
-
-def green_lagrange(F: Expr) -> Expr:
-    """Green-Lagrange strain E = ½ (Fᵀ F − I), shape (d, d)."""
-    return (right_cauchy_green(F) - ufl.Identity(F.ufl_shape[0])) / 2
-
-
-def isochoric_split(F: Expr) -> tuple[Expr, Expr]:
-    """Return J and F̄ of Flory's split into a volumetric and an isochoric part.
-
-    F = J^{1/3} F̄ with det F̄ = 1 (eq. 3, Augustin_eq:decompositionFlory), and with C̄ = F̄ᵀ F̄
-    accordingly C = J^{2/3} C̄ (eq. 4). In plane strain the third diagonal entry of F̄, J^{-1/3}, is
-    not part of the result.
-    """
-    J = jacobian(F)
-    return J, J ** (-1.0 / 3.0) * F
 
 
 def isochoric_invariant_1(C: Expr, J: Expr | None = None) -> Expr:
@@ -108,11 +83,8 @@ def cauchy_stress(psi: Expr, F: Variable) -> Expr:
     With a separate pressure field, Ψ = Ψ̄ + p (J − 1) − …, the result is
     σ = p I + 2 J⁻¹ F (∂Ψ̄/∂C) Fᵀ (eq. 11, Augustin_eq:additiveStress).
 
-    ``psi`` is per unit reference volume, and written in the variable F that is given. The result,
-    (d, d), is symmetric if ``psi`` is frame-indifferent.
-
     Raises:
-        ValueError: If ``psi`` is not a function of ``F``.
+        ValueError: ``psi``, per unit reference volume, is not written in the variable F.
     """
     both = isinstance(psi, Expr) and isinstance(F, Variable)
     if not both or all(e != F for e in unique_pre_traversal(psi)):

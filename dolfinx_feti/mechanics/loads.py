@@ -3,23 +3,17 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Pressure on the deformed wall, written on the reference surface by Nanson's formula.
 
-The area vector transforms as n da = cof(F) N dA. A pressure p [kPa] pushes against the outward
-normal of the wall, so the traction per reference area is G₀ = −p cof(F) N (eq. 8,
+With n da = cof(F) N dA the traction of a pressure p [kPa] is G₀ = −p cof(F) N (eq. 8,
 Augustin_eq:Neumann). Forms are *internal minus external* virtual work (eq. 20,
-Augustin_eq:WeakReference), to be **added**. In all of them u is the displacement [mm], shape (d,),
-v a test function, and ds the measure of the loaded part of the reference surface, whose normal N
-points into the lumen there. Forces are in mN. A number p that is not finite is a ValueError, and
-zero an empty form.
-
-The tangent a of a uniform p is symmetric up to a(du, v) − a(v, du) = p ∮ (v × du)·dx along the
-deformed rim. Whether that vanishes is found by assembling it for one du, in all dofs that no
-Dirichlet condition holds (docs/theory.md).
+Augustin_eq:WeakReference), to be **added**: u is the displacement [mm], (d,), v a test function, ds
+the measure of the loaded reference surface, whose normal N points into the lumen. A p that is not
+finite is a ValueError, zero an empty form. docs/theory.md says when a tangent is symmetric.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -40,12 +34,11 @@ __all__ = [
     "free_norm",
     "mmhg",
     "pressure_potential",
-    "rim_is_held",
     "wave",
 ]
 
 #: What of a pressure's derivative is taken.
-Kind = Literal["auto", "symmetric", "full", "none"]
+Kind = Literal["auto", "symmetric", "full"]
 
 _KPA_PER_MMHG = 101.325 / 760.0
 
@@ -90,11 +83,10 @@ def follower_pressure_tangent(
     *,
     bcs: Sequence[dolfinx.fem.DirichletBC] | None = None,
 ) -> ufl.Form:
-    """Derivative of :func:`follower_pressure` with respect to u, or a part of it.
+    """Derivative a(du, v) = ∫ p (D cof(F)[Grad du] N)·v dA of :func:`follower_pressure`, or a part.
 
-    For a uniform p, a(du, v) = ∫ p (D cof(F)[Grad du] N)·v dA is symmetric up to a line integral
-    along the rim of the loaded surface. Where a rim is free or on springs, its symmetric part is
-    not the derivative, and Newton's method takes several times as many steps with it.
+    With a free rim, or one on springs, Newton's method takes several times as many steps with the
+    symmetric part.
 
     Args:
         p: Pressure.
@@ -104,8 +96,7 @@ def follower_pressure_tangent(
         ds: Measure of the surface.
         kind: ``"auto"``: ``"symmetric"`` if p is uniform and the surface is closed, or its rim
             clamped or sliding in planes, and ``"full"`` otherwise. Collective. ``"symmetric"``:
-            ½ (a + aᵀ), for CG; ``"full"``: a itself, which needs GMRES; ``"none"``: an empty form
-            as in the paper, at the price of many small load steps.
+            ½ (a + aᵀ), for CG; ``"full"``: a itself, which needs GMRES.
         bcs: Dirichlet conditions of the problem, ``[]`` for none, from which ``"auto"`` knows
             whether the rim is held. A closed surface needs none.
 
@@ -114,8 +105,8 @@ def follower_pressure_tangent(
             missing, u is no Function, or ds has no facets.
     """
     if kind not in get_args(Kind):
-        raise ValueError(f"kind = {kind!r}: choose 'auto', 'symmetric', 'full' or 'none'.")
-    if kind == "none" or _is_zero(p):
+        raise ValueError(f"kind = {kind!r}: choose 'auto', 'symmetric' or 'full'.")
+    if _is_zero(p):
         return ufl.Form([])
     if kind == "auto":
         kind = "symmetric" if _is_uniform(p) and _is_held(u, ds, bcs) else "full"
@@ -127,14 +118,10 @@ def follower_pressure_tangent(
 def enclosed_volume(u: Expr, ds: ufl.Measure, axis: Sequence[float] | None = None) -> ufl.Form:
     """Volume of the lumen inside a deformed surface, V = −1/d ∫ x·(J F⁻ᵀ N) dA with x = X + u.
 
-    N points into the lumen. For a closed surface this is the enclosed volume. For an open one the
-    caps over the rims are missing; V still has the right derivative if no rim moves (clamped), or
-    if rims only slide in planes through the origin (planes of symmetry).
-
-    With an ``axis`` e, x is replaced by its part normal to e, and d by d − 1. Caps in planes normal
-    to e then contribute nothing: V is the volume between such planes, and rims may slide in them.
-
-    The axis is given by as many numbers as there are dimensions, or it is a ValueError.
+    For an open surface the caps over the rims are missing; V still has the right derivative if
+    rims are clamped, or slide in planes through the origin. With an ``axis`` e, (d,), x is replaced
+    by its part normal to e, and d by d − 1: V is the volume between planes normal to e, in which
+    rims may slide. An axis without length or of another shape is a ValueError.
     """
     d = len(u)
     x = ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u)) + u
@@ -150,40 +137,12 @@ def enclosed_volume(u: Expr, ds: ufl.Measure, axis: Sequence[float] | None = Non
 def pressure_potential(
     p: float | Expr, u: Expr, ds: ufl.Measure, axis: Sequence[float] | None = None
 ) -> ufl.Form:
-    """Potential −p V(u) of a uniform pressure in a lumen, for energies and line searches.
+    """Potential −p V(u) of a uniform pressure, with rims held as :func:`enclosed_volume` requires.
 
-    Its derivative is :func:`follower_pressure` for all variations that hold the rims as
-    :func:`enclosed_volume` requires. On other surfaces, and for a p that varies over the surface, a
-    follower pressure has no potential, and this form must not be used.
+    Otherwise, and for a p that varies over the surface, a follower pressure has no potential.
     """
     volume = enclosed_volume(u, ds, axis)
     return ufl.Form([]) if _is_zero(p) else -p * volume
-
-
-def rim_is_held(
-    virtual_work: Callable[[dolfinx.fem.Function, Expr], ufl.Form],
-    V: dolfinx.fem.FunctionSpace,
-    bcs: Sequence[dolfinx.fem.DirichletBC],
-) -> bool:
-    """Tell whether a uniform pressure's tangent is symmetric in all dofs that are free. Collective.
-
-    R(w; v) is the virtual work of the pressure one. Without facets of the surface: a ValueError.
-    """
-    held = np.concatenate([np.zeros(0, dtype=np.int32), *(bc.dof_indices()[0] for bc in bcs)])
-    w, d = (wave(V, k) for k in (0, 1))
-    for bc in bcs:
-        bc.set(w.x.array)
-    d.x.array[held] = 0.0
-    v = ufl.TestFunction(V)
-    a = ufl.derivative(virtual_work(w, v), w, d)  # a(d, v)
-    a_T = ufl.derivative(virtual_work(w, d), w, v)  # a(v, d)
-    skew, whole = (free_norm(form, held) for form in (a - a_T, a))
-    if whole == 0.0 and free_norm(virtual_work(w, v), held[:0]) == 0.0:
-        raise ValueError(
-            "ds has no facets: give the measure the facet tags, ufl.Measure('ds', mesh, "
-            "subdomain_data=tags), and a tag that is among them."
-        )
-    return skew <= SAME * whole
 
 
 def wave(V: dolfinx.fem.FunctionSpace, which: int = 0) -> dolfinx.fem.Function:
@@ -194,9 +153,7 @@ def wave(V: dolfinx.fem.FunctionSpace, which: int = 0) -> dolfinx.fem.Function:
     high = np.max(mesh.comm.allgather(x.max(axis=0, initial=-np.inf)), axis=0)
     length = float(np.linalg.norm(high - low))
     w, vectors = dolfinx.fem.Function(V), WAVES[which, :dim] / length
-    w.interpolate(
-        lambda x: AMPLITUDE * length * np.sin(vectors @ (x - low[:, None]) + 0.4)  # (d, points)
-    )
+    w.interpolate(lambda x: AMPLITUDE * length * np.sin(vectors @ (x - low[:, None]) + 0.4))
     return w
 
 
@@ -224,7 +181,10 @@ def _is_uniform(p: float | Expr) -> bool:
 
 
 def _is_held(u: Expr, ds: ufl.Measure, bcs: Sequence[dolfinx.fem.DirichletBC] | None) -> bool:
-    """Tell whether the rim of a surface is held, or has none; raise where it cannot be told."""
+    """Tell whether the tangent of a uniform pressure is symmetric in all free dofs. Collective.
+
+    Its skew part is p ∮ (v × du)·dx along the rim; it is tried for one du (docs/theory.md).
+    """
     if not isinstance(u, dolfinx.fem.Function):
         raise ValueError(
             f"u is {u!r}: kind='auto' tries displacements out and needs a dolfinx.fem.Function; "
@@ -234,8 +194,22 @@ def _is_held(u: Expr, ds: ufl.Measure, bcs: Sequence[dolfinx.fem.DirichletBC] | 
     elements = (V.ufl_element(), V.mesh.ufl_domain().ufl_coordinate_element())
     degree = max(element.embedded_superdegree for element in elements)
     exact = ds(metadata={"quadrature_degree": V.mesh.geometry.dim * degree})
-
-    held = rim_is_held(lambda w, v: follower_pressure(1.0, w, v, exact), V, bcs or ())
+    dofs = np.concatenate([np.zeros(0, dtype=np.int32), *(b.dof_indices()[0] for b in bcs or ())])
+    w, d = (wave(V, k) for k in (0, 1))
+    for bc in bcs or ():
+        bc.set(w.x.array)
+    d.x.array[dofs] = 0.0
+    v = ufl.TestFunction(V)
+    force = follower_pressure(1.0, w, v, exact)
+    a = ufl.derivative(force, w, d)  # a(d, v)
+    a_T = ufl.derivative(follower_pressure(1.0, w, d, exact), w, v)  # a(v, d)
+    skew, whole = (free_norm(form, dofs) for form in (a - a_T, a))
+    if whole == 0.0 and free_norm(force, dofs[:0]) == 0.0:
+        raise ValueError(
+            "ds has no facets: give the measure the facet tags, ufl.Measure('ds', mesh, "
+            "subdomain_data=tags), and a tag that is among them."
+        )
+    held = skew <= SAME * whole
     if bcs is None and not held:
         raise ValueError(
             "The surface under pressure has a rim, and kind='auto' does not know whether it is "

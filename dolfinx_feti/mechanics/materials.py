@@ -3,22 +3,16 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Energies of hyperelastic materials, per unit reference volume, as plain UFL expressions.
 
-A material is its energy alone: of Π = ∫ Ψ dX the first and second derivatives are residual (eq. 20,
-Augustin_eq:WeakReference, eq. 21) and tangent (eq. 24, Augustin_eq:Tangent). Users' own energies
-work exactly like those below. For nearly incompressible tissue (eq. 10,
+Of Π = ∫ Ψ dX the first and second derivatives are residual (eq. 20, Augustin_eq:WeakReference,
+eq. 21) and tangent (eq. 24, Augustin_eq:Tangent). For nearly incompressible tissue (eq. 10,
 Augustin_eq:decompositionStrain)
 
     Ψ(C) = Ψ̄(C̄) + Ψ_vol(J),   or with a pressure field   Ψ(C, p) = Ψ̄(C̄) + p (J − 1) − p²/(2κ).
 
-All take the right Cauchy-Green tensor C, shape (d, d), directions of fibres in the reference
-configuration, *unit* vectors of shape (d,), and the volume ratio J = det F: with it the tangent is
-cheaper and an inverted element gives NaN; without, √(det C) is used. Parameters are floats, dolfinx
-constants (a new value needs no recompilation), or any UFL expression, such as a piecewise constant
-Function for layers. A float that is not positive, or outside the range that is given, is a
-ValueError. Stiffnesses are in kPa. Nothing is clamped: a distant trial state may overflow.
-
-UFL estimates thousands of quadrature points for exponentials: set the degree in the measure
-(``metadata={"quadrature_degree": 4}``), or use
+All take C, (d, d), fibres of the reference, *unit* vectors (d,), and J = det F: without J, √(det C)
+is used, the tangent is dearer, and an inverted element gives no NaN. Parameters are floats, dolfinx
+constants, or any UFL expression, such as a Function of the layer; a float out of its range is a
+ValueError. Stiffnesses are in kPa. For exponentials set the quadrature degree, or use
 :func:`~dolfinx_feti.fem.quadrature.limit_quadrature_degree`.
 """
 
@@ -63,20 +57,11 @@ _FIBRE_SWITCH = -1e-12
 
 @dataclass(frozen=True, slots=True)
 class ArteryParameters:
-    """Parameters of the artery model (table 1, Augustin_tab:param, from Holzapfel et al. 2000).
+    """Parameters of the artery model (table 1, Augustin_tab:param, from Holzapfel et al. 2000)."""
 
-    Attributes:
-        c: Stiffness of the matrix material [kPa].
-        k1: Stiffness of the fibres [kPa].
-        k2: Exponent of the fibres [-].
-
-    Raises:
-        ValueError: If a parameter is not a positive number.
-    """
-
-    c: float = 3.0
-    k1: float = 2.3632
-    k2: float = 0.8393
+    c: float = 3.0  #: stiffness of the matrix material [kPa]
+    k1: float = 2.3632  #: stiffness of the fibres [kPa]
+    k2: float = 0.8393  #: exponent of the fibres [-]
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -93,9 +78,8 @@ def perturbed_lagrangian(J: Expr, p: Expr, kappa: Parameter) -> Expr:
     """Volumetric energy with the pressure as an independent field, p (J − 1) − p²/(2κ).
 
     It is stationary in p at p = κ (J − 1) = ∂Ψ_vol/∂J (eq. 12, Augustin_eq:hydrostaticPressure,
-    eq. 29, Augustin_eq:volumetricVariationDis), where it equals :func:`volumetric`. If p is
-    piecewise constant, this holds for the mean of J over each cell; if it is a polynomial in each
-    cell, for the projection of J onto these. p is positive in tension.
+    eq. 29, Augustin_eq:volumetricVariationDis), where it equals :func:`volumetric`, with the
+    projection of J onto the space of p in each cell. p is positive in tension.
     """
     require_positive(kappa=kappa)
     return p * (J - 1) - p**2 / (2 * kappa)
@@ -184,10 +168,9 @@ def guccione(
     Ψ̄ = c/2 (exp Q − 1) with Q = b_f E_ff² + b_t (E_ss² + E_nn² + 2 E_sn²) + 2 b_fs (E_fs² + E_fn²)
     and the strains Ē = ½ (C̄ − I) along the fibre f and any two directions s, n normal to it.
     Source: Guccione, McCulloch, Waldman, J. Biomech. Eng. 113 (1991) 42-55, as in problem 1 of Land
-    et al., Proc. R. Soc. A 471 (2015) 20150641, where c = 2 kPa and b_f, b_t, b_fs = 8, 2, 4. An
-    isotropic energy has b_f = b_t = b_fs. The shear modulus at small strains is c b/2, with b_t
-    across the fibres and b_fs along them. Fibres resist compression, too: where they shorten much
-    (with these numbers under equibiaxial compression to 0.82), the energy is not elliptic.
+    et al., Proc. R. Soc. A 471 (2015) 20150641, where c = 2 kPa and b_f, b_t, b_fs = 8, 2, 4. The
+    shear modulus at small strains is c b/2, with b_t across the fibres and b_fs along them. Where
+    fibres shorten much (with these numbers to 0.82), the energy is not elliptic.
     """
     require_positive(c=c, b_f=b_f, b_t=b_t, b_fs=b_fs)
     I1, I2 = isochoric_invariant_1(C, J), isochoric_invariant_2(C, J)
@@ -233,10 +216,9 @@ def holzapfel_ogden(
 def active_tension(C: Expr, fibre: Expr, *, tension: Parameter) -> Expr:
     """Energy T_a/2 (I₄ − 1) of muscle fibres that contract with a tension of their own.
 
-    Added to a passive energy it adds T_a f ⊗ f to the second Piola-Kirchhoff stress, whatever the
-    stretch: T_a is the force per reference area over the stretch. I₄ = f·C f is not isochoric.
-    Source: problem 3 of Land et al., Proc. R. Soc. A 471 (2015) 20150641. It is no material by
-    itself, and a body that contracts is not free of stress at rest.
+    It adds T_a f ⊗ f to the second Piola-Kirchhoff stress of a passive energy: T_a is the force per
+    reference area over the stretch. I₄ = f·C f is not isochoric. Source: problem 3 of Land et al.,
+    Proc. R. Soc. A 471 (2015) 20150641.
     """
     require_not_negative(tension=tension)
     return tension / 2 * (ufl.dot(fibre, C * fibre) - 1)

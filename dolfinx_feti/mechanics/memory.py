@@ -41,17 +41,11 @@ __all__ = ["MaxwellBranch", "damaged", "viscoelastic"]
 
 @dataclass(frozen=True, slots=True)
 class MaxwellBranch:
-    """A spring and a dashpot in a row, beside the elastic material.
+    """A spring and a dashpot in a row, beside the elastic material."""
 
-    Attributes:
-        Q: Its overstress [kPa], (d, d), a Function of quadrature points or cells; zero at first.
-        share: Stiffness of the spring over that of the elastic material, β [-].
-        time: Relaxation time τ [s].
-    """
-
-    Q: Expr
-    share: Parameter
-    time: Parameter
+    Q: Expr  #: overstress [kPa], (d, d), a Function of quadrature points or cells; zero at first
+    share: Parameter  #: stiffness of the spring over that of the elastic material, β [-]
+    time: Parameter  #: relaxation time τ [s]
 
     def __post_init__(self) -> None:
         """Check the values."""

@@ -40,12 +40,8 @@ __all__ = ["elastic_part", "opened", "residual_stretch", "stress_free_direction"
 def elastic_part(F: Expr, G: Expr) -> Expr:
     """Elastic part of a deformation, F_e = F G⁻¹, shape (d, d), of which energies are written.
 
-    It leads from the pieces that are free of stress to the deformed body. Fibres in an energy of
-    F_e are those of the pieces, see :func:`stress_free_direction`. For the Cauchy stress, F is the
-    ``ufl.variable`` of :func:`~dolfinx_feti.mechanics.kinematics.deformation_gradient`.
-
-    Raises:
-        ValueError: The shapes differ.
+    Fibres in an energy of F_e are those of the pieces, see :func:`stress_free_direction`. Different
+    shapes are a ValueError.
     """
     if F.ufl_shape != G.ufl_shape:
         raise ValueError(
@@ -58,10 +54,7 @@ def elastic_part(F: Expr, G: Expr) -> Expr:
 def stress_free_direction(a: Expr, G: Expr) -> Expr:
     """Direction in the stress-free pieces of a line of the reference configuration, ``G a/|G a|``.
 
-    a has any length but zero; the result is a unit vector.
-
-    Raises:
-        ValueError: The shapes are not (d, d) and (d,).
+    a has any length but zero; the result is a unit vector. Other shapes are a ValueError.
     """
     if G.ufl_shape != 2 * a.ufl_shape:
         raise ValueError(
@@ -77,14 +70,10 @@ def residual_stretch(
     """Stretch around that a wall which is closed has left of its opening angle, λ [-].
 
     Args:
-        curvature: 1/ρ₀ of the layer's middle surface, around the vessel [1/mm].
+        curvature: 1/ρ₀ of the layer's middle surface, around the vessel [1/mm], finite.
         depth: d from the middle surface, positive outwards [mm].
-        angle: Opening angle α [degrees], of the whole ring.
-        stretch: Axial prestretch Λ [-].
-
-    Raises:
-        ValueError: The angle is 360 degrees or more, or a number is not finite, or the stretch not
-            positive.
+        angle: Opening angle α of the whole ring [degrees], below 360.
+        stretch: Axial prestretch Λ [-], positive.
     """
     require_within(-math.inf, math.inf, {"curvature": curvature}, remedy="a finite number")
     require_within(-math.inf, 360.0, {"angle": angle}, ends=False, remedy="less than 360 degrees")
@@ -98,10 +87,8 @@ def residual_stretch(
 def opened(directions: Sequence[Expr], λ: Expr, stretch: Expr | float = 1.0) -> Expr:
     """Part G of the deformation of a wall that was cut open, shape (3, 3), det G = 1.
 
-    Args:
-        directions: Circumferential, longitudinal and transmural, orthogonal unit vectors, (3,).
-        λ: Stretch around, see :func:`residual_stretch`.
-        stretch: Axial prestretch Λ, positive [-].
+    The directions are the circumferential, longitudinal and transmural one, orthogonal unit vectors
+    (3,), λ is that of :func:`residual_stretch`, ``stretch`` the axial prestretch Λ, positive [-].
     """
     require_positive(stretch=stretch)
     e0, e1, e2 = (ufl.outer(e, e) for e in directions)

@@ -10,13 +10,10 @@ tractions have a potential::
 
     Π_spring  = ∫ k/2 w·w dA,        Π_dashpot = ∫ η/(2 Δt) (w − w⁰)·(w − w⁰) dA.
 
-They are to be **added** to the internal energy: residual and tangent follow by ``ufl.derivative``,
-and the tangent is symmetric and not negative. Source: P. Moireau et al., *External tissue support
-and fluid–structure simulation in blood flows*, Biomech. Model. Mechanobiol. 11 (2012).
-
-Units: k in kPa/mm, η in kPa s/mm, Δt in s, lengths in mm, per reference area. A number that is
-negative or not finite is a ValueError, and so is another direction than ``"normal"``,
-w = (u·N) N, with which the wall slides freely along the tissue, or ``"all"``, w = u.
+They are to be **added** to the internal energy. Source: P. Moireau et al., Biomech. Model.
+Mechanobiol. 11 (2012). Units: k in kPa/mm, η in kPa s/mm, Δt in s, lengths in mm, per reference
+area. A number that is negative or not finite is a ValueError, and so is another direction than
+``"normal"``, w = (u·N) N, or ``"all"``, w = u.
 """
 
 from __future__ import annotations
@@ -35,15 +32,10 @@ __all__ = ["DASHPOTS", "Dashpots", "Direction", "dashpot_energy", "spring_energy
 
 @dataclass(frozen=True, slots=True)
 class Dashpots:
-    """What ẇ = (w − w⁰)/Δt of dashpots is made of.
+    """What ẇ = (w − w⁰)/Δt of dashpots is made of."""
 
-    Attributes:
-        u: The displacement.
-        time_step: Δt [s].
-    """
-
-    u: Expr
-    time_step: float | Expr
+    u: Expr  #: displacement
+    time_step: float | Expr  #: Δt [s]
 
 
 #: By their last displacement u⁰, those that a path of loads or times advances.
@@ -73,12 +65,12 @@ def dashpot_energy(
     """Incremental potential of dashpots, ∫ η/(2 Δt) (w − w⁰)·(w − w⁰) dA [mN mm].
 
     Args:
-        viscosity: η per reference area.
+        viscosity: η.
         u: Displacement, shape (d,).
-        last: Displacement at the end of the last time step, a Function of its own, which
-            ``follow_load`` and ``follow_time`` advance; with inertia so that ẇ is the velocity.
-        time_step: Δt, positive; a Constant can change from step to step, and one of infinity leaves
-            the dashpots without effect. ``follow_time`` sets it.
+        last: That of the last time step, a Function of its own, which ``follow_load`` and
+            ``follow_time`` advance; with inertia so that ẇ is the velocity.
+        time_step: Δt, positive; a Constant of infinity leaves the dashpots without effect.
+            ``follow_time`` sets it.
         ds: Measure of the surface.
         direction: Which part of the displacement is resisted.
     """

