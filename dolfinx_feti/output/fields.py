@@ -3,14 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Output for ParaView: all fields in one file, step by step (docs/stresses.md).
 
-Where dolfinx has ADIOS2 the format is VTX, `name.bp`: every field becomes a discontinuous function
-of the degree of the cells' geometry. Elsewhere, and for prisms, it is XDMF, `name.xdmf` with
-`name.h5`: continuous fields at the nodes of the cells, the others with one value per cell.
-
-Data at quadrature points, and expressions with them, are projected to these functions in each
-cell, or written where they are, to `name_points.xdmf` (:mod:`~dolfinx_feti.output.points`). Data on
-facets are fields of a submesh, which has a file of its own; those of a submesh of vertices are
-points.
+VTX, `name.bp`, where dolfinx has ADIOS2: each field becomes a discontinuous function of the degree
+of the geometry. Else, and for prisms, XDMF: continuous fields at nodes, others one value a cell.
+Data at quadrature points are projected to these functions, or written where they are, to
+`name_points.xdmf`. Data on facets are fields of a submesh, those on one of vertices are points.
 """
 
 from __future__ import annotations
@@ -40,7 +36,6 @@ from dolfinx_feti.runtime.compat import geometry_degree, geometry_dofmap, interp
 from dolfinx_feti.runtime.folders import try_to_write, writable_folder
 
 __all__ = ["FieldWriter", "cell_values"]
-
 
 SUFFIXES = {"vtx": ".bp", "xdmf": ".xdmf"}
 
@@ -79,17 +74,18 @@ class FieldWriter:
             functions: Functions to write, under their own names, of any element.
             expressions: UFL expressions to write, by name; they are evaluated cell by cell.
             kind: ``vtx`` or ``xdmf``; by default VTX where dolfinx has ADIOS2, XDMF elsewhere.
-            quadrature: How data at quadrature points are written: ``project`` to linear functions
-                in each cell (VTX) or means (XDMF); or at the ``points``.
+            quadrature: Data at quadrature points: ``project`` to linear functions in each cell
+                (VTX) or means (XDMF), or write them at the ``points``.
 
         Raises:
-            ValueError: ``kind`` or ``quadrature`` is unknown or the mesh has cells that it cannot
-                show, there is no function, two fields have one name, or a field cannot be written:
-                it is mixed, lives on another mesh or on facets, or has several quadrature rules.
+            ValueError: ``kind`` or ``quadrature`` is unknown or cannot show the cells, there is no
+                function, two fields have one name, or a field cannot be written: it is mixed, lives
+                on another mesh or on facets, or has several quadrature rules.
             OSError: The file cannot be created.
         """
         expressions = expressions or {}
-        names = [*(f.name for f in functions), *expressions]
+        fields = [*((f.name, f) for f in functions), *expressions.items()]
+        names = [name for name, _ in fields]
         if not functions or len(set(names)) < len(names):
             raise ValueError(
                 f"The fields are named {names}: give at least one function, and distinct names."
@@ -104,7 +100,7 @@ class FieldWriter:
         self._x: Callable[[], Array] | None = None
         self._rule: Array | None = None
         self._meshes = 0
-        for name, field in [*zip(names, functions, strict=False), *expressions.items()]:
+        for name, field in fields:
             self._add(name, field, quadrature)
         self.path = _writable_place(Path(path), self._kind, mesh.comm)
         self.points: Path | None = None

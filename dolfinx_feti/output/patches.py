@@ -3,23 +3,15 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Patches: from values inside the cells to fields that are continuous in each layer.
 
-A patch consists of the cells of one layer near a vertex v: a cell K has the weight of its volume
-times the number of ways K – w – K' – v over a vertex w that K shares with a cell K' at v. These
-numbers are the rows of A Aᵀ A, with the incidence A of vertices and cells of the layer. On each
-patch a linear function is fitted to f by least squares (Zienkiewicz and Zhu 1992),
+In the patch of a vertex v a cell K of the layer has its volume times the number of ways K – w – K'
+– v over vertices w as its weight, from A Aᵀ A with the incidence A of vertices and cells. A linear
+function is fitted there (Zienkiewicz and Zhu 1992), and fits are blended with hat functions φ_v,
 
-.. math:: \min_{m_v, G_v} \int_{P_v} |m_v + G_v (x - \bar x_v) - f|^2, \qquad
-          m_v = \bar f_v, \quad G_v = \operatorname{cov}(f, x) \operatorname{cov}(x, x)^+,
+.. math:: \mathcal R f = \sum_v φ_v \, (\bar f_v + G_v (x - \bar x_v)), \qquad
+          G_v = \operatorname{cov}(f, x) \operatorname{cov}(x, x)^+ .
 
-and the fits are blended with the hat functions φ_v of the vertices,
-
-.. math:: \mathcal R f = \sum_v φ_v \, (m_v + G_v (x - \bar x_v)),
-
-quadratic in each cell, continuous in each layer, and equal to f if f is linear in each layer. A few
-sweeps f* ← f* + R(f − f*) put back what the blending has smoothed away.
-
-The data are the values of f inside the cells, or its means over the cells only: then the centroid
-of a cell stands for x, and the mean for f.
+Sweeps f* ← f* + R(f − f*) put back what is smoothed away. The data are values inside the cells, or
+means over them with the centroid for x (docs/stresses.md).
 """
 
 from __future__ import annotations
@@ -41,7 +33,6 @@ from dolfinx_feti.runtime.compat import geometry_dofmap, interpolation_points
 
 __all__ = ["Patches", "create_patches", "moments", "recover"]
 
-
 #: Number of cells whose values at the quadrature points are in memory at once.
 CHUNK = 4096
 
@@ -51,24 +42,14 @@ FLAT_PATCH = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Patches:
-    """The n_v vertices of the layers, a copy for each layer, and the n_c owned cells around them.
-
-    Attributes:
-        mesh: The mesh.
-        layers: Number of layers.
-        rows: The vertices of each cell in the cell's layer, (n_c, d + 1).
-        matrix: A, (n_v, n_c).
-        points: Quadrature points of the reference cell, (n_q, d).
-        weights: Maps values at these points to their mean and to the means of the values times the
-            reference coordinates relative to the centroid, (1 + d, n_q).
-    """
+    """The n_v vertices of the layers, a copy for each, and the n_c owned cells around them."""
 
     mesh: dolfinx.mesh.Mesh
-    layers: int
-    rows: Numbers
-    matrix: scipy.sparse.csr_array
-    points: Array
-    weights: Array
+    layers: int  #: their number
+    rows: Numbers  #: vertices of each cell in the cell's layer, (n_c, d + 1)
+    matrix: scipy.sparse.csr_array  #: A, (n_v, n_c)
+    points: Array  #: quadrature points of the reference cell, (n_q, d)
+    weights: Array  #: from values there to the means of f and f (X − X̄), (1 + d, n_q)
 
     def around(self, values: Array) -> Array:
         """Sum values of the cells over those at a vertex, of all processes, (n_v, k)."""
@@ -122,10 +103,10 @@ def create_patches(
 
 
 def moments(expression: Expr, patches: Patches) -> Array:
-    """Return means of m components in the owned cells, (n_c, 1 + d, m). Collective.
+    """Return means of f, and of f times the reference coordinates relative to the centroid.
 
-    They are of the expression, and of it times the reference coordinates relative to the centroid.
-    An expression of another mesh is a ValueError, one that is not finite an ArithmeticError.
+    The shape is (n_c, 1 + d, components). An expression of another mesh is a ValueError, one that
+    is not finite an ArithmeticError. Collective.
     """
     mesh, n_cells = patches.mesh, len(patches.rows)
     size = int(np.prod(expression.ufl_shape))
@@ -158,9 +139,8 @@ def moments(expression: Expr, patches: Patches) -> Array:
 def recover(patches: Patches, data: Array, *, means: bool, sweeps: int) -> Array:
     """Fit a field that is continuous in each layer to what :func:`moments` returns. Collective.
 
-    ``means`` fits the means over the cells, not the values inside them; each of the sweeps fits
-    what those before it leave. Returns values at the nodes of the discontinuous quadratic element,
-    (n_c, nodes, m).
+    ``means`` fits the means over the cells, not the values inside them. Returns values at the nodes
+    of the discontinuous quadratic element, (n_c, nodes, components).
     """
     mesh, (n_cells, n_rows, size) = patches.mesh, data.shape
     dim = n_rows - 1
@@ -180,9 +160,8 @@ def recover(patches: Patches, data: Array, *, means: bool, sweeps: int) -> Array
 
     space = dolfinx.fem.functionspace(mesh, ("DG", 2))
     nodes = interpolation_points(space)
-    to_moments = (
-        patches.weights @ space.element.basix_element.tabulate(0, patches.points)[0, ..., 0]
-    )
+    φ = space.element.basix_element.tabulate(0, patches.points)[0, :, :, 0]
+    to_moments = patches.weights @ φ
     hats = np.column_stack([1.0 - nodes.sum(axis=1), nodes])
     at = hats @ corners
     field = np.zeros((n_cells, len(nodes), size))

@@ -3,14 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Data at quadrature points: projected in each cell, or written as a cloud of points.
 
-With points :math:`ξ_q` and weights :math:`w_q`, and a basis :math:`φ_i` of the space that a file
-shows, the projection of the values :math:`f_q` minimises
-
-.. math:: \sum_q w_q \Big(\sum_i c_i φ_i(ξ_q) - f_q\Big)^2
-
-in each cell. It reproduces the functions of that space, as far as the points determine them.
-
-A cloud is an XDMF file whose heavy data are raw numbers: points and values, step after step.
+In each cell the projection of values :math:`f_q` at points :math:`ξ_q` with weights :math:`w_q` to
+a basis :math:`φ_i` minimises :math:`\sum_q w_q (\sum_i c_i φ_i(ξ_q) - f_q)^2`. A cloud is an XDMF
+file whose heavy data are raw numbers: points and values, step after step.
 """
 
 from __future__ import annotations
@@ -28,7 +23,6 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_first
 
 __all__ = ["PointCloud", "projection"]
-
 
 #: XDMF's names of values with so many components; others are matrices.
 TYPES = {1: "Scalar", 3: "Vector", 9: "Tensor"}
@@ -48,11 +42,9 @@ class PointCloud:
 
     def __init__(self, path: Path, comm: MPI.Comm) -> None:
         """Open the files. Collective."""
-        self._path = path
-        self._comm = comm
-        everyone = cast(MPI.Intracomm, comm)
+        self._path, self._comm, heavy = path, comm, str(path.with_suffix(".bin"))
         mode = MPI.MODE_CREATE | MPI.MODE_WRONLY
-        self._file = MPI.File.Open(everyone, str(path.with_suffix(".bin")), mode)
+        self._file = MPI.File.Open(cast(MPI.Intracomm, comm), heavy, mode)
         self._file.Set_size(0)
         self._end = 0
         self._grids: list[str] = []
@@ -71,14 +63,9 @@ class PointCloud:
             grid.append(f"<Attribute Name={quoteattr(name)} {kind}>{item}</Attribute>")
         self._file.Sync()
         self._grids.append("\n".join([*grid, "</Grid>"]))
-        text = "\n".join(
-            [
-                '<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>',
-                '<Grid GridType="Collection" CollectionType="Temporal">',
-                *self._grids,
-                "</Grid>\n</Domain></Xdmf>\n",
-            ]
-        )
+        head = '<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>'
+        head += '<Grid GridType="Collection" CollectionType="Temporal">'
+        text = "\n".join([head, *self._grids, "</Grid></Domain></Xdmf>\n"])
         on_first(lambda: self._path.write_text(text, encoding="utf-8"), self._comm)
 
     def _append(self, values: Array) -> str:

@@ -3,16 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Recovered stresses, more accurate than those inside the cells (docs/stresses.md).
 
-*By patches* (:mod:`dolfinx_feti.output.patches`), for elements with a pressure P_0: a fit to the
-values inside the cells recovers the traction across the wall, one to their means the stresses along
-it. Where the normal n of the wall is known, the stress is put together of both,
-
-.. math:: σ^* = σ^{\text{inside}} + T (σ^{\text{means}} - σ^{\text{inside}}) T,
-          \qquad T = I - n ⊗ n .
-
-*By balance*, for second-order elements, also curved ones: the linear part of the traction in each
-cell is accurate, and tells by how much the pressure is off. With the projection Π to linear
-functions on each cell, :math:`σ^* = σ + (Π(n·σ n) - n·σ n)\, I`.
+*By patches*, for elements with a pressure P_0: fits to the values inside the cells recover the
+traction across the wall, fits to their means the stress along it, and with the normal n
+:math:`σ^* = σ^{in} + T (σ^{means} - σ^{in}) T`, :math:`T = I - n ⊗ n`. *By balance*, for elements
+of second order: with the projection Π to linear functions, σ* = σ + (Π(n·σ n) − n·σ n) I.
 """
 
 from __future__ import annotations
@@ -31,7 +25,6 @@ from dolfinx_feti.output.patches import Patches, moments, recover
 
 __all__ = ["balanced_stress", "recovered_field"]
 
-
 #: Fits of a field; more of them change little.
 SWEEPS = 3
 
@@ -40,31 +33,24 @@ CONSTANT = 1e-12
 
 
 def recovered_field(
-    expression: Expr,
-    patches: Patches,
-    *,
-    normal: Expr | None = None,
-    name: str = "recovered",
-    out: dolfinx.fem.Function | None = None,
+    expression: Expr, patches: Patches, *, normal: Expr | None = None, name: str = "recovered"
 ) -> dolfinx.fem.Function:
     """Recover a field, such as a stress or the element-wise pressure, from its values in the cells.
 
     Args:
         expression: The field; a stress in full, with its pressure part.
         patches: Patches of its mesh, see :func:`~dolfinx_feti.output.patches.create_patches`.
-        normal: A vector normal to the wall, of any length but zero and of either sign, the same in
-            neighbouring cells. For a Cauchy stress it is the normal of the deformed wall, F⁻ᵀ ê₂
-            with the transmural direction ê₂ (:class:`~dolfinx_feti.wall.fibres.Frame`).
+        normal: A vector normal to the wall, of any length but zero, of one sign in neighbouring
+            cells; for a Cauchy stress that of the deformed wall, F⁻ᵀ ê₂, with the transmural ê₂.
         name: Name of the result.
-        out: An earlier result, to be overwritten.
 
     Returns:
         A function of the same shape, piecewise quadratic, continuous in each layer, with jumps
         between layers. Fields that are linear in each layer are reproduced.
 
     Raises:
-        ValueError: The expression lives on another mesh than the patches, a normal is given for
-            what is no stress or is no vector, or ``out`` has another space.
+        ValueError: The expression lives on another mesh than the patches, or a normal is given for
+            what is no stress or is no vector.
         ArithmeticError: The expression is NaN or infinite somewhere, or the normal is zero.
 
     Note:
@@ -76,14 +62,6 @@ def recovered_field(
         raise ValueError(
             f"A normal of shape {normal.ufl_shape} is given for a field of shape {shape}: give a "
             f"vector of {dim} components for a stress of shape {(dim, dim)}, and None otherwise."
-        )
-    space = dolfinx.fem.functionspace(mesh, ("DG", 2, shape))
-    result = dolfinx.fem.Function(space, name=name) if out is None else out
-    V = result.function_space
-    if V.mesh is not mesh or V.ufl_element() != space.ufl_element():
-        raise ValueError(
-            f"out='{result.name}' cannot hold a recovered field of shape {shape} on this mesh: "
-            "give what an earlier call for the same expression has returned, or None."
         )
     data = moments(expression, patches)
     largest = [np.abs(part).max(initial=0.0) for part in (data[:, 1:], data[:, :1])]
@@ -103,7 +81,8 @@ def recovered_field(
         T = np.eye(dim) - n[..., :, None] * n[..., None, :]
         means = recover(patches, data, means=True, sweeps=SWEEPS)
         field += (T @ (means - field).reshape(T.shape) @ T).reshape(field.shape)
-    dofs = V.dofmap.list[: len(field)]
+    result = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 2, shape)), name=name)
+    dofs = result.function_space.dofmap.list[: len(field)]
     result.x.array.reshape(-1, field.shape[2])[dofs] = field
     result.x.scatter_forward()
     return result
@@ -117,8 +96,7 @@ def balanced_stress(
     Args:
         stress: The stress, with its pressure part, shape (d, d).
         u: Displacement, of second order; its mesh is that of the stress.
-        normal: Normal of the deformed wall, of any length but zero and of either sign, F⁻ᵀ ê₂ with
-            the transmural direction ê₂, shape (d,).
+        normal: Normal of the deformed wall, of any length but zero, F⁻ᵀ ê₂, shape (d,).
         degree: Of the quadrature inside the cells; twice the degree of u if not given.
 
     Returns:
@@ -141,9 +119,8 @@ def balanced_stress(
     traction = ufl.inner(normal, stress * normal) / ufl.inner(normal, normal)
     cell = getattr(basix.CellType, mesh.topology.cell_name())
     simplex = cell in (basix.CellType.triangle, basix.CellType.tetrahedron)
-    linear = dolfinx.fem.Function(
-        dolfinx.fem.functionspace(mesh, ("DG" if simplex else "DPC", 1)), name="traction"
-    )
+    W = dolfinx.fem.functionspace(mesh, ("DG" if simplex else "DPC", 1))
+    linear = dolfinx.fem.Function(W, name="traction")
     twice = 2 * V.ufl_element().embedded_superdegree
     rule = basix.make_quadrature(cell, twice if degree is None else degree)
     points, w = (np.asarray(part, dtype=np.float64) for part in rule)
@@ -156,12 +133,10 @@ def balanced_stress(
             "The traction is NaN or infinite somewhere: give an admissible state and a normal that "
             "is nowhere zero."
         )
-    element = linear.function_space.element.basix_element
-    φ = element.tabulate(0, points)[0, :, :, 0]  # (points, dofs)
+    φ = W.element.basix_element.tabulate(0, points)[0, :, :, 0]  # (points, dofs)
     M = np.einsum("cq,qi,qj->cij", volume * w, φ, φ)
     b = np.einsum("cq,qi->ci", volume * w * t, φ)
-    linear.x.array[linear.function_space.dofmap.list[: len(owned)]] = np.linalg.solve(
-        M, b[:, :, None]
-    )[:, :, 0]  # Π(n·σ n) = M⁻¹ b
+    c = np.linalg.solve(M, b[:, :, None])[:, :, 0]  # Π(n·σ n) = M⁻¹ b
+    linear.x.array[W.dofmap.list[: len(owned)]] = c
     linear.x.scatter_forward()
     return stress + (linear - traction) * ufl.Identity(dim)
