@@ -5,9 +5,8 @@
 
     Ψ(F),   P = ∂Ψ/∂F,   A = ∂²Ψ/∂F∂F,   A_iJkL = ∂P_iJ/∂F_kL
 
-F is a Function on a quadrature element whose points are the states, so that one call of dolfinx's
-code treats many of them: 0.1 ms for the tangents of 64. Nothing here is parallel: every process
-does the same work.
+F is a Function on a quadrature element whose points are the states: 0.1 ms for the tangents of 64.
+Nothing here is parallel: every process does the same work.
 """
 
 from __future__ import annotations
@@ -37,30 +36,21 @@ from dolfinx_feti.runtime.arrays import Array, Mask
 
 __all__ = ["CompiledEnergy", "Material", "States", "compile_material", "evaluate"]
 
-
 #: States per call of the generated code.
 BATCH = 64
 MEASURES = ("F", "C", "J")
-#: Label of the variable F. The count that UFL would give it enters the signature of the code, so
-#: that the same energy would be compiled again whenever it is not the first one of a process.
+#: Of the variable F: UFL's own count would enter the signature, and compile an energy again.
 LABEL = Label(-1)
 
 
 @dataclass(frozen=True, slots=True)
 class States:
-    """An energy and its derivatives at n states.
+    """An energy and its derivatives at n states."""
 
-    Attributes:
-        F: Deformation gradients, (n, 3, 3).
-        psi: Energies per unit reference volume [kPa], (n,).
-        P: First Piola stresses ∂Ψ/∂F [kPa], (n, 3, 3).
-        A: Tangents ∂²Ψ/∂F∂F [kPa], (n, 3, 3, 3, 3).
-    """
-
-    F: Array
-    psi: Array
-    P: Array
-    A: Array
+    F: Array  #: Deformation gradients, (n, 3, 3)
+    psi: Array  #: Energies per unit reference volume [kPa], (n,)
+    P: Array  #: First Piola stresses ∂Ψ/∂F [kPa], (n, 3, 3)
+    A: Array  #: Tangents ∂²Ψ/∂F∂F [kPa], (n, 3, 3, 3, 3)
 
     @property
     def finite(self) -> Mask:
@@ -91,7 +81,7 @@ class CompiledEnergy:
         self._own = {name: dolfinx.fem.Constant(mesh, np.float64(1.0)) for name in parameters}
         F = Variable(self._F, LABEL)
         energy = _call(psi, F, self._own)
-        _check_energy(energy, F, {self._F}, set(self._own.values()))
+        _check_energy(energy, F, set(self._own.values()))
         constants = ufl.algorithms.analysis.extract_constants(energy)
         theirs = [c for c in constants if c not in self._own.values()]
         self._copies = {c: dolfinx.fem.Constant(mesh, c.value) for c in theirs}
@@ -120,27 +110,23 @@ class CompiledEnergy:
         states[: len(F)][~lost] = F[~lost]
         self._F.x.array[:] = states.ravel()
         cell = np.zeros(1, dtype=np.int32)
-        values = [np.array(e.eval(self._mesh, cell)) for e in self._expressions]
-        shapes = [(3,) * rank for rank in (0, 2, 4)]
-        parts = [v.reshape(BATCH, *s)[: len(F)] for v, s in zip(values, shapes, strict=True)]
-        for part in parts:
-            part[lost] = np.nan
+        parts = []
+        for rank, expression in zip((0, 2, 4), self._expressions, strict=True):
+            values = np.array(expression.eval(self._mesh, cell)).reshape(BATCH, *(3,) * rank)
+            values[: len(F)][lost] = np.nan
+            parts.append(values[: len(F)])
         return parts
 
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """A compiled energy, how compressible it is, and the values of its parameters.
+    """A compiled energy, how compressible it is, and the values of its parameters."""
 
-    Attributes:
-        energy: The generated code.
-        kappa: Penalty κ [kPa] of the volumetric energy κ/2 (J − 1)² that is added to Ψ;
-            ``math.inf`` for an incompressible material, 0 for a Ψ that is complete in itself.
-        parameters: Values of the parameters that the energy was compiled with.
-    """
-
-    energy: CompiledEnergy
+    energy: CompiledEnergy  #: The generated code
+    #: Penalty κ [kPa] of the volumetric energy κ/2 (J − 1)² that is added to Ψ; ``math.inf`` for an
+    #: incompressible material, 0 for a Ψ that is complete in itself
     kappa: float = math.inf
+    #: Values of the parameters that the energy was compiled with
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -174,16 +160,14 @@ def compile_material(
     parameters: Mapping[str, float] | None = None,
     jit_options: Mapping[str, Any] | None = None,
 ) -> Material:
-    """Compile an energy with its first and second derivatives.
+    """Compile an energy with its first and second derivatives (docs/workshop.md).
 
     Args:
-        psi: Energy per unit reference volume [kPa], a Python function that returns a UFL
-            expression. It takes, by their names, the right Cauchy-Green tensor ``C`` and the
-            volume ratio ``J``, or the deformation gradient ``F``. Everything else is bound, by a
-            closure or ``functools.partial``: numbers, fibres as ``ufl.as_vector``, or dolfinx
-            constants, whose values at the time of an evaluation count.
-        kappa: Penalty κ [kPa] of the volumetric energy κ/2 (J − 1)², which is added: ``math.inf``
-            makes the material incompressible, 0 adds nothing to an energy that is complete.
+        psi: Energy per unit reference volume [kPa], a function of ``C`` and ``J``, or of ``F``, by
+            these names, that returns a UFL expression. All else is bound: numbers, fibres as
+            ``ufl.as_vector``, or dolfinx constants, whose values at an evaluation count.
+        kappa: Penalty κ [kPa] of κ/2 (J − 1)², which is added: ``math.inf`` makes the material
+            incompressible, 0 adds nothing to an energy that is complete.
         parameters: Arguments of ``psi`` that are to change without compilation, and their values.
         jit_options: Options of dolfinx's compiler; by default ``-O1``.
 
@@ -197,10 +181,10 @@ def compile_material(
 
 
 def evaluate(material: Material, F: npt.ArrayLike) -> States:
-    """Evaluate the energy and its derivatives, without the pressure of an incompressible material.
+    """Evaluate an energy, without the pressure of an incompressible material, at F, (n, 3, 3).
 
-    States F, (n, 3, 3) or (3, 3), outside the energy's domain, such as J ≤ 0, have values that are
-    not finite. A finite κ counts. Another shape is a ValueError.
+    Values of states outside its domain, such as J ≤ 0, are not finite. A finite κ counts. Another
+    shape than this or (3, 3) is a ValueError.
     """
     F = np.array(F, dtype=np.float64)
     if F.shape[-2:] != (3, 3) or F.ndim not in (2, 3) or F.size == 0:
@@ -224,7 +208,7 @@ def _call(psi: Callable[..., Expr], F: Variable, parameters: Mapping[str, Expr])
     return psi(**given, **parameters)
 
 
-def _check_energy(psi: object, F: Variable, coefficients: set[Expr], constants: set[Expr]) -> None:
+def _check_energy(psi: object, F: Variable, constants: set[Expr]) -> None:
     """Require a scalar expression of F and of constants with values."""
     if not isinstance(psi, Expr):
         raise TypeError(f"psi returns {psi!r}: expected a UFL expression.")
@@ -237,7 +221,7 @@ def _check_energy(psi: object, F: Variable, coefficients: set[Expr], constants: 
     if unused:
         raise ValueError(f"psi does not depend on {len(unused)} of its parameters.")
     for e in terminals:
-        other = isinstance(e, ufl.Coefficient) and e not in coefficients
+        other = isinstance(e, ufl.Coefficient) and e is not F.ufl_operands[0]
         if other or isinstance(e, (ufl.Argument, ufl.geometry.GeometricQuantity)):
             raise ValueError(
                 f"psi depends on {e}, which varies in space: bind its value at one point, a number "

@@ -5,10 +5,9 @@
 
     Q_ik(n) = 𝒜_ijkl n_j n_l,   𝒜_ijkl = J⁻¹ A_iJkL F_jJ F_lL
 
-with a unit normal n in the deformed body. The energy is strongly elliptic at F if
-m · Q(n) m > 0 for all m and n. In an incompressible material only m ⟂ n count, on which the
-pressure has no effect. Where this is lost the problem becomes ill-posed: localised bands, kinks of
-fibres, and results that depend on the mesh (Merodio, Ogden, Int. J. Solids Struct. 40, 2003).
+with a unit normal n in the deformed body. The energy is strongly elliptic at F if m · Q(n) m > 0
+for all m and n; in an incompressible material only m ⟂ n count, on which the pressure has no effect
+(docs/fitting.md; Merodio, Ogden, Int. J. Solids Struct. 40, 2003).
 """
 
 from __future__ import annotations
@@ -27,7 +26,6 @@ from dolfinx_feti.workshop.paths import MaterialTest
 
 __all__ = ["Ellipticity", "least_eigenvalues", "scan_ellipticity"]
 
-
 #: Eigenvalue, relative to the stiffness at rest, that counts as zero.
 ZERO_EIGENVALUE = 1e-10
 
@@ -38,19 +36,14 @@ N_DIRECTIONS, AROUND, DISTANCES = 400, 12, 0.1 * 0.6 ** np.arange(28)
 
 @dataclass(frozen=True, slots=True)
 class Ellipticity:
-    """The acoustic tensor along a path.
+    """The acoustic tensor along a path."""
 
-    Attributes:
-        path: The path.
-        least: Least eigenvalue over all directions [kPa], (n,); NaN where no equilibrium was found.
-        rest: The value nearest to the reference state.
-        lost: Values at which strong ellipticity is first lost above and below the state at rest;
-            empty if it is not.
-    """
-
-    path: MaterialTest
+    path: MaterialTest  #: The path
+    #: Least eigenvalue over all directions [kPa], (n,); NaN where no equilibrium was found
     least: Array
-    rest: float
+    rest: float  #: The value nearest to the reference state
+    #: Values at which strong ellipticity is first lost above and below the state at rest; empty if
+    #: it is not
     lost: tuple[float, ...]
 
 
@@ -61,8 +54,7 @@ def scan_ellipticity(
 
     Args:
         material: The compiled energy.
-        make_path: Path as a function of its values, such as
-            :func:`~dolfinx_feti.workshop.paths.uniaxial`.
+        make_path: Path as a function of its values, such as ``uniaxial``.
         values: Stretches or amounts of shear in ascending order, on both sides of rest, (n,).
 
     Raises:

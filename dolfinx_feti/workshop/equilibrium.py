@@ -3,18 +3,12 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Equilibrium of a homogeneous deformation: its free entries, and the pressure.
 
-With free directions D_k in the space of F, and the pressure p of a perturbed Lagrangian,
-positive in tension, as in Ψ + p (J − 1) − p²/(2κ):
+With free directions D_k in the space of F, and the pressure p of Ψ + p (J − 1) − p²/(2κ),
 
-    D_k : (P(F) + p cof F) = 0,     det F − 1 − p/κ = 0.
+    D_k : (P(F) + p cof F) = 0,   det F − 1 − p/κ = 0,   K_kl = D_k : (A + p D cof F) : D_l,
 
-An incompressible material has 1/κ = 0; an energy that is complete in itself has no p. Newton's
-method solves this for many states at once, with the tangents
-
-    D_k : (A + p D cof F) : D_l   and   D_k : cof F,     (D cof F)_iJkL = ε_ikm ε_JLN F_mN,
-
-and halves a step until the residual decreases. A state that it does not reach from its guess is
-approached from the reference in 8, and then in 64 steps.
+and (D cof F)_iJkL = ε_ikm ε_JLN F_mN. An incompressible material has 1/κ = 0, a complete energy no
+p. Newton's method decreases the residual in each step, from the guess, or from rest in 8 or 64.
 """
 
 from __future__ import annotations
@@ -27,7 +21,6 @@ from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.workshop.compiled import Material, evaluate
 
 __all__ = ["cofactor", "equilibrate", "stiffness_scale", "total_tangent"]
-
 
 MAX_STEPS, MAX_HALVINGS = 40, 12
 LOAD_STEPS = (1, 8, 64)
@@ -49,16 +42,13 @@ COFACTOR = np.einsum("ikm,JLN->iJkLmN", PERMUTATION, PERMUTATION).reshape(81, 9)
 
 @dataclass(frozen=True, slots=True)
 class _Trial:
-    """Trial states, with residuals (n, m) and tangents (n, m, m) in x and p, without units.
-
-    The norm of a residual is infinite where something is no number, or the body flat, (n,).
-    """
+    """Trial states."""
 
     F: Array
     p: Array
-    r: Array
-    K: Array
-    norm: Array
+    r: Array  # residuals in x and p, without units, (n, m)
+    K: Array  # their tangents, (n, m, m)
+    norm: Array  # of r, infinite where something is no number, or the body flat, (n,)
 
     def below(self, tolerance: float) -> Mask:
         """Whether the residual is small compared with the tangent, (n,)."""
@@ -67,19 +57,12 @@ class _Trial:
 
 @dataclass(frozen=True, slots=True)
 class _Balance:
-    """The equations of equilibrium.
+    """The equations of equilibrium."""
 
-    Attributes:
-        energy: The energy without its volumetric part κ/2 (J − 1)².
-        flexibility: 1/κ [1/kPa]; None for an energy that is complete in itself.
-        free: Directions of the free entries, (k, 3, 3).
-        scale: Unit of stress [kPa].
-    """
-
-    energy: Material
-    flexibility: float | None
-    free: Array
-    scale: np.float64
+    energy: Material  # without its volumetric part κ/2 (J − 1)²
+    flexibility: float | None  # 1/κ [1/kPa]; None for an energy that is complete in itself
+    free: Array  # directions of the free entries, (k, 3, 3)
+    scale: np.float64  # unit of stress [kPa]
 
     def at(self, F: Array, p: Array) -> _Trial:
         """Return residuals and tangents; p where it is NaN gets the value that suits F best."""
@@ -107,11 +90,10 @@ class _Balance:
 
 
 def equilibrate(material: Material, F: Array, free: Array) -> tuple[Array, Array]:
-    """Find the free entries of F, (n, 3, 3), which holds guesses, and the pressures [kPa], (n,).
+    """Find the free entries, along (k, 3, 3), of F, (n, 3, 3), and the pressures [kPa], (n,).
 
-    The entries are along directions (k, 3, 3). Pressures are κ (J − 1) if κ is finite, and zero of
-    a complete energy. States that were not found hold NaN. Without free entries the pressure of an
-    incompressible material is arbitrary: a ValueError.
+    F holds guesses. Pressures are κ (J − 1) if κ is finite. States that were not found hold NaN.
+    Without free entries the pressure of an incompressible material is arbitrary: a ValueError.
     """
     if material.incompressible and not len(free):
         raise ValueError(
@@ -163,10 +145,7 @@ def _approach(balance: _Balance, F: Array, steps: int) -> tuple[Array, Array]:
 
 
 def _newton(balance: _Balance, F: Array, p: Array, alive: Mask) -> tuple[_Trial, Mask]:
-    """Newton's method for the states that are alive, and which of them have converged.
-
-    Steps are so short that residuals decrease; a state that has converged takes its last, full one.
-    """
+    """Newton's method for the states that are alive, and which of them have converged."""
     state, k = balance.at(F, p), len(balance.free)
     done: Mask = np.zeros(len(F), dtype=bool)
     going = alive

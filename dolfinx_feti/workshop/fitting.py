@@ -3,10 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Parameters of an energy from material tests, by least squares (docs/fitting.md).
 
-The parameters θ minimise Σ w² (s(θ) − ŝ)² over all measured stresses ŝ, with the stresses s(θ) of
-equilibria. With the Jacobian R of the n weighted residuals and their sum of squares q at the
-minimum, the covariance is s² (Rᵀ R)⁻¹, s² = q/(n − m), and confidence intervals are those of
-Student's t with n − m degrees of freedom (Seber, Wild, Nonlinear Regression, 1989, ch. 5).
+The parameters θ minimise Σ w² (s(θ) − ŝ)² over measured stresses ŝ. With the Jacobian R of the n
+residuals and their squares q the covariance is s² (Rᵀ R)⁻¹, s² = q/(n − m), and intervals are those
+of Student's t with n − m degrees of freedom (Seber, Wild, Nonlinear Regression, 1989, ch. 5).
 """
 
 from __future__ import annotations
@@ -31,7 +30,6 @@ from dolfinx_feti.workshop.response import DataSet, Response, respond, stresses
 
 __all__ = ["Fit", "fit", "uncertainty"]
 
-
 #: Distance from a bound, relative to the parameter, at which it is on the bound.
 TOUCH = 1e-6
 
@@ -41,23 +39,16 @@ BLIND = 1e-7
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A fit; ``str`` prints its tables.
+    """A fit; ``str`` prints its tables."""
 
-    Attributes:
-        material: The material with the fitted parameters.
-        intervals: Confidence interval of each parameter; NaN if it is on a bound, which leaves no
-            interval, and infinite if the data do not determine it.
-        covariance: Covariance of the parameters, (m, m); NaN for one on a bound.
-        confidence: Level of the intervals.
-        data: The data sets.
-        responses: The fitted stresses at the measured states, a response per data set.
-    """
-
-    material: Material
+    material: Material  #: The material with the fitted parameters
+    #: Confidence interval of each parameter; NaN if it is on a bound, which leaves no interval, and
+    #: infinite if the data do not determine it
     intervals: dict[str, tuple[float, float]]
-    covariance: Array
-    confidence: float
-    data: tuple[DataSet, ...]
+    covariance: Array  #: Covariance of the parameters, (m, m); NaN for one on a bound
+    confidence: float  #: Level of the intervals
+    data: tuple[DataSet, ...]  #: The data sets
+    #: The fitted stresses at the measured states, a response per data set
     responses: tuple[Response, ...]
 
     @property
@@ -106,12 +97,11 @@ def fit(
     """Fit parameters of an energy to data, all sets at once.
 
     Args:
-        psi: Energy, as in :func:`~dolfinx_feti.workshop.compiled.compile_material`, that takes the
-            parameters by their names.
+        psi: Energy, as in ``compile_material``, that takes the parameters by their names.
         data: Data sets.
         start: Names of the parameters, and values to begin with.
         bounds: Least and largest value of some or all parameters.
-        kappa: Penalty of the change of volume [kPa], infinite for an incompressible material.
+        kappa: As in ``compile_material``, and ``jit_options``, too.
         confidence: Level of the confidence intervals.
         jit_options: Options of dolfinx's compiler; by default ``-O1``.
 
@@ -155,8 +145,7 @@ def fit(
 def uncertainty(R: Array, squares: float, free: Mask, confidence: float) -> tuple[Array, Array]:
     """Return s² (Rᵀ R)⁻¹, (m, m), and half the widths of the confidence intervals, (m,).
 
-    R is the Jacobian of n > m residuals, ``squares`` their sum of squares; not ``free`` parameters
-    are on a bound, with NaN. What the residuals do not determine is infinite.
+    Parameters that are not ``free`` have NaN; what the residuals do not determine is infinite.
     """
     freedom = len(R) - int(free.sum())
     lengths = np.linalg.norm(R[:, free], axis=0)

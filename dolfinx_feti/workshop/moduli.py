@@ -3,11 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Moduli at small strains, from the tangent at the reference F = I.
 
-With P = ∂Ψ/∂F and A = ∂²Ψ/∂F∂F at F = I, both with the pressure p = −tr(∂Ψ/∂F)/3 if the material
-is incompressible, the stiffness is D_ijkl = A_ijkl − δ_ik P_jl. An incompressible material has
-strains without trace, and only the part of D that acts on those counts. K = D_iijj/9 and
-μ = (D_ijij − D_iijj/3)/10 are the moduli of the isotropic tensor nearest to D (Voigt's averages);
-of S = D⁻¹, 1/S_iiii are Young's moduli and −S_iijj/S_iiii Poisson's ratios.
+With P and A at F = I, with the pressure p = −tr(∂Ψ/∂F)/3 if incompressible, D_ijkl = A_ijkl −
+δ_ik P_jl, on strains without trace if incompressible. K = D_iijj/9 and μ = (D_ijij − D_iijj/3)/10
+are Voigt's averages; of S = D⁻¹, 1/S_iiii are Young's moduli, −S_iijj/S_iiii Poisson's ratios.
 """
 
 from __future__ import annotations
@@ -23,7 +21,6 @@ from dolfinx_feti.workshop.equilibrium import total_tangent
 
 __all__ = ["ZERO_STIFFNESS", "Moduli", "small_strain_moduli"]
 
-
 #: Relative eigenvalue of the stiffness that counts as zero.
 ZERO_STIFFNESS = 1e-8
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
@@ -31,24 +28,17 @@ VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 @dataclass(frozen=True, slots=True)
 class Moduli:
-    """Moduli at small strains; ``str`` prints them.
+    """Moduli at small strains; ``str`` prints them."""
 
-    Attributes:
-        stiffness: D in Voigt's order 11, 22, 33, 23, 13, 12 [kPa], (6, 6); of an incompressible
-            material the part on strains without trace.
-        least: Least eigenvalue of D, which is 2 μ (or 3 K) of an isotropic material [kPa].
-        bulk: K [kPa], infinite for an incompressible material.
-        shear: μ [kPa].
-        young: Young's moduli along x, y and z [kPa], (3,); NaN if D is not positive definite.
-        poisson: Poisson's ratios ν_ij, contraction along j in tension along i, (3, 3), likewise;
-            the diagonal has no meaning.
-    """
-
+    #: D in Voigt's order 11, 22, 33, 23, 13, 12 [kPa], (6, 6); of an incompressible material the
+    #: part on strains without trace
     stiffness: Array
-    least: float
-    bulk: float
-    shear: float
-    young: Array
+    least: float  #: Least eigenvalue of D, which is 2 μ (or 3 K) of an isotropic material [kPa]
+    bulk: float  #: K [kPa], infinite for an incompressible material
+    shear: float  #: μ [kPa]
+    young: Array  #: Young's moduli along x, y and z [kPa], (3,); NaN if D is not positive definite
+    #: Poisson's ratios ν_ij, contraction along j in tension along i, (3, 3), likewise; the diagonal
+    #: has no meaning
     poisson: Array
 
     def __str__(self) -> str:
@@ -65,11 +55,7 @@ class Moduli:
 
 
 def small_strain_moduli(material: Material) -> Moduli:
-    """Compute the moduli of a material at the reference.
-
-    Raises:
-        ValueError: The energy has no finite derivatives there.
-    """
+    """Compute the moduli at the reference; a ValueError if there are no finite derivatives."""
     B = _strains(material.incompressible)
     M = np.einsum("aij,ijkl,bkl->ab", B, _stiffness(material), B)
     least, D = float(np.linalg.eigvalsh(M)[0]), _tensor(B, M)

@@ -17,10 +17,8 @@ inflation–extension λ   λ_z  0    likewise
 simple shear        1   1    γ    likewise
 =================== === ==== ==== ===========================
 
-F₂₁ = F₃₁ = F₃₂ = 0 fixes the rotation. So nothing but σ₁₁ acts in uniaxial tension, whatever the
-directions of the fibres, and the specimen shears if they are oblique. In the other paths the face
-normal to e₃ is free of traction, and the clamps hold the in-plane shear. Inflation–extension is
-that of a thin tube: e₁ is the circumferential and e₂ the axial direction.
+F₂₁ = F₃₁ = F₃₂ = 0 fixes the rotation. In uniaxial tension σ₁₁ alone acts, and the specimen shears
+if fibres are oblique. In the others the face normal to e₃ is free, and clamps hold the shear.
 """
 
 from __future__ import annotations
@@ -45,31 +43,21 @@ __all__ = [
     "uniaxial",
 ]
 
-
 E1, E2 = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 OUT_OF_PLANE = ((2, 2), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True, slots=True)
 class MaterialTest:
-    """A path of homogeneous deformations.
+    """A path of homogeneous deformations."""
 
-    Attributes:
-        name: Name of the test.
-        symbol: Letter of its values, λ or γ.
-        values: Stretch λ or amount of shear γ, (n,).
-        F: Deformation gradients, (n, 3, 3); the free entries are guesses with det F = 1.
-        free: Directions of the free entries in the space of F, (k, 3, 3), orthonormal.
-        frame: Loading directions e₁, e₂ and e₃ as columns, (3, 3), a rotation.
-        measured: Indices of the stresses that a test measures, in the loading frame.
-    """
-
-    name: str
-    symbol: str
-    values: Array
-    F: Array
-    free: Array
-    frame: Array
+    name: str  #: Name of the test
+    symbol: str  #: Letter of its values, λ or γ
+    values: Array  #: Stretch λ or amount of shear γ, (n,)
+    F: Array  #: Deformation gradients, (n, 3, 3); the free entries are guesses with det F = 1
+    free: Array  #: Directions of the free entries in the space of F, (k, 3, 3), orthonormal
+    frame: Array  #: Loading directions e₁, e₂ and e₃ as columns, (3, 3), a rotation
+    #: Indices of the stresses that a test measures, in the loading frame
     measured: tuple[tuple[int, int], ...]
 
 
@@ -137,10 +125,7 @@ def inflation(
     along: Sequence[float] = E1,
     across: Sequence[float] = E2,
 ) -> MaterialTest:
-    """Inflation of a thin tube at a fixed axial stretch, see :func:`biaxial`.
-
-    e₁ is the circumferential and e₂ the axial direction, λ_z the stretch ``axial`` along it.
-    """
+    """Inflation of a thin tube, circumference e₁, at a fixed axial stretch λ_z along e₂."""
     require_positive(axial=axial)
     return biaxial(stretch, axial, along=along, across=across, name="inflation–extension")
 
@@ -181,8 +166,7 @@ def _path(
         raise ValueError(f"along = {e1} and across = {e2} are not normal to each other.")
     R = np.column_stack((e1, e2, np.cross(e1, e2)))
     units = np.zeros((len(free), 3, 3))
-    for unit, entry in zip(units, free, strict=True):
-        unit[entry] = 1.0
+    units[np.arange(len(free)), *np.transpose(free)] = 1.0
     return MaterialTest(name, symbol, values, R @ F @ R.T, R @ units @ R.T, R, measured)
 
 

@@ -43,31 +43,21 @@ SEED = 1729
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """The outcome of a check.
+    """The outcome of a check."""
 
-    Attributes:
-        name: The property.
-        outcome: ``pass``, ``warn`` (a property that good models may lack) or ``fail``.
-        value: What was found: a relative deviation, a number of states, or a modulus [kPa]; None if
-            nothing could be computed.
-        bound: What a deviation must not exceed; None for a modulus, which has to be positive.
-        note: The state, the meaning, or the remedy.
-    """
-
-    name: str
-    outcome: str
+    name: str  #: The property
+    outcome: str  #: ``pass``, ``warn`` (a property that good models may lack) or ``fail``
+    #: What was found: a relative deviation, a number of states, or a modulus [kPa]; None if nothing
+    #: could be computed
     value: float | None
+    #: What a deviation must not exceed; None for a modulus, which has to be positive
     bound: float | None
-    note: str = ""
+    note: str = ""  #: The state, the meaning, or the remedy
 
 
-def check_law(law: Law, *, strain: float, incompressible: bool, seed: int) -> list[Check]:
-    """Check everything that does not need equilibrium, of a law as a function of F.
-
-    ``strain`` is the size of the :func:`random_states`. If incompressible, these have J = 1, and
-    the stress at rest is free up to a pressure.
-    """
-    rng = np.random.default_rng(seed)
+def check_law(law: Law, *, strain: float, incompressible: bool) -> list[Check]:
+    """Check everything that does not need equilibrium, of a law as a function of F."""
+    rng = np.random.default_rng(SEED)
     every = law(random_states(rng, N_STATES, strain, incompressible=incompressible))
     finite = _check_finite(every)
     if not every.finite.any():
@@ -128,8 +118,7 @@ def judge(
 ) -> Check:
     """Compare the largest of several deviations, (n,), with a bound; one that is no number fails.
 
-    F holds the states to show the worst one; ``note``, or ``warn`` for a property that good models
-    may lack, is added if a deviation is larger.
+    ``note`` explains a failure, ``warn`` makes it a warning; F holds the states, to show the worst.
     """
     worst = int(np.where(np.isnan(deviations), np.inf, deviations).argmax())
     value = float(deviations[worst])
@@ -191,19 +180,13 @@ def _scale(A: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What the checks found; ``str`` prints it.
+    """What the checks found; ``str`` prints it."""
 
-    Attributes:
-        material: The material.
-        checks: All checks.
-        moduli: Moduli at small strains; None if the energy has no finite tangent at rest.
-        ellipticity: The acoustic tensor along each path.
-    """
-
-    material: Material
-    checks: tuple[Check, ...]
+    material: Material  #: The material
+    checks: tuple[Check, ...]  #: All checks
+    #: Moduli at small strains; None if the energy has no finite tangent at rest
     moduli: Moduli | None
-    ellipticity: tuple[Ellipticity, ...]
+    ellipticity: tuple[Ellipticity, ...]  #: The acoustic tensor along each path
 
     @property
     def ok(self) -> bool:
@@ -249,7 +232,7 @@ def check(
     require_positive(strain=strain)
     tests = [(make, ranges[symbol]) for symbol in ranges for make in STANDARD_PATHS[symbol]]
     law = partial(evaluate, replace(material, kappa=0.0))  # a large κ would hide deviations
-    checks = check_law(law, strain=strain, incompressible=material.incompressible, seed=SEED)
+    checks = check_law(law, strain=strain, incompressible=material.incompressible)
     checks.append(_check_finite_along(law, [make(values) for make, values in tests]))
     if not law(np.eye(3)).finite.all():
         return Report(material, tuple(checks), None, ())

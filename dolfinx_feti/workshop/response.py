@@ -11,12 +11,8 @@ area).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -26,6 +22,9 @@ from dolfinx_feti.runtime.tables import state, table
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.equilibrium import cofactor, equilibrate
 from dolfinx_feti.workshop.paths import MaterialTest
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["DataSet", "Measure", "Response", "plot_responses", "respond", "stresses"]
 
@@ -37,20 +36,13 @@ class Response:
     """Stresses along a path; ``str`` prints a table.
 
     All tensors are in the loading frame. States for which no equilibrium was found hold NaN.
-
-    Attributes:
-        path: The path.
-        F: Deformation gradients, (n, 3, 3).
-        p: Pressures, positive in tension [kPa], (n,); zero for a complete energy.
-        psi: Energies per unit reference volume, with κ/2 (J − 1)² [kPa], (n,).
-        P: First Piola stresses [kPa], (n, 3, 3).
     """
 
-    path: MaterialTest
-    F: Array
-    p: Array
-    psi: Array
-    P: Array
+    path: MaterialTest  #: The path
+    F: Array  #: Deformation gradients, (n, 3, 3)
+    p: Array  #: Pressures, positive in tension [kPa], (n,); zero for a complete energy
+    psi: Array  #: Energies per unit reference volume, with κ/2 (J − 1)² [kPa], (n,)
+    P: Array  #: First Piola stresses [kPa], (n, 3, 3)
 
     @property
     def converged(self) -> Mask:
@@ -85,11 +77,7 @@ class Response:
 
 
 def respond(material: Material, path: MaterialTest) -> Response:
-    """Compute the stresses of a material along a path of homogeneous deformations.
-
-    Raises:
-        ValueError: The material is incompressible, and the path has no free entries.
-    """
+    """Compute the stresses along a path, which has free entries if a material is incompressible."""
     F, p = equilibrate(material, path.F, path.free)
     R, states = path.frame, evaluate(material, F)
     pressure = p[:, None, None] if material.incompressible else 0.0
@@ -101,23 +89,18 @@ def respond(material: Material, path: MaterialTest) -> Response:
 class DataSet:
     """Stresses measured along a path.
 
-    Attributes:
-        path: The path, with one state per measurement.
-        stress: Measured stresses [kPa], (n,) for one component, or (n, k): σ₁₁ of a uniaxial path,
-            σ₁₁ and σ₂₂ of a biaxial one, σ₁₂ of simple shear; (n, k) afterwards.
-        measure: ``cauchy`` (force per deformed area) or ``piola`` (per reference area).
-        weight: Weight w of the residuals, the reciprocal of the noise up to a common factor.
-        name: Name in tables and pictures, by default that of the path.
-
     Raises:
         ValueError: A value has no meaning, or the stresses do not match the path.
     """
 
-    path: MaterialTest
+    path: MaterialTest  #: The path, with one state per measurement
+    #: Measured stresses [kPa], (n,) for one component, or (n, k): σ₁₁ of a uniaxial path, σ₁₁ and
+    #: σ₂₂ of a biaxial one, σ₁₂ of simple shear; (n, k) afterwards
     stress: Array
-    measure: Measure
+    measure: Measure  #: ``cauchy`` (force per deformed area) or ``piola`` (per reference area)
+    #: Weight w of the residuals, the reciprocal of the noise up to a common factor
     weight: float = 1.0
-    name: str = ""
+    name: str = ""  #: Name in tables and pictures, by default that of the path
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -158,16 +141,10 @@ def plot_responses(
     """Draw stresses over stretches or shears: of responses as lines, of data sets as points.
 
     Args:
-        responses: What :func:`~dolfinx_feti.workshop.response.respond` returned.
-        data: What was measured, as ``found.data`` of a fit, with its ``found.responses``.
+        responses: Responses, one at least, as ``found.responses`` of a fit.
+        data: What was measured, as ``found.data``.
         names: Names of the responses in the legend, by default those of the paths.
         measure: ``cauchy`` or ``piola``, of the responses; data sets have their own.
-
-    Returns:
-        A figure of matplotlib, to be saved by its ``savefig``.
-
-    Raises:
-        ValueError: There is no response, the names are more or fewer, or the measure is unknown.
     """
     if not responses:
         raise ValueError("responses is empty: give at least one response.")

@@ -10,21 +10,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from workshop_materials import (
-    FIBRE,
-    C,
-    goh,
-    hgo,
-    material,
-    mooney_rivlin,
-    neo_hookean,
-    no_lambda,
-    not_a_number,
-    reinforced,
-    rotation,
-    saint_venant,
-    wrong_sign,
-)
+import workshop_materials as energies
+from workshop_materials import FIBRE, C, material, rotation
 
 from dolfinx_feti.workshop import (
     equibiaxial,
@@ -64,7 +51,7 @@ def brute_force(F, A, incompressible, n=200_000, seed=4099):
 @pytest.mark.parametrize("make", [uniaxial, equibiaxial, pure_shear, inflation])
 def test_neo_hookean_is_elliptic_everywhere(make):
     """There m · Q(n) m = c |Fᵀ n|² for m ⟂ n, at least c times the smallest squared stretch."""
-    scan = scan_ellipticity(material(neo_hookean), make, np.linspace(0.5, 2.0, 7))
+    scan = scan_ellipticity(material(energies.neo_hookean), make, np.linspace(0.5, 2.0, 7))
     stretches = np.linalg.svd(scan.path.F, compute_uv=False)
     np.testing.assert_allclose(scan.least, C * stretches[:, -1] ** 2, rtol=1e-7)
     assert scan.lost == ()
@@ -76,27 +63,27 @@ def test_fibres_kink_in_compression(make):
 
     So ellipticity is lost where the fibre is as short as λ² = 1 − c/(2 k), whatever the rest.
     """
-    scan = scan_ellipticity(material(reinforced), make, np.linspace(0.6, 1.4, 9))
+    scan = scan_ellipticity(material(energies.reinforced), make, np.linspace(0.6, 1.4, 9))
     assert scan.lost == pytest.approx((KINK,), abs=1e-7)
     shortest = scan.path.values[0]
     assert scan.least[0] == pytest.approx(shortest**2 * (C + 2 * FIBRE * (shortest**2 - 1)))
-    at = evaluate(material(reinforced), scan.path.F[:1])  # the free entries are not its
+    at = evaluate(material(energies.reinforced), scan.path.F[:1])  # the free entries are not its
     _, normal = least_eigenvalues(at.F, at.A, incompressible=True)
     np.testing.assert_allclose(np.abs(normal[0]), [1, 0, 0], atol=1e-5)
 
 
 def test_fibres_that_do_not_push_do_not_kink():
-    scan = scan_ellipticity(material(hgo), uniaxial, np.linspace(0.6, 1.4, 9))
+    scan = scan_ellipticity(material(energies.hgo), uniaxial, np.linspace(0.6, 1.4, 9))
     assert scan.lost == () and (scan.least > 0).all()
 
 
 def test_both_sides_are_searched():
     """The reinforcing fibres shorten in simple shear of either sign across them."""
     turned = partial(simple_shear, along=(0, 1, 1), across=(0, -1, 1))
-    scan = scan_ellipticity(material(reinforced), turned, np.linspace(-0.5, 0.5, 5))
+    scan = scan_ellipticity(material(energies.reinforced), turned, np.linspace(-0.5, 0.5, 5))
     assert scan.lost == () and scan.rest == 0
     upward = scan_ellipticity(
-        material(reinforced),
+        material(energies.reinforced),
         partial(equibiaxial, along=(0, 1, 0), across=(0, 0, 1)),
         [1.0, 1.1, 1.3],
     )
@@ -120,22 +107,14 @@ def test_uniaxial_strain_of_saint_venant_kirchhoff():
     y = 6 - 4 * np.sqrt(2)
     discriminant = (2 * (3 * y - 1) + y**2 - y) ** 2 - 8 * y**2 * (3 * y - 1)
     assert discriminant == pytest.approx(0, abs=1e-14)
-    scan = scan_ellipticity(material(no_lambda, kappa=0.0), bar, np.linspace(0.5, 1.2, 8))
+    scan = scan_ellipticity(material(energies.no_lambda, kappa=0.0), bar, np.linspace(0.5, 1.2, 8))
     assert scan.lost == pytest.approx((2 - np.sqrt(2),), abs=1e-7)
 
 
-@pytest.mark.parametrize("stretch", [0.6, 0.75])
-def test_compressed_saint_venant_kirchhoff(stretch):
-    """The least eigenvalue is negative, with n and m neither along nor across the axis."""
-    user = material(saint_venant, kappa=0.0)
-    at = evaluate(user, bar([stretch]).F)
-    (least,), _ = least_eigenvalues(at.F, at.A, incompressible=False)
-    found = brute_force(at.F[0], at.A[0], False)
-    assert least < 0 and least <= found and found - least < 0.05
-
-
 @pytest.mark.parametrize("kappa", [np.inf, 30.0])
-@pytest.mark.parametrize("psi", [mooney_rivlin, hgo, goh, reinforced])
+@pytest.mark.parametrize(
+    "psi", [energies.mooney_rivlin, energies.hgo, energies.goh, energies.reinforced]
+)
 def test_least_eigenvalue_is_the_least_of_all(psi, kappa):
     user = material(psi, kappa=kappa)
     F = rotation(23) @ np.diag([0.75, 1.4, 1 / (0.75 * 1.4)]) @ rotation(29)
@@ -154,22 +133,22 @@ def test_least_eigenvalue_is_the_least_of_all(psi, kappa):
 def test_pressure_does_not_count_if_incompressible():
     """A finite κ adds κ J (m · n)², nothing for m ⟂ n."""
     F = np.diag([0.8, 1.25, 1.0])
-    bare, stiff = (evaluate(material(hgo, kappa=kappa), F) for kappa in (0.0, 500.0))
+    bare, stiff = (evaluate(material(energies.hgo, kappa=kappa), F) for kappa in (0.0, 500.0))
     values = [least_eigenvalues(s.F, s.A, incompressible=True)[0] for s in (bare, stiff)]
     assert values[0] == pytest.approx(values[1], rel=1e-8)
 
 
 def test_loss_at_rest():
-    scan = scan_ellipticity(material(wrong_sign), uniaxial, [0.9, 1.0, 1.1])
+    scan = scan_ellipticity(material(energies.wrong_sign), uniaxial, [0.9, 1.0, 1.1])
     assert scan.lost == (1.0,) and scan.rest == 1.0
 
 
 def test_states_without_equilibrium():
-    scan = scan_ellipticity(material(not_a_number), pure_shear, [0.9, 1.0, 1.1, 1.2, 1.3])
+    scan = scan_ellipticity(material(energies.not_a_number), pure_shear, [0.9, 1.0, 1.1, 1.2, 1.3])
     np.testing.assert_array_equal(np.isnan(scan.least), [False, False, False, True, True])
 
 
 @pytest.mark.parametrize("values", [[1.1, 1.0], [1.0, 1.0]])
 def test_values_in_another_order(values):
     with pytest.raises(ValueError, match="ascending order"):
-        scan_ellipticity(material(neo_hookean), uniaxial, values)
+        scan_ellipticity(material(energies.neo_hookean), uniaxial, values)

@@ -10,28 +10,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from workshop_materials import (
-    C,
-    contracting,
-    flat,
-    fung,
-    goh,
-    guccione,
-    hgo,
-    holzapfel_ogden,
-    linear,
-    material,
-    mooney_rivlin,
-    neo_hookean,
-    not_a_number,
-    oblique,
-    reinforced,
-    root,
-    saint_venant,
-    stressed,
-    wavy,
-    wrong_sign,
-)
+import workshop_materials as energies
+from workshop_materials import C, material
 
 from dolfinx_feti.workshop import check, evaluate
 from dolfinx_feti.workshop.report import check_law, judge, random_states
@@ -47,20 +27,29 @@ def outcomes(checks, *kinds):
 
 @pytest.mark.parametrize("kappa", [np.inf, 1000.0])
 @pytest.mark.parametrize(
-    "psi", [neo_hookean, mooney_rivlin, hgo, goh, oblique, fung, holzapfel_ogden]
+    "psi",
+    [
+        energies.neo_hookean,
+        energies.mooney_rivlin,
+        energies.hgo,
+        energies.goh,
+        energies.oblique,
+        energies.fung,
+        energies.holzapfel_ogden,
+    ],
 )
 def test_good_materials_pass(psi, kappa):
     """Only the kink of fibres that do not push is worth a warning."""
     report = check(material(psi, kappa=kappa), n=9)
     assert report.ok
-    fibres = psi in (hgo, goh, oblique, holzapfel_ogden)
+    fibres = psi in (energies.hgo, energies.goh, energies.oblique, energies.holzapfel_ogden)
     assert outcomes(report.checks, "warn", "fail") == ({KINK} if fibres else set())
     assert report.moduli is not None and len(report.ellipticity) == 5
 
 
 def test_guccione_is_not_elliptic_where_its_fibres_shorten():
     """They resist compression by exp(b_f E_ff²), and kink."""
-    report = check(material(guccione), n=9)
+    report = check(material(energies.guccione), n=9)
     assert report.ok
     warnings = {c.name: c.note for c in report.checks if c.outcome == "warn"}
     lost = {"equibiaxial": "lost at λ = 0.8165", "simple shear": "lost at γ = -0.7174"}
@@ -70,14 +59,14 @@ def test_guccione_is_not_elliptic_where_its_fibres_shorten():
 
 def test_large_kappa_hides_nothing():
     """Ψ itself is checked, without κ/2 (J − 1)², which would set the scale of all deviations."""
-    soft, stiff = (check(material(hgo, kappa=kappa), n=5).checks for kappa in (10.0, 1e5))
+    soft, stiff = (check(material(energies.hgo, kappa=kappa), n=5).checks for kappa in (10.0, 1e5))
     assert [c.value for c in soft[:11]] == [c.value for c in stiff[:11]]
     assert "elliptic" in soft[-1].name and soft[-1].value != stiff[-1].value
 
 
 def test_complete_energy():
     """St Venant-Kirchhoff is sound but for what it is known for: strong compression and tension."""
-    report = check(material(saint_venant, kappa=0.0), n=9)
+    report = check(material(energies.saint_venant, kappa=0.0), n=9)
     assert report.ok
     lost = {"equibiaxial", "pure shear"}
     assert outcomes(report.checks, "warn") == {f"strongly elliptic, {name}" for name in lost}
@@ -85,17 +74,17 @@ def test_complete_energy():
 
 BROKEN = {
     "not frame-indifferent": (
-        linear,
+        energies.linear,
         {
             "frame indifference of the energy",
             "frame indifference of the stress",
             "symmetry of the stress",
         },
     ),
-    "stress at rest": (stressed, {"stress-free reference"}),
-    "muscle that contracts": (contracting, {"stress-free reference"}),
+    "stress at rest": (energies.stressed, {"stress-free reference"}),
+    "muscle that contracts": (energies.contracting, {"stress-free reference"}),
     "waves that differences miss": (
-        wavy,
+        energies.wavy,
         {"stress against differences", "tangent against differences"},
     ),
 }
@@ -110,14 +99,14 @@ def test_broken_energy_fails_its_check(psi, failures):
 
 
 def test_wrong_sign_fails():
-    report = check(material(wrong_sign), n=5)
+    report = check(material(energies.wrong_sign), n=5)
     found = outcomes(report.checks, "fail")
     assert "stiffness at rest positive" in found and "strongly elliptic, uniaxial" in found
     assert "least energy at the reference" in outcomes(report.checks, "warn")
 
 
 def test_loss_of_ellipticity_is_a_warning_with_the_stretch():
-    report = check(material(reinforced), n=9)
+    report = check(material(energies.reinforced), n=9)
     assert report.ok
     warnings = {c.name: c.note for c in report.checks if c.outcome == "warn"}
     assert "lost at λ = 0.7906" in warnings["strongly elliptic, uniaxial"]
@@ -125,14 +114,14 @@ def test_loss_of_ellipticity_is_a_warning_with_the_stretch():
 
 
 def test_nothing_resists_a_change_of_volume():
-    report = check(material(neo_hookean, kappa=0.0), n=5)
+    report = check(material(energies.neo_hookean, kappa=0.0), n=5)
     (found,) = (c for c in report.checks if c.name == "stiffness at rest positive")
     assert found.outcome == "warn" and "kappa" in found.note
 
 
 def test_no_stiffness_at_rest():
     """Ψ = (Ī₁ − 3)²: everything at rest is zero, and nothing is divided by it."""
-    report = check(material(flat), n=5)
+    report = check(material(energies.flat), n=5)
     assert "stiffness at rest positive" in outcomes(report.checks, "warn")
     failed = outcomes(report.checks, "fail")
     assert failed == {name for name in failed if "elliptic" in name} != set()
@@ -141,7 +130,7 @@ def test_no_stiffness_at_rest():
 
 def test_nan_is_reported_with_its_state():
     """The energy is NaN where C₁₁ > 1.3: in tension from λ = √1.3 = 1.14 on, not in shear."""
-    report = check(material(not_a_number), n=11)
+    report = check(material(energies.not_a_number), n=11)
     checks = {c.name: c for c in report.checks}
     finite, along = checks["finite values"], checks["finite values along the paths"]
     assert finite.outcome == "fail"
@@ -157,7 +146,7 @@ def test_nan_is_reported_with_its_state():
 
 
 def test_nan_at_rest():
-    report = check(material(root), n=5)
+    report = check(material(energies.root), n=5)
     assert report.moduli is None and report.ellipticity == ()
     failed = {c.name: c.note for c in report.checks if c.outcome == "fail"}
     assert failed["stress-free reference"] == "no number"
@@ -172,7 +161,7 @@ def tampered(change):
     """States of a good material with a change of P or A."""
 
     def law(F):
-        at = evaluate(material(neo_hookean), F)
+        at = evaluate(material(energies.neo_hookean), F)
         return replace(at, **change(at))
 
     return law
@@ -204,18 +193,19 @@ def wrong_tangent(at):
     ],
 )
 def test_tampered_law(change, failures):
-    found = check_law(tampered(change), strain=0.3, incompressible=True, seed=61)
+    found = check_law(tampered(change), strain=0.3, incompressible=True)
     assert outcomes(found, "fail") == failures
 
 
 @pytest.mark.parametrize("kappa", [0.0, 1e5])
 @pytest.mark.parametrize(
-    ("psi", "jump"), [(neo_hookean, False), (saint_venant, False), (hgo, True)]
+    ("psi", "jump"),
+    [(energies.neo_hookean, False), (energies.saint_venant, False), (energies.hgo, True)],
 )
 def test_jump_of_the_tangent(psi, jump, kappa):
     """In compression all fibres drop out: 8 k₁ M₁₁² of A₁₁₁₁, more than the shear modulus c."""
     law = partial(evaluate, material(psi, kappa=kappa))
-    found = check_law(law, strain=0.3, incompressible=True, seed=61)
+    found = check_law(law, strain=0.3, incompressible=True)
     (kink,) = (c for c in found if c.name == KINK)
     assert kink.value is not None
     assert kink.value > 0.5 if jump else kink.value < 2e-4
@@ -241,19 +231,19 @@ def test_random_states(incompressible):
 
 
 def test_text():
-    report = check(material(neo_hookean, kappa=1000.0, c=C), n=5)
+    report = check(material(energies.neo_hookean, kappa=1000.0, c=C), n=5)
     lines = str(report).splitlines()
     assert lines[0] == "material: kappa = 1000 kPa, c = 3"
     assert sum(line.startswith("pass") for line in lines) == len(report.checks)
     assert "Young's moduli 8.991, 8.991, 8.991 kPa along x, y, z" in lines
     assert "Poisson's ratios 0.4985, 0.4985, 0.4985 of xy, xz, yz" in lines
-    assert "incompressible" in str(check(material(neo_hookean), n=5)).splitlines()[0]
-    assert "psi as it is" in str(check(material(saint_venant, kappa=0.0), n=5))
+    assert "incompressible" in str(check(material(energies.neo_hookean), n=5)).splitlines()[0]
+    assert "psi as it is" in str(check(material(energies.saint_venant, kappa=0.0), n=5))
 
 
 def test_a_check_compiles_nothing(monkeypatch):
     """All states of two families of fibres go through the one energy that is compiled."""
-    user = material(hgo)
+    user = material(energies.hgo)
     monkeypatch.delattr("dolfinx.fem.Expression")
     assert check(user).ok
 
@@ -270,4 +260,4 @@ def test_a_check_compiles_nothing(monkeypatch):
 )
 def test_bad_input(arguments, message):
     with pytest.raises(ValueError, match=message):
-        check(material(neo_hookean), **arguments)
+        check(material(energies.neo_hookean), **arguments)
