@@ -21,8 +21,7 @@ import basix
 
 from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.wall import Wall
-from dolfinx_feti.wall.reading import distribute
-from dolfinx_feti.wall.wallfile import RawWall
+from dolfinx_feti.wall.wallfile import RawWall, distribute
 from meshes.layers import sheets
 from meshes.surface import Indices, Points
 from meshes.tube import ADVENTITIA, INNER_RADIUS, MEDIA, count_around

@@ -25,8 +25,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinx_feti.wall import Wall
-from dolfinx_feti.wall.reading import distribute
-from dolfinx_feti.wall.wallfile import RawWall
+from dolfinx_feti.wall.wallfile import RawWall, distribute
 from meshes.bricks import lattice_cells
 
 __all__ = ["LONG", "THICKNESS", "create_ellipsoid", "ellipsoid_fibre"]

@@ -126,8 +126,7 @@ def write_mesh(path: Path, mesh: WallMesh, names: Mapping[str, int] = TAGS) -> N
     from mpi4py import MPI
 
     from dolfinx_feti.wall import write_wall
-    from dolfinx_feti.wall.reading import distribute
-    from dolfinx_feti.wall.wallfile import RawWall
+    from dolfinx_feti.wall.wallfile import RawWall, distribute
 
     layers, surfaces = (
         {name: tag for name, tag in names.items() if np.any(tags == tag)}

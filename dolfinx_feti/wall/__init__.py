@@ -3,8 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Arterial walls: named layers and surfaces, conditions on these, and directions of fibres.
 
-In the order of the data: wall, checks, wallfile, xdmf, reading, conditions, casefile,
-fibres, opening.
+In the order of the data: wall, checks, xdmf, wallfile, conditions, casefile, fibres, opening.
 """
 
 from dolfinx_feti.mechanics.values import type_exports
@@ -18,7 +17,6 @@ from dolfinx_feti.wall.conditions import (
     Spring,
     apply_conditions,
 )
-from dolfinx_feti.wall.reading import read_wall
 from dolfinx_feti.wall.wall import (
     Wall,
     area,
@@ -28,6 +26,7 @@ from dolfinx_feti.wall.wall import (
     openings,
     surface_measure,
 )
+from dolfinx_feti.wall.wallfile import read_wall
 from dolfinx_feti.wall.xdmf import write_wall
 
 __all__ = [

@@ -41,23 +41,15 @@ MMHG = 1.0 / mmhg(1.0)  # in a kPa
 
 @dataclass(frozen=True, slots=True)
 class Tissue:
-    """The material of a layer.
+    """The material of a layer."""
 
-    Attributes:
-        c: Stiffness of the matrix material [kPa].
-        k1: Stiffness of the fibres [kPa]; 0 for none.
-        k2: Exponent of the fibres [-].
-        angle: Of the fibres from the circumferential direction in the wall as meshed [degrees].
-        opening_angle: By which the layer opens when it is cut [degrees].
-        axial_stretch: Its prestretch along the vessel [-].
-    """
-
-    c: float
-    k1: float = 0.0
-    k2: float = 1.0
+    c: float  #: Stiffness of the matrix material [kPa]
+    k1: float = 0.0  #: Stiffness of the fibres [kPa]; 0 for none
+    k2: float = 1.0  #: Exponent of the fibres [-]
+    #: Of the fibres from the circumferential direction in the wall as meshed [degrees]
     angle: float = 0.0
-    opening_angle: float = 0.0
-    axial_stretch: float = 1.0
+    opening_angle: float = 0.0  #: By which the layer opens when it is cut [degrees]
+    axial_stretch: float = 1.0  #: Its prestretch along the vessel [-]
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -69,16 +61,12 @@ class Tissue:
 
 @dataclass(frozen=True, slots=True)
 class Filling:
-    """What governs the volume of a cavity, whose pressure is an unknown: one of the first two.
+    """What governs the volume of a cavity, whose pressure is an unknown: one of the first two."""
 
-    Attributes:
-        volume: To be enclosed [mm³].
-        windkessel: Its resistance [kPa s/mm³], compliance [mm³/kPa], and perhaps impedance.
-        axis: That of a tube with open ends, ``"x"``, ``"y"`` or ``"z"``; None for a closed surface.
-    """
-
-    volume: float | None = None
+    volume: float | None = None  #: To be enclosed [mm³]
+    #: Its resistance [kPa s/mm³], compliance [mm³/kPa], and perhaps impedance
     windkessel: dict[str, float] = field(default_factory=dict)
+    #: That of a tube with open ends, ``"x"``, ``"y"`` or ``"z"``; None for a closed surface
     axis: str | None = None
 
     def __post_init__(self) -> None:
@@ -98,32 +86,21 @@ class Filling:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A wall under pressure, or with cavities that are filled.
+    """A wall under pressure, or with cavities that are filled."""
 
-    Attributes:
-        mesh: Name of the mesh, as in the file.
-        layers: Their materials.
-        conditions: Those on the surfaces; the largest share of the pressure is 1.
-        pressure: Where to arrive [mmHg]; 0 where all pressures are those of cavities.
-        scale: Millimetres in the mesh's unit of length.
-        image: The pressure under which the wall has the shape of the mesh [mmHg]; 0 at rest.
-        rate: By how much the pressure grows [mmHg/s]; None without dashpots.
-        axis: Axis of the prestretch; None for none.
-        stretch: The prestretch [-].
-        fibres: Arguments of :func:`~dolfinx_feti.wall.fibres.potentials`.
-        cavities: What fills them, by the name of their surface.
-    """
-
-    mesh: str
-    layers: dict[str, Tissue]
+    mesh: str  #: Name of the mesh, as in the file
+    layers: dict[str, Tissue]  #: Their materials
+    #: Those on the surfaces; the largest share of the pressure is 1
     conditions: dict[str, tuple[Condition, ...]]
-    pressure: float
-    scale: float = 1.0
+    pressure: float  #: Where to arrive [mmHg]; 0 where all pressures are those of cavities
+    scale: float = 1.0  #: Millimetres in the mesh's unit of length
+    #: The pressure under which the wall has the shape of the mesh [mmHg]; 0 at rest
     image: float = 0.0
-    rate: float | None = None
-    axis: str | None = None
-    stretch: float = 1.0
-    fibres: dict[str, Any] = field(default_factory=dict)
+    rate: float | None = None  #: By how much the pressure grows [mmHg/s]; None without dashpots
+    axis: str | None = None  #: Axis of the prestretch; None for none
+    stretch: float = 1.0  #: The prestretch [-]
+    fibres: dict[str, Any] = field(default_factory=dict)  #: Arguments of ``fibre_frame``
+    #: What fills them, by the name of their surface
     cavities: dict[str, Filling] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -177,7 +154,6 @@ class Case:
 
 
 def _require(holds: object, message: str) -> None:
-    """Raise a ValueError unless a condition holds."""
     if not holds:
         raise ValueError(message)
 
@@ -189,12 +165,11 @@ def _meant(word: str, known: Iterable[str]) -> str:
 
 
 def read_case(path: Path | str, comm: MPI.Comm) -> Case:
-    """Read a case on the first process. Collective.
+    """Read a case on the first process (docs/cases.md). Collective.
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: It is no TOML, or a key or a value in it is wrong: the message names file,
-            table, key, value and remedy.
+        ValueError: It is no TOML, or a key or a value in it is wrong.
     """
     return on_first(lambda: _read_case(Path(path)), comm)
 
@@ -322,10 +297,11 @@ def _create_case(words: dict[str, Any]) -> Case:
         if any(key in layer for key in FIBRES):
             _need(layer, f"layers.{name}", FIBRES, "fibres need k1, k2 and angle")
     pressures = {name: s["pressure"] for name, s in surfaces.items() if "pressure" in s}
+    most = max(pressures.values(), default=0.0)
     conditions: dict[str, tuple[Condition, ...]] = {}
     for name, s in surfaces.items():
         direction = s.get("direction", "normal")
-        share = [Pressure(s["pressure"] / max(pressures.values()))] if name in pressures else []
+        share = [Pressure(s["pressure"] / most)] if name in pressures else []
         spring = [Spring(s["spring"], direction)] if "spring" in s else []
         dashpot = [Dashpot(s["dashpot"], direction)] if "dashpot" in s else []
         hold = [Clamp() if s["hold"] == "clamp" else Slide()] if "hold" in s else []
@@ -335,12 +311,12 @@ def _create_case(words: dict[str, Any]) -> Case:
         message = f"[surfaces.{name}] direction: has no effect without a spring or a dashpot"
         _require(spring or dashpot or "direction" not in s, message)
     by_surface(conditions)  # nothing acts on a clamped surface
+    fillings: dict[str, Filling] = {}
     for name, given in cavities.items():
-        if "windkessel" in given:
-            place, why = f"cavity.{name}.windkessel", "give a positive number"
-            _need(given["windkessel"], place, ["resistance", "compliance"], why)
-        one = f"[cavity.{name}]: give a volume or a windkessel, one of them"
-        _require(("volume" in given) != ("windkessel" in given), one)
+        try:
+            fillings[name] = Filling(**given)
+        except ValueError as error:
+            raise ValueError(f"[cavity.{name}]: {error}") from error
     has = "surfaces: name the surface under pressure, as [surfaces.lumen], or a cavity"
     _require(pressures or cavities, has)
     if "prestretch" in words:
@@ -349,11 +325,11 @@ def _create_case(words: dict[str, Any]) -> Case:
         mesh=words["mesh"],
         layers={name: Tissue(**layer) for name, layer in layers.items()},
         conditions=conditions,
-        pressure=max(pressures.values(), default=0.0),
+        pressure=most,
         scale=words.get("scale", 1.0),
         image=words.get("image", {}).get("pressure", 0.0),
         rate=words.get("loading", {}).get("rate"),
         fibres=words.get("fibres", {}),
-        cavities={name: Filling(**given) for name, given in cavities.items()},
+        cavities=fillings,
         **words.get("prestretch", {}),
     )

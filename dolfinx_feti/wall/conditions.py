@@ -3,14 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Conditions on the surfaces of a wall, and the Dirichlet conditions and forms that they make.
 
-A surface takes any of these, by its name; one that is not named is free::
+A surface takes any of these, by its name; one that is not named is free (docs/conditions.md)::
 
-    conditions = {
-        "lumen": Pressure(),
-        "outer": [Spring(1.0), Dashpot(0.1)],
-        "opening_1": Clamp(),
-        "opening_2": Slide(),
-    }
+    {"lumen": Pressure(), "outer": [Spring(1.0), Dashpot(0.1)], "opening_1": Clamp()}
 
 An axial prestretch λ moves what is clamped or slides by (λ − 1) (X·e − X₀) e along an axis e, where
 X₀ is the least X·e of the wall. Units: mm, kPa, s.
@@ -60,13 +55,9 @@ Axis = Sequence[float] | None
 
 @dataclass(frozen=True, slots=True)
 class Pressure:
-    """A pressure that follows the deformed surface.
+    """A pressure that follows the deformed surface."""
 
-    Attributes:
-        share: Its share of the wall's pressure [-]; negative where it pulls.
-    """
-
-    share: float = 1.0
+    share: float = 1.0  #: Its share of the wall's pressure [-]; negative where it pulls
 
     def __post_init__(self) -> None:
         """Check the value."""
@@ -77,15 +68,10 @@ class Pressure:
 
 @dataclass(frozen=True, slots=True)
 class Spring:
-    """Springs to a place at rest, see :func:`~dolfinx_feti.mechanics.supports.spring_energy`.
+    """Springs to a place at rest, see :func:`~dolfinx_feti.mechanics.supports.spring_energy`."""
 
-    Attributes:
-        stiffness: k [kPa/mm], positive.
-        direction: ``"normal"`` or ``"all"``.
-    """
-
-    stiffness: float
-    direction: Direction = "normal"
+    stiffness: float  #: k [kPa/mm], positive
+    direction: Direction = "normal"  #: ``"normal"`` or ``"all"``
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -95,15 +81,10 @@ class Spring:
 
 @dataclass(frozen=True, slots=True)
 class Dashpot:
-    """Dashpots, see :func:`~dolfinx_feti.mechanics.supports.dashpot_energy`.
+    """Dashpots, see :func:`~dolfinx_feti.mechanics.supports.dashpot_energy`."""
 
-    Attributes:
-        viscosity: η [kPa s/mm], positive.
-        direction: ``"normal"`` or ``"all"``.
-    """
-
-    viscosity: float
-    direction: Direction = "normal"
+    viscosity: float  #: η [kPa s/mm], positive
+    direction: Direction = "normal"  #: ``"normal"`` or ``"all"``
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -126,11 +107,7 @@ Conditions = Mapping[str, Condition | Sequence[Condition]]
 
 
 def by_surface(conditions: Conditions) -> dict[str, tuple[Condition, ...]]:
-    """Return the conditions of each surface as a tuple.
-
-    Raises:
-        ValueError: One is something else or given twice, or a clamp is not alone on its surface.
-    """
+    """Return the conditions of each surface, each kind once, and a clamp alone on its surface."""
     by_name: dict[str, tuple[Condition, ...]] = {}
     for name, given in conditions.items():
         listed = by_name[name] = tuple(given) if isinstance(given, Sequence) else (given,)
@@ -156,42 +133,28 @@ def _check_direction(direction: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Boundary:
-    """What conditions make of a wall's boundary.
+    """What conditions make of a wall's boundary."""
 
-    Attributes:
-        bcs: Dirichlet conditions of what is clamped or slides.
-        residual: Virtual work of pressure, springs and dashpots, to be added to that inside.
-        tangent: Its derivative; of a pressure's, the symmetric part if that is all of it in sum.
-        energy: Its potential, to be added to that inside; None if the pressure has none.
-        pressure: The wall's pressure [kPa], zero at first.
-        time_step: Δt of the dashpots [s], infinite at first: they do not resist.
-        last: The displacement at the end of the last time step [mm], zero at first.
-        axis: Number of the axis of the prestretch; None for none.
-        moved: The displacement of what is clamped [mm].
-        planes: The displacement normal to each plane that the prestretch moves [mm], and where the
-            plane lies on the axis [mm].
-    """
-
-    bcs: list[dolfinx.fem.DirichletBC]
+    bcs: list[dolfinx.fem.DirichletBC]  #: Dirichlet conditions of what is clamped or slides
+    #: Virtual work of pressure, springs and dashpots, to be added to that inside
     residual: ufl.Form
+    #: Its derivative; of a pressure's, the symmetric part if that is all of it in sum
     tangent: ufl.Form
+    #: Its potential, to be added to that inside; None if the pressure has none
     energy: ufl.Form | None
-    pressure: dolfinx.fem.Constant
+    pressure: dolfinx.fem.Constant  #: The wall's pressure [kPa], zero at first
+    #: Δt of the dashpots [s], infinite at first: they do not resist
     time_step: dolfinx.fem.Constant
+    #: The displacement at the end of the last time step [mm], zero at first
     last: dolfinx.fem.Function
-    axis: int | None
-    moved: dolfinx.fem.Function
+    axis: int | None  #: Number of the axis of the prestretch; None for none
+    moved: dolfinx.fem.Function  #: The displacement of what is clamped [mm]
+    #: The displacement normal to each plane that the prestretch moves [mm], and where the plane
+    #: lies on the axis [mm]
     planes: tuple[tuple[dolfinx.fem.Constant, float], ...]
 
     def set_stretch(self, stretch: float) -> None:
-        """Set the axial prestretch λ of what is clamped or slides; the next solve meets it.
-
-        Args:
-            stretch: λ [-], 1 at rest.
-
-        Raises:
-            ValueError: λ is not positive, or the conditions were applied without an axis.
-        """
+        """Set the axial prestretch λ [-], 1 at rest, of what is clamped or slides."""
         if self.axis is None:
             raise ValueError("There is no axis to stretch along: give apply_conditions(axis=…).")
         require_positive(stretch=stretch)
@@ -212,19 +175,14 @@ def apply_conditions(
 ) -> Boundary:
     """Turn conditions on named surfaces into Dirichlet conditions and forms. Collective.
 
-    The forms hold ``ufl.TestFunction(V)`` and ``ufl.TrialFunction(V)`` of the space V of u, and
-    state no quadrature degree. Whether a pressure has a potential −p V is found out by trying: its
-    derivative has to be the residual. Where rims are free or on springs it has none, the tangent is
-    not symmetric and needs GMRES; its symmetric part alone would take tens of Newton steps.
+    Whether a pressure has a potential −p V is tried: its derivative has to be the residual. Where
+    rims are free or on springs it has none, and the tangent is not symmetric (docs/conditions.md).
 
     Args:
         wall: The wall.
         u: Displacement [mm], a Function in a Lagrange space on its mesh.
         conditions: One or several for each surface by name; those that are not named are free.
         axis: ``"x"``, ``"y"`` or ``"z"`` for a prestretch along it by :meth:`Boundary.set_stretch`.
-
-    Returns:
-        Dirichlet conditions, forms, and the constants and functions in them.
 
     Raises:
         ValueError: u is no displacement of the wall, the wall has no such surface, one that is
@@ -339,10 +297,7 @@ def _potential(
 def _is_potential(
     boundary: Boundary, V: dolfinx.fem.FunctionSpace, loaded: Loaded, axis: Axis
 ) -> bool:
-    """Say whether the derivative of −p V is the pressure's residual in all free dofs. Collective.
-
-    It is tried at a wave that meets the Dirichlet conditions, a stretched one if there is an axis.
-    """
+    """Say whether the derivative of −p V is the pressure's residual in free dofs. Collective."""
     if not loaded:
         return True
     w, v, one = wave(V), ufl.TestFunction(V), _constant(V.mesh, 1.0)

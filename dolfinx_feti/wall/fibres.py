@@ -3,16 +3,15 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Directions of the collagen fibres from two Laplace problems and an angle.
 
-The paper's rule (section *Arterial model on a realistic mesh geometry*, after Bayer et al. 2012)
-defines in each cell the orthonormal, right-handed frame::
+In each cell the orthonormal, right-handed frame is (after Bayer et al. 2012)::
 
     ê₂ = ∇t / |∇t|            Δt = 0,  t = 0 on the lumen, 1 on the outer wall      transmural,
     ê₁ ∥ ∇l − (∇l·ê₂) ê₂      Δl = 0,  l = 0 on the inlet, 1 on the other openings  longitudinal,
     ê₀ = ê₁ × ê₂                                                                    circumferential,
 
-with zero flux through the rest of the boundary; in a tube along z it is (e_θ, e_z, e_r). The two
-families lie at ±α, a₀ = cos α ê₀ ± sin α ê₁ (eq. 55, Augustin_eq:rotation, but for its orthogonal
-families: ``docs/equations.md``). The potentials are P2, their gradients taken at the centroids.
+with zero flux elsewhere; in a tube along z it is (e_θ, e_z, e_r). The two families lie at ±α,
+a₀ = cos α ê₀ ± sin α ê₁ (eq. 55, Augustin_eq:rotation, but for its orthogonal families:
+``docs/equations.md``). The potentials are P2, their gradients taken at the centroids.
 """
 
 from __future__ import annotations
@@ -148,13 +147,7 @@ class Frame:
 @typed
 @event("WallFibres")
 def fibre_frame(wall: Wall, **surfaces: Any) -> Frame:
-    """Return the local frame of a wall. Collective.
-
-    Args:
-        wall: The wall, with at least two openings.
-        surfaces: Names of its surfaces, ``inner``, ``outer``, ``ends`` and ``inlet``, see
-            :func:`potentials`, whose errors are those of :func:`frame_of`, too.
-    """
+    """Return the frame of a wall, whose surfaces are named as in :func:`potentials`. Collective."""
     return frame_of(wall, *potentials(wall, **surfaces))
 
 
@@ -169,8 +162,7 @@ def potentials(
 ) -> tuple[dolfinx.fem.Function, dolfinx.fem.Function]:
     """Return the two potentials of a frame, t through the wall and l along it (P2). Collective.
 
-    On a mesh that moves afterwards they stay with the material, and :func:`frame_of` has the frame
-    of the moved wall.
+    If the mesh moves afterwards, :func:`frame_of` has the frame of the moved wall.
 
     Args:
         wall: The wall, with at least two openings.
@@ -207,8 +199,7 @@ def potentials(
 def frame_of(wall: Wall, through: dolfinx.fem.Function, along: dolfinx.fem.Function) -> Frame:
     """Return the frame of the two potentials t and l on the mesh as it is. Collective.
 
-    Raises:
-        ArithmeticError: They leave cells without a direction.
+    Cells that are left without a direction are an ArithmeticError.
     """
     grad_t, grad_l = gradient(through), gradient(along)
     e2 = _unit_directions(wall, grad_t, np.zeros_like(grad_t))
@@ -225,14 +216,8 @@ def fibre_families(
 ) -> tuple[dolfinx.fem.Function, dolfinx.fem.Function]:
     """Return the directions of the two fibre families, cos α ê₀ ± sin α ê₁.
 
-    Args:
-        wall: The wall.
-        frame: Its frame.
-        angles: α for each layer [degrees], from the circumferential direction; those of
-            :data:`ANGLES` if not given.
-
-    Raises:
-        ValueError: A layer has no angle, or an angle is not finite.
+    ``angles`` are α for each layer [degrees]; those of :data:`ANGLES` if not given. A layer without
+    an angle, or with one that is not finite, is a ValueError.
     """
     if angles is None:
         angles = {name: angle for name, angle in ANGLES.items() if name in wall.layers}

@@ -10,8 +10,8 @@ transmural directions n at the vertices, and with t₀ of a layer's middle surfa
 
 .. math:: ρ / ρ_0 = \exp\left(κ\, (t - t_0) / \|∇t\|\right) .
 
-A tube has it exactly: there t grows with ln ρ. Where κ is negative, as in a crotch, the wall counts
-as flat. The potentials stay with the material when the mesh moves, and the rest is found anew.
+A tube has it exactly. Where κ is negative, as in a crotch, the wall counts as flat. The potentials
+stay with the material when the mesh moves, and the rest is found anew.
 """
 
 from __future__ import annotations
@@ -40,10 +40,8 @@ class Opening:
     """The part G of the deformation that opening angles stand for, on a wall of any shape.
 
     Attributes:
-        G: The tensor in UFL, shape (3, 3), det G = 1, for
-            :func:`~dolfinx_feti.mechanics.residual_stress.elastic_part`. It leads from the wall as
-            meshed to the pieces without stress; fibres of the wall as meshed are taken there by
-            :func:`~dolfinx_feti.mechanics.residual_stress.stress_free_direction`.
+        G: The tensor in UFL, (3, 3), det G = 1, from the wall as meshed to the pieces without
+            stress, for ``elastic_part`` and ``stress_free_direction``.
         curvature: κ, around the vessel [1/mm], in each cell.
         angle: Opening angle of each cell [degrees]; its values may change.
         middle: t of the middle surface of each cell's layer.

@@ -57,28 +57,13 @@ OUT_OF_PLANE = 1e-7
 
 @dataclass(frozen=True, slots=True)
 class Wall:
-    """A wall in millimetres.
+    """A wall in millimetres, from ``read_wall``, or from ``create_wall`` of a mesh and its tags."""
 
-    :func:`~dolfinx_feti.wall.reading.read_wall` makes one of a file, and
-    :func:`create_wall` one of a mesh and its tags.
-
-    Attributes:
-        mesh: Tetrahedra or hexahedra, distributed.
-        cell_tags: The layer of each cell.
-        facet_tags: The surface of each tagged facet.
-        layers: The names of the layers and their tags.
-        surfaces: The names of the surfaces and their tags.
-
-    Raises:
-        TypeError: An attribute is no mesh, or no tags.
-        ValueError: The mesh has other cells, or tags are of another dimension or mesh.
-    """
-
-    mesh: dolfinx.mesh.Mesh
-    cell_tags: dolfinx.mesh.MeshTags
-    facet_tags: dolfinx.mesh.MeshTags
-    layers: dict[str, int]
-    surfaces: dict[str, int]
+    mesh: dolfinx.mesh.Mesh  #: Tetrahedra or hexahedra, distributed
+    cell_tags: dolfinx.mesh.MeshTags  #: The layer of each cell
+    facet_tags: dolfinx.mesh.MeshTags  #: The surface of each tagged facet
+    layers: dict[str, int]  #: The names of the layers and their tags
+    surfaces: dict[str, int]  #: The names of the surfaces and their tags
 
     def __post_init__(self) -> None:
         """Check mesh and tags."""
@@ -113,9 +98,6 @@ def create_wall(
 ) -> Wall:
     """Make a wall of a mesh and its tags. Collective.
 
-    The first three arguments are the first three things that dolfinx's ``model_to_mesh`` returns,
-    the last one is ``physical_groups`` of what it returns from dolfinx 0.10 on.
-
     Args:
         mesh: Tetrahedra or hexahedra [mm].
         cell_tags: The layer of each cell; None for one layer, called ``wall``.
@@ -125,7 +107,6 @@ def create_wall(
             without a name counts as no tag.
 
     Raises:
-        TypeError: An argument is no mesh, no tags, or no names.
         ValueError: Tags are of another dimension or mesh, a cell has none, or no facet has one. On
             all processes.
     """
@@ -212,11 +193,7 @@ def extent(mesh: dolfinx.mesh.Mesh) -> tuple[Array, Array]:
 
 
 def plane(wall: Wall, name: str) -> tuple[int, float]:
-    """Return the axis normal to a plane surface, and its coordinate there [mm]. Collective.
-
-    Raises:
-        ValueError: The wall has no such surface, or it lies in no plane normal to x, y or z.
-    """
+    """Return the axis normal to a plane surface, and its coordinate there [mm]. Collective."""
     low, high = extent(wall.mesh)
     entities = facets(wall, name)
     x: Array = np.zeros((0, 3))
@@ -242,17 +219,13 @@ def _bounds(x: Array, comm: MPI.Comm) -> tuple[Array, Array]:
     return np.min(comm.allgather(low), axis=0), np.max(comm.allgather(high), axis=0)
 
 
-def surface_measure(wall: Wall, *, metadata: dict[str, object] | None = None) -> ufl.Measure:
+def surface_measure(wall: Wall) -> ufl.Measure:
     """Return `ds` with the tags of the wall, for `ds(wall.surfaces["lumen"])`."""
-    return ufl.Measure("ds", wall.mesh, subdomain_data=wall.facet_tags, metadata=metadata)
+    return ufl.Measure("ds", wall.mesh, subdomain_data=wall.facet_tags)
 
 
 def by_layer(wall: Wall, values: Mapping[str, float]) -> dolfinx.fem.Function:
-    """Return a piecewise constant function with one value in each layer.
-
-    Raises:
-        ValueError: A layer has no value, a value names no layer, or it is not finite.
-    """
+    """Return a piecewise constant function with one value, which is finite, for each layer."""
     require_within(-math.inf, math.inf, values, remedy="a finite number")
     if set(values) != set(wall.layers):
         raise ValueError(

@@ -1,32 +1,41 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Wall files: cells with layers, facets with surfaces, read on one process.
+"""Walls from files, of any format, distributed to all processes.
 
-Cells are tetrahedra; those of a Gmsh file may also be hexahedra, or of second order, with curved
-edges. A Gmsh file names layers and surfaces by its physical groups. In other formats they are
-numbers in cell data: ``layer`` for the tetrahedra and ``surface`` for the triangles, or
-``gmsh:physical``, ``medit:ref`` or ``tag`` for both. Numbers without names are called ``layer_7``
-and ``surface_7``. ``meshes/README.md`` shows how to bring your own wall.
+Cells are tetrahedra; in a Gmsh file also hexahedra, or cells of second order. It names layers and
+surfaces by its physical groups, other formats number them in cell data (``meshes/README.md``).
+PETSc's log shows the phases ``WallRead``, ``WallPartition`` and ``WallTags``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 
+import basix.ufl
+import dolfinx
+import dolfinx.io
+import ufl
+
+from dolfinx_feti.mechanics.values import require_positive
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Numbers
-from dolfinx_feti.wall.checks import CELLS
-from dolfinx_feti.wall.wall import named_tags
+from dolfinx_feti.runtime.collective import on_first
+from dolfinx_feti.runtime.events import event
+from dolfinx_feti.wall.checks import CELLS, check_cells, check_faces, check_rows
+from dolfinx_feti.wall.wall import Group, Groups, Wall, checked_groups, named_tags
+from dolfinx_feti.wall.xdmf import is_parallel, read_parallel
 
-__all__ = ["RawWall", "read_raw_wall"]
+__all__ = ["RawWall", "distribute", "read_raw_wall", "read_wall"]
 
 #: What a facet is by the number of its nodes.
 FACETS = {3: "triangle", 6: "triangle", 4: "quadrilateral", 9: "quadrilateral"}
@@ -41,35 +50,112 @@ HELP = "meshes/README.md explains how to name layers and surfaces"
 
 @dataclass(frozen=True, slots=True)
 class RawWall:
-    """A wall as read from a file.
+    """A wall as read from a file."""
 
-    Attributes:
-        points: Coordinates, (n, 3), in the file's unit.
-        cells: Nodes of the cells in dolfinx's order, (m, 4), or as many as in ``checks.CELLS``.
-        layers: The tag of each cell, (m,).
-        facets: Nodes of the tagged facets, (k, 3), or as many as theirs have.
-        surfaces: Their tags, (k,).
-        layer_names: Tags of the layers.
-        surface_names: Tags of the surfaces.
-    """
-
-    points: Array
+    points: Array  #: Coordinates, (n, 3), in the file's unit
+    #: Nodes of the cells in dolfinx's order, (m, 4), or as many as in ``checks.CELLS``
     cells: Numbers
-    layers: Numbers
-    facets: Numbers
-    surfaces: Numbers
-    layer_names: dict[str, int]
-    surface_names: dict[str, int]
+    layers: Numbers  #: The tag of each cell, (m,)
+    facets: Numbers  #: Nodes of the tagged facets, (k, 3), or as many as theirs have
+    surfaces: Numbers  #: Their tags, (k,)
+    layer_names: dict[str, int]  #: Tags of the layers
+    surface_names: dict[str, int]  #: Tags of the surfaces
 
 
-def read_raw_wall(path: Path) -> RawWall:
-    """Read a wall from a Gmsh file (`*.msh`), or one that meshio reads.
+def read_wall(
+    path: Path | str, comm: MPI.Comm, *, scale: float = 1.0, names: Groups | None = None
+) -> Wall:
+    """Read a wall: on all processes from XDMF, on one from other formats, to be distributed.
+
+    Args:
+        path: A file of ``write_wall`` (`*.xdmf`); a Gmsh file (`*.msh`) with named physical groups,
+            or a file of another format with cell data (`meshes/README.md`).
+        comm: Communicator of the mesh.
+        scale: Number of millimetres in the file's unit of length (1000 if that is the metre).
+        names: Dimension and number of each name, as ``{"lumen": (2, 3), "media": (3, 1)}``, in a
+            file that has numbers only; others are called ``layer_7`` and ``surface_7``.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ModuleNotFoundError: The reader, gmsh or meshio, is not installed.
-        ValueError: The file cannot be read, or has a cell without a layer, or no surface.
+        ModuleNotFoundError: gmsh or meshio is needed and not installed.
+        ValueError: The file does not hold a valid wall, or the scale is not positive.
+
+    Note:
+        Collective.
     """
+    require_positive(scale=scale)
+    path = Path(path)
+    if on_first(lambda: path.is_file() and is_parallel(path), comm):
+        return read_parallel(path, comm, scale=scale)
+    read: list[RawWall] = []  # on the first process
+    with event("WallRead"):
+        on_first(
+            lambda: read.append(_renamed(read_raw_wall(path), checked_groups(names or {}))), comm
+        )
+        raw = _share(read[0] if read else None, comm)
+        check_rows(path, raw.points, raw.cells, [raw.facets], comm)
+        check_faces(path, raw.cells, raw.facets, comm)
+    wall = distribute(raw, comm, scale=scale)
+    check_cells(path, wall, alike=True)
+    return wall
+
+
+def _renamed(raw: RawWall, groups: Sequence[Group]) -> RawWall:
+    """Give names to numbers, in place of those of the file."""
+
+    def named(dim: int, tags: Numbers, theirs: dict[str, int]) -> dict[str, int]:
+        mine = {name: tag for name, of, tag in groups if of == dim}
+        both = {n: t for n, t in theirs.items() if t not in mine.values()} | mine
+        return {name: tag for name, tag in both.items() if np.any(tags == tag)}
+
+    layers = named(3, raw.layers, raw.layer_names)
+    return replace(raw, layer_names=layers, surface_names=named(2, raw.surfaces, raw.surface_names))
+
+
+def _share(raw: RawWall | None, comm: MPI.Comm) -> RawWall:
+    """Return what a process has of a wall, nothing but the names unless it has read it."""
+    empty = None
+    if raw is not None:
+        names = ("points", "cells", "layers", "facets", "surfaces")
+        empty = replace(raw, **{name: getattr(raw, name)[:0] for name in names})
+    none: RawWall = comm.bcast(empty, root=0)
+    return none if raw is None else raw
+
+
+def distribute(raw: RawWall | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
+    """Create the distributed mesh and its tags of a wall that the first process has. Collective.
+
+    ``scale`` is the number of millimetres in the unit of its points.
+    """
+    raw = _share(raw, comm)
+    used, number = np.unique(raw.cells), np.full(len(raw.points), -1)
+    number[used] = np.arange(len(used))  # without the points of no cell
+    cells, facets = number[raw.cells], number[raw.facets]
+    cell, order, _ = CELLS[raw.cells.shape[1]]
+    element = basix.ufl.element("Lagrange", cell, order, shape=(3,), dtype=np.float64)
+    with event("WallPartition"):
+        x = scale * raw.points[used]
+        mesh = dolfinx.mesh.create_mesh(comm, cells, x=x, e=ufl.Mesh(element))
+    with event("WallTags"):
+        layers, surfaces = _tags(mesh, 3, cells, raw.layers), _tags(mesh, 2, facets, raw.surfaces)
+    return Wall(mesh, layers, surfaces, raw.layer_names, raw.surface_names)
+
+
+def _tags(
+    mesh: dolfinx.mesh.Mesh, dim: int, entities: Numbers, values: Numbers
+) -> dolfinx.mesh.MeshTags:
+    """Distribute the tags of entities, each given by its points in the file."""
+    entities, values = np.ascontiguousarray(entities), values.astype(np.int32)
+    mesh.topology.create_entities(dim)
+    local, local_values = dolfinx.io.distribute_entity_data(mesh, dim, entities, values)
+    mesh.topology.create_connectivity(dim, 0)
+    mesh.topology.create_connectivity(dim, 3)
+    links = dolfinx.graph.adjacencylist(local)
+    return dolfinx.mesh.meshtags_from_entities(mesh, dim, links, local_values.astype(np.int32))
+
+
+def read_raw_wall(path: Path) -> RawWall:
+    """Read a wall from a Gmsh file (`*.msh`), or one that meshio reads; each cell has a layer."""
     if not path.is_file():
         raise FileNotFoundError(f"There is no file {path}: give the path of a mesh of a wall")
     wall = _read_gmsh(path) if path.suffix == ".msh" else _read_meshio(path)

@@ -3,13 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A wall in XDMF and HDF5, which all processes read and write, each its own share of the rows.
 
-The mesh is the grid ``mesh``; layers and surfaces are dolfinx's tags of cells and facets, in the
-grids of these names. What the tags are called, and how many cells each process has written, is in
-the light data. ParaView shows all three grids. Cells are those of
-:data:`~dolfinx_feti.wall.checks.CELLS`.
-
-A process writes its part of the mesh in consecutive rows. As many processes as have written a file
-take these parts again, and nothing has to be partitioned.
+The grids are ``mesh``, ``layers`` and ``surfaces``; what the tags are called, and how many cells
+each process has written, is in the light data. As many processes as have written a file take these
+parts again, and nothing has to be partitioned.
 """
 
 from __future__ import annotations
@@ -55,11 +51,7 @@ def is_parallel(path: Path) -> bool:
 
 
 def read_parallel(path: Path, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
-    """Read a wall on all processes: each reads a P-th of cells, points and facets. Collective.
-
-    The parts of the mesh are those of the processes that wrote the file, if they were as many;
-    else the mesh is partitioned. A ValueError tells on all processes that it cannot be read.
-    """
+    """Read a wall on all processes: each reads a P-th of cells, points and facets. Collective."""
     try:
         file = on_all(lambda: dolfinx.io.XDMFFile(comm, path, "r"), comm)
         with file:
@@ -117,15 +109,8 @@ def _check_tags(wall: Wall, n_facets: int) -> None:
 def write_wall(path: Path | str, wall: Wall) -> None:
     """Write a wall for all processes to read, whatever their number. Collective.
 
-    Two files are written aside and put in place at the end, `wall.h5` beside `wall.xdmf`.
-
-    Args:
-        path: The file, `*.xdmf`; its folder is made.
-        wall: The wall. Its lengths are written in millimetres.
-
-    Raises:
-        ValueError: The path has another ending. On all processes.
-        OSError: The folder cannot be written in. On all processes.
+    Two files are written aside and put in place at the end, `wall.h5` beside `wall.xdmf`, in
+    millimetres; the folder is made. Another ending of the path is a ValueError.
     """
     path, comm = Path(path), wall.mesh.comm
     if path.suffix != ".xdmf":

@@ -17,8 +17,8 @@ import numpy as np
 from wall_files import ROOT
 
 from dolfinx_feti.wall import read_wall, write_wall
-from dolfinx_feti.wall.wallfile import read_raw_wall
-from meshes.wall_mesh import WallMesh, write_msh
+from dolfinx_feti.wall.wallfile import RawWall, read_raw_wall
+from meshes.wall_mesh import write_msh
 
 EXAMPLE = ROOT / "meshes/example.msh"
 CASE = (ROOT / "demos/wall.toml").read_text(encoding="utf-8")
@@ -27,12 +27,6 @@ Write = Callable[[Path], Path]
 
 #: A file writer under the name of the file, and what the error has to say.
 BROKEN: dict[str, tuple[Write, str]] = {}
-
-
-def example() -> WallMesh:
-    """Return the example as arrays."""
-    found = read_raw_wall(EXAMPLE)
-    return WallMesh(found.points, found.cells, found.layers, found.facets, found.surfaces)
 
 
 def broken(name: str, match: str) -> Callable[[Write], Write]:
@@ -56,11 +50,11 @@ def text(name: str, content: bytes | str, match: str) -> None:
     BROKEN[name] = (write, match)
 
 
-def changed(name: str, match: str, **arrays: Callable[[WallMesh], np.ndarray]) -> None:
+def changed(name: str, match: str, **arrays: Callable[[RawWall], np.ndarray]) -> None:
     """Enter the example with other arrays."""
 
     def write(folder: Path) -> Path:
-        mesh = example()
+        mesh = read_raw_wall(EXAMPLE)
         write_msh(folder / name, replace(mesh, **{k: f(mesh) for k, f in arrays.items()}))
         return folder / name
 
@@ -194,28 +188,16 @@ def damaged(name: str, change: Callable[[Path], object], match: str = "cannot be
     BROKEN[name] = (write, match)
 
 
-def rewrite(key: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
+def table(key: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
     """Change a table of the HDF5 file."""
 
     def work(path: Path) -> None:
         import h5py
 
         with h5py.File(path.with_suffix(".h5"), "a") as file:
-            file[key][...] = change(file[key][...])
-
-    return work
-
-
-def resized(key: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
-    """Replace a table of the HDF5 file by one of another shape."""
-
-    def work(path: Path) -> None:
-        import h5py
-
-        with h5py.File(path.with_suffix(".h5"), "a") as file:
-            table = change(file[key][...])
+            other = change(file[key][...])
             del file[key]
-            file[key] = table
+            file[key] = other
 
     return work
 
@@ -224,25 +206,23 @@ damaged("no_data.xdmf", lambda p: p.with_suffix(".h5").unlink())
 damaged("noise_for_data.xdmf", lambda p: p.with_suffix(".h5").write_bytes(NOISE))
 damaged("cut_data.xdmf", lambda p: os.truncate(p.with_suffix(".h5"), 5000))
 damaged("no_names.xdmf", lambda p: p.write_text(p.read_text().replace("surfaces&quot;", "&quot;")))
-damaged("nan.xdmf", rewrite("Mesh/mesh/geometry", lambda x: x * np.nan), "not finite")
-damaged("lost_points.xdmf", rewrite("Mesh/mesh/topology", lambda t: t + 10**6), "not in the file")
-damaged("one_point.xdmf", rewrite("Mesh/mesh/topology", lambda t: 0 * t), "occur twice")
-damaged("cell_twice.xdmf", rewrite("Mesh/mesh/topology", lambda t: np.vstack([t[-1:], t[1:]])))
-damaged("plane.xdmf", rewrite("Mesh/mesh/geometry", lambda x: x * [1, 1, 0]), "have no volume")
-damaged("lost_layers.xdmf", rewrite("MeshTags/layers/topology", lambda t: t + 10**6), "not in the")
-damaged("minus_layers.xdmf", rewrite("MeshTags/layers/topology", lambda t: 0 * t - 9), "not in the")
-damaged("one_layer.xdmf", rewrite("MeshTags/layers/topology", lambda t: 0 * t), "layers are not")
-damaged("narrow.xdmf", resized("MeshTags/layers/topology", lambda t: t[:, :3]))
-damaged("few_tags.xdmf", resized("MeshTags/layers/Values", lambda v: v[:5]))
-damaged("few_layers.xdmf", resized("MeshTags/layers/topology", lambda t: t[:5]))
+damaged("nan.xdmf", table("Mesh/mesh/geometry", lambda x: x * np.nan), "not finite")
+damaged("lost_points.xdmf", table("Mesh/mesh/topology", lambda t: t + 10**6), "not in the file")
+damaged("one_point.xdmf", table("Mesh/mesh/topology", lambda t: 0 * t), "occur twice")
+damaged("cell_twice.xdmf", table("Mesh/mesh/topology", lambda t: np.vstack([t[-1:], t[1:]])))
+damaged("plane.xdmf", table("Mesh/mesh/geometry", lambda x: x * [1, 1, 0]), "have no volume")
+damaged("lost_layers.xdmf", table("MeshTags/layers/topology", lambda t: t + 10**6), "not in the")
+damaged("minus_layers.xdmf", table("MeshTags/layers/topology", lambda t: 0 * t - 9), "not in the")
+damaged("one_layer.xdmf", table("MeshTags/layers/topology", lambda t: 0 * t), "layers are not")
+damaged("narrow.xdmf", table("MeshTags/layers/topology", lambda t: t[:, :3]))
+damaged("few_tags.xdmf", table("MeshTags/layers/Values", lambda v: v[:5]))
+damaged("few_layers.xdmf", table("MeshTags/layers/topology", lambda t: t[:5]))
+damaged("lost_facets.xdmf", table("MeshTags/surfaces/topology", lambda t: 0 * t - 1), "not in the")
 damaged(
-    "lost_facets.xdmf", rewrite("MeshTags/surfaces/topology", lambda t: 0 * t - 1), "not in the"
+    "stray_facets.xdmf", table("MeshTags/surfaces/topology", lambda t: 0 * t), "surfaces are not"
 )
-damaged(
-    "stray_facets.xdmf", rewrite("MeshTags/surfaces/topology", lambda t: 0 * t), "surfaces are not"
-)
-damaged("nameless.xdmf", rewrite("MeshTags/layers/Values", lambda t: 777 + 0 * t), "layers are not")
-damaged("bare.xdmf", rewrite("MeshTags/surfaces/Values", lambda t: 777 + 0 * t), "surfaces are not")
+damaged("nameless.xdmf", table("MeshTags/layers/Values", lambda t: 777 + 0 * t), "layers are not")
+damaged("bare.xdmf", table("MeshTags/surfaces/Values", lambda t: 777 + 0 * t), "surfaces are not")
 damaged("list.xdmf", lambda p: p.write_text(re.sub("{&quot;media.*?}", "[]", p.read_text())))
 damaged(
     "no_tag.xdmf",
@@ -256,7 +236,7 @@ def with_tags(name: str, tag: float) -> None:
     def write(folder: Path) -> Path:
         import meshio
 
-        mesh, layers = example(), example().layers.astype(float)
+        mesh, layers = read_raw_wall(EXAMPLE), read_raw_wall(EXAMPLE).layers.astype(float)
         layers[0] = tag
         blocks = [("tetra", mesh.cells), ("triangle", mesh.facets)]
         data = {"tag": [layers, mesh.surfaces.astype(float)]}
@@ -269,6 +249,34 @@ def with_tags(name: str, tag: float) -> None:
 with_tags("huge_tag.vtu", 2.0**32 + 1.0)
 with_tags("infinite_tag.vtu", np.inf)
 with_tags("nan_tag.vtu", np.nan)
+
+
+def alone(name: str, kind: str, nodes: int, match: str, data: str = "layer") -> None:
+    """Enter one cell of a kind, in a format of meshio or in Gmsh's."""
+
+    def write(folder: Path) -> Path:
+        import meshio
+
+        one, cells = [np.ones(1, dtype=np.int32)], [(kind, np.arange(nodes)[None])]
+        points = np.random.default_rng(9134).random((nodes, 3))
+        if name.endswith(".msh"):
+            mesh = meshio.Mesh(
+                points, cells, cell_data={"gmsh:physical": one, "gmsh:geometrical": one}
+            )
+            mesh.write(folder / name, file_format="gmsh22", binary=False)
+        else:
+            meshio.Mesh(points, cells, cell_data={data: one}).write(folder / name)
+        return folder / name
+
+    BROKEN[name] = (write, match)
+
+
+alone("layer_alone.vtu", "tetra", 4, "no named surface. Found: .*none")
+alone("colour.vtu", "tetra", 4, "no cell data layer or .*: colour", "colour")
+alone("hexahedron.vtu", "hexahedron", 8, "a wall has tetra")
+alone("tetra10.vtu", "tetra10", 10, "a wall has tetra")
+alone("wedge.msh", "wedge", 6, "a wall has tetra")
+alone("hexahedron20.msh", "hexahedron20", 20, "a wall has tetra")
 
 
 @broken("cut_binary.msh", "gmsh cannot read .*cut_binary.msh")

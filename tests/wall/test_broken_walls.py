@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from broken_walls import BROKEN, EXAMPLE, example
+from broken_walls import BROKEN, EXAMPLE
 from collective import COMM, agree, equal, raises, small, whole
 from problems import owned
 from wall_files import on_first
@@ -18,6 +18,7 @@ import dolfinx
 
 from dolfinx_feti.wall import Clamp, Pressure, Slide, apply_conditions, area, read_case, read_wall
 from dolfinx_feti.wall.fibres import Frame, fibre_frame
+from dolfinx_feti.wall.wallfile import read_raw_wall
 from meshes.wall_mesh import write_msh
 
 
@@ -43,12 +44,8 @@ def test_broken(tmp_path, name):
 def test_nothing_depends_on_the_unit_of_length(tmp_path, scale):
     """A wall in metres is as good as one in millimetres."""
     path = tmp_path / "wall.msh"
-
-    def write():
-        mesh = example()
-        write_msh(path, replace(mesh, points=scale * mesh.points))
-
-    on_first(write)
+    mesh = on_first(lambda: read_raw_wall(EXAMPLE))
+    on_first(lambda: write_msh(path, replace(mesh, points=scale * mesh.points)))
     wall, same = read_wall(path, COMM), read_wall(EXAMPLE, COMM)
     equal(
         np.array([area(wall, n) for n in same.surfaces]) / scale**2,

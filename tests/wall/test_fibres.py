@@ -14,17 +14,18 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, small, whole
+from ufl_values import scalar
 from wall_files import ROOT, centroids, on_first, tube
 
-import dolfinx
+import ufl
 
 from dolfinx_feti.runtime.petsc_options import inserted
-from dolfinx_feti.wall import facets, fibres, read_wall
+from dolfinx_feti.wall import area, fibres, read_wall, surface_measure
 from dolfinx_feti.wall.fibres import ANGLES, fibre_families, fibre_frame, gradient, solve_laplace
 from dolfinx_feti.wall.wallfile import read_raw_wall
 from meshes.tube import create_tube
 from meshes.vessel import create_vessel
-from meshes.wall_mesh import WallMesh, write_msh
+from meshes.wall_mesh import write_msh
 
 EXAMPLE = ROOT / "meshes/example.msh"
 
@@ -134,34 +135,27 @@ def test_finer_tubes_have_truer_directions(tmp_path):
     agree(errors[1] < errors[0] / 1.8 and errors[2] < errors[1] / 1.8, errors)
 
 
-def test_families_have_their_angles(tmp_path):
-    """±α from ê₀ in the plane of ê₀ and ê₁, with a jump of 33° at the interface."""
+@pytest.mark.parametrize("angles", [None, {"media": 0.0, "adventitia": 90.0}])
+def test_families_have_their_angles(tmp_path, angles):
+    """±α from ê₀ in the plane of ê₀ and ê₁, with a jump at the interface."""
     wall = tube(tmp_path, size=0.26, length=0.6)
     frame = fibre_frame(wall)
     e0, e1, e2 = directions(frame)
-    a, b = (vectors(f) for f in fibre_families(wall, frame))
+    families = fibre_families(wall, frame, angles)
+    agree([f.name for f in families] == ["fibres_1", "fibres_2"])
+    a, b = map(vectors, families)
+    angles = ANGLES if angles is None else angles
     r = np.linalg.norm(centroids(wall)[:, :2], axis=1)
-    α = np.where(r < 0.97 * np.cos(np.pi / 22), ANGLES["media"], ANGLES["adventitia"])
-    agree(set(np.unique(α)) <= {29.0, 62.0})
+    α = np.where(r < 0.97 * np.cos(np.pi / 22), angles["media"], angles["adventitia"])
     for family, sign in ((a, 1), (b, -1)):
         equal(np.linalg.norm(family, axis=1), np.ones(len(a)), 1e-14)
         equal(degrees(family, e0), α, 1e-12)
         equal(np.sum(family * e1, axis=1), sign * np.sin(np.radians(α)), 1e-13)
         agree(np.abs(np.sum(family * e2, axis=1)).max(initial=0) < 1e-13)
     jump = whole(degrees(a, e0))
-    equal([jump.min(), jump.max()], [29.0, 62.0], 1e-12)
-
-
-def test_other_angles(tmp_path):
-    wall = tube(tmp_path, size=0.4, length=0.4)
-    frame = fibre_frame(wall)
-    a, b = fibre_families(wall, frame, {"media": 0.0, "adventitia": 90.0})
-    media = wall.cell_tags.find(wall.layers["media"])
-    adventitia = wall.cell_tags.find(wall.layers["adventitia"])
-    e0, e1, _ = directions(frame)
-    equal(vectors(a)[media], e0[media], 1e-15)
-    equal(vectors(b)[adventitia], -e1[adventitia], 1e-15)
-    agree((a.name, b.name) == ("fibres_1", "fibres_2"))
+    equal([jump.min(), jump.max()], list(angles.values()), 1e-12)
+    with raises(ValueError, "media = nan: give a finite number"):
+        fibre_families(wall, frame, {"media": float("nan"), "adventitia": 62.0})
 
 
 # -- inlet
@@ -174,6 +168,10 @@ def test_inlet_may_be_chosen(tmp_path):
     back = directions(fibre_frame(wall, inlet="opening_2"))
     for sign, f, b in zip((-1, -1, 1), forth, back, strict=True):
         equal(b, sign * f, 1e-8)
+    with raises(ValueError, "inlet='lumen' is not an opening; choose one of opening_1, opening_2"):
+        fibre_frame(wall, inlet="lumen")
+    with raises(ValueError, "has the openings opening_1: .* at least two"):
+        fibre_frame(wall, ends=["opening_1"])
 
 
 @pytest.mark.parametrize("wide", ["opening_1", "opening_2"])
@@ -186,7 +184,7 @@ def test_inlet_is_the_widest_opening(tmp_path, wide):
         z = w.points[:, 2:]
         factor = 1 + 0.3 * (z if wide == "opening_2" else 1 - z)
         points = w.points * np.hstack([factor, factor, np.ones_like(z)])
-        write_msh(tmp_path / "cone.msh", WallMesh(points, w.cells, w.layers, w.facets, w.surfaces))
+        write_msh(tmp_path / "cone.msh", replace(w, points=points))
 
     on_first(make)
     e1 = vectors(fibre_frame(read_wall(tmp_path / "cone.msh", COMM)).longitudinal)
@@ -222,31 +220,22 @@ def test_the_same_on_one_process(tmp_path, vessel, which):
 
 
 def test_vessel_points_outwards(vessel):
-    """ê₂ leaves through the outer wall; ê₁ comes in at the inlet and leaves at the others."""
+    """ê₂ leaves through the outer wall; ê₁ comes in at the inlet and leaves at the others.
+
+    Nowhere at less than 12° to the surface, and at more than 64° on the most of it.
+    """
     wall = read_wall(vessel, COMM)
-    _, e1, e2 = directions(fibre_frame(wall))
-    wall.mesh.topology.create_connectivity(2, 3)
-    cell_of = wall.mesh.topology.connectivity(2, 3)
-    wrong = []
-    for name, e, sign in (
-        ("outer", e2, 1),
-        ("lumen", e2, -1),
-        ("opening_1", e1, -1),
-        ("opening_2", e1, 1),
-        ("opening_3", e1, 1),
-    ):
-        entities = facets(wall, name)
-        if not len(entities):  # no facet of it on this process
-            continue
-        cells = np.array([cell_of.links(f)[0] for f in entities])
-        corners = wall.mesh.geometry.x[dolfinx.mesh.entities_to_geometry(wall.mesh, 2, entities)]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        inward = centroids(wall)[cells] - corners.mean(axis=1)
-        normal *= -np.sign(np.sum(normal * inward, axis=1, keepdims=True))
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        along = sign * np.sum(e[cells] * normal, axis=1)
-        wrong += [(name, along.min())] * bool(np.median(along) < 0.9 or along.min() < 0.2)
-    agree(not wrong, wrong)
+    frame, n = fibre_frame(wall), ufl.FacetNormal(wall.mesh)
+    signs = {"outer": 1, "lumen": -1, "opening_1": -1, "opening_2": 1, "opening_3": 1}
+    for name, sign in signs.items():
+        e = frame.transmural if name in ("outer", "lumen") else frame.longitudinal
+        along, ds = sign * ufl.inner(e, n), surface_measure(wall)(wall.surfaces[name])
+        away, most = (
+            scalar(ufl.conditional(ufl.gt(along, cosine), 1.0, 0.0) * ds(degree=1))
+            / area(wall, name)
+            for cosine in (0.2, 0.9)
+        )
+        agree(away > 1.0 - 1e-12 and most > 0.5, (name, away, most))
 
 
 # -- the guard
@@ -299,15 +288,6 @@ def test_no_direction_anywhere(tmp_path):
 # -- a wall of one's own, end to end
 
 
-def test_the_example():
-    wall = read_wall(EXAMPLE, COMM)
-    frame = fibre_frame(wall)
-    is_frame(frame)
-    agree(worst(degrees(vectors(frame.circumferential), cylindrical(wall)[0])) < 6)
-    a, b = (vectors(f) for f in fibre_families(wall, frame))
-    agree(np.all(np.abs(np.sum(a * b, axis=1)) < 1))
-
-
 def test_the_readmes_gmsh_example(tmp_path, monkeypatch):
     """README.md's code makes a wall that goes all the way."""
     pytest.importorskip("gmsh")
@@ -327,26 +307,6 @@ def test_the_readmes_gmsh_example(tmp_path, monkeypatch):
 # -- bad input
 
 
-def test_bad_input(tmp_path):
-    wall = tube(tmp_path, size=0.4, length=0.4)
-    surfaces = {name: tag for name, tag in wall.surfaces.items() if name != "opening_2"}
-    for other, options, message in (
-        (
-            wall,
-            {"inlet": "lumen"},
-            "inlet='lumen' is not an opening; choose one of opening_1, opening_2",
-        ),
-        (replace(wall, surfaces=surfaces), {}, "has the openings opening_1: .* at least two"),
-    ):
-        with raises(ValueError, message):
-            fibre_frame(other, **options)
-    frame = fibre_frame(wall)
-    with raises(ValueError, "media = nan: give a finite number"):
-        fibre_families(wall, frame, {"media": float("nan"), "adventitia": 62.0})
-    with raises(ValueError, "a value for each"):
-        fibre_families(wall, frame, {"media": 29.0})
-
-
 def test_unsolved_laplace_problem(tmp_path):
     wall = tube(tmp_path, size=0.4, length=0.4)
     options = {"ksp_type": "cg", "pc_type": "none", "ksp_max_it": 1}
@@ -355,13 +315,3 @@ def test_unsolved_laplace_problem(tmp_path):
         raises(ArithmeticError, r"not solved \(reason -3\).*-fibres_ksp_type"),
     ):
         fibre_frame(wall)
-
-
-def test_other_solver(tmp_path):
-    wall = tube(tmp_path, size=0.4, length=0.4)
-    options = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
-    frame = fibre_frame(wall)
-    with inserted("fibres_", options):
-        other = fibre_frame(wall)
-    for f, g in zip(*map(directions, (frame, other)), strict=True):
-        equal(f, g, 1e-9)

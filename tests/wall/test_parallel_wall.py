@@ -121,16 +121,6 @@ def test_others_partition_anew(tmp_path):
         small(alone[name] / volume - 1.0, 1e-11)
 
 
-def test_convert(tmp_path):
-    """A wall of another format, and one in another unit."""
-    path = COMM.bcast(tmp_path / "example.xdmf")
-    wall = read_wall(EXAMPLE, COMM)
-    write_wall(path, wall)
-    same(wall, read_wall(path, COMM))
-    write_wall(path, read_wall(path, COMM, scale=2.0))
-    small(area(read_wall(path, COMM), "lumen") / area(wall, "lumen") - 4.0, 1e-11)
-
-
 def test_generated_walls_are_read_by_all(tmp_path):
     """Their quality does not depend on the number of processes."""
     folder = COMM.bcast(tmp_path)

@@ -22,7 +22,6 @@ from dolfinx_feti.wall import (
     Pressure,
     Slide,
     Spring,
-    Wall,
     apply_conditions,
     area,
     by_layer,
@@ -174,13 +173,6 @@ def test_the_lines_of_the_page():
 # -- what is refused, on all processes
 
 
-def test_swapped_tags():
-    mesh, cell_tags, facet_tags = box()
-    for make in (create_wall, lambda *tags: Wall(*tags, layers={}, surfaces={})):
-        with raises(ValueError, "cell_tags are of dimension 2 and facet_tags of 3: give those of"):
-            make(mesh, facet_tags, cell_tags)
-
-
 def test_wrong_arguments():
     mesh, cell_tags, facet_tags = box()
     other = box()[2]
@@ -195,6 +187,11 @@ def test_wrong_arguments():
         (ValueError, (plane, None, facet_tags), "cells of type triangle in 2 dimensions"),
         (ValueError, (mesh, cell_tags, other), "facet_tags belong to another mesh"),
         (ValueError, (mesh, None, cell_tags), "cell_tags are of dimension 3 and facet_tags of 3"),
+        (
+            ValueError,
+            (mesh, facet_tags, cell_tags),
+            "dimension 2 and facet_tags of 3: give those of",
+        ),
         (ValueError, (mesh, half, facet_tags), "cell_tags leave .* cells without a layer"),
         (ValueError, (mesh, cell_tags, empty), "facet_tags mark no surface"),
         (TypeError, (mesh, cell_tags, facet_tags, {"end": 4}), r"names\['end'\] is 4: give"),

@@ -16,10 +16,10 @@ from wall_files import ROOT, centroids, on_first, tube
 
 import dolfinx
 
-from dolfinx_feti.wall import area, by_layer, facets, openings, read_wall, surface_measure
+from dolfinx_feti.wall import area, by_layer, facets, openings, read_wall
 from dolfinx_feti.wall.wall import plane
 from dolfinx_feti.wall.wallfile import read_raw_wall
-from meshes.wall_mesh import TAGS, WallMesh, write_msh
+from meshes.wall_mesh import TAGS, write_msh
 
 EXAMPLE = ROOT / "meshes/example.msh"
 GROUPS = {name: (3 if tag < 3 else 2, tag) for name, tag in TAGS.items()}
@@ -35,8 +35,7 @@ def wall():
 @pytest.fixture(scope="module")
 def raw():
     """The example as arrays, on every process."""
-    found = on_first(lambda: read_raw_wall(EXAMPLE))
-    return WallMesh(found.points, found.cells, found.layers, found.facets, found.surfaces)
+    return on_first(lambda: read_raw_wall(EXAMPLE))
 
 
 def owned(wall, dim):
@@ -82,10 +81,6 @@ def test_areas(wall):
     ring = AROUND * np.sin(ANGLE) / 2 * (RADII[2] ** 2 - RADII[0] ** 2)
     found = [area(wall, name) for name in ("lumen", "outer", "opening_1", "opening_2")]
     equal(found, [lumen, outer, ring, ring], 1e-9)
-    ds = surface_measure(wall, metadata={"quadrature_degree": 1})
-    one = dolfinx.fem.Constant(wall.mesh, 1.0)
-    local = dolfinx.fem.assemble_scalar(dolfinx.fem.form(one * ds(wall.names["lumen"])))
-    equal(COMM.allreduce(local), lumen, 1e-9)
 
 
 def test_names(wall):
@@ -226,37 +221,6 @@ def test_gmsh_is_left_running(wall):
 # -- what is refused, on all processes
 
 
-@pytest.mark.parametrize(
-    ("name", "match"),
-    [("layer", "no named surface. Found: .*none"), ("colour", "no cell data layer or .*: colour")],
-)
-def test_cell_data_alone(tmp_path, raw, name, match):
-    meshio = pytest.importorskip("meshio")
-    path = tmp_path / "wall.vtu"
-    mesh = meshio.Mesh(raw.points, [("tetra", raw.cells)], cell_data={name: [raw.layers]})
-    on_first(lambda: mesh.write(path))
-    with raises(ValueError, match):
-        read_wall(path, COMM)
-
-
-@pytest.mark.parametrize(
-    ("suffix", "kind"),
-    [("vtu", "hexahedron"), ("vtu", "tetra10"), ("msh", "wedge"), ("msh", "hexahedron20")],
-)
-def test_other_cells(tmp_path, suffix, kind):
-    meshio = pytest.importorskip("meshio")
-    path = tmp_path / f"wall.{suffix}"
-    points = np.random.default_rng(9134).random((20, 3))
-    nodes = {"hexahedron": 8, "tetra10": 10, "wedge": 6, "hexahedron20": 20}
-    cells = [(kind, np.arange(nodes[kind])[None])]
-    one = [np.ones(1, dtype=np.int32)]
-    data = {"gmsh:physical": one, "gmsh:geometrical": one} if suffix == "msh" else {"layer": one}
-    more = {"file_format": "gmsh22", "binary": False} if suffix == "msh" else {}
-    on_first(lambda: meshio.Mesh(points, cells, cell_data=data).write(path, **more))
-    with raises(ValueError, "a wall has tetra"):
-        read_wall(path, COMM)
-
-
 @pytest.mark.parametrize(("package", "name"), [("gmsh", "wall.msh"), ("meshio", "wall.vtu")])
 def test_missing_package(tmp_path, monkeypatch, package, name):
     on_first(lambda: (tmp_path / name).write_text(""))
@@ -271,6 +235,6 @@ def test_disk_errors_reach_all(tmp_path, monkeypatch):
     def broken(path):
         raise PermissionError(f"{path} may not be read")
 
-    monkeypatch.setattr("dolfinx_feti.wall.reading.read_raw_wall", broken)
+    monkeypatch.setattr("dolfinx_feti.wall.wallfile.read_raw_wall", broken)
     with raises(PermissionError, "may not be read"):
         read_wall(EXAMPLE, COMM)
