@@ -46,8 +46,7 @@ class Tissue:
     c: float  #: Stiffness of the matrix material [kPa]
     k1: float = 0.0  #: Stiffness of the fibres [kPa]; 0 for none
     k2: float = 1.0  #: Exponent of the fibres [-]
-    #: Of the fibres from the circumferential direction in the wall as meshed [degrees]
-    angle: float = 0.0
+    angle: float = 0.0  #: Of the fibres from the circumferential direction [degrees]
     opening_angle: float = 0.0  #: By which the layer opens when it is cut [degrees]
     axial_stretch: float = 1.0  #: Its prestretch along the vessel [-]
 
@@ -66,8 +65,7 @@ class Filling:
     volume: float | None = None  #: To be enclosed [mm³]
     #: Its resistance [kPa s/mm³], compliance [mm³/kPa], and perhaps impedance
     windkessel: dict[str, float] = field(default_factory=dict)
-    #: That of a tube with open ends, ``"x"``, ``"y"`` or ``"z"``; None for a closed surface
-    axis: str | None = None
+    axis: str | None = None  #: Of a tube with open ends; None for a closed surface
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -90,18 +88,15 @@ class Case:
 
     mesh: str  #: Name of the mesh, as in the file
     layers: dict[str, Tissue]  #: Their materials
-    #: Those on the surfaces; the largest share of the pressure is 1
-    conditions: dict[str, tuple[Condition, ...]]
+    conditions: dict[str, tuple[Condition, ...]]  #: Of the surfaces; the largest share is 1
     pressure: float  #: Where to arrive [mmHg]; 0 where all pressures are those of cavities
     scale: float = 1.0  #: Millimetres in the mesh's unit of length
-    #: The pressure under which the wall has the shape of the mesh [mmHg]; 0 at rest
-    image: float = 0.0
+    image: float = 0.0  #: Pressure under which the wall has the mesh's shape [mmHg]; 0 at rest
     rate: float | None = None  #: By how much the pressure grows [mmHg/s]; None without dashpots
     axis: str | None = None  #: Axis of the prestretch; None for none
     stretch: float = 1.0  #: The prestretch [-]
     fibres: dict[str, Any] = field(default_factory=dict)  #: Arguments of ``fibre_frame``
-    #: What fills them, by the name of their surface
-    cavities: dict[str, Filling] = field(default_factory=dict)
+    cavities: dict[str, Filling] = field(default_factory=dict)  #: By their surfaces
 
     def __post_init__(self) -> None:
         """Check the values."""

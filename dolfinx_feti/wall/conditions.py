@@ -136,21 +136,15 @@ class Boundary:
     """What conditions make of a wall's boundary."""
 
     bcs: list[dolfinx.fem.DirichletBC]  #: Dirichlet conditions of what is clamped or slides
-    #: Virtual work of pressure, springs and dashpots, to be added to that inside
-    residual: ufl.Form
-    #: Its derivative; of a pressure's, the symmetric part if that is all of it in sum
-    tangent: ufl.Form
-    #: Its potential, to be added to that inside; None if the pressure has none
-    energy: ufl.Form | None
+    residual: ufl.Form  #: Virtual work of pressure, springs and dashpots
+    tangent: ufl.Form  #: Its derivative; of a pressure's, the symmetric part if that is all of it
+    energy: ufl.Form | None  #: Its potential; None if the pressure has none
     pressure: dolfinx.fem.Constant  #: The wall's pressure [kPa], zero at first
-    #: Δt of the dashpots [s], infinite at first: they do not resist
-    time_step: dolfinx.fem.Constant
-    #: The displacement at the end of the last time step [mm], zero at first
-    last: dolfinx.fem.Function
+    time_step: dolfinx.fem.Constant  #: Δt of the dashpots [s], infinite at first
+    last: dolfinx.fem.Function  #: Displacement of the last time step [mm], zero at first
     axis: int | None  #: Number of the axis of the prestretch; None for none
     moved: dolfinx.fem.Function  #: The displacement of what is clamped [mm]
-    #: The displacement normal to each plane that the prestretch moves [mm], and where the plane
-    #: lies on the axis [mm]
+    #: Displacement normal to each plane that is pulled [mm], and its place on the axis [mm]
     planes: tuple[tuple[dolfinx.fem.Constant, float], ...]
 
     def set_stretch(self, stretch: float) -> None:

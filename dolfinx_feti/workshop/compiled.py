@@ -123,11 +123,8 @@ class Material:
     """A compiled energy, how compressible it is, and the values of its parameters."""
 
     energy: CompiledEnergy  #: The generated code
-    #: Penalty κ [kPa] of the volumetric energy κ/2 (J − 1)² that is added to Ψ; ``math.inf`` for an
-    #: incompressible material, 0 for a Ψ that is complete in itself
-    kappa: float = math.inf
-    #: Values of the parameters that the energy was compiled with
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    kappa: float = math.inf  #: Penalty κ [kPa], see :func:`compile_material`
+    parameters: Mapping[str, float] = field(default_factory=dict)  #: Their values
 
     def __post_init__(self) -> None:
         """Check the values."""

@@ -39,12 +39,9 @@ class Ellipticity:
     """The acoustic tensor along a path."""
 
     path: MaterialTest  #: The path
-    #: Least eigenvalue over all directions [kPa], (n,); NaN where no equilibrium was found
-    least: Array
+    least: Array  #: Least eigenvalues [kPa], (n,); NaN where no equilibrium was found
     rest: float  #: The value nearest to the reference state
-    #: Values at which strong ellipticity is first lost above and below the state at rest; empty if
-    #: it is not
-    lost: tuple[float, ...]
+    lost: tuple[float, ...]  #: Where ellipticity is first lost above and below rest, if it is
 
 
 def scan_ellipticity(

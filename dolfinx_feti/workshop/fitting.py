@@ -42,14 +42,12 @@ class Fit:
     """A fit; ``str`` prints its tables."""
 
     material: Material  #: The material with the fitted parameters
-    #: Confidence interval of each parameter; NaN if it is on a bound, which leaves no interval, and
-    #: infinite if the data do not determine it
+    #: Confidence intervals; NaN on a bound, infinite if the data do not determine a parameter
     intervals: dict[str, tuple[float, float]]
     covariance: Array  #: Covariance of the parameters, (m, m); NaN for one on a bound
     confidence: float  #: Level of the intervals
     data: tuple[DataSet, ...]  #: The data sets
-    #: The fitted stresses at the measured states, a response per data set
-    responses: tuple[Response, ...]
+    responses: tuple[Response, ...]  #: The fitted stresses, a response per data set
 
     @property
     def values(self) -> dict[str, float]:

@@ -30,16 +30,12 @@ VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 class Moduli:
     """Moduli at small strains; ``str`` prints them."""
 
-    #: D in Voigt's order 11, 22, 33, 23, 13, 12 [kPa], (6, 6); of an incompressible material the
-    #: part on strains without trace
-    stiffness: Array
+    stiffness: Array  #: D in Voigt's order 11, 22, 33, 23, 13, 12 [kPa], (6, 6)
     least: float  #: Least eigenvalue of D, which is 2 μ (or 3 K) of an isotropic material [kPa]
     bulk: float  #: K [kPa], infinite for an incompressible material
     shear: float  #: μ [kPa]
     young: Array  #: Young's moduli along x, y and z [kPa], (3,); NaN if D is not positive definite
-    #: Poisson's ratios ν_ij, contraction along j in tension along i, (3, 3), likewise; the diagonal
-    #: has no meaning
-    poisson: Array
+    poisson: Array  #: Poisson's ratios ν_ij, contraction along j in tension along i, (3, 3)
 
     def __str__(self) -> str:
         """Return a few lines."""

@@ -57,8 +57,7 @@ class MaterialTest:
     F: Array  #: Deformation gradients, (n, 3, 3); the free entries are guesses with det F = 1
     free: Array  #: Directions of the free entries in the space of F, (k, 3, 3), orthonormal
     frame: Array  #: Loading directions e₁, e₂ and e₃ as columns, (3, 3), a rotation
-    #: Indices of the stresses that a test measures, in the loading frame
-    measured: tuple[tuple[int, int], ...]
+    measured: tuple[tuple[int, int], ...]  #: Indices of the stresses that a test measures
 
 
 def uniaxial(stretch: npt.ArrayLike, *, along: Sequence[float] = E1) -> MaterialTest:

@@ -47,11 +47,8 @@ class Check:
 
     name: str  #: The property
     outcome: str  #: ``pass``, ``warn`` (a property that good models may lack) or ``fail``
-    #: What was found: a relative deviation, a number of states, or a modulus [kPa]; None if nothing
-    #: could be computed
-    value: float | None
-    #: What a deviation must not exceed; None for a modulus, which has to be positive
-    bound: float | None
+    value: float | None  #: A relative deviation, a number of states, a modulus [kPa], or nothing
+    bound: float | None  #: Most of a deviation; None for a modulus, which has to be positive
     note: str = ""  #: The state, the meaning, or the remedy
 
 
@@ -184,8 +181,7 @@ class Report:
 
     material: Material  #: The material
     checks: tuple[Check, ...]  #: All checks
-    #: Moduli at small strains; None if the energy has no finite tangent at rest
-    moduli: Moduli | None
+    moduli: Moduli | None  #: None if the energy has no finite tangent at rest
     ellipticity: tuple[Ellipticity, ...]  #: The acoustic tensor along each path
 
     @property

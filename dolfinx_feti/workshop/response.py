@@ -94,12 +94,10 @@ class DataSet:
     """
 
     path: MaterialTest  #: The path, with one state per measurement
-    #: Measured stresses [kPa], (n,) for one component, or (n, k): σ₁₁ of a uniaxial path, σ₁₁ and
-    #: σ₂₂ of a biaxial one, σ₁₂ of simple shear; (n, k) afterwards
+    #: [kPa], (n, k) or (n,): σ₁₁ of a uniaxial path, σ₁₁ and σ₂₂ of a biaxial one, σ₁₂ of shear
     stress: Array
     measure: Measure  #: ``cauchy`` (force per deformed area) or ``piola`` (per reference area)
-    #: Weight w of the residuals, the reciprocal of the noise up to a common factor
-    weight: float = 1.0
+    weight: float = 1.0  #: w of the residuals, one over the noise up to a common factor
     name: str = ""  #: Name in tables and pictures, by default that of the path
 
     def __post_init__(self) -> None:
