@@ -34,6 +34,7 @@ from dolfinx_feti.problems.linear_problem import LinearProblem
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.runtime.collective import on_all, reason
 from dolfinx_feti.runtime.cost import Cost, timed_solve
+from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.tables import Cell, json_value, table
 
 __all__ = ["Comparison", "SolverResult", "compare"]
@@ -125,19 +126,13 @@ class Comparison:
 
 def _row(result: SolverResult) -> list[Cell]:
     """Return a row of the table."""
-    cost = result.cost
-    if cost is None:
-        return [result.solver, *[None] * 6, result.note]
-    return [
-        result.solver,
-        cost.iterations,
-        f"{cost.seconds_setup:.2f}".rjust(len(HEAD[2])),
-        f"{cost.seconds_solve:.2f}".rjust(len(HEAD[3])),
-        round(cost.peak_mib) if math.isfinite(cost.peak_mib) else None,
-        _short(result.relative_residual),
-        _short(result.difference_to_direct),
-        result.note,
-    ]
+    cost, figures = result.cost, list[Cell]([None] * 4)
+    if cost is not None:
+        times = zip(HEAD[2:], (cost.seconds_setup, cost.seconds_solve), strict=False)
+        figures = [cost.iterations, *(f"{t:.2f}".rjust(len(head)) for head, t in times)]
+        figures.append(round(cost.peak_mib) if math.isfinite(cost.peak_mib) else None)
+    errors = map(_short, (result.relative_residual, result.difference_to_direct))
+    return [result.solver, *figures, *errors, result.note]
 
 
 def _short(value: float) -> str:
@@ -150,7 +145,7 @@ class _Outcome:
 
     cost: Cost | None
     x: PETSc.Vec | None
-    note: str
+    note: str = ""
     definite: bool = False
 
 
@@ -186,22 +181,20 @@ def compare(
     wanted = _checked(solvers, comm)
     left_out = tuple((name, why) for name, options in wanted.items() if (why := missing(options)))
     present = {name: options for name, options in wanted.items() if name not in dict(left_out)}
-    A, b = problem.linear_system()
-    K, f = assembled_system(A, b)
-    dirichlet = A.query("dirichlet")
-    _put_zero(f, dirichlet)
-    outcomes: dict[str, _Outcome] = {}
-    try:
+    with Lifetime() as owned:
+        A, b = problem.linear_system()
+        K, f = map(owned.own, assembled_system(A, owned.own(b)))
+        dirichlet = A.query("dirichlet")
+        _put_zero(f, dirichlet)
         if not f.norm() > 0.0:
             raise ValueError(
                 "The right-hand side of the problem is zero, and so is every solution: set a load "
                 "before the solvers are compared."
             )
-        ksp = problem.create_linear_solver()
-        rtol = ksp.getTolerances()[0]
-        ksp.destroy()
+        rtol = owned.own(problem.create_linear_solver()).getTolerances()[0]
+        outcomes: dict[str, _Outcome] = {}
         if "feti" in present:  # first: it knows whether the matrix is definite
-            outcomes["feti"] = _solve(problem.create_linear_solver, b)
+            outcomes["feti"] = _solve(problem.create_linear_solver, b, owned)
             definite = outcomes["feti"].definite if definite is None else definite
         symmetric = bool(all(K.isSymmetricKnown()))
         marks = {"symmetric": symmetric, "definite": bool(definite) and symmetric}
@@ -209,25 +202,25 @@ def compare(
             K.setOption(PETSc.Mat.Option.SPD, True)
         for name, options in present.items():
             if name == DIRECT and options is SOLVERS[DIRECT]:
-                outcomes[name] = _solve_directly(K, f)
+                outcomes[name] = _solve_directly(K, f, owned)
             elif name != "feti":
                 M = A if takes_torn(name, options) else K
-                outcomes[name] = _solve(
-                    partial(create_solver, M, name, options, rtol=rtol, **marks), f
-                )
-        solutions = {name: outcomes[name].x for name in present if outcomes[name].x}
-        for x in solutions.values():
-            _put_zero(x, dirichlet)
-        errors = {name: relative_residual(K, f, x) for name, x in solutions.items()}
-        direct = solutions[DIRECT] if errors.get(DIRECT, np.inf) <= REFERENCE else None
+                create = partial(create_solver, M, name, options, rtol=rtol, **marks)
+                outcomes[name] = _solve(create, f, owned)
+        errors = {}
+        for name, outcome in outcomes.items():
+            if outcome.x is not None:
+                _put_zero(outcome.x, dirichlet)
+                errors[name] = relative_residual(K, f, outcome.x)
+        direct = outcomes[DIRECT].x if errors.get(DIRECT, np.inf) <= REFERENCE else None
         results = []
         for name in present:
-            note, error, x = outcomes[name].note, errors.get(name, np.nan), solutions.get(name)
-            if error > EXCESS * rtol and not note:
-                note = f"the residual is above {rtol:.0e}"
-            known = x is not None and direct is not None
-            difference = relative_difference(x, direct) if known else np.nan
-            results.append(SolverResult(name, outcomes[name].cost, error, difference, note))
+            outcome, error = outcomes[name], errors.get(name, np.nan)
+            above = error > EXCESS * rtol and not outcome.note
+            note = f"the residual is above {rtol:.0e}" if above else outcome.note
+            known = outcome.x is not None and direct is not None
+            difference = relative_difference(outcome.x, direct) if known else np.nan
+            results.append(SolverResult(name, outcome.cost, error, difference, note))
         return Comparison(
             dofs=f.getSize(),
             subdomains=comm.allreduce(problem.decomposition.count),
@@ -236,18 +229,14 @@ def compare(
             results=tuple(results),
             left_out=left_out,
         )
-    finally:
-        for owned in (K, f, b, *(outcome.x for outcome in outcomes.values() if outcome.x)):
-            owned.destroy()
 
 
-def _solve(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> _Outcome:
+def _solve(create: Callable[[], PETSc.KSP], b: PETSc.Vec, owned: Lifetime) -> _Outcome:
     """Solve with one solver; a failure becomes a note."""
-    x = b.duplicate()
+    x = owned.own(b.duplicate())
     try:
         cost, ksp = on_all(lambda: timed_solve(create, b, x), b.comm.tompi4py())
     except (PETSc.Error, RuntimeError, ImportError) as error:
-        x.destroy()
         return _Outcome(None, None, f"failed: {reason(error).splitlines()[-1]}")
     why, definite, pc = _name(cost.converged_reason), False, ksp.getPC()
     if ksp.getType() == PETSc.KSP.Type.PYTHON and isinstance(ksp.getPythonContext(), FETI):
@@ -259,21 +248,19 @@ def _solve(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> _Outcome:
         why = factor_failure(pc)
     ksp.destroy()
     if cost.converged_reason > 0:
-        return _Outcome(cost, x, "", definite)
-    x.destroy()
+        return _Outcome(cost, x, definite=definite)
     return _Outcome(cost, None, f"failed: {why}", definite)
 
 
-def _solve_directly(K: PETSc.Mat, f: PETSc.Vec) -> _Outcome:
+def _solve_directly(K: PETSc.Mat, f: PETSc.Vec, owned: Lifetime) -> _Outcome:
     """Solve by MUMPS; once more, by LU, if what Cholesky leaves is too much."""
     notes = []
     for symmetric in (True, False) if all(K.isSymmetricKnown()) else (False,):
-        outcome = _solve(partial(create_solver, K, symmetric=symmetric), f)
+        outcome = _solve(partial(create_solver, K, symmetric=symmetric), f, owned)
         error = np.nan if outcome.x is None else relative_residual(K, f, outcome.x)
         if outcome.x is None or error <= REFERENCE:
             break
         if symmetric:
-            outcome.x.destroy()
             notes.append(f"by LU, as Cholesky leaves a residual of {error:.0e}")
         else:
             notes.append(f"no reference: the residual is above {REFERENCE:.0e}")

@@ -55,7 +55,7 @@ VERTEX_NODES = 2
 
 
 def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
-    r"""Convert a torn matrix and its right-hand side to the assembled system that FETI solves.
+    r"""Convert a torn matrix and its right-hand side to the assembled system. Collective.
 
     .. math:: K = \begin{pmatrix} A_{FF} & 0 \\ 0 & I \end{pmatrix}, \qquad
         f = \begin{pmatrix} b_F - A_{FD}\, b_D \\ b_D \end{pmatrix}
@@ -69,9 +69,6 @@ def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
     Returns:
         K, (N, N), marked as symmetric if the matrices of all subdomains are, with the near kernel
         and the null space of A; and f, (N,), without its part in that. The caller destroys them.
-
-    Note:
-        Collective.
     """
     K, f = PETSc.Mat(), b.copy()
     A.convert(PETSc.Mat.Type.AIJ, K)

@@ -11,12 +11,10 @@ number of them restart. ``head.json`` names mesh, elements, forms, constants, pa
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,22 +79,17 @@ class Checkpoint:
         Raises:
             OSError: The folder cannot be written, holds a state already, or none to go on from.
             ValueError: What it holds is no checkpoint, damaged, or one of other parameters.
+            TypeError: A parameter is none that JSON holds.
         """
-        self._comm = comm
-        self.restart, self._allow_changes = restart, allow_changes
-        given = (parameters or {}).items()
-        self._parameters = on_all(lambda: {n: _plain_parameter(n, v) for n, v in given}, comm)
+        self._comm, self.restart, self._allow_changes = comm, restart, allow_changes
+        self._parameters = on_all(lambda: _plain("parameters", dict(parameters or {})), comm)
         self.folder = Path(folder)
         self._path = self.folder / FILE
         self._head: dict[str, Any] | None = on_first(self._open, comm)
+        self.record: dict[str, Any] | None = None if self._head is None else self._head["record"]
         writable_folder(self.folder, comm)
         if self._head is not None and self._head["version"] != (here := package_version()):
             warn(f"{self._path} is of dolfinx_feti {self._head['version']}, this is {here}.", comm)
-
-    @property
-    def record(self) -> dict[str, Any] | None:
-        """The record of the last :meth:`write`; None before the first one."""
-        return None if self._head is None else self._head["record"]
 
     def write(
         self,
@@ -112,8 +105,7 @@ class Checkpoint:
         Args:
             functions: The state.
             record: What belongs to it, such as the load: what JSON can hold.
-            past: Earlier values of the functions or of the first few of them, their arrays with
-                ghosts, the oldest first.
+            past: Earlier arrays, with ghosts, of the first of the functions; the oldest first.
             content: What the forms of the problem hold, by which a restart knows it.
             moving: Places of the constants in them whose values a restart need not share.
 
@@ -129,15 +121,16 @@ class Checkpoint:
             "parameters": self._parameters,
             **_describe(functions, content, moving),
         }
-        head = on_first(lambda: _plain(head | {"record": dict(record)}), self._comm)
+        head["record"] = on_first(lambda: _plain("record", dict(record)), self._comm)
+        parts = _gathered(dict(_arrays(functions, past)), self._comm)
         try:
-            self._write(head, _arrays(functions, past))
+            on_first(lambda: self._write(head, parts), self._comm)
         except Exception as error:
             kept = "there is none yet" if self._head is None else "the one before it is kept"
             raise OSError(
                 f"The checkpoint {self._path} cannot be written ({reason(error)}): {kept}."
             ) from error
-        self._head = head
+        self._head, self.record = head, head["record"]
 
     def read(
         self, functions: Sequence[dolfinx.fem.Function], *, content: Content | None = None
@@ -204,33 +197,21 @@ class Checkpoint:
                 "allow_changes=True accepts other parameters, forms and constants."
             )
 
-    def _write(self, head: Mapping[str, Any], arrays: Iterator[tuple[str, Stored]]) -> None:
+    def _write(self, head: Mapping[str, Any], parts: Sequence[Mapping[str, Stored]]) -> None:
         """Write the state beside the last one, bring it to the disk, and let it take its place."""
-        part = self._path.with_suffix(".part")
-        opened: list[zipfile.ZipFile] = []  # on the first process
-
-        def put(name: str, parts: Sequence[Stored]) -> None:
-            for p, array in enumerate(parts):
-                with opened[0].open(f"{p}/{name}.npy", "w", force_zip64=True) as file:
-                    np.lib.format.write_array(file, array, allow_pickle=False)
-
-        def publish() -> None:
-            opened[0].writestr("head.json", json.dumps(head))
-            opened[0].close()
-            _sync(part)
-            os.replace(part, self._path)
-            _sync(self.folder)
-
-        on_first(lambda: opened.append(zipfile.ZipFile(part, "w")), self._comm)
+        aside = self._path.with_suffix(".part")
         try:
-            for name, array in arrays:
-                on_first(partial(put, name, _gathered(array, self._comm)), self._comm)
-            on_first(publish, self._comm)
+            with zipfile.ZipFile(aside, "w") as file:
+                for p, arrays in enumerate(parts):
+                    for name, array in arrays.items():
+                        with file.open(f"{p}/{name}.npy", "w", force_zip64=True) as entry:
+                            np.lib.format.write_array(entry, array, allow_pickle=False)
+                file.writestr("head.json", json.dumps(head))
+            _sync(aside)
+            os.replace(aside, self._path)
+            _sync(self.folder)
         finally:
-            for file in opened:
-                with contextlib.suppress(OSError):  # a disk that is full fails once more
-                    file.close()
-                part.unlink(missing_ok=True)
+            aside.unlink(missing_ok=True)
 
     def _read(self, functions: Sequence[dolfinx.fem.Function]) -> list[list[Array]]:
         """Read all instants, the present one at the end; each process for its cells and ghosts."""
@@ -258,7 +239,7 @@ class Checkpoint:
 def _arrays(
     functions: Sequence[dolfinx.fem.Function], past: Sequence[Sequence[Array]]
 ) -> Iterator[tuple[str, Stored]]:
-    """Yield what this process writes."""
+    """Yield what this process writes, and its names."""
     mesh = functions[0].function_space.mesh
     owned = mesh.topology.index_map(mesh.topology.dim).size_local
     yield "cells", np.asarray(mesh.topology.original_cell_index)[:owned]
@@ -284,21 +265,20 @@ def _turn(values: Array, f: dolfinx.fem.Function, turned: Stored, cells: Stored)
         element.Tt_inv_apply(flat, _turned(f.function_space.mesh)[cells], bs)
 
 
-def _gathered(array: Stored, comm: MPI.Comm) -> list[Stored]:
-    """Bring the arrays of all processes to the first one, one message each."""
+def _gathered(mine: dict[str, Stored], comm: MPI.Comm) -> list[dict[str, Stored]]:
+    """Bring what all processes have to the first one, one message each."""
     if comm.rank > 0:
-        comm.send(array, 0)
+        comm.send(mine, 0)
         return []
-    return [array, *(comm.recv(source=rank) for rank in range(1, comm.size))]
+    return [mine, *(comm.recv(source=rank) for rank in range(1, comm.size))]
 
 
 def _describe(
     functions: Sequence[dolfinx.fem.Function], content: Content | None, moving: Sequence[int]
 ) -> dict[str, Any]:
-    """Describe mesh, elements, forms, and Constants that no step moves, on any number of processes.
+    """Describe mesh, elements, forms, and Constants that no step moves. Collective.
 
-    Of the coordinates it is the mean over the cells of their vertices, each weighted by a number
-    that follows from its place in the input, so that it depends on their order. Collective.
+    Of the coordinates it is a mean of the vertices of cells with weights by places in the input.
     """
     mesh = functions[0].function_space.mesh
     cells = mesh.topology.index_map(mesh.topology.dim)
@@ -341,25 +321,15 @@ def _differences(there: Mapping[str, Any], here: Mapping[str, Any], *, forms: bo
     return found
 
 
-def _plain_parameter(name: str, value: object) -> Any:
-    """Return a parameter as it comes back from a file."""
-    try:
-        return _plain(value)
-    except TypeError as error:
-        raise ValueError(
-            f"parameters[{name!r}] is {value!r}: give numbers, strings, or lists of them."
-        ) from error
+def _plain(name: str, value: object) -> Any:
+    """Return what JSON makes of a value, and of NumPy's numbers and arrays in it."""
 
+    def of_numpy(part: object) -> object:
+        if isinstance(part, np.generic | np.ndarray):
+            return part.tolist()
+        raise TypeError(f"{name} holds {part!r}: give numbers, strings, or lists of them.")
 
-def _plain(record: object) -> Any:
-    """Return what JSON makes of a record, and of NumPy's numbers and arrays in it."""
-
-    def of_numpy(value: object) -> object:
-        if isinstance(value, np.generic | np.ndarray):
-            return value.tolist()
-        raise TypeError(f"{value!r} is no number, string, or list")
-
-    return json.loads(json.dumps(record, default=of_numpy))
+    return json.loads(json.dumps(value, default=of_numpy))
 
 
 def _sync(path: Path) -> None:

@@ -22,14 +22,10 @@ MOST = 50
 
 
 class FixedPoint:
-    """A problem that a path follows like a NonlinearProblem, with solves of one inside its own.
+    """A problem that a path follows like the NonlinearProblem inside, whose solves it iterates.
 
     Attributes:
-        u: Displacement of the inner problem.
-        solver: Its SNES.
-        content: What its forms hold.
         history: The Newton steps of all inner solves of the last solve.
-        volume_changes: What the last inner solve has left, see the problem.
         internal_variables: None: loads on the way to a shape or a stress are no history.
     """
 
@@ -37,10 +33,11 @@ class FixedPoint:
 
     def __init__(self, problem: NonlinearProblem) -> None:
         self._problem, self._comm = problem, problem.u.function_space.mesh.comm
-        self.u, self.solver, self.content = problem.u, problem.solver, problem.content
-        self.renew = problem.renew
         self.history: list[NewtonStep] = []
-        self.volume_changes: list[float] = []
+
+    def __getattr__(self, name: str) -> Any:
+        """Be the inner problem in all else."""
+        return getattr(self._problem, name)
 
     def update_internal_variables(self, *, balanced: bool | None = None) -> None:
         """Remember nothing."""
@@ -65,21 +62,12 @@ class FixedPoint:
         """Solve the inner problem, at first with options, until the fixed point is found."""
         raise NotImplementedError
 
-    def residual_norm(self) -> float:
-        """Return ‖r‖ of the inner problem."""
-        return self._problem.residual_norm()
-
-    def linearise(self) -> Tangent:
-        """Assemble the inner problem's tangent."""
-        return self._problem.linearise()
-
     def _solve(self, **options: Any) -> None:
         """Solve the inner problem."""
         try:
             self._problem.solve(**options)
         finally:
             self.history += self._problem.history
-            self.volume_changes = self._problem.volume_changes
 
     def _anderson(self, f: dolfinx.fem.Function) -> Anderson:
         """Begin to accelerate the iteration of a function."""

@@ -4,12 +4,10 @@
 r"""Load steps: from equilibrium to equilibrium, to the wanted loads (docs/load_steps.md).
 
 The first steps begin with the tangent of the last equilibrium and the residual of the new load,
-
-.. math:: K'(U_n; t_n)\, ΔU = -r(U_n; t_{n+1}), \qquad t_{n+1} = t_n + Δt,
-
-(eq. 25, Augustin_eq:loadStepping). Once three equilibria are known, a parabola through them
-predicts the next one; where it turns a cell inside out, or has an indefinite tangent and a larger
-residual than the last equilibrium, the tangent of that takes its place again.
+:math:`K'(U_n; t_n)\, ΔU = -r(U_n; t_{n+1})` (eq. 25, Augustin_eq:loadStepping). Once three
+equilibria are known, a parabola through them predicts the next one; where it turns a cell inside
+out, or has an indefinite tangent and a larger residual than the last equilibrium, the tangent of
+that takes its place again.
 
 Newton's tolerance refers to :math:`\|r(U_n; t_{n+1})\|`, as the residual of a prediction can be
 larger by orders of magnitude. FETI's preconditioner serves on from one load to the next, but for
@@ -18,21 +16,21 @@ the step after a checkpoint: what a restart does not know, a run that goes on mu
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 from petsc4py import PETSc
+
+import numpy as np
 
 import dolfinx
 
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.motion import motions_in
-from dolfinx_feti.loading.state import PathState, Snapshot
-from dolfinx_feti.loading.stepper import ROUNDING, Problem, Stepper, check_places, kept_tolerances
+from dolfinx_feti.loading.state import PathState
+from dolfinx_feti.loading.stepper import ROUNDING, Problem, Stepper, check_places, loosened
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.mechanics.supports import DASHPOTS
 from dolfinx_feti.runtime.arrays import Array
@@ -101,7 +99,7 @@ def follow_load(
     )
 
 
-class _Loads(Stepper[LoadStep, Steps]):
+class _Loads(Stepper):
     """Equilibria; a parabola through the last three of them predicts the next one."""
 
     order = 2
@@ -126,6 +124,7 @@ class _Loads(Stepper[LoadStep, Steps]):
         histories = [*problem.internal_variables, *self._dashpots]
         state = PathState(start, problem.content, unknowns, histories)
         super().__init__(problem, set_load, steps, state)
+        self._steps = steps
 
     def _begin(self, targets: Sequence[float], *, restarted: bool) -> None:
         """Let the state be one of rest."""
@@ -163,37 +162,29 @@ class _Loads(Stepper[LoadStep, Steps]):
         """Solve from a prediction, or else with the tangent of the last equilibrium."""
         early = abs(to - self.at) > self._steps.least * (1.0 + ROUNDING)  # it can be shortened
         solve = partial(self._problem.solve, renew=False, give_up_early=early)
-        with self._tolerances(on_the_way=to != target):
+        rough = (self._steps.rtol, self._steps.linear_rtol) if to != target else (None, None)
+        rtol, linear_rtol = (tolerance or 0.0 for tolerance in rough)
+        with loosened(self._problem.solver, rtol=rtol, linear_rtol=linear_rtol):
             if len(self._past) > self.order:
                 self._set_place(to)
                 reference = self._problem.residual_norm()
-                self.state.set_unknowns(extrapolate(self._past, to))
+                self.state.set(self._predicted(to))
                 try:
                     solve(reference=reference)
                     return
                 except ConvergenceError:
                     if self._problem.solver.getConvergedReason() != INADMISSIBLE:
                         raise
-                self._restore()
+                self._set_place(self.at)
+                self._back()
             tangent = self._problem.linearise()
             self._set_place(to)
             solve(first_tangent=tangent)
 
-    @contextmanager
-    def _tolerances(self, *, on_the_way: bool) -> Iterator[None]:
-        """Let rougher tolerances hold where a load is on the way only."""
-        wanted = (self._steps.rtol, self._steps.linear_rtol) if on_the_way else (None, None)
-        with kept_tolerances(self._problem.solver) as before:
-            for (solver, own), rtol in zip(before, wanted, strict=True):
-                solver.setTolerances(rtol=max(rtol or 0.0, own[0]))
-            yield
-
-
-def extrapolate(past: Sequence[Snapshot], load: float) -> list[Array]:
-    """Extend the polynomial through equilibria to another load."""
-    weights = []
-    for i, here in enumerate(past):
-        others = [other.at for j, other in enumerate(past) if j != i]
-        weights.append(math.prod((load - t) / (here.at - t) for t in others))
-    columns = zip(*(place.unknowns for place in past), strict=True)
-    return [sum(w * array for w, array in zip(weights, arrays, strict=True)) for arrays in columns]
+    def _predicted(self, load: float) -> list[Array]:
+        """Extend the polynomial through the unknowns of equilibria to another load."""
+        t = np.array([place.at for place in self._past])
+        rest = [np.delete(t, i) for i in range(len(t))]
+        w = [np.prod((load - s) / (here - s)) for here, s in zip(t, rest, strict=True)]
+        columns = zip(*map(self.state.unknowns, self._past), strict=True)
+        return [sum(a * array for a, array in zip(w, arrays, strict=True)) for arrays in columns]

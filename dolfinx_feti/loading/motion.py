@@ -11,16 +11,14 @@ another one, a, which follows ü with the numerical damping of Chung and Hulbert
           u_{n+1} = u_n + Δt\, v_n + Δt^2 ((½ - β) a_n + β a_{n+1}), \qquad
           v_{n+1} = v_n + Δt ((1 - γ) a_n + γ a_{n+1}).
 
-So prescribed values are met, and memory is that of t_{n+1}. The unknown of the problem is u_{n+1},
-in which mass and damping are affine:
+The unknown of the problem is u_{n+1}, in which mass and damping are affine:
 
 .. math:: \ddot u_{n+1} = c\, (u - \tilde u), \qquad v_{n+1} = d\, (u - \hat u), \qquad
           c = \frac{1 - α_m}{(1 - α_f)\, β\, Δt^2}, \qquad d = \frac{γ}{β\, Δt}.
 
 With the spectral radius ρ_∞ at high frequencies, α_m = (2 ρ_∞ − 1)/(ρ_∞ + 1), α_f = ρ_∞/(ρ_∞ + 1),
-γ = ½ − α_m + α_f and β = ¼ (1 − α_m + α_f)²: of second order, and stable for linear problems.
-As a is the acceleration at the time t + (α_m − α_f) Δt, the distance a − ü is scaled with Δt where
-that changes, which keeps the order.
+γ = ½ − α_m + α_f and β = ¼ (1 − α_m + α_f)²: of second order. As a is the acceleration at the time
+t + (α_m − α_f) Δt, the distance a − ü is scaled with Δt where that changes, which keeps the order.
 """
 
 from __future__ import annotations
@@ -40,11 +38,12 @@ from ufl.algorithms.analysis import extract_coefficients
 from ufl.core.expr import Expr
 
 from dolfinx_feti.errors import ConvergenceError
+from dolfinx_feti.fem.assembly import assemble_owned
 from dolfinx_feti.mechanics.supports import DASHPOTS
 from dolfinx_feti.mechanics.values import require_positive, require_within
 from dolfinx_feti.runtime.arrays import Array, Indices
 
-__all__ = ["Motion", "fixed_dofs", "motions_in", "owned_vector"]
+__all__ = ["Motion", "fixed_dofs", "motions_in"]
 
 
 #: Of the mass matrix' own solve, which a Jacobi preconditioner serves.
@@ -77,8 +76,7 @@ class Motion:
         Args:
             u: The displacement.
             density: Mass per reference volume, ρ; in kg/mm³ with mm, kPa and s.
-            rho: Spectral radius ρ_∞ at high frequencies, from 0, which damps them in one step, to
-                1, which keeps them.
+            rho: Spectral radius ρ_∞, from 0, which damps high frequencies in a step, to 1.
 
         Raises:
             ValueError: ``rho`` is not between 0 and 1, or ``density`` not positive.
@@ -163,7 +161,9 @@ class Motion:
         M.assemble()
         f, a = M.createVecs()
         owned = f.getLocalSize()
-        f.array[:] = -owned_vector(residual) - owned_vector(dolfinx.fem.form(ufl.action(mass, ü)))
+        f.array[:] = -assemble_owned(residual) - assemble_owned(
+            dolfinx.fem.form(ufl.action(mass, ü))
+        )
         f.array[fixed[fixed < owned]] = given[fixed < owned]
         ksp = PETSc.KSP().create(M.comm)
         ksp.setOperators(M)
@@ -236,10 +236,10 @@ class Motion:
         if residual is None:
             dofmap = self.u.function_space.dofmap
             return np.zeros(dofmap.index_map.size_local * dofmap.index_map_bs)
-        whole = owned_vector(residual)
+        whole = assemble_owned(residual)
         behind, d = self._behind.x.array.copy(), float(self._d.value)
         self._set_rate(d, self.u.x.array)
-        elastic = owned_vector(residual)
+        elastic = assemble_owned(residual)
         self._set_rate(d, behind)
         return whole - elastic
 
@@ -255,13 +255,6 @@ class Motion:
         self._d.value, self._behind.x.array[:] = d, behind
         for last, time_step in self._dashpots:
             last.x.array[:], time_step.value = behind, 1.0 / d
-
-
-def owned_vector(form: dolfinx.fem.Form) -> Array:
-    """Assemble a linear form, (owned,). Collective."""
-    b = dolfinx.fem.assemble_vector(form)
-    b.scatter_reverse(dolfinx.la.InsertMode.add)
-    return np.array(b.array[: b.index_map.size_local * b.block_size])
 
 
 def fixed_dofs(bcs: Sequence[dolfinx.fem.DirichletBC]) -> Indices:

@@ -47,7 +47,7 @@ def prestress(
     tolerance: float = 1e-8,
     **options: Any,
 ) -> list[LoadStep]:
-    """Find the G with which a wall under load is in balance where it is, u = 0.
+    """Find the G with which a wall under load is in balance where it is, u = 0. Collective.
 
     Afterwards ``follow_load`` goes on from the last load with the same problem.
 
@@ -76,10 +76,8 @@ def prestress(
             det G ≤ 0 somewhere.
         ConvergenceError: No step of the least increment leads on.
 
-    Note:
-        Collective. Internal variables of the problem stay as they are. Source: M. W. Gee, C.
-        Förster, W. A. Wall, International Journal for Numerical Methods in Biomedical Engineering
-        26 (2010).
+    Internal variables stay as they are. Source: M. W. Gee, C. Förster, W. A. Wall, Int. J. Numer.
+    Meth. Biomed. Engng. 26 (2010).
     """
     if not tolerance > 0.0:
         raise ValueError(f"tolerance is {tolerance}: give a positive share of the diameter.")

@@ -5,15 +5,13 @@
 
 It owns the load or time, the unknowns (u, condensed pressures, which are multipliers at the same
 time), histories (internal variables, last displacements of dashpots; velocity and accelerations
-with inertia), and numbers (Constants of the forms, and whatever else has a ``value``). Further
-state of a problem, such as a volume or a Windkessel's pressure, is one more function or number.
+with inertia), and the Constants of the forms, a Windkessel's history among them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 
@@ -23,13 +21,7 @@ from dolfinx_feti.fem.content import Content
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = ["Number", "PathState", "Snapshot"]
-
-
-class Number(Protocol):
-    """Something with a value, equal on all processes, such as a Constant."""
-
-    value: Any
+__all__ = ["PathState", "Snapshot"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +29,7 @@ class Snapshot:
     """A copy of a state: its load or time, and the values, with ghosts."""
 
     at: float
-    unknowns: list[Array]
-    histories: list[Array]
+    arrays: list[Array]
     numbers: list[Array]
 
 
@@ -47,9 +38,8 @@ class PathState:
 
     Attributes:
         at: The load or time.
-        unknowns: What a solve changes, and extrapolation predicts.
-        histories: Other Functions that a step changes.
-        numbers: Constants of the forms, then others with a value.
+        functions: First the unknowns, which a solve changes and extrapolation predicts.
+        numbers: Constants of the forms, then further ones.
     """
 
     def __init__(
@@ -58,42 +48,37 @@ class PathState:
         content: Content,
         unknowns: Iterable[dolfinx.fem.Function],
         histories: Iterable[dolfinx.fem.Function],
-        numbers: Sequence[Number] = (),
+        numbers: Sequence[dolfinx.fem.Constant] = (),
     ) -> None:
-        """Take the unknowns that the user names, before those of the forms, and further histories.
-
-        ``numbers`` are those that every step may change, Constants of the forms or not.
-        """
+        """Take unknowns before those of the forms, histories, and what every step may change."""
         self.at, self._content = float(at), content
-        self.unknowns = list(dict.fromkeys([*unknowns, *content.unknowns]))
-        self.histories = [f for f in dict.fromkeys(histories) if f not in self.unknowns]
-        self.numbers: list[Number] = list(dict.fromkeys([*content.constants, *numbers]))
+        known = list(dict.fromkeys([*unknowns, *content.unknowns]))
+        self._count = len(known)
+        self.functions = list(dict.fromkeys([*known, *histories]))
+        self.numbers = list(dict.fromkeys([*content.constants, *numbers]))
         self._initial = [np.array(number.value) for number in self.numbers]
-        changing = set(map(id, numbers))
-        self._moving = {i for i, number in enumerate(self.numbers) if id(number) in changing}
+        self._moving = {self.numbers.index(number) for number in numbers}
 
     def copy(self) -> Snapshot:
         """Return a copy."""
-        return Snapshot(
-            self.at,
-            [f.x.array.copy() for f in self.unknowns],
-            [f.x.array.copy() for f in self.histories],
-            [np.array(number.value) for number in self.numbers],
-        )
+        arrays = [f.x.array.copy() for f in self.functions]
+        return Snapshot(self.at, arrays, [np.array(number.value) for number in self.numbers])
 
     def restore(self, snapshot: Snapshot) -> None:
         """Go back to a copy; on this process alone."""
         self.at = snapshot.at
-        self.set_unknowns(snapshot.unknowns)
-        for f, array in zip(self.histories, snapshot.histories, strict=True):
-            f.x.array[:] = array
+        self.set(snapshot.arrays)
         for number, value in zip(self.numbers, snapshot.numbers, strict=True):
             number.value = value
 
-    def set_unknowns(self, values: Sequence[Array]) -> None:
-        """Set the unknowns alone."""
-        for f, array in zip(self.unknowns, values, strict=True):
+    def set(self, arrays: Sequence[Array]) -> None:
+        """Set the functions, or the unknowns alone."""
+        for f, array in zip(self.functions, arrays, strict=False):
             f.x.array[:] = array
+
+    def unknowns(self, snapshot: Snapshot) -> list[Array]:
+        """Return the values of the unknowns in a copy."""
+        return snapshot.arrays[: self._count]
 
     def write(
         self, checkpoint: Checkpoint, past: Sequence[Snapshot], record: Mapping[str, object]
@@ -104,9 +89,9 @@ class PathState:
         self._moving |= {i for i, (a, b) in pairs if not np.array_equal(a, b)}
         moving, loads = sorted(self._moving), [*(s.at for s in past), self.at]
         checkpoint.write(
-            [*self.unknowns, *self.histories],
+            self.functions,
             {"loads": loads, "numbers": numbers, "moving": moving, **record},
-            [s.unknowns for s in past],
+            [self.unknowns(s) for s in past],
             content=self._content,
             moving=moving,
         )
@@ -114,14 +99,13 @@ class PathState:
     def read(self, checkpoint: Checkpoint) -> list[Snapshot]:
         """Read what was written; return the earlier states, with the unknowns alone. Collective.
 
-        Numbers that no step had changed stay as they are. A KeyError tells that something else has
-        written it.
+        Numbers that no step had changed stay as they are.
         """
         record = checkpoint.record or {}
         *loads, at = record["loads"]
         moving, numbers = record["moving"], record["numbers"]
-        past = checkpoint.read([*self.unknowns, *self.histories], content=self._content)
+        past = checkpoint.read(self.functions, content=self._content)
         self.at, self._moving = at, self._moving | set(moving)
         for i in moving:
             self.numbers[i].value = np.asarray(numbers[i])
-        return [Snapshot(at, v, [], []) for at, v in zip(loads, past, strict=True)]
+        return [Snapshot(at, arrays, []) for at, arrays in zip(loads, past, strict=True)]

@@ -23,12 +23,11 @@ from __future__ import annotations
 
 import math
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict
 from functools import partial
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -38,13 +37,13 @@ import numpy as np
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.fixed_point import FixedPoint
-from dolfinx_feti.loading.progress import Interrupts, Progress
+from dolfinx_feti.loading.progress import Progress, noted_signals
 from dolfinx_feti.loading.state import PathState
-from dolfinx_feti.loading.steps import Lengths, Step, load_step
+from dolfinx_feti.loading.steps import Lengths, LoadStep, load_step
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.runtime.collective import on_all, reason
 
-__all__ = ["Problem", "Stepper", "check_places", "kept_tolerances"]
+__all__ = ["Problem", "Stepper", "check_places", "loosened"]
 
 #: What the last digits of a length are worth, relative to it and to where it begins.
 ROUNDING = 1e-12
@@ -52,10 +51,8 @@ ROUNDING = 1e-12
 #: What a path can follow.
 Problem: TypeAlias = NonlinearProblem | FixedPoint
 
-AnyLengths = TypeVar("AnyLengths", bound=Lengths)
 
-
-class Stepper(ABC, Generic[Step, AnyLengths]):
+class Stepper:
     """The state, the last ones before it, and the length of the next step.
 
     Attributes:
@@ -67,7 +64,7 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
     """
 
     order = 0
-    kind: type[Step]
+    kind: type[LoadStep]
     name: str
     missed: str
     remedy: str
@@ -76,13 +73,14 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
         self,
         problem: Problem,
         set_place: Callable[[float], object],
-        steps: AnyLengths,
+        steps: Lengths,
         state: PathState,
     ) -> None:
         """Begin with the present state, see the function that takes the steps."""
         self._comm: MPI.Comm = problem.u.function_space.mesh.comm
         self._problem, self.state, self._user = problem, state, set_place
-        self._steps, self._length, self._interrupts = steps, steps.first, Interrupts()
+        self._lengths, self._length = steps, steps.first
+        self._check: Callable[[], None] = lambda: None  # raises what a signal means
         self._past, self._met = [state.copy()], [self.at]
         problem.renew()
 
@@ -95,18 +93,19 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
         self,
         targets: Sequence[float],
         *,
-        on_step: Callable[[Step], object] | None,
+        on_step: Callable[[Any], object] | None,
         checkpoint: Checkpoint | None,
         unit: str,
-    ) -> list[Step]:
-        """Go through the targets. Collective."""
-        accepted: list[Step] = []
+    ) -> list[Any]:
+        """Go through the targets; return the steps. Collective."""
+        accepted: list[LoadStep] = []
         if checkpoint is not None and checkpoint.restart:
             accepted = self._recall(checkpoint)
             targets = self._unmet(targets)
         snes, places, number = self._problem.solver, [self.at, *targets], len(accepted)
-        bar = Progress(snes, self._comm, self._interrupts, loads=places, unit=unit, number=number)
-        with closing(bar), self._interrupts, self._whole_steps():
+        with noted_signals() as self._check, self._whole_steps(), closing(
+            Progress(snes, self._comm, self._check, loads=places, unit=unit, number=number)
+        ) as bar:  # fmt: skip
             self._begin(targets, restarted=bool(accepted))
             self._past[-1] = self.state.copy()
             for target in map(float, targets):
@@ -121,22 +120,22 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
                         self._remember(step.load, target)
                     if checkpoint is not None:
                         self._keep(checkpoint, accepted)
-                    on_all(self._interrupts.check, self._comm)
+                    on_all(self._check, self._comm)
         return accepted
 
     # -- what a kind of steps says
 
-    @abstractmethod
     def _attempt(self, to: float, target: float) -> None:
         """Solve for the state at a place on the way to a target, or raise ConvergenceError."""
+        raise NotImplementedError
 
-    @abstractmethod
-    def _arrive(self, step: dict[str, Any]) -> Step:
+    def _arrive(self, step: dict[str, Any]) -> LoadStep:
         """Go to the end of the step, and choose the next length; return the step."""
+        raise NotImplementedError
 
-    @abstractmethod
     def _is_met(self, target: float) -> bool:
         """Tell whether nothing is left to do up to a target."""
+        raise NotImplementedError
 
     def _begin(self, targets: Sequence[float], *, restarted: bool) -> None:
         """Prepare the first step."""
@@ -149,7 +148,7 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
 
     # -- what they share
 
-    def _reach(self, target: float, bar: Progress) -> Step:
+    def _reach(self, target: float, bar: Progress) -> LoadStep:
         """Find the next state, and arrive there."""
         started, before = time.perf_counter(), self.at
         failures, lost = 0, []
@@ -162,11 +161,12 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
             except ConvergenceError as error:
                 failures += 1
                 lost += self._problem.history
-                self._restore()
+                self._set_place(before)
+                self._back()
                 self._problem.renew()
                 bar.refuse(to, error)
                 self._shorten(abs(to - before), error)
-        on_all(self._interrupts.check, self._comm)
+        on_all(self._check, self._comm)
         step = {"load": to, "increment": to - before, "history": tuple(self._problem.history)}
         step |= {"failures": failures, "lost": tuple(lost)}
         found = self._arrive(step | {"seconds": time.perf_counter() - started})
@@ -186,16 +186,15 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
         """Set load and conditions, or raise on all processes."""
 
         def work() -> None:
-            self._interrupts.check()
+            self._check()
             if place != self.at:
                 self._problem.begin_step(place - self.at)
             self._user(place)
 
         on_all(work, self._comm)
 
-    def _restore(self) -> None:
-        """Go back to the last state, after a failure of all processes."""
-        self._set_place(self.at)
+    def _back(self) -> None:
+        """Go back to the last state, but for load and conditions; on this process alone."""
         self.state.restore(self._past[-1])
         self._restored()
 
@@ -209,8 +208,7 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
                 self._user(self._past[-1].at)
             except Exception as second:  # the first one is what went wrong
                 error.add_note(f"Conditions could not be set back: {reason(second)}")
-            self.state.restore(self._past[-1])
-            self._restored()
+            self._back()
             raise
 
     def _next(self, target: float) -> float:
@@ -220,13 +218,14 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
 
     def _shorten(self, length: float, error: ConvergenceError) -> None:
         """Halve the length, down to the least; raise if it was the least."""
-        if length <= self._steps.least + ROUNDING * (length + abs(self.at)):
+        least = self._lengths.least
+        if length <= least + ROUNDING * (length + abs(self.at)):
             text = (
                 f"{self.missed} {self.at:g}: an increment of {length:g} failed, too, and "
-                f"{self._steps.least:g} is the least allowed. {error} {self._remedy(error)}"
+                f"{least:g} is the least allowed. {error} {self._remedy(error)}"
             )
             raise ConvergenceError(text.rstrip()) from error
-        self._length = max(length / 2.0, self._steps.least)
+        self._length = max(length / 2.0, least)
 
     def _remedy(self, error: ConvergenceError) -> str:
         """Say what helps after a failure at the least length."""
@@ -239,39 +238,39 @@ class Stepper(ABC, Generic[Step, AnyLengths]):
             left = left[left[:1] == [place] :]
         return left
 
-    def _keep(self, checkpoint: Checkpoint, accepted: Sequence[Step]) -> None:
+    def _keep(self, checkpoint: Checkpoint, accepted: Sequence[LoadStep]) -> None:
         """Write all that the next solve depends on, so that a restart repeats it."""
         steps = [asdict(step) for step in accepted]
         record = {"kind": self.name, "increment": self._length, "met": self._met, "steps": steps}
         self.state.write(checkpoint, self._past[:-1], record)
         self._problem.renew()
 
-    def _recall(self, checkpoint: Checkpoint) -> list[Step]:
+    def _recall(self, checkpoint: Checkpoint) -> list[LoadStep]:
         """Go where a checkpoint was written; return the steps that led there."""
         record: dict[str, Any] = checkpoint.record or {}
-        try:
-            if record["kind"] != self.name:
-                raise KeyError(record["kind"])
-            accepted = [load_step(step, self.kind) for step in record["steps"]]
-            past = self.state.read(checkpoint)
-        except (KeyError, TypeError) as error:
+        if record.get("kind") != self.name:
             raise ValueError(
-                f"The checkpoint in {checkpoint.folder} was not written by {self.name} of "
-                "this version: name another folder."
-            ) from error
+                f"The checkpoint in {checkpoint.folder} was not written by {self.name}: name "
+                "another folder."
+            )
+        past = self.state.read(checkpoint)
         self._length, self._met = record["increment"], record["met"]
         self._past = [*past, self.state.copy()]
         self._set_place(self.at)
         self.state.restore(self._past[-1])
-        return accepted
+        return [load_step(step, self.kind) for step in record["steps"]]
 
 
 @contextmanager
-def kept_tolerances(snes: PETSc.SNES) -> Iterator[list[tuple[Any, tuple[float, ...]]]]:
-    """Yield a SNES and its KSP with their tolerances, which hold again afterwards."""
+def loosened(
+    snes: PETSc.SNES, *, rtol: float = 0.0, atol: float = 0.0, linear_rtol: float = 0.0
+) -> Iterator[None]:
+    """Let the tolerances of a SNES and its KSP be no smaller than these for a while."""
     before = [(solver, solver.getTolerances()) for solver in (snes, snes.getKSP())]
+    for (solver, own), least in zip(before, ((rtol, atol), (linear_rtol, 0.0)), strict=True):
+        solver.setTolerances(rtol=max(own[0], least[0]), atol=max(own[1], least[1]))
     try:
-        yield before
+        yield
     finally:
         for solver, own in before:
             solver.setTolerances(*own)

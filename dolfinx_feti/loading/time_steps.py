@@ -8,14 +8,12 @@ state with a shorter one. After a good one the length becomes
 
 .. math:: Δt ← Δt\, \max(½, \min(g,\ 0.9\, (\mathrm{tol}/e)^{1/3})),
 
-g being the most that it may grow by, up to the longest. Each step tells the terms of the balance
-of energies,
+g being the most that it may grow by, up to the longest. The balance of energies is
 
 .. math:: T_{n+1} - T_n + Π_{n+1} - Π_n + D = W + O(Δt^3), \qquad
           W = ½\, (f_n + f_{n+1}) · (u_{n+1} - u_n),
 
-with the kinetic energy T, the energy Π that the material stores, external forces f, and D, the work
-on dashpots, which is that of their forces like W.
+with kinetic energy T, stored energy Π, external forces f, and D, the work on dashpots, like W.
 """
 
 from __future__ import annotations
@@ -31,9 +29,10 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.errors import ConvergenceError
+from dolfinx_feti.fem.assembly import assemble_owned
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.motion import Motion, fixed_dofs, motions_in, owned_vector
+from dolfinx_feti.loading.motion import Motion, fixed_dofs, motions_in
 from dolfinx_feti.loading.state import PathState
 from dolfinx_feti.loading.stepper import Stepper, check_places
 from dolfinx_feti.loading.steps import Lengths, LoadStep
@@ -164,7 +163,7 @@ def _check(
     motion.drive(problem.content.coefficients)
 
 
-class _Times(Stepper[TimeStep, TimeSteps]):
+class _Times(Stepper):
     """States of a motion; its velocity and accelerations lead to the next one."""
 
     kind = TimeStep
@@ -182,6 +181,7 @@ class _Times(Stepper[TimeStep, TimeSteps]):
         forces: ufl.Form | None,
     ) -> None:
         super().__init__(problem, set_time, steps, state)
+        self._steps = steps
         given = (energy, forces, motion.damping_form(problem.content.forms[0]))
         self._energy, self._external, self._damping = (
             None if f is None or f.empty() else Compiler(self._comm).form(f) for f in given
@@ -204,7 +204,7 @@ class _Times(Stepper[TimeStep, TimeSteps]):
     def _present_forces(self) -> Array:
         """Return external forces, NaN if they are not given, and those of dashpots, (2, owned)."""
         damping, given = self._motion.damping(self._damping), self._external
-        external = np.full_like(damping, math.nan) if given is None else owned_vector(given)
+        external = np.full_like(damping, math.nan) if given is None else assemble_owned(given)
         return np.stack([external, damping])
 
     def _move_conditions(self, dt: float) -> None:

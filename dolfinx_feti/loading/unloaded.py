@@ -3,11 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The wall without load of one that is known under load, as in a scan (docs/scan.md).
 
-The nodes x of the image are those of the loaded wall. Wanted are the nodes X of the wall without
-load, X + u(X) = x. With U = x − X it is the fixed point :math:`U^{k+1} = u(x - U^k)` of Sellier
-(2011) and of Bols et al. (2013), with Anderson's acceleration, where u(X) is found from
-:math:`U^k` by Newton's method. U is the unknown of a path of loads, which ``follow_load`` follows.
-The mesh moves in place (``fem.nodes``), to X where something is assembled, and back to the image.
+Wanted are the nodes X of the wall without load, X + u(X) = x, of nodes x of the image. U = x − X
+is the fixed point :math:`U^{k+1} = u(x - U^k)` of Sellier (2011) and Bols et al. (2013), with
+Anderson's acceleration, and the unknown of a path that ``follow_load`` follows. The mesh moves in
+place (``fem.nodes``), to X where something is assembled, and back to the image.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.nodes import Nodes, diameter
 from dolfinx_feti.loading.fixed_point import MOST, FixedPoint
 from dolfinx_feti.loading.load_steps import INADMISSIBLE, follow_load
-from dolfinx_feti.loading.stepper import kept_tolerances
+from dolfinx_feti.loading.stepper import loosened
 from dolfinx_feti.loading.steps import LoadStep, Steps
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.problems.system import Tangent
@@ -53,7 +52,7 @@ def unload(
     on_move: Callable[[], object] | None = None,
     **options: Any,
 ) -> list[LoadStep]:
-    """Move the mesh, that of a wall under load, to where the wall is without it.
+    """Move the mesh, that of a wall under load, to where the wall is without it. Collective.
 
     Afterwards the forms of the problem are those of the unloaded wall, and u is the displacement
     that leads to the image. At the loads on the way the mesh is the image, and u leads to it from
@@ -69,7 +68,6 @@ def unload(
             into the unloaded wall, a ← F⁻¹ a / ‖F⁻¹ a‖.
         tolerance: How far a node of the loaded wall may be from the image, over the diagonal of
             the box around that; on the way, so far or as large a share of u as ``steps.rtol``.
-        start: The load at which the image is the unloaded wall.
         on_move: Called on all processes when the mesh and the fibres have moved, to the unloaded
             wall or back to the image, for what else depends on the mesh's shape.
         options: Others of :func:`~dolfinx_feti.loading.load_steps.follow_load`: ``start``, where u
@@ -82,9 +80,8 @@ def unload(
         ValueError: The tolerance is not positive.
         ConvergenceError: No step of the least increment leads on; the mesh is the image.
 
-    Note:
-        Collective. Source: M. Sellier, J. Fluids Struct. 27 (2011); J. Bols et al., Journal of
-        Computational and Applied Mathematics 246 (2013).
+    Source: M. Sellier, J. Fluids Struct. 27 (2011); J. Bols et al., J. Comput. Appl. Math. 246
+    (2013).
     """
     if not tolerance > 0.0:
         raise ValueError(f"tolerance is {tolerance}: give a positive share of the diameter.")
@@ -117,12 +114,12 @@ class _Unloading(FixedPoint):
     def residual_norm(self) -> float:
         """Return ‖r‖ of the loaded wall in the image."""
         with self._moved():
-            return super().residual_norm()
+            return self._problem.residual_norm()
 
     def linearise(self) -> Tangent:
         """Assemble the forward problem's tangent."""
         with self._moved():
-            return super().linearise()
+            return self._problem.linearise()
 
     def move(self, *, back: bool = False) -> None:
         """Move mesh and fibres to the unloaded wall, or back to the image."""
@@ -149,11 +146,14 @@ class _Unloading(FixedPoint):
         """Iterate until the loaded wall is the image, and in equilibrium."""
         anderson = self._anderson(self.u)
         nodes, close, distance = self._nodes, False, math.inf
+        rtol = self.solver.getTolerances()[0]
         last: Array | None = None  # U of the solve before
         self._step(self.u.x.array, self.u.x.array, halvings=1)  # the prediction is admissible
         for _ in range(MOST):
             U = self.u.x.array.copy()
-            with self._moved(), self._tolerances(reference if close else None):
+            rough = {"rtol": ROUGH, "linear_rtol": LINEAR}
+            tolerances = {"atol": rtol * (reference or 0.0)} if close else rough
+            with self._moved(), loosened(self.solver, **tolerances):
                 try:
                     self._solve(**options)
                 except ConvergenceError:
@@ -162,7 +162,7 @@ class _Unloading(FixedPoint):
                     self.u.x.array[:] = (U + last) / 2.0
                     continue
                 loaded = nodes.mesh.geometry.x + nodes.displacement(self.u)
-            distance, rtol = nodes.longest(loaded - nodes.initial), self.solver.getTolerances()[0]
+            distance = nodes.longest(loaded - nodes.initial)
             moved = nodes.longest(nodes.displacement(self.u))
             reached = distance <= max(self._tolerance, rtol * moved)
             if reached and close:
@@ -176,17 +176,6 @@ class _Unloading(FixedPoint):
             f"{MOST} forward solves did not find the unloaded wall: the loaded one is "
             f"{distance:.1e} off the image. Load in smaller steps."
         )
-
-    @contextmanager
-    def _tolerances(self, reference: float | None) -> Iterator[None]:
-        """Let forward solves be rough, or to their own tolerance relative to a residual."""
-        with kept_tolerances(self.solver) as ((snes, (rtol, atol, *_)), (ksp, (linear, *_))):
-            if reference is None:
-                snes.setTolerances(rtol=max(rtol, ROUGH))
-                ksp.setTolerances(rtol=max(linear, LINEAR))
-            else:
-                snes.setTolerances(atol=max(atol, rtol * reference))
-            yield
 
     def _step(self, U: Array, new: Array, halvings: int = HALVINGS) -> None:
         """Go from U to new, or as far as no cell of the unloaded wall turns inside out."""

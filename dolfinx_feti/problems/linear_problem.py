@@ -30,8 +30,7 @@ from dolfinx_feti.runtime.petsc_errors import python_errors
 from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.scalars.border import ScalarSystem
 from dolfinx_feti.scalars.couplings import checked_couplings, refuse_condensed_fields, works
-from dolfinx_feti.scalars.equations import Coupling, ScalarEquation
-from dolfinx_feti.scalars.real_spaces import is_real_function, separated_linear
+from dolfinx_feti.scalars.equations import Coupling
 
 __all__ = ["LinearProblem"]
 
@@ -64,7 +63,7 @@ class LinearProblem(TornProblem):
         a: ufl.Form | Sequence[Sequence[ufl.Form | None]],
         L: ufl.Form | Sequence[ufl.Form],
         bcs: Sequence[dolfinx.fem.DirichletBC] | None = None,
-        u: dolfinx.fem.Function | Sequence[dolfinx.fem.Function] | None = None,
+        u: dolfinx.fem.Function | None = None,
         petsc_options: Mapping[str, object] | None = None,
         form_compiler_options: Mapping[str, object] | None = None,
         jit_options: Mapping[str, object] | None = None,
@@ -85,10 +84,10 @@ class LinearProblem(TornProblem):
         Args:
             a: Bilinear form with integrals over cells, exterior facets and vertices; with
                 ``condense``, its blocks [[a_uu, a_up], [a_pu, a_pp]], or one form on a
-                ``ufl.MixedFunctionSpace(V, Q)``; blocks, too, with u = [u, s].
-            L: Linear form; with ``condense`` or u = [u, s] its blocks.
+                ``ufl.MixedFunctionSpace(V, Q)``.
+            L: Linear form; with ``condense`` its blocks.
             bcs: Dirichlet conditions.
-            u: Function for the solution; created if not given. Or [u, s], s on real spaces.
+            u: Function for the solution; created if not given.
             petsc_options: Options without prefix, see ``docs/options.md``.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the C compiler and its cache.
@@ -104,7 +103,7 @@ class LinearProblem(TornProblem):
             petsc_options_prefix: Non-empty prefix of all options, equal on all processes; one of
                 its own, ``linear_problem_0_`` and so on, if not given.
             scalars: Scalar unknowns beside u with equations that are linear in both
-                (:mod:`dolfinx_feti.scalars`). Those on real spaces belong to u, a and L.
+                (:mod:`dolfinx_feti.scalars`).
             P: Without effect, as a preconditioner of dolfinx's.
             kind: Without effect, as a type of dolfinx's matrices.
             entity_maps: None; several meshes cannot be torn.
@@ -117,18 +116,14 @@ class LinearProblem(TornProblem):
             Collective; raises on all processes.
         """
         check_scalar_type()
-        self._given, fields = u, condensed_fields(condense)
-        equations: list[ScalarEquation] = []
-        if isinstance(u, Sequence) and any(map(is_real_function, u)):
-            a, L, u, equations = separated_linear(a, L, u, fields)
+        fields = condensed_fields(condense)
         if u is not None:
             require_function(u)
-        assert not isinstance(u, Sequence)
         self._fields = fields
         forms, self._load = linear_forms(a, L, u, fields)
         self._bilinear, V = forms.J, forms.u.function_space
         conditions = on_all(lambda: checked_conditions(V, bcs), V.mesh.comm)
-        couplings = [*equations, *checked_couplings(scalars, conditions, V)]
+        couplings = checked_couplings(scalars, conditions, V)
         refuse_condensed_fields(couplings, fields, forms.residuals[1:])
         super().__init__(
             "linear_problem",
@@ -162,11 +157,11 @@ class LinearProblem(TornProblem):
         """The compiled linear form of u."""
         return self._compiler.form(self._load)
 
-    def solve(self) -> dolfinx.fem.Function | Sequence[dolfinx.fem.Function]:
+    def solve(self) -> dolfinx.fem.Function:
         """Assemble and solve.
 
         Returns:
-            The solution u, or [u, s] as it was given.
+            The solution u.
 
         Raises:
             ConvergenceError: FETI did not converge; u is left as it was.
@@ -205,7 +200,7 @@ class LinearProblem(TornProblem):
         for field in self._fields:
             field.x.array[:], p = np.split(p, [len(field.x.array)])
             field.x.scatter_forward()
-        return self.u if self._given is None else self._given
+        return self.u
 
     def _solve_with_scalars(self, scalars: ScalarSystem) -> None:
         """Solve for u and s, from zero: their equations are linear."""

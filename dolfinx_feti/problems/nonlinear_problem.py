@@ -39,8 +39,7 @@ from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.petsc_errors import python_errors
 from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.scalars import couplings as coupled
-from dolfinx_feti.scalars.equations import Coupling
-from dolfinx_feti.scalars.real_spaces import separated
+from dolfinx_feti.scalars.equations import Coupling, separated
 
 __all__ = ["NonlinearProblem"]
 

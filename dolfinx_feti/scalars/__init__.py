@@ -3,15 +3,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Scalar unknowns beside u: their equations, cavities with a volume, Windkessels, mean values.
 
-In the order of the data: equations, border, real_spaces, constraints, arc_length, cavity,
-windkessel, couplings.
+In the order of the data: equations, border, arc_length, cavity, windkessel, couplings.
 """
 
 from dolfinx_feti.scalars.arc_length import ArcLength
 from dolfinx_feti.scalars.cavity import Cavity
-from dolfinx_feti.scalars.constraints import mean_value, rigid_motions
 from dolfinx_feti.scalars.couplings import create_cavities
-from dolfinx_feti.scalars.equations import ScalarEquation
+from dolfinx_feti.scalars.equations import ScalarEquation, mean_value, rigid_motions
 from dolfinx_feti.scalars.windkessel import Windkessel
 
 __all__ = [

@@ -40,7 +40,7 @@ class ArcLength(Coupling):
     """
 
     def __init__(self, u: dolfinx.fem.Function, load: dolfinx.fem.Constant) -> None:
-        """Begin at the present state, which is to be an equilibrium.
+        """Begin at the present state, which is to be an equilibrium. Collective.
 
         Args:
             u: The unknown.
@@ -48,9 +48,6 @@ class ArcLength(Coupling):
 
         Raises:
             ValueError: The load is no scalar constant, or not finite.
-
-        Note:
-            Collective.
         """
         if not isinstance(load, dolfinx.fem.Constant) or load.ufl_shape:
             raise ValueError(f"load is {load!r}: give the scalar Constant that is in the forms.")

@@ -13,7 +13,6 @@ of u by that of a cell, makes of it: the equations have units of their own.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from petsc4py import PETSc
 
@@ -28,13 +27,7 @@ from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.feti.bordered import Border, BorderedSolver, solved
 from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.runtime.collective import on_all, total_of
-from dolfinx_feti.scalars.equations import (
-    Coupling,
-    ScalarEquation,
-    derivative_in,
-    none_if_zero,
-    values_of,
-)
+from dolfinx_feti.scalars.equations import Coupling, derivative_in, values_of
 
 __all__ = ["ScalarSystem"]
 
@@ -47,18 +40,6 @@ DEPENDENT = 1e-7
 
 #: Share of the derivatives of an equation below which those by free dofs are rounding.
 NOTHING = 1e-10
-
-
-@dataclass(frozen=True, slots=True)
-class _Block:
-    """The compiled forms of an equation, and where its unknowns stand."""
-
-    equation: ScalarEquation
-    rows: slice
-    direction: dolfinx.fem.Constant
-    c: list[dolfinx.fem.Form]
-    C: list[dolfinx.fem.Form | None]
-    B: dolfinx.fem.Form | None
 
 
 class ScalarSystem:
@@ -85,39 +66,28 @@ class ScalarSystem:
         """
         self._couplings, self._comm = couplings, compiler.comm
         self._hold(free)
-        v = ufl.TestFunction(u.function_space)
-
-        def compiled(form: ufl.Form | None) -> dolfinx.fem.Form | None:
-            return None if form is None else compiler.form(form)
-
-        blocks, first = [], 0
-        for equation in (coupling.equation for coupling in couplings):
-            m = len(equation.equations)
-            zero = np.zeros_like(equation.unknown.value)
-            direction = dolfinx.fem.Constant(u.function_space.mesh, zero)
-            blocks.append(
-                _Block(
-                    equation,
-                    slice(first, first + m),
-                    direction,
-                    [compiler.form(c) for c in equation.equations],
-                    [compiled(none_if_zero(ufl.derivative(c, u, v))) for c in equation.equations],
-                    compiled(derivative_in(residual, equation.unknown, direction)),
-                )
-            )
-            first += m
-        self.size, self._blocks = first, blocks
-        rows = [(row, k, c) for row in blocks for k, c in enumerate(row.equation.equations)]
-        self._D = [
-            (row.rows.start + k, block, compiler.form(form))
-            for row, k, c in rows
-            for block in blocks
-            if (form := derivative_in(c, block.equation.unknown, block.direction)) is not None
-        ]
-        V = u.function_space
-        self._owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+        self._equations = [coupling.equation for coupling in couplings]
+        c = [form for equation in self._equations for form in equation.equations]
+        self.size, self._owned = len(c), len(free)
         self.border = self._zero()
-        self.increment: Array = np.zeros(first)
+        self.increment: Array = np.zeros(len(c))
+        self._c = [compiler.form(form) for form in c]
+        if not c:
+            return
+        self._direction = dolfinx.fem.Constant(u.function_space.mesh, np.zeros(len(c)))
+        ds, parts = iter(self._direction), []
+        for equation in self._equations:
+            part = [next(ds) for _ in equation.equations]
+            s = equation.unknown
+            parts.append((s, ufl.as_vector(part) if s.ufl_shape else part[0]))
+
+        def compiled(derivative: ufl.Form) -> dolfinx.fem.Form | None:
+            zero = ufl.algorithms.expand_derivatives(derivative).empty()
+            return None if zero else compiler.form(derivative)
+
+        self._B = compiled(derivative_in(residual, parts))
+        self._C = [compiled(ufl.derivative(form, u)) for form in c]
+        self._D = [compiled(derivative_in(form, parts)) for form in c]
 
     def prescribe(self, bcs: Sequence[dolfinx.fem.DirichletBC], *, free: Mask) -> None:
         """Meet other Dirichlet conditions, which leave these dofs free, (owned,). Collective."""
@@ -131,38 +101,32 @@ class ScalarSystem:
 
     def values(self) -> Array:
         """Return s, (m,)."""
-        s = [values_of(block.equation.unknown) for block in self._blocks]
+        s = [values_of(equation.unknown) for equation in self._equations]
         return np.concatenate([np.zeros(0), *s])
 
     def set_values(self, s: Array) -> None:
         """Set s, (m,)."""
-        for block in self._blocks:
-            unknown, mirror = block.equation.unknown, block.equation.mirror
-            unknown.value = s[block.rows].reshape(unknown.ufl_shape)
-            if mirror is not None:
-                mirror.x.array[:] = s[block.rows]
+        for equation in self._equations:
+            own, s = np.split(s, [len(equation.equations)])
+            equation.unknown.value = own.reshape(equation.unknown.ufl_shape)
+            if equation.mirror is not None:
+                equation.mirror.x.array[:] = own
 
     def residual(self) -> Array:
         """Return c(u, s), (m,). Collective."""
-        c = [dolfinx.fem.assemble_scalar(c) for block in self._blocks for c in block.c]
-        return total_of(np.array(c), self._comm)
+        return total_of(np.array([dolfinx.fem.assemble_scalar(c) for c in self._c]), self._comm)
 
     def linearise(self) -> None:
         """Assemble B, C and D at the present state. Collective."""
         border = self._zero()
         B, C, D = border.B, border.C, border.D
-        for block in self._blocks:
-            for k, j in enumerate(range(block.rows.start, block.rows.stop)):
-                unit = np.eye(block.direction.value.size)[k]
-                block.direction.value = unit.reshape(block.direction.ufl_shape)
-                if block.B is not None:
-                    B[:, j] = assemble_owned(block.B)
-                form = block.C[k]
-                if form is not None:
-                    C[:, j] = assemble_owned(form)
-                for row, other, entry in self._D:
-                    if other is block:
-                        D[row, j] += dolfinx.fem.assemble_scalar(entry)
+        for j, unit in enumerate(np.eye(self.size)):
+            self._direction.value = unit
+            if self._B is not None:
+                B[:, j] = assemble_owned(self._B)
+            if (form := self._C[j]) is not None:
+                C[:, j] = assemble_owned(form)
+            D[:, j] = [0.0 if f is None else dolfinx.fem.assemble_scalar(f) for f in self._D]
         self.border = Border(B, C, total_of(D, self._comm))
 
     def _zero(self) -> Border:

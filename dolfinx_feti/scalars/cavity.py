@@ -1,16 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Cavities with a volume that is prescribed, their pressure being the unknown.
+r"""Cavities with a volume that is prescribed [mm³], their pressure being the unknown [kPa].
 
 .. math:: V(u) = \bar V, \qquad r(u, p; v) = δΠ_{int} - p\, δV
 
-The pressure is the multiplier of the volume: with V from
-:func:`~dolfinx_feti.mechanics.loads.enclosed_volume` it is the follower pressure, and the tangent
-is symmetric. That holds where the surface is closed, or its rims are held as V requires, which is
-tried out.
-
-Units: volumes in mm³, pressures in kPa.
+The pressure is the multiplier of the volume (``mechanics.loads.enclosed_volume``), a follower
+pressure with a symmetric tangent where the surface is closed, or its rims are held as V requires.
 """
 
 from __future__ import annotations
@@ -60,7 +56,7 @@ class Cavity(Coupling):
         axis: Sequence[float] | None = None,
         pressure: float = 0.0,
     ) -> None:
-        """Take a surface; N points out of the wall, into the lumen.
+        """Take a surface; N points out of the wall, into the lumen. Collective.
 
         Args:
             u: The displacement [mm].
@@ -73,9 +69,6 @@ class Cavity(Coupling):
         Raises:
             ValueError: u is no displacement, the volume is not positive, the measure has no facets,
                 or what they enclose is not positive.
-
-        Note:
-            Collective.
         """
         V = u.function_space
         d = V.mesh.geometry.dim
@@ -132,17 +125,7 @@ class Cavity(Coupling):
         return ScalarEquation(self.pressure, (self.form - self.spread(self.volume),), self.work)
 
     def check(self, bcs: Sequence[dolfinx.fem.DirichletBC]) -> None:
-        """Require a positive volume, and rims that are held as it needs.
-
-        Args:
-            bcs: Dirichlet conditions of the problem.
-
-        Raises:
-            ValueError: The volume is not positive, or the surface is open. On all processes.
-
-        Note:
-            Collective.
-        """
+        """Require a positive volume, and rims that are held as it needs. Collective."""
         self.check_values()
         V = self.u.function_space
         v, w = ufl.TestFunction(V), wave(V)
@@ -163,7 +146,7 @@ class Cavity(Coupling):
         if self.volume is not None:
             require_positive(volume=float(self.volume.value))
 
-    def facets(self) -> Indices:
+    def _facets(self) -> Indices:
         """Return the facets of the surface on this process; none if the measure has no tags."""
         tags, ids = self._ds.subdomain_data(), self._ds.subdomain_id()
         wanted = ids if isinstance(ids, tuple) else (ids,)
@@ -173,7 +156,7 @@ class Cavity(Coupling):
 
     def overlaps(self, other: Cavity) -> bool:
         """Tell whether two cavities share facets. Collective."""
-        shared = len(np.intersect1d(self.facets(), other.facets())) > 0
+        shared = len(np.intersect1d(self._facets(), other._facets())) > 0
         return bool(self.u.function_space.mesh.comm.allreduce(shared, op=MPI.LOR))
 
     def _integral(self, form: dolfinx.fem.Form) -> float:

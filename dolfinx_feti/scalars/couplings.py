@@ -78,7 +78,7 @@ def refuse_condensed_fields(
 def create_cavities(
     wall: Wall, u: dolfinx.fem.Function, cavities: Mapping[str, Filling]
 ) -> list[Cavity | Windkessel]:
-    """Return the cavities and Windkessels of a case, in its order, for ``scalars=``.
+    """Return the cavities and Windkessels of a case, in its order, for ``scalars=``. Collective.
 
     Args:
         wall: The wall.
@@ -87,9 +87,6 @@ def create_cavities(
 
     Raises:
         ValueError: The surface of one encloses no volume.
-
-    Note:
-        Collective.
     """
     couplings: list[Cavity | Windkessel] = []
     for name, given in cavities.items():

@@ -5,15 +5,11 @@ r"""Windkessels with two and three elements, which a cavity empties into.
 
 .. math:: Q = q - \dot V(u), \qquad p = p_c + Z Q, \qquad C\, \dot p_c + (p_c - p_v)/R = Q
 
-with a flow q into the cavity, the flow Q out of it, the resistance R and the compliance C of the
-vessels behind it, their characteristic impedance Z, zero with two elements, and the pressure
-:math:`p_v` behind R. Rates are differences of second order (BDF2) over the present step Δt and the
-last one, ω = Δt/Δt₀ times as long; the first step takes those of first order (implicit Euler):
+(docs/volumes.md). Rates are differences of second order (BDF2) over the present step Δt and the
+last one, Δt = ω Δt₀; the first step takes those of first order (implicit Euler, ω = 0):
 
 .. math:: \dot y ≈ \frac{1}{Δt} \left( \frac{1 + 2ω}{1 + ω} y - (1 + ω) y_n
           + \frac{ω^2}{1 + ω} y_{n-1} \right)
-
-Units: pressures in kPa, flows in mm³/s, R and Z in kPa s/mm³, C in mm³/kPa.
 """
 
 from __future__ import annotations
@@ -59,7 +55,7 @@ class Windkessel(Coupling):
         venous_pressure: float = 0.0,
         distal_pressure: float | None = None,
     ) -> None:
-        """Couple a cavity; the present volume is that of the start.
+        """Couple a cavity; the present volume is that of the start. Collective.
 
         Args:
             cavity: A cavity without a prescribed volume.
@@ -72,9 +68,6 @@ class Windkessel(Coupling):
 
         Raises:
             ValueError: A parameter is out of its range, or the cavity has a prescribed volume.
-
-        Note:
-            Collective.
         """
         if not isinstance(cavity, Cavity):
             raise ValueError(f"cavity is {cavity!r}: give a Cavity.")
@@ -98,11 +91,7 @@ class Windkessel(Coupling):
         self._rates = dolfinx.fem.Constant(mesh, np.zeros(3))  # of y, y_n and y_{n−1} in ẏ
 
     def begin(self, dt: float) -> None:
-        """Prepare a step of the length Δt [s], from the present history.
-
-        Raises:
-            ValueError: Δt is not positive.
-        """
+        """Prepare a step of the length Δt [s], from the present history."""
         require_positive(dt=dt)
         last = self.history.value[0]
         ω = dt / last if last > 0.0 else 0.0  # none: first order

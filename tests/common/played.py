@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from petsc4py import PETSc
 
@@ -25,53 +25,32 @@ from dolfinx_feti.problems.history import NewtonStep
 
 ROUNDING = 1e-12
 OWN = 1e-9
-STEP = NewtonStep(
-    residual=1.0,
-    step_length=1.0,
-    linear_method="cg",
-    linear_iterations=7,
-    linear_residual=1e-9,
-    condition_number=3.0,
-    negative=0,
-    indefinite=0,
-    shift=0.0,
-    solves=1,
-    seconds_assembly=0.1,
-    seconds_linear=0.2,
-)
-
-
+STEP = NewtonStep(1.0, 1.0, "cg", 7, 1e-9, 3.0, 0, 0, 0.0, 1, 0.1, 0.2)
 SNES = PETSc.SNES.ConvergedReason
 
+State = tuple[float, float, float]  # load, u, p
 
-@dataclass(frozen=True, slots=True)
-class Attempt:
-    """What a problem saw when it was solved.
 
-    Attributes:
-        load: The load.
-        before: That of the last equilibrium.
-        rtol: The tolerance.
-        referred: Load and state that the tolerance refers to, if it was given.
-        linearised: Load and state of the first tangent, if it was given.
-        guess: The state, u and p in one entry each.
-        converged: What came of it.
-        renewed: Whether the preconditioner was to begin anew.
-    """
+class Attempt(NamedTuple):
+    """What a problem saw when it was solved."""
 
     load: float
-    before: float
+    before: float  # the load of the last equilibrium
     rtol: float
     linear_rtol: float
-    referred: tuple[float, float, float] | None
-    linearised: tuple[float, float, float] | None
+    referred: State | None  # what the tolerance refers to
+    linearised: State | None  # where the first tangent was assembled
     guess: tuple[float, float]
     converged: bool
-    renewed: bool
+    renewed: bool  # whether the preconditioner was to begin anew
+
+
+def truth(t: float) -> tuple[float, float]:
+    return 1 - 2 * t + 3 * t**2, t**2 - t
 
 
 class Played:
-    """A problem with known equilibria, u(t) = 1 − 2 t + 3 t² and p(t) = t² − t.
+    """A problem with known equilibria, u and p of :func:`truth`.
 
     A solve takes as many Newton steps as it is told, or fails and leaves nonsense behind.
     """
@@ -85,13 +64,12 @@ class Played:
         inside_out: Callable[[float], bool] = lambda load: False,
     ) -> None:
         mesh = cube(2, 2)
-        V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
-        self.u = dolfinx.fem.Function(V)
-        self.p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
+        self.u, self.p = (
+            dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element))
+            for element in (("Lagrange", 1), ("DG", 0))
+        )
+        self.content, self.internal_variables = Content((self.u, self.p)), ()
         self.volume_changes: list[float] = []
-        self.internal_variables: tuple[dolfinx.fem.Function, ...] = ()
-        self.content = Content((self.u, self.p))
-        self.remembered: list[float] = []
         self.solver = PETSc.SNES().create(COMM)
         self.solver.setTolerances(rtol=OWN, atol=1e-10, max_it=30)
         self.solver.getKSP().setTolerances(rtol=OWN)
@@ -99,7 +77,7 @@ class Played:
         self.history: list[NewtonStep] = []
         self.attempts: list[Attempt] = []
         self._cost, self._fails, self._inside_out = cost, fails, inside_out
-        self._norms: dict[float, tuple[float, float, float]] = {}
+        self._norms: dict[float, State] = {}
         self._renewed = False
         self.load = self._equilibrium = start
         self._set(*truth(start))
@@ -113,17 +91,16 @@ class Played:
         agree(all(np.ptp(v) <= ROUNDING * (1 + abs(v[0])) for v in values if len(v)))
         return tuple(float(COMM.bcast(v[0] if len(v) else None)) for v in values)
 
-    def linearise(self) -> tuple[float, float, float]:
+    def linearise(self) -> State:
         return (self.load, *self.state())
 
     def residual_norm(self) -> float:
         norm = 1.0 + len(self._norms)
-        self._norms[norm] = (self.load, *self.state())
+        self._norms[norm] = self.linearise()
         return norm
 
     def update_internal_variables(self, *, balanced: bool | None = None) -> None:
-        if balanced:
-            self.remembered.append(self.load)
+        pass
 
     def begin_step(self, length: float) -> None:
         agree(length != 0.0)
@@ -131,34 +108,21 @@ class Played:
     def renew(self) -> None:
         self._renewed = True
 
-    def solve(
-        self,
-        *,
-        reference: float | None = None,
-        first_tangent: tuple[float, float, float] | None = None,
-        renew: bool = True,
-        give_up_early: bool = False,
-    ) -> None:
+    def solve(self, *, reference=None, first_tangent=None, renew=True, give_up_early=False) -> None:
         renewed, self._renewed = renew or self._renewed, False
         before = self._equilibrium
         domain = first_tangent is None and self._inside_out(self.load)
-        self.solver.setConvergedReason(
-            SNES.DIVERGED_FUNCTION_DOMAIN if domain else SNES.DIVERGED_LINE_SEARCH
-        )
+        reason = SNES.DIVERGED_FUNCTION_DOMAIN if domain else SNES.DIVERGED_LINE_SEARCH
+        self.solver.setConvergedReason(reason)
         fails = domain or self._fails(before, self.load)
+        rtol, linear_rtol = (s.getTolerances()[0] for s in (self.solver, self.solver.getKSP()))
+        referred = self._norms.get(reference)
         self.attempts.append(
             Attempt(
-                self.load,
-                before,
-                self.solver.getTolerances()[0],
-                self.solver.getKSP().getTolerances()[0],
-                None if reference is None else self._norms[reference],
-                first_tangent,
-                self.state(),
-                not fails,
-                renewed,
+                self.load, before, rtol, linear_rtol, referred, first_tangent, self.state(),
+                not fails, renewed,
             )
-        )
+        )  # fmt: skip
         for it in range(cost := self._cost(abs(self.load - before))):
             self.solver.monitor(it, 10.0**-it)
         self.history = [STEP] * cost
@@ -170,15 +134,6 @@ class Played:
 
     def follow(self, targets: list[float], steps: Steps, **arguments: object) -> list[LoadStep]:
         return follow_load(
-            self,
-            lambda load: setattr(self, "load", load),
-            targets,
-            steps,
-            state=[self.u, self.p],
-            start=self._equilibrium,
-            **arguments,
-        )
-
-
-def truth(t: float) -> tuple[float, float]:
-    return 1 - 2 * t + 3 * t**2, t**2 - t
+            self, lambda load: setattr(self, "load", load), targets, steps,
+            state=[self.u, self.p], start=self._equilibrium, **arguments,
+        )  # fmt: skip

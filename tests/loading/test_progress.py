@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 import io
+import threading
 from types import SimpleNamespace
 
 import pytest
 from collective import COMM, agree, raises
+from tqdm import TMonitor
 
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.loading.steps import Steps
@@ -105,6 +107,40 @@ def test_bar_makes_room_for_other_output(played, terminal):
         on_step=lambda _: cleared.append(lines(terminal.getvalue())[-1:]),
     )
     agree(set(map(tuple, cleared)) == {("",) if COMM.rank == 0 else ()}, cleared)
+
+
+class NoTerminal(io.StringIO):
+    """Looks like a terminal, and cannot be written to."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__()
+        self.error, self.tried = error, 0
+
+    def isatty(self) -> bool:
+        return True
+
+    def write(self, text: str) -> int:
+        self.tried += 1
+        raise type(self.error)(*self.error.args)  # afresh: a traceback holds the SNES
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        BrokenPipeError(32, "Broken pipe"),
+        ValueError("I/O operation on closed file"),
+        UnicodeEncodeError("ascii", "█", 0, 1, "ordinal not in range(128)"),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+def test_terminal_of_the_first_process(error, played, monkeypatch):
+    """The run goes on without the bar."""
+    screen = NoTerminal(error)
+    monkeypatch.setattr("dolfinx_feti.loading.progress.sys", SimpleNamespace(stderr=screen))
+    steps = played(cost=lambda increment: 2).follow([1.0], Steps(first=0.2, least=0.1))
+    agree(steps[-1].load == 1.0 and (screen.tried > 0) == (COMM.rank == 0))
+    # A thread of tqdm's would wait at exit for the lock that a failed write has left.
+    agree(not [each for each in threading.enumerate() if isinstance(each, TMonitor)])
 
 
 # -- the log

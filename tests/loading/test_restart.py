@@ -5,13 +5,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import zipfile
 from pathlib import Path
 
 import pytest
-from checkpoint_run import STEPS
 from collective import COMM, agree, equal, raises, small
 from states import ROUNDING
 from wall_files import on_first
@@ -20,6 +18,7 @@ from walls import tube, wall
 from dolfinx_feti import loads
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.load_steps import follow_load
+from dolfinx_feti.loading.steps import Steps
 
 
 def follow(
@@ -31,8 +30,7 @@ def follow(
         body.problem(3),
         lambda mmhg: setattr(body.load, "value", loads.mmhg(mmhg)),
         [1.0, target],
-        dataclasses.replace(STEPS, rtol=rtol),
-        state=[body.u, body.p],
+        Steps(first=0.9, least=0.1, growth=1.3, rtol=rtol),
         checkpoint=checkpoint,
     )
     return steps, body
@@ -94,5 +92,5 @@ def test_a_target_that_was_met_on_the_way(rtol, tmp_path):
 def test_a_foreign_record(tmp_path):
     body = wall(tube(around=4, along=2), degree=1)
     Checkpoint(tmp_path, COMM).write([body.u, body.p], {"t": 1.0})
-    with raises(ValueError, "was not written by follow_load of this version: name another folder"):
+    with raises(ValueError, "was not written by follow_load: name another folder"):
         follow(tmp_path, 1.0, restart=True)

@@ -39,10 +39,6 @@ class Scan:
         self.mesh.geometry.x[:] *= length
         self.nodes = Nodes(self.mesh)
 
-    @property
-    def arguments(self) -> dict[str, object]:
-        return {"state": [self.body.u, self.body.p]}
-
     def set_load(self, pressure: float) -> None:
         self.body.load.value = loads.mmhg(pressure)
 
@@ -53,7 +49,10 @@ class Scan:
 
     def inflate(self, target: float) -> tuple[int, int]:
         """Return what it took."""
-        return cost(follow_load(self.problem, self.set_load, [target], STEPS, **self.arguments))
+        return cost(follow_load(self.problem, self.set_load, [target], STEPS))
+
+    def unload(self, *targets: float, steps: Steps = STEPS, **options: object) -> list[LoadStep]:
+        return unload(self.problem, self.set_load, targets, steps, **options)
 
     def distance(self) -> float:
         """How far the loaded wall is from the image [mm]."""
@@ -68,7 +67,7 @@ def test_loaded_again_it_is_the_image(degree):
     scan = Scan(degree)
     inflation = scan.inflate(40.0)
     scan.rest()
-    steps = unload(scan.problem, scan.set_load, [40.0], STEPS, **scan.arguments)
+    steps = scan.unload(40.0)
     for spent, once in zip(cost(steps), inflation, strict=True):
         agree(spent <= 3 * once, (cost(steps), inflation))
     agree(scan.nodes.longest(scan.mesh.geometry.x - scan.nodes.initial) > 0.01)
@@ -84,12 +83,8 @@ def test_fibres_follow():
     a = fibres(scan.mesh, 1.0)
     image = a.x.array.copy()
     moves = []
-    unload(
-        scan.problem,
-        scan.set_load,
-        [10.0],
-        STEPS,
-        **scan.arguments,
+    scan.unload(
+        10.0,
         fibres=[a],
         on_move=lambda: moves.append(scan.nodes.longest(scan.mesh.geometry.x - scan.nodes.initial)),
     )
@@ -105,13 +100,12 @@ def test_fibres_follow():
 @pytest.mark.processes(1, 2)
 def test_path_that_goes_on(tmp_path):
     """Its last part is that of one in one piece; the checkpoint is one of the image."""
-    folder = COMM.bcast(tmp_path)
+    folder = Path(COMM.bcast(tmp_path)) / "run"
     pieces, whole = Scan(), Scan()
     for targets, restart in (([10.0], False), ([10.0, 20.0], True)):
         pieces = Scan()
-        kept = Checkpoint(Path(folder) / "run", COMM, restart=restart)
-        unload(pieces.problem, pieces.set_load, targets, STEPS, **pieces.arguments, checkpoint=kept)
-    unload(whole.problem, whole.set_load, [10.0, 20.0], STEPS, **whole.arguments)
+        pieces.unload(*targets, checkpoint=Checkpoint(folder, COMM, restart=restart))
+    whole.unload(10.0, 20.0)
     equal(pieces.mesh.geometry.x, whole.mesh.geometry.x, 1e-6)
 
 
@@ -119,10 +113,7 @@ def test_steps_are_the_same_in_any_unit_of_length():
     """In millimetres, metres and micrometres."""
     lengths = (1.0, 1e-3, 1e3)
     scans = [Scan(length=length) for length in lengths]
-    taken = []
-    for scan in scans:
-        steps = unload(scan.problem, scan.set_load, [20.0], STEPS, **scan.arguments)
-        taken.append([len(step.all_steps) for step in steps])
+    taken = [[len(step.all_steps) for step in scan.unload(20.0)] for scan in scans]
     agree(taken[1] == taken[0] and taken[2] == taken[0], taken)
     for scan, length in zip(scans, lengths, strict=True):
         equal(scan.mesh.geometry.x / length, scans[0].mesh.geometry.x, 1e-7)
@@ -133,12 +124,9 @@ def test_failure_leaves_the_image():
     """A wall that nothing unloads in one step: mesh, load and displacement are the last good."""
     scan, seen = Scan(), []
     with raises(ConvergenceError, "No equilibrium was found beyond a load of 0"):
-        unload(
-            scan.problem,
-            scan.set_load,
-            [4e4],
-            Steps(first=4e4, least=2e4),
-            **scan.arguments,
+        scan.unload(
+            4e4,
+            steps=Steps(first=4e4, least=2e4),
             on_move=lambda: seen.append(scan.mesh.geometry.x.copy()),
         )
     equal(scan.mesh.geometry.x, scan.nodes.initial)
@@ -150,9 +138,7 @@ def test_failure_leaves_the_image():
 def test_failure_of_the_last_move_leaves_the_image():
     """When on_move raises after the last solve; it is called once more, for the image."""
     moves = []
-    whole = Scan()
-    load = (whole.problem, whole.set_load, [10.0], STEPS)
-    unload(*load, **whole.arguments, on_move=lambda: moves.append(None))
+    Scan().unload(10.0, on_move=lambda: moves.append(None))
     scan, last = Scan(), len(moves)
     moves.clear()
 
@@ -162,7 +148,7 @@ def test_failure_of_the_last_move_leaves_the_image():
             raise ZeroDivisionError("the last move")
 
     with raises(ZeroDivisionError, "the last move"):
-        unload(scan.problem, scan.set_load, [10.0], STEPS, **scan.arguments, on_move=on_move)
+        scan.unload(10.0, on_move=on_move)
     agree(len(moves) == last + 1 and np.any(moves[-2] != scan.nodes.initial))
     equal(moves[-1], scan.nodes.initial)
     equal(scan.mesh.geometry.x, scan.nodes.initial)
@@ -188,7 +174,7 @@ def test_cell_inside_out_on_the_way(monkeypatch):
         solve(**arguments)
 
     monkeypatch.setattr(scan.problem, "solve", refuse_second)
-    (step,) = unload(scan.problem, scan.set_load, [10.0], STEPS, **scan.arguments)
+    (step,) = scan.unload(10.0)
     agree(step.failures == 0 and step.load == 10.0)
     equal(calls[2], (calls[0] + calls[1]) / 2, 1e-15)
     small(scan.distance(), 1e-12)

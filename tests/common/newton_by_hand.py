@@ -1,0 +1,63 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Newton's method without the package: dolfinx assembles, and a dense matrix is solved with."""
+
+from __future__ import annotations
+
+import numpy as np
+from collective import COMM, dense, whole
+
+import dolfinx
+import dolfinx.fem.petsc
+import ufl
+
+
+def newton_by_hand(
+    F: ufl.Form,
+    w: dolfinx.fem.Function,
+    bcs: list[dolfinx.fem.DirichletBC],
+    s: dolfinx.fem.Constant | None = None,
+    c: ufl.Form | None = None,
+) -> None:
+    """Solve F(w, s; v) = 0, perhaps with a scalar s and c(w) = 0, by [K B; Cᵀ 0] on all ranks.
+
+    Conditions have the values of w on their dofs.
+    """
+    dofmap = w.function_space.dofmap
+    n = dofmap.index_map.size_local * dofmap.index_map_bs
+    first, held = COMM.scan(n) - n, np.zeros(n, dtype=bool)
+    for bc in bcs:
+        dofs = bc.dof_indices()[0]
+        held[dofs[dofs < n]] = True
+    free = ~whole(held)
+
+    def vector(form: dolfinx.fem.Form) -> np.ndarray:
+        b = dolfinx.fem.assemble_vector(form)
+        b.scatter_reverse(dolfinx.la.InsertMode.add)
+        return np.where(free, whole(b.array[:n]), 0.0)
+
+    r, J = dolfinx.fem.form(F), dolfinx.fem.form(ufl.derivative(F, w))
+    if s is not None:
+        v = ufl.variable(s)
+        by_s = [i.reconstruct(integrand=ufl.diff(i.integrand(), v))
+                for i in ufl.replace(F, {s: v}).integrals()]  # fmt: skip
+        border = [dolfinx.fem.form(f) for f in (ufl.Form(by_s), ufl.derivative(c, w))]
+        c = dolfinx.fem.form(c)
+    for _ in range(12):
+        A = dolfinx.fem.petsc.assemble_matrix(J, bcs=bcs)
+        A.assemble()
+        K, rhs = dense(A), -vector(r)
+        A.destroy()
+        if s is not None:
+            B, C = map(vector, border)
+            K = np.block([[K, B[:, None]], [C, 0.0]])
+            rhs = np.append(rhs, -COMM.allreduce(dolfinx.fem.assemble_scalar(c)))
+        x = np.linalg.solve(K, rhs)
+        w.x.array[:n] += x[first : first + n]
+        w.x.scatter_forward()
+        if s is not None:
+            s.value = s.value + x[-1]
+        if np.linalg.norm(x) <= 1e-12:
+            return
+    raise AssertionError(f"Newton's method by hand does not converge: {np.linalg.norm(x)}")
