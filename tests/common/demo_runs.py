@@ -10,6 +10,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from collective import COMM, agree
 from wall_files import ROOT, on_first
 
@@ -19,6 +20,18 @@ EXAMPLE = ROOT / "meshes/example.msh"
 
 def read_summary(folder: Path) -> dict[str, Any]:
     return on_first(lambda: json.loads((folder / "summary.json").read_text()))
+
+
+def check_pictures(folder: Path, *names: str, height: int = 500, width: int = 800) -> None:
+    """Each is there, large enough to look at, and not of one colour."""
+    from matplotlib.image import imread
+
+    def look() -> list[tuple[float, ...]]:
+        images = [imread(folder / name) for name in names]
+        return [(float(np.ptp(image)), *image.shape[:2]) for image in images]
+
+    found = on_first(look)
+    agree(all(range_ > 0.5 and h > height and w > width for range_, h, w in found), found)
 
 
 def refused(run, capsys, match: str, *arguments: object) -> None:

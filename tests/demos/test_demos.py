@@ -13,10 +13,9 @@ from pathlib import Path
 
 from petsc4py import PETSc
 
-import numpy as np
 import pytest
 from collective import COMM, agree, raises, small
-from demo_runs import DEMOS, EXAMPLE, read_summary, refused
+from demo_runs import DEMOS, EXAMPLE, check_pictures, read_summary, refused
 from wall_files import ROOT, on_first
 
 from dolfinx_feti.runtime.petsc_options import inserted
@@ -26,7 +25,6 @@ from meshes.wall_mesh import TAGS, WallMesh, write_msh
 pytest.importorskip("gmsh")
 pytest.importorskip("matplotlib")
 
-PICTURES = ("wall.png", "fibres.png")
 #: A wall as small as can be, with both layers.
 TUBE = "--mesh tube --size 1 --pressure 2 --steps 3 --subdomains 4".split()
 #: Its numbers, on any number of processes.
@@ -73,19 +71,6 @@ def on_folder(monkeypatch, tmp_path) -> Path:
     return tmp_path
 
 
-def check_pictures(folder: Path) -> None:
-    """Each is there, large enough to look at, and not of one colour."""
-    from matplotlib.image import imread
-
-    def look() -> list[tuple[int, ...]]:
-        images = [imread(folder / name) for name in PICTURES]
-        assert all(np.ptp(image) > 0.5 for image in images)
-        return [image.shape for image in images]
-
-    shapes = on_first(look)
-    agree(all(height > 500 and width > 800 for height, width, _ in shapes), shapes)
-
-
 @pytest.mark.serial
 def test_every_demo_has_its_test():
     """Whoever adds one adds a test here."""
@@ -103,15 +88,12 @@ def test_demos_that_stand_alone(run, on_folder, name):
 
     On one process ``make docs`` runs them.
     """
-    from matplotlib.image import imread
-
     run(name)
     options = PETSc.Options()
     for key in options.getAll():
         if key.startswith(("dolfinx_solve_", "direct_")):  # dolfinx leaves them behind
             options.delValue(key)
-    height, width, _ = on_first(lambda: imread(on_folder / "output" / ALONE[name]).shape)
-    agree(height > 300 and width > 500, (height, width))
+    check_pictures(on_folder / "output", ALONE[name], height=300, width=500)
 
 
 @pytest.mark.serial
@@ -138,29 +120,23 @@ def test_linear_elasticity(run, on_folder):
 
 def test_classical_vs_all_floating(run, tmp_path):
     """Its own assertions, the numbers of one process, and a picture."""
-    from matplotlib.image import imread
-
     demo = run("demo_classical_vs_all_floating.py", tmp_path)
     expected = {("all_floating", 3): 9.27, ("classical", 3): 21.1, ("classical", 1): 9.11}
     for (kind, n), condition in expected.items():
         small(demo["condition"][kind, "dirichlet", n] / condition - 1.0, 0.01)
     agree(demo["solvers"]["all_floating", "lumped", 1][-1].multipliers == 3876)
-    height, width, _ = on_first(lambda: imread(tmp_path / "cube.png")).shape
-    agree(height > 500 and width > 800, (height, width))
+    check_pictures(tmp_path, "cube.png")
 
 
 def test_own_material(run, tmp_path):
     """Its own assertions, on a coarse tube; the plaque holds the wall back."""
-    from matplotlib.image import imread
-
     demo = run("demo_own_material.py", "--size", "1", "--pressure", "15", "--output", tmp_path)
     for result in demo["results"].values():
         agree(result["load_steps"] >= 2, result)
         agree(0.0 < result["difference_to_mumps"] <= 1e-6, result)
     moved = {name: result["max_displacement_mm"] for name, result in demo["results"].items()}
     agree(moved["plaque"] < 0.5 * moved["fibres"], moved)
-    shapes = on_first(lambda: [imread(tmp_path / f"{name}.png").shape for name in demo["results"]])
-    agree(all(height > 500 and width > 800 for height, width, _ in shapes), shapes)
+    check_pictures(tmp_path, *(f"{name}.png" for name in demo["results"]))
 
 
 def check_tube(folder: Path) -> None:
@@ -173,7 +149,7 @@ def check_tube(folder: Path) -> None:
         agree(cost["converged_reason"] > 0 and cost["relative_residual"] <= 1e-8, cost)
     agree(summary["dofs"] == TUBE_DOFS, summary["dofs"])
     small(summary["max_displacement_mm"] / TUBE_DISPLACEMENT - 1.0, 1e-6)
-    check_pictures(folder)
+    check_pictures(folder, "wall.png", "fibres.png")
     agree(any(folder.glob("wall.[bx]*")))
     rows = on_first(lambda: list(csv.DictReader((folder / "history.csv").read_text().splitlines())))
     agree(len(rows) == summary["newton_iterations"], len(rows))
@@ -206,7 +182,7 @@ def test_vessel(run, tmp_path):
     demo = run("demo_artery.py", *few, "--output", tmp_path)
     agree(len(demo["case"].conditions) == 4 and demo["quality"].minimum >= 0.1)
     agree(read_summary(tmp_path)["load_steps"][-1] == 0.5)
-    check_pictures(tmp_path)
+    check_pictures(tmp_path, "wall.png", "fibres.png")
 
 
 def test_wall_of_ones_own_and_options_of_the_solver(run, tmp_path):
