@@ -250,12 +250,11 @@ def _counts(series: _Series) -> Iterator[Record]:
 
 def _times(series: _Series) -> Iterator[dict[str, object]]:
     """Yield seconds and efficiencies of the measured cases, and what the model foresees."""
-    first, *_ = every = [{p: r[f"seconds_{p}"] for p in SHOWN} for r in series.measured] or [{}]
-    for r, s in zip(series.measured, every, strict=False):
-        P = int(r["processes"])
+    every = [{part: r[f"seconds_{part}"] for part in SHOWN} for r in series.measured]
+    for r, s in zip(series.measured, every, strict=True):
+        P, first = int(r["processes"]), series.measured[0]["processes"]
         foreseen = series.model.predict(P) if series.model else {}
-        eff = _efficiencies(series.measured[0]["processes"], first, P, s)
-        yield {"P": P, "s": s, "eff": eff, "model": foreseen}
+        yield {"P": P, "s": s, "eff": _efficiencies(first, every[0], P, s), "model": foreseen}
 
 
 def _model_rows(series: _Series) -> Iterator[dict[str, object]]:

@@ -3,8 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Published numbers, computed again on refined meshes.
 
-    python3 -m benchmarks.verification --part published --case land-1,land-2 --mesh 1,2
-
 The load is followed to its end by FETI. From the state at :data:`BEFORE` of the load MUMPS goes to
 the end, too, by Newton's method in dolfinx alone: displacement and pressure in one matrix, and
 nothing of this package but the energy.

@@ -3,12 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The inflated tube against its semi-analytical solution at the same κ.
 
-    python3 -m benchmarks.verification --part tube --pressures 10,100,300  --json FILE
-
 A record for each pressure: radius, thickness, volume and stress beside the truth, and what it took
 to get there from rest, failed attempts included.
-
-Options with a single dash are PETSc's, with the prefix `tube_`.
 """
 
 from __future__ import annotations

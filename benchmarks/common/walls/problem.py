@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 
@@ -38,20 +37,6 @@ SIZE, DOFS = 2.0, {1: 11_000, 2: 71_430}
 
 #: |J_τ − 1| above which an element counts as one that does not keep its volume.
 NOTICEABLE = 0.01
-
-
-def right_hand_side(body: Body) -> PETSc.Vec:
-    """Return −r of a wall at rest under its pressure. Collective.
-
-    At rest the volume constraint is met, and the condensed pressure adds nothing to r.
-    """
-    r = dolfinx.fem.assemble_vector(dolfinx.fem.form(body.residuals[0]))
-    r.scatter_reverse(dolfinx.la.InsertMode.add)
-    for bc in body.problem.bcs:
-        bc.set(r.array, body.u.x.array)
-    b = body.problem.A.createVecLeft()
-    b.array[:] = -r.array[: b.getLocalSize()]
-    return b
 
 
 def create_wall_problem(
