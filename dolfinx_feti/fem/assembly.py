@@ -5,10 +5,8 @@ r"""Assembly of the torn matrix, and of residuals and energies: one form, one ca
 
 .. math:: K_i[a, b] = ⟨φ_b, A'(U)\, φ_a⟩_{Ω_{0,i}}
 
-(eq. 27, on a subdomain), with test and trial functions of the torn space. Dirichlet conditions
-(eq. 7, Augustin_eq:Dirichlet) never enter K: the matrix carries the list of their dofs (``torn``).
-dolfinx and PETSc read the same memory. Integrals over cells are added by kernels of this package,
-the others, and what only FFCx can compile, by dolfinx. Values of each cell by itself: ``tensors``.
+(eq. 27, on a subdomain). Dirichlet conditions (eq. 7, Augustin_eq:Dirichlet) never enter K: the
+matrix carries the list of their dofs (``torn``). dolfinx and PETSc read the same memory.
 """
 
 from __future__ import annotations
@@ -28,8 +26,10 @@ from dolfinx_feti.fem.decomposition import TornSpace
 from dolfinx_feti.fem.kernels.kernel import Kernel
 from dolfinx_feti.fem.regions import compile_cells
 from dolfinx_feti.runtime import compat
-from dolfinx_feti.runtime.arrays import Array, Indices, Mask, Numbers
+from dolfinx_feti.runtime.arrays import Array, Indices, Mask
+from dolfinx_feti.runtime.connectivity import block_graph
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.torn.matrix import create_torn_matrix
 
 __all__ = [
@@ -44,7 +44,6 @@ __all__ = [
     "dirichlet_mask",
     "dolfinx_form",
     "integrate",
-    "locate",
     "prescribe",
     "require_no_coupling",
     "split_form",
@@ -68,52 +67,33 @@ class SplitForm:
     rest: dolfinx.fem.Form | None
 
 
-def split_form(form: ufl.Form, mesh: dolfinx.mesh.Mesh, compiler: Compiler) -> SplitForm:
-    """Compile an energy or a residual. Collective."""
+def split_form(
+    form: ufl.Form, mesh: dolfinx.mesh.Mesh, compiler: Compiler, spaces: Sequence[TornSpace] = ()
+) -> SplitForm:
+    """Compile a form, with the arguments of what dolfinx assembles on torn spaces. Collective."""
     kernels, (rest,) = compile_cells([form], mesh)
-    own = tuple(kernel for _, kernel in kernels)
-    return SplitForm(own, None if rest.empty() else compiler.form(rest))
+    compiled = None if rest.empty() else dolfinx_form(rest, spaces, compiler)
+    return SplitForm(tuple(kernel for _, kernel in kernels), compiled)
 
 
 def torn_form(form: ufl.Form, space: TornSpace, compiler: Compiler | None = None) -> SplitForm:
-    """Compile a bilinear form for a torn space.
-
-    Args:
-        form: Form with cell and exterior-facet integrals, with both arguments in V.
-        space: Torn V.
-        compiler: How; with dolfinx's options if not given.
+    """Compile a bilinear form, with both arguments in V, for a torn space. Collective.
 
     Raises:
-        ValueError: The form has other integrals; those over interior facets couple subdomains.
-
-    Note:
-        Collective.
+        ValueError: It has integrals that couple subdomains, such as those over interior facets.
     """
     require_no_coupling(form)
-    compiler = compiler or Compiler(space.V.mesh.comm)
-    kernels, (rest,) = compile_cells([form], space.V.mesh)
-    own = tuple(kernel for _, kernel in kernels)
-    return SplitForm(own, None if rest.empty() else dolfinx_form(rest, (space, space), compiler))
+    mesh = space.V.mesh
+    return split_form(form, mesh, compiler or Compiler(mesh.comm), (space, space))
 
 
 def dolfinx_form(
     form: ufl.Form, spaces: Sequence[TornSpace], compiler: Compiler
 ) -> dolfinx.fem.Form:
-    """Compile a form with its arguments on torn spaces.
-
-    Args:
-        form: Form with cell and exterior-facet integrals.
-        spaces: Torn space of each argument, by argument number.
-        compiler: How.
-
-    Note:
-        Collective.
-    """
-    replaced = {
-        argument: ufl.Argument(spaces[argument.number()].V_torn, argument.number())
-        for argument in form.arguments()
-    }
-    return compiler.form(ufl.replace(form, replaced))
+    """Compile a form with each argument, by its number, on a torn space, if given. Collective."""
+    arguments = form.arguments() if spaces else ()
+    torn = {a: ufl.Argument(spaces[a.number()].V_torn, a.number()) for a in arguments}
+    return compiler.form(ufl.replace(form, torn))
 
 
 def require_no_coupling(form: ufl.Form) -> None:
@@ -163,17 +143,9 @@ class LocalMatrix:
 def create_csr(
     spaces: tuple[TornSpace, TornSpace], compiler: Compiler | None = None
 ) -> dolfinx.la.MatrixCSR:
-    """Allocate dolfinx's matrix with the pattern of cell-wise assembly on torn spaces.
+    """Allocate dolfinx's matrix on torn spaces of rows and columns, of blocks of one size.
 
-    All dofs of a cell are coupled there, whether a form has an integral over that cell or not.
-
-    Args:
-        spaces: Torn spaces of rows and columns, with blocks of the same size.
-        compiler: How the form that has this pattern is compiled; with dolfinx's options if not
-            given.
-
-    Note:
-        Collective.
+    All dofs of a cell are coupled, whether a form is integrated over that cell or not. Collective.
     """
     v, u = _first(ufl.TestFunction(spaces[0].V)), _first(ufl.TrialFunction(spaces[1].V))
     form = v * u * ufl.dx(metadata={"quadrature_degree": 0})
@@ -185,52 +157,21 @@ def create_csr(
 
 @event("FETIPattern")
 def create_local_matrix(space: TornSpace, compiler: Compiler | None = None) -> LocalMatrix:
-    """Allocate the local matrix of a torn space.
-
-    Args:
-        space: The torn space.
-        compiler: See :func:`create_csr`.
-
-    Returns:
-        Zeros, which the caller destroys.
-
-    Note:
-        Collective.
-    """
+    """Allocate the local matrix of a torn space, which the caller destroys. Collective."""
     csr = create_csr((space, space), compiler)
-    bs = space.V_torn.dofmap.index_map_bs
+    topology, dofmap = space.V.mesh.topology, space.V_torn.dofmap
+    bs, node = dofmap.index_map_bs, dofmap.list[: topology.index_map(topology.dim).size_local]
     n = len(space.dof) * bs
     indptr, indices = (a.astype(PETSc.IntType, copy=False) for a in (csr.indptr, csr.indices))
     mat = PETSc.Mat().createAIJWithArrays((n, n), (indptr, indices, csr.data), comm=PETSc.COMM_SELF)
     mat.setBlockSizes(bs, bs)  # an argument for it has no effect
-    return LocalMatrix(csr, mat, *locate(space, csr.indptr, csr.indices))
-
-
-def locate(space: TornSpace, indptr: Numbers, indices: Indices) -> tuple[Indices, Indices]:
-    """Return the nodes of each cell, and the places of their columns, see :class:`LocalMatrix`.
-
-    Args:
-        space: The torn space.
-        indptr: Where the rows of its matrix begin.
-        indices: Their columns, ascending.
-
-    Raises:
-        ValueError: The matrix does not couple all nodes of a cell.
-    """
-    topology, dofmap = space.V.mesh.topology, space.V_torn.dofmap
-    node = dofmap.list[: topology.index_map(topology.dim).size_local]
-    bs, n = dofmap.index_map_bs, (len(indptr) - 1) // dofmap.index_map_bs
-    length = np.diff(indptr).reshape(n, bs)
-    first = np.cumsum(length[:, 0]) - length[:, 0]  # of the entries of each node's first row
-    at = np.arange(length[:, 0].sum()) + np.repeat(indptr[:-1:bs] - first, length[:, 0])
-    pairs = np.repeat(np.arange(n), length[:, 0]) * (n * bs) + indices[at]
-    wanted = (node[:, :, None].astype(np.int64) * n + node[:, None, :]) * bs
-    place = np.searchsorted(pairs, wanted)
-    last = pairs[np.minimum(place + bs - 1, len(pairs) - 1)]
-    same = np.array_equal(length, np.broadcast_to(length[:, :1], length.shape))
-    if node.max(initial=-1) >= n or not same or not np.array_equal(last, wanted + bs - 1):
-        raise ValueError(f"K, of {n} nodes, does not couple all nodes of every cell")
-    return node, (place - first[node][:, :, None]).astype(np.int32)
+    with rows_of(mat) as rows:
+        graph = block_graph(rows, bs)
+    row = np.repeat(np.arange(len(space.dof)), np.diff(graph.indptr))
+    wanted = node[:, :, None].astype(np.int64) * len(space.dof) + node[:, None, :]
+    place = np.searchsorted(row * len(space.dof) + graph.indices, wanted)
+    place = bs * (place - graph.indptr[node][:, :, None])
+    return LocalMatrix(csr, mat, node, place.astype(np.int32))
 
 
 def assemble(K: LocalMatrix, form: SplitForm) -> None:
@@ -264,11 +205,7 @@ def integrate(form: SplitForm) -> float:
 
 
 def assemble_owned(form: dolfinx.fem.Form) -> Array:
-    """Assemble a compiled linear form (eq. 28); return its owned entries, (owned,).
-
-    Note:
-        Collective.
-    """
+    """Assemble a compiled linear form (eq. 28); return its owned entries, (owned,). Collective."""
     b = dolfinx.fem.assemble_vector(form)
     b.scatter_reverse(dolfinx.la.InsertMode.add)
     return b.array[: b.index_map.size_local * b.block_size].copy()
@@ -281,38 +218,18 @@ def create_matis(
     stiffness: Array | None = None,
     symmetric: bool | None = None,
 ) -> PETSc.Mat:
-    """Wrap the local matrix of a torn space as the torn matrix of the whole problem.
-
-    Args:
-        space: The torn space.
-        K: Its local matrix.
-        bcs: Dirichlet conditions on V or on its components.
-        stiffness: Stiffness of each torn dof for the stiffness scaling, (n_torn,).
-        symmetric: Whether ``K`` is known to be symmetric, by its form.
-    """
+    """Wrap the local matrix of a torn space, see :func:`~dolfinx_feti.create_torn_matrix`."""
     bs, index_map = space.V.dofmap.index_map_bs, space.V.dofmap.index_map
+    sizes, comm = (index_map.size_local * bs, index_map.size_global * bs), space.V.mesh.comm
     A = create_torn_matrix(
-        K,
-        space.to_global,
-        (index_map.size_local * bs, index_map.size_global * bs),
-        comm=space.V.mesh.comm,
-        stiffness=stiffness,
-        symmetric=symmetric,
+        K, space.to_global, sizes, comm=comm, stiffness=stiffness, symmetric=symmetric
     )
     prescribe(A, dirichlet_mask(space.V, bcs))
     return A
 
 
 def prescribe(A: PETSc.Mat, dirichlet: Mask) -> None:
-    """Let a torn matrix have these Dirichlet dofs, and no others.
-
-    Args:
-        A: The torn matrix.
-        dirichlet: Mask of the owned dofs, (owned,).
-
-    Note:
-        Collective.
-    """
+    """Let a torn matrix have these Dirichlet dofs, (owned,), and no others. Collective."""
     dofs = np.flatnonzero(dirichlet) + A.getOwnershipRange()[0]
     A.compose("dirichlet", PETSc.IS().createGeneral(dofs.astype(PETSc.IntType), comm=A.comm))
 

@@ -35,9 +35,6 @@ def check_scalar_type() -> None:
 def check_space(V: dolfinx.fem.FunctionSpace) -> None:
     """Require a continuous element, scalar or blocked, on a mesh in double precision.
 
-    Neither its degree nor where its dofs are plays a part: the torn space has the same element on
-    the same mesh, so that dolfinx permutes and transforms dofs as it does on V.
-
     Raises:
         TypeError: Another element or mesh.
     """
@@ -60,11 +57,7 @@ def check_space(V: dolfinx.fem.FunctionSpace) -> None:
 
 
 def check_forms(V: dolfinx.fem.FunctionSpace | None, **forms: tuple[ufl.Form, int]) -> None:
-    """Require forms of given ranks whose arguments are on one space.
-
-    Args:
-        V: Space of the unknown; None if a form without arguments leaves it open.
-        forms: Each form and its rank, by the name of the argument.
+    """Require forms of given ranks, by the name of the argument, whose arguments are in V.
 
     Raises:
         ValueError: Another number of arguments, or another space.

@@ -7,9 +7,8 @@ r"""Static condensation of fields that no two cells share, such as the pressure 
           Δp = -K_{pp}^{-1}(r_p + K_{pu} Δu)
 
 (eq. 29, Augustin_eq:volumetricVariationDis, for n = 1) with one block (n, n) of :math:`K_{pp}` for
-each cell. With multipliers λ the residual of p is :math:`r_p(u, p) - r_p(0, λ)`, so that only what
-p differs by from λ compresses the material. See ``docs/theory.md``, *A condensed pressure* and
-*Multipliers*.
+each cell, see ``docs/theory.md``. With multipliers λ the residual of p is
+:math:`r_p(u, p) - r_p(0, λ)`: only what p differs by from λ compresses the material.
 """
 
 from __future__ import annotations
@@ -84,15 +83,7 @@ class Condensation:
         space: TornSpace,
         compiler: Compiler,
     ) -> None:
-        """Derive and compile the blocks.
-
-        Args:
-            F_u: Residual r_u, tested with v in V.
-            F_p: Residual of each field, tested in its space.
-            u: Displacement.
-            fields: The fields; no two cells share their dofs.
-            space: Torn V.
-            compiler: How the blocks are compiled.
+        """Derive and compile the blocks of the residual F_u and of one F_p for each field.
 
         Raises:
             ValueError: A field does not occur in the residuals, they leave it undetermined, or
@@ -154,10 +145,7 @@ class Condensation:
             p.x.array[:] = part
 
     def relax(self) -> None:
-        """Let the fields satisfy their own equations at the present u, p ← p − K_pp⁻¹ r_p.
-
-        A step is enough where these are linear in p; where they are not, the step is repeated.
-        """
+        """Let the fields satisfy their own equations at the present u, p ← p − K_pp⁻¹ r_p."""
         for _ in range(1 if self._linear else LOCAL_STEPS):
             _, _, K_pp, r_p = self._assembled()
             step = (self._inverse(K_pp) @ r_p)[:, :, 0]  # K_pp⁻¹ r_p
@@ -173,11 +161,7 @@ class Condensation:
                 break
 
     def prepare_multipliers(self) -> None:
-        """Compile what tells the mean of a cell.
-
-        Note:
-            Collective.
-        """
+        """Compile what tells the mean of a cell. Collective."""
         ones = []
         for p in self.fields:
             one = dolfinx.fem.Function(p.function_space)
@@ -186,19 +170,14 @@ class Condensation:
         forms = [ufl.TestFunction(p.function_space) * ufl.dx for p in self.fields]
         volumes = CellTensors(forms, self._u.function_space.mesh, self._compiler).assemble()
         each = np.split(np.concatenate(ones)[self._place], np.cumsum(self._widths)[:-1], axis=1)
-        self._mean = np.concatenate(
-            [
-                tied * c / (c * volume).sum(axis=1, keepdims=True)
-                for tied, c, volume in zip(self._tied, each, volumes, strict=True)
-            ],
-            axis=1,
-        )
+        means = [
+            tied * c / (c * volume).sum(axis=1, keepdims=True)
+            for tied, c, volume in zip(self._tied, each, volumes, strict=True)
+        ]
+        self._mean = np.concatenate(means, axis=1)
 
     def hold(self, values: Array) -> float:
-        """Let only by how much the fields differ from λ compress the material.
-
-        Args:
-            values: λ, as in :meth:`values`.
+        """Let only by how much the fields differ from λ, as in :meth:`values`, compress.
 
         Returns:
             The greatest change of the mean of r_p(0, λ) in a cell of this process. Where the state
@@ -246,12 +225,7 @@ class Condensation:
         return np.bincount(self.dofs().ravel(), cell.ravel(), minlength=n_torn).astype(np.float64)
 
     def increment(self, blocks: Blocks, du: Array) -> Array:
-        """Return Δp = −K_pp⁻¹ (r_p + K_pu Δu), as in :meth:`values`.
-
-        Args:
-            blocks: Of the state where the increment begins.
-            du: Torn displacement increment, (n_torn,).
-        """
+        """Return Δp = −K_pp⁻¹ (r_p + K_pu Δu), as in :meth:`values`, for a torn Δu, (n_torn,)."""
         dp = np.zeros(sum(len(p.x.array) for p in self.fields))
         slope = blocks.slope @ du[self.dofs()][:, :, None]
         dp[self._place] = -(blocks.excess + slope)[:, :, 0]

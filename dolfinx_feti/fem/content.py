@@ -52,7 +52,6 @@ def content_of(
 ) -> Content:
     """Read the content off forms, of which some may be None."""
     given = tuple(form for form in forms if form is not None and not form.empty())
-    coefficients = {f: None for form in given for f in form.coefficients()}
-    constants = {c: None for form in given for c in form.constants()}
-    ordered = sorted(constants, key=lambda c: c.count())
-    return Content(tuple(unknowns), tuple(coefficients), tuple(ordered), given)
+    coefficients = dict.fromkeys(f for form in given for f in form.coefficients())
+    constants = sorted({c for form in given for c in form.constants()}, key=lambda c: c.count())
+    return Content(tuple(unknowns), tuple(coefficients), tuple(constants), given)

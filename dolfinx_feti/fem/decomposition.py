@@ -5,15 +5,10 @@ r"""Decomposition of the mesh into subdomains, and the torn function space.
 
 .. math:: \overline Ω_0 = \bigcup_i \overline Ω_{0,i}
 
-(eq. 30, Augustin_eq:decomposition). Each process partitions the cells it owns. Tearing is a second
-dof map on the same mesh and element: its dofs are the pairs (subdomain, dof) that occur, numbered
-subdomain by subdomain, so that a form on the torn space assembles the block-diagonal K of all
-subdomains.
-
-Every subdomain is connected through facets. If the user gives a number of subdomains, splinters
-(all components of a part but the largest) join neighbouring parts; the requested number is then met
-as long as the cells of each process are connected. If the user gives the parts, each part is split
-into its components, and each component is a subdomain with its own kernel.
+(eq. 30, Augustin_eq:decomposition). Each process partitions its own cells; every subdomain is
+connected through facets. Tearing is a second dof map on the same mesh and element: the pairs
+(subdomain, dof) that occur, numbered subdomain by subdomain, so that a form on the torn space
+assembles the block-diagonal K of all subdomains.
 """
 
 from __future__ import annotations
@@ -80,11 +75,8 @@ class TornSpace:
 def suggested_number(V: dolfinx.fem.FunctionSpace, least: int = 1) -> int:
     """Suggest a number of subdomains over all processes: one for some 2000 dofs, as many on each.
 
-    Within a fifth of the best of nearly all measured bodies (``docs/results/subdomains.md``).
-
-    Args:
-        V: Space of the unknown.
-        least: Fewest subdomains, as far as there are cells.
+    Within a fifth of the best of nearly all measured bodies (``docs/results/subdomains.md``). They
+    are at least ``least``, as far as there are cells.
     """
     dofs = V.dofmap.index_map.size_global * V.dofmap.index_map_bs
     topology, processes = V.mesh.topology, V.mesh.comm.size
@@ -98,16 +90,15 @@ def decompose(
 ) -> Decomposition:
     """Cut the mesh into subdomains, in the same way in every run.
 
+    A part that is not connected through facets becomes several subdomains if it is given; of a
+    number of parts the splinters, all components but the largest, join their neighbours.
+
     Args:
         mesh: The mesh, on any number of processes.
         subdomains: Their number over all processes (shared out in proportion to the cells, at
             least one per process), or the part of each owned cell, (n_cells,), of an integer type.
         seed: Zero, or another number for another decomposition: the partitioner then counts the
             cells from one that is drawn with it. Without effect on given parts.
-
-    Returns:
-        The decomposition. A given part that is not connected through facets becomes several
-        subdomains, and so do the cells of a process if they are not connected.
 
     Raises:
         ValueError: More subdomains than cells, fewer than one, an array of the wrong length, or
@@ -141,12 +132,7 @@ def decompose(
 
 @event("FETITear")
 def tear(V: dolfinx.fem.FunctionSpace, decomposition: Decomposition) -> TornSpace:
-    """Give every subdomain its own copy of the dofs of V.
-
-    Args:
-        V: A scalar or blocked space on the decomposed mesh.
-        decomposition: The decomposition of its mesh.
-    """
+    """Give every subdomain its own copy of the dofs of V, scalar or blocked."""
     cells = V.dofmap.list
     owned = cells[: len(decomposition.subdomain)]
     n_dofs = V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts
@@ -189,8 +175,7 @@ def _check_parts(part: npt.NDArray[np.generic], n_cells: int, comm: MPI.Comm) ->
 def _shares(subdomains: int, cells: Numbers) -> Numbers:
     """Return each process's number of subdomains, in proportion to its cells, (processes,).
 
-    Those that are left over by rounding down go to the largest remainders: of a multiple of the
-    processes each has as many, if its cells are the mean to within half of a subdomain's.
+    Those that are left over by rounding down go to the largest remainders.
     """
     due = subdomains * cells / cells.sum()
     shares = np.floor(due).astype(np.int64)
@@ -226,12 +211,7 @@ def _partition(graph: scipy.sparse.csr_array, parts: int, seed: int) -> Indices:
 
 
 def _join_splinters(graph: scipy.sparse.csr_array, part: Indices) -> Indices:
-    """Move each splinter to the neighbouring part with which it shares the most facets.
-
-    Args:
-        graph: Cells that share a facet, (n_cells, n_cells).
-        part: Part of each cell, (n_cells,).
-    """
+    """Move each splinter to the neighbouring part with which it shares the most facets."""
     links = graph.tocoo()
     for _ in range(ROUNDS):
         piece = _facet_components(graph, part)

@@ -3,10 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Quadratic elements with bubbles, which a discontinuous linear pressure is stable with.
 
-On a simplex with barycentric coordinates λ the quadratic functions are joined by the products
-:math:`λ_i λ_j λ_k` of its faces and, in space, :math:`λ_1 λ_2 λ_3 λ_4` of the cell (Crouzeix and
-Raviart 1973; Ern and Guermond 2004, 4.2.6). Bubbles of cells have no neighbours and cost no dof on
-the interface.
+On a simplex with barycentric coordinates λ they are joined by the products :math:`λ_i λ_j λ_k` of
+its faces and, in space, :math:`λ_1 λ_2 λ_3 λ_4` of the cell (Crouzeix and Raviart 1973; Ern and
+Guermond 2004, 4.2.6). Bubbles of cells cost no dof on the interface.
 """
 
 from __future__ import annotations
@@ -23,15 +22,14 @@ Floats = npt.NDArray[np.floating]
 
 
 def quadratic_with_bubbles(cell: str, *, faces: bool = True) -> basix.ufl._ElementBase:
-    """Enrich quadratic elements by the bubbles of cells and faces.
+    """Enrich quadratic elements by the bubbles of cells, and of the faces of a tetrahedron.
 
     Args:
         cell: ``triangle`` or ``tetrahedron``.
-        faces: Whether the faces of a tetrahedron have bubbles.
+        faces: Whether faces have bubbles.
 
     Returns:
-        A scalar element; ``basix.ufl.blocked_element(element, shape=(dim,))`` is that of a
-        displacement.
+        A scalar element, of which ``basix.ufl.blocked_element`` makes that of a displacement.
 
     Raises:
         ValueError: Another cell.
@@ -57,16 +55,6 @@ def _face_bubbles() -> basix.ufl._ElementBase:
     dofs: list[list[Floats]] = [[np.zeros((0, 1, 0, 1)) for _ in part] for part in topology]
     points[2] = [corners[face].mean(axis=0)[None] for face in topology[2]]
     dofs[2] = [np.ones((1, 1, 1, 1)) for _ in topology[2]]
-    return basix.ufl.custom_element(
-        cell,
-        (),
-        (bubbles * w) @ np.asarray(legendre).T,  # the bubbles in orthonormal polynomials
-        points,
-        dofs,
-        0,
-        basix.MapType.identity,
-        basix.SobolevSpace.H1,
-        False,
-        -1,
-        3,
-    )
+    span = (bubbles * w) @ np.asarray(legendre).T  # the bubbles in orthonormal polynomials
+    kind = basix.MapType.identity, basix.SobolevSpace.H1
+    return basix.ufl.custom_element(cell, (), span, points, dofs, 0, *kind, False, -1, 3)

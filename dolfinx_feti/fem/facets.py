@@ -5,9 +5,8 @@ r"""Surfaces inside of a mesh, integrated from one side.
 
 .. math:: \int_Γ k\, u\, v\, ds, \qquad Γ ⊂ Ω,
 
-couples no more dofs than those of Γ, as long as it takes values of a continuous u and v, and no
-gradients. Taken from the cells on one side, each in its subdomain, it is exact in any
-decomposition. UFL's dS couples all dofs of the cells on both sides, whatever stands in it.
+couples the dofs of Γ alone, as long as it takes values of a continuous u and v, and no gradients.
+UFL's dS couples all dofs of the cells on both sides, whatever stands in it.
 """
 
 from __future__ import annotations

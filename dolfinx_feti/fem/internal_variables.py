@@ -5,11 +5,9 @@ r"""Internal variables: what a material remembers, as Functions with an update i
 
 .. math:: ξ_{n+1} = Ξ(u_{n+1}, p_{n+1}, ξ_n)
 
-at the points of each Function's own element: those of the quadrature, or of a discontinuous
-polynomial. All Ξ are evaluated before any ξ changes, so that updates may refer to each other.
-
-Variables in the balance of forces are those in the forms of the problem, and those that their Ξ
-depend on. The others only observe: they may be updated while the balance still has to be shown.
+at the points of each Function's own element. All Ξ are evaluated before any ξ changes. Variables in
+the balance of forces are those in the forms of the problem, and those that their Ξ depend on. The
+others only observe: they may be updated while the balance still has to be shown.
 """
 
 from __future__ import annotations
@@ -46,14 +44,7 @@ class InternalVariables:
     balanced: tuple[bool, ...]
 
     def update(self, *, balanced: bool | None = None) -> None:
-        """Let every ξ be its Ξ of the present state.
-
-        Args:
-            balanced: Only those that are in the balance of forces, or only those that are not.
-
-        Note:
-            Collective.
-        """
+        """Let every ξ, or those that are ``balanced`` or not, be its Ξ now. Collective."""
         found = []
         for ξ, update, in_balance in zip(self.functions, self.updates, self.balanced, strict=True):
             if balanced is None or balanced == in_balance:
@@ -71,12 +62,9 @@ def create_internal_variables(
     *,
     coefficients: Collection[dolfinx.fem.Function] = (),
 ) -> InternalVariables:
-    """Check and compile the updates of internal variables.
+    """Check and compile the update Ξ, of ξ's shape, of each Function ξ.
 
-    Args:
-        updates: The update Ξ of each Function ξ, in UFL, of ξ's shape.
-        compiler: How they are compiled.
-        coefficients: Functions in the balance of forces.
+    Those among the coefficients are in the balance of forces.
 
     Raises:
         TypeError: A key is no Function.
@@ -100,11 +88,7 @@ def create_internal_variables(
 
 
 def _check(updates: Mapping[dolfinx.fem.Function, Expr], comm: MPI.Comm) -> None:
-    """Require discontinuous Functions, and updates of their shapes.
-
-    Raises:
-        TypeError, ValueError: See :func:`create_internal_variables`.
-    """
+    """Require discontinuous Functions, and updates of their shapes."""
     for ξ, update in updates.items():
         if not isinstance(ξ, dolfinx.fem.Function):
             raise TypeError(

@@ -28,13 +28,9 @@ ROUNDING = 1e-12
 def attach_near_kernel(A: PETSc.Mat, V: dolfinx.fem.FunctionSpace, u: Array | None = None) -> None:
     """Attach constants and, for displacements, the rotations of the deformed body.
 
-    A near null space of the user's stays.
-
-    Args:
-        A: Torn matrix on V.
-        V: Space with block size bs; rotations are included if bs is the spatial dimension. Dofs
-            may be values at points, or moments.
-        u: Displacement at the dofs, (owned blocks, bs); zero if not given.
+    A near null space of the user's stays. Rotations are included if the block size bs of V is the
+    spatial dimension, and are those with the displacement u at the dofs, (owned blocks, bs). Dofs
+    may be values at points, or moments.
     """
     gdim, bs = V.mesh.geometry.dim, V.dofmap.index_map_bs
     one, x = _linear_fields(V)

@@ -41,11 +41,7 @@ class Nodes:
     """
 
     def __init__(self, mesh: dolfinx.mesh.Mesh) -> None:
-        """Remember the mesh as it is.
-
-        Note:
-            Collective.
-        """
+        """Remember the mesh as it is. Collective."""
         self.mesh = mesh
         self.initial: Array = np.array(mesh.geometry.x, dtype=np.float64)
         self._W = dolfinx.fem.functionspace(mesh, mesh.ufl_domain().ufl_coordinate_element())

@@ -25,11 +25,7 @@ __all__ = ["compile_cells"]
 def compile_cells(
     forms: Sequence[ufl.Form], mesh: dolfinx.mesh.Mesh
 ) -> tuple[list[tuple[list[int], Kernel]], list[ufl.Form]]:
-    """Compile the integrals over cells of several forms, a kernel for each region and degree.
-
-    Args:
-        forms: The forms.
-        mesh: Their mesh.
+    """Compile the integrals over cells of forms on a mesh, a kernel for each region and degree.
 
     Returns:
         Kernels, each with the numbers of its forms, and of each form what is left to dolfinx: other

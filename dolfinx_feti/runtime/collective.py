@@ -45,29 +45,12 @@ def on_first(work: Callable[[], T], comm: MPI.Comm) -> T:
     Note:
         Collective.
     """
-    parcel: tuple[bytes, BaseException | None] = (b"", None)
-    own: BaseException | None = None
-    if comm.rank == 0:
-        try:
-            parcel = (pickle.dumps(work()), None)
-        except BaseException as caught:  # Ctrl-C, too, is told to all
-            own = caught
-            parcel = (b"", _portable(caught))
-    result, error = comm.bcast(parcel, root=0)
-    try:
-        if error is not None:
-            raise own or error
-    finally:
-        del parcel, own, error  # their tracebacks hold this frame, and with it what was made
-    return pickle.loads(result)
+    parcel = on_all(lambda: pickle.dumps(work()) if comm.rank == 0 else b"", comm)
+    return pickle.loads(comm.bcast(parcel, root=0))
 
 
 def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
     """Do something on all processes; if it fails on one of them, it has failed on all.
-
-    Args:
-        work: What each of them does.
-        comm: Communicator of all of them.
 
     Returns:
         The process's own result.
@@ -99,14 +82,10 @@ def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
 
 
 def deferred(work: Callable[[], Any], shape: int | tuple[int, ...]) -> Array:
-    """Do local work of an iteration; where it fails, :func:`raise_deferred` raises its error.
+    """Do local work of an iteration, between two collective calls, with a result of this shape.
 
-    Args:
-        work: What is done, between two collective calls.
-        shape: Shape of its result.
-
-    Returns:
-        The result, or NaN, which the next sum over all processes hands to all of them.
+    Where it fails, the result is NaN, which the next sum over all processes hands to all of them,
+    and :func:`raise_deferred` raises its error.
     """
     try:
         return np.asarray(work())

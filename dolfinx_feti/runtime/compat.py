@@ -15,7 +15,7 @@ import numpy as np
 
 import dolfinx
 
-from dolfinx_feti.runtime.arrays import Array, Indices, Integers, Numbers
+from dolfinx_feti.runtime.arrays import Array, Indices, Integers
 
 __all__ = [
     "adjacency",
@@ -23,7 +23,6 @@ __all__ = [
     "facet_links",
     "geometry_degree",
     "geometry_dofmap",
-    "gmsh_permutation",
     "has_vertex_integrals",
     "interpolation_points",
     "package_version",
@@ -45,19 +44,13 @@ def adjacency(data: Integers, offsets: Indices | None = None) -> object:
 def create_function_space(
     V: dolfinx.fem.FunctionSpace, table: Indices, n_blocks: int, block_size: int | None = None
 ) -> dolfinx.fem.FunctionSpace:
-    """Create a space like V with another dof map, on this process alone.
+    """Create a space of V's mesh and element with another dof map, on this process alone.
 
-    Args:
-        V: Space whose mesh and element are shared.
-        table: Dofs (blocks) of each cell, (n_cells, blocks per cell).
-        n_blocks: Number of dof blocks.
-        block_size: Their size; that of V if not given.
+    The table has the dofs (blocks) of each cell, (n_cells, blocks per cell).
     """
-    old = V.dofmap
-    bs = old.bs if block_size is None else block_size
+    bs = V.dofmap.bs if block_size is None else block_size
     index_map = dolfinx.cpp.common.IndexMap(MPI.COMM_SELF, n_blocks)
-    links = adjacency(table)
-    dofmap = dolfinx.cpp.fem.DofMap(old.dof_layout, index_map, bs, links, bs)
+    dofmap = dolfinx.cpp.fem.DofMap(V.dofmap.dof_layout, index_map, bs, adjacency(table), bs)
     arguments = [V.mesh._cpp_object, V._cpp_object.element, dofmap]
     try:  # up to 0.9 the value shape is an argument
         space = dolfinx.cpp.fem.FunctionSpace_float64(*arguments, V.value_shape)
@@ -71,8 +64,7 @@ def facet_links(
 ) -> dolfinx.cpp.graph.AdjacencyList_int64:
     """Return the cells that share a facet with each of the first cells, among those.
 
-    The facets themselves, of which a prism has two types, are not asked for: from 0.10 on they have
-    a table each.
+    The facets themselves, of which a prism has two types, have a table each from 0.10 on.
     """
     vertices = topology.connectivity(topology.dim, 0)
     cells = vertices.array[: vertices.offsets[n_cells]].astype(np.int64)
@@ -95,12 +87,6 @@ def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> Indices:
     return np.asarray(geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap)
 
 
-def gmsh_permutation(cell: str, nodes: int) -> Numbers:
-    """Return the places in Gmsh's order of the nodes in dolfinx's, (nodes,)."""
-    kind = getattr(dolfinx.mesh.CellType, cell)
-    return np.asarray(dolfinx.cpp.io.perm_gmsh(kind, nodes), dtype=np.int64)
-
-
 def has_vertex_integrals() -> bool:
     """Tell whether dolfinx assembles integrals over vertices: from 0.10 on."""
     major, minor, *_ = dolfinx.__version__.split(".")  # type: ignore[attr-defined]
@@ -121,8 +107,7 @@ def package_version() -> str:
 def repeat_partitions() -> None:
     """Let Scotch, with which dolfinx partitions, find the same parts in every run.
 
-    dolfinx seeds it. What is left to chance since Scotch 7 is the race of its threads and the order
-    of messages (Scotch 7.0 User's Guide, environment variables). What the environment says stays.
+    dolfinx seeds it; chance is left to its threads and messages. What the environment says stays.
     """
     for name in SCOTCH:
         os.environ.setdefault(name, "1")

@@ -3,9 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The cost of a solver: the same measure of time and memory for all solvers.
 
-The memory of a solver is its peak above what was in use when it began. The torn and the assembled
-matrix exist before and do not count; everything that a solver allocates does, including what it
-frees again before it ends.
+Memory is the peak above what was in use before, when the matrix existed: all that a solver
+allocates counts, including what it frees again before it ends.
 """
 
 from __future__ import annotations
@@ -73,17 +72,10 @@ class PeakMemory:
 
 
 def measure(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> tuple[Cost, PETSc.Vec]:
-    """Create a solver, set it up, solve with it, and destroy it.
-
-    Args:
-        create: Creates the solver; the matrix has to exist already.
-        b: Right-hand side.
+    """Create a solver for a matrix that exists, set it up, solve for b, and destroy it. Collective.
 
     Returns:
         The cost and the solution, which belongs to the caller.
-
-    Note:
-        Collective.
     """
     x = b.duplicate()
     cost, ksp = timed_solve(create, b, x)

@@ -26,16 +26,10 @@ def writable_folder(path: Path | str, comm: MPI.Comm) -> Path:
 
 
 def try_to_write(attempt: Callable[[Path], object], path: Path, what: str, comm: MPI.Comm) -> Path:
-    """Let the first process try to write; all processes raise or none. Collective.
-
-    Args:
-        attempt: The attempt to write, called with the path.
-        path: Where to write.
-        what: ``file`` or ``folder``, for the message.
-        comm: Communicator of all processes that will write there.
+    """Let the first process try to write what is a ``file`` or ``folder``. Collective.
 
     Raises:
-        OSError: It failed.
+        OSError: It failed, on all processes.
     """
     try:
         on_first(lambda: attempt(path), comm)

@@ -6,25 +6,17 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
 __all__ = ["Lifetime"]
 
-
-class Ending(Protocol):
-    """What has to be ended."""
-
-    def destroy(self) -> object:
-        """Free it."""
-
-
-T = TypeVar("T", bound=Ending)
+T = TypeVar("T", bound=Any)
 
 
 class Lifetime(ExitStack):
     """Ends what it owns: as a context, or by ``close``; ``pop_all`` moves all to another one."""
 
     def own(self, thing: T) -> T:
-        """Take over an object, and return it."""
+        """Take over an object with a ``destroy``, and return it."""
         self.callback(thing.destroy)
         return thing

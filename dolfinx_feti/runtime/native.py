@@ -11,9 +11,9 @@ ask for its kind, cffi and Python.
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import ctypes
+import functools
 import hashlib
 import importlib.util
 import io
@@ -22,15 +22,14 @@ import os
 import platform
 import re
 import shlex
-import shutil
 import sysconfig
 import tempfile
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
-from typing import Any, cast
+from typing import Any
 
 from mpi4py import MPI
 
@@ -38,25 +37,23 @@ import cffi
 import numpy.typing as npt
 from scipy.linalg import cython_blas, cython_lapack
 
-from dolfinx_feti.runtime.collective import on_all, on_first, reason
+from dolfinx_feti.runtime.collective import on_all, reason
 
 __all__ = ["address_of", "announced", "load", "pointer", "processor_flags"]
 
 #: Machines of which the compiler knows ``-march=native``.
 MACHINES = ("x86_64", "aarch64")
 
-#: End of the names of Python's modules.
-SUFFIX = str(sysconfig.get_config_var("EXT_SUFFIX"))
-
 #: Seconds of a compilation without a word.
 PATIENCE = 2.0
 
 logger = logging.getLogger("dolfinx_feti.compilation")
 
-_loaded: dict[object, ModuleType] = {}
-
-#: Attribute of communicators.
+#: Attribute of communicators: what all of their processes have loaded.
 _SEEN = MPI.Comm.Create_keyval()
+
+#: Cache of this run where the other one cannot be written.
+_scratch = functools.cache(tempfile.TemporaryDirectory)
 
 
 def load(
@@ -90,43 +87,20 @@ def load(
     """
     flags = (*flags, *shlex.split(os.environ.get("DOLFINX_FETI_CFLAGS", "")))
     key = source, declarations, generated, flags, cache
-    seen = _seen(comm)
-    if key in seen and key in _loaded:
-        return _loaded[key]
-
-    def module(path: str = "") -> str:
-        """Load the code, and return where it is."""
-        if key not in _loaded:
-            try:
-                text = _text(source, generated)
-                known_by = [text, declarations, *flags, version("cffi"), SUFFIX]
-                name = hashlib.sha256("\n".join(known_by).encode()).hexdigest()[:16]
-                name = f"{source.stem}_{name}"
-                if not Path(path).is_file():
-                    path = str(_compiled(name, text, declarations, flags, cache))
-                _loaded[key] = _import(name, Path(path))
-            except Exception as error:
-                raise RuntimeError(
-                    f"{source.name} cannot be compiled ({reason(error)}): check the C compiler, "
-                    "which FFCx needs, too (variable CC), and that the cache can be written "
-                    "(variable XDG_CACHE_HOME)."
-                ) from error
-        return str(_loaded[key].__file__)
-
-    path = on_first(module, comm)
-    on_all(lambda: module(path), comm)
-    seen.add(key)
-    return _loaded[key]
+    seen: Any = comm.Get_attr(_SEEN)
+    if seen is None:
+        seen = set[object]()
+        comm.Set_attr(_SEEN, seen)
+    if key not in seen:
+        on_all(lambda: _module(*key) if comm.rank == 0 else None, comm)
+        on_all(lambda: _module(*key), comm)
+        seen.add(key)
+    return _module(*key)
 
 
 @contextlib.contextmanager
 def announced(what: str, where: object) -> Iterator[None]:
-    """Log that something is being compiled if that takes more than two seconds.
-
-    Args:
-        what: What is compiled.
-        where: Folder that keeps it.
-    """
+    """Log what is being compiled, and which folder keeps it, if that takes over two seconds."""
     message = f"compiling {what}, which is kept for later runs in {where}"
     timer = threading.Timer(PATIENCE, logger.warning, [message])
     timer.daemon = True
@@ -138,34 +112,27 @@ def announced(what: str, where: object) -> Iterator[None]:
 
 
 def processor_flags() -> list[str]:
-    """Return flags for code that runs on processors of this kind only.
+    """Return flags for code that runs on processors of this kind only; none where it is not known.
 
     One of them names the processor, so that the names of the code do: several kinds of machines may
-    share a cache. There are none where it is not known.
+    share a cache.
     """
     try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n", maxsplit=1)[0]
+        first = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n", maxsplit=1)[0]
     except OSError:
         return []
     if platform.machine() not in MACHINES:
         return []
-    known = [
-        line for line in lines.splitlines() if line.startswith(("model", "CPU", "flags", "Feat"))
-    ]
-    name = hashlib.sha256("\n".join(known).encode()).hexdigest()[:8]
-    return ["-march=native", f"-DPROCESSOR_{name}"]
+    known = re.findall("^(?:model|CPU|flags|Feat).*", first, flags=re.MULTILINE)
+    return ["-march=native", f"-DPROCESSOR_{_hash(known)[:8]}"]
 
 
 def pointer(module: Any, array: npt.NDArray[Any], *, order: str = "C") -> Any:
-    """Return a C pointer to the entries of an array, which has to outlive it.
-
-    Args:
-        module: What :func:`load` returns.
-        array: An array of float32, float64, int32 or int64.
-        order: How the code reads it, by rows (C) or by columns (F).
+    """Return a C pointer, of a loaded module, to the entries of an array, which outlives it.
 
     Raises:
-        ValueError: The entries are not consecutive in this order, or of another type.
+        ValueError: The entries are not consecutive by rows (C) or by columns (F), or not of
+            float32, float64, int32 or int64.
     """
     if not array.flags.c_contiguous if order == "C" else not array.flags.f_contiguous:
         raise ValueError(f"array of shape {array.shape} is not contiguous in {order} order")
@@ -189,13 +156,30 @@ def address_of(name: str) -> int:
     return int(api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule)))
 
 
-def _seen(comm: MPI.Comm) -> set[object]:
-    """Return what all processes of a communicator have loaded."""
-    seen: Any = comm.Get_attr(_SEEN)
-    if seen is None:
-        seen = set[object]()
-        comm.Set_attr(_SEEN, seen)
-    return cast(set[object], seen)
+def _hash(texts: Iterable[str]) -> str:
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest()
+
+
+@functools.cache
+def _module(
+    source: Path, declarations: str, generated: str, flags: tuple[str, ...], cache: Path | None
+) -> ModuleType:
+    """Compile and load, see :func:`load`."""
+    try:
+        text, suffix = _text(source, generated), str(sysconfig.get_config_var("EXT_SUFFIX"))
+        known_by = _hash([text, declarations, *flags, version("cffi"), suffix])[:16]
+        name = f"{source.stem}_{known_by}"
+        path = _compiled(name, suffix, text, declarations, flags, cache)
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None and spec.loader is not None, path
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise RuntimeError(
+            f"{source.name} cannot be compiled ({reason(error)}): check the C compiler, which FFCx "
+            "needs, too (variable CC), and that the cache can be written (variable XDG_CACHE_HOME)."
+        ) from error
+    return module
 
 
 def _text(source: Path, generated: str) -> str:
@@ -208,39 +192,25 @@ def _text(source: Path, generated: str) -> str:
 
 
 def _compiled(
-    name: str, text: str, declarations: str, flags: Sequence[str], cache: Path | None
+    name: str, suffix: str, text: str, declarations: str, flags: Sequence[str], cache: Path | None
 ) -> Path:
     """Return the compiled file; others may be making the same one at the same time."""
     own = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "dolfinx_feti"
     folder = own if cache is None else cache
-    kept = folder / (name + SUFFIX)
+    kept = folder / (name + suffix)
     if kept.exists():
         return kept
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        work = tempfile.mkdtemp(dir=folder)
+        work = tempfile.TemporaryDirectory(dir=folder)
     except OSError as error:
         logger.info(f"compiled code is not kept: {reason(error)}")
-        folder = Path(tempfile.mkdtemp())
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
-        work, kept = tempfile.mkdtemp(dir=folder), folder / kept.name
-    try:
-        builder = cffi.FFI()
-        builder.cdef(declarations)
-        builder.set_source(name, text, extra_compile_args=list(flags))
-        output = io.StringIO()
-        with contextlib.redirect_stdout(output), announced(name.rpartition("_")[0] + ".c", folder):
-            made = builder.compile(tmpdir=work)
-        Path(made).replace(kept)
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
+        folder = Path(_scratch().name)
+        work, kept = tempfile.TemporaryDirectory(dir=folder), folder / kept.name
+    builder = cffi.FFI()
+    builder.cdef(declarations)
+    builder.set_source(name, text, extra_compile_args=list(flags))
+    what = name.rpartition("_")[0] + ".c"
+    with work, contextlib.redirect_stdout(io.StringIO()), announced(what, folder):
+        Path(builder.compile(tmpdir=work.name)).replace(kept)
     return kept
-
-
-def _import(name: str, path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"{path} is not a module")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module

@@ -1,10 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Functions that petsc4py does not wrap: PETSc's, and those of libraries that it is linked with.
-
-They are looked up in what petsc4py has loaded. Products with arrays, besides.
-"""
+"""Functions of PETSc, and of what it is linked with, that petsc4py does not wrap; products."""
 
 from __future__ import annotations
 
@@ -20,39 +17,21 @@ import numpy as np
 
 from dolfinx_feti.runtime.arrays import Array, Indices
 
-__all__ = [
-    "Rows",
-    "address_of_rows",
-    "function",
-    "nonzero_state",
-    "product",
-    "reads_in_place",
-    "rows_of",
-]
+__all__ = ["Rows", "function", "pattern_state", "product", "reads_in_place", "rows_of"]
 
-_Handle, _Number = ctypes.c_void_p, ctypes.c_int
+_Handle, _Pointer, _Number = ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int
 _Numbers, _Doubles = ctypes.POINTER(ctypes.c_int), ctypes.POINTER(ctypes.c_double)
-_ROWS = (
-    _Handle, _Number, _Number, _Number, _Numbers,
-    ctypes.POINTER(_Numbers), ctypes.POINTER(_Numbers), _Numbers,
-)  # fmt: skip
-_READ = (_Handle, ctypes.POINTER(_Doubles))
+_ROWS = (_Handle, *[_Number] * 3, *[_Pointer] * 4)
 _ACCESS = (
     ("MatGetRowIJ", _ROWS),
     ("MatRestoreRowIJ", _ROWS),
-    ("MatSeqAIJGetArrayRead", _READ),
-    ("MatSeqAIJRestoreArrayRead", _READ),
+    ("MatSeqAIJGetArrayRead", (_Handle, _Pointer)),
+    ("MatSeqAIJRestoreArrayRead", (_Handle, _Pointer)),
 )
 
 
 class Rows(NamedTuple):
-    """A sparse matrix row by row.
-
-    Attributes:
-        indptr: Where each row begins, (n + 1,).
-        indices: Columns, (entries,).
-        values: Entries, (entries,).
-    """
+    """A sparse matrix row by row: where each begins, (n + 1,), columns and values of entries."""
 
     indptr: Indices
     indices: Indices
@@ -61,14 +40,9 @@ class Rows(NamedTuple):
 
 @functools.cache
 def function(name: str, arguments: tuple[Any, ...]) -> Any:
-    """Look up a function of PETSc, or of a library that it is linked with, that returns a code.
+    """Look up a function that returns a code in what petsc4py has loaded; None if there is none.
 
-    Args:
-        name: Its name.
-        arguments: The types of its arguments, of ctypes.
-
-    Returns:
-        The function; None if there is none of this name.
+    Its arguments have these types, of ctypes.
     """
     try:
         symbol = getattr(ctypes.CDLL(PETSc.__file__), name)
@@ -87,9 +61,6 @@ def reads_in_place() -> bool:
 @contextmanager
 def rows_of(K: PETSc.Mat) -> Iterator[Rows]:
     """Yield the arrays of a sequential AIJ matrix, its own if :func:`reads_in_place`.
-
-    Args:
-        K: The matrix; it stays as it is as long as the arrays are in use.
 
     Raises:
         RuntimeError: The matrix is not SeqAIJ.
@@ -136,17 +107,16 @@ def product(K: PETSc.Mat, x: Array, *, transpose: bool = False) -> Array:
     return y
 
 
-def nonzero_state(K: PETSc.Mat) -> int:
-    """Return how often the places of a matrix's entries have changed; zero if PETSc cannot say."""
-    count = ctypes.c_int64()
-    get = function("MatGetNonzeroState", (_Handle, ctypes.POINTER(ctypes.c_int64)))
-    return count.value if get is not None and get(K.handle, ctypes.byref(count)) == 0 else 0
+def pattern_state(K: PETSc.Mat) -> tuple[int, ...]:
+    """Return what changes with the pattern of a matrix.
 
-
-def address_of_rows(K: PETSc.Mat) -> tuple[int, ...]:
-    """Return the number of entries of a matrix and, of SeqAIJ, where PETSc keeps its arrays."""
-    entries = int(K.getInfo()["nz_used"])
+    That is, how often it has changed, the number of entries and, of SeqAIJ, where PETSc keeps them.
+    """
+    count, entries = ctypes.c_int64(), int(K.getInfo()["nz_used"])
+    changes = function("MatGetNonzeroState", (_Handle, _Pointer))
+    if changes is not None:
+        changes(K.handle, ctypes.byref(count))
     if not K.getType().startswith("seqaij") or K.getSize()[0] == 0 or not reads_in_place():
-        return (entries,)
+        return (count.value, entries)
     with rows_of(K) as arrays:
-        return (entries, *(array.ctypes.data for array in arrays))
+        return (count.value, entries, *(array.ctypes.data for array in arrays))

@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 
 from petsc4py import PETSc
 
@@ -27,42 +27,33 @@ def require_prefix(prefix: object) -> str:
     return prefix
 
 
-@contextmanager
-def inserted(prefix: str, petsc_options: Mapping[str, object] | None) -> Iterator[None]:
-    """Put options under a prefix for a while and leave the database as it was.
+def inserted(
+    prefix: str, petsc_options: Mapping[str, object] | None
+) -> AbstractContextManager[None]:
+    """Put options under a prefix for a while; None or True as a value sets a flag."""
+    values = {prefix + key: value for key, value in (petsc_options or {}).items()}
+    return _changed(list(values), values)
 
-    Args:
-        prefix: Prefix of each key.
-        petsc_options: Keys without prefix; None or True as a value sets a flag.
-    """
+
+def withheld(keys: Iterable[str]) -> AbstractContextManager[None]:
+    """Take options, prefix included, out of the database for a while, as far as they are there."""
+    return _changed(list(keys), {})
+
+
+@contextmanager
+def _changed(keys: Sequence[str], values: Mapping[str, object]) -> Iterator[None]:
+    """Give options these values, or none, for a while; then the database is as it was."""
     database = PETSc.Options()
     before = database.getAll()
-    keys = {prefix + key: value for key, value in (petsc_options or {}).items()}
-    for key, value in keys.items():
-        database.setValue(key, "" if value is None else value)
-    try:
-        yield
-    finally:
+
+    def put(values: Mapping[str, object]) -> None:
         for key in keys:
             database.delValue(key)
-            if key in before:
-                database.setValue(key, before[key])
+            if key in values:
+                database.setValue(key, "" if values[key] is None else values[key])
 
-
-@contextmanager
-def withheld(keys: Iterable[str]) -> Iterator[None]:
-    """Take options out of the database for a while.
-
-    Args:
-        keys: Their names, prefix included; those that are not there do not matter.
-    """
-    database = PETSc.Options()
-    present = database.getAll()
-    values = {key: present[key] for key in keys if key in present}
-    for key in values:
-        database.delValue(key)
+    put(values)
     try:
         yield
     finally:
-        for key, value in values.items():
-            database.setValue(key, value)
+        put(before)

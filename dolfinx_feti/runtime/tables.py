@@ -17,12 +17,7 @@ Cell: TypeAlias = str | float | None
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
-    """Return lines of aligned columns; words stand to the left and numbers to the right.
-
-    Args:
-        head: Names of the columns.
-        rows: Words or numbers; None becomes a dash.
-    """
+    """Return lines of aligned columns; words stand to the left and numbers to the right."""
     cells = [[c if isinstance(c, str) else number(c) for c in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(head, *cells, strict=True)]
     words = [all(isinstance(row[j], str) for row in rows) for j in range(len(head))]

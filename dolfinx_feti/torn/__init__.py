@@ -5,14 +5,3 @@
 
 In the order of the data: matrix, rounding, null_space.
 """
-
-from dolfinx_feti.torn.matrix import (
-    State,
-    Torn,
-    create_torn_matrix,
-    set_condensed,
-    set_near_kernel,
-    state_of,
-)
-
-__all__ = ["State", "Torn", "create_torn_matrix", "set_condensed", "set_near_kernel", "state_of"]

@@ -7,14 +7,9 @@ Tearing (eq. 33) replaces the assembled matrix (eq. 32, Augustin_eq:reordered) b
 
 .. math:: A = T^\top K\, T, \qquad K = \operatorname{diag}(K_1, …, K_p),
 
-where the boolean :math:`T` copies each dof to every subdomain that holds it. PETSc's name for this
-pair is MATIS: a block-diagonal local matrix on each process and the map *torn dof → dof*. All else
-that the method needs to know is attached to the matrix (docs/torn_matrix.md): PETSc's near and null
-space, symmetry of the local matrix, and by name the objects ``dirichlet`` (global dofs),
-``stiffness`` (an entry per torn dof), ``coordinates`` (points of the blocks of dofs) and the
-attribute ``pressures`` (how many were condensed into the local matrix).
-
-A subdomain is a connected component of the graph of the local matrix.
+where the boolean :math:`T` copies each dof to every subdomain that holds it: PETSc's MATIS, with a
+block-diagonal local matrix on each process and the map *torn dof → dof*. A subdomain is a connected
+component of the graph of the local matrix. What else is attached: docs/torn_matrix.md.
 """
 
 from __future__ import annotations
@@ -38,10 +33,9 @@ from dolfinx_feti.runtime.connectivity import (
     copy_forest,
     diagonal_places,
     is_symmetric,
-    load_graph_code,
 )
 from dolfinx_feti.runtime.lifetime import Lifetime
-from dolfinx_feti.runtime.petsc_library import address_of_rows, nonzero_state, product, rows_of
+from dolfinx_feti.runtime.petsc_library import pattern_state, product, rows_of
 
 __all__ = [
     "State",
@@ -77,10 +71,7 @@ def create_torn_matrix(
         symmetric: Whether ``K`` is, with all later entries, too; None: it is looked for each time.
 
     Returns:
-        The torn matrix; the caller destroys it.
-
-    Note:
-        Collective on ``comm``.
+        The torn matrix; the caller destroys it. Collective.
     """
     bs = K.getBlockSize()
     blocks = np.asarray(torn_to_global, dtype=PETSc.IntType)
@@ -107,16 +98,13 @@ def create_torn_matrix(
 def set_near_kernel(
     A: PETSc.Mat, modes: Sequence[PETSc.Vec], coordinates: Array | None = None
 ) -> None:
-    """Attach the near kernel (rigid body modes, constants) of the assembled problem to ``A``.
+    """Attach the near kernel (rigid body modes, constants) of the assembled problem. Collective.
 
     Args:
         A: Torn matrix.
         modes: Linearly independent vectors; orthonormalised in place.
         coordinates: Where the owned blocks of dofs are, (owned blocks, dimension of space), NaN at
             no point; with them, the message about a singular problem tells what moves, and where.
-
-    Note:
-        Collective.
     """
     for j, mode in enumerate(modes):
         for _ in range(2):  # the first pass leaves rounding errors of the size of the mode
@@ -140,8 +128,8 @@ def set_condensed(A: PETSc.Mat, pressures: int) -> None:
 class State:
     """Names of what a torn matrix holds at one moment on this process; equal until it is changed.
 
-    What is written past PETSc, without ``stateIncrease``, is not seen. The objects behind the names
-    are kept, so that no new object gets their handles.
+    Without ``stateIncrease`` a change is not seen. The objects behind the names are kept, so that
+    no new object gets their handles.
     """
 
     pattern: tuple[object, ...]
@@ -155,10 +143,7 @@ class State:
 
 
 def state_of(A: PETSc.Mat) -> State:
-    """Return the state of a torn matrix on this process; of another matrix, its name alone.
-
-    The cost is that of the list of Dirichlet dofs, which is copied.
-    """
+    """Return the state of a torn matrix on this process; of another matrix, its name alone."""
     if A.getType() != PETSc.Mat.Type.IS:
         return State((A.handle,), (A.stateGet(),), (copy(A),))
     K, maps, spaces = A.getISLocalMat(), A.getLGMap(), (A.getNearNullSpace(), A.getNullSpace())
@@ -166,8 +151,7 @@ def state_of(A: PETSc.Mat) -> State:
     dirichlet, stiffness, coordinates = map(A.query, ("dirichlet", "stiffness", "coordinates"))
     pattern = (
         *((M.handle, M.getSizes(), M.getBlockSizes(), M.getType()) for M in (A, K)),
-        nonzero_state(K),
-        address_of_rows(K),
+        *pattern_state(K),
         *(lgmap.handle for lgmap in maps),
         None if dirichlet is None else dirichlet.getIndices().tobytes(),
     )
@@ -221,20 +205,21 @@ class Torn:
             self.A = owned.own(copy(A))  # another reference
             self.K = owned.own(A.getISLocalMat())
             self.n, columns = self.K.getSize()
-            bad = self.n != columns or not self.K.getType().startswith("seqaij")
-            if self.comm.allreduce(bad, op=MPI.LOR):
+            is_aij = self.K.getType().startswith("seqaij")
+            if self.comm.allreduce(self.n != columns or not is_aij, op=MPI.LOR):
                 raise ValueError(
                     f"The local matrix has type '{self.K.getType()}' and size {self.K.getSize()}; "
                     "FETI needs square AIJ matrices, one block per subdomain."
                 )
             self.start = self.comm.scan(self.n) - self.n
             self.owned = A.getLocalSize()[0]
-            code = load_graph_code(self.comm)
 
             def read() -> None:
-                self.graph = block_graph(self.K, code)
+                bs = self.K.getBlockSize()
+                with rows_of(self.K) as of_K:
+                    self.graph = block_graph(of_K, bs)
                 self._diagonal = diagonal_places(self.K)
-                self.subdomains = connected_blocks(self.graph, self.K.getBlockSize())
+                self.subdomains = connected_blocks(self.graph, bs)
 
             on_all(read, self.comm)
             self.first = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
@@ -268,8 +253,7 @@ class Torn:
 
     def multiplicity(self) -> Indices:
         """Count the copies of each owned dof, (owned,)."""
-        degree = self._sf.computeDegree()
-        return np.asarray(degree, dtype=np.int32)
+        return np.asarray(self._sf.computeDegree(), dtype=np.int32)
 
     def gather(self, torn: Array) -> Array:
         """Gather the values of all copies on the owner of their dof, in the order of the dofs."""

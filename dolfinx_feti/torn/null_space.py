@@ -6,13 +6,11 @@ r"""The null space that a torn matrix has been given, as PETSc's ``setNullSpace`
 .. math:: A Z = 0, \quad Z^⊤ Z = I, \quad Z^⊤ b = 0, \quad Z^⊤ x = 0, \qquad
           (N + θ I_k)\, s = e, \quad S^⊤ e = 0 \; ⟹ \; I_k s = 0, \; N s = e
 
-with orthonormal columns Z of the assembled problem, (N, k). The coarse matrices have a null space
-S of as many dimensions, and a stiffness on the diagonal at k unknowns on which S is regular.
+with orthonormal columns Z of the assembled problem, (N, k). The coarse matrices have as large a
+null space S, and a stiffness on the diagonal at k unknowns on which S is regular.
 """
 
 from __future__ import annotations
-
-from contextlib import ExitStack
 
 from petsc4py import PETSc
 
@@ -36,43 +34,32 @@ NO_FORCE = 1e-8
 
 def null_space(torn: Torn) -> Array:
     """Return Z on the torn dofs, (n, k), without columns if none is attached. Collective."""
-    A = torn.A
-    space = A.getNullSpace()
-    with ExitStack() as owned:
-        modes = list(space.getVecs()) if space.handle else []
-        if space.handle and space.hasConstant():
-            modes.append(A.createVecRight())
-            owned.callback(modes[-1].destroy)
-            modes[-1].set(A.getSize()[0] ** -0.5)
-        return _checked(torn, modes)
-
-
-def _checked(torn: Torn, modes: list[PETSc.Vec]) -> Array:
-    """Return orthonormal null vectors of A on the torn dofs, (n, k); see :func:`null_space`."""
-    comm = torn.comm
-    Z = np.array([torn.tear(mode.array_r) for mode in modes]).reshape(len(modes), torn.n).T
-    if not modes:
-        return Z
-    gram = np.array([[first.dot(second) for first in modes] for second in modes])
-    if not np.abs(gram - np.eye(len(modes))).max() <= ROUNDING:
+    space, held = torn.A.getNullSpace(), torn.prescribed
+    columns = [mode.array_r.copy() for mode in space.getVecs()] if space.handle else []
+    if space.handle and space.hasConstant():
+        columns.append(np.full(torn.owned, torn.A.getSize()[0] ** -0.5))
+    if not columns:
+        return np.zeros((torn.n, 0))
+    z, Z = np.column_stack(columns), np.column_stack([torn.tear(column) for column in columns])
+    gram = torn.comm.allreduce(z.T @ z)
+    if not np.abs(gram - np.eye(len(gram))).max() <= ROUNDING:
         raise SetUpError(
             "The vectors of the null space of A are not orthonormal, as PETSc takes them to be: "
             "orthonormalise them first."
         )
     d = torn.assemble(np.abs(torn.diagonal()))
-    d = np.where(d > 0.0, d, 1.0)
-    held = torn.prescribed
-    for j, mode in enumerate(modes):
-        z, force = mode.array_r, torn.assemble(torn.multiply(Z[:, j]))
-        squares = [(force**2 / d)[~held].sum(), (d * z**2)[held].sum(), (d * z**2).sum()]
-        resisted, moved, size = np.sqrt(comm.allreduce(np.array(squares)))
-        if not max(resisted, moved) <= ROUNDING * size:
-            what = "A resists it" if resisted >= moved else "it moves Dirichlet dofs"
-            raise SetUpError(
-                f"Vector {j} of the null space of A is no null vector, {what} (‖A z‖/‖z‖ = "
-                f"{max(resisted, moved) / size:.1e}, scaled by the diagonal of A): give "
-                "A.setNullSpace what nothing resists, and nothing else."
-            )
+    d = np.where(d > 0.0, d, 1.0)[:, None]
+    force = np.column_stack([torn.assemble(torn.multiply(t)) for t in Z.T])
+    squares = [(force**2 / d)[~held], (d * z**2)[held], d * z**2]
+    sums = torn.comm.allreduce(np.array([each.sum(axis=0) for each in squares]))
+    resisted, moved, size = np.sqrt(sums)
+    for j in np.flatnonzero(~(np.maximum(resisted, moved) <= ROUNDING * size)):
+        what = "A resists it" if resisted[j] >= moved[j] else "it moves Dirichlet dofs"
+        raise SetUpError(
+            f"Vector {j} of the null space of A is no null vector, {what} (‖A z‖/‖z‖ = "
+            f"{max(resisted[j], moved[j]) / size[j]:.1e}, scaled by the diagonal of A): give "
+            "A.setNullSpace what nothing resists, and nothing else."
+        )
     if not torn.is_symmetric():
         raise SetUpError(
             "A has a null space and is not symmetric, but only symmetric systems are solved in the "

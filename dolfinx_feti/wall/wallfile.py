@@ -27,7 +27,6 @@ import dolfinx.io
 import ufl
 
 from dolfinx_feti.mechanics.values import require_positive
-from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.collective import on_first
 from dolfinx_feti.runtime.events import event
@@ -242,7 +241,7 @@ def _gmsh_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Numbers, Numbe
                         f"{path} has elements of type {kind}; a wall has tetrahedra and triangles, "
                         "or hexahedra and quadrilaterals, of one order, 1 or 2"
                     )
-                order = compat.gmsh_permutation(kinds[n_nodes], n_nodes)
+                order = dolfinx.cpp.io.perm_gmsh(dolfinx.mesh.to_type(kinds[n_nodes]), n_nodes)
                 elements.append(nodes.astype(np.int64).reshape(-1, n_nodes)[:, order])
                 values.append(np.full(len(elements[-1]), tag))
     tags = np.concatenate(values)

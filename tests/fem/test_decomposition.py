@@ -1,23 +1,29 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Cutting the mesh, and the second dof map that tears the space."""
+"""Cutting the mesh, in the same way in every run, and the dof map that tears the space."""
 
 from __future__ import annotations
+
+import json
+import os
 
 import numpy as np
 import pytest
 import scipy.sparse
 import scipy.sparse.csgraph
+from bodies import block, yeoh
 from collective import COMM, agree, equal, small, whole
-from problems import Cell, cube
+from problems import Cell, cube, poisson
+from programs import finish, start
 from walls import tube
 
 import dolfinx
-import ufl
 
+from dolfinx_feti import LinearProblem, NonlinearProblem
 from dolfinx_feti.fem import decomposition
 from dolfinx_feti.fem.decomposition import decompose, suggested_number, tear
+from dolfinx_feti.runtime.compat import SCOTCH, repeat_partitions
 
 SEED = 31415
 
@@ -53,31 +59,26 @@ def pieces(graph, members):
 
 
 @every_mesh
-@pytest.mark.parametrize("subdomains", [1, 2, 7, 20])
+@pytest.mark.parametrize("subdomains", [1, 2, 7, 20, "every cell"])
 def test_parts_are_balanced_connected_and_of_the_number_asked_for(mesh, subdomains):
     mesh = cube(*mesh)
     n = cells(mesh)
+    subdomains = COMM.allreduce(n) if subdomains == "every cell" else subdomains
     decomposition = decompose(mesh, subdomains)
     part = decomposition.subdomain
     agree(part.dtype == np.int32 and part.shape == (n,))
     equal(np.unique(part), np.arange(decomposition.count))
     graph = neighbours(mesh, n)
     agree(all(pieces(graph, np.flatnonzero(part == i)) == 1 for i in range(decomposition.count)))
-    total = COMM.allreduce(decomposition.count)
+    counts = COMM.allgather(decomposition.count)
+    agree(decomposition.first == sum(counts[: COMM.rank]))
+    total = sum(counts)
     connected = COMM.allreduce(pieces(graph, np.arange(n)) if n else 0)
     expected = max(subdomains, COMM.size)
     # a part of the partitioner may be in pieces
     agree(expected <= total <= 1.3 * expected + COMM.size + connected, (total, expected))
     sizes = whole(np.bincount(part, minlength=decomposition.count))
     small(sizes.max(), 2.5 * sizes.sum() / len(sizes) + 1)
-
-
-def test_every_cell_a_subdomain():
-    mesh = cube(2, 3)
-    total = COMM.allreduce(cells(mesh))
-    decomposition = decompose(mesh, total)
-    agree(COMM.allreduce(decomposition.count) == total)
-    agree(decomposition.count == cells(mesh))
 
 
 @pytest.mark.parametrize("processes", [2, 16, 512])
@@ -93,16 +94,10 @@ def test_shares_are_in_proportion_to_cells():
     agree(decomposition._shares(7, np.array([300, 100, 3])).tolist() == [5, 2, 1])
 
 
-def test_subdomains_are_numbered_from_process_to_process():
-    decomposition = decompose(cube(2, 6), 9)
-    counts = COMM.allgather(decomposition.count)
-    agree(decomposition.first == sum(counts[: COMM.rank]))
-
-
 @every_mesh
 @pytest.mark.parametrize("dtype", [np.int8, np.int32, np.int64, np.uint16])
 def test_parts_may_be_prescribed(mesh, dtype):
-    """Any numbers from zero; parts that are not connected fall into their components."""
+    """Any numbers from zero; parts fall into what is connected by more than a vertex."""
     mesh = cube(*mesh)
     n = cells(mesh)
     part = (np.random.default_rng(SEED + COMM.rank).integers(0, 3, n) * 20 + 7).astype(dtype)
@@ -112,14 +107,6 @@ def test_parts_may_be_prescribed(mesh, dtype):
     agree(decomposition.count == sum(expected), (decomposition.count, expected))
     owner = {(int(a), int(b)) for a, b in zip(decomposition.subdomain, part, strict=True)}
     agree(len(owner) == decomposition.count)  # no subdomain holds cells of two parts
-
-
-def test_parts_that_touch_in_a_vertex_are_two():
-    """A checkerboard of quadrilaterals: every cell is a subdomain of its own."""
-    mesh = cube(2, 4, Cell.quadrilateral)
-    centre = dolfinx.mesh.compute_midpoints(mesh, 2, np.arange(cells(mesh), dtype=np.int32))
-    colour = (np.floor(4 * centre[:, 0]) + np.floor(4 * centre[:, 1])).astype(np.int32) % 2
-    agree(decompose(mesh, colour).count == cells(mesh))
 
 
 # ---- the torn space -------------------------------------------------------------------------
@@ -145,34 +132,9 @@ def test_torn_dofs_are_pairs_of_subdomain_and_dof(mesh, degree, components):
     agree(len(pairs) == len(space.dof))
     equal(space.to_global, V.dofmap.index_map.local_to_global(space.dof))
     agree(space.V_torn.dofmap.index_map_bs == V.dofmap.index_map_bs)
+    agree(space.V_torn.mesh is mesh and space.V_torn.ufl_element() == V.ufl_element())
     copies = np.bincount(whole(space.to_global), minlength=V.dofmap.index_map.size_global)
     agree(copies.min() >= 1)
-
-
-def test_one_subdomain_a_process_keeps_the_dofs():
-    mesh = cube(2, 6)
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2))
-    space = tear(V, decompose(mesh, 1))
-    used = np.unique(V.dofmap.list[: cells(mesh)])
-    connected = len(np.unique(space.dof)) == len(space.dof)  # the cells of the process
-    agree(np.array_equal(space.dof, used) or not connected)
-    equal(np.unique(space.dof), used)
-
-
-def test_discontinuous_space_is_torn_already():
-    mesh = cube(3, 2)
-    V = dolfinx.fem.functionspace(mesh, ("DG", 0))
-    space = tear(V, decompose(mesh, 6))
-    agree(len(space.dof) == cells(mesh))
-    equal(np.sort(space.dof), np.unique(V.dofmap.list[: cells(mesh)]))
-
-
-def test_torn_space_shares_mesh_and_element():
-    mesh = cube(2, 4)
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
-    V_torn = tear(V, decompose(mesh, 4)).V_torn
-    agree(V_torn.mesh is mesh and V_torn.ufl_element() == V.ufl_element())
-    agree(ufl.TestFunction(V_torn).ufl_shape == (2,))
 
 
 def path_graph(n):
@@ -189,6 +151,7 @@ def path_graph(n):
         ([0, 0, 0, 1, 0, 0, 1, 1], [0, 0, 0, 0, 1, 1, 1, 1]),
         ([0, 1, 2], [0, 1, 2]),
         ([0, 1, 0, 1], None),  # as large as each other: any result with two connected parts
+        ([0, 0, 0], [0, 0, 0]),
     ],
 )
 def test_splinters_join_their_neighbours(part, expected):
@@ -196,13 +159,6 @@ def test_splinters_join_their_neighbours(part, expected):
     joined = decomposition._join_splinters(graph, np.array(part, dtype=np.int32))
     agree(expected is None or list(joined) == expected, joined)
     agree(len(np.unique(decomposition._facet_components(graph, joined))) == len(np.unique(part)))
-
-
-def test_splinters_without_a_neighbour_stay():
-    """Two paths that nothing connects, in one part."""
-    graph = scipy.sparse.csr_array(scipy.sparse.block_diag([path_graph(3), path_graph(2)]))
-    part = np.zeros(5, dtype=np.int32)
-    equal(decomposition._join_splinters(graph, part), part)
 
 
 @pytest.mark.parametrize("subdomains", [5, 8, 17, 40])
@@ -237,3 +193,52 @@ def test_suggested_number_is_not_that_of_more_than_all_cells(monkeypatch):
     monkeypatch.setattr(decomposition, "DOFS", 0.1)
     agree(suggested_number(V) == 8)
     agree(COMM.allreduce(decompose(V.mesh, suggested_number(V)).count) == 8)
+
+
+# -- every run
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("processes", [1, 2])
+def test_two_runs_and_two_problems_of_one_run(tmp_path, processes):
+    """Nothing in the environment helps; dolfinx distributes the cube alike, too."""
+    files = [tmp_path / f"{i}.json" for i in range(2)]
+    for file in files:
+        finish(start("decomposition_run.py", file, processes=processes))
+    first, second = (json.loads(file.read_text()) for file in files)
+    assert first == second
+    for same, again, other in first:
+        assert same == again == first[0][0]
+        assert len({(process, part) for _, process, part in same}) == 12
+        assert {process for _, process, _ in same} == set(range(processes))
+        assert other != same
+
+
+def test_seed_of_a_problem():
+    """It takes other subdomains to the same solution; both classes hand it on."""
+    body = block(yeoh, (0.3, 0.1))
+    nonlinear = NonlinearProblem(body.energy, body.u, body.bcs, subdomains=5, seed=2)
+    expected = decompose(body.u.function_space.mesh, 5, seed=2).subdomain
+    equal(nonlinear.decomposition.subdomain, expected)
+    problem = poisson(cube(3, 6))
+    solved = {
+        seed: LinearProblem(problem.a, problem.L, problem.bcs, subdomains=8, seed=seed)
+        for seed in (0, 1)
+    }
+    for seed, linear in solved.items():
+        linear.solve()
+        expected = decompose(problem.V.mesh, 8, seed=seed).subdomain
+        equal(linear.decomposition.subdomain, expected)
+    zero, one = (linear.decomposition.subdomain for linear in solved.values())
+    changed = problem.V.mesh.comm.allreduce(int(np.count_nonzero(zero != one)))
+    agree(changed > 0)
+    equal(solved[1].u.x.array, solved[0].u.x.array, 1e-6)
+
+
+@pytest.mark.serial
+def test_environment_has_the_last_word(monkeypatch):
+    one, other = SCOTCH
+    monkeypatch.setenv(one, "4")
+    monkeypatch.delenv(other)
+    repeat_partitions()
+    assert (os.environ[one], os.environ[other]) == ("4", "1")

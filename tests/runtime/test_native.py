@@ -21,7 +21,6 @@ from collective import COMM, agree, raises
 
 from dolfinx_feti.fem import condensation
 from dolfinx_feti.runtime import native
-from dolfinx_feti.runtime.connectivity import load_graph_code
 
 
 @pytest.fixture
@@ -49,10 +48,10 @@ def test_compiled_once_and_kept(write, monkeypatch):
     files = list((source.parent / "dolfinx_feti").iterdir())
     agree(len(files) == 1 and files[0].name.startswith("twice_"))
     with monkeypatch.context() as patch:  # nothing is waited for, or read
-        patch.setattr(native, "on_first", lambda *_: agree(False))
+        patch.setattr(native, "on_all", lambda *_: agree(False))
         patch.setattr(native, "_text", lambda *_: agree(False))
         native.load(source, "void twice(int, double *);", COMM)
-    monkeypatch.setattr(native, "_loaded", {})
+    native._module.cache_clear()
     monkeypatch.setattr(native.cffi.FFI, "compile", lambda *_, **__: agree(False))
     native.load(source, "void twice(int, double *);", COMM).lib.twice(3, native.pointer(module, x))
     agree(np.array_equal(x, [0.0, 4.0, 8.0]))
@@ -67,42 +66,32 @@ def test_flags_are_part_of_the_name(write, monkeypatch):
     agree(len(list((source.parent / "dolfinx_feti").iterdir())) == 2)
 
 
-def test_code_that_does_not_compile(write):
-    """One error with the remedy, on all processes."""
+def test_code_that_does_not_compile(write, monkeypatch):
+    """One error with the remedy, on all processes; also without a compiler."""
     source = write("wrong.c", "void wrong(int n) { no C; }")
     with raises(RuntimeError, r"wrong\.c cannot be compiled \(.*CompileError.*XDG_CACHE_HOME"):
         native.load(source, "void wrong(int);", COMM)
-
-
-def test_no_compiler(tmp_path, monkeypatch):
-    """Without a compiler the torn matrix itself is refused."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(COMM.bcast(tmp_path)))
-    monkeypatch.setattr(native, "_loaded", {})
 
     def fails(*_, **__):
         raise OSError("no compiler here")
 
     monkeypatch.setattr(native.cffi.FFI, "compile", fails)
-    with raises(RuntimeError, r"connectivity\.c .*no compiler here.*variable CC"):
-        load_graph_code(COMM)
+    with raises(RuntimeError, r"wrong\.c .*no compiler here.*variable CC"):
+        native.load(source, "void wrong(int);", COMM)
 
 
-def test_arrays_of_another_layout_are_refused():
+def test_arrays_of_another_layout_or_type_are_refused():
     """A copy would take what the code writes, and the code reads rows or columns."""
-    module = load_graph_code(COMM)
+    module = native.load(condensation.SOURCE, condensation.DECLARATION, COMM)
     x = np.zeros((4, 6))
     agree(all(native.pointer(module, each) for each in (x, x[1:3], x[0])))
     agree(all(native.pointer(module, each, order="F") for each in (x.T, x[0])))
     for array, order in ((x[:, ::2], "C"), (x.T, "C"), (x, "F"), (x[0, ::2], "C")):
         with raises(ValueError, f"not contiguous in {order} order"):
             native.pointer(module, array, order=order)
-
-
-@pytest.mark.parametrize("dtype", ["c16", "u4", "i2", "?", ">f8"])
-def test_arrays_of_another_type_are_refused(dtype):
-    module = load_graph_code(COMM)
-    with raises(ValueError, "give float32, float64, int32 or int64"):
-        native.pointer(module, np.zeros(3, dtype=dtype))
+    for dtype in ("c16", "u4", "i2", "?", ">f8"):
+        with raises(ValueError, "give float32, float64, int32 or int64"):
+            native.pointer(module, np.zeros(3, dtype=dtype))
 
 
 def test_communicators_of_some_processes():

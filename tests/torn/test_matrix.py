@@ -13,19 +13,30 @@ import pytest
 import scipy.sparse
 from collective import COMM, agree, dense, equal, raises, whole
 
-import dolfinx_feti
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.runtime.connectivity import (
     block_graph,
     connected_blocks,
-    coupled_nodes,
+    diagonal_places,
     is_symmetric,
-    load_graph_code,
 )
-from dolfinx_feti.runtime.petsc_library import Rows
+from dolfinx_feti.runtime.petsc_library import Rows, rows_of
 from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, set_condensed
+from dolfinx_feti.torn.rounding import EPS, product_rounding
 
 SEED = 60914
+
+
+@pytest.fixture
+def read(torn_grid, lifetime):
+    """Tear a brick; return it, the matrix as the solver reads it, and this process's torn dofs."""
+
+    def create(*arguments, **options):
+        problem = torn_grid(*arguments, **options)
+        torn = lifetime.own(Torn(problem.A))
+        return problem, torn, slice(torn.start, torn.start + torn.n)
+
+    return create
 
 
 @pytest.mark.parametrize(
@@ -36,19 +47,16 @@ def test_torn_matrix_acts_as_the_assembled_one(torn_grid, subdomains, cells, com
     x = np.random.default_rng(SEED).standard_normal(len(problem.dirichlet))
     x_vec, y_vec = problem.vector(x), problem.A.createVecLeft()
     problem.A.mult(x_vec, y_vec)
-    expected = problem.T.T @ problem.K_torn @ problem.T @ x
-    equal(whole(y_vec.array_r), expected, 1e-13)
-    assembled = PETSc.Mat()
-    problem.A.convert("aij", assembled)
-    equal(dense(assembled), problem.T.T @ problem.K_torn @ problem.T, 1e-13)
+    expected = problem.T.T @ problem.K_torn @ problem.T
+    equal(whole(y_vec.array_r), expected @ x, 1e-13)
+    assembled = problem.A.convert("aij", PETSc.Mat())
+    equal(dense(assembled), expected, 1e-13)
 
 
-def test_tear_and_assemble_are_transposed(torn_grid, lifetime):
-    problem = torn_grid((2, 2), (2, 2), components=2)
-    torn = lifetime.own(Torn(problem.A))
+def test_tear_and_assemble_are_transposed(read):
+    problem, torn, mine = read((2, 2), (2, 2), components=2)
     rng = np.random.default_rng(SEED + 1)
     x, t = rng.standard_normal(len(problem.dirichlet)), rng.standard_normal(len(problem.to_global))
-    mine = slice(torn.start, torn.start + torn.n)
     equal(whole(torn.tear(problem.vector(x).array_r)), problem.T @ x)
     equal(whole(torn.assemble(t[mine])), problem.T.T @ t, 1e-14)
     equal(whole(torn.multiplicity()), problem.T.sum(axis=0).astype(int))
@@ -59,20 +67,17 @@ def test_tear_and_assemble_are_transposed(torn_grid, lifetime):
 
 @pytest.mark.parametrize("columns", [0, 1, 3])
 @pytest.mark.parametrize("transpose", [False, True])
-def test_several_columns_at_once(torn_grid, columns, transpose, lifetime):
-    problem = torn_grid((2, 2), (2, 2), components=2)
-    torn = lifetime.own(Torn(problem.A))
+def test_several_columns_at_once(read, columns, transpose):
+    problem, torn, mine = read((2, 2), (2, 2), components=2)
     t = np.random.default_rng(SEED + 2).standard_normal((len(problem.to_global), columns))
     K = problem.K_torn.T if transpose else problem.K_torn
-    product = torn.multiply(t[torn.start : torn.start + torn.n], transpose=transpose)
-    equal(whole(product), K @ t, 1e-13)
+    equal(whole(torn.multiply(t[mine], transpose=transpose)), K @ t, 1e-13)
 
 
-def test_gather_brings_copies_in_the_order_of_dofs(torn_grid, monkeypatch, lifetime):
+def test_gather_brings_copies_in_the_order_of_dofs(monkeypatch, read):
     """Without a name that mpi4py keeps to itself."""
     monkeypatch.delattr(MPI, "_typedict", raising=False)
-    problem = torn_grid((2, 2), (2, 2))
-    torn = lifetime.own(Torn(problem.A))
+    problem, torn, _ = read((2, 2), (2, 2))
     gathered = whole(torn.gather(torn.start + np.arange(torn.n, dtype=np.float64)))
     copies = np.split(gathered.astype(int), np.cumsum(problem.T.sum(axis=0).astype(int))[:-1])
     agree(
@@ -81,19 +86,22 @@ def test_gather_brings_copies_in_the_order_of_dofs(torn_grid, monkeypatch, lifet
     )
 
 
-def test_subdomains_are_the_blocks(torn_grid, lifetime):
-    problem = torn_grid((3, 2), (2, 1), components=2)
-    torn = lifetime.own(Torn(problem.A))
-    sizes = COMM.allreduce([len(rows) for rows in torn.subdomains])
-    equal(sizes, [len(K) for K in problem.K])
+def test_subdomains_are_the_blocks(read):
+    """They and their dofs are numbered from process to process."""
+    problem, torn, _ = read((3, 2), (2, 1), components=2)
+    counts, sizes = COMM.allgather(len(torn.subdomains)), COMM.allgather(torn.n)
+    equal(COMM.allreduce([len(rows) for rows in torn.subdomains]), [len(K) for K in problem.K])
     agree(all(np.all(np.diff(rows) > 0) for rows in torn.subdomains))
+    agree(torn.first == sum(counts[: COMM.rank]) and sum(counts) == 6)
+    agree(torn.start == sum(sizes[: COMM.rank]) and sum(sizes) == len(problem.to_global))
 
 
 def test_blocks_are_found_when_a_first_row_does_not_couple():
     """Two nodes that are coupled by their second components only."""
     csr = ([0, 1, 3, 4, 6], [0, 1, 3, 2, 1, 3], np.ones(6))
     K = PETSc.Mat().createAIJ((4, 4), bsize=2, csr=csr, comm=PETSc.COMM_SELF)
-    blocks = connected_blocks(block_graph(K, load_graph_code(COMM)), 2)
+    with rows_of(K) as of_K:
+        blocks = connected_blocks(block_graph(of_K, 2), 2)
     agree([list(rows) for rows in blocks] == [[0, 1, 2, 3]])
     K.destroy()
 
@@ -109,48 +117,9 @@ def test_graph_is_that_of_the_blocks(bs, full):
     if not full:
         K.data[rng.permutation(K.nnz)[: K.nnz // 3]] = 0.0
         K.eliminate_zeros()
-    csr = (K.indptr.astype(PETSc.IntType), K.indices.astype(PETSc.IntType), K.data)
-    matrix = PETSc.Mat().createAIJ(K.shape, bsize=bs, csr=csr, comm=PETSc.COMM_SELF)
-    graph = block_graph(matrix, load_graph_code(COMM))
-    matrix.destroy()
+    graph = block_graph(Rows(K.indptr, K.indices, K.data), bs)
     expected = np.abs(K.toarray()).reshape(30, bs, 30, bs).sum(axis=(1, 3)) > 0.0
     agree(np.array_equal(graph.toarray() != 0, expected))
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"rows": [0, 0, 3]},
-        {"rows": [0, 1, 4]},
-        {"rows": [-1, 1, 3]},
-        {"number": [0, 1, -1, 3]},
-        {"number": [0, 2, -1, 1]},
-        {"number": [0, 1, 2]},
-        {"node": [0, 0, 2]},
-        {"node": [1, 1, 0]},
-        {"node": [0, 1, 2]},
-        {"node": [0, 0, 0]},
-        {"node": [0, 1]},
-        {"indices": [0, 1, 0, 4, 2, 3]},
-        {"indices": [0, 1, 0, -1, 2, 3]},
-    ],
-    ids=str,
-)
-def test_graph_of_other_rows_is_refused(wrong):
-    """Whatever is out of range is one error, and nothing is written there."""
-    right = {"indices": [0, 1, 0, 3, 2, 3], "rows": [0, 1, 3], "number": [0, 1, -1, 2]}
-    right["node"] = [0, 0, 1]
-
-    def graph(indices, **arrays):
-        indptr, indices = (np.array(a, dtype=np.int32) for a in ([0, 2, 4, 5, 6], indices))
-        K = Rows(indptr, indices, np.ones(6))
-        arrays = {name: np.array(array, dtype=np.int32) for name, array in arrays.items()}
-        return coupled_nodes(load_graph_code(COMM), K, **arrays, m=2)
-
-    ptr, adjacent = graph(**right)
-    agree(list(ptr) == [0, 2, 3] and list(adjacent) == [0, 1, 1])
-    with raises(ValueError, "do not belong to this matrix"):
-        graph(**{**right, **wrong})
 
 
 def test_subdomains_may_be_interleaved():
@@ -174,78 +143,68 @@ def test_dirichlet_dofs_may_be_named_by_any_process(torn_grid, lifetime):
     equal(whole(torn.dirichlet), problem.dirichlet[problem.to_global])
 
 
-def test_near_kernel_is_orthonormal_and_spans_the_modes(torn_grid, lifetime):
-    problem = torn_grid((2, 1, 1), (2, 2, 1), components=3)
+def test_near_kernel_is_orthonormal_and_spans_the_modes(read):
+    problem, torn, _ = read((2, 1, 1), (2, 2, 1), components=3)
     modes = np.column_stack([whole(v.array_r) for v in problem.A.getNearNullSpace().getVecs()])
     equal(modes.T @ modes, np.eye(6), 1e-14)
     coefficients = np.linalg.lstsq(modes, problem.modes)[0]
     equal(modes @ coefficients, problem.modes, 1e-13)
-    torn = lifetime.own(Torn(problem.A))
     equal(whole(torn.near_kernel()), modes[problem.to_global])
 
 
-def test_scalar_problem_needs_no_near_kernel(torn_grid, lifetime):
-    problem = torn_grid((3,), (2,), modes=0)
-    torn = lifetime.own(Torn(problem.A))
-    equal(torn.near_kernel(), np.ones((torn.n, 1)))
+def test_near_kernel_is_needed_of_blocks_alone(read):
+    _, scalar, _ = read((3,), (2,), modes=0)
+    equal(scalar.near_kernel(), np.ones((scalar.n, 1)))
+    _, blocked, _ = read((2, 1), (1, 1), components=2, modes=0)
+    with raises(SetUpError, "set_near_kernel"):
+        blocked.near_kernel()
 
 
-def test_stiffness_is_the_diagonal_or_what_is_attached(torn_grid):
-    problem = torn_grid((2, 2), (2, 2), stiffness=lambda i: 10.0**i)
-    torn = Torn(problem.A)
-    mine = slice(torn.start, torn.start + torn.n)
+def test_stiffness_is_the_diagonal_or_what_is_attached(read, lifetime):
+    problem, torn, mine = read((2, 2), (2, 2), stiffness=lambda i: 10.0**i)
     equal(torn.stiffness(), np.diag(problem.K_torn)[mine])
     weight = 1.0 + np.arange(torn.n)
-    A = dolfinx_feti.create_torn_matrix(
-        problem.local, problem.to_global[mine], problem.A.getSizes()[0], comm=COMM, stiffness=weight
+    sizes = problem.A.getSizes()[0]
+    A = lifetime.own(
+        create_torn_matrix(
+            problem.local, problem.to_global[mine], sizes, comm=COMM, stiffness=weight
+        )
     )
-    other = Torn(A)
+    other = lifetime.own(Torn(A))
     weight[:] = -1.0  # the matrix has taken a copy
     equal(other.stiffness(), 1.0 + np.arange(torn.n))
-    for owner in (torn, other, A):
-        owner.destroy()
 
 
-def test_stiffness_has_no_sign(torn_grid, lifetime):
+def test_stiffness_has_no_sign(read):
     """Under compression a diagonal entry may be negative; a weight must not be."""
 
     def compress(K, dofs):
         np.fill_diagonal(K[0], -0.3 * K[0].diagonal())
 
-    problem = torn_grid((2, 2), (2, 2), change=compress)
-    torn = lifetime.own(Torn(problem.A))
-    mine = slice(torn.start, torn.start + torn.n)
+    problem, torn, mine = read((2, 2), (2, 2), change=compress)
     diagonal = np.diag(problem.K_torn)
     agree(diagonal.min() < 0.0)
     equal(torn.diagonal(), diagonal[mine])
     equal(torn.stiffness(), np.abs(diagonal[mine]))
 
 
-def test_subdomains_are_numbered_over_the_processes(torn_grid, lifetime):
-    torn = lifetime.own(Torn(torn_grid((5,), (2,)).A))
-    counts = COMM.allgather(len(torn.subdomains))
-    agree(torn.first == sum(counts[: COMM.rank]) and sum(counts) == 5)
-
-
 @pytest.mark.parametrize("components", [1, 2, 3])
-def test_coordinates_of_the_torn_dofs(components, torn_grid, lifetime):
+def test_coordinates_of_the_torn_dofs(components, read):
     """Also where the number of components is not the dimension; None if there are none."""
     dim = 3 if components == 1 else components
-    problem = torn_grid((2,) * dim, (1,) * dim, components=components)
-    torn = lifetime.own(Torn(problem.A))
-    expected = problem.x[problem.to_global // components]
-    equal(whole(torn.coordinates()), expected)
+    problem, torn, _ = read((2,) * dim, (1,) * dim, components=components)
+    equal(whole(torn.coordinates()), problem.x[problem.to_global // components])
     problem.A.compose("coordinates", None)
     agree(torn.coordinates() is None)
 
 
-def test_symmetry_is_tested(torn_grid, lifetime):
-    def skew(K, dofs):
-        K[-1][0, 1] += 1e-6
+def skew(K, _dofs):
+    K[-1][0, 1] += 1e-6
 
+
+def test_symmetry_is_tested(read):
     for change, expected in ((None, True), (skew, False)):
-        torn = lifetime.own(Torn(torn_grid((2, 2), (2, 2), change=change).A))
-        agree(torn.is_symmetric() == expected)
+        agree(read((2, 2), (2, 2), change=change)[1].is_symmetric() == expected)
 
 
 @pytest.mark.parametrize("kappa", [1.0, 1e6])
@@ -300,10 +259,6 @@ def test_columns_in_any_order():
 
 def test_form_tells_of_symmetry(torn_grid):
     """What is known counts; else it is looked for."""
-
-    def skew(K, _dofs):
-        K[-1][0, 1] += 1e-6
-
     problem = torn_grid((2, 2), (2, 2), change=skew)
     agree(not is_symmetric(problem.A))
     K, lgmap = problem.A.getISLocalMat(), problem.A.getLGMap()[0]
@@ -314,12 +269,6 @@ def test_form_tells_of_symmetry(torn_grid):
         K.stateIncrease()
         agree(is_symmetric(A) == known)
         A.destroy()
-
-
-def test_blocked_matrix_without_near_kernel_is_refused(torn_grid, lifetime):
-    torn = lifetime.own(Torn(torn_grid((2, 1), (1, 1), components=2, modes=0).A))
-    with raises(SetUpError, "set_near_kernel"):
-        torn.near_kernel()
 
 
 def test_other_matrix_types_are_refused():
@@ -334,25 +283,47 @@ def test_other_matrix_types_are_refused():
 def test_dense_local_matrix_is_refused():
     K = PETSc.Mat().createDense((1, 1), array=np.ones((1, 1)), comm=PETSc.COMM_SELF)
     K.assemble()
-    A = dolfinx_feti.create_torn_matrix(K, np.array([COMM.rank]), (1, COMM.size), comm=COMM)
+    A = create_torn_matrix(K, np.array([COMM.rank]), (1, COMM.size), comm=COMM)
     with raises(ValueError, "AIJ"):
         Torn(A)
     A.destroy()
     K.destroy()
 
 
-def test_torn_dofs_are_numbered_from_process_to_process(torn_grid, lifetime):
-    problem = torn_grid((3,), (2,))
-    torn = lifetime.own(Torn(problem.A))
-    sizes = COMM.allgather(torn.n)
-    agree(torn.start == sum(sizes[: COMM.rank]))
-    agree(sum(sizes) == len(problem.to_global))
-
-
-def test_condensed_pressures_are_noted(torn_grid, lifetime):
+def test_condensed_pressures_are_noted(read):
     """On the matrix, whoever holds it."""
-    problem = torn_grid((2, 2), (2, 2))
-    torn = lifetime.own(Torn(problem.A))
+    problem, torn, _ = read((2, 2), (2, 2))
     agree(torn.pressures is None)
     set_condensed(problem.A, 7 * COMM.rank)
     agree(torn.pressures == 7 * COMM.rank)
+
+
+# -- entries of a sequential matrix that are read in place
+
+
+def test_places_of_the_diagonal():
+    """A row without a diagonal entry has none; columns may stand in any order."""
+    K = scipy.sparse.random_array((60, 60), density=0.2, rng=SEED, format="csr")
+    K.setdiag(np.arange(1.0, 61.0))
+    K = scipy.sparse.csr_array(K)
+    K.data[K.data == 7.0] = 0.0  # row 6 has no diagonal entry, once it is taken out
+    K.eliminate_zeros()
+    rng = np.random.default_rng(SEED)
+    for order in (np.sort, rng.permutation):
+        indices = np.concatenate([order(row) for row in np.split(K.indices, K.indptr[1:-1])])
+        row = np.repeat(np.arange(60), np.diff(K.indptr))
+        values = K.toarray()[row, indices]
+        csr = (K.indptr.astype(PETSc.IntType), indices.astype(PETSc.IntType), values)
+        matrix = PETSc.Mat().createAIJWithArrays((60, 60), csr, comm=PETSc.COMM_SELF)
+        place = diagonal_places(matrix)
+        agree((place < 0).nonzero()[0].tolist() == [6], place)
+        equal(np.where(place < 0, 0.0, values[place]), K.diagonal())
+        matrix.destroy()
+
+
+def test_rounding_of_a_product(read):
+    problem, torn, mine = read((2, 2), (3, 2), components=2)
+    t = np.random.default_rng(SEED).standard_normal(len(problem.to_global))
+    found = whole(product_rounding(torn.K, t[mine]))
+    equal(found / EPS**2, (problem.K_torn**2) @ t**2, 1e-13)
+    equal(whole(torn.diagonal()), problem.K_torn.diagonal())

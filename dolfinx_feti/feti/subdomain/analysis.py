@@ -22,7 +22,7 @@ from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.factors.direct import Choice
 from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, create_fronts, load_fronts_for
 from dolfinx_feti.runtime.arrays import Indices
-from dolfinx_feti.runtime.petsc_library import reads_in_place, rows_of
+from dolfinx_feti.runtime.petsc_library import reads_in_place
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Analysis", "analyse", "worth_eliminating"]
@@ -91,7 +91,7 @@ def _find_fronts(
     """Find the fronts of disjoint blocks, whose interfaces are not eliminated. Collective.
 
     There are none for unsymmetric matrices, where the options name a solver, and with indices of
-    64 bits in PETSc: rows would have to be copied for every block.
+    64 bits in PETSc: rows would have to be copied for every factor.
     """
     code = load_fronts_for(choice.prefix, torn.comm)
     if code is None or not choice.symmetric or not reads_in_place():
@@ -101,10 +101,8 @@ def _find_fronts(
         number = np.full(torn.n, -1, dtype=np.int32)
         for rows in blocks:
             number[rows] = np.arange(len(rows))
-        bs = torn.K.getBlockSize()
-        with rows_of(torn.K) as K:
-            pairs = zip(blocks, interfaces, strict=True)
-            return [create_fronts(code, K, rows, number, bs, on) for rows, on in pairs]
+        bs, pairs = torn.K.getBlockSize(), zip(blocks, interfaces, strict=True)
+        return [create_fronts(code, torn.graph, rows, number, bs, on) for rows, on in pairs]
 
     return on_subdomains(find, torn.comm)
 

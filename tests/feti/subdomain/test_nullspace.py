@@ -23,6 +23,7 @@ from dolfinx_feti.feti.subdomain.factors.multifrontal import create_fronts, load
 from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
 from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
 from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, null_space
+from dolfinx_feti.runtime.connectivity import block_graph
 from dolfinx_feti.runtime.petsc_library import rows_of
 
 SEED = 60221
@@ -61,7 +62,8 @@ def factor_of():
             if kind == "fronts" and shift is None:
                 R = K[:, :0] if R is None else R
                 with rows_of(M) as of_M:
-                    fronts = create_fronts(load_fronts(COMM), of_M, rows, rows, 1, rows[:0])
+                    graph = block_graph(of_M, 1)
+                    fronts = create_fronts(load_fronts(COMM), graph, rows, rows, 1, rows[:0])
                     by_fronts = factor_by_fronts(fronts, of_M, np.empty(fronts.work), R, rho)
                 if by_fronts is not None:
                     return by_fronts

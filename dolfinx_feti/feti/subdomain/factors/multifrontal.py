@@ -24,12 +24,12 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse
 
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 from dolfinx_feti.runtime.arrays import Array, Indices, Mask, Numbers
 from dolfinx_feti.runtime.collective import on_all
-from dolfinx_feti.runtime.connectivity import coupled_nodes, load_graph_code
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.native import address_of, load, pointer
 from dolfinx_feti.runtime.petsc_library import Rows, function
@@ -59,9 +59,8 @@ void fronts_free(fronts *);
 class FrontCode:
     """The compiled code, with the routines of BLAS and LAPACK that it calls."""
 
-    def __init__(self, module: Any, graph: Any) -> None:
+    def __init__(self, module: Any) -> None:
         self.module = module
-        self.graph = graph
         self.lib = module.lib
         self._routines = module.ffi.new("intptr_t[]", [address_of(name) for name in ROUTINES])
         self.blas = module.ffi.cast("dense *", self._routines)
@@ -84,9 +83,8 @@ class FrontCode:
 
 def load_fronts(comm: MPI.Comm) -> FrontCode:
     """Load the code, which is compiled at first use. Collective."""
-    graph = load_graph_code(comm)
     module = load(Path(__file__).with_name("multifrontal.c"), DECLARATIONS, comm)
-    return on_all(lambda: FrontCode(module, graph), comm)
+    return on_all(lambda: FrontCode(module), comm)
 
 
 def load_fronts_for(prefix: str, comm: MPI.Comm) -> FrontCode | None:
@@ -226,22 +224,29 @@ class FrontFactor:
 
 
 def create_fronts(
-    code: FrontCode, K: Rows, rows: Indices, number: Indices, bs: int, interface: Indices
+    code: FrontCode,
+    graph: scipy.sparse.csr_array,
+    rows: Indices,
+    number: Indices,
+    bs: int,
+    interface: Indices,
 ) -> Fronts:
     """Find the fronts of a subdomain: ascending rows, (n,), of K, (N, N), of block size bs.
 
-    ``number`` has for each column of K its place among the rows, or a negative number.
-    ``interface`` are those of the rows, ascending, that are Γ; none, and K_II is K.
+    The graph is that of the blocks of K, (N / bs, N / bs), and ``number`` has for each column of K
+    its place among the rows, or a negative number. ``interface`` are those of the rows, ascending,
+    that are Γ; none, and K_II is K.
     """
     n, blocks = len(rows), rows // bs
     glued = np.zeros(n, dtype=bool)
     glued[interface] = True
     new = np.ones(n, dtype=bool)
     new[1:] = (np.diff(blocks) != 0) | (np.diff(glued))
-    node = np.cumsum(new, dtype=np.int32) - 1
-    size = np.bincount(node).astype(np.int32)
-    graph = coupled_nodes(code.graph, K, rows, number, node, len(size))
-    return Fronts(code, rows, number, size, graph, glued[new])
+    size = np.bincount(np.cumsum(new) - 1).astype(np.int32)
+    block = blocks[new]  # of each node
+    first, last = block.min(initial=len(number)), block.max(initial=-1)
+    nodes = graph[block][:, first : last + 1][:, block - first]
+    return Fronts(code, rows, number, size, (nodes.indptr, nodes.indices), glued[new])
 
 
 def _order(ptr: Indices, adjacent: Indices, interior: Indices) -> Indices:

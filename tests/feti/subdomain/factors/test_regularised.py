@@ -20,6 +20,7 @@ from dolfinx_feti.feti.subdomain.factors.direct import Choice
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor, create_fronts, load_fronts
 from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
 from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
+from dolfinx_feti.runtime.connectivity import block_graph
 from dolfinx_feti.runtime.petsc_library import rows_of
 
 SHAPE = (6, 5, 4)
@@ -59,7 +60,8 @@ def factored():
             made.append(PivotedFactor(M, rows, Choice("some_", True, 8), R, rho))
             return made[-1]
         with rows_of(M) as of_M:
-            fronts = create_fronts(load_fronts(COMM), of_M, rows, rows, 3, rows[:0])
+            graph = block_graph(of_M, 3)
+            fronts = create_fronts(load_fronts(COMM), graph, rows, rows, 3, rows[:0])
             return factor_by_fronts(fronts, of_M, np.empty(fronts.work), R, rho)
 
     yield create
