@@ -31,10 +31,12 @@ SMALL = 1e-12
 
 
 class Anderson:
-    """The last iterates of a fixed point, vectors of which each process has a part."""
+    """The last iterates of a fixed point, vectors of which each process has a part.
+
+    The first ``owned`` entries are this process's, the others ghosts.
+    """
 
     def __init__(self, comm: MPI.Comm, owned: int) -> None:
-        """Begin with none; the first so many entries are this process's, the others ghosts."""
         self._comm, self._owned = comm, owned
         self._last: tuple[Array, Array] | None = None
         self._differences: list[tuple[Array, Array]] = []  # ΔU, ΔF

@@ -1,15 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The arguments that dolfinx's problem classes take, from 0.9 to 0.11: served, or answered.
-
-Only a problem on one continuous space is torn; several fields end in one message, see ``INSTEAD``.
-"""
+"""The arguments that dolfinx's problem classes take, from 0.9 to 0.11: served, or answered."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 from mpi4py import MPI
 
@@ -21,17 +18,9 @@ import ufl
 from ufl.finiteelement import AbstractFiniteElement
 
 from dolfinx_feti.fem.checks import check_space
-from dolfinx_feti.runtime.collective import warn
 from dolfinx_feti.runtime.petsc_options import require_prefix
 
-__all__ = [
-    "agreed_prefix",
-    "checked_conditions",
-    "missing",
-    "require_forms",
-    "require_function",
-    "warn_unused",
-]
+__all__ = ["agreed_prefix", "checked_conditions", "require_forms", "require_function"]
 
 #: What to do in place of a problem in several fields: with a pressure, with a flux, with others.
 INSTEAD = {
@@ -50,18 +39,10 @@ _made: Counter[str] = Counter()
 
 
 def agreed_prefix(prefix: str | None, kind: str, comm: MPI.Comm) -> str:
-    """Check a prefix of options, or make one that no other problem has.
-
-    Args:
-        prefix: What the user has given.
-        kind: Begins a prefix that is made, and has a count of its own.
-        comm: Communicator of the problem.
+    """Check a prefix of options, or make one of this kind that no other problem has. Collective.
 
     Raises:
         ValueError: The prefix is no string or empty, or not the same on all processes.
-
-    Note:
-        Collective; raises on all processes.
     """
     given = comm.allgather(prefix)
     for rank, other in enumerate(given):
@@ -80,14 +61,7 @@ def agreed_prefix(prefix: str | None, kind: str, comm: MPI.Comm) -> str:
 def checked_conditions(
     V: dolfinx.fem.FunctionSpace, bcs: Sequence[dolfinx.fem.DirichletBC] | None
 ) -> tuple[dolfinx.fem.DirichletBC, ...]:
-    """Check the space of the unknown and its boundary conditions.
-
-    Args:
-        V: The space.
-        bcs: Conditions; None for none.
-
-    Returns:
-        The conditions.
+    """Check the space of the unknown, and return its boundary conditions.
 
     Raises:
         TypeError: V is neither scalar nor blocked, or not continuous.
@@ -113,27 +87,12 @@ def checked_conditions(
     return conditions
 
 
-def missing(problem: object, name: str) -> AttributeError:
-    """Return the error for an attribute that dolfinx's ``NewtonSolver`` asks a problem for."""
-    message = f"'{type(problem).__name__}' object has no attribute '{name}'"
-    if name not in ("L", "a", "form"):  # Python would ask whether 'A' was meant
-        return AttributeError(message)
-    text = (
-        f"{message}; it drives Newton's method itself: call problem.solve() in the place of "
-        "dolfinx.nls.petsc.NewtonSolver"
-    )
-    return AttributeError(text, name=name, obj=None)
-
-
 def require_forms(**forms: object) -> None:
-    """Refuse block forms, mixed ones and compiled ones.
-
-    Args:
-        forms: What should be forms of UFL, by the names of the arguments.
+    """Refuse block forms, mixed ones and compiled ones, by the names of the arguments.
 
     Raises:
-        ValueError: One is something else.
-        TypeError: One has coefficients of other numbers than float64.
+        ValueError: One is no form of UFL.
+        TypeError: One has coefficients or constants of other numbers than float64.
     """
     for name, form in forms.items():
         _refuse_blocks(name, form)
@@ -147,15 +106,17 @@ def require_forms(**forms: object) -> None:
         if len(tests) > 1:
             parts = [v.ufl_function_space().ufl_element() for v in tests]
             raise ValueError(f"{name} has {len(parts)} test functions{_instead(parts)}")
-        _require_real_data(name, form)
+        for f in (*form.coefficients(), *form.constants()):
+            dtype = np.dtype(getattr(f, "dtype", np.float64))
+            if dtype != np.float64:
+                raise TypeError(
+                    f"{name} contains {f}, of type {dtype}, but forms are real (float64) here: "
+                    "give its real and imaginary parts as two functions of dtype numpy.float64."
+                )
 
 
 def _refuse_blocks(name: str, given: object) -> None:
-    """Refuse several forms or functions.
-
-    Raises:
-        ValueError: It is a list.
-    """
+    """Refuse several forms or functions."""
     if not isinstance(given, Sequence):
         return
     if len(given) == 1:
@@ -188,47 +149,8 @@ def _instead(parts: Sequence[AbstractFiniteElement]) -> str:
     return f", but only a problem on one continuous space is torn. {INSTEAD[kind]}"
 
 
-def _require_real_data(name: str, form: ufl.Form) -> None:
-    """Refuse coefficients and constants that are no real numbers in double precision."""
-    for f in (*form.coefficients(), *form.constants()):
-        dtype = np.dtype(getattr(f, "dtype", np.float64))
-        if dtype != np.float64:
-            raise TypeError(
-                f"{name} contains {f}, of type {dtype}, but forms are real (float64) here: give "
-                "its real and imaginary parts as two functions of dtype numpy.float64."
-            )
-
-
 def require_function(u: object) -> None:
-    """Refuse several unknowns.
-
-    Raises:
-        ValueError: u is no function.
-    """
+    """Refuse several unknowns, and what is no function."""
     _refuse_blocks("u", u)
     if not isinstance(u, dolfinx.fem.Function):
         raise ValueError(f"u is {u!r}: give a dolfinx.fem.Function.")
-
-
-def warn_unused(comm: MPI.Comm, unused: Mapping[str, object]) -> None:
-    """Log which arguments have no effect here, and refuse forms on several meshes.
-
-    Args:
-        comm: Communicator of the problem.
-        unused: Arguments by their names; None stands for not given.
-
-    Raises:
-        ValueError: There are maps between meshes.
-    """
-    if unused["entity_maps"]:
-        raise ValueError(
-            "entity_maps relates several meshes, but only forms on one mesh can be torn: put "
-            "coefficients on the mesh of the unknown."
-        )
-    named = [k for k, value in unused.items() if k != "entity_maps" and value is not None]
-    if named:
-        warn(
-            f"Without effect: {' and '.join(named)}. FETI has a preconditioner and a matrix "
-            "(MATIS) of its own; leave it out.",
-            comm,
-        )

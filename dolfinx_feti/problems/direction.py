@@ -6,10 +6,8 @@ r"""The direction of a Newton step: down a potential, if there is one (docs/theo
 .. math:: (K' + σ \operatorname{diag}|k|)\, ΔU = -r
 
 with the stiffness k of the dofs, and σ growing until no negative eigenvalue can be proved and ΔU
-leads downhill, ΔU·r < 0. A singular tangent counts as indefinite. A plain step, σ = 0, is taken
-without a potential, while prescribed displacements move and for a few steps after that, and where
-all shifts are exhausted. Without a potential a shift is what is left where the plain solve fails. A
-linear solve that stagnates below 1e-3 of the residual leads on.
+leads downhill, ΔU·r < 0. A singular tangent counts as indefinite. A linear solve that stagnates
+below 1e-3 of the residual leads on.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from petsc4py import PETSc
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.history import Stop, proved_negative
 from dolfinx_feti.problems.system import Residual, System
-from dolfinx_feti.runtime.arrays import Array, Mask
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["Direction", "Directions", "fallen", "raised"]
 
@@ -41,57 +39,38 @@ LARGEST_SHIFT = LEAST_SHIFT * SHIFT_GROWTH**7
 
 @dataclass(frozen=True, slots=True)
 class Direction:
-    """Where a Newton step leads.
+    """Where a Newton step leads, and what that has cost (:class:`NewtonStep`)."""
 
-    Attributes:
-        du: ΔU, (owned,).
-        shift: σ of the tangent that ΔU was solved with.
-        iterations: Those of each linear solve.
-        indefinite: Negative eigenvalues that the tangent without a shift is proved to have; None if
-            they are not known.
-        plain: Whether it may lead anywhere, and not only down the potential.
-    """
-
-    du: Array
+    du: Array  # ΔU, (owned,)
     shift: float
-    iterations: tuple[int, ...]
+    iterations: tuple[int, ...]  # of each linear solve
     indefinite: int | None
-    plain: bool
+    plain: bool  # may it lead anywhere, and not only down the potential?
 
 
 class Directions:
-    """The directions of the steps of a solve.
+    """The directions of the steps of a solve."""
 
-    From one solve to the next it keeps with which Dirichlet dofs a tangent of the problem has been
-    regular: then these conditions are enough.
-    """
-
-    def __init__(self, system: System) -> None:
-        """Take the system."""
-        self._system = system
-        self._enough: Mask | None = None  # others have another mask
-        self.begin(moved=False, refuse=False, guess=False, shortens=False)
-
-    def begin(self, *, moved: bool, refuse: bool, guess: bool, shortens: bool) -> None:
-        """Begin another solve.
+    def __init__(
+        self, system: System, *, moved: bool, refuse: bool, guess: bool, shortens: bool
+    ) -> None:
+        """Begin a solve.
 
         Args:
-            moved: Whether it moves the boundary.
-            refuse: Whether to end it where its first tangent is indefinite.
-            guess: Whether it begins in a guess: then a singular tangent there lacks no support.
-            shortens: Whether the caller has a shorter way where a linear solve without a potential
-                fails.
+            system: The system.
+            moved: Whether the solve moves the boundary.
+            refuse: Whether to end where its first tangent is indefinite.
+            guess: Whether it begins in a guess, where a singular tangent lacks no support.
+            shortens: Whether the caller has a shorter way if a linear solve fails.
         """
-        self._shift, self._patience, self._shortens = 0.0, PATIENCE if moved else 0, shortens
-        self._refuse, self._guess, self._first = refuse, guess, True
+        self._system, self._shift, self._patience = system, 0.0, PATIENCE if moved else 0
+        self._refuse, self._guess, self._shortens, self._first = refuse, guess, shortens, True
 
     def along(self, ksp: PETSc.KSP, here: Residual, *, moves: bool) -> Iterator[Direction]:
         """Yield one direction after the other, until one of them leads on.
 
-        Args:
-            ksp: The linear solver, whose matrix holds the tangent.
-            here: The residual.
-            moves: Whether the step moves the boundary.
+        The matrix of the linear solver holds the tangent; ``moves`` tells whether the step moves
+        the boundary.
 
         Raises:
             Stop: There is no other.
@@ -108,26 +87,29 @@ class Directions:
             failed = reason == Reason.DIVERGED_PCSETUP_FAILED
             if sigma == 0.0:
                 indefinite = proved_negative(feti)
-                self._enough = self._enough if failed else system.dirichlet
+                system.is_held |= not failed
             if reason != Reason.DIVERGED_INDEFINITE_MAT:
                 iterations.append(feti.iterations)
             elif refuse:
-                raise self.stop("poor guess")
+                raise Stop("poor guess")
             close = reason == Reason.DIVERGED_BREAKDOWN and feti.residual <= CLOSE
             leads = (reason > 0 or close) and (plain or system.dot(du, here.condensed) < 0.0)
             if leads:
-                grown = sigma > self._shift
-                self._shift = fallen(sigma, grown=grown)
+                self._shift = fallen(sigma, grown=sigma > self._shift)
                 self._patience -= plain and not moves and indefinite != 0
                 yield Direction(du, sigma, tuple(iterations), indefinite, plain)
                 iterations = []
             elif failed and (first or not feti.singular):
                 break
         self._shift = 0.0
-        raise self.stop("no step") if leads else self._linear_failure(feti)
+        raise Stop("no step") if leads else self._linear_failure(feti)
 
     def _tries(self, *, moves: bool) -> Iterator[tuple[float, bool]]:
-        """Yield the shifts to be tried, and whether the direction is a plain one."""
+        """Yield the shifts to be tried, and whether the direction is a plain one.
+
+        With a potential the plain one comes last, but while prescribed displacements move and for a
+        few steps after that. Without one a shift is what is left where the plain solve fails.
+        """
         down = self._system.has_potential
         plain_first = not down or moves or self._patience > 0
         if plain_first:
@@ -142,17 +124,13 @@ class Directions:
     def _linear_failure(self, feti: FETI) -> Stop:
         """Say why there is no direction, and what helps."""
         if not feti.message:
-            return self.stop("indefinite")
-        on_the_way = self._enough is self._system.dirichlet or self._guess
+            return Stop("indefinite")
+        on_the_way = self._system.is_held or self._guess
         if feti.singular and on_the_way:
-            return self.stop("singular")
+            return Stop("singular")
         if on_the_way and (proved_negative(feti) or 0) > 0:
-            return self.stop("trial", feti.message.rstrip("."))
-        return self.stop("linear", feti.message)
-
-    def stop(self, failure: str, detail: object = "") -> Stop:
-        """Return one of the ``FAILURES``, with what helps this problem."""
-        return Stop(failure, detail, is_displacement=self._system.is_displacement)
+            return Stop("trial", feti.message.rstrip("."))
+        return Stop("linear", feti.message)
 
 
 def raised(sigma: float) -> float | None:

@@ -8,8 +8,8 @@ A linear problem is one Newton step from zero:
 .. math:: \begin{pmatrix} A & A_{up} \\ A_{pu} & A_{pp} \end{pmatrix}
           \begin{pmatrix} u \\ p \end{pmatrix} = \begin{pmatrix} L \\ L_p \end{pmatrix}
 
-is :math:`r(0) + r'(0)\, (u, p) = 0` with the residuals :math:`r_u = A_{up}\, p - L` and
-:math:`r_p = A_{pu}\, u + A_{pp}\, p - L_p`; A u is left out of :math:`r_u`, as it is zero there.
+is :math:`r(0) + r'(0)\, (u, p) = 0` with :math:`r_u = A_{up}\, p - L` (A u is zero there) and
+:math:`r_p = A_{pu}\, u + A_{pp}\, p - L_p`.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def derive(
     degree: int | None,
     work: Sequence[ufl.Form] = (),
 ) -> Forms:
-    """Derive and check the forms.
+    """Derive and check the forms of a :class:`NonlinearProblem`, whose arguments these are.
 
     Args:
         F: Residual, residuals of u and of each condensed field, or energy.
@@ -117,13 +117,19 @@ def derive(
 
     for form in F if isinstance(F, Sequence) else [F]:
         require_forms(F=form)
-    for name, given in (("J", J), ("energy", energy)):
-        if given is not None:
-            require_forms(**{name: given})
+    require_forms(
+        **{name: form for name, form in (("J", J), ("energy", energy)) if form is not None}
+    )
     check_condensed(condense, u)
-    symmetric = True if J is None and isinstance(F, ufl.Form) and not F.arguments() else None
-    energy = _potential(F, energy)
-    F_u, F_p = _residuals(F, u, condense)
+    symmetric = None
+    if isinstance(F, ufl.Form) and not F.arguments():
+        if energy is not None and not F.equals(energy):
+            raise ValueError(
+                "energy is not F, which is an energy itself and the one that is minimised: leave "
+                "energy out, or give the residuals as F."
+            )
+        energy, symmetric = F, True if J is None else None
+    F_u, *F_p = _residuals(F, u, condense)
     if work:
         added = sum(work, ufl.Form([]))
         J = J if J is None else J + ufl.derivative(added, u, ufl.TrialFunction(u.function_space))
@@ -151,23 +157,11 @@ def warn_of_degree(forms: Forms, twice: int, comm: MPI.Comm) -> None:
         )
 
 
-def _potential(F: ufl.Form | Sequence[ufl.Form], energy: ufl.Form | None) -> ufl.Form | None:
-    """Return the potential of the problem: F itself if that is an energy, or ``energy``."""
-    if not isinstance(F, ufl.Form) or F.arguments():
-        return energy
-    if energy is not None and not F.equals(energy):
-        raise ValueError(
-            "energy is not F, which is an energy itself and the one that is minimised: leave "
-            "energy out, or give the residuals as F."
-        )
-    return F
-
-
 def _residuals(
     F: ufl.Form | Sequence[ufl.Form],
     u: dolfinx.fem.Function,
     condense: Sequence[dolfinx.fem.Function],
-) -> tuple[ufl.Form, tuple[ufl.Form, ...]]:
+) -> list[ufl.Form]:
     """Return the residuals tested with v and, for each condensed field, with its q."""
     if not isinstance(F, ufl.Form):
         forms = list(F)
@@ -179,7 +173,7 @@ def _residuals(
             )
         if [form.arguments()[0].ufl_function_space() for form in forms] != wanted:
             raise ValueError("F holds residuals on other spaces: test them with v in V and q in Q.")
-        return forms[0], tuple(forms[1:])
+        return forms
     rank = len(F.arguments())
     if rank == 0 and u not in F.coefficients():
         raise ValueError(_ABSENT.format(u.name))
@@ -189,9 +183,8 @@ def _residuals(
             "Π(u, p) or the pair of its residuals."
         )
     if rank == 1:
-        return F, ()
-    F_u, *F_p = (ufl.derivative(F, f, ufl.TestFunction(f.function_space)) for f in (u, *condense))
-    return F_u, tuple(F_p)
+        return [F]
+    return [ufl.derivative(F, f, ufl.TestFunction(f.function_space)) for f in (u, *condense)]
 
 
 def default_volume_ratio(forms: Forms) -> Expr | None:
@@ -208,31 +201,27 @@ def default_volume_ratio(forms: Forms) -> Expr | None:
 
 
 def _is_kinematic(o: Expr, u: dolfinx.fem.Function) -> bool:
-    """Whether an expression is one of a displacement alone.
+    """Tell whether an expression is one of a displacement alone; a diffusion has none of them.
 
-    These are I + Grad u, its determinant and inverse, and Grad uᵀ Grad u, of Green's strain. A
-    diffusion has none of them.
+    These are I + Grad u, its determinant and inverse, and Grad uᵀ Grad u, of Green's strain.
     """
     match o:
         case classes.Determinant() | classes.Inverse() | classes.Cofactor():
-            return _has_gradient(o, u)
+            kinematic = True
         case classes.Sum():
-            identity = any(isinstance(term, classes.Identity) for term in _terms(o))
-            return identity and _has_gradient(o, u)
+            kinematic = any(isinstance(term, classes.Identity) for term in _terms(o))
         case classes.Dot() | classes.Product():
-            A, B = map(_matrix, o.ufl_operands)
-            transposed = any(_is_transposed(*pair) for pair in ((A, B), (B, A)))
-            return transposed and _has_gradient(B, u)
-    return False
-
-
-def _is_transposed(A: Expr, B: Expr) -> bool:
-    return isinstance(A, classes.Transposed) and bool(A.ufl_operands[0] == B)
-
-
-def _matrix(o: Expr) -> Expr:
-    """Return the matrix of an entry."""
-    return o.ufl_operands[0] if isinstance(o, classes.Indexed) else o
+            A, B = (
+                f.ufl_operands[0] if isinstance(f, classes.Indexed) else f for f in o.ufl_operands
+            )
+            kinematic = any(
+                isinstance(C, classes.Transposed) and C.ufl_operands[0] == D
+                for C, D in ((A, B), (B, A))
+            )
+        case _:
+            return False
+    gradients = (part for part in unique_pre_traversal(o) if isinstance(part, classes.Grad))
+    return kinematic and any(u in extract_coefficients(gradient) for gradient in gradients)
 
 
 def _terms(o: Expr) -> Iterator[Expr]:
@@ -244,25 +233,13 @@ def _terms(o: Expr) -> Iterator[Expr]:
             yield term
 
 
-def _has_gradient(o: Expr, u: dolfinx.fem.Function) -> bool:
-    """Whether there is a gradient of u in an expression."""
-    gradients = (part for part in unique_pre_traversal(o) if isinstance(part, classes.Grad))
-    return any(u in extract_coefficients(gradient) for gradient in gradients)
-
-
 def linear_forms(
     a: ufl.Form | Sequence[Sequence[ufl.Form | None]],
     L: ufl.Form | Sequence[ufl.Form | None],
     u: dolfinx.fem.Function | None,
     fields: Sequence[dolfinx.fem.Function],
 ) -> tuple[Forms, ufl.Form]:
-    """Check the forms and write them as residuals at zero.
-
-    Args:
-        a: Bilinear form; its blocks, or a form on a MixedFunctionSpace, if there are fields.
-        L: Linear form.
-        u: Function for the solution, if it is given.
-        fields: What is condensed.
+    """Check the forms of a :class:`LinearProblem`, and write them as residuals at zero.
 
     Returns:
         The forms, with fields that are zero, and the right-hand side of u.
@@ -296,10 +273,9 @@ def linear_forms(
                 )
     residuals = []
     for i, row in enumerate(rows):
-        known = [(form, f) for form, f in zip(row, state, strict=True) if (i or f is not zero)]
-        terms = [ufl.action(form, f) for form, f in known if form]
-        terms += [-right[i]] if right[i] else []
-        residuals.append(sum(terms[1:], terms[0]) if terms else ufl.Form([]))
+        known = [(form, f) for form, f in zip(row, state, strict=True) if i or f is not zero]
+        r = sum((ufl.action(form, f) for form, f in known if form), ufl.Form([]))
+        residuals.append(r - right[i] if right[i] else r)
     fields_at_zero = tuple(zip(residuals[1:], state[1:], strict=True))
     return Forms(zero, residuals[0], rows[0][0], fields_at_zero), right[0]
 

@@ -16,7 +16,17 @@ from petsc4py import PETSc
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.runtime.compat import residual_is_nan
 
-__all__ = ["CRAWLING", "NewtonStep", "Stop", "crawls", "is_slow", "proved_negative", "share_left"]
+__all__ = [
+    "CLOSER",
+    "CRAWLING",
+    "FAILURES",
+    "NewtonStep",
+    "Stop",
+    "crawls",
+    "is_slow",
+    "proved_negative",
+    "share_left",
+]
 
 #: So many steps, each of which leaves more than this share of the residual, are slow.
 SLOW_STEPS, SLOW = 3, 0.03
@@ -24,8 +34,9 @@ SLOW_STEPS, SLOW = 3, 0.03
 #: So many steps, each shorter than this, crawl.
 CRAWLING_STEPS, CRAWLING = 2, 0.1
 
-
 Reason = PETSc.SNES.ConvergedReason
+DOMAIN, SEARCH = Reason.DIVERGED_FUNCTION_DOMAIN, Reason.DIVERGED_LINE_SEARCH
+LINEAR = Reason.DIVERGED_LINEAR_SOLVE
 
 #: What helps, {0}, where the unknown is a displacement and where it is not.
 CLOSER = (
@@ -33,19 +44,16 @@ CLOSER = (
     "load in smaller steps",
 )
 
-#: PETSc's reason and the message of each failure, {0} for what helps.
+#: PETSc's reason and the message of each failure, {0} for what helps, {1} for its detail.
 FAILURES: dict[str, tuple[int, str]] = {
     "inverted": (
-        Reason.DIVERGED_FUNCTION_DOMAIN,
+        DOMAIN,
         "the volume ratio det F is not positive at the start: begin with u = 0 or an admissible "
         "state",
     ),
-    "poor guess": (
-        Reason.DIVERGED_FUNCTION_DOMAIN,
-        "the tangent at the predicted state is indefinite: {0}",
-    ),
-    "crawls": (Reason.DIVERGED_LINE_SEARCH, "the step lengths stay below {1}: {0}"),
-    "no step": (Reason.DIVERGED_LINE_SEARCH, "no admissible step length was found: {0}"),
+    "poor guess": (DOMAIN, "the tangent at the predicted state is indefinite: {0}"),
+    "crawls": (SEARCH, "the step lengths stay below {1}: {0}"),
+    "no step": (SEARCH, "no admissible step length was found: {0}"),
     "not a number": (
         residual_is_nan(),
         "the residual is NaN or Inf: begin with an admissible state, or {0}",
@@ -54,20 +62,18 @@ FAILURES: dict[str, tuple[int, str]] = {
         Reason.DIVERGED_MAX_IT,
         "no convergence within {1} steps: {0} or raise snes_max_it",
     ),
-    "indefinite": (
-        Reason.DIVERGED_LINEAR_SOLVE,
-        "the tangent is indefinite and a shift does not help: {0}",
-    ),
+    "indefinite": (LINEAR, "the tangent is indefinite and a shift does not help: {0}"),
     "singular": (
-        Reason.DIVERGED_LINEAR_SOLVE,
+        LINEAR,
         "the tangent at this trial state is singular or indefinite, although the body is held: {0}",
     ),
-    "trial": (
-        Reason.DIVERGED_LINEAR_SOLVE,
-        "the tangent at this trial state is indefinite: {0} (linear solver: {1})",
-    ),
-    "linear": (Reason.DIVERGED_LINEAR_SOLVE, "the linear solver: {1}"),
+    "trial": (LINEAR, "the tangent at this trial state is indefinite: {0} (linear solver: {1})"),
+    "linear": (LINEAR, "the linear solver: {1}"),
 }
+
+
+class Stop(Exception):  # noqa: N818
+    """Newton's method ends here: one of the ``FAILURES``, and its detail. On all processes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +98,8 @@ class NewtonStep:
         linear_rtol: Largest ``linear_residual`` that was asked for; nan if it is not known.
         lag: Matrices since the one that the preconditioner belongs to.
         floor: ‖r‖ that is rounding; nan if it is not known.
-        linear_floor: ``linear_residual`` that is rounding, if the linear solve has ended there
-            before ``linear_rtol``; else nan.
+        linear_floor: ``linear_residual`` that is rounding, if that has ended the linear solve; else
+            nan.
         tangent_lag: Steps that the tangent had served before; 0 for a new one.
     """
 
@@ -138,10 +144,7 @@ def proved_negative(feti: FETI) -> int | None:
 
 
 def share_left(history: Sequence[NewtonStep], norm: float) -> float:
-    """Return the share of the residual, now ‖r‖, that the last step has left.
-
-    It is infinite before the first step, and after one that was shortened or took a shift.
-    """
+    """Return the share of the residual, now ‖r‖, that a whole last step has left; else infinity."""
     last = history[-1] if history else None
     whole = last is not None and last.step_length == 1.0 and last.shift == 0.0 < last.residual
     return norm / last.residual if last is not None and whole else math.inf
@@ -156,21 +159,5 @@ def crawls(history: Sequence[NewtonStep]) -> bool:
 def is_slow(history: Sequence[NewtonStep], norm: float) -> bool:
     """Tell whether each of the last steps has left much of the residual, now ‖r‖."""
     last = history[-SLOW_STEPS:]
-    norms = [*(step.residual for step in last), norm]
-    pairs = itertools.pairwise(norms)
+    pairs = itertools.pairwise([*(step.residual for step in last), norm])
     return len(last) == SLOW_STEPS and all(SLOW * before < r < before for before, r in pairs)
-
-
-class Stop(Exception):  # noqa: N818
-    """Newton's method ends here; raised on all processes.
-
-    Attributes:
-        reason: PETSc's reason.
-        message: What went wrong and what helps.
-    """
-
-    def __init__(self, failure: str, detail: object = "", *, is_displacement: bool) -> None:
-        """Take one of the ``FAILURES`` and what it tells beside what helps."""
-        self.reason, text = FAILURES[failure]
-        self.message = text.format(CLOSER[is_displacement], detail)
-        super().__init__(self.message)

@@ -3,21 +3,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The step length α of a Newton step ΔU (docs/theory.md).
 
-α is one unless the trial state U + α ΔU turns a cell inside out, meets a NaN, or overshoots: with
-the work of the free dofs' forces, :math:`g(α) = ΔU_f·r_f(U + α ΔU)`, a step is taken once
+α is one unless the trial state turns a cell inside out, meets a NaN, or overshoots:
 
-.. math:: -η ≤ g(α)/g_0 ≤ 1 + η, \qquad g_0 = ΔU_f·(r_f + K_{fD}\, ΔU_D),
+.. math:: -η ≤ g(α)/g_0 ≤ 1 + η, \qquad g(α) = ΔU_f·r_f(U + α ΔU), \qquad
+          g_0 = ΔU_f·(r_f + K_{fD}\, ΔU_D), \qquad Π(U + α ΔU) ≤ Π_m + 10^{-4}\, α\, ΔU·r
 
-with forces before condensation. Where g jumps, as at a kink of Π, a shorter step in these bounds
-can be far too short: once a step has overshot, -1/4 ≤ g(α)/g_0 ≤ 0.9, or α is within 1.3 of the
-zero of g from below. With a potential Π a step has to lower it (Armijo),
-
-.. math:: Π(U + α ΔU) ≤ Π_m + 10^{-4}\, α\, ΔU·r,
-
-Π_m = Π(U), or the highest Π of the last states if g is within bounds (Grippo, Lampariello, Lucidi
-1986); g alone counts for a plain step with a condensed pressure, while prescribed displacements
-move, and where the change of Π is rounding. A step that a shift has made too short is doubled while
-Π falls. SNES's ``cp`` and ``bt`` search without det F, add lengths u − g to forces, and know no Π.
+with forces before condensation, and Armijo's rule where a potential has a say. SNES's ``cp`` and
+``bt`` search without det F, add lengths u − g to forces, and know no Π.
 """
 
 from __future__ import annotations
@@ -60,21 +52,13 @@ DESCENT = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """A state U + α ΔU, the present one.
+    """A state U + α ΔU, the present one; where a cell is inside out, with the first residual."""
 
-    Attributes:
-        alpha: α; zero where a search ends without an admissible step length.
-        residual: The residual there; where a cell is inside out, that of the start.
-        ratio: g(α)/g(0); nan where a cell is inside out.
-        accepted: Whether the step may end there.
-        potential: Π there; nan if it is not known.
-    """
-
-    alpha: float
+    alpha: float  # zero where a search ends without an admissible step length
     residual: Residual
-    ratio: float = np.nan
-    accepted: bool = False
-    potential: float = np.nan
+    ratio: float = np.nan  # g(α)/g(0)
+    accepted: bool = False  # may the step end there?
+    potential: float = np.nan  # Π, if it is known
 
 
 def line_search(
@@ -87,7 +71,7 @@ def line_search(
     highest: float = -np.inf,
     early: bool = False,
 ) -> Trial:
-    """Find a step length, and move there; stay if none is admissible.
+    """Find a step length along ΔU, and move there; stay if none is admissible. Collective.
 
     Args:
         system: The system; its state is the one where the step begins, then the one where it ends.
@@ -97,9 +81,6 @@ def line_search(
         potential: Π where the step begins, nan if it is not known; None if it does not matter.
         highest: Π that the step has to stay below, if that is higher.
         early: Whether to give up early a step that overshoots, too.
-
-    Note:
-        Collective.
     """
     start = system.state()
     height = np.nan if potential is None else potential

@@ -8,8 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-
-from petsc4py import PETSc
+from typing import Unpack
 
 import numpy as np
 
@@ -22,9 +21,8 @@ from dolfinx_feti.problems.arguments import checked_conditions, require_function
 from dolfinx_feti.problems.forms import condensed_fields, linear_forms
 from dolfinx_feti.problems.history import NewtonStep, proved_negative
 from dolfinx_feti.problems.solvers import create_solver
-from dolfinx_feti.problems.system import Residual
-from dolfinx_feti.problems.torn_problem import TornProblem
-from dolfinx_feti.runtime.arrays import Array, Integers
+from dolfinx_feti.problems.torn_problem import Common, TornProblem
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.petsc_errors import python_errors
 from dolfinx_feti.runtime.petsc_options import inserted
@@ -51,11 +49,7 @@ class LinearProblem(TornProblem):
     Attributes:
         u: The solution.
         solver: The KSP.
-        A: The torn matrix; ``A.mult`` is the assembled operator.
-        b: The assembled right-hand side.
-        x: The last solution, without ghosts; u has memory of its own.
-        decomposition: Subdomain of each owned cell.
-        history: What the last solve cost, one record.
+        history: What the last solve cost, one record. Further ones: :class:`TornProblem`.
     """
 
     def __init__(
@@ -69,17 +63,10 @@ class LinearProblem(TornProblem):
         jit_options: Mapping[str, object] | None = None,
         *,
         condense: dolfinx.fem.Function | Sequence[dolfinx.fem.Function] | None = None,
-        near_null_space: PETSc.NullSpace | None = None,
-        null_space: PETSc.NullSpace | None = None,
-        subdomains: int | Integers | None = None,
-        seed: int = 0,
-        petsc_options_prefix: str | None = None,
         scalars: Sequence[Coupling] = (),
-        P: ufl.Form | None = None,
-        kind: str | None = None,
-        entity_maps: Sequence[object] | None = None,
+        **common: Unpack[Common],
     ) -> None:
-        """Tear the mesh and compile the forms.
+        """Tear the mesh and compile the forms. Collective; raises on all processes.
 
         Args:
             a: Bilinear form with integrals over cells, exterior facets and vertices; with
@@ -93,58 +80,32 @@ class LinearProblem(TornProblem):
             jit_options: Options of the C compiler and its cache.
             condense: Functions, or one, for the fields beside u whose dofs no two cells share, such
                 as a discontinuous pressure: they are eliminated cell by cell.
-            near_null_space: What A nearly maps to zero, orthonormal; constants and rotations if not
-                given. As null_space, it may also be attached to ``A``.
-            null_space: What A maps to zero, orthonormal.
-            subdomains: Their number over all processes, or a part per owned cell; about one for
-                2000 dofs if not given.
-            seed: Another number for another decomposition into as many subdomains; that of one
-                number is the same in every run.
-            petsc_options_prefix: Non-empty prefix of all options, equal on all processes; one of
-                its own, ``linear_problem_0_`` and so on, if not given.
             scalars: Scalar unknowns beside u with equations that are linear in both
                 (:mod:`dolfinx_feti.scalars`).
-            P: Without effect, as a preconditioner of dolfinx's.
-            kind: Without effect, as a type of dolfinx's matrices.
-            entity_maps: None; several meshes cannot be torn.
+            **common: ``subdomains``, ``petsc_options_prefix`` and more, see
+                :class:`~dolfinx_feti.problems.torn_problem.Common`.
 
         Raises:
             ValueError: Bad prefix, options, subdomains, boundary conditions or forms.
             TypeError: An unsupported element or scalar type.
-
-        Note:
-            Collective; raises on all processes.
         """
         check_scalar_type()
-        fields = condensed_fields(condense)
+        self._fields = condensed_fields(condense)
         if u is not None:
             require_function(u)
-        self._fields = fields
-        forms, self._load = linear_forms(a, L, u, fields)
+        forms, self._load = linear_forms(a, L, u, self._fields)
         self._bilinear, V = forms.J, forms.u.function_space
         conditions = on_all(lambda: checked_conditions(V, bcs), V.mesh.comm)
         couplings = checked_couplings(scalars, conditions, V)
-        refuse_condensed_fields(couplings, fields, forms.residuals[1:])
+        refuse_condensed_fields(couplings, self._fields, forms.residuals[1:])
+        compilers = form_compiler_options, jit_options
         super().__init__(
-            "linear_problem",
-            forms,
-            conditions,
-            compilers=(form_compiler_options, jit_options),
-            prefix=petsc_options_prefix,
-            petsc_options=petsc_options,
-            subdomains=subdomains,
-            seed=seed,
-            near_null_space=near_null_space,
-            null_space=null_space,
-            unused={"P": P, "kind": kind, "entity_maps": entity_maps},
-            least=1 if conditions else 2,  # a null space is one of several subdomains together
+            "linear_problem", forms, conditions, [], compilers, petsc_options, **common
         )
         self.u = dolfinx.fem.Function(V) if u is None else u
         self.history: list[NewtonStep] = []
-        work = sum(works(couplings), ufl.Form([]))
-        self._system.scalars = ScalarSystem(
-            couplings, self.u, work, self._compiler, free=~self._system.dirichlet
-        )
+        work, free = sum(works(couplings), ufl.Form([])), ~self._system.dirichlet
+        self._system.scalars = ScalarSystem(couplings, self.u, work, self._compiler, free=free)
         self.solver = create_solver(self.A, self._prefix, self._petsc_options)
 
     @cached_property
@@ -158,25 +119,20 @@ class LinearProblem(TornProblem):
         return self._compiler.form(self._load)
 
     def solve(self) -> dolfinx.fem.Function:
-        """Assemble and solve.
+        """Assemble and solve. Collective.
 
         Returns:
             The solution u.
 
         Raises:
             ConvergenceError: FETI did not converge; u is left as it was.
-
-        Note:
-            Collective.
         """
         started = time.perf_counter()
         residual = self._assemble()
+        self.b.array[:] = -residual.equations
         assembled = time.perf_counter()
         with inserted(self._prefix, self._petsc_options), python_errors():
-            if not self._system.scalars.size:
-                self.solver.solve(self.b, self.x)
-            else:
-                self._solve_with_scalars(self._system.scalars)
+            self._solve_from_zero(residual.equations)
         solved = time.perf_counter()
         feti = self.solver.getPythonContext()
         self.history = [
@@ -202,35 +158,20 @@ class LinearProblem(TornProblem):
             field.x.scatter_forward()
         return self.u
 
-    def _solve_with_scalars(self, scalars: ScalarSystem) -> None:
-        """Solve for u and s, from zero: their equations are linear."""
+    def _solve_from_zero(self, r: Array) -> None:
+        """Solve for u, into x, and for s: their equations are linear."""
+        scalars = self._system.scalars
         u, s = self.u.x.array.copy(), scalars.values()
         self.u.x.array[:] = 0.0
         scalars.set_values(np.zeros(scalars.size))
         try:
             scalars.check()
             scalars.linearise()
-            c = scalars.residual()
-            self.x.array[:] = scalars.solve(self.solver, self.A, -self.b.array_r, c)
+            self.x.array[:] = scalars.solve(self.solver, self.A, r, scalars.residual())
         finally:
             self.u.x.array[:] = u
             scalars.set_values(s)
 
-    def linear_system(self) -> tuple[PETSc.Mat, PETSc.Vec]:
-        """Assemble A, the problem's own, and a b that the caller destroys. Collective."""
-        self._assemble()
-        return self.A, self.b.copy()
-
     def _approximation(self) -> Array:
         """Return the last solution, (owned,)."""
         return np.asarray(self.u.x.array[: self.b.getLocalSize()])
-
-    def _assemble(self) -> Residual:
-        """Assemble A, its near kernel, and b, and return the residual at zero."""
-        residual = self._system.residual()
-        self._system.linearise(residual)
-        load = -residual.condensed
-        for bc in self.bcs:
-            bc.set(load)
-        self.b.array[:] = load
-        return residual

@@ -4,13 +4,13 @@
 """Multipliers that make a material incompressible in the end: their updates, accelerated.
 
 The update λ ← p(λ) of the augmented Lagrangian, with the pressure p(λ) of the equilibrium under
-λ, converges linearly, the faster the larger κ is beside the stiffness of the material. Anderson's
-method accelerates it (``anderson``; docs/theory.md).
+λ, converges linearly, the faster the larger κ is beside the stiffness of the material; Anderson's
+method accelerates it (docs/theory.md).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 from mpi4py import MPI
 
@@ -24,19 +24,15 @@ from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["hold", "prepare", "updated"]
 
-
 #: Most updates of a solve.
 UPDATES = 50
 
 
 def prepare(system: System, tolerance: float) -> None:
-    """Let :func:`hold` work.
+    """Let :func:`hold` work. Collective.
 
     Raises:
         ValueError: The tolerance is not positive, or no pressure is condensed.
-
-    Note:
-        Collective.
     """
     if not tolerance > 0.0:
         raise ValueError(f"volume_tolerance is {tolerance}: give a number above zero, or None.")
@@ -48,18 +44,11 @@ def prepare(system: System, tolerance: float) -> None:
 
 
 def hold(system: System, pressure: Array | None = None) -> float:
-    """Update the multipliers: only by how much p differs from λ compresses the material.
-
-    Args:
-        system: The system.
-        pressure: λ, as in ``System.state``; p if not given.
+    """Let λ be the pressure, as in ``System.state``, or the present one. Collective.
 
     Returns:
         The greatest change of the mean compression of a cell: abs(mean J − 1) where the state
         solves the equation of p, and λ becomes p.
-
-    Note:
-        Collective.
     """
     fields = system.condensation
     assert fields is not None
@@ -69,10 +58,10 @@ def hold(system: System, pressure: Array | None = None) -> float:
 
 
 def updated(system: System, solve: Callable[[int], bool], tolerance: float) -> Iterator[float]:
-    """Solve and update the multipliers in turn, until each cell keeps its volume.
+    """Solve and update the multipliers in turn, from λ = p until each cell keeps its volume.
 
     Args:
-        system: The system; it begins with λ = p.
+        system: The system.
         solve: Solves it after so many updates; tells whether to the end.
         tolerance: On abs(mean J − 1) of each cell.
 
@@ -81,13 +70,11 @@ def updated(system: System, solve: Callable[[int], bool], tolerance: float) -> I
 
     Raises:
         ConvergenceError: There were too many updates, or ``solve`` has failed.
-
-    Note:
-        Collective.
     """
-    fields = system.condensation.fields if system.condensation else ()
+    assert system.condensation is not None
+    ends = np.cumsum([len(f.x.array) for f in system.condensation.fields])[:-1]
     λ, change = system.state()[1], np.inf
-    unit: Array = np.zeros(0)
+    unit = np.ones_like(λ)  # of each field its own
     anderson = Anderson(system.comm, len(λ))
     for update in range(UPDATES):
         if update:
@@ -98,19 +85,12 @@ def updated(system: System, solve: Callable[[int], bool], tolerance: float) -> I
         yield change
         if solved and change <= tolerance:
             return
-        unit = unit if update else _units(p - λ, [len(f.x.array) for f in fields], system.comm)
+        if not update:
+            for part, first_change in zip(np.split(unit, ends), np.split(p - λ, ends), strict=True):
+                part[:] = system.greatest(first_change) or 1.0
         λ = unit * anderson.next(λ / unit, (p - λ) / unit)
     raise ConvergenceError(
         f"After {UPDATES} updates of its multipliers the mean volume of a cell is still off by "
         f"{change:.1e}: take a larger κ, which they converge with, or a larger volume_tolerance "
         f"than {tolerance:g}."
     )
-
-
-def _units(change: Array, sizes: Sequence[int], comm: MPI.Comm) -> Array:
-    """Return the greatest first change of each field, for each entry: fields have units."""
-    parts = np.split(change, np.cumsum(sizes)[:-1])
-    most = [
-        comm.allreduce(float(np.abs(part).max(initial=0.0)), op=MPI.MAX) or 1.0 for part in parts
-    ]
-    return np.repeat(most, sizes)

@@ -8,8 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Unpack
 
-from petsc4py import PETSc
+from mpi4py import MPI
+
+import numpy as np
 
 import dolfinx
 import ufl
@@ -20,8 +23,7 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.checks import check_scalar_type
 from dolfinx_feti.fem.content import content_of
 from dolfinx_feti.fem.internal_variables import create_internal_variables
-from dolfinx_feti.feti.solver import FETI
-from dolfinx_feti.problems.arguments import checked_conditions, missing, require_function
+from dolfinx_feti.problems.arguments import checked_conditions, require_function
 from dolfinx_feti.problems.forms import (
     condensed_fields,
     default_volume_ratio,
@@ -30,11 +32,10 @@ from dolfinx_feti.problems.forms import (
 )
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.multipliers import hold, prepare, updated
-from dolfinx_feti.problems.newton import Newton, Start, checked_start
+from dolfinx_feti.problems.newton import Newton, Start
 from dolfinx_feti.problems.solvers import create_newton_solver
-from dolfinx_feti.problems.system import Tangent
-from dolfinx_feti.problems.torn_problem import TornProblem
-from dolfinx_feti.runtime.arrays import Integers
+from dolfinx_feti.problems.system import Residual, Tangent
+from dolfinx_feti.problems.torn_problem import Common, TornProblem
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.petsc_errors import python_errors
 from dolfinx_feti.runtime.petsc_options import inserted
@@ -61,13 +62,9 @@ class NonlinearProblem(TornProblem):
     Attributes:
         u: The unknown.
         solver: The SNES.
-        A: The torn tangent; ``A.mult`` is the assembled operator.
-        b: The residual of the last iterate, with the pressure condensed into it.
-        x: The last iterate, without ghosts; u has memory of its own.
         content: Unknowns, and the Functions and Constants in the forms.
         volume_changes: The greatest abs(mean J − 1) of a cell after each Newton solve of the last
-            :meth:`solve` with a ``volume_tolerance``.
-        decomposition: Subdomain of each owned cell.
+            :meth:`solve` with a ``volume_tolerance``. Further ones: :class:`TornProblem`.
     """
 
     def __init__(
@@ -83,20 +80,13 @@ class NonlinearProblem(TornProblem):
         energy: ufl.Form | None = None,
         volume_tolerance: float | None = None,
         internal_variables: Mapping[dolfinx.fem.Function, Expr] | None = None,
-        subdomains: int | Integers | None = None,
-        seed: int = 0,
-        petsc_options_prefix: str | None = None,
         petsc_options: Mapping[str, object] | None = None,
         quadrature_degree: int | None = None,
         volume_ratio: Expr | None = None,
         scalars: Sequence[Coupling] = (),
-        near_null_space: PETSc.NullSpace | None = None,
-        null_space: PETSc.NullSpace | None = None,
-        P: ufl.Form | None = None,
-        kind: str | None = None,
-        entity_maps: Sequence[object] | None = None,
+        **common: Unpack[Common],
     ) -> None:
-        """Tear the mesh, derive and compile the forms.
+        """Tear the mesh, derive and compile the forms. Collective; raises on all processes.
 
         Args:
             F: Residual, or residuals [F_u, F_s] of u and of scalars; or an energy, whose
@@ -112,40 +102,24 @@ class NonlinearProblem(TornProblem):
                 discontinuous pressure: eliminated cell by cell, and updated with u.
             energy: Potential Π(u) or Π(u, p) whose derivatives are the residuals F, if they have
                 one: F itself if that is an energy. It keeps Newton's method on the way down.
-            volume_tolerance: Most that abs(J − 1) may be in the mean of each cell, J = 1 at u = 0:
-                multipliers then take the place of an ever larger κ, see :meth:`solve`. If not
-                given, the material is as compressible as its energy says.
+            volume_tolerance: Most that abs(J − 1) may be in the mean of each cell: multipliers then
+                take the place of an ever larger κ, see :meth:`solve`.
             internal_variables: What the material remembers: Functions of quadrature points or of
                 cells (DG), each with its update in UFL, see :meth:`update_internal_variables`.
-            subdomains: Their number over all processes, or a part per owned cell; about one for
-                2000 dofs if not given.
-            seed: Another number for another decomposition into as many subdomains; that of one
-                number is the same in every run.
-            petsc_options_prefix: Non-empty prefix of all options, equal on all processes; one of
-                its own, ``nonlinear_problem_0_`` and so on, if not given.
             petsc_options: Options without prefix: ``snes_…``, ``feti_…``, see ``docs/options.md``.
             quadrature_degree: Highest degree of the integrals that state none; UFL's estimates, as
                 in dolfinx, if not given.
             volume_ratio: Expression that every iterate keeps positive at all points of a quadrature
-                of this degree, or of twice that of u. If not given, it is det(I + Grad u) where
-                the forms show that u is a displacement: they contain I + Grad u, Grad uᵀ Grad u, or
-                a determinant or inverse of an expression in Grad u.
+                of this degree, or of twice that of u. If not given, det(I + Grad u) where the forms
+                contain I + Grad u, Grad uᵀ Grad u, or a determinant or inverse in Grad u.
             scalars: Scalar unknowns beside u with their equations, such as cavities whose volume is
                 prescribed (:mod:`dolfinx_feti.scalars`). Those on real spaces belong to u and F.
-            near_null_space: What the tangent nearly maps to zero, orthonormal; constants and the
-                rotations of the deformed body if not given. As null_space, it may also be attached
-                to ``A``.
-            null_space: What every tangent maps to zero, orthonormal.
-            P: Without effect, as a preconditioner of dolfinx's.
-            kind: Without effect, as a type of dolfinx's matrices.
-            entity_maps: None; several meshes cannot be torn.
+            **common: ``subdomains``, ``petsc_options_prefix`` and more, see
+                :class:`~dolfinx_feti.problems.torn_problem.Common`.
 
         Raises:
             ValueError: Bad prefix, options, subdomains, boundary conditions or forms.
             TypeError: An unsupported element or scalar type.
-
-        Note:
-            Collective; raises on all processes.
         """
         check_scalar_type()
         self._given = u
@@ -168,16 +142,11 @@ class NonlinearProblem(TornProblem):
             replace(forms, energy=None) if couplings else forms,
             conditions,
             couplings,
-            compilers=(form_compiler_options, jit_options),
-            prefix=petsc_options_prefix,
-            petsc_options=petsc_options,
-            subdomains=subdomains,
-            seed=seed,
-            near_null_space=near_null_space,
-            null_space=null_space,
-            unused={"P": P, "kind": kind, "entity_maps": entity_maps},
+            (form_compiler_options, jit_options),
+            petsc_options,
             volume_ratio=default_volume_ratio(forms) if volume_ratio is None else volume_ratio,
             quadrature_degree=twice if quadrature_degree is None else quadrature_degree,
+            **common,
         )
         self.u, system = u, self._system
         self._residual, self._tangent = forms.F_u, forms.J
@@ -193,10 +162,7 @@ class NonlinearProblem(TornProblem):
         self._history: list[NewtonStep] = []
         self.volume_changes: list[float] = []
         self._newton = Newton(system)
-        feti = FETI(newton=True, refuse_indefinite=system.has_potential)
-        self.solver = create_newton_solver(
-            self._newton, feti, self.A, self._prefix, self._petsc_options
-        )
+        self.solver = create_newton_solver(self._newton, self.A, self._prefix, self._petsc_options)
 
     @cached_property
     def F(self) -> dolfinx.fem.Form:
@@ -210,7 +176,12 @@ class NonlinearProblem(TornProblem):
 
     def __getattr__(self, name: str) -> object:
         """Answer a script that hands the problem to dolfinx's ``NewtonSolver``."""
-        raise missing(self, name)
+        message = f"'{type(self).__name__}' object has no attribute '{name}'"
+        if name not in ("L", "a", "form"):
+            raise AttributeError(message)
+        message += "; it drives Newton's method itself: call problem.solve() in the place of "
+        message += "dolfinx.nls.petsc.NewtonSolver"
+        raise AttributeError(message, name=name, obj=None)  # else Python asks whether 'A' was meant
 
     @property
     def history(self) -> list[NewtonStep]:
@@ -220,10 +191,7 @@ class NonlinearProblem(TornProblem):
     def _known_advice(self) -> tuple[Advice, ...]:
         """Return the advice where a slow solve has found that J is not the derivative of F."""
         found = self._newton.mismatch
-        if found is None:
-            return ()
-        quantity = "difference of J from the derivative of F"
-        return (Advice(found.remedy, quantity, found.size, found.error),)
+        return () if found is None else (found,)
 
     def residual_norm(self) -> float:
         """Return ‖r‖ of the present state under the present load. Collective."""
@@ -231,7 +199,7 @@ class NonlinearProblem(TornProblem):
         return self._system.norm(self._system.residual().condensed)
 
     def linearise(self) -> Tangent:
-        """Assemble the tangent at the present state and load, for the first step of a solve.
+        """Assemble the tangent at the present state and load, for the first step. Collective.
 
         Call it in an equilibrium, *before* the load grows, and give it to :meth:`solve`: the first
         step is then a prediction along the path. A tangent with the new load and the old stress can
@@ -239,25 +207,13 @@ class NonlinearProblem(TornProblem):
 
         Returns:
             A name of the tangent, which the matrix holds until the next step is assembled.
-
-        Note:
-            Collective.
         """
         return self._system.linearise()
 
-    def linear_system(self) -> tuple[PETSc.Mat, PETSc.Vec]:
-        """Assemble the torn system of the next Newton step, at the present state and load.
-
-        Returns:
-            The tangent A, which stays the problem's own, and −r with the pressure condensed into
-            it, which the caller destroys. Collective.
-        """
+    def _assemble(self) -> Residual:
+        """Assemble tangent and residual, with λ = p."""
         self._hold()
-        residual = self._system.residual()
-        self._system.linearise(residual)
-        b = self.A.createVecLeft()
-        b.array[:] = -residual.equations
-        return self.A, b
+        return super()._assemble()
 
     def solve(
         self,
@@ -267,19 +223,16 @@ class NonlinearProblem(TornProblem):
         renew: bool = True,
         give_up_early: bool = False,
     ) -> dolfinx.fem.Function | Sequence[dolfinx.fem.Function]:
-        """Iterate from the present u (and pressure) to the solution.
+        """Iterate from the present u (and pressure) to the solution. Collective.
 
-        With a ``volume_tolerance`` the material is incompressible in the end (augmented Lagrangian;
-        Simo and Taylor 1991): after each Newton solve the pressure becomes the multiplier, λ ← p,
-        so that only what p changes further compresses the material. Until each cell keeps its
-        volume a Newton solve ends at a tenth of its first residual, often after one step. A solve
-        begins with λ = p: a state that is restored or read brings its multipliers along.
+        With a ``volume_tolerance`` the material is incompressible in the end: after each Newton
+        solve the pressure becomes the multiplier (docs/theory.md, *Multipliers*). A solve begins
+        with λ = p: a state that is restored or read brings its multipliers along.
 
         Args:
             reference: A residual norm that the relative tolerance refers to if that of the start is
                 larger, such as :meth:`residual_norm` of the last equilibrium under the new load
-                where a guess begins with a far larger one, as in a material that stiffens
-                exponentially. One that is NaN does not count.
+                where a guess begins with a far larger one. One that is NaN does not count.
             first_tangent: The tangent of the first step, made by :meth:`linearise`; that of the
                 present state if not given.
             renew: Whether FETI's preconditioner and its Ritz vectors begin anew. If not, those of
@@ -294,12 +247,18 @@ class NonlinearProblem(TornProblem):
         Raises:
             ConvergenceError: Newton's method or FETI failed; u holds the last good iterate.
             ValueError: ``reference`` is negative, or the matrix no longer holds ``first_tangent``.
-
-        Note:
-            Collective.
         """
-        start = checked_start(self._system, reference, first_tangent, early=give_up_early)
-        self._system.scalars.check()
+        system = self._system
+        if reference is not None and reference < 0.0:
+            raise ValueError(f"reference is {reference}: give the norm of a residual.")
+        if system.comm.allreduce(first_tangent not in (None, system.tangent), op=MPI.LOR):
+            raise ValueError(
+                "first_tangent names a tangent that this problem's matrix does not hold any more: "
+                "pass what linearise() has returned to the very next solve()."
+            )
+        most = np.inf if reference is None else float(reference)
+        start = Start(reference=most, tangent=first_tangent, early=give_up_early)
+        system.scalars.check()
         if renew:
             self.renew()
         self._history, self.volume_changes = [], []

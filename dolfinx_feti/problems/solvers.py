@@ -3,9 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """PETSc's solvers with contexts of this package: made from options, and what fails in them.
 
-A script that was written for another solver sets options that choose it. They have no effect here,
-which is logged once; the script goes on with FETI. PETSc views a KSP at the end of each solve; the
-plain ``-ksp_view`` is FETI's here, which prints its table once.
+Options that choose another solver have no effect, which is logged once. PETSc views a KSP at the
+end of each solve; the plain ``-ksp_view`` is FETI's here, which prints its table once.
 """
 
 from __future__ import annotations
@@ -28,7 +27,6 @@ __all__ = [
     "no_closer_than",
     "options_without_effect",
 ]
-
 
 #: Default relative tolerance of Newton's method.
 RTOL = 1e-8
@@ -59,19 +57,12 @@ def create_solver(A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]
         ValueError: An option has a wrong value.
     """
     ksp = PETSc.KSP().create(A.comm)
-    ksp.setOptionsPrefix(prefix)
-
-    def set_up() -> None:
-        with _options(ksp, A, prefix, petsc_options):
-            _attach(ksp, FETI(), A)
-            _set_from_options(ksp, prefix)
-
-    on_all(set_up, A.comm.tompi4py())
+    _set_up(ksp, ksp, FETI(), A, prefix, petsc_options)
     return ksp
 
 
 def create_newton_solver(
-    newton: object, feti: FETI, A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]
+    newton: object, A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]
 ) -> PETSc.SNES:
     """Create a SNES and its KSP with their contexts, and set them from the options. Collective.
 
@@ -79,19 +70,57 @@ def create_newton_solver(
         ValueError: An option has a wrong value.
     """
     snes = PETSc.SNES().create(A.comm)
-    snes.setOptionsPrefix(prefix)
+    snes.setType(PETSc.SNES.Type.PYTHON)
+    snes.setPythonContext(newton)
+    snes.setTolerances(rtol=RTOL, atol=1e-50, max_it=30)
+    _set_up(snes, snes.getKSP(), FETI(newton=True), A, prefix, petsc_options)
+    return snes
+
+
+def _set_up(
+    solver: PETSc.KSP | PETSc.SNES,
+    ksp: PETSc.KSP,
+    feti: FETI,
+    A: PETSc.Mat,
+    prefix: str,
+    petsc_options: Mapping[str, object],
+) -> None:
+    """Give a solver, whose KSP is this one, the FETI context and options; errors are of Python."""
+    comm = A.comm.tompi4py()
+    solver.setOptionsPrefix(prefix)
 
     def set_up() -> None:
-        with _options(snes.getKSP(), A, prefix, petsc_options):
-            snes.setType(PETSc.SNES.Type.PYTHON)
-            snes.setPythonContext(newton)
-            snes.setTolerances(rtol=RTOL, atol=1e-50, max_it=30)
-            _attach(snes.getKSP(), feti, A)
-            _set_from_options(snes, prefix)
-            snes.getKSP().setErrorIfNotConverged(False)
+        with inserted(prefix, petsc_options):
+            other = options_without_effect(prefix)
+            if other:
+                named = ", ".join(
+                    f"-{prefix}{name} {value}".rstrip() for name, value in other.items()
+                )
+                warn(
+                    f"Without effect: {named}. FETI solves the torn system; leave them out. "
+                    f"-{prefix}feti_… chooses its parts, see docs/options.md.",
+                    comm,
+                )
+            view = PETSc.Options(prefix).getString("ksp_view", "none")
+            ksp.setAttr(VIEW_ONCE, view in PLAIN)
+            viewed = ["ksp_view"] if view in PLAIN else []
+            with withheld(prefix + name for name in {*SOLVERS, *other, *viewed}):
+                ksp.setOperators(A)
+                ksp.setType(PETSc.KSP.Type.PYTHON)
+                ksp.setPythonContext(feti)
+                read_options(prefix)  # PETSc would turn its ValueError into an error code
+                try:
+                    solver.setFromOptions()
+                except PETSc.Error as error:
+                    cause = re.sub(r"\A\[\d+\] ", "", str(error).splitlines()[-1])
+                    raise ValueError(
+                        f"PETSc refuses one of the options -{prefix}…: {cause}. See "
+                        "docs/options.md."
+                    ) from error
+        for each in (solver, ksp):
+            each.setErrorIfNotConverged(False)  # a failure is for the package to report
 
-    on_all(set_up, A.comm.tompi4py())
-    return snes
+    on_all(set_up, comm)
 
 
 @contextmanager
@@ -119,47 +148,3 @@ def options_without_effect(prefix: str) -> dict[str, str]:
         for name, value in under.items()
         if (name not in SOLVERS and name.startswith(FOREIGN)) or value != SOLVERS.get(name, value)
     }
-
-
-def _attach(ksp: PETSc.KSP, feti: FETI, A: PETSc.Mat) -> None:
-    ksp.setOperators(A)
-    ksp.setType(PETSc.KSP.Type.PYTHON)
-    ksp.setPythonContext(feti)
-
-
-@contextmanager
-def _options(
-    ksp: PETSc.KSP, A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]
-) -> Iterator[None]:
-    """Insert options, but for a plain view, and those that choose another solver, with a log."""
-    with inserted(prefix, petsc_options):
-        other = options_without_effect(prefix)
-        if other:
-            named = ", ".join(f"-{prefix}{name} {value}".rstrip() for name, value in other.items())
-            warn(
-                f"Without effect: {named}. FETI solves the torn system; leave them out. "
-                f"-{prefix}feti_… chooses its parts, see docs/options.md.",
-                A.comm.tompi4py(),
-            )
-        view = PETSc.Options(prefix).getString("ksp_view", "none")
-        ksp.setAttr(VIEW_ONCE, view in PLAIN)
-        viewed = ["ksp_view"] if view in PLAIN else []
-        with withheld(prefix + name for name in {*SOLVERS, *other, *viewed}):
-            yield
-
-
-def _set_from_options(solver: PETSc.KSP | PETSc.SNES, prefix: str) -> None:
-    """Let a solver read its options; a failure to converge is for the package to report.
-
-    Raises:
-        ValueError: An option has a wrong value; perhaps on this process alone.
-    """
-    read_options(prefix)  # PETSc would turn its ValueError into an error code
-    try:
-        solver.setFromOptions()
-    except PETSc.Error as error:
-        cause = re.sub(r"\A\[\d+\] ", "", str(error).splitlines()[-1])
-        raise ValueError(
-            f"PETSc refuses one of the options -{prefix}…: {cause}. See docs/options.md."
-        ) from error
-    solver.setErrorIfNotConverged(False)

@@ -45,7 +45,7 @@ MOVED = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """The residual at one state. Forces and lengths are kept apart: they are never added.
+    """The residual at one state; forces and lengths are never added.
 
     Attributes:
         condensed: Forces of the free dofs with the fields condensed into them, (owned,); zero on
@@ -68,32 +68,26 @@ class Residual:
         return self.condensed + self.gap
 
 
-@dataclass(frozen=True, slots=True)
 class Tangent:
-    """Names the tangent that a torn matrix holds, until another one takes its place.
-
-    Attributes:
-        handle: PETSc's handle of the local matrix.
-        state: Its count of changes.
-    """
-
-    handle: int
-    state: int
+    """Names the tangent that a torn matrix holds, until another one takes its place."""
 
 
 class System:
     """Residual and tangent of a displacement u and of what is condensed, such as a pressure p.
 
-    The state is what the user's Functions hold.
+    The state is what the user's Functions hold. Its methods are collective.
 
     Attributes:
         u: Displacement (or another unknown).
-        A: Torn tangent.
+        A: Torn matrix.
+        tangent: Names the tangent that it holds.
         bcs: Dirichlet conditions.
+        dirichlet: Mask of their dofs, (owned,).
+        is_held: Whether a tangent has been regular with these conditions: then they are enough.
         comm: Communicator of the mesh.
-        dirichlet: Mask of the Dirichlet dofs, (owned,).
         owned: Number of dofs that this process owns.
         is_displacement: Whether u is one, with a det F to watch.
+        scalars: Scalar unknowns beside u.
     """
 
     def __init__(
@@ -107,21 +101,12 @@ class System:
         compiler: Compiler | None = None,
         scalars: Sequence[Coupling] = (),
     ) -> None:
-        """Tear the space and compile all forms. Collective.
+        """Tear the space and compile all forms, with dolfinx's options if no compiler is given.
 
-        Args:
-            forms: Residuals, tangent and energy.
-            bcs: Dirichlet conditions on the space of u.
-            decomposition: Subdomain of each owned cell.
-            volume_ratio: Expression that has to be positive at every quadrature point.
-            quadrature_degree: Degree of those points.
-            compiler: How forms are compiled; with dolfinx's options if not given.
-            scalars: Scalar unknowns beside u and their equations.
+        ``volume_ratio`` has to be positive at the points of a quadrature of the degree.
         """
         self.u, V, F_u = forms.u, forms.u.function_space, forms.F_u
-        self.bcs = list(bcs)
         self.comm = V.mesh.comm
-        self.dirichlet = assembly.dirichlet_mask(V, self.bcs)
         self._n_cells = len(decomposition.subdomain)
         self._space = tear(V, decomposition)
         compiler = compiler or Compiler(self.comm)
@@ -137,15 +122,18 @@ class System:
         self._diagonal = diagonal_places(self._K.mat)  # none is missing
         self._stiffness = np.zeros(len(self._diagonal))
         self.A = assembly.create_matis(
-            self._space, self._K.mat, self.bcs, self._stiffness, forms.symmetric
+            self._space, self._K.mat, bcs, self._stiffness, forms.symmetric
         )
+        self.tangent = Tangent()
         if self.condensation is not None:
             set_condensed(self.A, self.condensation.constraints)
         energy = forms.energy
         self._energy = energy if energy is None else assembly.split_form(energy, V.mesh, compiler)
         self._shift = 0.0
         self._blocks: Blocks | None = None  # of the tangent
-        self.scalars = ScalarSystem(scalars, self.u, F_u, compiler, free=~self.dirichlet)
+        dirichlet = assembly.dirichlet_mask(V, bcs)
+        self.bcs, self.dirichlet, self.is_held = list(bcs), dirichlet, False
+        self.scalars = ScalarSystem(scalars, self.u, F_u, compiler, free=~dirichlet)
         self.is_displacement = volume_ratio is not None
         self._volume_ratio = None
         if volume_ratio is not None:
@@ -157,16 +145,32 @@ class System:
         self.owned = V.dofmap.index_map.size_local * bs
         self._size: Array | float = 0.0  # h, of a displacement
 
+    def prescribe(self, bcs: Sequence[dolfinx.fem.DirichletBC]) -> None:
+        """Meet other Dirichlet conditions.
+
+        Raises:
+            ValueError: They leave a scalar unknown without a solution.
+        """
+        dirichlet = assembly.dirichlet_mask(self.u.function_space, bcs)
+        self.scalars.prescribe(bcs, free=~dirichlet)
+        self.bcs, self.dirichlet, self.is_held = list(bcs), dirichlet, False
+        assembly.prescribe(self.A, dirichlet)
+
     # -- state ------------------------------------------------------------------------------------
+
+    @property
+    def _own_u(self) -> Array:
+        """Owned entries of u."""
+        return self.u.x.array[: self.owned]
 
     def state(self) -> tuple[Array, Array, Array]:
         """Copy the state: owned entries of u, all of the condensed fields, and the scalars."""
         p = self.condensation.values() if self.condensation else np.zeros(0)
-        return self.u.x.array[: self.owned].copy(), p, self.scalars.values()
+        return self._own_u.copy(), p, self.scalars.values()
 
     def set_state(self, state: Sequence[Array]) -> None:
         """Set the state and update ghosts."""
-        self.u.x.array[: self.owned] = state[0]
+        self._own_u[:] = state[0]
         self.u.x.scatter_forward()
         if self.condensation:
             self.condensation.set_values(state[1])
@@ -175,14 +179,9 @@ class System:
         self.scalars.set_values(state[2])
 
     def increment(self, here: Residual, du: Array) -> tuple[Array, Array, Array]:
-        """Complete an increment of u by the condensed fields' own linearised equations.
+        """Complete ΔU, (owned,), from a residual: increments of the state, see :meth:`state`.
 
-        Args:
-            here: The residual where the increment begins.
-            du: ΔU, (owned,).
-
-        Returns:
-            Increments of the state, see :meth:`state`.
+        Those of the condensed fields obey their own linearised equations.
         """
         ds = self.scalars.increment
         if self.condensation is None or here.blocks is None:
@@ -193,7 +192,7 @@ class System:
         return du, self.condensation.increment(here.blocks, whole.array[self._local]), ds
 
     def least_volume_ratio(self) -> float:
-        """Return the least det F over all quadrature points, or inf. Collective."""
+        """Return the least det F over all quadrature points, or inf."""
         return self.comm.allreduce(on_all(self._own_volume_ratio, self.comm), op=MPI.MIN)
 
     def _own_volume_ratio(self) -> float:
@@ -210,7 +209,7 @@ class System:
         return self._energy is not None
 
     def potential(self) -> float:
-        """Return Π(u), or Π(u, p) with the p that its own equation demands. Collective."""
+        """Return Π(u), or Π(u, p) with the p that its own equation demands."""
         return self.comm.allreduce(on_all(self._own_potential, self.comm))
 
     def _own_potential(self) -> float:
@@ -221,15 +220,14 @@ class System:
         before = self.condensation.values()
         try:
             self.condensation.relax()
-            held = self.condensation.held_potential()
-            return assembly.integrate(self._energy) + held
+            return assembly.integrate(self._energy) + self.condensation.held_potential()
         finally:
             self.condensation.set_values(before)
 
     # -- equations --------------------------------------------------------------------------------
 
     def residual(self) -> Residual:
-        """Assemble the residual at the present state. Collective."""
+        """Assemble the residual at the present state."""
         b, torn, blocks = on_all(self._own_residual, self.comm)
         b.scatter_reverse(dolfinx.la.InsertMode.add)
         force = b.array[: self.owned].copy()
@@ -248,7 +246,7 @@ class System:
         return b, self.condensation.residual(blocks, len(self._local)), blocks
 
     def seen_by_tangent(self, here: Residual) -> Residual:
-        """Return a residual with fields condensed by the matrix's own K_up and K_pp. Collective."""
+        """Return a residual with fields condensed by the matrix's own K_up and K_pp."""
         if self.condensation is None or here.blocks is None or self._blocks is None:
             return here
         blocks = replace(self._blocks, excess=here.blocks.excess)
@@ -256,25 +254,20 @@ class System:
         return replace(here, condensed=self.free(here.force + condensed), blocks=blocks)
 
     def linearise(self, here: Residual | None = None) -> Tangent:
-        """Assemble the torn tangent and its near kernel at the present state, of this residual.
-
-        Collective.
-        """
+        """Assemble the torn tangent and its near kernel at the present state, of this residual."""
         on_all(lambda: self._fill(here), self.comm)
         self.scalars.linearise()
         V = self.u.function_space
-        u = self.u.x.array[: self.owned].reshape(-1, V.dofmap.index_map_bs)
-        attach_near_kernel(self.A, V, u)
-        return self.tangent()
+        attach_near_kernel(self.A, V, self._own_u.reshape(-1, V.dofmap.index_map_bs))
+        return self.tangent
 
     def _fill(self, here: Residual | None) -> None:
         """Assemble the local matrix, and the stiffness that weighs the copies of a dof.
 
-        The stiffness is the diagonal before the pressure is condensed into it: the κ-term on the
-        diagonal says nothing about the interface.
+        That is the diagonal before the pressure is condensed into it (docs/theory.md, *Gluing*).
         """
         assembly.assemble(self._K, self._tangent)
-        self._shift = 0.0
+        self._shift, self.tangent = 0.0, Tangent()
         if self.is_displacement:  # of the present mesh, which may have moved
             self._size = cell_sizes(self._space, self._n_cells)
         self._stiffness[:] = self._K.csr.data[self._diagonal]
@@ -288,24 +281,20 @@ class System:
 
         .. math:: ε\, \Bigl\| \Bigl(\sum_j k_{ij}^2 (u_j^2 + h_j^2)\Bigr)^{1/2} \Bigr\|
 
-        Every :math:`u_j` is rounded, and the ones in F = I + Grad u are those of a displacement of
-        the size h of the cells. Collective.
+        h is the size of the cells, whose displacement is rounded like the ones in F = I + Grad u.
         """
-        t = np.hypot(self.u.x.array[self._local], self._size)
-        return self._root(product_rounding(self._K.mat, t))
+        return self._root(product_rounding(self._K.mat, self._rounded()))
 
     def least_rounding(self) -> float:
-        r"""Return less than the rounding errors of the residual before condensation.
+        r"""Return less than it before condensation: :math:`ε \|k_{ii} (u_i^2 + h_i^2)^{1/2}\|`."""
+        return self._root((EPS * self._stiffness * self._rounded()) ** 2)
 
-        .. math:: ε\, \| k_{ii} (u_i^2 + h_i^2)^{1/2} \|
-
-        Collective.
-        """
-        t = np.hypot(self.u.x.array[self._local], self._size)
-        return self._root((EPS * self._stiffness * t) ** 2)
+    def _rounded(self) -> Array:
+        """Return what is rounded at each torn dof, (u² + h²)^½."""
+        return np.hypot(self.u.x.array[self._local], self._size)
 
     def _root(self, torn: Array) -> float:
-        """Return the root of the sum of squares of all free dofs, of (n_torn,). Collective."""
+        """Return the root of the sum of squares of all free dofs, of (n_torn,)."""
         return float(np.sqrt(self.comm.allreduce(self.free(self._assembled(torn)).sum())))
 
     def _vector(self) -> dolfinx.la.Vector:
@@ -314,25 +303,21 @@ class System:
         return dolfinx.la.vector(dofmap.index_map, dofmap.index_map_bs)
 
     def _assembled(self, torn: Array) -> Array:
-        """Sum the copies of each owned dof, (n_torn,) → (owned,). Collective."""
+        """Sum the copies of each owned dof, (n_torn,) → (owned,)."""
         sums = self._vector()
         sums.array[:] = np.bincount(self._local, torn, minlength=len(sums.array))
         sums.scatter_reverse(dolfinx.la.InsertMode.add)
         return sums.array[: self.owned].copy()
-
-    def tangent(self) -> Tangent:
-        """Name the tangent that the matrix holds now."""
-        return Tangent(self._K.mat.handle, self._K.mat.stateGet())
 
     def shift(self, sigma: float) -> None:
         """Let the tangent be K + σ diag|k|, k the stiffness of its own dofs, with another σ ≥ 0."""
         if sigma != self._shift:
             self._K.csr.data[self._diagonal] += (sigma - self._shift) * np.abs(self._stiffness)
             self._K.mat.stateIncrease()
-            self._shift = sigma
+            self._shift, self.tangent = sigma, Tangent()
 
     def multiply(self, d: Array) -> Array:
-        """Return A d for the tangent that the matrix holds, (owned,). Collective."""
+        """Return A d for the tangent that the matrix holds, (owned,)."""
         x, y = self.A.createVecs()
         x.array[:] = d
         self.A.mult(x, y)
@@ -346,27 +331,28 @@ class System:
         return np.where(self.dirichlet, 0.0, r)
 
     def dot(self, a: Array, b: Array) -> float:
-        """Return a·b of two vectors, (owned,), of finite entries or not. Collective."""
+        """Return a·b of two vectors, (owned,), of finite entries or not."""
         with np.errstate(over="ignore", invalid="ignore"):
             return float(self.comm.allreduce(a @ b))
 
     def norm(self, r: Array) -> float:
-        """Return ‖r‖ of a vector, (owned,). Collective."""
+        """Return ‖r‖ of a vector, (owned,)."""
         return float(np.sqrt(self.dot(r, r)))
 
+    def greatest(self, values: Array) -> float:
+        """Return the greatest abs of all entries."""
+        return self.comm.allreduce(float(np.abs(values).max(initial=0.0)), op=MPI.MAX)
+
     def reaction(self, here: Residual) -> float:
-        """Return the norm of the reactions on Dirichlet dofs and of the scalars. Collective."""
+        """Return the norm of the reactions on Dirichlet dofs and of the scalars."""
         reactions = self.norm(here.force - self.free(here.force))
         return max(reactions, self.norm(self.free(self.scalars.force())))
 
     def boundary_moves(self, here: Residual) -> bool:
-        """Tell whether Dirichlet values, or equations of scalars, are missed. Collective."""
-        missed, reach = (
-            self.comm.allreduce(float(np.abs(each).max(initial=0.0)), op=MPI.MAX)
-            for each in (here.gap, self.u.x.array[: self.owned])
-        )
-        u, h = self.u.x.array[: self.owned], np.max(self._size, initial=0.0)
-        return missed > MOVED * reach or not self.scalars.met(here.scalar, u, h)
+        """Tell whether Dirichlet values, or equations of scalars, are missed."""
+        missed, reach = self.greatest(here.gap), self.greatest(self._own_u)
+        h = np.max(self._size, initial=0.0)
+        return missed > MOVED * reach or not self.scalars.met(here.scalar, self._own_u, h)
 
     def destroy(self) -> None:
         """Free the matrices."""

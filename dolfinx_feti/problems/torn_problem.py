@@ -1,31 +1,60 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What a linear and a nonlinear problem share: another solver of their torn system, a diagnosis."""
+"""What a linear and a nonlinear problem share: arguments, another solver of A, a diagnosis."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TypedDict
 
 from petsc4py import PETSc
 
 import dolfinx
+import ufl
 from ufl.core.expr import Expr
 
 from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.diagnosis.run import Diagnosis, diagnose
-from dolfinx_feti.fem.assembly import dirichlet_mask, prescribe
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import decompose, suggested_number
-from dolfinx_feti.problems.arguments import agreed_prefix, checked_conditions, warn_unused
+from dolfinx_feti.problems.arguments import agreed_prefix, checked_conditions
 from dolfinx_feti.problems.forms import Forms
 from dolfinx_feti.problems.solvers import create_solver
-from dolfinx_feti.problems.system import System
+from dolfinx_feti.problems.system import Residual, System
 from dolfinx_feti.runtime.arrays import Array, Integers
-from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.scalars.equations import Coupling
 
-__all__ = ["TornProblem"]
+__all__ = ["Common", "TornProblem"]
+
+
+class Common(TypedDict, total=False):
+    """Further arguments of both problems, by keyword.
+
+    Attributes:
+        subdomains: Their number over all processes, or a part per owned cell; about one for 2000
+            dofs if not given.
+        seed: Another number for another decomposition into as many subdomains; that of one number
+            is the same in every run.
+        petsc_options_prefix: Non-empty prefix of all options, equal on all processes; one of its
+            own, ``linear_problem_0_``, ``nonlinear_problem_0_`` and so on, if not given.
+        near_null_space: What A nearly maps to zero, orthonormal; constants and the rotations of the
+            deformed body if not given. As null_space, it may also be attached to ``A``.
+        null_space: What A, or every tangent, maps to zero, orthonormal.
+        P: Without effect, as a preconditioner of dolfinx's.
+        kind: Without effect, as a type of dolfinx's matrices.
+        entity_maps: None; several meshes cannot be torn.
+    """
+
+    subdomains: int | Integers | None
+    seed: int
+    petsc_options_prefix: str | None
+    near_null_space: PETSc.NullSpace | None
+    null_space: PETSc.NullSpace | None
+    P: ufl.Form | None
+    kind: str | None
+    entity_maps: Sequence[object] | None
 
 
 class TornProblem:
@@ -35,8 +64,9 @@ class TornProblem:
         u: The unknown.
         solver: PETSc's solver.
         A: The torn matrix; ``A.mult`` is the assembled operator.
-        b: A vector of the assembled problem, as ``x`` without ghosts.
-        x: Another one.
+        b: The right-hand side of a linear problem; the residual of the last iterate of another one,
+            with the pressure condensed into it.
+        x: The last solution or iterate, as ``b`` without ghosts; u has memory of its own.
         P_mat: None, for FETI's preconditioner is no matrix.
         preconditioner: None.
         decomposition: Subdomain of each owned cell.
@@ -49,37 +79,45 @@ class TornProblem:
 
     def __init__(
         self,
-        kind: str,
+        name: str,
         forms: Forms,
         bcs: Sequence[dolfinx.fem.DirichletBC],
-        scalars: Sequence[Coupling] = (),
-        *,
+        scalars: Sequence[Coupling],
         compilers: tuple[Mapping[str, object] | None, Mapping[str, object] | None],
-        prefix: str | None,
         petsc_options: Mapping[str, object] | None,
-        subdomains: int | Integers | None,
-        seed: int,
-        near_null_space: PETSc.NullSpace | None,
-        null_space: PETSc.NullSpace | None,
-        unused: Mapping[str, object],
-        least: int = 1,
+        *,
         volume_ratio: Expr | None = None,
         quadrature_degree: int = 0,
+        subdomains: int | Integers | None = None,
+        seed: int = 0,
+        petsc_options_prefix: str | None = None,
+        near_null_space: PETSc.NullSpace | None = None,
+        null_space: PETSc.NullSpace | None = None,
+        P: ufl.Form | None = None,
+        kind: str | None = None,
+        entity_maps: Sequence[object] | None = None,
     ) -> None:
-        """Tear the mesh and compile the forms, checked, from what both problems take.
-
-        Raises:
-            ValueError: A bad prefix or number of subdomains, or maps between meshes.
-        """
+        """Tear the mesh and compile the forms, which are checked; see :class:`Common`."""
         V = forms.u.function_space
         comm = V.mesh.comm
-        warn_unused(comm, unused)
-        self._prefix = agreed_prefix(prefix, kind, comm)
+        if entity_maps:
+            raise ValueError(
+                "entity_maps relates several meshes, but only forms on one mesh can be torn: put "
+                "coefficients on the mesh of the unknown."
+            )
+        unused = [name for name, value in (("P", P), ("kind", kind)) if value is not None]
+        if unused:
+            warn(
+                f"Without effect: {' and '.join(unused)}. FETI has a preconditioner and a matrix "
+                "(MATIS) of its own; leave it out.",
+                comm,
+            )
+        self._prefix = agreed_prefix(petsc_options_prefix, name, comm)
         self._petsc_options = dict(petsc_options or {})
         self._compiler = Compiler(comm, *compilers)
-        self.decomposition = decompose(
-            V.mesh, suggested_number(V, least) if subdomains is None else subdomains, seed=seed
-        )
+        if subdomains is None:  # a null space is one of several subdomains together
+            subdomains = suggested_number(V, 1 if bcs else 2)
+        self.decomposition = decompose(V.mesh, subdomains, seed=seed)
         self._system = System(
             forms,
             bcs=bcs,
@@ -95,8 +133,8 @@ class TornProblem:
         if null_space is not None:
             self.A.setNullSpace(null_space)
         self.x, self.b = self.A.createVecs()
-        for name, owned in (("A", self.A), ("x", self.x), ("b", self.b)):
-            owned.setOptionsPrefix(f"{self._prefix}{name}_")
+        for suffix, owned in (("A", self.A), ("x", self.x), ("b", self.b)):
+            owned.setOptionsPrefix(f"{self._prefix}{suffix}_")
 
     @property
     def bcs(self) -> tuple[dolfinx.fem.DirichletBC, ...]:
@@ -113,28 +151,30 @@ class TornProblem:
 
     @bcs.setter
     def bcs(self, bcs: Sequence[dolfinx.fem.DirichletBC] | None) -> None:
-        system, V = self._system, self._system.u.function_space
-        conditions = on_all(lambda: checked_conditions(V, bcs), V.mesh.comm)
-        dirichlet = dirichlet_mask(V, conditions)
-        system.scalars.prescribe(conditions, free=~dirichlet)
-        system.bcs, system.dirichlet = list(conditions), dirichlet
-        prescribe(self.A, dirichlet)
-
-    def linear_system(self) -> tuple[PETSc.Mat, PETSc.Vec]:
-        """Assemble the torn system of the next solve.
-
-        Returns:
-            A, which stays the problem's own, and b, which the caller destroys.
-
-        Note:
-            Collective.
-        """
-        raise NotImplementedError
+        V = self._system.u.function_space
+        self._system.prescribe(on_all(lambda: checked_conditions(V, bcs), V.mesh.comm))
 
     @property
     def condenses(self) -> bool:
         """Whether fields are condensed."""
         return self._system.condensation is not None
+
+    def linear_system(self) -> tuple[PETSc.Mat, PETSc.Vec]:
+        """Assemble the torn system of the next solve, or of its first Newton step. Collective.
+
+        Returns:
+            A, which stays the problem's own, and b, which the caller destroys: −r with the pressure
+            condensed into it in a Newton step.
+        """
+        b = self.A.createVecLeft()
+        b.array[:] = -self._assemble().equations
+        return self.A, b
+
+    def _assemble(self) -> Residual:
+        """Assemble A, its near kernel, and the residual where the next solve begins."""
+        residual = self._system.residual()
+        self._system.linearise(residual)
+        return residual
 
     def _approximation(self) -> Array | float:
         """Return the x of the present state, (owned,), or one value for all."""
@@ -145,16 +185,13 @@ class TornProblem:
         return ()
 
     def create_linear_solver(self) -> PETSc.KSP:
-        """Create another FETI solver of A, with the options of this problem.
+        """Create another FETI solver of A, with the options of this problem. Collective.
 
         Returns:
             A KSP that has set up nothing yet; the caller destroys it.
 
         Raises:
             ValueError: An option has a wrong value.
-
-        Note:
-            Collective.
         """
         return create_solver(self.A, self._prefix, self._petsc_options)
 
@@ -162,13 +199,10 @@ class TornProblem:
         """Measure what FETI builds for the next linear system and what its time goes into.
 
         It is assembled anew and solved once more, by another solver with the same options. PETSc's
-        logging is begun if it is not, for the times.
+        logging is begun if it is not, for the times. Collective.
 
         Returns:
             The diagnosis: ``print`` it, or take its ``records``.
-
-        Note:
-            Collective.
         """
         return diagnose(
             self.linear_system,

@@ -78,6 +78,25 @@ def whole(local: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
     return np.concatenate(COMM.allgather(local))
 
 
+def lu_solve(A: PETSc.Mat, b: PETSc.Vec) -> Array:
+    """Solve A x = b with MUMPS and one step of refinement; return the owned values."""
+    ksp = PETSc.KSP().create(A.comm)
+    ksp.setOperators(A)
+    ksp.setType(PETSc.KSP.Type.PREONLY)
+    ksp.getPC().setType(PETSc.PC.Type.LU)
+    ksp.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+    x, dx, r = A.createVecRight(), A.createVecRight(), b.copy()
+    for _ in range(2):
+        ksp.solve(r, dx)
+        x.axpy(1.0, dx)
+        A.mult(x, r)
+        r.aypx(-1.0, b)
+    values = x.array_r.copy()
+    for owned in (ksp, x, dx, r):
+        owned.destroy()
+    return values
+
+
 def dense(M: PETSc.Mat) -> Array:
     """Bring a distributed matrix to all processes."""
     indptr, indices, values = M.getValuesCSR()

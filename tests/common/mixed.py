@@ -18,7 +18,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
-from collective import norm
+from collective import lu_solve, norm
 from walls import Wall
 
 import dolfinx
@@ -44,11 +44,7 @@ ELEMENTS = {
 class Block:
     """A distorted block of rubber, clamped on the left, that has weight.
 
-    Attributes:
-        u: Displacement.
-        fields: A pressure, or a dilation θ and a pressure.
-        energy: Π of all.
-        bcs: The clamping.
+    Its fields are a pressure, or a dilation θ and a pressure.
     """
 
     u: dolfinx.fem.Function
@@ -63,9 +59,7 @@ class Block:
     @cached_property
     def F_fields(self) -> tuple[ufl.Form, ...]:
         tests = [ufl.TestFunction(p.function_space) for p in self.fields]
-        return tuple(
-            ufl.derivative(self.energy, p, q) for p, q in zip(self.fields, tests, strict=True)
-        )
+        return tuple(map(ufl.derivative, [self.energy] * len(tests), self.fields, tests))
 
     @cached_property
     def J(self) -> ufl.Form:
@@ -73,23 +67,15 @@ class Block:
 
     def deform(self) -> None:
         """Take a state that obeys no equation."""
-        d = len(self.u)
         self.u.interpolate(
-            lambda x: 0.05 * np.stack([np.sin(2 * x[i - 1]) + x[0] * x[1] for i in range(d)])
+            lambda x: 0.05 * (np.sin(2 * np.roll(x, 1, 0)) + x[0] * x[1])[: len(self.u)]
         )
         for i, p in enumerate(self.fields, 1):
             p.interpolate(lambda x, i=i: 1.0 + 0.1 * np.cos(3 * x[0]) + 0.05 * i * x[1])
 
 
 def block(comm: MPI.Comm, element: str, kappa: float, n: int = 3) -> Block:
-    """Make a block with some of ``ELEMENTS``.
-
-    Args:
-        comm: Communicator.
-        element: A name of theirs.
-        kappa: κ, over a shear modulus of 1.
-        n: Cells along each edge.
-    """
+    """Make a block with some of ``ELEMENTS``, κ over a shear modulus of 1, and n cells an edge."""
     cell, degree, pressures = ELEMENTS[element]
     kind = getattr(dolfinx.mesh.CellType, cell)
     create = dolfinx.mesh.create_unit_cube if "hedron" in cell else dolfinx.mesh.create_unit_square
@@ -125,17 +111,11 @@ class Mixed:
 
     def __init__(self, body: Wall | Block) -> None:
         self.body = body
-        unknowns = (body.u, *body.fields)
-        trials = [ufl.TrialFunction(f.function_space) for f in unknowns]
-        rows = [compiled(form) for form in (body.F_u, *body.F_fields)]
-        self._r = rows
-        self._K = [
-            [
-                compiled(body.J if i == j == 0 else ufl.derivative(F, f, df))
-                for j, (f, df) in enumerate(zip(unknowns, trials, strict=True))
-            ]
-            for i, F in enumerate((body.F_u, *body.F_fields))
-        ]
+        rows, unknowns = (body.F_u, *body.F_fields), (body.u, *body.fields)
+        self._r = [compiled(F) for F in rows]
+        blocks = [[ufl.derivative(F, f) for f in unknowns] for F in rows]
+        blocks[0][0] = body.J
+        self._K = [[compiled(K) for K in row] for row in blocks]
 
     def blocks(self) -> list[list[scipy.sparse.csr_array]]:
         """Assemble K_uu, K_up, … and so on, without boundary conditions."""
@@ -175,23 +155,14 @@ class Mixed:
 
 
 def solve_sparse(K: scipy.sparse.csr_array, b: Array) -> Array:
-    """Solve K x = b with MUMPS and one step of refinement, on this process alone."""
+    """Solve K x = b on this process alone."""
     K = K.tocsr()
     indptr, indices = (a.astype(PETSc.IntType) for a in (K.indptr, K.indices))
     A = PETSc.Mat().createAIJ(K.shape, csr=(indptr, indices, K.data), comm=PETSc.COMM_SELF)
-    ksp = PETSc.KSP().create(PETSc.COMM_SELF)
-    ksp.setOperators(A)
-    ksp.setType(PETSc.KSP.Type.PREONLY)
-    ksp.getPC().setType(PETSc.PC.Type.LU)
-    ksp.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
-    x, solution = np.zeros(len(b)), A.createVecRight()
-    for _ in range(2):
-        rhs = PETSc.Vec().createWithArray(b - K @ x, comm=PETSc.COMM_SELF)
-        ksp.solve(rhs, solution)
-        x += solution.array_r
-        rhs.destroy()
-    for owned in (ksp, A, solution):
-        owned.destroy()
+    rhs = PETSc.Vec().createWithArray(b, comm=PETSc.COMM_SELF)
+    x = lu_solve(A, rhs)
+    A.destroy()
+    rhs.destroy()
     return x
 
 
@@ -235,29 +206,17 @@ def by_cell(f: dolfinx.fem.Function) -> Array:
 
 
 def solve_assembled(A: PETSc.Mat, b: PETSc.Vec) -> Array:
-    """Solve A x = b with MUMPS on the assembled matrix; return the owned values.
+    """Solve A x = b on the assembled matrix; return the owned values.
 
     On Dirichlet dofs b holds the value of x.
     """
     dirichlet = A.query("dirichlet")
-    M = A.convert("aij", out=PETSc.Mat())
-    x, rhs = b.copy(), b.copy()
-    M.zeroRowsColumns(dirichlet, diag=1.0, x=x, b=rhs)
-    ksp = PETSc.KSP().create(M.comm)
-    ksp.setOperators(M)
-    ksp.setType(PETSc.KSP.Type.PREONLY)
-    ksp.getPC().setType(PETSc.PC.Type.LU)
-    ksp.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
-    ksp.solve(rhs, x)
-    r, correction = rhs.duplicate(), x.duplicate()
-    M.mult(x, r)
-    r.aypx(-1.0, rhs)
-    ksp.solve(r, correction)
-    x.axpy(1.0, correction)
-    values = x.array_r.copy()
-    for owned in (ksp, M, x, rhs, r, correction):
-        owned.destroy()
-    return values
+    M, rhs = A.convert("aij", out=PETSc.Mat()), b.copy()
+    M.zeroRowsColumns(dirichlet, diag=1.0, x=b, b=rhs)
+    x = lu_solve(M, rhs)
+    M.destroy()
+    rhs.destroy()
+    return x
 
 
 def errors_of_solves(problem: Any) -> list[float]:

@@ -32,21 +32,13 @@ C1, KAPPA, TAU, DENSITY = 1.0, 3.0, 0.3, 0.05  # kPa, kPa, s, kg/mm³
 
 @dataclass(frozen=True)
 class Law:
-    """What is in a sequence.
+    """What is in a sequence."""
 
-    Attributes:
-        inertia: ρ_∞ of the motion; None for equilibria.
-        share: Share of the Maxwell branch; 0 for no memory.
-        viscosity: Viscosity of the dashpots; 0 for none.
-        base: Amplitude of the base's motion.
-        pressure: Amplitude of the pressure.
-    """
-
-    inertia: float | None = None
-    share: float = 0.0
-    viscosity: float = 0.0
-    base: float = 0.0
-    pressure: float = 0.0
+    inertia: float | None = None  # ρ_∞ of the motion; None for equilibria
+    share: float = 0.0  # of the Maxwell branch
+    viscosity: float = 0.0  # of the dashpots
+    base: float = 0.0  # amplitude of its motion
+    pressure: float = 0.0  # its amplitude
 
     def g(self, t: float) -> float:
         """Displacement of the base [mm]."""
@@ -204,9 +196,8 @@ class Block:
         tags = dolfinx.mesh.meshtags(mesh, 2, np.sort(face), np.ones(len(face), dtype=np.int32))
         ds = ufl.Measure("ds", mesh, subdomain_data=tags)(1)
         energy = psi * ufl.dx + self.p * self.u[0] * ds
-        energy += supports.dashpot_energy(
-            self.viscosity, self.u, self.last, self.time_step, ds, "all"
-        )
+        viscous = self.viscosity, self.u, self.last, self.time_step
+        energy += supports.dashpot_energy(*viscous, ds, "all")
         if self.motion is not None:
             energy += self.motion.inertia
 
@@ -241,25 +232,25 @@ class Block:
         self.time_step.value = np.inf
         self.share.value, self.viscosity.value = law.share, law.viscosity
 
+    def ends(self, values: np.ndarray) -> tuple[float, float]:
+        """Return the least and the largest of all values."""
+        least = self.comm.allreduce(float(values.min(initial=np.inf)), op=MPI.MIN)
+        return least, self.comm.allreduce(float(values.max(initial=-np.inf)), op=MPI.MAX)
+
     def face(self) -> tuple[float, float]:
         """Return the least and the largest displacement of the face."""
-        mine = self.u.x.array[self._face]
-        least = self.comm.allreduce(float(mine.min(initial=np.inf)), op=MPI.MIN)
-        return least, self.comm.allreduce(float(mine.max(initial=-np.inf)), op=MPI.MAX)
+        return self.ends(self.u.x.array[self._face])
 
     def remembered(self) -> tuple[float, float, float]:
         """Return S₁₁, Q₁₁ and the stretch that was seen, each equal at all points."""
         values = []
         for f, size in ((self.S, 9), (self.Q, 9), (self.seen, 1)):
-            mine = f.x.array[::size]
-            ends = [self.comm.allreduce(float(mine.min(initial=np.inf)), op=MPI.MIN)]
-            ends += [self.comm.allreduce(float(mine.max(initial=-np.inf)), op=MPI.MAX)]
-            assert ends[1] - ends[0] <= 1e-11, f.name
-            values.append(ends[0])
+            least, most = self.ends(f.x.array[::size])
+            assert most - least <= 1e-11, f.name
+            values.append(least)
         return values[0], values[1], values[2]
 
-    def follow(self, law: Law, targets, first: float, *, start: float = 0.0, growth: float = 1.0,
-               **arguments):  # fmt: skip
+    def follow(self, law: Law, targets, first: float, *, start=0.0, growth=1.0, **arguments):
         """Go through times; in equilibria the load is the time."""
         known = [start]
         checkpoint, on_step = arguments.get("checkpoint"), arguments.pop("on_step")
@@ -276,12 +267,8 @@ class Block:
             on_step(step)
 
         lengths = {"first": first, "least": first / 64.0, "growth": growth}
+        arguments |= {"start": start, "on_step": shown}
         if self.motion is None:
-            return follow_load(
-                self.problem, set_time, targets, Steps(**lengths), start=start, on_step=shown,
-                **arguments,
-            )  # fmt: skip
-        return follow_time(
-            self.problem, self.motion, set_time, targets, TimeSteps(**lengths, longest=4 * first),
-            start=start, on_step=shown, **arguments,
-        )  # fmt: skip
+            return follow_load(self.problem, set_time, targets, Steps(**lengths), **arguments)
+        steps = TimeSteps(**lengths, longest=4 * first)
+        return follow_time(self.problem, self.motion, set_time, targets, steps, **arguments)

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-from collective import norm
+from collective import lu_solve, norm
 
 import basix.ufl
 import dolfinx
@@ -30,14 +30,7 @@ Cell = dolfinx.mesh.CellType
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Forms and boundary conditions.
-
-    Attributes:
-        V: Space of the unknown.
-        a: Bilinear form.
-        L: Linear form.
-        bcs: Dirichlet conditions.
-    """
+    """Forms and boundary conditions."""
 
     V: dolfinx.fem.FunctionSpace
     a: ufl.Form
@@ -59,16 +52,9 @@ class Problem:
         dolfinx.fem.petsc.apply_lifting(b, [a], [self.bcs])
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         dolfinx.fem.petsc.set_bc(b, self.bcs)
-        ksp = PETSc.KSP().create(A.comm)
-        ksp.setOperators(A)
-        ksp.setType(PETSc.KSP.Type.PREONLY)
-        ksp.getPC().setType(PETSc.PC.Type.LU)
-        ksp.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
-        x = A.createVecRight()
-        ksp.solve(b, x)
-        values = x.array_r.copy()
-        for owned in (ksp, A, b, x):
-            owned.destroy()
+        values = lu_solve(A, b)
+        A.destroy()
+        b.destroy()
         return values
 
 
@@ -177,16 +163,10 @@ def elasticity(
     stretched: bool = False,
     clamped: Marker | None = left,
 ) -> Problem:
-    """Set up linear elasticity with a body force.
+    """Set up linear elasticity with a body force; Young's modulus is 210.
 
-    Args:
-        mesh: The body.
-        degree: Degree of the Lagrange space.
-        element: Scalar element, in place of Lagrange's.
-        nu: Poisson's ratio, with Young's modulus 210.
-        stretched: Prescribe also an inhomogeneous u on the clamped part, one component on x₀ = 1,
-            and put springs and a traction on the whole boundary.
-        clamped: Where u is prescribed; None for nowhere.
+    A scalar element may take Lagrange's place. A stretched body has an inhomogeneous u on the
+    clamped part, one component on x₀ = 1, and springs and a traction on the whole boundary.
     """
     dim = mesh.geometry.dim
     scalar = element or basix.ufl.element("Lagrange", mesh.basix_cell(), degree)

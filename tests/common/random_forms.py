@@ -8,7 +8,6 @@ A seed is a form: the same one on any number of processes.
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Sequence
 from functools import cache
 
@@ -44,9 +43,7 @@ def body(cell: str, curved: bool) -> tuple[dolfinx.mesh.Mesh, object, object, li
     tdim = mesh.topology.dim
     mesh.topology.create_connectivity(tdim - 1, tdim)
     tags: list[object] = []
-    for dim in (
-        (tdim,) if cell == "prism" else (tdim, tdim - 1)
-    ):  # a prism's facets are of two types
+    for dim in (tdim,) if cell == "prism" else (tdim, tdim - 1):  # its facets are of two types
         m = mesh.topology.index_map(dim)
         entities = np.arange(m.size_local + m.num_ghosts, dtype=np.int32)
         number = 1 + (m.local_to_global(entities) % 7 % 3).astype(np.int32)
@@ -65,24 +62,11 @@ def bent(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.Mesh:
     x = W.tabulate_dof_coordinates()[: nodes.size_local, :gdim].copy()
     x[:, 0] += 0.1 * x[:, -1] ** 2
     coordinate = element("Lagrange", cell, 2, shape=(gdim,))
-    return dolfinx.mesh.create_mesh(COMM, cells, *_in_order(coordinate, x))
-
-
-def _in_order(coordinate: object, x: np.ndarray) -> tuple[object, object]:
-    """The last arguments of create_mesh, whose order has changed with dolfinx 0.10."""
-    names = list(inspect.signature(dolfinx.mesh.create_mesh).parameters)
-    return (x, coordinate) if names[2] == "x" else (coordinate, x)
+    return dolfinx.mesh.create_mesh(COMM, cells, x=x, e=coordinate)
 
 
 class Grammar:
-    """Draws a form.
-
-    Attributes:
-        mesh: Its mesh.
-        V: Space of its arguments.
-        form: The form; of rank 0, 1 or 2.
-        text: What has been drawn, for a message.
-    """
+    """Draws a form, of rank 0, 1 or 2, of arguments in V; ``text`` tells what has been drawn."""
 
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
@@ -278,9 +262,8 @@ class Grammar:
     def matrix(self) -> Expr:
         """A tensor, (gdim, gdim)."""
         g = self.gdim
-        return ufl.as_matrix(
-            [[self.atom() if i <= j else float(i) for j in range(g)] for i in range(g)]
-        )
+        rows = [[self.atom() if i <= j else float(i) for j in range(g)] for i in range(g)]
+        return ufl.as_matrix(rows)
 
     # -- forms ------------------------------------------------------------------------------------
 
@@ -299,9 +282,8 @@ class Grammar:
         if self.chance(0.4):
             number = self.one(self.numbers)
         self.text.append(f"{'ds' if facets else 'dx'}({number}) {metadata}")
-        dx = ufl.Measure(
-            "ds" if facets else "dx", self.mesh, subdomain_data=data, metadata=metadata
-        )
+        kind = "ds" if facets else "dx"
+        dx = ufl.Measure(kind, self.mesh, subdomain_data=data, metadata=metadata)
         return dx if number is None else dx(number)
 
     def draw(self, rank: int) -> ufl.Form:
@@ -312,12 +294,9 @@ class Grammar:
         v, u = ufl.TestFunction(self.V), ufl.TrialFunction(self.V)
         if rank and self.chance(0.25):
             return self.derived(rank, v, u)
-        integrands = [self.term(rank, v, u) for _ in range(terms)]
-        form = None
-        for integrand in integrands:
-            dx = self.measure(cells_only=self.degree is not None)
-            form = integrand * dx if form is None else form + integrand * dx
-        return form
+        integrands = [self.term(rank, v, u) for _ in range(terms)]  # all, before self.degree counts
+        cells_only = self.degree is not None
+        return sum((c * self.measure(cells_only=cells_only) for c in integrands), ufl.Form([]))
 
     def derived(self, rank: int, v: ufl.Argument, u: ufl.Argument) -> ufl.Form:
         """The derivative of an energy."""

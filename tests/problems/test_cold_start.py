@@ -66,9 +66,9 @@ class Scalar:
             self.u.x.scatter_forward()
             b = dolfinx.fem.assemble_vector(F)
             b.scatter_reverse(dolfinx.la.InsertMode.add)
-            for bc in self.bcs:
-                bc.set(b.array[:n], self.u.x.array[:n], -1.0)
             r.array[:] = b.array[:n]
+            for bc in self.bcs:
+                bc.set(r.array, self.u.x.array[:n], -1.0)
 
         def tangent(snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
             A.zeroEntries()
@@ -144,13 +144,11 @@ def test_cube_pulled_at_once(energy, slides, most):
     """From 1 to 2, nearly incompressible."""
     mesh = cube(3, 3, Cell.hexahedron)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
-    u, p = (
-        dolfinx.fem.Function(space) for space in (V, dolfinx.fem.functionspace(mesh, ("DG", 0)))
-    )
+    u, p = map(dolfinx.fem.Function, (V, dolfinx.fem.functionspace(mesh, ("DG", 0))))
     F = ufl.Identity(3) + ufl.grad(u)
     J = ufl.det(F)
     psi = (J ** (-2 / 3) * ufl.inner(F, F) - 3) / 2 + p * (J - 1) - p**2 / 2e4
-    potential = psi * ufl.dx(metadata={"quadrature_degree": 4})
+    potential = psi * ufl.dx(degree=4)
     if slides:
         planes = [dirichlet(V, lambda x, i=i: np.isclose(x[i], 0.0), component=i) for i in range(3)]
         bcs = [*planes, dirichlet(V, right, lambda x: 1.0 + 0.0 * x[0], component=0)]

@@ -107,22 +107,16 @@ def test_default_prefixes(heat, rubber):
 @pytest.mark.parametrize("other", ["other_", None])
 def test_prefix_that_is_not_the_same_on_all(heat, other):
     with raises(ValueError, "petsc_options_prefix is 'same_' on process 0 and .* on process .: gi"):
-        LinearProblem(
-            heat.a,
-            heat.L,
-            bcs=heat.bcs,
-            subdomains=4,
-            petsc_options_prefix=other if LAST else "same_",
-        )
+        prefix = other if LAST else "same_"
+        LinearProblem(heat.a, heat.L, heat.bcs, subdomains=4, petsc_options_prefix=prefix)
 
 
 # -- what is answered
 
 
 def test_preconditioner_and_kind(heat, rubber, caplog):
-    problem = LinearProblem(
-        heat.a, heat.L, bcs=heat.bcs, P=heat.a, kind="mpi", subdomains=4, entity_maps=[]
-    )
+    unused = {"P": heat.a, "kind": "mpi", "entity_maps": []}
+    problem = LinearProblem(heat.a, heat.L, bcs=heat.bcs, subdomains=4, **unused)
     equal(owned(problem.solve()), owned(heat.u), 1e-6)
     NonlinearProblem(rubber.F, rubber.u, bcs=rubber.bcs, P=rubber.J, subdomains=4)
     texts = [record.message.partition(".")[0] for record in caplog.records]
@@ -146,16 +140,19 @@ def test_newton_solver(rubber):
 # -- attributes
 
 
-def test_attributes_of_a_linear_problem(heat):
-    problem = LinearProblem(
-        heat.a, heat.L, bcs=heat.bcs, subdomains=4, petsc_options_prefix="heat_"
-    )
+def check_common(problem, bcs, prefix):
+    """What both problems have, after a solve."""
     agree(problem.P_mat is None and problem.preconditioner is None)
-    agree(problem.bcs == tuple(heat.bcs))
-    uh = problem.solve()
-    equal(problem.x.array_r, owned(uh))
+    agree(problem.bcs == tuple(bcs))
     names = {made.getOptionsPrefix() for made in (problem.A, problem.b, problem.x)}
-    agree(names == {"heat_A_", "heat_b_", "heat_x_"})
+    agree(names == {f"{prefix}A_", f"{prefix}b_", f"{prefix}x_"})
+    equal(problem.x.array_r, owned(problem.u))
+
+
+def test_attributes_of_a_linear_problem(heat):
+    problem = LinearProblem(heat.a, heat.L, heat.bcs, subdomains=4, petsc_options_prefix="heat_")
+    uh = problem.solve()
+    check_common(problem, heat.bcs, "heat_")
     A = dolfinx.fem.petsc.assemble_matrix(problem.a, bcs=list(problem.bcs))  # as a script would
     A.assemble()
     agree(problem.a is problem.a and A.getSize() == problem.A.getSize())
@@ -174,15 +171,10 @@ def test_attributes_of_a_linear_problem(heat):
 
 
 def test_attributes_of_a_nonlinear_problem(rubber):
-    problem = NonlinearProblem(
-        rubber.F, rubber.u, rubber.bcs, subdomains=4, petsc_options_prefix="rubber_"
-    )
-    agree(problem.P_mat is None and problem.preconditioner is None)
-    agree(problem.bcs == tuple(rubber.bcs))
-    names = {made.getOptionsPrefix() for made in (problem.A, problem.b, problem.x)}
-    agree(names == {"rubber_A_", "rubber_b_", "rubber_x_"})
+    common = {"subdomains": 4, "petsc_options_prefix": "rubber_"}
+    problem = NonlinearProblem(rubber.F, rubber.u, rubber.bcs, **common)
     problem.solve()
-    equal(problem.x.array_r, owned(rubber.u))
+    check_common(problem, rubber.bcs, "rubber_")
     small(problem.b.norm() - problem.solver.getFunctionNorm(), 1e-15)
     r = dolfinx.fem.assemble_vector(problem.F)
     r.scatter_reverse(dolfinx.la.InsertMode.add)

@@ -135,12 +135,10 @@ def test_near_null_space_is_the_users(way, nonlinear):
     given = rigid_body_modes(body.V)
     argument = {"near_null_space": given} if way == "argument" else {}
     bcs = [dirichlet(body.V, left)]
-    common = {"bcs": bcs, "subdomains": 4, "petsc_options": RTOL, **argument}
-    if nonlinear:
-        F, u = residual_form(body)
-        problem = NonlinearProblem(F, u, **common)
-    else:
-        problem = LinearProblem(body.a, body.L, **common)
+    kind, forms = (
+        (NonlinearProblem, residual_form(body)) if nonlinear else (LinearProblem, (body.a, body.L))
+    )
+    problem = kind(*forms, bcs=bcs, subdomains=4, petsc_options=RTOL, **argument)
     if way == "matrix":
         problem.A.setNearNullSpace(given)
     for _ in range(2):
@@ -156,13 +154,11 @@ def test_null_space(nonlinear):
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     u, v, x = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
     a, L = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, ufl.cos(np.pi * x[0]) * v * ufl.dx
-    constant = PETSc.NullSpace().create(constant=True, comm=COMM)
-    common = {"null_space": constant, "subdomains": 4, "petsc_options": RTOL}
-    if nonlinear:
-        w = dolfinx.fem.Function(V)
-        found = NonlinearProblem(ufl.action(a, w) - L, w, **common).solve()
-    else:
-        found = LinearProblem(a, L, **common).solve()
+    w, constant = dolfinx.fem.Function(V), PETSc.NullSpace().create(constant=True, comm=COMM)
+    kind, forms = (
+        (NonlinearProblem, (ufl.action(a, w) - L, w)) if nonlinear else (LinearProblem, (a, L))
+    )
+    found = kind(*forms, null_space=constant, subdomains=4, petsc_options=RTOL).solve()
     points = V.tabulate_dof_coordinates()[:, 0]
     small(np.abs(found.x.array - np.cos(np.pi * points) / np.pi**2).max(), 3e-3)
 

@@ -1,11 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The step length in one unknown, where every rule can be followed by hand, and the shift."""
+"""The line search along one unknown, and the shifts."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,80 +15,98 @@ from dolfinx_feti.problems.line_search import LONGEST, line_search
 from dolfinx_feti.problems.system import Residual
 
 pytestmark = pytest.mark.serial
-NOTHING = np.zeros(0)
 
 
 class OneUnknown:
     """A system with r(u) and, if given, Π(u); cells are inside out where ``inverted`` says so."""
 
-    def __init__(
-        self,
-        r: Callable[[float], float],
-        *,
-        potential: Callable[[float], float] | None = None,
-        inverted: Callable[[float], bool] = lambda u: False,
-        moves: bool = False,
-    ) -> None:
-        self.u = 0.0
-        self.visited: list[float] = []
-        self._r, self._potential, self._inverted = r, potential, inverted
-        self._moves = moves
-        self.has_potential = potential is not None
-        self.scalars = SimpleNamespace(size=0)
+    def __init__(self, r, potential=None, inverted=lambda u: False, moves=False):
+        self.u, self.visited = 0.0, []
+        self._r = r
+        self.has_potential, self.scalars = potential is not None, SimpleNamespace(size=0)
+        self.potential = lambda: potential(self.u)
+        self.least_volume_ratio = lambda: -1.0 if inverted(self.u) else 1.0
+        self.boundary_moves = lambda here: moves
 
-    def state(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.array([self.u]), NOTHING
+    def state(self):
+        return np.array([self.u]), np.zeros(0)
 
-    def set_state(self, state: tuple[np.ndarray, np.ndarray]) -> None:
+    def set_state(self, state):
         self.u = float(state[0][0])
         self.visited.append(self.u)
 
-    def increment(self, here: Residual, du: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return du, NOTHING
+    def increment(self, here, du):
+        return du, np.zeros(0)
 
-    def residual(self) -> Residual:
+    def residual(self):
         r = np.array([self._r(self.u)])
         return Residual(r, r, np.zeros(1), None)
 
-    def boundary_moves(self, here: Residual) -> bool:
-        return self._moves
-
-    def multiply(self, d: np.ndarray) -> np.ndarray:
+    def multiply(self, d):
         return 0.0 * d
 
-    def free(self, r: np.ndarray) -> np.ndarray:
+    def free(self, r):
         return r
 
-    def least_volume_ratio(self) -> float:
-        return -1.0 if self._inverted(self.u) else 1.0
-
-    def potential(self) -> float:
-        return self._potential(self.u)
-
-    def dot(self, a: np.ndarray, b: np.ndarray) -> float:
+    def dot(self, a, b):
         return float(a @ b)
 
 
-def search(system: OneUnknown, du: float, *, shifted: bool = False) -> tuple[float, float]:
-    """Search along ΔU; return α and the residual; the state is the one found."""
-    known = np.nan if system.has_potential else None
-    here, step = system.residual(), np.array([du])
-    found = line_search(system, here, step, shifted=shifted, potential=known)
-    assert system.u == found.alpha * du and found.residual.condensed[0] == system._r(system.u)
+def search(system: OneUnknown, *, shifted: bool = False, start: float = np.nan) -> float:
+    """Search along ΔU = 1; return α, which the state and the trial that is found tell, too."""
+    known = start if system.has_potential else None
+    found = line_search(system, system.residual(), np.ones(1), shifted=shifted, potential=known)
+    assert system.u == found.alpha and found.residual.condensed[0] == system._r(system.u)
     assert np.isnan(found.potential) or found.potential == system.potential()
-    return found.alpha, float(found.residual.condensed[0])
+    return found.alpha
 
 
-@pytest.mark.parametrize("stiffness", [1.0, 1.7, 0.0])
-def test_a_whole_step_within_bounds(stiffness):
-    """g(1)/g(0) = 1 − stiffness, between −0.8 and 1.8."""
-    system = OneUnknown(lambda u: stiffness * u - 1.0)
-    assert search(system, 1.0)[0] == 1.0 and system.visited == [1.0]
+def valley(pit):
+    """A constant force down to a pit, and one up beyond it."""
+    return {
+        "r": lambda u: -1.0 if u < pit else 1.0,
+        "potential": lambda u: -min(u, pit) + max(u - pit, 0.0) / 4,
+    }
 
 
-def test_a_step_that_overshoots_goes_to_the_zero_of_the_secant():
-    system = OneUnknown(lambda u: 4.0 * u - 1.0)
-    assert search(system, 1.0) == (0.25, 0.0)
+SINGLE = {"r": lambda u: u - 1.0}
+WEAK = {"r": lambda u: -1.0}
+CASES = {
+    "whole, to the zero": (SINGLE, False, 1.0),
+    "whole, g(1)/g(0) = −0.7": ({"r": lambda u: 1.7 * u - 1.0}, False, 1.0),
+    "whole, g(1)/g(0) = 1": (WEAK, False, 1.0),
+    "zero of the secant": ({"r": lambda u: 4.0 * u - 1.0}, False, 0.25),
+    "halved until no cell is inside out": ({**SINGLE, "inverted": lambda u: u > 0.2}, False, 0.125),
+    "no admissible step": ({**SINGLE, "inverted": lambda u: u > 0.0}, False, 0.0),
+    "NaN": ({"r": lambda u: np.nan if u > 0.3 else u - 1.0}, False, 0.25),
+    "Π has to fall": ({**WEAK, "potential": lambda u: (u - 0.2) ** 2}, False, 0.25),
+    "no say while the boundary moves": (
+        {**SINGLE, "potential": lambda u: u, "moves": True},
+        False,
+        1.0,
+    ),
+    "no say in rounding": ({**SINGLE, "potential": lambda u: 1e12 + u}, False, 1.0),
+    "shifted: doubled down to the pit": (valley(5.0), True, 8.0),
+    "shifted: doubled up to a bound": (valley(100.0), True, LONGEST),
+    "shifted: whole": (valley(0.6), True, 1.0),
+    "plain: not doubled": (valley(5.0), False, 1.0),
+    "plain: before the pit": (valley(0.6), False, 0.5),
+}
+
+
+@pytest.mark.parametrize(("system", "shifted", "alpha"), CASES.values(), ids=CASES)
+def test_step_length(system, shifted, alpha):
+    assert search(OneUnknown(**system), shifted=shifted) == alpha
+
+
+def test_only_trials_that_are_needed():
+    """A whole step is one trial, a halved one has those before it; Π at the start may be known."""
+    for system, visited in ((SINGLE, [1.0]), (CASES["NaN"][0], [1.0, 0.5, 0.25])):
+        one = OneUnknown(**system)
+        search(one)
+        assert one.visited == visited
+    one = OneUnknown(**CASES["Π has to fall"][0])
+    assert search(one, start=0.04) == 0.25
 
 
 @pytest.mark.parametrize("energy", [False, True])
@@ -98,57 +115,8 @@ def test_a_step_that_overshoots_goes_to_the_zero_of_the_secant():
 def test_a_step_ends_close_to_a_kink(kink, jump, energy):
     """g(α)/g(0) is 1 up to the kink and −jump after it: no other step length is close."""
     potential = lambda u: -u if u < kink else jump * (u - kink) - kink  # noqa: E731
-    system = OneUnknown(
-        lambda u: -1.0 if u < kink else jump, potential=potential if energy else None
-    )
-    alpha, _ = search(system, 1.0)
-    assert kink / 1.3 <= alpha <= kink and len(system.visited) < 40
-
-
-def test_a_step_is_halved_until_no_cell_is_inside_out():
-    system = OneUnknown(lambda u: u - 1.0, inverted=lambda u: u > 0.2)
-    assert search(system, 1.0)[0] == 0.125 and system.visited == [1.0, 0.5, 0.25, 0.125]
-
-
-def test_without_an_admissible_step_it_stays():
-    system = OneUnknown(lambda u: u - 1.0, inverted=lambda u: u > 0.0)
-    assert search(system, 1.0) == (0.0, -1.0) and system.u == 0.0
-
-
-def test_nan_is_refused():
-    system = OneUnknown(lambda u: np.nan if u > 0.3 else u - 1.0)
-    assert search(system, 1.0)[0] == 0.25
-
-
-def test_a_potential_has_to_fall():
-    """By g alone the whole step would be taken, beyond the pit at 0.2."""
-    system = OneUnknown(lambda u: -1.0, potential=lambda u: (u - 0.2) ** 2)
-    assert search(system, 1.0)[0] == 0.25
-    system.u = 0.0
-    given = line_search(system, system.residual(), np.ones(1), shifted=False, potential=0.04)
-    assert given.potential == system.potential() < 0.04, "what was known, and what is known now"
-    free = OneUnknown(lambda u: -1.0)
-    assert search(free, 1.0)[0] == 1.0
-
-
-@pytest.mark.parametrize(
-    ("moves", "height"), [(True, 0.0), (False, 1e12)], ids=["boundary moves", "rounding"]
-)
-def test_where_the_potential_has_no_say(moves, height):
-    """While prescribed displacements move, and where its change drowns in rounding."""
-    system = OneUnknown(lambda u: u - 1.0, potential=lambda u: height + u, moves=moves)
-    assert search(system, 1.0)[0] == 1.0
-
-
-@pytest.mark.parametrize(("pit", "alpha"), [(5.0, 8.0), (100.0, LONGEST), (0.6, 1.0)])
-def test_a_step_that_a_shift_has_made_short_is_doubled(pit, alpha):
-    """While the potential falls, and up to a bound; a plain one is not, and ends before a pit."""
-    system = OneUnknown(
-        lambda u: -1.0 if u < pit else 1.0, potential=lambda u: -min(u, pit) + max(u - pit, 0.0) / 4
-    )
-    assert search(system, 1.0, shifted=True)[0] == alpha
-    system.u = 0.0
-    assert search(system, 1.0)[0] == (1.0 if pit > 1.0 else 0.5)
+    system = OneUnknown(lambda u: -1.0 if u < kink else jump, potential if energy else None)
+    assert kink / 1.3 <= search(system) <= kink and len(system.visited) < 40
 
 
 def test_the_shift_grows_from_nothing_to_the_largest():

@@ -11,10 +11,10 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from bodies import PREFIX, block, gent, least_ratio, logarithmic, two_wells, yeoh
+from bodies import block, gent, least_ratio, logarithmic, two_wells, yeoh
 from collective import COMM, agree, equal, raises, small
 from mixed import by_place
-from problems import cube, dirichlet, free_residual, owned
+from problems import owned
 from walls import tube, wall
 
 import dolfinx
@@ -83,75 +83,19 @@ def test_a_tangent_is_kept_where_it_leads_to_the_end(kappa, monkeypatch):
     agree(max(kept, default=0.0) < 0.3, kept)
 
 
-def test_residual_and_tangent_of_the_users_own():
-    """A residual, and a tangent that is not its derivative: slower, to the same end."""
-    body, other = block(yeoh, (0.2, 0.1)), block(yeoh, (0.2, 0.1))
-    quick = body.problem({"snes_rtol": 1e-10})
-    quick.solve()
-    u, V = other.u, other.u.function_space
-    F = ufl.derivative(other.energy, u, ufl.TestFunction(V))
-    at_rest = ufl.replace(ufl.derivative(F, u, ufl.TrialFunction(V)), {u: dolfinx.fem.Function(V)})
-    slow = NonlinearProblem(
-        F,
-        u,
-        bcs=other.bcs,
-        J=at_rest,
-        subdomains=4,
-        petsc_options_prefix=PREFIX,
-        petsc_options={"snes_rtol": 1e-10, "snes_max_it": 100},
-    )
-    slow.solve()
-    equal(owned(u), owned(body.u), 1e-8)
-    agree(len(slow.history) > 1.5 * len(quick.history), (slow.history, quick.history))
-
-
-def test_scalar_unknown():
-    """A minimal surface: nothing is a displacement here, and no volume ratio is watched."""
-    mesh = cube(2, 4)
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2))
-    u = dolfinx.fem.Function(V)
-    area = ufl.sqrt(1 + ufl.inner(ufl.grad(u), ufl.grad(u))) * ufl.dx
-    edge = dirichlet(V, lambda x: np.full(x.shape[1], True), lambda x: x[0] ** 2 - x[1] ** 2)
-    edge.set(u.x.array)
-    problem = NonlinearProblem(
-        area, u, bcs=[edge], subdomains=4, petsc_options_prefix=PREFIX, quadrature_degree=6
-    )
-    problem.solve()
-    degree = {"quadrature_degree": 6}
-    v = ufl.TestFunction(V)
-    slope = ufl.inner(ufl.grad(u), ufl.grad(v)) / ufl.sqrt(1 + ufl.inner(ufl.grad(u), ufl.grad(u)))
-    small(free_residual(slope * ufl.dx(metadata=degree), [edge])[0], 1e-8)
-    agree(len(problem.history) >= 3)
+def ridge(kind="all_floating", *, energy=True):
+    """Start near the ridge between two valleys, with the energy or its derivative."""
+    u, potential, bcs = two_wells()
+    v = ufl.TestFunction(u.function_space)
+    F = potential if energy else ufl.derivative(potential, u, v)
+    options = {"feti_type": kind}
+    return u, potential, NonlinearProblem(F, u, bcs=bcs, subdomains=6, petsc_options=options)
 
 
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
 def test_way_down_from_a_ridge(kind):
-    """Where the tangent is indefinite, a shift leads downhill; the last steps are Newton's own."""
-    u, energy, bcs = two_wells()
-    problem = NonlinearProblem(
-        energy,
-        u,
-        bcs=bcs,
-        subdomains=6,
-        petsc_options_prefix=PREFIX,
-        petsc_options={"feti_type": kind},
-    )
-    problem.solve()
-    agree(COMM.allreduce(owned(u).max(initial=0.0), op=max) > 0.95)
-    agree(COMM.allreduce(owned(u).min(initial=0.0), op=min) > -0.1)
-    shifts = [step.shift for step in problem.history]
-    agree(max(shifts) > 0.0 and shifts[-1] == 0.0, shifts)
-    agree(all((step.solves > 1) <= (step.shift > 0.0) for step in problem.history))
-    agree(all(step.linear_residual <= step.linear_rtol for step in problem.history))
-    counts = [step.indefinite for step in problem.history]
-    agree(counts[0] > 0 and counts[-1] == 0 and None in counts, counts)
-    agree(all((step.indefinite is None) <= (step.shift > 0.0) for step in problem.history), counts)
-
-
-def test_every_step_lowers_the_potential():
-    """Beside Armijo no other test has a say once the boundary is in place."""
-    u, energy, bcs = two_wells()
-    problem = NonlinearProblem(energy, u, bcs=bcs, subdomains=6, petsc_options_prefix=PREFIX)
+    """Each step lowers the potential, by a shift at first; the last ones are Newton's own."""
+    u, energy, problem = ridge(kind)
     form, heights = dolfinx.fem.form(energy), []
 
     def keep(snes, its, norm):
@@ -163,13 +107,20 @@ def test_every_step_lowers_the_potential():
     agree(len(heights) == len(problem.history) + 1 > 4, heights)
     rises = np.diff(heights) / np.abs(heights[0])
     agree(rises.max() <= 1e-12 and heights[-1] < heights[0], heights)
+    agree(COMM.allreduce(owned(u).max(initial=0.0), op=max) > 0.95)
+    agree(COMM.allreduce(owned(u).min(initial=0.0), op=min) > -0.1)
+    shifts = [step.shift for step in problem.history]
+    agree(max(shifts) > 0.0 and shifts[-1] == 0.0, shifts)
+    agree(all((step.solves > 1) <= (step.shift > 0.0) for step in problem.history))
+    agree(all(step.linear_residual <= step.linear_rtol for step in problem.history))
+    counts = [step.indefinite for step in problem.history]
+    agree(counts[0] > 0 and counts[-1] == 0 and None in counts, counts)
+    agree(all((step.indefinite is None) <= (step.shift > 0.0) for step in problem.history), counts)
 
 
 def test_residual_alone_goes_where_newton_leads():
     """Without an energy nobody knows up from down: the ridge is a solution of F = 0."""
-    u, energy, bcs = two_wells()
-    F = ufl.derivative(energy, u, ufl.TestFunction(u.function_space))
-    problem = NonlinearProblem(F, u, bcs=bcs, subdomains=6, petsc_options_prefix=PREFIX)
+    u, _, problem = ridge(energy=False)
     problem.solve()
     agree(all(step.shift == 0.0 and step.solves == 1 for step in problem.history))
     small(COMM.allreduce(np.abs(owned(u)).max(initial=0.0), op=max), 0.5)
@@ -251,9 +202,5 @@ def test_monitor_and_history_of_the_snes(tmp_path):
     COMM.Barrier()
     lines = file.read_text().splitlines()
     agree(len(lines) == len(residuals) + 1, lines)
-    agree(
-        all(
-            f"{r:.6e}" in line or f"{r:.12e}" in line
-            for r, line in zip(residuals, lines, strict=False)
-        )
-    )
+    pairs = zip(residuals, lines, strict=False)
+    agree(all(f"{r:.6e}" in line or f"{r:.12e}" in line for r, line in pairs), lines)
