@@ -94,7 +94,7 @@ class LinearProblem(TornProblem):
         if u is not None:
             require_function(u)
         forms, self._load = linear_forms(a, L, u, self._fields)
-        self._bilinear, V = forms.J, forms.u.function_space
+        V = forms.u.function_space
         conditions = on_all(lambda: checked_conditions(V, bcs), V.mesh.comm)
         couplings = checked_couplings(scalars, conditions, V)
         refuse_condensed_fields(couplings, self._fields, forms.residuals[1:])
@@ -111,7 +111,7 @@ class LinearProblem(TornProblem):
     @cached_property
     def a(self) -> dolfinx.fem.Form:
         """The compiled bilinear form of u, for other uses; as ``L`` collective the first time."""
-        return self._compiler.form(self._bilinear)
+        return self._compiler.form(self._forms.J)
 
     @cached_property
     def L(self) -> dolfinx.fem.Form:

@@ -149,7 +149,6 @@ class NonlinearProblem(TornProblem):
             **common,
         )
         self.u, system = u, self._system
-        self._residual, self._tangent = forms.F_u, forms.J
         if volume_tolerance is not None:
             prepare(system, volume_tolerance)
         self._volume_tolerance = volume_tolerance
@@ -167,12 +166,12 @@ class NonlinearProblem(TornProblem):
     @cached_property
     def F(self) -> dolfinx.fem.Form:
         """The compiled residual, without condensation; as ``J`` collective the first time."""
-        return self._compiler.form(self._residual)
+        return self._compiler.form(self._forms.F_u)
 
     @cached_property
     def J(self) -> dolfinx.fem.Form:
         """The compiled tangent, for other uses: FETI has one on the torn space. Collective."""
-        return self._compiler.form(self._tangent)
+        return self._compiler.form(self._forms.J)
 
     def __getattr__(self, name: str) -> object:
         """Answer a script that hands the problem to dolfinx's ``NewtonSolver``."""

@@ -114,7 +114,7 @@ class TornProblem:
             )
         self._prefix = agreed_prefix(petsc_options_prefix, name, comm)
         self._petsc_options = dict(petsc_options or {})
-        self._compiler = Compiler(comm, *compilers)
+        self._forms, self._compiler = forms, Compiler(comm, *compilers)
         if subdomains is None:  # a null space is one of several subdomains together
             subdomains = suggested_number(V, 1 if bcs else 2)
         self.decomposition = decompose(V.mesh, subdomains, seed=seed)

@@ -141,14 +141,19 @@ class Mixed:
         step[free] = solve_sparse(K[free][:, free], -(r + K @ step)[free])
         return step[:n], step[n:]
 
+    def go(self) -> Array:
+        """Take Newton's step, and return Δu."""
+        du, dp = self.step()
+        self.body.u.x.array[:] += du
+        ends = np.cumsum([len(p.x.array) for p in self.body.fields])
+        for p, part in zip(self.body.fields, np.split(dp, ends[:-1]), strict=True):
+            p.x.array[:] += part
+        return du
+
     def solve(self, *, tolerance: float = 1e-12, steps: int = 12) -> None:
         """Take whole Newton steps until they are small."""
         for _ in range(steps):
-            du, dp = self.step()
-            self.body.u.x.array[:] += du
-            ends = np.cumsum([len(p.x.array) for p in self.body.fields])
-            for p, part in zip(self.body.fields, np.split(dp, ends[:-1]), strict=True):
-                p.x.array[:] += part
+            du = self.go()
             if np.linalg.norm(du) <= tolerance * np.linalg.norm(self.body.u.x.array):
                 return
         raise AssertionError(f"the reference did not converge: |du| = {np.linalg.norm(du)}")

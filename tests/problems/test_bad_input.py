@@ -97,10 +97,11 @@ def test_common(create, name, wrong, message):
     ],
 )
 def test_options(create, name, wrong, message):
-    """In the call and on the command line; the database is as before."""
+    """In the call, on one process too, and on the command line; the database is as before."""
     problem, before = poisson(cube(2, 4)), PETSc.Options().getAll()
-    with raises(ValueError, message):
-        create(problem, petsc_options={name: wrong, "feti_formulation": "dual"})
+    for there in (True, LAST):
+        with raises(ValueError, message):
+            create(problem, petsc_options={name: wrong} if there else {})
     agree(PETSc.Options().getAll() == before)
     with inserted("bad_", {name: wrong}), raises(ValueError, message):
         create(problem)

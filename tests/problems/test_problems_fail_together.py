@@ -9,7 +9,7 @@ import gc
 
 import numpy as np
 import pytest
-from bodies import PREFIX, block, yeoh
+from bodies import block, yeoh
 from collective import COMM, agree, equal, raises
 from problems import cube, poisson, torn
 from walls import tube, wall
@@ -24,21 +24,6 @@ LAST = COMM.rank == COMM.size - 1
 
 def broken(*_: object, **__: object) -> None:
     raise FloatingPointError("on purpose")
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("ksp_rtol", f"-{PREFIX}ksp_rtol is 'no'"),
-        ("feti_type", f"-{PREFIX}feti_type is 'no'"),
-        ("ksp_norm_type", "PETSc refuses one of the options"),
-    ],
-)
-def test_options(name, message):
-    with raises(ValueError, message):
-        block(yeoh, (0.3, 0.1)).problem({name: "no"} if LAST else {})
-    with raises(ValueError, message):
-        torn(poisson(cube(2, 4)), prefix=PREFIX, **({name: "no"} if LAST else {}))
 
 
 @pytest.mark.parametrize("name", ["form", "Expression"])
