@@ -244,7 +244,7 @@ def test_condensed_linear_problem(cell, pressure, fields, blocks):
 
     state = [dolfinx.fem.Function(space) for space in (V, *Q)]
     twice = [f for f in state for _ in range(2)]  # as in a(u, u)
-    energy = left_side(*twice) / 2 - ufl.inner(f, state[0]) * ufl.dx
+    energy = 0.5 * left_side(*twice) - ufl.inner(f, state[0]) * ufl.dx
     common = {"bcs": bcs, "condense": state[1:], "subdomains": 3, "petsc_options": RTOL}
     NonlinearProblem(energy, state[0], **common).solve()
     for ours, theirs in zip([u, *found], state, strict=True):
