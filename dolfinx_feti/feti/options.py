@@ -27,11 +27,17 @@ SUBSOLVERS = {
     "coarse_": ("ksp_", "pc_", "mat_"),
 }
 
-#: Numbers that a KSP or SNES reads: shares below one, other numbers, and counts.
-RELATIVE = ("ksp_rtol", "snes_rtol")
-NOT_NEGATIVE = ("ksp_atol", "ksp_divtol", "snes_atol", "snes_stol")
-COUNTS = ("ksp_max_it", "ksp_gmres_restart", "snes_max_it", "snes_max_funcs")
-BELOW_ONE = math.nextafter(1.0, 0.0)
+#: What a number has to be, and the largest one; counts are whole.
+COUNT, SHARE = "a whole number ≥ 0", "a number between 0 and 1"
+BELOW_ONE, REAL = "a number ≥ 0 and < 1", "a number ≥ 0"
+MOST = {COUNT: math.inf, SHARE: 1.0, BELOW_ONE: math.nextafter(1.0, 0.0), REAL: math.inf}
+
+#: Numbers that a KSP or SNES reads, and what they have to be.
+OUTER = (
+    dict.fromkeys(("ksp_rtol", "snes_rtol"), BELOW_ONE)
+    | dict.fromkeys(("ksp_atol", "ksp_divtol", "snes_atol", "snes_stol"), REAL)
+    | dict.fromkeys(("ksp_max_it", "ksp_gmres_restart", "snes_max_it", "snes_max_funcs"), COUNT)
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,11 +91,17 @@ def read_options(prefix: str) -> FETIOptions:
     """
     check_outer_options(prefix)
     prefix += "feti_"
-    values: dict[str, str | int | float] = {}
+    values: dict[str, Any] = {}
     for field in fields(FETIOptions):
-        values[field.name] = _value(prefix, field.name, field.default, KINDS[field.name])
+        name, default = field.name, field.default
+        if name in CHOICES:
+            values[name] = PETSc.Options(prefix).getString(name, default)
+            if values[name] not in CHOICES[name]:
+                raise _wrong(prefix, name, f"one of: {', '.join(CHOICES[name])}")
+        else:
+            values[name] = _number(prefix, name, COUNT if KINDS[name] is int else SHARE, default)
     _reject_unknown(prefix)
-    options = FETIOptions(**values)  # type: ignore[arg-type]
+    options = FETIOptions(**values)
     if options.formulation == "primal" and options.pc_type != "dirichlet":
         raise ValueError(
             f"Options -{prefix}formulation primal and -{prefix}pc_type {options.pc_type} exclude "
@@ -108,21 +120,6 @@ def asks_for_dual(options: FETIOptions, prefix: str) -> bool:
     return asked or options.pc_type != "dirichlet"
 
 
-def _value(prefix: str, name: str, default: Any, kind: Any) -> str | int | float:
-    """Read one option: one of several words, a number of things, or a share."""
-    if kind is int:
-        return _count(prefix, name, default)
-    if kind is float:
-        return _real(prefix, name, default, "a number between 0 and 1", 1.0)
-    choices = CHOICES[name]
-    value = PETSc.Options(prefix).getString(name, default)
-    if value not in choices:
-        raise ValueError(
-            f"Option -{prefix}{name} is '{value}'; it takes one of: {', '.join(choices)}."
-        )
-    return value
-
-
 def check_outer_options(prefix: str) -> None:
     """Check what PETSc's own KSP and SNES are to read, before they do.
 
@@ -131,13 +128,9 @@ def check_outer_options(prefix: str) -> None:
             for.
     """
     for solver in (prefix, prefix + "feti_dual_", prefix + "feti_coarse_"):
-        for name in RELATIVE:
-            _real(solver, name, 0.0, "a number ≥ 0 and < 1", BELOW_ONE)
-        for name in NOT_NEGATIVE:
-            _real(solver, name, 0.0, "a number ≥ 0", math.inf)
-        for name in COUNTS:
-            if PETSc.Options(solver).getString(name, "") != "unlimited":
-                _count(solver, name, 0)
+        for name, wanted in OUTER.items():
+            if wanted != COUNT or PETSc.Options(solver).getString(name, "") != "unlimited":
+                _number(solver, name, wanted)
     pc_type = PETSc.Options(prefix).getString("pc_type", "none")
     if pc_type != "none":
         raise ValueError(
@@ -146,25 +139,15 @@ def check_outer_options(prefix: str) -> None:
         )
 
 
-def _count(prefix: str, name: str, default: int) -> int:
-    """Read a number of things."""
-    wanted = "a whole number ≥ 0"
+def _number(prefix: str, name: str, wanted: str, default: Any = 0) -> int | float:
+    """Read a number that is not negative."""
+    options = PETSc.Options(prefix)
     try:
-        count = PETSc.Options(prefix).getInt(name, default)
+        read = options.getInt if wanted == COUNT else options.getReal
+        value: int | float = read(name, default)
     except PETSc.Error:
         raise _wrong(prefix, name, wanted) from None
-    if count < 0:
-        raise _wrong(prefix, name, wanted)
-    return count
-
-
-def _real(prefix: str, name: str, default: float, wanted: str, most: float) -> float:
-    """Read a number between zero and another one."""
-    try:
-        value = PETSc.Options(prefix).getReal(name, default)
-    except PETSc.Error:
-        raise _wrong(prefix, name, wanted) from None
-    if not 0.0 <= value <= most:
+    if not 0 <= value <= MOST[wanted]:
         raise _wrong(prefix, name, wanted)
     return value
 
