@@ -23,6 +23,7 @@ from mpi4py import MPI
 import numpy as np
 import scipy.linalg.blas as blas
 
+from dolfinx_feti.feti.coarse.near import joined
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.feti.subdomain.operator import EliminatedInterior, Operator
@@ -43,9 +44,6 @@ DECLARATIONS = """
 void copy_block(int, const double *, int, const int *, double *);
 void add_block(int, float *, int, const int *, const double *);
 """
-
-#: Of the messages between neighbours.
-TAG = 51
 
 #: Returns a block of S, ``block(j, rows)``, for rows in any order.
 Block = Callable[[int, Indices], Array]
@@ -133,23 +131,17 @@ def shares_of_neighbours(copies: Copies, block: Block) -> Callable[[int], list[S
 
     Returns what finds the shares of all neighbours of a subdomain of this process.
     """
-    comm = copies.comm
+    rank = copies.comm.rank
     common, first = _common_rows(copies)
-    remote = [pair for pair in common if pair.rank != comm.rank]
-    received = _exchange(remote, lambda j, rows: block(j - first, rows), comm)
+    remote = [pair for pair in common if pair.rank != rank]
+    received = _exchange(remote, lambda j, rows: block(j - first, rows), copies.comm)
 
-    def shares(i: int) -> list[Share]:
-        return [
-            (pair.rows, received[i + first, pair.j])
-            if pair.rank != comm.rank
-            else (pair.rows, block(pair.j - first, pair.copies))
-            for pair in by_subdomain[i]
-        ]
+    def share(pair: _Common) -> Share:
+        if pair.rank != rank:
+            return pair.rows, received[pair.i, pair.j]
+        return pair.rows, block(pair.j - first, pair.copies)
 
-    by_subdomain: list[list[_Common]] = [[] for _ in copies.blocks]
-    for pair in common:
-        by_subdomain[pair.i - first].append(pair)
-    return shares
+    return lambda i: [share(pair) for pair in common if pair.i == i + first]
 
 
 def _common_rows(copies: Copies) -> tuple[list[_Common], int]:
@@ -177,25 +169,16 @@ def _exchange(
     remote: Sequence[_Common], block: Block, comm: MPI.Comm
 ) -> dict[tuple[int, int], Array]:
     """Send blocks to the processes of neighbours; return theirs, by i and j. Collective."""
-
-    def outgoing(rank: int) -> Array:
-        """Return the blocks for a process, in the order of its subdomains."""
-        pairs = sorted((p for p in remote if p.rank == rank), key=lambda p: (p.j, p.i))
-        return np.concatenate([block(p.i, p.rows[np.argsort(p.copies)]) for p in pairs])
-
-    ranks = sorted({pair.rank for pair in remote})
-    sent = on_subdomains(lambda: [outgoing(rank) for rank in ranks], comm)
-    got: list[Array] = [
-        np.empty(len(blocks)) for blocks in sent
-    ]  # blocks are of one size both ways
-    own = comm.Dup()  # PETSc sends on comm, too
-    requests = [own.Irecv(b, source=rank, tag=TAG) for b, rank in zip(got, ranks, strict=True)]
-    requests += [own.Isend(b, dest=rank, tag=TAG) for b, rank in zip(sent, ranks, strict=True)]
-    MPI.Request.Waitall(requests)
-    own.Free()
-    received: dict[tuple[int, int], Array] = {}
-    for rank, blocks in zip(ranks, got, strict=True):
-        pairs = [pair for pair in remote if pair.rank == rank]  # by i, then j
-        ends = np.cumsum([len(p.rows) * (len(p.rows) + 1) // 2 for p in pairs])[:-1]
-        received.update(zip([(p.i, p.j) for p in pairs], np.split(blocks, ends), strict=True))
-    return received
+    outgoing = sorted(remote, key=lambda pair: (pair.rank, pair.j, pair.i))
+    incoming = sorted(remote, key=lambda pair: (pair.rank, pair.i, pair.j))
+    sent = on_subdomains(
+        lambda: joined([block(pair.i, pair.rows[np.argsort(pair.copies)]) for pair in outgoing]),
+        comm,
+    )
+    sizes = np.array([len(pair.rows) * (len(pair.rows) + 1) // 2 for pair in incoming], np.int64)
+    ranks = np.array([pair.rank for pair in incoming], np.int64)
+    counts = np.bincount(ranks, sizes, comm.size).astype(np.int64)  # of blocks, the same both ways
+    got = np.empty(counts.sum())
+    comm.Alltoallv((sent, counts), (got, counts))
+    pairs = [(pair.i, pair.j) for pair in incoming]
+    return dict(zip(pairs, np.split(got, np.cumsum(sizes)), strict=False))
