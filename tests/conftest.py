@@ -31,7 +31,7 @@ import dolfinx_feti
 from dolfinx_feti.feti.dual.form import DualForm, create_dual_form
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.pattern import Pattern, create_pattern
-from dolfinx_feti.feti.primal.cg import conjugate_gradients
+from dolfinx_feti.feti.primal.krylov import conjugate_gradients
 from dolfinx_feti.feti.setup import set_up
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_options import inserted

@@ -240,7 +240,7 @@ class _Springs:
 def _free_motions(torn: Torn) -> Array:
     """Return the rigid motions that nothing resists, one body after the other, (n, k)."""
     bodies = find_bodies(torn)
-    rigid = free_motions(torn, bodies, torn.near_kernel(), definite=False)
+    rigid = free_motions(torn, bodies, definite=False)
     columns = [
         np.where(bodies.label == b, rigid.fields[:, j], 0.0)
         for b, dimension in enumerate(rigid.dimensions)

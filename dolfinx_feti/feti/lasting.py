@@ -25,7 +25,6 @@ from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.feti.dual.form import DualForm, create_dual_form
 from dolfinx_feti.feti.options import FETIOptions, asks_for_dual
 from dolfinx_feti.feti.pattern import Pattern, create_pattern
-from dolfinx_feti.feti.primal.deflation import DeflatedSpace
 from dolfinx_feti.feti.primal.form import (
     PrimalForm,
     PrimalPreconditioner,
@@ -36,7 +35,6 @@ from dolfinx_feti.feti.primal.form import (
 from dolfinx_feti.feti.setup import Inertia, Setup, refined, set_up, set_up_operator
 from dolfinx_feti.feti.solution import RitzVectors
 from dolfinx_feti.feti.subdomain.operator import Operator
-from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import State, state_of
 
@@ -60,14 +58,12 @@ class Lasting:
     Attributes:
         form: The method set up for the last matrix; None before the first one, and after a failure.
         age: Matrices since the one that the preconditioner belongs to.
-        may_change: Whether a matrix that turns out indefinite is solved in the dual form.
     """
 
     def __init__(self, options: FETIOptions, prefix: str, *, newton: bool) -> None:
         """Begin with nothing; see ``FETI`` for ``newton``."""
         self._options, self._prefix = options, prefix
         self._newton = newton
-        self.may_change = options.formulation == "auto"
         self._of_pattern, self._of_preconditioner, self._of_matrix = (Lifetime() for _ in range(3))
         self._pattern: Pattern | None = None
         self._state: State | None = None  # of the matrix that pattern and form belong to
@@ -77,11 +73,6 @@ class Lasting:
         self.age = 0
         self._seen = False  # is the pattern in a table that the user has?
         self._rate = np.nan  # iterations for a digit in the first solve with the preconditioner
-
-    @property
-    def deflation(self) -> DeflatedSpace | None:
-        """The coarse space with the Ritz vectors of earlier solves, in the primal form."""
-        return self.form.deflation if isinstance(self.form, PrimalForm) else None
 
     def first_look(self) -> bool:
         """Tell whether this is the first look at a form of the present pattern."""
@@ -109,7 +100,8 @@ class Lasting:
         self._state = state
         if known is not None:
             known.destroy()
-        if not comm.allreduce(has_pattern, op=MPI.LAND) or self._symmetry_has_changed():
+        known_pattern = self._pattern if comm.allreduce(has_pattern, op=MPI.LAND) else None
+        if known_pattern is None or known_pattern.torn.is_symmetric() != known_pattern.symmetric:
             self._end_pattern()
             self._pattern = create_pattern(A, self._options, self._prefix, self._of_pattern)
         assert self._pattern is not None
@@ -146,7 +138,7 @@ class Lasting:
             return False
         try:
             if reason == Reason.DIVERGED_INDEFINITE_MAT and not form.solves_indefinite:
-                if not (self.may_change and saddles):
+                if not (self._options.formulation == "auto" and saddles):
                     return False  # no preconditioner changes the curvature
                 if isinstance(form, PrimalForm) and not self.age:
                     self.form = None
@@ -161,11 +153,6 @@ class Lasting:
             self._end_form()
             raise
         return True
-
-    def _symmetry_has_changed(self) -> bool:
-        """Tell whether the matrix is symmetric where the last one was not, or the other way."""
-        pattern = self._pattern
-        return pattern is None or pattern.torn.is_symmetric() != pattern.symmetric
 
     def _take_into_form(self, pattern: Pattern) -> None:
         """Set up the form of the present matrix, with the last preconditioner if it lasts."""
@@ -195,21 +182,16 @@ class Lasting:
         if not _takes_primal(pattern, setup.inertia):
             return self._dual_form(pattern, setup)
         preconditioner = create_preconditioner(pattern, setup, self._of_preconditioner)
-        return self._primal_form(pattern, setup.near_kernel, setup.operator, preconditioner)
+        return self._primal_form(pattern, setup.operator, preconditioner)
 
     def _with(self, preconditioner: PrimalPreconditioner, pattern: Pattern) -> PrimalForm:
         """Set up the present matrix with a preconditioner of another one."""
-        return self._primal_form(
-            pattern, *set_up_operator(pattern, self._of_matrix), preconditioner
-        )
+        return self._primal_form(pattern, set_up_operator(pattern, self._of_matrix), preconditioner)
 
-    def _primal_form(
-        self, pattern: Pattern, near_kernel: Array, S: Operator, own: PrimalPreconditioner
-    ) -> PrimalForm:
+    def _primal_form(self, pattern: Pattern, S: Operator, own: PrimalPreconditioner) -> PrimalForm:
         """Set up the primal form of S of the present matrix with a preconditioner."""
         most = self._options.deflation if self._newton else 0
-        within, vectors = self._of_matrix, self._vectors
-        return create_primal_form(pattern, near_kernel, S, own, within, vectors, most=most)
+        return create_primal_form(pattern, S, own, self._of_matrix, self._vectors, most=most)
 
     def _dual_form(self, pattern: Pattern, setup: Setup) -> DualForm:
         """Set up the dual form of the present matrix."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 from petsc4py import PETSc
@@ -83,7 +83,7 @@ def create_pattern(A: PETSc.Mat, options: FETIOptions, prefix: str, within: Life
     with event("FETIFactor"):
         analysis = find(torn, symmetric=symmetric)
         if not symmetric:
-            with _symmetric_part(torn) as part:
+            with symmetric_part(torn) as part:
                 of_part = find(part, symmetric=True)
     bodies = find_bodies(torn)
     return Pattern(options, prefix, torn, symmetric, bodies, gluing, dofs, analysis, of_part)
@@ -106,16 +106,8 @@ def _require_primal(options: FETIOptions, prefix: str) -> None:
 
 
 @contextmanager
-def symmetric_part(pattern: Pattern) -> Iterator[Pattern]:
-    """Let the present matrix be ½ (K + Kᵀ), of which nothing is left afterwards. Collective."""
-    assert pattern.of_part is not None
-    with _symmetric_part(pattern.torn) as torn:
-        yield replace(pattern, torn=torn, symmetric=True, analysis=pattern.of_part, of_part=None)
-
-
-@contextmanager
-def _symmetric_part(torn: Torn) -> Iterator[Torn]:
-    """Yield the torn matrix with ½ (K + Kᵀ) in the place of K."""
+def symmetric_part(torn: Torn) -> Iterator[Torn]:
+    """Yield the torn matrix with ½ (K + Kᵀ) in the place of K, which ends afterwards."""
     part, K = copy(torn), torn.K.copy()
     transposed = torn.K.transpose(PETSc.Mat())
     K.axpy(1.0, transposed, structure=PETSc.Mat.Structure.UNKNOWN_NONZERO_PATTERN)

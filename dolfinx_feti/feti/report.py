@@ -13,7 +13,7 @@ import numpy as np
 
 from dolfinx_feti.feti.lasting import Form
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.primal.deflation import DeflatedSpace
+from dolfinx_feti.feti.primal.form import PrimalForm
 from dolfinx_feti.feti.setup import Inertia
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 
@@ -73,16 +73,10 @@ class Report:
     floor: float
 
 
-def collect(
-    form: Form,
-    ritz: DeflatedSpace | None,
-    *,
-    lag: int,
-    eigenvalues: tuple[float, float],
-    floor: float,
-) -> Report:
+def collect(form: Form, *, lag: int, eigenvalues: tuple[float, float], floor: float) -> Report:
     """Gather the figures of all processes. Collective."""
     pattern, solver = form.pattern, form.coarse.solver
+    ritz = form.deflation if isinstance(form, PrimalForm) else None
     torn = pattern.torn
     comm = torn.comm
     sizes = [len(dofs) for dofs in torn.subdomains]

@@ -20,6 +20,7 @@ from dolfinx_feti.feti.gluing.jump import weights_of_copies
 from dolfinx_feti.feti.pattern import Pattern
 from dolfinx_feti.feti.regularity.singularity import require_regular_interior
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
+from dolfinx_feti.feti.subdomain.factors.protocol import sum_known
 from dolfinx_feti.feti.subdomain.nullspace import interior_kernel
 from dolfinx_feti.feti.subdomain.operator import Operator, create_operator
 from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse, create_pseudo_inverse
@@ -57,18 +58,12 @@ class Inertia:
         """Whether the dual system is known to be positive definite on balanced pairs."""
         return self.dual == 0
 
-    @property
-    def indefinite(self) -> bool:
-        """Whether the assembled matrix is proved to be indefinite."""
-        return bool(self.assembled)
-
 
 @dataclass(frozen=True, slots=True)
 class Setup:
     """The parts of one matrix.
 
     Attributes:
-        near_kernel: Rigid body modes on the torn dofs, (n, k).
         operator: S, and K_II⁻¹.
         delta: Weight δ of every torn dof, (n,).
         inverse: K_ρ⁻¹, and R, E, D of each subdomain.
@@ -76,7 +71,6 @@ class Setup:
             known.
     """
 
-    near_kernel: Array
     operator: Operator
     delta: Array
     inverse: PseudoInverse
@@ -95,12 +89,12 @@ def set_up(
         SetUpError: A factorisation failed, or the matrix is singular inside of a subdomain.
     """
     torn, options = pattern.torn, pattern.options
-    near_kernel, operator = set_up_operator(pattern, matrix)
+    operator = set_up_operator(pattern, matrix)
     with event("FETIGluing"):
         k = torn.stiffness() if options.scaling == "stiffness" else np.ones(torn.n)
         delta = weights_of_copies(torn, k)
-    inverse, inertia = _invert(pattern, near_kernel, operator, preconditioner, rough=rough)
-    return Setup(near_kernel, operator, delta, inverse, inertia)
+    inverse, inertia = _invert(pattern, operator, preconditioner, rough=rough)
+    return Setup(operator, delta, inverse, inertia)
 
 
 def refined(pattern: Pattern, setup: Setup, within: Lifetime) -> Setup:
@@ -108,15 +102,16 @@ def refined(pattern: Pattern, setup: Setup, within: Lifetime) -> Setup:
     if not pattern.torn.comm.allreduce(setup.inverse.rough, op=MPI.LOR):
         return setup
     setup.inverse.destroy()
-    inverse, inertia = _invert(pattern, setup.near_kernel, setup.operator, within, rough=False)
+    inverse, inertia = _invert(pattern, setup.operator, within, rough=False)
     return replace(setup, inverse=inverse, inertia=inertia)
 
 
 def _invert(
-    pattern: Pattern, near_kernel: Array, operator: Operator, within: Lifetime, *, rough: bool
+    pattern: Pattern, operator: Operator, within: Lifetime, *, rough: bool
 ) -> tuple[PseudoInverse, Inertia]:
     """Factor all K_ρ, and find the modes; count negative eigenvalues. Collective."""
     torn, options = pattern.torn, pattern.options
+    near_kernel = torn.near_kernel()
     with event("FETIFactor"), event("FETIModes"):
         inverse = on_subdomains(
             lambda: create_pseudo_inverse(
@@ -138,8 +133,8 @@ def _invert(
     )
 
 
-def set_up_operator(pattern: Pattern, within: Lifetime) -> tuple[Array, Operator]:
-    """Return the near kernel, (n, k), and S, which ``within`` owns, of the matrix. Collective.
+def set_up_operator(pattern: Pattern, within: Lifetime) -> Operator:
+    """Return S of the present matrix, which ``within`` owns. Collective.
 
     Raises:
         SetUpError: A factorisation failed, or the matrix is singular inside of a subdomain.
@@ -150,14 +145,13 @@ def set_up_operator(pattern: Pattern, within: Lifetime) -> tuple[Array, Operator
         operator = within.own(
             on_subdomains(lambda: create_operator(torn, dofs, analysis), torn.comm)
         )
-    near_kernel = torn.near_kernel()
     if analysis.eliminated and analysis.interior is not None:
         choice = analysis.interior
         inside = on_subdomains(
             lambda: interior_kernel(torn, dofs, choice, operator.interior_factors), torn.comm
         )
-        require_regular_interior(torn, pattern.bodies, near_kernel, inside)
-    return near_kernel, operator
+        require_regular_interior(torn, pattern.bodies, inside)
+    return operator
 
 
 def require_finite(torn: Torn) -> None:
@@ -172,5 +166,4 @@ def require_finite(torn: Torn) -> None:
 
 def sum_if_known(count: Callable[[], int | None], comm: MPI.Comm) -> int | None:
     """Add numbers that all processes count; None if one of them is not known. Collective."""
-    counts = comm.allgather(on_subdomains(count, comm))
-    return None if None in counts else sum(counts)
+    return sum_known(comm.allgather(on_subdomains(count, comm)))

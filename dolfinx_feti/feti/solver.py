@@ -217,12 +217,9 @@ class FETI:
 
     def report(self) -> Report | None:
         """Collect the figures of ``-ksp_view``; None before the first solve. Collective."""
-        if self._lasting is None or self.form is None:
+        if self.form is None:
             return None
-        ritz = self._lasting.deflation
-        return collect(
-            self.form, ritz, lag=self.age, eigenvalues=self.eigenvalues, floor=self.floor
-        )
+        return collect(self.form, lag=self.age, eigenvalues=self.eigenvalues, floor=self.floor)
 
     def _tell(self, error: SetUpError) -> None:
         """Keep the message of a set-up that has failed."""
@@ -230,7 +227,8 @@ class FETI:
 
     def _refused(self) -> bool:
         """Tell whether the matrix is proved to be indefinite, and nobody wants its solution."""
-        return self.refuse_indefinite and self.inertia is not None and self.inertia.indefinite
+        proved = self.inertia is not None and bool(self.inertia.assembled)
+        return self.refuse_indefinite and proved
 
     def _try_again(self, reason: int) -> bool:
         """Prepare another attempt after one has failed; tell whether there is one."""

@@ -18,8 +18,8 @@ from modes import modes_of
 from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
 from dolfinx_feti.feti.dual.form import DualForm
 from dolfinx_feti.feti.gluing.copies import Copies
-from dolfinx_feti.feti.primal.cg import PrimalSystem, conjugate_gradients
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace
+from dolfinx_feti.feti.primal.krylov import PrimalSystem, conjugate_gradients
 from dolfinx_feti.feti.solution import Solution
 
 Array = npt.NDArray[np.float64]

@@ -151,7 +151,7 @@ def test_rounding_that_leaves_a_doubt_is_a_failure(torn_grid, feti, monkeypatch)
 
 def test_stagnation_ends_the_solve(torn_grid, feti, monkeypatch):
     """With stiffness jumping by 10⁶, three iterations bring nothing; no fresh start follows."""
-    monkeypatch.setattr("dolfinx_feti.feti.dual.stopping.STAGNATION", 3)
+    monkeypatch.setattr("dolfinx_feti.feti.dual.krylov.STAGNATION", 3)
     monkeypatch.setattr("dolfinx_feti.feti.solver.RESTARTS", 0)
     problem = torn_grid((3, 3), (2, 2), components=2, stiffness=lambda i: 1e6 ** (i % 2))
     ksp = feti(problem.A, feti_pc_type="identity", feti_scaling="multiplicity")

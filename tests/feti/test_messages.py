@@ -67,7 +67,7 @@ def test_advice_that_is_followed_is_not_repeated(torn_grid, feti):
     }
     said = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dolfinx_feti.feti.dual.stopping.STAGNATION", 3)
+        patch.setattr("dolfinx_feti.feti.dual.krylov.STAGNATION", 3)
         patch.setattr("dolfinx_feti.feti.solver.RESTARTS", 0)
         for _ in range(4):
             ksp = feti(problem.A, **options)

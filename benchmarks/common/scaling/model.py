@@ -43,9 +43,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from benchmarks.common.records import Record
-from dolfinx_feti.feti.coarse.gathered import SPREAD
+from dolfinx_feti.feti.coarse.gathered import MOST, SPREAD
 from dolfinx_feti.feti.coarse.group import ROWS
-from dolfinx_feti.feti.coarse.whole import MOST
 
 #: A cluster of today, stated and not measured: latency of a message [s], bandwidth of a process
 #: into the network, speed at which it reads a factor [bytes/s], processes of a node, those that

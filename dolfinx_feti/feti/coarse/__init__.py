@@ -3,5 +3,5 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """What the coarse problems of both methods share.
 
-In the order of the data: fields, near, group, whole, gathered, space.
+In the order of the data: fields, near, group, gathered, space.
 """

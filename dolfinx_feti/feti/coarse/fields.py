@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from mpi4py import MPI
 
@@ -22,7 +22,7 @@ import numpy as np
 
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.subdomain.panels import Panels, load_panels
-from dolfinx_feti.runtime.arrays import Array, Indices, Integers
+from dolfinx_feti.runtime.arrays import Array, Integers
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["Fields", "averaged_fields", "jump_fields"]
@@ -37,44 +37,13 @@ class Fields:
     """The columns near each subdomain: a panel for each subdomain whose columns are there.
 
     Attributes:
-        code: Products of panels.
-        sizes: Rows of each subdomain, (subdomains,).
-        panels: Where the panels of each subdomain begin, and the end, (subdomains + 1,).
-        owner: Number of the first column of each panel over all processes, ascending in each
-            subdomain, (panels,).
-        count: Number of its columns, (panels,).
-        first: Where each panel begins among the rows, and the end, (panels + 1,).
-        row: Rows of each panel in its subdomain, (pairs,).
-        start: Where the values of each panel begin, and the end, (panels + 1,).
-        values: Values of the columns, panel by panel, row by row.
+        panels: For each subdomain the columns near it, by their owners, (n_i, c_i).
+        owners: For each subdomain the numbers, over all processes, of the first column of each of
+            its panels, ascending.
     """
 
-    code: Any
-    sizes: Integers
-    panels: Integers
-    owner: Integers
-    count: Indices
-    first: Indices
-    row: Indices
-    start: Integers
-    values: Array
-
-    def __len__(self) -> int:
-        """Return the number of subdomains."""
-        return len(self.sizes)
-
-    def __getitem__(self, i: int) -> Panels:
-        """Return the columns near subdomain i, by their owners, (n_i, c_i)."""
-        begin, end = self.panels[i], self.panels[i + 1]
-        first, start = self.first[begin : end + 1], self.start[begin : end + 1]
-        return Panels(
-            self.code,
-            int(self.sizes[i]),
-            first - first[0],
-            self.row[first[0] : first[-1]],
-            self.count[begin:end],
-            self.values[start[0] : start[-1]],
-        )
+    panels: list[Panels]
+    owners: list[Integers]
 
 
 class _Pairs(NamedTuple):
@@ -154,8 +123,8 @@ def _averaged_pairs(copies: Copies, own: _Pairs) -> tuple[_Pairs, Callable[[Arra
 
 def _by_panels(copies: Copies, pairs: _Pairs, column: Column) -> Fields:
     """Sort pairs into the panels of each subdomain. Collective."""
+    code = load_panels(copies.comm)
     ends = np.array([rows.stop for rows in copies.blocks], dtype=np.int64)
-    sizes = np.diff(ends, prepend=0)
     block = np.searchsorted(ends, pairs.row, side="right")
     order = np.argsort(block * (1 + pairs.first.max(initial=0)) + pairs.first, kind="stable")
     pairs, block = pairs.some(order), block[order]
@@ -166,14 +135,20 @@ def _by_panels(copies: Copies, pairs: _Pairs, column: Column) -> Fields:
     for j in range(most):
         some = pairs.columns > j
         values[(end - pairs.columns)[some] + j] = column(j)[order][some]
-    return Fields(
-        code=load_panels(copies.comm),
-        sizes=sizes,
-        panels=np.searchsorted(block[starts], np.arange(len(ends) + 1)),
-        owner=pairs.first[starts],
-        count=pairs.columns[starts].astype(np.int32),
-        first=np.append(starts, len(order)).astype(np.int32),
-        row=(pairs.row - (ends - sizes)[block]).astype(np.int32),
-        start=np.append((end - pairs.columns)[starts], len(values)),
-        values=values,
-    )
+    first = np.append(starts, len(order))  # of the pairs of each panel, and then of its values
+    start = np.append((end - pairs.columns)[starts], len(values))
+    bounds = [int(b) for b in np.searchsorted(block[starts], np.arange(len(ends) + 1))]
+
+    def panels(rows: slice, a: int, b: int) -> Panels:
+        return Panels(
+            code,
+            rows.stop - rows.start,
+            (first[a : b + 1] - first[a]).astype(np.int32),
+            (pairs.row[first[a] : first[b]] - rows.start).astype(np.int32),
+            pairs.columns[starts[a:b]].astype(np.int32),
+            values[start[a] : start[b]],
+        )
+
+    of_blocks = list(zip(copies.blocks, bounds[:-1], bounds[1:], strict=True))
+    made = on_all(lambda: [panels(*of_block) for of_block in of_blocks], copies.comm)
+    return Fields(made, [pairs.first[starts[a:b]] for _, a, b in of_blocks])

@@ -4,12 +4,14 @@
 """A small distributed system N x = b: a factor, or the inverse, spread over all processes.
 
 A solve gives b to all in one collective call, with a number that each process adds to a sum. The
-factor is that of a node (``whole``), or of a group of processes (``group``) where N may be
-indefinite or is too large, or the options name a solver (docs/theory.md).
+factor is Cholesky's by fronts, with a node for all columns of a subdomain, on one process of each
+machine; or, where N may be indefinite or is too large, or the options name a solver, that of a
+group of processes (``group``, docs/theory.md).
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import partial
 
 from mpi4py import MPI
@@ -17,16 +19,19 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_feti.errors import SetUpError
-from dolfinx_feti.feti.coarse.group import GroupFactor, processes_of_node
-from dolfinx_feti.feti.coarse.whole import whole_factor
-from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
+from dolfinx_feti.errors import FactorError, SetUpError
+from dolfinx_feti.feti.coarse.group import GroupFactor, copy_of_rows, processes_of_node
+from dolfinx_feti.feti.coarse.near import joined
+from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor, Fronts, load_fronts_for
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
-from dolfinx_feti.runtime.arrays import Array, Numbers
-from dolfinx_feti.runtime.collective import deferred, on_all, reason
+from dolfinx_feti.runtime.arrays import Array, Indices, Numbers
+from dolfinx_feti.runtime.collective import deferred, join, on_all, reason
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.lifetime import Lifetime
+from dolfinx_feti.runtime.petsc_library import rows_of
+from dolfinx_feti.torn.rounding import EPS
 
-__all__ = ["GatheredSolver"]
+__all__ = ["GatheredSolver", "whole_factor"]
 
 
 #: Rows of the inverse for each process, on average, up to which they are formed.
@@ -34,6 +39,9 @@ SPREAD = 128
 
 #: Condition number, of the norm of the largest row, above which the factor solves, and better.
 CONDITION = 1e10
+
+#: Most entries of a factor that a process has for its machine: 512 MiB.
+MOST = 2**26
 
 
 class GatheredSolver:
@@ -149,3 +157,59 @@ class GatheredSolver:
         """Free factor and communicator."""
         self.factor.destroy()
         self._node.Free()
+
+
+def whole_factor(
+    N: PETSc.Mat, counts: Numbers, group: MPI.Comm, *, prefix: str, zero: float | None
+) -> FrontFactor | None:
+    """Factor a symmetric N on the first process of each group; see ``GatheredSolver``. Collective.
+
+    Returns:
+        The factor, without entries where another process has them; None if N is not positive
+        definite, or too large, or the options name a solver.
+
+    Raises:
+        MemoryError: There is not enough memory; on all processes.
+    """
+    comm, total = N.comm.tompi4py(), N.getSize()[0]
+    code = load_fronts_for(prefix, comm)
+    if code is None or PETSc.Options(prefix).hasName("ksp_type") or not total:
+        return None
+    size, ptr, adjacent = _nodes(N, counts)
+    rows = np.arange(total, dtype=np.int32)
+    graph, none = (ptr, adjacent), np.zeros(len(size), dtype=bool)
+    fronts = on_all(lambda: Fronts(code, rows, rows, size, graph, none), comm)
+    if fronts.entries > MOST:
+        return None
+    least = (EPS * total if zero is None else zero) * N.norm(PETSc.NormType.INFINITY)
+    first = group.rank == 0
+
+    def factor() -> FrontFactor | None:
+        if not first:
+            return FrontFactor(fronts, np.zeros(0))
+        with suppress(FactorError), rows_of(matrix) as of_N:
+            factored = fronts.factor(of_N, np.empty(fronts.work))
+            if factored is not None and factored[0].least_pivot() > least:
+                return factored[0]
+        return None
+
+    with Lifetime() as owned:
+        matrix = owned.own(copy_of_rows(N, slice(0, total if first else 0)))
+        factored = on_all(factor, comm)
+    return factored if comm.allreduce(factored is not None, op=MPI.LAND) else None
+
+
+def _nodes(N: PETSc.Mat, counts: Numbers) -> tuple[Indices, Indices, Indices]:
+    """Return the sizes of all subdomains that have rows, and the graph of those. Collective.
+
+    All rows of a subdomain have the same columns, so that one of them tells its neighbours.
+    """
+    comm, some = N.comm.tompi4py(), counts > 0
+    first = (N.getOwnershipRange()[0] + np.cumsum(counts) - counts)[some]
+    starts = join(first, comm)
+    near = [np.unique(np.searchsorted(starts, N.getRow(row)[0], side="right") - 1) for row in first]
+    own = [there[starts[there] != row] for there, row in zip(near, first, strict=True)]
+    ptr = np.cumsum(np.append(0, join([len(there) for there in own], comm)))
+    arrays = join(counts[some], comm), ptr, join(joined(own, np.int64), comm)
+    size, ptr, adjacent = (array.astype(np.int32) for array in arrays)
+    return size, ptr, adjacent

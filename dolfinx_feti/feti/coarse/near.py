@@ -12,7 +12,6 @@ Subdomain i has :math:`c_i` of the columns of all subdomains as one dense block 
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
@@ -26,7 +25,7 @@ import numpy.typing as npt
 import scipy.sparse
 
 from dolfinx_feti.feti.coarse.fields import Fields
-from dolfinx_feti.feti.gluing.copies import star_forest
+from dolfinx_feti.feti.gluing.copies import consecutive, star_forest
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.runtime.arrays import Array, Integers, Numbers
 from dolfinx_feti.runtime.native import load, pointer
@@ -46,17 +45,20 @@ class NearColumns:
 
     Attributes:
         blocks: Columns of each subdomain among those near all of them, (near,).
+        near: Number of these.
     """
 
     def __init__(self, W: Fields, counts: Sequence[int], comm: MPI.Comm) -> None:
         """Find the owners of the columns W; each subdomain has so many of its own. Collective."""
-        self._comm, self._W = comm, W
+        self._comm, self._owners = comm, W.owners
         self._code = load(Path(__file__).with_name("near.c"), DECLARATIONS, comm)
         self._size = sum(counts)
         self._total = comm.allreduce(self._size)
-        end = np.cumsum(np.append(0, W.count))  # of the columns of each panel
-        self.blocks = list(itertools.starmap(slice, itertools.pairwise(end[W.panels].tolist())))
-        self._forest = star_forest(_expanded(W.owner, W.count), self._size, comm)
+        sizes = [panels.shape[1] for panels in W.panels]
+        self.blocks, self.near = consecutive(sizes), sum(sizes)
+        self._owner = joined(W.owners, np.int64)  # of each panel, and its columns
+        self._count = joined([panels.count for panels in W.panels], np.int32)
+        self._forest = star_forest(_expanded(self._owner, self._count), self._size, comm)
 
     def to_owners(self, near: Array) -> Array:
         """Sum what subdomains have for the columns near them, (near,), at the owners, (size,)."""
@@ -67,7 +69,7 @@ class NearColumns:
 
     def from_owners(self, own: Array) -> Array:
         """Hand the owners' values, (size,), to the columns near each subdomain, (near,)."""
-        near, root = np.zeros(self.blocks[-1].stop if self.blocks else 0), np.ascontiguousarray(own)
+        near, root = np.zeros(self.near), np.ascontiguousarray(own)
         self._forest.bcastBegin(MPI.DOUBLE, root, near, MPI.REPLACE)
         self._forest.bcastEnd(MPI.DOUBLE, root, near, MPI.REPLACE)
         return near
@@ -88,12 +90,14 @@ class NearColumns:
 
     def _sum_of_own(self, elements: Iterable[Array]) -> tuple[PETSc.Mat, Numbers]:
         """Sum the element matrices of this process; return the numbers of the columns, too."""
-        W, to, add = self._W, partial(pointer, self._code), self._code.lib.add_element
-        first, local = np.unique(W.owner, return_inverse=True)  # owners near this process
+        to, add = partial(pointer, self._code), self._code.lib.add_element
+        first, local = np.unique(self._owner, return_inverse=True)  # owners near this process
         owner, width = local.astype(np.int32), np.zeros(len(first), dtype=np.int32)
-        width[owner] = W.count
+        width[owner] = self._count
+        panels = consecutive([len(of_subdomain) for of_subdomain in self._owners])
         near = scipy.sparse.csr_array(
-            (np.ones(len(owner), dtype=np.int32), owner, W.panels), (len(W), len(first))
+            (np.ones(len(owner), dtype=np.int32), owner, [0, *(each.stop for each in panels)]),
+            (len(panels), len(first)),
         )
         graph = scipy.sparse.csr_array(near.T @ near)  # owners that are near one subdomain
         graph.sort_indices()
@@ -105,11 +109,10 @@ class NearColumns:
         rows = tuple(map(to, (width, ptr, adjacent, place, start)))
         values = np.zeros(start[-1])
         for i, element in enumerate(elements):
-            panels = slice(W.panels[i], W.panels[i + 1])
-            size = int(W.count[panels].sum())
+            size = self.blocks[i].stop - self.blocks[i].start
             if element.shape != (size, size):
                 raise ValueError(f"element matrix {i} is {element.shape}, not ({size}, {size})")
-            E, own = np.ascontiguousarray(element), owner[panels]
+            E, own = np.ascontiguousarray(element), owner[panels[i]]
             if add(len(own), to(own), to(E), *rows, to(values)):
                 raise ValueError(f"element matrix {i} couples owners that are not neighbours")
         indices = np.empty(len(values), dtype=np.int32)

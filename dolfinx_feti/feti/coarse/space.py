@@ -14,7 +14,6 @@ A has at least as many negative eigenvalues as A₀; they count only if they are
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -135,8 +134,7 @@ class AveragedSpace:
         precision = PRECISION if combinations is None else np.float64
 
         def elements() -> Iterator[Array]:
-            for i in range(len(V.W)):
-                W_i = V.W[i]
+            for i, W_i in enumerate(V.W.panels):
                 Y = S.multiply_panels(i, W_i, transpose=not symmetric)  # Y = Sᵀ W
                 self.AV.append(np.ascontiguousarray(Y.T, dtype=precision))
                 E = W_i.overlap(Y, symmetric=symmetric)  # Wᵀ Y
@@ -175,10 +173,10 @@ class AveragedSpace:
 
     def correct(self, z: Array, r: Array) -> Array:
         """Return z + V A₀⁻¹ Vᵀ (r − A z), the projection of z for Vᵀ r = 0, by copies, (n,)."""
-        product = partial(rows_product, self.V.W.code)
-        blocks = zip(self.AV, self.V.copies.blocks, strict=True)
+        parts = zip(self.V.W.panels, self.AV, self.V.copies.blocks, strict=True)
         near = deferred(
-            lambda: joined([product(Y, z[rows]) for Y, rows in blocks]), int(self.V.W.count.sum())
+            lambda: joined([rows_product(W.code, Y, z[rows]) for W, Y, rows in parts]),
+            self.V.near.near,
         )
         energies = self.V.near.to_owners(near)  # Vᵀ A z
         return z + self.V.prolong(self.solve(self.V.restrict(r) - energies))
@@ -216,9 +214,10 @@ class AveragedSpace:
 
     def _with_rounding(self, S: Operator) -> PETSc.Mat:
         """Return A₀ + ε. Collective."""
-        W, copies = self.V.W, self.V.copies
+        copies = self.V.copies
         norms = on_subdomains(lambda: estimated_norms(copies, S.multiply_many), copies.comm)
-        bounds = [EPS * norm * W[i].squares() for i, norm in enumerate(norms)]
+        pairs = zip(self.V.W.panels, norms, strict=True)
+        bounds = [EPS * norm * W.squares() for W, norm in pairs]
         columns = self.V.near.to_owners(joined(bounds))
         self._x.array[:] = MARGIN * (self.combinations.multiply(self.combinations).T @ columns)
         shifted = self.A_0.copy()

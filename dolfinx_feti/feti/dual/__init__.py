@@ -3,6 +3,5 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The dual form: multipliers, the paper's method.
 
-In the order of the data: preconditioner, weighted, coarse, system,
-stopping, krylov, form.
+In the order of the data: preconditioner, coarse, system, krylov, form.
 """

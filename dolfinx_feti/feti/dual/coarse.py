@@ -13,7 +13,7 @@ Z = E S on the subdomains with N S = 0, N is anchored.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -21,10 +21,11 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.errors import SetUpError
+from dolfinx_feti.feti.coarse.fields import jump_fields
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
-from dolfinx_feti.feti.coarse.near import joined
+from dolfinx_feti.feti.coarse.near import NearColumns, joined
 from dolfinx_feti.feti.dual.preconditioner import Preconditioner
-from dolfinx_feti.feti.dual.weighted import WeightedColumns
+from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.gluing.jump import Gluing
 from dolfinx_feti.feti.subdomain.blocks import block_diagonal, on_subdomains, own_columns
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
@@ -33,11 +34,10 @@ from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.null_space import anchor, null_space
 
-__all__ = ["Coarse"]
+__all__ = ["Coarse", "WeightedColumns"]
 
 
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
-SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 
 #: Share of the diagonal weight in Q = M + ε diag(q).
 EPSILON = 0.01
@@ -90,7 +90,7 @@ class Coarse:
             self.N.axpy(1.0, self.D, structure=DIFFERENT)
             if self.MG is not None:  # Gᵀ M G couples more subdomains
                 part, self.N = self.N, self.MG.galerkin_matrix
-                self.N.axpy(1.0, part, structure=SUBSET if self.MG.complete else DIFFERENT)
+                self.N.axpy(1.0, part, structure=DIFFERENT)
                 part.destroy()
             Z = null_space(torn)
             if not anchor(self.N, on_subdomains(lambda: self._amplitudes(Z), torn.comm)):
@@ -153,6 +153,62 @@ class Coarse:
 
     def destroy(self) -> None:
         """Free matrices and solver."""
+        self._owned.close()
+
+
+class WeightedColumns:
+    r"""M G for G = B E as dense blocks, one for each subdomain, where Q = M.
+
+    .. math:: W_i = (B_D^⊤ G)_i, \quad Y_i = (S_i + Y_Z Y_Z^⊤)\, W_i, \qquad
+              M G\, s = B_D\, Y s, \quad G^⊤ M\, r = Y^⊤ B_D^⊤ r, \quad
+              G^⊤ M\, G = \sum_i W_i^⊤ Y_i
+
+    with the columns near each subdomain (``near``): fewer entries than M G as a sparse matrix has.
+
+    Attributes:
+        blocks: For each subdomain :math:`Y_i`, (n_i, c_i).
+        galerkin_matrix: Gᵀ M G, (K, K).
+    """
+
+    def __init__(
+        self, delta: Array, modes: Sequence[SubdomainModes], preconditioner: Preconditioner
+    ) -> None:
+        """Form the blocks, for weights δ, (n,), and E of every subdomain. Collective."""
+        operator = preconditioner.operator
+        self._M, self._torn = preconditioner, operator.torn
+        on_interface = operator.on_interface
+        with Lifetime() as owned:
+            self._copies = owned.own(Copies(operator.torn, operator.interface, delta))
+            E = [m.E[on] for m, on in zip(modes, on_interface, strict=True)]
+            W = jump_fields(self._copies, E)
+            counts = [E_i.shape[1] for E_i in E]
+            self._near = owned.own(NearColumns(W, counts, operator.torn.comm))
+            self.blocks: list[Array] = []
+
+            def elements() -> Iterator[Array]:
+                for i, W_i in enumerate(W.panels):
+                    self.blocks.append(preconditioner.image(i, W_i))  # Y = (S + Y_Z Y_Zᵀ) W
+                    yield W_i.overlap(self.blocks[i])
+
+            self.galerkin_matrix = owned.own(self._near.sum(elements()))
+            self._owned = owned.pop_all()
+
+    def multiply(self, s: Array) -> Array:
+        """Return M G s, (K,) → (m,). Collective."""
+        near, copies = self._near.from_owners(s), self._copies
+        t = np.zeros(self._torn.n)
+        blocks = zip(self.blocks, self._near.blocks, strict=True)
+        t[copies.dofs] = joined([Y @ near[columns] for Y, columns in blocks])
+        return self._M.B_D @ t  # B_D Y s
+
+    def restrict(self, r: Array) -> Array:
+        """Return Gᵀ M r, (m,) → (K,). Collective."""
+        w = (self._M.B_D.T @ r)[self._copies.dofs]  # w = B_Dᵀ r
+        blocks = zip(self.blocks, self._copies.blocks, strict=True)
+        return self._near.to_owners(joined([Y.T @ w[rows] for Y, rows in blocks]))
+
+    def destroy(self) -> None:
+        """Free star forests and matrix."""
         self._owned.close()
 
 

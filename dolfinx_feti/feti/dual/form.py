@@ -53,7 +53,9 @@ class DualForm:
 
     Attributes:
         pattern: What depends on the pattern.
-        setup: The parts of the matrix.
+        operator: S, and K_II⁻¹.
+        delta: Weight δ of every torn dof, (n,).
+        inverse: K⁺, with R, E and D of each subdomain.
         preconditioner: M.
         coarse: G and N.
         inertia: Negative eigenvalues.
@@ -62,7 +64,9 @@ class DualForm:
     """
 
     pattern: Pattern
-    setup: Setup
+    operator: Operator
+    delta: Array
+    inverse: PseudoInverse
     preconditioner: Preconditioner
     coarse: Coarse
     inertia: Inertia
@@ -78,24 +82,9 @@ class DualForm:
         return self.pattern.torn
 
     @property
-    def operator(self) -> Operator:
-        """S, and K_II⁻¹."""
-        return self.setup.operator
-
-    @property
-    def inverse(self) -> PseudoInverse:
-        """K⁺."""
-        return self.setup.inverse
-
-    @property
     def modes(self) -> tuple[SubdomainModes, ...]:
         """R, E and D of each subdomain."""
-        return self.setup.inverse.modes
-
-    @property
-    def delta(self) -> Array:
-        """Weight δ of every torn dof, (n,)."""
-        return self.setup.delta
+        return self.inverse.modes
 
     @property
     def users_test(self) -> bool:
@@ -158,15 +147,19 @@ def create_dual_form(pattern: Pattern, setup: Setup, within: Lifetime) -> DualFo
             pattern.gluing, setup.delta, modes, preconditioner, q=options.coarse_q, prefix=prefix
         )
         within.own(coarse)
+
+        def averaged(s: Array) -> Array:
+            """Return E s with its copies averaged, completed inside, zero on Dirichlet dofs."""
+            w = torn.tear(torn.assemble(setup.delta * coarse.prolong(s)))
+            w = setup.operator.complete(np.where(torn.dirichlet, 0.0, w), np.zeros(torn.n))
+            return np.where(torn.dirichlet, 0.0, w)
+
         require_regular(
             torn,
             pattern.bodies,
-            setup.near_kernel,
             coarse.N,
             coarse.solver,
-            prolong=coarse.prolong,
-            extend=setup.operator.complete,
-            delta=setup.delta,
+            field=averaged,
             definite=semidefinite,
             prefix=prefix,
         )
@@ -175,7 +168,8 @@ def create_dual_form(pattern: Pattern, setup: Setup, within: Lifetime) -> DualFo
     dual = within.own(
         DualSystem(pattern.gluing, setup.inverse, preconditioner, coarse, cg=method in CG)
     )
-    return DualForm(pattern, setup, preconditioner, coarse, inertia, method, dual)
+    own = setup.operator, setup.delta, setup.inverse
+    return DualForm(pattern, *own, preconditioner, coarse, inertia, method, dual)
 
 
 def load(form: DualForm, r: PETSc.Vec, u_D: Array) -> Array:

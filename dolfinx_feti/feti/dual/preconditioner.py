@@ -116,13 +116,9 @@ class Preconditioner(ABC):
         """Extend an interface displacement to the interior, E_Γ w, (n,)."""
         return w
 
-    def to_interface(self, i: int, X: Array) -> Array:
-        """Move forces X on subdomain i to its interface, E_Γᵀ X, (n_i, r) → (n_Γ, r)."""
-        return X[self.operator.on_interface[i]]
-
     def condense_stabilisation(self, i: int, Z: Array) -> Array:
         """Return Y_Z for Z on the dofs of subdomain i, (n_i, q) → (n_Γ, q)."""
-        return self.to_interface(i, Z)
+        return Z[self.operator.on_interface[i]]
 
     def destroy(self) -> None:
         """Free the work vectors."""
@@ -196,19 +192,15 @@ class Dirichlet(Preconditioner):
         operator = self.operator
         return w if operator.eliminated else operator.extend(w, np.zeros_like(w))
 
-    def to_interface(self, i: int, X: Array) -> Array:
-        """Condense forces on subdomain i to its interface, (n_i, r) → (n_Γ, r)."""
-        return self.operator.condense_many(i, X)  # X_Γ − K_ΓI K_II⁻¹ X_I
-
     def condense_stabilisation(self, i: int, Z: Array) -> Array:
         """Return Y_Z for Z on the dofs of subdomain i, (n_i, q) → (n_Γ, q)."""
-        inside = ~self.operator.on_interface[i]
+        S, inside = self.operator, ~self.operator.on_interface[i]
         if Z.shape[1] == 0 or not np.any(inside):
             return Z[~inside]
-        X = self.operator.interior_factors[i].solve(Z[inside])  # X = K_II⁻¹ Z_I
+        X = S.interior_factors[i].solve(Z[inside])  # X = K_II⁻¹ Z_I
         try:
             C = np.linalg.cholesky(np.eye(Z.shape[1]) + Z[inside].T @ X)
         except np.linalg.LinAlgError:  # K_II itself is indefinite
             return Z[~inside]
-        Y = self.to_interface(i, Z)
+        Y = Z[~inside] - product_many(S.torn.K, S.interface[i], S.interior[i], X)
         return scipy.linalg.solve_triangular(C, Y.T, lower=True).T  # (Z_Γ − K_ΓI X) C⁻ᵀ

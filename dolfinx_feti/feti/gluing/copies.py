@@ -22,7 +22,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.runtime.arrays import Array, Indices, Integers, Numbers
-from dolfinx_feti.runtime.collective import total, total_of
+from dolfinx_feti.runtime.collective import total_of
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["Copies", "star_forest"]
@@ -68,12 +68,8 @@ class Copies:
         """Average the copies, T Tᵀ δ t, (n,). Collective."""
         return self.sum(self.delta * t)
 
-    def dot(self, x: Array, y: Array) -> float:
-        """Return xᵀ y of two assembled vectors, given by their copies, (n,). Collective."""
-        return total(x @ (self.delta * y), self.comm)
-
     def dots(self, *pairs: tuple[Array, Array]) -> list[float]:
-        """Return xᵀ y of each pair, in a single reduction. Collective."""
+        """Return xᵀ y of pairs of assembled vectors, by their copies, (n,) each. Collective."""
         own = [x @ (self.delta * y) for x, y in pairs]
         return [float(sum_) for sum_ in total_of(np.array(own), self.comm)]
 

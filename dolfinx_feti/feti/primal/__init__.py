@@ -3,5 +3,5 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The primal form: conjugate gradients, or GMRES, on the assembled interface.
 
-In the order of the data: assembled, adaptive, deflation, cg, gmres, form.
+In the order of the data: assembled, adaptive, deflation, krylov, form.
 """

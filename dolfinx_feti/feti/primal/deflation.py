@@ -5,14 +5,10 @@ r"""Deflation of the primal form: small eigenvalues that one Newton step leaves 
 
 .. math:: Π = (I - W H^{-1} W^⊤ A)(I - V A_0^{-1} V^⊤ A), \qquad H = W^⊤ A W, \quad V^⊤ A W = 0
 
-(Saad et al. 2000). W are Ritz vectors of the smallest Ritz values in the span of the last W and of
-the iterations' :math:`A Z = R H`; with :math:`Q = M^{-1} W`, :math:`N = Q^⊤ Z`, both matrices take
-no product (docs/theory.md). Of an unsymmetric A the symmetric parts are taken. A first solve has
-the softest fields of V where stress softens the body, each corrected,
-
-.. math:: W = M A V c, \qquad A_0\, c = μ\, V^⊤ V c.
-
-Gram matrices are formed in full, since rounding spoils the orthogonality of the residuals.
+(Saad et al. 2000; docs/theory.md). W are Ritz vectors in the span of the last W and of the
+iterations' :math:`A Z = R H`. A first solve has the softest fields of V where stress softens the
+body, corrected: :math:`W = M A V c, A_0\, c = μ\, V^⊤ V c`. Of an unsymmetric A the symmetric parts
+are taken. Gram matrices are formed in full, as rounding spoils the orthogonality of residuals.
 """
 
 from __future__ import annotations

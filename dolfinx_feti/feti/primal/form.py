@@ -6,7 +6,7 @@ r"""The primal form: the assembled interface problem set up for a matrix, and so
 .. math:: A\, x = T^⊤ \hat f_Γ, \qquad A = T^⊤ S\, T, \qquad
           \hat f_Γ = f_Γ - K_{ΓI} K_{II}^{-1} f_I, \qquad f = δ\, T r - K u_D
 
-by ``cg``, or ``gmres`` if K is not symmetric. S, Vᵀ A and A₀ are those of the present matrix;
+by CG, or GMRES if K is not symmetric (``krylov``). S, Vᵀ A and A₀ are those of the present matrix;
 :math:`K_ρ^{-1}`, V and δ may be of an earlier one, or of the symmetric part.
 """
 
@@ -28,9 +28,8 @@ from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.pattern import Pattern, symmetric_part
 from dolfinx_feti.feti.primal.adaptive import adaptive_columns
 from dolfinx_feti.feti.primal.assembled import assembled_products
-from dolfinx_feti.feti.primal.cg import PrimalSystem, conjugate_gradients
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace, soft_fields
-from dolfinx_feti.feti.primal.gmres import gmres
+from dolfinx_feti.feti.primal.krylov import PrimalSystem, conjugate_gradients, gmres
 from dolfinx_feti.feti.regularity.singularity import require_held
 from dolfinx_feti.feti.setup import Inertia, Setup, set_up, sum_if_known
 from dolfinx_feti.feti.solution import Monitor, RitzVectors, Solution
@@ -96,7 +95,6 @@ class PrimalForm:
 
     Attributes:
         pattern: What depends on the pattern.
-        near_kernel: Rigid body modes on the torn dofs, (n, k).
         operator: S, and K_II⁻¹, of this matrix.
         preconditioner: K_ρ⁻¹, V and δ, of this matrix or an earlier one.
         coarse: V, A V and A₀.
@@ -106,7 +104,6 @@ class PrimalForm:
     """
 
     pattern: Pattern
-    near_kernel: Array
     operator: Operator
     preconditioner: PrimalPreconditioner
     coarse: AveragedSpace
@@ -196,7 +193,7 @@ class PrimalForm:
     def setup(self) -> Setup:
         """The parts that the dual form takes, if the preconditioner is of this matrix."""
         own = self.preconditioner
-        return Setup(self.near_kernel, self.operator, own.delta, own.inverse, own.inertia)
+        return Setup(self.operator, own.delta, own.inverse, own.inertia)
 
 
 def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> PrimalPreconditioner:
@@ -221,7 +218,9 @@ def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> P
 def create_preconditioner_of_part(pattern: Pattern, within: Lifetime) -> PrimalPreconditioner:
     """Build the preconditioner of the present matrix from ½ (K + Kᵀ), for its owner. Collective."""
     try:
-        with symmetric_part(pattern) as part, Lifetime() as matrix:
+        with symmetric_part(pattern.torn) as torn, Lifetime() as matrix:
+            assert pattern.of_part is not None
+            part = replace(pattern, torn=torn, symmetric=True, analysis=pattern.of_part)
             return create_preconditioner(part, set_up(part, matrix, within, rough=True), within)
     except SingularError:  # which does not make K singular
         raise SetUpError(
@@ -232,7 +231,6 @@ def create_preconditioner_of_part(pattern: Pattern, within: Lifetime) -> PrimalP
 
 def create_primal_form(
     pattern: Pattern,
-    near_kernel: Array,
     operator: Operator,
     preconditioner: PrimalPreconditioner,
     within: Lifetime,
@@ -248,7 +246,7 @@ def create_primal_form(
     """
     S, prefix, known = operator, pattern.prefix + "coarse_", preconditioner.combinations
     with event("FETICoarse"):
-        require_held(pattern.torn, pattern.bodies, near_kernel, definite=False)
+        require_held(pattern.torn, pattern.bodies)
         space = AveragedSpace(
             preconditioner.V, S, prefix=prefix, symmetric=pattern.symmetric, combinations=known
         )
@@ -265,7 +263,6 @@ def create_primal_form(
     proved = None if negative is None or inside is None else negative + inside
     return PrimalForm(
         pattern=pattern,
-        near_kernel=near_kernel,
         operator=S,
         preconditioner=preconditioner,
         coarse=space,

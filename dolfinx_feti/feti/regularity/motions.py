@@ -120,12 +120,12 @@ class Motions:
         return int(self.dimensions.sum())
 
 
-def free_motions(torn: Torn, bodies: Bodies, near_kernel: Array, *, definite: bool) -> Motions:
-    """Find the rigid motions, among those of the near kernel, (n, k), that nothing resists.
+def free_motions(torn: Torn, bodies: Bodies, *, definite: bool) -> Motions:
+    """Find the rigid motions, among those of the near kernel, that nothing resists.
 
     ``definite`` tells that the assembled matrix is known to be positive semi-definite. Collective.
     """
-    null_vectors = null_space(torn)
+    null_vectors, near_kernel = null_space(torn), torn.near_kernel()
     operator, (dofs, body) = ScaledOperator(torn), bodies.supports.T
     modes = operator.sizes(near_kernel)
     on_supports = triangles(modes[dofs], body, bodies.count, torn.comm)

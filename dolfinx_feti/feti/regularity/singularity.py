@@ -78,13 +78,10 @@ INTERIOR = (
 def require_regular(
     torn: Torn,
     bodies: Bodies,
-    near_kernel: Array,
     N: PETSc.Mat,
     solver: GatheredSolver,
     *,
-    prolong: Callable[[Array], Array],
-    extend: Callable[[Array, Array], Array],
-    delta: Array,
+    field: Callable[[Array], Array],
     definite: bool,
     prefix: str,
 ) -> None:
@@ -93,12 +90,9 @@ def require_regular(
     Args:
         torn: The torn matrix.
         bodies: Its bodies.
-        near_kernel: Rigid body modes on the torn dofs, (n, k).
         N: The coarse matrix, regular along a null space that the matrix has been given, (K, K).
         solver: Its factors.
-        prolong: Makes torn fields of coarse unknowns, E s, (K,) → (n,).
-        extend: Completes a field, (n,), on an interior that is eliminated, for a load, (n,).
-        delta: Weight δ of each torn dof, (n,).
+        field: Returns E s with its copies averaged, zero on Dirichlet dofs, (K,) → (n,).
         definite: Whether all K_i are known to be positive semi-definite.
         prefix: Options prefix of the coarse solver.
 
@@ -106,21 +100,14 @@ def require_regular(
         SingularError: There are some; the message names them.
         SetUpError: The coarse solver does not solve.
     """
-    rigid = free_motions(torn, bodies, near_kernel, definite=definite)
+    rigid = free_motions(torn, bodies, definite=definite)
     growth, error = _growth_and_error(N, solver)
     others = np.zeros((torn.n, 0))
-
-    def averaged(s: Array) -> Array:
-        """Return E s with its copies averaged, completed inside, zero on Dirichlet dofs."""
-        w = torn.tear(torn.assemble(delta * prolong(s)))
-        w = extend(np.where(torn.dirichlet, 0.0, w), np.zeros(torn.n))
-        return np.where(torn.dirichlet, 0.0, w)
-
     sound = growth <= SUSPICIOUS_GROWTH and error <= BACKWARD
     most, known = rigid.total + SPARE, rigid.known
     while N.getSize()[0] and not (known and sound) and most <= MOST:
         S = _null_vectors(N, most, prefix=prefix)
-        W = np.array([averaged(s) for s in S.T]).reshape(S.shape[1], torn.n).T
+        W = np.array([field(s) for s in S.T]).reshape(S.shape[1], torn.n).T
         others = _unresisted(W, rigid)
         if others.shape[1] < SPARE or most >= N.getSize()[0]:
             break
@@ -136,20 +123,19 @@ def require_regular(
         )
 
 
-def require_held(torn: Torn, bodies: Bodies, near_kernel: Array, *, definite: bool) -> None:
+def require_held(torn: Torn, bodies: Bodies) -> None:
     """Look for rigid motions alone; see :func:`require_regular`. Collective."""
-    rigid = free_motions(torn, bodies, near_kernel, definite=definite)
+    rigid = free_motions(torn, bodies, definite=False)
     if not rigid.known:
         raise SingularError(describe(rigid, np.zeros((torn.n, 0))))
 
 
-def require_regular_interior(torn: Torn, bodies: Bodies, near_kernel: Array, kernel: Array) -> None:
+def require_regular_interior(torn: Torn, bodies: Bodies, kernel: Array) -> None:
     """Refuse motions of the interior of a subdomain that its interface does not feel. Collective.
 
     Args:
         torn: The torn matrix.
         bodies: Its bodies.
-        near_kernel: Rigid body modes on the torn dofs, (n, k).
         kernel: Null vectors of all K_II of this process on the torn dofs, (n, r).
 
     Raises:
@@ -158,7 +144,7 @@ def require_regular_interior(torn: Torn, bodies: Bodies, near_kernel: Array, ker
     counts = torn.comm.allgather(kernel.shape[1])
     if not any(counts):
         return
-    rigid = free_motions(torn, bodies, near_kernel, definite=False)
+    rigid = free_motions(torn, bodies, definite=False)
     if rigid.null_space.shape[1]:
         raise SingularError(INSIDE)
     columns = [np.zeros((torn.n, count)) for count in counts]

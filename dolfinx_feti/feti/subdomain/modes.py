@@ -36,8 +36,8 @@ class SubdomainModes:
         exact: Whether K R = 0 holds.
         softened: Whether stress softens the rigid motions by a noticeable share of the stiffness.
         rho: The stiffness ρ.
-        rigid: Number of rigid body modes, the first ones of R.
-        null: Number of further null vectors, the next ones.
+        kernel: Number of modes that are not elastic, the first ones of R: rigid ones, null vectors.
+        null: Number of null vectors that are not rigid.
         soft: Number of soft modes, the last ones.
         lifted: Negative eigenvalues of K_ρ that soft modes have made positive.
     """
@@ -49,7 +49,7 @@ class SubdomainModes:
     exact: bool
     softened: bool
     rho: float
-    rigid: int
+    kernel: int
     null: int
     soft: int
     lifted: int
@@ -63,11 +63,6 @@ class SubdomainModes:
     def E_Y(self) -> Array:
         """E of the soft modes, (n_i, soft)."""
         return self.E[:, self.E.shape[1] - self.soft :]
-
-    @property
-    def kernel(self) -> int:
-        """Number of modes that are not elastic: rigid body modes and null vectors."""
-        return self.rigid + self.null
 
 
 def kernel_basis(modes: Array, fixed: Mask) -> Array:

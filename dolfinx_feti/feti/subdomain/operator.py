@@ -28,7 +28,7 @@ from dolfinx_feti.feti.subdomain.factors.dense import DenseFactor, PackedMatrix,
 from dolfinx_feti.feti.subdomain.factors.direct import Choice
 from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts
 from dolfinx_feti.feti.subdomain.factors.pivoted import factor_with_pivots
-from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
+from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_known
 from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
 from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.runtime.arrays import Array, Indices, Mask, Single
@@ -73,13 +73,13 @@ class Operator(ABC):
     def multiply_many(self, i: int, X: Array, *, transpose: bool = False) -> Array:
         """Return S_i X, or S_iᵀ X, for columns on the interface, (n_Γ, r)."""
 
-    @abstractmethod
     def multiply_panels(self, i: int, W: Panels, *, transpose: bool = False) -> Array:
         """Return S_i W, or S_iᵀ W, for block-sparse columns on the interface, (n_Γ, r)."""
+        return self.multiply_many(i, W.dense(), transpose=transpose)
 
-    @abstractmethod
     def local_product(self, i: int, X: Array) -> Array:
         """Return the product of the matrix that is inverted, K_i or S_i, with columns, (n_i, r)."""
+        return self.multiply_many(i, X)
 
     @abstractmethod
     def factor(self, i: int, R: Array, rho: float, shift: Array | None = None) -> Factor:
@@ -88,10 +88,6 @@ class Operator(ABC):
     def factor_in_single(self, i: int, R: Array, rho: float) -> Factor | None:
         """Factor it plus ρ R Rᵀ in single precision; None where that is not done, or fails."""
         return None
-
-    @abstractmethod
-    def condense_many(self, i: int, X: Array) -> Array:
-        """Move forces X on ``dofs`` of subdomain i to its interface, (n_i, r) → (n_Γ, r)."""
 
     def multiply(self, t: Array) -> Array:
         """Return S t, (n,) → (n,), for a t that is zero off the interface."""
@@ -131,7 +127,7 @@ class Operator(ABC):
         """Count the negative eigenvalues of all K_II of this process; None if not known."""
         if len(self.interior_factors) < len(self.interior):
             return None
-        return sum_negative(self.interior_factors)
+        return sum_known([factor.pivots.negative for factor in self.interior_factors])
 
     def _solve_inside(self, y: Array) -> Array:
         """Return K_II⁻¹ y_I of every subdomain, zero elsewhere, (n,)."""
@@ -190,9 +186,6 @@ class KeptInterior(Operator):
         Y = self.interior_factors[i].solve(K(I, Γ, X), transpose=transpose)  # K_II⁻¹ K_IΓ X
         return K(Γ, Γ, X) - K(Γ, I, Y)
 
-    def multiply_panels(self, i: int, W: Panels, *, transpose: bool = False) -> Array:
-        return self.multiply_many(i, W.dense(), transpose=transpose)
-
     def local_product(self, i: int, X: Array) -> Array:
         return product_many(self.torn.K, self.dofs[i], self.dofs[i], X)  # K_i X
 
@@ -204,12 +197,6 @@ class KeptInterior(Operator):
             if factored is not None:
                 return factored
         return factor_with_pivots(self.torn.K, self.dofs[i], self._analysis.local, R, rho, shift)
-
-    def condense_many(self, i: int, X: Array) -> Array:
-        inside = ~self.on_interface[i]
-        Y = self.interior_factors[i].solve(X[inside])
-        forces = product_many(self.torn.K, self.interface[i], self.interior[i], Y)
-        return X[~inside] - forces  # X_Γ − K_ΓI K_II⁻¹ X_I
 
     def destroy(self) -> None:
         super().destroy()
@@ -252,17 +239,11 @@ class EliminatedInterior(Operator):
         """Return S_i in single precision, (n_Γ, n_Γ) in Fortran's order, below its diagonal."""
         return self._S[i].unpacked(work)
 
-    def local_product(self, i: int, X: Array) -> Array:
-        return self.multiply_many(i, X)
-
     def factor(self, i: int, R: Array, rho: float, shift: Array | None = None) -> Factor:
         return DenseFactor(self._S[i], R, rho, shift)
 
     def factor_in_single(self, i: int, R: Array, rho: float) -> Factor | None:
         return DenseFactor.in_single(self._S[i], R, rho)
-
-    def condense_many(self, i: int, X: Array) -> Array:
-        return X
 
     def memory(self) -> float:
         return super().memory() + sum(S.memory() for S in self._S)

@@ -25,7 +25,7 @@ from dolfinx_feti.errors import FactorError, SingularBlockError
 from dolfinx_feti.feti.gluing.jump import Dofs
 from dolfinx_feti.feti.subdomain.blocks import as_slice, named
 from dolfinx_feti.feti.subdomain.factors.dense import SINGLE, DenseFactor
-from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_negative
+from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_known
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes, kernel_basis
 from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, growth, null_space
 from dolfinx_feti.feti.subdomain.operator import Operator
@@ -117,7 +117,7 @@ class PseudoInverse:
 
     def negative(self) -> int | None:
         """Count the negative eigenvalues of all K_ρ of this process; None if not known."""
-        negative = sum_negative(self.factors)
+        negative = sum_known([factor.pivots.negative for factor in self.factors])
         lifted = sum(modes.lifted for modes in self.modes)
         return None if negative is None else negative - lifted
 
@@ -196,6 +196,17 @@ class _Block(NamedTuple):
     def is_singular(self, factor: Factor) -> bool:
         return factor_tells_singular(factor, self.diagonal)
 
+    def regular_factor(self, R: Array, rho: float) -> Factor | None:
+        """Factor it plus ρ R Rᵀ; None where it is singular up to rounding."""
+        try:
+            factor = self.factor(R, rho)
+        except FactorError:  # a solver that stops at a zero pivot
+            return None
+        if not self.is_singular(factor):
+            return factor
+        factor.destroy()
+        return None
+
 
 def _is_single(factor: Factor) -> bool:
     return isinstance(factor, DenseFactor) and factor.single
@@ -224,7 +235,7 @@ def _regularise(
         exact=exact and Y.shape[1] == 0,
         softened=softened,
         rho=rho,
-        rigid=rigid.shape[1],
+        kernel=kernel.shape[1],
         null=kernel.shape[1] - rigid.shape[1],
         soft=Y.shape[1],
         lifted=int(np.count_nonzero(np.linalg.eigvalsh(D[k:, k:]) < 0.0)),  # Haynsworth
@@ -233,16 +244,9 @@ def _regularise(
 
 def _with_null_vectors(K: _Block, R: Array, rho: float) -> tuple[Factor, Array]:
     """Factor K_ρ, and append to R the null vectors that it still has; return both."""
-    single = K.factor_in_single(R, rho)
-    if single is not None:
-        return single, R
-    try:
-        factor = K.factor(R, rho)
-        if not K.is_singular(factor):
-            return factor, R
-        factor.destroy()
-    except FactorError:  # a solver that stops at a zero pivot
-        pass
+    regular = K.factor_in_single(R, rho) or K.regular_factor(R, rho)
+    if regular is not None:
+        return regular, R
     Y = null_space(K.product, lambda known, shift: K.factor(known, 1.0, shift), K.diagonal, R)
     R = append_orthonormal(R, Y)
     factor = K.factor(R, rho)
@@ -264,9 +268,8 @@ def _with_buckling_modes(
         needed = max(rho, -LIFT * float(lowest))
         if more.shape[1] == R.shape[1] and needed == rho:
             break
-        raised = K.factor(more, needed)
-        if K.is_singular(raised):  # a border that the factor cannot tell from zero
-            raised.destroy()
+        raised = K.regular_factor(more, needed)
+        if raised is None:  # a border that the factor cannot tell from zero
             break
         factor.destroy()
         factor, R, rho = raised, more, needed

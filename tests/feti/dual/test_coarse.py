@@ -16,8 +16,7 @@ from hand_torn import scaled_diagonal
 from modes import modes_of
 
 from dolfinx_feti.errors import SetUpError
-from dolfinx_feti.feti.coarse.gathered import GatheredSolver
-from dolfinx_feti.feti.coarse.whole import whole_factor
+from dolfinx_feti.feti.coarse.gathered import GatheredSolver, whole_factor
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor, Fronts
 from dolfinx_feti.runtime.collective import raise_deferred
 from dolfinx_feti.runtime.petsc_options import inserted
@@ -169,7 +168,7 @@ def test_gathered_solver_on_any_number_of_processes(rows, symmetric, gathered, m
 def test_whole_factor_where_it_will_do(kind, spread, gathered, monkeypatch):
     """Blocks of subdomains, some of which have none; MUMPS factors what is not definite."""
     monkeypatch.setattr("dolfinx_feti.feti.coarse.gathered.SPREAD", spread)
-    monkeypatch.setattr("dolfinx_feti.feti.coarse.whole.MOST", 10 if kind == "large" else 2**25)
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.gathered.MOST", 10 if kind == "large" else 2**25)
     sizes = np.array([2, 0, 3, 1] if kind != "one block" else [0, 3])
     subdomain = np.repeat(np.arange(len(sizes) * COMM.size), np.tile(sizes, COMM.size))
     n = len(subdomain)

@@ -11,7 +11,7 @@ from collective import COMM, agree, dense, equal, matrix_of_map, small, whole
 from hand_torn import scaled_diagonal
 from modes import modes_of
 
-from dolfinx_feti.feti.dual.weighted import WeightedColumns
+from dolfinx_feti.feti.dual.coarse import WeightedColumns
 
 SEED = 90210
 

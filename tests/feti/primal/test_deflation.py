@@ -19,9 +19,9 @@ from hand_torn import softened
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.gluing import copies
 from dolfinx_feti.feti.primal import deflation
-from dolfinx_feti.feti.primal.cg import conjugate_gradients
 from dolfinx_feti.feti.primal.deflation import DEFLATED, DeflatedSpace, RitzVectors, soft_fields
 from dolfinx_feti.feti.primal.form import solver_on_interface
+from dolfinx_feti.feti.primal.krylov import conjugate_gradients
 from dolfinx_feti.runtime import collective
 
 SEED = 2000

@@ -165,19 +165,8 @@ def test_shares_have_rows_of_the_matrix():
 def test_elements_couple_columns_that_are_near():
     """Each owner is looked for among those near it, which end."""
     base = 2 * COMM.rank
-    owner, count = np.array([base, base + 1]), np.ones(2, np.int32)
-    W = Fields(
-        load_panels(COMM),
-        sizes=np.array([1, 1]),
-        panels=np.array([0, 1, 2]),
-        owner=owner,
-        count=count,
-        first=np.arange(3, dtype=np.int32),
-        row=np.zeros(2, dtype=np.int32),
-        start=np.arange(3),
-        values=np.ones(2),
-    )
-    near = NearColumns(W, [1, 1], COMM)
+    count, one = np.ones(2, np.int32), panels(1, first=[0, 1], row=[0], count=[1], values=[1.0])
+    near = NearColumns(Fields([one, one], [np.array([base + i]) for i in (0, 1)]), [1, 1], COMM)
     to, lib = near._code.ffi.from_buffer, near._code.lib
     ptr, adjacent = np.arange(3, dtype=np.int32), np.arange(2, dtype=np.int32)
     place, start = np.zeros(2, np.int32), np.arange(3)

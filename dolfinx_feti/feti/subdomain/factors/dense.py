@@ -7,7 +7,7 @@ r"""Dense symmetric blocks in packed format, and the factors of their regularise
 
 in LAPACK's packed format, the second one in single precision, for a preconditioner
 (docs/theory.md). Where Cholesky's factorisation fails, :math:`L Δ L^⊤` (Bunch and Kaufman) takes
-its place, and where that meets a zero, the pseudo-inverse of the matrix scaled by its diagonal.
+its place.
 """
 
 from __future__ import annotations
@@ -34,9 +34,6 @@ Real = TypeVar("Real", np.float32, np.float64)
 
 #: The unit ε of rounding in single precision.
 SINGLE = float(np.finfo(np.float32).eps) / 2.0
-
-#: Share of the largest eigenvalue of a scaled matrix below which one counts as zero.
-ZERO_EIGENVALUE = 1e-14
 
 #: Columns up to which a packed triangle is read once for each, rather than unpacked.
 FEW = 6
@@ -101,11 +98,14 @@ class DenseFactor:
     def __init__(
         self, S: PackedMatrix, R: Array | None = None, rho: float = 1.0, shift: Array | None = None
     ) -> None:
-        """Factor S + ρ R Rᵀ + diag(shift), with orthonormal R, (n, k), and a shift, (n,)."""
+        """Factor S + ρ R Rᵀ + diag(shift), with orthonormal R, (n, k), and a shift, (n,).
+
+        A FactorError tells of a zero pivot.
+        """
         self._n, self._work, self.single = S.n, S.work, False
         self._interchanges: Indices | None = None  # of Bunch and Kaufman
         self._scale = 1.0  # of what is factored
-        self._X: npt.NDArray[np.floating] = np.zeros(0)  # L or that of L Δ Lᵀ; or the inverse
+        self._X: npt.NDArray[np.floating] = np.zeros(0)  # L, or that of L Δ Lᵀ
         self.pivots = Pivots(0, 0)
         if S.n == 0:
             return
@@ -113,8 +113,14 @@ class DenseFactor:
         X, failed = lapack.dpotrf(regularised(), lower=1, overwrite_a=1, clean=0)
         if not failed:
             self._X = pack(X)  # L Lᵀ
-        elif not self._factor_indefinite(regularised().copy(order="F")):
-            self._invert(np.tril(regularised()))
+            return
+        X, size = regularised().copy(order="F"), int(lapack.dsytrf_lwork(S.n, lower=1)[0])
+        X, interchanges, failed = lapack.dsytrf(X, lower=1, lwork=size, overwrite_a=1)
+        if failed:
+            raise FactorError("a zero pivot")
+        negative = np.count_nonzero(_pivot_eigenvalues(X, interchanges) < 0.0)
+        self._X, self._interchanges = X, interchanges
+        self.pivots = Pivots(int(negative), 0)
 
     @classmethod
     def in_single(cls, S: PackedMatrix, R: Array, rho: float) -> DenseFactor | None:
@@ -130,28 +136,6 @@ class DenseFactor:
         factor._X = lapack.strttp(X, uplo="L")[0]  # L Lᵀ = S/ρ + R Rᵀ
         return factor
 
-    def _factor_indefinite(self, S_ρ: Array) -> bool:
-        """Factor S_ρ = L Δ Lᵀ; return whether no block of Δ is zero."""
-        size = int(lapack.dsytrf_lwork(self._n, lower=1)[0])
-        X, interchanges, failed = lapack.dsytrf(S_ρ, lower=1, lwork=size, overwrite_a=1)
-        if not failed:
-            negative = np.count_nonzero(_pivot_eigenvalues(X, interchanges) < 0.0)
-            self._X, self._interchanges = X, interchanges
-            self.pivots = Pivots(int(negative), 0)
-        return not failed
-
-    def _invert(self, S_ρ: Array) -> None:
-        """Form the pseudo-inverse of S_ρ, scaled by its diagonal."""
-        root = np.sqrt(np.abs(S_ρ.diagonal()))
-        root[root == 0.0] = root.max() or 1.0
-        values, V = np.linalg.eigh(S_ρ / root[:, None] / root, UPLO="L")
-        zero = np.abs(values) <= ZERO_EIGENVALUE * np.abs(values).max()
-        negative = np.count_nonzero(values[~zero] < 0.0)
-        self.pivots = Pivots(int(negative), int(np.count_nonzero(zero)))
-        values[zero] = np.inf
-        V = V / root[:, None]
-        self._X = np.asfortranarray((V / values) @ V.T)
-
     def solve(self, Y: Array, *, transpose: bool = False) -> Array:
         """Return S_ρ⁻¹ Y, (n,) or (n, r)."""
         require_alive(self._n >= 0)
@@ -160,8 +144,6 @@ class DenseFactor:
         if self._interchanges is not None:
             rhs = Y if Y.ndim == 2 else Y[:, None]
             return lapack.dsytrs(self._X, self._interchanges, rhs, lower=1)[0].reshape(Y.shape)
-        if self._X.ndim == 2:
-            return np.asarray(self._X @ Y)
         if Y.ndim == 2 and (self.single or Y.shape[1] > FEW):
             return self.solver()(Y)
         if Y.ndim == 2:
@@ -175,7 +157,7 @@ class DenseFactor:
     def solver(self) -> Callable[[Array], Array]:
         """Return what applies S_ρ⁻¹ to columns, (n, r), until the work space serves another one."""
         require_alive(self._n >= 0)
-        if self._X.ndim == 2 or self._n == 0:
+        if self._interchanges is not None or self._n == 0:
             return self.solve
         L = unpack(self._X, self._n, self._work.view(self._X.dtype))
         trsm = blas.strsm if self.single else blas.dtrsm

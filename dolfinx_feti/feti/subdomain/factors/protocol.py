@@ -11,12 +11,12 @@ belongs to one matrix and does not change.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = ["Factor", "Pivots", "require_alive", "sum_negative"]
+__all__ = ["Factor", "Pivots", "require_alive", "sum_known"]
 
 
 class Pivots(NamedTuple):
@@ -54,8 +54,7 @@ def require_alive(alive: bool) -> None:
         raise RuntimeError("the factor has been destroyed: factor the matrix again")
 
 
-def sum_negative(factors: Iterable[Factor]) -> int | None:
-    """Add up the negative eigenvalues of several factors; None if one of them does not tell."""
-    counts = [factor.pivots.negative for factor in factors]
+def sum_known(counts: Sequence[int | None]) -> int | None:
+    """Add up numbers; None if one of them is not known."""
     known = [count for count in counts if count is not None]
     return sum(known) if len(known) == len(counts) else None

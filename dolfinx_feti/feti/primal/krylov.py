@@ -1,13 +1,19 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Conjugate gradients on the assembled interface, preconditioned by FETI's local solves.
+r"""CG and GMRES on the assembled interface, preconditioned by FETI's local solves (docs/theory.md).
 
 .. math:: z = Π\, T^⊤ δ\, K_ρ^{-1} δ\, T r, \qquad A = T^⊤ S T
 
 with the projection Π of ``deflation`` (Mandel 1993; Fragakis and Papadrakakis 2003). An indefinite
-A shows in A₀ or in a direction p with :math:`p^⊤ A p < 0` beyond rounding, and is solved with where
-A₀ has as many negative eigenvalues, or one or two less, as near a limit point.
+A shows in A₀ or in a direction p with :math:`p^⊤ A p < 0` beyond rounding, and CG solves with it
+where A₀ has as many negative eigenvalues, or one or two less, as near a limit point. GMRES is for
+an unsymmetric A,
+
+.. math:: A Z_k = Q_{k+1} H, \quad a = R^{-⊤} h, \quad \|r_k\| = \|r_0\| (1 + a^⊤ a)^{-1/2}
+
+with an orthonormal basis Q of residuals, and the first row h of H above the triangle R (Saad and
+Schultz 1986; Ayachour 2003). It keeps two vectors an iteration, up to :data:`RESTART`.
 """
 
 from __future__ import annotations
@@ -23,11 +29,12 @@ import scipy.linalg
 from dolfinx_feti.feti.coarse.space import MARGIN
 from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.primal.deflation import DeflatedSpace, Trace
-from dolfinx_feti.feti.solution import STAGNATION, Monitor, Solution
+from dolfinx_feti.feti.solution import RESTART, STAGNATION, Monitor, Solution
 from dolfinx_feti.runtime.arrays import Array
-from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.collective import deferred, on_all, total_of
+from dolfinx_feti.torn.rounding import EPS
 
-__all__ = ["PrimalSystem", "conjugate_gradients", "converged_reason"]
+__all__ = ["PrimalSystem", "conjugate_gradients", "gmres"]
 
 #: Share of ‖r‖² below which rounding would be felt in ‖r − α q‖² = ‖r‖² − 2 α rᵀ q + α² ‖q‖².
 CANCELLED = 1e-8
@@ -66,7 +73,7 @@ class PrimalSystem:
 
     def norm(self, r: Array) -> float:
         """Return ‖r‖ of the assembled vector. Collective."""
-        return float(np.sqrt(self.copies.dot(r, r)))
+        return float(np.sqrt(self.copies.dots((r, r))[0]))
 
 
 def conjugate_gradients(
@@ -102,7 +109,7 @@ def conjugate_gradients(
     best, least, at = x, norm, 0
     in_vain = space.indefinite and not saddles
     reason = Reason.DIVERGED_INDEFINITE_MAT if in_vain else Reason.ITERATING
-    while not reason and not (reason := converged_reason(norm, target, len(α), max_it)):
+    while not reason and not (reason := _converged_reason(norm, target, len(α), max_it)):
         last = ρ
         z, ρ = system.precondition(r)
         β.append(ρ / last)
@@ -131,11 +138,63 @@ def conjugate_gradients(
                 reason = Reason.CONVERGED_ITS
     k = min(len(α), traced)
     trace = Trace(R[:k], Z[: max(k - 1, 0)], _hessenberg(np.array(α[:k]), np.array(β[:k])))
-    ends = on_all(lambda: extreme_ritz_values(α, β), copies.comm)
+    ends = on_all(lambda: _extreme_ritz_values(α, β), copies.comm)
     return best, Solution(reason, len(α), ends), trace
 
 
-def converged_reason(norm: float, target: float, its: int, max_it: int) -> int:
+def gmres(
+    system: PrimalSystem, f: Array, *, target: float, max_it: int, monitor: Monitor, traced: int = 0
+) -> tuple[Array, Solution, Trace]:
+    """Solve A x = Tᵀ f, with arguments and results of ``conjugate_gradients``. Collective."""
+    copies = system.copies
+    x = system.space.initial_guess(copies.sum(f))
+    r = system.residual(f, x)
+    norm = first = system.norm(r)
+    monitor(0, norm)
+    most = min(max_it, RESTART)
+    Q, Z = np.empty((2, most + 1, len(x)))  # a row takes memory once it is written
+    H, a, k = np.zeros((most + 1, most)), np.zeros(most), 0
+    if not (reason := _converged_reason(norm, target, 0, max_it)):
+        Q[0] = r / first
+    while not reason:
+        Z[k], _ = system.precondition(Q[k])
+        q = copies.sum(system.multiply(Z[k]))  # q = A z
+        H[: k + 2, k], Q[k + 1] = _orthonormalised(copies, Q[: k + 1], q)
+        if H[k + 1, k] == 0.0:
+            reason = Reason.CONVERGED_ITS  # A z = 0
+            break
+        a[k] = (H[0, k] - H[1 : k + 1, k] @ a[:k]) / H[k + 1, k]  # a = R⁻ᵀ h
+        k += 1
+        norm = float(first / np.sqrt(1.0 + a @ a))
+        monitor(k, norm)
+        reason = _converged_reason(norm, target, k, max_it)
+        if not reason and k == most:
+            reason = Reason.CONVERGED_ITS
+    if k and np.isfinite(norm):
+        y = deferred(lambda: scipy.linalg.solve_triangular(H[1 : k + 1, :k], a[:k]), k)
+        x = x + Z[:k].T @ (y * (first / (1.0 + a @ a)))
+    m = min(k, traced)
+    trace = Trace(Q[: m + 1], Z[:m], H[: m + 1, :m])
+    return x, Solution(reason, k), trace
+
+
+def _orthonormalised(copies: Copies, Q: Array, q: Array) -> tuple[Array, Array]:
+    """Return h with q = Σ h_j q_j, (k + 1,), and the last q_j, (n,), orthonormal to Q, (k, n).
+
+    Gram–Schmidt, twice. Collective.
+    """
+    δ, comm = copies.delta, copies.comm
+    h = total_of(Q @ (δ * q), comm)
+    q = q - h @ Q
+    *own, square = total_of(np.append(Q @ (δ * q), q @ (δ * q)), comm)
+    more = np.array(own)
+    q, h = q - more @ Q, h + more
+    size = np.sqrt(h @ h + square)  # ‖A z‖
+    last = np.sqrt(max(square - more @ more, (EPS * size) ** 2))  # or all of q is rounding
+    return np.append(h, last), q / last if last > 0.0 else q
+
+
+def _converged_reason(norm: float, target: float, its: int, max_it: int) -> int:
     """Return the converged reason after an iteration."""
     if not np.isfinite(norm):
         return Reason.DIVERGED_NANORINF
@@ -151,7 +210,7 @@ def _hessenberg(α: Array, β: Array) -> Array:
     return L @ (np.eye(k) - np.diag(root[1:k], 1))  # A P = R L, z_j = p_j − √β_j p_{j−1}
 
 
-def extreme_ritz_values(α: list[float], β: list[float]) -> tuple[float, float]:
+def _extreme_ritz_values(α: list[float], β: list[float]) -> tuple[float, float]:
     """Return the extreme eigenvalues of Lanczos' matrix from the coefficients; nan if unknown."""
     if not α or not np.all(np.isfinite(α)):
         return np.nan, np.nan
