@@ -33,7 +33,7 @@ from dolfinx_feti.feti.primal.form import (
     create_primal_form,
 )
 from dolfinx_feti.feti.setup import Inertia, Setup, refined, set_up, set_up_operator
-from dolfinx_feti.feti.solution import RitzVectors
+from dolfinx_feti.feti.solution import RitzVectors, Solution
 from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import State, state_of
@@ -111,14 +111,12 @@ class Lasting:
             self._end_form()
             raise
 
-    def record(
-        self, reason: int, iterations: int, residual: float, vectors: RitzVectors | None
-    ) -> None:
-        """Note how a solve went; its residual is ‖b − A x‖/‖b‖."""
-        self._vectors = vectors
+    def record(self, solution: Solution) -> None:
+        """Note how a solve went."""
+        self._vectors, residual = solution.ritz_vectors, solution.residual
         digits = -np.log10(residual) if 0.0 < residual < 1.0 else np.nan
-        if reason > 0 and iterations and np.isnan(self._rate):
-            self._rate = iterations / digits
+        if solution.reason > 0 and solution.iterations and np.isnan(self._rate):
+            self._rate = solution.iterations / digits
 
     def most_iterations(self, max_it: int, rtol: float) -> int:
         """Return the most iterations of a solve: with an old preconditioner it may end early."""

@@ -95,8 +95,8 @@ class FETI:
         self.singular = False
         self.eigenvalues = (np.nan, np.nan)
         self._newton, self.refuse_indefinite = newton, refuse_indefinite
-        self._lasting: Lasting | None = None
-        self._prefix = ""
+        self._prefix: str | None = None  # until the options are read
+        self._lasting = Lasting(FETIOptions(), "", newton=newton)
 
     @property
     def condition_number(self) -> float:
@@ -107,12 +107,12 @@ class FETI:
     @property
     def form(self) -> Form | None:
         """What is set up for the last matrix; None before the first one, and after a failure."""
-        return None if self._lasting is None else self._lasting.form
+        return self._lasting.form
 
     @property
     def age(self) -> int:
         """Matrices since the one that the preconditioner belongs to."""
-        return 0 if self._lasting is None else self._lasting.age
+        return self._lasting.age
 
     @property
     def method(self) -> str:
@@ -126,8 +126,7 @@ class FETI:
 
     def renew(self) -> None:
         """Let the next matrix have a preconditioner of its own, and no Ritz vectors."""
-        if self._lasting is not None:
-            self._lasting.renew()
+        self._lasting.renew()
 
     # -- PETSc's calls ----------------------------------------------------------------------------
 
@@ -144,16 +143,15 @@ class FETI:
 
     def setFromOptions(self, ksp: PETSc.KSP) -> None:
         """Read the options under the prefix of the KSP."""
-        self._prefix = ksp.getOptionsPrefix() or ""
-        options = read_options(self._prefix)
+        prefix = ksp.getOptionsPrefix() or ""
+        options = read_options(prefix)
         self.destroy()
-        self._lasting = Lasting(options, self._prefix, newton=self._newton)
+        self._prefix, self._lasting = prefix, Lasting(options, prefix, newton=self._newton)
 
     def setUp(self, ksp: PETSc.KSP) -> None:
         """Build or refresh everything that depends on the matrix."""
-        if self._lasting is None:
+        if self._prefix is None:
             self.setFromOptions(ksp)
-        assert self._lasting is not None
         self.message, self.singular = "", False
         with suppress(Exception):
             raise_deferred()  # of a set-up that has failed in another way
@@ -166,7 +164,6 @@ class FETI:
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve A x = b; a failure is a negative converged reason with a message."""
         self.setUp(ksp)
-        assert self._lasting is not None
         spent = 0
         attempt = self._attempt(ksp, b, x, spent)
         while attempt.reason < 0 and self._try_again(attempt.reason):
@@ -210,8 +207,7 @@ class FETI:
 
     def destroy(self, ksp: PETSc.KSP | None = None) -> None:
         """Free everything."""
-        if self._lasting is not None:
-            self._lasting.destroy()
+        self._lasting.destroy()
 
     # -- the method -------------------------------------------------------------------------------
 
@@ -232,7 +228,6 @@ class FETI:
 
     def _try_again(self, reason: int) -> bool:
         """Prepare another attempt after one has failed; tell whether there is one."""
-        assert self._lasting is not None
         try:
             again = self._lasting.try_again(reason, saddles=not self.refuse_indefinite)
         except SetUpError as error:
@@ -244,9 +239,7 @@ class FETI:
 
     def _attempt(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, spent: int) -> Solution:
         """Solve A x = b with what is set up, unless that is known to be in vain."""
-        lasting = self._lasting
-        assert lasting is not None
-        form = lasting.form
+        form = self.form
         if form is None:
             x.set(0.0)
             return Solution(Reason.DIVERGED_PCSETUP_FAILED)
@@ -261,14 +254,13 @@ class FETI:
             x.set(0.0)
             return Solution(Reason.DIVERGED_PCSETUP_FAILED)
         self.eigenvalues = attempt.eigenvalues
-        lasting.record(attempt.reason, attempt.iterations, attempt.residual, attempt.ritz_vectors)
+        self._lasting.record(attempt)
         return attempt
 
     def _solve(
         self, ksp: PETSc.KSP, form: Form, b: PETSc.Vec, x: PETSc.Vec, r: PETSc.Vec, spent: int
     ) -> Solution:
         """Solve with a form of the method, and start afresh on the residual r until it is small."""
-        assert self._lasting is not None
         torn, delta = form.pattern.torn, form.delta
         rtol, atol, _, max_it = ksp.getTolerances()
         x.set(0.0)

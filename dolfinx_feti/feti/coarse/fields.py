@@ -12,9 +12,8 @@ and each neighbour (``panels``). On a dof with a prescribed value the jump is U 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from mpi4py import MPI
 
@@ -26,10 +25,6 @@ from dolfinx_feti.runtime.arrays import Array, Integers
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["Fields", "averaged_fields", "jump_fields"]
-
-
-#: Gives the j-th column of each pair's subdomain in the pair's row, zero beyond the last, (pairs,).
-Column = Callable[[int], Array]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +41,6 @@ class Fields:
     owners: list[Integers]
 
 
-class _Pairs(NamedTuple):
-    """Pairs of a row and a subdomain with columns on it: number of the first one, and of all."""
-
-    row: Integers
-    first: Integers
-    columns: Integers
-
-    def some(self, chosen: Integers) -> _Pairs:
-        """Return some of the pairs, by their numbers."""
-        return _Pairs(*(part[chosen] for part in self))
-
-
 def averaged_fields(copies: Copies, U: Sequence[Array]) -> Fields:
     """Return the averaged columns of all subdomains, T V. Collective.
 
@@ -65,9 +48,7 @@ def averaged_fields(copies: Copies, U: Sequence[Array]) -> Fields:
         copies: Copies of the interface dofs.
         U: For each subdomain its columns, (n_i, k_i), numbered on over subdomains and processes.
     """
-    own, column = _own_pairs(copies, U)
-    mean, average = _averaged_pairs(copies, own)
-    return _by_panels(copies, mean, lambda j: average(column(j)))
+    return _fields(copies, U, jump=False)
 
 
 def jump_fields(copies: Copies, U: Sequence[Array]) -> Fields:
@@ -75,80 +56,55 @@ def jump_fields(copies: Copies, U: Sequence[Array]) -> Fields:
 
     The arguments are those of :func:`averaged_fields`.
     """
-    own, column = _own_pairs(copies, U)
-    mean, average = _averaged_pairs(copies, own)
-    diagonal = mean.first == own.first[mean.row]
-    alone = own.columns > 0
-    alone[mean.row[diagonal]] = False  # rows with a prescribed value are left
-    rest = own.some(np.flatnonzero(alone))
-    pairs = _Pairs(*map(np.concatenate, zip(mean, rest, strict=True)))
-
-    def jump(j: int) -> Array:
-        u = column(j)
-        return np.concatenate([np.where(diagonal, u[mean.row], 0.0) - average(u), u[rest.row]])
-
-    return _by_panels(copies, pairs, jump)
+    return _fields(copies, U, jump=True)
 
 
-def _own_pairs(copies: Copies, U: Sequence[Array]) -> tuple[_Pairs, Column]:
-    """Pair all rows, ascending, with their own subdomain. Collective."""
-    count = np.array([U_i.shape[1] for U_i in U], dtype=np.int64)
-    first = copies.comm.scan(int(count.sum())) - count.sum() + np.cumsum(count) - count
+def _fields(copies: Copies, U: Sequence[Array], *, jump: bool) -> Fields:
+    """Pair rows with all subdomains that have columns there, sorted into panels. Collective."""
+    comm, code = copies.comm, load_panels(copies.comm)
+    counts = np.array([U_i.shape[1] for U_i in U], dtype=np.int64)
+    before = comm.scan(int(counts.sum())) - counts.sum() + np.cumsum(counts) - counts
     sizes = [rows.stop - rows.start for rows in copies.blocks]
+    own = [np.repeat(numbers, sizes) for numbers in (before, counts)]  # first column, and number
+    shared = [copies.values(part.astype(np.float64)).astype(np.int64) for part in own]
+    is_own = shared[0] == own[0][copies.row]
+    alone = np.setdiff1d(np.arange(copies.n if jump else 0), copies.row)  # with a prescribed value
 
     def column(j: int) -> Array:
-        values = np.zeros(copies.n)
+        """Return the j-th column of each pair's subdomain in its row, zero beyond the last."""
+        u = np.zeros(copies.n)
         for U_i, rows in zip(U, copies.blocks, strict=True):
             if j < U_i.shape[1]:
-                values[rows] = U_i[:, j]
-        return values
+                u[rows] = U_i[:, j]
+        mean = copies.values(copies.delta * u)
+        return np.append(np.where(is_own, u[copies.row], 0.0) - mean, u[alone]) if jump else mean
 
-    pairs = _Pairs(np.arange(copies.n), np.repeat(first, sizes), np.repeat(count, sizes))
-    return pairs, column
-
-
-def _averaged_pairs(copies: Copies, own: _Pairs) -> tuple[_Pairs, Callable[[Array], Array]]:
-    """Pair rows with all subdomains that share them; return u ↦ δ u, (n,) → (pairs,), too."""
-    first, count = (
-        copies.values(numbers.astype(np.float64)).astype(np.int64)
-        for numbers in (own.first, own.columns)
-    )
-    some = count > 0
-
-    def average(u: Array) -> Array:
-        return np.asarray(copies.values(copies.delta * u)[some])
-
-    return _Pairs(copies.row[some], first[some], count[some]), average
-
-
-def _by_panels(copies: Copies, pairs: _Pairs, column: Column) -> Fields:
-    """Sort pairs into the panels of each subdomain. Collective."""
-    code = load_panels(copies.comm)
-    ends = np.array([rows.stop for rows in copies.blocks], dtype=np.int64)
-    block = np.searchsorted(ends, pairs.row, side="right")
-    order = np.argsort(block * (1 + pairs.first.max(initial=0)) + pairs.first, kind="stable")
-    pairs, block = pairs.some(order), block[order]
-    starts = np.flatnonzero(np.diff(block, prepend=-1) | np.diff(pairs.first, prepend=-1))
-    end = np.cumsum(pairs.columns)
-    values = on_all(lambda: np.empty(pairs.columns.sum()), copies.comm)  # or no memory for it
-    most = copies.comm.allreduce(int(pairs.columns.max(initial=0)), op=MPI.MAX)
-    for j in range(most):
-        some = pairs.columns > j
-        values[(end - pairs.columns)[some] + j] = column(j)[order][some]
-    first = np.append(starts, len(order))  # of the pairs of each panel, and then of its values
-    start = np.append((end - pairs.columns)[starts], len(values))
-    bounds = [int(b) for b in np.searchsorted(block[starts], np.arange(len(ends) + 1))]
+    row = np.append(copies.row, alone)
+    first, count = (np.append(a, b[alone]) for a, b in zip(shared, own, strict=True))
+    block = np.searchsorted([rows.stop for rows in copies.blocks], row, side="right")
+    order = np.argsort(block * (1 + first.max(initial=0)) + first, kind="stable")
+    order = order[count[order] > 0]
+    row, first, count, block = row[order], first[order], count[order], block[order]
+    starts = np.flatnonzero(np.diff(block, prepend=-1) | np.diff(first, prepend=-1))
+    end = np.cumsum(count)
+    values = on_all(lambda: np.empty(count.sum()), comm)  # or no memory for it
+    for j in range(comm.allreduce(int(count.max(initial=0)), op=MPI.MAX)):
+        some = count > j
+        values[(end - count)[some] + j] = column(j)[order][some]
+    ends = np.append(starts, len(order))  # of the rows of the panels, and then of their values
+    places = np.append((end - count)[starts], len(values))
+    bounds = [int(b) for b in np.searchsorted(block[starts], np.arange(len(sizes) + 1))]
 
     def panels(rows: slice, a: int, b: int) -> Panels:
         return Panels(
             code,
             rows.stop - rows.start,
-            (first[a : b + 1] - first[a]).astype(np.int32),
-            (pairs.row[first[a] : first[b]] - rows.start).astype(np.int32),
-            pairs.columns[starts[a:b]].astype(np.int32),
-            values[start[a] : start[b]],
+            (ends[a : b + 1] - ends[a]).astype(np.int32),
+            (row[ends[a] : ends[b]] - rows.start).astype(np.int32),
+            count[starts[a:b]].astype(np.int32),
+            values[places[a] : places[b]],
         )
 
     of_blocks = list(zip(copies.blocks, bounds[:-1], bounds[1:], strict=True))
-    made = on_all(lambda: [panels(*of_block) for of_block in of_blocks], copies.comm)
-    return Fields(made, [pairs.first[starts[a:b]] for _, a, b in of_blocks])
+    made = on_all(lambda: [panels(*of_block) for of_block in of_blocks], comm)
+    return Fields(made, [first[starts[a:b]] for _, a, b in of_blocks])
