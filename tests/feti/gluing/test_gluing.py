@@ -8,7 +8,7 @@ import paper_cube
 import pytest
 import reference
 from cases import case, each, every_type
-from collective import COMM, agree, dense, equal, small, whole
+from collective import COMM, agree, dense, equal, whole
 from hand_torn import nowhere
 
 from dolfinx_feti.feti.gluing.copies import Copies
