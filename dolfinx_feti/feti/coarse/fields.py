@@ -42,25 +42,20 @@ class Fields:
 
 
 def averaged_fields(copies: Copies, U: Sequence[Array]) -> Fields:
-    """Return the averaged columns of all subdomains, T V. Collective.
-
-    Args:
-        copies: Copies of the interface dofs.
-        U: For each subdomain its columns, (n_i, k_i), numbered on over subdomains and processes.
-    """
+    """Return the averages T V of the columns U_i of all subdomains, (n_i, k_i). Collective."""
     return _fields(copies, U, jump=False)
 
 
 def jump_fields(copies: Copies, U: Sequence[Array]) -> Fields:
-    """Return the scaled jumps of the columns of all subdomains, B_Dᵀ B U = U − T V. Collective.
-
-    The arguments are those of :func:`averaged_fields`.
-    """
+    """Return the scaled jumps B_Dᵀ B U = U − T V of the columns of all subdomains. Collective."""
     return _fields(copies, U, jump=True)
 
 
 def _fields(copies: Copies, U: Sequence[Array], *, jump: bool) -> Fields:
-    """Pair rows with all subdomains that have columns there, sorted into panels. Collective."""
+    """Pair rows with all subdomains that have columns there, sorted into panels. Collective.
+
+    Columns are numbered on over subdomains and processes.
+    """
     comm, code = copies.comm, load_panels(copies.comm)
     counts = np.array([U_i.shape[1] for U_i in U], dtype=np.int64)
     before = comm.scan(int(counts.sum())) - counts.sum() + np.cumsum(counts) - counts

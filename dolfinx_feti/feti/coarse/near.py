@@ -77,8 +77,7 @@ class NearColumns:
     def sum(self, elements: Iterable[Array]) -> PETSc.Mat:
         """Assemble an element matrix of each subdomain, (c_i, c_i), into one, (K, K). Collective.
 
-        Raises:
-            Exception: What the elements of a process raise, on all processes.
+        What the elements of a process raise, all processes raise.
         """
         K, numbers = on_subdomains(lambda: self._sum_of_own(elements), self._comm)
         torn = create_torn_matrix(K, numbers, (self._size, self._total), comm=self._comm)

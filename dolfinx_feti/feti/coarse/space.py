@@ -124,9 +124,6 @@ class AveragedSpace:
             prefix: Options prefix of the coarse solver.
             symmetric: Whether K is; if not, A₀ is factored by LU and tells no negative eigenvalues.
             combinations: Independent ones, of another matrix; None to look for them.
-
-        Raises:
-            Exception: What the work on a subdomain raises, on all processes.
         """
         self.V = V
         self.total = V.total

@@ -194,17 +194,9 @@ def _images(copies: Copies, multiply: Callable[[int, Array], Array], W: Array) -
 def soft_fields(
     space: AveragedSpace, copies: Copies, multiply: Solve, solve: Solve, *, count: int
 ) -> RitzVectors:
-    """Return the softest fields of the coarse space, corrected, W = M A V c. Collective.
+    """Return ``count`` softest fields of V at most, corrected, W = M A V c. Collective.
 
-    Args:
-        space: The coarse space V.
-        copies: Copies of the interface dofs.
-        multiply: Applies S_i to columns, ``multiply(i, X)``, (n_i, k) → (n_i, k).
-        solve: Applies S_ρ⁻¹ in the same way.
-        count: Number of fields, at most.
-
-    Raises:
-        Exception: What the work on a subdomain raises, on all processes.
+    ``multiply(i, X)`` applies S_i to columns, (n_i, k) → (n_i, k), and ``solve`` S_ρ⁻¹.
     """
     V, δ, comm = space.V, copies.delta[:, None], copies.comm
     c = np.random.default_rng(comm.rank).standard_normal((V.size, min(count, V.total)))

@@ -3,5 +3,5 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Is the assembled matrix singular? Both methods ask.
 
-In the order of the data: motions, description, singularity.
+In the order of the data: motions, singularity.
 """

@@ -7,6 +7,9 @@ r"""Is the assembled matrix singular? Three ways to a motion that nothing resist
 2. *Null vectors of N*, mechanisms that are not rigid included, where all :math:`K_i` are positive
    semi-definite: they make a random vector grow, and are tested like the rigid motions.
 3. *Null vectors of* :math:`K_{II}`, if the interface does not feel them.
+
+The message counts the translations and rotations of each body. Translations are what the mean of
+each component leaves nothing of, :math:`(F - \bar F)^⊤ (F - \bar F)\, y = 0`.
 """
 
 from __future__ import annotations
@@ -21,7 +24,6 @@ import numpy as np
 from dolfinx_feti.errors import SetUpError, SingularError
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
 from dolfinx_feti.feti.gluing.bodies import Bodies
-from dolfinx_feti.feti.regularity.description import describe
 from dolfinx_feti.feti.regularity.motions import (
     NOT_RIGID,
     Motions,
@@ -31,8 +33,8 @@ from dolfinx_feti.feti.regularity.motions import (
     triangles,
     unresisted,
 )
-from dolfinx_feti.runtime.arrays import Array
-from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.arrays import Array, Mask
+from dolfinx_feti.runtime.collective import on_all, total_of
 from dolfinx_feti.torn.matrix import Torn
 
 __all__ = ["require_held", "require_regular", "require_regular_interior"]
@@ -53,6 +55,12 @@ MOST = 64
 
 #: Size below which a combination of fields of size one is rounding.
 DISTINCT = 1e-8
+
+#: Share of a motion beside its mean, squared, below which it is a translation.
+CONSTANT = 1e-10
+
+#: Most bodies that are described.
+DESCRIBED = 3
 
 NEARLY = (
     "The assembled problem is singular up to rounding: it resists every motion, but one of them so "
@@ -113,7 +121,7 @@ def require_regular(
             break
         most *= 2
     if not known or others.shape[1]:
-        raise SingularError(describe(rigid, others))
+        raise SingularError(_describe(rigid, others))
     if np.isinf(growth) and not error <= BACKWARD:
         raise SingularError(NEARLY)
     if not error <= BACKWARD:
@@ -127,19 +135,14 @@ def require_held(torn: Torn, bodies: Bodies) -> None:
     """Look for rigid motions alone; see :func:`require_regular`. Collective."""
     rigid = free_motions(torn, bodies, definite=False)
     if not rigid.known:
-        raise SingularError(describe(rigid, np.zeros((torn.n, 0))))
+        raise SingularError(_describe(rigid, np.zeros((torn.n, 0))))
 
 
 def require_regular_interior(torn: Torn, bodies: Bodies, kernel: Array) -> None:
     """Refuse motions of the interior of a subdomain that its interface does not feel. Collective.
 
-    Args:
-        torn: The torn matrix.
-        bodies: Its bodies.
-        kernel: Null vectors of all K_II of this process on the torn dofs, (n, r).
-
-    Raises:
-        SingularError: A process has any; the message names them.
+    They are the null vectors of all K_II of this process on the torn dofs, (n, r). A SingularError
+    names those of all processes.
     """
     counts = torn.comm.allgather(kernel.shape[1])
     if not any(counts):
@@ -153,7 +156,7 @@ def require_regular_interior(torn: Torn, bodies: Bodies, kernel: Array) -> None:
     if not rigid.total + others.shape[1]:
         processes = ", ".join(str(rank) for rank in np.flatnonzero(counts))
         raise SingularError(INTERIOR.format(sum(counts), processes))
-    raise SingularError(describe(rigid, others))
+    raise SingularError(_describe(rigid, others))
 
 
 def _growth_and_error(N: PETSc.Mat, solver: GatheredSolver) -> tuple[float, float]:
@@ -250,3 +253,71 @@ def _without(rigid: Motions, W: Array) -> Array:
             share = by_body(r * X) / np.where(square > 0.0, square, np.inf)
             X = X - r * share[:, bodies.label].T  # X ← X − r (rᵀ X)/(rᵀ r)
     return np.asarray(independent_columns(X, NOT_RIGID, comm) / root)
+
+
+def _describe(rigid: Motions, others: Array) -> str:
+    """Return the message of the error: rigid motions, and others, (n, any number). Collective."""
+    total, torn = rigid.total + others.shape[1], rigid.torn
+    text = f"The assembled problem is singular, with a kernel of dimension {total}: "
+    x = torn.coordinates()
+    moving = np.flatnonzero(rigid.dimensions)
+    parts = [_body(rigid, x, int(b)) for b in moving[:DESCRIBED]]
+    if len(moving) > DESCRIBED:
+        parts.append(f"{len(moving) - DESCRIBED} more parts are free")
+    if others.shape[1]:
+        what = "a motion that is" if others.shape[1] == 1 else f"{others.shape[1]} motions that are"
+        parts.append(f"nothing resists {what} not rigid{_largest(torn, x, others[:, 0])}")
+    remedy = "Add Dirichlet conditions, connect what is loose, or give A this null space"
+    return text + "; ".join(parts) + f". {remedy} (A.setNullSpace)."
+
+
+def _body(rigid: Motions, x: Array | None, b: int) -> str:
+    """Say where a body is, and how it may move."""
+    torn, count, mine = rigid.torn, rigid.bodies.count, rigid.bodies.label == b
+    if x is not None:
+        mine &= np.isfinite(x[:, 0])  # the others are at no point
+    names = _names(torn, mine, rigid.fields[mine, : rigid.dimensions[b]])
+    said = f"the Dirichlet conditions leave {names} free"
+    if count == 1:
+        return said
+    where = "" if x is None else f" around {_middle(torn, x[mine])}"
+    return f"in a part that is not connected to the rest ({b + 1} of {count}{where}) {said}"
+
+
+def _names(torn: Torn, mine: Mask, F: Array) -> str:
+    """Count the rigid motions F of a body, (n, m), by their kinds; ``mine`` marks its dofs."""
+    bs, comm = torn.A.getBlockSize(), torn.comm
+    if bs == 1:
+        return "a constant"
+    of_component = np.eye(bs)[np.flatnonzero(mine) % bs]
+    gram, sums = total_of(F.T @ F, comm), total_of(of_component.T @ F, comm)
+    number = np.maximum(total_of(of_component.sum(axis=0), comm), 1.0)
+    beside = gram - sums.T @ (sums / number[:, None])  # (F − F̄)ᵀ (F − F̄)
+    shares = np.linalg.eigvals(np.linalg.pinv(gram, hermitian=True) @ beside).real
+    turning = int(np.count_nonzero(shares > CONSTANT))
+    kinds = (len(shares) - turning, "translation"), (turning, "rotation")
+    return " and ".join(f"{n} {kind}{'s' * (n > 1)}" for n, kind in kinds if n)
+
+
+def _middle(torn: Torn, x: Array) -> str:
+    """Return the middle of points over all processes."""
+    ends = x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)
+    lows, highs = zip(*torn.comm.allgather(ends), strict=True)
+    return _point(0.5 * (np.min(lows, axis=0) + np.max(highs, axis=0)))
+
+
+def _largest(torn: Torn, x: Array | None, w: Array) -> str:
+    """Say where a field is largest."""
+    if x is None:
+        return ""
+    bs = torn.A.getBlockSize()
+    size = np.where(np.isfinite(x[::bs, 0]), np.linalg.norm(w.reshape(-1, bs), axis=1), 0.0)
+    i = int(size.argmax()) if len(size) else 0
+    own = (float(size[i]), x[bs * i].tolist()) if len(size) else (-1.0, [])
+    return f", largest at {_point(np.array(max(torn.comm.allgather(own))[1]))}"
+
+
+def _point(x: Array) -> str:
+    """Write coordinates, without what is rounding."""
+    scale = max(float(np.abs(x).max()), 1e-300)
+    return "(" + ", ".join(f"{round(v / scale, 6) * scale + 0.0:.4g}" for v in x) + ")"

@@ -70,19 +70,16 @@ def analyse(
         eliminated = symmetric and worth_eliminating(torn, dofs)
     local = Choice(prefix + "local_", symmetric, RIGHT_HAND_SIDES[0])
     interior = Choice(prefix + "dirichlet_", symmetric, RIGHT_HAND_SIDES[eliminated])
-    whole = [np.zeros(0, dtype=np.int32)] * len(dofs.free)
+    none = [np.zeros(0, dtype=np.int32)] * len(dofs.free)
     if eliminated:
         borders = [np.flatnonzero(on).astype(np.int32) for on in dofs.on_interface]
         fronts = _find_fronts(torn, dofs.free, borders, interior)
         return Analysis(True, local, interior, None, fronts)
-    fronts = _find_fronts(torn, dofs.interior, whole, interior) if with_interior else None
-    return Analysis(
-        eliminated=False,
-        local=local,
-        interior=interior if with_interior else None,
-        local_fronts=_find_fronts(torn, dofs.free, whole, local),
-        interior_fronts=fronts,
-    )
+    local_fronts = _find_fronts(torn, dofs.free, none, local)
+    if not with_interior:
+        return Analysis(False, local, None, local_fronts, None)
+    fronts = _find_fronts(torn, dofs.interior, none, interior)
+    return Analysis(False, local, interior, local_fronts, fronts)
 
 
 def _find_fronts(

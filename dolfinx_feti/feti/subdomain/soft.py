@@ -68,16 +68,9 @@ def join(basis: Basis, Y: Array, Z: Array, rho: float) -> Basis:
     R, E, D = basis
     C = np.linalg.inv(np.eye(Y.shape[1]) / rho + Y.T @ Z)
     G, E_Y = Y.T @ E, Z @ C
-    return (
-        _side_by_side(R, Y),
-        _side_by_side(E - E_Y @ G, E_Y),
-        np.block([[D + G.T @ C @ G, -G.T @ C], [-C @ G, C]]),
-    )
-
-
-def _side_by_side(X: Array, Y: Array) -> Array:
-    """Return (X, Y) column by column, so that slices of columns are read fast."""
-    return np.asfortranarray(np.hstack([X, Y]))
+    D = np.block([[D + G.T @ C @ G, -G.T @ C], [-C @ G, C]])
+    R, E = np.hstack([R, Y]), np.hstack([E - E_Y @ G, E_Y])
+    return np.asfortranarray(R), np.asfortranarray(E), D  # slices of columns are read fast
 
 
 def buckling_modes(solve: Solve, multiply: Solve, n: int, count: int) -> Array:
