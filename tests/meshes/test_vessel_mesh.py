@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The wall of the vessel: quality, tags, volumes, no leak; and what its generator refuses."""
+"""The wall of the vessel: quality, tags, volumes, no leak; and surfaces that are refused."""
 
 from __future__ import annotations
 
@@ -180,28 +180,6 @@ def test_surface_may_face_either_way(tmp_path, turned):
         return vessel.create_vessel(tmp_path / "v.msh", surface=stl, size=1.2).volume
 
     equal(on_first(make), np.pi * 10 * (4**2 - 3**2), 0.03)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"size": 0.0}, "size=0.0"),
-        ({"size": float("nan")}, "size=nan"),
-        ({"thickness": -1.0}, "thickness=-1.0"),
-        ({"scale": 0.0}, "scale=0.0"),
-        ({"layers": {"wall": 0.0}}, "the share 0.0 of 'wall'"),
-        ({"layers": {"lumen": 1.0}}, "'lumen' is the name of a surface"),
-        ({"layers": {}}, "layers is empty: name a layer"),
-        ({"layers": {"wall": 1.0}, "through": (1, 1)}, r"through=\(1, 1\): each of the 1 layers"),
-        ({"through": (0, 1)}, r"through=\(0, 1\)"),
-    ],
-)
-def test_vessel_refuses(tmp_path, options, message):
-    path = tmp_path / "v.msh"
-    on_first(lambda: path.write_text("mine"))
-    with raises(ValueError, message):
-        on_first(lambda: vessel.create_vessel(path, **options))
-    agree(path.read_text() == "mine" and [p.name for p in tmp_path.iterdir()] == ["v.msh"])
 
 
 def test_wall_too_thick_for_its_crotches_is_refused(coarse, tmp_path):

@@ -1,0 +1,139 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The tube, all of whose numbers are known; files and command lines; what generators refuse."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+import numpy as np
+import pytest
+from collective import agree, equal, raises
+from mesh_files import areas, volumes, watertight
+from wall_files import ROOT, on_first
+
+from dolfinx_feti.wall.wallfile import read_raw_wall
+from meshes import tube, vessel, wall_mesh
+from meshes.wall_mesh import TAGS
+
+pytestmark = pytest.mark.serial
+
+
+@pytest.mark.parametrize("quarter", [False, True])
+def test_tube(tmp_path, quarter):
+    """All numbers of a polygonal tube are known."""
+    n, L = (4, 2.0) if quarter else (16, 2.0)
+    path = tmp_path / "t.msh"
+
+    def make():
+        return tube.create_tube(
+            path, length=L, quarter=quarter, through=(2, 1), around=n, along=7
+        ), read_raw_wall(path)
+
+    quality, wall = on_first(make)
+    agree(quality.cells == 3 * 2 * 3 * n * 7 and quality.minimum > 0.3, quality)
+    watertight(wall)
+    corner = 2 * np.pi / 16
+    r = np.array([0.71, 0.97, 1.10])
+    segments = n * np.sin(corner) / 2 * r**2  # of the polygons, per radius
+    equal(list(volumes(wall).values()), L * np.diff(segments), 1e-9)
+    area = areas(wall)
+    sides = n * 2 * r * np.sin(corner / 2) * L
+    equal([area["lumen"], area["outer"]], sides[[0, 2]], 1e-9)
+    equal([area["opening_1"], area["opening_2"]], [segments[2] - segments[0]] * 2, 1e-9)
+    agree(("symmetry_x" in area) == ("symmetry_y" in area) == quarter)
+    if quarter:
+        equal([area["symmetry_x"], area["symmetry_y"]], [L * (r[2] - r[0])] * 2, 1e-9)
+        for axis, name in enumerate(("symmetry_x", "symmetry_y")):
+            corners = wall.facets[wall.surfaces == TAGS[name]]
+            agree(np.all(wall.points[corners][..., axis] == 0))
+
+
+def test_finer_tubes_have_more_cells(tmp_path):
+    made = [
+        on_first(lambda s=s: tube.create_tube(tmp_path / "t.msh", size=s).cells)
+        for s in (0.4, 0.26, 0.13)
+    ]
+    agree(made[0] < made[1] < made[2] and 15_000 < made[2] < 25_000, made)
+
+
+def test_files_are_whole_or_not_there(tmp_path, monkeypatch):
+    path = tmp_path / "t.msh"
+    on_first(lambda: path.write_text("mine"))
+
+    def full(*args, **kwargs):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(wall_mesh.np, "savetxt", full)
+    with raises(OSError, "no space"):
+        on_first(lambda: tube.create_tube(path, size=0.4))
+    agree(path.read_text() == "mine" and [p.name for p in tmp_path.iterdir()] == ["t.msh"])
+
+
+def test_example_is_what_the_generator_makes(tmp_path):
+    """README.md names the command for meshes/example.msh."""
+    readme = (ROOT / "meshes/README.md").read_text(encoding="utf-8")
+    command = re.search(r"python3 -m meshes\.tube meshes/example\.msh (.*)`", readme)
+    words = command[1].split()
+    options = {k.removeprefix("--"): float(v) for k, v in zip(words[::2], words[1::2], strict=True)}
+    on_first(lambda: tube.create_tube(tmp_path / "t.msh", **options))
+    example = ROOT / "meshes/example.msh"
+    agree((tmp_path / "t.msh").read_bytes() == example.read_bytes())
+    agree(example.stat().st_size < 100_000)
+
+
+def test_command_line_of_the_tube(tmp_path, monkeypatch):
+    """That of the vessel is in ``test_vessel_mesh``."""
+    words = ["--size", "0.4", "--quarter", "--through", "1", "1"]
+    monkeypatch.setattr(sys, "argv", ["prog", str(tmp_path / "new" / "w.msh"), *words])
+    on_first(tube.main)
+    agree((tmp_path / "new" / "w.msh").read_text().startswith("$MeshFormat\n2.2 "))
+
+
+@pytest.mark.parametrize(
+    ("module", "words", "said"),
+    [
+        (tube, ["--size", "-1"], "argument --size: '-1' is not a positive number"),
+        (tube, ["--around", "0"], "argument --around: '0' is not a number 1, 2, 3"),
+        (vessel, ["--thickness", "nan"], "argument --thickness: 'nan' is not a positive number"),
+        (vessel, ["--through", "1", "x"], "argument --through: 'x' is not a number 1, 2, 3"),
+    ],
+)
+def test_wrong_words(tmp_path, monkeypatch, capsys, module, words, said):
+    monkeypatch.setattr(sys, "argv", ["prog", str(tmp_path / "w.msh"), *words])
+    with pytest.raises(SystemExit) as caught:
+        module.main()
+    assert caught.value.code == 2
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("create", "options", "message"),
+    [
+        (tube.create_tube, {"length": 0.0}, "length=0.0"),
+        (tube.create_tube, {"size": float("inf")}, "size=inf"),
+        (tube.create_tube, {"through": (1, 0)}, r"through=\(1, 0\)"),
+        (tube.create_tube, {"around": 2}, "around=2"),
+        (tube.create_tube, {"around": 0}, "around=0"),
+        (tube.create_tube, {"along": -1}, "along=-1"),
+        (vessel.create_vessel, {"size": 0.0}, "size=0.0"),
+        (vessel.create_vessel, {"size": float("nan")}, "size=nan"),
+        (vessel.create_vessel, {"thickness": -1.0}, "thickness=-1.0"),
+        (vessel.create_vessel, {"scale": 0.0}, "scale=0.0"),
+        (vessel.create_vessel, {"layers": {"wall": 0.0}}, "the share 0.0 of 'wall'"),
+        (vessel.create_vessel, {"layers": {"lumen": 1.0}}, "'lumen' is the name of a surface"),
+        (vessel.create_vessel, {"layers": {}}, "layers is empty: name a layer"),
+        (vessel.create_vessel, {"layers": {"wall": 1.0}, "through": (1, 1)}, "the 1 layers"),
+        (vessel.create_vessel, {"through": (0, 1)}, r"through=\(0, 1\)"),
+    ],
+)
+def test_wrong_values(tmp_path, create, options, message):
+    """A file that is there stays as it is."""
+    path = tmp_path / "v.msh"
+    on_first(lambda: path.write_text("mine"))
+    with raises(ValueError, message):
+        on_first(lambda: create(path, **options))
+    agree(path.read_text() == "mine" and [p.name for p in tmp_path.iterdir()] == ["v.msh"])
