@@ -117,10 +117,11 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
 def _run(key: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
     """Solve a case. Collective."""
     case = Case(**key)
-    problem, peak = create_problem(case, comm), PeakMemory()
-    linear, found = solve(problem, case.options())
-    peak_mib = peak.mib(comm)
-    error = l2_error(linear.u, problem.exact) if case.jump == 1.0 else None
+    tear, exact = create_problem(case, comm)
+    peak = PeakMemory()
+    linear = tear()
+    found, peak_mib = solve(linear), peak.mib(comm)
+    error = l2_error(linear.u, exact) if case.jump == 1.0 else None
     own = {"l2_error": error, "peak_mib": peak_mib if math.isfinite(peak_mib) else None}
     keep({}, found | own | {"processes": comm.size})
 

@@ -15,7 +15,9 @@ Kelvin's fundamental solution is the displacement of the whole space under a uni
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from mpi4py import MPI
 
@@ -28,7 +30,6 @@ from benchmarks.common.clock import Events, Stopwatch
 from benchmarks.common.records import Record
 from dolfinx_feti import LinearProblem
 from dolfinx_feti.runtime import compat
-from dolfinx_feti.runtime.arrays import Indices
 from meshes.cube import create_cube
 
 YOUNG, POISSON = 210.0, 0.45
@@ -48,21 +49,6 @@ PATTERNS = {
     "checkerboard": lambda place, edge: place.sum(axis=1) % 2 == 1,
     "layer": lambda place, edge: place[:, 2] == edge // 2,
 }
-
-
-@dataclass(frozen=True, slots=True)
-class CubeProblem:
-    """A boundary value problem: the subcube of each owned cell, (n_cells,), forms and conditions.
-
-    ``exact`` is the fundamental solution, exact where the coefficient does not jump.
-    """
-
-    mesh: dolfinx.mesh.Mesh
-    part: Indices
-    a: ufl.Form
-    L: ufl.Form
-    bcs: list[dolfinx.fem.DirichletBC]
-    exact: ufl.core.expr.Expr
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +83,13 @@ class Case:
         }
 
 
-def create_problem(case: Case, comm: MPI.Comm) -> CubeProblem:
-    """Mesh the cube of a case, and write down the problem. Collective."""
+def create_problem(
+    case: Case, comm: MPI.Comm
+) -> tuple[Callable[[], LinearProblem], ufl.core.expr.Expr]:
+    """Mesh the cube of a case; return what tears it, and the fundamental solution. Collective.
+
+    This is exact where the coefficient does not jump. PETSc options have the prefix ``cube_``.
+    """
     subdomains = case.subdomains_per_edge
     mesh, part = create_cube(comm, subdomains, 2 ** (case.level - 1))
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", case.degree, (3,)))
@@ -118,27 +109,18 @@ def create_problem(case: Case, comm: MPI.Comm) -> CubeProblem:
     mesh.topology.create_connectivity(2, 3)
     surface = dolfinx.mesh.exterior_facet_indices(mesh.topology)
     dofs = dolfinx.fem.locate_dofs_topological(V, 2, surface)
-    return CubeProblem(
-        mesh=mesh,
-        part=part,
-        a=energy * ufl.dx,
-        L=ufl.inner(dolfinx.fem.Constant(mesh, np.zeros(3)), v) * ufl.dx,
-        bcs=[dolfinx.fem.dirichletbc(values, dofs)],
-        exact=exact,
-    )
+    L = ufl.inner(dolfinx.fem.Constant(mesh, np.zeros(3)), v) * ufl.dx
+    tear = partial(
+        LinearProblem, energy * ufl.dx, L,
+        bcs=[dolfinx.fem.dirichletbc(values, dofs)], subdomains=part,
+        petsc_options_prefix="cube_", petsc_options=case.options(),
+    )  # fmt: skip
+    return tear, exact
 
 
-def solve(problem: CubeProblem, options: dict[str, object]) -> tuple[LinearProblem, Record]:
-    """Tear a problem, solve it, and record what it took; options prefix ``cube_``. Collective."""
-    comm = problem.mesh.comm
-    linear = LinearProblem(
-        problem.a,
-        problem.L,
-        bcs=problem.bcs,
-        subdomains=problem.part,
-        petsc_options_prefix="cube_",
-        petsc_options=options,
-    )
+def solve(linear: LinearProblem) -> Record:
+    """Solve, and record what it took. Collective."""
+    comm = linear.u.function_space.mesh.comm
     coarse, watch = Events(["FETICoarse"], comm), Stopwatch(comm)
     watch.hook(linear.solver)
     linear.solve()
@@ -146,7 +128,7 @@ def solve(problem: CubeProblem, options: dict[str, object]) -> tuple[LinearProbl
     report = feti.report()
     low, high = feti.eigenvalues
     (setup, krylov), (cpu_setup, cpu_krylov) = watch.each()[0], watch.processor()[0]
-    return linear, {
+    return {
         "subdomains": report.subdomains,
         "dofs_local_max": report.dofs_local[1],
         "dofs": report.dofs,

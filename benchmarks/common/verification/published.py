@@ -14,6 +14,7 @@ import argparse
 import itertools
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 
 from mpi4py import MPI
 
@@ -26,7 +27,7 @@ import ufl
 from benchmarks.common import command
 from benchmarks.common.bodies import Body
 from benchmarks.common.direct import create_newton
-from benchmarks.common.pages import Fields, groups
+from benchmarks.common.pages import Fields
 from benchmarks.common.records import Record
 from benchmarks.common.study import Arguments, Keep
 from benchmarks.common.verification.cases import CASES
@@ -82,13 +83,11 @@ def run(key: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
 def fields(records: Sequence[Record]) -> Fields:
     """Return the cases in their order, with their meshes, and what is judged."""
     sections, summary = [], []
-    by_case = {name: mine for (name,), mine in groups(records, "case")}
     for name, case in CASES.items():
-        mine = by_case.get(name, [])
-        if not mine:
+        meshes = sorted((r for r in records if r["case"] == name), key=lambda r: int(r["mesh"]))
+        if not meshes:
             continue
-        meshes = sorted(mine, key=lambda r: int(r["mesh"]))
-        rows = []
+        about, rows = {"name": case.name, "source": case.source}, []
         for record in meshes:
             cost = dict(record)  # on the first line of a mesh alone
             for key, quantity in case.quantities.items():
@@ -96,14 +95,12 @@ def fields(records: Sequence[Record]) -> Fields:
                 row = {"mesh": record["mesh"], "quantity": quantity.name, "value": value}
                 rows.append(cost | row | {"mumps": mumps, "apart": abs(mumps / value - 1)})
                 cost = {}
-        sections.append({"name": case.name, "source": case.source, "rows": rows})
+        sections.append(about | {"rows": rows})
+        judged = next((r for r in meshes if r["mesh"] == case.judged), meshes[-1])
         for key, quantity in case.quantities.items():
-            judged = next((r for r in meshes if r["mesh"] == case.judged), meshes[-1])
             value = judged["values"][key]
-            spread = {field: getattr(quantity, field) for field in ("published", "low", "high")}
             ours = {"value": value, "holds": quantity.low <= value <= quantity.high}
-            words = {"name": case.name, "source": case.source, "quantity": quantity.name}
-            summary.append(words | spread | ours)
+            summary.append(asdict(quantity) | about | {"quantity": quantity.name} | ours)
     return {"cases": sections, "quantities": summary}
 
 
