@@ -45,14 +45,13 @@ class InternalVariables:
 
     def update(self, *, balanced: bool | None = None) -> None:
         """Let every ξ, or those that are ``balanced`` or not, be its Ξ now. Collective."""
-        found = []
+        found = {}
         for ξ, update, in_balance in zip(self.functions, self.updates, self.balanced, strict=True):
-            if balanced is None or balanced == in_balance:
-                new = dolfinx.fem.Function(ξ.function_space)
-                new.interpolate(update)
-                found.append((ξ, new.x.array))
-        for ξ, array in found:
-            ξ.x.array[:] = array
+            if balanced in (None, in_balance):
+                found[ξ] = dolfinx.fem.Function(ξ.function_space)
+                found[ξ].interpolate(update)
+        for ξ, new in found.items():
+            ξ.x.array[:] = new.x.array
             ξ.x.scatter_forward()
 
 
@@ -83,8 +82,7 @@ def create_internal_variables(
     for ξ in reached:  # grows on the way
         behind = extract_coefficients(ufl.as_ufl(updates[ξ]))
         reached += [other for other in behind if other in updates and other not in reached]
-    balanced = tuple(ξ in reached for ξ in updates)
-    return InternalVariables(tuple(updates), tuple(compiled), balanced)
+    return InternalVariables(tuple(updates), tuple(compiled), tuple(ξ in reached for ξ in updates))
 
 
 def _check(updates: Mapping[dolfinx.fem.Function, Expr], comm: MPI.Comm) -> None:

@@ -55,7 +55,7 @@ class Nodes:
         w = dolfinx.fem.Function(self._W)
         w.interpolate(u)
         dim, nodes = self.mesh.geometry.dim, geometry_dofmap(self.mesh)
-        values: Array = np.zeros(self.initial.shape)
+        values = np.zeros(self.initial.shape)
         values[nodes.ravel(), :dim] = w.x.array.reshape(-1, dim)[self._W.dofmap.list.ravel()]
         return values
 

@@ -63,18 +63,15 @@ def load(
     *,
     generated: str = "",
     flags: Sequence[str] = ("-O3",),
-    cache: Path | None = None,
 ) -> Any:
     """Compile a file, unless that is done, and load it.
 
     Args:
         source: The file; files that it includes in quotes are beside it.
         declarations: What of it is called and read, in C.
-        comm: Communicator of all processes that load it. The first one compiles; others do only
-            where they do not see its files.
+        comm: Communicator of all processes that load it; the others find what the first compiles.
         generated: Code that takes the place of ``/* generated */`` in the file.
         flags: For the compiler.
-        cache: Folder in the place of the package's own.
 
     Returns:
         The module, whose ``lib`` has the functions, and ``ffi`` the types.
@@ -86,7 +83,7 @@ def load(
         Collective. Code that has been loaded with a communicator is found without communication.
     """
     flags = (*flags, *shlex.split(os.environ.get("DOLFINX_FETI_CFLAGS", "")))
-    key = source, declarations, generated, flags, cache
+    key = source, declarations, generated, flags
     seen: Any = comm.Get_attr(_SEEN)
     if seen is None:
         seen = set[object]()
@@ -161,15 +158,13 @@ def _hash(texts: Iterable[str]) -> str:
 
 
 @functools.cache
-def _module(
-    source: Path, declarations: str, generated: str, flags: tuple[str, ...], cache: Path | None
-) -> ModuleType:
+def _module(source: Path, declarations: str, generated: str, flags: tuple[str, ...]) -> ModuleType:
     """Compile and load, see :func:`load`."""
     try:
         text, suffix = _text(source, generated), str(sysconfig.get_config_var("EXT_SUFFIX"))
         known_by = _hash([text, declarations, *flags, version("cffi"), suffix])[:16]
         name = f"{source.stem}_{known_by}"
-        path = _compiled(name, suffix, text, declarations, flags, cache)
+        path = _compiled(name + suffix, text, declarations, flags)
         spec = importlib.util.spec_from_file_location(name, path)
         assert spec is not None and spec.loader is not None, path
         module = importlib.util.module_from_spec(spec)
@@ -191,26 +186,21 @@ def _text(source: Path, generated: str) -> str:
     return text
 
 
-def _compiled(
-    name: str, suffix: str, text: str, declarations: str, flags: Sequence[str], cache: Path | None
-) -> Path:
+def _compiled(file: str, text: str, declarations: str, flags: Sequence[str]) -> Path:
     """Return the compiled file; others may be making the same one at the same time."""
-    own = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "dolfinx_feti"
-    folder = own if cache is None else cache
-    kept = folder / (name + suffix)
-    if kept.exists():
-        return kept
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "dolfinx_feti"
+    if (folder / file).exists():
+        return folder / file
     try:
         folder.mkdir(parents=True, exist_ok=True)
         work = tempfile.TemporaryDirectory(dir=folder)
     except OSError as error:
         logger.info(f"compiled code is not kept: {reason(error)}")
         folder = Path(_scratch().name)
-        work, kept = tempfile.TemporaryDirectory(dir=folder), folder / kept.name
-    builder = cffi.FFI()
+        work = tempfile.TemporaryDirectory(dir=folder)
+    name, builder = file.partition(".")[0], cffi.FFI()
     builder.cdef(declarations)
     builder.set_source(name, text, extra_compile_args=list(flags))
     what = name.rpartition("_")[0] + ".c"
     with work, contextlib.redirect_stdout(io.StringIO()), announced(what, folder):
-        Path(builder.compile(tmpdir=work.name)).replace(kept)
-    return kept
+        return Path(builder.compile(tmpdir=work.name)).replace(folder / file)
