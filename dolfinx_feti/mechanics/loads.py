@@ -31,10 +31,8 @@ __all__ = [
     "enclosed_volume",
     "follower_pressure",
     "follower_pressure_tangent",
-    "free_norm",
     "mmhg",
     "pressure_potential",
-    "wave",
 ]
 
 #: What of a pressure's derivative is taken.

@@ -177,10 +177,9 @@ class FieldWriter:
                 family = "Lagrange" if continuous and self._kind == "xdmf" else "DG"
                 space = dolfinx.fem.functionspace(mesh, (family, degree, field.ufl_shape))
                 copy = dolfinx.fem.Function(space, name=name)
-                update = _projector(field, copy, rule) if rule else _interpolator(field, copy)
-                update()
                 self._copies.append(copy)
-                self._updates.append(update)
+                self._updates.append(_updater(field, copy, rule))
+                self._updates[-1]()
         except (NotImplementedError, RuntimeError, TypeError, ValueError) as error:
             raise ValueError(f"The field {name!r} cannot be written: {reason(error)}") from error
 
@@ -266,26 +265,18 @@ def _evaluator(field: Expr, mesh: dolfinx.mesh.Mesh, points: Array) -> Callable[
     return values
 
 
-def _interpolator(
-    field: dolfinx.fem.Function | Expr, copy: dolfinx.fem.Function
+def _updater(
+    field: dolfinx.fem.Function | Expr, copy: dolfinx.fem.Function, rule: tuple[Array, Array] | None
 ) -> Callable[[], object]:
-    """Return a function that interpolates a field without data at quadrature points."""
+    """Return a function that interpolates a field, or projects data at quadrature points."""
     V = copy.function_space
-    if isinstance(field, dolfinx.fem.Function):
+    if rule is None and isinstance(field, dolfinx.fem.Function):
         if field.function_space.ufl_element().pullback == ufl.identity_pullback:
             return lambda: copy.interpolate(field)
-    on_mesh = dolfinx.fem.Constant(V.mesh, np.float64(1.0)) * field
-    compiled = Compiler(V.mesh.comm).expression(on_mesh, interpolation_points(V))
-    return lambda: copy.interpolate(compiled)
-
-
-def _projector(
-    field: Expr, copy: dolfinx.fem.Function, rule: tuple[Array, Array]
-) -> Callable[[], object]:
-    """Return a function that projects data at quadrature points in each cell."""
-    V, (points, weights) = copy.function_space, rule
+    points, weights = (interpolation_points(V), None) if rule is None else rule
     φ = V.element.basix_element.tabulate(0, points)[0, :, :, 0]
-    project, values = projection(φ, weights), _evaluator(field, V.mesh, points)
+    project = np.eye(len(points)) if weights is None else projection(φ, weights)
+    values = _evaluator(field, V.mesh, points)
 
     def update() -> None:
         coefficients = np.einsum("iq,cqk->cik", project, values())  # c = Π f

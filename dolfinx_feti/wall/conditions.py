@@ -34,18 +34,7 @@ from dolfinx_feti.mechanics.supports import Direction, dashpot_energy, spring_en
 from dolfinx_feti.mechanics.values import require_finite, require_positive
 from dolfinx_feti.wall.wall import AXES, Wall, extent, facets, plane, surface_measure
 
-__all__ = [
-    "Boundary",
-    "Clamp",
-    "Condition",
-    "Conditions",
-    "Dashpot",
-    "Pressure",
-    "Slide",
-    "Spring",
-    "apply_conditions",
-    "by_surface",
-]
+__all__ = ["Boundary", "Clamp", "Dashpot", "Pressure", "Slide", "Spring", "apply_conditions"]
 
 #: Pressures: share and measure of each surface.
 Loaded = Sequence[tuple[dolfinx.fem.Constant, ufl.Measure]]

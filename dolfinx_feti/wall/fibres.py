@@ -35,17 +35,7 @@ from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.wall.wall import Wall, area, by_layer, facets, openings
 
-__all__ = [
-    "ANGLES",
-    "Frame",
-    "cell_mean",
-    "fibre_families",
-    "fibre_frame",
-    "frame_of",
-    "gradient",
-    "potentials",
-    "solve_laplace",
-]
+__all__ = ["ANGLES", "Frame", "fibre_families", "fibre_frame", "frame_of", "potentials"]
 
 #: Of PETSc's options.
 PREFIX = "fibres_"

@@ -26,22 +26,7 @@ from dolfinx_feti.mechanics.values import require_within
 from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.collective import on_all
 
-__all__ = [
-    "AXES",
-    "Group",
-    "Groups",
-    "Wall",
-    "area",
-    "by_layer",
-    "checked_groups",
-    "create_wall",
-    "extent",
-    "facets",
-    "named_tags",
-    "openings",
-    "plane",
-    "surface_measure",
-]
+__all__ = ["Wall", "area", "by_layer", "create_wall", "facets", "openings", "surface_measure"]
 
 AXES = "xyz"
 

@@ -135,15 +135,13 @@ def show(F: Array) -> str:
 
 def _check_finite(states: States) -> Check:
     """Count the states whose values are no finite numbers."""
-    lost = np.flatnonzero(~states.finite)
-    if not len(lost):
-        return Check("finite values", "pass", 0.0, 0.0)
-    parts = {"Ψ": states.psi, "P": states.P, "A": states.A}
-    names = ", ".join(n for n, part in parts.items() if not np.isfinite(part[lost[0]]).all())
-    note = (
-        f"{names} at {len(lost)} of {len(states.F)} states, the first at {show(states.F[lost[0]])}"
-    )
-    return Check("finite values", "fail", float(len(lost)), 0.0, note)
+    lost, note = np.flatnonzero(~states.finite), ""
+    if len(lost):
+        parts = {"Ψ": states.psi, "P": states.P, "A": states.A}
+        names = ", ".join(n for n, part in parts.items() if not np.isfinite(part[lost[0]]).all())
+        first = show(states.F[lost[0]])
+        note = f"{names} at {len(lost)} of {len(states.F)} states, the first at {first}"
+    return Check("finite values", "fail" if note else "pass", float(len(lost)), 0.0, note)
 
 
 def _differences(law: Law, F: Array) -> tuple[Array, Array]:
@@ -242,12 +240,12 @@ def check(
 def _check_finite_along(law: Law, paths: Sequence[MaterialTest]) -> Check:
     """Count the states of all paths, with guesses in their free entries, that are no numbers."""
     lost = [(path, k) for path in paths for k in np.flatnonzero(~law(path.F).finite)]
-    name = "finite values along the paths"
-    if not lost:
-        return Check(name, "pass", 0.0, 0.0)
-    path, k = lost[0]
-    where = f"{state(path.symbol, path.values[k])} of {path.name}, {show(path.F[k])}"
-    return Check(name, "fail", float(len(lost)), 0.0, f"the first at {where}")
+    note = ""
+    for path, k in lost[:1]:
+        where = f"{state(path.symbol, path.values[k])} of {path.name}, {show(path.F[k])}"
+        note = f"the first at {where}"
+    outcome = "fail" if lost else "pass"
+    return Check("finite values along the paths", outcome, float(len(lost)), 0.0, note)
 
 
 def _check_stiffness(moduli: Moduli) -> Check:

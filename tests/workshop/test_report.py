@@ -174,21 +174,16 @@ def lopsided(at):
     return {"A": A}
 
 
-def wrong_stress(at):
-    return {"P": 1.01 * at.P}
-
-
-def wrong_tangent(at):
-    return {"A": 1.01 * at.A}
-
-
 @pytest.mark.parametrize(
     ("change", "failures"),
     [
         (lambda at: {}, set()),
         (lopsided, {"symmetry of the tangent", "tangent against differences"}),
-        (wrong_stress, {"stress against differences", "tangent against differences"}),
-        (wrong_tangent, {"tangent against differences"}),
+        (
+            lambda at: {"P": 1.01 * at.P},
+            {"stress against differences", "tangent against differences"},
+        ),
+        (lambda at: {"A": 1.01 * at.A}, {"tangent against differences"}),
         (lambda at: {"psi": at.psi + 1.0}, set()),
     ],
 )
