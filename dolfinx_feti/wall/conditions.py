@@ -178,31 +178,26 @@ def apply_conditions(
             f"u has the shape {u.ufl_shape}, or lives on another mesh: take a Function of "
             'functionspace(wall.mesh, ("Lagrange", 2, (3,))).'
         )
-    given = by_surface(conditions)
-    mesh, V = wall.mesh, u.function_space
+    given, mesh, V = by_surface(conditions), wall.mesh, u.function_space
     v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
-    slides = {name: plane(wall, name) for name, found in given.items() if Slide() in found}
-    clamps = [name for name, found in given.items() if Clamp() in found]
-    for name, found in given.items():
-        facets(wall, name)  # must be there
-        if any(isinstance(condition, Pressure | Spring | Dashpot) for condition in found):
-            _check_outside(wall, name)
-    along = None if axis is None else _axis(axis, clamps, [k for k, _ in slides.values()])
-    shifts, moved = {name: _constant(mesh, 0.0) for name in slides}, dolfinx.fem.Function(V)
-    bcs = []
-    for name, (k, _) in slides.items():
-        dofs = dolfinx.fem.locate_dofs_topological(V.sub(k), 2, facets(wall, name))
-        bcs.append(dolfinx.fem.dirichletbc(shifts[name], dofs, V.sub(k)))
-    for name in clamps:
-        dofs = dolfinx.fem.locate_dofs_topological(V, 2, facets(wall, name))
-        bcs.append(dolfinx.fem.dirichletbc(moved, dofs))
+    moved, last = dolfinx.fem.Function(V), dolfinx.fem.Function(V, name="last_displacement")
     p, dt = _constant(mesh, 0.0), _constant(mesh, np.inf)
-    last = dolfinx.fem.Function(V, name="last_displacement")
-    supports, loaded = ufl.Form([]), []
+    supports, loaded, clamps = ufl.Form([]), [], 0
+    bcs: list[dolfinx.fem.DirichletBC] = []
+    planes: list[tuple[int, dolfinx.fem.Constant, float]] = []
     for name, found in given.items():
-        ds = surface_measure(wall)(wall.surfaces[name])
+        on, ds = facets(wall, name), surface_measure(wall)(wall.surfaces[name])
         for condition in found:
             match condition:
+                case Clamp():
+                    dofs = dolfinx.fem.locate_dofs_topological(V, 2, on)
+                    bcs.append(dolfinx.fem.dirichletbc(moved, dofs))
+                    clamps += 1
+                case Slide():
+                    k, at = plane(wall, name)
+                    planes.append((k, _constant(mesh, 0.0), at))
+                    dofs = dolfinx.fem.locate_dofs_topological(V.sub(k), 2, on)
+                    bcs.append(dolfinx.fem.dirichletbc(planes[-1][1], dofs, V.sub(k)))
                 case Spring(stiffness, direction):
                     supports += spring_energy(_constant(mesh, stiffness), u, ds, direction)
                 case Dashpot(viscosity, direction):
@@ -210,26 +205,20 @@ def apply_conditions(
                     supports += dashpot_energy(factor, u, last, dt, ds, direction)
                 case Pressure(share):
                     loaded.append((_constant(mesh, share), ds))
+        if any(isinstance(condition, Pressure | Spring | Dashpot) for condition in found):
+            _check_outside(wall, name)
+    normals = [k for k, *_ in planes]
+    along = None if axis is None else _axis(axis, clamps, normals)
     residual, tangent = ufl.Form([]), ufl.Form([])
     if not supports.empty():
         residual = ufl.derivative(supports, u, v)
         tangent = ufl.derivative(residual, u, du)
     for share, part in loaded:
         residual += follower_pressure(share * p, u, v, part)
-    boundary = Boundary(
-        bcs=bcs,
-        residual=residual,
-        tangent=tangent,
-        energy=None,
-        pressure=p,
-        time_step=dt,
-        last=last,
-        axis=along,
-        moved=moved,
-        planes=tuple((shifts[name], at) for name, (k, at) in slides.items() if k == along),
-    )
-    normals = sorted({k for k, _ in slides.values()})
-    fitting = [e for e in (None, *np.eye(3)[normals]) if _is_potential(boundary, V, loaded, e)]
+    pulled = tuple((shift, at) for k, shift, at in planes if k == along)
+    boundary = Boundary(bcs, residual, tangent, None, p, dt, last, along, moved, pulled)
+    axes = (None, *np.eye(3)[sorted(set(normals))])
+    fitting = [e for e in axes if _is_potential(boundary, V, loaded, e)]
     kind: Literal["symmetric", "auto"] = "symmetric" if fitting else "auto"
     for share, part in loaded:
         tangent += follower_pressure_tangent(share * p, u, v, du, part, kind, bcs=bcs)
@@ -256,12 +245,12 @@ def _constant(mesh: dolfinx.mesh.Mesh, value: float) -> dolfinx.fem.Constant:
     return dolfinx.fem.Constant(mesh, dolfinx.default_scalar_type(value))
 
 
-def _axis(axis: str, clamps: Sequence[str], normals: Sequence[int]) -> int:
+def _axis(axis: str, clamps: int, normals: Sequence[int]) -> int:
     """Return the number of an axis along which the wall can be stretched."""
     if axis not in tuple(AXES):
         raise ValueError(f"axis={axis!r}: choose 'x', 'y' or 'z'.")
     number = AXES.index(axis)
-    if len(clamps) + normals.count(number) < 2:
+    if clamps + normals.count(number) < 2:
         raise ValueError(
             f"axis={axis!r}: a prestretch pulls at two ends, but fewer surfaces are clamped or "
             f"slide in a plane normal to {axis}: give both ends Clamp() or Slide()."
