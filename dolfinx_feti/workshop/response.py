@@ -18,7 +18,6 @@ import numpy as np
 
 from dolfinx_feti.mechanics.values import require_positive
 from dolfinx_feti.runtime.arrays import Array, Mask
-from dolfinx_feti.runtime.tables import state, table
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.equilibrium import cofactor, equilibrate
 from dolfinx_feti.workshop.paths import MaterialTest
@@ -33,9 +32,9 @@ Measure: TypeAlias = Literal["cauchy", "piola"]
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """Stresses along a path; ``str`` prints a table.
+    """Stresses along a path, in the loading frame.
 
-    All tensors are in the loading frame. States for which no equilibrium was found hold NaN.
+    States for which no equilibrium was found hold NaN.
     """
 
     path: MaterialTest  #: The path
@@ -59,21 +58,6 @@ class Response:
     def sigma(self) -> Array:
         """Cauchy stresses σ = J⁻¹ P Fᵀ [kPa], (n, 3, 3)."""
         return np.asarray(self.P @ self.F.transpose(0, 2, 1) / self.J[:, None, None])
-
-    def __str__(self) -> str:
-        """Return a table of stretches and stresses."""
-        columns = {self.path.symbol: self.path.values}
-        for i, k in self.path.measured:
-            columns[f"P{i + 1}{k + 1} [kPa]"] = self.P[:, i, k]
-            columns[f"σ{i + 1}{k + 1} [kPa]"] = self.sigma[:, i, k]
-        columns |= {"F22": self.F[:, 1, 1], "F33": self.F[:, 2, 2], "J": self.J}
-        rows = [list(map(float, row)) for row in zip(*columns.values(), strict=True)]
-        lines = [self.path.name, table(list(columns), rows)]
-        lost = np.flatnonzero(~self.converged)
-        if len(lost):
-            where = state(self.path.symbol, self.path.values[lost[0]])
-            lines.append(f"no equilibrium in {len(lost)} states, the first at {where}")
-        return "\n".join(lines)
 
 
 def respond(material: Material, path: MaterialTest) -> Response:
