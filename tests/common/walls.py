@@ -32,27 +32,16 @@ PREFIX = "wall_"
 
 @dataclass(frozen=True, slots=True)
 class Wall:
-    """Forms, unknowns and boundary conditions of a P_k–P_0 wall.
+    """Forms, unknowns and boundary conditions of a P_k–P_0 wall."""
 
-    Attributes:
-        u: Displacement [mm].
-        p: Pressure of the material [kPa].
-        load: Pressure in the lumen [kPa].
-        bcs: Dirichlet conditions.
-        energy: Π(u, p) without the load.
-        F_u: Residual tested with v, with the follower load.
-        F_p: Residual tested with q.
-        J: Tangent of F_u in u.
-    """
-
-    u: dolfinx.fem.Function
-    p: dolfinx.fem.Function
-    load: dolfinx.fem.Constant
-    bcs: list[dolfinx.fem.DirichletBC]
-    energy: ufl.Form
-    F_u: ufl.Form
-    F_p: ufl.Form
-    J: ufl.Form
+    u: dolfinx.fem.Function  #: Displacement [mm]
+    p: dolfinx.fem.Function  #: Pressure of the material [kPa]
+    load: dolfinx.fem.Constant  #: Pressure in the lumen [kPa]
+    bcs: list[dolfinx.fem.DirichletBC]  #: Dirichlet conditions
+    energy: ufl.Form  #: Π(u, p) without the load
+    F_u: ufl.Form  #: Residual tested with v, with the follower load
+    F_p: ufl.Form  #: Residual tested with q
+    J: ufl.Form  #: Tangent of F_u in u
 
     @property
     def fields(self) -> tuple[dolfinx.fem.Function, ...]:
@@ -101,17 +90,7 @@ def tube(
     length: float = 0.8,
     quarter: bool = False,
 ) -> dolfinx.mesh.Mesh:
-    """Mesh a tube, or its part in the first quadrant, with bricks cut into six tetrahedra.
-
-    Args:
-        comm: Communicator.
-        media: Layers of bricks in the media.
-        adventitia: Layers of bricks in the adventitia.
-        around: Bricks around, of the quarter or the whole.
-        along: Bricks along the axis.
-        length: Length [mm].
-        quarter: Mesh the quarter x ≥ 0, y ≥ 0.
-    """
+    """Mesh a tube, or its part in the first quadrant, with bricks cut into six tetrahedra."""
     radii = np.concatenate(
         [
             np.linspace(INNER, INTERFACE, media + 1),
@@ -162,12 +141,7 @@ def wall(
 ) -> Wall:
     """Set up the two-layer wall: P_k–P_0, two families of fibres, a follower pressure.
 
-    Args:
-        mesh: Made by :func:`tube`.
-        degree: k.
-        kappa: κ [kPa].
-        tangent: Kind of the follower pressure's tangent.
-        quarter: Symmetry conditions, component by component, in place of clamped ends.
+    A quarter has symmetry conditions, component by component, in place of clamped ends.
     """
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (3,)))
     Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
