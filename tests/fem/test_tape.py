@@ -80,7 +80,7 @@ def test_second_derivatives_are_symmetric(energy):
     u = strained(Cell.tetrahedron, 1)
     _, _, tangent = derivatives(energy(u, 2.0), u, 2)
     data = ufl.algorithms.compute_form_data(tangent, do_apply_default_restrictions=False)
-    point = Point(u.function_space.mesh)
+    point = Point(u.function_space.mesh, [u], [])
     (integral,) = (i for group in data.integral_data for i in group.integrals)
     point.add(0, integral.integrand(), 2)
     ((_, found),) = point.terms

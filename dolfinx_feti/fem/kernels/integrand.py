@@ -22,6 +22,7 @@ import numpy as np
 import basix
 import basix.ufl
 import dolfinx
+import ufl
 from ffcx.ir.analysis.factorization import compute_argument_factorization
 from ffcx.ir.analysis.graph import build_scalar_graph
 from ffcx.ir.analysis.modified_terminals import (
@@ -88,20 +89,23 @@ class Point:
         tape: How they are computed.
         elements: Scalar elements of all functions, that of the geometry first.
         gradients: Numbers of those whose functions have gradients.
-        functions: Coefficients.
-        constants: Constants.
         terms: Numbers of forms, and the factors of an integrand of each.
     """
 
-    def __init__(self, mesh: dolfinx.mesh.Mesh) -> None:
-        """Begin with the geometry of a mesh."""
+    def __init__(
+        self,
+        mesh: dolfinx.mesh.Mesh,
+        functions: Sequence[dolfinx.fem.Function],
+        constants: Sequence[dolfinx.fem.Constant],
+    ) -> None:
+        """Begin with the geometry of a mesh, and all coefficients and constants."""
         self.tape = Tape()
         coordinate = mesh.ufl_domain().ufl_coordinate_element()
         self.elements: list[basix.ufl._ElementBase] = [coordinate.sub_elements[0]]
         self.gradients: set[int] = set()
-        self.functions: list[dolfinx.fem.Function] = []
-        self.constants: list[dolfinx.fem.Constant] = []
         self.terms: list[tuple[int, Factors]] = []
+        self._functions = functions
+        self._constants = constants
         self._known: dict[Expr, int] = {}
 
     def add(self, form: int, integrand: Expr, rank: int) -> None:
@@ -137,7 +141,7 @@ class Point:
 
     def _slot(self, terminal: ModifiedTerminal) -> Slot:
         """Return the slot of a coefficient or an argument."""
-        element, block = scalar_element(terminal.terminal.ufl_function_space())
+        element, block = scalar_element(terminal.terminal)
         if len(terminal.local_derivatives) > 1 or terminal.averaged or terminal.restriction:
             raise UnsupportedError
         e, direction = place(self.elements, element), 0
@@ -193,11 +197,11 @@ class Point:
             case classes.SpatialCoordinate():
                 return self._interpolate(0, Slot(0, 3, component, 0))
             case dolfinx.fem.Constant():
-                i = place(self.constants, known)
-                first = sum(int(np.prod(c.ufl_shape)) for c in self.constants[:i])
+                before = self._constants[: self._constants.index(known)]
+                first = sum(int(np.prod(c.ufl_shape)) for c in before)
                 return self.tape.value("constant", integers=[first + component])
             case dolfinx.fem.Function():
-                return self._interpolate(1 + place(self.functions, known), self._slot(terminal))
+                return self._interpolate(1 + self._functions.index(known), self._slot(terminal))
         raise UnsupportedError
 
     def _interpolate(self, function: int, slot: Slot) -> int:
@@ -206,13 +210,13 @@ class Point:
         return self.tape.value("interpolate", integers=integers)
 
 
-def scalar_element(V: dolfinx.fem.FunctionSpace) -> tuple[basix.ufl._ElementBase, int]:
-    """Return the scalar element of a space and the number of components that share it.
+def scalar_element(f: ufl.Argument | dolfinx.fem.Function) -> tuple[basix.ufl._ElementBase, int]:
+    """Return the scalar element of a function and the number of components that share it.
 
     Raises:
-        UnsupportedError: The values of its functions are no combinations of nodal ones.
+        UnsupportedError: Its values are no combinations of nodal ones.
     """
-    element = V.ufl_element()
+    V, element = f.ufl_function_space(), f.ufl_element()
     block = element.block_size
     scalar = element.sub_elements[0] if element.sub_elements else element
     if (

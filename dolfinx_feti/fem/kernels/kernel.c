@@ -43,7 +43,7 @@ static void tabulate(const Program *p, int chunk, V *R)
     for (int k = 0; k < POINTS; ++k) {
         const int q = chunk * N + k % N;
         if (k % N == 0 || !p->affine) {
-            const double *psi = p->table[0] + q * p->nodes[0] * (1 + GDIM);
+            const double *psi = p->table + q * p->nodes[0] * (1 + GDIM);
             const V *x = R + p->w[0] + k / N;
             for (int i = 0; i < GDIM; ++i)
                 for (int j = 0; j < GDIM; ++j) {
@@ -56,7 +56,7 @@ static void tabulate(const Program *p, int chunk, V *R)
             R[k] = R[k - 1];
         R[POINTS + k] = BROADCAST(p->weight[q]);
         for (int e = 0; e < p->elements; ++e) {
-            const double *phi = p->table[e] + q * p->nodes[e] * (1 + GDIM);
+            const double *phi = p->table + p->tables[e] + q * p->nodes[e] * (1 + GDIM);
             V *to = R + p->phi[e] + k;
             for (int a = 0; a < p->nodes[e]; ++a, phi += 1 + GDIM, to += NODE) {
                 to[0] = BROADCAST(phi[0]);
@@ -136,18 +136,16 @@ static const int *contract(const Program *program, const int *p, V *R)
     return p;
 }
 
-// Integrate over cells from place first on, of m places in all, and return them; the last one fills up the
-// lanes. The cells are all from 0 on, or those of a list.
-static void visit(int first, int m, const int *list, const double *const *w, const int *const *dof, const Program *p,
-                  V *R, int64_t *cells)
+// Integrate over cells from place first on, and return them; the last one fills up the lanes.
+static void visit(const Program *p, int first, V *R, int64_t *cell)
 {
     for (int c = 0; c < CELLS; ++c) {
-        const int place = first + c < m ? first + c : m - 1;
-        cells[c] = list ? list[place] : place;
+        const int place = first + c < p->m ? first + c : p->m - 1;
+        cell[c] = p->cells ? p->cells[place] : place;
     }
     for (int g = 0; g < GROUPS; ++g)
         for (int f = 0; f < p->functions; ++f)
-            gather(p->nodes[p->element[f]], p->block[f], w[f], dof[f], cells + g * LANES, R + p->w[f] + g);
+            gather(p->nodes[p->element[f]], p->block[f], p->values[f], p->dof[f], cell + g * LANES, R + p->w[f] + g);
     for (int i = 0; i < GROUPS * p->size; ++i) R[p->out + i] = (V){0.0};
     for (int chunk = 0; chunk < p->chunks; ++chunk) {
         tabulate(p, chunk, R);
@@ -156,16 +154,15 @@ static void visit(int first, int m, const int *list, const double *const *w, con
     }
 }
 
-// out[f] ← the entries of form f in m cells, cell by cell, with values w of the functions at the dofs of each cell.
-// The cells are the first ones, or those of a list, if there is one. Returns 0, or 1 without memory.
-int evaluate(int m, const int *list, const double *const *w, const int *const *dof, const Program *program,
-             double *const *out)
+// out[f] ← the entries of form f, cell by cell. Returns 0, or 1 without memory.
+int evaluate(const Program *program, double *const *out)
 {
+    const int m = program->m;
     int64_t cell[CELLS];
     V *const R = aligned_alloc(sizeof(V), program->vectors * sizeof(V));
     if (!R) return 1;
     for (int first = 0; first < m; first += CELLS) {
-        visit(first, m, list, w, dof, program, R, cell);
+        visit(program, first, R, cell);
         for (int f = 0; f < program->forms; ++f) {
             const int begin = program->begin[f], size = program->begin[f + 1] - begin;
             double *to = out[f] + (int64_t)first * size;
@@ -193,18 +190,17 @@ static inline __attribute__((always_inline)) void scatter(int n, int bs, int lan
             }
 }
 
-// K ← K + Σ_τ k over m cells τ, as in evaluate(), with the k of the only form. A cell has n blocks of bs dofs, (m, n);
-// the columns of block j begin at a place, (m, n, n), in the rows of block i. Returns 0, or 1 without memory.
-int add(int m, const int *list, const double *const *w, const int *const *dof, const Program *program, int n, int bs,
-        const int *block, const int *place, const int64_t *indptr, double *values)
+// K ← K + Σ_τ k over cells τ, with the k of the only form. A cell has n blocks of bs dofs, (·, n); the columns of block
+// j begin at a place, (·, n, n), in the rows of block i. Returns 0, or 1 without memory.
+int add(const Program *program, int n, int bs, const int *block, const int *place, const int64_t *indptr, double *values)
 {
     int64_t cell[CELLS];
     V *const R = aligned_alloc(sizeof(V), program->vectors * sizeof(V));
     if (!R) return 1;
-    for (int first = 0; first < m; first += CELLS) {
-        visit(first, m, list, w, dof, program, R, cell);
+    for (int first = 0; first < program->m; first += CELLS) {
+        visit(program, first, R, cell);
         for (int g = 0; g < GROUPS; ++g) {
-            const int rest = m - first - g * LANES, lanes = rest < LANES ? rest : LANES;
+            const int rest = program->m - first - g * LANES, lanes = rest < LANES ? rest : LANES;
             const V *const k = R + program->out + g * program->size;
             if (bs == GDIM)
                 scatter(n, GDIM, lanes, cell + g * LANES, k, block, place, indptr, values);

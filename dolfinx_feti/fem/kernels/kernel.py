@@ -40,15 +40,15 @@ _generated: dict[object, list[Program] | None] = {}
 FLAGS = "-O3 -fno-math-errno -fno-trapping-math -fno-tree-loop-distribute-patterns -Wno-psabi"
 
 SOURCE = Path(__file__).with_name("kernel.c")
-STATE = "int, const int *, const double *const *, const int *const *, const Program *"
-DECLARATION = f"""
-typedef struct {{
-    int size, forms, elements, functions, chunks, affine, vectors, products, out;
-    const int *begin, *nodes, *gradients, *element, *block, *phi, *w, *tape, *contractions;
-    const double *weight, *const *table, *literals, *constants;
-}} Program;
-int evaluate({STATE}, double *const *);
-int add({STATE}, int, int, const int *, const int *, const int64_t *, double *);
+DECLARATION = """
+typedef struct {
+    int size, forms, elements, functions, chunks, affine, vectors, products, out, m;
+    const int *begin, *nodes, *gradients, *tables, *element, *block, *phi, *w, *tape, *contractions,
+              *cells, *const *dof;
+    const double *weight, *table, *literals, *constants, *const *values;
+} Program;
+int evaluate(const Program *, double *const *);
+int add(const Program *, int, int, const int *, const int *, const int64_t *, double *);
 """
 
 
@@ -59,7 +59,7 @@ class Kernel:
     Attributes:
         program: What is made of the forms.
         mesh: The mesh.
-        functions: Coefficients that are gathered.
+        functions: Coefficients.
         constants: Constants.
         code: The compiled module.
         cells: The cells; None for all that this process owns.
@@ -75,9 +75,13 @@ class Kernel:
     @property
     def rows(self) -> Indices | slice:
         """The kernel's cells in a table of all cells."""
+        return slice(self._count) if self.cells is None else self.cells
+
+    @property
+    def _count(self) -> int:
         topology = self.mesh.topology
         owned = topology.index_map(topology.dim).size_local
-        return slice(owned) if self.cells is None else self.cells
+        return owned if self.cells is None else len(self.cells)
 
     def evaluate(self) -> list[Array]:
         """Integrate over each cell at the present state.
@@ -86,9 +90,8 @@ class Kernel:
             For each form (cells, …), with the dofs of a cell for each argument, in the order of the
             element.
         """
-        arguments = self._state()
-        results = [np.empty((arguments[0], *shape)) for shape in self.program.shapes.values()]
-        self._require(self.code.lib.evaluate(*arguments, self._pointers("double *", results)))
+        results = [np.empty((self._count, *shape)) for shape in self.program.shapes.values()]
+        self._run("evaluate", self._pointers("double", results))
         return results
 
     def add_to(self, values: Array, indptr: Numbers, node: Indices, place: Indices) -> None:
@@ -102,36 +105,24 @@ class Kernel:
         """
         arrays = (pointer(self.code, a) for a in (node, place, indptr, values))
         (shape,), n = self.program.shapes.values(), node.shape[1]
-        self._require(self.code.lib.add(*self._state(), n, shape[0] // n, *arrays))
+        self._run("add", n, shape[0] // n, *arrays)
 
-    def _state(self) -> tuple[Any, ...]:
-        """Return the cells, what is gathered, and the program with the values of the constants."""
-        topology, cells, ffi = self.mesh.topology, self.cells, self.code.ffi
-        values = np.concatenate([np.zeros(0), *(np.ravel(c.value) for c in self.constants)])
-        arrays = {**self.program.arrays, "constants": values}
-        owners = {name: pointer(self.code, a) for name, a in arrays.items()}
-        owners["table"] = self._pointers("double *", self.program.tables)
-        program = ffi.new("Program *", {**self.program.numbers, **owners})
-        x, nodes = self.mesh.geometry.x, compat.geometry_dofmap(self.mesh)
-        dofs = [nodes, *(f.function_space.dofmap.list for f in self.functions)]
-        return (
-            topology.index_map(topology.dim).size_local if cells is None else len(cells),
-            ffi.NULL if cells is None else pointer(self.code, cells),
-            self._pointers("double *", [x, *(f.x.array for f in self.functions)]),
-            self._pointers("int *", dofs),
-            ffi.gc(program, lambda _: owners),
-        )
+    def _run(self, name: str, *arguments: object) -> None:
+        """Call a function of C with the present state."""
+        constants = np.concatenate([np.zeros(0), *(np.ravel(c.value) for c in self.constants)])
+        values = [self.mesh.geometry.x, *(f.x.array for f in self.functions)]
+        dofs = [f.function_space.dofmap.list for f in self.functions]
+        state = {**self.program.fields, "m": self._count, "constants": constants}
+        state |= {} if self.cells is None else {"cells": self.cells}
+        fields = {k: v if isinstance(v, int) else pointer(self.code, v) for k, v in state.items()}
+        fields["values"] = self._pointers("double", values)
+        fields["dof"] = self._pointers("int", [compat.geometry_dofmap(self.mesh), *dofs])
+        program = self.code.ffi.new("Program *", fields)
+        if getattr(self.code.lib, name)(program, *arguments):
+            raise MemoryError("no memory for the cells of a visit")
 
     def _pointers(self, kind: str, arrays: Sequence[npt.NDArray[Any]]) -> Any:
-        """Return an array of pointers, which keeps what they point to alive."""
-        ffi = self.code.ffi
-        owners = [pointer(self.code, a) for a in arrays]
-        return ffi.gc(ffi.new(f"{kind}[]", owners), lambda _: owners)
-
-    @staticmethod
-    def _require(failed: int) -> None:
-        if failed:
-            raise MemoryError("no memory for the cells of a visit")
+        return self.code.ffi.new(f"{kind} *[]", [pointer(self.code, a) for a in arrays])
 
 
 def create_kernels(
@@ -175,20 +166,12 @@ def create_kernels(
     if programs is None:
         return None
     flags = [*FLAGS.split(), *processor_flags()]
-    return [
-        (
-            list(program.shapes),
-            Kernel(
-                program,
-                mesh,
-                [functions[i] for i in program.functions],
-                [constants[i] for i in program.constants],
-                load(SOURCE, DECLARATION, mesh.comm, generated=program.text, flags=flags),
-                cells,
-            ),
-        )
-        for program in programs
-    ]
+    kernels = []
+    for program in programs:
+        code = load(SOURCE, DECLARATION, mesh.comm, generated=program.text, flags=flags)
+        kernel = Kernel(program, mesh, functions, constants, code, cells)
+        kernels.append((list(program.shapes), kernel))
+    return kernels
 
 
 def _is_gathered(f: ufl.Coefficient, mesh: dolfinx.mesh.Mesh) -> bool:

@@ -13,7 +13,7 @@ K is symmetric, and half of it is mirrored. An argument that a form has not is a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
@@ -28,7 +28,6 @@ import ufl
 
 from dolfinx_feti.fem.kernels.integrand import Point, Slot, UnsupportedError, place, scalar_element
 from dolfinx_feti.fem.kernels.tape import HEADER
-from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["Program", "generate"]
 
@@ -42,21 +41,13 @@ class Program:
 
     Attributes:
         shapes: Dofs of a cell for each argument, under the number of each form.
-        functions: Which of their coefficients are gathered.
-        constants: Which of their constants are read.
         text: Sizes of loops and instructions, in C.
-        numbers: Integers of C's structure.
-        arrays: Its arrays.
-        tables: Basis functions of each element and their derivatives.
+        fields: Integers and arrays of C's structure.
     """
 
     shapes: dict[int, tuple[int, ...]]
-    functions: list[int]
-    constants: list[int]
     text: str
-    numbers: dict[str, int]
-    arrays: dict[str, npt.NDArray[Any]]
-    tables: list[Array]
+    fields: dict[str, int | npt.NDArray[Any]]
 
 
 def generate(
@@ -81,36 +72,23 @@ def generate(
         for integral in (i for group in data.integral_data for i in group.integrals):
             if any(e.has_custom_quadrature for e in ufl.algorithms.extract_elements(integral)):
                 raise UnsupportedError("points of a quadrature element")
-            point = points.setdefault(_degree(integral), Point(mesh))
+            known = integral.metadata()  # as FFCx reads it
+            degree = int(known.get("quadrature_degree", -1))
+            if degree < 0:
+                degree = int(np.max(known["estimated_polynomial_degree"]))
+            point = points.setdefault(degree, Point(mesh, functions, constants))
             point.add(number, integral.integrand(), len(form.arguments()))
-    programs = []
-    for degree, point in points.items():
-        numbers = sorted({number for number, _ in point.terms})
-        known = [functions.index(f) for f in point.functions]
-        read = [constants.index(c) for c in point.constants]
-        shapes = {
-            i: tuple(e.dim * block for e, block in map(_element, forms[i].arguments()))
-            for i in numbers
-        }
-        programs.append(Program(shapes, known, read, *_contents(mesh, degree, point, shapes)))
-    return programs
+    return [_program(forms, mesh, functions, degree, point) for degree, point in points.items()]
 
 
-def _degree(integral: ufl.Integral) -> int:
-    """Return the quadrature degree, as FFCx chooses it."""
-    known = integral.metadata()
-    stated = int(known.get("quadrature_degree", -1))
-    return stated if stated >= 0 else int(np.max(known["estimated_polynomial_degree"]))
-
-
-def _element(f: ufl.Argument | dolfinx.fem.Function) -> tuple[basix.ufl._ElementBase, int]:
-    return scalar_element(f.ufl_function_space())
-
-
-def _contents(
-    mesh: dolfinx.mesh.Mesh, degree: int, point: Point, shapes: Mapping[int, tuple[int, ...]]
-) -> tuple[str, dict[str, int], dict[str, npt.NDArray[Any]], list[Array]]:
-    """Return what C is compiled with and what it reads, see :class:`Program`."""
+def _program(
+    forms: Sequence[ufl.Form],
+    mesh: dolfinx.mesh.Mesh,
+    functions: Sequence[dolfinx.fem.Function],
+    degree: int,
+    point: Point,
+) -> Program:
+    """Write the program of one quadrature degree."""
     cell, gdim = mesh.basix_cell(), mesh.geometry.dim
     x, weights = map(np.asarray, basix.make_quadrature(cell, degree))
     chunks = -(-len(weights) // POINTS)
@@ -119,27 +97,44 @@ def _contents(
     rest = chunks * n - len(weights)  # points without weight fill the last chunk
     x, weights = np.concatenate([x, np.repeat(x[-1:], rest, axis=0)]), np.pad(weights, (0, rest))
 
-    one = Slot(place(point.elements, basix.ufl.element("DG", cell.name, 0)), 1, 0, 0)
     factors = {value for _, found in point.terms for value in found.values()}
     tape, register, registers = point.tape.program(factors, VECTOR * n * groups)
+    shapes = {
+        i: tuple(e.dim * block for e, block in map(scalar_element, forms[i].arguments()))
+        for i in sorted({number for number, _ in point.terms})
+    }
     begin = [0, *accumulate(map(math.prod, shapes.values()))]
     first = dict(zip(shapes, begin, strict=False))
+    one = Slot(place(point.elements, basix.ufl.element("DG", cell.name, 0)), 1, 0, 0)
     contractions: list[int] = []
-    terms = 1  # most derivatives of a component in a block
     for number, found in point.terms:
         width = shapes[number][-1] if shapes[number] else 1
         slots = {(one, one, *s)[-2:]: register[value] for s, value in found.items()}
-        for block in _blocks(slots, first[number], width):
-            contractions += block
-            terms = max(terms, block[6])
+        contractions += _blocks(slots, first[number], width)
+
+    used = [(point.elements[0], 3), *map(scalar_element, functions)]
+    element = [place(point.elements, e) for e, _ in used]
     nodes = [e.dim for e in point.elements]
-    used = [(point.elements[0], 3), *map(_element, point.functions)]
-    sizes = [registers * n * groups, *(n * groups * (1 + gdim) * m for m in nodes)]
+    basis = [(1 + gdim) * m for m in nodes]
+    sizes = [registers * n * groups, *(n * groups * b for b in basis)]
     sizes += [e.dim * block * groups for e, block in used]
-    sizes += [max(nodes) * terms * n * groups, begin[-1] * groups]
+    sizes += [max(basis) * n * groups, begin[-1] * groups]
     places = list(accumulate(sizes))  # of what follows the tape's registers
+    tables = [np.moveaxis(np.asarray(e.tabulate(1, x)), 0, -1).ravel() for e in point.elements]
     straight = point.elements[0].degree == 1 and len(basix.topology(cell)[gdim][0]) == gdim + 1
-    numbers = {
+    lists = {
+        "begin": begin,
+        "nodes": nodes,
+        "gradients": [e in point.gradients for e in range(len(nodes))],
+        "tables": [0, *accumulate(map(len, tables))],
+        "element": element,
+        "block": [block for _, block in used],
+        "phi": places[: len(nodes)],
+        "w": places[len(nodes) : -3],
+        "tape": tape,
+        "contractions": [*contractions, -1],
+    }
+    fields: dict[str, int | npt.NDArray[Any]] = {
         "size": begin[-1],
         "forms": len(shapes),
         "elements": len(nodes),
@@ -149,29 +144,17 @@ def _contents(
         "products": places[-3],
         "out": places[-2],
         "vectors": places[-1],
+        "weight": weights,
+        "table": np.concatenate(tables),
+        "literals": np.array([*point.tape.literals.values()]),
+        **{name: np.array(values, dtype=np.int32) for name, values in lists.items()},
     }
-    lists = {
-        "begin": begin,
-        "nodes": nodes,
-        "gradients": [e in point.gradients for e in range(len(nodes))],
-        "element": [point.elements.index(e) for e, _ in used],
-        "block": [block for _, block in used],
-        "phi": places[: len(nodes)],
-        "w": places[len(nodes) : -3],
-        "tape": tape,
-        "contractions": [*contractions, -1],
-    }
-    arrays: dict[str, npt.NDArray[Any]] = {
-        name: np.array(values, dtype=np.int32) for name, values in lists.items()
-    }
-    tables = [np.moveaxis(np.asarray(e.tabulate(1, x)), 0, -1).copy() for e in point.elements]
     text = f"enum {{ GDIM = {gdim}, N = {n}, GROUPS = {groups} }};{HEADER}"
-    arrays |= {"weight": weights, "literals": np.array([*point.tape.literals.values()])}
-    return text, numbers, arrays, tables
+    return Program(shapes, text, fields)
 
 
-def _blocks(factors: Mapping[tuple[Slot, ...], int], first: int, width: int) -> Iterator[list[int]]:
-    """Yield the blocks of a form, as ``contract`` in C reads them.
+def _blocks(factors: Mapping[tuple[Slot, ...], int], first: int, width: int) -> list[int]:
+    """Return the blocks of a form, as ``contract`` in C reads them.
 
     Args:
         factors: The register of each factor, under the slots of rows and columns.
@@ -183,13 +166,14 @@ def _blocks(factors: Mapping[tuple[Slot, ...], int], first: int, width: int) -> 
     for (v, u), value in factors.items():
         columns = blocks.setdefault((v.component, u.component), {})
         columns.setdefault(u.direction, []).extend((v.direction, value))
+    found: list[int] = []
     for (i, k), columns in blocks.items():
         if symmetric and i > k:
             continue
         mirrored = first + k * width + i if symmetric else -1
         v, u = next(iter(factors))
-        block = [v.element, u.element, first + i * width + k, mirrored, v.block * width, u.block]
-        block += [len(columns), *columns]
+        found += [v.element, u.element, first + i * width + k, mirrored, v.block * width, u.block]
+        found += [len(columns), *columns]
         for pairs in columns.values():
-            block += [len(pairs) // 2, *pairs]
-        yield block
+            found += [len(pairs) // 2, *pairs]
+    return found

@@ -28,9 +28,9 @@ enum { NODE = (1 + GDIM) * POINTS };
 // the tape's registers; from a place on basis functions φ of each element; the values w of each function, (nodes,
 // block, GROUPS); the products of contract(); and the entries, (GROUPS, size).
 typedef struct {
-    int size, forms, elements, functions, chunks, affine, vectors, products, out;
-    const int *begin, *nodes, *gradients, *element, *block, *phi, *w, *tape, *contractions;
-    const double *weight, *const *table, *literals, *constants;
+    int size, forms, elements, functions, chunks, affine, vectors, products, out, m;
+    const int *begin, *nodes, *gradients, *tables, *element, *block, *phi, *w, *tape, *contractions, *cells, *const *dof;
+    const double *weight, *table, *literals, *constants, *const *values;
 } Program;
 
 // An instruction at p of a tape, with registers in R, which it names by bytes. It calls the next one, which has no
