@@ -37,43 +37,17 @@ from ufl.corealg.multifunction import MultiFunction
 
 from dolfinx_feti.fem.kernels.tape import FUNCTIONS, Tape
 
-__all__ = ["Factors", "Point", "Slot", "UnsupportedError", "place", "scalar_element"]
+__all__ = ["Factors", "Point", "Slot", "place", "scalar_element"]
 
 #: Powers up to this one are products.
 POWER = 4
 
-#: Instructions for UFL's operators.
-_INSTRUCTIONS = {
-    classes.LT: "lt",
-    classes.GT: "gt",
-    classes.LE: "le",
-    classes.GE: "ge",
-    classes.EQ: "eq",
-    classes.NE: "ne",
-    classes.AndCondition: "and",
-    classes.OrCondition: "or",
-    classes.NotCondition: "not",
-    classes.Sqrt: "sqrt",
-    classes.Abs: "fabs",
-}
-
-
-class UnsupportedError(Exception):
-    """An integrand has what only FFCx can compile."""
-
 
 class Slot(NamedTuple):
-    """A component of a function, or its derivative.
+    """A component of a function, or its derivative in a direction from 1 on; 0 for the value."""
 
-    Attributes:
-        element: Number of the scalar element.
-        block: Components that share it.
-        component: The component.
-        direction: Direction of the derivative, from 1 on; 0 for the value.
-    """
-
-    element: int
-    block: int
+    element: int  # number of the scalar element
+    block: int  # components that share it
     component: int
     direction: int
 
@@ -87,7 +61,7 @@ class Point:
 
     Attributes:
         tape: How they are computed.
-        elements: Scalar elements of all functions, that of the geometry first.
+        elements: Scalar elements, that of the geometry first.
         gradients: Numbers of those whose functions have gradients.
         terms: Numbers of forms, and the factors of an integrand of each.
     """
@@ -117,44 +91,41 @@ class Point:
             rank: Number of its arguments.
 
         Raises:
-            UnsupportedError: There is something in it that only FFCx can compile.
+            NotImplementedError: There is something in it that only FFCx can compile.
         """
         scalars = build_scalar_graph(map_integrand_dags(_Frame(), integrand))
         graph = compute_argument_factorization(scalars, rank)
         nodes = [node["expression"] for node in graph.nodes.values()]
-        targets = [(k, i) for i, node in graph.nodes.items() for k in node.get("target", ())]
-        needed = {nodes[i] for _, i in targets}
-        for node in reversed(nodes):
-            if node in needed:
-                needed.update(_operands(node))
-        for node in nodes:
-            if node in needed and node not in self._known:
-                operands = [self._known[operand] for operand in _operands(node)]
-                self._known[node] = self._value(node, operands)
         factors = {
             tuple(self._slot(analyse_modified_terminal(nodes[a])) for a in arguments): nodes[i]
-            for arguments, i in targets
+            for i, node in graph.nodes.items()
+            for arguments in node.get("target", ())
             if not isinstance(nodes[i], classes.Zero)
         }
-        found = {s: self.tape.positive(self._known[node]) for s, node in sorted(factors.items())}
+        found = {s: self.tape.positive(self._value(node)) for s, node in sorted(factors.items())}
         self.terms.append((form, found))
 
     def _slot(self, terminal: ModifiedTerminal) -> Slot:
         """Return the slot of a coefficient or an argument."""
         element, block = scalar_element(terminal.terminal)
         if len(terminal.local_derivatives) > 1 or terminal.averaged or terminal.restriction:
-            raise UnsupportedError
+            raise NotImplementedError
         e, direction = place(self.elements, element), 0
         if terminal.local_derivatives:
             direction = 1 + terminal.local_derivatives[0]
             self.gradients.add(e)
         return Slot(e, block, terminal.flat_component, direction)
 
-    def _value(self, node: Expr, a: Sequence[int]) -> int:
+    def _value(self, node: Expr) -> int:
+        """Return the value of an expression."""
+        if node not in self._known:
+            known = self._terminal if is_modified_terminal(node) else self._operation
+            self._known[node] = known(node)
+        return self._known[node]
+
+    def _operation(self, node: Expr) -> int:
         """Return an operation on its operands a."""
-        if is_modified_terminal(node):
-            return self._terminal(node)
-        tape = self.tape
+        tape, a = self.tape, [self._value(operand) for operand in node.ufl_operands]
         match node:
             case classes.Sum():
                 return tape.add(*a)
@@ -176,12 +147,10 @@ class Point:
                 return tape.choose(tape.value("gt", *a), *a)
             case classes.MinValue():
                 return tape.choose(tape.value("lt", *a), *a)
-        if type(node) in _INSTRUCTIONS:
-            return tape.value(_INSTRUCTIONS[type(node)], *a)
-        if isinstance(node, classes.MathFunction):
-            name = "log" if node._name == "ln" else node._name
+        name = {"ln": "log"}.get(node._ufl_handler_name_, node._ufl_handler_name_)
+        if name in FUNCTIONS:
             return tape.value("function", *a, integers=[FUNCTIONS.index(name)])
-        raise UnsupportedError
+        return tape.value(name, *a)
 
     def _terminal(self, node: Expr) -> int:
         """Return a number, or what a cell gathers."""
@@ -202,7 +171,7 @@ class Point:
                 return self.tape.value("constant", integers=[first + component])
             case dolfinx.fem.Function():
                 return self._interpolate(1 + self._functions.index(known), self._slot(terminal))
-        raise UnsupportedError
+        raise NotImplementedError
 
     def _interpolate(self, function: int, slot: Slot) -> int:
         e, block, component, direction = slot
@@ -214,7 +183,7 @@ def scalar_element(f: ufl.Argument | dolfinx.fem.Function) -> tuple[basix.ufl._E
     """Return the scalar element of a function and the number of components that share it.
 
     Raises:
-        UnsupportedError: Its values are no combinations of nodal ones.
+        NotImplementedError: Its values are no combinations of nodal ones.
     """
     V, element = f.ufl_function_space(), f.ufl_element()
     block = element.block_size
@@ -229,7 +198,7 @@ def scalar_element(f: ufl.Argument | dolfinx.fem.Function) -> tuple[basix.ufl._E
         or int(np.prod(V.value_shape)) != block  # a symmetric tensor
         or V.element.needs_dof_transformations
     ):
-        raise UnsupportedError
+        raise NotImplementedError
     return scalar, block
 
 
@@ -252,7 +221,3 @@ def place(things: list[Any], thing: object) -> int:
     if thing not in things:
         things.append(thing)
     return things.index(thing)
-
-
-def _operands(node: Expr) -> tuple[Expr, ...]:
-    return () if is_modified_terminal(node) else node.ufl_operands

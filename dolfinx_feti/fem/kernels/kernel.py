@@ -3,10 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Cell integrals of several forms in one visit of each cell, of eight cells at a time.
 
-Every operation is one on eight cells, which a processor does in one to four instructions. Many
-points are visited a few at a time; where a rule has few, several groups of eight cells are visited
-at once. Values agree with dolfinx's to rounding, and what is no number there is none here. Forms
-are data: the C code depends on the dimension and the number of quadrature points alone.
+Points are visited a few at a time, or several groups of eight cells at once. Values agree with
+dolfinx's to rounding, and what is no number there is none here. Forms are data: the C code depends
+on the dimension and the number of quadrature points alone.
 """
 
 from __future__ import annotations
@@ -54,16 +53,7 @@ int add(const Program *, int, int, const int *, const int *, const int64_t *, do
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """Code and data for the cell integrals of forms.
-
-    Attributes:
-        program: What is made of the forms.
-        mesh: The mesh.
-        functions: Coefficients.
-        constants: Constants.
-        code: The compiled module.
-        cells: The cells; None for all that this process owns.
-    """
+    """Code and data for the cell integrals of forms, over all owned cells or those of a list."""
 
     program: Program
     mesh: dolfinx.mesh.Mesh
@@ -175,10 +165,7 @@ def create_kernels(
 
 
 def _is_gathered(f: ufl.Coefficient, mesh: dolfinx.mesh.Mesh) -> bool:
-    """Whether a function's dofs in a cell are blocks of doubles, one for each of its element.
-
-    Those of a vector in a mixed space, of which a dof map has single dofs, are not.
-    """
+    """Whether a function's dofs in a cell are blocks of doubles; those in a mixed space are not."""
     if not isinstance(f, dolfinx.fem.Function) or f.x.array.dtype != np.float64:
         return False
     V, element = f.function_space, f.function_space.ufl_element()

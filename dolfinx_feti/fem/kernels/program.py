@@ -26,7 +26,7 @@ import basix.ufl
 import dolfinx
 import ufl
 
-from dolfinx_feti.fem.kernels.integrand import Point, Slot, UnsupportedError, place, scalar_element
+from dolfinx_feti.fem.kernels.integrand import Point, Slot, place, scalar_element
 from dolfinx_feti.fem.kernels.tape import HEADER
 
 __all__ = ["Program", "generate"]
@@ -59,7 +59,7 @@ def generate(
     """Write the programs, one for each quadrature degree, for forms with these coefficients.
 
     Raises:
-        UnsupportedError: Only FFCx can compile an integrand.
+        NotImplementedError: Only FFCx can compile an integrand.
     """
     points: dict[int, Point] = {}
     for number, form in enumerate(forms):
@@ -71,7 +71,7 @@ def generate(
         )
         for integral in (i for group in data.integral_data for i in group.integrals):
             if any(e.has_custom_quadrature for e in ufl.algorithms.extract_elements(integral)):
-                raise UnsupportedError("points of a quadrature element")
+                raise NotImplementedError("points of a quadrature element")
             known = integral.metadata()  # as FFCx reads it
             degree = int(known.get("quadrature_degree", -1))
             if degree < 0:
@@ -154,13 +154,7 @@ def _program(
 
 
 def _blocks(factors: Mapping[tuple[Slot, ...], int], first: int, width: int) -> list[int]:
-    """Return the blocks of a form, as ``contract`` in C reads them.
-
-    Args:
-        factors: The register of each factor, under the slots of rows and columns.
-        first: Where the form begins among the entries of a cell.
-        width: Its columns.
-    """
+    """Return the blocks of a form for C, from registers under the slots of rows and columns."""
     symmetric = all(factors.get((u, v)) == value for (v, u), value in factors.items())
     blocks: dict[tuple[int, int], dict[int, list[int]]] = {}
     for (v, u), value in factors.items():

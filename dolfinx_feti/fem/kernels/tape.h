@@ -58,18 +58,10 @@ static inline V choose(L mask, V x, V y) { return (V)((mask & (L)x) | (~mask & (
 #define x AT(1)[k]
 #define y AT(2)[k]
 #define z AT(3)[k]
-#define t AT(4)[k]
 SIMPLE(weight, 1, R[POINTS + k])
 SIMPLE(determinant, 1, R[k])
 SIMPLE(number, 2, BROADCAST(program->literals[p[1]]))
 SIMPLE(constant, 2, BROADCAST(program->constants[p[1]]))
-SIMPLE(add, 3, x + y)
-SIMPLE(subtract, 3, x - y)
-SIMPLE(multiply_add, 4, x * y + z)
-SIMPLE(multiply_subtract, 4, x * y - z)
-SIMPLE(subtract_product, 4, z - x * y)
-SIMPLE(product_sum, 5, x * y + z * t)
-SIMPLE(product_difference, 5, x * y - z * t)
 SIMPLE(product, 3, x * y)
 SIMPLE(quotient, 3, x / y)
 SIMPLE(lt, 3, x < y)
@@ -78,15 +70,14 @@ SIMPLE(le, 3, x <= y)
 SIMPLE(ge, 3, x >= y)
 SIMPLE(eq, 3, x == y)
 SIMPLE(ne, 3, x != y)
-SIMPLE(and, 3, (L)x & (L)y)
-SIMPLE(or, 3, (L)x | (L)y)
-SIMPLE(not, 2, ~(L)x)
-SIMPLE(fabs, 2, (L)x & INT64_MAX)
+SIMPLE(and_condition, 3, (L)x & (L)y)
+SIMPLE(or_condition, 3, (L)x | (L)y)
+SIMPLE(not_condition, 2, ~(L)x)
+SIMPLE(abs, 2, (L)x & INT64_MAX)
 SIMPLE(choose, 4, choose((L)x, y, z))
 #undef x
 #undef y
 #undef z
-#undef t
 
 INSTRUCTION(end) { (void)p, (void)R, (void)program; }
 

@@ -29,22 +29,11 @@ __all__ = ["FUNCTIONS", "HEADER", "Tape"]
 #: Functions of one argument.
 FUNCTIONS = "exp log cos sin tan cosh sinh tanh acos asin atan erf".split()
 
+#: Instructions, by UFL's names where it has one.
 _CODES = (
-    "end number constant weight determinant interpolate sum product quotient "
-    "power fabs sqrt function choose lt gt le ge eq ne and or not add subtract "
-    "multiply_add multiply_subtract subtract_product product_sum product_difference"
+    "end number constant weight determinant interpolate sum product quotient power abs sqrt "
+    "function choose lt gt le ge eq ne and_condition or_condition not_condition"
 ).split()
-
-#: Sums of two terms, by how many operands of a b, −a b, c, −c they have.
-_SHORT: dict[tuple[int, ...], str] = {
-    (0, 0, 2, 0): "add",
-    (0, 0, 1, 1): "subtract",
-    (2, 0, 1, 0): "multiply_add",
-    (2, 0, 0, 1): "multiply_subtract",
-    (0, 2, 1, 0): "subtract_product",
-    (4, 0, 0, 0): "product_sum",
-    (2, 2, 0, 0): "product_difference",
-}
 
 #: The instructions, for C.
 HEADER = f"""
@@ -94,13 +83,7 @@ class Tape:
         return value if x >= 0.0 else -value
 
     def value(self, name: str, *operands: int, integers: Sequence[int] = ()) -> int:
-        """Return the result of an instruction.
-
-        Args:
-            name: The instruction.
-            operands: References.
-            integers: What else it needs.
-        """
+        """Return the result of an instruction, which may need integers of other meanings."""
         value = _Value(name, tuple(map(self.positive, operands)), tuple(integers))
         return self._opaque(value)
 
@@ -161,15 +144,14 @@ class Tape:
         return self._known[key]
 
     def program(self, outputs: set[int], size: int) -> tuple[Indices, dict[int, int], int]:
-        """Write the instructions that compute values.
+        """Write the instructions that leave the outputs in registers of their own.
 
         Args:
-            outputs: The values, each in a register of its own at the end.
+            outputs: Values.
             size: Bytes of a register.
 
         Returns:
-            Instructions with the places of registers, in bytes; the place of each value; and how
-            many registers there are.
+            The instructions, the place of each value in bytes, and the number of registers.
         """
         instructions = self._instructions(outputs)
         last = {a: v for v, groups in instructions.items() for group in groups for a in group}
@@ -184,8 +166,8 @@ class Tape:
             value = self._values[v]
             sizes = tuple(map(len, groups)) if value.name == "sum" else ()
             operands = [a for group in groups for a in group]
-            code += [_CODES.index(_SHORT.get(sizes, value.name)), register[v]]
-            code += () if sizes in _SHORT else sizes
+            code += [_CODES.index(value.name), register[v]]
+            code += sizes
             code += [register[a] for a in operands]
             code += value.integers
             free += {register[a] for a in operands if last[a] == v and a not in outputs}
