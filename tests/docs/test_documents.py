@@ -29,10 +29,6 @@ DOCUMENTS = [
 
 pytestmark = pytest.mark.serial
 
-every_document = pytest.mark.parametrize(
-    "document", DOCUMENTS, ids=[str(path.relative_to(ROOT)) for path in DOCUMENTS]
-)
-
 
 def paths(text: str) -> Iterator[str]:
     """Yield what looks like a path of this repository, between backticks."""
@@ -67,33 +63,18 @@ def imported(source: str) -> Iterator[tuple[str, str]]:
             yield from ((node.module, alias.name) for alias in node.names)
 
 
-@every_document
-def test_paths_exist(document):
-    named = list(paths(document.read_text(encoding="utf-8")))
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_what_a_document_names_exists(document):
+    """Paths, targets of links, modules of commands, and names that blocks import."""
+    text = document.read_text(encoding="utf-8")
     tops = (ROOT, PACKAGE)  # pages name folders of the package without its name, too
-    missing = [path for path in named if not any((top / path).exists() for top in tops)]
+    missing = [path for path in paths(text) if not any((top / path).exists() for top in tops)]
+    missing += [target for target in links(text) if not (document.parent / target).exists()]
+    modules = re.findall(r"-m\s+((?:benchmarks|meshes)[.\w]+\w)", text)
+    missing += [name for name in modules if importlib.util.find_spec(name) is None]
+    names = [name for source in blocks(text) for name in imported(source)]
+    missing += [it for it in names if not hasattr(importlib.import_module(it[0]), it[1])]
     assert not missing
-
-
-@every_document
-def test_links_lead_somewhere(document):
-    targets = list(links(document.read_text(encoding="utf-8")))
-    assert not [target for target in targets if not (document.parent / target).exists()]
-
-
-@every_document
-def test_commands_name_modules_that_exist(document):
-    modules = re.findall(
-        r"-m\s+((?:benchmarks|meshes)[.\w]+\w)", document.read_text(encoding="utf-8")
-    )
-    assert not [name for name in modules if importlib.util.find_spec(name) is None]
-
-
-@every_document
-def test_blocks_import_what_exists(document):
-    for source in blocks(document.read_text(encoding="utf-8")):
-        for module, name in imported(source):
-            assert hasattr(importlib.import_module(module), name), f"{module}.{name}"
 
 
 def test_pages_of_the_site_have_titles_of_their_own():
