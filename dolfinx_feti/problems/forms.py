@@ -53,23 +53,14 @@ _ABSENT = "The unknown '{0}' does not occur in F: pass the Function that F is wr
 
 @dataclass(frozen=True, slots=True)
 class Forms:
-    """The forms of a problem.
+    """The forms of a problem."""
 
-    Attributes:
-        u: The unknown; a zero one of a linear problem.
-        F_u: Residual tested with v.
-        J: Tangent of F_u in u.
-        condense: Residual of each field that is condensed, tested in its space, and the field.
-        energy: Their potential, if there is one.
-        symmetric: True if J is the second derivative of an energy; None if nobody knows.
-    """
-
-    u: dolfinx.fem.Function
-    F_u: ufl.Form
-    J: ufl.Form
-    condense: tuple[tuple[ufl.Form, dolfinx.fem.Function], ...] = ()
-    energy: ufl.Form | None = None
-    symmetric: bool | None = None
+    u: dolfinx.fem.Function  # the unknown; a zero one of a linear problem
+    F_u: ufl.Form  # residual tested with v
+    J: ufl.Form  # tangent of F_u in u
+    condense: tuple[tuple[ufl.Form, dolfinx.fem.Function], ...] = ()  # residual, field
+    energy: ufl.Form | None = None  # their potential, if there is one
+    symmetric: bool | None = None  # is J the second derivative of an energy? None if nobody knows
 
     @property
     def residuals(self) -> list[ufl.Form]:

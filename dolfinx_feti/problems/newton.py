@@ -70,19 +70,12 @@ _DOUBTFUL = (
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What Newton's method begins with, beside the state itself.
+    """What Newton's method begins with, beside the state itself."""
 
-    Attributes:
-        reference: Most that the residual at the start counts in the relative tolerance.
-        tangent: The tangent of the first step, which the matrix holds; None for that of the start.
-        rough: Whether to end at a tenth of the first residual; linear solves aim at the end still.
-        early: Whether to give up early: the caller has another start, or a shorter way.
-    """
-
-    reference: float = np.inf
-    tangent: Tangent | None = None
-    rough: bool = False
-    early: bool = False
+    reference: float = np.inf  # most that the first residual counts in the relative tolerance
+    tangent: Tangent | None = None  # of the first step, which the matrix holds; that of the start
+    rough: bool = False  # end at a tenth of the first residual; linear solves aim at the end still
+    early: bool = False  # give up early: the caller has another start, or a shorter way
 
 
 class Newton:

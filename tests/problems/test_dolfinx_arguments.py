@@ -74,6 +74,8 @@ def test_no_conditions(heat, rubber):
         problem.solve()
         agree(problem.bcs == ())
         agree(NonlinearProblem(rubber.F, rubber.u, bcs=bcs, subdomains=4).bcs == ())
+    for problem in (LinearProblem(mass, heat.L), NonlinearProblem(rubber.F, rubber.u)):
+        agree(COMM.allreduce(problem.decomposition.count) >= 2)  # or there is no null space
 
 
 def test_options_of_the_compilers(heat, rubber, tmp_path):
