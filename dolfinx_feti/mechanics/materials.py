@@ -59,9 +59,9 @@ _FIBRE_SWITCH = -1e-12
 class ArteryParameters:
     """Parameters of the artery model (table 1, Augustin_tab:param, from Holzapfel et al. 2000)."""
 
-    c: float = 3.0  #: stiffness of the matrix material [kPa]
-    k1: float = 2.3632  #: stiffness of the fibres [kPa]
-    k2: float = 0.8393  #: exponent of the fibres [-]
+    c: float = 3.0  #: Stiffness of the matrix material [kPa]
+    k1: float = 2.3632  #: Stiffness of the fibres [kPa]
+    k2: float = 0.8393  #: Exponent of the fibres [-]
 
     def __post_init__(self) -> None:
         """Check the values."""

@@ -43,9 +43,9 @@ __all__ = ["MaxwellBranch", "damaged", "viscoelastic"]
 class MaxwellBranch:
     """A spring and a dashpot in a row, beside the elastic material."""
 
-    Q: Expr  #: overstress [kPa], (d, d), a Function of quadrature points or cells; zero at first
-    share: Parameter  #: stiffness of the spring over that of the elastic material, β [-]
-    time: Parameter  #: relaxation time τ [s]
+    Q: Expr  #: Overstress [kPa], (d, d), a Function of quadrature points or cells; zero at first
+    share: Parameter  #: Stiffness of the spring over that of the elastic material, β [-]
+    time: Parameter  #: Relaxation time τ [s]
 
     def __post_init__(self) -> None:
         """Check the values."""

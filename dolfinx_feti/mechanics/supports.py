@@ -34,7 +34,7 @@ __all__ = ["DASHPOTS", "Dashpots", "Direction", "dashpot_energy", "spring_energy
 class Dashpots:
     """What ẇ = (w − w⁰)/Δt of dashpots is made of."""
 
-    u: Expr  #: displacement
+    u: Expr  #: Displacement
     time_step: float | Expr  #: Δt [s]
 
 

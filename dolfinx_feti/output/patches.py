@@ -45,11 +45,11 @@ class Patches:
     """The n_v vertices of the layers, a copy for each, and the n_c owned cells around them."""
 
     mesh: dolfinx.mesh.Mesh
-    layers: int  #: their number
-    rows: Numbers  #: vertices of each cell in the cell's layer, (n_c, d + 1)
+    layers: int  #: Number of layers
+    rows: Numbers  #: Vertices of each cell in the cell's layer, (n_c, d + 1)
     matrix: scipy.sparse.csr_array  #: A, (n_v, n_c)
-    points: Array  #: quadrature points of the reference cell, (n_q, d)
-    weights: Array  #: from values there to the means of f and f (X − X̄), (1 + d, n_q)
+    points: Array  #: Quadrature points of the reference cell, (n_q, d)
+    weights: Array  #: From values f there to means of f and f (X − X̄), (1 + d, n_q)
 
     def around(self, values: Array) -> Array:
         """Sum values of the cells over those at a vertex, of all processes, (n_v, k)."""

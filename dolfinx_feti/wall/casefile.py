@@ -46,9 +46,9 @@ class Tissue:
     c: float  #: Stiffness of the matrix material [kPa]
     k1: float = 0.0  #: Stiffness of the fibres [kPa]; 0 for none
     k2: float = 1.0  #: Exponent of the fibres [-]
-    angle: float = 0.0  #: Of the fibres from the circumferential direction [degrees]
-    opening_angle: float = 0.0  #: By which the layer opens when it is cut [degrees]
-    axial_stretch: float = 1.0  #: Its prestretch along the vessel [-]
+    angle: float = 0.0  #: Angle of the fibres from the circumferential direction [degrees]
+    opening_angle: float = 0.0  #: Angle by which the layer opens when it is cut [degrees]
+    axial_stretch: float = 1.0  #: Prestretch along the vessel [-]
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -62,10 +62,10 @@ class Tissue:
 class Filling:
     """What governs the volume of a cavity, whose pressure is an unknown: one of the first two."""
 
-    volume: float | None = None  #: To be enclosed [mm³]
-    #: Its resistance [kPa s/mm³], compliance [mm³/kPa], and perhaps impedance
+    volume: float | None = None  #: Volume to be enclosed [mm³]
+    #: Resistance [kPa s/mm³], compliance [mm³/kPa], and perhaps impedance
     windkessel: dict[str, float] = field(default_factory=dict)
-    axis: str | None = None  #: Of a tube with open ends; None for a closed surface
+    axis: str | None = None  #: Axis of a tube with open ends; None for a closed surface
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -87,16 +87,16 @@ class Case:
     """A wall under pressure, or with cavities that are filled."""
 
     mesh: str  #: Name of the mesh, as in the file
-    layers: dict[str, Tissue]  #: Their materials
-    conditions: dict[str, tuple[Condition, ...]]  #: Of the surfaces; the largest share is 1
-    pressure: float  #: Where to arrive [mmHg]; 0 where all pressures are those of cavities
+    layers: dict[str, Tissue]  #: Materials of the layers
+    conditions: dict[str, tuple[Condition, ...]]  #: On the surfaces; the largest share is 1
+    pressure: float  #: Target [mmHg]; 0 if all pressures are those of cavities
     scale: float = 1.0  #: Millimetres in the mesh's unit of length
     image: float = 0.0  #: Pressure under which the wall has the mesh's shape [mmHg]; 0 at rest
-    rate: float | None = None  #: By how much the pressure grows [mmHg/s]; None without dashpots
+    rate: float | None = None  #: Rate of the pressure [mmHg/s]; None without dashpots
     axis: str | None = None  #: Axis of the prestretch; None for none
     stretch: float = 1.0  #: The prestretch [-]
     fibres: dict[str, Any] = field(default_factory=dict)  #: Arguments of ``fibre_frame``
-    cavities: dict[str, Filling] = field(default_factory=dict)  #: By their surfaces
+    cavities: dict[str, Filling] = field(default_factory=dict)  #: Fillings by surface
 
     def __post_init__(self) -> None:
         """Check the values."""

@@ -46,7 +46,7 @@ Axis = Sequence[float] | None
 class Pressure:
     """A pressure that follows the deformed surface."""
 
-    share: float = 1.0  #: Its share of the wall's pressure [-]; negative where it pulls
+    share: float = 1.0  #: Share of the wall's pressure [-]; negative where it pulls
 
     def __post_init__(self) -> None:
         """Check the value."""
@@ -126,8 +126,8 @@ class Boundary:
 
     bcs: list[dolfinx.fem.DirichletBC]  #: Dirichlet conditions of what is clamped or slides
     residual: ufl.Form  #: Virtual work of pressure, springs and dashpots
-    tangent: ufl.Form  #: Its derivative; of a pressure's, the symmetric part if that is all of it
-    energy: ufl.Form | None  #: Its potential; None if the pressure has none
+    tangent: ufl.Form  #: Derivative; of a pressure's, the symmetric part if that is all of it
+    energy: ufl.Form | None  #: Potential; None if the pressure has none
     pressure: dolfinx.fem.Constant  #: The wall's pressure [kPa], zero at first
     time_step: dolfinx.fem.Constant  #: Δt of the dashpots [s], infinite at first
     last: dolfinx.fem.Function  #: Displacement of the last time step [mm], zero at first

@@ -54,9 +54,9 @@ class RawWall:
     points: Array  #: Coordinates, (n, 3), in the file's unit
     #: Nodes of the cells in dolfinx's order, (m, 4), or as many as in ``checks.CELLS``
     cells: Numbers
-    layers: Numbers  #: The tag of each cell, (m,)
-    facets: Numbers  #: Nodes of the tagged facets, (k, 3), or as many as theirs have
-    surfaces: Numbers  #: Their tags, (k,)
+    layers: Numbers  #: Tag of each cell, (m,)
+    facets: Numbers  #: Nodes of the tagged facets, (k, 3), or as many as those of the cells have
+    surfaces: Numbers  #: Tags of the facets, (k,)
     layer_names: dict[str, int]  #: Tags of the layers
     surface_names: dict[str, int]  #: Tags of the surfaces
 

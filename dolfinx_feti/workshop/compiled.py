@@ -124,7 +124,7 @@ class Material:
 
     energy: CompiledEnergy  #: The generated code
     kappa: float = math.inf  #: Penalty κ [kPa], see :func:`compile_material`
-    parameters: Mapping[str, float] = field(default_factory=dict)  #: Their values
+    parameters: Mapping[str, float] = field(default_factory=dict)  #: Values by name
 
     def __post_init__(self) -> None:
         """Check the values."""

@@ -78,10 +78,10 @@ class DataSet:
     """
 
     path: MaterialTest  #: The path, with one state per measurement
-    #: [kPa], (n, k) or (n,): σ₁₁ of a uniaxial path, σ₁₁ and σ₂₂ of a biaxial one, σ₁₂ of shear
+    #: Measured [kPa], (n, k): σ₁₁ of a uniaxial path, σ₁₁ and σ₂₂ of a biaxial one, σ₁₂ of shear
     stress: Array
     measure: Measure  #: ``cauchy`` (force per deformed area) or ``piola`` (per reference area)
-    weight: float = 1.0  #: w of the residuals, one over the noise up to a common factor
+    weight: float = 1.0  #: Weight of the residuals, one over the noise up to a factor
     name: str = ""  #: Name in tables and pictures, by default that of the path
 
     def __post_init__(self) -> None:
