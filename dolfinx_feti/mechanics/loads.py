@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 #: What of a pressure's derivative is taken.
-Kind = Literal["auto", "symmetric", "full"]
+Kind = Literal["auto", "symmetric", "full", "none"]
 
 _KPA_PER_MMHG = 101.325 / 760.0
 
@@ -94,7 +94,8 @@ def follower_pressure_tangent(
         ds: Measure of the surface.
         kind: ``"auto"``: ``"symmetric"`` if p is uniform and the surface is closed, or its rim
             clamped or sliding in planes, and ``"full"`` otherwise. Collective. ``"symmetric"``:
-            ½ (a + aᵀ), for CG; ``"full"``: a itself, which needs GMRES.
+            ½ (a + aᵀ), for CG; ``"full"``: a itself, which needs GMRES; ``"none"``: an empty form
+            as in the paper, at the price of many small load steps.
         bcs: Dirichlet conditions of the problem, ``[]`` for none, from which ``"auto"`` knows
             whether the rim is held. A closed surface needs none.
 
@@ -103,8 +104,8 @@ def follower_pressure_tangent(
             missing, u is no Function, or ds has no facets.
     """
     if kind not in get_args(Kind):
-        raise ValueError(f"kind = {kind!r}: choose 'auto', 'symmetric' or 'full'.")
-    if _is_zero(p):
+        raise ValueError(f"kind = {kind!r}: choose 'auto', 'symmetric', 'full' or 'none'.")
+    if kind == "none" or _is_zero(p):
         return ufl.Form([])
     if kind == "auto":
         kind = "symmetric" if _is_uniform(p) and _is_held(u, ds, bcs) else "full"

@@ -202,6 +202,15 @@ def test_rim_that_cannot_be_told():
         loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(7), bcs=[])
 
 
+def test_no_tangent():
+    V, ds = cube(3)
+    u, v, du = function(V, bulge), ufl.TestFunction(V), ufl.TrialFunction(V)
+    nothing = loads.follower_pressure_tangent(PRESSURE, u, v, du, ds, "none")
+    stiffness = ufl.inner(ufl.grad(du), ufl.grad(v)) * ufl.dx
+    assert nothing.empty()
+    assert stiffness + nothing == stiffness
+
+
 def test_no_pressure():
     """The number zero gives forms that can be added, with a bare measure too."""
     V, _ = cube(3)
