@@ -28,9 +28,8 @@ __all__ = [
     "takes_torn",
 ]
 
-#: Solvers that a comparison takes if it is not told, and their options without prefix. A Cholesky
-#: factorisation becomes LU where the matrix is not symmetric. BDDC gets the torn matrix, the others
-#: get the assembled one.
+#: Solvers that a comparison takes by default, and their options without prefix. Cholesky becomes LU
+#: where the matrix is not symmetric. BDDC gets the torn matrix, the others get the assembled one.
 SOLVERS: dict[str, Mapping[str, object]] = {
     "feti": {},
     "mumps": {
@@ -167,10 +166,9 @@ def prefix_of(solver: str) -> str:
 
 def missing(options: Mapping[str, object]) -> str:
     """Say which package the options of a solver need that this PETSc lacks; nothing if none."""
-    named = [options.get("pc_factor_mat_solver_type"), options.get("pc_type")]
-    for package in named:
-        external = package in ("mumps", "cholmod", "superlu_dist", "hypre", "ml")
-        if external and not PETSc.Sys.hasExternalPackage(str(package)):
+    named = {options.get("pc_factor_mat_solver_type"), options.get("pc_type")}
+    for package in ("mumps", "cholmod", "superlu_dist", "hypre", "ml"):
+        if package in named and not PETSc.Sys.hasExternalPackage(package):
             return f"this PETSc was built without {package}"
     return ""
 

@@ -110,9 +110,8 @@ def diagnose(
 ) -> Diagnosis:
     """Assemble, set up a solver, solve with it, and gather what it tells. Collective.
 
-    A right-hand side that is zero makes way for a random one. ``state`` is the x of which the
-    residual b − A x is shown, (owned,), ``prefix`` that of the options, ``known`` advice from
-    earlier solves.
+    A random right-hand side replaces one that is zero. ``state`` is the x of which the residual
+    b − A x is shown, (owned,); ``known`` is advice from earlier solves.
     """
     started = time.perf_counter()
     A, b = linear_system()
@@ -161,11 +160,10 @@ def collect_figures(form: Form) -> dict[str, Figure]:
         return (float(v.min()), float(v.mean()), float(v.max())) if len(v) else (np.nan,) * 3
 
     counts = np.bincount(copies, minlength=comm.allreduce(copies.max(initial=0), op=MPI.MAX) + 1)
+    shares = [float(np.mean(torn_copies[dofs] > 1)) for dofs in torn.subdomains]
     figures: dict[str, Figure] = {
         "dofs of a subdomain": spread([len(dofs) for dofs in torn.subdomains]),
-        "interface share": spread(
-            [float(np.mean(torn_copies[dofs] > 1)) for dofs in torn.subdomains]
-        ),
+        "interface share": spread(shares),
         "subdomains / process": spread([len(torn.subdomains)]),
         "dofs / process": spread([torn.n]),
         "MiB / process": spread([form.memory()]),
@@ -177,7 +175,8 @@ def collect_figures(form: Form) -> dict[str, Figure]:
     pressures, before = torn.pressures, torn.A.query("stiffness")
     if pressures is not None and before is not None:
         free = torn.assemble((~torn.dirichlet).astype(np.float64)) > 0.5
-        parts = np.array([pressures, free.sum(), *map(_size, (torn.diagonal(), before.array_r))])
+        sizes = (np.abs(k).sum() for k in (torn.diagonal(), before.array_r))
+        parts = np.array([pressures, free.sum(), *sizes])
         p, n, raised, own = np.where((total := comm.allreduce(parts)) > 0.0, total, np.nan)
         figures |= {"pressures per dof": float(p / n), "stiffer by pressures": float(raised / own)}
     return figures
@@ -186,8 +185,7 @@ def collect_figures(form: Form) -> dict[str, Figure]:
 def residual_shares(A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> Array:
     """Return the part of each subdomain in ‖b − A x‖, (subdomains,). Collective.
 
-    A dof counts in equal parts for the subdomains that share it; the squares sum to that of the
-    norm.
+    A dof counts in equal parts for its copies; the squares sum to that of the norm.
     """
     with Lifetime() as owned:
         torn, r = owned.own(Torn(A)), owned.own(b.duplicate())
@@ -200,11 +198,9 @@ def residual_shares(A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> Array:
 def _jump(torn: Torn) -> float:
     """Return the greatest ratio of the stiffnesses of the copies of a dof. Collective."""
     k, counts = torn.gather(torn.stiffness()), torn.multiplicity()
-    jump = 1.0
-    if len(k):
-        first = (np.cumsum(counts) - counts)[counts > 0]
-        least, most = np.minimum.reduceat(k, first), np.maximum.reduceat(k, first)
-        jump = float(np.max(most / np.where(least > 0.0, least, np.inf), initial=1.0))
+    first = (np.cumsum(counts) - counts)[counts > 0]
+    least, most = np.minimum.reduceat(k, first), np.maximum.reduceat(k, first)
+    jump = float(np.max(most / np.where(least > 0.0, least, np.inf), initial=1.0))
     return torn.comm.allreduce(jump, op=MPI.MAX)
 
 
@@ -216,7 +212,3 @@ def _motions(torn: Torn) -> str:
     if bs in (2, 3) and modes == bs * (bs + 1) // 2:
         return f"{bs} translations, {modes - bs} rotation{'s' if modes - bs > 1 else ''}"
     return "1 constant" if modes == 1 else f"{modes} constants"
-
-
-def _size(values: Array) -> float:
-    return float(np.abs(values).sum())

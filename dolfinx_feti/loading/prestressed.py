@@ -76,8 +76,8 @@ def prestress(
             det G ≤ 0 somewhere.
         ConvergenceError: No step of the least increment leads on.
 
-    Internal variables stay as they are. Source: M. W. Gee, C. Förster, W. A. Wall, IJNME Biomedical
-    Engineering 26 (2010).
+    Internal variables stay as they are. Source: M. W. Gee, C. Förster, W. A. Wall, International
+    Journal for Numerical Methods in Biomedical Engineering 26 (2010).
     """
     if not tolerance > 0.0:
         raise ValueError(f"tolerance is {tolerance}: give a positive share of the diameter.")

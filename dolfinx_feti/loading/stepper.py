@@ -76,7 +76,7 @@ class Stepper:
         steps: Lengths,
         state: PathState,
     ) -> None:
-        """Begin with the present state, see the function that takes the steps."""
+        """Begin with the present state."""
         self._comm: MPI.Comm = problem.u.function_space.mesh.comm
         self._problem, self.state, self._user = problem, state, set_place
         self._lengths, self._length = steps, steps.first

@@ -139,28 +139,26 @@ def follow_time(
             dashpot cannot follow it.
         ConvergenceError: No step of the least length leads on; the state is that of its beginning.
     """
-    comm = problem.u.function_space.mesh.comm
-    on_all(lambda: _check(problem, motion, start, targets), comm)
-    histories, numbers = [*problem.internal_variables, *motion.changes], motion.numbers
-    owned = PathState(start, problem.content, state, histories, numbers)
-    return _Times(problem, set_time, steps, owned, motion, energy, forces).follow(
+
+    def check() -> None:
+        check_places(start, targets, unloading=False)
+        if any(target < start for target in targets):
+            raise ValueError(
+                f"start={start}, targets={list(targets)}: times ascend from the start."
+            )
+        if motion.u is not problem.u or motions_in(problem.content.coefficients) != [motion]:
+            raise ValueError(
+                "The forms of the problem do not hold the inertia of this Motion, or not of it "
+                "alone: add motion.inertia to the energy, or its derivative to the residual."
+            )
+        motion.drive(problem.content.coefficients)
+
+    on_all(check, problem.u.function_space.mesh.comm)
+    histories = [*problem.internal_variables, *motion.changes]
+    owned = PathState(start, problem.content, state, histories, motion.numbers)
+    return _Times(problem, set_time, steps, owned, motion, (energy, forces)).follow(
         targets, on_step=on_step, checkpoint=checkpoint, unit=unit
     )
-
-
-def _check(
-    problem: NonlinearProblem, motion: Motion, start: float, targets: Sequence[float]
-) -> None:
-    """Require times that ascend, and a problem with the inertia of the motion."""
-    check_places(start, targets, unloading=False)
-    if any(target < start for target in targets):
-        raise ValueError(f"start={start}, targets={list(targets)}: times ascend from the start.")
-    if motion.u is not problem.u or motions_in(problem.content.coefficients) != [motion]:
-        raise ValueError(
-            "The forms of the problem do not hold the inertia of this Motion, or not of it alone: "
-            "add motion.inertia to the energy, or its derivative to the residual."
-        )
-    motion.drive(problem.content.coefficients)
 
 
 class _Times(Stepper):
@@ -177,12 +175,11 @@ class _Times(Stepper):
         steps: TimeSteps,
         state: PathState,
         motion: Motion,
-        energy: ufl.Form | None,
-        forces: ufl.Form | None,
+        energy_and_forces: tuple[ufl.Form | None, ufl.Form | None],
     ) -> None:
         super().__init__(problem, set_time, steps, state)
         self._steps = steps
-        given = (energy, forces, motion.damping_form(problem.content.forms[0]))
+        given = (*energy_and_forces, motion.damping_form(problem.content.forms[0]))
         self._energy, self._external, self._damping = (
             None if f is None or f.empty() else Compiler(self._comm).form(f) for f in given
         )

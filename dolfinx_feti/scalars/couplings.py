@@ -61,18 +61,17 @@ def refuse_condensed_fields(
     """Require that scalars and condensed fields do not meet: a cell eliminates its fields alone."""
     for field, residual in zip(fields, residuals, strict=True):
         F_p = ufl.algorithms.expand_derivatives(residual)  # works of scalars have no derivative
-        for i, coupling in enumerate(couplings):
-            equation = coupling.equation
+        for i, equation in enumerate(coupling.equation for coupling in couplings):
+            found = None
             if any(field in c.coefficients() for c in equation.equations):
                 found = f"An equation of scalars[{i}] holds the condensed field {field.name}"
             elif equation.unknown in F_p.constants():
                 found = f"The equation of the condensed field {field.name} holds scalars[{i}]"
-            else:
-                continue
-            raise ValueError(
-                f"{found}, which each cell eliminates alone: state it in u, such as κ (J − 1) for "
-                "a pressure, or do not condense the field."
-            )
+            if found is not None:
+                raise ValueError(
+                    f"{found}, which each cell eliminates alone: state it in u, such as κ (J − 1) "
+                    "for a pressure, or do not condense the field."
+                )
 
 
 def create_cavities(

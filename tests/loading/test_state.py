@@ -154,29 +154,3 @@ def test_equilibria_after_a_motion():
     other = Pulled()
     other.follow([1.0])
     equal(body.u.x.array, other.u.x.array, 1e-6)
-
-
-def test_memory_that_only_observes(tmp_path):
-    """A variable that no form holds is up to date in ``on_step``; the largest so far is one."""
-    body, seen = Pulled(), []
-    Q = dolfinx.fem.functionspace(body.mesh, ("DG", 0))
-    largest, twice = dolfinx.fem.Function(Q), dolfinx.fem.Function(Q)
-    F = kinematics.deformation_gradient(body.u)
-    problem = NonlinearProblem(
-        body.energy,
-        body.u,
-        bcs=body.bcs,
-        subdomains=2,
-        quadrature_degree=2,
-        internal_variables={largest: ufl.max_value(largest, F[0, 0]), twice: 2 * largest},
-    )
-
-    def on_step(step: object) -> None:
-        now = dolfinx.fem.Function(Q)
-        points = Q.element.interpolation_points
-        now.interpolate(dolfinx.fem.Expression(F[0, 0], points() if callable(points) else points))
-        seen.append(np.abs(largest.x.array - np.maximum(now.x.array, 0.0)).max(initial=0.0))
-
-    follow_load(problem, body.set_load, [0.5, 1.0], STEPS, on_step=on_step)
-    small(max(seen), 1e-12)
-    agree(COMM.allreduce(float(twice.x.array.max(initial=0.0)), op=max) > 2.0)
