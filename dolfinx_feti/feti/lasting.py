@@ -141,7 +141,9 @@ class Lasting:
                 if isinstance(form, PrimalForm) and not self.age:
                     self.form = None
                     form.coarse.destroy()
-                    self.form = self._dual_form(pattern, form.setup)
+                    own = form.preconditioner
+                    parts = Setup(form.operator, own.delta, own.inverse, own.inertia)
+                    self.form = self._dual_form(pattern, parts)
                     return True
             if not self.age:
                 return False
@@ -159,7 +161,7 @@ class Lasting:
         self._of_matrix.close()
         if preconditioner is not None:
             try:
-                self.form = self._with(preconditioner, pattern)
+                self.form = self._primal_form(pattern, preconditioner)
                 self.age += 1
                 return
             except SingularError:
@@ -174,20 +176,19 @@ class Lasting:
         """Set up the form of the present matrix with a preconditioner of its own."""
         if not pattern.symmetric:
             part = create_preconditioner_of_part(pattern, self._of_preconditioner)
-            return self._with(part, pattern)
+            return self._primal_form(pattern, part)
         rough = _prefers_primal(pattern)
         setup = set_up(pattern, self._of_matrix, self._of_preconditioner, rough=rough)
         if not _takes_primal(pattern, setup.inertia):
             return self._dual_form(pattern, setup)
         preconditioner = create_preconditioner(pattern, setup, self._of_preconditioner)
-        return self._primal_form(pattern, setup.operator, preconditioner)
+        return self._primal_form(pattern, preconditioner, setup.operator)
 
-    def _with(self, preconditioner: PrimalPreconditioner, pattern: Pattern) -> PrimalForm:
-        """Set up the present matrix with a preconditioner of another one."""
-        return self._primal_form(pattern, set_up_operator(pattern, self._of_matrix), preconditioner)
-
-    def _primal_form(self, pattern: Pattern, S: Operator, own: PrimalPreconditioner) -> PrimalForm:
-        """Set up the primal form of S of the present matrix with a preconditioner."""
+    def _primal_form(
+        self, pattern: Pattern, own: PrimalPreconditioner, S: Operator | None = None
+    ) -> PrimalForm:
+        """Set up the primal form of the present matrix, or of its S, with a preconditioner."""
+        S = S or set_up_operator(pattern, self._of_matrix)
         most = self._options.deflation if self._newton else 0
         return create_primal_form(pattern, S, own, self._of_matrix, self._vectors, most=most)
 

@@ -189,12 +189,6 @@ class PrimalForm:
         """Return the memory of all factors of this process in MiB."""
         return self.operator.memory() + self.preconditioner.inverse.memory()
 
-    @property
-    def setup(self) -> Setup:
-        """The parts that the dual form takes, if the preconditioner is of this matrix."""
-        own = self.preconditioner
-        return Setup(self.operator, own.delta, own.inverse, own.inertia)
-
 
 def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> PrimalPreconditioner:
     """Build the coarse columns of a symmetric matrix, for their owner. Collective."""

@@ -193,6 +193,9 @@ class _Block(NamedTuple):
     def product(self, X: Array) -> Array:
         return self.operator.local_product(self.i, X)
 
+    def regularised_product(self, R: Array, rho: float, X: Array) -> Array:
+        return self.product(X) + rho * (R @ (R.T @ X))  # K_ρ X
+
     def is_singular(self, factor: Factor) -> bool:
         return factor_tells_singular(factor, self.diagonal)
 
@@ -263,7 +266,8 @@ def _with_buckling_modes(
         negative = factor.pivots.negative
         if not negative:
             break
-        more = append_orthonormal(R, _buckling_modes(K, factor, R, rho, negative))
+        multiply = partial(K.regularised_product, R, rho)
+        more = append_orthonormal(R, buckling_modes(factor.solve, multiply, len(R), negative))
         lowest = np.linalg.eigvalsh(more.T @ K.product(more)).min(initial=np.inf)
         needed = max(rho, -LIFT * float(lowest))
         if more.shape[1] == R.shape[1] and needed == rho:
@@ -274,15 +278,6 @@ def _with_buckling_modes(
         factor.destroy()
         factor, R, rho = raised, more, needed
     return factor, R, rho
-
-
-def _buckling_modes(K: _Block, factor: Factor, R: Array, rho: float, count: int) -> Array:
-    """Approximate eigenvectors of negative eigenvalues of the factored K_ρ, (n, k)."""
-
-    def multiply(X: Array) -> Array:
-        return K.product(X) + rho * (R @ (R.T @ X))  # K_ρ X
-
-    return buckling_modes(factor.solve, multiply, len(R), count)
 
 
 def _basis(K: _Block, factor: Factor, R: Array, rho: float, *, exact: bool) -> Basis:
