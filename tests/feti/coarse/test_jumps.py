@@ -1,19 +1,20 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Stiff parts beside soft ones, and many subdomains: the coarse problem is solved with a factor."""
+"""Stiff parts beside soft ones, and many subdomains: the coarse problem is solved with a factor.
 
-from __future__ import annotations
+Near the rounding errors of a residual, a definite matrix is not called anything else.
+"""
 
 import numpy as np
 import pytest
+from cases import each
 from collective import COMM, agree
 from hand_torn import brick, random_values, solve
+from problems import Problem, dirichlet, left, torn
 
 import dolfinx
 import ufl
-
-import dolfinx_feti
 
 FORMULATIONS = {
     "primal": {"feti_formulation": "primal"},
@@ -42,16 +43,8 @@ def stiffened_cube(n, grid, pattern, jump, subdomains=None, options=FORMULATIONS
         subdomains = np.ravel_multi_index(place[:, :own], (grid,) * 3)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     stress = ufl.sym(ufl.grad(u)) + 0.5 * ufl.div(u) * ufl.Identity(3)
-    left = dolfinx.mesh.locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[0], 0.0))
-    dofs = dolfinx.fem.locate_dofs_topological(V, 2, left)
-    return dolfinx_feti.LinearProblem(
-        E * ufl.inner(stress, ufl.grad(v)) * ufl.dx,
-        v[2] * ufl.dx,
-        bcs=[dolfinx.fem.dirichletbc(np.zeros(3), dofs, V)],
-        subdomains=subdomains,
-        petsc_options_prefix="jumps_",
-        petsc_options=options,
-    )
+    a = E * ufl.inner(stress, ufl.grad(v)) * ufl.dx
+    return torn(Problem(V, a, v[2] * ufl.dx, [dirichlet(V, left)]), subdomains, "jumps_", **options)
 
 
 def solves(problem, rtol=1e-8):
@@ -75,7 +68,7 @@ def test_jumps_are_solved(pattern, jump, subdomains):
 
 
 @pytest.mark.processes(1, 2)
-@pytest.mark.parametrize("options", FORMULATIONS.values(), ids=FORMULATIONS)
+@each("options", FORMULATIONS)
 def test_jumps_in_every_formulation(options):
     solves(stiffened_cube(8, 4, "columns", 1e6, options=options))
 
@@ -108,3 +101,49 @@ def test_jumps_across_many_subdomains(torn_grid, feti):
     agree(reason > 0 and context.message == "", context.message)
     agree(context.residual <= max(1e-8, np.nan_to_num(context.floor)), context.residual)
     agree(context.report().coarse_size > 20_000)
+
+
+# ---- rounding -------------------------------------------------------------------------------
+
+#: Stiffness of stripes and of a disc over that of the rest, and λ/μ.
+JUMP, RATIO = 1e3, 1e3
+
+
+def stripes(x):
+    return ufl.lt(ufl.cos(3 * np.pi * x[0]), 0.0)
+
+
+def disc(x):
+    return ufl.lt((x[0] - 0.5) ** 2 + (x[1] - 0.5) ** 2, 0.09)
+
+
+CHOICES = {
+    "all-floating": {},
+    "classical": {"feti_type": "classical"},
+    "primal": {"feti_formulation": "primal"},
+    "lumped": {"feti_pc_type": "lumped"},
+}
+
+
+@each("options", CHOICES)
+@pytest.mark.parametrize(
+    ("cells", "length", "stiff"),
+    [((9, 14), 3.0, stripes), ((11, 16), 10.0, stripes), ((6, 19), 3.0, disc)],
+    ids=["short", "long", "disc"],
+)
+def test_rounding_is_no_negative_curvature(cells, length, stiff, options):
+    """Linear elasticity, P1, cut into 13 subdomains: CG comes to curvatures that are rounding."""
+    corners = [np.zeros(2), np.array([length, 1.0])]
+    mesh = dolfinx.mesh.create_rectangle(COMM, corners, cells)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    mu = ufl.conditional(stiff(ufl.SpatialCoordinate(mesh)), JUMP, 1.0)
+    strain = [ufl.sym(ufl.grad(w)) for w in (u, v)]
+    a = mu * (2 * ufl.inner(*strain) + RATIO * ufl.div(u) * ufl.div(v))
+    a = a * ufl.dx(metadata={"quadrature_degree": 1})
+    body = Problem(V, a, -v[1] * ufl.dx, [dirichlet(V, left)])
+    problem = torn(body, 13, "rounding_", ksp_rtol=1e-9, **options)
+    problem.solve()
+    step = problem.history[0]
+    agree(step.linear_residual <= np.fmax(1e-9, step.linear_floor) < 1e-6, step)
+    agree(step.indefinite in (0, None), step)

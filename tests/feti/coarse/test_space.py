@@ -3,24 +3,22 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The averaged coarse space: dense matrices, negative curvature, work that fails on a process."""
 
-from __future__ import annotations
-
-from petsc4py import PETSc
-
 import numpy as np
 import primal_form
 import pytest
 import scipy.linalg
+from cases import case, every_interior, every_type
 from collective import COMM, agree, dense, equal, raises, small, whole
 from hand_torn import softened
 
 from dolfinx_feti.errors import FactorError, SetUpError
 from dolfinx_feti.feti.coarse.fields import averaged_fields
 from dolfinx_feti.feti.coarse.space import AveragedSpace
+from dolfinx_feti.runtime.petsc_options import inserted
 
 SEED = 2003
-GRID = {"subdomains": (3, 2), "cells": (3, 2), "components": 2}
-every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+PREFIX = "test_feti_coarse_"
+GRID = case((3, 2), (3, 2), 2)
 
 
 def random(n):
@@ -48,7 +46,7 @@ def test_fields(kind, torn_grid, form):
 
 
 @every_type
-@pytest.mark.parametrize("interior", ["keep", "eliminate"])
+@every_interior
 def test_galerkin_matrix_and_projection(kind, interior, torn_grid, form):
     """A₀ = Vᵀ A V in a basis of unit energy; Π V = 0 and Vᵀ A Π = 0."""
     problem = torn_grid(**GRID)
@@ -126,9 +124,7 @@ def test_columns_and_their_choice_serve_another_matrix(repeated):
         def multiply_many(self, i, W):
             return 2.0 * twice.parts.operator.multiply_many(i, W)
 
-    later = AveragedSpace(
-        space.V, Doubled(), prefix="test_feti_coarse_", combinations=space.combinations
-    )
+    later = AveragedSpace(space.V, Doubled(), prefix=PREFIX, combinations=space.combinations)
     agree(later.A_0.getSize() == space.A_0.getSize() and later.V is space.V)
     equal(dense(later.A_0), 2.0 * dense(space.A_0), 1e-12)
     z, zero = copies.average(random(copies.n)), np.zeros(copies.n)
@@ -151,8 +147,8 @@ def test_product_that_fails_on_one_process(torn_grid, form):
             return S.multiply_panels(i, W)
 
     with raises(SetUpError, "no memory for S W"):
-        AveragedSpace(primal.space.V, Failing(), prefix="test_feti_coarse_")
-    again = AveragedSpace(primal.space.V, S, prefix="test_feti_coarse_")
+        AveragedSpace(primal.space.V, Failing(), prefix=PREFIX)
+    again = AveragedSpace(primal.space.V, S, prefix=PREFIX)
     equal(dense(again.A_0), dense(primal.space.A_0), 1e-14)  # sums come in the order of messages
     again.destroy()
 
@@ -160,12 +156,8 @@ def test_product_that_fails_on_one_process(torn_grid, form):
 @pytest.mark.parametrize("share", [0.0, 0.02], ids=["definite", "indefinite"])
 def test_solver_that_does_not_count_pivots(share, torn_grid, form):
     """Then nothing is known before the iterations."""
-    options = PETSc.Options("test_feti_coarse_")
-    options["pc_factor_mat_solver_type"] = "petsc"
-    try:
-        problem = torn_grid((2, 2), (4, 4), components=2, change=softened(share))
+    problem = torn_grid((2, 2), (4, 4), components=2, change=softened(share))
+    with inserted(PREFIX, {"pc_factor_mat_solver_type": "petsc"}):
         primal = form(problem, type="classical", interior="eliminate", coarse_modes=0)
-    finally:
-        options.delValue("pc_factor_mat_solver_type")
     agree(primal.space.negative() is None)
     agree(not primal.system.space.indefinite)

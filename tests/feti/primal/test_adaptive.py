@@ -1,9 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Adaptive columns: against dense eigenvectors, and what they do to the iterations."""
-
-from __future__ import annotations
+"""Adaptive columns: dense eigenvectors, iterations, and what a subdomain sees of the interface."""
 
 import itertools
 from functools import partial
@@ -13,16 +11,22 @@ import numpy as np
 import primal_form
 import pytest
 import scipy.linalg
+from cases import case, every_interior, every_type
 from collective import COMM, agree, equal, raises, random_part, small
 from hand_torn import gradients
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.primal.adaptive import DOFS, STEPS, adaptive_columns
-from dolfinx_feti.feti.primal.assembled import assembled_products
+from dolfinx_feti.feti.primal.assembled import (
+    assembled_products,
+    copy_block,
+    load_block_code,
+    shares_of_neighbours,
+)
 from dolfinx_feti.feti.primal.form import solver_on_interface
 
 SEED = 2013
-every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
+GRID = case((3, 2), (3, 2), 2)
 
 
 class Subdomains:
@@ -42,15 +46,12 @@ class Subdomains:
             self.E.append(rng.standard_normal((n, min(2, n // 4))))
         self.S_ρ = [0.1 * A + 1e-5 * np.eye(len(A)) for A in self.A]
 
-    def columns(self, most, threshold):
-        return adaptive_columns(
-            self.copies,
-            lambda i: lambda U: self.A[i] @ U,
-            lambda i: lambda F: np.linalg.solve(self.S_ρ[i], F),
-            self.E,
-            most=most,
-            threshold=threshold,
-        )
+    def solver(self, i):
+        return lambda F: np.linalg.solve(self.S_ρ[i], F)
+
+    def columns(self, most, threshold, solver=None):
+        A, how = lambda i: lambda U: self.A[i] @ U, {"most": most, "threshold": threshold}
+        return adaptive_columns(self.copies, A, solver or self.solver, self.E, **how)
 
     def cost(self, i):
         """δ T_i A T_iᵀ δ."""
@@ -66,14 +67,12 @@ class Subdomains:
 
 
 @pytest.mark.parametrize("threshold", [0.1, 1.0, 4.0])
-def test_eigenvectors_above_the_threshold(threshold):
+def test_eigenvectors_above_the_threshold(threshold, monkeypatch):
     """With room for all: as many as there are, with unit energy; the others cost less."""
     body = Subdomains(12, 30)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dolfinx_feti.feti.primal.adaptive.DOFS", 1)
-        patch.setattr("dolfinx_feti.feti.primal.adaptive.STEPS", (6, 6))
-        found = body.columns(30, threshold)
-    for i, U in enumerate(found):
+    monkeypatch.setattr("dolfinx_feti.feti.primal.adaptive.DOFS", 1)
+    monkeypatch.setattr("dolfinx_feti.feti.primal.adaptive.STEPS", (6, 6))
+    for i, U in enumerate(body.columns(30, threshold)):
         χ = body.costs(i)
         agree(U.shape[1] == np.count_nonzero(χ > threshold))
         equal(U.T @ body.S_ρ[i] @ U, np.eye(U.shape[1]), 1e-8)
@@ -97,27 +96,23 @@ def test_few_columns_are_the_largest():
 def test_the_search_goes_on_while_most_is_wanted(threshold):
     """To its last step where all is, and no further than the first steps where little is."""
     body, steps = Subdomains(DOFS // 4), []
-    solve = body.S_ρ[0].copy()
 
-    def solver(i):
-        def counted(F):
-            steps.append(F.shape[1])
-            return np.linalg.solve(solve, F)
+    def counted(F):
+        steps.append(F.shape[1])
+        return np.linalg.solve(body.S_ρ[0], F)
 
-        return counted
-
-    adaptive_columns(
-        body.copies, lambda i: lambda U: body.A[i] @ U, solver, body.E, most=24, threshold=threshold
-    )
+    body.columns(24, threshold, lambda i: counted)
     agree(steps == [1] * (STEPS[1] if threshold < 1.0 else STEPS[0]), steps)
 
 
 def test_small_subdomains_have_few_columns():
-    """Their share of 640 interface dofs; no more than dofs; none if none."""
+    """Their share of 640 interface dofs; no more than dofs; none if none, or without a share."""
     body = Subdomains(0, 1, 2, 2 * STEPS[1], DOFS // 4, DOFS // 2)
     counts = [U.shape[1] for U in body.columns(48, 0.0)]
     agree(counts == [0, 1, 2, STEPS[1], 12, 24], counts)
     agree(all(U.shape == (len(S), 0) for U, S in zip(body.columns(0, 0.0), body.S_ρ, strict=True)))
+    body.copies.delta[:] = 0.0
+    agree(not any(U.size for U in body.columns(9, 1e-12)))
 
 
 def test_subdomain_that_fails_on_one_process():
@@ -127,13 +122,6 @@ def test_subdomain_that_fails_on_one_process():
         body.S_ρ[1][:] = 0.0
     with raises(SetUpError, "Singular matrix"):
         body.columns(30, 0.1)
-
-
-def test_no_share_costs_nothing():
-    body = Subdomains(20)
-    body.copies.delta[:] = 0.0
-    (U,) = body.columns(9, 1e-12)
-    agree(U.shape == (20, 0))
 
 
 def test_columns_do_not_depend_on_other_subdomains():
@@ -158,7 +146,7 @@ def volume_changes(cells):
 
 
 @every_type
-@pytest.mark.parametrize("interior", ["keep", "eliminate"])
+@every_interior
 def test_a_large_bulk_modulus_costs_few_iterations(kind, interior, torn_grid, form, monkeypatch):
     """Where κ makes averages costly; where it does not, there are no columns."""
     monkeypatch.setattr("dolfinx_feti.feti.primal.adaptive.DOFS", 40)
@@ -186,3 +174,61 @@ def test_a_large_bulk_modulus_costs_few_iterations(kind, interior, torn_grid, fo
         iterations[κ, adaptive] = outcome.iterations
     agree(iterations[1e2, True] <= iterations[1e2, False], iterations)
     agree(iterations[1e6, True] < iterations[1e6, False], iterations)
+
+
+# ---- what a subdomain sees of the assembled interface ---------------------------------------
+
+
+@every_type
+@every_interior
+def test_products_with_the_assembled_matrix(kind, interior, torn_grid, form):
+    """T_i A T_iᵀ of the formed S, with neighbours on any process; δ^−½ S_i δ^−½ otherwise."""
+    problem = torn_grid(**GRID)
+    primal = form(problem, type=kind, interior=interior)
+    exact, copies = primal_form.reference(problem, primal), primal.copies
+    start = COMM.scan(copies.n) - copies.n
+    glued = exact.T.any(axis=1)  # the rows without a prescribed value
+    coupled = exact.T @ exact.T.T > 0.0
+    product = assembled_products(primal.parts.operator, copies)
+    worst = 0.0
+    for i, block in enumerate(copies.blocks):
+        rows = np.arange(start + block.start, start + block.stop)
+        copies_of = coupled[rows].astype(float)  # T_i Tᵀ: the copies of each row
+        alone = ~glued[rows]
+        copies_of[alone, rows[alone]] = 1.0
+        A = copies_of @ exact.S @ copies_of.T
+        if interior == "keep":
+            root = np.where(alone, 1.0, exact.delta[rows]) ** -0.5
+            A = root[:, None] * exact.S[np.ix_(rows, rows)] * root
+        found = product(i)(np.eye(len(rows)))
+        worst = max(worst, float(np.abs(found - A).max(initial=0.0) / np.abs(A).max(initial=1.0)))
+    small(worst, 1e-10 if interior == "keep" else 1e-6)  # A is unpacked in single precision
+
+
+def test_a_block_that_fails_on_one_process(torn_grid, form):
+    """All raise before a message is awaited; on one process no block is sent."""
+    primal = form(torn_grid(**GRID), interior="eliminate")
+
+    def block(i, rows):
+        if COMM.rank == COMM.size - 1:
+            raise MemoryError("no room")
+        return np.zeros(len(rows) * (len(rows) + 1) // 2)
+
+    if COMM.size == 1:
+        shares = shares_of_neighbours(primal.copies, block)
+        with raises(MemoryError, "no room"):
+            shares(0)
+        return
+    with raises(SetUpError, "no room"):
+        shares_of_neighbours(primal.copies, block)
+
+
+def test_rows_in_any_order(torn_grid, form):
+    """The lower triangle of a block, row by row."""
+    operator = form(torn_grid(**GRID), interior="eliminate").parts.operator
+    block = partial(copy_block, load_block_code(COMM), operator)
+    for i, Γ in enumerate(operator.interface):
+        S = operator.multiply_many(i, np.eye(len(Γ)))
+        rows = np.random.default_rng(i).permutation(len(Γ))[:5].astype(np.int32)
+        expected = S[np.ix_(rows, rows)][np.tril_indices(len(rows))]
+        agree(np.allclose(block(i, rows), expected, rtol=1e-12))

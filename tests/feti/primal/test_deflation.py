@@ -3,8 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Ritz vectors of the primal form: their algebra, what they save, and negative curvature."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 
@@ -13,6 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 import primal_form
 import pytest
+from cases import case, each, every_interior
 from collective import COMM, agree, equal, matrix_of_map, random_part, small, whole
 from hand_torn import softened
 
@@ -30,14 +29,10 @@ FEW = 4
 #: The last residuals are orthogonal to V up to eps κ(A₀) of the first one, 1e7 times as large.
 SPOILT = 1e-3
 
-GRID = {"subdomains": (4, 3), "cells": (3, 3), "components": 2}
+GRID = case((4, 3), (3, 3), 2)
 Reason = PETSc.KSP.ConvergedReason
-
-
-every_change = pytest.mark.parametrize(
-    "change", [None, softened(0.0004)], ids=["no prestress", "compression"]
-)
-every_interior = pytest.mark.parametrize("interior", ["keep", "eliminate"])
+SOFTENED = softened(0.0004)
+every_change = each("change", {"no prestress": None, "compression": SOFTENED})
 
 
 @pytest.fixture
@@ -151,7 +146,7 @@ def test_ritz_vectors(change, first, torn_grid, form):
 @every_interior
 def test_small_eigenvalues_are_gone(interior, torn_grid, form):
     """The next load takes the iterations of the unspoilt preconditioner, to the same solution."""
-    primal = form(torn_grid(change=softened(0.0004), **GRID), interior=interior)
+    primal = form(torn_grid(change=SOFTENED, **GRID), interior=interior)
     slow = slowed(primal)
     loads = random_part(primal.copies.n, 2, seed=7).T
     space, system = deflated(primal, slow, None)
@@ -178,7 +173,7 @@ def test_nothing_to_learn_from(torn_grid, form):
 
 def test_dependent_directions(torn_grid, form):
     """Directions that repeat others, or lie in V, change nothing."""
-    primal = form(torn_grid(change=softened(0.0004), **GRID), interior="eliminate")
+    primal = form(torn_grid(change=SOFTENED, **GRID), interior="eliminate")
     w, f = assembled(primal, 1)[:, 0], random_part(primal.copies.n, seed=7)
     v = primal.space.initial_guess(primal.copies.sum(f))  # in V
     W = np.column_stack([w, -2.0 * w, v, np.zeros_like(w)])
@@ -207,7 +202,7 @@ def test_negative_curvature(torn_grid, form):
 @every_interior
 def test_soft_fields(interior, torn_grid, form):
     """W = M Q, Q in the range of A V, Wᵀ Q = I; they raise the least eigenvalue."""
-    primal = form(torn_grid(**GRID, change=softened(0.0004)), interior=interior)
+    primal = form(torn_grid(**GRID, change=SOFTENED), interior=interior)
     S, copies, system = primal.parts.operator, primal.copies, primal.system
     solver = partial(solver_on_interface, S, primal.parts.inverse)
     found = soft_fields(primal.space, copies, S.multiply_many, lambda i, F: solver(i)(F), count=FEW)

@@ -3,29 +3,20 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The primal form: its preconditioner against dense matrices, its spectrum, negative curvature."""
 
-from __future__ import annotations
-
 from petsc4py import PETSc
 
 import numpy as np
 import primal_form
 import pytest
+from cases import case, each, every_interior, every_type
 from collective import agree, dense, equal, matrix_of_map, random_part, small, whole
-from hand_torn import softened
+from hand_torn import random_values, scaled_diagonal, softened
 
 SEED = 1993
-GRID = {"subdomains": (3, 2), "cells": (3, 2), "components": 2}
+GRID = case((3, 2), (3, 2), 2)
 Reason = PETSc.KSP.ConvergedReason
-
-
-CHANGES = {
-    "no prestress": None,
-    "tension": lambda K, dofs: [np.fill_diagonal(k, 1.01 * k.diagonal()) for k in K],
-    "compression": softened(0.0001),
-}
-every_change = pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
-every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
-every_interior = pytest.mark.parametrize("interior", ["keep", "eliminate"])
+CHANGES = {"no prestress": None, "tension": scaled_diagonal(1.01), "compression": softened(0.0001)}
+every_change = each("change", CHANGES)
 
 
 def assembled(of_copies, exact):
@@ -33,11 +24,21 @@ def assembled(of_copies, exact):
     return exact.average @ of_copies @ exact.T
 
 
+def solution(problem, primal, values):
+    """Assert that the solution is that of a direct solver, with values prescribed; say how."""
+    b = problem.vector(values)
+    torn = primal.parts.torn.tear(b.array_r)
+    b.destroy()
+    u, outcome = primal.solve(torn, torn)
+    equal(whole(u), problem.T @ problem.solve(values), 1e-8)
+    return outcome
+
+
 @every_change
 @every_type
 @every_interior
 def test_operator_and_preconditioner(change, kind, interior, torn_grid, form):
-    """A = Tᵀ S T and Π Tᵀ δ K_ρ⁻¹ δ T + V A₀⁻¹ Vᵀ, as they are defined."""
+    """A = Tᵀ S T and Π Tᵀ δ K_ρ⁻¹ δ T + V A₀⁻¹ Vᵀ, as they are defined; and the solution."""
     problem = torn_grid(change=change, **GRID)
     primal = form(problem, type=kind, interior=interior, coarse_modes=2)
     exact = primal_form.reference(problem, primal)
@@ -47,6 +48,8 @@ def test_operator_and_preconditioner(change, kind, interior, torn_grid, form):
     M = matrix_of_map(lambda r: system.precondition(r)[0], n)
     equal(assembled(A, exact), exact.A, 1e-11)
     equal(assembled(M, exact), exact.preconditioner + exact.coarse, 1e-9)
+    outcome = solution(problem, primal, random_values(problem, SEED))
+    agree(outcome.reason == Reason.CONVERGED_RTOL)
 
 
 @every_type
@@ -72,22 +75,6 @@ def test_spectrum(kind, interior, modes, torn_grid, form):
     dual_values = np.linalg.eigvals(P @ M @ P.T @ F).real
     above = 1.0 + 1e-6
     equal(primal_values[primal_values > above], np.sort(dual_values[dual_values > above]), 1e-7)
-
-
-@every_change
-@every_type
-@every_interior
-def test_solution(change, kind, interior, torn_grid, form):
-    """The solution, with values prescribed, is that of a direct solver."""
-    problem = torn_grid(change=change, **GRID)
-    primal = form(problem, type=kind, interior=interior, coarse_modes=2)
-    values = np.random.default_rng(SEED).standard_normal(len(problem.dirichlet))
-    b = problem.vector(values)
-    torn = primal.parts.torn.tear(b.array_r)
-    u, outcome = primal.solve(torn, torn)
-    agree(outcome.reason == Reason.CONVERGED_RTOL)
-    equal(whole(u), problem.T @ problem.solve(values), 1e-8)
-    b.destroy()
 
 
 @every_change
@@ -146,10 +133,4 @@ def test_no_subdomain_left_for_a_process(torn_grid, form):
     """One subdomain has no interface: there is nothing to iterate for."""
     problem = torn_grid((1, 1), (3, 2), components=2)
     primal = form(problem, type="classical", interior="keep")
-    values = np.ones(len(problem.dirichlet))
-    b = problem.vector(values)
-    torn = primal.parts.torn.tear(b.array_r)
-    u, outcome = primal.solve(torn, torn)
-    agree(outcome.iterations == 0)
-    equal(whole(u), problem.T @ problem.solve(values), 1e-9)
-    b.destroy()
+    agree(solution(problem, primal, np.ones(len(problem.dirichlet))).iterations == 0)
