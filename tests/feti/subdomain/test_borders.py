@@ -3,8 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """What compiled code takes is checked at its border: types, order, lengths and bounds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from collective import COMM, agree, raises
@@ -25,29 +23,6 @@ def panels(n=3, real=np.float64, integer=np.int32, **wrong):
     parts = {name: np.array(wrong.get(name, part)) for name, part in PANELS.items()}
     kinds = {name: real if name == "values" else integer for name in parts}
     return Panels(load_panels(COMM), n, **{k: parts[k].astype(kinds[k]) for k in parts})
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"n": 2},
-        {"first": [0, 2]},
-        {"first": [1, 2, 3]},
-        {"first": [0, 3, 2]},
-        {"first": [0, 2, 4]},
-        {"row": [0, -1, 1]},
-        {"row": [0, 3, 1]},
-        {"count": [2]},
-        {"count": [2, -1]},
-        {"count": [2, 2]},
-        {"values": [1.0, 2, 3, 4]},
-    ],
-    ids=str,
-)
-def test_panels_fit_their_rows(wrong):
-    panels()
-    with raises(ValueError, "panels do not fit"):
-        panels(**wrong)
 
 
 def test_factors_of_panels_fit():
@@ -91,28 +66,51 @@ def path(integer=np.int32, real=np.float64):
     return Rows(np.array(indptr, integer), np.array(indices, integer), np.array(values, real))
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"size": [1, 1]},
-        {"size": [1, 1, 0]},
-        {"size": [1, 1, 2]},
-        {"ptr": [0, 1, 3]},
-        {"ptr": [0, 1, 3, 5]},
-        {"ptr": [0, 3, 1, 4]},
-        {"ptr": [1, 1, 3, 4]},
-        {"adjacent": [1, 0, 3, 1]},
-        {"adjacent": [1, 0, -1, 1]},
-        {"adjacent": [1, 0, 2]},
-        {"rows": [0, 1]},
-        {"glued": [False, True]},
-    ],
-    ids=str,
-)
-def test_fronts_take_a_graph(wrong):
-    fronts()
-    with raises(FactorError, "graph of the subdomain, or the order of its nodes, is invalid"):
-        fronts(**wrong)
+def analyse(**wrong):
+    """Call the analysis of fronts itself."""
+    given = {"ptr": [0, 1, 2], "adjacent": [1, 0], "size": [1, 1], "order": [0, 1], **wrong}
+    ptr, adjacent, size, order = (np.array(given[name], dtype=np.int32) for name in given)
+    code = load_fronts(COMM)
+    made = code.module.ffi.new("fronts **")
+    graph = map(code.to, (size, ptr, adjacent))
+    status = code.lib.fronts_analyse(len(size), *graph, len(order), code.to(order), made)
+    if status == 0:
+        code.lib.fronts_free(made[0])
+    code.check(status)
+
+
+INVALID = "graph of the subdomain, or the order of its nodes, is invalid"
+TOO_LARGE = "too large .* take more subdomains"
+#: What is built, the error, and wrong values of its arrays.
+REFUSED = [
+    (panels, ValueError, "panels do not fit", {"n": [2]}),
+    (panels, ValueError, "panels do not fit", {"first": [[0, 2], [1, 2, 3], [0, 3, 2], [0, 2, 4]]}),
+    (panels, ValueError, "panels do not fit", {"row": [[0, -1, 1], [0, 3, 1]]}),
+    (panels, ValueError, "panels do not fit", {"count": [[2], [2, -1], [2, 2]]}),
+    (panels, ValueError, "panels do not fit", {"values": [[1.0, 2, 3, 4]]}),
+    (fronts, FactorError, INVALID, {"size": [[1, 1], [1, 1, 0], [1, 1, 2]]}),
+    (fronts, FactorError, INVALID, {"ptr": [[0, 1, 3], [0, 1, 3, 5], [0, 3, 1, 4], [1, 1, 3, 4]]}),
+    (fronts, FactorError, INVALID, {"adjacent": [[1, 0, 3, 1], [1, 0, -1, 1], [1, 0, 2]]}),
+    (fronts, FactorError, INVALID, {"rows": [[0, 1]], "glued": [[False, True]]}),
+    (analyse, FactorError, INVALID, {"adjacent": [[2, 0], [-1, 0]], "size": [[1, 0]]}),
+    (analyse, FactorError, INVALID, {"order": [[1, 1], [0, 2], [0, -1], [0, 1, 1]]}),
+    # more than 2³¹ dofs, or 2⁶⁰ entries, are refused before memory is asked for
+    (
+        analyse,
+        FactorError,
+        TOO_LARGE,
+        {"size": [[2**30, 2**30], [2**30, 2**30 - 1], [19 * 10**8, 1]]},
+    ),
+]
+
+
+@pytest.mark.parametrize(("build", "kind", "message", "wrong"), REFUSED)
+def test_arrays_that_do_not_fit(build, kind, message, wrong):
+    build()
+    for name, values in wrong.items():
+        for value in values:
+            with raises(kind, message):
+                build(**{name: value})
 
 
 def test_fronts_take_matrices_of_their_pattern():

@@ -3,14 +3,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Factors of sparse regularised blocks, by fronts and with pivots, against dense algebra."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 from petsc4py import PETSc
 
 import numpy as np
 import pytest
+from cases import each
 from collective import COMM, agree, equal
 from hand_torn import unsymmetric
 
@@ -22,51 +21,43 @@ from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
 from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
 from dolfinx_feti.runtime.connectivity import block_graph
 from dolfinx_feti.runtime.petsc_library import rows_of
+from dolfinx_feti.runtime.petsc_options import inserted
 
 SHAPE = (6, 5, 4)
 RHO = 3.0
 
 
-def spring_grid(shape, seed=11):
-    """Return the stiffness of springs between the nodes of a grid, and its null vector, (n, 1)."""
+def elastic(shape, seed=11):
+    """Return three grids of springs that do not know of each other, and their null vectors."""
     places = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
     places = places.reshape(-1, len(shape))
     near = np.abs(places[:, None] - places[None]).max(axis=2) == 1
     stiffness = np.random.default_rng(seed).uniform(0.5, 2.0, near.shape) * near
     stiffness = np.triu(stiffness) + np.triu(stiffness).T
     K = np.diag(stiffness.sum(axis=1)) - stiffness
-    return K, np.full((len(K), 1), len(K) ** -0.5)
-
-
-def elastic(shape):
-    """Return three grids that do not know of each other, node by node, and their null vectors."""
-    K, one = spring_grid(shape)
+    one = np.full((len(K), 1), len(K) ** -0.5)
     return np.kron(K, np.eye(3) + 0.1), np.kron(one, np.eye(3))
 
 
 @pytest.fixture
-def factored():
-    """Factor one block, by fronts or with pivots, and free it in the end."""
-    made = []
+def factored(lifetime):
+    """Factor one block, by fronts or with pivots."""
 
     def create(K, R, rho=RHO, pivots=False):
         rows = np.arange(len(K), dtype=np.int32)
         M = PETSc.Mat().createAIJ(K.shape, nnz=len(K), bsize=3, comm=PETSc.COMM_SELF)
+        lifetime.own(M)
         M.setOption(PETSc.Mat.Option.IGNORE_ZERO_ENTRIES, True)
         M.setValues(rows, rows, K)
         M.assemble()
-        made.append(M)
         if pivots:
-            made.append(PivotedFactor(M, rows, Choice("some_", True, 8), R, rho))
-            return made[-1]
+            return lifetime.own(PivotedFactor(M, rows, Choice("some_", True, 8), R, rho))
         with rows_of(M) as of_M:
             graph = block_graph(of_M, 3)
             fronts = create_fronts(load_fronts(COMM), graph, rows, rows, 3, rows[:0])
             return factor_by_fronts(fronts, of_M, np.empty(fronts.work), R, rho)
 
-    yield create
-    for owned in made:
-        owned.destroy()
+    return create
 
 
 CHANGES = {
@@ -77,7 +68,7 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+@each("change", CHANGES)
 def test_is_the_inverse_of_the_regularised_block(change, factored):
     """K_ρ⁻¹ for one column and several."""
     K, R = elastic(SHAPE)
@@ -141,24 +132,18 @@ def test_no_correction_of_a_singular_factor(image):
 
 @pytest.mark.parametrize("option", ["pc_factor_mat_solver_type", "pc_type"])
 def test_options_that_name_a_solver_are_followed(option, torn_grid, parts):
-    options = PETSc.Options("test_feti_local_")
-    options[option] = {"pc_type": "cholesky"}.get(option, "mumps")
-    try:
+    with inserted("test_feti_local_", {option: {"pc_type": "cholesky"}.get(option, "mumps")}):
         system = parts(torn_grid((2, 2), (4, 3)).A, interior="keep")
-        agree(all(isinstance(factor, PivotedFactor) for factor in system.inverse.factors))
-        inside = system.operator.interior_factors
-        agree(all(isinstance(factor, FrontFactor) for factor in inside))
-    finally:
-        options.delValue(option)
+    agree(all(isinstance(factor, PivotedFactor) for factor in system.inverse.factors))
+    agree(all(isinstance(factor, FrontFactor) for factor in system.operator.interior_factors))
 
 
-def test_unsymmetric_matrices_have_pivots(torn_grid, pattern, lifetime):
+def test_unsymmetric_matrices_and_long_indices_have_pivots(
+    torn_grid, pattern, parts, lifetime, monkeypatch
+):
     read = pattern(torn_grid((2, 2), (4, 3), change=unsymmetric(0.01)).A)
     S = set_up_operator(read, lifetime)
     agree(all(isinstance(factor, PivotedFactor) for factor in S.interior_factors))
-
-
-def test_matrices_with_long_indices_have_pivots(torn_grid, parts, monkeypatch):
     monkeypatch.setattr(analysis, "reads_in_place", lambda: False)
     system = parts(torn_grid((2, 2), (4, 3)).A, interior="keep")
     agree(all(isinstance(factor, PivotedFactor) for factor in system.inverse.factors))
