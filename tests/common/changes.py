@@ -4,54 +4,49 @@
 """All that a user may change in a torn matrix between two solves, on a scalar problem by hand.
 
 The problem is a row of six subdomains. Each change keeps the matrix symmetric, and positive
-definite unless it says otherwise.
+definite.
 """
 
-from __future__ import annotations
-
 import ctypes
-from collections.abc import Callable
 
 from petsc4py import PETSc
 
 import numpy as np
 from collective import COMM
-from hand_torn import HandTorn
 
 from dolfinx_feti import set_near_kernel
 from dolfinx_feti.runtime.petsc_library import function
 from dolfinx_feti.torn.matrix import set_condensed
 
-Change = Callable[[HandTorn], object]
 LAST = COMM.rank == COMM.size - 1
 Option = PETSc.Mat.Option
 
 
-def local(problem: HandTorn) -> PETSc.Mat:
+def local(problem):
     """Return the present local matrix."""
     return problem.A.getISLocalMat()
 
 
-def replaced(problem: HandTorn, K: PETSc.Mat) -> None:
+def replaced(problem, K):
     """Let another matrix be the local one; nobody else holds it, nor the one before."""
     problem.A.setISLocalMat(K)
     problem.A.assemble()
     K.destroy()
 
 
-def scaled_copy(problem: HandTorn) -> None:
+def scaled_copy(problem):
     K = local(problem).copy()
     K.scale(5.0)
     replaced(problem, K)
 
 
-def two_copies(problem: HandTorn) -> None:
+def two_copies(problem):
     """The first one is freed, so that PETSc may use its address again."""
     scaled_copy(problem)
     scaled_copy(problem)
 
 
-def spring(problem: HandTorn, i: int, j: int) -> PETSc.Mat:
+def spring(problem, i, j):
     """Matrix of a spring between two torn dofs of this process, if it has them."""
     n = local(problem).getSize()[0]
     X = PETSc.Mat().createAIJ((n, n), nnz=2, comm=PETSc.COMM_SELF)
@@ -62,14 +57,14 @@ def spring(problem: HandTorn, i: int, j: int) -> PETSc.Mat:
     return X
 
 
-def axpy(problem: HandTorn, i: int, j: int) -> None:
+def axpy(problem, i, j):
     X = spring(problem, i, j)
     local(problem).axpy(1.0, X, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
     problem.A.assemble()
     X.destroy()
 
 
-def new_entries(problem: HandTorn) -> None:
+def new_entries(problem):
     """One after the other, on the last process alone."""
     K = local(problem)
     if LAST and K.getSize()[0]:
@@ -79,7 +74,7 @@ def new_entries(problem: HandTorn) -> None:
     problem.A.assemble()
 
 
-def fewer_entries(problem: HandTorn) -> None:
+def fewer_entries(problem):
     """The same dofs, no longer coupled by the smallest entries."""
     n = local(problem).getSize()[0]
     indptr, indices, values = local(problem).getValuesCSR()
@@ -92,7 +87,7 @@ def fewer_entries(problem: HandTorn) -> None:
     replaced(problem, PETSc.Mat().createAIJ((n, n), csr=(*csr, values[keep]), comm=PETSc.COMM_SELF))
 
 
-def numbering(problem: HandTorn) -> None:
+def numbering(problem):
     """The first two torn dofs of each process change places in the assembled numbering."""
     K, dofs = local(problem), problem.A.getLGMap()[0].getIndices().copy()
     dofs[:2] = dofs[:2][::-1].copy()
@@ -103,68 +98,59 @@ def numbering(problem: HandTorn) -> None:
     lgmap.destroy()
 
 
-def one_entry(problem: HandTorn) -> None:
+def one_entry(problem):
     """Through the local matrix, on the last process alone."""
     if LAST and local(problem).getSize()[0]:
         local(problem).setValue(0, 0, 11.0, addv=PETSc.InsertMode.ADD)
     problem.A.assemble()
 
 
-def local_values(problem: HandTorn) -> None:
+def local_values(problem):
     """Through the torn matrix, in the local numbering."""
     if local(problem).getSize()[0]:
         problem.A.setValueLocal(1, 1, 2.5, addv=PETSc.InsertMode.ADD)
     problem.A.assemble()
 
 
-def diagonal(problem: HandTorn) -> None:
+def diagonal(problem):
     d = local(problem).getDiagonal()
     d.scale(3.0)
     local(problem).setDiagonal(d)
     d.destroy()
 
 
-def fixed(problem: HandTorn, dofs: np.ndarray) -> np.ndarray:
+def fixed(problem, dofs):
     """Of these dofs those that this process owns."""
     first, last = problem.A.getOwnershipRange()
     return dofs[(first <= dofs) & (dofs < last)].astype(PETSc.IntType)
 
 
-def other_dirichlet(problem: HandTorn) -> None:
+def other_dirichlet(problem):
     """The opposite side is held."""
     dofs = np.flatnonzero(problem.x[:, 0] == problem.x[:, 0].max())
     held = PETSc.IS().createGeneral(fixed(problem, dofs), comm=COMM)
     problem.A.compose("dirichlet", held)
 
 
-def dirichlet_in_place(problem: HandTorn) -> None:
+def dirichlet_in_place(problem):
     """The same index set has one dof more, the last, on the process that owns it."""
     dofs = np.append(np.flatnonzero(problem.dirichlet), len(problem.dirichlet) - 1)
     problem.A.query("dirichlet").setIndices(fixed(problem, dofs))
 
 
-def no_dirichlet(problem: HandTorn) -> None:
-    """The matrix is singular then."""
-    problem.A.compose("dirichlet", None)
-
-
-def stiffness(problem: HandTorn) -> None:
+def stiffness(problem):
     weight = PETSc.Vec().createSeq(local(problem).getSize()[0], comm=PETSc.COMM_SELF)
     weight.array[:] = 1.0 + np.arange(weight.getSize()) % 3
     problem.A.compose("stiffness", weight)
 
 
-def stiffness_in_place(problem: HandTorn) -> None:
-    problem.A.query("stiffness").scale(4.0)
-
-
-def near_kernel(problem: HandTorn) -> None:
+def near_kernel(problem):
     one = problem.A.createVecRight()
     one.set(-1.0)
     set_near_kernel(problem.A, [one])
 
 
-def near_kernel_in_place(problem: HandTorn) -> None:
+def near_kernel_in_place(problem):
     """PETSc locks the vectors; who insists can still change them."""
     mode = problem.A.getNearNullSpace().getVecs()[0]
     unlock, lock = (function(f"VecLockRead{way}", (ctypes.c_void_p,)) for way in ("Pop", "Push"))
@@ -173,12 +159,8 @@ def near_kernel_in_place(problem: HandTorn) -> None:
     lock(mode.handle)
 
 
-def coordinates(problem: HandTorn) -> None:
-    problem.A.query("coordinates").shift(1.0)
-
-
 #: Changes of the pattern.
-PATTERN: dict[str, Change] = {
+PATTERN = {
     "local matrix replaced": scaled_copy,
     "local matrix replaced twice": two_copies,
     "entries added in a subdomain": lambda p: axpy(p, 0, 8),
@@ -192,16 +174,16 @@ PATTERN: dict[str, Change] = {
 }
 
 #: Changes of the values alone.
-VALUES: dict[str, Change] = {
+VALUES = {
     "local matrix scaled": lambda p: local(p).scale(2.0),
     "torn matrix scaled": lambda p: p.A.scale(0.1),
     "one entry": one_entry,
     "values in the local numbering": local_values,
     "diagonal": diagonal,
     "stiffness": stiffness,
-    "stiffness in place": stiffness_in_place,
+    "stiffness in place": lambda p: p.A.query("stiffness").scale(4.0),
     "near kernel": near_kernel,
     "near kernel in place": near_kernel_in_place,
-    "coordinates": coordinates,
+    "coordinates": lambda p: p.A.query("coordinates").shift(1.0),
     "pressures": lambda p: set_condensed(p.A, 3),
 }

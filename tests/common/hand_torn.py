@@ -148,15 +148,10 @@ def grid(
 ) -> HandTorn:
     """Tear a brick of subdomains, each of some cells, in one to three dimensions.
 
-    Args:
-        subdomains: Their number in each direction.
-        cells: Cells of a subdomain in each direction.
-        components: One for the Laplace equation, the dimension for elasticity.
-        fixed: Marks the dofs with a Dirichlet condition from the nodes, (nodes, dim) →
-            (nodes,) or (nodes, components); the nodes with x₀ = 0 if not given.
-        change: Alters the local matrices in place.
-        stiffness: Factor of the matrix of a subdomain.
-        modes: Attach only so many of the kernel's modes.
+    Nodes with x₀ = 0 have Dirichlet conditions, or those that ``fixed`` marks, (nodes, dim) →
+    (nodes,) or (nodes, components); ``change`` alters the local matrices in place, ``stiffness`` is
+    the factor of each. Components are one for the Laplace equation, the dimension for elasticity.
+    Only so many ``modes`` of the kernel are attached.
     """
     shape = [s * n + 1 for s, n in zip(subdomains, cells, strict=True)]
     x = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
@@ -256,13 +251,13 @@ def gradients(corners: Indices, point: Array) -> Array:
     return np.stack(swap, axis=-1)
 
 
-def stiffness_at(g: Array, components: int) -> Array:
+def stiffness_at(g: Array, components: int, nu: float = POISSON) -> Array:
     """Integrand of the stiffness: ∇φ·∇φ, or 2μ ε:ε + λ div div for as many components as axes."""
     if components == 1:
         return g @ g.T
     n, dim = g.shape
-    mu = YOUNG / (2 * (1 + POISSON))
-    lmbda = YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
+    mu = YOUNG / (2 * (1 + nu))
+    lmbda = YOUNG * nu / ((1 + nu) * (1 - 2 * nu))
     grad = np.einsum("ad,ij->aidj", g, np.eye(dim)).transpose(0, 3, 1, 2).reshape(n * dim, dim, dim)
     eps = 0.5 * (grad + grad.transpose(0, 2, 1))
     div = np.trace(grad, axis1=1, axis2=2)
@@ -282,22 +277,13 @@ def kernel(x: Array, components: int) -> Array:
 
 def block_matrix(blocks: list[tuple[Array, Array]], bs: int) -> PETSc.Mat:
     """Make a sequential matrix of diagonal blocks (values, pattern)."""
-    n = sum(len(values) for values, _ in blocks)
-    counts, columns, data, first = [], [], [], 0
+    parts = [scipy.sparse.coo_array((0, 0))]
     for values, pattern in blocks:
-        rows, cols = np.nonzero(pattern)
-        counts.append(np.bincount(rows, minlength=len(values)))
-        columns.append(cols + first)
-        data.append(values[rows, cols])
-        first += len(values)
-    empty = np.zeros(0)
-    indptr = np.concatenate(([0], np.cumsum(np.concatenate([*counts, empty]))))
-    csr = (
-        indptr.astype(PETSc.IntType),
-        np.concatenate([*columns, empty]).astype(PETSc.IntType),
-        np.concatenate([*data, empty]),
-    )
-    return PETSc.Mat().createAIJ((n, n), bsize=bs, csr=csr, comm=PETSc.COMM_SELF)
+        rows, columns = np.nonzero(pattern)
+        parts.append(scipy.sparse.coo_array((values[rows, columns], (rows, columns)), values.shape))
+    K = scipy.sparse.block_diag(parts, format="csr")
+    csr = K.indptr.astype(PETSc.IntType), K.indices.astype(PETSc.IntType), K.data
+    return PETSc.Mat().createAIJ(K.shape, bsize=bs, csr=csr, comm=PETSc.COMM_SELF)
 
 
 def random_values(problem: HandTorn, seed: int = 101013) -> Array:

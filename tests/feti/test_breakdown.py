@@ -1,31 +1,43 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Failures are said: a negative converged reason and a remedy, never a silent wrong answer."""
+"""Failures are said: a negative converged reason and a remedy, never a silent wrong answer.
 
-from __future__ import annotations
+Advice is never what is in force.
+"""
 
+import itertools
 import logging
+import re
+from dataclasses import replace
+from types import SimpleNamespace
 
 from petsc4py import PETSc
 
 import numpy as np
 import pytest
+from cases import case, each, every_interior, every_type
 from collective import COMM, agree, equal, raises
-from hand_torn import random_values, softened, solve
-from problems import cube, elasticity, owned, poisson
+from hand_torn import random_values, softened, solve, solved, unsymmetric
+from problems import cube, elasticity, owned, poisson, torn, without
 
 import dolfinx
 
 import dolfinx_feti
 from dolfinx_feti import FETI
+from dolfinx_feti.diagnosis import advice
+from dolfinx_feti.feti.options import CHOICES, FETIOptions
 from dolfinx_feti.feti.report import table
+from dolfinx_feti.feti.solver import _remedy
+from dolfinx_feti.problems.history import CLOSER, FAILURES
 
 SEED = 6174
 Reason = PETSc.KSP.ConvergedReason
 
-GRID = {"subdomains": (2, 2), "cells": (3, 3), "components": 2}
-WIDE = {**GRID, "subdomains": (3, 2)}
+GRID, WIDE = case((2, 2), (3, 3), 2), case((3, 2), (3, 3), 2)
+cg_and_gmres = pytest.mark.parametrize(
+    "options", [{}, {"feti_dual_ksp_type": "gmres"}], ids=["cg", "gmres"]
+)
 
 
 def attempt(ksp, problem, values=None):
@@ -44,7 +56,7 @@ def failed(ksp, reason, *words):
 # ---- numbers that are none ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["all_floating", "classical"])
+@every_type
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("where", ["diagonal", "everywhere"])
 def test_nan_in_the_matrix(where, value, kind, torn_grid, feti):
@@ -60,45 +72,38 @@ def test_nan_in_the_matrix(where, value, kind, torn_grid, feti):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("on_boundary", [False, True])
-@pytest.mark.parametrize("options", [{}, {"feti_dual_ksp_type": "gmres"}], ids=["cg", "gmres"])
+@cg_and_gmres
 def test_nan_in_the_load(value, on_boundary, options, torn_grid, feti):
+    """The solver works again afterwards."""
     problem = torn_grid(**GRID)
     ksp = feti(problem.A, **options)
     values = np.ones(len(problem.dirichlet))
     values[np.flatnonzero(problem.dirichlet == on_boundary)[3]] = value
     attempt(ksp, problem, values)
     failed(ksp, Reason.DIVERGED_NANORINF, "NaN", "load")
-
-
-def test_solver_works_again_after_a_failure(torn_grid, feti):
-    problem = torn_grid(**GRID)
-    ksp = feti(problem.A)
-    values = random_values(problem, SEED + 1)
-    attempt(ksp, problem, np.full(len(values), np.nan))
-    agree(ksp.getConvergedReason() < 0)
-    context, x = attempt(ksp, problem, values)
-    agree(ksp.getConvergedReason() > 0 and context.message == "", context.message)
-    equal(x, problem.solve(values), 1e-6)
-    problem.local.scale(np.nan)
-    attempt(ksp, problem, values)
-    failed(ksp, Reason.DIVERGED_PCSETUP_FAILED, "NaN")
+    agree(solved(ksp, problem, 1e-6).message == "")
 
 
 # ---- no convergence -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("options", [{}, {"feti_dual_ksp_type": "gmres"}], ids=["cg", "gmres"])
-def test_maximum_of_iterations(options, torn_grid, feti):
+@cg_and_gmres
+def test_maximum_of_iterations(options, torn_grid, feti, caplog):
+    """It is logged once."""
     problem = torn_grid(**GRID)
     ksp = feti(problem.A, ksp_max_it=3, **options)
-    attempt(ksp, problem)
+    with caplog.at_level(logging.WARNING, "dolfinx_feti"):
+        attempt(ksp, problem)
     failed(ksp, Reason.DIVERGED_MAX_IT, "-test_ksp_max_it")
     agree(ksp.getIterationNumber() == 3)
+    logged = [record.getMessage() for record in caplog.records]
+    agree(len(logged) == (COMM.rank == 0), logged)
+    agree(all("-test_ksp_max_it" in line for line in logged), logged)
 
 
 def shares(problem, values, x):
     """Return ‖b − A x‖/‖b − A x_D‖ on the free dofs, and that of 4 times its rounding errors."""
-    K, free = problem.T.T @ problem.K_torn @ problem.T, ~problem.dirichlet
+    K, free = problem.matrix, ~problem.dirichlet
     scale = np.linalg.norm((values - K @ np.where(free, 0.0, values))[free])
     squares = values**2 + problem.T.T @ (problem.K_torn**2 @ (problem.T @ x) ** 2)
     rounding = np.finfo(float).eps * np.sqrt(squares[free].sum())
@@ -163,31 +168,39 @@ def test_stagnation_ends_the_solve(torn_grid, feti, monkeypatch):
 # ---- wrong matrices -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["all_floating", "classical"])
-def test_negative_curvature_in_cg(kind, torn_grid, feti):
-    """An indefinite assembled matrix, and CG asked for; left alone, GMRES solves it."""
-    problem = torn_grid(change=softened(0.3), **GRID)
-    agree(np.linalg.eigvalsh(problem.free_matrix)[0] < 0.0)
-    ksp = feti(problem.A, feti_type=kind, feti_dual_ksp_type="cg")
+def push(K, dofs):
+    K[0] -= 0.3 * np.abs(K[0]).max() * np.eye(len(K[0]))
+
+
+INDEFINITE = {
+    "dual": (softened(0.3), {"feti_dual_ksp_type": "cg"}, "-test_feti_dual_ksp_type gmres"),
+    "primal": (push, {"feti_formulation": "primal"}, "-test_feti_formulation dual"),
+}
+
+
+@every_type
+@each(("change", "options", "remedy"), INDEFINITE)
+def test_negative_curvature(change, options, remedy, kind, torn_grid, feti, cautious):
+    """An indefinite assembled matrix, and CG asked for; left alone, GMRES solves it.
+
+    The remedy has an effect on the form in force.
+    """
+    problem = torn_grid(change=change, **GRID)
+    agree(problem.negative > 0)
+    ksp = feti(problem.A, feti_type=kind, **options)
     attempt(ksp, problem)
-    agree(
-        ksp.getConvergedReason() in (Reason.DIVERGED_INDEFINITE_MAT, Reason.DIVERGED_INDEFINITE_PC),
-        ksp.getConvergedReason(),
-    )
-    agree("-test_feti_dual_ksp_type gmres" in ksp.getPythonContext().message)
-    ksp = feti(problem.A, feti_type=kind, ksp_rtol=1e-10)
-    values = random_values(problem, SEED + 2)
-    context, x = attempt(ksp, problem, values)
-    agree(ksp.getConvergedReason() > 0, context.message)
-    equal(x, problem.solve(values), 1e-7)
+    indefinite = (Reason.DIVERGED_INDEFINITE_MAT, Reason.DIVERGED_INDEFINITE_PC)
+    agree(ksp.getConvergedReason() in indefinite, ksp.getConvergedReason())
+    agree(remedy in ksp.getPythonContext().message, ksp.getPythonContext().message)
+    solved(feti(problem.A, feti_type=kind, ksp_rtol=1e-10), problem, 1e-7)
 
 
-@pytest.mark.parametrize("kind", ["all_floating", "classical"])
+@every_type
 @pytest.mark.parametrize(("share", "expected"), [(0.0, 0), (0.002, 0), (0.01, 1)])
 def test_coarse_matrix_shows_what_is_indefinite(kind, share, expected, torn_grid, feti):
     """Not the subdomains that buckle alone; a solve may then be refused before it begins."""
     problem = torn_grid(change=softened(share), **GRID)
-    agree(np.count_nonzero(np.linalg.eigvalsh(problem.free_matrix) < 0.0) == expected)
+    agree(problem.negative == expected)
     ksp = feti(problem.A, FETI(refuse_indefinite=True), feti_type=kind, feti_deflation=0)
     context = ksp.getPythonContext()
     agree((context.inertia.dual > 0) == (share > 0.0) and context.inertia.assembled == expected)
@@ -196,76 +209,20 @@ def test_coarse_matrix_shows_what_is_indefinite(kind, share, expected, torn_grid
     agree(refused == (expected > 0) and (context.iterations == 0) == refused)
 
 
-@pytest.mark.parametrize("interior", ["keep", "eliminate"])
+@every_interior
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.2])
 def test_one_subdomain_knows_its_inertia(share, interior, torn_grid, feti):
     """Without interface all is interior, and FETI a direct solver that counts."""
     problem = torn_grid((1, 1), (5, 5), components=2, change=softened(share))
-    count = np.count_nonzero(np.linalg.eigvalsh(problem.free_matrix) < 0.0)
-    ksp = feti(
-        problem.A, FETI(refuse_indefinite=True), feti_type="classical", feti_interior=interior
-    )
-    context = ksp.getPythonContext()
-    agree(context.inertia.assembled == count and (count > 0) == (share > 0.0), count)
-    values = random_values(problem, SEED)
-    _, x = attempt(ksp, problem, values)
-    refused = ksp.getConvergedReason() == Reason.DIVERGED_INDEFINITE_MAT
-    agree(refused == (count > 0))
-    if not refused:
-        equal(x, problem.solve(values), 1e-8)
-
-
-def test_failure_is_logged_once(torn_grid, feti, caplog):
-    problem = torn_grid(**GRID)
-    ksp = feti(problem.A, ksp_max_it=1)
-    with caplog.at_level(logging.WARNING, "dolfinx_feti"):
+    count = problem.negative
+    options = {"feti_type": "classical", "feti_interior": interior}
+    ksp = feti(problem.A, FETI(refuse_indefinite=True), **options)
+    agree(ksp.getPythonContext().inertia.assembled == count and (count > 0) == (share > 0.0), count)
+    if count == 0:
+        solved(ksp, problem)
+    else:
         attempt(ksp, problem)
-    logged = [record.getMessage() for record in caplog.records]
-    agree(len(logged) == (COMM.rank == 0), logged)
-    agree(all("-test_ksp_max_it" in line for line in logged), logged)
-
-
-# ---- the problem class ----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", ["all_floating", "classical"])
-def test_loose_part_of_the_mesh_raises(kind, solve):
-    """The right half is a body of its own, without a Dirichlet condition."""
-    mesh = cube(2, 4)
-    middle = dolfinx.mesh.locate_entities(mesh, 2, lambda x: (x[0] > 0.24) & (x[0] < 0.76))
-    keep = np.setdiff1d(np.arange(count(mesh)), middle)
-    parts = dolfinx.mesh.create_submesh(mesh, 2, keep.astype(np.int32))[0]
-    problem = elasticity(parts)
-    with raises(dolfinx_feti.ConvergenceError, "kernel of dimension 3.*not connected"):
-        solve(problem, 4, {"feti_type": kind})
-
-
-def count(mesh):
-    index_map = mesh.topology.index_map(mesh.topology.dim)
-    return index_map.size_local + index_map.num_ghosts
-
-
-def test_nan_coefficient_raises_and_leaves_u(solve):
-    problem = poisson(cube(2, 4))
-    factor = dolfinx.fem.Constant(problem.V.mesh, np.nan)
-    u = dolfinx.fem.Function(problem.V)
-    u.x.array[:] = 7.0
-    linear = dolfinx_feti.LinearProblem(
-        factor * problem.a, problem.L, bcs=problem.bcs, u=u, subdomains=4, petsc_options_prefix="t_"
-    )
-    with raises(dolfinx_feti.ConvergenceError, "NaN"):
-        linear.solve()
-    equal(owned(u), np.full(len(owned(u)), 7.0))
-    factor.value = 2.0
-    linear.solve()
-    agree(linear.solver.getConvergedReason() > 0)
-
-
-# ---- what the coarse fields prove of the assembled matrix -----------------------------------
-
-
-every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
-every_interior = pytest.mark.parametrize("interior", ["keep", "eliminate"])
+        failed(ksp, Reason.DIVERGED_INDEFINITE_MAT)
 
 
 @every_type
@@ -274,7 +231,7 @@ every_interior = pytest.mark.parametrize("interior", ["keep", "eliminate"])
 def test_what_is_proved_is_there(kind, interior, share, torn_grid, parts):
     """Never more negative eigenvalues than A has, and some wherever it has many."""
     problem = torn_grid(change=softened(share), **WIDE)
-    there = np.count_nonzero(np.linalg.eigvalsh(problem.free_matrix) < 0.0)
+    there = problem.negative
     for pc_type in ("dirichlet", "lumped", "identity"):
         system = parts(problem.A, type=kind, interior=interior, pc_type=pc_type)
         proved = system.inertia.assembled
@@ -284,3 +241,124 @@ def test_what_is_proved_is_there(kind, interior, share, torn_grid, parts):
         agree(0 <= proved <= there, (proved, there))
         agree(proved > 0 or there <= 1 or pc_type != "dirichlet", (proved, there))
         agree(share > 0.0 or system.inertia.dual == 0)
+
+
+# ---- the problem class ----------------------------------------------------------------------
+
+
+@every_type
+def test_loose_part_of_the_mesh_raises(kind, solve):
+    """The right half is a body of its own, without a Dirichlet condition."""
+    problem = elasticity(without(cube(2, 4), lambda x: (x[0] > 0.24) & (x[0] < 0.76)))
+    with raises(dolfinx_feti.ConvergenceError, "kernel of dimension 3.*not connected"):
+        solve(problem, 4, {"feti_type": kind})
+
+
+def test_nan_coefficient_raises_and_leaves_u():
+    problem = poisson(cube(2, 4))
+    factor = dolfinx.fem.Constant(problem.V.mesh, np.nan)
+    linear = torn(replace(problem, a=factor * problem.a), prefix="t_")
+    linear.u.x.array[:] = 7.0
+    with raises(dolfinx_feti.ConvergenceError, "NaN"):
+        linear.solve()
+    equal(owned(linear.u), np.full(len(owned(linear.u)), 7.0))
+    factor.value = 2.0
+    linear.solve()
+    agree(linear.solver.getConvergedReason() > 0)
+
+
+# ---- advice ---------------------------------------------------------------------------------
+
+REASONS = {value: name for name, value in vars(Reason).items() if name.startswith("DIVERGED")}
+MANY = case((3, 3), (2, 2), 2)
+
+
+def recommended(message):
+    """Return the options with a value that a message recommends, and not those that it blames."""
+    return re.findall(r"(?<!but )-test_feti_(\w+) (\w+)", message)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("method", ["cg", "gmres", "minres"])
+@pytest.mark.parametrize("floor", [np.nan, 1e-2])
+@pytest.mark.parametrize("reason", REASONS, ids=REASONS.values())
+def test_no_remedy_is_in_force(reason, floor, method):
+    """For each reason, with each choice of words and both forms."""
+    texts = set()
+    for values in itertools.product(*CHOICES.values()):
+        options = FETIOptions(**dict(zip(CHOICES, values, strict=True)))
+        for dual in {options.formulation != "primal", options.formulation == "dual"}:
+            form = SimpleNamespace(
+                pattern=SimpleNamespace(options=options), solves_indefinite=dual, method=method
+            )
+            text = _remedy(reason, form, floor=floor).format("test_")
+            texts.add(text)
+            force = {"dual_ksp_type": method, "formulation": "dual" if dual else "primal"}
+            for name, value in recommended(text):
+                agree(force.get(name, getattr(options, name, None)) != value, (text, options))
+                agree(name in force or value in CHOICES[name], text)
+    agree(all(texts) and "feti_stagnation" not in " ".join(texts))
+
+
+def test_advice_that_is_followed_is_not_repeated(torn_grid, feti, monkeypatch):
+    """Iterations that do not suffice, and options that are worse than the defaults."""
+    problem = torn_grid(stiffness=lambda i: 1e6 ** (i % 2), **MANY)
+    options = {
+        "feti_pc_type": "identity",
+        "feti_scaling": "multiplicity",
+        "feti_coarse_q": "identity",
+        "feti_formulation": "dual",
+    }
+    said = []
+    monkeypatch.setattr("dolfinx_feti.feti.dual.stopping.STAGNATION", 3)
+    monkeypatch.setattr("dolfinx_feti.feti.solver.RESTARTS", 0)
+    while not said or (said[-1] and len(said) < 4):
+        ksp = feti(problem.A, **options)
+        solve(ksp, problem, random_values(problem))
+        said.append(ksp.getPythonContext().message)
+        new = recommended(said[-1])
+        agree(not said[-1] or new, said)
+        agree(all(options[f"feti_{name}"] != value for name, value in new), said)
+        options |= {f"feti_{name}": value for name, value in new}
+    agree(len(said) > 1 and said[-1] == "", said)
+
+
+UNFIT = [
+    {"dual_ksp_type": "cg"},
+    {"formulation": "dual"},
+    {"pc_type": "lumped"},
+    {"interior": "eliminate"},
+    {"formulation": "dual", "pc_type": "identity", "interior": "eliminate"},
+]
+
+
+@pytest.mark.parametrize("options", UNFIT, ids=lambda options: " ".join(options.values()))
+def test_unsymmetric_matrix_is_solved_as_its_message_says(options, torn_grid, feti):
+    problem = torn_grid(change=unsymmetric(0.02), **MANY)
+    for _ in range(2):
+        ksp = feti(problem.A, **{f"feti_{name}": value for name, value in options.items()})
+        reason, _ = solve(ksp, problem, random_values(problem))
+        said = ksp.getPythonContext().message
+        agree((reason > 0) == (options.get("formulation") == "primal" or said == ""), said)
+        options = options | dict(recommended(said))
+    agree(reason > 0, said)
+
+
+@pytest.mark.parametrize("scaling", CHOICES["scaling"])
+@pytest.mark.parametrize("modes", [0, 12])
+def test_advice_of_a_diagnosis_is_not_in_force(scaling, modes):
+    """Whatever else is measured: a jump of the stiffness, and a large condition number."""
+    chosen = {"feti_scaling": scaling, "feti_coarse_modes": modes}
+    found = torn(elasticity(cube(2, 8)), 2 * COMM.size, "test_", **chosen).diagnose()
+    figures = {**found.figures, "jump of stiffness": 1e9}
+    report = replace(found.report, eigenvalues=(1.0, 1e9), floor=1e-5)
+    said = advice.advise(figures, report, iterations=1000, prefix="test_")
+    new = recommended(" ".join(piece.text for piece in said))
+    agree(all(str(chosen[f"feti_{name}"]) != value for name, value in new), said)
+    agree(len(new) == (scaling == "multiplicity") + (modes == 0), said)
+    agree("residual that is rounding" in {piece.quantity for piece in said}, said)
+
+
+def test_newtons_messages_name_no_option_but_the_limit_of_steps():
+    texts = [text for _, text in FAILURES.values()] + list(CLOSER)
+    agree(re.findall(r"snes_\w+|feti_\w+|ksp_\w+", " ".join(texts)) == ["snes_max_it"], texts)

@@ -3,13 +3,12 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A torn matrix is its owner's: what is changed in it, the next solve sees."""
 
-from __future__ import annotations
-
 from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from changes import PATTERN, VALUES, no_dirichlet, replaced, scaled_copy, stiffness
+from cases import each
+from changes import PATTERN, VALUES, replaced, scaled_copy, stiffness
 from collective import COMM, agree, equal, whole
 from hand_torn import random_values, solve
 
@@ -94,29 +93,24 @@ def test_one_change_after_the_other(options, problem, feti):
         solved(ksp, problem, b)
 
 
-def test_dirichlet_dofs_that_go_are_missed(problem, feti):
-    """The message names the motion; with the dofs back there is a solution again."""
-    ksp, b = feti(problem.A, ksp_rtol=RTOL), random_values(problem)
-    solved(ksp, problem, b)
-    held = problem.A.query("dirichlet")
-    no_dirichlet(problem)
-    reason, x = solve(ksp, problem, b)
-    message = ksp.getPythonContext().message
-    agree(reason < 0 and not x.any() and "singular" in message, message)
-    problem.A.compose("dirichlet", held)
-    solved(ksp, problem, b)
+WITHOUT = {
+    "dirichlet": (lambda A: A.compose("dirichlet", None), "singular"),
+    "near kernel": (lambda A: A.setNearNullSpace(PETSc.NullSpace()), "set_near_kernel"),
+}
 
 
-def test_near_kernel_that_goes_is_missed(torn_grid, feti):
-    """The same one is taken back, too."""
+@each(("take", "words"), WITHOUT)
+def test_what_goes_is_missed(take, words, torn_grid, feti):
+    """The message names the remedy; with the same objects back there is a solution again."""
     problem = torn_grid((2, 2), (2, 2), components=2)
     ksp, b = feti(problem.A, ksp_rtol=RTOL), random_values(problem)
     solved(ksp, problem, b)
-    modes = problem.A.getNearNullSpace()
-    problem.A.setNearNullSpace(PETSc.NullSpace())
+    held, modes = problem.A.query("dirichlet"), problem.A.getNearNullSpace()
+    take(problem.A)
     reason, x = solve(ksp, problem, b)
     message = ksp.getPythonContext().message
-    agree(reason < 0 and not x.any() and "set_near_kernel" in message, message)
+    agree(reason < 0 and not x.any() and words in message, message)
+    problem.A.compose("dirichlet", held)
     problem.A.setNearNullSpace(modes)
     solved(ksp, problem, b)
 
@@ -153,8 +147,8 @@ def test_change_is_in_the_state(name, problem):
     before = state_of(problem.A)
     CHANGES[name](problem)
     after = state_of(problem.A)
-    pattern = problem.A.comm.tompi4py().allreduce(after.pattern != before.pattern)
-    values = problem.A.comm.tompi4py().allreduce(after.values != before.values)
+    pattern = COMM.allreduce(after.pattern != before.pattern)
+    values = COMM.allreduce(after.values != before.values)
     agree((pattern > 0) == (name in PATTERN) and (pattern or values), (pattern, values))
 
 
@@ -180,8 +174,7 @@ def test_state_keeps_what_it_names(problem):
 
 
 def test_state_of_two_matrices_with_one_local_matrix(problem):
-    sizes, comm = problem.A.getSizes()[0], problem.A.comm.tompi4py()
-    dofs = problem.A.getLGMap()[0].getIndices()
-    other = create_torn_matrix(problem.local, np.asarray(dofs), sizes, comm=comm)
+    sizes, dofs = problem.A.getSizes()[0], problem.A.getLGMap()[0].getIndices()
+    other = create_torn_matrix(problem.local, np.asarray(dofs), sizes, comm=COMM)
     agree(state_of(other) != state_of(problem.A))
     other.destroy()

@@ -3,20 +3,21 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A null space given to the matrix: solved in its complement, or refused with what is wrong."""
 
-from __future__ import annotations
+from dataclasses import replace
 
 from petsc4py import PETSc
 
 import numpy as np
 import pytest
+from cases import each, every_formulation
 from collective import COMM, agree, dense, equal, norm, raises, small, whole
-from problems import Problem, cube, dirichlet, elasticity, left, owned, poisson
+from problems import Problem, cube, dirichlet, elasticity, left, owned, poisson, torn, without
 
 import dolfinx
 import dolfinx.fem.petsc
 import ufl
 
-from dolfinx_feti import ConvergenceError, LinearProblem
+from dolfinx_feti import ConvergenceError
 
 RTOL = 1e-10
 
@@ -35,14 +36,19 @@ METHODS = {
     "interior kept": {"feti_interior": "keep"},
     "the defaults": {},
 }  # fmt: skip
-every_method = pytest.mark.parametrize("options", METHODS.values(), ids=METHODS)
+every_method = each("options", METHODS)
+
+
+def changed(free, form, *, add=True):
+    """Add a form of u and v to the matrix of a problem, or put it in its place."""
+    u, v = ufl.TrialFunction(free.V), ufl.TestFunction(free.V)
+    return replace(free, a=form(u, v) * ufl.dx + (free.a if add else 0))
 
 
 def vectors_laplacian(mesh):
     """Two constants, and no rotation, are the kernel."""
     free = elasticity(mesh, clamped=None)
-    u, v = ufl.TrialFunction(free.V), ufl.TestFunction(free.V)
-    return Problem(free.V, ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, free.L, [])
+    return changed(free, lambda u, v: ufl.inner(ufl.grad(u), ufl.grad(v)), add=False)
 
 
 FREE = {
@@ -55,21 +61,16 @@ FREE = {
 }
 
 
-def torn(problem, options=None, subdomains=6):
-    return LinearProblem(
-        problem.a,
-        problem.L,
-        bcs=problem.bcs,
-        subdomains=subdomains,
-        petsc_options={"ksp_rtol": RTOL, **(options or {})},
-    )
+def linear_problem(problem, options, subdomains=6):
+    return torn(problem, subdomains, **{"ksp_rtol": RTOL, **options})
 
 
-def give(linear, count=None):
+def give(linear, count=None, scale=1.0):
     """Give the first vectors of the near kernel to the matrix as its null space."""
     A, b = linear.linear_system()
     b.destroy()
-    space = PETSc.NullSpace().create(vectors=A.getNearNullSpace().getVecs()[:count], comm=A.comm)
+    vectors = [scale * z for z in A.getNearNullSpace().getVecs()[:count]]
+    space = PETSc.NullSpace().create(vectors=vectors, comm=A.comm)
     A.setNullSpace(space)
     return space
 
@@ -84,11 +85,11 @@ def least_squares(problem, b):
 
 
 @every_method
-@pytest.mark.parametrize(("create", "dimension"), FREE.values(), ids=FREE)
+@each(("create", "dimension"), FREE)
 def test_pure_neumann_problems(create, dimension, options):
     """PETSc's way: the null space is given to A and removed from b; x is orthogonal to it."""
     problem = create()
-    linear = torn(problem, options)
+    linear = linear_problem(problem, options)
     space = give(linear, dimension)
     A, b = linear.linear_system()
     space.remove(b)
@@ -103,7 +104,7 @@ def test_pure_neumann_problems(create, dimension, options):
     x.destroy()
 
 
-@pytest.mark.parametrize("formulation", ["dual", "primal"])
+@every_formulation
 def test_against_mumps_with_a_dof_prescribed(formulation):
     """Without a number of subdomains there are two at least; PETSc's null space of constants."""
     mesh = cube(2, 20)
@@ -111,7 +112,7 @@ def test_against_mumps_with_a_dof_prescribed(formulation):
     x = ufl.SpatialCoordinate(mesh)
     v = ufl.TestFunction(free.V)
     problem = Problem(free.V, free.a, (x[0] - 0.5) * v * ufl.dx, [])
-    linear = torn(problem, {"feti_formulation": formulation}, subdomains=None)
+    linear = linear_problem(problem, {"feti_formulation": formulation}, subdomains=None)
     linear.A.setNullSpace(PETSc.NullSpace().create(constant=True, comm=mesh.comm))
     u = owned(linear.solve())
     first = dolfinx.fem.locate_dofs_geometrical(free.V, lambda x: x[0] + x[1] < 1e-8)
@@ -131,7 +132,7 @@ def test_what_a_condition_leaves(options):
     x = ufl.SpatialCoordinate(mesh)
     force = ufl.as_vector([x[1], x[0] - 0.5])
     problem = Problem(free.V, free.a, ufl.inner(force, v) * ufl.dx, [roll])
-    linear = torn(problem, options)
+    linear = linear_problem(problem, options)
     z = linear.A.createVecRight()
     z.array[1::2] = 1.0
     z.normalize()
@@ -148,15 +149,12 @@ def test_what_a_condition_leaves(options):
     z.destroy()
 
 
-@pytest.mark.parametrize("formulation", ["dual", "primal"])
+@every_formulation
 def test_two_bodies(formulation):
     """Each has a constant of its own; the sum of both is only a part of the null space."""
-    mesh = cube(2, 8)
-    cells = mesh.topology.index_map(2).size_local + mesh.topology.index_map(2).num_ghosts
-    gap = dolfinx.mesh.locate_entities(mesh, 2, lambda x: (x[0] > 0.37) & (x[0] < 0.63))
-    kept = np.setdiff1d(np.arange(cells), gap).astype(np.int32)
-    problem = poisson(dolfinx.mesh.create_submesh(mesh, 2, kept)[0], clamped=None)
-    linear = torn(problem, {"feti_formulation": formulation}, subdomains=12)
+    halves = without(cube(2, 8), lambda x: (x[0] > 0.37) & (x[0] < 0.63))
+    problem = poisson(halves, clamped=None)
+    linear = linear_problem(problem, {"feti_formulation": formulation}, subdomains=12)
     A, b = linear.linear_system()
     x = problem.V.tabulate_dof_coordinates()[: b.getLocalSize(), 0]
     constants = [A.createVecRight(), A.createVecRight()]
@@ -177,25 +175,22 @@ def test_two_bodies(formulation):
     b.destroy()
 
 
-@pytest.mark.parametrize("formulation", ["dual", "primal"])
+@every_formulation
 def test_slender_and_free(formulation):
     """Bending costs next to nothing: what rounding leaves along the null space must not grow."""
     mesh = dolfinx.mesh.create_rectangle(COMM, [(0, 0), (100, 1)], (200, 2))
-    linear = torn(
-        elasticity(mesh, clamped=None),
-        {"feti_formulation": formulation, "ksp_rtol": 1e-8},
-        subdomains=20,
-    )
+    options = {"feti_formulation": formulation, "ksp_rtol": 1e-8}
+    linear = linear_problem(elasticity(mesh, clamped=None), options, subdomains=20)
     linear.A.setTransposeNullSpace(give(linear))
     linear.solve()
     agree(linear.solver.getIterationNumber() < 20, linear.solver.getIterationNumber())
 
 
-@pytest.mark.parametrize("formulation", ["dual", "primal"])
+@every_formulation
 def test_load_that_nothing_balances(formulation):
     """Poisson with a source and no sink; PETSc takes the source out if it is told to."""
     problem = poisson(cube(2, 6), clamped=None)
-    linear = torn(problem, {"feti_formulation": formulation})
+    linear = linear_problem(problem, {"feti_formulation": formulation})
     space = give(linear)
     with raises(ConvergenceError, "not orthogonal to the null space of A.*setTransposeNullSpace"):
         linear.solve()
@@ -208,11 +203,11 @@ def test_load_that_nothing_balances(formulation):
     b.destroy()
 
 
-@pytest.mark.parametrize("formulation", ["dual", "primal"])
+@every_formulation
 def test_message_without_a_null_space(formulation):
     """It names the remedy, and the same solver takes it."""
     problem = elasticity(cube(2, 5), clamped=None)
-    linear = torn(problem, {"feti_formulation": formulation})
+    linear = linear_problem(problem, {"feti_formulation": formulation})
     said = r"dimension 3: .* leave 2 translations and 1 rotation free.*A\.setNullSpace"
     with raises(ConvergenceError, said):
         linear.solve()
@@ -223,51 +218,45 @@ def test_message_without_a_null_space(formulation):
         linear.solve()
 
 
-def mass(free):
-    u, v = ufl.TrialFunction(free.V), ufl.TestFunction(free.V)
-    return Problem(free.V, free.a + 1e-3 * ufl.inner(u, v) * ufl.dx, free.L, [])
+def scalar(**clamped):
+    return poisson(cube(2, 5), **clamped)
 
 
-def convection(free):
-    u, v = ufl.TrialFunction(free.V), ufl.TestFunction(free.V)
-    return Problem(free.V, free.a + u.dx(0) * v * ufl.dx, free.L, [])
+REFUSED = {
+    "A resists it": (
+        lambda: changed(scalar(clamped=None), lambda u, v: 1e-3 * ufl.inner(u, v)),
+        {}, "no null vector, A resists it",
+    ),
+    "unsymmetric": (
+        lambda: changed(scalar(clamped=None), lambda u, v: u.dx(0) * v), {}, "symmetric",
+    ),
+    "moves Dirichlet dofs": (scalar, {}, "no null vector, it moves Dirichlet dofs"),
+    "not all of it": (
+        lambda: elasticity(cube(2, 5), clamped=None), {"count": 2},
+        "singular, with a kernel of dimension 3",
+    ),
+    "not orthonormal": (
+        lambda: elasticity(cube(2, 5), clamped=None), {"scale": 2.0}, "not orthonormal",
+    ),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("formulation", ["dual", "primal"])
-@pytest.mark.parametrize(
-    ("change", "message"), [(mass, "no null vector, A resists it"), (convection, "symmetric")]
-)
-def test_matrices_with_another_null_space(change, message, formulation):
-    linear = torn(change(poisson(cube(2, 5), clamped=None)), {"feti_formulation": formulation})
-    give(linear)
+@every_formulation
+@each(("create", "how", "message"), REFUSED)
+def test_vectors_that_are_no_null_space(create, how, message, formulation):
+    linear = linear_problem(create(), {"feti_formulation": formulation})
+    give(linear, **how)
     with raises(ConvergenceError, message):
         linear.solve()
 
 
-@pytest.mark.parametrize("formulation", ["dual", "primal"])
-def test_vectors_that_are_no_null_space(formulation):
-    """Not orthonormal; not zero where a value is prescribed; not all of it."""
-    linear = torn(elasticity(cube(2, 5), clamped=None), {"feti_formulation": formulation})
-    give(linear, 2)
-    with raises(ConvergenceError, "singular, with a kernel of dimension 3"):
-        linear.solve()
-    twice = [2.0 * z for z in linear.A.getNearNullSpace().getVecs()]
-    linear.A.setNullSpace(PETSc.NullSpace().create(vectors=twice, comm=linear.A.comm))
-    with raises(ConvergenceError, "not orthonormal"):
-        linear.solve()
-    clamped = torn(poisson(cube(2, 5)), {"feti_formulation": formulation})
-    give(clamped)
-    with raises(ConvergenceError, "no null vector, it moves Dirichlet dofs"):
-        clamped.solve()
-
-
-@pytest.mark.parametrize("formulation", ["dual", "primal"])
+@every_formulation
 @pytest.mark.serial
 def test_body_in_one_subdomain(formulation):
     """Its kernel lies inside, where no interface feels it; kept interiors have none."""
     problem = poisson(cube(2, 5), clamped=None)
     options = {"feti_formulation": formulation, "feti_interior": "eliminate"}
-    linear = torn(problem, options, subdomains=1)
+    linear = linear_problem(problem, options, subdomains=1)
     give(linear)
     with raises(ConvergenceError, "two subdomains, at least"):
         linear.solve()

@@ -3,8 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Options: defaults, choices, misspelt names, and the database as it was found."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from typing import get_args, get_type_hints
@@ -14,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, whole
-from problems import cube, elasticity, owned, poisson
+from problems import cube, elasticity, owned, poisson, torn
 
 import dolfinx_feti
 from dolfinx_feti.feti.options import FETIOptions, read_options
@@ -40,23 +38,16 @@ def test_defaults_are_those_of_the_class():
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [(name, value) for name, choices in CHOICES.items() for value in choices]
+    ("name", "value"),
+    [
+        *((name, value) for name, choices in CHOICES.items() for value in choices),
+        *((name, number) for name in NUMBERS for number in (0, 17)),
+        *((name, share) for name in SHARES for share in (0, 0.5)),
+    ],
 )
-def test_every_choice_is_read(name, value):
+def test_every_option_is_read(name, value):
     options = read(**{f"feti_{name}": value})
     agree(options == dataclasses.replace(FETIOptions(), **{name: value}))
-
-
-@pytest.mark.parametrize("name", NUMBERS)
-def test_numbers_are_read(name):
-    agree(getattr(read(**{f"feti_{name}": 17}), name) == 17)
-    agree(getattr(read(**{f"feti_{name}": 0}), name) == 0)
-
-
-@pytest.mark.parametrize("name", SHARES)
-def test_shares_are_read(name):
-    agree(getattr(read(**{f"feti_{name}": 0.5}), name) == 0.5)
-    agree(getattr(read(**{f"feti_{name}": 0}), name) == 0.0)
 
 
 COUNT, SHARE, BELOW_ONE = "a whole number ≥ 0", "a number between 0 and 1", "a number ≥ 0 and < 1"
@@ -109,13 +100,23 @@ def test_refused(options, message):
         read(**options)
 
 
-def test_no_preconditioner_of_petscs_own_is_the_default():
-    agree(read(pc_type="none") == FETIOptions())
+#: What is not FETI's own, and counts without a bound.
+OTHERS = {
+    "pc_type": "none",
+    **dict.fromkeys(("ksp_max_it", "snes_max_it", "snes_max_funcs"), "unlimited"),
+    **dict.fromkeys(("feti_dual_ksp_type", "feti_dual_ksp_rtol", "ksp_rtol", "snes_rtol"), "0.1"),
+    "feti_local_mat_mumps_icntl_14": "0.1",
+    "feti_local_pc_type": "0.1",
+    "feti_dirichlet_pc_factor_mat_solver_type": "0.1",
+    "feti_coarse_ksp_type": "0.1",
+    "feti_coarse_pc_type": "0.1",
+}
 
 
-@pytest.mark.parametrize("name", ["ksp_max_it", "snes_max_it", "snes_max_funcs"])
-def test_counts_without_a_bound(name):
-    read(**{name: "unlimited"})
+@pytest.mark.parametrize(("name", "value"), OTHERS.items())
+def test_options_of_others_are_left_alone(name, value):
+    with inserted("other_", {"feti_type": "classical", "feti_nonsense": 1}):
+        agree(read(**{name: value}) == FETIOptions())
 
 
 @pytest.mark.parametrize(
@@ -128,46 +129,22 @@ def test_counts_without_a_bound(name):
         ("option", "feti_lag", "x", "-o_feti_lag is 'x'"),
     ],
 )
-def test_ksp_alone(by, name, wrong, message, torn_grid):
+def test_ksp_alone(by, name, wrong, message, torn_grid, lifetime):
     """Where PETSc turns the error into one of its own, ours is its cause."""
-    ksp = PETSc.KSP().create(COMM)
+    ksp = lifetime.own(PETSc.KSP().create(COMM))
     ksp.setOptionsPrefix("o_")
     ksp.setOperators(torn_grid((2, 2), (3, 3)).A)
     types = {"ksp_type": "python", "ksp_python_type": "dolfinx_feti.FETI"}
+    error = None
     try:
         with inserted("o_", {name: wrong} | (types if by == "option" else {})):
             if by == "context":
                 ksp.setType(PETSc.KSP.Type.PYTHON)
                 ksp.setPythonContext(dolfinx_feti.FETI())
             ksp.setFromOptions()
-        error = None
     except (ValueError, PETSc.Error) as caught:
         error = caught if isinstance(caught, ValueError) else caught.__cause__
     agree(isinstance(error, ValueError) and re.search(message, str(error)), repr(error))
-    ksp.destroy()
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "feti_dual_ksp_type",
-        "feti_dual_ksp_rtol",
-        "feti_local_mat_mumps_icntl_14",
-        "feti_local_pc_type",
-        "feti_dirichlet_pc_factor_mat_solver_type",
-        "feti_coarse_ksp_type",
-        "feti_coarse_pc_type",
-        "ksp_rtol",
-        "snes_rtol",
-    ],
-)
-def test_options_of_others_are_left_alone(name):
-    agree(read(**{name: "0.1"}) == FETIOptions())
-
-
-def test_options_of_another_prefix_are_left_alone():
-    with inserted("other_", {"feti_type": "classical", "feti_nonsense": 1}):
-        agree(read() == FETIOptions())
 
 
 def test_prefix_may_be_empty_for_a_solver_alone():
@@ -180,32 +157,22 @@ def test_prefix_of_a_problem_may_not(prefix):
         require_prefix(prefix)
 
 
-def test_inserted_options_vanish_and_others_come_back():
+def test_options_vanish_and_others_come_back():
+    """Those that are inserted, and those that are withheld, also after an error."""
     database = PETSc.Options()
-    database.setValue("o_feti_type", "classical")
-    database.setValue("o_kept", "7")
-    before = database.getAll()
-    with inserted("o_", {"feti_type": "all_floating", "flag": None, "ksp_rtol": 1e-3}):
-        agree(database.getString("o_feti_type") == "all_floating")
-        agree(database.hasName("o_flag") and database.getReal("o_ksp_rtol") == 1e-3)
-    agree(database.getAll() == before)
-    with raises(RuntimeError, "on purpose"), inserted("o_", {"new": 1, "kept": 8}):
-        raise RuntimeError("on purpose")
-    agree(database.getAll() == before)
-    database.delValue("o_feti_type")
-    database.delValue("o_kept")
-
-
-def test_withheld_options_come_back():
-    database = PETSc.Options()
-    with inserted("o_", {"ksp_type": "preonly", "flag": None}):
+    with inserted("o_", {"feti_type": "classical", "kept": 7, "flag": None}):
         before = database.getAll()
-        with withheld(["o_ksp_type", "o_flag", "o_other"]):
-            agree(not {"o_ksp_type", "o_flag"} & database.getAll().keys())
+        with inserted("o_", {"feti_type": "all_floating", "new": None, "ksp_rtol": 1e-3}):
+            agree(database.getString("o_feti_type") == "all_floating")
+            agree(database.hasName("o_new") and database.getReal("o_ksp_rtol") == 1e-3)
         agree(database.getAll() == before)
-        with raises(RuntimeError, "on purpose"), withheld(["o_ksp_type"]):
-            raise RuntimeError("on purpose")
+        with withheld(["o_feti_type", "o_flag", "o_other"]):
+            agree(not {"o_feti_type", "o_flag"} & database.getAll().keys())
         agree(database.getAll() == before)
+        for change in (inserted("o_", {"new": 1, "kept": 8}), withheld(["o_kept"])):
+            with raises(RuntimeError, "on purpose"), change:
+                raise RuntimeError("on purpose")
+            agree(database.getAll() == before)
 
 
 def test_options_of_another_solver():
@@ -225,21 +192,10 @@ def test_options_of_another_solver():
         agree(options_without_effect("o_") == {})
 
 
-def linear_problem(problem, prefix, **options):
-    return dolfinx_feti.LinearProblem(
-        problem.a,
-        problem.L,
-        bcs=problem.bcs,
-        subdomains=4,
-        petsc_options_prefix=prefix,
-        petsc_options=options,
-    )
-
-
 def test_problem_takes_its_options_and_leaves_the_database():
     before = PETSc.Options().getAll()
     options = {"feti_type": "classical", "feti_pc_type": "lumped", "ksp_rtol": 1e-5}
-    linear = linear_problem(elasticity(cube(2, 4)), "mine_", **options)
+    linear = torn(elasticity(cube(2, 4)), 4, "mine_", **options)
     agree(PETSc.Options().getAll() == before)
     linear.solve()
     agree(PETSc.Options().getAll() == before)
@@ -249,25 +205,16 @@ def test_problem_takes_its_options_and_leaves_the_database():
     agree(linear.solver.getOptionsPrefix() == "mine_")
 
 
-def test_command_line_serves_the_problem_too():
-    """Options that the user has put under the prefix; those in the call take precedence."""
+def test_problems_share_the_command_line_and_no_options():
+    """Options that the user has put under a prefix; those in the call take precedence."""
     problem = poisson(cube(2, 4))
-    with inserted("mine_", {"feti_type": "classical", "feti_scaling": "multiplicity"}):
-        linear = linear_problem(problem, "mine_", feti_scaling="stiffness")
-        linear.solve()
-    options = linear.solver.getPythonContext().report().options
-    agree((options.type, options.scaling) == ("classical", "stiffness"))
-
-
-def test_two_problems_do_not_share_options():
-    problem = poisson(cube(2, 4))
-    first, second = (
-        linear_problem(problem, prefix, feti_pc_type=pc_type)
-        for prefix, pc_type in (("a_", "lumped"), ("b_", "identity"))
-    )
-    first.solve()
-    second.solve()
-    agree(first.solver.getPythonContext().report().options.pc_type == "lumped")
-    agree(second.solver.getPythonContext().report().options.pc_type == "identity")
+    with inserted("a_", {"feti_type": "classical", "feti_scaling": "multiplicity"}):
+        first = torn(problem, 4, "a_", feti_pc_type="lumped", feti_scaling="stiffness")
+        second = torn(problem, 4, "b_", feti_pc_type="identity")
+        first.solve()
+        second.solve()
+    options, others = (each.solver.getPythonContext().report().options for each in (first, second))
+    agree((options.type, options.scaling, options.pc_type) == ("classical", "stiffness", "lumped"))
+    agree(others == dataclasses.replace(FETIOptions(), pc_type="identity"))
     equal(whole(owned(first.u)), whole(owned(second.u)), 1e-6)
     agree(np.all(np.isfinite(owned(first.u))))
