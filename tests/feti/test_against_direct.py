@@ -3,12 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """FETI against a direct solver on the undecomposed problem."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
 import pytest
+from cases import each, every_formulation, every_type
 from collective import agree, norm, raises, small
 from problems import (
     Cell,
@@ -20,6 +19,7 @@ from problems import (
     left,
     owned,
     poisson,
+    torn,
     with_bubbles,
 )
 
@@ -29,9 +29,6 @@ import ufl
 
 import dolfinx_feti
 from dolfinx_feti.fem.decomposition import tear
-
-every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
-every_formulation = pytest.mark.parametrize("formulation", ["dual", "primal"])
 
 TOLERANCE = 1e-7  # for a residual of 1e-10 and condition numbers up to 1e3
 
@@ -48,9 +45,7 @@ def difference(u, expected):
 def test_all_options(kind, degree, pc_type, feti):
     """Elasticity on tetrahedra with every scaling and weight of the projection."""
     problem = elasticity(cube(3, 2), degree=degree, stretched=True)
-    linear = dolfinx_feti.LinearProblem(
-        problem.a, problem.L, bcs=problem.bcs, subdomains=6, petsc_options_prefix="set_up_"
-    )
+    linear = torn(problem, 6, "set_up_")
     expected = problem.solve_directly()
     linear.solve()
     x = linear.A.createVecRight()
@@ -84,7 +79,7 @@ PROBLEMS = {
 
 
 @every_type
-@pytest.mark.parametrize("create", PROBLEMS.values(), ids=PROBLEMS)
+@each("create", PROBLEMS)
 def test_problems(create, kind, solve):
     problem = create()
     linear = solve(problem, 7, {"feti_type": kind, "ksp_rtol": 1e-10})
@@ -120,7 +115,7 @@ ELEMENTS = {
 
 
 @every_formulation
-@pytest.mark.parametrize("create", ELEMENTS.values(), ids=ELEMENTS)
+@each("create", ELEMENTS)
 def test_elements_other_than_lagrange(create, formulation, solve):
     """Both forms; where there are bubbles of cells, these belong to the interior."""
     problem = create()
@@ -129,10 +124,10 @@ def test_elements_other_than_lagrange(create, formulation, solve):
     form = linear.solver.getPythonContext().form
     layout, dim = problem.V.dofmap.dof_layout, problem.V.mesh.topology.dim
     inside = problem.V.dofmap.list[: problem.cells, layout.entity_dofs(dim, 0)].ravel()
-    torn = tear(problem.V, linear.decomposition).dof
+    dof = tear(problem.V, linear.decomposition).dof
     bs = problem.V.dofmap.index_map_bs
     on_interface = np.concatenate(form.operator.interface) // bs
-    agree(not np.isin(torn[on_interface], inside).any())
+    agree(not np.isin(dof[on_interface], inside).any())
 
 
 @every_formulation
@@ -173,7 +168,7 @@ def test_unsymmetric_form(kind, solve):
     agree(linear.solver.getPythonContext().method == "gmres")
 
 
-def test_solution_is_written_into_the_users_function(solve):
+def test_solution_is_written_into_the_users_function():
     problem = poisson(cube(2, 4), stretched=True)
     u = dolfinx.fem.Function(problem.V)
     linear = dolfinx_feti.LinearProblem(
@@ -195,7 +190,7 @@ def test_solution_is_written_into_the_users_function(solve):
     agree(np.allclose(u.x.array[boundary], x[boundary, 1] - 0.3, atol=1e-9))
 
 
-def test_second_solve_sees_new_coefficients_and_values(solve):
+def test_second_solve_sees_new_coefficients_and_values():
     """Load, matrix and boundary values change between two solves."""
     problem = poisson(cube(2, 5))
     mesh = problem.V.mesh
@@ -205,14 +200,7 @@ def test_second_solve_sees_new_coefficients_and_values(solve):
     dofs = dolfinx.fem.locate_dofs_topological(problem.V, 1, facets)
     bc = dolfinx.fem.dirichletbc(g, dofs, problem.V)
     changing = Problem(problem.V, k * problem.a, load * problem.L, [bc])
-    linear = dolfinx_feti.LinearProblem(
-        changing.a,
-        changing.L,
-        bcs=changing.bcs,
-        subdomains=5,
-        petsc_options_prefix="test_",
-        petsc_options={"ksp_rtol": 1e-11},
-    )
+    linear = torn(changing, 5, "test_", ksp_rtol=1e-11)
     for k.value, load.value, g.value in ((1.0, 1.0, 0.0), (1.0, -2.0, 0.5), (30.0, 3.0, -1.0)):
         linear.solve()
         small(difference(owned(linear.u), changing.solve_directly()), TOLERANCE)

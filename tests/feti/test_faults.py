@@ -7,25 +7,22 @@ The list of functions is generated: all of ``feti/subdomain``, and in other room
 LAPACK, BLAS or compiled code, if a solve calls them and they neither are collective nor guard.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import gc
 import importlib
 import inspect
 import pkgutil
 import sys
-import types
-from collections.abc import Callable, Iterator
 from functools import partial
 
 from petsc4py import PETSc
 
 import numpy as np
 import pytest
+from cases import each
 from collective import COMM, agree
 from garbage import garbage
-from hand_torn import HandTorn, random_values, unsymmetric
+from hand_torn import random_values, unsymmetric
 
 import dolfinx_feti
 from dolfinx_feti import feti as package
@@ -48,25 +45,25 @@ FORMS = {
 GUARDED = ("destroy", "load", "complete")
 
 
-def fault(*_args: object, **_how: object) -> None:
+def fault(*_args, **_how):
     """Take the place of any function."""
     raise ArithmeticError("a fault")
 
 
-def calls_numerics(function: types.FunctionType) -> bool:
+def calls_numerics(function):
     """Tell whether a function, or one within it, calls LAPACK, BLAS or compiled code."""
     inner = [code for code in function.__code__.co_consts if inspect.iscode(code)]
     names = {name for code in (function.__code__, *inner) for name in code.co_names}
     return bool(names & {"linalg", "lapack", "blas", "lib"})
 
 
-def local_functions() -> Iterator[tuple[str, types.FunctionType]]:
+def local_functions():
     """Find the functions that work on the subdomains of one process alone."""
     for info in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
         module = importlib.import_module(info.name)
         inside = info.name.startswith(package.__name__ + ".subdomain.")
-        classes = [each for each in vars(module).values() if inspect.isclass(each)]
-        for member in [each for owner in (module, *classes) for each in vars(owner).values()]:
+        classes = [found for found in vars(module).values() if inspect.isclass(found)]
+        for member in [m for owner in (module, *classes) for m in vars(owner).values()]:
             if not inspect.isfunction(member) or member.__module__ != info.name:
                 continue
             collective = "ollective" in (member.__doc__ or "").replace("Not collective", "")
@@ -77,7 +74,7 @@ def local_functions() -> Iterator[tuple[str, types.FunctionType]]:
                 yield f"{info.name}.{member.__qualname__}", member
 
 
-def message_of(problem: HandTorn, options: dict[str, object], *, bordered: bool) -> str:
+def message_of(problem, options, *, bordered):
     """Set a solver up and solve; return what it says, or raises; empty if all is well."""
     ksp = PETSc.KSP().create(COMM)
     ksp.setOptionsPrefix("fault_")
@@ -104,9 +101,9 @@ def message_of(problem: HandTorn, options: dict[str, object], *, bordered: bool)
             owned.destroy()
 
 
-def called(work: Callable[[], object]) -> set[types.CodeType]:
+def called(work):
     """Return the code of all functions that are called."""
-    codes: set[types.CodeType] = set()
+    codes = set()
     sys.setprofile(lambda frame, _event, _argument: codes.add(frame.f_code))
     try:
         work()
@@ -117,7 +114,7 @@ def called(work: Callable[[], object]) -> set[types.CodeType]:
 
 @pytest.mark.processes(2)
 @pytest.mark.filterwarnings("ignore:Assigning a code object")  # of a generator
-@pytest.mark.parametrize(("options", "skew", "bordered"), FORMS.values(), ids=FORMS)
+@each(("options", "skew", "bordered"), FORMS)
 def test_fault_on_one_process_is_an_error_on_all(options, skew, bordered, torn_grid):
     change = unsymmetric(0.02, skew=True) if skew else None
     problem = torn_grid((2, 2), (3, 2), components=2, change=change)

@@ -3,36 +3,26 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Who creates destroys: no reference cycle, no object left, no memory that grows."""
 
-from __future__ import annotations
-
 import gc
 import weakref
+from contextlib import contextmanager
 from pathlib import Path
 
 from petsc4py import PETSc
 
 import numpy as np
 import pytest
+from cases import case, each, every_type
 from collective import COMM, agree
 from garbage import garbage
-from problems import cube, elasticity, poisson
+from hand_torn import nowhere
+from problems import cube, elasticity, poisson, torn
 
 import dolfinx_feti
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.pattern import create_pattern
 from dolfinx_feti.feti.setup import set_up
 from dolfinx_feti.runtime.lifetime import Lifetime
-
-
-def create(problem, **options):
-    return dolfinx_feti.LinearProblem(
-        problem.a,
-        problem.L,
-        bcs=problem.bcs,
-        subdomains=6,
-        petsc_options_prefix="memory_",
-        petsc_options=options,
-    )
 
 
 def resident():
@@ -46,19 +36,29 @@ def collect():
     PETSc.garbage_cleanup()
 
 
-@pytest.fixture
-def without_collector():
-    """Reference counting alone has to do."""
-    collect()
-    gc.disable()
+@contextmanager
+def returned(problem):
+    """Assert that nothing refers to the torn matrix and to its local one that did not before."""
+    before = problem.A.getRefCount(), problem.local.getRefCount()
     yield
-    gc.enable()
+    collect()
+    after = problem.A.getRefCount(), problem.local.getRefCount()
+    agree(before == after, (before, after))
+
+
+def created(problem):
+    """Make a KSP for a torn matrix, without a prefix."""
+    ksp = PETSc.KSP().create(COMM)
+    ksp.setOperators(problem.A)
+    ksp.setType(PETSc.KSP.Type.PYTHON)
+    ksp.setPythonContext(dolfinx_feti.FETI())
+    return ksp
 
 
 @pytest.mark.parametrize("solved", [False, True])
 def test_problem_is_freed_without_the_collector(solved, without_collector):
     """A cycle would leave the collective destruction of PETSc objects to chance."""
-    linear = create(poisson(cube(2, 4)))
+    linear = torn(poisson(cube(2, 4)), 6)
     if solved:
         linear.solve()
     context = linear.solver.getPythonContext()
@@ -72,62 +72,46 @@ def test_problem_is_freed_without_the_collector(solved, without_collector):
 
 
 @pytest.mark.parametrize("pc_type", ["dirichlet", "lumped", "identity"])
-@pytest.mark.parametrize("kind", ["all_floating", "classical"])
+@every_type
 def test_matrix_is_its_owners_again(kind, pc_type, torn_grid):
-    """After destroy() nothing refers to the torn matrix and to its local one."""
     problem = torn_grid((2, 2), (2, 2), components=2)
-    before = problem.A.getRefCount(), problem.local.getRefCount()
-    with Lifetime() as owner:
+    with returned(problem), Lifetime() as owner:
         options = FETIOptions(type=kind, pc_type=pc_type)
         pattern = create_pattern(problem.A, options, "memory_", owner)
         for _ in range(2):
             with Lifetime() as matrix:
                 set_up(pattern, matrix, matrix)
-    del pattern
-    collect()
-    after = problem.A.getRefCount(), problem.local.getRefCount()
-    agree(before == after, (before, after))
+        del pattern
 
 
 def test_solver_may_be_destroyed_twice_and_unused(torn_grid):
     problem = torn_grid((2, 2), (2, 2))
-    before = problem.A.getRefCount()
-    for steps in range(3):
-        ksp = PETSc.KSP().create(COMM)
-        ksp.setOperators(problem.A)
-        ksp.setType(PETSc.KSP.Type.PYTHON)
-        context = dolfinx_feti.FETI()
-        ksp.setPythonContext(context)
-        if steps > 0:
-            ksp.setUp()
-        if steps > 1:
-            context.destroy(ksp)
-        ksp.destroy()
-        context.destroy()
-        agree(context.report() is None)
-    collect()
-    agree(problem.A.getRefCount() == before, (problem.A.getRefCount(), before))
+    with returned(problem):
+        for steps in range(3):
+            ksp = created(problem)
+            context = ksp.getPythonContext()
+            if steps > 0:
+                ksp.setUp()
+            if steps > 1:
+                context.destroy(ksp)
+            ksp.destroy()
+            context.destroy()
+            agree(context.report() is None)
 
 
 def test_failed_set_up_leaves_nothing(torn_grid):
-    problem = torn_grid((2, 2), (2, 2), components=2, fixed=lambda x: np.zeros(len(x), dtype=bool))
-    before = problem.A.getRefCount(), problem.local.getRefCount()
-    for _ in range(3):
-        ksp = PETSc.KSP().create(COMM)
-        ksp.setOperators(problem.A)
-        ksp.setType(PETSc.KSP.Type.PYTHON)
-        ksp.setPythonContext(dolfinx_feti.FETI())
-        ksp.setUp()
-        agree("singular" in ksp.getPythonContext().message)
-        ksp.destroy()
-    del ksp
-    collect()
-    agree((problem.A.getRefCount(), problem.local.getRefCount()) == before)
+    problem = torn_grid((2, 2), (2, 2), components=2, fixed=nowhere)
+    with returned(problem):
+        for _ in range(3):
+            ksp = created(problem)
+            ksp.setUp()
+            agree("singular" in ksp.getPythonContext().message)
+            ksp.destroy()
 
 
 def test_operators_outlive_the_problem():
     """The user's own references stay valid."""
-    linear = create(poisson(cube(2, 4)))
+    linear = torn(poisson(cube(2, 4)), 6)
     u = linear.solve()
     A, values = linear.A, u.x.array.copy()
     del linear
@@ -146,12 +130,11 @@ FORMS = {
 
 
 @pytest.mark.parametrize("null_space", [False, True])
-@pytest.mark.parametrize("options", FORMS.values(), ids=FORMS)
+@each("options", FORMS)
 def test_nothing_waits_for_the_collector(options, null_space, torn_grid, feti):
     """Near kernel, null space and matrix are replaced between solves; all owners end together."""
-    grid = {"subdomains": (3, 2), "cells": (2, 2)}
+    grid = case((3, 2), (2, 2), **({"fixed": nowhere} if null_space else {}))
     if null_space:
-        grid["fixed"] = lambda x: np.zeros(len(x), dtype=bool)
         options = {**options, "feti_type": "all_floating"}
     first = torn_grid(**grid)
     PETSc.garbage_cleanup(first.A.comm)
@@ -187,12 +170,12 @@ def test_memory_does_not_grow(what, torn_grid, feti):
     A leak grows in each of the windows; an arena or a cache that the allocator takes once, in one.
     """
     problem = elasticity(cube(3, 4))
-    linear = create(problem)
+    linear = torn(problem, 6)
     linear.solve()
 
     def work():
         if what == "create":
-            create(problem).solve()
+            torn(problem, 6).solve()
         elif what == "solve":
             linear.solve()
         else:
@@ -215,7 +198,7 @@ def test_one_copy_of_the_matrix():
 
     The benchmark measures the peak; this only finds a second factorisation or a dense array.
     """
-    linear = create(elasticity(cube(3, 6)))
+    linear = torn(elasticity(cube(3, 6)), 6)
     linear.solve()
     report = linear.solver.getPythonContext().report()
     nonzeros = COMM.allreduce(linear._system._K.mat.getInfo(PETSc.Mat.InfoType.LOCAL)["nz_used"])
