@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
-from hand_torn import Array, HandTorn, kernel, tear
+from hand_torn import Array, HandTorn, dofs_of, kernel, stiffness_at, tear
 
-YOUNG, POISSON = 210.0, 0.45
+POISSON = 0.45
 
 
 def cube(
@@ -71,7 +71,7 @@ def assemble(
     n = len(nodes) * components
     K, pattern = np.zeros((n, n)), np.zeros((n, n))
     for tetrahedron in tetrahedra:
-        rows = (tetrahedron[:, None] * components + np.arange(components)).ravel()
+        rows = dofs_of(tetrahedron, components)
         K[np.ix_(rows, rows)] += element(nodes[tetrahedron], components)
         pattern[np.ix_(rows, rows)] = 1.0
     return K, pattern
@@ -80,11 +80,5 @@ def assemble(
 def element(corners: Array, components: int) -> Array:
     """Stiffness of a tetrahedron with linear shape functions."""
     edges = corners[1:] - corners[0]
-    volume = abs(np.linalg.det(edges)) / 6
     g = np.linalg.solve(edges, np.eye(4)[1:] - np.eye(4)[0]).T  # ∇φ, (4, 3)
-    if components == 1:
-        return volume * g @ g.T
-    mu = YOUNG / (2 * (1 + POISSON))
-    lmbda = YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
-    blocks = mu * (np.einsum("ak,bk,ij->aibj", g, g, np.eye(3)) + np.einsum("aj,bi->aibj", g, g))
-    return volume * (blocks + lmbda * np.einsum("ai,bj->aibj", g, g)).reshape(12, 12)
+    return abs(np.linalg.det(edges)) / 6 * stiffness_at(g, components, POISSON)
