@@ -310,7 +310,7 @@ def test_advice_that_is_followed_is_not_repeated(torn_grid, feti, monkeypatch):
         "feti_formulation": "dual",
     }
     said = []
-    monkeypatch.setattr("dolfinx_feti.feti.dual.stopping.STAGNATION", 3)
+    monkeypatch.setattr("dolfinx_feti.feti.dual.krylov.STAGNATION", 3)
     monkeypatch.setattr("dolfinx_feti.feti.solver.RESTARTS", 0)
     while not said or (said[-1] and len(said) < 4):
         ksp = feti(problem.A, **options)

@@ -23,7 +23,6 @@ from dolfinx_feti.feti.primal.form import solver_on_interface
 from dolfinx_feti.feti.primal.krylov import conjugate_gradients
 from dolfinx_feti.runtime import collective
 
-SEED = 2000
 FEW = 4
 
 #: The last residuals are orthogonal to V up to eps κ(A₀) of the first one, 1e7 times as large.
