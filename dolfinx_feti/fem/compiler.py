@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from mpi4py import MPI
 
@@ -48,14 +48,7 @@ class Compiler:
         Note:
             Collective.
         """
-        return self._compile(
-            "a form",
-            lambda: dolfinx.fem.form(
-                form,
-                form_compiler_options=_copy(self.form_compiler_options),
-                jit_options=_copy(self.jit_options),
-            ),
-        )
+        return self._compile("a form", lambda: dolfinx.fem.form(form, **self._options()))
 
     def expression(self, expression: ufl.core.expr.Expr, points: Array) -> dolfinx.fem.Expression:
         """Compile an expression.
@@ -75,15 +68,17 @@ class Compiler:
 
         def compiled() -> dolfinx.fem.Expression:
             _check_points(expression, points)
-            return dolfinx.fem.Expression(
-                expression,
-                points,
-                comm=self.comm,
-                form_compiler_options=_copy(self.form_compiler_options),
-                jit_options=_copy(self.jit_options),
-            )
+            options = self._options()
+            return dolfinx.fem.Expression(expression, points, comm=self.comm, **options)
 
         return self._compile("an expression", compiled)
+
+    def _options(self) -> dict[str, Any]:
+        """Return copies of the options, to which dolfinx may add."""
+        return {
+            "form_compiler_options": dict(self.form_compiler_options or {}),
+            "jit_options": dict(self.jit_options or {}),
+        }
 
     def _compile(self, what: str, work: Callable[[], T]) -> T:
         """Let dolfinx compile on all processes; the first one tells what takes long."""
@@ -91,7 +86,8 @@ class Compiler:
         def told() -> T:
             if self.comm.rank:
                 return work()
-            with announced(what, dolfinx.jit.get_options(_copy(self.jit_options))["cache_dir"]):
+            options = dolfinx.jit.get_options(self._options()["jit_options"])
+            with announced(what, options["cache_dir"]):
                 return work()
 
         return on_all(told, self.comm)
@@ -111,8 +107,3 @@ def _check_points(expression: ufl.core.expr.Expr, points: Array) -> None:
             f"The expression holds data at {len(rule[0])} quadrature points, but is evaluated at "
             f"{len(points)} others: project the data first, or take the same quadrature."
         )
-
-
-def _copy(options: Mapping[str, object] | None) -> dict[str, object]:
-    """Return options that dolfinx may add to."""
-    return dict(options or {})

@@ -99,18 +99,17 @@ def _program(
 
     factors = {value for _, found in point.terms for value in found.values()}
     tape, register, registers = point.tape.program(factors, VECTOR * n * groups)
-    shapes = {
-        i: tuple(e.dim * block for e, block in map(scalar_element, forms[i].arguments()))
-        for i in sorted({number for number, _ in point.terms})
-    }
-    begin = [0, *accumulate(map(math.prod, shapes.values()))]
-    first = dict(zip(shapes, begin, strict=False))
+    shapes: dict[int, tuple[int, ...]] = {}
+    begin = [0]
     one = Slot(place(point.elements, basix.ufl.element("DG", cell.name, 0)), 1, 0, 0)
     contractions: list[int] = []
-    for number, found in point.terms:
-        width = shapes[number][-1] if shapes[number] else 1
+    for number, found in point.terms:  # form after form
+        if number not in shapes:
+            arguments = map(scalar_element, forms[number].arguments())
+            shapes[number] = tuple(e.dim * block for e, block in arguments)
+            begin.append(begin[-1] + math.prod(shapes[number]))
         slots = {(one, one, *s)[-2:]: register[value] for s, value in found.items()}
-        contractions += _blocks(slots, first[number], width)
+        contractions += _blocks(slots, begin[-2], (1, *shapes[number])[-1])
 
     used = [(point.elements[0], 3), *map(scalar_element, functions)]
     element = [place(point.elements, e) for e, _ in used]

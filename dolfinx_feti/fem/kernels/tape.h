@@ -12,7 +12,7 @@
 
 enum { LANES = 8, POINTS = N * GROUPS };
 
-// A number of each of LANES cells, and a mask of them, as vectors of GCC and Clang.
+// A number of each of LANES cells, and a mask of them.
 typedef double V __attribute__((vector_size(64)));
 typedef int64_t L __attribute__((vector_size(64)));
 
@@ -20,13 +20,14 @@ typedef int64_t L __attribute__((vector_size(64)));
 #define UNROLL _Pragma("GCC unroll 32")
 #define EACH UNROLL for (int k = 0; k < POINTS; ++k)
 
-// Basis functions φ of an element, or its ∂φ/∂X_i, (nodes, 1 + GDIM, POINTS), are so many vectors a node.
+// Of φ, ∂φ/∂X_i, (nodes, 1 + GDIM, POINTS), a node has so many vectors.
 enum { NODE = (1 + GDIM) * POINTS };
 
-// What program.py makes of forms. Their entries are size a cell; those of form f begin at begin[f]. Function 0 is x,
-// element 0 that of the geometry. A visit has so many vectors R: det ∂x/∂ξ and the quadrature weights, (POINTS,);
-// the tape's registers; from a place on basis functions φ of each element; the values w of each function, (nodes,
-// block, GROUPS); the products of contract(); and the entries, (GROUPS, size).
+// What program.py makes of forms, which have size entries a cell; form f begins at begin[f]. Function 0 is x, element 0
+// that of the geometry. A call is for m cells, the first ones or those of a list, with values of the functions at dofs
+// of cells. A visit of CELLS has so many vectors R: det ∂x/∂ξ and the quadrature weights, (POINTS,); the tape's
+// registers; from a place on φ of each element; w of each function, (nodes, block, GROUPS); the products of
+// contract(); and the entries, (GROUPS, size).
 typedef struct {
     int size, forms, elements, functions, chunks, affine, vectors, products, out, m;
     const int *begin, *nodes, *gradients, *tables, *element, *block, *phi, *w, *tape, *contractions, *cells, *const *dof;
@@ -143,4 +144,3 @@ __attribute__((constructor)) static void find_functions(void)
 #define MANY(i) *(M *)(NUMBERS(i) + l)
 WIDELY(function, 3, many_functions[p[2]], many_functions[p[2]](MANY(1)), functions[p[2]](NUMBERS(1)[i]))
 WIDELY(power, 3, many_powers, many_powers(MANY(1), MANY(2)), pow(NUMBERS(1)[i], NUMBERS(2)[i]))
-WIDELY(sqrt, 2, 0, (M){0.0}, sqrt(NUMBERS(1)[i]))

@@ -27,11 +27,11 @@ from dolfinx_feti.runtime.arrays import Indices
 __all__ = ["FUNCTIONS", "HEADER", "Tape"]
 
 #: Functions of one argument.
-FUNCTIONS = "exp log cos sin tan cosh sinh tanh acos asin atan erf".split()
+FUNCTIONS = "exp log sqrt cos sin tan cosh sinh tanh acos asin atan erf".split()
 
 #: Instructions, by UFL's names where it has one.
 _CODES = (
-    "end number constant weight determinant interpolate sum product quotient power abs sqrt "
+    "end number constant weight determinant interpolate sum product quotient power abs "
     "function choose lt gt le ge eq ne and_condition or_condition not_condition"
 ).split()
 
@@ -93,10 +93,7 @@ class Tape:
 
     def multiply(self, a: int, b: int) -> int:
         """Return a b."""
-        x, y = (self.literals.get(abs(c)) for c in (a, b))
         sign = 1 if a * b > 0 else -1
-        if x is not None and y is not None:
-            return sign * self.number(x * y)
         key = self._keys[abs(a)] * self._keys[abs(b)]
         return sign * self._find(key, _Value("product", (abs(a), abs(b))))
 
