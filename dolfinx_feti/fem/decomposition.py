@@ -113,7 +113,7 @@ def decompose(
     if comm.allreduce(bad, op=MPI.LOR):
         raise ValueError(f"seed is {seed!r}: give zero or a positive integer.")
     n_cells = mesh.topology.index_map(mesh.topology.dim).size_local
-    graph = _facet_graph(mesh, n_cells)
+    graph = compat.facet_graph(mesh.topology, n_cells)
     if isinstance(subdomains, (int, np.integer)):
         cells = np.array(comm.allgather(n_cells), dtype=np.int64)
         if not 1 <= subdomains <= cells.sum():
@@ -181,16 +181,6 @@ def _shares(subdomains: int, cells: Numbers) -> Numbers:
     shares = np.floor(due).astype(np.int64)
     shares[np.argsort(shares - due, kind="stable")[: subdomains - shares.sum()]] += 1
     return np.minimum(np.maximum(shares, 1), cells)
-
-
-def _facet_graph(mesh: dolfinx.mesh.Mesh, n_cells: int) -> scipy.sparse.csr_array:
-    """Return the graph of owned cells that share a facet, (n_cells, n_cells)."""
-    links = compat.facet_links(mesh.topology, n_cells)
-    ones = np.ones(len(links.array), dtype=np.int8)
-    columns = links.array.astype(np.int32)
-    graph = scipy.sparse.csr_array((ones, columns, links.offsets), shape=(n_cells, n_cells))
-    graph.sort_indices()
-    return graph
 
 
 def _partition(graph: scipy.sparse.csr_array, parts: int, seed: int) -> Indices:

@@ -12,6 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import scipy.sparse
 
 import dolfinx
 
@@ -20,7 +21,7 @@ from dolfinx_feti.runtime.arrays import Array, Indices, Integers
 __all__ = [
     "adjacency",
     "create_function_space",
-    "facet_links",
+    "facet_graph",
     "geometry_degree",
     "geometry_dofmap",
     "has_vertex_integrals",
@@ -59,10 +60,8 @@ def create_function_space(
     return dolfinx.fem.FunctionSpace(V.mesh, V.ufl_element(), space)
 
 
-def facet_links(
-    topology: dolfinx.mesh.Topology, n_cells: int
-) -> dolfinx.cpp.graph.AdjacencyList_int64:
-    """Return the cells that share a facet with each of the first cells, among those.
+def facet_graph(topology: dolfinx.mesh.Topology, n_cells: int) -> scipy.sparse.csr_array:
+    """Return the graph of the first cells that share a facet, (n_cells, n_cells).
 
     The facets themselves, of which a prism has two types, have a table each from 0.10 on.
     """
@@ -70,9 +69,13 @@ def facet_links(
     cells = vertices.array[: vertices.offsets[n_cells]].astype(np.int64)
     mesh = (MPI.COMM_SELF, [topology.cell_type], [cells])
     try:  # from 0.10 on, with a bound on the cells at a facet
-        return dolfinx.cpp.mesh.build_dual_graph(*mesh, None)
+        links = dolfinx.cpp.mesh.build_dual_graph(*mesh, None)
     except TypeError:
-        return dolfinx.cpp.mesh.build_dual_graph(*mesh)
+        links = dolfinx.cpp.mesh.build_dual_graph(*mesh)
+    ones, columns = np.ones(len(links.array), dtype=np.int8), links.array.astype(np.int32)
+    graph = scipy.sparse.csr_array((ones, columns, links.offsets), shape=(n_cells, n_cells))
+    graph.sort_indices()
+    return graph
 
 
 def geometry_degree(mesh: dolfinx.mesh.Mesh) -> int:
