@@ -39,7 +39,9 @@ class Beam:
     K: ufl.Form
 
     def tangent(self, kind: str) -> ufl.Form:
-        """Return the tangent of F_u in u with a kind of the pressure's."""
+        """Return the tangent of F_u in u with a kind of the pressure's, or with ``none``."""
+        if kind == "none":
+            return self.K
         V = self.u.function_space
         v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
         return self.K + loads.follower_pressure_tangent(
